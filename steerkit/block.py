@@ -1,0 +1,163 @@
+"""Blocks: small immutable objects with typed ports and two pure functions over explicit state."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+from collections import namedtuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, overload
+
+from steerkit.units import UNITS
+
+State = tuple[Any, ...]
+"""A block's state: a flat tuple (often a NamedTuple) of scalars: floats, `(N,)` arrays or symbols."""
+
+
+class WiringError(ValueError):
+    """A loop that cannot run as it is wired; raised when the loop is built."""
+
+
+class In:
+    """An input port: a class attribute of a block.
+
+    unit: one of `steerkit.units.UNITS`. direct: does `output` see it? `update` always does. size: None for a
+    scalar, else the number of entries, or the name of the block's field that holds it.
+    """
+
+    kind = "input"
+
+    def __init__(self, unit: str, *, direct: bool = True, size: int | str | None = None):
+        self.unit, self.direct, self.size, self.name = _known_unit(unit), direct, size, ""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    @overload
+    def __get__(self, block: None, owner: type) -> Self: ...
+    @overload
+    def __get__(self, block: Block, owner: type) -> Port: ...
+    def __get__(self, block: Block | None, owner: type) -> Self | Port:
+        return self if block is None else Port(block, self)
+
+
+class Out:
+    """An output port: a class attribute of a block.
+
+    unit: as for `In`. direct: the inputs that it depends on in the same sample, as a tuple of the class's `In`
+    ports; None (the safe default) means all of the block's direct inputs, `()` means state only.
+    """
+
+    kind = "output"
+
+    def __init__(self, unit: str, *, direct: tuple[In, ...] | None = None, size: int | str | None = None):
+        self.unit, self.direct, self.size, self.name = _known_unit(unit), direct, size, ""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    @overload
+    def __get__(self, block: None, owner: type) -> Self: ...
+    @overload
+    def __get__(self, block: Block, owner: type) -> Port: ...
+    def __get__(self, block: Block | None, owner: type) -> Self | Port:
+        return self if block is None else Port(block, self)
+
+
+class Port(NamedTuple):
+    """A port of one block object: what a wire joins, and a key of a `Log`."""
+
+    block: Block
+    spec: In | Out
+
+    @property
+    def size(self) -> int | None:
+        """Entries of a vector port, None for a scalar."""
+        size = self.spec.size
+        return getattr(self.block, size) if isinstance(size, str) else size
+
+    def __repr__(self) -> str:
+        return f"{type(self.block).__name__}.{self.spec.name} [{self.spec.unit}]"
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Block:
+    """Abstract base of every part of a loop: parameters in fields, ports as class attributes, state outside.
+
+    A subclass is a frozen keyword-only dataclass with `In` and `Out` attributes, a field `dt` [s] (its sample
+    time) and
+
+    * `init(batch)`: the state at t = 0: a flat tuple of scalars, each a float, or an `(N,)` array for `batch=(N,)`;
+    * `output(t, x, u)`: the outputs `y` at time t [s]; `u` holds the direct inputs only;
+    * `update(t, x, u, y)`: the state one sample time later; `u` holds all inputs;
+    * `settle(t, x, u)` (optional): called once, before the first sample, with the first direct inputs; returns the
+      state to start from (a path tracker finds its place here).
+
+    `u` and `y` are named tuples: `u.rate`, `self.Y(delta_sw=...)`. All four are pure: equal arguments give equal
+    results, nothing is kept in the object. Equations use `steerkit.maths`, so that they serve floats, batches and
+    CasADi symbols. A block whose `pure` is False (a real car) can be simulated step by step but not traced or
+    batched.
+    """
+
+    dt: float = 0.05
+
+    inputs: ClassVar[tuple[In, ...]] = ()
+    outputs: ClassVar[tuple[Out, ...]] = ()
+    pure: ClassVar[bool] = True
+    U: ClassVar[type[Any]]
+    """Named tuple of all inputs, in the order declared."""
+    D: ClassVar[type[Any]]
+    """Named tuple of the direct inputs."""
+    Y: ClassVar[type[Any]]
+    """Named tuple of the outputs."""
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        ports = {name: port for base in reversed(cls.__mro__) for name, port in vars(base).items()}
+        cls.inputs = tuple(p for p in ports.values() if isinstance(p, In))
+        cls.outputs = tuple(p for p in ports.values() if isinstance(p, Out))
+        cls.U = namedtuple("U", [p.name for p in cls.inputs])  # type: ignore[misc]
+        cls.D = namedtuple("D", [p.name for p in cls.inputs if p.direct])  # type: ignore[misc]
+        cls.Y = namedtuple("Y", [p.name for p in cls.outputs])  # type: ignore[misc]
+
+    def init(self, batch: tuple[int, ...] = ()) -> State:
+        """The state at t = 0."""
+        return ()
+
+    def settle(self, t: float, x: State, u: Any) -> State:
+        """The state to start from, given the first direct inputs."""
+        return x
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        """The outputs at time t."""
+        raise NotImplementedError(f"{type(self).__name__}.output is not defined")
+
+    def update(self, t: Any, x: Any, u: Any, y: Any) -> State:
+        """The state one sample time after t."""
+        return x
+
+    if not TYPE_CHECKING:  # a checker should see unknown names as errors
+
+        def __getattr__(self, name: str) -> Any:
+            if name.startswith("__"):
+                raise AttributeError(name)
+            ports = [p.name for p in (*self.inputs, *self.outputs)]
+            fields = [f.name for f in dataclasses.fields(self)]
+            near = difflib.get_close_matches(name, ports + fields, n=1)
+            hint = f"; did you mean '{near[0]}'?" if near else ""
+            raise AttributeError(
+                f"{type(self).__name__} has no port or parameter '{name}'{hint} "
+                f"(inputs: {', '.join(p.name for p in self.inputs) or 'none'}; "
+                f"outputs: {', '.join(p.name for p in self.outputs) or 'none'})"
+            )
+
+
+def _known_unit(unit: str) -> str:
+    if unit not in UNITS:
+        raise ValueError(f"port: unit {unit!r} is not known; SI and radians only, one of {', '.join(sorted(UNITS))}")
+    return unit
+
+
+def require(ok: bool, where: str, what: str) -> None:
+    """Raise ValueError `where: what` unless `ok`; blocks check their parameters with it."""
+    if not ok:
+        raise ValueError(f"{where}: {what}")

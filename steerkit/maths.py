@@ -1,0 +1,188 @@
+"""The functions that equations are written with: one formula for every backend.
+
+Each function takes Python floats (fast, by `math`), NumPy arrays (a batch of cars) or CasADi symbols
+(tracing, gradients, C code). Equations use these and plain arithmetic, `where` instead of `if`, and nothing else.
+Neither NumPy's dispatch nor CasADi is paid for when the arguments are floats.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+Scalar = Any
+"""A float, an `(N,)` array (one entry a car) or a CasADi symbol."""
+
+pi = math.pi
+
+
+def _is_symbol(x: Scalar) -> bool:
+    return type(x).__module__.startswith("casadi")
+
+
+def _unary(name: str, of_float: Callable[[float], float]) -> Callable[[Scalar], Scalar]:
+    of_array = getattr(np, {"atan": "arctan", "asin": "arcsin"}.get(name, name))
+
+    def function(x: Scalar) -> Scalar:
+        if x.__class__ is float:
+            return of_float(x)
+        if _is_symbol(x):
+            import casadi
+
+            return getattr(casadi, name)(x)
+        return of_array(x)
+
+    function.__name__ = function.__qualname__ = name
+    function.__doc__ = f"{name}(x), elementwise."
+    return function
+
+
+sin = _unary("sin", math.sin)
+cos = _unary("cos", math.cos)
+tan = _unary("tan", math.tan)
+atan = _unary("atan", math.atan)
+tanh = _unary("tanh", math.tanh)
+exp = _unary("exp", math.exp)
+log = _unary("log", math.log)
+sqrt = _unary("sqrt", math.sqrt)
+floor = _unary("floor", lambda x: x // 1.0)
+
+
+def atan2(y: Scalar, x: Scalar) -> Scalar:
+    """Angle of the vector (x, y) [rad], in [-pi, pi]."""
+    if x.__class__ is float and y.__class__ is float:
+        return math.atan2(y, x)
+    if _is_symbol(x) or _is_symbol(y):
+        import casadi
+
+        return casadi.atan2(y, x)
+    return np.arctan2(y, x)
+
+
+def absolute(x: Scalar) -> Scalar:
+    """|x|."""
+    if _is_symbol(x):
+        import casadi
+
+        return casadi.fabs(x)
+    return abs(x)
+
+
+def where(condition: Scalar, yes: Scalar, no: Scalar) -> Scalar:
+    """`yes` where `condition` holds, else `no`; both are computed."""
+    if condition is True or condition is False:
+        return yes if condition else no
+    if _is_symbol(condition) or _is_symbol(yes) or _is_symbol(no):
+        import casadi
+
+        return casadi.if_else(condition, yes, no)
+    if np.ndim(condition) == 0 and np.ndim(yes) == 0 and np.ndim(no) == 0:
+        return yes if condition else no
+    return np.where(condition, yes, no)
+
+
+def minimum(a: Scalar, b: Scalar) -> Scalar:
+    """The smaller of `a` and `b`; a NaN in `a` stays NaN."""
+    if a.__class__ is float and b.__class__ is float:
+        return b if b < a else a
+    return where(b < a, b, a)
+
+
+def maximum(a: Scalar, b: Scalar) -> Scalar:
+    """The larger of `a` and `b`; a NaN in `a` stays NaN."""
+    if a.__class__ is float and b.__class__ is float:
+        return b if b > a else a
+    return where(b > a, b, a)
+
+
+def clip(x: Scalar, low: Scalar, high: Scalar) -> Scalar:
+    """`x` limited to [low, high]; NaN stays NaN, so that a limiter never hides a broken signal."""
+    return minimum(maximum(x, low), high)
+
+
+def sign(x: Scalar) -> Scalar:
+    """-1, 0 or 1."""
+    return where(x > 0.0, 1.0, where(x < 0.0, -1.0, 0.0))
+
+
+def both(a: Scalar, b: Scalar) -> Scalar:
+    """Logical and."""
+    if _is_symbol(a) or _is_symbol(b):
+        import casadi
+
+        return casadi.logic_and(a, b)
+    return a & b
+
+
+def either(a: Scalar, b: Scalar) -> Scalar:
+    """Logical or."""
+    if _is_symbol(a) or _is_symbol(b):
+        import casadi
+
+        return casadi.logic_or(a, b)
+    return a | b
+
+
+def is_finite(x: Scalar) -> Scalar:
+    """True where `x` is neither NaN nor infinite (nor beyond 1e300), in every backend."""
+    return absolute(x) <= 1e300
+
+
+def wrap(angle: Scalar) -> Scalar:
+    """`angle` [rad] brought to [-pi, pi)."""
+    return angle - 2.0 * pi * floor((angle + pi) / (2.0 * pi))
+
+
+class Table:
+    """Rows of numbers looked up by a whole-number index: the one operation that needs more than arithmetic.
+
+    `table(i)` gives the row `i` (i is a float holding a whole number, an array of them, or a symbol) as a tuple of
+    scalars. A path's spline coefficients and a recorded speed profile are tables. Under symbolic tracing the rows
+    come from whoever traces (`steerkit.compiled`), through `Table.tracer`.
+
+    rows: (n, m) array. Raises ValueError when it is not two-dimensional or holds a non-finite number.
+    """
+
+    tracer: Callable[[Table, Scalar], Sequence[Scalar]] | None = None
+
+    def __init__(self, rows: Any):
+        array = np.array(rows, dtype=float)
+        if array.ndim != 2 or 0 in array.shape:
+            raise ValueError(f"Table: rows of shape {array.shape}, expected (n, m) with n, m >= 1")
+        if not np.isfinite(array).all():
+            raise ValueError("Table: rows hold a NaN or an infinity; every entry must be finite")
+        array.flags.writeable = False
+        self.rows = array
+        self._columns = np.ascontiguousarray(array.T)
+        self._tuples = [tuple(row) for row in array.tolist()]
+
+    def __len__(self) -> int:
+        return len(self._tuples)
+
+    def __call__(self, index: Scalar) -> Sequence[Scalar]:
+        if index.__class__ is float:
+            return self._tuples[int(index)]
+        if _is_symbol(index):
+            if Table.tracer is None:
+                raise TypeError("Table: a symbolic index outside of a trace; use steerkit.compiled.compile")
+            return Table.tracer(self, index)
+        return tuple(self._columns[:, np.asarray(index, dtype=np.intp)])
+
+
+def rk4(rhs: Callable[[Sequence[Scalar]], Sequence[Scalar]], x: Sequence[Scalar], h: float) -> tuple[Scalar, ...]:
+    """One step of the classical fourth-order Runge-Kutta method for x' = rhs(x) (Kutta 1901).
+
+    x: n scalars; h: step [s]. Returns n scalars. The local error is of order h^5.
+    """
+    half = 0.5 * h
+    k1 = rhs(x)
+    k2 = rhs([a + half * b for a, b in zip(x, k1, strict=True)])
+    k3 = rhs([a + half * b for a, b in zip(x, k2, strict=True)])
+    k4 = rhs([a + h * b for a, b in zip(x, k3, strict=True)])
+    sixth = h / 6.0
+    return tuple(
+        a + sixth * (b + 2.0 * (c + d) + e) for a, b, c, d, e in zip(x, k1, k2, k3, k4, strict=True)
+    )
