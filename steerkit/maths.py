@@ -103,6 +103,15 @@ def clip(x: Scalar, low: Scalar, high: Scalar) -> Scalar:
     return minimum(maximum(x, low), high)
 
 
+def filled(value: Scalar, batch: tuple[int, ...] = ()) -> Scalar:
+    """`value` as a start state: a float, or an `(N,)` array for `batch=(N,)` (a scalar is repeated)."""
+    if batch:
+        return np.array(np.broadcast_to(np.asarray(value, dtype=float), batch))
+    if np.ndim(value) != 0:
+        raise ValueError(f"one car needs one number, got an array of shape {np.shape(value)}; use batch=N for N cars")
+    return float(value)
+
+
 def sign(x: Scalar) -> Scalar:
     """-1, 0 or 1."""
     return where(x > 0.0, 1.0, where(x < 0.0, -1.0, 0.0))

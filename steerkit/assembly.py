@@ -1,0 +1,157 @@
+"""The usual steering loop, wired in one call; everything it does can be done by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import fields, replace
+from typing import TypeVar
+
+from steerkit import maths as m
+from steerkit.block import Block, In, Out, WiringError
+from steerkit.controllers.recovery import Supervisor
+from steerkit.loop import Loop, Wire
+from steerkit.path import Path
+from steerkit.tracker import PathTracker
+
+Car = TypeVar("Car", bound=Block)
+
+
+def placed(car: Car, path: Path, *, s: float = 0.0, e: float = 0.0, psi_e: float = 0.0) -> Car:
+    """`car` with its start pose on `path`: at arc length s [m], e [m] to the left, turned by psi_e [rad]."""
+    x, y = path.point(s)
+    psi = path.psi(s)
+    return replace(car, x0=x - e * m.sin(psi), y0=y + e * m.cos(psi), psi0=psi + psi_e)  # type: ignore[call-arg]
+
+
+def steering_loop(
+    *,
+    car: Block,
+    path: Path,
+    driver: Block,
+    controller: Block,
+    doe: Block | None = None,
+    recovery: Block | None = None,
+    supervisor: Supervisor | None = None,
+    actuator: Block | None = None,
+    sensors: Block | None = None,
+) -> Loop:
+    """The standard wires between a car on a path, its driver and its steering controllers.
+
+    controller: steers by itself (an output `delta_sw`), or picks actions (an output `action`) that `doe` turns into
+    an angle. recovery: an analytic controller that steers while the learner is off, through `supervisor` (default:
+    0.5 m and 0.1 m). actuator: between the command and the wheel (none: the command is the angle). sensors: what
+    the controllers see of the car (none: the truth).
+
+    The blocks are named driver, car, actuator, sensors, path, controller, doe, recovery, supervisor. `path` tracks
+    the **true** centre of gravity, for logs and metrics; with sensors, `seen` tracks the measured one; a controller
+    that wants e elsewhere (its field `reference`, m ahead of the centre of gravity) gets a tracker of its own.
+    A controller's inputs are joined by name: e, e_dot, psi_e, kappa, r_e, s, progress, preview (its tracker), x, y,
+    psi, v, beta, r, a_y (sensors or car), delta_sw_meas (actuator or car), doe (the DOE's state).
+
+    Raises WiringError when a part is missing or an input has a name not listed here.
+    """
+    learns = "action" in _names(controller.outputs)
+    if learns == (doe is None):
+        kind = type(controller).__name__
+        raise WiringError(
+            f"{kind} picks actions and needs a doe such as Integrator()" if learns
+            else f"{kind} steers by itself (it has no output 'action'); leave doe out"
+        )  # fmt: skip
+    if supervisor is not None and recovery is None:
+        raise WiringError("a supervisor without a recovery controller; give recovery, such as Stanley.of(vehicle)")
+    if recovery is not None and "ready" not in _names(controller.outputs):
+        raise WiringError(f"{type(controller).__name__} has no output 'ready', which the supervisor needs to know")
+    bench = _Bench(path)
+    bench.add("driver", driver)
+    bench.add("car", car)
+    steered = car if actuator is None else bench.add("actuator", actuator)
+    truth = bench.add("path", PathTracker(path=path, dt=controller.dt))
+    bench.join(truth, car)
+    bench.join(driver, truth)
+    seen, tracker = car, truth
+    if sensors is not None:
+        seen = bench.add("sensors", sensors)
+        bench.join(sensors, car)
+        tracker = bench.add("seen", PathTracker(path=path, dt=controller.dt))
+        bench.join(tracker, sensors)
+    bench.add("controller", controller)
+    bench.control(controller, tracker, seen, steered, doe)
+    command = controller
+    if doe is not None:
+        command = bench.add("doe", doe)
+        bench.wire(controller, "action", doe, "action")
+    if recovery is not None:
+        bench.add("recovery", recovery)
+        bench.control(recovery, tracker, seen, steered, doe)
+        judge = bench.add("supervisor", supervisor or Supervisor(dt=controller.dt))
+        bench.wire(tracker, "e", judge, "e")
+        bench.wire(controller, "ready", judge, "ready")
+        bench.wire(command, "delta_sw", judge, "learner")
+        bench.wire(recovery, "delta_sw", judge, "recovery")
+        command = judge
+    if doe is not None:
+        bench.wire(command, "delta_sw", doe, "applied")
+    if actuator is not None:
+        bench.wire(command, "delta_sw", actuator, "delta_sw_cmd")
+    bench.wire(steered if actuator is not None else command, "delta_sw", car, "delta_sw")
+    bench.wire(driver, "v", car, "v")
+    return Loop(blocks=bench.blocks, wires=bench.wires)
+
+
+class _Bench:
+    """Blocks and wires while they are being put together."""
+
+    def __init__(self, path: Path):
+        self.path = path
+        self.blocks: dict[str, Block] = {}
+        self.wires: list[Wire] = []
+
+    def add(self, name: str, block: Block) -> Block:
+        self.blocks[name] = block
+        return block
+
+    def wire(self, source: Block, out: str, sink: Block, into: str) -> None:
+        self.wires.append((getattr(source, out), getattr(sink, into)))
+
+    def join(self, sink: Block, source: Block) -> None:
+        """Wires all inputs of `sink` that have the name of an output of `source`."""
+        for name in _names(sink.inputs):
+            if name in _names(source.outputs):
+                self.wire(source, name, sink, name)
+
+    def control(self, block: Block, tracker: Block, seen: Block, steered: Block, doe: Block | None) -> None:
+        """Wires a controller's inputs by name, through a tracker at its own reference point if it asks for one."""
+        reference = getattr(block, "reference", 0.0) if "reference" in _fields(block) else 0.0
+        points = getattr(block, "preview_points", 0) if "preview_points" in _fields(block) else 0
+        if reference != 0.0 or points:
+            role = next(name for name, b in self.blocks.items() if b is block)
+            preview = {"preview_points": points, "preview_dt": block.preview_dt} if points else {}
+            tracker = self.add(
+                f"{role}_path", PathTracker(path=self.path, reference=reference, dt=block.dt, **preview)
+            )
+            self.join(tracker, seen)
+        for name in _names(block.inputs):
+            if name == "delta_sw_meas":
+                self.wire(steered, "delta_sw", block, name)
+            elif name == "doe":
+                if doe is None:
+                    raise WiringError(f"{type(block).__name__}.doe: there is no doe in this loop")
+                self.wire(doe, "state", block, name)
+            elif name in _names(tracker.outputs):
+                self.wire(tracker, name, block, name)
+            elif name in _names(seen.outputs):
+                self.wire(seen, name, block, name)
+            else:
+                known = [*_names(tracker.outputs), *_names(seen.outputs), "delta_sw_meas", "doe"]
+                raise WiringError(
+                    f"{type(block).__name__}.{name}: no signal of that name; known: {', '.join(known)}; "
+                    "wire the loop by hand for others"
+                )
+
+
+def _names(ports: Iterable[In | Out]) -> list[str]:
+    return [port.name for port in ports]
+
+
+def _fields(block: Block) -> set[str]:
+    return {field.name for field in fields(block)}

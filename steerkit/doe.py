@@ -1,0 +1,97 @@
+"""Dynamic output elements: they turn a few coarse actions into smooth steering (Riedmiller et al. 2007).
+
+A DOE has a state, and that state has to be an input of whoever picks the actions, or the process is not Markov:
+every DOE shows it as `state`. At a hand-over it must go on from the angle really steered, which it is told as
+`applied`; then the first step after any hand-over is one DOE step and no jump.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from steerkit import maths as m
+from steerkit.block import Block, In, Out, require
+from steerkit.units import radians_of
+
+
+class HeldAngle(NamedTuple):
+    """State of a DOE: the steering-wheel angle of the sample before [rad]."""
+
+    delta_sw: Any
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Dynamic(Block):
+    """Ports and state that all dynamic output elements share; abstract.
+
+    Inputs: action [rad]; applied [rad], the angle commanded in the end (after supervisor and limits).
+    Outputs: delta_sw [rad]; state [rad], the angle of the sample before, which an `action` cannot yet change.
+    """
+
+    action = In("rad")
+    applied = In("rad", direct=False)
+    delta_sw = Out("rad")
+    state = Out("rad", direct=())
+
+    limit: float = radians_of(520.0)
+    """Largest |delta_sw| [rad]."""
+
+    def __post_init__(self) -> None:
+        require(self.dt > 0.0, type(self).__name__, f"dt = {self.dt} s, expected > 0")
+        require(0.0 < self.limit < 20.0, type(self).__name__, f"limit = {self.limit} rad, expected 0 to 20 rad")
+
+    def init(self, batch: tuple[int, ...] = ()) -> HeldAngle:
+        return HeldAngle(m.filled(0.0, batch))
+
+    def update(self, t: Any, x: HeldAngle, u: Any, y: Any) -> HeldAngle:
+        return HeldAngle(m.clip(u.applied, -self.limit, self.limit))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Integrator(Dynamic):
+    """The integrating DOE: each action is a step of the steering wheel.
+
+    delta_sw(t) = sat(applied(t - dt) + action(t)),  sat to +-limit.
+
+    Inputs, outputs, state: see `Dynamic`. A NaN action gives a NaN angle (never a silent zero). Raises ValueError
+    for dt or limit out of range. Source: Riedmiller, Montemerlo, Dahlkamp 2007, section on the dynamic output
+    element (there: delta(t) = delta(t-1) + action).
+    """
+
+    def output(self, t: Any, x: HeldAngle, u: Any) -> Any:
+        return self.Y(m.clip(x.delta_sw + u.action, -self.limit, self.limit), x.delta_sw)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LowPass(Dynamic):
+    """The low-pass DOE: each action is an angle that the steering wheel approaches exponentially.
+
+    delta_sw(t) = sat(applied(t - dt) + (1 - exp(-dt/tau)) * (action(t) - applied(t - dt))),  tau > 0 [s].
+
+    The exact discretisation of tau*delta' = action - delta under an action held for dt. Inputs, outputs, state: see
+    `Dynamic`. Raises ValueError for dt, limit or tau out of range. Source: Riedmiller et al. 2007 (low-pass DOE).
+    """
+
+    tau: float = 0.3
+    """Time constant [s]."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require(self.tau > 0.0, "LowPass", f"tau = {self.tau} s, expected > 0")
+
+    def output(self, t: Any, x: HeldAngle, u: Any) -> Any:
+        gain = 1.0 - m.exp(-self.dt / self.tau)
+        angle = x.delta_sw + gain * (u.action - x.delta_sw)
+        return self.Y(m.clip(angle, -self.limit, self.limit), x.delta_sw)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Direct(Dynamic):
+    """No dynamics: the action is the angle, delta_sw(t) = sat(action(t)); the paper's bang-bang controller.
+
+    Inputs, outputs, state: see `Dynamic`; the state still says which angle was steered last.
+    """
+
+    def output(self, t: Any, x: HeldAngle, u: Any) -> Any:
+        return self.Y(m.clip(u.action, -self.limit, self.limit), x.delta_sw)

@@ -1,0 +1,294 @@
+"""The experiment: a car drives, fails, is caught, trains, re-enters, and every second of it is counted."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path as FilePath
+from typing import Any
+
+from steerkit.assembly import steering_loop
+from steerkit.block import require
+from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.controllers.recovery import Guarded
+from steerkit.learning import nfq, rundir
+from steerkit.learning.settings import Setting
+from steerkit.learning.transitions import Transitions
+from steerkit.learning.world import World
+from steerkit.loop import LoopState
+from steerkit.simulate import Recorder
+
+SIGNALS = (
+    "path.e", "path.psi_e", "path.progress", "path.s", "path.kappa", "car.x", "car.y", "car.v", "car.r", "car.a_y",
+    "car.delta_sw", "supervisor.delta_sw", "supervisor.learning", "controller.action",
+)  # fmt: skip
+Watcher = Callable[[str, "LearningRun"], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Experiment:
+    """All that a learning run is made of; a run with the same experiment gives the same numbers."""
+
+    setting: Setting = field(default_factory=Setting)
+    """How it learns: see `steerkit.learning.settings`."""
+    world: World = field(default_factory=World)
+    """Where it learns: course, car, disturbances: see `steerkit.learning.world`."""
+    minutes: float = 11.0
+    """Driving time after which it ends [min]; recovery and waiting count."""
+    episodes: int = 1000
+    """Failures after which it ends."""
+    rounds: int = 0
+    """Complete rounds driven by the learner after which it ends; 0: never."""
+    seed: int = 0
+    """Seed of the nets, the driver and the sensors."""
+
+    def __post_init__(self) -> None:
+        require(0.0 < self.minutes < math.inf, "Experiment", f"minutes = {self.minutes}, expected > 0")
+        require(self.episodes >= 1, "Experiment", f"episodes = {self.episodes}, expected >= 1")
+        require(self.rounds >= 0, "Experiment", f"rounds = {self.rounds}, expected >= 0")
+        require(self.seed >= 0, "Experiment", f"seed = {self.seed}, expected >= 0")
+
+
+@dataclass(kw_only=True)
+class Episode:
+    """One time at the wheel of the learner, from take-over to failure (or to the end of the run)."""
+
+    began: float
+    """Driving time at the take-over [s]."""
+    progress: float
+    """Path progress there [m]."""
+    net: int
+    """Number of the net that took over."""
+    ended: float | None = None
+    """Driving time at its end [s]; None while it lasts."""
+    distance: float = 0.0
+    """Path distance covered [m]."""
+    sum_e2: float = 0.0
+    samples: int = 0
+    rounds: int = 0
+    """Complete rounds within it."""
+
+    @property
+    def rms_e(self) -> float:
+        """Root mean square cross-track error [m]."""
+        return math.sqrt(self.sum_e2 / max(1, self.samples))
+
+
+@dataclass(kw_only=True)
+class Counts:
+    """What has happened so far: the part of a run that is not loop state, nets or transitions."""
+
+    k: int = 0
+    """Base tick of the loop; driving time is k*dt."""
+    updates: int = 0
+    """Trainings so far; net number n is the product of the n-th."""
+    train_seconds: float = 0.0
+    """Computing time really spent in training [s]; driving time is charged `setting.fit_seconds` an update."""
+    trained_at: float = 0.0
+    """Distance driven at the last training [m]."""
+    driven: float = 0.0
+    """Distance driven by the learner [m]."""
+    first_round_begun: float | None = None
+    """Driving time at which the first complete round began [s]."""
+    first_round_done: float | None = None
+    """Driving time at which it was complete [s]."""
+    episodes_to_round: int | None = None
+    """Failures before the first complete round."""
+    episodes: list[Episode] = field(default_factory=list)
+
+
+class LearningRun:
+    """A learning run in progress: the loop, its state, the transitions, the nets and the counts.
+
+    `learn` drives it; it can be stepped by hand too: `drive()` one control sample at a time.
+    """
+
+    def __init__(self, experiment: Experiment, directory: FilePath | None = None, watch: Watcher | None = None):
+        self.experiment, self.directory, self.watch = experiment, directory, watch
+        setting, world = experiment.setting, experiment.world
+        self.path = world.path()
+        self.description = setting.description()
+        self.transitions = Transitions(len(self.description.names))
+        self.counts = Counts()
+        self.nets = nfq.fresh_nets(setting.fit, self.description, seed=experiment.seed)
+        self.pending: tuple[int, Any] | None = None  # (tick at which it is ready, nets)
+        self.policy = NfqPolicy(
+            nets=self.nets, actions=setting.actions, description=self.description, combine=setting.fit.combine
+        )
+        self.loop = steering_loop(
+            car=world.car(self.path),
+            path=self.path,
+            driver=world.driver(experiment.seed),
+            controller=Guarded(block=self.policy),
+            doe=setting.element(),
+            recovery=world.recovery(),
+            actuator=world.actuator(),
+            sensors=world.sensors(experiment.seed),
+        )
+        start = self.loop.init()
+        self.x, self.y = list(start.x), list(start.y)
+        self.ticks = round(self.policy.dt / self.loop.dt)
+        self.before: tuple[Any, float] | None = None
+        controller = self.loop.names.index("controller")
+        self._inputs = [self.loop.source[controller, name] for name in self.description.names]
+        self._at = {name: self.loop.locate(name) for name in SIGNALS}
+        self._tripped = self.loop.locate("supervisor.tripped")
+        self.recorder = Recorder(self.loop, SIGNALS)
+
+    # ---- the story ------------------------------------------------------------------------------------------
+
+    @property
+    def t(self) -> float:
+        """Driving time [s]."""
+        return self.counts.k * self.loop.dt
+
+    def done(self) -> bool:
+        """Has the experiment come to its end?"""
+        counts, experiment = self.counts, self.experiment
+        failures = len(counts.episodes) - (1 if self._episode() else 0)
+        rounds = sum(episode.rounds for episode in counts.episodes)
+        return (
+            self.t >= 60.0 * experiment.minutes
+            or failures >= experiment.episodes
+            or 0 < experiment.rounds <= rounds
+        )
+
+    def drive(self) -> None:
+        """One control sample: drive, record what the learner did, and train when it failed or when it is time."""
+        self._take_over_finished_training()
+        counts = self.counts
+        self.loop.advance(counts.k, self.x, self.y)
+        self.recorder.add(counts.k, self.y)
+        learning = self._value("supervisor.learning") > 0.5
+        self._record_transition(learning)
+        episode = self._episode()
+        if learning:
+            self._count(episode or self._begin_episode())
+        elif episode:
+            episode.ended = self.t
+        for k in range(counts.k + 1, counts.k + self.ticks):
+            self.loop.advance(k, self.x, self.y)
+        counts.k += self.ticks
+        if episode and not learning:
+            self._train(waiting=True)
+            self._tell("failed")
+        elif learning and self._due():
+            self._train(waiting=False)
+
+    def _record_transition(self, learning: bool) -> None:
+        s = tuple([self.y[i][j] for i, j in self._inputs])
+        if self.before is not None:
+            self.transitions.append(*self.before, s, episode=len(self.counts.episodes))
+        self.before = (s, self._value("controller.action")) if learning else None
+
+    def _train(self, *, waiting: bool) -> None:
+        """One update on all transitions; its net is ready `fit_seconds` of driving later."""
+        counts, setting = self.counts, self.experiment.setting
+        counts.updates += 1
+        counts.trained_at = counts.driven
+        busy_until, newest = self.pending or (counts.k, self.nets)
+        began = time.perf_counter()
+        nets = nfq.update(
+            self.transitions,
+            setting.actions,
+            setting.cost,
+            setting.fit,
+            self.description,
+            nets_before=newest if counts.updates > 1 else None,
+            seed=self.experiment.seed * 100_003 + counts.updates,
+        )
+        counts.train_seconds += time.perf_counter() - began
+        ready = busy_until + math.ceil(setting.fit_seconds / self.policy.dt) * self.ticks
+        self.pending = (ready, nets)
+        if waiting:  # the old policy is not trusted any more
+            self.set_policy(replace(self.policy, ready_from=math.inf))
+        self._checkpoint()
+
+    def _due(self) -> bool:
+        every = self.experiment.setting.retrain_every_m
+        return every > 0.0 and self.pending is None and self.counts.driven - self.counts.trained_at >= every
+
+    def _take_over_finished_training(self) -> None:
+        if self.pending is not None and self.counts.k >= self.pending[0]:
+            self.nets, self.pending = self.pending[1], None
+            self.set_policy(replace(self.policy, nets=self.nets, ready_from=0.0))
+            self._tell("trained")
+
+    def set_policy(self, policy: NfqPolicy) -> None:
+        """Exchange the policy between two samples; the loop's state goes on."""
+        self.policy = policy
+        self.loop = self.loop.with_block("controller", Guarded(block=policy))
+        self.recorder.loop = self.loop
+
+    # ---- counting -------------------------------------------------------------------------------------------
+
+    def _value(self, signal: str) -> float:
+        i, j = self._at[signal]
+        return self.y[i][j]
+
+    def _episode(self) -> Episode | None:
+        episodes = self.counts.episodes
+        return episodes[-1] if episodes and episodes[-1].ended is None else None
+
+    def _begin_episode(self) -> Episode:
+        episode = Episode(began=self.t, progress=self._value("path.progress"), net=self.counts.updates)
+        self.counts.episodes.append(episode)
+        return episode
+
+    def _count(self, episode: Episode) -> None:
+        distance = self._value("path.progress") - episode.progress
+        self.counts.driven += max(0.0, distance - episode.distance)
+        episode.distance = distance
+        episode.sum_e2 += self._value("path.e") ** 2
+        episode.samples += 1
+        if distance >= (episode.rounds + 1) * self.path.length:
+            episode.rounds += 1
+            if self.counts.first_round_done is None:
+                self.counts.first_round_begun, self.counts.first_round_done = episode.began, self.t
+                self.counts.episodes_to_round = len(self.counts.episodes) - 1
+            self._tell("round")
+
+    def _tell(self, what: str) -> None:
+        if self.watch is not None:
+            self.watch(what, self)
+
+    # ---- keeping --------------------------------------------------------------------------------------------
+
+    def _checkpoint(self) -> None:
+        if self.directory is not None:
+            rundir.save(self)
+
+    @property
+    def state(self) -> LoopState:
+        """The loop's state at this moment."""
+        return LoopState(self.counts.k, tuple(self.x), tuple(self.y))
+
+
+def learn(
+    experiment: Experiment, directory: str | FilePath | None = None, *, watch: Watcher | None = None
+) -> LearningRun:
+    """Run an experiment to its end and return the run; with a `directory`, keep everything there.
+
+    A directory that holds an unfinished run of the same experiment is resumed from its last training, with the
+    same numbers as if it had never stopped. watch: called with "failed", "trained" or "round" and the run.
+    Raises ValueError when the directory holds something else.
+    """
+    place = None if directory is None else FilePath(directory)
+    if place is not None and (place / "run.json").exists():
+        run = rundir.load(place, watch=watch)
+        if run.experiment != experiment:
+            raise ValueError(f"learn: {place} holds a run of another experiment; choose another directory")
+    else:
+        if place is not None:
+            if place.exists() and any(place.iterdir()):
+                raise ValueError(f"learn: {place} is not empty and holds no run; choose a new directory")
+            place.mkdir(parents=True, exist_ok=True)
+        run = LearningRun(experiment, place, watch)
+        run._checkpoint()
+    while not run.done():
+        run.drive()
+    if run.directory is not None:
+        rundir.save(run)
+    return run

@@ -1,0 +1,159 @@
+"""A run's directory: all that is needed to resume it, to replay it and to draw it.
+
+    run.json            the experiment, the counts, and which checkpoint is the last whole one; written last
+    state-N.npz         the loop's state at checkpoint N
+    transitions-N.npz   all transitions until then
+    nets/net-NNNN.npz   the policy after update NNNN (0: the untrained net)
+    drive/NNNN.npz      the signals between two checkpoints, 20 a second
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from dataclasses import asdict, fields, is_dataclass, replace
+from pathlib import Path as FilePath
+from typing import TYPE_CHECKING, Any
+
+from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.learning import costs
+from steerkit.learning.nfq import FitSetting
+from steerkit.learning.settings import Setting
+from steerkit.learning.transitions import Transitions
+from steerkit.learning.world import World
+from steerkit.simulate import Log, joined
+
+if TYPE_CHECKING:
+    from steerkit.learning.experiment import Experiment, LearningRun, Watcher
+
+FORMAT = "steerkit run 1"
+
+
+def plain(value: Any) -> Any:
+    """Nested dataclasses as dictionaries that JSON and TOML can hold; the class is kept under `kind`."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return {"kind": type(value).__name__} | {f.name: plain(getattr(value, f.name)) for f in fields(value)}
+    return list(value) if isinstance(value, tuple) else value
+
+
+def from_plain(data: Any, where: str, default: type | None = None) -> Any:
+    """What `plain` was given; missing fields take their defaults. Raises ValueError naming an unknown key."""
+    from steerkit.learning.experiment import Experiment
+
+    kinds = {c.__name__: c for c in (Experiment, Setting, World, FitSetting, *costs.COSTS)}
+    if isinstance(data, list):
+        return tuple(data)
+    if not isinstance(data, dict):
+        return data
+    name = data.get("kind", default.__name__ if default else None)
+    if name not in kinds:
+        raise ValueError(f"{where}: kind {name!r} is not known; valid: {', '.join(kinds)}")
+    kind = kinds[name]
+    inside = {"setting": Setting, "world": World, "fit": FitSetting, "cost": costs.TanhCost}
+    valid = [f.name for f in fields(kind)]
+    for key in data:
+        if key != "kind" and key not in valid:
+            raise ValueError(f"{where}: {name} has no field '{key}'; valid: {', '.join(valid)}")
+    return kind(
+        **{k: from_plain(v, f"{where}.{k}", inside.get(k)) for k, v in data.items() if k != "kind"}
+    )
+
+
+def save(run: LearningRun) -> None:
+    """Write a checkpoint; a kill at any moment leaves this one or the one before, whole."""
+    place = run.directory
+    assert place is not None
+    number = len(list(place.glob("drive/*.npz")))
+    (place / "nets").mkdir(exist_ok=True)
+    (place / "drive").mkdir(exist_ok=True)
+    _whole(place / f"state-{number}.npz", lambda f: run.loop.save_state(run.state, f))
+    _whole(place / f"transitions-{number}.npz", run.transitions.save)
+    net = replace(run.policy, nets=run.pending[1] if run.pending else run.nets, ready_from=0.0)
+    _whole(place / "nets" / f"net-{run.counts.updates:04d}.npz", net.save)
+    _whole(place / "nets" / f"steering-{number}.npz", replace(run.policy, ready_from=0.0).save)
+    _whole(place / "drive" / f"{number:04d}.npz", run.recorder.log().save)
+    run.recorder.clear()
+    document = {
+        "format": FORMAT,
+        "experiment": plain(run.experiment),
+        "checkpoint": number,
+        "counts": asdict(run.counts),
+        "pending": run.pending[0] if run.pending else None,
+        "trusted": math.isfinite(run.policy.ready_from),
+        "before": run.before,
+    }
+    _whole(place / "run.json", lambda f: FilePath(f).write_text(json.dumps(document, indent=1)))
+    for stale in (*place.glob("state-*.npz"), *place.glob("transitions-*.npz"), *place.glob("nets/steering-*.npz")):
+        if stale.stem.split("-")[1] != str(number):
+            stale.unlink()
+
+
+def document(place: FilePath) -> dict[str, Any]:
+    """The contents of run.json; raises ValueError when there is none, it is broken, or of another format."""
+    file = FilePath(place) / "run.json"
+    if not file.exists():
+        raise ValueError(f"{place} is no run directory: it has no run.json; make one with `steerkit learn`")
+    try:
+        data = json.loads(file.read_text())
+    except ValueError as error:
+        raise ValueError(f"{file} is truncated or no JSON ({error}); the run cannot be read") from error
+    if not isinstance(data, dict) or data.get("format") != FORMAT:
+        raise ValueError(f"{file}: format {data.get('format') if isinstance(data, dict) else None!r}, not {FORMAT!r}")
+    return data
+
+
+def load(place: FilePath, *, watch: Watcher | None = None) -> LearningRun:
+    """The run as it was at its last checkpoint, ready to go on. Raises ValueError for a broken directory."""
+    from steerkit.learning.experiment import Counts, Episode, LearningRun
+
+    data = document(place)
+    number = data["checkpoint"]
+    run = LearningRun(from_plain(data["experiment"], "run.json"), place, watch)
+    counts = data["counts"]
+    run.counts = Counts(**{**counts, "episodes": [Episode(**e) for e in counts["episodes"]]})
+    state = run.loop.load_state(_existing(place / f"state-{number}.npz"))
+    run.x, run.y = list(state.x), list(state.y)
+    run.transitions = Transitions.load(_existing(place / f"transitions-{number}.npz"))
+    steering = NfqPolicy.load(_existing(place / "nets" / f"steering-{number}.npz"))
+    run.nets = steering.nets
+    run.set_policy(replace(steering, ready_from=0.0 if data["trusted"] else math.inf))
+    if data["pending"] is not None:
+        newest = NfqPolicy.load(_existing(place / "nets" / f"net-{run.counts.updates:04d}.npz"))
+        run.pending = (data["pending"], newest.nets)
+    before = data["before"]
+    run.before = None if before is None else (tuple(before[0]), before[1])
+    for stale in place.glob("drive/*.npz"):  # a chunk written after the last whole checkpoint
+        if int(stale.stem) > number:
+            stale.unlink()
+    return run
+
+
+def drive_log(place: FilePath) -> Log:
+    """All signals of a run, from its start to its last checkpoint."""
+    data = document(place)
+    return joined([Log.load(_existing(place / "drive" / f"{n:04d}.npz")) for n in range(data["checkpoint"] + 1)])
+
+
+def experiment_of(place: FilePath) -> Experiment:
+    """The experiment that a run directory holds."""
+    return from_plain(document(place)["experiment"], "run.json")
+
+
+def final_policy(place: FilePath) -> NfqPolicy:
+    """The policy of a run's last update."""
+    updates = document(place)["counts"]["updates"]
+    return NfqPolicy.load(_existing(FilePath(place) / "nets" / f"net-{updates:04d}.npz"))
+
+
+def _existing(file: FilePath) -> FilePath:
+    if not file.exists():
+        raise ValueError(f"{file.parent} is not whole: {file.name} is missing; the run cannot be read")
+    return file
+
+
+def _whole(file: FilePath, write: Any) -> None:
+    """Write through a temporary name, so that `file` is either the old one or the new one, never half."""
+    draft = file.with_name(f".{file.name}.tmp")
+    write(draft)
+    os.replace(draft, file)

@@ -1,0 +1,238 @@
+"""Run a loop and keep its signals: `simulate` and `Log`."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path as FilePath
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from steerkit.block import Port
+from steerkit.loop import Loop, LoopState, Sample
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Signal = str | Port
+
+
+class NonFiniteError(ArithmeticError):
+    """A signal became NaN or infinite; `log` holds all that was recorded."""
+
+    def __init__(self, message: str, log: Log):
+        super().__init__(message)
+        self.log = log
+
+
+class Log(Mapping[str, np.ndarray]):
+    """Recorded signals by name: `log["car.v"]` (or `log[car.v]`) is an array over `log.t` [s].
+
+    Shapes: (T,) for a scalar, (T, n) for a vector port, (T, N) or (T, n, N) for a batch of N cars. `log.units` maps
+    names to units. `log.state` is the loop's state after the last tick, to go on from.
+    """
+
+    def __init__(
+        self,
+        t: np.ndarray,
+        signals: dict[str, np.ndarray],
+        units: dict[str, str],
+        *,
+        loop: Loop | None = None,
+        state: LoopState | None = None,
+    ):
+        self.t, self.signals, self.units, self.loop, self.state = t, signals, units, loop, state
+
+    def __getitem__(self, key: Signal) -> np.ndarray:
+        if isinstance(key, Port):
+            if self.loop is None:
+                raise KeyError(f"{key!r}: this log was loaded from a file; ask by name, such as 'car.v'")
+            key = self.loop.port_name(key)
+        if key not in self.signals:
+            raise KeyError(f"no signal '{key}' in the log; recorded: {', '.join(self.signals)}")
+        return self.signals[key]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.signals)
+
+    def __len__(self) -> int:
+        return len(self.signals)
+
+    def __repr__(self) -> str:
+        span = f"t = {self.t[0]:g} to {self.t[-1]:g} s" if len(self.t) else "empty"
+        return f"Log({len(self.t)} samples, {span}; {', '.join(self.signals)})"
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """One flat column a number: `t`, `car.v`, and `car.v[0]`, `car.v[1]`, ... for vectors and batches."""
+        columns = {"t": self.t}
+        for name, values in self.signals.items():
+            flat = values.reshape(len(self.t), -1)
+            if values.ndim == 1:
+                columns[name] = values
+            else:
+                columns |= {f"{name}[{i}]": flat[:, i] for i in range(flat.shape[1])}
+        return columns
+
+    def to_pandas(self) -> pd.DataFrame:
+        """A DataFrame indexed by t [s]; units in `frame.attrs["units"]`. Needs pandas (extra `bench`)."""
+        import pandas as pd
+
+        frame = pd.DataFrame(self.columns()).set_index("t")
+        frame.attrs["units"] = dict(self.units)
+        return frame
+
+    def to_parquet(self, file: str | FilePath) -> None:
+        """Write all columns to a Parquet file, units as field metadata. Needs pyarrow (extra `bench`)."""
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        columns = self.columns()
+        units = {"t": "s", **self.units}
+        fields = [
+            pa.field(name, pa.from_numpy_dtype(a.dtype), metadata={"unit": units[name.split("[")[0]]})
+            for name, a in columns.items()
+        ]
+        pq.write_table(pa.table(list(columns.values()), schema=pa.schema(fields)), file)
+
+    def save(self, file: str | FilePath) -> None:
+        """Write to a compressed NumPy .npz file."""
+        units = np.array([f"{name}\t{self.units[name]}" for name in self.signals])
+        with FilePath(file).open("wb") as stream:
+            np.savez_compressed(stream, t=self.t, units=units, **self.signals)  # type: ignore[arg-type]
+
+    @classmethod
+    def load(cls, file: str | FilePath) -> Log:
+        """Read what `save` wrote; raises ValueError for any other or a broken file."""
+        try:
+            with np.load(file, allow_pickle=False) as data:
+                arrays = {key: data[key] for key in data.files}
+            t, units = arrays.pop("t"), dict(str(row).split("\t") for row in arrays.pop("units"))
+        except (OSError, ValueError, EOFError, KeyError) as error:
+            raise ValueError(f"Log.load: {file} is no log written by Log.save ({error})") from error
+        return cls(t, arrays, units)
+
+    def plot(self, *signals: Signal, ax: Any = None) -> Any:
+        """Plot signals over time, one panel a unit; returns the matplotlib figure."""
+        from steerkit.plotting import plot_log
+
+        return plot_log(self, signals or tuple(self.signals), ax=ax)
+
+
+class Recorder:
+    """Collects chosen signals tick by tick; `log()` turns them into arrays."""
+
+    def __init__(self, loop: Loop, signals: Sequence[Signal] | None = None):
+        self.loop = loop
+        names = list(loop.units) if signals is None else [
+            s if isinstance(s, str) else loop.port_name(s) for s in signals
+        ]
+        self._places = {name: loop.locate(name) for name in names}
+        self._blocks = sorted({i for i, _ in self._places.values()})
+        self._rows: list[tuple[Any, ...]] = []
+        self._ticks: list[int] = []
+
+    def add(self, k: int, y: Sequence[Any]) -> None:
+        """Keep the outputs `y` of tick k."""
+        self._ticks.append(k)
+        self._rows.append(tuple([y[i] for i in self._blocks]))
+
+    def clear(self) -> None:
+        """Forget what was kept, to go on with an empty record."""
+        self._ticks, self._rows = [], []
+
+    def log(self, state: LoopState | None = None) -> Log:
+        """All that was kept, as a Log."""
+        at = {i: n for n, i in enumerate(self._blocks)}
+        signals = {
+            name: _stack([row[at[i]][j] for row in self._rows]) for name, (i, j) in self._places.items()
+        }
+        t = np.array(self._ticks, dtype=float) * self.loop.dt
+        return Log(t, signals, {n: self.loop.units[n] for n in signals}, loop=self.loop, state=state)
+
+
+def joined(logs: Sequence[Log]) -> Log:
+    """Logs of the same signals, one after the other, as one."""
+    logs = [log for log in logs if len(log.t)] or list(logs[:1])
+    if not logs:
+        raise ValueError("joined: no logs to join")
+    signals = {name: np.concatenate([log.signals[name] for log in logs]) for name in logs[0].signals}
+    return Log(np.concatenate([log.t for log in logs]), signals, logs[0].units)
+
+
+def simulate(
+    loop: Loop,
+    duration: float,
+    *,
+    state: LoopState | None = None,
+    batch: int | None = None,
+    record: Sequence[Signal] | None = None,
+    every: int = 1,
+    until: Callable[[Sample], bool] | None = None,
+    allow_nonfinite: bool = False,
+    progress: bool = False,
+) -> Log:
+    """Run a loop for `duration` seconds and return its signals.
+
+    state: where to start (default: `loop.init()`); `log.state` of an earlier run goes on with it. batch: number of
+    cars to run at once. record: signals to keep (default: all). every: keep one tick in `every`. until: called with
+    each kept sample; the run ends after the first that it answers True. progress: show a bar on the terminal.
+
+    Raises ValueError for a bad argument; NonFiniteError, with the log so far, when a recorded signal became NaN or
+    infinite, unless `allow_nonfinite`. An exception inside a block is raised with a note saying which tick it was.
+    """
+    if not (np.isfinite(duration) and duration > 0.0):
+        raise ValueError(f"simulate: duration = {duration} s, expected a finite number > 0")
+    if every < 1:
+        raise ValueError(f"simulate: every = {every}, expected a whole number >= 1")
+    if state is not None and batch is not None:
+        raise ValueError("simulate: give state or batch, not both; the state knows its number of cars")
+    start = loop.init(batch=batch) if state is None else state
+    recorder = Recorder(loop, record)
+    x, y = list(start.x), list(start.y)
+    ticks = range(start.k, start.k + max(1, round(duration / loop.dt)))
+    k = start.k
+    try:
+        for k in _shown(ticks, progress):
+            loop.advance(k, x, y)
+            if k % every == 0:
+                recorder.add(k, y)
+                if until is not None and until(Sample(loop, k * loop.dt, y)):
+                    break
+    except Exception as error:
+        error.add_note(f"in tick {k}, t = {k * loop.dt:g} s, of {loop!r}")
+        raise
+    log = recorder.log(LoopState(k + 1, tuple(x), tuple(y)))
+    if not allow_nonfinite:
+        _check_finite(log)
+    return log
+
+
+def _check_finite(log: Log) -> None:
+    first: tuple[int, str] | None = None
+    for name, values in log.signals.items():
+        bad = ~np.isfinite(values.reshape(len(log.t), -1)).all(axis=1)
+        if bad.any() and (first is None or int(bad.argmax()) < first[0]):
+            first = int(bad.argmax()), name
+    if first is not None:
+        i, name = first
+        raise NonFiniteError(
+            f"{name} [{log.units[name]}] is {log[name][i]} at t = {log.t[i]:g} s, first of all signals; "
+            "the error's .log holds the run (allow_nonfinite=True returns it)",
+            log,
+        )
+
+
+def _stack(values: list[Any]) -> np.ndarray:
+    if not values or (values[0].__class__ is float and values[-1].__class__ is float):
+        return np.array(values, dtype=float)
+    shape = np.broadcast_shapes(np.shape(values[0]), np.shape(values[-1]))
+    return np.array([np.broadcast_to(v, shape) for v in values], dtype=float)
+
+
+def _shown(ticks: range, progress: bool) -> Any:
+    if not progress or not sys.stderr.isatty():
+        return ticks
+    from rich.progress import track
+
+    return track(ticks, description="simulate", transient=True)

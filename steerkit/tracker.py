@@ -1,0 +1,103 @@
+"""Where is the car along the path, and how far off: the block between a plant's pose and a controller's errors."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from steerkit import maths as m
+from steerkit.block import Block, In, Out, State, require
+from steerkit.maths import Scalar
+from steerkit.path import Path
+
+_LEAST_SLOPE = 0.2  # floor of 1 - kappa*e: keeps a step downhill even beyond the centre of a bend
+_CARS_AT_ONCE = 256  # of a batch, when looking over the whole path
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PathTracker(Block):
+    """Path coordinates of a reference point on the car, by Newton steps from where it was expected.
+
+    With p = (x, y) + reference*(cos psi, sin psi), the foot point c(s) solves (p - c(s)) . c'(s) = 0:
+
+        s <- s + (p - c).c' / max(1 - kappa*e, 0.2)           twice a sample, each step within +-window
+        e = c' x (p - c),  psi_e = wrap(psi - psi_path(s)),  r_e = r - v*kappa
+        e_dot = v sin(psi_e + beta) + r*reference*cos(psi_e)  velocity of p along the path's left normal
+        s(t + dt) ~ s + dt*(v cos(psi_e + beta) - r*reference*sin(psi_e))/(1 - kappa*e)   where the next search starts
+
+    so that it follows its own stretch where others run close by. On the curve the error in s after the two steps is
+    below 1e-9 m for a start 5 cm off. Beyond an open path's ends, s stays there and e is measured from the tangent.
+
+    inputs: x, y [m], psi [rad] (any turn), v [m/s] speed of the centre of gravity, beta [rad], r [rad/s].
+    outputs: s [m] in [0, length]; progress [m] since the start, not wrapped; e [m], + = left; e_dot [m/s];
+    psi_e [rad] in [-pi, pi]; kappa [1/m] at s; r_e [rad/s]; preview [1/m], `preview_points` curvatures at
+    s + j*v*preview_dt, j = 0, 1, ... state: s, progress [m] expected at the next sample.
+    valid: e up to the centre of the bend (kappa*e < 1), a sample's unforeseen motion below 2*window. A pose that is
+    not finite gives e that is not finite; s stays.
+    errors: ValueError for bad parameters and, in `settle`, for a pose that is not finite.
+    source: Hoffmann et al. 2007 (e and psi_e of Stanley); Wang, Kearney, Atkinson 2002 (Newton on the foot point).
+
+    path: the path. reference [m]: how far ahead of the centre of gravity e is measured (l_f: front axle).
+    window [m]: longest step of the search. preview_points, preview_dt [s]: the preview. dt [s]: sample time.
+    """
+
+    x = In("m")
+    y = In("m")
+    psi = In("rad")
+    v = In("m/s")
+    beta = In("rad")
+    r = In("rad/s")
+
+    s = Out("m", direct=(x, y, psi))
+    progress = Out("m", direct=(x, y, psi))
+    e = Out("m", direct=(x, y, psi))
+    e_dot = Out("m/s")
+    psi_e = Out("rad", direct=(x, y, psi))
+    kappa = Out("1/m", direct=(x, y, psi))
+    r_e = Out("rad/s", direct=(x, y, psi, v, r))
+    preview = Out("1/m", size="preview_points", direct=(x, y, psi, v))
+
+    path: Path
+    reference: Scalar = 0.0
+    window: float = 1.0
+    preview_points: int = 0
+    preview_dt: float = 0.05
+
+    class X(NamedTuple):
+        s: Scalar
+        progress: Scalar
+
+    def __post_init__(self) -> None:
+        where = "PathTracker"
+        require(isinstance(self.path, Path), where, f"path is a {type(self.path).__name__}, expected a steerkit Path")
+        require(bool(np.isfinite(self.reference).all()), where, f"reference {self.reference} [m], expected finite")
+        require(0.0 < self.window < math.inf, where, f"window {self.window} [m], expected > 0")
+        require(0.0 < self.dt < math.inf, where, f"dt {self.dt} [s], expected > 0")
+        require(0.0 < self.preview_dt < math.inf, where, f"preview_dt {self.preview_dt} [s], expected > 0")
+        count = self.preview_points
+        require(isinstance(count, int) and count >= 0, where, f"preview_points {count!r}, expected a count >= 0")
+
+    def init(self, batch: tuple[int, ...] = ()) -> State:
+        return self.X(np.zeros(batch), np.zeros(batch)) if batch else self.X(0.0, 0.0)
+
+    def settle(self, t: float, x: State, u: Any) -> State:
+        """The nearest place of the whole path; a heading against the path counts as sqrt(2) m of distance."""
+        px, py, psi = self._place(u)
+        pose = np.broadcast_arrays(*(np.atleast_1d(a).astype(float) for a in (px, py, psi)))
+        lost = np.flatnonzero(~np.isfinite(pose).all(axis=0))
+        require(
+            not lost.size, "PathTracker", f"pose of car {lost[:5].tolist()} not finite at the start; check what drives x, y, psi"
+        )
+        s = np.concatenate([self._nearest(*(a[k : k + _CARS_AT_ONCE] for a in pose)) for k in range(0, len(pose[0]), _CARS_AT_ONCE)])
+        for _ in range(20):  # from half a segment off, at most; far from the evolute three would do
+            s = self.path.inside(s + self._step(pose[0], pose[1], self.path.frame(s)))
+        return self.X(s, np.zeros_like(s)) if any(np.ndim(a) for a in (px, py, psi)) else self.X(float(s[0]), 0.0)
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        path = self.path
+        px, py, psi = self._place(u)
+        s = path.inside(x.s + self._step(px, py, path.frame(x.s)))
+        ...
