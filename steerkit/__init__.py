@@ -1,1 +1,81 @@
-"""steerkit."""
+"""steerkit: blocks, loops, cars and controllers for steering along a path, analytic and learned.
+
+The names below are loaded when they are first used, so that `import steerkit` stays fast and light.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from steerkit.assembly import placed, steering_loop
+    from steerkit.block import Block, In, Out, WiringError
+    from steerkit.compiled import compile
+    from steerkit.controllers.nfq_policy import NfqPolicy
+    from steerkit.controllers.recovery import Guarded, Supervisor
+    from steerkit.controllers.stanley import Stanley
+    from steerkit.courses import course
+    from steerkit.doe import Direct, Integrator, LowPass
+    from steerkit.learning.experiment import Experiment, learn
+    from steerkit.loop import Loop, LoopState
+    from steerkit.path import Path
+    from steerkit.plants.human_driver import HumanDriver
+    from steerkit.plants.linear_single_track import LinearSingleTrack
+    from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+    from steerkit.plants.sensors import Sensors
+    from steerkit.plants.steering_actuator import SteeringActuator
+    from steerkit.plants.vehicle import Vehicle, vehicle
+    from steerkit.simulate import Log, simulate
+    from steerkit.tracker import PathTracker
+
+_HOME = {
+    "placed": "assembly",
+    "steering_loop": "assembly",
+    "Block": "block",
+    "In": "block",
+    "Out": "block",
+    "WiringError": "block",
+    "compile": "compiled",
+    "NfqPolicy": "controllers.nfq_policy",
+    "Guarded": "controllers.recovery",
+    "Supervisor": "controllers.recovery",
+    "Stanley": "controllers.stanley",
+    "course": "courses",
+    "Direct": "doe",
+    "Integrator": "doe",
+    "LowPass": "doe",
+    "Experiment": "learning.experiment",
+    "learn": "learning.experiment",
+    "Loop": "loop",
+    "LoopState": "loop",
+    "Path": "path",
+    "HumanDriver": "plants.human_driver",
+    "LinearSingleTrack": "plants.linear_single_track",
+    "NonlinearSingleTrack": "plants.nonlinear_single_track",
+    "Sensors": "plants.sensors",
+    "SteeringActuator": "plants.steering_actuator",
+    "Vehicle": "plants.vehicle",
+    "vehicle": "plants.vehicle",
+    "Log": "simulate",
+    "simulate": "simulate",
+    "PathTracker": "tracker",
+}
+
+__all__ = sorted(_HOME)
+
+try:
+    __version__ = version("steerkit-control")
+except PackageNotFoundError:  # run from a source tree that was never installed
+    __version__ = "0+unknown"
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'steerkit' has no attribute '{name}'; it offers: {', '.join(__all__)}")
+    return getattr(import_module(f"steerkit.{_HOME[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

@@ -93,8 +93,8 @@ def steering_loop(
         bench.wire(command, "delta_sw", doe, "applied")
     if actuator is not None:
         bench.wire(command, "delta_sw", actuator, "delta_sw_cmd")
-    bench.wire(steered if actuator is not None else command, "delta_sw", car, "delta_sw")
-    bench.wire(driver, "v", car, "v")
+    bench.wire(steered if actuator is not None else command, "delta_sw", car, "delta_sw_in")
+    bench.wire(driver, "v", car, "v_in")
     return Loop(blocks=bench.blocks, wires=bench.wires)
 
 
@@ -126,9 +126,7 @@ class _Bench:
         if reference != 0.0 or points:
             role = next(name for name, b in self.blocks.items() if b is block)
             preview = {"preview_points": points, "preview_dt": block.preview_dt} if points else {}
-            tracker = self.add(
-                f"{role}_path", PathTracker(path=self.path, reference=reference, dt=block.dt, **preview)
-            )
+            tracker = self.add(f"{role}_path", PathTracker(path=self.path, reference=reference, dt=block.dt, **preview))
             self.join(tracker, seen)
         for name in _names(block.inputs):
             if name == "delta_sw_meas":

@@ -8,11 +8,14 @@ import graphlib
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path as FilePath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from steerkit.block import Block, In, Out, Port, State, WiringError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Wire = tuple[Port, Port]
 Values = tuple[Any, ...]
@@ -85,9 +88,7 @@ class Loop:
         self.dt, self.every = _base_step(self.blocks, dt)
         self.period = math.lcm(*self.every)
         self.calls = self._schedule()
-        self.units = {
-            f"{name}.{out.name}": out.unit for name, block in self.blocks.items() for out in block.outputs
-        }
+        self.units = {f"{name}.{out.name}": out.unit for name, block in self.blocks.items() for out in block.outputs}
         self._where = {
             f"{name}.{out.name}": (i, j)
             for i, (name, block) in enumerate(self.blocks.items())
@@ -112,6 +113,12 @@ class Loop:
 
     def __repr__(self) -> str:
         return f"Loop({', '.join(self.names)}; {len(self.wires)} wires; dt = {self.dt:g} s)"
+
+    def plot(self) -> Figure:
+        """The diagram as a matplotlib figure: blocks, ports, units, wires, rates."""
+        from steerkit.plotting import plot_diagram
+
+        return plot_diagram(self)
 
     # ---- running --------------------------------------------------------------------------------------------
 
@@ -153,6 +160,10 @@ class Loop:
     def advance(self, k: int, x: list[State], y: list[Values]) -> None:
         """The tick k in place, on lists of states and outputs: what `step` and `simulate` stand on."""
         self._phases[k % self.period](k * self.dt, x, y)
+
+    def run_phase(self, phase: int, t: Any, x: list[State], y: list[Values]) -> None:
+        """A tick k with k % period == phase at time t, which may be a symbol: what `steerkit.compiled` traces."""
+        self._phases[phase](t, x, y)
 
     def with_block(self, name: str, block: Block) -> Loop:
         """The same loop with one block replaced by another that has the same ports; states carry over."""
@@ -202,8 +213,11 @@ class Loop:
             if len(values) != len(template):
                 raise ValueError(f"load_state: {name} has {len(template)} states, the file has {len(values)}")
             x.append(_like(template, values))
-            y.append(block.Y(*[_unpacked(stored[key], vector=out.size is not None)
-                               for key, out in zip(keys[1:], block.outputs)]))
+            y.append(
+                block.Y(
+                    *[_unpacked(stored[key], vector=out.size is not None) for key, out in zip(keys[1:], block.outputs)]
+                )
+            )
         return LoopState(int(stored["k"]), tuple(x), tuple(y))
 
     # ---- building -------------------------------------------------------------------------------------------
@@ -248,9 +262,7 @@ class Loop:
         for i, block in enumerate(self._list):
             for port in block.inputs:
                 if (i, port.name) not in source:
-                    fit = [
-                        f"{n}.{o.name}" for n, b in self.blocks.items() for o in b.outputs if o.unit == port.unit
-                    ]
+                    fit = [f"{n}.{o.name}" for n, b in self.blocks.items() for o in b.outputs if o.unit == port.unit]
                     raise WiringError(
                         f"{self.names[i]}.{port.name} [{port.unit}] is not driven; "
                         f"outputs with that unit: {', '.join(fit) or 'none'}"

@@ -192,6 +192,4 @@ def rk4(rhs: Callable[[Sequence[Scalar]], Sequence[Scalar]], x: Sequence[Scalar]
     k3 = rhs([a + half * b for a, b in zip(x, k2, strict=True)])
     k4 = rhs([a + h * b for a, b in zip(x, k3, strict=True)])
     sixth = h / 6.0
-    return tuple(
-        a + sixth * (b + 2.0 * (c + d) + e) for a, b, c, d, e in zip(x, k1, k2, k3, k4, strict=True)
-    )
+    return tuple(a + sixth * (b + 2.0 * (c + d) + e) for a, b, c, d, e in zip(x, k1, k2, k3, k4, strict=True))

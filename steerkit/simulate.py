@@ -124,9 +124,9 @@ class Recorder:
 
     def __init__(self, loop: Loop, signals: Sequence[Signal] | None = None):
         self.loop = loop
-        names = list(loop.units) if signals is None else [
-            s if isinstance(s, str) else loop.port_name(s) for s in signals
-        ]
+        names = (
+            list(loop.units) if signals is None else [s if isinstance(s, str) else loop.port_name(s) for s in signals]
+        )
         self._places = {name: loop.locate(name) for name in names}
         self._blocks = sorted({i for i, _ in self._places.values()})
         self._rows: list[tuple[Any, ...]] = []
@@ -144,9 +144,7 @@ class Recorder:
     def log(self, state: LoopState | None = None) -> Log:
         """All that was kept, as a Log."""
         at = {i: n for n, i in enumerate(self._blocks)}
-        signals = {
-            name: _stack([row[at[i]][j] for row in self._rows]) for name, (i, j) in self._places.items()
-        }
+        signals = {name: _stack([row[at[i]][j] for row in self._rows]) for name, (i, j) in self._places.items()}
         t = np.array(self._ticks, dtype=float) * self.loop.dt
         return Log(t, signals, {n: self.loop.units[n] for n in signals}, loop=self.loop, state=state)
 

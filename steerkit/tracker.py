@@ -36,7 +36,7 @@ class PathTracker(Block):
     psi_e [rad] in [-pi, pi]; kappa [1/m] at s; r_e [rad/s]; preview [1/m], `preview_points` curvatures at
     s + j*v*preview_dt, j = 0, 1, ... state: s, progress [m] expected at the next sample.
     valid: e up to the centre of the bend (kappa*e < 1), a sample's unforeseen motion below 2*window. A pose that is
-    not finite gives e that is not finite; s stays.
+    not finite gives e that is not finite, while s stays a place on the path.
     errors: ValueError for bad parameters and, in `settle`, for a pose that is not finite.
     source: Hoffmann et al. 2007 (e and psi_e of Stanley); Wang, Kearney, Atkinson 2002 (Newton on the foot point).
 
@@ -84,20 +84,72 @@ class PathTracker(Block):
         return self.X(np.zeros(batch), np.zeros(batch)) if batch else self.X(0.0, 0.0)
 
     def settle(self, t: float, x: State, u: Any) -> State:
-        """The nearest place of the whole path; a heading against the path counts as sqrt(2) m of distance."""
-        px, py, psi = self._place(u)
-        pose = np.broadcast_arrays(*(np.atleast_1d(a).astype(float) for a in (px, py, psi)))
+        """The nearest place of the whole path; a heading against it counts as up to sqrt(2) m of distance."""
+        px, py = u.x + self.reference * m.cos(u.psi), u.y + self.reference * m.sin(u.psi)
+        pose = np.broadcast_arrays(*(np.atleast_1d(np.asarray(a, dtype=float)) for a in (px, py, u.psi)))
         lost = np.flatnonzero(~np.isfinite(pose).all(axis=0))
         require(
-            not lost.size, "PathTracker", f"pose of car {lost[:5].tolist()} not finite at the start; check what drives x, y, psi"
+            not lost.size,
+            "PathTracker",
+            f"pose x, y [m], psi [rad] of car {', '.join(map(str, lost[:5]))} at the start, expected finite numbers; "
+            "check what drives x, y and psi",
         )
-        s = np.concatenate([self._nearest(*(a[k : k + _CARS_AT_ONCE] for a in pose)) for k in range(0, len(pose[0]), _CARS_AT_ONCE)])
-        for _ in range(20):  # from half a segment off, at most; far from the evolute three would do
-            s = self.path.inside(s + self._step(pose[0], pose[1], self.path.frame(s)))
-        return self.X(s, np.zeros_like(s)) if any(np.ndim(a) for a in (px, py, psi)) else self.X(float(s[0]), 0.0)
+        cars = len(pose[0])
+        groups = [slice(k, k + _CARS_AT_ONCE) for k in range(0, cars, _CARS_AT_ONCE)]
+        s = np.concatenate([self._nearest(*(a[group] for a in pose)) for group in groups])
+        for _ in range(20):  # three do, unless the car is near the centre of a bend
+            s = self.path.inside(s + self._step(s, pose[0], pose[1], self.path.frame(s)))
+        return self.X(s, np.zeros(cars)) if any(map(np.ndim, (px, py, u.psi))) else self.X(float(s[0]), 0.0)
 
     def output(self, t: Any, x: Any, u: Any) -> Any:
-        path = self.path
-        px, py, psi = self._place(u)
-        s = path.inside(x.s + self._step(px, py, path.frame(x.s)))
-        ...
+        path, reference, v = self.path, self.reference, u.v
+        cos_psi, sin_psi = m.cos(u.psi), m.sin(u.psi)
+        px, py = u.x + reference * cos_psi, u.y + reference * sin_psi
+        first = self._step(x.s, px, py, path.frame(x.s))
+        s = path.inside(x.s + first)
+        frame = path.frame(s)
+        second = self._step(s, px, py, frame)
+        cx, cy, tx, ty, ddx, ddy = frame
+        kappa = tx * ddy - ty * ddx
+        # the second step is tiny: move the foot point by its Taylor series and save a table look-up
+        half = 0.5 * second
+        ex = px - cx - second * (tx + half * ddx)
+        ey = py - cy - second * (ty + half * ddy)
+        tx = tx + second * ddx
+        ty = ty + second * ddy
+        s = path.inside(s + second)
+        cos_e = tx * cos_psi + ty * sin_psi
+        psi_e = m.atan2(tx * sin_psi - ty * cos_psi, cos_e)
+        return self.Y(
+            s,
+            x.progress + (first + second),
+            tx * ey - ty * ex,
+            v * m.sin(psi_e + u.beta) + u.r * reference * cos_e,
+            psi_e,
+            kappa,
+            u.r - v * kappa,
+            tuple([path.kappa(s + j * self.preview_dt * v) for j in range(n)]) if (n := self.preview_points) else (),
+        )
+
+    def update(self, t: Any, x: Any, u: Any, y: Any) -> State:
+        along = u.v * m.cos(y.psi_e + u.beta) - u.r * self.reference * m.sin(y.psi_e)
+        ahead = self.dt * along / m.maximum(_LEAST_SLOPE, 1.0 - y.kappa * y.e)
+        ahead = self._on_path(y.s, m.where(m.is_finite(ahead), ahead, 0.0))
+        return self.X(self.path.inside(y.s + ahead), y.progress + ahead)
+
+    def _step(self, s: Scalar, px: Scalar, py: Scalar, frame: tuple[Scalar, ...]) -> Scalar:
+        """One Newton step towards the foot point [m]; in this order of arguments a NaN becomes -window."""
+        cx, cy, tx, ty, ddx, ddy = frame
+        ex, ey = px - cx, py - cy
+        step = (ex * tx + ey * ty) / m.maximum(_LEAST_SLOPE, 1.0 - ex * ddx - ey * ddy)
+        step = m.minimum(self.window, m.maximum(-self.window, step))
+        return step if self.path.closed else self._on_path(s, step)
+
+    def _on_path(self, s: Scalar, step: Scalar) -> Scalar:
+        return step if self.path.closed else m.clip(s + step, 0.0, self.path.length) - s
+
+    def _nearest(self, px: Any, py: Any, psi: Any) -> Any:
+        """The best knot of the path for each car [m]."""
+        knots = self.path.samples
+        distance = (px[:, None] - knots.xy[:, 0]) ** 2 + (py[:, None] - knots.xy[:, 1]) ** 2
+        return knots.s[np.argmin(distance + 1.0 - np.cos(psi[:, None] - knots.psi), axis=1)]

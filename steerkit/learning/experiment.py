@@ -20,6 +20,8 @@ from steerkit.learning.world import World
 from steerkit.loop import LoopState
 from steerkit.simulate import Recorder
 
+END_MARGIN = 5.0
+"""How far from the end of an open course the car is carried back to its start [m]."""
 SIGNALS = (
     "path.e", "path.psi_e", "path.progress", "path.s", "path.kappa", "car.x", "car.y", "car.v", "car.r", "car.a_y",
     "car.delta_sw", "supervisor.delta_sw", "supervisor.learning", "controller.action",
@@ -63,6 +65,8 @@ class Episode:
     """Number of the net that took over."""
     ended: float | None = None
     """Driving time at its end [s]; None while it lasts."""
+    failed: bool = False
+    """Did it end because the recovery controller had to take the wheel?"""
     distance: float = 0.0
     """Path distance covered [m]."""
     sum_e2: float = 0.0
@@ -94,9 +98,14 @@ class Counts:
     """Driving time at which the first complete round began [s]."""
     first_round_done: float | None = None
     """Driving time at which it was complete [s]."""
-    episodes_to_round: int | None = None
+    failures_to_round: int | None = None
     """Failures before the first complete round."""
     episodes: list[Episode] = field(default_factory=list)
+
+    @property
+    def failures(self) -> int:
+        """How often the recovery controller had to take the wheel."""
+        return sum(episode.failed for episode in self.episodes)
 
 
 class LearningRun:
@@ -109,10 +118,11 @@ class LearningRun:
         self.experiment, self.directory, self.watch = experiment, directory, watch
         setting, world = experiment.setting, experiment.world
         self.path = world.path()
+        self.round_length = self.path.length - (0.0 if self.path.closed else 2.0 * END_MARGIN)
         self.description = setting.description()
-        self.transitions = Transitions(len(self.description.names))
+        self.transitions = Transitions(self.description.names)
         self.counts = Counts()
-        self.nets = nfq.fresh_nets(setting.fit, self.description, seed=experiment.seed)
+        self.nets = nfq.untrained(setting.fit, self.description, seed=experiment.seed)
         self.pending: tuple[int, Any] | None = None  # (tick at which it is ready, nets)
         self.policy = NfqPolicy(
             nets=self.nets, actions=setting.actions, description=self.description, combine=setting.fit.combine
@@ -147,11 +157,10 @@ class LearningRun:
     def done(self) -> bool:
         """Has the experiment come to its end?"""
         counts, experiment = self.counts, self.experiment
-        failures = len(counts.episodes) - (1 if self._episode() else 0)
         rounds = sum(episode.rounds for episode in counts.episodes)
         return (
             self.t >= 60.0 * experiment.minutes
-            or failures >= experiment.episodes
+            or counts.failures >= experiment.episodes
             or 0 < experiment.rounds <= rounds
         )
 
@@ -167,7 +176,7 @@ class LearningRun:
         if learning:
             self._count(episode or self._begin_episode())
         elif episode:
-            episode.ended = self.t
+            episode.ended, episode.failed = self.t, True
         for k in range(counts.k + 1, counts.k + self.ticks):
             self.loop.advance(k, self.x, self.y)
         counts.k += self.ticks
@@ -176,12 +185,24 @@ class LearningRun:
             self._tell("failed")
         elif learning and self._due():
             self._train(waiting=False)
+        if not self.path.closed and self._value("path.s") > self.path.length - END_MARGIN:
+            self._back_to_the_start()
 
     def _record_transition(self, learning: bool) -> None:
         s = tuple([self.y[i][j] for i, j in self._inputs])
         if self.before is not None:
             self.transitions.append(*self.before, s, episode=len(self.counts.episodes))
         self.before = (s, self._value("controller.action")) if learning else None
+
+    def _back_to_the_start(self) -> None:
+        """At the end of an open course the car is carried back to its start, with the driver's mood unchanged."""
+        driver = self.loop.names.index("driver")
+        start = self.loop.init()
+        self.x, self.y = list(start.x[:driver] + (self.x[driver],) + start.x[driver + 1 :]), list(start.y)
+        self.before = None
+        episode = self._episode()
+        if episode:
+            episode.ended = self.t
 
     def _train(self, *, waiting: bool) -> None:
         """One update on all transitions; its net is ready `fit_seconds` of driving later."""
@@ -190,7 +211,7 @@ class LearningRun:
         counts.trained_at = counts.driven
         busy_until, newest = self.pending or (counts.k, self.nets)
         began = time.perf_counter()
-        nets = nfq.update(
+        nets = nfq.iterate(
             self.transitions,
             setting.actions,
             setting.cost,
@@ -243,11 +264,11 @@ class LearningRun:
         episode.distance = distance
         episode.sum_e2 += self._value("path.e") ** 2
         episode.samples += 1
-        if distance >= (episode.rounds + 1) * self.path.length:
+        if distance >= (episode.rounds + 1) * self.round_length:
             episode.rounds += 1
             if self.counts.first_round_done is None:
                 self.counts.first_round_begun, self.counts.first_round_done = episode.began, self.t
-                self.counts.episodes_to_round = len(self.counts.episodes) - 1
+                self.counts.failures_to_round = self.counts.failures
             self._tell("round")
 
     def _tell(self, what: str) -> None:

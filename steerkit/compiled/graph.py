@@ -1,0 +1,292 @@
+"""The traced equations of one tick as a list of instructions that every backend is generated from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import casadi
+
+Node = tuple[Any, ...]
+"""`(op, *operands)`: operands are numbers of earlier nodes, except of const (its hex), in (its slot), row (table)."""
+
+_UNARY = {
+    casadi.OP_SQRT: "sqrt", casadi.OP_SIN: "sin", casadi.OP_COS: "cos", casadi.OP_TAN: "tan", casadi.OP_ASIN: "asin",
+    casadi.OP_ACOS: "acos", casadi.OP_ATAN: "atan", casadi.OP_TANH: "tanh", casadi.OP_EXP: "exp",
+    casadi.OP_LOG: "log", casadi.OP_FLOOR: "floor", casadi.OP_FABS: "abs", casadi.OP_NEG: "neg",
+}  # fmt: skip
+_BINARY = {
+    casadi.OP_ADD: "add", casadi.OP_SUB: "sub", casadi.OP_MUL: "mul", casadi.OP_DIV: "div", casadi.OP_ATAN2: "atan2",
+}  # fmt: skip
+_COMPARE = {casadi.OP_LT: "lt", casadi.OP_LE: "le", casadi.OP_EQ: "eq", casadi.OP_NE: "ne"}
+_LOGIC = {casadi.OP_AND: "and", casadi.OP_OR: "or"}
+BOOLEAN = frozenset({*_COMPARE.values(), *_LOGIC.values(), "not"})
+FUNCTIONS = frozenset({"sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "tanh", "exp", "log", "floor", "atan2"})
+
+_FOLD: dict[str, Callable[[float, float], Any]] = {
+    "add": lambda a, b: a + b,
+    "sub": lambda a, b: a - b,
+    "mul": lambda a, b: a * b,
+    "lt": lambda a, b: a < b,
+    "le": lambda a, b: a <= b,
+    "eq": lambda a, b: a == b,
+    "ne": lambda a, b: a != b,
+}
+
+
+class Graph:
+    """Instructions in an order in which they can be run; equal ones are stored once.
+
+    Operations: const, in (an input slot), row (table number, index, column), the arithmetic add sub mul div neg, the
+    functions of `steerkit.maths`, comparisons and logic (which give booleans) and select(condition, yes, no).
+    """
+
+    def __init__(self) -> None:
+        self.nodes: list[Node] = []
+        self._known: dict[Node, int] = {}
+
+    def const(self, value: float) -> int:
+        """The node of a number."""
+        return self._put(("const", float(value).hex()))
+
+    def value(self, i: int) -> float | None:
+        """The number that node i is, None if it is not constant."""
+        op, *operands = self.nodes[i]
+        return float.fromhex(operands[0]) if op == "const" else None
+
+    def operands(self, i: int) -> tuple[int, ...]:
+        """The nodes that node i needs."""
+        op, *operands = self.nodes[i]
+        if op in ("const", "in"):
+            return ()
+        return (operands[1],) if op == "row" else tuple(operands)
+
+    def add(self, op: str, *operands: Any) -> int:
+        """The node of an operation; simplified only where IEEE arithmetic gives the same number."""
+        if op in ("in", "row"):
+            return self._put((op, *operands))
+        if op == "select":
+            return self._select(*operands)
+        if op in _LOGIC.values() or op == "not":
+            return self._logic(op, [self.boolean(i) for i in operands])
+        numbers = [self.number(i) for i in operands]
+        values = [self.value(i) for i in numbers]
+        if op in _FOLD and None not in values:
+            return self.const(_FOLD[op](*values))
+        if (op == "mul" and values[0] == 1.0) or (op == "neg" and self.nodes[numbers[0]][0] == "neg"):
+            return numbers[1] if op == "mul" else self.nodes[numbers[0]][1]
+        if op in ("mul", "div") and values[1] == 1.0:
+            return numbers[0]
+        if op == "add" and (choice := self._either(*numbers)) is not None:
+            return choice
+        return self._put((op, *numbers))
+
+    def number(self, i: int) -> int:
+        """Node i as a number: a boolean becomes 1 or 0."""
+        return self._put(("select", i, self.const(1.0), self.const(0.0))) if self.nodes[i][0] in BOOLEAN else i
+
+    def boolean(self, i: int) -> int:
+        """Node i as a condition; constants stay constants."""
+        op, *rest = self.nodes[i]
+        if op in BOOLEAN or op == "const":
+            return i
+        if op == "select" and (self.value(rest[1]), self.value(rest[2])) == (1.0, 0.0):
+            return rest[0]
+        return self._put(("ne", i, self.const(0.0)))
+
+    def order(self, roots: Iterable[int]) -> list[int]:
+        """The nodes that `roots` need, each after its operands, close to where they are used."""
+        done: dict[int, None] = {}
+        for root in roots:
+            stack = [root]
+            while stack:
+                i = stack[-1]
+                waiting = [j for j in self.operands(i) if j not in done]
+                if i not in done and waiting:
+                    stack.extend(reversed(waiting))
+                else:
+                    done[stack.pop()] = None
+        return list(done)
+
+    def _put(self, node: Node) -> int:
+        if node not in self._known:
+            self._known[node] = len(self.nodes)
+            self.nodes.append(node)
+        return self._known[node]
+
+    def _select(self, condition: int, yes: int, no: int) -> int:
+        condition, yes, no = self.boolean(condition), self.number(yes), self.number(no)
+        fixed = self.value(condition)
+        if yes == no or (fixed is not None and fixed != 0.0):
+            return yes
+        return no if fixed is not None else self._put(("select", condition, yes, no))
+
+    def _logic(self, op: str, parts: list[int]) -> int:
+        values = [self.value(i) for i in parts]
+        if op == "not":
+            if values[0] is not None:
+                return self.const(not values[0])
+            return self.nodes[parts[0]][1] if self.nodes[parts[0]][0] == "not" else self._put((op, *parts))
+        for value, other in zip(values, reversed(parts)):
+            if value is not None:  # with a constant, `and` and `or` are either the other part or decided
+                return other if bool(value) == (op == "and") else self.const(op == "or")
+        return self._put((op, *parts))
+
+    def _either(self, a: int, b: int) -> int | None:
+        """CasADi writes a choice as (c ? yes : 0) + (not c ? no : 0); as one node it is cheaper and exact."""
+        first, second = self.nodes[a], self.nodes[b]
+        if first[0] != "select" or second[0] != "select" or self.value(first[3]) != 0.0 or self.value(second[3]) != 0.0:
+            return None
+        if self.nodes[second[1]] == ("not", first[1]):
+            return self._select(first[1], first[2], second[2])
+        return None
+
+
+def from_symbols(
+    expressions: Sequence[Any], inputs: Sequence[Any], lookups: Sequence[tuple[int, Any, Sequence[Any]]]
+) -> tuple[Graph, list[int]]:
+    """The graph of scalar SX `expressions` of SX symbols `inputs`, and the nodes of the expressions.
+
+    lookups: (table number, index expression, row symbols), each index made of inputs and earlier rows only.
+    Raises NotImplementedError for an operation that `steerkit.maths` does not have.
+    """
+    graph = Graph()
+    known: dict[int, int] = {x.element_hash(): graph.add("in", i) for i, x in enumerate(inputs)}
+    for table, index, row in lookups:
+        place = _convert(graph, index, known)
+        for column, symbol in enumerate(row):
+            known[symbol.element_hash()] = graph.add("row", table, place, column)
+    return graph, [graph.number(_convert(graph, e, known)) for e in expressions]
+
+
+def _convert(graph: Graph, root: Any, known: dict[int, int]) -> int:
+    stack = [root]
+    while stack:
+        e = stack[-1]
+        key = e.element_hash()
+        if key not in known:
+            if e.is_constant():
+                known[key] = graph.const(float(e))
+            else:
+                parts = [e.dep(i) for i in range(e.n_dep())]
+                waiting = [p for p in parts if p.element_hash() not in known]
+                if waiting:
+                    stack.extend(waiting)
+                    continue
+                known[key] = _operation(graph, e, [known[p.element_hash()] for p in parts])
+        stack.pop()
+    return known[root.element_hash()]
+
+
+def _operation(graph: Graph, e: Any, parts: list[int]) -> int:
+    op = e.op()
+    for names in (_UNARY, _BINARY, _COMPARE, _LOGIC):
+        if op in names:
+            return graph.add(names[op], *parts)
+    if op == casadi.OP_NOT:
+        return graph.add("not", *parts)
+    if op == casadi.OP_IF_ELSE_ZERO:
+        return graph.add("select", *parts, graph.const(0.0))
+    if op == casadi.OP_SQ:
+        return graph.add("mul", parts[0], parts[0])
+    if op == casadi.OP_TWICE:
+        return graph.add("add", parts[0], parts[0])
+    if op == casadi.OP_INV:
+        return graph.add("div", graph.const(1.0), parts[0])
+    if op in (casadi.OP_FMIN, casadi.OP_FMAX):
+        a, b = parts if op == casadi.OP_FMIN else parts[::-1]
+        return graph.add("select", graph.add("lt", *([b, a] if op == casadi.OP_FMIN else [a, b])), b, a)
+    if op == casadi.OP_PARAMETER:
+        raise NotImplementedError(f"the symbol {e.name()} is no input of the loop; was it kept from another trace?")
+    raise NotImplementedError(f"an operation that steerkit.maths does not have, in {str(e)[:60]}")
+
+
+def collapsed(graph: Graph, roots: Sequence[int]) -> tuple[Graph, list[int]]:
+    """The same equations with chains of linear operations multiplied out, where that takes fewer operations.
+
+    A Runge-Kutta step of a linear plant at a constant speed is a polynomial of its matrix; multiplied out it is one
+    row of the step matrix an output: x(k+1) = A x(k) + B u(k), exactly. What feeds a floor, a comparison or a table
+    index is left as it was written, since there a last digit may decide. Agrees with `graph` to rounding.
+    """
+    best, best_roots, best_count = graph, list(roots), _count(graph, roots)
+    for most in (4, 8, 16, 32):
+        tried, tried_roots = _multiplied_out(graph, roots, most)
+        count = _count(tried, tried_roots)
+        if count < best_count:
+            best, best_roots, best_count = tried, tried_roots, count
+    return best, best_roots
+
+
+def _count(graph: Graph, roots: Sequence[int]) -> int:
+    return sum(graph.nodes[i][0] not in ("const", "in") for i in graph.order(roots))
+
+
+_LINEAR = frozenset({"add", "sub", "mul", "div", "neg"})
+_Form = dict[int, float]  # coefficient by node of the new graph; key -1 holds the constant
+
+
+def _multiplied_out(graph: Graph, roots: Sequence[int], most: int) -> tuple[Graph, list[int]]:
+    new = Graph()
+    order = graph.order(roots)
+    exact = _exact(graph, order)
+    forms: dict[int, _Form] = {}
+    made: dict[int, int] = {}
+
+    def node(i: int) -> int:
+        if i not in made:
+            made[i] = _emit(new, forms[i])
+        return made[i]
+
+    for i in order:
+        op, *rest = graph.nodes[i]
+        if op == "const":
+            made[i] = new.const(float.fromhex(rest[0]))
+            forms[i] = {-1: float.fromhex(rest[0])}
+            continue
+        form = _form(op, [forms[j] for j in rest]) if op in _LINEAR and i not in exact else None
+        if form is not None and len(form) <= most and all(map(math.isfinite, form.values())):
+            forms[i] = form
+            continue
+        parts = rest if op == "in" else [rest[0], node(rest[1]), rest[2]] if op == "row" else [node(j) for j in rest]
+        made[i] = new.add(op, *parts)
+        forms[i] = {made[i]: 1.0}
+    return new, [node(i) for i in roots]
+
+
+def _exact(graph: Graph, order: list[int]) -> set[int]:
+    """Nodes that reach a floor, a comparison or a table index through linear operations alone."""
+    exact: set[int] = set()
+    for i in reversed(order):
+        op, *_ = graph.nodes[i]
+        if op in ("floor", "row") or op in BOOLEAN or (i in exact and op in (*_LINEAR, "select")):
+            exact.update(graph.operands(i))
+    return exact
+
+
+def _form(op: str, forms: list[_Form]) -> _Form | None:
+    def scaled(form: _Form, by: float) -> _Form:
+        return {key: by * c for key, c in form.items()}
+
+    if op == "neg":
+        return scaled(forms[0], -1.0)
+    a, b = forms
+    if op in ("add", "sub"):
+        total = dict(a)
+        for key, c in b.items():
+            total[key] = total.get(key, 0.0) + (c if op == "add" else -c)
+        return total
+    if op == "div":
+        return scaled(a, 1.0 / b[-1]) if b.keys() == {-1} and b[-1] != 0.0 else None
+    if a.keys() == {-1}:
+        return scaled(b, a[-1])
+    return scaled(a, b[-1]) if b.keys() == {-1} else None
+
+
+def _emit(graph: Graph, form: _Form) -> int:
+    total = None if form.get(-1, 0.0) == 0.0 else graph.const(form[-1])
+    for key, c in form.items():
+        if key != -1:
+            term = key if c == 1.0 else graph.add("mul", graph.const(c), key)
+            total = term if total is None else graph.add("add", total, term)
+    return graph.const(0.0) if total is None else total

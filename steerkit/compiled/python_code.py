@@ -1,0 +1,137 @@
+"""The traced loop as straight-line Python on floats: no calls but those of `math`, no tuples, no attributes."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from steerkit.compiled.graph import FUNCTIONS, Graph
+from steerkit.compiled.trace import Trace
+
+_INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<=", "eq": "==", "ne": "!=",
+          "and": "and", "or": "or"}  # fmt: skip
+_DEEPEST = 12  # nesting of parentheses
+
+
+class PythonProgram:
+    """Generated Python: `run(k, stop, slots, parameters, rows)` and, for all slots of one tick, `finish`."""
+
+    def __init__(self, trace: Trace, recorded: Sequence[int], every: int):
+        self.source = "\n".join([*_run(trace, recorded, every), *_finish(trace)])
+        scope: dict[str, Any] = {f"table{i}": table._tuples for i, table in enumerate(trace.tables)}
+        scope |= {name: getattr(math, name) for name in FUNCTIONS} | {"nan": math.nan, "inf": math.inf}
+        exec(compile(self.source, "<steerkit compiled loop>", "exec"), scope)
+        self.run: Callable[..., tuple[float, ...]] = scope["run"]
+        self.finish: Callable[..., list[float]] = scope["finish"]
+
+
+def _run(trace: Trace, recorded: Sequence[int], every: int) -> list[str]:
+    carried, period = trace.carried, len(trace.ticks)
+    state = "".join(f"s{slot}, " for slot in carried)
+    lines = ["def run(k, stop, slots, parameters, rows):"]
+    used = [name for name in sorted(FUNCTIONS - {"floor"}) if any(name in _ops(t.graph) for t in trace.ticks)]
+    lines += [f"    {name}_ = {name}" for name in used]
+    lines += [f"    s{slot} = slots[{slot}]" for slot in carried]
+    lines += [f"    p{i} = parameters[{i}]" for i in range(len(trace.parameters))]
+    lines += ["    append = rows.append", "    try:", "        for k in range(k, stop):"]
+    if period > 1:
+        lines.append(f"            phase = k % {period}")
+    for phase, tick in enumerate(trace.ticks):
+        pad = " " * 12
+        if period > 1:
+            lines.append(f"{pad}{'if' if phase == 0 else 'elif'} phase == {phase}:")
+            pad += "    "
+        roots = [tick.roots[slot] for slot in (*carried, *recorded)]
+        code, names = _statements(tick.graph, roots, trace)
+        lines += [pad + line for line in code]
+        if recorded:
+            row = "".join(f"{name}, " for name in names[len(carried) :])
+            lines.append(f"{pad}{'' if every == 1 else f'if not k % {every}: '}append(({row}))")
+        moved = [(f"s{slot}", name) for slot, name in zip(carried, names) if name != f"s{slot}"]
+        if moved:
+            lines.append(f"{pad}{', '.join(a for a, _ in moved)} = {', '.join(b for _, b in moved)}")
+        elif not code and not recorded:
+            lines.append(f"{pad}pass")
+    return [
+        *lines,
+        "    except Exception as error:",
+        f"        error.add_note(f'in tick {{k}}, t = {{k * {trace.loop.dt!r}:g}} s, of a compiled loop')",
+        "        raise",
+        f"    return ({state})",
+    ]
+
+
+def _finish(trace: Trace) -> list[str]:
+    lines = ["def finish(k, slots, parameters):"]
+    lines += [f"    {name}_ = {name}" for name in sorted(FUNCTIONS - {"floor"})]
+    lines += [f"    s{slot} = slots[{slot}]" for slot in trace.carried]
+    lines += [f"    p{i} = parameters[{i}]" for i in range(len(trace.parameters))]
+    for phase, tick in enumerate(trace.ticks):
+        code, names = _statements(tick.graph, tick.roots, trace)
+        lines.append(f"    if k % {len(trace.ticks)} == {phase}:")
+        lines += [f"        {line}" for line in [*code, f"return [{', '.join(names)}]"]]
+    return lines
+
+
+def _ops(graph: Graph) -> set[str]:
+    return {node[0] for node in graph.nodes}
+
+
+def _statements(graph: Graph, roots: Sequence[int], trace: Trace) -> tuple[list[str], list[str]]:
+    """Assignments, and the names of the roots. What is used once is written where it is used."""
+    order = graph.order(roots)
+    uses = Counter(j for i in order for j in graph.operands(i))
+    kept = set(roots)
+    text: dict[int, str] = {}
+    depth: dict[int, int] = {}
+    rows: dict[tuple[int, int], str] = {}
+    lines: list[str] = []
+    for i in order:
+        op, *rest = graph.nodes[i]
+        if op == "const":
+            text[i], depth[i] = _number(float.fromhex(rest[0])), 0
+            continue
+        if op == "in":
+            text[i], depth[i] = _input(rest[0], len(trace.layout)), 0
+            continue
+        if op == "row":
+            table, index, column = rest
+            if (table, index) not in rows:
+                rows[table, index] = f"r{len(rows)}"
+                width = trace.tables[table].rows.shape[1]
+                columns = "".join(f"{rows[table, index]}_{c}, " for c in range(width))
+                lines.append(f"{columns}= table{table}[int({text[index]})]")
+            text[i], depth[i] = f"{rows[table, index]}_{column}", 0
+            continue
+        expression = _expression(op, [text[j] for j in rest])
+        depth[i] = 1 + max(depth[j] for j in rest)
+        if uses[i] == 1 and i not in kept and depth[i] < _DEEPEST:
+            text[i] = f"({expression})"
+        else:
+            text[i], depth[i] = f"v{i}", 0
+            lines.append(f"v{i} = {expression}")
+    return lines, [text[i] for i in roots]
+
+
+def _expression(op: str, parts: Sequence[str]) -> str:
+    if op in _INFIX:
+        return f"{parts[0]} {_INFIX[op]} {parts[1]}"
+    if op == "select":
+        return f"{parts[1]} if {parts[0]} else {parts[2]}"
+    if op == "floor":
+        return f"{parts[0]} // 1.0"
+    if op in ("neg", "not"):
+        return f"{'-' if op == 'neg' else 'not '}{parts[0]}"
+    return f"{op}({parts[0]})" if op == "abs" else f"{op}_({', '.join(parts)})"
+
+
+def _number(value: float) -> str:
+    return f"({value!r})" if value < 0.0 or value != value else repr(value)
+
+
+def _input(slot: int, slots: int) -> str:
+    return "k" if slot == 0 else f"s{slot - 1}" if slot <= slots else f"p{slot - slots - 1}"
+
+

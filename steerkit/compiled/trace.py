@@ -1,0 +1,241 @@
+"""From a loop to graphs: every tick is run once on CasADi symbols, and what it computed is kept."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import casadi
+import numpy as np
+
+from steerkit.compiled.graph import Graph, collapsed, from_symbols
+from steerkit.loop import Loop, LoopState
+from steerkit.maths import Table
+
+_lock = threading.RLock()  # the tracer of `Table` and CasADi's options are global
+
+
+class TraceError(TypeError):
+    """A loop that cannot be compiled; the message names the block and says what to do."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Tick:
+    """One tick: `roots[slot]` is the node of each slot's new value; inputs are the tick, the slots, the parameters."""
+
+    graph: Graph
+    roots: tuple[int, ...]
+
+
+class Layout:
+    """The numbers of a loop state in a row of slots: all block states, then all held outputs."""
+
+    def __init__(self, loop: Loop, template: LoopState):
+        self.loop, self.template = loop, template
+        self.names: list[str] = []
+        self.signals: dict[str, tuple[int, int | None]] = {}
+        for name, x in zip(loop.names, template.x):
+            fields = getattr(x, "_fields", range(len(x)))
+            self.names += [f"{name}.{field}" for field in fields]
+        for name, block, y in zip(loop.names, loop.blocks.values(), template.y):
+            for out, value in zip(block.outputs, y):
+                size = None if getattr(block, out.name).size is None else len(value)
+                self.signals[f"{name}.{out.name}"] = len(self.names), size
+                self.names += [f"{name}.{out.name}"] * (1 if size is None else size)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def pack(self, x: Sequence[Any], y: Sequence[Any]) -> list[Any]:
+        """The numbers (or arrays, or symbols) of a state in slot order."""
+        held = zip(self.signals.values(), [value for values in y for value in values])
+        return [v for state in x for v in state] + [
+            v for (_, size), value in held for v in ([value] if size is None else value)
+        ]
+
+    def unpack(self, values: Sequence[Any]) -> tuple[list[Any], list[Any]]:
+        """States and outputs, shaped as in the loop, from numbers in slot order."""
+        rest = iter(values)
+        x = [_like(state, [next(rest) for _ in state]) for state in self.template.x]
+        y = []
+        for block, old in zip(self.loop.blocks.values(), self.template.y):
+            sizes = [getattr(block, out.name).size for out in block.outputs]
+            y.append(_like(old, [next(rest) if n is None else tuple(next(rest) for _ in range(n)) for n in sizes]))
+        return x, y
+
+    def slots_of(self, signal: str) -> list[int]:
+        """The slots of a signal: one, or as many as a vector port has entries."""
+        first, size = self.signals[signal]
+        return list(range(first, first + (1 if size is None else size)))
+
+
+@dataclasses.dataclass(frozen=True)
+class Trace:
+    """A loop as one graph a phase; phase = tick modulo the period."""
+
+    loop: Loop
+    layout: Layout
+    parameters: tuple[str, ...]
+    ticks: tuple[Tick, ...]
+    tables: tuple[Table, ...]
+
+    @functools.cached_property
+    def carried(self) -> list[int]:
+        """The slots whose old values any tick reads, so that they go from tick to tick."""
+        nodes = [tick.graph.nodes[i] for tick in self.ticks for i in tick.graph.order(tick.roots)]
+        return sorted({slot - 1 for op, slot, *_ in nodes if op == "in" and 0 < slot <= len(self.layout)})
+
+
+def trace(loop: Loop, *, parameters: Sequence[str] = (), collapse: bool = True) -> Trace:
+    """The graphs of a loop. parameters: block fields (`"controller.k"`) to leave open, as inputs.
+
+    Raises TraceError naming the block that is not pure or cannot be run on symbols.
+    """
+    for name, block in loop.blocks.items():
+        if not block.pure:
+            raise TraceError(
+                f"{name} ({type(block).__name__}) is not pure, so it cannot be compiled; compile the loop with a model "
+                f"in its place (loop.with_block('{name}', model)), or run this one with simulate"
+            )
+    template = loop.init()
+    layout = Layout(loop, template)
+    with _lock:
+        symbols = [casadi.SX.sym(f"p{i}") for i in range(len(parameters))]
+        open_loop = with_parameters(loop, dict(zip(parameters, symbols)))
+        tables: dict[int, tuple[int, Table]] = {}
+        ticks = tuple(
+            _tick(open_loop, phase, layout, symbols, tables, collapse) for phase in range(loop.period)
+        )
+    return Trace(loop, layout, tuple(parameters), ticks, tuple(table for _, table in tables.values()))
+
+
+def _tick(loop: Loop, phase: int, layout: Layout, symbols: list[Any], tables: Any, collapse: bool) -> Tick:
+    k = casadi.SX.sym("k")
+    slots = [casadi.SX.sym(f"s{i}") for i in range(len(layout))]
+    x, y = layout.unpack(slots)
+    with recorded_lookups(tables) as lookups, _exact_arithmetic():
+        try:
+            loop.run_phase(phase, k * loop.dt, x, y)
+        except Exception as error:
+            raise TraceError(_blame(loop, error)) from error
+    values = layout.pack(x, y)
+    if len(values) != len(slots):
+        raise TraceError(f"a block of {loop!r} changed the number of its states or outputs in a tick")
+    expressions = [_scalar(name, value) for name, value in zip(layout.names, values)]
+    graph, roots = from_symbols(expressions, [k, *slots, *symbols], lookups)
+    if collapse:
+        graph, roots = collapsed(graph, roots)
+    return Tick(graph, tuple(roots))
+
+
+@contextmanager
+def recorded_lookups(tables: dict[int, tuple[int, Table]]) -> Iterator[list[tuple[int, Any, list[Any]]]]:
+    """While open, a table asked with a symbol answers with new symbols and notes (table number, index, row)."""
+    lookups: list[tuple[int, Any, list[Any]]] = []
+
+    def tracer(table: Table, index: Any) -> list[Any]:
+        number, _ = tables.setdefault(id(table), (len(tables), table))
+        row = [casadi.SX.sym(f"row{len(lookups)}_{c}") for c in range(table.rows.shape[1])]
+        lookups.append((number, index, row))
+        return row
+
+    before, Table.tracer = Table.tracer, tracer
+    try:
+        yield lookups
+    finally:
+        Table.tracer = before
+
+
+@contextmanager
+def _exact_arithmetic() -> Iterator[None]:
+    """CasADi's rewriting on the fly turns x/c into x*(1/c) and the like, which a random generator would notice."""
+    before = casadi.GlobalOptions.getSimplificationOnTheFly()
+    casadi.GlobalOptions.setSimplificationOnTheFly(False)
+    try:
+        yield
+    finally:
+        casadi.GlobalOptions.setSimplificationOnTheFly(before)
+
+
+def _scalar(name: str, value: Any) -> Any:
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value.item()
+    try:
+        symbol = casadi.SX(value)
+    except NotImplementedError:
+        symbol = None
+    if symbol is None or symbol.shape != (1, 1):
+        raise TraceError(f"{name} is {value!r} when computed on symbols, expected one number; see steerkit.maths")
+    return casadi.densify(symbol)
+
+
+def _blame(loop: Loop, error: Exception) -> str:
+    """The block in which the traced tick failed: the outermost one on the stack of the exception."""
+    names = {id(block): name for name, block in loop.blocks.items()}
+    place, line = error.__traceback__, ""
+    blamed = None
+    while place is not None:
+        owner = place.tb_frame.f_locals.get("self")
+        if blamed is None and id(owner) in names:
+            blamed = owner
+        line = f"{place.tb_frame.f_code.co_filename}:{place.tb_lineno}"
+        place = place.tb_next
+    who = "a block" if blamed is None else f"{names[id(blamed)]} ({type(blamed).__name__})"
+    return (
+        f"{who} cannot be run on symbols: {type(error).__name__}: {error} (at {line}); write its equations with "
+        "steerkit.maths and arithmetic only (m.where instead of `if`, no numpy calls, parameters that are numbers), "
+        "or run the loop with simulate; per-car parameters are named in compile(parameters=...)"
+    )
+
+
+def with_parameters(loop: Loop, values: dict[str, Any]) -> Loop:
+    """The loop with block fields replaced by numbers, `(N,)` arrays or symbols: `{"controller.k": 2.0}`.
+
+    Names may go into nested dataclasses: `"car.vehicle.m"`. Raises TraceError for an unknown field, or one that its
+    block has already worked into other numbers when it was built.
+    """
+    changed: dict[str, Any] = {}
+    for name, value in values.items():
+        block, _, field = name.partition(".")
+        if block not in loop.blocks or not field:
+            raise TraceError(f"parameter '{name}': expected 'block.field'; blocks: {', '.join(loop.names)}")
+        changed[block] = _replaced(changed.get(block, loop.blocks[block]), field.split("."), value, name)
+    for name, block in changed.items():
+        loop = loop.with_block(name, block)
+    return loop
+
+
+def parameter(loop: Loop, name: str) -> Any:
+    """The present value of a block field, by name."""
+    block, *fields = name.split(".")
+    return functools.reduce(getattr, fields, loop.blocks[block])
+
+
+def _replaced(owner: Any, fields: list[str], value: Any, name: str) -> Any:
+    field, *inner = fields
+    known = [f.name for f in dataclasses.fields(owner)] if dataclasses.is_dataclass(owner) else []
+    if field not in known:
+        raise TraceError(f"parameter '{name}': {type(owner).__name__} has no field '{field}'; fields: {', '.join(known)}")
+    new = _replaced(getattr(owner, field), inner, value, name) if inner else value
+    try:
+        return dataclasses.replace(owner, **{field: new})
+    except Exception:  # its checks cannot judge a symbol or an array: copy the fields as they are
+        kind = type(owner)
+        cached = {n for base in kind.__mro__ for n, v in vars(base).items() if isinstance(v, functools.cached_property)}
+        made = {f.name for f in dataclasses.fields(owner) if not f.init} | vars(owner).keys() - {*known, *cached}
+        if made:
+            raise TraceError(
+                f"parameter '{name}': {kind.__name__} computes {', '.join(sorted(made))} when it is built and refuses "
+                "a symbol; make these properties, or choose another parameter"
+            ) from None
+        copy = object.__new__(kind)
+        vars(copy).update({n: v for n, v in vars(owner).items() if n not in cached} | {field: new})
+        return copy
+
+
+def _like(template: Any, values: list[Any]) -> Any:
+    return type(template)(*values) if hasattr(template, "_fields") else tuple(values)

@@ -1,0 +1,293 @@
+"""The greedy policy of a learned Q-function: inference only, plain arrays, no learning library."""
+
+from __future__ import annotations
+
+import functools
+import os
+import zipfile
+import zlib
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from steerkit import maths as m
+from steerkit.block import Block, In, Out, State, require
+from steerkit.units import radians_of
+
+Net = tuple[NDArray[Any], ...]
+"""An all-sigmoid net as plain arrays: W [n_out, n_in] and b [n_out] of each layer in turn; the last has one unit."""
+
+IDOE_ACTIONS = tuple(radians_of(a) for a in (0.0, -10.0, 10.0, -60.0, 60.0))
+"""Steps of the steering wheel [rad] that an integrating dynamic output element takes (the paper's I-DOE set)."""
+BANG_BANG_ACTIONS = tuple(radians_of(a) for a in (-360.0, 360.0))
+"""The paper's bang-bang angles of the steering wheel [rad]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StateDescription:
+    """What the learner's state is made of: names, ranges, and how it looks in a mirror.
+
+    A net sees x = (s - mid) / half, which brings [low, high] to [-1, 1] (values outside go beyond, nothing is cut),
+    and the candidate action a / action_scale. Mirrored left to right, the car is the same car: s -> mirror_signs * s,
+    a -> -a. Raises ValueError when the lengths differ, a range is empty, or a sign of -1 has a range not centred
+    on 0 (the mirror would not be a sign in scaled units).
+    """
+
+    names: tuple[str, ...] = ("e", "e_dot", "v", "psi_e", "r_e", "doe")
+    """The state's columns, in order; the cost functions read column 0 as e [m]."""
+    low: tuple[float, ...] = (-1.0, -2.0, 0.0, -0.6, -0.6, radians_of(-520.0))
+    """Value that becomes -1 (SI)."""
+    high: tuple[float, ...] = (1.0, 2.0, 10.0, 0.6, 0.6, radians_of(520.0))
+    """Value that becomes +1 (SI)."""
+    mirror_signs: tuple[float, ...] = (-1.0, -1.0, 1.0, -1.0, -1.0, -1.0)
+    """Sign of each column seen in the mirror."""
+    goal: tuple[float, ...] = (0.02, 0.02, 1.0, 0.02, 0.02, 1.0)
+    """Half-widths, in scaled units about 0, of the goal region that hint-to-goal patterns are drawn from: on the path
+    and parallel to it, at any speed and any steering angle (a steady bend)."""
+    action_scale: float | None = None
+    """Action [rad] that becomes 1; None: the largest |action| of the set."""
+
+    def __post_init__(self) -> None:
+        for name in ("low", "high", "mirror_signs", "goal"):
+            values = tuple(float(value) for value in getattr(self, name))
+            n = len(self.names)
+            require(len(values) == n, "StateDescription", f"{name} has {len(values)} entries, expected {n}, as names")
+            require(all(np.isfinite(values)), "StateDescription", f"{name} = {values}, expected finite numbers")
+            object.__setattr__(self, name, values)
+        object.__setattr__(self, "names", tuple(self.names))
+        for name, low, high, sign in zip(self.names, self.low, self.high, self.mirror_signs, strict=True):
+            require(low < high, "StateDescription", f"{name}: low {low} and high {high}, expected low < high")
+            require(sign in (-1.0, 1.0), "StateDescription", f"{name}: mirror sign {sign}; valid: -1, 1")
+            centred = sign > 0.0 or abs(low + high) <= 1e-12 * high
+            require(centred, "StateDescription", f"{name}: sign -1 and range [{low}, {high}], expected low = -high")
+        scale = self.action_scale
+        require(scale is None or scale > 0.0, "StateDescription", f"action_scale = {scale} [rad], expected > 0 or None")
+
+    @property
+    def mid(self) -> NDArray[np.float64]:
+        """Centre of each range."""
+        return 0.5 * (np.array(self.low) + np.array(self.high))
+
+    @property
+    def half(self) -> NDArray[np.float64]:
+        """Half-width of each range."""
+        return 0.5 * (np.array(self.high) - np.array(self.low))
+
+    def scale_of(self, actions: tuple[float, ...]) -> float:
+        """The action [rad] that a net sees as 1."""
+        return self.action_scale or max(map(abs, actions)) or 1.0
+
+    def mirror(self, s: ArrayLike, a: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """States (..., n) and actions (...) as seen in the mirror."""
+        return np.asarray(s, dtype=float) * np.array(self.mirror_signs), -np.asarray(a, dtype=float)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class NfqPolicy(Block):
+    """Steers greedily by a learned Q-function: the action of the least expected cost.
+
+        action = argmin_a q(s, a),   q = mean (or max) over the nets of Q(s, a),
+        Q: each layer y = sigmoid(W y + b), sigmoid(z) = (1 + tanh(z/2)) / 2, fed with the scaled (s, a)
+
+    Inputs: e [m], e_dot [m/s], v [m/s], psi_e [rad], r_e [rad/s], doe [rad] (the dynamic output element's angle),
+    all direct. Outputs: action [rad], q [1] in (0, 1), ready [1] (1.0 once t >= ready_from with a net, else 0.0).
+    Without a net, action and q are 0.0. Equal values: the smallest |action| wins, then the first given. A NaN or an
+    infinity among the inputs makes action and q NaN, so that a supervisor sees the fault. No state.
+    Raises ValueError for an unknown `combine`, an empty or non-finite action set, nets of unlike or wrong layout, or
+    non-finite weights. Source: Riedmiller 2005 (Neural Fitted Q Iteration), eq. for the greedy policy.
+    """
+
+    e = In("m")
+    e_dot = In("m/s")
+    v = In("m/s")
+    psi_e = In("rad")
+    r_e = In("rad/s")
+    doe = In("rad")
+    action = Out("rad")
+    q = Out("1")
+    ready = Out("1", direct=())
+
+    nets: tuple[Net, ...] | None = ()
+    """The ensemble; empty: nothing learned yet."""
+    actions: tuple[float, ...] = IDOE_ACTIONS
+    """The action set [rad]."""
+    description: StateDescription = StateDescription()
+    """Scaling of the six inputs, in the order of the ports."""
+    combine: Literal["mean", "max"] = "mean"
+    """How the nets' values become one; "max" is the cautious reading."""
+    ready_from: float = 0.0
+    """Time from which a net counts as there [s]."""
+
+    def __post_init__(self) -> None:
+        where = "NfqPolicy"
+        require(self.combine in ("mean", "max"), where, f"combine = {self.combine!r}; valid: 'mean', 'max'")
+        actions = tuple(float(a) for a in self.actions)
+        require(len(actions) > 0, where, "actions is empty, expected at least one angle [rad]")
+        require(bool(np.isfinite(actions).all()), where, f"actions = {actions} [rad], expected finite numbers")
+        object.__setattr__(self, "actions", actions)
+        object.__setattr__(self, "nets", tuple(tuple(np.asarray(p) for p in net) for net in self.nets or ()))
+        n = len(self.description.names)
+        require(n == 6, where, f"description has {n} columns, expected 6, one for each of the ports e ... doe")
+        for net in self.nets or ():
+            check_net(net, n + 1, where)
+            same = [p.shape for p in net] == [p.shape for p in self.nets[0]]  # type: ignore[index]
+            require(same, where, "nets of different layouts, expected one layout for the whole ensemble")
+
+    @functools.cached_property
+    def _order(self) -> tuple[float, ...]:
+        """The order of search: of equal values the gentlest action's is found first."""
+        return tuple(sorted(self.actions, key=abs))
+
+    @functools.cached_property
+    def _folded(self) -> tuple[NDArray[Any], NDArray[Any], list[tuple[NDArray[Any], NDArray[Any]]]]:
+        """The ensemble as one tanh net h -> tanh(A h + d) per layer, with the scaling inside.
+
+        With sigmoid = (1 + tanh(z/2))/2, the halves move into the next layer's weights: A = W/4 and
+        d = (b + W 1 / 2)/2; the first layer is A = W/2 of the scaled state, plus one column of offsets an action.
+        """
+        nets = [[np.asarray(p, dtype=np.float64) for p in net] for net in self.nets or ()]
+        mid, half, scale = self.description.mid, self.description.half, self.description.scale_of(self.actions)
+        first = 0.5 * np.concatenate([net[0] for net in nets])
+        of_state = first[:, :-1] / half
+        offset = 0.5 * np.concatenate([net[1] for net in nets]) - of_state @ mid
+        of_action = offset[:, None] + np.outer(first[:, -1], np.array(self._order) / scale)
+        layers = []
+        for i in range(2, len(nets[0]), 2):
+            w = _block_diagonal([net[i] for net in nets])
+            d = 0.5 * (np.concatenate([net[i + 1] for net in nets]) + 0.5 * w.sum(axis=1))
+            layers.append((0.25 * w, d[:, None]))
+        return of_state, of_action, layers
+
+    def output(self, t: Any, x: State, u: Any) -> Any:
+        """The greedy action, its value, and whether to be trusted with the wheel."""
+        if not self.nets:
+            nothing = np.zeros(np.broadcast(*u).shape) if any(isinstance(value, np.ndarray) for value in u) else 0.0
+            return self.Y(action=nothing, q=nothing, ready=nothing)
+        ready, nan = m.where(t >= self.ready_from, 1.0, 0.0), float("nan")
+        sound = m.is_finite(u.e + u.e_dot + u.v + u.psi_e + u.r_e + u.doe)  # tanh would hide an infinity
+        if all(value.__class__ is float for value in u):
+            column = self._values(np.array(u if sound else [nan] * 6)[:, None]).tolist()
+            q = min(column)
+            action = self._order[column.index(q)]
+        elif any(map(m._is_symbol, u)):
+            action, q = self._symbolic(u)
+            q = m.where(sound, q, nan)
+        else:
+            s = np.where(sound, np.array(np.broadcast_arrays(*u), dtype=float), nan)
+            values = self._values(s.reshape(6, -1)).reshape(-1, *s.shape[1:])
+            action, q = np.array(self._order)[values.argmin(axis=0)], values.min(axis=0)
+            ready = ready + np.zeros(s.shape[1:])
+        return self.Y(action=m.where(sound, action, nan), q=q, ready=ready)
+
+    def _values(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """q of every action for the states (6, N), as (A * N,)."""
+        of_state, of_action, layers = self._folded
+        h = np.tanh((of_state @ s)[:, None, :] + of_action[:, :, None]).reshape(len(of_state), -1)
+        for w, d in layers:
+            h = np.tanh(w @ h + d)
+        return 0.5 + 0.5 * (h.max(axis=0) if self.combine == "max" else np.add.reduce(h) / len(h))
+
+    def _symbolic(self, u: Any) -> tuple[Any, Any]:
+        """The same in scalars, for tracing."""
+        of_state, of_action, layers = self._folded
+        z = [_dot(row, u) for row in of_state.tolist()]
+        best: Any = None
+        action: Any = self._order[0]
+        for candidate, offsets in zip(self._order, of_action.T.tolist(), strict=True):
+            h = [m.tanh(a + b) for a, b in zip(z, offsets, strict=True)]
+            for w, d in layers:
+                h = [m.tanh(_dot(row, h) + c) for row, (c,) in zip(w.tolist(), d.tolist(), strict=True)]
+            total = h[0]
+            for other in h[1:]:
+                total = m.maximum(total, other) if self.combine == "max" else total + other
+            q = 0.5 + 0.5 * (total if self.combine == "max" else total / len(h))
+            if best is None:
+                best = q
+                continue
+            better = q < best
+            best, action = m.where(better, q, best), m.where(better, candidate, action)
+        return action, best
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the policy to one small file (NumPy .npz, no pickle) that `load` gives back bit for bit."""
+        d = self.description
+        write_arrays(
+            path, "policy", actions=self.actions, combine=self.combine, ready_from=self.ready_from, dt=self.dt,
+            names=d.names, low=d.low, high=d.high, mirror_signs=d.mirror_signs, goal=d.goal,
+            action_scale=d.action_scale or 0.0, nets=len(self.nets or ()),
+            **{f"net{k}_{i}": p for k, net in enumerate(self.nets or ()) for i, p in enumerate(net)},
+        )  # fmt: skip
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> NfqPolicy:
+        """The policy that `save` wrote; raises ValueError for a truncated or foreign file."""
+        f = read_arrays(path, "policy")
+        try:
+            layout = [sum(name.startswith(f"net{k}_") for name in f) for k in range(int(f["nets"]))]
+            numbers = {name: tuple(f[name].tolist()) for name in ("names", "low", "high", "mirror_signs", "goal")}
+            return cls(
+                nets=tuple(tuple(f[f"net{k}_{i}"] for i in range(n)) for k, n in enumerate(layout)),
+                actions=tuple(f["actions"].tolist()),
+                description=StateDescription(**numbers, action_scale=float(f["action_scale"]) or None),
+                combine=str(f["combine"]),  # type: ignore[arg-type]
+                ready_from=float(f["ready_from"]),
+                dt=float(f["dt"]),
+            )
+        except (ValueError, TypeError, KeyError) as why:
+            raise ValueError(f"{path}: the policy in it does not hold together: {why}") from why
+
+
+def check_net(net: Net, n_in: int, where: str) -> None:
+    """Raise ValueError unless `net` is W, b, W, b, ... from n_in inputs to one unit, all finite."""
+    require(len(net) >= 2 and len(net) % 2 == 0, where, f"a net of {len(net)} arrays, expected W, b of each layer")
+    n = n_in
+    for i in range(0, len(net), 2):
+        w, b = net[i], net[i + 1]
+        fits = w.ndim == 2 and w.shape[1] == n and b.shape == (w.shape[0],)
+        require(fits, where, f"layer {i // 2}: W {w.shape}, b {b.shape}, expected W (n_out, {n}), b (n_out,)")
+        finite = bool(np.isfinite(w).all() and np.isfinite(b).all())
+        require(finite, where, f"layer {i // 2} holds a NaN or an infinity, expected finite weights")
+        n = w.shape[0]
+    require(n == 1, where, f"the last layer has {n} units, expected 1")
+
+
+def _dot(row: Any, h: Any) -> Any:
+    total: Any = 0.0
+    for a, b in zip(row, h, strict=True):
+        if a != 0.0:
+            total = total + a * b
+    return total
+
+
+def _block_diagonal(blocks: list[NDArray[Any]]) -> NDArray[np.float64]:
+    rows, cols = blocks[0].shape
+    w = np.zeros((rows * len(blocks), cols * len(blocks)))
+    for k, block in enumerate(blocks):
+        w[k * rows : (k + 1) * rows, k * cols : (k + 1) * cols] = block
+    return w
+
+
+def write_arrays(path: str | os.PathLike[str], kind: str, **arrays: Any) -> None:
+    """Write arrays to an .npz of the given kind, whole or not at all."""
+    part = f"{os.fspath(path)}.part{os.getpid()}"
+    with open(part, "wb") as file:
+        np.savez(file, format=f"steerkit {kind} 1", **arrays)
+    os.replace(part, path)
+
+
+def read_arrays(path: str | os.PathLike[str], kind: str) -> dict[str, NDArray[Any]]:
+    """The arrays that `write_arrays` wrote; raises ValueError naming the file when they are not there."""
+    try:
+        with open(path, "rb") as file:
+            opened = np.load(file, allow_pickle=False)
+            arrays = {name: opened[name] for name in opened.files}
+    except (FileNotFoundError, IsADirectoryError, PermissionError):
+        raise
+    except (ValueError, OSError, EOFError, KeyError, AttributeError, zipfile.BadZipFile, zlib.error) as why:
+        hint = f"it is cut short or not a steerkit {kind} file; write it again with save()"
+        raise ValueError(f"{path}: cannot be read ({why}); {hint}") from why
+    found = str(arrays.get("format", "an .npz of another program"))
+    require(found == f"steerkit {kind} 1", str(path), f"holds '{found}', expected 'steerkit {kind} 1'")
+    return arrays

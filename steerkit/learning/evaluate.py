@@ -1,0 +1,79 @@
+"""Test drives: any controller, learned or analytic, over whole rounds of a course, for metrics and pictures."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from steerkit.assembly import steering_loop
+from steerkit.block import Block
+from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.controllers.recovery import Guarded
+from steerkit.controllers.stanley import Stanley
+from steerkit.learning.world import World
+from steerkit.loop import Loop
+from steerkit.plants.vehicle import Vehicle
+from steerkit.simulate import Log, simulate
+
+CONTROLLERS = {"stanley": Stanley.of, "stanley-textbook": Stanley.textbook}
+"""Analytic controllers by name, each made for a vehicle."""
+
+
+def controller(name: str, vehicle: Vehicle) -> Block:
+    """The analytic controller of that name for that car; raises ValueError with the valid names."""
+    if name not in CONTROLLERS:
+        raise ValueError(
+            f"controller '{name}' is not known; valid: {', '.join(CONTROLLERS)}, or the directory of a learning run"
+        )
+    return CONTROLLERS[name](vehicle)
+
+
+def drive_loop(world: World, steering: Block, *, doe: Block | None = None, seed: int = 0, s: float = 0.0) -> Loop:
+    """The loop of a test drive: a policy (with its doe) is caught by the world's recovery controller."""
+    path = world.path()
+    learned = isinstance(steering, NfqPolicy)
+    return steering_loop(
+        car=world.car(path, s=s),
+        path=path,
+        driver=world.driver(seed),
+        controller=Guarded(block=replace(steering, ready_from=0.0)) if isinstance(steering, NfqPolicy) else steering,
+        doe=doe,
+        recovery=world.recovery() if learned else None,
+        actuator=world.actuator(),
+        sensors=world.sensors(seed),
+    )
+
+
+def drive(
+    world: World,
+    steering: Block,
+    *,
+    doe: Block | None = None,
+    seed: int = 0,
+    rounds: float = 1.0,
+    s: float = 0.0,
+    progress: bool = False,
+) -> Log:
+    """Drive `rounds` rounds of the world's course and return the log, 20 samples a second.
+
+    The run also ends after the time that the slowest driver would need; then the last `path.progress` is short of
+    `rounds` times the course.
+    """
+    loop = drive_loop(world, steering, doe=doe, seed=seed, s=s)
+    length = rounds * world.path().length
+    ticks = round(steering.dt / loop.dt)
+    slowest = math.ceil(length / world.v_min / steering.dt) * steering.dt
+    return simulate(
+        loop,
+        slowest + 5.0,
+        every=ticks,
+        until=lambda sample: sample["path.progress"] >= length,
+        allow_nonfinite=True,
+        progress=progress,
+    )
+
+
+def held_all_along(log: Log, *, limit: float = 0.5) -> bool:
+    """Did the controller stay within |e| <= limit [m] and, if learned, keep the wheel from the first sample on?"""
+    on_course = bool((abs(log["path.e"]) <= limit).all())
+    return on_course and ("supervisor.learning" not in log or bool((log["supervisor.learning"] > 0.5).all()))

@@ -1,0 +1,131 @@
+"""What a run looks like to a person: progress while it learns, tables, and pictures in its directory."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path as FilePath
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from steerkit.learning import evaluate, figures, rundir
+from steerkit.learning.experiment import Experiment, LearningRun, Watcher, learn
+from steerkit.learning.world import World
+from steerkit.metrics import of_log
+from steerkit.simulate import Log
+
+console = Console()
+
+
+def learn_with_progress(experiment: Experiment, place: FilePath, *, quiet: bool = False) -> LearningRun:
+    """`learn`, with a bar on a terminal and a line for every tenth failure and every round elsewhere."""
+    if quiet:
+        return learn(experiment, place)
+    with _watching(experiment) as watch:
+        return learn(experiment, place, watch=watch)
+
+
+@contextlib.contextmanager
+def _watching(experiment: Experiment) -> Iterator[Watcher]:
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[story]}"), TimeElapsedColumn())
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
+        task = bar.add_task(f"{experiment.setting.name} on {experiment.world.course}", total=experiment.minutes, story="")
+
+        def watch(what: str, run: LearningRun) -> None:
+            episode = run.counts.episodes[-1] if run.counts.episodes else None
+            held = (episode.ended or run.t) - episode.began if episode else 0.0
+            story = (
+                f"episode {len(run.counts.episodes)}, {run.t / 60:.1f} min driven, held {held:.0f} s, "
+                f"RMS e {episode.rms_e if episode else 0:.3f} m, {len(run.transitions)} transitions"
+            )
+            bar.update(task, completed=run.t / 60.0, story=story)
+            if not console.is_terminal and (what == "round" or len(run.counts.episodes) % 10 == 0):
+                console.print(f"{what}: {story}", soft_wrap=True)
+
+        yield watch
+
+
+def figures_of_merit(run: LearningRun) -> dict[str, Any]:
+    """The numbers of a run that a program would read."""
+    counts = run.counts
+    return {
+        "setting": run.experiment.setting.name,
+        "course": run.experiment.world.course,
+        "seed": run.experiment.seed,
+        "driving_minutes": run.t / 60.0,
+        "failures": counts.failures,
+        "rounds": sum(episode.rounds for episode in counts.episodes),
+        "first_round_begun_s": counts.first_round_begun,
+        "first_round_done_s": counts.first_round_done,
+        "failures_to_round": counts.failures_to_round,
+        "transitions": len(run.transitions),
+        "updates": counts.updates,
+        "training_seconds": counts.train_seconds,
+    }
+
+
+def show(place: FilePath, *, quiet: bool = False) -> None:
+    """Print a run's counts and the final policy against Stanley, and draw the run's pictures beside its data."""
+    run = rundir.load(place)
+    merit = figures_of_merit(run)
+    table = Table(title=f"{place}", show_header=False)
+    for key, value in merit.items():
+        table.add_row(key.replace("_", " "), f"{value:.2f}" if isinstance(value, float) else str(value))
+    console.print(table)
+    world = run.experiment.world
+    logs = {
+        "learned": evaluate.drive(world, rundir.final_policy(place), doe=run.experiment.setting.element()),
+        "stanley": evaluate.drive(world, world.recovery()),
+    }
+    console.print(comparison(f"one round of {world.course}, the final net", logs))
+    drive = rundir.drive_log(place)
+    name = run.experiment.setting.name
+    figures.learning(drive, title=f"{name} on {world.course}: from the first second").savefig(place / "learning.png")
+    figures.round_driven(logs["learned"], logs["stanley"], title=f"{name} on {world.course}: final net").savefig(
+        place / "round.png"
+    )
+    if not quiet:
+        console.print(f"pictures: {place}/learning.png, {place}/round.png", soft_wrap=True)
+
+
+def drive_and_draw(
+    name: str, world: World, place: FilePath, *, rounds: float, seed: int, quiet: bool = False
+) -> dict[str, Any]:
+    """A test drive of a named controller or of a run's final policy, with table, log and picture in `place`."""
+    run = FilePath(name)
+    if name not in evaluate.CONTROLLERS and run.is_dir():
+        setting = rundir.experiment_of(run).setting
+        log = evaluate.drive(
+            world, rundir.final_policy(run), doe=setting.element(), rounds=rounds, seed=seed, progress=not quiet
+        )
+    else:
+        steering = evaluate.controller(name, world.vehicle)
+        log = evaluate.drive(world, steering, rounds=rounds, seed=seed, progress=not quiet)
+    place.mkdir(parents=True, exist_ok=True)
+    log.save(place / "drive.npz")
+    figures.round_driven(log, title=f"{name} on {world.course}").savefig(place / "drive.png")
+    console.print(comparison(f"{rounds:g} round(s) of {world.course}", {name: log}))
+    if not quiet:
+        console.print(f"log and picture: {place}/drive.npz, {place}/drive.png", soft_wrap=True)
+    return {"controller": name, "held": evaluate.held_all_along(log), **asdict(of_log(log))}
+
+
+def comparison(title: str, logs: dict[str, Log]) -> Table:
+    """A table with one row a drive."""
+    heads = ("controller", "held", "RMS e [m]", "max e [m]", "RMS wheel rate [deg/s]", "max a_y [m/s²]",
+             "|e| < 0.05 m [%]", "max jerk [m/s³]")  # fmt: skip
+    table = Table(*heads, title=title)
+    for name, log in logs.items():
+        s = of_log(log)
+        held = "yes" if evaluate.held_all_along(log) else "no"
+        table.add_row(name, held, *_cells((s.rms_e, 3), (s.max_e, 3), (s.rms_wheel_rate_deg, 0), (s.max_a_y, 2),
+                                          (100.0 * s.share_within_5cm, 1), (s.max_jerk, 1)))  # fmt: skip
+    return table
+
+
+def _cells(*values: Sequence[float]) -> list[str]:
+    return [f"{value:.{int(digits)}f}" for value, digits in values]

@@ -1,0 +1,35 @@
+"""Checks of parameters that the plants share."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from steerkit.block import require
+from steerkit.maths import Scalar
+
+
+def require_within(where: str, name: str, value: Any, unit: str, low: Scalar, high: Scalar, hint: str = "") -> None:
+    """Raise a teaching ValueError unless low <= value <= high, for a number or for every entry of an array."""
+    try:
+        numbers = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(f"{where}: {name} = {value!r}, expected a number [{unit}]") from None
+    ok = bool(((low <= numbers) & (numbers <= high)).all())
+    expected = f"{np.min(low):.6g} to {np.max(high):.6g}"
+    require(ok, where, f"{name} = {value} [{unit}], expected {expected}{'; ' if hint else ''}{hint}")
+
+
+def whole_samples(where: str, name: str, value: Any, dt: float) -> int:
+    """How many samples of dt [s] a pure delay lasts; raises ValueError unless it is a whole number of them, 0 to 1000.
+
+    One number for all cars of a batch: it decides how many values the state holds.
+    """
+    require(np.ndim(value) == 0, where, f"{name} [s] has shape {np.shape(value)}, expected one number for all cars")
+    require_within(where, name, value, "s", 0.0, 1000.0 * dt)
+    n = round(value / dt)
+    nearest = f"{n * dt:g} or {(n + 1 if value > n * dt else max(n - 1, 0)) * dt:g}"
+    ok = abs(value - n * dt) <= 1e-9
+    require(ok, where, f"{name} = {value} [s], expected a multiple of dt = {dt:g} s; valid: {nearest}, or a finer dt")
+    return n

@@ -1,0 +1,138 @@
+"""What the single-track plants share: ports, start, integration and how they roll at walking pace."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from steerkit import maths as m
+from steerkit.block import Block, In, Out, require
+from steerkit.maths import Scalar
+from steerkit.plants.checks import require_within
+from steerkit.plants.vehicle import Vehicle
+
+V_KINEMATIC = 1.0
+"""Up to this speed [m/s] a car rolls kinematically."""
+V_DYNAMIC = 3.0
+"""From this speed [m/s] on, its model is exactly the dynamic one."""
+TAU_KINEMATIC = 0.05
+"""Time constant [s] with which a slow car takes on kinematic rolling."""
+
+
+class SingleTrackState(NamedTuple):
+    """Pose and motion of the car, then the inputs last applied."""
+
+    x: Scalar
+    y: Scalar
+    psi: Scalar
+    sway: Scalar
+    """The sideways motion: beta [rad] in the linear, v_y [m/s] in the nonlinear model."""
+    r: Scalar
+    v: Scalar
+    delta_sw: Scalar
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SingleTrack(Block):
+    """A car as a single track, driven by steering-wheel angle and speed; abstract.
+
+    The model's five equations x' = rhs(x, delta, v) are integrated by `substeps` Runge-Kutta steps (order 4) a
+    sample, with inputs held and delta = delta_sw/steer_ratio. Slip angles divide by v; so that the car can stand
+    still, sideways motion and yaw rate are blended into kinematic rolling:
+
+        (sway, r)' = w (sway, r)'_dynamic + (1 - w) ((sway, r)_kinematic - (sway, r))/0.05 s,
+        w = smoothstep((v - 1)/(3 - 1)):  0 below 1 m/s, 1 (the model, exactly) from 3 m/s on.
+
+    inputs: delta_sw_in [rad], the angle at the steering wheel, after the actuator; it stops at the vehicle's
+    delta_sw_max; v_in [m/s], the speed that the human keeps. Both act from their sample to the next.
+    outputs, of state only: x, y [m] of the centre of gravity; psi [rad], any turn; v [m/s], its speed; beta [rad];
+    r [rad/s]; a_y [m/s^2]; delta_sw [rad]. v, a_y and delta_sw belong to the inputs last applied: where these jump,
+    they are limits from the left.
+    state: x, y, psi, sway (beta or v_y), r and the last inputs. Parameters and start may be `(N,)` arrays in a batch.
+    valid: v in [0, 40] m/s; there |eigenvalue| dt < 1.1 for the named cars, a third of what is stable. A NaN input
+    gives a NaN state. errors: ValueError for bad parameters.
+    """
+
+    delta_sw_in = In("rad", direct=False)
+    v_in = In("m/s", direct=False)
+    x = Out("m", direct=())
+    y = Out("m", direct=())
+    psi = Out("rad", direct=())
+    v = Out("m/s", direct=())
+    beta = Out("rad", direct=())
+    r = Out("rad/s", direct=())
+    a_y = Out("m/s^2", direct=())
+    delta_sw = Out("rad", direct=())
+
+    vehicle: Vehicle
+    """The car's parameters."""
+    x0: Scalar = 0.0
+    """Start position [m]."""
+    y0: Scalar = 0.0
+    """Start position [m]."""
+    psi0: Scalar = 0.0
+    """Start heading [rad]."""
+    v0: Scalar = 0.0
+    """Speed before the first sample [m/s]."""
+    substeps: int = 1
+    """Integration steps a sample."""
+    dt: float = 0.01
+
+    def __post_init__(self) -> None:
+        where = type(self).__name__
+        require(isinstance(self.vehicle, Vehicle), where, f"vehicle = {self.vehicle!r}; give a Vehicle, vehicle('...')")
+        require(isinstance(self.substeps, int) and self.substeps >= 1, where, f"substeps = {self.substeps!r}, >= 1")
+        require_within(where, "dt", self.dt, "s", 1e-6, 0.02 * self.substeps, "raise substeps for a longer dt")
+        for name, unit, limit in (("x0", "m", 1e7), ("y0", "m", 1e7), ("psi0", "rad", 1e4)):
+            require_within(where, name, getattr(self, name), unit, -limit, limit)
+        require_within(where, "v0", self.v0, "m/s", 0.0, 100.0)
+
+    def init(self, batch: tuple[int, ...] = ()) -> SingleTrackState:
+        start = (self.x0, self.y0, self.psi0, 0.0, 0.0, self.v0, 0.0)
+        return SingleTrackState(*[m.filled(value, batch) for value in start])
+
+    def update(self, t: Any, x: SingleTrackState, u: Any, y: Any) -> SingleTrackState:
+        stop = self.vehicle.delta_sw_max
+        delta_sw, v = m.clip(u.delta_sw_in, -stop, stop), u.v_in
+        held = self.held(delta_sw / self.vehicle.steer_ratio, v)
+        motion: Sequence[Scalar] = x[:5]
+        for _ in range(self.substeps):
+            motion = self._stepped(motion, held)
+        return SingleTrackState(*motion, v, delta_sw)
+
+    def _stepped(self, x: Sequence[Scalar], held: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
+        """`maths.rk4` written out for five states: half the time of a car's sample."""
+        h = self.dt / self.substeps
+        half, sixth = 0.5 * h, h / 6.0
+        x1, x2, x3, x4, x5 = x
+        f = self.motion
+        a1, a2, a3, a4, a5 = f(x, held)
+        b1, b2, b3, b4, b5 = f((x1 + half * a1, x2 + half * a2, x3 + half * a3, x4 + half * a4, x5 + half * a5), held)
+        c1, c2, c3, c4, c5 = f((x1 + half * b1, x2 + half * b2, x3 + half * b3, x4 + half * b4, x5 + half * b5), held)
+        d1, d2, d3, d4, d5 = f((x1 + h * c1, x2 + h * c2, x3 + h * c3, x4 + h * c4, x5 + h * c5), held)
+        return (
+            x1 + sixth * (a1 + 2.0 * (b1 + c1) + d1),
+            x2 + sixth * (a2 + 2.0 * (b2 + c2) + d2),
+            x3 + sixth * (a3 + 2.0 * (b3 + c3) + d3),
+            x4 + sixth * (a4 + 2.0 * (b4 + c4) + d4),
+            x5 + sixth * (a5 + 2.0 * (b5 + c5) + d5),
+        )
+
+    def rhs(self, x: Sequence[Scalar], delta: Scalar, v: Scalar) -> tuple[Scalar, ...]:
+        """x' of the five motion states x = (x, y, psi, sway, r) for road-wheel angle delta [rad] and speed v [m/s]."""
+        return self.motion(x, self.held(delta, v))
+
+    def held(self, delta: Scalar, v: Scalar) -> tuple[Scalar, ...]:
+        """All that stays the same while the inputs do; what `motion` needs of them."""
+        raise NotImplementedError
+
+    def motion(self, x: Sequence[Scalar], held: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
+        """The right-hand side, given what is held."""
+        raise NotImplementedError
+
+
+def dynamic_share(v: Scalar) -> Scalar:
+    """w(v), the share of the dynamic model: smoothstep from 1 to 3 m/s, 3 z^2 - 2 z^3."""
+    z = m.clip((v - V_KINEMATIC) / (V_DYNAMIC - V_KINEMATIC), 0.0, 1.0)
+    return z * z * (3.0 - 2.0 * z)

@@ -1,0 +1,134 @@
+"""The parameters of a car, and some cars by name."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+
+from steerkit.maths import Scalar
+from steerkit.plants.checks import require_within
+from steerkit.units import radians_of
+
+G = 9.81
+"""Gravity [m/s^2], as CommonRoad has it."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Vehicle:
+    """A car as a single track: what the plants, the controllers and the model predictions need to know of it.
+
+    Every number may be an `(N,)` array, for a batch of N different cars. L = l_f + l_r; at rest the axles carry
+    F_zf = m g l_r/L and F_zr = m g l_f/L; the axle forces are c_f alpha_f and c_r alpha_r at small slip angles, with
+    alpha_f = delta - beta - l_f r/v and alpha_r = -beta + l_r r/v. Raises ValueError for a number that no car has.
+    """
+
+    name: str
+    """Name, for messages and plots."""
+    m: Scalar
+    """Mass [kg]."""
+    i_z: Scalar
+    """Yaw inertia [kg m^2]."""
+    l_f: Scalar
+    """Centre of gravity to front axle [m]."""
+    l_r: Scalar
+    """Centre of gravity to rear axle [m]."""
+    c_f: Scalar
+    """Cornering stiffness of the front axle, both wheels [N/rad], > 0."""
+    c_r: Scalar
+    """Cornering stiffness of the rear axle, both wheels [N/rad], > 0."""
+    steer_ratio: Scalar
+    """Steering-wheel angle over road-wheel angle [1]."""
+    mu: Scalar = 1.0
+    """Friction coefficient between tyres and road [1]."""
+    delta_sw_max: float = radians_of(520.0)
+    """Mechanical stop of the steering wheel, to either side [rad]."""
+
+    def __post_init__(self) -> None:
+        where = f"Vehicle '{self.name}'"
+        for name, unit, low, high, hint in (
+            ("m", "kg", 0.5, 1e5, ""),
+            ("l_f", "m", 0.02, 20.0, ""),
+            ("l_r", "m", 0.02, 20.0, ""),
+            ("steer_ratio", "1", 1.0, 50.0, "a pure number, steering-wheel angle over road-wheel angle, such as 15.6"),
+            ("mu", "1", 0.01, 3.0, "dry asphalt is about 1, ice 0.1"),
+            ("delta_sw_max", "rad", 0.01, 30.0, "radians: radians_of(520)"),
+        ):
+            require_within(where, name, getattr(self, name), unit, low, high, hint)
+        for name, share in (("c_f", self.l_r), ("c_r", self.l_f)):
+            load = self.m * G * share / self.wheelbase
+            hint = "2 to 100 times the axle's load; positive, per axle (both wheels), per radian and not per degree"
+            require_within(where, name, getattr(self, name), "N/rad", 2.0 * load, 100.0 * load, hint)
+        point = self.m * self.l_f * self.l_r
+        require_within(where, "i_z", self.i_z, "kg m^2", 0.2 * point, 5.0 * point, "0.2 to 5 times m l_f l_r")
+
+    @property
+    def wheelbase(self) -> Scalar:
+        """L = l_f + l_r [m]."""
+        return self.l_f + self.l_r
+
+    @property
+    def understeer_gradient(self) -> Scalar:
+        """K = m (c_r l_r - c_f l_f) / (c_f c_r L) [rad s^2/m]: steady driving needs delta = L kappa + K v^2 kappa.
+
+        Then r/delta = v/(L + K v^2). K > 0 understeers. Source: Riekert, Schunck 1940; Mitschke, Wallentowitz 2004.
+        """
+        return self.m * (self.c_r * self.l_r - self.c_f * self.l_f) / (self.c_f * self.c_r * self.wheelbase)
+
+
+def _commonroad(name: str, m: float, i_z: float, l_f: float, l_r: float) -> Vehicle:
+    """A car of CommonRoad with c_f = mu C m g l_r/L, c_r = mu C m g l_f/L; mu C = 21.92, the tyre's p_ky1."""
+    per_metre = 21.92 * m * G / (l_f + l_r)
+    return Vehicle(
+        name=name, m=m, i_z=i_z, l_f=l_f, l_r=l_r, c_f=per_metre * l_r, c_r=per_metre * l_f, mu=1.0489, steer_ratio=16.0
+    )
+
+
+def _scaled(name: str, m: float, wheelbase: float, steer_ratio: float, mu: float) -> Vehicle:
+    """A car scaled from a measured one (m 1462, L 2.7, l_f 0.4 L, c_f 192150, c_r 202500, i_z 2500), l_f = 0.45 L."""
+    size = m / 1462.0
+    return Vehicle(
+        name=name,
+        m=m,
+        i_z=2500.0 * size * (wheelbase / 2.7) ** 2,
+        l_f=0.45 * wheelbase,
+        l_r=0.55 * wheelbase,
+        c_f=192150.0 * size * (0.55 / 0.6),
+        c_r=202500.0 * size * (0.45 / 0.4),
+        mu=mu,
+        steer_ratio=steer_ratio,
+    )
+
+
+VW_PASSAT = _scaled("vw-passat", m=1503.0 + 136.0, wheelbase=2.71, steer_ratio=15.6, mu=0.9)
+"""VW Passat (B6), the paper's car: no value of it was published; none of these is measured on it.
+
+wheelbase 2.71 m: manufacturer. m = 1503 kg + 136 kg of load, steer_ratio 15.6, centre of gravity at 0.45 of the
+wheelbase: opendbc, `car/volkswagen/values.py` (Passat NMS). c_f = 197 kN/rad, c_r = 255 kN/rad, i_z = 2824 kg m^2:
+scaled by mass and wheelbase from another car, as opendbc does (`car/interfaces.py`, `scale_rot_inertia`,
+`scale_tire_stiffness`). mu = 0.9: assumed, dry asphalt.
+"""
+
+BMW_320I = _commonroad("bmw-320i", m=1093.2952334674046, i_z=1791.5995300122856, l_f=1.1561957064, l_r=1.4227170936)
+"""BMW 320i of CommonRoad (vehicle 2): Althoff, Wuersching 2020, table 6; tyre of table 7.
+
+steer_ratio = 16 is assumed (CommonRoad steers the road wheels); all other values are theirs.
+"""
+
+FORD_ESCORT = _commonroad("ford-escort", m=1225.8878467253344, i_z=1538.8533713561394, l_f=0.88392, l_r=1.50876)
+"""Ford Escort of CommonRoad (vehicle 1): Althoff, Wuersching 2020, table 6; tyre of table 7.
+
+steer_ratio = 16 is assumed (CommonRoad steers the road wheels); all other values are theirs.
+"""
+
+VEHICLES = {car.name: car for car in (VW_PASSAT, BMW_320I, FORD_ESCORT)}
+"""The named cars."""
+
+
+def vehicle(name: str) -> Vehicle:
+    """The car of that name (case does not matter, nor does `_` or a space for `-`); raises ValueError otherwise."""
+    key = name.strip().lower().replace("_", "-").replace(" ", "-")
+    if key not in VEHICLES:
+        near = difflib.get_close_matches(key, VEHICLES, n=1, cutoff=0.4)
+        hint = f" (did you mean '{near[0]}'?)" if near else ""
+        raise ValueError(f"vehicle: '{name}' is not known{hint}; valid: {', '.join(VEHICLES)}")
+    return VEHICLES[key]
