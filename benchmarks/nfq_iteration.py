@@ -24,14 +24,14 @@ from steerkit.controllers.nfq_policy import IDOE_ACTIONS, NfqPolicy
 from steerkit.learning import rprop
 from steerkit.learning.costs import TanhCost
 from steerkit.learning.nfq import FitSetting, fresh_nets, iterate, targets
-from steerkit.learning.qnetwork import Net, new_net
+from steerkit.learning.qnetwork import new_net
 from steerkit.learning.state import STANDARD, patterns
 from steerkit.learning.transitions import Transitions
 
-TOLERANCE_10 = 1e-3
-"""Largest relative difference of the errors after 10 epochs: single precision, the same path."""
-TOLERANCE_300 = 0.25
-"""The same after 300: Rprop acts on signs, which magnify the last bit; the median over the starts must be this near."""
+TOLERANCE = {10: 1e-4, 300: 0.1}
+"""Largest relative difference of the errors after so many epochs. Weights move by signs, so both engines take the very
+same path until rounding turns one sign; after 10 epochs every start must agree, after 300 the median over the starts
+(PyTorch in single and in double precision differ by up to a tenth there)."""
 
 
 def drives(n: int, seed: int = 0) -> Transitions:
@@ -39,7 +39,7 @@ def drives(n: int, seed: int = 0) -> Transitions:
 
     A thousand cars at most go side by side over paths of random curvature; each starts anew at |e| > 0.5 m.
     """
-    rng, dt, cars = np.random.default_rng(seed), 0.05, min(n, 1000)
+    rng, dt, cars = np.random.default_rng(seed), 0.05, min(1000, 1 + n // 100)
     record = Transitions()
     e, psi_e, doe, kappa, v, episode = (np.zeros(cars) for _ in range(6))
     fresh, count = np.ones(cars, dtype=bool), 0
@@ -84,17 +84,18 @@ def in_turns(works: dict[str, Callable[[], Any]], repeats: int) -> dict[str, flo
     return {name: statistics.median(values) for name, values in times.items()}
 
 
-def equal_work(record: Transitions, nets: tuple[Net, ...], starts: int) -> dict[str, float]:
-    """Medians over the starts of our error relative to PyTorch's, after 10 and after 300 epochs."""
-    x = patterns(STANDARD, record.s, record.a, STANDARD.scale_of(IDOE_ACTIONS))
-    y = targets(record, IDOE_ACTIONS, TanhCost(), nets=nets)
+def equal_work(x: np.ndarray, y: np.ndarray, starts: int) -> dict[str, Any]:
+    """Our error relative to PyTorch's after 10 and 300 epochs: medians and extremes over the starts."""
     ours = [rprop.fit(new_net(seed=k), x, y, engine="c").errors for k in range(starts)]
     torch = [rprop.fit(new_net(seed=k), x, y, engine="torch").errors for k in range(starts)]
-    found: dict[str, float] = {"error_start": float(ours[0][0])}
+    found: dict[str, Any] = {"starts": starts, "error_0": float(ours[0][0])}
     for epoch in (10, 300):
-        found[f"error_{epoch}"] = statistics.median(e[epoch] for e in ours)
-        found[f"error_{epoch}_torch"] = statistics.median(e[epoch] for e in torch)
-        found[f"error_ratio_{epoch}"] = statistics.median(a[epoch] / b[epoch] for a, b in zip(ours, torch, strict=True))
+        ratios = [float(a[epoch] / b[epoch]) for a, b in zip(ours, torch, strict=True)]
+        found[f"error_{epoch}"], found[f"error_{epoch}_torch"] = float(ours[0][epoch]), float(torch[0][epoch])
+        found[f"error_ratio_{epoch}"] = statistics.median(ratios)
+        found[f"error_ratio_{epoch}_span"] = [min(ratios), max(ratios)]
+    every_start = max(abs(ratio - 1.0) for ratio in found["error_ratio_10_span"]) <= TOLERANCE[10]
+    found["equal_work"] = every_start and abs(found["error_ratio_300"] - 1.0) <= TOLERANCE[300]
     return found
 
 
@@ -116,30 +117,36 @@ def measure(quick: bool) -> dict[str, Any]:
     torch.set_num_threads(1)
     rprop.engine_of("auto")  # compile first
     n, sizes, repeats = (2_000, (500, 2_000), 3) if quick else (20_000, (2_000, 20_000, 200_000), 7)
-    record, nets = drives(n), fresh_nets(FitSetting(), seed=1)
+    record, nets, start = drives(n), fresh_nets(seed=1), new_net(seed=0)
+    x = patterns(STANDARD, record.s, record.a, STANDARD.scale_of(IDOE_ACTIONS))
+    y = targets(record, IDOE_ACTIONS, TanhCost(), nets=nets)
 
-    def iteration(engine: rprop.Engine, data: Transitions) -> Callable[[], Any]:
-        setting = FitSetting(engine=engine, hints=0)
+    def whole(data: Transitions) -> Callable[[], Any]:
+        setting = FitSetting(engine="c", hints=0)
         return lambda: iterate(data, IDOE_ACTIONS, TanhCost(), setting, nets_before=nets)
 
-    works = {"torch": iteration("torch", record), "ours": iteration("c", record)}
+    works: dict[str, Callable[[], Any]] = {
+        "ours": whole(record),
+        "fit": lambda: rprop.fit(start, x, y, engine="c"),
+        "torch": lambda: rprop.fit(start, x, y, engine="torch"),
+    }
     in_turns(works, 1)
     times = in_turns(works, repeats)
+    rest = max(0.0, times["ours"] - times["fit"])  # patterns and targets: granted to PyTorch at our speed
     found: dict[str, Any] = {
         "transitions": n,
         "epochs": 300,
         "seconds": times["ours"],
-        "seconds_torch": times["torch"],
-        "vs_torch_rprop_x": times["torch"] / times["ours"],
-        "seconds_targets": in_turns({"targets": lambda: targets(record, IDOE_ACTIONS, TanhCost(), nets=nets)}, 5)["targets"],
-        **equal_work(record, nets, 3 if quick else 5),
-    }  # fmt: skip
-    near_10 = abs(found["error_ratio_10"] - 1.0) <= TOLERANCE_10
-    found["equal_work"] = near_10 and abs(found["error_ratio_300"] - 1.0) <= TOLERANCE_300
-    grown = in_turns({str(size): iteration("c", drives(size)) for size in sizes}, 3)
+        "seconds_torch": times["torch"] + rest,
+        "vs_torch_rprop_x": (times["torch"] + rest) / times["ours"],
+        "seconds_fit": times["fit"],
+        "seconds_fit_torch": times["torch"],
+        **equal_work(x, y, 3 if quick else 7),
+    }
+    grown = in_turns({str(size): whole(drives(size)) for size in sizes}, 3)
+    each = [1e6 * grown[str(size)] / size for size in sizes]
     found |= {f"linear_seconds_{size}": grown[str(size)] for size in sizes}
-    found["linear_us_per_transition"] = [1e6 * grown[str(size)] / size for size in sizes]
-    found["linear_worst_x"] = found["linear_us_per_transition"][-1] / found["linear_us_per_transition"][0]
+    found |= {"linear_us_per_transition": each, "linear_worst_x": max(each) / min(each)}
     found |= {"decision_numpy_us": decision(), "decision_numpy_us_per_car_of_1000": decision(1000)}
     versions = {"torch": torch.__version__, "numpy": np.__version__, "python": platform.python_version()}
     return found | {"versions": versions, "machine": platform.machine(), "cores": os.cpu_count()}
@@ -147,21 +154,25 @@ def measure(quick: bool) -> dict[str, Any]:
 
 def table(found: dict[str, Any]) -> str:
     """The figures for reading."""
-    n = found["transitions"]
+    ours, torch = found["seconds"] * 1e3, found["seconds_torch"] * 1e3
     lines = [
-        f"one NFQ iteration: {n} transitions, 5 actions, targets + 300 epochs of full-batch Rprop, 7-10-10-1, one thread",
-        f"  {'steerkit (C)':24}{found['seconds'] * 1e3:10.1f} ms   (targets {found['seconds_targets'] * 1e3:.1f} ms of it)",
-        f"  {'torch.optim.Rprop':24}{found['seconds_torch'] * 1e3:10.1f} ms   {found['vs_torch_rprop_x']:.1f} times slower",
-    ]  # fmt: skip
+        f"one NFQ iteration on one thread: {found['transitions']} transitions, 5 actions; targets, then 300 epochs of",
+        "full-batch Rprop of a 7-10-10-1 net (patterns and targets of the reference are made at our speed)",
+        f"  {'steerkit (C)':24}{ours:10.1f} ms   of it the fit {found['seconds_fit'] * 1e3:.1f} ms",
+        f"  {'torch.optim.Rprop':24}{torch:10.1f} ms   {found['vs_torch_rprop_x']:.1f} times as long",
+    ]
     for peer in ("d3rlpy", "psipy"):
         there = importlib.util.find_spec(peer) is not None
-        lines.append(f"  {peer:24}{'installed, no full-batch Rprop to compare' if there else 'not installed':>10}")
+        lines.append(f"  {peer:24}{'installed, not timed: no like-for-like Rprop' if there else 'not installed':>13}")
     for epoch in (10, 300):
+        low, high = found[f"error_ratio_{epoch}_span"]
         lines.append(
-            f"mean squared error after {epoch:3d} epochs (median of starts): {found[f'error_{epoch}']:.6f}, PyTorch "
-            f"{found[f'error_{epoch}_torch']:.6f}, ratio {found[f'error_ratio_{epoch}']:.4f}"
+            f"mean squared error after {epoch:3d} epochs: {found[f'error_{epoch}']:.6f}, PyTorch "
+            f"{found[f'error_{epoch}_torch']:.6f}; ratio over {found['starts']} starts: median "
+            f"{found[f'error_ratio_{epoch}']:.6f}, {low:.4f} to {high:.4f}"
         )
-    lines.append(f"equal work (ratios within {TOLERANCE_10} and {TOLERANCE_300} of 1): {found['equal_work']}")
+    gate = f"all within {TOLERANCE[10]} of 1 after 10, the median within {TOLERANCE[300]} after 300"
+    lines.append(f"equal work ({gate}): {'yes' if found['equal_work'] else 'NO'}")
     for name, value in found.items():
         if name.startswith("linear_seconds_"):
             lines.append(f"  {name.rsplit('_', 1)[1]:>8} transitions {value * 1e3:10.1f} ms")

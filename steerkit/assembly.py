@@ -34,17 +34,19 @@ def steering_loop(
     supervisor: Supervisor | None = None,
     actuator: Block | None = None,
     sensors: Block | None = None,
+    reference: float = 0.0,
 ) -> Loop:
     """The standard wires between a car on a path, its driver and its steering controllers.
 
     controller: steers by itself (an output `delta_sw`), or picks actions (an output `action`) that `doe` turns into
     an angle. recovery: an analytic controller that steers while the learner is off, through `supervisor` (default:
     0.5 m and 0.1 m). actuator: between the command and the wheel (none: the command is the angle). sensors: what
-    the controllers see of the car (none: the truth).
+    the controllers see of the car (none: the truth). reference: where e is measured, m ahead of the centre of gravity
+    (the front axle is l_f).
 
     The blocks are named driver, car, actuator, sensors, path, controller, doe, recovery, supervisor. `path` tracks
-    the **true** centre of gravity, for logs and metrics; with sensors, `seen` tracks the measured one; a controller
-    that wants e elsewhere (its field `reference`, m ahead of the centre of gravity) gets a tracker of its own.
+    the **true** reference point, for logs and metrics; with sensors, `seen` tracks the measured one; a controller
+    that wants e elsewhere (its field `reference`) or a preview gets a tracker of its own.
     A controller's inputs are joined by name: e, e_dot, psi_e, kappa, r_e, s, progress, preview (its tracker), x, y,
     psi, v, beta, r, a_y (sensors or car), delta_sw_meas (actuator or car), doe (the DOE's state).
 
@@ -65,14 +67,14 @@ def steering_loop(
     bench.add("driver", driver)
     bench.add("car", car)
     steered = car if actuator is None else bench.add("actuator", actuator)
-    truth = bench.add("path", PathTracker(path=path, dt=controller.dt))
+    truth = bench.add("path", PathTracker(path=path, reference=reference, dt=controller.dt))
     bench.join(truth, car)
     bench.join(driver, truth)
     seen, tracker = car, truth
     if sensors is not None:
         seen = bench.add("sensors", sensors)
         bench.join(sensors, car)
-        tracker = bench.add("seen", PathTracker(path=path, dt=controller.dt))
+        tracker = bench.add("seen", PathTracker(path=path, reference=reference, dt=controller.dt))
         bench.join(tracker, sensors)
     bench.add("controller", controller)
     bench.control(controller, tracker, seen, steered, doe)
@@ -114,16 +116,16 @@ class _Bench:
         self.wires.append((getattr(source, out), getattr(sink, into)))
 
     def join(self, sink: Block, source: Block) -> None:
-        """Wires all inputs of `sink` that have the name of an output of `source`."""
+        """Wires all inputs of `sink` that have the name of an output of `source`, or that name and `_in`."""
         for name in _names(sink.inputs):
-            if name in _names(source.outputs):
-                self.wire(source, name, sink, name)
+            if name.removesuffix("_in") in _names(source.outputs):
+                self.wire(source, name.removesuffix("_in"), sink, name)
 
     def control(self, block: Block, tracker: Block, seen: Block, steered: Block, doe: Block | None) -> None:
         """Wires a controller's inputs by name, through a tracker at its own reference point if it asks for one."""
-        reference = getattr(block, "reference", 0.0) if "reference" in _fields(block) else 0.0
-        points = getattr(block, "preview_points", 0) if "preview_points" in _fields(block) else 0
-        if reference != 0.0 or points:
+        reference = getattr(block, "reference") if "reference" in _fields(block) else tracker.reference
+        points = getattr(block, "preview_points") if "preview_points" in _fields(block) else 0
+        if reference != tracker.reference or points:
             role = next(name for name, b in self.blocks.items() if b is block)
             preview = {"preview_points": points, "preview_dt": block.preview_dt} if points else {}
             tracker = self.add(f"{role}_path", PathTracker(path=self.path, reference=reference, dt=block.dt, **preview))

@@ -33,11 +33,11 @@ class In:
         self.name = name
 
     @overload
-    def __get__(self, block: None, owner: type) -> Self: ...
+    def __get__(self, block: Port | None, owner: type) -> Self: ...
     @overload
     def __get__(self, block: Block, owner: type) -> Port: ...
-    def __get__(self, block: Block | None, owner: type) -> Self | Port:
-        return self if block is None else Port(block, self)
+    def __get__(self, block: Block | Port | None, owner: type) -> Self | Port:
+        return Port(block, self) if isinstance(block, Block) else self
 
 
 class Out:
@@ -56,11 +56,11 @@ class Out:
         self.name = name
 
     @overload
-    def __get__(self, block: None, owner: type) -> Self: ...
+    def __get__(self, block: Port | None, owner: type) -> Self: ...
     @overload
     def __get__(self, block: Block, owner: type) -> Port: ...
-    def __get__(self, block: Block | None, owner: type) -> Self | Port:
-        return self if block is None else Port(block, self)
+    def __get__(self, block: Block | Port | None, owner: type) -> Self | Port:
+        return Port(block, self) if isinstance(block, Block) else self
 
 
 class Port(NamedTuple):
@@ -123,7 +123,7 @@ class Block:
         """The state at t = 0."""
         return ()
 
-    def settle(self, t: float, x: State, u: Any) -> State:
+    def settle(self, t: float, x: Any, u: Any) -> State:
         """The state to start from, given the first direct inputs."""
         return x
 

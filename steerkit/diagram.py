@@ -42,11 +42,10 @@ class Box:
 
 @dataclass(eq=False)
 class Line:
-    """A wire in the picture: from block number `source`, along `points`; `net` numbers the output it belongs to."""
+    """An output's wire in the picture: from block number `source`, one polyline to each input that it drives."""
 
     source: int
-    net: int
-    points: list[Point]
+    ways: list[list[Point]]
 
 
 @dataclass(frozen=True)
@@ -96,7 +95,7 @@ def _box(loop: Loop, i: int) -> Box:
     rate_text = f"{rate:.4g} Hz"
     rows = max(len(block.inputs), len(outputs), 1)
     wide = max([len(p.name) for p in block.inputs], default=0) + max(map(len, labels.values()), default=0)
-    width = CHARACTER * max(wide + 4, len(name) * 1.15 + len(rate_text) + 3, len(type(block).__name__) * 0.85 + 2)
+    width = CHARACTER * max(wide + 4, len(name) * 1.35 + len(rate_text) + 3, len(type(block).__name__) * 0.85 + 2)
     return Box(
         name=name,
         kind=type(block).__name__,
@@ -132,10 +131,10 @@ def _layers(n: int, nets: Sequence[_Net], order: Order) -> list[int]:
     layer = [0] * n
     for k, block in enumerate(order):
         layer[block] = max([layer[a] + 1 for a in order[:k] if weight.get((a, block))], default=0)
-    for k in reversed(range(n)):  # sources move up to those they feed
-        after = [layer[b] for b in order[k + 1 :] if weight.get((order[k], b))]
-        if after:
-            layer[order[k]] = min(after) - 1
+    for k in reversed(range(n)):  # one with more wires ahead than behind moves up to those it feeds
+        ahead = {b: weight[order[k], b] for b in order[k + 1 :] if weight.get((order[k], b))}
+        if sum(ahead.values()) > sum(weight.get((a, order[k]), 0) for a in order[:k]):
+            layer[order[k]] = min(layer[b] for b in ahead) - 1
     return layer
 
 
@@ -230,7 +229,7 @@ class _Router:
     def diagram(self) -> Diagram:
         """The finished picture."""
         self.place()
-        bottom = max(box.y + box.height for box in self.boxes)
+        bottom = max(node.y + node.height for node in self.node.values())
         returning = [net for net in self.nets if any(self.layer[s] <= self.layer[net.source] for s, _ in net.sinks)]
         returning.sort(key=lambda net: self.layer[net.source] - min(self.layer[s] for s, _ in net.sinks))
         for n, net in enumerate(returning):
@@ -244,7 +243,7 @@ class _Router:
                 for box in inside:
                     box.width, box.x = width, x
                 x += width
-        lines = [Line(net.source, k, points) for k, net in enumerate(self.nets) for points in self._ways(k)]
+        lines = [Line(net.source, list(self._ways(k))) for k, net in enumerate(self.nets)]
         return Diagram(self.boxes, tuple(lines), x, bottom + 1.0 + 0.8 * len(returning))
 
     def _channel(self, channel: int, x: float) -> float:

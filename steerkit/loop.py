@@ -6,6 +6,8 @@ import dataclasses
 import difflib
 import graphlib
 import math
+import zipfile
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
@@ -135,7 +137,7 @@ class Loop:
         y: list[Any] = [None] * len(x)
         for call in self.calls:
             block = self._list[call.block]
-            u = block.D(*[math.nan if s is None else y[s[0]][s[1]] for s in call.sources])
+            u: Any = block.D(*[math.nan if s is None else y[s[0]][s[1]] for s in call.sources])
             try:
                 if call.final:
                     x[call.block] = block.settle(0.0, x[call.block], u)
@@ -189,35 +191,29 @@ class Loop:
 
     def save_state(self, state: LoopState, file: str | FilePath) -> None:
         """Write a loop state to a NumPy .npz file, bit for bit."""
-        arrays = {f"x.{n}": np.array(x, dtype=float) for n, x in zip(self.names, state.x)}
-        for n, block, y in zip(self.names, self._list, state.y):
-            arrays |= {f"y.{n}.{out.name}": np.array(v, dtype=float) for out, v in zip(block.outputs, y)}
+        arrays = {"k": np.array(state.k)}
+        for name, block, x, y in zip(self.names, self._list, state.x, state.y):
+            arrays[f"x.{name}"] = _packed(x)
+            arrays |= {f"y.{name}.{out.name}": _packed(value) for out, value in zip(block.outputs, y)}
         with FilePath(file).open("wb") as stream:  # a stream, since savez would append .npz to a name
-            np.savez(stream, k=np.array(state.k), **arrays)  # type: ignore[arg-type]
+            np.savez(stream, **arrays)  # type: ignore[arg-type]
 
     def load_state(self, file: str | FilePath) -> LoopState:
         """Read what `save_state` wrote for a loop of the same blocks; raises ValueError for any other file."""
-        try:
-            with np.load(file, allow_pickle=False) as data:
-                stored = {key: data[key] for key in data.files}
-        except (OSError, ValueError, EOFError) as error:
-            raise ValueError(f"load_state: {file} is no loop state ({error})") from error
+        stored = read_npz(file, "load_state")
+        signals = [f"y.{name}" for name in self.units]
+        known = {"k", *(f"x.{name}" for name in self.names), *signals}
+        for verb, keys in (("lacks", known - stored.keys()), ("holds", stored.keys() - known)):
+            if keys:
+                raise ValueError(f"load_state: {file} {verb} {min(keys)}; it is no state of {self!r}")
         x, y = [], []
         for name, block in self.blocks.items():
-            keys = [f"x.{name}", *(f"y.{name}.{out.name}" for out in block.outputs)]
-            missing = [key for key in keys if key not in stored]
-            if missing:
-                raise ValueError(f"load_state: {file} lacks {missing[0]}; it was saved from another loop")
-            template = block.init()
-            values = stored[f"x.{name}"]
+            template, values = block.init(), stored[f"x.{name}"]
             if len(values) != len(template):
-                raise ValueError(f"load_state: {name} has {len(template)} states, the file has {len(values)}")
+                raise ValueError(f"load_state: {name} has {len(template)} states, {file} has {len(values)}")
             x.append(_like(template, values))
-            y.append(
-                block.Y(
-                    *[_unpacked(stored[key], vector=out.size is not None) for key, out in zip(keys[1:], block.outputs)]
-                )
-            )
+            ports = [(stored[f"y.{name}.{out.name}"], out.size is not None) for out in block.outputs]
+            y.append(block.Y(*[_unpacked(value, vector=vector) for value, vector in ports]))
         return LoopState(int(stored["k"]), tuple(x), tuple(y))
 
     # ---- building -------------------------------------------------------------------------------------------
@@ -309,9 +305,9 @@ class Loop:
         for (i, name), (j, out) in self.source.items():
             graph[f"{self.names[i]}.{name}"] = [f"{self.names[j]}.{self._list[j].outputs[out].name}"]
         for name, block in self.blocks.items():
-            for out in block.outputs:
-                direct = block.inputs if out.direct is None else out.direct
-                graph[f"{name}.{out.name}"] = [f"{name}.{p.name}" for p in direct if p.direct]
+            for port in block.outputs:
+                direct = block.inputs if port.direct is None else port.direct
+                graph[f"{name}.{port.name}"] = [f"{name}.{p.name}" for p in direct if p.direct]
         try:
             graphlib.TopologicalSorter(graph).prepare()
         except graphlib.CycleError as error:
@@ -391,6 +387,22 @@ def _base_step(blocks: Mapping[str, Block], dt: float | None) -> tuple[float, tu
 def _nearest(name: str, names: Any) -> str:
     near = difflib.get_close_matches(name, list(names), n=1)
     return f"; did you mean '{near[0]}'?" if near else ""
+
+
+def read_npz(file: str | FilePath, where: str) -> dict[str, np.ndarray]:
+    """The arrays in a NumPy .npz file; raises ValueError, in the name of `where`, for any other or a broken file."""
+    try:
+        with FilePath(file).open("rb") as stream, np.lib.npyio.NpzFile(stream, allow_pickle=False) as data:
+            return {key: data[key] for key in data.files}
+    except FileNotFoundError:
+        raise
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error) as error:
+        raise ValueError(f"{where}: {file} is no NumPy .npz file, or a broken one ({error})") from error
+
+
+def _packed(values: Any) -> np.ndarray:
+    """Scalars as one array; those that are the same for all cars of a batch are repeated."""
+    return np.array(np.broadcast_arrays(*values) if isinstance(values, tuple) and values else values, dtype=float)
 
 
 def _unpacked(value: np.ndarray, *, vector: bool) -> Any:

@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 _DEGREE = 5  # curvature and its first two derivatives are continuous
 _FEWEST_SEGMENTS = 12  # a periodic quintic needs some
 _FEWEST_CLOSED = 6
+_OFF = 0.01  # largest distance between the waypoints' spline and the path, in segments
 _UNEVEN = 1e-3  # largest | |c'| - 1 | that still deserves the name arc length
 
 
@@ -66,7 +67,7 @@ class Path:
         smoothing [m]: RMS distance that the path may keep from the waypoints; 0 for exact points, about the
         position noise for recorded ones. spacing [m]: longest segment; a few to the tightest radius is enough.
         Raises ValueError: wrong shape, too few, non-finite or repeated points, degrees instead of metres, ends that
-        do not meet although closed, or bends too tight for `spacing`.
+        do not meet although closed, a curve that folds back, or detail too fine for `spacing`.
         """
         where = f"Path '{name}'"
         points = _checked(np.asarray(xy, dtype=float), where)
@@ -132,12 +133,11 @@ class Path:
         for _ in range(4):
             curve, end, n = _even(curve, end, closed, spacing, f"Path '{name}'")
         h = end / n
-        fine = (np.arange(8 * n) + 0.5) * h / 8.0
-        uneven = float(np.abs(np.hypot(*curve(fine, 1).T) - 1.0).max())
+        uneven = float(np.abs(np.hypot(*curve((np.arange(8 * n) + 0.5) * h / 8.0, 1).T) - 1.0).max())
         if uneven > _UNEVEN:
             raise ValueError(
-                f"Path '{name}': arc length is uneven by {uneven:.2g}, expected at most {_UNEVEN:g}: some bend is too "
-                f"tight for spacing {h:.3g} [m]; give a smaller spacing, or smoothing > 0 for noisy points"
+                f"Path '{name}': arc length is uneven by {uneven:.2g}, expected at most {_UNEVEN:g}: a bend is too tight "
+                f"for spacing {h:.3g} [m]; give a smaller spacing, or smoothing > 0 for noisy points"
             )
         middle = (np.arange(n) + 0.5) * h
         rows = np.stack([curve(middle, k) / math.factorial(k) for k in range(_DEGREE + 1)])  # (k, n, xy)
@@ -267,8 +267,7 @@ def read_columns(text: str, where: str) -> dict[str, Array]:
     lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip() and line.lstrip()[0] != "#"]
     if len(lines) < 2:
         raise ValueError(f"{where}: no rows, expected a header such as 'x,y' or 'lat,lon' and one point a line")
-    names, *rows = ([cell.strip() for cell in row] for row in csv.reader(line for _, line in lines))
-    names = [name.lower() for name in names]
+    names, *rows = ([cell.strip().lower() for cell in row] for row in csv.reader(line for _, line in lines))
     if all(_is_number(name) for name in names):
         raise ValueError(f"{where}: line {lines[0][0]} holds numbers, expected a header such as 'x,y' or 'lat,lon'")
     for (k, line), row in zip(lines[1:], rows):
@@ -296,7 +295,7 @@ def _steps(points: Array) -> Array:
     return np.hypot(*np.diff(points, axis=0).T)
 
 
-def _few(indices: Array) -> str:
+def _few(indices: NDArray[np.intp]) -> str:
     return ", ".join(map(str, indices[:5])) + (f" and {len(indices) - 5} more" if len(indices) > 5 else "")
 
 
@@ -358,7 +357,7 @@ def _check_gps(lat: Array, lon: Array, where: str) -> None:
         k = wrong[0]
         swapped = "; swapped?" if np.abs(lat).max() <= 180.0 and np.abs(lon).max() <= 90.0 else ""
         raise ValueError(
-            f"{where}: position {k} is lat {lat[k]:g}, lon {lon[k]:g} [degrees], expected -90..90 and -180..180{swapped}"
+            f"{where}: position {k}: lat {lat[k]:g}, lon {lon[k]:g} [degrees], expected -90..90 and -180..180{swapped}"
         )
     if np.abs(lat).max() <= math.pi / 2.0 and np.abs(lon).max() <= math.pi:  # open sea, if they were degrees
         raise ValueError(f"{where}: lat {lat[0]:g}, lon {lon[0]:g} look like radians, expected degrees")
@@ -394,4 +393,12 @@ def _even(curve: Any, end: float, closed: bool, spacing: float, where: str) -> t
     points = curve(np.clip(CubicHermiteSpline(s, u, 1.0 / np.hypot(*curve(u, 1).T))(knots), 0.0, end))
     if closed:
         points[-1] = points[0]
-    return _spline(knots, points, _DEGREE, closed), length, n
+    even = _spline(knots, points, _DEGREE, closed)
+    off = np.hypot(*(even(s) - curve(u)).T)
+    if float(off.max()) > _OFF * length / n:
+        x, y = curve(u[off.argmax()])
+        raise ValueError(
+            f"{where}: has detail near ({x:.2f}, {y:.2f}) [m] too fine for spacing {length / n:.3g} [m] "
+            f"({off.max():.2g} m are lost); give a smaller spacing, or smoothing > 0 for noisy points"
+        )
+    return even, length, n

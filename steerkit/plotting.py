@@ -37,7 +37,7 @@ COLOURS = {
 }
 """Colours with a meaning: who steers, the goal band, limits; and what the style is made of."""
 
-_STYLE = {
+_STYLE: dict[Any, Any] = {
     "font.size": 9.0,
     "axes.titlesize": 9.5,
     "axes.titlelocation": "left",
@@ -69,7 +69,7 @@ def style() -> Any:
     import matplotlib as mpl
     from cycler import cycler
 
-    return mpl.rc_context({**_STYLE, "axes.prop_cycle": cycler(color=PALETTE)})
+    return mpl.rc_context(_STYLE | {"axes.prop_cycle": cycler(color=PALETTE)})
 
 
 def new_figure(
@@ -110,7 +110,7 @@ def plot_log(log: Log, signals: Sequence[Signal] | None = None, *, ax: Any = Non
         panels = tuple(np.atleast_1d(ax).flat)
         if len(panels) != len(by_unit):
             raise ValueError(f"plot_log: {len(panels)} axes for {len(by_unit)} units ({', '.join(by_unit)})")
-        figure = panels[0].figure
+        figure = panels[0].get_figure(root=True)  # type: ignore[assignment]
     for panel, (unit, group) in zip(panels, by_unit.items()):
         for number, name in enumerate(group):
             lines = log[name].reshape(len(log.t), -1)
@@ -145,8 +145,8 @@ def plot_diagram(loop: Loop) -> Figure:
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set(xlim=(-margin, picture.width + margin), ylim=(picture.height + margin + 0.8, -margin), aspect="equal")
     axes.axis("off")
-    for line in picture.lines:
-        _draw_wire(axes, line)
+    for number, line in enumerate(picture.lines):  # the halo of a later wire cuts the earlier ones where they cross
+        _draw_wire(axes, line, PALETTE[line.source % len(PALETTE)], 1.0 + number / 100.0)
     for number, box in enumerate(picture.boxes):
         hollow = {port.name for port in loop.blocks[box.name].inputs if not port.direct}
         _draw_box(axes, box, PALETTE[number % len(PALETTE)], hollow)
@@ -155,20 +155,21 @@ def plot_diagram(loop: Loop) -> Figure:
     return figure
 
 
-def _draw_wire(axes: Axes, line: Line) -> None:
+def _draw_wire(axes: Axes, line: Line, colour: str, order: float) -> None:
     from matplotlib.patches import PathPatch
     from matplotlib.path import Path as Curve
 
-    radius = 0.28
-    points, codes = [line.points[0]], [Curve.MOVETO]
-    corners = zip(line.points, line.points[1:], line.points[2:])
-    for before, corner, after in corners:
-        points += [_towards(corner, before, radius), corner, _towards(corner, after, radius)]
-        codes += [Curve.LINETO, Curve.CURVE3, Curve.CURVE3]
-    points.append(line.points[-1])
-    codes.append(Curve.LINETO)
-    order = 1.0 + line.net / 100.0  # the halo of a later net cuts the earlier ones where they cross
-    for shade, width, above in ((COLOURS["paper"], 4.0, 0.0), (PALETTE[line.source % len(PALETTE)], 1.2, 0.005)):
+    points: list[tuple[float, float]] = []
+    codes: list[Any] = []
+    for way in line.ways:
+        points.append(way[0])
+        codes.append(Curve.MOVETO)
+        for before, corner, after in zip(way, way[1:], way[2:]):
+            points += [_towards(corner, before), corner, _towards(corner, after)]
+            codes += [Curve.LINETO, Curve.CURVE3, Curve.CURVE3]
+        points.append(way[-1])
+        codes.append(Curve.LINETO)
+    for shade, width, above in ((COLOURS["paper"], 4.0, 0.0), (colour, 1.2, 0.005)):
         axes.add_patch(PathPatch(Curve(points, codes), fc="none", ec=shade, lw=width, zorder=order + above))
 
 
@@ -189,7 +190,8 @@ def _draw_box(axes: Axes, box: Box, colour: str, hollow: set[str]) -> None:
     head.set_clip_path(shape)
     axes.add_patch(FancyBboxPatch((box.x, box.y), box.width, box.height, boxstyle="round,pad=0,rounding_size=0.35",
                                   fc="none", ec=colour, lw=1.2, zorder=4.2))  # fmt: skip
-    ink, muted, text = COLOURS["ink"], COLOURS["muted"], {"zorder": 5, "va": "center"}
+    ink, muted = COLOURS["ink"], COLOURS["muted"]
+    text: dict[str, Any] = {"zorder": 5, "va": "center"}
     axes.text(box.x + 0.5, box.y + 0.68, box.name, fontsize=9, fontweight="bold", color=ink, **text)
     axes.text(box.x + 0.5, box.y + 1.5, box.kind, fontsize=7, color=colour, **text)
     axes.text(box.x + box.width - 0.5, box.y + 0.68, box.rate, fontsize=7, color=ink, ha="right", **text)
@@ -206,11 +208,11 @@ def _draw_box(axes: Axes, box: Box, colour: str, hollow: set[str]) -> None:
         axes.text(box.x + box.width - 0.5, box.y + HEAD + 0.5, "not wired", fontsize=7, color=muted, ha="right", **text)
 
 
-def _towards(corner: tuple[float, float], other: tuple[float, float], radius: float) -> tuple[float, float]:
+def _towards(corner: tuple[float, float], other: tuple[float, float], radius: float = 0.28) -> tuple[float, float]:
     """The point on the way from a corner to its neighbour where the rounding begins."""
     dx, dy = other[0] - corner[0], other[1] - corner[1]
-    length = max(abs(dx), abs(dy))
-    part = min(radius, 0.5 * length) / length if length else 0.0
+    length = abs(dx) + abs(dy)
+    part = min(radius / length, 0.5) if length else 0.0
     return corner[0] + part * dx, corner[1] + part * dy
 
 
@@ -219,8 +221,10 @@ def plot_course(path: Path, *, title: str | None = None) -> Figure:
     figure, (above, along) = new_figure(1, map_beside=True, height=4.2, title=repr(path) if title is None else title)
     line = path.samples
     bound = float(np.abs(line.kappa).max()) or 1.0
-    dots = above.scatter(*line.xy.T, c=line.kappa, cmap="coolwarm_r", vmin=-bound, vmax=bound, s=9, lw=0, zorder=2)
-    above.plot(*line.xy.T, color=COLOURS["muted"], lw=0.6, zorder=1)
+    dots = above.scatter(
+        line.xy[:, 0], line.xy[:, 1], c=line.kappa, cmap="coolwarm_r", vmin=-bound, vmax=bound, s=9, lw=0, zorder=2
+    )
+    above.plot(line.xy[:, 0], line.xy[:, 1], color=COLOURS["muted"], lw=0.6, zorder=1)
     start, heading = line.xy[0], line.psi[0]
     reach = 0.08 * float(np.ptp(line.xy, axis=0).max())
     tip = start + reach * np.array([np.cos(heading), np.sin(heading)])
@@ -228,7 +232,8 @@ def plot_course(path: Path, *, title: str | None = None) -> Figure:
     above.plot(*start, "o", color=COLOURS["ink"], ms=5, zorder=3)
     above.annotate("start", start, xytext=(6, -11), textcoords="offset points", color=COLOURS["ink"], fontsize=8)
     above.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
-    figure.colorbar(dots, ax=above, label="kappa [1/m], + = left", shrink=0.7)
+    with style():
+        figure.colorbar(dots, ax=above, label="kappa [1/m], + = left", shrink=0.7)
     along.axhline(0.0, color=COLOURS["muted"], lw=0.7)
     along.plot(line.s, line.kappa, color=COLOURS["learned"])
     along.set(xlabel="s [m]", ylabel="kappa [1/m]")

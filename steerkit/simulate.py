@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from steerkit.block import Port
-from steerkit.loop import Loop, LoopState, Sample
+from steerkit.loop import Loop, LoopState, Sample, read_npz
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -104,12 +104,10 @@ class Log(Mapping[str, np.ndarray]):
     @classmethod
     def load(cls, file: str | FilePath) -> Log:
         """Read what `save` wrote; raises ValueError for any other or a broken file."""
-        try:
-            with np.load(file, allow_pickle=False) as data:
-                arrays = {key: data[key] for key in data.files}
-            t, units = arrays.pop("t"), dict(str(row).split("\t") for row in arrays.pop("units"))
-        except (OSError, ValueError, EOFError, KeyError) as error:
-            raise ValueError(f"Log.load: {file} is no log written by Log.save ({error})") from error
+        arrays = read_npz(file, "Log.load")
+        if not {"t", "units"} <= arrays.keys():
+            raise ValueError(f"Log.load: {file} was not written by Log.save; it holds {', '.join(arrays) or 'nothing'}")
+        t, units = arrays.pop("t"), dict(str(row).split("\t") for row in arrays.pop("units"))
         return cls(t, arrays, units)
 
     def plot(self, *signals: Signal, ax: Any = None) -> Any:

@@ -89,10 +89,13 @@ class Guarded(Block):
     block: Block
 
     def __post_init__(self) -> None:
-        for name in ("inputs", "outputs", "U", "D", "Y", "dt"):  # the ports of the block inside, on this object
+        for name in ("inputs", "outputs", "U", "D", "Y", "dt", "pure"):  # those of the block inside, on this object
             object.__setattr__(self, name, getattr(self.block, name))
-        for spec in (*self.block.inputs, *self.block.outputs):
+        ports: tuple[In | Out, ...] = (*self.block.inputs, *self.block.outputs)
+        for spec in ports:
             object.__setattr__(self, spec.name, Port(self, spec))
+            if isinstance(spec.size, str):
+                object.__setattr__(self, spec.size, getattr(self.block, spec.size))
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         return self.block.init(batch)
@@ -105,7 +108,8 @@ class Guarded(Block):
             return self.block.output(t, x, u)
         except Exception:
             logging.getLogger("steerkit").exception("%s.output failed at t = %s s", type(self.block).__name__, t)
-            return self.Y(*[math.nan] * len(self.outputs))
+            sizes = [Port(self, out).size for out in self.outputs]
+            return self.Y(*[math.nan if n is None else (math.nan,) * n for n in sizes])
 
     def update(self, t: Any, x: Any, u: Any, y: Any) -> State:
         try:

@@ -106,9 +106,7 @@ def random_course(seed: int, *, length: float = 500.0, max_kappa: float = 0.1, n
     xy = np.column_stack((r * np.cos(phi), r * np.sin(phi)))
     around = np.hypot(r, low * slope).mean() * 2.0 * math.pi  # exact to rounding: a smooth periodic integrand
     spacing = min(1.0, 0.08 / max_kappa)
-    return Path.from_waypoints(
-        xy * length / around, closed=True, spacing=spacing, name=name or f"random-{seed}"
-    )
+    return Path.from_waypoints(xy * length / around, closed=True, spacing=spacing, name=name or f"random-{seed}")
 
 
 def bends(plan: Sequence[Bend], *, spacing: float = 1.0, name: str = "bends") -> Path:

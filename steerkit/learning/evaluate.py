@@ -41,6 +41,7 @@ def drive_loop(world: World, steering: Block, *, doe: Block | None = None, seed:
         recovery=world.recovery() if learned else None,
         actuator=world.actuator(),
         sensors=world.sensors(seed),
+        reference=world.ahead,
     )
 
 

@@ -136,6 +136,7 @@ class LearningRun:
             recovery=world.recovery(),
             actuator=world.actuator(),
             sensors=world.sensors(experiment.seed),
+        reference=world.ahead,
         )
         start = self.loop.init()
         self.x, self.y = list(start.x), list(start.y)

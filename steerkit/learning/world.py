@@ -9,6 +9,7 @@ from steerkit.block import Block, require
 from steerkit.controllers.stanley import Stanley
 from steerkit.courses import course
 from steerkit.path import Path
+from steerkit.plants.careful_driver import CarefulDriver
 from steerkit.plants.human_driver import HumanDriver
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
@@ -30,6 +31,8 @@ class World:
     """Name of a car: see `steerkit.plants.vehicle`."""
     plant: str = "nonlinear"
     """`nonlinear` or `linear` single-track."""
+    reference: str = "front"
+    """Where e is measured, learned and judged: `front` axle (as Stanley does) or centre of gravity, `cg`."""
     lag: float = 0.12
     """First-order lag of the steering actuator [s]."""
     delay: float = 0.0
@@ -45,6 +48,7 @@ class World:
 
     def __post_init__(self) -> None:
         require(self.plant in PLANTS, "World", f"plant '{self.plant}'; valid: {', '.join(PLANTS)}")
+        require(self.reference in ("front", "cg"), "World", f"reference '{self.reference}'; valid: front, cg")
         require(0.0 < self.v_min <= self.v_max, "World", f"v_min = {self.v_min}, v_max = {self.v_max} m/s")
 
     @classmethod
@@ -60,6 +64,11 @@ class World:
         """The car's parameters."""
         return vehicle(self.vehicle_name)
 
+    @property
+    def ahead(self) -> float:
+        """The reference point's distance ahead of the centre of gravity [m]."""
+        return self.vehicle.l_f if self.reference == "front" else 0.0
+
     def path(self) -> Path:
         """The course's path."""
         return course(self.course)
@@ -69,8 +78,8 @@ class World:
         return placed(PLANTS[self.plant](vehicle=self.vehicle, v0=self.v_min), path, s=s)
 
     def driver(self, seed: int) -> Block:
-        """The human who sets the speed."""
-        return HumanDriver(v_min=self.v_min, v_max=self.v_max, seed=seed)
+        """The human who sets the speed, and slows down for bends."""
+        return CarefulDriver(path=self.path(), driver=HumanDriver(v_min=self.v_min, v_max=self.v_max, seed=seed))
 
     def actuator(self) -> Block:
         """The motor at the steering wheel."""

@@ -5,32 +5,19 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from steerkit import maths as m
-from steerkit.block import Block, In, Out, require
+from steerkit.block import Block, In, Out, State, require
 from steerkit.maths import Scalar, Table
 from steerkit.plants.checks import require_within
 from steerkit.random import normals, seed_state
 
 _STREAM = 1  # of `seed_state`: the drivers'
 _FASTEST = 60.0  # m/s
-
-
-class HumanDriverState(NamedTuple):
-    """The wander z, the foot g that follows it, and the six numbers of the random generator."""
-
-    z: Scalar
-    g: Scalar
-    random: Scalar
-    random_1: Scalar
-    random_2: Scalar
-    random_3: Scalar
-    random_4: Scalar
-    random_5: Scalar
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -81,26 +68,27 @@ class HumanDriver(Block):
         variance = (2.0 * a * cross + 1.0 - a) / (1.0 + a)
         return f, math.sqrt(1.0 - f * f), a, cross, variance
 
-    def init(self, batch: tuple[int, ...] = ()) -> HumanDriverState:
+    def init(self, batch: tuple[int, ...] = ()) -> State:
         _, _, _, cross, variance = self._moments
         n1, n2, random = normals(seed_state(self.seed, batch, stream=_STREAM))
-        return HumanDriverState(n1, cross * n1 + math.sqrt(variance - cross * cross) * n2, *random)
+        return (n1, cross * n1 + math.sqrt(variance - cross * cross) * n2, *random)
 
-    def output(self, t: Any, x: HumanDriverState, u: Any) -> Any:
+    def output(self, t: Any, x: State, u: Any) -> Any:
         half = 0.5 * (self.v_max - self.v_min)
-        return self.Y(self.v_min + half * (1.0 + m.tanh(x.g / math.sqrt(self._moments[4]))))
+        return self.Y(self.v_min + half * (1.0 + m.tanh(x[1] / math.sqrt(self._moments[4]))))
 
-    def update(self, t: Any, x: HumanDriverState, u: Any, y: Any) -> HumanDriverState:
+    def update(self, t: Any, x: State, u: Any, y: Any) -> State:
         f, spread, a, _, _ = self._moments
-        n, _, random = normals(x[2:])
-        return HumanDriverState(f * x.z + spread * n, a * x.g + (1.0 - a) * x.z, *random)
+        z, g, *random = x
+        n, _, after = normals(tuple(random))
+        return (f * z + spread * n, a * g + (1.0 - a) * z, *after)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ConstantSpeed(Block):
     """A driver who keeps one speed: v = speed.
 
-    no inputs, no state. output: v [m/s]. errors: ValueError for a speed out of range.
+    no inputs. output, and state: v [m/s]. errors: ValueError for a speed out of range.
     """
 
     v = Out("m/s", direct=())
@@ -113,8 +101,11 @@ class ConstantSpeed(Block):
         require_within("ConstantSpeed", "speed", self.speed, "m/s", 0.0, _FASTEST)
         require_within("ConstantSpeed", "dt", self.dt, "s", 1e-6, 1.0)
 
-    def output(self, t: Any, x: Any, u: Any) -> Any:
-        return self.Y(self.speed)
+    def init(self, batch: tuple[int, ...] = ()) -> State:
+        return (m.filled(self.speed, batch),)
+
+    def output(self, t: Any, x: State, u: Any) -> Any:
+        return self.Y(x[0])
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -133,7 +124,7 @@ class _Profile(Block):
         where = type(self).__name__
         require(np.ndim(self.speeds) == 1 and len(self.speeds) >= 2, where, "speeds, expected two numbers or more")
         require_within(where, "speeds", np.asarray(self.speeds), "m/s", 0.0, _FASTEST)
-        require_within(where, "spacing", self.spacing, "1", 1e-6, 1e6)
+        require_within(where, "spacing", self.spacing, "s or m", 1e-6, 1e6)
         require_within(where, "dt", self.dt, "s", 1e-6, 1.0)
 
     @classmethod
@@ -145,7 +136,7 @@ class _Profile(Block):
         p, v = np.asarray(at, dtype=float), np.asarray(speeds, dtype=float)
         rising = p.ndim == 1 and p.shape == v.shape and len(p) >= 2 and bool((np.diff(p) > 0.0).all())
         require(rising, cls.__name__, f"at {p.shape} and speeds {v.shape}, expected equally long, at rising strictly")
-        require_within(cls.__name__, "spacing", spacing, "1", 1e-6, 1e6)
+        require_within(cls.__name__, "spacing", spacing, "s or m", 1e-6, 1e6)
         even = np.linspace(p[0], p[-1], 1 + max(1, math.ceil((p[-1] - p[0]) / spacing - 1e-9)))
         return cls(speeds=tuple(np.interp(even, p, v).tolist()), spacing=float(even[1] - even[0]), repeat=repeat)
 
@@ -165,16 +156,26 @@ class _Profile(Block):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RecordedDriver(_Profile):
-    """A driver who repeats a record of speed over time: v(t), linear between samples every `spacing` [s].
+    """A driver who repeats a record of speed over time: v(t + start), linear between samples every `spacing` [s].
 
-    no inputs, no state. output: v [m/s]. Before the first and after the last sample their speeds hold, or with
-    `repeat` the record begins again. errors: ValueError for speeds, spacing or dt out of range.
+    no inputs. output: v [m/s]. state: start [s]. Before the first and after the last sample their speeds hold, or
+    with `repeat` the record begins again. errors: ValueError for speeds, spacing, start or dt out of range.
     """
 
     v = Out("m/s", direct=())
 
-    def output(self, t: Any, x: Any, u: Any) -> Any:
-        return self.Y(self._speed(t))
+    start: Scalar = 0.0
+    """Where in the record to begin [s]; an `(N,)` array for a batch of cars at different places of it."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_within("RecordedDriver", "start", self.start, "s", -1e6, 1e6)
+
+    def init(self, batch: tuple[int, ...] = ()) -> State:
+        return (m.filled(self.start, batch),)
+
+    def output(self, t: Any, x: State, u: Any) -> Any:
+        return self.Y(self._speed(t + x[0]))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -21,7 +21,7 @@ def fiala(slope: Scalar, stiffness: Scalar, grip: Scalar) -> Scalar:
     F = grip z (3 - 3 |z| + z^2),  z = sat(stiffness slope/(3 grip)) within +-1,
 
     which is stiffness*alpha for small angles and +-grip once the tyre slides. stiffness [N/rad] > 0; grip = mu F_z
-    [N] > 0. Source: Fiala 1954; Pacejka 2012, section 3.2; Hindiyeh, Gerdes 2014, eq. 3 (there with the other sign).
+    [N] > 0. Source: Fiala 1954; Pacejka 2012, section 3.2; Hindiyeh, Gerdes 2014 (there with the other sign).
     """
     z = m.clip(stiffness * slope / (3.0 * grip), -1.0, 1.0)
     return grip * z * (3.0 - 3.0 * m.absolute(z) + z * z)

@@ -32,7 +32,7 @@ class Sensors(Block):
     beta, r, seen. state: six errors of the present sample, three drifts, the generator's six numbers, then the
     latency/dt samples on their way (six numbers each, oldest first), all equal to the first sample at the start.
     In a batch, car i draws as sensors of seed + i do; deviations and biases may be `(N,)` arrays. errors: ValueError
-    for parameters out of range, or a latency that is no multiple of dt. source: Gelb 1974, section 3.8 (Gauss-Markov).
+    for parameters out of range, or a latency that is no multiple of dt. source: Gelb 1974 (Gauss-Markov).
     """
 
     x_in = In("m")

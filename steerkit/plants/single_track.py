@@ -96,10 +96,10 @@ class SingleTrack(Block):
         stop = self.vehicle.delta_sw_max
         delta_sw, v = m.clip(u.delta_sw_in, -stop, stop), u.v_in
         held = self.held(delta_sw / self.vehicle.steer_ratio, v)
-        motion: Sequence[Scalar] = x[:5]
+        motion: tuple[Scalar, ...] = x[:5]
         for _ in range(self.substeps):
             motion = self._stepped(motion, held)
-        return SingleTrackState(*motion, v, delta_sw)
+        return SingleTrackState._make((*motion, v, delta_sw))
 
     def _stepped(self, x: Sequence[Scalar], held: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
         """`maths.rk4` written out for five states: half the time of a car's sample."""

@@ -70,7 +70,7 @@ class Vehicle:
     def understeer_gradient(self) -> Scalar:
         """K = m (c_r l_r - c_f l_f) / (c_f c_r L) [rad s^2/m]: steady driving needs delta = L kappa + K v^2 kappa.
 
-        Then r/delta = v/(L + K v^2). K > 0 understeers. Source: Riekert, Schunck 1940; Mitschke, Wallentowitz 2004.
+        Then r/delta = v/(L + K v^2). K > 0 understeers. Source: Rajamani 2012, section 3.3.
         """
         return self.m * (self.c_r * self.l_r - self.c_f * self.l_f) / (self.c_f * self.c_r * self.wheelbase)
 

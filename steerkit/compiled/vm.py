@@ -1,0 +1,147 @@
+"""The traced loop as CasADi functions: run by CasADi's virtual machine, differentiated by CasADi."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import casadi
+import numpy as np
+
+from steerkit.compiled.graph import Graph
+from steerkit.compiled.trace import Trace
+from steerkit.maths import Table
+
+_LONGEST = 10  # runs are made of mapaccums of 2^0 .. 2^10 periods, so that memory is bounded
+
+
+class VmProgram:
+    """CasADi functions of a loop. `phase(i)` and `period()` map (z,) to (z', recorded), z = [k, carried, parameters].
+
+    Table rows depend on indices that depend on earlier rows, so a tick is a chain of stages of plain instructions
+    (SX functions), with look-ups between them (MX).
+    """
+
+    def __init__(self, trace: Trace, recorded: Sequence[int]):
+        self.trace, self.recorded = trace, tuple(recorded)
+        self.tables = [_row_function(i, table) for i, table in enumerate(trace.tables)]
+
+    @functools.cached_property
+    def phases(self) -> list[Any]:
+        """One function (z) -> (z', recorded) a phase."""
+        return [self._tick(phase, [*self.trace.carried, *self.recorded], split=True)
+                for phase in range(len(self.trace.ticks))]  # fmt: skip
+
+    def finish(self, phase: int) -> Any:
+        """The function (z) -> (all slots) of one phase."""
+        return self._tick(phase, range(len(self.trace.layout)), split=False)
+
+    @functools.cached_property
+    def period(self) -> Any:
+        """One whole period as one function."""
+        if len(self.phases) == 1:
+            return self.phases[0]
+        z = start = casadi.MX.sym("z", self.phases[0].size1_in(0))
+        rows = []
+        for phase in self.phases:
+            z, y = phase(z)
+            rows.append(y)
+        return casadi.Function("period", [start], [z, casadi.vertcat(*rows)])
+
+    @functools.cache  # noqa: B019 (lives as long as the program)
+    def block(self, size: int) -> Any:
+        """2**size periods as one function: z -> (z at the end, recorded of each)."""
+        return self.period.mapaccum(f"run{size}", 2**size) if size else self.period
+
+    def run(self, k: int, stop: int, z: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+        """Run ticks k to stop from z (changed in place); yields (first tick, recorded rows) of every part."""
+        m, period = len(self.recorded), len(self.phases)
+        while k < stop:
+            if k % period or stop - k < period:
+                function, ticks = self.phases[k % period], 1
+            else:
+                size = min(_LONGEST, ((stop - k) // period).bit_length() - 1)
+                function, ticks = self.block(size), period * 2**size
+            end, rows = function(z)
+            z[:] = np.asarray(end)[:, -1]
+            yield k, np.asarray(rows).reshape(-1, order="F").reshape(ticks, m) if m else np.empty((ticks, 0))
+            k += ticks
+
+    def _tick(self, phase: int, wanted: Sequence[int], *, split: bool) -> Any:
+        trace, tick = self.trace, self.trace.ticks[phase]
+        slots, carried = len(trace.layout), trace.carried
+        place = {0: 0} | {slot + 1: i + 1 for i, slot in enumerate(carried)}
+        place |= {slots + 1 + i: len(carried) + 1 + i for i in range(len(trace.parameters))}
+        roots = [tick.roots[slot] for slot in wanted]
+        z = casadi.MX.sym("z", len(place))
+        values = self._staged(tick.graph, roots, z, place)
+        if not split:
+            return casadi.Function(f"finish{phase}", [z], [values])
+        n = len(carried)
+        end = casadi.vertcat(z[0] + 1.0, values[:n], z[n + 1 :])
+        return casadi.Function(f"phase{phase}", [z], [end, values[n:]])
+
+    def _staged(self, graph: Graph, roots: Sequence[int], z: Any, place: dict[int, int]) -> Any:
+        """MX of the roots' values."""
+        order = graph.order(roots)
+        stage: dict[int, int] = {}
+        for i in order:
+            stage[i] = max((stage[j] for j in graph.operands(i)), default=0) + (graph.nodes[i][0] == "row")
+        last = max(stage[i] for i in roots)
+        symbols: dict[int, Any] = {}
+        inputs = [casadi.SX.sym("z", len(place))]  # of the stage functions, which take all that came before
+        arguments = [z]
+        for now in range(last + 1):
+            looked_up: dict[tuple[int, int], Any] = {}
+            for i in (i for i in order if stage[i] == now):
+                op, *rest = graph.nodes[i]
+                if op == "row":
+                    table, index, column = rest
+                    if (table, index) not in looked_up:
+                        row = looked_up[table, index] = casadi.SX.sym("row", self.tables[table].size1_out(0))
+                        inputs.append(row)
+                        arguments.append(self.tables[table](indices[table, index]))
+                    symbols[i] = looked_up[table, index][column]
+                elif op == "in":
+                    symbols[i] = inputs[0][place[rest[0]]]
+                elif op == "const":
+                    symbols[i] = casadi.SX(float.fromhex(rest[0]))
+                else:
+                    symbols[i] = _CALLS[op](*[symbols[j] for j in rest])
+            if now == last:
+                break
+            later = [i for i in order if stage[i] > now]
+            asked = list(dict.fromkeys(
+                (graph.nodes[i][1], graph.nodes[i][2]) for i in later if graph.nodes[i][0] == "row" and stage[i] == now + 1
+            ))
+            used = {j for i in later for j in graph.operands(i)} | set(roots)
+            crossing = [i for i in order if stage[i] == now and i in used and graph.nodes[i][0] not in ("const", "in", "row")]
+            outputs = [casadi.vertcat(*[symbols[i] for i in crossing])] + [symbols[i] for _, i in asked]
+            function = casadi.Function(f"stage{now}", inputs, outputs)
+            results = function.call(arguments)
+            indices = dict(zip(asked, results[1:]))
+            if crossing:
+                known = casadi.SX.sym("c", len(crossing))
+                inputs.append(known)
+                arguments.append(results[0])
+                symbols |= {i: known[n] for n, i in enumerate(crossing)}
+        function = casadi.Function("stage", inputs, [casadi.vertcat(*[symbols[i] for i in roots])])
+        return function.call(arguments)[0]
+
+
+def _row_function(number: int, table: Table) -> Any:
+    """index -> row. Linear interpolation at whole numbers is the row itself, at the cost of one step of search."""
+    rows = table.rows if len(table) > 1 else np.repeat(table.rows, 2, axis=0)
+    grid = np.arange(len(rows), dtype=float)
+    return casadi.interpolant(f"table{number}", "linear", [grid], rows.ravel(), {"lookup_mode": ["exact"]})
+
+
+_CALLS: dict[str, Callable[..., Any]] = {
+    "add": lambda a, b: a + b, "sub": lambda a, b: a - b, "mul": lambda a, b: a * b, "div": lambda a, b: a / b,
+    "neg": lambda a: -a, "lt": lambda a, b: a < b, "le": lambda a, b: a <= b, "eq": lambda a, b: a == b,
+    "ne": lambda a, b: a != b, "and": casadi.logic_and, "or": casadi.logic_or, "not": casadi.logic_not,
+    "select": casadi.if_else, "abs": casadi.fabs, "sqrt": casadi.sqrt, "sin": casadi.sin, "cos": casadi.cos,
+    "tan": casadi.tan, "asin": casadi.asin, "acos": casadi.acos, "atan": casadi.atan, "tanh": casadi.tanh,
+    "exp": casadi.exp, "log": casadi.log, "floor": casadi.floor, "atan2": casadi.atan2,
+}  # fmt: skip
