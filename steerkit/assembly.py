@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import fields, replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from steerkit import maths as m
 from steerkit.block import Block, In, Out, WiringError
-from steerkit.controllers.recovery import Supervisor
+from steerkit.controllers.recovery import Guarded, Supervisor
 from steerkit.loop import Loop, Wire
 from steerkit.path import Path
 from steerkit.tracker import PathTracker
 
 Car = TypeVar("Car", bound=Block)
+Part = TypeVar("Part", bound=Block)
 
 
 def placed(car: Car, path: Path, *, s: float = 0.0, e: float = 0.0, psi_e: float = 0.0) -> Car:
@@ -70,7 +71,8 @@ def steering_loop(
     truth = bench.add("path", PathTracker(path=path, reference=reference, dt=controller.dt))
     bench.join(truth, car)
     bench.join(driver, truth)
-    seen, tracker = car, truth
+    seen: Block = car
+    tracker = truth
     if sensors is not None:
         seen = bench.add("sensors", sensors)
         bench.join(sensors, car)
@@ -108,7 +110,7 @@ class _Bench:
         self.blocks: dict[str, Block] = {}
         self.wires: list[Wire] = []
 
-    def add(self, name: str, block: Block) -> Block:
+    def add(self, name: str, block: Part) -> Part:
         self.blocks[name] = block
         return block
 
@@ -121,13 +123,14 @@ class _Bench:
             if name.removesuffix("_in") in _names(source.outputs):
                 self.wire(source, name.removesuffix("_in"), sink, name)
 
-    def control(self, block: Block, tracker: Block, seen: Block, steered: Block, doe: Block | None) -> None:
+    def control(self, block: Block, tracker: PathTracker, seen: Block, steered: Block, doe: Block | None) -> None:
         """Wires a controller's inputs by name, through a tracker at its own reference point if it asks for one."""
-        reference = getattr(block, "reference") if "reference" in _fields(block) else tracker.reference
-        points = getattr(block, "preview_points") if "preview_points" in _fields(block) else 0
+        asks: Any = block.block if isinstance(block, Guarded) else block
+        reference = asks.reference if "reference" in _fields(asks) else tracker.reference
+        points = asks.preview_points if "preview_points" in _fields(asks) else 0
         if reference != tracker.reference or points:
             role = next(name for name, b in self.blocks.items() if b is block)
-            preview = {"preview_points": points, "preview_dt": block.preview_dt} if points else {}
+            preview = {"preview_points": points, "preview_dt": asks.preview_dt} if points else {}
             tracker = self.add(f"{role}_path", PathTracker(path=self.path, reference=reference, dt=block.dt, **preview))
             self.join(tracker, seen)
         for name in _names(block.inputs):

@@ -137,7 +137,7 @@ class Loop:
         y: list[Any] = [None] * len(x)
         for call in self.calls:
             block = self._list[call.block]
-            u: Any = block.D(*[math.nan if s is None else y[s[0]][s[1]] for s in call.sources])
+            u = block.D(*[math.nan if s is None else y[s[0]][s[1]] for s in call.sources])
             try:
                 if call.final:
                     x[call.block] = block.settle(0.0, x[call.block], u)
@@ -147,7 +147,7 @@ class Loop:
                     raise
                 raise WiringError(
                     f"{self.names[call.block]}.output read '{error.name}', which is not one of its direct inputs "
-                    f"({', '.join(u._fields) or 'none'}); declare the port direct or move the use to update"
+                    f"({', '.join(block.D._fields) or 'none'}); declare the port direct or move the use to update"
                 ) from None
             self._check_outputs(call, y[call.block], u)
         return LoopState(0, tuple(x), tuple(y))

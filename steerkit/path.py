@@ -136,8 +136,8 @@ class Path:
         uneven = float(np.abs(np.hypot(*curve((np.arange(8 * n) + 0.5) * h / 8.0, 1).T) - 1.0).max())
         if uneven > _UNEVEN:
             raise ValueError(
-                f"Path '{name}': arc length is uneven by {uneven:.2g}, expected at most {_UNEVEN:g}: a bend is too tight "
-                f"for spacing {h:.3g} [m]; give a smaller spacing, or smoothing > 0 for noisy points"
+                f"Path '{name}': arc length is uneven by {uneven:.2g}, expected at most {_UNEVEN:g}: a bend is too "
+                f"tight for spacing {h:.3g} [m]; give a smaller spacing, or smoothing > 0 for noisy points"
             )
         middle = (np.arange(n) + 0.5) * h
         rows = np.stack([curve(middle, k) / math.factorial(k) for k in range(_DEGREE + 1)])  # (k, n, xy)

@@ -29,7 +29,8 @@ class PathTracker(Block):
         s(t + dt) ~ s + dt*(v cos(psi_e + beta) - r*reference*sin(psi_e))/(1 - kappa*e)   where the next search starts
 
     so that it follows its own stretch where others run close by. On the built-in courses, at |e| <= 2 m, the error in
-    s after the two steps is below 1e-10 m for a start 5 cm off and 1e-5 m for 1 m. Beyond an open path's ends, s stays there and e is measured from the tangent.
+    s after the two steps is below 1e-10 m for a start 5 cm off and 1e-5 m for 1 m. Beyond the ends of an open path, s
+    stays there and e is measured from the tangent, as if it went on straight; kappa stays the end's.
 
     inputs: x, y [m], psi [rad] (any turn), v [m/s] speed of the centre of gravity, beta [rad], r [rad/s].
     outputs: s [m] in [0, length]; progress [m] since the start, not wrapped; e [m], + = left; e_dot [m/s];

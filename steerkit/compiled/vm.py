@@ -33,6 +33,7 @@ class VmProgram:
         return [self._tick(phase, [*self.trace.carried, *self.recorded], split=True)
                 for phase in range(len(self.trace.ticks))]  # fmt: skip
 
+    @functools.cache  # noqa: B019 (lives as long as the program)
     def finish(self, phase: int) -> Any:
         """The function (z) -> (all slots) of one phase."""
         return self._tick(phase, range(len(self.trace.layout)), split=False)

@@ -39,7 +39,7 @@ def main(lap: str, out: str) -> None:
         if np.hypot(data["x"][k] - data["x"][kept[-1]], data["y"][k] - data["y"][kept[-1]]) >= STEP:
             kept.append(k)
     lat, lon, x, y, v = (data[key][kept] for key in ("lat", "lon", "x", "y", "v"))
-    name = out.replace("\\", "/").rsplit("/", 1)[-1].removesuffix(".csv")
+    name = out.replace("\\", "/").rsplit("/", 1)[-1].removesuffix(".csv").replace("_", "-")
     path = Path.from_gps(lat, lon, closed=False, smoothing=NOISE, spacing=SPACING, name=name)
     driven = np.concatenate(([0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))))
     knots = path.samples

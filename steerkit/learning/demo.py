@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path as FilePath
 
@@ -30,13 +30,13 @@ class Part:
 EXPERIMENTS = {
     "I-DOE, 800 m course": Experiment(setting=DEFAULT, minutes=11.0),
     "bang-bang, 800 m course": Experiment(setting=BANG_BANG, minutes=11.0),
-    "I-DOE, recorded lap": Experiment(setting=DEFAULT, world=World(course="genesis"), minutes=11.0),
+    "I-DOE, recorded lap": Experiment(setting=DEFAULT, world=World(course="genesis"), minutes=20.0),
 }
 
 
 def run(out: FilePath, *, seed: int = 0) -> None:
     """Run all parts (an interrupted demonstration goes on where it was), print the tables, draw the figures."""
-    console.print("Three cars learn to steer from nothing, each for 11 minutes of driving. No real car was driven.")
+    console.print("Three cars learn to steer from nothing, each for 11 to 20 minutes of driving. No real car was driven.")
     out.mkdir(parents=True, exist_ok=True)
     jobs = [(name, experiment, out / _slug(name), seed) for name, experiment in EXPERIMENTS.items()]
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
@@ -64,8 +64,6 @@ def run(out: FilePath, *, seed: int = 0) -> None:
 
 
 def _part(job: tuple[str, Experiment, FilePath, int]) -> Part:
-    from dataclasses import replace
-
     name, experiment, place, seed = job
     experiment = replace(experiment, seed=seed)
     run = learn_with_progress(experiment, place)

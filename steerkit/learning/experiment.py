@@ -122,7 +122,7 @@ class LearningRun:
         self.description = setting.description()
         self.transitions = Transitions(self.description.names)
         self.counts = Counts()
-        self.nets = nfq.untrained(setting.fit, self.description, seed=experiment.seed)
+        self.nets = nfq.fresh_nets(setting.fit, self.description, seed=experiment.seed)
         self.pending: tuple[int, Any] | None = None  # (tick at which it is ready, nets)
         self.policy = NfqPolicy(
             nets=self.nets, actions=setting.actions, description=self.description, combine=setting.fit.combine

@@ -2,17 +2,33 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from functools import wraps
+from typing import Any, ParamSpec
 
 import numpy as np
 
-from steerkit.plotting import COLOURS, new_figure
+from steerkit.plotting import COLOURS, new_figure, style
 from steerkit.simulate import Log
 from steerkit.units import degrees_of
 
 GOAL, TRIP = 0.05, 0.5
+P = ParamSpec("P")
 
 
+def _styled(draw: Callable[P, Any]) -> Callable[P, Any]:
+    """`draw` in the style of `steerkit.plotting`."""
+
+    @wraps(draw)
+    def drawn(*args: P.args, **kwargs: P.kwargs) -> Any:
+        with style():
+            return draw(*args, **kwargs)
+
+    return drawn
+
+
+
+@_styled
 def trace(log: Log, *, title: str, seconds: float = 100.0) -> Any:
     """Cross-track error and steering wheel over the first `seconds` (the paper's figures 3 and 4)."""
     figure, (top, low) = new_figure(rows=2, title=title)
@@ -28,13 +44,14 @@ def trace(log: Log, *, title: str, seconds: float = 100.0) -> Any:
     return figure
 
 
+@_styled
 def learning(log: Log, *, title: str, seconds: float = 350.0) -> Any:
     """Cross-track error from the first second on, shaded where the recovery controller steers (figure 5)."""
     figure, (axis,) = new_figure(rows=1, title=title)
     keep = log.t <= seconds
     t, e, learns = log.t[keep], log["path.e"][keep], log["supervisor.learning"][keep] > 0.5
     axis.fill_between(t, 0, 1, where=~learns, transform=axis.get_xaxis_transform(), color=COLOURS["recovery"],
-                      alpha=0.35, lw=0, step="post", label="recovery steers")  # fmt: skip
+                      alpha=0.75, lw=0, step="post", label="recovery steers")  # fmt: skip
     for level in (-TRIP, TRIP):
         axis.axhline(level, color=COLOURS["limit"], lw=0.8, ls="--", label="|e| = 0.5 m" if level > 0 else None)
     axis.plot(t, e, color=COLOURS["learned"], lw=0.9)
@@ -46,6 +63,7 @@ def learning(log: Log, *, title: str, seconds: float = 350.0) -> Any:
     return figure
 
 
+@_styled
 def first_round(log: Log, *, began: float | None, done: float | None, title: str) -> Any:
     """The learner's first complete round: where it drove, and its cross-track error (figure 6)."""
     if began is None or done is None:
@@ -55,6 +73,7 @@ def first_round(log: Log, *, began: float | None, done: float | None, title: str
     return round_driven(part, title=f"{title}, begun {began:.0f} s after the start")
 
 
+@_styled
 def round_driven(log: Log, other: Log | None = None, *, title: str) -> Any:
     """The course coloured by |e|, with cross-track error, steering wheel and lateral acceleration beside it."""
     figure, axes = new_figure(rows=3, title=title, map_beside=True)
@@ -63,7 +82,7 @@ def round_driven(log: Log, other: Log | None = None, *, title: str) -> Any:
     course.set_aspect("equal")
     course.set_xlabel("x [m]")
     course.set_ylabel("y [m]")
-    figure.colorbar(dots, ax=course, label="|e| [m]", shrink=0.8)
+    figure.colorbar(dots, ax=course, label="|e| [m]", location="bottom", shrink=0.7, aspect=40)
     e_axis.axhspan(-GOAL, GOAL, color=COLOURS["goal"], alpha=0.25, lw=0)
     for drive, colour, label in ((other, "analytic", "Stanley"), (log, "learned", "this drive")):
         if drive is None:

@@ -66,12 +66,6 @@ class FitSetting:
         require(self.clip[0] < self.clip[1], where, f"clip = {self.clip}, expected low < high")
 
 
-def untrained(setting: FitSetting, description: StateDescription, *, seed: int = 0) -> tuple[Net, ...]:
-    """Nets of a setting's layout with random weights: what a learner starts to drive with."""
-    sizes = (len(description.names) + 1, *setting.hidden, 1)
-    return tuple(new_net(sizes, [seed, k]) for k in range(setting.nets))
-
-
 def fresh_nets(
     setting: FitSetting = FitSetting(), description: StateDescription = STANDARD, seed: int = 0
 ) -> tuple[Net, ...]:

@@ -18,7 +18,7 @@ from steerkit.learning.world import World
 from steerkit.metrics import of_log
 from steerkit.simulate import Log
 
-console = Console()
+console = Console() if Console().is_terminal else Console(width=110)
 
 
 def learn_with_progress(experiment: Experiment, place: FilePath, *, quiet: bool = False) -> LearningRun:
@@ -43,7 +43,7 @@ def _watching(experiment: Experiment) -> Iterator[Watcher]:
                 f"RMS e {episode.rms_e if episode else 0:.3f} m, {len(run.transitions)} transitions"
             )
             bar.update(task, completed=run.t / 60.0, story=story)
-            if not console.is_terminal and (what == "round" or len(run.counts.episodes) % 10 == 0):
+            if not console.is_terminal and (what == "round" or (what == "failed" and run.counts.failures % 5 == 0)):
                 console.print(f"{what}: {story}", soft_wrap=True)
 
         yield watch

@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Any
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.learning import costs
 from steerkit.learning.nfq import FitSetting
-from steerkit.learning.rprop import Rprop
 from steerkit.learning.settings import Setting
 from steerkit.learning.transitions import Transitions
 from steerkit.learning.world import World
@@ -42,7 +41,7 @@ def from_plain(data: Any, where: str, default: type | None = None) -> Any:
     """What `plain` was given; missing fields take their defaults. Raises ValueError naming an unknown key."""
     from steerkit.learning.experiment import Experiment
 
-    kinds = {c.__name__: c for c in (Experiment, Setting, World, FitSetting, costs.BandCost, costs.IdoeCost, costs.TanhCost, Rprop)}
+    kinds = {c.__name__: c for c in (Experiment, Setting, World, FitSetting, *costs.COSTS)}
     if isinstance(data, list):
         return tuple(data)
     if not isinstance(data, dict):

@@ -67,9 +67,9 @@ class CarefulDriver(Block):
     def output(self, t: Any, x: State, u: Any) -> Any:
         rows = float(len(self._ceiling))
         z = m.clip(u.s * (rows / self.path.length), 0.0, rows)
-        i = m.minimum(m.floor(z), rows - 1.0)
+        i = m.minimum(m.where(m.is_finite(z), m.floor(z), 0.0), rows - 1.0)
         start, rise = self._ceiling(i)
-        return self.Y(m.minimum(self.driver.output(t, x, ())[0], start + (z - i) * rise))
+        return self.Y(m.minimum(start + (z - i) * rise, self.driver.output(t, x, ())[0]))  # a NaN in s stays NaN
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
         return self.driver.update(t, x, (), ())

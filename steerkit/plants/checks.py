@@ -12,10 +12,8 @@ from steerkit.maths import Scalar
 
 def require_within(where: str, name: str, value: Any, unit: str, low: Scalar, high: Scalar, hint: str = "") -> None:
     """Raise a teaching ValueError unless low <= value <= high, for a number or for every entry of an array."""
-    try:
-        numbers = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        raise ValueError(f"{where}: {name} = {value!r}, expected a number [{unit}]") from None
+    numbers = np.asarray(value)
+    require(numbers.dtype.kind in "iuf", where, f"{name} = {value!r}, expected a number [{unit}]")
     ok = bool(((low <= numbers) & (numbers <= high)).all())
     expected = f"{np.min(low):.6g} to {np.max(high):.6g}"
     require(ok, where, f"{name} = {value} [{unit}], expected {expected}{'; ' if hint else ''}{hint}")

@@ -1,18 +1,20 @@
 """The cars against closed forms: steady curves, circles, the matrix exponential, tyre limits, integration order."""
 
 import math
+import re
+from dataclasses import replace
 
 import casadi
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack, fiala
 from steerkit.plants.single_track import V_DYNAMIC, V_KINEMATIC, dynamic_share
-from steerkit.plants.vehicle import VEHICLES, VW_PASSAT, G
+from steerkit.plants.vehicle import VEHICLES, VW_PASSAT, G, Vehicle
 
 PLANTS = [LinearSingleTrack, NonlinearSingleTrack]
 CARS = pytest.mark.parametrize("car", VEHICLES.values(), ids=VEHICLES)
@@ -81,13 +83,34 @@ def test_linear_car_follows_the_matrix_exponential(car, v):
     assert x[3:5] == pytest.approx(exact[:2], rel=1e-6, abs=1e-13)
 
 
+def fastest(plant):
+    """Largest |eigenvalue|*step over all speeds; the amplification of a Runge-Kutta step must stay below 1."""
+    speeds = np.linspace(0.0, 40.0, 401)
+    z = [np.linalg.eigvals(np.array(plant.matrices(v)[0])) * plant.dt / plant.substeps for v in speeds.tolist()]
+    assert max(abs(1.0 + s + s**2 / 2.0 + s**3 / 6.0 + s**4 / 24.0).max() for s in z) < 1.0
+    return max(abs(s).max() for s in z)
+
+
 @CARS
 def test_integration_is_stable_at_every_speed(car):
-    plant = LinearSingleTrack(vehicle=car)
-    for v in np.linspace(0.0, 40.0, 801).tolist():
-        z = np.linalg.eigvals(np.array(plant.matrices(v)[0])) * plant.dt
-        assert abs(z).max() < 1.1
-        assert abs(1.0 + z + z**2 / 2.0 + z**3 / 6.0 + z**4 / 24.0).max() < 1.0
+    assert fastest(LinearSingleTrack(vehicle=car)) < 1.25
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    l_f=st.floats(0.8, 2.0), l_r=st.floats(0.8, 2.0), grip_f=st.floats(5.0, 60.0), margin=st.floats(0.8, 1.0),
+    inertia=st.floats(0.6, 2.0),
+)  # fmt: skip
+def test_any_understeering_car_that_is_accepted_is_stable(l_f, l_r, grip_f, margin, inertia):
+    load = 1500.0 * G / (l_f + l_r)
+    car = Vehicle(
+        name="any", m=1500.0, i_z=inertia * 1500.0 * l_f * l_r, l_f=l_f, l_r=l_r, c_f=margin * grip_f * load * l_r,
+        c_r=grip_f * load * l_f, steer_ratio=16.0,
+    )  # fmt: skip
+    with pytest.raises(ValueError, match=r"dt = 1\.0 \[s\], expected .*raise substeps") as error:
+        LinearSingleTrack(vehicle=car, dt=1.0)
+    longest = float(re.search(r"to ([0-9.e-]+);", str(error.value))[1])
+    assert fastest(LinearSingleTrack(vehicle=car, dt=0.999 * longest)) < 2.6
 
 
 @CARS
@@ -194,8 +217,6 @@ def test_fiala_tyre():
     mu=st.floats(0.05, 1.5),
 )  # fmt: skip
 def test_friction_limits_lateral_acceleration(v, v_y, r, delta_sw, mu):
-    from dataclasses import replace
-
     plant = NonlinearSingleTrack(vehicle=replace(VW_PASSAT, mu=mu))
     y = out(plant, plant.init()._replace(sway=v_y, r=r, v=v, delta_sw=delta_sw))
     assert abs(y.a_y) <= mu * G * (1.0 + 1e-12) + 1e-12 * (v + abs(v_y)) * abs(r) * 10.0

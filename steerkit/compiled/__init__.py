@@ -1,0 +1,219 @@
+"""Loops at the speed of C: `compile` turns a loop into straight-line Python, CasADi functions or C.
+
+A loop is run once on CasADi symbols (`trace`), which leaves a list of instructions a tick (`graph`); from that list
+the backends are generated: `python_code` (floats), `vm` (CasADi, also for gradients) and `native` (C, with `cache`).
+All give the trajectory of `simulate` to rounding: the Python code and the C for one car bit for bit where the
+machine's libm is Python's, the others to about 1e-13.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+import warnings
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+import numpy as np
+
+from steerkit.compiled.cache import NoCompilerError, compiler
+from steerkit.compiled.gradient import Cost, gradient
+from steerkit.compiled.native import NativeProgram
+from steerkit.compiled.python_code import PythonProgram
+from steerkit.compiled.trace import Trace, TraceError, parameter, trace, with_parameters
+from steerkit.compiled.vm import VmProgram
+from steerkit.loop import Loop, LoopState, Sample
+from steerkit.simulate import Log, Signal, _check_finite
+
+__all__ = ["Compiled", "Cost", "NoCompilerError", "TraceError", "compile", "gradient"]
+
+Backend = Literal["auto", "python", "vm", "c"]
+
+
+def compile(
+    loop: Loop,
+    *,
+    backend: Backend = "auto",
+    record: Sequence[Signal] | None = None,
+    every: int = 1,
+    parameters: Sequence[str] = (),
+    collapse: bool = True,
+) -> Compiled:
+    """A loop as fast as the machine allows; runs give the same `Log` as `simulate`.
+
+    backend: "c" (through gcc, kept in a cache on disk; for one car and for many), "vm" (CasADi, no compiler needed),
+    "python" (generated floats, quickest to make) or "auto": C where there is a compiler, else the VM and a warning.
+    record: signals to keep (default: all); every: keep one tick in `every`. parameters: block fields to leave open,
+    such as "controller.k" or "car.vehicle.m"; `run` takes a value for each, or one a car. collapse: multiply out
+    chains of linear operations with constant coefficients (a linear plant at a constant speed becomes its step
+    matrix) where that saves work.
+
+    Raises TraceError naming a block that cannot be compiled, with what to do; NoCompilerError for backend "c" without
+    a compiler; KeyError for an unknown signal; ValueError for a bad argument.
+    """
+    return Compiled(loop, backend=backend, record=record, every=every, parameters=parameters, collapse=collapse)
+
+
+class Compiled:
+    """A compiled loop; made by `compile`, whose arguments it has.
+
+    `backend` is the one in use. `trace_seconds` is what tracing cost, `first_call_seconds` (None before) what the
+    first `run` cost with generating and compiling in it.
+    """
+
+    def __init__(
+        self,
+        loop: Loop,
+        *,
+        backend: Backend = "auto",
+        record: Sequence[Signal] | None = None,
+        every: int = 1,
+        parameters: Sequence[str] = (),
+        collapse: bool = True,
+    ):
+        if every < 1:
+            raise ValueError(f"compile: every = {every}, expected a whole number >= 1")
+        if backend not in ("auto", "python", "vm", "c"):
+            raise ValueError(f"compile: backend {backend!r}; valid: auto, python, vm, c")
+        if backend == "auto":
+            backend = "c" if compiler() else "vm"
+            if backend == "vm":
+                warnings.warn("no C compiler found: the loop runs in CasADi's VM; install gcc or set CC", stacklevel=3)
+        if backend == "c" and not compiler():
+            raise NoCompilerError("compile: backend 'c' needs a C compiler: install gcc or set CC; or backend='vm'")
+        start = time.perf_counter()
+        self.loop, self.backend, self.every = loop, backend, every
+        self.trace: Trace = trace(loop, parameters=parameters, collapse=collapse)
+        names = list(loop.units) if record is None else [r if isinstance(r, str) else loop.port_name(r) for r in record]
+        for name in names:
+            loop.locate(name)
+        self.record = tuple(names)
+        self._slots = [slot for name in names for slot in self.trace.layout.slots_of(name)]
+        self._program: Any = None
+        self.trace_seconds = time.perf_counter() - start
+        self.first_call_seconds: float | None = None
+
+    def run(
+        self,
+        duration: float,
+        *,
+        state: LoopState | None = None,
+        batch: int | None = None,
+        parameters: Mapping[str, Any] | None = None,
+        allow_nonfinite: bool = False,
+    ) -> Log:
+        """Run for `duration` seconds and return the recorded signals, as `simulate` does.
+
+        state: where to start (default: `loop.init()`); `log.state` goes on with it. batch: number of cars.
+        parameters: a value, or (N,) values, for each field named in `compile(parameters=...)`; by default the
+        blocks' own. Raises ValueError for a bad argument, NonFiniteError as `simulate` does.
+        """
+        if not (math.isfinite(duration) and duration > 0.0):
+            raise ValueError(f"run: duration = {duration} s, expected a finite number > 0")
+        begin = time.perf_counter()
+        values = self._values(parameters or {})
+        cars = _cars(values, batch)
+        if state is None:
+            known = {name: values[name] for name in parameters or {}}
+            state = with_parameters(self.loop, known).init(batch=cars)
+        slots = self.trace.layout.pack(state.x, state.y)
+        cars = _cars({"state": v for v in slots if np.ndim(v)} | values, cars)
+        stop = state.k + max(1, round(duration / self.loop.dt))
+        if cars is None:
+            rows, end = self._one(state.k, stop, [float(v) for v in slots], [float(v) for v in values.values()])
+        else:
+            wide = [np.broadcast_to(np.asarray(v, dtype=float), (cars,)) for v in slots]
+            fixed = [np.broadcast_to(np.asarray(v, dtype=float), (cars,)) for v in values.values()]
+            rows, end = self._many(state.k, stop, np.array(wide).reshape(-1, cars), np.array(fixed).reshape(-1, cars))
+        log = self._log(state.k, stop, rows, end)
+        if self.first_call_seconds is None:
+            self.first_call_seconds = self.trace_seconds + time.perf_counter() - begin
+        if not allow_nonfinite:
+            _check_finite(log)
+        return log
+
+    def step(self, state: LoopState, parameters: Mapping[str, Any] | None = None) -> tuple[LoopState, Sample]:
+        """One tick of one car, as `Loop.step`."""
+        slots = [float(v) for v in self.trace.layout.pack(state.x, state.y)]
+        fixed = [float(v) for v in self._values(parameters or {}).values()]
+        _, end = self._one(state.k, state.k + 1, slots, fixed)
+        after = self._state(state.k + 1, end)
+        return after, Sample(self.loop, state.k * self.loop.dt, after.y)
+
+    @property
+    def instructions(self) -> int:
+        """Operations in one period."""
+        kinds = [tick.graph.nodes[i][0] for tick in self.trace.ticks for i in tick.graph.order(tick.roots)]
+        return sum(kind not in ("const", "in", "row") for kind in kinds)
+
+    def _values(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        unknown = [name for name in given if name not in self.trace.parameters]
+        if unknown:
+            open_ones = ", ".join(self.trace.parameters) or "none"
+            raise ValueError(f"run: parameter '{unknown[0]}' was not left open; compile(parameters=[...]); open: {open_ones}")
+        return {n: given[n] if n in given else parameter(self.loop, n) for n in self.trace.parameters}
+
+    def _one(self, k: int, stop: int, slots: list[float], parameters: list[float]) -> tuple[Any, Any]:
+        """(rows, all slots after the last tick) of one car."""
+        program = self._made()
+        if isinstance(program, NativeProgram):
+            return program.run(k, stop, np.array(slots), np.array(parameters))
+        if isinstance(program, PythonProgram):
+            kept: list[tuple[float, ...]] = []
+            carried = program.run(k, stop - 1, slots, parameters, kept)
+            for slot, value in zip(self.trace.carried, carried):
+                slots[slot] = value
+            end = program.finish(stop - 1, slots, parameters)
+            if (stop - 1) % self.every == 0:
+                kept.append(tuple([end[slot] for slot in self._slots]))
+            return np.array(kept, dtype=float).reshape(len(kept), len(self._slots)), end
+        z = np.array([float(k), *[slots[slot] for slot in self.trace.carried], *parameters])
+        parts = [part[-first % self.every :: self.every] for first, part in program.run(k, stop - 1, z)]
+        end = np.asarray(program.finish((stop - 1) % self.loop.period)(z)).ravel()
+        if (stop - 1) % self.every == 0:
+            parts.append(end[None, self._slots])
+        return np.concatenate(parts) if parts else np.empty((0, len(self._slots))), end
+
+    def _many(self, k: int, stop: int, slots: np.ndarray, parameters: np.ndarray) -> tuple[Any, Any]:
+        program = self._made()
+        if isinstance(program, NativeProgram):
+            return program.run_many(k, stop, slots, parameters)
+        cars = [self._one(k, stop, s.tolist(), p.tolist()) for s, p in zip(slots.T, parameters.T)]
+        return np.stack([rows for rows, _ in cars], axis=-1), np.stack([end for _, end in cars], axis=-1)
+
+    def _made(self) -> Any:
+        if self._program is None:
+            if self.backend == "c":
+                self._program = NativeProgram(self.trace, self._slots, self.every)
+            elif self.backend == "python":
+                self._program = PythonProgram(self.trace, self._slots, self.every)
+            else:
+                self._program = VmProgram(self.trace, self._slots)
+        return self._program
+
+    def _state(self, k: int, end: Any) -> LoopState:
+        values = [float(v) if np.ndim(v) == 0 else np.array(v) for v in end]
+        x, y = self.trace.layout.unpack(values)
+        return LoopState(k, tuple(x), tuple(y))
+
+    def _log(self, k: int, stop: int, rows: np.ndarray, end: Any) -> Log:
+        signals, column = {}, 0
+        for name in self.record:
+            _, size = self.trace.layout.signals[name]
+            width = 1 if size is None else size
+            part = rows[:, column : column + width]
+            signals[name] = part[:, 0] if size is None else part if size else np.empty((len(rows), 0))
+            column += width
+        ticks = np.arange(k + -k % self.every, stop, self.every, dtype=float)
+        units = {name: self.loop.units[name] for name in self.record}
+        return Log(ticks * self.loop.dt, signals, units, loop=self.loop, state=self._state(stop, end))
+
+
+def _cars(values: Mapping[str, Any], batch: int | None) -> int | None:
+    """The number of cars that values and `batch` agree on; None for one car without a batch."""
+    sizes = {name: np.shape(value)[0] for name, value in values.items() if np.ndim(value)}
+    if batch is not None:
+        sizes["batch"] = batch
+    if len(set(sizes.values())) > 1:
+        raise ValueError(f"run: different numbers of cars: {', '.join(f'{n} {c}' for n, c in sizes.items())}")
+    return next(iter(sizes.values()), None)

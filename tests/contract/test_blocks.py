@@ -1,0 +1,352 @@
+"""What every shipped block must keep: one table of examples, one set of rules; a new block has to join the table."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import importlib
+import inspect
+import math
+import pkgutil
+import re
+import textwrap
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+
+import steerkit
+from steerkit import maths as m
+from steerkit.block import Block, In, Out
+from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.controllers.recovery import Guarded, Supervisor, SupervisorState
+from steerkit.controllers.stanley import Stanley
+from steerkit.doe import Direct, Integrator, LowPass
+from steerkit.path import Path
+from steerkit.plants.careful_driver import CarefulDriver
+from steerkit.plants.human_driver import ConstantSpeed, HumanDriver, RecordedDriver, SpeedProfile
+from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.sensors import Sensors
+from steerkit.plants.steering_actuator import SteeringActuator
+from steerkit.plants.vehicle import vehicle
+from steerkit.tracker import PathTracker
+
+PASSAT = vehicle("vw-passat")
+_round = np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False)
+OVAL = Path.from_waypoints(np.column_stack((25 * np.cos(_round), 15 * np.sin(_round))), closed=True, spacing=3.0)
+_rng = np.random.default_rng(0)
+NETS = tuple(
+    (_rng.normal(size=(5, 7)), _rng.normal(size=5), _rng.normal(size=(1, 5)), _rng.normal(size=1)) for _ in range(2)
+)
+
+
+@dataclass(frozen=True)
+class Example:
+    """One block to try.
+
+    single(block, i): the block that car i of a batch is; state: where to start instead of init; blind: inputs that it
+    rightly does not look at in this state.
+    """
+
+    block: Block
+    single: Callable[[Any, int], Block] = lambda block, i: block
+    state: tuple[float, ...] | None = None
+    blind: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        inner = getattr(self.block, "block", None)
+        return type(self.block).__name__ + (f"-{type(inner).__name__}" if inner is not None else "")
+
+
+def _seeded(block: Any, i: int) -> Block:
+    return dataclasses.replace(block, seed=block.seed + i)
+
+
+def _careful(block: Any, i: int) -> Block:
+    return dataclasses.replace(block, driver=_seeded(block.driver, i))
+
+
+EXAMPLES = [
+    Example(Integrator()),
+    Example(LowPass()),
+    Example(Direct()),
+    Example(Stanley.of(PASSAT)),
+    Example(Stanley.textbook(PASSAT)),
+    Example(Supervisor(), blind=("e", "ready")),
+    Example(Supervisor(), state=SupervisorState(1.0, 0.0), blind=("recovery",)),
+    Example(Guarded(block=Integrator())),
+    Example(Guarded(block=PathTracker(path=OVAL, preview_points=2))),
+    Example(NfqPolicy(nets=NETS)),
+    Example(NfqPolicy(nets=NETS, combine="max", ready_from=0.1)),
+    Example(PathTracker(path=OVAL)),
+    Example(PathTracker(path=OVAL, reference=1.2, preview_points=3)),
+    Example(LinearSingleTrack(vehicle=PASSAT, v0=5.0)),
+    Example(NonlinearSingleTrack(vehicle=PASSAT, v0=5.0)),
+    Example(SteeringActuator(lag=0.1)),
+    Example(SteeringActuator(lag=0.0, delay=0.03, gain=1.05, offset=0.02)),
+    Example(Sensors(), single=_seeded),
+    Example(Sensors.hard(seed=3), single=_seeded),
+    Example(HumanDriver(seed=3), single=_seeded),
+    Example(ConstantSpeed()),
+    Example(RecordedDriver(speeds=(4.0, 5.0, 7.0, 6.0), spacing=0.1)),
+    Example(SpeedProfile(speeds=(4.0, 5.0, 7.0, 4.0), spacing=0.5, repeat=True)),
+    Example(CarefulDriver(path=OVAL, driver=HumanDriver(seed=3)), single=_careful),
+]
+blocks = pytest.mark.parametrize("example", EXAMPLES, ids=str)
+kinds = pytest.mark.parametrize("kind", sorted({type(e.block) for e in EXAMPLES}, key=lambda c: c.__name__))
+
+SPAN = {"m": (-2.0, 2.0), "rad": (-0.6, 0.6), "m/s": (3.5, 9.0), "rad/s": (-0.4, 0.4), "1/m": (-0.04, 0.04),
+        "1": (0.0, 1.0), "m/s^2": (-3.0, 3.0)}  # fmt: skip
+CARS = 3
+STEPS = 6
+
+
+def concrete_blocks() -> set[type[Block]]:
+    """All subclasses of Block in the package that have an `output`."""
+    for module in pkgutil.walk_packages(steerkit.__path__, "steerkit."):
+        if not module.name.endswith("__main__"):
+            importlib.import_module(module.name)
+
+    def below(cls: type[Block]) -> Iterator[type[Block]]:
+        for sub in cls.__subclasses__():
+            yield sub
+            yield from below(sub)
+
+    return {c for c in below(Block) if c.__module__.startswith("steerkit.") and c.output is not Block.output}
+
+
+def inputs(block: Block, seed: int, shape: tuple[int, ...] = ()) -> dict[str, Any]:
+    """Plausible values for all inputs, by name; floats, or arrays that nobody may write to."""
+    rng = np.random.default_rng(seed)
+    values: dict[str, Any] = {}
+    for port in block.inputs:
+        array = rng.uniform(*SPAN[port.unit], shape)
+        array.flags.writeable = False
+        values[port.name] = array if shape else float(array)
+    return values
+
+
+def direct(block: Block, u: dict[str, Any]) -> Any:
+    return block.D(**{name: u[name] for name in block.D._fields})
+
+
+def start(example: Example, shape: tuple[int, ...] = (), u: dict[str, Any] | None = None) -> Any:
+    block = example.block
+    state = block.init(shape)
+    if example.state is not None:
+        state = type(example.state)(*[m.filled(v, shape) for v in example.state])  # type: ignore[call-arg]
+    return block.settle(0.0, state, direct(block, u or inputs(block, 0, shape)))
+
+
+def run(example: Example, shape: tuple[int, ...] = (), feed: Callable[[int], dict[str, Any]] | None = None) -> Any:
+    """(state, inputs, outputs, next state) of a few samples."""
+    block = example.block
+    feed = feed or (lambda k: inputs(block, k, shape))
+    x, found = start(example, shape, feed(0)), []
+    for k in range(STEPS):
+        u, t = feed(k), k * block.dt
+        y = block.output(t, x, direct(block, u))
+        after = block.update(t, x, block.U(**u), y)
+        found.append((x, u, y, after))
+        x = after
+    return found
+
+
+def flat(values: Any) -> list[Any]:
+    """The scalars in a tuple of scalars and of vector ports' entries."""
+    return [scalar for value in values for scalar in (value if isinstance(value, (tuple, list)) else [value])]
+
+
+def numbers(values: Any) -> np.ndarray:
+    return np.array(np.broadcast_arrays(*flat(values)), dtype=float) if flat(values) else np.zeros(0)
+
+
+def documents(kind: type[Block]) -> str:
+    """The docstrings of a class and of its bases below Block."""
+    return "\n".join(c.__doc__ or "" for c in kind.__mro__ if issubclass(c, Block) and c is not Block)
+
+
+def test_every_block_of_the_package_is_in_the_table() -> None:
+    missing = concrete_blocks() - {type(example.block) for example in EXAMPLES}
+    assert not missing, f"add an Example for {', '.join(sorted(c.__qualname__ for c in missing))}"
+
+
+@kinds
+def test_it_is_a_frozen_keyword_only_dataclass_compared_by_identity(kind: type[Block]) -> None:
+    parameters = kind.__dataclass_params__  # type: ignore[attr-defined]
+    assert "__dataclass_fields__" in vars(kind), "the dataclass decorator is missing"
+    assert parameters.frozen
+    assert not parameters.eq
+    assert all(field.kw_only for field in dataclasses.fields(kind) if field.init)
+
+
+@kinds
+def test_it_is_abstract_or_final(kind: type[Block]) -> None:
+    assert all(base.output is Block.output for base in kind.__mro__[1:] if issubclass(base, Block))
+
+
+@blocks
+def test_it_cannot_be_changed(example: Example) -> None:
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        example.block.dt = 1.0  # type: ignore[misc]
+
+
+@kinds
+def test_every_field_is_documented(kind: type[Block]) -> None:
+    said = set(re.findall(r"\w+", documents(kind)))
+    for cls in kind.__mro__:
+        if cls is not Block and issubclass(cls, Block):
+            body = ast.parse(textwrap.dedent(inspect.getsource(cls))).body[0].body  # type: ignore[attr-defined]
+            for line, after in pairwise(body):
+                if isinstance(line, ast.AnnAssign) and isinstance(after, ast.Expr):
+                    said.add(line.target.id)  # type: ignore[union-attr]
+    silent = [f.name for f in dataclasses.fields(kind) if f.init and f.name != "dt" and f.name not in said]
+    assert not silent, f"{kind.__name__}: no word about {', '.join(silent)}"
+
+
+@kinds
+def test_the_docstring_names_every_port_and_unit(kind: type[Block]) -> None:
+    text = documents(kind)
+    assert kind.__doc__
+    assert kind.__doc__.split("\n")[0].strip().endswith((".", ":"))
+    for port in (*kind.inputs, *kind.outputs):
+        assert re.search(rf"\b{port.name}\b", text), f"{kind.__name__}: no word about port {port.name}"
+        assert f"[{port.unit}]" in text or f"[{port.unit}, " in text, f"{kind.__name__}: unit of {port.name}"
+
+
+@blocks
+def test_the_state_is_a_flat_tuple_of_scalars(example: Example) -> None:
+    block = example.block
+    for shape in ((), (CARS,)):
+        for state in (block.init(shape), start(example, shape), run(example, shape)[-1][3]):
+            assert isinstance(state, tuple)
+            assert all(np.shape(scalar) == shape for scalar in state)
+            assert len(state) == len(block.init())
+
+
+@blocks
+def test_one_car_is_all_python_floats(example: Example) -> None:
+    for x, _, y, after in run(example):
+        assert {type(scalar) for scalar in (*x, *flat(y), *after)} <= {float}
+
+
+@blocks
+def test_outputs_are_the_named_tuple_of_the_ports(example: Example) -> None:
+    block = example.block
+    y = run(example)[0][2]
+    assert len(y) == len(block.outputs)
+    for out, value in zip(block.outputs, y):
+        size = getattr(block, out.name).size
+        assert (np.ndim(value) == 0) if size is None else len(value) == size
+
+
+@blocks
+def test_equal_arguments_give_equal_results_and_stay_as_they_are(example: Example) -> None:
+    block = example.block
+    for shape in ((), (CARS,)):
+        for k, (x, u, y, after) in enumerate(run(example, shape)):
+            kept = numbers(x)
+            for scalar in x:
+                if isinstance(scalar, np.ndarray):
+                    scalar.flags.writeable = False
+            again = block.output(k * block.dt, x, direct(block, u))
+            np.testing.assert_array_equal(numbers(again), numbers(y))
+            np.testing.assert_array_equal(numbers(block.update(k * block.dt, x, block.U(**u), again)), numbers(after))
+            np.testing.assert_array_equal(numbers(x), kept)
+
+
+@blocks
+def test_a_batch_is_its_cars_one_by_one(example: Example) -> None:
+    block = example.block
+    together = run(example, (CARS,))
+    for car in range(CARS):
+        one = dataclasses.replace(example, block=example.single(block, car))
+
+        def feed(k: int, car: int = car) -> dict[str, Any]:
+            return {name: float(value[car]) for name, value in inputs(block, k, (CARS,)).items()}
+
+        for (x, _, y, after), (xs, _, ys, afters) in zip(run(one, (), feed), together):
+            for single, batch in ((x, xs), (y, ys), (after, afters)):
+                batch = [np.broadcast_to(value, (CARS,))[car] for value in flat(batch)]
+                np.testing.assert_allclose(flat(single), batch, rtol=1e-11, atol=1e-12)
+
+
+def depends(block: Block, out: Out) -> set[str]:
+    """The inputs that an output is declared to see in the same sample."""
+    ports: tuple[In, ...] = block.inputs if out.direct is None else out.direct
+    return {port.name for port in ports if port.direct}
+
+
+@blocks
+def test_declared_feedthrough_is_true(example: Example) -> None:
+    block = example.block
+    for k, (x, u, y, _) in enumerate(run(example)):
+        for poison in block.D._fields:
+            poisoned = block.output(k * block.dt, x, direct(block, u | {poison: math.nan}))
+            for out, clean, value in zip(block.outputs, y, poisoned):
+                if poison not in depends(block, out):
+                    assert value == clean, f"{out.name} is declared independent of {poison}, but sees it"
+
+
+@pytest.mark.parametrize("name", sorted({str(example) for example in EXAMPLES}))
+def test_declared_feedthrough_is_needed(name: str) -> None:
+    """An input declared direct changes some output within its sample, for some parameters; or it should not be."""
+    seen, direct_inputs = set(), set()
+    for example in (e for e in EXAMPLES if str(e) == name):
+        block = example.block
+        direct_inputs |= set(block.D._fields)
+        for k, (x, u, y, _) in enumerate(run(example)):
+            for poison in block.D._fields:
+                other = block.output(k * block.dt, x, direct(block, u | {poison: math.nan}))
+                if not np.array_equal(numbers(other), numbers(y)):
+                    seen.add(poison)
+    assert seen == direct_inputs
+
+
+@blocks
+def test_a_nan_shows(example: Example) -> None:
+    """In some output, within ten samples: as a NaN, as a fault, or in that the learner loses the wheel."""
+    block = example.block
+    for port in (p for p in block.inputs if p.name not in example.blind):
+        clean = inputs(block, 1)
+        if isinstance(block, Supervisor):
+            clean |= {"e": 0.3, "ready": 1.0}
+        x, shown = start(example, (), clean), False
+        for k in range(10):
+            u, t = clean | {port.name: math.nan}, k * block.dt
+            y = block.output(t, x, direct(block, u))
+            shown |= bool(np.isnan(numbers(y)).any())
+            if isinstance(block, Supervisor):
+                shown |= y.fault == 1.0 or y.learning < x.learning
+            x = block.update(t, x, block.U(**u), y)
+        assert shown, f"{port.name} = NaN is hidden"
+
+
+@blocks
+def test_the_same_equations_trace_to_symbols(example: Example, monkeypatch: pytest.MonkeyPatch) -> None:
+    import casadi
+
+    def rows(table: m.Table, index: Any) -> list[Any]:
+        return [sum(casadi.if_else(index == k, row[j], 0.0) for k, row in enumerate(table.rows.tolist()))
+                for j in range(table.rows.shape[1])]  # fmt: skip
+
+    monkeypatch.setattr(m.Table, "tracer", staticmethod(rows))
+    block = example.block
+    t, state = casadi.SX.sym("t"), [casadi.SX.sym(f"x{i}") for i in range(len(block.init()))]
+    u = {port.name: casadi.SX.sym(port.name) for port in block.inputs}
+    x = type(block.init())(*state) if hasattr(block.init(), "_fields") else tuple(state)
+    y = block.output(t, x, direct(block, u))
+    after = block.update(t, x, block.U(**u), y)
+    function = casadi.Function(
+        "block",
+        [t, casadi.vertcat(*state), casadi.vertcat(*u.values())],
+        [casadi.vertcat(*flat(y)), casadi.vertcat(*after)],
+    )
+    for k, (x, values, y, after) in enumerate(run(example)):
+        outputs, states = function(k * block.dt, list(x), list(values.values()))
+        np.testing.assert_allclose(np.array(outputs).ravel(), numbers(y).ravel(), rtol=1e-11, atol=1e-12)
+        np.testing.assert_allclose(np.array(states).ravel(), numbers(after).ravel(), rtol=1e-11, atol=1e-12)
