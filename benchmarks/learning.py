@@ -75,8 +75,8 @@ def one_seed(job: tuple[Experiment, int]) -> Outcome:
 
     def round_of(i: int) -> Any:
         if i not in cache:
-            log = evaluate.drive(world, nets[i][2], doe=element(), seed=experiment.seed + 1000)
-            cache[i] = (evaluate.held_all_along(log), of_log(log))
+            log = evaluate.drive(world, nets[i][2], doe=element(), seed=experiment.seed + 1000, only_while_held=True)
+            cache[i] = (evaluate.held_all_along(log), of_log(log) if len(log.t) > 20 else None)
         return cache[i]
 
     first = next((i for i in range(len(nets)) if round_of(i)[0] and GOOD.met(round_of(i)[1], rounds=1.0)), None)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from steerkit.plants.sensors import Sensors
     from steerkit.plants.steering_actuator import SteeringActuator
     from steerkit.plants.vehicle import Vehicle, vehicle
-    from steerkit.simulate import Log, simulate
+    from steerkit.simulation import Log, simulate
     from steerkit.tracker import PathTracker
 
 _HOME = {
@@ -58,12 +58,43 @@ _HOME = {
     "SteeringActuator": "plants.steering_actuator",
     "Vehicle": "plants.vehicle",
     "vehicle": "plants.vehicle",
-    "Log": "simulate",
-    "simulate": "simulate",
+    "Log": "simulation",
+    "simulate": "simulation",
     "PathTracker": "tracker",
 }
 
-__all__ = sorted(_HOME)
+__all__ = [
+    "Block",
+    "Direct",
+    "Experiment",
+    "Guarded",
+    "HumanDriver",
+    "In",
+    "Integrator",
+    "LinearSingleTrack",
+    "Log",
+    "Loop",
+    "LoopState",
+    "LowPass",
+    "NfqPolicy",
+    "NonlinearSingleTrack",
+    "Out",
+    "Path",
+    "PathTracker",
+    "Sensors",
+    "Stanley",
+    "SteeringActuator",
+    "Supervisor",
+    "Vehicle",
+    "WiringError",
+    "compile",
+    "course",
+    "learn",
+    "placed",
+    "simulate",
+    "steering_loop",
+    "vehicle",
+]
 
 try:
     __version__ = version("steerkit-control")

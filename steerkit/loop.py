@@ -96,7 +96,9 @@ class Loop:
             for i, (name, block) in enumerate(self.blocks.items())
             for j, out in enumerate(block.outputs)
         }
-        self._phases = [self._compile_phase(phase) for phase in range(self.period)]
+        patterns = [tuple([phase % n == 0 for n in self.every]) for phase in range(self.period)]
+        ticks = {due: self._compile_tick(due) for due in set(patterns)}
+        self._phases = [ticks[due] for due in patterns]
 
     # ---- asking ---------------------------------------------------------------------------------------------
 
@@ -316,11 +318,10 @@ class Loop:
                 "or put a block with a state between"
             ) from None
 
-    def _compile_phase(self, phase: int) -> Any:
+    def _compile_tick(self, due: tuple[bool, ...]) -> Any:
         """One tick as a straight run of Python calls: nothing is looked up that can be known beforehand."""
-        lines = ["def tick(t, x, y):"]
+        lines = ["def tick(t, x, y):", "    pass"]
         scope: dict[str, Any] = {"nan": math.nan}
-        due = [phase % n == 0 for n in self.every]
 
         def value(source: tuple[int, int] | None) -> str:
             return "nan" if source is None else f"y[{source[0]}][{source[1]}]"

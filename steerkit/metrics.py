@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from steerkit.simulate import Log, Signal
+from steerkit.simulation import Log, Signal
 from steerkit.units import degrees_of
 
 Array = NDArray[np.float64]

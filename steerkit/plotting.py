@@ -6,6 +6,7 @@ opens a window; `figure.savefig(...)`, or show them in a notebook.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from steerkit.diagram import Box, Line
     from steerkit.loop import Loop
     from steerkit.path import Path
-    from steerkit.simulate import Log, Signal
+    from steerkit.simulation import Log, Signal
 
 PALETTE = ("#1f6fa8", "#d2691e", "#3a8258", "#8a5aa8", "#b8445a", "#7a6a53", "#2a9d9d", "#a98a1d", "#5b6f95", "#c0579a")
 """Colours for one thing beside another, in this order."""
@@ -100,7 +101,7 @@ def plot_log(log: Log, signals: Sequence[Signal] | None = None, *, ax: Any = Non
     A vector port gives a line an entry, a batch a thin line a car. Raises KeyError for a signal that was not
     recorded, ValueError when the number of axes is not the number of units.
     """
-    names = [_name(log, signal) for signal in (signals or tuple(log))]
+    names = [_name(log, signal) for signal in (signals or [name for name in log if log[name].size])]
     by_unit: dict[str, list[str]] = {}
     for name in names:
         by_unit.setdefault(log.units[name], []).append(name)
@@ -113,7 +114,8 @@ def plot_log(log: Log, signals: Sequence[Signal] | None = None, *, ax: Any = Non
         figure = panels[0].get_figure(root=True)  # type: ignore[assignment]
     for panel, (unit, group) in zip(panels, by_unit.items()):
         for number, name in enumerate(group):
-            lines = log[name].reshape(len(log.t), -1)
+            values = log[name]
+            lines = values.reshape(len(log.t), math.prod(values.shape[1:]))
             many = lines.shape[1] > 1
             look = {"lw": 0.7, "alpha": max(0.15, 0.9 / lines.shape[1] ** 0.5)} if many else {"lw": 1.2}
             drawn = panel.plot(log.t, lines, color=PALETTE[number % len(PALETTE)], **look)

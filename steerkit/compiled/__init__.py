@@ -23,9 +23,12 @@ from steerkit.compiled.python_code import PythonProgram
 from steerkit.compiled.trace import Trace, TraceError, parameter, trace, with_parameters
 from steerkit.compiled.vm import VmProgram
 from steerkit.loop import Loop, LoopState, Sample
-from steerkit.simulate import Log, Signal, _check_finite
+from steerkit.simulation import Log, Signal, _check_finite
 
 __all__ = ["Compiled", "Cost", "NoCompilerError", "TraceError", "compile", "gradient"]
+
+_PROGRAMS = 4  # made for different held values, before the general one serves all others
+_WORTH_IT = 0.9  # share of the operations that is left, to make a program of its own
 
 Backend = Literal["auto", "python", "vm", "c"]
 
@@ -44,9 +47,9 @@ def compile(
     backend: "c" (through gcc, kept in a cache on disk; for one car and for many), "vm" (CasADi, no compiler needed),
     "python" (generated floats, quickest to make) or "auto": C where there is a compiler, else the VM and a warning.
     record: signals to keep (default: all); every: keep one tick in `every`. parameters: block fields to leave open,
-    such as "controller.k" or "car.vehicle.m"; `run` takes a value for each, or one a car. collapse: multiply out
-    chains of linear operations with constant coefficients (a linear plant at a constant speed becomes its step
-    matrix) where that saves work.
+    such as "controller.k" or "car.vehicle.m"; `run` takes a value for each, or one a car. collapse: take signals
+    that no tick changes (a constant speed) for numbers and multiply out what is linear then, where that saves work: a
+    linear plant at a constant speed becomes its step matrix. Another start value then makes another program.
 
     Raises TraceError naming a block that cannot be compiled, with what to do; NoCompilerError for backend "c" without
     a compiler; KeyError for an unknown signal; ValueError for a bad argument.
@@ -83,13 +86,14 @@ class Compiled:
             raise NoCompilerError("compile: backend 'c' needs a C compiler: install gcc or set CC; or backend='vm'")
         start = time.perf_counter()
         self.loop, self.backend, self.every = loop, backend, every
-        self.trace: Trace = trace(loop, parameters=parameters, collapse=collapse)
+        self.trace: Trace = trace(loop, parameters=parameters)
         names = list(loop.units) if record is None else [r if isinstance(r, str) else loop.port_name(r) for r in record]
         for name in names:
             loop.locate(name)
         self.record = tuple(names)
         self._slots = [slot for name in names for slot in self.trace.layout.slots_of(name)]
-        self._program: Any = None
+        self._collapse = collapse
+        self._programs: dict[tuple[float, ...] | None, Any] = {}
         self.trace_seconds = time.perf_counter() - start
         self.first_call_seconds: float | None = None
 
@@ -140,12 +144,6 @@ class Compiled:
         after = self._state(state.k + 1, end)
         return after, Sample(self.loop, state.k * self.loop.dt, after.y)
 
-    @property
-    def instructions(self) -> int:
-        """Operations in one period."""
-        kinds = [tick.graph.nodes[i][0] for tick in self.trace.ticks for i in tick.graph.order(tick.roots)]
-        return sum(kind not in ("const", "in", "row") for kind in kinds)
-
     def _values(self, given: Mapping[str, Any]) -> dict[str, Any]:
         unknown = [name for name in given if name not in self.trace.parameters]
         if unknown:
@@ -155,19 +153,19 @@ class Compiled:
 
     def _one(self, k: int, stop: int, slots: list[float], parameters: list[float]) -> tuple[Any, Any]:
         """(rows, all slots after the last tick) of one car."""
-        program = self._made()
+        program = self._program(slots)
         if isinstance(program, NativeProgram):
             return program.run(k, stop, np.array(slots), np.array(parameters))
         if isinstance(program, PythonProgram):
             kept: list[tuple[float, ...]] = []
             carried = program.run(k, stop - 1, slots, parameters, kept)
-            for slot, value in zip(self.trace.carried, carried):
+            for slot, value in zip(program.trace.carried, carried):
                 slots[slot] = value
             end = program.finish(stop - 1, slots, parameters)
             if (stop - 1) % self.every == 0:
                 kept.append(tuple([end[slot] for slot in self._slots]))
             return np.array(kept, dtype=float).reshape(len(kept), len(self._slots)), end
-        z = np.array([float(k), *[slots[slot] for slot in self.trace.carried], *parameters])
+        z = np.array([float(k), *[slots[slot] for slot in program.trace.carried], *parameters])
         parts = [part[-first % self.every :: self.every] for first, part in program.run(k, stop - 1, z)]
         end = np.asarray(program.finish((stop - 1) % self.loop.period)(z)).ravel()
         if (stop - 1) % self.every == 0:
@@ -175,21 +173,36 @@ class Compiled:
         return np.concatenate(parts) if parts else np.empty((0, len(self._slots))), end
 
     def _many(self, k: int, stop: int, slots: np.ndarray, parameters: np.ndarray) -> tuple[Any, Any]:
-        program = self._made()
+        program = self._program(slots)
         if isinstance(program, NativeProgram):
             return program.run_many(k, stop, slots, parameters)
         cars = [self._one(k, stop, s.tolist(), p.tolist()) for s, p in zip(slots.T, parameters.T)]
         return np.stack([rows for rows, _ in cars], axis=-1), np.stack([end for _, end in cars], axis=-1)
 
-    def _made(self) -> Any:
-        if self._program is None:
-            if self.backend == "c":
-                self._program = NativeProgram(self.trace, self._slots, self.every)
-            elif self.backend == "python":
-                self._program = PythonProgram(self.trace, self._slots, self.every)
+    def _program(self, slots: Any) -> Any:
+        """The program for a start; one of its own for each of the first few sets of held values that pay for it."""
+        key = self._held_values(slots)
+        if key not in self._programs:
+            trace = self.trace if key is None else self.trace.with_held(key)
+            if key is not None and trace.instructions > _WORTH_IT * self.trace.instructions:
+                self._programs[key] = self._programs.get(None) or self._made(self.trace)
             else:
-                self._program = VmProgram(self.trace, self._slots)
-        return self._program
+                self._programs[key] = self._made(trace)
+        return self._programs[key]
+
+    def _held_values(self, slots: Any) -> tuple[float, ...] | None:
+        if not self._collapse:
+            return None
+        values = [np.unique(slots[slot]) for slot in self.trace.held]
+        if any(len(v) > 1 or not math.isfinite(v[0]) for v in values):
+            return None
+        key = tuple(float(v[0]) for v in values)
+        return key if key in self._programs or len(self._programs) < _PROGRAMS else None
+
+    def _made(self, trace: Trace) -> Any:
+        if self.backend == "c":
+            return NativeProgram(trace, self._slots, self.every)
+        return PythonProgram(trace, self._slots, self.every) if self.backend == "python" else VmProgram(trace, self._slots)
 
     def _state(self, k: int, end: Any) -> LoopState:
         values = [float(v) if np.ndim(v) == 0 else np.array(v) for v in end]

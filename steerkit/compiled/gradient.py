@@ -32,7 +32,7 @@ def gradient(
     "controller.k". state: where to start, the same for all values (default: `loop.init()`). The gradient is that of
     the branch taken: at a limit or a table's knot it is one-sided. Raises TraceError as `compile` does.
     """
-    graphs = trace(loop, parameters=parameters, collapse=False)
+    graphs = trace(loop, parameters=parameters)
     start = loop.init() if state is None else state
     if start.k % loop.period:
         raise ValueError(f"gradient: state at tick {start.k}, expected a multiple of the loop's period {loop.period}")

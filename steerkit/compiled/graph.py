@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import casadi
@@ -32,7 +33,13 @@ _FOLD: dict[str, Callable[[float, float], Any]] = {
     "le": lambda a, b: a <= b,
     "eq": lambda a, b: a == b,
     "ne": lambda a, b: a != b,
+    "div": lambda a, b: a / b,
+    "atan2": math.atan2,
 }
+_FOLD_ONE: dict[str, Callable[[float], Any]] = {
+    **{name: getattr(math, name) for name in _UNARY.values() if hasattr(math, name)},
+    "abs": abs, "neg": lambda a: -a, "floor": lambda a: a // 1.0,
+}  # fmt: skip
 
 
 class Graph:
@@ -72,8 +79,10 @@ class Graph:
             return self._logic(op, [self.boolean(i) for i in operands])
         numbers = [self.number(i) for i in operands]
         values = [self.value(i) for i in numbers]
-        if op in _FOLD and None not in values:
-            return self.const(_FOLD[op](*values))
+        fold: Callable[..., Any] | None = _FOLD.get(op) or _FOLD_ONE.get(op)
+        if fold is not None and None not in values:
+            with contextlib.suppress(ArithmeticError, ValueError):  # 1/0 and the like: left to the run
+                return self.const(fold(*values))
         if (op == "mul" and values[0] == 1.0) or (op == "neg" and self.nodes[numbers[0]][0] == "neg"):
             return numbers[1] if op == "mul" else self.nodes[numbers[0]][1]
         if op in ("mul", "div") and values[1] == 1.0:
@@ -202,20 +211,16 @@ def _operation(graph: Graph, e: Any, parts: list[int]) -> int:
     raise NotImplementedError(f"an operation that steerkit.maths does not have, in {str(e)[:60]}")
 
 
-def collapsed(graph: Graph, roots: Sequence[int]) -> tuple[Graph, list[int]]:
-    """The same equations with chains of linear operations multiplied out, where that takes fewer operations.
+def collapsed(graph: Graph, roots: Sequence[int], fixed: Mapping[int, float]) -> tuple[Graph, list[int]]:
+    """The same equations with the inputs in `fixed` as numbers, and chains of linear operations multiplied out.
 
     A Runge-Kutta step of a linear plant at a constant speed is a polynomial of its matrix; multiplied out it is one
-    row of the step matrix an output: x(k+1) = A x(k) + B u(k), exactly. What feeds a floor, a comparison or a table
-    index is left as it was written, since there a last digit may decide. Agrees with `graph` to rounding.
+    row of the step matrix an output: x(k+1) = A x(k) + B u(k), exactly. That is done where it takes fewer operations.
+    What feeds a floor, a comparison or a table index is left as it was written, since there a last digit may decide.
+    Agrees with `graph` to rounding.
     """
-    best, best_roots, best_count = graph, list(roots), _count(graph, roots)
-    for most in (4, 8, 16, 32):
-        tried, tried_roots = _multiplied_out(graph, roots, most)
-        count = _count(tried, tried_roots)
-        if count < best_count:
-            best, best_roots, best_count = tried, tried_roots, count
-    return best, best_roots
+    tried = [_multiplied_out(graph, roots, most, fixed) for most in (0, 6, 32)]
+    return min(tried, key=lambda made: _count(*made))
 
 
 def _count(graph: Graph, roots: Sequence[int]) -> int:
@@ -226,7 +231,9 @@ _LINEAR = frozenset({"add", "sub", "mul", "div", "neg"})
 _Form = dict[int, float]  # coefficient by node of the new graph; key -1 holds the constant
 
 
-def _multiplied_out(graph: Graph, roots: Sequence[int], most: int) -> tuple[Graph, list[int]]:
+def _multiplied_out(
+    graph: Graph, roots: Sequence[int], most: int, fixed: Mapping[int, float]
+) -> tuple[Graph, list[int]]:
     new = Graph()
     order = graph.order(roots)
     exact = _exact(graph, order)
@@ -240,17 +247,18 @@ def _multiplied_out(graph: Graph, roots: Sequence[int], most: int) -> tuple[Grap
 
     for i in order:
         op, *rest = graph.nodes[i]
-        if op == "const":
-            made[i] = new.const(float.fromhex(rest[0]))
-            forms[i] = {-1: float.fromhex(rest[0])}
+        if op == "in" and rest[0] in fixed:
+            made[i] = new.const(fixed[rest[0]])
+            forms[i] = {-1: fixed[rest[0]]}
             continue
         form = _form(op, [forms[j] for j in rest]) if op in _LINEAR and i not in exact else None
         if form is not None and len(form) <= most and all(map(math.isfinite, form.values())):
             forms[i] = form
             continue
-        parts = rest if op == "in" else [rest[0], node(rest[1]), rest[2]] if op == "row" else [node(j) for j in rest]
-        made[i] = new.add(op, *parts)
-        forms[i] = {made[i]: 1.0}
+        parts = rest if op in ("in", "const") else [rest[0], node(rest[1]), rest[2]] if op == "row" else [node(j) for j in rest]
+        made[i] = new.const(float.fromhex(rest[0])) if op == "const" else new.add(op, *parts)
+        value = new.value(made[i])
+        forms[i] = {made[i]: 1.0} if value is None else {-1: value}
     return new, [node(i) for i in roots]
 
 
@@ -284,9 +292,13 @@ def _form(op: str, forms: list[_Form]) -> _Form | None:
 
 
 def _emit(graph: Graph, form: _Form) -> int:
-    total = None if form.get(-1, 0.0) == 0.0 else graph.const(form[-1])
+    """Terms with the same coefficient are added first, then scaled once."""
+    groups: dict[float, int] = {}
     for key, c in form.items():
         if key != -1:
-            term = key if c == 1.0 else graph.add("mul", graph.const(c), key)
-            total = term if total is None else graph.add("add", total, term)
+            groups[c] = graph.add("add", groups[c], key) if c in groups else key
+    total = None if form.get(-1, 0.0) == 0.0 else graph.const(form[-1])
+    for c, group in groups.items():
+        term = graph.add("mul", graph.const(c), group)
+        total = term if total is None else graph.add("add", total, term)
     return graph.const(0.0) if total is None else total

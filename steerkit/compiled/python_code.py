@@ -19,6 +19,7 @@ class PythonProgram:
     """Generated Python: `run(k, stop, slots, parameters, rows)` and, for all slots of one tick, `finish`."""
 
     def __init__(self, trace: Trace, recorded: Sequence[int], every: int):
+        self.trace = trace
         self.source = "\n".join([*_run(trace, recorded, every), *_finish(trace)])
         scope: dict[str, Any] = {f"table{i}": table._tuples for i, table in enumerate(trace.tables)}
         scope |= {name: getattr(math, name) for name in FUNCTIONS} | {"nan": math.nan, "inf": math.inf}

@@ -90,7 +90,25 @@ class Trace:
         return sorted({slot - 1 for op, slot, *_ in nodes if op == "in" and 0 < slot <= len(self.layout)})
 
 
-def trace(loop: Loop, *, parameters: Sequence[str] = (), collapse: bool = True) -> Trace:
+    @functools.cached_property
+    def held(self) -> list[int]:
+        """The slots that no tick changes: a constant speed, say."""
+        return [s for s in range(len(self.layout)) if all(t.graph.nodes[t.roots[s]] == ("in", s + 1) for t in self.ticks)]
+
+    def with_held(self, values: Sequence[float]) -> Trace:
+        """The trace for starts at which the held slots have these values, which are now constants; see `collapsed`."""
+        fixed = {slot + 1: value for slot, value in zip(self.held, values)}
+        made = [collapsed(tick.graph, tick.roots, fixed) for tick in self.ticks]
+        return dataclasses.replace(self, ticks=tuple(Tick(graph, tuple(roots)) for graph, roots in made))
+
+    @property
+    def instructions(self) -> int:
+        """Operations in one period."""
+        kinds = [tick.graph.nodes[i][0] for tick in self.ticks for i in tick.graph.order(tick.roots)]
+        return sum(kind not in ("const", "in", "row") for kind in kinds)
+
+
+def trace(loop: Loop, *, parameters: Sequence[str] = ()) -> Trace:
     """The graphs of a loop. parameters: block fields (`"controller.k"`) to leave open, as inputs.
 
     Raises TraceError naming the block that is not pure or cannot be run on symbols.
@@ -108,12 +126,12 @@ def trace(loop: Loop, *, parameters: Sequence[str] = (), collapse: bool = True) 
         open_loop = with_parameters(loop, dict(zip(parameters, symbols)))
         tables: dict[int, tuple[int, Table]] = {}
         ticks = tuple(
-            _tick(open_loop, phase, layout, symbols, tables, collapse) for phase in range(loop.period)
+            _tick(open_loop, phase, layout, symbols, tables) for phase in range(loop.period)
         )
     return Trace(loop, layout, tuple(parameters), ticks, tuple(table for _, table in tables.values()))
 
 
-def _tick(loop: Loop, phase: int, layout: Layout, symbols: list[Any], tables: Any, collapse: bool) -> Tick:
+def _tick(loop: Loop, phase: int, layout: Layout, symbols: list[Any], tables: Any) -> Tick:
     k = casadi.SX.sym("k")
     slots = [casadi.SX.sym(f"s{i}") for i in range(len(layout))]
     x, y = layout.unpack(slots)
@@ -127,8 +145,6 @@ def _tick(loop: Loop, phase: int, layout: Layout, symbols: list[Any], tables: An
         raise TraceError(f"a block of {loop!r} changed the number of its states or outputs in a tick")
     expressions = [_scalar(name, value) for name, value in zip(layout.names, values)]
     graph, roots = from_symbols(expressions, [k, *slots, *symbols], lookups)
-    if collapse:
-        graph, roots = collapsed(graph, roots)
     return Tick(graph, tuple(roots))
 
 

@@ -83,7 +83,7 @@ class Guarded(Block):
     """Wraps a block so that an exception in it becomes NaN on all its outputs, which a `Supervisor` answers.
 
     Ports, units, state and sample time are those of `block`. The exception is logged, with its traceback, on the
-    logger `steerkit`. The state stays as it was. Raises nothing itself.
+    logger `steerkit`. The state stays as it was. What `init` or `settle` raise, before the first sample, goes through.
     """
 
     block: Block

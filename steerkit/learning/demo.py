@@ -14,7 +14,7 @@ from steerkit.learning.experiment import Experiment
 from steerkit.learning.report import comparison, console, figures_of_merit, learn_with_progress
 from steerkit.learning.settings import BANG_BANG, DEFAULT
 from steerkit.learning.world import World
-from steerkit.simulate import Log
+from steerkit.simulation import Log
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,9 @@ EXPERIMENTS = {
 
 def run(out: FilePath, *, seed: int = 0) -> None:
     """Run all parts (an interrupted demonstration goes on where it was), print the tables, draw the figures."""
-    console.print("Three cars learn to steer from nothing, each for 11 to 20 minutes of driving. No real car was driven.")
+    console.print(
+        "Three cars learn to steer from nothing, each for 11 to 20 minutes of driving. No real car was driven."
+    )
     out.mkdir(parents=True, exist_ok=True)
     jobs = [(name, experiment, out / _slug(name), seed) for name, experiment in EXPERIMENTS.items()]
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:

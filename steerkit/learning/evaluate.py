@@ -13,7 +13,7 @@ from steerkit.controllers.stanley import Stanley
 from steerkit.learning.world import World
 from steerkit.loop import Loop
 from steerkit.plants.vehicle import Vehicle
-from steerkit.simulate import Log, simulate
+from steerkit.simulation import Log, Sample, simulate
 
 CONTROLLERS = {"stanley": Stanley.of, "stanley-textbook": Stanley.textbook}
 """Analytic controllers by name, each made for a vehicle."""
@@ -54,9 +54,11 @@ def drive(
     rounds: float = 1.0,
     s: float = 0.0,
     progress: bool = False,
+    only_while_held: bool = False,
 ) -> Log:
     """Drive `rounds` rounds of the world's course and return the log, 20 samples a second.
 
+    only_while_held: end at the first sample in which the recovery controller has the wheel.
     The run also ends after the time that the slowest driver would need; then the last `path.progress` is short of
     `rounds` times the course.
     """
@@ -64,11 +66,16 @@ def drive(
     length = rounds * world.path().length
     ticks = round(steering.dt / loop.dt)
     slowest = math.ceil(length / world.v_min / steering.dt) * steering.dt
+
+    def over(sample: Sample) -> bool:
+        lost = only_while_held and sample["supervisor.learning"] < 0.5
+        return lost or sample["path.progress"] >= length
+
     return simulate(
         loop,
         slowest + 5.0,
         every=ticks,
-        until=lambda sample: sample["path.progress"] >= length,
+        until=over,
         allow_nonfinite=True,
         progress=progress,
     )

@@ -18,7 +18,7 @@ from steerkit.learning.settings import Setting
 from steerkit.learning.transitions import Transitions
 from steerkit.learning.world import World
 from steerkit.loop import LoopState
-from steerkit.simulate import Recorder
+from steerkit.simulation import Recorder
 
 END_MARGIN = 5.0
 """How far from the end of an open course the car is carried back to its start [m]."""
@@ -136,7 +136,7 @@ class LearningRun:
             recovery=world.recovery(),
             actuator=world.actuator(),
             sensors=world.sensors(experiment.seed),
-        reference=world.ahead,
+            reference=world.ahead,
         )
         start = self.loop.init()
         self.x, self.y = list(start.x), list(start.y)

@@ -9,7 +9,7 @@ from typing import Any, ParamSpec
 import numpy as np
 
 from steerkit.plotting import COLOURS, new_figure, style
-from steerkit.simulate import Log
+from steerkit.simulation import Log
 from steerkit.units import degrees_of
 
 GOAL, TRIP = 0.05, 0.5
@@ -25,7 +25,6 @@ def _styled(draw: Callable[P, Any]) -> Callable[P, Any]:
             return draw(*args, **kwargs)
 
     return drawn
-
 
 
 @_styled

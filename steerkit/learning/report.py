@@ -16,7 +16,7 @@ from steerkit.learning import evaluate, figures, rundir
 from steerkit.learning.experiment import Experiment, LearningRun, Watcher, learn
 from steerkit.learning.world import World
 from steerkit.metrics import of_log
-from steerkit.simulate import Log
+from steerkit.simulation import Log
 
 console = Console() if Console().is_terminal else Console(width=110)
 
@@ -33,7 +33,9 @@ def learn_with_progress(experiment: Experiment, place: FilePath, *, quiet: bool 
 def _watching(experiment: Experiment) -> Iterator[Watcher]:
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[story]}"), TimeElapsedColumn())
     with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
-        task = bar.add_task(f"{experiment.setting.name} on {experiment.world.course}", total=experiment.minutes, story="")
+        task = bar.add_task(
+            f"{experiment.setting.name} on {experiment.world.course}", total=experiment.minutes, story=""
+        )
 
         def watch(what: str, run: LearningRun) -> None:
             episode = run.counts.episodes[-1] if run.counts.episodes else None

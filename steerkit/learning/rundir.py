@@ -1,10 +1,10 @@
 """A run's directory: all that is needed to resume it, to replay it and to draw it.
 
-    run.json            the experiment, the counts, and which checkpoint is the last whole one; written last
-    state-N.npz         the loop's state at checkpoint N
-    transitions-N.npz   all transitions until then
-    nets/net-NNNN.npz   the policy after update NNNN (0: the untrained net)
-    drive/NNNN.npz      the signals between two checkpoints, 20 a second
+run.json            the experiment, the counts, and which checkpoint is the last whole one; written last
+state-N.npz         the loop's state at checkpoint N
+transitions-N.npz   all transitions until then
+nets/net-NNNN.npz   the policy after update NNNN (0: the untrained net)
+drive/NNNN.npz      the signals between two checkpoints, 20 a second
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from steerkit.learning.nfq import FitSetting
 from steerkit.learning.settings import Setting
 from steerkit.learning.transitions import Transitions
 from steerkit.learning.world import World
-from steerkit.simulate import Log, joined
+from steerkit.simulation import Log, joined
 
 if TYPE_CHECKING:
     from steerkit.learning.experiment import Experiment, LearningRun, Watcher
@@ -55,9 +55,7 @@ def from_plain(data: Any, where: str, default: type | None = None) -> Any:
     for key in data:
         if key != "kind" and key not in valid:
             raise ValueError(f"{where}: {name} has no field '{key}'; valid: {', '.join(valid)}")
-    return kind(
-        **{k: from_plain(v, f"{where}.{k}", inside.get(k)) for k, v in data.items() if k != "kind"}
-    )
+    return kind(**{k: from_plain(v, f"{where}.{k}", inside.get(k)) for k, v in data.items() if k != "kind"})
 
 
 def save(run: LearningRun) -> None:

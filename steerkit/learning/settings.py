@@ -64,9 +64,7 @@ PAPER = Setting(
 BANG_BANG = replace(  # the 800 m course needs up to 430 degrees in motion: 360 cannot drive it, whatever is learned
     DEFAULT, name="bang-bang", actions_deg=(-520.0, 520.0), doe="direct", cost=TanhCost(action_cost=0.0)
 )
-PAPER_BANG_BANG = replace(
-    PAPER, name="paper-bang-bang", actions_deg=(-360.0, 360.0), doe="direct", cost=BandCost()
-)
+PAPER_BANG_BANG = replace(PAPER, name="paper-bang-bang", actions_deg=(-360.0, 360.0), doe="direct", cost=BandCost())
 PAPER_WARM = replace(PAPER, name="paper-warm", fit=replace(PAPER.fit, init="warm"))
 
 SETTINGS = {s.name: s for s in (DEFAULT, PAPER, PAPER_WARM, BANG_BANG, PAPER_BANG_BANG)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path as FilePath
@@ -67,11 +68,11 @@ class Log(Mapping[str, np.ndarray]):
         """One flat column a number: `t`, `car.v`, and `car.v[0]`, `car.v[1]`, ... for vectors and batches."""
         columns = {"t": self.t}
         for name, values in self.signals.items():
-            flat = values.reshape(len(self.t), -1)
             if values.ndim == 1:
                 columns[name] = values
             else:
-                columns |= {f"{name}[{i}]": flat[:, i] for i in range(flat.shape[1])}
+                n = math.prod(values.shape[1:])
+                columns |= {f"{name}[{i}]": values.reshape(-1, n)[:, i] for i in range(n)}
         return columns
 
     def to_pandas(self) -> pd.DataFrame:
@@ -207,7 +208,7 @@ def simulate(
 def _check_finite(log: Log) -> None:
     first: tuple[int, str] | None = None
     for name, values in log.signals.items():
-        bad = ~np.isfinite(values.reshape(len(log.t), -1)).all(axis=1)
+        bad = ~np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
         if bad.any() and (first is None or int(bad.argmax()) < first[0]):
             first = int(bad.argmax()), name
     if first is not None:

@@ -1,0 +1,138 @@
+"""One loop, one trajectory: interpreted, batched, generated Python, CasADi's VM, C and exported C agree.
+
+Bound: |a - b| <= 1e-12*(1 + largest |a|) of each signal. Rounding differs: NumPy, libm and libmvec each have their
+last digits, and a batch is summed in another order.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from steerkit.assembly import placed, steering_loop
+from steerkit.block import Block
+from steerkit.c_export import export_c
+from steerkit.compiled import cache, compile
+from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.controllers.stanley import Stanley
+from steerkit.courses import course, figure_eight
+from steerkit.doe import Integrator, LowPass
+from steerkit.loop import Loop
+from steerkit.plants.careful_driver import CarefulDriver
+from steerkit.plants.human_driver import ConstantSpeed, HumanDriver, RecordedDriver, SpeedProfile
+from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.sensors import Sensors
+from steerkit.plants.steering_actuator import SteeringActuator
+from steerkit.plants.vehicle import vehicle
+from steerkit.simulation import Log, simulate
+
+CAR = vehicle("vw-passat")
+PAPER = course("paper")
+SECONDS = 3.0
+CARS = 5
+BACKENDS = ["python", "vm"] + ["c"] * (cache.compiler() is not None)
+few = settings(max_examples=3, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
+
+
+def driven(driver: Block, plant: type[Any], rng: np.random.Generator, *, dt: float, **parts: Any) -> Loop:
+    path = figure_eight() if rng.random() < 0.3 else PAPER
+    s, e, psi_e = rng.uniform(0.0, path.length), rng.uniform(-0.4, 0.4), rng.uniform(-0.1, 0.1)
+    substeps = 5 if dt > 0.01 else 1
+    car = placed(plant(vehicle=CAR, dt=dt, substeps=substeps, v0=5.0), path, s=s, e=e, psi_e=psi_e)
+    stanley = {"recovery" if "doe" in parts else "controller": Stanley.of(CAR)}
+    return steering_loop(car=car, path=path, driver=driver, **stanley, **parts)
+
+
+def policy(rng: np.random.Generator) -> NfqPolicy:
+    shapes = ((10, 7), (10,), (10, 10), (10,), (1, 10), (1,))
+    return NfqPolicy(nets=tuple(tuple(rng.uniform(-0.5, 0.5, shape) for shape in shapes) for _ in range(2)))
+
+
+def linear_at_constant_speed(seed: int, rng: np.random.Generator) -> Loop:
+    driver = ConstantSpeed(speed=rng.uniform(0.5, 9.0))
+    return driven(driver, LinearSingleTrack, rng, dt=0.05, actuator=SteeringActuator(delay=0.1, dt=0.05))
+
+
+def linear_with_a_human(seed: int, rng: np.random.Generator) -> Loop:
+    return driven(HumanDriver(v_min=0.0, v_max=9.0, seed=seed), LinearSingleTrack, rng, dt=0.01,
+                  actuator=SteeringActuator(gain=rng.uniform(0.9, 1.1)), sensors=Sensors.hard(seed))  # fmt: skip
+
+
+def nonlinear_with_a_record(seed: int, rng: np.random.Generator) -> Loop:
+    driver = RecordedDriver(speeds=tuple(rng.uniform(4.0, 7.5, 9)), spacing=0.5)
+    return driven(driver, NonlinearSingleTrack, rng, dt=0.05)
+
+
+def nonlinear_with_a_profile(seed: int, rng: np.random.Generator) -> Loop:
+    driver = SpeedProfile(speeds=tuple(rng.uniform(4.0, 7.5, 400)), spacing=2.0, repeat=True)
+    return driven(driver, NonlinearSingleTrack, rng, dt=0.01, actuator=SteeringActuator())
+
+
+def learner_with_recovery(seed: int, rng: np.random.Generator) -> Loop:
+    driver = CarefulDriver(path=PAPER, driver=HumanDriver(seed=seed))
+    doe = Integrator() if seed % 2 else LowPass()
+    car = placed(NonlinearSingleTrack(vehicle=CAR, v0=5.0), PAPER, s=rng.uniform(0.0, PAPER.length), e=0.05)
+    return steering_loop(car=car, path=PAPER, driver=driver, controller=policy(rng), doe=doe, sensors=Sensors.hard(seed),
+                         recovery=Stanley.of(CAR), actuator=SteeringActuator(delay=0.05))  # fmt: skip
+
+
+LOOPS: list[Callable[[int, np.random.Generator], Loop]] = [
+    linear_at_constant_speed, linear_with_a_human, nonlinear_with_a_record, nonlinear_with_a_profile,
+    learner_with_recovery,
+]  # fmt: skip
+
+
+def require_same(log: Log, reference: Log, what: str) -> None:
+    assert list(log) == list(reference)
+    np.testing.assert_array_equal(log.t, reference.t)
+    for name, values in reference.signals.items():
+        if values.size:
+            bound = 1e-12 * (1.0 + float(np.abs(values).max()))
+            error = float(np.abs(log[name] - values.reshape(log[name].shape[: values.ndim] + (1,) * (
+                log[name].ndim - values.ndim))).max())
+            assert error <= bound, f"{what}: {name} differs by {error:.2e}, allowed {bound:.2e}"
+
+
+@pytest.mark.parametrize("make", LOOPS, ids=lambda make: make.__name__)
+@few
+@given(seed=st.integers(0, 10**6))
+def test_one_car_is_the_same_in_every_backend(make: Callable[..., Loop], seed: int) -> None:
+    loop = make(seed, np.random.default_rng(seed))
+    start = loop.init()
+    reference = simulate(loop, SECONDS, state=start)
+    for backend in BACKENDS:
+        require_same(compile(loop, backend=backend).run(SECONDS, state=start), reference, backend)
+
+
+@pytest.mark.parametrize("make", LOOPS, ids=lambda make: make.__name__)
+def test_each_car_of_a_batch_is_the_same_in_every_backend(make: Callable[..., Loop]) -> None:
+    loop = make(3, np.random.default_rng(3))
+    start = loop.init(batch=CARS)
+    reference = simulate(loop, SECONDS, state=start)
+    for backend in BACKENDS:
+        require_same(compile(loop, backend=backend).run(SECONDS, state=start), reference, f"batch in {backend}")
+
+
+@pytest.mark.skipif(cache.compiler() is None, reason="exported C needs a compiler")
+@pytest.mark.parametrize("make", [linear_with_a_human, learner_with_recovery], ids=lambda make: make.__name__)
+def test_exported_controllers_give_the_recorded_commands(make: Callable[..., Loop], tmp_path: Path) -> None:
+    loop = make(1, np.random.default_rng(1))
+    blocks = [n for n in loop.names if n not in ("driver", "car", "actuator", "sensors", "path", "seen")]
+    export_c(loop, tmp_path, blocks=blocks)
+    program = tmp_path / "replay"
+    sources = [tmp_path / "controller.c", tmp_path / "controller_test.c"]
+    command = [cache.compiler() or "", "-std=c99", "-O2", "-ffp-contract=off", *sources, "-o", program, "-lm"]
+    subprocess.run([str(part) for part in command], check=True)
+    done = subprocess.run([str(program)], capture_output=True, text=True, check=True)
+    match = re.search(r"largest difference (\S+)", done.stdout)
+    assert match is not None
+    assert float(match[1]) <= 1e-12

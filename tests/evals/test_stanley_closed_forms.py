@@ -1,0 +1,79 @@
+"""Stanley on cars and paths where the answer is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+from steerkit.assembly import placed, steering_loop
+from steerkit.controllers.stanley import Stanley
+from steerkit.courses import circle, straight
+from steerkit.path import Path
+from steerkit.plants.human_driver import ConstantSpeed
+from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.vehicle import vehicle
+from steerkit.simulation import Log, simulate
+
+PASSAT = vehicle("vw-passat")
+RADIUS = 40.0
+
+
+def driven(plant: Any, stanley: Stanley, path: Path, v: float, seconds: float, **start: float) -> Log:
+    """A car steered by Stanley without actuator; `controller_path` follows the front axle."""
+    car = placed(plant(vehicle=PASSAT, v0=v), path, **start)
+    loop = steering_loop(car=car, path=path, driver=ConstantSpeed(speed=v), controller=stanley)
+    front = next(name for name, block in loop.blocks.items() if getattr(block, "reference", 0.0) == PASSAT.l_f
+                 and block is not stanley)  # fmt: skip
+    log = simulate(loop, seconds)
+    log.signals["e_front"] = log[f"{front}.e"]
+    return log
+
+
+def offset_on_the_circle(plant: Any, stanley: Stanley, v: float, left: bool) -> float:
+    path = circle(RADIUS) if left else circle(RADIUS).reversed()
+    e = driven(plant, stanley, path, v, 25.0)["e_front"][-40:]
+    assert np.ptp(e) < 1e-4  # steady
+    return float(e[-1]) * (1.0 if left else -1.0)
+
+
+@pytest.mark.parametrize("left", [True, False])
+@pytest.mark.parametrize("v", [4.0, 6.0, 9.0])
+@pytest.mark.parametrize("plant", [LinearSingleTrack, NonlinearSingleTrack])
+def test_a_steady_circle_is_held_with_the_front_axle_on_the_path(plant: Any, v: float, left: bool) -> None:
+    """With psi_ss the offset is gone; without, it is what psi_ss makes up for; with the wrong sign it would double."""
+    stanley = Stanley.of(PASSAT)
+    psi_ss = PASSAT.m * v * v / RADIUS * PASSAT.l_r / (PASSAT.c_f * PASSAT.wheelbase)
+    expected = psi_ss * (stanley.k_soft + v) / stanley.k  # what the cross-track term has to ask for: outside, so e < 0
+    assert offset_on_the_circle(plant, replace(stanley, mass=0.0), v, left) == pytest.approx(-expected, rel=0.1)
+    assert abs(offset_on_the_circle(plant, stanley, v, left)) < max(0.1 * expected, 5e-4)
+
+
+def test_at_walking_pace_the_offset_dies_out_as_the_law_says() -> None:
+    """A rolling car's front axle goes where its wheels point: without damping e' = -v arctan(k e/(k_soft + v)).
+
+    The kinematic model's wheels lag by tau: tau z' = delta - z, e' = v (psi + z), psi' = v/L z; with tau = 0 the
+    poles are -k v/(k_soft + v) and -v/L.
+    """
+    v, tau = 1.0, 0.05
+    bare = replace(Stanley.of(PASSAT, dt=0.01), k_d_yaw=0.0, k_d_steer=0.0)
+    log = driven(LinearSingleTrack, bare, straight(100.0), v, 5.0, s=10.0, e=0.05)
+    k, curve = bare.k / (bare.k_soft + v), v / PASSAT.wheelbase
+    matrix = np.array([[0.0, v, v], [0.0, 0.0, curve], [-k / tau, -1.0 / tau, -1.0 / tau]])
+    expected = [linalg.expm(matrix * t)[0, 0] for t in log.t]
+    np.testing.assert_allclose(log["e_front"] / 0.05, expected, atol=0.01)
+    assert np.exp(-k * v * 1.0) == pytest.approx(expected[100], abs=0.03)
+
+
+def test_left_and_right_are_mirror_images() -> None:
+    path = straight(200.0)
+    one, other = (
+        driven(NonlinearSingleTrack, Stanley.of(PASSAT), path, 7.0, 5.0, s=10.0, e=side * 1.5) for side in (1.0, -1.0)
+    )
+    for name in ("e_front", "car.r", "car.delta_sw"):
+        np.testing.assert_allclose(one[name], -other[name], atol=1e-9)
+    assert abs(one["e_front"][-1]) < 1e-3

@@ -1,0 +1,114 @@
+"""Dynamic output elements: their step responses, their limits, and that they go on from what was really steered."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from parts import Script
+
+from steerkit.block import Block
+from steerkit.doe import Direct, HeldAngle, Integrator, LowPass
+from steerkit.loop import Loop
+from steerkit.simulation import Log, simulate
+from steerkit.units import radians_of
+
+angles = st.floats(-12.0, 12.0)
+does = pytest.mark.parametrize("doe", [Integrator(), LowPass(), Direct()], ids=["integrator", "low-pass", "direct"])
+
+
+def respond(doe: Any, *actions: float, seconds: float = 1.0) -> Log:
+    """The angle over time when what the element asks for is what is steered."""
+    script = Script(values=actions, dt=doe.dt)
+    wires = [(script.angle, doe.action), (doe.delta_sw, doe.applied)]
+    return simulate(Loop(blocks={"script": script, "doe": doe}, wires=wires), seconds)
+
+
+def once(doe: Any, angle: float, action: float) -> Any:
+    return doe.output(0.0, HeldAngle(angle), doe.D(action))
+
+
+def test_the_integrator_adds_its_actions() -> None:
+    actions = [radians_of(a) for a in (60.0, 10.0, -60.0, 0.0, 10.0)]
+    log = respond(Integrator(), *actions, 0.0, seconds=0.3)
+    np.testing.assert_allclose(log["doe.delta_sw"], np.cumsum([*actions, 0.0]), atol=1e-15)
+
+
+def test_the_integrator_reaches_its_limit_and_comes_back_at_once() -> None:
+    """No wind-up: the first action the other way moves the wheel."""
+    step = radians_of(60.0)
+    log = respond(Integrator(), *[step] * 20, -step, seconds=1.05)
+    wheel = log["doe.delta_sw"]
+    assert wheel[8:20] == pytest.approx([radians_of(520.0)] * 12)
+    assert wheel[20] == pytest.approx(radians_of(460.0))
+
+
+@pytest.mark.parametrize(("tau", "dt"), [(0.3, 0.05), (0.05, 0.05), (1.0, 0.01), (0.01, 0.05)])
+def test_the_low_pass_steps_as_the_exponential(tau: float, dt: float) -> None:
+    log = respond(LowPass(tau=tau, dt=dt), 1.5, seconds=100 * dt)
+    np.testing.assert_allclose(log["doe.delta_sw"], 1.5 * -np.expm1(-(log.t + dt) / tau), rtol=1e-12)
+
+
+def test_the_low_pass_does_not_depend_on_how_finely_it_is_sampled() -> None:
+    coarse, fine = (respond(LowPass(dt=dt), 1.5, seconds=1.0) for dt in (0.05, 0.01))
+    np.testing.assert_allclose(coarse["doe.delta_sw"], fine["doe.delta_sw"][4::5], rtol=1e-12)
+
+
+def test_direct_is_the_action() -> None:
+    actions = [radians_of(360.0), radians_of(-360.0), radians_of(360.0)]
+    log = respond(Direct(), *actions, seconds=0.15)
+    np.testing.assert_array_equal(log["doe.delta_sw"], actions)
+    np.testing.assert_array_equal(log["doe.state"], [0.0, *actions[:2]])
+
+
+@does
+@given(angle=angles, action=angles)
+def test_within_limits_and_odd(doe: Block, angle: float, action: float) -> None:
+    there, back = once(doe, angle, action), once(doe, -angle, -action)
+    assert abs(there.delta_sw) <= radians_of(520.0)
+    assert there.delta_sw == -back.delta_sw
+    assert there.state == angle
+
+
+@given(angle=st.floats(-9.0, 9.0), action=st.floats(-9.0, 9.0), tau=st.floats(0.01, 10.0))
+def test_the_low_pass_never_passes_its_action(angle: float, action: float, tau: float) -> None:
+    after = once(LowPass(tau=tau), angle, action).delta_sw
+    assert min(angle, action) - 1e-12 <= after <= max(angle, action) + 1e-12
+
+
+@does
+def test_it_goes_on_from_the_angle_really_applied(doe: Any) -> None:
+    x = doe.update(0.0, HeldAngle(3.0), doe.U(action=1.0, applied=-2.0), doe.Y(4.0, 3.0))
+    assert x == HeldAngle(-2.0)
+    assert once(doe, x.delta_sw, 0.5).state == -2.0
+
+
+@does
+def test_an_angle_beyond_the_stop_is_remembered_as_the_stop(doe: Any) -> None:
+    x = doe.update(0.0, HeldAngle(0.0), doe.U(action=0.0, applied=50.0), doe.Y(0.0, 0.0))
+    assert x.delta_sw == radians_of(520.0)
+
+
+@does
+def test_nan_stays_nan(doe: Any) -> None:
+    assert math.isnan(once(doe, 0.0, math.nan).delta_sw)
+    assert math.isnan(doe.update(0.0, HeldAngle(0.0), doe.U(0.0, math.nan), doe.Y(0.0, 0.0)).delta_sw)
+
+
+@pytest.mark.parametrize(
+    ("kind", "parameters", "message"),
+    [
+        (Integrator, {"dt": 0.0}, r"Integrator: dt = 0.0 s, expected > 0"),
+        (Direct, {"limit": 520.0}, r"Direct: limit = 520.0 rad, expected 0 to 20 rad"),
+        (LowPass, {"limit": -1.0}, r"LowPass: limit = -1.0 rad"),
+        (LowPass, {"tau": 0.0}, r"LowPass: tau = 0.0 s, expected > 0"),
+        (LowPass, {"tau": math.nan}, r"LowPass: tau = nan s, expected > 0"),
+    ],
+)
+def test_bad_parameters(kind: type[Block], parameters: dict[str, float], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        kind(**parameters)

@@ -1,0 +1,445 @@
+"""Loops: every mistake in the wiring is told when the loop is built; ticks, rates and states are exact."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+from parts import Angle, Count, Delay, Gain, Pair, Sum, Wave
+
+from steerkit.block import Block, In, Out, WiringError
+from steerkit.controllers.recovery import Guarded
+from steerkit.doe import Integrator
+from steerkit.loop import Loop
+from steerkit.simulation import simulate
+
+
+def refused(message: str, **loop: Any) -> None:
+    with pytest.raises(WiringError, match=re.escape(message)):
+        Loop(**loop)
+
+
+def chain(**rates: float) -> Loop:
+    """count -> gain -> total, and count -> late."""
+    count, gain, total, late = Count(), Gain(), Sum(), Delay(first=-1.0)
+    wires = [(count.n, gain.u), (gain.y, total.u), (count.n, late.u)]
+    return Loop(blocks={"count": count, "gain": gain, "total": total, "late": late}, wires=wires, **rates)
+
+
+# ---- wiring errors ------------------------------------------------------------------------------------------------
+
+
+def test_units_differ() -> None:
+    angle, gain, count = Angle(), Gain(), Count()
+    refused(
+        "wire angle.angle [rad] -> gain.u [m]: units differ",
+        blocks={"angle": angle, "gain": gain, "count": count},
+        wires=[(count.n, angle.u), (angle.angle, gain.u)],
+    )
+
+
+def test_sizes_differ() -> None:
+    count, pair, gain = Count(), Pair(), Gain()
+    refused(
+        "wire pair.both [m] -> gain.u [m]: sizes differ (2 and scalar)",
+        blocks={"count": count, "pair": pair, "gain": gain},
+        wires=[(count.n, pair.u), (pair.both, gain.u)],
+    )
+
+
+def test_an_input_is_not_driven_and_the_candidates_are_named() -> None:
+    count, gain, angle = Count(), Gain(), Angle()
+    refused(
+        "gain.u [m] is not driven; outputs with that unit: count.n, gain.y",
+        blocks={"count": count, "gain": gain, "angle": angle},
+        wires=[(count.n, angle.u)],
+    )
+    refused(
+        "doe.action [rad] is not driven; outputs with that unit: doe.delta_sw, doe.state",
+        blocks={"doe": Integrator()},
+        wires=[],
+    )
+    refused("gain.u [m] is not driven; outputs with that unit: gain.y", blocks={"gain": Gain()}, wires=[])
+
+
+def test_an_input_has_two_sources() -> None:
+    count, other, gain = Count(), Count(), Gain()
+    refused(
+        "gain.u [m] has two sources: count.n [m] and other.n [m]",
+        blocks={"count": count, "other": other, "gain": gain},
+        wires=[(count.n, gain.u), (other.n, gain.u)],
+    )
+
+
+def test_an_unknown_port_is_answered_with_the_nearest_name() -> None:
+    with pytest.raises(AttributeError, match=r"Integrator has no port or parameter 'aplied'; did you mean 'applied'\?"):
+        _ = Integrator().aplied
+    with pytest.raises(AttributeError, match=r"\(inputs: none; outputs: n\)"):
+        _ = Count().qqq
+
+
+def test_a_block_is_not_in_the_loop() -> None:
+    count, gain, stranger = Count(), Gain(), Count()
+    refused(
+        "wire Count.n [m] -> Gain.u [m]: Count is not in the loop; blocks: count, gain",
+        blocks={"count": count, "gain": gain},
+        wires=[(stranger.n, gain.u)],
+    )
+
+
+def test_the_same_block_twice() -> None:
+    count = Count()
+    refused("'a' and 'b' are the same block object; make a second one", blocks={"a": count, "b": count}, wires=[])
+
+
+def test_a_wire_runs_the_wrong_way_or_is_no_wire() -> None:
+    count, gain = Count(), Gain()
+    both: dict[str, Any] = {"blocks": {"count": count, "gain": gain}}
+    refused("a wire goes from an output to an input, here input to output", wires=[(gain.u, count.n)], **both)
+    refused("a wire goes from an output to an input, here output to output", wires=[(gain.y, count.n)], **both)
+    for nonsense in ("count.n", (count.n,), (Count.n, gain.u), [count.n, gain.u], count.n):
+        refused("expected a pair of ports such as (car.v, stanley.v)", wires=[nonsense], **both)
+
+
+def test_blocks_are_blocks_with_names() -> None:
+    refused("a loop needs at least one block", blocks={}, wires=[])
+    refused("block 'count' is a type, expected a Block", blocks={"count": Count}, wires=[])
+    refused("block name 'my count': expected a Python identifier", blocks={"my count": Count()}, wires=[])
+
+
+def test_an_algebraic_loop_is_printed() -> None:
+    a, b = Gain(), Gain()
+    with pytest.raises(WiringError, match="algebraic loop: ") as caught:
+        Loop(blocks={"a": a, "b": b}, wires=[(a.y, b.u), (b.y, a.u)])
+    path = str(caught.value).removeprefix("algebraic loop: ").split(";")[0].split(" -> ")
+    assert path[0] == path[-1]
+    ring = ["a.y", "a.u", "b.y", "b.u"]
+    assert sorted(path[1:]) == sorted(ring)
+    steps = set(pairwise(path))
+    assert steps in ({*zip(ring, ring[1:] + ring[:1])}, {*zip(ring[1:] + ring[:1], ring)})
+    assert "direct=False" in str(caught.value)
+
+
+def test_a_block_that_feeds_itself() -> None:
+    gain, total = Gain(), Sum()
+    refused("algebraic loop: ", blocks={"gain": gain}, wires=[(gain.y, gain.u)])
+    Loop(blocks={"total": total}, wires=[(total.total, total.u)])
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Picker(Block):
+    """Steps towards an angle of 1 rad: needs the DOE's state at once."""
+
+    state = In("rad")
+    action = Out("rad")
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        return self.Y(0.5 * (1.0 - u.state))
+
+
+@pytest.mark.parametrize("order", [("doe", "picker"), ("picker", "doe")])
+def test_a_loop_of_blocks_but_not_of_ports_runs(order: tuple[str, str]) -> None:
+    """Integrator.state -> policy -> Integrator.action: state does not see action within a sample."""
+    doe, picker = Integrator(), Picker()
+    blocks = {"doe": doe, "picker": picker}
+    wires = [(doe.state, picker.state), (picker.action, doe.action), (doe.delta_sw, doe.applied)]
+    log = simulate(Loop(blocks={name: blocks[name] for name in order}, wires=wires), 0.25)
+    np.testing.assert_array_equal(log["doe.state"], [0.0, 0.5, 0.75, 0.875, 0.9375])
+    np.testing.assert_array_equal(log["picker.action"], [0.5, 0.25, 0.125, 0.0625, 0.03125])
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Cheat(Delay):
+    """Says that it does not see u at once, and reads it."""
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        return self.Y(u.u)
+
+
+def test_a_false_direct_declaration_fails_on_the_first_sample() -> None:
+    count, cheat = Count(), Cheat()
+    loop = Loop(blocks={"count": count, "cheat": cheat}, wires=[(count.n, cheat.u)])
+    with pytest.raises(WiringError, match=re.escape("cheat.output read 'u', which is not one of its direct inputs (n")):
+        loop.init()
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FalseOut(Block):
+    """Says that `state` does not depend on `action`."""
+
+    action = In("rad")
+    state = Out("rad", direct=())
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        return self.Y(u.action)
+
+
+def test_a_false_direct_declaration_of_an_output_fails_where_it_matters() -> None:
+    false, picker = FalseOut(), Picker()
+    wires = [(false.state, picker.state), (picker.action, false.action)]
+    loop = Loop(blocks={"false": false, "picker": picker}, wires=wires)
+    with pytest.raises(WiringError, match=r"false.state is declared independent of action, but is NaN without it"):
+        loop.init()
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Few(Block):
+    """Forgets one of its outputs."""
+
+    a = Out("m")
+    b = Out("m")
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        return (1.0,)
+
+
+def test_outputs_are_counted_on_the_first_sample() -> None:
+    with pytest.raises(WiringError, match=re.escape("few.output gave 1 values, expected 2: ('a', 'b')")):
+        Loop(blocks={"few": Few()}, wires=[]).init()
+    count, pair = Count(), Pair(entries=3)
+    with pytest.raises(WiringError, match=re.escape("pair.both has 2 entries, expected 3")):
+        Loop(blocks={"count": count, "pair": pair}, wires=[(count.n, pair.u)]).init()
+
+
+def test_sample_times_have_to_divide() -> None:
+    with pytest.raises(WiringError, match=r"sample time of slow is 0.05 s, not a whole multiple of the base step 0.02"):
+        Loop(blocks={"fast": Count(dt=0.02), "slow": Count(dt=0.05)}, wires=[])
+    for bad in (0.0, -0.01, float("nan"), float("inf")):
+        refused("expected a finite number > 0", blocks={"count": Count()}, wires=[], dt=bad)
+    refused("sample time of count is nan s", blocks={"a": Count(), "count": Count(dt=float("nan"))}, wires=[], dt=0.05)
+    assert Loop(blocks={"fast": Count(dt=0.02), "slow": Count(dt=0.05)}, wires=[], dt=0.01).every == (2, 5)
+
+
+def test_unknown_units_are_refused_when_a_block_is_written() -> None:
+    with pytest.raises(ValueError, match=r"unit 'deg' is not known; SI and radians only, one of 1, 1/\(m s\), "):
+        In("deg")
+
+
+# ---- ticks --------------------------------------------------------------------------------------------------------
+
+
+def test_held_outputs_and_no_sample_is_off_by_one() -> None:
+    count, slow, total, late = Count(dt=0.1), Gain(dt=0.3), Sum(dt=0.1), Delay(dt=0.3, first=-1.0)
+    fast = Delay(dt=0.1, first=-1.0)
+    loop = Loop(
+        blocks={"total": total, "slow": slow, "late": late, "fast": fast, "count": count},
+        wires=[(count.n, slow.u), (slow.y, total.u), (count.n, late.u), (late.y, fast.u)],
+    )
+    log = simulate(loop, 0.8)
+    np.testing.assert_allclose(log.t, 0.1 * np.arange(8), rtol=1e-15)
+    assert log["count.n"].tolist() == [0, 1, 2, 3, 4, 5, 6, 7]
+    assert log["slow.y"].tolist() == [0, 0, 0, 3, 3, 3, 6, 6]  # taken at its own sample, then held
+    assert log["total.total"].tolist() == [0, 0, 0, 0, 3, 6, 9, 15]  # what was held, one sample later
+    assert log["late.y"].tolist() == [-1, -1, -1, 0, 0, 0, 3, 3]  # one slow sample late
+    assert log["fast.y"].tolist() == [-1, -1, -1, -1, 0, 0, 0, 3]  # and one fast one more
+
+
+def test_a_finer_base_step_changes_nothing() -> None:
+    coarse, fine = simulate(chain(), 1.0), simulate(chain(dt=0.01), 1.0)
+    for name in coarse:
+        np.testing.assert_array_equal(coarse[name], fine[name][::5])
+        np.testing.assert_array_equal(coarse[name], fine[name][4::5])  # held
+
+
+def test_every_block_has_the_same_t() -> None:
+    @dataclass(frozen=True, eq=False, kw_only=True)
+    class Clock(Block):
+        """t in output and in the update before."""
+
+        now = Out("s", direct=())
+        before = Out("s", direct=())
+
+        def init(self, batch: tuple[int, ...] = ()) -> Any:
+            return (-1.0,)
+
+        def output(self, t: Any, x: Any, u: Any) -> Any:
+            return self.Y(t, x[0])
+
+        def update(self, t: Any, x: Any, u: Any, y: Any) -> Any:
+            return (t,)
+
+    log = simulate(Loop(blocks={"clock": Clock(dt=0.1), "slow": Clock(dt=0.2)}, wires=[]), 0.5)
+    assert log["clock.now"].tolist() == log.t.tolist()
+    assert log["clock.before"].tolist() == [-1.0, *log.t[:-1].tolist()]
+    assert log["slow.now"].tolist() == [log.t[k] for k in (0, 0, 2, 2, 4)]
+    assert log["slow.before"].tolist() == [-1.0, -1.0, 0.0, 0.0, log.t[2]]
+
+
+def test_stepping_by_hand_is_simulating() -> None:
+    loop = chain()
+    log, state, rows = simulate(loop, 1.0), loop.init(), []
+    for _ in range(20):
+        before = state
+        state, sample = loop.step(state)
+        rows.append({**sample})
+        assert before.k + 1 == state.k
+        assert sample.t == before.k * loop.dt
+        assert sample[loop.blocks["count"].n] == sample["count.n"]
+    assert set(rows[0]) == set(log) == set(loop.units)
+    for name in log:
+        assert [row[name] for row in rows] == log[name].tolist()
+    assert state == log.state
+
+
+def test_a_state_can_be_stepped_twice() -> None:
+    loop = chain()
+    state = simulate(loop, 1.0).state
+    assert state is not None
+    once, twice = loop.step(state), loop.step(state)
+    assert once[0] == twice[0]
+    assert dict(once[1]) == dict(twice[1])
+
+
+def test_blocks_settle_on_their_first_inputs() -> None:
+    @dataclass(frozen=True, eq=False, kw_only=True)
+    class Settler(Delay):
+        """Starts from its first input."""
+
+        u = In("m")
+
+        def settle(self, t: Any, x: Any, u: Any) -> Any:
+            return (u.u,)
+
+    wave, gain, settler = Delay(first=3.0), Gain(k=2.0), Settler()
+    wires = [(wave.y, wave.u), (wave.y, gain.u), (gain.y, settler.u)]
+    loop = Loop(blocks={"settler": settler, "gain": gain, "wave": wave}, wires=wires)
+    assert loop.block_state(loop.init(), "settler") == (6.0,)
+    assert simulate(loop, 0.1)["settler.y"].tolist() == [6.0, 6.0]
+
+
+# ---- states -------------------------------------------------------------------------------------------------------
+
+
+def wavy() -> Loop:
+    wave, slow, gain, pair = Wave(), Delay(dt=0.15), Gain(k=0.3), Pair()
+    wires = [(wave.v, slow.u), (slow.y, gain.u), (gain.y, pair.u)]
+    return Loop(blocks={"wave": wave, "slow": slow, "gain": gain, "pair": pair}, wires=wires)
+
+
+@pytest.mark.parametrize("batch", [None, 3])
+def test_a_saved_state_goes_on_bit_for_bit(tmp_path: Path, batch: int | None) -> None:
+    loop = wavy()
+    whole = simulate(loop, 3.0, batch=batch)
+    first = simulate(loop, 1.0, batch=batch)  # 20 ticks: in the middle of the slow block's hold
+    assert first.state is not None
+    loop.save_state(first.state, tmp_path / "state")
+    loaded = wavy().load_state(tmp_path / "state")
+    assert loaded.k == 20
+    rest = simulate(loop, 2.0, state=loaded)
+    for name in whole:
+        np.testing.assert_array_equal(np.concatenate([first[name], rest[name]]), whole[name])
+    np.testing.assert_array_equal(np.concatenate([first.t, rest.t]), whole.t)
+    if batch is None:
+        assert loaded == first.state
+        assert {type(v) for x in loaded.x for v in x} == {float}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Mixed(Block):
+    """One state a car, one for all of them."""
+
+    a = Out("m", direct=())
+
+    def init(self, batch: tuple[int, ...] = ()) -> Any:
+        return (np.arange(3.0), 1.0)
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        return self.Y(x[0] + x[1])
+
+
+def test_a_state_shared_by_all_cars_is_saved_too(tmp_path: Path) -> None:
+    loop = Loop(blocks={"mixed": Mixed()}, wires=[])
+    loop.save_state(loop.init(batch=3), tmp_path / "state.npz")
+    sample = loop.step(loop.load_state(tmp_path / "state.npz"))[1]
+    np.testing.assert_array_equal(sample["mixed.a"], [1.0, 2.0, 3.0])
+
+
+def test_broken_and_foreign_state_files_are_refused(tmp_path: Path) -> None:
+    loop, file = wavy(), tmp_path / "state.npz"
+    loop.save_state(loop.init(), file)
+    whole = file.read_bytes()
+    foreign = {
+        "empty": b"",
+        "cut": whole[: len(whole) // 2],
+        "text": b"t,car.v\n0,1\n",
+        "zip": b"PK\x03\x04" + bytes(60),
+        "damaged": whole[:80] + bytes([whole[80] ^ 0xFF]) + whole[81:],
+    }
+    for name, content in foreign.items():
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(ValueError, match=rf"load_state: .*{name} is no NumPy .npz file, or a broken one"):
+            loop.load_state(tmp_path / name)
+    np.save(tmp_path / "array.npy", np.zeros(3))
+    with pytest.raises(ValueError, match=r"array.npy is no NumPy .npz file"):
+        loop.load_state(tmp_path / "array.npy")
+    np.savez(tmp_path / "other.npz", a=np.zeros(3))
+    with pytest.raises(ValueError, match=r"other.npz lacks k; it is no state of Loop\(wave, slow, gain, pair"):
+        loop.load_state(tmp_path / "other.npz")
+    with pytest.raises(ValueError, match=r"lacks x.count; it is no state of Loop\(count"):
+        chain().load_state(file)
+    wave = Wave()
+    with pytest.raises(ValueError, match=r"holds x.gain; it is no state of Loop\(wave;"):
+        Loop(blocks={"wave": wave}, wires=[]).load_state(file)
+    longer = Loop(blocks={"wave": Count()}, wires=[])
+    longer.save_state(longer.init(), file)
+    with pytest.raises(ValueError, match=r"lacks y.wave.v"):
+        Loop(blocks={"wave": wave}, wires=[]).load_state(file)
+    with pytest.raises(FileNotFoundError):
+        loop.load_state(tmp_path / "nowhere.npz")
+
+
+def test_a_block_and_its_state_can_be_replaced() -> None:
+    loop = chain()
+    state = simulate(loop, 0.5).state
+    assert state is not None
+    faster = loop.with_block("count", Count(step=10.0))
+    assert simulate(faster, 0.1, state=state)["count.n"].tolist() == [10.0, 20.0]
+    moved = loop.with_block_state(state, "count", (100.0,))
+    assert loop.block_state(moved, "count") == (100.0,)
+    assert loop.block_state(state, "count") == (10.0,)
+    assert simulate(loop, 0.1, state=moved)["count.n"].tolist() == [100.0, 101.0]
+    with pytest.raises(KeyError, match="no block 'cont'; did you mean 'count'"):
+        loop.with_block("cont", Count())
+    with pytest.raises(AttributeError, match="Wave has no port or parameter 'n'"):
+        loop.with_block("count", Wave())
+
+
+# ---- asking -------------------------------------------------------------------------------------------------------
+
+
+def test_signals_are_found_by_name_and_by_port() -> None:
+    loop = chain()
+    count, gain = loop.blocks["count"], loop.blocks["gain"]
+    assert loop.port_name(gain.y) == "gain.y"
+    assert loop.locate("gain.y") == loop.locate(gain.y) == (1, 0)
+    assert loop.units["gain.y"] == "m"
+    assert repr(count.n) == "Count.n [m]"
+    assert repr(loop) == "Loop(count, gain, total, late; 3 wires; dt = 0.05 s)"
+    with pytest.raises(KeyError, match=r"no signal 'gain.z'; did you mean 'gain.y'"):
+        loop.locate("gain.z")
+    with pytest.raises(KeyError, match=re.escape("Count.n [m] belongs to a block that is not in this loop")):
+        loop.locate(Count().n)
+
+
+class Hardware(Count):
+    """A block that is not pure."""
+
+    pure: ClassVar[bool] = False
+
+
+@pytest.mark.parametrize("car", [Hardware(), Guarded(block=Hardware())])
+def test_what_is_not_pure_is_stepped_but_not_batched(car: Block) -> None:
+    loop = Loop(blocks={"car": car}, wires=[])
+    assert simulate(loop, 0.1)["car.n"].tolist() == [0.0, 1.0]
+    with pytest.raises(TypeError, match=r"car \(\w+\) is not pure: it cannot be batched, only stepped"):
+        loop.init(batch=2)
+
+
+def test_a_batch_has_cars() -> None:
+    with pytest.raises(ValueError, match="batch = 0, expected a number of cars >= 1"):
+        chain().init(batch=0)
