@@ -157,7 +157,7 @@ def _known_unit(unit: str) -> str:
     return unit
 
 
-def require(ok: bool, where: str, what: str) -> None:
-    """Raise ValueError `where: what` unless `ok`; blocks check their parameters with it."""
-    if not ok:
+def require(ok: Any, where: str, what: str) -> None:
+    """Raise ValueError `where: what` unless `ok` (for all cars, if an array); blocks check their parameters with it."""
+    if not (ok.all() if hasattr(ok, "all") else ok):
         raise ValueError(f"{where}: {what}")

@@ -82,7 +82,7 @@ def _external(units: Mapping[str, str], dt: float) -> Block:
         return self.Y(*x)
 
     ports = {signal: Out(unit, direct=()) for signal, unit in units.items()}
-    kind = type("External", (Block,), {**ports, "init": init, "output": output})
+    kind: Any = type("External", (Block,), {**ports, "init": init, "output": output})
     return dataclasses.dataclass(frozen=True, eq=False, kw_only=True)(kind)(dt=dt)
 
 
@@ -152,7 +152,7 @@ class _Part:
         rows[:, [unit == "m/s" for unit in units.values()]] = np.abs(rows[:, [u == "m/s" for u in units.values()]])
         x = block.init()
         expected = []
-        direct = [n for n in block.D._fields]
+        direct = block.D._fields
         for k, row in enumerate(rows.tolist()):
             u = block.U(*row)
             y = block.output(k * block.dt, x, block.D(*[getattr(u, n) for n in direct]))
@@ -189,7 +189,8 @@ class _Part:
         """The text of <name>.h."""
         guard = f"{name.upper()}_H"
         lines = [f"/* {name}: made by steerkit's export_c; SI units and radians. */", f"#ifndef {guard}",
-                 f"#define {guard}", "", f"#define {name.upper()}_DT {c_number(self.trace.loop.dt)} /* [s] */"]  # fmt: skip
+                 f"#define {guard}", ""]  # fmt: skip
+        lines.append(f"#define {name.upper()}_DT {c_number(self.trace.loop.dt)} /* [s] */")
         for block_name, block in self.trace.loop.blocks.items():
             if block_name != "inputs":
                 for field, value in _numbers(block):
@@ -202,8 +203,8 @@ class _Part:
         lines += [f"  double {field}; /* [{unit}] */" for field, unit in self.inputs.items()] or ["  double none;"]
         lines += [f"}} {name}_inputs;", "", "typedef struct {"]
         lines += [f"  double {field}; /* [{unit}] */" for field, _, unit in self.results]
-        lines += [f"}} {name}_outputs;", "", f"void {name}_init({name}_state *s);",
-                  f"void {name}_step({name}_state *s, const {name}_inputs *u, {name}_outputs *y);", "", "#endif", ""]  # fmt: skip
+        step = f"void {name}_step({name}_state *s, const {name}_inputs *u, {name}_outputs *y);"
+        lines += [f"}} {name}_outputs;", "", f"void {name}_init({name}_state *s);", step, "", "#endif", ""]
         return "\n".join(line for i, line in enumerate(lines) if line or lines[i - 1])
 
     def source(self, name: str) -> str:
@@ -249,7 +250,8 @@ class _Part:
             text = ",\n".join("  {" + (", ".join(c_number(v) for v in row) or "0.0") + "}" for row in rows.tolist())
             return f"static const double {kind}[{len(rows)}][{width}] = {{\n{text}\n}};\n"
 
-        given = "\n".join(f"    u.{field} = inputs[i][{j}];" for j, field in enumerate(self.inputs)) or "    u.none = 0.0;"
+        copies = [f"    u.{field} = inputs[i][{j}];" for j, field in enumerate(self.inputs)]
+        given = "\n".join(copies or ["    u.none = 0.0;"])
         seen = ", ".join(f"y.{field}" for field in results)
         labels = ", ".join(f'"{field}"' for field in results)
         return _TEST.format(
@@ -260,7 +262,8 @@ class _Part:
 
 def _numbers(block: Block) -> list[tuple[str, float]]:
     values = [(f.name, getattr(block, f.name)) for f in dataclasses.fields(block)]
-    return [(n, float(v)) for n, v in values if isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v)]
+    numbers = [(n, v) for n, v in values if isinstance(v, int | float) and not isinstance(v, bool)]
+    return [(n, float(v)) for n, v in numbers if math.isfinite(v)]
 
 
 def _snake(name: str) -> str:

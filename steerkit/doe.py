@@ -34,12 +34,13 @@ class Dynamic(Block):
     delta_sw = Out("rad")
     state = Out("rad", direct=())
 
-    limit: float = radians_of(520.0)
-    """Largest |delta_sw| [rad]."""
+    limit: m.Scalar = radians_of(520.0)
+    """Largest |delta_sw| [rad]; like `tau`, one number or an `(N,)` array for a batch."""
 
     def __post_init__(self) -> None:
         require(self.dt > 0.0, type(self).__name__, f"dt = {self.dt} s, expected > 0")
-        require(0.0 < self.limit < 20.0, type(self).__name__, f"limit = {self.limit} rad, expected 0 to 20 rad")
+        within = (self.limit > 0.0) & (self.limit < 20.0)
+        require(within, type(self).__name__, f"limit = {self.limit} rad, expected 0 to 20 rad")
 
     def init(self, batch: tuple[int, ...] = ()) -> HeldAngle:
         return HeldAngle(m.filled(0.0, batch))
@@ -73,7 +74,7 @@ class LowPass(Dynamic):
     `Dynamic`. Raises ValueError for dt, limit or tau out of range. Source: Riedmiller et al. 2007 (low-pass DOE).
     """
 
-    tau: float = 0.3
+    tau: m.Scalar = 0.3
     """Time constant [s]."""
 
     def __post_init__(self) -> None:

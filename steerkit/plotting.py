@@ -21,7 +21,10 @@ if TYPE_CHECKING:
     from steerkit.path import Path
     from steerkit.simulation import Log, Signal
 
-PALETTE = ("#1f6fa8", "#d2691e", "#3a8258", "#8a5aa8", "#b8445a", "#7a6a53", "#2a9d9d", "#a98a1d", "#5b6f95", "#c0579a")
+PALETTE = (
+    "#1f6fa8", "#d2691e", "#3a8258", "#8a5aa8", "#b8445a", "#7a6a53",
+    "#2a9d9d", "#a98a1d", "#5b6f95", "#c0579a", "#6f9a2d", "#455a64",
+)  # fmt: skip
 """Colours for one thing beside another, in this order."""
 
 COLOURS = {
@@ -120,10 +123,14 @@ def plot_log(log: Log, signals: Sequence[Signal] | None = None, *, ax: Any = Non
             look = {"lw": 0.7, "alpha": max(0.15, 0.9 / lines.shape[1] ** 0.5)} if many else {"lw": 1.2}
             drawn = panel.plot(log.t, lines, color=PALETTE[number % len(PALETTE)], **look)
             drawn[0].set_label(f"{name} ({lines.shape[1]})" if many else name)
-        panel.set_ylabel("" if unit == "1" else f"[{unit}]")
-        legend = panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.02), frameon=False, fontsize=8.0)
-        for handle in legend.get_lines():
-            handle.set(alpha=1.0, linewidth=1.6)
+        brackets = "" if unit == "1" else f"[{unit}]"
+        if len(group) == 1:
+            panel.set_ylabel(f"{group[0]} {brackets}".strip())
+        else:
+            panel.set_ylabel(brackets)
+            legend = panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.02), frameon=False, fontsize=8.0)
+            for handle in legend.get_lines():
+                handle.set(alpha=1.0, linewidth=1.6)
         panel.margins(x=0.0)
     panels[-1].set_xlabel("t [s]")
     return figure
@@ -207,7 +214,9 @@ def _draw_box(axes: Axes, box: Box, colour: str, hollow: set[str]) -> None:
     for name, y in box.outputs.items():
         axes.text(box.x + box.width - 0.5, box.y + y, box.labels[name], fontsize=8, color=ink, ha="right", **text)
     if not box.outputs:
-        axes.text(box.x + box.width - 0.5, box.y + HEAD + 0.5, "not wired", fontsize=7, color=muted, ha="right", **text)
+        axes.text(
+            box.x + box.width - 0.5, box.y + HEAD + 0.5, "logged only", fontsize=7, color=muted, ha="right", **text
+        )
 
 
 def _towards(corner: tuple[float, float], other: tuple[float, float], radius: float = 0.28) -> tuple[float, float]:

@@ -115,7 +115,7 @@ class Log(Mapping[str, np.ndarray]):
         """Plot signals over time, one panel a unit; returns the matplotlib figure."""
         from steerkit.plotting import plot_log
 
-        return plot_log(self, signals or tuple(self.signals), ax=ax)
+        return plot_log(self, signals, ax=ax)
 
 
 class Recorder:

@@ -40,7 +40,7 @@ def compile(
     record: Sequence[Signal] | None = None,
     every: int = 1,
     parameters: Sequence[str] = (),
-    collapse: bool = True,
+    collapse: bool = False,
 ) -> Compiled:
     """A loop as fast as the machine allows; runs give the same `Log` as `simulate`.
 
@@ -49,7 +49,8 @@ def compile(
     record: signals to keep (default: all); every: keep one tick in `every`. parameters: block fields to leave open,
     such as "controller.k" or "car.vehicle.m"; `run` takes a value for each, or one a car. collapse: take signals
     that no tick changes (a constant speed) for numbers and multiply out what is linear then, where that saves work: a
-    linear plant at a constant speed becomes its step matrix. Another start value then makes another program.
+    linear plant at a constant speed becomes its step matrix. Sums are then made in another order, and another start
+    value makes another program.
 
     Raises TraceError naming a block that cannot be compiled, with what to do; NoCompilerError for backend "c" without
     a compiler; KeyError for an unknown signal; ValueError for a bad argument.
@@ -72,7 +73,7 @@ class Compiled:
         record: Sequence[Signal] | None = None,
         every: int = 1,
         parameters: Sequence[str] = (),
-        collapse: bool = True,
+        collapse: bool = False,
     ):
         if every < 1:
             raise ValueError(f"compile: every = {every}, expected a whole number >= 1")
@@ -121,7 +122,7 @@ class Compiled:
             known = {name: values[name] for name in parameters or {}}
             state = with_parameters(self.loop, known).init(batch=cars)
         slots = self.trace.layout.pack(state.x, state.y)
-        cars = _cars({"state": v for v in slots if np.ndim(v)} | values, cars)
+        cars = _cars({"state": next((v for v in slots if np.ndim(v)), 0.0)} | values, cars)
         stop = state.k + max(1, round(duration / self.loop.dt))
         if cars is None:
             rows, end = self._one(state.k, stop, [float(v) for v in slots], [float(v) for v in values.values()])
@@ -148,7 +149,9 @@ class Compiled:
         unknown = [name for name in given if name not in self.trace.parameters]
         if unknown:
             open_ones = ", ".join(self.trace.parameters) or "none"
-            raise ValueError(f"run: parameter '{unknown[0]}' was not left open; compile(parameters=[...]); open: {open_ones}")
+            raise ValueError(
+                f"run: parameter '{unknown[0]}' was not left open, compile(parameters=[...]); open: {open_ones}"
+            )
         return {n: given[n] if n in given else parameter(self.loop, n) for n in self.trace.parameters}
 
     def _one(self, k: int, stop: int, slots: list[float], parameters: list[float]) -> tuple[Any, Any]:
@@ -161,10 +164,10 @@ class Compiled:
             carried = program.run(k, stop - 1, slots, parameters, kept)
             for slot, value in zip(program.trace.carried, carried):
                 slots[slot] = value
-            end = program.finish(stop - 1, slots, parameters)
+            last = program.finish(stop - 1, slots, parameters)
             if (stop - 1) % self.every == 0:
-                kept.append(tuple([end[slot] for slot in self._slots]))
-            return np.array(kept, dtype=float).reshape(len(kept), len(self._slots)), end
+                kept.append(tuple([last[slot] for slot in self._slots]))
+            return np.array(kept, dtype=float).reshape(len(kept), len(self._slots)), last
         z = np.array([float(k), *[slots[slot] for slot in program.trace.carried], *parameters])
         parts = [part[-first % self.every :: self.every] for first, part in program.run(k, stop - 1, z)]
         end = np.asarray(program.finish((stop - 1) % self.loop.period)(z)).ravel()
@@ -202,7 +205,9 @@ class Compiled:
     def _made(self, trace: Trace) -> Any:
         if self.backend == "c":
             return NativeProgram(trace, self._slots, self.every)
-        return PythonProgram(trace, self._slots, self.every) if self.backend == "python" else VmProgram(trace, self._slots)
+        if self.backend == "python":
+            return PythonProgram(trace, self._slots, self.every)
+        return VmProgram(trace, self._slots)
 
     def _state(self, k: int, end: Any) -> LoopState:
         values = [float(v) if np.ndim(v) == 0 else np.array(v) for v in end]

@@ -31,6 +31,7 @@ _ONE = SCALAR_TYPES + "#define LANES 1\n"
 
 _MANY = """\
 #include <string.h>
+#define INLINE static inline __attribute__((always_inline))
 #if defined(__AVX512F__)
 #define LANES 8
 #define VECTOR(f, args) _ZGVeN8##args##_##f
@@ -43,8 +44,8 @@ _MANY = """\
 #endif
 typedef double real __attribute__((vector_size(8 * LANES)));
 typedef long long mask __attribute__((vector_size(8 * LANES)));
-static inline real number(double x) { real r; for (int i = 0; i < LANES; i++) r[i] = x; return r; }
-static inline real select(mask c, real a, real b) { return (real)((c & (mask)a) | (~c & (mask)b)); }
+INLINE real number(double x) { real r; for (int i = 0; i < LANES; i++) r[i] = x; return r; }
+INLINE real select(mask c, real a, real b) { return (real)((c & (mask)a) | (~c & (mask)b)); }
 #define NUMBER(x) number(x)
 #define NOT(a) (~(a))
 #define SELECT(c, a, b) select(c, a, b)
@@ -53,22 +54,56 @@ static inline real select(mask c, real a, real b) { return (real)((c & (mask)a) 
 #define ABS(a) ((real)((mask)(a) & 0x7fffffffffffffffLL))
 #define ROW(name, table, i) const double *name[LANES]; for (int l = 0; l < LANES; l++) name[l] = row##table((i)[l])
 #define AT(name, column) gathered(name, column)
-static inline real gathered(const double *const *row, int column)
+INLINE real gathered(const double *const *row, int column)
 { real r; for (int l = 0; l < LANES; l++) r[l] = row[l][column]; return r; }
-#define BY_LANE(f) static inline real lanes_##f(real a) \\
+#define BY_LANE(f) INLINE real lanes_##f(real a) \\
   { real r; for (int i = 0; i < LANES; i++) r[i] = f(a[i]); return r; }
 BY_LANE(floor)
 BY_LANE(sqrt)
+/* sin and cos inline, so that the pair shares its work and no call empties the registers: a = k pi/2 + r by Cody and
+   Waite's method, exact for |a| < 1e6 and within the rounding of a itself beyond; then fdlibm's polynomials in r */
+INLINE real reduced(real a, mask *quarter)
+{
+  const real t = a * 0.63661977236758134308 + 6755399441055744.0, k = t - 6755399441055744.0;
+  *quarter = (mask)t;
+  return ((a - k * 1.57079632673412561417e+00) - k * 6.07710050630396597660e-11) - k * 2.02226624879595063154e-21;
+}
+INLINE real sine(real r)
+{
+  const real z = r * r;
+  return r + z * r * (-1.66666666666666324348e-01 + z * (8.33333333332248946124e-03 + z * (-1.98412698298579493134e-04
+    + z * (2.75573137070700676789e-06 + z * (-2.50507602534068634195e-08 + z * 1.58969099521155010221e-10)))));
+}
+INLINE real cosine(real r)
+{
+  const real z = r * r, h = 0.5 * z, w = 1.0 - h;
+  return w + (((1.0 - w) - h) + z * z * (4.16666666666666019037e-02 + z * (-1.38888888888741095749e-03
+    + z * (2.48015872894767294178e-05 + z * (-2.75573143513906633035e-07 + z * (2.08757232129817482790e-09
+    + z * -1.13596475577881948265e-11))))));
+}
+INLINE real signed_by(real a, mask sign) { return (real)((mask)a ^ ((sign & 2) << 62)); }
+INLINE real lanes_sin(real a)
+{
+  mask q;
+  const real r = reduced(a, &q), s = sine(r), c = cosine(r);
+  return signed_by(select((q & 1) != 0, c, s), q);
+}
+INLINE real lanes_cos(real a)
+{
+  mask q;
+  const real r = reduced(a, &q), s = sine(r), c = cosine(r);
+  return signed_by(select((q & 1) != 0, s, c), q + 1);
+}
 #ifdef VECTOR_MATHS /* glibc's libmvec: within 4 units in the last place */
-#define BY_VECTOR(f) extern real VECTOR(f, v)(real); static inline real lanes_##f(real a) { return VECTOR(f, v)(a); }
-BY_VECTOR(sin) BY_VECTOR(cos) BY_VECTOR(tan) BY_VECTOR(asin) BY_VECTOR(acos) BY_VECTOR(atan)
+#define BY_VECTOR(f) extern real VECTOR(f, v)(real); INLINE real lanes_##f(real a) { return VECTOR(f, v)(a); }
+BY_VECTOR(tan) BY_VECTOR(asin) BY_VECTOR(acos) BY_VECTOR(atan)
 BY_VECTOR(tanh) BY_VECTOR(exp) BY_VECTOR(log)
 extern real VECTOR(atan2, vv)(real, real);
-static inline real lanes_atan2(real a, real b) { return VECTOR(atan2, vv)(a, b); }
+INLINE real lanes_atan2(real a, real b) { return VECTOR(atan2, vv)(a, b); }
 #else
-BY_LANE(sin) BY_LANE(cos) BY_LANE(tan) BY_LANE(asin) BY_LANE(acos) BY_LANE(atan)
+BY_LANE(tan) BY_LANE(asin) BY_LANE(acos) BY_LANE(atan)
 BY_LANE(tanh) BY_LANE(exp) BY_LANE(log)
-static inline real lanes_atan2(real a, real b)
+INLINE real lanes_atan2(real a, real b)
 { real r; for (int i = 0; i < LANES; i++) r[i] = atan2(a[i], b[i]); return r; }
 #endif
 """

@@ -12,9 +12,12 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-FLAGS = ("-O3", "-march=native", "-std=gnu99", "-fPIC", "-shared", "-fno-math-errno", "-fno-trapping-math",
-         "-ffp-contract=off", "-w")  # fmt: skip
-"""Nothing here changes a result: no -ffast-math, and no fused multiply-add, which rounds otherwise than Python."""
+FLAGS = ("-O3", "-march=native", "-std=gnu99", "-fPIC", "-shared", "-fno-math-errno", "-fno-trapping-math", "-w")
+"""None of these changes a result; -ffast-math is not among them."""
+EXACT = ("-ffp-contract=off",)
+"""No fused multiply-add: every operation rounds as Python's does."""
+LANES = ("-ffp-contract=fast",)
+"""For vectors of cars, whose functions are libmvec's anyway: fused operations, each rounded once instead of twice."""
 
 
 class NoCompilerError(RuntimeError):
@@ -34,13 +37,13 @@ def directory() -> Path:
 def load(source: str, *, vector_maths: bool = False) -> ctypes.CDLL:
     """The library of a C file, compiled at the first call on this machine and found in the cache after that.
 
-    vector_maths: link glibc's libmvec where there is one. Raises NoCompilerError when there is no compiler, or it
-    refuses.
+    vector_maths: for vectors of cars; link glibc's libmvec where there is one. Raises NoCompilerError when there is
+    no compiler, or it refuses.
     """
     tool = compiler()
     if tool is None:
         raise NoCompilerError("no C compiler found: install gcc (or clang), or set CC")
-    key = hashlib.sha256("\0".join((source, _machine(tool), *FLAGS, str(vector_maths))).encode()).hexdigest()[:32]
+    key = hashlib.sha256("\0".join((source, _machine(tool), *FLAGS, *_more(vector_maths))).encode()).hexdigest()[:32]
     library = directory() / f"{key}.so"
     if not library.exists():
         _build(tool, source, library, vector_maths)
@@ -55,7 +58,8 @@ def _build(tool: str, source: str, library: Path, vector_maths: bool) -> None:
             file.write_text(source, encoding="utf-8")
             tries = [["-DVECTOR_MATHS", "-Wl,--no-undefined", "-lmvec"], []] if vector_maths else [[]]
             for extra in tries:  # the second, lane by lane, is for machines without libmvec
-                command = [tool, *FLAGS, *extra[:1], str(file), "-o", str(made), *extra[1:], "-lm"]
+                flags = [*FLAGS, *_more(vector_maths), *extra[:1]]
+                command = [tool, *flags, str(file), "-o", str(made), *extra[1:], "-lm"]
                 done = subprocess.run(command, capture_output=True, text=True, check=False)
                 if done.returncode == 0:
                     os.replace(made, library)  # atomic: another process sees all of it or nothing
@@ -63,6 +67,10 @@ def _build(tool: str, source: str, library: Path, vector_maths: bool) -> None:
     except OSError as error:
         raise NoCompilerError(f"cannot compile in {library.parent}: {error}") from error
     raise NoCompilerError(f"{tool} refused the generated code: {done.stderr.strip()[:500]}")
+
+
+def _more(vector_maths: bool) -> tuple[str, ...]:
+    return LANES if vector_maths else EXACT
 
 
 @functools.cache

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -76,4 +77,4 @@ def _cost_function(loop: Loop, layout: Layout, cost: Callable[[Sample], Any]) ->
     first = min(slot for slot, _ in layout.signals.values())
     symbols = casadi.SX.sym("y", len(layout) - first)
     _, y = layout.unpack([0.0] * first + [symbols[i] for i in range(symbols.numel())])
-    return casadi.Function("cost", [symbols], [casadi.SX(cost(Sample(loop, casadi.SX.sym("t"), y)))])
+    return casadi.Function("cost", [symbols], [casadi.SX(cost(Sample(loop, math.nan, y)))])

@@ -216,8 +216,9 @@ def collapsed(graph: Graph, roots: Sequence[int], fixed: Mapping[int, float]) ->
 
     A Runge-Kutta step of a linear plant at a constant speed is a polynomial of its matrix; multiplied out it is one
     row of the step matrix an output: x(k+1) = A x(k) + B u(k), exactly. That is done where it takes fewer operations.
-    What feeds a floor, a comparison or a table index is left as it was written, since there a last digit may decide.
-    Agrees with `graph` to rounding.
+    A term with the coefficient zero is left out: what it multiplied is taken to be finite. What feeds a floor, a
+    comparison or a table index is left as it was written, since there a last digit may decide. Agrees with `graph` to
+    rounding.
     """
     tried = [_multiplied_out(graph, roots, most, fixed) for most in (0, 6, 32)]
     return min(tried, key=lambda made: _count(*made))
@@ -252,11 +253,19 @@ def _multiplied_out(
             forms[i] = {-1: fixed[rest[0]]}
             continue
         form = _form(op, [forms[j] for j in rest]) if op in _LINEAR and i not in exact else None
+        if form is not None:
+            form = {key: c for key, c in form.items() if c != 0.0} or {-1: 0.0}
         if form is not None and len(form) <= most and all(map(math.isfinite, form.values())):
             forms[i] = form
             continue
-        parts = rest if op in ("in", "const") else [rest[0], node(rest[1]), rest[2]] if op == "row" else [node(j) for j in rest]
-        made[i] = new.const(float.fromhex(rest[0])) if op == "const" else new.add(op, *parts)
+        if op == "const":
+            made[i] = new.const(float.fromhex(rest[0]))
+        elif op == "in":
+            made[i] = new.add(op, *rest)
+        elif op == "row":
+            made[i] = new.add(op, rest[0], node(rest[1]), rest[2])
+        else:
+            made[i] = new.add(op, *[node(j) for j in rest])
         value = new.value(made[i])
         forms[i] = {made[i]: 1.0} if value is None else {-1: value}
     return new, [node(i) for i in roots]

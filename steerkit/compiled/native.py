@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import functools
+import itertools
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -95,5 +96,5 @@ def _share(work: Callable[[int, int], None], groups: int) -> None:
         return
     parts = np.linspace(0, groups, 4 * cores + 1 if groups >= 8 * cores else cores + 1).astype(int).tolist()
     with ThreadPoolExecutor(cores) as pool:
-        for job in [pool.submit(work, a, b) for a, b in zip(parts, parts[1:])]:
+        for job in [pool.submit(work, a, b) for a, b in itertools.pairwise(parts)]:
             job.result()

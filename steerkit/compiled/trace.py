@@ -93,7 +93,8 @@ class Trace:
     @functools.cached_property
     def held(self) -> list[int]:
         """The slots that no tick changes: a constant speed, say."""
-        return [s for s in range(len(self.layout)) if all(t.graph.nodes[t.roots[s]] == ("in", s + 1) for t in self.ticks)]
+        slots = range(len(self.layout))
+        return [s for s in slots if all(tick.graph.nodes[tick.roots[s]] == ("in", s + 1) for tick in self.ticks)]
 
     def with_held(self, values: Sequence[float]) -> Trace:
         """The trace for starts at which the held slots have these values, which are now constants; see `collapsed`."""
@@ -119,7 +120,7 @@ def trace(loop: Loop, *, parameters: Sequence[str] = ()) -> Trace:
                 f"{name} ({type(block).__name__}) is not pure, so it cannot be compiled; compile the loop with a model "
                 f"in its place (loop.with_block('{name}', model)), or run this one with simulate"
             )
-    template = loop.init()
+    template = _some_state(loop)
     layout = Layout(loop, template)
     with _lock:
         symbols = [casadi.SX.sym(f"p{i}") for i in range(len(parameters))]
@@ -129,6 +130,18 @@ def trace(loop: Loop, *, parameters: Sequence[str] = ()) -> Trace:
             _tick(open_loop, phase, layout, symbols, tables) for phase in range(loop.period)
         )
     return Trace(loop, layout, tuple(parameters), ticks, tuple(table for _, table in tables.values()))
+
+
+def _some_state(loop: Loop) -> LoopState:
+    """A state of the loop, for its shape: of one car, or of as many as the blocks hold arrays for."""
+    try:
+        return loop.init()
+    except ValueError:
+        values = [getattr(b, f.name) for b in loop.blocks.values() for f in dataclasses.fields(b)]
+        cars = {len(value) for value in values if isinstance(value, np.ndarray) and value.ndim == 1}
+        if len(cars) != 1:
+            raise
+        return loop.init(batch=cars.pop())
 
 
 def _tick(loop: Loop, phase: int, layout: Layout, symbols: list[Any], tables: Any) -> Tick:
@@ -235,20 +248,20 @@ def _replaced(owner: Any, fields: list[str], value: Any, name: str) -> Any:
     field, *inner = fields
     known = [f.name for f in dataclasses.fields(owner)] if dataclasses.is_dataclass(owner) else []
     if field not in known:
-        raise TraceError(f"parameter '{name}': {type(owner).__name__} has no field '{field}'; fields: {', '.join(known)}")
+        kind = type(owner).__name__
+        raise TraceError(f"parameter '{name}': {kind} has no field '{field}'; fields: {', '.join(known) or 'none'}")
     new = _replaced(getattr(owner, field), inner, value, name) if inner else value
     try:
         return dataclasses.replace(owner, **{field: new})
     except Exception:  # its checks cannot judge a symbol or an array: copy the fields as they are
-        kind = type(owner)
-        cached = {n for base in kind.__mro__ for n, v in vars(base).items() if isinstance(v, functools.cached_property)}
+        cached = {n for base in type(owner).__mro__ for n, v in vars(base).items() if isinstance(v, functools.cached_property)}
         made = {f.name for f in dataclasses.fields(owner) if not f.init} | vars(owner).keys() - {*known, *cached}
         if made:
             raise TraceError(
-                f"parameter '{name}': {kind.__name__} computes {', '.join(sorted(made))} when it is built and refuses "
+                f"parameter '{name}': {type(owner).__name__} computes {', '.join(sorted(made))} when it is built and refuses "
                 "a symbol; make these properties, or choose another parameter"
             ) from None
-        copy = object.__new__(kind)
+        copy = object.__new__(type(owner))
         vars(copy).update({n: v for n, v in vars(owner).items() if n not in cached} | {field: new})
         return copy
 

@@ -93,6 +93,7 @@ class VmProgram:
         symbols: dict[int, Any] = {}
         inputs = [casadi.SX.sym("z", len(place))]  # of the stage functions, which take all that came before
         arguments = [z]
+        indices: dict[tuple[int, int], Any] = {}
         for now in range(last + 1):
             looked_up: dict[tuple[int, int], Any] = {}
             for i in (i for i in order if stage[i] == now):
@@ -113,12 +114,13 @@ class VmProgram:
             if now == last:
                 break
             later = [i for i in order if stage[i] > now]
-            asked = list(dict.fromkeys(
-                (graph.nodes[i][1], graph.nodes[i][2]) for i in later if graph.nodes[i][0] == "row" and stage[i] == now + 1
-            ))
+            next_rows = [graph.nodes[i] for i in later if graph.nodes[i][0] == "row" and stage[i] == now + 1]
+            asked = list(dict.fromkeys((table, index) for _, table, index, _ in next_rows))
             used = {j for i in later for j in graph.operands(i)} | set(roots)
-            crossing = [i for i in order if stage[i] == now and i in used and graph.nodes[i][0] not in ("const", "in", "row")]
-            outputs = [casadi.vertcat(*[symbols[i] for i in crossing])] + [symbols[i] for _, i in asked]
+            crossing = [
+                i for i in order if stage[i] == now and i in used and graph.nodes[i][0] not in ("const", "in", "row")
+            ]
+            outputs = [casadi.vertcat(*[symbols[i] for i in crossing]), *[symbols[i] for _, i in asked]]
             function = casadi.Function(f"stage{now}", inputs, outputs)
             results = function.call(arguments)
             indices = dict(zip(asked, results[1:]))

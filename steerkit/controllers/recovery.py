@@ -54,7 +54,7 @@ class Supervisor(Block):
 
     def __post_init__(self) -> None:
         require(
-            0.0 < self.release <= self.trip,
+            (self.release > 0.0) & (self.release <= self.trip),
             "Supervisor",
             f"release = {self.release} m, trip = {self.trip} m, expected 0 < release <= trip",
         )

@@ -199,7 +199,7 @@ class LearningRun:
         """At the end of an open course the car is carried back to its start, with the driver's mood unchanged."""
         driver = self.loop.names.index("driver")
         start = self.loop.init()
-        self.x, self.y = list(start.x[:driver] + (self.x[driver],) + start.x[driver + 1 :]), list(start.y)
+        self.x, self.y = [*start.x[:driver], self.x[driver], *start.x[driver + 1 :]], list(start.y)
         self.before = None
         episode = self._episode()
         if episode:

@@ -114,11 +114,11 @@ def load(place: FilePath, *, watch: Watcher | None = None) -> LearningRun:
     run.x, run.y = list(state.x), list(state.y)
     run.transitions = Transitions.load(_existing(place / f"transitions-{number}.npz"))
     steering = NfqPolicy.load(_existing(place / "nets" / f"steering-{number}.npz"))
-    run.nets = steering.nets
+    run.nets = steering.nets or ()
     run.set_policy(replace(steering, ready_from=0.0 if data["trusted"] else math.inf))
     if data["pending"] is not None:
         newest = NfqPolicy.load(_existing(place / "nets" / f"net-{run.counts.updates:04d}.npz"))
-        run.pending = (data["pending"], newest.nets)
+        run.pending = (data["pending"], newest.nets or ())
     before = data["before"]
     run.before = None if before is None else (tuple(before[0]), before[1])
     for stale in place.glob("drive/*.npz"):  # a chunk written after the last whole checkpoint

@@ -275,6 +275,35 @@ def test_a_batch_is_its_cars_one_by_one(example: Example) -> None:
                 np.testing.assert_allclose(flat(single), batch, rtol=1e-11, atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("block", "field", "values"),
+    [
+        (Integrator(), "limit", (0.3, 1.0, 9.0)),
+        (LowPass(), "tau", (0.05, 0.3, 2.0)),
+        (Stanley.of(PASSAT), "k", (0.5, 2.5, 4.0)),
+        (Stanley.of(PASSAT), "approach_limit", (0.1, 0.2, 1.0)),
+        (Supervisor(), "trip", (0.2, 0.5, 1.0)),
+        (PathTracker(path=OVAL), "reference", (0.0, 1.2, 2.0)),
+        (SteeringActuator(), "lag", (0.0, 0.1, 0.3)),
+        (NonlinearSingleTrack(vehicle=PASSAT), "v0", (4.0, 5.0, 9.0)),
+        (LinearSingleTrack(vehicle=PASSAT), "psi0", (-1.0, 0.0, 2.0)),
+        (ConstantSpeed(), "speed", (4.0, 5.0, 6.0)),
+        (Sensors(), "psi_bias", (-0.1, 0.0, 0.1)),
+    ],
+)
+def test_a_parameter_may_differ_from_car_to_car(block: Block, field: str, values: tuple[float, ...]) -> None:
+    together = run(Example(dataclasses.replace(block, **{field: np.array(values)})), (CARS,))
+    for car, value in enumerate(values):
+        one = Example(dataclasses.replace(block, **{field: value}))
+
+        def feed(k: int, car: int = car) -> dict[str, Any]:
+            return {name: float(array[car]) for name, array in inputs(block, k, (CARS,)).items()}
+
+        for (_, _, y, _), (_, _, ys, _) in zip(run(one, (), feed), together):
+            batch = [np.broadcast_to(scalar, (CARS,))[car] for scalar in flat(ys)]
+            np.testing.assert_allclose(flat(y), batch, rtol=1e-11, atol=1e-12)
+
+
 def depends(block: Block, out: Out) -> set[str]:
     """The inputs that an output is declared to see in the same sample."""
     ports: tuple[In, ...] = block.inputs if out.direct is None else out.direct

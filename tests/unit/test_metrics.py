@@ -11,7 +11,7 @@ import pytest
 
 from steerkit import metrics
 from steerkit.metrics import GOOD, Summary
-from steerkit.simulate import Log
+from steerkit.simulation import Log
 from steerkit.units import radians_of
 
 T = np.arange(2001) * 0.05  # 100 s

@@ -23,7 +23,7 @@ from steerkit.plants.sensors import Sensors
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.plants.vehicle import vehicle
 from steerkit.plotting import new_figure, plot_course, plot_log
-from steerkit.simulate import simulate
+from steerkit.simulation import simulate
 
 PASSAT = vehicle("vw-passat")
 
@@ -75,7 +75,9 @@ def test_one_panel_a_unit_over_the_same_time() -> None:
     assert [line.get_label() for line in metres.get_lines()] == ["wave.v", "gain.y"]
     np.testing.assert_array_equal(metres.get_lines()[0].get_xydata(), np.column_stack((log.t, log["wave.v"])))
     assert metres.get_ylabel() == "[m]"
-    assert radians.get_ylabel() == "[rad]"
+    assert radians.get_ylabel() == "angle.angle [rad]"
+    assert metres.get_legend() is not None
+    assert radians.get_legend() is None
     assert radians.get_xlabel() == "t [s]"
     assert metres.get_shared_x_axes().joined(metres, radians)
     assert len({line.get_color() for line in metres.get_lines()}) == 2
@@ -114,11 +116,10 @@ def test_a_map_beside_the_panels_comes_first() -> None:
 
 
 def test_a_course_shows_its_curvature() -> None:
-    path = circle(25.0)
-    above, along, _ = plot_course(path).axes
-    radius = np.hypot(*np.asarray(above.get_lines()[0].get_xydata()).T)
-    assert np.ptp(radius) < 50.0  # the circle, wherever its centre
-    np.testing.assert_allclose(np.asarray(along.get_lines()[-1].get_ydata()), 1.0 / 25.0, rtol=1e-3)
+    axes = {panel.get_ylabel(): panel for panel in plot_course(circle(25.0)).axes}
+    drawn = np.asarray(axes["y [m]"].get_lines()[0].get_xydata())[:-1]
+    np.testing.assert_allclose(np.hypot(*(drawn - drawn.mean(axis=0)).T), 25.0, rtol=1e-3)
+    np.testing.assert_allclose(np.asarray(axes["kappa [1/m]"].get_lines()[-1].get_ydata()), 1.0 / 25.0, rtol=1e-3)
 
 
 # ---- diagrams -----------------------------------------------------------------------------------------------------
