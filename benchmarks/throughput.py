@@ -7,7 +7,9 @@ floats), wired three ways; all runs start alike and their cross-track errors are
     python benchmarks/throughput.py [--quick] [--json]
 
 Contestants take turns, and a ratio is the median of the ratios within one turn, so that a busy machine hurts all
-alike. Ratios are to python-control as two systems, plant and controller, its fastest diagram.
+alike. The ratios of the JSON are to python-control with the same diagram: a system for each block, a connection for
+each wire. The table and `against` have them also to python-control wired as two systems (plant and controller), and as
+one function that leaves no wiring to it at all.
 """
 
 from __future__ import annotations
@@ -44,7 +46,7 @@ from steerkit.tracker import PathTracker
 BACKENDS: tuple[Backend, ...] = ("python", "vm", "c")
 DT, SPEED, CARS = 0.05, 6.0, 1000
 CAR = vehicle("vw-passat")
-BASE = "python-control, two systems"
+DIAGRAM, TWO, ONE = (f"python-control, {how}" for how in ("same diagram", "two systems", "one function"))
 NEEDED = {"interpreted_x": 5, "compiled_vm_x": 60, "compiled_c_x": 250, "batch_x": 400, "batch_linear_x": 3000}
 
 
@@ -213,8 +215,7 @@ def contestants(loop: Loop, quick: bool) -> list[Contestant]:
     start, many = loop.init(), loop.init(batch=CARS)
     scale = 1 if quick else 4
     ways = []
-    for name, make in ((BASE, control_two_systems), ("python-control, a system a block", control_diagram),
-                       ("python-control, one function", control_one_system)):  # fmt: skip
+    for name, make in ((DIAGRAM, control_diagram), (TWO, control_two_systems), (ONE, control_one_system)):
         made, n = make(loop, start), 100 * scale
         ways.append(Contestant(name, n, lambda made=made, n=n: control_run(made, n)))  # type: ignore[misc]
     n = 500 * scale
@@ -260,6 +261,11 @@ def measured(ways: list[Contestant], turns: int) -> dict[str, list[float]]:
             way.run()
             rates[way.name].append(way.steps / (time.perf_counter() - begin))
     return rates
+
+
+def ratios_to(rates: dict[str, list[float]], base: str) -> dict[str, float]:
+    """Median over the turns of each way's rate over that of `base` in the same turn."""
+    return {name: statistics.median(a / b for a, b in zip(values, rates[base])) for name, values in rates.items()}
 
 
 def best_rate(run: Callable[[], Any], steps: int, turns: int = 3) -> float:
@@ -309,7 +315,7 @@ def block_costs() -> dict[str, float]:
 def first_calls() -> dict[str, float]:
     """First-call seconds of each backend, and of C in a second process that finds the cache."""
     loop = closed_loop()
-    costs = {}
+    costs: dict[str, float] = {}
     for backend in BACKENDS[:2]:
         c = compile(loop, backend=backend)
         c.run(DT)
@@ -336,13 +342,13 @@ def main() -> None:
     loop = closed_loop()
     agreement = require_equal_runs(loop)
     rates = measured(contestants(loop, arguments.quick), 5 if arguments.quick else 15)
-    ratios = {
-        name: statistics.median(a / b for a, b in zip(values, rates[BASE])) for name, values in rates.items()
-    }
+    against = {base: ratios_to(rates, base) for base in (DIAGRAM, TWO, ONE)}
+    ratios = against[DIAGRAM]
     print(f"\n20 Hz control steps a second, {os.cpu_count()} cores; all ways agree to {agreement:.0e} m\n")
-    print(f"{'way':36} {'car-steps/s':>12} {'ratio':>9}")
+    print(f"{'':49}ratio to python-control as\n{'way':34}{'car-steps/s':>14}{'diagram':>10}{'two':>10}{'one':>10}")
     for name, values in rates.items():
-        print(f"{name:36} {statistics.median(values):12,.0f} {ratios[name]:9,.1f}")
+        columns = "".join(f"{against[base][name]:10,.1f}" for base in against)
+        print(f"{name:34}{statistics.median(values):14,.0f}{columns}")
     result: dict[str, Any] = {
         "interpreted_x": max(ratios["simulate"], ratios["generated Python"]),
         "simulate_x": ratios["simulate"],
@@ -352,7 +358,8 @@ def main() -> None:
         "batch_x": ratios[f"C, {CARS} cars"],
         "batch_linear_x": ratios[f"C, {CARS} cars, collapsed"],
         "steps_per_second": {name: statistics.median(values) for name, values in rates.items()},
-        "base": BASE,
+        "base": DIAGRAM,
+        "against": against,
         "largest_difference_m": agreement,
     }
     costs, calls, sizes = block_costs(), first_calls(), scaling(loop, arguments.quick)

@@ -3,8 +3,9 @@
     python examples/tune_stanley_by_gradient.py [--seconds 90] [--iterations 15] [--out tuned.png]
 
 The car is a VW Passat on the real lap `genesis` (3.7 km), with a lag of 0.1 s and a delay of 0.2 s in the steering.
-The cost is the mean of (e/0.1 m)^2 plus a small price on the speed of the steering wheel; its gradient with respect to the gains comes from `steerkit.compiled.gradient`, and L-BFGS-B does the rest. The gains are tuned on the
-first `--seconds` of the lap and judged on the stretch after it, which they have not seen.
+The cost is the mean of (e/0.01 m)^2, e at the front axle, plus a price on the speed of the steering wheel; its
+gradient with respect to the gains comes from `steerkit.compiled.gradient`, and L-BFGS-B does the rest. The gains are
+tuned on the first `--seconds` of the lap and judged on the stretch after it, which they have not seen.
 """
 
 from __future__ import annotations
@@ -32,18 +33,18 @@ SPEED = 6.0
 
 
 def lap_loop(s: float) -> Loop:
-    """The car on the recorded lap from arc length s [m] on, 0.2 m beside the path, steered by Stanley."""
+    """The car on the recorded lap from arc length s [m] on, steered by Stanley."""
     path, car = course("genesis"), vehicle("vw-passat")
     return steering_loop(
-        car=placed(NonlinearSingleTrack(vehicle=car, dt=0.05, substeps=5, v0=SPEED), path, s=s, e=0.2),
+        car=placed(NonlinearSingleTrack(vehicle=car, dt=0.05, substeps=5, v0=SPEED), path, s=s),
         path=path, driver=ConstantSpeed(speed=SPEED), controller=Stanley.of(car),
         actuator=SteeringActuator(delay=0.2, dt=0.05),
     )  # fmt: skip
 
 
 def cost(sample: Any) -> Any:
-    """Of one sample: 1 for 0.1 m beside the path, or for 10 rad/s at the steering wheel."""
-    return (sample["path.e"] / 0.1) ** 2 + (sample["actuator.rate"] / 10.0) ** 2
+    """Of one sample: 1 for 1 cm beside the path, or for 5 rad/s at the steering wheel."""
+    return (sample["controller_path.e"] / 0.01) ** 2 + (sample["actuator.rate"] / 5.0) ** 2
 
 
 def tuned(loop: Loop, seconds: float, iterations: int) -> tuple[np.ndarray, np.ndarray, list[float]]:
@@ -77,7 +78,7 @@ def main(arguments: list[str] | None = None) -> float:
         trial: Any = replace(unseen.blocks["controller"], **fields)
         logs.append(compile(unseen.with_block("controller", trial), backend="python").run(options.seconds))
     costs = [float(np.mean(cost(log))) for log in logs]
-    rms = [1000.0 * float(np.sqrt(np.mean(log["path.e"][100:] ** 2))) for log in logs]
+    rms = [1000.0 * float(np.sqrt(np.mean(log["controller_path.e"][100:] ** 2))) for log in logs]
     less = 100.0 * (1.0 - costs[1] / costs[0])
     print(f"on the next {options.seconds:g} s, unseen: cost {costs[0]:.4f} -> {costs[1]:.4f} ({less:.0f} % less), "
           f"RMS e after 5 s {rms[0]:.1f} -> {rms[1]:.1f} mm")  # fmt: skip
@@ -92,8 +93,8 @@ def picture(logs: list[Any], history: list[float], file: str) -> None:
 
     figure = Figure(figsize=(9.0, 7.0), layout="constrained")
     axes = figure.subplots(3, 1)
-    for log, label in zip(logs, ("published gains", "tuned by gradient")):
-        axes[0].plot(log.t, log["path.e"], label=label)
+    for log, label in zip(logs, ("first gains", "tuned by gradient")):
+        axes[0].plot(log.t, log["controller_path.e"], label=label)
         axes[1].plot(log.t, log["actuator.rate"], label=label, linewidth=0.8)
     axes[0].set_ylabel("cross-track error [m]")
     axes[0].legend()

@@ -254,12 +254,13 @@ def _replaced(owner: Any, fields: list[str], value: Any, name: str) -> Any:
     try:
         return dataclasses.replace(owner, **{field: new})
     except Exception:  # its checks cannot judge a symbol or an array: copy the fields as they are
-        cached = {n for base in type(owner).__mro__ for n, v in vars(base).items() if isinstance(v, functools.cached_property)}
+        found = [item for base in type(owner).__mro__ for item in vars(base).items()]
+        cached = {n for n, v in found if isinstance(v, functools.cached_property)}
         made = {f.name for f in dataclasses.fields(owner) if not f.init} | vars(owner).keys() - {*known, *cached}
         if made:
             raise TraceError(
-                f"parameter '{name}': {type(owner).__name__} computes {', '.join(sorted(made))} when it is built and refuses "
-                "a symbol; make these properties, or choose another parameter"
+                f"parameter '{name}': {type(owner).__name__} computes {', '.join(sorted(made))} when it is built and "
+                "refuses a symbol; make these properties, or choose another parameter"
             ) from None
         copy = object.__new__(type(owner))
         vars(copy).update({n: v for n, v in vars(owner).items() if n not in cached} | {field: new})

@@ -82,7 +82,8 @@ def learner_with_recovery(seed: int, rng: np.random.Generator) -> Loop:
     doe = Integrator() if seed % 2 else LowPass()
     car = placed(NonlinearSingleTrack(vehicle=CAR, v0=5.0), PAPER, s=rng.uniform(0.0, PAPER.length), e=0.05)
     return steering_loop(car=car, path=PAPER, driver=driver, controller=policy(rng), doe=doe,
-                         sensors=Sensors.hard(seed), recovery=Stanley.of(CAR), actuator=SteeringActuator(delay=0.05))  # fmt: skip
+                         sensors=Sensors.hard(seed), recovery=Stanley.of(CAR),
+                         actuator=SteeringActuator(delay=0.05))  # fmt: skip
 
 
 LOOPS: list[Callable[[int, np.random.Generator], Loop]] = [

@@ -1,0 +1,77 @@
+"""The command line: results where they are expected, and mistakes answered in one line with exit code 2."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from steerkit import cli
+
+
+def run(*words: str, monkeypatch: pytest.MonkeyPatch) -> int:
+    monkeypatch.setattr("sys.argv", ["steerkit", *words])
+    try:
+        cli.main()
+    except SystemExit as stop:
+        return int(stop.code or 0)
+    return 0
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("drive", "stanly"), "valid: stanley, stanley-textbook"),
+        (("drive", "stanley", "--course", "papr"), "did you mean 'paper'"),
+        (("learn", "--setting", "defualt"), "valid: default, paper"),
+        (("learn", "--config", "/does/not/exist.toml"), "cannot be read"),
+        (("show", "/"), "no run directory"),
+    ],
+)
+def test_mistakes_are_one_line_and_exit_code_2(
+    words: tuple[str, ...], says: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(*words, monkeypatch=monkeypatch) == 2
+    error = capsys.readouterr().err.strip()
+    assert says in error
+    assert len(error.splitlines()) == 1
+
+
+def test_help_and_courses(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    for words in ((), ("--help",), ("learn", "--help"), ("courses",)):
+        assert run(*words, monkeypatch=monkeypatch) in (0, 2)
+    out = capsys.readouterr().out
+    assert all(word in out for word in ("learn", "drive", "show", "demo", "--seed", "--config", "genesis"))
+
+
+def test_drive_reports_as_json_and_keeps_log_and_picture(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("drive", "stanley", "--course", "genesis-rfs", "--rounds", "0.2", "--out", str(tmp_path), "--json", "-q")
+    assert run(*words, monkeypatch=monkeypatch) == 0
+    row = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
+    assert row["controller"] == "stanley"
+    assert row["held"] is True
+    assert 0.0 < row["rms_e"] < 0.05
+    assert (tmp_path / "drive.npz").stat().st_size > 1000
+    assert (tmp_path / "drive.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_learn_from_a_config_then_show_and_drive_its_policy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config, place = tmp_path / "my.toml", tmp_path / "run"
+    config.write_text("minutes = 0.2\nseed = 2\n[world]\ncourse = 'circle'\n[setting.fit]\nnets = 1\nepochs = 30\n")
+    words = ("learn", "--config", str(config), "--out", str(place), "--json")
+    assert run(*words, monkeypatch=monkeypatch) == 0
+    merit = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
+    assert merit["seed"] == 2
+    assert merit["course"] == "circle"
+    assert 0.2 <= merit["driving_minutes"] < 0.21
+    assert {p.name for p in place.glob("*.png")} == {"learning.png", "round.png"}
+    words = ("drive", str(place), "--course", "circle", "--rounds", "0.1", "--out", str(tmp_path / "d"), "-q")
+    assert run(*words, monkeypatch=monkeypatch) == 0
+    config.write_text("minuts = 3\n")
+    assert run("learn", "--config", str(config), monkeypatch=monkeypatch) == 2
+    assert "no field 'minuts'; valid: setting, world, minutes" in capsys.readouterr().err
