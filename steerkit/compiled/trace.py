@@ -148,7 +148,7 @@ def _tick(loop: Loop, phase: int, layout: Layout, symbols: list[Any], tables: An
     k = casadi.SX.sym("k")
     slots = [casadi.SX.sym(f"s{i}") for i in range(len(layout))]
     x, y = layout.unpack(slots)
-    with recorded_lookups(tables) as lookups, _exact_arithmetic():
+    with recorded_lookups(tables) as lookups, exact_arithmetic():
         try:
             loop.run_phase(phase, k * loop.dt, x, y)
         except Exception as error:
@@ -180,7 +180,7 @@ def recorded_lookups(tables: dict[int, tuple[int, Table]]) -> Iterator[list[tupl
 
 
 @contextmanager
-def _exact_arithmetic() -> Iterator[None]:
+def exact_arithmetic() -> Iterator[None]:
     """CasADi's rewriting on the fly turns x/c into x*(1/c) and the like, which a random generator would notice."""
     before = casadi.GlobalOptions.getSimplificationOnTheFly()
     casadi.GlobalOptions.setSimplificationOnTheFly(False)

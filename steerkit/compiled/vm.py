@@ -10,7 +10,7 @@ import casadi
 import numpy as np
 
 from steerkit.compiled.graph import Graph
-from steerkit.compiled.trace import Trace
+from steerkit.compiled.trace import Trace, exact_arithmetic
 from steerkit.maths import Table
 
 _LONGEST = 10  # runs are made of mapaccums of 2^0 .. 2^10 periods, so that memory is bounded
@@ -76,7 +76,8 @@ class VmProgram:
         place |= {slots + 1 + i: len(carried) + 1 + i for i in range(len(trace.parameters))}
         roots = [tick.roots[slot] for slot in wanted]
         z = casadi.MX.sym("z", len(place))
-        values = self._staged(tick.graph, roots, z, place)
+        with exact_arithmetic():
+            values = self._staged(tick.graph, roots, z, place)
         if not split:
             return casadi.Function(f"finish{phase}", [z], [values])
         n = len(carried)

@@ -59,7 +59,7 @@ PAPER = Setting(
     cost=IdoeCost(),
     fit=FitSetting(),
     retrain_every_m=0.0,
-    fit_seconds=30.0,
+    fit_seconds=0.5,  # the cost measured here; the machine of 2007 needed 30 s
 )
 BANG_BANG = replace(  # the 800 m course needs up to 430 degrees in motion: 360 cannot drive it, whatever is learned
     DEFAULT, name="bang-bang", actions_deg=(-520.0, 520.0), doe="direct", cost=TanhCost(action_cost=0.0)
