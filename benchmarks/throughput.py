@@ -146,8 +146,12 @@ def control_two_systems(loop: Loop, start: LoopState) -> tuple[Any, list[float]]
         pose = seen.U(*given[:6])
         where = _state(numbers[:n_seen], x_seen)
         y = seen.output(t, where, pose)
-        return where, pose, y, _state(numbers[n_seen:], x_stanley), stanley.D(
-            y.e, y.psi_e, y.kappa, given[3], given[5], given[6]
+        return (
+            where,
+            pose,
+            y,
+            _state(numbers[n_seen:], x_stanley),
+            stanley.D(y.e, y.psi_e, y.kappa, given[3], given[5], given[6]),
         )
 
     def steer(t: float, x: Any, u: Any, params: Any) -> Any:

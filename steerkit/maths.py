@@ -19,7 +19,8 @@ Scalar = Any
 pi = math.pi
 
 
-def _is_symbol(x: Scalar) -> bool:
+def is_symbol(x: Scalar) -> bool:
+    """Is `x` a CasADi symbol or expression? Asked without importing CasADi."""
     return type(x).__module__.startswith("casadi")
 
 
@@ -29,7 +30,7 @@ def _unary(name: str, of_float: Callable[[float], float]) -> Callable[[Scalar], 
     def function(x: Scalar) -> Scalar:
         if x.__class__ is float:
             return of_float(x)
-        if _is_symbol(x):
+        if is_symbol(x):
             import casadi
 
             return getattr(casadi, name)(x)
@@ -55,7 +56,7 @@ def atan2(y: Scalar, x: Scalar) -> Scalar:
     """Angle of the vector (x, y) [rad], in [-pi, pi]."""
     if x.__class__ is float and y.__class__ is float:
         return math.atan2(y, x)
-    if _is_symbol(x) or _is_symbol(y):
+    if is_symbol(x) or is_symbol(y):
         import casadi
 
         return casadi.atan2(y, x)
@@ -64,7 +65,7 @@ def atan2(y: Scalar, x: Scalar) -> Scalar:
 
 def absolute(x: Scalar) -> Scalar:
     """|x|."""
-    if _is_symbol(x):
+    if is_symbol(x):
         import casadi
 
         return casadi.fabs(x)
@@ -75,7 +76,7 @@ def where(condition: Scalar, yes: Scalar, no: Scalar) -> Scalar:
     """`yes` where `condition` holds, else `no`; both are computed."""
     if condition is True or condition is False:
         return yes if condition else no
-    if _is_symbol(condition) or _is_symbol(yes) or _is_symbol(no):
+    if is_symbol(condition) or is_symbol(yes) or is_symbol(no):
         import casadi
 
         return casadi.if_else(condition, yes, no)
@@ -119,7 +120,7 @@ def sign(x: Scalar) -> Scalar:
 
 def both(a: Scalar, b: Scalar) -> Scalar:
     """Logical and."""
-    if _is_symbol(a) or _is_symbol(b):
+    if is_symbol(a) or is_symbol(b):
         import casadi
 
         return casadi.logic_and(a, b)
@@ -128,7 +129,7 @@ def both(a: Scalar, b: Scalar) -> Scalar:
 
 def either(a: Scalar, b: Scalar) -> Scalar:
     """Logical or."""
-    if _is_symbol(a) or _is_symbol(b):
+    if is_symbol(a) or is_symbol(b):
         import casadi
 
         return casadi.logic_or(a, b)
@@ -174,7 +175,7 @@ class Table:
     def __call__(self, index: Scalar) -> Sequence[Scalar]:
         if index.__class__ is float:
             return self._tuples[int(index)]
-        if _is_symbol(index):
+        if is_symbol(index):
             if Table.tracer is None:
                 raise TypeError("Table: a symbolic index outside of a trace; use steerkit.compiled.compile")
             return Table.tracer(self, index)

@@ -201,11 +201,12 @@ def simulate(
         raise
     log = recorder.log(LoopState(k + 1, tuple(x), tuple(y)))
     if not allow_nonfinite:
-        _check_finite(log)
+        check_finite(log)
     return log
 
 
-def _check_finite(log: Log) -> None:
+def check_finite(log: Log) -> None:
+    """Raise NonFiniteError, with the log, naming the signal that was first NaN or infinite, if one was."""
     first: tuple[int, str] | None = None
     for name, values in log.signals.items():
         bad = ~np.isfinite(values).all(axis=tuple(range(1, values.ndim)))

@@ -23,7 +23,7 @@ from steerkit.compiled.python_code import PythonProgram
 from steerkit.compiled.trace import Trace, TraceError, parameter, trace, with_parameters
 from steerkit.compiled.vm import VmProgram
 from steerkit.loop import Loop, LoopState, Sample
-from steerkit.simulation import Log, Signal, _check_finite
+from steerkit.simulation import Log, Signal, check_finite
 
 __all__ = ["Compiled", "Cost", "NoCompilerError", "TraceError", "compile", "gradient"]
 
@@ -134,7 +134,7 @@ class Compiled:
         if self.first_call_seconds is None:
             self.first_call_seconds = self.trace_seconds + time.perf_counter() - begin
         if not allow_nonfinite:
-            _check_finite(log)
+            check_finite(log)
         return log
 
     def step(self, state: LoopState, parameters: Mapping[str, Any] | None = None) -> tuple[LoopState, Sample]:

@@ -44,9 +44,7 @@ class NativeProgram:
         self._record_last(stop - 1, rows, end)
         return rows, end
 
-    def run_many(
-        self, k: int, stop: int, slots: np.ndarray, parameters: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def run_many(self, k: int, stop: int, slots: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The same for N cars: slots (S, N), parameters (P, N) to rows (T, R, N) and slots (S, N)."""
         library, carried, every = self.many, self.trace.carried, self.every
         lanes, cars = library.lanes(), slots.shape[1]
@@ -58,9 +56,7 @@ class NativeProgram:
 
         def work(first: int, last: int) -> None:
             span = _LL(first), _LL(last)
-            library.run(
-                _LL(k), _LL(stop - 1), _LL(every), *span, _LL(padded), _at(state), _at(fixed), _at(rows)
-            )
+            library.run(_LL(k), _LL(stop - 1), _LL(every), *span, _LL(padded), _at(state), _at(fixed), _at(rows))
             library.finish(_LL(stop - 1), *span, _at(state), _at(fixed), _at(end))
 
         _share(work, groups)

@@ -134,5 +134,3 @@ def _number(value: float) -> str:
 
 def _input(slot: int, slots: int) -> str:
     return "k" if slot == 0 else f"s{slot - 1}" if slot <= slots else f"p{slot - slots - 1}"
-
-

@@ -89,7 +89,6 @@ class Trace:
         nodes = [tick.graph.nodes[i] for tick in self.ticks for i in tick.graph.order(tick.roots)]
         return sorted({slot - 1 for op, slot, *_ in nodes if op == "in" and 0 < slot <= len(self.layout)})
 
-
     @functools.cached_property
     def held(self) -> list[int]:
         """The slots that no tick changes: a constant speed, say."""
@@ -126,9 +125,7 @@ def trace(loop: Loop, *, parameters: Sequence[str] = ()) -> Trace:
         symbols = [casadi.SX.sym(f"p{i}") for i in range(len(parameters))]
         open_loop = with_parameters(loop, dict(zip(parameters, symbols)))
         tables: dict[int, tuple[int, Table]] = {}
-        ticks = tuple(
-            _tick(open_loop, phase, layout, symbols, tables) for phase in range(loop.period)
-        )
+        ticks = tuple(_tick(open_loop, phase, layout, symbols, tables) for phase in range(loop.period))
     return Trace(loop, layout, tuple(parameters), ticks, tuple(table for _, table in tables.values()))
 
 

@@ -171,7 +171,7 @@ class NfqPolicy(Block):
             column = self._values(np.array(u if sound else [nan] * 6)[:, None]).tolist()
             q = min(column)
             action = self._order[column.index(q)]
-        elif any(map(m._is_symbol, u)):
+        elif any(map(m.is_symbol, u)):
             action, q = self._symbolic(u)
             q = m.where(sound, q, nan)
         else:

@@ -83,7 +83,8 @@ class Guarded(Block):
     """Wraps a block so that an exception in it becomes NaN on all its outputs, which a `Supervisor` answers.
 
     Ports, units, state and sample time are those of `block`. The exception is logged, with its traceback, on the
-    logger `steerkit`. The state stays as it was. What `init` or `settle` raise, before the first sample, goes through.
+    logger `steerkit`. The state stays as it was. What `init` or `settle` raise, before the first sample, and what is
+    raised while a loop is traced, goes through.
     """
 
     block: Block
@@ -107,6 +108,8 @@ class Guarded(Block):
         try:
             return self.block.output(t, x, u)
         except Exception:
+            if m.is_symbol(t):  # a block that cannot be traced is no fault of a drive
+                raise
             logging.getLogger("steerkit").exception("%s.output failed at t = %s s", type(self.block).__name__, t)
             sizes = [Port(self, out).size for out in self.outputs]
             return self.Y(*[math.nan if n is None else (math.nan,) * n for n in sizes])
@@ -115,5 +118,7 @@ class Guarded(Block):
         try:
             return self.block.update(t, x, u, y)
         except Exception:
+            if m.is_symbol(t):
+                raise
             logging.getLogger("steerkit").exception("%s.update failed at t = %s s", type(self.block).__name__, t)
             return x

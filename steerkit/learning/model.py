@@ -37,7 +37,14 @@ class CarModel:
         dr = n[:, 4] - s[:, 4]
         vp = v * p
         yaw = float(vp @ dr / (vp @ vp + 1e-9))
-        self = cls(wheel=float(wheel), action=float(action), drift=float(drift), yaw=yaw, dt=dt, residuals=np.zeros((len(s), 5)))
+        self = cls(
+            wheel=float(wheel),
+            action=float(action),
+            drift=float(drift),
+            yaw=yaw,
+            dt=dt,
+            residuals=np.zeros((len(s), 5)),
+        )
         res = n[:, :5] - self.step(s, a)
         object.__setattr__(self, "residuals", res)
         return self
@@ -59,7 +66,16 @@ class CarModel:
         return self.wheel / self.drift
 
 
-def imagine(model: CarModel, tr: Transitions, actions: Any, d: StateDescription, doe: Block, count: int, rng: np.random.Generator, sig=(0.15, 0.08, 0.08, 1.0)) -> Transitions:
+def imagine(
+    model: CarModel,
+    tr: Transitions,
+    actions: Any,
+    d: StateDescription,
+    doe: Block,
+    count: int,
+    rng: np.random.Generator,
+    sig=(0.15, 0.08, 0.08, 1.0),
+) -> Transitions:
     i = rng.integers(len(tr), size=count)
     s, sign = tr.s[i].copy(), rng.choice([-1.0, 1.0], count)
     res = model.residuals[i]
@@ -69,7 +85,7 @@ def imagine(model: CarModel, tr: Transitions, actions: Any, d: StateDescription,
     # other speeds
     v0, v1 = tr.s[:, 2].min(), tr.s[:, 2].max()
     v = s[:, 2].copy()
-    new_v = rng.uniform(min(4.0,v0), max(7.5,v1), count)
+    new_v = rng.uniform(min(4.0, v0), max(7.5, v1), count)
     s[:, 1] *= new_v / np.maximum(v, 1.0)
     s[:, 2] = new_v
     s[:, 0] += sig[0] * rng.standard_normal(count)

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-import numpy as np
-
 from steerkit import maths as m
 from steerkit.block import Block, In, Out, State
 from steerkit.maths import Scalar
@@ -64,8 +62,7 @@ class SteeringActuator(Block):
     @cached_property
     def _follow(self) -> Scalar:
         """Share of the way to the target that the lag leaves to one sample: 1 - exp(-dt/lag)."""
-        share = -np.expm1(-self.dt / np.maximum(self.lag, 1e-9 * self.dt))
-        return share if np.ndim(self.lag) else float(share)
+        return 1.0 - m.exp(-self.dt / m.maximum(self.lag, 1e-9 * self.dt))
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         return (m.filled(0.0, batch),) * (2 + whole_samples("SteeringActuator", "delay", self.delay, self.dt))
