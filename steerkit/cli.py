@@ -105,7 +105,7 @@ def courses() -> None:
 
     from steerkit.courses import course, names
 
-    table = Table("course", "length [m]", "closed", "tightest radius [m]")
+    table = Table("course", "length (m)", "closed", "tightest radius (m)")
     for name in names():
         path = course(name)
         sharpest = abs(path.samples.kappa).max()

@@ -76,7 +76,7 @@ def _part(job: tuple[str, Experiment, FilePath, int]) -> Part:
 
 
 def _milestones(parts: list[Part]) -> Table:
-    table = Table("run", "first round begun [s]", "failures before it", "failures", "rounds", "transitions",
+    table = Table("run", "first round begun (s)", "failures before it", "failures", "rounds", "transitions",
                   title="learning, in driving time")  # fmt: skip
     for part in parts:
         m = part.merit

@@ -9,6 +9,7 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
@@ -120,7 +121,7 @@ def comparison(title: str, logs: dict[str, Log]) -> Table:
     """A table with one row a drive."""
     heads = ("controller", "held", "RMS e [m]", "max e [m]", "RMS wheel rate [deg/s]", "max a_y [m/s²]",
              "|e| < 0.05 m [%]", "max jerk [m/s³]")  # fmt: skip
-    table = Table(*heads, title=title)
+    table = Table(*[escape(head) for head in heads], title=title)
     for name, log in logs.items():
         s = of_log(log)
         held = "yes" if evaluate.held_all_along(log) else "no"
