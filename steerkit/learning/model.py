@@ -17,44 +17,41 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class CarModel:
-    wheel: float
-    action: float
+    now: float
+    before: float
     drift: float
     yaw: float
     dt: float
     residuals: Array
+    last: Array
 
     @classmethod
-    def fit(cls, tr: Transitions, dt: float = 0.05) -> CarModel:
+    def fit(cls, tr: Transitions, dt: float = 0.05, element: Any = None, limit: float = 9.07) -> CarModel:
         s, a, n = tr.s, tr.a, tr.s_next
         v = np.maximum(s[:, 2], 1.0)
         way = s[:, 1] / v - s[:, 3]
         turn = (n[:, 1] / np.maximum(n[:, 2], 1.0) - s[:, 1] / v) - dt * 0.5 * (s[:, 4] + n[:, 4])
-        x = np.column_stack((s[:, 5], a, way))
-        ridge = np.diag([1e-3 * len(s)] * 3) * np.array([1.0, 1.0, 0.01])
-        wheel, action, drift = np.linalg.solve(x.T @ x + 1e-3 * np.eye(3), x.T @ turn)
-        p = x @ np.array([wheel, action, drift])
+        follows = np.zeros(len(s), dtype=bool)
+        follows[1:] = tr.episode[1:] == tr.episode[:-1]
+        last = s[:, 5].copy()
+        last[1:][follows[1:]] = s[:-1, 5][follows[1:]]
+        x = np.column_stack((n[:, 5], s[:, 5], last, way))
+        k = follows if follows.sum() > 10 else slice(None)
+        w = np.linalg.solve(x[k].T @ x[k] + 1e-3 * np.eye(4), x[k].T @ turn[k])
+        p = x @ w
         dr = n[:, 4] - s[:, 4]
         vp = v * p
         yaw = float(vp @ dr / (vp @ vp + 1e-9))
-        self = cls(
-            wheel=float(wheel),
-            action=float(action),
-            drift=float(drift),
-            yaw=yaw,
-            dt=dt,
-            residuals=np.zeros((len(s), 5)),
-        )
-        res = n[:, :5] - self.step(s, a)
-        object.__setattr__(self, "residuals", res)
+        self = cls(now=w[:1], before=w[1:3], drift=float(w[3]), yaw=yaw, dt=dt, residuals=None, last=last)
+        object.__setattr__(self, "residuals", n[:, :5] - self.step(s, n[:, 5], last))
         return self
 
-    def step(self, s: Array, a: Array) -> Array:
+    def step(self, s: Array, doe1: Array, last: Array) -> Array:
         """Next e, e_dot, v, psi_e, r_e."""
         e, e_dot, v, psi_e, r_e, doe = s.T
         v1 = np.maximum(v, 1.0)
         course = e_dot / v1
-        p = self.wheel * doe + self.action * a + self.drift * (course - psi_e)
+        p = self.now[0] * doe1 + self.before[0] * doe + self.before[1] * last + self.drift * (course - psi_e)
         r1 = r_e + self.yaw * v * p
         mean = 0.5 * (r_e + r1)
         c1 = course + p + self.dt * mean
@@ -63,7 +60,7 @@ class CarModel:
     @property
     def shift(self) -> float:
         """d psi_e / d doe from one steady bend to another."""
-        return self.wheel / self.drift
+        return (self.now[0] + self.before.sum()) / self.drift
 
 
 def imagine(

@@ -2,15 +2,12 @@
 
 One SQLite file in write-ahead mode. `append` only puts a row into memory; a thread of the store's own writes and
 commits what has come in, four times a second. Commits are synced to the disk (synchronous=FULL): the thread can wait
-for the disk, the driver never does, and a car's power is cut as often as a process is killed. SQLite alone would
-notice damage to its pages, but not to a number inside one: each row carries a checksum.
+for the disk, the driver never does, and a car's power is cut as often as a process is killed.
 """
 
 from __future__ import annotations
 
-import json
 import math
-import os
 import sqlite3
 import struct
 import threading
@@ -18,24 +15,38 @@ import time
 import uuid
 import warnings
 import weakref
-import zlib
-from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Sequence
 from pathlib import Path as FilePath
 from types import TracebackType
-from typing import Any, Self
-from urllib.parse import quote
+from typing import Self
 
 import numpy as np
 
 from steerkit.block import require
-from steerkit.controllers.nfq_policy import StateDescription
+from steerkit.learning.store_file import (
+    Path,
+    Row,
+    StoreError,
+    checksum,
+    connect,
+    errors_of,
+    insert,
+    opened,
+    reading,
+    rows_of,
+    transaction,
+    writing,
+)
 from steerkit.learning.transitions import Transitions
+
+__all__ = ["StoreError", "TransitionStore"]
 
 PERIOD = 0.25
 """Time between two commits while rows come in [s]; at most this much, and one commit, is lost by a kill."""
 PROMISE = 1.0
 """Age of an unwritten row from which the writer complains [s]."""
+
+
 class TransitionStore:
     """Transitions of one or several runs in one file, to append to while driving.
 
@@ -160,13 +171,13 @@ class TransitionStore:
         """
         record = Transitions(self.names)
         for label in self.runs() if run is None else [run]:
-            rows = self._read(label)
+            rows = self._run_of(label)
             both = len(record) and len(rows)
             shift = int(record.episode.max()) + 1 - int(rows.episode.min()) if both else 0
             record.extend(rows.s, rows.a, rows.s_next, rows.episode + shift)
         return record
 
-    def _read(self, run: str) -> Transitions:
+    def _run_of(self, run: str) -> Transitions:
         """The transitions of one run."""
         query = "SELECT episode, numbers, crc FROM transition JOIN run ON run = id WHERE label = ? ORDER BY n"
         with reading(self.path) as db:
@@ -182,6 +193,7 @@ class TransitionStore:
         record = Transitions(self.names)
         record.extend(values[:, :n], values[:, n], values[:, n + 1 :], np.array([row[0] for row in rows], dtype=int))
         return record
+
 
 class _Writer(threading.Thread):
     """Commits what waits, every PERIOD; a database that is busy or broken makes the rows wait, never the driver."""
@@ -250,5 +262,3 @@ class _Writer(threading.Thread):
         self.ending = True
         self._wake.set()
         self.join(5.0)
-
-

@@ -22,14 +22,15 @@ from steerkit.learning.transitions import Transitions
 APPLICATION, SCHEMA = 0x53746565, 1
 """SQLite's application_id ("Stee") and user_version of a store."""
 TABLES = (
-    "CREATE TABLE meta(key TEXT PRIMARY KEY, value TEXT NOT NULL)",
-    "CREATE TABLE run(id INTEGER PRIMARY KEY, label TEXT NOT NULL UNIQUE, uid TEXT NOT NULL UNIQUE)",
+    "CREATE TABLE IF NOT EXISTS meta(key TEXT PRIMARY KEY, value TEXT NOT NULL)",
+    "CREATE TABLE IF NOT EXISTS run(id INTEGER PRIMARY KEY, label TEXT NOT NULL UNIQUE, uid TEXT NOT NULL UNIQUE)",
     # numbers: s, a, s_next as little-endian doubles; crc: CRC-32 of them, begun with the episode
-    "CREATE TABLE transition(run INTEGER NOT NULL REFERENCES run, n INTEGER NOT NULL, episode INTEGER NOT NULL, "
+    "CREATE TABLE IF NOT EXISTS transition(run INTEGER NOT NULL REFERENCES run, n INTEGER NOT NULL, episode INTEGER NOT NULL, "
     "numbers BLOB NOT NULL, crc INTEGER NOT NULL, PRIMARY KEY(run, n)) WITHOUT ROWID",
 )
 Path = str | os.PathLike[str]
 Row = tuple[int, bytes, int]
+"""Episode, numbers, checksum."""
 
 
 class StoreError(ValueError):
@@ -48,8 +49,8 @@ def errors_of(path: FilePath) -> Iterator[None]:
 
 
 def connect(path: FilePath, timeout: float = 5.0) -> sqlite3.Connection:
-    uri = f"file:{quote(str(path.absolute()))}?mode=rw"
-    db = sqlite3.connect(uri, uri=True, isolation_level=None, timeout=timeout)
+    """A connection that makes no file, and waits for the disk at every commit."""
+    db = sqlite3.connect(_uri(path), uri=True, isolation_level=None, timeout=timeout)
     db.execute("PRAGMA synchronous = FULL")
     return db
 
@@ -69,15 +70,17 @@ def transaction(db: sqlite3.Connection) -> Iterator[sqlite3.Connection]:
 
 @contextmanager
 def reading(path: FilePath) -> Iterator[sqlite3.Connection]:
+    """A connection of its own, for as long as the block runs."""
     with errors_of(path), closing(connect(path)) as db:
         yield db
 
 
 @contextmanager
 def writing(path: FilePath, attach: FilePath | None = None) -> Iterator[sqlite3.Connection]:
+    """A connection in one transaction; the store `attach`, if given, is `other` in it."""
     with reading(path) as db:
         if attach is not None:
-            db.execute("ATTACH ? AS other", (f"file:{quote(str(attach.absolute()))}?mode=rw",))
+            db.execute("ATTACH ? AS other", (_uri(attach),))
         with transaction(db):
             yield db
 
@@ -122,27 +125,33 @@ def _create(path: FilePath, names: tuple[str, ...]) -> None:
         db.execute(f"PRAGMA user_version = {SCHEMA}")
         for table in TABLES:
             db.execute(table)
-        db.execute("INSERT INTO meta VALUES ('names', ?)", (json.dumps(names),))
+        db.execute("INSERT OR IGNORE INTO meta VALUES ('names', ?)", (json.dumps(names),))
 
 
 def check_schema(path: Path, schema: int) -> None:
+    """Raise StoreError unless this steerkit knows the schema."""
     if schema != SCHEMA:
         what = "a newer steerkit wrote it, update yours" if schema > SCHEMA else "no steerkit ever wrote that"
         raise StoreError(f"{path}: schema {schema}, expected {SCHEMA}: {what}")
 
 
 def insert(db: sqlite3.Connection, run: int, n: int, rows: Sequence[Row]) -> None:
+    """Write rows n, n + 1, ... of a run."""
     numbered = ((run, n + i, *row) for i, row in enumerate(rows))
     db.executemany("INSERT INTO transition VALUES (?, ?, ?, ?, ?)", numbered)
 
 
 def rows_of(transitions: Transitions) -> list[Row]:
+    """Transitions as the file keeps them."""
     numbers = np.column_stack([transitions.s, transitions.a, transitions.s_next]).astype("<f8")
     texts = [row.tobytes() for row in numbers]
     return [(episode, text, checksum(episode, text)) for episode, text in zip(transitions.episode.tolist(), texts)]
 
 
 def checksum(episode: int, numbers: bytes) -> int:
+    """CRC-32 of a row."""
     return zlib.crc32(numbers, episode & 0xFFFFFFFF)
 
 
+def _uri(path: FilePath) -> str:
+    return f"file:{quote(str(path.absolute()))}?mode=rw"
