@@ -20,7 +20,7 @@ from steerkit.compiled.cache import NoCompilerError, compiler
 from steerkit.compiled.gradient import Cost, gradient
 from steerkit.compiled.native import NativeProgram
 from steerkit.compiled.python_code import PythonProgram
-from steerkit.compiled.trace import Trace, TraceError, parameter, trace, with_parameters
+from steerkit.compiled.trace import Trace, TraceError, flattened, parameter, trace, with_parameters
 from steerkit.compiled.vm import VmProgram
 from steerkit.loop import Loop, LoopState, Sample
 from steerkit.simulation import Log, Signal, check_finite
@@ -47,7 +47,8 @@ def compile(
     backend: "c" (through gcc, kept in a cache on disk; for one car and for many), "vm" (CasADi, no compiler needed),
     "python" (generated floats, quickest to make) or "auto": C where there is a compiler, else the VM and a warning.
     record: signals to keep (default: all); every: keep one tick in `every`. parameters: block fields to leave open,
-    such as "controller.k" or "car.vehicle.m"; `run` takes a value for each, or one a car. collapse: take signals
+    such as "controller.k" or "car.vehicle.m"; `run` takes a value for each, or one a car (for a field that is a
+    tuple, such as a policy's weights: an array (n,), or (n, N) for N cars). collapse: take signals
     that no tick changes (a constant speed) for numbers and multiply out what is linear then, where that saves work: a
     linear plant at a constant speed becomes its step matrix. Sums are then made in another order, and another start
     value makes another program.
@@ -88,6 +89,7 @@ class Compiled:
         start = time.perf_counter()
         self.loop, self.backend, self.every = loop, backend, every
         self.trace: Trace = trace(loop, parameters=parameters)
+        self.parameters = tuple(parameters)
         names = list(loop.units) if record is None else [r if isinstance(r, str) else loop.port_name(r) for r in record]
         for name in names:
             loop.locate(name)
@@ -119,7 +121,7 @@ class Compiled:
         values = self._values(parameters or {})
         cars = _cars(values, batch)
         if state is None:
-            known = {name: values[name] for name in parameters or {}}
+            known = {name: value for name, value in (parameters or {}).items() if name in values}  # not the tuples
             state = with_parameters(self.loop, known).init(batch=cars)
         slots = self.trace.layout.pack(state.x, state.y)
         cars = _cars({"state": next((v for v in slots if np.ndim(v)), 0.0)} | values, cars)
@@ -146,13 +148,19 @@ class Compiled:
         return after, Sample(self.loop, state.k * self.loop.dt, after.y)
 
     def _values(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        unknown = [name for name in given if name not in self.trace.parameters]
+        unknown = [name for name in given if name not in self.parameters]
         if unknown:
-            open_ones = ", ".join(self.trace.parameters) or "none"
+            open_ones = ", ".join(self.parameters) or "none"
             raise ValueError(
                 f"run: parameter '{unknown[0]}' was not left open, compile(parameters=[...]); open: {open_ones}"
             )
-        return {n: given[n] if n in given else parameter(self.loop, n) for n in self.trace.parameters}
+        present = {name: parameter(self.loop, name) for name in self.parameters}
+        for name, value in given.items():
+            old = present[name]
+            if isinstance(old, tuple) and len(value) != len(old):
+                raise ValueError(f"run: parameter '{name}' of length {len(value)}, expected {len(old)} numbers")
+            present[name] = tuple(value) if isinstance(old, tuple) else value
+        return flattened(present)
 
     def _one(self, k: int, stop: int, slots: list[float], parameters: list[float]) -> tuple[Any, Any]:
         """(rows, all slots after the last tick) of one car."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -109,7 +109,8 @@ class Trace:
 
 
 def trace(loop: Loop, *, parameters: Sequence[str] = ()) -> Trace:
-    """The graphs of a loop. parameters: block fields (`"controller.k"`) to leave open, as inputs.
+    """The graphs of a loop. parameters: block fields (`"controller.k"`) to leave open, as inputs; a field that holds a
+    tuple of numbers (an NFQ policy's weights) is one input an entry.
 
     Raises TraceError naming the block that is not pure or cannot be run on symbols.
     """
@@ -122,11 +123,13 @@ def trace(loop: Loop, *, parameters: Sequence[str] = ()) -> Trace:
     template = _some_state(loop)
     layout = Layout(loop, template)
     with _lock:
-        symbols = [casadi.SX.sym(f"p{i}") for i in range(len(parameters))]
-        open_loop = with_parameters(loop, dict(zip(parameters, symbols)))
+        present = {name: parameter(loop, name) for name in parameters}
+        flat = flattened(present)
+        symbols = [casadi.SX.sym(f"p{i}") for i in range(len(flat))]
+        open_loop = with_parameters(loop, _regrouped(present, symbols))
         tables: dict[int, tuple[int, Table]] = {}
         ticks = tuple(_tick(open_loop, phase, layout, symbols, tables) for phase in range(loop.period))
-    return Trace(loop, layout, tuple(parameters), ticks, tuple(table for _, table in tables.values()))
+    return Trace(loop, layout, tuple(flat), ticks, tuple(table for _, table in tables.values()))
 
 
 def _some_state(loop: Loop) -> LoopState:
@@ -235,10 +238,28 @@ def with_parameters(loop: Loop, values: dict[str, Any]) -> Loop:
     return loop
 
 
+def flattened(values: Mapping[str, Any]) -> dict[str, Any]:
+    """One entry a number: a tuple field `p` becomes `p[0]`, `p[1]`, ...; so does an array of (n,) or (n, N) for it."""
+    flat: dict[str, Any] = {}
+    for name, value in values.items():
+        flat |= {f"{name}[{i}]": v for i, v in enumerate(value)} if isinstance(value, tuple) else {name: value}
+    return flat
+
+
+def _regrouped(present: Mapping[str, Any], numbers: Sequence[Any]) -> dict[str, Any]:
+    """`numbers`, in the order of `flattened(present)`, under the names of `present`."""
+    rest = iter(numbers)
+    return {n: tuple([next(rest) for _ in v]) if isinstance(v, tuple) else next(rest) for n, v in present.items()}
+
+
 def parameter(loop: Loop, name: str) -> Any:
-    """The present value of a block field, by name."""
+    """The present value of a block field, by name; raises TraceError for an unknown one."""
     block, *fields = name.split(".")
-    return functools.reduce(getattr, fields, loop.blocks[block])
+    try:
+        return functools.reduce(getattr, fields, loop.blocks[block])
+    except (AttributeError, KeyError):
+        with_parameters(loop, {name: 0.0})  # which says what is wrong with the name
+        raise
 
 
 def _replaced(owner: Any, fields: list[str], value: Any, name: str) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import os
 import zipfile
@@ -119,6 +120,9 @@ class NfqPolicy(Block):
     """How the nets' values become one; "max" is the cautious reading."""
     ready_from: float = 0.0
     """Time from which a net counts as there [s]."""
+    weights: tuple[Any, ...] = ()
+    """All weights of `nets` as one flat tuple, which then gives their layout only: `with_weights` makes it, for a
+    compiled loop that leaves them open (a batch of cars with a policy each)."""
 
     def __post_init__(self) -> None:
         where = "NfqPolicy"
@@ -134,6 +138,26 @@ class NfqPolicy(Block):
             check_net(net, n + 1, where)
             same = [p.shape for p in net] == [p.shape for p in self.nets[0]]  # type: ignore[index]
             require(same, where, "nets of different layouts, expected one layout for the whole ensemble")
+        n_weights = sum(np.size(p) for net in self.nets or () for p in net)
+        fits = len(self.weights) in (0, n_weights)
+        require(fits, where, f"weights holds {len(self.weights)} numbers, expected {n_weights}, those of nets")
+
+    def with_weights(self) -> NfqPolicy:
+        """The same policy with its weights in the field `weights`, for `compile(parameters=["....weights"])`."""
+        return dataclasses.replace(self, weights=self.flat_weights())
+
+    def flat_weights(self) -> tuple[float, ...]:
+        """All weights, in the order that `weights` wants."""
+        return tuple(float(w) for net in self.nets or () for p in net for w in p.ravel())
+
+    def _parameters(self) -> list[list[NDArray[Any]]]:
+        """W, b, W, b, ... of each net, from `weights` (numbers or symbols) where they are given."""
+        nets = [[np.asarray(p, dtype=np.float64) for p in net] for net in self.nets or ()]
+        if not self.weights:
+            return nets
+        rest = iter(self.weights)
+        kind = object if any(map(m.is_symbol, self.weights)) else np.float64
+        return [[np.array([next(rest) for _ in range(p.size)], dtype=kind).reshape(p.shape) for p in n] for n in nets]
 
     @functools.cached_property
     def _order(self) -> tuple[float, ...]:
@@ -147,7 +171,7 @@ class NfqPolicy(Block):
         With sigmoid = (1 + tanh(z/2))/2, the halves move into the next layer's weights: A = W/4 and
         d = (b + W 1 / 2)/2; the first layer is A = W/2 of the scaled state, plus one column of offsets an action.
         """
-        nets = [[np.asarray(p, dtype=np.float64) for p in net] for net in self.nets or ()]
+        nets = self._parameters()
         mid, half, scale = self.description.mid, self.description.half, self.description.scale_of(self.actions)
         first = 0.5 * np.concatenate([net[0] for net in nets])
         of_state = first[:, :-1] / half
@@ -256,14 +280,14 @@ def check_net(net: Net, n_in: int, where: str) -> None:
 def _dot(row: Any, h: Any) -> Any:
     total: Any = 0.0
     for a, b in zip(row, h, strict=True):
-        if a != 0.0:
+        if m.is_symbol(a) or a != 0.0:
             total = total + a * b
     return total
 
 
 def _block_diagonal(blocks: list[NDArray[Any]]) -> NDArray[np.float64]:
     rows, cols = blocks[0].shape
-    w = np.zeros((rows * len(blocks), cols * len(blocks)))
+    w = np.zeros((rows * len(blocks), cols * len(blocks)), dtype=blocks[0].dtype)
     for k, block in enumerate(blocks):
         w[k * rows : (k + 1) * rows, k * cols : (k + 1) * cols] = block
     return w

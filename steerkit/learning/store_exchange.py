@@ -63,7 +63,10 @@ def _merge_run(db: sqlite3.Connection, number: int, label: str, uid: str, source
 
 
 def to_parquet(store: TransitionStore, file: Path) -> None:
-    """Write all runs of a store to a Parquet file: run, episode, s.<name>, a, s_next.<name>. Needs the extra `bench`."""
+    """Write all runs of a store to a Parquet file with the columns run, episode, s.<name>..., a, s_next.<name>...
+
+    Raises ImportError without pyarrow (extra `bench`).
+    """
     pa, pq = _pyarrow()
     columns: dict[str, list[Any]] = {name: [] for name in _columns(store.names)}
     for label in store.runs():
@@ -82,7 +85,8 @@ def to_parquet(store: TransitionStore, file: Path) -> None:
 def from_parquet(file: Path, path: Path) -> TransitionStore:
     """A new store at `path`, opened for reading, with what `to_parquet` wrote, bit for bit.
 
-    Raises StoreError when the file is none of ours or `path` exists (bring it in with `merge`).
+    Raises StoreError when the file is none of ours, ValueError when `path` exists (bring it in with `merge`),
+    ImportError without pyarrow.
     """
     pa, pq = _pyarrow()
     require(not FilePath(path).exists(), str(path), "exists; make a new store, and bring it in with merge()")

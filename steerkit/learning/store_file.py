@@ -25,8 +25,8 @@ TABLES = (
     "CREATE TABLE IF NOT EXISTS meta(key TEXT PRIMARY KEY, value TEXT NOT NULL)",
     "CREATE TABLE IF NOT EXISTS run(id INTEGER PRIMARY KEY, label TEXT NOT NULL UNIQUE, uid TEXT NOT NULL UNIQUE)",
     # numbers: s, a, s_next as little-endian doubles; crc: CRC-32 of them, begun with the episode
-    "CREATE TABLE IF NOT EXISTS transition(run INTEGER NOT NULL REFERENCES run, n INTEGER NOT NULL, episode INTEGER NOT NULL, "
-    "numbers BLOB NOT NULL, crc INTEGER NOT NULL, PRIMARY KEY(run, n)) WITHOUT ROWID",
+    "CREATE TABLE IF NOT EXISTS transition(run INTEGER NOT NULL REFERENCES run, n INTEGER NOT NULL, "
+    "episode INTEGER NOT NULL, numbers BLOB NOT NULL, crc INTEGER NOT NULL, PRIMARY KEY(run, n)) WITHOUT ROWID",
 )
 Path = str | os.PathLike[str]
 Row = tuple[int, bytes, int]

@@ -51,7 +51,7 @@ AT_HOME = {
     "control": {"analysis", "controllers.lqr"},
     "matplotlib": {"plotting", "learning.figures"},
     "pandas": {"simulation"},
-    "pyarrow": {"simulation"},
+    "pyarrow": {"simulation", "learning.store_exchange"},
     "typer": {"cli"},
 }
 """Where a package may be imported: a module or package of steerkit."""

@@ -1,0 +1,346 @@
+"""Training while driving goes on: in a process of its own on a car, or charged to the driving time in simulation.
+
+Both trainers are used alike: `submit` a job, and ask `poll` between two control samples. Neither call waits, so an
+exchange of nets happens between two samples or not at all. Results are handed out newest only: when a later job was
+submitted before an earlier one was fetched, the earlier one's nets are what the later one starts from, and no more.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import math
+import multiprocessing
+import os
+import pickle
+import queue
+import signal
+import threading
+import time
+import weakref
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from multiprocessing.connection import Connection
+from pathlib import Path as FilePath
+from types import TracebackType
+from typing import Any, NamedTuple, Protocol, Self
+
+from steerkit.block import require
+from steerkit.learning import nfq
+from steerkit.learning.costs import Cost
+from steerkit.learning.nfq import FitSetting
+from steerkit.learning.qnetwork import Net
+from steerkit.learning.state import STANDARD, StateDescription
+from steerkit.learning.store import TransitionStore
+from steerkit.learning.transitions import Transitions
+
+Nets = tuple[Net, ...]
+NICE = 10
+"""How far the training process steps back behind the driver's (os.nice)."""
+ATTEMPTS = 3
+"""Deaths of the training process over one job after which the job, not the process, is blamed."""
+_log = logging.getLogger("steerkit.trainer")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Job:
+    """One update of the Q-function: the arguments of `nfq.iterate`, but for the nets before, which a trainer knows."""
+
+    number: int
+    """Of the update; each job's is larger than those before it."""
+    transitions: Transitions | str | FilePath
+    """What to learn from, as it is at `submit`; or the path of a transition store: what is committed there."""
+    actions: Sequence[float]
+    """Action set [rad]."""
+    cost: Cost
+    fit: FitSetting
+    description: StateDescription = STANDARD
+    seed: int = 0
+
+    def train(self, nets_before: Nets) -> Nets:
+        """Do it, here and now."""
+        record = self.transitions
+        if not isinstance(record, Transitions):
+            record = TransitionStore(record, names=self.description.names).transitions()
+        return nfq.iterate(record, self.actions, self.cost, self.fit, self.description, nets_before, self.seed)
+
+
+class Result(NamedTuple):
+    """What became of the newest job."""
+
+    number: int
+    """The job's."""
+    nets: Nets | None
+    """The new nets; None: there are none, and `fault` says why."""
+    seconds: float
+    """Computing time of it and of the jobs before it that were never handed out [s]."""
+    fault: str = ""
+    """What went wrong; with nets: what went wrong before they were made all the same."""
+
+
+class Training(Protocol):
+    """What an experiment asks of a trainer."""
+
+    def submit(self, job: Job, t: float) -> None:
+        """Train at driving time t [s], after the jobs before; returns at once (in simulation: when computed)."""
+        ...
+
+    def poll(self, t: float) -> Result | None:
+        """The newest job's result, once, when it is there at driving time t [s]; never waits."""
+        ...
+
+    @property
+    def busy(self) -> bool:
+        """Is there a job whose result is still to come?"""
+        ...
+
+    def close(self) -> None:
+        """End it, whatever it is doing."""
+        ...
+
+
+class SimulatedTrainer:
+    """Trains in `submit`, and hands the nets out when the training would have been done on a car.
+
+    seconds: driving time charged for one update [s]; None: the computing time it really took (runs are then not
+    repeatable). A job begins when the one before it is done. nets: what the first job starts from. pending: (driving
+    time at which they are ready [s], nets) of an unfinished job, to go on from a checkpoint. An error in training is
+    raised by `submit`.
+    """
+
+    def __init__(self, *, seconds: float | None = 1.0, nets: Nets = (), pending: tuple[float, int, Nets] | None = None):
+        ok = seconds is None or (math.isfinite(seconds) and seconds >= 0.0)
+        require(ok, "SimulatedTrainer", f"seconds = {seconds} s, expected >= 0, or None for the time really taken")
+        self.seconds, self.nets = seconds, pending[2] if pending else nets
+        self.pending = pending
+        self._spent = 0.0
+
+    def submit(self, job: Job, t: float) -> None:
+        """Train now; the result is there `seconds` after t, or after the job before."""
+        began = time.perf_counter()
+        self.nets = job.train(self.nets)
+        taken = time.perf_counter() - began
+        self._spent += taken
+        start = max(t, self.pending[0]) if self.pending else t
+        self.pending = (start + (taken if self.seconds is None else self.seconds), job.number, self.nets)
+
+    def poll(self, t: float) -> Result | None:
+        """The newest nets, once, if they would be ready at driving time t [s]."""
+        if self.pending is None or t < self.pending[0] - 1e-9:
+            return None
+        (_, number, nets), self.pending = self.pending, None
+        seconds, self._spent = self._spent, 0.0
+        return Result(number, nets, seconds)
+
+    @property
+    def busy(self) -> bool:
+        """Is there a job whose result is still to come?"""
+        return self.pending is not None
+
+    def close(self) -> None:
+        """Nothing to end."""
+
+
+class Trainer:
+    """Trains in a process of its own, behind the driver in priority; nothing here waits for it.
+
+    A thread of the trainer's own talks to the process. When the process dies (out of memory, kill -9) or is silent
+    for `patience` [s], it is started again with the same job; the result's `fault`, `faults` and the log
+    "steerkit.trainer" tell. After ATTEMPTS deaths over one job, or an error in training, the result has no nets; the
+    next job is taken up as usual. nets: what the first job starts from.
+
+    The process imports the main module, as multiprocessing's spawn does: a script needs `if __name__ == "__main__":`.
+    Close it, or use it in a `with`; it also ends with the program, and the process ends with its parent.
+    """
+
+    def __init__(self, *, nets: Nets = (), nice: int = NICE, patience: float = 600.0):
+        require(patience > 0.0, "Trainer", f"patience = {patience} s, expected > 0")
+        self._worker = _Worker(nets, nice, patience)
+        self._newest = self._fetched = 0
+        self._spent = 0.0
+        self._end = weakref.finalize(self, _Worker.end, self._worker)
+
+    def submit(self, job: Job, t: float = 0.0) -> None:
+        """Train as soon as the jobs before are done; what is recorded after this call is not learned from.
+
+        Raises ValueError for a number that is not larger than the one before, RuntimeError after `close`.
+        """
+        require(job.number > self._newest, "Trainer", f"job number {job.number}, expected > {self._newest}")
+        if not self._end.alive:
+            raise RuntimeError("Trainer: closed; make a new one")
+        self._newest = job.number
+        self._worker.jobs.put(_frozen(job))
+
+    def poll(self, t: float = 0.0) -> Result | None:
+        """The newest job's result, once, if it is there."""
+        with contextlib.suppress(queue.Empty):
+            while True:
+                result = self._worker.results.get_nowait()
+                self._spent += result.seconds
+                if result.number == self._newest:
+                    self._fetched = result.number
+                    seconds, self._spent = self._spent, 0.0
+                    return result._replace(seconds=seconds)
+        return None
+
+    @property
+    def busy(self) -> bool:
+        """Is there a job whose result is still to come?"""
+        return self._fetched < self._newest
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """All that went wrong so far."""
+        return tuple(self._worker.faults)
+
+    @property
+    def pid(self) -> int | None:
+        """The training process's id; None before it has started."""
+        process = self._worker.process
+        return process.pid if process else None
+
+    def close(self) -> None:
+        """End the process, whatever it is doing."""
+        self._end()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+
+class _Worker(threading.Thread):
+    """The thread that keeps a training process alive and busy."""
+
+    def __init__(self, nets: Nets, nice: int, patience: float):
+        super().__init__(name="steerkit trainer", daemon=True)
+        self.nets, self.nice, self.patience = nets, nice, patience
+        self.jobs: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
+        self.results: queue.SimpleQueue[Result] = queue.SimpleQueue()
+        self.faults: list[str] = []
+        self.process: Any = None
+        self._link: Connection | None = None
+        self._ending = False
+        self.start()
+
+    def run(self) -> None:
+        while not self._ending:
+            if self.process is None or not self.process.is_alive():
+                self._start_process("while idle")
+            with contextlib.suppress(queue.Empty):
+                job = self.jobs.get(timeout=0.2)
+                if job is not None:
+                    self._do(job)
+        self._kill()
+
+    def _do(self, job: Job) -> None:
+        began = time.monotonic()
+        told: list[str] = []
+        for _ in range(ATTEMPTS):
+            try:
+                assert self._link is not None
+                _send(self._link, (job, self.nets))
+                if not self._link.poll(self.patience):
+                    self.process.kill()
+                nets, error, seconds = _receive(self._link)
+            except (EOFError, OSError):  # the process is dead
+                if self._ending:
+                    return
+                told.append(self._start_process(f"while training net {job.number}"))
+                continue
+            if error:
+                self.faults.append(error)
+                _log.warning(error)
+            self.nets = nets or self.nets
+            self.results.put(Result(job.number, nets, seconds, "; ".join([*told, *([error] if error else [])])))
+            return
+        told.append(f"net {job.number} is given up: the process died {ATTEMPTS} times over it")
+        self.faults.append(told[-1])
+        _log.error(told[-1])
+        self.results.put(Result(job.number, None, time.monotonic() - began, "; ".join(told)))
+
+    def _start_process(self, when: str) -> str:
+        """A new process, and what became of the old one."""
+        fault = ""
+        if self.process is not None:
+            self.process.join()
+            fault = f"training process {self.process.pid} ended {when} ({_ending_of(self.process.exitcode)}); restarted"
+            self.faults.append(fault)
+            _log.warning(fault)
+        context = multiprocessing.get_context("spawn")
+        self._link, far = context.Pipe()
+        self.process = context.Process(target=_serve, args=(far, self.nice), name="steerkit trainer", daemon=True)
+        self.process.start()
+        far.close()  # so that the end of the process is the end of the pipe
+        return fault
+
+    def _kill(self) -> None:
+        if self.process is not None:
+            self.process.kill()
+            self.process.join()
+
+    def end(self) -> None:
+        self._ending = True
+        self.jobs.put(None)
+        while self.is_alive():  # it may just be starting a process
+            if self.process is not None:
+                with contextlib.suppress(AttributeError, ValueError):
+                    self.process.kill()
+            self.join(0.05)
+
+
+def _serve(link: Connection, nice: int) -> None:
+    """The training process: jobs in, nets out, until the other end closes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the driver's
+    os.nice(nice)
+    with contextlib.suppress(EOFError, BrokenPipeError):
+        while True:
+            job, nets = _receive(link)
+            began = time.perf_counter()
+            error = ""
+            try:
+                nets = job.train(nets)
+            except Exception as why:
+                nets, error = None, f"net {job.number} could not be trained: {type(why).__name__}: {why}"
+            _send(link, (nets, error, time.perf_counter() - began))
+
+
+def _frozen(job: Job) -> Job:
+    """The job with the transitions as they are now; costs nothing, as recorded rows never change."""
+    return replace(job, transitions=_Snapshot(job.transitions)) if isinstance(job.transitions, Transitions) else job
+
+
+class _Snapshot(Transitions):
+    """A record's rows of this moment, without a copy; turns into plain `Transitions` on the way to a process."""
+
+    def __init__(self, record: Transitions):
+        self.names, self._n = record.names, len(record)
+        self._s, self._a, self._s_next, self._episode = record.s, record.a, record.s_next, record.episode
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _rebuilt, (self.names, self.s, self.a, self.s_next, self.episode)
+
+
+def _rebuilt(names: tuple[str, ...], s: Any, a: Any, s_next: Any, episode: Any) -> Transitions:
+    record = Transitions(names)
+    record.extend(s, a, s_next, episode)
+    return record
+
+
+def _send(link: Connection, message: Any) -> None:
+    """Pickle with the arrays beside it, uncopied: no long stretch in which the driver's thread would have to wait."""
+    arrays: list[pickle.PickleBuffer] = []
+    head = pickle.dumps(message, protocol=5, buffer_callback=arrays.append)
+    link.send((head, len(arrays)))
+    for array in arrays:
+        link.send_bytes(array.raw())
+
+
+def _receive(link: Connection) -> Any:
+    head, count = link.recv()
+    return pickle.loads(head, buffers=[link.recv_bytes() for _ in range(count)])
+
+
+def _ending_of(code: int | None) -> str:
+    return f"killed by signal {-code}" if code is not None and code < 0 else f"exit code {code}"
