@@ -1,10 +1,11 @@
 """How fast and how well a setting learns, over seeds fixed beforehand.
 
 Driving time counts everything: the learner's driving, recovery, and waiting for a training to end (charged at the
-setting's `fit_seconds`, which the measured cost must not exceed: both are reported). A net is GOOD when it drives a
-whole round with max |e| < 0.25 m, RMS e < 0.10 m and 0.5 s-averaged lateral jerk < 5 m/s^3. Every net is test-driven
-after the run, off the clock, from the moment it took the wheel in the run; the final net is the last one, not the
-best.
+setting's `fit_seconds`, which the measured cost must not exceed: `longest_training` is measured). A net is GOOD when
+it drives a whole round with max |e| < 0.25 m, RMS e < 0.10 m and 0.5 s-averaged lateral jerk < 5 m/s^3. Every net is
+test-driven after the run, off the clock, and counts from the moment it took the wheel in the run; the final net is the
+last one, not the best. `model-based` is the rival: the same experiment, steered by an optimal gain for the learned
+model.
 
     python benchmarks/learning.py --setting default --seeds 10 --conditions clean --course paper
 """
@@ -13,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from multiprocessing import get_context
@@ -25,7 +27,9 @@ from rich.table import Table
 
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.learning import evaluate
-from steerkit.learning.experiment import Experiment, LearningRun, learn
+from steerkit.learning.experiment import Experiment, LearningRun
+from steerkit.learning.many_drives import TrialDrive, drive_many
+from steerkit.learning.rival import ModelBasedRun
 from steerkit.learning.settings import SETTINGS, setting
 from steerkit.learning.world import World
 from steerkit.metrics import GOOD, of_log
@@ -43,6 +47,7 @@ class Outcome:
     failures_to_good: int | None
     failures: int
     transitions: int
+    nets: int
     last_nets_hold: float
     final_holds: bool
     final_rms_e: float
@@ -54,34 +59,28 @@ class Outcome:
     computing: float
 
 
-def one_seed(job: tuple[Experiment, int]) -> Outcome:
+def one_seed(job: tuple[Experiment, int, bool]) -> Outcome:
     """Run one seed, then test-drive its nets: the first GOOD one, the last ones, the final one."""
-    import time
-
-    experiment, last = job
-    nets: list[tuple[float, int, NfqPolicy]] = []
-    costs: list[float] = []
+    experiment, last, model_based = job
+    nets: list[tuple[float, int, Any]] = []
+    trainings: list[float] = [0.0]
 
     def watch(what: str, run: LearningRun) -> None:
         if what == "trained":
             nets.append((run.t, run.counts.failures, run.policy))
-        costs.append(run.counts.train_seconds)
 
     began = time.perf_counter()
-    run = learn(experiment, watch=watch)
+    run = (ModelBasedRun if model_based else LearningRun)(experiment, watch=watch)
+    while not run.done():
+        run.drive()
+        if run.counts.train_seconds > trainings[-1]:
+            trainings.append(run.counts.train_seconds)
     computing = time.perf_counter() - began
-    world, element = experiment.world, experiment.setting.element
-    cache: dict[int, Any] = {}
-
-    def round_of(i: int) -> Any:
-        if i not in cache:
-            log = evaluate.drive(world, nets[i][2], doe=element(), seed=experiment.seed + 1000, only_while_held=True)
-            cache[i] = (evaluate.held_all_along(log), of_log(log) if len(log.t) > 20 else None)
-        return cache[i]
-
-    first = next((i for i in range(len(nets)) if round_of(i)[0] and GOOD.met(round_of(i)[1], rounds=1.0)), None)
-    tail = range(max(0, len(nets) - last), len(nets))
-    held, final = round_of(len(nets) - 1) if nets else (False, None)
+    drives = test_drives(experiment, [policy for *_, policy in nets], last)
+    found = (i for i, d in enumerate(drives) if d.held and d.summary and GOOD.met(d.summary, rounds=1.0))
+    first = next(found, None)
+    final = drives[-1] if drives else None
+    summary = final.summary if final else None
     nan = float("nan")
     return Outcome(
         seed=experiment.seed,
@@ -92,15 +91,42 @@ def one_seed(job: tuple[Experiment, int]) -> Outcome:
         failures_to_good=None if first is None else nets[first][1],
         failures=run.counts.failures,
         transitions=len(run.transitions),
-        last_nets_hold=float(np.mean([round_of(i)[0] for i in tail])) if nets else 0.0,
-        final_holds=held,
-        final_rms_e=final.rms_e if final else nan,
-        final_max_e=final.max_e if final else nan,
-        final_wheel_rate_deg=final.rms_wheel_rate_deg if final else nan,
-        final_jerk_rms=final.rms_jerk if final else nan,
-        final_max_a_y=final.max_a_y if final else nan,
-        longest_training=float(np.diff([0.0, *costs]).max(initial=0.0)),
+        nets=len(nets),
+        last_nets_hold=float(np.mean([d.held for d in drives[-last:]])) if nets else 0.0,
+        final_holds=final is not None and final.held,
+        final_rms_e=summary.rms_e if summary else nan,
+        final_max_e=summary.max_e if summary else nan,
+        final_wheel_rate_deg=summary.rms_wheel_rate_deg if summary else nan,
+        final_jerk_rms=summary.rms_jerk if summary else nan,
+        final_max_a_y=summary.max_a_y if summary else nan,
+        longest_training=float(np.diff(trainings).max(initial=0.0)),
         computing=computing,
+    )
+
+
+def test_drives(experiment: Experiment, policies: list[Any], last: int) -> list[TrialDrive]:
+    """One round for each policy: nets all at once in compiled code; of model policies only the first and last few."""
+    world, seed = experiment.world, experiment.seed + 1000
+    if all(isinstance(policy, NfqPolicy) for policy in policies):
+        layouts: dict[int, list[int]] = {}
+        for i, policy in enumerate(policies):
+            layouts.setdefault(len(policy.nets or ()), []).append(i)
+        drives: dict[int, TrialDrive] = {}
+        for rows in layouts.values():
+            drives |= zip(rows, drive_many(world, experiment.setting, [policies[i] for i in rows], seed=seed))
+        return [drives[i] for i in range(len(policies))]
+    return [model_drive(experiment, policy, seed) for policy in (*policies[:5], *policies[5:][-last:])]
+
+
+def model_drive(experiment: Experiment, policy: Any, seed: int) -> TrialDrive:
+    """One round of one policy."""
+    world = experiment.world
+    log = evaluate.drive(world, policy, doe=experiment.setting.element(), seed=seed, only_while_held=True)
+    held = evaluate.held_all_along(log)
+    return TrialDrive(
+        rounds=float(log["path.progress"][-1]) / world.round_length,
+        held=held and bool(log["path.progress"][-1] >= world.round_length),
+        summary=of_log(log) if len(log.t) > 20 else None,
     )
 
 
@@ -131,12 +157,13 @@ def summarise(outcomes: list[Outcome], within: float) -> dict[str, Any]:
 def main() -> None:
     """Parse the command line, run the seeds, print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--setting", default="default", choices=sorted(SETTINGS))
+    parser.add_argument("--setting", default="default", choices=[*sorted(SETTINGS), "model-based"])
     parser.add_argument("--seeds", type=int, default=10, help="seeds 0 to N-1 (default 10)")
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--conditions", default="clean", choices=["clean", "hard"])
     parser.add_argument("--course", default="paper")
     parser.add_argument("--plant", default="nonlinear", choices=["nonlinear", "linear"])
+    parser.add_argument("--reference", default="front", choices=["front", "cg"])
     parser.add_argument("--v-max", type=float, default=None, help="fastest speed of the driver [m/s]")
     parser.add_argument("--minutes", type=float, default=11.0, help="driving time of a run (default 11)")
     parser.add_argument("--episodes", type=int, default=1000, help="failures after which a run ends")
@@ -144,11 +171,13 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--json", action="store_true", help="print one JSON object as the last line")
     a = parser.parse_args()
-    world = replace(World.under(a.conditions, course=a.course), plant=a.plant)
+    world = replace(World.under(a.conditions, course=a.course), plant=a.plant, reference=a.reference)
     if a.v_max is not None:
         world = replace(world, v_max=a.v_max)
-    base = Experiment(setting=setting(a.setting), world=world, minutes=a.minutes, episodes=a.episodes)
-    jobs = [(replace(base, seed=a.first_seed + n), a.last) for n in range(a.seeds)]
+    model_based = a.setting == "model-based"  # actions, rhythm and charged time are the default's
+    chosen = setting("default" if model_based else a.setting)
+    base = Experiment(setting=chosen, world=world, minutes=a.minutes, episodes=a.episodes)
+    jobs = [(replace(base, seed=a.first_seed + n), a.last, model_based) for n in range(a.seeds)]
     with ProcessPoolExecutor(a.processes, mp_context=get_context("spawn")) as pool:
         outcomes = list(track(pool.map(one_seed, jobs), total=len(jobs), description=a.setting))
     console = Console(width=170)
@@ -157,7 +186,16 @@ def main() -> None:
     for o in outcomes:
         table.add_row(*[_cell(v) for v in asdict(o).values()])
     console.print(table)
-    result = {"setting": a.setting, "course": a.course, "conditions": a.conditions, **summarise(outcomes, 660.0)}
+    result = {
+        "setting": a.setting,
+        "course": a.course,
+        "conditions": a.conditions,
+        "plant": a.plant,
+        "reference": a.reference,
+        "v_max": world.v_max,
+        "minutes": a.minutes,
+        **summarise(outcomes, 660.0),
+    }
     for key, value in result.items():
         console.print(f"{key:28s} {_cell(value)}")
     if a.json:

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from steerkit.controllers.stanley import Stanley
     from steerkit.courses import course
     from steerkit.doe import Direct, Integrator, LowPass
-    from steerkit.learning.experiment import Experiment, learn
+    from steerkit.learning.experiment import Experiment
+    from steerkit.learning.learn import learn
     from steerkit.loop import Loop, LoopState
     from steerkit.path import Path
     from steerkit.plants.human_driver import HumanDriver
@@ -47,7 +48,7 @@ _HOME = {
     "Integrator": "doe",
     "LowPass": "doe",
     "Experiment": "learning.experiment",
-    "learn": "learning.experiment",
+    "learn": "learning.learn",
     "Loop": "loop",
     "LoopState": "loop",
     "Path": "path",

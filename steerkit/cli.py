@@ -89,12 +89,19 @@ def drive(
 @app.command()
 def show(
     run: Annotated[Path, typer.Argument(help="Directory of a learning run.")],
+    diagnostics: Annotated[bool, typer.Option(help="Draw what the net believes, and where and when it failed.")] = False,
+    against: Annotated[list[Path] | None, typer.Option(help="Other runs to compare with (with --diagnostics).")] = None,
     quiet: Quiet = False,
 ) -> None:
     """Show a learning run: its counts, its episodes, learned against Stanley, and its pictures."""
     from steerkit.learning import report
 
     report.show(run, quiet=quiet)
+    if diagnostics:
+        from steerkit.learning.diagnostics import draw_all
+
+        pictures = draw_all(run, against=against or ())
+        report.console.print(f"diagnostics: {', '.join(map(str, pictures))}", soft_wrap=True)
 
 
 @app.command()

@@ -22,6 +22,11 @@ Array = NDArray[np.float64]
 class Cost(Protocol):
     """What `steerkit.learning.nfq` asks of a cost."""
 
+    @property
+    def goal(self) -> float:
+        """|e| [m] below which the car counts as on the path."""
+        ...
+
     def __call__(self, s: Array, a: Array, s_next: Array) -> Costs:
         """Cost (n,) in [0, 1] and terminal (n,) of n transitions."""
         ...

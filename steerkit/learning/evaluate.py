@@ -7,7 +7,6 @@ from dataclasses import replace
 
 from steerkit.assembly import steering_loop
 from steerkit.block import Block
-from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.recovery import Guarded
 from steerkit.controllers.stanley import Stanley
 from steerkit.learning.world import World
@@ -31,12 +30,12 @@ def controller(name: str, vehicle: Vehicle) -> Block:
 def drive_loop(world: World, steering: Block, *, doe: Block | None = None, seed: int = 0, s: float = 0.0) -> Loop:
     """The loop of a test drive: a policy (with its doe) is caught by the world's recovery controller."""
     path = world.path()
-    learned = isinstance(steering, NfqPolicy)
+    learned = "ready" in [port.name for port in steering.outputs]
     return steering_loop(
         car=world.car(path, s=s),
         path=path,
         driver=world.driver(seed),
-        controller=Guarded(block=replace(steering, ready_from=0.0)) if isinstance(steering, NfqPolicy) else steering,
+        controller=Guarded(block=replace(steering, ready_from=0.0)) if learned else steering,  # type: ignore[call-arg]
         doe=doe,
         recovery=world.recovery() if learned else None,
         actuator=world.actuator(),
@@ -63,7 +62,7 @@ def drive(
     `rounds` times the course.
     """
     loop = drive_loop(world, steering, doe=doe, seed=seed, s=s)
-    length = rounds * world.path().length
+    length = rounds * world.round_length
     ticks = round(steering.dt / loop.dt)
     slowest = math.ceil(length / world.v_min / steering.dt) * steering.dt
 

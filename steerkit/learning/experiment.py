@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from pathlib import Path as FilePath
 from typing import Any
 
 from steerkit.assembly import steering_loop
 from steerkit.block import require
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.recovery import Guarded
-from steerkit.learning import nfq, rundir
+from steerkit.learning import nfq
 from steerkit.learning.settings import Setting
+from steerkit.learning.trainer import Job, SimulatedTrainer, Training
 from steerkit.learning.transitions import Transitions
-from steerkit.learning.world import World
+from steerkit.learning.world import END_MARGIN, World
 from steerkit.loop import LoopState
 from steerkit.simulation import Recorder
 
-END_MARGIN = 5.0
-"""How far from the end of an open course the car is carried back to its start [m]."""
 SIGNALS = (
     "path.e", "path.psi_e", "path.progress", "path.s", "path.kappa", "car.x", "car.y", "car.v", "car.r", "car.a_y",
     "car.delta_sw", "supervisor.delta_sw", "supervisor.learning", "controller.action",
@@ -111,19 +108,26 @@ class Counts:
 class LearningRun:
     """A learning run in progress: the loop, its state, the transitions, the nets and the counts.
 
-    `learn` drives it; it can be stepped by hand too: `drive()` one control sample at a time.
+    `learning.learn` drives it to its end; it can be stepped by hand too: `drive()` one control sample at a time.
+    `keep`, if set, is called at every training, to write a checkpoint.
     """
 
-    def __init__(self, experiment: Experiment, directory: FilePath | None = None, watch: Watcher | None = None):
-        self.experiment, self.directory, self.watch = experiment, directory, watch
+    def __init__(
+        self,
+        experiment: Experiment,
+        watch: Watcher | None = None,
+        trainer: Training | None = None,
+    ):
+        self.experiment, self.watch = experiment, watch
+        self.keep: Callable[[LearningRun], None] | None = None
         setting, world = experiment.setting, experiment.world
         self.path = world.path()
-        self.round_length = self.path.length - (0.0 if self.path.closed else 2.0 * END_MARGIN)
+        self.round_length = world.round_length
         self.description = setting.description()
         self.transitions = Transitions(self.description.names)
         self.counts = Counts()
         self.nets = nfq.fresh_nets(setting.fit, self.description, seed=experiment.seed)
-        self.pending: tuple[int, Any] | None = None  # (tick at which it is ready, nets)
+        self.trainer: Training = trainer or SimulatedTrainer(seconds=setting.fit_seconds)
         self.policy = NfqPolicy(
             nets=self.nets, actions=setting.actions, description=self.description, combine=setting.fit.combine
         )
@@ -145,7 +149,6 @@ class LearningRun:
         controller = self.loop.names.index("controller")
         self._inputs = [self.loop.source[controller, name] for name in self.description.names]
         self._at = {name: self.loop.locate(name) for name in SIGNALS}
-        self._tripped = self.loop.locate("supervisor.tripped")
         self.recorder = Recorder(self.loop, SIGNALS)
 
     # ---- the story ------------------------------------------------------------------------------------------
@@ -184,6 +187,9 @@ class LearningRun:
         if episode and not learning:
             self._train(waiting=True)
             self._tell("failed")
+            if self.experiment.setting.after_failure == "reset":
+                self._put_back(self._value("path.s"))
+                counts.k += round(self.experiment.setting.reset_seconds / self.policy.dt) * self.ticks
         elif learning and self._due():
             self._train(waiting=False)
         if not self.path.closed and self._value("path.s") > self.path.length - END_MARGIN:
@@ -196,53 +202,71 @@ class LearningRun:
         self.before = (s, self._value("controller.action")) if learning else None
 
     def _back_to_the_start(self) -> None:
-        """At the end of an open course the car is carried back to its start, with the driver's mood unchanged."""
-        driver = self.loop.names.index("driver")
-        start = self.loop.init()
-        self.x, self.y = [*start.x[:driver], self.x[driver], *start.x[driver + 1 :]], list(start.y)
-        self.before = None
+        """At the end of an open course the car is carried back to its start."""
+        self._put_back(0.0)
         episode = self._episode()
         if episode:
             episode.ended = self.t
 
+    def _put_back(self, s: float) -> None:
+        """The car stands on the path at s [m] again, with the driver's mood unchanged."""
+        driver, loop = self.loop.names.index("driver"), self.loop
+        start = loop.with_block("car", self.experiment.world.car(self.path, s=s)).init()
+        self.x, self.y = [*start.x[:driver], self.x[driver], *start.x[driver + 1 :]], list(start.y)
+        self.before = None
+
     def _train(self, *, waiting: bool) -> None:
-        """One update on all transitions; its net is ready `fit_seconds` of driving later."""
+        """One update on all transitions; the trainer hands its nets out later."""
         counts, setting = self.counts, self.experiment.setting
         counts.updates += 1
         counts.trained_at = counts.driven
-        busy_until, newest = self.pending or (counts.k, self.nets)
-        began = time.perf_counter()
-        nets = nfq.iterate(
-            self.transitions,
-            setting.actions,
-            setting.cost,
-            setting.fit,
-            self.description,
-            nets_before=newest if counts.updates > 1 else None,
+        job = Job(
+            number=counts.updates,
+            transitions=self.transitions,
+            actions=setting.actions,
+            cost=setting.cost,
+            fit=setting.fit,
+            description=self.description,
             seed=self.experiment.seed * 100_003 + counts.updates,
         )
-        counts.train_seconds += time.perf_counter() - began
-        ready = busy_until + math.ceil(setting.fit_seconds / self.policy.dt) * self.ticks
-        self.pending = (ready, nets)
+        self.trainer.submit(job, self.t)
         if waiting:  # the old policy is not trusted any more
             self.set_policy(replace(self.policy, ready_from=math.inf))
         self._checkpoint()
 
     def _due(self) -> bool:
         every = self.experiment.setting.retrain_every_m
-        return every > 0.0 and self.pending is None and self.counts.driven - self.counts.trained_at >= every
+        return every > 0.0 and not self.trainer.busy and self.counts.driven - self.counts.trained_at >= every
 
     def _take_over_finished_training(self) -> None:
-        if self.pending is not None and self.counts.k >= self.pending[0]:
-            self.nets, self.pending = self.pending[1], None
-            self.set_policy(replace(self.policy, nets=self.nets, ready_from=0.0))
-            self._tell("trained")
+        if not (self._trusted or self._calm()):
+            return
+        result = self.trainer.poll(self.t)
+        if result is None:
+            return
+        self.counts.train_seconds += result.seconds
+        if result.nets is None:  # the training process broke over it: the same data once more
+            self._tell("lost")
+            self._train(waiting=not self._trusted)
+            return
+        self.nets = result.nets
+        self.set_policy(replace(self.policy, nets=self.nets, ready_from=0.0))
+        self._tell("trained")
+
+    def _calm(self) -> bool:
+        """Is the car quiet enough on the path for a new driver?"""
+        e, e_dot = (self.y[i][j] for i, j in (self._inputs[self.description.names.index(n)] for n in ("e", "e_dot")))
+        return abs(e_dot) < self.experiment.setting.calm and (abs(e) < 0.1 or math.isinf(self.experiment.setting.calm))
 
     def set_policy(self, policy: NfqPolicy) -> None:
         """Exchange the policy between two samples; the loop's state goes on."""
         self.policy = policy
         self.loop = self.loop.with_block("controller", Guarded(block=policy))
         self.recorder.loop = self.loop
+
+    @property
+    def _trusted(self) -> bool:
+        return math.isfinite(self.policy.ready_from)
 
     # ---- counting -------------------------------------------------------------------------------------------
 
@@ -279,38 +303,10 @@ class LearningRun:
     # ---- keeping --------------------------------------------------------------------------------------------
 
     def _checkpoint(self) -> None:
-        if self.directory is not None:
-            rundir.save(self)
+        if self.keep is not None:
+            self.keep(self)
 
     @property
     def state(self) -> LoopState:
         """The loop's state at this moment."""
         return LoopState(self.counts.k, tuple(self.x), tuple(self.y))
-
-
-def learn(
-    experiment: Experiment, directory: str | FilePath | None = None, *, watch: Watcher | None = None
-) -> LearningRun:
-    """Run an experiment to its end and return the run; with a `directory`, keep everything there.
-
-    A directory that holds an unfinished run of the same experiment is resumed from its last training, with the
-    same numbers as if it had never stopped. watch: called with "failed", "trained" or "round" and the run.
-    Raises ValueError when the directory holds something else.
-    """
-    place = None if directory is None else FilePath(directory)
-    if place is not None and (place / "run.json").exists():
-        run = rundir.load(place, watch=watch)
-        if run.experiment != experiment:
-            raise ValueError(f"learn: {place} holds a run of another experiment; choose another directory")
-    else:
-        if place is not None:
-            if place.exists() and any(place.iterdir()):
-                raise ValueError(f"learn: {place} is not empty and holds no run; choose a new directory")
-            place.mkdir(parents=True, exist_ok=True)
-        run = LearningRun(experiment, place, watch)
-        run._checkpoint()
-    while not run.done():
-        run.drive()
-    if run.directory is not None:
-        rundir.save(run)
-    return run

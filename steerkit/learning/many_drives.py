@@ -49,7 +49,7 @@ def drive_many(
         raise ValueError("drive_many: policies of different layouts or actions; judge them in separate calls")
     compiled = _compiled(world, setting, _Layout(first))
     start = evaluate.drive_loop(world, first.with_weights(), doe=setting.element(), seed=seed).init()
-    length = world.path().length * rounds
+    length = world.round_length * rounds
     duration = math.ceil(length / world.v_min / first.dt) * first.dt + 5.0
     weights = np.array([policy.flat_weights() for policy in policies]).T
     log = compiled.run(duration, state=start, parameters={WEIGHTS: weights}, allow_nonfinite=True)

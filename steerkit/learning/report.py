@@ -14,7 +14,8 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from steerkit.learning import evaluate, figures, rundir
-from steerkit.learning.experiment import Experiment, LearningRun, Watcher, learn
+from steerkit.learning.experiment import Experiment, LearningRun, Watcher
+from steerkit.learning.learn import learn
 from steerkit.learning.world import World
 from steerkit.metrics import of_log
 from steerkit.simulation import Log

@@ -13,21 +13,21 @@ import json
 import math
 import os
 from dataclasses import asdict, fields, is_dataclass, replace
+from functools import partial
 from pathlib import Path as FilePath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.learning import costs
+from steerkit.learning.experiment import Counts, Episode, Experiment, LearningRun, Watcher
 from steerkit.learning.nfq import FitSetting
 from steerkit.learning.settings import Setting
+from steerkit.learning.trainer import SimulatedTrainer
 from steerkit.learning.transitions import Transitions
 from steerkit.learning.world import World
 from steerkit.simulation import Log, joined
 
-if TYPE_CHECKING:
-    from steerkit.learning.experiment import Experiment, LearningRun, Watcher
-
-FORMAT = "steerkit run 1"
+FORMAT = "steerkit run 2"
 
 
 def plain(value: Any) -> Any:
@@ -39,8 +39,6 @@ def plain(value: Any) -> Any:
 
 def from_plain(data: Any, where: str, default: type | None = None) -> Any:
     """What `plain` was given; missing fields take their defaults. Raises ValueError naming an unknown key."""
-    from steerkit.learning.experiment import Experiment
-
     kinds = {c.__name__: c for c in (Experiment, Setting, World, FitSetting, *costs.COSTS)}
     if isinstance(data, list):
         return tuple(data)
@@ -58,16 +56,21 @@ def from_plain(data: Any, where: str, default: type | None = None) -> Any:
     return kind(**{k: from_plain(v, f"{where}.{k}", inside.get(k)) for k, v in data.items() if k != "kind"})
 
 
-def save(run: LearningRun) -> None:
+def keep_in(run: LearningRun, place: FilePath) -> None:
+    """From now on, write a checkpoint of the run into `place` at every training; write the first one now."""
+    run.keep = partial(save, place=place)
+    save(run, place)
+
+
+def save(run: LearningRun, place: FilePath) -> None:
     """Write a checkpoint; a kill at any moment leaves this one or the one before, whole."""
-    place = run.directory
-    assert place is not None
     number = len(list(place.glob("drive/*.npz")))
+    pending = run.trainer.pending
     (place / "nets").mkdir(exist_ok=True)
     (place / "drive").mkdir(exist_ok=True)
     _whole(place / f"state-{number}.npz", lambda f: run.loop.save_state(run.state, f))
     _whole(place / f"transitions-{number}.npz", run.transitions.save)
-    net = replace(run.policy, nets=run.pending[1] if run.pending else run.nets, ready_from=0.0)
+    net = replace(run.policy, nets=pending[2] if pending else run.nets, ready_from=0.0)
     _whole(place / "nets" / f"net-{run.counts.updates:04d}.npz", net.save)
     _whole(place / "nets" / f"steering-{number}.npz", replace(run.policy, ready_from=0.0).save)
     _whole(place / "drive" / f"{number:04d}.npz", run.recorder.log().save)
@@ -77,7 +80,7 @@ def save(run: LearningRun) -> None:
         "experiment": plain(run.experiment),
         "checkpoint": number,
         "counts": asdict(run.counts),
-        "pending": run.pending[0] if run.pending else None,
+        "pending": pending[0] if pending else None,
         "trusted": math.isfinite(run.policy.ready_from),
         "before": run.before,
     }
@@ -103,11 +106,10 @@ def document(place: FilePath) -> dict[str, Any]:
 
 def load(place: FilePath, *, watch: Watcher | None = None) -> LearningRun:
     """The run as it was at its last checkpoint, ready to go on. Raises ValueError for a broken directory."""
-    from steerkit.learning.experiment import Counts, Episode, LearningRun
-
     data = document(place)
     number = data["checkpoint"]
-    run = LearningRun(from_plain(data["experiment"], "run.json"), place, watch)
+    run = LearningRun(from_plain(data["experiment"], "run.json"), watch)
+    run.keep = partial(save, place=place)
     counts = data["counts"]
     run.counts = Counts(**{**counts, "episodes": [Episode(**e) for e in counts["episodes"]]})
     state = run.loop.load_state(_existing(place / f"state-{number}.npz"))
@@ -116,9 +118,13 @@ def load(place: FilePath, *, watch: Watcher | None = None) -> LearningRun:
     steering = NfqPolicy.load(_existing(place / "nets" / f"steering-{number}.npz"))
     run.nets = steering.nets or ()
     run.set_policy(replace(steering, ready_from=0.0 if data["trusted"] else math.inf))
+    pending = None
     if data["pending"] is not None:
         newest = NfqPolicy.load(_existing(place / "nets" / f"net-{run.counts.updates:04d}.npz"))
-        run.pending = (data["pending"], newest.nets or ())
+        pending = (data["pending"], run.counts.updates, newest.nets or ())
+    run.trainer = SimulatedTrainer(
+        seconds=run.experiment.setting.fit_seconds, nets=run.nets if run.counts.updates else (), pending=pending
+    )
     before = data["before"]
     run.before = None if before is None else (tuple(before[0]), before[1])
     for stale in place.glob("drive/*.npz"):  # a chunk written after the last whole checkpoint

@@ -35,6 +35,8 @@ from steerkit.learning.store import TransitionStore
 from steerkit.learning.transitions import Transitions
 
 Nets = tuple[Net, ...]
+Pending = tuple[float, int, Nets]
+"""Driving time at which an unfinished job is done [s], its number, its nets."""
 NICE = 10
 """How far the training process steps back behind the driver's (os.nice)."""
 ATTEMPTS = 3
@@ -94,6 +96,11 @@ class Training(Protocol):
         """Is there a job whose result is still to come?"""
         ...
 
+    @property
+    def pending(self) -> Pending | None:
+        """What a checkpoint can keep of an unfinished job."""
+        ...
+
     def close(self) -> None:
         """End it, whatever it is doing."""
         ...
@@ -103,39 +110,44 @@ class SimulatedTrainer:
     """Trains in `submit`, and hands the nets out when the training would have been done on a car.
 
     seconds: driving time charged for one update [s]; None: the computing time it really took (runs are then not
-    repeatable). A job begins when the one before it is done. nets: what the first job starts from. pending: (driving
-    time at which they are ready [s], nets) of an unfinished job, to go on from a checkpoint. An error in training is
-    raised by `submit`.
+    repeatable). A job begins when the one before it is done. nets: what the first job starts from. pending: the
+    unfinished job of a checkpoint, to go on with. An error in training is raised by `submit`.
     """
 
-    def __init__(self, *, seconds: float | None = 1.0, nets: Nets = (), pending: tuple[float, int, Nets] | None = None):
+    def __init__(self, *, seconds: float | None = 1.0, nets: Nets = (), pending: Pending | None = None):
         ok = seconds is None or (math.isfinite(seconds) and seconds >= 0.0)
         require(ok, "SimulatedTrainer", f"seconds = {seconds} s, expected >= 0, or None for the time really taken")
         self.seconds, self.nets = seconds, pending[2] if pending else nets
-        self.pending = pending
-        self._spent = 0.0
+        self._pending = pending
+        self._newest, self._spent = pending[1] if pending else 0, 0.0
 
     def submit(self, job: Job, t: float) -> None:
         """Train now; the result is there `seconds` after t, or after the job before."""
+        _require_newer(job, self._newest)
         began = time.perf_counter()
         self.nets = job.train(self.nets)
         taken = time.perf_counter() - began
-        self._spent += taken
-        start = max(t, self.pending[0]) if self.pending else t
-        self.pending = (start + (taken if self.seconds is None else self.seconds), job.number, self.nets)
+        self._newest, self._spent = job.number, self._spent + taken
+        start = max(t, self._pending[0]) if self._pending else t
+        self._pending = (start + (taken if self.seconds is None else self.seconds), job.number, self.nets)
 
     def poll(self, t: float) -> Result | None:
         """The newest nets, once, if they would be ready at driving time t [s]."""
-        if self.pending is None or t < self.pending[0] - 1e-9:
+        if self._pending is None or t < self._pending[0] - 1e-9:
             return None
-        (_, number, nets), self.pending = self.pending, None
+        (_, number, nets), self._pending = self._pending, None
         seconds, self._spent = self._spent, 0.0
         return Result(number, nets, seconds)
 
     @property
     def busy(self) -> bool:
         """Is there a job whose result is still to come?"""
-        return self.pending is not None
+        return self._pending is not None
+
+    @property
+    def pending(self) -> Pending | None:
+        """The unfinished job, for a checkpoint to keep and another trainer to go on with."""
+        return self._pending
 
     def close(self) -> None:
         """Nothing to end."""
@@ -165,7 +177,7 @@ class Trainer:
 
         Raises ValueError for a number that is not larger than the one before, RuntimeError after `close`.
         """
-        require(job.number > self._newest, "Trainer", f"job number {job.number}, expected > {self._newest}")
+        _require_newer(job, self._newest)
         if not self._end.alive:
             raise RuntimeError("Trainer: closed; make a new one")
         self._newest = job.number
@@ -189,15 +201,19 @@ class Trainer:
         return self._fetched < self._newest
 
     @property
+    def pending(self) -> Pending | None:
+        """None: an unfinished job cannot be kept; after a restart, submit it again."""
+        return None
+
+    @property
     def faults(self) -> tuple[str, ...]:
         """All that went wrong so far."""
         return tuple(self._worker.faults)
 
     @property
     def pid(self) -> int | None:
-        """The training process's id; None before it has started."""
-        process = self._worker.process
-        return process.pid if process else None
+        """The training process's id."""
+        return self._worker.process.pid
 
     def close(self) -> None:
         """End the process, whatever it is doing."""
@@ -219,74 +235,70 @@ class _Worker(threading.Thread):
         self.jobs: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
         self.results: queue.SimpleQueue[Result] = queue.SimpleQueue()
         self.faults: list[str] = []
-        self.process: Any = None
-        self._link: Connection | None = None
+        self._deaths = 0  # since the last success
         self._ending = False
+        self._start_process()  # here, so that a main module without its guard fails loudly
         self.start()
 
     def run(self) -> None:
         while not self._ending:
-            if self.process is None or not self.process.is_alive():
-                self._start_process("while idle")
+            if not self.process.is_alive() and self._deaths < ATTEMPTS:
+                self._restart("while idle")
             with contextlib.suppress(queue.Empty):
                 job = self.jobs.get(timeout=0.2)
                 if job is not None:
-                    self._do(job)
-        self._kill()
+                    self.results.put(self._result(job))
+        self.process.kill()
+        self.process.join()
 
-    def _do(self, job: Job) -> None:
-        began = time.monotonic()
-        told: list[str] = []
+    def _result(self, job: Job) -> Result:
+        began, told = time.monotonic(), list[str]()
         for _ in range(ATTEMPTS):
+            if not self.process.is_alive():
+                told.append(self._restart("while idle"))
             try:
-                assert self._link is not None
                 _send(self._link, (job, self.nets))
                 if not self._link.poll(self.patience):
                     self.process.kill()
                 nets, error, seconds = _receive(self._link)
             except (EOFError, OSError):  # the process is dead
                 if self._ending:
-                    return
-                told.append(self._start_process(f"while training net {job.number}"))
+                    return Result(job.number, None, 0.0, "closed")
+                told.append(self._restart(f"while training net {job.number}"))
                 continue
-            if error:
-                self.faults.append(error)
-                _log.warning(error)
+            except (pickle.PicklingError, TypeError, AttributeError) as why:
+                nets, error, seconds = None, f"net {job.number}: the job cannot be sent to a process: {why}", 0.0
+            self._deaths = 0
             self.nets = nets or self.nets
-            self.results.put(Result(job.number, nets, seconds, "; ".join([*told, *([error] if error else [])])))
-            return
-        told.append(f"net {job.number} is given up: the process died {ATTEMPTS} times over it")
-        self.faults.append(told[-1])
-        _log.error(told[-1])
-        self.results.put(Result(job.number, None, time.monotonic() - began, "; ".join(told)))
+            return Result(job.number, nets, seconds, "; ".join([*told, *([self._fault(error)] if error else [])]))
+        told.append(self._fault(f"net {job.number} is given up: the process died {ATTEMPTS} times over it"))
+        return Result(job.number, None, time.monotonic() - began, "; ".join(told))
 
-    def _start_process(self, when: str) -> str:
-        """A new process, and what became of the old one."""
-        fault = ""
-        if self.process is not None:
-            self.process.join()
-            fault = f"training process {self.process.pid} ended {when} ({_ending_of(self.process.exitcode)}); restarted"
-            self.faults.append(fault)
-            _log.warning(fault)
+    def _restart(self, when: str) -> str:
+        """A new process; returns what became of the old one."""
+        self.process.join()
+        self._deaths += 1
+        old = self.process
+        self._start_process()
+        return self._fault(f"training process {old.pid} ended {when} ({_ending_of(old.exitcode)}); restarted")
+
+    def _start_process(self) -> None:
         context = multiprocessing.get_context("spawn")
         self._link, far = context.Pipe()
         self.process = context.Process(target=_serve, args=(far, self.nice), name="steerkit trainer", daemon=True)
         self.process.start()
         far.close()  # so that the end of the process is the end of the pipe
-        return fault
 
-    def _kill(self) -> None:
-        if self.process is not None:
-            self.process.kill()
-            self.process.join()
+    def _fault(self, fault: str) -> str:
+        self.faults.append(fault)
+        _log.warning(fault)
+        return fault
 
     def end(self) -> None:
         self._ending = True
         self.jobs.put(None)
         while self.is_alive():  # it may just be starting a process
-            if self.process is not None:
-                with contextlib.suppress(AttributeError, ValueError):
-                    self.process.kill()
+            self.process.kill()
             self.join(0.05)
 
 
@@ -304,6 +316,10 @@ def _serve(link: Connection, nice: int) -> None:
             except Exception as why:
                 nets, error = None, f"net {job.number} could not be trained: {type(why).__name__}: {why}"
             _send(link, (nets, error, time.perf_counter() - began))
+
+
+def _require_newer(job: Job, newest: int) -> None:
+    require(job.number > newest, "submit", f"job number {job.number}, expected > {newest}, the one before")
 
 
 def _frozen(job: Job) -> Job:

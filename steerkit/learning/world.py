@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from steerkit.assembly import placed
 from steerkit.block import Block, require
 from steerkit.controllers.stanley import Stanley
-from steerkit.courses import course
+from steerkit.courses import course, random_course
 from steerkit.path import Path
 from steerkit.plants.careful_driver import CarefulDriver
 from steerkit.plants.human_driver import HumanDriver
@@ -18,6 +18,8 @@ from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.plants.vehicle import Vehicle, vehicle
 from steerkit.units import radians_of
 
+END_MARGIN = 5.0
+"""How far from the end of an open course a learner is carried back to its start [m]."""
 PLANTS = {"nonlinear": NonlinearSingleTrack, "linear": LinearSingleTrack}
 
 
@@ -26,7 +28,8 @@ class World:
     """Course, car and disturbances. Two named conditions follow the design's measurements: `clean` and `hard`."""
 
     course: str = "paper"
-    """Name of a course: see `steerkit.courses`."""
+    """Name of a course: see `steerkit.courses`; or `random-7` and the like, a random course by its seed: 500 m, radii
+    of 10 m and more."""
     vehicle_name: str = "vw-passat"
     """Name of a car: see `steerkit.plants.vehicle`."""
     plant: str = "nonlinear"
@@ -71,7 +74,14 @@ class World:
 
     def path(self) -> Path:
         """The course's path."""
-        return course(self.course)
+        kind, _, number = self.course.partition("-")
+        return random_course(int(number)) if kind == "random" and number.isdigit() else course(self.course)
+
+    @property
+    def round_length(self) -> float:
+        """What counts as a round [m]: an open course is driven without END_MARGIN at either end."""
+        path = self.path()
+        return path.length - (0.0 if path.closed else 2.0 * END_MARGIN)
 
     def car(self, path: Path, s: float = 0.0) -> Block:
         """The plant, on the path at arc length s [m]."""

@@ -7,7 +7,8 @@ from functools import cache
 import pytest
 
 from steerkit.learning import evaluate
-from steerkit.learning.experiment import Experiment, LearningRun, learn
+from steerkit.learning.experiment import Experiment, LearningRun
+from steerkit.learning.learn import learn
 from steerkit.learning.settings import BANG_BANG, DEFAULT
 from steerkit.learning.world import World
 from steerkit.metrics import of_log

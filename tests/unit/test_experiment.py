@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from steerkit.learning import rundir
-from steerkit.learning.experiment import Experiment, LearningRun, learn
+from steerkit.learning.experiment import Experiment, LearningRun
+from steerkit.learning.learn import learn
 from steerkit.learning.nfq import FitSetting
 from steerkit.learning.settings import DEFAULT, PAPER, SETTINGS, setting
 from steerkit.learning.world import World
@@ -119,3 +120,19 @@ def test_a_sparse_configuration_takes_the_defaults() -> None:
     assert experiment.setting.cost == PAPER.cost
     assert experiment.setting.fit.nets == 1
     assert experiment.world == World()
+
+
+def test_a_reset_puts_the_car_back_and_costs_its_time(tmp_path: Path) -> None:
+    setting_ = replace(SHORT.setting, after_failure="reset", reset_seconds=20.0)
+    failed: list[float] = []
+
+    def watch(what: str, run: LearningRun) -> None:
+        if what == "failed":
+            failed.append(run.t)
+
+    run = learn(replace(SHORT, setting=setting_, minutes=0.7), tmp_path / "run", watch=watch)
+    log = rundir.drive_log(tmp_path / "run")
+    after = log.t > failed[0] + 0.01
+    assert log.t[after][0] >= failed[0] + 20.0
+    assert abs(log["path.e"][after][0]) < 1e-6
+    assert run.counts.episodes[1].began >= failed[0] + 20.0

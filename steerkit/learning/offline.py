@@ -1,0 +1,27 @@
+"""Learning without driving: updates on a stored record of transitions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from steerkit.block import require
+from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.learning import nfq
+from steerkit.learning.settings import Setting
+from steerkit.learning.transitions import Transitions
+
+
+def offline(record: Transitions, setting: Setting, updates: int, *, seed: int = 0) -> Iterator[NfqPolicy]:
+    """The policies after each of `updates` updates on the same recorded transitions.
+
+    record: of one run or of several, whatever steered. Policies are ready to drive, or to `save`. The same numbers for
+    the same arguments. Raises ValueError as `nfq.iterate` does, or for updates < 1.
+    """
+    require(updates >= 1, "offline", f"updates = {updates}, expected >= 1")
+    description = setting.description()
+    nets: nfq.Nets | None = None
+    for number in range(updates):
+        nets = nfq.iterate(
+            record, setting.actions, setting.cost, setting.fit, description, nets, seed=seed * 100_003 + number
+        )
+        yield NfqPolicy(nets=nets, actions=setting.actions, description=description, combine=setting.fit.combine)

@@ -1,0 +1,157 @@
+"""The model-based rival: steers by an optimal gain for the learned model of the car, in the same experiment as NFQ."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerkit import maths as m
+from steerkit.block import Block, In, Out, require
+from steerkit.learning.experiment import LearningRun
+from steerkit.learning.model import CarModel
+
+FASTEST = 15
+"""Speed up to which gains are tabled, one a metre per second; faster cars are steered as at this speed [m/s]."""
+
+
+class BeforeState(NamedTuple):
+    """The dynamic output element's angle one sample before [rad]."""
+
+    doe: Any
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ModelPolicy(Block):
+    """Steps of the steering wheel by linear-quadratic regulation of a learned `CarModel`.
+
+    With the model's numbers, and nothing changing in a steady bend, z' = A(v) z + B a for
+
+        z = (e, c, r_e, q, d),  c = e_dot/v,  q = (now + before + earlier)*doe - back*(c - psi_e),  d = doe - doe(t-dt);
+        action = sat(-K(v) z),  K minimises the sum of (e/e_unit)^2 + (r_e/r_unit)^2 + (a/a_unit)^2.
+
+    Inputs, outputs: those of `NfqPolicy`, but `q` is 0. State: doe one sample before. Valid for an integrating dynamic
+    output element; K is tabled for 1, 2, ... FASTEST m/s and interpolated. Raises ValueError for a model with which
+    the wheel does not move the car (too few transitions). Source: Kwakernaak and Sivan 1972, section 6.4.
+    """
+
+    e = In("m")
+    e_dot = In("m/s")
+    v = In("m/s")
+    psi_e = In("rad")
+    r_e = In("rad/s")
+    doe = In("rad")
+    action = Out("rad")
+    q = Out("1")
+    ready = Out("1", direct=())
+
+    model: CarModel
+    """The learned car."""
+    limit: float = math.radians(25.0)
+    """Largest |action| [rad]."""
+    e_unit: float = 0.1
+    """Cross-track error that costs 1 [m]."""
+    r_unit: float = 0.3
+    """Yaw-rate error that costs 1 [rad/s]."""
+    a_unit: float = math.radians(10.0)
+    """Step of the steering wheel that costs 1 [rad]."""
+    ready_from: float = 0.0
+    """Time from which it is to be trusted [s]."""
+
+    def __post_init__(self) -> None:
+        units = (self.limit, self.e_unit, self.r_unit, self.a_unit)
+        require(min(units) > 0.0, "ModelPolicy", f"limit and units {units}, expected > 0")
+        _ = self._gains
+
+    @cached_property
+    def _gains(self) -> m.Table:
+        rows = np.array([self._gain(float(v)) for v in range(1, FASTEST + 1)])
+        return m.Table(np.hstack((rows, np.vstack((np.diff(rows, axis=0), 0.0 * rows[:1])))))
+
+    def _gain(self, v: float) -> NDArray[np.float64]:
+        """K at the speed v (5,)."""
+        from scipy.linalg import LinAlgError, solve_discrete_are
+
+        o, dt = self.model, self.model.dt
+        p, b = np.array([0.0, 0.0, 0.0, 1.0, -o.earlier]), o.now  # turn of the wheels: p @ z + b*a
+        r_e, c, e = np.eye(5)[[2, 1, 0]]
+        yaw, turn = o.yaw * v * p, dt * (r_e + 0.5 * o.yaw * v * p)
+        yaw_b, turn_b = o.yaw * v * b, 0.5 * dt * o.yaw * v * b
+        a_c, b_c = c + p + turn, b + turn_b
+        total = o.now + o.before + o.earlier
+        a_matrix = np.array([e + 0.5 * dt * v * (c + a_c), a_c, r_e + yaw, np.eye(5)[3] - o.back * p, np.zeros(5)])
+        b_matrix = np.array([[0.5 * dt * v * b_c], [b_c], [yaw_b], [total - o.back * b], [1.0]])
+        cost = np.diag([self.e_unit**-2, 0.0, self.r_unit**-2, 0.0, 0.0])
+        effort = np.array([[self.a_unit**-2]])
+        try:
+            x = solve_discrete_are(a_matrix, b_matrix, cost, effort)
+        except (LinAlgError, ValueError) as why:
+            raise ValueError(f"ModelPolicy: the model cannot be steered at {v} m/s ({why}): {o}") from why
+        return np.linalg.solve(effort + b_matrix.T @ x @ b_matrix, b_matrix.T @ x @ a_matrix)[0]
+
+    def init(self, batch: tuple[int, ...] = ()) -> BeforeState:
+        return BeforeState(m.filled(0.0, batch))
+
+    def settle(self, t: float, x: BeforeState, u: Any) -> BeforeState:
+        return BeforeState(u.doe)
+
+    def output(self, t: Any, x: BeforeState, u: Any) -> Any:
+        o = self.model
+        c = u.e_dot / m.maximum(u.v, 1.0)
+        v = m.clip(u.v, 1.0, float(FASTEST))
+        q = (o.now + o.before + o.earlier) * u.doe - o.back * (c - u.psi_e)
+        z = (u.e, c, u.r_e, q, u.doe - x.doe)
+        i = m.minimum(m.where(m.is_finite(v), m.floor(v) - 1.0, 0.0), FASTEST - 1.0)
+        row = self._gains(i)
+        action: Any = 0.0
+        for value, gain, rise in zip(z, row[:5], row[5:], strict=True):
+            action = action - (gain + (v - 1.0 - i) * rise) * value
+        ready = m.where(t >= self.ready_from, 1.0, 0.0)
+        return self.Y(m.clip(action, -self.limit, self.limit), 0.0 * action, ready)
+
+    def update(self, t: Any, x: BeforeState, u: Any, y: Any) -> BeforeState:
+        return BeforeState(u.doe)
+
+
+class ModelBasedRun(LearningRun):
+    """A learning run whose policy is `ModelPolicy`: the same car, first failure, recovery, hand-over and counting.
+
+    It begins with the same untrained net as NFQ, and is charged the same `fit_seconds`. No directory is written.
+    """
+
+    planned: tuple[float, ModelPolicy | None] | None = None
+    """Driving time at which the new policy is there [s], and the policy; None: the car is not known well enough."""
+
+    def _train(self, *, waiting: bool) -> None:
+        counts, setting = self.counts, self.experiment.setting
+        counts.updates += 1
+        counts.trained_at = counts.driven
+        began = time.perf_counter()
+        try:
+            model = CarModel.fit(self.transitions, self.description)
+            policy = ModelPolicy(model=model, limit=max(setting.actions))
+        except ValueError:  # too few transitions to know the car: go on with what there is
+            policy = None
+        counts.train_seconds += time.perf_counter() - began
+        self.planned = (self.t + setting.fit_seconds, policy)
+        if waiting:
+            self.set_policy(replace(self.policy, ready_from=math.inf))
+
+    def _due(self) -> bool:
+        return self.planned is None and super()._due()
+
+    def _take_over_finished_training(self) -> None:
+        if self.planned is None or self.t < self.planned[0] or not (self._trusted or self._calm()):
+            return
+        (_, policy), self.planned = self.planned, None
+        new: Any = replace(self.policy if policy is None else policy, ready_from=0.0)
+        controller, doe = (self.loop.names.index(name) for name in ("controller", "doe"))
+        if isinstance(new, ModelPolicy):
+            self.x[controller] = BeforeState(self.x[doe][0])  # the net before had no state
+        self.set_policy(new)
+        self._tell("trained")
