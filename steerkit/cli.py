@@ -89,7 +89,9 @@ def drive(
 @app.command()
 def show(
     run: Annotated[Path, typer.Argument(help="Directory of a learning run.")],
-    diagnostics: Annotated[bool, typer.Option(help="Draw what the net believes, and where and when it failed.")] = False,
+    diagnostics: Annotated[
+        bool, typer.Option(help="Draw what the net believes, and where and when it failed.")
+    ] = False,
     against: Annotated[list[Path] | None, typer.Option(help="Other runs to compare with (with --diagnostics).")] = None,
     quiet: Quiet = False,
 ) -> None:

@@ -35,7 +35,8 @@ class ModelPolicy(Block):
         z = (e, c, r_e, q, d),  c = e_dot/v,  q = (now + before + earlier)*doe - back*(c - psi_e),  d = doe - doe(t-dt);
         action = sat(-K(v) z),  K minimises the sum of (e/e_unit)^2 + (r_e/r_unit)^2 + (a/a_unit)^2.
 
-    Inputs, outputs: those of `NfqPolicy`, but `q` is 0. State: doe one sample before. Valid for an integrating dynamic
+    Inputs, as for `NfqPolicy`: e [m], e_dot [m/s], v [m/s], psi_e [rad], r_e [rad/s], doe [rad]. Outputs: action [rad];
+    q [1], always 0; ready [1]. State: doe one sample before. Valid for an integrating dynamic
     output element; K is tabled for 1, 2, ... FASTEST m/s and interpolated. Raises ValueError for a model with which
     the wheel does not move the car (too few transitions). Source: Kwakernaak and Sivan 1972, section 6.4.
     """

@@ -25,6 +25,8 @@ from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.recovery import Guarded, Supervisor, SupervisorState
 from steerkit.controllers.stanley import Stanley
 from steerkit.doe import Direct, Integrator, LowPass
+from steerkit.learning.model import CarModel
+from steerkit.learning.rival import ModelPolicy
 from steerkit.path import Path
 from steerkit.plants.careful_driver import CarefulDriver
 from steerkit.plants.human_driver import ConstantSpeed, HumanDriver, RecordedDriver, SpeedProfile
@@ -34,6 +36,7 @@ from steerkit.plants.sensors import Sensors
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.plants.vehicle import vehicle
 from steerkit.tracker import PathTracker
+from steerkit.units import radians_of
 
 PASSAT = vehicle("vw-passat")
 _round = np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False)
@@ -70,6 +73,9 @@ def _careful(block: Any, i: int) -> Block:
     return dataclasses.replace(block, driver=_seeded(block.driver, i))
 
 
+CAR_MODEL = CarModel(
+    held=1.0, pushed=1.0, now=0.01, before=0.006, earlier=0.004, back=0.32, yaw=0.35, limit=radians_of(520.0)
+)
 EXAMPLES = [
     Example(Integrator()),
     Example(LowPass()),
@@ -82,6 +88,7 @@ EXAMPLES = [
     Example(Guarded(block=PathTracker(path=OVAL, preview_points=2))),
     Example(NfqPolicy(nets=NETS)),
     Example(NfqPolicy(nets=NETS, combine="max", ready_from=0.1)),
+    Example(ModelPolicy(model=CAR_MODEL)),
     Example(PathTracker(path=OVAL)),
     Example(PathTracker(path=OVAL, reference=1.2, preview_points=3)),
     Example(LinearSingleTrack(vehicle=PASSAT, v0=5.0)),
