@@ -199,7 +199,12 @@ def main() -> None:
     for key, value in result.items():
         console.print(f"{key:28s} {_cell(value)}")
     if a.json:
-        print(json.dumps({**result, "outcomes": [asdict(o) for o in outcomes]}))
+        print(json.dumps({**result, "outcomes": [_plain(asdict(o)) for o in outcomes]}))
+
+
+def _plain(row: dict[str, Any]) -> dict[str, Any]:
+    """JSON knows no NaN: what was not measured is null."""
+    return {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in row.items()}
 
 
 def _cell(value: Any) -> str:

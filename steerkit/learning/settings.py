@@ -103,10 +103,18 @@ PAPER = Setting(
 BANG_BANG = replace(  # the 800 m course needs up to 430 degrees in motion: 360 cannot drive it, whatever is learned
     MODEL_FREE, name="bang-bang", actions_deg=(-520.0, 520.0), doe="direct", cost=TanhCost(action_cost=0.0)
 )
+LOW_PASS = replace(
+    DEFAULT,
+    name="low-pass",
+    actions_deg=(-520.0, -390.0, -260.0, -180.0, -120.0, -80.0, -50.0, -25.0, -10.0, 0.0,
+                 10.0, 25.0, 50.0, 80.0, 120.0, 180.0, 260.0, 390.0, 520.0),
+    doe="low-pass",
+    cost=TanhCost(goal=0.15, action_cost=0.0),  # its actions are angles: a price on them would pull the wheel straight
+)  # fmt: skip
 PAPER_BANG_BANG = replace(PAPER, name="paper-bang-bang", actions_deg=(-360.0, 360.0), doe="direct", cost=BandCost())
 PAPER_WARM = replace(PAPER, name="paper-warm", fit=replace(PAPER.fit, init="warm"))
 
-SETTINGS = {s.name: s for s in (DEFAULT, PAPER, PAPER_WARM, MODEL_FREE, BANG_BANG, PAPER_BANG_BANG)}
+SETTINGS = {s.name: s for s in (DEFAULT, PAPER, PAPER_WARM, MODEL_FREE, BANG_BANG, LOW_PASS, PAPER_BANG_BANG)}
 
 
 def setting(name: str) -> Setting:
