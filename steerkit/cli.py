@@ -11,11 +11,14 @@ from typing import Annotated, Any
 
 import typer
 
+from steerkit.car_cli import app as car_app
+
 app = typer.Typer(
     help="Steer a car along a path: learn it, drive it, look at it. No car was ever driven with this software.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
+app.add_typer(car_app, name="car")
 
 
 class Conditions(StrEnum):
@@ -148,6 +151,6 @@ def main() -> None:
     """Run the command line; a mistake of the user's is one line on stderr and exit code 2."""
     try:
         app()
-    except (ValueError, KeyError, FileNotFoundError) as error:
+    except (ValueError, KeyError, OSError) as error:
         print(f"steerkit: {error.args[0] if isinstance(error, KeyError) else error}", file=sys.stderr)
         raise SystemExit(2) from None

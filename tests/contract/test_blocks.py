@@ -177,8 +177,13 @@ def documents(kind: type[Block]) -> str:
     return "\n".join(c.__doc__ or "" for c in kind.__mro__ if issubclass(c, Block) and c is not Block)
 
 
+ELSEWHERE = {"RealCar"}
+"""Blocks with a suite of their own: a bus is not pure."""
+
+
 def test_every_block_of_the_package_is_in_the_table() -> None:
     missing = concrete_blocks() - {type(example.block) for example in EXAMPLES}
+    missing = {block for block in missing if block.__name__ not in ELSEWHERE}
     assert not missing, f"add an Example for {', '.join(sorted(c.__qualname__ for c in missing))}"
 
 

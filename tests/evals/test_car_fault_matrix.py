@@ -1,0 +1,388 @@
+"""Every fault in every state, on a clock that the test moves: what ends driving, when, and what went over the bus.
+
+`python tests/evals/test_car_fault_matrix.py` prints the table of docs/real-car.md.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import cache
+from typing import Any, NamedTuple
+
+import pytest
+
+from steerkit import car as cars
+from steerkit import realtime
+from steerkit.block import Block
+from steerkit.controllers.stanley import Stanley
+from steerkit.courses import course
+from steerkit.path import Path
+from steerkit.plants.real_car import protocol
+from steerkit.plants.real_car.config import CarConfig, load
+from steerkit.plants.real_car.core import Core, Event, Frame, Link, Note, Packet, Reply, Send, Tick
+from steerkit.plants.real_car.simulated import Fault
+from steerkit.plants.real_car.states import Mode, Order
+from steerkit.units import degrees_of
+
+BEND = 147.0
+"""Arc length just before a bend of the course [m]: there the wheel has to move."""
+
+
+@cache
+def setup() -> tuple[CarConfig, Path]:
+    return load("dbw-kit.toml"), course("paper")
+
+
+class Sent(NamedTuple):
+    t: float
+    delta_sw: float
+    enable: bool
+    mode: Mode
+
+
+class World:
+    """Car, driver core and controller in one process; time jumps from event to event."""
+
+    def __init__(self, *, s: float = BEND, controller: Block | None = None):
+        self.config, self.path = setup()
+        self.car = cars.simulated_car(self.config, self.path, s=s, v_min=5.0, v_max=5.5)
+        self.core = Core(self.config, self.path)
+        self.t = 0.0
+        self.sent: list[Sent] = []
+        self.modes: list[tuple[float, Mode, str]] = [(0.0, Mode.OFF, "start")]
+        self.events: list[tuple[Event, list[Any]]] = []
+        self.last: protocol.Snapshot | None = None
+        self.misses = 0
+        self.tampered: Callable[[float, float], tuple[float, float] | None] = lambda basis, delta_sw: (basis, delta_sw)
+        self.asleep_until = 0.0
+        self.handle(Link(0.0, 1, True))
+        self.packet(protocol.Hello(True))
+        self.until(0.03)
+        loop = cars.car_loop(self.config, self.path, self, controller or Stanley.of(self.config.vehicle))
+        self.follow = cars.Follow.of(loop, self)
+        self.run = realtime.Run(self.follow.resting, self.follow.resting.init(), realtime.Timing(period=loop.dt))
+        self.due = 0.05
+
+    # a CarLink
+    def query(self) -> protocol.Snapshot:
+        self.packet(protocol.Query())
+        assert self.last is not None
+        return self.last
+
+    def request(self, delta_sw: float) -> None:
+        assert self.last is not None
+        asked = self.tampered(self.last.t, delta_sw)
+        if asked is not None:
+            self.packet(protocol.Request(*asked, self.misses))
+
+    # time
+    def until(self, end: float) -> None:
+        while True:
+            due = getattr(self, "due", math.inf)
+            t = max(self.t, min(self.car.next, max(self.core.wake, self.asleep_until), due, end))
+            self.t = t
+            for when, frame_id, data in self.car.advance(t):
+                self.handle(Frame(t, when, frame_id, data))
+            if t >= due:
+                self.due += 0.05
+                self.run.loop.advance(self.run.k, self.run.x, self.run.y)
+                self.run.k += 1
+                self.follow(self.run)
+            if t >= self.asleep_until:
+                self.handle(Tick(t))
+            if t >= end:
+                return
+
+    def packet(self, message: protocol.Message) -> None:
+        self.handle(Packet(self.t, 1, protocol.encode(message)))
+
+    def order(self, order: Order) -> None:
+        self.packet(protocol.Command(order))
+
+    def handle(self, event: Event) -> None:
+        if event.t < self.asleep_until:
+            return
+        outputs = self.core.handle(event)
+        self.events.append((event, outputs))
+        for out in outputs:
+            match out:
+                case Send():
+                    self.car.receive(self.t, out.frame_id, out.data)
+                    angle, enable, _ = self.config.writer.read(out.data)
+                    self.sent.append(Sent(self.t, angle, enable, self.core.machine.mode))
+                case Note(topic="state", values=v):
+                    self.modes.append((v["t"], v["to"], v["cause"]))
+                case Reply(data=data):
+                    answer = protocol.decode(data)
+                    if isinstance(answer, protocol.Snapshot):
+                        self.last = answer
+
+    @property
+    def mode(self) -> Mode:
+        return self.core.machine.mode
+
+    def bring_to(self, mode: Mode) -> None:
+        """Into a state, by the way that an operator would go."""
+        if mode is Mode.OFF:
+            return self.until(0.2)
+        self.order(Order.ARM)
+        self.until(0.2)
+        assert self.mode is Mode.READY, self.core.obstacles()
+        if mode is Mode.STANDBY:
+            self.car.faults.append(Fault(kind="torque", target="report", start=self.t))  # a hand on the wheel
+            self.until(0.3)
+        elif mode is not Mode.READY:
+            self.order(Order.ENGAGE)
+            self.until(0.55)
+            assert self.mode is Mode.ENGAGED
+            cause = {Mode.OVERRIDE: "override", Mode.FAULT: "quality"}.get(mode)
+            if cause:
+                target = "pose" if cause == "quality" else "report"
+                self.car.faults.append(Fault(kind=cause, target=target, start=self.t, length=0.1))
+                self.until(0.75)
+        assert self.mode is mode
+        return None
+
+    def check_bus(self) -> None:
+        """Nothing out of limits, nothing enabled outside ENGAGED, never faster than the cap, on the whole bus."""
+        gate = self.config.gate
+        for s in self.sent:
+            assert abs(s.delta_sw) <= gate.delta_sw_max + 1e-9
+            assert s.enable is (s.mode is Mode.ENGAGED)
+        for a, b in zip(self.sent, self.sent[1:]):
+            assert b.t - a.t >= gate.dt_min - 1e-6
+            if a.enable and b.enable:
+                rate = abs(b.delta_sw - a.delta_sw) / min(b.t - a.t, gate.dt_max)
+                assert rate <= gate.rate_max * (1.0 + 1e-6)
+
+
+def plant_fault(kind: str, target: str, amount: float = 0.0) -> Callable[[World], None]:
+    def act(world: World) -> None:
+        world.car.faults.append(Fault(kind=kind, target=target, start=world.t, amount=amount))
+
+    return act
+
+
+def ask(change: Callable[[float, float], tuple[float, float] | None]) -> Callable[[World], None]:
+    def act(world: World) -> None:
+        world.tampered = change
+
+    return act
+
+
+def miss_deadlines(world: World) -> None:
+    world.misses += 3
+
+
+def sleep(seconds: float) -> Callable[[World], None]:
+    def act(world: World) -> None:
+        world.asleep_until = world.t + seconds
+
+    return act
+
+
+class Case(NamedTuple):
+    act: Callable[[World], None]
+    cause: str
+    within: float
+    """Time to disengage at most [s]."""
+    to: Mode = Mode.FAULT
+
+
+CASES = {
+    "pose dropped": Case(plant_fault("drop", "pose"), "pose stale", 0.15),
+    "report dropped": Case(plant_fault("drop", "report"), "report stale", 0.1),
+    "pose 0.2 s late": Case(plant_fault("delay", "pose", 0.2), "pose stale", 0.15),
+    "report 0.2 s late": Case(plant_fault("delay", "report", 0.2), "report stale", 0.1),
+    "pose repeated": Case(plant_fault("freeze", "pose"), "integrity", 0.03),
+    "report repeated": Case(plant_fault("freeze", "report"), "command echo", 0.15),
+    "pose stands still": Case(plant_fault("stuck", "pose"), "pose stale", 0.161),  # its first frame is still true
+    "pose corrupted": Case(plant_fault("corrupt", "pose"), "integrity", 0.03),
+    "report corrupted": Case(plant_fault("corrupt", "report"), "", 0.3),
+    "pose counter": Case(plant_fault("counter", "pose"), "integrity", 0.03),
+    "pose 0x8000": Case(plant_fault("nan", "pose"), "integrity", 0.03),
+    "report 0x8000": Case(plant_fault("nan", "report"), "integrity", 0.05),
+    "pose jumps 3 m": Case(plant_fault("jump", "pose", 3.0), "integrity", 0.02),
+    "pose quality 0": Case(plant_fault("quality", "pose"), "pose quality", 0.02),
+    "pose speed + 3 m/s": Case(plant_fault("speed", "pose", 3.0), "speed mismatch", 0.02),
+    "kit speed + 3 m/s": Case(plant_fault("speed", "report", 3.0), "speed mismatch", 0.03),
+    "override flag": Case(plant_fault("override", "report"), "override", 0.04, Mode.OVERRIDE),
+    "driver torque": Case(plant_fault("torque", "report", 5.0), "torque", 0.07, Mode.OVERRIDE),
+    "kit fault": Case(plant_fault("kit_fault", "report"), "kit fault", 0.03),
+    "kit watchdog flag": Case(plant_fault("timeout", "report"), "kit timeout", 0.03),
+    "kit not enabled": Case(plant_fault("disabled", "report"), "kit not enabled", 0.03),
+    "kit hears nothing": Case(plant_fault("deaf", "report"), "kit timeout", 0.15),
+    "motor torn off": Case(plant_fault("loose", "report"), "", 2.5),
+    "request NaN": Case(ask(lambda basis, delta_sw: (basis, math.nan)), "request invalid", 0.05),
+    "request 1e9 rad": Case(ask(lambda basis, delta_sw: (basis, 1e9)), "request invalid", 0.05),
+    "request inf": Case(ask(lambda basis, delta_sw: (basis, -math.inf)), "request invalid", 0.05),
+    "requests from the future": Case(ask(lambda basis, delta_sw: (basis + 9.0, delta_sw)), "", 0.15),
+    "requests from old data": Case(ask(lambda basis, delta_sw: (basis - 1.0, delta_sw)), "controller silent", 0.05),
+    "controller silent": Case(ask(lambda basis, delta_sw: None), "controller silent", 0.15),
+    "controller gone": Case(lambda world: world.handle(Link(world.t, 1, False)), "controller gone", 0.001),
+    "3 missed deadlines": Case(miss_deadlines, "missed deadlines", 0.05),
+    "driver process stalls 80 ms": Case(sleep(0.08), "driver late", 0.085),
+    "space bar": Case(lambda world: world.order(Order.DISENGAGE), "operator", 0.001, Mode.STANDBY),
+}
+
+
+class Outcome(NamedTuple):
+    world: World
+    began: float
+    ended: float
+    mode: Mode
+    cause: str
+    last_enabled: float
+
+
+def try_out(name: str, mode: Mode) -> Outcome:
+    """One fault in one state, until the state changed and a little longer."""
+    case, world = CASES[name], World()
+    world.bring_to(mode)
+    began, seen = world.t, len(world.modes)
+    case.act(world)
+    wait = max(case.within, 0.15) + 0.1 if mode is Mode.ENGAGED else 0.25
+    world.until(began + wait)
+    changed = world.modes[seen:]
+    ended, after, cause = changed[0] if changed else (math.inf, world.mode, "")
+    enabled = [s.t for s in world.sent if s.enable]
+    return Outcome(world, began, ended, after, cause, max(enabled, default=-math.inf))
+
+
+def test_without_a_fault_the_car_drives_the_bend() -> None:
+    world = World()
+    world.bring_to(Mode.ENGAGED)
+    world.until(6.0)
+    assert world.mode is Mode.ENGAGED
+    assert world.last is not None
+    assert abs(world.last.e) < 0.05
+    assert max(abs(s.delta_sw) for s in world.sent) > 0.5
+    world.check_bus()
+    gaps = [b.t - a.t for a, b in zip(world.sent, world.sent[1:])]
+    assert max(gaps) <= 0.02 + 1e-6
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_while_engaged_it_lets_go_in_time_for_good_and_says_why(name: str) -> None:
+    case, outcome = CASES[name], try_out(name, Mode.ENGAGED)
+    world = outcome.world
+    if case.cause == "" and case.to is Mode.FAULT:
+        assert outcome.mode in (Mode.FAULT, Mode.OVERRIDE)
+    else:
+        assert outcome.mode is case.to
+        assert outcome.cause.startswith(case.cause)
+    assert outcome.ended - outcome.began <= case.within + 1e-6
+    assert outcome.last_enabled <= outcome.ended + 1e-9
+    world.check_bus()
+    tail = [s for s in world.sent if s.t > outcome.last_enabled]
+    assert all(not s.enable for s in tail)
+    assert min(s.t for s in tail) <= outcome.ended + world.config.gate.dt_min + 1e-6  # told to let go at once
+    # the fault ends, everything is well again, the operator sleeps: nobody engages
+    world.car.faults.clear()
+    world.tampered = lambda basis, delta_sw: (basis, delta_sw)
+    world.until(world.t + 1.5)
+    assert world.mode is outcome.mode or (case.to is Mode.STANDBY and world.mode is Mode.READY)
+    assert max(s.t for s in world.sent if s.enable) == outcome.last_enabled
+
+
+@pytest.mark.parametrize("mode", [m for m in Mode if m is not Mode.ENGAGED])
+@pytest.mark.parametrize("name", CASES)
+def test_in_every_other_state_nothing_moves(name: str, mode: Mode) -> None:
+    outcome = try_out(name, mode)
+    latched = mode in (Mode.OFF, Mode.OVERRIDE, Mode.FAULT)
+    assert outcome.world.mode is mode if latched else outcome.world.mode in (Mode.STANDBY, Mode.READY)
+    assert outcome.last_enabled <= outcome.began
+    outcome.world.check_bus()
+
+
+@pytest.mark.parametrize("gap", [1])
+def test_one_late_step_trips_neither_driver_nor_kit(gap: int) -> None:
+    world = World()
+    world.bring_to(Mode.ENGAGED)
+    world.due += 0.05 * gap
+    world.until(world.t + 0.5)
+    assert world.mode is Mode.ENGAGED
+    assert not world.car.timeout
+    gaps = [b.t - a.t for a, b in zip(world.sent, world.sent[1:])]
+    assert 0.02 < max(gaps) < 0.1  # silent for a while, but less than the kit's watchdog
+
+
+def test_a_dead_controller_is_silent_within_75_ms_of_its_data() -> None:
+    world = World()
+    world.bring_to(Mode.ENGAGED)
+    world.tampered = lambda basis, delta_sw: None
+    began = world.t
+    world.until(began + 0.149)
+    assert max(s.t for s in world.sent) <= began + 0.075
+
+
+def test_listen_only_never_sends() -> None:
+    world = World()
+    world.core.config = replace(world.config, listen_only=True)
+    world.order(Order.ARM)
+    world.until(0.5)
+    for order in Order:
+        world.order(order)
+        world.until(world.t + 0.1)
+    assert world.sent == []
+
+
+def test_after_a_fault_the_operator_may_engage_again() -> None:
+    world = World()
+    world.bring_to(Mode.FAULT)
+    world.order(Order.ENGAGE)
+    world.until(world.t + 0.1)
+    assert world.mode is Mode.FAULT  # refused
+    world.until(world.t + 1.0)
+    world.order(Order.ACKNOWLEDGE)
+    world.until(world.t + 0.2)
+    assert world.mode is Mode.READY, world.core.obstacles()
+    world.order(Order.ENGAGE)
+    world.until(world.t + 1.0)
+    assert world.mode is Mode.ENGAGED
+    world.check_bus()
+
+
+def test_a_fault_that_the_kit_has_latched_is_cleared_by_an_order_only() -> None:
+    world = World()
+    world.car.timeout = True
+    world.order(Order.ARM)
+    world.until(0.5)
+    assert world.mode is Mode.STANDBY
+    assert world.sent == []
+    world.order(Order.ACKNOWLEDGE)
+    world.until(0.7)
+    assert world.mode is Mode.READY
+    assert [s.enable for s in world.sent] == [False]
+
+
+def test_the_same_events_give_the_same_frames() -> None:
+    world = World()
+    world.bring_to(Mode.ENGAGED)
+    plant_fault("corrupt", "report")(world)
+    world.until(2.0)
+    again = Core(*setup())
+    for event, outputs in world.events:
+        frames = [o for o in again.handle(event) if not isinstance(o, Note)]  # a note may hold a NaN
+        assert frames == [o for o in outputs if not isinstance(o, Note)]
+    assert again.machine == world.core.machine
+
+
+def table() -> Iterator[str]:
+    """The fault table, as Markdown."""
+    yield "| fault | cause | state | time to disengage [ms] | last command [deg] | after it |"
+    yield "|---|---|---|---|---|---|"
+    for name in CASES:
+        o = try_out(name, Mode.ENGAGED)
+        last = next(s for s in reversed(o.world.sent) if s.enable)
+        after = sum(not s.enable for s in o.world.sent)
+        yield (
+            f"| {name} | {o.cause} | {o.mode} | {1e3 * (o.ended - o.began):.0f} | {degrees_of(last.delta_sw):.1f} "
+            f"| {after} neutral frames, then silence |"
+        )
+
+
+if __name__ == "__main__":
+    print("\n".join(table()))

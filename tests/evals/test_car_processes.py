@@ -1,0 +1,112 @@
+"""Real processes on a real (pseudo-terminal or TCP) slcan line; generous limits, as the machine may be busy."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from steerkit import car as cars
+from steerkit.clock import Clock
+from steerkit.plants.real_car import recording as tapes
+from steerkit.plants.real_car.client import CarLost, DriverLink
+from steerkit.plants.real_car.config import load
+from steerkit.plants.real_car.core import Core
+from steerkit.plants.real_car.states import Mode, Order
+
+CONFIG = "dbw-kit.toml"
+
+
+@pytest.fixture(params=["", "127.0.0.1:0"], ids=["pty", "tcp"])
+def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[dict[str, Any]]:
+    simulated, channel = cars.start_simulated(CONFIG, log=str(tmp_path / "car.jsonl"), listen=request.param)
+    text = (tmp_path / "driver.log").open("w")
+    socket, tape = str(tmp_path / "socket"), tmp_path / "drive.mcap"
+    driver = cars.start_driver(CONFIG, socket, recording=str(tape), channel=channel, log=text)
+    yield {"socket": socket, "tape": tape, "driver": driver, "simulated": simulated, "log": tmp_path / "car.jsonl"}
+    for process in (driver, simulated):
+        process.terminate()
+        process.wait(20.0)
+    text.close()
+
+
+def drive(bench: dict[str, Any], seconds: float) -> tuple[Mode, int]:
+    """Engage, and drive with Stanley; the mode at the end, and how many steps were engaged."""
+    config = load(CONFIG)
+    path = cars.course_of(config)
+    engaged = 0
+    with DriverLink(bench["socket"]) as link, DriverLink(bench["socket"], controller=False) as operator:
+
+        def watch(run: Any) -> None:
+            nonlocal engaged
+            assert link.last is not None
+            engaged += link.last.mode is Mode.ENGAGED
+            if link.last.mode is Mode.OFF:
+                operator.order(Order.ARM)
+            elif link.last.mode is Mode.READY and not engaged:
+                operator.order(Order.ENGAGE)
+
+        cars.drive(config, path, link, cars.controller_named("stanley", config), duration=seconds, clock=Clock(),
+                   watch=watch)  # fmt: skip
+        assert link.last is not None
+        return link.last.mode, engaged
+
+
+def commands(bench: dict[str, Any]) -> list[dict[str, Any]]:
+    lines = [json.loads(line) for line in bench["log"].read_text().splitlines() if line.endswith("}")]
+    return [line for line in lines if "enable" in line]
+
+
+def test_drive_record_replay_and_an_orderly_end(bench: dict[str, Any]) -> None:
+    _, engaged = drive(bench, 2.5)
+    bench["driver"].terminate()
+    assert bench["driver"].wait(20.0) == 0
+    assert engaged > 3
+    recorded = tapes.read(bench["tape"])
+    assert recorded.whole
+    config = tapes.config_of(recorded)
+    path = cars.course_of(config)
+    frames, same = tapes.replayed_exactly(recorded, Core(config, path))
+    assert frames == same > 0
+    asked, same_asked = cars.replayed_requests(recorded, config, path, cars.controller_named("stanley", config))
+    assert asked == same_asked > 40
+    time.sleep(0.5)
+    heard = commands(bench)
+    assert any(c["enable"] for c in heard)
+    assert not heard[-1]["enable"]
+
+
+def test_kill_the_driver_process(bench: dict[str, Any]) -> None:
+    drive(bench, 1.5)
+    with DriverLink(bench["socket"]) as link:
+        os.kill(bench["driver"].pid, signal.SIGKILL)
+        bench["driver"].wait(20.0)
+        with pytest.raises(CarLost, match="driver process"):
+            link.query()
+    last = bench["log"].stat().st_size
+    recorded = tapes.read(bench["tape"])
+    assert not recorded.whole
+    assert recorded.of("/can/rx")
+    assert len(tapes.mend(bench["tape"]).messages) == len(recorded.messages)
+    again = tapes.read(bench["tape"])
+    assert again.whole
+    assert [repr(m) for m in again.messages] == [repr(m) for m in recorded.messages]
+    assert last > 0
+
+
+def test_one_controller_at_a_time_and_orders_are_answered(bench: dict[str, Any]) -> None:
+    with DriverLink(bench["socket"]), DriverLink(bench["socket"], controller=False) as operator:
+        with pytest.raises(CarLost, match="there is a controller already"):
+            DriverLink(bench["socket"])
+        operator.order(Order.ENGAGE)
+        operator.query()
+        assert "not engaged from OFF" in operator.refused[0]
+        operator.request(0.0)
+        operator.query()
+        assert "only the controller" in operator.refused[1]
