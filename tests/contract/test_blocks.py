@@ -22,9 +22,10 @@ import steerkit
 from steerkit import maths as m
 from steerkit.block import Block, In, Out
 from steerkit.controllers.nfq_policy import NfqPolicy
-from steerkit.controllers.recovery import Guarded, Supervisor, SupervisorState
+from steerkit.controllers.recovery import Guarded, Supervisor, SupervisorState, TargetShift
 from steerkit.controllers.stanley import Stanley
 from steerkit.doe import Direct, Integrator, LowPass
+from steerkit.learning.exploration import Exploring
 from steerkit.learning.model import CarModel
 from steerkit.learning.rival import ModelPolicy
 from steerkit.path import Path
@@ -88,6 +89,9 @@ EXAMPLES = [
     Example(Guarded(block=PathTracker(path=OVAL, preview_points=2))),
     Example(NfqPolicy(nets=NETS)),
     Example(NfqPolicy(nets=NETS, combine="max", ready_from=0.1)),
+    Example(NfqPolicy(nets=NETS, combine="disagreement")),
+    Example(Exploring(policy=NfqPolicy(nets=NETS), share=0.5, seed=3), single=_seeded),
+    Example(TargetShift()),
     Example(ModelPolicy(model=CAR_MODEL)),
     Example(PathTracker(path=OVAL)),
     Example(PathTracker(path=OVAL, reference=1.2, preview_points=3)),
