@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import tomllib
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -39,9 +40,13 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print results only, 
 def learn(
     course: Course = "paper",
     setting: Annotated[str, typer.Option(help="How to learn: default, paper, bang-bang, ...")] = "default",
+    changes: Annotated[
+        list[str] | None,
+        typer.Option("--with", metavar="NAME=VALUE", help="Change the setting: fit.nets=3, after_failure=shift, ..."),
+    ] = None,
     conditions: Disturbed = Conditions.clean,
     seed: Seed = 0,
-    minutes: Annotated[float, typer.Option(help="Driving time, recovery and waiting included [min].")] = 11.0,
+    minutes: Annotated[float, typer.Option(help="Driving time, recovery and waiting included (min).")] = 11.0,
     rounds: Annotated[int, typer.Option(help="End after so many complete rounds by the learner; 0: never.")] = 0,
     config: Annotated[Path | None, typer.Option(help="TOML file with an experiment; other options give way.")] = None,
     out: Annotated[Path | None, typer.Option(help="Run directory; an unfinished run there is resumed.")] = None,
@@ -51,6 +56,7 @@ def learn(
     """Let a car learn to steer a course from nothing, the recovery controller catching it."""
     from steerkit.learning import report, rundir
     from steerkit.learning.experiment import Experiment
+    from steerkit.learning.settings import changed
     from steerkit.learning.settings import setting as named
     from steerkit.learning.world import World
 
@@ -59,7 +65,9 @@ def learn(
         experiment = Experiment(setting=named(setting), world=world, minutes=minutes, rounds=rounds, seed=seed)
     else:
         experiment = rundir.from_plain(_toml(config), str(config), Experiment)
-    name = f"{experiment.setting.name}-{experiment.world.course}-{conditions.value}-seed{experiment.seed}"
+    experiment = replace(experiment, setting=changed(experiment.setting, changes or ()))
+    how = "-".join((experiment.setting.name, *(changes or ())))
+    name = f"{how}-{experiment.world.course}-{conditions.value}-seed{experiment.seed}"
     place = out or Path("runs") / name
     run = report.learn_with_progress(experiment, place, quiet=quiet)
     report.show(place, quiet=quiet)
