@@ -12,6 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from steerkit.car_cli import app as car_app
+from steerkit.identify_cli import identify
 
 app = typer.Typer(
     help="Steer a car along a path: learn it, drive it, look at it. No car was ever driven with this software.",
@@ -19,6 +20,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.add_typer(car_app, name="car")
+app.command()(identify)
 
 
 class Conditions(StrEnum):
@@ -154,3 +156,7 @@ def main() -> None:
     except (ValueError, KeyError, OSError) as error:
         print(f"steerkit: {error.args[0] if isinstance(error, KeyError) else error}", file=sys.stderr)
         raise SystemExit(2) from None
+
+
+if __name__ == "__main__":
+    main()

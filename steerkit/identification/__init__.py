@@ -1,8 +1,8 @@
 """From a recorded drive to the model of the car: `read_drive`, `identify`, and the vehicle file that the plants load.
 
-    drive = read_drive("lap.mat", ColumnMap.load("lap.toml"))
-    found = identify(drive, base=vehicle("vw-passat"))
-    found.save("my-car.toml")            # vehicle("my-car.toml") is the car
+drive = read_drive("lap.mat", ColumnMap.load("lap.toml"))
+found = identify(drive, base=vehicle("vw-passat"))
+found.save("my-car.toml")            # vehicle("my-car.toml") is the car
 """
 
 from __future__ import annotations

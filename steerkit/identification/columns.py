@@ -13,7 +13,7 @@ from steerkit.block import require
 from steerkit.units import RAD_PER_DEG
 
 QUANTITIES = {"t": "s", "delta_sw": "rad", "v": "m/s", "r": "rad/s", "psi": "rad"}
-"""What a drive is made of, and its SI unit: time, steering-wheel angle, speed, yaw rate, heading (r or psi, or both)."""
+"""What a drive is made of, in SI: time, steering-wheel angle, speed, yaw rate, heading (one of r and psi, or both)."""
 
 UNITS: dict[str, dict[str, float]] = {
     "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
@@ -123,7 +123,7 @@ class ColumnMap:
             not missing,
             where,
             f"which column is {', '.join(missing)}? Columns: {', '.join(present)}. Say so in a map, such as "
-            "delta_sw = { column = \"steering_angle\", unit = \"deg\" }, or with --column delta_sw=steering_angle:deg",
+            'delta_sw = { column = "steering_angle", unit = "deg" }, or with --column delta_sw=steering_angle:deg',
         )
         return ColumnMap(found)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -64,10 +64,9 @@ class Drive:
         """The part from `start` to `end` [s]; raises ValueError for an empty one."""
         first, last = max(0, round(start / self.dt)), min(len(self.v), round(end / self.dt))
         require(last - first >= 2, self.name, f"no samples from {start:g} to {end:g} s; it lasts {self.t[-1]:g} s")
-        parts = (a[first:last] for a in (self.delta_sw, self.v, self.r, self.measured))
-        delta_sw, v, r, measured = parts
-        return Drive(name=f"{self.name}, {start:g} to {end:g} s", dt=self.dt, delta_sw=delta_sw, v=v, r=r,
-                     measured=measured, calibrated=self.calibrated, notes=self.notes, digest=self.digest)  # fmt: skip
+        part = slice(first, last)
+        return replace(self, name=f"{self.name}, {start:g} to {end:g} s", delta_sw=self.delta_sw[part], v=self.v[part],
+                       r=self.r[part], measured=self.measured[part])  # fmt: skip
 
     @classmethod
     def of(
@@ -142,7 +141,7 @@ def _steps(t: Array, name: str, said: list[str]) -> tuple[float, NDArray[np.intp
     if not 5e-4 <= step <= 0.5:
         units = {1e-3: "ms", 1e-6: "us", 1e-9: "ns", 60.0: "min"}
         fits = [unit for factor, unit in units.items() if 2e-3 <= factor * step <= 0.25]
-        advice = f"is t in {fits[0]}? Say unit = \"{fits[0]}\" in the column map" if fits else "is it the right column?"
+        advice = f'is t in {fits[0]}? Say unit = "{fits[0]}" in the column map' if fits else "is it the right column?"
         raise ValueError(f"{name}: t steps by {step:g} s, expected 0.0005 to 0.5 s; {advice}")
     gaps = np.flatnonzero(steps > max(5.0 * step, 0.25))
     if len(gaps):
@@ -165,7 +164,7 @@ def _check_ranges(columns: dict[str, Array], name: str) -> None:
             largest <= high,
             name,
             f"{quantity} reaches {largest:.4g} {unit}, expected {high:g} at most; is it in {likely}? Say "
-            f"unit = \"{likely}\" in the column map",
+            f'unit = "{likely}" in the column map',
         )
     lowest = float(columns["v"].min())
     require(
@@ -175,7 +174,7 @@ def _check_ranges(columns: dict[str, Array], name: str) -> None:
     require(
         not (np.abs(jumps - 360.0) < 30.0).any(),
         name,
-        "psi jumps by 360: it is in deg; say unit = \"deg\" in the column map",
+        'psi jumps by 360: it is in deg; say unit = "deg" in the column map',
     )
 
 
@@ -184,11 +183,12 @@ def _resampled(columns: dict[str, Array], dt: float, step: float) -> dict[str, A
     t = columns["t"] - columns["t"][0]
     clock = np.arange(int(t[-1] / dt + 1e-6) + 1) * dt
     width = round(dt / step)
-    even = {"t": clock}
+    even: dict[str, Array] = {"t": clock}
     for key, value in columns.items():
         if key != "t":
             value = np.unwrap(value) if key == "psi" else value
-            even[key] = np.interp(clock, t, uniform_filter1d(value, width) if width >= 2 else value)
+            values = np.asarray(uniform_filter1d(value, width) if width >= 2 else value, dtype=float)
+            even[key] = np.interp(clock, t, values)
     even["v"] = np.maximum(even["v"], 0.0)
     return even
 
@@ -213,7 +213,7 @@ def _yaw_rate(
         return slope, True
     use = measured & (even["v"] >= V_DRIVING)
     require(use.sum() * dt >= LEAST, name, f"less than {LEAST:g} s at {V_DRIVING:g} m/s or faster")
-    gain, zero = np.polyfit(slope[use], even["r"][use], 1)
+    gain = float(np.polyfit(slope[use], even["r"][use], 1)[0])
     if not trusted and not 0.8 < gain < 1.25:
         what = "has the other sign" if gain < 0.0 else f"is {gain:.3g} times"
         raise ValueError(
@@ -246,9 +246,9 @@ def _check_plausible(drive: Drive) -> None:
     if PLAUSIBLE[0] <= slope <= PLAUSIBLE[1]:
         return
     causes: dict[str, float] = {
-        "delta_sw is in degrees (unit = \"deg\")": RAD_PER_DEG,
-        "the yaw rate is in degrees (unit = \"deg/s\", \"deg\")": 1.0 / RAD_PER_DEG,
-        "v is in km/h (unit = \"km/h\")": 1.0 / 3.6,
+        'delta_sw is in degrees (unit = "deg")': RAD_PER_DEG,
+        'the yaw rate is in degrees (unit = "deg/s", "deg")': 1.0 / RAD_PER_DEG,
+        'v is in km/h (unit = "km/h")': 1.0 / 3.6,
         "v is in m/s and was read as km/h": 3.6,
         "delta_sw is the road wheels' angle (scale = the steering ratio, about 15)": 15.0,
     }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -84,7 +84,6 @@ class Identified:
     correlation_time: float
     """Integrated correlation time of the residual [s]; the log counts as so many independent samples fewer."""
     notes: tuple[str, ...] = ()
-    simulators: dict[int, Simulator] = field(default_factory=dict, repr=False)
 
     def __getitem__(self, name: str) -> Estimate:
         found = {estimate.name: estimate for estimate in self.estimates}

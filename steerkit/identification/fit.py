@@ -40,7 +40,7 @@ def priors(base: Vehicle) -> dict[str, Prior]:
     return {
         "steer_ratio": Prior(base.steer_ratio, 5.0, 1.0, 50.0, "1"),
         "offset": Prior(0.0, 0.1, -1.0, 1.0, "rad"),
-        "delay": Prior(0.05, 0.05, 0.0, 1.0, "s"),
+        "delay": Prior(0.05, 0.05, -0.5, 1.0, "s"),
         "lag": Prior(0.05, 0.05, 0.0, 1.0, "s"),
         "d_f": Prior(d_f, 0.5 * d_f, 0.002, 0.05, "rad s^2/m"),
         "d_r": Prior(d_r, 0.5 * d_r, 0.002, 0.05, "rad s^2/m"),
@@ -175,6 +175,13 @@ class _Problem:
     def covariance(self, theta: Array, sigma: float, correlation: float) -> tuple[Array, int]:
         """(sandwich covariance (p, p), number of blocks)."""
         error, slopes = self.linearised(theta)
+        for i in np.flatnonzero((theta <= self.low) | (theta >= self.high)):
+            # at a bound the tangent may be flat (a lag of 0): the secant to half a prior deviation inside tells more
+            inside = np.where(
+                np.arange(len(theta)) == i, theta + 0.5 * self.deviation * np.sign(self.mean - theta), theta
+            )
+            slopes = slopes.copy()
+            slopes[:, i] = (self.linearised(inside)[0] - error) / (inside[i] - theta[i])
         prior = np.diag(self.deviation**-2.0)
         bread = np.linalg.inv(slopes.T @ slopes / sigma**2 + prior)
         dt, n = self.simulator.drive.dt, len(self.use)
@@ -217,11 +224,19 @@ def _estimates(
         learned = max(0.0, 1.0 - (deviation / prior) ** 2) if prior > 0.0 else math.nan
         if name == "rate_zero" and math.isnan(learned):
             continue
-        ends = [key for key in slopes if key in free and values[key] in (table[key].low, table[key].high)]
-        note = f"{note}; at its bound".lstrip("; ") if ends else note
-        half = factor * deviation
-        found.append(Estimate(name=name, value=float(value), low=float(value - half), high=float(value + half),
-                              unit=unit, learned=learned, note=note))  # fmt: skip
+        low, high = value - factor * deviation, value + factor * deviation
+        if name in ("c_f", "c_r"):  # the interval of the compliance, turned over: it stays positive
+            key = "d_f" if name == "c_f" else "d_r"
+            half = factor * deviation * values[key] / value
+            ends = np.clip([values[key] + half, values[key] - half], table[key].low, table[key].high)
+            low, high = value * values[key] / ends
+        elif name == "lag":
+            low = max(low, 0.0)
+        for key in slopes.keys() & set(free):
+            if not table[key].low < values[key] < table[key].high:
+                note = f"{note}; {key} is at its bound".lstrip("; ")
+        found.append(Estimate(name=name, value=float(value), low=float(low), high=float(high), unit=unit,
+                              learned=learned, note=note))  # fmt: skip
     return tuple(found)
 
 
@@ -248,6 +263,8 @@ def _notes(
         for j in range(i):
             if abs(related[i, j]) > 0.9:
                 notes.append(f"{free[j]} and {one} cannot be told apart well (correlation {related[i, j]:+.2f})")
+    if values["delay"] < -0.02:
+        notes.append("the delay is negative: the yaw rate's clock runs ahead of the steering's, or it was smoothed")
     if max(values["delay"], values["lag"]) > 0.5:
         notes.append("a delay or lag above 0.5 s: do the columns share one clock?")
     return tuple(notes)

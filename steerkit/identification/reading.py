@@ -76,7 +76,9 @@ def _csv(path: Path, raw: bytes, notes: list[str]) -> Columns:
     mark = max(";\t,", key=lambda c: (lines[0].count(c), c == ";"))
     names = [name.strip() for name in next(csv.reader([lines[0]], delimiter=mark))]
     require(
-        not all(_is_number(name) for name in names), str(path), f"the first row holds numbers ({lines[0][:60]}), no names"
+        not all(_is_number(name) for name in names),
+        str(path),
+        f"the first row holds numbers ({lines[0][:60]}), no names",
     )
     require(len(set(names)) == len(names), str(path), f"two columns of one name: {', '.join(names)}")
     rows = list(csv.reader(lines[1:], delimiter=mark))
@@ -182,7 +184,9 @@ def _mcap(path: Path, raw: bytes, notes: list[str]) -> Columns:
     if bad:
         notes.append(f"left out {bad} frames that were broken or held no value")
     known = [name for name in ("delta_sw", "v", "r", "psi") if name in series]
-    require({"delta_sw", "v"} <= set(known), str(path), f"no steering angle or speed; read: {', '.join(series) or 'none'}")
+    require(
+        {"delta_sw", "v"} <= set(known), str(path), f"no steering angle or speed; read: {', '.join(series) or 'none'}"
+    )
     clock = max((np.array(series[name])[:, 0] for name in known), key=len)
     columns: Columns = {"t": clock}
     for name in known:

@@ -20,8 +20,9 @@ class Playback(Block):
 
     delta_sw(t) = angle(t - delay),  v(t) = speed(t); before the first and after the last sample their values hold.
 
-    no inputs. outputs: delta_sw [rad], v [m/s]. no state. delay need not be a multiple of dt; it may be an `(N,)`
-    array for a batch. errors: ValueError for samples that are not finite or not equally many, delay or dt out of range.
+    no inputs. outputs: delta_sw [rad], v [m/s]. no state. delay need not be a multiple of dt, and may be negative (the
+    record is known ahead); it may be an `(N,)` array for a batch. errors: ValueError for samples that are not finite
+    or not equally many, delay or dt out of range.
     """
 
     delta_sw = Out("rad", direct=())
@@ -32,15 +33,17 @@ class Playback(Block):
     speeds: tuple[float, ...]
     """Speeds [m/s] at the same times."""
     delay: Scalar = 0.0
-    """How much later the angle acts [s]."""
+    """How much later the angle acts [s]; below 0: earlier."""
     dt: float = 0.01
 
     def __post_init__(self) -> None:
         where, n = "Playback", len(self.angles)
-        require(n == len(self.speeds) >= 2, where, f"{n} angles, {len(self.speeds)} speeds, expected equally many, >= 2")
+        require(
+            n == len(self.speeds) >= 2, where, f"{n} angles, {len(self.speeds)} speeds, expected equally many, >= 2"
+        )
         require_within(where, "angles", np.asarray(self.angles), "rad", -100.0, 100.0)
         require_within(where, "speeds", np.asarray(self.speeds), "m/s", 0.0, 100.0)
-        require_within(where, "delay", self.delay, "s", 0.0, 10.0)
+        require_within(where, "delay", self.delay, "s", -10.0, 10.0)
         require_within(where, "dt", self.dt, "s", 1e-6, 1.0)
 
     @cached_property
