@@ -17,13 +17,15 @@ def identify(
     column: Annotated[list[str] | None, typer.Option(help="QUANTITY=COLUMN[:UNIT[:SCALE]]; repeatable.")] = None,
     held_out: Annotated[str | None, typer.Option(help="Another drive of the same car, to predict.")] = None,
     base: Annotated[str, typer.Option(help="Car whose mass and geometry are given: name or FILE.toml.")] = "vw-passat",
-    wheelbase: Annotated[float | None, typer.Option(help="Wheelbase, if not the base's [m].")] = None,
-    mass: Annotated[float | None, typer.Option(help="Mass, if not the base's [kg].")] = None,
+    wheelbase: Annotated[float | None, typer.Option(help="Wheelbase, in m, if not the base's.")] = None,
+    mass: Annotated[float | None, typer.Option(help="Mass, in kg, if not the base's.")] = None,
     fix: Annotated[list[str] | None, typer.Option(help="NAME=VALUE: hold a parameter; repeatable.")] = None,
     name: Annotated[str, typer.Option(help="Name of the car in the file.")] = "",
     out: Annotated[Path | None, typer.Option(help="Vehicle file to write (.toml); else it is printed.")] = None,
     plot: Annotated[Path | None, typer.Option(help="Picture to write (.png, .pdf, .svg).")] = None,
-    dt: Annotated[float | None, typer.Option(help="Common clock [s]; default: the log's, 0.01 to 0.05.")] = None,
+    dt: Annotated[
+        float | None, typer.Option(help="Step of the common clock in s; default: the log's, 0.01 to 0.05.")
+    ] = None,
     trust_units: Annotated[bool, typer.Option("--trust-units", help="Do not judge units and signs.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print results only, no progress.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object as the last line.")] = False,
@@ -31,13 +33,11 @@ def identify(
     """Estimate a car's steering ratio, offset, delay, lag and cornering stiffness from a recorded drive.
 
     LOG is an .mcap of a real car's driver, an .npz or .parquet of a Log, a MATLAB .mat, a .csv or .csv.gz. Columns of
-    other names or units are told by --map, a TOML file such as
-
-    [columns]
+    other names or units are told by --map, a TOML file whose table `columns` has lines such as
 
     delta_sw = { column = "angle", unit = "deg", scale = -1 }
 
-    for the quantities t, delta_sw, v, and r or psi; or by --column delta_sw=angle:deg:-1.
+    for t, delta_sw, v, and r or psi; or by --column delta_sw=angle:deg:-1.
 
     The vehicle file serves wherever a car's name does: `vehicle("my-car.toml")`, `--base`, a learning world.
     """

@@ -13,7 +13,7 @@ from scipy.signal import savgol_filter
 from steerkit.block import require
 from steerkit.units import RAD_PER_DEG
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating[Any]]
 
 V_DRIVING = 3.0
 """From this speed on [m/s] a drive tells about the car; below, the models roll kinematically."""

@@ -205,14 +205,14 @@ def _estimates(
     c_f, c_r = stiffnesses(base, values["d_f"], values["d_r"])
     length = base.wheelbase
     rows: list[tuple[str, float, str, dict[str, float], str]] = [
-        ("steer_ratio", values["steer_ratio"], "1", {"steer_ratio": 1.0}, f"given wheelbase {length:g} m"),
+        ("steer_ratio", values["steer_ratio"], "1", {"steer_ratio": 1.0}, f"given L = {length:g} m"),
         ("ratio_wheelbase", values["steer_ratio"] * length, "m", {"steer_ratio": length}, "what the log tells"),
-        ("offset", values["offset"], "rad", {"offset": 1.0}, "at the steering wheel, of this recording"),
+        ("offset", values["offset"], "rad", {"offset": 1.0}, "at the wheel, of this log"),
         ("delay", values["delay"], "s", {"delay": 1.0}, ""),
         ("lag", values["lag"], "s", {"lag": 1.0}, ""),
         ("delay_lag", values["delay"] + values["lag"], "s", {"delay": 1.0, "lag": 1.0}, "delay + lag"),
         ("understeer_gradient", values["d_f"] - values["d_r"], "rad s^2/m", {"d_f": 1.0, "d_r": -1.0},
-         f"given wheelbase {length:g} m"),
+         f"given L = {length:g} m"),
         ("c_f", c_f, "N/rad", {"d_f": -c_f / values["d_f"]}, f"given mass {base.m:g} kg"),
         ("c_r", c_r, "N/rad", {"d_r": -c_r / values["d_r"]}, f"given mass {base.m:g} kg"),
         ("rate_zero", values["rate_zero"], "rad/s", {"rate_zero": 1.0}, "zero of the recorded yaw rate"),

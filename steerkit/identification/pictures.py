@@ -50,7 +50,7 @@ def residuals(found: Identified, held_out: Prediction | None = None) -> Any:
         speed.set(ylabel="speed [m/s]", xlabel="t [s], one drive after the other" if held_out else "t [s]")
         speed.set_ylim(bottom=0.0)
         for axis in (rate, left):
-            axis.legend(loc="lower right", ncols=3, fontsize=7)
+            axis.legend(loc="lower right", ncols=3, fontsize=7, handlelength=1.2, columnspacing=1.2)
             low, high = axis.get_ylim()
             axis.set_ylim(low - 0.22 * (high - low), high)
         rate.margins(x=0.01)
