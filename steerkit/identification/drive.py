@@ -215,7 +215,7 @@ def _yaw_rate(
     require(use.sum() * dt >= LEAST, name, f"less than {LEAST:g} s at {V_DRIVING:g} m/s or faster")
     gain = float(np.polyfit(slope[use], even["r"][use], 1)[0])
     if not trusted and not 0.8 < gain < 1.25:
-        what = "has the other sign" if gain < 0.0 else f"is {gain:.3g} times"
+        what = "has the other sign than" if gain < 0.0 else f"is {gain:.3g} times"
         raise ValueError(
             f"{name}: the yaw rate {what} the heading's rate of change; mind unit and sign of r and psi in the column "
             "map (a compass turns clockwise: scale = -1)"

@@ -18,6 +18,10 @@ from steerkit.identification.model import Simulator, stiffnesses
 from steerkit.plants.vehicle import Vehicle, vehicle
 
 
+BLOCK, BLOCKS = 2.0, 8
+"""Length of the blocks, in times after which the residual's autocorrelation has died out; and how many at least."""
+
+
 @dataclass(frozen=True)
 class Prior:
     """What is known of a parameter beforehand: normal, within bounds."""
@@ -81,7 +85,7 @@ def identify(
     simulator = Simulator(drive, base, backend=backend)
     problem = _Problem(simulator, free, held, table)
     theta, sigma, correlation = problem.solve()
-    covariance, blocks = problem.covariance(theta, sigma, correlation)
+    covariance, blocks = problem.covariance(theta, sigma)
     values = held | dict(zip(free, theta.tolist()))
     fit = predict(simulator, values)
     estimates = _estimates(base, table, free, values, covariance, blocks)
@@ -155,14 +159,17 @@ class _Problem:
             )
             theta = found.x
             error = self.linearised(theta)[0]
-            correlation = self._correlation_time(error)
+            correlation, _ = self._correlation_times(error)
             sigma = max(moments(error)[0], 1e-7) * math.sqrt(correlation / dt)
             if abs(sigma / before - 1.0) < 0.02:
                 break
         return theta, sigma, correlation
 
-    def _correlation_time(self, error: Array) -> float:
-        """dt (1 + 2 sum of autocorrelations up to their first zero); gaps count for nothing."""
+    def _correlation_times(self, error: Array) -> tuple[float, float]:
+        """dt (1 + 2 sum of autocorrelations until they have died out), and when they have, below 0.05 [s].
+
+        Gaps count for nothing.
+        """
         drive = self.simulator.drive
         full, mask = np.zeros(len(drive.v)), np.zeros(len(drive.v))
         full[self.use], mask[self.use] = error, 1.0
@@ -170,9 +177,9 @@ class _Problem:
         products, counts = (np.fft.irfft(np.abs(np.fft.rfft(a, size)) ** 2)[: len(full) // 2] for a in (full, mask))
         rho = products / np.maximum(counts, 1.0) / max(products[0] / counts[0], 1e-300)
         crossing = int(np.argmax(rho <= 0.05)) or len(rho)
-        return float(drive.dt * (1.0 + 2.0 * np.sum(rho[1:crossing])))
+        return float(drive.dt * (1.0 + 2.0 * np.sum(rho[1:crossing]))), drive.dt * crossing
 
-    def covariance(self, theta: Array, sigma: float, correlation: float) -> tuple[Array, int]:
+    def covariance(self, theta: Array, sigma: float) -> tuple[Array, int]:
         """(sandwich covariance (p, p), number of blocks)."""
         error, slopes = self.linearised(theta)
         for i in np.flatnonzero((theta <= self.low) | (theta >= self.high)):
@@ -185,7 +192,7 @@ class _Problem:
         prior = np.diag(self.deviation**-2.0)
         bread = np.linalg.inv(slopes.T @ slopes / sigma**2 + prior)
         dt, n = self.simulator.drive.dt, len(self.use)
-        length = int(min(max(1.0, 4.0 * correlation) / dt, n / 12))
+        length = int(min(max(1.0, BLOCK * self._correlation_times(error)[1]) / dt, n / BLOCKS))
         label = np.minimum(np.arange(n) // length, n // length - 1)
         scores = np.zeros((label[-1] + 1, len(theta)))
         np.add.at(scores, label, slopes * error[:, None] / sigma**2)

@@ -35,6 +35,7 @@ def stiffnesses(base: Vehicle, d_f: Scalar, d_r: Scalar) -> tuple[Scalar, Scalar
 class Simulator:
     """Yaw rates of the model for a drive's steering and speed; compiled once, then run for any parameters.
 
+    The delay is that of continuous time: what the sampled loop adds by holding its signals is taken off.
     steering and speed: recorded; model: `Playback`, `SteeringActuator`, `LinearSingleTrack`. backend: see `compile`.
     """
 
@@ -58,6 +59,7 @@ class Simulator:
         each = {name: np.array([one[name] for one in sets]) for name in sets[0]}
         c_f, c_r = stiffnesses(self.base, each["d_f"], each["d_r"])
         values = {field: each[name] for name, field in OPEN.items()}
+        values["drive.delay"] = each["delay"] - self.drive.dt  # actuator and car hold their inputs: dt/2 late each
         values |= {"car.vehicle.c_f": c_f, "car.vehicle.c_r": c_r}
         log = self._compiled.run(len(self.drive.v) * self.drive.dt, parameters=values)
         return log["car.r"]

@@ -33,17 +33,18 @@ def read_vehicle(file: str | Path) -> Vehicle:
 def steering_of(file: str | Path, *, dt: float = 0.01, **others: Any) -> SteeringActuator:
     """The steering of a vehicle file, as an actuator of sample time dt [s]: delay, lag, offset.
 
-    A delay that is no multiple of dt is cut down to one (0 if it is negative), and the rest goes into the lag, so that
-    their sum, which is what a log tells best, stays as far as it can. others: more fields of `SteeringActuator`.
-    Raises ValueError for a broken file.
+    Their sum is kept, less dt: that is what the sampled actuator and car add by holding their inputs. The delay is cut
+    down to a multiple of dt, 0 at least, and the rest is the lag's. others: more fields of `SteeringActuator`. Raises
+    ValueError for a broken file.
     """
     table = _table(file, "steering")
     numbers = {}
     for key in ("delay", "lag", "offset"):
         require(isinstance(table.get(key), (int, float)), f"{file}", f"[steering] {key}, expected a number")
         numbers[key] = float(table[key])
-    samples = max(0, math.floor(numbers["delay"] / dt + 1e-6))
-    lag = max(0.0, numbers["lag"] + numbers["delay"] - samples * dt)
+    delay = numbers["delay"] - dt
+    samples = max(0, math.floor(delay / dt + 1e-6))
+    lag = max(0.0, numbers["lag"] + delay - samples * dt)
     return SteeringActuator(delay=samples * dt, lag=lag, offset=numbers["offset"], dt=dt, **others)
 
 
