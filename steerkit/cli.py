@@ -77,6 +77,7 @@ def drive(
     rounds: Annotated[float, typer.Option(help="Rounds to drive.")] = 1.0,
     seed: Seed = 0,
     out: Annotated[Path | None, typer.Option(help="Directory for the log and the picture.")] = None,
+    animate: Annotated[Path | None, typer.Option(help="Film of the drive to write: .gif, or .mp4 with ffmpeg.")] = None,
     quiet: Quiet = False,
     as_json: Machine = False,
 ) -> None:
@@ -87,6 +88,12 @@ def drive(
     world = World.under(conditions.value, course=course)
     place = out or Path("runs") / f"drive-{Path(controller).name}-{course}-{conditions.value}-seed{seed}"
     row = report.drive_and_draw(controller, world, place, rounds=rounds, seed=seed, quiet=quiet)
+    if animate is not None:
+        from steerkit.simulation import Log
+
+        car, log = world.vehicle, Log.load(place / "drive.npz")
+        log.animate(world.path(), animate, wheelbase=car.wheelbase, l_f=car.l_f, steer_ratio=car.steer_ratio,
+                    progress=not quiet)  # fmt: skip
     if as_json:
         print(json.dumps(row))
 

@@ -17,7 +17,6 @@ from steerkit.identification.estimate import Estimate, Identified, car_of, predi
 from steerkit.identification.model import Simulator, stiffnesses
 from steerkit.plants.vehicle import Vehicle, vehicle
 
-
 BLOCK, BLOCKS = 2.0, 8
 """Length of the blocks, in times after which the residual's autocorrelation has died out; and how many at least."""
 

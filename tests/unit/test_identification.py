@@ -342,7 +342,7 @@ def test_confused_units_teach(change: dict[str, float], says: str, clean: dict[s
 
 
 def test_a_heading_that_contradicts_the_yaw_rate_teaches(clean: dict[str, Any]) -> None:
-    with pytest.raises(ValueError, match=r"has the other sign .* a compass turns clockwise"):
+    with pytest.raises(ValueError, match=r"has the other sign .* compass turns clockwise"):
         Drive.of(**(clean | {"psi": -clean["psi"]}))
     with pytest.raises(ValueError, match="psi jumps by 360"):
         Drive.of(**(clean | {"psi": degrees_of(clean["psi"]) % 360.0}))
