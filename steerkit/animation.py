@@ -34,7 +34,8 @@ def animate(
     log: with car.x, car.y, car.psi, and, if they are there, car.v, car.delta_sw and a tracker's e. path: what the car
     should follow, or None. wheelbase, l_f [m], steer_ratio [1]: the car, where the log does not know its own. speed:
     how many seconds of the run one second of film shows (default: so many that it lasts 15 s, 1 at least). fps:
-    pictures a second. window: half the width of what is seen around the car [m]. car: which one of a batch. Returns the file.
+    pictures a second. window: half the width of what is seen around the car [m]. car: which one of a batch.
+    Returns the file.
     Raises ValueError for another kind of file, a log without a car, or an MP4 without ffmpeg.
     """
     from matplotlib.animation import FFMpegWriter, PillowWriter

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -59,14 +59,6 @@ class Drive:
     def driving(self) -> NDArray[np.bool_]:
         """The samples that a model is fitted to: recorded, and 3 m/s or faster (n,)."""
         return self.measured & (self.v >= V_DRIVING)
-
-    def between(self, start: float, end: float) -> Drive:
-        """The part from `start` to `end` [s]; raises ValueError for an empty one."""
-        first, last = max(0, round(start / self.dt)), min(len(self.v), round(end / self.dt))
-        require(last - first >= 2, self.name, f"no samples from {start:g} to {end:g} s; it lasts {self.t[-1]:g} s")
-        part = slice(first, last)
-        return replace(self, name=f"{self.name}, {start:g} to {end:g} s", delta_sw=self.delta_sw[part], v=self.v[part],
-                       r=self.r[part], measured=self.measured[part])  # fmt: skip
 
     @classmethod
     def of(

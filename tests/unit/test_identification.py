@@ -478,3 +478,26 @@ def test_mistakes_are_one_line(
     error = capsys.readouterr().err.strip()
     assert says in error
     assert len(error.splitlines()) == 1
+
+
+def test_a_vehicle_file_serves_a_learning_world(found: Identified, tmp_path: Path) -> None:
+    from steerkit.learning.world import World
+
+    found.save(tmp_path / "car.toml")
+    assert World(vehicle_name=str(tmp_path / "car.toml")).vehicle == found.vehicle
+
+
+def test_the_identified_loop_drives_as_the_car_that_was_recorded(found: Identified, tmp_path: Path) -> None:
+    """File to blocks to simulation, in another loop than the one that was fitted, at another step."""
+    found.save(tmp_path / "car.toml")
+    truth = driven(seconds=40.0)
+    play = Playback(angles=tuple(truth["delta_sw"].tolist()), speeds=tuple(truth["v"].tolist()), dt=DT)
+    motor = steering_of(tmp_path / "car.toml", dt=DT, limit=30.0, rate_limit=200.0)
+    plant = LinearSingleTrack(vehicle=vehicle(str(tmp_path / "car.toml")), v0=truth["v"][0], dt=DT, substeps=2)
+    loop = Loop(
+        blocks={"drive": play, "actuator": motor, "car": plant},
+        wires=[(play.delta_sw, motor.delta_sw_cmd), (motor.delta_sw, plant.delta_sw_in), (play.v, plant.v_in)],
+    )
+    rate = simulate(loop, 40.0)["car.r"]
+    error = (rate - truth["r"])[100:]
+    assert np.sqrt(np.mean(error**2)) < 0.003
