@@ -147,3 +147,14 @@ def test_mp4_without_ffmpeg_teaches(log: Log, tmp_path: Path, monkeypatch: pytes
     monkeypatch.setattr("matplotlib.animation.FFMpegWriter.isAvailable", classmethod(lambda cls: False))
     with pytest.raises(ValueError, match=r"needs ffmpeg, which is not there; install it, or write a \.gif"):
         animate(log, PATH, tmp_path / "run.mp4")
+
+
+def test_drive_animates(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from steerkit import cli
+
+    words = ["drive", "stanley", "--course", "circle", "--rounds", "0.04", "--out", str(tmp_path / "d"), "-q"]
+    monkeypatch.setattr("sys.argv", ["steerkit", *words, "--animate", str(tmp_path / "run.gif")])
+    with pytest.raises(SystemExit, match="0"):
+        cli.main()
+    with Image.open(tmp_path / "run.gif") as film:
+        assert film.n_frames >= 5
