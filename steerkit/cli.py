@@ -13,6 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from steerkit.car_cli import app as car_app
+from steerkit.identify_cli import identify
 
 app = typer.Typer(
     help="Steer a car along a path: learn it, drive it, look at it. No car was ever driven with this software.",
@@ -20,6 +21,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.add_typer(car_app, name="car")
+app.command()(identify)
 
 
 class Conditions(StrEnum):
@@ -83,6 +85,7 @@ def drive(
     rounds: Annotated[float, typer.Option(help="Rounds to drive.")] = 1.0,
     seed: Seed = 0,
     out: Annotated[Path | None, typer.Option(help="Directory for the log and the picture.")] = None,
+    animate: Annotated[Path | None, typer.Option(help="Film of the drive to write: .gif, or .mp4 with ffmpeg.")] = None,
     quiet: Quiet = False,
     as_json: Machine = False,
 ) -> None:
@@ -93,6 +96,12 @@ def drive(
     world = World.under(conditions.value, course=course)
     place = out or Path("runs") / f"drive-{Path(controller).name}-{course}-{conditions.value}-seed{seed}"
     row = report.drive_and_draw(controller, world, place, rounds=rounds, seed=seed, quiet=quiet)
+    if animate is not None:
+        from steerkit.simulation import Log
+
+        car, log = world.vehicle, Log.load(place / "drive.npz")
+        log.animate(world.path(), animate, wheelbase=car.wheelbase, l_f=car.l_f, steer_ratio=car.steer_ratio,
+                    progress=not quiet)  # fmt: skip
     if as_json:
         print(json.dumps(row))
 
@@ -162,3 +171,7 @@ def main() -> None:
     except (ValueError, KeyError, OSError) as error:
         print(f"steerkit: {error.args[0] if isinstance(error, KeyError) else error}", file=sys.stderr)
         raise SystemExit(2) from None
+
+
+if __name__ == "__main__":
+    main()

@@ -124,6 +124,12 @@ class Loop:
 
         return plot_diagram(self)
 
+    def _repr_png_(self) -> bytes:
+        """The diagram, for a notebook."""
+        from steerkit.notebook import png
+
+        return png(self.plot())
+
     # ---- running --------------------------------------------------------------------------------------------
 
     def init(self, *, batch: int | None = None) -> LoopState:
