@@ -44,7 +44,7 @@ CONTROLLERS: dict[str, Callable[[float, str], Block]] = {
     "mpc": lambda delay, name: mpc(delay=delay),
     "stanley-plain": lambda delay, name: Stanley.of(CAR),
     "stanley-textbook": lambda delay, name: Stanley.textbook(CAR),
-    "pure-pursuit": lambda delay, name: PurePursuit.of(CAR, course(name)),
+    "pure-pursuit": lambda delay, name: PurePursuit.of(CAR, course(name), delay=delay),
 }
 COMPENSATES = ("stanley", "lqr", "mpc")
 KINDS = {"nothing": (), "tyres": (0,), "ratio": (1,), "offset": (2,), "all": (0, 1, 2)}

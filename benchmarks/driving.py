@@ -55,7 +55,7 @@ def drive_loop(
 
 def reference_of(controller: Block) -> float:
     """Where a controller has its errors measured, metres ahead of the centre of gravity; 0 if it does not say."""
-    return float(getattr(controller, "reference", 0.0)) if "reference" in vars(controller) else 0.0
+    return float(getattr(controller, "reference", 0.0))
 
 
 RECORD = ["path.e", "path.progress", "car.a_y", "actuator.rate"]
