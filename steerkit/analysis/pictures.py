@@ -3,19 +3,34 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping, Sequence
+from functools import wraps
+from typing import TYPE_CHECKING, Any, ParamSpec
 
 import numpy as np
 
 from steerkit.analysis.linear import Point, UnstableError, margins, step_response
-from steerkit.plotting import COLOURS, PALETTE, new_figure
+from steerkit.plotting import COLOURS, PALETTE, new_figure, style
 from steerkit.units import degrees_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+P = ParamSpec("P")
 
+
+def _styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+    """`draw` in the style of `steerkit.plotting`."""
+
+    @wraps(draw)
+    def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
+        with style():
+            return draw(*args, **kwargs)
+
+    return drawn
+
+
+@_styled
 def plot_bode(loops: Mapping[str, Any], *, title: str = "", points: int = 1000) -> Figure:
     """Gain and phase of open loops over frequency, by name; dots where |L| = 1, margins in the legend.
 
@@ -25,7 +40,7 @@ def plot_bode(loops: Mapping[str, Any], *, title: str = "", points: int = 1000) 
     figure, (gain, phase) = new_figure(2, title=title, height=5.4)
     for colour, (name, system) in zip(PALETTE, loops.items()):
         top = math.pi / system.dt if system.isdtime(strict=True) else 1e3
-        w = np.geomspace(1e-3 * top, top * (1.0 - 1e-6), points)
+        w = np.geomspace(3e-3 * top, top * (1.0 - 1e-6), points)
         answer = np.asarray(system(np.exp(1j * w * system.dt) if system.isdtime(strict=True) else 1j * w))
         angle = np.unwrap(np.angle(answer))
         angle -= 2.0 * math.pi * math.ceil((angle[0] - 0.1) / (2.0 * math.pi))  # starts in (-360, 0] degrees
@@ -45,11 +60,12 @@ def plot_bode(loops: Mapping[str, Any], *, title: str = "", points: int = 1000) 
     gain.set(xscale="log", ylabel="|L| [dB]", ylim=(-40.0, None))
     phase.set(ylabel="arg L [deg]", xlabel="frequency [rad/s]", ylim=(-720.0, 20.0))
     phase.set_yticks(range(-720, 1, 180))
-    gain.legend(loc="lower left")
+    gain.legend(loc="upper right")
     phase.margins(x=0.0)
     return figure
 
 
+@_styled
 def plot_over(points: Mapping[str, Sequence[Point]], *, xlabel: str = "v [m/s]", title: str = "") -> Figure:
     """Phase margin, delay margin and the largest closed-loop pole over what was varied: a line a name.
 
@@ -59,18 +75,21 @@ def plot_over(points: Mapping[str, Sequence[Point]], *, xlabel: str = "v [m/s]",
     for colour, (name, found) in zip(PALETTE, points.items()):
         x = [point.value for point in found]
         told = [point.margins for point in found]
-        phase.plot(x, [math.nan if t is None else degrees_of(t.phase) for t in told], "o-", ms=3, color=colour)
-        delay.plot(x, [math.nan if t is None else t.delay for t in told], "o-", ms=3, color=colour, label=name)
+        phase.plot(
+            x, [math.nan if t is None else degrees_of(t.phase) for t in told], "o-", ms=3, color=colour, label=name
+        )
+        delay.plot(x, [math.nan if t is None else t.delay for t in told], "o-", ms=3, color=colour)
         largest = [abs(point.poles[0]) if len(point.poles) else 0.0 for point in found]
         pole.plot(x, largest, "o-", ms=3, color=colour)
     pole.axhline(1.0, color=COLOURS["limit"], lw=0.9)
-    phase.set(ylabel="phase margin [deg]", ylim=(0.0, None))
+    phase.set(ylabel="phase margin [deg]", ylim=(0.0, 90.0))
     delay.set(ylabel="delay margin [s]", ylim=(0.0, None))
     pole.set(ylabel="largest |pole|", xlabel=xlabel)
-    delay.legend(loc="upper left", bbox_to_anchor=(1.0, 1.02))
+    phase.legend(loc="upper right", ncols=2)
     return figure
 
 
+@_styled
 def plot_steps(systems: Mapping[str, Any], seconds: float, *, ylabel: str = "", title: str = "") -> Figure:
     """Step responses of single-input, single-output systems over t, by name, such as those of several speeds."""
     figure, (panel,) = new_figure(1, title=title)
@@ -79,7 +98,7 @@ def plot_steps(systems: Mapping[str, Any], seconds: float, *, ylabel: str = "", 
     panel.axhline(0.0, color=COLOURS["muted"], lw=0.8)
     panel.set(xlabel="t [s]", ylabel=ylabel)
     panel.margins(x=0.0)
-    panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.02))
+    panel.legend(loc="best")
     return figure
 
 
