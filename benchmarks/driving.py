@@ -77,7 +77,7 @@ def interpreted(loop: Loop, seconds: float) -> Log:
 
 def on_course(log: Log, length: float) -> Any:
     """Which samples belong to the first round, (T,) or (T, N)."""
-    return log["path.progress"] < length
+    return np.maximum.accumulate(log["path.progress"]) < length
 
 
 def worst(log: Log, length: float) -> Any:

@@ -19,7 +19,7 @@ class PurePursuit(Block):
     goal = c(s + look), look = clip(look_time*v, look_min, look_max),  rear = (x, y) - l_r (cos psi, sin psi),
     alpha = angle to goal from rear - psi,  delta = atan(2 L sin(alpha)/|goal - rear|),  delta_sw = steer_ratio*delta.
 
-    Beyond the end of an open path the goal is on its tangent. No term looks at e, at tyre slip or at delay: it cuts
+    Beyond the end of an open path the goal runs on along its tangent. No term looks at e, at tyre slip or at delay: it cuts
     corners by about look^2 kappa/6, and is here to be compared with.
 
     Inputs: s [m] along `path` of the rear axle (a tracker with reference = -l_r); x, y [m] of the centre of gravity;
@@ -85,9 +85,14 @@ class PurePursuit(Block):
         known = m.is_finite(wanted)
         s = self.path.inside(m.where(known, wanted, 0.0))
         cx, cy, tx, ty, _, _ = self.path.frame(s)
-        beyond = m.where(known, 0.0 if self.path.closed else wanted - s, wanted)
-        dx = cx + beyond * tx - (u.x - self.l_r * m.cos(u.psi))
-        dy = cy + beyond * ty - (u.y - self.l_r * m.sin(u.psi))
+        dx = cx - (u.x - self.l_r * m.cos(u.psi))
+        dy = cy - (u.y - self.l_r * m.sin(u.psi))
+        over = 0.0 if self.path.closed else wanted - s
+        over = over + m.where(
+            over > 0.0, m.maximum(-dx * tx - dy * ty, 0.0), 0.0
+        )  # s stays at the end, the car goes on
+        beyond = m.where(known, over, wanted)
+        dx, dy = dx + beyond * tx, dy + beyond * ty
         side = dy * m.cos(u.psi) - dx * m.sin(u.psi)
         delta = m.atan2(2.0 * self.wheelbase * side, m.maximum(dx * dx + dy * dy, 0.01))
         return self.Y(m.clip(self.steer_ratio * delta, -self.limit, self.limit))

@@ -34,7 +34,7 @@ class Stanley(Block):
     front slip angle of the steady curve (c_f per axle): with it the law holds e = 0 there at any speed.
 
     What is not in the paper: the root in r_path, for with the front axle on the path the rear one runs a tighter circle
-    (1.02 at 12 m radius, 1.13 at 6 m); and limits, so that the law can catch a car from 3 m and 45 degrees off. sat_a
+    (1.03 at 12 m radius, 1.12 at 6 m); and limits, so that the law can catch a car from 3 m and 45 degrees off. sat_a
     keeps the approach angle within approach_limit and within that from which half of the lateral acceleration to spare
     still turns the car onto the path, sqrt(a_spare*|e|)/v. sat keeps the wheel, and how fast it turns, within
     max(a_y_max, v*|r_path| + a_y_reserve) (see `limits`), +-limit and rate_limit. `textbook` has none of all this.

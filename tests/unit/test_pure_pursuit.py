@@ -47,6 +47,8 @@ def test_beside_a_straight_it_steers_the_arc_through_the_goal(e: float) -> None:
 def test_beyond_the_end_of_an_open_path_it_goes_straight_on(over: float) -> None:
     pursuit = PurePursuit.of(PASSAT, ROAD)
     assert steered(pursuit, s=50.0, x=50.0 + over, y=0.0, psi=0.0, v=5.0) == pytest.approx(0.0, abs=1e-9)
+    aside = steered(pursuit, s=50.0, x=50.0 + PASSAT.l_r + over, y=0.2, psi=0.0, v=9.0)
+    assert aside == pytest.approx(steered(pursuit, s=20.0, x=20.0 + PASSAT.l_r, y=0.2, psi=0.0, v=9.0))
 
 
 def test_nan_shows_and_a_negative_speed_is_a_standstill() -> None:
