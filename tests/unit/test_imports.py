@@ -36,7 +36,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "compiled": RUN,
     "c_export": RUN | {"compiled"},
     "realtime": RUN | {"clock"},
-    "analysis": RUN,
+    "analysis": RUN | {"plotting"},
     "metrics": RUN,
     "diagram": {"loop"},
     "plotting": RUN | {"path", "diagram"},
@@ -54,6 +54,7 @@ WHEN_USED = {
     "loop": {"plotting", "notebook"},
     "simulation": {"plotting", "notebook", "animation"},
 }
+WHEN_USED = {"loop": {"plotting", "analysis"}, "simulation": {"plotting"}}
 """More that a module may import inside a function."""
 AT_HOME = {
     "torch": {"learning"},
