@@ -13,7 +13,7 @@ import numpy as np
 
 from steerkit import maths as m
 from steerkit.block import Block, In, Out, require
-from steerkit.controllers.mpc_model import V_HIGH, V_LOW, Array, PathModel, Rhs, bound
+from steerkit.controllers.mpc_model import KAPPA_HIGH, V_HIGH, V_LOW, Array, PathModel, Rhs, bound
 from steerkit.controllers.mpc_qp import SOLVERS, Answer, StageQp
 from steerkit.controllers.stanley import Stanley
 from steerkit.units import radians_of
@@ -27,6 +27,7 @@ Table = tuple[Array, Array, Array, Array]
 Motion = tuple[Array, Array, Array, Array, Array]
 """A, B, gaps, rows and offsets of a_y."""
 _NOTHING = 1e9  # residual of a solution that is not finite
+_BETA, _R = 0.8, 5.0  # rad and rad/s: no sensor that works has more to say
 _PACE = 1.15  # in tight bends the front axle is that much faster than the centre of gravity
 
 
@@ -100,7 +101,7 @@ class PredictiveSteering(Block):
     """Weight of the heading's deviation from steady cornering [1]."""
     q_r: float = 0.0
     """Weight of the yaw rate's deviation from steady cornering [s^2]."""
-    q_rate: float = 3e-4
+    q_rate: float = 1e-4
     """Weight of the command's rate [s^2]."""
     limit: float = radians_of(520.0)
     """Largest |command| [rad]."""
@@ -343,18 +344,22 @@ class PredictiveSteering(Block):
         to at the pace of steady cornering.
         """
         n, by_axis = self.pieces, self.model.sway_is_speed
-        cos_beta = m.maximum(m.cos(u.beta), 0.5) if by_axis else 1.0
+        beta = m.clip(u.beta, -_BETA, _BETA)
+        cos_beta = m.cos(beta) if by_axis else 1.0
         v = m.clip(u.v * cos_beta, V_LOW, V_HIGH)
-        rows = self.model.steady(v, np.array(u.preview))
+        preview = np.minimum(np.maximum(u.preview, -KAPPA_HIGH), KAPPA_HIGH)
+        rows = self.model.steady(v, preview)
         span = 0.5 * self.dt / (cos_beta * rows[:, 6])
-        rows[:, 6] = u.preview
+        rows[:, 6] = preview
         at = np.interp(self.times, np.append(0.0, np.cumsum(span[1:] + span[:-1])), np.arange(len(rows)))
         j = np.minimum(at.astype(np.intp), len(rows) - 2)
         then = rows[j] + (at - j)[:, None] * (rows[j + 1] - rows[j])
-        e = m.clip(u.e, -self.e_reach, self.e_reach)
-        sway = v * m.tan(u.beta) if by_axis else u.beta
+        measured = (
+            m.clip(u.e, -self.e_reach, self.e_reach), m.clip(u.psi_e, -m.pi, m.pi),
+            v * m.tan(beta) if by_axis else beta, m.clip(u.r, -_R, _R), m.clip(u.delta_sw_meas, -self.limit, self.limit),
+        )  # fmt: skip
         x = np.empty(6)
-        x[:5] = self._predict((e, u.psi_e, sway, u.r, u.delta_sw_meas), state.commands, v, then[:n, 6])
+        x[:5] = self._predict(measured, state.commands, v, then[:n, 6])
         x[5] = state.commands[-1]
         return v, x, then
 
