@@ -13,7 +13,9 @@ if TYPE_CHECKING:
     from steerkit.assembly import placed, steering_loop
     from steerkit.block import Block, In, Out, WiringError
     from steerkit.compiled import compile
+    from steerkit.controllers.mpc import MPC
     from steerkit.controllers.nfq_policy import NfqPolicy
+    from steerkit.controllers.nonlinear_mpc import NonlinearMPC
     from steerkit.controllers.recovery import Guarded, Supervisor
     from steerkit.controllers.stanley import Stanley
     from steerkit.courses import course
@@ -39,7 +41,9 @@ _HOME = {
     "Out": "block",
     "WiringError": "block",
     "compile": "compiled",
+    "MPC": "controllers.mpc",
     "NfqPolicy": "controllers.nfq_policy",
+    "NonlinearMPC": "controllers.nonlinear_mpc",
     "Guarded": "controllers.recovery",
     "Supervisor": "controllers.recovery",
     "Stanley": "controllers.stanley",
@@ -65,6 +69,7 @@ _HOME = {
 }
 
 __all__ = [
+    "MPC",
     "Block",
     "Direct",
     "Experiment",
@@ -78,6 +83,7 @@ __all__ = [
     "LoopState",
     "LowPass",
     "NfqPolicy",
+    "NonlinearMPC",
     "NonlinearSingleTrack",
     "Out",
     "Path",

@@ -135,7 +135,7 @@ def test_the_car_in_path_coordinates_is_the_car_in_the_plane(reference: float) -
 
 @pytest.mark.parametrize("reference", [0.0, PASSAT.l_f])
 def test_a_tight_bend_is_met_where_it_is(reference: float) -> None:
-    """The preview's entries lie v*dt apart; the tracked point gets along the path faster, front axle by v/cos(delta)."""
+    """The preview's entries lie v*dt apart; the front axle gets along faster, v/cos(delta)."""
     block = controller(MPC, NONLINEAR, reference=reference, delay=0.2)
     v, kappa, first = 4.0, 0.16, 12
     u = block.D(e=0.0, psi_e=0.0, v=v, beta=0.0, r=0.0, delta_sw_meas=0.0,
