@@ -17,11 +17,12 @@ from steerkit import realtime
 from steerkit.assembly import steering_loop
 from steerkit.block import Block
 from steerkit.clock import Clock
+from steerkit.controllers.foresight import Foresight
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.recovery import Guarded
 from steerkit.controllers.stanley import Stanley
 from steerkit.courses import course
-from steerkit.doe import Integrator
+from steerkit.doe import Corrected, Dynamic, Integrator
 from steerkit.loop import Loop
 from steerkit.path import Path
 from steerkit.plants.human_driver import ConstantSpeed
@@ -66,7 +67,7 @@ def controller_named(name: str, config: CarConfig) -> Block:
     raise ValueError(f"controller {name!r} is not known, nor a place with a policy; valid: {', '.join(CONTROLLERS)}")
 
 
-def car_loop(config: CarConfig, path: Path, link: CarLink, controller: Block, *, doe: Block | None = None) -> Loop:
+def car_loop(config: CarConfig, path: Path, link: CarLink, controller: Block, *, doe: Dynamic | None = None) -> Loop:
     """The loop of the simulated runs with a `RealCar` in the plant's place: 20 Hz, e at the front axle.
 
     controller: a block that steers, or a policy, which gets `doe` (default: an Integrator) and Stanley as recovery.
@@ -77,10 +78,18 @@ def car_loop(config: CarConfig, path: Path, link: CarLink, controller: Block, *,
         path=path,
         driver=ConstantSpeed(speed=0.0),  # the human in the car keeps the speed; nobody reads this
         controller=Guarded(block=controller) if learned else controller,
-        doe=(doe or Integrator()) if learned else None,
+        doe=Corrected(element=doe or Integrator()) if learned else None,
         recovery=Stanley.of(config.vehicle) if learned else None,
+        foresight=foresight(config) if learned else None,
         reference=config.vehicle.l_f,
     )
+
+
+def foresight(config: CarConfig) -> Foresight:
+    """How far the car will get behind the gate of `config`."""
+    limits = config.gate
+    same = ("a_y_max", "jerk_max", "rate_max", "delta_sw_max", "v_floor", "steer_ratio", "wheelbase")
+    return Foresight(**{name: getattr(limits, name) for name in same})
 
 
 @dataclass(kw_only=True)
