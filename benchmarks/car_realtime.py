@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from steerkit import car as cars
+from steerkit import car_replay as replays
 from steerkit import realtime
 from steerkit.clock import Clock
 from steerkit.plants.real_car import recording as tapes
@@ -70,9 +71,9 @@ def measure(controller: str, minutes: float, scale: float, folder: Path, listen:
     recorded = tapes.read(tape)
     frames, same = tapes.replayed_exactly(recorded, Core(config, path))
     asked = same_asked = 0
-    if controller != "learn":  # its nets change on the way
-        block = cars.controller_named(controller, config)
-        asked, same_asked = cars.replayed_requests(recorded, config, path, block)
+    for drive in replays.drives(recorded):
+        asked += len(drive.requests)
+        same_asked += replays.replayed_requests(drive, config, path)
     heard = [json.loads(line) for line in log.read_text().splitlines()]
     times = [h["t"] for h in heard if h.get("enable") == 1]
     print(realtime.histogram_text(run.timing))

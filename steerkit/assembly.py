@@ -42,14 +42,14 @@ def steering_loop(
 
     controller: steers by itself (an output `delta_sw`), or picks actions (an output `action`) that `doe` turns into
     an angle. recovery: an analytic controller that steers while the learner is off, through `supervisor` (default:
-    0.5 m and 0.1 m), which judges |e|, or the `distance` of `foresight`. actuator: between the command and the wheel (none: the command is the angle). sensors: what
-    the controllers see of the car (none: the truth). reference: where e is measured, m ahead of the centre of gravity
-    (the front axle is l_f).
+    0.5 m and 0.1 m), which judges |e|, or the `distance` of `foresight`. actuator: between the command and the wheel
+    (none: the command is the angle). sensors: what the controllers see of the car (none: the truth). reference: where
+    e is measured, m ahead of the centre of gravity (the front axle is l_f).
 
-    A car with an output `applied` (a real one) says which angle it was told in the end; its doe has to be `Corrected`.
-    The blocks are named driver, car, actuator, sensors, path, controller, doe, recovery, foresight, supervisor. `path` tracks
-    the **true** reference point, for logs and metrics; with sensors, `seen` tracks the measured one; a controller
-    that wants e elsewhere (its field `reference`) or a preview gets a tracker of its own.
+    The blocks are named driver, car, actuator, sensors, path, controller, doe, recovery, foresight, supervisor. `path`
+    tracks the **true** reference point, for logs and metrics; with sensors, `seen` tracks the measured one; a
+    controller that wants e elsewhere (its field `reference`) or a preview gets a tracker of its own. A car with an
+    output `applied` (a real one) says which angle it was told in the end; then the doe has to be `Corrected`.
     A controller's inputs are joined by name: e, e_dot, psi_e, kappa, r_e, s, progress, preview (its tracker), x, y,
     psi, v, beta, r, a_y (sensors or car), delta_sw_meas (actuator or car), doe (the DOE's state).
 

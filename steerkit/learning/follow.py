@@ -86,14 +86,15 @@ class Steers:
     """Of that file."""
     doe: str = ""
     """The policy's dynamic output element: see `steerkit.learning.settings.ELEMENTS`."""
+    recovery: str = "stanley"
+    """Who catches the policy."""
     trusted: bool = True
     """False: its recovery controller has the wheel until the next net."""
 
     @classmethod
-    def by_policy(cls, file: Path, doe: str, *, trusted: bool = True) -> Self:
+    def by_policy(cls, file: Path, doe: str, **more: Any) -> Self:
         """A policy in `file`, which has to be there."""
-        digest = hashlib.sha256(file.read_bytes()).hexdigest()
-        return cls(name=str(file.resolve()), sha256=digest, doe=doe, trusted=trusted)
+        return cls(name=str(file.resolve()), sha256=hashlib.sha256(file.read_bytes()).hexdigest(), doe=doe, **more)
 
     def text(self) -> str:
         """As JSON, for `Remark`."""

@@ -51,6 +51,7 @@ class CarLearner:
 
     setting: how. place: run directory; a run there is continued with all its transitions and its newest net.
     build: makes the loop of a policy and an output element (`steerkit.car.car_loop`). seed: of the nets.
+    recovery: the name of the controller that catches it there, for the recording.
 
     While the car is ENGAGED and the policy has the wheel, every sample is recorded. When the recovery controller has
     to take it, or `retrain_every_m` are driven, a process of its own trains on what is committed; driving goes on, and
@@ -59,9 +60,10 @@ class CarLearner:
     """
 
     def __init__(
-        self, setting: Setting, place: FilePath, build: Callable[[Block, Dynamic], Loop], link: Car, *, seed: int = 0
-    ):
-        self.setting, self.place, self.link, self.seed = setting, place, link, seed
+        self, setting: Setting, place: FilePath, build: Callable[[Block, Dynamic], Loop], link: Car, *, seed: int = 0,
+        recovery: str = "stanley",
+    ):  # fmt: skip
+        self.setting, self.place, self.link, self.seed, self.recovery = setting, place, link, seed, recovery
         _claim(place, setting)
         self.description = setting.description()
         self.store = TransitionStore(place / "transitions.db", run=RUN, names=self.description.names)
@@ -129,6 +131,13 @@ class CarLearner:
         """Does the newest net get the wheel, or does the recovery controller keep it until there is a better one?"""
         return self.follow.trusted
 
+    def figures(self) -> dict[str, Any]:
+        """The numbers of a run that a program would read."""
+        return {
+            "updates": self.updates, "transitions": len(self.transitions), "driven_by_learner_m": self.driven,
+            "failures": self.failures, "training_faults": list(self.trainer.faults),
+        }  # fmt: skip
+
     def status(self) -> str:
         """One line for the panel."""
         training = "training" if self.trainer.busy else "idle"
@@ -185,7 +194,8 @@ class CarLearner:
         return self.place / "nets" / f"net-{self._net:04d}.npz"
 
     def _tell(self) -> None:
-        self.link.remark(Steers.by_policy(self._file, self.setting.doe, trusted=self.trusted).text())
+        steers = Steers.by_policy(self._file, self.setting.doe, recovery=self.recovery, trusted=self.trusted)
+        self.link.remark(steers.text())
 
     def _with(self, policy: NfqPolicy) -> Loop:
         return self._idle.with_block("controller", Guarded(block=policy))
@@ -213,8 +223,8 @@ def _claim(place: FilePath, setting: Setting) -> None:
         other = setting_of(place)
         if rundir.plain(other) != rundir.plain(setting):
             raise ValueError(
-                f"{place} was learned with the setting '{other.name}', which differs from '{setting.name}'; continue it "
-                f"with --setting {other.name}, or choose a new directory"
+                f"{place} was learned with the setting '{other.name}', which differs from '{setting.name}'; continue "
+                f"it with --setting {other.name}, or choose a new directory"
             )
     elif place.exists() and any(place.iterdir()):
         raise ValueError(f"{place} is not empty and holds no run of a car (no car.json); choose a new directory")

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
-from steerkit.block import Block, require
-from steerkit.doe import Direct, Integrator, LowPass
+from steerkit.block import require
+from steerkit.doe import Direct, Dynamic, Integrator, LowPass
 from steerkit.learning.costs import BandCost, Cost, IdoeCost, TanhCost
 from steerkit.learning.nfq import FitSetting
 from steerkit.learning.state import StateDescription
 from steerkit.units import radians_of
 
-ELEMENTS = {"integrator": Integrator, "low-pass": LowPass, "direct": Direct}
+ELEMENTS: dict[str, type[Dynamic]] = {"integrator": Integrator, "low-pass": LowPass, "direct": Direct}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,7 +70,7 @@ class Setting:
         """The actions [rad]."""
         return tuple(radians_of(a) for a in self.actions_deg)
 
-    def element(self) -> Block:
+    def element(self) -> Dynamic:
         """The dynamic output element."""
         return ELEMENTS[self.doe]()
 

@@ -123,6 +123,8 @@ class ReplayLink:
 
     def __init__(self, snapshots: Sequence[Snapshot]):
         self._snapshots = iter(snapshots)
+        self.count = 0
+        """Snapshots given."""
         self.last: Snapshot | None = None
         self.requests: list[tuple[float, float]] = []
         """(basis, delta_sw) asked for."""
@@ -132,6 +134,7 @@ class ReplayLink:
         self.last = next(self._snapshots, None)
         if self.last is None:
             raise CarLost("the recording has ended")
+        self.count += 1
         return self.last
 
     def request(self, delta_sw: float) -> None:

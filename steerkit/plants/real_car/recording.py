@@ -2,7 +2,8 @@
 
 MCAP (https://mcap.dev) because it is append-only: what has been written can be read, with or without its end; MDF needs
 a finished header. Field tools (Foxglove, PlotJuggler, `mcap`) open it; messages are JSON, so none needs our code.
-Topics: /can/rx /client /tick (what the core was given), /can/tx (what it sent), /state /command /steers /car /refused (why).
+Topics: /can/rx /client /tick (what the core was given), /can/tx (what it sent), /state /command /steers /car /refused
+(why).
 """
 
 from __future__ import annotations
