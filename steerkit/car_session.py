@@ -67,10 +67,14 @@ class Session:
         self.ending = False
         self.link: Any = None
         self.timing: Timing | None = None
+        self.learner_steers: bool | None = None
+        """Has the learner the wheel, or its recovery controller? None: there is no learner."""
 
     def watch(self, run: Run) -> bool:
         """Called after every step."""
         self.timing = run.timing
+        if "supervisor" in run.loop.blocks:
+            self.learner_steers = run.sample["supervisor.learning"] > 0.5
         return self.ending
 
     def build(self, policy: Block, doe: Dynamic) -> Loop:
@@ -81,7 +85,8 @@ class Session:
         """The live panel; without a terminal, or when told to be quiet, one line for each transition."""
         from steerkit.car_panel import Panel
 
-        return Panel(self, title, live=not self.options.quiet and sys.stdout.isatty(), more=more)
+        terminal = sys.stdout.isatty() and os.environ.get("TERM", "dumb") != "dumb"
+        return Panel(self, title, live=terminal and not self.options.quiet, more=more)
 
 
 @contextlib.contextmanager
@@ -112,13 +117,14 @@ def session(options: Options) -> Iterator[Session]:
                 processes.insert(0, driver)
             else:
                 print(f"the driver process at {socket} is used as it runs, with its own configuration and recording")
-            here.link = DriverLink(socket)
-            stack.callback(here.link.close)
+            here.link = stack.enter_context(DriverLink(socket))
             if options.realtime:
                 print(preferred())
-            yield here
-            with contextlib.suppress(CarLost):
-                here.link.order(Order.DISENGAGE)  # an orderly end is no fault
+            try:
+                yield here
+            finally:
+                with contextlib.suppress(CarLost):
+                    here.link.order(Order.DISENGAGE)  # an end in order, or Ctrl-C, is no fault
         finally:
             for process in processes:  # the driver first
                 process.terminate()
@@ -145,10 +151,9 @@ def _files(recording: str) -> tuple[str, FilePath]:
 def drive(options: Options, name: str, *, minutes: float) -> dict[str, Any]:
     """`steerkit drive --car`: drive with a controller for so long (0: until `q`); returns its figures."""
     controller = cars.controller_named(name, loaded(options.config)[0])  # mistakes first, processes then
-    with session(options) as here:
-        with here.panel(name):
-            run = cars.drive(here.config, here.path, here.link, controller, recovery=options.recovery,
-                             duration=60.0 * minutes or float("inf"), clock=here.clock, watch=here.watch)  # fmt: skip
+    with session(options) as here, here.panel(name):
+        run = cars.drive(here.config, here.path, here.link, controller, recovery=options.recovery,
+                         duration=60.0 * minutes or float("inf"), clock=here.clock, watch=here.watch)  # fmt: skip
     return _told(here, run)
 
 
