@@ -21,10 +21,11 @@ import pytest
 import steerkit
 from steerkit import maths as m
 from steerkit.block import Block, In, Out
+from steerkit.controllers.foresight import Foresight
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.recovery import Guarded, Supervisor, SupervisorState
 from steerkit.controllers.stanley import Stanley
-from steerkit.doe import Direct, Integrator, LowPass
+from steerkit.doe import Corrected, Direct, Integrator, LowPass
 from steerkit.learning.model import CarModel
 from steerkit.learning.rival import ModelPolicy
 from steerkit.path import Path
@@ -80,6 +81,9 @@ EXAMPLES = [
     Example(Integrator()),
     Example(LowPass()),
     Example(Direct()),
+    Example(Corrected()),
+    Example(Corrected(element=LowPass())),
+    Example(Foresight()),
     Example(Stanley.of(PASSAT)),
     Example(Stanley.textbook(PASSAT)),
     Example(Supervisor(), blind=("e", "ready")),
