@@ -21,7 +21,7 @@ class Foresight(Block):
         kappa_s(t) = kappa_s(0), t < hold;   then kappa_s(t) = sat(kappa_s(t - h) +- turn),   delta = atan(L kappa_s)
         e' = v sin(psi_e + delta),   psi_e' = v (sin(delta)/L - kappa cos(psi_e + delta)),   all at the front axle
         turn = h min(jerk_max/v^2, rate_max/(steer_ratio L)),   sat to min(a_y_max/v^2, tan(delta_sw_max/steer_ratio)/L)
-        reach = max(e(t) while turning right, -e(t) while turning left),   t up to `horizon` in steps of h = 0.05 s
+        reach = max(e(t) while turning right, -e(t) while turning left),   t up to `horizon`, by midpoints of h = 0.05 s
         distance = max(|e|, weight * reach)
 
     Inputs: e [m], psi_e [rad], kappa [1/m] of the path, all at the **front axle** (a tracker with reference = l_f);
@@ -82,11 +82,12 @@ class Foresight(Block):
         steered = m.tan(side * u.doe / self.steer_ratio) / length
         furthest = e
         for n in range(round(self.horizon / h)):
+            before = steered
             if n * h >= self.hold:
                 steered = m.maximum(steered - turn, -most)
-            delta = m.atan(length * steered)
-            course = psi_e + delta
-            e = e + h * u.v * m.sin(course)
-            psi_e = psi_e + h * u.v * (m.sin(delta) / length - kappa * m.cos(course))
+            delta = m.atan(length * 0.5 * (before + steered))  # halfway through the step
+            half = 0.5 * h * u.v * (m.sin(delta) / length - kappa * m.cos(psi_e + delta))
+            e = e + h * u.v * m.sin(psi_e + half + delta)
+            psi_e = psi_e + 2.0 * half
             furthest = m.maximum(e, furthest)
         return furthest
