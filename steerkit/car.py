@@ -29,10 +29,10 @@ from steerkit.learning.settings import ELEMENTS
 from steerkit.loop import Loop
 from steerkit.path import Path
 from steerkit.plants.human_driver import ConstantSpeed
+from steerkit.plants.real_car.bus import Port
 from steerkit.plants.real_car.client import CarLink, CarLost, DriverLink, RealCar
 from steerkit.plants.real_car.config import CarConfig
 from steerkit.plants.real_car.simulated import Fault, SimulatedCar
-from steerkit.plants.real_car.slcan_port import SlcanPort
 from steerkit.plants.real_car.states import Mode, Order
 
 CONTROLLERS: dict[str, Callable[[CarConfig], Block]] = {
@@ -197,7 +197,15 @@ def start_driver(
         except CarLost:
             time.sleep(0.05)
     process.terminate()
-    raise CarLost(f"the driver process did not come up within {wait:g} s; its messages tell why")
+    raise CarLost(f"the driver process did not come up: {_last_line(log) or f'no answer within {wait:g} s'}")
+
+
+def _last_line(log: TextIO | None) -> str:
+    """What a process said last in its log, and where that is."""
+    if log is None or not os.path.isfile(log.name):
+        return ""
+    lines = FilePath(log.name).read_text(errors="replace").split("\n")
+    return f"{next((line for line in reversed(lines) if line), 'it said nothing')} (log: {log.name})"
 
 
 def start_simulated(
@@ -223,7 +231,7 @@ def simulated_car(config: CarConfig, path: Path, **options: Any) -> SimulatedCar
 
 
 def serve_simulated(
-    car: SimulatedCar, port: SlcanPort, clock: Clock, *, log: TextIO | None = None, faults: TextIO | None = None,
+    car: SimulatedCar, port: Port, clock: Clock, *, log: TextIO | None = None, faults: TextIO | None = None,
     duration: float = float("inf"),
 ) -> None:  # fmt: skip
     """Run a simulated car in real time on a port; it writes every command it hears to `log`, as JSON lines.

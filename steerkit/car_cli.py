@@ -41,7 +41,10 @@ def check(config: Annotated[str, typer.Argument(help="TOML file, or a shipped on
 @app.command()
 def simulate(
     config: Config = "dbw-kit.toml",
-    listen: Annotated[str, typer.Option(help="127.0.0.1:PORT for TCP; default: a pseudo-terminal.")] = "",
+    listen: Annotated[str, typer.Option(help="slcan on 127.0.0.1:PORT; default: on a pseudo-terminal.")] = "",
+    channel: Annotated[
+        str, typer.Option(help="INTERFACE:CHANNEL of python-can, such as socketcan:vcan0, in its place.")
+    ] = "",
     time_scale: Scale = 1.0,
     seed: Annotated[int, typer.Option(help="Seed of the human driver.")] = 0,
     v_min: Annotated[float, typer.Option(help="Slowest speed [m/s].")] = 4.0,
@@ -52,10 +55,16 @@ def simulate(
 
     A line is `KIND pose|report [LENGTH [AMOUNT]]`, such as `drop pose 0.5`; an unknown one prints the kinds.
     """
+    from steerkit.plants.real_car.bus import BusPort
     from steerkit.plants.real_car.slcan_port import SlcanPort
 
     loaded, path = sessions.loaded(config, "-")
-    clock, port = Clock(scale=time_scale), SlcanPort(listen)
+    arguments = sessions.bus_of(channel)
+    if arguments and arguments["interface"] == "slcan":
+        raise ValueError(f"--channel {channel!r} of a simulated car: expected INTERFACE:CHANNEL, as socketcan:vcan0; "
+                         "leave it out for an slcan port of its own")  # fmt: skip
+    clock = Clock(scale=time_scale)
+    port = BusPort(arguments) if arguments else SlcanPort(listen)
     car = cars.simulated_car(loaded, path, seed=seed, v_min=v_min, v_max=v_max, t0=clock.now())
     print(f"channel {port.channel}", flush=True)
     with contextlib.ExitStack() as stack:

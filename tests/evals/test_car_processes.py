@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,11 +15,14 @@ import pytest
 
 from steerkit import car as cars
 from steerkit import car_replay as replays
+from steerkit import car_session as sessions
 from steerkit.clock import Clock
 from steerkit.plants.real_car import recording as tapes
+from steerkit.plants.real_car.bus import BusPort, open_bus
 from steerkit.plants.real_car.client import CarLost, DriverLink
 from steerkit.plants.real_car.config import load
 from steerkit.plants.real_car.core import Core
+from steerkit.plants.real_car.driver import Driver
 from steerkit.plants.real_car.states import Mode, Order
 
 CONFIG = "dbw-kit.toml"
@@ -111,3 +115,52 @@ def test_one_controller_at_a_time_and_orders_are_answered(bench: dict[str, Any])
         operator.request(0.0)
         operator.query()
         assert "only the controller" in operator.refused[1]
+
+
+def test_another_interface_of_python_can(tmp_path: Path) -> None:
+    """Car, driver and controller over python-can's `virtual`, in three threads; its `Driver` is the processes' own."""
+    bus = sessions.bus_of("virtual:steerkit test")
+    config, (_, path) = load(CONFIG, bus=bus), sessions.loaded(CONFIG)
+    assert bus is not None
+    port, clock, socket = BusPort(bus), Clock(), str(tmp_path / "socket")
+    car = cars.simulated_car(config, path, t0=clock.now())
+    driver = Driver(config, path, socket, recording=tapes.Recording(tmp_path / "drive.mcap", {"a": "b"}), clock=clock)
+    modes: list[Mode] = []
+
+    def control() -> None:
+        try:
+            with DriverLink(socket) as link:
+                threading.Thread(target=cars.engage, args=(socket,), daemon=True).start()
+
+                def watch(run: Any) -> bool:
+                    assert link.last is not None
+                    modes.append(link.last.mode)
+                    return modes.count(Mode.ENGAGED) > 20
+
+                stanley = cars.controller_named("stanley", config)
+                cars.drive(config, path, link, stanley, duration=30.0, clock=clock, watch=watch)
+        finally:
+            driver.stop()
+
+    threading.Thread(
+        target=cars.serve_simulated, args=(car, port, clock), kwargs={"duration": 60.0}, daemon=True
+    ).start()
+    threading.Thread(target=control, daemon=True).start()
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
+    try:
+        driver.run()  # here, as it wants the signals
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    assert modes.count(Mode.ENGAGED) > 20
+    assert car.commands > 20
+    recorded = tapes.read(tmp_path / "drive.mcap")
+    frames, same = tapes.replayed_exactly(recorded, Core(config, path))
+    assert frames == same > 20
+
+
+def test_a_bus_that_is_not_there_is_named_and_so_is_the_log(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match=r"bus interface = 'nope', channel = 'x': cannot be opened \(Unknown interface"):
+        open_bus({"interface": "nope", "channel": "x"})
+    with (tmp_path / "driver.log").open("w") as log, pytest.raises(CarLost, match=r"/dev/nowhere.*driver\.log"):
+        cars.start_driver(CONFIG, str(tmp_path / "socket"), channel="/dev/nowhere", log=log)
