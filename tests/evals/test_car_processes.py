@@ -8,6 +8,7 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -142,9 +143,8 @@ def test_another_interface_of_python_can(tmp_path: Path) -> None:
         finally:
             driver.stop()
 
-    threading.Thread(
-        target=cars.serve_simulated, args=(car, port, clock), kwargs={"duration": 60.0}, daemon=True
-    ).start()
+    serve = partial(cars.serve_simulated, car, port, clock, duration=60.0)
+    threading.Thread(target=serve, daemon=True).start()
     threading.Thread(target=control, daemon=True).start()
     handlers = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
     try:
