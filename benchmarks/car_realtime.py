@@ -34,7 +34,7 @@ from steerkit.plants.real_car.states import Mode
 
 
 def measure(
-    controller: str, minutes: float, scale: float, folder: Path, listen: str = "", *, fifo: bool = False, load: int = 0
+    controller: str, minutes: float, scale: float, folder: Path, listen: str = "", *, fifo: bool = False, busy: int = 0
 ) -> dict[str, Any]:
     """One drive; returns its figures."""
     config = load("dbw-kit.toml")
@@ -45,7 +45,7 @@ def measure(
         driver = cars.start_driver(
             "dbw-kit.toml", socket, recording=str(tape), channel=channel, time_scale=scale, realtime=fifo, log=text
         )
-    busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(load)]
+    beside = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(busy)]
     granted = ""
     try:
         with DriverLink(socket) as link:
@@ -77,7 +77,7 @@ def measure(
     finally:
         if fifo:
             os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-        for process in busy:
+        for process in beside:
             process.kill()
             process.wait()
         driver.terminate()
@@ -94,7 +94,7 @@ def measure(
     print(realtime.histogram_text(run.timing))
     return {
         "controller": controller, "minutes": minutes, "time_scale": scale, "bus": channel.split(":")[0],
-        "sched_fifo": granted or "not asked for", "busy_processes": load,
+        "sched_fifo": granted or "not asked for", "busy_processes": busy,
         **run.timing.summary(), **more, "engagements": len(engagements), "faults": engagements[1:],
         "mode_at_end": str(last.mode), "cause": last.text.splitlines()[0],
         "engaged_steps": engaged, "rms_e_m": (squares / max(1, engaged)) ** 0.5, "max_e_m": worst,
@@ -109,11 +109,11 @@ def measure(
 def compare(options: argparse.Namespace) -> dict[str, Any]:
     """With and without SCHED_FIFO, idle and busy, one drive each; prints them side by side."""
     rows = []
-    for load in dict.fromkeys((0, options.load)):
+    for busy in dict.fromkeys((0, options.load)):
         for fifo in (False, True):
             with tempfile.TemporaryDirectory() as folder:
                 rows.append(measure(options.controller, options.minutes, options.time_scale, Path(folder),
-                                    options.listen, fifo=fifo, load=load))  # fmt: skip
+                                    options.listen, fifo=fifo, busy=busy))  # fmt: skip
     names = ("sched_fifo", "busy_processes", "load_average", "steps", "misses", "jitter_p50_ms", "jitter_p99_ms",
              "jitter_max_ms", "longest_step_ms", "longest_gap_on_bus_ms", "faults")  # fmt: skip
     for name in names:
@@ -200,7 +200,7 @@ def main() -> None:
     else:
         with tempfile.TemporaryDirectory() as folder:
             row = measure(options.controller, options.minutes, options.time_scale, Path(folder), options.listen,
-                          fifo=options.fifo, load=options.load)  # fmt: skip
+                          fifo=options.fifo, busy=options.load)  # fmt: skip
         for name, value in row.items():
             print(f"{name:26s} {value:.4g}" if isinstance(value, float) else f"{name:26s} {value}")
     if options.json:

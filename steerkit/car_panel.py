@@ -34,6 +34,7 @@ class Panel:
         self.session, self.title, self.live, self.more = session, title, live, more
         self._thread = threading.Thread(target=self._run, name="panel", daemon=True)
         self._over = False
+        self._lost: CarLost | None = None
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -41,12 +42,16 @@ class Panel:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self._over = True
-        self._thread.join(2.0)
+        self._thread.join(5.0)
+        if self._lost and error is None:
+            raise self._lost
 
     def _run(self) -> None:
         try:
-            with contextlib.suppress(CarLost), DriverLink(self.session.socket, controller=False) as link:
+            with DriverLink(self.session.socket, controller=False, timeout=2.0) as link:
                 self._serve(link)
+        except CarLost as error:
+            self._lost = error
         finally:
             self.session.ending = True
 
