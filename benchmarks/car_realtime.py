@@ -29,6 +29,7 @@ from steerkit import realtime
 from steerkit.clock import Clock
 from steerkit.plants.real_car import recording as tapes
 from steerkit.plants.real_car.client import CarLost, DriverLink
+from steerkit.plants.real_car.config import load
 from steerkit.plants.real_car.core import Core
 from steerkit.plants.real_car.states import Mode
 

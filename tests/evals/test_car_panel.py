@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import pty
 import re
@@ -116,9 +117,20 @@ def test_a_dumb_terminal_gets_lines_and_still_keys(tmp_path: Path) -> None:
 
 
 def test_without_a_terminal_there_are_lines(tmp_path: Path) -> None:
-    command = [sys.executable, "-c", "from steerkit.cli import main; main()", *DRIVE, "--minutes", "0.03", "--json"]
+    command = [
+        sys.executable,
+        "-c",
+        "from steerkit.cli import main; main()",
+        *DRIVE,
+        "--minutes",
+        "0.03",
+        "--json",
+        "--realtime",
+    ]
     done = subprocess.run(command, cwd=tmp_path, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=WAIT)
     assert done.returncode == 0, done.stderr
     assert "all checks hold" in done.stdout
+    assert re.search(r"SCHED_FIFO 50: (granted|not permitted; .*; going on without)", done.stdout)
+    assert json.loads(done.stdout.splitlines()[-1])["steps"] > 10
     assert "╭" not in done.stdout
     assert "\x1b" not in done.stdout
