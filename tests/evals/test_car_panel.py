@@ -117,16 +117,8 @@ def test_a_dumb_terminal_gets_lines_and_still_keys(tmp_path: Path) -> None:
 
 
 def test_without_a_terminal_there_are_lines(tmp_path: Path) -> None:
-    command = [
-        sys.executable,
-        "-c",
-        "from steerkit.cli import main; main()",
-        *DRIVE,
-        "--minutes",
-        "0.03",
-        "--json",
-        "--realtime",
-    ]
+    words = (*DRIVE, "--minutes", "0.03", "--json", "--realtime")
+    command = [sys.executable, "-c", "from steerkit.cli import main; main()", *words]
     done = subprocess.run(command, cwd=tmp_path, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=WAIT)
     assert done.returncode == 0, done.stderr
     assert "all checks hold" in done.stdout
