@@ -29,6 +29,7 @@ from steerkit.learning.settings import ELEMENTS
 from steerkit.loop import Loop
 from steerkit.path import Path
 from steerkit.plants.human_driver import ConstantSpeed
+from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.real_car.bus import Port
 from steerkit.plants.real_car.client import CarLink, CarLost, DriverLink, RealCar
 from steerkit.plants.real_car.config import CarConfig
@@ -37,8 +38,11 @@ from steerkit.plants.real_car.states import Mode, Order
 
 CONTROLLERS: dict[str, Callable[[CarConfig], Block]] = {
     "stanley": lambda config: Stanley.of(config.vehicle),
+    "mpc": lambda config: _mpc(config),
 }
 """Controllers that steer by themselves, made for a car."""
+MPC_BUDGET = 0.03
+"""A solution that took longer is not used [s]: the plan before is followed, then the fallback law."""
 RECOVERIES = {"stanley": CONTROLLERS["stanley"]}
 """Controllers that catch a learned one."""
 LEARNED = FilePath("runs/car")
@@ -51,6 +55,13 @@ def course_of(config: CarConfig) -> Path:
     if "name" in config.course:
         return course(config.course["name"])
     return config.course["path"]
+
+
+def _mpc(config: CarConfig) -> Block:
+    from steerkit.controllers.mpc import MPC  # here, as it loads CasADi
+
+    plant = NonlinearSingleTrack(vehicle=config.vehicle)
+    return MPC.of(plant, lag=config.lag, delay=config.delay, budget=MPC_BUDGET)
 
 
 def default_socket() -> str:
