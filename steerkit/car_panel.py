@@ -26,8 +26,8 @@ COLOURS = {Mode.OFF: "white", Mode.STANDBY: "yellow", Mode.READY: "cyan", Mode.E
 class Panel:
     """Shows who has the wheel and why, and turns keys into orders; without a terminal it prints transitions only.
 
-    session: with `socket`, `timing`, `learner_steers` and `ending`, which ends the drive: so does a panel that breaks,
-    as nobody could let go by key any more. live: draw. more: a line of text of somebody else's.
+    session: with `socket`, `timing`, `asked`, `learner_steers`, and `ending`, which ends the drive: so does a panel that
+    breaks, as nobody could let go by key any more. live: draw. more: a line of text of somebody else's.
     """
 
     def __init__(self, session: Any, title: str, *, live: bool, more: Callable[[], str] | None = None):
@@ -103,7 +103,7 @@ class Panel:
             ("state", Text(f"{s.mode}", style=f"bold {COLOURS[s.mode]}")),
             ("cause", cause),
             ("e, psi_e", f"{s.e:+.3f} m   {degrees_of(s.psi_e):+.1f} deg"),
-            ("wheel", f"{degrees_of(s.delta_sw):+.1f} deg, command {_command(s)}{self._who(s)}"),
+            ("wheel", f"{degrees_of(s.delta_sw):+.1f} deg, sent {_sent(s)}, asked for {self._asked()}{self._who(s)}"),
             ("speed", f"{s.v:.2f} m/s, kit {s.v_kit:.2f} m/s   torque {s.torque:+.1f} N m"),
             ("ages", f"pose {_ms(s.pose_age)}, report {_ms(s.report_age)}, request {_ms(s.request_age)}"),
             ("errors", f"{s.errors:.0f}   frames sent {s.frames_sent:.0f}"),
@@ -120,6 +120,10 @@ class Panel:
         keys = HELP if sys.stdin.isatty() else "no keyboard here; let go with: steerkit car order DISENGAGE"
         return Box(table, title=f"steerkit car: {self.title}", subtitle=keys)
 
+    def _asked(self) -> str:
+        asked = self.session.asked
+        return "nothing yet" if asked is None else f"{degrees_of(asked):+.1f} deg"
+
     def _who(self, s: Snapshot) -> str:
         learner = self.session.learner_steers
         if learner is None or s.mode is not Mode.ENGAGED:
@@ -132,8 +136,8 @@ def line_of(s: Snapshot) -> str:
     return f"{s.mode}: {s.text.splitlines()[0]}"
 
 
-def _command(s: Snapshot) -> str:
-    return f"{degrees_of(s.command):+.1f} deg" if s.mode is Mode.ENGAGED else "none"
+def _sent(s: Snapshot) -> str:
+    return f"{degrees_of(s.command):+.1f} deg" if s.mode is Mode.ENGAGED else "nothing"
 
 
 def _ms(age: float) -> str:

@@ -67,12 +67,16 @@ class Session:
         self.ending = False
         self.link: Any = None
         self.timing: Timing | None = None
+        self.asked: float | None = None
+        """The angle that the controller asked for last [rad]."""
         self.learner_steers: bool | None = None
         """Has the learner the wheel, or its recovery controller? None: there is no learner."""
 
     def watch(self, run: Run) -> bool:
         """Called after every step."""
         self.timing = run.timing
+        i, j = run.loop.source[run.loop.names.index("car"), "delta_sw_in"]
+        self.asked = run.y[i][j]
         if "supervisor" in run.loop.blocks:
             self.learner_steers = run.sample["supervisor.learning"] > 0.5
         return self.ending
