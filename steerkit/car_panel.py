@@ -26,8 +26,8 @@ COLOURS = {Mode.OFF: "white", Mode.STANDBY: "yellow", Mode.READY: "cyan", Mode.E
 class Panel:
     """Shows who has the wheel and why, and turns keys into orders; without a terminal it prints transitions only.
 
-    session: with `socket`, `timing`, `asked`, `learner_steers`, and `ending`, which ends the drive: so does a panel that
-    breaks, as nobody could let go by key any more. live: draw. more: a line of text of somebody else's.
+    session: with `socket`, `timing`, `asked`, `learner_steers`, and `ending`, which ends the drive: so does a panel
+    that breaks, as nobody could let go by key any more. live: draw. more: a line of text of somebody else.
     """
 
     def __init__(self, session: Any, title: str, *, live: bool, more: Callable[[], str] | None = None):
