@@ -53,11 +53,12 @@ def measure(
             over = threading.Event()
             engagements: list[str] = []
             threading.Thread(target=operate, args=(socket, over, engagements), daemon=True).start()
-            squares, worst, engaged = 0.0, 0.0, 0
+            squares, worst, engaged, lost = 0.0, 0.0, 0, ""
+            timing = realtime.Timing(period=0.05)
 
             def watch(run: realtime.Run) -> None:
-                nonlocal squares, worst, engaged
-                snapshot = link.last
+                nonlocal squares, worst, engaged, timing
+                timing, snapshot = run.timing, link.last
                 if snapshot and snapshot.mode is Mode.ENGAGED:
                     e = run.sample["path.e"]
                     squares, worst, engaged = squares + e * e, max(worst, abs(e)), engaged + 1
@@ -67,14 +68,17 @@ def measure(
                 print(granted)
             clock = Clock(scale=scale)
             more: dict[str, Any] = {}
-            if controller == "learn":
-                run = learn(config, path, link, folder / "run", 60.0 * minutes, clock, watch, more)
-            else:
-                block = cars.controller_named(controller, config)
-                run = cars.drive(config, path, link, block, duration=60.0 * minutes, clock=clock, watch=watch)
+            last = link.query()
+            try:
+                if controller == "learn":
+                    learn(config, path, link, folder / "run", 60.0 * minutes, clock, watch, more)
+                else:
+                    block = cars.controller_named(controller, config)
+                    cars.drive(config, path, link, block, duration=60.0 * minutes, clock=clock, watch=watch)
+            except CarLost as error:  # a machine that stands still for a second
+                lost = str(error)
             over.set()
-            last = link.last
-            assert last is not None
+            last = link.last or last
     finally:
         if fifo:
             os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
@@ -92,11 +96,11 @@ def measure(
         same_asked += replays.replayed_requests(drive, config, path)
     heard = [json.loads(line) for line in log.read_text().splitlines()]
     times = [h["t"] for h in heard if h.get("enable") == 1]
-    print(realtime.histogram_text(run.timing))
+    print(realtime.histogram_text(timing))
     return {
         "controller": controller, "minutes": minutes, "time_scale": scale, "bus": channel.split(":")[0],
         "sched_fifo": granted or "not asked for", "busy_processes": busy,
-        **run.timing.summary(), **more, "engagements": len(engagements), "faults": engagements[1:],
+        **timing.summary(), **more, "lost": lost, "engagements": len(engagements), "faults": engagements[1:],
         "mode_at_end": str(last.mode), "cause": last.text.splitlines()[0],
         "engaged_steps": engaged, "rms_e_m": (squares / max(1, engaged)) ** 0.5, "max_e_m": worst,
         "distance_m": max(h["progress"] for h in heard if "progress" in h),
@@ -116,7 +120,7 @@ def compare(options: argparse.Namespace) -> dict[str, Any]:
                 rows.append(measure(options.controller, options.minutes, options.time_scale, Path(folder),
                                     options.listen, fifo=fifo, busy=busy))  # fmt: skip
     names = ("sched_fifo", "busy_processes", "load_average", "steps", "misses", "jitter_p50_ms", "jitter_p99_ms",
-             "jitter_max_ms", "longest_step_ms", "longest_gap_on_bus_ms", "faults")  # fmt: skip
+             "jitter_max_ms", "longest_step_ms", "longest_gap_on_bus_ms", "faults", "lost")  # fmt: skip
     for name in names:
         print(f"{name:22s}", *[f"{_short(row[name]):>22s}" for row in rows])
     return {"drives": rows}

@@ -38,10 +38,11 @@ class DriverLink:
     """A line to the driver process over its Unix socket.
 
     socket_path: as given to the driver process. controller: may it ask for angles? Others may look, and give orders.
-    timeout [s]: longest wait for an answer. Raises CarLost when there is nobody, now or later.
+    timeout [s]: longest wait for an answer; of a driver process that ends, one hears at once, and one that stands still
+    lets go of the wheel by itself. Raises CarLost when there is nobody, now or later.
     """
 
-    def __init__(self, socket_path: str, *, controller: bool = True, timeout: float = 0.25):
+    def __init__(self, socket_path: str, *, controller: bool = True, timeout: float = 1.0):
         self.path, self.last, self.misses = socket_path, None, 0
         self.refused: list[str] = []
         """What the driver did not obey, and why; whoever shows it may clear it."""
