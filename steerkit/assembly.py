@@ -33,6 +33,7 @@ def steering_loop(
     doe: Block | None = None,
     recovery: Block | None = None,
     supervisor: Supervisor | None = None,
+    foresight: Block | None = None,
     actuator: Block | None = None,
     sensors: Block | None = None,
     reference: float = 0.0,
@@ -49,6 +50,14 @@ def steering_loop(
     The blocks are named driver, car, actuator, sensors, path, shift, controller, doe, recovery, supervisor. `path`
     tracks the **true** reference point, for logs and metrics; with sensors, `seen` tracks the measured one; a
     controller that wants e elsewhere (its field `reference`) or a preview gets a tracker of its own.
+    0.5 m and 0.1 m), which judges |e|, or the `distance` of `foresight`. actuator: between the command and the wheel
+    (none: the command is the angle). sensors: what the controllers see of the car (none: the truth). reference: where
+    e is measured, m ahead of the centre of gravity (the front axle is l_f).
+
+    The blocks are named driver, car, actuator, sensors, path, controller, doe, recovery, foresight, supervisor. `path`
+    tracks the **true** reference point, for logs and metrics; with sensors, `seen` tracks the measured one; a
+    controller that wants e elsewhere (its field `reference`) or a preview gets a tracker of its own. A car with an
+    output `applied` (a real one) says which angle it was told in the end; then the doe has to be `Corrected`.
     A controller's inputs are joined by name: e, e_dot, psi_e, kappa, r_e, s, progress, preview (its tracker), x, y,
     psi, v, beta, r, a_y (sensors or car), delta_sw_meas (actuator or car), doe (the DOE's state).
 
@@ -63,6 +72,8 @@ def steering_loop(
         )  # fmt: skip
     if supervisor is not None and recovery is None:
         raise WiringError("a supervisor without a recovery controller; give recovery, such as Stanley.of(vehicle)")
+    if foresight is not None and recovery is None:
+        raise WiringError("foresight without a recovery controller; give recovery, such as Stanley.of(vehicle)")
     if recovery is not None and "ready" not in _names(controller.outputs):
         raise WiringError(f"{type(controller).__name__} has no output 'ready', which the supervisor needs to know")
     bench = _Bench(path)
@@ -96,12 +107,19 @@ def steering_loop(
         bench.control(recovery, tracker, seen, steered, doe)
         judge = bench.add("supervisor", supervisor or Supervisor(dt=controller.dt))
         bench.wire(shift or tracker, "e", judge, "e")
+        if foresight is None:
+            bench.wire(tracker, "e", judge, "e")
+        else:
+            bench.add("foresight", foresight)
+            bench.control(foresight, tracker, seen, steered, doe)
+            bench.wire(foresight, "distance", judge, "e")
         bench.wire(controller, "ready", judge, "ready")
         bench.wire(command, "delta_sw", judge, "learner")
         bench.wire(recovery, "delta_sw", judge, "recovery")
         command = judge
     if doe is not None:
-        bench.wire(command, "delta_sw", doe, "applied")
+        told = "applied" in _names(car.outputs)
+        bench.wire(car if told else command, "applied" if told else "delta_sw", doe, "applied")
     if actuator is not None:
         bench.wire(command, "delta_sw", actuator, "delta_sw_cmd")
     bench.wire(steered if actuator is not None else command, "delta_sw", car, "delta_sw_in")

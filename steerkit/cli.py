@@ -6,8 +6,10 @@ import json
 import sys
 import tomllib
 from dataclasses import replace
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any
 
 import typer
@@ -31,11 +33,47 @@ class Conditions(StrEnum):
     hard = "hard"
 
 
+_SIMULATED, _CAR = "In simulation (without --car)", "On a car (with --car)"
 Seed = Annotated[int, typer.Option(help="Seed of nets, driver and sensors.")]
-Course = Annotated[str, typer.Option(help="Course to drive: see `steerkit courses`.")]
-Disturbed = Annotated[Conditions, typer.Option(help="hard: 1 cm noise, 50 ms sensor delay, 0.15 s lag.")]
+Course = Annotated[str, typer.Option(help="Course to drive: see `steerkit courses`.", rich_help_panel=_SIMULATED)]
+Disturbed = Annotated[
+    Conditions, typer.Option(help="hard: 1 cm noise, 50 ms sensor delay, 0.15 s lag.", rich_help_panel=_SIMULATED)
+]
 Machine = Annotated[bool, typer.Option("--json", help="Print one JSON object as the last line.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print results only, no progress.")]
+Car = Annotated[
+    str,
+    typer.Option(
+        "--car", help="TOML file of a car on a CAN bus, or a shipped one: dbw-kit.toml; read docs/real-car.md first."
+    ),
+]
+Recovery = Annotated[str, typer.Option(help="Who catches a learned controller: stanley.", rich_help_panel=_CAR)]
+Simulated = Annotated[
+    bool, typer.Option("--simulated", help="A simulated car on a bus, started for it.", rich_help_panel=_CAR)
+]
+Socket = Annotated[str, typer.Option(help="Unix socket of the driver process.", rich_help_panel=_CAR)]
+RecordTo = Annotated[str, typer.Option(help="MCAP file to record to; default: under runs/.", rich_help_panel=_CAR)]
+Channel = Annotated[
+    str,
+    typer.Option(
+        help="slcan device or socket://, or INTERFACE:CHANNEL, instead of the file's bus.", rich_help_panel=_CAR
+    ),
+]
+Scale = Annotated[
+    float, typer.Option(help="How many times faster than real time; simulated cars only.", rich_help_panel=_CAR)
+]
+Realtime = Annotated[
+    bool, typer.Option("--realtime", help="Run under SCHED_FIFO, if the system lets us.", rich_help_panel=_CAR)
+]
+
+_NOT_ON_A_CAR = {
+    "course": "the car's file names the course, under [course]",
+    "conditions": "a car brings its own noise and delays",
+    "rounds": "say --minutes, or end with `q`",
+    "config": "an experiment is a simulation; choose --setting",
+}
+"""Options of the simulation, and what a car has instead."""
+_ON_A_CAR_ONLY = ("recovery", "simulated", "socket", "recording", "channel", "time_scale", "realtime")
 
 
 _CONTROLLERS = (
@@ -45,7 +83,8 @@ _CONTROLLERS = (
 
 @app.command()
 def learn(
-    course: Course = "paper",
+    ctx: typer.Context,
+    car: Car = "",
     setting: Annotated[str, typer.Option(help="How to learn: default, paper, bang-bang, ...")] = "default",
     changes: Annotated[
         list[str] | None,
@@ -57,10 +96,45 @@ def learn(
     rounds: Annotated[int, typer.Option(help="End after so many complete rounds by the learner; 0: never.")] = 0,
     config: Annotated[Path | None, typer.Option(help="TOML file with an experiment; other options give way.")] = None,
     out: Annotated[Path | None, typer.Option(help="Run directory; an unfinished run there is resumed.")] = None,
+    seed: Seed = 0,
+    minutes: Annotated[
+        float | None,
+        typer.Option(help="Minutes of driving, recovery and waiting included; default: 11, on a car until `q`."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Run directory; an unfinished run there is resumed. On a car: runs/car.")
+    ] = None,
     quiet: Quiet = False,
     as_json: Machine = False,
+    course: Course = "paper",
+    conditions: Disturbed = Conditions.clean,
+    rounds: Annotated[
+        int,
+        typer.Option(help="End after so many complete rounds by the learner; 0: never.", rich_help_panel=_SIMULATED),
+    ] = 0,
+    config: Annotated[
+        Path | None,
+        typer.Option(help="TOML file with an experiment; other options give way.", rich_help_panel=_SIMULATED),
+    ] = None,
+    recovery: Recovery = "stanley",
+    simulated: Simulated = False,
+    socket: Socket = "",
+    recording: RecordTo = "",
+    channel: Channel = "",
+    time_scale: Scale = 1.0,
+    realtime: Realtime = False,
 ) -> None:
     """Let a car learn to steer a course from nothing, the recovery controller catching it."""
+    _check_options(ctx, car)
+    if car:
+        from steerkit import car_session
+
+        options = _car_options(ctx)
+        place = out or car_session.cars.LEARNED
+        figures = car_session.learn(options, setting, place, minutes=minutes or 0.0, seed=seed)
+        if as_json:
+            print(json.dumps(figures))
+        return
     from steerkit.learning import report, rundir
     from steerkit.learning.experiment import Experiment
     from steerkit.learning.settings import changed
@@ -69,7 +143,8 @@ def learn(
 
     if config is None:
         world = World.under(conditions.value, course=course)
-        experiment = Experiment(setting=named(setting), world=world, minutes=minutes, rounds=rounds, seed=seed)
+        time = 11.0 if minutes is None else minutes
+        experiment = Experiment(setting=named(setting), world=world, minutes=time, rounds=rounds, seed=seed)
     else:
         experiment = rundir.from_plain(_toml(config), str(config), Experiment)
     experiment = replace(experiment, setting=changed(experiment.setting, changes or ()))
@@ -92,8 +167,34 @@ def drive(
     seed: Seed = 0,
     out: Annotated[Path | None, typer.Option(help="Directory for the log and the picture.")] = None,
     animate: Annotated[Path | None, typer.Option(help="Film of the drive to write: .gif, or .mp4 with ffmpeg.")] = None,
+    ctx: typer.Context,
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="CONTROLLER", show_default=False, help="stanley, ..., nfq, or a learning run's directory."
+        ),
+    ] = "",
+    controller: Annotated[
+        str, typer.Option(help="The same as an option; nfq: what `learn`, called alike, has learned.")
+    ] = "",
+    car: Car = "",
     quiet: Quiet = False,
     as_json: Machine = False,
+    course: Course = "paper",
+    conditions: Disturbed = Conditions.clean,
+    rounds: Annotated[float, typer.Option(help="Rounds to drive.", rich_help_panel=_SIMULATED)] = 1.0,
+    seed: Annotated[int, typer.Option(help="Seed of driver and sensors.", rich_help_panel=_SIMULATED)] = 0,
+    out: Annotated[
+        Path | None, typer.Option(help="Directory for the log and the picture.", rich_help_panel=_SIMULATED)
+    ] = None,
+    recovery: Recovery = "stanley",
+    minutes: Annotated[float, typer.Option(help="How many minutes; 0: until `q`.", rich_help_panel=_CAR)] = 0.0,
+    simulated: Simulated = False,
+    socket: Socket = "",
+    recording: RecordTo = "",
+    channel: Channel = "",
+    time_scale: Scale = 1.0,
+    realtime: Realtime = False,
 ) -> None:
     """Drive a course with any controller and report how well it did."""
     from dataclasses import replace
@@ -110,8 +211,67 @@ def drive(
         car, log = world.vehicle, Log.load(place / "drive.npz")
         log.animate(world.path(), animate, wheelbase=car.wheelbase, l_f=car.l_f, steer_ratio=car.steer_ratio,
                     progress=not quiet)  # fmt: skip
+    """Drive with any controller: a course in simulation, or with --car FILE a car, armed and engaged by keys."""
+    _check_options(
+        ctx,
+        car,
+        not_on_a_car={"seed": "nothing is drawn by lot there", "out": "say --recording FILE"},
+        on_a_car_only=("minutes",),
+    )
+    if name and controller and name != controller:
+        raise ValueError(f"two controllers, '{name}' and --controller {controller}; name one")
+    name = name or controller
+    if car:
+        from steerkit import car_session
+
+        if not name:
+            raise ValueError(f"drive: with which controller? valid: {car_session.cars.VALID}")
+        figures = car_session.drive(_car_options(ctx), name, minutes=minutes)
+        if as_json:
+            print(json.dumps(figures))
+        return
+    from steerkit.learning import evaluate, report
+    from steerkit.learning.world import World
+
+    if not name:
+        valid = ", ".join(evaluate.CONTROLLERS)
+        raise ValueError(f"drive: with which controller? valid: {valid}, nfq, or the directory of a learning run")
+    world = World.under(conditions.value, course=course)
+    if name == "nfq":
+        name = str(Path("runs") / f"default-{course}-{conditions.value}-seed{seed}")
+        if not Path(name).is_dir():
+            raise ValueError(f"drive nfq: there is no {name}; `steerkit learn` with the same options makes it")
+    place = out or Path("runs") / f"drive-{Path(name).name}-{course}-{conditions.value}-seed{seed}"
+    row = report.drive_and_draw(name, world, place, rounds=rounds, seed=seed, quiet=quiet)
     if as_json:
         print(json.dumps(row))
+
+
+def _check_options(
+    ctx: typer.Context,
+    car: str,
+    *,
+    not_on_a_car: Mapping[str, str] = MappingProxyType({}),
+    on_a_car_only: Sequence[str] = (),
+) -> None:
+    """Refuse options of the simulation on a car, and the other way round, saying what there is instead."""
+    for name in ctx.params:
+        source = ctx.get_parameter_source(name)
+        if source is None or source.name != "COMMANDLINE":
+            continue
+        option = f"--{name.replace('_', '-')}"
+        instead = {**_NOT_ON_A_CAR, **not_on_a_car}.get(name)
+        if car and instead:
+            raise ValueError(f"{option} is for simulations: {instead}; leave it out, or leave out --car")
+        if not car and name in (*_ON_A_CAR_ONLY, *on_a_car_only):
+            raise ValueError(f"{option} is for a car; name its file: --car dbw-kit.toml, or leave {option} out")
+
+
+def _car_options(ctx: typer.Context) -> Any:
+    from steerkit.car_session import Options
+
+    p = ctx.params
+    return Options(config=p["car"], **{n: p[n] for n in (*_ON_A_CAR_ONLY, "quiet")})
 
 
 @app.command()

@@ -11,12 +11,16 @@ from typing import Any
 from steerkit.block import Block, require
 from steerkit.doe import Direct, Integrator, LowPass
 from steerkit.learning.costs import BandCost, Cost, IdoeCost, SmoothCost, TanhCost
+from steerkit.block import require
+from steerkit.doe import Direct, Dynamic, Integrator, LowPass
+from steerkit.learning.costs import BandCost, Cost, IdoeCost, TanhCost
 from steerkit.learning.nfq import FitSetting
 from steerkit.learning.state import StateDescription
 from steerkit.units import radians_of
 
 AFTER_FAILURE = ("recovery", "reset", "shift")
 ELEMENTS = {"integrator": Integrator, "low-pass": LowPass, "direct": Direct}
+ELEMENTS: dict[str, type[Dynamic]] = {"integrator": Integrator, "low-pass": LowPass, "direct": Direct}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +83,7 @@ class Setting:
         """The actions [rad]."""
         return tuple(radians_of(a) for a in self.actions_deg)
 
-    def element(self) -> Block:
+    def element(self) -> Dynamic:
         """The dynamic output element."""
         return ELEMENTS[self.doe]()
 

@@ -24,6 +24,7 @@ from steerkit import maths as m
 from steerkit.analysis import FromControl, Tap
 from steerkit.block import Block, In, Out
 from steerkit.controllers.delay import Predicted, delayed_stanley
+from steerkit.controllers.foresight import Foresight
 from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.pure_pursuit import PurePursuit
@@ -31,6 +32,7 @@ from steerkit.controllers.recovery import Guarded, Supervisor, SupervisorState, 
 from steerkit.controllers.stanley import Stanley
 from steerkit.doe import Direct, Integrator, LowPass
 from steerkit.learning.exploration import Exploring
+from steerkit.doe import Corrected, Direct, Integrator, LowPass
 from steerkit.learning.model import CarModel
 from steerkit.learning.rival import ModelPolicy
 from steerkit.path import Path
@@ -91,6 +93,9 @@ EXAMPLES = [
     Example(Integrator()),
     Example(LowPass()),
     Example(Direct()),
+    Example(Corrected()),
+    Example(Corrected(element=LowPass())),
+    Example(Foresight()),
     Example(Stanley.of(PASSAT)),
     Example(Stanley.textbook(PASSAT)),
     Example(delayed_stanley(PASSAT, delay=0.13, lag=0.1)),

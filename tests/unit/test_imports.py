@@ -48,6 +48,7 @@ MAY_IMPORT: dict[str, set[str]] = {
 }  # fmt: skip
 """A module or package at the top of steerkit, and which others it may import; itself always."""
 PROGRAMS = ("cli", "car", "car_cli", "car_panel", "identify_cli")
+PROGRAMS = ("cli", "car", "car_cli", "car_panel", "car_replay", "car_session")
 """Programs over the library: they may import all of it."""
 WHEN_USED = {
     "block": {"notebook"},

@@ -54,6 +54,10 @@ class CarConfig:
     gate: GateLimits
     states: StateLimits
     listen_only: bool = False
+    lag: float = 0.1
+    """Time constant of the kit's motor [s], for controllers that predict; so is `delay`."""
+    delay: float = 0.0
+    """From a command to the motor's answer [s]."""
     texts: dict[str, str] = field(default_factory=dict, repr=False)
     """The files that it was made from: `config.toml`, DBC files and course by name; for the recording."""
 
@@ -81,6 +85,7 @@ class CarConfig:
         )
         rest = {"enable": w.enable, "clear": w.clear, "counter": w.counter, "CRC": w.crc}
         lines.append(f"           {', '.join(f'{k} {v}' for k, v in rest.items() if v)}; fixed {dict(w.fixed)}")
+        lines.append(f"kit      lag {self.lag:g} s, delay {self.delay:g} s, for controllers that predict")
         for limits in (self.gate, self.states):
             for f in fields(limits):
                 if f.name not in DERIVED:
