@@ -22,9 +22,11 @@ import steerkit
 from steerkit import maths as m
 from steerkit.block import Block, In, Out
 from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.controllers.policy_block import Network, PolicyBlock
 from steerkit.controllers.recovery import Guarded, Supervisor, SupervisorState
 from steerkit.controllers.stanley import Stanley
 from steerkit.doe import Direct, Integrator, LowPass
+from steerkit.gym.task import Agent
 from steerkit.learning.model import CarModel
 from steerkit.learning.rival import ModelPolicy
 from steerkit.path import Path
@@ -45,6 +47,7 @@ _rng = np.random.default_rng(0)
 NETS = tuple(
     (_rng.normal(size=(5, 7)), _rng.normal(size=5), _rng.normal(size=(1, 5)), _rng.normal(size=1)) for _ in range(2)
 )
+LAYERS = ((_rng.normal(size=(5, 6)), _rng.normal(size=5)), (_rng.normal(size=(3, 5)), _rng.normal(size=3)))
 
 
 @dataclass(frozen=True)
@@ -88,6 +91,9 @@ EXAMPLES = [
     Example(Guarded(block=PathTracker(path=OVAL, preview_points=2))),
     Example(NfqPolicy(nets=NETS)),
     Example(NfqPolicy(nets=NETS, combine="max", ready_from=0.1)),
+    Example(PolicyBlock(policy=Network(layers=LAYERS), actions=(-0.1, 0.0, 0.1))),
+    Example(PolicyBlock(policy=Network(layers=(LAYERS[0], (LAYERS[1][0][:1], LAYERS[1][1][:1])), head="tanh"))),
+    Example(Agent()),
     Example(ModelPolicy(model=CAR_MODEL)),
     Example(PathTracker(path=OVAL)),
     Example(PathTracker(path=OVAL, reference=1.2, preview_points=3)),
