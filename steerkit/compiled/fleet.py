@@ -74,7 +74,7 @@ class Fleet:
         self._library.run(*span, *at)
 
     def look(self) -> Array:
-        """All slots (S, N) after the first tick of the period to come, which is not taken: its outputs are as of now."""
+        """All slots (S, N) after the first tick of the next period, which is not taken: its outputs are as of now."""
         at = [ctypes.c_void_p(a.ctypes.data) for a in (self._state, self._none, self._all)]
         self._library.finish(_LL(0), _LL(0), _LL(self._groups), *at)
         return self._all.transpose(1, 0, 2).reshape(len(self.trace.layout), -1)[:, : self.cars]

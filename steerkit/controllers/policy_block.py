@@ -166,7 +166,7 @@ class PolicyBlock(Block):
         return np.array(self.actions)[values.astype(np.intp)]
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the block of a `Network` to one small file (NumPy .npz, no pickle) that `load` gives back bit for bit."""
+        """Write the block of a `Network` to a small file (NumPy .npz, no pickle); `load` gives it back bit for bit."""
         net, d = self.policy, self.description
         if not isinstance(net, Network):
             raise TypeError(f"PolicyBlock.save: {net!r} is no Network; only weights can be written to a file")
@@ -192,7 +192,7 @@ class PolicyBlock(Block):
                 policy=net,
                 actions=tuple(f["actions"].tolist()) or None,
                 largest=float(f["largest"]),
-                description=StateDescription(**numbers),
+                description=StateDescription(**numbers),  # type: ignore[arg-type]
                 ready_from=float(f["ready_from"]),
                 dt=float(f["dt"]),
             )

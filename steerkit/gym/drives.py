@@ -173,7 +173,9 @@ def _first(state: Any) -> Any:
 
 def _wide(state: Any, n: int) -> Any:
     """The same with an (N,) array for every number."""
-    return _like(state, [_wide(v, n) if isinstance(v, tuple) else np.array(np.broadcast_to(v, n), float) for v in state])
+    return _like(
+        state, [_wide(v, n) if isinstance(v, tuple) else np.array(np.broadcast_to(v, n), float) for v in state]
+    )
 
 
 def _with(state: Any, values: Any, cars: NDArray[np.intp], n: int) -> Any:

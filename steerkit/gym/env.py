@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -26,15 +26,17 @@ class TrackSteering(gymnasium.Env[NDArray[np.float32], Any]):
     render_mode: None or `rgb_array`. backend: `python`, or `c`, faster but for some seconds the first time.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 20}
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 20}
 
     def __init__(self, *, render_mode: str | None = None, backend: Backend = "python", **options: Any):
         modes = self.metadata["render_modes"]
-        require(render_mode in (None, *modes), "TrackSteering", f"render_mode {render_mode!r}; valid: {', '.join(modes)}")
+        require(
+            render_mode in (None, *modes), "TrackSteering", f"render_mode {render_mode!r}; valid: {', '.join(modes)}"
+        )
         self.task = Task.of(options)
         self.render_mode = render_mode
         self.action_space = self.task.action_space
-        self.observation_space = self.task.observation_space
+        self.observation_space = self.task.observation_space  # type: ignore[assignment]
         self._drives = Drives(self.task, 1, backend)
         self._painter = Painter(self.task) if render_mode else None
         self._over = True
@@ -54,7 +56,9 @@ class TrackSteering(gymnasium.Env[NDArray[np.float32], Any]):
     def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Drive one sample; raises ResetNeeded after the end of an episode."""
         if self._over:
-            raise gymnasium.error.ResetNeeded("TrackSteering.step: the episode is over, or none has begun; call reset()")
+            raise gymnasium.error.ResetNeeded(
+                "TrackSteering.step: the episode is over, or none has begun; call reset()"
+            )
         reward, terminated, truncated = self._drives.step(self.task.angle(action, self.action_space.shape or ()))
         self._over = bool(terminated[0] or truncated[0])
         info = self._info()

@@ -86,7 +86,10 @@ class Painter:
         draw.line(seen(xy), fill=_INK, width=_FINE)
         posts = np.abs(s / 5.0 - np.round(s / 5.0)) < 0.025 + 1e-9  # every five metres, so that speed shows
         for side in (-1.0, 1.0):
-            for a, b in zip(seen((xy + side * (self._limit + 0.25) * left)[posts]), seen((xy + side * (self._limit + 0.6) * left)[posts])):
+            for a, b in zip(
+                seen((xy + side * (self._limit + 0.25) * left)[posts]),
+                seen((xy + side * (self._limit + 0.6) * left)[posts]),
+            ):
                 draw.line([a, b], fill=_MUTED, width=2 * _FINE)
         psi_car = float(now["psi"])
         wheel = psi_car + float(now["delta_sw"]) / self._ratio if "delta_sw" in now else psi_car

@@ -20,7 +20,11 @@ def from_stable_baselines(model: Any, task: Task) -> PolicyBlock:
     where, kind = "from_stable_baselines", type(model).__name__
     same = model.observation_space == task.observation_space and model.action_space == task.action_space
     spaces_of = f"{model.observation_space}, {model.action_space}"
-    require(same, where, f"a model of {spaces_of}, expected those of the task: {task.observation_space}, {task.action_space}")
+    require(
+        same,
+        where,
+        f"a model of {spaces_of}, expected those of the task: {task.observation_space}, {task.action_space}",
+    )
     policy = model.policy
     if kind == "DQN":
         parts, head = [policy.q_net.q_net], "argmax"

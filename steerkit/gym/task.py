@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
@@ -244,10 +245,12 @@ class Task:
         given = np.asarray(actions)
         if self.angles:
             whole = given.shape == shape and bool(np.all((given >= 0) & (given < len(self.angles)) & (given % 1 == 0)))
-            require(whole, "TrackSteering.step", f"action {actions!r}, expected 0 to {len(self.angles) - 1}")
+            if not whole:
+                raise ValueError(f"TrackSteering.step: action {actions!r}, expected 0 to {len(self.angles) - 1}")
             return np.array(self.angles)[given.astype(np.intp)].reshape(-1)
         fits = given.size == math.prod(shape) and bool(np.all(np.abs(given) <= 1.0 + 1e-6))
-        require(fits, "TrackSteering.step", f"action {actions!r}, expected within [-1, 1], one number a car")
+        if not fits:
+            raise ValueError(f"TrackSteering.step: action {actions!r}, expected within [-1, 1], one number a car")
         return given.astype(float).reshape(-1) * self.scale
 
     def observation(self, s: Array) -> NDArray[np.float32]:
@@ -264,10 +267,9 @@ class Task:
         require(not unknown, "TrackSteering.reset", f"option {unknown[:1]} is not known; valid: s, e, psi_e")
         seed = int(rng.integers(2**31))
         end = self.path.length if self.path.closed else max(0.0, self.path.length - END_MARGIN - LEAST_ROOM)
-        s, e, psi_e = rng.random() * end, *(rng.uniform(-1.0, 1.0, 2) * (self.start_e, self.start_psi_e)).tolist()
-        if self.start == "beginning":
-            s = 0.0
-        drawn = Draw(seed, *(float(given.get(n, v)) for n, v in (("s", s), ("e", e), ("psi_e", psi_e))))
+        s, e, psi_e = rng.random() * end, rng.uniform(-self.start_e, self.start_e), rng.uniform(-1.0, 1.0)
+        chosen = {"s": 0.0 if self.start == "beginning" else s, "e": e, "psi_e": self.start_psi_e * psi_e} | given
+        drawn = Draw(seed, *(float(chosen[name]) for name in ("s", "e", "psi_e")))
         fits = 0.0 <= drawn.s <= self.path.length and abs(drawn.e) < self.limit and abs(drawn.psi_e) < 1.6
         require(fits, "TrackSteering.reset", f"{drawn}, expected s on the course, |e| < limit, |psi_e| < 1.6 rad")
         return drawn
@@ -277,7 +279,7 @@ class Task:
         loop, n = self.loop, len(draws)
         x = {name: self._drawn(block, draws) for name, block in loop.blocks.items()}
         s, e, psi_e = np.array([draw[1:] for draw in draws]).T
-        x["car"] = self._car_at(s, e, psi_e).init((n,))
+        x["car"] = self._car_at(s, e, psi_e)
         first = loop.init(x=[*x.values()])
         car = loop.blocks["car"]
         if not isinstance(x["car"], SingleTrackState):
@@ -289,7 +291,7 @@ class Task:
         wheel = c.steer_ratio * (c.wheelbase + c.understeer_gradient * v**2) * kappa
         wheel = np.clip(wheel, -c.delta_sw_max, c.delta_sw_max)
         drift = np.arctan2(v * np.sin(beta) + r * self.place.ahead, v * np.cos(beta))
-        at = self._car_at(s, e, psi_e - drift).init((n,))
+        at = self._car_at(s, e, psi_e - drift)
         sway = v * np.sin(beta) if isinstance(car, NonlinearSingleTrack) else beta
         x["car"] = at._replace(sway=sway, r=r, v=v + np.zeros(n), delta_sw=wheel)
         if isinstance(loop.blocks["doe"], Dynamic):
@@ -299,12 +301,15 @@ class Task:
         return loop.init(x=[*x.values()])
 
     def _car_at(self, s: Array, e: Array, psi_e: Array) -> Any:
-        """The car with its reference point e [m] left of the path at s [m], turned by psi_e [rad]."""
+        """The car's state with its reference point e [m] left of the path at s [m], turned by psi_e [rad]."""
         psi = self.path.psi(s)
         xy = self.path.point(s) + e[:, None] * np.column_stack((-np.sin(psi), np.cos(psi)))
         xy -= self.place.ahead * np.column_stack((np.cos(psi + psi_e), np.sin(psi + psi_e)))
         car: Any = self.loop.blocks["car"]
-        return dataclasses.replace(car, x0=xy[:, 0], y0=xy[:, 1], psi0=psi + psi_e)
+        state = car.init(s.shape)
+        if isinstance(state, SingleTrackState):
+            return state._replace(x=xy[:, 0], y=xy[:, 1], psi=psi + psi_e)
+        return dataclasses.replace(car, x0=xy[:, 0], y0=xy[:, 1], psi0=psi + psi_e).init(s.shape)
 
     def _drawn(self, block: Block, draws: Sequence[Draw]) -> Any:
         """The block's state at the start of these cars, with their seeds if it draws random numbers."""
@@ -318,10 +323,13 @@ class Task:
 def reseeded(block: Any, seed: int) -> Any:
     """The block with its field `seed`, or that of a block inside it, exchanged; itself if there is none."""
     changed: dict[str, Any] = {}
-    for field in dataclasses.fields(block):
-        value = getattr(block, field.name)
-        if field.name == "seed":
+    for name, value in vars(block).items():
+        if name == "seed":
             changed["seed"] = seed
         elif isinstance(value, Block) and (inner := reseeded(value, seed)) is not value:
-            changed[field.name] = inner
-    return dataclasses.replace(block, **changed) if changed else block
+            changed[name] = inner
+    if not changed:
+        return block
+    new = copy.copy(block)  # not dataclasses.replace: its checks take most of the time of a start
+    vars(new).update(changed)
+    return new

@@ -60,7 +60,7 @@ class TrackSteeringVector(VectorEnv[NDArray[np.float32], Any, NDArray[Any]]):
         self._seeded: list[tuple[np.random.Generator, int]] = []
         self._over = np.ones(num_envs, dtype=bool)
 
-    @property
+    @property  # type: ignore[misc]
     def np_random(self) -> Any:
         """The generators of the cars."""
         return tuple(rng for rng, _ in self._generators())
@@ -80,7 +80,11 @@ class TrackSteeringVector(VectorEnv[NDArray[np.float32], Any, NDArray[Any]]):
             mask = np.ones(self.num_envs, dtype=bool)
         fits = isinstance(mask, np.ndarray) and mask.dtype == bool and mask.shape == (self.num_envs,) and mask.any()
         require(fits, "reset", f"reset_mask {mask!r}, expected a boolean array ({self.num_envs},), not all False")
-        seeds = list(seed) if isinstance(seed, Sequence) else [None if seed is None else seed + i for i in range(self.num_envs)]
+        seeds = (
+            list(seed)
+            if isinstance(seed, Sequence)
+            else [None if seed is None else seed + i for i in range(self.num_envs)]
+        )
         require(len(seeds) == self.num_envs, "reset", f"{len(seeds)} seeds, expected {self.num_envs}, one a car")
         generators = self._generators()
         for i in np.flatnonzero(mask).tolist():

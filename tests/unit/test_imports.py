@@ -42,6 +42,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "plotting": RUN | {"path", "diagram"},
     "learning": RUN | {"clock", "realtime", "path", "tracker", "doe", "courses", "plants", "controllers", "assembly",
                        "compiled", "metrics", "plotting"},
+    "gym": RUN | {"path", "doe", "plants", "controllers", "assembly", "learning", "compiled"},
 }  # fmt: skip
 """A module or package at the top of steerkit, and which others it may import; itself always."""
 PROGRAMS = ("cli", "car", "car_cli", "car_panel")
@@ -64,6 +65,8 @@ AT_HOME = {
     "pandas": {"simulation"},
     "pyarrow": {"simulation", "learning.store_exchange"},
     "typer": {"cli", "car_cli"},
+    "gymnasium": {"gym"},
+    "PIL": {"gym.frames"},
 }
 """Where a package may be imported: a module or package of steerkit."""
 
