@@ -18,7 +18,7 @@ from steerkit.assembly import steering_loop
 from steerkit.block import Block, Out, State, require
 from steerkit.controllers.nfq_policy import IDOE_ACTIONS, StateDescription
 from steerkit.doe import Direct, Dynamic, HeldAngle, Integrator, LowPass
-from steerkit.learning.costs import BandCost, Cost, IdoeCost, SmoothCost
+from steerkit.learning.costs import COSTS, BandCost, Cost, IdoeCost, SmoothCost
 from steerkit.learning.state import STANDARD
 from steerkit.learning.world import END_MARGIN, World
 from steerkit.loop import Loop, LoopState
@@ -37,6 +37,7 @@ ACTIONS: dict[str, tuple[tuple[float, ...] | None, str]] = {
     "continuous": (None, "integrator"),
 }
 """Action sets by name: their angles [rad], and the dynamic output element they are made for."""
+COST_KINDS: dict[str, Any] = {cost.__name__: cost for cost in COSTS}
 BOUND = 10.0
 """Observations, scaled to about [-1, 1], are cut off here."""
 LEAST_ROOM = 30.0
@@ -95,8 +96,9 @@ class Task:
     largest: float | None = None
     """The angle [rad] that a continuous action of 1 means. By default 25 degrees a sample (500 degrees/s) with the
     integrator, else 520 degrees."""
-    cost: str | Cost = "smooth"
-    """`smooth` (`SmoothCost`), `paper` (`IdoeCost`; `BandCost` where no action is 0), or any `Cost`."""
+    cost: Any = "smooth"
+    """`smooth` (`SmoothCost`), `paper` (`IdoeCost`; `BandCost` where no action is 0), any `Cost`, or the fields of one
+    of `steerkit.learning.costs` in a dictionary, its class under `kind`."""
     limit: float = 0.5
     """|e| [m] beyond which the episode has failed, for a cost given by name (others bring their own `trip`)."""
     failure: float = 1.0
@@ -133,8 +135,8 @@ class Task:
             require(fits, where, f"actions = {self.actions}, expected at least two angles [rad]")
         known = isinstance(self.doe, Block) or self.doe is None or self.doe in ELEMENTS
         require(known, where, f"doe {self.doe!r}; valid: {', '.join(ELEMENTS)}, or a block")
-        named = not isinstance(self.cost, str) or self.cost in ("smooth", "paper")
-        require(named, where, f"cost {self.cost!r}; valid: smooth, paper, or a Cost")
+        choices = f"smooth, paper, a Cost, or its fields with a kind: {', '.join(COST_KINDS)}"
+        require(_is_cost(self.cost), where, f"cost {self.cost!r}; valid: {choices}")
         require(self.start in ("anywhere", "beginning"), where, f"start {self.start!r}; valid: anywhere, beginning")
         require(0.05 < self.limit < 10.0, where, f"limit = {self.limit} m, expected 0.05 to 10 m")
         require(0.05 <= self.duration < math.inf, where, f"duration = {self.duration} s, expected at least 0.05 s")
@@ -186,6 +188,8 @@ class Task:
     @cached_property
     def price(self) -> Cost:
         """The cost."""
+        if isinstance(self.cost, Mapping):
+            return COST_KINDS[self.cost["kind"]](**{n: v for n, v in self.cost.items() if n != "kind"})
         if not isinstance(self.cost, str):
             return self.cost
         if self.cost == "paper":
@@ -318,6 +322,12 @@ class Task:
         states = [reseeded(block, draw.seed).init() for draw in draws]
         columns = [np.array(column) for column in zip(*states)]
         return type(states[0])(*columns) if hasattr(states[0], "_fields") else tuple(columns)
+
+
+def _is_cost(cost: Any) -> bool:
+    if isinstance(cost, str):
+        return cost in ("smooth", "paper")
+    return cost.get("kind") in COST_KINDS if isinstance(cost, Mapping) else callable(cost)
 
 
 def reseeded(block: Any, seed: int) -> Any:
