@@ -43,6 +43,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "learning": RUN | {"clock", "realtime", "path", "tracker", "doe", "courses", "plants", "controllers", "assembly",
                        "compiled", "metrics", "plotting"},
     "onnx_export": BASE | {"controllers"},
+    "fmu_export": RUN | {"compiled"},
     "gym": RUN | {"path", "doe", "plants", "controllers", "assembly", "learning", "compiled"},
 }  # fmt: skip
 """A module or package at the top of steerkit, and which others it may import; itself always."""
@@ -69,6 +70,8 @@ AT_HOME = {
     "onnx": {"onnx_export"},
     "onnxruntime": {"onnx_export"},
     "minari": {"gym.minari_export"},
+    "pythonfmu": {"fmu_export"},
+    "fmpy": {"plants.fmu_plant"},
     "gymnasium": {"gym"},
     "PIL": {"gym.frames"},
 }
