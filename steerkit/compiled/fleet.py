@@ -41,7 +41,12 @@ class Fleet:
         self._carried = np.array(self.trace.carried)
         self._state = np.zeros((self._groups, len(self._carried), self.lanes))
         self._all = np.empty((self._groups, len(self.trace.layout), self.lanes))
-        self._none = np.zeros((self._groups, 1, self.lanes))
+        none = np.zeros((self._groups, 1, self.lanes))
+        self._arrays = self._state, none, self._all  # kept, as C is given their addresses
+        at = [ctypes.c_void_p(array.ctypes.data) for array in self._arrays]
+        span = _LL(0), _LL(self._groups)
+        self._run = _LL(0), _LL(loop.period), _LL(1), *span, _LL(self._groups * self.lanes), *at
+        self._finish = _LL(0), *span, *at
 
     def state_slot(self, block: str, entry: int = 0) -> int:
         """The slot of a block's state entry, for `set`."""
@@ -69,12 +74,9 @@ class Fleet:
 
     def advance(self) -> None:
         """Run one period of the loop."""
-        at = [ctypes.c_void_p(a.ctypes.data) for a in (self._state, self._none, self._all)]
-        span = _LL(0), _LL(self.loop.period), _LL(1), _LL(0), _LL(self._groups), _LL(self._groups * self.lanes)
-        self._library.run(*span, *at)
+        self._library.run(*self._run)
 
     def look(self) -> Array:
         """All slots (S, N) after the first tick of the next period, which is not taken: its outputs are as of now."""
-        at = [ctypes.c_void_p(a.ctypes.data) for a in (self._state, self._none, self._all)]
-        self._library.finish(_LL(0), _LL(0), _LL(self._groups), *at)
+        self._library.finish(*self._finish)
         return self._all.transpose(1, 0, 2).reshape(len(self.trace.layout), -1)[:, : self.cars]

@@ -49,6 +49,7 @@ class Drives:
         require(whole, "TrackSteering", f"sample times of {loop!r}, expected none longer than the agent's {task.dt} s")
         self.task, self.n = task, cars
         self._info = [name for name in INFO if name in loop.units]
+        self._names = [name.split(".")[1] for name in self._info]
         signals = [*task.columns, *self._info]
         self._cars: _Cars = _Compiled(task, cars, signals) if backend == "c" else _Interpreted(task, cars, signals)
         self._signals = signals
@@ -98,8 +99,8 @@ class Drives:
 
     def infos(self) -> dict[str, Array]:
         """What an agent need not know but people want to, (N,) each: SI."""
-        named = {name.split(".")[1]: self.info(name).copy() for name in self._info}
-        return named | {"t": self.steps * self.task.dt, "cost": self._cost.copy()}
+        rows = self._values[len(self.task.columns) :].copy()
+        return dict(zip(self._names, rows)) | {"t": self.steps * self.task.dt, "cost": self._cost.copy()}
 
 
 class _Interpreted:

@@ -244,6 +244,14 @@ class Task:
         """Box(-10, 10, (columns,)); most of what happens lies in [-1, 1]."""
         return spaces.Box(-BOUND, BOUND, (len(self.columns),), np.float32)
 
+    @cached_property
+    def _ranges(self) -> tuple[Array, Array]:
+        return self.description.mid, self.description.half
+
+    @cached_property
+    def _angles(self) -> Array:
+        return np.array(self.angles or ())
+
     def angle(self, actions: Any, shape: tuple[int, ...]) -> Array:
         """The actions [rad] (N,) that an agent's actions mean; raises ValueError for one outside of the space."""
         given = np.asarray(actions)
@@ -251,7 +259,7 @@ class Task:
             whole = given.shape == shape and bool(np.all((given >= 0) & (given < len(self.angles)) & (given % 1 == 0)))
             if not whole:
                 raise ValueError(f"TrackSteering.step: action {actions!r}, expected 0 to {len(self.angles) - 1}")
-            return np.array(self.angles)[given.astype(np.intp)].reshape(-1)
+            return self._angles[given.astype(np.intp)].reshape(-1)
         fits = given.size == math.prod(shape) and bool(np.all(np.abs(given) <= 1.0 + 1e-6))
         if not fits:
             raise ValueError(f"TrackSteering.step: action {actions!r}, expected within [-1, 1], one number a car")
@@ -259,8 +267,8 @@ class Task:
 
     def observation(self, s: Array) -> NDArray[np.float32]:
         """What the agent sees of states (N, columns)."""
-        z = (s - self.description.mid) / self.description.half
-        return np.clip(z, -BOUND, BOUND).astype(np.float32)
+        mid, half = self._ranges
+        return np.minimum(np.maximum((s - mid) / half, -BOUND), BOUND).astype(np.float32)
 
     # ---- where it starts ------------------------------------------------------------------------------------
 
