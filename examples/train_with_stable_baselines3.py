@@ -1,6 +1,6 @@
 """Train DQN and SAC of Stable-Baselines3 on a course, then drive them as controller blocks beside Stanley.
 
-    python examples/train_with_stable_baselines3.py [--steps 1500] [--course paper] [--seed 0] [--out DIR]
+    python examples/train_with_stable_baselines3.py [--steps 600] [--course paper] [--seed 0] [--out DIR]
 
 Each agent learns in the Gymnasium environment, is turned into a block of plain arrays (no torch any more), written to
 a file, loaded again and driven one round in the usual steering loop, where Stanley catches it when |e| > 0.5 m. The
@@ -30,13 +30,13 @@ FAILURE = 4.0  # above what staying anywhere may cost a learner who looks 1/(1 -
 AGENTS: dict[str, dict[str, Any]] = {
     "DQN": {
         "id": "steerkit/TrackSteering-v0",
-        "learning_rate": 5e-4, "buffer_size": 100_000, "learning_starts": 500, "batch_size": 128, "gamma": 0.98,
+        "learning_rate": 5e-4, "buffer_size": 100_000, "learning_starts": 300, "batch_size": 128, "gamma": 0.98,
         "train_freq": 4, "gradient_steps": 2, "target_update_interval": 500, "exploration_fraction": 0.3,
         "exploration_final_eps": 0.02,
     },
     "SAC": {
         "id": "steerkit/TrackSteeringContinuous-v0",
-        "learning_rate": 5e-4, "buffer_size": 100_000, "learning_starts": 500, "batch_size": 128, "gamma": 0.98,
+        "learning_rate": 5e-4, "buffer_size": 100_000, "learning_starts": 300, "batch_size": 128, "gamma": 0.98,
         "train_freq": 4, "gradient_steps": 2,
     },
 }  # fmt: skip
@@ -72,7 +72,7 @@ def judged(name: str, log: Log, rounds: float) -> str:
 def main(arguments: list[str] | None = None) -> None:
     """Train, save, load, drive, compare."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--steps", type=int, default=1500, help="samples that each agent drives (20 a second)")
+    parser.add_argument("--steps", type=int, default=600, help="samples that each agent drives (20 a second)")
     parser.add_argument("--agents", nargs="*", default=[*AGENTS], choices=[*AGENTS])
     parser.add_argument("--course", default="paper", help="course to learn and to be judged on")
     parser.add_argument("--conditions", default="clean", choices=["clean", "hard"])

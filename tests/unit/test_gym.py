@@ -16,12 +16,13 @@ from gymnasium.vector import AutoresetMode
 import steerkit.gym
 from steerkit.assembly import steering_loop
 from steerkit.block import Block
-from steerkit.compiled import cache
+from steerkit.compiled import TraceError, cache, compile
 from steerkit.controllers.nfq_policy import IDOE_ACTIONS, StateDescription
 from steerkit.doe import Integrator
 from steerkit.gym import Network, PolicyBlock, Task, TrackSteering, TrackSteeringVector
 from steerkit.gym.task import Agent
 from steerkit.learning.costs import IdoeCost
+from steerkit.learning.evaluate import drive_loop
 from steerkit.learning.world import World
 from steerkit.plants.human_driver import ConstantSpeed, RecordedDriver
 from steerkit.simulation import simulate
@@ -343,6 +344,23 @@ def test_a_policy_block_steers_as_its_policy_did_in_the_environment() -> None:
               for x in (start[name] for name in loop.names)]  # fmt: skip
     log = simulate(loop, 13 * 0.05, state=loop.init(x=floats), every=5)
     np.testing.assert_allclose(np.array(seen), np.column_stack((log["path.e"], log["car.delta_sw"]))[1:], atol=1e-5)
+
+
+@pytest.mark.parametrize("head", ["argmax", "tanh", "clip"])
+def test_a_policy_block_of_a_network_can_be_compiled(head: Any) -> None:
+    towards = np.array([-0.6, -1.0, 0.0, 0.0, -0.3, 0.0])  # the path: z = h0 - h1 is how fast to turn left
+    last = [[-4.0, 4.0], [0.0, 0.0], [4.0, -4.0]] if head == "argmax" else [[1.0, -1.0]]
+    layers = ((np.array([towards, -towards]), np.zeros(2)), (np.array(last), np.array([0.0, 0.1, 0.0][: len(last)])))
+    net = Network(layers=layers, head=head)
+    actions = (-0.05, 0.0, 0.05) if head == "argmax" else None
+    world = World(course="circle")
+    loop = drive_loop(world, PolicyBlock(policy=net, actions=actions, largest=0.05), doe=Integrator())
+    slow, fast = simulate(loop, 3.0), compile(loop, backend="python").run(3.0)
+    np.testing.assert_allclose(fast["controller.action"], slow["controller.action"], atol=1e-12)
+    assert np.ptp(slow["controller.action"]) > 0.0
+    other = PolicyBlock(policy=lambda x: np.zeros(len(x)))
+    with pytest.raises(TraceError, match="is no Network: it cannot be traced"):
+        compile(drive_loop(world, other, doe=Integrator()), backend="python")
 
 
 def test_a_policy_block_comes_back_from_its_file(tmp_path: Any) -> None:
