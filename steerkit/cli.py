@@ -16,6 +16,7 @@ import typer
 
 from steerkit.car_cli import app as car_app
 from steerkit.identify_cli import identify
+from steerkit.export_cli import export
 
 app = typer.Typer(
     help="Steer a car along a path: learn it, drive it, look at it. No car was ever driven with this software.",
@@ -24,6 +25,7 @@ app = typer.Typer(
 )
 app.add_typer(car_app, name="car")
 app.command()(identify)
+app.command()(export)
 
 
 class Conditions(StrEnum):

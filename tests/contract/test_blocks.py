@@ -33,6 +33,11 @@ from steerkit.controllers.stanley import Stanley
 from steerkit.doe import Direct, Integrator, LowPass
 from steerkit.learning.exploration import Exploring
 from steerkit.doe import Corrected, Direct, Integrator, LowPass
+from steerkit.controllers.policy_block import Network, PolicyBlock
+from steerkit.controllers.recovery import Guarded, Supervisor, SupervisorState
+from steerkit.controllers.stanley import Stanley
+from steerkit.doe import Direct, Integrator, LowPass
+from steerkit.gym.task import Agent
 from steerkit.learning.model import CarModel
 from steerkit.learning.rival import ModelPolicy
 from steerkit.path import Path
@@ -54,6 +59,7 @@ _rng = np.random.default_rng(0)
 NETS = tuple(
     (_rng.normal(size=(5, 7)), _rng.normal(size=5), _rng.normal(size=(1, 5)), _rng.normal(size=1)) for _ in range(2)
 )
+LAYERS = ((_rng.normal(size=(5, 6)), _rng.normal(size=5)), (_rng.normal(size=(3, 5)), _rng.normal(size=3)))
 
 
 @dataclass(frozen=True)
@@ -115,6 +121,9 @@ EXAMPLES = [
     Example(NfqPolicy(nets=NETS, combine="disagreement")),
     Example(Exploring(policy=NfqPolicy(nets=NETS), share=0.5, seed=3), single=_seeded),
     Example(TargetShift()),
+    Example(PolicyBlock(policy=Network(layers=LAYERS), actions=(-0.1, 0.0, 0.1))),
+    Example(PolicyBlock(policy=Network(layers=(LAYERS[0], (LAYERS[1][0][:1], LAYERS[1][1][:1])), head="tanh"))),
+    Example(Agent()),
     Example(ModelPolicy(model=CAR_MODEL)),
     Example(PathTracker(path=OVAL)),
     Example(PathTracker(path=OVAL, reference=1.2, preview_points=3)),
@@ -223,6 +232,8 @@ def documents(kind: type[Block]) -> str:
 
 ELSEWHERE = {"MPC", "NonlinearMPC", "RealCar"}
 """Blocks with a suite of their own: a solver's milliseconds differ from call to call, and a bus is not pure."""
+ELSEWHERE = {"RealCar", "FmuPlant"}
+"""Blocks with a suite of their own: a bus is not pure, and an FMU is a file from elsewhere."""
 
 
 def test_every_block_of_the_package_is_in_the_table() -> None:

@@ -45,10 +45,14 @@ MAY_IMPORT: dict[str, set[str]] = {
     "identification": RUN | {"plants", "compiled", "plotting"},
     "learning": RUN | {"clock", "realtime", "path", "tracker", "doe", "courses", "plants", "controllers", "assembly",
                        "compiled", "metrics", "plotting"},
+    "onnx_export": BASE | {"controllers"},
+    "fmu_export": RUN | {"compiled"},
+    "gym": RUN | {"path", "doe", "plants", "controllers", "assembly", "learning", "compiled"},
 }  # fmt: skip
 """A module or package at the top of steerkit, and which others it may import; itself always."""
 PROGRAMS = ("cli", "car", "car_cli", "car_panel", "identify_cli")
 PROGRAMS = ("cli", "car", "car_cli", "car_panel", "car_replay", "car_session")
+PROGRAMS = ("cli", "car", "car_cli", "car_panel", "export_cli")
 """Programs over the library: they may import all of it."""
 WHEN_USED = {
     "block": {"notebook"},
@@ -73,6 +77,15 @@ AT_HOME = {
     "pandas": {"simulation"},
     "pyarrow": {"simulation", "learning.store_exchange", "identification.reading"},
     "typer": {"cli", "car_cli", "identify_cli"},
+    "pyarrow": {"simulation", "learning.store_exchange", "gym.minari_export"},
+    "typer": {"cli", "car_cli", "export_cli"},
+    "onnx": {"onnx_export"},
+    "onnxruntime": {"onnx_export"},
+    "minari": {"gym.minari_export"},
+    "pythonfmu": {"fmu_export"},
+    "fmpy": {"plants.fmu_plant"},
+    "gymnasium": {"gym"},
+    "PIL": {"gym.frames"},
 }
 """Where a package may be imported: a module or package of steerkit."""
 
