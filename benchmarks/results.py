@@ -45,7 +45,7 @@ CURVE = {
 been used until then, and what its test drive of one round came to (NaN where it drove less than a second)."""
 EPISODES = {"episode_began": "s", "episode_ended": "s", "episode_distance": "m", "episode_rms_e": "m"}
 """Also in a curve's file: one row an episode of the run (k,)."""
-TIMES = ("compute_p50_us", "compute_p99_us", "cpu_seconds", "compute_how")
+TIMES = ("metric.step_p50_us", "metric.step_p99_us", "cpu_seconds")
 """Columns that measure a machine, and so differ from run to run; all others are the same for the same seeds."""
 
 
@@ -68,13 +68,8 @@ class Case:
     error: str = ""
     """What went wrong, in one line."""
     metrics: Mapping[str, float] = field(default_factory=dict)
-    """Metrics by name; NaN where one could not be measured."""
-    compute_p50_us: float = math.nan
-    """Median computing time of the controller for one sample [us]."""
-    compute_p99_us: float = math.nan
-    """The same, 99th percentile [us]."""
-    compute_how: str = ""
-    """`interpreted` or `compiled`: what was timed."""
+    """Metrics by name, those of `steerkit.metrics.TABLE` and some of the case's own (`held`, `rounds`); NaN where one
+    could not be measured, infinity for what a learner never reached."""
     cpu_seconds: float = math.nan
     """Computing time that the case took [s]."""
     digest: str = ""
@@ -295,15 +290,15 @@ def _table(cases: tuple[Case, ...], protocol: Mapping[str, Mapping[str, Any]]) -
     return pd.DataFrame(rows, columns=None if rows else [f.name for f in fields(Case) if f.name != "metrics"])
 
 
-_FLOATS = ("compute_p50_us", "compute_p99_us", "cpu_seconds")
+_FLOATS = ("cpu_seconds",)
 
 
-def _number(value: Any) -> Any:
-    return math.nan if value is None else value
+def _number(value: Any) -> float:
+    return math.nan if value is None else float(value)
 
 
 def _json(data: Any, indent: int | None = None) -> str:
-    """JSON in which NaN and infinity, which it does not know, are null."""
+    """JSON, which knows no NaN, here null, and no infinity, here "inf"."""
     return json.dumps(_finite(data), indent=indent, allow_nan=False)
 
 
@@ -313,7 +308,7 @@ def _finite(data: Any) -> Any:
     if isinstance(data, (list, tuple)):
         return [_finite(value) for value in data]
     if isinstance(data, float | np.floating):
-        return float(data) if math.isfinite(data) else None
+        return float(data) if math.isfinite(data) else None if math.isnan(data) else str(float(data))
     return data
 
 

@@ -67,13 +67,12 @@ def _driven(common: dict, drive: dict[str, np.ndarray]) -> Case:
     metrics = {"held": 1.0, "rounds": 1.0, "duration": 60.0, "rms_e": float(np.sqrt(np.mean(e**2))),
                "max_e": float(np.abs(e).max()), "share_within_5cm": float(np.mean(np.abs(e) < 0.05)),
                "rms_wheel_rate_deg": 3.0 + common["seed"], "max_a_y": float(np.abs(drive["a_y"]).max()),
-               "rms_jerk": 0.3, "max_jerk": float("nan")}  # fmt: skip
-    return Case(**common, metrics=metrics, compute_p50_us=20.0, compute_p99_us=31.0, compute_how="interpreted",
-                cpu_seconds=1.5)  # fmt: skip
+               "rms_jerk": 0.3, "max_jerk": float("nan"), "step_p50_us": 20.0, "step_p99_us": 31.0}  # fmt: skip
+    return Case(**common, metrics=metrics, cpu_seconds=1.5)
 
 
 def _learned(common: dict) -> Case:
-    times = {"first_round_done": 200.0 + 10.0 * common["seed"], "good": float("nan"), "transitions": 9000.0}
+    times = {"round_minutes": 3.0 + common["seed"], "good_minutes": float("inf"), "transitions": 9000.0}
     return Case(**common, kind="learn", metrics={"held": 1.0, "rms_e": 0.04, **times})
 
 
