@@ -66,8 +66,8 @@ def test_a_sine_reverses_twice_a_period(frequency: float) -> None:
 
 
 def test_reversals_are_counted_at_the_gap_and_not_below() -> None:
-    """A slow wave of 10 deg with a wiggle of 2.4 deg on it: of the wiggle only the small ones are counted."""
-    angle = 5.0 * (1.0 - np.cos(2.0 * np.pi * 0.05 * T)) + 1.2 * np.sin(2.0 * np.pi * 0.4 * T)
+    """A slow wave of 4 deg, 3 a minute, with a wiggle of 0.8 deg, 24 a minute: which of them counts is the gap's."""
+    angle = 2.0 * np.cos(2.0 * np.pi * 0.05 * T) + 0.4 * np.sin(2.0 * np.pi * 0.4 * T)
     assert metrics.reversal_rate(T, radians_of(angle)) == pytest.approx(60.0 * 10.0 / 100.0, abs=0.7)
     assert metrics.reversal_rate(T, radians_of(angle), gap_deg=0.1, cutoff=2.0) == pytest.approx(48.0, abs=1.0)
 
