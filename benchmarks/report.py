@@ -56,7 +56,7 @@ def html(results: Results) -> str:
     look = figures.looks(parts.controllers(results.cases))
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True,
                                      lstrip_blocks=True)  # fmt: skip
-    environment.filters["shown"] = parts.number
+    environment.filters |= {"shown": parts.number, "named": _named, "unit": parts.unit, "condition": parts.condition}
     template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
     return template.render(
         place=results.place.name,
@@ -68,6 +68,7 @@ def html(results: Results) -> str:
         used={name for case in results.cases for name in case.metrics},
         provenance=provenance(results),
         scenarios=protocol(results),
+        kinds=kinds(results),
         problems=[case for case in results.cases if case.status != "done"],
         missing=results.missing,
         look=look,
@@ -132,21 +133,24 @@ def metric_plots(cases: Sequence[Case], look: dict[str, figures.Look]) -> list[P
     """One plot a metric: every case a dot, the median with its interval a bar."""
     found = []
     for m in (m for m in TABLE if m.group != "learning" and parts.has(cases, m.name)):
-        values = {name: parts.of_metric((c for c in cases if c.controller == name), m)
-                  for name in parts.controllers(cases)}  # fmt: skip
-        middle = {name: _median(found_, m) for name, found_ in values.items()}
-        figure = figures.dots(values, middle, look, unit=m.unit, limit=m.limit)
+        of = {name: [c for c in cases if c.controller == name] for name in parts.controllers(cases)}
+        values = {name: parts.of_metric(here, m) for name, here in of.items()}
+        middle = {name: _median(parts.by_seed(here, m), m) for name, here in of.items()}
+        figure = figures.dots(values, middle, look, limit=m.limit)
         better = "lower" if m.lower_is_better else "higher"
-        limit = "" if m.limit is None else f" Dashed: {m.limit:g} {m.unit}."
+        limit = "" if m.limit is None else f" Dashed: {m.limit:g} {parts.unit(m)}."
         text = f"{m.what}; {better} is better.{limit} {_off_the_plot(values)}"
-        found.append(Picture(m.label + ("" if m.unit == "1" else f" [{m.unit}]"), text, figures.svg(figure, m.what)))
+        found.append(Picture(_named(m), text, figures.svg(figure, m.what)))
     return found
+
+
+def _named(m: Metric) -> str:
+    return f"{m.label} [{parts.unit(m)}]" if parts.unit(m) else m.label
 
 
 def _median(values: np.ndarray, m: Metric) -> tuple[float, float, float]:
     found = interval(values if m.lower_is_better else -values, np.median)
-    turned = (found.value, found.low, found.high) if m.lower_is_better else (-found.value, -found.high, -found.low)
-    return turned
+    return (found.value, found.low, found.high) if m.lower_is_better else (-found.value, -found.high, -found.low)
 
 
 def _off_the_plot(values: dict[str, np.ndarray]) -> str:
@@ -192,9 +196,9 @@ def sweep_plots(cases: Sequence[Case], results: Results, look: dict[str, figures
         for name, by_value in sweep.cases.items():
             bands = [_largest_e(group) for group in by_value]
             curves[name] = tuple(np.array(column) for column in zip(*bands))
-        figure = figures.bands(np.array(sweep.xs), curves, look, x_label=sweep.x.replace("_", " "),  # type: ignore[arg-type]
+        figure = figures.bands(np.array(sweep.xs), curves, look, x_label=parts.condition(sweep.x),  # type: ignore[arg-type]
                                y_label="max |e| [m]", limit=0.5, points=True, log=True)  # fmt: skip
-        title = f"max |e| over {sweep.x.replace('_', ' ')}" + (f" ({sweep.fixed})" if sweep.fixed else "")
+        title = f"max |e| over {parts.condition(sweep.x)}" + (f" ({sweep.fixed})" if sweep.fixed else "")
         text = "Median over the seeds with its 95 % interval. A line ends where half the drives left the course."
         found.append(Picture(title, text, figures.svg(figure, title)))
     return found
@@ -240,9 +244,19 @@ def protocol(results: Results) -> dict[str, Any]:
     return {"common": common, "fields": differing, "rows": rows}
 
 
+def kinds(results: Results) -> dict[str, tuple[str, str]]:
+    """What each controller is (analytic, learned, peer) and one line about it; empty words where that was not kept."""
+    kept = results.provenance.get("controllers", {})
+    told = kept if isinstance(kept, dict) else {}
+    return {
+        name: (str(told.get(name, {}).get("kind", "")), str(told.get(name, {}).get("about", "")))
+        for name in parts.controllers(results.cases)
+    }
+
+
 def provenance(results: Results) -> list[tuple[str, str]]:
     """Where the numbers came from, as pairs of words; the plan itself is shown elsewhere."""
-    shown = {k: v for k, v in results.provenance.items() if k not in ("scenarios", "planned")}
+    shown = {k: v for k, v in results.provenance.items() if k not in ("scenarios", "controllers", "planned")}
     return [(key, v if isinstance(v, str) else json.dumps(v, ensure_ascii=False)) for key, v in shown.items()]
 
 
@@ -258,8 +272,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         file = write_report(results, a.out or results.place / "report.html")
     except ValueError as error:
         parser.error(str(error))
-    told = {"report": str(file), "bytes": file.stat().st_size, "cases": len(results.cases)}
-    print(json.dumps(told) if a.json else f"{file}: {told['bytes'] / 1e6:.1f} MB, {told['cases']} cases")
+    size, cases = file.stat().st_size, len(results.cases)
+    told = json.dumps({"report": str(file), "bytes": size, "cases": cases})
+    print(told if a.json else f"{file}: {size / 1e6:.1f} MB, {cases} cases")
 
 
 if __name__ == "__main__":

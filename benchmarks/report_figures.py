@@ -74,12 +74,14 @@ def svg(figure: Figure, words: str) -> str:
         text = re.sub(re.escape(colour), f"var({variable})", text, flags=re.I)
     text = re.sub(r"(<text[^>]*style=\")", r"\1fill: var(--ink); ", text)
     safe = words.replace("&", "&amp;").replace('"', "&quot;").replace("<", "&lt;")
-    return re.sub(r'<svg[^>]*?viewBox="([^"]*)"[^>]*>', rf'<svg viewBox="\1" role="img" aria-label="{safe}">', text, 1)
+    return re.sub(
+        r'<svg[^>]*?viewBox="([^"]*)"[^>]*>', rf'<svg viewBox="\1" role="img" aria-label="{safe}">', text, count=1
+    )
 
 
-def new(height: float, *, square: bool = False) -> tuple[Figure, Axes]:
-    """A figure of the report's width with one panel."""
-    figure, (axes,) = new_figure(1, width=WIDTH, height=height)
+def new(height: float, *, width: float = WIDTH, square: bool = False) -> tuple[Figure, Axes]:
+    """A figure with one panel [in]."""
+    figure, (axes,) = new_figure(1, width=width, height=height)
     if square:
         axes.set_aspect("equal", adjustable="datalim")
     return figure, axes
@@ -87,14 +89,14 @@ def new(height: float, *, square: bool = False) -> tuple[Figure, Axes]:
 
 def dots(
     values: Mapping[str, np.ndarray], middle: Mapping[str, tuple[float, float, float]], look: Mapping[str, Look],
-    *, unit: str, limit: float | None,
+    *, limit: float | None,
 ) -> Figure:  # fmt: skip
     """One metric: a dot a case, a bar for the median's interval and a tick for the median, one row a controller.
 
-    values: by controller, finite ones only are drawn. middle: (median, low, high), infinite ones are left out.
+    values: by controller, of which the finite ones are drawn. middle: (median, low, high), infinite ones left out.
     """
     with style():
-        figure, axes = new(0.62 + 0.24 * len(values))
+        figure, axes = new(0.42 + 0.24 * len(values))
         rng = np.random.default_rng(0)
         finite = np.concatenate([v[np.isfinite(v)] for v in values.values()] or [np.zeros(0)])
         positive = finite[finite > 0.0]
@@ -103,7 +105,7 @@ def dots(
         for row, (name, found) in enumerate(values.items()):
             shown = found[np.isfinite(found)]
             shift = rng.uniform(-0.22, 0.22, len(shown))
-            axes.plot(shown, row + shift, ".", ms=3.2, mew=0, alpha=0.45, color=look[name].colour)
+            axes.plot(shown, row + shift, "o", ms=3.2, mew=0, alpha=0.45, color=look[name].colour)
             centre, low, high = middle[name]
             if math.isfinite(low) and math.isfinite(high):
                 axes.plot([low, high], [row, row], color=look[name].colour, lw=2.4, solid_capstyle="butt")
@@ -114,16 +116,20 @@ def dots(
         axes.set_yticks(range(len(values)), list(values))
         axes.set_ylim(len(values) - 0.5, -0.5)
         axes.grid(axis="y", visible=False)
-        axes.set_xlabel("" if unit == "1" else f"[{unit}]")
+        if axes.get_xscale() == "linear":
+            axes.ticklabel_format(axis="x", useOffset=False)
+            axes.locator_params(axis="x", nbins=6)
+            low, high = axes.get_xlim()
+            if high - low < 1e-3 * max(abs(low), abs(high), 1e-6) or not len(finite) or np.ptp(finite) == 0.0:
+                at = float(np.mean(finite)) if len(finite) else 0.0
+                axes.set_xlim(at - max(0.5 * abs(at), 0.1), at + max(0.5 * abs(at), 0.1))
         return figure
 
 
-def course_map(
-    drives: Mapping[str, Mapping[str, np.ndarray]], look: Mapping[str, Look], magnified: float
-) -> Figure:
+def course_map(drives: Mapping[str, Mapping[str, np.ndarray]], look: Mapping[str, Look], magnified: float) -> Figure:
     """Where each controller drove, its distance from the path drawn `magnified` times; grey is the path itself."""
     with style():
-        figure, axes = new(3.5, square=True)
+        figure, axes = new(3.9, width=5.4, square=True)
         longest = max(drives.values(), key=lambda d: float(d["s"].max() - d["s"].min()))
         centre, _ = _frame(longest)
         axes.plot(*centre.T, color=COLOURS["muted"], lw=3.0, alpha=0.35, solid_capstyle="round")
@@ -140,7 +146,7 @@ def course_map(
 def error_along(drives: Mapping[str, Mapping[str, np.ndarray]], look: Mapping[str, Look]) -> Figure:
     """e [m] over the driven distance, one line a controller."""
     with style():
-        figure, axes = new(3.5)
+        figure, axes = new(3.9, width=5.4)
         for name, drive in drives.items():
             dt = float(np.mean(np.diff(drive["t"]))) if len(drive["t"]) > 1 else 0.0
             axes.plot(np.cumsum(drive["v"]) * dt, drive["e"], lw=0.9, label=name, **look[name].line)
@@ -162,7 +168,7 @@ def magnification(drives: Mapping[str, Mapping[str, np.ndarray]]) -> float:
     span = max(float(np.ptp(d["x"])) + float(np.ptp(d["y"])) for d in drives.values()) / 2.0
     widest = max(float(np.nanmax(np.abs(np.clip(d["e"], -TRIP, TRIP)))) for d in drives.values())
     exact = span / 30.0 / max(widest, 1e-3)
-    steps = [f * 10.0**k for k in range(0, 4) for f in (1.0, 2.0, 5.0)]
+    steps = [f * 10.0**k for k in range(4) for f in (1.0, 2.0, 5.0)]
     return max((s for s in steps if s <= exact), default=1.0)
 
 
@@ -181,6 +187,8 @@ def bands(
     share: bool = False,
 ) -> Figure:  # fmt: skip
     """One line a controller with its interval: curves are (middle, low, high), each (len(x),); infinite is a gap."""
+    from matplotlib.ticker import NullFormatter
+
     with style():
         figure, axes = new(2.9)
         highest = max([float(np.max(m[np.isfinite(m)], initial=0.0)) for m, *_ in curves.values()] or [0.0])
@@ -196,6 +204,9 @@ def bands(
             axes.set_ylim(-0.03, 1.03)
         elif log:
             axes.set_yscale("log")
+            axes.yaxis.set_major_formatter("{x:g}")
+            span = axes.get_ylim()
+            axes.yaxis.set_minor_formatter("{x:g}" if span[1] < 8.0 * span[0] else NullFormatter())
         elif highest:
             axes.set_ylim(0.0, 1.15 * max(highest, limit or 0.0))
         axes.margins(x=0.02)

@@ -39,7 +39,9 @@ def paper_rows(results: Results) -> list[PaperRow]:
     ):
         told = "; ".join(f"{c}: {_median(_of(learners, c), name, digits)}" for c in ours if _of(learners, c))
         rows.append(PaperRow(what, paper, told or "–"))
-    rounds = [f"{c}: {share([x.metrics.get('round_minutes', np.inf) < np.inf for x in _of(learners, c)])}" for c in ours]
+    rounds = [
+        f"{c}: {share([x.metrics.get('round_minutes', np.inf) < np.inf for x in _of(learners, c)])}" for c in ours
+    ]
     rows.append(PaperRow("share of runs that drove a whole round", "1 run shown", "; ".join(rounds) or "–"))
     for kind, e, a_y in (("bang-bang", "−0.25 to 0.1 (simulation)", "up to 8 (simulation)"),
                          ("idoe", "about ±0.1 (simulation)", "far smaller than bang-bang's")):  # fmt: skip

@@ -21,6 +21,10 @@ VERSUS = ("rms_e", "max_e", "rms_wheel_rate_deg", "max_jerk", "max_a_y")
 WORDS = ("name", "title", "what", "label", "description", "about")
 """Fields of a scenario that say nothing of how it is driven."""
 
+UNITS = {"v": "m/s", "v_min": "m/s", "v_max": "m/s", "delay": "s", "lag": "s", "told_delay": "s", "told_lag": "s",
+         "latency": "s", "wind": "m/s²", "gust": "m/s²"}  # fmt: skip
+"""Units of a scenario's fields; the others are numbers, or end in _deg."""
+
 
 @dataclass(frozen=True)
 class Cell:
@@ -48,6 +52,13 @@ def suites(results: Results) -> list[str]:
     return list(dict.fromkeys(case.suite for case in results.cases))
 
 
+def condition(field: str) -> str:
+    """A field of a scenario in words, with its unit."""
+    words = field.removesuffix("_deg").replace("_", " ")
+    found = "deg" if field.endswith("_deg") else UNITS.get(field, "")
+    return f"{words} [{found}]" if found else words
+
+
 def controllers(cases: Iterable[Case]) -> list[str]:
     """The controllers of the cases, in their order."""
     return list(dict.fromkeys(case.controller for case in cases))
@@ -63,11 +74,22 @@ def number(value: float, digits: int = 3) -> str:
     return f"{value:,.{max(0, digits - 1 - size)}f}" if -5 < size < 9 else f"{value:.{digits - 1}e}"
 
 
+def unit(m: Metric) -> str:
+    """The metric's unit as people write it; nothing for a pure number."""
+    return "" if m.unit == "1" else m.unit.replace("^2", "²").replace("^3", "³").replace("us", "µs")
+
+
 def of_metric(cases: Iterable[Case], m: Metric) -> np.ndarray:
     """The metric of each finished case (n,); one without a value, or that failed with an error, counts as worst."""
     worst = math.inf if m.lower_is_better else -math.inf
     found = [case.metrics.get(m.name, math.nan) if case.status == "done" else math.nan for case in cases]
     return np.array([worst if math.isnan(value) else value for value in found])
+
+
+def by_seed(cases: Sequence[Case], m: Metric) -> np.ndarray:
+    """The metric of each seed (n,): the median over its scenarios, so that seeds, not scenarios, make an interval."""
+    seeds = dict.fromkeys(case.seed for case in cases)
+    return np.array([float(np.median(of_metric([c for c in cases if c.seed == seed], m))) for seed in seeds])
 
 
 def has(cases: Iterable[Case], name: str) -> bool:
@@ -76,14 +98,13 @@ def has(cases: Iterable[Case], name: str) -> bool:
 
 
 def leaderboard(cases: Sequence[Case]) -> tuple[list[Metric], list[Row]]:
-    """A row a controller: the share of its drives that it held, then the median of each metric over all its cases."""
+    """A row a controller: the share of its drives that it held, then the median over seeds of each metric (`by_seed`)."""
     columns = [metric(name) for name in BOARD if has(cases, name)]
     names = controllers(cases)
     ran = {name: [c for c in cases if c.controller == name and c.status != "not installed"] for name in names}
-    medians = {
-        m.name: {name: float(np.median(of_metric(ran[name], m))) for name in names if ran[name]} for m in columns
-    }
-    held = {name: share([c.metrics.get("held", 0.0) > 0.5 for c in ran[name]]) for name in names if ran[name]}
+    medians = {m.name: {name: float(np.median(by_seed(ran[name], m))) for name in names if ran[name]} for m in columns}
+    held = {n: [c.metrics.get("held", 0.0) > 0.5 for c in ran[n]] for n in names if ran[n]}
+    shares = [float(np.mean(h)) for h in held.values()]
     rows = []
     for name in names:
         if not ran[name]:
@@ -91,31 +112,31 @@ def leaderboard(cases: Sequence[Case]) -> tuple[list[Metric], list[Row]]:
             rows.append(Row(name, blank, note="not installed"))
             continue
         errors = sum(c.status == "error" for c in ran[name])
-        cells = [Cell(str(len(ran[name])), float(len(ran[name]))), _held_cell(held[name], max(h.value for h in
-                 held.values()))]  # fmt: skip
+        kept = float(np.mean(held[name]))
+        told = f"{sum(held[name])} of {len(held[name])} drives"
+        cells = [Cell(str(len(ran[name])), float(len(ran[name]))),
+                 Cell(f"{100.0 * kept:.0f} %", kept, title=told, best=kept == max(shares) > min(shares))]  # fmt: skip
         for m in columns:
             value = medians[m.name][name]
-            good = min if m.lower_is_better else max
+            others = [v for v in medians[m.name].values() if math.isfinite(v)]
             cells.append(
                 Cell(
                     number(value) if math.isfinite(value) else "–",
                     value,
-                    title=f"{m.label}: median of {len(ran[name])} cases",
-                    best=math.isfinite(value) and value == good(medians[m.name].values()),
-                    beyond=m.limit is not None and value > m.limit,
+                    title=f"{m.label}, {name}: {value:.6g} {'' if m.unit == '1' else m.unit}".rstrip(),
+                    best=_best(value, others, m),
+                    beyond=m.limit is not None and m.limit < value < math.inf,
                 )
             )
         rows.append(Row(name, tuple(cells), note=f"{errors} ended in an error" if errors else ""))
     return columns, rows
 
 
-def _held_cell(found: Interval, best: float) -> Cell:
-    return Cell(
-        f"{100.0 * found.value:.0f} %",
-        found.value,
-        title=f"{found.n} drives; 95 % interval {100.0 * found.low:.0f} to {100.0 * found.high:.0f} %",
-        best=found.value == best,
-    )
+def _best(value: float, others: Sequence[float], m: Metric) -> bool:
+    """Is it the best of several that are not all the same?"""
+    if not math.isfinite(value) or len(set(others)) < 2:
+        return False
+    return value == (min(others) if m.lower_is_better else max(others))
 
 
 @dataclass(frozen=True)
@@ -213,7 +234,7 @@ def grids(cases: Sequence[Case], protocol: Mapping[str, Mapping[str, Any]]) -> l
         for fixed, group in _groups(cases, protocol, (x, y)).items():
             at = {name: (_value(protocol, name, x), _value(protocol, name, y)) for name in group}
             xs, ys = sorted({p[0] for p in at.values()}), sorted({p[1] for p in at.values()})
-            if min(len(xs), len(ys)) < 2 or len(set(at.values())) < max(4, 0.7 * len(xs) * len(ys)):
+            if not _covers(at, xs, ys):
                 continue
             here = [c for c in cases if c.scenario in at and c.status == "done"]
             shares = {}
@@ -226,17 +247,33 @@ def grids(cases: Sequence[Case], protocol: Mapping[str, Mapping[str, Any]]) -> l
 
 
 def sweeps(cases: Sequence[Case], protocol: Mapping[str, Mapping[str, Any]]) -> list[Sweep]:
-    """Every number of the scenarios that takes three values or more with all else equal."""
+    """Every number of the scenarios that takes three values or more, all else equal, and is not on a map already."""
     found = []
+    mapped = {name for x, y in combinations(_varying(cases, protocol), 2)
+              for name in _on_a_map(cases, protocol, x, y)}  # fmt: skip
     for x in _varying(cases, protocol):
         for fixed, group in _groups(cases, protocol, (x,)).items():
             at = {_value(protocol, name, x): name for name in group}
-            if len(at) < 3:
+            if len(at) < 3 or mapped.issuperset(group):
                 continue
             xs = tuple(sorted(at))
             names = controllers(c for c in cases if c.scenario in group)
             by = {n: [[c for c in cases if (c.controller, c.scenario) == (n, at[v])] for v in xs] for n in names}
             found.append(Sweep(x, xs, fixed, by))
+    return found
+
+
+def _covers(at: Mapping[str, tuple[float, float]], xs: Sequence[float], ys: Sequence[float]) -> bool:
+    """Do the scenarios fill most of a grid, rather than a cross?"""
+    return min(len(xs), len(ys)) >= 2 and len(set(at.values())) >= max(4, 0.7 * len(xs) * len(ys))
+
+
+def _on_a_map(cases: Sequence[Case], protocol: Mapping[str, Mapping[str, Any]], x: str, y: str) -> list[str]:
+    found: list[str] = []
+    for group in _groups(cases, protocol, (x, y)).values():
+        at = {name: (_value(protocol, name, x), _value(protocol, name, y)) for name in group}
+        if _covers(at, sorted({p[0] for p in at.values()}), sorted({p[1] for p in at.values()})):
+            found += group
     return found
 
 

@@ -1,4 +1,4 @@
-"""A small results directory of known numbers, for tests of the report: three controllers, a sweep, a grid, a learner."""
+"""A small results directory of known numbers, for tests of the report: drives, a grid, a learner, failures."""
 
 from __future__ import annotations
 
@@ -87,9 +87,10 @@ def write(place: Path) -> Results:
         cases.append((case, driven("paper", "paper", "nfq-idoe", seed)[1], curve))
     broken = Case(suite="tracking", scenario="paper", controller="mpc", seed=0, status="error", error="solver <failed>")
     absent = Case(suite="tracking", scenario="paper", controller="sac", seed=0, status="not installed", error="no sb3")
+    about = {n: {"kind": "learned" if "nfq" in n else "analytic", "about": f"about {n}"} for n in CONTROLLERS}
     planned = [c.id for c, *_ in cases] + [broken.id, absent.id, "tracking--paper--mpc--s1"]
     store.open({"suites": ["tracking", "robustness", "paper"], "seeds": list(SEEDS), "scenarios": fields,
-                "controllers": {name: {"kind": "analytic"} for name in CONTROLLERS}, "source": "0" * 40,
+                "controllers": about, "source": "0" * 40,
                 "commit": "0" * 40, "versions": {"numpy": "2"}, "planned": planned})  # fmt: skip
     for case, trajectory, curve in cases:
         store.keep(case, trajectory=trajectory, curve=curve)
