@@ -115,6 +115,7 @@ def suite(results: Results, name: str, look: dict[str, figures.Look]) -> dict[st
         "scenarios": list(dict.fromkeys(case.scenario for case in cases)),
         "seeds": sorted({case.seed for case in cases}),
         "controllers": parts.controllers(cases),
+        "held": parts.has(cases, "held"),
         "columns": columns,
         "rows": rows,
         "reference": reference,
@@ -219,13 +220,13 @@ def curve_plots(results: Results, cases: Sequence[Case], look: dict[str, figures
     for c in parts.learning(results, cases):
         seeds = ", ".join(f"{name} {n}" for name, n in c.seeds.items())
         x = "driving time [min]"
-        good = figures.bands(c.minutes, c.good, look, x_label=x, y_label="share of seeds", share=True)
+        good = figures.bands(c.minutes, c.good, look, x_label=x, y_label="share of seeds", share=True, steps=True)
         text = (
             "Seeds whose net of that moment drives a whole round with |e| < 0.25 m, RMS e < 0.10 m and jerk < 5 m/s³; "
             f"Wilson's 95 % interval. Seeds: {seeds}."
         )
         found.append(Picture(f"{c.scenario}: good drivers", text, figures.svg(good, f"{c.scenario}: good drivers")))
-        rms = figures.bands(c.minutes, c.rms_e, look, x_label=x, y_label="RMS e [m]", log=True)
+        rms = figures.bands(c.minutes, c.rms_e, look, x_label=x, y_label="RMS e [m]", log=True, steps=True)
         text = (
             "RMS e of one round by the net of that moment: median over the seeds, bootstrap 95 % interval. The line "
             "begins when half the seeds hold the round."

@@ -8,7 +8,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from steerkit.plotting import COLOURS, PALETTE, new_figure, style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 WIDTH = 4.6
@@ -96,12 +97,16 @@ def dots(
     values: by controller, of which the finite ones are drawn. middle: (median, low, high), infinite ones left out.
     """
     with style():
-        figure, axes = new(0.42 + 0.24 * len(values))
+        height, left = 0.42 + 0.24 * len(values), 0.14 + 0.066 * max(map(len, values))
+        figure, axes = new(height)
+        figure.set_layout_engine("none")  # known margins: solving for them takes as long as drawing
+        axes.set_position((left / WIDTH, 0.3 / height, 1.0 - (left + 0.16) / WIDTH, 1.0 - 0.36 / height))
         rng = np.random.default_rng(0)
         finite = np.concatenate([v[np.isfinite(v)] for v in values.values()] or [np.zeros(0)])
         positive = finite[finite > 0.0]
         if len(positive) and len(positive) == len(finite) and positive.max() > 25.0 * positive.min():
             axes.set_xscale("log")
+            _plain_numbers(axes.xaxis)
         for row, (name, found) in enumerate(values.items()):
             shown = found[np.isfinite(found)]
             shift = rng.uniform(-0.22, 0.22, len(shown))
@@ -124,6 +129,15 @@ def dots(
                 at = float(np.mean(finite)) if len(finite) else 0.0
                 axes.set_xlim(at - max(0.5 * abs(at), 0.1), at + max(0.5 * abs(at), 0.1))
         return figure
+
+
+def _plain_numbers(axis: Axis) -> None:
+    """On a logarithmic axis: 0.1, 0.2, 0.5 instead of powers of ten."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=10))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(NullFormatter())
 
 
 def course_map(drives: Mapping[str, Mapping[str, np.ndarray]], look: Mapping[str, Look], magnified: float) -> Figure:
@@ -184,32 +198,33 @@ def _frame(drive: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
 def bands(
     x: np.ndarray, curves: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]], look: Mapping[str, Look],
     *, x_label: str, y_label: str, log: bool = False, limit: float | None = None, points: bool = False,
-    share: bool = False,
+    share: bool = False, steps: bool = False,
 ) -> Figure:  # fmt: skip
     """One line a controller with its interval: curves are (middle, low, high), each (len(x),); infinite is a gap."""
-    from matplotlib.ticker import NullFormatter
-
     with style():
         figure, axes = new(2.9)
         highest = max([float(np.max(m[np.isfinite(m)], initial=0.0)) for m, *_ in curves.values()] or [0.0])
         for name, (middle, low, high) in curves.items():
             top = np.where(np.isfinite(high), high, 10.0 * highest if highest else 1.0)
             seen = np.isfinite(middle)
-            axes.fill_between(x, low, top, where=seen, color=look[name].colour, alpha=0.14, lw=0)
+            step: Literal["post"] | None = "post" if steps else None
+            axes.fill_between(x, low, top, where=seen, color=look[name].colour, alpha=0.14, lw=0, step=step)
             drawn = np.where(seen, middle, np.nan)
-            axes.plot(x, drawn, marker="o" if points else "", ms=3.0, lw=1.5, label=name, **look[name].line)
+            axes.plot(x, drawn, marker="o" if points else "", ms=3.0, lw=1.5, label=name,
+                      drawstyle="steps-post" if steps else "default", **look[name].line)  # fmt: skip
         if limit is not None:
             axes.axhline(limit, color=COLOURS["limit"], lw=0.9, ls="--")
         if share:
             axes.set_ylim(-0.03, 1.03)
         elif log:
             axes.set_yscale("log")
-            axes.yaxis.set_major_formatter("{x:g}")
-            span = axes.get_ylim()
-            axes.yaxis.set_minor_formatter("{x:g}" if span[1] < 8.0 * span[0] else NullFormatter())
+            _plain_numbers(axes.yaxis)
+            if highest:
+                axes.set_ylim(top=2.0 * max(highest, limit or 0.0))
         elif highest:
             axes.set_ylim(0.0, 1.15 * max(highest, limit or 0.0))
-        axes.margins(x=0.02)
+        if len(x) > 1:
+            axes.set_xlim(x[0] - 0.02 * np.ptp(x), x[-1] + 0.02 * np.ptp(x))
         axes.set_xlabel(x_label)
         axes.set_ylabel(y_label)
         return figure

@@ -98,7 +98,7 @@ def has(cases: Iterable[Case], name: str) -> bool:
 
 
 def leaderboard(cases: Sequence[Case]) -> tuple[list[Metric], list[Row]]:
-    """A row a controller: the share of its drives that it held, then the median over seeds of each metric (`by_seed`)."""
+    """A row a controller: the share of its drives that it held, then the median over seeds of each metric."""
     columns = [metric(name) for name in BOARD if has(cases, name)]
     names = controllers(cases)
     ran = {name: [c for c in cases if c.controller == name and c.status != "not installed"] for name in names}

@@ -38,7 +38,7 @@ def drive(controller: str, fields: dict[str, Any], seed: int) -> dict[str, np.nd
     s = np.clip(v * t, 0.0, path.length)
     swing = 0.02 * CONTROLLERS[controller] * (1.0 + 9.0 * fields["delay"]) * (v / 6.0) * rng.uniform(0.8, 1.2)
     e = swing * np.sin(0.8 * t + seed)
-    frames = np.array([path.frame(float(here)) for here in s])
+    frames = np.column_stack(np.broadcast_arrays(*path.frame(s)))
     psi_e = 0.02 * np.cos(0.8 * t + seed)
     x, y = frames[:, 0] - e * frames[:, 3], frames[:, 1] + e * frames[:, 2]
     kappa = frames[:, 2] * frames[:, 5] - frames[:, 3] * frames[:, 4]
