@@ -19,14 +19,16 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import report_conditions as conditions
 from benchmarks import report_figures as figures
+from benchmarks import report_learning as learning
 from benchmarks import report_parts as parts
 from benchmarks.report_paper import paper_rows
 from benchmarks.results import Case, Results, load_results
 from steerkit.metrics import TABLE, Metric, interval
 
 TEMPLATE = FilePath(__file__).with_name("report.html.j2")
-LINES_ON_A_MAP = 8
+LINES_ON_A_MAP = 12
 """More controllers than these make a map unreadable."""
 
 
@@ -56,7 +58,12 @@ def html(results: Results) -> str:
     look = figures.looks(parts.controllers(results.cases))
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True,
                                      lstrip_blocks=True)  # fmt: skip
-    environment.filters |= {"shown": parts.number, "named": _named, "unit": parts.unit, "condition": parts.condition}
+    environment.filters |= {
+        "shown": parts.number,
+        "named": _named,
+        "unit": parts.unit,
+        "condition": conditions.condition,
+    }
     template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
     return template.render(
         place=results.place.name,
@@ -108,7 +115,7 @@ def suite(results: Results, name: str, look: dict[str, figures.Look]) -> dict[st
     done = [case for case in cases if case.status == "done"]
     columns, rows = parts.leaderboard(cases)
     reference = parts.reference_of(parts.controllers(done))
-    learners, learned = parts.learners_table(done)
+    learners, learned = learning.costs(done)
     return {
         "name": name,
         "cases": len(cases),
@@ -122,9 +129,10 @@ def suite(results: Results, name: str, look: dict[str, figures.Look]) -> dict[st
         "versus": parts.against(done, reference) if reference else [],
         "plots": metric_plots(done, look),
         "maps": maps(results, done, look),
-        "grids": parts.grids(done, results.protocol),
+        "grids": conditions.grids(done, results.protocol),
         "sweeps": sweep_plots(done, results, look),
         "curves": curve_plots(results, done, look),
+        "traces": trace_plots(results, done, look),
         "learners": learners,
         "learned": learned,
     }
@@ -163,6 +171,7 @@ def _off_the_plot(values: dict[str, np.ndarray]) -> str:
 def maps(results: Results, cases: Sequence[Case], look: dict[str, figures.Look]) -> list[dict[str, Any]]:
     """For the first drive on each course: where the controllers drove, and e along the way."""
     found, seen = [], set()
+    cases = [case for case in cases if case.kind == "drive"]
     for scenario in dict.fromkeys(case.scenario for case in cases):
         course = str(results.protocol.get(scenario, {}).get("course", scenario))
         if course in seen:
@@ -192,14 +201,14 @@ def maps(results: Results, cases: Sequence[Case], look: dict[str, figures.Look])
 def sweep_plots(cases: Sequence[Case], results: Results, look: dict[str, figures.Look]) -> list[Picture]:
     """Largest |e| over each condition that was varied alone."""
     found = []
-    for sweep in parts.sweeps(cases, results.protocol):
+    for sweep in conditions.sweeps(cases, results.protocol):
         curves = {}
         for name, by_value in sweep.cases.items():
             bands = [_largest_e(group) for group in by_value]
             curves[name] = tuple(np.array(column) for column in zip(*bands))
-        figure = figures.bands(np.array(sweep.xs), curves, look, x_label=parts.condition(sweep.x),  # type: ignore[arg-type]
+        figure = figures.bands(np.array(sweep.xs), curves, look, x_label=conditions.condition(sweep.x),  # type: ignore[arg-type]
                                y_label="max |e| [m]", limit=0.5, points=True, log=True)  # fmt: skip
-        title = f"max |e| over {parts.condition(sweep.x)}" + (f" ({sweep.fixed})" if sweep.fixed else "")
+        title = f"max |e| over {conditions.condition(sweep.x)}" + (f" ({sweep.fixed})" if sweep.fixed else "")
         text = "Median over the seeds with its 95 % interval. A line ends where half the drives left the course."
         found.append(Picture(title, text, figures.svg(figure, title)))
     return found
@@ -215,29 +224,50 @@ def _largest_e(cases: Sequence[Case]) -> tuple[float, float, float]:
 
 
 def curve_plots(results: Results, cases: Sequence[Case], look: dict[str, figures.Look]) -> list[Picture]:
-    """Two pictures a scenario of learning: the share of seeds that drive well, and how well, over driving time."""
+    """Two pictures a scenario of learning: the share of seeds that drive well, and how well."""
     found = []
-    for c in parts.learning(results, cases):
-        seeds = ", ".join(f"{name} {n}" for name, n in c.seeds.items())
-        x = "driving time [min]"
-        good = figures.bands(c.minutes, c.good, look, x_label=x, y_label="share of seeds", share=True, steps=True)
+    for curves, x in (
+        *((c, "driving time [min]") for c in learning.learning(results, cases)),
+        *((c, "trainings") for c in learning.offline(results, cases)),
+    ):
+        seeds = ", ".join(f"{name} {n}" for name, n in curves.seeds.items())
+        good = figures.bands(curves.x, curves.good, look, x_label=x, y_label="share of seeds", share=True, steps=True)
         text = (
             "Seeds whose net of that moment drives a whole round with |e| < 0.25 m, RMS e < 0.10 m and jerk < 5 m/s³; "
             f"Wilson's 95 % interval. Seeds: {seeds}."
         )
-        found.append(Picture(f"{c.scenario}: good drivers", text, figures.svg(good, f"{c.scenario}: good drivers")))
-        rms = figures.bands(c.minutes, c.rms_e, look, x_label=x, y_label="RMS e [m]", log=True, steps=True)
+        title = f"{curves.scenario}: good drivers over {x.partition(' [')[0]}"
+        found.append(Picture(title, text, figures.svg(good, title)))
+        rms = figures.bands(curves.x, curves.rms_e, look, x_label=x, y_label="RMS e [m]", log=True, steps=True)
         text = (
             "RMS e of one round by the net of that moment: median over the seeds, bootstrap 95 % interval. The line "
             "begins when half the seeds hold the round."
         )
-        found.append(Picture(f"{c.scenario}: RMS e", text, figures.svg(rms, f"{c.scenario}: RMS e")))
+        title = f"{curves.scenario}: RMS e over {x.partition(' [')[0]}"
+        found.append(Picture(title, text, figures.svg(rms, title)))
+    return found
+
+
+def trace_plots(results: Results, cases: Sequence[Case], look: dict[str, figures.Look]) -> list[Picture]:
+    """The first training of each learner from its first second on, as the paper's figure 5."""
+    found, seen = [], set()
+    for case in sorted((c for c in cases if c.kind == "learn"), key=lambda c: c.seed):
+        drive = results.trajectory(case)
+        if drive is None or len(drive["t"]) < 2 or (case.controller, case.scenario) in seen:
+            continue
+        seen.add((case.controller, case.scenario))
+        title = f"{case.controller}, {case.scenario}, seed {case.seed}: from the first second"
+        text = "Shaded: the recovery controller steers. Dashed: |e| = 0.5 m, where an episode ends."
+        figure = figures.first_seconds(drive, look[case.controller])
+        found.append(Picture(title, text, figures.svg(figure, title)))
     return found
 
 
 def protocol(results: Results) -> dict[str, Any]:
     """Scenarios as rows: what all have in common, and the fields in which they differ."""
-    named = {n: parts.conditions(f) for n, f in results.protocol.items() if any(c.scenario == n for c in results.cases)}
+    named = {
+        n: conditions.conditions(f) for n, f in results.protocol.items() if any(c.scenario == n for c in results.cases)
+    }
     fields = list(dict.fromkeys(key for f in named.values() for key in f))
     differing = [k for k in fields if len({repr(f.get(k)) for f in named.values()}) > 1]
     common = {k: next(iter(named.values()))[k] for k in fields if k not in differing}

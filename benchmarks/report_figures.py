@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 WIDTH = 4.6
 """Width of a picture [in]: it fits a phone, and two or three stand side by side on a desk."""
 TRIP = 0.5
+MOST_DOTS = 150
+"""No controller gets more dots than these in one plot."""
 LINES = ("-", (0, (5, 1.5)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)))
 """Dashes take over where twelve colours are used up, and tell lines apart without colour."""
 _SERIAL = itertools.count()
@@ -109,6 +111,8 @@ def dots(
             _plain_numbers(axes.xaxis)
         for row, (name, found) in enumerate(values.items()):
             shown = found[np.isfinite(found)]
+            if len(shown) > MOST_DOTS:  # as many of their quantiles, or the page grows with every case
+                shown = np.quantile(shown, np.linspace(0.0, 1.0, MOST_DOTS))
             shift = rng.uniform(-0.22, 0.22, len(shown))
             axes.plot(shown, row + shift, "o", ms=3.2, mew=0, alpha=0.45, color=look[name].colour)
             centre, low, high = middle[name]
@@ -193,6 +197,24 @@ def _frame(drive: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     psi = np.arctan2(way[:, 1], way[:, 0]) - drive["psi_e"]
     normal = np.column_stack([-np.sin(psi), np.cos(psi)])
     return p - drive["e"][:, None] * normal, normal
+
+
+def first_seconds(drive: Mapping[str, np.ndarray], look: Look, *, seconds: float = 350.0) -> Figure:
+    """e [m] from the first second of a training on, shaded where the recovery controller steers (figure 5)."""
+    with style():
+        figure, axes = new(2.4, width=5.4)
+        keep = drive["t"] <= drive["t"][0] + seconds
+        t, e, learns = drive["t"][keep], drive["e"][keep], drive["learning"][keep] > 0.5
+        axes.fill_between(t, 0.0, 1.0, where=~learns, transform=axes.get_xaxis_transform(), color=COLOURS["muted"],
+                          alpha=0.3, lw=0, step="post")  # fmt: skip
+        for level in (-TRIP, TRIP):
+            axes.axhline(level, color=COLOURS["limit"], lw=0.9, ls="--")
+        axes.plot(t, e, lw=0.8, color=look.colour)
+        axes.set_ylim(-1.0, 1.0)
+        axes.set_xlim(t[0], t[0] + seconds)
+        axes.set_xlabel("driving time [s]")
+        axes.set_ylabel("e [m]")
+        return figure
 
 
 def bands(

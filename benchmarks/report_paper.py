@@ -9,9 +9,20 @@ import numpy as np
 
 from benchmarks.report_parts import number
 from benchmarks.results import Case, Results
-from steerkit.metrics import interval, share
+from steerkit.metrics import interval
 
 SUITE = "paper"
+_LEARNING = (
+    ("episodes to the first whole round", "56, real car", "round_episodes"),
+    ("driving time to the first whole round [min]", "about 11, real car", "round_minutes"),
+    ("transitions at the end", "20,000 after 60 episodes and 16 min, real car", "transitions"),
+    ("max |e| of a round after 70 episodes [m]", "no number given", "max_e_after_70"),
+    ("max |e| of a round after 120 episodes [m]", "very good controllers, no number given, simulation", "max_e_after_120"),
+)
+_DRIVING = (
+    ("bang-bang", "−0.25 to 0.1 over 2,000 steps, simulation", "up to 8, simulation"),
+    ("idoe", "about ±0.1 over 2,000 steps, simulation", "far smoother than bang-bang, simulation"),
+)
 
 
 @dataclass(frozen=True)
@@ -29,24 +40,12 @@ def paper_rows(results: Results) -> list[PaperRow]:
     cases = [c for c in results.cases if c.suite == SUITE and c.status == "done"]
     if not cases:
         return []
-    learners = [c for c in cases if c.kind == "learn"]
-    ours = list(dict.fromkeys(c.controller for c in learners))
-    rows = []
-    for what, paper, name, digits in (
-        ("episodes to the first whole round", "56 (real car)", "round_episodes", 2),
-        ("driving time to the first whole round [min]", "about 11 (real car)", "round_minutes", 2),
-        ("transitions", "20,000 after 60 episodes and 16 min (real car)", "transitions", 3),
-    ):
-        told = "; ".join(f"{c}: {_median(_of(learners, c), name, digits)}" for c in ours if _of(learners, c))
-        rows.append(PaperRow(what, paper, told or "–"))
-    rounds = [
-        f"{c}: {share([x.metrics.get('round_minutes', np.inf) < np.inf for x in _of(learners, c)])}" for c in ours
-    ]
-    rows.append(PaperRow("share of runs that drove a whole round", "1 run shown", "; ".join(rounds) or "–"))
-    for kind, e, a_y in (("bang-bang", "−0.25 to 0.1 (simulation)", "up to 8 (simulation)"),
-                         ("idoe", "about ±0.1 (simulation)", "far smaller than bang-bang's")):  # fmt: skip
-        here = [c for c in cases if kind in c.controller.lower()]
-        rows.append(PaperRow(f"{kind}: range of e [m]", e, _ranges(results, here)))
+    drivers = dict.fromkeys(c.controller for c in cases)
+    learners = [c for c in results.cases if c.kind == "learn" and c.status == "done" and c.controller in drivers]
+    rows = [PaperRow(what, paper, _each(learners, name)) for what, paper, name in _LEARNING]
+    for kind, e, a_y in _DRIVING:
+        here = [c for c in cases if kind in c.controller]
+        rows.append(PaperRow(f"{kind}: range of e in a round [m]", e, _ranges(results, here)))
         rows.append(PaperRow(f"{kind}: largest |a_y| [m/s²]", a_y, _each(here, "max_a_y")))
     return rows
 
@@ -55,17 +54,17 @@ def _of(cases: Sequence[Case], controller: str) -> list[Case]:
     return [c for c in cases if c.controller == controller]
 
 
-def _median(cases: Sequence[Case], name: str, digits: int) -> str:
-    values = [c.metrics.get(name, np.nan) for c in cases]
-    if np.isnan(values).any():
-        return "–"
-    found = interval(values, np.median)
-    return f"{number(found.value, digits)} [{number(found.low, digits)}, {number(found.high, digits)}]"
-
-
 def _each(cases: Sequence[Case], name: str) -> str:
-    names = dict.fromkeys(c.controller for c in cases)
-    return "; ".join(f"{n}: {_median(_of(cases, n), name, 2)}" for n in names) or "–"
+    """Each controller's median over its seeds with the interval, and of how many seeds, where not of all."""
+    told = []
+    for controller in dict.fromkeys(c.controller for c in cases):
+        values = np.array([c.metrics.get(name, np.nan) for c in _of(cases, controller)])
+        known = values[~np.isnan(values)]
+        if len(known):
+            found = interval(known, np.median)
+            of = "" if len(known) == len(values) else f" ({len(known)} of {len(values)} seeds)"
+            told.append(f"{controller}: {number(found.value, 2)} [{number(found.low, 2)}, {number(found.high, 2)}]{of}")
+    return "; ".join(told) or "–"
 
 
 def _ranges(results: Results, cases: Sequence[Case]) -> str:

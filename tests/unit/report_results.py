@@ -69,7 +69,9 @@ def learnt(seed: int) -> tuple[Case, dict[str, np.ndarray]]:
              "episode_distance": 25.0 + 0.0 * t, "episode_rms_e": 0.1 + 0.0 * t}  # fmt: skip
     metrics = {"round_minutes": ready / 60.0, "round_episodes": ready / 20.0, "good_minutes": ready / 60.0,
                "good_episodes": ready / 20.0, "transitions": 6000.0}  # fmt: skip
-    return Case(suite="paper", scenario="paper", controller="nfq-idoe", seed=seed, kind="learn", metrics=metrics), curve
+    return Case(
+        suite="training", scenario="train-clean", controller="nfq-idoe", seed=seed, kind="learn", metrics=metrics
+    ), curve
 
 
 def write(place: Path) -> Results:
@@ -84,7 +86,8 @@ def write(place: Path) -> Results:
             cases += [(*driven("robustness", name, controller, seed), None) for name in grid]
     for seed in SEEDS:
         case, curve = learnt(seed)
-        cases.append((case, driven("paper", "paper", "nfq-idoe", seed)[1], curve))
+        cases.append((case, driven("training", "paper", "nfq-idoe", seed)[1], curve))
+        cases.append((*driven("paper", "paper", "nfq-idoe", seed), None))
     broken = Case(suite="tracking", scenario="paper", controller="mpc", seed=0, status="error", error="solver <failed>")
     absent = Case(suite="tracking", scenario="paper", controller="sac", seed=0, status="not installed", error="no sb3")
     about = {n: {"kind": "learned" if "nfq" in n else "analytic", "about": f"about {n}"} for n in CONTROLLERS}

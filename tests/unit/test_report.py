@@ -14,6 +14,8 @@ import numpy as np
 import pytest
 from report_results import CONTROLLERS, SEEDS, write
 
+from benchmarks import report_conditions as conditions
+from benchmarks import report_learning as learning
 from benchmarks import report_parts as parts
 from benchmarks.report import main, verdict, write_report
 from benchmarks.results import Results, load_results
@@ -75,7 +77,7 @@ def test_the_comparison_is_paired_by_seed(results: Results) -> None:
 
 def test_the_failure_map_is_the_grid_that_was_driven(results: Results) -> None:
     cases = [c for c in results.cases if c.suite == "robustness"]
-    (grid,) = parts.grids(cases, results.protocol)
+    (grid,) = conditions.grids(cases, results.protocol)
     assert {grid.x, grid.y} == {"v", "delay"}
     assert (grid.xs, grid.ys) == ((4.0, 6.0, 9.0), (0.3, 0.2, 0.1, 0.0))
     for name, shares in grid.shares.items():
@@ -84,24 +86,24 @@ def test_the_failure_map_is_the_grid_that_was_driven(results: Results) -> None:
                 here = [c for c in cases if c.controller == name and c.scenario == f"delay {delay:g} v {v:g}"]
                 assert shares[i, j] == np.mean([c.metrics["held"] for c in here])
     assert grid.shares["pure-pursuit"][0, 2] == 0.0
-    assert parts.sweeps(cases, results.protocol) == [], "what is on a map is not drawn again"
-    assert parts.grids([c for c in results.cases if c.suite == "tracking"], results.protocol) == []
+    assert conditions.sweeps(cases, results.protocol) == [], "what is on a map is not drawn again"
+    assert conditions.grids([c for c in results.cases if c.suite == "tracking"], results.protocol) == []
 
 
 def test_one_condition_alone_is_a_sweep_and_no_map(results: Results) -> None:
     cases = [c for c in results.cases if c.scenario.endswith(" v 6")]
-    assert parts.grids(cases, results.protocol) == []
-    (sweep,) = parts.sweeps(cases, results.protocol)
+    assert conditions.grids(cases, results.protocol) == []
+    (sweep,) = conditions.sweeps(cases, results.protocol)
     assert (sweep.x, sweep.xs) == ("delay", (0.0, 0.1, 0.2, 0.3))
     assert [len(group) for group in sweep.cases["stanley"]] == [2, 2, 2, 2]
 
 
 def test_the_learning_curve_is_the_share_of_seeds_that_are_good_by_then(results: Results) -> None:
     """Seed k is good from minute 1 + k/2 on, the last one never."""
-    (curves,) = parts.learning(results, results.cases, points=59)
+    (curves,) = learning.learning(results, results.cases, points=59)
     good, low, high = curves.good["nfq-idoe"]
     for minute, share in ((0.5, 0.0), (1.3, 1.0 / 6.0), (2.3, 0.5), (4.8, 5.0 / 6.0)):
-        at = int(np.searchsorted(curves.minutes, minute))
+        at = int(np.searchsorted(curves.x, minute))
         assert good[at] == pytest.approx(share)
         assert low[at] <= good[at] <= high[at]
     rms_e = curves.rms_e["nfq-idoe"][0]
