@@ -267,8 +267,8 @@ def _from_files(place: FilePath, provenance: Mapping[str, Any]) -> tuple[Case, .
             continue
         try:
             data = json.loads(file.read_text())
-            found.append(Case(**{k: _number(v) if k in _FLOATS else v for k, v in data.items() if k != "metrics"},
-                              metrics={k: _number(v) for k, v in data["metrics"].items()}))  # fmt: skip
+            data["metrics"] = {name: _number(value) for name, value in data["metrics"].items()}
+            found.append(Case(**data | {"cpu_seconds": _number(data["cpu_seconds"])}))
         except (ValueError, TypeError, KeyError, AttributeError) as error:
             raise ValueError(f"{file} is broken ({_line(error)}); remove it and run the suite again") from error
     return tuple(found)
@@ -288,9 +288,6 @@ def _table(cases: tuple[Case, ...], protocol: Mapping[str, Mapping[str, Any]]) -
         scenario = {f"scenario.{k}": v for k, v in protocol.get(case.scenario, {}).items() if not isinstance(v, list)}
         rows.append(case.row() | scenario)
     return pd.DataFrame(rows, columns=None if rows else [f.name for f in fields(Case) if f.name != "metrics"])
-
-
-_FLOATS = ("cpu_seconds",)
 
 
 def _number(value: Any) -> float:
