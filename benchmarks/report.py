@@ -165,7 +165,7 @@ def _median(values: np.ndarray, m: Metric) -> tuple[float, float, float]:
 def _off_the_plot(values: dict[str, np.ndarray]) -> str:
     lost = {name: int((~np.isfinite(v)).sum()) for name, v in values.items()}
     told = ", ".join(f"{name} {n}" for name, n in lost.items() if n)
-    return f"Cases without a value, counted as worst: {told}." if told else ""
+    return f"Not held or without a value, counted as worst: {told}." if told else ""
 
 
 def maps(results: Results, cases: Sequence[Case], look: dict[str, figures.Look]) -> list[dict[str, Any]]:

@@ -17,7 +17,11 @@ _LEARNING = (
     ("driving time to the first whole round [min]", "about 11, real car", "round_minutes"),
     ("transitions at the end", "20,000 after 60 episodes and 16 min, real car", "transitions"),
     ("max |e| of a round after 70 episodes [m]", "no number given", "max_e_after_70"),
-    ("max |e| of a round after 120 episodes [m]", "very good controllers, no number given, simulation", "max_e_after_120"),
+    (
+        "max |e| of a round after 120 episodes [m]",
+        "very good controllers, no number given, simulation",
+        "max_e_after_120",
+    ),
 )
 _DRIVING = (
     ("bang-bang", "−0.25 to 0.1 over 2,000 steps, simulation", "up to 8, simulation"),

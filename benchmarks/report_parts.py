@@ -66,10 +66,19 @@ def unit(m: Metric) -> str:
 
 
 def of_metric(cases: Iterable[Case], m: Metric) -> np.ndarray:
-    """The metric of each finished case (n,); one without a value, or that failed with an error, counts as worst."""
+    """The metric of each case (n,); a drive that was not held, a case without a value or an error counts as worst.
+
+    Else a controller would be judged by the few metres before it left the course.
+    """
     worst = math.inf if m.lower_is_better else -math.inf
-    found = [case.metrics.get(m.name, math.nan) if case.status == "done" else math.nan for case in cases]
+    found = [value_of(case, m) for case in cases]
     return np.array([worst if math.isnan(value) else value for value in found])
+
+
+def value_of(case: Case, m: Metric) -> float:
+    """The metric of a case; NaN where it has none, or, if it is one of driving, where the drive was not held."""
+    lost = m.group in ("tracking", "steering", "comfort") and case.metrics.get("held", 1.0) < 0.5
+    return math.nan if lost or case.status != "done" else case.metrics.get(m.name, math.nan)
 
 
 def by_seed(cases: Sequence[Case], m: Metric) -> np.ndarray:
@@ -158,7 +167,7 @@ class Versus:
 def against(cases: Sequence[Case], reference: str) -> list[Versus]:
     """Every other controller against the reference: the mean over common scenarios, paired by seed.
 
-    Only scenarios that both finished on all common seeds count; a seed is one pair, as its scenarios share a driver.
+    Only scenarios that both held on all common seeds count; a seed is one pair, as its scenarios share a driver.
     """
     found = []
     table = {(c.controller, c.scenario, c.seed): c for c in cases if c.status == "done"}
@@ -166,7 +175,7 @@ def against(cases: Sequence[Case], reference: str) -> list[Versus]:
         if name == reference:
             continue
         for m in (metric(n) for n in VERSUS):
-            pairs = _paired_means(table, name, reference, m.name)
+            pairs = _paired_means(table, name, reference, m)
             if pairs is None:
                 continue
             ours, theirs, scenarios = pairs
@@ -176,13 +185,13 @@ def against(cases: Sequence[Case], reference: str) -> list[Versus]:
 
 
 def _paired_means(
-    table: Mapping[tuple[str, str, int], Case], name: str, reference: str, key: str
+    table: Mapping[tuple[str, str, int], Case], name: str, reference: str, m: Metric
 ) -> tuple[np.ndarray, np.ndarray, int] | None:
     seeds = sorted({s for c, _, s in table if c == name} & {s for c, _, s in table if c == reference})
     scenarios = sorted({sc for c, sc, _ in table if c == name} & {sc for c, sc, _ in table if c == reference})
 
     def values(who: str, scenario: str) -> list[float]:
-        here = {s: c.metrics.get(key, math.nan) for (w, sc, s), c in table.items() if (w, sc) == (who, scenario)}
+        here = {s: value_of(c, m) for (w, sc, s), c in table.items() if (w, sc) == (who, scenario)}
         without_chance = next(iter(here.values())) if len(here) == 1 else math.nan
         return [here.get(s, without_chance) for s in seeds]
 
