@@ -25,7 +25,7 @@ from benchmarks import report_learning as learning
 from benchmarks import report_parts as parts
 from benchmarks.report_paper import paper_rows
 from benchmarks.results import Case, Results, load_results
-from steerkit.metrics import TABLE, Metric, interval
+from steerkit.metrics import Metric, interval
 
 TEMPLATE = FilePath(__file__).with_name("report.html.j2")
 LINES_ON_A_MAP = 12
@@ -71,7 +71,7 @@ def html(results: Results) -> str:
         verdict=verdict(results),
         suites=[suite(results, name, look) for name in parts.suites(results)],
         paper=paper_rows(results),
-        metrics=TABLE,
+        metrics=parts.METRICS,
         used={name for case in results.cases for name in case.metrics},
         provenance=provenance(results),
         scenarios=protocol(results),
@@ -141,7 +141,7 @@ def suite(results: Results, name: str, look: dict[str, figures.Look]) -> dict[st
 def metric_plots(cases: Sequence[Case], look: dict[str, figures.Look]) -> list[Picture]:
     """One plot a metric: every case a dot, the median with its interval a bar."""
     found = []
-    for m in (m for m in TABLE if m.group != "learning" and parts.has(cases, m.name)):
+    for m in (m for m in parts.METRICS if m.group != "learning" and parts.has(cases, m.name)):
         of = {name: [c for c in cases if c.controller == name] for name in parts.controllers(cases)}
         values = {name: parts.of_metric(here, m) for name, here in of.items()}
         middle = {name: _median(parts.by_seed(here, m), m) for name, here in of.items()}
