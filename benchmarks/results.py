@@ -38,11 +38,11 @@ TRAJECTORY = {
 }  # fmt: skip
 """Signals of a trajectory and their units, (T,) each, even in t; `learning` is 0 where recovery steered."""
 CURVE = {
-    "t": "s", "transitions": "1", "failures": "1", "held": "1", "rounds": "1", "rms_e": "m", "max_e": "m",
-    "rms_wheel_rate_deg": "deg/s", "max_a_y": "m/s^2", "max_jerk": "m/s^3",
+    "t": "s", "iterations": "1", "transitions": "1", "failures": "1", "held": "1", "rounds": "1", "rms_e": "m",
+    "max_e": "m", "rms_wheel_rate_deg": "deg/s", "max_a_y": "m/s^2", "max_jerk": "m/s^3",
 }  # fmt: skip
-"""Columns of a learning curve, one row a test-driven net (n,): the driving time at which it took the wheel, what had
-been used until then, and what its test drive of one round came to (NaN where it drove less than a second)."""
+"""Columns of a learning curve, one row a test-driven net (n,): the driving time at which it took the wheel, trainings
+and transitions used until then, and what its test drive of one round came to (NaN: it drove less than a second)."""
 EPISODES = {"episode_began": "s", "episode_ended": "s", "episode_distance": "m", "episode_rms_e": "m"}
 """Also in a curve's file: one row an episode of the run (k,)."""
 TIMES = ("metric.step_p50_us", "metric.step_p99_us", "cpu_seconds")
