@@ -150,20 +150,24 @@ class Store:
         self.place = FilePath(place)
 
     def open(self, provenance: Mapping[str, Any]) -> None:
-        """Make the directory, or go on in one of the same plan.
+        """Make the directory, or go on in one of the same sources: its finished cases stay, its plan is added to.
 
-        Raises ValueError where there is something else: another plan, other sources, no results directory.
+        Raises ValueError where there is something else: results of other sources or versions, other files.
         """
         file = self.place / "provenance.json"
         plan = {"format": FORMAT, **provenance}
         if file.exists():
             old = read_provenance(self.place)
-            for key in ("suites", "seeds", "scenarios", "controllers", "source"):
-                if old.get(key) != json.loads(_json(plan.get(key))):
+            for key in ("source", "versions"):
+                if old.get(key) != plan.get(key):
                     raise ValueError(
-                        f"{self.place} holds results of another run ({key} differ), and a mixture would compare what "
-                        "cannot be compared; choose another directory with --out, or remove this one"
+                        f"{self.place} holds results of another state of the program ({key} {old.get(key)}, now "
+                        f"{plan.get(key)}); mixed, they could not be compared. Choose another --out, or remove it"
                     )
+            for key in ("suites", "scenarios", "controllers"):
+                plan[key] = {**old.get(key, {}), **plan[key]}
+            plan["planned"] = [*dict.fromkeys([*old.get("planned", ()), *plan["planned"]])]
+            plan["seeds"] = sorted({*old.get("seeds", ()), *plan["seeds"]})
         elif self.place.exists() and any(self.place.iterdir()):
             raise ValueError(f"{self.place} is not empty and holds no results; choose another directory with --out")
         for folder in ("cases", "trajectories", "curves", "nets"):
@@ -172,8 +176,9 @@ class Store:
         whole(file, lambda draft: draft.write_text(_json(plan, indent=1)))
 
     def has(self, case_id: str) -> bool:
-        """Has this case finished?"""
-        return self._case_file(case_id).exists()
+        """Has this case finished, without an error?"""
+        file = self._case_file(case_id)
+        return file.exists() and json.loads(file.read_text())["status"] == "done"
 
     def keep(
         self,
