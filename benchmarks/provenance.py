@@ -8,7 +8,7 @@ import os
 import platform
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
@@ -16,7 +16,6 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from benchmarks.controllers import CONTROLLERS
-from benchmarks.paper import PAPER_VALUES
 from benchmarks.scenarios import Scenario
 from benchmarks.suites import TRAINING, Job, Suite
 from benchmarks.trainings import TRAININGS
@@ -38,7 +37,6 @@ def provenance(suites: Sequence[Suite], planned: Sequence[Job], seeds: int | Non
         "planned": [job.id for job in planned],
         "scenarios": scenarios(suites, planned),
         "controllers": {name: _controller(name) for name in dict.fromkeys(job.controller for job in planned)},
-        "paper": PAPER_VALUES,
         "source": source(),
         "versions": versions(),
         "commit": _git("rev-parse", "HEAD"),
@@ -134,9 +132,3 @@ def _processor() -> str:
 
 def _hash(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()[:16]
-
-
-def told(fields: Mapping[str, Any]) -> dict[str, Any]:
-    """A scenario's fields that differ from the usual drive, for tables."""
-    usual = asdict(Scenario(name=""))
-    return {key: value for key, value in fields.items() if key != "name" and usual.get(key, ...) != value}

@@ -26,6 +26,10 @@ BACKENDS = ("loky", "dask")
 _PATIENCE = 3  # times that workers may die with no case finished in between
 
 
+class WorkersDiedError(RuntimeError):
+    """Worker processes die again and again."""
+
+
 @dataclass(frozen=True)
 class Work:
     """A case and all that a worker needs for it; it crosses to other processes and machines."""
@@ -73,7 +77,7 @@ def run(
 
     workers: processes at once, -1: one a core (loky). backend: `loky`, processes of this machine, or `dask`, the
     workers of the scheduler at `address`, which must have the same sources. Raises ValueError for a directory of
-    other results or a scheduler that does not answer; RuntimeError when workers die again and again.
+    other results or a scheduler that does not answer; WorkersDiedError when workers die again and again.
     """
     if backend not in BACKENDS:
         raise ValueError(f"backend '{backend}' is not known; valid: {', '.join(BACKENDS)}")
@@ -163,13 +167,13 @@ def _all_done(work: Sequence[Work], pool: Mapping[str, Any], workers: int, say: 
         try:
             with joblib.parallel_config(**pool) if pool else ExitStack():
                 parallel = joblib.Parallel(n_jobs=workers, return_as="generator_unordered", batch_size=1)
-                for done in parallel(joblib.delayed(carry_out)(piece) for piece in left.values()):
+                for done in parallel(joblib.delayed(carry_out)(piece) for piece in list(left.values())):
                     yield done
                     del left[done.case.id]
         except TerminatedWorkerError:
             deaths = 1 if len(left) < before else deaths + 1
             if deaths >= _PATIENCE:
-                raise RuntimeError(
+                raise WorkersDiedError(
                     f"workers died {deaths} times with no case finished (killed, or out of memory?); finished cases "
                     f"are kept, and the same command goes on; left: {', '.join([*left][:5])}"
                 ) from None

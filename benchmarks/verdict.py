@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.results import Case, Results
-from steerkit.metrics import Paired, interval, metric, paired, share
+from steerkit.metrics import Paired, metric, paired, share
 
 JUDGED = {"rms_e": "cross-track error", "rms_wheel_rate_deg": "smoothness at the wheel",
           "max_jerk": "lateral jerk", "max_a_y": "lateral acceleration"}  # fmt: skip
@@ -93,11 +93,11 @@ def verdict(results: Results, *, suite: str | None = None) -> str:
 _SMALL_PRINT = (
     "Simulated drives only; no car was driven. Each controller is judged where it has its errors measured (front axle, "
     "rear axle or centre of gravity), which also moves the lateral acceleration that a course asks of the centre of "
-    "gravity. Differences are means over the seeds that both held, with 95 % bootstrap intervals; \"beyond chance\": "
-    f"p < {SIGNIFICANT:g} in the sign-flip permutation test of the pairs, with no correction for how many there are: one "
-    "in twenty would be found where there is none. An analytic controller in a scenario without chance drives once and "
+    "gravity. Differences are means over the seeds that both held, with 95 % bootstrap intervals. Better and worse "
+    f"mean p < {SIGNIFICANT:g} in the sign-flip permutation test of the pairs, not corrected for how many there are: "
+    "one in twenty is found where there is none. An analytic controller in a scenario without chance drives once and "
     "meets every net. The best analytic controller is chosen after the fact, scenario by scenario."
-)  # fmt: skip
+)
 
 
 def _holding(results: Results, names: Sequence[str], suite: str | None) -> list[str]:
@@ -183,17 +183,3 @@ def _at(cases: dict[int, Case], seed: int) -> Case | None:
 def _names(found: Iterable[str], most: int = 6) -> str:
     names = [*dict.fromkeys(found)]
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
-
-
-def curve_of(results: Results, controller: str, name: str = "rms_e") -> tuple[list[float], list[float], list[float]]:
-    """Medians over seeds of the last net's metric by driving minute: minutes, medians, share of seeds that hold."""
-    runs = [results.curve(c) for c in results.cases if c.controller == controller and c.kind == "learn"]
-    kept = [run for run in runs if run is not None and len(run["t"])]
-    minutes = [float(m) for m in range(1, 1 + int(max((run["t"][-1] for run in kept), default=0.0) // 60.0))]
-    medians, shares = [], []
-    for minute in minutes:
-        at = [(run, int(np.searchsorted(run["t"], 60.0 * minute, side="right")) - 1) for run in kept]
-        values = [float(run[name][i]) if i >= 0 and run["held"][i] else math.inf for run, i in at]
-        medians.append(interval(values, np.median).value)
-        shares.append(float(np.mean(np.isfinite(values))))
-    return minutes, medians, shares
