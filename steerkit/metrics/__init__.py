@@ -1,4 +1,4 @@
-"""How well a car was steered, and what learning it cost, in numbers with their sources; `table.TABLE` lists them all."""
+"""How well a car was steered and what learning it cost, in numbers with sources; `table.TABLE` lists them all."""
 
 from steerkit.metrics.autoware import Accumulated, control_evaluator, goal_deviation
 from steerkit.metrics.comfort import (

@@ -13,7 +13,7 @@ JERK_WINDOW = 0.5
 """Length of the moving average of lateral jerk [s]; source: ISO 11270:2014, UN R79."""
 R79_CUTOFF = 0.5
 """Cut-off of the filter of lateral acceleration [Hz]; source: UN R79, 03 series, annex 8."""
-WEIGHTING_RATE = 400.0
+WEIGHTING_RATE = 1000.0
 """Least rate at which ISO 2631-1's filter runs [Hz]; slower records are interpolated first."""
 
 
@@ -63,15 +63,16 @@ def r79_jerk(t: ArrayLike, a_y: ArrayLike) -> Array:
 def wd_filter(rate: float) -> Array:
     """ISO 2631-1's weighting W_d (horizontal, seated) as digital second-order sections at `rate` [Hz], (3, 6).
 
-        H(s) = s^2/(s^2 + sqrt(2) w1 s + w1^2) * w2^2/(s^2 + sqrt(2) w2 s + w2^2) * (1 + s/w3)/(1 + s/(Q4 w4) + s^2/w4^2)
+        H(s) = s^2/(s^2 + sqrt(2) w1 s + w1^2) * w2^2/(s^2 + sqrt(2) w2 s + w2^2)
+               * (1 + s/w3)/(1 + s/(Q4 w4) + s^2/w4^2)
         w = 2 pi f;  f1 = 0.4 Hz, f2 = 100 Hz, f3 = f4 = 2 Hz, Q4 = 0.63
 
-    by the bilinear transform; below rate/20 its gain is H's within 1 %. Raises ValueError for a rate below 400 Hz.
+    by the bilinear transform; below rate/20 its gain is H's within 1 %. Raises ValueError for a rate below 1000 Hz.
     Source: ISO 2631-1:1997, annex A, table A.1.
     """
     from scipy.signal import bilinear, tf2sos
 
-    if not rate >= WEIGHTING_RATE:
+    if not rate > 0.999 * WEIGHTING_RATE:
         raise ValueError(f"wd_filter: rate {rate:g} Hz, expected >= {WEIGHTING_RATE:g} Hz")
     w1, w2, w3, q4 = 2.0 * math.pi * 0.4, 2.0 * math.pi * 100.0, 2.0 * math.pi * 2.0, 0.63
     stages = (
@@ -85,7 +86,7 @@ def wd_filter(rate: float) -> Array:
 def weighted_acceleration(t: ArrayLike, a_y: ArrayLike) -> float:
     """Frequency-weighted RMS acceleration a_w of the whole record [m/s^2]: a_y through W_d, then the RMS.
 
-    t (T,) [s], even; a_y (T,) [m/s^2]. Records below 400 Hz are interpolated by a band-limited filter first, for at
+    t (T,) [s], even; a_y (T,) [m/s^2]. Records below 1000 Hz are interpolated by a band-limited filter first, for at
     20 Hz the bilinear transform would bend W_d; what lies above half the record's own rate it cannot know. Before the
     record a_y is taken to have been what it is at its start, so a steady bend weighs nothing.
     Comfort reactions (annex C): below 0.315 not uncomfortable, 0.5 to 1 fairly uncomfortable, above 2 extremely.

@@ -66,7 +66,7 @@ def measures(*, t: ArrayLike, e: ArrayLike, psi_e: ArrayLike, delta_sw: ArrayLik
 
     t [s] (even), e [m], psi_e [rad], delta_sw [rad], a_y [m/s^2], each (T,). Those that `Summary` has are the same
     numbers. A metric whose signal holds a NaN is NaN (shares and times: count it as outside).
-    Raises ValueError for signals of other shapes or lengths, uneven t, dt above 0.2 s, or about 0.5 s of record or less.
+    Raises ValueError for signals of other shapes or lengths, uneven t, dt above 0.2 s or a record of about 0.5 s.
     """
     _same_shapes("measures", {"t": t, "e": e, "psi_e": psi_e, "delta_sw": delta_sw, "a_y": a_y})
     few = summary(t=t, e=e, delta_sw=delta_sw, a_y=a_y)

@@ -32,8 +32,8 @@ def reversal_rate(t: ArrayLike, delta_sw: ArrayLike, *, gap_deg: float = 3.0, cu
     angle, dt = degrees_of(samples("reversal_rate", delta_sw)), step(t, "reversal_rate", delta_sw)
     if len(angle) <= 10 or not 0.0 < cutoff < 0.5 / dt or not gap_deg > 0.0:
         raise ValueError(
-            f"reversal_rate: {len(angle)} samples at dt = {dt:g} s, cutoff {cutoff:g} Hz, gap {gap_deg:g} deg; expected "
-            "more than 10 samples, 0 < cutoff < 0.5/dt and gap > 0"
+            f"reversal_rate: {len(angle)} samples at dt = {dt:g} s, cutoff {cutoff:g} Hz, gap {gap_deg:g} deg; "
+            "expected more than 10 samples, 0 < cutoff < 0.5/dt and gap > 0"
         )
     if not np.isfinite(angle).all():
         return float("nan")

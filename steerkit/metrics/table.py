@@ -63,7 +63,7 @@ TABLE: tuple[Metric, ...] = (
     Metric(name="max_a_y", label="max |a_y|", unit="m/s^2", group="comfort",
            what="largest lateral acceleration, unfiltered", source=_ISO_11270, limit=3.0),
     Metric(name="max_a_y_r79", label="max |a_y|, R79", unit="m/s^2", group="comfort",
-           what="largest lateral acceleration after a 4th-order Butterworth low-pass at 0.5 Hz", source=_R79, limit=3.0),
+           what="largest lateral acceleration after a 4th-order Butterworth at 0.5 Hz", source=_R79, limit=3.0),
     Metric(name="rms_jerk", label="RMS jerk", unit="m/s^3", group="comfort",
            what="root mean square of the lateral jerk averaged over 0.5 s", source=_ISO_11270),
     Metric(name="max_jerk", label="max jerk, ISO 11270", unit="m/s^3", group="comfort",
