@@ -36,6 +36,8 @@ class Controller:
     """Makes the block for a scenario's nominal car and path; None for one that is learned."""
     setting: str = ""
     """How it learns: a name of `steerkit.learning.settings`."""
+    training: str = "clean"
+    """Where it learns: a name of `trainings.TRAININGS`."""
     needs: str = ""
     """Package that it cannot do without."""
 
@@ -95,6 +97,20 @@ _TABLE = (
                setting="paper"),
     Controller(name="nfq-paper-bang-bang", kind="learned", about="NFQ as published, bang-bang, +-360 degrees",
                setting="paper-bang-bang"),
+    Controller(name="nfq-idoe-quick", kind="learned", about="nfq-idoe after 4 minutes of driving", setting="default",
+               training="quick"),
+    Controller(name="nfq-bang-bang-quick", kind="learned", about="nfq-bang-bang after 4 minutes of driving",
+               setting="bang-bang", training="quick"),
+    Controller(name="nfq-idoe-genesis", kind="learned", about="nfq-idoe, taught on the recorded lap",
+               setting="default", training="genesis"),
+    Controller(name="nfq-idoe-linear", kind="learned", about="nfq-idoe, taught on the linear car", setting="default",
+               training="linear"),
+    Controller(name="nfq-idoe-hard", kind="learned", about="nfq-idoe, taught with noise, latency and more lag",
+               setting="default", training="hard"),
+    Controller(name="nfq-paper-120", kind="learned", about="NFQ as published, integrating, for 120 episodes",
+               setting="paper", training="episodes-120"),
+    Controller(name="nfq-idoe-offline", kind="learned", about="nfq-idoe: 2 minutes of driving, then trained offline",
+               setting="default", training="offline"),
 )  # fmt: skip
 
 CONTROLLERS: Mapping[str, Controller] = {c.name: c for c in _TABLE}

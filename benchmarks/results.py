@@ -38,11 +38,11 @@ TRAJECTORY = {
 }  # fmt: skip
 """Signals of a trajectory and their units, (T,) each, even in t; `learning` is 0 where recovery steered."""
 CURVE = {
-    "t": "s", "transitions": "1", "failures": "1", "held": "1", "rounds": "1", "rms_e": "m", "max_e": "m",
-    "rms_wheel_rate_deg": "deg/s", "max_a_y": "m/s^2", "max_jerk": "m/s^3",
+    "t": "s", "iterations": "1", "transitions": "1", "failures": "1", "held": "1", "rounds": "1", "rms_e": "m",
+    "max_e": "m", "rms_wheel_rate_deg": "deg/s", "max_a_y": "m/s^2", "max_jerk": "m/s^3",
 }  # fmt: skip
-"""Columns of a learning curve, one row a test-driven net (n,): the driving time at which it took the wheel, what had
-been used until then, and what its test drive of one round came to (NaN where it drove less than a second)."""
+"""Columns of a learning curve, one row a test-driven net (n,): the driving time at which it took the wheel, trainings
+and transitions used until then, and what its test drive of one round came to (NaN: it drove less than a second)."""
 EPISODES = {"episode_began": "s", "episode_ended": "s", "episode_distance": "m", "episode_rms_e": "m"}
 """Also in a curve's file: one row an episode of the run (k,)."""
 TIMES = ("metric.step_p50_us", "metric.step_p99_us", "cpu_seconds")
@@ -150,20 +150,24 @@ class Store:
         self.place = FilePath(place)
 
     def open(self, provenance: Mapping[str, Any]) -> None:
-        """Make the directory, or go on in one of the same plan.
+        """Make the directory, or go on in one of the same sources: its finished cases stay, its plan is added to.
 
-        Raises ValueError where there is something else: another plan, other sources, no results directory.
+        Raises ValueError where there is something else: results of other sources or versions, other files.
         """
         file = self.place / "provenance.json"
         plan = {"format": FORMAT, **provenance}
         if file.exists():
             old = read_provenance(self.place)
-            for key in ("suites", "seeds", "scenarios", "controllers", "source"):
-                if old.get(key) != json.loads(_json(plan.get(key))):
+            for key in ("source", "versions"):
+                if old.get(key) != plan.get(key):
                     raise ValueError(
-                        f"{self.place} holds results of another run ({key} differ), and a mixture would compare what "
-                        "cannot be compared; choose another directory with --out, or remove this one"
+                        f"{self.place} holds results of another state of the program ({key} {old.get(key)}, now "
+                        f"{plan.get(key)}); mixed, they could not be compared. Choose another --out, or remove it"
                     )
+            for key in ("suites", "scenarios", "controllers"):
+                plan[key] = {**old.get(key, {}), **plan[key]}
+            plan["planned"] = [*dict.fromkeys([*old.get("planned", ()), *plan["planned"]])]
+            plan["seeds"] = sorted({*old.get("seeds", ()), *plan["seeds"]})
         elif self.place.exists() and any(self.place.iterdir()):
             raise ValueError(f"{self.place} is not empty and holds no results; choose another directory with --out")
         for folder in ("cases", "trajectories", "curves", "nets"):
@@ -172,8 +176,9 @@ class Store:
         whole(file, lambda draft: draft.write_text(_json(plan, indent=1)))
 
     def has(self, case_id: str) -> bool:
-        """Has this case finished?"""
-        return self._case_file(case_id).exists()
+        """Has this case finished, without an error?"""
+        file = self._case_file(case_id)
+        return file.exists() and json.loads(file.read_text())["status"] == "done"
 
     def keep(
         self,

@@ -63,7 +63,8 @@ def slalom(cones: int = 7, *, spacing: float = 18.0, offset: float = 1.0, name: 
 def curvature_step(radius: float = 27.0, *, turn_deg: float = 180.0, name: str = "curvature-step") -> Path:
     """A straight of 30 m that becomes a circular arc to the left at once, and a straight again: steps in curvature.
 
-    Curvature rises over about 0.5 m, between two knots of the path, and overshoots by a tenth. radius [m]: 27 m is 3 m/s^2 at 9 m/s. turn_deg: how far round.
+    Curvature rises over about 0.5 m, between two knots of the path, and overshoots by a tenth. radius [m]: 27 m is
+    3 m/s^2 at 9 m/s. turn_deg: how far round.
     Raises ValueError for a radius or turn that is not positive, or a turn beyond 330 degrees (it would meet itself).
     """
     where = f"curvature_step '{name}'"

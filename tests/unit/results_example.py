@@ -28,7 +28,8 @@ def example_results(place: Path, *, seeds: int = 3) -> Results:
     ids += [case_id("learning-curve", "paper-delay-0", "nfq", n) for n in range(seeds)]
     store = Store(place)
     store.open({
-        "suites": ["tracking", "learning-curve"], "seeds": [*range(seeds)], "scenarios": SCENARIOS,
+        "suites": {"tracking": "made up", "learning-curve": "made up"}, "seeds": [*range(seeds)],
+        "scenarios": SCENARIOS,
         "controllers": {**CONTROLLERS, "sb3-sac": {"kind": "peer", "about": "SAC of stable-baselines3"}},
         "source": "0" * 16, "planned": ids, "commit": "0123abc", "dirty": False,
         "versions": {"steerkit": "0.1.0", "python": "3.11.0", "numpy": "2.0.0"},
