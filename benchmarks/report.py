@@ -9,9 +9,9 @@ values beside ours, the protocol and where the numbers came from.
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import json
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path as FilePath
@@ -25,6 +25,7 @@ from benchmarks import report_learning as learning
 from benchmarks import report_parts as parts
 from benchmarks.report_paper import paper_rows
 from benchmarks.results import Case, Results, load_results
+from benchmarks.verdict import verdict
 from steerkit.metrics import Metric, interval
 
 TEMPLATE = FilePath(__file__).with_name("report.html.j2")
@@ -68,7 +69,7 @@ def html(results: Results) -> str:
     return template.render(
         place=results.place.name,
         tiles=tiles(results),
-        verdict=verdict(results),
+        verdict=verdict_html(results),
         suites=[suite(results, name, look) for name in parts.suites(results)],
         paper=paper_rows(results),
         metrics=parts.METRICS,
@@ -101,12 +102,13 @@ def tiles(results: Results) -> list[tuple[str, str, str]]:
     return found
 
 
-def verdict(results: Results) -> str:
-    """The text of benchmarks/verdict.py; empty where that module is not there."""
-    if importlib.util.find_spec("benchmarks.verdict") is None:
-        return ""
-    module: Any = importlib.import_module("benchmarks.verdict")
-    return str(module.verdict(results))
+def verdict_html(results: Results) -> str:
+    """The verdict's Markdown as HTML, without its heading; what is no Markdown in it stays text."""
+    from markdown_it import MarkdownIt
+
+    text = re.sub(r"\A## .*\n", "", verdict(results))
+    made: str = MarkdownIt("commonmark", {"html": False}).enable("table").render(text)
+    return made.replace("<table>", '<div class="scroll"><table>').replace("</table>", "</table></div>")
 
 
 def suite(results: Results, name: str, look: dict[str, figures.Look]) -> dict[str, Any]:

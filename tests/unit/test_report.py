@@ -18,7 +18,7 @@ from report_results import CONTROLLERS, SEEDS, write
 from benchmarks import report_conditions as conditions
 from benchmarks import report_learning as learning
 from benchmarks import report_parts as parts
-from benchmarks.report import main, verdict, write_report
+from benchmarks.report import main, write_report
 from benchmarks.results import Case, Results, load_results
 from steerkit.metrics import metric, paired
 
@@ -154,9 +154,13 @@ def test_the_page_asks_nothing_of_the_network(page: str) -> None:
     assert "default-src 'none'" in page
 
 
-def test_the_verdict_is_left_out_where_there_is_none(results: Results, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    assert verdict(results) == ""
+def test_the_verdict_is_on_the_page_as_html(page: str) -> None:
+    section = re.search(r'<section id="verdict">(.*?)</section>', page, re.S)
+    assert section
+    assert "<h3>nfq-idoe</h3>" in section[1]
+    assert "<table>" in section[1]
+    assert "against the best analytic controller" in section[1]
+    assert not re.search(r"^#|\*\*|\|---", section[1], re.M), "no Markdown is left"
 
 
 def test_the_command_writes_the_page_and_refuses_no_results(
