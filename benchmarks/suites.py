@@ -153,7 +153,7 @@ _ALL = (
     ),
     Suite(
         name="quick",
-        about="a ten-minute selection of paper and tracking, nets after 4 minutes of driving (make bench)",
+        about="a ten-minute selection of paper and tracking, nets after 3 minutes of driving (make bench)",
         scenarios=tuple(s for s in _TRACKING if s.name in (
             "paper-round", "paper-hard", "genesis-rfs-recorded", "iso3888-1-9", "slalom-9", "curvature-step-7",
             "slalom-multi-body")),
