@@ -9,9 +9,9 @@ values beside ours, the protocol and where the numbers came from.
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import json
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path as FilePath
@@ -25,7 +25,8 @@ from benchmarks import report_learning as learning
 from benchmarks import report_parts as parts
 from benchmarks.report_paper import paper_rows
 from benchmarks.results import Case, Results, load_results
-from steerkit.metrics import TABLE, Metric, interval
+from benchmarks.verdict import verdict
+from steerkit.metrics import Metric, interval
 
 TEMPLATE = FilePath(__file__).with_name("report.html.j2")
 LINES_ON_A_MAP = 12
@@ -68,10 +69,10 @@ def html(results: Results) -> str:
     return template.render(
         place=results.place.name,
         tiles=tiles(results),
-        verdict=verdict(results),
+        verdict=verdict_html(results),
         suites=[suite(results, name, look) for name in parts.suites(results)],
         paper=paper_rows(results),
-        metrics=TABLE,
+        metrics=parts.METRICS,
         used={name for case in results.cases for name in case.metrics},
         provenance=provenance(results),
         scenarios=protocol(results),
@@ -101,12 +102,13 @@ def tiles(results: Results) -> list[tuple[str, str, str]]:
     return found
 
 
-def verdict(results: Results) -> str:
-    """The text of benchmarks/verdict.py; empty where that module is not there."""
-    if importlib.util.find_spec("benchmarks.verdict") is None:
-        return ""
-    module: Any = importlib.import_module("benchmarks.verdict")
-    return str(module.verdict(results))
+def verdict_html(results: Results) -> str:
+    """The verdict's Markdown as HTML, without its heading; what is no Markdown in it stays text."""
+    from markdown_it import MarkdownIt
+
+    text = re.sub(r"\A## .*\n", "", verdict(results))
+    made: str = MarkdownIt("commonmark", {"html": False}).enable("table").render(text)
+    return made.replace("<table>", '<div class="scroll"><table>').replace("</table>", "</table></div>")
 
 
 def suite(results: Results, name: str, look: dict[str, figures.Look]) -> dict[str, Any]:
@@ -141,7 +143,7 @@ def suite(results: Results, name: str, look: dict[str, figures.Look]) -> dict[st
 def metric_plots(cases: Sequence[Case], look: dict[str, figures.Look]) -> list[Picture]:
     """One plot a metric: every case a dot, the median with its interval a bar."""
     found = []
-    for m in (m for m in TABLE if m.group != "learning" and parts.has(cases, m.name)):
+    for m in (m for m in parts.METRICS if m.group != "learning" and parts.has(cases, m.name)):
         of = {name: [c for c in cases if c.controller == name] for name in parts.controllers(cases)}
         values = {name: parts.of_metric(here, m) for name, here in of.items()}
         middle = {name: _median(parts.by_seed(here, m), m) for name, here in of.items()}
@@ -165,7 +167,7 @@ def _median(values: np.ndarray, m: Metric) -> tuple[float, float, float]:
 def _off_the_plot(values: dict[str, np.ndarray]) -> str:
     lost = {name: int((~np.isfinite(v)).sum()) for name, v in values.items()}
     told = ", ".join(f"{name} {n}" for name, n in lost.items() if n)
-    return f"Cases without a value, counted as worst: {told}." if told else ""
+    return f"Not held or without a value, counted as worst: {told}." if told else ""
 
 
 def maps(results: Results, cases: Sequence[Case], look: dict[str, figures.Look]) -> list[dict[str, Any]]:

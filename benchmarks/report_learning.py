@@ -13,6 +13,7 @@ from benchmarks.results import Case, Results
 from steerkit.metrics import GOOD, TABLE, Interval, Metric, interval, share
 
 Curve = Mapping[str, np.ndarray]
+Band = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -21,8 +22,8 @@ class Curves:
 
     scenario: str
     x: np.ndarray
-    rms_e: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]
-    good: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]
+    rms_e: dict[str, Band]
+    good: dict[str, Band]
     seeds: dict[str, int]
 
 
@@ -82,15 +83,19 @@ def _held_at(at: np.ndarray, values: np.ndarray, x: np.ndarray, before: float) -
     return np.concatenate([[before], values])[np.searchsorted(at, x, side="right")]
 
 
-def _band(rows: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    columns = np.array(rows).T
-    found = [interval(column, np.median) for column in columns]
-    return (np.array([i.value for i in found]), np.array([i.low for i in found]), np.array([i.high for i in found]))
+def _band(rows: list[np.ndarray]) -> Band:
+    return _by_column(rows, lambda column: interval(column, np.median))
 
 
-def _shares(rows: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    found = [share(column > 0.5) for column in np.array(rows).T]
-    return (np.array([i.value for i in found]), np.array([i.low for i in found]), np.array([i.high for i in found]))
+def _shares(rows: list[np.ndarray]) -> Band:
+    return _by_column(rows, lambda column: share(column > 0.5))
+
+
+def _by_column(rows: list[np.ndarray], of: Callable[[np.ndarray], Interval]) -> Band:
+    """Value, low and high of each column; between two new nets columns repeat, and are worked out once."""
+    columns, which = np.unique(np.array(rows), axis=1, return_inverse=True)
+    found = np.array([(i.value, i.low, i.high) for i in map(of, columns.T)])[which]
+    return found[:, 0], found[:, 1], found[:, 2]
 
 
 @dataclass(frozen=True)

@@ -9,13 +9,25 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.results import Case, Results
-from steerkit.metrics import Interval, Metric, metric, paired
+from steerkit.metrics import TABLE, Interval, Metric, paired
 
-BOARD = ("rms_e", "p95_e", "max_e", "share_within_5cm", "rms_wheel_rate_deg", "large_reversals", "max_a_y", "max_jerk",
-         "weighted_a_y", "step_p50_us")  # fmt: skip
+_FRONT = (
+    Metric(name="rms_e_front", label="RMS e, front axle", unit="m", group="tracking", source="usual practice",
+           what="root mean square of the front axle's e, wherever the controller has its own measured"),
+    Metric(name="max_e_front", label="max |e|, front axle", unit="m", group="tracking", source="usual practice",
+           what="largest |e| of the front axle, wherever the controller has its own measured"),
+)  # fmt: skip
+METRICS = tuple(m for known in TABLE for m in ((known, *_FRONT) if known.name == "max_e" else (known,)))
+"""The table's metrics, and those that the suites measure besides, in the order of the report."""
+_BY_NAME = {m.name: m for m in METRICS}
+BOARD = ("rms_e", "rms_e_front", "p95_e", "max_e", "share_within_5cm", "rms_wheel_rate_deg",
+         "large_reversals", "max_a_y", "max_jerk", "weighted_a_y", "step_p50_us")  # fmt: skip
 """Columns of a leaderboard."""
-VERSUS = ("rms_e", "max_e", "rms_wheel_rate_deg", "max_jerk", "max_a_y")
+VERSUS = ("rms_e_front", "max_e_front", "rms_e", "max_e", "rms_wheel_rate_deg", "max_jerk", "max_a_y")
 """Metrics that are compared seed for seed."""
+
+Drives = dict[str, dict[str, dict[int, Case]]]
+"""Cases by controller, scenario and seed."""
 
 
 @dataclass(frozen=True)
@@ -66,10 +78,19 @@ def unit(m: Metric) -> str:
 
 
 def of_metric(cases: Iterable[Case], m: Metric) -> np.ndarray:
-    """The metric of each finished case (n,); one without a value, or that failed with an error, counts as worst."""
+    """The metric of each case (n,); a drive that was not held, a case without a value or an error counts as worst.
+
+    Else a controller would be judged by the few metres before it left the course.
+    """
     worst = math.inf if m.lower_is_better else -math.inf
-    found = [case.metrics.get(m.name, math.nan) if case.status == "done" else math.nan for case in cases]
+    found = [value_of(case, m) for case in cases]
     return np.array([worst if math.isnan(value) else value for value in found])
+
+
+def value_of(case: Case, m: Metric) -> float:
+    """The metric of a case; NaN where it has none, or, if it is one of driving, where the drive was not held."""
+    lost = m.group in ("tracking", "steering", "comfort") and case.metrics.get("held", 1.0) < 0.5
+    return math.nan if lost or case.status != "done" else case.metrics.get(m.name, math.nan)
 
 
 def by_seed(cases: Sequence[Case], m: Metric) -> np.ndarray:
@@ -95,7 +116,7 @@ def has(cases: Iterable[Case], name: str) -> bool:
 
 def leaderboard(cases: Sequence[Case]) -> tuple[list[Metric], list[Row]]:
     """A row a controller: the share of its drives that it held, then the median over seeds of each metric."""
-    columns = [metric(name) for name in BOARD if has(cases, name)]
+    columns = [_BY_NAME[name] for name in BOARD if has(cases, name)]
     names = controllers(cases)
     ran = {name: [c for c in cases if c.controller == name and c.status != "not installed"] for name in names}
     medians = {m.name: {name: float(np.median(by_seed(ran[name], m))) for name in names if ran[name]} for m in columns}
@@ -158,15 +179,20 @@ class Versus:
 def against(cases: Sequence[Case], reference: str) -> list[Versus]:
     """Every other controller against the reference: the mean over common scenarios, paired by seed.
 
-    Only scenarios that both finished on all common seeds count; a seed is one pair, as its scenarios share a driver.
+    Only scenarios that both held on all common seeds count; a seed is one pair, as its scenarios share a driver.
     """
     found = []
-    table = {(c.controller, c.scenario, c.seed): c for c in cases if c.status == "done"}
-    for name in controllers(cases):
-        if name == reference:
+    table: Drives = {}
+    for case in (c for c in cases if c.status == "done"):
+        table.setdefault(case.controller, {}).setdefault(case.scenario, {})[case.seed] = case
+    compared = [_BY_NAME[n] for n in VERSUS if has(cases, n)]
+    if any(m.name == "rms_e_front" for m in compared):  # one point on the car for all
+        compared = [m for m in compared if m.name not in ("rms_e", "max_e")]
+    for name in table:
+        if name == reference or reference not in table:
             continue
-        for m in (metric(n) for n in VERSUS):
-            pairs = _paired_means(table, name, reference, m.name)
+        for m in compared:
+            pairs = _paired_means(table, name, reference, m)
             if pairs is None:
                 continue
             ours, theirs, scenarios = pairs
@@ -175,16 +201,14 @@ def against(cases: Sequence[Case], reference: str) -> list[Versus]:
     return found
 
 
-def _paired_means(
-    table: Mapping[tuple[str, str, int], Case], name: str, reference: str, key: str
-) -> tuple[np.ndarray, np.ndarray, int] | None:
-    seeds = sorted({s for c, _, s in table if c == name} & {s for c, _, s in table if c == reference})
-    scenarios = sorted({sc for c, sc, _ in table if c == name} & {sc for c, sc, _ in table if c == reference})
+def _paired_means(table: Drives, name: str, reference: str, m: Metric) -> tuple[np.ndarray, np.ndarray, int] | None:
+    seeds = sorted(_seeds(table[name]) & _seeds(table[reference]))
+    scenarios = [scenario for scenario in table[name] if scenario in table[reference]]
 
     def values(who: str, scenario: str) -> list[float]:
-        here = {s: c.metrics.get(key, math.nan) for (w, sc, s), c in table.items() if (w, sc) == (who, scenario)}
+        here = {seed: value_of(case, m) for seed, case in table[who][scenario].items()}
         without_chance = next(iter(here.values())) if len(here) == 1 else math.nan
-        return [here.get(s, without_chance) for s in seeds]
+        return [here.get(seed, without_chance) for seed in seeds]
 
     both = [(values(name, sc), values(reference, sc)) for sc in scenarios]
     both = [pair for pair in both if np.isfinite(pair).all()]
@@ -192,6 +216,10 @@ def _paired_means(
         return None
     ours, theirs = np.mean(both, axis=0)
     return ours, theirs, len(both)
+
+
+def _seeds(drives: Mapping[str, Mapping[int, Case]]) -> set[int]:
+    return {seed for cases in drives.values() for seed in cases}
 
 
 def reference_of(names: Sequence[str]) -> str | None:

@@ -51,6 +51,7 @@ def drive(controller: str, fields: dict[str, Any], seed: int) -> dict[str, np.nd
 def driven(suite: str, name: str, controller: str, seed: int) -> tuple[Case, dict[str, np.ndarray]]:
     log = drive(controller, scenarios()[name], seed)
     found = measures(**{key: log[key] for key in ("t", "e", "psi_e", "delta_sw", "a_y")})
+    found |= {"rms_e_front": found["rms_e"], "max_e_front": found["max_e"]}
     found |= {"held": float(found["max_e"] <= 0.15), "rounds": 1.0, "step_p50_us": 12.0 * CONTROLLERS[controller],
               "step_p99_us": 30.0 * CONTROLLERS[controller]}  # fmt: skip
     return Case(suite=suite, scenario=name, controller=controller, seed=seed, metrics=found, cpu_seconds=1.5), log

@@ -7,6 +7,7 @@ import json
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,8 @@ from report_results import CONTROLLERS, SEEDS, write
 from benchmarks import report_conditions as conditions
 from benchmarks import report_learning as learning
 from benchmarks import report_parts as parts
-from benchmarks.report import main, verdict, write_report
-from benchmarks.results import Results, load_results
+from benchmarks.report import main, write_report
+from benchmarks.results import Case, Results, load_results
 from steerkit.metrics import metric, paired
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
@@ -66,13 +67,30 @@ def test_the_comparison_is_paired_by_seed(results: Results) -> None:
     def seeds(name: str) -> list[float]:
         return [np.mean([c.metrics["rms_e"] for c in cases if (c.controller, c.seed) == (name, s)]) for s in SEEDS]
 
-    ours = found["pure-pursuit", "rms_e"]
+    ours = found["pure-pursuit", "rms_e_front"]
     expected = paired(seeds("pure-pursuit"), seeds("stanley"))
     assert ours.difference == expected.difference
     assert (ours.p, ours.verdict) == (pytest.approx(2.0 / 2**6), "worse")
     assert (ours.seeds, ours.scenarios) == (6, 2)
     assert found["pure-pursuit", "max_a_y"].verdict == "open"
-    assert ("mpc", "rms_e") not in found
+    assert ("mpc", "rms_e_front") not in found
+    assert ("pure-pursuit", "rms_e") not in found, "at one point of the car, where that was measured"
+
+
+def test_a_drive_that_was_not_held_counts_as_worst_and_one_without_chance_for_every_seed(results: Results) -> None:
+    case = next(c for c in results.cases if c.suite == "tracking")
+    lost = replace(case, metrics={**case.metrics, "held": 0.0})
+    assert parts.of_metric([case, lost], metric("rms_e")).tolist() == [case.metrics["rms_e"], np.inf]
+    assert parts.of_metric([lost], metric("step_p50_us"))[0] == case.metrics["step_p50_us"]
+
+    def made(scenario: str, seed: int, rms_e: float) -> Case:
+        return Case(suite="s", scenario=scenario, controller="c", seed=seed, metrics={"rms_e": rms_e})
+
+    cases = [made("chance", 0, 1.0), made("chance", 1, 2.0), made("none", 0, 5.0)]
+    np.testing.assert_allclose(parts.by_seed(cases, metric("rms_e")), [3.0, 3.5])
+    others = [replace(c, controller="d", metrics={"rms_e": c.metrics["rms_e"] + 1.0}) for c in cases]
+    (found,) = parts.against([*cases, *others], "c")
+    assert (found.difference.value, found.seeds, found.scenarios) == (1.0, 2, 2)
 
 
 def test_the_failure_map_is_the_grid_that_was_driven(results: Results) -> None:
@@ -136,9 +154,13 @@ def test_the_page_asks_nothing_of_the_network(page: str) -> None:
     assert "default-src 'none'" in page
 
 
-def test_the_verdict_is_left_out_where_there_is_none(results: Results, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    assert verdict(results) == ""
+def test_the_verdict_is_on_the_page_as_html(page: str) -> None:
+    section = re.search(r'<section id="verdict">(.*?)</section>', page, re.S)
+    assert section
+    assert "<h3>nfq-idoe</h3>" in section[1]
+    assert "<table>" in section[1]
+    assert "against the best analytic controller" in section[1]
+    assert not re.search(r"^#|\*\*|\|---", section[1], re.M), "no Markdown is left"
 
 
 def test_the_command_writes_the_page_and_refuses_no_results(
