@@ -13,7 +13,7 @@ from benchmarks.scenarios import MULTI_BODY, Scenario
 
 TRAINING = "training"
 """The suite that trainings are filed under, so that suites in one directory share them."""
-ANALYTIC = ("stanley", "stanley-textbook", "stanley-predicted", "pure-pursuit", "lqr", "mpc", "nonlinear-mpc")
+ANALYTIC = ("stanley", "stanley-textbook", "stanley-delay", "pure-pursuit", "lqr", "mpc", "nonlinear-mpc")
 LEARNED = ("nfq-idoe", "nfq-low-pass", "nfq-bang-bang")
 AS_PUBLISHED = ("nfq-paper-idoe", "nfq-paper-bang-bang")
 
@@ -126,7 +126,7 @@ _ALL = (
         name="robustness",
         about="grids of what no controller is told: delay, lag, tyres, friction, ratio, offset, noise, wind, bank",
         scenarios=_ROBUSTNESS,
-        controllers=("stanley", "stanley-textbook", "stanley-predicted", "pure-pursuit", "lqr", "mpc", "nfq-idoe"),
+        controllers=("stanley", "stanley-textbook", "stanley-delay", "pure-pursuit", "lqr", "mpc", "nfq-idoe"),
         seeds=3,
     ),
     Suite(

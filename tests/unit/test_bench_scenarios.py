@@ -150,7 +150,8 @@ def test_what_is_wrong_with_the_car_is_not_told() -> None:
     true = scenario.true_vehicle
     assert (true.c_f, true.mu, true.steer_ratio) == (0.7 * PASSAT.c_f, 0.5 * PASSAT.mu, 1.1 * PASSAT.steer_ratio)
     assert scenario.nominal == PASSAT
-    assert scenario.told_actuator().delay == 0.0
+    assert scenario.told_dead_time == 0.0
+    assert Scenario(name="x", delay=0.2, latency=0.05).told_dead_time == 0.25
     banked = Scenario(name="y", bank_deg=2.0)
     car = banked.loop(banked.path(), controller("stanley").make(banked, banked.path())).blocks["car"]  # type: ignore[misc]
     assert car.bank == pytest.approx(G * math.sin(radians_of(2.0)))
