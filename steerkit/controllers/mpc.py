@@ -101,7 +101,7 @@ class PredictiveSteering(Block):
     """Weight of the heading's deviation from steady cornering [1]."""
     q_r: float = 0.0
     """Weight of the yaw rate's deviation from steady cornering [s^2]."""
-    q_rate: float = 1e-4
+    q_rate: float = 2e-4
     """Weight of the command's rate [s^2]."""
     limit: float = radians_of(520.0)
     """Largest |command| [rad]."""

@@ -195,7 +195,7 @@ def test_the_fallback_is_stanley(monkeypatch: pytest.MonkeyPatch) -> None:
     block = controller(delay=0.0)
     true = StageQp.solve
     monkeypatch.setattr(StageQp, "solve", lambda qp: true(qp)._replace(**UNSOLVED))
-    u = inputs(block, e=0.05, psi_e=-0.02, r=0.05, kappa=0.02, delta_sw_meas=0.6)
+    u = inputs(block, e=0.05, psi_e=-0.02, r=0.05, kappa=0.02, delta_sw_meas=0.4)
     y = driven(block, [u])[0]
     stanley = Stanley.of(CAR.vehicle)
     asked = stanley.D(e=u.e, psi_e=u.psi_e, kappa=0.02, v=u.v, r=u.r, delta_sw_meas=u.delta_sw_meas)
