@@ -12,6 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from steerkit.car_cli import app as car_app
+from steerkit.export_cli import export
 
 app = typer.Typer(
     help="Steer a car along a path: learn it, drive it, look at it. No car was ever driven with this software.",
@@ -19,6 +20,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.add_typer(car_app, name="car")
+app.command()(export)
 
 
 class Conditions(StrEnum):
