@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 
 from benchmarks.scenarios import Scenario
@@ -18,6 +18,7 @@ from steerkit.controllers.stanley import Stanley
 from steerkit.path import Path
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.steering_actuator import SteeringActuator
 
 Make = Callable[[Scenario, Path], Block]
 
@@ -57,34 +58,39 @@ def _textbook(scenario: Scenario, path: Path) -> Block:
     return Stanley.textbook(scenario.nominal)
 
 
-def _predicted(scenario: Scenario, path: Path) -> Block:
+def _delay(scenario: Scenario, path: Path) -> Block:
     told = scenario.told_actuator()
-    return delayed_stanley(scenario.nominal, delay=told.delay, lag=float(told.lag))
+    return delayed_stanley(scenario.nominal, delay=scenario.told_dead_time, lag=float(told.lag))
 
 
 def _pure_pursuit(scenario: Scenario, path: Path) -> Block:
-    return PurePursuit.of(scenario.nominal, path)
+    return PurePursuit.of(scenario.nominal, path, delay=scenario.told_dead_time)
 
 
 def _lqr(scenario: Scenario, path: Path) -> Block:
     told, car = scenario.told_actuator(), scenario.nominal
-    return Lqr.of(car, LinearSingleTrack(vehicle=car).matrices, delay=told.delay, lag=float(told.lag))
+    return Lqr.of(car, LinearSingleTrack(vehicle=car).matrices, delay=scenario.told_dead_time, lag=float(told.lag))
 
 
 def _mpc(scenario: Scenario, path: Path) -> Block:
-    return MPC.of(NonlinearSingleTrack(vehicle=scenario.nominal), scenario.told_actuator(), clock=None)
+    return MPC.of(NonlinearSingleTrack(vehicle=scenario.nominal), _whole_delay(scenario), clock=None)
 
 
 def _nonlinear_mpc(scenario: Scenario, path: Path) -> Block:
-    return NonlinearMPC.of(NonlinearSingleTrack(vehicle=scenario.nominal), scenario.told_actuator(), clock=None)
+    return NonlinearMPC.of(NonlinearSingleTrack(vehicle=scenario.nominal), _whole_delay(scenario), clock=None)
+
+
+def _whole_delay(scenario: Scenario) -> SteeringActuator:
+    """The steering as told, with the sensors' latency: for the loop, a delay is a delay."""
+    return replace(scenario.told_actuator(), delay=scenario.told_dead_time)
 
 
 _TABLE = (
     Controller(name="stanley", kind="analytic", about="Stanley, all terms of eq. 9", make=_stanley),
     Controller(name="stanley-textbook", kind="analytic", about="Stanley, heading and cross-track terms only",
                make=_textbook),
-    Controller(name="stanley-predicted", kind="analytic", about="Stanley behind a predictor of delay and lag",
-               make=_predicted),
+    Controller(name="stanley-delay", kind="analytic", about="Stanley behind a predictor of delay and lag",
+               make=_delay),
     Controller(name="pure-pursuit", kind="analytic", about="pure pursuit, no model", make=_pure_pursuit),
     Controller(name="lqr", kind="analytic", about="LQR with delay states and curvature preview", make=_lqr),
     Controller(name="mpc", kind="analytic", about="linear MPC over 1 s, limits and delay known", make=_mpc),
@@ -94,12 +100,12 @@ _TABLE = (
     Controller(name="nfq-low-pass", kind="learned", about="NFQ, low-pass output element", setting="low-pass"),
     Controller(name="nfq-bang-bang", kind="learned", about="NFQ, bang-bang, +-520 degrees", setting="bang-bang"),
     Controller(name="nfq-paper-idoe", kind="learned", about="NFQ as published, integrating output element",
-               setting="paper"),
+               setting="paper", training="published"),
     Controller(name="nfq-paper-bang-bang", kind="learned", about="NFQ as published, bang-bang, +-360 degrees",
-               setting="paper-bang-bang"),
-    Controller(name="nfq-idoe-quick", kind="learned", about="nfq-idoe after 4 minutes of driving", setting="default",
+               setting="paper-bang-bang", training="published"),
+    Controller(name="nfq-idoe-quick", kind="learned", about="nfq-idoe after 3 minutes of driving", setting="default",
                training="quick"),
-    Controller(name="nfq-bang-bang-quick", kind="learned", about="nfq-bang-bang after 4 minutes of driving",
+    Controller(name="nfq-bang-bang-quick", kind="learned", about="nfq-bang-bang after 3 minutes of driving",
                setting="bang-bang", training="quick"),
     Controller(name="nfq-idoe-genesis", kind="learned", about="nfq-idoe, taught on the recorded lap",
                setting="default", training="genesis"),

@@ -61,7 +61,7 @@ def scenarios(suites: Sequence[Suite], planned: Sequence[Job]) -> dict[str, dict
             training = TRAININGS[CONTROLLERS[job.controller].training]
             fields = {"minutes": training.minutes, "episodes": training.episodes,
                       "offline_iterations": training.offline_iterations}  # fmt: skip
-            found[job.scenario] = fields | asdict(training.world)
+            found[job.scenario] = fields | asdict(training.world) | {"noise": float(training.world.noise)}
     used = {job.scenario for job in planned}
     return {name: fields for name, fields in found.items() if name in used}
 

@@ -24,6 +24,7 @@ from steerkit.controllers.nfq_policy import NfqPolicy
 
 BACKENDS = ("loky", "dask")
 _PATIENCE = 3  # times that workers may die with no case finished in between
+_CONTACT = 10.0  # s, for a scheduler to answer
 
 
 class WorkersDiedError(RuntimeError):
@@ -193,7 +194,7 @@ def _pool(backend: str, address: str | None, workers: int) -> Iterator[dict[str,
             "--backend dask needs the package distributed: pip install 'steerkit-control[bench]'"
         ) from error
     try:
-        client = Client(address, timeout=10)
+        client = Client(address, timeout=_CONTACT)
     except (OSError, ValueError) as error:
         raise ValueError(f"--address {address}: no Dask scheduler answers there ({error})") from error
     with client:

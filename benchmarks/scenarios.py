@@ -56,7 +56,7 @@ class Scenario:
     lag: float = 0.12
     """Time constant of the steering [s]."""
     told_delay: float | None = None
-    """What controllers with a model are told of the delay [s]; None: the truth."""
+    """What controllers that ask are told of the delay, latency included [s]; None: the truth."""
     told_lag: float | None = None
     """The same of the lag [s]."""
     rate_limit_deg: float = 550.0
@@ -137,11 +137,15 @@ class Scenario:
         slowest = min(self.v_min, _SLOWEST) if self.speed == "wander" else self.v_min
         return math.ceil(self.length(path) / slowest + _TIME_TO_SPARE)
 
+    @property
+    def told_dead_time(self) -> float:
+        """Delay of the steering and age of what is seen, as controllers that ask are told [s]."""
+        return self.delay + self.latency if self.told_delay is None else self.told_delay
+
     def told_actuator(self) -> SteeringActuator:
-        """The steering as controllers with a model know it."""
-        delay = self.delay if self.told_delay is None else self.told_delay
+        """The steering as controllers that ask know it, but for the dead time."""
         lag = self.lag if self.told_lag is None else self.told_lag
-        return SteeringActuator(delay=delay, lag=lag, rate_limit=radians_of(self.rate_limit_deg))
+        return SteeringActuator(lag=lag, rate_limit=radians_of(self.rate_limit_deg))
 
     def loop(self, path: Path, controller: Block, *, doe: Block | None = None, seed: int = 0) -> Loop:
         """The loop of the drive; a learned controller (with its doe) is caught by Stanley."""
@@ -207,8 +211,8 @@ def shape(scenario: Scenario) -> Scenario:
     """What a compiled drive depends on: the scenario with all that is left open put to one value."""
     if scenario.plant == MULTI_BODY:
         return replace(scenario, name="shape")
-    told = scenario.told_actuator()
-    plain = dict(name="shape", told_delay=told.delay, told_lag=float(told.lag), tyres=1.0, friction=1.0, ratio=1.0,
+    lag = float(scenario.told_actuator().lag)
+    plain = dict(name="shape", told_delay=scenario.told_dead_time, told_lag=lag, tyres=1.0, friction=1.0, ratio=1.0,
                  offset_deg=0.0, lag=0.1)  # fmt: skip
     if scenario.pushed:
         plain |= dict(wind=0.1, gust=0.1, bank_deg=0.1)

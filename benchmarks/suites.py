@@ -13,7 +13,7 @@ from benchmarks.scenarios import MULTI_BODY, Scenario
 
 TRAINING = "training"
 """The suite that trainings are filed under, so that suites in one directory share them."""
-ANALYTIC = ("stanley", "stanley-textbook", "stanley-predicted", "pure-pursuit", "lqr", "mpc", "nonlinear-mpc")
+ANALYTIC = ("stanley", "stanley-textbook", "stanley-delay", "pure-pursuit", "lqr", "mpc", "nonlinear-mpc")
 LEARNED = ("nfq-idoe", "nfq-low-pass", "nfq-bang-bang")
 AS_PUBLISHED = ("nfq-paper-idoe", "nfq-paper-bang-bang")
 
@@ -126,7 +126,7 @@ _ALL = (
         name="robustness",
         about="grids of what no controller is told: delay, lag, tyres, friction, ratio, offset, noise, wind, bank",
         scenarios=_ROBUSTNESS,
-        controllers=("stanley", "stanley-textbook", "stanley-predicted", "pure-pursuit", "lqr", "mpc", "nfq-idoe"),
+        controllers=("stanley", "stanley-textbook", "stanley-delay", "pure-pursuit", "lqr", "mpc", "nfq-idoe"),
         seeds=3,
     ),
     Suite(
@@ -153,7 +153,7 @@ _ALL = (
     ),
     Suite(
         name="quick",
-        about="a ten-minute selection of paper and tracking, nets after 4 minutes of driving (make bench)",
+        about="a ten-minute selection of paper and tracking, nets after 3 minutes of driving (make bench)",
         scenarios=tuple(s for s in _TRACKING if s.name in (
             "paper-round", "paper-hard", "genesis-rfs-recorded", "iso3888-1-9", "slalom-9", "curvature-step-7",
             "slalom-multi-body")),

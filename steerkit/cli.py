@@ -12,6 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from steerkit.car_cli import app as car_app
+from steerkit.export_cli import export
 
 app = typer.Typer(
     help="Steer a car along a path: learn it, drive it, look at it. No car was ever driven with this software.",
@@ -19,6 +20,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.add_typer(car_app, name="car")
+app.command()(export)
 
 
 class Conditions(StrEnum):
@@ -33,6 +35,9 @@ Course = Annotated[str, typer.Option(help="Course to drive: see `steerkit course
 Disturbed = Annotated[Conditions, typer.Option(help="hard: 1 cm noise, 50 ms sensor delay, 0.15 s lag.")]
 Machine = Annotated[bool, typer.Option("--json", help="Print one JSON object as the last line.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print results only, no progress.")]
+
+
+_CONTROLLERS = "stanley, stanley-textbook, stanley-delay, lqr, pure-pursuit, or a learning run's directory."
 
 
 @app.command()
@@ -69,9 +74,10 @@ def learn(
 
 @app.command()
 def drive(
-    controller: Annotated[str, typer.Argument(help="stanley, stanley-textbook, or a learning run's directory.")],
+    controller: Annotated[str, typer.Argument(help=_CONTROLLERS)],
     course: Course = "paper",
     conditions: Disturbed = Conditions.clean,
+    delay: Annotated[float, typer.Option(help="Steering delay [s].")] = 0.0,
     rounds: Annotated[float, typer.Option(help="Rounds to drive.")] = 1.0,
     seed: Seed = 0,
     out: Annotated[Path | None, typer.Option(help="Directory for the log and the picture.")] = None,
@@ -79,10 +85,12 @@ def drive(
     as_json: Machine = False,
 ) -> None:
     """Drive a course with any controller and report how well it did."""
+    from dataclasses import replace
+
     from steerkit.learning import report
     from steerkit.learning.world import World
 
-    world = World.under(conditions.value, course=course)
+    world = replace(World.under(conditions.value, course=course), delay=delay)
     place = out or Path("runs") / f"drive-{Path(controller).name}-{course}-{conditions.value}-seed{seed}"
     row = report.drive_and_draw(controller, world, place, rounds=rounds, seed=seed, quiet=quiet)
     if as_json:

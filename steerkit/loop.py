@@ -124,10 +124,19 @@ class Loop:
 
         return plot_diagram(self)
 
+    def break_at(self, signal: str | Port, *, at: LoopState | None = None) -> Any:
+        """The open loop at a scalar signal, as a discrete `control.StateSpace`; see `steerkit.analysis.break_at`."""
+        from steerkit.analysis import break_at
+
+        return break_at(self, signal, at=at)
+
     # ---- running --------------------------------------------------------------------------------------------
 
-    def init(self, *, batch: int | None = None) -> LoopState:
-        """The state at t = 0, of one car or of `batch` cars; each block settles on its first inputs."""
+    def init(self, *, batch: int | None = None, x: Sequence[State] | None = None) -> LoopState:
+        """The state at t = 0, of one car or of `batch` cars; each block settles on its first inputs.
+
+        x: the blocks' states to settle from, in the order of the blocks, instead of their own `init`.
+        """
         if batch is not None and batch < 1:
             raise ValueError(f"Loop.init: batch = {batch}, expected a number of cars >= 1, or None for one car")
         if batch is not None:
@@ -135,7 +144,7 @@ class Loop:
                 if not block.pure:
                     raise TypeError(f"{name} ({type(block).__name__}) is not pure: it cannot be batched, only stepped")
         shape = () if batch is None else (batch,)
-        x = [block.init(shape) for block in self._list]
+        x = [block.init(shape) for block in self._list] if x is None else list(x)
         y: list[Any] = [None] * len(x)
         for call in self.calls:
             block = self._list[call.block]

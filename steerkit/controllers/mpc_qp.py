@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -211,7 +212,9 @@ class StageQp:
                      [self._out[name] for name in function.name_out()])  # fmt: skip
 
     def solve(self) -> Answer:
-        """Solve the programme in `data` and check the answer."""
+        """Solve the programme in `data` and check the answer; one with entries that are not finite is not asked."""
+        if not math.isfinite(sum([float(np.sum(self.data[name])) for name in ("h", "g", "a", "lba", "uba")])):
+            return Answer(self._out["x"], 0.0, False, math.inf)
         if self.solver == "qpoases":
             iterations, success = self._condensed()
             self._check()

@@ -26,10 +26,12 @@ from steerkit.block import Block, In, Out
 from steerkit.controllers.delay import Predicted, delayed_stanley
 from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.controllers.policy_block import Network, PolicyBlock
 from steerkit.controllers.pure_pursuit import PurePursuit
 from steerkit.controllers.recovery import Guarded, Supervisor, SupervisorState
 from steerkit.controllers.stanley import Stanley
 from steerkit.doe import Direct, Integrator, LowPass
+from steerkit.gym.task import Agent
 from steerkit.learning.model import CarModel
 from steerkit.learning.rival import ModelPolicy
 from steerkit.path import Path
@@ -50,6 +52,7 @@ _rng = np.random.default_rng(0)
 NETS = tuple(
     (_rng.normal(size=(5, 7)), _rng.normal(size=5), _rng.normal(size=(1, 5)), _rng.normal(size=1)) for _ in range(2)
 )
+LAYERS = ((_rng.normal(size=(5, 6)), _rng.normal(size=5)), (_rng.normal(size=(3, 5)), _rng.normal(size=3)))
 
 
 @dataclass(frozen=True)
@@ -105,6 +108,9 @@ EXAMPLES = [
     Example(Guarded(block=PathTracker(path=OVAL, preview_points=2))),
     Example(NfqPolicy(nets=NETS)),
     Example(NfqPolicy(nets=NETS, combine="max", ready_from=0.1)),
+    Example(PolicyBlock(policy=Network(layers=LAYERS), actions=(-0.1, 0.0, 0.1))),
+    Example(PolicyBlock(policy=Network(layers=(LAYERS[0], (LAYERS[1][0][:1], LAYERS[1][1][:1])), head="tanh"))),
+    Example(Agent()),
     Example(ModelPolicy(model=CAR_MODEL)),
     Example(PathTracker(path=OVAL)),
     Example(PathTracker(path=OVAL, reference=1.2, preview_points=3)),
@@ -210,8 +216,8 @@ def documents(kind: type[Block]) -> str:
     return "\n".join(c.__doc__ or "" for c in kind.__mro__ if issubclass(c, Block) and c is not Block)
 
 
-ELSEWHERE = {"MPC", "NonlinearMPC", "RealCar"}
-"""Blocks with a suite of their own: a solver's milliseconds differ from call to call, and a bus is not pure."""
+ELSEWHERE = {"MPC", "NonlinearMPC", "RealCar", "FmuPlant"}
+"""Blocks with a suite of their own: a solver's milliseconds differ, a bus is not pure, an FMU is a file from elsewhere."""
 
 
 def test_every_block_of_the_package_is_in_the_table() -> None:

@@ -36,17 +36,20 @@ MAY_IMPORT: dict[str, set[str]] = {
     "compiled": RUN,
     "c_export": RUN | {"compiled"},
     "realtime": RUN | {"clock"},
-    "analysis": RUN,
+    "analysis": RUN | {"plotting"},
     "metrics": RUN,
     "diagram": {"loop"},
     "plotting": RUN | {"path", "diagram"},
     "learning": RUN | {"clock", "realtime", "path", "tracker", "doe", "courses", "plants", "controllers", "assembly",
                        "compiled", "metrics", "plotting"},
+    "onnx_export": BASE | {"controllers"},
+    "fmu_export": RUN | {"compiled"},
+    "gym": RUN | {"path", "doe", "plants", "controllers", "assembly", "learning", "compiled"},
 }  # fmt: skip
 """A module or package at the top of steerkit, and which others it may import; itself always."""
-PROGRAMS = ("cli", "car", "car_cli", "car_panel")
+PROGRAMS = ("cli", "car", "car_cli", "car_panel", "export_cli")
 """Programs over the library: they may import all of it."""
-WHEN_USED = {"loop": {"plotting"}, "simulation": {"plotting"}}
+WHEN_USED = {"loop": {"plotting", "analysis"}, "simulation": {"plotting"}}
 """More that a module may import inside a function."""
 AT_HOME = {
     "torch": {"learning"},
@@ -62,8 +65,15 @@ AT_HOME = {
     "control": {"analysis", "controllers.lqr", "controllers.mpc_model"},
     "matplotlib": {"plotting", "learning.figures"},
     "pandas": {"simulation"},
-    "pyarrow": {"simulation", "learning.store_exchange"},
-    "typer": {"cli", "car_cli"},
+    "pyarrow": {"simulation", "learning.store_exchange", "gym.minari_export"},
+    "typer": {"cli", "car_cli", "export_cli"},
+    "onnx": {"onnx_export"},
+    "onnxruntime": {"onnx_export"},
+    "minari": {"gym.minari_export"},
+    "pythonfmu": {"fmu_export"},
+    "fmpy": {"plants.fmu_plant"},
+    "gymnasium": {"gym"},
+    "PIL": {"gym.frames"},
 }
 """Where a package may be imported: a module or package of steerkit."""
 

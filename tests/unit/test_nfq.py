@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from steerkit.learning import nfq
-from steerkit.learning.costs import COSTS, BandCost, IdoeCost, TanhCost
+from steerkit.learning.costs import COSTS, BandCost, IdoeCost, SmoothCost, TanhCost
 from steerkit.learning.nfq import FitSetting, cost_to_go, fresh_nets, iterate, targets
 from steerkit.learning.qnetwork import Net, flat, forward
 from steerkit.learning.rprop import Fit, fit
@@ -69,6 +69,18 @@ def test_tanh_cost_by_hand() -> None:
     assert terminal.tolist() == [False] * 4 + [True]
     moving, _ = TanhCost()(states(e), np.full(5, 0.1), states(e))
     assert (moving - c) == pytest.approx([0.01] * 4 + [0.0])
+
+
+def test_smooth_cost_by_hand() -> None:
+    e, cost = [0.0, 0.15, -0.15, 0.51], SmoothCost(action_scale=0.2)
+    c, terminal = cost(states(e), np.zeros(4), states(e))
+    assert c == pytest.approx([0.0, 0.95 * 0.04, 0.95 * 0.04, 1.0], abs=1e-12)
+    assert terminal.tolist() == [False] * 3 + [True]
+    for a, price in ((0.1, 0.0025), (-0.2, 0.01), (3.0, 0.01)):
+        moving, _ = cost(states(e), np.full(4, a), states(e))
+        assert (moving - c) == pytest.approx([price] * 3 + [0.0])
+    with pytest.raises(ValueError, match="expected > 0"):
+        SmoothCost(action_scale=0.0)
 
 
 @given(e=st.floats(-2.0, 2.0), a=st.sampled_from(ACTIONS), cost=st.sampled_from(COSTS))

@@ -1,0 +1,353 @@
+"""What is to be steered, with which actions, and what counts: all that an environment is made of."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from steerkit.assembly import steering_loop
+from steerkit.block import Block, Out, State, require
+from steerkit.controllers.nfq_policy import IDOE_ACTIONS, StateDescription
+from steerkit.doe import Direct, Dynamic, HeldAngle, Integrator, LowPass
+from steerkit.learning.costs import COSTS, BandCost, Cost, IdoeCost, SmoothCost
+from steerkit.learning.state import STANDARD
+from steerkit.learning.world import END_MARGIN, World
+from steerkit.loop import Loop, LoopState
+from steerkit.path import Path
+from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.single_track import SingleTrackState
+from steerkit.plants.steering_actuator import SteeringActuator
+from steerkit.units import radians_of
+
+Array = NDArray[np.float64]
+
+ELEMENTS: dict[str, Any] = {"integrator": Integrator, "low-pass": LowPass, "direct": Direct}
+ACTIONS: dict[str, tuple[tuple[float, ...] | None, str]] = {
+    "i-doe": (IDOE_ACTIONS, "integrator"),
+    "bang-bang": ((radians_of(-520.0), radians_of(520.0)), "direct"),
+    "continuous": (None, "integrator"),
+}
+"""Action sets by name: their angles [rad], and the dynamic output element they are made for."""
+COST_KINDS: dict[str, Any] = {cost.__name__: cost for cost in COSTS}
+BOUND = 10.0
+"""Observations, scaled to about [-1, 1], are cut off here."""
+LEAST_ROOM = 30.0
+"""A car on an open course starts at least so far from where it ends [m]."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Agent(Block):
+    """Stands in a loop for whoever decides outside of it: its output is what was written into its state.
+
+    action(t) = x.   No inputs. Output, of state only: action [rad]. State: that number, 0 until it is written.
+    """
+
+    action = Out("rad", direct=())
+
+    def init(self, batch: tuple[int, ...] = ()) -> State:
+        return (np.zeros(batch) if batch else 0.0,)
+
+    def output(self, t: Any, x: State, u: Any) -> Any:
+        return self.Y(x[0])
+
+
+class Draw(NamedTuple):
+    """Where an episode starts, and with which driver and noise."""
+
+    seed: int
+    s: float
+    e: float
+    psi_e: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """Steer along a course, judged 20 times a second; the options of the environments.
+
+    observation: (s - mid)/half of the learner's state s (`description`), as the sensors see it, float32, cut at +-10.
+    action: a number of `actions`, or a in [-1, 1], which means a*largest [rad]; what an action does is up to `doe`.
+    reward: -cost(s, a, s_next), and -failure in the step in which |e| > limit, which terminates the episode.
+    truncated: after `duration`, or 5 m before the end of an open course.
+    start: e and psi_e are drawn, the place too; a single-track car starts in the steady state of its bend.
+
+    Raises ValueError for options that do not fit, naming the valid ones.
+    """
+
+    course: str = "paper"
+    """Name of a course, or `random-7`: see `steerkit.learning.world`."""
+    conditions: str = "clean"
+    """`clean`, or `hard`: pose noise, sensor delay, a slower motor."""
+    world: Any = None
+    """Instead of course and conditions: a `World`, a dictionary of its fields, or any object with its methods `path`,
+    `car`, `driver`, `actuator`, `sensors` and its attribute `ahead`: any plant, course and disturbance."""
+    actions: str | Sequence[float] = "i-doe"
+    """`i-doe` (the paper's steps), `bang-bang` (+-520 degrees at once), `continuous`, or angles [rad] of your own."""
+    doe: str | Block | None = None
+    """Dynamic output element: `integrator`, `low-pass`, `direct` or a block; by default the action set's own."""
+    largest: float | None = None
+    """The angle [rad] that a continuous action of 1 means. By default 25 degrees a sample (500 degrees/s) with the
+    integrator, else 520 degrees."""
+    cost: Any = "smooth"
+    """`smooth` (`SmoothCost`), `paper` (`IdoeCost`; `BandCost` where no action is 0), any `Cost`, or the fields of one
+    of `steerkit.learning.costs` in a dictionary, its class under `kind`."""
+    limit: float = 0.5
+    """|e| [m] beyond which the episode has failed, for a cost given by name (others bring their own `trip`)."""
+    failure: float = 1.0
+    """What a failure costs. The costs are made for NFQ, where 1 is the worst there is; a learner with discount g may
+    find that worth its while unless it is above cost/(1 - g) of staying."""
+    duration: float = 60.0
+    """Longest episode [s]."""
+    start: str = "anywhere"
+    """Where episodes start: `anywhere` along the course, or at its `beginning`."""
+    start_e: float = 0.1
+    """Largest |e| at the start [m], at the world's reference point."""
+    start_psi_e: float = 0.02
+    """Largest turn at the start [rad], away from the heading that keeps e as it is."""
+    description: StateDescription = STANDARD
+    """The observation's columns and ranges: names of the tracker's or the sensors' outputs, or `doe`; column 0 is e."""
+
+    @classmethod
+    def of(cls, options: Mapping[str, Any]) -> Task:
+        """The task with these options; raises ValueError naming an unknown one and all valid ones."""
+        valid = [field.name for field in dataclasses.fields(cls)]
+        unknown = [name for name in options if name not in valid]
+        require(not unknown, "TrackSteering", f"option {unknown[:1]} is not known; valid: {', '.join(valid)}")
+        return cls(**options)
+
+    def __post_init__(self) -> None:
+        where = "TrackSteering"
+        if isinstance(self.actions, str):
+            choices = ", ".join(ACTIONS)
+            require(self.actions in ACTIONS, where, f"actions {self.actions!r}; valid: {choices}, or angles [rad]")
+        else:
+            angles = np.array([*self.actions], dtype=float)
+            object.__setattr__(self, "actions", tuple(angles.tolist()))
+            fits = len(angles) >= 2 and bool((np.abs(angles) < 20.0).all())
+            require(fits, where, f"actions = {self.actions}, expected at least two angles [rad]")
+        known = isinstance(self.doe, Block) or self.doe is None or self.doe in ELEMENTS
+        require(known, where, f"doe {self.doe!r}; valid: {', '.join(ELEMENTS)}, or a block")
+        choices = f"smooth, paper, a Cost, or its fields with a kind: {', '.join(COST_KINDS)}"
+        require(_is_cost(self.cost), where, f"cost {self.cost!r}; valid: {choices}")
+        require(self.start in ("anywhere", "beginning"), where, f"start {self.start!r}; valid: anywhere, beginning")
+        require(0.05 < self.limit < 10.0, where, f"limit = {self.limit} m, expected 0.05 to 10 m")
+        require(0.05 <= self.duration < math.inf, where, f"duration = {self.duration} s, expected at least 0.05 s")
+        require(0.0 <= self.failure < math.inf, where, f"failure = {self.failure}, expected a cost >= 0")
+        fits = self.largest is None or 0.0 < self.largest < 20.0
+        require(fits, where, f"largest = {self.largest} rad, expected 0 to 20 rad, or None")
+        require(0.0 <= self.start_e < self.limit, where, f"start_e = {self.start_e} m, expected 0 to limit")
+        require(0.0 <= self.start_psi_e < 1.0, where, f"start_psi_e = {self.start_psi_e} rad, expected 0 to 1 rad")
+        require(self.description.names[0] == "e", where, f"column 0 is '{self.description.names[0]}', expected 'e'")
+        both = self.world is not None and (self.course, self.conditions) != ("paper", "clean")
+        require(not both, where, "course and conditions belong to the world; give them inside `world`, or no world")
+        if isinstance(self.world, Mapping):
+            valid = [field.name for field in dataclasses.fields(World)]
+            wrong = [name for name in self.world if name not in valid]
+            require(not wrong, where, f"world has no field {wrong[:1]}; valid: {', '.join(valid)}")
+
+    # ---- what is steered ------------------------------------------------------------------------------------
+
+    @cached_property
+    def place(self) -> Any:
+        """The world."""
+        if self.world is None:
+            return World.under(self.conditions, course=self.course)
+        return World(**self.world) if isinstance(self.world, Mapping) else self.world
+
+    @cached_property
+    def path(self) -> Path:
+        """The course's path."""
+        return self.place.path()
+
+    @cached_property
+    def angles(self) -> tuple[float, ...] | None:
+        """The discrete actions [rad]; None for continuous ones."""
+        return ACTIONS[self.actions][0] if isinstance(self.actions, str) else tuple(self.actions)
+
+    @cached_property
+    def element(self) -> Block:
+        """The dynamic output element."""
+        if isinstance(self.doe, Block):
+            return self.doe
+        own = ACTIONS[self.actions][1] if isinstance(self.actions, str) else "integrator"
+        return ELEMENTS[self.doe or own]()
+
+    @cached_property
+    def scale(self) -> float:
+        """The angle of a continuous action of 1 [rad]."""
+        return self.largest or radians_of(25.0 if isinstance(self.element, Integrator) else 520.0)
+
+    @cached_property
+    def price(self) -> Cost:
+        """The cost."""
+        if isinstance(self.cost, Mapping):
+            return COST_KINDS[self.cost["kind"]](**{n: v for n, v in self.cost.items() if n != "kind"})
+        if not isinstance(self.cost, str):
+            return self.cost
+        if self.cost == "paper":
+            return IdoeCost(trip=self.limit) if self.angles and 0.0 in self.angles else BandCost(trip=self.limit)
+        goal, trip = min(0.15, 0.5 * self.limit), self.limit
+        if isinstance(self.element, Integrator):
+            return SmoothCost(goal=goal, trip=trip, action_scale=max(map(abs, self.angles or (self.scale,))))
+        return SmoothCost(goal=goal, trip=trip, action_cost=0.0)  # actions are angles: a price would straighten bends
+
+    @cached_property
+    def loop(self) -> Loop:
+        """The loop with an `Agent` for a controller."""
+        world = self.place
+        return steering_loop(
+            car=world.car(self.path),
+            path=self.path,
+            driver=world.driver(0),
+            controller=Agent(dt=self.element.dt),
+            doe=self.element,
+            actuator=world.actuator(),
+            sensors=world.sensors(0),
+            reference=world.ahead,
+        )
+
+    @cached_property
+    def columns(self) -> tuple[str, ...]:
+        """The signals that the observation is made of."""
+        names = self.loop.units
+        tracker, seen = ("seen", "sensors") if "sensors" in self.loop.blocks else ("path", "car")
+        found = []
+        for name in self.description.names:
+            of = ["doe.state"] if name == "doe" else [f"{tracker}.{name}", f"{seen}.{name}", f"car.{name}"]
+            signal = next((signal for signal in of if signal in names), None)
+            if signal is None:
+                known = [n.split(".")[1] for n in names if n.split(".")[0] in (tracker, seen)]
+                raise ValueError(f"TrackSteering: description column '{name}' is no signal; valid: {known}, doe")
+            found.append(signal)
+        return tuple(found)
+
+    @property
+    def dt(self) -> float:
+        """Time between two decisions [s]."""
+        return self.loop.blocks["controller"].dt
+
+    @cached_property
+    def action_space(self) -> spaces.Space[Any]:
+        """Discrete(n), or Box(-1, 1, (1,))."""
+        return spaces.Discrete(len(self.angles)) if self.angles else spaces.Box(-1.0, 1.0, (1,), np.float32)
+
+    @cached_property
+    def observation_space(self) -> spaces.Box:
+        """Box(-10, 10, (columns,)); most of what happens lies in [-1, 1]."""
+        return spaces.Box(-BOUND, BOUND, (len(self.columns),), np.float32)
+
+    @cached_property
+    def _ranges(self) -> tuple[Array, Array]:
+        return self.description.mid, self.description.half
+
+    @cached_property
+    def _angles(self) -> Array:
+        return np.array(self.angles or ())
+
+    def angle(self, actions: Any, shape: tuple[int, ...]) -> Array:
+        """The actions [rad] (N,) that an agent's actions mean; raises ValueError for one outside of the space."""
+        given = np.asarray(actions)
+        if self.angles:
+            whole = given.shape == shape and bool(np.all((given >= 0) & (given < len(self.angles)) & (given % 1 == 0)))
+            if not whole:
+                raise ValueError(f"TrackSteering.step: action {actions!r}, expected 0 to {len(self.angles) - 1}")
+            return self._angles[given.astype(np.intp)].reshape(-1)
+        fits = given.size == math.prod(shape) and bool(np.all(np.abs(given) <= 1.0 + 1e-6))
+        if not fits:
+            raise ValueError(f"TrackSteering.step: action {actions!r}, expected within [-1, 1], one number a car")
+        return given.astype(float).reshape(-1) * self.scale
+
+    def observation(self, s: Array) -> NDArray[np.float32]:
+        """What the agent sees of states (N, columns)."""
+        mid, half = self._ranges
+        return np.minimum(np.maximum((s - mid) / half, -BOUND), BOUND).astype(np.float32)
+
+    # ---- where it starts ------------------------------------------------------------------------------------
+
+    def draw(self, rng: np.random.Generator, options: Mapping[str, Any] | None = None) -> Draw:
+        """The start of an episode; `options` s [m], e [m], psi_e [rad] stand for what is drawn otherwise."""
+        given = dict(options or {})
+        unknown = [name for name in given if name not in ("s", "e", "psi_e")]
+        require(not unknown, "TrackSteering.reset", f"option {unknown[:1]} is not known; valid: s, e, psi_e")
+        seed = int(rng.integers(2**31))
+        end = self.path.length if self.path.closed else max(0.0, self.path.length - END_MARGIN - LEAST_ROOM)
+        s, e, psi_e = rng.random() * end, rng.uniform(-self.start_e, self.start_e), rng.uniform(-1.0, 1.0)
+        chosen = {"s": 0.0 if self.start == "beginning" else s, "e": e, "psi_e": self.start_psi_e * psi_e} | given
+        drawn = Draw(seed, *(float(chosen[name]) for name in ("s", "e", "psi_e")))
+        fits = 0.0 <= drawn.s <= self.path.length and abs(drawn.e) < self.limit and abs(drawn.psi_e) < 1.6
+        require(fits, "TrackSteering.reset", f"{drawn}, expected s on the course, |e| < limit, |psi_e| < 1.6 rad")
+        return drawn
+
+    def starts(self, draws: Sequence[Draw]) -> LoopState:
+        """The loop's state of len(draws) cars, settled."""
+        loop, n = self.loop, len(draws)
+        x = {name: self._drawn(block, draws) for name, block in loop.blocks.items()}
+        s, e, psi_e = np.array([draw[1:] for draw in draws]).T
+        x["car"] = self._car_at(s, e, psi_e)
+        first = loop.init(x=[*x.values()])
+        car = loop.blocks["car"]
+        if not isinstance(x["car"], SingleTrackState):
+            return first
+        i, j = loop.locate("driver.v")
+        v, c, kappa = first.y[i][j], car.vehicle, self.path.kappa(s)  # type: ignore[attr-defined]
+        r = v * kappa
+        beta = (c.l_r - c.m * v**2 * c.l_f / (c.c_r * c.wheelbase)) * kappa
+        wheel = c.steer_ratio * (c.wheelbase + c.understeer_gradient * v**2) * kappa
+        wheel = np.clip(wheel, -c.delta_sw_max, c.delta_sw_max)
+        drift = np.arctan2(v * np.sin(beta) + r * self.place.ahead, v * np.cos(beta))
+        at = self._car_at(s, e, psi_e - drift)
+        sway = v * np.sin(beta) if isinstance(car, NonlinearSingleTrack) else beta
+        x["car"] = at._replace(sway=sway, r=r, v=v + np.zeros(n), delta_sw=wheel)
+        if isinstance(loop.blocks["doe"], Dynamic):
+            x["doe"] = HeldAngle(wheel)
+        if isinstance(loop.blocks.get("actuator"), SteeringActuator):
+            x["actuator"] = (wheel, np.zeros(n), *[wheel] * (len(x["actuator"]) - 2))
+        return loop.init(x=[*x.values()])
+
+    def _car_at(self, s: Array, e: Array, psi_e: Array) -> Any:
+        """The car's state with its reference point e [m] left of the path at s [m], turned by psi_e [rad]."""
+        psi = self.path.psi(s)
+        xy = self.path.point(s) + e[:, None] * np.column_stack((-np.sin(psi), np.cos(psi)))
+        xy -= self.place.ahead * np.column_stack((np.cos(psi + psi_e), np.sin(psi + psi_e)))
+        car: Any = self.loop.blocks["car"]
+        state = car.init(s.shape)
+        if isinstance(state, SingleTrackState):
+            return state._replace(x=xy[:, 0], y=xy[:, 1], psi=psi + psi_e)
+        return dataclasses.replace(car, x0=xy[:, 0], y0=xy[:, 1], psi0=psi + psi_e).init(s.shape)
+
+    def _drawn(self, block: Block, draws: Sequence[Draw]) -> Any:
+        """The block's state at the start of these cars, with their seeds if it draws random numbers."""
+        if reseeded(block, 0) is block:
+            return block.init((len(draws),))
+        states = [reseeded(block, draw.seed).init() for draw in draws]
+        columns = [np.array(column) for column in zip(*states)]
+        return type(states[0])(*columns) if hasattr(states[0], "_fields") else tuple(columns)
+
+
+def _is_cost(cost: Any) -> bool:
+    if isinstance(cost, str):
+        return cost in ("smooth", "paper")
+    return cost.get("kind") in COST_KINDS if isinstance(cost, Mapping) else callable(cost)
+
+
+def reseeded(block: Any, seed: int) -> Any:
+    """The block with its field `seed`, or that of a block inside it, exchanged; itself if there is none."""
+    changed: dict[str, Any] = {}
+    for name, value in vars(block).items():
+        if name == "seed":
+            changed["seed"] = seed
+        elif isinstance(value, Block) and (inner := reseeded(value, seed)) is not value:
+            changed[name] = inner
+    if not changed:
+        return block
+    new = copy.copy(block)  # not dataclasses.replace: its checks take most of the time of a start
+    vars(new).update(changed)
+    return new
