@@ -59,15 +59,37 @@ class Outcome:
     computing: float
 
 
-def one_seed(job: tuple[Experiment, int, bool]) -> Outcome:
-    """Run one seed, then test-drive its nets: the first GOOD one, the last ones, the final one."""
-    experiment, last, model_based = job
-    nets: list[tuple[float, int, Any]] = []
+@dataclass(frozen=True)
+class Trained:
+    """A learning run that has ended, and every net that took the wheel in it."""
+
+    run: LearningRun
+    nets: list[Taken]
+    longest_training: float
+    """Computing time of the longest training [s]."""
+    computing: float
+    """Wall time of the run [s]."""
+
+
+@dataclass(frozen=True)
+class Taken:
+    """A net, and what had happened when it took the wheel."""
+
+    t: float
+    """Driving time [s]."""
+    failures: int
+    transitions: int
+    policy: Any
+
+
+def train(experiment: Experiment, *, model_based: bool = False) -> Trained:
+    """Run an experiment to its end."""
+    nets: list[Taken] = []
     trainings: list[float] = [0.0]
 
     def watch(what: str, run: LearningRun) -> None:
         if what == "trained":
-            nets.append((run.t, run.counts.failures, run.policy))
+            nets.append(Taken(run.t, run.counts.failures, len(run.transitions), run.policy))
 
     began = time.perf_counter()
     run = (ModelBasedRun if model_based else LearningRun)(experiment, watch=watch)
@@ -75,8 +97,15 @@ def one_seed(job: tuple[Experiment, int, bool]) -> Outcome:
         run.drive()
         if run.counts.train_seconds > trainings[-1]:
             trainings.append(run.counts.train_seconds)
-    computing = time.perf_counter() - began
-    drives = test_drives(experiment, [policy for *_, policy in nets], last)
+    return Trained(run, nets, float(np.diff(trainings).max(initial=0.0)), time.perf_counter() - began)
+
+
+def one_seed(job: tuple[Experiment, int, bool]) -> Outcome:
+    """Run one seed, then test-drive its nets: the first GOOD one, the last ones, the final one."""
+    experiment, last, model_based = job
+    trained = train(experiment, model_based=model_based)
+    run, nets = trained.run, trained.nets
+    drives = test_drives(experiment, [net.policy for net in nets], last)
     found = (i for i, d in enumerate(drives) if d.held and d.summary and GOOD.met(d.summary, rounds=1.0))
     first = next(found, None)
     final = drives[-1] if drives else None
@@ -87,8 +116,8 @@ def one_seed(job: tuple[Experiment, int, bool]) -> Outcome:
         first_round_begun=run.counts.first_round_begun,
         first_round_done=run.counts.first_round_done,
         failures_to_round=run.counts.failures_to_round,
-        good=None if first is None else nets[first][0],
-        failures_to_good=None if first is None else nets[first][1],
+        good=None if first is None else nets[first].t,
+        failures_to_good=None if first is None else nets[first].failures,
         failures=run.counts.failures,
         transitions=len(run.transitions),
         nets=len(nets),
@@ -99,8 +128,8 @@ def one_seed(job: tuple[Experiment, int, bool]) -> Outcome:
         final_wheel_rate_deg=summary.rms_wheel_rate_deg if summary else nan,
         final_jerk_rms=summary.rms_jerk if summary else nan,
         final_max_a_y=summary.max_a_y if summary else nan,
-        longest_training=float(np.diff(trainings).max(initial=0.0)),
-        computing=computing,
+        longest_training=trained.longest_training,
+        computing=trained.computing,
     )
 
 

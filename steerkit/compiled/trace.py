@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import threading
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -270,7 +271,9 @@ def _replaced(owner: Any, fields: list[str], value: Any, name: str) -> Any:
         raise TraceError(f"parameter '{name}': {kind} has no field '{field}'; fields: {', '.join(known) or 'none'}")
     new = _replaced(getattr(owner, field), inner, value, name) if inner else value
     try:
-        return dataclasses.replace(owner, **{field: new})
+        with warnings.catch_warnings():  # CasADi's, of checks that ask NumPy about a symbol before they give up on it
+            warnings.simplefilter("ignore", FutureWarning)
+            return dataclasses.replace(owner, **{field: new})
     except Exception:  # its checks cannot judge a symbol or an array: copy the fields as they are
         found = [item for base in type(owner).__mro__ for item in vars(base).items()]
         cached = {n for n, v in found if isinstance(v, functools.cached_property)}

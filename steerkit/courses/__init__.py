@@ -1,6 +1,7 @@
 """Built-in courses by name, and courses by formula.
 
-`course(name)` gives one of `names()`; `circle`, `straight`, `figure_eight`, `random_course` and `bends` make others.
+`course(name)` gives one of `names()`; `circle`, `straight`, `figure_eight`, `random_course`, `bends`, `lane_change`,
+`slalom` and `curvature_step` make others.
 """
 
 from __future__ import annotations
@@ -13,12 +14,16 @@ from typing import TypeVar
 
 import numpy as np
 
+from steerkit.courses.manoeuvres import curvature_step, lane_change, slalom
 from steerkit.courses.shapes import bends, circle, figure_eight, paper, random_course, straight
 from steerkit.path import Array, Path, read_columns
 
 _T = TypeVar("_T")
 
-__all__ = ["bends", "circle", "course", "figure_eight", "names", "random_course", "recorded_speed", "straight"]
+__all__ = [
+    "bends", "circle", "course", "curvature_step", "figure_eight", "lane_change", "names", "random_course",
+    "recorded_speed", "slalom", "straight",
+]  # fmt: skip
 
 
 def names() -> tuple[str, ...]:
@@ -33,7 +38,8 @@ def course(name: str) -> Path:
     * paper: closed, 795 m, like the course of the NFQ steering experiments (`shapes.paper`);
     * genesis: a recorded real lap, 3.7 km, bends down to 24 m, open: it ends 102 m short of its start;
     * genesis-rfs: a shorter drive, 477 m with one right bend down to 18 m, open;
-    * circle, straight, figure-eight: the formulas with their default sizes.
+    * iso3888-1, iso3888-2: lane changes for 9 m/s and 3 m/s^2 (`manoeuvres.lane_change`), open;
+    * circle, straight, figure-eight, slalom, curvature-step: the formulas with their default sizes.
 
     Raises ValueError for another name, with the nearest one.
     """
@@ -74,4 +80,8 @@ _COURSES: dict[str, Callable[[], Path]] = {
     "circle": circle,
     "straight": straight,
     "figure-eight": figure_eight,
+    "iso3888-1": partial(lane_change, 1),
+    "iso3888-2": partial(lane_change, 2),
+    "slalom": slalom,
+    "curvature-step": curvature_step,
 }

@@ -34,6 +34,8 @@ from steerkit.doe import Direct, Integrator, LowPass
 from steerkit.learning.exploration import Exploring
 from steerkit.doe import Corrected, Direct, Integrator, LowPass
 from steerkit.controllers.policy_block import Network, PolicyBlock
+from steerkit.controllers.policy_block import Network, PolicyBlock
+from steerkit.controllers.pure_pursuit import PurePursuit
 from steerkit.controllers.recovery import Guarded, Supervisor, SupervisorState
 from steerkit.controllers.stanley import Stanley
 from steerkit.doe import Direct, Integrator, LowPass
@@ -234,6 +236,8 @@ ELSEWHERE = {"MPC", "NonlinearMPC", "RealCar"}
 """Blocks with a suite of their own: a solver's milliseconds differ from call to call, and a bus is not pure."""
 ELSEWHERE = {"RealCar", "FmuPlant"}
 """Blocks with a suite of their own: a bus is not pure, and an FMU is a file from elsewhere."""
+ELSEWHERE = {"MPC", "NonlinearMPC", "RealCar", "FmuPlant"}
+"""Blocks with a suite of their own: a solver's milliseconds differ, a bus is not pure, an FMU is a file from elsewhere."""
 
 
 def test_every_block_of_the_package_is_in_the_table() -> None:

@@ -1,0 +1,207 @@
+"""The benchmark suites' command line: `python -m benchmarks --help`."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from benchmarks.controllers import CONTROLLERS
+from benchmarks.results import Results, load_results
+from benchmarks.runner import WorkersDiedError
+from benchmarks.runner import run as carry_out
+from benchmarks.suites import SUITES, jobs, suite
+
+app = typer.Typer(
+    help="Learned against analytic steering controllers, in numbers. All drives are simulated.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
+console = Console() if Console().is_terminal else Console(width=120)
+Machine = Annotated[bool, typer.Option("--json", help="Print one JSON object as the last line.")]
+Place = Annotated[Path, typer.Argument(help="Directory of results, as `run` wrote it.")]
+
+
+@app.command("list")
+def list_(scenarios: Annotated[bool, typer.Option(help="Also every scenario and controller.")] = False) -> None:
+    """List the suites, with how many cases each is."""
+    table = Table("suite", "cases", "seeds", "scenarios", "controllers", "what")
+    for one in SUITES.values():
+        sizes = (len(jobs([one])), one.seeds, len(one.scenarios), len(one.controllers))
+        table.add_row(one.name, *map(str, sizes), one.about)
+    console.print(table)
+    if scenarios:
+        names = dict.fromkeys(scene.name for one in SUITES.values() for scene in one.scenarios)
+        console.print(f"scenarios: {', '.join(names)}\n", markup=False)
+        for controller in CONTROLLERS.values():
+            console.print(f"{controller.name:22s} {controller.about}", markup=False, highlight=False)
+
+
+@app.command()
+def run(
+    suites: Annotated[list[str], typer.Argument(metavar="SUITE...", help="Suites to run: see `list`.")],
+    seeds: Annotated[int | None, typer.Option(min=1, help="Seeds 0 to N-1; default: the suite's own.")] = None,
+    workers: Annotated[int, typer.Option("--jobs", "-j", help="Processes at once; -1: one a core.")] = -1,
+    backend: Annotated[str, typer.Option(help="loky: processes here; dask: the workers of a cluster.")] = "loky",
+    address: Annotated[str | None, typer.Option(help="Of the Dask scheduler, tcp://HOST:PORT.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Directory; unfinished results there are gone on with.")] = None,
+    only: Annotated[list[str] | None, typer.Option(help="Cases with this in scenario or controller.")] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")] = False,
+    as_json: Machine = False,
+) -> None:
+    """Run suites; what has finished is kept at once, and the same command goes on after a stop."""
+    chosen = [suite(name) for name in suites]
+    place = out or Path("runs") / "benchmarks" / "+".join(suites)
+    try:
+        results = carry_out(chosen, place, seeds=seeds, only=only or (), workers=workers, backend=backend,
+                            address=address, quiet=quiet)  # fmt: skip
+    except KeyboardInterrupt:
+        print(f"stopped; finished cases are in {place}, and the same command goes on", file=sys.stderr)
+        raise SystemExit(130) from None
+    _leaderboard(results)
+    done = [case for case in results.cases if case.status == "done"]
+    errors = [case for case in results.cases if case.status == "error"]
+    for case in errors[:10]:
+        console.print(f"error in {case.id}: {case.error}", markup=False, soft_wrap=True)
+    absent = {case.controller: case.error for case in results.cases if case.status == "not installed"}
+    for name, why in absent.items():
+        console.print(f"{name}: {why}", markup=False, soft_wrap=True)
+    console.print(f"{len(done)} cases in {place}; python -m benchmarks report {place}", soft_wrap=True, markup=False)
+    if as_json:
+        cpu = sum(case.cpu_seconds for case in results.cases if math.isfinite(case.cpu_seconds))
+        print(json.dumps({"out": str(place), "done": len(done), "errors": len(errors), "absent": sorted(absent),
+                          "cpu_seconds": cpu}))  # fmt: skip
+    if errors:
+        raise SystemExit(1)
+
+
+@app.command()
+def report(
+    place: Place,
+    out: Annotated[Path | None, typer.Option(help="File to write; default: report.html in the results.")] = None,
+) -> None:
+    """Write the results as one self-contained HTML page."""
+    from benchmarks.report import write_report
+
+    console.print(f"written: {write_report(load_results(place), out or place / 'report.html')}", soft_wrap=True)
+
+
+@app.command()
+def verdict(
+    place: Place,
+    of: Annotated[str | None, typer.Option("--suite", help="Of one suite only.")] = None,
+) -> None:
+    """Say where learned beats analytic, where it does not, and by how much."""
+    from benchmarks.verdict import verdict as text
+
+    print(text(load_results(place), suite=of))
+
+
+@app.command()
+def compare(
+    a: Place,
+    b: Place,
+    rel: Annotated[float, typer.Option(min=0.0, help="Relative difference that is none.")] = 1e-9,
+    absolute: Annotated[float, typer.Option("--abs", min=0.0, help="Difference that is none, in the unit.")] = 1e-12,
+    most: Annotated[int, typer.Option(min=1, help="Rows to show.")] = 30,
+    strict: Annotated[bool, typer.Option(help="Exit with 1 if anything differs.")] = False,
+    as_json: Machine = False,
+) -> None:
+    """Compare two results case by case and say what changed; computing times are left out."""
+    from benchmarks.compare import compare as compared
+
+    found = compared(load_results(a), load_results(b), rel=rel, absolute=absolute)
+    for key, (one, two) in found.provenance.items():
+        console.print(f"{key}: {one} -> {two}", markup=False, soft_wrap=True, highlight=False)
+    for label, names in (("only in A", found.only_a), ("only in B", found.only_b)):
+        if names:
+            console.print(f"{label}: {len(names)} cases: {', '.join(names[:5])}", markup=False, soft_wrap=True)
+    for name, one, two in found.status[:most]:
+        console.print(f"{name}: {one} -> {two}", markup=False, soft_wrap=True)
+    if found.changes:
+        console.print(_changes(found.changes[:most], f"{len(found.changes)} of {found.compared} numbers differ"))
+    else:
+        console.print(f"all {found.compared} numbers of the common cases are the same")
+    if as_json:
+        print(json.dumps({"same": found.same, "compared": found.compared, "changed": len(found.changes),
+                          "only_a": len(found.only_a), "only_b": len(found.only_b)}))  # fmt: skip
+    if strict and not found.same:
+        raise SystemExit(1)
+
+
+@app.command()
+def golden(
+    update: Annotated[bool, typer.Option(help="Make the new numbers the golden ones.")] = False,
+    as_json: Machine = False,
+) -> None:
+    """Run the golden suite and print what differs from the numbers that the tests hold."""
+    from benchmarks import golden as kept
+
+    new = kept.numbers(kept.measured())
+    try:
+        old, tolerances = kept.kept()
+    except ValueError:
+        if not update:
+            raise
+        old, tolerances = {}, kept.TOLERANCES
+    found = kept.difference(new, old, tolerances)
+    if found:
+        console.print(_changes(found, f"{len(found)} numbers differ from the golden ones"))
+    else:
+        console.print(f"all {sum(map(len, old.values()))} golden numbers hold")
+    if update:
+        kept.update(new)
+        console.print(f"written: {kept.FILE}", soft_wrap=True)
+    if as_json:
+        print(json.dumps({"changed": [asdict(change) for change in found], "updated": update}).replace("NaN", "null"))
+    if found and not update:
+        raise SystemExit(1)
+
+
+def _leaderboard(results: Results) -> None:
+    """Means over the drives that each controller held, suite by suite."""
+    heads = ("controller", "held", "RMS e [m]", "max e [m]", "RMS wheel rate [deg/s]", "max a_y [m/s²]",
+             "max jerk [m/s³]")  # fmt: skip
+    for name in dict.fromkeys(case.suite for case in results.cases if case.kind == "drive"):
+        table = Table(*map(escape, heads), title=f"{name}: means over the drives held")
+        drives = [c for c in results.cases if c.suite == name and c.status == "done"]
+        for controller in dict.fromkeys(case.controller for case in drives):
+            mine = [case for case in drives if case.controller == controller]
+            held = [case for case in mine if case.metrics.get("held")]
+            metrics = ("rms_e", "max_e", "rms_wheel_rate_deg", "max_a_y", "max_jerk")
+            cells = [_mean([case.metrics[metric] for case in held]) for metric in metrics]
+            table.add_row(controller, f"{len(held)} of {len(mine)}", *cells)
+        console.print(table)
+
+
+def _mean(values: list[float]) -> str:
+    return f"{sum(values) / len(values):.3g}" if values else "-"
+
+
+def _changes(changes: Any, title: str) -> Table:
+    table = Table("case", "metric", "before", "after", "change", title=title)
+    for change in changes:
+        part = f"{change.relative:.1e}" if math.isfinite(change.relative) else "-"
+        table.add_row(change.case, change.metric, f"{change.before:.9g}", f"{change.after:.9g}", part)
+    return table
+
+
+def main() -> None:
+    """Run the command line; a mistake of the user's is one line on stderr and exit code 2."""
+    try:
+        app()
+    except (ValueError, KeyError, OSError, WorkersDiedError) as error:
+        print(f"benchmarks: {error.args[0] if isinstance(error, KeyError) else error}", file=sys.stderr)
+        raise SystemExit(2) from None
+
+
+if __name__ == "__main__":
+    main()

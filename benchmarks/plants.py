@@ -1,0 +1,183 @@
+"""Plants that only benchmarks drive: a car pushed aside by wind or bank, and CommonRoad's multi-body car."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from steerkit import maths as m
+from steerkit.block import Block, In, Out, State, require
+from steerkit.maths import Scalar
+from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.single_track import V_DYNAMIC, SingleTrack, SingleTrackState
+from steerkit.plants.vehicle import VEHICLES
+from steerkit.random import normals, seed_state
+
+_STREAM = 11  # of `seed_state`: the gusts'
+_FORWARD = 5.0  # 1/s: how fast the multi-body car's driver closes a gap in speed
+_SUBSTEPS = 4  # its fastest mode is near -840/s: Runge-Kutta is stable to 2.78/840 s, and exact to 1e-5 at 2.5 ms
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Pushed(Block):
+    """A single-track car that crosswind and the bank of the road push aside.
+
+    a_w(t) = wind + gust g(t),  g(t + dt) = f g(t) + sqrt(1 - f^2) n,  f = exp(-dt/gust_time),  n standard normal;
+    before and after every step of the car, with a = a_w + bank:
+    v_y += dt/2 a  (beta += dt/2 a/v),  r += dt/2 m a_w arm/i_z;  a_y += a.
+
+    The push and the car's motion are integrated in turn (Strang splitting, second order in dt). A crosswind of speed w
+    makes a_w = rho c_y A w^2/(2 m) (15 m/s on 1.6 m^2 of c_y A: 0.13 m/s^2), a road banked by phi makes bank =
+    g sin(phi) to the low side. Ports: those of the car. State: the car's, g, the generator's six numbers. Valid
+    from 3 m/s on. Raises ValueError for parameters out of range.
+    Source: Rajamani 2012, section 2.3 (bank); Trevino 1997 (Gauss-Markov gusts); Strang 1968 (splitting).
+    """
+
+    delta_sw_in = In("rad", direct=False)
+    v_in = In("m/s", direct=False)
+    x = Out("m", direct=())
+    y = Out("m", direct=())
+    psi = Out("rad", direct=())
+    v = Out("m/s", direct=())
+    beta = Out("rad", direct=())
+    r = Out("rad/s", direct=())
+    a_y = Out("m/s^2", direct=())
+    delta_sw = Out("rad", direct=())
+
+    block: SingleTrack
+    """The car."""
+    wind: Scalar = 0.0
+    """Lateral acceleration by steady wind [m/s^2], + = to the left."""
+    gust: Scalar = 0.0
+    """Standard deviation of that by gusts [m/s^2]."""
+    bank: Scalar = 0.0
+    """Lateral acceleration by the bank of the road [m/s^2]."""
+    gust_time: float = 1.0
+    """Correlation time of the gusts [s]."""
+    arm: Scalar = 0.3
+    """How far ahead of the centre of gravity the wind acts [m]."""
+    seed: int = 0
+    """Seed of the gusts."""
+    dt: float = 0.01
+
+    def __post_init__(self) -> None:
+        require(self.dt == self.block.dt, "Pushed", f"dt = {self.dt} s, but its car has {self.block.dt} s")
+        require(self.gust >= 0.0, "Pushed", f"gust = {self.gust} [m/s^2], expected >= 0")
+        require(self.gust_time >= self.dt, "Pushed", f"gust_time = {self.gust_time} [s], expected >= dt")
+
+    def init(self, batch: tuple[int, ...] = ()) -> State:
+        g, _, random = normals(seed_state(self.seed, batch, stream=_STREAM))
+        return (*self.block.init(batch), g, *random)
+
+    def output(self, t: Any, x: State, u: Any) -> Any:
+        *motion, a_y, delta_sw = self.block.output(t, self._car(x), ())
+        return self.Y(*motion, a_y + self._wind(x) + self.bank, delta_sw)
+
+    def update(self, t: Any, x: State, u: Any, y: Any) -> State:
+        car = self.block.update(t, self._kicked(self._car(x), x), self.block.U(u.delta_sw_in, u.v_in), ())
+        car = self._kicked(car, x)
+        keep = math.exp(-self.dt / self.gust_time)
+        n, _, random = normals(tuple(x[-6:]))
+        return (*car, keep * x[-7] + math.sqrt(1.0 - keep * keep) * n, *random)
+
+    def _car(self, x: State) -> Any:
+        return SingleTrackState(*x[:-7])
+
+    def _kicked(self, car: SingleTrackState, x: State) -> SingleTrackState:
+        """The car's state after half a step of the push alone."""
+        wind, p = self._wind(x), self.block.vehicle
+        a = wind + self.bank
+        sideways = a if isinstance(self.block, NonlinearSingleTrack) else a / m.maximum(car.v, V_DYNAMIC)
+        turn = p.m * wind * self.arm / p.i_z
+        return car._replace(sway=car.sway + 0.5 * self.dt * sideways, r=car.r + 0.5 * self.dt * turn)
+
+    def _wind(self, x: State) -> Scalar:
+        return self.wind + self.gust * x[-7]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CommonRoadMultiBody(Block):
+    """CommonRoad's multi-body car (29 states: suspension, wheels, Magic Formula tyres) as a plant that is not ours.
+
+    x' = vehicle_dynamics_mb(x, (0, a_x)), four Runge-Kutta steps of dt/4 a sample, with the road-wheel angle put to
+    delta_sw_in/steer_ratio (held) and a_x = 5/s (v_in - v_x), within the model's own limits; a_y = v_y' + v_x r.
+
+    Ports: those of `SingleTrack`, whose docstring has their units. State: the model's 29, the last delta_sw [rad] and
+    the last v_in [m/s]. Interpreted floats only: the model cannot be traced or batched. Valid above 0.1 m/s.
+    Raises ValueError for a car that CommonRoad has not, ImportError without commonroad-vehicle-models.
+    Source: Althoff, Wuersching 2020, section 9; commonroad-vehicle-models 3.
+    """
+
+    delta_sw_in = In("rad", direct=False)
+    v_in = In("m/s", direct=False)
+    x = Out("m", direct=())
+    y = Out("m", direct=())
+    psi = Out("rad", direct=())
+    v = Out("m/s", direct=())
+    beta = Out("rad", direct=())
+    r = Out("rad/s", direct=())
+    a_y = Out("m/s^2", direct=())
+    delta_sw = Out("rad", direct=())
+
+    pure = False  # its functions branch on their values
+
+    name: str = "bmw-320i"
+    """`bmw-320i` or `ford-escort`."""
+    x0: float = 0.0
+    """Start position [m]."""
+    y0: float = 0.0
+    """Start position [m]."""
+    psi0: float = 0.0
+    """Start heading [rad]."""
+    v0: float = 5.0
+    """Start speed [m/s]."""
+    dt: float = 0.01
+
+    def __post_init__(self) -> None:
+        cars = ("bmw-320i", "ford-escort")
+        require(self.name in cars, "CommonRoadMultiBody", f"car {self.name!r}; valid: {', '.join(cars)}")
+        require(self.v0 > 0.1, "CommonRoadMultiBody", f"v0 = {self.v0} [m/s], expected > 0.1")
+
+    @cached_property
+    def _model(self) -> tuple[Any, Any, Any]:
+        """The right-hand side, the initialiser, the parameters."""
+        from vehiclemodels.init_mb import init_mb
+        from vehiclemodels.parameters_vehicle1 import parameters_vehicle1
+        from vehiclemodels.parameters_vehicle2 import parameters_vehicle2
+        from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb
+
+        parameters = {"ford-escort": parameters_vehicle1, "bmw-320i": parameters_vehicle2}[self.name]()
+        return vehicle_dynamics_mb, init_mb, parameters
+
+    def init(self, batch: tuple[int, ...] = ()) -> State:
+        require(not batch, "CommonRoadMultiBody", "one car at a time: it cannot be batched")
+        _, init_mb, parameters = self._model
+        start = init_mb([self.x0, self.y0, 0.0, self.v0, self.psi0, 0.0, 0.0], parameters)
+        return (*[float(value) for value in start], 0.0, self.v0)
+
+    def output(self, t: Any, x: State, u: Any) -> Any:
+        v_x, r, v_y = x[3], x[5], x[10]
+        a_y = self._slope(np.array(x[:29]), x[30])[10] + v_x * r
+        return self.Y(x[0], x[1], x[4], math.hypot(v_x, v_y), math.atan2(v_y, v_x), r, float(a_y), x[29])
+
+    def update(self, t: Any, x: State, u: Any, y: Any) -> State:
+        p = VEHICLES[self.name]
+        delta_sw = min(max(u.delta_sw_in, -p.delta_sw_max), p.delta_sw_max)
+        z, v, h = np.array(x[:29]), u.v_in, self.dt / _SUBSTEPS
+        z[2] = delta_sw / float(p.steer_ratio)
+        for _ in range(_SUBSTEPS):
+            k1 = self._slope(z, v)
+            k2 = self._slope(z + 0.5 * h * k1, v)
+            k3 = self._slope(z + 0.5 * h * k2, v)
+            z = z + h / 6.0 * (k1 + 2.0 * (k2 + k3) + self._slope(z + h * k3, v))
+        return (*z.tolist(), delta_sw, v)
+
+    def _slope(self, z: Any, v: float) -> Any:
+        if not np.isfinite(z).all():  # the model's own functions raise on NaN, blocks hand it on
+            return np.full(29, np.nan)
+        rhs, _, parameters = self._model
+        return np.array(rhs(z.tolist(), [0.0, _FORWARD * (v - z[3])], parameters))

@@ -1,0 +1,226 @@
+"""The suites: which controllers drive which scenarios, and what has to be learned before."""
+
+from __future__ import annotations
+
+import difflib
+import itertools
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from benchmarks.controllers import CONTROLLERS
+from benchmarks.results import case_id
+from benchmarks.scenarios import MULTI_BODY, Scenario
+
+TRAINING = "training"
+"""The suite that trainings are filed under, so that suites in one directory share them."""
+ANALYTIC = ("stanley", "stanley-textbook", "stanley-delay", "pure-pursuit", "lqr", "mpc", "nonlinear-mpc")
+LEARNED = ("nfq-idoe", "nfq-low-pass", "nfq-bang-bang")
+AS_PUBLISHED = ("nfq-paper-idoe", "nfq-paper-bang-bang")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Suite:
+    """Scenarios, and the controllers that drive all of them."""
+
+    name: str
+    """What it is called."""
+    about: str
+    """One line for `list` and the report."""
+    scenarios: tuple[Scenario, ...]
+    """What is driven; none: only trainings."""
+    controllers: tuple[str, ...]
+    """Who drives, in the order in which they are shown; learned ones are trained first."""
+    seeds: int = 10
+    """How many seeds, by default."""
+    timed_steps: int = 0
+    """Samples over which computing time is measured; 0: not at all."""
+    alone: bool = False
+    """Are its drives made one at a time, nothing beside them? For timing."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """One case to carry out."""
+
+    suite: str
+    scenario: str
+    controller: str
+    seed: int
+    kind: str = "drive"
+
+    @property
+    def id(self) -> str:
+        """The name of its files."""
+        return case_id(self.suite, self.scenario, self.controller, self.seed)
+
+    @property
+    def training(self) -> str:
+        """Id of the training that a learned controller's drive needs."""
+        name = f"train-{CONTROLLERS[self.controller].training}"
+        return case_id(TRAINING, name, self.controller, self.seed)
+
+
+PAPER_ROUND = Scenario(name="paper-round")
+_MB = dict(plant=MULTI_BODY, vehicle_name="bmw-320i", v_min=7.0, v_max=7.0)
+_TRACKING = (
+    PAPER_ROUND,
+    Scenario(name="paper-fast", v_max=9.0),
+    Scenario(name="paper-linear", plant="linear"),
+    Scenario(name="paper-hard", lag=0.15, noise=1.0, latency=0.05),
+    Scenario(name="genesis-recorded", course="genesis", speed="recorded", v_max=9.0),
+    Scenario(name="genesis-rfs-recorded", course="genesis-rfs", speed="recorded", v_max=9.0),
+    Scenario(name="iso3888-1-9", course="iso3888-1", v_min=9.0, v_max=9.0),
+    Scenario(name="iso3888-1-5", course="iso3888-1", v_min=5.0, v_max=5.0),
+    Scenario(name="iso3888-2-9", course="iso3888-2", v_min=9.0, v_max=9.0),
+    Scenario(name="circle-6", course="circle", v_min=6.0, v_max=6.0),
+    Scenario(name="slalom-9", course="slalom", v_min=9.0, v_max=9.0),
+    Scenario(name="curvature-step-7", course="curvature-step", v_min=7.0, v_max=7.0),
+    Scenario(name="iso3888-1-multi-body", course="iso3888-1", **_MB),  # type: ignore[arg-type]
+    Scenario(name="slalom-multi-body", course="slalom", **_MB),  # type: ignore[arg-type]
+)
+
+
+def _grid(kind: str, first: tuple[str, Sequence[float]], second: tuple[str, Sequence[float]]) -> Iterable[Scenario]:
+    """One scenario for every pair of values; what is wrong, no controller is told."""
+    for a, b in itertools.product(first[1], second[1]):
+        values = {first[0]: a, second[0]: b}
+        if "v_max" in values:
+            values["v_min"] = values["v_max"]
+        label = "-".join(f"{key}{value:g}" for key, value in ((first[0], a), (second[0], b)))
+        yield Scenario(name=f"{kind}-{label}", told_delay=0.0, told_lag=0.12, **values)  # type: ignore[arg-type]
+
+
+_ROBUSTNESS = (
+    *_grid("delay", ("delay", (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3)), ("v_max", (5.0, 6.0, 7.0, 8.0, 9.0))),
+    *_grid("lag", ("lag", (0.05, 0.12, 0.2, 0.3, 0.4)), ("v_max", (5.0, 7.0, 9.0))),
+    *_grid("tyres", ("tyres", (0.5, 0.7, 0.85, 1.0, 1.2, 1.5)), ("friction", (0.3, 0.45, 0.6, 0.8, 1.0))),
+    *_grid("steering", ("ratio", (0.8, 0.9, 1.0, 1.1, 1.2)), ("offset_deg", (-8.0, -4.0, 0.0, 4.0, 8.0))),
+    *_grid("pose", ("noise", (0.0, 1.0, 2.0, 4.0)), ("latency", (0.0, 0.05, 0.1, 0.15, 0.2))),
+    *_grid("wind", ("wind", (0.0, 0.2, 0.4, 0.8)), ("bank_deg", (0.0, 2.0, 4.0, 6.0))),
+)
+_GENERALISE = (
+    PAPER_ROUND,
+    *(Scenario(name=f"random-{n}", course=f"random-{n}") for n in range(1, 6)),
+    Scenario(name="genesis-recorded", course="genesis", speed="recorded", v_max=9.0),
+    Scenario(name="genesis-rfs-recorded", course="genesis-rfs", speed="recorded", v_max=9.0),
+    Scenario(name="paper-linear", plant="linear"),
+    Scenario(name="paper-hard", lag=0.15, noise=1.0, latency=0.05),
+    Scenario(name="paper-bmw", vehicle_name="bmw-320i"),
+    Scenario(name="paper-ford", vehicle_name="ford-escort"),
+    Scenario(name="paper-multi-body", plant=MULTI_BODY, vehicle_name="bmw-320i"),
+)
+_ALL = (
+    Suite(
+        name="paper",
+        about="figures 3 to 6 of the paper: learning on the 800 m course, the final nets' round, beside its values",
+        scenarios=(PAPER_ROUND,),
+        controllers=("stanley", "stanley-textbook", *LEARNED, *AS_PUBLISHED),
+    ),
+    Suite(
+        name="tracking",
+        about="every controller on courses, lane changes, slalom, steps and three plants; nets of the 800 m course",
+        scenarios=_TRACKING,
+        controllers=(*ANALYTIC, *LEARNED),
+    ),
+    Suite(
+        name="robustness",
+        about="grids of what no controller is told: delay, lag, tyres, friction, ratio, offset, noise, wind, bank",
+        scenarios=_ROBUSTNESS,
+        controllers=("stanley", "stanley-textbook", "stanley-delay", "pure-pursuit", "lqr", "mpc", "nfq-idoe"),
+        seeds=3,
+    ),
+    Suite(
+        name="generalise",
+        about="nets taught on one course and car, driven on others",
+        scenarios=_GENERALISE,
+        controllers=("stanley", "lqr", *LEARNED, "nfq-idoe-genesis", "nfq-idoe-linear", "nfq-idoe-hard"),
+        seeds=5,
+    ),
+    Suite(
+        name="learning-curve",
+        about="driving time against performance, offline iterations, 70 and 120 episodes",
+        scenarios=(),
+        controllers=(*LEARNED, *AS_PUBLISHED, "nfq-paper-120", "nfq-idoe-offline"),
+    ),
+    Suite(
+        name="compute",
+        about="computing time a step, one drive at a time",
+        scenarios=(Scenario(name="paper-steady", v_min=6.0, v_max=6.0),),
+        controllers=(*ANALYTIC, "nfq-idoe-quick", "nfq-bang-bang-quick"),
+        seeds=1,
+        timed_steps=2000,
+        alone=True,
+    ),
+    Suite(
+        name="quick",
+        about="a ten-minute selection of paper and tracking, nets after 3 minutes of driving (make bench)",
+        scenarios=tuple(s for s in _TRACKING if s.name in (
+            "paper-round", "paper-hard", "genesis-rfs-recorded", "iso3888-1-9", "slalom-9", "curvature-step-7",
+            "slalom-multi-body")),
+        controllers=(*ANALYTIC, "nfq-idoe-quick", "nfq-bang-bang-quick"),
+        seeds=5,
+        timed_steps=200,
+    ),
+    Suite(
+        name="golden",
+        about="a small one whose numbers the tests hold",
+        scenarios=(
+            Scenario(name="slalom-hard", course="slalom", v_max=9.0, lag=0.15, noise=1.0, latency=0.05, wind=0.2,
+                     gust=0.1),
+            Scenario(name="curvature-step-7", course="curvature-step", v_min=7.0, v_max=7.0),
+        ),
+        controllers=("stanley", "stanley-textbook", "pure-pursuit"),
+        seeds=2,
+    ),
+)  # fmt: skip
+SUITES = {suite.name: suite for suite in _ALL}
+"""All suites by name."""
+
+
+def suite(name: str) -> Suite:
+    """The suite of that name; raises ValueError with the nearest and the valid names."""
+    if name not in SUITES:
+        near = difflib.get_close_matches(name, SUITES, n=1, cutoff=0.4)
+        hint = f"; did you mean '{near[0]}'?" if near else ""
+        raise ValueError(f"suite '{name}' is not known{hint} (valid: {', '.join(SUITES)})")
+    return SUITES[name]
+
+
+def jobs(suites: Sequence[Suite], seeds: int | None = None, only: Sequence[str] = ()) -> list[Job]:
+    """All cases of the suites, trainings first, each once; a drive without chance in it has seed 0 only.
+
+    only: words; a case is kept if one of them is in `scenario` or `controller`. Raises ValueError for one in none.
+    """
+    drives: list[Job] = []
+    trainings: dict[str, Job] = {}
+    for one in suites:
+        for place, name in itertools.product(one.scenarios, one.controllers):
+            chance = place.random or CONTROLLERS[name].kind != "analytic"
+            count = (seeds or one.seeds) if chance else 1
+            drives += [Job(suite=one.name, scenario=place.name, controller=name, seed=n) for n in range(count)]
+        if not one.scenarios:
+            learners = [Job(suite=one.name, scenario="", controller=name, seed=n)
+                        for name in one.controllers for n in range(seeds or one.seeds)]  # fmt: skip
+            trainings |= {job.training: _training(job) for job in _kept(learners, only)}
+    drives = _kept(drives, only)
+    for job in drives:
+        if CONTROLLERS[job.controller].kind == "learned":
+            trainings.setdefault(job.training, _training(job))
+    for word in only:
+        if not any(_matches(job, word) for job in (*drives, *trainings.values())):
+            known = dict.fromkeys(n for one in suites for n in (*(s.name for s in one.scenarios), *one.controllers))
+            raise ValueError(f"--only {word}: no scenario or controller of these suites; there are {', '.join(known)}")
+    return [*trainings.values(), *drives]
+
+
+def _training(job: Job) -> Job:
+    name = f"train-{CONTROLLERS[job.controller].training}"
+    return Job(suite=TRAINING, scenario=name, controller=job.controller, seed=job.seed, kind="learn")
+
+
+def _kept(found: Sequence[Job], only: Sequence[str]) -> list[Job]:
+    return [job for job in found if not only or any(_matches(job, word) for word in only)]
+
+
+def _matches(job: Job, word: str) -> bool:
+    return word in job.scenario or word in job.controller

@@ -1,0 +1,77 @@
+"""Figures of one signal of one car: size, shares, rates; and the checks that all metrics share."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+def rms(signal: ArrayLike) -> float:
+    """Root mean square of all samples, in the signal's unit; NaN if any sample is NaN."""
+    return float(np.sqrt(np.mean(np.square(samples("rms", signal)))))
+
+
+def largest(signal: ArrayLike) -> float:
+    """Largest magnitude of all samples, in the signal's unit; NaN if any sample is NaN."""
+    return float(np.abs(samples("largest", signal)).max())
+
+
+def magnitude_at(signal: ArrayLike, share: float = 0.95) -> float:
+    """The magnitude that `share` of the samples do not exceed, in the signal's unit; NaN if any sample is NaN.
+
+    Between two samples' magnitudes it is interpolated. Raises ValueError for a share outside 0 to 1.
+    Source: Hyndman, Fan 1996, definition 7.
+    """
+    values = np.abs(samples("magnitude_at", signal))
+    if not 0.0 <= share <= 1.0:
+        raise ValueError(f"magnitude_at: share {share:g} [1], expected 0 to 1")
+    return float(np.quantile(values, share))
+
+
+def share_within(signal: ArrayLike, bound: float) -> float:
+    """Share of the samples with |signal| < bound, 0 to 1; a NaN counts as outside.
+
+    Source: the goal band |e| < 0.05 m of Riedmiller, Montemerlo, Dahlkamp 2007.
+    """
+    return float(np.mean(np.abs(samples("share_within", signal)) < bound))
+
+
+def time_over(t: ArrayLike, signal: ArrayLike, bound: float) -> float:
+    """Time with |signal| > bound [s]: the number of such samples, times the sample time; a NaN counts as over.
+
+    Source: the trip |e| > 0.5 m of Riedmiller, Montemerlo, Dahlkamp 2007.
+    """
+    values, dt = samples("time_over", signal), step(t, "time_over", signal)
+    return float(np.count_nonzero(~(np.abs(values) <= bound))) * dt
+
+
+def rates(t: ArrayLike, signal: ArrayLike) -> Array:
+    """Mean rate of change between neighbouring samples [unit/s], (T - 1,)."""
+    values, dt = samples("rates", signal), step(t, "rates", signal)
+    return np.diff(values) / dt
+
+
+def samples(where: str, signal: ArrayLike) -> Any:
+    """The signal as floats (T,); raises ValueError for anything else."""
+    values = np.asarray(signal, dtype=float)
+    if values.ndim != 1 or not len(values):
+        raise ValueError(f"{where}: signal of shape {values.shape}, expected (T,) with T >= 1: one car, one signal")
+    return values
+
+
+def step(t: ArrayLike, where: str, signal: ArrayLike | None = None) -> float:
+    """The sample time of evenly spaced t [s]; raises ValueError for uneven t or another length than the signal's."""
+    times = samples(where, t)
+    if signal is not None and np.shape(signal) != times.shape:
+        raise ValueError(f"{where}: signal of shape {np.shape(signal)}, expected that of t, {times.shape}")
+    if len(times) < 2:
+        raise ValueError(f"{where}: t has {len(times)} sample, expected at least 2")
+    dt = float(times[-1] - times[0]) / (len(times) - 1)
+    if not (math.isfinite(dt) and dt > 0.0 and float(np.abs(np.diff(times) - dt).max()) < 1e-3 * dt):
+        raise ValueError(f"{where}: t is not evenly spaced and rising; resample the signals first")
+    return dt
