@@ -44,7 +44,7 @@ MAY_IMPORT: dict[str, set[str]] = {
                        "compiled", "metrics", "plotting"},
 }  # fmt: skip
 """A module or package at the top of steerkit, and which others it may import; itself always."""
-PROGRAMS = ("cli", "car", "car_cli", "car_panel")
+PROGRAMS = ("__main__", "cli", "car", "car_cli", "car_panel")
 """Programs over the library: they may import all of it."""
 WHEN_USED = {"loop": {"plotting"}, "simulation": {"plotting"}}
 """More that a module may import inside a function."""
