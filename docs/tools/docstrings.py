@@ -9,9 +9,10 @@ from typing import Any
 
 import griffe
 
-EQUATION = re.compile(r"^\(?[A-Za-z_][\w.,' ]{0,40}(\([^)]*\))?'*\s*(=|<-|~)\s")
+EQUATION = re.compile(r"^(\([\w', ]+\)|[A-Za-z_][\w.']*(\([^)]*\))?)'*\s+(=|<-|~)\s")
 FIELD = re.compile(r"^(inputs?|outputs?|state|valid|errors|source|parameters?|raises|returns|no inputs)\b", re.I)
-SPECIAL = re.compile(r"([\\*_{}\[\]<>#|])")
+SPECIAL = re.compile(r"(\*\*[\w ]+\*\*)|([\\*_{}\[\]<>#|])")
+"""What Markdown would take for its own; **bold** is meant."""
 
 
 def as_markdown(text: str) -> str:
@@ -39,7 +40,7 @@ def _text(lines: list[str]) -> str:
     shown = []
     for n, line in enumerate(lines):
         parts = line.split("`")
-        parts[::2] = [SPECIAL.sub(r"\\\1", part) for part in parts[::2]]
+        parts[::2] = [SPECIAL.sub(lambda found: found[1] or f"\\{found[2]}", part) for part in parts[::2]]
         mark = "" if n == 0 or not (FIELD.match(line) or line.startswith("* ")) else "\n" if line[0] == "*" else "<br>\n"
         shown.append(mark + "`".join(parts).replace("\\* ", "* ", 1 if line.startswith("* ") else 0))
     return "\n".join(shown)

@@ -46,11 +46,22 @@ def _slug(title: str) -> str:
 
 
 def on_config(config: Any) -> Any:
-    """Puts the pages of the reference where the navigation says `reference/`."""
+    """Puts the pages of the reference where the navigation says `reference/`, and leaves out pages not written yet."""
     here = [{title: f"reference/{_slug(title)}.md"} for title in modules()]
-    config.nav = [{name: here if page == "reference/" else page for name, page in entry.items()}
-                  for entry in config.nav]  # fmt: skip
+    nav = [{name: here if page == "reference/" else page for name, page in entry.items()} for entry in config.nav]
+    for entry in nav:
+        for name, page in entry.items():
+            if isinstance(page, list) and page is not here:
+                entry[name] = [one for one in page if _written(config, one)]
+    config.nav = nav
     return config
+
+
+def _written(config: Any, entry: dict[str, str]) -> bool:
+    missing = [page for page in entry.values() if not (Path(config.docs_dir) / page).exists()]
+    for page in missing:
+        log.info("%s is in the navigation and not written yet", page)
+    return not missing
 
 
 def on_files(files: Any, config: Any) -> Any:
