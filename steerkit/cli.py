@@ -63,6 +63,9 @@ def options(
     """What goes before the command."""
 
 
+_CONTROLLERS = "stanley, stanley-textbook, stanley-delay, lqr, pure-pursuit, or a learning run's directory."
+
+
 @app.command()
 def learn(
     course: Course = "paper",
@@ -102,9 +105,10 @@ def learn(
 
 @app.command()
 def drive(
-    controller: Annotated[str, typer.Argument(help="stanley, stanley-textbook, or a learning run's directory.")],
+    controller: Annotated[str, typer.Argument(help=_CONTROLLERS)],
     course: Course = "paper",
     conditions: Disturbed = Conditions.clean,
+    delay: Annotated[float, typer.Option(help="Steering delay [s].")] = 0.0,
     rounds: Annotated[float, typer.Option(help="Rounds to drive.")] = 1.0,
     seed: Seed = 0,
     out: Annotated[Path | None, typer.Option(help="Directory for the log and the picture.")] = None,
@@ -112,10 +116,12 @@ def drive(
     as_json: Machine = False,
 ) -> None:
     """Drive a course with any controller and report how well it did."""
+    from dataclasses import replace
+
     from steerkit.learning import report
     from steerkit.learning.world import World
 
-    world = World.under(conditions.value, course=course)
+    world = replace(World.under(conditions.value, course=course), delay=delay)
     place = out or Path("runs") / f"drive-{Path(controller).name}-{course}-{conditions.value}-seed{seed}"
     report.console.stderr = as_json
     row = report.drive_and_draw(controller, world, place, rounds=rounds, seed=seed, quiet=quiet)

@@ -7,34 +7,46 @@ from typing import Any, NamedTuple
 
 from steerkit import maths as m
 from steerkit.block import Block, In, Out, require
+from steerkit.controllers.limits import approach_angle, limited
+from steerkit.maths import Scalar
 from steerkit.units import radians_of
+
+_NO_LIMIT = 1e3
+"""m/s^2 or rad/s: more than any car can do."""
 
 
 class StanleyState(NamedTuple):
-    """The road-wheel angle measured one sample before [rad]."""
+    """The road-wheel angle measured one sample before and the command given then [rad]."""
 
     delta_before: Any
+    command: Any
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Stanley(Block):
     """Stanley's steering law with all its terms: heading, cross-track, yaw damping, steer damping, curve offset.
 
-    delta = -(psi_e - psi_ss) - sat_a(arctan(k*e / (k_soft + v))) - k_d_yaw*(r - v*kappa)
+    delta = -(psi_e - psi_ss) - sat_a(arctan(k*e / (k_soft + v))) - k_d_yaw*(r - r_path)
             + k_d_steer*(delta_meas(i-1) - delta_meas(i)),
-    psi_ss = m*v*r_path*l_r / (c_f*L),  r_path = v*kappa,  delta_sw = sat(steer_ratio*delta).
+    psi_ss = m*v*r_path*l_r / (c_f*L),  r_path = v*kappa/sqrt(1 - (L*kappa)^2),  delta_sw = sat(steer_ratio*delta).
 
     The signs are ISO 8855 (left positive): the paper's delta, psi and e all have the opposite sign. psi_ss is the
     front slip angle of the steady curve (c_f per axle): with it the law holds e = 0 there at any speed.
-    sat_a limits the approach angle, so that the path is not crossed fast after a large excursion.
+
+    What is not in the paper: the root in r_path, for with the front axle on the path the rear one runs a tighter circle
+    (1.03 at 12 m radius, 1.12 at 6 m); and limits, so that the law can catch a car from 3 m and 45 degrees off. sat_a
+    keeps the approach angle within approach_limit and within that from which half of the lateral acceleration to spare
+    still turns the car onto the path, sqrt(a_spare*|e|)/v. sat keeps the wheel, and how fast it turns, within
+    max(a_y_max, v*|r_path| + a_y_reserve) (see `limits`), +-limit and rate_limit. `textbook` has none of all this.
 
     Inputs (all at the **front axle**: a tracker with reference = l_f): e [m], psi_e [rad], kappa [1/m]; v [m/s],
-    r [rad/s]; delta_sw_meas [rad], the measured steering wheel. Output: delta_sw [rad], within +-limit.
-    State: the measured road-wheel angle one sample before. Valid for v >= 0 (k_soft > 0 keeps standstill regular).
-    NaN in any input gives NaN out. Raises ValueError for gains out of range.
+    r [rad/s]; delta_sw_meas [rad], the measured steering wheel. Output: delta_sw [rad].
+    State: the road-wheel angle measured one sample before, the command before. A negative v counts as 0, where k_soft
+    keeps the law regular. NaN in any input gives NaN out. Raises ValueError for gains out of range.
 
     Source: Hoffmann, Tomlin, Montemerlo, Thrun, ACC 2007, eq. 9. k_soft = 1 is theirs; the other gains are not
-    published: these are the design's, checked on the recorded lap.
+    published: these are for a steering delay up to 0.1 s. `benchmarks/tune_stanley.py` compares them with others, and
+    has found those of `delay.delayed_stanley`, for delays up to 0.3 s.
     """
 
     e = In("m")
@@ -45,33 +57,43 @@ class Stanley(Block):
     delta_sw_meas = In("rad")
     delta_sw = Out("rad")
 
-    k: float = 2.5
+    k: Scalar = 2.5
     """Cross-track gain [1/s]."""
-    k_soft: float = 1.0
+    k_soft: Scalar = 1.0
     """Softening speed [m/s]."""
-    k_d_yaw: float = 0.15
+    k_d_yaw: Scalar = 0.15
     """Yaw-rate damping [s]."""
-    k_d_steer: float = 0.3
+    k_d_steer: Scalar = 0.3
     """Steering damping [1]."""
-    approach_limit: float = radians_of(30.0)
+    approach_limit: Scalar = radians_of(30.0)
     """Largest approach angle that the cross-track term may ask for [rad]."""
-    mass: float = 0.0
+    a_y_max: Scalar = 2.9
+    """Lateral acceleration to stay within, unless the path asks for more [m/s^2]; the tyres' lag adds up to 0.1."""
+    a_y_reserve: Scalar = 1.5
+    """Lateral acceleration beyond that of the path which corrections may always use [m/s^2]."""
+    rate_limit: Scalar = radians_of(550.0)
+    """Fastest command [rad/s]."""
+    mass: Scalar = 0.0
     """Car mass [kg]; 0 leaves out the curve offset psi_ss."""
-    c_f: float = 1.0
+    c_f: Scalar = 1.0
     """Cornering stiffness of the front axle [N/rad]."""
-    l_r_share: float = 0.5
+    l_r_share: Scalar = 0.5
     """l_r / L: share of the mass on the front axle [1]."""
-    steer_ratio: float = 15.6
+    wheelbase: Scalar = 2.7
+    """L [m]."""
+    understeer: Scalar = 0.0
+    """Understeer gradient [rad s^2/m]."""
+    steer_ratio: Scalar = 15.6
     """Steering-wheel angle over road-wheel angle [1]."""
-    limit: float = radians_of(520.0)
+    limit: Scalar = radians_of(520.0)
     """Largest |delta_sw| [rad]."""
-    reference: float = 1.2
+    reference: Scalar = 1.2
     """Where e, psi_e and kappa have to be measured: metres ahead of the centre of gravity (the front axle, l_f)."""
 
     def __post_init__(self) -> None:
-        for name in ("k", "k_d_yaw", "k_d_steer", "mass"):
+        for name in ("k", "k_d_yaw", "k_d_steer", "mass", "a_y_reserve"):
             require(getattr(self, name) >= 0.0, "Stanley", f"{name} = {getattr(self, name)}, expected >= 0")
-        for name in ("k_soft", "c_f", "steer_ratio", "limit", "approach_limit"):
+        for name in ("k_soft", "c_f", "steer_ratio", "limit", "approach_limit", "a_y_max", "rate_limit", "wheelbase"):
             require(getattr(self, name) > 0.0, "Stanley", f"{name} = {getattr(self, name)}, expected > 0")
 
     @classmethod
@@ -80,7 +102,9 @@ class Stanley(Block):
         return cls(
             mass=vehicle.m,
             c_f=vehicle.c_f,
-            l_r_share=vehicle.l_r / (vehicle.l_f + vehicle.l_r),
+            l_r_share=vehicle.l_r / vehicle.wheelbase,
+            wheelbase=vehicle.wheelbase,
+            understeer=vehicle.understeer_gradient,
             steer_ratio=vehicle.steer_ratio,
             reference=vehicle.l_f,
             dt=dt,
@@ -88,23 +112,31 @@ class Stanley(Block):
 
     @classmethod
     def textbook(cls, vehicle: Any, *, dt: float = 0.05) -> Stanley:
-        """The form of most public code: heading and cross-track terms only, hardly any softening."""
-        bare = dict(k_soft=1e-3, k_d_yaw=0.0, k_d_steer=0.0, mass=0.0, approach_limit=m.pi / 2.0)
-        return replace(cls.of(vehicle, dt=dt), **bare)
+        """The form of most public code: heading and cross-track terms only, hardly any softening, no limits."""
+        bare = dict(k=2.5, k_soft=1e-3, k_d_yaw=0.0, k_d_steer=0.0, mass=0.0, approach_limit=m.pi / 2.0)
+        return replace(cls.of(vehicle, dt=dt), **bare, a_y_max=_NO_LIMIT, rate_limit=_NO_LIMIT)
 
     def init(self, batch: tuple[int, ...] = ()) -> StanleyState:
-        return StanleyState(m.filled(0.0, batch))
+        return StanleyState(m.filled(0.0, batch), m.filled(0.0, batch))
 
     def settle(self, t: float, x: StanleyState, u: Any) -> StanleyState:
-        return StanleyState(u.delta_sw_meas / self.steer_ratio)
+        return StanleyState(u.delta_sw_meas / self.steer_ratio, u.delta_sw_meas + 0.0)
 
     def output(self, t: Any, x: StanleyState, u: Any) -> Any:
-        r_path = u.v * u.kappa
-        psi_ss = self.mass * u.v * r_path * self.l_r_share / self.c_f
-        approach = m.clip(m.atan(self.k * u.e / (self.k_soft + u.v)), -self.approach_limit, self.approach_limit)
+        v = m.maximum(u.v, 0.0)
+        bent = self.wheelbase * u.kappa
+        r_path = v * u.kappa / m.sqrt(m.maximum(1.0 - bent * bent, 0.1))
+        psi_ss = self.mass * v * r_path * self.l_r_share / self.c_f
+        spare = m.maximum(self.a_y_max - v * m.absolute(r_path), self.a_y_reserve)
+        steepest = m.minimum(approach_angle(u.e, v, 0.5 * spare), self.approach_limit)
+        approach = m.clip(m.atan(self.k * u.e / (self.k_soft + v)), -steepest, steepest)
         damping = self.k_d_yaw * (u.r - r_path) + self.k_d_steer * (u.delta_sw_meas / self.steer_ratio - x.delta_before)
         delta = -(u.psi_e - psi_ss) - approach - damping
-        return self.Y(m.clip(self.steer_ratio * delta, -self.limit, self.limit))
+        allowed = m.maximum(self.a_y_max, v * m.absolute(r_path) + self.a_y_reserve)
+        return self.Y(limited(self.steer_ratio * delta, x.command, v, allowed, wheelbase=self.wheelbase,
+                              l_r=self.l_r_share * self.wheelbase, understeer=self.understeer,
+                              steer_ratio=self.steer_ratio, rate_limit=self.rate_limit, limit=self.limit,
+                              dt=self.dt))  # fmt: skip
 
     def update(self, t: Any, x: StanleyState, u: Any, y: Any) -> StanleyState:
-        return StanleyState(u.delta_sw_meas / self.steer_ratio)
+        return StanleyState(u.delta_sw_meas / self.steer_ratio, y.delta_sw)

@@ -60,7 +60,7 @@ def test_at_walking_pace_the_offset_dies_out_as_the_law_says() -> None:
     poles are -k v/(k_soft + v) and -v/L.
     """
     v, tau = 1.0, 0.05
-    bare = replace(Stanley.of(PASSAT, dt=0.01), k_d_yaw=0.0, k_d_steer=0.0)
+    bare = replace(Stanley.of(PASSAT, dt=0.01), k_d_yaw=0.0, k_d_steer=0.0, rate_limit=1e3)
     log = driven(LinearSingleTrack, bare, straight(100.0), v, 5.0, s=10.0, e=0.05)
     k, curve = bare.k / (bare.k_soft + v), v / PASSAT.wheelbase
     matrix = np.array([[0.0, v, v], [0.0, 0.0, curve], [-k / tau, -1.0 / tau, -1.0 / tau]])

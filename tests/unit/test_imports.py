@@ -36,7 +36,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "compiled": RUN,
     "c_export": RUN | {"compiled"},
     "realtime": RUN | {"clock"},
-    "analysis": RUN,
+    "analysis": RUN | {"plotting"},
     "metrics": RUN,
     "diagram": {"loop"},
     "plotting": RUN | {"path", "diagram"},
@@ -46,7 +46,7 @@ MAY_IMPORT: dict[str, set[str]] = {
 """A module or package at the top of steerkit, and which others it may import; itself always."""
 PROGRAMS = ("__main__", "cli", "car", "car_cli", "car_panel")
 """Programs over the library: they may import all of it."""
-WHEN_USED = {"loop": {"plotting"}, "simulation": {"plotting"}}
+WHEN_USED = {"loop": {"plotting", "analysis"}, "simulation": {"plotting"}}
 """More that a module may import inside a function."""
 AT_HOME = {
     "torch": {"learning"},

@@ -1,0 +1,138 @@
+"""One period of a loop as a function, with taps in its wires: what linearisation and export stand on."""
+
+from __future__ import annotations
+
+from collections import namedtuple
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerkit import maths as m
+from steerkit.block import Block, In, Out, Port, State, require
+from steerkit.loop import Loop, LoopState
+from steerkit.simulation import Signal
+
+Array = NDArray[np.float64]
+
+_STEP = 1e-6  # of the central differences, times 1 + |value|: error about 1e-10
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Tap(Block):
+    """Reaches into a wire: y = value if it cuts, else u + value, with `value` its state, which nothing changes.
+
+    Input u, output y: any unit, that of the wire; cut [1]: does it replace the signal? No errors.
+    """
+
+    unit: str = "1"
+    """Unit of the wire."""
+    cut: bool = False
+    """Replace the signal, or add to it?"""
+
+    def __post_init__(self) -> None:
+        u, y = In(self.unit, direct=not self.cut), Out(self.unit, direct=() if self.cut else None)
+        u.name, y.name = "u", "y"
+        wear(self, (u,), (y,))
+
+    def init(self, batch: tuple[int, ...] = ()) -> State:
+        return (m.filled(0.0, batch),)
+
+    def output(self, t: Any, x: State, u: Any) -> Any:
+        return self.Y(x[0] if self.cut else u.u + x[0])
+
+
+class Period:
+    """A loop over one period: (states, tap values) -> (states, outputs), for floats or a batch of them.
+
+    taps: signals to reach into, by name, and whether to cut there; outputs: signals to read. at: a state at the start
+    of a period, where all blocks sample together, so that no held output matters and block states are all there is.
+    """
+
+    def __init__(self, loop: Loop, taps: Mapping[str, bool], outputs: Sequence[str], at: LoopState):
+        if at.k % loop.period:
+            raise ValueError(f"analysis: state at tick {at.k}, expected a multiple of the loop's period {loop.period}")
+        self._loop, names = _tapped(loop, taps)
+        self._like = [*at.x, *[(0.0,)] * len(names)]  # taps come last
+        self._held = [*at.y, *[(0.0,)] * len(names)]
+        self._read = [self._loop.locate(name) for name in outputs]
+        self._every = [loop.every[i] for i, _ in self._read]
+        self.samples = [loop.period // every for every in self._every]
+        """Samples of each output in a period."""
+        self.labels = [f"{name}_{n}" for name, x in zip(loop.names, at.x) for n in getattr(x, "_fields", range(len(x)))]
+        """Names of the states."""
+        self.x0 = np.array([value for x in at.x for value in x], dtype=float)
+        """The states at the start."""
+
+    def run(self, x: Sequence[Any], taps: Sequence[Sequence[Any]], k: int) -> tuple[list[Any], list[list[Any]]]:
+        """From tick k on, tap j taking the values taps[j] in turn: the states after, and all samples of each output."""
+        rest, period = iter(x), self._loop.period
+        blocks = len(self._like) - len(taps)
+        states = [_made(like, [next(rest) for _ in like]) for like in self._like[:blocks]] + [()] * len(taps)
+        y, read = list(self._held), [list[Any]() for _ in self._read]
+        for phase in range(period):
+            for j, values in enumerate(taps):
+                states[blocks + j] = (values[phase * len(values) // period],)
+            self._loop.run_phase(phase, (k + phase) * self._loop.dt, states, y)
+            for found, (i, j), every in zip(read, self._read, self._every):
+                if phase % every == 0:
+                    found.append(y[i][j])
+        return [value for state in states[:blocks] for value in state], read
+
+    def matrices(self, x: Array, taps: Sequence[Sequence[float]], k: int) -> tuple[Array, Array, Array, Array]:
+        """A, B, C, D about states and tap values by central differences, all columns at once as a batch."""
+        n, flat = len(x), np.array([value for values in taps for value in values])
+        point = np.concatenate((x, flat))
+        h = _STEP * (1.0 + np.abs(point))
+        rows = iter(np.hstack((point[:, None] + np.diag(h), point[:, None] - np.diag(h))))
+        after, read = self.run([next(rows) for _ in x], [[next(rows) for _ in values] for values in taps], k)
+        found = [*after, *[value for samples in read for value in samples]]
+        wide = np.array([np.broadcast_to(np.asarray(value, dtype=float), 2 * len(h)) for value in found])
+        slope = (wide[:, : len(h)] - wide[:, len(h) :]) / (2.0 * h)
+        return slope[:n, :n], slope[:n, n:], slope[n:, :n], slope[n:, n:]
+
+
+def wear(block: Block, inputs: tuple[In, ...], outputs: tuple[Out, ...]) -> None:
+    """Gives one block object ports of its own."""
+    kinds = {
+        "inputs": inputs,
+        "outputs": outputs,
+        "U": namedtuple("U", [p.name for p in inputs]),
+        "D": namedtuple("D", [p.name for p in inputs if p.direct]),
+        "Y": namedtuple("Y", [p.name for p in outputs]),
+    }
+    for name, value in kinds.items():
+        object.__setattr__(block, name, value)
+    ports: tuple[In | Out, ...] = (*inputs, *outputs)
+    for port in ports:
+        object.__setattr__(block, port.name, Port(block, port))
+
+
+def signal_name(loop: Loop, signal: Signal) -> str:
+    """The name of a scalar signal; raises KeyError for an unknown one, ValueError for a vector."""
+    name = signal if isinstance(signal, str) else loop.port_name(signal)
+    loop.locate(name)
+    owner, port = name.split(".")
+    require(getattr(loop.blocks[owner], port).size is None, "analysis", f"{name} is a vector; give a scalar signal")
+    return name
+
+
+def _tapped(loop: Loop, taps: Mapping[str, bool]) -> tuple[Loop, list[str]]:
+    """The loop with a tap behind each of these signals, and the taps' names."""
+    wires, blocks, names = list(loop.wires), dict(loop.blocks), []
+    for name, cut in taps.items():
+        owner, port = name.split(".")
+        source: Port = getattr(loop.blocks[owner], port)
+        tap = Tap(unit=source.spec.unit, cut=cut, dt=source.block.dt)
+        names.append(f"{owner}_{port}_tap")
+        blocks[names[-1]] = tap
+        seen, into = Port(tap, tap.outputs[0]), Port(tap, tap.inputs[0])
+        wires = [(seen, b) if (a.block, a.spec.name) == (source.block, port) else (a, b) for a, b in wires]
+        wires.append((source, into))
+    return Loop(blocks=blocks, wires=wires, dt=loop.dt), names
+
+
+def _made(like: State, values: list[Any]) -> State:
+    return type(like)(*values) if hasattr(like, "_fields") else tuple(values)

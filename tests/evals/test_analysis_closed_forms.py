@@ -1,0 +1,132 @@
+"""Margins of a double integrator behind a delay, where they are known in closed form."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import control
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from steerkit import maths as m
+from steerkit.analysis import UnstableError, break_at, margins
+from steerkit.block import Block, In, Out
+from steerkit.loop import Loop
+
+DT = 0.05
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Mass(Block):
+    """p'' = a, exactly, for a held over dt."""
+
+    a = In("m/s^2", direct=False)
+    p = Out("m", direct=())
+    v = Out("m/s", direct=())
+
+    def init(self, batch: tuple[int, ...] = ()) -> Any:
+        return (m.filled(0.0, batch),) * 2
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        return self.Y(*x)
+
+    def update(self, t: Any, x: Any, u: Any, y: Any) -> Any:
+        return x[0] + self.dt * x[1] + 0.5 * self.dt**2 * u.a, x[1] + self.dt * u.a
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LateSpring(Block):
+    """a(t) = -(k p + d v)(t - n dt)."""
+
+    p = In("m")
+    v = In("m/s")
+    a = Out("m/s^2")
+    k: float = 1.0
+    d: float = 1.5
+    n: int = 0
+
+    def init(self, batch: tuple[int, ...] = ()) -> Any:
+        return (m.filled(0.0, batch),) * self.n
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        return self.Y(x[0] if self.n else -(self.k * u.p + self.d * u.v))
+
+    def update(self, t: Any, x: Any, u: Any, y: Any) -> Any:
+        return (*x[1:], -(self.k * u.p + self.d * u.v)) if self.n else ()
+
+
+def loop(n: int, every: int = 1, k: float = 1.0, d: float = 1.5) -> Loop:
+    mass, spring = Mass(dt=DT / every), LateSpring(k=k, d=d, n=n, dt=DT)
+    return Loop(
+        blocks={"mass": mass, "spring": spring},
+        wires=[(mass.p, spring.p), (mass.v, spring.v), (spring.a, mass.a)],
+    )
+
+
+def closed_form(n: int, k: float, d: float) -> tuple[float, float, float, float]:
+    """Phase and delay margin, gain margin, and gain crossing.
+
+    L(z) = z^-n (d dt/(z - 1) + k dt^2 (z + 1)/(2 (z - 1)^2)). With z = exp(2j b), b = w dt/2:
+    L = -(k dt^2 cos b/(4 sin^2 b) + j d dt/(2 sin b)) exp(-j b (2 n + 1)). |L| = 1 is quadratic in q = sin^2 b:
+    16 q^2 = 4 d^2 dt^2 q + k^2 dt^4 (1 - q); the phase is -pi + atan(2 d tan b/(k dt)) - b (2 n + 1).
+    """
+    p = 4.0 * d**2 * DT**2 - k**2 * DT**4
+    b = math.asin(math.sqrt((p + math.sqrt(p * p + 64.0 * k**2 * DT**4)) / 32.0))
+
+    def phase(b: float) -> float:
+        return math.atan(2.0 * d * math.tan(b) / (k * DT)) - b * (2 * n + 1)
+
+    w = 2.0 * b / DT
+    turn = float(brentq(phase, b, math.pi / 2.0 - 1e-9)) if n else math.pi / 2.0
+    size = math.hypot(k * DT**2 * math.cos(turn) / (4.0 * math.sin(turn) ** 2), d * DT / (2.0 * math.sin(turn)))
+    return phase(b), phase(b) / w, 1.0 / size, w
+
+
+@pytest.mark.parametrize("every", [1, 5])
+@pytest.mark.parametrize("n", [0, 1, 4])
+@pytest.mark.parametrize(("k", "d"), [(1.0, 1.5), (4.0, 2.0)])
+def test_margins_of_a_double_integrator_with_delay(n: int, every: int, k: float, d: float) -> None:
+    """One rate, or a mass five times as fast as its spring: the same sampled system, hence the same margins."""
+    phase, delay, gain, w = closed_form(n, k, d)
+    found = margins(break_at(loop(n, every, k, d), "spring.a"))
+    assert found.phase == pytest.approx(phase, rel=1e-6)
+    assert found.delay == pytest.approx(delay, rel=1e-6)
+    assert found.gain == pytest.approx(gain, rel=1e-6)
+    assert found.gain_crossing == pytest.approx(w, rel=1e-6)
+
+
+def test_beyond_the_delay_margin_of_the_closed_form_there_are_no_margins() -> None:
+    """k = 4, d = 2: the undelayed margin is 0.331 s, so that 6 samples are stable and 7 are not."""
+    _, delay, _, _ = closed_form(0, 4.0, 2.0)
+    assert 6 < delay / DT < 7
+    assert margins(break_at(loop(6, 1, 4.0, 2.0), "spring.a")).delay == pytest.approx(delay - 6 * DT, rel=1e-6)
+    with pytest.raises(UnstableError, match="the closed loop is unstable"):
+        margins(break_at(loop(7, 1, 4.0, 2.0), "spring.a"))
+
+
+@pytest.mark.parametrize("n", [1, 4])
+def test_python_control_finds_the_same(n: int) -> None:
+    opened = break_at(loop(n), "spring.a")
+    found = margins(opened)
+    _, phase_deg, _, w = control.margin(opened)
+    assert found.phase == pytest.approx(math.radians(phase_deg), rel=1e-5)
+    assert found.gain_crossing == pytest.approx(w, rel=1e-5)
+
+
+@pytest.mark.parametrize("n", [0, 3])
+def test_one_more_sample_of_delay_than_the_margin_is_unstable(n: int) -> None:
+    spare = margins(break_at(loop(n), "spring.a")).delay
+    for more, stable in ((math.floor(spare / DT), True), (math.floor(spare / DT) + 1, False)):
+        poles = control.feedback(break_at(loop(n + more), "spring.a")).poles()
+        assert (np.abs(poles).max() < 1.0) == stable
+
+
+def test_the_opened_loop_is_the_transfer_function() -> None:
+    opened = break_at(loop(2), "spring.a")
+    for w in (0.3, 2.0, 20.0):
+        z = np.exp(1j * w * DT)
+        expected = (1.5 * DT / (z - 1.0) + DT**2 * (z + 1.0) / (2.0 * (z - 1.0) ** 2)) / z**2
+        assert complex(opened(z)) == pytest.approx(expected, rel=1e-8)

@@ -1,0 +1,158 @@
+"""Predictive steering against what is known in closed form: LQR, delay by augmentation, steady bends, bang-bang."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import control
+import numpy as np
+import pytest
+
+from steerkit import maths as m
+from steerkit.assembly import placed, steering_loop
+from steerkit.controllers.mpc import MPC, PredictiveSteering
+from steerkit.controllers.mpc_model import NX, PathModel
+from steerkit.controllers.nonlinear_mpc import NonlinearMPC
+from steerkit.courses import circle, course
+from steerkit.metrics import largest, rms
+from steerkit.plants.careful_driver import CarefulDriver
+from steerkit.plants.human_driver import HumanDriver
+from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.steering_actuator import SteeringActuator
+from steerkit.plants.vehicle import vehicle
+from steerkit.simulation import simulate
+
+PASSAT = vehicle("vw-passat")
+LINEAR, NONLINEAR = LinearSingleTrack(vehicle=PASSAT, v0=5.0), NonlinearSingleTrack(vehicle=PASSAT, v0=5.0)
+KINDS = (MPC, NonlinearMPC)
+
+
+@cache
+def controller(kind: type[PredictiveSteering], car: Any, **settings: Any) -> PredictiveSteering:
+    return kind.of(car, **({"clock": None} | settings))
+
+
+def asked(block: PredictiveSteering, *, kappa: float = 0.0, commands: Any = (), **values: float) -> Any:
+    """The outputs for inputs that are 0 if not given, after these commands."""
+    zeros = dict.fromkeys(("e", "psi_e", "beta", "r", "delta_sw_meas"), 0.0) | {"v": 5.0}
+    u = block.D(**(zeros | values), preview=(kappa,) * block.preview_points)
+    x = block.init()
+    return block.output(0.0, (*commands, *x[len(commands) :]), u)
+
+
+def gain(model: PathModel, v: float) -> np.ndarray:
+    a, b, _ = model.linear(v)
+    q, r = model.stage_cost
+    return np.asarray(control.dlqr(a, b[:, None], q, np.array([[r]]))[0])[0]
+
+
+@pytest.mark.parametrize("solver", ["hpipm", "piqp", "qpoases"])
+@pytest.mark.parametrize(("v", "horizon"), [(3.5, 20), (5.0, 5), (5.1, 20), (8.93, 12)])
+def test_without_an_active_limit_it_is_lqr(solver: str, v: float, horizon: int) -> None:
+    block = controller(MPC, LINEAR, solver=solver, horizon=horizon, delay=0.0)
+    k = gain(block.model, v)
+    for x in (np.array([0.02, 0.0, 0.0, 0.0, 0.0, 0.0]), np.array([0.01, -0.004, 0.002, 0.01, 0.05, 0.04])):
+        values = dict(zip(("e", "psi_e", "beta", "r", "delta_sw_meas"), x.tolist()))
+        y = asked(block, v=v, commands=(float(x[5]),), **values)
+        assert y.status == 0.0
+        assert y.plan[0] == pytest.approx(-k @ x, rel=1e-5, abs=1e-6)
+        assert y.delta_sw == pytest.approx(x[5] - block.dt * k @ x, rel=1e-5, abs=1e-6)
+
+
+def test_the_nonlinear_one_tends_to_lqr_for_small_deviations() -> None:
+    block = controller(NonlinearMPC, NONLINEAR, delay=0.0)
+    x = 1e-3 * np.array([1.0, -0.4, 0.5, 1.0, 5.0, 4.0])
+    y = asked(block, e=x[0], psi_e=x[1], beta=x[2] / 5.0, r=x[3], delta_sw_meas=x[4], commands=(float(x[5]),))
+    assert y.plan[0] == pytest.approx(-gain(block.model, 5.0) @ x, rel=2e-3)
+
+
+def test_the_delay_is_answered_as_by_lqr_with_the_commands_on_their_way_as_states() -> None:
+    late, v = 4, 5.0
+    block = controller(MPC, LINEAR, delay=late * 0.05)
+    a, _, _ = block.model.linear(v)
+    n = 5 + late
+    big, b = np.zeros((n, n)), np.zeros((n, 1))
+    big[:5, :5], big[:5, 5] = a[:5, :5], a[:5, 5]
+    big[5 : n - 1, 6:], big[n - 1, n - 1] = np.eye(late - 1), 1.0
+    b[n - 1] = block.dt
+    q, r = np.zeros((n, n)), np.array([[block.q_rate]])
+    q[:5, :5] = block.model.stage_cost[0][:5, :5]
+    k = np.asarray(control.dlqr(big, b, q, r)[0])[0]
+    x = np.array([0.01, -0.004, 0.002, 0.01, 0.05, 0.06, 0.03, 0.02, 0.01])
+    y = asked(block, v=v, commands=tuple(x[5:].tolist()),
+              **dict(zip(("e", "psi_e", "beta", "r", "delta_sw_meas"), x.tolist())))  # fmt: skip
+    # the newest command on its way is that of the sample before: the new one joins it within the sample
+    assert y.plan[0] == pytest.approx(-k @ x, rel=3e-3)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("car", [LINEAR, NONLINEAR])
+@pytest.mark.parametrize(("v", "kappa"), [(5.0, 0.05), (7.4, -0.03), (4.0, 0.1)])
+def test_a_steady_bend_is_held(kind: type[PredictiveSteering], car: Any, v: float, kappa: float) -> None:
+    block = controller(kind, car, delay=0.125)
+    speed = block.model.sway_is_speed
+    _, psi_e, sway, r, wheel, _ = block.model.steady(v, np.array([kappa]))[0].tolist()
+    motion = car.rhs((0.0, 0.0, psi_e, sway, r), wheel / PASSAT.steer_ratio, v)
+    np.testing.assert_allclose([motion[1], motion[2] - kappa * motion[0], *motion[3:]], 0.0, atol=2e-3)
+    beta = float(np.arctan2(sway, v)) if speed else sway
+    y = asked(block, kappa=kappa, v=v / float(np.cos(beta)) if speed else v, psi_e=psi_e, beta=beta, r=r,
+              delta_sw_meas=wheel, commands=(wheel,) * block.pieces)  # fmt: skip
+    assert y.status == 0.0
+    assert abs(y.plan[0]) < 5e-3  # of rad/s; turning in takes about 1
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_far_off_it_turns_as_fast_as_it_may(kind: type[PredictiveSteering], side: float) -> None:
+    block = controller(kind, NONLINEAR, delay=0.2)
+    y = asked(block, e=side * 1.5)
+    assert y.status == 0.0
+    assert y.plan[0] == pytest.approx(-side * block.rate_limit, rel=1e-4)
+
+
+def test_the_car_in_path_coordinates_is_the_car_in_the_plane() -> None:
+    """On a circle: from a pose beside it, one by the path's model, one by the plant's own and geometry."""
+    block = controller(NonlinearMPC, NONLINEAR)
+    kappa, v, wheel = 0.05, 5.0, 2.0
+    at = np.array([0.4, 0.1, 0.05, 0.2, wheel])
+    predict = block.model.predictor(4, block.dt)
+    after = np.array(predict(at, [wheel] * 4, v, [kappa] * 4)).ravel()
+    x = (0.0, 1.0 / kappa * -1.0 * (1.0 - kappa * at[0]), float(at[1]), float(at[2]), float(at[3]))
+    for _ in range(400):  # the centre is the origin, the path's radius 20 m, the car starts below
+        x = m.rk4(lambda z: NONLINEAR.rhs(z, wheel / PASSAT.steer_ratio, v), x, 0.2 / 400)  # type: ignore[assignment]
+    e = 1.0 / kappa - float(np.hypot(x[0], x[1]))
+    psi_e = x[2] - (float(np.arctan2(x[1], x[0])) + np.pi / 2.0)
+    np.testing.assert_allclose(after, [e, psi_e, x[3], x[4], wheel], atol=2e-4)
+
+
+def test_the_tables_over_speed_are_the_exact_matrices() -> None:
+    model = controller(MPC, NONLINEAR).model
+    for v in (4.1, 5.0, 7.77, 15.1):
+        a, b, _ = model.linear(v)
+        for table, exact in zip(model.at(v), (a, b, model.linear(v)[2], model.riccati(a, b))):
+            np.testing.assert_allclose(table, exact, rtol=1e-4, atol=1e-7 * np.abs(exact).max())
+    assert model.at(5.0)[0].shape == (NX, NX)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_round_trip_of_bends_under_delay_stays_within_centimetres(kind: type[PredictiveSteering]) -> None:
+    path, motor = course("paper"), SteeringActuator(delay=0.2, lag=0.1)
+    driver = CarefulDriver(path=path, driver=HumanDriver(seed=1))
+    loop = steering_loop(car=placed(NONLINEAR, path, s=180.0), path=path, driver=driver, actuator=motor,
+                         controller=kind.of(NONLINEAR, motor))  # fmt: skip
+    log = simulate(loop, 25.0, record=["path.e", "controller.status", "controller.residual"])
+    settled = log["path.e"][300:]
+    assert (log["controller.status"] == 0.0).all()
+    assert log["controller.residual"].max() < 1e-4
+    assert rms(settled) < 0.015
+    assert largest(settled) < 0.06
+
+
+def test_a_circle_is_driven_without_a_steady_error() -> None:
+    path, motor = circle(20.0), SteeringActuator(delay=0.1, lag=0.1)
+    driver = CarefulDriver(path=path, driver=HumanDriver(v_min=6.0, v_max=6.0))
+    loop = steering_loop(car=placed(NONLINEAR, path), path=path, driver=driver, actuator=motor,
+                         controller=MPC.of(NONLINEAR, motor))  # fmt: skip
+    assert largest(simulate(loop, 15.0, record=["path.e"])["path.e"][-300:]) < 2e-3
