@@ -15,6 +15,7 @@ from steerkit import maths as m
 from steerkit.block import Block, In, Out, require
 from steerkit.controllers.mpc_model import V_HIGH, V_LOW, Array, PathModel, Rhs, bound
 from steerkit.controllers.mpc_qp import SOLVERS, Answer, StageQp
+from steerkit.controllers.stanley import Stanley
 from steerkit.units import radians_of
 
 SOLVED, PLAN, FALLBACK, HELD = 0.0, 1.0, 2.0, 3.0
@@ -26,6 +27,7 @@ Table = tuple[Array, Array, Array, Array]
 Motion = tuple[Array, Array, Array, Array, Array]
 """A, B, gaps, rows and offsets of a_y."""
 _NOTHING = 1e9  # residual of a solution that is not finite
+_PACE = 1.15  # in tight bends the front axle is that much faster than the centre of gravity
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -43,24 +45,23 @@ class PredictiveSteering(Block):
 
     A solution leaves the block only if the solver reports success, all is finite, and the optimality conditions hold
     to `tolerance`. Else, or when it comes later than `budget`, the plan of the last good solution is followed for
-    `patience` samples, then a fallback law, here Stanley's at the front axle,
+    `patience` samples, then `fallback`, here Stanley, is asked with e, psi_e, r and the wheel as they will be after
+    the delay, as if its drive began in this sample. When that cannot be formed either (e, psi_e, v, r or the preview
+    is not finite), the command stays. Below `v_stop`, in reverse too, it stays as well: turning the wheel does not
+    move the car sideways there. All commands keep `limit` and `rate_limit`.
 
-        delta = -psi_f - atan(k e_f/(1 + v)) - k_r (r - v kappa),  e_f = e + l_f psi_e - kappa l_f^2/2,
-        psi_f = psi_e - kappa l_f,  k = 2.5/s,  k_r = 0.15 s;
-
-    when that is not finite either, the command stays. Below `v_stop`, in reverse too, it stays as well: turning the
-    wheel does not move the car sideways there. All commands keep `limit` and `rate_limit`.
-
-    Inputs, at the centre of gravity: e [m], psi_e [rad], v [m/s], beta [rad], r [rad/s]; delta_sw_meas [rad], where
-    the wheel is; preview [1/m], curvatures at s + j*v*dt. Outputs: delta_sw [rad]; status [1]: where it came from, 0
-    solution, 1 plan, 2 fallback, 3 the command before; fault [1]: 0 none, 1 an input not finite, 2 solver or check,
-    3 late, 4 standing; iterations [1] of the solver; milliseconds [1] since the inputs came; residual [1] of the
-    optimality conditions, NaN for an input that is not finite, 1e9 for a solution that is not; plan [rad/s], the
-    rates from this sample on. State: the commands on their way, the plan, the samples since its solution.
+    Inputs: e [m], psi_e [rad] and preview [1/m] (curvatures at s + j*v*dt) at `reference`; v [m/s], beta [rad] and
+    r [rad/s] of the centre of gravity; delta_sw_meas [rad], where the wheel is. Outputs: delta_sw [rad]; status [1]:
+    where it came from, 0 solution, 1 plan, 2 fallback, 3 the command before; fault [1]: 0 none, 1 an input not
+    finite, 2 solver or check, 3 late, 4 standing; iterations [1] of the solver; milliseconds [1] since the inputs
+    came; residual [1] of the optimality conditions, NaN for an input that is not finite, 1e9 for a solution that is
+    not; plan [rad/s], the rates from this sample on. State: the commands on their way, the plan, the samples since
+    its solution.
     valid: v from 0.5 to 20 m/s (beyond, the model of the nearest is used), curvature up to 0.25/m. From e_reach on the
     path is taken to be that far away, whatever e is. A batch is solved car by car. Equal arguments give equal
-    results, except for milliseconds and what `budget` makes of it: with clock=None these are 0 and unlimited. It
-    cannot be traced: it runs a solver. errors: ValueError for bad parameters.
+    results, except for milliseconds (0 with clock=None) and for what a `budget` makes of them. A command replaced on
+    its way to the wheel (by another controller in charge) is not known here. It cannot be traced: it runs a solver.
+    errors: ValueError for bad parameters, and for a fallback with other ports than Stanley's.
     source: Rawlings, Mayne, Diehl 2017, sections 1.3 and 2.5; Frison, Diehl 2020 (HPIPM); Hoffmann et al. 2007.
     """
 
@@ -83,8 +84,10 @@ class PredictiveSteering(Block):
     """The car's right-hand side: (x', y', psi', sway', r') of ((x, y, psi, sway, r), delta, v)."""
     steer_ratio: float
     """Steering-wheel angle over road-wheel angle [1]."""
-    l_f: float
-    """Centre of gravity to front axle [m], for the fallback."""
+    fallback: Block
+    """Who steers when there is no plan: inputs among e, psi_e, kappa, v, r, delta_sw_meas, output delta_sw."""
+    reference: float = 0.0
+    """Where e, psi_e and the preview are measured: metres ahead of the centre of gravity."""
     delay: float = 0.0
     """From a command to the motor's answer [s]; any, not only multiples of dt."""
     lag: float = 0.1
@@ -123,17 +126,14 @@ class PredictiveSteering(Block):
     """hpipm, piqp, or qpoases (condensed; for short horizons)."""
     tolerance: float = 1e-5
     """Largest residual of the optimality conditions that is let through."""
-    budget: float = math.inf
-    """A solution later than this [s] is not used."""
+    budget: float | None = None
+    """A solution later than this [s] is not used; None: any is, so that a simulation can be repeated."""
     patience: int = 4
     """Samples for which an old plan is followed."""
     v_stop: float = 0.1
     """Below this speed [m/s] the command stays."""
     clock: Callable[[], float] | None = time.perf_counter
-    """Seconds, for milliseconds and budget; None: no time is taken."""
-    reference: float = 0.0
-    """Where e is measured [m ahead of the centre of gravity]; the model needs 0."""
-
+    """Seconds, for milliseconds and the budget; None: no time is taken."""
     preview_points: int = field(init=False, default=0)
     """Curvatures wanted ahead: over the delay and the horizon."""
     preview_dt: float = field(init=False, default=0.05)
@@ -155,31 +155,44 @@ class PredictiveSteering(Block):
         require(self.horizon >= 2, where, f"horizon = {self.horizon}, expected at least 2 samples")
         require(self.solver in SOLVERS, where, f"solver = {self.solver!r}; valid: {', '.join(SOLVERS)}")
         units = {"dt": "s", "steer_ratio": "1", "q_e": "1/m^2", "q_rate": "s^2", "limit": "rad", "rate_limit": "rad/s",
-                 "e_limit": "m", "e_reach": "m", "a_y_limit": "m/s^2", "tolerance": "1", "budget": "s",
-                 "v_stop": "m/s"}  # fmt: skip
+                 "e_limit": "m", "e_reach": "m", "a_y_limit": "m/s^2", "tolerance": "1", "v_stop": "m/s"}  # fmt: skip
         for name, unit in units.items():
             require(getattr(self, name) > 0.0, where, f"{name} = {getattr(self, name)} [{unit}], expected > 0")
-        for name in ("delay", "lag", "q_psi", "q_r", "q_e_limit", "q_a_y_limit", "a_y_room", "l_f"):
+        for name in ("delay", "lag", "q_psi", "q_r", "q_e_limit", "q_a_y_limit", "a_y_room"):
             value = getattr(self, name)
             require(0.0 <= value < 1e6, where, f"{name} = {value}, expected >= 0 and finite")
         require(self.delay <= 2.0, where, f"delay = {self.delay} [s], expected at most 2 s")
-        require(
-            self.reference == 0.0, where, f"reference = {self.reference} [m], expected 0: the model is about the CG"
-        )
-        object.__setattr__(self, "preview_points", self.pieces + self.horizon + 1)
+        require(-5.0 <= self.reference <= 5.0, where, f"reference = {self.reference} [m], expected -5 to 5")
+        if self.budget is not None:
+            require(self.budget > 0.0, where, f"budget = {self.budget} [s], expected > 0, or None for no limit")
+            require(self.clock is not None, where, f"budget = {self.budget} [s] needs a clock")
+        asks, gives = {p.name for p in self.fallback.inputs}, [p.name for p in self.fallback.outputs]
+        known = {"e", "psi_e", "kappa", "v", "r", "delta_sw_meas"}
+        require(asks <= known, where, f"fallback {type(self.fallback).__name__} needs {', '.join(sorted(asks - known))}; "
+                f"it may ask for {', '.join(sorted(known))}")  # fmt: skip
+        require(gives == ["delta_sw"], where, f"fallback with outputs {gives}, expected delta_sw only")
+        object.__setattr__(self, "preview_points", math.ceil(_PACE * (self.pieces + self.horizon)) + 1)
         object.__setattr__(self, "preview_dt", self.dt)
 
     @classmethod
     def of(cls, car: Any, actuator: Any = None, **settings: Any) -> Self:
-        """The controller for a single-track plant (its `rhs` and `vehicle`) behind a `SteeringActuator`.
+        """The controller for a single-track plant (its `rhs` and `vehicle`), e at its front axle.
 
-        The motor holds its angle for its own dt, which is half of that more delay. settings: other fields.
+        delay, lag [s] are given among the settings, which are any fields; or with an `actuator` to read them from, a
+        `SteeringActuator`. That holds its angle for its own dt, which is half of that more delay. Raises ValueError
+        for a car without a right-hand side.
         """
+        kind = type(car).__name__
+        require(
+            hasattr(car, "rhs") and hasattr(car, "vehicle"), cls.__name__,
+            f"{kind} has no right-hand side to predict with, expected a plant such as NonlinearSingleTrack(vehicle=...)",
+        )  # fmt: skip
         known = {} if actuator is None else dict(
             delay=actuator.delay + 0.5 * actuator.dt, lag=float(actuator.lag), limit=float(actuator.limit),
             rate_limit=min(float(actuator.rate_limit), cls.rate_limit),
         )  # fmt: skip
-        base = dict(rhs=car.rhs, steer_ratio=float(car.vehicle.steer_ratio), l_f=float(car.vehicle.l_f))
+        base = dict(rhs=car.rhs, steer_ratio=float(car.vehicle.steer_ratio), reference=float(car.vehicle.l_f),
+                    fallback=Stanley.of(car.vehicle, dt=settings.get("dt", cls.dt)))  # fmt: skip
         return cls(**(base | known | settings))
 
     # ---- what is made once --------------------------------------------------------------------------------------
@@ -193,7 +206,8 @@ class PredictiveSteering(Block):
     def model(self) -> PathModel:
         """The car in path coordinates; its tables take a moment when first used."""
         weights = (self.q_e, self.q_psi, self.q_r, self.q_rate)
-        return PathModel(rhs=self.rhs, steer_ratio=self.steer_ratio, dt=self.dt, lag=self.lag, weights=weights)
+        return PathModel(rhs=self.rhs, steer_ratio=self.steer_ratio, reference=self.reference, dt=self.dt, lag=self.lag,
+                         weights=weights)  # fmt: skip
 
     @cached_property
     def qp(self) -> StageQp:
@@ -212,14 +226,12 @@ class PredictiveSteering(Block):
         return qp
 
     @cached_property
-    def ahead(self) -> Array:
-        """Rows that take curvatures out of the preview: of each command on its way, half-way; the stages; between."""
+    def times(self) -> Array:
+        """When a curvature is wanted [s]: half-way of each command on its way; at the stages; half-way between."""
         first = self.delay - max(self.pieces - 1, 0) * self.dt
         pieces = [0.5 * first, *[first + (i + 0.5) * self.dt for i in range(self.pieces - 1)]][: self.pieces]
         stages = [self.delay + k * self.dt for k in range(self.horizon + 1)]
-        times = np.array([*pieces, *stages, *[t + 0.5 * self.dt for t in stages[:-1]]]) / self.dt
-        points = np.arange(self.preview_points)
-        return np.clip(1.0 - np.abs(times[:, None] - points), 0.0, 1.0)
+        return np.array([*pieces, *stages, *[t + 0.5 * self.dt for t in stages[:-1]]])
 
     @cached_property
     def _predict(self) -> Any:
@@ -278,7 +290,7 @@ class PredictiveSteering(Block):
         n = max(self.pieces, 1)
         state = self.X(x[:n], x[n:-1], x[-1])
         fault, iterations, residual, plan = NO_FAULT, 0.0, 0.0, state.plan
-        if not math.isfinite(math.fsum(u[:6]) + math.fsum(u.preview)):
+        if not all(map(math.isfinite, (*u[:6], *u.preview))):
             fault, residual = NOT_FINITE, math.nan
         elif u.v < self.v_stop:
             fault, plan = STANDING, (0.0,) * self.horizon
@@ -290,7 +302,7 @@ class PredictiveSteering(Block):
             else:
                 plan = tuple(answer.x[self.qp.at_u].tolist())
         elapsed = self.clock() - start if self.clock is not None else 0.0
-        if fault == NO_FAULT and elapsed > self.budget:
+        if fault == NO_FAULT and self.budget is not None and elapsed > self.budget:
             fault, plan = LATE, state.plan
         command, status = self._command(state, u, fault, plan)
         return self.Y(command, status, fault, iterations, 1e3 * elapsed, residual, plan)
@@ -301,38 +313,59 @@ class PredictiveSteering(Block):
         if fault == STANDING:
             return last, HELD
         if fault == NO_FAULT or state.age < self.patience:
-            rate = m.clip(plan[0], -self.rate_limit, self.rate_limit)
-            return m.clip(last + self.dt * rate, -self.limit, self.limit), SOLVED if fault == NO_FAULT else PLAN
-        target = self._fallback(u)
+            target, status = last + self.dt * plan[0], SOLVED if fault == NO_FAULT else PLAN
+        else:
+            target, status = self._fallback(state, u), FALLBACK
         if not math.isfinite(target):
             return last, HELD
-        return m.clip(m.clip(target, last - most, last + most), -self.limit, self.limit), FALLBACK
+        return m.clip(m.clip(target, last - most, last + most), -self.limit, self.limit), status
 
-    def _fallback(self, u: Any) -> float:
-        """Stanley's law at the front axle [rad]."""
-        kappa = u.preview[0]
-        if not math.isfinite(u.e + u.psi_e + u.v + u.r + kappa):  # an infinite one would pass through atan
+    def _fallback(self, state: X, u: Any) -> float:
+        """What the fallback commands [rad]; NaN if it cannot tell. A broken beta or wheel angle is done without."""
+        if not all(map(math.isfinite, (u.e, u.psi_e, u.v, u.r, *u.preview))):
             return math.nan
-        e_front = u.e + self.l_f * (u.psi_e - 0.5 * kappa * self.l_f)
-        approach = m.atan(2.5 * e_front / (1.0 + max(u.v, 0.0)))
-        return self.steer_ratio * (kappa * self.l_f - u.psi_e - approach - 0.15 * (u.r - u.v * kappa))
+        beta, wheel = (value if math.isfinite(value) else instead
+                       for value, instead in ((u.beta, 0.0), (u.delta_sw_meas, state.commands[0])))  # fmt: skip
+        _, x, then = self._ahead(state, u._replace(beta=beta, delta_sw_meas=wheel))
+        e, psi_e, _, r, wheel, _ = x.tolist()
+        kappa = float(then[self.pieces, 6])
+        lead = getattr(self.fallback, "reference", self.reference) - self.reference
+        seen = dict(e=e + lead * (psi_e - 0.5 * kappa * lead), psi_e=psi_e - kappa * lead, kappa=kappa, v=u.v, r=r,
+                    delta_sw_meas=wheel)  # fmt: skip
+        asked = self.fallback.D(**{name: seen[name] for name in self.fallback.D._fields})
+        fresh = self.fallback.settle(0.0, self.fallback.init(), asked)
+        return float(self.fallback.output(0.0, fresh, asked).delta_sw)
+
+    def _ahead(self, state: X, u: Any) -> tuple[float, Array, Array]:
+        """v [m/s]; x (6,) when the commands on their way have acted; steady cornering and curvature at `times` (n, 7).
+
+        An entry of the preview is v*dt further along the path than that before, where the point that follows it gets
+        to at the pace of steady cornering.
+        """
+        n, by_axis = self.pieces, self.model.sway_is_speed
+        cos_beta = m.maximum(m.cos(u.beta), 0.5) if by_axis else 1.0
+        v = m.clip(u.v * cos_beta, V_LOW, V_HIGH)
+        rows = self.model.steady(v, np.array(u.preview))
+        span = 0.5 * self.dt / (cos_beta * rows[:, 6])
+        rows[:, 6] = u.preview
+        at = np.interp(self.times, np.append(0.0, np.cumsum(span[1:] + span[:-1])), np.arange(len(rows)))
+        j = np.minimum(at.astype(np.intp), len(rows) - 2)
+        then = rows[j] + (at - j)[:, None] * (rows[j + 1] - rows[j])
+        e = m.clip(u.e, -self.e_reach, self.e_reach)
+        sway = v * m.tan(u.beta) if by_axis else u.beta
+        x = np.empty(6)
+        x[:5] = self._predict((e, u.psi_e, sway, u.r, u.delta_sw_meas), state.commands, v, then[:n, 6])
+        x[5] = state.commands[-1]
+        return v, x, then
 
     def _solved(self, state: X, u: Any) -> Answer:
         """This sample's programme, filled and solved."""
-        slip = m.tan(u.beta)
-        speed = u.v * m.cos(u.beta) if self.model.sway_is_speed else u.v
-        v = m.clip(speed, V_LOW, V_HIGH)
-        e = m.clip(u.e, -self.e_reach, self.e_reach)
-        measured = (e, u.psi_e, v * slip if self.model.sway_is_speed else u.beta, u.r, u.delta_sw_meas)
-        kappa = self.ahead @ np.array(u.preview)
-        n = self.pieces
-        x0 = np.empty(6)
-        x0[:5] = self._predict(measured, state.commands if n else 0.0, v, kappa[:n])
-        x0[5] = state.commands[-1]
-        table, steady = self.model.at(v), self.model.steady(v, kappa[n:])
-        terminal, goal, bends = table[3], steady[: self.horizon + 1], steady[self.horizon + 1 :]
+        v, x0, then = self._ahead(state, u)
+        goal, between = then[self.pieces :][: self.horizon + 1, :6], then[self.pieces + self.horizon + 1 :]
+        table = self.model.at(v)
+        terminal = table[3]
         d, at, soft = self.qp.data, self.qp.place, self._soft
-        a, b, gap, row, offset = self._motion(state, x0, v, kappa[n + self.horizon + 1 :], bends, table)
+        a, b, gap, row, offset = self._motion(state, x0, v, between[:, 6], between[:, :6], table)
         d["a"][at["a"]], d["a"][at["b"]] = a, b
         d["lba"][at["gap"]] = d["uba"][at["gap"]] = gap
         path = v * goal[soft, 3]

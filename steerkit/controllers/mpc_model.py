@@ -27,6 +27,7 @@ V_LOW, V_HIGH, V_STEP = 0.5, 20.0, 0.25
 """Speeds [m/s] between which the car is modelled, and how far apart the tabled ones are."""
 KAPPA_HIGH, KAPPA_STEP = 0.25, 0.005
 """Tabled curvatures [1/m]."""
+_STEEPEST = 1.2  # rad: no wheel turns further, so steady cornering has no larger |psi_e|
 _LEAST_LAG = 1e-3  # s: a motor without lag follows this fast
 
 
@@ -46,18 +47,21 @@ def bound(function: Any, inputs: Sequence[Array], outputs: Sequence[Array]) -> C
 
 @dataclass(frozen=True, kw_only=True)
 class PathModel:
-    """The car on a path of curvature kappa, at constant speed, its wheel following a command with a lag.
+    """A point of the car on a path of curvature kappa, at constant speed, the wheel following a command with a lag.
 
     With (x', y', psi', sway', r') = rhs((0, e, psi_e, sway, r), delta_sw/steer_ratio, v), which is the motion seen
     from the path's tangent,
 
-        e' = y',  psi_e' = psi' - kappa x'/(1 - kappa e),  lag delta_sw' = command - delta_sw.
+        along = x' - reference psi' sin(psi_e),  e' = y' + reference psi' cos(psi_e),
+        psi_e' = psi' - kappa along/(1 - kappa e),  lag delta_sw' = command - delta_sw.
 
-    rhs: see `Rhs`. dt [s]: control period. lag [s]: the motor's. weights: of e, psi_e, r and the command's rate.
+    rhs: see `Rhs`. reference [m]: how far ahead of the centre of gravity the point is. dt [s]: control period.
+    lag [s]: the motor's. weights: of e, psi_e, r and the command's rate.
     """
 
     rhs: Rhs
     steer_ratio: float
+    reference: float
     dt: float
     lag: float
     weights: tuple[float, float, float, float]
@@ -68,13 +72,15 @@ class PathModel:
         return bool(self.rhs((0.0, 0.0, 0.0, 0.01, 0.0), 0.0, 5.0)[1] < 0.03)
 
     def motion(self, z: Sequence[Any], delta_sw: Any, v: Any, kappa: Any) -> tuple[Any, ...]:
-        """(e, psi_e, sway, r)'."""
+        """(e, psi_e, sway, r)', and the speed along the path's tangent [m/s]."""
         e, psi_e, sway, r = z
         x, y, psi, sway_dot, r_dot = self.rhs((0.0 * e, e, psi_e, sway, r), delta_sw / self.steer_ratio, v)
-        return y, psi - kappa * x / (1.0 - kappa * e), sway_dot, r_dot
+        along = x - self.reference * psi * m.sin(psi_e)
+        drift = y + self.reference * psi * m.cos(psi_e)
+        return drift, psi - kappa * along / (1.0 - kappa * e), sway_dot, r_dot, along
 
     def a_y(self, z: Sequence[Any], delta_sw: Any, v: Any) -> Any:
-        """Lateral acceleration [m/s^2]: v_y' + v r, or v (beta' + r)."""
+        """Lateral acceleration at the centre of gravity [m/s^2]: v_y' + v r, or v (beta' + r)."""
         sway_dot = self.motion(z, delta_sw, v, 0.0)[2]
         return (sway_dot if self.sway_is_speed else v * sway_dot) + v * z[3]
 
@@ -119,7 +125,7 @@ class PathModel:
         command = x[5] + self.dt * u
         after = casadi.vertcat(self.stepped(x, command, v, kappa, self.dt), command)
         middle = casadi.SX.sym("m", 5)
-        motion = self.motion([middle[i] for i in range(4)], middle[4], v, kappa)
+        motion = self.motion([middle[i] for i in range(4)], middle[4], v, kappa)[:4]
         slope = casadi.substitute(casadi.jacobian(casadi.vertcat(*motion), middle), middle, 0.5 * (x + after)[:5])
         lag = max(self.lag, _LEAST_LAG)
         flow = casadi.SX(NX, NX)
@@ -150,7 +156,7 @@ class PathModel:
         """d(e, psi_e, sway, r)'/d(e, psi_e, sway, r, wheel) (4, 5) and d a_y (1, 5) in straight driving at speed v."""
         x, v = casadi.SX.sym("x", 5), casadi.SX.sym("v")
         z = [x[i] for i in range(4)]
-        rows = casadi.vertcat(*self.motion(z, x[4], v, 0.0)), self.a_y(z, x[4], v)
+        rows = casadi.vertcat(*self.motion(z, x[4], v, 0.0)[:4]), self.a_y(z, x[4], v)
         slopes = [casadi.substitute(casadi.jacobian(row, x), x, casadi.DM.zeros(5)) for row in rows]
         return casadi.Function("slopes", [v], [casadi.densify(slope) for slope in slopes])
 
@@ -215,32 +221,35 @@ class PathModel:
 
     @cached_property
     def _steady(self) -> Array:
-        """(speeds, curvatures from -0.25/m up, 6): steady cornering, by Newton's method from straight.
+        """(speeds, curvatures from -0.25/m up, 7): steady cornering, by Newton's method from straight; see `steady`.
 
         Where the tyres cannot hold a curvature, the row is that of the largest which they can.
         """
         w = casadi.SX.sym("w", 4)
         v, kappa = casadi.SX.sym("v"), casadi.SX.sym("k")
-        residual = casadi.vertcat(*self.motion([casadi.SX(0.0), w[0], w[1], w[2]], w[3], v, kappa))
-        newton = casadi.Function("n", [w, v, kappa], [w - casadi.solve(casadi.jacobian(residual, w), residual),
-                                                      casadi.mmax(casadi.fabs(residual))])  # fmt: skip
+        *motion, along = self.motion([casadi.SX(0.0), w[0], w[1], w[2]], w[3], v, kappa)
+        residual = casadi.vertcat(*motion)
+        after = w - casadi.solve(casadi.jacobian(residual, w), residual)
+        newton = casadi.Function("newton", [w, v, kappa], [after, casadi.mmax(casadi.fabs(residual)), along / v])
         newton = newton.map(len(self.speeds))
-        rows, good = [np.zeros((len(self.speeds), 4))], np.ones(len(self.speeds), dtype=bool)
+        rows, good = [np.zeros((len(self.speeds), 5))], np.ones(len(self.speeds), dtype=bool)
+        rows[0][:, 4] = 1.0
         for kappa_i in np.arange(KAPPA_STEP, KAPPA_HIGH + 0.5 * KAPPA_STEP, KAPPA_STEP):
             guess = 2.0 * rows[-1] - rows[-2] if len(rows) > 1 else rows[-1]
             for _ in range(8):
-                found, error = newton(guess.T, self.speeds[None, :], np.full((1, len(self.speeds)), kappa_i))
-                guess = np.array(found.full()).T
+                found, error, pace = newton(guess[:, :4].T, self.speeds[None, :], np.full((1, len(self.speeds)), kappa_i))
+                guess = np.vstack((found.full(), pace.full())).T
             with np.errstate(invalid="ignore"):
                 more = np.abs(guess[:, 3]) > np.abs(rows[-1][:, 3])  # not past the tyres' best
-                good = good & more & (error.full()[0] < 1e-8) & (np.abs(guess[:, 0]) < 0.7)
+                good = good & more & (error.full()[0] < 1e-8) & (np.abs(guess[:, 0]) < _STEEPEST)
             rows.append(np.where(good[:, None], guess, rows[-1]))
         left = np.array(rows).swapaxes(0, 1)
-        both = np.concatenate((-left[:, :0:-1], left), axis=1)
-        return np.concatenate((0.0 * both[:, :, :1], both, both[:, :, 3:]), axis=2)
+        right = left[:, :0:-1] * (-1.0, -1.0, -1.0, -1.0, 1.0)
+        psi_e, sway, r, wheel, pace = np.moveaxis(np.concatenate((right, left), axis=1), 2, 0)
+        return np.stack((0.0 * psi_e, psi_e, sway, r, wheel, wheel, pace), axis=2)
 
     def steady(self, v: float, kappa: Array) -> Array:
-        """(n, 6): the six states that hold curvatures kappa (n,) [1/m] at speed v for ever, e = 0."""
+        """(n, 7): the six states that hold curvatures kappa (n,) [1/m] at speed v for ever, e = 0; and s'/v."""
         i, t = self._place(v)
         table = self._steady[i] + t * (self._steady[i + 1] - self._steady[i])
         at = np.minimum(np.maximum(kappa / KAPPA_STEP + 0.5 * (len(table) - 1), 0.0), len(table) - 1.001)
