@@ -41,7 +41,9 @@ def _text(lines: list[str]) -> str:
     for n, line in enumerate(lines):
         parts = line.split("`")
         parts[::2] = [SPECIAL.sub(lambda found: found[1] or f"\\{found[2]}", part) for part in parts[::2]]
-        mark = "" if n == 0 or not (FIELD.match(line) or line.startswith("* ")) else "\n" if line[0] == "*" else "<br>\n"
+        mark = (
+            "" if n == 0 or not (FIELD.match(line) or line.startswith("* ")) else "\n" if line[0] == "*" else "<br>\n"
+        )
         shown.append(mark + "`".join(parts).replace("\\* ", "* ", 1 if line.startswith("* ") else 0))
     return "\n".join(shown)
 

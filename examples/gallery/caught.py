@@ -6,8 +6,19 @@ The supervisor gives the wheel to Stanley beyond 0.5 m or at a fault, and hands 
 import math
 from dataclasses import dataclass
 
-from steerkit import Block, Integrator, NonlinearSingleTrack, Out, Stanley, SteeringActuator
-from steerkit import course, placed, simulate, steering_loop, vehicle
+from steerkit import (
+    Block,
+    Integrator,
+    NonlinearSingleTrack,
+    Out,
+    Stanley,
+    SteeringActuator,
+    course,
+    placed,
+    simulate,
+    steering_loop,
+    vehicle,
+)
 from steerkit.learning.figures import learning
 from steerkit.plants.human_driver import ConstantSpeed
 from steerkit.units import radians_of

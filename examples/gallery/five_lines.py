@@ -3,13 +3,22 @@
 The course is a recorded drive of 3.7 km, the car a nonlinear single track; the first two minutes of it.
 """
 
-from steerkit import NonlinearSingleTrack, Stanley, course, placed, simulate, steering_loop, vehicle
-from steerkit.plants.human_driver import ConstantSpeed
+from steerkit import (
+    HumanDriver,
+    NonlinearSingleTrack,
+    Stanley,
+    SteeringActuator,
+    course,
+    placed,
+    simulate,
+    steering_loop,
+    vehicle,
+)
 
-path, passat = course("genesis"), vehicle("vw-passat")
-car = placed(NonlinearSingleTrack(vehicle=passat, v0=6.0), path)
-loop = steering_loop(car=car, path=path, driver=ConstantSpeed(speed=6.0), controller=Stanley.of(passat))
-log = simulate(loop, 120.0)
-log.plot("path.e", "car.delta_sw", "car.a_y").savefig("five_lines.png")
+path, passat, human, motor = course("genesis"), vehicle("vw-passat"), HumanDriver(seed=1), SteeringActuator()
+car, stanley = placed(NonlinearSingleTrack(vehicle=passat, v0=5.0), path), Stanley.of(passat)
+loop = steering_loop(car=car, path=path, driver=human, actuator=motor, controller=stanley, reference=passat.l_f)
+log = simulate(loop, 120.0, every=5)
+log.plot("path.e", "car.v", "car.delta_sw", "car.a_y").savefig("five_lines.png")
 
-print(f"max |e| {abs(log['path.e']).max():.3f} m , max |a_y| {abs(log['car.a_y']).max():.2f} m/s^2")
+print(f"max |e| {abs(log['path.e']).max():.3f} m at the front axle, max |a_y| {abs(log['car.a_y']).max():.2f} m/s^2")

@@ -27,6 +27,6 @@ for label, damping, colour in (("with damping", 1.0, "learned"), ("without", 0.0
     axes.loglog(gains, rms, color=COLOURS[colour], label=label)
     print(f"{label}: best k = {gains[np.nanargmin(rms)]:.1f}, RMS e {np.nanmin(rms):.3f} m")
 axes.axhline(0.5, color=COLOURS["limit"], lw=0.8, ls="--", label="0.5 m")
-axes.set(xlabel="cross-track gain k [1/s]", ylabel="RMS e [m]", ylim=(0.005, 10.0))
-axes.legend(loc="upper right")
+axes.set(xlabel="cross-track gain k [1/s]", ylabel="RMS e [m]", ylim=(0.02, 3.0))
+axes.legend(loc="upper left", frameon=False, fontsize=8)
 figure.savefig("hundred_gains.png")

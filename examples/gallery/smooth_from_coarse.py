@@ -3,6 +3,8 @@
 The same five actions in the same order, to the wheel directly, through a low-pass, and as steps (the integrator).
 """
 
+from itertools import pairwise
+
 from steerkit import Direct, Integrator, LowPass
 from steerkit.plotting import COLOURS, new_figure
 from steerkit.units import degrees_of, radians_of
@@ -25,8 +27,8 @@ for label, doe, scale, colour in ELEMENTS:
         x = doe.update(0.0, x, doe.U(action=action, applied=y.delta_sw), y)
         angles.append(degrees_of(y.delta_sw))
     panels[1].step(t, angles, where="post", color=COLOURS[colour], label=label)
-    fastest = max(abs(b - a) for a, b in zip(angles, angles[1:])) / 0.05
+    fastest = max(abs(b - a) for a, b in pairwise(angles)) / 0.05
     print(f"{label}: the wheel would have to turn at {fastest:.0f} deg/s")
 panels[1].set(xlabel="t [s]", ylabel="steering wheel [deg]")
-panels[1].legend(loc="lower left", ncols=3)
+panels[1].legend(loc="upper right", bbox_to_anchor=(1.0, 1.12), ncols=3, frameon=False, fontsize=8)
 figure.savefig("smooth_from_coarse.png")

@@ -36,5 +36,5 @@ for (name, car), colour in zip(cars.items(), ("muted", "learned", "analytic"), s
     axes.plot(degrees_of(log["car.delta_sw"]), log["car.a_y"], color=COLOURS[colour], label=name)
     print(f"{name}: {log['car.a_y'].max():.1f} m/s^2 at most")
 axes.set(xlabel="steering wheel [deg]", ylabel="a_y [m/s²]", ylim=(0.0, 14.0), xlim=(0.0, 230.0))
-axes.legend(loc="upper left")
+axes.legend(loc="upper left", frameon=False, fontsize=8)
 figure.savefig("tyres_let_go.png")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,13 +12,13 @@ from steerkit import cli
 
 
 def parsed(words: Sequence[str]) -> None:
-    """Parse `steerkit WORDS` as the command line does; raises its usage error."""
+    """Parse `steerkit WORDS` as the command line does; raises its usage error. `--help` asks for no arguments."""
     command: Any = typer.main.get_command(cli.app)
-    context, rest = None, list(words)
-    while hasattr(command, "commands"):
+    rest = list(words)
+    while hasattr(command, "commands") and rest != ["--help"]:
         name, *rest = rest
         if name not in command.commands:
             raise ValueError(f"no command {name!r}; valid: {', '.join(command.commands)}")
         command = command.commands[name]
-    context = command.make_context(command.name, rest)
-    context.close()
+    with contextlib.suppress(typer.Exit), command.make_context(command.name, rest):
+        pass
