@@ -100,19 +100,20 @@ def tuned(quick: bool) -> tuple[Any, dict[str, Result]]:
 
 def picture(grid: Any, found: dict[str, Result], file: str) -> None:
     """Worst wheel speed over worst RMS e: a dot a choice of gains, the band near the best, a star the choice."""
-    from steerkit.plotting import COLOURS, PALETTE, new_figure
+    from steerkit.plotting import COLOURS, PALETTE, new_figure, style
 
-    figure, (panel,) = new_figure(1, height=4.2, title="Stanley's gains: worst case over delays and cars")
-    for colour, (name, result) in zip(PALETTE, found.items()):
-        e, rate, best = result.e, degrees_of(result.rate), float(result.e.min())
-        panel.plot(e, rate, "o", ms=3, alpha=0.5, color=colour, label=f"{name}: a dot a choice of gains")
-        panel.axvspan(best, NEAR_BEST * best, color=colour, alpha=0.12, lw=0)
-        i = result.chosen
-        panel.plot(e[i], rate[i], "*", ms=13, mec=COLOURS["ink"], color=colour,
-                   label=f"{name}, chosen: " + ", ".join(f"{n} {v:g}" for n, v in zip(GAINS, grid[i])))  # fmt: skip
-    panel.set(xscale="log", xlim=(None, 1.0), ylim=(0.0, None), xlabel="worst RMS e [m]",
-              ylabel="worst RMS wheel speed [deg/s]")  # fmt: skip
-    panel.legend(loc="upper right")
+    delays = {"predicted": (TOLD[0], TOLD[-1] + OFF[-1]), "plain": (PLAIN[0], PLAIN[-1])}
+    with style():
+        figure, (panel,) = new_figure(1, height=4.0, title="Stanley's gains: worst case over delays and cars")
+        for colour, (name, result) in zip(PALETTE, found.items()):
+            e, rate, best, i = result.e, degrees_of(result.rate), float(result.e.min()), result.chosen
+            low, high = delays[name]
+            panel.plot(e, rate, "o", ms=3.5, alpha=0.5, color=colour, label=f"{name}, {low:g} to {high:g} s delay")
+            panel.axvspan(best, NEAR_BEST * best, color=colour, alpha=0.12, lw=0)
+            gains = ", ".join(f"{gain} {value:g}" for gain, value in zip(GAINS, grid[i]))
+            panel.plot(e[i], rate[i], "*", ms=13, mec=COLOURS["ink"], color=colour, label=f"chosen: {gains}")
+        panel.set(xlim=(0.04, 0.2), ylim=(0.0, 200.0), xlabel="worst RMS e [m]", ylabel="worst RMS wheel speed [deg/s]")
+        panel.legend(loc="upper right")
     figure.savefig(file, dpi=120)
 
 

@@ -19,8 +19,8 @@ class PurePursuit(Block):
     goal = c(s + look), look = clip(look_time*v, look_min, look_max),  rear = (x, y) - l_r (cos psi, sin psi),
     alpha = angle to goal from rear - psi,  delta = atan(2 L sin(alpha)/|goal - rear|),  delta_sw = steer_ratio*delta.
 
-    Beyond the end of an open path the goal runs on along its tangent. No term looks at e, at tyre slip or at delay: it cuts
-    corners by about look^2 kappa/6, and is here to be compared with.
+    Beyond the end of an open path the goal runs on along its tangent. No term looks at e, at tyre slip or at delay: it
+    cuts corners by about look^2 kappa/6, and is here to be compared with.
 
     Inputs: s [m] along `path` of the rear axle (a tracker with reference = -l_r); x, y [m] of the centre of gravity;
     psi [rad]; v [m/s]. Output: delta_sw [rad], within +-limit. No state. A negative v counts as 0. NaN in any input
