@@ -5,20 +5,10 @@ The supervisor gives the wheel to Stanley beyond 0.5 m or at a fault, and hands 
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
-from steerkit import (
-    Block,
-    Integrator,
-    NonlinearSingleTrack,
-    Out,
-    Stanley,
-    SteeringActuator,
-    course,
-    placed,
-    simulate,
-    steering_loop,
-    vehicle,
-)
+from steerkit import Block, Integrator, NonlinearSingleTrack, Out, Stanley, SteeringActuator
+from steerkit import course, placed, simulate, steering_loop, vehicle
 from steerkit.learning.figures import learning
 from steerkit.plants.human_driver import ConstantSpeed
 from steerkit.units import radians_of
@@ -31,7 +21,7 @@ class Drunk(Block):
     action = Out("rad", direct=())
     ready = Out("1", direct=())
 
-    def output(self, t, x, u):
+    def output(self, t: Any, x: Any, u: Any) -> Any:
         return self.Y(math.nan if t > 60.0 else radians_of(2.0), float(t > 8.0))
 
 

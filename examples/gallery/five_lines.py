@@ -3,17 +3,8 @@
 The course is a recorded drive of 3.7 km, the car a nonlinear single track; the first two minutes of it.
 """
 
-from steerkit import (
-    HumanDriver,
-    NonlinearSingleTrack,
-    Stanley,
-    SteeringActuator,
-    course,
-    placed,
-    simulate,
-    steering_loop,
-    vehicle,
-)
+from steerkit import HumanDriver, NonlinearSingleTrack, Stanley, SteeringActuator
+from steerkit import course, placed, simulate, steering_loop, vehicle
 
 path, passat, human, motor = course("genesis"), vehicle("vw-passat"), HumanDriver(seed=1), SteeringActuator()
 car, stanley = placed(NonlinearSingleTrack(vehicle=passat, v0=5.0), path), Stanley.of(passat)

@@ -11,5 +11,5 @@ from steerkit.metrics import of_log
 
 run = learn(Experiment(world=World(course="paper"), minutes=1.0, seed=1))
 learning(run.recorder.log(), title="From the first second", seconds=60.0).savefig("learns_in_a_minute.png")
-drive = drive(run.experiment.world, run.policy, doe=run.experiment.setting.element())
-print(f"{run.counts.failures} failures; then a whole round with RMS e {of_log(drive).rms_e:.3f} m")
+log = drive(run.experiment.world, run.policy, doe=run.experiment.setting.element())
+print(f"{run.counts.failures} failures; then a whole round with RMS e {of_log(log).rms_e:.3f} m")

@@ -22,11 +22,11 @@ figure, (above, below) = new_figure(rows=2, title="Six controllers, 0.15 s delay
 below.remove()
 with style():
     bars = figure.add_subplot(2, 1, 2)
-for (name, log), colour in zip(logs.items(), PALETTE):
+for n, ((name, log), colour) in enumerate(zip(logs.items(), PALETTE)):
     found = of_log(log)
     above.plot(log["path.progress"], log["path.e"], color=colour, label=name, lw=1.0)
     bars.bar(name, found.rms_e, color=colour)
-    bars.text(name, found.rms_e, f"{found.rms_e:.3f}", ha="center", va="bottom", fontsize=8)
+    bars.text(n, found.rms_e, f"{found.rms_e:.3f}", ha="center", va="bottom", fontsize=8)
     print(f"{name:17} RMS e {found.rms_e:.3f} m, max {found.max_e:.3f} m, wheel {found.rms_wheel_rate_deg:.0f} deg/s")
 above.tick_params(labelbottom=True)
 above.set(xlabel="distance [m]", ylabel="e [m], cut at 0.5", ylim=(-0.5, 0.5), xlim=(0.0, 342.0))

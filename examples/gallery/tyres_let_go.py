@@ -4,6 +4,7 @@ The linear tyre's force grows without end; the Fiala tyre slides at mu times its
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 from steerkit import Block, LinearSingleTrack, Loop, NonlinearSingleTrack, Out, simulate, vehicle
 from steerkit.plants.human_driver import ConstantSpeed
@@ -18,7 +19,7 @@ class SlowTurn(Block):
     delta_sw = Out("rad", direct=())
     rate: float = 0.1
 
-    def output(self, t, x, u):
+    def output(self, t: Any, x: Any, u: Any) -> Any:
         return self.Y(self.rate * t)
 
 

@@ -3,18 +3,8 @@
 Ports with units, sample rates, and which inputs break a loop of wires (hollow). A wire between two units is an error.
 """
 
-from steerkit import (
-    HumanDriver,
-    NonlinearSingleTrack,
-    Sensors,
-    Stanley,
-    SteeringActuator,
-    WiringError,
-    course,
-    placed,
-    steering_loop,
-    vehicle,
-)
+from steerkit import HumanDriver, NonlinearSingleTrack, Sensors, Stanley, SteeringActuator, WiringError
+from steerkit import course, placed, steering_loop, vehicle
 
 path, passat = course("paper"), vehicle("vw-passat")
 car = placed(NonlinearSingleTrack(vehicle=passat, v0=5.0), path)

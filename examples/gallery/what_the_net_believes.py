@@ -9,4 +9,4 @@ from steerkit.learning.world import World
 
 run = learn(Experiment(world=World(course="paper"), minutes=0.5, seed=1))
 policy_map(run.policy, run.experiment.world, visited=run.transitions).savefig("what_the_net_believes.png")
-print(f"a Q-function of {len(run.policy.nets)} nets, from {len(run.transitions)} transitions")
+print(f"a Q-function of {len(run.nets)} nets, from {len(run.transitions)} transitions")
