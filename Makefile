@@ -5,10 +5,12 @@ READY := $(VENV)/ready
 BIN := $(VENV)/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint docs dist clean
+.PHONY: help setup demo test lint docs dist clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-6s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+setup: $(READY)  ## .venv with steerkit and all it needs
 
 demo: $(READY)  ## three cars learn to steer, are compared with Stanley; table and figures under runs/
 	$(BIN)/steerkit demo

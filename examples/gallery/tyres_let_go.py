@@ -14,13 +14,12 @@ from steerkit.units import degrees_of
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SlowTurn(Block):
-    """A wheel that turns to the left: delta_sw(t) = rate*t. Output: delta_sw [rad]. rate [rad/s]."""
+    """A wheel that turns to the left at 0.1 rad/s. Output: delta_sw [rad]."""
 
     delta_sw = Out("rad", direct=())
-    rate: float = 0.1
 
     def output(self, t: Any, x: Any, u: Any) -> Any:
-        return self.Y(self.rate * t)
+        return self.Y(0.1 * t)
 
 
 passat = vehicle("vw-passat")
