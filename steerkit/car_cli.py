@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import logging
 import sys
 from pathlib import Path as FilePath
@@ -30,9 +31,16 @@ Channel = Annotated[
 
 
 @app.command()
-def check(config: Annotated[str, typer.Argument(help="TOML file, or a shipped one.")] = "dbw-kit.toml") -> None:
+def check(
+    config: Annotated[str, typer.Argument(help="TOML file, or a shipped one.")] = "dbw-kit.toml",
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead, in SI units.")] = False,
+) -> None:
     """Check a configuration and print what would be read and written, and every limit."""
     loaded, path = sessions.loaded(config)
+    loaded, path = _loaded(config)
+    if as_json:
+        print(json.dumps({**loaded.facts(), "course": path.name, "length": path.length, "closed": path.closed}))
+        return
     print("\n".join(loaded.summary()))
     print(f"path     {path.name}, {path.length:.0f} m, {'closed' if path.closed else 'open'}")
     print(f"{config}: no mistakes found")

@@ -14,12 +14,26 @@ from typing import Annotated, Any
 
 import typer
 
+from steerkit import __version__
 from steerkit.car_cli import app as car_app
 from steerkit.identify_cli import identify
 from steerkit.export_cli import export
 
+EPILOG = """
+Examples
+
+  steerkit courses                            what can be driven\n
+  steerkit drive stanley --course genesis     a controller on a course\n
+  steerkit learn --minutes 2 --out runs/mine  a car learns; the run is kept\n
+  steerkit show runs/mine                     its story, and its pictures\n
+  steerkit drive runs/mine -q --json          its figures, for a program\n
+
+Exit codes: 0 done; 1 refused or failed on the way; 2 a mistake in what was asked, said in one line on stderr;
+130 interrupted. NO_COLOR=1 leaves out colours. Completion for your shell: steerkit --install-completion.
+"""
 app = typer.Typer(
     help="Steer a car along a path: learn it, drive it, look at it. No car was ever driven with this software.",
+    epilog=EPILOG,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
@@ -81,6 +95,27 @@ _ON_A_CAR_ONLY = ("recovery", "simulated", "socket", "recording", "channel", "ti
 _CONTROLLERS = (
     "stanley, stanley-textbook, stanley-delay, lqr, pure-pursuit, mpc, nonlinear-mpc, or a learning run's directory."
 )
+Course = Annotated[str, typer.Option(help="Course to drive: see `steerkit courses`.")]
+Disturbed = Annotated[Conditions, typer.Option(help="hard: 1 cm noise, 50 ms sensor delay, 0.15 s lag.")]
+Machine = Annotated[bool, typer.Option("--json", help="Print one JSON object, and all that is for people on stderr.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print results only, no progress.")]
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(f"steerkit {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[bool, typer.Option("--version", callback=_print_version, is_eager=True,
+                                          help="Print the version and exit.")] = False,
+) -> None:  # fmt: skip
+    """What goes before the command."""
+
+
+_CONTROLLERS = "stanley, stanley-textbook, stanley-delay, lqr, pure-pursuit, or a learning run's directory."
 
 
 @app.command()
@@ -153,7 +188,12 @@ def learn(
     how = "-".join((experiment.setting.name, *(changes or ())))
     name = f"{how}-{experiment.world.course}-{conditions.value}-seed{experiment.seed}"
     place = out or Path("runs") / name
-    run = report.learn_with_progress(experiment, place, quiet=quiet)
+    report.console.stderr = as_json
+    try:
+        run = report.learn_with_progress(experiment, place, quiet=quiet)
+    except KeyboardInterrupt:
+        print(f"steerkit: interrupted; the same with --out {place} goes on from the last training", file=sys.stderr)
+        raise
     report.show(place, quiet=quiet)
     if as_json:
         print(json.dumps(report.figures_of_merit(run)))
@@ -206,6 +246,7 @@ def drive(
 
     world = replace(World.under(conditions.value, course=course), delay=delay)
     place = out or Path("runs") / f"drive-{Path(controller).name}-{course}-{conditions.value}-seed{seed}"
+    report.console.stderr = as_json
     row = report.drive_and_draw(controller, world, place, rounds=rounds, seed=seed, quiet=quiet)
     if animate is not None:
         from steerkit.simulation import Log
@@ -284,32 +325,42 @@ def show(
     ] = False,
     against: Annotated[list[Path] | None, typer.Option(help="Other runs to compare with (with --diagnostics).")] = None,
     quiet: Quiet = False,
+    as_json: Machine = False,
 ) -> None:
     """Show a learning run: its counts, its episodes, learned against Stanley, and its pictures."""
     from steerkit.learning import report
 
-    report.show(run, quiet=quiet)
+    report.console.stderr = as_json
+    figures = report.show(run, quiet=quiet)
     if diagnostics:
         from steerkit.learning.diagnostics import draw_all
 
         pictures = draw_all(run, against=against or ())
         report.console.print(f"diagnostics: {', '.join(map(str, pictures))}", soft_wrap=True)
+    if as_json:
+        print(json.dumps(figures))
 
 
 @app.command()
-def courses() -> None:
+def courses(as_json: Machine = False) -> None:
     """List the built-in courses."""
     from rich.console import Console
     from rich.table import Table
 
     from steerkit.courses import course, names
 
-    table = Table("course", "length (m)", "closed", "tightest radius (m)")
+    rows: list[dict[str, Any]] = []
     for name in names():
         path = course(name)
-        sharpest = abs(path.samples.kappa).max()
-        radius = f"{1 / sharpest:.1f}" if sharpest > 1e-6 else "straight"
-        table.add_row(name, f"{path.length:.0f}", "yes" if path.closed else "no", radius)
+        sharpest = float(abs(path.samples.kappa).max())
+        radius = 1.0 / sharpest if sharpest > 1e-6 else None
+        rows.append({"course": name, "length_m": path.length, "closed": path.closed, "tightest_radius_m": radius})
+    if as_json:
+        print(json.dumps({"courses": rows}))
+        return
+    table = Table("course", "length (m)", "closed", "tightest radius (m)")
+    for name, length, closed, radius in (row.values() for row in rows):
+        table.add_row(name, f"{length:.0f}", "yes" if closed else "no", f"{radius:.1f}" if radius else "straight")
     Console().print(table)
 
 
@@ -317,11 +368,12 @@ def courses() -> None:
 def demo(
     seed: Seed = 0,
     out: Annotated[Path, typer.Option(help="Where runs and pictures go.")] = Path("runs/demo"),
+    quiet: Quiet = False,
 ) -> None:
     """Learn on the 800 m course and on a real recorded lap; compare with Stanley; redraw the paper's figures."""
     from steerkit.learning import demo as story
 
-    story.run(out, seed=seed)
+    story.run(out, seed=seed, quiet=quiet)
 
 
 def _toml(file: Path) -> dict[str, Any]:

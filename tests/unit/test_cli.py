@@ -110,6 +110,10 @@ def test_learn_from_a_config_then_show_and_drive_its_policy(
     assert merit["course"] == "circle"
     assert 0.2 <= merit["driving_minutes"] < 0.21
     assert {p.name for p in place.glob("*.png")} == {"learning.png", "round.png"}
+    assert run("show", str(place), "-q", "--json", monkeypatch=monkeypatch) == 0
+    shown = json.loads(capsys.readouterr().out)  # nothing else on stdout
+    assert shown["failures"] == merit["failures"]
+    assert [drive["controller"] for drive in shown["drives"]] == ["learned", "stanley"]
     words = ("drive", str(place), "--course", "circle", "--rounds", "0.1", "--out", str(tmp_path / "d"), "-q")
     assert run(*words, monkeypatch=monkeypatch) == 0
     config.write_text("minuts = 3\n")

@@ -53,6 +53,7 @@ MAY_IMPORT: dict[str, set[str]] = {
 PROGRAMS = ("cli", "car", "car_cli", "car_panel", "identify_cli")
 PROGRAMS = ("cli", "car", "car_cli", "car_panel", "car_replay", "car_session")
 PROGRAMS = ("cli", "car", "car_cli", "car_panel", "export_cli")
+PROGRAMS = ("__main__", "cli", "car", "car_cli", "car_panel")
 """Programs over the library: they may import all of it."""
 WHEN_USED = {
     "block": {"notebook"},
