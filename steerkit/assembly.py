@@ -43,19 +43,13 @@ def steering_loop(
 
     controller: steers by itself (an output `delta_sw`), or picks actions (an output `action`) that `doe` turns into
     an angle. recovery: an analytic controller that steers while the learner is off, through `supervisor` (default:
-    0.5 m and 0.1 m). actuator: between the command and the wheel (none: the command is the angle). sensors: what
-    the controllers see of the car (none: the truth). reference: where e is measured, m ahead of the centre of gravity
-    (the front axle is l_f). shift: what the learner and the supervisor take for e (none: the path's).
-
-    The blocks are named driver, car, actuator, sensors, path, shift, controller, doe, recovery, supervisor. `path`
-    tracks the **true** reference point, for logs and metrics; with sensors, `seen` tracks the measured one; a
-    controller that wants e elsewhere (its field `reference`) or a preview gets a tracker of its own.
     0.5 m and 0.1 m), which judges |e|, or the `distance` of `foresight`. actuator: between the command and the wheel
     (none: the command is the angle). sensors: what the controllers see of the car (none: the truth). reference: where
-    e is measured, m ahead of the centre of gravity (the front axle is l_f).
+    e is measured, m ahead of the centre of gravity (the front axle is l_f). shift: what the learner and the supervisor
+    take for e (none: the path's).
 
-    The blocks are named driver, car, actuator, sensors, path, controller, doe, recovery, foresight, supervisor. `path`
-    tracks the **true** reference point, for logs and metrics; with sensors, `seen` tracks the measured one; a
+    The blocks are named driver, car, actuator, sensors, path, shift, controller, doe, recovery, foresight, supervisor.
+    `path` tracks the **true** reference point, for logs and metrics; with sensors, `seen` tracks the measured one; a
     controller that wants e elsewhere (its field `reference`) or a preview gets a tracker of its own. A car with an
     output `applied` (a real one) says which angle it was told in the end; then the doe has to be `Corrected`.
     A controller's inputs are joined by name: e, e_dot, psi_e, kappa, r_e, s, progress, preview (its tracker), x, y,
@@ -72,6 +66,8 @@ def steering_loop(
         )  # fmt: skip
     if supervisor is not None and recovery is None:
         raise WiringError("a supervisor without a recovery controller; give recovery, such as Stanley.of(vehicle)")
+    if foresight is not None and shift is not None:
+        raise WiringError("foresight judges e of the path, shift another; give one of them")
     if foresight is not None and recovery is None:
         raise WiringError("foresight without a recovery controller; give recovery, such as Stanley.of(vehicle)")
     if recovery is not None and "ready" not in _names(controller.outputs):
@@ -106,9 +102,8 @@ def steering_loop(
         bench.add("recovery", recovery)
         bench.control(recovery, tracker, seen, steered, doe)
         judge = bench.add("supervisor", supervisor or Supervisor(dt=controller.dt))
-        bench.wire(shift or tracker, "e", judge, "e")
         if foresight is None:
-            bench.wire(tracker, "e", judge, "e")
+            bench.wire(shift or tracker, "e", judge, "e")
         else:
             bench.add("foresight", foresight)
             bench.control(foresight, tracker, seen, steered, doe)

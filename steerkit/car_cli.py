@@ -37,7 +37,6 @@ def check(
 ) -> None:
     """Check a configuration and print what would be read and written, and every limit."""
     loaded, path = sessions.loaded(config)
-    loaded, path = _loaded(config)
     if as_json:
         print(json.dumps({**loaded.facts(), "course": path.name, "length": path.length, "closed": path.closed}))
         return

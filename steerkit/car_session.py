@@ -17,6 +17,7 @@ from steerkit import car as cars
 from steerkit.block import Block
 from steerkit.clock import Clock
 from steerkit.doe import Dynamic
+from steerkit.learning.settings import Setting
 from steerkit.loop import Loop
 from steerkit.path import Path
 from steerkit.plants.real_car.client import CarLost, DriverLink
@@ -161,16 +162,14 @@ def drive(options: Options, name: str, *, minutes: float) -> dict[str, Any]:
     return _told(here, run)
 
 
-def learn(options: Options, setting: str, place: FilePath, *, minutes: float, seed: int) -> dict[str, Any]:
+def learn(options: Options, how: Setting, place: FilePath, *, minutes: float, seed: int) -> dict[str, Any]:
     """`steerkit learn --car`: learn to steer on it for so long (0: until `q`); returns its figures."""
     from steerkit.learning.on_car import CarLearner
-    from steerkit.learning.settings import setting as named
 
-    how = named(setting)
     with session(options) as here:
         here.link.wait(timeout=10.0)
         with CarLearner(how, place, here.build, here.link, seed=seed, recovery=options.recovery) as learner:
-            with here.panel(f"learning, {setting}", learner.status):
+            with here.panel(f"learning, {how.name}", learner.status):
                 run = learner.run(60.0 * minutes or float("inf"), clock=here.clock, watch=here.watch)
             print(learner.status())
             merit = learner.figures()

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import sys
 import tomllib
-from dataclasses import replace
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from types import MappingProxyType
@@ -16,8 +16,8 @@ import typer
 
 from steerkit import __version__
 from steerkit.car_cli import app as car_app
-from steerkit.identify_cli import identify
 from steerkit.export_cli import export
+from steerkit.identify_cli import identify
 
 EPILOG = """
 Examples
@@ -55,7 +55,7 @@ Course = Annotated[str, typer.Option(help="Course to drive: see `steerkit course
 Disturbed = Annotated[
     Conditions, typer.Option(help="hard: 1 cm noise, 50 ms sensor delay, 0.15 s lag.", rich_help_panel=_SIMULATED)
 ]
-Machine = Annotated[bool, typer.Option("--json", help="Print one JSON object as the last line.")]
+Machine = Annotated[bool, typer.Option("--json", help="Print one JSON object, and all that is for people on stderr.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print results only, no progress.")]
 Car = Annotated[
     str,
@@ -92,13 +92,7 @@ _NOT_ON_A_CAR = {
 _ON_A_CAR_ONLY = ("recovery", "simulated", "socket", "recording", "channel", "time_scale", "realtime")
 
 
-_CONTROLLERS = (
-    "stanley, stanley-textbook, stanley-delay, lqr, pure-pursuit, mpc, nonlinear-mpc, or a learning run's directory."
-)
-Course = Annotated[str, typer.Option(help="Course to drive: see `steerkit courses`.")]
-Disturbed = Annotated[Conditions, typer.Option(help="hard: 1 cm noise, 50 ms sensor delay, 0.15 s lag.")]
-Machine = Annotated[bool, typer.Option("--json", help="Print one JSON object, and all that is for people on stderr.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print results only, no progress.")]
+_CONTROLLERS = "stanley, stanley-textbook, stanley-delay, lqr, pure-pursuit, mpc, nonlinear-mpc, nfq, or a learning run's directory."
 
 
 def _print_version(wanted: bool) -> None:
@@ -115,9 +109,6 @@ def options(
     """What goes before the command."""
 
 
-_CONTROLLERS = "stanley, stanley-textbook, stanley-delay, lqr, pure-pursuit, or a learning run's directory."
-
-
 @app.command()
 def learn(
     ctx: typer.Context,
@@ -127,12 +118,6 @@ def learn(
         list[str] | None,
         typer.Option("--with", metavar="NAME=VALUE", help="Change the setting: fit.nets=3, after_failure=shift, ..."),
     ] = None,
-    conditions: Disturbed = Conditions.clean,
-    seed: Seed = 0,
-    minutes: Annotated[float, typer.Option(help="Driving time, recovery and waiting included (min).")] = 11.0,
-    rounds: Annotated[int, typer.Option(help="End after so many complete rounds by the learner; 0: never.")] = 0,
-    config: Annotated[Path | None, typer.Option(help="TOML file with an experiment; other options give way.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Run directory; an unfinished run there is resumed.")] = None,
     seed: Seed = 0,
     minutes: Annotated[
         float | None,
@@ -162,20 +147,22 @@ def learn(
     realtime: Realtime = False,
 ) -> None:
     """Let a car learn to steer a course from nothing, the recovery controller catching it."""
+    from steerkit.learning.settings import changed
+    from steerkit.learning.settings import setting as named
+
     _check_options(ctx, car)
     if car:
         from steerkit import car_session
 
         options = _car_options(ctx)
         place = out or car_session.cars.LEARNED
-        figures = car_session.learn(options, setting, place, minutes=minutes or 0.0, seed=seed)
+        how = changed(named(setting), changes or ())
+        figures = car_session.learn(options, how, place, minutes=minutes or 0.0, seed=seed)
         if as_json:
             print(json.dumps(figures))
         return
     from steerkit.learning import report, rundir
     from steerkit.learning.experiment import Experiment
-    from steerkit.learning.settings import changed
-    from steerkit.learning.settings import setting as named
     from steerkit.learning.world import World
 
     if config is None:
@@ -185,8 +172,8 @@ def learn(
     else:
         experiment = rundir.from_plain(_toml(config), str(config), Experiment)
     experiment = replace(experiment, setting=changed(experiment.setting, changes or ()))
-    how = "-".join((experiment.setting.name, *(changes or ())))
-    name = f"{how}-{experiment.world.course}-{conditions.value}-seed{experiment.seed}"
+    name = "-".join((experiment.setting.name, *(changes or ())))
+    name = f"{name}-{experiment.world.course}-{conditions.value}-seed{experiment.seed}"
     place = out or Path("runs") / name
     report.console.stderr = as_json
     try:
@@ -201,20 +188,10 @@ def learn(
 
 @app.command()
 def drive(
-    controller: Annotated[str, typer.Argument(help=_CONTROLLERS)],
-    course: Course = "paper",
-    conditions: Disturbed = Conditions.clean,
-    delay: Annotated[float, typer.Option(help="Steering delay [s].")] = 0.0,
-    rounds: Annotated[float, typer.Option(help="Rounds to drive.")] = 1.0,
-    seed: Seed = 0,
-    out: Annotated[Path | None, typer.Option(help="Directory for the log and the picture.")] = None,
-    animate: Annotated[Path | None, typer.Option(help="Film of the drive to write: .gif, or .mp4 with ffmpeg.")] = None,
     ctx: typer.Context,
     name: Annotated[
         str,
-        typer.Argument(
-            metavar="CONTROLLER", show_default=False, help="stanley, ..., nfq, or a learning run's directory."
-        ),
+        typer.Argument(metavar="CONTROLLER", show_default=False, help=_CONTROLLERS),
     ] = "",
     controller: Annotated[
         str, typer.Option(help="The same as an option; nfq: what `learn`, called alike, has learned.")
@@ -224,10 +201,15 @@ def drive(
     as_json: Machine = False,
     course: Course = "paper",
     conditions: Disturbed = Conditions.clean,
+    delay: Annotated[float, typer.Option(help="Steering delay (s).", rich_help_panel=_SIMULATED)] = 0.0,
     rounds: Annotated[float, typer.Option(help="Rounds to drive.", rich_help_panel=_SIMULATED)] = 1.0,
     seed: Annotated[int, typer.Option(help="Seed of driver and sensors.", rich_help_panel=_SIMULATED)] = 0,
     out: Annotated[
         Path | None, typer.Option(help="Directory for the log and the picture.", rich_help_panel=_SIMULATED)
+    ] = None,
+    animate: Annotated[
+        Path | None,
+        typer.Option(help="Film of the drive to write: .gif, or .mp4 with ffmpeg.", rich_help_panel=_SIMULATED),
     ] = None,
     recovery: Recovery = "stanley",
     minutes: Annotated[float, typer.Option(help="How many minutes; 0: until `q`.", rich_help_panel=_CAR)] = 0.0,
@@ -238,27 +220,16 @@ def drive(
     time_scale: Scale = 1.0,
     realtime: Realtime = False,
 ) -> None:
-    """Drive a course with any controller and report how well it did."""
-    from dataclasses import replace
-
-    from steerkit.learning import report
-    from steerkit.learning.world import World
-
-    world = replace(World.under(conditions.value, course=course), delay=delay)
-    place = out or Path("runs") / f"drive-{Path(controller).name}-{course}-{conditions.value}-seed{seed}"
-    report.console.stderr = as_json
-    row = report.drive_and_draw(controller, world, place, rounds=rounds, seed=seed, quiet=quiet)
-    if animate is not None:
-        from steerkit.simulation import Log
-
-        car, log = world.vehicle, Log.load(place / "drive.npz")
-        log.animate(world.path(), animate, wheelbase=car.wheelbase, l_f=car.l_f, steer_ratio=car.steer_ratio,
-                    progress=not quiet)  # fmt: skip
     """Drive with any controller: a course in simulation, or with --car FILE a car, armed and engaged by keys."""
     _check_options(
         ctx,
         car,
-        not_on_a_car={"seed": "nothing is drawn by lot there", "out": "say --recording FILE"},
+        not_on_a_car={
+            "seed": "nothing is drawn by lot there",
+            "out": "say --recording FILE",
+            "animate": "a recording holds the drive",
+            "delay": "a car brings its own",
+        },
         on_a_car_only=("minutes",),
     )
     if name and controller and name != controller:
@@ -275,17 +246,23 @@ def drive(
         return
     from steerkit.learning import evaluate, report
     from steerkit.learning.world import World
+    from steerkit.simulation import Log
 
     if not name:
         valid = ", ".join(evaluate.CONTROLLERS)
         raise ValueError(f"drive: with which controller? valid: {valid}, nfq, or the directory of a learning run")
-    world = World.under(conditions.value, course=course)
+    world = replace(World.under(conditions.value, course=course), delay=delay)
     if name == "nfq":
         name = str(Path("runs") / f"default-{course}-{conditions.value}-seed{seed}")
         if not Path(name).is_dir():
             raise ValueError(f"drive nfq: there is no {name}; `steerkit learn` with the same options makes it")
     place = out or Path("runs") / f"drive-{Path(name).name}-{course}-{conditions.value}-seed{seed}"
+    report.console.stderr = as_json
     row = report.drive_and_draw(name, world, place, rounds=rounds, seed=seed, quiet=quiet)
+    if animate is not None:
+        vehicle, log = world.vehicle, Log.load(place / "drive.npz")
+        log.animate(world.path(), animate, wheelbase=vehicle.wheelbase, l_f=vehicle.l_f,
+                    steer_ratio=vehicle.steer_ratio, progress=not quiet)  # fmt: skip
     if as_json:
         print(json.dumps(row))
 

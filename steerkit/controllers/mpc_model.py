@@ -238,9 +238,6 @@ class PathModel:
             guess = 2.0 * rows[-1] - rows[-2] if len(rows) > 1 else rows[-1]
             for _ in range(8):
                 found, error, pace = newton(guess[:, :4].T, all_speeds, np.full_like(all_speeds, kappa_i))
-                found, error, pace = newton(
-                    guess[:, :4].T, self.speeds[None, :], np.full((1, len(self.speeds)), kappa_i)
-                )
                 guess = np.vstack((found.full(), pace.full())).T
             with np.errstate(invalid="ignore"):
                 more = np.abs(guess[:, 3]) > np.abs(rows[-1][:, 3])  # not past the tyres' best

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerkit.block import require
-from steerkit.units import radians_of
 
 Costs = tuple[NDArray[np.float64], NDArray[np.bool_]]
 Array = NDArray[np.float64]
@@ -148,35 +147,6 @@ class SmoothCost:
         c = c + self.jerk_cost * np.minimum(1.0, (jerk / self.jerk_unit) ** 2)
         c = c + self.wheel_cost * np.minimum(1.0, (change / self.wheel_unit) ** 2)
         return np.where(failed, 1.0, np.minimum(c, 1.0)), failed
-class SmoothCost(_Limits):
-    """The smooth well of `TanhCost` with a smooth price on the action, for learners of continuous actions.
-
-        c = step * tanh^2(e * w) + action_cost * min(1, (a/action_scale)^2),  w as there;   1, terminal, if |e| > trip
-
-    Source: as `TanhCost`; the quadratic price is the usual one of linear-quadratic control. Raises ValueError as
-    `TanhCost`, or unless action_scale > 0.
-    """
-
-    goal: float = 0.15
-    step: float = 0.04
-    """Cost of a step far from the path."""
-    action_cost: float = 0.01
-    """Cost of a step with an action as large as action_scale."""
-    action_scale: float = radians_of(25.0)
-    """Action of full cost [rad]."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        fits = 0.0 <= self.action_cost <= 1.0 - self.step
-        require(fits, "SmoothCost", f"action_cost = {self.action_cost}, expected 0 <= action_cost <= 1 - step")
-        require(self.action_scale > 0.0, "SmoothCost", f"action_scale = {self.action_scale} [rad], expected > 0")
-
-    def __call__(self, s: Array, a: Array, s_next: Array) -> Costs:
-        e = s_next[:, 0]
-        failed = np.abs(e) > self.trip
-        well = np.tanh(e * (math.atanh(math.sqrt(0.95)) / self.goal)) ** 2
-        price = np.minimum(1.0, (a / self.action_scale) ** 2)
-        return np.where(failed, 1.0, self.step * well + self.action_cost * price), failed
 
 
 COSTS = (BandCost, IdoeCost, TanhCost, SmoothCost)

@@ -8,18 +8,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any
 
-from steerkit.block import Block, require
-from steerkit.doe import Direct, Integrator, LowPass
-from steerkit.learning.costs import BandCost, Cost, IdoeCost, SmoothCost, TanhCost
 from steerkit.block import require
 from steerkit.doe import Direct, Dynamic, Integrator, LowPass
-from steerkit.learning.costs import BandCost, Cost, IdoeCost, TanhCost
+from steerkit.learning.costs import BandCost, Cost, IdoeCost, SmoothCost, TanhCost
 from steerkit.learning.nfq import FitSetting
 from steerkit.learning.state import StateDescription
 from steerkit.units import radians_of
 
 AFTER_FAILURE = ("recovery", "reset", "shift")
-ELEMENTS = {"integrator": Integrator, "low-pass": LowPass, "direct": Direct}
 ELEMENTS: dict[str, type[Dynamic]] = {"integrator": Integrator, "low-pass": LowPass, "direct": Direct}
 
 

@@ -27,19 +27,13 @@ from steerkit.controllers.delay import Predicted, delayed_stanley
 from steerkit.controllers.foresight import Foresight
 from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.controllers.policy_block import Network, PolicyBlock
 from steerkit.controllers.pure_pursuit import PurePursuit
 from steerkit.controllers.recovery import Guarded, Supervisor, SupervisorState, TargetShift
 from steerkit.controllers.stanley import Stanley
-from steerkit.doe import Direct, Integrator, LowPass
-from steerkit.learning.exploration import Exploring
 from steerkit.doe import Corrected, Direct, Integrator, LowPass
-from steerkit.controllers.policy_block import Network, PolicyBlock
-from steerkit.controllers.policy_block import Network, PolicyBlock
-from steerkit.controllers.pure_pursuit import PurePursuit
-from steerkit.controllers.recovery import Guarded, Supervisor, SupervisorState
-from steerkit.controllers.stanley import Stanley
-from steerkit.doe import Direct, Integrator, LowPass
 from steerkit.gym.task import Agent
+from steerkit.learning.exploration import Exploring
 from steerkit.learning.model import CarModel
 from steerkit.learning.rival import ModelPolicy
 from steerkit.path import Path
@@ -232,12 +226,8 @@ def documents(kind: type[Block]) -> str:
     return "\n".join(c.__doc__ or "" for c in kind.__mro__ if issubclass(c, Block) and c is not Block)
 
 
-ELSEWHERE = {"MPC", "NonlinearMPC", "RealCar"}
-"""Blocks with a suite of their own: a solver's milliseconds differ from call to call, and a bus is not pure."""
-ELSEWHERE = {"RealCar", "FmuPlant"}
-"""Blocks with a suite of their own: a bus is not pure, and an FMU is a file from elsewhere."""
 ELSEWHERE = {"MPC", "NonlinearMPC", "RealCar", "FmuPlant"}
-"""Blocks with a suite of their own: a solver's milliseconds differ, a bus is not pure, an FMU is a file from elsewhere."""
+"""Blocks with a suite of their own: a solver's milliseconds differ, a bus is not pure, an FMU is somebody's file."""
 
 
 def test_every_block_of_the_package_is_in_the_table() -> None:

@@ -146,9 +146,7 @@ def test_workers_that_always_die_end_the_run(tmp_path: Path, monkeypatch: pytest
     whole = runner._work
     monkeypatch.setattr(runner, "_work", lambda *all_: replace(whole(*all_), policy=Bomb(*fuses)))
     monkeypatch.setattr(runner, "_PATIENCE", 2)
-    with pytest.raises(
-        WorkersDiedError, match=r"workers died 2 times .* goes on; left: golden--slalom"
-    ):
+    with pytest.raises(WorkersDiedError, match=r"workers died 2 times .* goes on; left: golden--slalom"):
         run([TINY], tmp_path / "dead", workers=2, quiet=True)
 
 

@@ -50,17 +50,13 @@ MAY_IMPORT: dict[str, set[str]] = {
     "gym": RUN | {"path", "doe", "plants", "controllers", "assembly", "learning", "compiled"},
 }  # fmt: skip
 """A module or package at the top of steerkit, and which others it may import; itself always."""
-PROGRAMS = ("cli", "car", "car_cli", "car_panel", "identify_cli")
-PROGRAMS = ("cli", "car", "car_cli", "car_panel", "car_replay", "car_session")
-PROGRAMS = ("cli", "car", "car_cli", "car_panel", "export_cli")
-PROGRAMS = ("__main__", "cli", "car", "car_cli", "car_panel")
+PROGRAMS = ("__main__", "cli", "car", "car_cli", "car_panel", "car_replay", "car_session", "export_cli", "identify_cli")
 """Programs over the library: they may import all of it."""
 WHEN_USED = {
     "block": {"notebook"},
-    "loop": {"plotting", "notebook"},
+    "loop": {"plotting", "analysis", "notebook"},
     "simulation": {"plotting", "notebook", "animation"},
 }
-WHEN_USED = {"loop": {"plotting", "analysis"}, "simulation": {"plotting"}}
 """More that a module may import inside a function."""
 AT_HOME = {
     "torch": {"learning"},
@@ -76,10 +72,8 @@ AT_HOME = {
     "control": {"analysis", "controllers.lqr", "controllers.mpc_model"},
     "matplotlib": {"plotting", "animation", "learning.figures"},
     "pandas": {"simulation"},
-    "pyarrow": {"simulation", "learning.store_exchange", "identification.reading"},
-    "typer": {"cli", "car_cli", "identify_cli"},
-    "pyarrow": {"simulation", "learning.store_exchange", "gym.minari_export"},
-    "typer": {"cli", "car_cli", "export_cli"},
+    "pyarrow": {"simulation", "learning.store_exchange", "identification.reading", "gym.minari_export"},
+    "typer": {"cli", "car_cli", "export_cli", "identify_cli"},
     "onnx": {"onnx_export"},
     "onnxruntime": {"onnx_export"},
     "minari": {"gym.minari_export"},

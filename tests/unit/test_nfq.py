@@ -83,15 +83,6 @@ def test_smooth_cost_by_hand() -> None:
     assert terminal.tolist() == [False, False, False, True]
     with pytest.raises(ValueError, match="wheel_unit"):
         SmoothCost(jerk_unit=0.0)
-    e, cost = [0.0, 0.15, -0.15, 0.51], SmoothCost(action_scale=0.2)
-    c, terminal = cost(states(e), np.zeros(4), states(e))
-    assert c == pytest.approx([0.0, 0.95 * 0.04, 0.95 * 0.04, 1.0], abs=1e-12)
-    assert terminal.tolist() == [False] * 3 + [True]
-    for a, price in ((0.1, 0.0025), (-0.2, 0.01), (3.0, 0.01)):
-        moving, _ = cost(states(e), np.full(4, a), states(e))
-        assert (moving - c) == pytest.approx([price] * 3 + [0.0])
-    with pytest.raises(ValueError, match="expected > 0"):
-        SmoothCost(action_scale=0.0)
 
 
 @given(e=st.floats(-2.0, 2.0), a=st.sampled_from(ACTIONS), cost=st.sampled_from(COSTS))
