@@ -92,7 +92,9 @@ _NOT_ON_A_CAR = {
 _ON_A_CAR_ONLY = ("recovery", "simulated", "socket", "recording", "channel", "time_scale", "realtime")
 
 
-_CONTROLLERS = "stanley, stanley-textbook, stanley-delay, lqr, pure-pursuit, mpc, nonlinear-mpc, nfq, or a learning run's directory."
+_CONTROLLERS = (
+    "stanley, stanley-textbook, stanley-delay, lqr, pure-pursuit, mpc, nonlinear-mpc, nfq, or a run's directory."
+)
 
 
 def _print_version(wanted: bool) -> None:

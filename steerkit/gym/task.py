@@ -97,8 +97,8 @@ class Task:
     """The angle [rad] that a continuous action of 1 means. By default 25 degrees a sample (500 degrees/s) with the
     integrator, else 520 degrees."""
     cost: Any = "smooth"
-    """`smooth` (`SmoothCost` of the wheel's steps), `paper` (`IdoeCost`; `BandCost` where no action is 0), any `Cost`, or
-    the fields of one with its class under `kind`."""
+    """`smooth` (`SmoothCost` of the wheel's steps), `paper` (`IdoeCost`; `BandCost` where no action is 0), any `Cost`,
+    or the fields of one with its class under `kind`."""
     limit: float = 0.5
     """|e| [m] beyond which the episode has failed, for a cost given by name (others bring their own `trip`)."""
     failure: float = 1.0
