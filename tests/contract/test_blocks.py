@@ -27,9 +27,10 @@ from steerkit.controllers.delay import Predicted, delayed_stanley
 from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.pure_pursuit import PurePursuit
-from steerkit.controllers.recovery import Guarded, Supervisor, SupervisorState
+from steerkit.controllers.recovery import Guarded, Supervisor, SupervisorState, TargetShift
 from steerkit.controllers.stanley import Stanley
 from steerkit.doe import Direct, Integrator, LowPass
+from steerkit.learning.exploration import Exploring
 from steerkit.learning.model import CarModel
 from steerkit.learning.rival import ModelPolicy
 from steerkit.path import Path
@@ -37,6 +38,7 @@ from steerkit.plants.careful_driver import CarefulDriver
 from steerkit.plants.human_driver import ConstantSpeed, HumanDriver, RecordedDriver, SpeedProfile
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.playback import Playback
 from steerkit.plants.sensors import Sensors
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.plants.vehicle import vehicle
@@ -105,6 +107,9 @@ EXAMPLES = [
     Example(Guarded(block=PathTracker(path=OVAL, preview_points=2))),
     Example(NfqPolicy(nets=NETS)),
     Example(NfqPolicy(nets=NETS, combine="max", ready_from=0.1)),
+    Example(NfqPolicy(nets=NETS, combine="disagreement")),
+    Example(Exploring(policy=NfqPolicy(nets=NETS), share=0.5, seed=3), single=_seeded),
+    Example(TargetShift()),
     Example(ModelPolicy(model=CAR_MODEL)),
     Example(PathTracker(path=OVAL)),
     Example(PathTracker(path=OVAL, reference=1.2, preview_points=3)),
@@ -117,6 +122,7 @@ EXAMPLES = [
     Example(HumanDriver(seed=3), single=_seeded),
     Example(ConstantSpeed()),
     Example(RecordedDriver(speeds=(4.0, 5.0, 7.0, 6.0), spacing=0.1)),
+    Example(Playback(angles=(0.0, 0.5, 0.4, -0.2), speeds=(4.0, 5.0, 7.0, 6.0), delay=0.013)),
     Example(SpeedProfile(speeds=(4.0, 5.0, 7.0, 4.0), spacing=0.5, repeat=True)),
     Example(CarefulDriver(path=OVAL, driver=HumanDriver(seed=3)), single=_careful),
 ]

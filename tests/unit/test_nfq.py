@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from steerkit.learning import nfq
-from steerkit.learning.costs import COSTS, BandCost, IdoeCost, TanhCost
+from steerkit.learning.costs import COSTS, BandCost, IdoeCost, SmoothCost, TanhCost
 from steerkit.learning.nfq import FitSetting, cost_to_go, fresh_nets, iterate, targets
 from steerkit.learning.qnetwork import Net, flat, forward
 from steerkit.learning.rprop import Fit, fit
@@ -69,6 +69,20 @@ def test_tanh_cost_by_hand() -> None:
     assert terminal.tolist() == [False] * 4 + [True]
     moving, _ = TanhCost()(states(e), np.full(5, 0.1), states(e))
     assert (moving - c) == pytest.approx([0.01] * 4 + [0.0])
+
+
+def test_smooth_cost_by_hand() -> None:
+    """5 m/s: 0.05 rad/s more yaw rate in 0.05 s is a jerk of 5 m/s^3."""
+    cost = SmoothCost(cost=TanhCost(action_cost=0.0), jerk_cost=0.01, jerk_unit=10.0, wheel_cost=0.02, wheel_unit=0.4)
+    s, s_next = states([0.0] * 4), states([0.0, 0.0, 0.0, 0.6])
+    s_next[0, 4] = 0.05
+    s_next[1, 5] = -0.2
+    s_next[2, 4:] = 10.0
+    c, terminal = cost(s, np.zeros(4), s_next)
+    assert c == pytest.approx([0.01 / 4, 0.02 / 4, 0.01 + 0.02, 1.0])
+    assert terminal.tolist() == [False, False, False, True]
+    with pytest.raises(ValueError, match="wheel_unit"):
+        SmoothCost(jerk_unit=0.0)
 
 
 @given(e=st.floats(-2.0, 2.0), a=st.sampled_from(ACTIONS), cost=st.sampled_from(COSTS))
