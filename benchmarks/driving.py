@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from typing import Any
 
@@ -55,21 +56,18 @@ def drive_loop(
 
 def reference_of(controller: Block) -> float:
     """Where a controller has its errors measured, metres ahead of the centre of gravity; 0 if it does not say."""
-    return float(getattr(controller, "reference", 0.0)) if "reference" in vars(controller) else 0.0
+    return float(getattr(controller, "reference", 0.0))
 
 
 RECORD = ["path.e", "path.progress", "car.a_y", "actuator.rate"]
 
 
 def driven(loop: Loop, seconds: float, parameters: Mapping[str, Any] | None = None) -> Log:
-    """A log of the course's samples (20 a second), of as many cars as `parameters` have entries; (T, N) signals.
-
-    A loop that cannot be traced (a solver in it) is simulated instead, one car.
-    """
-    names = list(parameters or {})
-    return compile(loop, record=RECORD, every=5, parameters=names).run(
-        seconds, parameters=parameters, allow_nonfinite=True
-    )
+    """A log of the course's samples (20 a second), of as many cars as `parameters` have entries; (T, N) signals."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)  # CasADi's, on NumPy calls in the plants' parameter checks
+        run = compile(loop, record=RECORD, every=5, parameters=list(parameters or {}))
+    return run.run(seconds, parameters=parameters, allow_nonfinite=True)
 
 
 def interpreted(loop: Loop, seconds: float) -> Log:
@@ -79,7 +77,7 @@ def interpreted(loop: Loop, seconds: float) -> Log:
 
 def on_course(log: Log, length: float) -> Any:
     """Which samples belong to the first round, (T,) or (T, N)."""
-    return log["path.progress"] < length
+    return np.maximum.accumulate(log["path.progress"]) < length
 
 
 def worst(log: Log, length: float) -> Any:

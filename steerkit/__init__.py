@@ -10,10 +10,16 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from steerkit.analysis import linearise
     from steerkit.assembly import placed, steering_loop
     from steerkit.block import Block, In, Out, WiringError
     from steerkit.compiled import compile
+    from steerkit.controllers.delay import Predicted, delayed_stanley
+    from steerkit.controllers.lqr import Lqr
+    from steerkit.controllers.mpc import MPC
     from steerkit.controllers.nfq_policy import NfqPolicy
+    from steerkit.controllers.nonlinear_mpc import NonlinearMPC
+    from steerkit.controllers.pure_pursuit import PurePursuit
     from steerkit.controllers.recovery import Guarded, Supervisor
     from steerkit.controllers.stanley import Stanley
     from steerkit.courses import course
@@ -32,6 +38,7 @@ if TYPE_CHECKING:
     from steerkit.tracker import PathTracker
 
 _HOME = {
+    "linearise": "analysis",
     "placed": "assembly",
     "steering_loop": "assembly",
     "Block": "block",
@@ -39,7 +46,13 @@ _HOME = {
     "Out": "block",
     "WiringError": "block",
     "compile": "compiled",
+    "Predicted": "controllers.delay",
+    "delayed_stanley": "controllers.delay",
+    "Lqr": "controllers.lqr",
+    "MPC": "controllers.mpc",
     "NfqPolicy": "controllers.nfq_policy",
+    "NonlinearMPC": "controllers.nonlinear_mpc",
+    "PurePursuit": "controllers.pure_pursuit",
     "Guarded": "controllers.recovery",
     "Supervisor": "controllers.recovery",
     "Stanley": "controllers.stanley",
@@ -65,6 +78,7 @@ _HOME = {
 }
 
 __all__ = [
+    "MPC",
     "Block",
     "Direct",
     "Experiment",
@@ -77,11 +91,15 @@ __all__ = [
     "Loop",
     "LoopState",
     "LowPass",
+    "Lqr",
     "NfqPolicy",
+    "NonlinearMPC",
     "NonlinearSingleTrack",
     "Out",
     "Path",
     "PathTracker",
+    "Predicted",
+    "PurePursuit",
     "Sensors",
     "Stanley",
     "SteeringActuator",
@@ -90,7 +108,9 @@ __all__ = [
     "WiringError",
     "compile",
     "course",
+    "delayed_stanley",
     "learn",
+    "linearise",
     "placed",
     "simulate",
     "steering_loop",

@@ -44,7 +44,7 @@ Car = Annotated[
         "--car", help="TOML file of a car on a CAN bus, or a shipped one: dbw-kit.toml; read docs/real-car.md first."
     ),
 ]
-Recovery = Annotated[str, typer.Option(help="Who catches a learned controller: stanley.", rich_help_panel=_CAR)]
+Recovery = Annotated[str, typer.Option(help="Who catches a learner: stanley, stanley-delay.", rich_help_panel=_CAR)]
 Simulated = Annotated[
     bool, typer.Option("--simulated", help="A simulated car on a bus, started for it.", rich_help_panel=_CAR)
 ]
@@ -66,11 +66,18 @@ Realtime = Annotated[
 _NOT_ON_A_CAR = {
     "course": "the car's file names the course, under [course]",
     "conditions": "a car brings its own noise and delays",
+    "delay": "the car's file tells it, under [kit]",
     "rounds": "say --minutes, or end with `q`",
     "config": "an experiment is a simulation; choose --setting",
 }
 """Options of the simulation, and what a car has instead."""
 _ON_A_CAR_ONLY = ("recovery", "simulated", "socket", "recording", "channel", "time_scale", "realtime")
+
+
+_CONTROLLERS = (
+    "stanley, stanley-delay, lqr, pure-pursuit, mpc, nonlinear-mpc, nfq, a learning run's directory; in simulation "
+    "stanley-textbook too."
+)
 
 
 @app.command()
@@ -141,9 +148,7 @@ def drive(
     ctx: typer.Context,
     name: Annotated[
         str,
-        typer.Argument(
-            metavar="CONTROLLER", show_default=False, help="stanley, ..., nfq, or a learning run's directory."
-        ),
+        typer.Argument(metavar="CONTROLLER", show_default=False, help=_CONTROLLERS),
     ] = "",
     controller: Annotated[
         str, typer.Option(help="The same as an option; nfq: what `learn`, called alike, has learned.")
@@ -153,6 +158,7 @@ def drive(
     as_json: Machine = False,
     course: Course = "paper",
     conditions: Disturbed = Conditions.clean,
+    delay: Annotated[float, typer.Option(help="Steering delay in seconds.", rich_help_panel=_SIMULATED)] = 0.0,
     rounds: Annotated[float, typer.Option(help="Rounds to drive.", rich_help_panel=_SIMULATED)] = 1.0,
     seed: Annotated[int, typer.Option(help="Seed of driver and sensors.", rich_help_panel=_SIMULATED)] = 0,
     out: Annotated[
@@ -186,13 +192,15 @@ def drive(
         if as_json:
             print(json.dumps(figures))
         return
+    from dataclasses import replace
+
     from steerkit.learning import evaluate, report
     from steerkit.learning.world import World
 
     if not name:
         valid = ", ".join(evaluate.CONTROLLERS)
         raise ValueError(f"drive: with which controller? valid: {valid}, nfq, or the directory of a learning run")
-    world = World.under(conditions.value, course=course)
+    world = replace(World.under(conditions.value, course=course), delay=delay)
     if name == "nfq":
         name = str(Path("runs") / f"default-{course}-{conditions.value}-seed{seed}")
         if not Path(name).is_dir():

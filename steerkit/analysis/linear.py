@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -23,13 +24,17 @@ class NotTimeInvariantError(ValueError):
     """The loop's linearisation changes from one period to the next: there are no poles and margins to speak of."""
 
 
+class UnstableError(ValueError):
+    """The closed loop is unstable: it has no margins."""
+
+
 def linearise(
     loop: Loop,
-    *,
-    inputs: Sequence[Signal],
-    outputs: Sequence[Signal],
-    cut: Sequence[Signal] = (),
     at: LoopState | None = None,
+    *,
+    inputs: Sequence[Signal] | None = None,
+    outputs: Sequence[Signal] | None = None,
+    cut: Sequence[Signal] = (),
     invariant: bool = True,
 ) -> Any:
     """The loop about a run as a discrete `control.StateSpace`, one step a period of the loop.
@@ -38,9 +43,9 @@ def linearise(
     (default: `loop.init()`).
 
     inputs: signals that u is added to, behind their block and before all who use them, held over a period.
-    outputs: signals, as they are at the period's start. cut: those inputs at which the loop is opened: u takes the
-    signal's place, with one entry for each of the block's samples in a period, as y has for such a signal.
-    States that no input reaches or no output shows (a driver's mood, the way driven) are left out.
+    outputs: signals, as they are at the period's start. Both default to all scalar signals. cut: those inputs at which
+    the loop is opened: u takes the signal's place, with one entry for each of the block's samples in a period, as y
+    has for such a signal. States that no input reaches or no output shows (a driver's mood) are left out.
 
     Slopes are central differences of the loop's own step, good to about 1e-9 where it is smooth; at a limiter's kink
     they are the mean of both sides. Raises NotTimeInvariantError when the next period has other matrices (drive
@@ -49,7 +54,9 @@ def linearise(
     """
     import control
 
-    added, shown = [signal_name(loop, s) for s in inputs], [signal_name(loop, s) for s in outputs]
+    scalars = [name for name in loop.units if getattr(loop.blocks[name.split(".")[0]], name.split(".")[1]).size is None]
+    added = scalars if inputs is None else [signal_name(loop, s) for s in inputs]
+    shown = scalars if outputs is None else [signal_name(loop, s) for s in outputs]
     opened = [signal_name(loop, s) for s in cut]
     stray = [name for name in opened if name not in added]
     require(not stray, "linearise", f"cut at {', '.join(stray)}, which is not among the inputs")
@@ -92,7 +99,7 @@ def break_at(loop: Loop, signal: Signal, *, at: LoopState | None = None) -> Any:
     """
     import control
 
-    around = linearise(loop, inputs=[signal], outputs=[signal], cut=[signal], at=at)
+    around = linearise(loop, at, inputs=[signal], outputs=[signal], cut=[signal])
     if not around.nstates and not np.any(around.D):
         name = signal_name(loop, signal)
         raise ValueError(
@@ -124,8 +131,8 @@ def margins(system: Any, *, points: int = 4000) -> Margins:
 
     Over 0 < w < pi/dt (or, continuous, 1e-4 to 1e4 rad/s): phase margin = |pi + arg L| where |L| = 1; delay margin =
     ((pi + arg L) mod 2 pi)/w there; gain margins = 1/|L| where L is real and negative. Crossings are found on a
-    logarithmic grid of `points` and refined. Raises ValueError for an unstable closed loop, which has no margins,
-    and for a system with several inputs or outputs.
+    logarithmic grid of `points` and refined. Raises UnstableError for an unstable closed loop, which has no margins,
+    ValueError for a system with several inputs or outputs. Source: Astrom, Murray 2021, section 10.3.
     """
     import control
     from scipy.optimize import brentq
@@ -137,9 +144,9 @@ def margins(system: Any, *, points: int = 4000) -> Margins:
         )
     discrete = system.isdtime(strict=True)
     closed = control.feedback(system).poles()
-    unstable = bool((np.abs(closed) > 1.0 + 1e-7).any() if discrete else (np.real(closed) > 1e-7).any())
-    if unstable:
-        raise ValueError("margins: the closed loop is unstable, so it has none")
+    beyond = np.abs(closed) - 1.0 if discrete else np.real(closed)
+    if (beyond > 1e-7).any():
+        raise UnstableError(f"margins: the closed loop is unstable (poles {closed[beyond > 1e-7]}), so it has none")
     top = math.pi / system.dt if discrete else 1e4
     grid = np.geomspace(1e-4 * (top if discrete else 1.0), top * (1.0 - 1e-9), points)
 
@@ -186,8 +193,9 @@ def over(make: Callable[[float], Loop], values: Sequence[float], signal: str) ->
     for value in values:
         opened = break_at(make(value), signal)
         poles = control.feedback(opened).poles()
-        stable = bool((np.abs(poles) <= 1.0 + 1e-7).all())
-        found = margins(opened) if stable else None
+        found: Margins | None = None
+        with suppress(UnstableError):
+            found = margins(opened)
         points.append(Point(value, opened, found, poles[np.argsort(-np.abs(poles))]))
     return points
 

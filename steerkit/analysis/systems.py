@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -25,8 +26,9 @@ class FromControl(Block):
 
     Ports: the system's inputs and outputs by their names (u[0] is u_0), with the units given.
     State: the system's, from `x0` [0] on. A StateSpace runs in all ways; a nonlinear one runs batched car by car, and
-    compiled if its functions do on symbols. A NaN goes where the system lets it.
-    Raises ValueError for an unnamed port, a missing unit, a wrong sample time.
+    compiled if its functions take symbols (one made by `control.interconnect` does not). A NaN goes where the system
+    lets it. Raises ValueError for a port that is no Python name, a unit for no port, a wrong sample time or start.
+    Source: Astrom, Murray 2021, chapter 3, whose conventions are python-control's.
     """
 
     system: Any
@@ -59,12 +61,13 @@ class FromControl(Block):
             port.name = name
         wear(self, tuple(ins), tuple(outs))
 
-    @property
+    @cached_property
     def _discrete(self) -> bool:
         return bool(self.system.isdtime(strict=True))
 
-    @property
+    @cached_property
     def _matrices(self) -> tuple[Array, ...] | None:
+        """A, B, C, D of a linear system."""
         if not hasattr(self.system, "A"):
             return None
         return tuple(np.asarray(getattr(self.system, name), dtype=float) for name in "ABCD")
@@ -78,7 +81,7 @@ class FromControl(Block):
         if self._matrices is not None:
             _, _, c, d = self._matrices
             return self.Y(*_affine(c, x, d, values))
-        return self.Y(*self._called(self.system.outfcn or (lambda t, x, u, p: x), t, x, values))
+        return self.Y(*self._called(self.system.output, t, x, values))
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
         if self._discrete:
@@ -93,21 +96,17 @@ class FromControl(Block):
         if self._matrices is not None:
             a, b, _, _ = self._matrices
             return tuple(_affine(a, x, b, list(u)))
-        return tuple(self._called(self.system.updfcn, t, x, list(u)))
+        return tuple(self._called(self.system.dynamics, t, x, list(u)))
 
     def _called(self, function: Callable[..., Any], t: Any, x: Sequence[Any], u: Sequence[Any]) -> list[Any]:
         """The system's own function: of one car, of each car of a batch, or on symbols."""
-        values = [*x, *u]
+        values, n = [*x, *u], len(x)
         if any(m.is_symbol(value) for value in values):
-            return list(function(t, np.array([*x], dtype=object), np.array([*u], dtype=object), self.system.params))
+            return list(function(t, np.array([*x], dtype=object), np.array([*u], dtype=object)))
         shape = np.broadcast_shapes(*[np.shape(value) for value in values])
-        if not shape:
-            answer = function(t, np.array(x, dtype=float), np.array(u, dtype=float), self.system.params)
-            return [float(value) for value in np.atleast_1d(answer)]
-        wide = np.array([np.broadcast_to(value, shape) for value in values], dtype=float)
-        n = len(x)
-        cars = [function(t, car[:n], car[n:], self.system.params) for car in wide.T]
-        return list(np.array(cars, dtype=float).reshape(shape[0], -1).T.copy())
+        cars = np.array([np.broadcast_to(value, shape or (1,)) for value in values], dtype=float).T
+        answers = np.array([np.atleast_1d(function(t, car[:n], car[n:])) for car in cars], dtype=float)
+        return list(answers.T.copy()) if shape else [float(value) for value in answers[0]]
 
 
 def to_control(

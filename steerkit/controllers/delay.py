@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -107,7 +107,7 @@ class Predicted(Block):
     @classmethod
     def around(cls, block: Block, vehicle: Any, *, delay: float, lag: float) -> Predicted:
         """`block` told of a steering delay and lag [s], with geometry, tyres and ratio of a `Vehicle`."""
-        L, known = vehicle.wheelbase, {f.name for f in fields(block)}
+        L = vehicle.wheelbase
         return cls(
             block=block,
             delay=delay,
@@ -118,7 +118,7 @@ class Predicted(Block):
             rear_slip=vehicle.m * vehicle.l_f / (vehicle.c_r * L),
             yaw_time=vehicle.i_z / (vehicle.c_f * vehicle.l_f**2 + vehicle.c_r * vehicle.l_r**2),
             steer_ratio=vehicle.steer_ratio,
-            reference=getattr(block, "reference", 0.0) if "reference" in known else 0.0,
+            reference=getattr(block, "reference", 0.0),
             preview_points=int((delay + lag) / block.dt + 1e-9) + 2,
             preview_dt=block.dt,
             dt=block.dt,
@@ -160,7 +160,7 @@ class Predicted(Block):
 
     def output(self, t: Any, x: State, u: Any) -> Any:
         make, n = self._inner
-        return self.Y(self.block.output(t, make(x[:n]), self._ahead(self.block.D, x, u))[0])
+        return self.Y(self.block.output(t, make(x[:n]), self._ahead(self.block.D, x, u)).delta_sw)
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
         make, n = self._inner

@@ -31,12 +31,13 @@ class Stanley(Block):
     psi_ss = m*v*r_path*l_r / (c_f*L),  r_path = v*kappa/sqrt(1 - (L*kappa)^2),  delta_sw = sat(steer_ratio*delta).
 
     The signs are ISO 8855 (left positive): the paper's delta, psi and e all have the opposite sign. psi_ss is the
-    front slip angle of the steady curve (c_f per axle): with it the law holds e = 0 there at any speed. The root in
-    r_path is the paper's 1 for gentle curves: with the front axle on the path, the rear one runs a tighter circle.
+    front slip angle of the steady curve (c_f per axle): with it the law holds e = 0 there at any speed.
 
-    It recovers from far off within a_y_max: sat_a limits the approach angle to approach_limit and to that from which
-    half of the lateral acceleration to spare still turns the car onto the path, sqrt(a_spare*|e|)/v; sat keeps the
-    wheel, and how fast it turns, within max(a_y_max, v*|r_path| + a_y_reserve) (see `limits`), +-limit and rate_limit.
+    What is not in the paper: the root in r_path, for with the front axle on the path the rear one runs a tighter circle
+    (1.03 at 12 m radius, 1.12 at 6 m); and limits, so that the law can catch a car from 3 m and 45 degrees off. sat_a
+    keeps the approach angle within approach_limit and within that from which half of the lateral acceleration to spare
+    still turns the car onto the path, sqrt(a_spare*|e|)/v. sat keeps the wheel, and how fast it turns, within
+    max(a_y_max, v*|r_path| + a_y_reserve) (see `limits`), +-limit and rate_limit. `textbook` has none of all this.
 
     Inputs (all at the **front axle**: a tracker with reference = l_f): e [m], psi_e [rad], kappa [1/m]; v [m/s],
     r [rad/s]; delta_sw_meas [rad], the measured steering wheel. Output: delta_sw [rad].

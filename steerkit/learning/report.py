@@ -107,7 +107,7 @@ def drive_and_draw(
             world, rundir.final_policy(run), doe=setting.element(), rounds=rounds, seed=seed, progress=not quiet
         )
     else:
-        steering = evaluate.controller(name, world.vehicle)
+        steering = evaluate.controller(name, world)
         log = evaluate.drive(world, steering, rounds=rounds, seed=seed, progress=not quiet)
     place.mkdir(parents=True, exist_ok=True)
     log.save(place / "drive.npz")

@@ -72,6 +72,12 @@ class World:
         """The reference point's distance ahead of the centre of gravity [m]."""
         return self.vehicle.l_f if self.reference == "front" else 0.0
 
+    @property
+    def dead_time(self) -> float:
+        """Pure delay from what a controller does to what it sees of that [s]: actuator and sensors."""
+        sensors = self.sensors(0)
+        return self.delay + (0.0 if sensors is None else sensors.latency)
+
     def path(self) -> Path:
         """The course's path."""
         kind, _, number = self.course.partition("-")
@@ -91,11 +97,11 @@ class World:
         """The human who sets the speed, and slows down for bends."""
         return CarefulDriver(path=self.path(), driver=HumanDriver(v_min=self.v_min, v_max=self.v_max, seed=seed))
 
-    def actuator(self) -> Block:
+    def actuator(self) -> SteeringActuator:
         """The motor at the steering wheel."""
         return SteeringActuator(lag=self.lag, delay=self.delay, rate_limit=radians_of(self.rate_limit_deg))
 
-    def sensors(self, seed: int) -> Block | None:
+    def sensors(self, seed: int) -> Sensors | None:
         """What the controllers see; None for the truth."""
         return Sensors.hard(seed) if self.noise else None
 

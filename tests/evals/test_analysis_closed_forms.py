@@ -12,7 +12,7 @@ import pytest
 from scipy.optimize import brentq
 
 from steerkit import maths as m
-from steerkit.analysis import break_at, margins
+from steerkit.analysis import UnstableError, break_at, margins
 from steerkit.block import Block, In, Out
 from steerkit.loop import Loop
 
@@ -96,6 +96,15 @@ def test_margins_of_a_double_integrator_with_delay(n: int, every: int, k: float,
     assert found.delay == pytest.approx(delay, rel=1e-6)
     assert found.gain == pytest.approx(gain, rel=1e-6)
     assert found.gain_crossing == pytest.approx(w, rel=1e-6)
+
+
+def test_beyond_the_delay_margin_of_the_closed_form_there_are_no_margins() -> None:
+    """k = 4, d = 2: the undelayed margin is 0.331 s, so that 6 samples are stable and 7 are not."""
+    _, delay, _, _ = closed_form(0, 4.0, 2.0)
+    assert 6 < delay / DT < 7
+    assert margins(break_at(loop(6, 1, 4.0, 2.0), "spring.a")).delay == pytest.approx(delay - 6 * DT, rel=1e-6)
+    with pytest.raises(UnstableError, match="the closed loop is unstable"):
+        margins(break_at(loop(7, 1, 4.0, 2.0), "spring.a"))
 
 
 @pytest.mark.parametrize("n", [1, 4])

@@ -16,6 +16,9 @@ from steerkit.analysis import (
     linearise,
     margins,
     over,
+    plot_bode,
+    plot_over,
+    plot_steps,
     step_response,
     to_control,
 )  # fmt: skip
@@ -71,6 +74,20 @@ def test_broken_open_it_is_the_series_and_closes_again() -> None:
         assert complex(opened(z)) == pytest.approx(complex(-(PLANT * FILTER)(z)), rel=1e-8)
         closed = np.sort_complex(control.feedback(opened).poles())
         np.testing.assert_allclose(closed, np.sort_complex(control.feedback(PLANT, -FILTER).poles()), atol=1e-8)
+
+
+def test_a_loop_breaks_itself_and_linearises_whole() -> None:
+    """`loop.break_at(signal)`; without inputs and outputs `linearise(loop, at)` is from all signals to all."""
+    loop = hand_built()
+    at = simulate(loop, 1.0).state
+    assert loop.break_at(loop.blocks["law"].y).A.tolist() == break_at(loop, "law.y").A.tolist()
+    whole = linearise(loop, at)
+    assert (whole.input_labels, whole.output_labels) == (["plant_y", "law_y"],) * 2
+    expected = control.feedback(PLANT, -FILTER)
+    np.testing.assert_allclose(np.sort_complex(whole.poles()), np.sort_complex(expected.poles()), atol=1e-8)
+    steering = linearise(steered())
+    assert {"controller_delta_sw", "car_a_y", "path_e"} <= set(steering.output_labels)
+    assert np.abs(steering.poles()).max() == pytest.approx(1.0, abs=1e-6)  # the way driven
 
 
 def test_a_loop_of_several_rates_closes_to_the_poles_it_has() -> None:
@@ -169,6 +186,51 @@ def test_a_system_of_python_controls_runs_as_it_does_there() -> None:
         x = part.states[:, -1]
         assert log["system.y"][k + 1] == pytest.approx(x[0], abs=1e-3)
     assert compile(loop, backend="python").run(3.0)["system.y"][-1] == pytest.approx(log["system.y"][-1], abs=1e-12)
+
+
+def test_a_diagram_of_python_controls_is_a_block_too() -> None:
+    """`interconnect` of a nonlinear plant and a filter, discrete: the same steps, also in a batch."""
+    plant = control.nlsys(lambda t, x, u, p: [p["a"] * x[0] + np.sin(u[0])], lambda t, x, u, p: [x[0]], dt=0.05,
+                          states=1, inputs=["u"], outputs=["y"], name="plant", params={"a": 0.9})  # fmt: skip
+    law = control.ss([[0.5]], [[1.0]], [[0.3]], [[0.2]], 0.05, inputs=["e"], outputs=["w"], name="law")
+    system = control.interconnect([plant, law], [["plant.u", "law.w"], ["law.e", "-plant.y"]], ["law.e"], ["plant.y"],
+                                  inputs=["r"], outputs=["y"])  # fmt: skip
+    block, u = FromControl(system=system, direct=False), np.sin(np.arange(20.0))
+    theirs = control.input_output_response(system, 0.05 * np.arange(20), u)
+    for shape in ((), (3,)):
+        x, found = block.init(shape), []
+        for k, r in enumerate(u):
+            y = block.output(0.05 * k, x, ())
+            found.append(np.max(y.y))
+            x = block.update(0.05 * k, x, block.U(r=np.full(shape, r) if shape else float(r)), y)
+        np.testing.assert_allclose(found, theirs.outputs, atol=1e-12)
+
+
+def test_pictures_show_the_margins_and_say_what_is_unstable() -> None:
+    speeds = [5.0, 9.0]
+    points = {
+        "predicted": over(steered, speeds, "controller.delta_sw"),
+        "textbook": over(lambda v: steered(v, Stanley.textbook(PASSAT)), speeds, "controller.delta_sw"),
+    }
+    bode = plot_bode({name: found[1].open_loop for name, found in points.items()})
+    predicted, textbook = (text.get_text() for text in bode.axes[0].get_legend().get_texts())
+    told = points["predicted"][1].margins
+    assert told is not None
+    assert (
+        predicted == f"predicted: gain {told.gain:.2f}, phase {math.degrees(told.phase):.0f}°, delay {told.delay:.2f} s"
+    )
+    assert textbook == "textbook: closed loop unstable"
+    crossing, dot = bode.axes[1].lines[0], bode.axes[1].lines[1]
+    assert dot.get_ydata()[0] == pytest.approx(-180.0 + math.degrees(told.phase), abs=0.5)
+    assert np.all(np.abs(np.diff(crossing.get_ydata())) < 20.0)  # no jumps by a turn
+    phase, delay, pole = plot_over(points).axes
+    assert np.isnan(phase.lines[1].get_ydata()[1])
+    assert delay.lines[0].get_ydata().tolist() == [point.margins.delay for point in points["predicted"]]
+    assert pole.lines[1].get_ydata()[1] > 1.0
+    answers = {f"{v:g} m/s": linearise(steered(v), inputs=["controller_path.e"], outputs=["path.e"]) for v in speeds}
+    steps = plot_steps(answers, 8.0, ylabel="e [m]").axes[0]
+    assert [line.get_label() for line in steps.lines[:2]] == list(answers)
+    assert steps.lines[0].get_ydata()[-1] == pytest.approx(-1.0, abs=0.02)  # e is measured 1 m too large
 
 
 def test_mistakes_are_told() -> None:

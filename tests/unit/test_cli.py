@@ -8,6 +8,9 @@ from pathlib import Path
 import pytest
 
 from steerkit import cli
+from steerkit.learning import evaluate
+from steerkit.learning.world import World
+from steerkit.simulation import simulate
 
 
 def run(*words: str, monkeypatch: pytest.MonkeyPatch) -> int:
@@ -82,6 +85,16 @@ def test_drive_reports_as_json_and_keeps_log_and_picture(
     assert 0.0 < row["rms_e"] < 0.05
     assert (tmp_path / "drive.npz").stat().st_size > 1000
     assert (tmp_path / "drive.png").read_bytes()[:4] == b"\x89PNG"
+
+
+@pytest.mark.parametrize("name", sorted(evaluate.CONTROLLERS))
+def test_every_analytic_controller_drives_with_delay(name: str) -> None:
+    """The first 6 s of the course with 0.1 s delay; the textbook form already swings, but stays near."""
+    world = World(delay=0.1)
+    steering = evaluate.controller(name, world)
+    log = simulate(evaluate.drive_loop(world, steering), 6.0, record=["path.e"])
+    assert abs(log["path.e"]).max() < 0.3
+    assert name in cli._CONTROLLERS.split(", ")
 
 
 def test_learn_from_a_config_then_show_and_drive_its_policy(

@@ -36,7 +36,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "compiled": RUN,
     "c_export": RUN | {"compiled"},
     "realtime": RUN | {"clock"},
-    "analysis": RUN,
+    "analysis": RUN | {"plotting"},
     "metrics": RUN,
     "diagram": {"loop"},
     "plotting": RUN | {"path", "diagram"},
@@ -46,7 +46,7 @@ MAY_IMPORT: dict[str, set[str]] = {
 """A module or package at the top of steerkit, and which others it may import; itself always."""
 PROGRAMS = ("cli", "car", "car_cli", "car_panel", "car_replay", "car_session")
 """Programs over the library: they may import all of it."""
-WHEN_USED = {"loop": {"plotting"}, "simulation": {"plotting"}}
+WHEN_USED = {"loop": {"plotting", "analysis"}, "simulation": {"plotting"}}
 """More that a module may import inside a function."""
 AT_HOME = {
     "torch": {"learning"},
@@ -158,5 +158,5 @@ def test_every_public_name_is_there() -> None:
     for name in steerkit.__all__:
         assert getattr(steerkit, name) is not None
     assert set(steerkit.__all__) <= set(dir(steerkit))
-    with pytest.raises(AttributeError, match=r"module 'steerkit' has no attribute 'loop_'; it offers: Block, "):
+    with pytest.raises(AttributeError, match=r"module 'steerkit' has no attribute 'loop_'; it offers: MPC, Block, "):
         _ = steerkit.loop_
