@@ -44,6 +44,7 @@ MPC_BUDGET = 0.03
 """A solution that took longer is not used [s]: the plan before is followed, then the fallback law."""
 CONTROLLERS: dict[str, Callable[[CarConfig], Block]] = {
     "stanley": lambda config: Stanley.of(config.vehicle),
+    "stanley-textbook": lambda config: Stanley.textbook(config.vehicle),
     "stanley-delay": lambda config: delayed_stanley(config.vehicle, delay=config.delay, lag=config.lag),
     "lqr": lambda config: Lqr.of(
         config.vehicle, LinearSingleTrack(vehicle=config.vehicle).matrices, delay=config.delay, lag=config.lag

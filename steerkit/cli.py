@@ -75,8 +75,8 @@ _ON_A_CAR_ONLY = ("recovery", "simulated", "socket", "recording", "channel", "ti
 
 
 _CONTROLLERS = (
-    "stanley, stanley-delay, lqr, pure-pursuit, mpc, nonlinear-mpc, nfq, a learning run's directory; in simulation "
-    "stanley-textbook too."
+    "stanley, stanley-textbook, stanley-delay, lqr, pure-pursuit, mpc, nonlinear-mpc, nfq, or a learning run's "
+    "directory."
 )
 
 
