@@ -106,6 +106,6 @@ def test_every_controller_by_name_drives_a_bend_on_the_car(name: str) -> None:
         world.until(world.t + 0.05)
         worst = max(worst, abs(world.core.senses.e))
     assert world.mode is Mode.ENGAGED
-    # judged at the front axle, which is neither pure pursuit's place nor held by the textbook's law without curve offset
+    # at the front axle: not pure pursuit's place, nor held by the textbook's law, which has no curve offset
     assert worst < {"pure-pursuit": 0.5, "stanley-textbook": 0.1}.get(name, 0.05)
     world.check_bus()
