@@ -17,8 +17,11 @@ from steerkit import realtime
 from steerkit.assembly import steering_loop
 from steerkit.block import Block
 from steerkit.clock import Clock
+from steerkit.controllers.delay import delayed_stanley
 from steerkit.controllers.foresight import Foresight
+from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.controllers.pure_pursuit import PurePursuit
 from steerkit.controllers.recovery import Guarded
 from steerkit.controllers.stanley import Stanley
 from steerkit.courses import course
@@ -29,6 +32,7 @@ from steerkit.learning.settings import ELEMENTS
 from steerkit.loop import Loop
 from steerkit.path import Path
 from steerkit.plants.human_driver import ConstantSpeed
+from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.real_car.bus import Port
 from steerkit.plants.real_car.client import CarLink, CarLost, DriverLink, RealCar
@@ -36,14 +40,21 @@ from steerkit.plants.real_car.config import CarConfig
 from steerkit.plants.real_car.simulated import Fault, SimulatedCar
 from steerkit.plants.real_car.states import Mode, Order
 
-CONTROLLERS: dict[str, Callable[[CarConfig], Block]] = {
-    "stanley": lambda config: Stanley.of(config.vehicle),
-    "mpc": lambda config: _mpc(config),
-}
-"""Controllers that steer by themselves, made for a car."""
 MPC_BUDGET = 0.03
 """A solution that took longer is not used [s]: the plan before is followed, then the fallback law."""
-RECOVERIES = {"stanley": CONTROLLERS["stanley"]}
+CONTROLLERS: dict[str, Callable[[CarConfig], Block]] = {
+    "stanley": lambda config: Stanley.of(config.vehicle),
+    "stanley-textbook": lambda config: Stanley.textbook(config.vehicle),
+    "stanley-delay": lambda config: delayed_stanley(config.vehicle, delay=config.delay, lag=config.lag),
+    "lqr": lambda config: Lqr.of(
+        config.vehicle, LinearSingleTrack(vehicle=config.vehicle).matrices, delay=config.delay, lag=config.lag
+    ),
+    "pure-pursuit": lambda config: PurePursuit.of(config.vehicle, course_of(config), delay=config.delay),
+    "mpc": lambda config: _predictive(config),
+    "nonlinear-mpc": lambda config: _predictive(config, nonlinear=True),
+}
+"""Controllers that steer by themselves, made for a car: its vehicle, its course, the lag and delay of its kit."""
+RECOVERIES = {name: CONTROLLERS[name] for name in ("stanley", "stanley-delay")}
 """Controllers that catch a learned one."""
 LEARNED = FilePath("runs/car")
 """Where `steerkit learn --car` keeps its run unless told otherwise, and where `nfq` is looked for."""
@@ -57,11 +68,12 @@ def course_of(config: CarConfig) -> Path:
     return config.course["path"]
 
 
-def _mpc(config: CarConfig) -> Block:
+def _predictive(config: CarConfig, *, nonlinear: bool = False) -> Block:
     from steerkit.controllers.mpc import MPC  # here, as it loads CasADi
+    from steerkit.controllers.nonlinear_mpc import NonlinearMPC
 
-    plant = NonlinearSingleTrack(vehicle=config.vehicle)
-    return MPC.of(plant, lag=config.lag, delay=config.delay, budget=MPC_BUDGET)
+    kind, plant = NonlinearMPC if nonlinear else MPC, NonlinearSingleTrack(vehicle=config.vehicle)
+    return kind.of(plant, lag=config.lag, delay=config.delay, budget=MPC_BUDGET)
 
 
 def default_socket() -> str:

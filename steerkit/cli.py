@@ -63,7 +63,7 @@ Car = Annotated[
         "--car", help="TOML file of a car on a CAN bus, or a shipped one: dbw-kit.toml; read docs/real-car.md first."
     ),
 ]
-Recovery = Annotated[str, typer.Option(help="Who catches a learned controller: stanley.", rich_help_panel=_CAR)]
+Recovery = Annotated[str, typer.Option(help="Who catches a learner: stanley, stanley-delay.", rich_help_panel=_CAR)]
 Simulated = Annotated[
     bool, typer.Option("--simulated", help="A simulated car on a bus, started for it.", rich_help_panel=_CAR)
 ]
@@ -85,6 +85,7 @@ Realtime = Annotated[
 _NOT_ON_A_CAR = {
     "course": "the car's file names the course, under [course]",
     "conditions": "a car brings its own noise and delays",
+    "delay": "the car's file tells it, under [kit]",
     "rounds": "say --minutes, or end with `q`",
     "config": "an experiment is a simulation; choose --setting",
 }
