@@ -16,6 +16,8 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from benchmarks.controllers import CONTROLLERS
+from benchmarks.peers import AGENTS
+from benchmarks.peers import SETTINGS as PEERS
 from benchmarks.scenarios import Scenario
 from benchmarks.suites import TRAINING, Job, Suite
 from benchmarks.trainings import TRAININGS
@@ -110,7 +112,8 @@ def _controller(name: str) -> dict[str, Any]:
     one = CONTROLLERS[name]
     told: dict[str, Any] = {"kind": one.kind, "about": one.about}
     if one.setting:
-        told |= {"setting": plain(setting(one.setting)), "training": f"train-{one.training}"}
+        how = AGENTS[PEERS[one.setting]] if one.setting in PEERS else plain(setting(one.setting))
+        told |= {"setting": how, "training": f"train-{one.training}"}
     return told
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks import peers
 from benchmarks.controllers import CONTROLLERS, controller
 from benchmarks.drives import drive
 from benchmarks.plants import CommonRoadMultiBody, Pushed
@@ -165,8 +166,9 @@ def test_suites_hang_together() -> None:
             assert scenario.path().length > 10.0
         for name in one.controllers:
             learner = controller(name)
-            assert (learner.make is None) == (learner.kind == "learned")
-            assert learner.kind != "learned" or (learner.setting in SETTINGS and learner.training in TRAININGS)
+            assert (learner.make is None) == learner.learns
+            assert not learner.learns or learner.setting in {*SETTINGS, *peers.SETTINGS}
+            assert learner.training in TRAININGS
         needed = {
             job.training for job in planned if job.kind == "drive" and CONTROLLERS[job.controller].kind == "learned"
         }
