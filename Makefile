@@ -5,13 +5,17 @@ READY := $(VENV)/ready
 BIN := $(VENV)/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint clean
+.PHONY: help demo bench test lint clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-6s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 demo: $(READY)  ## three cars learn to steer, are compared with Stanley; table and figures under runs/
 	$(BIN)/steerkit demo
+
+bench: $(READY)  ## learned against analytic controllers, a ten-minute selection; report under runs/benchmarks/quick
+	$(BIN)/python -m benchmarks run quick
+	$(BIN)/python -m benchmarks report runs/benchmarks/quick
 
 test: export OMP_NUM_THREADS = 1
 test: $(READY)  ## all tests, on two processes
