@@ -37,7 +37,9 @@ Machine = Annotated[bool, typer.Option("--json", help="Print one JSON object as 
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print results only, no progress.")]
 
 
-_CONTROLLERS = "stanley, stanley-textbook, stanley-delay, lqr, pure-pursuit, or a learning run's directory."
+_CONTROLLERS = (
+    "stanley, stanley-textbook, stanley-delay, lqr, pure-pursuit, mpc, nonlinear-mpc, or a learning run's directory."
+)
 
 
 @app.command()
