@@ -56,7 +56,7 @@ def html(results: Results) -> str:
 
     if not results.cases:
         raise ValueError(f"{results.place}: no case has finished, so there is nothing to report; run the suite first")
-    look = figures.looks(parts.controllers(results.cases))
+    look = figures.looks(list(dict.fromkeys([*known_controllers(results), *parts.controllers(results.cases)])))
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True,
                                      lstrip_blocks=True)  # fmt: skip
     environment.filters |= {
@@ -277,10 +277,15 @@ def protocol(results: Results) -> dict[str, Any]:
     return {"common": common, "fields": differing, "rows": rows}
 
 
+def known_controllers(results: Results) -> dict[str, Any]:
+    """What the provenance says of the controllers, by name."""
+    kept = results.provenance.get("controllers", {})
+    return kept if isinstance(kept, dict) else {}
+
+
 def kinds(results: Results) -> dict[str, tuple[str, str]]:
     """What each controller is (analytic, learned, peer) and one line about it; empty words where that was not kept."""
-    kept = results.provenance.get("controllers", {})
-    told = kept if isinstance(kept, dict) else {}
+    told = known_controllers(results)
     return {
         name: (str(told.get(name, {}).get("kind", "")), str(told.get(name, {}).get("about", "")))
         for name in parts.controllers(results.cases)

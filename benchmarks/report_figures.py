@@ -211,7 +211,7 @@ def first_seconds(drive: Mapping[str, np.ndarray], look: Look, *, seconds: float
             axes.axhline(level, color=COLOURS["limit"], lw=0.9, ls="--")
         axes.plot(t, e, lw=0.8, color=look.colour)
         axes.set_ylim(-1.0, 1.0)
-        axes.set_xlim(t[0], t[0] + seconds)
+        axes.set_xlim(t[0], t[-1])
         axes.set_xlabel("driving time [s]")
         axes.set_ylabel("e [m]")
         return figure
