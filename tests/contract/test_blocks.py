@@ -217,7 +217,7 @@ def documents(kind: type[Block]) -> str:
 
 
 ELSEWHERE = {"MPC", "NonlinearMPC", "RealCar", "FmuPlant"}
-"""Blocks with a suite of their own: a solver's milliseconds differ, a bus is not pure, an FMU is a file from elsewhere."""
+"""Blocks with a suite of their own: a solver's milliseconds differ, a bus is not pure, an FMU comes from elsewhere."""
 
 
 def test_every_block_of_the_package_is_in_the_table() -> None:
