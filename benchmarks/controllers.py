@@ -52,7 +52,9 @@ class Controller:
         """What has to be installed before it can drive, as a sentence; empty if nothing."""
         if not self.needs or find_spec(self.needs) is not None:
             return ""
-        return f"{self.needs.replace('_', '-')} is not installed: pip install 'steerkit-control[peers]'"
+        name = self.needs.replace("_", "-")
+        extra = "docs/benchmarks.md says how" if name == "d3rlpy" else "pip install 'steerkit-control[peers]'"
+        return f"{name} is not installed: {extra}"
 
 
 def _stanley(scenario: Scenario, path: Path) -> Block:
@@ -138,6 +140,8 @@ _TABLE = (
                training="agent", needs="stable_baselines3"),
     Controller(name="sb3-sac", kind="peer", about="SAC of Stable-Baselines3, 30 minutes of driving", setting="sb3-sac",
                training="agent", needs="stable_baselines3"),
+    Controller(name="d3rlpy-nfq", kind="peer", about="NFQ of d3rlpy, offline on 4 minutes that nfq-idoe drove",
+               setting="d3rlpy-nfq", training="record", needs="d3rlpy"),
     Controller(name="do-mpc", kind="peer", about="nonlinear MPC of do-mpc (IPOPT), no dead time told", make=_do_mpc,
                needs="do_mpc"),
 )  # fmt: skip

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.controllers import controller
+from benchmarks.peers import SETTINGS
 from benchmarks.results import TRAJECTORY
 from benchmarks.scenarios import Scenario, open_parameters, shape
 from steerkit.block import Block
@@ -55,7 +56,7 @@ class Policy:
     @classmethod
     def load(cls, file: FilePath, setting: str) -> Policy:
         """What a training has left in `file`."""
-        kind: Any = PolicyBlock if setting.startswith("sb3-") else NfqPolicy
+        kind: Any = PolicyBlock if setting in SETTINGS else NfqPolicy
         return cls(kind.load(file), setting)
 
 

@@ -1,9 +1,10 @@
-"""Peers that nobody here wrote: agents of Stable-Baselines3, and do-mpc's nonlinear MPC, in the same drives."""
+"""Peers that nobody here wrote, in the same drives: Stable-Baselines3's agents, d3rlpy's NFQ, do-mpc's MPC."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -12,7 +13,9 @@ import numpy as np
 
 from benchmarks.results import CURVE
 from steerkit.block import Block, In, Out, State
-from steerkit.controllers.policy_block import PolicyBlock
+from steerkit.controllers.policy_block import BOUND, Network, PolicyBlock
+from steerkit.learning.settings import Setting
+from steerkit.learning.transitions import Transitions
 from steerkit.maths import Scalar
 from steerkit.units import radians_of
 
@@ -20,15 +23,16 @@ TOLD_OF_FAILURE = 4.0
 """What a failure costs an agent that discounts by 0.98: above 0.05 a sample for ever, or failing would pay."""
 _CHECKS = 10  # test drives along a training
 _NET = [64, 64]
-SETTINGS = {"sb3-dqn": "DQN", "sb3-sac": "SAC"}
+SETTINGS = {"sb3-dqn": "DQN", "sb3-sac": "SAC", "d3rlpy-nfq": "NFQ"}
 """What controllers name as their setting, and the agent it means."""
 AGENTS: dict[str, tuple[str, dict[str, Any]]] = {
     "DQN": ("steerkit/TrackSteering-v0",
             {"train_freq": 4, "gradient_steps": 2, "target_update_interval": 500, "exploration_fraction": 0.3,
              "exploration_final_eps": 0.02}),
     "SAC": ("steerkit/TrackSteeringContinuous-v0", {"train_freq": 4, "gradient_steps": 2}),
+    "NFQ": ("", {"learning_rate": 5e-4, "batch_size": 128, "gamma": 0.98}),
 }  # fmt: skip
-"""Environment and settings of each agent that are not the library's own."""
+"""Environment (none: it learns from a record) and settings of each agent that are not the library's own."""
 _COMMON = {"learning_rate": 5e-4, "buffer_size": 100_000, "learning_starts": 300, "batch_size": 128, "gamma": 0.98}
 
 Judge = Callable[[PolicyBlock], dict[str, float]]
@@ -43,15 +47,12 @@ def stable_baselines(name: str, *, steps: int, seed: int, judge: Judge) -> tuple
     """
     import gymnasium
     import stable_baselines3
-    import torch
 
     import steerkit.gym  # noqa: F401  registers the environments
     from steerkit.gym.stable_baselines import from_stable_baselines
 
     environment, own = AGENTS[name]
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)  # the order of sums must not hang on the machine's cores
-    try:
+    with _one_thread():
         env = gymnasium.make(environment, course="paper", failure=TOLD_OF_FAILURE)
         task = env.unwrapped.task  # type: ignore[attr-defined]
         agent = getattr(stable_baselines3, name)
@@ -60,14 +61,70 @@ def stable_baselines(name: str, *, steps: int, seed: int, judge: Judge) -> tuple
         for check in range(_CHECKS):
             model.learn(steps // _CHECKS, reset_num_timesteps=check == 0, progress_bar=False)
             block = from_stable_baselines(model, task)
-            found = judge(block)
-            row = {"t": model.num_timesteps * task.dt, "iterations": check + 1, "transitions": model.num_timesteps,
-                   "failures": np.nan, **found}  # fmt: skip
-            rows.append([float(row.get(column, np.nan)) for column in CURVE])
-    finally:
-        torch.set_num_threads(threads)
+            rows.append(_row(judge(block), check, model.num_timesteps * task.dt, model.num_timesteps))
     assert block is not None
     return block, dict(zip(CURVE, np.array(rows).T, strict=True))
+
+
+def d3rlpy_nfq(
+    record: Transitions, setting: Setting, *, steps: int, seed: int, judge: Judge
+) -> tuple[PolicyBlock, dict[str, np.ndarray]]:
+    """d3rlpy's NFQ (a target net renewed at every gradient step) on recorded transitions, and its learning curve.
+
+    record: what our own learner drove; setting: its actions, cost and ranges. steps: gradient steps. Reward = -cost,
+    -4 where |e| was lost.
+    """
+    import d3rlpy
+
+    d = setting.description()
+    cost, terminal = setting.cost(record.s, record.a, record.s_next)
+    last = np.append(np.diff(record.episode) != 0, True)
+    actions = np.abs(record.a[:, None] - np.array(setting.actions)).argmin(axis=1)
+    with _one_thread(), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        d3rlpy.seed(seed)
+        data = d3rlpy.dataset.MDPDataset(
+            observations=np.clip((record.s - d.mid) / d.half, -BOUND, BOUND).astype(np.float32),
+            actions=actions[:, None],
+            rewards=np.where(terminal, -TOLD_OF_FAILURE, -cost).astype(np.float32),
+            terminals=(terminal & last).astype(np.float32),
+            timeouts=(last & ~terminal).astype(np.float32),
+            action_space=d3rlpy.constants.ActionSpace.DISCRETE,
+            action_size=len(setting.actions),
+        )
+        encoder = d3rlpy.models.encoders.VectorEncoderFactory(_NET)
+        nfq = d3rlpy.algos.NFQConfig(encoder_factory=encoder, **AGENTS["NFQ"][1]).create(device="cpu:0")
+        nfq.build_with_dataset(data)
+        quiet = d3rlpy.logging.NoopAdapterFactory()
+        rows, block = [], None
+        for check in range(_CHECKS):
+            count = steps // _CHECKS
+            nfq.fit(data, n_steps=count, n_steps_per_epoch=count, logger_adapter=quiet, show_progress=False)
+            layers = [m for m in nfq.impl.modules.q_funcs[0].modules() if type(m).__name__ == "Linear"]
+            weights = [tuple(p.detach().double().numpy().copy() for p in (m.weight, m.bias)) for m in layers]
+            net = Network(layers=tuple(weights), activation="relu", head="argmax")
+            block = PolicyBlock(policy=net, actions=setting.actions, description=d)
+            rows.append(_row(judge(block), check, len(record) * block.dt, len(record)))
+    assert block is not None
+    return block, dict(zip(CURVE, np.array(rows).T, strict=True))
+
+
+def _row(found: dict[str, float], check: int, t: float, transitions: int) -> list[float]:
+    row = {"t": t, "iterations": check + 1.0, "transitions": float(transitions), **found}
+    return [float(row.get(column, np.nan)) for column in CURVE]
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """torch with one thread: the order of sums must not hang on the machine's cores."""
+    import torch
+
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

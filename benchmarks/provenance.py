@@ -25,7 +25,17 @@ from steerkit.learning.rundir import plain
 from steerkit.learning.settings import setting
 
 ROOT = FilePath(__file__).parents[1]
-PACKAGES = ("numpy", "scipy", "torch", "casadi", "control", "commonroad-vehicle-models", "do-mpc", "stable-baselines3")
+PACKAGES = (
+    "numpy",
+    "scipy",
+    "torch",
+    "casadi",
+    "control",
+    "commonroad-vehicle-models",
+    "do-mpc",
+    "stable-baselines3",
+    "d3rlpy",
+)
 """Packages whose version may change the numbers."""
 _NO_NUMBERS = ("report", "compare", "verdict", "golden", "__main__")
 """Modules of benchmarks, and what starts with these names, that only read results."""

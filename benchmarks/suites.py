@@ -144,10 +144,10 @@ _ALL = (
     ),
     Suite(
         name="peers",
-        about="controllers that nobody here wrote: agents of Stable-Baselines3, do-mpc, CommonRoad's car",
+        about="controllers that nobody here wrote: agents of Stable-Baselines3 and d3rlpy, do-mpc, CommonRoad's car",
         scenarios=tuple(s for s in _TRACKING if s.name in (
             "paper-round", "iso3888-1-9", "slalom-9", "curvature-step-7", "slalom-multi-body")),
-        controllers=("stanley", "mpc", "nfq-idoe", "sb3-dqn", "sb3-sac", "do-mpc"),
+        controllers=("stanley", "mpc", "nfq-idoe", "sb3-dqn", "sb3-sac", "d3rlpy-nfq", "do-mpc"),
         seeds=3,
     ),
     Suite(

@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks.drives import Policy, drive
 from benchmarks.learning import Taken, test_drives, train
-from benchmarks.peers import SETTINGS, stable_baselines
+from benchmarks.peers import SETTINGS, d3rlpy_nfq, stable_baselines
 from benchmarks.results import CURVE, TRAJECTORY
 from benchmarks.scenarios import Scenario
 from steerkit.controllers.nfq_policy import NfqPolicy
@@ -41,7 +41,7 @@ class Training:
     episodes: int = 1000
     """Failures after which it ends."""
     offline_iterations: int = 0
-    """Trainings on the recorded transitions after the driving."""
+    """Trainings on the recorded transitions after the driving; for d3rlpy, gradient steps."""
 
 
 _ALL = (
@@ -54,6 +54,7 @@ _ALL = (
     Training(name="episodes-120", minutes=60.0, episodes=120),
     Training(name="offline", minutes=2.0, offline_iterations=20),
     Training(name="agent", minutes=30.0),
+    Training(name="record", minutes=4.0, offline_iterations=20_000),
 )
 TRAININGS = {training.name: training for training in _ALL}
 """All trainings by name."""
@@ -86,14 +87,20 @@ def learn(training: Training, setting_name: str, *, seed: int) -> Learnt:
 
 
 def _agent(training: Training, setting_name: str, seed: int) -> Learnt:
-    """An agent of Stable-Baselines3, on the 800 m course."""
+    """An agent of Stable-Baselines3 on the 800 m course, or d3rlpy's NFQ on what our learner drove there."""
     place = Scenario(name="check")
 
     def judge(block: PolicyBlock) -> dict[str, float]:
         return drive(place, setting_name, seed=seed + 1000, policy=Policy(block, setting_name)).metrics
 
-    steps = round(60.0 * training.minutes / 0.05)
-    block, curve = stable_baselines(SETTINGS[setting_name], steps=steps, seed=seed, judge=judge)
+    if SETTINGS[setting_name] == "NFQ":
+        how = setting("default")
+        driven = train(Experiment(setting=how, world=training.world, minutes=training.minutes, seed=seed)).run
+        steps = training.offline_iterations
+        block, curve = d3rlpy_nfq(driven.transitions, how, steps=steps, seed=seed, judge=judge)
+    else:
+        steps = round(60.0 * training.minutes / 0.05)
+        block, curve = stable_baselines(SETTINGS[setting_name], steps=steps, seed=seed, judge=judge)
     within = {name: curve[name] < getattr(GOOD, name) for name in ("rms_e", "max_e", "max_jerk")}
     good = np.flatnonzero((curve["held"] > 0.5) & np.logical_and.reduce([*within.values()]))
     metrics = {

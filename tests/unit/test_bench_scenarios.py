@@ -284,3 +284,25 @@ def test_an_agent_learns_the_same_again_and_its_net_drives() -> None:
     assert (first == again).all()
     driven = drive(STEP, "sb3-dqn", policy=Policy(one[0], "sb3-dqn"))
     assert 0.0 < driven.metrics["rounds"] <= 1.0
+
+
+def test_d3rlpy_learns_from_a_record(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("d3rlpy")
+    from steerkit.learning.settings import DEFAULT
+    from steerkit.learning.transitions import Transitions
+
+    rng = np.random.default_rng(0)
+    record = Transitions()
+    s = rng.normal(size=(301, 6)) * 0.1
+    record.extend(s[:-1], rng.choice(DEFAULT.actions, 300), s[1:], np.arange(300) // 100)
+    asked = []
+    block, curve = peers.d3rlpy_nfq(
+        record,
+        DEFAULT,
+        steps=50,
+        seed=0,
+        judge=lambda b: asked.append(b) or {"held": 0.0},  # type: ignore[func-returns-value]
+    )
+    assert len(asked) == 10
+    assert set(block.policy(rng.normal(size=(50, 6)))) <= set(range(7))  # type: ignore[attr-defined]
+    assert (curve["transitions"] == 300.0).all()
