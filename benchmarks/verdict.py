@@ -95,8 +95,8 @@ _SMALL_PRINT = (
     "rear axle or centre of gravity), which also moves the lateral acceleration that a course asks of the centre of "
     "gravity. Differences are means over the seeds that both held, with 95 % bootstrap intervals. Better and worse "
     f"mean p < {SIGNIFICANT:g} in the sign-flip permutation test of the pairs, not corrected for how many there are: "
-    "one in twenty is found where there is none; with five seeds or fewer no p is as small. An analytic controller in a "
-    "scenario without chance drives once and meets every net. The best analytic controller is chosen after the fact, "
+    "one in twenty is found where there is none; with five seeds or fewer no p is as small. An analytic controller in "
+    "a scenario without chance drives once and meets every net. The best analytic controller is chosen after the fact, "
     "scenario by scenario."
 )
 
