@@ -5,7 +5,7 @@ READY := $(VENV)/ready
 BIN := $(VENV)/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint docs dist clean
+.PHONY: help setup demo bench test lint docs dist clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-6s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -14,6 +14,10 @@ setup: $(READY)  ## .venv with steerkit and all it needs
 
 demo: $(READY)  ## three cars learn to steer, are compared with Stanley; table and figures under runs/
 	$(BIN)/steerkit demo
+
+bench: $(READY)  ## learned against analytic controllers, a ten-minute selection; report under runs/benchmarks/quick
+	$(BIN)/python -m benchmarks run quick
+	$(BIN)/python -m benchmarks report runs/benchmarks/quick
 
 test: export OMP_NUM_THREADS = 1
 test: $(READY)  ## all tests, on two processes

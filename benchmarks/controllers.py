@@ -36,18 +36,25 @@ class Controller:
     make: Make | None = None
     """Makes the block for a scenario's nominal car and path; None for one that is learned."""
     setting: str = ""
-    """How it learns: a name of `steerkit.learning.settings`."""
+    """How it learns: a name of `steerkit.learning.settings` or `peers.SETTINGS`; empty for one that does not."""
     training: str = "clean"
     """Where it learns: a name of `trainings.TRAININGS`."""
     needs: str = ""
     """Package that it cannot do without."""
 
     @property
+    def learns(self) -> bool:
+        """Does it drive a net that a training of its own made?"""
+        return bool(self.setting)
+
+    @property
     def missing(self) -> str:
         """What has to be installed before it can drive, as a sentence; empty if nothing."""
         if not self.needs or find_spec(self.needs) is not None:
             return ""
-        return f"{self.needs} is not installed; pip install 'steerkit-control[peers]'"
+        name = self.needs.replace("_", "-")
+        extra = "docs/benchmarks.md says how" if name == "d3rlpy" else "pip install 'steerkit-control[peers]'"
+        return f"{name} is not installed: {extra}"
 
 
 def _stanley(scenario: Scenario, path: Path) -> Block:
@@ -78,6 +85,18 @@ def _mpc(scenario: Scenario, path: Path) -> Block:
 
 def _nonlinear_mpc(scenario: Scenario, path: Path) -> Block:
     return NonlinearMPC.of(NonlinearSingleTrack(vehicle=scenario.nominal), _whole_delay(scenario), clock=None)
+
+
+def _do_mpc(scenario: Scenario, path: Path) -> Block:
+    from benchmarks.peers import DoMpc
+
+    car = scenario.nominal
+    return DoMpc(
+        matrices=LinearSingleTrack(vehicle=car).matrices,
+        steer_ratio=car.steer_ratio,
+        reference=float(car.l_f),
+        lag=float(scenario.told_actuator().lag),
+    )
 
 
 def _whole_delay(scenario: Scenario) -> SteeringActuator:
@@ -117,6 +136,14 @@ _TABLE = (
                setting="paper", training="episodes-120"),
     Controller(name="nfq-idoe-offline", kind="learned", about="nfq-idoe: 2 minutes of driving, then trained offline",
                setting="default", training="offline"),
+    Controller(name="sb3-dqn", kind="peer", about="DQN of Stable-Baselines3, 30 minutes of driving", setting="sb3-dqn",
+               training="agent", needs="stable_baselines3"),
+    Controller(name="sb3-sac", kind="peer", about="SAC of Stable-Baselines3, 30 minutes of driving", setting="sb3-sac",
+               training="agent", needs="stable_baselines3"),
+    Controller(name="d3rlpy-nfq", kind="peer", about="NFQ of d3rlpy, offline on 4 minutes that nfq-idoe drove",
+               setting="d3rlpy-nfq", training="record", needs="d3rlpy"),
+    Controller(name="do-mpc", kind="peer", about="nonlinear MPC of do-mpc (IPOPT), no dead time told", make=_do_mpc,
+               needs="do_mpc"),
 )  # fmt: skip
 
 CONTROLLERS: Mapping[str, Controller] = {c.name: c for c in _TABLE}

@@ -5,17 +5,21 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
 
 from benchmarks.controllers import controller
+from benchmarks.peers import SETTINGS
 from benchmarks.results import TRAJECTORY
 from benchmarks.scenarios import Scenario, open_parameters, shape
 from steerkit.block import Block
 from steerkit.compiled import Compiled, TraceError, compile
 from steerkit.compiled.trace import parameter
 from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.controllers.policy_block import PolicyBlock
+from steerkit.doe import Integrator
 from steerkit.loop import Loop
 from steerkit.metrics import measures, step_times
 from steerkit.path import Path
@@ -39,15 +43,21 @@ _KEPT = 1500  # samples of a trajectory, about
 class Policy:
     """A learned controller: its net and the setting whose dynamic output element it drives."""
 
-    nfq: NfqPolicy
+    block: NfqPolicy | PolicyBlock
     setting: str
 
     @property
     def doe(self) -> Block:
-        """The dynamic output element."""
+        """The dynamic output element; that of the environments for an agent."""
         from steerkit.learning.settings import setting
 
-        return setting(self.setting).element()
+        return Integrator() if isinstance(self.block, PolicyBlock) else setting(self.setting).element()
+
+    @classmethod
+    def load(cls, file: FilePath, setting: str) -> Policy:
+        """What a training has left in `file`."""
+        kind: Any = PolicyBlock if setting in SETTINGS else NfqPolicy
+        return cls(kind.load(file), setting)
 
 
 @dataclass(frozen=True)
@@ -70,7 +80,7 @@ def drive(
     if policy is None:
         steers, doe = _steers(name, form), None
     else:
-        steers, doe = policy.nfq, policy.doe
+        steers, doe = policy.block, policy.doe
     loop = scenario.loop(path, steers, doe=doe, seed=seed)
     inputs = _inputs(loop) if timed_steps else {}
     log = _driven(scenario, form, path, loop, name, policy, tuple(inputs.values()))
@@ -122,8 +132,8 @@ def _driven(scenario: Scenario, form: Scenario, path: Path, loop: Loop, name: st
             until=lambda now: now["path.progress"] >= length or not abs(now["path.e"]) <= OFF_COURSE,
         )  # fmt: skip
     values = {key: parameter(loop, key) for key in program.parameters if key != WEIGHTS}
-    if policy is not None:
-        values[WEIGHTS] = policy.nfq.flat_weights()
+    if policy is not None and isinstance(policy.block, NfqPolicy):
+        values[WEIGHTS] = policy.block.flat_weights()
     return program.run(seconds, state=loop.init(), parameters=values, allow_nonfinite=True)
 
 
@@ -131,7 +141,10 @@ class _Layout:
     """A policy as a cache key: all that its compiled loop depends on, which is all but its weights."""
 
     def __init__(self, policy: Policy):
-        self.policy, nfq = policy, policy.nfq
+        self.policy, nfq = policy, policy.block
+        if isinstance(nfq, PolicyBlock):  # a net is a part of its program: one round is driven sooner than compiled
+            self.key: tuple[Any, ...] = ("interpreted",)
+            return
         shapes = tuple(p.shape for net in nfq.nets or () for p in net)
         self.key = (policy.setting, shapes, nfq.actions, nfq.combine, repr(nfq.description), nfq.dt)
 
@@ -148,8 +161,10 @@ def _program(form: Scenario, name: str, layout: _Layout | None, record: tuple[st
     path, open_ones = _path(form), open_parameters(form)
     if layout is None:
         loop = form.loop(path, _steers(name, form))
+    elif isinstance(layout.policy.block, PolicyBlock):
+        return None
     else:
-        loop = form.loop(path, layout.policy.nfq.with_weights(), doe=layout.policy.doe)
+        loop = form.loop(path, layout.policy.block.with_weights(), doe=layout.policy.doe)
         open_ones = (*open_ones, WEIGHTS)
     try:
         return compile(loop, record=record, every=_every(loop), parameters=open_ones)

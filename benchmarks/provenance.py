@@ -16,6 +16,8 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from benchmarks.controllers import CONTROLLERS
+from benchmarks.peers import AGENTS
+from benchmarks.peers import SETTINGS as PEERS
 from benchmarks.scenarios import Scenario
 from benchmarks.suites import TRAINING, Job, Suite
 from benchmarks.trainings import TRAININGS
@@ -23,7 +25,17 @@ from steerkit.learning.rundir import plain
 from steerkit.learning.settings import setting
 
 ROOT = FilePath(__file__).parents[1]
-PACKAGES = ("numpy", "scipy", "torch", "casadi", "control", "commonroad-vehicle-models", "do-mpc", "stable-baselines3")
+PACKAGES = (
+    "numpy",
+    "scipy",
+    "torch",
+    "casadi",
+    "control",
+    "commonroad-vehicle-models",
+    "do-mpc",
+    "stable-baselines3",
+    "d3rlpy",
+)
 """Packages whose version may change the numbers."""
 _NO_NUMBERS = ("report", "compare", "verdict", "golden", "__main__")
 """Modules of benchmarks, and what starts with these names, that only read results."""
@@ -110,7 +122,8 @@ def _controller(name: str) -> dict[str, Any]:
     one = CONTROLLERS[name]
     told: dict[str, Any] = {"kind": one.kind, "about": one.about}
     if one.setting:
-        told |= {"setting": plain(setting(one.setting)), "training": f"train-{one.training}"}
+        how = AGENTS[PEERS[one.setting]] if one.setting in PEERS else plain(setting(one.setting))
+        told |= {"setting": how, "training": f"train-{one.training}"}
     return told
 
 

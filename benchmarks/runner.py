@@ -21,6 +21,7 @@ from benchmarks.scenarios import Scenario
 from benchmarks.suites import Job, Suite, jobs
 from benchmarks.trainings import TRAININGS, learn
 from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.controllers.policy_block import PolicyBlock
 
 BACKENDS = ("loky", "dask")
 _PATIENCE = 3  # times that workers may die with no case finished in between
@@ -51,7 +52,7 @@ class Done:
     case: Case
     trajectory: Mapping[str, np.ndarray] | None = None
     curve: Mapping[str, np.ndarray] | None = None
-    net: NfqPolicy | None = None
+    net: NfqPolicy | PolicyBlock | None = None
 
     def keep(self, store: Store) -> None:
         """Write it."""
@@ -131,7 +132,7 @@ def carry_out(work: Work) -> Done:
             done = Done(case, learnt.trajectory, learnt.curve, learnt.policy)
         else:
             assert work.scenario is not None
-            if work.policy is None and controller(job.controller).kind == "learned":
+            if work.policy is None and controller(job.controller).learns:
                 raise RuntimeError(f"its training {job.training} did not finish")
             driven = drive(
                 work.scenario, job.controller, seed=job.seed, policy=work.policy, timed_steps=work.timed_steps
@@ -150,9 +151,9 @@ def carry_out(work: Work) -> Done:
 def _work(job: Job, scenarios: Mapping[str, Scenario], timed: Mapping[str, int], store: Store,
           place: FilePath | None) -> Work:  # fmt: skip
     one, policy = controller(job.controller), None
-    if job.kind == "drive" and one.kind == "learned":
+    if job.kind == "drive" and one.learns:
         file = store.net_file(job.training)
-        policy = Policy(NfqPolicy.load(file), one.setting) if file.exists() else None
+        policy = Policy.load(file, one.setting) if file.exists() else None
     return Work(job, scenarios.get(job.scenario), timed.get(job.suite, 0), policy, source(), place)
 
 

@@ -11,6 +11,7 @@ from benchmarks.plants import CommonRoadMultiBody, Pushed
 from steerkit.assembly import placed, steering_loop
 from steerkit.block import Block, require
 from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.controllers.policy_block import PolicyBlock
 from steerkit.controllers.recovery import Guarded
 from steerkit.controllers.stanley import Stanley
 from steerkit.courses import course, lane_change, names, random_course, recorded_speed
@@ -149,7 +150,7 @@ class Scenario:
 
     def loop(self, path: Path, controller: Block, *, doe: Block | None = None, seed: int = 0) -> Loop:
         """The loop of the drive; a learned controller (with its doe) is caught by Stanley."""
-        learned = isinstance(controller, NfqPolicy)
+        learned = isinstance(controller, NfqPolicy | PolicyBlock)
         steers = Guarded(block=replace(controller, ready_from=0.0)) if isinstance(controller, NfqPolicy) else controller
         return steering_loop(
             car=self._car(path, seed),
@@ -171,7 +172,7 @@ class Scenario:
     def reference(self, controller: Block) -> float:
         """Where e is judged: where the controller has it measured, else the front axle [m ahead of the c. of g.]."""
         asks = getattr(controller, "reference", None) if "reference" in vars(controller) else None
-        if asks is None and isinstance(controller, NfqPolicy):
+        if asks is None and isinstance(controller, NfqPolicy | PolicyBlock):
             return float(self.nominal.l_f)
         return 0.0 if asks is None else float(asks)
 

@@ -143,10 +143,18 @@ _ALL = (
         controllers=(*LEARNED, *AS_PUBLISHED, "nfq-paper-120", "nfq-idoe-offline"),
     ),
     Suite(
+        name="peers",
+        about="controllers that nobody here wrote: agents of Stable-Baselines3 and d3rlpy, do-mpc, CommonRoad's car",
+        scenarios=tuple(s for s in _TRACKING if s.name in (
+            "paper-round", "iso3888-1-9", "slalom-9", "curvature-step-7", "slalom-multi-body")),
+        controllers=("stanley", "mpc", "nfq-idoe", "sb3-dqn", "sb3-sac", "d3rlpy-nfq", "do-mpc"),
+        seeds=3,
+    ),
+    Suite(
         name="compute",
         about="computing time a step, one drive at a time",
         scenarios=(Scenario(name="paper-steady", v_min=6.0, v_max=6.0),),
-        controllers=(*ANALYTIC, "nfq-idoe-quick", "nfq-bang-bang-quick"),
+        controllers=(*ANALYTIC, "do-mpc", "nfq-idoe-quick", "nfq-bang-bang-quick"),
         seeds=1,
         timed_steps=2000,
         alone=True,
@@ -195,7 +203,7 @@ def jobs(suites: Sequence[Suite], seeds: int | None = None, only: Sequence[str] 
     trainings: dict[str, Job] = {}
     for one in suites:
         for place, name in itertools.product(one.scenarios, one.controllers):
-            chance = place.random or CONTROLLERS[name].kind != "analytic"
+            chance = place.random or CONTROLLERS[name].learns
             count = (seeds or one.seeds) if chance else 1
             drives += [Job(suite=one.name, scenario=place.name, controller=name, seed=n) for n in range(count)]
         if not one.scenarios:
@@ -204,7 +212,7 @@ def jobs(suites: Sequence[Suite], seeds: int | None = None, only: Sequence[str] 
             trainings |= {job.training: _training(job) for job in _kept(learners, only)}
     drives = _kept(drives, only)
     for job in drives:
-        if CONTROLLERS[job.controller].kind == "learned":
+        if CONTROLLERS[job.controller].learns:
             trainings.setdefault(job.training, _training(job))
     for word in only:
         if not any(_matches(job, word) for job in (*drives, *trainings.values())):

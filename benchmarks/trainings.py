@@ -9,9 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.drives import Policy, drive
 from benchmarks.learning import Taken, test_drives, train
+from benchmarks.peers import SETTINGS, d3rlpy_nfq, stable_baselines
 from benchmarks.results import CURVE, TRAJECTORY
+from benchmarks.scenarios import Scenario
 from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.controllers.policy_block import PolicyBlock
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.many_drives import TrialDrive
 from steerkit.learning.offline import offline
@@ -37,7 +41,7 @@ class Training:
     episodes: int = 1000
     """Failures after which it ends."""
     offline_iterations: int = 0
-    """Trainings on the recorded transitions after the driving."""
+    """Trainings on the recorded transitions after the driving; for d3rlpy, gradient steps."""
 
 
 _ALL = (
@@ -49,6 +53,8 @@ _ALL = (
     Training(name="hard", world=World.under("hard")),
     Training(name="episodes-120", minutes=60.0, episodes=120),
     Training(name="offline", minutes=2.0, offline_iterations=20),
+    Training(name="agent", minutes=30.0),
+    Training(name="record", minutes=4.0, offline_iterations=20_000),
 )
 TRAININGS = {training.name: training for training in _ALL}
 """All trainings by name."""
@@ -60,12 +66,14 @@ class Learnt:
 
     metrics: dict[str, float]
     curve: dict[str, np.ndarray]
-    trajectory: dict[str, np.ndarray]
-    policy: NfqPolicy
+    trajectory: dict[str, np.ndarray] | None
+    policy: NfqPolicy | PolicyBlock
 
 
 def learn(training: Training, setting_name: str, *, seed: int) -> Learnt:
-    """Run a training to its end and test-drive every net of it, off the clock."""
+    """Run a training to its end and test-drive its nets, off the clock: every one of ours, ten of an agent's."""
+    if setting_name in SETTINGS:
+        return _agent(training, setting_name, seed)
     how = setting(setting_name)
     experiment = Experiment(
         setting=how, world=training.world, minutes=training.minutes, episodes=training.episodes, seed=seed
@@ -78,6 +86,32 @@ def learn(training: Training, setting_name: str, *, seed: int) -> Learnt:
     return Learnt(_metrics(run, nets, drives), _curve(run, nets, drives), _trajectory(run), policy)
 
 
+def _agent(training: Training, setting_name: str, seed: int) -> Learnt:
+    """An agent of Stable-Baselines3 on the 800 m course, or d3rlpy's NFQ on what our learner drove there."""
+    place = Scenario(name="check")
+
+    def judge(block: PolicyBlock) -> dict[str, float]:
+        return drive(place, setting_name, seed=seed + 1000, policy=Policy(block, setting_name)).metrics
+
+    if SETTINGS[setting_name] == "NFQ":
+        how = setting("default")
+        driven = train(Experiment(setting=how, world=training.world, minutes=training.minutes, seed=seed)).run
+        steps = training.offline_iterations
+        block, curve = d3rlpy_nfq(driven.transitions, how, steps=steps, seed=seed, judge=judge)
+    else:
+        steps = round(60.0 * training.minutes / 0.05)
+        block, curve = stable_baselines(SETTINGS[setting_name], steps=steps, seed=seed, judge=judge)
+    within = {name: curve[name] < getattr(GOOD, name) for name in ("rms_e", "max_e", "max_jerk")}
+    good = np.flatnonzero((curve["held"] > 0.5) & np.logical_and.reduce([*within.values()]))
+    metrics = {
+        "transitions": float(curve["transitions"][-1]),
+        "driving_minutes": training.minutes,
+        "good_minutes": float(curve["t"][good[0]]) / 60.0 if len(good) else math.inf,
+        **{name: float(curve[name][-1]) for name in ("held", "rms_e", "max_e", "max_a_y", "max_jerk")},
+    }
+    return Learnt(metrics, curve, None, block)
+
+
 def _offline(training: Training, how: Setting, run: LearningRun, seed: int) -> list[Taken]:
     if not training.offline_iterations:
         return []
@@ -87,7 +121,7 @@ def _offline(training: Training, how: Setting, run: LearningRun, seed: int) -> l
 
 def _metrics(run: LearningRun, nets: Sequence[Taken], drives: Sequence[TrialDrive]) -> dict[str, float]:
     counts = run.counts
-    good = next((i for i, drive in enumerate(drives) if _good(drive)), None)
+    good = next((i for i, trial in enumerate(drives) if _good(trial)), None)
     rounds = counts.first_round_done
     cost = Learned(
         round_minutes=math.inf if rounds is None else rounds / 60.0,
@@ -101,7 +135,7 @@ def _metrics(run: LearningRun, nets: Sequence[Taken], drives: Sequence[TrialDriv
         "failures": float(counts.failures),
         "driving_minutes": run.t / 60.0,
         "trainings": float(len(nets)),
-        "last_nets_hold": float(np.mean([drive.held for drive in drives[-20:]])) if drives else 0.0,
+        "last_nets_hold": float(np.mean([trial.held for trial in drives[-20:]])) if drives else 0.0,
         "held": float(bool(drives) and drives[-1].held),
     }
     if drives and drives[-1].summary is not None:
@@ -110,22 +144,22 @@ def _metrics(run: LearningRun, nets: Sequence[Taken], drives: Sequence[TrialDriv
     for number in EPISODES:
         at = [i for i, net in enumerate(nets) if net.failures <= number]
         if counts.failures >= number and at:
-            drive = drives[at[-1]]
-            metrics[f"held_after_{number}"] = float(drive.held)
-            metrics[f"max_e_after_{number}"] = drive.summary.max_e if drive.summary else math.nan
+            trial = drives[at[-1]]
+            metrics[f"held_after_{number}"] = float(trial.held)
+            metrics[f"max_e_after_{number}"] = trial.summary.max_e if trial.summary else math.nan
     return metrics
 
 
-def _good(drive: TrialDrive) -> bool:
-    return drive.held and drive.summary is not None and GOOD.met(drive.summary, rounds=1.0)
+def _good(trial: TrialDrive) -> bool:
+    return trial.held and trial.summary is not None and GOOD.met(trial.summary, rounds=1.0)
 
 
 def _curve(run: LearningRun, nets: Sequence[Taken], drives: Sequence[TrialDrive]) -> dict[str, np.ndarray]:
     rows = []
-    for number, (net, drive) in enumerate(zip(nets, drives, strict=True), start=1):
+    for number, (net, trial) in enumerate(zip(nets, drives, strict=True), start=1):
         row: dict[str, Any] = {"t": net.t, "iterations": number, "transitions": net.transitions,
-                               "failures": net.failures, "held": drive.held, "rounds": drive.rounds}  # fmt: skip
-        rows.append([float(row[n] if n in row else getattr(drive.summary, n, math.nan)) for n in CURVE])
+                               "failures": net.failures, "held": trial.held, "rounds": trial.rounds}  # fmt: skip
+        rows.append([float(row[n] if n in row else getattr(trial.summary, n, math.nan)) for n in CURVE])
     columns = np.array(rows, dtype=float).reshape(len(rows), len(CURVE)).T
     episodes = run.counts.episodes
     return dict(zip(CURVE, columns, strict=True)) | {

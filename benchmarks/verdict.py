@@ -81,7 +81,7 @@ def verdict(results: Results, *, suite: str | None = None) -> str:
         ]
     broken = [case for case in results.cases if case.status == "error"]
     if broken:
-        lines += [f"{len(broken)} cases ended with an error and are left out, the first: {broken[0].id}.", ""]
+        lines += [f"Ended with an error and left out: {len(broken)}, the first {broken[0].id}.", ""]
     if not learned or not analytic:
         return "\n".join([*lines, "Nothing to compare: these results lack drives of one of the two kinds.", ""])
     lines += [*_holding(results, [*analytic, *learned], suite), ""]
@@ -95,8 +95,9 @@ _SMALL_PRINT = (
     "rear axle or centre of gravity), which also moves the lateral acceleration that a course asks of the centre of "
     "gravity. Differences are means over the seeds that both held, with 95 % bootstrap intervals. Better and worse "
     f"mean p < {SIGNIFICANT:g} in the sign-flip permutation test of the pairs, not corrected for how many there are: "
-    "one in twenty is found where there is none. An analytic controller in a scenario without chance drives once and "
-    "meets every net. The best analytic controller is chosen after the fact, scenario by scenario."
+    "one in twenty is found where there is none; with five seeds or fewer no p is as small. An analytic controller in "
+    "a scenario without chance drives once and meets every net. The best analytic controller is chosen after the fact, "
+    "scenario by scenario."
 )
 
 
@@ -136,7 +137,7 @@ def _sentence(word: str, found: Sequence[Duel]) -> str:
     compared = [d for d in found if d.seeds]
     never = [d for d in found if not d.seeds]
     if not compared:
-        return f"{word.capitalize()} ({OPPONENT}): no seed on which both held their drive."
+        return f"{word.capitalize()} ({OPPONENT}): no seed on which both held their drive and it was measured."
     unit = metric(compared[0].metric).unit
     parts = []
     for what, sign in (("better", -1), ("worse", 1)):

@@ -163,7 +163,7 @@ def test_the_verdict_claims_nothing_from_noise_or_from_drives_that_failed(result
     assert "better in 1" not in verdict(even)
     lost = [replaced(case, held=0.0) if case.controller == "nfq-idoe" else case for case in even.cases]
     text = verdict(Results(even.place, even.provenance, tuple(lost)))
-    assert "Cross-track error (stanley): no seed on which both held their drive." in text
+    assert "Cross-track error (stanley): no seed on which both held their drive and it was measured." in text
     assert "| nfq-idoe | 0 of 8 | 0.00 [0.00, 0.32] |" in text
     only = Results(even.place, even.provenance, tuple(c for c in even.cases if c.controller == "stanley"))
     assert "Nothing to compare" in verdict(only)

@@ -136,7 +136,7 @@ def test_a_killed_worker_costs_nothing_but_time(
     results = run([TINY], place, workers=2, quiet=True)
     assert fuse.exists()
     named = [case for case in results.cases if case.status != "done"]
-    assert [case.error for case in named] == ["AttributeError: 'int' object has no attribute 'nfq'"]
+    assert [case.error for case in named] == ["AttributeError: 'int' object has no attribute 'block'"]
     monkeypatch.setattr(runner, "_work", whole)
     same(run([TINY], place, workers=1, quiet=True), reference)  # the case that went wrong is tried again
 
@@ -226,7 +226,7 @@ def test_a_learner_is_taught_once_and_its_net_drives(tmp_path: Path, monkeypatch
     assert [case.kind for case in results.cases] == ["learn", "drive", "drive", "drive", "drive"]
     taught = results.cases[0]
     assert taught.status == "done", taught.error
-    assert taught.metrics["transitions"] > 100
+    assert taught.metrics["transitions"] > 50
     assert taught.metrics["round_minutes"] == math.inf
     curve = results.curve(taught)
     assert curve is not None
