@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import tomllib
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,6 +14,7 @@ import typer
 
 from steerkit import __version__
 from steerkit.car_cli import app as car_app
+from steerkit.identify_cli import identify
 
 EPILOG = """
 Examples
@@ -33,6 +35,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.add_typer(car_app, name="car")
+app.command()(identify)
 
 
 class Conditions(StrEnum):
@@ -70,9 +73,13 @@ _CONTROLLERS = "stanley, stanley-textbook, stanley-delay, lqr, pure-pursuit, or 
 def learn(
     course: Course = "paper",
     setting: Annotated[str, typer.Option(help="How to learn: default, paper, bang-bang, ...")] = "default",
+    changes: Annotated[
+        list[str] | None,
+        typer.Option("--with", metavar="NAME=VALUE", help="Change the setting: fit.nets=3, after_failure=shift, ..."),
+    ] = None,
     conditions: Disturbed = Conditions.clean,
     seed: Seed = 0,
-    minutes: Annotated[float, typer.Option(help="Driving time, recovery and waiting included [min].")] = 11.0,
+    minutes: Annotated[float, typer.Option(help="Driving time, recovery and waiting included (min).")] = 11.0,
     rounds: Annotated[int, typer.Option(help="End after so many complete rounds by the learner; 0: never.")] = 0,
     config: Annotated[Path | None, typer.Option(help="TOML file with an experiment; other options give way.")] = None,
     out: Annotated[Path | None, typer.Option(help="Run directory; an unfinished run there is resumed.")] = None,
@@ -82,6 +89,7 @@ def learn(
     """Let a car learn to steer a course from nothing, the recovery controller catching it."""
     from steerkit.learning import report, rundir
     from steerkit.learning.experiment import Experiment
+    from steerkit.learning.settings import changed
     from steerkit.learning.settings import setting as named
     from steerkit.learning.world import World
 
@@ -90,7 +98,9 @@ def learn(
         experiment = Experiment(setting=named(setting), world=world, minutes=minutes, rounds=rounds, seed=seed)
     else:
         experiment = rundir.from_plain(_toml(config), str(config), Experiment)
-    name = f"{experiment.setting.name}-{experiment.world.course}-{conditions.value}-seed{experiment.seed}"
+    experiment = replace(experiment, setting=changed(experiment.setting, changes or ()))
+    how = "-".join((experiment.setting.name, *(changes or ())))
+    name = f"{how}-{experiment.world.course}-{conditions.value}-seed{experiment.seed}"
     place = out or Path("runs") / name
     report.console.stderr = as_json
     try:
@@ -112,6 +122,7 @@ def drive(
     rounds: Annotated[float, typer.Option(help="Rounds to drive.")] = 1.0,
     seed: Seed = 0,
     out: Annotated[Path | None, typer.Option(help="Directory for the log and the picture.")] = None,
+    animate: Annotated[Path | None, typer.Option(help="Film of the drive to write: .gif, or .mp4 with ffmpeg.")] = None,
     quiet: Quiet = False,
     as_json: Machine = False,
 ) -> None:
@@ -125,6 +136,12 @@ def drive(
     place = out or Path("runs") / f"drive-{Path(controller).name}-{course}-{conditions.value}-seed{seed}"
     report.console.stderr = as_json
     row = report.drive_and_draw(controller, world, place, rounds=rounds, seed=seed, quiet=quiet)
+    if animate is not None:
+        from steerkit.simulation import Log
+
+        car, log = world.vehicle, Log.load(place / "drive.npz")
+        log.animate(world.path(), animate, wheelbase=car.wheelbase, l_f=car.l_f, steer_ratio=car.steer_ratio,
+                    progress=not quiet)  # fmt: skip
     if as_json:
         print(json.dumps(row))
 
@@ -205,3 +222,7 @@ def main() -> None:
     except (ValueError, KeyError, OSError) as error:
         print(f"steerkit: {error.args[0] if isinstance(error, KeyError) else error}", file=sys.stderr)
         raise SystemExit(2) from None
+
+
+if __name__ == "__main__":
+    main()

@@ -130,6 +130,12 @@ class Loop:
 
         return break_at(self, signal, at=at)
 
+    def _repr_png_(self) -> bytes:
+        """The diagram, for a notebook."""
+        from steerkit.notebook import png
+
+        return png(self.plot())
+
     # ---- running --------------------------------------------------------------------------------------------
 
     def init(self, *, batch: int | None = None) -> LoopState:

@@ -38,6 +38,7 @@ from steerkit.plants.careful_driver import CarefulDriver
 from steerkit.plants.human_driver import ConstantSpeed, HumanDriver, RecordedDriver, SpeedProfile
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.playback import Playback
 from steerkit.plants.sensors import Sensors
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.plants.vehicle import vehicle
@@ -121,6 +122,7 @@ EXAMPLES = [
     Example(HumanDriver(seed=3), single=_seeded),
     Example(ConstantSpeed()),
     Example(RecordedDriver(speeds=(4.0, 5.0, 7.0, 6.0), spacing=0.1)),
+    Example(Playback(angles=(0.0, 0.5, 0.4, -0.2), speeds=(4.0, 5.0, 7.0, 6.0), delay=0.013)),
     Example(SpeedProfile(speeds=(4.0, 5.0, 7.0, 4.0), spacing=0.5, repeat=True)),
     Example(CarefulDriver(path=OVAL, driver=HumanDriver(seed=3)), single=_careful),
 ]

@@ -29,6 +29,7 @@ def run(*words: str, monkeypatch: pytest.MonkeyPatch) -> int:
         (("drive", "stanley", "--course", "papr"), "did you mean 'paper'"),
         (("learn", "--setting", "defualt"), "valid: default, paper"),
         (("learn", "--config", "/does/not/exist.toml"), "cannot be read"),
+        (("learn", "--with", "fit.nest=3"), "no 'nest' there; valid: discount, epochs"),
         (("show", "/"), "no run directory"),
     ],
 )

@@ -40,13 +40,20 @@ MAY_IMPORT: dict[str, set[str]] = {
     "metrics": RUN,
     "diagram": {"loop"},
     "plotting": RUN | {"path", "diagram"},
+    "notebook": {"block"},
+    "animation": BASE | {"plotting"},
+    "identification": RUN | {"plants", "compiled", "plotting"},
     "learning": RUN | {"clock", "realtime", "path", "tracker", "doe", "courses", "plants", "controllers", "assembly",
                        "compiled", "metrics", "plotting"},
 }  # fmt: skip
 """A module or package at the top of steerkit, and which others it may import; itself always."""
-PROGRAMS = ("__main__", "cli", "car", "car_cli", "car_panel")
+PROGRAMS = ("__main__", "cli", "car", "car_cli", "car_panel", "identify_cli")
 """Programs over the library: they may import all of it."""
-WHEN_USED = {"loop": {"plotting", "analysis"}, "simulation": {"plotting"}}
+WHEN_USED = {
+    "block": {"notebook"},
+    "loop": {"plotting", "analysis", "notebook"},
+    "simulation": {"plotting", "notebook", "animation"},
+}
 """More that a module may import inside a function."""
 AT_HOME = {
     "torch": {"learning"},
@@ -60,10 +67,10 @@ AT_HOME = {
         "controllers.nonlinear_mpc",
     },
     "control": {"analysis", "controllers.lqr", "controllers.mpc_model"},
-    "matplotlib": {"plotting", "learning.figures"},
+    "matplotlib": {"plotting", "animation", "learning.figures"},
     "pandas": {"simulation"},
-    "pyarrow": {"simulation", "learning.store_exchange"},
-    "typer": {"cli", "car_cli"},
+    "pyarrow": {"simulation", "learning.store_exchange", "identification.reading"},
+    "typer": {"cli", "car_cli", "identify_cli"},
 }
 """Where a package may be imported: a module or package of steerkit."""
 
