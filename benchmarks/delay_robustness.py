@@ -9,7 +9,7 @@ at every delay; before that, one undisturbed round of this course and of the rec
 for bends: at 9 m/s the 5.9 m hairpin would be 13.7 m/s^2, more than the road gives. First the controller is told the
 true delay; `believes 0.2 s`: it is told that, whatever the truth. Its model of the car is the nominal one throughout.
 
-    python -m benchmarks.delay_robustness [--controllers stanley lqr ...] [--out robustness.png] [--quick] [--json]
+    python -m benchmarks.delay_robustness [--controllers NAME ...] [--out robustness.png] [--quick] [--json]
 
 mpc is not compiled, so it drives the corners of the box only, at 4 and 9 m/s (`--controllers mpc`; minutes).
 """
@@ -41,14 +41,14 @@ DELAYS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3)
 BELIEVED = 0.2
 TYRES, RATIOS, OFFSETS_DEG, SPEEDS = (0.7, 1.0, 1.3), (0.9, 1.0, 1.1), (-3.0, 0.0, 3.0), (4.0, 5.0, 6.0, 7.0, 8.0, 9.0)
 CONTROLLERS: dict[str, Callable[[float, str], Block]] = {
-    "stanley": lambda delay, name: delayed_stanley(CAR, delay=delay, lag=LAG),
+    "stanley-delay": lambda delay, name: delayed_stanley(CAR, delay=delay, lag=LAG),
     "lqr": lambda delay, name: Lqr.of(CAR, LinearSingleTrack(vehicle=CAR).matrices, delay=delay, lag=LAG),
     "mpc": lambda delay, name: mpc(delay=delay),
-    "stanley-plain": lambda delay, name: Stanley.of(CAR),
+    "stanley": lambda delay, name: Stanley.of(CAR),
     "stanley-textbook": lambda delay, name: Stanley.textbook(CAR),
     "pure-pursuit": lambda delay, name: PurePursuit.of(CAR, course(name), delay=delay),
 }
-COMPENSATES = ("stanley", "lqr", "pure-pursuit", "mpc")
+COMPENSATES = ("stanley-delay", "lqr", "pure-pursuit", "mpc")
 KINDS = {"nothing": (), "tyres": (0,), "ratio": (1,), "offset": (2,), "all": (0, 1, 2)}
 
 

@@ -5,7 +5,7 @@ degrees, at 2 to 9 m/s, wheel straight; steering delay 0.2 s and lag 0.1 s, whic
 |e| < 0.1 m from some moment to the end of 20 s. Within limits: |a_y| <= 3 m/s^2 and wheel speed <= 550 deg/s all along,
 the commanded one too.
 
-    python -m benchmarks.recovery_map [--controllers stanley mpc textbook] [--out recovery.png] [--quick] [--json]
+    python -m benchmarks.recovery_map [--controllers NAME ...] [--out recovery.png] [--quick] [--json]
 
 mpc cannot be compiled: it drives 9 x 9 start states a speed instead of 25 x 25, in minutes.
 """
@@ -44,8 +44,8 @@ NEAR, A_Y, RATE = 0.1, 3.0, radians_of(550.0)
 ROAD = straight(400.0)
 RECORD = ["path.e", "car.a_y", "actuator.rate", "controller.delta_sw"]
 CONTROLLERS: dict[str, Callable[[], Block]] = {
-    "stanley": lambda: delayed_stanley(CAR, delay=DELAY, lag=LAG),
-    "textbook": lambda: Stanley.textbook(CAR),
+    "stanley-delay": lambda: delayed_stanley(CAR, delay=DELAY, lag=LAG),
+    "stanley-textbook": lambda: Stanley.textbook(CAR),
     "mpc": lambda: mpc(delay=DELAY),
 }
 
@@ -167,7 +167,7 @@ def picture(results: dict[str, tuple[int, dict[str, Any]]], file: str) -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Drive all start states, print a table, draw the picture, and with --json print one object last."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--controllers", nargs="+", default=["stanley", "mpc"], choices=list(CONTROLLERS))
+    parser.add_argument("--controllers", nargs="+", default=["stanley-delay", "mpc"], choices=list(CONTROLLERS))
     parser.add_argument("--out", default="recovery.png", help="file of the picture")
     parser.add_argument("--quick", action="store_true", help="a coarser grid")
     parser.add_argument("--json", action="store_true", help="print one JSON object last")

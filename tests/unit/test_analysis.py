@@ -9,6 +9,7 @@ import control
 import numpy as np
 import pytest
 
+from steerkit import maths as m
 from steerkit.analysis import (
     FromControl,
     NotTimeInvariantError,
@@ -171,7 +172,7 @@ def test_a_system_of_python_controls_runs_as_it_does_there() -> None:
     """Continuous and nonlinear: x'' = u - x' - sin(x), against its own integrator."""
 
     def rhs(t: float, x: Any, u: Any, params: Any) -> Any:
-        return [x[1], u[0] - x[1] - np.sin(x[0])]
+        return [x[1], u[0] - x[1] - m.sin(x[0])]
 
     system = control.nlsys(rhs, lambda t, x, u, p: [x[0]], states=2, inputs=["u"], outputs=["y"])
     block = FromControl(system=system, units={"u": "m", "y": "m"}, x0=(1.0, 0.0), direct=False)
