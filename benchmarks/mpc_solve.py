@@ -21,19 +21,22 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy: idle threads of B
 
 import argparse
 import contextlib
+import importlib.util
 import json
 import statistics
+import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
 import casadi
 import numpy as np
+from rich.console import Console
+from rich.progress import track
 
 from steerkit.assembly import placed, steering_loop
 from steerkit.controllers.mpc import MPC, PredictiveSteering
-from steerkit.controllers.mpc_model import V_HIGH, V_LOW
 from steerkit.controllers.nonlinear_mpc import NonlinearMPC
 from steerkit.courses import course
 from steerkit.plants.careful_driver import CarefulDriver
@@ -119,15 +122,10 @@ class Nonlinear:
     def values(self, x: tuple[float, ...], u: Any) -> dict[str, Any]:
         """What changes from sample to sample: start, speed, curvatures, goals, P, limits of a_y."""
         block, n = self.block, self.block.pieces
-        state = block.X(x[:n], x[n:-1], x[-1])
-        v = float(np.clip(u.v * np.cos(u.beta), V_LOW, V_HIGH))
-        kappa = block.ahead @ np.array(u.preview)
-        e = float(np.clip(u.e, -block.e_reach, block.e_reach))
-        measured = (e, u.psi_e, v * float(np.tan(u.beta)), u.r, u.delta_sw_meas)
-        start = np.append(block._predict(measured, state.commands, v, kappa[:n]), state.commands[-1])
-        goal = block.model.steady(v, kappa[n : n + self.n + 1])
+        v, start, then = block._ahead(block.X(x[:n], x[n:-1], x[-1]), u)
+        goal, between = then[n : n + self.n + 1, :6], then[n + self.n + 1 :]
         path = v * goal[:, 3]
-        return {"x0": start, "v": v, "kappa": kappa[n + self.n + 1 :], "goal": goal, "p": block.model.at(v)[3],
+        return {"x0": start, "v": v, "kappa": between[:, 6], "goal": goal, "p": block.model.at(v)[3],
                 "low": np.minimum(-block.a_y_limit, path - block.a_y_room),
                 "high": np.maximum(block.a_y_limit, path + block.a_y_room)}  # fmt: skip
 
@@ -216,6 +214,11 @@ class Nonlinear:
         return mpc, now
 
 
+def progress(items: Sequence[int], what: str) -> Iterable[int]:
+    """The items, with a bar on the error output."""
+    return track(items, what, console=Console(stderr=True))
+
+
 # ---- the run --------------------------------------------------------------------------------------------------------
 
 
@@ -232,7 +235,7 @@ def measured(samples: int, peers: int) -> dict[str, Any]:
     runs = {name: cases(block, rows) for name, block in blocks.items()}
     times: dict[str, list[float]] = {name: [] for name in blocks}
     unsolved = dict.fromkeys(blocks, 0)
-    for first in range(0, samples, TURN):
+    for first in progress(range(0, samples, TURN), "our solvers"):
         for name, block in blocks.items():
             for x, u in runs[name][first : first + TURN]:
                 ms, y = timed(block.output, 0.0, x, u)
@@ -243,6 +246,9 @@ def measured(samples: int, peers: int) -> dict[str, Any]:
         figures[f"{name}_ms"] = statistics.median(times[name])
         figures[f"{name}_p99_ms"] = float(np.percentile(times[name], 99))
         figures[f"{name}_unsolved"] = unsolved[name]
+    if importlib.util.find_spec("do_mpc") is None:
+        print("do-mpc is not installed, so nothing is compared: pip install 'steerkit-control[peers]'", file=sys.stderr)
+        return figures
     return figures | against_peers(blocks, runs, samples, peers)
 
 
@@ -259,7 +265,7 @@ def against_peers(blocks: dict[str, PredictiveSteering], runs: dict[str, list[Ca
     ipopt, (dompc, now) = programme.ipopt(), programme.dompc()
     once, converged, other, lived = list[float](), list[float](), list[float](), list[bool]()
     ours_ms, their_ms, ipopt_ms = list[float](), list[float](), list[float]()
-    for k in chosen:
+    for k in progress(chosen, "do-mpc and ipopt"):
         x, u = runs["nmpc20"][k]
         values = programme.values(x, u)
         block.output(0.0, x, u)

@@ -16,7 +16,9 @@ if TYPE_CHECKING:
     from steerkit.compiled import compile
     from steerkit.controllers.delay import Predicted, delayed_stanley
     from steerkit.controllers.lqr import Lqr
+    from steerkit.controllers.mpc import MPC
     from steerkit.controllers.nfq_policy import NfqPolicy
+    from steerkit.controllers.nonlinear_mpc import NonlinearMPC
     from steerkit.controllers.pure_pursuit import PurePursuit
     from steerkit.controllers.recovery import Guarded, Supervisor
     from steerkit.controllers.stanley import Stanley
@@ -47,7 +49,9 @@ _HOME = {
     "Predicted": "controllers.delay",
     "delayed_stanley": "controllers.delay",
     "Lqr": "controllers.lqr",
+    "MPC": "controllers.mpc",
     "NfqPolicy": "controllers.nfq_policy",
+    "NonlinearMPC": "controllers.nonlinear_mpc",
     "PurePursuit": "controllers.pure_pursuit",
     "Guarded": "controllers.recovery",
     "Supervisor": "controllers.recovery",
@@ -74,6 +78,7 @@ _HOME = {
 }
 
 __all__ = [
+    "MPC",
     "Block",
     "Direct",
     "Experiment",
@@ -88,6 +93,7 @@ __all__ = [
     "LowPass",
     "Lqr",
     "NfqPolicy",
+    "NonlinearMPC",
     "NonlinearSingleTrack",
     "Out",
     "Path",

@@ -66,7 +66,9 @@ def options(
     """What goes before the command."""
 
 
-_CONTROLLERS = "stanley, stanley-textbook, stanley-delay, lqr, pure-pursuit, or a learning run's directory."
+_CONTROLLERS = (
+    "stanley, stanley-textbook, stanley-delay, lqr, pure-pursuit, mpc, nonlinear-mpc, or a learning run's directory."
+)
 
 
 @app.command()

@@ -13,7 +13,7 @@ import numpy as np
 
 from steerkit import maths as m
 from steerkit.block import Block, In, Out, require
-from steerkit.controllers.mpc_model import V_HIGH, V_LOW, Array, PathModel, Rhs, bound
+from steerkit.controllers.mpc_model import KAPPA_HIGH, V_HIGH, V_LOW, Array, PathModel, Rhs, bound
 from steerkit.controllers.mpc_qp import SOLVERS, Answer, StageQp
 from steerkit.controllers.stanley import Stanley
 from steerkit.units import radians_of
@@ -27,6 +27,8 @@ Table = tuple[Array, Array, Array, Array]
 Motion = tuple[Array, Array, Array, Array, Array]
 """A, B, gaps, rows and offsets of a_y."""
 _NOTHING = 1e9  # residual of a solution that is not finite
+_BETA, _R = 0.8, 5.0  # rad and rad/s: no sensor that works has more to say
+_FALLBACK_SEES = {"e", "psi_e", "kappa", "v", "r", "delta_sw_meas"}
 _PACE = 1.15  # in tight bends the front axle is that much faster than the centre of gravity
 
 
@@ -100,7 +102,7 @@ class PredictiveSteering(Block):
     """Weight of the heading's deviation from steady cornering [1]."""
     q_r: float = 0.0
     """Weight of the yaw rate's deviation from steady cornering [s^2]."""
-    q_rate: float = 3e-4
+    q_rate: float = 2e-4
     """Weight of the command's rate [s^2]."""
     limit: float = radians_of(520.0)
     """Largest |command| [rad]."""
@@ -167,9 +169,8 @@ class PredictiveSteering(Block):
             require(self.budget > 0.0, where, f"budget = {self.budget} [s], expected > 0, or None for no limit")
             require(self.clock is not None, where, f"budget = {self.budget} [s] needs a clock")
         asks, gives = {p.name for p in self.fallback.inputs}, [p.name for p in self.fallback.outputs]
-        known = {"e", "psi_e", "kappa", "v", "r", "delta_sw_meas"}
-        require(asks <= known, where, f"fallback {type(self.fallback).__name__} needs {', '.join(sorted(asks - known))}; "
-                f"it may ask for {', '.join(sorted(known))}")  # fmt: skip
+        more = f"{', '.join(sorted(asks - _FALLBACK_SEES))}; it may ask for {', '.join(sorted(_FALLBACK_SEES))}"
+        require(asks <= _FALLBACK_SEES, where, f"fallback {type(self.fallback).__name__} needs {more}")
         require(gives == ["delta_sw"], where, f"fallback with outputs {gives}, expected delta_sw only")
         object.__setattr__(self, "preview_points", math.ceil(_PACE * (self.pieces + self.horizon)) + 1)
         object.__setattr__(self, "preview_dt", self.dt)
@@ -182,11 +183,8 @@ class PredictiveSteering(Block):
         `SteeringActuator`. That holds its angle for its own dt, which is half of that more delay. Raises ValueError
         for a car without a right-hand side.
         """
-        kind = type(car).__name__
-        require(
-            hasattr(car, "rhs") and hasattr(car, "vehicle"), cls.__name__,
-            f"{kind} has no right-hand side to predict with, expected a plant such as NonlinearSingleTrack(vehicle=...)",
-        )  # fmt: skip
+        expected = "no right-hand side to predict with, expected a plant such as NonlinearSingleTrack(vehicle=...)"
+        require(hasattr(car, "rhs"), cls.__name__, f"{type(car).__name__} has {expected}")
         known = {} if actuator is None else dict(
             delay=actuator.delay + 0.5 * actuator.dt, lag=float(actuator.lag), limit=float(actuator.limit),
             rate_limit=min(float(actuator.rate_limit), cls.rate_limit),
@@ -343,18 +341,21 @@ class PredictiveSteering(Block):
         to at the pace of steady cornering.
         """
         n, by_axis = self.pieces, self.model.sway_is_speed
-        cos_beta = m.maximum(m.cos(u.beta), 0.5) if by_axis else 1.0
+        beta = m.clip(u.beta, -_BETA, _BETA)
+        cos_beta = m.cos(beta) if by_axis else 1.0
         v = m.clip(u.v * cos_beta, V_LOW, V_HIGH)
-        rows = self.model.steady(v, np.array(u.preview))
+        preview = np.minimum(np.maximum(u.preview, -KAPPA_HIGH), KAPPA_HIGH)
+        rows = self.model.steady(v, preview)
         span = 0.5 * self.dt / (cos_beta * rows[:, 6])
-        rows[:, 6] = u.preview
+        rows[:, 6] = preview
         at = np.interp(self.times, np.append(0.0, np.cumsum(span[1:] + span[:-1])), np.arange(len(rows)))
         j = np.minimum(at.astype(np.intp), len(rows) - 2)
         then = rows[j] + (at - j)[:, None] * (rows[j + 1] - rows[j])
-        e = m.clip(u.e, -self.e_reach, self.e_reach)
-        sway = v * m.tan(u.beta) if by_axis else u.beta
+        e, psi_e = m.clip(u.e, -self.e_reach, self.e_reach), m.clip(u.psi_e, -m.pi, m.pi)
+        wheel = m.clip(u.delta_sw_meas, -self.limit, self.limit)
+        measured = (e, psi_e, v * m.tan(beta) if by_axis else beta, m.clip(u.r, -_R, _R), wheel)
         x = np.empty(6)
-        x[:5] = self._predict((e, u.psi_e, sway, u.r, u.delta_sw_meas), state.commands, v, then[:n, 6])
+        x[:5] = self._predict(measured, state.commands, v, then[:n, 6])
         x[5] = state.commands[-1]
         return v, x, then
 

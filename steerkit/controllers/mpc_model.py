@@ -231,13 +231,13 @@ class PathModel:
         residual = casadi.vertcat(*motion)
         after = w - casadi.solve(casadi.jacobian(residual, w), residual)
         newton = casadi.Function("newton", [w, v, kappa], [after, casadi.mmax(casadi.fabs(residual)), along / v])
-        newton = newton.map(len(self.speeds))
+        newton, all_speeds = newton.map(len(self.speeds)), self.speeds[None, :]
         rows, good = [np.zeros((len(self.speeds), 5))], np.ones(len(self.speeds), dtype=bool)
         rows[0][:, 4] = 1.0
         for kappa_i in np.arange(KAPPA_STEP, KAPPA_HIGH + 0.5 * KAPPA_STEP, KAPPA_STEP):
             guess = 2.0 * rows[-1] - rows[-2] if len(rows) > 1 else rows[-1]
             for _ in range(8):
-                found, error, pace = newton(guess[:, :4].T, self.speeds[None, :], np.full((1, len(self.speeds)), kappa_i))
+                found, error, pace = newton(guess[:, :4].T, all_speeds, np.full_like(all_speeds, kappa_i))
                 guess = np.vstack((found.full(), pace.full())).T
             with np.errstate(invalid="ignore"):
                 more = np.abs(guess[:, 3]) > np.abs(rows[-1][:, 3])  # not past the tyres' best

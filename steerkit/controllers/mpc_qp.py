@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -211,7 +212,13 @@ class StageQp:
                      [self._out[name] for name in function.name_out()])  # fmt: skip
 
     def solve(self) -> Answer:
-        """Solve the programme in `data` and check the answer."""
+        """Solve the programme in `data` and check the answer.
+
+        One with a bound that is not finite (the gaps hold A x, so whatever broke in the motion shows there) is not
+        asked: CasADi would raise an error.
+        """
+        if not math.isfinite(float(self.data["lba"].sum())):
+            return Answer(self._out["x"], 0.0, False, math.inf)
         if self.solver == "qpoases":
             iterations, success = self._condensed()
             self._check()

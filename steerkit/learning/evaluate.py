@@ -26,8 +26,19 @@ CONTROLLERS: dict[str, Callable[[World], Block]] = {
         world.vehicle, LinearSingleTrack(vehicle=world.vehicle).matrices, delay=world.dead_time, lag=world.lag
     ),
     "pure-pursuit": lambda world: PurePursuit.of(world.vehicle, world.path(), delay=world.dead_time),
+    "mpc": lambda world: _predictive(world),
+    "nonlinear-mpc": lambda world: _predictive(world, nonlinear=True),
 }
 """Analytic controllers by name, each made for a world: its car, its course, its steering delay and lag."""
+
+
+def _predictive(world: World, *, nonlinear: bool = False) -> Block:
+    from steerkit.controllers.mpc import MPC  # loads CasADi
+    from steerkit.controllers.nonlinear_mpc import NonlinearMPC
+
+    kind = NonlinearMPC if nonlinear else MPC
+    actuator = world.actuator()
+    return kind.of(world.car(world.path()), actuator, delay=world.dead_time + 0.5 * actuator.dt)
 
 
 def controller(name: str, world: World) -> Block:

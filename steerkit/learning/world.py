@@ -97,7 +97,7 @@ class World:
         """The human who sets the speed, and slows down for bends."""
         return CarefulDriver(path=self.path(), driver=HumanDriver(v_min=self.v_min, v_max=self.v_max, seed=seed))
 
-    def actuator(self) -> Block:
+    def actuator(self) -> SteeringActuator:
         """The motor at the steering wheel."""
         return SteeringActuator(lag=self.lag, delay=self.delay, rate_limit=radians_of(self.rate_limit_deg))
 

@@ -93,9 +93,10 @@ def test_the_delay_is_answered_as_by_lqr_with_the_commands_on_their_way_as_state
 def test_a_steady_bend_is_held(kind: type[PredictiveSteering], car: Any, v: float, kappa: float) -> None:
     block = controller(kind, car, delay=0.125)
     speed = block.model.sway_is_speed
-    _, psi_e, sway, r, wheel, _ = block.model.steady(v, np.array([kappa]))[0].tolist()
-    motion = car.rhs((0.0, 0.0, psi_e, sway, r), wheel / PASSAT.steer_ratio, v)
-    np.testing.assert_allclose([motion[1], motion[2] - kappa * motion[0], *motion[3:]], 0.0, atol=2e-3)
+    _, psi_e, sway, r, wheel, _, pace = block.model.steady(v, np.array([kappa]))[0].tolist()
+    x_dot, y_dot, psi_dot, *rest = car.rhs((0.0, 0.0, psi_e, sway, r), wheel / PASSAT.steer_ratio, v)
+    along, drift = x_dot - PASSAT.l_f * r * np.sin(psi_e), y_dot + PASSAT.l_f * r * np.cos(psi_e)
+    np.testing.assert_allclose([drift, psi_dot - kappa * along, along - v * pace, *rest], 0.0, atol=2e-3)
     beta = float(np.arctan2(sway, v)) if speed else sway
     y = asked(block, kappa=kappa, v=v / float(np.cos(beta)) if speed else v, psi_e=psi_e, beta=beta, r=r,
               delta_sw_meas=wheel, commands=(wheel,) * block.pieces)  # fmt: skip
@@ -112,19 +113,46 @@ def test_far_off_it_turns_as_fast_as_it_may(kind: type[PredictiveSteering], side
     assert y.plan[0] == pytest.approx(-side * block.rate_limit, rel=1e-4)
 
 
-def test_the_car_in_path_coordinates_is_the_car_in_the_plane() -> None:
+@pytest.mark.parametrize("reference", [0.0, PASSAT.l_f, -PASSAT.l_r])
+def test_the_car_in_path_coordinates_is_the_car_in_the_plane(reference: float) -> None:
     """On a circle: from a pose beside it, one by the path's model, one by the plant's own and geometry."""
-    block = controller(NonlinearMPC, NONLINEAR)
+    block = controller(NonlinearMPC, NONLINEAR, reference=reference)
     kappa, v, wheel = 0.05, 5.0, 2.0
     at = np.array([0.4, 0.1, 0.05, 0.2, wheel])
     predict = block.model.predictor(4, block.dt)
     after = np.array(predict(at, [wheel] * 4, v, [kappa] * 4)).ravel()
-    x = (0.0, 1.0 / kappa * -1.0 * (1.0 - kappa * at[0]), float(at[1]), float(at[2]), float(at[3]))
-    for _ in range(400):  # the centre is the origin, the path's radius 20 m, the car starts below
+    # the centre is the origin, the path's radius 20 m; the point starts below it, the car's centre of gravity behind
+    psi, ahead = float(at[1]), np.array((np.cos(at[1]), np.sin(at[1])))
+    start = np.array((0.0, -(1.0 / kappa - at[0]))) - reference * ahead
+    x = (float(start[0]), float(start[1]), psi, float(at[2]), float(at[3]))
+    for _ in range(400):
         x = m.rk4(lambda z: NONLINEAR.rhs(z, wheel / PASSAT.steer_ratio, v), x, 0.2 / 400)  # type: ignore[assignment]
-    e = 1.0 / kappa - float(np.hypot(x[0], x[1]))
-    psi_e = x[2] - (float(np.arctan2(x[1], x[0])) + np.pi / 2.0)
+    px, py = x[0] + reference * float(np.cos(x[2])), x[1] + reference * float(np.sin(x[2]))
+    e = 1.0 / kappa - float(np.hypot(px, py))
+    psi_e = x[2] - (float(np.arctan2(py, px)) + np.pi / 2.0)
     np.testing.assert_allclose(after, [e, psi_e, x[3], x[4], wheel], atol=2e-4)
+
+
+@pytest.mark.parametrize("reference", [0.0, PASSAT.l_f])
+def test_a_tight_bend_is_met_where_it_is(reference: float) -> None:
+    """The preview's entries lie v*dt apart; the front axle gets along faster, v/cos(delta)."""
+    block = controller(MPC, NONLINEAR, reference=reference, delay=0.2)
+    v, kappa, first = 4.0, 0.16, 12
+    u = block.D(e=0.0, psi_e=0.0, v=v, beta=0.0, r=0.0, delta_sw_meas=0.0,
+                preview=tuple([0.0 if j < first else kappa for j in range(block.preview_points)]))  # fmt: skip
+    _, _, then = block._ahead(block.X((0.0,) * 4, (0.0,) * 20, 0.0), u)
+    assert np.all(np.diff(then[4:25, 6]) >= 0.0)  # the stages
+    assert (then[4:25, 6] < 1e-9).sum() == first - 4  # on the straight, both run at v
+    steady = u._replace(preview=(kappa,) * block.preview_points)
+    assert np.ptp(block._ahead(block.X((0.0,) * 4, (0.0,) * 20, 0.0), steady)[2], axis=0).max() < 1e-12
+
+
+def test_the_pace_of_the_front_axle_is_that_of_rigid_rolling_at_low_grip_use() -> None:
+    """|v_front| = v_x/cos(delta) for a car that rolls without slip; v_x is the speed that `rhs` takes."""
+    block = controller(MPC, NONLINEAR)
+    for kappa in (0.02, 0.1, 0.16):
+        pace = block.model.steady(1.0, np.array([kappa]))[0, 6]
+        assert pace == pytest.approx(1.0 / np.sqrt(1.0 - (PASSAT.wheelbase * kappa) ** 2), rel=5e-3)
 
 
 def test_the_tables_over_speed_are_the_exact_matrices() -> None:
@@ -141,7 +169,7 @@ def test_a_round_trip_of_bends_under_delay_stays_within_centimetres(kind: type[P
     path, motor = course("paper"), SteeringActuator(delay=0.2, lag=0.1)
     driver = CarefulDriver(path=path, driver=HumanDriver(seed=1))
     loop = steering_loop(car=placed(NONLINEAR, path, s=180.0), path=path, driver=driver, actuator=motor,
-                         controller=kind.of(NONLINEAR, motor))  # fmt: skip
+                         controller=kind.of(NONLINEAR, motor), reference=PASSAT.l_f)  # fmt: skip
     log = simulate(loop, 25.0, record=["path.e", "controller.status", "controller.residual"])
     settled = log["path.e"][300:]
     assert (log["controller.status"] == 0.0).all()
@@ -154,5 +182,5 @@ def test_a_circle_is_driven_without_a_steady_error() -> None:
     path, motor = circle(20.0), SteeringActuator(delay=0.1, lag=0.1)
     driver = CarefulDriver(path=path, driver=HumanDriver(v_min=6.0, v_max=6.0))
     loop = steering_loop(car=placed(NONLINEAR, path), path=path, driver=driver, actuator=motor,
-                         controller=MPC.of(NONLINEAR, motor))  # fmt: skip
+                         controller=MPC.of(NONLINEAR, motor), reference=PASSAT.l_f)  # fmt: skip
     assert largest(simulate(loop, 15.0, record=["path.e"])["path.e"][-300:]) < 2e-3

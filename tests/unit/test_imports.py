@@ -165,5 +165,5 @@ def test_every_public_name_is_there() -> None:
     for name in steerkit.__all__:
         assert getattr(steerkit, name) is not None
     assert set(steerkit.__all__) <= set(dir(steerkit))
-    with pytest.raises(AttributeError, match=r"module 'steerkit' has no attribute 'loop_'; it offers: Block, "):
+    with pytest.raises(AttributeError, match=r"module 'steerkit' has no attribute 'loop_'; it offers: MPC, Block, "):
         _ = steerkit.loop_

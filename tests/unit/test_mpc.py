@@ -21,8 +21,10 @@ from steerkit.controllers import mpc as module
 from steerkit.controllers.mpc import MPC, PredictiveSteering
 from steerkit.controllers.mpc_qp import SOLVERS, Answer, StageQp
 from steerkit.controllers.nonlinear_mpc import NonlinearMPC
+from steerkit.controllers.recovery import Supervisor
+from steerkit.controllers.stanley import Stanley
 from steerkit.courses import course, straight
-from steerkit.plants.human_driver import ConstantSpeed
+from steerkit.plants.human_driver import ConstantSpeed, RecordedDriver
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.plants.vehicle import vehicle
@@ -67,7 +69,7 @@ def checked(block: PredictiveSteering, outputs: list[Any], last: float = 0.0) ->
 
 @kinds
 @pytest.mark.parametrize("broken", [*ZEROS, "preview"])
-@pytest.mark.parametrize("value", [math.nan, math.inf])
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_a_broken_input_is_answered_by_the_plan_then_the_fallback(kind: Any, broken: str, value: float) -> None:
     block = controller(kind)
     good = inputs(block, e=0.3)
@@ -96,7 +98,8 @@ def test_a_car_that_stands_or_reverses_keeps_its_wheel(kind: Any, v: float) -> N
 
 @kinds
 @pytest.mark.parametrize("start", [{"e": 3.0, "psi_e": 0.8, "v": 9.0}, {"e": -40.0}, {"psi_e": 3.1}, {"v": 0.11},
-                                   {"v": 300.0}, {"r": 9.0, "beta": 1.5}, {"delta_sw_meas": 20.0}])  # fmt: skip
+                                   {"v": 300.0}, {"r": 9.0, "beta": 1.5}, {"delta_sw_meas": 20.0}, {"kappa": 40.0},
+                                   *[{name: 1e300} for name in ZEROS], {"kappa": -1e300}])  # fmt: skip
 def test_a_start_beyond_all_limits_has_a_command(kind: Any, start: dict[str, float]) -> None:
     block = controller(kind)
     y = driven(block, [inputs(block, **start)] * 8)
@@ -185,14 +188,77 @@ def test_a_late_solution_is_not_used_and_the_fallback_comes_after_the_plan(late:
     assert (y.status, y.fault) == (1.0 if late <= block.patience else 2.0, 3.0)
 
 
-def test_the_fallback_is_stanley_and_drives_home(monkeypatch: pytest.MonkeyPatch) -> None:
+UNSOLVED = {"success": False, "residual": 1.0}
+
+
+def test_the_fallback_is_stanley(monkeypatch: pytest.MonkeyPatch) -> None:
+    block = controller(delay=0.0)
+    true = StageQp.solve
+    monkeypatch.setattr(StageQp, "solve", lambda qp: true(qp)._replace(**UNSOLVED))
+    u = inputs(block, e=0.05, psi_e=-0.02, r=0.05, kappa=0.02, delta_sw_meas=0.4)
+    y = driven(block, [u])[0]
+    stanley = Stanley.of(CAR.vehicle)
+    asked = stanley.D(e=u.e, psi_e=u.psi_e, kappa=0.02, v=u.v, r=u.r, delta_sw_meas=u.delta_sw_meas)
+    expected = stanley.output(0.0, stanley.settle(0.0, stanley.init(), asked), asked).delta_sw
+    assert (y.status, y.fault) == (2.0, 2.0)
+    assert y.delta_sw == pytest.approx(expected, abs=1e-9)
+
+
+def test_the_fallback_is_asked_at_its_own_point(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A controller at the centre of gravity, on a circle as its own front axle is beside it."""
     monkeypatch.setattr(StageQp, "solve", lambda qp: Answer(qp.data["g"], 0.0, False, 1.0))
-    path = course("paper")
+    l_f, kappa = CAR.vehicle.l_f, 0.02
+    at_front = inputs(controller(delay=0.0), e=0.1, psi_e=0.03, kappa=kappa)
+    e = at_front.e - l_f * at_front.psi_e - 0.5 * kappa * l_f**2  # of second order in l_f
+    at_cg = inputs(controller(delay=0.0, reference=0.0), e=e, psi_e=at_front.psi_e + kappa * l_f, kappa=kappa)
+    places = ((l_f, at_front), (0.0, at_cg))
+    commands = [driven(controller(delay=0.0, reference=at), [u])[0].delta_sw for at, u in places]
+    assert commands[1] == pytest.approx(commands[0], abs=0.02)
+    assert abs(commands[0]) > 0.2
+
+
+def test_the_fallback_drives_home(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(StageQp, "solve", lambda qp: Answer(qp.data["g"], 0.0, False, 1.0))
+    path, motor = course("paper"), SteeringActuator(delay=0.2, lag=0.1)
     loop = steering_loop(car=placed(CAR, path, s=20.0, e=0.8), path=path, driver=ConstantSpeed(speed=5.0),
-                         actuator=SteeringActuator(), controller=controller())  # fmt: skip
+                         actuator=motor, controller=MPC.of(CAR, motor), reference=CAR.vehicle.l_f)  # fmt: skip
     log = simulate(loop, 12.0)
     assert (log["controller.status"] == 2.0).all()
-    assert np.abs(log["path.e"][-200:]).max() < 0.3  # at the centre of gravity; the law is about the front axle
+    assert np.abs(log["path.e"][-200:]).max() < 0.1
+
+
+@kinds
+def test_a_run_can_be_repeated_bit_for_bit(kind: Any) -> None:
+    path = course("paper")
+    loop = steering_loop(car=placed(CAR, path, e=0.8), path=path, driver=ConstantSpeed(speed=6.0), actuator=MOTOR,
+                         controller=kind.of(CAR, MOTOR))  # fmt: skip
+    runs = [simulate(loop, 2.0, record=["controller.delta_sw", "controller.residual", "path.e"]) for _ in range(2)]
+    for name in ("controller.delta_sw", "controller.residual", "path.e"):
+        np.testing.assert_array_equal(runs[0][name], runs[1][name])
+
+
+@pytest.mark.parametrize(("e", "psi_e_deg"), [(3.0, 30.0), (-3.0, 45.0)])
+@kinds
+def test_a_start_far_off_and_askew_is_recovered(kind: Any, e: float, psi_e_deg: float) -> None:
+    path = straight(120.0)
+    loop = steering_loop(car=placed(CAR, path, e=e, psi_e=math.radians(psi_e_deg)), path=path,
+                         driver=ConstantSpeed(speed=6.0), actuator=MOTOR, controller=kind.of(CAR, MOTOR),
+                         reference=CAR.vehicle.l_f)  # fmt: skip
+    log = simulate(loop, 15.0)
+    assert np.abs(log["path.e"][-200:]).max() < 0.02
+    assert np.abs(log["car.a_y"]).max() < 3.1
+
+
+@kinds
+def test_a_car_starts_from_standstill_and_stops_again(kind: Any) -> None:
+    path = straight(60.0)
+    driver = RecordedDriver(speeds=(0.0, 0.0, 3.0, 3.0, 0.0, 0.0), spacing=2.0)
+    loop = steering_loop(car=placed(CAR, path, e=0.3), path=path, driver=driver, actuator=MOTOR,
+                         controller=kind.of(CAR, MOTOR), reference=CAR.vehicle.l_f)  # fmt: skip
+    log = simulate(loop, 10.0)
+    assert np.isfinite(log["controller.delta_sw"]).all()
+    assert set(log["controller.fault"]) == {0.0, 4.0}
+    assert abs(log["path.e"][-1]) < 0.05
 
 
 # ---- the programme and its solvers --------------------------------------------------------------------------------
@@ -320,10 +386,18 @@ def test_time_is_taken_unless_there_is_no_clock() -> None:
         (dict(delay=-0.1), r"delay = -0.1, expected >= 0"),
         (dict(delay=3.0), r"delay = 3.0 \[s\], expected at most 2 s"),
         (dict(rhs=3), r"rhs = 3, expected a function"),
-        (dict(reference=1.2), r"reference = 1.2 \[m\], expected 0: the model is about the CG"),
-        (dict(budget=math.nan), r"budget = nan \[s\]"),
+        (dict(reference=12.0), r"reference = 12.0 \[m\], expected -5 to 5"),
+        (dict(budget=math.nan), r"budget = nan \[s\], expected > 0, or None"),
+        (dict(budget=0.01, clock=None), r"budget = 0.01 \[s\] needs a clock"),
+        (dict(fallback=ConstantSpeed()), r"fallback with outputs \['v'\], expected delta_sw only"),
+        (dict(fallback=Supervisor()), r"fallback Supervisor needs learner, ready, recovery; it may ask for"),
     ],
 )
 def test_a_wrong_parameter_is_refused(wrong: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         MPC.of(CAR, **wrong)
+
+
+def test_a_car_without_equations_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"MPC: Vehicle has no right-hand side .* NonlinearSingleTrack\(vehicle=...\)"):
+        MPC.of(CAR.vehicle, delay=0.2)
