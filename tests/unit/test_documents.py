@@ -62,7 +62,12 @@ def test_a_wrong_output_would_be_found() -> None:
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_commands_are_valid(page: Path) -> None:
     """`steerkit ...` parses; a script named after `python` is there and knows the options given to it."""
-    lines = [line for language, text in blocks(page) if language in ("", "sh") for line in text.splitlines()]
+    lines = [
+        line
+        for language, text in blocks(page)
+        if language in ("", "sh")
+        for line in text.replace("\\\n", " ").splitlines()
+    ]
     inline = re.findall(
         r"`((?:steerkit|python benchmarks/|python examples/|python docs/)[^`]*)`", page.read_text("utf-8")
     )
