@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
+import casadi
 import control
 import numpy as np
 import pytest
@@ -153,6 +154,18 @@ def test_the_pace_of_the_front_axle_is_that_of_rigid_rolling_at_low_grip_use() -
     for kappa in (0.02, 0.1, 0.16):
         pace = block.model.steady(1.0, np.array([kappa]))[0, 6]
         assert pace == pytest.approx(1.0 / np.sqrt(1.0 - (PASSAT.wheelbase * kappa) ** 2), rel=5e-3)
+
+
+@pytest.mark.parametrize("car", [LINEAR, NONLINEAR])
+def test_the_slopes_of_a_step_are_those_that_casadi_finds(car: Any) -> None:
+    step = controller(NonlinearMPC, car).model.linearised_step()
+    x, u, v, kappa = casadi.SX.sym("x", NX), casadi.SX.sym("u"), casadi.SX.sym("v"), casadi.SX.sym("k")
+    after = step(x, u, v, kappa)[0]
+    slopes = casadi.Function("slopes", [x, u, v, kappa], [casadi.jacobian(after, x), casadi.jacobian(after, u)])
+    at = (np.array([0.3, 0.4, -0.2, 0.5, 3.0, 3.5]), -4.0, 5.0, 0.08)
+    found, expected = step(*at), slopes(*at)
+    np.testing.assert_allclose(found[1].full().T, expected[0].full(), atol=1e-12)
+    np.testing.assert_allclose(found[2].full(), expected[1].full(), atol=1e-12)
 
 
 def test_the_tables_over_speed_are_the_exact_matrices() -> None:
