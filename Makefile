@@ -29,7 +29,7 @@ lint: $(READY)  ## style, format and types
 	$(BIN)/mypy
 
 docs: $(READY)  ## the documentation site, under site/; a warning is an error
-	$(BIN)/mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 dist: $(READY)  ## wheel and sdist under dist/, installed elsewhere and tested there
 	rm -rf dist

@@ -12,14 +12,16 @@ from mkdocs.structure.files import File
 
 ROOT = Path(__file__).parents[2]
 GROUPS: dict[str, tuple[str, ...]] = {
-    "Blocks and loops": ("block", "loop", "simulation", "assembly", "maths", "units", "random", "plotting", "diagram"),
+    "Blocks and loops": ("block", "loop", "simulation", "assembly", "maths", "units", "random"),
+    "Pictures": ("plotting", "diagram", "notebook", "animation"),
     "Paths and courses": ("path", "tracker", "courses"),
     "Cars, drivers, sensors": ("plants",),
     "Controllers": ("controllers", "doe"),
-    "Learning": ("learning", "gym", "export"),
+    "Learning": ("learning", "gym"),
     "Analysis and metrics": ("analysis", "metrics", "identification"),
-    "Compiled loops": ("compiled", "c_export"),
-    "On a car": ("car", "car_cli", "car_panel", "car_replay", "realtime", "clock", "plants.real_car"),
+    "Compiled loops and export": ("compiled", "c_export", "onnx_export", "fmu_export"),
+    "On a car": ("car", "car_panel", "car_replay", "realtime", "clock", "plants.real_car"),
+    "Command line": ("cli", "car_cli", "identify_cli", "export_cli"),
 }
 """Pages of the reference, by the modules and packages at the top of steerkit; a longer name goes before a shorter."""
 REST = "Everything else"
