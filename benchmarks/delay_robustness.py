@@ -67,7 +67,7 @@ def largest(name: str, controller: Block, delay: float, cars: Any) -> Any:
     values = {"car.vehicle.c_f": cars[:, 0] * CAR.c_f, "car.vehicle.c_r": cars[:, 0] * CAR.c_r,
               "car.vehicle.steer_ratio": cars[:, 1] * CAR.steer_ratio, "actuator.offset": radians_of(cars[:, 2]),
               "driver.driver.v_min": cars[:, 3], "driver.driver.v_max": cars[:, 3]}  # fmt: skip
-    seconds = 1.05 * path.length / float(cars[:, 3].min())
+    seconds = 1.05 * path.length / SPEEDS[0]  # faster cars slow down for bends, too
     if name != "mpc":
         return worst(driven(loop, seconds, values), path.length)
     ones = [with_parameters(loop, {key: float(column[i]) for key, column in values.items()}) for i in range(len(cars))]
