@@ -5,10 +5,12 @@ READY := $(VENV)/ready
 BIN := $(VENV)/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help demo bench test lint clean
+.PHONY: help setup demo bench test lint docs dist clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-6s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+setup: $(READY)  ## .venv with steerkit and all it needs
 
 demo: $(READY)  ## three cars learn to steer, are compared with Stanley; table and figures under runs/
 	$(BIN)/steerkit demo
@@ -26,8 +28,16 @@ lint: $(READY)  ## style, format and types
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 
+docs: $(READY)  ## the documentation site, under site/; a warning is an error
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+dist: $(READY)  ## wheel and sdist under dist/, installed elsewhere and tested there
+	rm -rf dist
+	$(BIN)/python -m build --no-isolation
+	$(BIN)/python tests/installed.py dist
+
 clean:  ## remove .venv and caches (runs/ stays)
-	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache .hypothesis build dist *.egg-info
+	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache .hypothesis build dist site *.egg-info
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # Set up again whenever a dependency may have changed.

@@ -2,10 +2,12 @@
 
     python benchmarks/car_realtime.py --minutes 5 --json
     python benchmarks/car_realtime.py --minutes 6 --controller learn     # from nothing, training in the background
+    python benchmarks/car_realtime.py --minutes 0.5 --compare --load 4   # with and without SCHED_FIFO, idle and busy
 
 Three processes: the simulated car on an slcan port, the driver process that owns the bus, and this one with the
 controller at 20 Hz. Counts steps, missed deadlines and lateness; then replays the recording through the driver's core
-and through the controller, and compares every frame and every request bit for bit.
+and through the controllers, and compares every frame and every request bit for bit. --load: so many processes that do
+nothing but compute run beside it.
 """
 
 from __future__ import annotations
@@ -13,6 +15,8 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import subprocess
+import sys
 import tempfile
 import threading
 from itertools import pairwise
@@ -20,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from steerkit import car as cars
+from steerkit import car_replay as replays
 from steerkit import realtime
 from steerkit.clock import Clock
 from steerkit.plants.real_car import recording as tapes
@@ -29,7 +34,9 @@ from steerkit.plants.real_car.core import Core
 from steerkit.plants.real_car.states import Mode
 
 
-def measure(controller: str, minutes: float, scale: float, folder: Path, listen: str = "") -> dict[str, Any]:
+def measure(
+    controller: str, minutes: float, scale: float, folder: Path, listen: str = "", *, fifo: bool = False, busy: int = 0
+) -> dict[str, Any]:
     """One drive; returns its figures."""
     config = load("dbw-kit.toml")
     path = cars.course_of(config)
@@ -37,48 +44,63 @@ def measure(controller: str, minutes: float, scale: float, folder: Path, listen:
     simulated, channel = cars.start_simulated("dbw-kit.toml", time_scale=scale, log=str(log), listen=listen)
     with (folder / "driver.log").open("w") as text:
         driver = cars.start_driver(
-            "dbw-kit.toml", socket, recording=str(tape), channel=channel, time_scale=scale, log=text
+            "dbw-kit.toml", socket, recording=str(tape), channel=channel, time_scale=scale, realtime=fifo, log=text
         )
+    beside = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(busy)]
+    granted = ""
     try:
         with DriverLink(socket) as link:
             over = threading.Event()
             engagements: list[str] = []
             threading.Thread(target=operate, args=(socket, over, engagements), daemon=True).start()
-            squares, worst, engaged = 0.0, 0.0, 0
+            squares, worst, engaged, lost = 0.0, 0.0, 0, ""
+            timing = realtime.Timing(period=0.05)
 
             def watch(run: realtime.Run) -> None:
-                nonlocal squares, worst, engaged
-                snapshot = link.last
+                nonlocal squares, worst, engaged, timing
+                timing, snapshot = run.timing, link.last
                 if snapshot and snapshot.mode is Mode.ENGAGED:
                     e = run.sample["path.e"]
                     squares, worst, engaged = squares + e * e, max(worst, abs(e)), engaged + 1
 
+            if fifo:
+                granted = realtime.preferred()
+                print(granted)
             clock = Clock(scale=scale)
             more: dict[str, Any] = {}
-            if controller == "learn":
-                run = learn(config, path, link, folder / "run", 60.0 * minutes, clock, watch, more)
-            else:
-                block = cars.controller_named(controller, config)
-                run = cars.drive(config, path, link, block, duration=60.0 * minutes, clock=clock, watch=watch)
+            last = link.query()
+            try:
+                if controller == "learn":
+                    learn(config, path, link, folder / "run", 60.0 * minutes, clock, watch, more)
+                else:
+                    block = cars.controller_named(controller, config)
+                    cars.drive(config, path, link, block, duration=60.0 * minutes, clock=clock, watch=watch)
+            except CarLost as error:  # a machine that stands still for a second
+                lost = str(error)
             over.set()
-            last = link.last
-            assert last is not None
+            last = link.last or last
     finally:
+        if fifo:
+            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        for process in beside:
+            process.kill()
+            process.wait()
         driver.terminate()
         driver.wait(10.0)
         simulated.terminate()
     recorded = tapes.read(tape)
     frames, same = tapes.replayed_exactly(recorded, Core(config, path))
     asked = same_asked = 0
-    if controller != "learn":  # its nets change on the way
-        block = cars.controller_named(controller, config)
-        asked, same_asked = cars.replayed_requests(recorded, config, path, block)
+    for drive in replays.drives(recorded):
+        asked += len(drive.requests)
+        same_asked += replays.replayed_requests(drive, config, path)
     heard = [json.loads(line) for line in log.read_text().splitlines()]
     times = [h["t"] for h in heard if h.get("enable") == 1]
-    print(realtime.histogram_text(run.timing))
+    print(realtime.histogram_text(timing))
     return {
         "controller": controller, "minutes": minutes, "time_scale": scale, "bus": channel.split(":")[0],
-        **run.timing.summary(), **more, "engagements": len(engagements), "faults": engagements[1:],
+        "sched_fifo": granted or "not asked for", "busy_processes": busy,
+        **timing.summary(), **more, "lost": lost, "engagements": len(engagements), "faults": engagements[1:],
         "mode_at_end": str(last.mode), "cause": last.text.splitlines()[0],
         "engaged_steps": engaged, "rms_e_m": (squares / max(1, engaged)) ** 0.5, "max_e_m": worst,
         "distance_m": max(h["progress"] for h in heard if "progress" in h),
@@ -87,6 +109,25 @@ def measure(controller: str, minutes: float, scale: float, folder: Path, listen:
         "requests": asked, "requests_replayed_exactly": same_asked,
         "recording_mb": tape.stat().st_size / 1e6, "cores": os.cpu_count(), "load_average": os.getloadavg()[1],
     }  # fmt: skip
+
+
+def compare(options: argparse.Namespace) -> dict[str, Any]:
+    """With and without SCHED_FIFO, idle and busy, one drive each; prints them side by side."""
+    rows = []
+    for busy in dict.fromkeys((0, options.load)):
+        for fifo in (False, True):
+            with tempfile.TemporaryDirectory() as folder:
+                rows.append(measure(options.controller, options.minutes, options.time_scale, Path(folder),
+                                    options.listen, fifo=fifo, busy=busy))  # fmt: skip
+    names = ("sched_fifo", "busy_processes", "load_average", "steps", "misses", "jitter_p50_ms", "jitter_p99_ms",
+             "jitter_max_ms", "longest_step_ms", "longest_gap_on_bus_ms", "faults", "lost")  # fmt: skip
+    for name in names:
+        print(f"{name:22s}", *[f"{_short(row[name]):>22s}" for row in rows])
+    return {"drives": rows}
+
+
+def _short(value: Any) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)[:22]
 
 
 def operate(socket: str, over: threading.Event, engagements: list[str]) -> None:
@@ -155,11 +196,18 @@ def main() -> None:
     parser.add_argument("--time-scale", type=float, default=1.0, help="1 is real time")
     parser.add_argument("--listen", default="", help="127.0.0.1:0 for TCP instead of a pseudo-terminal")
     parser.add_argument("--json", action="store_true", help="print one JSON object as the last line")
+    parser.add_argument("--fifo", action="store_true", help="controller and driver process under SCHED_FIFO")
+    parser.add_argument("--load", type=int, default=0, help="processes that compute beside it")
+    parser.add_argument("--compare", action="store_true", help="with and without SCHED_FIFO, idle and with --load")
     options = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
-        row = measure(options.controller, options.minutes, options.time_scale, Path(folder), options.listen)
-    for name, value in row.items():
-        print(f"{name:26s} {value:.4g}" if isinstance(value, float) else f"{name:26s} {value}")
+    if options.compare:
+        row = compare(options)
+    else:
+        with tempfile.TemporaryDirectory() as folder:
+            row = measure(options.controller, options.minutes, options.time_scale, Path(folder), options.listen,
+                          fifo=options.fifo, busy=options.load)  # fmt: skip
+        for name, value in row.items():
+            print(f"{name:26s} {value:.4g}" if isinstance(value, float) else f"{name:26s} {value}")
     if options.json:
         print(json.dumps(row))
 

@@ -30,7 +30,7 @@ from steerkit.learning import evaluate
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.many_drives import TrialDrive, drive_many
 from steerkit.learning.rival import ModelBasedRun
-from steerkit.learning.settings import SETTINGS, setting
+from steerkit.learning.settings import SETTINGS, changed, setting
 from steerkit.learning.world import World
 from steerkit.metrics import GOOD, of_log
 
@@ -187,6 +187,10 @@ def main() -> None:
     """Parse the command line, run the seeds, print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--setting", default="default", choices=[*sorted(SETTINGS), "model-based"])
+    parser.add_argument(
+        "--with", dest="changes", action="append", default=[], metavar="NAME=VALUE",
+        help="change the setting, such as fit.guard=1.2 or after_failure=shift; may be repeated",
+    )  # fmt: skip
     parser.add_argument("--seeds", type=int, default=10, help="seeds 0 to N-1 (default 10)")
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--conditions", default="clean", choices=["clean", "hard"])
@@ -204,19 +208,21 @@ def main() -> None:
     if a.v_max is not None:
         world = replace(world, v_max=a.v_max)
     model_based = a.setting == "model-based"  # actions, rhythm and charged time are the default's
-    chosen = setting("default" if model_based else a.setting)
+    chosen = changed(setting("default" if model_based else a.setting), a.changes)
     base = Experiment(setting=chosen, world=world, minutes=a.minutes, episodes=a.episodes)
     jobs = [(replace(base, seed=a.first_seed + n), a.last, model_based) for n in range(a.seeds)]
     with ProcessPoolExecutor(a.processes, mp_context=get_context("spawn")) as pool:
         outcomes = list(track(pool.map(one_seed, jobs), total=len(jobs), description=a.setting))
     console = Console(width=170)
     names = list(asdict(outcomes[0]))
-    table = Table(*[n.replace("_", " ") for n in names], title=f"{a.setting} on {a.course}, {a.conditions}")
+    title = f"{' '.join((a.setting, *a.changes))} on {a.course}, {a.conditions}"
+    table = Table(*[n.replace("_", " ") for n in names], title=title)
     for o in outcomes:
         table.add_row(*[_cell(v) for v in asdict(o).values()])
     console.print(table)
     result = {
         "setting": a.setting,
+        "changes": a.changes,
         "course": a.course,
         "conditions": a.conditions,
         "plant": a.plant,

@@ -99,6 +99,49 @@ def equal_work(x: np.ndarray, y: np.ndarray, starts: int) -> dict[str, Any]:
     return found
 
 
+def d3rlpy_iteration(record: Transitions, steps: int = 5) -> dict[str, float]:
+    """d3rlpy's NFQ with full batches and PyTorch's Rprop: CPU time of 300 updates, from a few [s].
+
+    Through its own `fit`, which gathers the batch anew for each update, and with the batch gathered once. Its network
+    has one output an action and another cost function: the work is alike, not equal, so no error is compared.
+    """
+    import d3rlpy
+    import torch
+    from d3rlpy.logging import NoopAdapterFactory
+    from d3rlpy.optimizers.optimizers import OptimizerFactory
+
+    class Rprop(OptimizerFactory):
+        def create_optimizer(self, named_modules: Any, lr: float) -> Any:
+            return torch.optim.Rprop([p for _, module in named_modules for p in module.parameters()], lr=0.1)
+
+        @staticmethod
+        def get_type() -> str:
+            return "rprop"
+
+    _, action = np.unique(record.a, return_inverse=True)
+    ends = np.append(record.episode[1:] != record.episode[:-1], True).astype(np.float32)
+    cost, _ = TanhCost()(record.s, record.a, record.s_next)
+    data = d3rlpy.dataset.MDPDataset(
+        record.s.astype(np.float32), action[:, None], -cost.astype(np.float32), ends,
+        action_space=d3rlpy.ActionSpace.DISCRETE,
+    )  # fmt: skip
+    encoder = d3rlpy.models.VectorEncoderFactory([10, 10], activation="tanh")
+    learner = d3rlpy.algos.NFQConfig(
+        batch_size=len(record), gamma=0.95, optim_factory=Rprop(), encoder_factory=encoder
+    ).create(device="cpu:0")
+    began = time.process_time()
+    learner.fit(
+        data, n_steps=steps, n_steps_per_epoch=steps, logger_adapter=NoopAdapterFactory(), show_progress=False
+    )  # fmt: skip
+    own = time.process_time() - began
+    batch = data.sample_transition_batch(len(record))
+    began = time.process_time()
+    for _ in range(4 * steps):
+        learner.update(batch)
+    reused = time.process_time() - began
+    return {"seconds_d3rlpy": 300.0 * own / steps, "seconds_d3rlpy_reused": 300.0 * reused / (4 * steps)}
+
+
 def decision(batch: int = 0) -> float:
     """Time of one greedy decision of three nets over five actions [us]; of a batch, per car."""
     policy = NfqPolicy(nets=fresh_nets(FitSetting(nets=3)))
@@ -148,6 +191,8 @@ def measure(quick: bool) -> dict[str, Any]:
     found |= {f"linear_seconds_{size}": grown[str(size)] for size in sizes}
     found |= {"linear_us_per_transition": each, "linear_worst_x": max(each) / min(each)}
     found |= {"decision_numpy_us": decision(), "decision_numpy_us_per_car_of_1000": decision(1000)}
+    if importlib.util.find_spec("d3rlpy") is not None:
+        found |= d3rlpy_iteration(record)
     versions = {"torch": torch.__version__, "numpy": np.__version__, "python": platform.python_version()}
     return found | {"versions": versions, "machine": platform.machine(), "cores": os.cpu_count()}
 
@@ -161,9 +206,11 @@ def table(found: dict[str, Any]) -> str:
         f"  {'steerkit (C)':24}{ours:10.1f} ms   of it the fit {found['seconds_fit'] * 1e3:.1f} ms",
         f"  {'torch.optim.Rprop':24}{torch:10.1f} ms   {found['vs_torch_rprop_x']:.1f} times as long",
     ]
-    for peer in ("d3rlpy", "psipy"):
-        there = importlib.util.find_spec(peer) is not None
-        lines.append(f"  {peer:24}{'installed, not timed: no like-for-like Rprop' if there else 'not installed':>13}")
+    if "seconds_d3rlpy" in found:
+        for name, key in (("d3rlpy, its fit()", "seconds_d3rlpy"), ("d3rlpy, batch reused", "seconds_d3rlpy_reused")):
+            lines.append(f"  {name:24}{found[key] * 1e3:10.1f} ms   {found[key] / found['seconds']:.1f} times as long")
+    else:
+        lines.append("  d3rlpy                  not installed: it is in the extra `peers`")
     for epoch in (10, 300):
         low, high = found[f"error_ratio_{epoch}_span"]
         lines.append(

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 from steerkit import maths as m
 from steerkit.block import Block, In, Out, WiringError
-from steerkit.controllers.recovery import Guarded, Supervisor
+from steerkit.controllers.recovery import Guarded, Supervisor, TargetShift
 from steerkit.loop import Loop, Wire
 from steerkit.path import Path
 from steerkit.tracker import PathTracker
@@ -33,21 +33,25 @@ def steering_loop(
     doe: Block | None = None,
     recovery: Block | None = None,
     supervisor: Supervisor | None = None,
+    foresight: Block | None = None,
     actuator: Block | None = None,
     sensors: Block | None = None,
     reference: float = 0.0,
+    shift: TargetShift | None = None,
 ) -> Loop:
     """The standard wires between a car on a path, its driver and its steering controllers.
 
     controller: steers by itself (an output `delta_sw`), or picks actions (an output `action`) that `doe` turns into
     an angle. recovery: an analytic controller that steers while the learner is off, through `supervisor` (default:
-    0.5 m and 0.1 m). actuator: between the command and the wheel (none: the command is the angle). sensors: what
-    the controllers see of the car (none: the truth). reference: where e is measured, m ahead of the centre of gravity
-    (the front axle is l_f).
+    0.5 m and 0.1 m), which judges |e|, or the `distance` of `foresight`. actuator: between the command and the wheel
+    (none: the command is the angle). sensors: what the controllers see of the car (none: the truth). reference: where
+    e is measured, m ahead of the centre of gravity (the front axle is l_f). shift: what the learner and the supervisor
+    take for e (none: the path's).
 
-    The blocks are named driver, car, actuator, sensors, path, controller, doe, recovery, supervisor. `path` tracks
-    the **true** reference point, for logs and metrics; with sensors, `seen` tracks the measured one; a controller
-    that wants e elsewhere (its field `reference`) or a preview gets a tracker of its own.
+    The blocks are named driver, car, actuator, sensors, path, shift, controller, doe, recovery, foresight, supervisor.
+    `path` tracks the **true** reference point, for logs and metrics; with sensors, `seen` tracks the measured one; a
+    controller that wants e elsewhere (its field `reference`) or a preview gets a tracker of its own. A car with an
+    output `applied` (a real one) says which angle it was told in the end; then the doe has to be `Corrected`.
     A controller's inputs are joined by name: e, e_dot, psi_e, kappa, r_e, s, progress, preview (its tracker), x, y,
     psi, v, beta, r, a_y (sensors or car), delta_sw_meas (actuator or car), doe (the DOE's state).
 
@@ -62,6 +66,10 @@ def steering_loop(
         )  # fmt: skip
     if supervisor is not None and recovery is None:
         raise WiringError("a supervisor without a recovery controller; give recovery, such as Stanley.of(vehicle)")
+    if foresight is not None and shift is not None:
+        raise WiringError("foresight judges e of the path, shift another; give one of them")
+    if foresight is not None and recovery is None:
+        raise WiringError("foresight without a recovery controller; give recovery, such as Stanley.of(vehicle)")
     if recovery is not None and "ready" not in _names(controller.outputs):
         raise WiringError(f"{type(controller).__name__} has no output 'ready', which the supervisor needs to know")
     bench = _Bench(path)
@@ -78,8 +86,14 @@ def steering_loop(
         bench.join(sensors, car)
         tracker = bench.add("seen", PathTracker(path=path, reference=reference, dt=controller.dt))
         bench.join(tracker, sensors)
+    if shift is not None:
+        if recovery is None:
+            raise WiringError("a shift without a recovery controller; give recovery, such as Stanley.of(vehicle)")
+        bench.add("shift", shift)
+        bench.wire(tracker, "e", shift, "e_path")
+        bench.wire(tracker, "e_dot", shift, "e_dot_path")
     bench.add("controller", controller)
-    bench.control(controller, tracker, seen, steered, doe)
+    bench.control(controller, tracker, seen, steered, doe, shift)
     command = controller
     if doe is not None:
         command = bench.add("doe", doe)
@@ -88,13 +102,19 @@ def steering_loop(
         bench.add("recovery", recovery)
         bench.control(recovery, tracker, seen, steered, doe)
         judge = bench.add("supervisor", supervisor or Supervisor(dt=controller.dt))
-        bench.wire(tracker, "e", judge, "e")
+        if foresight is None:
+            bench.wire(shift or tracker, "e", judge, "e")
+        else:
+            bench.add("foresight", foresight)
+            bench.control(foresight, tracker, seen, steered, doe)
+            bench.wire(foresight, "distance", judge, "e")
         bench.wire(controller, "ready", judge, "ready")
         bench.wire(command, "delta_sw", judge, "learner")
         bench.wire(recovery, "delta_sw", judge, "recovery")
         command = judge
     if doe is not None:
-        bench.wire(command, "delta_sw", doe, "applied")
+        told = "applied" in _names(car.outputs)
+        bench.wire(car if told else command, "applied" if told else "delta_sw", doe, "applied")
     if actuator is not None:
         bench.wire(command, "delta_sw", actuator, "delta_sw_cmd")
     bench.wire(steered if actuator is not None else command, "delta_sw", car, "delta_sw_in")
@@ -123,7 +143,15 @@ class _Bench:
             if name.removesuffix("_in") in _names(source.outputs):
                 self.wire(source, name.removesuffix("_in"), sink, name)
 
-    def control(self, block: Block, tracker: PathTracker, seen: Block, steered: Block, doe: Block | None) -> None:
+    def control(
+        self,
+        block: Block,
+        tracker: PathTracker,
+        seen: Block,
+        steered: Block,
+        doe: Block | None,
+        shift: TargetShift | None = None,
+    ) -> None:
         """Wires a controller's inputs by name, through a tracker at its own reference point if it asks for one."""
         asks: Any = block.block if isinstance(block, Guarded) else block
         reference = asks.reference if "reference" in _fields(asks) else tracker.reference
@@ -140,6 +168,8 @@ class _Bench:
                 if doe is None:
                     raise WiringError(f"{type(block).__name__}.doe: there is no doe in this loop")
                 self.wire(doe, "state", block, name)
+            elif shift is not None and name in ("e", "e_dot"):
+                self.wire(shift, name, block, name)
             elif name in _names(tracker.outputs):
                 self.wire(tracker, name, block, name)
             elif name in _names(seen.outputs):

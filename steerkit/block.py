@@ -135,6 +135,12 @@ class Block:
         """The state one sample time after t."""
         return x
 
+    def _repr_html_(self) -> str:
+        """Parameters and ports as tables, for a notebook."""
+        from steerkit.notebook import block_html
+
+        return block_html(self)
+
     if not TYPE_CHECKING:  # a checker should see unknown names as errors
 
         def __getattr__(self, name: str) -> Any:

@@ -17,23 +17,48 @@ from steerkit import realtime
 from steerkit.assembly import steering_loop
 from steerkit.block import Block
 from steerkit.clock import Clock
+from steerkit.controllers.delay import delayed_stanley
+from steerkit.controllers.foresight import Foresight
+from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.controllers.pure_pursuit import PurePursuit
 from steerkit.controllers.recovery import Guarded
 from steerkit.controllers.stanley import Stanley
 from steerkit.courses import course
-from steerkit.doe import Integrator
+from steerkit.doe import Corrected, Dynamic, Integrator
+from steerkit.learning import on_car, rundir
+from steerkit.learning.follow import Follow, Steers
+from steerkit.learning.settings import ELEMENTS
 from steerkit.loop import Loop
 from steerkit.path import Path
 from steerkit.plants.human_driver import ConstantSpeed
-from steerkit.plants.real_car.client import CarLink, CarLost, DriverLink, RealCar, ReplayLink
+from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.real_car.bus import Port
+from steerkit.plants.real_car.client import CarLink, CarLost, DriverLink, RealCar
 from steerkit.plants.real_car.config import CarConfig
-from steerkit.plants.real_car.protocol import Request, Snapshot, decode
-from steerkit.plants.real_car.recording import Recorded
 from steerkit.plants.real_car.simulated import Fault, SimulatedCar
-from steerkit.plants.real_car.slcan_port import SlcanPort
 from steerkit.plants.real_car.states import Mode, Order
 
-CONTROLLERS = ("stanley", "a learning run's directory, or a policy's .npz file")
+MPC_BUDGET = 0.03
+"""A solution that took longer is not used [s]: the plan before is followed, then the fallback law."""
+CONTROLLERS: dict[str, Callable[[CarConfig], Block]] = {
+    "stanley": lambda config: Stanley.of(config.vehicle),
+    "stanley-textbook": lambda config: Stanley.textbook(config.vehicle),
+    "stanley-delay": lambda config: delayed_stanley(config.vehicle, delay=config.delay, lag=config.lag),
+    "lqr": lambda config: Lqr.of(
+        config.vehicle, LinearSingleTrack(vehicle=config.vehicle).matrices, delay=config.delay, lag=config.lag
+    ),
+    "pure-pursuit": lambda config: PurePursuit.of(config.vehicle, course_of(config), delay=config.delay),
+    "mpc": lambda config: _predictive(config),
+    "nonlinear-mpc": lambda config: _predictive(config, nonlinear=True),
+}
+"""Controllers that steer by themselves, made for a car: its vehicle, its course, the lag and delay of its kit."""
+RECOVERIES = {name: CONTROLLERS[name] for name in ("stanley", "stanley-delay")}
+"""Controllers that catch a learned one."""
+LEARNED = FilePath("runs/car")
+"""Where `steerkit learn --car` keeps its run unless told otherwise, and where `nfq` is looked for."""
+VALID = f"{', '.join(CONTROLLERS)}, nfq (the newest net in {LEARNED}), a learning run's directory, a policy's .npz file"
 
 
 def course_of(config: CarConfig) -> Path:
@@ -41,6 +66,14 @@ def course_of(config: CarConfig) -> Path:
     if "name" in config.course:
         return course(config.course["name"])
     return config.course["path"]
+
+
+def _predictive(config: CarConfig, *, nonlinear: bool = False) -> Block:
+    from steerkit.controllers.mpc import MPC  # here, as it loads CasADi
+    from steerkit.controllers.nonlinear_mpc import NonlinearMPC
+
+    kind, plant = NonlinearMPC if nonlinear else MPC, NonlinearSingleTrack(vehicle=config.vehicle)
+    return kind.of(plant, lag=config.lag, delay=config.delay, budget=MPC_BUDGET)
 
 
 def default_socket() -> str:
@@ -52,24 +85,64 @@ def default_socket() -> str:
 # ---- loops ------------------------------------------------------------------------------------------------------
 
 
-def controller_named(name: str, config: CarConfig) -> Block:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Controller:
+    """A controller for a car."""
+
+    block: Block
+    """It steers by itself, or picks the actions of `element`."""
+    steers: Steers
+    """What to tell the recording."""
+    element: Dynamic | None = None
+    """A learned policy's dynamic output element."""
+
+
+def controller_named(name: str, config: CarConfig) -> Controller:
     """A controller by name, or a learned policy by its place; raises ValueError with the valid ones."""
-    if name == "stanley":
-        return Stanley.of(config.vehicle)
-    place = FilePath(name)
+    if name in CONTROLLERS:
+        return Controller(block=CONTROLLERS[name](config), steers=Steers(name=name))
+    place = LEARNED if name == "nfq" else FilePath(name)
     if place.is_dir():
-        found = sorted([*place.glob("nets/net-*.npz"), *place.glob("net-*.npz")])
-        if found:
-            return NfqPolicy.load(found[-1])
+        nets = [f for f in sorted(place.glob("nets/net-*.npz")) if f.stem != "net-0000"]
+        if nets:
+            return policy_in(nets[-1], element_of(place))
     elif place.is_file():
-        return NfqPolicy.load(place)
-    raise ValueError(f"controller {name!r} is not known, nor a place with a policy; valid: {', '.join(CONTROLLERS)}")
+        return policy_in(place, element_of(place.parent.parent))
+    if name == "nfq":
+        raise ValueError(f"controller 'nfq': no net in {place}; learn one first: steerkit learn --car FILE")
+    raise ValueError(f"controller {name!r} is not known, nor a place with a trained policy; valid: {VALID}")
 
 
-def car_loop(config: CarConfig, path: Path, link: CarLink, controller: Block, *, doe: Block | None = None) -> Loop:
+def policy_in(file: FilePath, doe: str) -> Controller:
+    """The learned policy in `file`, with the output element of that name."""
+    return Controller(block=NfqPolicy.load(file), steers=Steers.by_policy(file, doe), element=ELEMENTS[doe]())
+
+
+def element_of(place: FilePath) -> str:
+    """The name of the output element that a run's policies were trained with; raises ValueError when nothing tells."""
+    if (place / "car.json").is_file():
+        return on_car.setting_of(place).doe
+    if (place / "run.json").is_file():
+        return rundir.experiment_of(place).setting.doe
+    raise ValueError(f"{place} is no run directory (neither car.json nor run.json), so nothing tells the output "
+                     "element of its policies")  # fmt: skip
+
+
+def recovery_named(name: str, config: CarConfig) -> Block:
+    """The controller that catches a learned one; raises ValueError with the valid names."""
+    if name not in RECOVERIES:
+        raise ValueError(f"recovery {name!r} is not known; valid: {', '.join(RECOVERIES)}")
+    return RECOVERIES[name](config)
+
+
+def car_loop(
+    config: CarConfig, path: Path, link: CarLink, controller: Block, *, doe: Dynamic | None = None,
+    recovery: str = "stanley",
+) -> Loop:  # fmt: skip
     """The loop of the simulated runs with a `RealCar` in the plant's place: 20 Hz, e at the front axle.
 
-    controller: a block that steers, or a policy, which gets `doe` (default: an Integrator) and Stanley as recovery.
+    controller: a block that steers, or a policy, which gets `doe` (default: an Integrator), corrected by what the gate
+    let through, and the recovery controller of that name, called in time for the gate to let it turn the wheel.
     """
     learned = any(port.name == "action" for port in controller.outputs)
     return steering_loop(
@@ -77,50 +150,24 @@ def car_loop(config: CarConfig, path: Path, link: CarLink, controller: Block, *,
         path=path,
         driver=ConstantSpeed(speed=0.0),  # the human in the car keeps the speed; nobody reads this
         controller=Guarded(block=controller) if learned else controller,
-        doe=(doe or Integrator()) if learned else None,
-        recovery=Stanley.of(config.vehicle) if learned else None,
+        doe=Corrected(element=doe or Integrator()) if learned else None,
+        recovery=recovery_named(recovery, config) if learned else None,
+        foresight=foresight(config) if learned else None,
         reference=config.vehicle.l_f,
     )
 
 
-@dataclass(kw_only=True)
-class Follow:
-    """Watches a drive: looks for the place on the path again, and lets a learned policy steer while engaged only.
-
-    Depends on nothing but the snapshots, so that a recorded drive can be replayed.
-    """
-
-    link: CarLink
-    resting: Loop
-    """The loop while not engaged: a learned policy's recovery follows, the output element with it."""
-    driving: Loop
-    places: float = -1.0
-    then: Callable[[realtime.Run], bool | None] | None = None
-
-    @classmethod
-    def of(cls, loop: Loop, link: CarLink, then: Callable[[realtime.Run], bool | None] | None = None) -> Follow:
-        """For a loop of `car_loop`."""
-        block = loop.blocks["controller"]
-        resting = loop
-        if isinstance(block, Guarded) and isinstance(block.block, NfqPolicy):
-            resting = loop.with_block("controller", Guarded(block=replace(block.block, ready_from=float("inf"))))
-        return cls(link=link, resting=resting, driving=loop, then=then)
-
-    def __call__(self, run: realtime.Run) -> bool | None:
-        s = self.link.last
-        assert s is not None
-        engaged = s.mode is Mode.ENGAGED
-        if s.places != self.places:
-            if not engaged and self.places >= 0.0:
-                run.restart(self.resting.init())
-            self.places = s.places
-        run.loop = self.driving if engaged else self.resting
-        return self.then(run) if self.then else None
+def foresight(config: CarConfig) -> Foresight:
+    """How far the car will get behind the gate of `config`."""
+    limits = config.gate
+    same = ("a_y_max", "jerk_max", "rate_max", "delta_sw_max", "v_floor", "steer_ratio", "wheelbase")
+    return Foresight(**{name: getattr(limits, name) for name in same})
 
 
 def drive(
-    config: CarConfig, path: Path, link: DriverLink, controller: Block, *, duration: float = float("inf"),
-    clock: Clock | None = None, watch: Callable[[realtime.Run], bool | None] | None = None,
+    config: CarConfig, path: Path, link: DriverLink, controller: Controller, *, recovery: str = "stanley",
+    duration: float = float("inf"), clock: Clock | None = None,
+    watch: Callable[[realtime.Run], bool | None] | None = None,
 ) -> realtime.Run:  # fmt: skip
     """Run a controller at 20 Hz on the car behind `link`, engaged or not, for `duration` [s].
 
@@ -128,45 +175,22 @@ def drive(
     when the driver process ends.
     """
     link.wait(timeout=10.0)
-    loop = car_loop(config, path, link, controller)
-    follow = Follow.of(loop, link, watch)
+    follow = Follow.of(car_loop(config, path, link, controller.block, doe=controller.element, recovery=recovery), link)
+
+    def step(run: realtime.Run) -> bool:
+        follow.begin(run)
+        follow.choose(run)
+        return bool(watch and watch(run))
+
+    link.remark(replace(controller.steers, recovery=recovery).text())
     return realtime.run(
-        follow.resting, duration, timer=clock or Clock(), watch=follow, on_miss=lambda run: count_misses(run, link)
+        follow.resting, duration, timer=clock or Clock(), watch=step, on_miss=lambda run: count_misses(run, link)
     )
 
 
 def count_misses(run: realtime.Run, link: DriverLink) -> None:
     """Tell the driver process about missed deadlines, with the next request."""
     link.misses = run.timing.misses
-
-
-def replayed_requests(recorded: Recorded, config: CarConfig, path: Path, controller: Block) -> tuple[int, int]:
-    """(requests recorded, how many of them the controller gives bit for bit) when it sees the recorded snapshots.
-
-    For drives with one controller throughout; in a learning run the nets change in between.
-    """
-    asked, snapshots, hello = [], [], 0
-    for topic, values in recorded.messages:
-        if topic == "/car":
-            values = {k: v for k, v in values.items() if k in Snapshot._fields}
-            snapshots.append(Snapshot(**{**values, "mode": Mode(values["mode"])}))
-        elif topic == "/client" and "data" in values:
-            message = decode(bytes.fromhex(values["data"]))
-            if isinstance(message, Request):
-                hello = hello or len(snapshots)
-                asked.append((message.basis, message.delta_sw))
-    link = ReplayLink(snapshots[max(0, hello - 2) :])  # the last before the first request's began the loop
-    loop = car_loop(config, path, link, controller)
-    follow = Follow.of(loop, link)
-    run = realtime.Run(follow.resting, follow.resting.init(), realtime.Timing(period=loop.dt))
-    try:
-        while True:
-            run.loop.advance(run.k, run.x, run.y)
-            run.k += 1
-            follow(run)
-    except CarLost:
-        pass
-    return len(asked), sum(a == b for a, b in zip(asked, link.requests))
 
 
 # ---- processes --------------------------------------------------------------------------------------------------
@@ -180,12 +204,13 @@ def start(*words: str, **popen: Any) -> subprocess.Popen[str]:
 
 def start_driver(
     config: str, socket_path: str, *, recording: str = "", channel: str = "", time_scale: float = 1.0,
-    log: TextIO | None = None, wait: float = 15.0,
+    realtime: bool = False, log: TextIO | None = None, wait: float = 15.0,
 ) -> subprocess.Popen[str]:  # fmt: skip
     """Start the process that owns the bus, and wait until it answers; raises CarLost when it does not."""
     options = ["--config", config, "--socket", socket_path, "--time-scale", str(time_scale)]
     options += ["--recording", recording] if recording else []
     options += ["--channel", channel] if channel else []
+    options += ["--realtime"] if realtime else []
     process = start("driver", *options, stdout=log, stderr=log)
     end = time.monotonic() + wait
     while time.monotonic() < end and process.poll() is None:
@@ -195,7 +220,15 @@ def start_driver(
         except CarLost:
             time.sleep(0.05)
     process.terminate()
-    raise CarLost(f"the driver process did not come up within {wait:g} s; its messages tell why")
+    raise CarLost(f"the driver process did not come up: {_last_line(log) or f'no answer within {wait:g} s'}")
+
+
+def _last_line(log: TextIO | None) -> str:
+    """What a process said last in its log, and where that is."""
+    if log is None or not os.path.isfile(log.name):
+        return ""
+    lines = FilePath(log.name).read_text(errors="replace").split("\n")
+    return f"{next((line for line in reversed(lines) if line), 'it said nothing')} (log: {log.name})"
 
 
 def start_simulated(
@@ -221,7 +254,7 @@ def simulated_car(config: CarConfig, path: Path, **options: Any) -> SimulatedCar
 
 
 def serve_simulated(
-    car: SimulatedCar, port: SlcanPort, clock: Clock, *, log: TextIO | None = None, faults: TextIO | None = None,
+    car: SimulatedCar, port: Port, clock: Clock, *, log: TextIO | None = None, faults: TextIO | None = None,
     duration: float = float("inf"),
 ) -> None:  # fmt: skip
     """Run a simulated car in real time on a port; it writes every command it hears to `log`, as JSON lines.

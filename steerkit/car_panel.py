@@ -26,13 +26,15 @@ COLOURS = {Mode.OFF: "white", Mode.STANDBY: "yellow", Mode.READY: "cyan", Mode.E
 class Panel:
     """Shows who has the wheel and why, and turns keys into orders; without a terminal it prints transitions only.
 
-    session: with `socket`, `timing` and `ending`. live: draw. more: a line of text of somebody else's.
+    session: with `socket`, `timing`, `asked`, `learner_steers`, and `ending`, which ends the drive: so does a panel
+    that breaks, as nobody could let go by key any more. live: draw. more: a line of text of somebody else.
     """
 
     def __init__(self, session: Any, title: str, *, live: bool, more: Callable[[], str] | None = None):
         self.session, self.title, self.live, self.more = session, title, live, more
         self._thread = threading.Thread(target=self._run, name="panel", daemon=True)
         self._over = False
+        self._lost: CarLost | None = None
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -40,29 +42,44 @@ class Panel:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self._over = True
-        self._thread.join(2.0)
+        self._thread.join(5.0)
+        if self._lost and error is None:
+            raise self._lost
 
     def _run(self) -> None:
-        with contextlib.suppress(CarLost), DriverLink(self.session.socket, controller=False) as link:
-            link.order(Order.ARM)
-            with _keys() as read, self._screen() as show:
-                last: Snapshot | None = None
-                said = ""
-                while not self._over:
-                    key = read(0.1)
-                    if key == "q":
-                        link.order(Order.DISENGAGE)
-                        self.session.ending = True
-                    elif key in KEYS:
-                        link.order(KEYS[key])
-                    snapshot = link.query()
-                    if link.refused:
-                        said = link.refused[-1]
-                        link.refused.clear()
-                    if not self.live and (last is None or snapshot.mode is not last.mode):
-                        print(f"{snapshot.mode}: {snapshot.text.splitlines()[0]}", flush=True)
-                    last = snapshot
-                    show(snapshot, said)
+        try:
+            with DriverLink(self.session.socket, controller=False, timeout=2.0) as link:
+                self._serve(link)
+        except CarLost as error:
+            self._lost = error
+        finally:
+            self.session.ending = True
+
+    def _serve(self, link: DriverLink) -> None:
+        link.order(Order.ARM)
+        last: Snapshot | None = None
+        said = ""
+        if not self.live and sys.stdin.isatty():
+            print(f"keys: {HELP}", flush=True)
+        with _keys() as read, self._screen() as show:
+            while not self._over:
+                key = read(0.1)
+                if key == "q":
+                    link.order(Order.DISENGAGE)
+                    self.session.ending = True
+                elif key in KEYS:
+                    said = ""
+                    link.order(KEYS[key])
+                snapshot = link.query()
+                if link.refused:
+                    said = link.refused[-1]
+                    link.refused.clear()
+                if not self.live and (last is None or snapshot.mode is not last.mode):
+                    print(line_of(snapshot), flush=True)
+                last = snapshot
+                show(snapshot, said)
+        if self.live and last is not None:
+            print(line_of(last), flush=True)
 
     @contextlib.contextmanager
     def _screen(self) -> Any:
@@ -86,7 +103,7 @@ class Panel:
             ("state", Text(f"{s.mode}", style=f"bold {COLOURS[s.mode]}")),
             ("cause", cause),
             ("e, psi_e", f"{s.e:+.3f} m   {degrees_of(s.psi_e):+.1f} deg"),
-            ("wheel", f"{degrees_of(s.delta_sw):+.1f} deg, command {degrees_of(s.command):+.1f} deg"),
+            ("wheel", f"{degrees_of(s.delta_sw):+.1f} deg, sent {_sent(s)}, asked for {self._asked()}{self._who(s)}"),
             ("speed", f"{s.v:.2f} m/s, kit {s.v_kit:.2f} m/s   torque {s.torque:+.1f} N m"),
             ("ages", f"pose {_ms(s.pose_age)}, report {_ms(s.report_age)}, request {_ms(s.request_age)}"),
             ("errors", f"{s.errors:.0f}   frames sent {s.frames_sent:.0f}"),
@@ -100,7 +117,27 @@ class Panel:
             rows.append(("learning", self.more()))
         for name, value in rows:
             table.add_row(name, value)
-        return Box(table, title=f"steerkit car: {self.title}", subtitle=HELP)
+        keys = HELP if sys.stdin.isatty() else "no keyboard here; let go with: steerkit car order DISENGAGE"
+        return Box(table, title=f"steerkit car: {self.title}", subtitle=keys)
+
+    def _asked(self) -> str:
+        asked = self.session.asked
+        return "nothing yet" if asked is None else f"{degrees_of(asked):+.1f} deg"
+
+    def _who(self, s: Snapshot) -> str:
+        learner = self.session.learner_steers
+        if learner is None or s.mode is not Mode.ENGAGED:
+            return ""
+        return " by the learner" if learner else " by the recovery controller"
+
+
+def line_of(s: Snapshot) -> str:
+    """A snapshot's state and cause in one line."""
+    return f"{s.mode}: {s.text.splitlines()[0]}"
+
+
+def _sent(s: Snapshot) -> str:
+    return f"{degrees_of(s.command):+.1f} deg" if s.mode is Mode.ENGAGED else "nothing"
 
 
 def _ms(age: float) -> str:

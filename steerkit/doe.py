@@ -96,3 +96,30 @@ class Direct(Dynamic):
 
     def output(self, t: Any, x: HeldAngle, u: Any) -> Any:
         return self.Y(m.clip(u.action, -self.limit, self.limit), x.delta_sw)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Corrected(Block):
+    """A DOE on a car that says what it was really told: it goes on from that angle, not from the one it asked for.
+
+    Behind a gate a DOE that remembers its own wish winds up, and its `state` is no longer the car's. `element`'s
+    equation holds, with applied(t - dt) as reported at t.
+
+    Inputs: action [rad]; applied [rad], direct: the angle commanded last, as the car reports it at this sample.
+    Outputs: delta_sw [rad]; state [rad], the reported angle within `element.limit`. No state.
+    A NaN passes through. Sample time: that of `element`.
+    """
+
+    action = In("rad")
+    applied = In("rad")
+    delta_sw = Out("rad")
+    state = Out("rad", direct=(applied,))
+
+    element: Dynamic = Integrator()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "dt", self.element.dt)
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        told = HeldAngle(m.clip(u.applied, -self.element.limit, self.element.limit))
+        return self.Y(*self.element.output(t, told, self.element.D(u.action)))

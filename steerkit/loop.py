@@ -124,6 +124,12 @@ class Loop:
 
         return plot_diagram(self)
 
+    def _repr_png_(self) -> bytes:
+        """The diagram, for a notebook."""
+        from steerkit.notebook import png
+
+        return png(self.plot())
+
     def break_at(self, signal: str | Port, *, at: LoopState | None = None) -> Any:
         """The open loop at a scalar signal, as a discrete `control.StateSpace`; see `steerkit.analysis.break_at`."""
         from steerkit.analysis import break_at

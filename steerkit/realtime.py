@@ -169,13 +169,15 @@ def run(
     return live
 
 
-def prefer(*, priority: int = 50, core: int | None = None) -> None:
-    """Ask the system to run this process before others: SCHED_FIFO with `priority`, on one `core` if given.
+def prefer(*, priority: int = 50, core: int | None = None, threads: bool = False) -> None:
+    """Ask the system to run this thread before others: SCHED_FIFO with `priority`, on one `core` if given.
 
-    Raises PermissionError, saying what to do, when it may not.
+    threads: those it starts from now on too, and processes; else they begin with the ordinary priority, as a training
+    process must. Raises PermissionError, saying what to do, when it may not.
     """
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        policy = os.SCHED_FIFO if threads else os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+        os.sched_setscheduler(0, policy, os.sched_param(priority))
         if core is not None:
             os.sched_setaffinity(0, {core})
     except PermissionError as error:
@@ -183,6 +185,15 @@ def prefer(*, priority: int = 50, core: int | None = None) -> None:
             f"SCHED_FIFO {priority}: not permitted; run as root, or `sudo setcap cap_sys_nice+ep $(readlink -f "
             "$(which python))`, or set rtprio for this user in /etc/security/limits.conf"
         ) from error
+
+
+def preferred(*, priority: int = 50, threads: bool = False) -> str:
+    """`prefer` if it may be; returns what came of it, for the user to read: late steps are likelier without."""
+    try:
+        prefer(priority=priority, threads=threads)
+    except PermissionError as error:
+        return f"{error}; going on without: expect late steps when the machine is busy"
+    return f"SCHED_FIFO {priority}: granted"
 
 
 def histogram_text(timing: Timing, width: int = 40) -> str:

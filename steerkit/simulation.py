@@ -16,6 +16,8 @@ from steerkit.loop import Loop, LoopState, Sample, read_npz
 if TYPE_CHECKING:
     import pandas as pd
 
+    from steerkit.path import Path
+
 Signal = str | Port
 
 
@@ -116,6 +118,24 @@ class Log(Mapping[str, np.ndarray]):
         from steerkit.plotting import plot_log
 
         return plot_log(self, signals, ax=ax)
+
+    def animate(self, path: Path | None, file: str | FilePath, **options: Any) -> FilePath:
+        """Write a film of the run, .gif or .mp4: `steerkit.animation.animate` with its options."""
+        from steerkit.animation import animate
+
+        return animate(self, path, file, **options)
+
+    def _repr_html_(self) -> str:
+        """Ranges of all signals and a picture of some, for a notebook."""
+        from steerkit.notebook import log_html
+
+        return log_html(self)
+
+    def _repr_png_(self) -> bytes:
+        """The picture alone."""
+        from steerkit.notebook import png, telling
+
+        return png(self.plot(*telling(self)))
 
 
 class Recorder:

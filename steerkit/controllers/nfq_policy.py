@@ -17,6 +17,13 @@ from steerkit import maths as m
 from steerkit.block import Block, In, Out, State, require
 from steerkit.units import radians_of
 
+Combine = Literal["mean", "max", "disagreement"]
+COMBINATIONS: dict[str, str] = {
+    "mean": "the mean",
+    "max": "the largest: the cautious reading",
+    "disagreement": "mean + standard deviation: cautious where the nets disagree, that is, where there is little data",
+}
+"""How the values of an ensemble's nets become one."""
 Net = tuple[NDArray[Any], ...]
 """An all-sigmoid net as plain arrays: W [n_out, n_in] and b [n_out] of each layer in turn; the last has one unit."""
 
@@ -89,7 +96,7 @@ class StateDescription:
 class NfqPolicy(Block):
     """Steers greedily by a learned Q-function: the action of the least expected cost.
 
-        action = argmin_a q(s, a),   q = mean (or max) over the nets of Q(s, a),
+        action = argmin_a q(s, a),   q = mean (or max, or mean + standard deviation) over the nets of Q(s, a),
         Q: each layer y = sigmoid(W y + b), sigmoid(z) = (1 + tanh(z/2)) / 2, fed with the scaled (s, a)
 
     Inputs: e [m], e_dot [m/s], v [m/s], psi_e [rad], r_e [rad/s], doe [rad] (the dynamic output element's angle),
@@ -116,8 +123,8 @@ class NfqPolicy(Block):
     """The action set [rad]."""
     description: StateDescription = StateDescription()
     """Scaling of the six inputs, in the order of the ports."""
-    combine: Literal["mean", "max"] = "mean"
-    """How the nets' values become one; "max" is the cautious reading."""
+    combine: Combine = "mean"
+    """How the nets' values become one: see `COMBINATIONS`."""
     ready_from: float = 0.0
     """Time from which a net counts as there [s]."""
     weights: tuple[Any, ...] = ()
@@ -126,7 +133,7 @@ class NfqPolicy(Block):
 
     def __post_init__(self) -> None:
         where = "NfqPolicy"
-        require(self.combine in ("mean", "max"), where, f"combine = {self.combine!r}; valid: 'mean', 'max'")
+        require(self.combine in COMBINATIONS, where, f"combine = {self.combine!r}; valid: {', '.join(COMBINATIONS)}")
         actions = tuple(float(a) for a in self.actions)
         require(len(actions) > 0, where, "actions is empty, expected at least one angle [rad]")
         require(bool(np.isfinite(actions).all()), where, f"actions = {actions} [rad], expected finite numbers")
@@ -211,7 +218,7 @@ class NfqPolicy(Block):
         h = np.tanh((of_state @ s)[:, None, :] + of_action[:, :, None]).reshape(len(of_state), -1)
         for w, d in layers:
             h = np.tanh(w @ h + d)
-        return 0.5 + 0.5 * (h.max(axis=0) if self.combine == "max" else np.add.reduce(h) / len(h))
+        return 0.5 + 0.5 * combined(h, self.combine)
 
     def _symbolic(self, u: Any) -> tuple[Any, Any]:
         """The same in scalars, for tracing."""
@@ -223,10 +230,7 @@ class NfqPolicy(Block):
             h = [m.tanh(a + b) for a, b in zip(z, offsets, strict=True)]
             for w, d in layers:
                 h = [m.tanh(_dot(row, h) + c) for row, (c,) in zip(w.tolist(), d.tolist(), strict=True)]
-            total = h[0]
-            for other in h[1:]:
-                total = m.maximum(total, other) if self.combine == "max" else total + other
-            q = 0.5 + 0.5 * (total if self.combine == "max" else total / len(h))
+            q = 0.5 + 0.5 * _combined_symbols(h, self.combine)
             if best is None:
                 best = q
                 continue
@@ -275,6 +279,24 @@ def check_net(net: Net, n_in: int, where: str) -> None:
         require(finite, where, f"layer {i // 2} holds a NaN or an infinity, expected finite weights")
         n = w.shape[0]
     require(n == 1, where, f"the last layer has {n} units, expected 1")
+
+
+def combined(values: NDArray[Any], combine: str) -> NDArray[Any]:
+    """The values of the nets (nets, ...) as one (...): see `COMBINATIONS`."""
+    if combine == "max":
+        return values.max(axis=0)
+    mean = np.add.reduce(values) / len(values)
+    return mean if combine == "mean" else mean + np.sqrt(np.add.reduce((values - mean) ** 2) / len(values))
+
+
+def _combined_symbols(h: list[Any], combine: str) -> Any:
+    total = h[0]
+    for other in h[1:]:
+        total = m.maximum(total, other) if combine == "max" else total + other
+    if combine == "max":
+        return total
+    mean = total / len(h)
+    return mean if combine == "mean" else mean + m.sqrt(sum((value - mean) ** 2 for value in h) / len(h))
 
 
 def _dot(row: Any, h: Any) -> Any:

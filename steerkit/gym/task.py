@@ -18,7 +18,7 @@ from steerkit.assembly import steering_loop
 from steerkit.block import Block, Out, State, require
 from steerkit.controllers.nfq_policy import IDOE_ACTIONS, StateDescription
 from steerkit.doe import Direct, Dynamic, HeldAngle, Integrator, LowPass
-from steerkit.learning.costs import COSTS, BandCost, Cost, IdoeCost, SmoothCost
+from steerkit.learning.costs import COSTS, BandCost, Cost, IdoeCost, SmoothCost, TanhCost
 from steerkit.learning.state import STANDARD
 from steerkit.learning.world import END_MARGIN, World
 from steerkit.loop import Loop, LoopState
@@ -97,8 +97,8 @@ class Task:
     """The angle [rad] that a continuous action of 1 means. By default 25 degrees a sample (500 degrees/s) with the
     integrator, else 520 degrees."""
     cost: Any = "smooth"
-    """`smooth` (`SmoothCost`), `paper` (`IdoeCost`; `BandCost` where no action is 0), any `Cost`, or the fields of one
-    of `steerkit.learning.costs` in a dictionary, its class under `kind`."""
+    """`smooth` (`SmoothCost` of the wheel's steps), `paper` (`IdoeCost`; `BandCost` where no action is 0), any `Cost`,
+    or the fields of one with its class under `kind`."""
     limit: float = 0.5
     """|e| [m] beyond which the episode has failed, for a cost given by name (others bring their own `trip`)."""
     failure: float = 1.0
@@ -194,10 +194,11 @@ class Task:
             return self.cost
         if self.cost == "paper":
             return IdoeCost(trip=self.limit) if self.angles and 0.0 in self.angles else BandCost(trip=self.limit)
-        goal, trip = min(0.15, 0.5 * self.limit), self.limit
+        well = TanhCost(goal=min(0.15, 0.5 * self.limit), trip=self.limit, action_cost=0.0)
         if isinstance(self.element, Integrator):
-            return SmoothCost(goal=goal, trip=trip, action_scale=max(map(abs, self.angles or (self.scale,))))
-        return SmoothCost(goal=goal, trip=trip, action_cost=0.0)  # actions are angles: a price would straighten bends
+            unit = max(map(abs, self.angles or (self.scale,)))
+            return SmoothCost(cost=well, jerk_cost=0.0, wheel_cost=0.01, wheel_unit=unit)
+        return well
 
     @cached_property
     def loop(self) -> Loop:

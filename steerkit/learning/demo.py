@@ -36,13 +36,14 @@ EXPERIMENTS = {
 }
 
 
-def run(out: FilePath, *, seed: int = 0) -> None:
+def run(out: FilePath, *, seed: int = 0, quiet: bool = False) -> None:
     """Run all parts (an interrupted demonstration goes on where it was), print the tables, draw the figures."""
-    console.print(
-        "Three cars learn to steer from nothing, each for 11 to 20 minutes of driving. No real car was driven."
-    )
+    if not quiet:
+        console.print(
+            "Three cars learn to steer from nothing, each for 11 to 20 minutes of driving. No real car was driven."
+        )
     out.mkdir(parents=True, exist_ok=True)
-    jobs = [(name, experiment, out / _slug(name), seed) for name, experiment in EXPERIMENTS.items()]
+    jobs = [(name, experiment, out / _slug(name), seed, quiet) for name, experiment in EXPERIMENTS.items()]
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
         parts = list(pool.map(_part, jobs))
     console.print(_milestones(parts))
@@ -64,13 +65,14 @@ def run(out: FilePath, *, seed: int = 0) -> None:
         pictures[f"round-{_slug(part.name)}.png"] = figures.round_driven(part.learned, part.stanley, title=title)
     for name, figure in pictures.items():
         figure.savefig(out / name)
-    console.print(f"pictures: {', '.join(pictures)} in {out}", soft_wrap=True)
+    if not quiet:
+        console.print(f"pictures: {', '.join(pictures)} in {out}", soft_wrap=True)
 
 
-def _part(job: tuple[str, Experiment, FilePath, int]) -> Part:
-    name, experiment, place, seed = job
+def _part(job: tuple[str, Experiment, FilePath, int, bool]) -> Part:
+    name, experiment, place, seed, quiet = job
     experiment = replace(experiment, seed=seed)
-    run = learn_with_progress(experiment, place)
+    run = learn_with_progress(experiment, place, quiet=quiet)
     world, doe = experiment.world, experiment.setting.element()
     learned = evaluate.drive(world, rundir.final_policy(place), doe=doe, seed=seed)
     stanley = evaluate.drive(world, world.recovery(), seed=seed)

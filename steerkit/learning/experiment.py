@@ -10,8 +10,9 @@ from typing import Any
 from steerkit.assembly import steering_loop
 from steerkit.block import require
 from steerkit.controllers.nfq_policy import NfqPolicy
-from steerkit.controllers.recovery import Guarded
+from steerkit.controllers.recovery import Guarded, TargetShift
 from steerkit.learning import nfq
+from steerkit.learning.exploration import Exploring
 from steerkit.learning.settings import Setting
 from steerkit.learning.trainer import Job, SimulatedTrainer, Training
 from steerkit.learning.transitions import Transitions
@@ -135,12 +136,13 @@ class LearningRun:
             car=world.car(self.path),
             path=self.path,
             driver=world.driver(experiment.seed),
-            controller=Guarded(block=self.policy),
+            controller=self._controller(),
             doe=setting.element(),
             recovery=world.recovery(),
             actuator=world.actuator(),
             sensors=world.sensors(experiment.seed),
             reference=world.ahead,
+            shift=TargetShift() if setting.after_failure == "shift" else None,
         )
         start = self.loop.init()
         self.x, self.y = list(start.x), list(start.y)
@@ -185,9 +187,13 @@ class LearningRun:
             self.loop.advance(k, self.x, self.y)
         counts.k += self.ticks
         if episode and not learning:
-            self._train(waiting=True)
+            after = self.experiment.setting.after_failure
+            if after != "shift":
+                self._train(waiting=True)
+            elif not self.trainer.busy:
+                self._train(waiting=False)
             self._tell("failed")
-            if self.experiment.setting.after_failure == "reset":
+            if after == "reset":
                 self._put_back(self._value("path.s"))
                 counts.k += round(self.experiment.setting.reset_seconds / self.policy.dt) * self.ticks
         elif learning and self._due():
@@ -261,8 +267,14 @@ class LearningRun:
     def set_policy(self, policy: NfqPolicy) -> None:
         """Exchange the policy between two samples; the loop's state goes on."""
         self.policy = policy
-        self.loop = self.loop.with_block("controller", Guarded(block=policy))
+        self.loop = self.loop.with_block("controller", self._controller())
         self.recorder.loop = self.loop
+
+    def _controller(self) -> Guarded:
+        share, policy = self.experiment.setting.exploration, self.policy
+        if share and isinstance(policy, NfqPolicy):
+            return Guarded(block=Exploring(policy=policy, share=share, seed=self.experiment.seed))
+        return Guarded(block=policy)
 
     @property
     def _trusted(self) -> bool:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerkit.block import require
+from steerkit.controllers.nfq_policy import COMBINATIONS, Combine, combined
 from steerkit.learning.costs import Cost
 from steerkit.learning.model import CarModel, Imagined, imagine
 from steerkit.learning.qnetwork import Net, new_net, sizes_of
@@ -59,8 +60,8 @@ class FitSetting:
     keep: int = 1
     """Updates whose nets work together, the newest and those before it: an average over several updates, at no cost
     in training, that chatters less from one update to the next."""
-    combine: Literal["mean", "max"] = "mean"
-    """How the members' values become one, in the targets and in the policy; max is the cautious reading."""
+    combine: Combine = "mean"
+    """How the members' values become one, in the targets and in the policy: mean, max or disagreement."""
     mirror: bool = False
     """Learn from every transition's mirror image too, with the same target: twice the data for twice the time."""
     iterations: int = 1
@@ -84,7 +85,7 @@ class FitSetting:
         where = "FitSetting"
         require(0.0 <= self.discount < 1.0, where, f"discount = {self.discount}, expected 0 <= discount < 1")
         require(self.init in ("fresh", "warm"), where, f"init = {self.init!r}; valid: 'fresh', 'warm'")
-        require(self.combine in ("mean", "max"), where, f"combine = {self.combine!r}; valid: 'mean', 'max'")
+        require(self.combine in COMBINATIONS, where, f"combine = {self.combine!r}; valid: {', '.join(COMBINATIONS)}")
         require(self.engine in ("auto", "c", "torch"), where, f"engine = {self.engine!r}; valid: 'auto', 'c', 'torch'")
         least_of = {"epochs": 0, "hints": 0, "n_step": 1, "nets": 1, "iterations": 1, "imagined": 0, "horizon": 1}
         for name, least in {**least_of, "keep": 1, "window": 0}.items():
@@ -132,7 +133,7 @@ def action_values(
     for row, action in zip(q, actions, strict=True):
         x[:, -1] = action / scale
         values = np.array([predict(net, x, engine=setting.engine) for net in nets])
-        row[:] = values.max(axis=0) if setting.combine == "max" else values.mean(axis=0)
+        row[:] = combined(values, setting.combine)
     return q
 
 

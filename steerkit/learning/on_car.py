@@ -1,11 +1,16 @@
 """The experiment on a real car: transitions while engaged, training in the background, Stanley in between.
 
 Of `LearningRun` it keeps the story and leaves the bookkeeping: what a car's human decides (when to engage, how far to
-drive) is not repeatable, so the run directory holds a transition store, the nets, and nothing that has to be replayed.
+drive) is not repeatable. The run directory holds
+
+car.json            the setting
+transitions.db      the transition store
+nets/net-NNNN.npz   the policy after update NNNN (0: the untrained net); never changed, as recordings refer to them
 """
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,7 +22,9 @@ from steerkit.block import Block
 from steerkit.clock import Clock
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.recovery import Guarded
-from steerkit.learning import nfq
+from steerkit.doe import Dynamic
+from steerkit.learning import nfq, rundir
+from steerkit.learning.follow import Follow, Steers
 from steerkit.learning.settings import Setting
 from steerkit.learning.store import TransitionStore
 from steerkit.learning.trainer import Job, Trainer
@@ -25,6 +32,7 @@ from steerkit.loop import Loop
 from steerkit.realtime import Run, run
 
 RUN = "car"
+FORMAT = "steerkit car run 1"
 
 
 class Car(Protocol):
@@ -33,49 +41,51 @@ class Car(Protocol):
     last: Any
     misses: int
 
+    def remark(self, text: str) -> None:
+        """Say, for the recording, who steers from the next request on."""
+        ...
+
 
 class CarLearner:
     """Learns on a car behind `link`: `run` it, in a `with`.
 
     setting: how. place: run directory; a run there is continued with all its transitions and its newest net.
     build: makes the loop of a policy and an output element (`steerkit.car.car_loop`). seed: of the nets.
+    recovery: the name of the controller that catches it there, for the recording.
 
     While the car is ENGAGED and the policy has the wheel, every sample is recorded. When the recovery controller has
     to take it, or `retrain_every_m` are driven, a process of its own trains on what is committed; driving goes on, and
-    the new nets are taken over between two samples. Raises ValueError for a directory that holds something else.
+    the new nets are taken over between two samples; the recording is told each time. Raises ValueError for a directory
+    that holds something else, or a run with another setting.
     """
 
     def __init__(
-        self, setting: Setting, place: FilePath, build: Callable[[Block, Block], Loop], link: Car, *, seed: int = 0
-    ):
-        self.setting, self.place, self.link, self.seed = setting, place, link, seed
-        if place.exists() and any(place.iterdir()) and not (place / "transitions.db").exists():
-            raise ValueError(f"{place} is not empty and holds no run of a car; choose a new directory")
-        (place / "nets").mkdir(parents=True, exist_ok=True)
+        self, setting: Setting, place: FilePath, build: Callable[[Block, Dynamic], Loop], link: Car, *, seed: int = 0,
+        recovery: str = "stanley",
+    ):  # fmt: skip
+        self.setting, self.place, self.link, self.seed, self.recovery = setting, place, link, seed, recovery
+        _claim(place, setting)
         self.description = setting.description()
         self.store = TransitionStore(place / "transitions.db", run=RUN, names=self.description.names)
         self.transitions = self.store.transitions(RUN)
         self.episode = self.store.next_episode()
         saved = sorted((place / "nets").glob("net-*.npz"))
+        self.updates = int(saved[-1].stem.split("-")[1]) if saved else 0
         if saved:
             policy = NfqPolicy.load(saved[-1])
-            self.updates = int(saved[-1].stem.split("-")[1])
         else:
             nets = nfq.fresh_nets(setting.fit, self.description, seed=seed)
             policy = NfqPolicy(
                 nets=nets, actions=setting.actions, description=self.description, combine=setting.fit.combine
             )
-            self.updates = 0
-        self.policy = policy
-        self.trainer = Trainer(nets=policy.nets or () if saved else ())
-        self.trusted = True
+            policy.save(place / "nets" / "net-0000.npz")
+        self.policy, self._net = policy, self.updates
+        self.trainer = Trainer(nets=policy.nets or () if self.updates else ())
         self.failures, self.faults = 0, list[str]()
         self.driven, self.trained_at, self._progress = 0.0, 0.0, math.nan
         self._before: tuple[Any, float, int] | None = None
-        self._element = setting.element()
-        self._idle = build(replace(policy, ready_from=math.inf), self._element)
-        self._steering = self._with(policy)
-        self._places = -1.0
+        self._idle = build(replace(policy, ready_from=math.inf), setting.element())
+        self.follow = Follow(link=link, resting=self._idle, driving=self._with(policy))
         controller = self._idle.names.index("controller")
         self._inputs = [self._idle.source[controller, name] for name in self.description.names]
         self._at = {n: self._idle.locate(n) for n in ("supervisor.learning", "supervisor.tripped", "controller.action",
@@ -88,6 +98,8 @@ class CarLearner:
             self.step(live)
             return bool(watch and watch(live))
 
+        self._tell()
+
         def late(live: Run) -> None:
             self.link.misses = live.timing.misses
             self._before = None  # the next sample is not one period later
@@ -96,13 +108,9 @@ class CarLearner:
 
     def step(self, live: Run) -> None:
         """After every control sample."""
-        snapshot = self.link.last
-        engaged = str(snapshot.mode) == "ENGAGED"
-        if snapshot.places != self._places:
-            if not engaged and self._places >= 0.0:
-                live.restart(self._idle.init())
-                self._before = None
-            self._places = snapshot.places
+        if self.follow.begin(live):
+            self._before = None
+        engaged = self.follow.engaged
         learning = engaged and self._value(live, "supervisor.learning") > 0.5
         self._record(live, learning)
         if learning:
@@ -116,7 +124,19 @@ class CarLearner:
         if learning and 0.0 < self.setting.retrain_every_m <= self.driven - self.trained_at and not self.trainer.busy:
             self._train(trusted=True)
         self._take_over()
-        live.loop = self._steering if engaged and self.trusted else self._idle
+        self.follow.choose(live)
+
+    @property
+    def trusted(self) -> bool:
+        """Does the newest net get the wheel, or does the recovery controller keep it until there is a better one?"""
+        return self.follow.trusted
+
+    def figures(self) -> dict[str, Any]:
+        """The numbers of a run that a program would read."""
+        return {
+            "updates": self.updates, "transitions": len(self.transitions), "driven_by_learner_m": self.driven,
+            "failures": self.failures, "training_faults": list(self.trainer.faults),
+        }  # fmt: skip
 
     def status(self) -> str:
         """One line for the panel."""
@@ -142,7 +162,9 @@ class CarLearner:
         self._progress = progress
 
     def _train(self, *, trusted: bool) -> None:
-        self.trusted = self.trusted and trusted
+        if self.trusted and not trusted:
+            self.follow.trusted = False
+            self._tell()
         self.trained_at = self.driven
         if not len(self.transitions):
             return
@@ -161,11 +183,19 @@ class CarLearner:
             self.faults.append(result.fault)
         if result.nets is not None:
             self.policy = replace(self.policy, nets=result.nets, ready_from=0.0)
-            self._steering = self._with(self.policy)
-            self.policy.save(self.place / "nets" / f"net-{result.number:04d}.npz")
-            self.trusted = True
+            self.follow.driving, self.follow.trusted, self._net = self._with(self.policy), True, result.number
+            self.policy.save(self._file)
+            self._tell()
         elif not self.trusted and len(self.transitions):
             self._train(trusted=False)  # try again: without it nobody but the recovery controller would ever drive
+
+    @property
+    def _file(self) -> FilePath:
+        return self.place / "nets" / f"net-{self._net:04d}.npz"
+
+    def _tell(self) -> None:
+        steers = Steers.by_policy(self._file, self.setting.doe, recovery=self.recovery, trusted=self.trusted)
+        self.link.remark(steers.text())
 
     def _with(self, policy: NfqPolicy) -> Loop:
         return self._idle.with_block("controller", Guarded(block=policy))
@@ -184,3 +214,34 @@ class CarLearner:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self.close()
+
+
+def _claim(place: FilePath, setting: Setting) -> None:
+    """Make `place` a run directory of this setting, or see that it is one."""
+    file = place / "car.json"
+    if file.exists():
+        other = setting_of(place)
+        if rundir.plain(other) != rundir.plain(setting):
+            raise ValueError(
+                f"{place} was learned with the setting '{other.name}', which differs from '{setting.name}'; continue "
+                f"it with --setting {other.name}, or choose a new directory"
+            )
+    elif place.exists() and any(place.iterdir()):
+        raise ValueError(f"{place} is not empty and holds no run of a car (no car.json); choose a new directory")
+    (place / "nets").mkdir(parents=True, exist_ok=True)
+    if not file.exists():
+        draft = file.with_suffix(".tmp")
+        draft.write_text(json.dumps({"format": FORMAT, "setting": rundir.plain(setting)}, indent=1))
+        draft.replace(file)
+
+
+def setting_of(place: FilePath) -> Setting:
+    """How a run on a car learns; raises ValueError for a directory that holds none."""
+    file = place / "car.json"
+    try:
+        data = json.loads(file.read_text())
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{file}: no run of a car ({error}); make one with `steerkit learn --car FILE`") from error
+    if not isinstance(data, dict) or data.get("format") != FORMAT:
+        raise ValueError(f"{file}: not of the format {FORMAT!r}")
+    return rundir.from_plain(data["setting"], str(file), Setting)

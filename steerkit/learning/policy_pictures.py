@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerkit.block import require
-from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.controllers.nfq_policy import NfqPolicy, combined
 from steerkit.learning.rprop import predict
 from steerkit.learning.state import patterns
 from steerkit.learning.transitions import Transitions
@@ -87,7 +87,7 @@ def q_slices(policy: NfqPolicy, world: World, *, v: float = 6.0, doe: float = 0.
         x = np.linspace(3.0, 9.0, n) if name == "v" else np.linspace(-SPANS[name], SPANS[name], n)
         where = {"v": v, "doe": doe} | {"psi" if name == "psi_e" else name: x}
         members = q_values(policy, states(world, names, n, **where))
-        q, best = _combined(policy, members), members.min(axis=1)
+        q, best = combined(members, policy.combine), members.min(axis=1)
         at = x if name in ("e", "e_dot", "v") else degrees_of(x)
         if len(best) > 1:
             span = best.min(axis=0), best.max(axis=0)
@@ -124,7 +124,8 @@ def policy_map(
     e, psi = np.linspace(-TRIP, TRIP, n), np.linspace(-radians_of(10.0), radians_of(10.0), n)
     over = {"e": np.tile(e, n), "psi": np.repeat(psi, n), "v": v}
     q = [
-        _combined(policy, q_values(policy, states(world, names, n * n, doe=radians_of(doe), **over))) for doe in doe_deg
+        combined(q_values(policy, states(world, names, n * n, doe=radians_of(doe), **over)), policy.combine)
+        for doe in doe_deg
     ]
     colours = _action_colours(actions)
     shades = np.array([[int(colour[i : i + 2], 16) for i in (1, 3, 5)] for colour in colours], dtype=np.uint8)
@@ -158,11 +159,6 @@ def policy_map(
     figure.legend(loc="outside lower center", ncols=len(actions), frameon=False)
     figure.colorbar(picture, ax=list(axes.flat), label="expected cost to go", aspect=40, pad=0.01)
     return figure
-
-
-def _combined(policy: NfqPolicy, values: Array) -> Array:
-    """The ensemble's values (actions, n) from its members'."""
-    return values.max(axis=0) if policy.combine == "max" else values.mean(axis=0)
 
 
 def _action_name(action: float) -> str:

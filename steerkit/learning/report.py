@@ -72,8 +72,11 @@ def figures_of_merit(run: LearningRun) -> dict[str, Any]:
     }
 
 
-def show(place: FilePath, *, quiet: bool = False) -> None:
-    """Print a run's counts and the final policy against Stanley, and draw the run's pictures beside its data."""
+def show(place: FilePath, *, quiet: bool = False) -> dict[str, Any]:
+    """Print a run's counts and the final policy against Stanley, and draw the run's pictures beside its data.
+
+    Returns the same for a program: `figures_of_merit`, and under `drives` a row for each of the two.
+    """
     run = rundir.load(place)
     merit = figures_of_merit(run)
     table = Table(title=f"{place}", show_header=False)
@@ -94,6 +97,7 @@ def show(place: FilePath, *, quiet: bool = False) -> None:
     )
     if not quiet:
         console.print(f"pictures: {place}/learning.png, {place}/round.png", soft_wrap=True)
+    return merit | {"drives": [_row(name, log) for name, log in logs.items()]}
 
 
 def drive_and_draw(
@@ -115,6 +119,10 @@ def drive_and_draw(
     console.print(comparison(f"{rounds:g} round(s) of {world.course}", {name: log}))
     if not quiet:
         console.print(f"log and picture: {place}/drive.npz, {place}/drive.png", soft_wrap=True)
+    return _row(name, log)
+
+
+def _row(name: str, log: Log) -> dict[str, Any]:
     return {"controller": name, "held": evaluate.held_all_along(log), **asdict(of_log(log))}
 
 

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import math
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from typing import Any
 
-from steerkit.block import Block, require
-from steerkit.doe import Direct, Integrator, LowPass
-from steerkit.learning.costs import BandCost, Cost, IdoeCost, TanhCost
+from steerkit.block import require
+from steerkit.doe import Direct, Dynamic, Integrator, LowPass
+from steerkit.learning.costs import BandCost, Cost, IdoeCost, SmoothCost, TanhCost
 from steerkit.learning.nfq import FitSetting
 from steerkit.learning.state import StateDescription
 from steerkit.units import radians_of
 
-ELEMENTS = {"integrator": Integrator, "low-pass": LowPass, "direct": Direct}
+AFTER_FAILURE = ("recovery", "reset", "shift")
+ELEMENTS: dict[str, type[Dynamic]] = {"integrator": Integrator, "low-pass": LowPass, "direct": Direct}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,16 +52,21 @@ class Setting:
     """|e_dot| below which a new net takes the wheel over from the recovery controller [m/s]: |e| < 0.1 m may be a fast
     crossing, and then it fails at once. 0.3 spares half of the first ten failures under `hard` conditions."""
 
+    exploration: float = 0.0
+    """Share of samples in which the learner takes an action drawn at random, while it learns (never in test drives)."""
     after_failure: str = "recovery"
     """`recovery`: the analytic controller steers until the new net takes over. `reset`: the car stops, and a human puts
     it back on the path where it failed, in `reset_seconds`; then the recovery controller steers until the net is
-    ready."""
+    ready. `shift`: the target path moves sideways to the car, the old net drives on at once and is trained meanwhile,
+    and the target moves slowly back (`steerkit.controllers.recovery.TargetShift`)."""
     reset_seconds: float = 20.0
     """Driving time charged for a reset [s]."""
 
     def __post_init__(self) -> None:
-        choices = f"after_failure = {self.after_failure!r}; valid: recovery, reset"
-        require(self.after_failure in ("recovery", "reset"), "Setting", choices)
+        choices = f"after_failure = {self.after_failure!r}; valid: {', '.join(AFTER_FAILURE)}"
+        require(self.after_failure in AFTER_FAILURE, "Setting", choices)
+        share = f"exploration = {self.exploration}, expected 0 <= exploration <= 1"
+        require(0.0 <= self.exploration <= 1.0, "Setting", share)
         require(self.reset_seconds >= 0.0, "Setting", f"reset_seconds = {self.reset_seconds} s, expected >= 0")
         require(self.calm > 0.0, "Setting", f"calm = {self.calm} m/s, expected > 0")
         require(len(self.actions_deg) >= 2, "Setting", f"actions_deg = {self.actions_deg}, expected at least two")
@@ -70,7 +79,7 @@ class Setting:
         """The actions [rad]."""
         return tuple(radians_of(a) for a in self.actions_deg)
 
-    def element(self) -> Block:
+    def element(self) -> Dynamic:
         """The dynamic output element."""
         return ELEMENTS[self.doe]()
 
@@ -111,10 +120,43 @@ LOW_PASS = replace(
     doe="low-pass",
     cost=TanhCost(goal=0.15, action_cost=0.0),  # its actions are angles: a price on them would pull the wheel straight
 )  # fmt: skip
+SMOOTH = replace(DEFAULT, name="smooth", cost=SmoothCost(cost=TanhCost(goal=0.15, action_cost=0.0)))
+"""Jerk and turning of the wheel cost, not the mere taking of an action."""
 PAPER_BANG_BANG = replace(PAPER, name="paper-bang-bang", actions_deg=(-360.0, 360.0), doe="direct", cost=BandCost())
 PAPER_WARM = replace(PAPER, name="paper-warm", fit=replace(PAPER.fit, init="warm"))
 
-SETTINGS = {s.name: s for s in (DEFAULT, PAPER, PAPER_WARM, MODEL_FREE, BANG_BANG, LOW_PASS, PAPER_BANG_BANG)}
+SETTINGS = {s.name: s for s in (DEFAULT, PAPER, PAPER_WARM, MODEL_FREE, BANG_BANG, LOW_PASS, SMOOTH, PAPER_BANG_BANG)}
+
+
+def changed(setting: Setting, changes: Iterable[str]) -> Setting:
+    """The setting with some values changed, each written as `name=value` or `fit.name=value`, the value as in JSON.
+
+    `changed(DEFAULT, ["fit.nets=3", "after_failure=shift"])`; `cost.goal=0.1` and deeper names work alike. Raises
+    ValueError for a name that is not there, with the valid ones, and for a value that the setting does not take.
+    """
+    for change in changes:
+        name, equals, text = change.partition("=")
+        require(equals == "=", "setting", f"'{change}', expected name=value, such as fit.nets=3")
+        try:
+            value = json.loads(text)
+        except ValueError:
+            value = text  # a word
+        setting = _with(setting, name.split("."), tuple(value) if isinstance(value, list) else value, change)
+    return setting
+
+
+def _with(part: Any, names: list[str], value: Any, change: str) -> Any:
+    valid = [f.name for f in fields(part)]
+    require(names[0] in valid, "setting", f"'{change}': no '{names[0]}' there; valid: {', '.join(valid)}")
+    old = getattr(part, names[0])
+    if len(names) > 1:
+        require(is_dataclass(old), "setting", f"'{change}': '{names[0]}' has no parts")
+        value = _with(old, names[1:], value, change)
+    else:
+        fits = isinstance(value, type(old)) or (isinstance(old, float) and isinstance(value, int))
+        expected = type(old).__name__ + (", or its parts by their names" if is_dataclass(old) else "")
+        require(fits and not is_dataclass(old), "setting", f"'{change}': expected {expected}")
+    return replace(part, **{names[0]: value})
 
 
 def setting(name: str) -> Setting:

@@ -88,8 +88,8 @@ class SingleTrack(Block):
         require(isinstance(self.substeps, int) and self.substeps >= 1, where, f"substeps = {self.substeps!r}, >= 1")
         p = self.vehicle
         # the lateral dynamics' larger diagonal entry where w/v is largest; 2 of 2.78 leaves room for the coupling
-        fastest = 2.0 + 0.35 * np.maximum((p.c_f + p.c_r) / p.m, (p.c_f * p.l_f**2 + p.c_r * p.l_r**2) / p.i_z)
-        high = 2.0 * self.substeps / float(np.max(fastest))
+        fastest = 2.0 + 0.35 * m.maximum((p.c_f + p.c_r) / p.m, (p.c_f * p.l_f**2 + p.c_r * p.l_r**2) / p.i_z)
+        high = 2.0 * self.substeps / float(np.asarray(fastest, dtype=float).max())
         require_within(where, "dt", self.dt, "s", 1e-6, high, "a longer one is unstable at 3 m/s; raise substeps")
         for name, unit, limit in (("x0", "m", 1e7), ("y0", "m", 1e7), ("psi0", "rad", 1e4)):
             require_within(where, name, getattr(self, name), unit, -limit, limit)

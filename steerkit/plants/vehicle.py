@@ -83,8 +83,11 @@ def _commonroad(name: str, m: float, i_z: float, l_f: float, l_r: float) -> Vehi
     )
 
 
-def _scaled(name: str, m: float, wheelbase: float, steer_ratio: float, mu: float) -> Vehicle:
-    """A car scaled from a measured one (m 1462, L 2.7, l_f 0.4 L, c_f 192150, c_r 202500, i_z 2500), l_f = 0.45 L."""
+def scaled(name: str, m: float, wheelbase: float, steer_ratio: float = 15.6, mu: float = 0.9) -> Vehicle:
+    """A car scaled from a measured one (m 1462, L 2.7, l_f 0.4 L, c_f 192150, c_r 202500, i_z 2500), l_f = 0.45 L.
+
+    m [kg], wheelbase [m]. For a car of which little more is known; the way of opendbc.
+    """
     size = m / 1462.0
     return Vehicle(
         name=name,
@@ -99,7 +102,7 @@ def _scaled(name: str, m: float, wheelbase: float, steer_ratio: float, mu: float
     )
 
 
-VW_PASSAT = _scaled("vw-passat", m=1503.0 + 136.0, wheelbase=2.71, steer_ratio=15.6, mu=0.9)
+VW_PASSAT = scaled("vw-passat", m=1503.0 + 136.0, wheelbase=2.71, steer_ratio=15.6, mu=0.9)
 """VW Passat (B6), the paper's car: no value of it was published; none of these is measured on it.
 
 wheelbase 2.71 m: manufacturer. m = 1503 kg + 136 kg of load, steer_ratio 15.6, centre of gravity at 0.45 of the
@@ -125,10 +128,17 @@ VEHICLES = {car.name: car for car in (VW_PASSAT, BMW_320I, FORD_ESCORT)}
 
 
 def vehicle(name: str) -> Vehicle:
-    """The car of that name (case does not matter, nor does `_` or a space for `-`); raises ValueError otherwise."""
+    """The car of that name, or in the vehicle file of that name (`.toml`, written by `steerkit identify`).
+
+    Case does not matter, nor does `_` or a space for `-`. Raises ValueError otherwise, with the nearest name.
+    """
+    if name.endswith(".toml"):
+        from steerkit.plants.vehicle_file import read_vehicle
+
+        return read_vehicle(name)
     key = name.strip().lower().replace("_", "-").replace(" ", "-")
     if key not in VEHICLES:
         near = difflib.get_close_matches(key, VEHICLES, n=1, cutoff=0.4)
         hint = f" (did you mean '{near[0]}'?)" if near else ""
-        raise ValueError(f"vehicle: '{name}' is not known{hint}; valid: {', '.join(VEHICLES)}")
+        raise ValueError(f"vehicle: '{name}' is not known{hint}; valid: {', '.join(VEHICLES)}, FILE.toml")
     return VEHICLES[key]

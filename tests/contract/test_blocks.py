@@ -24,14 +24,16 @@ from steerkit import maths as m
 from steerkit.analysis import FromControl, Tap
 from steerkit.block import Block, In, Out
 from steerkit.controllers.delay import Predicted, delayed_stanley
+from steerkit.controllers.foresight import Foresight
 from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.policy_block import Network, PolicyBlock
 from steerkit.controllers.pure_pursuit import PurePursuit
-from steerkit.controllers.recovery import Guarded, Supervisor, SupervisorState
+from steerkit.controllers.recovery import Guarded, Supervisor, SupervisorState, TargetShift
 from steerkit.controllers.stanley import Stanley
-from steerkit.doe import Direct, Integrator, LowPass
+from steerkit.doe import Corrected, Direct, Integrator, LowPass
 from steerkit.gym.task import Agent
+from steerkit.learning.exploration import Exploring
 from steerkit.learning.model import CarModel
 from steerkit.learning.rival import ModelPolicy
 from steerkit.path import Path
@@ -39,6 +41,7 @@ from steerkit.plants.careful_driver import CarefulDriver
 from steerkit.plants.human_driver import ConstantSpeed, HumanDriver, RecordedDriver, SpeedProfile
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.playback import Playback
 from steerkit.plants.sensors import Sensors
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.plants.vehicle import vehicle
@@ -92,6 +95,9 @@ EXAMPLES = [
     Example(Integrator()),
     Example(LowPass()),
     Example(Direct()),
+    Example(Corrected()),
+    Example(Corrected(element=LowPass())),
+    Example(Foresight()),
     Example(Stanley.of(PASSAT)),
     Example(Stanley.textbook(PASSAT)),
     Example(delayed_stanley(PASSAT, delay=0.13, lag=0.1)),
@@ -108,6 +114,9 @@ EXAMPLES = [
     Example(Guarded(block=PathTracker(path=OVAL, preview_points=2))),
     Example(NfqPolicy(nets=NETS)),
     Example(NfqPolicy(nets=NETS, combine="max", ready_from=0.1)),
+    Example(NfqPolicy(nets=NETS, combine="disagreement")),
+    Example(Exploring(policy=NfqPolicy(nets=NETS), share=0.5, seed=3), single=_seeded),
+    Example(TargetShift()),
     Example(PolicyBlock(policy=Network(layers=LAYERS), actions=(-0.1, 0.0, 0.1))),
     Example(PolicyBlock(policy=Network(layers=(LAYERS[0], (LAYERS[1][0][:1], LAYERS[1][1][:1])), head="tanh"))),
     Example(Agent()),
@@ -123,6 +132,7 @@ EXAMPLES = [
     Example(HumanDriver(seed=3), single=_seeded),
     Example(ConstantSpeed()),
     Example(RecordedDriver(speeds=(4.0, 5.0, 7.0, 6.0), spacing=0.1)),
+    Example(Playback(angles=(0.0, 0.5, 0.4, -0.2), speeds=(4.0, 5.0, 7.0, 6.0), delay=0.013)),
     Example(SpeedProfile(speeds=(4.0, 5.0, 7.0, 4.0), spacing=0.5, repeat=True)),
     Example(CarefulDriver(path=OVAL, driver=HumanDriver(seed=3)), single=_careful),
 ]
@@ -217,7 +227,7 @@ def documents(kind: type[Block]) -> str:
 
 
 ELSEWHERE = {"MPC", "NonlinearMPC", "RealCar", "FmuPlant"}
-"""Blocks with a suite of their own: a solver's milliseconds differ, a bus is not pure, an FMU comes from elsewhere."""
+"""Blocks with a suite of their own: a solver's milliseconds differ, a bus is not pure, an FMU is somebody's file."""
 
 
 def test_every_block_of_the_package_is_in_the_table() -> None:

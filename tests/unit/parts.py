@@ -121,8 +121,9 @@ class Script(Block):
     length = Out("m")
     angle = Out("rad")
     flag = Out("1")
+    speed = Out("m/s")
     values: tuple[float, ...]
 
     def output(self, t: Any, x: Any, u: Any) -> Any:
         value = self.values[min(round(t / self.dt), len(self.values) - 1)]
-        return self.Y(value, value, value)
+        return self.Y(value, value, value, value)

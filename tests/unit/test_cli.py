@@ -22,6 +22,9 @@ def run(*words: str, monkeypatch: pytest.MonkeyPatch) -> int:
     return 0
 
 
+CAR = ("--car", "dbw-kit.toml")
+
+
 @pytest.mark.parametrize(
     ("words", "says"),
     [
@@ -29,12 +32,36 @@ def run(*words: str, monkeypatch: pytest.MonkeyPatch) -> int:
         (("drive", "stanley", "--course", "papr"), "did you mean 'paper'"),
         (("learn", "--setting", "defualt"), "valid: default, paper"),
         (("learn", "--config", "/does/not/exist.toml"), "cannot be read"),
+        (("learn", "--with", "fit.nest=3"), "no 'nest' there; valid: discount, epochs"),
         (("show", "/"), "no run directory"),
+        (("drive",), "with which controller? valid: stanley"),
+        (("drive", "stanley", "--controller", "nfq"), "two controllers, 'stanley' and --controller nfq"),
+        (("drive", "nfq", "--course", "circle"), "there is no runs/default-circle-clean-seed0"),
+        (("drive", "stanley", "--minutes", "2"), "--minutes is for a car; name its file: --car dbw-kit.toml"),
+        (("drive", "stanley", "--time-scale", "2"), "--time-scale is for a car"),
+        (("learn", "--simulated"), "--simulated is for a car"),
+        (("learn", "--recovery", "stanley"), "--recovery is for a car"),
+        (("drive", "stanley", *CAR, "--rounds", "2"), "--rounds is for simulations: say --minutes"),
+        (("drive", "stanley", *CAR, "--seed", "2"), "--seed is for simulations"),
+        (("learn", *CAR, "--course", "paper"), "the car's file names the course, under [course]"),
+        (("learn", *CAR, "--conditions", "hard"), "a car brings its own noise"),
+        (("learn", *CAR, "--setting", "defualt"), "valid: default, paper"),
+        (("drive", *CAR), "with which controller? valid: stanley"),
+        (("drive", "stanly", *CAR), "nor a place with a trained policy; valid: stanley"),
+        (("drive", "nfq", *CAR), "no net in runs/car; learn one first: steerkit learn --car FILE"),
+        (("drive", "stanley", "--car", "mine.toml"), "shipped: dbw-kit.toml"),
+        (("drive", "stanley", *CAR, "--recovery", "prayer"), "--recovery 'prayer' is not known; valid: stanley"),
+        (("drive", "stanley", *CAR, "--time-scale", "2"), "a real car has real time; use --simulated"),
+        (("drive", "stanley", *CAR, "--simulated", "--channel", "/dev/x"), "leave --channel out"),
+        (("drive", "stanley", *CAR, "--recording", "there.mcap"), "recordings are not overwritten"),
     ],
 )
 def test_mistakes_are_one_line_and_exit_code_2(
-    words: tuple[str, ...], says: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+    words: tuple[str, ...], says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "there.mcap").touch()
     assert run(*words, monkeypatch=monkeypatch) == 2
     error = capsys.readouterr().err.strip()
     assert says in error
@@ -83,6 +110,10 @@ def test_learn_from_a_config_then_show_and_drive_its_policy(
     assert merit["course"] == "circle"
     assert 0.2 <= merit["driving_minutes"] < 0.21
     assert {p.name for p in place.glob("*.png")} == {"learning.png", "round.png"}
+    assert run("show", str(place), "-q", "--json", monkeypatch=monkeypatch) == 0
+    shown = json.loads(capsys.readouterr().out)  # nothing else on stdout
+    assert shown["failures"] == merit["failures"]
+    assert [drive["controller"] for drive in shown["drives"]] == ["learned", "stanley"]
     words = ("drive", str(place), "--course", "circle", "--rounds", "0.1", "--out", str(tmp_path / "d"), "-q")
     assert run(*words, monkeypatch=monkeypatch) == 0
     config.write_text("minuts = 3\n")

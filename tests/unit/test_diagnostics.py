@@ -65,12 +65,16 @@ def test_rms_is_of_the_learner_over_the_window(record: Record) -> None:
 # ---- what the net says ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("combine", ["mean", "max"])
+@pytest.mark.parametrize("combine", ["mean", "max", "disagreement"])
 def test_values_lead_to_the_actions_that_the_policy_takes(record: Record, combine: Any) -> None:
     policy = replace(record.policy, combine=combine)
     s = record.transitions.s[:200]
     members = q_values(policy, s)
-    q = members.max(axis=0) if combine == "max" else members.mean(axis=0)
+    q = {
+        "mean": members.mean(axis=0),
+        "max": members.max(axis=0),
+        "disagreement": members.mean(axis=0) + members.std(axis=0),
+    }[combine]
     y = policy.output(0.0, (), policy.D(*s.T))
     np.testing.assert_allclose(q.min(axis=0), y.q, atol=1e-6)
     clear = np.partition(q, 1, axis=0)[1] - q.min(axis=0) > 1e-5

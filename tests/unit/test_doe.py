@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from parts import Script
 
 from steerkit.block import Block
-from steerkit.doe import Direct, HeldAngle, Integrator, LowPass
+from steerkit.doe import Corrected, Direct, HeldAngle, Integrator, LowPass
 from steerkit.loop import Loop
 from steerkit.simulation import Log, simulate
 from steerkit.units import radians_of
@@ -112,3 +112,41 @@ def test_nan_stays_nan(doe: Any) -> None:
 def test_bad_parameters(kind: type[Block], parameters: dict[str, float], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         kind(**parameters)
+
+
+# ---- behind a gate ------------------------------------------------------------------------------------------------
+
+
+def test_corrected_goes_on_from_what_was_really_commanded() -> None:
+    for element in (Integrator(), LowPass(), Direct()):
+        doe = Corrected(element=element)
+        told = doe.output(0.0, (), doe.D(action=0.3, applied=-2.0))
+        expected = element.output(0.0, HeldAngle(-2.0), element.D(action=0.3))
+        assert told == expected
+        assert told.state == -2.0
+    doe = Corrected()
+    assert doe.output(0.0, (), doe.D(action=math.nan, applied=-2.0)).state == -2.0
+    assert math.isnan(doe.output(0.0, (), doe.D(action=0.0, applied=math.nan)).delta_sw)
+    assert doe.output(0.0, (), doe.D(action=0.0, applied=50.0)).state == radians_of(520.0)
+    assert Corrected(element=Integrator(dt=0.02)).dt == 0.02
+
+
+def test_behind_a_gate_it_does_not_wind_up() -> None:
+    """A gate lets 0.1 rad a sample through, the policy asks for 0.4 twenty times, then back: the plain integrator
+    needs sixteen samples to unwind, the corrected one turns back at once."""
+
+    def turned_back_after(doe: Block) -> int:
+        command, x, turned = 0.0, doe.init(), 0
+        for n in range(60):
+            u = doe.D(*[{"action": 0.4 if n < 20 else -0.4, "applied": command}[p] for p in doe.D._fields])
+            y = doe.output(0.05 * n, x, u)
+            wish = y.delta_sw
+            step = max(-0.1, min(0.1, wish - command))
+            if n >= 20 and step < 0.0 and not turned:
+                turned = n - 19
+            command += step
+            x = doe.update(0.05 * n, x, doe.U(u.action, wish), y)  # a plain DOE is told its own wish
+        return turned
+
+    assert turned_back_after(Corrected()) == 1
+    assert turned_back_after(Integrator()) > 10

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from steerkit.learning import rundir
+from steerkit.learning import nfq, rundir
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.learn import learn
 from steerkit.learning.nfq import FitSetting
-from steerkit.learning.settings import DEFAULT, PAPER, SETTINGS, setting
+from steerkit.learning.settings import DEFAULT, PAPER, SETTINGS, changed, setting
 from steerkit.learning.world import World
 
 SHORT = Experiment(
@@ -136,3 +137,54 @@ def test_a_reset_puts_the_car_back_and_costs_its_time(tmp_path: Path) -> None:
     assert log.t[after][0] >= failed[0] + 20.0
     assert abs(log["path.e"][after][0]) < 1e-6
     assert run.counts.episodes[1].began >= failed[0] + 20.0
+
+
+def test_with_a_shift_the_target_comes_to_the_car_and_the_learner_drives_on(tmp_path: Path) -> None:
+    setting_ = replace(SHORT.setting, after_failure="shift")
+    run = learn(replace(SHORT, setting=setting_, minutes=0.3), tmp_path / "run")
+    log = rundir.drive_log(tmp_path / "run")
+    learning = log["supervisor.learning"] > 0.5
+    first = run.counts.episodes[0]
+    assert first.ended is not None
+    assert run.counts.episodes[1].began == pytest.approx(first.ended + 0.05)  # one sample, not until the net is ready
+    beyond = np.flatnonzero(np.abs(log["path.e"]) > 0.5)
+    assert learning[beyond].any()
+    assert run.counts.failures == (np.abs(run.transitions.s_next[:, 0]) > 0.5).sum()
+
+
+def test_exploration_takes_the_share_of_other_actions_that_was_asked_for() -> None:
+    none = learn(replace(SHORT, minutes=0.2))
+    some = learn(replace(SHORT, setting=replace(SHORT.setting, exploration=0.5), minutes=0.2))
+    policy = nfq.fresh_nets(SHORT.setting.fit, seed=SHORT.seed)
+    for run, least, most in ((none, 0.0, 0.0), (some, 0.25, 0.75)):
+        before_training = run.transitions.episode == run.transitions.episode[0]
+        s, a = run.transitions.s[before_training], run.transitions.a[before_training]
+        actions = sorted(SHORT.setting.actions, key=abs)
+        q = nfq.action_values(policy, s, actions, run.description)
+        others = np.mean(np.array(actions)[q.argmin(axis=0)] != a)
+        assert least <= others <= most  # six of seven random actions are other ones
+
+
+def test_settings_are_changed_by_name() -> None:
+    new = changed(DEFAULT, ["fit.nets=2", "after_failure=shift", "cost.goal=0.1", "calm=1", "actions_deg=[-9,0,9]"])
+    assert (new.fit.nets, new.after_failure, new.cost.goal, new.calm) == (2, "shift", 0.1, 1)
+    assert new.actions_deg == (-9, 0, 9)
+    assert replace(DEFAULT.fit, nets=2) == new.fit
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ("nets=2", "no 'nets' there; valid: name, actions_deg"),
+        ("fit.nets", "expected name=value"),
+        ("fit=2", "expected FitSetting, or its parts by their names"),
+        ("fit.nets=two", "expected int"),
+        ("fit.nets.x=2", "'nets' has no parts"),
+        ("fit.nets=0", "expected >= 1"),
+        ("after_failure=cry", "valid: recovery, reset, shift"),
+        ("exploration=2", "expected 0 <= exploration <= 1"),
+    ],
+)
+def test_wrong_changes_are_told(change: str, told: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(told)):
+        changed(DEFAULT, [change])

@@ -40,6 +40,9 @@ MAY_IMPORT: dict[str, set[str]] = {
     "metrics": RUN,
     "diagram": {"loop"},
     "plotting": RUN | {"path", "diagram"},
+    "notebook": {"block"},
+    "animation": BASE | {"plotting"},
+    "identification": RUN | {"plants", "compiled", "plotting"},
     "learning": RUN | {"clock", "realtime", "path", "tracker", "doe", "courses", "plants", "controllers", "assembly",
                        "compiled", "metrics", "plotting"},
     "onnx_export": BASE | {"controllers"},
@@ -47,9 +50,13 @@ MAY_IMPORT: dict[str, set[str]] = {
     "gym": RUN | {"path", "doe", "plants", "controllers", "assembly", "learning", "compiled"},
 }  # fmt: skip
 """A module or package at the top of steerkit, and which others it may import; itself always."""
-PROGRAMS = ("cli", "car", "car_cli", "car_panel", "export_cli")
+PROGRAMS = ("__main__", "cli", "car", "car_cli", "car_panel", "car_replay", "car_session", "export_cli", "identify_cli")
 """Programs over the library: they may import all of it."""
-WHEN_USED = {"loop": {"plotting", "analysis"}, "simulation": {"plotting"}}
+WHEN_USED = {
+    "block": {"notebook"},
+    "loop": {"plotting", "analysis", "notebook"},
+    "simulation": {"plotting", "notebook", "animation"},
+}
 """More that a module may import inside a function."""
 AT_HOME = {
     "torch": {"learning"},
@@ -63,10 +70,10 @@ AT_HOME = {
         "controllers.nonlinear_mpc",
     },
     "control": {"analysis", "controllers.lqr", "controllers.mpc_model"},
-    "matplotlib": {"plotting", "learning.figures"},
+    "matplotlib": {"plotting", "animation", "learning.figures"},
     "pandas": {"simulation"},
-    "pyarrow": {"simulation", "learning.store_exchange", "gym.minari_export"},
-    "typer": {"cli", "car_cli", "export_cli"},
+    "pyarrow": {"simulation", "learning.store_exchange", "identification.reading", "gym.minari_export"},
+    "typer": {"cli", "car_cli", "export_cli", "identify_cli"},
     "onnx": {"onnx_export"},
     "onnxruntime": {"onnx_export"},
     "minari": {"gym.minari_export"},

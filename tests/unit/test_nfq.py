@@ -72,15 +72,17 @@ def test_tanh_cost_by_hand() -> None:
 
 
 def test_smooth_cost_by_hand() -> None:
-    e, cost = [0.0, 0.15, -0.15, 0.51], SmoothCost(action_scale=0.2)
-    c, terminal = cost(states(e), np.zeros(4), states(e))
-    assert c == pytest.approx([0.0, 0.95 * 0.04, 0.95 * 0.04, 1.0], abs=1e-12)
-    assert terminal.tolist() == [False] * 3 + [True]
-    for a, price in ((0.1, 0.0025), (-0.2, 0.01), (3.0, 0.01)):
-        moving, _ = cost(states(e), np.full(4, a), states(e))
-        assert (moving - c) == pytest.approx([price] * 3 + [0.0])
-    with pytest.raises(ValueError, match="expected > 0"):
-        SmoothCost(action_scale=0.0)
+    """5 m/s: 0.05 rad/s more yaw rate in 0.05 s is a jerk of 5 m/s^3."""
+    cost = SmoothCost(cost=TanhCost(action_cost=0.0), jerk_cost=0.01, jerk_unit=10.0, wheel_cost=0.02, wheel_unit=0.4)
+    s, s_next = states([0.0] * 4), states([0.0, 0.0, 0.0, 0.6])
+    s_next[0, 4] = 0.05
+    s_next[1, 5] = -0.2
+    s_next[2, 4:] = 10.0
+    c, terminal = cost(s, np.zeros(4), s_next)
+    assert c == pytest.approx([0.01 / 4, 0.02 / 4, 0.01 + 0.02, 1.0])
+    assert terminal.tolist() == [False, False, False, True]
+    with pytest.raises(ValueError, match="wheel_unit"):
+        SmoothCost(jerk_unit=0.0)
 
 
 @given(e=st.floats(-2.0, 2.0), a=st.sampled_from(ACTIONS), cost=st.sampled_from(COSTS))

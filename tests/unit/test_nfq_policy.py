@@ -202,7 +202,7 @@ def _written(tmp_path: Path) -> Path:
 
 def test_wrong_parameters_are_taught() -> None:
     for wrong, words in (
-        ({"combine": "min"}, "valid: 'mean', 'max'"),
+        ({"combine": "min"}, "valid: mean, max, disagreement"),
         ({"actions": ()}, "at least one angle"),
         ({"actions": (0.0, np.nan)}, "expected finite"),
         ({"nets": (new_net((5, 10, 1)),)}, r"expected W \(n_out, 7\)"),

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import gc
 import math
+import os
+import resource
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,7 +14,7 @@ import pytest
 from steerkit.block import Block, Out
 from steerkit.clock import Clock
 from steerkit.loop import Loop
-from steerkit.realtime import BIN, Run, Timing, histogram_text, run
+from steerkit.realtime import BIN, Run, Timing, histogram_text, prefer, preferred, run
 
 
 @dataclass
@@ -169,3 +171,43 @@ def test_a_scaled_clock_runs_faster() -> None:
     assert slow.now() - a >= 0.02 - 1e-6
     assert fast.wall(1.0) == 0.02
     assert fast.wall(-1.0) == 0.0
+
+
+# ---- SCHED_FIFO ---------------------------------------------------------------------------------------------------
+
+
+def test_a_machine_that_refuses_sched_fifo_is_told_apart_and_the_run_goes_on() -> None:
+    """For real: a child without any rights asks for it."""
+    reading, writing = os.pipe()
+    child = os.fork()
+    if child == 0:
+        try:
+            resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
+            if os.geteuid() == 0:
+                os.setuid(65534)
+            said = preferred()
+            try:
+                prefer()
+            except PermissionError as error:
+                said += f"|{error}"
+            live, _ = go({}, seconds=0.5)
+            os.write(writing, f"{said}|{live.timing.steps}".encode())
+        finally:
+            os._exit(0)
+    os.close(writing)
+    os.waitpid(child, 0)
+    said, raised, steps = os.read(reading, 4096).decode().split("|")
+    os.close(reading)
+    assert raised.startswith("SCHED_FIFO 50: not permitted; run as root, or")
+    assert said == f"{raised}; going on without: expect late steps when the machine is busy"
+    assert steps == "10"
+
+
+def test_where_it_is_granted_threads_and_children_do_not_have_it_unless_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[int, int]] = []
+    monkeypatch.setattr(
+        os, "sched_setscheduler", lambda pid, policy, param: asked.append((policy, param.sched_priority))
+    )
+    assert preferred(priority=7) == "SCHED_FIFO 7: granted"
+    prefer(priority=8, threads=True)
+    assert asked == [(os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, 7), (os.SCHED_FIFO, 8)]

@@ -38,10 +38,11 @@ class DriverLink:
     """A line to the driver process over its Unix socket.
 
     socket_path: as given to the driver process. controller: may it ask for angles? Others may look, and give orders.
-    timeout [s]: longest wait for an answer. Raises CarLost when there is nobody, now or later.
+    timeout [s]: longest wait for an answer; of a driver process that ends, one hears at once, and one that stands still
+    lets go of the wheel by itself. Raises CarLost when there is nobody, now or later.
     """
 
-    def __init__(self, socket_path: str, *, controller: bool = True, timeout: float = 0.25):
+    def __init__(self, socket_path: str, *, controller: bool = True, timeout: float = 1.0):
         self.path, self.last, self.misses = socket_path, None, 0
         self.refused: list[str] = []
         """What the driver did not obey, and why; whoever shows it may clear it."""
@@ -81,6 +82,10 @@ class DriverLink:
         basis = math.nan if self.last is None else self.last.t
         self._send(protocol.Request(basis, delta_sw, self.misses))
 
+    def remark(self, text: str) -> None:
+        """Say, for the recording, what steers from the next request on."""
+        self._send(protocol.Remark(text))
+
     def order(self, order: Order) -> None:
         """Give an order; what comes of it shows in later snapshots and in `refused`."""
         self._send(protocol.Command(order))
@@ -119,6 +124,8 @@ class ReplayLink:
 
     def __init__(self, snapshots: Sequence[Snapshot]):
         self._snapshots = iter(snapshots)
+        self.count = 0
+        """Snapshots given."""
         self.last: Snapshot | None = None
         self.requests: list[tuple[float, float]] = []
         """(basis, delta_sw) asked for."""
@@ -128,6 +135,7 @@ class ReplayLink:
         self.last = next(self._snapshots, None)
         if self.last is None:
             raise CarLost("the recording has ended")
+        self.count += 1
         return self.last
 
     def request(self, delta_sw: float) -> None:
@@ -144,7 +152,8 @@ class RealCar(Block):
     moves the wheel only while the driver process is ENGAGED, after its checks and its gate.
 
     inputs: delta_sw_in [rad]; v_in [m/s], not used: the human keeps the speed. outputs: x, y [m] of the centre of
-    gravity; psi [rad]; v [m/s]; beta [rad]; r [rad/s]; a_y [m/s^2]; delta_sw [rad], measured; engaged [1].
+    gravity; psi [rad]; v [m/s]; beta [rad]; r [rad/s]; a_y [m/s^2]; delta_sw [rad], measured; engaged [1];
+    applied [rad], the angle that the gate let through last, or while not engaged the measured one.
     state: none. Raises CarLost when the driver process is gone; TypeError when it is batched or traced.
 
     link: the line to the driver process. dt [s]: sample time.
@@ -161,6 +170,7 @@ class RealCar(Block):
     a_y = Out("m/s^2", direct=())
     delta_sw = Out("rad", direct=())
     engaged = Out("1", direct=())
+    applied = Out("rad", direct=())
 
     pure = False
     link: CarLink
@@ -178,7 +188,8 @@ class RealCar(Block):
             raise TypeError("RealCar: a real car cannot be traced; put NonlinearSingleTrack in its place")
         s = self.link.query()
         engaged = 1.0 if s.mode is Mode.ENGAGED else 0.0
-        return self.Y(s.x, s.y, s.psi, s.v, s.beta, s.r, s.a_y, s.delta_sw, engaged)
+        applied = s.command if engaged else s.delta_sw
+        return self.Y(s.x, s.y, s.psi, s.v, s.beta, s.r, s.a_y, s.delta_sw, engaged, applied)
 
     def update(self, t: Any, x: Any, u: Any, y: Any) -> tuple[Any, ...]:
         self.link.request(float(u.delta_sw_in))

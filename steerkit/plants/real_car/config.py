@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import tomllib
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields
 from functools import cached_property
 from importlib.resources import files
 from pathlib import Path as File
@@ -54,6 +54,10 @@ class CarConfig:
     gate: GateLimits
     states: StateLimits
     listen_only: bool = False
+    lag: float = 0.1
+    """Time constant of the kit's motor [s], for controllers that predict; so is `delay`."""
+    delay: float = 0.0
+    """From a command to the motor's answer [s]."""
     texts: dict[str, str] = field(default_factory=dict, repr=False)
     """The files that it was made from: `config.toml`, DBC files and course by name; for the recording."""
 
@@ -61,6 +65,22 @@ class CarConfig:
     def quantities(self) -> dict[str, Mapping]:
         """All that is read, by name."""
         return {name: mapping for reader in self.readers for name, mapping in reader.mappings.items()}
+
+    def facts(self) -> dict[str, Any]:
+        """What a program may want to know: what is read and written, and every limit [SI]."""
+        quantities = {
+            name: {"unit": DIMENSION.get(name, "1"), "signal": m.signal, "gain": m.gain, "offset": m.offset}
+            for name, m in self.quantities.items()
+        }
+        limits = asdict(self.gate) | asdict(self.states)
+        return {
+            "file": self.file,
+            "vehicle": self.vehicle.name,
+            "listen_only": self.listen_only,
+            "read": quantities,
+            "write": {"message": self.writer.message.name, "signal": self.writer.angle.signal},
+            "limits": {name: value for name, value in limits.items() if name not in DERIVED},
+        }
 
     def summary(self) -> list[str]:
         """What will be read and written, one line each."""
@@ -81,6 +101,7 @@ class CarConfig:
         )
         rest = {"enable": w.enable, "clear": w.clear, "counter": w.counter, "CRC": w.crc}
         lines.append(f"           {', '.join(f'{k} {v}' for k, v in rest.items() if v)}; fixed {dict(w.fixed)}")
+        lines.append(f"kit      lag {self.lag:g} s, delay {self.delay:g} s, for controllers that predict")
         for limits in (self.gate, self.states):
             for f in fields(limits):
                 if f.name not in DERIVED:

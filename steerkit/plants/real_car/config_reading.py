@@ -42,7 +42,7 @@ class Reading:
         self.mistakes: list[str] = []
 
     def config(self, bus: dict[str, Any] | None) -> CarConfig:
-        tables = ("format", "bus", "files", "course", "vehicle", "read", "protect", "write", "driver", "limits")
+        tables = ("format", "bus", "files", "course", "vehicle", "kit", "read", "protect", "write", "driver", "limits")
         self.known("", self.data, tables)
         if self.data.get("format") != FORMAT:
             raise ConfigError(
@@ -54,6 +54,7 @@ class Reading:
         writer = self.writing(database)
         gate, states = self.limits(car, writer)
         course, driver = self.course(), self.table("driver", ("listen_only",))
+        lag, delay = self.kit()
         listen = self.entry("driver", driver, "listen_only", bool, False)
         arguments = self.bus() if bus is None else bus
         if self.mistakes:
@@ -65,7 +66,7 @@ class Reading:
             report_frames=frozenset(i for i, names in ids.items() if names & {*REPORT, *flags}),
             pose_frames=frozenset(i for i, names in ids.items() if names & set(POSE)),
             fault_flags=flags, origin_deg=origin, writer=writer, gate=gate, states=states, listen_only=listen,
-            texts=self.texts,
+            texts=self.texts, lag=lag, delay=delay,
         )  # fmt: skip
 
     # ---- tables ---------------------------------------------------------------------------------------------
@@ -119,6 +120,14 @@ class Reading:
         options = self.entry("bus", table, "options", dict, {})
         bitrate = {"bitrate": self.entry("bus", table, "bitrate", int)} if "bitrate" in table else {}
         return {"interface": interface, "channel": channel, **bitrate, **options}
+
+    def kit(self) -> tuple[float, float]:
+        table = self.table("kit", ("lag", "delay"))
+        values = [self.entry("kit", table, key, float, default) for key, default in (("lag", 0.1), ("delay", 0.0))]
+        for key, value in zip(("lag", "delay"), values):
+            if not 0.0 <= value <= 1.0:
+                self.wrong(f"[kit] {key} = {value:g} s, expected 0 to 1 s")
+        return values[0], values[1]
 
     def database(self) -> Any:
         import cantools

@@ -164,6 +164,8 @@ class Core:
                     out.append(Note("refused", {"t": t, "order": order, "why": refused}))
             case protocol.Request():
                 refused = self._take_request(t, event.link, message)
+            case protocol.Remark() if self._links.get(event.link):
+                out.append(Note("steers", {"t": t, "what": message.text}))
             case _:
                 refused = f"{type(message).__name__} is not for the driver"
         if refused:

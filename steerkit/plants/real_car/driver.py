@@ -16,6 +16,7 @@ from typing import Any
 from steerkit.clock import Clock
 from steerkit.path import Path
 from steerkit.plants.real_car import protocol
+from steerkit.plants.real_car.bus import open_bus
 from steerkit.plants.real_car.config import CarConfig
 from steerkit.plants.real_car.core import Core, Event, Frame, Link, Note, Packet, Reply, Send, Tick
 from steerkit.plants.real_car.recording import Recording
@@ -29,7 +30,7 @@ class Driver:
 
     config: the car. path: its course. socket_path: where clients find it. recording: the file to write; None for none.
     clock: time. linger [s]: how long it stays without any client, once there was one.
-    Raises OSError for a socket in use, can.CanError for a bus that cannot be opened.
+    Raises OSError for a socket in use, or a bus that cannot be opened.
     """
 
     def __init__(
@@ -185,12 +186,10 @@ class Driver:
 
 def _open(arguments: dict[str, Any], listen_only: bool) -> Any:
     """The bus, with nothing old in its buffers."""
-    import can
-
     options = dict(arguments)
     if listen_only and options.get("interface") == "slcan":
         options["listen_only"] = True
-    bus = can.Bus(**options)
+    bus = open_bus(options)
     for _ in range(10_000):
         if bus.recv(0.0) is None:
             break

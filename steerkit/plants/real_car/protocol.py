@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from steerkit.plants.real_car.states import Mode, Order
 
-VERSION = 1
+VERSION = 2
 _MODES, _ORDERS = tuple(Mode), tuple(Order)
 
 
@@ -38,6 +38,12 @@ class Request(NamedTuple):
     """[rad]"""
     misses: int
     """Deadlines missed since the controller started."""
+
+
+class Remark(NamedTuple):
+    """What steers from the controller's next request on, as JSON: for the recording, to be replayed; moves nothing."""
+
+    text: str
 
 
 class Snapshot(NamedTuple):
@@ -80,7 +86,7 @@ class Refused(NamedTuple):
     why: str
 
 
-Message = Hello | Query | Command | Request | Snapshot | Refused
+Message = Hello | Query | Command | Request | Remark | Snapshot | Refused
 _REQUEST = struct.Struct("<cddI")
 _NUMBERS = len(Snapshot._fields) - 2
 _SNAPSHOT = struct.Struct(f"<c{_NUMBERS}dB")
@@ -98,6 +104,11 @@ def encode(message: Message) -> bytes:
             return b"O" + bytes((_ORDERS.index(message.order),))
         case Request():
             return _REQUEST.pack(b"R", *message)
+        case Remark():
+            text = message.text.encode()
+            if len(text) >= MAX_PACKET:
+                raise ValueError(f"remark of {len(text)} bytes, expected less than {MAX_PACKET}")
+            return b"T" + text
         case Snapshot():
             numbers = message[:_NUMBERS]
             return _SNAPSHOT.pack(b"S", *numbers, _MODES.index(message.mode)) + message.text.encode()[:2000]
@@ -117,6 +128,8 @@ def decode(packet: bytes) -> Message:
                 return Command(_ORDERS[packet[1]])
             case b"R":
                 return Request(*_REQUEST.unpack(packet)[1:])
+            case b"T":
+                return Remark(packet[1:].decode(errors="replace"))
             case b"S":
                 numbers = _SNAPSHOT.unpack_from(packet)[1:]
                 text = packet[_SNAPSHOT.size :].decode(errors="replace")

@@ -2,7 +2,8 @@
 
 MCAP (https://mcap.dev) because it is append-only: what has been written can be read, with or without its end; MDF needs
 a finished header. Field tools (Foxglove, PlotJuggler, `mcap`) open it; messages are JSON, so none needs our code.
-Topics: /can/rx /client /tick (what the core was given), /can/tx (what it sent), /state /command /car /refused (why).
+Topics: /can/rx /client /tick (what the core was given), /can/tx (what it sent), /state /command /steers /car /refused
+(why).
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ _TOPICS: dict[str, dict[str, Any]] = {
     "/tick": {"t": _NUMBER},
     "/state": {"t": _NUMBER, "from": _TEXT, "to": _TEXT, "cause": _TEXT},
     "/command": {"t": _NUMBER, "request": _NUMBER, "sent": _NUMBER, "why": _TEXT},
+    "/steers": {"t": _NUMBER, "what": _TEXT},
     "/car": {"t": _NUMBER, "mode": _TEXT},
     "/refused": {"t": _NUMBER, "order": _TEXT, "why": _TEXT},
 }

@@ -1,0 +1,64 @@
+"""Run the gallery's scripts, keep their pictures, write the page: python docs/tools/make_gallery.py [NAME ...]."""
+
+from __future__ import annotations
+
+import ast
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+SCRIPTS = ROOT / "examples" / "gallery"
+PICTURES = ROOT / "docs" / "gallery"
+PAGE = ROOT / "docs" / "gallery.md"
+ORDER = (
+    "five_lines",
+    "what_is_wired",
+    "tyres_let_go",
+    "course_from_gps",
+    "smooth_from_coarse",
+    "hundred_gains",
+    "caught",
+    "learns_in_a_minute",
+    "what_the_net_believes",
+    "six_under_delay",
+)
+HEAD = """\
+# Gallery
+
+Ten scripts of at most forty lines, each with the picture that it draws. They are in `examples/gallery`, and run in the
+tests; this page is written by `python docs/tools/make_gallery.py`.
+"""
+
+
+def page() -> str:
+    """The page of the scripts as they are now."""
+    parts = [HEAD]
+    for name in ORDER:
+        text = (SCRIPTS / f"{name}.py").read_text(encoding="utf-8")
+        said = ast.get_docstring(ast.parse(text)) or ""
+        title, _, rest = said.partition("\n")
+        title, _, more = title.rstrip(".").partition(": ")
+        lead = f"{more[:1].upper()}{more[1:]}. " if more else ""
+        code = text.split('"""\n', 2)[-1].strip()
+        parts.append(
+            f"## {title}\n\n{lead}{rest.strip()}\n\n![{title}](gallery/{name}.png)\n\n```python\n{code}\n```\n"
+        )
+    return "\n".join(parts)
+
+
+def main() -> None:
+    """Draw the pictures (of the scripts named, or of all) and write the page."""
+    PICTURES.mkdir(exist_ok=True)
+    path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
+    for name in sys.argv[1:] or ORDER:
+        print(f"== {name}", flush=True)
+        environment = {**os.environ, "MPLBACKEND": "agg", "PYTHONPATH": path}
+        subprocess.run([sys.executable, str(SCRIPTS / f"{name}.py")], cwd=PICTURES, env=environment, check=True)
+    PAGE.write_text(page(), encoding="utf-8")
+    print(f"wrote {PAGE.relative_to(ROOT)}")
+
+
+if __name__ == "__main__":
+    main()

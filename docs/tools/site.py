@@ -1,0 +1,81 @@
+"""Hooks of the documentation site: the API reference from the modules there are, and nothing loaded from elsewhere."""
+
+from __future__ import annotations
+
+import ast
+import logging
+import re
+from pathlib import Path
+from typing import Any
+
+from mkdocs.structure.files import File
+
+ROOT = Path(__file__).parents[2]
+GROUPS: dict[str, tuple[str, ...]] = {
+    "Blocks and loops": ("block", "loop", "simulation", "assembly", "maths", "units", "random"),
+    "Pictures": ("plotting", "diagram", "notebook", "animation"),
+    "Paths and courses": ("path", "tracker", "courses"),
+    "Cars, drivers, sensors": ("plants",),
+    "Controllers": ("controllers", "doe"),
+    "Learning": ("learning", "gym"),
+    "Analysis and metrics": ("analysis", "metrics", "identification"),
+    "Compiled loops and export": ("compiled", "c_export", "onnx_export", "fmu_export"),
+    "On a car": ("car", "car_panel", "car_replay", "realtime", "clock", "plants.real_car"),
+    "Command line": ("cli", "car_cli", "identify_cli", "export_cli"),
+}
+"""Pages of the reference, by the modules and packages at the top of steerkit; a longer name goes before a shorter."""
+REST = "Everything else"
+FOREIGN = re.compile(r"""<(?:script|link|img|iframe)\b[^>]*?(?:src|href)=["']?(?:https?:)?//[^"'\s>]+""")
+log = logging.getLogger("mkdocs.hooks.site")
+
+
+def modules() -> dict[str, list[str]]:
+    """Page title -> the modules on it: all of steerkit that has a docstring, and no private name."""
+    pages: dict[str, list[str]] = {title: [] for title in (*GROUPS, REST)}
+    home = {name: title for title, names in GROUPS.items() for name in names}
+    for file in sorted((ROOT / "steerkit").rglob("*.py")):
+        parts = file.relative_to(ROOT / "steerkit").with_suffix("").parts
+        name = ".".join(parts).removesuffix(".__init__")
+        if name in ("__init__", "__main__") or not ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))):
+            continue
+        prefixes = [".".join(name.split(".")[:n]) for n in range(name.count(".") + 1, 0, -1)]
+        pages[next((home[p] for p in prefixes if p in home), REST)].append(name)
+    return {title: names for title, names in pages.items() if names}
+
+
+def _slug(title: str) -> str:
+    return re.sub(r"\W+", "-", title.lower())
+
+
+def on_config(config: Any) -> Any:
+    """Puts the pages of the reference where the navigation says `reference/`, and leaves out pages not written yet."""
+    here = [{title: f"reference/{_slug(title)}.md"} for title in modules()]
+    nav = [{name: here if page == "reference/" else page for name, page in entry.items()} for entry in config.nav]
+    for entry in nav:
+        for name, page in entry.items():
+            if isinstance(page, list) and page is not here:
+                entry[name] = [one for one in page if _written(config, one)]
+    config.nav = nav
+    return config
+
+
+def _written(config: Any, entry: dict[str, str]) -> bool:
+    missing = [page for page in entry.values() if not (Path(config.docs_dir) / page).exists()]
+    for page in missing:
+        log.info("%s is in the navigation and not written yet", page)
+    return not missing
+
+
+def on_files(files: Any, config: Any) -> Any:
+    """Adds a page for each group of modules."""
+    for title, names in modules().items():
+        text = f"# {title}\n\n" + "\n\n".join(f"::: steerkit.{name}" for name in names) + "\n"
+        files.append(File.generated(config, f"reference/{_slug(title)}.md", content=text))
+    return files
+
+
+def on_post_page(output: str, page: Any, config: Any) -> str:
+    """A page that would load something from another host is an error in `--strict`."""
+    for found in FOREIGN.findall(output):
+        log.warning("%s loads from elsewhere: %s", page.file.src_uri, found)
+    return output

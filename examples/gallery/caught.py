@@ -1,0 +1,37 @@
+"""A learner that means badly is caught: after 8 s it keeps turning the wheel to the left, later it answers NaN.
+
+The supervisor gives the wheel to Stanley beyond 0.5 m or at a fault, and hands it back within 0.1 m.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from steerkit import Block, Integrator, NonlinearSingleTrack, Out, Stanley, SteeringActuator
+from steerkit import course, placed, simulate, steering_loop, vehicle
+from steerkit.learning.figures import learning
+from steerkit.plants.human_driver import ConstantSpeed
+from steerkit.units import radians_of
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Drunk(Block):
+    """Turns the wheel a little further left each sample, and breaks at 60 s. Outputs: action [rad], ready [1]."""
+
+    action = Out("rad", direct=())
+    ready = Out("1", direct=())
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        return self.Y(math.nan if t > 60.0 else radians_of(2.0), float(t > 8.0))
+
+
+path, passat = course("circle"), vehicle("vw-passat")
+loop = steering_loop(
+    car=placed(NonlinearSingleTrack(vehicle=passat, v0=5.0), path), path=path, driver=ConstantSpeed(speed=5.0),
+    controller=Drunk(), doe=Integrator(), recovery=Stanley.of(passat), actuator=SteeringActuator(lag=0.12),
+    reference=passat.l_f,
+)  # fmt: skip
+log = simulate(loop, 90.0, every=5, allow_nonfinite=True)
+takeovers = int((log["supervisor.tripped"] > 0.5).sum())
+print(f"taken over {takeovers} times by |e| and once by NaN; max |e| {abs(log['path.e']).max():.2f} m")
+learning(log, title="A bad learner, caught", seconds=90.0).savefig("caught.png")

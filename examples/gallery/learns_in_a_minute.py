@@ -1,0 +1,15 @@
+"""Learns in a minute: neural fitted Q iteration from the first second, 60 s of driving on the 800 m course.
+
+Every second counts: recovery, waiting and training are in it. The picture shows e, shaded where Stanley steers.
+"""
+
+from steerkit import Experiment, learn
+from steerkit.learning.evaluate import drive
+from steerkit.learning.figures import learning
+from steerkit.learning.world import World
+from steerkit.metrics import of_log
+
+run = learn(Experiment(world=World(course="paper"), minutes=1.0, seed=1))
+learning(run.recorder.log(), title="From the first second", seconds=60.0).savefig("learns_in_a_minute.png")
+log = drive(run.experiment.world, run.policy, doe=run.experiment.setting.element())
+print(f"{run.counts.failures} failures; then a whole round with RMS e {of_log(log).rms_e:.3f} m")

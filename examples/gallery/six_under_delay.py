@@ -1,0 +1,35 @@
+"""Six controllers under delay: the steering answers 0.15 s late, with 0.12 s of lag; 340 m of the 800 m course.
+
+LQR, MPC and pure pursuit are told the delay, Stanley is not; the learner has found its own way with it in 20 s.
+"""
+
+from steerkit import Experiment, SteeringActuator, learn
+from steerkit.controllers.mpc import MPC
+from steerkit.learning.evaluate import CONTROLLERS, drive
+from steerkit.learning.world import World
+from steerkit.metrics import of_log
+from steerkit.plotting import PALETTE, new_figure, style
+
+world = World(course="paper", delay=0.15)
+actuator = SteeringActuator(lag=world.lag, delay=world.delay)
+run = learn(Experiment(world=world, minutes=1 / 3, seed=1))
+controllers = {name: CONTROLLERS[name](world) for name in ("stanley", "stanley-textbook", "pure-pursuit", "lqr")}
+controllers["mpc"] = MPC.of(world.car(world.path()), actuator, clock=None)
+logs = {name: drive(world, controller, rounds=0.43) for name, controller in controllers.items()}
+logs["learned"] = drive(world, run.policy, doe=run.experiment.setting.element(), rounds=0.43)
+
+figure, (above, below) = new_figure(rows=2, title="Six controllers, 0.15 s delay and 0.12 s lag", height=5.5)
+below.remove()
+with style():
+    bars = figure.add_subplot(2, 1, 2)
+for n, ((name, log), colour) in enumerate(zip(logs.items(), PALETTE)):
+    found = of_log(log)
+    above.plot(log["path.progress"], log["path.e"], color=colour, label=name, lw=1.0)
+    bars.bar(name, found.rms_e, color=colour)
+    bars.text(n, found.rms_e, f"{found.rms_e:.3f}", ha="center", va="bottom", fontsize=8)
+    print(f"{name:17} RMS e {found.rms_e:.3f} m, max {found.max_e:.3f} m, wheel {found.rms_wheel_rate_deg:.0f} deg/s")
+above.tick_params(labelbottom=True)
+above.set(xlabel="distance [m]", ylabel="e [m], cut at 0.5", ylim=(-0.5, 0.5), xlim=(0.0, 342.0))
+bars.set(ylabel="RMS e [m]", yscale="log", ylim=(0.001, 1.0))
+above.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=6, frameon=False, fontsize=8)
+figure.savefig("six_under_delay.png")

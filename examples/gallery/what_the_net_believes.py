@@ -1,0 +1,12 @@
+"""What the net believes: the action it takes and the cost it expects, over e and heading, at three wheel angles.
+
+Dots are where the car has been: far from them the net is guessing. How to read it: see Learning.
+"""
+
+from steerkit import Experiment, learn
+from steerkit.learning.policy_pictures import policy_map
+from steerkit.learning.world import World
+
+run = learn(Experiment(world=World(course="paper"), minutes=0.5, seed=1))
+policy_map(run.policy, run.experiment.world, visited=run.transitions).savefig("what_the_net_believes.png")
+print(f"a Q-function of {len(run.nets)} nets, from {len(run.transitions)} transitions")

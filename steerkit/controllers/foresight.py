@@ -1,0 +1,93 @@
+"""How far off a car will get before its recovery controller can turn it, behind a gate that makes the wheel slow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from steerkit import maths as m
+from steerkit.block import Block, In, Out, require
+from steerkit.units import radians_of
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Foresight(Block):
+    """What a `Supervisor` should judge instead of |e| where a gate lets the wheel turn only so fast.
+
+    At 6 m/s a gate of 3 m/s^2 and 5 m/s^3 needs 1.2 s from lock to lock; who waits for |e| = 0.5 m is 2 m off before
+    the car has turned. So a kinematic car is rolled forward, its wheel held where it was commanded last for `hold`,
+    then turned against the drift as fast as the gate allows, once to the left and once to the right:
+
+        kappa_s(t) = kappa_s(0), t < hold;   then kappa_s(t) = sat(kappa_s(t - h) +- turn),   delta = atan(L kappa_s)
+        e' = v sin(psi_e + delta),   psi_e' = v (sin(delta)/L - kappa cos(psi_e + delta)),   all at the front axle
+        turn = h min(jerk_max/v^2, rate_max/(steer_ratio L)),   sat to min(a_y_max/v^2, tan(delta_sw_max/steer_ratio)/L)
+        reach = max(e(t) while turning right, -e(t) while turning left),   t up to `horizon`, by midpoints of h = 0.05 s
+        distance = max(|e|, weight * reach)
+
+    Inputs: e [m], psi_e [rad], kappa [1/m] of the path, all at the **front axle** (a tracker with reference = l_f);
+    v [m/s]; doe [rad], the angle that was commanded in the end (a DOE's `state`). Outputs: distance [m]; reach [m].
+    No state. Valid for v >= 0, |doe| <= delta_sw_max. NaN in any input gives NaN out, which a `Supervisor` answers.
+    Raises ValueError for limits that are not positive. Source: kinematic bicycle in path coordinates (Rajamani 2012,
+    eq. 2.5 and 2.41); the bounds are the gate's.
+    """
+
+    e = In("m")
+    psi_e = In("rad")
+    kappa = In("1/m")
+    v = In("m/s")
+    doe = In("rad")
+    distance = Out("m")
+    reach = Out("m")
+
+    a_y_max: float = 3.0
+    """Largest lateral acceleration that the gate allows [m/s^2]."""
+    jerk_max: float = 5.0
+    """Its fastest change [m/s^3]."""
+    rate_max: float = radians_of(550.0)
+    """Fastest steering wheel [rad/s]."""
+    delta_sw_max: float = radians_of(520.0)
+    """Largest |delta_sw| [rad]."""
+    v_floor: float = 1.0
+    """Slowest speed that the bounds reckon with [m/s]."""
+    steer_ratio: float = 15.6
+    """Steering-wheel angle over road-wheel angle [1]."""
+    wheelbase: float = 2.71
+    """L [m]."""
+    hold: float = 0.15
+    """Time until the wheels turn back: a sample, and the motor's lag [s]."""
+    horizon: float = 2.0
+    """How far to look ahead [s]."""
+    weight: float = 0.4
+    """A trip at |e| = 0.5 m becomes one at a reach of 0.5/weight = 1.25 m too."""
+
+    def __post_init__(self) -> None:
+        for name in ("a_y_max", "jerk_max", "rate_max", "delta_sw_max", "v_floor", "steer_ratio", "wheelbase",
+                     "horizon", "weight"):  # fmt: skip
+            require(getattr(self, name) > 0.0, "Foresight", f"{name} = {getattr(self, name)}, expected > 0")
+        require(self.hold >= 0.0, "Foresight", f"hold = {self.hold} s, expected >= 0")
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        left, right = self._reach(u, 1.0), self._reach(u, -1.0)
+        reach = m.maximum(left, right)
+        return self.Y(m.maximum(self.weight * reach, m.absolute(u.e)), reach)
+
+    def _reach(self, u: Any, side: float) -> Any:
+        """The furthest that the car gets to the left (side = 1) or right (-1) while it is steered the other way [m]."""
+        h, length = 0.05, self.wheelbase
+        v_squared = m.maximum(u.v, self.v_floor) ** 2
+        turn = h * m.minimum(self.jerk_max / v_squared, self.rate_max / (self.steer_ratio * length))
+        most = m.minimum(self.a_y_max / v_squared, m.tan(self.delta_sw_max / self.steer_ratio) / length)
+        # seen in the mirror, the right is the left
+        e, psi_e, kappa = side * u.e, side * u.psi_e, side * u.kappa
+        steered = m.tan(side * u.doe / self.steer_ratio) / length
+        furthest = e
+        for n in range(round(self.horizon / h)):
+            before = steered
+            if n * h >= self.hold:
+                steered = m.maximum(steered - turn, -most)
+            delta = m.atan(length * 0.5 * (before + steered))  # halfway through the step
+            half = 0.5 * h * u.v * (m.sin(delta) / length - kappa * m.cos(psi_e + delta))
+            e = e + h * u.v * m.sin(psi_e + half + delta)
+            psi_e = psi_e + 2.0 * half
+            furthest = m.maximum(e, furthest)
+        return furthest

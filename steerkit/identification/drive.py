@@ -1,0 +1,262 @@
+"""A recorded drive on one clock: what is repaired is said, what cannot be is refused."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import uniform_filter1d
+from scipy.signal import savgol_filter
+
+from steerkit.block import require
+from steerkit.units import RAD_PER_DEG
+
+Array = NDArray[np.floating[Any]]
+
+V_DRIVING = 3.0
+"""From this speed on [m/s] a drive tells about the car; below, the models roll kinematically."""
+LEAST = 20.0
+"""Least driving to identify from [s]."""
+SETTLE = 1.0
+"""After a gap, and at the start, the model has this long to forget what it does not know [s]."""
+HEADING_WINDOW = 0.2
+"""Length of the parabola whose slope is the yaw rate, where only the heading was recorded [s]."""
+PLAUSIBLE = (15.0, 120.0)
+"""Steering-wheel angle over curvature, n (L + K v^2) [m], that a road car can have."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Drive:
+    """Steering-wheel angle, speed and yaw rate of a drive, evenly sampled; `Drive.of` makes one from raw columns."""
+
+    name: str
+    """Where it came from, for messages and files."""
+    dt: float
+    """The common clock's step [s]."""
+    delta_sw: Array
+    """Steering-wheel angle, or its command, + = left (n,) [rad]."""
+    v: Array
+    """Speed (n,) [m/s]."""
+    r: Array
+    """Yaw rate (n,) [rad/s]."""
+    measured: NDArray[np.bool_]
+    """Where samples were recorded, that is not in a gap nor within 1 s after one (n,)."""
+    calibrated: bool
+    """Is the yaw rate's zero known, from the heading?"""
+    notes: tuple[str, ...] = ()
+    """What was read and what was repaired, in words."""
+    digest: str = ""
+    """SHA-256 of the file, for provenance."""
+
+    @property
+    def t(self) -> Array:
+        """Time from the start (n,) [s]."""
+        return np.arange(len(self.v)) * self.dt
+
+    @property
+    def driving(self) -> NDArray[np.bool_]:
+        """The samples that a model is fitted to: recorded, and 3 m/s or faster (n,)."""
+        return self.measured & (self.v >= V_DRIVING)
+
+    @classmethod
+    def of(
+        cls, *, t: ArrayLike, delta_sw: ArrayLike, v: ArrayLike, r: ArrayLike | None = None,
+        psi: ArrayLike | None = None, name: str = "drive", dt: float | None = None, trusted: bool = False,
+        notes: tuple[str, ...] = (), digest: str = "",
+    ) -> Drive:  # fmt: skip
+        """A drive from columns in SI (n,), with r or psi or both, repaired and brought to one clock.
+
+        Repaired, with a note each: rows that are not finite, rows out of order, repeated times, gaps (bridged, and
+        left out of every comparison), a yaw rate whose zero differs from the heading's rate. r from psi: slope of a
+        parabola over 0.2 s. dt: the clock's step [s] (default: the recording's, within 0.01 to 0.05). trusted: do not
+        judge whether units and signs are plausible. Raises ValueError for what cannot be repaired, with advice.
+        """
+        given = {"t": t, "delta_sw": delta_sw, "v": v, "r": r, "psi": psi}
+        columns = {key: np.asarray(value, dtype=float).ravel() for key, value in given.items() if value is not None}
+        said = list(notes)
+        columns = _in_order(columns, name, said)
+        step, gaps = _steps(columns["t"], name, said)
+        if not trusted:
+            _check_ranges(columns, name)
+        if dt is None:
+            dt = float(np.clip(round(step, 3), 0.01, 0.05))
+        require(1e-3 <= dt <= 0.1, name, f"dt = {dt} s, expected 0.001 to 0.1")
+        even = _resampled(columns, dt, step)
+        measured = _measured(columns["t"], gaps, even["t"])
+        rate, calibrated = _yaw_rate(even, measured, dt, name, said, trusted)
+        drive = cls(name=name, dt=dt, delta_sw=even["delta_sw"], v=even["v"], r=rate, measured=measured,
+                    calibrated=calibrated, notes=tuple(said), digest=digest)  # fmt: skip
+        seconds = float(np.sum(drive.driving)) * dt
+        require(seconds >= LEAST, name, f"only {seconds:.1f} s at {V_DRIVING:g} m/s or faster, expected {LEAST:g} s")
+        if not trusted:
+            _check_plausible(drive)
+        return drive
+
+
+def _in_order(columns: dict[str, Array], name: str, said: list[str]) -> dict[str, Array]:
+    """Finite rows, rising in t."""
+    lengths = {key: len(value) for key, value in columns.items()}
+    if len(set(lengths.values())) > 1:
+        raise ValueError(f"{name}: columns of different lengths: {', '.join(f'{k} {n}' for k, n in lengths.items())}")
+    finite = np.all([np.isfinite(value) for value in columns.values()], axis=0)
+    lost = int(np.sum(~finite))
+    require(finite.sum() >= 100, name, f"{int(finite.sum())} whole rows of {len(finite)}, expected 100 or more")
+    if lost:
+        said.append(f"dropped {lost} of {len(finite)} rows that hold no number")
+        columns = {key: value[finite] for key, value in columns.items()}
+    t = columns["t"]
+    back = int(np.sum(np.diff(t) < 0.0))
+    if back:
+        order = np.argsort(t, kind="stable")
+        rough, smooth = (float(np.abs(np.diff(columns["v"][rows])).sum()) for rows in (slice(None), order))
+        if smooth > 1.5 * rough + 1.0:
+            row = int(np.argmax(np.diff(t) < 0.0)) + 1
+            raise ValueError(
+                f"{name}: time runs back at row {row} (from {t[row - 1]:.6g} to {t[row]:.6g} s), and sorting would mix "
+                "two recordings: they lie one after the other in this file; split it there"
+            )
+        columns = {key: value[order] for key, value in columns.items()}
+        said.append(f"sorted by time: {back} times a row was earlier than the one before")
+    new = np.concatenate(([True], np.diff(columns["t"]) > 0.0))
+    if not new.all():
+        columns = {key: value[new] for key, value in columns.items()}
+        said.append(f"dropped {int(np.sum(~new))} rows that repeat the time of the one before")
+    return columns
+
+
+def _steps(t: Array, name: str, said: list[str]) -> tuple[float, NDArray[np.intp]]:
+    """The usual step [s], and the numbers of the rows before gaps."""
+    steps = np.diff(t)
+    step = float(np.median(steps))
+    if not 5e-4 <= step <= 0.5:
+        units = {1e-3: "ms", 1e-6: "us", 1e-9: "ns", 60.0: "min"}
+        fits = [unit for factor, unit in units.items() if 2e-3 <= factor * step <= 0.25]
+        advice = f'is t in {fits[0]}? Say unit = "{fits[0]}" in the column map' if fits else "is it the right column?"
+        raise ValueError(f"{name}: t steps by {step:g} s, expected 0.0005 to 0.5 s; {advice}")
+    gaps = np.flatnonzero(steps > max(5.0 * step, 0.25))
+    if len(gaps):
+        lost, share = float(steps[gaps].sum()), float(steps[gaps].sum() / (t[-1] - t[0]))
+        require(
+            share <= 0.5,
+            name,
+            f"{lost:.0f} s of {t[-1] - t[0]:.0f} s are gaps: too little is left; is t the right column, in seconds?",
+        )
+        said.append(f"{len(gaps)} gaps, {lost:.1f} s in all (the longest {steps.max():.1f} s): bridged, not compared")
+    return step, gaps
+
+
+def _check_ranges(columns: dict[str, Array], name: str) -> None:
+    """Values that no car reaches are mostly a unit's fault."""
+    limits = {"delta_sw": (17.5, "rad", "deg"), "v": (100.0, "m/s", "km/h"), "r": (2.5, "rad/s", "deg/s")}
+    for quantity, (high, unit, likely) in limits.items():
+        largest = float(np.abs(columns.get(quantity, np.zeros(1))).max())
+        require(
+            largest <= high,
+            name,
+            f"{quantity} reaches {largest:.4g} {unit}, expected {high:g} at most; is it in {likely}? Say "
+            f'unit = "{likely}" in the column map',
+        )
+    lowest = float(columns["v"].min())
+    require(
+        lowest >= -1.0, name, f"v falls to {lowest:.3g} m/s: reversing is not modelled; cut it out, or mind v's sign"
+    )
+    jumps = np.abs(np.diff(columns.get("psi", np.zeros(2))))
+    require(
+        not (np.abs(jumps - 360.0) < 30.0).any(),
+        name,
+        'psi jumps by 360: it is in deg; say unit = "deg" in the column map',
+    )
+
+
+def _resampled(columns: dict[str, Array], dt: float, step: float) -> dict[str, Array]:
+    """All on t = 0, dt, 2 dt, ...: averaged first where the recording is finer, then linear."""
+    t = columns["t"] - columns["t"][0]
+    clock = np.arange(int(t[-1] / dt + 1e-6) + 1) * dt
+    width = round(dt / step)
+    even: dict[str, Array] = {"t": clock}
+    for key, value in columns.items():
+        if key != "t":
+            value = np.unwrap(value) if key == "psi" else value
+            values = np.asarray(uniform_filter1d(value, width) if width >= 2 else value, dtype=float)
+            even[key] = np.interp(clock, t, values)
+    even["v"] = np.maximum(even["v"], 0.0)
+    return even
+
+
+def _measured(t: Array, gaps: NDArray[np.intp], clock: Array) -> NDArray[np.bool_]:
+    kept: NDArray[np.bool_] = clock >= SETTLE
+    for row in gaps:
+        kept &= (clock <= t[row] - t[0]) | (clock >= t[row + 1] - t[0] + SETTLE)
+    return kept
+
+
+def _yaw_rate(
+    even: dict[str, Array], measured: NDArray[np.bool_], dt: float, name: str, said: list[str], trusted: bool
+) -> tuple[Array, bool]:
+    """The yaw rate, with the heading's zero if there is a heading; and whether there is."""
+    if "psi" not in even:
+        return even["r"], False
+    window = max(3, 2 * round(0.5 * HEADING_WINDOW / dt) + 1)
+    slope: Array = savgol_filter(even["psi"], window, 2, deriv=1, delta=dt)
+    if "r" not in even:
+        said.append(f"yaw rate: slope of the heading over {window * dt:.2f} s")
+        return slope, True
+    use = measured & (even["v"] >= V_DRIVING)
+    require(use.sum() * dt >= LEAST, name, f"less than {LEAST:g} s at {V_DRIVING:g} m/s or faster")
+    gain = float(np.polyfit(slope[use], even["r"][use], 1)[0])
+    if not trusted and not 0.8 < gain < 1.25:
+        what = "has the other sign than" if gain < 0.0 else f"is {gain:.3g} times"
+        raise ValueError(
+            f"{name}: the yaw rate {what} the heading's rate of change; mind unit and sign of r and psi in the column "
+            "map (a compass turns clockwise: scale = -1)"
+        )
+    bias = float(np.mean((even["r"] - slope)[use]))
+    if abs(bias) > 2e-4:
+        said.append(f"yaw rate: {-bias:+.5f} rad/s, so that its mean is the heading's rate")
+    return even["r"] - bias, True
+
+
+def _check_plausible(drive: Drive) -> None:
+    """Does the wheel's angle over the curvature have the size of a car's?"""
+    use = drive.driving
+    kappa, angle = drive.r[use] / drive.v[use], drive.delta_sw[use]
+    spread = float(np.std(kappa))
+    require(
+        spread > 3e-4,
+        drive.name,
+        f"it hardly turns (curvature varies by {spread:.1e} 1/m): a drive straight on tells nothing; add bends",
+    )
+    correlation = float(np.corrcoef(kappa, angle)[0, 1]) if np.ptp(angle) > 0.0 else 0.0
+    require(
+        abs(correlation) > 0.7,
+        drive.name,
+        f"steering and curvature r/v go together by {correlation:.2f} only (1: fully); wrong columns or clocks?",
+    )
+    slope = float(np.polyfit(kappa, angle, 1)[0])
+    if PLAUSIBLE[0] <= slope <= PLAUSIBLE[1]:
+        return
+    causes: dict[str, float] = {
+        'delta_sw is in degrees (unit = "deg")': RAD_PER_DEG,
+        'the yaw rate is in degrees (unit = "deg/s", "deg")': 1.0 / RAD_PER_DEG,
+        'v is in km/h (unit = "km/h")': 1.0 / 3.6,
+        "v is in m/s and was read as km/h": 3.6,
+        "delta_sw is the road wheels' angle (scale = the steering ratio, about 15)": 15.0,
+    }
+    flip = -1.0 if slope < 0.0 else 1.0
+    turned = "one of delta_sw and r has the wrong sign (scale = -1)"
+    fits = [turned] if flip < 0.0 and 20.0 <= -slope <= 90.0 else []
+    fits += [cause + (f", and {turned}" if flip < 0.0 else "") for cause, factor in causes.items()
+             if 20.0 <= flip * slope * factor <= 90.0]  # fmt: skip
+    likely = f"; perhaps {'; or '.join(fits)}" if fits else ""
+    raise ValueError(
+        f"{drive.name}: delta_sw/curvature is {slope:.4g} m, a road car has {PLAUSIBLE[0]:g} to {PLAUSIBLE[1]:g} m "
+        f"(steering ratio times wheelbase){likely}. To go on as it is: --trust-units"
+    )
+
+
+def moments(values: Any) -> tuple[float, float]:
+    """(root mean square, mean)."""
+    array = np.asarray(values, dtype=float)
+    return float(np.sqrt(np.mean(array * array))), float(np.mean(array))

@@ -1,0 +1,65 @@
+"""Now and then another action than the greedy one: a wrapper around a policy that learns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from steerkit import maths as m
+from steerkit.block import Block, In, Out, require
+from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.random import RandomState, seed_state, uniform
+
+_STREAM = 3  # of `seed_state`: exploration's
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Exploring(Block):
+    """Wraps a policy so that a share of its samples takes an action drawn at random, all equally likely.
+
+        action = actions[floor(n*w)] if u < share, else the greedy one;   u, w uniform in (0, 1), n actions
+
+    Inputs, as for the policy: e [m], e_dot [m/s], v [m/s], psi_e [rad], r_e [rad/s], doe [rad]. Outputs: action [rad];
+    q [1], the greedy action's; ready [1]. A NaN action stays NaN.
+    State: six numbers of the generator (`steerkit.random`), from `seed`. Raises ValueError unless 0 <= share <= 1.
+    Source: Watkins 1989 (epsilon-greedy exploration).
+    """
+
+    e = In("m")
+    e_dot = In("m/s")
+    v = In("m/s")
+    psi_e = In("rad")
+    r_e = In("rad/s")
+    doe = In("rad")
+    action = Out("rad")
+    q = Out("1")
+    ready = Out("1", direct=())
+
+    policy: NfqPolicy
+    """Who acts otherwise."""
+    share: float = 0.05
+    """How much of the samples explores."""
+    seed: int = 0
+    """Which random numbers."""
+
+    def __post_init__(self) -> None:
+        require(0.0 <= self.share <= 1.0, "Exploring", f"share = {self.share}, expected 0 <= share <= 1")
+        same = self.policy.dt == self.dt
+        require(same, "Exploring", f"dt = {self.dt} s, the policy's is {self.policy.dt} s, expected the same")
+
+    def init(self, batch: tuple[int, ...] = ()) -> RandomState:
+        return seed_state(self.seed, batch, stream=_STREAM)
+
+    def output(self, t: Any, x: RandomState, u: Any) -> Any:
+        greedy = self.policy.output(t, (), u)
+        explores, after = uniform(x)
+        which, _ = uniform(after)
+        actions = self.policy.actions
+        action = actions[-1]
+        for k in reversed(range(len(actions) - 1)):
+            action = m.where(which * len(actions) < k + 1.0, actions[k], action)
+        chosen = m.where(explores < self.share, action, greedy.action)
+        return self.Y(m.where(m.is_finite(greedy.action), chosen, greedy.action), greedy.q, greedy.ready)
+
+    def update(self, t: Any, x: RandomState, u: Any, y: Any) -> RandomState:
+        return uniform(uniform(x)[1])[1]

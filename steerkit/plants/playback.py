@@ -1,0 +1,66 @@
+"""A recorded drive, played back into a plant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from steerkit import maths as m
+from steerkit.block import Block, Out, require
+from steerkit.maths import Scalar, Table
+from steerkit.plants.checks import require_within
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Playback(Block):
+    """Steering-wheel angle and speed as they were recorded every dt, linear in between; the angle `delay` later.
+
+    delta_sw(t) = angle(t - delay),  v(t) = speed(t); before the first and after the last sample their values hold.
+
+    no inputs. outputs: delta_sw [rad], v [m/s]. no state. delay need not be a multiple of dt, and may be negative (the
+    record is known ahead); it may be an `(N,)` array for a batch. errors: ValueError for samples that are not finite
+    or not equally many, delay or dt out of range.
+    """
+
+    delta_sw = Out("rad", direct=())
+    v = Out("m/s", direct=())
+
+    angles: tuple[float, ...]
+    """Steering-wheel angles [rad] at t = 0, dt, 2 dt, ..."""
+    speeds: tuple[float, ...]
+    """Speeds [m/s] at the same times."""
+    delay: Scalar = 0.0
+    """How much later the angle acts [s]; below 0: earlier."""
+    dt: float = 0.01
+
+    def __post_init__(self) -> None:
+        where, n = "Playback", len(self.angles)
+        require(
+            n == len(self.speeds) >= 2, where, f"{n} angles, {len(self.speeds)} speeds, expected equally many, >= 2"
+        )
+        require_within(where, "angles", np.asarray(self.angles), "rad", -100.0, 100.0)
+        require_within(where, "speeds", np.asarray(self.speeds), "m/s", 0.0, 100.0)
+        require_within(where, "delay", self.delay, "s", -10.0, 10.0)
+        require_within(where, "dt", self.dt, "s", 1e-6, 1.0)
+
+    @cached_property
+    def _table(self) -> Table:
+        """A row from each sample to the next: angle, its rise, speed, its rise."""
+        angle, speed = np.array(self.angles), np.array(self.speeds)
+        return Table(np.column_stack((angle[:-1], np.diff(angle), speed[:-1], np.diff(speed))))
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        i, part = self._place(t - self.delay)
+        angle, rise, _, _ = self._table(i)
+        k, share = self._place(t)
+        _, _, speed, gain = self._table(k)
+        return self.Y(angle + part * rise, speed + share * gain)
+
+    def _place(self, t: Scalar) -> tuple[Scalar, Scalar]:
+        """The row for time t, and how far into it, 0 to 1."""
+        z = m.clip(t / self.dt + 1e-9, 0.0, float(len(self._table)))
+        i = m.minimum(m.floor(z), float(len(self._table)) - 1.0)
+        return i, z - i

@@ -1,0 +1,183 @@
+"""Learning on the in-process car: caught in time behind the gate, and replayed bit for bit, nets and all."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from car_world import World, setup
+
+from steerkit import car as cars
+from steerkit import car_replay as replays
+from steerkit import realtime
+from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.learning import nfq, on_car
+from steerkit.learning.follow import Steers
+from steerkit.learning.nfq import FitSetting
+from steerkit.learning.settings import Setting, setting
+from steerkit.learning.trainer import Job, Result, SimulatedTrainer
+from steerkit.plants.real_car import recording as tapes
+from steerkit.plants.real_car.states import Mode, Order
+
+TINY = replace(
+    setting("model-free"), name="tiny", fit=FitSetting(nets=1, epochs=20, mirror=True, hints=0), retrain_every_m=5.0
+)
+"""Learns nothing worth having, but fast: nets come and go while it drives."""
+
+
+def untrained(how: Setting, speed: float) -> World:
+    nets = nfq.fresh_nets(how.fit, how.description(), seed=0)
+    policy = NfqPolicy(nets=nets, actions=how.actions, description=how.description(), combine=how.fit.combine)
+    world = World(s=20.0, v=(speed, speed), controller=policy, doe=how.element())
+    world.bring_to(Mode.ENGAGED)
+    return world
+
+
+def worst_e(world: World, seconds: float) -> float:
+    """Largest |e| of a drive in which the learner has the wheel until it trips, and the recovery controller then."""
+    worst, end = 0.0, world.t + seconds
+    while world.t < end and world.mode is Mode.ENGAGED:
+        world.until(world.t + 0.05)
+        worst = max(worst, abs(world.core.senses.e))
+        if world.run.sample["supervisor.tripped"] > 0.5:
+            world.follow.trusted = False
+    return worst
+
+
+@pytest.mark.parametrize("speed", [2.0, 4.0, 6.0, 7.0])
+@pytest.mark.parametrize("name", ["default", "bang-bang"])
+def test_whatever_an_untrained_net_does_it_is_caught_well_before_the_hard_limit(name: str, speed: float) -> None:
+    world = untrained(setting(name), speed)
+    worst = worst_e(world, 3.0)
+    assert not world.follow.trusted  # it did fail
+    assert world.mode is Mode.ENGAGED
+    assert worst < 1.6  # the hard limit is 2 m
+    world.check_bus()
+
+
+def test_called_at_half_a_metre_the_recovery_controller_would_come_too_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = cars.foresight(setup()[0])
+    monkeypatch.setattr(cars, "foresight", lambda config: replace(seen, weight=1e-9))
+    world = untrained(setting("default"), 6.0)
+    worst_e(world, 3.0)
+    assert world.mode is Mode.FAULT
+    assert world.modes[-1][2].startswith("off the path")
+
+
+def test_the_loop_is_told_what_the_gate_let_through() -> None:
+    world = untrained(setting("bang-bang"), 6.0)
+    config = world.config
+    for _ in range(6):
+        world.until(world.t + 0.05)
+        sample = world.run.sample
+        assert sample["car.engaged"] == 1.0
+        assert sample["doe.state"] == sample["car.applied"] == world.last.command  # type: ignore[union-attr]
+        assert abs(sample["doe.delta_sw"]) > 9.0  # the wish: full lock
+        assert abs(sample["car.applied"]) < 4.0  # what became of it so far
+    world.order(Order.DISENGAGE)
+    world.until(world.t + 0.1)
+    assert world.run.sample["car.applied"] == world.run.sample["car.delta_sw"]
+    assert config.gate.delta_sw_max > 9.0
+
+
+# ---- replay -------------------------------------------------------------------------------------------------------
+
+
+class Beside:
+    """A trainer whose time is the world's."""
+
+    def __init__(self, world: World, nets: Any):
+        self.world, self.inner = world, SimulatedTrainer(seconds=0.4, nets=nets)
+        self.faults: tuple[str, ...] = ()
+
+    def submit(self, job: Job) -> None:
+        self.inner.submit(job, self.world.t)
+
+    def poll(self) -> Result | None:
+        return self.inner.poll(self.world.t)
+
+    @property
+    def busy(self) -> bool:
+        return self.inner.busy
+
+    def close(self) -> None:
+        self.inner.close()
+
+
+def learned(folder: Path, monkeypatch: pytest.MonkeyPatch, seconds: float, **options: Any) -> on_car.CarLearner:
+    """A learning run, recorded in `folder`/drive.mcap."""
+    config, _ = setup()
+    metadata = {f"file:{name}": text for name, text in config.texts.items()}
+    tape = tapes.Recording(folder / "drive.mcap", metadata)
+    world = World(s=20.0, tape=tape)
+    monkeypatch.setattr(on_car, "Trainer", lambda nets: Beside(world, nets))
+    with on_car.CarLearner(TINY, folder / "run", world.build, world, **options) as learner:
+        learner._tell()  # as `run` does
+        world.run = realtime.Run(learner._idle, learner._idle.init(), realtime.Timing(period=0.05))
+        monkeypatch.setattr(world, "stepped", learner.step)
+        world.bring_to(Mode.ENGAGED)
+        world.until(world.t + seconds)
+        world.order(Order.DISENGAGE)
+        world.until(world.t + 0.3)
+        world.order(Order.ENGAGE)
+        world.until(world.t + 1.0)
+    tape.close()
+    return learner
+
+
+def test_a_learning_run_replays_bit_for_bit_with_the_nets_taken_over_on_the_way(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    learner = learned(tmp_path, monkeypatch, 8.0)
+    nets = sorted(f.name for f in (tmp_path / "run" / "nets").iterdir())
+    assert learner.failures >= 1
+    assert len(nets) >= 3  # the untrained one, and those taken over
+    recorded = tapes.read(tmp_path / "drive.mcap")
+    drives = [d for d in replays.drives(recorded) if d.remarks]
+    drive = drives[-1]
+    assert {Path(s.name).name for _, s in drive.remarks} == set(nets)
+    assert {s.trusted for _, s in drive.remarks} == {True, False}
+    config, path = setup()
+    assert replays.replayed_requests(drive, config, path) == len(drive.requests) > 180
+    # with the first net all along it comes out differently: the replay does depend on the nets
+    frozen = replace(drive, remarks=[(n, replace(s, name=drive.remarks[0][1].name, sha256=drive.remarks[0][1].sha256))
+                                     for n, s in drive.remarks])  # fmt: skip
+    assert replays.replayed_requests(frozen, config, path) < len(drive.requests)
+    # the directory has moved
+    (tmp_path / "run").rename(tmp_path / "moved")
+    with pytest.raises(ValueError, match=r"net-0000.npz: the net that drove is gone; .* --run"):
+        replays.replayed_requests(drive, config, path)
+    moved = str(tmp_path / "moved")
+    assert replays.replayed_requests(drive, config, path, run=moved) == len(drive.requests)
+    # and somebody has changed a net
+    (tmp_path / "moved" / "nets" / nets[1]).write_bytes((tmp_path / "moved" / "nets" / nets[0]).read_bytes())
+    with pytest.raises(ValueError, match="is not the net that drove: its SHA-256 differs"):
+        replays.replayed_requests(drive, config, path, run=moved)
+
+
+def test_a_run_is_continued_with_its_own_setting_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = learned(tmp_path, monkeypatch, 3.0)
+    (tmp_path / "drive.mcap").unlink()
+    again = learned(tmp_path, monkeypatch, 0.5)
+    assert again.updates >= first.updates > 0
+    assert len(again.transitions) > len(first.transitions)
+    assert on_car.setting_of(tmp_path / "run") == TINY
+    assert cars.element_of(tmp_path / "run") == "integrator"
+    world = World()
+    with pytest.raises(ValueError, match=r"learned with the setting 'tiny', which differs from 'default'; continue it"):
+        on_car.CarLearner(setting("default"), tmp_path / "run", world.build, world)
+    with pytest.raises(ValueError, match="holds no run of a car"):
+        on_car.CarLearner(TINY, tmp_path, world.build, world)
+    named = cars.controller_named(str(tmp_path / "run"), setup()[0])
+    assert named.steers.doe == "integrator"
+    assert Path(named.steers.name).name == f"net-{again._net:04d}.npz"
+
+
+def test_a_remark_is_read_back_and_anything_else_refused() -> None:
+    steers = Steers(name="net.npz", sha256="ab", doe="low-pass", trusted=False)
+    assert Steers.read(steers.text()) == steers
+    for text in ("", "[]", '{"who": "me"}'):
+        with pytest.raises(ValueError, match="not who steers"):
+            Steers.read(text)

@@ -1,0 +1,111 @@
+"""Model predictive steering on the in-process car: it drives, it replays, and a late solution is not waited for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from car_world import World, setup
+
+from steerkit import car as cars
+from steerkit import car_replay as replays
+from steerkit.controllers.mpc import FALLBACK, LATE, PLAN, SOLVED
+from steerkit.learning.follow import Steers
+from steerkit.plants.real_car import recording as tapes
+from steerkit.plants.real_car.states import Mode, Order
+
+
+def engaged(block: Any, tape: tapes.Recording | None = None) -> World:
+    world = World(s=120.0, v=(5.0, 6.0), controller=block, tape=tape)
+    world.remark(Steers(name="mpc").text())
+    world.bring_to(Mode.ENGAGED)
+    return world
+
+
+def watched(world: World, seconds: float) -> dict[str, np.ndarray]:
+    """e, and where the commands came from, at every sample."""
+    rows = []
+    end = world.t + seconds
+    while world.t < end:
+        world.until(world.t + 0.05)
+        sample = world.run.sample
+        rows.append((world.core.senses.e, sample["controller.status"], sample["controller.fault"]))
+    return dict(zip(("e", "status", "fault"), np.array(rows).T))
+
+
+def block_of(**changes: Any) -> Any:
+    return replace(cars.controller_named("mpc", setup()[0]).block, **changes)  # type: ignore[type-var]
+
+
+def test_it_drives_bends_through_the_gate_and_replays_bit_for_bit(tmp_path: Path) -> None:
+    config, path = setup()
+    tape = tapes.Recording(tmp_path / "t.mcap", {f"file:{name}": text for name, text in config.texts.items()})
+    world = engaged(block_of(clock=None, budget=None), tape)
+    seen = watched(world, 10.0)
+    tape.close()
+    assert world.mode is Mode.ENGAGED
+    assert (seen["status"] == SOLVED).all()
+    assert abs(seen["e"]).max() < 0.05
+    assert max(abs(s.delta_sw) for s in world.sent) > 0.5
+    world.check_bus()
+    (drive,) = [d for d in replays.drives(tapes.read(tmp_path / "t.mcap")) if d.requests]
+    assert replays.replayed_requests(drive, config, path) == len(drive.requests) > 200
+
+
+class Stopwatch:
+    """A clock in which each solution takes as long as the test says."""
+
+    def __init__(self) -> None:
+        self.t, self.taken = 0.0, 0.001
+
+    def __call__(self) -> float:
+        self.t += self.taken
+        return self.t
+
+
+def test_a_late_solution_falls_back_to_the_plan_then_to_stanley_and_comes_back() -> None:
+    clock = Stopwatch()
+    world = engaged(block_of(clock=clock))
+    assert (watched(world, 1.0)["status"] == SOLVED).all()
+    clock.taken = 2.0 * cars.MPC_BUDGET
+    late = watched(world, 3.0)
+    assert (late["fault"] == LATE).all()
+    assert late["status"].tolist()[:5] == [PLAN] * 4 + [FALLBACK]
+    assert (late["status"][4:] == FALLBACK).all()
+    assert abs(late["e"]).max() < 0.1  # the fallback law drives as well
+    clock.taken = 0.001
+    assert (watched(world, 1.0)["status"] == SOLVED).all()
+    assert world.mode is Mode.ENGAGED
+
+
+def test_while_the_human_drives_it_follows_the_wheel_so_that_it_can_be_engaged() -> None:
+    """Its memory of its own commands would drift away from a wheel that does not obey them."""
+    world = World(s=120.0, v=(5.0, 6.0), controller=block_of(clock=None, budget=None))
+    world.order(Order.ARM)
+    world.until(8.0)  # through bends, by hand
+    assert world.mode is Mode.READY, world.core.obstacles()
+    sample = world.run.sample
+    assert sample["controller.delta_sw"] == pytest.approx(sample["car.delta_sw"], abs=cars.Stanley.limit / 20.0)
+    world.order(Order.ENGAGE)
+    world.until(9.0)
+    assert world.mode is Mode.ENGAGED
+
+
+@pytest.mark.parametrize("name", [n for n in cars.CONTROLLERS if n != "mpc"])
+def test_every_controller_by_name_drives_a_bend_on_the_car(name: str) -> None:
+    block: Any = cars.controller_named(name, setup()[0]).block
+    if hasattr(type(block), "budget"):
+        block = replace(block, clock=None, budget=None)
+    world = World(s=120.0, v=(5.0, 6.0), controller=block)
+    world.bring_to(Mode.ENGAGED)
+    worst = 0.0
+    while world.t < 7.0:
+        world.until(world.t + 0.05)
+        worst = max(worst, abs(world.core.senses.e))
+    assert world.mode is Mode.ENGAGED
+    # at the front axle: not pure pursuit's place, nor held by the textbook's law, which has no curve offset
+    assert worst < {"pure-pursuit": 0.5, "stanley-textbook": 0.1}.get(name, 0.05)
+    world.check_bus()

@@ -1,0 +1,128 @@
+"""The live panel on a real terminal (a pseudo-terminal): what it shows, and the space bar."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import pty
+import re
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from steerkit.plants.real_car import recording as tapes
+
+WAIT = 60.0
+"""Longest wait for anything [s]; the machine may be busy."""
+DRIVE = ("drive", "--car", "dbw-kit.toml", "--controller", "stanley", "--recovery", "stanley", "--simulated")
+
+
+class Terminal:
+    """A program on a pseudo-terminal of 100 columns."""
+
+    def __init__(self, folder: Path, *words: str, **environment: str):
+        self.master, slave = pty.openpty()
+        command = [sys.executable, "-c", "from steerkit.cli import main; main()", *words]
+        env = {**os.environ, "TERM": "xterm", "COLUMNS": "100", "LINES": "30", **environment}
+        self.process = subprocess.Popen(command, stdin=slave, stdout=slave, stderr=slave, cwd=folder, env=env)
+        os.close(slave)
+        self.text = ""
+
+    def until(self, pattern: str) -> str:
+        """Read until the screen has shown something; returns all since the last call."""
+        end, before = time.monotonic() + WAIT, self.text
+        self.text = ""
+        while not re.search(pattern, self.text):
+            assert time.monotonic() < end, f"no {pattern!r} within {WAIT} s; before: {before[-500:]} now: {self.text}"
+            ready, _, _ = select.select([self.master], [], [], 1.0)
+            if ready:
+                try:
+                    self.text += os.read(self.master, 65536).decode(errors="replace")
+                except OSError:
+                    pytest.fail(f"ended before {pattern!r}: {self.text}")
+        return self.text
+
+    def press(self, key: str) -> None:
+        os.write(self.master, key.encode())
+
+    def end(self) -> int:
+        """Read what is left; the exit code."""
+        with contextlib.suppress(OSError):
+            while True:
+                text = os.read(self.master, 65536)
+                if not text:
+                    break
+                self.text += text.decode(errors="replace")
+        return self.process.wait(WAIT)
+
+
+@contextlib.contextmanager
+def terminal(folder: Path, *words: str, **environment: str) -> Iterator[Terminal]:
+    there = Terminal(folder, *words, **environment)
+    try:
+        yield there
+    finally:
+        there.process.kill()
+        there.process.wait(WAIT)
+        os.close(there.master)
+
+
+def test_space_lets_go_and_the_panel_shows_what_counts(tmp_path: Path) -> None:
+    with terminal(tmp_path, *DRIVE, "--recording", "drive.mcap") as there:
+        there.until("READY")
+        there.press("e")
+        screen = there.until(r"ENGAGED[\s\S]*╰")
+        there.until(r"steps +\d+, misses")
+        screen += there.text
+        for word in ("state", "e, psi_e", "wheel", "speed", "ages", "misses", "p99", "space let go"):
+            assert word in screen, word
+        assert "\x1b[1;32mENGAGED" in screen  # green and bold
+        there.press(" ")
+        there.until("READY|STANDBY")
+        there.press("x")  # no key of ours
+        there.press("q")
+        assert there.end() == 0
+        assert "recording drive.mcap" in there.text.replace("\r", "")
+        assert "\x1b[?25h" in there.text  # the cursor is back
+    changes = [(v["from"], v["to"], v["cause"]) for v in tapes.read(tmp_path / "drive.mcap").of("/state")]
+    assert ("READY", "ENGAGED", "operator: engage") in changes
+    assert ("ENGAGED", "STANDBY", "operator: disengage") in changes
+
+
+def test_without_colours_where_there_is_no_wish_for_them(tmp_path: Path) -> None:
+    with terminal(tmp_path, *DRIVE, NO_COLOR="1") as there:
+        there.until(r"READY[\s\S]*╰")
+        assert not re.search(r"\x1b\[[0-9;]*3[0-7]m", there.text)
+        there.press("q")
+        assert there.end() == 0
+
+
+def test_a_dumb_terminal_gets_lines_and_still_keys(tmp_path: Path) -> None:
+    with terminal(tmp_path, *DRIVE, TERM="dumb") as there:
+        there.until("keys: space let go")
+        there.until("READY: all checks hold")
+        assert "╭" not in there.text
+        there.press("e")
+        there.until("ENGAGED: operator: engage")
+        there.process.send_signal(signal.SIGINT)  # Ctrl-C
+        assert there.end() != 0
+        assert "Traceback" not in there.text
+
+
+def test_without_a_terminal_there_are_lines(tmp_path: Path) -> None:
+    words = (*DRIVE, "--minutes", "0.03", "--json", "--realtime")
+    command = [sys.executable, "-c", "from steerkit.cli import main; main()", *words]
+    done = subprocess.run(command, cwd=tmp_path, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=WAIT)
+    assert done.returncode == 0, done.stderr
+    assert "all checks hold" in done.stdout
+    assert re.search(r"SCHED_FIFO 50: (granted|not permitted; .*; going on without)", done.stdout)
+    assert json.loads(done.stdout.splitlines()[-1])["steps"] > 10
+    assert "╭" not in done.stdout
+    assert "\x1b" not in done.stdout

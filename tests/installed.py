@@ -1,0 +1,62 @@
+"""Test what users get: python tests/installed.py dist [pytest's arguments].
+
+The sdist is unpacked in a temporary directory, its sources are taken away, the wheel is installed into a fresh virtual
+environment, and the sdist's tests run there. The other packages are those of the environment that this runs in: nothing
+is downloaded.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tarfile
+import tempfile
+import venv
+from pathlib import Path
+
+
+def only(folder: Path, pattern: str) -> Path:
+    """The one file of that pattern; exits with what is there otherwise."""
+    found = sorted(folder.glob(pattern))
+    if len(found) != 1:
+        raise SystemExit(f"{folder}: {len(found)} files {pattern}, expected one; `make dist` builds them")
+    return found[0].resolve()
+
+
+def main() -> int:
+    """Unpack, install, look where it was installed, run the tests; returns pytest's exit code."""
+    dist, *arguments = sys.argv[1:] or ["dist"]
+    wheel, source = only(Path(dist), "*.whl"), only(Path(dist), "*.tar.gz")
+    with tempfile.TemporaryDirectory(prefix="steerkit-installed-") as name:
+        place = Path(name)
+        with tarfile.open(source) as archive:
+            archive.extractall(place, filter="data")
+        tree = only(place, "steerkit_control-*")
+        shutil.rmtree(tree / "steerkit")
+        venv.create(place / "venv", with_pip=False)
+        python = place / "venv" / "bin" / "python"
+        asked = subprocess.run([python, "-c", "import sysconfig; print(sysconfig.get_paths()['purelib'])"],
+                               capture_output=True, text=True, check=True)  # fmt: skip
+        # a path file of a path file is not read: an editable install over there stays there
+        Path(asked.stdout.strip(), "others.pth").write_text(sysconfig.get_paths()["purelib"] + "\n", encoding="utf-8")
+        install = ["-m", "pip", "--python", str(python), "install", "--quiet", "--no-index", "--no-deps"]
+        subprocess.run(
+            [sys.executable, *install, "--disable-pip-version-check", "--ignore-installed", str(wheel)], check=True
+        )
+        environment = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "PYTHONHOME")}
+        where = "import steerkit; print(steerkit.__version__, steerkit.__file__)"
+        said = subprocess.run(
+            [python, "-c", where], cwd=tree, env=environment, capture_output=True, text=True, check=True
+        )
+        print(said.stdout.strip(), flush=True)
+        if str(place / "venv") not in said.stdout:
+            raise SystemExit("steerkit was not imported from where it was installed")
+        subprocess.run([place / "venv" / "bin" / "steerkit", "courses"], cwd=tree, env=environment, check=True)
+        return subprocess.run([python, "-m", "pytest", *arguments], cwd=tree, env=environment, check=False).returncode
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
