@@ -3,7 +3,7 @@
 500 samples are recorded: the nonlinear car behind a motor with 0.2 s delay and 0.1 s lag drives the 795 m course
 under the linear MPC, with noisy sensors, and is moved sideways by 0.8 m every 50 samples. Then every contestant is
 asked for the command of each sample: CPU time from the inputs (numbers) to the checked command, data building
-included, in turns of 50 samples, so that a busy machine hurts all alike; each turn is driven three times, and the
+included, in turns of 50 samples, so that a busy machine hurts all alike; each turn is driven five times, and the
 least time of a sample counts, since other processes on the same core only ever add to it. (No solver keeps anything
 from call to call but the plan, which is in the block's state; do-mpc, which does, is timed once, and so is its
 counterpart.)
@@ -49,7 +49,7 @@ from steerkit.plants.sensors import Sensors
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.plants.vehicle import vehicle
 
-PASSES = 3
+PASSES = 5
 SAMPLES, TURN, KICK, KICK_EVERY = 500, 50, 0.8, 50
 CAR = NonlinearSingleTrack(vehicle=vehicle("vw-passat"), v0=5.0)
 MOTOR = SteeringActuator(delay=0.2, lag=0.1)

@@ -232,6 +232,10 @@ class PredictiveSteering(Block):
         return np.array([*pieces, *stages, *[t + 0.5 * self.dt for t in stages[:-1]]])
 
     @cached_property
+    def _entries(self) -> Array:
+        return np.arange(float(self.preview_points))
+
+    @cached_property
     def _predict(self) -> dict[int, Callable[..., Array]]:
         """By substeps: (x (5,), commands, v, curvatures) -> x (5,) when the commands on their way have acted."""
         return {substeps: self._predictor(substeps) for substeps in self.model.all_substeps}
@@ -355,11 +359,12 @@ class PredictiveSteering(Block):
         v = m.clip(u.v * cos_beta, V_LOW, V_HIGH)
         preview = np.minimum(np.maximum(u.preview, -KAPPA_HIGH), KAPPA_HIGH)
         rows = self.model.steady(v, preview)
-        span = 0.5 * self.dt / (cos_beta * rows[:, 6])
+        half = 0.5 * self.dt / (cos_beta * rows[:, 6])  # of the time from an entry to the next
         rows[:, 6] = preview
-        at = np.interp(self.times, np.append(0.0, np.cumsum(span[1:] + span[:-1])), np.arange(len(rows)))
+        at = np.interp(self.times, 2.0 * np.cumsum(half) - half - half[0], self._entries)
         j = np.minimum(at.astype(np.intp), len(rows) - 2)
-        then = rows[j] + (at - j)[:, None] * (rows[j + 1] - rows[j])
+        low = rows[j]
+        then = low + (at - j)[:, None] * (rows[j + 1] - low)
         e, psi_e = m.clip(u.e, -self.e_reach, self.e_reach), m.clip(u.psi_e, -m.pi, m.pi)
         wheel = m.clip(u.delta_sw_meas, -self.limit, self.limit)
         measured = (e, psi_e, v * m.tan(beta) if by_axis else beta, m.clip(u.r, -_R, _R), wheel)

@@ -18,7 +18,8 @@ from steerkit.controllers.mpc_model import Array, bound
 SOLVERS = ("hpipm", "piqp", "qpoases")
 FAR = 1e4
 """Stands for no bound: HPIPM needs 20 times longer with its own 1e8."""
-_HPIPM = {"mode": "speed", "iter_max": 40, "mu0": 5e-3}
+_HPIPM = {"mode": "speed", "iter_max": 40, "mu0": 1e-4, "res_g_max": 1e-7, "res_b_max": 1e-7, "res_d_max": 1e-7,
+          "res_m_max": 1e-7}  # fmt: skip
 _DATA = ("h", "g", "a", "lba", "uba", "lbx", "ubx")
 _PIQP = {"eps_abs": 1e-7, "eps_rel": 0.0, "max_iter": 60}
 
