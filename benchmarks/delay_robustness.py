@@ -1,7 +1,7 @@
 """Up to where does a steering controller hold the car within 0.5 m? Delay, tyres, steering ratio and offset off.
 
 One round of the 795 m course, nonlinear single track, 0.1 s steering lag, perfect pose, |e| where the controller has
-its errors measured (front axle; pure pursuit: rear axle; mpc: centre of gravity). Every combination of
+its errors measured (front axle; pure pursuit: rear axle). Every combination of
 
     tyre stiffness 0.7, 1, 1.3;  steering ratio 0.9, 1, 1.1;  steering-wheel offset -3, 0, 3 degrees;  4 to 9 m/s,
 
