@@ -93,6 +93,13 @@ def rms(log: Log, signal: str, length: float) -> Any:
     return np.sqrt(np.where(within, log[signal], 0.0).__pow__(2).sum(axis=0) / np.maximum(within.sum(axis=0), 1))
 
 
+def nonlinear_mpc(*, delay: float) -> Block:
+    """The nonlinear MPC for this car, told the steering's delay and lag."""
+    from steerkit.controllers.nonlinear_mpc import NonlinearMPC
+
+    return NonlinearMPC.of(NonlinearSingleTrack(vehicle=CAR), SteeringActuator(delay=delay, lag=LAG), clock=None)
+
+
 def mpc(*, delay: float) -> Block:
     """The linear MPC for this car, told the steering's delay and lag."""
     from steerkit.controllers.mpc import MPC

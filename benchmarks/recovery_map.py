@@ -7,7 +7,7 @@ the commanded one too.
 
     python -m benchmarks.recovery_map [--controllers NAME ...] [--out recovery.png] [--quick] [--json]
 
-mpc cannot be compiled: it drives 9 x 9 start states a speed instead of 25 x 25, in minutes.
+The MPCs cannot be compiled: they drive 9 x 9 start states a speed instead of 25 x 25, in minutes.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from benchmarks.driving import CAR, LAG, mpc, reference_of
+from benchmarks.driving import CAR, LAG, mpc, nonlinear_mpc, reference_of
 from steerkit.assembly import placed, steering_loop
 from steerkit.block import Block
 from steerkit.compiled import compile
@@ -47,6 +47,7 @@ CONTROLLERS: dict[str, Callable[[], Block]] = {
     "stanley-delay": lambda: delayed_stanley(CAR, delay=DELAY, lag=LAG),
     "stanley-textbook": lambda: Stanley.textbook(CAR),
     "mpc": lambda: mpc(delay=DELAY),
+    "nonlinear-mpc": lambda: nonlinear_mpc(delay=DELAY),
 }
 
 
@@ -167,7 +168,7 @@ def picture(results: dict[str, tuple[int, dict[str, Any]]], file: str) -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Drive all start states, print a table, draw the picture, and with --json print one object last."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--controllers", nargs="+", default=["stanley-delay", "mpc"], choices=list(CONTROLLERS))
+    parser.add_argument("--controllers", nargs="+", default=["stanley-delay", "mpc", "nonlinear-mpc"], choices=list(CONTROLLERS))
     parser.add_argument("--out", default="recovery.png", help="file of the picture")
     parser.add_argument("--quick", action="store_true", help="a coarser grid")
     parser.add_argument("--json", action="store_true", help="print one JSON object last")
@@ -175,7 +176,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     report, results = {}, {}
     for name in given.controllers:
         controller = CONTROLLERS[name]()
-        sides = (5 if given.quick else 9) if name == "mpc" else (9 if given.quick else 25)
+        sides = (5 if given.quick else 9) if name.endswith("mpc") else (9 if given.quick else 25)
         values = starts(sides, reference_of(controller))
         found = judged(driven(controller, values))
         results[name] = (sides, found)

@@ -110,8 +110,8 @@ class PredictiveSteering(Block):
     """Largest rate of the command [rad/s]."""
     e_limit: float = 0.5
     """|e| [m] that costs extra beyond."""
-    a_y_limit: float = 3.0
-    """|a_y| [m/s^2] that costs extra beyond."""
+    a_y_limit: float = 2.8
+    """|a_y| [m/s^2] that costs extra beyond; soft, so a little below the 3 that are meant."""
     a_y_room: float = 0.5
     """How much more |a_y| [m/s^2] than the path needs is free where it needs more than a_y_limit."""
     q_e_limit: float = 10.0
