@@ -232,6 +232,9 @@ def test_a_learner_is_taught_once_and_its_net_drives(tmp_path: Path, monkeypatch
     assert curve is not None
     assert len(curve["t"]) == taught.metrics["trainings"]
     assert (curve["t"][:-1] <= curve["t"][1:]).all()
+    again = run([replace(one, name="paper")], tmp_path / "again", workers=1, quiet=True)
+    assert again.cases[0].metrics == taught.metrics
+    assert compare(results, again, rel=0.0, absolute=0.0).changes == ()
     driven = [case for case in results.cases if case.controller == "nfq-paper-idoe" and case.kind == "drive"]
     assert all(0.0 < case.metrics["rounds"] <= 1.0 for case in driven)
 
