@@ -232,12 +232,15 @@ class PredictiveSteering(Block):
         return np.array([*pieces, *stages, *[t + 0.5 * self.dt for t in stages[:-1]]])
 
     @cached_property
-    def _predict(self) -> Any:
-        """The state when the commands on their way have acted; (x (5,), commands, v, curvatures) -> (5,)."""
+    def _predict(self) -> dict[int, Callable[..., Array]]:
+        """By substeps: (x (5,), commands, v, curvatures) -> x (5,) when the commands on their way have acted."""
+        return {substeps: self._predictor(substeps) for substeps in self.model.all_substeps}
+
+    def _predictor(self, substeps: int) -> Callable[..., Array]:
         n = self.pieces
         if n == 0:
-            return lambda x, commands, v, kappa: x
-        function = self.model.predictor(n, self.delay - (n - 1) * self.dt)
+            return lambda x, commands, v, kappa: np.array(x)
+        function = self.model.predictor(n, self.delay - (n - 1) * self.dt, substeps)
         inputs, end = (np.zeros(5), np.zeros(n), np.zeros(1), np.zeros(n)), np.zeros(5)
         run = bound(function, inputs, [end])
 
@@ -249,6 +252,11 @@ class PredictiveSteering(Block):
 
         return predict
 
+    def _warm_up(self) -> None:
+        """Drives a sample straight on, so that tables and solver are made before they are needed."""
+        state = self.X((0.0,) * max(self.pieces, 1), (0.0,) * self.horizon, 0.0)
+        self._solved(state, self.D(0.0, 0.0, 5.0, 0.0, 0.0, 0.0, (0.0,) * self.preview_points))
+
     # ---- a sample -------------------------------------------------------------------------------------------
 
     def init(self, batch: tuple[int, ...] = ()) -> tuple[Any, ...]:
@@ -256,6 +264,7 @@ class PredictiveSteering(Block):
         return tuple([m.filled(value, batch) for value in (*zeros, float(self.patience))])
 
     def settle(self, t: float, x: tuple[Any, ...], u: Any) -> tuple[Any, ...]:
+        self._warm_up()
         n = max(self.pieces, 1)
         now = m.where(m.is_finite(u.delta_sw_meas), m.clip(u.delta_sw_meas, -self.limit, self.limit), 0.0)
         return (*((now,) * n), *x[n:])
@@ -355,7 +364,7 @@ class PredictiveSteering(Block):
         wheel = m.clip(u.delta_sw_meas, -self.limit, self.limit)
         measured = (e, psi_e, v * m.tan(beta) if by_axis else beta, m.clip(u.r, -_R, _R), wheel)
         x = np.empty(6)
-        x[:5] = self._predict(measured, state.commands, v, then[:n, 6])
+        x[:5] = self._predict[self.model.substeps(v)](measured, state.commands, v, then[:n, 6])
         x[5] = state.commands[-1]
         return v, x, then
 

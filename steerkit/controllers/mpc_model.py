@@ -91,15 +91,15 @@ class PathModel:
         motion = casadi.vertcat(*self.motion([x[i] for i in range(4)], x[4], v, kappa)[:4])
         return casadi.Function("field", [x, v, kappa], [motion, casadi.jacobian(motion, x)])
 
-    def stepped(self, x: Any, command: Any, v: Any, kappa: Any, span: float) -> tuple[Any, Any]:
+    def stepped(self, x: Any, command: Any, v: Any, kappa: Any, span: float, substeps: int) -> tuple[Any, Any]:
         """(e, psi_e, sway, r, wheel) `span` [s] later, and its slope (5, 6) in these five and the command.
 
-        Runge-Kutta for the car, the exact answer for the wheel; the slope by the chain rule through the stages, which
-        is as exact as CasADi's and takes half the operations.
+        Runge-Kutta for the car, `substeps` a period, the exact answer for the wheel; the slope by the chain rule
+        through the stages, which is as exact as CasADi's and takes half the operations.
         """
         z, wheel = x[:4], x[4]
         dz, dwheel, dcommand = casadi.SX.eye(6)[:4, :], casadi.SX.eye(6)[4, :], casadi.SX.eye(6)[5, :]
-        steps = max(1, math.ceil(self.substeps * span / self.dt - 1e-9))
+        steps = max(1, math.ceil(substeps * span / self.dt - 1e-9))
         h = span / steps
         decay = m.exp(-0.5 * h / max(self.lag, _LEAST_LAG))
         for _ in range(steps):
@@ -114,7 +114,7 @@ class PathModel:
             z, dz, wheel, dwheel = after, dafter, end, dend
         return casadi.vertcat(z, wheel), casadi.vertcat(dz, dwheel)
 
-    def predictor(self, pieces: int, first: float) -> casadi.Function:
+    def predictor(self, pieces: int, first: float, substeps: int) -> casadi.Function:
         """(e, psi_e, sway, r, wheel) when the last of the `pieces` commands on their way has acted.
 
         The first acts for `first` [s], the others for dt; inputs: x (5,), commands, v, curvatures (pieces,).
@@ -123,10 +123,10 @@ class PathModel:
         commands, kappa = casadi.SX.sym("c", pieces), casadi.SX.sym("k", pieces)
         end = x
         for i in range(pieces):
-            end = self.stepped(end, commands[i], v, kappa[i], self.dt if i else first)[0]
+            end = self.stepped(end, commands[i], v, kappa[i], self.dt if i else first, substeps)[0]
         return casadi.Function("predict", [x, commands, v, kappa], [casadi.cse(end)])
 
-    def linearised_step(self) -> casadi.Function:
+    def linearised_step(self, substeps: int) -> casadi.Function:
         """The stage map x+ = F(x, rate) of the six states and its slopes, and a_y at x with its slope.
 
         inputs: x (6,), rate, v, kappa; outputs: F (6,), dF/dx (6, 6), dF/drate (6,), a_y, da_y/dx (1, 6).
@@ -134,7 +134,7 @@ class PathModel:
         x, u = casadi.SX.sym("x", NX), casadi.SX.sym("u")
         v, kappa = casadi.SX.sym("v"), casadi.SX.sym("k")
         command = x[5] + self.dt * u
-        after, slope = self.stepped(x[:5], command, v, kappa, self.dt)
+        after, slope = self.stepped(x[:5], command, v, kappa, self.dt, substeps)
         slope = casadi.vertcat(slope, casadi.SX.eye(6)[5, :])
         a_y = self.a_y([x[i] for i in range(4)], x[4], v)
         # transposed, so that a dense column-major result is read as rows
@@ -159,15 +159,20 @@ class PathModel:
         return casadi.Function("slopes", [v], [casadi.densify(slope) for slope in slopes])
 
     @cached_property
-    def stiffness(self) -> float:
-        """The car's fastest rate at any tabled speed [1/s]."""
-        rates = [np.linalg.eigvals(self._slopes(v)[0].full()[:, :4]) for v in self.speeds]
-        return float(np.abs(rates).max())
+    def _substeps(self) -> list[int]:
+        """Runge-Kutta steps a period between the tabled speeds; h times the fastest rate: 2.3 (unstable from 2.785)."""
+        rates = np.array([np.abs(np.linalg.eigvals(self._slopes(v)[0].full()[:, :4])).max() for v in self.speeds])
+        needed = np.maximum(np.ceil(self.dt * rates / 2.3), 2.0).astype(int)
+        return np.maximum(needed[1:], needed[:-1]).tolist()
 
-    @cached_property
-    def substeps(self) -> int:
-        """Runge-Kutta steps a period: 2.785 is the limit of stability."""
-        return math.ceil(self.dt * self.stiffness / 2.7)
+    @property
+    def all_substeps(self) -> list[int]:
+        """What `substeps` may answer."""
+        return sorted(set(self._substeps))
+
+    def substeps(self, v: float) -> int:
+        """Runge-Kutta steps that a period needs at speed v: a slow car's tyres answer faster."""
+        return self._substeps[self._place(v)[0]]
 
     def linear(self, v: float) -> tuple[Array, Array, Array]:
         """A (6, 6), B (6,), and the row of a_y (6,), about straight driving at v: the exact answer to held commands.

@@ -31,17 +31,20 @@ class NonlinearMPC(PredictiveSteering):
         return self._steer(x, u)
 
     @cached_property
-    def _rollout(self) -> tuple[dict[str, Array], Callable[[], None]]:
-        """The plan driven and linearised: arrays to write (the first four) and read, and the call."""
+    def _rollout(self) -> dict[int, tuple[dict[str, Array], Callable[[], None]]]:
+        """The plan driven and linearised: arrays to write (the first four) and read, and the call; by substeps."""
+        return {substeps: self._driver(substeps) for substeps in self.model.all_substeps}
+
+    def _driver(self, substeps: int) -> tuple[dict[str, Array], Callable[[], None]]:
         n = self.horizon
         arrays = {"x0": np.zeros(NX), "rate": np.zeros(n), "v": np.zeros(n), "kappa": np.zeros(n),
                   "x": np.zeros((n, NX)), "a": np.zeros((n, NX, NX)), "b": np.zeros((n, NX)),
                   "a_y": np.zeros(n), "row": np.zeros((n, NX))}  # fmt: skip
         flat = [array.reshape(-1) for array in arrays.values()]
-        return arrays, bound(self.model.linearised_step().mapaccum("rollout", n), flat[:4], flat[4:])
+        return arrays, bound(self.model.linearised_step(substeps).mapaccum("rollout", n), flat[:4], flat[4:])
 
     def _motion(self, state: Any, x0: Array, v: float, kappa: Array, bends: Array, table: Table) -> Motion:
-        driven, run = self._rollout
+        driven, run = self._rollout[self.model.substeps(v)]
         driven["x0"][:], driven["rate"][:], driven["v"][:], driven["kappa"][:] = x0, state.plan, v, kappa
         run()
         a, b, soft = driven["a"], driven["b"], self._soft

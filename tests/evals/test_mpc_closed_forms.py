@@ -120,7 +120,7 @@ def test_the_car_in_path_coordinates_is_the_car_in_the_plane(reference: float) -
     block = controller(NonlinearMPC, NONLINEAR, reference=reference)
     kappa, v, wheel = 0.05, 5.0, 2.0
     at = np.array([0.4, 0.1, 0.05, 0.2, wheel])
-    predict = block.model.predictor(4, block.dt)
+    predict = block.model.predictor(4, block.dt, block.model.substeps(v))
     after = np.array(predict(at, [wheel] * 4, v, [kappa] * 4)).ravel()
     # the centre is the origin, the path's radius 20 m; the point starts below it, the car's centre of gravity behind
     psi, ahead = float(at[1]), np.array((np.cos(at[1]), np.sin(at[1])))
@@ -158,7 +158,7 @@ def test_the_pace_of_the_front_axle_is_that_of_rigid_rolling_at_low_grip_use() -
 
 @pytest.mark.parametrize("car", [LINEAR, NONLINEAR])
 def test_the_slopes_of_a_step_are_those_that_casadi_finds(car: Any) -> None:
-    step = controller(NonlinearMPC, car).model.linearised_step()
+    step = controller(NonlinearMPC, car).model.linearised_step(2)
     x, u, v, kappa = casadi.SX.sym("x", NX), casadi.SX.sym("u"), casadi.SX.sym("v"), casadi.SX.sym("k")
     after = step(x, u, v, kappa)[0]
     slopes = casadi.Function("slopes", [x, u, v, kappa], [casadi.jacobian(after, x), casadi.jacobian(after, u)])
