@@ -168,7 +168,8 @@ def picture(results: dict[str, tuple[int, dict[str, Any]]], file: str) -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Drive all start states, print a table, draw the picture, and with --json print one object last."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--controllers", nargs="+", default=["stanley-delay", "mpc", "nonlinear-mpc"], choices=list(CONTROLLERS))
+    default = ["stanley-delay", "mpc", "nonlinear-mpc"]
+    parser.add_argument("--controllers", nargs="+", default=default, choices=list(CONTROLLERS))
     parser.add_argument("--out", default="recovery.png", help="file of the picture")
     parser.add_argument("--quick", action="store_true", help="a coarser grid")
     parser.add_argument("--json", action="store_true", help="print one JSON object last")
