@@ -20,7 +20,7 @@ from steerkit.compiled.trace import parameter
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.policy_block import PolicyBlock
 from steerkit.doe import Integrator
-from steerkit.loop import Loop
+from steerkit.loop import Loop, Sample
 from steerkit.metrics import measures, step_times
 from steerkit.path import Path
 from steerkit.simulation import Log, simulate
@@ -30,7 +30,6 @@ LIMIT = 0.5
 """|e| beyond which a drive is not held [m]; the paper's bound."""
 OFF_COURSE = 3.0
 """|e| at which a drive is over [m]."""
-WEIGHTS = "controller.block.weights"
 SIGNALS = {
     "s": "path.s", "x": "car.x", "y": "car.y", "psi": "car.psi", "e": "path.e", "psi_e": "path.psi_e", "v": "car.v",
     "delta_sw": "car.delta_sw", "delta_sw_rate": "actuator.rate", "a_y": "car.a_y", "learning": "supervisor.learning",
@@ -83,7 +82,7 @@ def drive(
         steers, doe = policy.block, policy.doe
     loop = scenario.loop(path, steers, doe=doe, seed=seed)
     inputs = _inputs(loop) if timed_steps else {}
-    log = _driven(scenario, form, path, loop, name, policy, tuple(inputs.values()))
+    log = _driven(scenario, form, path, loop, name, policy is not None, tuple(inputs.values()))
     metrics, trajectory = judged(log, scenario, path, loop)
     if timed_steps:
         metrics |= step_times(_timed(loop.blocks["controller"], log, inputs, timed_steps))
@@ -120,54 +119,33 @@ def judged(log: Log, scenario: Scenario, path: Path, loop: Loop) -> tuple[dict[s
     return metrics, {name: kept[name][::step].astype(np.float64) for name in TRAJECTORY}
 
 
-def _driven(scenario: Scenario, form: Scenario, path: Path, loop: Loop, name: str, policy: Policy | None,
+def _driven(scenario: Scenario, form: Scenario, path: Path, loop: Loop, name: str, learned: bool,
             extra: tuple[str, ...]) -> Log:  # fmt: skip
     seconds = scenario.seconds(path)
     record = tuple(dict.fromkeys([n for n in (*SIGNALS.values(), "path.progress") if n in loop.units] + [*extra]))
-    program = _program(form, name, None if policy is None else _Layout(policy), record)
+    program = None if learned else _program(form, name, record)
     if program is None:
         length = scenario.length(path)
-        return simulate(
-            loop, seconds, record=record, every=_every(loop), allow_nonfinite=True,
-            until=lambda now: now["path.progress"] >= length or not abs(now["path.e"]) <= OFF_COURSE,
-        )  # fmt: skip
-    values = {key: parameter(loop, key) for key in program.parameters if key != WEIGHTS}
-    if policy is not None and isinstance(policy.block, NfqPolicy):
-        values[WEIGHTS] = policy.block.flat_weights()
+
+        def over(now: Sample) -> bool:
+            caught = learned and now["supervisor.learning"] < 0.5
+            return caught or now["path.progress"] >= length or not abs(now["path.e"]) <= OFF_COURSE
+
+        return simulate(loop, seconds, record=record, every=_every(loop), allow_nonfinite=True, until=over)
+    values = {key: parameter(loop, key) for key in program.parameters}
     return program.run(seconds, state=loop.init(), parameters=values, allow_nonfinite=True)
 
 
-class _Layout:
-    """A policy as a cache key: all that its compiled loop depends on, which is all but its weights."""
-
-    def __init__(self, policy: Policy):
-        self.policy, nfq = policy, policy.block
-        if isinstance(nfq, PolicyBlock):  # a net is a part of its program: one round is driven sooner than compiled
-            self.key: tuple[Any, ...] = ("interpreted",)
-            return
-        shapes = tuple(p.shape for net in nfq.nets or () for p in net)
-        self.key = (policy.setting, shapes, nfq.actions, nfq.combine, repr(nfq.description), nfq.dt)
-
-    def __hash__(self) -> int:
-        return hash(self.key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Layout) and self.key == other.key
-
-
 @lru_cache(maxsize=16)
-def _program(form: Scenario, name: str, layout: _Layout | None, record: tuple[str, ...]) -> Compiled | None:
-    """The compiled drive; None where a block (a solver, another's model) can only be interpreted."""
-    path, open_ones = _path(form), open_parameters(form)
-    if layout is None:
-        loop = form.loop(path, _steers(name, form))
-    elif isinstance(layout.policy.block, PolicyBlock):
-        return None
-    else:
-        loop = form.loop(path, layout.policy.block.with_weights(), doe=layout.policy.doe)
-        open_ones = (*open_ones, WEIGHTS)
+def _program(form: Scenario, name: str, record: tuple[str, ...]) -> Compiled | None:
+    """The compiled drive; None where a block (a solver, another's model) can only be interpreted.
+
+    Straight-line Python and not C: the same numbers on machines without a compiler, and a program is made in a tenth
+    of a second, which for the some ten drives that share one is sooner done.
+    """
+    loop = form.loop(_path(form), _steers(name, form))
     try:
-        return compile(loop, record=record, every=_every(loop), parameters=open_ones)
+        return compile(loop, backend="python", record=record, every=_every(loop), parameters=open_parameters(form))
     except TraceError:
         return None
 

@@ -135,8 +135,11 @@ class Scenario:
 
     def seconds(self, path: Path) -> float:
         """How long that takes the slowest driver, and some more [s]."""
-        slowest = min(self.v_min, _SLOWEST) if self.speed == "wander" else self.v_min
-        return math.ceil(self.length(path) / slowest + _TIME_TO_SPARE)
+        if self.speed == "recorded":
+            s, v = recorded_speed(self.course)
+            pace = 1.0 / np.clip(v, self.v_min, self.v_max)
+            return math.ceil(self.rounds * float(np.trapezoid(pace, s)) + _TIME_TO_SPARE)
+        return math.ceil(self.length(path) / min(self.v_min, _SLOWEST) + _TIME_TO_SPARE)
 
     @property
     def told_dead_time(self) -> float:
