@@ -15,6 +15,7 @@ JUDGED = {"rms_e": "cross-track error", "rms_wheel_rate_deg": "smoothness at the
           "max_jerk": "lateral jerk", "max_a_y": "lateral acceleration"}  # fmt: skip
 """What is compared, and what it stands for."""
 SIGNIFICANT = 0.05
+_ENOUGH = 6  # seeds: no p of the test is below 2^(1 - n)
 OPPONENT = "stanley"
 """The analytic controller that every text also compares with, whichever was best."""
 
@@ -84,6 +85,12 @@ def verdict(results: Results, *, suite: str | None = None) -> str:
         lines += [f"Ended with an error and left out: {len(broken)}, the first {broken[0].id}.", ""]
     if not learned or not analytic:
         return "\n".join([*lines, "Nothing to compare: these results lack drives of one of the two kinds.", ""])
+    seeds = max(len({case.seed for case in _drives(results, suite) if case.controller == name}) for name in learned)
+    if seeds < _ENOUGH:
+        lines += [
+            f"**{seeds} seeds: with fewer than {_ENOUGH} nothing can be told apart; the ratios are all there is.**",
+            "",
+        ]
     lines += [*_holding(results, [*analytic, *learned], suite), ""]
     for name in learned:
         lines += [*_of_one(results, name, analytic, suite), ""]
@@ -124,9 +131,10 @@ def _of_one(results: Results, learned: str, analytic: Sequence[str], suite: str 
         won = [d for d in best if d.decided < 0]
         lost = [d for d in best if d.decided > 0]
         if best:
+            even = len(best) - len(won) - len(lost)
             lines.append(
-                f"* {word.capitalize()}, against the best analytic controller of each scenario: better in {len(won)}, "
-                f"worse in {len(lost)}, not to be told apart in {len(best) - len(won) - len(lost)} of {len(best)}"
+                f"* {word.capitalize()}, against the best analytic controller of each scenario: {_ratio(best)}; "
+                f"better in {len(won)}, worse in {len(lost)}, not to be told apart in {even} of {len(best)}"
                 + (f"; better in {_names(d.scenario for d in won)}." if won else ".")
             )
     return lines
@@ -156,7 +164,13 @@ def _sentence(word: str, found: Sequence[Duel]) -> str:
         parts.append(f"not to be told apart in {even}")
     if never:
         parts.append(f"never both held in {_names(d.scenario for d in never)}")
-    return f"{word.capitalize()}, against {OPPONENT}: {'; '.join(parts)}."
+    return f"{word.capitalize()}, against {OPPONENT}: {_ratio(compared)}; {'; '.join(parts)}."
+
+
+def _ratio(found: Sequence[Duel]) -> str:
+    """How large the learned controller's figure is beside the other's: geometric mean over the scenarios."""
+    gaps = [math.log(max(d.mean_learned, 1e-12) / max(d.mean_analytic, 1e-12)) for d in found]
+    return f"{math.exp(sum(gaps) / len(gaps)):.2f} times as large over {len(found)} scenarios"
 
 
 def _best(found: Iterable[Duel]) -> list[Duel]:

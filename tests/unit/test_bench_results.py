@@ -151,10 +151,14 @@ def test_the_verdict_says_who_won_and_by_how_much(results: Results) -> None:
         assert duel.result == expected
         assert duel.decided == (-1 if word == "better" else 1)
         text = verdict(one)
-        assert f"Cross-track error, against stanley: {word} in 1 of 1 scenarios" in text
+        ratio = f"{np.mean(learned) / np.mean(analytic):.2f} times as large over 1 scenarios"
+        assert f"Cross-track error, against stanley: {ratio}; {word} in 1 of 1 scenarios" in text
+        assert "with fewer than 6" not in text
         assert f"p = {expected.p:.2g}" in text
         assert f"{expected.difference.value:+.3g}" in text
-        assert "Lateral acceleration, against stanley: not to be told apart in 1." in text
+        assert (
+            "Lateral acceleration, against stanley: 1.00 times as large over 1 scenarios; not to be told apart" in text
+        )
 
 
 def test_the_verdict_claims_nothing_from_noise_or_from_drives_that_failed(results: Results) -> None:
@@ -165,6 +169,7 @@ def test_the_verdict_claims_nothing_from_noise_or_from_drives_that_failed(result
     text = verdict(Results(even.place, even.provenance, tuple(lost)))
     assert "Cross-track error (stanley): no seed on which both held their drive and it was measured." in text
     assert "| nfq-idoe | 0 of 8 | 0.00 [0.00, 0.32] |" in text
+    assert "**3 seeds: with fewer than 6" in verdict(verdict_results(results, [0.1, 0.2, 0.3], [0.2, 0.3, 0.4]))
     only = Results(even.place, even.provenance, tuple(c for c in even.cases if c.controller == "stanley"))
     assert "Nothing to compare" in verdict(only)
 
