@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from steerkit import maths as m
-from steerkit.block import Block, In, Out, State, require
+from steerkit.block import State, require
 from steerkit.maths import Scalar
+from steerkit.plants.car import Car
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.single_track import V_DYNAMIC, SingleTrack, SingleTrackState
 from steerkit.plants.vehicle import VEHICLES
@@ -23,7 +24,7 @@ _SUBSTEPS = 4  # its fastest mode is near -840/s: Runge-Kutta is stable to 2.78/
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Pushed(Block):
+class Pushed(Car):
     """A single-track car that crosswind and the bank of the road push aside.
 
     a_w(t) = wind + gust g(t),  g(t + dt) = f g(t) + sqrt(1 - f^2) n,  f = exp(-dt/gust_time),  n standard normal;
@@ -36,17 +37,6 @@ class Pushed(Block):
     from 3 m/s on. Raises ValueError for parameters out of range.
     Source: Rajamani 2012, section 2.3 (bank); Trevino 1997 (Gauss-Markov gusts); Strang 1968 (splitting).
     """
-
-    delta_sw_in = In("rad", direct=False)
-    v_in = In("m/s", direct=False)
-    x = Out("m", direct=())
-    y = Out("m", direct=())
-    psi = Out("rad", direct=())
-    v = Out("m/s", direct=())
-    beta = Out("rad", direct=())
-    r = Out("rad/s", direct=())
-    a_y = Out("m/s^2", direct=())
-    delta_sw = Out("rad", direct=())
 
     block: SingleTrack
     """The car."""
@@ -100,7 +90,7 @@ class Pushed(Block):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class CommonRoadMultiBody(Block):
+class CommonRoadMultiBody(Car):
     """CommonRoad's multi-body car (29 states: suspension, wheels, Magic Formula tyres) as a plant that is not ours.
 
     x' = vehicle_dynamics_mb(x, (0, a_x)), four Runge-Kutta steps of dt/4 a sample, with the road-wheel angle put to
@@ -111,17 +101,6 @@ class CommonRoadMultiBody(Block):
     Raises ValueError for a car that CommonRoad has not, ImportError without commonroad-vehicle-models.
     Source: Althoff, Wuersching 2020, section 9; commonroad-vehicle-models 3.
     """
-
-    delta_sw_in = In("rad", direct=False)
-    v_in = In("m/s", direct=False)
-    x = Out("m", direct=())
-    y = Out("m", direct=())
-    psi = Out("rad", direct=())
-    v = Out("m/s", direct=())
-    beta = Out("rad", direct=())
-    r = Out("rad/s", direct=())
-    a_y = Out("m/s^2", direct=())
-    delta_sw = Out("rad", direct=())
 
     pure = False  # its functions branch on their values
 

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from steerkit import maths as m
-from steerkit.block import Block, In, Out, State, require
+from steerkit.block import State, require
+from steerkit.controllers.policy import Policy
 from steerkit.units import radians_of
 
 Combine = Literal["mean", "max", "disagreement"]
@@ -93,7 +94,7 @@ class StateDescription:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class NfqPolicy(Block):
+class NfqPolicy(Policy):
     """Steers greedily by a learned Q-function: the action of the least expected cost.
 
         action = argmin_a q(s, a),   q = mean (or max, or mean + standard deviation) over the nets of Q(s, a),
@@ -106,16 +107,6 @@ class NfqPolicy(Block):
     Raises ValueError for an unknown `combine`, an empty or non-finite action set, nets of unlike or wrong layout, or
     non-finite weights. Source: Riedmiller 2005 (Neural Fitted Q Iteration), eq. for the greedy policy.
     """
-
-    e = In("m")
-    e_dot = In("m/s")
-    v = In("m/s")
-    psi_e = In("rad")
-    r_e = In("rad/s")
-    doe = In("rad")
-    action = Out("rad")
-    q = Out("1")
-    ready = Out("1", direct=())
 
     nets: tuple[Net, ...] | None = ()
     """The ensemble; empty: nothing learned yet."""

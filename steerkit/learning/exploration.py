@@ -6,15 +6,16 @@ from dataclasses import dataclass
 from typing import Any
 
 from steerkit import maths as m
-from steerkit.block import Block, In, Out, require
+from steerkit.block import require
 from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.controllers.policy import Policy
 from steerkit.random import RandomState, seed_state, uniform
 
 _STREAM = 3  # of `seed_state`: exploration's
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Exploring(Block):
+class Exploring(Policy):
     """Wraps a policy so that a share of its samples takes an action drawn at random, all equally likely.
 
         action = actions[floor(n*w)] if u < share, else the greedy one;   u, w uniform in (0, 1), n actions
@@ -24,16 +25,6 @@ class Exploring(Block):
     State: six numbers of the generator (`steerkit.random`), from `seed`. Raises ValueError unless 0 <= share <= 1.
     Source: Watkins 1989 (epsilon-greedy exploration).
     """
-
-    e = In("m")
-    e_dot = In("m/s")
-    v = In("m/s")
-    psi_e = In("rad")
-    r_e = In("rad/s")
-    doe = In("rad")
-    action = Out("rad")
-    q = Out("1")
-    ready = Out("1", direct=())
 
     policy: NfqPolicy
     """Who acts otherwise."""

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerkit import maths as m
-from steerkit.block import Block, In, Out, require
+from steerkit.block import require
+from steerkit.controllers.policy import Policy
 from steerkit.learning.experiment import LearningRun
 from steerkit.learning.model import CarModel
 
@@ -27,7 +28,7 @@ class BeforeState(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class ModelPolicy(Block):
+class ModelPolicy(Policy):
     """Steps of the steering wheel by linear-quadratic regulation of a learned `CarModel`.
 
     With the model's numbers, and nothing changing in a steady bend, z' = A(v) z + B a for
@@ -40,16 +41,6 @@ class ModelPolicy(Block):
     output element; K is tabled for 1, 2, ... FASTEST m/s and interpolated. Raises ValueError for a model with which
     the wheel does not move the car (too few transitions). Source: Kwakernaak and Sivan 1972, section 6.4.
     """
-
-    e = In("m")
-    e_dot = In("m/s")
-    v = In("m/s")
-    psi_e = In("rad")
-    r_e = In("rad/s")
-    doe = In("rad")
-    action = Out("rad")
-    q = Out("1")
-    ready = Out("1", direct=())
 
     model: CarModel
     """The learned car."""

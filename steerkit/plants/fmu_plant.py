@@ -14,15 +14,16 @@ from typing import Any
 import numpy as np
 
 from steerkit import maths as m
-from steerkit.block import Block, In, Out, State, require
+from steerkit.block import State, require
 from steerkit.maths import Scalar
+from steerkit.plants.car import Car
 from steerkit.plants.checks import require_within
 
 _NEEDED = ("delta_sw_in", "v_in", "x", "y", "psi", "beta", "r", "a_y")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class FmuPlant(Block):
+class FmuPlant(Car):
     """A car whose equations x' = f(x, delta_sw, v) come out of an FMU; their state stays in the loop.
 
     The FMU's continuous states are this block's state; `substeps` Runge-Kutta steps (order 4) a sample integrate them
@@ -36,17 +37,6 @@ class FmuPlant(Block):
     events or of another FMI version, and for variables that it does not have; ImportError without FMPy.
     source: FMI 2.0.4, chapter 3 (model exchange).
     """
-
-    delta_sw_in = In("rad", direct=False)
-    v_in = In("m/s", direct=False)
-    x = Out("m", direct=())
-    y = Out("m", direct=())
-    psi = Out("rad", direct=())
-    v = Out("m/s", direct=())
-    beta = Out("rad", direct=())
-    r = Out("rad/s", direct=())
-    a_y = Out("m/s^2", direct=())
-    delta_sw = Out("rad", direct=())
 
     file: str
     """The FMU."""

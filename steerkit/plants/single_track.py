@@ -9,8 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from steerkit import maths as m
-from steerkit.block import Block, In, Out, require
+from steerkit.block import require
 from steerkit.maths import Scalar
+from steerkit.plants.car import Car
 from steerkit.plants.checks import require_within
 from steerkit.plants.vehicle import Vehicle
 
@@ -36,7 +37,7 @@ class SingleTrackState(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class SingleTrack(Block):
+class SingleTrack(Car):
     """A car as a single track, driven by steering-wheel angle and speed; abstract.
 
     The model's five equations x' = rhs(x, delta, v) are integrated by `substeps` Runge-Kutta steps (order 4) a
@@ -56,17 +57,6 @@ class SingleTrack(Block):
     is the limit of stability, and a dt that comes near it is refused. A NaN input gives a NaN state.
     errors: ValueError for bad parameters.
     """
-
-    delta_sw_in = In("rad", direct=False)
-    v_in = In("m/s", direct=False)
-    x = Out("m", direct=())
-    y = Out("m", direct=())
-    psi = Out("rad", direct=())
-    v = Out("m/s", direct=())
-    beta = Out("rad", direct=())
-    r = Out("rad/s", direct=())
-    a_y = Out("m/s^2", direct=())
-    delta_sw = Out("rad", direct=())
 
     vehicle: Vehicle
     """The car's parameters."""

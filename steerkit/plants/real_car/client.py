@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from typing import Any, Protocol, Self
 
 from steerkit import maths as m
-from steerkit.block import Block, In, Out, require
+from steerkit.block import Out, require
+from steerkit.plants.car import Car
 from steerkit.plants.real_car import protocol
 from steerkit.plants.real_car.protocol import Snapshot
 from steerkit.plants.real_car.states import Mode, Order
@@ -145,7 +146,7 @@ class ReplayLink:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class RealCar(Block):
+class RealCar(Car):
     """A car on a CAN bus, with the ports of the simulated plants; the only block that is not pure.
 
     Its outputs are the driver process's last good readings at the moment of the sample; its input is sent on, and
@@ -159,16 +160,6 @@ class RealCar(Block):
     link: the line to the driver process. dt [s]: sample time.
     """
 
-    delta_sw_in = In("rad", direct=False)
-    v_in = In("m/s", direct=False)
-    x = Out("m", direct=())
-    y = Out("m", direct=())
-    psi = Out("rad", direct=())
-    v = Out("m/s", direct=())
-    beta = Out("rad", direct=())
-    r = Out("rad/s", direct=())
-    a_y = Out("m/s^2", direct=())
-    delta_sw = Out("rad", direct=())
     engaged = Out("1", direct=())
     applied = Out("rad", direct=())
 
