@@ -132,7 +132,7 @@ _TABLE = (
                training="linear"),
     Controller(name="nfq-idoe-hard", kind="learned", about="nfq-idoe, taught with noise, latency and more lag",
                setting="default", training="hard"),
-    Controller(name="nfq-paper-120", kind="learned", about="NFQ as published, integrating, for 120 episodes",
+    Controller(name="nfq-paper-120", kind="learned", about="NFQ as published, integrating, episodes of 200 m at most",
                setting="paper", training="episodes-120"),
     Controller(name="nfq-idoe-offline", kind="learned", about="nfq-idoe: 2 minutes of driving, then trained offline",
                setting="default", training="offline"),

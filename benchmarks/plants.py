@@ -19,7 +19,8 @@ from steerkit.plants.vehicle import VEHICLES
 from steerkit.random import normals, seed_state
 
 _STREAM = 11  # of `seed_state`: the gusts'
-_FORWARD = 5.0  # 1/s: how fast the multi-body car's driver closes a gap in speed
+_FORWARD = 2.0  # 1/s: how fast the multi-body car's driver closes a gap in speed
+_PEDALS = 3.0  # m/s^2: with how much at most; more spins its wheels
 _SUBSTEPS = 4  # its fastest mode is near -840/s: Runge-Kutta is stable to 2.78/840 s, and exact to 1e-5 at 2.5 ms
 
 
@@ -94,7 +95,7 @@ class CommonRoadMultiBody(Car):
     """CommonRoad's multi-body car (29 states: suspension, wheels, Magic Formula tyres) as a plant that is not ours.
 
     x' = vehicle_dynamics_mb(x, (0, a_x)), four Runge-Kutta steps of dt/4 a sample, with the road-wheel angle put to
-    delta_sw_in/steer_ratio (held) and a_x = 5/s (v_in - v_x), within the model's own limits; a_y = v_y' + v_x r.
+    delta_sw_in/steer_ratio (held) and a_x = 2/s (v_in - v_x) within +-3 m/s^2; a_y = v_y' + v_x r.
 
     Ports: those of `SingleTrack`, whose docstring has their units. State: the model's 29, the last delta_sw [rad] and
     the last v_in [m/s]. Interpreted floats only: the model cannot be traced or batched. Valid above 0.1 m/s.
@@ -159,4 +160,5 @@ class CommonRoadMultiBody(Car):
         if not np.isfinite(z).all():  # the model's own functions raise on NaN, blocks hand it on
             return np.full(29, np.nan)
         rhs, _, parameters = self._model
-        return np.array(rhs(z.tolist(), [0.0, _FORWARD * (v - z[3])], parameters))
+        a_x = min(max(_FORWARD * (v - z[3]), -_PEDALS), _PEDALS)
+        return np.array(rhs(z.tolist(), [0.0, a_x], parameters))

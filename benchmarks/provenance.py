@@ -72,7 +72,7 @@ def scenarios(suites: Sequence[Suite], planned: Sequence[Job]) -> dict[str, dict
         if job.suite == TRAINING:
             training = TRAININGS[CONTROLLERS[job.controller].training]
             fields = {"minutes": training.minutes, "episodes": training.episodes,
-                      "offline_iterations": training.offline_iterations}  # fmt: skip
+                      "episode_metres": training.episode_metres, "offline_iterations": training.offline_iterations}  # fmt: skip
             found[job.scenario] = fields | asdict(training.world) | {"noise": float(training.world.noise)}
     used = {job.scenario for job in planned}
     return {name: fields for name, fields in found.items() if name in used}

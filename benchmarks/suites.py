@@ -114,7 +114,7 @@ _ALL = (
         name="paper",
         about="figures 3 to 6 of the paper: learning on the 800 m course, the final nets' round, beside its values",
         scenarios=(PAPER_ROUND,),
-        controllers=("stanley", "stanley-textbook", *LEARNED, *AS_PUBLISHED),
+        controllers=("stanley", "stanley-textbook", *LEARNED, *AS_PUBLISHED, "nfq-paper-120"),
     ),
     Suite(
         name="tracking",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,7 @@ from steerkit.metrics import GOOD, Learned
 
 _KEPT = 3000  # samples of a run's trajectory, about
 EPISODES = (70, 120)
-"""Failures after which the paper speaks of a controller's quality."""
+"""Episodes, each followed by one training, after which the paper speaks of a controller's quality."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +40,8 @@ class Training:
     """Driving time [min]; recovery and waiting count."""
     episodes: int = 1000
     """Failures after which it ends."""
+    episode_metres: float = 0.0
+    """Distance after which an episode ends too, and is trained on [m]; 0: as the learner's setting has it."""
     offline_iterations: int = 0
     """Trainings on the recorded transitions after the driving; for d3rlpy, gradient steps."""
 
@@ -51,7 +53,7 @@ _ALL = (
     Training(name="genesis", world=World(course="genesis", v_min=6.0, v_max=9.0)),
     Training(name="linear", world=World(plant="linear")),
     Training(name="hard", world=World.under("hard")),
-    Training(name="episodes-120", minutes=60.0, episodes=120),
+    Training(name="episodes-120", minutes=60.0, episode_metres=200.0),  # else a good episode never ends
     Training(name="offline", minutes=2.0, offline_iterations=20),
     Training(name="agent", minutes=30.0),
     Training(name="record", minutes=4.0, offline_iterations=20_000),
@@ -75,6 +77,8 @@ def learn(training: Training, setting_name: str, *, seed: int) -> Learnt:
     if setting_name in SETTINGS:
         return _agent(training, setting_name, seed)
     how = setting(setting_name)
+    if training.episode_metres:
+        how = replace(how, retrain_every_m=training.episode_metres)
     experiment = Experiment(
         setting=how, world=training.world, minutes=training.minutes, episodes=training.episodes, seed=seed
     )
@@ -83,7 +87,8 @@ def learn(training: Training, setting_name: str, *, seed: int) -> Learnt:
     nets = trained.nets + _offline(training, how, run, seed)
     drives = test_drives(experiment, [net.policy for net in nets], len(nets))
     policy = nets[-1].policy if nets else run.policy
-    return Learnt(_metrics(run, nets, drives), _curve(run, nets, drives), _trajectory(run), policy)
+    episodic = how.retrain_every_m == 0.0 or training.episode_metres > 0.0  # one training an episode
+    return Learnt(_metrics(run, nets, drives, episodic=episodic), _curve(run, nets, drives), _trajectory(run), policy)
 
 
 def _agent(training: Training, setting_name: str, seed: int) -> Learnt:
@@ -119,7 +124,9 @@ def _offline(training: Training, how: Setting, run: LearningRun, seed: int) -> l
     return [Taken(run.t, run.counts.failures, len(run.transitions), policy) for policy in found]
 
 
-def _metrics(run: LearningRun, nets: Sequence[Taken], drives: Sequence[TrialDrive]) -> dict[str, float]:
+def _metrics(
+    run: LearningRun, nets: Sequence[Taken], drives: Sequence[TrialDrive], *, episodic: bool
+) -> dict[str, float]:
     counts = run.counts
     good = next((i for i, trial in enumerate(drives) if _good(trial)), None)
     rounds = counts.first_round_done
@@ -141,10 +148,9 @@ def _metrics(run: LearningRun, nets: Sequence[Taken], drives: Sequence[TrialDriv
     if drives and drives[-1].summary is not None:
         last = drives[-1].summary
         metrics |= {name: float(getattr(last, name)) for name in type(last).__dataclass_fields__}
-    for number in EPISODES:
-        at = [i for i, net in enumerate(nets) if net.failures <= number]
-        if counts.failures >= number and at:
-            trial = drives[at[-1]]
+    for number in EPISODES if episodic else ():
+        if len(drives) >= number:
+            trial = drives[number - 1]
             metrics[f"held_after_{number}"] = float(trial.held)
             metrics[f"max_e_after_{number}"] = trial.summary.max_e if trial.summary else math.nan
     return metrics

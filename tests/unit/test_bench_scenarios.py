@@ -174,7 +174,7 @@ def test_suites_hang_together() -> None:
         }
         assert needed <= {job.id for job in planned if job.kind == "learn"}
     both = jobs([suite("paper"), suite("tracking")])
-    assert sum(job.kind == "learn" for job in both) == 50  # shared, not learned twice
+    assert sum(job.kind == "learn" for job in both) == 60  # shared, not learned twice
     assert len(jobs([suite("tracking")], 1)) == 3 + 14 * 10
     assert {job.scenario for job in jobs([suite("tracking")], only=["slalom-9"])} == {"slalom-9", "train-clean"}
 
