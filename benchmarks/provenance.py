@@ -71,8 +71,8 @@ def scenarios(suites: Sequence[Suite], planned: Sequence[Job]) -> dict[str, dict
     for job in planned:
         if job.suite == TRAINING:
             training = TRAININGS[CONTROLLERS[job.controller].training]
-            fields = {"minutes": training.minutes, "episodes": training.episodes,
-                      "episode_metres": training.episode_metres, "offline_iterations": training.offline_iterations}  # fmt: skip
+            names = ("minutes", "episodes", "episode_metres", "offline_iterations")
+            fields = {name: getattr(training, name) for name in names}
             found[job.scenario] = fields | asdict(training.world) | {"noise": float(training.world.noise)}
     used = {job.scenario for job in planned}
     return {name: fields for name, fields in found.items() if name in used}
