@@ -18,7 +18,7 @@ from pathlib import Path as FilePath
 from types import TracebackType
 from typing import Any, Protocol, Self
 
-from steerkit.block import Block
+from steerkit.block import Block, require
 from steerkit.clock import Clock
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.recovery import Guarded
@@ -56,13 +56,19 @@ class CarLearner:
     While the car is ENGAGED and the policy has the wheel, every sample is recorded. When the recovery controller has
     to take it, or `retrain_every_m` are driven, a process of its own trains on what is committed; driving goes on, and
     the new nets are taken over between two samples; the recording is told each time. Raises ValueError for a directory
-    that holds something else, or a run with another setting.
+    that holds something else, or a run with another setting, and for a setting that is for simulations only: actions
+    drawn at random, a car put back by hand, a target that leaves the path.
     """
 
     def __init__(
         self, setting: Setting, place: FilePath, build: Callable[[Block, Dynamic], Loop], link: Car, *, seed: int = 0,
         recovery: str = "stanley",
     ):  # fmt: skip
+        where = f"setting '{setting.name}' on a car"
+        chance = f"exploration = {setting.exploration}, expected 0: no action at random on a real steering wheel"
+        require(setting.exploration == 0.0, where, chance)
+        after = f"after_failure = '{setting.after_failure}', expected 'recovery'; the others are for simulations"
+        require(setting.after_failure == "recovery", where, after)
         self.setting, self.place, self.link, self.seed, self.recovery = setting, place, link, seed, recovery
         _claim(place, setting)
         self.description = setting.description()

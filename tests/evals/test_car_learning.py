@@ -16,7 +16,7 @@ from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.learning import nfq, on_car
 from steerkit.learning.follow import Steers
 from steerkit.learning.nfq import FitSetting
-from steerkit.learning.settings import Setting, setting
+from steerkit.learning.settings import Setting, changed, setting
 from steerkit.learning.trainer import Job, Result, SimulatedTrainer
 from steerkit.plants.real_car import recording as tapes
 from steerkit.plants.real_car.states import Mode, Order
@@ -173,6 +173,14 @@ def test_a_run_is_continued_with_its_own_setting_only(tmp_path: Path, monkeypatc
     named = cars.controller_named(str(tmp_path / "run"), setup()[0])
     assert named.steers.doe == "integrator"
     assert Path(named.steers.name).name == f"net-{again._net:04d}.npz"
+
+
+def test_what_is_for_simulations_stays_there(tmp_path: Path) -> None:
+    world = World()
+    for change in ("exploration=0.1", "after_failure=shift", "after_failure=reset"):
+        with pytest.raises(ValueError, match=r"on a car: .*expected"):
+            on_car.CarLearner(changed(TINY, [change]), tmp_path / "run", world.build, world)
+    assert not (tmp_path / "run").exists()
 
 
 def test_a_remark_is_read_back_and_anything_else_refused() -> None:
