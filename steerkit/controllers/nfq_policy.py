@@ -287,7 +287,10 @@ def _combined_symbols(h: list[Any], combine: str) -> Any:
     if combine == "max":
         return total
     mean = total / len(h)
-    return mean if combine == "mean" else mean + m.sqrt(sum((value - mean) ** 2 for value in h) / len(h))
+    if combine == "mean":
+        return mean
+    gaps = [value - mean for value in h]
+    return mean + m.sqrt(_dot(gaps, gaps) / len(h))
 
 
 def _dot(row: Any, h: Any) -> Any:

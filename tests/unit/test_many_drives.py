@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,8 +26,9 @@ def policy(seed: int, actions: tuple[float, ...] = SETTING.actions) -> NfqPolicy
     return NfqPolicy(nets=nets, actions=actions, description=description)
 
 
-def test_each_is_judged_as_if_it_drove_alone() -> None:
-    policies = [policy(seed) for seed in range(5)]
+@pytest.mark.parametrize("combine", ["mean", "max", "disagreement"])
+def test_each_is_judged_as_if_it_drove_alone(combine: Any) -> None:
+    policies = [replace(policy(seed), combine=combine) for seed in range(5)]
     results = drive_many(WORLD, SETTING, policies, seed=3)
     for one, result in zip(policies, results):
         log = evaluate.drive(WORLD, one, doe=SETTING.element(), seed=3, only_while_held=True)
