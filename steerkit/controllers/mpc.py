@@ -112,8 +112,9 @@ class PredictiveSteering(Block):
     """|e| [m] that costs extra beyond."""
     a_y_limit: float = 2.8
     """|a_y| [m/s^2] that costs extra beyond; soft, so a little below the 3 that are meant."""
-    a_y_room: float = 0.5
-    """How much more |a_y| [m/s^2] than the path needs is free where it needs more than a_y_limit."""
+    a_y_room: float = 1.5
+    """How much more |a_y| [m/s^2] than the path needs is free where it needs more than a_y_limit. Too little, and a car
+    that answers less than the model thinks (ratio, offset) is not steered enough: 0.5 lost one at 9 m/s."""
     q_e_limit: float = 10.0
     """Weight of (|e| - e_limit)^2 [1/m^2]."""
     q_a_y_limit: float = 100.0
