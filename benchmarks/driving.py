@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from typing import Any
 
@@ -64,9 +63,7 @@ RECORD = ["path.e", "path.progress", "car.a_y", "actuator.rate"]
 
 def driven(loop: Loop, seconds: float, parameters: Mapping[str, Any] | None = None) -> Log:
     """A log of the course's samples (20 a second), of as many cars as `parameters` have entries; (T, N) signals."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", FutureWarning)  # CasADi's, on NumPy calls in the plants' parameter checks
-        run = compile(loop, record=RECORD, every=5, parameters=list(parameters or {}))
+    run = compile(loop, record=RECORD, every=5, parameters=list(parameters or {}))
     return run.run(seconds, parameters=parameters, allow_nonfinite=True)
 
 
@@ -93,15 +90,10 @@ def rms(log: Log, signal: str, length: float) -> Any:
     return np.sqrt(np.where(within, log[signal], 0.0).__pow__(2).sum(axis=0) / np.maximum(within.sum(axis=0), 1))
 
 
-def nonlinear_mpc(*, delay: float) -> Block:
-    """The nonlinear MPC for this car, told the steering's delay and lag."""
+def mpc(*, delay: float, nonlinear: bool = False) -> Block:
+    """The MPC for this car, told the steering's delay and lag."""
+    from steerkit.controllers.mpc import MPC
     from steerkit.controllers.nonlinear_mpc import NonlinearMPC
 
-    return NonlinearMPC.of(NonlinearSingleTrack(vehicle=CAR), SteeringActuator(delay=delay, lag=LAG), clock=None)
-
-
-def mpc(*, delay: float) -> Block:
-    """The linear MPC for this car, told the steering's delay and lag."""
-    from steerkit.controllers.mpc import MPC
-
-    return MPC.of(NonlinearSingleTrack(vehicle=CAR), SteeringActuator(delay=delay, lag=LAG), clock=None)
+    kind = NonlinearMPC if nonlinear else MPC
+    return kind.of(NonlinearSingleTrack(vehicle=CAR), SteeringActuator(delay=delay, lag=LAG), clock=None)

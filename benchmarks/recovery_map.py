@@ -22,7 +22,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from benchmarks.driving import CAR, LAG, mpc, nonlinear_mpc, reference_of
+from benchmarks.driving import CAR, LAG, mpc, reference_of
 from steerkit.assembly import placed, steering_loop
 from steerkit.block import Block
 from steerkit.compiled import compile
@@ -47,7 +47,7 @@ CONTROLLERS: dict[str, Callable[[], Block]] = {
     "stanley-delay": lambda: delayed_stanley(CAR, delay=DELAY, lag=LAG),
     "stanley-textbook": lambda: Stanley.textbook(CAR),
     "mpc": lambda: mpc(delay=DELAY),
-    "nonlinear-mpc": lambda: nonlinear_mpc(delay=DELAY),
+    "nonlinear-mpc": lambda: mpc(delay=DELAY, nonlinear=True),
 }
 
 
