@@ -14,10 +14,10 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from benchmarks.controllers import CONTROLLERS
-from benchmarks.results import Results, load_results
-from benchmarks.runner import WorkersDiedError
-from benchmarks.runner import run as carry_out
+from benchmarks.entries import CONTROLLERS
+from benchmarks.run.results import Results, load_results
+from benchmarks.run.runner import WorkersDiedError
+from benchmarks.run.runner import run as carry_out
 from benchmarks.suites import SUITES, jobs, suite
 
 app = typer.Typer(
@@ -61,8 +61,9 @@ def run(
     chosen = [suite(name) for name in suites]
     place = out or Path("runs") / "benchmarks" / "+".join(suites)
     try:
-        results = carry_out(chosen, place, seeds=seeds, only=only or (), workers=workers, backend=backend,
-                            address=address, quiet=quiet)  # fmt: skip
+        results = carry_out(
+            chosen, place, seeds=seeds, only=only or (), workers=workers, backend=backend, address=address, quiet=quiet
+        )
     except KeyboardInterrupt:
         print(f"stopped; finished cases are in {place}, and the same command goes on", file=sys.stderr)
         raise SystemExit(130) from None
@@ -77,8 +78,17 @@ def run(
     console.print(f"{len(done)} cases in {place}; python -m benchmarks report {place}", soft_wrap=True, markup=False)
     if as_json:
         cpu = sum(case.cpu_seconds for case in results.cases if math.isfinite(case.cpu_seconds))
-        print(json.dumps({"out": str(place), "done": len(done), "errors": len(errors), "absent": sorted(absent),
-                          "cpu_seconds": cpu}))  # fmt: skip
+        print(
+            json.dumps(
+                {
+                    "out": str(place),
+                    "done": len(done),
+                    "errors": len(errors),
+                    "absent": sorted(absent),
+                    "cpu_seconds": cpu,
+                }
+            )
+        )
     if errors:
         raise SystemExit(1)
 
@@ -89,18 +99,15 @@ def report(
     out: Annotated[Path | None, typer.Option(help="File to write; default: report.html in the results.")] = None,
 ) -> None:
     """Write the results as one self-contained HTML page."""
-    from benchmarks.report import write_report
+    from benchmarks.report.page import write_report
 
     console.print(f"written: {write_report(load_results(place), out or place / 'report.html')}", soft_wrap=True)
 
 
 @app.command()
-def verdict(
-    place: Place,
-    of: Annotated[str | None, typer.Option("--suite", help="Of one suite only.")] = None,
-) -> None:
+def verdict(place: Place, of: Annotated[str | None, typer.Option("--suite", help="Of one suite only.")] = None) -> None:
     """Say where learned beats analytic, where it does not, and by how much."""
-    from benchmarks.verdict import verdict as text
+    from benchmarks.report.verdict import verdict as text
 
     print(text(load_results(place), suite=of))
 
@@ -116,7 +123,7 @@ def compare(
     as_json: Machine = False,
 ) -> None:
     """Compare two results case by case and say what changed; computing times are left out."""
-    from benchmarks.compare import compare as compared
+    from benchmarks.run.compare import compare as compared
 
     found = compared(load_results(a), load_results(b), rel=rel, absolute=absolute)
     for key, (one, two) in found.provenance.items():
@@ -131,8 +138,17 @@ def compare(
     else:
         console.print(f"all {found.compared} numbers of the common cases are the same")
     if as_json:
-        print(json.dumps({"same": found.same, "compared": found.compared, "changed": len(found.changes),
-                          "only_a": len(found.only_a), "only_b": len(found.only_b)}))  # fmt: skip
+        print(
+            json.dumps(
+                {
+                    "same": found.same,
+                    "compared": found.compared,
+                    "changed": len(found.changes),
+                    "only_a": len(found.only_a),
+                    "only_b": len(found.only_b),
+                }
+            )
+        )
     if strict and not found.same:
         raise SystemExit(1)
 
@@ -143,7 +159,7 @@ def golden(
     as_json: Machine = False,
 ) -> None:
     """Run the golden suite and print what differs from the numbers that the tests hold."""
-    from benchmarks import golden as kept
+    from benchmarks.run import golden as kept
 
     new = kept.numbers(kept.measured())
     try:
@@ -168,8 +184,15 @@ def golden(
 
 def _leaderboard(results: Results) -> None:
     """Means over the drives that each controller held, suite by suite."""
-    heads = ("controller", "held", "RMS e [m]", "max e [m]", "RMS wheel rate [deg/s]", "max a_y [m/s²]",
-             "max jerk [m/s³]")  # fmt: skip
+    heads = (
+        "controller",
+        "held",
+        "RMS e [m]",
+        "max e [m]",
+        "RMS wheel rate [deg/s]",
+        "max a_y [m/s²]",
+        "max jerk [m/s³]",
+    )
     for name in dict.fromkeys(case.suite for case in results.cases if case.kind == "drive"):
         table = Table(*map(escape, heads), title=f"{name}: means over the drives held")
         drives = [c for c in results.cases if c.suite == name and c.status == "done"]

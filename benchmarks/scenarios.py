@@ -7,23 +7,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.plants import CommonRoadMultiBody, Pushed
+from benchmarks.peers.commonroad import CommonRoadMultiBody
 from steerkit.assembly import placed, steering_loop
-from steerkit.block import Block, require
+from steerkit.block import Block
+from steerkit.controllers.network_policy import PolicyBlock
 from steerkit.controllers.nfq_policy import NfqPolicy
-from steerkit.controllers.policy_block import PolicyBlock
-from steerkit.controllers.recovery import Guarded
 from steerkit.controllers.stanley import Stanley
+from steerkit.controllers.supervisor import Guarded
 from steerkit.courses import course, lane_change, names, random_course, recorded_speed
-from steerkit.learning.world import END_MARGIN, PLANTS
+from steerkit.errors import require
 from steerkit.loop import Loop
 from steerkit.path import Path
 from steerkit.plants.careful_driver import CarefulDriver
 from steerkit.plants.human_driver import HumanDriver, SpeedProfile
+from steerkit.plants.pushed import Pushed
 from steerkit.plants.sensors import Sensors
 from steerkit.plants.steering_actuator import SteeringActuator
-from steerkit.plants.vehicle import G, Vehicle, vehicle
+from steerkit.scenario.world import END_MARGIN, PLANTS
 from steerkit.units import radians_of
+from steerkit.vehicles import G, Vehicle, vehicle
 
 MULTI_BODY = "commonroad-mb"
 SPEEDS = ("wander", "recorded")
@@ -119,8 +121,13 @@ class Scenario:
     def true_vehicle(self) -> Vehicle:
         """The car as it is."""
         p = self.nominal
-        return replace(p, c_f=self.tyres * p.c_f, c_r=self.tyres * p.c_r, mu=self.friction * p.mu,
-                       steer_ratio=self.ratio * p.steer_ratio)  # fmt: skip
+        return replace(
+            p,
+            c_f=self.tyres * p.c_f,
+            c_r=self.tyres * p.c_r,
+            mu=self.friction * p.mu,
+            steer_ratio=self.ratio * p.steer_ratio,
+        )
 
     def path(self) -> Path:
         """The course's path."""
@@ -199,15 +206,25 @@ class Scenario:
         if self.noise == 0.0 and self.latency == 0.0:
             return None
         full = Sensors.hard(seed)
-        return replace(full, position_drift=self.noise * full.position_drift, psi_drift=self.noise * full.psi_drift,
-                       r_noise=self.noise * full.r_noise, latency=self.latency)  # fmt: skip
+        return replace(
+            full,
+            position_drift=self.noise * full.position_drift,
+            psi_drift=self.noise * full.psi_drift,
+            r_noise=self.noise * full.r_noise,
+            latency=self.latency,
+        )
 
 
 OPEN = {
-    "tyres": ("vehicle.c_f", "vehicle.c_r"), "friction": ("vehicle.mu",), "ratio": ("vehicle.steer_ratio",),
-    "offset_deg": ("actuator.offset",), "lag": ("actuator.lag",),
-    "wind": ("car.wind",), "gust": ("car.gust",), "bank_deg": ("car.bank",),
-}  # fmt: skip
+    "tyres": ("vehicle.c_f", "vehicle.c_r"),
+    "friction": ("vehicle.mu",),
+    "ratio": ("vehicle.steer_ratio",),
+    "offset_deg": ("actuator.offset",),
+    "lag": ("actuator.lag",),
+    "wind": ("car.wind",),
+    "gust": ("car.gust",),
+    "bank_deg": ("car.bank",),
+}
 """Fields that a compiled drive leaves open, so that one program serves many scenarios, and what they are in a loop."""
 
 
@@ -216,8 +233,16 @@ def shape(scenario: Scenario) -> Scenario:
     if scenario.plant == MULTI_BODY:
         return replace(scenario, name="shape")
     lag = float(scenario.told_actuator().lag)
-    plain = dict(name="shape", told_delay=scenario.told_dead_time, told_lag=lag, tyres=1.0, friction=1.0, ratio=1.0,
-                 offset_deg=0.0, lag=0.1)  # fmt: skip
+    plain = dict(
+        name="shape",
+        told_delay=scenario.told_dead_time,
+        told_lag=lag,
+        tyres=1.0,
+        friction=1.0,
+        ratio=1.0,
+        offset_deg=0.0,
+        lag=0.1,
+    )
     if scenario.pushed:
         plain |= dict(wind=0.1, gust=0.1, bank_deg=0.1)
     if "v_min" in _open_speeds(scenario):

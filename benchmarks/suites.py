@@ -7,8 +7,8 @@ import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from benchmarks.controllers import CONTROLLERS
-from benchmarks.results import case_id
+from benchmarks.entries import CONTROLLERS
+from benchmarks.run.results import case_id
 from benchmarks.scenarios import MULTI_BODY, Scenario
 
 TRAINING = "training"
@@ -145,8 +145,11 @@ _ALL = (
     Suite(
         name="peers",
         about="controllers that nobody here wrote: agents of Stable-Baselines3 and d3rlpy, do-mpc, CommonRoad's car",
-        scenarios=tuple(s for s in _TRACKING if s.name in (
-            "paper-round", "iso3888-1-9", "slalom-9", "curvature-step-7", "slalom-multi-body")),
+        scenarios=tuple(
+            s
+            for s in _TRACKING
+            if s.name in ("paper-round", "iso3888-1-9", "slalom-9", "curvature-step-7", "slalom-multi-body")
+        ),
         controllers=("stanley", "mpc", "nfq-idoe", "sb3-dqn", "sb3-sac", "d3rlpy-nfq", "do-mpc"),
         seeds=3,
     ),
@@ -162,9 +165,20 @@ _ALL = (
     Suite(
         name="quick",
         about="a ten-minute selection of paper and tracking, nets after 3 minutes of driving (make bench)",
-        scenarios=tuple(s for s in _TRACKING if s.name in (
-            "paper-round", "paper-hard", "genesis-rfs-recorded", "iso3888-1-9", "slalom-9", "curvature-step-7",
-            "slalom-multi-body")),
+        scenarios=tuple(
+            s
+            for s in _TRACKING
+            if s.name
+            in (
+                "paper-round",
+                "paper-hard",
+                "genesis-rfs-recorded",
+                "iso3888-1-9",
+                "slalom-9",
+                "curvature-step-7",
+                "slalom-multi-body",
+            )
+        ),
         controllers=(*ANALYTIC, "nfq-idoe-quick", "nfq-bang-bang-quick"),
         seeds=5,
         timed_steps=200,
@@ -173,14 +187,15 @@ _ALL = (
         name="golden",
         about="a small one whose numbers the tests hold",
         scenarios=(
-            Scenario(name="slalom-hard", course="slalom", v_max=9.0, lag=0.15, noise=1.0, latency=0.05, wind=0.2,
-                     gust=0.1),
+            Scenario(
+                name="slalom-hard", course="slalom", v_max=9.0, lag=0.15, noise=1.0, latency=0.05, wind=0.2, gust=0.1
+            ),
             Scenario(name="curvature-step-7", course="curvature-step", v_min=7.0, v_max=7.0),
         ),
         controllers=("stanley", "stanley-textbook", "pure-pursuit"),
         seeds=2,
     ),
-)  # fmt: skip
+)
 SUITES = {suite.name: suite for suite in _ALL}
 """All suites by name."""
 
@@ -207,8 +222,11 @@ def jobs(suites: Sequence[Suite], seeds: int | None = None, only: Sequence[str] 
             count = (seeds or one.seeds) if chance else 1
             drives += [Job(suite=one.name, scenario=place.name, controller=name, seed=n) for n in range(count)]
         if not one.scenarios:
-            learners = [Job(suite=one.name, scenario="", controller=name, seed=n)
-                        for name in one.controllers for n in range(seeds or one.seeds)]  # fmt: skip
+            learners = [
+                Job(suite=one.name, scenario="", controller=name, seed=n)
+                for name in one.controllers
+                for n in range(seeds or one.seeds)
+            ]
             trainings |= {job.training: _training(job) for job in _kept(learners, only)}
     drives = _kept(drives, only)
     for job in drives:

@@ -22,24 +22,36 @@ import gymnasium
 
 from steerkit.controllers.stanley import Stanley
 from steerkit.gym import PolicyBlock, Task, from_stable_baselines
-from steerkit.learning.evaluate import drive, held_all_along
 from steerkit.metrics import of_log
+from steerkit.scenario.drive import drive, held_all_along
 from steerkit.simulation import Log
 
 FAILURE = 4.0  # above what staying anywhere may cost a learner who looks 1/(1 - 0.98) = 50 samples ahead: 0.05 a sample
 AGENTS: dict[str, dict[str, Any]] = {
     "DQN": {
         "id": "steerkit/TrackSteering-v0",
-        "learning_rate": 5e-4, "buffer_size": 100_000, "learning_starts": 300, "batch_size": 128, "gamma": 0.98,
-        "train_freq": 4, "gradient_steps": 2, "target_update_interval": 500, "exploration_fraction": 0.3,
+        "learning_rate": 5e-4,
+        "buffer_size": 100_000,
+        "learning_starts": 300,
+        "batch_size": 128,
+        "gamma": 0.98,
+        "train_freq": 4,
+        "gradient_steps": 2,
+        "target_update_interval": 500,
+        "exploration_fraction": 0.3,
         "exploration_final_eps": 0.02,
     },
     "SAC": {
         "id": "steerkit/TrackSteeringContinuous-v0",
-        "learning_rate": 5e-4, "buffer_size": 100_000, "learning_starts": 300, "batch_size": 128, "gamma": 0.98,
-        "train_freq": 4, "gradient_steps": 2,
+        "learning_rate": 5e-4,
+        "buffer_size": 100_000,
+        "learning_starts": 300,
+        "batch_size": 128,
+        "gamma": 0.98,
+        "train_freq": 4,
+        "gradient_steps": 2,
     },
-}  # fmt: skip
+}
 
 
 def trained(name: str, options: dict[str, Any], steps: int, seed: int) -> PolicyBlock:
@@ -65,8 +77,10 @@ def judged(name: str, log: Log, rounds: float) -> str:
     s = asdict(of_log(log))
     own = 100.0 * float((log["supervisor.learning"] > 0.5).mean()) if "supervisor.learning" in log else 100.0
     whole = "yes" if held_all_along(log) and rounds >= 1.0 else "no"
-    return (f"{name:9}{own:9.0f} %{whole:>12}{s['rms_e']:11.3f}{s['max_e']:11.3f}{s['rms_wheel_rate_deg']:15.0f}"
-            f"{s['max_a_y']:12.1f}{s['max_jerk']:12.1f}")  # fmt: skip
+    return (
+        f"{name:9}{own:9.0f} %{whole:>12}{s['rms_e']:11.3f}{s['max_e']:11.3f}{s['rms_wheel_rate_deg']:15.0f}"
+        f"{s['max_a_y']:12.1f}{s['max_jerk']:12.1f}"
+    )
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -98,8 +112,11 @@ def main(arguments: list[str] | None = None) -> None:
         block = PolicyBlock.load(place / f"{name}.npz")
         log = drive(world, block, doe=task.element, seed=options.seed)
         rows.append(judged(name, log, float(log["path.progress"][-1]) / length))
-        print(f"{name}: {options.steps} samples ({options.steps * task.dt / 60.0:.1f} min of driving) learned in "
-              f"{took:.0f} s of computing; block in {place / name}.npz", flush=True)  # fmt: skip
+        print(
+            f"{name}: {options.steps} samples ({options.steps * task.dt / 60.0:.1f} min of driving) learned in "
+            f"{took:.0f} s of computing; block in {place / name}.npz",
+            flush=True,
+        )
     log = drive(world, Stanley.of(world.vehicle), seed=options.seed)
     rows.append(judged("Stanley", log, float(log["path.progress"][-1]) / length))
     print(f"\none round of {options.course}, {options.conditions}; caught by Stanley while |e| > 0.5 m\n")

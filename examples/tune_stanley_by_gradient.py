@@ -26,7 +26,7 @@ from steerkit.loop import Loop
 from steerkit.plants.human_driver import ConstantSpeed
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator
-from steerkit.plants.vehicle import vehicle
+from steerkit.vehicles import vehicle
 
 GAINS = {"controller.k": (0.3, 8.0), "controller.k_d_yaw": (0.0, 0.6), "controller.k_d_steer": (0.0, 0.9)}
 SPEED = 6.0
@@ -37,9 +37,11 @@ def lap_loop(s: float) -> Loop:
     path, car = course("genesis"), vehicle("vw-passat")
     return steering_loop(
         car=placed(NonlinearSingleTrack(vehicle=car, dt=0.05, substeps=5, v0=SPEED), path, s=s),
-        path=path, driver=ConstantSpeed(speed=SPEED), controller=Stanley.of(car),
+        path=path,
+        driver=ConstantSpeed(speed=SPEED),
+        controller=Stanley.of(car),
         actuator=SteeringActuator(delay=0.2, dt=0.05),
-    )  # fmt: skip
+    )
 
 
 def cost(sample: Any) -> Any:
@@ -53,8 +55,15 @@ def tuned(loop: Loop, seconds: float, iterations: int) -> tuple[np.ndarray, np.n
     stanley = loop.blocks["controller"]
     first = np.array([getattr(stanley, name.split(".")[1]) for name in GAINS])
     history = [evaluate(first.tolist())[0]]
-    found = minimize(evaluate, first, jac=True, method="L-BFGS-B", bounds=list(GAINS.values()),
-                     options={"maxiter": iterations}, callback=lambda p: history.append(evaluate(p)[0]))  # fmt: skip
+    found = minimize(
+        evaluate,
+        first,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=list(GAINS.values()),
+        options={"maxiter": iterations},
+        callback=lambda p: history.append(evaluate(p)[0]),
+    )
     return first, found.x, history
 
 
@@ -80,8 +89,10 @@ def main(arguments: list[str] | None = None) -> float:
     costs = [float(np.mean(cost(log))) for log in logs]
     rms = [1000.0 * float(np.sqrt(np.mean(log["controller_path.e"][100:] ** 2))) for log in logs]
     less = 100.0 * (1.0 - costs[1] / costs[0])
-    print(f"on the next {options.seconds:g} s, unseen: cost {costs[0]:.4f} -> {costs[1]:.4f} ({less:.0f} % less), "
-          f"RMS e after 5 s {rms[0]:.1f} -> {rms[1]:.1f} mm")  # fmt: skip
+    print(
+        f"on the next {options.seconds:g} s, unseen: cost {costs[0]:.4f} -> {costs[1]:.4f} ({less:.0f} % less), "
+        f"RMS e after 5 s {rms[0]:.1f} -> {rms[1]:.1f} mm"
+    )
     if options.out:
         picture(logs, history, options.out)
     return costs[1] / costs[0]

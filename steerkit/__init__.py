@@ -12,18 +12,19 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from steerkit.analysis import linearise
     from steerkit.assembly import placed, steering_loop
-    from steerkit.block import Block, In, Out, WiringError
+    from steerkit.block import Block, In, Out
     from steerkit.compiled import compile
     from steerkit.controllers.delay import Predicted, delayed_stanley
     from steerkit.controllers.lqr import Lqr
-    from steerkit.controllers.mpc import MPC
+    from steerkit.controllers.mpc.linear import MPC
+    from steerkit.controllers.mpc.nonlinear import NonlinearMPC
     from steerkit.controllers.nfq_policy import NfqPolicy
-    from steerkit.controllers.nonlinear_mpc import NonlinearMPC
     from steerkit.controllers.pure_pursuit import PurePursuit
-    from steerkit.controllers.recovery import Guarded, Supervisor
     from steerkit.controllers.stanley import Stanley
+    from steerkit.controllers.supervisor import Guarded, Supervisor
     from steerkit.courses import course
     from steerkit.doe import Direct, Integrator, LowPass
+    from steerkit.errors import WiringError
     from steerkit.learning.experiment import Experiment
     from steerkit.learning.learn import learn
     from steerkit.loop import Loop, LoopState
@@ -33,9 +34,9 @@ if TYPE_CHECKING:
     from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
     from steerkit.plants.sensors import Sensors
     from steerkit.plants.steering_actuator import SteeringActuator
-    from steerkit.plants.vehicle import Vehicle, vehicle
     from steerkit.simulation import Log, simulate
     from steerkit.tracker import PathTracker
+    from steerkit.vehicles import Vehicle, vehicle
 
 _HOME = {
     "linearise": "analysis",
@@ -44,17 +45,17 @@ _HOME = {
     "Block": "block",
     "In": "block",
     "Out": "block",
-    "WiringError": "block",
+    "WiringError": "errors",
     "compile": "compiled",
     "Predicted": "controllers.delay",
     "delayed_stanley": "controllers.delay",
     "Lqr": "controllers.lqr",
-    "MPC": "controllers.mpc",
+    "MPC": "controllers.mpc.linear",
     "NfqPolicy": "controllers.nfq_policy",
-    "NonlinearMPC": "controllers.nonlinear_mpc",
+    "NonlinearMPC": "controllers.mpc.nonlinear",
     "PurePursuit": "controllers.pure_pursuit",
-    "Guarded": "controllers.recovery",
-    "Supervisor": "controllers.recovery",
+    "Guarded": "controllers.supervisor",
+    "Supervisor": "controllers.supervisor",
     "Stanley": "controllers.stanley",
     "course": "courses",
     "Direct": "doe",
@@ -70,8 +71,8 @@ _HOME = {
     "NonlinearSingleTrack": "plants.nonlinear_single_track",
     "Sensors": "plants.sensors",
     "SteeringActuator": "plants.steering_actuator",
-    "Vehicle": "plants.vehicle",
-    "vehicle": "plants.vehicle",
+    "Vehicle": "vehicles",
+    "vehicle": "vehicles",
     "Log": "simulation",
     "simulate": "simulation",
     "PathTracker": "tracker",

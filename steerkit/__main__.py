@@ -1,6 +1,6 @@
 """`python -m steerkit`: the command line."""
 
-from steerkit.cli import main
+from steerkit.cli.app import main
 
 if __name__ == "__main__":
     main()

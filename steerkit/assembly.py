@@ -7,8 +7,10 @@ from dataclasses import fields, replace
 from typing import Any, TypeVar
 
 from steerkit import maths as m
-from steerkit.block import Block, In, Out, WiringError
-from steerkit.controllers.recovery import Guarded, Supervisor, TargetShift
+from steerkit.block import Block, In, Out
+from steerkit.controllers.supervisor import Guarded, Supervisor
+from steerkit.controllers.target_shift import TargetShift
+from steerkit.errors import WiringError
 from steerkit.loop import Loop, Wire
 from steerkit.path import Path
 from steerkit.tracker import PathTracker
@@ -61,9 +63,10 @@ def steering_loop(
     if learns == (doe is None):
         kind = type(controller).__name__
         raise WiringError(
-            f"{kind} picks actions and needs a doe such as Integrator()" if learns
+            f"{kind} picks actions and needs a doe such as Integrator()"
+            if learns
             else f"{kind} steers by itself (it has no output 'action'); leave doe out"
-        )  # fmt: skip
+        )
     if supervisor is not None and recovery is None:
         raise WiringError("a supervisor without a recovery controller; give recovery, such as Stanley.of(vehicle)")
     if foresight is not None and shift is not None:

@@ -13,10 +13,6 @@ State = tuple[Any, ...]
 """A block's state: a flat tuple (often a NamedTuple) of scalars: floats, `(N,)` arrays or symbols."""
 
 
-class WiringError(ValueError):
-    """A loop that cannot run as it is wired; raised when the loop is built."""
-
-
 class In:
     """An input port: a class attribute of a block.
 
@@ -137,7 +133,7 @@ class Block:
 
     def _repr_html_(self) -> str:
         """Parameters and ports as tables, for a notebook."""
-        from steerkit.notebook import block_html
+        from steerkit.plots.notebook import block_html
 
         return block_html(self)
 
@@ -161,9 +157,3 @@ def _known_unit(unit: str) -> str:
     if unit not in UNITS:
         raise ValueError(f"port: unit {unit!r} is not known; SI and radians only, one of {', '.join(sorted(UNITS))}")
     return unit
-
-
-def require(ok: Any, where: str, what: str) -> None:
-    """Raise ValueError `where: what` unless `ok` (for all cars, if an array); blocks check their parameters with it."""
-    if not (ok.all() if hasattr(ok, "all") else ok):
-        raise ValueError(f"{where}: {what}")

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from steerkit import maths as m
-from steerkit.block import Block, In, Out, require
+from steerkit.block import Block, In, Out
+from steerkit.errors import require
 from steerkit.units import radians_of
 
 

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from steerkit.block import Block, In, Out, Port, State, WiringError
+from steerkit.block import Block, In, Out, Port, State
+from steerkit.errors import WiringError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -120,13 +121,13 @@ class Loop:
 
     def plot(self) -> Figure:
         """The diagram as a matplotlib figure: blocks, ports, units, wires, rates."""
-        from steerkit.plotting import plot_diagram
+        from steerkit.plots.diagram import plot_diagram
 
         return plot_diagram(self)
 
     def _repr_png_(self) -> bytes:
         """The diagram, for a notebook."""
-        from steerkit.notebook import png
+        from steerkit.plots.notebook import png
 
         return png(self.plot())
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from steerkit import maths as m
-from steerkit.block import require
+from steerkit.errors import require
 from steerkit.maths import Scalar
 
 RandomState = tuple[Scalar, ...]

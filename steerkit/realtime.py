@@ -80,10 +80,14 @@ class Timing:
         """Figures for a report: counts, and times in milliseconds."""
         quantiles = {f"jitter_p{p}_ms": 1e3 * self.jitter(p / 100) for p in (50, 99)}
         return {
-            "steps": self.steps, "misses": self.misses, "rate_hz": 1.0 / self.period, **quantiles,
-            "jitter_p99.9_ms": 1e3 * self.jitter(0.999), "jitter_max_ms": 1e3 * self.worst,
+            "steps": self.steps,
+            "misses": self.misses,
+            "rate_hz": 1.0 / self.period,
+            **quantiles,
+            "jitter_p99.9_ms": 1e3 * self.jitter(0.999),
+            "jitter_max_ms": 1e3 * self.worst,
             "longest_step_ms": 1e3 * self.longest,
-        }  # fmt: skip
+        }
 
 
 class Run:

@@ -115,25 +115,25 @@ class Log(Mapping[str, np.ndarray]):
 
     def plot(self, *signals: Signal, ax: Any = None) -> Any:
         """Plot signals over time, one panel a unit; returns the matplotlib figure."""
-        from steerkit.plotting import plot_log
+        from steerkit.plots.log import plot_log
 
         return plot_log(self, signals, ax=ax)
 
     def animate(self, path: Path | None, file: str | FilePath, **options: Any) -> FilePath:
-        """Write a film of the run, .gif or .mp4: `steerkit.animation.animate` with its options."""
-        from steerkit.animation import animate
+        """Write a film of the run, .gif or .mp4: `steerkit.plots.animation.animate` with its options."""
+        from steerkit.plots.animation import animate
 
         return animate(self, path, file, **options)
 
     def _repr_html_(self) -> str:
         """Ranges of all signals and a picture of some, for a notebook."""
-        from steerkit.notebook import log_html
+        from steerkit.plots.notebook import log_html
 
         return log_html(self)
 
     def _repr_png_(self) -> bytes:
         """The picture alone."""
-        from steerkit.notebook import png, telling
+        from steerkit.plots.notebook import png, telling
 
         return png(self.plot(*telling(self)))
 

@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from steerkit import maths as m
-from steerkit.block import Block, In, Out, State, require
+from steerkit.block import Block, In, Out, State
+from steerkit.errors import require
 from steerkit.maths import Scalar
 from steerkit.path import Path
 

@@ -38,8 +38,12 @@ def main() -> int:
         shutil.rmtree(tree / "steerkit")
         venv.create(place / "venv", with_pip=False)
         python = place / "venv" / "bin" / "python"
-        asked = subprocess.run([python, "-c", "import sysconfig; print(sysconfig.get_paths()['purelib'])"],
-                               capture_output=True, text=True, check=True)  # fmt: skip
+        asked = subprocess.run(
+            [python, "-c", "import sysconfig; print(sysconfig.get_paths()['purelib'])"],
+            capture_output=True,
+            text=True,
+            check=True,
+        )
         # a path file of a path file is not read: an editable install over there stays there
         Path(asked.stdout.strip(), "others.pth").write_text(sysconfig.get_paths()["purelib"] + "\n", encoding="utf-8")
         install = ["-m", "pip", "--python", str(python), "install", "--quiet", "--no-index", "--no-deps"]

@@ -27,7 +27,7 @@ ORDER = (
 HEAD = """\
 # Gallery
 
-Ten scripts of at most forty lines, each with the picture that it draws. They are in `examples/gallery`, and run in the
+Ten scripts of at most 45 lines, each with the picture that it draws. They are in `examples/gallery`, and run in the
 tests; this page is written by `python docs/tools/make_gallery.py`.
 """
 

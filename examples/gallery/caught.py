@@ -9,7 +9,7 @@ from typing import Any
 
 from steerkit import Block, Integrator, NonlinearSingleTrack, Out, Stanley, SteeringActuator
 from steerkit import course, placed, simulate, steering_loop, vehicle
-from steerkit.learning.figures import learning
+from steerkit.learning.pictures.paper import learning
 from steerkit.plants.human_driver import ConstantSpeed
 from steerkit.units import radians_of
 
@@ -27,10 +27,15 @@ class Drunk(Block):
 
 path, passat = course("circle"), vehicle("vw-passat")
 loop = steering_loop(
-    car=placed(NonlinearSingleTrack(vehicle=passat, v0=5.0), path), path=path, driver=ConstantSpeed(speed=5.0),
-    controller=Drunk(), doe=Integrator(), recovery=Stanley.of(passat), actuator=SteeringActuator(lag=0.12),
+    car=placed(NonlinearSingleTrack(vehicle=passat, v0=5.0), path),
+    path=path,
+    driver=ConstantSpeed(speed=5.0),
+    controller=Drunk(),
+    doe=Integrator(),
+    recovery=Stanley.of(passat),
+    actuator=SteeringActuator(lag=0.12),
     reference=passat.l_f,
-)  # fmt: skip
+)
 log = simulate(loop, 90.0, every=5, allow_nonfinite=True)
 takeovers = int((log["supervisor.tripped"] > 0.5).sum())
 print(f"taken over {takeovers} times by |e| and once by NaN; max |e| {abs(log['path.e']).max():.2f} m")

@@ -9,7 +9,7 @@ import numpy as np
 
 from steerkit import NonlinearSingleTrack, Stanley, SteeringActuator, course, placed, simulate, steering_loop, vehicle
 from steerkit.plants.human_driver import ConstantSpeed
-from steerkit.plotting import COLOURS, new_figure
+from steerkit.plots.style import COLOURS, new_figure
 
 gains = np.geomspace(0.3, 12.0, 100)
 path, passat = course("paper"), vehicle("vw-passat")
@@ -18,10 +18,13 @@ for label, damping, colour in (("with damping", 1.0, "learned"), ("without", 0.0
     stanley = Stanley.of(passat)
     stanley = replace(stanley, k=gains, k_d_yaw=damping * stanley.k_d_yaw, k_d_steer=damping * stanley.k_d_steer)
     loop = steering_loop(
-        car=placed(NonlinearSingleTrack(vehicle=passat, v0=6.0, dt=0.05, substeps=5), path), path=path,
-        driver=ConstantSpeed(speed=6.0), controller=stanley, actuator=SteeringActuator(delay=0.2, dt=0.05),
+        car=placed(NonlinearSingleTrack(vehicle=passat, v0=6.0, dt=0.05, substeps=5), path),
+        path=path,
+        driver=ConstantSpeed(speed=6.0),
+        controller=stanley,
+        actuator=SteeringActuator(delay=0.2, dt=0.05),
         reference=passat.l_f,
-    )  # fmt: skip
+    )
     e = simulate(loop, 40.0, batch=len(gains), record=["path.e"], allow_nonfinite=True)["path.e"]
     rms = np.sqrt(np.mean(e**2, axis=0))
     axes.loglog(gains, rms, color=COLOURS[colour], label=label)

@@ -4,9 +4,9 @@ Every second counts: recovery, waiting and training are in it. The picture shows
 """
 
 from steerkit import Experiment, learn
-from steerkit.learning.evaluate import drive
-from steerkit.learning.figures import learning
-from steerkit.learning.world import World
+from steerkit.scenario.drive import drive
+from steerkit.learning.pictures.paper import learning
+from steerkit.scenario.world import World
 from steerkit.metrics import of_log
 
 run = learn(Experiment(world=World(course="paper"), minutes=1.0, seed=1))

@@ -4,11 +4,11 @@ LQR, MPC and pure pursuit are told the delay, Stanley is not; the learner has fo
 """
 
 from steerkit import Experiment, SteeringActuator, learn
-from steerkit.controllers.mpc import MPC
-from steerkit.learning.evaluate import CONTROLLERS, drive
-from steerkit.learning.world import World
+from steerkit.controllers.mpc.linear import MPC
+from steerkit.scenario.drive import CONTROLLERS, drive
+from steerkit.scenario.world import World
 from steerkit.metrics import of_log
-from steerkit.plotting import PALETTE, new_figure, style
+from steerkit.plots.style import PALETTE, new_figure, style
 
 world = World(course="paper", delay=0.15)
 actuator = SteeringActuator(lag=world.lag, delay=world.delay)

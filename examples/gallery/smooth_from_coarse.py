@@ -6,7 +6,7 @@ The same five actions in the same order, to the wheel directly, through a low-pa
 from itertools import pairwise
 
 from steerkit import Direct, Integrator, LowPass
-from steerkit.plotting import COLOURS, new_figure
+from steerkit.plots.style import COLOURS, new_figure
 from steerkit.units import degrees_of, radians_of
 
 ACTIONS_DEG = [*[60] * 4, *[10] * 6, *[0] * 10, *[-10] * 8, *[-60] * 6, *[0] * 12, *[60, -60] * 6, *[10] * 4, *[0] * 8]

@@ -8,7 +8,7 @@ from typing import Any
 
 from steerkit import Block, LinearSingleTrack, Loop, NonlinearSingleTrack, Out, simulate, vehicle
 from steerkit.plants.human_driver import ConstantSpeed
-from steerkit.plotting import COLOURS, new_figure
+from steerkit.plots.style import COLOURS, new_figure
 from steerkit.units import degrees_of
 
 
@@ -31,8 +31,13 @@ cars = {
 figure, (axes,) = new_figure(title="Lateral acceleration over the steering wheel, 12 m/s")
 for (name, car), colour in zip(cars.items(), ("muted", "learned", "analytic"), strict=True):
     wheel, driver = SlowTurn(), ConstantSpeed(speed=12.0)
-    log = simulate(Loop(blocks={"wheel": wheel, "driver": driver, "car": car},
-                        wires=[(wheel.delta_sw, car.delta_sw_in), (driver.v, car.v_in)]), 40.0)  # fmt: skip
+    log = simulate(
+        Loop(
+            blocks={"wheel": wheel, "driver": driver, "car": car},
+            wires=[(wheel.delta_sw, car.delta_sw_in), (driver.v, car.v_in)],
+        ),
+        40.0,
+    )
     axes.plot(degrees_of(log["car.delta_sw"]), log["car.a_y"], color=COLOURS[colour], label=name)
     print(f"{name}: {log['car.a_y'].max():.1f} m/s^2 at most")
 axes.set(xlabel="steering wheel [deg]", ylabel="a_y [m/s²]", ylim=(0.0, 14.0), xlim=(0.0, 230.0))

@@ -9,8 +9,14 @@ from steerkit import course, placed, steering_loop, vehicle
 path, passat = course("paper"), vehicle("vw-passat")
 car = placed(NonlinearSingleTrack(vehicle=passat, v0=5.0), path)
 stanley = Stanley.of(passat)
-loop = steering_loop(car=car, path=path, driver=HumanDriver(seed=1), actuator=SteeringActuator(lag=0.12),
-                     sensors=Sensors.hard(seed=1), controller=stanley)  # fmt: skip
+loop = steering_loop(
+    car=car,
+    path=path,
+    driver=HumanDriver(seed=1),
+    actuator=SteeringActuator(lag=0.12),
+    sensors=Sensors.hard(seed=1),
+    controller=stanley,
+)
 loop.plot().savefig("what_is_wired.png")
 print(loop)
 

@@ -4,8 +4,8 @@ Dots are where the car has been: far from them the net is guessing. How to read 
 """
 
 from steerkit import Experiment, learn
-from steerkit.learning.policy_pictures import policy_map
-from steerkit.learning.world import World
+from steerkit.learning.pictures.policy import policy_map
+from steerkit.scenario.world import World
 
 run = learn(Experiment(world=World(course="paper"), minutes=0.5, seed=1))
 policy_map(run.policy, run.experiment.world, visited=run.transitions).savefig("what_the_net_believes.png")

@@ -25,6 +25,19 @@ from steerkit.analysis.pictures import plot_bode, plot_over, plot_steps
 from steerkit.analysis.systems import FromControl, to_control
 
 __all__ = [
-    "FromControl", "Margins", "NotTimeInvariantError", "Point", "Tap", "UnstableError", "break_at", "linearise",
-    "margins", "over", "plot_bode", "plot_over", "plot_steps", "step_response", "to_control",
-]  # fmt: skip
+    "FromControl",
+    "Margins",
+    "NotTimeInvariantError",
+    "Point",
+    "Tap",
+    "UnstableError",
+    "break_at",
+    "linearise",
+    "margins",
+    "over",
+    "plot_bode",
+    "plot_over",
+    "plot_steps",
+    "step_response",
+    "to_control",
+]

@@ -12,7 +12,7 @@ import numpy as np
 
 from steerkit.analysis.period import Array, Period, signal_name
 from steerkit.analysis.systems import port_names
-from steerkit.block import require
+from steerkit.errors import require
 from steerkit.loop import Loop, LoopState
 from steerkit.simulation import Signal
 

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerkit import maths as m
-from steerkit.block import Block, In, Out, Port, State, require
+from steerkit.block import Block, In, Out, Port, State
+from steerkit.errors import require
 from steerkit.loop import Loop, LoopState
 from steerkit.simulation import Signal
 

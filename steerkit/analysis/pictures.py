@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec
 import numpy as np
 
 from steerkit.analysis.linear import Point, UnstableError, margins, step_response
-from steerkit.plotting import COLOURS, PALETTE, new_figure, style
+from steerkit.plots.style import COLOURS, PALETTE, new_figure, style
 from steerkit.units import degrees_of
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ P = ParamSpec("P")
 
 
 def _styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
-    """`draw` in the style of `steerkit.plotting`."""
+    """`draw` in the style of `steerkit.plots.style`."""
 
     @wraps(draw)
     def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:

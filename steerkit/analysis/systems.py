@@ -12,7 +12,8 @@ import numpy as np
 
 from steerkit import maths as m
 from steerkit.analysis.period import Array, Period, signal_name, wear
-from steerkit.block import Block, In, Out, State, require
+from steerkit.block import Block, In, Out, State
+from steerkit.errors import require
 from steerkit.loop import Loop, LoopState
 from steerkit.simulation import Signal
 
@@ -138,9 +139,15 @@ def to_control(
         return [samples[0] for samples in run(t, x, u)[1]]
 
     return control.nlsys(
-        update, output, name=name or "loop", dt=dt, states=period.labels, params={"x0": period.x0},
-        inputs=port_names(added), outputs=port_names(shown),
-    )  # fmt: skip
+        update,
+        output,
+        name=name or "loop",
+        dt=dt,
+        states=period.labels,
+        params={"x0": period.x0},
+        inputs=port_names(added),
+        outputs=port_names(shown),
+    )
 
 
 def _affine(a: Array, x: Sequence[Any], b: Array, u: Sequence[Any]) -> list[Any]:

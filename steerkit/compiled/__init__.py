@@ -16,13 +16,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from steerkit.compiled.cache import NoCompilerError, compiler
 from steerkit.compiled.gradient import Cost, gradient
-from steerkit.compiled.native import NativeProgram
+from steerkit.compiled.native_program import NativeProgram
 from steerkit.compiled.python_code import PythonProgram
 from steerkit.compiled.trace import Trace, TraceError, flattened, parameter, trace, with_parameters
 from steerkit.compiled.vm import VmProgram
 from steerkit.loop import Loop, LoopState, Sample
+from steerkit.native import NoCompilerError, compiler
 from steerkit.simulation import Log, Signal, check_finite
 
 __all__ = ["Compiled", "Cost", "NoCompilerError", "TraceError", "compile", "gradient"]

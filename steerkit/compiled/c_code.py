@@ -11,8 +11,18 @@ from steerkit.compiled.graph import BOOLEAN, FUNCTIONS, Graph
 from steerkit.compiled.trace import Trace
 from steerkit.maths import Table
 
-_INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<=", "eq": "==", "ne": "!=",
-          "and": "&", "or": "|"}  # fmt: skip
+_INFIX = {
+    "add": "+",
+    "sub": "-",
+    "mul": "*",
+    "div": "/",
+    "lt": "<",
+    "le": "<=",
+    "eq": "==",
+    "ne": "!=",
+    "and": "&",
+    "or": "|",
+}
 
 SCALAR_TYPES = """\
 typedef double real;
@@ -177,13 +187,24 @@ def run_source(trace: Trace, recorded: Sequence[int], *, many: bool) -> str:
         ticks.append(f"static void last{phase}(double k, const real *s, const real *p, real *out)\n{{\n{body}}}\n")
         label = "default" if phase == period - 1 else f"case {phase}"
         cases.append(f"{label}: tick{phase}((double)k, s, p, y); break;")
-        finals.append(f"{label}: last{phase}((double)k, s, p, out); break;" if many else
-                      f"{label}: last{phase}((double)k, slots, p, out); break;")  # fmt: skip
+        finals.append(
+            f"{label}: last{phase}((double)k, s, p, out); break;"
+            if many
+            else f"{label}: last{phase}((double)k, slots, p, out); break;"
+        )
     n, m, size = len(carried), len(recorded), len(trace.parameters)
     run = (_RUN_MANY if many else _RUN_ONE).format(
-        carried=max(1, n), recorded=max(1, m), parameters=max(1, size), n=n, m=m, np=size, period=period,
-        slots=len(trace.layout), cases=" ".join(cases), finals=" ".join(finals),
-    )  # fmt: skip
+        carried=max(1, n),
+        recorded=max(1, m),
+        parameters=max(1, size),
+        n=n,
+        m=m,
+        np=size,
+        period=period,
+        slots=len(trace.layout),
+        cases=" ".join(cases),
+        finals=" ".join(finals),
+    )
     parts = ["#include <math.h>\n", _MANY if many else _ONE, table_source(trace.tables), *ticks, run]
     return "\n".join(parts)
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit.compiled.native import NativeProgram
+from steerkit.compiled.native_program import NativeProgram
 from steerkit.compiled.trace import Trace, trace
 from steerkit.loop import Loop
 

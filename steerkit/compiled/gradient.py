@@ -50,11 +50,7 @@ def gradient(
     tick = casadi.Function("tick", [z, so_far], [end, so_far + total])
     after, cost_after = tick(z, so_far)
     moved, slope_after = tick.forward(m)(z, so_far, after, cost_after, sensitivity, slope)
-    step = casadi.Function(
-        "step",
-        [z, so_far, sensitivity, slope],
-        [after, cost_after, moved, slope_after],
-    )
+    step = casadi.Function("step", [z, so_far, sensitivity, slope], [after, cost_after, moved, slope_after])
     periods = max(1, round(duration / (loop.dt * loop.period)))
     parts = [step.mapaccum(f"run{i}", 2**i, 4) for i in range(periods.bit_length()) if periods >> i & 1]
     slots = graphs.layout.pack(start.x, start.y)

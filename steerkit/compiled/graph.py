@@ -13,13 +13,27 @@ Node = tuple[Any, ...]
 """`(op, *operands)`: operands are numbers of earlier nodes, except of const (its hex), in (its slot), row (table)."""
 
 _UNARY = {
-    casadi.OP_SQRT: "sqrt", casadi.OP_SIN: "sin", casadi.OP_COS: "cos", casadi.OP_TAN: "tan", casadi.OP_ASIN: "asin",
-    casadi.OP_ACOS: "acos", casadi.OP_ATAN: "atan", casadi.OP_TANH: "tanh", casadi.OP_EXP: "exp",
-    casadi.OP_LOG: "log", casadi.OP_FLOOR: "floor", casadi.OP_FABS: "abs", casadi.OP_NEG: "neg",
-}  # fmt: skip
+    casadi.OP_SQRT: "sqrt",
+    casadi.OP_SIN: "sin",
+    casadi.OP_COS: "cos",
+    casadi.OP_TAN: "tan",
+    casadi.OP_ASIN: "asin",
+    casadi.OP_ACOS: "acos",
+    casadi.OP_ATAN: "atan",
+    casadi.OP_TANH: "tanh",
+    casadi.OP_EXP: "exp",
+    casadi.OP_LOG: "log",
+    casadi.OP_FLOOR: "floor",
+    casadi.OP_FABS: "abs",
+    casadi.OP_NEG: "neg",
+}
 _BINARY = {
-    casadi.OP_ADD: "add", casadi.OP_SUB: "sub", casadi.OP_MUL: "mul", casadi.OP_DIV: "div", casadi.OP_ATAN2: "atan2",
-}  # fmt: skip
+    casadi.OP_ADD: "add",
+    casadi.OP_SUB: "sub",
+    casadi.OP_MUL: "mul",
+    casadi.OP_DIV: "div",
+    casadi.OP_ATAN2: "atan2",
+}
 _COMPARE = {casadi.OP_LT: "lt", casadi.OP_LE: "le", casadi.OP_EQ: "eq", casadi.OP_NE: "ne"}
 _LOGIC = {casadi.OP_AND: "and", casadi.OP_OR: "or"}
 BOOLEAN = frozenset({*_COMPARE.values(), *_LOGIC.values(), "not"})
@@ -38,8 +52,10 @@ _FOLD: dict[str, Callable[[float, float], Any]] = {
 }
 _FOLD_ONE: dict[str, Callable[[float], Any]] = {
     **{name: getattr(math, name) for name in _UNARY.values() if hasattr(math, name)},
-    "abs": abs, "neg": lambda a: -a, "floor": lambda a: a // 1.0,
-}  # fmt: skip
+    "abs": abs,
+    "neg": lambda a: -a,
+    "floor": lambda a: a // 1.0,
+}
 
 
 class Graph:

@@ -10,8 +10,18 @@ from typing import Any
 from steerkit.compiled.graph import FUNCTIONS, Graph
 from steerkit.compiled.trace import Trace
 
-_INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<=", "eq": "==", "ne": "!=",
-          "and": "and", "or": "or"}  # fmt: skip
+_INFIX = {
+    "add": "+",
+    "sub": "-",
+    "mul": "*",
+    "div": "/",
+    "lt": "<",
+    "le": "<=",
+    "eq": "==",
+    "ne": "!=",
+    "and": "and",
+    "or": "or",
+}
 _DEEPEST = 12  # nesting of parentheses
 
 

@@ -30,8 +30,10 @@ class VmProgram:
     @functools.cached_property
     def phases(self) -> list[Any]:
         """One function (z) -> (z', recorded) a phase."""
-        return [self._tick(phase, [*self.trace.carried, *self.recorded], split=True)
-                for phase in range(len(self.trace.ticks))]  # fmt: skip
+        return [
+            self._tick(phase, [*self.trace.carried, *self.recorded], split=True)
+            for phase in range(len(self.trace.ticks))
+        ]
 
     @functools.cache  # noqa: B019 (lives as long as the program)
     def finish(self, phase: int) -> Any:
@@ -142,10 +144,30 @@ def _row_function(number: int, table: Table) -> Any:
 
 
 _CALLS: dict[str, Callable[..., Any]] = {
-    "add": lambda a, b: a + b, "sub": lambda a, b: a - b, "mul": lambda a, b: a * b, "div": lambda a, b: a / b,
-    "neg": lambda a: -a, "lt": lambda a, b: a < b, "le": lambda a, b: a <= b, "eq": lambda a, b: a == b,
-    "ne": lambda a, b: a != b, "and": casadi.logic_and, "or": casadi.logic_or, "not": casadi.logic_not,
-    "select": casadi.if_else, "abs": casadi.fabs, "sqrt": casadi.sqrt, "sin": casadi.sin, "cos": casadi.cos,
-    "tan": casadi.tan, "asin": casadi.asin, "acos": casadi.acos, "atan": casadi.atan, "tanh": casadi.tanh,
-    "exp": casadi.exp, "log": casadi.log, "floor": casadi.floor, "atan2": casadi.atan2,
-}  # fmt: skip
+    "add": lambda a, b: a + b,
+    "sub": lambda a, b: a - b,
+    "mul": lambda a, b: a * b,
+    "div": lambda a, b: a / b,
+    "neg": lambda a: -a,
+    "lt": lambda a, b: a < b,
+    "le": lambda a, b: a <= b,
+    "eq": lambda a, b: a == b,
+    "ne": lambda a, b: a != b,
+    "and": casadi.logic_and,
+    "or": casadi.logic_or,
+    "not": casadi.logic_not,
+    "select": casadi.if_else,
+    "abs": casadi.fabs,
+    "sqrt": casadi.sqrt,
+    "sin": casadi.sin,
+    "cos": casadi.cos,
+    "tan": casadi.tan,
+    "asin": casadi.asin,
+    "acos": casadi.acos,
+    "atan": casadi.atan,
+    "tanh": casadi.tanh,
+    "exp": casadi.exp,
+    "log": casadi.log,
+    "floor": casadi.floor,
+    "atan2": casadi.atan2,
+}

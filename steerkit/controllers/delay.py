@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerkit import maths as m
-from steerkit.block import Block, In, Out, State, require
+from steerkit.block import Block, In, Out, State
 from steerkit.controllers.stanley import Stanley
+from steerkit.errors import require
 from steerkit.maths import Scalar
 from steerkit.units import radians_of
 
@@ -93,8 +94,11 @@ class Predicted(Block):
         where, have = "Predicted", {p.name for p in self.inputs} - {"preview"} | {"kappa"}
         asks = {p.name for p in self.block.inputs}
         kind = type(self.block).__name__
-        require(asks <= have, where, f"{kind} needs {', '.join(sorted(asks - have))}; predicted are "
-                f"{', '.join(sorted(have))}")  # fmt: skip
+        require(
+            asks <= have,
+            where,
+            f"{kind} needs {', '.join(sorted(asks - have))}; predicted are {', '.join(sorted(have))}",
+        )
         gives = [p.name for p in self.block.outputs]
         require(gives == ["delta_sw"], where, f"block with outputs {gives}, expected delta_sw only")
         require(self.dt == self.block.dt, where, f"dt = {self.dt} s, but the wrapped block has {self.block.dt} s")
@@ -214,7 +218,7 @@ class Predicted(Block):
 def delayed_stanley(vehicle: Any, *, delay: float, lag: float, dt: float = 0.05) -> Predicted:
     """Stanley for a steering delay and lag [s], 0 to 0.3 s and about 0.1 s: predicted, with gains tuned for that.
 
-    The gains are what `benchmarks/tune_stanley.py` chose: with the prediction, damping only costs.
+    The gains are what `benchmarks/studies/tune_stanley.py` chose: with the prediction, damping only costs.
     """
     stanley = replace(Stanley.of(vehicle, dt=dt), k=3.0, k_d_yaw=0.0, k_d_steer=0.0)
     return Predicted.around(stanley, vehicle, delay=delay, lag=lag)

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from steerkit import maths as m
-from steerkit.block import Block, In, Out, require
+from steerkit.block import Block, In, Out
+from steerkit.errors import require
 from steerkit.units import radians_of
 
 
@@ -61,8 +62,17 @@ class Foresight(Block):
     """A trip at |e| = 0.5 m becomes one at a reach of 0.5/weight = 1.25 m too."""
 
     def __post_init__(self) -> None:
-        for name in ("a_y_max", "jerk_max", "rate_max", "delta_sw_max", "v_floor", "steer_ratio", "wheelbase",
-                     "horizon", "weight"):  # fmt: skip
+        for name in (
+            "a_y_max",
+            "jerk_max",
+            "rate_max",
+            "delta_sw_max",
+            "v_floor",
+            "steer_ratio",
+            "wheelbase",
+            "horizon",
+            "weight",
+        ):
             require(getattr(self, name) > 0.0, "Foresight", f"{name} = {getattr(self, name)}, expected > 0")
         require(self.hold >= 0.0, "Foresight", f"hold = {self.hold} s, expected >= 0")
 

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerkit import maths as m
-from steerkit.block import Block, In, Out, State, require
+from steerkit.block import Block, In, Out, State
 from steerkit.controllers.limits import limited
+from steerkit.errors import require
 from steerkit.maths import Scalar, Table
 from steerkit.units import radians_of
 
@@ -247,9 +248,21 @@ class Lqr(Block):
         step = -sum([g * z for g, z in zip(gains, (u.e, theta, u.beta, u.r, *wheel, *ahead), strict=True)])
         command = self.steer_ratio * m.atan(wheel[-1] + step)
         allowed = m.maximum(self.a_y_max, m.absolute(ahead[0]) * slow * slow + self.a_y_reserve)
-        return self.Y(limited(command, x[-1], slow, allowed, wheelbase=self.wheelbase, l_r=self.l_r,
-                              understeer=self.understeer, steer_ratio=self.steer_ratio, rate_limit=self.rate_limit,
-                              limit=self.limit, dt=self.dt))  # fmt: skip
+        return self.Y(
+            limited(
+                command,
+                x[-1],
+                slow,
+                allowed,
+                wheelbase=self.wheelbase,
+                l_r=self.l_r,
+                understeer=self.understeer,
+                steer_ratio=self.steer_ratio,
+                rate_limit=self.rate_limit,
+                limit=self.limit,
+                dt=self.dt,
+            )
+        )
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
         return (*x[1:], m.where(m.is_finite(y.delta_sw), y.delta_sw, u.delta_sw_meas))

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from steerkit import maths as m
-from steerkit.block import State, require
+from steerkit.block import State
 from steerkit.controllers.policy import Policy
+from steerkit.errors import require
 from steerkit.units import radians_of
 
 Combine = Literal["mean", "max", "disagreement"]
@@ -233,11 +234,21 @@ class NfqPolicy(Policy):
         """Write the policy to one small file (NumPy .npz, no pickle) that `load` gives back bit for bit."""
         d = self.description
         write_arrays(
-            path, "policy", actions=self.actions, combine=self.combine, ready_from=self.ready_from, dt=self.dt,
-            names=d.names, low=d.low, high=d.high, mirror_signs=d.mirror_signs, goal=d.goal,
-            action_scale=d.action_scale or 0.0, nets=len(self.nets or ()),
+            path,
+            "policy",
+            actions=self.actions,
+            combine=self.combine,
+            ready_from=self.ready_from,
+            dt=self.dt,
+            names=d.names,
+            low=d.low,
+            high=d.high,
+            mirror_signs=d.mirror_signs,
+            goal=d.goal,
+            action_scale=d.action_scale or 0.0,
+            nets=len(self.nets or ()),
             **{f"net{k}_{i}": p for k, net in enumerate(self.nets or ()) for i, p in enumerate(net)},
-        )  # fmt: skip
+        )
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> NfqPolicy:

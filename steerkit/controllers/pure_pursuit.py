@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from steerkit import maths as m
-from steerkit.block import Block, In, Out, require
+from steerkit.block import Block, In, Out
+from steerkit.errors import require
 from steerkit.maths import Scalar
 from steerkit.path import Path
 from steerkit.units import radians_of

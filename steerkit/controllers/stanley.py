@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from steerkit import maths as m
-from steerkit.block import Block, In, Out, require
+from steerkit.block import Block, In, Out
 from steerkit.controllers.limits import approach_angle, limited
+from steerkit.errors import require
 from steerkit.maths import Scalar
 from steerkit.units import radians_of
 
@@ -45,7 +46,7 @@ class Stanley(Block):
     keeps the law regular. NaN in any input gives NaN out. Raises ValueError for gains out of range.
 
     Source: Hoffmann, Tomlin, Montemerlo, Thrun, ACC 2007, eq. 9. k_soft = 1 is theirs; the other gains are not
-    published: these are for a steering delay up to 0.1 s. `benchmarks/tune_stanley.py` compares them with others, and
+    published: these are for a steering delay up to 0.1 s. the study `tune_stanley` compares them with others, and
     has found those of `delay.delayed_stanley`, for delays up to 0.3 s.
     """
 
@@ -133,10 +134,21 @@ class Stanley(Block):
         damping = self.k_d_yaw * (u.r - r_path) + self.k_d_steer * (u.delta_sw_meas / self.steer_ratio - x.delta_before)
         delta = -(u.psi_e - psi_ss) - approach - damping
         allowed = m.maximum(self.a_y_max, v * m.absolute(r_path) + self.a_y_reserve)
-        return self.Y(limited(self.steer_ratio * delta, x.command, v, allowed, wheelbase=self.wheelbase,
-                              l_r=self.l_r_share * self.wheelbase, understeer=self.understeer,
-                              steer_ratio=self.steer_ratio, rate_limit=self.rate_limit, limit=self.limit,
-                              dt=self.dt))  # fmt: skip
+        return self.Y(
+            limited(
+                self.steer_ratio * delta,
+                x.command,
+                v,
+                allowed,
+                wheelbase=self.wheelbase,
+                l_r=self.l_r_share * self.wheelbase,
+                understeer=self.understeer,
+                steer_ratio=self.steer_ratio,
+                rate_limit=self.rate_limit,
+                limit=self.limit,
+                dt=self.dt,
+            )
+        )
 
     def update(self, t: Any, x: StanleyState, u: Any, y: Any) -> StanleyState:
         return StanleyState(u.delta_sw_meas / self.steer_ratio, y.delta_sw)

@@ -21,9 +21,18 @@ from steerkit.path import Array, Path, read_columns
 _T = TypeVar("_T")
 
 __all__ = [
-    "bends", "circle", "course", "curvature_step", "figure_eight", "lane_change", "names", "random_course",
-    "recorded_speed", "slalom", "straight",
-]  # fmt: skip
+    "bends",
+    "circle",
+    "course",
+    "curvature_step",
+    "figure_eight",
+    "lane_change",
+    "names",
+    "random_course",
+    "recorded_speed",
+    "slalom",
+    "straight",
+]
 
 
 def names() -> tuple[str, ...]:

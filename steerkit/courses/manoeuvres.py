@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from steerkit.block import require
+from steerkit.errors import require
 from steerkit.path import Path
 from steerkit.units import radians_of
 

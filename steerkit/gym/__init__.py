@@ -17,15 +17,15 @@ except ImportError as why:
     raise ImportError("steerkit.gym needs Gymnasium: pip install 'steerkit-control[gym]'") from why
 
 if TYPE_CHECKING:
-    from steerkit.controllers.policy_block import Network, PolicyBlock
+    from steerkit.controllers.network_policy import Network, PolicyBlock
     from steerkit.gym.env import TrackSteering
     from steerkit.gym.stable_baselines import from_stable_baselines
     from steerkit.gym.task import Task
     from steerkit.gym.vector_env import TrackSteeringVector
 
 _HOME = {
-    "Network": "controllers.policy_block",
-    "PolicyBlock": "controllers.policy_block",
+    "Network": "controllers.network_policy",
+    "PolicyBlock": "controllers.network_policy",
     "Task": "gym.task",
     "TrackSteering": "gym.env",
     "TrackSteeringVector": "gym.vector_env",

@@ -8,10 +8,10 @@ from typing import Any, Literal, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit.block import require
+from steerkit.errors import require
 from steerkit.gym.task import Array, Draw, Task
-from steerkit.learning.world import END_MARGIN
 from steerkit.loop import LoopState
+from steerkit.scenario.world import END_MARGIN
 
 Backend = Literal["python", "c"]
 INFO = ("path.e", "path.s", "path.progress", "car.x", "car.y", "car.psi", "car.v", "car.a_y", "car.delta_sw")

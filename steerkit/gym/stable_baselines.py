@@ -6,8 +6,8 @@ from typing import Any
 
 from gymnasium import spaces
 
-from steerkit.block import require
-from steerkit.controllers.policy_block import Network, PolicyBlock
+from steerkit.controllers.network_policy import Network, PolicyBlock
+from steerkit.errors import require
 from steerkit.gym.task import Task
 
 
@@ -49,9 +49,5 @@ def from_stable_baselines(model: Any, task: Task) -> PolicyBlock:
     require(len(between) <= 1, where, f"activations {', '.join(sorted(between))}, expected one kind")
     network = Network(layers=tuple(weights), activation="tanh" if between == {"Tanh"} else "relu", head=head)  # type: ignore[arg-type]
     return PolicyBlock(
-        policy=network,
-        actions=task.angles,
-        largest=task.scale,
-        description=task.description,
-        dt=task.dt,
+        policy=network, actions=task.angles, largest=task.scale, description=task.description, dt=task.dt
     )

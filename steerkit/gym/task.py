@@ -15,17 +15,18 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from steerkit.assembly import steering_loop
-from steerkit.block import Block, Out, State, require
+from steerkit.block import Block, Out, State
 from steerkit.controllers.nfq_policy import IDOE_ACTIONS, StateDescription
 from steerkit.doe import Direct, Dynamic, HeldAngle, Integrator, LowPass
+from steerkit.errors import require
 from steerkit.learning.costs import COSTS, BandCost, Cost, IdoeCost, SmoothCost, TanhCost
-from steerkit.learning.state import STANDARD
-from steerkit.learning.world import END_MARGIN, World
+from steerkit.learning.nfq.patterns import STANDARD
 from steerkit.loop import Loop, LoopState
 from steerkit.path import Path
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.single_track import SingleTrackState
 from steerkit.plants.steering_actuator import SteeringActuator
+from steerkit.scenario.world import END_MARGIN, World
 from steerkit.units import radians_of
 
 Array = NDArray[np.float64]
@@ -83,7 +84,7 @@ class Task:
     """
 
     course: str = "paper"
-    """Name of a course, or `random-7`: see `steerkit.learning.world`."""
+    """Name of a course, or `random-7`: see `steerkit.scenario.world`."""
     conditions: str = "clean"
     """`clean`, or `hard`: pose noise, sensor delay, a slower motor."""
     world: Any = None

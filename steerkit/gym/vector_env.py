@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from steerkit.block import require
+from steerkit.errors import require
 from steerkit.gym.drives import Backend, Drives
 from steerkit.gym.frames import Painter
 from steerkit.gym.task import Task

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from steerkit.block import require
+from steerkit.errors import require
 from steerkit.units import RAD_PER_DEG
 
 QUANTITIES = {"t": "s", "delta_sw": "rad", "v": "m/s", "r": "rad/s", "psi": "rad"}
@@ -25,12 +25,18 @@ UNITS: dict[str, dict[str, float]] = {
 
 _NAMES = {
     "t": ("t", "time", "timestamp", "time_s"),
-    "delta_sw": ("delta_sw", "supervisor.delta_sw", "doe.delta_sw", "controller.delta_sw", "actuator.delta_sw",
-                 "car.delta_sw"),
+    "delta_sw": (
+        "delta_sw",
+        "supervisor.delta_sw",
+        "doe.delta_sw",
+        "controller.delta_sw",
+        "actuator.delta_sw",
+        "car.delta_sw",
+    ),
     "v": ("v", "sensors.v", "car.v"),
     "r": ("r", "wz", "yaw_rate", "sensors.r", "car.r"),
     "psi": ("psi", "sensors.psi", "car.psi"),
-}  # fmt: skip
+}
 """Names that need no map, best first; those with a dot are steerkit's own signals, the command before the angle."""
 
 
@@ -108,9 +114,7 @@ class ColumnMap:
         found = dict(self.columns)
         for quantity, column in found.items():
             require(
-                column.name in present,
-                where,
-                f"no column '{column.name}' for {quantity}{_near(column.name, present)}",
+                column.name in present, where, f"no column '{column.name}' for {quantity}{_near(column.name, present)}"
             )
         for quantity, known in _NAMES.items():
             endings = ("", *(f"_{ending}" for ending in _ENDINGS))
@@ -142,8 +146,21 @@ class ColumnMap:
         )
 
 
-_ENDINGS = {"deg": "deg", "deg_s": "deg/s", "degs": "deg/s", "kmh": "km/h", "kph": "km/h", "mph": "mph", "ms": "ms",
-            "us": "us", "ns": "ns", "s": "s", "mps": "m/s", "rad": "rad", "rad_s": "rad/s"}  # fmt: skip
+_ENDINGS = {
+    "deg": "deg",
+    "deg_s": "deg/s",
+    "degs": "deg/s",
+    "kmh": "km/h",
+    "kph": "km/h",
+    "mph": "mph",
+    "ms": "ms",
+    "us": "us",
+    "ns": "ns",
+    "s": "s",
+    "mps": "m/s",
+    "rad": "rad",
+    "rad_s": "rad/s",
+}
 
 
 def _unit(quantity: str, column: Column) -> str:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import savgol_filter
 
-from steerkit.block import require
+from steerkit.errors import require
 from steerkit.units import RAD_PER_DEG
 
 Array = NDArray[np.floating[Any]]
@@ -62,10 +62,19 @@ class Drive:
 
     @classmethod
     def of(
-        cls, *, t: ArrayLike, delta_sw: ArrayLike, v: ArrayLike, r: ArrayLike | None = None,
-        psi: ArrayLike | None = None, name: str = "drive", dt: float | None = None, trusted: bool = False,
-        notes: tuple[str, ...] = (), digest: str = "",
-    ) -> Drive:  # fmt: skip
+        cls,
+        *,
+        t: ArrayLike,
+        delta_sw: ArrayLike,
+        v: ArrayLike,
+        r: ArrayLike | None = None,
+        psi: ArrayLike | None = None,
+        name: str = "drive",
+        dt: float | None = None,
+        trusted: bool = False,
+        notes: tuple[str, ...] = (),
+        digest: str = "",
+    ) -> Drive:
         """A drive from columns in SI (n,), with r or psi or both, repaired and brought to one clock.
 
         Repaired, with a note each: rows that are not finite, rows out of order, repeated times, gaps (bridged, and
@@ -86,8 +95,17 @@ class Drive:
         even = _resampled(columns, dt, step)
         measured = _measured(columns["t"], gaps, even["t"])
         rate, calibrated = _yaw_rate(even, measured, dt, name, said, trusted)
-        drive = cls(name=name, dt=dt, delta_sw=even["delta_sw"], v=even["v"], r=rate, measured=measured,
-                    calibrated=calibrated, notes=tuple(said), digest=digest)  # fmt: skip
+        drive = cls(
+            name=name,
+            dt=dt,
+            delta_sw=even["delta_sw"],
+            v=even["v"],
+            r=rate,
+            measured=measured,
+            calibrated=calibrated,
+            notes=tuple(said),
+            digest=digest,
+        )
         seconds = float(np.sum(drive.driving)) * dt
         require(seconds >= LEAST, name, f"only {seconds:.1f} s at {V_DRIVING:g} m/s or faster, expected {LEAST:g} s")
         if not trusted:
@@ -247,8 +265,11 @@ def _check_plausible(drive: Drive) -> None:
     flip = -1.0 if slope < 0.0 else 1.0
     turned = "one of delta_sw and r has the wrong sign (scale = -1)"
     fits = [turned] if flip < 0.0 and 20.0 <= -slope <= 90.0 else []
-    fits += [cause + (f", and {turned}" if flip < 0.0 else "") for cause, factor in causes.items()
-             if 20.0 <= flip * slope * factor <= 90.0]  # fmt: skip
+    fits += [
+        cause + (f", and {turned}" if flip < 0.0 else "")
+        for cause, factor in causes.items()
+        if 20.0 <= flip * slope * factor <= 90.0
+    ]
     likely = f"; perhaps {'; or '.join(fits)}" if fits else ""
     raise ValueError(
         f"{drive.name}: delta_sw/curvature is {slope:.4g} m, a road car has {PLAUSIBLE[0]:g} to {PLAUSIBLE[1]:g} m "

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from steerkit.block import require
+from steerkit.errors import require
 from steerkit.identification.drive import Array, Drive, moments
 from steerkit.identification.model import Simulator, stiffnesses
-from steerkit.plants.vehicle import Vehicle
-from steerkit.plants.vehicle_file import vehicle_text
+from steerkit.vehicles import Vehicle
+from steerkit.vehicles.file import vehicle_text
 
 REZERO = 15.0
 """Driving from which the wheel's zero is found anew, in the second figure of a prediction [s]."""
@@ -107,12 +107,17 @@ class Identified:
             "fit_rms": round(self.fit.rms, 6),
         }
         if held_out is not None:
-            provenance |= {"held_out": held_out.drive.name, "held_out_sha256": held_out.drive.digest,
-                           "held_out_rms": round(held_out.rms, 6)}  # fmt: skip
+            provenance |= {
+                "held_out": held_out.drive.name,
+                "held_out_sha256": held_out.drive.digest,
+                "held_out_rms": round(held_out.rms, 6),
+            }
         provenance |= {"command": command} if command else {}
         steering = {"delay": self.delay, "lag": self.lag, "offset": self.offset}
-        tables = {e.name: {"value": e.value, "low": e.low, "high": e.high, "unit": e.unit, "told_by": e.told_by}
-                  for e in self.estimates}  # fmt: skip
+        tables = {
+            e.name: {"value": e.value, "low": e.low, "high": e.high, "unit": e.unit, "told_by": e.told_by}
+            for e in self.estimates
+        }
         return vehicle_text(self.vehicle, steering=steering, estimates=tables, provenance=provenance)
 
     def save(self, file: str | Path, *, command: str = "", held_out: Prediction | None = None) -> None:
@@ -146,6 +151,11 @@ def predict(simulator: Simulator, theta: dict[str, float]) -> Prediction:
     first, rest = np.split(use, [min(len(use) // 2, round(REZERO / drive.dt))])
     shift = float(slope[first] @ error[first] / (slope[first] @ slope[first]))
     return Prediction(
-        drive=drive, r=predicted, rms=moments(error[drive.measured])[0], rms_driving=rms_driving, mean_driving=mean,
-        rms_rezeroed=moments((error - shift * slope)[rest])[0], zero_shift=shift,
-    )  # fmt: skip
+        drive=drive,
+        r=predicted,
+        rms=moments(error[drive.measured])[0],
+        rms_driving=rms_driving,
+        mean_driving=mean,
+        rms_rezeroed=moments((error - shift * slope)[rest])[0],
+        zero_shift=shift,
+    )

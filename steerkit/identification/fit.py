@@ -11,11 +11,11 @@ import numpy as np
 from scipy import stats
 from scipy.optimize import least_squares
 
-from steerkit.block import require
+from steerkit.errors import require
 from steerkit.identification.drive import Array, Drive, moments
 from steerkit.identification.estimate import Estimate, Identified, car_of, predict
 from steerkit.identification.model import Simulator, stiffnesses
-from steerkit.plants.vehicle import Vehicle, vehicle
+from steerkit.vehicles import Vehicle, vehicle
 
 BLOCK, BLOCKS = 2.0, 8
 """Length of the blocks, in times after which the residual's autocorrelation has died out; and how many at least."""
@@ -91,10 +91,20 @@ def identify(
     notes = _notes(drive, base, table, free, values, covariance, estimates)
     return Identified(
         vehicle=car_of(base, values, name or f"{base.name}-identified"),
-        delay=values["delay"], lag=values["lag"], offset=values["offset"], rate_zero=values["rate_zero"],
-        estimates=estimates, drive=drive, base=base, theta=values, covariance=covariance, free=free, fit=fit,
-        correlation_time=correlation, notes=notes,
-    )  # fmt: skip
+        delay=values["delay"],
+        lag=values["lag"],
+        offset=values["offset"],
+        rate_zero=values["rate_zero"],
+        estimates=estimates,
+        drive=drive,
+        base=base,
+        theta=values,
+        covariance=covariance,
+        free=free,
+        fit=fit,
+        correlation_time=correlation,
+        notes=notes,
+    )
 
 
 def _believed(
@@ -202,9 +212,13 @@ class _Problem:
 
 
 def _estimates(
-    base: Vehicle, table: dict[str, Prior], free: tuple[str, ...], values: dict[str, float], covariance: Array,
+    base: Vehicle,
+    table: dict[str, Prior],
+    free: tuple[str, ...],
+    values: dict[str, float],
+    covariance: Array,
     blocks: int,
-) -> tuple[Estimate, ...]:  # fmt: skip
+) -> tuple[Estimate, ...]:
     """Each parameter and what follows from them, linearised."""
     factor = float(stats.t.ppf(0.975, blocks - 1))
     before = np.diag([table[n].deviation ** 2 for n in free])
@@ -217,12 +231,17 @@ def _estimates(
         ("delay", values["delay"], "s", {"delay": 1.0}, ""),
         ("lag", values["lag"], "s", {"lag": 1.0}, ""),
         ("delay_lag", values["delay"] + values["lag"], "s", {"delay": 1.0, "lag": 1.0}, "delay + lag"),
-        ("understeer_gradient", values["d_f"] - values["d_r"], "rad s^2/m", {"d_f": 1.0, "d_r": -1.0},
-         f"given L = {length:g} m"),
+        (
+            "understeer_gradient",
+            values["d_f"] - values["d_r"],
+            "rad s^2/m",
+            {"d_f": 1.0, "d_r": -1.0},
+            f"given L = {length:g} m",
+        ),
         ("c_f", c_f, "N/rad", {"d_f": -c_f / values["d_f"]}, f"given mass {base.m:g} kg"),
         ("c_r", c_r, "N/rad", {"d_r": -c_r / values["d_r"]}, f"given mass {base.m:g} kg"),
         ("rate_zero", values["rate_zero"], "rad/s", {"rate_zero": 1.0}, "zero of the recorded yaw rate"),
-    ]  # fmt: skip
+    ]
     found = []
     for name, value, unit, slopes, note in rows:
         g = np.array([slopes.get(n, 0.0) for n in free])
@@ -241,15 +260,23 @@ def _estimates(
         for key in slopes.keys() & set(free):
             if not table[key].low < values[key] < table[key].high:
                 note = f"{note}; {key} is at its bound".lstrip("; ")
-        found.append(Estimate(name=name, value=float(value), low=float(low), high=float(high), unit=unit,
-                              learned=learned, note=note))  # fmt: skip
+        found.append(
+            Estimate(
+                name=name, value=float(value), low=float(low), high=float(high), unit=unit, learned=learned, note=note
+            )
+        )
     return tuple(found)
 
 
 def _notes(
-    drive: Drive, base: Vehicle, table: dict[str, Prior], free: tuple[str, ...], values: dict[str, float],
-    covariance: Array, estimates: tuple[Estimate, ...],
-) -> tuple[str, ...]:  # fmt: skip
+    drive: Drive,
+    base: Vehicle,
+    table: dict[str, Prior],
+    free: tuple[str, ...],
+    values: dict[str, float],
+    covariance: Array,
+    estimates: tuple[Estimate, ...],
+) -> tuple[str, ...]:
     """What this log cannot tell, in words."""
     notes = [
         f"yaw rate tells the ratio times the wheelbase and stiffness over mass; wheelbase {base.wheelbase:g} m, mass "

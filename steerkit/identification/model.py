@@ -14,10 +14,14 @@ from steerkit.maths import Scalar
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.playback import Playback
 from steerkit.plants.steering_actuator import SteeringActuator
-from steerkit.plants.vehicle import Vehicle
+from steerkit.vehicles import Vehicle
 
-OPEN = {"steer_ratio": "car.vehicle.steer_ratio", "delay": "drive.delay", "lag": "actuator.lag",
-        "offset": "actuator.offset"}  # fmt: skip
+OPEN = {
+    "steer_ratio": "car.vehicle.steer_ratio",
+    "delay": "drive.delay",
+    "lag": "actuator.lag",
+    "offset": "actuator.offset",
+}
 """Parameters that are fields of blocks."""
 _SLOW_ENOUGH = 0.01  # [s], a step at which every car within the bounds is integrated stably
 

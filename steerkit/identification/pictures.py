@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from steerkit.plotting import COLOURS, PALETTE, new_figure, style
+from steerkit.plots.style import COLOURS, PALETTE, new_figure, style
 
 if TYPE_CHECKING:
     from steerkit.identification.estimate import Identified, Prediction
@@ -42,8 +42,13 @@ def residuals(found: Identified, held_out: Prediction | None = None) -> Any:
             left.plot([], [], " ", label=f"{moved} mrad/s")
         reach = 1.05 * max(float(np.abs(part.drive.r).max()) for part, _, _ in parts)
         cloud.plot([-reach, reach], [-reach, reach], color=COLOURS["ink"], lw=0.6)
-        cloud.set(aspect="equal", xlabel="measured yaw rate [rad/s]", ylabel="predicted yaw rate [rad/s]",
-                  xlim=(-reach, reach), ylim=(-reach, reach))  # fmt: skip
+        cloud.set(
+            aspect="equal",
+            xlabel="measured yaw rate [rad/s]",
+            ylabel="predicted yaw rate [rad/s]",
+            xlim=(-reach, reach),
+            ylim=(-reach, reach),
+        )
         left.axhline(0.0, color=COLOURS["ink"], lw=0.6)
         rate.set_ylabel("yaw rate [rad/s]")
         left.set_ylabel("measured - predicted\n[mrad/s]")
@@ -70,6 +75,14 @@ def _intervals(figure: Any, found: Identified) -> None:
         e = found[name]
         numbers = f"{factor * e.value:.3g}  [{factor * e.low:.3g}, {factor * e.high:.3g}] {unit}"
         lines.append(f"{label}: {numbers}" + ("" if e.told_by == "log" else f"  ({e.told_by})"))
-    figure.axes[-1].text(0.02, 0.98, "\n".join(lines), transform=figure.axes[-1].transAxes, va="top", fontsize=7.5,
-                         color=COLOURS["ink"], bbox={"fc": COLOURS["paper"], "ec": PALETTE[5], "lw": 0.5,
-                                                     "boxstyle": "round,pad=0.4"}, zorder=9)  # fmt: skip
+    figure.axes[-1].text(
+        0.02,
+        0.98,
+        "\n".join(lines),
+        transform=figure.axes[-1].transAxes,
+        va="top",
+        fontsize=7.5,
+        color=COLOURS["ink"],
+        bbox={"fc": COLOURS["paper"], "ec": PALETTE[5], "lw": 0.5, "boxstyle": "round,pad=0.4"},
+        zorder=9,
+    )

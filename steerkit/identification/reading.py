@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from steerkit.block import require
+from steerkit.errors import require
 from steerkit.identification.columns import ColumnMap
 from steerkit.identification.drive import Drive
 

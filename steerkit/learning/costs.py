@@ -13,14 +13,14 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit.block import require
+from steerkit.errors import require
 
 Costs = tuple[NDArray[np.float64], NDArray[np.bool_]]
 Array = NDArray[np.float64]
 
 
 class Cost(Protocol):
-    """What `steerkit.learning.nfq` asks of a cost."""
+    """What `steerkit.learning.nfq.iterate` asks of a cost."""
 
     @property
     def goal(self) -> float:

@@ -8,22 +8,35 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from steerkit.assembly import steering_loop
-from steerkit.block import require
 from steerkit.controllers.nfq_policy import NfqPolicy
-from steerkit.controllers.recovery import Guarded, TargetShift
-from steerkit.learning import nfq
+from steerkit.controllers.supervisor import Guarded
+from steerkit.controllers.target_shift import TargetShift
+from steerkit.errors import require
+from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.exploration import Exploring
+from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.settings import Setting
 from steerkit.learning.trainer import Job, SimulatedTrainer, Training
-from steerkit.learning.transitions import Transitions
-from steerkit.learning.world import END_MARGIN, World
 from steerkit.loop import LoopState
+from steerkit.scenario.world import END_MARGIN, World
 from steerkit.simulation import Recorder
 
 SIGNALS = (
-    "path.e", "path.psi_e", "path.progress", "path.s", "path.kappa", "car.x", "car.y", "car.v", "car.r", "car.a_y",
-    "car.delta_sw", "supervisor.delta_sw", "supervisor.learning", "controller.action",
-)  # fmt: skip
+    "path.e",
+    "path.psi_e",
+    "path.progress",
+    "path.s",
+    "path.kappa",
+    "car.x",
+    "car.y",
+    "car.v",
+    "car.r",
+    "car.a_y",
+    "car.delta_sw",
+    "supervisor.delta_sw",
+    "supervisor.learning",
+    "controller.action",
+)
 Watcher = Callable[[str, "LearningRun"], None]
 
 
@@ -34,7 +47,7 @@ class Experiment:
     setting: Setting = field(default_factory=Setting)
     """How it learns: see `steerkit.learning.settings`."""
     world: World = field(default_factory=World)
-    """Where it learns: course, car, disturbances: see `steerkit.learning.world`."""
+    """Where it learns: course, car, disturbances: see `steerkit.scenario.world`."""
     minutes: float = 11.0
     """Driving time after which it ends [min]; recovery and waiting count."""
     episodes: int = 1000
@@ -113,12 +126,7 @@ class LearningRun:
     `keep`, if set, is called at every training, to write a checkpoint.
     """
 
-    def __init__(
-        self,
-        experiment: Experiment,
-        watch: Watcher | None = None,
-        trainer: Training | None = None,
-    ):
+    def __init__(self, experiment: Experiment, watch: Watcher | None = None, trainer: Training | None = None):
         self.experiment, self.watch = experiment, watch
         self.keep: Callable[[LearningRun], None] | None = None
         setting, world = experiment.setting, experiment.world

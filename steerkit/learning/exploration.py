@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from steerkit import maths as m
-from steerkit.block import require
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.policy import Policy
+from steerkit.errors import require
 from steerkit.random import RandomState, seed_state, uniform
 
 _STREAM = 3  # of `seed_state`: exploration's

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from steerkit.block import require
 from steerkit.controllers.nfq_policy import NfqPolicy
-from steerkit.learning import nfq
+from steerkit.errors import require
+from steerkit.learning.data.transitions import Transitions
+from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.settings import Setting
-from steerkit.learning.transitions import Transitions
 
 
 def offline(record: Transitions, setting: Setting, updates: int, *, seed: int = 0) -> Iterator[NfqPolicy]:

@@ -13,11 +13,13 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from steerkit.learning import evaluate, figures, rundir
+from steerkit.learning import rundir
 from steerkit.learning.experiment import Experiment, LearningRun, Watcher
 from steerkit.learning.learn import learn
-from steerkit.learning.world import World
+from steerkit.learning.pictures import paper as figures
 from steerkit.metrics import of_log
+from steerkit.scenario import drive as evaluate
+from steerkit.scenario.world import World
 from steerkit.simulation import Log
 
 console = Console() if Console().is_terminal else Console(width=110)
@@ -128,14 +130,32 @@ def _row(name: str, log: Log) -> dict[str, Any]:
 
 def comparison(title: str, logs: dict[str, Log]) -> Table:
     """A table with one row a drive."""
-    heads = ("controller", "held", "RMS e [m]", "max e [m]", "RMS wheel rate [deg/s]", "max a_y [m/s²]",
-             "|e| < 0.05 m [%]", "max jerk [m/s³]")  # fmt: skip
+    heads = (
+        "controller",
+        "held",
+        "RMS e [m]",
+        "max e [m]",
+        "RMS wheel rate [deg/s]",
+        "max a_y [m/s²]",
+        "|e| < 0.05 m [%]",
+        "max jerk [m/s³]",
+    )
     table = Table(*[escape(head) for head in heads], title=title)
     for name, log in logs.items():
         s = of_log(log)
         held = "yes" if evaluate.held_all_along(log) else "no"
-        table.add_row(name, held, *_cells((s.rms_e, 3), (s.max_e, 3), (s.rms_wheel_rate_deg, 0), (s.max_a_y, 2),
-                                          (100.0 * s.share_within_5cm, 1), (s.max_jerk, 1)))  # fmt: skip
+        table.add_row(
+            name,
+            held,
+            *_cells(
+                (s.rms_e, 3),
+                (s.max_e, 3),
+                (s.rms_wheel_rate_deg, 0),
+                (s.max_a_y, 2),
+                (100.0 * s.share_within_5cm, 1),
+                (s.max_jerk, 1),
+            ),
+        )
     return table
 
 

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerkit import maths as m
-from steerkit.block import require
 from steerkit.controllers.policy import Policy
+from steerkit.errors import require
 from steerkit.learning.experiment import LearningRun
-from steerkit.learning.model import CarModel
+from steerkit.learning.nfq.model import CarModel
 
 FASTEST = 15
 """Speed up to which gains are tabled, one a metre per second; faster cars are steered as at this speed [m/s]."""

@@ -19,12 +19,12 @@ from typing import Any
 
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.learning import costs
+from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.experiment import Counts, Episode, Experiment, LearningRun, Watcher
-from steerkit.learning.nfq import FitSetting
+from steerkit.learning.nfq.iterate import FitSetting
 from steerkit.learning.settings import Setting
 from steerkit.learning.trainer import SimulatedTrainer
-from steerkit.learning.transitions import Transitions
-from steerkit.learning.world import World
+from steerkit.scenario.world import World
 from steerkit.simulation import Log, joined
 
 FORMAT = "steerkit run 2"

@@ -8,11 +8,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any
 
-from steerkit.block import require
 from steerkit.doe import Direct, Dynamic, Integrator, LowPass
+from steerkit.errors import require
 from steerkit.learning.costs import BandCost, Cost, IdoeCost, SmoothCost, TanhCost
-from steerkit.learning.nfq import FitSetting
-from steerkit.learning.state import StateDescription
+from steerkit.learning.nfq.iterate import FitSetting
+from steerkit.learning.nfq.patterns import StateDescription
 from steerkit.units import radians_of
 
 AFTER_FAILURE = ("recovery", "reset", "shift")
@@ -38,7 +38,7 @@ class Setting:
             mirror=True, hints=0, n_step=3, nets=4, iterations=3, imagined=3000, horizon=5, window=5000
         )
     )
-    """How the Q-net is fitted: see `steerkit.learning.nfq`."""
+    """How the Q-net is fitted: see `steerkit.learning.nfq.iterate`."""
     hint_doe: float = 0.02
     """Half-width of the hints' steering angles, as a share of the largest. 1 would say that any angle may be held at
     psi_e = 0, which is wrong where e is measured at the front axle. `paper`, 6 seeds, 11 minutes: 0.02: a round in
@@ -58,7 +58,7 @@ class Setting:
     """`recovery`: the analytic controller steers until the new net takes over. `reset`: the car stops, and a human puts
     it back on the path where it failed, in `reset_seconds`; then the recovery controller steers until the net is
     ready. `shift`: the target path moves sideways to the car, the old net drives on at once and is trained meanwhile,
-    and the target moves slowly back (`steerkit.controllers.recovery.TargetShift`)."""
+    and the target moves slowly back (`steerkit.controllers.supervisor.TargetShift`)."""
     reset_seconds: float = 20.0
     """Driving time charged for a reset [s]."""
 
@@ -115,11 +115,30 @@ BANG_BANG = replace(  # the 800 m course needs up to 430 degrees in motion: 360 
 LOW_PASS = replace(
     DEFAULT,
     name="low-pass",
-    actions_deg=(-520.0, -390.0, -260.0, -180.0, -120.0, -80.0, -50.0, -25.0, -10.0, 0.0,
-                 10.0, 25.0, 50.0, 80.0, 120.0, 180.0, 260.0, 390.0, 520.0),
+    actions_deg=(
+        -520.0,
+        -390.0,
+        -260.0,
+        -180.0,
+        -120.0,
+        -80.0,
+        -50.0,
+        -25.0,
+        -10.0,
+        0.0,
+        10.0,
+        25.0,
+        50.0,
+        80.0,
+        120.0,
+        180.0,
+        260.0,
+        390.0,
+        520.0,
+    ),
     doe="low-pass",
     cost=TanhCost(goal=0.15, action_cost=0.0),  # its actions are angles: a price on them would pull the wheel straight
-)  # fmt: skip
+)
 SMOOTH = replace(DEFAULT, name="smooth", cost=SmoothCost(cost=TanhCost(goal=0.15, action_cost=0.0)))
 """Jerk and turning of the wheel cost, not the mere taking of an action."""
 PAPER_BANG_BANG = replace(PAPER, name="paper-bang-bang", actions_deg=(-360.0, 360.0), doe="direct", cost=BandCost())

@@ -25,14 +25,14 @@ from pathlib import Path as FilePath
 from types import TracebackType
 from typing import Any, NamedTuple, Protocol, Self
 
-from steerkit.block import require
-from steerkit.learning import nfq
+from steerkit.errors import require
 from steerkit.learning.costs import Cost
-from steerkit.learning.nfq import FitSetting
-from steerkit.learning.qnetwork import Net
-from steerkit.learning.state import STANDARD, StateDescription
-from steerkit.learning.store import TransitionStore
-from steerkit.learning.transitions import Transitions
+from steerkit.learning.data.store import TransitionStore
+from steerkit.learning.data.transitions import Transitions
+from steerkit.learning.nfq import iterate as nfq
+from steerkit.learning.nfq.iterate import FitSetting
+from steerkit.learning.nfq.network import Net
+from steerkit.learning.nfq.patterns import STANDARD, StateDescription
 
 Nets = tuple[Net, ...]
 Pending = tuple[float, int, Nets]

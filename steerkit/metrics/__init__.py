@@ -9,16 +9,7 @@ from steerkit.metrics.comfort import (
     wd_filter,
     weighted_acceleration,
 )
-from steerkit.metrics.drive import (
-    GOOD,
-    Criterion,
-    Summary,
-    measures,
-    measures_of_log,
-    of_log,
-    step_times,
-    summary,
-)
+from steerkit.metrics.drive import GOOD, Criterion, Summary, measures, measures_of_log, of_log, step_times, summary
 from steerkit.metrics.learners import Learned, learned
 from steerkit.metrics.signals import largest, magnitude_at, rates, rms, share_within, time_over
 from steerkit.metrics.statistics import Interval, Paired, interval, paired, share

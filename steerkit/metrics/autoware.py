@@ -14,10 +14,15 @@ from steerkit.metrics.signals import samples, step
 PERIOD = 0.1
 """Autoware's evaluator looks every 100 ms [s]."""
 LEFT_OUT = (
-    "left_boundary_distance", "right_boundary_distance", "left_uncrossable_boundary_distance",
-    "right_uncrossable_boundary_distance", "stop_deviation", "stop_deviation_abs", "closest_object_distance",
+    "left_boundary_distance",
+    "right_boundary_distance",
+    "left_uncrossable_boundary_distance",
+    "right_uncrossable_boundary_distance",
+    "stop_deviation",
+    "stop_deviation_abs",
+    "closest_object_distance",
     "longitudinal_velocity_deviation",
-)  # fmt: skip
+)
 """What it also publishes and a steering drive does not have: lane boundaries, stop lines, objects, a speed plan."""
 
 

@@ -44,9 +44,13 @@ def interval(values: ArrayLike, statistic: Callable[..., Any] = np.mean, *, seed
         if len(found) == 1 or (found == found[0]).all():
             return Interval(value, value, value, len(found))
         done = bootstrap(
-            (found,), statistic, n_resamples=RESAMPLES, method="percentile", vectorized=True,
+            (found,),
+            statistic,
+            n_resamples=RESAMPLES,
+            method="percentile",
+            vectorized=True,
             random_state=np.random.default_rng(seed),
-        )  # fmt: skip
+        )
     tail = 0.5 * (1.0 - CONFIDENCE)
     # from the distribution itself: between a number and "never" nothing can be interpolated
     low, high = np.quantile(done.bootstrap_distribution, [tail, 1.0 - tail], method="inverted_cdf")
@@ -102,9 +106,13 @@ def paired(a: ArrayLike, b: ArrayLike, *, seed: int = 0) -> Paired:
     if not gap.any():
         return Paired(difference=interval(gap, seed=seed), wins=0.5, p=1.0, p_wilcoxon=1.0)
     test = permutation_test(
-        (gap,), np.mean, permutation_type="samples", vectorized=True, n_resamples=RESAMPLES,
+        (gap,),
+        np.mean,
+        permutation_type="samples",
+        vectorized=True,
+        n_resamples=RESAMPLES,
         random_state=np.random.default_rng(seed),
-    )  # fmt: skip
+    )
     return Paired(
         difference=interval(gap, seed=seed),
         wins=float(np.mean((gap < 0.0) + 0.5 * (gap == 0.0))),

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from steerkit import maths as m
-from steerkit.block import Block, In, Out, State, require
+from steerkit.block import Block, In, Out, State
+from steerkit.errors import require
 from steerkit.maths import Table
 from steerkit.path import Path
 from steerkit.plants.human_driver import HumanDriver

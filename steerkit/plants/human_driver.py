@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from steerkit import maths as m
-from steerkit.block import Block, In, Out, State, require
+from steerkit.block import Block, In, Out, State
+from steerkit.errors import require, require_within
 from steerkit.maths import Scalar, Table
-from steerkit.plants.checks import require_within
 from steerkit.random import normals, seed_state
 
 _STREAM = 1  # of `seed_state`: the drivers'

@@ -10,7 +10,7 @@ from typing import Any
 from steerkit import maths as m
 from steerkit.maths import Scalar
 from steerkit.plants.single_track import TAU_KINEMATIC, V_KINEMATIC, SingleTrack, SingleTrackState, dynamic_share
-from steerkit.plants.vehicle import G
+from steerkit.vehicles import G
 
 _SIDEWAYS = 0.01  # m/s: least forward speed of a wheel in its own plane; one that slides backwards slides fully
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from steerkit import maths as m
-from steerkit.block import Block, Out, require
+from steerkit.block import Block, Out
+from steerkit.errors import require, require_within
 from steerkit.maths import Scalar, Table
-from steerkit.plants.checks import require_within
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -10,8 +10,8 @@ import numpy as np
 
 from steerkit import maths as m
 from steerkit.block import Block, In, Out, State
+from steerkit.errors import require_within, whole_samples
 from steerkit.maths import Scalar
-from steerkit.plants.checks import require_within, whole_samples
 from steerkit.random import RandomState, normals, seed_state
 from steerkit.units import radians_of
 

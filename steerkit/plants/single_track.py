@@ -9,11 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from steerkit import maths as m
-from steerkit.block import require
+from steerkit.errors import require, require_within
 from steerkit.maths import Scalar
 from steerkit.plants.car import Car
-from steerkit.plants.checks import require_within
-from steerkit.plants.vehicle import Vehicle
+from steerkit.vehicles import Vehicle
 
 V_KINEMATIC = 1.0
 """Up to this speed [m/s] a car rolls kinematically."""

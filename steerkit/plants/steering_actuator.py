@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path as FilePath
 from typing import Any
 
 from steerkit import maths as m
 from steerkit.block import Block, In, Out, State
+from steerkit.errors import require, require_within, whole_samples
 from steerkit.maths import Scalar
-from steerkit.plants.checks import require_within, whole_samples
 from steerkit.units import radians_of
+from steerkit.vehicles.file import table_of
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -77,3 +80,21 @@ class SteeringActuator(Block):
         most = self.rate_limit * self.dt
         step = m.clip(self._follow * (target - delta_sw), -most, most)
         return (delta_sw + step, step / self.dt, *pending[1:])
+
+
+def steering_of(file: str | FilePath, *, dt: float = 0.01, **others: Any) -> SteeringActuator:
+    """The steering of a vehicle file, as an actuator of sample time dt [s]: delay, lag, offset.
+
+    Their sum is kept, less dt: that is what the sampled actuator and car add by holding their inputs. The delay is cut
+    down to a multiple of dt, 0 at least, and the rest is the lag's. others: more fields of `SteeringActuator`. Raises
+    ValueError for a broken file.
+    """
+    table = table_of(file, "steering")
+    numbers = {}
+    for key in ("delay", "lag", "offset"):
+        require(isinstance(table.get(key), (int, float)), f"{file}", f"[steering] {key}, expected a number")
+        numbers[key] = float(table[key])
+    delay = numbers["delay"] - dt
+    samples = max(0, math.floor(delay / dt + 1e-6))
+    lag = max(0.0, numbers["lag"] + delay - samples * dt)
+    return SteeringActuator(delay=samples * dt, lag=lag, offset=numbers["offset"], dt=dt, **others)

@@ -26,15 +26,16 @@ from steerkit.block import Block, In, Out
 from steerkit.controllers.delay import Predicted, delayed_stanley
 from steerkit.controllers.foresight import Foresight
 from steerkit.controllers.lqr import Lqr
+from steerkit.controllers.network_policy import Network, PolicyBlock
 from steerkit.controllers.nfq_policy import NfqPolicy
-from steerkit.controllers.policy_block import Network, PolicyBlock
 from steerkit.controllers.pure_pursuit import PurePursuit
-from steerkit.controllers.recovery import Guarded, Supervisor, SupervisorState, TargetShift
 from steerkit.controllers.stanley import Stanley
+from steerkit.controllers.supervisor import Guarded, Supervisor, SupervisorState
+from steerkit.controllers.target_shift import TargetShift
 from steerkit.doe import Corrected, Direct, Integrator, LowPass
 from steerkit.gym.task import Agent
 from steerkit.learning.exploration import Exploring
-from steerkit.learning.model import CarModel
+from steerkit.learning.nfq.model import CarModel
 from steerkit.learning.rival import ModelPolicy
 from steerkit.path import Path
 from steerkit.plants.careful_driver import CarefulDriver
@@ -42,11 +43,12 @@ from steerkit.plants.human_driver import ConstantSpeed, HumanDriver, RecordedDri
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.playback import Playback
+from steerkit.plants.pushed import Pushed
 from steerkit.plants.sensors import Sensors
 from steerkit.plants.steering_actuator import SteeringActuator
-from steerkit.plants.vehicle import vehicle
 from steerkit.tracker import PathTracker
 from steerkit.units import radians_of
+from steerkit.vehicles import vehicle
 
 PASSAT = vehicle("vw-passat")
 _round = np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False)
@@ -125,6 +127,8 @@ EXAMPLES = [
     Example(PathTracker(path=OVAL, reference=1.2, preview_points=3)),
     Example(LinearSingleTrack(vehicle=PASSAT, v0=5.0)),
     Example(NonlinearSingleTrack(vehicle=PASSAT, v0=5.0)),
+    Example(Pushed(block=NonlinearSingleTrack(vehicle=PASSAT, v0=5.0), wind=0.3, gust=0.2, seed=3), single=_seeded),
+    Example(Pushed(block=LinearSingleTrack(vehicle=PASSAT, v0=5.0), bank=0.2), single=_seeded),
     Example(SteeringActuator(lag=0.1)),
     Example(SteeringActuator(lag=0.0, delay=0.03, gain=1.05, offset=0.02)),
     Example(Sensors(), single=_seeded),
@@ -139,8 +143,15 @@ EXAMPLES = [
 blocks = pytest.mark.parametrize("example", EXAMPLES, ids=str)
 kinds = pytest.mark.parametrize("kind", sorted({type(e.block) for e in EXAMPLES}, key=lambda c: c.__name__))
 
-SPAN = {"m": (-2.0, 2.0), "rad": (-0.6, 0.6), "m/s": (3.5, 9.0), "rad/s": (-0.4, 0.4), "1/m": (-0.04, 0.04),
-        "1": (0.0, 1.0), "m/s^2": (-3.0, 3.0)}  # fmt: skip
+SPAN = {
+    "m": (-2.0, 2.0),
+    "rad": (-0.6, 0.6),
+    "m/s": (3.5, 9.0),
+    "rad/s": (-0.4, 0.4),
+    "1/m": (-0.04, 0.04),
+    "1": (0.0, 1.0),
+    "m/s^2": (-3.0, 3.0),
+}
 CARS = 3
 STEPS = 6
 
@@ -421,8 +432,10 @@ def test_the_same_equations_trace_to_symbols(example: Example, monkeypatch: pyte
     import casadi
 
     def rows(table: m.Table, index: Any) -> list[Any]:
-        return [sum(casadi.if_else(index == k, row[j], 0.0) for k, row in enumerate(table.rows.tolist()))
-                for j in range(table.rows.shape[1])]  # fmt: skip
+        return [
+            sum(casadi.if_else(index == k, row[j], 0.0) for k, row in enumerate(table.rows.tolist()))
+            for j in range(table.rows.shape[1])
+        ]
 
     monkeypatch.setattr(m.Table, "tracer", staticmethod(rows))
     block = example.block

@@ -17,14 +17,15 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from steerkit import native
 from steerkit.assembly import placed, steering_loop
 from steerkit.block import Block
-from steerkit.c_export import export_c
-from steerkit.compiled import cache, compile
+from steerkit.compiled import compile
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.stanley import Stanley
 from steerkit.courses import course, figure_eight
 from steerkit.doe import Integrator, LowPass
+from steerkit.export.c import export_c
 from steerkit.loop import Loop
 from steerkit.plants.careful_driver import CarefulDriver
 from steerkit.plants.human_driver import ConstantSpeed, HumanDriver, RecordedDriver, SpeedProfile
@@ -32,14 +33,14 @@ from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.sensors import Sensors
 from steerkit.plants.steering_actuator import SteeringActuator
-from steerkit.plants.vehicle import vehicle
 from steerkit.simulation import Log, simulate
+from steerkit.vehicles import vehicle
 
 CAR = vehicle("vw-passat")
 PAPER = course("paper")
 SECONDS = 3.0
 CARS = 5
-needs_compiler = pytest.mark.skipif(cache.compiler() is None, reason="C needs a compiler")
+needs_compiler = pytest.mark.skipif(native.compiler() is None, reason="C needs a compiler")
 few = settings(max_examples=3, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
 
 
@@ -63,8 +64,14 @@ def linear_at_constant_speed(seed: int, rng: np.random.Generator) -> Loop:
 
 
 def linear_with_a_human(seed: int, rng: np.random.Generator) -> Loop:
-    return driven(HumanDriver(v_min=0.0, v_max=9.0, seed=seed), LinearSingleTrack, rng, dt=0.01,
-                  actuator=SteeringActuator(gain=rng.uniform(0.9, 1.1)), sensors=Sensors.hard(seed))  # fmt: skip
+    return driven(
+        HumanDriver(v_min=0.0, v_max=9.0, seed=seed),
+        LinearSingleTrack,
+        rng,
+        dt=0.01,
+        actuator=SteeringActuator(gain=rng.uniform(0.9, 1.1)),
+        sensors=Sensors.hard(seed),
+    )
 
 
 def nonlinear_with_a_record(seed: int, rng: np.random.Generator) -> Loop:
@@ -81,15 +88,25 @@ def learner_with_recovery(seed: int, rng: np.random.Generator) -> Loop:
     driver = CarefulDriver(path=PAPER, driver=HumanDriver(seed=seed))
     doe = Integrator() if seed % 2 else LowPass()
     car = placed(NonlinearSingleTrack(vehicle=CAR, v0=5.0), PAPER, s=rng.uniform(0.0, PAPER.length), e=0.05)
-    return steering_loop(car=car, path=PAPER, driver=driver, controller=policy(rng), doe=doe,
-                         sensors=Sensors.hard(seed), recovery=Stanley.of(CAR),
-                         actuator=SteeringActuator(delay=0.05))  # fmt: skip
+    return steering_loop(
+        car=car,
+        path=PAPER,
+        driver=driver,
+        controller=policy(rng),
+        doe=doe,
+        sensors=Sensors.hard(seed),
+        recovery=Stanley.of(CAR),
+        actuator=SteeringActuator(delay=0.05),
+    )
 
 
 LOOPS: list[Callable[[int, np.random.Generator], Loop]] = [
-    linear_at_constant_speed, linear_with_a_human, nonlinear_with_a_record, nonlinear_with_a_profile,
+    linear_at_constant_speed,
+    linear_with_a_human,
+    nonlinear_with_a_record,
+    nonlinear_with_a_profile,
     learner_with_recovery,
-]  # fmt: skip
+]
 
 
 def require_same(log: Log, reference: Log, what: str, bound: float = 1e-12) -> None:
@@ -152,7 +169,7 @@ def test_exported_controllers_give_the_recorded_commands(make: Callable[..., Loo
     export_c(loop, tmp_path, blocks=blocks)
     program = tmp_path / "replay"
     sources = [tmp_path / "controller.c", tmp_path / "controller_test.c"]
-    command = [cache.compiler() or "", "-std=c99", "-O2", "-ffp-contract=off", *sources, "-o", program, "-lm"]
+    command = [*(native.compiler() or []), "-std=c99", "-O2", "-ffp-contract=off", *sources, "-o", program, "-lm"]
     subprocess.run([str(part) for part in command], check=True)
     done = subprocess.run([str(program)], capture_output=True, text=True, check=True)
     match = re.search(r"largest difference (\S+)", done.stdout)

@@ -6,7 +6,7 @@ import pytest
 pytest.importorskip("vehiclemodels")
 
 from steerkit.plants.linear_single_track import LinearSingleTrack
-from steerkit.plants.vehicle import BMW_320I, FORD_ESCORT
+from steerkit.vehicles import BMW_320I, FORD_ESCORT
 
 
 def theirs(car):

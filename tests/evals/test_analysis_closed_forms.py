@@ -61,8 +61,7 @@ class LateSpring(Block):
 def loop(n: int, every: int = 1, k: float = 1.0, d: float = 1.5) -> Loop:
     mass, spring = Mass(dt=DT / every), LateSpring(k=k, d=d, n=n, dt=DT)
     return Loop(
-        blocks={"mass": mass, "spring": spring},
-        wires=[(mass.p, spring.p), (mass.v, spring.v), (spring.a, mass.a)],
+        blocks={"mass": mass, "spring": spring}, wires=[(mass.p, spring.p), (mass.v, spring.v), (spring.a, mass.a)]
     )
 
 

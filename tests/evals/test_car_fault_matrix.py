@@ -11,12 +11,12 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import pytest
-from car_world import World, setup
 
-from steerkit.plants.real_car.core import Core, Link, Note
+from steerkit.plants.real_car.decisions.core import Core, Link, Note
+from steerkit.plants.real_car.decisions.modes import Mode, Order
 from steerkit.plants.real_car.simulated import Fault
-from steerkit.plants.real_car.states import Mode, Order
 from steerkit.units import degrees_of
+from tests.support.car_world import World, setup
 
 
 def plant_fault(kind: str, target: str, amount: float = 0.0) -> Callable[[World], None]:

@@ -7,19 +7,20 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from car_world import World, setup
 
-from steerkit import car as cars
-from steerkit import car_replay as replays
 from steerkit import realtime
 from steerkit.controllers.nfq_policy import NfqPolicy
-from steerkit.learning import nfq, on_car
-from steerkit.learning.follow import Steers
-from steerkit.learning.nfq import FitSetting
+from steerkit.learning.nfq import iterate as nfq
+from steerkit.learning.nfq.iterate import FitSetting
 from steerkit.learning.settings import Setting, changed, setting
 from steerkit.learning.trainer import Job, Result, SimulatedTrainer
+from steerkit.on_car import learner as on_car
+from steerkit.on_car import loop as loops
+from steerkit.on_car import replay as replays
+from steerkit.on_car.follow import Steers
 from steerkit.plants.real_car import recording as tapes
-from steerkit.plants.real_car.states import Mode, Order
+from steerkit.plants.real_car.decisions.modes import Mode, Order
+from tests.support.car_world import World, setup
 
 TINY = replace(
     setting("model-free"), name="tiny", fit=FitSetting(nets=1, epochs=20, mirror=True, hints=0), retrain_every_m=5.0
@@ -58,8 +59,8 @@ def test_whatever_an_untrained_net_does_it_is_caught_well_before_the_hard_limit(
 
 
 def test_called_at_half_a_metre_the_recovery_controller_would_come_too_late(monkeypatch: pytest.MonkeyPatch) -> None:
-    seen = cars.foresight(setup()[0])
-    monkeypatch.setattr(cars, "foresight", lambda config: replace(seen, weight=1e-9))
+    seen = loops.foresight(setup()[0])
+    monkeypatch.setattr(loops, "foresight", lambda config: replace(seen, weight=1e-9))
     world = untrained(setting("default"), 6.0)
     worst_e(world, 3.0)
     assert world.mode is Mode.FAULT
@@ -142,8 +143,12 @@ def test_a_learning_run_replays_bit_for_bit_with_the_nets_taken_over_on_the_way(
     config, path = setup()
     assert replays.replayed_requests(drive, config, path) == len(drive.requests) > 180
     # with the first net all along it comes out differently: the replay does depend on the nets
-    frozen = replace(drive, remarks=[(n, replace(s, name=drive.remarks[0][1].name, sha256=drive.remarks[0][1].sha256))
-                                     for n, s in drive.remarks])  # fmt: skip
+    frozen = replace(
+        drive,
+        remarks=[
+            (n, replace(s, name=drive.remarks[0][1].name, sha256=drive.remarks[0][1].sha256)) for n, s in drive.remarks
+        ],
+    )
     assert replays.replayed_requests(frozen, config, path) < len(drive.requests)
     # the directory has moved
     (tmp_path / "run").rename(tmp_path / "moved")
@@ -164,13 +169,13 @@ def test_a_run_is_continued_with_its_own_setting_only(tmp_path: Path, monkeypatc
     assert again.updates >= first.updates > 0
     assert len(again.transitions) > len(first.transitions)
     assert on_car.setting_of(tmp_path / "run") == TINY
-    assert cars.element_of(tmp_path / "run") == "integrator"
+    assert loops.element_of(tmp_path / "run") == "integrator"
     world = World()
     with pytest.raises(ValueError, match=r"learned with the setting 'tiny', which differs from 'default'; continue it"):
         on_car.CarLearner(setting("default"), tmp_path / "run", world.build, world)
     with pytest.raises(ValueError, match="holds no run of a car"):
         on_car.CarLearner(TINY, tmp_path, world.build, world)
-    named = cars.controller_named(str(tmp_path / "run"), setup()[0])
+    named = loops.controller_named(str(tmp_path / "run"), setup()[0])
     assert named.steers.doe == "integrator"
     assert Path(named.steers.name).name == f"net-{again._net:04d}.npz"
 

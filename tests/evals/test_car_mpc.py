@@ -8,14 +8,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from car_world import World, setup
 
-from steerkit import car as cars
-from steerkit import car_replay as replays
-from steerkit.controllers.mpc import FALLBACK, LATE, PLAN, SOLVED
-from steerkit.learning.follow import Steers
+from steerkit.controllers.mpc.linear import FALLBACK, LATE, PLAN, SOLVED
+from steerkit.controllers.stanley import Stanley
+from steerkit.on_car import loop as loops
+from steerkit.on_car import replay as replays
+from steerkit.on_car.follow import Steers
 from steerkit.plants.real_car import recording as tapes
-from steerkit.plants.real_car.states import Mode, Order
+from steerkit.plants.real_car.decisions.modes import Mode, Order
+from tests.support.car_world import World, setup
 
 
 def engaged(block: Any, tape: tapes.Recording | None = None) -> World:
@@ -37,7 +38,7 @@ def watched(world: World, seconds: float) -> dict[str, np.ndarray]:
 
 
 def block_of(**changes: Any) -> Any:
-    return replace(cars.controller_named("mpc", setup()[0]).block, **changes)  # type: ignore[type-var]
+    return replace(loops.controller_named("mpc", setup()[0]).block, **changes)  # type: ignore[type-var]
 
 
 def test_it_drives_bends_through_the_gate_and_replays_bit_for_bit(tmp_path: Path) -> None:
@@ -70,7 +71,7 @@ def test_a_late_solution_falls_back_to_the_plan_then_to_stanley_and_comes_back()
     clock = Stopwatch()
     world = engaged(block_of(clock=clock))
     assert (watched(world, 1.0)["status"] == SOLVED).all()
-    clock.taken = 2.0 * cars.MPC_BUDGET
+    clock.taken = 2.0 * loops.MPC_BUDGET
     late = watched(world, 3.0)
     assert (late["fault"] == LATE).all()
     assert late["status"].tolist()[:5] == [PLAN] * 4 + [FALLBACK]
@@ -88,15 +89,15 @@ def test_while_the_human_drives_it_follows_the_wheel_so_that_it_can_be_engaged()
     world.until(8.0)  # through bends, by hand
     assert world.mode is Mode.READY, world.core.obstacles()
     sample = world.run.sample
-    assert sample["controller.delta_sw"] == pytest.approx(sample["car.delta_sw"], abs=cars.Stanley.limit / 20.0)
+    assert sample["controller.delta_sw"] == pytest.approx(sample["car.delta_sw"], abs=Stanley.limit / 20.0)
     world.order(Order.ENGAGE)
     world.until(9.0)
     assert world.mode is Mode.ENGAGED
 
 
-@pytest.mark.parametrize("name", [n for n in cars.CONTROLLERS if n != "mpc"])
+@pytest.mark.parametrize("name", [n for n in loops.CONTROLLERS if n != "mpc"])
 def test_every_controller_by_name_drives_a_bend_on_the_car(name: str) -> None:
-    block: Any = cars.controller_named(name, setup()[0]).block
+    block: Any = loops.controller_named(name, setup()[0]).block
     if hasattr(type(block), "budget"):
         block = replace(block, clock=None, budget=None)
     world = World(s=120.0, v=(5.0, 6.0), controller=block)

@@ -29,7 +29,7 @@ class Terminal:
 
     def __init__(self, folder: Path, *words: str, **environment: str):
         self.master, slave = pty.openpty()
-        command = [sys.executable, "-c", "from steerkit.cli import main; main()", *words]
+        command = [sys.executable, "-c", "from steerkit.cli.app import main; main()", *words]
         env = {**os.environ, "TERM": "xterm", "COLUMNS": "100", "LINES": "30", **environment}
         self.process = subprocess.Popen(command, stdin=slave, stdout=slave, stderr=slave, cwd=folder, env=env)
         os.close(slave)
@@ -118,7 +118,7 @@ def test_a_dumb_terminal_gets_lines_and_still_keys(tmp_path: Path) -> None:
 
 def test_without_a_terminal_there_are_lines(tmp_path: Path) -> None:
     words = (*DRIVE, "--minutes", "0.03", "--json", "--realtime")
-    command = [sys.executable, "-c", "from steerkit.cli import main; main()", *words]
+    command = [sys.executable, "-c", "from steerkit.cli.app import main; main()", *words]
     done = subprocess.run(command, cwd=tmp_path, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=WAIT)
     assert done.returncode == 0, done.stderr
     assert "all checks hold" in done.stdout

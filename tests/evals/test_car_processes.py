@@ -14,27 +14,28 @@ from typing import Any
 
 import pytest
 
-from steerkit import car as cars
-from steerkit import car_replay as replays
-from steerkit import car_session as sessions
 from steerkit.clock import Clock
+from steerkit.on_car import loop as loops
+from steerkit.on_car import processes
+from steerkit.on_car import replay as replays
+from steerkit.on_car import session as sessions
 from steerkit.plants.real_car import recording as tapes
-from steerkit.plants.real_car.bus import BusPort, open_bus
-from steerkit.plants.real_car.client import CarLost, DriverLink
-from steerkit.plants.real_car.config import load
-from steerkit.plants.real_car.core import Core
-from steerkit.plants.real_car.driver import Driver
-from steerkit.plants.real_car.states import Mode, Order
+from steerkit.plants.real_car.decisions.core import Core
+from steerkit.plants.real_car.decisions.modes import Mode, Order
+from steerkit.plants.real_car.file.config import load
+from steerkit.plants.real_car.frames.bus import BusPort, open_bus
+from steerkit.plants.real_car.processes.client import CarLost, DriverLink
+from steerkit.plants.real_car.processes.server import Driver
 
 CONFIG = "dbw-kit.toml"
 
 
 @pytest.fixture(params=["", "127.0.0.1:0"], ids=["pty", "tcp"])
 def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[dict[str, Any]]:
-    simulated, channel = cars.start_simulated(CONFIG, log=str(tmp_path / "car.jsonl"), listen=request.param)
+    simulated, channel = processes.start_simulated(CONFIG, log=str(tmp_path / "car.jsonl"), listen=request.param)
     text = (tmp_path / "driver.log").open("w")
     socket, tape = str(tmp_path / "socket"), tmp_path / "drive.mcap"
-    driver = cars.start_driver(CONFIG, socket, recording=str(tape), channel=channel, log=text)
+    driver = processes.start_driver(CONFIG, socket, recording=str(tape), channel=channel, log=text)
     yield {"socket": socket, "tape": tape, "driver": driver, "simulated": simulated, "log": tmp_path / "car.jsonl"}
     for process in (driver, simulated):
         process.terminate()
@@ -45,7 +46,7 @@ def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[dict[str, 
 def drive(bench: dict[str, Any], seconds: float, name: str = "stanley") -> tuple[Mode, int]:
     """Engage, and drive with a controller; the mode at the end, and how many steps were engaged."""
     config = load(CONFIG)
-    path = cars.course_of(config)
+    path = loops.course_of(config)
     engaged = 0
     with DriverLink(bench["socket"], timeout=5.0) as link, DriverLink(bench["socket"], controller=False) as operator:
 
@@ -58,8 +59,9 @@ def drive(bench: dict[str, Any], seconds: float, name: str = "stanley") -> tuple
             elif link.last.mode is Mode.READY and not engaged:
                 operator.order(Order.ENGAGE)
 
-        cars.drive(config, path, link, cars.controller_named(name, config), duration=seconds, clock=Clock(),
-                   watch=watch)  # fmt: skip
+        loops.drive(
+            config, path, link, loops.controller_named(name, config), duration=seconds, clock=Clock(), watch=watch
+        )
         assert link.last is not None
         return link.last.mode, engaged
 
@@ -78,7 +80,7 @@ def test_drive_record_replay_and_an_orderly_end(bench: dict[str, Any], name: str
     recorded = tapes.read(bench["tape"])
     assert recorded.whole
     config = tapes.config_of(recorded)
-    path = cars.course_of(config)
+    path = loops.course_of(config)
     frames, same = tapes.replayed_exactly(recorded, Core(config, path))
     assert frames == same > 0
     (driven,) = replays.drives(recorded)
@@ -134,7 +136,7 @@ def test_another_interface_of_python_can(tmp_path: Path) -> None:
     assert bus is not None
     config, (_, path) = load(CONFIG, bus=bus), sessions.loaded(CONFIG)
     port, clock, socket = BusPort(bus), Clock(scale=0.2), str(tmp_path / "socket")
-    car = cars.simulated_car(config, path, t0=clock.now())
+    car = processes.simulated_car(config, path, t0=clock.now())
     driver = Driver(config, path, socket, recording=tapes.Recording(tmp_path / "drive.mcap", {"a": "b"}), clock=clock)
     modes: list[Mode] = []
 
@@ -151,12 +153,12 @@ def test_another_interface_of_python_can(tmp_path: Path) -> None:
                         operator.order(Order.ENGAGE)
                     return modes.count(Mode.ENGAGED) > 10
 
-                stanley = cars.controller_named("stanley", config)
-                cars.drive(config, path, link, stanley, duration=20.0, clock=clock, watch=watch)
+                stanley = loops.controller_named("stanley", config)
+                loops.drive(config, path, link, stanley, duration=20.0, clock=clock, watch=watch)
         finally:
             driver.stop()
 
-    serve = partial(cars.serve_simulated, car, port, clock, duration=30.0)
+    serve = partial(processes.serve_simulated, car, port, clock, duration=30.0)
     threading.Thread(target=serve, daemon=True).start()
     threading.Thread(target=control, daemon=True).start()
     handlers = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
@@ -176,4 +178,4 @@ def test_a_bus_that_is_not_there_is_named_and_so_is_the_log(tmp_path: Path) -> N
     with pytest.raises(OSError, match=r"bus interface = 'nope', channel = 'x': cannot be opened \(Unknown interface"):
         open_bus({"interface": "nope", "channel": "x"})
     with (tmp_path / "driver.log").open("w") as log, pytest.raises(CarLost, match=r"/dev/nowhere.*driver\.log"):
-        cars.start_driver(CONFIG, str(tmp_path / "socket"), channel="/dev/nowhere", log=log)
+        processes.start_driver(CONFIG, str(tmp_path / "socket"), channel="/dev/nowhere", log=log)

@@ -6,12 +6,12 @@ from functools import cache
 
 import pytest
 
-from steerkit.learning import evaluate
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.learn import learn
 from steerkit.learning.settings import BANG_BANG, DEFAULT
-from steerkit.learning.world import World
 from steerkit.metrics import of_log
+from steerkit.scenario import drive as evaluate
+from steerkit.scenario.world import World
 from steerkit.simulation import Log
 
 WORLD = World()

@@ -12,9 +12,9 @@ import pytest
 
 from steerkit import maths as m
 from steerkit.assembly import placed, steering_loop
-from steerkit.controllers.mpc import MPC, PredictiveSteering
-from steerkit.controllers.mpc_model import NX, PathModel
-from steerkit.controllers.nonlinear_mpc import NonlinearMPC
+from steerkit.controllers.mpc.linear import MPC, PredictiveSteering
+from steerkit.controllers.mpc.nonlinear import NonlinearMPC
+from steerkit.controllers.mpc.path_model import NX, PathModel
 from steerkit.courses import circle, course
 from steerkit.metrics import largest, rms
 from steerkit.plants.careful_driver import CarefulDriver
@@ -22,8 +22,8 @@ from steerkit.plants.human_driver import HumanDriver
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator
-from steerkit.plants.vehicle import vehicle
 from steerkit.simulation import simulate
+from steerkit.vehicles import vehicle
 
 PASSAT = vehicle("vw-passat")
 LINEAR, NONLINEAR = LinearSingleTrack(vehicle=PASSAT, v0=5.0), NonlinearSingleTrack(vehicle=PASSAT, v0=5.0)
@@ -82,8 +82,12 @@ def test_the_delay_is_answered_as_by_lqr_with_the_commands_on_their_way_as_state
     q[:5, :5] = block.model.stage_cost[0][:5, :5]
     k = np.asarray(control.dlqr(big, b, q, r)[0])[0]
     x = np.array([0.01, -0.004, 0.002, 0.01, 0.05, 0.06, 0.03, 0.02, 0.01])
-    y = asked(block, v=v, commands=tuple(x[5:].tolist()),
-              **dict(zip(("e", "psi_e", "beta", "r", "delta_sw_meas"), x.tolist())))  # fmt: skip
+    y = asked(
+        block,
+        v=v,
+        commands=tuple(x[5:].tolist()),
+        **dict(zip(("e", "psi_e", "beta", "r", "delta_sw_meas"), x.tolist())),
+    )
     # the newest command on its way is that of the sample before: the new one joins it within the sample
     assert y.plan[0] == pytest.approx(-k @ x, rel=3e-3)
 
@@ -99,8 +103,16 @@ def test_a_steady_bend_is_held(kind: type[PredictiveSteering], car: Any, v: floa
     along, drift = x_dot - PASSAT.l_f * r * np.sin(psi_e), y_dot + PASSAT.l_f * r * np.cos(psi_e)
     np.testing.assert_allclose([drift, psi_dot - kappa * along, along - v * pace, *rest], 0.0, atol=2e-3)
     beta = float(np.arctan2(sway, v)) if speed else sway
-    y = asked(block, kappa=kappa, v=v / float(np.cos(beta)) if speed else v, psi_e=psi_e, beta=beta, r=r,
-              delta_sw_meas=wheel, commands=(wheel,) * block.pieces)  # fmt: skip
+    y = asked(
+        block,
+        kappa=kappa,
+        v=v / float(np.cos(beta)) if speed else v,
+        psi_e=psi_e,
+        beta=beta,
+        r=r,
+        delta_sw_meas=wheel,
+        commands=(wheel,) * block.pieces,
+    )
     assert y.status == 0.0
     assert abs(y.plan[0]) < 5e-3  # of rad/s; turning in takes about 1
 
@@ -139,8 +151,15 @@ def test_a_tight_bend_is_met_where_it_is(reference: float) -> None:
     """The preview's entries lie v*dt apart; the front axle gets along faster, v/cos(delta)."""
     block = controller(MPC, NONLINEAR, reference=reference, delay=0.2)
     v, kappa, first = 4.0, 0.16, 12
-    u = block.D(e=0.0, psi_e=0.0, v=v, beta=0.0, r=0.0, delta_sw_meas=0.0,
-                preview=tuple([0.0 if j < first else kappa for j in range(block.preview_points)]))  # fmt: skip
+    u = block.D(
+        e=0.0,
+        psi_e=0.0,
+        v=v,
+        beta=0.0,
+        r=0.0,
+        delta_sw_meas=0.0,
+        preview=tuple([0.0 if j < first else kappa for j in range(block.preview_points)]),
+    )
     _, _, then = block._ahead(block.X((0.0,) * 4, (0.0,) * 20, 0.0), u)
     assert np.all(np.diff(then[4:25, 6]) >= 0.0)  # the stages
     assert (then[4:25, 6] < 1e-9).sum() == first - 4  # on the straight, both run at v
@@ -181,8 +200,14 @@ def test_the_tables_over_speed_are_the_exact_matrices() -> None:
 def test_a_round_trip_of_bends_under_delay_stays_within_centimetres(kind: type[PredictiveSteering]) -> None:
     path, motor = course("paper"), SteeringActuator(delay=0.2, lag=0.1)
     driver = CarefulDriver(path=path, driver=HumanDriver(seed=1))
-    loop = steering_loop(car=placed(NONLINEAR, path, s=180.0), path=path, driver=driver, actuator=motor,
-                         controller=kind.of(NONLINEAR, motor), reference=PASSAT.l_f)  # fmt: skip
+    loop = steering_loop(
+        car=placed(NONLINEAR, path, s=180.0),
+        path=path,
+        driver=driver,
+        actuator=motor,
+        controller=kind.of(NONLINEAR, motor),
+        reference=PASSAT.l_f,
+    )
     log = simulate(loop, 25.0, record=["path.e", "controller.status", "controller.residual"])
     settled = log["path.e"][300:]
     assert (log["controller.status"] == 0.0).all()
@@ -194,6 +219,12 @@ def test_a_round_trip_of_bends_under_delay_stays_within_centimetres(kind: type[P
 def test_a_circle_is_driven_without_a_steady_error() -> None:
     path, motor = circle(20.0), SteeringActuator(delay=0.1, lag=0.1)
     driver = CarefulDriver(path=path, driver=HumanDriver(v_min=6.0, v_max=6.0))
-    loop = steering_loop(car=placed(NONLINEAR, path), path=path, driver=driver, actuator=motor,
-                         controller=MPC.of(NONLINEAR, motor), reference=PASSAT.l_f)  # fmt: skip
+    loop = steering_loop(
+        car=placed(NONLINEAR, path),
+        path=path,
+        driver=driver,
+        actuator=motor,
+        controller=MPC.of(NONLINEAR, motor),
+        reference=PASSAT.l_f,
+    )
     assert largest(simulate(loop, 15.0, record=["path.e"])["path.e"][-300:]) < 2e-3

@@ -7,9 +7,11 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from steerkit.learning import rprop, rprop_c
-from steerkit.learning.qnetwork import flat, forward, new_net, shaped, sizes_of
-from steerkit.learning.rprop import Rprop, fit, predict
+from steerkit.learning.nfq import kernel as rprop_c
+from steerkit.learning.nfq import rprop
+from steerkit.learning.nfq.network import flat, forward, new_net, shaped, sizes_of
+from steerkit.learning.nfq.rprop import Rprop, fit, predict
+from steerkit.native import NoCompilerError
 
 LAYOUTS = [(7, 10, 10, 1), (3, 1), (2, 4, 1), (5, 11, 3, 7, 1), (1, 6, 8, 1)]
 
@@ -17,7 +19,7 @@ LAYOUTS = [(7, 10, 10, 1), (3, 1), (2, 4, 1), (5, 11, 3, 7, 1), (1, 6, 8, 1)]
 def _has_c() -> bool:
     try:
         rprop_c.library()
-    except rprop_c.NoKernel:
+    except NoCompilerError:
         return False
     return True
 
@@ -182,7 +184,7 @@ def test_without_a_compiler_torch_takes_over_and_says_so(monkeypatch: pytest.Mon
     try:
         with pytest.warns(RuntimeWarning, match="PyTorch.*nowhere"):
             assert rprop.engine_of("auto") == "torch"
-        with pytest.raises(rprop_c.NoKernel):
+        with pytest.raises(NoCompilerError):
             rprop.fit(new_net(), *data((7, 10, 10, 1), 5), epochs=1, engine="c")
     finally:
         rprop_c.library.cache_clear()

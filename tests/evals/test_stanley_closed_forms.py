@@ -16,8 +16,8 @@ from steerkit.path import Path
 from steerkit.plants.human_driver import ConstantSpeed
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
-from steerkit.plants.vehicle import vehicle
 from steerkit.simulation import Log, simulate
+from steerkit.vehicles import vehicle
 
 PASSAT = vehicle("vw-passat")
 RADIUS = 40.0
@@ -27,8 +27,11 @@ def driven(plant: Any, stanley: Stanley, path: Path, v: float, seconds: float, *
     """A car steered by Stanley without actuator; `controller_path` follows the front axle."""
     car = placed(plant(vehicle=PASSAT, v0=v), path, **start)
     loop = steering_loop(car=car, path=path, driver=ConstantSpeed(speed=v), controller=stanley)
-    front = next(name for name, block in loop.blocks.items() if getattr(block, "reference", 0.0) == PASSAT.l_f
-                 and block is not stanley)  # fmt: skip
+    front = next(
+        name
+        for name, block in loop.blocks.items()
+        if getattr(block, "reference", 0.0) == PASSAT.l_f and block is not stanley
+    )
     log = simulate(loop, seconds)
     log.signals["e_front"] = log[f"{front}.e"]
     return log

@@ -14,7 +14,7 @@ from scipy.linalg import expm
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack, fiala
 from steerkit.plants.single_track import V_DYNAMIC, V_KINEMATIC, dynamic_share
-from steerkit.plants.vehicle import VEHICLES, VW_PASSAT, G, Vehicle
+from steerkit.vehicles import VEHICLES, VW_PASSAT, G, Vehicle
 
 PLANTS = [LinearSingleTrack, NonlinearSingleTrack]
 CARS = pytest.mark.parametrize("car", VEHICLES.values(), ids=VEHICLES)
@@ -98,15 +98,24 @@ def test_integration_is_stable_at_every_speed(car):
 
 @settings(max_examples=30, deadline=None)
 @given(
-    l_f=st.floats(0.8, 2.0), l_r=st.floats(0.8, 2.0), grip_f=st.floats(5.0, 60.0), margin=st.floats(0.8, 1.0),
+    l_f=st.floats(0.8, 2.0),
+    l_r=st.floats(0.8, 2.0),
+    grip_f=st.floats(5.0, 60.0),
+    margin=st.floats(0.8, 1.0),
     inertia=st.floats(0.6, 2.0),
-)  # fmt: skip
+)
 def test_any_understeering_car_that_is_accepted_is_stable(l_f, l_r, grip_f, margin, inertia):
     load = 1500.0 * G / (l_f + l_r)
     car = Vehicle(
-        name="any", m=1500.0, i_z=inertia * 1500.0 * l_f * l_r, l_f=l_f, l_r=l_r, c_f=margin * grip_f * load * l_r,
-        c_r=grip_f * load * l_f, steer_ratio=16.0,
-    )  # fmt: skip
+        name="any",
+        m=1500.0,
+        i_z=inertia * 1500.0 * l_f * l_r,
+        l_f=l_f,
+        l_r=l_r,
+        c_f=margin * grip_f * load * l_r,
+        c_r=grip_f * load * l_f,
+        steer_ratio=16.0,
+    )
     with pytest.raises(ValueError, match=r"dt = 1\.0 \[s\], expected .*raise substeps") as error:
         LinearSingleTrack(vehicle=car, dt=1.0)
     longest = float(re.search(r"to ([0-9.e-]+);", str(error.value))[1])
@@ -213,9 +222,12 @@ def test_fiala_tyre():
 
 
 @given(
-    v=st.floats(3.0, 40.0), v_y=st.floats(-20.0, 20.0), r=st.floats(-5.0, 5.0), delta_sw=st.floats(-9.0, 9.0),
+    v=st.floats(3.0, 40.0),
+    v_y=st.floats(-20.0, 20.0),
+    r=st.floats(-5.0, 5.0),
+    delta_sw=st.floats(-9.0, 9.0),
     mu=st.floats(0.05, 1.5),
-)  # fmt: skip
+)
 def test_friction_limits_lateral_acceleration(v, v_y, r, delta_sw, mu):
     plant = NonlinearSingleTrack(vehicle=replace(VW_PASSAT, mu=mu))
     y = out(plant, plant.init()._replace(sway=v_y, r=r, v=v, delta_sw=delta_sw))

@@ -8,20 +8,21 @@ import numpy as np
 import pytest
 
 from steerkit.assembly import placed, steering_loop
-from steerkit.block import Block, In, Out, WiringError
+from steerkit.block import Block, In, Out
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.stanley import Stanley
 from steerkit.courses import circle, course
 from steerkit.doe import Integrator
+from steerkit.errors import WiringError
 from steerkit.loop import Loop
 from steerkit.plants.careful_driver import CarefulDriver
 from steerkit.plants.human_driver import ConstantSpeed, HumanDriver
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.sensors import Sensors
 from steerkit.plants.steering_actuator import SteeringActuator
-from steerkit.plants.vehicle import VW_PASSAT
 from steerkit.simulation import simulate
 from steerkit.tracker import PathTracker
+from steerkit.vehicles import VW_PASSAT
 
 ROUND = circle(30.0)
 

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from parts import Script
 
 from steerkit.block import Block
 from steerkit.doe import Corrected, Direct, HeldAngle, Integrator, LowPass
 from steerkit.loop import Loop
 from steerkit.simulation import Log, simulate
 from steerkit.units import radians_of
+from tests.support.parts import Script
 
 angles = st.floats(-12.0, 12.0)
 does = pytest.mark.parametrize("doe", [Integrator(), LowPass(), Direct()], ids=["integrator", "low-pass", "direct"])

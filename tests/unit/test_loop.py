@@ -10,13 +10,14 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
-from parts import Angle, Count, Delay, Gain, Pair, Sum, Wave
 
-from steerkit.block import Block, In, Out, WiringError
-from steerkit.controllers.recovery import Guarded
+from steerkit.block import Block, In, Out
+from steerkit.controllers.supervisor import Guarded
 from steerkit.doe import Integrator
+from steerkit.errors import WiringError
 from steerkit.loop import Loop
 from steerkit.simulation import simulate
+from tests.support.parts import Angle, Count, Delay, Gain, Pair, Sum, Wave
 
 
 def refused(message: str, **loop: Any) -> None:

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from parts import Count, Delay, Gain, Pair, Sum, Wave
 
 from steerkit.block import Block, In, Out
 from steerkit.loop import Loop, Sample
 from steerkit.simulation import Log, NonFiniteError, joined, simulate
+from tests.support.parts import Count, Delay, Gain, Pair, Sum, Wave
 
 
 def loop_of(rate: Any = 0.7, k: Any = 2.0) -> Loop:

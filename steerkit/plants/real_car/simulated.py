@@ -13,8 +13,8 @@ from steerkit.path import Path
 from steerkit.plants.careful_driver import CarefulDriver
 from steerkit.plants.human_driver import HumanDriver
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
-from steerkit.plants.real_car.codec import SignalEncoder
-from steerkit.plants.real_car.config import CarConfig
+from steerkit.plants.real_car.file.config import CarConfig
+from steerkit.plants.real_car.frames.codec import SignalEncoder
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.tracker import PathTracker
 
@@ -73,9 +73,19 @@ class SimulatedCar:
     """
 
     def __init__(
-        self, config: CarConfig, path: Path, human: Block, *, v_min: float = 4.0, v_max: float = 6.0,
-        a_y_max: float = 2.3, seed: int = 0, s: float = 0.0, e: float = 0.0, t0: float = 0.0,
-    ):  # fmt: skip
+        self,
+        config: CarConfig,
+        path: Path,
+        human: Block,
+        *,
+        v_min: float = 4.0,
+        v_max: float = 6.0,
+        a_y_max: float = 2.3,
+        seed: int = 0,
+        s: float = 0.0,
+        e: float = 0.0,
+        t0: float = 0.0,
+    ):
         self.config, self.human, self.faults = config, human, list[Fault]()
         self.t, self.k = t0, 0
         self.tracker = PathTracker(path=path, reference=config.vehicle.l_f, dt=STEP)
@@ -184,10 +194,22 @@ class SimulatedCar:
         y, t = self.now, self.t
         wrapped = math.remainder(y.psi, 2.0 * math.pi)
         values = {
-            "delta_sw": y.delta_sw, "v_kit": y.v, "torque": 0.2, "echo": self.command if self.enabled else y.delta_sw,
-            "enabled": float(self.enabled), "override": float(self.overridden), "timeout": float(self.timeout),
-            "x": y.x, "y": y.y, "psi": wrapped, "v": y.v, "r": y.r, "beta": y.beta, "a_y": y.a_y, "quality": 4.0,
-        }  # fmt: skip
+            "delta_sw": y.delta_sw,
+            "v_kit": y.v,
+            "torque": 0.2,
+            "echo": self.command if self.enabled else y.delta_sw,
+            "enabled": float(self.enabled),
+            "override": float(self.overridden),
+            "timeout": float(self.timeout),
+            "x": y.x,
+            "y": y.y,
+            "psi": wrapped,
+            "v": y.v,
+            "r": y.r,
+            "beta": y.beta,
+            "a_y": y.a_y,
+            "quality": 4.0,
+        }
         if "stamp" in self.config.quantities:
             values["stamp"] = round(t * 1e3) % 65536 * 1e-3
         if self._fault("kit_fault", t):

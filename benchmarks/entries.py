@@ -1,0 +1,228 @@
+"""Who is compared: analytic controllers, learned ones and outside peers, by name."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
+
+from benchmarks.scenarios import Scenario
+from steerkit.block import Block
+from steerkit.controllers.delay import delayed_stanley
+from steerkit.controllers.lqr import Lqr
+from steerkit.controllers.mpc.linear import MPC
+from steerkit.controllers.mpc.nonlinear import NonlinearMPC
+from steerkit.controllers.pure_pursuit import PurePursuit
+from steerkit.controllers.stanley import Stanley
+from steerkit.path import Path
+from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.steering_actuator import SteeringActuator
+
+Make = Callable[[Scenario, Path], Block]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Controller:
+    """One row of the table of controllers."""
+
+    name: str
+    """What it is called in results."""
+    kind: str
+    """`analytic`, `learned` or `peer`."""
+    about: str
+    """One line for the report."""
+    make: Make | None = None
+    """Makes the block for a scenario's nominal car and path; None for one that is learned."""
+    setting: str = ""
+    """How it learns: a name of `steerkit.learning.settings` or `peers.SETTINGS`; empty for one that does not."""
+    training: str = "clean"
+    """Where it learns: a name of `trainings.TRAININGS`."""
+    needs: str = ""
+    """Package that it cannot do without."""
+
+    @property
+    def learns(self) -> bool:
+        """Does it drive a net that a training of its own made?"""
+        return bool(self.setting)
+
+    @property
+    def missing(self) -> str:
+        """What has to be installed before it can drive, as a sentence; empty if nothing."""
+        if not self.needs or find_spec(self.needs) is not None:
+            return ""
+        name = self.needs.replace("_", "-")
+        extra = "docs/benchmarks.md says how" if name == "d3rlpy" else "pip install 'steerkit-control[peers]'"
+        return f"{name} is not installed: {extra}"
+
+
+def _stanley(scenario: Scenario, path: Path) -> Block:
+    return Stanley.of(scenario.nominal)
+
+
+def _textbook(scenario: Scenario, path: Path) -> Block:
+    return Stanley.textbook(scenario.nominal)
+
+
+def _delay(scenario: Scenario, path: Path) -> Block:
+    told = scenario.told_actuator()
+    return delayed_stanley(scenario.nominal, delay=scenario.told_dead_time, lag=float(told.lag))
+
+
+def _pure_pursuit(scenario: Scenario, path: Path) -> Block:
+    return PurePursuit.of(scenario.nominal, path, delay=scenario.told_dead_time)
+
+
+def _lqr(scenario: Scenario, path: Path) -> Block:
+    told, car = scenario.told_actuator(), scenario.nominal
+    return Lqr.of(car, LinearSingleTrack(vehicle=car).matrices, delay=scenario.told_dead_time, lag=float(told.lag))
+
+
+def _mpc(scenario: Scenario, path: Path) -> Block:
+    return MPC.of(NonlinearSingleTrack(vehicle=scenario.nominal), _whole_delay(scenario), clock=None)
+
+
+def _nonlinear_mpc(scenario: Scenario, path: Path) -> Block:
+    return NonlinearMPC.of(NonlinearSingleTrack(vehicle=scenario.nominal), _whole_delay(scenario), clock=None)
+
+
+def _do_mpc(scenario: Scenario, path: Path) -> Block:
+    from benchmarks.peers.agents import DoMpc
+
+    car = scenario.nominal
+    return DoMpc(
+        matrices=LinearSingleTrack(vehicle=car).matrices,
+        steer_ratio=car.steer_ratio,
+        reference=float(car.l_f),
+        lag=float(scenario.told_actuator().lag),
+    )
+
+
+def _whole_delay(scenario: Scenario) -> SteeringActuator:
+    """The steering as told, with the sensors' latency: for the loop, a delay is a delay."""
+    return replace(scenario.told_actuator(), delay=scenario.told_dead_time)
+
+
+_TABLE = (
+    Controller(name="stanley", kind="analytic", about="Stanley, all terms of eq. 9", make=_stanley),
+    Controller(
+        name="stanley-textbook", kind="analytic", about="Stanley, heading and cross-track terms only", make=_textbook
+    ),
+    Controller(name="stanley-delay", kind="analytic", about="Stanley behind a predictor of delay and lag", make=_delay),
+    Controller(name="pure-pursuit", kind="analytic", about="pure pursuit, no model", make=_pure_pursuit),
+    Controller(name="lqr", kind="analytic", about="LQR with delay states and curvature preview", make=_lqr),
+    Controller(name="mpc", kind="analytic", about="linear MPC over 1 s, limits and delay known", make=_mpc),
+    Controller(name="nonlinear-mpc", kind="analytic", about="nonlinear MPC, real-time iteration", make=_nonlinear_mpc),
+    Controller(
+        name="nfq-idoe", kind="learned", about="NFQ, integrating output element, our best setting", setting="default"
+    ),
+    Controller(name="nfq-low-pass", kind="learned", about="NFQ, low-pass output element", setting="low-pass"),
+    Controller(name="nfq-bang-bang", kind="learned", about="NFQ, bang-bang, +-520 degrees", setting="bang-bang"),
+    Controller(
+        name="nfq-paper-idoe",
+        kind="learned",
+        about="NFQ as published, integrating output element",
+        setting="paper",
+        training="published",
+    ),
+    Controller(
+        name="nfq-paper-bang-bang",
+        kind="learned",
+        about="NFQ as published, bang-bang, +-360 degrees",
+        setting="paper-bang-bang",
+        training="published",
+    ),
+    Controller(
+        name="nfq-idoe-quick",
+        kind="learned",
+        about="nfq-idoe after 3 minutes of driving",
+        setting="default",
+        training="quick",
+    ),
+    Controller(
+        name="nfq-bang-bang-quick",
+        kind="learned",
+        about="nfq-bang-bang after 3 minutes of driving",
+        setting="bang-bang",
+        training="quick",
+    ),
+    Controller(
+        name="nfq-idoe-genesis",
+        kind="learned",
+        about="nfq-idoe, taught on the recorded lap",
+        setting="default",
+        training="genesis",
+    ),
+    Controller(
+        name="nfq-idoe-linear",
+        kind="learned",
+        about="nfq-idoe, taught on the linear car",
+        setting="default",
+        training="linear",
+    ),
+    Controller(
+        name="nfq-idoe-hard",
+        kind="learned",
+        about="nfq-idoe, taught with noise, latency and more lag",
+        setting="default",
+        training="hard",
+    ),
+    Controller(
+        name="nfq-paper-120",
+        kind="learned",
+        about="NFQ as published, integrating, episodes of 200 m at most",
+        setting="paper",
+        training="episodes-120",
+    ),
+    Controller(
+        name="nfq-idoe-offline",
+        kind="learned",
+        about="nfq-idoe: 2 minutes of driving, then trained offline",
+        setting="default",
+        training="offline",
+    ),
+    Controller(
+        name="sb3-dqn",
+        kind="peer",
+        about="DQN of Stable-Baselines3, 30 minutes of driving",
+        setting="sb3-dqn",
+        training="agent",
+        needs="stable_baselines3",
+    ),
+    Controller(
+        name="sb3-sac",
+        kind="peer",
+        about="SAC of Stable-Baselines3, 30 minutes of driving",
+        setting="sb3-sac",
+        training="agent",
+        needs="stable_baselines3",
+    ),
+    Controller(
+        name="d3rlpy-nfq",
+        kind="peer",
+        about="NFQ of d3rlpy, offline on 4 minutes that nfq-idoe drove",
+        setting="d3rlpy-nfq",
+        training="record",
+        needs="d3rlpy",
+    ),
+    Controller(
+        name="do-mpc",
+        kind="peer",
+        about="nonlinear MPC of do-mpc (IPOPT), no dead time told",
+        make=_do_mpc,
+        needs="do_mpc",
+    ),
+)
+
+CONTROLLERS: Mapping[str, Controller] = {c.name: c for c in _TABLE}
+"""All controllers by name, in the order in which reports show them."""
+
+
+def controller(name: str) -> Controller:
+    """The controller of that name; raises ValueError with the nearest and the valid names."""
+    if name not in CONTROLLERS:
+        near = difflib.get_close_matches(name, CONTROLLERS, n=1, cutoff=0.4)
+        hint = f"; did you mean '{near[0]}'?" if near else ""
+        raise ValueError(f"controller '{name}' is not known{hint} (valid: {', '.join(CONTROLLERS)})")
+    return CONTROLLERS[name]

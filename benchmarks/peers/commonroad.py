@@ -1,0 +1,93 @@
+"""CommonRoad's multi-body car as a plant."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from steerkit.block import State
+from steerkit.errors import require
+from steerkit.plants.car import Car
+from steerkit.vehicles import VEHICLES
+
+_FORWARD = 2.0  # 1/s: how fast the multi-body car's driver closes a gap in speed
+_PEDALS = 3.0  # m/s^2: with how much at most; more spins its wheels
+_SUBSTEPS = 4  # its fastest mode is near -840/s: Runge-Kutta is stable to 2.78/840 s, and exact to 1e-5 at 2.5 ms
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CommonRoadMultiBody(Car):
+    """CommonRoad's multi-body car (29 states: suspension, wheels, Magic Formula tyres) as a plant that is not ours.
+
+    x' = vehicle_dynamics_mb(x, (0, a_x)), four Runge-Kutta steps of dt/4 a sample, with the road-wheel angle put to
+    delta_sw_in/steer_ratio (held) and a_x = 2/s (v_in - v_x) within +-3 m/s^2; a_y = v_y' + v_x r.
+
+    Ports: those of `SingleTrack`, whose docstring has their units. State: the model's 29, the last delta_sw [rad] and
+    the last v_in [m/s]. Interpreted floats only: the model cannot be traced or batched. Valid above 0.1 m/s.
+    Raises ValueError for a car that CommonRoad has not, ImportError without commonroad-vehicle-models.
+    Source: Althoff, Wuersching 2020, section 9; commonroad-vehicle-models 3.
+    """
+
+    pure = False  # its functions branch on their values
+
+    name: str = "bmw-320i"
+    """`bmw-320i` or `ford-escort`."""
+    x0: float = 0.0
+    """Start position [m]."""
+    y0: float = 0.0
+    """Start position [m]."""
+    psi0: float = 0.0
+    """Start heading [rad]."""
+    v0: float = 5.0
+    """Start speed [m/s]."""
+    dt: float = 0.01
+
+    def __post_init__(self) -> None:
+        cars = ("bmw-320i", "ford-escort")
+        require(self.name in cars, "CommonRoadMultiBody", f"car {self.name!r}; valid: {', '.join(cars)}")
+        require(self.v0 > 0.1, "CommonRoadMultiBody", f"v0 = {self.v0} [m/s], expected > 0.1")
+
+    @cached_property
+    def _model(self) -> tuple[Any, Any, Any]:
+        """The right-hand side, the initialiser, the parameters."""
+        from vehiclemodels.init_mb import init_mb
+        from vehiclemodels.parameters_vehicle1 import parameters_vehicle1
+        from vehiclemodels.parameters_vehicle2 import parameters_vehicle2
+        from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb
+
+        parameters = {"ford-escort": parameters_vehicle1, "bmw-320i": parameters_vehicle2}[self.name]()
+        return vehicle_dynamics_mb, init_mb, parameters
+
+    def init(self, batch: tuple[int, ...] = ()) -> State:
+        require(not batch, "CommonRoadMultiBody", "one car at a time: it cannot be batched")
+        _, init_mb, parameters = self._model
+        start = init_mb([self.x0, self.y0, 0.0, self.v0, self.psi0, 0.0, 0.0], parameters)
+        return (*[float(value) for value in start], 0.0, self.v0)
+
+    def output(self, t: Any, x: State, u: Any) -> Any:
+        v_x, r, v_y = x[3], x[5], x[10]
+        a_y = self._slope(np.array(x[:29]), x[30])[10] + v_x * r
+        return self.Y(x[0], x[1], x[4], math.hypot(v_x, v_y), math.atan2(v_y, v_x), r, float(a_y), x[29])
+
+    def update(self, t: Any, x: State, u: Any, y: Any) -> State:
+        p = VEHICLES[self.name]
+        delta_sw = min(max(u.delta_sw_in, -p.delta_sw_max), p.delta_sw_max)
+        z, v, h = np.array(x[:29]), u.v_in, self.dt / _SUBSTEPS
+        z[2] = delta_sw / float(p.steer_ratio)
+        for _ in range(_SUBSTEPS):
+            k1 = self._slope(z, v)
+            k2 = self._slope(z + 0.5 * h * k1, v)
+            k3 = self._slope(z + 0.5 * h * k2, v)
+            z = z + h / 6.0 * (k1 + 2.0 * (k2 + k3) + self._slope(z + h * k3, v))
+        return (*z.tolist(), delta_sw, v)
+
+    def _slope(self, z: Any, v: float) -> Any:
+        if not np.isfinite(z).all():  # the model's own functions raise on NaN, blocks hand it on
+            return np.full(29, np.nan)
+        rhs, _, parameters = self._model
+        a_x = min(max(_FORWARD * (v - z[3]), -_PEDALS), _PEDALS)
+        return np.array(rhs(z.tolist(), [0.0, a_x], parameters))

@@ -1,0 +1,158 @@
+"""Where controllers fail: maps over two conditions, lines over one, found in the scenarios that were driven."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from benchmarks.report.parts import controllers
+from benchmarks.run.results import Case
+
+WORDS = ("name", "title", "what", "label", "description", "about")
+"""Fields of a scenario that say nothing of how it is driven."""
+
+UNITS = {
+    "v": "m/s",
+    "v_min": "m/s",
+    "v_max": "m/s",
+    "delay": "s",
+    "lag": "s",
+    "told_delay": "s",
+    "told_lag": "s",
+    "latency": "s",
+    "wind": "m/s²",
+    "gust": "m/s²",
+}
+"""Units of a scenario's fields; the others are numbers, or end in _deg."""
+
+
+def condition(field: str) -> str:
+    """A field of a scenario in words, with its unit."""
+    words = field.removesuffix("_deg").replace("_", " ")
+    found = "deg" if field.endswith("_deg") else UNITS.get(field, "")
+    return f"{words} [{found}]" if found else words
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Which of two conditions a controller held: shares (rows, columns), NaN where nothing was driven."""
+
+    x: str
+    y: str
+    xs: tuple[float, ...]
+    ys: tuple[float, ...]
+    fixed: str
+    shares: dict[str, np.ndarray]
+    seeds: int
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """One condition varied, all others fixed: cases by controller and value."""
+
+    x: str
+    xs: tuple[float, ...]
+    fixed: str
+    cases: dict[str, list[list[Case]]]
+
+
+def grids(cases: Sequence[Case], protocol: Mapping[str, Mapping[str, Any]]) -> list[Grid]:
+    """Failure-boundary maps: every pair of a scenario's numbers that the cases vary over a grid, all else equal."""
+    found = []
+    for x, y in combinations(_varying(cases, protocol), 2):
+        for fixed, group in _groups(cases, protocol, (x, y)).items():
+            at = {name: (_value(protocol, name, x), _value(protocol, name, y)) for name in group}
+            xs, ys = sorted({p[0] for p in at.values()}), sorted({p[1] for p in at.values()})
+            if not _covers(at, xs, ys):
+                continue
+            here = [c for c in cases if c.scenario in at and c.status == "done"]
+            shares = {}
+            for name in controllers(here):
+                held = [[_held(here, name, at, (u, w)) for u in xs] for w in reversed(ys)]
+                shares[name] = np.array(held)
+            seeds = len({c.seed for c in here})
+            found.append(Grid(x, y, tuple(xs), tuple(reversed(ys)), fixed, shares, seeds))
+    return found
+
+
+def sweeps(cases: Sequence[Case], protocol: Mapping[str, Mapping[str, Any]]) -> list[Sweep]:
+    """Every number of the scenarios that takes three values or more, all else equal, and is not on a map already."""
+    found = []
+    mapped = {name for x, y in combinations(_varying(cases, protocol), 2) for name in _on_a_map(cases, protocol, x, y)}
+    for x in _varying(cases, protocol):
+        for fixed, group in _groups(cases, protocol, (x,)).items():
+            at = {_value(protocol, name, x): name for name in group}
+            if len(at) < 3 or mapped.issuperset(group):
+                continue
+            xs = tuple(sorted(at))
+            names = controllers(c for c in cases if c.scenario in group)
+            by = {n: [[c for c in cases if (c.controller, c.scenario) == (n, at[v])] for v in xs] for n in names}
+            found.append(Sweep(x, xs, fixed, by))
+    return found
+
+
+def _covers(at: Mapping[str, tuple[float, float]], xs: Sequence[float], ys: Sequence[float]) -> bool:
+    """Do the scenarios fill most of a grid, rather than a cross?"""
+    return min(len(xs), len(ys)) >= 2 and len(set(at.values())) >= max(4, 0.7 * len(xs) * len(ys))
+
+
+def _on_a_map(cases: Sequence[Case], protocol: Mapping[str, Mapping[str, Any]], x: str, y: str) -> list[str]:
+    found: list[str] = []
+    for group in _groups(cases, protocol, (x, y)).values():
+        at = {name: (_value(protocol, name, x), _value(protocol, name, y)) for name in group}
+        if _covers(at, sorted({p[0] for p in at.values()}), sorted({p[1] for p in at.values()})):
+            found += group
+    return found
+
+
+def _held(cases: Iterable[Case], name: str, at: Mapping[str, tuple[float, float]], point: tuple[float, float]) -> float:
+    held = [c.metrics.get("held", 0.0) > 0.5 for c in cases if c.controller == name and at[c.scenario] == point]
+    return float(np.mean(held)) if held else math.nan
+
+
+def conditions(scenario: Mapping[str, Any]) -> dict[str, Any]:
+    """What a scenario fixes, without its words; a steady speed is one number `v` instead of v_min and v_max."""
+    fields = {key: value for key, value in scenario.items() if key not in WORDS}
+    if "v_min" in fields and fields["v_min"] == fields.get("v_max"):
+        fields = {"v": fields.pop("v_min"), **fields}
+        del fields["v_max"]
+    return fields
+
+
+def _known(cases: Sequence[Case], protocol: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    return {name: conditions(protocol[name]) for name in dict.fromkeys(c.scenario for c in cases) if name in protocol}
+
+
+def _varying(cases: Sequence[Case], protocol: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Numeric conditions that differ between the scenarios of the cases."""
+    known = _known(cases, protocol)
+    fields = dict.fromkeys(field for fixed in known.values() for field in fixed)
+    return [f for f in fields if len({fixed[f] for fixed in known.values() if _numeric(fixed, f)}) > 1]
+
+
+def _numeric(fixed: Mapping[str, Any], field: str) -> bool:
+    value = fixed.get(field)
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _value(protocol: Mapping[str, Mapping[str, Any]], scenario: str, field: str) -> float:
+    return float(conditions(protocol[scenario])[field])
+
+
+def _groups(
+    cases: Sequence[Case], protocol: Mapping[str, Mapping[str, Any]], free: tuple[str, ...]
+) -> dict[str, list[str]]:
+    """Scenarios that agree in all but the `free` conditions, by what tells one such group from the others in words."""
+    known = {n: fixed for n, fixed in _known(cases, protocol).items() if all(_numeric(fixed, f) for f in free)}
+    groups: dict[str, list[str]] = {}
+    for n, fixed in known.items():
+        groups.setdefault(repr(sorted((k, repr(v)) for k, v in fixed.items() if k not in free)), []).append(n)
+    firsts = [known[group[0]] for group in groups.values()]
+    told = [k for k in dict.fromkeys(k for f in firsts for k in f) if len({repr(f.get(k)) for f in firsts}) > 1]
+    words = [", ".join(f"{k} {f[k]}" for k in told if k in f and k not in free) for f in firsts]
+    return dict(zip(words, groups.values()))

@@ -1,0 +1,286 @@
+"""The report's pictures: matplotlib figures as SVG that takes its colours and letters from the page around it."""
+
+from __future__ import annotations
+
+import io
+import itertools
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from steerkit.plots.style import COLOURS, PALETTE, new_figure, style
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
+    from matplotlib.figure import Figure
+
+WIDTH = 4.6
+"""Width of a picture [in]: it fits a phone, and two or three stand side by side on a desk."""
+TRIP = 0.5
+MOST_DOTS = 150
+"""No controller gets more dots than these in one plot."""
+LINES = ("-", (0, (5, 1.5)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)))
+"""Dashes take over where twelve colours are used up, and tell lines apart without colour."""
+_SERIAL = itertools.count()
+_INK = {
+    COLOURS["ink"]: "--ink",
+    COLOURS["muted"]: "--muted",
+    COLOURS["grid"]: "--grid",
+    COLOURS["limit"]: "--limit",
+    COLOURS["goal"]: "--goal",
+    COLOURS["paper"]: "--card",
+}
+
+
+@dataclass(frozen=True)
+class Look:
+    """How one controller is drawn, everywhere the same."""
+
+    colour: str
+    dashes: Any
+    css: str
+    """The colour as the page knows it."""
+
+    @property
+    def line(self) -> dict[str, Any]:
+        """Keyword arguments of a line."""
+        return {"color": self.colour, "ls": self.dashes}
+
+
+def looks(controllers: Sequence[str]) -> dict[str, Look]:
+    """A look for each controller, by its place in the list."""
+    n = len(PALETTE)
+    return {
+        name: Look(PALETTE[i % n], LINES[i // n % len(LINES)], f"var(--c{i % n})") for i, name in enumerate(controllers)
+    }
+
+
+def svg(figure: Figure, words: str) -> str:
+    """The figure as an <svg> element: colours as the page's variables, letters as letters, ids of its own.
+
+    words: what it shows, for those who do not see it.
+    """
+    import matplotlib as mpl
+
+    serial = f"f{next(_SERIAL)}"
+    buffer = io.StringIO()
+    with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "steerkit"}):
+        figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+    text = buffer.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.S)
+    text = re.sub(r'\bid="([^"]+)"', rf'id="{serial}-\1"', text)
+    text = re.sub(r'(xlink:href|href)="#([^"]+)"', rf'href="#{serial}-\2"', text)
+    text = re.sub(r"url\(#([^)]+)\)", rf"url(#{serial}-\1)", text)
+    text = re.sub(r' xmlns:xlink="[^"]*"', "", text)
+    text = re.sub(r"font: ([^;\"]*?)(\d[\d.]*px) [^;\"]*", r"font: \1\2 inherit; font-family: inherit", text)
+    for colour, variable in (*_INK.items(), *((c, f"--c{i}") for i, c in enumerate(PALETTE))):
+        text = re.sub(re.escape(colour), f"var({variable})", text, flags=re.I)
+    text = re.sub(r"(<text[^>]*style=\")", r"\1fill: var(--ink); ", text)
+    safe = words.replace("&", "&amp;").replace('"', "&quot;").replace("<", "&lt;")
+    return re.sub(
+        r'<svg[^>]*?viewBox="([^"]*)"[^>]*>', rf'<svg viewBox="\1" role="img" aria-label="{safe}">', text, count=1
+    )
+
+
+def new(height: float, *, width: float = WIDTH, square: bool = False) -> tuple[Figure, Axes]:
+    """A figure with one panel [in]."""
+    figure, (axes,) = new_figure(1, width=width, height=height)
+    if square:
+        axes.set_aspect("equal", adjustable="datalim")
+    return figure, axes
+
+
+def dots(
+    values: Mapping[str, np.ndarray],
+    middle: Mapping[str, tuple[float, float, float]],
+    look: Mapping[str, Look],
+    *,
+    limit: float | None,
+) -> Figure:
+    """One metric: a dot a case, a bar for the median's interval and a tick for the median, one row a controller.
+
+    values: by controller, of which the finite ones are drawn. middle: (median, low, high), infinite ones left out.
+    """
+    with style():
+        height, left = 0.42 + 0.24 * len(values), 0.14 + 0.066 * max(map(len, values))
+        figure, axes = new(height)
+        figure.set_layout_engine("none")  # known margins: solving for them takes as long as drawing
+        axes.set_position((left / WIDTH, 0.3 / height, 1.0 - (left + 0.16) / WIDTH, 1.0 - 0.36 / height))
+        rng = np.random.default_rng(0)
+        finite = np.concatenate([v[np.isfinite(v)] for v in values.values()] or [np.zeros(0)])
+        positive = finite[finite > 0.0]
+        if len(positive) and len(positive) == len(finite) and positive.max() > 25.0 * positive.min():
+            axes.set_xscale("log")
+            _plain_numbers(axes.xaxis)
+        for row, (name, found) in enumerate(values.items()):
+            shown = found[np.isfinite(found)]
+            if len(shown) > MOST_DOTS:  # as many of their quantiles, or the page grows with every case
+                shown = np.quantile(shown, np.linspace(0.0, 1.0, MOST_DOTS))
+            shift = rng.uniform(-0.22, 0.22, len(shown))
+            axes.plot(shown, row + shift, "o", ms=3.2, mew=0, alpha=0.45, color=look[name].colour)
+            centre, low, high = middle[name]
+            if math.isfinite(low) and math.isfinite(high):
+                axes.plot([low, high], [row, row], color=look[name].colour, lw=2.4, solid_capstyle="butt")
+            if math.isfinite(centre):
+                axes.plot([centre], [row], "|", ms=11, mew=2.0, color=look[name].colour)
+        if limit is not None and len(finite) and finite.max() > 0.4 * limit:
+            axes.axvline(limit, color=COLOURS["limit"], lw=0.9, ls="--")
+        axes.set_yticks(range(len(values)), list(values))
+        axes.set_ylim(len(values) - 0.5, -0.5)
+        axes.grid(axis="y", visible=False)
+        if axes.get_xscale() == "linear":
+            axes.ticklabel_format(axis="x", useOffset=False)
+            axes.locator_params(axis="x", nbins=6)
+            low, high = axes.get_xlim()
+            if high - low < 1e-3 * max(abs(low), abs(high), 1e-6) or not len(finite) or np.ptp(finite) == 0.0:
+                at = float(np.mean(finite)) if len(finite) else 0.0
+                axes.set_xlim(at - max(0.5 * abs(at), 0.1), at + max(0.5 * abs(at), 0.1))
+        return figure
+
+
+def _plain_numbers(axis: Axis) -> None:
+    """On a logarithmic axis: 0.1, 0.2, 0.5 instead of powers of ten."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=10))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(NullFormatter())
+
+
+def course_map(drives: Mapping[str, Mapping[str, np.ndarray]], look: Mapping[str, Look], magnified: float) -> Figure:
+    """Where each controller drove, its distance from the path drawn `magnified` times; grey is the path itself."""
+    with style():
+        figure, axes = new(3.9, width=5.4, square=True)
+        longest = max(drives.values(), key=lambda d: float(d["s"].max() - d["s"].min()))
+        centre, _ = _frame(longest)
+        axes.plot(*centre.T, color=COLOURS["muted"], lw=3.0, alpha=0.35, solid_capstyle="round")
+        for name, drive in drives.items():
+            foot, normal = _frame(drive)
+            drawn = foot + magnified * np.clip(drive["e"], -TRIP, TRIP)[:, None] * normal
+            axes.plot(*drawn.T, lw=1.0, label=name, **look[name].line)
+        axes.plot(*centre[0], "o", ms=5, color=COLOURS["ink"])
+        axes.set_xlabel("x [m]")
+        axes.set_ylabel("y [m]")
+        return figure
+
+
+def error_along(drives: Mapping[str, Mapping[str, np.ndarray]], look: Mapping[str, Look]) -> Figure:
+    """e [m] over the driven distance, one line a controller."""
+    with style():
+        figure, axes = new(3.9, width=5.4)
+        for name, drive in drives.items():
+            dt = float(np.mean(np.diff(drive["t"]))) if len(drive["t"]) > 1 else 0.0
+            axes.plot(np.cumsum(drive["v"]) * dt, drive["e"], lw=0.9, label=name, **look[name].line)
+        axes.axhspan(-0.05, 0.05, color=COLOURS["goal"], alpha=0.3, lw=0)
+        largest = max(float(np.nanmax(np.abs(d["e"]))) for d in drives.values())
+        if largest > 0.6 * TRIP:
+            for level in (-TRIP, TRIP):
+                axes.axhline(level, color=COLOURS["limit"], lw=0.9, ls="--")
+        bound = min(1.15 * max(largest, 0.06), 1.5)
+        axes.set_ylim(-bound, bound)
+        axes.margins(x=0.0)
+        axes.set_xlabel("driven [m]")
+        axes.set_ylabel("e [m]")
+        return figure
+
+
+def magnification(drives: Mapping[str, Mapping[str, np.ndarray]]) -> float:
+    """A round factor by which e [m] is enlarged on a map so that the widest excursion is a thirtieth of the map."""
+    span = max(float(np.ptp(d["x"])) + float(np.ptp(d["y"])) for d in drives.values()) / 2.0
+    widest = max(float(np.nanmax(np.abs(np.clip(d["e"], -TRIP, TRIP)))) for d in drives.values())
+    exact = span / 30.0 / max(widest, 1e-3)
+    steps = [f * 10.0**k for k in range(4) for f in (1.0, 2.0, 5.0)]
+    return max((s for s in steps if s <= exact), default=1.0)
+
+
+def _frame(drive: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """The path's points beside the car (T, 2) [m] and its left normals there (T, 2); the car's own psi is not kept."""
+    p = np.column_stack([drive["x"], drive["y"]])
+    way = np.gradient(p, axis=0)
+    psi = np.arctan2(way[:, 1], way[:, 0]) - drive["psi_e"]
+    normal = np.column_stack([-np.sin(psi), np.cos(psi)])
+    return p - drive["e"][:, None] * normal, normal
+
+
+def first_seconds(drive: Mapping[str, np.ndarray], look: Look, *, seconds: float = 350.0) -> Figure:
+    """e [m] from the first second of a training on, shaded where the recovery controller steers (figure 5)."""
+    with style():
+        figure, axes = new(2.4, width=5.4)
+        keep = drive["t"] <= drive["t"][0] + seconds
+        t, e, learns = drive["t"][keep], drive["e"][keep], drive["learning"][keep] > 0.5
+        axes.fill_between(
+            t,
+            0.0,
+            1.0,
+            where=~learns,
+            transform=axes.get_xaxis_transform(),
+            color=COLOURS["muted"],
+            alpha=0.3,
+            lw=0,
+            step="post",
+        )
+        for level in (-TRIP, TRIP):
+            axes.axhline(level, color=COLOURS["limit"], lw=0.9, ls="--")
+        axes.plot(t, e, lw=0.8, color=look.colour)
+        axes.set_ylim(-1.0, 1.0)
+        axes.set_xlim(t[0], t[-1])
+        axes.set_xlabel("driving time [s]")
+        axes.set_ylabel("e [m]")
+        return figure
+
+
+def bands(
+    x: np.ndarray,
+    curves: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]],
+    look: Mapping[str, Look],
+    *,
+    x_label: str,
+    y_label: str,
+    log: bool = False,
+    limit: float | None = None,
+    points: bool = False,
+    share: bool = False,
+    steps: bool = False,
+) -> Figure:
+    """One line a controller with its interval: curves are (middle, low, high), each (len(x),); infinite is a gap."""
+    with style():
+        figure, axes = new(2.9)
+        highest = max([float(np.max(m[np.isfinite(m)], initial=0.0)) for m, *_ in curves.values()] or [0.0])
+        for name, (middle, low, high) in curves.items():
+            top = np.where(np.isfinite(high), high, 10.0 * highest if highest else 1.0)
+            seen = np.isfinite(middle)
+            step: Literal["post"] | None = "post" if steps else None
+            axes.fill_between(x, low, top, where=seen, color=look[name].colour, alpha=0.14, lw=0, step=step)
+            drawn = np.where(seen, middle, np.nan)
+            axes.plot(
+                x,
+                drawn,
+                marker="o" if points else "",
+                ms=3.0,
+                lw=1.5,
+                label=name,
+                drawstyle="steps-post" if steps else "default",
+                **look[name].line,
+            )
+        if limit is not None:
+            axes.axhline(limit, color=COLOURS["limit"], lw=0.9, ls="--")
+        if share:
+            axes.set_ylim(-0.03, 1.03)
+        elif log:
+            axes.set_yscale("log")
+            _plain_numbers(axes.yaxis)
+            if highest:
+                axes.set_ylim(top=2.0 * max(highest, limit or 0.0))
+        elif highest:
+            axes.set_ylim(0.0, 1.15 * max(highest, limit or 0.0))
+        if len(x) > 1:
+            axes.set_xlim(x[0] - 0.02 * np.ptp(x), x[-1] + 0.02 * np.ptp(x))
+        axes.set_xlabel(x_label)
+        axes.set_ylabel(y_label)
+        return figure

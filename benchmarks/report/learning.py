@@ -1,0 +1,131 @@
+"""Learning in the report: curves over driving time and over trainings, and what it cost until it worked."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmarks.report.parts import of_metric
+from benchmarks.run.results import Case, Results
+from steerkit.metrics import GOOD, TABLE, Interval, Metric, interval, share
+
+Curve = Mapping[str, np.ndarray]
+Band = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Curves:
+    """Learning over x, which is driving minutes or trainings: by controller (middle, low, high), each over x."""
+
+    scenario: str
+    x: np.ndarray
+    rms_e: dict[str, Band]
+    good: dict[str, Band]
+    seeds: dict[str, int]
+
+
+def learning(results: Results, cases: Sequence[Case], *, points: int = 80) -> list[Curves]:
+    """Curves over driving time by scenario: RMS e of the net in use, and the share of seeds whose net is GOOD.
+
+    A seed's value at a time is that of the last net that had taken the wheel; before the first it counts as never.
+    """
+    found = []
+    for scenario, learners in _runs(results, cases).items():
+        end = max(float(c["t"].max()) for runs in learners.values() for c in runs)
+        found.append(_curves(scenario, learners, np.linspace(0.0, end / 60.0, points), lambda c: c["t"] / 60.0))
+    return found
+
+
+def offline(results: Results, cases: Sequence[Case]) -> list[Curves]:
+    """The same over the number of trainings, for scenarios whose nets went on being trained after the driving."""
+    found = []
+    for scenario, learners in _runs(results, cases).items():
+        runs = [c for them in learners.values() for c in them]
+        if all(np.count_nonzero(c["t"] == c["t"].max()) >= 3 for c in runs):
+            most = max(len(c["t"]) for c in runs)
+            found.append(_curves(scenario, learners, np.arange(most + 1.0), lambda c: np.arange(1.0, len(c["t"]) + 1)))
+    return found
+
+
+def _runs(results: Results, cases: Sequence[Case]) -> dict[str, dict[str, list[Curve]]]:
+    """Curves of the finished trainings, by scenario and controller."""
+    found: dict[str, dict[str, list[Curve]]] = {}
+    for case in (c for c in cases if c.kind == "learn" and c.status == "done"):
+        curve = results.curve(case)
+        if curve is not None and len(curve["t"]):
+            found.setdefault(case.scenario, {}).setdefault(case.controller, []).append(curve)
+    return found
+
+
+def _curves(
+    scenario: str, learners: Mapping[str, list[Curve]], x: np.ndarray, at: Callable[[Curve], np.ndarray]
+) -> Curves:
+    rms_e = {name: _band([_held_at(at(c), _rms(c), x, math.inf) for c in runs]) for name, runs in learners.items()}
+    good = {name: _shares([_held_at(at(c), _good(c), x, 0.0) for c in runs]) for name, runs in learners.items()}
+    return Curves(scenario, x, rms_e, good, {name: len(runs) for name, runs in learners.items()})
+
+
+def _rms(curve: Curve) -> np.ndarray:
+    return np.where(np.isfinite(curve["rms_e"]) & (curve["held"] > 0.5), curve["rms_e"], np.inf)
+
+
+def _good(curve: Curve) -> np.ndarray:
+    bounds = (curve["max_e"] < GOOD.max_e) & (curve["rms_e"] < GOOD.rms_e) & (curve["max_jerk"] < GOOD.max_jerk)
+    kept = bounds & (curve["held"] > 0.5) & (curve["rounds"] >= GOOD.rounds)
+    return np.where(kept, 1.0, 0.0)
+
+
+def _held_at(at: np.ndarray, values: np.ndarray, x: np.ndarray, before: float) -> np.ndarray:
+    """At each x the value of the last net that stood by then; before the first, `before`."""
+    return np.concatenate([[before], values])[np.searchsorted(at, x, side="right")]
+
+
+def _band(rows: list[np.ndarray]) -> Band:
+    return _by_column(rows, lambda column: interval(column, np.median))
+
+
+def _shares(rows: list[np.ndarray]) -> Band:
+    return _by_column(rows, lambda column: share(column > 0.5))
+
+
+def _by_column(rows: list[np.ndarray], of: Callable[[np.ndarray], Interval]) -> Band:
+    """Value, low and high of each column; between two new nets columns repeat, and are worked out once."""
+    columns, which = np.unique(np.array(rows), axis=1, return_inverse=True)
+    found = np.array([(i.value, i.low, i.high) for i in map(of, columns.T)])[which]
+    return found[:, 0], found[:, 1], found[:, 2]
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What it cost one learner."""
+
+    scenario: str
+    controller: str
+    seeds: int
+    medians: tuple[Interval, ...]
+    """One a metric, with bootstrap intervals."""
+    rounds: Interval
+    """Share of the seeds that drove a whole round."""
+    good: Interval
+    """Share of the seeds that came to a GOOD controller."""
+
+
+def costs(cases: Sequence[Case]) -> tuple[list[Metric], list[Cost]]:
+    """What learning cost, by scenario and learner; and the metrics of which there are medians."""
+    learnt = [c for c in cases if c.kind == "learn" and c.status == "done"]
+    columns = [m for m in TABLE if m.group == "learning" and any(m.name in c.metrics for c in learnt)]
+    found = []
+    for scenario, name in dict.fromkeys((c.scenario, c.controller) for c in learnt):
+        here = [c for c in learnt if (c.scenario, c.controller) == (scenario, name)]
+        medians = tuple(interval(of_metric(here, m), np.median) for m in columns)
+        found.append(
+            Cost(scenario, name, len(here), medians, _reached(here, "round_minutes"), _reached(here, "good_minutes"))
+        )
+    return columns, found
+
+
+def _reached(cases: Sequence[Case], name: str) -> Interval:
+    return share([math.isfinite(case.metrics.get(name, math.nan)) for case in cases])

@@ -1,0 +1,335 @@
+"""The report of a benchmark run: one HTML file that holds everything and asks nothing of the network.
+
+Leaderboards, one plot a metric, drives on the map, failure-boundary maps, learning curves with intervals, the paper's
+values beside ours, the protocol and where the numbers came from.
+
+    python -m benchmarks report runs/bench --out report.html
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path as FilePath
+from typing import Any
+
+import numpy as np
+
+from benchmarks.report import conditions, figures, learning, parts
+from benchmarks.report.paper import paper_rows
+from benchmarks.report.verdict import verdict
+from benchmarks.run.results import Case, Results, load_results
+from steerkit.metrics import Metric, interval
+
+TEMPLATE = FilePath(__file__).with_name("report.html.j2")
+LINES_ON_A_MAP = 12
+"""More controllers than these make a map unreadable."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One picture with its caption."""
+
+    title: str
+    text: str
+    svg: str
+
+
+def write_report(results: Results, out: str | FilePath) -> FilePath:
+    """Write the report of the results to `out`; returns that file. Needs jinja2 (extra `bench`)."""
+    file = FilePath(out)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(html(results), encoding="utf-8")
+    return file
+
+
+def html(results: Results) -> str:
+    """The report as one HTML document. Raises ValueError if no case has finished."""
+    import jinja2
+
+    if not results.cases:
+        raise ValueError(f"{results.place}: no case has finished, so there is nothing to report; run the suite first")
+    look = figures.looks(list(dict.fromkeys([*known_controllers(results), *parts.controllers(results.cases)])))
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters |= {
+        "shown": parts.number,
+        "named": _named,
+        "unit": parts.unit,
+        "condition": conditions.condition,
+    }
+    template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
+    return template.render(
+        place=results.place.name,
+        tiles=tiles(results),
+        verdict=verdict_html(results),
+        suites=[suite(results, name, look) for name in parts.suites(results)],
+        paper=paper_rows(results),
+        metrics=parts.METRICS,
+        used={name for case in results.cases for name in case.metrics},
+        provenance=provenance(results),
+        scenarios=protocol(results),
+        kinds=kinds(results),
+        problems=[case for case in results.cases if case.status != "done"],
+        missing=results.missing,
+        look=look,
+    )
+
+
+def tiles(results: Results) -> list[tuple[str, str, str]]:
+    """The numbers at the top: (number, what it is, more about it)."""
+    drives = [c for c in results.cases if c.status == "done"]
+    found = [
+        (
+            f"{len(drives):,}",
+            "cases finished",
+            f"{len(results.missing)} missing, {len(results.cases) - len(drives)} without a result",
+        )
+    ]
+    seeds = {c.seed for c in drives}
+    found.append(
+        (
+            str(len(parts.controllers(drives))),
+            "controllers",
+            f"{len({c.scenario for c in drives})} scenarios, {len(seeds)} seeds",
+        )
+    )
+    measured = [c for c in drives if "held" in c.metrics]
+    if measured:
+        held = float(np.mean([c.metrics["held"] > 0.5 for c in measured]))
+        found.append((f"{100.0 * held:.0f} %", "of all drives kept to the course", "|e| ≤ 0.5 m, start to end"))
+    spent = sum(c.cpu_seconds for c in drives if math.isfinite(c.cpu_seconds))
+    found.append((f"{spent / 60.0:,.1f} min", "computing time", "of one core, all cases"))
+    return found
+
+
+def verdict_html(results: Results) -> str:
+    """The verdict's Markdown as HTML, without its heading; what is no Markdown in it stays text."""
+    from markdown_it import MarkdownIt
+
+    text = re.sub(r"\A## .*\n", "", verdict(results))
+    made: str = MarkdownIt("commonmark", {"html": False}).enable("table").render(text)
+    return made.replace("<table>", '<div class="scroll"><table>').replace("</table>", "</table></div>")
+
+
+def suite(results: Results, name: str, look: dict[str, figures.Look]) -> dict[str, Any]:
+    """All that the page shows of one suite."""
+    cases = [case for case in results.cases if case.suite == name]
+    done = [case for case in cases if case.status == "done"]
+    columns, rows = parts.leaderboard(cases)
+    reference = parts.reference_of(parts.controllers(done))
+    learners, learned = learning.costs(done)
+    return {
+        "name": name,
+        "cases": len(cases),
+        "scenarios": list(dict.fromkeys(case.scenario for case in cases)),
+        "seeds": sorted({case.seed for case in cases}),
+        "controllers": parts.controllers(cases),
+        "held": parts.has(cases, "held"),
+        "columns": columns,
+        "rows": rows,
+        "reference": reference,
+        "versus": parts.against(done, reference) if reference else [],
+        "plots": metric_plots(done, look),
+        "maps": maps(results, done, look),
+        "grids": conditions.grids(done, results.protocol),
+        "sweeps": sweep_plots(done, results, look),
+        "curves": curve_plots(results, done, look),
+        "traces": trace_plots(results, done, look),
+        "learners": learners,
+        "learned": learned,
+    }
+
+
+def metric_plots(cases: Sequence[Case], look: dict[str, figures.Look]) -> list[Picture]:
+    """One plot a metric: every case a dot, the median with its interval a bar."""
+    found = []
+    for m in (m for m in parts.METRICS if m.group != "learning" and parts.has(cases, m.name)):
+        of = {name: [c for c in cases if c.controller == name] for name in parts.controllers(cases)}
+        values = {name: parts.of_metric(here, m) for name, here in of.items()}
+        middle = {name: _median(parts.by_seed(here, m), m) for name, here in of.items()}
+        figure = figures.dots(values, middle, look, limit=m.limit)
+        better = "lower" if m.lower_is_better else "higher"
+        limit = "" if m.limit is None else f" Dashed: {m.limit:g} {parts.unit(m)}."
+        text = f"{m.what}; {better} is better.{limit} {_off_the_plot(values)}"
+        found.append(Picture(_named(m), text, figures.svg(figure, m.what)))
+    return found
+
+
+def _named(m: Metric) -> str:
+    return f"{m.label} [{parts.unit(m)}]" if parts.unit(m) else m.label
+
+
+def _median(values: np.ndarray, m: Metric) -> tuple[float, float, float]:
+    found = interval(values if m.lower_is_better else -values, np.median)
+    return (found.value, found.low, found.high) if m.lower_is_better else (-found.value, -found.high, -found.low)
+
+
+def _off_the_plot(values: dict[str, np.ndarray]) -> str:
+    lost = {name: int((~np.isfinite(v)).sum()) for name, v in values.items()}
+    told = ", ".join(f"{name} {n}" for name, n in lost.items() if n)
+    return f"Not held or without a value, counted as worst: {told}." if told else ""
+
+
+def maps(results: Results, cases: Sequence[Case], look: dict[str, figures.Look]) -> list[dict[str, Any]]:
+    """For the first drive on each course: where the controllers drove, and e along the way."""
+    found, seen = [], set()
+    cases = [case for case in cases if case.kind == "drive"]
+    for scenario in dict.fromkeys(case.scenario for case in cases):
+        course = str(results.protocol.get(scenario, {}).get("course", scenario))
+        if course in seen:
+            continue
+        seed = min(case.seed for case in cases if case.scenario == scenario)
+        here = [c for c in cases if c.scenario == scenario and c.seed == seed]
+        drives = {c.controller: drive for c in here if (drive := results.trajectory(c)) is not None}
+        drives = {name: d for name, d in drives.items() if len(d["t"]) > 3 and np.isfinite(d["x"] + d["y"]).all()}
+        if not drives:
+            continue
+        seen.add(course)
+        shown = dict(list(drives.items())[:LINES_ON_A_MAP])
+        times = figures.magnification(shown)
+        found.append(
+            {
+                "course": course,
+                "scenario": scenario,
+                "seed": seed,
+                "controllers": list(shown),
+                "left_out": list(drives)[LINES_ON_A_MAP:],
+                "times": times,
+                "map": figures.svg(figures.course_map(shown, look, times), f"drives on {course}"),
+                "along": figures.svg(figures.error_along(shown, look), f"cross-track error along {course}"),
+            }
+        )
+    return found
+
+
+def sweep_plots(cases: Sequence[Case], results: Results, look: dict[str, figures.Look]) -> list[Picture]:
+    """Largest |e| over each condition that was varied alone."""
+    found = []
+    for sweep in conditions.sweeps(cases, results.protocol):
+        curves = {}
+        for name, by_value in sweep.cases.items():
+            bands = [_largest_e(group) for group in by_value]
+            curves[name] = tuple(np.array(column) for column in zip(*bands))
+        figure = figures.bands(
+            np.array(sweep.xs),
+            curves,  # type: ignore[arg-type]
+            look,
+            x_label=conditions.condition(sweep.x),
+            y_label="max |e| [m]",
+            limit=0.5,
+            points=True,
+            log=True,
+        )
+        title = f"max |e| over {conditions.condition(sweep.x)}" + (f" ({sweep.fixed})" if sweep.fixed else "")
+        text = "Median over the seeds with its 95 % interval. A line ends where half the drives left the course."
+        found.append(Picture(title, text, figures.svg(figure, title)))
+    return found
+
+
+def _largest_e(cases: Sequence[Case]) -> tuple[float, float, float]:
+    held = [c.metrics.get("max_e", math.nan) if c.metrics.get("held", 0.0) > 0.5 else math.inf for c in cases]
+    values = [math.inf if math.isnan(v) else v for v in held]
+    if not values:
+        return (math.inf, math.inf, math.inf)
+    found = interval(values, np.median)
+    return found.value, found.low, found.high
+
+
+def curve_plots(results: Results, cases: Sequence[Case], look: dict[str, figures.Look]) -> list[Picture]:
+    """Two pictures a scenario of learning: the share of seeds that drive well, and how well."""
+    found = []
+    for curves, x in (
+        *((c, "driving time [min]") for c in learning.learning(results, cases)),
+        *((c, "trainings") for c in learning.offline(results, cases)),
+    ):
+        seeds = ", ".join(f"{name} {n}" for name, n in curves.seeds.items())
+        good = figures.bands(curves.x, curves.good, look, x_label=x, y_label="share of seeds", share=True, steps=True)
+        text = (
+            "Seeds whose net of that moment drives a whole round with |e| < 0.25 m, RMS e < 0.10 m and jerk < 5 m/s³; "
+            f"Wilson's 95 % interval. Seeds: {seeds}."
+        )
+        title = f"{curves.scenario}: good drivers over {x.partition(' [')[0]}"
+        found.append(Picture(title, text, figures.svg(good, title)))
+        rms = figures.bands(curves.x, curves.rms_e, look, x_label=x, y_label="RMS e [m]", log=True, steps=True)
+        text = (
+            "RMS e of one round by the net of that moment: median over the seeds, bootstrap 95 % interval. The line "
+            "begins when half the seeds hold the round."
+        )
+        title = f"{curves.scenario}: RMS e over {x.partition(' [')[0]}"
+        found.append(Picture(title, text, figures.svg(rms, title)))
+    return found
+
+
+def trace_plots(results: Results, cases: Sequence[Case], look: dict[str, figures.Look]) -> list[Picture]:
+    """The first training of each learner from its first second on, as the paper's figure 5."""
+    found, seen = [], set()
+    for case in sorted((c for c in cases if c.kind == "learn"), key=lambda c: c.seed):
+        drive = results.trajectory(case)
+        if drive is None or len(drive["t"]) < 2 or (case.controller, case.scenario) in seen:
+            continue
+        seen.add((case.controller, case.scenario))
+        title = f"{case.controller}, {case.scenario}, seed {case.seed}: from the first second"
+        text = "Shaded: the recovery controller steers. Dashed: |e| = 0.5 m, where an episode ends."
+        figure = figures.first_seconds(drive, look[case.controller])
+        found.append(Picture(title, text, figures.svg(figure, title)))
+    return found
+
+
+def protocol(results: Results) -> dict[str, Any]:
+    """Scenarios as rows: what all have in common, and the fields in which they differ."""
+    named = {
+        n: conditions.conditions(f) for n, f in results.protocol.items() if any(c.scenario == n for c in results.cases)
+    }
+    fields = list(dict.fromkeys(key for f in named.values() for key in f))
+    differing = [k for k in fields if len({repr(f.get(k)) for f in named.values()}) > 1]
+    common = {k: next(iter(named.values()))[k] for k in fields if k not in differing}
+    rows = {n: [f.get(k, "") for k in differing] for n, f in named.items()}
+    return {"common": common, "fields": differing, "rows": rows}
+
+
+def known_controllers(results: Results) -> dict[str, Any]:
+    """What the provenance says of the controllers, by name."""
+    kept = results.provenance.get("controllers", {})
+    return kept if isinstance(kept, dict) else {}
+
+
+def kinds(results: Results) -> dict[str, tuple[str, str]]:
+    """What each controller is (analytic, learned, peer) and one line about it; empty words where that was not kept."""
+    told = known_controllers(results)
+    return {
+        name: (str(told.get(name, {}).get("kind", "")), str(told.get(name, {}).get("about", "")))
+        for name in parts.controllers(results.cases)
+    }
+
+
+def provenance(results: Results) -> list[tuple[str, str]]:
+    """Where the numbers came from, as pairs of words; the plan itself is shown elsewhere."""
+    shown = {k: v for k, v in results.provenance.items() if k not in ("scenarios", "controllers", "planned")}
+    return [(key, v if isinstance(v, str) else json.dumps(v, ensure_ascii=False)) for key, v in shown.items()]
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Parse the command line, write the page, say where it is."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("results", help="directory that `python -m benchmarks run` wrote")
+    parser.add_argument("--out", default=None, help="the file to write (default: report.html in the directory)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object as the last line")
+    a = parser.parse_args(arguments)
+    try:
+        results = load_results(a.results)
+        file = write_report(results, a.out or results.place / "report.html")
+    except ValueError as error:
+        parser.error(str(error))
+    size, cases = file.stat().st_size, len(results.cases)
+    told = json.dumps({"report": str(file), "bytes": size, "cases": cases})
+    print(told if a.json else f"{file}: {size / 1e6:.1f} MB, {cases} cases")
+
+
+if __name__ == "__main__":
+    main()

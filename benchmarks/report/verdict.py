@@ -1,0 +1,214 @@
+"""A short honest text from results: where learned beats analytic, where it does not, and by how much."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmarks.run.results import Case, Results
+from steerkit.metrics import Paired, metric, paired, share
+
+JUDGED = {
+    "rms_e": "cross-track error",
+    "rms_wheel_rate_deg": "smoothness at the wheel",
+    "max_jerk": "lateral jerk",
+    "max_a_y": "lateral acceleration",
+}
+"""What is compared, and what it stands for."""
+SIGNIFICANT = 0.05
+_ENOUGH = 6  # seeds: no p of the test is below 2^(1 - n)
+OPPONENT = "stanley"
+"""The analytic controller that every text also compares with, whichever was best."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Duel:
+    """A learned against an analytic controller by one metric in one scenario."""
+
+    scenario: str
+    metric: str
+    learned: str
+    analytic: str
+    mean_learned: float
+    mean_analytic: float
+    result: Paired | None
+    """Paired over the seeds that both held; None for fewer than two."""
+    seeds: int
+    """Seeds that both held."""
+    left_out: int
+    """Seeds that one of them did not hold."""
+
+    @property
+    def decided(self) -> int:
+        """-1: learned is better, beyond chance; 1: analytic is; 0: neither."""
+        if self.result is None or self.result.p >= SIGNIFICANT:
+            return 0
+        return -1 if self.result.difference.value < 0.0 else 1
+
+
+def duels(results: Results, learned: str, analytic: str, suite: str | None = None) -> list[Duel]:
+    """The learned against the analytic controller, in every scenario that both drove, by every judged metric."""
+    found = []
+    for scenario in dict.fromkeys(case.scenario for case in _drives(results, suite)):
+        one, two = (_by_seed(results, scenario, name, suite) for name in (learned, analytic))
+        if not one or not two:
+            continue
+        seeds = sorted(one if len(one) >= len(two) else two)  # a drive without chance has one seed: it meets all
+        pairs = [(_at(one, n), _at(two, n)) for n in seeds]
+        for name in JUDGED:
+            held = [
+                (a.metrics.get(name, math.nan), b.metrics.get(name, math.nan))
+                for a, b in pairs
+                if a and b and a.metrics.get("held") and b.metrics.get("held")
+            ]
+            values = np.array([pair for pair in held if np.isfinite(pair).all()], dtype=float).reshape(-1, 2)
+            means = values.mean(axis=0) if len(values) else (math.nan, math.nan)
+            found.append(
+                Duel(
+                    scenario=scenario,
+                    metric=name,
+                    learned=learned,
+                    analytic=analytic,
+                    mean_learned=float(means[0]),
+                    mean_analytic=float(means[1]),
+                    result=paired(values[:, 0], values[:, 1]) if len(values) >= 2 else None,
+                    seeds=len(values),
+                    left_out=len(pairs) - len(values),
+                )
+            )
+    return found
+
+
+def verdict(results: Results, *, suite: str | None = None) -> str:
+    """The text, in Markdown. suite: of one suite only. Says so where there is nothing to compare."""
+    kinds = {name: told["kind"] for name, told in results.provenance["controllers"].items()}
+    driven = dict.fromkeys(case.controller for case in _drives(results, suite))
+    learned = [name for name in driven if kinds.get(name) == "learned"]
+    analytic = [name for name in driven if kinds.get(name) == "analytic"]
+    lines = [f"## Learned against analytic{f', suite {suite}' if suite else ''}", ""]
+    if results.missing:
+        lines += [
+            f"**Unfinished: {len(results.missing)} of {len(results.provenance['planned'])} cases are missing.**",
+            "",
+        ]
+    broken = [case for case in results.cases if case.status == "error"]
+    if broken:
+        lines += [f"Ended with an error and left out: {len(broken)}, the first {broken[0].id}.", ""]
+    if not learned or not analytic:
+        return "\n".join([*lines, "Nothing to compare: these results lack drives of one of the two kinds.", ""])
+    seeds = max(len({case.seed for case in _drives(results, suite) if case.controller == name}) for name in learned)
+    if seeds < _ENOUGH:
+        lines += [
+            f"**{seeds} seeds: with fewer than {_ENOUGH} nothing can be told apart; the ratios are all there is.**",
+            "",
+        ]
+    lines += [*_holding(results, [*analytic, *learned], suite), ""]
+    for name in learned:
+        lines += [*_of_one(results, name, analytic, suite), ""]
+    return "\n".join([*lines, _SMALL_PRINT, ""])
+
+
+_SMALL_PRINT = (
+    "Simulated drives only; no car was driven. Each controller is judged where it has its errors measured (front axle, "
+    "rear axle or centre of gravity), which also moves the lateral acceleration that a course asks of the centre of "
+    "gravity. Differences are means over the seeds that both held, with 95 % bootstrap intervals. Better and worse "
+    f"mean p < {SIGNIFICANT:g} in the sign-flip permutation test of the pairs, not corrected for how many there are: "
+    "one in twenty is found where there is none; with five seeds or fewer no p is as small. An analytic controller in "
+    "a scenario without chance drives once and meets every net. The best analytic controller is chosen after the fact, "
+    "scenario by scenario."
+)
+
+
+def _holding(results: Results, names: Sequence[str], suite: str | None) -> list[str]:
+    """How often each kept |e| <= 0.5 m to the end."""
+    rows = ["| controller | drives held | share, 95 % interval |", "|---|---|---|"]
+    for name in names:
+        held = [bool(case.metrics.get("held")) for case in _drives(results, suite) if case.controller == name]
+        if held:
+            part = share(held)
+            rows.append(f"| {name} | {sum(held)} of {len(held)} | {part.value:.2f} [{part.low:.2f}, {part.high:.2f}] |")
+    return rows
+
+
+def _of_one(results: Results, learned: str, analytic: Sequence[str], suite: str | None) -> list[str]:
+    """The paragraph of one learned controller."""
+    against = {name: duels(results, learned, name, suite) for name in analytic}
+    lines = [f"### {learned}", ""]
+    if OPPONENT in against:
+        for name, word in JUDGED.items():
+            lines.append("* " + _sentence(word, [d for d in against[OPPONENT] if d.metric == name]))
+    for name, word in JUDGED.items():
+        best = _best([d for duel in against.values() for d in duel if d.metric == name])
+        won = [d for d in best if d.decided < 0]
+        lost = [d for d in best if d.decided > 0]
+        if best:
+            even = len(best) - len(won) - len(lost)
+            lines.append(
+                f"* {word.capitalize()}, against the best analytic controller of each scenario: {_ratio(best)}; "
+                f"better in {len(won)}, worse in {len(lost)}, not to be told apart in {even} of {len(best)}"
+                + (f"; better in {_names(d.scenario for d in won)}." if won else ".")
+            )
+    return lines
+
+
+def _sentence(word: str, found: Sequence[Duel]) -> str:
+    """One metric against the usual opponent, scenario by scenario in words."""
+    compared = [d for d in found if d.seeds]
+    never = [d for d in found if not d.seeds]
+    if not compared:
+        return f"{word.capitalize()} ({OPPONENT}): no seed on which both held their drive and it was measured."
+    unit = metric(compared[0].metric).unit
+    parts = []
+    for what, sign in (("better", -1), ("worse", 1)):
+        of_kind = [d for d in compared if d.decided == sign]
+        if of_kind:
+            most = max(of_kind, key=lambda d: abs(math.log(max(d.mean_learned, 1e-12) / max(d.mean_analytic, 1e-12))))
+            assert most.result is not None
+            gap = most.result.difference
+            parts.append(
+                f"{what} in {len(of_kind)} of {len(compared)} scenarios, most in {most.scenario}: "
+                f"{most.mean_learned:.3g} against {most.mean_analytic:.3g} {unit}, "
+                f"difference {gap.value:+.3g} [{gap.low:+.3g}, {gap.high:+.3g}], p = {most.result.p:.2g}"
+            )
+    even = sum(d.decided == 0 for d in compared)
+    if even:
+        parts.append(f"not to be told apart in {even}")
+    if never:
+        parts.append(f"never both held in {_names(d.scenario for d in never)}")
+    return f"{word.capitalize()}, against {OPPONENT}: {_ratio(compared)}; {'; '.join(parts)}."
+
+
+def _ratio(found: Sequence[Duel]) -> str:
+    """How large the learned controller's figure is beside the other's: geometric mean over the scenarios."""
+    gaps = [math.log(max(d.mean_learned, 1e-12) / max(d.mean_analytic, 1e-12)) for d in found]
+    return f"{math.exp(sum(gaps) / len(gaps)):.2f} times as large over {len(found)} scenarios"
+
+
+def _best(found: Iterable[Duel]) -> list[Duel]:
+    """For each scenario the duel with the analytic controller whose mean is lowest, of those that held most seeds."""
+    by_scenario: dict[str, list[Duel]] = {}
+    for duel in found:
+        if duel.seeds:
+            by_scenario.setdefault(duel.scenario, []).append(duel)
+    return [min(duels, key=lambda d: (-d.seeds, d.mean_analytic)) for duels in by_scenario.values()]
+
+
+def _drives(results: Results, suite: str | None) -> list[Case]:
+    return [c for c in results.cases if c.kind == "drive" and c.status == "done" and suite in (None, c.suite)]
+
+
+def _by_seed(results: Results, scenario: str, name: str, suite: str | None) -> dict[int, Case]:
+    return {c.seed: c for c in _drives(results, suite) if (c.scenario, c.controller) == (scenario, name)}
+
+
+def _at(cases: dict[int, Case], seed: int) -> Case | None:
+    """The case of that seed; the only one there is, if there is one."""
+    return next(iter(cases.values())) if len(cases) == 1 else cases.get(seed)
+
+
+def _names(found: Iterable[str], most: int = 6) -> str:
+    names = [*dict.fromkeys(found)]
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

@@ -1,0 +1,1 @@
+"""Carry out suites: drives and trainings, their results on disk."""

@@ -1,0 +1,91 @@
+"""What changed between two results: provenance, cases that came or went, and metrics, case by case."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from benchmarks.run.results import TIMES, Results
+
+REL, ABS = 1e-9, 1e-12
+"""By how much a number may differ, of its size and in its unit, and still count as the same."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """A number of one case that is not the same."""
+
+    case: str
+    metric: str
+    before: float
+    after: float
+
+    @property
+    def relative(self) -> float:
+        """Change over the number before [1]; infinite where that is 0 or either is no number."""
+        gap = self.after - self.before
+        return abs(gap / self.before) if self.before and math.isfinite(gap) else math.inf
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Everything that differs between results A and B."""
+
+    provenance: dict[str, tuple[Any, Any]]
+    """Entries that differ: versions, commit, processor, ..."""
+    only_a: tuple[str, ...]
+    """Cases that only A has."""
+    only_b: tuple[str, ...]
+    """Cases that only B has."""
+    status: tuple[tuple[str, str, str], ...]
+    """Cases that ended differently: id, how in A, how in B."""
+    changes: tuple[Change, ...]
+    """Metrics beyond the tolerance, the largest relative change first."""
+    compared: int
+    """Numbers that were compared."""
+
+    @property
+    def same(self) -> bool:
+        """Do all numbers agree, of the same cases?"""
+        return not (self.only_a or self.only_b or self.status or self.changes)
+
+
+def compare(a: Results, b: Results, *, rel: float = REL, absolute: float = ABS) -> Comparison:
+    """Compare case by case; computing times are left out. Raises ValueError when no case is in both.
+
+    rel [1], absolute [the metric's unit]: a number is the same if |b - a| <= max(rel*max(|a|, |b|), absolute).
+    """
+    if not (rel >= 0.0 and absolute >= 0.0):
+        raise ValueError(f"compare: rel = {rel}, absolute = {absolute}, expected >= 0")
+    first, second = ({case.id: case for case in results.cases} for results in (a, b))
+    both = [name for name in first if name in second]
+    if not both:
+        raise ValueError(f"compare: {a.place} and {b.place} have no case in common; run the same suite")
+    status, changes, compared = [], [], 0
+    for name in both:
+        one, two = first[name], second[name]
+        if (one.status, one.error) != (two.status, two.error):
+            status.append((name, one.error or one.status, two.error or two.status))
+        for metric in sorted({*one.metrics, *two.metrics}):
+            if f"metric.{metric}" in TIMES:
+                continue
+            x, y = (case.metrics.get(metric, math.nan) for case in (one, two))
+            compared += 1
+            if not same(x, y, rel, absolute):
+                changes.append(Change(name, metric, x, y))
+    keys = ("commit", "dirty", "source", "versions", "platform", "processor", "cores")
+    told = {key: (a.provenance.get(key), b.provenance.get(key)) for key in keys}
+    return Comparison(
+        provenance={key: pair for key, pair in told.items() if pair[0] != pair[1]},
+        only_a=tuple(name for name in first if name not in second),
+        only_b=tuple(name for name in second if name not in first),
+        status=tuple(status),
+        changes=tuple(sorted(changes, key=lambda change: -change.relative)),
+        compared=compared,
+    )
+
+
+def same(a: float, b: float, rel: float, absolute: float) -> bool:
+    """Are two numbers equal within the tolerance? Two NaN are, and equal infinities."""
+    return (math.isnan(a) and math.isnan(b)) or math.isclose(a, b, rel_tol=rel, abs_tol=absolute)

@@ -1,0 +1,224 @@
+"""One test drive of one controller through one scenario, compiled where its blocks allow, and what it came to."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path as FilePath
+from typing import Any
+
+import numpy as np
+
+from benchmarks.entries import controller
+from benchmarks.peers.agents import SETTINGS
+from benchmarks.run.results import TRAJECTORY
+from benchmarks.scenarios import Scenario, open_parameters, shape
+from steerkit.block import Block
+from steerkit.compiled import Compiled, TraceError, compile
+from steerkit.compiled.trace import parameter
+from steerkit.controllers.network_policy import PolicyBlock
+from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.doe import Integrator
+from steerkit.loop import Loop, Sample
+from steerkit.metrics import measures, step_times
+from steerkit.path import Path
+from steerkit.simulation import Log, simulate
+from steerkit.tracker import PathTracker
+
+LIMIT = 0.5
+"""|e| beyond which a drive is not held [m]; the paper's bound."""
+OFF_COURSE = 3.0
+"""|e| at which a drive is over [m]."""
+SIGNALS = {
+    "s": "path.s",
+    "x": "car.x",
+    "y": "car.y",
+    "psi": "car.psi",
+    "e": "path.e",
+    "psi_e": "path.psi_e",
+    "v": "car.v",
+    "delta_sw": "car.delta_sw",
+    "delta_sw_rate": "actuator.rate",
+    "a_y": "car.a_y",
+    "learning": "supervisor.learning",
+}
+_LEAST = 40  # samples: 2 s; less is no drive to measure
+_KEPT = 1500  # samples of a trajectory, about
+
+
+@dataclass(frozen=True)
+class Policy:
+    """A learned controller: its net and the setting whose dynamic output element it drives."""
+
+    block: NfqPolicy | PolicyBlock
+    setting: str
+
+    @property
+    def doe(self) -> Block:
+        """The dynamic output element; that of the environments for an agent."""
+        from steerkit.learning.settings import setting
+
+        return Integrator() if isinstance(self.block, PolicyBlock) else setting(self.setting).element()
+
+    @classmethod
+    def load(cls, file: FilePath, setting: str) -> Policy:
+        """What a training has left in `file`."""
+        kind: Any = PolicyBlock if setting in SETTINGS else NfqPolicy
+        return cls(kind.load(file), setting)
+
+
+@dataclass(frozen=True)
+class Driven:
+    """What a drive came to."""
+
+    metrics: dict[str, float]
+    trajectory: dict[str, np.ndarray]
+
+
+def drive(
+    scenario: Scenario, name: str, *, seed: int = 0, policy: Policy | None = None, timed_steps: int = 0
+) -> Driven:
+    """Let the controller called `name` (or the learned `policy`) drive the scenario once.
+
+    timed_steps: over how many of its samples the controller's computing time is measured; 0: not.
+    """
+    form = shape(scenario)
+    path = _path(form)
+    if policy is None:
+        steers, doe = _steers(name, form), None
+    else:
+        steers, doe = policy.block, policy.doe
+    loop = scenario.loop(path, steers, doe=doe, seed=seed)
+    inputs = _inputs(loop) if timed_steps else {}
+    log = _driven(scenario, form, path, loop, name, policy is not None, tuple(inputs.values()))
+    metrics, trajectory = judged(log, scenario, path, loop)
+    if timed_steps:
+        metrics |= step_times(_timed(loop.blocks["controller"], log, inputs, timed_steps))
+    return Driven(metrics, trajectory)
+
+
+def judged(log: Log, scenario: Scenario, path: Path, loop: Loop) -> tuple[dict[str, float], dict[str, np.ndarray]]:
+    """Metrics of the part that the controller itself drove of the distance asked for, and its trajectory.
+
+    held [1]: |e| <= 0.5 m to the end, and for a learned one the wheel never handed over. rounds [1]: how much of the
+    distance it drove: until a learned one was first caught, or |e| was beyond 3 m. rms_e_front, max_e_front [m]: e of
+    the front axle, wherever the controller has its own measured.
+    """
+    length, e, progress = scenario.length(path), log["path.e"], log["path.progress"]
+    off = ~(np.abs(e) <= OFF_COURSE)
+    if "supervisor.learning" in log:
+        off |= (log["supervisor.learning"] < 0.5) | ~(np.abs(e) <= LIMIT)
+    over = progress >= length
+    end = min(_first(off), _first(over) + 1)
+    driven = {ours: log[theirs][:end] for ours, theirs in SIGNALS.items() if theirs in log}
+    t = log.t[:end]
+    held = bool(over.any()) and _first(over) < _first(off) and bool((np.abs(driven["e"]) <= LIMIT).all())
+    share = float(np.clip(progress[max(0, end - 1)] / length, 0.0, 1.0)) if end else 0.0
+    metrics = {"held": float(held), "rounds": scenario.rounds * share, "duration": float(t[-1]) if end else 0.0}
+    if end >= _LEAST:
+        metrics |= measures(t=t, **{k: driven[k] for k in ("e", "psi_e", "delta_sw", "a_y")})
+        front = _front_error(loop, log, path, end, float(scenario.nominal.l_f))
+        metrics |= {"rms_e_front": float(np.sqrt(np.mean(front**2))), "max_e_front": float(np.abs(front).max())}
+    step = max(1, -(-end // _KEPT))
+    kept: dict[str, np.ndarray] = {"t": t, "learning": np.ones(end), **driven}
+    return metrics, {name: kept[name][::step].astype(np.float64) for name in TRAJECTORY}
+
+
+def _driven(
+    scenario: Scenario, form: Scenario, path: Path, loop: Loop, name: str, learned: bool, extra: tuple[str, ...]
+) -> Log:
+    seconds = scenario.seconds(path)
+    record = tuple(dict.fromkeys([n for n in (*SIGNALS.values(), "path.progress") if n in loop.units] + [*extra]))
+    program = None if learned else _program(form, name, record)
+    if program is None:
+        length = scenario.length(path)
+
+        def over(now: Sample) -> bool:
+            caught = learned and now["supervisor.learning"] < 0.5
+            return caught or now["path.progress"] >= length or not abs(now["path.e"]) <= OFF_COURSE
+
+        return simulate(loop, seconds, record=record, every=_every(loop), allow_nonfinite=True, until=over)
+    values = {key: parameter(loop, key) for key in program.parameters}
+    return program.run(seconds, state=loop.init(), parameters=values, allow_nonfinite=True)
+
+
+@lru_cache(maxsize=16)
+def _program(form: Scenario, name: str, record: tuple[str, ...]) -> Compiled | None:
+    """The compiled drive; None where a block (a solver, another's model) can only be interpreted.
+
+    Straight-line Python and not C: the same numbers on machines without a compiler, and a program is made in a tenth
+    of a second, which for the some ten drives that share one is sooner done.
+    """
+    loop = form.loop(_path(form), _steers(name, form))
+    try:
+        return compile(loop, backend="python", record=record, every=_every(loop), parameters=open_parameters(form))
+    except TraceError:
+        return None
+
+
+@lru_cache(maxsize=16)
+def _steers(name: str, form: Scenario) -> Block:
+    make = controller(name).make
+    if make is None:
+        raise ValueError(f"controller '{name}' is learned; give the policy of a training")
+    return make(form, _path(form))
+
+
+@lru_cache(maxsize=8)
+def _path(form: Scenario) -> Path:
+    return form.path()
+
+
+def _every(loop: Loop) -> int:
+    return round(loop.blocks["controller"].dt / loop.dt)
+
+
+def _first(flags: Any) -> int:
+    return int(flags.argmax()) if flags.any() else len(flags)
+
+
+def _front_error(loop: Loop, log: Log, path: Path, end: int, l_f: float) -> Any:
+    """e of the front axle [m], (end,)."""
+    if abs(float(loop.blocks["path"].reference) - l_f) < 1e-9:  # type: ignore[attr-defined]
+        return log["path.e"][:end]
+    front = PathTracker(path=path, reference=l_f)
+    nothing = np.zeros(end)
+    pose = (log["car.x"][:end], log["car.y"][:end], log["car.psi"][:end], nothing, nothing, nothing)
+    u = front.U(*pose)
+    return front.output(0.0, front.settle(0.0, front.init((end,)), u), u).e
+
+
+def _inputs(loop: Loop) -> dict[str, str]:
+    """The controller's inputs and the signals that drive them."""
+    index = loop.names.index("controller")
+    found = {}
+    for port in loop.blocks["controller"].inputs:
+        i, j = loop.source[index, port.name]
+        source = loop.blocks[loop.names[i]]
+        found[port.name] = f"{loop.names[i]}.{source.outputs[j].name}"
+    return found
+
+
+def _timed(block: Block, log: Log, inputs: dict[str, str], steps: int) -> list[float]:
+    """Computing times [s] of the controller, interpreted, on inputs that it had in the drive."""
+    count = min(steps, len(log.t))
+    rows = [_plain(log[signal][:count]) for signal in inputs.values()]
+    direct = [port.direct for port in block.inputs]
+    x: Any = block.init()
+    times = []
+    for k, column in enumerate(zip(*rows, strict=True)):
+        t, u = 0.05 * k, block.U(*column)
+        d = block.D(*[value for value, sees in zip(column, direct) if sees])
+        if k == 0:
+            x = block.settle(t, x, d)
+        began = time.perf_counter()
+        y = block.output(t, x, d)
+        x = block.update(t, x, u, y)
+        times.append(time.perf_counter() - began)
+    return times
+
+
+def _plain(values: Any) -> list[Any]:
+    """Floats, or tuples of floats, as blocks hand them on."""
+    return [tuple(row) if isinstance(row, list) else row for row in values.tolist()]

@@ -1,0 +1,69 @@
+"""Golden numbers of the small suite `golden`: what they are, what differs, how to renew them."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path as FilePath
+from tempfile import TemporaryDirectory
+
+from benchmarks.run.compare import Change, same
+from benchmarks.run.results import Results, whole
+from benchmarks.suites import suite
+
+FILE = FilePath(__file__).parents[2] / "tests" / "golden" / "benchmarks.json"
+TOLERANCES = {"rel": 1e-6, "abs": 1e-8}
+"""Other compilers and libms move the numbers by 1e-12 or so; anything that counts moves them by far more."""
+Numbers = Mapping[str, Mapping[str, float]]
+"""Metrics by case."""
+
+
+def measured(*, workers: int = 1) -> Results:
+    """The suite `golden`, run anew; only the cases in memory are left of it."""
+    from benchmarks.run.runner import run
+
+    with TemporaryDirectory() as place:
+        return run([suite("golden")], FilePath(place) / "golden", workers=workers, quiet=True)
+
+
+def numbers(results: Results) -> dict[str, dict[str, float]]:
+    """Metrics by case. Raises ValueError for a case that ended with an error."""
+    for case in results.cases:
+        if case.status != "done":
+            raise ValueError(f"golden: {case.id}: {case.error}")
+    return {case.id: dict(case.metrics) for case in results.cases}
+
+
+def kept() -> tuple[dict[str, dict[str, float]], dict[str, float]]:
+    """The golden numbers and their tolerances. Raises ValueError for a missing or broken file."""
+    try:
+        data = json.loads(FILE.read_text())
+        return data["cases"], data["tolerances"]
+    except FileNotFoundError as error:
+        raise ValueError(f"{FILE} is missing; `python -m benchmarks golden --update` makes it") from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"{FILE} is broken ({error}); `python -m benchmarks golden --update` makes it anew") from error
+
+
+def difference(new: Numbers, old: Numbers, tolerances: Mapping[str, float]) -> list[Change]:
+    """Every number that is not the golden one, and every one that came or went (NaN on the other side)."""
+    found = []
+    for case in dict.fromkeys([*old, *new]):
+        before, after = old.get(case, {}), new.get(case, {})
+        for metric in dict.fromkeys([*before, *after]):
+            x, y = before.get(metric, math.nan), after.get(metric, math.nan)
+            if not same(x, y, tolerances["rel"], tolerances["abs"]):
+                found.append(Change(case, metric, x, y))
+    return found
+
+
+def update(new: Numbers) -> None:
+    """Make these the golden numbers."""
+    data = {
+        "about": "python -m benchmarks golden; renew with --update, which prints the difference",
+        "tolerances": TOLERANCES,
+        "cases": new,
+    }
+    FILE.parent.mkdir(exist_ok=True)
+    whole(FILE, lambda draft: draft.write_text(json.dumps(data, indent=1) + "\n"))

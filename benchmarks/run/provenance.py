@@ -1,0 +1,147 @@
+"""Where results come from: versions, commit, platform, sources, and the protocol that was followed."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict
+from functools import lru_cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path as FilePath
+from typing import Any
+
+from benchmarks.entries import CONTROLLERS
+from benchmarks.peers.agents import AGENTS
+from benchmarks.peers.agents import SETTINGS as PEERS
+from benchmarks.run.trainings import TRAININGS
+from benchmarks.scenarios import Scenario
+from benchmarks.suites import TRAINING, Job, Suite
+from steerkit.learning.rundir import plain
+from steerkit.learning.settings import setting
+
+ROOT = FilePath(__file__).parents[2]
+PACKAGES = (
+    "numpy",
+    "scipy",
+    "torch",
+    "casadi",
+    "control",
+    "commonroad-vehicle-models",
+    "do-mpc",
+    "stable-baselines3",
+    "d3rlpy",
+)
+"""Packages whose version may change the numbers."""
+_NO_NUMBERS = ("report", "compare", "verdict", "golden", "__main__")
+"""Modules of benchmarks, and what starts with these names, that only read results."""
+
+
+def provenance(suites: Sequence[Suite], planned: Sequence[Job], seeds: int | None) -> dict[str, Any]:
+    """All that provenance.json holds."""
+    return {
+        "suites": {one.name: one.about for one in suites},
+        "seeds": sorted({job.seed for job in planned}),
+        "planned": [job.id for job in planned],
+        "scenarios": scenarios(suites, planned),
+        "controllers": {name: _controller(name) for name in dict.fromkeys(job.controller for job in planned)},
+        "source": source(),
+        "versions": versions(),
+        "commit": _git("rev-parse", "HEAD"),
+        "dirty": bool(_git("status", "--porcelain")),
+        "platform": platform.platform(),
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "command": " ".join(["python -m benchmarks", *sys.argv[1:]]),
+        "config": {"seeds": seeds},
+    }
+
+
+def scenarios(suites: Sequence[Suite], planned: Sequence[Job]) -> dict[str, dict[str, Any]]:
+    """The fields of every scenario and training that is planned, by its name."""
+    found: dict[str, dict[str, Any]] = {}
+    for one in suites:
+        for place in one.scenarios:
+            if found.setdefault(place.name, asdict(place)) != asdict(place):
+                raise ValueError(f"two scenarios of these suites are called '{place.name}' but differ")
+    for job in planned:
+        if job.suite == TRAINING:
+            training = TRAININGS[CONTROLLERS[job.controller].training]
+            names = ("minutes", "episodes", "episode_metres", "offline_iterations")
+            fields = {name: getattr(training, name) for name in names}
+            found[job.scenario] = fields | asdict(training.world) | {"noise": float(training.world.noise)}
+    used = {job.scenario for job in planned}
+    return {name: fields for name, fields in found.items() if name in used}
+
+
+def digest(job: Job, scenario: Scenario | None, timed_steps: int) -> str:
+    """A hash of all that determines a case's numbers."""
+    told = {
+        "case": [job.scenario, job.controller, job.seed, job.kind],
+        "scenario": None if scenario is None else asdict(scenario),
+        "controller": _controller(job.controller),
+        "timed_steps": timed_steps,
+        "source": source(),
+        "versions": versions(),
+        "machine": platform.machine(),
+    }
+    return _hash(json.dumps(told, sort_keys=True).encode())
+
+
+@lru_cache
+def source() -> str:
+    """A hash of every source file that numbers may depend on."""
+    found = [*ROOT.glob("steerkit/**/*"), *ROOT.glob("benchmarks/*.py")]
+    whole = hashlib.sha256()
+    for file in sorted(f for f in found if f.suffix in (".py", ".c", ".csv") and not _reads_only(f)):
+        whole.update(str(file.relative_to(ROOT)).encode() + b"\0" + file.read_bytes())
+    return whole.hexdigest()[:16]
+
+
+@lru_cache
+def versions() -> dict[str, str]:
+    """Versions of Python, steerkit and the packages that numbers may depend on; those not installed are left out."""
+    found = {"python": platform.python_version()}
+    for name in ("steerkit-control", *PACKAGES):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def _reads_only(file: FilePath) -> bool:
+    return file.parent.name == "benchmarks" and file.stem.startswith(_NO_NUMBERS)
+
+
+def _controller(name: str) -> dict[str, Any]:
+    one = CONTROLLERS[name]
+    told: dict[str, Any] = {"kind": one.kind, "about": one.about}
+    if one.setting:
+        how = AGENTS[PEERS[one.setting]] if one.setting in PEERS else plain(setting(one.setting))
+        told |= {"setting": how, "training": f"train-{one.training}"}
+    return told
+
+
+def _git(*words: str) -> str | None:
+    try:
+        done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, timeout=20, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return done.stdout.strip()
+
+
+def _processor() -> str:
+    try:
+        lines = FilePath("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor()
+    return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), "")
+
+
+def _hash(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()[:16]

@@ -1,0 +1,341 @@
+"""What a benchmark run leaves behind: one directory, written a case at a time, read whole by report and compare.
+
+    provenance.json          format, versions, commit, platform, seeds, the protocol: every scenario and controller
+    cases/CASE.json          one finished case; it is written last and at once, so that a kill loses no finished case
+    trajectories/CASE.npz    its decimated drive: see `TRAJECTORY`
+    curves/CASE.npz          for a learner: one row a trained net (see `CURVE`), and its episodes
+    nets/CASE.npz            for a learner: the last net
+    cases.parquet            all cases in one table, one row each; merged when the run ends
+
+CASE is `suite--scenario--controller--sN`. A table's columns: those of `Case`, one a metric (`metric.rms_e`), and one a
+field of the scenario (`scenario.delay`).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, fields
+from functools import partial
+from pathlib import Path as FilePath
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from steerkit.loop import read_npz
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+FORMAT = "steerkit benchmark 1"
+STATUSES = ("done", "error", "not installed")
+"""`done`: it ran to its end, well or badly (`metric.held`); `error`: an exception, its text in `error`."""
+TRAJECTORY = {
+    "t": "s",
+    "s": "m",
+    "x": "m",
+    "y": "m",
+    "e": "m",
+    "psi_e": "rad",
+    "v": "m/s",
+    "delta_sw": "rad",
+    "delta_sw_rate": "rad/s",
+    "a_y": "m/s^2",
+    "learning": "1",
+}
+"""Signals of a trajectory and their units, (T,) each, even in t; `learning` is 0 where recovery steered."""
+CURVE = {
+    "t": "s",
+    "iterations": "1",
+    "transitions": "1",
+    "failures": "1",
+    "held": "1",
+    "rounds": "1",
+    "rms_e": "m",
+    "max_e": "m",
+    "rms_wheel_rate_deg": "deg/s",
+    "max_a_y": "m/s^2",
+    "max_jerk": "m/s^3",
+}
+"""Columns of a learning curve, one row a test-driven net (n,): the driving time at which it took the wheel, trainings
+and transitions used until then, and what its test drive of one round came to (NaN: it drove less than a second)."""
+EPISODES = {"episode_began": "s", "episode_ended": "s", "episode_distance": "m", "episode_rms_e": "m"}
+"""Also in a curve's file: one row an episode of the run (k,)."""
+TIMES = ("metric.step_p50_us", "metric.step_p99_us", "cpu_seconds")
+"""Columns that measure a machine, and so differ from run to run; all others are the same for the same seeds."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """One finished case, as it is kept."""
+
+    suite: str
+    """The suite it belongs to."""
+    scenario: str
+    """Name of the scenario; its fields are in the provenance."""
+    controller: str
+    """Name of the controller."""
+    seed: int
+    """Seed of driver, sensors, disturbances and, for a learner, its nets."""
+    kind: str = "drive"
+    """`drive`, or `learn` for a training with the test drives of its nets."""
+    status: str = "done"
+    """One of `STATUSES`."""
+    error: str = ""
+    """What went wrong, in one line."""
+    metrics: Mapping[str, float] = field(default_factory=dict)
+    """Metrics by name, those of `steerkit.metrics.TABLE` and some of the case's own (`held`, `rounds`); NaN where one
+    could not be measured, infinity for what a learner never reached."""
+    cpu_seconds: float = math.nan
+    """Computing time that the case took [s]."""
+    digest: str = ""
+    """Hash of all that determines the numbers: scenario, controller, seed and source; equal digests, equal numbers."""
+
+    def __post_init__(self) -> None:
+        if self.status not in STATUSES:
+            raise ValueError(f"Case: status {self.status!r}; valid: {', '.join(STATUSES)}")
+        if self.kind not in ("drive", "learn"):
+            raise ValueError(f"Case: kind {self.kind!r}; valid: drive, learn")
+
+    @property
+    def id(self) -> str:
+        """The name of its files."""
+        return case_id(self.suite, self.scenario, self.controller, self.seed)
+
+    def row(self) -> dict[str, Any]:
+        """The case as one flat row: metrics as `metric.NAME`."""
+        flat = {key: value for key, value in asdict(self).items() if key != "metrics"}
+        return flat | {f"metric.{name}": float(value) for name, value in self.metrics.items()}
+
+
+def case_id(suite: str, scenario: str, controller: str, seed: int) -> str:
+    """`suite--scenario--controller--sN`."""
+    return f"{suite}--{scenario}--{controller}--s{seed}"
+
+
+@dataclass(frozen=True)
+class Results:
+    """A results directory in memory; trajectories and curves are read when they are asked for."""
+
+    place: FilePath
+    """The directory."""
+    provenance: dict[str, Any]
+    """What is in provenance.json; `scenarios` and `controllers` are the protocol, `planned` the ids of all cases."""
+    cases: tuple[Case, ...]
+    """The finished cases, in the order planned."""
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Ids of the planned cases that have not finished."""
+        done = {case.id for case in self.cases}
+        return tuple(i for i in self.provenance.get("planned", ()) if i not in done)
+
+    @property
+    def protocol(self) -> dict[str, dict[str, Any]]:
+        """Every scenario's fields by its name."""
+        return self.provenance["scenarios"]
+
+    def table(self) -> pd.DataFrame:
+        """One row a case; columns of `Case`, `metric.NAME` and `scenario.FIELD`."""
+        return _table(self.cases, self.protocol)
+
+    def case(self, case_id: str) -> Case:
+        """The case with that id; raises KeyError."""
+        for case in self.cases:
+            if case.id == case_id:
+                return case
+        raise KeyError(f"no finished case '{case_id}' in {self.place}")
+
+    def trajectory(self, case: Case) -> dict[str, np.ndarray] | None:
+        """The decimated drive, arrays by the names of `TRAJECTORY`; None if the case has none (an error, say)."""
+        return self._arrays("trajectories", case)
+
+    def curve(self, case: Case) -> dict[str, np.ndarray] | None:
+        """A learner's curve, arrays by the names of `CURVE` and `EPISODES`; None if the case is no training."""
+        return self._arrays("curves", case)
+
+    def _arrays(self, folder: str, case: Case) -> dict[str, np.ndarray] | None:
+        file = self.place / folder / f"{case.id}.npz"
+        return read_npz(file, "results") if file.exists() else None
+
+
+class Store:
+    """The writing side: makes the directory, keeps finished cases, merges them."""
+
+    def __init__(self, place: str | FilePath):
+        self.place = FilePath(place)
+
+    def open(self, provenance: Mapping[str, Any]) -> None:
+        """Make the directory, or go on in one of the same sources: its finished cases stay, its plan is added to.
+
+        Raises ValueError where there is something else: results of other sources or versions, other files.
+        """
+        file = self.place / "provenance.json"
+        plan = {"format": FORMAT, **provenance}
+        if file.exists():
+            old = read_provenance(self.place)
+            for key in ("source", "versions"):
+                if old.get(key) != plan.get(key):
+                    raise ValueError(
+                        f"{self.place} holds results of another state of the program ({key} {old.get(key)}, now "
+                        f"{plan.get(key)}); mixed, they could not be compared. Choose another --out, or remove it"
+                    )
+            for key in ("suites", "scenarios", "controllers"):
+                plan[key] = {**old.get(key, {}), **plan[key]}
+            plan["planned"] = [*dict.fromkeys([*old.get("planned", ()), *plan["planned"]])]
+            plan["seeds"] = sorted({*old.get("seeds", ()), *plan["seeds"]})
+        elif self.place.exists() and any(self.place.iterdir()):
+            raise ValueError(f"{self.place} is not empty and holds no results; choose another directory with --out")
+        for folder in ("cases", "trajectories", "curves", "nets"):
+            (self.place / folder).mkdir(parents=True, exist_ok=True)
+        (self.place / "cases.parquet").unlink(missing_ok=True)  # until the new merge, the case files are the truth
+        whole(file, lambda draft: draft.write_text(_json(plan, indent=1)))
+
+    def has(self, case_id: str) -> bool:
+        """Has this case finished, without an error?"""
+        file = self._case_file(case_id)
+        return file.exists() and json.loads(file.read_text())["status"] == "done"
+
+    def keep(
+        self,
+        case: Case,
+        *,
+        trajectory: Mapping[str, np.ndarray] | None = None,
+        curve: Mapping[str, np.ndarray] | None = None,
+        net: Callable[[FilePath], None] | None = None,
+    ) -> None:
+        """Write a finished case, its JSON last: a kill before that leaves it unfinished, after that finished."""
+        for folder, arrays in (("trajectories", trajectory), ("curves", curve)):
+            if arrays is not None:
+                whole(self.place / folder / f"{case.id}.npz", partial(_save_npz, arrays))
+        if net is not None:
+            whole(self.net_file(case.id), net)
+        whole(self._case_file(case.id), lambda draft: draft.write_text(_json(asdict(case))))
+
+    def net_file(self, case_id: str) -> FilePath:
+        """Where a learner's last net is."""
+        return self.place / "nets" / f"{case_id}.npz"
+
+    def merge(self) -> Results:
+        """Write cases.parquet from all finished cases, in the planned order."""
+        provenance = read_provenance(self.place)
+        cases = _from_files(self.place, provenance)
+        results = Results(self.place, provenance, cases)
+        whole(self.place / "cases.parquet", lambda draft: results.table().to_parquet(draft, index=False))
+        return results
+
+    def _case_file(self, case_id: str) -> FilePath:
+        return self.place / "cases" / f"{case_id}.json"
+
+
+def load_results(place: str | FilePath) -> Results:
+    """Read a results directory; a run that was not merged (killed, or still going) is read case by case.
+
+    Raises ValueError where there is none, where it is of another version, or where a file in it is broken.
+    """
+    place = FilePath(place)
+    provenance = read_provenance(place)
+    merged = place / "cases.parquet"
+    if not merged.exists():
+        return Results(place, provenance, _from_files(place, provenance))
+    import pandas as pd
+
+    try:
+        table = pd.read_parquet(merged)
+    except Exception as error:  # pyarrow's errors share no class of their own
+        raise ValueError(
+            f"{merged} is no Parquet file, or a broken one ({_line(error)}); remove it, and the run's own case files "
+            "are read instead"
+        ) from error
+    lacking = [f.name for f in fields(Case) if f.name != "metrics" and f.name not in table]
+    if lacking:
+        raise ValueError(f"{merged} has no column '{lacking[0]}'; it was not written by `python -m benchmarks run`")
+    return Results(place, provenance, tuple(_case_of(row) for row in table.to_dict("records")))
+
+
+def read_provenance(place: FilePath) -> dict[str, Any]:
+    """provenance.json of a results directory. Raises ValueError: none there, broken, or of another version."""
+    file = place / "provenance.json"
+    if not place.is_dir():
+        raise ValueError(f"{place}: there are no such results; make some with `python -m benchmarks run SUITE --out`")
+    if not file.exists():
+        raise ValueError(f"{place} is no results directory: it has no provenance.json; expected what `run` wrote")
+    try:
+        data = json.loads(file.read_text())
+    except ValueError as error:
+        raise ValueError(f"{file} is truncated or no JSON ({error})") from error
+    found = data.get("format") if isinstance(data, dict) else None
+    if found != FORMAT:
+        raise ValueError(f"{file}: results of version {found!r}, this program reads {FORMAT!r}; run the suite again")
+    return data
+
+
+def whole(file: FilePath, write: Callable[[FilePath], Any]) -> None:
+    """Write through a name of this process's own, so that `file` is the old one or the new one, never half."""
+    draft = file.with_name(f".{file.name}.{os.getpid()}.tmp")
+    try:
+        write(draft)
+        os.replace(draft, file)
+    finally:
+        draft.unlink(missing_ok=True)
+
+
+def _from_files(place: FilePath, provenance: Mapping[str, Any]) -> tuple[Case, ...]:
+    found = []
+    for name in provenance.get("planned", ()):
+        file = place / "cases" / f"{name}.json"
+        if not file.exists():
+            continue
+        try:
+            data = json.loads(file.read_text())
+            data["metrics"] = {name: _number(value) for name, value in data["metrics"].items()}
+            found.append(Case(**data | {"cpu_seconds": _number(data["cpu_seconds"])}))
+        except (ValueError, TypeError, KeyError, AttributeError) as error:
+            raise ValueError(f"{file} is broken ({_line(error)}); remove it and run the suite again") from error
+    return tuple(found)
+
+
+def _case_of(row: Mapping[Any, Any]) -> Case:
+    known = {f.name for f in fields(Case)}
+    metrics = {k.removeprefix("metric."): float(v) for k, v in row.items() if k.startswith("metric.")}
+    return Case(**{k: v for k, v in row.items() if k in known}, metrics=metrics)
+
+
+def _table(cases: tuple[Case, ...], protocol: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
+    import pandas as pd
+
+    rows = []
+    for case in cases:
+        scenario = {f"scenario.{k}": v for k, v in protocol.get(case.scenario, {}).items() if not isinstance(v, list)}
+        rows.append(case.row() | scenario)
+    return pd.DataFrame(rows, columns=None if rows else [f.name for f in fields(Case) if f.name != "metrics"])
+
+
+def _number(value: Any) -> float:
+    return math.nan if value is None else float(value)
+
+
+def _json(data: Any, indent: int | None = None) -> str:
+    """JSON, which knows no NaN, here null, and no infinity, here "inf"."""
+    return json.dumps(_finite(data), indent=indent, allow_nan=False)
+
+
+def _finite(data: Any) -> Any:
+    if isinstance(data, Mapping):
+        return {key: _finite(value) for key, value in data.items()}
+    if isinstance(data, (list, tuple)):
+        return [_finite(value) for value in data]
+    if isinstance(data, float | np.floating):
+        return float(data) if math.isfinite(data) else None if math.isnan(data) else str(float(data))
+    return data
+
+
+def _save_npz(arrays: Mapping[str, np.ndarray], file: FilePath) -> None:
+    with file.open("wb") as stream:
+        np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
+
+
+def _line(error: BaseException) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0]

@@ -1,0 +1,201 @@
+"""Trainings of the learned controllers: each a case of its own, whose last net all drives of its seed share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from benchmarks.peers.agents import SETTINGS, d3rlpy_nfq, stable_baselines
+from benchmarks.run.drives import Policy, drive
+from benchmarks.run.results import CURVE, TRAJECTORY
+from benchmarks.scenarios import Scenario
+from benchmarks.studies.learning import Taken, test_drives, train
+from steerkit.controllers.network_policy import PolicyBlock
+from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.learning.experiment import Experiment, LearningRun
+from steerkit.learning.offline import offline
+from steerkit.learning.settings import Setting, setting
+from steerkit.learning.trials import TrialDrive
+from steerkit.metrics import GOOD, Learned
+from steerkit.scenario.world import World
+
+_KEPT = 3000  # samples of a run's trajectory, about
+EPISODES = (70, 120)
+"""Episodes, each followed by one training, after which the paper speaks of a controller's quality."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Training:
+    """Where and how long a learner learns."""
+
+    name: str
+    """What it is called in results, after `train-`."""
+    world: World = field(default_factory=World)
+    """Course, car, disturbances."""
+    minutes: float = 6.0
+    """Driving time [min]; recovery and waiting count."""
+    episodes: int = 1000
+    """Failures after which it ends."""
+    episode_metres: float = 0.0
+    """Distance after which an episode ends too, and is trained on [m]; 0: as the learner's setting has it."""
+    offline_iterations: int = 0
+    """Trainings on the recorded transitions after the driving; for d3rlpy, gradient steps."""
+
+
+_ALL = (
+    Training(name="clean"),
+    Training(name="published", minutes=16.0),  # as long as the paper's second round took
+    Training(name="quick", minutes=3.0),
+    Training(name="genesis", world=World(course="genesis", v_min=6.0, v_max=9.0)),
+    Training(name="linear", world=World(plant="linear")),
+    Training(name="hard", world=World.under("hard")),
+    Training(name="episodes-120", minutes=60.0, episode_metres=200.0),  # else a good episode never ends
+    Training(name="offline", minutes=2.0, offline_iterations=20),
+    Training(name="agent", minutes=30.0),
+    Training(name="record", minutes=4.0, offline_iterations=20_000),
+)
+TRAININGS = {training.name: training for training in _ALL}
+"""All trainings by name."""
+
+
+@dataclass(frozen=True)
+class Learnt:
+    """What a training came to."""
+
+    metrics: dict[str, float]
+    curve: dict[str, np.ndarray]
+    trajectory: dict[str, np.ndarray] | None
+    policy: NfqPolicy | PolicyBlock
+
+
+def learn(training: Training, setting_name: str, *, seed: int) -> Learnt:
+    """Run a training to its end and test-drive its nets, off the clock: every one of ours, ten of an agent's."""
+    if setting_name in SETTINGS:
+        return _agent(training, setting_name, seed)
+    how = setting(setting_name)
+    if training.episode_metres:
+        how = replace(how, retrain_every_m=training.episode_metres)
+    experiment = Experiment(
+        setting=how, world=training.world, minutes=training.minutes, episodes=training.episodes, seed=seed
+    )
+    trained = train(experiment)
+    run = trained.run
+    nets = trained.nets + _offline(training, how, run, seed)
+    drives = test_drives(experiment, [net.policy for net in nets], len(nets))
+    policy = nets[-1].policy if nets else run.policy
+    episodic = how.retrain_every_m == 0.0 or training.episode_metres > 0.0  # one training an episode
+    return Learnt(_metrics(run, nets, drives, episodic=episodic), _curve(run, nets, drives), _trajectory(run), policy)
+
+
+def _agent(training: Training, setting_name: str, seed: int) -> Learnt:
+    """An agent of Stable-Baselines3 on the 800 m course, or d3rlpy's NFQ on what our learner drove there."""
+    place = Scenario(name="check")
+
+    def judge(block: PolicyBlock) -> dict[str, float]:
+        return drive(place, setting_name, seed=seed + 1000, policy=Policy(block, setting_name)).metrics
+
+    if SETTINGS[setting_name] == "NFQ":
+        how = setting("default")
+        driven = train(Experiment(setting=how, world=training.world, minutes=training.minutes, seed=seed)).run
+        steps = training.offline_iterations
+        block, curve = d3rlpy_nfq(driven.transitions, how, steps=steps, seed=seed, judge=judge)
+    else:
+        steps = round(60.0 * training.minutes / 0.05)
+        block, curve = stable_baselines(SETTINGS[setting_name], steps=steps, seed=seed, judge=judge)
+    within = {name: curve[name] < getattr(GOOD, name) for name in ("rms_e", "max_e", "max_jerk")}
+    good = np.flatnonzero((curve["held"] > 0.5) & np.logical_and.reduce([*within.values()]))
+    metrics = {
+        "transitions": float(curve["transitions"][-1]),
+        "driving_minutes": training.minutes,
+        "good_minutes": float(curve["t"][good[0]]) / 60.0 if len(good) else math.inf,
+        **{name: float(curve[name][-1]) for name in ("held", "rms_e", "max_e", "max_a_y", "max_jerk")},
+    }
+    return Learnt(metrics, curve, None, block)
+
+
+def _offline(training: Training, how: Setting, run: LearningRun, seed: int) -> list[Taken]:
+    if not training.offline_iterations:
+        return []
+    found = offline(run.transitions, how, training.offline_iterations, seed=seed)
+    return [Taken(run.t, run.counts.failures, len(run.transitions), policy) for policy in found]
+
+
+def _metrics(
+    run: LearningRun, nets: Sequence[Taken], drives: Sequence[TrialDrive], *, episodic: bool
+) -> dict[str, float]:
+    counts = run.counts
+    good = next((i for i, trial in enumerate(drives) if _good(trial)), None)
+    rounds = counts.first_round_done
+    cost = Learned(
+        round_minutes=math.inf if rounds is None else rounds / 60.0,
+        round_episodes=math.inf if counts.failures_to_round is None else counts.failures_to_round + 1.0,
+        good_minutes=math.inf if good is None else nets[good].t / 60.0,
+        good_episodes=math.inf if good is None else nets[good].failures + 1.0,
+        transitions=len(run.transitions),
+    )
+    metrics: dict[str, float] = {name: float(getattr(cost, name)) for name in Learned.__dataclass_fields__}
+    metrics |= {
+        "failures": float(counts.failures),
+        "driving_minutes": run.t / 60.0,
+        "trainings": float(len(nets)),
+        "last_nets_hold": float(np.mean([trial.held for trial in drives[-20:]])) if drives else 0.0,
+        "held": float(bool(drives) and drives[-1].held),
+    }
+    if drives and drives[-1].summary is not None:
+        last = drives[-1].summary
+        metrics |= {name: float(getattr(last, name)) for name in type(last).__dataclass_fields__}
+    for number in EPISODES if episodic else ():
+        if len(drives) >= number:
+            trial = drives[number - 1]
+            metrics[f"held_after_{number}"] = float(trial.held)
+            metrics[f"max_e_after_{number}"] = trial.summary.max_e if trial.summary else math.nan
+    return metrics
+
+
+def _good(trial: TrialDrive) -> bool:
+    return trial.held and trial.summary is not None and GOOD.met(trial.summary, rounds=1.0)
+
+
+def _curve(run: LearningRun, nets: Sequence[Taken], drives: Sequence[TrialDrive]) -> dict[str, np.ndarray]:
+    rows = []
+    for number, (net, trial) in enumerate(zip(nets, drives, strict=True), start=1):
+        row: dict[str, Any] = {
+            "t": net.t,
+            "iterations": number,
+            "transitions": net.transitions,
+            "failures": net.failures,
+            "held": trial.held,
+            "rounds": trial.rounds,
+        }
+        rows.append([float(row[n] if n in row else getattr(trial.summary, n, math.nan)) for n in CURVE])
+    columns = np.array(rows, dtype=float).reshape(len(rows), len(CURVE)).T
+    episodes = run.counts.episodes
+    return dict(zip(CURVE, columns, strict=True)) | {
+        "episode_began": np.array([e.began for e in episodes], dtype=float),
+        "episode_ended": np.array([run.t if e.ended is None else e.ended for e in episodes], dtype=float),
+        "episode_distance": np.array([e.distance for e in episodes], dtype=float),
+        "episode_rms_e": np.array([e.rms_e for e in episodes], dtype=float),
+    }
+
+
+def _trajectory(run: LearningRun) -> dict[str, np.ndarray]:
+    log = run.recorder.log()
+    step = max(1, -(-len(log.t) // _KEPT))
+    found = {
+        "t": log.t,
+        "s": log["path.s"],
+        "x": log["car.x"],
+        "y": log["car.y"],
+        "e": log["path.e"],
+        "psi_e": log["path.psi_e"],
+        "v": log["car.v"],
+        "delta_sw": log["car.delta_sw"],
+        "delta_sw_rate": np.gradient(log["car.delta_sw"], log.t),
+        "a_y": log["car.a_y"],
+        "learning": log["supervisor.learning"],
+    }
+    return {name: np.asarray(found[name][::step], dtype=float) for name in TRAJECTORY}

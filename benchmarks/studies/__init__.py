@@ -1,0 +1,1 @@
+"""Single measurements: `python -m benchmarks study --list`."""

@@ -1,0 +1,232 @@
+"""Kill the controller, the training process or the driver process at random moments, and look at the bus.
+
+    python -m benchmarks study car_kill --kills 50 --json
+
+A simulated car on an slcan port hears what goes over the bus and writes it down, with times of the one monotonic clock
+that all processes share. Each round: a learning run drives, one of its processes is killed (kill -9), then it is told
+apart how long the kit still heard commands with enable = 1. After a kill of the controller or the driver process both
+are started again, the recording is opened and replayed, the transition store is compared with what had been committed
+before the kill, and the run goes on from it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from steerkit.clock import Clock
+from steerkit.learning.data.store import TransitionStore
+from steerkit.learning.settings import setting
+from steerkit.on_car import loop as loops
+from steerkit.on_car import processes
+from steerkit.on_car.learner import RUN, CarLearner
+from steerkit.plants.real_car import recording as tapes
+from steerkit.plants.real_car.decisions.core import Core
+from steerkit.plants.real_car.file.config import load
+from steerkit.plants.real_car.processes.client import CarLost, DriverLink
+
+LIMIT = 0.1
+"""The bus has to be silent or neutral so soon after a kill [s]."""
+CONFIG = "dbw-kit.toml"
+
+
+def controller(folder: Path) -> None:
+    """The process that is the controller: it learns, and says now and then what is safely on disk."""
+    config = load(CONFIG)
+    path = loops.course_of(config)
+    with DriverLink(str(folder / "socket")) as link:
+        link.wait(timeout=10.0)
+        built = lambda policy, doe: loops.car_loop(config, path, link, policy, doe=doe)  # noqa: E731
+        with CarLearner(setting("default"), folder / "run", built, link) as learner:
+            began = len(learner.transitions)
+
+            def watch(run: Any) -> bool:
+                if run.timing.steps % 5 == 1:
+                    state = {
+                        "began": began,
+                        "committed": began + learner.store.committed,
+                        "net": learner.updates,
+                        "trainer": learner.trainer.pid,
+                        "mode": str(link.last.mode) if link.last else "",
+                        "faults": len(learner.trainer.faults),
+                        "misses": run.timing.misses,
+                    }
+                    draft = folder / "state.json.tmp"
+                    draft.write_text(json.dumps(state))
+                    os.replace(draft, folder / "state.json")
+                return False
+
+            learner.run(float("inf"), clock=Clock(), watch=watch)
+
+
+class Bench:
+    """The processes, and the rounds."""
+
+    def __init__(self, folder: Path, seed: int):
+        self.folder, self.dice = folder, random.Random(seed)
+        self.socket = str(folder / "socket")
+        self.log = folder / "car.jsonl"
+        self.simulated, self.channel = processes.start_simulated(CONFIG, log=str(self.log))
+        self.tapes = 0
+        self.driver: subprocess.Popen[str] | None = None
+        self.controller: subprocess.Popen[str] | None = None
+        self.text = (folder / "text.log").open("w")
+
+    def up(self) -> dict[str, Any]:
+        """Start what is not running, and engage; returns the controller's state."""
+        if self.driver is None or self.driver.poll() is not None:
+            self.tapes += 1
+            self.driver = processes.start_driver(
+                CONFIG, self.socket, recording=str(self.tape), channel=self.channel, log=self.text
+            )
+        if self.controller is None or self.controller.poll() is not None:
+            (self.folder / "state.json").unlink(missing_ok=True)
+            command = [sys.executable, __file__, "--controller", str(self.folder)]
+            self.controller = subprocess.Popen(command, stdout=self.text, stderr=self.text, text=True)
+        end = time.monotonic() + 90.0
+        while time.monotonic() < end:
+            state = self.state()
+            if state:
+                self.engage()
+                return state
+            time.sleep(0.1)
+        raise CarLost(f"the controller did not come up; see {self.folder}")
+
+    def engage(self) -> None:
+        """As an operator would, again and again until it is done."""
+        processes.engage(self.socket, timeout=60.0)
+
+    @property
+    def tape(self) -> Path:
+        return self.folder / f"drive-{self.tapes:03d}.mcap"
+
+    def state(self) -> dict[str, Any]:
+        """What the controller last wrote."""
+        try:
+            return json.loads((self.folder / "state.json").read_text())
+        except (FileNotFoundError, json.JSONDecodeError):
+            return {}
+
+    def kill(self, victim: str) -> dict[str, Any]:
+        """One round; returns what happened."""
+        before = self.up()
+        time.sleep(self.dice.uniform(0.3, 2.0))
+        with DriverLink(self.socket, controller=False) as operator:
+            if operator.query().mode != "ENGAGED":  # the learner went too far off; that is not what is tested here
+                self.engage()
+                time.sleep(0.3)
+            mode = str(operator.query().mode)
+        state = self.state()
+        pids = {"controller": self.controller, "driver": self.driver}
+        pid = state["trainer"] if victim == "trainer" else pids[victim].pid  # type: ignore[union-attr]
+        killed = time.monotonic()
+        os.kill(pid, signal.SIGKILL)
+        time.sleep(0.6)
+        row: dict[str, Any] = {"victim": victim, "mode": mode}
+        if victim == "trainer":
+            return row | self._after_trainer(killed, pid)
+        heard = [json.loads(line) for line in self.log.read_text().splitlines()[-400:] if line.endswith("}")]
+        after = [h["t"] - killed for h in heard if h.get("enable") == 1 and h["t"] > killed]
+        row["silent_after_ms"] = 1e3 * max(after, default=0.0)
+        row["heard_before_ms"] = 1e3 * min(
+            (killed - h["t"] for h in heard if h.get("enable") == 1 and h["t"] <= killed), default=9.0
+        )
+        for process in (self.controller, self.driver) if victim == "driver" else (self.controller,):
+            assert process is not None
+            process.wait(20.0)
+        row["ok_bus"] = row["silent_after_ms"] <= 1e3 * LIMIT and row["heard_before_ms"] < 50.0  # it did steer
+        row |= self._recording(cut=victim == "driver")
+        store = TransitionStore(self.folder / "run" / "transitions.db").transitions(RUN)
+        row |= {"committed": state["committed"], "rows": len(store), "ok_store": len(store) >= state["committed"]}
+        after_all = self.up()
+        row["ok_resumed"] = after_all["began"] >= state["committed"] and after_all["net"] >= before["net"]
+        return row
+
+    def _recording(self, *, cut: bool) -> dict[str, Any]:
+        copy = self.folder / "copy.mcap"
+        shutil.copy(self.tape, copy)
+        try:
+            recorded = tapes.read(copy)
+            config = tapes.config_of(recorded)
+            frames, same = tapes.replayed_exactly(recorded, Core(config, loops.course_of(config)))
+            tapes.mend(copy)
+            whole = tapes.read(copy).whole
+        except ValueError as error:
+            return {"ok_recording": False, "why": str(error)}
+        heard = [json.loads(line) for line in self.log.read_text().splitlines() if line.endswith("}")]
+        last_heard = max(h["t"] for h in heard if "enable" in h)
+        lost = last_heard - max(v["t"] for v in recorded.of("/can/tx")) if cut else 0.0
+        ok = same >= frames - 1 and whole and lost <= 1.0
+        return {"ok_recording": ok, "recorded_frames": frames, "replayed": same, "recording_lost_s": max(0.0, lost)}
+
+    def _after_trainer(self, killed: float, pid: int) -> dict[str, Any]:
+        """The car must not notice, and a new training process must come up."""
+        end = time.monotonic() + 30.0
+        while time.monotonic() < end and self.state().get("trainer") == pid:
+            time.sleep(0.2)
+        heard = [json.loads(line) for line in self.log.read_text().splitlines()[-2000:] if line.endswith("}")]
+        times = [h["t"] for h in heard if h.get("enable") == 1 and killed - 0.5 <= h["t"] <= killed + 0.5]
+        gap = max((b - a for a, b in pairwise(times)), default=9.0)
+        back = self.state().get("trainer") != pid
+        return {"longest_gap_ms": 1e3 * gap, "ok_bus": gap <= LIMIT, "ok_resumed": back}
+
+    def down(self) -> None:
+        """End all of it."""
+        for process in (self.controller, self.driver, self.simulated):
+            if process is not None and process.poll() is None:
+                process.terminate()
+                process.wait(20.0)
+        self.text.close()
+
+
+def main() -> None:
+    """Read the options, kill, print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--kills", type=int, default=50)
+    parser.add_argument("--victims", default="controller,driver,trainer")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--json", action="store_true", help="print one JSON object as the last line")
+    parser.add_argument("--controller", default="", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.controller:
+        controller(Path(options.controller))
+        return
+    victims = options.victims.split(",")
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        bench = Bench(Path(folder), options.seed)
+        try:
+            for n in range(options.kills):
+                rows.append(bench.kill(victims[n % len(victims)]))
+                print(n + 1, rows[-1], flush=True)
+        except Exception:
+            print((Path(folder) / "text.log").read_text()[-3000:])
+            raise
+        finally:
+            bench.down()
+    total: dict[str, Any] = {"kills": len(rows)}
+    for victim in victims:
+        mine = [r for r in rows if r["victim"] == victim]
+        key = "longest_gap_ms" if victim == "trainer" else "silent_after_ms"
+        names = ("ok_bus", "ok_recording", "ok_store", "ok_resumed")
+        checks = {k: sum(r[k] for r in mine) for k in names if any(k in r for r in mine)}
+        total[victim] = {"kills": len(mine), f"worst_{key}": max((r[key] for r in mine), default=0.0), **checks}
+    for name, value in total.items():
+        print(name, value)
+    if options.json:
+        print(json.dumps(total))
+
+
+if __name__ == "__main__":
+    main()

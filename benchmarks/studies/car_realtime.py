@@ -1,0 +1,265 @@
+"""Drive the simulated car over a bus in real time, and say how punctual it was.
+
+    python -m benchmarks study car_realtime --minutes 5 --json
+    python -m benchmarks study car_realtime --minutes 6 --controller learn  # from nothing
+    python -m benchmarks study car_realtime --minutes 0.5 --compare --load 4  # SCHED_FIFO or not
+
+Three processes: the simulated car on an slcan port, the driver process that owns the bus, and this one with the
+controller at 20 Hz. Counts steps, missed deadlines and lateness; then replays the recording through the driver's core
+and through the controllers, and compares every frame and every request bit for bit. --load: so many processes that do
+nothing but compute run beside it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from steerkit import realtime
+from steerkit.clock import Clock
+from steerkit.on_car import loop as loops
+from steerkit.on_car import processes
+from steerkit.on_car import replay as replays
+from steerkit.plants.real_car import recording as tapes
+from steerkit.plants.real_car.decisions.core import Core
+from steerkit.plants.real_car.decisions.modes import Mode
+from steerkit.plants.real_car.file.config import load
+from steerkit.plants.real_car.processes.client import CarLost, DriverLink
+
+
+def measure(
+    controller: str, minutes: float, scale: float, folder: Path, listen: str = "", *, fifo: bool = False, busy: int = 0
+) -> dict[str, Any]:
+    """One drive; returns its figures."""
+    config = load("dbw-kit.toml")
+    path = loops.course_of(config)
+    socket, tape, log = str(folder / "socket"), folder / "drive.mcap", folder / "car.jsonl"
+    simulated, channel = processes.start_simulated("dbw-kit.toml", time_scale=scale, log=str(log), listen=listen)
+    with (folder / "driver.log").open("w") as text:
+        driver = processes.start_driver(
+            "dbw-kit.toml", socket, recording=str(tape), channel=channel, time_scale=scale, realtime=fifo, log=text
+        )
+    beside = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(busy)]
+    granted = ""
+    try:
+        with DriverLink(socket) as link:
+            over = threading.Event()
+            engagements: list[str] = []
+            threading.Thread(target=operate, args=(socket, over, engagements), daemon=True).start()
+            squares, worst, engaged, lost = 0.0, 0.0, 0, ""
+            timing = realtime.Timing(period=0.05)
+
+            def watch(run: realtime.Run) -> None:
+                nonlocal squares, worst, engaged, timing
+                timing, snapshot = run.timing, link.last
+                if snapshot and snapshot.mode is Mode.ENGAGED:
+                    e = run.sample["path.e"]
+                    squares, worst, engaged = squares + e * e, max(worst, abs(e)), engaged + 1
+
+            if fifo:
+                granted = realtime.preferred()
+                print(granted)
+            clock = Clock(scale=scale)
+            more: dict[str, Any] = {}
+            last = link.query()
+            try:
+                if controller == "learn":
+                    learn(config, path, link, folder / "run", 60.0 * minutes, clock, watch, more)
+                else:
+                    block = loops.controller_named(controller, config)
+                    loops.drive(config, path, link, block, duration=60.0 * minutes, clock=clock, watch=watch)
+            except CarLost as error:  # a machine that stands still for a second
+                lost = str(error)
+            over.set()
+            last = link.last or last
+    finally:
+        if fifo:
+            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        for process in beside:
+            process.kill()
+            process.wait()
+        driver.terminate()
+        driver.wait(10.0)
+        simulated.terminate()
+    recorded = tapes.read(tape)
+    frames, same = tapes.replayed_exactly(recorded, Core(config, path))
+    asked = same_asked = 0
+    for drive in replays.drives(recorded):
+        asked += len(drive.requests)
+        same_asked += replays.replayed_requests(drive, config, path)
+    heard = [json.loads(line) for line in log.read_text().splitlines()]
+    times = [h["t"] for h in heard if h.get("enable") == 1]
+    print(realtime.histogram_text(timing))
+    return {
+        "controller": controller,
+        "minutes": minutes,
+        "time_scale": scale,
+        "bus": channel.split(":")[0],
+        "sched_fifo": granted or "not asked for",
+        "busy_processes": busy,
+        **timing.summary(),
+        **more,
+        "lost": lost,
+        "engagements": len(engagements),
+        "faults": engagements[1:],
+        "mode_at_end": str(last.mode),
+        "cause": last.text.splitlines()[0],
+        "engaged_steps": engaged,
+        "rms_e_m": (squares / max(1, engaged)) ** 0.5,
+        "max_e_m": worst,
+        "distance_m": max(h["progress"] for h in heard if "progress" in h),
+        "longest_gap_on_bus_ms": 1e3 * max((b - a for a, b in pairwise(times)), default=0.0),
+        "frame_errors": last.errors,
+        "frames_sent": frames,
+        "frames_replayed_exactly": same,
+        "requests": asked,
+        "requests_replayed_exactly": same_asked,
+        "recording_mb": tape.stat().st_size / 1e6,
+        "cores": os.cpu_count(),
+        "load_average": os.getloadavg()[1],
+    }
+
+
+def compare(options: argparse.Namespace) -> dict[str, Any]:
+    """With and without SCHED_FIFO, idle and busy, one drive each; prints them side by side."""
+    rows = []
+    for busy in dict.fromkeys((0, options.load)):
+        for fifo in (False, True):
+            with tempfile.TemporaryDirectory() as folder:
+                rows.append(
+                    measure(
+                        options.controller,
+                        options.minutes,
+                        options.time_scale,
+                        Path(folder),
+                        options.listen,
+                        fifo=fifo,
+                        busy=busy,
+                    )
+                )
+    names = (
+        "sched_fifo",
+        "busy_processes",
+        "load_average",
+        "steps",
+        "misses",
+        "jitter_p50_ms",
+        "jitter_p99_ms",
+        "jitter_max_ms",
+        "longest_step_ms",
+        "longest_gap_on_bus_ms",
+        "faults",
+        "lost",
+    )
+    for name in names:
+        print(f"{name:22s}", *[f"{_short(row[name]):>22s}" for row in rows])
+    return {"drives": rows}
+
+
+def _short(value: Any) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)[:22]
+
+
+def operate(socket: str, over: threading.Event, engagements: list[str]) -> None:
+    """The operator: engages, and engages again after whatever ended it; keeps the causes."""
+    cause = ""
+    try:
+        while not over.is_set():
+            with DriverLink(socket, controller=False) as link:
+                snapshot = link.query()
+            if snapshot.mode in (Mode.FAULT, Mode.OVERRIDE):
+                cause = snapshot.text.splitlines()[0]
+            if snapshot.mode is not Mode.ENGAGED:
+                processes.engage(socket, timeout=60.0)
+                engagements.append(cause)
+            over.wait(0.2)
+    except CarLost as error:
+        if not over.is_set():
+            engagements.append(str(error))
+
+
+def learn(
+    config: Any,
+    path: Any,
+    link: DriverLink,
+    place: Path,
+    seconds: float,
+    clock: Clock,
+    watch: Any,
+    more: dict[str, Any],
+) -> realtime.Run:
+    """A learning run from nothing; its counts go to `more`."""
+    from steerkit.learning.settings import setting
+    from steerkit.on_car.learner import CarLearner
+
+    link.wait(timeout=10.0)
+    best = since = 0.0
+    failures = 0
+
+    def build(policy: Any, doe: Any) -> Any:
+        return loops.car_loop(config, path, link, policy, doe=doe)
+
+    with CarLearner(setting("default"), place, build, link) as learner:
+
+        def count(run: realtime.Run) -> bool:
+            nonlocal best, since, failures
+            watch(run)
+            if learner.failures > failures or link.last is None or link.last.mode is not Mode.ENGAGED:
+                failures, since = learner.failures, learner.driven
+            best = max(best, learner.driven - since)
+            return False
+
+        run = learner.run(seconds, clock=clock, watch=count)
+        more |= {
+            "nets": learner.updates,
+            "transitions": len(learner.transitions),
+            "failures": learner.failures,
+            "by_learner_m": learner.driven,
+            "longest_without_failure_m": best,
+            "rounds_without_failure": best / path.length,
+            "trainer_faults": list(learner.trainer.faults),
+        }
+        return run
+
+
+def main() -> None:
+    """Read the options, drive, print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--controller", default="stanley", help="stanley, mpc, learn, or a policy's place")
+    parser.add_argument("--minutes", type=float, default=5.0)
+    parser.add_argument("--time-scale", type=float, default=1.0, help="1 is real time")
+    parser.add_argument("--listen", default="", help="127.0.0.1:0 for TCP instead of a pseudo-terminal")
+    parser.add_argument("--json", action="store_true", help="print one JSON object as the last line")
+    parser.add_argument("--fifo", action="store_true", help="controller and driver process under SCHED_FIFO")
+    parser.add_argument("--load", type=int, default=0, help="processes that compute beside it")
+    parser.add_argument("--compare", action="store_true", help="with and without SCHED_FIFO, idle and with --load")
+    options = parser.parse_args()
+    if options.compare:
+        row = compare(options)
+    else:
+        with tempfile.TemporaryDirectory() as folder:
+            row = measure(
+                options.controller,
+                options.minutes,
+                options.time_scale,
+                Path(folder),
+                options.listen,
+                fifo=options.fifo,
+                busy=options.load,
+            )
+        for name, value in row.items():
+            print(f"{name:26s} {value:.4g}" if isinstance(value, float) else f"{name:26s} {value}")
+    if options.json:
+        print(json.dumps(row))
+
+
+if __name__ == "__main__":
+    main()

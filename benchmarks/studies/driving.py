@@ -1,0 +1,99 @@
+"""Test drives that the steering benchmarks share: many cars at once around a course, compiled."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from steerkit.assembly import placed, steering_loop
+from steerkit.block import Block
+from steerkit.compiled import compile
+from steerkit.courses import course
+from steerkit.loop import Loop
+from steerkit.plants.careful_driver import CarefulDriver
+from steerkit.plants.human_driver import HumanDriver
+from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.steering_actuator import SteeringActuator
+from steerkit.simulation import Log, simulate
+from steerkit.vehicles import vehicle
+
+CAR = vehicle("vw-passat")
+LAG = 0.1
+"""Time constant of the steering in all drives [s]."""
+LIMIT = 0.5
+"""|e| that no controller should exceed [m]."""
+
+
+def drive_loop(
+    controller: Block,
+    *,
+    name: str = "paper",
+    delay: float = 0.0,
+    lag: float = LAG,
+    v_min: float = 4.0,
+    v_max: float = 9.0,
+    seed: int = 0,
+    e: float = 0.0,
+) -> Loop:
+    """A nonlinear car on a course, whose human slows to 3 m/s^2 for bends; e [m] is judged where the controller has it.
+
+    At 9 m/s the course's hairpin (5.9 m) would be 13.7 m/s^2, more than tyres can do: hence the careful driver.
+    """
+    path = course(name)
+    driver = CarefulDriver(path=path, driver=HumanDriver(v_min=v_min, v_max=v_max, seed=seed))
+    return steering_loop(
+        car=placed(NonlinearSingleTrack(vehicle=CAR, v0=v_min), path, e=e),
+        path=path,
+        driver=driver,
+        controller=controller,
+        actuator=SteeringActuator(delay=delay, lag=lag),
+        reference=reference_of(controller),
+    )
+
+
+def reference_of(controller: Block) -> float:
+    """Where a controller has its errors measured, metres ahead of the centre of gravity; 0 if it does not say."""
+    return float(getattr(controller, "reference", 0.0))
+
+
+RECORD = ["path.e", "path.progress", "car.a_y", "actuator.rate"]
+
+
+def driven(loop: Loop, seconds: float, parameters: Mapping[str, Any] | None = None) -> Log:
+    """A log of the course's samples (20 a second), of as many cars as `parameters` have entries; (T, N) signals."""
+    run = compile(loop, record=RECORD, every=5, parameters=list(parameters or {}))
+    return run.run(seconds, parameters=parameters, allow_nonfinite=True)
+
+
+def interpreted(loop: Loop, seconds: float) -> Log:
+    """The same of one car, sample by sample: for controllers that cannot be compiled."""
+    return simulate(loop, seconds, record=RECORD, every=5, allow_nonfinite=True)
+
+
+def on_course(log: Log, length: float) -> Any:
+    """Which samples belong to the first round, (T,) or (T, N)."""
+    return np.maximum.accumulate(log["path.progress"]) < length
+
+
+def worst(log: Log, length: float) -> Any:
+    """Largest |e| of the first round [m]; infinite where a NaN came up or the round was not finished."""
+    within, e = on_course(log, length), np.abs(log["path.e"])
+    largest = np.where(within, e, 0.0).max(axis=0)
+    return np.where(np.isfinite(largest) & ~within[-1], largest, np.inf)
+
+
+def rms(log: Log, signal: str, length: float) -> Any:
+    """Root mean square of a signal over the first round."""
+    within = on_course(log, length)
+    return np.sqrt(np.where(within, log[signal], 0.0).__pow__(2).sum(axis=0) / np.maximum(within.sum(axis=0), 1))
+
+
+def mpc(*, delay: float, nonlinear: bool = False) -> Block:
+    """The MPC for this car, told the steering's delay and lag."""
+    from steerkit.controllers.mpc.linear import MPC
+    from steerkit.controllers.mpc.nonlinear import NonlinearMPC
+
+    kind = NonlinearMPC if nonlinear else MPC
+    return kind.of(NonlinearSingleTrack(vehicle=CAR), SteeringActuator(delay=delay, lag=LAG), clock=None)

@@ -1,0 +1,116 @@
+"""How many environment steps a second of computing: one car and many, each backend, beside Gymnasium's own vectors.
+
+    python -m benchmarks study gym_steps [--conditions hard] [--quick] [--json]
+
+A step is a decision (20 a second of driving): 5 ticks of the loop and one look, with rewards, ends, infos and starts.
+With random actions an episode lasts a second or two, and starts are a good part of the work; "driven well" holds the
+wheel on a straight in the place of a good driver, so that episodes last 5 s. CPU time of this process.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+import steerkit.gym  # noqa: F401
+from steerkit import native
+
+ID = "steerkit/TrackSteering-v0"
+HOLD = 0
+
+
+def one(options: dict[str, Any], *, random: bool) -> Callable[[int], int]:
+    """Runs so many steps of one car; returns how many."""
+    env = gymnasium.make(ID, **options)
+    rng = np.random.default_rng(0)
+    env.reset(seed=0)
+
+    def run(steps: int) -> int:
+        for action in rng.integers(0, 5, steps).tolist() if random else [HOLD] * steps:
+            _, _, terminated, truncated, _ = env.step(action)
+            if terminated or truncated:
+                env.reset()
+        return steps
+
+    return run
+
+
+def many(cars: int, options: dict[str, Any], *, random: bool) -> Callable[[int], int]:
+    """Runs about so many steps of a vector of cars; returns how many."""
+    env = gymnasium.make_vec(ID, cars, **options)
+    rng = np.random.default_rng(0)
+    env.reset(seed=0)
+
+    def run(steps: int) -> int:
+        rows = max(20, steps // cars)
+        for _ in range(rows):
+            env.step(rng.integers(0, 5, cars) if random else np.full(cars, HOLD))
+        return rows * cars
+
+    return run
+
+
+def rate(run: Callable[[int], int], seconds: float) -> float:
+    """Steps a second of CPU time."""
+    begin, steps = time.process_time(), 0
+    while time.process_time() - begin < seconds:
+        steps += run(200)
+    return steps / (time.process_time() - begin)
+
+
+def main() -> None:
+    """Measure, print the table, and with --json one object last."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--conditions", default="clean", choices=["clean", "hard"])
+    parser.add_argument("--quick", action="store_true", help="2 turns of 0.2 s each instead of 6")
+    parser.add_argument("--json", action="store_true", help="print one JSON object last")
+    arguments = parser.parse_args()
+    backends = ["python", "c"] if native.compiler() else ["python"]
+    ways: list[tuple[str, Callable[..., Callable[[int], int]]]] = []
+    for backend in backends:
+        ways.append((f"1 car, {backend}", lambda o, random, b=backend: one(o | {"backend": b}, random=random)))
+    for cars in (16, 256):
+        sync = {"vectorization_mode": "sync"}
+        ways.append((f"{cars} cars, SyncVectorEnv", lambda o, random, n=cars, k=sync: many(n, o | k, random=random)))
+        for backend in backends:
+            ways.append(
+                (
+                    f"{cars} cars, {backend}",
+                    lambda o, random, n=cars, b=backend: many(n, o | {"backend": b}, random=random),
+                )
+            )
+    runs = {
+        "random actions": {"conditions": arguments.conditions},
+        "driven well": {
+            "world": {"course": "straight", "noise": arguments.conditions == "hard"},
+            "start_e": 0.0,
+            "start_psi_e": 0.0,
+            "start": "beginning",
+            "duration": 5.0,
+        },
+    }
+    contestants = {
+        (name, kind): make(options, kind == "random actions") for name, make in ways for kind, options in runs.items()
+    }
+    best: dict[tuple[str, str], float] = dict.fromkeys(contestants, 0.0)
+    for _ in range(2 if arguments.quick else 6):  # in turns, the best of each: others use this machine too
+        for key, run in contestants.items():
+            best[key] = max(best[key], rate(run, 0.2))
+    result: dict[str, Any] = {"conditions": arguments.conditions, "steps_per_cpu_second": {}}
+    print(f"{'way':28}" + "".join(f"{name:>20}" for name in runs) + "   env steps a second of CPU time")
+    for name, _ in ways:
+        rates = {kind: best[name, kind] for kind in runs}
+        result["steps_per_cpu_second"][name] = rates
+        print(f"{name:28}" + "".join(f"{value:20,.0f}" for value in rates.values()))
+    if arguments.json:
+        print(json.dumps(result))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,249 @@
+"""How fast is one NFQ iteration? Targets and 300 Rprop epochs on 20,000 transitions, against torch.optim.Rprop.
+
+Both engines do the same work on one thread, in turns, in one run: the same transitions, the same start weights, the
+same targets. A figure counts only when both arrive at the same error (the equal-work gate).
+
+    python -m benchmarks study nfq_iteration [--quick] [--json]
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import json
+import os
+import platform
+import statistics
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from steerkit.controllers.nfq_policy import IDOE_ACTIONS, NfqPolicy
+from steerkit.learning.costs import TanhCost
+from steerkit.learning.data.transitions import Transitions
+from steerkit.learning.nfq import rprop
+from steerkit.learning.nfq.iterate import FitSetting, fresh_nets, iterate, targets
+from steerkit.learning.nfq.network import new_net
+from steerkit.learning.nfq.patterns import STANDARD, patterns
+
+TOLERANCE = {10: 1e-4, 300: 0.1}
+"""Largest relative difference of the errors after so many epochs. Weights move by signs, so both engines take the very
+same path until rounding turns one sign; after 10 epochs every start must agree, after 300 the median over the starts
+(PyTorch in single and in double precision differ by up to a tenth there)."""
+
+
+def drives(n: int, seed: int = 0) -> Transitions:
+    """n transitions of a kinematic car (wheelbase 2.71 m, ratio 15.6) under random I-DOE actions, in short episodes.
+
+    A thousand cars at most go side by side over paths of random curvature; each starts anew at |e| > 0.5 m.
+    """
+    rng, dt, cars = np.random.default_rng(seed), 0.05, min(1000, 1 + n // 100)
+    record = Transitions()
+    e, psi_e, doe, kappa, v, episode = (np.zeros(cars) for _ in range(6))
+    fresh, count = np.ones(cars, dtype=bool), 0
+    rows: list[Any] = []
+    for _ in range(-(-n // cars)):
+        k = int(fresh.sum())
+        e[fresh], psi_e[fresh] = rng.uniform(-0.3, 0.3, k), rng.uniform(-0.1, 0.1, k)
+        kappa[fresh], v[fresh] = rng.uniform(-0.05, 0.05, k), rng.uniform(4.0, 7.5, k)
+        doe[fresh] = np.arctan(2.71 * kappa[fresh]) * 15.6 + rng.normal(0.0, 0.3, k)
+        episode[fresh] = count + np.arange(k)
+        count += k
+
+        def state() -> np.ndarray:
+            r = v * np.tan(doe / 15.6) / 2.71  # noqa: B023
+            return np.column_stack([e, v * np.sin(psi_e), v, psi_e, r - v * kappa, doe])  # noqa: B023
+
+        s, a = state(), rng.choice(np.array(IDOE_ACTIONS), cars)
+        doe = np.clip(doe + a, STANDARD.low[5], STANDARD.high[5])
+        psi_e = psi_e + dt * (v * np.tan(doe / 15.6) / 2.71 - v * kappa)
+        e = e + dt * v * np.sin(psi_e)
+        rows.append((s, a, state(), episode.astype(int)))
+        fresh = np.abs(e) > 0.5
+    s, a, s_next, number = (np.stack(part, axis=1) for part in zip(*rows, strict=True))  # a car's samples in a row
+    flat = (s.reshape(-1, 6), a.ravel(), s_next.reshape(-1, 6), number.ravel())
+    record.extend(*(part[:n] for part in flat))
+    return record
+
+
+def seconds(work: Callable[[], Any]) -> float:
+    """Wall-clock time of one call [s]."""
+    began = time.perf_counter()
+    work()
+    return time.perf_counter() - began
+
+
+def in_turns(works: dict[str, Callable[[], Any]], repeats: int) -> dict[str, float]:
+    """Median time of each [s]; they take turns, so that a slow spell of the machine meets them all."""
+    times: dict[str, list[float]] = {name: [] for name in works}
+    for _ in range(repeats):
+        for name, work in works.items():
+            times[name].append(seconds(work))
+    return {name: statistics.median(values) for name, values in times.items()}
+
+
+def equal_work(x: np.ndarray, y: np.ndarray, starts: int) -> dict[str, Any]:
+    """Our error relative to PyTorch's after 10 and 300 epochs: medians and extremes over the starts."""
+    ours = [rprop.fit(new_net(seed=k), x, y, engine="c").errors for k in range(starts)]
+    torch = [rprop.fit(new_net(seed=k), x, y, engine="torch").errors for k in range(starts)]
+    found: dict[str, Any] = {"starts": starts, "error_0": float(ours[0][0])}
+    for epoch in (10, 300):
+        ratios = [float(a[epoch] / b[epoch]) for a, b in zip(ours, torch, strict=True)]
+        found[f"error_{epoch}"], found[f"error_{epoch}_torch"] = float(ours[0][epoch]), float(torch[0][epoch])
+        found[f"error_ratio_{epoch}"] = statistics.median(ratios)
+        found[f"error_ratio_{epoch}_span"] = [min(ratios), max(ratios)]
+    every_start = max(abs(ratio - 1.0) for ratio in found["error_ratio_10_span"]) <= TOLERANCE[10]
+    found["equal_work"] = every_start and abs(found["error_ratio_300"] - 1.0) <= TOLERANCE[300]
+    return found
+
+
+def d3rlpy_iteration(record: Transitions, steps: int = 5) -> dict[str, float]:
+    """d3rlpy's NFQ with full batches and PyTorch's Rprop: CPU time of 300 updates, from a few [s].
+
+    Through its own `fit`, which gathers the batch anew for each update, and with the batch gathered once. Its network
+    has one output an action and another cost function: the work is alike, not equal, so no error is compared.
+    """
+    import d3rlpy
+    import torch
+    from d3rlpy.logging import NoopAdapterFactory
+    from d3rlpy.optimizers.optimizers import OptimizerFactory
+
+    class Rprop(OptimizerFactory):
+        def create_optimizer(self, named_modules: Any, lr: float) -> Any:
+            return torch.optim.Rprop([p for _, module in named_modules for p in module.parameters()], lr=0.1)
+
+        @staticmethod
+        def get_type() -> str:
+            return "rprop"
+
+    _, action = np.unique(record.a, return_inverse=True)
+    ends = np.append(record.episode[1:] != record.episode[:-1], True).astype(np.float32)
+    cost, _ = TanhCost()(record.s, record.a, record.s_next)
+    data = d3rlpy.dataset.MDPDataset(
+        record.s.astype(np.float32),
+        action[:, None],
+        -cost.astype(np.float32),
+        ends,
+        action_space=d3rlpy.ActionSpace.DISCRETE,
+    )
+    encoder = d3rlpy.models.VectorEncoderFactory([10, 10], activation="tanh")
+    learner = d3rlpy.algos.NFQConfig(
+        batch_size=len(record), gamma=0.95, optim_factory=Rprop(), encoder_factory=encoder
+    ).create(device="cpu:0")
+    began = time.process_time()
+    learner.fit(data, n_steps=steps, n_steps_per_epoch=steps, logger_adapter=NoopAdapterFactory(), show_progress=False)
+    own = time.process_time() - began
+    batch = data.sample_transition_batch(len(record))
+    began = time.process_time()
+    for _ in range(4 * steps):
+        learner.update(batch)
+    reused = time.process_time() - began
+    return {"seconds_d3rlpy": 300.0 * own / steps, "seconds_d3rlpy_reused": 300.0 * reused / (4 * steps)}
+
+
+def decision(batch: int = 0) -> float:
+    """Time of one greedy decision of three nets over five actions [us]; of a batch, per car."""
+    policy = NfqPolicy(nets=fresh_nets(FitSetting(nets=3)))
+    rng, x = np.random.default_rng(0), policy.init()
+    values = rng.uniform(-0.3, 0.3, (6, batch)) if batch else rng.uniform(-0.3, 0.3, 6).tolist()
+    u, count = policy.D(*values), 50 if batch else 2000
+    policy.output(0.0, x, u)
+    best = min(seconds(lambda: [policy.output(0.0, x, u) for _ in range(count)]) for _ in range(5))
+    return best / count / max(1, batch) * 1e6
+
+
+def measure(quick: bool) -> dict[str, Any]:
+    """All figures, as one flat dictionary."""
+    import torch
+
+    torch.set_num_threads(1)
+    rprop.engine_of("auto")  # compile first
+    n, sizes, repeats = (2_000, (500, 2_000), 3) if quick else (20_000, (2_000, 20_000, 200_000), 7)
+    record, nets, start = drives(n), fresh_nets(seed=1), new_net(seed=0)
+    x = patterns(STANDARD, record.s, record.a, STANDARD.scale_of(IDOE_ACTIONS))
+    y = targets(record, IDOE_ACTIONS, TanhCost(), nets=nets)
+
+    def whole(data: Transitions) -> Callable[[], Any]:
+        setting = FitSetting(engine="c", hints=0)
+        return lambda: iterate(data, IDOE_ACTIONS, TanhCost(), setting, nets_before=nets)
+
+    works: dict[str, Callable[[], Any]] = {
+        "ours": whole(record),
+        "fit": lambda: rprop.fit(start, x, y, engine="c"),
+        "torch": lambda: rprop.fit(start, x, y, engine="torch"),
+    }
+    in_turns(works, 1)
+    times = in_turns(works, repeats)
+    rest = max(0.0, times["ours"] - times["fit"])  # patterns and targets: granted to PyTorch at our speed
+    found: dict[str, Any] = {
+        "transitions": n,
+        "epochs": 300,
+        "seconds": times["ours"],
+        "seconds_torch": times["torch"] + rest,
+        "vs_torch_rprop_x": (times["torch"] + rest) / times["ours"],
+        "seconds_fit": times["fit"],
+        "seconds_fit_torch": times["torch"],
+        **equal_work(x, y, 3 if quick else 7),
+    }
+    grown = in_turns({str(size): whole(drives(size)) for size in sizes}, 3)
+    each = [1e6 * grown[str(size)] / size for size in sizes]
+    found |= {f"linear_seconds_{size}": grown[str(size)] for size in sizes}
+    found |= {"linear_us_per_transition": each, "linear_worst_x": max(each) / min(each)}
+    found |= {"decision_numpy_us": decision(), "decision_numpy_us_per_car_of_1000": decision(1000)}
+    if importlib.util.find_spec("d3rlpy") is not None:
+        found |= d3rlpy_iteration(record)
+    versions = {"torch": torch.__version__, "numpy": np.__version__, "python": platform.python_version()}
+    return found | {"versions": versions, "machine": platform.machine(), "cores": os.cpu_count()}
+
+
+def table(found: dict[str, Any]) -> str:
+    """The figures for reading."""
+    ours, torch = found["seconds"] * 1e3, found["seconds_torch"] * 1e3
+    lines = [
+        f"one NFQ iteration on one thread: {found['transitions']} transitions, 5 actions; targets, then 300 epochs of",
+        "full-batch Rprop of a 7-10-10-1 net (patterns and targets of the reference are made at our speed)",
+        f"  {'steerkit (C)':24}{ours:10.1f} ms   of it the fit {found['seconds_fit'] * 1e3:.1f} ms",
+        f"  {'torch.optim.Rprop':24}{torch:10.1f} ms   {found['vs_torch_rprop_x']:.1f} times as long",
+    ]
+    if "seconds_d3rlpy" in found:
+        for name, key in (("d3rlpy, its fit()", "seconds_d3rlpy"), ("d3rlpy, batch reused", "seconds_d3rlpy_reused")):
+            lines.append(f"  {name:24}{found[key] * 1e3:10.1f} ms   {found[key] / found['seconds']:.1f} times as long")
+    else:
+        lines.append("  d3rlpy                  not installed: it is in the extra `peers`")
+    for epoch in (10, 300):
+        low, high = found[f"error_ratio_{epoch}_span"]
+        lines.append(
+            f"mean squared error after {epoch:3d} epochs: {found[f'error_{epoch}']:.6f}, PyTorch "
+            f"{found[f'error_{epoch}_torch']:.6f}; ratio over {found['starts']} starts: median "
+            f"{found[f'error_ratio_{epoch}']:.6f}, {low:.4f} to {high:.4f}"
+        )
+    gate = f"all within {TOLERANCE[10]} of 1 after 10, the median within {TOLERANCE[300]} after 300"
+    lines.append(f"equal work ({gate}): {'yes' if found['equal_work'] else 'NO'}")
+    for name, value in found.items():
+        if name.startswith("linear_seconds_"):
+            lines.append(f"  {name.rsplit('_', 1)[1]:>8} transitions {value * 1e3:10.1f} ms")
+    lines.append(
+        f"one greedy decision, 3 nets, 5 actions: {found['decision_numpy_us']:.1f} us; "
+        f"{found['decision_numpy_us_per_car_of_1000']:.2f} us a car in a batch of 1000"
+    )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Parse the command line, measure, print; exit code 1 when the equal-work gate fails."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="2,000 transitions: a smoke test, not a measurement")
+    parser.add_argument("--json", action="store_true", help="one JSON object as the last line")
+    choice = parser.parse_args()
+    found = measure(choice.quick)
+    print(table(found))
+    if choice.json:
+        print(json.dumps(found))
+    if not found["equal_work"]:
+        raise SystemExit("the engines did not do equal work: see the error ratios; the times above do not count")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,424 @@
+"""How many control steps a second: one closed loop run in every way steerkit has, next to python-control.
+
+The loop: a linear single-track car (Runge-Kutta, 5 x 10 ms), a steering actuator, a path tracker and Stanley at 20 Hz
+on the 795 m course, at a constant speed. python-control gets the same equations (the blocks' own functions on
+floats), wired three ways; all runs start alike and their cross-track errors are compared before anything is timed.
+
+    python -m benchmarks study throughput [--quick] [--json]
+
+Contestants take turns, and a ratio is the median of the ratios within one turn, so that a busy machine hurts all
+alike. The ratios of the JSON are to python-control with the same diagram: a system for each block, a connection for
+each wire. The table and `against` have them also to python-control wired as two systems (plant and controller), and as
+one function that leaves no wiring to it at all.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from steerkit.assembly import placed
+from steerkit.block import Block, In, Out
+from steerkit.compiled import Backend, compile
+from steerkit.controllers.stanley import Stanley
+from steerkit.courses import course
+from steerkit.loop import Loop, LoopState, Wire
+from steerkit.plants.human_driver import ConstantSpeed
+from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.steering_actuator import SteeringActuator
+from steerkit.simulation import simulate
+from steerkit.tracker import PathTracker
+from steerkit.vehicles import vehicle
+
+BACKENDS: tuple[Backend, ...] = ("python", "vm", "c")
+DT, SPEED, CARS = 0.05, 6.0, 1000
+CAR = vehicle("vw-passat")
+DIAGRAM, TWO, ONE = (f"python-control, {how}" for how in ("same diagram", "two systems", "one function"))
+NEEDED = {"interpreted_x": 5, "compiled_vm_x": 60, "compiled_c_x": 250, "batch_x": 400, "batch_linear_x": 3000}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class StraightAhead(Block):
+    """Errors from the x axis: what a tracker costs is seen by leaving it out."""
+
+    y = In("m")
+    psi = In("rad")
+    e = Out("m")
+    psi_e = Out("rad")
+    kappa = Out("1/m", direct=())
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        return self.Y(u.y, u.psi, 0.0)
+
+
+def closed_loop(*, tracker: bool = True, actuator: bool = True) -> Loop:
+    """The loop of this benchmark, with or without two of its blocks."""
+    path = course("paper")
+    car = LinearSingleTrack(vehicle=CAR, dt=DT, substeps=5, v0=SPEED, y0=0.2)
+    car = placed(car, path, s=1.0, e=0.2) if tracker else car
+    stanley, driver = Stanley.of(CAR, dt=DT), ConstantSpeed(speed=SPEED, dt=DT)
+    seen: Any = PathTracker(path=path, reference=stanley.reference, dt=DT) if tracker else StraightAhead(dt=DT)
+    motor = SteeringActuator(dt=DT)
+    wires: list[Wire] = [(getattr(car, p.name), getattr(seen, p.name)) for p in seen.inputs]
+    wires += [
+        (seen.e, stanley.e),
+        (seen.psi_e, stanley.psi_e),
+        (seen.kappa, stanley.kappa),
+        (car.v, stanley.v),
+        (car.r, stanley.r),
+        (driver.v, car.v_in),
+    ]
+    blocks: dict[str, Block] = {"driver": driver, "car": car, "path": seen, "controller": stanley}
+    if actuator:
+        blocks["actuator"] = motor
+        wires += [
+            (stanley.delta_sw, motor.delta_sw_cmd),
+            (motor.delta_sw, car.delta_sw_in),
+            (motor.delta_sw, stanley.delta_sw_meas),
+        ]
+    else:
+        wires += [(stanley.delta_sw, car.delta_sw_in), (car.delta_sw, stanley.delta_sw_meas)]
+    return Loop(blocks=blocks, wires=wires)
+
+
+# ---- python-control ---------------------------------------------------------------------------------------------
+
+
+def _state(x: Any, like: Any) -> Any:
+    return like._make(x) if hasattr(like, "_make") else tuple(x)
+
+
+def control_diagram(loop: Loop, start: LoopState) -> tuple[Any, list[float]]:
+    """Every block a system of its own, every wire a connection."""
+    import control
+
+    systems = []
+    for (name, block), x0 in zip(loop.blocks.items(), start.x):
+
+        def values(x: Any, u: Any, block: Block = block, x0: Any = x0) -> tuple[Any, Any, Any]:
+            state, all_in = _state(x.tolist(), x0), block.U(*u.tolist())
+            return state, all_in, block.D(*[getattr(all_in, n) for n in block.D._fields])
+
+        def output(t: float, x: Any, u: Any, params: Any, block: Block = block, values: Any = values) -> Any:
+            state, _, direct = values(x, u)
+            return [v for v in block.output(t, state, direct) if v.__class__ is float]
+
+        def update(t: float, x: Any, u: Any, params: Any, block: Block = block, values: Any = values) -> Any:
+            state, all_in, direct = values(x, u)
+            return block.update(t, state, all_in, block.output(t, state, direct))
+
+        ports = [p.name for p in block.outputs if getattr(block, p.name).size is None]
+        systems.append(
+            control.nlsys(
+                update if len(x0) else None,
+                output,
+                name=name,
+                dt=DT,
+                states=len(x0),
+                inputs=[p.name for p in block.inputs],
+                outputs=ports,
+            )
+        )
+    whole = control.interconnect(
+        systems,
+        connections=[[loop.port_name(b), loop.port_name(a)] for a, b in loop.wires],
+        inplist=[],
+        inputs=None,
+        outlist=["path.e"],
+        outputs=["e"],
+        dt=DT,
+    )
+    return whole, [v for x in start.x for v in x]
+
+
+def control_two_systems(loop: Loop, start: LoopState) -> tuple[Any, list[float]]:
+    """A plant (car, actuator, driver) and a controller (tracker, Stanley), each written as one plain function."""
+    import control
+
+    car, motor, seen, stanley = (loop.blocks[n] for n in ("car", "actuator", "path", "controller"))
+    x_car, x_motor, x_seen, x_stanley = (loop.block_state(start, n) for n in ("car", "actuator", "path", "controller"))
+    n_car, n_seen = len(x_car), len(x_seen)
+    signals = ["x", "y", "psi", "v", "beta", "r", "meas"]
+
+    def move(t: float, x: Any, u: Any, params: Any) -> Any:
+        numbers = x.tolist()
+        wheel = motor.U(float(u[0]))
+        return car.update(t, _state(numbers[:n_car], x_car), car.U(numbers[n_car], SPEED), None) + motor.update(
+            t, tuple(numbers[n_car:]), wheel, None
+        )
+
+    def show(t: float, x: Any, u: Any, params: Any) -> Any:
+        numbers = x.tolist()
+        return (*car.output(t, _state(numbers[:n_car], x_car), ())[:6], numbers[n_car])
+
+    def looked(t: float, x: Any, u: Any) -> tuple[Any, ...]:
+        numbers, given = x.tolist(), u.tolist()
+        pose = seen.U(*given[:6])
+        where = _state(numbers[:n_seen], x_seen)
+        y = seen.output(t, where, pose)
+        return (
+            where,
+            pose,
+            y,
+            _state(numbers[n_seen:], x_stanley),
+            stanley.D(y.e, y.psi_e, y.kappa, given[3], given[5], given[6]),
+        )
+
+    def steer(t: float, x: Any, u: Any, params: Any) -> Any:
+        _, _, y, before, errors = looked(t, x, u)
+        return stanley.output(t, before, errors).delta_sw, y.e
+
+    def remember(t: float, x: Any, u: Any, params: Any) -> Any:
+        where, pose, y, before, errors = looked(t, x, u)
+        return (*seen.update(t, where, pose, y), *stanley.update(t, before, errors, None))
+
+    plant = control.nlsys(move, show, name="plant", inputs=["cmd"], outputs=signals, states=n_car + len(x_motor), dt=DT)
+    controller = control.nlsys(
+        remember, steer, name="controller", inputs=signals, outputs=["cmd", "e"], states=n_seen + len(x_stanley), dt=DT
+    )
+    wires = [[f"controller.{n}", f"plant.{n}"] for n in signals] + [["plant.cmd", "controller.cmd"]]
+    whole = control.interconnect(
+        [plant, controller], connections=wires, inplist=[], inputs=None, outlist=["controller.e"], outputs=["e"], dt=DT
+    )
+    return whole, [*x_car, *x_motor, *x_seen, *x_stanley]
+
+
+def control_one_system(loop: Loop, start: LoopState) -> tuple[Any, list[float]]:
+    """The whole loop as one update function, steerkit's own interpreted tick: no diagram is left to python-control."""
+    import control
+
+    ends = np.cumsum([0, *[len(x) for x in start.x]]).tolist()
+
+    def tick(t: float, x: Any) -> tuple[list[Any], list[Any]]:
+        numbers, y = x.tolist(), list(start.y)
+        states = [_state(numbers[a:b], like) for a, b, like in zip(ends, ends[1:], start.x)]
+        loop.run_phase(0, t, states, y)
+        return states, y
+
+    def update(t: float, x: Any, u: Any, params: Any) -> Any:
+        return [v for state in tick(t, x)[0] for v in state]
+
+    def output(t: float, x: Any, u: Any, params: Any) -> Any:
+        return x[:1]
+
+    whole = control.nlsys(update, output, inputs=0, outputs=["x"], states=ends[-1], dt=DT)
+    return whole, [v for x in start.x for v in x]
+
+
+def control_run(made: tuple[Any, list[float]], steps: int) -> np.ndarray:
+    """Outputs of `control.input_output_response`, a fixed-step discrete-time run."""
+    import control
+
+    system, x0 = made
+    response = control.input_output_response(system, np.arange(steps) * DT, 0, x0)
+    return np.asarray(response.outputs).ravel()
+
+
+# ---- measuring --------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Contestant:
+    """A way to run; `run()` does `steps` car-steps."""
+
+    name: str
+    steps: int
+    run: Callable[[], Any]
+
+
+def contestants(loop: Loop, quick: bool) -> list[Contestant]:
+    """All ways, warmed up."""
+    start, many = loop.init(), loop.init(batch=CARS)
+    scale = 1 if quick else 4
+    ways = []
+    for name, make in ((DIAGRAM, control_diagram), (TWO, control_two_systems), (ONE, control_one_system)):
+        made, n = make(loop, start), 100 * scale
+        ways.append(Contestant(name, n, lambda made=made, n=n: control_run(made, n)))  # type: ignore[misc]
+    n = 500 * scale
+    ways.append(Contestant("simulate", n, lambda: simulate(loop, n * DT, state=start, record=["path.e"])))
+    for name, options, size in (
+        ("generated Python", {"backend": "python"}, 2000),
+        ("CasADi VM", {"backend": "vm"}, 8000),
+        ("CasADi VM, collapsed", {"backend": "vm", "collapse": True}, 8000),
+        ("C", {"backend": "c"}, 40000),
+        ("C, collapsed", {"backend": "c", "collapse": True}, 40000),
+    ):
+        ready = compile(loop, record=["path.e"], **options)
+        ways.append(Contestant(name, size * scale, lambda c=ready, s=size: c.run(s * scale * DT, state=start)))  # type: ignore[misc]
+    ways.append(
+        Contestant(f"NumPy, {CARS} cars", 20 * CARS, lambda: simulate(loop, 20 * DT, state=many, record=["path.e"]))
+    )
+    for name, collapse in ((f"C, {CARS} cars", False), (f"C, {CARS} cars, collapsed", True)):
+        ready = compile(loop, backend="c", record=["path.e"], every=20, collapse=collapse)
+        size = 250 * scale
+        ways.append(Contestant(name, size * CARS, lambda c=ready, s=size: c.run(s * DT, state=many)))  # type: ignore[misc]
+    for way in ways:
+        way.run()
+    return ways
+
+
+def require_equal_runs(loop: Loop) -> float:
+    """The largest difference in e between python-control's diagrams and steerkit's ways, over 100 samples [m]."""
+    start = loop.init()
+    reference = simulate(loop, 100 * DT, state=start)["path.e"]
+    runs = [control_run(make(loop, start), 100) for make in (control_two_systems, control_diagram)]
+    runs += [
+        compile(loop, backend=b, collapse=c).run(100 * DT, state=start)["path.e"]
+        for b in BACKENDS
+        for c in (False, True)
+    ]
+    worst = max(float(np.abs(run - reference).max()) for run in runs)
+    if not worst < 1e-11:
+        raise SystemExit(f"the ways disagree by {worst:.2e} m: nothing to compare")
+    return worst
+
+
+def measured(ways: list[Contestant], turns: int) -> dict[str, list[float]]:
+    """Steps a second of each way in each turn."""
+    rates: dict[str, list[float]] = {way.name: [] for way in ways}
+    for _ in range(turns):
+        for way in ways:
+            begin = time.perf_counter()
+            way.run()
+            rates[way.name].append(way.steps / (time.perf_counter() - begin))
+    return rates
+
+
+def ratios_to(rates: dict[str, list[float]], base: str) -> dict[str, float]:
+    """Median over the turns of each way's rate over that of `base` in the same turn."""
+    return {name: statistics.median(a / b for a, b in zip(values, rates[base])) for name, values in rates.items()}
+
+
+def best_rate(run: Callable[[], Any], steps: int, turns: int = 3) -> float:
+    """Car-steps a second, best of a few: for scaling within one way."""
+    run()
+    times = []
+    for _ in range(turns):
+        begin = time.perf_counter()
+        run()
+        times.append(time.perf_counter() - begin)
+    return steps / min(times)
+
+
+def scaling(loop: Loop, quick: bool) -> dict[str, Any]:
+    """Rates over numbers of cars and of laps, and the memory that 100 laps take."""
+    lap = round(course("paper").length / SPEED / DT)
+    c = compile(loop, backend="c", record=["path.e"], every=20)
+    cars = {}
+    for n in (1, 10, 100, 1000) if quick else (1, 10, 100, 1000, 10000):
+        start, steps = loop.init(batch=n), max(50, min(20000, 200000 // n))
+        cars[n] = best_rate(lambda s=start, k=steps: c.run(k * DT, state=s), n * steps)  # type: ignore[misc]
+    one, laps = loop.init(), {}
+    for n in (1, 10) if quick else (1, 10, 100):
+        laps[n] = best_rate(lambda n=n: c.run(n * lap * DT, state=one), n * lap)  # type: ignore[misc]
+    silent = compile(loop, backend="c", record=(), every=lap)
+    silent.run(lap * DT, state=one)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    silent.run(100 * lap * DT, state=one)
+    grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024.0
+    return {"cars": cars, "laps": laps, "memory_of_100_silent_laps_mb": grown}
+
+
+def block_costs() -> dict[str, float]:
+    """Seconds a step in C, of the loop and of the loop without the tracker or the actuator."""
+    steps = 4000  # fewer than it takes the straight run's errors to fade into subnormal, slow numbers
+    ways = []
+    for name, options in (
+        ("all", {}),
+        ("without tracker", {"tracker": False}),
+        ("without actuator", {"actuator": False}),
+    ):
+        loop = closed_loop(**options)
+        c, start = compile(loop, backend="c", record=["path.e"]), loop.init()
+        ways.append(Contestant(name, steps, lambda c=c, s=start: c.run(steps * DT, state=s)))  # type: ignore[misc]
+        ways[-1].run()
+    return {name: 1.0 / statistics.median(rates) for name, rates in measured(ways, 30).items()}
+
+
+def first_calls() -> dict[str, float]:
+    """First-call seconds of each backend, and of C in a second process that finds the cache."""
+    loop = closed_loop()
+    costs: dict[str, float] = {}
+    for backend in BACKENDS[:2]:
+        c = compile(loop, backend=backend)
+        c.run(DT)
+        costs[backend] = c.first_call_seconds or 0.0
+    with tempfile.TemporaryDirectory() as folder:
+        code = (
+            f"import sys; sys.path.insert(0, {os.path.dirname(os.path.abspath(__file__))!r}); import throughput as t\n"
+            "c = t.compile(t.closed_loop(), backend='c'); c.run(t.DT); print(c.first_call_seconds)"
+        )
+        for name in ("c", "c, second process"):
+            done = subprocess.run(
+                [sys.executable, "-c", code],
+                env={**os.environ, "XDG_CACHE_HOME": folder},
+                capture_output=True,
+                text=True,
+                check=True,
+            )
+            costs[name] = float(done.stdout)
+    return costs
+
+
+def main() -> None:
+    """Measure, print the table, and with --json one object last."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="fewer turns, smaller runs")
+    parser.add_argument("--json", action="store_true", help="print one JSON object last")
+    arguments = parser.parse_args()
+    warnings.filterwarnings("ignore", message="Unused output")
+    loop = closed_loop()
+    agreement = require_equal_runs(loop)
+    rates = measured(contestants(loop, arguments.quick), 5 if arguments.quick else 15)
+    against = {base: ratios_to(rates, base) for base in (DIAGRAM, TWO, ONE)}
+    ratios = against[DIAGRAM]
+    print(f"\n20 Hz control steps a second, {os.cpu_count()} cores; all ways agree to {agreement:.0e} m\n")
+    print(f"{'':49}ratio to python-control as\n{'way':34}{'car-steps/s':>14}{'diagram':>10}{'two':>10}{'one':>10}")
+    for name, values in rates.items():
+        columns = "".join(f"{against[base][name]:10,.1f}" for base in against)
+        print(f"{name:34}{statistics.median(values):14,.0f}{columns}")
+    result: dict[str, Any] = {
+        "interpreted_x": max(ratios["simulate"], ratios["generated Python"]),
+        "simulate_x": ratios["simulate"],
+        "compiled_vm_x": max(ratios["CasADi VM"], ratios["CasADi VM, collapsed"]),
+        "compiled_vm_uncollapsed_x": ratios["CasADi VM"],
+        "compiled_c_x": ratios["C"],
+        "batch_x": ratios[f"C, {CARS} cars"],
+        "batch_linear_x": ratios[f"C, {CARS} cars, collapsed"],
+        "steps_per_second": {name: statistics.median(values) for name, values in rates.items()},
+        "base": DIAGRAM,
+        "against": against,
+        "largest_difference_m": agreement,
+    }
+    costs, calls, sizes = block_costs(), first_calls(), scaling(loop, arguments.quick)
+    whole = costs["all"]
+    tracker, actuator = whole - costs["without tracker"], whole - costs["without actuator"]
+    print(
+        f"\nin C a step takes {1e9 * whole:.0f} ns; of these the path tracker {1e9 * tracker:.0f} "
+        f"and the actuator {1e9 * actuator:.0f}"
+    )
+    print("first call [s]: " + ", ".join(f"{name} {seconds:.2f}" for name, seconds in calls.items()))
+    print("C, car-steps/s by cars: " + ", ".join(f"{n}: {rate:,.0f}" for n, rate in sizes["cars"].items()))
+    print("C, steps/s by laps: " + ", ".join(f"{n}: {rate:,.0f}" for n, rate in sizes["laps"].items()))
+    print(f"100 laps without a record take {sizes['memory_of_100_silent_laps_mb']:.1f} MB more than one")
+    result |= {"seconds_a_step_in_c": costs, "first_call_seconds": calls, "scaling": sizes}
+    print("\n" + "\n".join(f"{n}: {result[n]:,.1f}, wanted {least}" for n, least in NEEDED.items()))
+    if arguments.json:
+        print(json.dumps(result))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,149 @@
+"""Stanley's gains, by a procedure that anyone can repeat: a grid, many cars, the worst case counts.
+
+Every car drives one round of the 795 m course (nonlinear single track, 0.1 s steering lag, a human at 4 to 9 m/s who
+slows to 3 m/s^2 in bends), starting 0.5 m off. The controller is `Predicted` around `Stanley`, told a delay of 0, 0.1,
+0.2 or 0.3 s; the true delay is that, or 0.05 s less or more. Each is driven with the right car and with tyres and
+steering ratio off in the four ways that +-30 % and +-10 % allow together.
+
+The choice: of all gains whose worst RMS e is within 20 % of the best, those with the least worst wheel speed (RMS).
+Beside it: the same for Stanley without prediction at delays 0, 0.1 and 0.2 s, beyond which it swings.
+
+    python -m benchmarks study tune_stanley [--quick] [--out tuning.png] [--json]
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from rich.progress import Progress
+
+from benchmarks.studies.driving import CAR, LAG, drive_loop, driven, rms
+from steerkit.block import Block
+from steerkit.controllers.delay import Predicted
+from steerkit.controllers.stanley import Stanley
+from steerkit.courses import course
+from steerkit.units import degrees_of
+
+GAINS = {"k": (1.5, 2.0, 2.5, 3.0, 4.0), "k_d_yaw": (0.0, 0.05, 0.1, 0.15), "k_d_steer": (0.0, 0.1, 0.2, 0.3, 0.5)}
+CARS = [(1.0, 1.0), *itertools.product((0.7, 1.3), (0.9, 1.1))]
+"""Tyre stiffness and steering ratio, times the nominal."""
+TOLD = (0.0, 0.1, 0.2, 0.3)
+OFF = (-0.05, 0.0, 0.05)
+PLAIN = (0.0, 0.1, 0.2)
+"""Delays of Stanley without prediction [s]."""
+SECONDS = 200.0
+NEAR_BEST = 1.2
+
+
+@dataclass
+class Result:
+    """Worst case of every point of the grid, (gains,): RMS e [m] and RMS wheel speed [rad/s]."""
+
+    e: Any
+    rate: Any
+
+    @property
+    def chosen(self) -> int:
+        """The number of the chosen gains."""
+        good = self.e <= NEAR_BEST * self.e.min()
+        return int(np.argmin(np.where(good, self.rate, np.inf)))
+
+
+def judged(
+    controller: Block, prefix: str, delays: list[float], grid: Any, cars: Any, done: Callable[[], Any]
+) -> Result:
+    """Worst over cars and delays, for every gain; `done` is called after each delay."""
+    length = course("paper").length
+    n, count = len(grid), len(cars)
+    values = {f"{prefix}.{name}": np.repeat(grid[:, i], count) for i, name in enumerate(GAINS)}
+    values |= {f"car.vehicle.{name}": np.tile(cars[:, 0] * getattr(CAR, name), n) for name in ("c_f", "c_r")}
+    values["car.vehicle.steer_ratio"] = np.tile(cars[:, 1] * CAR.steer_ratio, n)
+    e, rate = np.zeros(n), np.zeros(n)
+    for delay in delays:
+        log = driven(drive_loop(controller, delay=delay, e=0.5), SECONDS, values)
+        for total, signal in ((e, "path.e"), (rate, "actuator.rate")):
+            worst = rms(log, signal, length).reshape(n, count)
+            np.maximum(total, np.where(np.isfinite(worst), worst, np.inf).max(axis=1), out=total)
+        done()
+    return Result(e, rate)
+
+
+def tuned(quick: bool) -> tuple[Any, dict[str, Result]]:
+    """The grid of gains, the present default last, and what each reaches: with prediction, and plain."""
+    grid = np.array(list(itertools.product(*(values[::2] if quick else values for values in GAINS.values()))))
+    present = np.array([[getattr(Stanley.of(CAR), name) for name in GAINS]])
+    grid, cars = np.vstack((grid, present)), np.array(CARS[:1] if quick else CARS)
+    stanley = Stanley.of(CAR)
+    around = {told: sorted({max(0.0, round(told + off, 3)) for off in OFF}) for told in TOLD}
+    with Progress() as progress:
+        task = progress.add_task(
+            f"{len(grid)} gains, {len(cars)} cars", total=sum(map(len, around.values())) + len(PLAIN)
+        )
+
+        def done() -> None:
+            progress.advance(task)
+
+        results = []
+        for told, delays in around.items():
+            controller = Predicted.around(stanley, CAR, delay=told, lag=LAG)
+            results.append(judged(controller, "controller.block", delays, grid, cars, done))
+        plain = judged(stanley, "controller", list(PLAIN), grid, cars, done)
+    predicted = Result(np.max([r.e for r in results], axis=0), np.max([r.rate for r in results], axis=0))
+    return grid, {"predicted": predicted, "plain": plain}
+
+
+def picture(grid: Any, found: dict[str, Result], file: str) -> None:
+    """Worst wheel speed over worst RMS e: a dot a choice of gains, the band near the best, a star the choice."""
+    from steerkit.plots.style import COLOURS, PALETTE, new_figure, style
+
+    delays = {"predicted": (TOLD[0], TOLD[-1] + OFF[-1]), "plain": (PLAIN[0], PLAIN[-1])}
+    with style():
+        figure, (panel,) = new_figure(1, height=4.0, title="Stanley's gains: worst case over delays and cars")
+        for colour, (name, result) in zip(PALETTE, found.items()):
+            e, rate, best, i = result.e, degrees_of(result.rate), float(result.e.min()), result.chosen
+            low, high = delays[name]
+            panel.plot(e, rate, "o", ms=3.5, alpha=0.5, color=colour, label=f"{name}, {low:g} to {high:g} s delay")
+            panel.axvspan(best, NEAR_BEST * best, color=colour, alpha=0.12, lw=0)
+            gains = ", ".join(f"{gain} {value:g}" for gain, value in zip(GAINS, grid[i]))
+            panel.plot(e[i], rate[i], "*", ms=13, mec=COLOURS["ink"], color=colour, label=f"chosen: {gains}")
+        panel.set(xlim=(0.04, 0.2), ylim=(0.0, 200.0), xlabel="worst RMS e [m]", ylabel="worst RMS wheel speed [deg/s]")
+        panel.legend(loc="upper right")
+    figure.savefig(file, dpi=120)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Search, print what was found, and with --json one object last."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="every other gain, the right car only")
+    parser.add_argument("--out", default=None, help="file for a picture of all gains")
+    parser.add_argument("--json", action="store_true", help="print one JSON object last")
+    given = parser.parse_args(arguments)
+    grid, found = tuned(given.quick)
+    report: dict[str, Any] = {}
+    for name, result in found.items():
+        print(f"\nStanley, {name}: worst case over delays and cars")
+        print(f"{'':9}{'k':>6}{'k_d_yaw':>9}{'k_d_steer':>11}{'RMS e':>9}{'RMS wheel speed':>18}")
+        places = {"best": int(np.argmin(result.e)), "chosen": result.chosen, "default": len(grid) - 1}
+        for which, i in places.items():
+            row = dict(zip(GAINS, grid[i].tolist()))
+            row |= {"rms_e_m": float(result.e[i]), "rms_rate_deg_s": float(degrees_of(result.rate[i]))}
+            report.setdefault(name, {})[which] = row
+            print(
+                f"{which:9}{row['k']:6.2f}{row['k_d_yaw']:9.2f}{row['k_d_steer']:11.2f}{row['rms_e_m']:7.3f} m"
+                f"{row['rms_rate_deg_s']:12.1f} deg/s"
+            )
+    if given.out:
+        picture(grid, found, given.out)
+        print(f"\npicture: {given.out}")
+    if given.json:
+        print(json.dumps(report))
+
+
+if __name__ == "__main__":
+    main()

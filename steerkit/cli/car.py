@@ -1,0 +1,167 @@
+"""`steerkit car ...`: what goes with driving a car: check its configuration, simulate one, look into recordings."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import sys
+from pathlib import Path as FilePath
+from typing import Annotated
+
+import typer
+
+from steerkit.clock import Clock
+from steerkit.on_car import loop as loops
+from steerkit.on_car import processes
+from steerkit.on_car import session as sessions
+
+app = typer.Typer(
+    help="A car on a CAN bus. No car has been driven with this software: see docs/real-car.md.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
+
+Config = Annotated[str, typer.Option("--config", help="TOML file, or a shipped one: dbw-kit.toml.")]
+Socket = Annotated[str, typer.Option("--socket", help="Unix socket of the driver process.")]
+Scale = Annotated[float, typer.Option(help="How many times faster than real time; simulated cars only.")]
+RecordTo = Annotated[str, typer.Option(help="MCAP file to record to.")]
+Channel = Annotated[
+    str, typer.Option(help="slcan device or socket://, or INTERFACE:CHANNEL of python-can, instead of the file's bus.")
+]
+
+
+@app.command()
+def check(
+    config: Annotated[str, typer.Argument(help="TOML file, or a shipped one.")] = "dbw-kit.toml",
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead, in SI units.")] = False,
+) -> None:
+    """Check a configuration and print what would be read and written, and every limit."""
+    loaded, path = sessions.loaded(config)
+    if as_json:
+        print(json.dumps({**loaded.facts(), "course": path.name, "length": path.length, "closed": path.closed}))
+        return
+    print("\n".join(loaded.summary()))
+    print(f"path     {path.name}, {path.length:.0f} m, {'closed' if path.closed else 'open'}")
+    print(f"{config}: no mistakes found")
+
+
+@app.command()
+def simulate(
+    config: Config = "dbw-kit.toml",
+    listen: Annotated[str, typer.Option(help="slcan on 127.0.0.1:PORT; default: on a pseudo-terminal.")] = "",
+    channel: Annotated[
+        str, typer.Option(help="INTERFACE:CHANNEL of python-can, such as socketcan:vcan0, in its place.")
+    ] = "",
+    time_scale: Scale = 1.0,
+    seed: Annotated[int, typer.Option(help="Seed of the human driver.")] = 0,
+    v_min: Annotated[float, typer.Option(help="Slowest speed [m/s].")] = 4.0,
+    v_max: Annotated[float, typer.Option(help="Fastest speed [m/s].")] = 6.0,
+    log: Annotated[str, typer.Option(help="File for every command heard, as JSON lines.")] = "",
+) -> None:
+    """A simulated car behind the same DBC on a bus of its own; faults come as lines on standard input.
+
+    A line is `KIND pose|report [LENGTH [AMOUNT]]`, such as `drop pose 0.5`; an unknown one prints the kinds.
+    """
+    from steerkit.plants.real_car.frames.bus import BusPort
+    from steerkit.plants.real_car.frames.slcan_port import SlcanPort
+
+    loaded, path = sessions.loaded(config, "-")
+    arguments = sessions.bus_of(channel)
+    if arguments and arguments["interface"] == "slcan":
+        raise ValueError(
+            f"--channel {channel!r} of a simulated car: expected INTERFACE:CHANNEL, as socketcan:vcan0; "
+            "leave it out for an slcan port of its own"
+        )
+    clock = Clock(scale=time_scale)
+    port = BusPort(arguments) if arguments else SlcanPort(listen)
+    car = processes.simulated_car(loaded, path, seed=seed, v_min=v_min, v_max=v_max, t0=clock.now())
+    print(f"channel {port.channel}", flush=True)
+    with contextlib.ExitStack() as stack:
+        stream = stack.enter_context(open(log, "w")) if log else None
+        stack.callback(port.close)
+        with contextlib.suppress(KeyboardInterrupt):
+            processes.serve_simulated(car, port, clock, log=stream, faults=sys.stdin)
+
+
+@app.command()
+def driver(
+    config: Config = "dbw-kit.toml",
+    socket: Socket = "",
+    recording: RecordTo = "",
+    channel: Channel = "",
+    time_scale: Scale = 1.0,
+    linger: Annotated[float, typer.Option(help="End when no client has been there for so long [s].")] = 60.0,
+    realtime: Annotated[bool, typer.Option(help="Run under SCHED_FIFO; needs the right to.")] = False,
+) -> None:
+    """The process that owns the bus. `steerkit drive --car` and `learn --car` start one where there is none."""
+    from steerkit.plants.real_car.processes.server import Driver
+    from steerkit.plants.real_car.recording import Recording
+
+    logging.basicConfig(format="%(asctime)s %(name)s %(message)s", level=logging.INFO, stream=sys.stdout)
+    loaded, path = sessions.loaded(config, channel)
+    metadata = {f"file:{name}": text for name, text in loaded.texts.items()} | {"time_scale": str(time_scale)}
+    tape = Recording(recording, metadata) if recording else None
+    if realtime:
+        from steerkit.realtime import preferred
+
+        logging.info(preferred(threads=True))  # the bus's thread too, but not the recording's
+    clock = Clock(scale=time_scale)
+    Driver(loaded, path, socket or processes.default_socket(), recording=tape, clock=clock, linger=linger).run()
+
+
+@app.command()
+def order(
+    word: Annotated[str, typer.Argument(help="ARM, ENGAGE, DISENGAGE, ACKNOWLEDGE or OFF.")], socket: Socket = ""
+) -> None:
+    """Give the driver process an order from a second terminal, whatever the controller is doing."""
+    from steerkit.plants.real_car.decisions.modes import Order
+    from steerkit.plants.real_car.processes.client import DriverLink
+
+    if word.upper() not in list(Order):
+        raise ValueError(f"order {word!r} is not known; valid: {', '.join(Order)}")
+    with DriverLink(socket or processes.default_socket(), controller=False) as link:
+        link.order(Order(word.upper()))
+        snapshot = link.query()
+        for why in link.refused:
+            print(f"refused: {why}")
+        print(f"{snapshot.mode}: {snapshot.text}")
+        raise typer.Exit(1 if link.refused else 0)
+
+
+@app.command()
+def tape(
+    file: Annotated[FilePath, typer.Argument(help="A recording, .mcap.")],
+    controller: Annotated[str, typer.Option(help="Replay through this one, instead of those who steered.")] = "",
+    run: Annotated[str, typer.Option(help="Directory of the learning run, if it has moved.")] = "",
+) -> None:
+    """Look into a recording, mend one that a kill cut short, and replay it: are the commands the same, bit for bit?"""
+    from steerkit.on_car import replay as replays
+    from steerkit.plants.real_car import recording as tapes
+    from steerkit.plants.real_car.decisions.core import Core
+
+    recorded = tapes.mend(file)
+    print(f"{len(recorded.messages)} messages{'' if recorded.whole else ', cut short; its end is mended'}")
+    for v in recorded.of("/state"):
+        print(f"  {v['t']:.3f} s  {v['from']} -> {v['to']}: {v['cause']}")
+    config = tapes.config_of(recorded)
+    path = loops.course_of(config)
+    frames, same = tapes.replayed_exactly(recorded, Core(config, path))
+    print(f"driver: {same} of {frames} frames the same")
+    for drive in replays.drives(recorded):
+        asked, who = len(drive.requests), controller or drive.who
+        same = replays.replayed_requests(drive, config, path, controller=controller, run=run)
+        print(f"{who}: {same} of {asked} requests the same")
+
+
+def main() -> None:
+    """Run `steerkit car` alone; a mistake of the user's, or a car that is gone, is one line and exit code 2."""
+    try:
+        app()
+    except (ValueError, KeyError, OSError) as error:
+        print(f"steerkit car: {error.args[0] if isinstance(error, KeyError) else error}", file=sys.stderr)
+        raise SystemExit(2) from None
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,109 @@
+"""The demonstration: three learning runs side by side, a table against Stanley, the paper's four figures."""
+
+from __future__ import annotations
+
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+from pathlib import Path as FilePath
+
+from rich.table import Table
+
+from steerkit.learning import rundir
+from steerkit.learning.experiment import Experiment
+from steerkit.learning.pictures import paper as figures
+from steerkit.learning.report import comparison, console, figures_of_merit, learn_with_progress
+from steerkit.learning.settings import BANG_BANG, DEFAULT
+from steerkit.scenario import drive as evaluate
+from steerkit.scenario.world import World
+from steerkit.simulation import Log
+
+
+@dataclass(frozen=True)
+class Part:
+    """One learning run of the demonstration and the drives that its final policy and Stanley make."""
+
+    name: str
+    merit: dict[str, object]
+    learned: Log
+    stanley: Log
+
+
+EXPERIMENTS = {
+    "I-DOE, 800 m course": Experiment(setting=DEFAULT, minutes=11.0),
+    "bang-bang, 800 m course": Experiment(setting=BANG_BANG, minutes=11.0),
+    "I-DOE, recorded lap": Experiment(
+        setting=DEFAULT, world=World(course="genesis", v_min=6.0, v_max=9.0), minutes=20.0
+    ),
+}
+
+
+def run(out: FilePath, *, seed: int = 0, quiet: bool = False) -> None:
+    """Run all parts (an interrupted demonstration goes on where it was), print the tables, draw the figures."""
+    if not quiet:
+        console.print(
+            "Three cars learn to steer from nothing, each for 11 to 20 minutes of driving. No real car was driven."
+        )
+    out.mkdir(parents=True, exist_ok=True)
+    jobs = [(name, experiment, out / _slug(name), seed, quiet) for name, experiment in EXPERIMENTS.items()]
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+        parts = list(pool.map(_part, jobs))
+    console.print(_milestones(parts))
+    for part in parts:
+        console.print(comparison(part.name, {"learned": part.learned, "Stanley": part.stanley}))
+    idoe, bang, _ = parts
+    place = out / _slug(idoe.name)
+    log, counts = rundir.drive_log(place), rundir.document(place)["counts"]
+    pictures = {
+        "figure-3-bang-bang.png": figures.trace(bang.learned, title="Bang-bang actions, final net"),
+        "figure-4-i-doe.png": figures.trace(idoe.learned, title="Integrating DOE, final net"),
+        "figure-5-learning.png": figures.learning(log, title="Learning from the first second, recovery shaded"),
+        "figure-6-first-round.png": figures.first_round(
+            log, began=counts["first_round_begun"], done=counts["first_round_done"], title="First complete round"
+        ),
+    }
+    for part in parts:
+        title = f"{part.name}: final net and Stanley"
+        pictures[f"round-{_slug(part.name)}.png"] = figures.round_driven(part.learned, part.stanley, title=title)
+    for name, figure in pictures.items():
+        figure.savefig(out / name)
+    if not quiet:
+        console.print(f"pictures: {', '.join(pictures)} in {out}", soft_wrap=True)
+
+
+def _part(job: tuple[str, Experiment, FilePath, int, bool]) -> Part:
+    name, experiment, place, seed, quiet = job
+    experiment = replace(experiment, seed=seed)
+    run = learn_with_progress(experiment, place, quiet=quiet)
+    world, doe = experiment.world, experiment.setting.element()
+    learned = evaluate.drive(world, rundir.final_policy(place), doe=doe, seed=seed)
+    stanley = evaluate.drive(world, world.recovery(), seed=seed)
+    return Part(name, figures_of_merit(run), *(Log(g.t, g.signals, g.units) for g in (learned, stanley)))
+
+
+def _milestones(parts: list[Part]) -> Table:
+    table = Table(
+        "run",
+        "first round begun (s)",
+        "failures before it",
+        "failures",
+        "rounds",
+        "transitions",
+        title="learning, in driving time",
+    )
+    for part in parts:
+        m = part.merit
+        begun = m["first_round_begun_s"]
+        table.add_row(
+            part.name,
+            "none" if begun is None else f"{begun:.0f}",
+            str(m["failures_to_round"]),
+            str(m["failures"]),
+            str(m["rounds"]),
+            str(m["transitions"]),
+        )
+    return table
+
+
+def _slug(name: str) -> str:
+    return name.lower().replace(",", "").replace(" ", "-")

@@ -1,0 +1,143 @@
+"""`steerkit identify`: from recorded drives to a vehicle file."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+
+def identify(
+    log: Annotated[str, typer.Argument(help="A recording: see above; or `genesis`, `genesis-rfs`.")],
+    columns: Annotated[Path | None, typer.Option("--map", help="TOML file: which column is what, its unit.")] = None,
+    column: Annotated[list[str] | None, typer.Option(help="QUANTITY=COLUMN[:UNIT[:SCALE]]; repeatable.")] = None,
+    held_out: Annotated[str | None, typer.Option(help="Another drive of the same car, to predict.")] = None,
+    base: Annotated[str, typer.Option(help="Car whose mass and geometry are given: name or FILE.toml.")] = "vw-passat",
+    wheelbase: Annotated[float | None, typer.Option(help="Wheelbase, in m, if not the base's.")] = None,
+    mass: Annotated[float | None, typer.Option(help="Mass, in kg, if not the base's.")] = None,
+    fix: Annotated[list[str] | None, typer.Option(help="NAME=VALUE: hold a parameter; repeatable.")] = None,
+    name: Annotated[str, typer.Option(help="Name of the car in the file.")] = "",
+    out: Annotated[Path | None, typer.Option(help="Vehicle file to write (.toml); else it is printed.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Picture to write (.png, .pdf, .svg).")] = None,
+    dt: Annotated[
+        float | None, typer.Option(help="Step of the common clock in s; default: the log's, 0.01 to 0.05.")
+    ] = None,
+    trust_units: Annotated[bool, typer.Option("--trust-units", help="Do not judge units and signs.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print results only, no progress.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object as the last line.")] = False,
+) -> None:
+    """Estimate a car's steering ratio, offset, delay, lag and cornering stiffness from a recorded drive.
+
+    LOG is an .mcap of a real car's driver, an .npz or .parquet of a Log, a MATLAB .mat, a .csv or .csv.gz. Columns of
+    other names or units are told by --map, a TOML file whose table `columns` has lines such as
+
+    delta_sw = { column = "angle", unit = "deg", scale = -1 }
+
+    for t, delta_sw, v, and r or psi; or by --column delta_sw=angle:deg:-1.
+
+    The vehicle file serves wherever a car's name does: `vehicle("my-car.toml")`, `--base`, a learning world.
+    """
+    from rich.console import Console
+
+    from steerkit import identification as ident
+    from steerkit.vehicles import scaled, vehicle
+
+    if out is not None and out.suffix != ".toml":
+        raise ValueError(f"--out {out}: a vehicle file ends in .toml")
+    to_pipe = not as_json and out is None  # then the vehicle file alone goes to standard output
+    console = Console(stderr=to_pipe)
+    console = console if console.is_terminal else Console(stderr=to_pipe, width=110)
+    table = {} if columns is None else ident.ColumnMap.load(columns).columns
+    given = ident.ColumnMap({**table, **ident.ColumnMap.parsed(column or ()).columns})
+    car = vehicle(base)
+    if wheelbase is not None or mass is not None:
+        length, weight = wheelbase or float(car.wheelbase), mass or float(car.m)
+        car = scaled(name or f"{car.name}-scaled", m=weight, wheelbase=length, steer_ratio=float(car.steer_ratio))
+    with console.status("reading", spinner="line") if not quiet else _nothing() as status:
+        drive = ident.read_drive(log, given, dt=dt, trusted=trust_units)
+        other = ident.read_drive(held_out, given, dt=dt, trusted=trust_units) if held_out else None
+        if status:
+            status.update(f"fitting {len(drive.v)} samples")
+        found = ident.identify(drive, car, fixed=_fixed(fix or ()), name=name or f"{Path(log).name.split('.')[0]}-car")
+        if status and other:
+            status.update("predicting the held-out drive")
+        prediction = found.predict(other) if other else None
+    command = " ".join(["steerkit", *sys.argv[1:]])
+    _report(console, found, prediction, quiet=quiet)
+    if out is not None:
+        found.save(out, command=command, held_out=prediction)
+        console.print(f"vehicle file: {out}", soft_wrap=True)
+    elif not as_json:
+        print(found.text(command=command, held_out=prediction), end="")
+    if plot is not None:
+        found.plot(prediction).savefig(plot)
+        console.print(f"picture: {plot}", soft_wrap=True)
+    if as_json:
+        print(json.dumps(figures(found, prediction)))
+
+
+def figures(found: Any, prediction: Any) -> dict[str, Any]:
+    """What a program would read."""
+    answer: dict[str, Any] = {
+        "vehicle": found.vehicle.name,
+        "estimates": {
+            e.name: {"value": e.value, "low": e.low, "high": e.high, "unit": e.unit, "told_by": e.told_by}
+            for e in found.estimates
+        },
+        "correlation_time": found.correlation_time,
+        "notes": [*found.drive.notes, *found.notes],
+    }
+    for key, part in (("fit", found.fit), ("held_out", prediction)):
+        if part is not None:
+            answer[key] = {
+                "drive": part.drive.name,
+                "rms": part.rms,
+                "rms_driving": part.rms_driving,
+                "mean_driving": part.mean_driving,
+                "rms_rezeroed": part.rms_rezeroed,
+                "zero_shift": part.zero_shift,
+            }
+    return answer
+
+
+def _report(console: Any, found: Any, prediction: Any, *, quiet: bool) -> None:
+    from rich.markup import escape
+    from rich.table import Table
+
+    if not quiet:
+        for part in (found.fit, *([prediction] if prediction else ())):
+            for note in part.drive.notes:
+                console.print(f"{part.drive.name}: {escape(note)}", soft_wrap=True, highlight=False)
+    table = Table("parameter", "value", "95 % interval", "unit", "told by", "", title=f"{found.vehicle.name}")
+    for e in found.estimates:
+        table.add_row(e.name, f"{e.value:.4g}", escape(f"[{e.low:.4g}, {e.high:.4g}]"), e.unit, e.told_by, e.note)
+    console.print(table)
+    fits = Table("yaw rate of", "RMS \\[rad/s]", "from 3 m/s on", "mean", "wheel's zero found anew")
+    for part in (found.fit, *([prediction] if prediction else ())):
+        numbers = (part.rms, part.rms_driving, part.mean_driving, part.rms_rezeroed)
+        fits.add_row(part.drive.name, *(f"{x:.5f}" for x in numbers))
+    console.print(fits)
+    if not quiet:
+        for note in found.notes:
+            console.print(escape(note), highlight=False, soft_wrap=True)
+
+
+def _fixed(words: list[str] | tuple[str, ...]) -> dict[str, float]:
+    held = {}
+    for word in words:
+        key, sign, value = word.partition("=")
+        try:
+            held[key] = float(value)
+        except ValueError:
+            raise ValueError(f"--fix {word}: expected NAME=VALUE, such as lag=0") from None
+        if not sign:
+            raise ValueError(f"--fix {word}: expected NAME=VALUE, such as lag=0")
+    return held
+
+
+def _nothing() -> Any:
+    return contextlib.nullcontext()

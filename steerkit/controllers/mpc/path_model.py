@@ -1,0 +1,270 @@
+"""A car's right-hand side in path coordinates, and all that predictive steering needs of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.linalg import expm
+
+from steerkit import maths as m
+
+Array = NDArray[np.float64]
+Rhs = Callable[[Sequence[Any], Any, Any], Sequence[Any]]
+"""(x', y', psi', sway', r') = rhs((x, y, psi, sway, r), delta, v): a plant's own, on floats and on symbols."""
+
+
+NX = 6
+"""States of a stage: e, psi_e, sway, r, wheel angle, command."""
+V_LOW, V_HIGH, V_STEP = 0.5, 20.0, 0.25
+"""Speeds [m/s] between which the car is modelled, and how far apart the tabled ones are."""
+KAPPA_HIGH, KAPPA_STEP = 0.25, 0.005
+"""Tabled curvatures [1/m]."""
+_STEEPEST = 1.2  # rad: no wheel turns further, so steady cornering has no larger |psi_e|
+_LEAST_LAG = 1e-3  # s: a motor without lag follows this fast
+
+
+def bound(function: Any, inputs: Sequence[Array], outputs: Sequence[Array]) -> Callable[[], None]:
+    """A CasADi function that reads and writes these arrays whenever it is called: no copies, no conversions."""
+    buffer, call = function.buffer()
+    for i, array in enumerate(inputs):
+        buffer.set_arg(i, memoryview(array))  # type: ignore[arg-type]
+    for i, array in enumerate(outputs):
+        buffer.set_res(i, memoryview(array))  # type: ignore[arg-type]
+
+    def run(buffer: Any = buffer) -> None:  # the call needs its buffer alive
+        call()
+
+    return run
+
+
+@dataclass(frozen=True, kw_only=True)
+class PathModel:
+    """A point of the car on a path of curvature kappa, at constant speed, the wheel following a command with a lag.
+
+    With (x', y', psi', sway', r') = rhs((0, e, psi_e, sway, r), delta_sw/steer_ratio, v), which is the motion seen
+    from the path's tangent,
+
+        along = x' - reference psi' sin(psi_e),  e' = y' + reference psi' cos(psi_e),
+        psi_e' = psi' - kappa along/(1 - kappa e),  lag delta_sw' = command - delta_sw.
+
+    rhs: see `Rhs`. reference [m]: how far ahead of the centre of gravity the point is. dt [s]: control period.
+    lag [s]: the motor's. weights: of e, psi_e, r and the command's rate.
+    """
+
+    rhs: Rhs
+    steer_ratio: float
+    reference: float
+    dt: float
+    lag: float
+    weights: tuple[float, float, float, float]
+
+    @cached_property
+    def sway_is_speed(self) -> bool:
+        """Is the fourth state v_y [m/s], and v the speed along the car's axis? Else it is beta [rad]; asked of rhs."""
+        return bool(self.rhs((0.0, 0.0, 0.0, 0.01, 0.0), 0.0, 5.0)[1] < 0.03)
+
+    def motion(self, z: Sequence[Any], delta_sw: Any, v: Any, kappa: Any) -> tuple[Any, ...]:
+        """(e, psi_e, sway, r)', and the speed along the path's tangent [m/s]."""
+        e, psi_e, sway, r = z
+        x, y, psi, sway_dot, r_dot = self.rhs((0.0 * e, e, psi_e, sway, r), delta_sw / self.steer_ratio, v)
+        along = x - self.reference * psi * m.sin(psi_e)
+        drift = y + self.reference * psi * m.cos(psi_e)
+        return drift, psi - kappa * along / (1.0 - kappa * e), sway_dot, r_dot, along
+
+    def a_y(self, z: Sequence[Any], delta_sw: Any, v: Any) -> Any:
+        """Lateral acceleration at the centre of gravity [m/s^2]: v_y' + v r, or v (beta' + r)."""
+        sway_dot = self.motion(z, delta_sw, v, 0.0)[2]
+        return (sway_dot if self.sway_is_speed else v * sway_dot) + v * z[3]
+
+    @cached_property
+    def _field(self) -> casadi.Function:
+        """(e, psi_e, sway, r)' (4,) and its slope (4, 5), of (e, psi_e, sway, r, wheel), v, kappa."""
+        x, v, kappa = casadi.SX.sym("x", 5), casadi.SX.sym("v"), casadi.SX.sym("k")
+        motion = casadi.vertcat(*self.motion([x[i] for i in range(4)], x[4], v, kappa)[:4])
+        return casadi.Function("field", [x, v, kappa], [motion, casadi.jacobian(motion, x)])
+
+    def stepped(self, x: Any, command: Any, v: Any, kappa: Any, span: float, substeps: int) -> tuple[Any, Any]:
+        """(e, psi_e, sway, r, wheel) `span` [s] later, and its slope (5, 6) in these five and the command.
+
+        Runge-Kutta for the car, `substeps` a period, the exact answer for the wheel; the slope by the chain rule
+        through the stages, which is as exact as CasADi's and takes half the operations.
+        """
+        z, wheel = x[:4], x[4]
+        dz, dwheel, dcommand = casadi.SX.eye(6)[:4, :], casadi.SX.eye(6)[4, :], casadi.SX.eye(6)[5, :]
+        steps = max(1, math.ceil(substeps * span / self.dt - 1e-9))
+        h = span / steps
+        decay = m.exp(-0.5 * h / max(self.lag, _LEAST_LAG))
+        for _ in range(steps):
+            middle, dmiddle = command + (wheel - command) * decay, dcommand + (dwheel - dcommand) * decay
+            end, dend = command + (middle - command) * decay, dcommand + (dmiddle - dcommand) * decay
+            after, dafter, k, dk = z, dz, casadi.SX.zeros(4), casadi.SX.zeros(4, 6)
+            for reach, share, w, dw in (
+                (0.0, 1.0, wheel, dwheel),
+                (0.5, 2.0, middle, dmiddle),
+                (0.5, 2.0, middle, dmiddle),
+                (1.0, 1.0, end, dend),
+            ):
+                rate, slope = self._field(casadi.vertcat(z + reach * h * k, w), v, kappa)
+                k, dk = rate, slope[:, :4] @ (dz + reach * h * dk) + slope[:, 4] @ dw
+                after, dafter = after + share * h / 6.0 * k, dafter + share * h / 6.0 * dk
+            z, dz, wheel, dwheel = after, dafter, end, dend
+        return casadi.vertcat(z, wheel), casadi.vertcat(dz, dwheel)
+
+    def predictor(self, pieces: int, first: float, substeps: int) -> casadi.Function:
+        """(e, psi_e, sway, r, wheel) when the last of the `pieces` commands on their way has acted.
+
+        The first acts for `first` [s], the others for dt; inputs: x (5,), commands, v, curvatures (pieces,).
+        """
+        x, v = casadi.SX.sym("x", 5), casadi.SX.sym("v")
+        commands, kappa = casadi.SX.sym("c", pieces), casadi.SX.sym("k", pieces)
+        end = x
+        for i in range(pieces):
+            end = self.stepped(end, commands[i], v, kappa[i], self.dt if i else first, substeps)[0]
+        return casadi.Function("predict", [x, commands, v, kappa], [casadi.cse(end)])
+
+    def linearised_step(self, substeps: int) -> casadi.Function:
+        """The stage map x+ = F(x, rate) of the six states and its slopes, and a_y at x with its slope.
+
+        inputs: x (6,), rate, v, kappa; outputs: F (6,), dF/dx (6, 6), dF/drate (6,), a_y, da_y/dx (1, 6).
+        """
+        x, u = casadi.SX.sym("x", NX), casadi.SX.sym("u")
+        v, kappa = casadi.SX.sym("v"), casadi.SX.sym("k")
+        command = x[5] + self.dt * u
+        after, slope = self.stepped(x[:5], command, v, kappa, self.dt, substeps)
+        slope = casadi.vertcat(slope, casadi.SX.eye(6)[5, :])
+        a_y = self.a_y([x[i] for i in range(4)], x[4], v)
+        # transposed, so that a dense column-major result is read as rows
+        results = [
+            casadi.vertcat(after, command),
+            casadi.densify(slope.T),
+            casadi.densify(self.dt * slope[:, 5]),
+            a_y,
+            casadi.densify(casadi.jacobian(a_y, x)),
+        ]
+        return casadi.Function("step", [x, u, v, kappa], casadi.cse(results))
+
+    # ---- tables over speed ----------------------------------------------------------------------------------
+
+    @cached_property
+    def speeds(self) -> Array:
+        """The tabled speeds [m/s]."""
+        return np.arange(V_LOW, V_HIGH + 0.5 * V_STEP, V_STEP)
+
+    @cached_property
+    def _slopes(self) -> casadi.Function:
+        """d(e, psi_e, sway, r)'/d(e, psi_e, sway, r, wheel) (4, 5) and d a_y (1, 5) in straight driving at speed v."""
+        x, v = casadi.SX.sym("x", 5), casadi.SX.sym("v")
+        z = [x[i] for i in range(4)]
+        rows = casadi.vertcat(*self.motion(z, x[4], v, 0.0)[:4]), self.a_y(z, x[4], v)
+        slopes = [casadi.substitute(casadi.jacobian(row, x), x, casadi.DM.zeros(5)) for row in rows]
+        return casadi.Function("slopes", [v], [casadi.densify(slope) for slope in slopes])
+
+    @cached_property
+    def _substeps(self) -> list[int]:
+        """Runge-Kutta steps a period between the tabled speeds; h times the fastest rate: 2.3 (unstable from 2.785)."""
+        rates = np.array([np.abs(np.linalg.eigvals(self._slopes(v)[0].full()[:, :4])).max() for v in self.speeds])
+        needed = np.maximum(np.ceil(self.dt * rates / 2.3), 2.0).astype(int)
+        return np.maximum(needed[1:], needed[:-1]).tolist()
+
+    @property
+    def all_substeps(self) -> list[int]:
+        """What `substeps` may answer."""
+        return sorted(set(self._substeps))
+
+    def substeps(self, v: float) -> int:
+        """Runge-Kutta steps that a period needs at speed v: a slow car's tyres answer faster."""
+        return self._substeps[self._place(v)[0]]
+
+    def linear(self, v: float) -> tuple[Array, Array, Array]:
+        """A (6, 6), B (6,), and the row of a_y (6,), about straight driving at v: the exact answer to held commands.
+
+        x(t + dt) = A x + B rate, where the command that acts from t on is already command(t) + dt*rate.
+        """
+        slope, row = (value.full() for value in self._slopes(v))
+        lag = max(self.lag, _LEAST_LAG)
+        flow = np.zeros((NX, NX))
+        flow[:4, :5] = slope
+        flow[4, 4], flow[4, 5] = -1.0 / lag, 1.0 / lag
+        a = expm(flow * self.dt)
+        return a, self.dt * a[:, 5], np.append(row, 0.0)
+
+    @cached_property
+    def stage_cost(self) -> tuple[Array, float]:
+        """Q (6, 6) and R of a stage."""
+        q_e, q_psi, q_r, q_rate = self.weights
+        return np.diag([q_e, q_psi, 0.0, q_r, 0.0, 0.0]), q_rate
+
+    def riccati(self, a: Array, b: Array) -> Array:
+        """P of x' P x, the cost from here to infinity without limits: python-control's `dlqr`."""
+        import control
+
+        q, r = self.stage_cost
+        return np.array(control.dlqr(a, b[:, None], q, np.array([[r]]))[1])
+
+    @cached_property
+    def _schedule(self) -> Array:
+        """Spline coefficients over speed, (pieces, 4, 84), highest power first, of A, B, the row of a_y, and P."""
+        rows = []
+        for v in self.speeds:
+            a, b, row = self.linear(float(v))
+            rows.append(np.concatenate([a.ravel(), b, row, self.riccati(a, b).ravel()]))
+        return np.ascontiguousarray(CubicSpline(self.speeds, np.array(rows)).c.swapaxes(0, 1))
+
+    def at(self, v: float) -> tuple[Array, Array, Array, Array]:
+        """A (6, 6), B (6,), row of a_y (6,) and P (6, 6) at speed v, from the table."""
+        i, t = self._place(v)
+        t *= V_STEP
+        row = np.array((t * t * t, t * t, t, 1.0)) @ self._schedule[i]
+        return row[:36].reshape(NX, NX), row[36:42], row[42:48], row[48:].reshape(NX, NX)
+
+    def _place(self, v: float) -> tuple[int, float]:
+        """The table's piece in which a speed lies, and where in it, 0 to 1."""
+        at = (min(max(v, V_LOW), V_HIGH) - V_LOW) / V_STEP
+        i = min(int(at), len(self.speeds) - 2)
+        return i, at - i
+
+    @cached_property
+    def _steady(self) -> Array:
+        """(speeds, curvatures from -0.25/m up, 7): steady cornering, by Newton's method from straight; see `steady`.
+
+        Where the tyres cannot hold a curvature, the row is that of the largest which they can.
+        """
+        w = casadi.SX.sym("w", 4)
+        v, kappa = casadi.SX.sym("v"), casadi.SX.sym("k")
+        *motion, along = self.motion([casadi.SX(0.0), w[0], w[1], w[2]], w[3], v, kappa)
+        residual = casadi.vertcat(*motion)
+        after = w - casadi.solve(casadi.jacobian(residual, w), residual)
+        newton = casadi.Function("newton", [w, v, kappa], [after, casadi.mmax(casadi.fabs(residual)), along / v])
+        newton, all_speeds = newton.map(len(self.speeds)), self.speeds[None, :]
+        rows, good = [np.zeros((len(self.speeds), 5))], np.ones(len(self.speeds), dtype=bool)
+        rows[0][:, 4] = 1.0
+        for kappa_i in np.arange(KAPPA_STEP, KAPPA_HIGH + 0.5 * KAPPA_STEP, KAPPA_STEP):
+            guess = 2.0 * rows[-1] - rows[-2] if len(rows) > 1 else rows[-1]
+            for _ in range(8):
+                found, error, pace = newton(guess[:, :4].T, all_speeds, np.full_like(all_speeds, kappa_i))
+                guess = np.vstack((found.full(), pace.full())).T
+            with np.errstate(invalid="ignore"):
+                more = np.abs(guess[:, 3]) > np.abs(rows[-1][:, 3])  # not past the tyres' best
+                good = good & more & (error.full()[0] < 1e-8) & (np.abs(guess[:, 0]) < _STEEPEST)
+            rows.append(np.where(good[:, None], guess, rows[-1]))
+        left = np.array(rows).swapaxes(0, 1)
+        right = left[:, :0:-1] * (-1.0, -1.0, -1.0, -1.0, 1.0)
+        psi_e, sway, r, wheel, pace = np.moveaxis(np.concatenate((right, left), axis=1), 2, 0)
+        return np.stack((0.0 * psi_e, psi_e, sway, r, wheel, wheel, pace), axis=2)
+
+    def steady(self, v: float, kappa: Array) -> Array:
+        """(n, 7): the six states that hold curvatures kappa (n,) [1/m] at speed v for ever, e = 0; and s'/v."""
+        i, t = self._place(v)
+        table = self._steady[i] + t * (self._steady[i + 1] - self._steady[i])
+        at = np.minimum(np.maximum(kappa / KAPPA_STEP + 0.5 * (len(table) - 1), 0.0), len(table) - 1.001)
+        j = at.astype(np.intp)
+        low = table[j]
+        return low + (at - j)[:, None] * (table[j + 1] - low)

@@ -1,0 +1,213 @@
+"""Any policy as a controller block: a function of the scaled state, or a net's weights as plain arrays."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerkit import maths as m
+from steerkit.block import Block, In, Out, State
+from steerkit.controllers.nfq_policy import StateDescription, read_arrays, write_arrays
+from steerkit.errors import require
+from steerkit.units import radians_of
+
+Array = NDArray[np.float64]
+PORTS = ("e", "e_dot", "v", "psi_e", "r_e", "doe")
+BOUND = 10.0
+"""Scaled inputs are cut off here, as the environments of `steerkit.gym` cut them."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Network:
+    """A feed-forward net as plain arrays: what is left of a trained policy when the learning library has gone.
+
+    h = x;  h = act(W h + b) in all layers but the last;  z = W h + b in the last;
+    head: argmax (the number of the largest z), tanh (tanh z) or clip (z limited to [-1, 1]), of one z the latter two.
+
+    Call it with scaled states (n, columns): it answers (n,). `symbolic` is the same in scalars, for tracing.
+    Raises ValueError for layers that do not fit together or are not finite.
+    """
+
+    layers: tuple[tuple[Array, Array], ...]
+    """W (n_out, n_in) and b (n_out,) of each layer."""
+    activation: Literal["relu", "tanh"] = "relu"
+    """Of the hidden layers."""
+    head: Literal["argmax", "tanh", "clip"] = "argmax"
+    """What becomes of the last layer."""
+
+    def __post_init__(self) -> None:
+        where = "Network"
+        require(self.activation in ("relu", "tanh"), where, f"activation {self.activation!r}; valid: relu, tanh")
+        require(self.head in ("argmax", "tanh", "clip"), where, f"head {self.head!r}; valid: argmax, tanh, clip")
+        require(len(self.layers) > 0, where, "no layers, expected at least one")
+        layers = tuple((np.array(w, dtype=np.float64), np.array(b, dtype=np.float64)) for w, b in self.layers)
+        n = layers[0][0].shape[1] if layers[0][0].ndim == 2 else 0
+        for i, (w, b) in enumerate(layers):
+            fits = w.ndim == 2 and w.shape[1] == n and b.shape == (w.shape[0],)
+            require(fits, where, f"layer {i}: W {w.shape}, b {b.shape}, expected W (n_out, {n}), b (n_out,)")
+            finite = bool(np.isfinite(w).all() and np.isfinite(b).all())
+            require(finite, where, f"layer {i} holds a NaN or an infinity, expected finite weights")
+            n = w.shape[0]
+        require(self.head == "argmax" or n == 1, where, f"{n} outputs, expected 1 for the head {self.head!r}")
+        object.__setattr__(self, "layers", layers)
+
+    def __call__(self, x: Array) -> Array:
+        """The actions (n,) for scaled states (n, columns)."""
+        h = np.asarray(x, dtype=np.float64).T
+        for i, (w, b) in enumerate(self.layers):
+            h = w @ h + b[:, None]
+            if i < len(self.layers) - 1:
+                h = np.maximum(h, 0.0) if self.activation == "relu" else np.tanh(h)
+        if self.head == "argmax":
+            return h.argmax(axis=0)
+        return np.tanh(h[0]) if self.head == "tanh" else np.clip(h[0], -1.0, 1.0)
+
+    def symbolic(self, x: Sequence[Any]) -> Any:
+        """The action for one scaled state of scalars or symbols."""
+        h = list(x)
+        for i, (w, b) in enumerate(self.layers):
+            h = [sum((a * v for a, v in zip(row, h)), c) for row, c in zip(w.tolist(), b.tolist())]
+            if i < len(self.layers) - 1:
+                h = [m.maximum(v, 0.0) if self.activation == "relu" else m.tanh(v) for v in h]
+        if self.head != "argmax":
+            return m.tanh(h[0]) if self.head == "tanh" else m.clip(h[0], -1.0, 1.0)
+        best, number = h[0], 0.0
+        for i, v in enumerate(h[1:], start=1):
+            better = v > best
+            best, number = m.where(better, v, best), m.where(better, float(i), number)
+        return number
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PolicyBlock(Block):
+    """Steers by any policy of the scaled state, such as an agent that was trained in `steerkit.gym`.
+
+    x = clip((s - mid)/half, -10, 10),  s the columns of `description`;
+    action = actions[policy(x)]  (discrete),  or  action = largest*policy(x)  (continuous, policy in [-1, 1]).
+
+    Inputs: e [m], e_dot [m/s], v [m/s], psi_e [rad], r_e [rad/s], doe [rad], all direct. Outputs: action [rad], for a
+    dynamic output element; ready [1], 1 from ready_from on. No state. A NaN or an infinity among the inputs makes
+    action NaN, so that a supervisor sees the fault. Raises ValueError for a description with other columns, bad
+    actions, or (when it runs) a policy that answers something else.
+    """
+
+    e = In("m")
+    e_dot = In("m/s")
+    v = In("m/s")
+    psi_e = In("rad")
+    r_e = In("rad/s")
+    doe = In("rad")
+    action = Out("rad")
+    ready = Out("1", direct=())
+
+    policy: Callable[[Any], Any]
+    """Of scaled states, float32 (n, columns): answers n numbers of actions, or n numbers in [-1, 1]. A `Network` can be
+    compiled and exported too, other functions can only be run."""
+    actions: tuple[float, ...] | None = None
+    """The angles [rad] that a discrete policy chooses from; None: a continuous one."""
+    largest: float = radians_of(25.0)
+    """The angle [rad] that a continuous policy's 1 means."""
+    description: StateDescription = StateDescription()
+    """Which of the inputs the policy sees, in which order, and their ranges."""
+    ready_from: float = 0.0
+    """Time from which it may be trusted with the wheel [s]."""
+
+    def __post_init__(self) -> None:
+        where = "PolicyBlock"
+        other = [name for name in self.description.names if name not in PORTS]
+        require(not other, where, f"description column {other[:1]} is no input; valid: {', '.join(PORTS)}")
+        if self.actions is not None:
+            object.__setattr__(self, "actions", tuple(float(a) for a in self.actions))
+            fits = len(self.actions) > 0 and bool(np.isfinite(self.actions).all())
+            require(fits, where, f"actions = {self.actions}, expected finite angles [rad]")
+        require(0.0 < self.largest < 20.0, where, f"largest = {self.largest} rad, expected 0 to 20 rad")
+
+    def output(self, t: Any, x: State, u: Any) -> Any:
+        """The policy's action, and whether it may be trusted with the wheel."""
+        d = self.description
+        ready, nan = m.where(t >= self.ready_from, 1.0, 0.0), float("nan")
+        sound = m.is_finite(u.e + u.e_dot + u.v + u.psi_e + u.r_e + u.doe)
+        s = [getattr(u, name) for name in d.names]
+        if any(map(m.is_symbol, u)):
+            if not isinstance(self.policy, Network):
+                raise TypeError(f"policy {self.policy!r} is no Network: it cannot be traced, only run (simulate)")
+            scaled = [m.clip((v - a) / b, -BOUND, BOUND) for v, a, b in zip(s, d.mid.tolist(), d.half.tolist())]
+            answer = self.policy.symbolic(scaled)
+            action = answer * self.largest
+            if self.actions is not None:
+                action = self.actions[0]
+                for number, angle in enumerate(self.actions[1:], start=1):
+                    action = m.where(answer > number - 0.5, angle, action)
+            return self.Y(action=m.where(sound, action, nan), ready=ready)
+        rows = np.stack(np.broadcast_arrays(*s), axis=-1)
+        shape = rows.shape[:-1]
+        rows = np.where(np.reshape(sound, (*shape, 1)), rows, 0.0).reshape(-1, len(s))
+        scaled_rows = np.clip((rows - d.mid) / d.half, -BOUND, BOUND)
+        exact = isinstance(self.policy, Network)
+        angles = self._angles(self.policy(scaled_rows if exact else scaled_rows.astype(np.float32)), len(rows))
+        if not shape:
+            return self.Y(action=float(angles[0]) if sound else nan, ready=ready)
+        return self.Y(action=np.where(sound, angles.reshape(shape), nan), ready=ready + np.zeros(shape))
+
+    def _angles(self, answer: Any, n: int) -> Array:
+        """The actions [rad] that a policy's answer means."""
+        values = np.asarray(answer).reshape(-1)
+        require(len(values) == n, "PolicyBlock", f"the policy answered {len(values)} numbers for {n} states")
+        if self.actions is None:
+            within = bool((np.abs(values) <= 1.0 + 1e-6).all())
+            require(within, "PolicyBlock", f"the policy answered {values}, expected within [-1, 1]")
+            return values * self.largest
+        fits = bool(((values >= 0) & (values < len(self.actions)) & (values % 1 == 0)).all())
+        require(fits, "PolicyBlock", f"the policy answered {values}, expected numbers 0 to {len(self.actions) - 1}")
+        return np.array(self.actions)[values.astype(np.intp)]
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the block of a `Network` to a small file (NumPy .npz, no pickle); `load` gives it back bit for bit."""
+        net, d = self.policy, self.description
+        if not isinstance(net, Network):
+            raise TypeError(f"PolicyBlock.save: {net!r} is no Network; only weights can be written to a file")
+        arrays = {f"{kind}{i}": a for i, layer in enumerate(net.layers) for kind, a in zip("wb", layer)}
+        write_arrays(
+            path,
+            "policy block",
+            actions=self.actions or (),
+            largest=self.largest,
+            ready_from=self.ready_from,
+            dt=self.dt,
+            names=d.names,
+            low=d.low,
+            high=d.high,
+            mirror_signs=d.mirror_signs,
+            goal=d.goal,
+            activation=net.activation,
+            head=net.head,
+            layers=len(net.layers),
+            **arrays,
+        )
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> PolicyBlock:
+        """The block that `save` wrote; raises ValueError for a truncated or foreign file."""
+        f = read_arrays(path, "policy block")
+        try:
+            net = Network(
+                layers=tuple((f[f"w{i}"], f[f"b{i}"]) for i in range(int(f["layers"]))),
+                activation=str(f["activation"]),  # type: ignore[arg-type]
+                head=str(f["head"]),  # type: ignore[arg-type]
+            )
+            numbers = {name: tuple(f[name].tolist()) for name in ("names", "low", "high", "mirror_signs", "goal")}
+            return cls(
+                policy=net,
+                actions=tuple(f["actions"].tolist()) or None,
+                largest=float(f["largest"]),
+                description=StateDescription(**numbers),  # type: ignore[arg-type]
+                ready_from=float(f["ready_from"]),
+                dt=float(f["dt"]),
+            )
+        except (ValueError, TypeError, KeyError) as why:
+            raise ValueError(f"{path}: the policy in it does not hold together: {why}") from why

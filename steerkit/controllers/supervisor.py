@@ -1,0 +1,125 @@
+"""Who steers, the learned controller or the analytic one; a target that comes to a lost car; a guard around a block."""
+
+from __future__ import annotations
+
+import logging
+import math
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from steerkit import maths as m
+from steerkit.block import Block, In, Out, Port, State
+from steerkit.errors import require
+from steerkit.units import radians_of
+
+
+class SupervisorState(NamedTuple):
+    """Who steered in the sample before, and whether the learner's fault is still latched (0.0 or 1.0)."""
+
+    learning: Any
+    fault: Any
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Supervisor(Block):
+    """Gives the wheel to the learned controller while it can be trusted, else to the recovery controller.
+
+    fault    = not (|learner| <= limit), latched until `ready` is 0 once (a NaN or out-of-range command)
+    learning = ready and not fault and |e| <= trip      if the learner steered in the sample before,
+               ready and not fault and |e| <  release   otherwise
+    delta_sw = learner if learning, else recovery
+
+    Inputs: e [m] as measured; learner, recovery [rad], both commands; ready [1], is there a policy to trust.
+    Outputs: delta_sw [rad]; learning [1]; tripped [1], 1 in the one sample in which the learner lost the wheel by
+    |e| > trip; fault [1]. State: learning and fault of the sample before; the run starts under recovery.
+    A NaN in e takes the wheel from the learner. A NaN in `recovery` goes through while recovery steers: there is no
+    one left to ask, and the gate before the bus refuses it.
+    Raises ValueError unless 0 < release <= trip. Source: Riedmiller, Montemerlo, Dahlkamp 2007 (0.5 m and 0.1 m).
+    """
+
+    e = In("m")
+    learner = In("rad")
+    recovery = In("rad")
+    ready = In("1")
+    delta_sw = Out("rad")
+    learning = Out("1")
+    tripped = Out("1")
+    fault = Out("1")
+
+    trip: float = 0.5
+    """|e| above which the learner loses the wheel [m]."""
+    release: float = 0.1
+    """|e| below which it gets the wheel [m]."""
+    limit: float = radians_of(520.0)
+    """Largest |delta_sw| a learner may ask for [rad]; more is a fault."""
+
+    def __post_init__(self) -> None:
+        require(
+            (self.release > 0.0) & (self.release <= self.trip),
+            "Supervisor",
+            f"release = {self.release} m, trip = {self.trip} m, expected 0 < release <= trip",
+        )
+        require(self.limit > 0.0, "Supervisor", f"limit = {self.limit} rad, expected > 0")
+
+    def init(self, batch: tuple[int, ...] = ()) -> SupervisorState:
+        return SupervisorState(m.filled(0.0, batch), m.filled(0.0, batch))
+
+    def output(self, t: Any, x: SupervisorState, u: Any) -> Any:
+        ready = u.ready > 0.5
+        sane = m.absolute(u.learner) <= self.limit * (1.0 + 1e-9)  # a NaN compares false
+        fault = m.where(ready, m.where(sane, x.fault, 1.0), 0.0)
+        steered = x.learning > 0.5
+        distance = m.absolute(u.e)
+        near = m.where(steered, m.where(distance <= self.trip, 1.0, 0.0), m.where(distance < self.release, 1.0, 0.0))
+        learning = m.where(m.both(ready, fault < 0.5), near, 0.0)
+        tripped = m.where(steered, m.where(distance <= self.trip, 0.0, 1.0), 0.0)
+        return self.Y(m.where(learning > 0.5, u.learner, u.recovery), learning, tripped, fault)
+
+    def update(self, t: Any, x: SupervisorState, u: Any, y: Any) -> SupervisorState:
+        return SupervisorState(y.learning, y.fault)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Guarded(Block):
+    """Wraps a block so that an exception in it becomes NaN on all its outputs, which a `Supervisor` answers.
+
+    Ports, units, state and sample time are those of `block`. The exception is logged, with its traceback, on the
+    logger `steerkit`. The state stays as it was. What `init` or `settle` raise, before the first sample, and what is
+    raised while a loop is traced, goes through.
+    """
+
+    block: Block
+
+    def __post_init__(self) -> None:
+        for name in ("inputs", "outputs", "U", "D", "Y", "dt", "pure"):  # those of the block inside, on this object
+            object.__setattr__(self, name, getattr(self.block, name))
+        ports: tuple[In | Out, ...] = (*self.block.inputs, *self.block.outputs)
+        for spec in ports:
+            object.__setattr__(self, spec.name, Port(self, spec))
+            if isinstance(spec.size, str):
+                object.__setattr__(self, spec.size, getattr(self.block, spec.size))
+
+    def init(self, batch: tuple[int, ...] = ()) -> State:
+        return self.block.init(batch)
+
+    def settle(self, t: float, x: State, u: Any) -> State:
+        return self.block.settle(t, x, u)
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        try:
+            return self.block.output(t, x, u)
+        except Exception:
+            if m.is_symbol(t):  # a block that cannot be traced is no fault of a drive
+                raise
+            logging.getLogger("steerkit").exception("%s.output failed at t = %s s", type(self.block).__name__, t)
+            sizes = [Port(self, out).size for out in self.outputs]
+            return self.Y(*[math.nan if n is None else (math.nan,) * n for n in sizes])
+
+    def update(self, t: Any, x: Any, u: Any, y: Any) -> State:
+        try:
+            return self.block.update(t, x, u, y)
+        except Exception:
+            if m.is_symbol(t):
+                raise
+            logging.getLogger("steerkit").exception("%s.update failed at t = %s s", type(self.block).__name__, t)
+            return x

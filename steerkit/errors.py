@@ -1,0 +1,55 @@
+"""What is wrong, said so that it teaches: where, what, the unit, what was expected, the valid choices."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+
+class WiringError(ValueError):
+    """A loop that cannot run as it is wired; raised when the loop is built."""
+
+
+def require(ok: Any, where: str, what: str) -> None:
+    """Raise ValueError `where: what` unless `ok` (for all cars, if an array); blocks check their parameters with it."""
+    if not (ok.all() if hasattr(ok, "all") else ok):
+        raise ValueError(f"{where}: {what}")
+
+
+def known(name: str, names: Iterable[str], where: str, *, also: str = "") -> str:
+    """`name` itself, if it is one of `names`; else a ValueError with the nearest and with all that are valid.
+
+    where: what kind of name it is, such as `course`. also: what is valid besides, such as `FILE.csv`.
+    """
+    valid = list(names)
+    if name in valid:
+        return name
+    near = difflib.get_close_matches(name, valid, n=1, cutoff=0.4)
+    hint = f" (did you mean '{near[0]}'?)" if near else ""
+    raise ValueError(f"{where} '{name}' is not known{hint}; valid: {', '.join(valid)}{', ' if also else ''}{also}")
+
+
+def require_within(where: str, name: str, value: Any, unit: str, low: Any, high: Any, hint: str = "") -> None:
+    """Raise a teaching ValueError unless low <= value <= high, for a number or for every entry of an array."""
+    numbers = np.asarray(value)
+    require(numbers.dtype.kind in "iuf", where, f"{name} = {value!r}, expected a number [{unit}]")
+    ok = bool(((low <= numbers) & (numbers <= high)).all())
+    expected = f"{np.min(low):.6g} to {np.max(high):.6g}"
+    require(ok, where, f"{name} = {value} [{unit}], expected {expected}{'; ' if hint else ''}{hint}")
+
+
+def whole_samples(where: str, name: str, value: Any, dt: float) -> int:
+    """How many samples of dt [s] a pure delay lasts; raises ValueError unless it is a whole number of them, 0 to 1000.
+
+    One number for all cars of a batch: it decides how many values the state holds.
+    """
+    require(np.ndim(value) == 0, where, f"{name} [s] has shape {np.shape(value)}, expected one number for all cars")
+    require_within(where, name, value, "s", 0.0, 1000.0 * dt)
+    n = round(value / dt)
+    nearest = f"{n * dt:g} or {(n + 1 if value > n * dt else max(n - 1, 0)) * dt:g}"
+    ok = abs(value - n * dt) <= 1e-9
+    require(ok, where, f"{name} = {value} [s], expected a multiple of dt = {dt:g} s; valid: {nearest}, or a finer dt")
+    return n

@@ -1,0 +1,1 @@
+"""Out of steerkit: C, FMU, ONNX, Minari."""

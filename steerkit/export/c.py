@@ -1,0 +1,355 @@
+"""Blocks and controller parts of loops as self-contained C99, for an ECU."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from steerkit.block import Block, Out, State
+from steerkit.compiled.c_code import SCALAR_TYPES, c_number, statements, table_source
+from steerkit.compiled.trace import Trace, TraceError, trace
+from steerkit.loop import Loop, LoopState, Wire
+from steerkit.maths import filled
+from steerkit.simulation import simulate
+
+_ROWS = 200  # of the recorded log in the test program
+_TYPICAL = {"rad": 0.5, "rad/s": 0.3, "m": 0.6, "m/s": 8.0, "1/m": 0.05, "1": 1.0}  # of made-up inputs, by unit
+
+
+def export_c(
+    what: Block | Loop,
+    out: str | Path,
+    *,
+    blocks: Sequence[str] = (),
+    name: str | None = None,
+    state: LoopState | None = None,
+) -> list[Path]:
+    """Write a block, or some `blocks` of a loop, as C99 with a header, a CMake file and a test that replays a log.
+
+    The C is one file with no allocation, no recursion and nothing of libc but math.h:
+
+        void <name>_init(<name>_state *s);
+        void <name>_step(<name>_state *s, const <name>_inputs *u, <name>_outputs *y);
+
+    one call of `step` a sample (`<NAME>_DT` seconds); state, inputs and outputs are structs of doubles. Inputs are
+    the signals that the chosen blocks take from outside; their units, and the parameters with all limits, stand in
+    the header. `init` gives the state that the loop (or the block) starts from here: a start that depends on the
+    first inputs (`settle`) is worked out now, not on the ECU.
+
+    `<name>_test.c` replays recorded inputs and returns 0 if every output agrees to 1e-9*(1 + |value|): of a loop 200
+    samples of its simulation; of a single block made-up inputs through the block itself.
+
+    blocks: of a loop, the names of the parts to export, such as ("controller", "doe", "recovery", "supervisor").
+    name: of files, functions and structs (default: the block's class, or "controller"). state: of the loop, to start
+    from (default: `loop.init()`). Returns the files. Raises TraceError naming a block that cannot be exported;
+    ValueError for a bad name or no blocks.
+    """
+    if isinstance(what, Loop):
+        if not blocks:
+            raise ValueError(f"export_c: which blocks of the loop? blocks=(...) of: {', '.join(what.names)}")
+        part = _Part.of_loop(what, blocks, what.init() if state is None else state)
+    else:
+        part = _Part.of_block(what)
+    title = name or (_snake(type(what).__name__) if isinstance(what, Block) else "controller")
+    if not re.fullmatch(r"[a-z][a-z0-9_]*", title):
+        raise ValueError(f"export_c: name {title!r}, expected a C identifier in lower case, such as 'recovery'")
+    folder = Path(out)
+    folder.mkdir(parents=True, exist_ok=True)
+    texts = {
+        f"{title}.h": part.header(title),
+        f"{title}.c": part.source(title),
+        f"{title}_test.c": part.test(title),
+        "CMakeLists.txt": _CMAKE.format(name=title),
+    }
+    for file, text in texts.items():
+        (folder / file).write_text(text, encoding="utf-8")
+    return [folder / file for file in texts]
+
+
+def _external(units: Mapping[str, str], dt: float) -> Block:
+    """A block that stands for the outside: its state is what comes in, and its outputs show it."""
+
+    def init(self: Block, batch: tuple[int, ...] = ()) -> State:
+        return tuple(filled(0.0, batch) for _ in units)
+
+    def output(self: Block, t: Any, x: State, u: Any) -> Any:
+        return self.Y(*x)
+
+    ports = {signal: Out(unit, direct=()) for signal, unit in units.items()}
+    kind: Any = type("External", (Block,), {**ports, "init": init, "output": output})
+    return dataclasses.dataclass(frozen=True, eq=False, kw_only=True)(kind)(dt=dt)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Part:
+    """What is exported, with names for C, and a recording of it."""
+
+    trace: Trace
+    start: list[float]
+    inputs: dict[str, str]
+    outputs: dict[str, tuple[str, int]]
+    rows: np.ndarray
+    expected: np.ndarray
+
+    @classmethod
+    def of_loop(cls, loop: Loop, names: Sequence[str], start: LoopState) -> _Part:
+        """The named blocks of a loop, with a piece of its simulation."""
+        unknown = [n for n in names if n not in loop.blocks]
+        if unknown:
+            raise ValueError(f"export_c: no block '{unknown[0]}'; blocks: {', '.join(loop.names)}")
+        chosen = {n: loop.blocks[n] for n in loop.names if n in names}
+        sources = {
+            loop.port_name(a): a for a, b in loop.wires if b.block in chosen.values() and a.block not in chosen.values()
+        }
+        for signal, port in sources.items():
+            if port.size is not None:
+                raise TraceError(f"export_c: {signal} is a vector; export {signal.split('.')[0]} along with the others")
+        dt = min(block.dt for block in chosen.values())
+        outside = _external({s.replace(".", "_"): p.spec.unit for s, p in sources.items()}, dt)
+        wires: list[Wire] = []
+        for a, b in loop.wires:
+            if b.block in chosen.values():
+                inner = a.block in chosen.values()
+                wires.append((a if inner else getattr(outside, loop.port_name(a).replace(".", "_")), b))
+        inside = {"inputs": outside, **chosen} if sources else chosen
+        every = round(dt / loop.dt)
+        if start.k % (loop.period if every > 1 else 1):
+            raise ValueError(f"export_c: state at tick {start.k}, expected a multiple of {loop.period}")
+        made = trace(Loop(blocks=inside, wires=wires, dt=dt))
+        log = simulate(loop, _ROWS * dt, state=start, every=every)
+        x = [(0.0,) * len(sources)] * bool(sources) + [start.x[loop.names.index(n)] for n in chosen]
+        y = [(0.0,) * len(sources)] * bool(sources) + [start.y[loop.names.index(n)] for n in chosen]
+        signals = [s for s in made.layout.signals if not s.startswith("inputs.") or "inputs" in loop.blocks]
+        columns = [log[s].reshape(len(log.t), -1) for s in signals]
+        return cls(
+            made,
+            made.layout.pack(x, y),
+            {s.replace(".", "_"): p.spec.unit for s, p in sources.items()},
+            {s.replace(".", "_"): (s, n) for s in signals for n in [made.layout.signals[s][0]]},
+            np.column_stack([log[s] for s in sources] or [np.empty((len(log.t), 0))]),
+            np.column_stack(columns),
+        )
+
+    @classmethod
+    def of_block(cls, block: Block) -> _Part:
+        """One block, with outputs for made-up inputs."""
+        if not block.pure:
+            raise TraceError(f"export_c: {type(block).__name__} is not pure, so it cannot be exported")
+        units = {p.name: p.unit for p in block.inputs}
+        if any(getattr(block, p.name).size is not None for p in block.inputs):
+            raise TraceError(f"export_c: {type(block).__name__} has a vector input; export it as a part of its loop")
+        outside = _external(units, block.dt)
+        wires = [(getattr(outside, n), getattr(block, n)) for n in units]
+        made = trace(Loop(blocks={"inputs": outside, "block": block} if units else {"block": block}, wires=wires))
+        rng = np.random.default_rng(0)
+        scale = np.array([_TYPICAL.get(unit, 1.0) for unit in units.values()])
+        rows = rng.normal(size=(_ROWS, len(units))) * scale
+        rows[:, [unit == "m/s" for unit in units.values()]] = np.abs(rows[:, [u == "m/s" for u in units.values()]])
+        x = block.init()
+        expected = []
+        direct = block.D._fields
+        for k, row in enumerate(rows.tolist()):
+            u = block.U(*row)
+            y = block.output(k * block.dt, x, block.D(*[getattr(u, n) for n in direct]))
+            x = block.update(k * block.dt, x, u, y)
+            expected.append(np.concatenate([np.atleast_1d(np.asarray(v, dtype=float)) for v in y]))
+        layout = made.layout
+        held = [0.0] * (len(layout) - len(units) * bool(units) - len(block.init()))
+        start = [0.0] * len(units) + [float(v) for v in block.init()] + held
+        signals = {s.split(".")[1]: (s, i) for s, (i, _) in layout.signals.items() if s.startswith("block.")}
+        return cls(made, start, units, signals, rows, np.array(expected))
+
+    @property
+    def state(self) -> dict[int, str]:
+        """Slots that go from sample to sample, with their C names."""
+        layout, n = self.trace.layout, len(self.inputs)
+        first = min(slot for slot, _ in layout.signals.values())
+        kind = {slot: "held" if slot >= first else "x" for slot in self.trace.carried}
+        return {slot: f"{kind[slot]}_{_c_name(layout.names[slot])}_{slot}" for slot in self.trace.carried if slot >= n}
+
+    @property
+    def results(self) -> list[tuple[str, int, str]]:
+        """(C name, slot, unit) of every output."""
+        made = []
+        for c_name, (signal, _) in self.outputs.items():
+            slots = self.trace.layout.slots_of(signal)
+            _, size = self.trace.layout.signals[signal]
+            unit = self.trace.loop.units[signal]
+            made += [(c_name if size is None else f"{c_name}_{i}", slot, unit) for i, slot in enumerate(slots)]
+        return made
+
+    def header(self, name: str) -> str:
+        """The text of <name>.h."""
+        guard = f"{name.upper()}_H"
+        lines = [
+            f"/* {name}: made by steerkit's export_c; SI units and radians. */",
+            f"#ifndef {guard}",
+            f"#define {guard}",
+            "",
+        ]
+        lines.append(f"#define {name.upper()}_DT {c_number(self.trace.loop.dt)} /* [s] */")
+        for block_name, block in self.trace.loop.blocks.items():
+            if block_name != "inputs":
+                for field, value in _numbers(block):
+                    macro = "_".join([name, *([block_name] if block_name != "block" else []), field]).upper()
+                    lines.append(f"#define {macro} {c_number(value)}" if field != "dt" else "")
+        lines += [
+            "",
+            "typedef struct {",
+            f"  unsigned phase; /* sample number modulo {len(self.trace.ticks)} */",
+            "  double k; /* sample number */",
+        ]
+        lines += [f"  double {field};" for field in self.state.values()]
+        lines += [f"}} {name}_state;", "", "typedef struct {"]
+        lines += [f"  double {field}; /* [{unit}] */" for field, unit in self.inputs.items()] or ["  double none;"]
+        lines += [f"}} {name}_inputs;", "", "typedef struct {"]
+        lines += [f"  double {field}; /* [{unit}] */" for field, _, unit in self.results]
+        step = f"void {name}_step({name}_state *s, const {name}_inputs *u, {name}_outputs *y);"
+        lines += [f"}} {name}_outputs;", "", f"void {name}_init({name}_state *s);", step, "", "#endif", ""]
+        return "\n".join(line for i, line in enumerate(lines) if line or lines[i - 1])
+
+    def source(self, name: str) -> str:
+        """The text of <name>.c."""
+        state, inputs, slots = self.state, list(self.inputs), len(self.trace.layout)
+        ticks = []
+        for phase, tick in enumerate(self.trace.ticks):
+
+            def text(slot: int) -> str:
+                if slot == 0:
+                    return "s->k"
+                return f"u->{inputs[slot - 1]}" if slot <= len(inputs) else f"s->{state[slot - 1]}"
+
+            wanted = [*state, *(slot for _, slot, _ in self.results)]
+            roots = [tick.roots[slot] for slot in wanted]
+            names = [*(f"s->{field}" for field in state.values()), *(f"y->{field}" for field, _, _ in self.results)]
+            body = statements(tick.graph, roots, text, self.trace.tables)
+            ends = [f"  {place} = v{i};" for place, i in zip(names, roots)]
+            ticks.append(
+                f"static void tick{phase}({name}_state *s, const {name}_inputs *u, {name}_outputs *y)\n{{\n  (void)u;\n"
+                + "\n".join([*body, *ends])
+                + "\n}\n"
+            )
+        assert slots == len(self.start)
+        period = len(self.trace.ticks)
+        cases = "\n".join(
+            f"    {f'case {i}u' if i < period - 1 else 'default'}: tick{i}(s, u, y); break;" for i in range(period)
+        )
+        values = [f"  s->{field} = {c_number(float(self.start[slot]))};" for slot, field in state.items()]
+        macros = "\n".join(line for line in SCALAR_TYPES.splitlines())
+        return "\n".join(
+            [
+                f'#include <math.h>\n#include "{name}.h"\n\n{macros}\n',
+                table_source(self.trace.tables),
+                *ticks,
+                f"void {name}_init({name}_state *s)\n{{\n  s->phase = 0u;\n  s->k = 0.0;",
+                *values,
+                "}\n",
+                f"void {name}_step({name}_state *s, const {name}_inputs *u, {name}_outputs *y)\n{{",
+                "  switch (s->phase) {",
+                cases,
+                "  }",
+                f"  s->phase = (s->phase + 1u) % {period}u;",
+                "  s->k += 1.0;\n}\n",
+            ]
+        )
+
+    def test(self, name: str) -> str:
+        """The text of <name>_test.c."""
+        results = [field for field, _, _ in self.results]
+
+        def array(kind: str, rows: np.ndarray) -> str:
+            width = max(1, rows.shape[1])
+            text = ",\n".join("  {" + (", ".join(c_number(v) for v in row) or "0.0") + "}" for row in rows.tolist())
+            return f"static const double {kind}[{len(rows)}][{width}] = {{\n{text}\n}};\n"
+
+        copies = [f"    u.{field} = inputs[i][{j}];" for j, field in enumerate(self.inputs)]
+        given = "\n".join(copies or ["    u.none = 0.0;"])
+        seen = ", ".join(f"y.{field}" for field in results)
+        labels = ", ".join(f'"{field}"' for field in results)
+        return _TEST.format(
+            name=name,
+            inputs=array("inputs", self.rows),
+            expected=array("expected", self.expected),
+            given=given,
+            seen=seen,
+            labels=labels,
+            rows=len(self.rows),
+            width=len(results),
+        )
+
+
+def _numbers(block: Block) -> list[tuple[str, float]]:
+    values = [(f.name, getattr(block, f.name)) for f in dataclasses.fields(block)]
+    numbers = [(n, v) for n, v in values if isinstance(v, int | float) and not isinstance(v, bool)]
+    return [(n, float(v)) for n, v in numbers if math.isfinite(v)]
+
+
+def _snake(name: str) -> str:
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
+
+
+def _c_name(name: str) -> str:
+    return re.sub(r"\W", "_", name)
+
+
+_TEST = """\
+/* Replays a recorded log through {name} and compares; returns 0 if all outputs agree. */
+#include <math.h>
+#include <stdio.h>
+#include "{name}.h"
+
+{inputs}
+{expected}
+static const char *const labels[{width}] = {{{labels}}};
+
+int main(void)
+{{
+  {name}_state s;
+  double worst = 0.0;
+  {name}_init(&s);
+  for (int i = 0; i < {rows}; i++) {{
+    {name}_inputs u;
+    {name}_outputs y;
+{given}
+    {name}_step(&s, &u, &y);
+    const double seen[{width}] = {{{seen}}};
+    for (int j = 0; j < {width}; j++) {{
+      const double error = fabs(seen[j] - expected[i][j]) / (1.0 + fabs(expected[i][j]));
+      if (isnan(expected[i][j]) ? !isnan(seen[j]) : !(error <= 1e-9)) {{
+        printf("sample %d: %s is %.17g, recorded %.17g\\n", i, labels[j], seen[j], expected[i][j]);
+        return 1;
+      }}
+      if (error > worst) worst = error;
+    }}
+  }}
+  printf("{name}: {rows} samples agree, largest difference %.3g\\n", worst);
+  return 0;
+}}
+"""
+
+_CMAKE = """\
+cmake_minimum_required(VERSION 3.10)
+project({name} C)
+set(CMAKE_C_STANDARD 99)
+set(CMAKE_C_STANDARD_REQUIRED ON)
+set(CMAKE_C_EXTENSIONS OFF)
+add_library({name} STATIC {name}.c)
+target_include_directories({name} PUBLIC ${{CMAKE_CURRENT_SOURCE_DIR}})
+if(CMAKE_C_COMPILER_ID MATCHES "GNU|Clang")
+  target_compile_options({name} PRIVATE -Wall -Wextra -Wconversion -ffp-contract=off)
+endif()
+find_library(MATH_LIBRARY m)
+if(MATH_LIBRARY)
+  target_link_libraries({name} PUBLIC ${{MATH_LIBRARY}})
+endif()
+enable_testing()
+add_executable({name}_test {name}_test.c)
+target_link_libraries({name}_test {name})
+add_test(NAME {name}_replay COMMAND {name}_test)
+"""

@@ -1,0 +1,121 @@
+"""A loop as an FMU for co-simulation (FMI 2.0), through PythonFMU (extra `export`).
+
+The FMU holds the loop as straight-line Python (`steerkit.compiled`): where it runs it needs a Python 3.9 or newer, as
+all FMUs of PythonFMU do, but neither steerkit nor NumPy.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from steerkit.compiled.graph import FUNCTIONS
+from steerkit.compiled.python_code import PythonProgram
+from steerkit.compiled.trace import Trace, flattened, parameter, trace
+from steerkit.errors import require
+from steerkit.loop import Loop
+from steerkit.simulation import Signal
+
+_SLAVE = '''
+
+class {name}(Fmi2Slave):
+    """The loop as a co-simulation slave."""
+
+    description = {description!r}
+
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+        self.k, self.slots, self.fixed = 0, list(START), list(FIXED.values())
+        for i, name in enumerate(FIXED):
+            self.register_variable(Real(
+                name, causality=Fmi2Causality.parameter, variability=Fmi2Variability.tunable,
+                getter=lambda i=i: self.fixed[i], setter=lambda value, i=i: self.fixed.__setitem__(i, value),
+            ))
+        for name, (slot, unit) in OUTPUTS.items():
+            self.register_variable(Real(
+                name, causality=Fmi2Causality.output, initial=Fmi2Initial.exact, start=AT_START[name],
+                description=unit, getter=lambda slot=slot: self.seen[slot],
+            ))
+        self.look()
+
+    def look(self):
+        self.seen = finish(self.k, self.slots, self.fixed)
+
+    def exit_initialization_mode(self):
+        self.look()
+
+    def do_step(self, current_time, step_size):
+        ticks = round(step_size / STEP)
+        if ticks < 1 or abs(ticks * STEP - step_size) > 1e-9 * step_size:
+            return False
+        values = run(self.k, self.k + ticks, self.slots, self.fixed, [])
+        for slot, value in zip(CARRIED, values):
+            self.slots[slot] = value
+        self.k += ticks
+        self.look()
+        return True
+
+    def _get_fmu_state(self):
+        return {{"k": self.k, "slots": list(self.slots), "fixed": list(self.fixed)}}
+
+    def _set_fmu_state(self, state):
+        self.k, self.slots, self.fixed = state["k"], list(state["slots"]), list(state["fixed"])
+        self.look()
+'''
+
+
+def export_fmu(
+    loop: Loop, file: str | os.PathLike[str], *, outputs: Sequence[Signal], parameters: Sequence[str] = ()
+) -> Path:
+    """Write a loop as an FMU whose outputs are these signals; returns its path.
+
+    parameters: block fields such as `controller.k` that become tunable parameters, under their names. A communication
+    step has to be a whole multiple of loop.dt; another one is refused by the FMU. It can be saved and restored
+    (FMU state), and gives the numbers of `simulate`.
+
+    Raises TraceError for a loop that cannot be compiled, KeyError for an unknown signal, ValueError for a vector signal
+    or a file name that is no identifier with the ending .fmu, ImportError without pythonfmu.
+    """
+    try:
+        from pythonfmu.builder import FmuBuilder
+    except ImportError as why:
+        raise ImportError("export_fmu needs pythonfmu: pip install 'steerkit-control[export]'") from why
+    target = Path(file)
+    fits = target.suffix == ".fmu" and re.fullmatch(r"[A-Za-z]\w*", target.stem)
+    require(fits, "export_fmu", f"file {target.name!r}, expected letters, digits and _, and the ending .fmu")
+    made = trace(loop, parameters=parameters)
+    names = [signal if isinstance(signal, str) else loop.port_name(signal) for signal in outputs]
+    for name in names:
+        loop.locate(name)
+        require(made.layout.signals[name][1] is None, "export_fmu", f"{name} is a vector; expected scalar signals")
+    with tempfile.TemporaryDirectory() as folder:
+        script = Path(folder, f"{target.stem.lower()}_model.py")
+        script.write_text(_script(made, target.stem, names, parameters), encoding="utf-8")
+        FmuBuilder.build_FMU(script, target, canGetAndSetFMUstate="true", canSerializeFMUstate="true")
+    return target
+
+
+def _script(made: Trace, name: str, outputs: Sequence[str], parameters: Sequence[str]) -> str:
+    loop, layout = made.loop, made.layout
+    start = loop.init()
+    slots = [float(value) for value in layout.pack(start.x, start.y)]
+    fixed = {n: float(v) for n, v in flattened({n: parameter(loop, n) for n in parameters}).items()}
+    shown = {output: (layout.slots_of(output)[0], loop.units[output]) for output in outputs}
+    tables = [np.array(table.rows).tolist() for table in made.tables]
+    return "\n".join(
+        [
+            f"from math import inf, nan, {', '.join(sorted(FUNCTIONS))}",
+            "from pythonfmu import Fmi2Causality, Fmi2Initial, Fmi2Slave, Fmi2Variability, Real",
+            *[f"table{i} = {rows!r}" for i, rows in enumerate(tables)],
+            PythonProgram(made, (), 1).source,
+            f"STEP, CARRIED, START = {loop.dt!r}, {made.carried!r}, {slots!r}",
+            f"AT_START = { {output: slots[slot] for output, (slot, _) in shown.items()}!r}",
+            f"FIXED, OUTPUTS = {fixed!r}, {shown!r}",
+            _SLAVE.format(name=name, description=f"{loop!r}, made by steerkit"),
+        ]
+    )

@@ -1,0 +1,164 @@
+"""Learned policies as ONNX models, for runtimes in other languages, and the check that they say what the block says.
+
+Needs onnx, and onnxruntime for the check (extra `export`).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerkit.controllers.network_policy import BOUND, Network, PolicyBlock
+from steerkit.controllers.nfq_policy import NfqPolicy, StateDescription
+from steerkit.errors import require
+
+Array = NDArray[np.float64]
+OPSET = 17
+UNITS = {"e": "m", "e_dot": "m/s", "v": "m/s", "psi_e": "rad", "r_e": "rad/s", "doe": "rad"}
+
+
+def export_onnx(block: NfqPolicy | PolicyBlock, file: str | os.PathLike[str], *, single: bool = False) -> None:
+    """Write a policy as an ONNX model: scaling, nets, their mean (or largest) and the choice of the action inside.
+
+    Input `state` (N, columns): SI, columns as in the block's description, unscaled. Outputs: `action` (N,) [rad], for
+    a dynamic output element, which stays outside; of an `NfqPolicy` also `q` (N,) [1], its expected cost. A state with
+    a NaN or an infinity gives NaN. Numbers are float64; single: float32, with which a choice between two actions of
+    nearly equal cost may come out differently. Names, units and ranges stand in the model's metadata.
+
+    Raises ValueError for a policy without nets, TypeError for a block that holds no net, ImportError without onnx.
+    """
+    graph = _Graph(single)
+    if isinstance(block, NfqPolicy):
+        require(bool(block.nets), "export_onnx", "the policy has no nets: nothing was learned yet")
+        actions, values = _nfq(graph, block)
+    elif isinstance(block, PolicyBlock) and isinstance(block.policy, Network):
+        actions, values = _network(graph, block, block.policy), None
+    else:
+        raise TypeError(f"export_onnx: {block!r}; valid: an NfqPolicy, or a PolicyBlock of a Network")
+    graph.finish(file, block.description, block.dt, action=actions, q=values)
+
+
+def check_onnx(
+    block: NfqPolicy | PolicyBlock, file: str | os.PathLike[str], *, states: int = 10_000, seed: int = 0
+) -> dict[str, float]:
+    """The largest differences between block and model, over random states of twice the description's ranges.
+
+    Returns `action` [rad] and, of an NfqPolicy, `q` [1]. Raises ImportError without onnxruntime.
+    """
+    try:
+        import onnxruntime
+    except ImportError as why:
+        raise ImportError("check_onnx needs onnxruntime: pip install 'steerkit-control[export]'") from why
+    d = block.description
+    s = d.mid + d.half * np.random.default_rng(seed).uniform(-2.0, 2.0, (states, len(d.names)))
+    session = onnxruntime.InferenceSession(os.fspath(file), providers=["CPUExecutionProvider"])
+    kind = np.float32 if session.get_inputs()[0].type == "tensor(float)" else np.float64
+    names = [output.name for output in session.get_outputs()]
+    told = dict(zip(names, session.run(names, {"state": s.astype(kind)})))
+    columns = dict(zip(d.names, s.T))
+    y = block.output(0.0, (), block.D(**{port: columns.get(port, np.zeros(states)) for port in block.D._fields}))
+    return {name: float(np.abs(told[name] - getattr(y, name)).max()) for name in names}
+
+
+def _nfq(graph: _Graph, policy: NfqPolicy) -> tuple[str, str]:
+    """The graph of the greedy policy; its nets see the state and, in the last column, the action."""
+    order, d = sorted(policy.actions, key=abs), policy.description  # of equal values the gentlest action's comes first
+    scaled = graph.op("Div", graph.op("Sub", "state", graph.number(d.mid)), graph.number(d.half))
+    of_nets = []
+    for net in policy.nets or ():
+        (w, b), *rest = zip(net[::2], net[1::2])
+        action = np.outer(np.array(order) / d.scale_of(policy.actions), w[:, -1]) + b
+        first = graph.op("MatMul", scaled, graph.number(w[:, :-1].T))
+        first = graph.op("Unsqueeze", first, graph.whole([1]))  # (N, 1, units), to be added to (actions, units)
+        h = graph.op("Sigmoid", graph.op("Add", first, graph.number(action)))
+        for w, b in rest:
+            h = graph.op("Sigmoid", graph.op("Add", graph.op("MatMul", h, graph.number(w.T)), graph.number(b)))
+        of_nets.append(h)
+    together = graph.op("Concat", *of_nets, axis=2)
+    q = graph.op("ReduceMax" if policy.combine == "max" else "ReduceMean", together, axes=[2], keepdims=0)
+    best = graph.op("ArgMin", q, axis=1, keepdims=0)
+    return graph.op("Gather", graph.number(order), best), graph.op("ReduceMin", q, axes=[1], keepdims=0)
+
+
+def _network(graph: _Graph, block: PolicyBlock, net: Network) -> str:
+    """The graph of a policy block's net and its head."""
+    d = block.description
+    h = graph.op("Div", graph.op("Sub", "state", graph.number(d.mid)), graph.number(d.half))
+    h = graph.op("Clip", h, graph.number(-BOUND), graph.number(BOUND))
+    for i, (w, b) in enumerate(net.layers):
+        h = graph.op("Add", graph.op("MatMul", h, graph.number(w.T)), graph.number(b))
+        if i < len(net.layers) - 1:
+            h = graph.op("Relu" if net.activation == "relu" else "Tanh", h)
+    if net.head == "argmax":
+        return graph.op("Gather", graph.number(block.actions or ()), graph.op("ArgMax", h, axis=1, keepdims=0))
+    h = graph.op("Squeeze", h, graph.whole([1]))
+    h = graph.op("Tanh", h) if net.head == "tanh" else graph.op("Clip", h, graph.number(-1.0), graph.number(1.0))
+    return graph.op("Mul", h, graph.number(block.largest))
+
+
+class _Graph:
+    """Nodes and constants while a model is being made."""
+
+    def __init__(self, single: bool):
+        try:
+            import onnx
+        except ImportError as why:
+            raise ImportError("export_onnx needs onnx: pip install 'steerkit-control[export]'") from why
+        self.onnx = onnx
+        self.float: Any = np.float32 if single else np.float64
+        self._nodes: list[Any] = []
+        self._constants: list[Any] = []
+
+    def number(self, value: Any) -> str:
+        """A constant of floating-point numbers."""
+        return self._constant(np.array(value, dtype=self.float))
+
+    def whole(self, value: Sequence[int]) -> str:
+        """A constant of whole numbers."""
+        return self._constant(np.array(value, dtype=np.int64))
+
+    def _constant(self, array: NDArray[Any]) -> str:
+        name = f"c{len(self._constants)}"
+        self._constants.append(self.onnx.numpy_helper.from_array(array, name))
+        return name
+
+    def op(self, kind: str, *inputs: str, **attributes: Any) -> str:
+        """A node; returns the name of what it computes."""
+        name = f"{kind.lower()}{len(self._nodes)}"
+        self._nodes.append(self.onnx.helper.make_node(kind, list(inputs), [name], **attributes))
+        return name
+
+    def finish(self, file: str | os.PathLike[str], d: StateDescription, dt: float, **outputs: str | None) -> None:
+        """Write the model with these outputs, which are NaN where the state is not sound."""
+        helper = self.onnx.helper
+        kind = helper.np_dtype_to_tensor_dtype(np.dtype(self.float))
+        total = self.op("ReduceSum", "state", self.whole([1]), keepdims=0)
+        largest = 1e300 if self.float is np.float64 else 1e38
+        sound = self.op("LessOrEqual", self.op("Abs", total), self.number(largest))
+        made = {name: value for name, value in outputs.items() if value is not None}
+        for name, value in made.items():
+            self._nodes.append(helper.make_node("Where", [sound, value, self.number(np.nan)], [name]))
+        columns = ", ".join(f"{name} [{UNITS[name]}]" for name in d.names)
+        graph = helper.make_graph(
+            self._nodes,
+            "policy",
+            [helper.make_tensor_value_info("state", kind, ["N", len(d.names)], f"columns {columns}")],
+            [helper.make_tensor_value_info(name, kind, ["N"], "[rad]" if name == "action" else "[1]") for name in made],
+            self._constants,
+        )
+        model = helper.make_model(
+            graph,
+            opset_imports=[helper.make_opsetid("", OPSET)],
+            ir_version=8,
+            producer_name="steerkit",
+            doc_string=f"Greedy policy. state (N, {len(d.names)}): {columns}; action (N,) [rad], every {dt:g} s.",
+        )
+        about = {"columns": columns, "low": list(d.low), "high": list(d.high), "sample_time_s": dt}
+        helper.set_model_props(model, {name: str(value) for name, value in about.items()})
+        self.onnx.checker.check_model(model, full_check=True)
+        with open(file, "wb") as stream:
+            stream.write(model.SerializeToString())

@@ -1,0 +1,264 @@
+"""The transition store: what a car experienced, on disk within half a second, whole after any crash.
+
+One SQLite file in write-ahead mode. `append` only puts a row into memory; a thread of the store's own writes and
+commits what has come in, four times a second. Commits are synced to the disk (synchronous=FULL): the thread can wait
+for the disk, the driver never does, and a car's power is cut as often as a process is killed.
+"""
+
+from __future__ import annotations
+
+import math
+import sqlite3
+import struct
+import threading
+import time
+import uuid
+import warnings
+import weakref
+from collections.abc import Sequence
+from pathlib import Path as FilePath
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from steerkit.errors import require
+from steerkit.learning.data.store_file import (
+    Path,
+    Row,
+    StoreError,
+    checksum,
+    connect,
+    errors_of,
+    insert,
+    opened,
+    reading,
+    rows_of,
+    transaction,
+    writing,
+)
+from steerkit.learning.data.transitions import Transitions
+
+__all__ = ["StoreError", "TransitionStore"]
+
+PERIOD = 0.25
+"""Time between two commits while rows come in [s]; at most this much, and one commit, is lost by a kill."""
+PROMISE = 1.0
+"""Age of an unwritten row from which the writer complains [s]."""
+
+
+class TransitionStore:
+    """Transitions of one or several runs in one file, to append to while driving.
+
+    path: the file. run: label of the run to append to; the file and the run are created where they are missing, an
+    existing run is continued. Without `run` the store is only read. names: the state's columns; checked against the
+    file's (default for a new file: the standard six).
+
+    A kill of the process loses the rows of the last second at most; everything older is there, and the file opens
+    again. Any number of stores may read a file while one writes to it. Close it, or use it in a `with`.
+    Raises StoreError for a file that is missing (without `run`), damaged, cut short, another program's, of a newer
+    schema, or of other names.
+    """
+
+    def __init__(self, path: Path, *, run: str | None = None, names: Sequence[str] | None = None):
+        self.path, self.run = FilePath(path), run
+        self.names = opened(self.path, names, create=run is not None)
+        self._pack = struct.Struct(f"<{2 * len(self.names) + 1}d").pack
+        self._writer: _Writer | None = None
+        if run is not None:
+            with writing(self.path) as db:
+                db.execute("INSERT OR IGNORE INTO run(label, uid) VALUES (?, ?)", (run, uuid.uuid4().hex))
+                (number,) = db.execute("SELECT id FROM run WHERE label = ?", (run,)).fetchone()
+            self._writer = _Writer(self.path, number)
+            self._end = weakref.finalize(self, _Writer.end, self._writer)  # also when the program ends unclosed
+
+    def __repr__(self) -> str:
+        runs = ", ".join(f"{label}: {rows}" for label, rows in self.runs().items())
+        return f"TransitionStore({self.path}; {runs or 'empty'})"
+
+    # ---- writing --------------------------------------------------------------------------------------------
+
+    def append(self, s: Sequence[float], a: float, s_next: Sequence[float], episode: int) -> None:
+        """Record one transition; returns at once, whatever the disk does.
+
+        s, s_next: the state's columns (SI); a: action [rad]; episode: its number within the run. Raises ValueError
+        for a wrong length or a non-finite number, StoreError when the store was opened for reading or closed.
+        """
+        n = len(self.names)
+        if len(s) != n or len(s_next) != n:
+            what = f"s has {len(s)}, s_next has {len(s_next)} entries, expected {n}: {', '.join(self.names)}"
+            raise ValueError(f"TransitionStore: {what}")
+        numbers = (*s, a, *s_next)
+        if not all(map(math.isfinite, numbers)):
+            columns = (*self.names, "a", *(f"{name}_next" for name in self.names))
+            bad = next(f"{c} = {x}" for c, x in zip(columns, numbers) if not math.isfinite(x))
+            raise ValueError(f"TransitionStore: {bad}, expected a finite number; end the episode before it")
+        row = self._pack(*numbers)
+        self._writing().waiting.append((int(episode), row, checksum(int(episode), row)))
+
+    def extend(self, transitions: Transitions) -> None:
+        """Record all of `transitions`, under their episode numbers; returns at once, as `append`."""
+        require(transitions.names == self.names, f"{self.path}", f"has {self.names}, got {transitions.names}")
+        self._writing().waiting.extend(rows_of(transitions))
+
+    def flush(self, timeout: float = 10.0) -> None:
+        """Wait until all that was appended is on the disk; raises StoreError when it is not within `timeout` [s]."""
+        self._writing().flush(timeout)
+
+    def close(self, timeout: float = 10.0) -> None:
+        """Write what is left and end; raises StoreError when that cannot be done within `timeout` [s]."""
+        writer, self._writer = self._writer, None
+        if writer is not None:
+            try:
+                writer.flush(timeout)
+            finally:
+                self._end()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    @property
+    def waiting(self) -> int:
+        """Rows appended but not yet committed."""
+        return len(self._writer.waiting) if self._writer else 0
+
+    @property
+    def committed(self) -> int:
+        """Rows committed since this store was opened."""
+        return self._writer.committed if self._writer else 0
+
+    @property
+    def fault(self) -> str:
+        """Why the last commit did not succeed; empty when it did. The rows wait, and the writer tries again."""
+        return self._writer.fault if self._writer else ""
+
+    def cut(self, rows: int) -> None:
+        """Keep the first `rows` transitions of this run only: for a run that is resumed from an earlier moment."""
+        require(rows >= 0, "TransitionStore.cut", f"rows = {rows}, expected >= 0")
+        writer = self._writing()
+        writer.flush(10.0)
+        with writing(self.path) as db:
+            db.execute("DELETE FROM transition WHERE run = ? AND n >= ?", (writer.number, rows))
+
+    def _writing(self) -> _Writer:
+        if self._writer is None:
+            raise StoreError(f"{self.path}: closed, or opened for reading; to append, open it with run='a label'")
+        return self._writer
+
+    # ---- reading --------------------------------------------------------------------------------------------
+
+    def runs(self) -> dict[str, int]:
+        """The runs' labels and their numbers of committed transitions."""
+        query = "SELECT label, count(n) FROM run LEFT JOIN transition ON run = id GROUP BY id ORDER BY id"
+        with reading(self.path) as db:
+            return dict(db.execute(query).fetchall())
+
+    def next_episode(self) -> int:
+        """The first episode number that this store's run has not used: where to go on counting."""
+        with reading(self.path) as db:
+            query = "SELECT max(episode) FROM transition JOIN run ON run = id WHERE label = ?"
+            (last,) = db.execute(query, (self.run,)).fetchone()
+        return 0 if last is None else last + 1
+
+    def transitions(self, run: str | None = None) -> Transitions:
+        """All committed transitions, run after run in the order of recording, or those of one run.
+
+        Episode numbers of one run are as recorded; of several, each run's begin where those before it end, so that
+        they stay distinct. Raises StoreError for damaged rows, ValueError for an unknown run.
+        """
+        record = Transitions(self.names)
+        for label in self.runs() if run is None else [run]:
+            rows = self._run_of(label)
+            both = len(record) and len(rows)
+            shift = int(record.episode.max()) + 1 - int(rows.episode.min()) if both else 0
+            record.extend(rows.s, rows.a, rows.s_next, rows.episode + shift)
+        return record
+
+    def _run_of(self, run: str) -> Transitions:
+        """The transitions of one run."""
+        query = "SELECT episode, numbers, crc FROM transition JOIN run ON run = id WHERE label = ? ORDER BY n"
+        with reading(self.path) as db:
+            rows = db.execute(query, (run,)).fetchall()
+        if not rows:
+            known = self.runs()
+            require(run in known, str(self.path), f"has no run '{run}'; valid: {', '.join(known)}")
+        n = len(self.names)
+        for number, (episode, numbers, crc) in enumerate(rows):
+            if len(numbers) != 8 * (2 * n + 1) or checksum(episode, numbers) != crc:
+                raise StoreError(f"{self.path}: transition {number} of run '{run}' is damaged; use a copy")
+        values = np.frombuffer(b"".join([row[1] for row in rows]), dtype="<f8").reshape(-1, 2 * n + 1)
+        record = Transitions(self.names)
+        record.extend(values[:, :n], values[:, n], values[:, n + 1 :], np.array([row[0] for row in rows], dtype=int))
+        return record
+
+
+class _Writer(threading.Thread):
+    """Commits what waits, every PERIOD; a database that is busy or broken makes the rows wait, never the driver."""
+
+    def __init__(self, path: FilePath, number: int):
+        super().__init__(name="steerkit store", daemon=True)
+        self.path, self.number = path, number
+        self.waiting: list[Row] = []
+        self.committed, self.fault, self.ending = 0, "", False
+        self._db: sqlite3.Connection | None = None  # of the thread
+        self._wake, self._tried = threading.Event(), threading.Condition()
+        self.start()
+
+    def run(self) -> None:
+        failing_since, warned, last = math.inf, False, False
+        while not last:
+            self._wake.wait(PERIOD)
+            self._wake.clear()
+            last = self.ending
+            rows = self.waiting[:]
+            try:
+                if rows:
+                    self._commit(rows)
+                fault, failing_since, warned = "", math.inf, False
+            except StoreError as why:
+                fault, failing_since = str(why), min(failing_since, time.monotonic())
+            with self._tried:
+                if not fault:
+                    del self.waiting[: len(rows)]  # others only append
+                    self.committed += len(rows)
+                self.fault = fault
+                self._tried.notify_all()
+            if time.monotonic() - failing_since > PROMISE and not warned:
+                warned = True
+                text = f"{self.path}: {len(rows)} transitions wait to be written: {fault}"
+                warnings.warn(text, RuntimeWarning, stacklevel=1)
+        self._disconnect()
+
+    def _commit(self, rows: Sequence[Row]) -> None:
+        try:
+            with errors_of(self.path):
+                self._db = self._db or connect(self.path, timeout=0.2)
+                with transaction(self._db) as db:
+                    query = "SELECT coalesce(max(n) + 1, 0) FROM transition WHERE run = ?"
+                    (n,) = db.execute(query, (self.number,)).fetchone()
+                    insert(db, self.number, n, rows)
+        except StoreError:
+            self._disconnect()
+            raise
+
+    def _disconnect(self) -> None:
+        if self._db is not None:
+            self._db.close()
+            self._db = None
+
+    def flush(self, timeout: float) -> None:
+        with self._tried:
+            goal = self.committed + len(self.waiting)
+            self._wake.set()
+            if not self._tried.wait_for(lambda: self.committed >= goal, timeout):
+                left = goal - self.committed
+                raise StoreError(f"{self.path}: {left} transitions are not written after {timeout:g} s: {self.fault}")
+
+    def end(self) -> None:
+        """One last attempt, and no more."""
+        self.ending = True
+        self._wake.set()
+        self.join(5.0)

@@ -1,0 +1,116 @@
+"""Recorded transitions (s, a, s_next): all that the learner ever sees of a car."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from steerkit.controllers.nfq_policy import StateDescription, read_arrays, write_arrays
+from steerkit.errors import require
+
+
+class Transitions:
+    """A growing record of transitions in contiguous arrays.
+
+    s, s_next: (n, columns) float64, SI; a: (n,) float64 [rad]; episode: (n,) int64. Consecutive rows of one episode
+    are consecutive samples; whoever records starts a new episode number at every break in time. Appending costs O(1)
+    on average: the arrays double. `s`, `a`, `s_next`, `episode` are read-only views of what is recorded so far; a view
+    taken earlier stays valid and does not grow. Non-finite rows are refused with ValueError.
+    """
+
+    def __init__(self, names: Sequence[str] = StateDescription().names):
+        require(len(names) > 0, "Transitions", "names is empty, expected the state's columns")
+        self.names = tuple(names)
+        self._n = 0
+        self._s, self._s_next = np.empty((256, len(self.names))), np.empty((256, len(self.names)))
+        self._a, self._episode = np.empty(256), np.empty(256, dtype=np.int64)
+
+    def __len__(self) -> int:
+        return self._n
+
+    def __repr__(self) -> str:
+        return f"Transitions({self._n} rows, {len(np.unique(self.episode))} episodes of {', '.join(self.names)})"
+
+    @property
+    def s(self) -> NDArray[np.float64]:
+        """States (n, columns)."""
+        return self._view(self._s)
+
+    @property
+    def a(self) -> NDArray[np.float64]:
+        """Actions (n,) [rad]."""
+        return self._view(self._a)
+
+    @property
+    def s_next(self) -> NDArray[np.float64]:
+        """States one sample later (n, columns)."""
+        return self._view(self._s_next)
+
+    @property
+    def episode(self) -> NDArray[np.int64]:
+        """Episode numbers (n,)."""
+        return self._view(self._episode)
+
+    def append(self, s: ArrayLike, a: float, s_next: ArrayLike, episode: int) -> None:
+        """Record one transition; raises ValueError for a wrong length or a non-finite number."""
+        self.extend(np.atleast_2d(np.asarray(s, dtype=float)), [a], np.atleast_2d(np.asarray(s_next, float)), [episode])
+
+    def extend(self, s: ArrayLike, a: ArrayLike, s_next: ArrayLike, episode: ArrayLike) -> None:
+        """Record n transitions: s, s_next (n, columns), a (n,), episode (n,) or one number; all or none of them."""
+        s, a, s_next = np.asarray(s, dtype=float), np.asarray(a, dtype=float), np.asarray(s_next, dtype=float)
+        n, columns = a.size, len(self.names)
+        for name, rows in (("s", s), ("s_next", s_next)):
+            what = f"{name} of shape {rows.shape}, expected ({n}, {columns}): {', '.join(self.names)}"
+            require(rows.shape == (n, columns) and a.shape == (n,), "Transitions", what)
+            if not np.isfinite(rows).all():
+                row, column = np.argwhere(~np.isfinite(rows))[0]
+                what = f"{name}.{self.names[column]} = {rows[row, column]} in row {row}, expected a finite number"
+                raise ValueError(f"Transitions: {what}; end the episode before the faulty sample")
+        require(bool(np.isfinite(a).all()), "Transitions", f"a = {a[~np.isfinite(a)][:1]} [rad], expected finite")
+        end = self._n + n
+        if end > len(self._a):
+            for name in ("_s", "_a", "_s_next", "_episode"):
+                old = getattr(self, name)
+                new = np.empty((max(end, 2 * len(old)), *old.shape[1:]), dtype=old.dtype)
+                new[: self._n] = old[: self._n]
+                setattr(self, name, new)
+        rows_now = slice(self._n, end)
+        self._s[rows_now], self._a[rows_now], self._s_next[rows_now] = s, a, s_next
+        self._episode[rows_now] = episode
+        self._n = end
+
+    def mirrored(self, description: StateDescription) -> Transitions:
+        """These transitions as seen in the mirror, under the same episode numbers."""
+        what = f"columns {self.names}, but the description has {description.names}"
+        require(description.names == self.names, "Transitions.mirrored", what)
+        s, a = description.mirror(self.s, self.a)
+        s_next, _ = description.mirror(self.s_next, self.a)
+        other = Transitions(self.names)
+        other.extend(s, a, s_next, self.episode)
+        return other
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write everything to one .npz file (no pickle)."""
+        write_arrays(
+            path, "transitions", names=self.names, s=self.s, a=self.a, s_next=self.s_next, episode=self.episode
+        )
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Transitions:
+        """What `save` wrote, bit for bit; raises ValueError for a truncated or foreign file."""
+        f = read_arrays(path, "transitions")
+        try:
+            self = cls(tuple(f["names"].tolist()))
+            self.extend(f["s"], f["a"], f["s_next"], f["episode"])
+        except (ValueError, TypeError, KeyError) as why:
+            raise ValueError(f"{path}: the transitions in it do not hold together: {why}") from why
+        return self
+
+    def _view(self, array: NDArray[Any]) -> NDArray[Any]:
+        view = array[: self._n]
+        view.flags.writeable = False
+        return view

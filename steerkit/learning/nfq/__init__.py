@@ -1,0 +1,1 @@
+"""Neural Fitted Q Iteration: the algorithm."""

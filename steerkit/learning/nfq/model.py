@@ -1,0 +1,153 @@
+"""A small model of how the car answers the wheel, learned from the recorded transitions, and what it is used for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerkit.errors import require
+from steerkit.learning.data.transitions import Transitions
+from steerkit.learning.nfq.patterns import StateDescription
+
+Array = NDArray[np.float64]
+
+COLUMNS = ("e", "e_dot", "v", "psi_e", "r_e", "doe")
+"""The state that the model is written for."""
+SLOWEST = 1.0
+"""Speed below which the model counts the car as this fast [m/s]: it divides by v."""
+SPREAD = 0.13
+"""How far imagined states lie from recorded ones, as a share of the description's half ranges."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CarModel:
+    """How path errors change in one sample, in a few learned numbers; the geometry of the path is known.
+
+    With the course of the reference point against the path c = e_dot/v and its angle to the car w = c - psi_e:
+
+        doe' = sat(held*doe + pushed*a)                    the dynamic output element
+        p    = now*doe' + before*doe + earlier*doe(t-dt) - back*w      turn of w: wheel, tyres, lag and delay
+        r_e' = r_e + yaw*v*p,   psi_e' = psi_e + dt*r,   c' = c + p + dt*r,   r = (r_e + r_e')/2
+        e'   = e + dt*v*(c + c')/2,   v' = v
+
+    so that it is the same in every steady bend: nothing changes when doe is turned by x and psi_e by -x*ratio, where
+    ratio = (now + before + earlier)/back is the learned steering ratio's inverse. Bends ahead, drivers and noise are
+    in `residuals`. Seven numbers, found by least squares from about 20 transitions on.
+    """
+
+    held: float
+    pushed: float
+    now: float
+    before: float
+    earlier: float
+    back: float
+    yaw: float
+    limit: float
+    """Largest |doe| [rad]."""
+    dt: float = 0.05
+    """Sample time [s]."""
+
+    @classmethod
+    def fit(cls, record: Transitions, description: StateDescription, dt: float = 0.05) -> CarModel:
+        """The model of recorded transitions; raises ValueError for none, or for states of other columns."""
+        require(record.names == COLUMNS, "CarModel.fit", f"columns {record.names}, the model needs {COLUMNS}")
+        require(len(record) > 0, "CarModel.fit", "no transitions, expected at least one")
+        s, s_next, limit = record.s, record.s_next, description.high[5]
+        doe, doe_next, v = s[:, 5], s_next[:, 5], _speed(s)
+        free = np.abs(doe_next) < 0.999 * limit
+        held, pushed = _least_squares(np.column_stack((doe, record.a))[free], doe_next[free], trace=1e-6)
+        w = s[:, 1] / v - s[:, 3]
+        turn = s_next[:, 1] / _speed(s_next) - s[:, 1] / v - 0.5 * dt * (s[:, 4] + s_next[:, 4])
+        follows = follow(record)
+        rows = follows if follows.sum() >= 10 else np.ones(len(s), dtype=bool)
+        x = np.column_stack((doe_next, doe, earlier_doe(record), -w))
+        weights = _least_squares(x[rows], turn[rows])
+        change = v * (x @ weights)
+        yaw = float(change @ (s_next[:, 4] - s[:, 4]) / (change @ change + 1e-9))
+        now, before, earlier, back = weights
+        return cls(
+            held=held, pushed=pushed, now=now, before=before, earlier=earlier, back=back, yaw=yaw, limit=limit, dt=dt
+        )
+
+    def step(self, s: Array, a: Array, earlier: Array) -> Array:
+        """States (n, 6) one sample after s (n, 6) under the actions a (n,), where doe was `earlier` (n,) before s."""
+        e, e_dot, v, psi_e, r_e, doe = s.T
+        course = e_dot / _speed(s)
+        doe_next = np.clip(self.held * doe + self.pushed * a, -self.limit, self.limit)
+        p = self.now * doe_next + self.before * doe + self.earlier * earlier - self.back * (course - psi_e)
+        r_next = r_e + self.yaw * v * p
+        turn = 0.5 * self.dt * (r_e + r_next)
+        course_next = course + p + turn
+        e_next = e + 0.5 * self.dt * v * (course + course_next)
+        return np.column_stack((e_next, v * course_next, v, psi_e + turn, r_next, doe_next))
+
+    @property
+    def ratio(self) -> float:
+        """Road angle of the front over steering-wheel angle in a steady bend [1]; 0 while unknown."""
+        return (self.now + self.before + self.earlier) / self.back if self.back > 1e-3 else 0.0
+
+
+def follow(record: Transitions) -> NDArray[np.bool_]:
+    """Is each row the sample after the row above it (n,)?"""
+    follows = np.zeros(len(record), dtype=bool)
+    follows[1:] = record.episode[1:] == record.episode[:-1]
+    return follows
+
+
+def earlier_doe(record: Transitions) -> Array:
+    """doe one sample before each row (n,) [rad]; its own where the row begins an episode."""
+    doe = record.s[:, 5].copy()
+    rows = np.flatnonzero(follow(record))
+    doe[rows] = record.s[rows - 1, 5]
+    return doe
+
+
+@dataclass(frozen=True, kw_only=True)
+class Imagined:
+    """States near the recorded ones, in bends of any strength, with what the model did not foresee there."""
+
+    s: Array
+    """States (n, 6)."""
+    earlier: Array
+    """doe one sample before (n,) [rad]."""
+    residual: Array
+    """What to add to the model's next state (n, 6)."""
+
+
+def imagine(
+    model: CarModel, record: Transitions, description: StateDescription, count: int, rng: np.random.Generator
+) -> Imagined:
+    """`count` states: recorded ones, mirrored at random, at another speed, moved a little, in another steady bend.
+
+    The speed is drawn from the recorded range, a quarter wider at either end; e, the heading, r_e and doe are moved by
+    SPREAD of the description's half ranges, mostly less; the steady bend is drawn from all that the wheel can steer.
+    """
+    row = rng.integers(len(record), size=count)
+    signs = np.where(np.array(description.mirror_signs) < 0.0, rng.choice([-1.0, 1.0], count)[:, None], 1.0)
+    s, residual = record.s[row] * signs, record.s_next[row] - model.step(record.s, record.a, earlier_doe(record))[row]
+    back = (earlier_doe(record)[row] - record.s[row, 5]) * signs[:, 5]
+    v = rng.uniform(record.s[:, 2].min(), record.s[:, 2].max(), count)
+    s[:, 1] *= v / _speed(s)
+    s[:, 2] = v
+    size = SPREAD * description.half * 2.0 * rng.uniform(0.0, 1.0, (count, 1)) ** 2
+    moved = size * rng.standard_normal((count, 6))
+    s[:, 0] += moved[:, 0]
+    s[:, 1] += v * moved[:, 3]
+    s[:, 3] += moved[:, 3]
+    s[:, 4] += moved[:, 4]
+    bend = rng.uniform(-model.limit, model.limit, count)
+    s[:, 3] -= model.ratio * (bend - s[:, 5] - moved[:, 5])
+    s[:, 5] = bend
+    return Imagined(s=s, earlier=bend + back, residual=residual * signs)
+
+
+def _speed(s: Array) -> Array:
+    return np.maximum(s[:, 2], SLOWEST)
+
+
+def _least_squares(x: Array, y: Array, trace: float = 1e-3) -> tuple[float, ...]:
+    """Weights of y on x with a trace of regularisation: unexcited directions stay 0."""
+    weights = np.linalg.solve(x.T @ x + trace * np.eye(x.shape[1]), x.T @ y)
+    return tuple(float(value) for value in weights)

@@ -1,0 +1,1 @@
+"""Pictures of learning: the paper's figures, a run, a policy."""

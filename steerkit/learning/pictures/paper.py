@@ -1,0 +1,108 @@
+"""The pictures of learning: the paper's four figures and a round driven, as matplotlib figures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import wraps
+from typing import Any, ParamSpec
+
+import numpy as np
+
+from steerkit.plots.style import COLOURS, new_figure, style
+from steerkit.simulation import Log
+from steerkit.units import degrees_of
+
+GOAL, TRIP = 0.05, 0.5
+P = ParamSpec("P")
+
+
+def _styled(draw: Callable[P, Any]) -> Callable[P, Any]:
+    """`draw` in the style of `steerkit.plots.style`."""
+
+    @wraps(draw)
+    def drawn(*args: P.args, **kwargs: P.kwargs) -> Any:
+        with style():
+            return draw(*args, **kwargs)
+
+    return drawn
+
+
+@_styled
+def trace(log: Log, *, title: str, seconds: float = 100.0) -> Any:
+    """Cross-track error and steering wheel over the first `seconds` (the paper's figures 3 and 4)."""
+    figure, (top, low) = new_figure(rows=2, title=title)
+    keep = log.t <= log.t[0] + seconds
+    t = log.t[keep] - log.t[0]
+    top.axhspan(-GOAL, GOAL, color=COLOURS["goal"], alpha=0.25, lw=0, label="|e| < 0.05 m")
+    top.plot(t, log["path.e"][keep], color=COLOURS["learned"], lw=1.2)
+    top.set_ylabel("e [m]")
+    top.legend(loc="upper right")
+    low.plot(t, degrees_of(log["car.delta_sw"][keep]), color=COLOURS["wheel"], lw=1.2)
+    low.set_ylabel("steering wheel [deg]")
+    low.set_xlabel("t [s]")
+    return figure
+
+
+@_styled
+def learning(log: Log, *, title: str, seconds: float = 350.0) -> Any:
+    """Cross-track error from the first second on, shaded where the recovery controller steers (figure 5)."""
+    figure, (axis,) = new_figure(rows=1, title=title)
+    keep = log.t <= seconds
+    t, e, learns = log.t[keep], log["path.e"][keep], log["supervisor.learning"][keep] > 0.5
+    axis.fill_between(
+        t,
+        0,
+        1,
+        where=~learns,
+        transform=axis.get_xaxis_transform(),
+        color=COLOURS["recovery"],
+        alpha=0.75,
+        lw=0,
+        step="post",
+        label="recovery steers",
+    )
+    for level in (-TRIP, TRIP):
+        axis.axhline(level, color=COLOURS["limit"], lw=0.8, ls="--", label="|e| = 0.5 m" if level > 0 else None)
+    axis.plot(t, e, color=COLOURS["learned"], lw=0.9)
+    axis.set_ylim(-1.3, 1.3)
+    axis.set_xlim(0.0, seconds)
+    axis.set_ylabel("e [m]")
+    axis.set_xlabel("driving time [s]")
+    axis.legend(loc="upper right", ncols=2)
+    return figure
+
+
+@_styled
+def first_round(log: Log, *, began: float | None, done: float | None, title: str) -> Any:
+    """The learner's first complete round: where it drove, and its cross-track error (figure 6)."""
+    if began is None or done is None:
+        return learning(log, title=f"{title}: no complete round", seconds=float(log.t[-1]))
+    keep = (log.t >= began) & (log.t <= done)
+    part = Log(log.t[keep] - began, {name: values[keep] for name, values in log.items()}, log.units)
+    return round_driven(part, title=f"{title}, begun {began:.0f} s after the start")
+
+
+@_styled
+def round_driven(log: Log, other: Log | None = None, *, title: str) -> Any:
+    """The course coloured by |e|, with cross-track error, steering wheel and lateral acceleration beside it."""
+    figure, axes = new_figure(rows=3, title=title, map_beside=True)
+    course, e_axis, wheel, comfort = axes
+    dots = course.scatter(log["car.x"], log["car.y"], c=np.abs(log["path.e"]), s=6, cmap="viridis", vmin=0.0)
+    course.set_aspect("equal")
+    course.set_xlabel("x [m]")
+    course.set_ylabel("y [m]")
+    figure.colorbar(dots, ax=course, label="|e| [m]", location="bottom", shrink=0.7, aspect=40)
+    e_axis.axhspan(-GOAL, GOAL, color=COLOURS["goal"], alpha=0.25, lw=0)
+    for drive, colour, label in ((other, "analytic", "Stanley"), (log, "learned", "this drive")):
+        if drive is None:
+            continue
+        at = drive["path.progress"] - drive["path.progress"][0]
+        e_axis.plot(at, drive["path.e"], color=COLOURS[colour], lw=1.1, label=label)
+        wheel.plot(at, degrees_of(drive["car.delta_sw"]), color=COLOURS[colour], lw=1.1)
+        comfort.plot(at, drive["car.a_y"], color=COLOURS[colour], lw=1.1)
+    if other is not None:
+        e_axis.legend(loc="upper right", ncols=2)
+    for axis, label in ((e_axis, "e [m]"), (wheel, "steering wheel [deg]"), (comfort, "a_y [m/s²]")):
+        axis.set_ylabel(label)
+    comfort.set_xlabel("distance driven [m]")
+    return figure

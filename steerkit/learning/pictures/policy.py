@@ -1,0 +1,188 @@
+"""Pictures of a policy: what its nets expect, and what it would do. How to read them: docs/learning.md."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import wraps
+from typing import TYPE_CHECKING, Any, ParamSpec
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerkit.controllers.nfq_policy import NfqPolicy, combined
+from steerkit.errors import require
+from steerkit.learning.data.transitions import Transitions
+from steerkit.learning.nfq.patterns import patterns
+from steerkit.learning.nfq.rprop import predict
+from steerkit.plots.style import COLOURS, new_figure, style
+from steerkit.scenario.world import World
+from steerkit.units import degrees_of, radians_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+LABELS = {
+    "e": "e [m]",
+    "e_dot": "e_dot [m/s]",
+    "v": "v [m/s]",
+    "psi_e": "psi_e [deg], e_dot with it",
+    "r_e": "r_e [deg/s]",
+    "doe": "steering wheel [deg], psi_e with it",
+}
+SPANS = {"e": 0.5, "e_dot": 1.0, "psi_e": radians_of(15.0), "r_e": radians_of(20.0), "doe": radians_of(300.0)}
+"""Half-widths of the slices [SI]."""
+TRIP = 0.5
+"""Half-width of the map in e [m]."""
+Array = NDArray[np.float64]
+P = ParamSpec("P")
+
+
+def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+    """`draw` in the style of `steerkit.plots.style`."""
+
+    @wraps(draw)
+    def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
+        with style():
+            return draw(*args, **kwargs)
+
+    return drawn
+
+
+def q_values(policy: NfqPolicy, s: Array) -> Array:
+    """Each net's value of each action (nets, actions, n) for the states s (n, columns); actions in rising order."""
+    require(bool(policy.nets), "diagnostics", "the policy has no nets, expected at least one; let it learn first")
+    d, scale = policy.description, policy.description.scale_of(policy.actions)
+    inputs = [patterns(d, s, np.full(len(s), a), scale) for a in sorted(policy.actions)]
+    return np.array([[predict(net, x) for x in inputs] for net in policy.nets or ()], dtype=float)
+
+
+def course_angle(world: World, doe: Any) -> Any:
+    """Angle [rad] between the car's axis and the way its reference point goes, wheel at `doe` [rad], without slip.
+
+        tan(course) = b/L tan(delta),  b: from the rear axle to the reference point, L: wheelbase
+
+    A car that holds the path through a steady bend has psi_e = -course: at the front axle -delta itself.
+    """
+    car = world.vehicle
+    return np.arctan((car.l_r + world.ahead) / car.wheelbase * np.tan(np.asarray(doe) / car.steer_ratio))
+
+
+def states(world: World, names: Sequence[str], n: int, *, v: Any, doe: Any = 0.0, psi: Any = 0.0, **more: Any) -> Array:
+    """States (n, columns) that a car can be in: v [m/s], wheel at doe [rad], heading psi [rad] off the steady bend's.
+
+        psi_e = psi - course,  e_dot = v/cos(course) sin(psi),  e = r_e = 0, unless `more` says otherwise
+
+    Each a number or (n,). Nets are only good where cars have been: a heading error without its e_dot is no such place.
+    """
+    course = course_angle(world, doe)
+    columns = {"v": v, "doe": doe, "psi_e": psi - course, "e_dot": v / np.cos(course) * np.sin(psi)} | more
+    return np.stack([np.broadcast_to(columns.get(name, 0.0), n) for name in names], axis=1).astype(float)
+
+
+@styled
+def q_slices(policy: NfqPolicy, world: World, *, v: float = 6.0, doe: float = 0.0, title: str = "") -> Figure:
+    """Q(s, a) along one input at a time, a line an action; grey: the nets' differing opinions of the greedy value.
+
+    Slices go through the car on the path at v [m/s], wheel at doe [rad]; what hangs together moves together (`states`).
+    """
+    n, names, actions = 241, policy.description.names, sorted(policy.actions)
+    figure, axes = _grid(
+        2, 3, f"{title or 'NfqPolicy'}: Q-values around the path at {v:.1f} m/s", height=5.8, sharey=True
+    )
+    for axis, name in zip(axes.flat, names):
+        x = np.linspace(3.0, 9.0, n) if name == "v" else np.linspace(-SPANS[name], SPANS[name], n)
+        where = {"v": v, "doe": doe} | {"psi" if name == "psi_e" else name: x}
+        members = q_values(policy, states(world, names, n, **where))
+        q, best = combined(members, policy.combine), members.min(axis=1)
+        at = x if name in ("e", "e_dot", "v") else degrees_of(x)
+        if len(best) > 1:
+            span = best.min(axis=0), best.max(axis=0)
+            axis.fill_between(at, *span, color=COLOURS["muted"], alpha=0.3, lw=0, label="greedy, all nets")
+        for action, values, colour in zip(actions, q, _action_colours(actions)):
+            axis.plot(at, values, color=colour, lw=1.5, label=_action_name(action))
+        axis.plot(at, q.min(axis=0), color=COLOURS["ink"], lw=0.9, ls=(0, (1, 1.5)), label="greedy")
+        axis.set(xlabel=LABELS[name], ylim=(0.0, 1.0))
+        axis.margins(x=0.0)
+    for row in axes:
+        row[0].set_ylabel("Q: expected cost to go")
+    handles, labels = axes.flat[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+    return figure
+
+
+@styled
+def policy_map(
+    policy: NfqPolicy,
+    world: World,
+    *,
+    visited: Transitions | None = None,
+    v: float = 6.0,
+    doe_deg: Sequence[float] = (-120.0, 0.0, 120.0),
+    title: str = "",
+) -> Figure:
+    """The greedy action and its value over (e, psi_e) at speed v [m/s], for several angles of the steering wheel.
+
+    Headings count from psi_0, that of a car which holds the path through the bend of that angle. Dots: the visited
+    states within 0.75 m/s and 40 degrees of the wheel; elsewhere the net is guessing.
+    """
+    n = 161
+    names, actions = policy.description.names, sorted(policy.actions)
+    e, psi = np.linspace(-TRIP, TRIP, n), np.linspace(-radians_of(10.0), radians_of(10.0), n)
+    over = {"e": np.tile(e, n), "psi": np.repeat(psi, n), "v": v}
+    q = [
+        combined(q_values(policy, states(world, names, n * n, doe=radians_of(doe), **over)), policy.combine)
+        for doe in doe_deg
+    ]
+    colours = _action_colours(actions)
+    shades = np.array([[int(colour[i : i + 2], 16) for i in (1, 3, 5)] for colour in colours], dtype=np.uint8)
+    look: dict[str, Any] = {"extent": (-TRIP, TRIP, -10.0, 10.0), "origin": "lower", "aspect": "auto"}
+    top = max(float(values.min(axis=0).max()) for values in q)
+    figure, axes = _grid(
+        2, len(q), f"{title or 'NfqPolicy'}: what the net does at {v:.1f} m/s", height=6.8, sharey=True
+    )
+    seen = dict(zip(names, (visited or Transitions(names)).s.T))
+    for (above, below), doe, values in zip(axes.T, doe_deg, q):
+        course = course_angle(world, radians_of(doe))
+        value = values.min(axis=0).reshape(n, n)
+        above.imshow(shades[values.argmin(axis=0).reshape(n, n)], **look)
+        picture = below.imshow(value, cmap="viridis", vmin=0.0, vmax=top, **look)
+        below.contour(e, degrees_of(psi), value, levels=8, colors="white", linewidths=0.5, alpha=0.6)
+        near = (np.abs(seen["v"] - v) < 0.75) & (np.abs(seen["doe"] - radians_of(doe)) < radians_of(40.0))
+        heading = degrees_of(seen["psi_e"][near] + course_angle(world, seen["doe"][near]))
+        for axis, colour in ((above, COLOURS["ink"]), (below, COLOURS["paper"])):
+            axis.plot(seen["e"][near], heading, ".", ms=2.2, mew=0, color=colour, alpha=0.6)
+            axis.grid(False)
+            axis.axvline(0.0, color=colour, lw=0.5, alpha=0.6)
+            axis.axhline(0.0, color=colour, lw=0.5, alpha=0.6)
+            axis.set(xlim=(-TRIP, TRIP), ylim=(-10.0, 10.0))
+        above.tick_params(labelbottom=False)
+        above.set_title(f"wheel at {doe:+.0f}°, psi_0 = {degrees_of(-course):+.1f}°" if doe else "wheel straight")
+        below.set_xlabel("e [m], + = left")
+    for row in axes:
+        row[0].set_ylabel("psi_e - psi_0 [deg], + = left")
+    for action, colour in zip(actions, colours):
+        axes[0, 0].plot([], [], "s", ms=7, color=colour, label=_action_name(action))
+    figure.legend(loc="outside lower center", ncols=len(actions), frameon=False)
+    figure.colorbar(picture, ax=list(axes.flat), label="expected cost to go", aspect=40, pad=0.01)
+    return figure
+
+
+def _action_name(action: float) -> str:
+    return f"{degrees_of(action):+.0f}°" if action else "hold, 0°"
+
+
+def _action_colours(actions: Sequence[float]) -> list[str]:
+    """Blue to the right, orange to the left, the stronger the darker; grey for none."""
+
+    def shades(scale: Sequence[str], count: int) -> list[str]:
+        return [scale[round(2 * k / max(1, count - 1))] for k in range(count)]
+
+    right = shades(("#0b3c5d", "#2f7fb5", "#9cc9e3"), sum(a < 0.0 for a in actions))
+    left = shades(("#8a3b06", "#d9772b", "#f2c39b"), sum(a > 0.0 for a in actions))
+    return [*right, *(["#b4bcc4"] * (0.0 in actions)), *left[::-1]]
+
+
+def _grid(rows: int, columns: int, title: str, *, height: float, sharey: bool) -> tuple[Figure, Any]:
+    figure, (only,) = new_figure(title=title, width=10.5, height=height)
+    figure.delaxes(only)
+    return figure, figure.subplots(rows, columns, squeeze=False, sharey=sharey)

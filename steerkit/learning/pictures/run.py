@@ -1,0 +1,318 @@
+"""Pictures that explain a learning run: what it values, what it would do, how it came about, where it failed.
+
+Each function takes a `Record` (or a policy) and returns a matplotlib figure; `draw_all` draws the set of a run
+directory. How to read them: docs/learning.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path as FilePath
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.errors import require
+from steerkit.learning import rundir
+from steerkit.learning.data.transitions import Transitions
+from steerkit.learning.experiment import Episode, Experiment
+from steerkit.learning.pictures.policy import policy_map, q_slices, styled
+from steerkit.path import Path
+from steerkit.plots.style import COLOURS, PALETTE, new_figure
+from steerkit.simulation import Log
+from steerkit.units import degrees_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+GOAL, TRIP = 0.05, 0.5
+"""Goal band and failure limit of |e| [m]."""
+WINDOW = 5.0
+"""Time over which RMS e is taken in a learning curve [s]."""
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Record:
+    """What a run directory tells about a run."""
+
+    name: str
+    experiment: Experiment
+    episodes: tuple[Episode, ...]
+    log: Log
+    policy: NfqPolicy
+    """Of the last update."""
+    path: Path
+    transitions: Transitions
+
+    @classmethod
+    def read(cls, place: str | FilePath) -> Record:
+        """From a run directory; raises ValueError when there is none or it is broken."""
+        place = FilePath(place)
+        data, experiment = rundir.document(place), rundir.experiment_of(place)
+        return cls(
+            name=f"{place.resolve().name}: {experiment.setting.name} on {experiment.world.course}",
+            experiment=experiment,
+            episodes=tuple(Episode(**episode) for episode in data["counts"]["episodes"]),
+            log=rundir.drive_log(place),
+            policy=rundir.final_policy(place),
+            path=experiment.world.path(),
+            transitions=Transitions.load(place / f"transitions-{data['checkpoint']}.npz"),
+        )
+
+    @property
+    def learning(self) -> NDArray[np.bool_]:
+        """At each sample of the log: does the learner steer?"""
+        return self.log["supervisor.learning"] > 0.5
+
+    def ended(self, episode: Episode) -> float:
+        """Driving time at which an episode ended, or the log's end [s]."""
+        return float(self.log.t[-1]) if episode.ended is None else episode.ended
+
+    @property
+    def failed_at(self) -> NDArray[np.intp]:
+        """Samples of the log at which the recovery controller took over."""
+        times = [episode.ended for episode in self.episodes if episode.failed]
+        return np.minimum(np.searchsorted(self.log.t, np.array(times, dtype=float) - 1e-6), len(self.log.t) - 1)
+
+    def rms(self, window: float = WINDOW) -> Array:
+        """RMS of e over the last `window` [s] at each sample, of the learner's samples only; NaN without any."""
+        n = max(1, round(window / float(np.median(np.diff(self.log.t)))) if len(self.log.t) > 1 else 1)
+        learns = self.learning
+        squares = _trailing(np.where(learns, self.log["path.e"] ** 2, 0.0), n)
+        counts = _trailing(learns.astype(float), n)
+        return np.sqrt(np.divide(squares, counts, out=np.full(len(counts), np.nan), where=learns))
+
+
+# ---- how it came about --------------------------------------------------------------------------------------------
+
+
+@styled
+def learning_curve(record: Record) -> Figure:
+    """Time at the wheel, RMS e over the last seconds, and failures, over driving time; shaded: recovery steers."""
+    figure, (held, error, count) = new_figure(3, title=f"{record.name}: learning curve", width=10.5)
+    for axis in (held, error, count):
+        axis.fill_between(
+            record.log.t,
+            0,
+            1,
+            where=~record.learning,
+            transform=axis.get_xaxis_transform(),
+            lw=0,
+            color=COLOURS["recovery"],
+            alpha=0.75,
+            step="post",
+            label="recovery steers",
+        )
+    _draw_held(held, record, COLOURS["learned"], COLOURS["limit"])
+    _draw_error(error, record, COLOURS["learned"])
+    _draw_failures(count, record, COLOURS["learned"])
+    held.plot([], [], "x", color=COLOURS["limit"], ms=5, label="failure")
+    held.legend(loc="lower right", ncols=2)
+    _finish(count, [record])
+    return figure
+
+
+@styled
+def compare(records: Sequence[Record]) -> Figure:
+    """The learning curves of several runs in one picture."""
+    require(len(records) > 0, "compare", "no runs, expected at least one")
+    figure, axes = new_figure(3, title="Runs compared", width=10.5)
+    held, error, count = axes
+    for record, colour in zip(records, PALETTE * len(records)):
+        _draw_held(held, record, colour, colour)
+        _draw_error(error, record, colour)
+        _draw_failures(count, record, colour)
+        held.plot([], [], color=colour, lw=2.0, label=f"{record.name}, seed {record.experiment.seed}")
+    figure.legend(*held.get_legend_handles_labels(), loc="outside lower center", ncols=min(3, len(records)))
+    _finish(count, records)
+    return figure
+
+
+def _draw_held(axis: Axes, record: Record, colour: str, mark: str) -> None:
+    for episode in record.episodes:
+        t = np.geomspace(0.1, max(0.1, record.ended(episode) - episode.began), 60)
+        axis.plot(episode.began + t, t, color=colour, lw=1.2)
+        if episode.failed:
+            axis.plot(episode.began + t[-1], t[-1], "x", color=mark, ms=5, mew=1.1)
+    axis.set(yscale="log", ylabel="at the wheel for [s]")
+    axis.set_yticks((0.1, 1.0, 10.0, 100.0), ("0.1", "1", "10", "100"))
+
+
+def _draw_error(axis: Axes, record: Record, colour: str) -> None:
+    axis.plot(record.log.t, record.rms(), color=colour, lw=1.2)
+    axis.axhline(GOAL, color=COLOURS["goal"], lw=1.2, zorder=1)
+    axis.set(yscale="log", ylim=(1e-3, 1.0), ylabel=f"RMS e over {WINDOW:.0f} s [m]")
+    axis.set_yticks((0.001, 0.01, 0.1, 1.0), ("0.001", "0.01", "0.1", "1"))
+
+
+def _draw_failures(axis: Axes, record: Record, colour: str) -> None:
+    times = [0.0, *(record.ended(episode) for episode in record.episodes if episode.failed), float(record.log.t[-1])]
+    counts = [*range(len(times) - 1), len(times) - 2]
+    axis.plot(times, counts, color=colour, lw=1.4, drawstyle="steps-post")
+    axis.annotate(f"{counts[-1]} ", (times[-1], counts[-1]), color=colour, fontsize=8, va="bottom", ha="right")
+    axis.set_ylabel("failures so far")
+
+
+def _finish(count: Axes, records: Sequence[Record]) -> None:
+    most = max(1, *(len(record.failed_at) for record in records))
+    count.set(xlabel="driving time [s]", ylim=(0.0, 1.15 * most))
+    count.set_xlim(0.0, max(float(record.log.t[-1]) for record in records))
+    count.locator_params(axis="y", integer=True)
+
+
+@styled
+def failure_map(record: Record) -> Figure:
+    """Where on the course the recovery controller had to take over, and how sharp the bend was there."""
+    figure, (course, bends, when) = new_figure(2, title="", map_beside=True, height=5.2)
+    at, log, line = record.failed_at, record.log, record.path.samples
+    figure.suptitle(
+        f"{record.name}: {len(at)} failures", x=0.01, ha="left", fontsize=10.5, fontweight="bold", color=COLOURS["ink"]
+    )
+    course.plot(line.xy[:, 0], line.xy[:, 1], color=COLOURS["grid"], lw=5.0, solid_capstyle="round", zorder=1)
+    course.plot(line.xy[:, 0], line.xy[:, 1], color=COLOURS["muted"], lw=0.7, zorder=2)
+    course.plot(*line.xy[0], "o", color=COLOURS["ink"], ms=5, zorder=3)
+    course.annotate("start", line.xy[0], xytext=(6, -11), textcoords="offset points", fontsize=8, color=COLOURS["ink"])
+    dots: dict[str, Any] = {
+        "c": log.t[at],
+        "cmap": "plasma_r",
+        "vmin": 0.0,
+        "vmax": float(log.t[-1]),
+        "s": 30,
+        "edgecolors": COLOURS["ink"],
+        "linewidths": 0.5,
+        "zorder": 4,
+    }
+    shown = course.scatter(log["car.x"][at], log["car.y"][at], **dots)
+    course.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
+    figure.colorbar(shown, ax=course, label="driving time of the failure [s]", location="bottom", shrink=0.8, aspect=40)
+    bends.axhline(0.0, color=COLOURS["muted"], lw=0.7)
+    bends.plot(line.s, line.kappa, color=COLOURS["learned"], lw=1.1)
+    bends.scatter(log["path.s"][at], log["path.kappa"][at], **dots)
+    bends.set_ylabel("curvature [1/m], + = left")
+    for colour, mask, size in (("learned", record.learning, 1.5), ("analytic", ~record.learning, 5.0)):
+        when.plot(log["path.s"][mask], log.t[mask], ".", ms=size, mew=0, color=COLOURS[colour])
+    when.scatter(log["path.s"][at], log.t[at], **dots)
+    when.set(xlabel="s along the course [m]", ylabel="driving time [s]", xlim=(0.0, record.path.length))
+    for colour, label in (("learned", "learner steers"), ("analytic", "recovery steers")):
+        when.plot([], [], color=COLOURS[colour], lw=2.0, label=label)
+    when.legend(loc="upper left", ncols=2)
+    return figure
+
+
+@styled
+def replay(record: Record, number: int, *, margin: float = 2.0) -> Figure:
+    """Episode `number` (from 1), with `margin` seconds around it: on the map, e, heading, wheel and actions.
+
+    Raises ValueError for an episode that is not there.
+    """
+    count = len(record.episodes)
+    require(1 <= number <= count, "replay", f"episode {number} of {record.name}, expected 1 to {count}")
+    episode, log = record.episodes[number - 1], record.log
+    began, ended = episode.began, record.ended(episode)
+    part = (log.t >= began - margin) & (log.t <= ended + margin)
+    inside = (log.t >= began - 1e-6) & (log.t <= ended + 1e-6)
+    t = log.t[part] - began
+    how = "failed" if episode.failed else "still driving"
+    title = f"{record.name}: episode {number}, {how} after {ended - began:.1f} s, {episode.distance:.0f} m"
+    figure, (course, e, psi, wheel, act) = new_figure(4, title=title, map_beside=True, height=6.6)
+    line = record.path.samples
+    course.plot(line.xy[:, 0], line.xy[:, 1], color=COLOURS["grid"], lw=6.0, zorder=1)
+    course.plot(line.xy[:, 0], line.xy[:, 1], color=COLOURS["paper"], lw=1.0, zorder=1)
+    dots = course.scatter(
+        log["car.x"][inside],
+        log["car.y"][inside],
+        c=np.abs(log["path.e"][inside]),
+        s=8,
+        lw=0,
+        cmap="viridis",
+        vmin=0.0,
+        zorder=3,
+    )
+    course.plot(log["car.x"][part], log["car.y"][part], color=COLOURS["muted"], lw=0.8, zorder=2)
+    at = np.flatnonzero(inside)
+    marks = [("o", at[0], COLOURS["ink"]), *([("X", at[-1], COLOURS["limit"])] if episode.failed else [])]
+    for mark, k, colour in marks:
+        course.plot(log["car.x"][k], log["car.y"][k], mark, color=colour, ms=7, zorder=4)
+    _look_at(course, log["car.x"][inside], log["car.y"][inside])
+    figure.colorbar(dots, ax=course, label="|e| [m]", location="bottom", shrink=0.8, aspect=40)
+    for axis in (e, psi, wheel, act):
+        for span in ((t[0], 0.0), (ended - began, t[-1])):
+            if span[1] > span[0] and (span[0] < 0.0 or episode.failed):
+                axis.axvspan(*span, color=COLOURS["recovery"], alpha=0.6, lw=0)
+    e.axhspan(-GOAL, GOAL, color=COLOURS["goal"], alpha=0.3, lw=0)
+    e.plot(t, log["path.e"][part], color=COLOURS["learned"])
+    for limit in (-TRIP, TRIP):
+        e.axhline(limit, color=COLOURS["limit"], lw=0.8, ls="--")
+    reach = min(1.2, max(0.1, 1.2 * float(np.abs(log["path.e"][inside]).max())))
+    e.set(ylabel="e [m]", ylim=(-reach, reach))
+    psi.plot(t, degrees_of(log["path.psi_e"][part]), color=COLOURS["learned"])
+    psi.set_ylabel("psi_e [deg]")
+    wheel.plot(
+        t,
+        degrees_of(log["supervisor.delta_sw"][part]),
+        color=COLOURS["muted"],
+        lw=1.0,
+        label="wanted",
+        drawstyle="steps-post",
+    )
+    wheel.plot(t, degrees_of(log["car.delta_sw"][part]), color=COLOURS["wheel"], label="steered")
+    wheel.set_ylabel("wheel [deg]")
+    wheel.legend(loc="best", ncols=2)
+    actions = np.where(inside, degrees_of(log["controller.action"]), np.nan)[part]
+    act.plot(t, actions, color=COLOURS["learned"], lw=0.8, drawstyle="steps-post")
+    act.set(ylabel="action [deg]", xlabel="time since the take-over [s]", xlim=(t[0], t[-1]))
+    return figure
+
+
+def draw_all(
+    place: str | FilePath, out: str | FilePath | None = None, against: Sequence[str | FilePath] = ()
+) -> list[FilePath]:
+    """Draw the diagnostics of a run directory as PNG files in `out` (default: `diagnostics` in it); returns them.
+
+    Replays: the longest episode, and the last that failed. against: other run directories, for a comparison.
+    Raises ValueError for a directory that holds no whole run.
+    """
+    record = Record.read(place)
+    others = [Record.read(other) for other in against]
+    folder = FilePath(place) / "diagnostics" if out is None else FilePath(out)
+    folder.mkdir(parents=True, exist_ok=True)
+    world, speeds = record.experiment.world, record.transitions.s[:, record.transitions.names.index("v")]
+    v = float(np.median(speeds)) if len(speeds) else 6.0
+    figures: dict[str, Callable[[], Figure]] = {
+        "q-slices": lambda: q_slices(record.policy, world, v=v, title=record.name),
+        "policy-map": lambda: policy_map(record.policy, world, visited=record.transitions, v=v, title=record.name),
+        "learning-curve": lambda: learning_curve(record),
+        "failures": lambda: failure_map(record),
+    }
+    lengths = [record.ended(episode) - episode.began for episode in record.episodes]
+    failed = [k for k, episode in enumerate(record.episodes, start=1) if episode.failed]
+    for number in sorted({*([int(np.argmax(lengths)) + 1] if lengths else []), *failed[-1:]}):
+        figures[f"episode-{number}"] = lambda number=number: replay(record, number)  # type: ignore[misc]
+    if others:
+        figures["comparison"] = lambda: compare([record, *others])
+    files = []
+    for name, draw in figures.items():
+        files.append(folder / f"{name}.png")
+        draw().savefig(files[-1])
+    return files
+
+
+def _look_at(course: Axes, x: Array, y: Array) -> None:
+    """A square map of x and y with room around them."""
+    half = 6.0 + 0.55 * max(float(np.ptp(x)), float(np.ptp(y)))
+    for name, values in (("x", x), ("y", y)):
+        middle = 0.5 * float(values.min() + values.max())
+        course.set(**{f"{name}lim": (middle - half, middle + half), f"{name}label": f"{name} [m]"})
+    course.set_aspect("equal")
+
+
+def _trailing(x: Array, n: int) -> Array:
+    """Sums over the last n entries, at each entry."""
+    total = np.concatenate([np.zeros(1), np.cumsum(x)])
+    end = np.arange(1, len(x) + 1)
+    return total[end] - total[np.maximum(end - n, 0)]

@@ -1,0 +1,96 @@
+"""Test drives of many policies at once, in compiled code: for judging every net of a run, or one from many starts."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+
+from steerkit.compiled import Compiled, compile
+from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.learning.settings import Setting
+from steerkit.metrics import Summary, of_log
+from steerkit.scenario import drive as evaluate
+from steerkit.scenario.world import World
+from steerkit.simulation import Log
+
+SIGNALS = ("path.e", "path.progress", "car.delta_sw", "car.a_y", "supervisor.learning")
+WEIGHTS = "controller.block.weights"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TrialDrive:
+    """What became of one policy's test drive."""
+
+    rounds: float
+    """Rounds driven before the recovery controller had to take the wheel, or until the end [1]."""
+    held: bool
+    """Did it keep the wheel, with |e| <= 0.5 m, for all the rounds asked for?"""
+    summary: Summary | None
+    """Metrics of the part it drove; None if that was less than a second."""
+
+
+def drive_many(
+    world: World, setting: Setting, policies: Sequence[NfqPolicy], *, seed: int = 0, rounds: float = 1.0
+) -> list[TrialDrive]:
+    """Let each policy drive `rounds` rounds of the world's course, all with the same driver and sensors (`seed`).
+
+    The policies must share layout, actions and description: they differ in weights. The same numbers as
+    `evaluate.drive`, to rounding. Raises ValueError for policies that do not fit together.
+    """
+    if not policies:
+        return []
+    first = policies[0]
+    shapes = {tuple(p.shape for net in policy.nets or () for p in net) for policy in policies}
+    if len(shapes) > 1 or any(p.actions != first.actions for p in policies):
+        raise ValueError("drive_many: policies of different layouts or actions; judge them in separate calls")
+    compiled = _compiled(world, setting, _Layout(first))
+    start = evaluate.drive_loop(world, first.with_weights(), doe=setting.element(), seed=seed).init()
+    length = world.round_length * rounds
+    duration = math.ceil(length / world.v_min / first.dt) * first.dt + 5.0
+    weights = np.array([policy.flat_weights() for policy in policies]).T
+    log = compiled.run(duration, state=start, parameters={WEIGHTS: weights}, allow_nonfinite=True)
+    return [_judged(log, car, length) for car in range(len(policies))]
+
+
+def _judged(log: Log, car: int, length: float) -> TrialDrive:
+    e, progress = log["path.e"][:, car], log["path.progress"][:, car]
+    lost = (log["supervisor.learning"][:, car] < 0.5) | ~(np.abs(e) <= 0.5)
+    over = progress >= length
+    end = min(_first(lost), _first(over) + 1)
+    part = Log(log.t[:end], {name: log[name][:end, car] for name in SIGNALS}, log.units)
+    driven = float(progress[max(0, end - 1)])
+    return TrialDrive(
+        rounds=driven / length,
+        held=bool(over.any()) and _first(over) < _first(lost),
+        summary=of_log(part) if end > 20 else None,
+    )
+
+
+def _first(flags: np.ndarray) -> int:
+    return int(flags.argmax()) if flags.any() else len(flags)
+
+
+class _Layout:
+    """A policy as a cache key: what its compiled loop depends on, which is all but its weights."""
+
+    def __init__(self, policy: NfqPolicy):
+        self.policy = policy
+        shapes = tuple(p.shape for net in policy.nets or () for p in net)
+        self.key = (shapes, policy.actions, policy.combine, repr(policy.description), policy.dt)
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Layout) and self.key == other.key
+
+
+@lru_cache(maxsize=8)
+def _compiled(world: World, setting: Setting, layout: _Layout) -> Compiled:
+    loop = evaluate.drive_loop(world, layout.policy.with_weights(), doe=setting.element())
+    ticks = round(layout.policy.dt / loop.dt)
+    return compile(loop, record=SIGNALS, every=ticks, parameters=[WEIGHTS])

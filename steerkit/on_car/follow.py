@@ -1,0 +1,109 @@
+"""Which loop steers a real car: the whole one while engaged, one at rest while the human has the wheel."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Protocol, Self
+
+from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.controllers.supervisor import Guarded
+from steerkit.loop import Loop
+from steerkit.realtime import Run
+
+
+class Seen(Protocol):
+    """What `Follow` needs of a line to a car."""
+
+    last: Any
+
+
+@dataclass(kw_only=True)
+class Follow:
+    """Watches a drive: after every sample, `begin` and then `choose`.
+
+    A pose that comes back after a pause makes the loop begin anew, so that it looks for its place on the path. While
+    the human has the wheel, controllers settle on the wheel as it is, again and again: whoever engages finds no memory
+    of commands that nobody obeyed. Depends on nothing but the snapshots, so that a recorded drive can be replayed.
+    """
+
+    link: Seen
+    resting: Loop
+    """The loop while not engaged, or while nobody trusts the policy: its recovery controller steers."""
+    driving: Loop
+    trusted: bool = True
+    """May `driving` steer?"""
+    engaged: bool = False
+    """Was it engaged in the last sample?"""
+    places: float = -1.0
+
+    @classmethod
+    def of(cls, loop: Loop, link: Seen) -> Self:
+        """For a loop of `steerkit.on_car.loop.car_loop`."""
+        block = loop.blocks["controller"]
+        resting = loop
+        if isinstance(block, Guarded) and isinstance(block.block, NfqPolicy):
+            resting = loop.with_block("controller", Guarded(block=replace(block.block, ready_from=math.inf)))
+        return cls(link=link, resting=resting, driving=loop)
+
+    def begin(self, run: Run) -> bool:
+        """Take note of who has the wheel; True when the loop began anew."""
+        snapshot = self.link.last
+        self.engaged = str(snapshot.mode) == "ENGAGED"
+        lost = snapshot.places != self.places and self.places >= 0.0 and not self.engaged
+        self.places = snapshot.places
+        if lost:
+            run.restart(self.resting.init())
+        elif not self.engaged:
+            _settle(run)
+        return lost
+
+    def choose(self, run: Run) -> None:
+        """The loop of the next sample."""
+        run.loop = self.driving if self.engaged and self.trusted else self.resting
+
+
+def _settle(run: Run) -> None:
+    """The controllers' states as they would be before a first sample like this one."""
+    loop = run.loop
+    for call in loop.calls:
+        if call.final and loop.names[call.block] in ("controller", "recovery"):
+            block = loop.blocks[loop.names[call.block]]
+            u = block.D(*[math.nan if s is None else run.y[s[0]][s[1]] for s in call.sources])
+            run.x[call.block] = block.settle(0.0, block.init(), u)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Steers:
+    """Who makes a drive's requests, for its recording."""
+
+    name: str
+    """A controller's name, or the file of a policy."""
+    sha256: str = ""
+    """Of that file."""
+    doe: str = ""
+    """The policy's dynamic output element: see `steerkit.learning.settings.ELEMENTS`."""
+    recovery: str = "stanley"
+    """Who catches the policy."""
+    trusted: bool = True
+    """False: its recovery controller has the wheel until the next net."""
+
+    @classmethod
+    def by_policy(cls, file: Path, doe: str, **more: Any) -> Self:
+        """A policy in `file`, which has to be there."""
+        return cls(name=str(file.resolve()), sha256=hashlib.sha256(file.read_bytes()).hexdigest(), doe=doe, **more)
+
+    def text(self) -> str:
+        """As JSON, for `Remark`."""
+        return json.dumps(vars(self))
+
+    @classmethod
+    def read(cls, text: str) -> Self:
+        """What `text` wrote; raises ValueError for anything else."""
+        try:
+            return cls(**json.loads(text))
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"remark {text!r}: not who steers ({error})") from error

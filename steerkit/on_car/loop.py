@@ -1,0 +1,175 @@
+"""The loop on a car: its course, its controllers by name, its wires, and a drive at 20 Hz."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path as FilePath
+
+from steerkit import realtime
+from steerkit.assembly import steering_loop
+from steerkit.block import Block
+from steerkit.clock import Clock
+from steerkit.controllers.delay import delayed_stanley
+from steerkit.controllers.foresight import Foresight
+from steerkit.controllers.lqr import Lqr
+from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.controllers.pure_pursuit import PurePursuit
+from steerkit.controllers.stanley import Stanley
+from steerkit.controllers.supervisor import Guarded
+from steerkit.courses import course
+from steerkit.doe import Corrected, Dynamic, Integrator
+from steerkit.learning import rundir
+from steerkit.learning.settings import ELEMENTS
+from steerkit.loop import Loop
+from steerkit.on_car import learner as on_car
+from steerkit.on_car.follow import Follow, Steers
+from steerkit.path import Path
+from steerkit.plants.human_driver import ConstantSpeed
+from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.real_car.file.config import CarConfig
+from steerkit.plants.real_car.processes.client import CarLink, DriverLink, RealCar
+
+MPC_BUDGET = 0.03
+"""A solution that took longer is not used [s]: the plan before is followed, then the fallback law."""
+CONTROLLERS: dict[str, Callable[[CarConfig], Block]] = {
+    "stanley": lambda config: Stanley.of(config.vehicle),
+    "stanley-textbook": lambda config: Stanley.textbook(config.vehicle),
+    "stanley-delay": lambda config: delayed_stanley(config.vehicle, delay=config.delay, lag=config.lag),
+    "lqr": lambda config: Lqr.of(
+        config.vehicle, LinearSingleTrack(vehicle=config.vehicle).matrices, delay=config.delay, lag=config.lag
+    ),
+    "pure-pursuit": lambda config: PurePursuit.of(config.vehicle, course_of(config), delay=config.delay),
+    "mpc": lambda config: _predictive(config),
+    "nonlinear-mpc": lambda config: _predictive(config, nonlinear=True),
+}
+"""Controllers that steer by themselves, made for a car: its vehicle, its course, the lag and delay of its kit."""
+RECOVERIES = {name: CONTROLLERS[name] for name in ("stanley", "stanley-delay")}
+"""Controllers that catch a learned one."""
+LEARNED = FilePath("runs/car")
+"""Where `steerkit learn --car` keeps its run unless told otherwise, and where `nfq` is looked for."""
+VALID = f"{', '.join(CONTROLLERS)}, nfq (the newest net in {LEARNED}), a learning run's directory, a policy's .npz file"
+
+
+def course_of(config: CarConfig) -> Path:
+    """The path that a configuration names."""
+    if "name" in config.course:
+        return course(config.course["name"])
+    return config.course["path"]
+
+
+def _predictive(config: CarConfig, *, nonlinear: bool = False) -> Block:
+    from steerkit.controllers.mpc.linear import MPC  # here, as it loads CasADi
+    from steerkit.controllers.mpc.nonlinear import NonlinearMPC
+
+    kind, plant = NonlinearMPC if nonlinear else MPC, NonlinearSingleTrack(vehicle=config.vehicle)
+    return kind.of(plant, lag=config.lag, delay=config.delay, budget=MPC_BUDGET)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Controller:
+    """A controller for a car."""
+
+    block: Block
+    """It steers by itself, or picks the actions of `element`."""
+    steers: Steers
+    """What to tell the recording."""
+    element: Dynamic | None = None
+    """A learned policy's dynamic output element."""
+
+
+def controller_named(name: str, config: CarConfig) -> Controller:
+    """A controller by name, or a learned policy by its place; raises ValueError with the valid ones."""
+    if name in CONTROLLERS:
+        return Controller(block=CONTROLLERS[name](config), steers=Steers(name=name))
+    place = LEARNED if name == "nfq" else FilePath(name)
+    if place.is_dir():
+        nets = [f for f in sorted(place.glob("nets/net-*.npz")) if f.stem != "net-0000"]
+        if nets:
+            return policy_in(nets[-1], element_of(place))
+    elif place.is_file():
+        return policy_in(place, element_of(place.parent.parent))
+    if name == "nfq":
+        raise ValueError(f"controller 'nfq': no net in {place}; learn one first: steerkit learn --car FILE")
+    raise ValueError(f"controller {name!r} is not known, nor a place with a trained policy; valid: {VALID}")
+
+
+def policy_in(file: FilePath, doe: str) -> Controller:
+    """The learned policy in `file`, with the output element of that name."""
+    return Controller(block=NfqPolicy.load(file), steers=Steers.by_policy(file, doe), element=ELEMENTS[doe]())
+
+
+def element_of(place: FilePath) -> str:
+    """The name of the output element that a run's policies were trained with; raises ValueError when nothing tells."""
+    if (place / "car.json").is_file():
+        return on_car.setting_of(place).doe
+    if (place / "run.json").is_file():
+        return rundir.experiment_of(place).setting.doe
+    raise ValueError(f"{place} is no run directory (neither car.json nor run.json), so nothing tells the output "
+                     "element of its policies")  # fmt: skip
+
+
+def recovery_named(name: str, config: CarConfig) -> Block:
+    """The controller that catches a learned one; raises ValueError with the valid names."""
+    if name not in RECOVERIES:
+        raise ValueError(f"recovery {name!r} is not known; valid: {', '.join(RECOVERIES)}")
+    return RECOVERIES[name](config)
+
+
+def car_loop(
+    config: CarConfig, path: Path, link: CarLink, controller: Block, *, doe: Dynamic | None = None,
+    recovery: str = "stanley",
+) -> Loop:  # fmt: skip
+    """The loop of the simulated runs with a `RealCar` in the plant's place: 20 Hz, e at the front axle.
+
+    controller: a block that steers, or a policy, which gets `doe` (default: an Integrator), corrected by what the gate
+    let through, and the recovery controller of that name, called in time for the gate to let it turn the wheel.
+    """
+    learned = any(port.name == "action" for port in controller.outputs)
+    return steering_loop(
+        car=RealCar(link=link),
+        path=path,
+        driver=ConstantSpeed(speed=0.0),  # the human in the car keeps the speed; nobody reads this
+        controller=Guarded(block=controller) if learned else controller,
+        doe=Corrected(element=doe or Integrator()) if learned else None,
+        recovery=recovery_named(recovery, config) if learned else None,
+        foresight=foresight(config) if learned else None,
+        reference=config.vehicle.l_f,
+    )
+
+
+def foresight(config: CarConfig) -> Foresight:
+    """How far the car will get behind the gate of `config`."""
+    limits = config.gate
+    same = ("a_y_max", "jerk_max", "rate_max", "delta_sw_max", "v_floor", "steer_ratio", "wheelbase")
+    return Foresight(**{name: getattr(limits, name) for name in same})
+
+
+def drive(
+    config: CarConfig, path: Path, link: DriverLink, controller: Controller, *, recovery: str = "stanley",
+    duration: float = float("inf"), clock: Clock | None = None,
+    watch: Callable[[realtime.Run], bool | None] | None = None,
+) -> realtime.Run:  # fmt: skip
+    """Run a controller at 20 Hz on the car behind `link`, engaged or not, for `duration` [s].
+
+    Missed deadlines go to the driver process with the next request; it disengages when they repeat. Raises CarLost
+    when the driver process ends.
+    """
+    link.wait(timeout=10.0)
+    follow = Follow.of(car_loop(config, path, link, controller.block, doe=controller.element, recovery=recovery), link)
+
+    def step(run: realtime.Run) -> bool:
+        follow.begin(run)
+        follow.choose(run)
+        return bool(watch and watch(run))
+
+    link.remark(replace(controller.steers, recovery=recovery).text())
+    return realtime.run(
+        follow.resting, duration, timer=clock or Clock(), watch=step, on_miss=lambda run: count_misses(run, link)
+    )
+
+
+def count_misses(run: realtime.Run, link: DriverLink) -> None:
+    """Tell the driver process about missed deadlines, with the next request."""
+    link.misses = run.timing.misses

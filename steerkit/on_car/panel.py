@@ -1,0 +1,178 @@
+"""The live panel of a drive, and its keys: on a line of its own to the driver process, should the controller hang."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import sys
+import threading
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any, Self
+
+from steerkit.plants.real_car.decisions.modes import Mode, Order
+from steerkit.plants.real_car.processes.client import CarLost, DriverLink
+from steerkit.plants.real_car.processes.protocol import Snapshot
+from steerkit.units import degrees_of
+
+KEYS = {" ": Order.DISENGAGE, "e": Order.ENGAGE, "a": Order.ACKNOWLEDGE, "r": Order.ARM, "o": Order.OFF}
+HELP = "space let go · e engage · a acknowledge · r arm · o off · q quit"
+COLOURS = {
+    Mode.OFF: "white",
+    Mode.STANDBY: "yellow",
+    Mode.READY: "cyan",
+    Mode.ENGAGED: "green",
+    Mode.OVERRIDE: "magenta",
+    Mode.FAULT: "red",
+}
+
+
+class Panel:
+    """Shows who has the wheel and why, and turns keys into orders; without a terminal it prints transitions only.
+
+    session: with `socket`, `timing`, `asked`, `learner_steers`, and `ending`, which ends the drive: so does a panel
+    that breaks, as nobody could let go by key any more. live: draw. more: a line of text of somebody else.
+    """
+
+    def __init__(self, session: Any, title: str, *, live: bool, more: Callable[[], str] | None = None):
+        self.session, self.title, self.live, self.more = session, title, live, more
+        self._thread = threading.Thread(target=self._run, name="panel", daemon=True)
+        self._over = False
+        self._lost: CarLost | None = None
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self._over = True
+        self._thread.join(5.0)
+        if self._lost and error is None:
+            raise self._lost
+
+    def _run(self) -> None:
+        try:
+            with DriverLink(self.session.socket, controller=False, timeout=2.0) as link:
+                self._serve(link)
+        except CarLost as error:
+            self._lost = error
+        finally:
+            self.session.ending = True
+
+    def _serve(self, link: DriverLink) -> None:
+        link.order(Order.ARM)
+        last: Snapshot | None = None
+        said = ""
+        if not self.live and sys.stdin.isatty():
+            print(f"keys: {HELP}", flush=True)
+        with _keys() as read, self._screen() as show:
+            while not self._over:
+                key = read(0.1)
+                if key == "q":
+                    link.order(Order.DISENGAGE)
+                    self.session.ending = True
+                elif key in KEYS:
+                    said = ""
+                    link.order(KEYS[key])
+                snapshot = link.query()
+                if link.refused:
+                    said = link.refused[-1]
+                    link.refused.clear()
+                if not self.live and (last is None or snapshot.mode is not last.mode):
+                    print(line_of(snapshot), flush=True)
+                last = snapshot
+                show(snapshot, said)
+        if self.live and last is not None:
+            print(line_of(last), flush=True)
+
+    @contextlib.contextmanager
+    def _screen(self) -> Any:
+        if not self.live:
+            yield lambda snapshot, said: None
+            return
+        from rich.live import Live
+
+        with Live(refresh_per_second=8, transient=True) as live:
+            yield lambda snapshot, said: live.update(self._picture(snapshot, said))
+
+    def _picture(self, s: Snapshot, said: str) -> Any:
+        from rich.panel import Panel as Box
+        from rich.table import Table
+        from rich.text import Text
+
+        cause, *against = s.text.split("\n")
+        table = Table.grid(padding=(0, 2))
+        timing = self.session.timing
+        rows: list[tuple[str, Any]] = [
+            ("state", Text(f"{s.mode}", style=f"bold {COLOURS[s.mode]}")),
+            ("cause", cause),
+            ("e, psi_e", f"{s.e:+.3f} m   {degrees_of(s.psi_e):+.1f} deg"),
+            ("wheel", f"{degrees_of(s.delta_sw):+.1f} deg, sent {_sent(s)}, asked for {self._asked()}{self._who(s)}"),
+            ("speed", f"{s.v:.2f} m/s, kit {s.v_kit:.2f} m/s   torque {s.torque:+.1f} N m"),
+            ("ages", f"pose {_ms(s.pose_age)}, report {_ms(s.report_age)}, request {_ms(s.request_age)}"),
+            ("errors", f"{s.errors:.0f}   frames sent {s.frames_sent:.0f}"),
+        ]
+        if timing is not None and timing.steps:
+            rows.append(
+                ("steps", f"{timing.steps}, misses {timing.misses}, p99 {1e3 * timing.jitter(0.99):.2f} ms late")
+            )
+        rows += [("against", line) for line in against] + ([("refused", said)] if said else [])
+        if self.more:
+            rows.append(("learning", self.more()))
+        for name, value in rows:
+            table.add_row(name, value)
+        keys = HELP if sys.stdin.isatty() else "no keyboard here; let go with: steerkit car order DISENGAGE"
+        return Box(table, title=f"steerkit car: {self.title}", subtitle=keys)
+
+    def _asked(self) -> str:
+        asked = self.session.asked
+        return "nothing yet" if asked is None else f"{degrees_of(asked):+.1f} deg"
+
+    def _who(self, s: Snapshot) -> str:
+        learner = self.session.learner_steers
+        if learner is None or s.mode is not Mode.ENGAGED:
+            return ""
+        return " by the learner" if learner else " by the recovery controller"
+
+
+def line_of(s: Snapshot) -> str:
+    """A snapshot's state and cause in one line."""
+    return f"{s.mode}: {s.text.splitlines()[0]}"
+
+
+def _sent(s: Snapshot) -> str:
+    return f"{degrees_of(s.command):+.1f} deg" if s.mode is Mode.ENGAGED else "nothing"
+
+
+def _ms(age: float) -> str:
+    return f"{1e3 * age:.0f} ms" if age < 100.0 else "never"
+
+
+@contextlib.contextmanager
+def _keys() -> Any:
+    """A function that waits for a key for some seconds and returns it, or ""."""
+    if not sys.stdin.isatty():
+
+        def wait(seconds: float) -> str:
+            time.sleep(seconds)
+            return ""
+
+        yield wait
+        return
+    import termios
+    import tty
+
+    fd = sys.stdin.fileno()
+    before = termios.tcgetattr(fd)
+    tty.setcbreak(fd)
+
+    def read(seconds: float) -> str:
+        ready, _, _ = select.select([fd], [], [], seconds)
+        return os.read(fd, 1).decode(errors="replace") if ready else ""
+
+    try:
+        yield read
+    finally:
+        termios.tcsetattr(fd, termios.TCSADRAIN, before)

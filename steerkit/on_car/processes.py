@@ -1,0 +1,152 @@
+"""The processes of a car: the car server, a simulated car, and how they are started."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path as FilePath
+from typing import Any, TextIO
+
+from steerkit.clock import Clock
+from steerkit.controllers.stanley import Stanley
+from steerkit.path import Path
+from steerkit.plants.real_car.decisions.modes import Mode, Order
+from steerkit.plants.real_car.file.config import CarConfig
+from steerkit.plants.real_car.frames.bus import Port
+from steerkit.plants.real_car.processes.client import CarLost, DriverLink
+from steerkit.plants.real_car.simulated import Fault, SimulatedCar
+
+
+def default_socket() -> str:
+    """Where clients look for the driver process unless told otherwise."""
+    folder = os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir()
+    return str(FilePath(folder) / f"steerkit-car-{os.getuid()}")
+
+
+def start(*words: str, **popen: Any) -> subprocess.Popen[str]:
+    """Start `steerkit car WORDS` as a process of its own, out of the terminal's reach (Ctrl-C is not for it)."""
+    command = [sys.executable, "-m", "steerkit.cli.car", *words]
+    return subprocess.Popen(command, text=True, start_new_session=True, **popen)
+
+
+def start_driver(
+    config: str, socket_path: str, *, recording: str = "", channel: str = "", time_scale: float = 1.0,
+    realtime: bool = False, log: TextIO | None = None, wait: float = 15.0,
+) -> subprocess.Popen[str]:  # fmt: skip
+    """Start the process that owns the bus, and wait until it answers; raises CarLost when it does not."""
+    options = ["--config", config, "--socket", socket_path, "--time-scale", str(time_scale)]
+    options += ["--recording", recording] if recording else []
+    options += ["--channel", channel] if channel else []
+    options += ["--realtime"] if realtime else []
+    process = start("driver", *options, stdout=log, stderr=log)
+    end = time.monotonic() + wait
+    while time.monotonic() < end and process.poll() is None:
+        try:
+            DriverLink(socket_path, controller=False).close()
+            return process
+        except CarLost:
+            time.sleep(0.05)
+    process.terminate()
+    raise CarLost(f"the driver process did not come up: {_last_line(log) or f'no answer within {wait:g} s'}")
+
+
+def _last_line(log: TextIO | None) -> str:
+    """What a process said last in its log, and where that is."""
+    if log is None or not os.path.isfile(log.name):
+        return ""
+    lines = FilePath(log.name).read_text(errors="replace").split("\n")
+    return f"{next((line for line in reversed(lines) if line), 'it said nothing')} (log: {log.name})"
+
+
+def start_simulated(
+    config: str, *, time_scale: float = 1.0, log: str = "", listen: str = "", options: Sequence[str] = (),
+    wait: float = 15.0,
+) -> tuple[subprocess.Popen[str], str]:  # fmt: skip
+    """Start a simulated car; returns its process, which takes faults on its standard input, and its channel."""
+    words = ["simulate", "--config", config, "--time-scale", str(time_scale), *options]
+    words += ["--log", log] if log else []
+    words += ["--listen", listen] if listen else []
+    process = start(*words, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    line = process.stdout.readline()
+    if not line.startswith("channel "):
+        process.terminate()
+        raise CarLost(f"the simulated car did not come up: {line!r}")
+    return process, line.split()[1]
+
+
+def simulated_car(config: CarConfig, path: Path, **options: Any) -> SimulatedCar:
+    """The simulated car of a configuration, with Stanley as the human at its wheel."""
+    return SimulatedCar(config, path, Stanley.of(config.vehicle), **options)
+
+
+def serve_simulated(
+    car: SimulatedCar, port: Port, clock: Clock, *, log: TextIO | None = None, faults: TextIO | None = None,
+    duration: float = float("inf"),
+) -> None:  # fmt: skip
+    """Run a simulated car in real time on a port; it writes every command it hears to `log`, as JSON lines.
+
+    faults: lines such as `drop pose 0.5` (kind, target, length [s], amount), each acting from when it is read.
+    """
+    if faults:
+        os.set_blocking(faults.fileno(), False)
+    end = clock.now() + duration
+    reported = 0.0
+    while clock.now() < end:
+        for frame_id, data in port.wait(clock.wall(car.next - clock.now())):
+            t = clock.now()
+            car.receive(t, frame_id, data)
+            if log and frame_id == car.config.writer.frame_id:
+                angle, enable, _ = car.config.writer.read(data)
+                log.write(f'{{"t": {t!r}, "data": "{data.hex()}", "enable": {int(enable)}, "angle": {angle!r}}}\n')
+        now = clock.now()
+        if now - car.t > 1.0:  # the machine stood still; so did the car
+            car.t = now - 0.01
+        for _, frame_id, data in car.advance(now):
+            port.send(frame_id, data)
+        if now - reported > 0.25:
+            reported = now
+            for line in faults.readlines() if faults else ():
+                try:
+                    car.faults.append(fault_of(line, now))
+                except ValueError as error:
+                    print(error, flush=True)
+            if log:
+                state = {"t": now, "s": car.on_path.s, "progress": car.on_path.progress, "e": car.on_path.e,
+                         "v": car.now.v, "enabled": car.enabled, "timeout": car.timeout}  # fmt: skip
+                log.write(json.dumps(state) + "\n")
+                log.flush()
+
+
+def fault_of(line: str, start: float) -> Fault:
+    """The fault in a line such as `drop pose 0.5` or `delay pose 2 0.2`: kind, target, length [s], amount."""
+    kind, target, *numbers = line.split()
+    length, amount = (*map(float, numbers), *(float("inf"), 0.0)[len(numbers) :])
+    return Fault(kind=kind, target=target, start=start, length=length, amount=amount)
+
+
+def engage(socket_path: str, *, timeout: float = 20.0) -> None:
+    """Arm, acknowledge and engage as an operator would, waiting for READY; for tests and simulated cars."""
+    with DriverLink(socket_path, controller=False) as operator:
+        end = time.monotonic() + timeout
+        while True:
+            snapshot = operator.query()
+            match snapshot.mode:
+                case Mode.ENGAGED:
+                    return
+                case Mode.OFF:
+                    operator.order(Order.ARM)
+                case Mode.FAULT | Mode.OVERRIDE:
+                    operator.order(Order.ACKNOWLEDGE)
+                case Mode.READY:
+                    operator.order(Order.ENGAGE)
+                case Mode.STANDBY if "kit " in snapshot.text:  # it has a fault latched
+                    operator.order(Order.ACKNOWLEDGE)
+            if time.monotonic() > end:
+                raise CarLost(f"not engaged within {timeout:g} s: {snapshot.mode}: {snapshot.text}")
+            time.sleep(0.05)

@@ -1,0 +1,138 @@
+"""Recorded drives through their controllers again: are the requests the same, bit for bit?
+
+The driver process records what it is told about who steers: a controller by name, or a learner's net by its file and
+SHA-256, from which request on, and whether it was trusted. So a drive whose nets changed on the way can be replayed
+too, as long as its run directory keeps them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path as FilePath
+from typing import Any
+
+from steerkit import realtime
+from steerkit.loop import Loop
+from steerkit.on_car import loop as loops
+from steerkit.on_car.follow import Follow, Steers
+from steerkit.path import Path
+from steerkit.plants.real_car.decisions.modes import Mode
+from steerkit.plants.real_car.file.config import CarConfig
+from steerkit.plants.real_car.processes.client import CarLost, ReplayLink
+from steerkit.plants.real_car.processes.protocol import Hello, Remark, Request, Snapshot, decode
+from steerkit.plants.real_car.recording import Recorded
+
+
+@dataclass
+class Drive:
+    """What one controller saw and asked for."""
+
+    snapshots: list[Snapshot] = field(default_factory=list)
+    requests: list[tuple[float, float]] = field(default_factory=list)
+    """(basis, delta_sw)."""
+    remarks: list[tuple[int, Steers]] = field(default_factory=list)
+    """Who steers, each with the number of snapshots before it."""
+    first: int = 0
+    """Snapshots before the first request."""
+
+    @property
+    def who(self) -> str:
+        """Who steered, in short."""
+        names = list(dict.fromkeys(FilePath(s.name).name for _, s in self.remarks))
+        return names[0] if len(names) == 1 else f"{names[0]} to {names[-1]}" if names else "unknown"
+
+
+def drives(recorded: Recorded) -> Iterator[Drive]:
+    """The drives of a recording, one for each controller that was connected and asked for anything."""
+    drive, link = Drive(), -1
+    for topic, values in recorded.messages:
+        if topic == "/car":
+            known = {k: v for k, v in values.items() if k in Snapshot._fields}
+            drive.snapshots.append(Snapshot(**{**known, "mode": Mode(values["mode"])}))
+        elif topic == "/client" and "data" in values:
+            match decode_or_none(values["data"]):
+                case Hello(controller=True):
+                    if drive.requests:
+                        yield drive
+                    drive, link = Drive(), values["link"]
+                case Request() as asked if values["link"] == link:
+                    drive.first = drive.first or len(drive.snapshots)
+                    drive.requests.append((asked.basis, asked.delta_sw))
+                case Remark(text=text) if values["link"] == link:
+                    drive.remarks.append((len(drive.snapshots), Steers.read(text)))
+    if drive.requests:
+        yield drive
+
+
+def decode_or_none(data: str) -> object:
+    """The message in a recorded packet; None for one that the driver refused as unknown."""
+    try:
+        return decode(bytes.fromhex(data))
+    except ValueError:
+        return None
+
+
+class Nets:
+    """The loops of those who steered, each made once.
+
+    run: directory of the learning run, should it have moved since; "" takes the recorded one.
+    """
+
+    def __init__(self, config: CarConfig, path: Path, link: ReplayLink, run: str = ""):
+        self.config, self.path, self.link, self.run = config, path, link, run
+        self._known: dict[tuple[str, str, str], Follow] = {}
+
+    def follow(self, steers: Steers) -> Follow:
+        """How to follow a drive of that controller; raises ValueError when it is gone or no longer the same."""
+        key = steers.name, steers.sha256, steers.recovery
+        if key not in self._known:
+            self._known[key] = Follow.of(self._loop(steers), self.link)
+        return self._known[key]
+
+    def _loop(self, steers: Steers) -> Loop:
+        if not steers.sha256:
+            controller = loops.controller_named(steers.name, self.config)
+        else:
+            file = FilePath(steers.name)
+            file = FilePath(self.run) / "nets" / file.name if self.run else file
+            if not file.is_file():
+                raise ValueError(f"{file}: the net that drove is gone; name its run's directory with --run")
+            if hashlib.sha256(file.read_bytes()).hexdigest() != steers.sha256:
+                raise ValueError(f"{file} is not the net that drove: its SHA-256 differs from the recorded one")
+            controller = loops.policy_in(file, steers.doe)
+        block: Any = controller.block
+        if "budget" in {f.name for f in fields(block)}:  # how long it takes today is no part of what it answered then
+            block = replace(block, clock=None, budget=None)
+        doe, recovery = controller.element, steers.recovery
+        return loops.car_loop(self.config, self.path, self.link, block, doe=doe, recovery=recovery)
+
+
+def replayed_requests(drive: Drive, config: CarConfig, path: Path, *, controller: str = "", run: str = "") -> int:
+    """How many of a drive's requests come out bit for bit the same when its controllers see the recorded snapshots.
+
+    A solution that came too late in the drive comes in time here: its request, and a few after it, then differ.
+    controller: name of another one to put in their place, throughout. run: see `Nets`. Raises ValueError when the
+    recording does not tell who steered, or that controller is gone.
+    """
+    begin = max(0, drive.first - 2)  # the last snapshot before that of the first request began the loop
+    link = ReplayLink(drive.snapshots[begin:])
+    nets = Nets(config, path, link, run)
+    remarks = [(0, Steers(name=controller))] if controller else [(n - begin, s) for n, s in drive.remarks]
+    if not remarks:
+        raise ValueError("the recording does not tell who steered; name it with --controller")
+    now = nets.follow(remarks.pop(0)[1])
+    follow = Follow(link=link, resting=now.resting, driving=now.driving)
+    live = realtime.Run(follow.resting, follow.resting.init(), realtime.Timing(period=now.driving.dt))
+    try:
+        while True:
+            live.loop.advance(live.k, live.x, live.y)
+            live.k += 1
+            follow.begin(live)
+            while remarks and remarks[0][0] <= link.count:
+                steers = remarks.pop(0)[1]
+                follow.driving, follow.trusted = nets.follow(steers).driving, steers.trusted
+            follow.choose(live)
+    except CarLost:
+        return sum(a == b for a, b in zip(drive.requests, link.requests))

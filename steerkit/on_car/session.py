@@ -1,0 +1,204 @@
+"""A session with a car: the processes it needs, its panel, and a drive or a learning run in it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path as FilePath
+from typing import Any
+
+from steerkit.block import Block
+from steerkit.clock import Clock
+from steerkit.doe import Dynamic
+from steerkit.learning.settings import Setting
+from steerkit.loop import Loop
+from steerkit.on_car import loop as loops
+from steerkit.on_car import processes
+from steerkit.path import Path
+from steerkit.plants.real_car.decisions.modes import Order
+from steerkit.plants.real_car.file.config import CarConfig, load
+from steerkit.plants.real_car.processes.client import CarLost, DriverLink
+from steerkit.realtime import Run, Timing, histogram_text, preferred
+
+
+def bus_of(channel: str) -> dict[str, Any] | None:
+    """The arguments of `can.Bus` for `INTERFACE:CHANNEL`, or for a serial device or socket:// of slcan; None for ""."""
+    if not channel:
+        return None
+    other = re.fullmatch(r"([a-z_0-9]+):(?!//)(.+)", channel)
+    if other:
+        return {"interface": other[1], "channel": other[2]}
+    return {"interface": "slcan", "channel": channel, "bitrate": 500000, "sleep_after_open": 0.0}
+
+
+def loaded(config: str, channel: str = "") -> tuple[CarConfig, Path]:
+    """A configuration, on another bus if `channel` says so, and its course."""
+    found = load(config, bus=bus_of(channel))
+    return found, loops.course_of(found)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """What the command line says about a session."""
+
+    config: str
+    simulated: bool = False
+    """Start a simulated car, and a driver process for it alone."""
+    socket: str = ""
+    recording: str = ""
+    channel: str = ""
+    time_scale: float = 1.0
+    realtime: bool = False
+    recovery: str = "stanley"
+    quiet: bool = False
+
+
+class Session:
+    """The line to the driver process, the clock, and the wish to end."""
+
+    def __init__(self, options: Options, socket: str, channel: str):
+        self.options, self.socket, self.recording = options, socket, options.recording
+        self.config, self.path = loaded(options.config, channel)
+        self.clock = Clock(scale=options.time_scale)
+        self.ending = False
+        self.link: Any = None
+        self.timing: Timing | None = None
+        self.asked: float | None = None
+        """The angle that the controller asked for last [rad]."""
+        self.learner_steers: bool | None = None
+        """Has the learner the wheel, or its recovery controller? None: there is no learner."""
+
+    def watch(self, run: Run) -> bool:
+        """Called after every step."""
+        self.timing = run.timing
+        i, j = run.loop.source[run.loop.names.index("car"), "delta_sw_in"]
+        self.asked = run.y[i][j]
+        if "supervisor" in run.loop.blocks:
+            self.learner_steers = run.sample["supervisor.learning"] > 0.5
+        return self.ending
+
+    def build(self, policy: Block, doe: Dynamic) -> Loop:
+        """The loop of a learner."""
+        return loops.car_loop(self.config, self.path, self.link, policy, doe=doe, recovery=self.options.recovery)
+
+    def panel(self, title: str, more: Any = None) -> Any:
+        """The live panel; without a terminal, or when told to be quiet, one line for each transition."""
+        from steerkit.on_car.panel import Panel
+
+        terminal = sys.stdout.isatty() and os.environ.get("TERM", "dumb") != "dumb"
+        return Panel(self, title, live=terminal and not self.options.quiet, more=more)
+
+
+@contextlib.contextmanager
+def session(options: Options) -> Iterator[Session]:
+    """A session: with the driver process that is there, or else one of its own; both end in order."""
+    if options.time_scale != 1.0 and not (options.simulated or options.channel):
+        raise ValueError(f"--time-scale {options.time_scale:g}: a real car has real time; use --simulated")
+    if options.simulated and options.channel:
+        raise ValueError("--simulated starts a car on a channel of its own; leave --channel out")
+    if options.recovery not in loops.RECOVERIES:
+        raise ValueError(f"--recovery {options.recovery!r} is not known; valid: {', '.join(loops.RECOVERIES)}")
+    channel, started = options.channel, list[subprocess.Popen[str]]()
+    with contextlib.ExitStack() as stack:
+        try:
+            socket = options.socket or processes.default_socket()
+            if options.simulated:  # never through a driver process that may have a real car at its other end
+                socket = options.socket or stack.enter_context(tempfile.TemporaryDirectory()) + "/car"
+                process, channel = processes.start_simulated(options.config, time_scale=options.time_scale)
+                started.append(process)
+            here = Session(options, socket, channel)
+            if options.simulated or not os.path.exists(socket) or not _answers(socket):
+                here.recording, log = _files(options.recording)
+                text = stack.enter_context(log.open("w"))
+                driver = processes.start_driver(
+                    options.config,
+                    socket,
+                    recording=here.recording,
+                    channel=channel,
+                    time_scale=options.time_scale,
+                    realtime=options.realtime,
+                    log=text,
+                )
+                started.insert(0, driver)
+            else:
+                print(f"the driver process at {socket} is used as it runs, with its own configuration and recording")
+            here.link = stack.enter_context(DriverLink(socket))
+            if options.realtime:
+                print(preferred())
+            try:
+                yield here
+            finally:
+                with contextlib.suppress(CarLost):
+                    here.link.order(Order.DISENGAGE)  # an end in order, or Ctrl-C, is no fault
+        finally:
+            for process in started:  # the driver first
+                process.terminate()
+                process.wait(10.0)
+
+
+def _answers(socket: str) -> bool:
+    try:
+        DriverLink(socket, controller=False).close()
+    except CarLost:
+        return False
+    return True
+
+
+def _files(recording: str) -> tuple[str, FilePath]:
+    """Where to record to, and the driver process's log beside it; the folder is made."""
+    tape = FilePath(recording or f"runs/car-{time.strftime('%Y%m%d-%H%M%S')}.mcap")
+    if tape.exists():
+        raise ValueError(f"--recording {tape} exists already, and recordings are not overwritten; choose another name")
+    tape.parent.mkdir(parents=True, exist_ok=True)
+    return str(tape), tape.with_suffix(".log")
+
+
+def drive(options: Options, name: str, *, minutes: float) -> dict[str, Any]:
+    """`steerkit drive --car`: drive with a controller for so long (0: until `q`); returns its figures."""
+    controller = loops.controller_named(name, loaded(options.config)[0])  # mistakes first, processes then
+    with session(options) as here, here.panel(name):
+        run = loops.drive(
+            here.config,
+            here.path,
+            here.link,
+            controller,
+            recovery=options.recovery,
+            duration=60.0 * minutes or float("inf"),
+            clock=here.clock,
+            watch=here.watch,
+        )
+    return _told(here, run)
+
+
+def learn(options: Options, how: Setting, place: FilePath, *, minutes: float, seed: int) -> dict[str, Any]:
+    """`steerkit learn --car`: learn to steer on it for so long (0: until `q`); returns its figures."""
+    from steerkit.on_car.learner import CarLearner
+
+    with session(options) as here:
+        here.link.wait(timeout=10.0)
+        with CarLearner(how, place, here.build, here.link, seed=seed, recovery=options.recovery) as learner:
+            with here.panel(f"learning, {how.name}", learner.status):
+                run = learner.run(60.0 * minutes or float("inf"), clock=here.clock, watch=here.watch)
+            print(learner.status())
+            merit = learner.figures()
+    print(
+        f"policies and transitions in {place}; drive with them: steerkit drive --car {options.config} --controller "
+        f"{'nfq' if place == loops.LEARNED else place}"
+    )
+    return _told(here, run) | merit
+
+
+def _told(here: Session, run: Run) -> dict[str, Any]:
+    figures = run.timing.summary()
+    if not here.options.quiet:
+        print(histogram_text(run.timing))
+    print(", ".join(f"{k} {v:.3g}" for k, v in figures.items()))
+    print(f"recording {here.recording}" if here.recording else "recorded by the driver process that was there")
+    return {**figures, "recording": here.recording}

@@ -1,0 +1,1 @@
+"""What the car server decides, as pure functions: who steers, what may pass, what to believe."""

@@ -1,0 +1,298 @@
+"""Who has the wheel, as a pure function of the state before, what is known, and the time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import NamedTuple
+
+from steerkit.errors import require
+from steerkit.units import degrees_of, radians_of
+
+
+class Mode(StrEnum):
+    """The six states. Only ENGAGED moves the wheel."""
+
+    OFF = "OFF"
+    """Nothing is sent, nothing is judged."""
+    STANDBY = "STANDBY"
+    """Listening; something stands against engaging."""
+    READY = "READY"
+    """Listening; the next engage order is obeyed."""
+    ENGAGED = "ENGAGED"
+    """Gated commands go to the kit."""
+    OVERRIDE = "OVERRIDE"
+    """The human took the wheel; latched until acknowledged."""
+    FAULT = "FAULT"
+    """Something was wrong while engaged; latched until acknowledged."""
+
+
+class Order(StrEnum):
+    """What the operator may ask for; each is an edge, obeyed once."""
+
+    ARM = "ARM"
+    ENGAGE = "ENGAGE"
+    DISENGAGE = "DISENGAGE"
+    ACKNOWLEDGE = "ACKNOWLEDGE"
+    OFF = "OFF"
+
+
+@dataclass(frozen=True, kw_only=True)
+class StateLimits:
+    """When the car may be engaged, and what ends it. Ages count from the frame's arrival."""
+
+    report_age: float = 0.1
+    """Oldest report of the kit [s]."""
+    pose_age: float = 0.15
+    """Oldest pose [s]."""
+    request_age: float = 0.075
+    """Oldest request that is still sent [s]."""
+    request_lost: float = 0.15
+    """Age of a request from which the controller counts as lost [s]."""
+    e_max: float = 2.0
+    """|e| that ends driving [m]."""
+    v_max: float = 10.0
+    """Speed that ends driving [m/s]."""
+    v_mismatch: float = 1.0
+    """Largest difference between the two speeds [m/s]."""
+    torque_max: float = 2.5
+    """Driver torque at the wheel that counts as a touch [N m]."""
+    torque_reports: int = 3
+    """Reports in a row with such a torque that count as an override."""
+    integrity_errors: int = 2
+    """CRC, counter and value errors within a second that end driving."""
+    misses: int = 3
+    """Missed deadlines of the controller within a second that end driving."""
+    lateness: float = 0.05
+    """Largest delay of the driver process itself [s]."""
+    quality: float = 1.0
+    """Least quality of the pose [1]."""
+    pose_jump: float = 0.5
+    """Largest jump of the position beyond what the speed explains [m]."""
+    echo_age: float = 0.12
+    """How old the command may be that the kit reports [s]."""
+    follow_angle: float = radians_of(60.0)
+    """Largest |command - measured| while driving [rad] ..."""
+    follow_time: float = 0.6
+    """... for so long [s]."""
+    enable_time: float = 0.3
+    """How long the kit may take to report that it is enabled [s]."""
+    e_engage: float = 0.5
+    """Largest |e| to engage at [m]."""
+    psi_e_engage: float = radians_of(15.0)
+    """Largest |psi_e| to engage at [rad]."""
+    delta_engage: float = radians_of(20.0)
+    """Largest |request - measured| to engage at [rad]."""
+    v_engage_min: float = 0.5
+    """Slowest speed to engage at [m/s]."""
+    v_engage_max: float = 9.0
+    """Fastest speed to engage at [m/s]."""
+    delta_sw_max: float = radians_of(520.0)
+    """Largest |request| [rad]; more is a broken controller."""
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            value = getattr(self, name)
+            require(0.0 < value < math.inf, "StateLimits", f"{name} = {value}, expected a finite number > 0")
+        ok = self.request_age < self.request_lost and self.v_engage_min < self.v_engage_max <= self.v_max
+        require(ok, "StateLimits", "expected request_age < request_lost and v_engage_min < v_engage_max <= v_max")
+
+
+class Facts(NamedTuple):
+    """What is known at one moment. SI; ages are `inf` for what never came, values NaN."""
+
+    connected: bool = False
+    """Is there a controller?"""
+    listen_only: bool = False
+    report_age: float = math.inf
+    pose_age: float = math.inf
+    request_age: float = math.inf
+    request: float = math.nan
+    delta_sw: float = math.nan
+    v: float = math.nan
+    """Speed of the pose."""
+    v_kit: float = math.nan
+    """Speed of the kit's report."""
+    e: float = math.nan
+    psi_e: float = math.nan
+    quality: float = 0.0
+    torque_reports: int = 0
+    """Reports in a row with more than `torque_max`."""
+    override: bool = False
+    enabled: bool = False
+    kit_faults: tuple[str, ...] = ()
+    """Names of the fault flags that the kit has set."""
+    timeout: bool = False
+    """The kit's command watchdog has run out."""
+    integrity_errors: int = 0
+    """CRC, counter and value errors within the last second."""
+    integrity: str = ""
+    """The last of them."""
+    misses: int = 0
+    """Missed deadlines of the controller within the last second."""
+    lateness: float = 0.0
+    """How late the driver process itself was, at most, within the last second."""
+    echo_age: float = 0.0
+    """For how long the command that the kit reports has been superseded."""
+    follow_age: float = 0.0
+    """How long |command - measured| has been beyond `follow_angle`."""
+    engaged_for: float = 0.0
+
+
+class Machine(NamedTuple):
+    """The state: mode, why it was entered, and when [s]."""
+
+    mode: Mode = Mode.OFF
+    cause: str = "start"
+    since: float = 0.0
+
+
+Check = tuple[str, Callable[[StateLimits, Facts], bool], Callable[[StateLimits, Facts], str]]
+"""A name, is it broken, and what to say. Comparisons are written so that a NaN is broken."""
+
+
+def _ms(age: float) -> str:
+    return f"{1e3 * age:.0f} ms" if math.isfinite(age) else "never came"
+
+
+HUMAN: tuple[Check, ...] = (
+    ("override", lambda li, f: f.override, lambda li, f: "the kit reports an override"),
+    (
+        "torque",
+        lambda li, f: f.torque_reports >= li.torque_reports,
+        lambda li, f: f"driver torque above {li.torque_max:g} N m in {f.torque_reports} reports",
+    ),
+)
+"""The human wants the wheel."""
+
+ALWAYS: tuple[Check, ...] = (
+    ("controller gone", lambda li, f: not f.connected, lambda li, f: "no controller is connected"),
+    ("report stale", lambda li, f: not f.report_age < li.report_age, lambda li, f: f"report {_ms(f.report_age)}"),
+    ("pose stale", lambda li, f: not f.pose_age < li.pose_age, lambda li, f: f"pose {_ms(f.pose_age)}"),
+    (
+        "integrity",
+        lambda li, f: f.integrity_errors >= li.integrity_errors,
+        lambda li, f: f"{f.integrity_errors} errors within 1 s, last: {f.integrity}",
+    ),
+    ("kit fault", lambda li, f: bool(f.kit_faults), lambda li, f: f"the kit reports {', '.join(f.kit_faults)}"),
+    ("kit timeout", lambda li, f: f.timeout, lambda li, f: "the kit's command watchdog ran out"),
+    (
+        "pose quality",
+        lambda li, f: not f.quality >= li.quality,
+        lambda li, f: f"quality {f.quality:g} < {li.quality:g}",
+    ),
+    (
+        "speed mismatch",
+        lambda li, f: not abs(f.v - f.v_kit) <= li.v_mismatch,
+        lambda li, f: f"pose {f.v:.2f} m/s, kit {f.v_kit:.2f} m/s",
+    ),
+    ("too fast", lambda li, f: not max(abs(f.v), abs(f.v_kit)) <= li.v_max, lambda li, f: f"{f.v:.2f} m/s"),
+    ("off the path", lambda li, f: not abs(f.e) <= li.e_max, lambda li, f: f"e = {f.e:.2f} m, limit {li.e_max:g} m"),
+    (
+        "request invalid",
+        lambda li, f: math.isfinite(f.request_age) and not abs(f.request) <= li.delta_sw_max * (1.0 + 1e-9),
+        lambda li, f: f"the controller asks for {degrees_of(f.request):.1f} deg",
+    ),
+    (
+        "missed deadlines",
+        lambda li, f: f.misses >= li.misses,
+        lambda li, f: f"{f.misses} missed deadlines of the controller within 1 s",
+    ),
+    ("driver late", lambda li, f: not f.lateness < li.lateness, lambda li, f: f"own delay {_ms(f.lateness)}"),
+)
+"""What must hold to engage, and at all times while engaged."""
+
+DRIVING: tuple[Check, ...] = (
+    (
+        "controller silent",
+        lambda li, f: not f.request_age < li.request_lost,
+        lambda li, f: f"last request {_ms(f.request_age)} ago",
+    ),
+    (
+        "kit not enabled",
+        lambda li, f: not f.enabled and f.engaged_for >= li.enable_time,
+        lambda li, f: "the kit does not report that it is enabled",
+    ),
+    ("command echo", lambda li, f: not f.echo_age < li.echo_age, lambda li, f: f"that of {_ms(f.echo_age)} ago"),
+    (
+        "wheel does not follow",
+        lambda li, f: not f.follow_age < li.follow_time,
+        lambda li, f: f"off by more than {degrees_of(li.follow_angle):.0f} deg for {_ms(f.follow_age)}",
+    ),
+)
+"""What must hold while engaged."""
+
+ENGAGING: tuple[Check, ...] = (
+    ("listen only", lambda li, f: f.listen_only, lambda li, f: "the driver was started to listen only"),
+    (
+        "request stale",
+        lambda li, f: not f.request_age < li.request_age,
+        lambda li, f: f"last request {_ms(f.request_age)} ago",
+    ),
+    (
+        "command differs",
+        lambda li, f: not abs(f.request - f.delta_sw) <= li.delta_engage,
+        lambda li, f: f"asks for {degrees_of(f.request):.0f} deg at {degrees_of(f.delta_sw):.0f} deg",
+    ),
+    ("e", lambda li, f: not abs(f.e) <= li.e_engage, lambda li, f: f"e = {f.e:.2f} m, limit {li.e_engage:g} m"),
+    (
+        "psi_e",
+        lambda li, f: not abs(f.psi_e) <= li.psi_e_engage,
+        lambda li, f: f"psi_e = {degrees_of(f.psi_e):.0f} deg, limit {degrees_of(li.psi_e_engage):.0f} deg",
+    ),
+    (
+        "speed",
+        lambda li, f: not li.v_engage_min <= f.v <= li.v_engage_max,
+        lambda li, f: f"v = {f.v:.2f} m/s, expected {li.v_engage_min:g} to {li.v_engage_max:g}",
+    ),
+)
+"""What must hold to engage, only."""
+
+
+def broken(limits: StateLimits, facts: Facts, checks: tuple[Check, ...]) -> list[str]:
+    """The checks that do not hold, each as `name: why`."""
+    return [f"{name}: {says(limits, facts)}" for name, fails, says in checks if fails(limits, facts)]
+
+
+def step(limits: StateLimits, state: Machine, facts: Facts, t: float, order: Order | None = None) -> Machine:
+    """The state after looking at `facts` at time t [s], with at most one order of the operator.
+
+    OFF      -ARM->          STANDBY
+    STANDBY  -all is well->  READY;  READY -anything is not-> STANDBY
+    READY    -ENGAGE->       ENGAGED, in no other way
+    ENGAGED  -human->        OVERRIDE;  -any fault-> FAULT;  -DISENGAGE-> STANDBY
+    OVERRIDE, FAULT -ACKNOWLEDGE-> STANDBY, in no other way
+    any      -OFF->          OFF
+
+    Pure: equal arguments give equal results. Raises nothing.
+    """
+
+    def to(mode: Mode, cause: str) -> Machine:
+        return Machine(mode, cause, t)
+
+    if order is Order.OFF:
+        return state if state.mode is Mode.OFF else to(Mode.OFF, "operator: off")
+    match state.mode:
+        case Mode.OFF:
+            return to(Mode.STANDBY, "operator: arm") if order is Order.ARM else state
+        case Mode.STANDBY:
+            against = broken(limits, facts, HUMAN + ALWAYS + ENGAGING)
+            return to(Mode.READY, "all checks hold") if not against else state
+        case Mode.READY:
+            against = broken(limits, facts, HUMAN + ALWAYS + ENGAGING)
+            if against:
+                return to(Mode.STANDBY, against[0])
+            return to(Mode.ENGAGED, "operator: engage") if order is Order.ENGAGE else state
+        case Mode.ENGAGED:
+            if order is Order.DISENGAGE:
+                return to(Mode.STANDBY, "operator: disengage")
+            facts = facts._replace(engaged_for=t - state.since)
+            human = broken(limits, facts, HUMAN)
+            if human:
+                return to(Mode.OVERRIDE, human[0])
+            faults = broken(limits, facts, ALWAYS + DRIVING)
+            return to(Mode.FAULT, faults[0]) if faults else state
+        case _:
+            return to(Mode.STANDBY, "operator: acknowledge") if order is Order.ACKNOWLEDGE else state

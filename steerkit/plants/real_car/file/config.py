@@ -1,0 +1,154 @@
+"""The TOML file that describes a car: its bus, its signals, its limits; checked whole before anything is opened."""
+
+from __future__ import annotations
+
+import importlib.util
+import tomllib
+from dataclasses import asdict, dataclass, field, fields
+from functools import cached_property
+from importlib.resources import files
+from pathlib import Path as File
+from typing import Any
+
+from steerkit.plants.real_car.decisions.gate import GateLimits
+from steerkit.plants.real_car.decisions.modes import StateLimits
+from steerkit.plants.real_car.frames.codec import CommandWriter, FrameReader, Mapping
+from steerkit.units import degrees_of
+from steerkit.vehicles import Vehicle
+
+DIMENSION = {
+    "delta_sw": "rad",
+    "echo": "rad",
+    "psi": "rad",
+    "beta": "rad",
+    "lat": "rad",
+    "lon": "rad",
+    "v": "m/s",
+    "v_kit": "m/s",
+    "x": "m",
+    "y": "m",
+    "r": "rad/s",
+    "torque": "N m",
+    "a_y": "m/s^2",
+    "stamp": "s",
+}
+ANGLES = {"delta_sw_max", "rate_max", "follow_angle", "psi_e_engage", "delta_engage"}
+"""Limits that the file gives in degrees, as `..._deg`."""
+DERIVED = {"steer_ratio", "wheelbase", "quantum"}
+"""Fields of the gate's limits that follow from the car and the DBC."""
+
+
+class ConfigError(ValueError):
+    """A configuration that cannot be used, with every mistake found, one a line."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CarConfig:
+    """A checked configuration."""
+
+    file: str
+    """Where it came from."""
+    bus: dict[str, Any]
+    """Arguments of `can.Bus`."""
+    course: dict[str, Any]
+    """`name` of a built-in course; or `file`, and the `path` in it."""
+    vehicle: Vehicle
+    readers: tuple[FrameReader, ...]
+    """The frames that are read."""
+    report_frames: frozenset[int]
+    """Ids of the frames that make the kit's report."""
+    pose_frames: frozenset[int]
+    """Ids of the frames that make the pose."""
+    fault_flags: tuple[str, ...]
+    """Quantities `fault:NAME` that must be 0."""
+    origin_deg: tuple[float, float] | None
+    """Latitude and longitude of x = y = 0, for receivers that send degrees."""
+    writer: CommandWriter
+    gate: GateLimits
+    states: StateLimits
+    listen_only: bool = False
+    lag: float = 0.1
+    """Time constant of the kit's motor [s], for controllers that predict; so is `delay`."""
+    delay: float = 0.0
+    """From a command to the motor's answer [s]."""
+    texts: dict[str, str] = field(default_factory=dict, repr=False)
+    """The files that it was made from: `config.toml`, DBC files and course by name; for the recording."""
+
+    @cached_property
+    def quantities(self) -> dict[str, Mapping]:
+        """All that is read, by name."""
+        return {name: mapping for reader in self.readers for name, mapping in reader.mappings.items()}
+
+    def facts(self) -> dict[str, Any]:
+        """What a program may want to know: what is read and written, and every limit [SI]."""
+        quantities = {
+            name: {"unit": DIMENSION.get(name, "1"), "signal": m.signal, "gain": m.gain, "offset": m.offset}
+            for name, m in self.quantities.items()
+        }
+        limits = asdict(self.gate) | asdict(self.states)
+        return {
+            "file": self.file,
+            "vehicle": self.vehicle.name,
+            "listen_only": self.listen_only,
+            "read": quantities,
+            "write": {"message": self.writer.message.name, "signal": self.writer.angle.signal},
+            "limits": {name: value for name, value in limits.items() if name not in DERIVED},
+        }
+
+    def summary(self) -> list[str]:
+        """What will be read and written, one line each."""
+        lines = [f"bus      {', '.join(f'{k} = {v!r}' for k, v in self.bus.items())}"]
+        lines.append(f"vehicle  {self.vehicle.name}, ratio {self.gate.steer_ratio:g}, L = {self.gate.wheelbase:g} m")
+        lines.append(f"course   {self.course.get('name') or self.course['file']}")
+        for reader in self.readers:
+            p = reader.protection
+            guard = ", ".join(f"{k} {v}" for k, v in (("counter", p.counter), ("CRC-8 0x2F", p.crc)) if v) or "none"
+            lines.append(f"read     {reader.name} (0x{reader.frame_id:X}), protection: {guard}")
+            for name, mapping in reader.mappings.items():
+                unit = DIMENSION.get(name, "1")
+                lines.append(f"           {name} [{unit}] = {mapping.gain:.6g} * {mapping.signal} + {mapping.offset:g}")
+        w = self.writer
+        lines.append(f"write    {w.message.name} (0x{w.frame_id:X}){' NEVER: listen only' if self.listen_only else ''}")
+        lines.append(
+            f"           {w.angle.signal} = delta_sw / {w.angle.gain:.6g}, steps of {degrees_of(w.quantum):.3g} deg"
+        )
+        rest = {"enable": w.enable, "clear": w.clear, "counter": w.counter, "CRC": w.crc}
+        lines.append(f"           {', '.join(f'{k} {v}' for k, v in rest.items() if v)}; fixed {dict(w.fixed)}")
+        lines.append(f"kit      lag {self.lag:g} s, delay {self.delay:g} s, for controllers that predict")
+        for limits in (self.gate, self.states):
+            for f in fields(limits):
+                if f.name not in DERIVED:
+                    value = getattr(limits, f.name)
+                    shown = f"{f.name}_deg = {degrees_of(value):g}" if f.name in ANGLES else f"{f.name} = {value:g}"
+                    lines.append(f"limit    {shown}")
+        return list(dict.fromkeys(lines))
+
+
+def shipped(name: str) -> File:
+    """A configuration or DBC that comes with steerkit; raises ConfigError for another name, with the valid ones."""
+    folder = File(str(files("steerkit.plants.real_car") / "configs"))
+    if not (folder / name).is_file():
+        known = ", ".join(sorted(f.name for f in folder.iterdir() if f.suffix in (".toml", ".dbc")))
+        raise ConfigError(f"{name}: no such file, beside the configuration or shipped; shipped: {known}")
+    return folder / name
+
+
+def load(file: str | File, *, bus: dict[str, Any] | None = None) -> CarConfig:
+    """The configuration in a TOML file, or the shipped one of that name.
+
+    bus: arguments of `can.Bus` that replace the file's (the simulated car's port). Raises ConfigError with all
+    mistakes, each naming the key, what stands there and what is valid.
+    """
+    path = File(file) if File(file).exists() else shipped(str(file))
+    try:
+        text = path.read_text(encoding="utf-8")
+        data = tomllib.loads(text)
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read as TOML ({error})") from error
+    from steerkit.plants.real_car.file.reading import Reading
+
+    for name in ("can", "cantools"):
+        if importlib.util.find_spec(name) is None:
+            raise ConfigError(f"{path}: a car needs the package {name}: pip install 'steerkit-control[car]'")
+
+    return Reading(path, text, data).config(bus)

@@ -1,0 +1,1 @@
+"""The car server, its clients, and what they say to each other."""

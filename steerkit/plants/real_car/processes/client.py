@@ -1,0 +1,190 @@
+"""The real car as a block, and its line to the driver process."""
+
+from __future__ import annotations
+
+import math
+import socket
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, Self
+
+from steerkit import maths as m
+from steerkit.block import Out
+from steerkit.errors import require
+from steerkit.plants.car import Car
+from steerkit.plants.real_car.decisions.modes import Mode, Order
+from steerkit.plants.real_car.processes import protocol
+from steerkit.plants.real_car.processes.protocol import Snapshot
+
+
+class CarLost(ConnectionError):
+    """The driver process is gone or does not answer: there is no car any more."""
+
+
+class CarLink(Protocol):
+    """What `RealCar` asks of a line to a car: of a `DriverLink`, or of a `ReplayLink`."""
+
+    last: Snapshot | None
+
+    def query(self) -> Snapshot:
+        """What the driver process knows now."""
+        ...
+
+    def request(self, delta_sw: float) -> None:
+        """Ask for an angle [rad], computed from the last snapshot."""
+        ...
+
+
+class DriverLink:
+    """A line to the driver process over its Unix socket.
+
+    socket_path: as given to the driver process. controller: may it ask for angles? Others may look, and give orders.
+    timeout [s]: longest wait for an answer; of a driver process that ends, one hears at once, and one that stands still
+    lets go of the wheel by itself. Raises CarLost when there is nobody, now or later.
+    """
+
+    def __init__(self, socket_path: str, *, controller: bool = True, timeout: float = 1.0):
+        self.path, self.last, self.misses = socket_path, None, 0
+        self.refused: list[str] = []
+        """What the driver did not obey, and why; whoever shows it may clear it."""
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._socket.settimeout(timeout)
+        try:
+            self._socket.connect(socket_path)
+        except OSError as error:
+            raise CarLost(
+                f"{socket_path}: no driver process answers there ({error.strerror}); start one with "
+                "`steerkit car driver`, or see its log"
+            ) from error
+        self._send(protocol.Hello(controller))
+        self.query()
+        if controller and self.refused:
+            raise CarLost(f"{socket_path}: {self.refused[0]}")
+
+    last: Snapshot | None
+
+    def query(self) -> Snapshot:
+        """What the driver process knows now."""
+        self._send(protocol.Query())
+        while True:
+            try:
+                packet = self._socket.recv(protocol.MAX_PACKET)
+            except OSError as error:
+                raise CarLost(f"{self.path}: the driver process does not answer ({error})") from error
+            if not packet:
+                raise CarLost(f"{self.path}: the driver process has ended")
+            message = protocol.decode(packet)
+            if isinstance(message, protocol.Refused):
+                self.refused.append(message.why)
+            elif isinstance(message, Snapshot):
+                self.last = message
+                return message
+
+    def request(self, delta_sw: float) -> None:
+        """Ask for an angle [rad], computed from the last snapshot; `misses` goes with it."""
+        basis = math.nan if self.last is None else self.last.t
+        self._send(protocol.Request(basis, delta_sw, self.misses))
+
+    def remark(self, text: str) -> None:
+        """Say, for the recording, what steers from the next request on."""
+        self._send(protocol.Remark(text))
+
+    def order(self, order: Order) -> None:
+        """Give an order; what comes of it shows in later snapshots and in `refused`."""
+        self._send(protocol.Command(order))
+
+    def wait(self, *modes: Mode, timeout: float, wall: float = 0.01) -> Snapshot:
+        """The first snapshot in one of `modes` (none given: with a pose); raises CarLost after `timeout` [s]."""
+        end = time.monotonic() + timeout
+        while True:
+            snapshot = self.query()
+            if snapshot.mode in modes or (not modes and math.isfinite(snapshot.x + snapshot.psi + snapshot.delta_sw)):
+                return snapshot
+            if time.monotonic() > end:
+                wanted = " or ".join(modes) or "a pose and a report"
+                raise CarLost(f"{self.path}: no {wanted} within {timeout:g} s; {snapshot.mode}: {snapshot.text}")
+            time.sleep(wall)
+
+    def close(self) -> None:
+        """Hang up; the driver process disengages if this was its controller."""
+        self._socket.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def _send(self, message: protocol.Message) -> None:
+        try:
+            self._socket.send(protocol.encode(message))
+        except OSError as error:
+            raise CarLost(f"{self.path}: the driver process is gone ({error.strerror})") from error
+
+
+class ReplayLink:
+    """A recorded run in the place of a car: snapshots come from the recording, requests are collected."""
+
+    def __init__(self, snapshots: Sequence[Snapshot]):
+        self._snapshots = iter(snapshots)
+        self.count = 0
+        """Snapshots given."""
+        self.last: Snapshot | None = None
+        self.requests: list[tuple[float, float]] = []
+        """(basis, delta_sw) asked for."""
+
+    def query(self) -> Snapshot:
+        """The next recorded snapshot; raises CarLost at the recording's end."""
+        self.last = next(self._snapshots, None)
+        if self.last is None:
+            raise CarLost("the recording has ended")
+        self.count += 1
+        return self.last
+
+    def request(self, delta_sw: float) -> None:
+        """Keep what was asked for."""
+        assert self.last is not None
+        self.requests.append((self.last.t, delta_sw))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RealCar(Car):
+    """A car on a CAN bus, with the ports of the simulated plants; the only block that is not pure.
+
+    Its outputs are the driver process's last good readings at the moment of the sample; its input is sent on, and
+    moves the wheel only while the driver process is ENGAGED, after its checks and its gate.
+
+    inputs: delta_sw_in [rad]; v_in [m/s], not used: the human keeps the speed. outputs: x, y [m] of the centre of
+    gravity; psi [rad]; v [m/s]; beta [rad]; r [rad/s]; a_y [m/s^2]; delta_sw [rad], measured; engaged [1];
+    applied [rad], the angle that the gate let through last, or while not engaged the measured one.
+    state: none. Raises CarLost when the driver process is gone; TypeError when it is batched or traced.
+
+    link: the line to the driver process. dt [s]: sample time.
+    """
+
+    engaged = Out("1", direct=())
+    applied = Out("rad", direct=())
+
+    pure = False
+    link: CarLink
+
+    def __post_init__(self) -> None:
+        require(0.0 < self.dt < 1.0, "RealCar", f"dt = {self.dt} s, expected more than 0 and less than 1")
+
+    def init(self, batch: tuple[int, ...] = ()) -> tuple[Any, ...]:
+        if batch:
+            raise TypeError("RealCar: there is one car, it cannot be batched; simulate with NonlinearSingleTrack")
+        return ()
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        if m.is_symbol(t):
+            raise TypeError("RealCar: a real car cannot be traced; put NonlinearSingleTrack in its place")
+        s = self.link.query()
+        engaged = 1.0 if s.mode is Mode.ENGAGED else 0.0
+        applied = s.command if engaged else s.delta_sw
+        return self.Y(s.x, s.y, s.psi, s.v, s.beta, s.r, s.a_y, s.delta_sw, engaged, applied)
+
+    def update(self, t: Any, x: Any, u: Any, y: Any) -> tuple[Any, ...]:
+        self.link.request(float(u.delta_sw_in))
+        return ()

@@ -1,0 +1,141 @@
+"""What the driver process and its clients say to each other: one packet, one message, fixed layouts."""
+
+from __future__ import annotations
+
+import math
+import struct
+from typing import NamedTuple
+
+from steerkit.plants.real_car.decisions.modes import Mode, Order
+
+VERSION = 2
+_MODES, _ORDERS = tuple(Mode), tuple(Order)
+
+
+class Hello(NamedTuple):
+    """A client's first packet. Only one controller at a time; operators may look, and give orders."""
+
+    controller: bool
+    version: int = VERSION
+
+
+class Query(NamedTuple):
+    """Asks for a `Snapshot`."""
+
+
+class Command(NamedTuple):
+    """An order of the operator."""
+
+    order: Order
+
+
+class Request(NamedTuple):
+    """A steering-wheel angle that the controller asks for."""
+
+    basis: float
+    """The `t` of the snapshot that it was computed from [s]: its age counts from there."""
+    delta_sw: float
+    """[rad]"""
+    misses: int
+    """Deadlines missed since the controller started."""
+
+
+class Remark(NamedTuple):
+    """What steers from the controller's next request on, as JSON: for the recording, to be replayed; moves nothing."""
+
+    text: str
+
+
+class Snapshot(NamedTuple):
+    """All that the driver process knows: the car's outputs, then who has the wheel and why.
+
+    Values hold the last good reading; the ages [s] tell how good they are. NaN: never read.
+    """
+
+    t: float
+    x: float = math.nan
+    y: float = math.nan
+    psi: float = math.nan
+    v: float = math.nan
+    beta: float = math.nan
+    r: float = math.nan
+    a_y: float = math.nan
+    delta_sw: float = math.nan
+    v_kit: float = math.nan
+    torque: float = math.nan
+    e: float = math.nan
+    psi_e: float = math.nan
+    command: float = math.nan
+    """The last gated command [rad]."""
+    report_age: float = math.inf
+    pose_age: float = math.inf
+    request_age: float = math.inf
+    errors: float = 0.0
+    """CRC, counter and value errors since the start."""
+    frames_sent: float = 0.0
+    places: float = 0.0
+    """How often the pose came back after a pause: a path tracker should look for its place again."""
+    mode: Mode = Mode.OFF
+    text: str = ""
+    """The cause of the mode, then what stands against engaging, separated by line breaks."""
+
+
+class Refused(NamedTuple):
+    """The driver's answer to a packet that it does not obey."""
+
+    why: str
+
+
+Message = Hello | Query | Command | Request | Remark | Snapshot | Refused
+_REQUEST = struct.Struct("<cddI")
+_NUMBERS = len(Snapshot._fields) - 2
+_SNAPSHOT = struct.Struct(f"<c{_NUMBERS}dB")
+MAX_PACKET = 4096
+
+
+def encode(message: Message) -> bytes:
+    """A message as a packet."""
+    match message:
+        case Hello():
+            return b"H" + bytes((message.controller, message.version))
+        case Query():
+            return b"Q"
+        case Command():
+            return b"O" + bytes((_ORDERS.index(message.order),))
+        case Request():
+            return _REQUEST.pack(b"R", *message)
+        case Remark():
+            text = message.text.encode()
+            if len(text) >= MAX_PACKET:
+                raise ValueError(f"remark of {len(text)} bytes, expected less than {MAX_PACKET}")
+            return b"T" + text
+        case Snapshot():
+            numbers = message[:_NUMBERS]
+            return _SNAPSHOT.pack(b"S", *numbers, _MODES.index(message.mode)) + message.text.encode()[:2000]
+        case Refused():
+            return b"E" + message.why.encode()[:2000]
+
+
+def decode(packet: bytes) -> Message:
+    """The message in a packet; raises ValueError for anything that `encode` did not write."""
+    try:
+        match packet[:1]:
+            case b"H" if len(packet) == 3:
+                return Hello(bool(packet[1]), packet[2])
+            case b"Q" if len(packet) == 1:
+                return Query()
+            case b"O" if len(packet) == 2:
+                return Command(_ORDERS[packet[1]])
+            case b"R":
+                return Request(*_REQUEST.unpack(packet)[1:])
+            case b"T":
+                return Remark(packet[1:].decode(errors="replace"))
+            case b"S":
+                numbers = _SNAPSHOT.unpack_from(packet)[1:]
+                text = packet[_SNAPSHOT.size :].decode(errors="replace")
+                return Snapshot._make((*numbers[:-1], _MODES[numbers[-1]], text))
+            case b"E":
+                return Refused(packet[1:].decode(errors="replace"))
+    except (struct.error, IndexError) as error:
+        raise ValueError(f"packet {packet[:1]!r} of {len(packet)} bytes: {error}") from error
+    raise ValueError(f"packet {packet[:1]!r} of {len(packet)} bytes is not known")

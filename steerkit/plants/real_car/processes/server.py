@@ -1,0 +1,224 @@
+"""The process that owns the bus: a `Core` between a CAN bus, a Unix socket and a recording."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import queue
+import select
+import signal
+import socket
+import threading
+from pathlib import Path as File
+from typing import Any
+
+from steerkit.clock import Clock
+from steerkit.path import Path
+from steerkit.plants.real_car.decisions.core import Core, Event, Frame, Link, Note, Packet, Reply, Send, Tick
+from steerkit.plants.real_car.decisions.modes import Mode, Order
+from steerkit.plants.real_car.file.config import CarConfig
+from steerkit.plants.real_car.frames.bus import open_bus
+from steerkit.plants.real_car.processes import protocol
+from steerkit.plants.real_car.recording import Recording
+
+_log = logging.getLogger("steerkit.car")
+
+
+class Driver:
+    """Runs until it is told to stop: `run()`.
+
+    config: the car. path: its course. socket_path: where clients find it. recording: the file to write; None for none.
+    clock: time. linger [s]: how long it stays without any client, once there was one.
+    Raises OSError for a socket in use, or a bus that cannot be opened.
+    """
+
+    def __init__(
+        self,
+        config: CarConfig,
+        path: Path,
+        socket_path: str,
+        *,
+        recording: Recording | None = None,
+        clock: Clock | None = None,
+        linger: float = float("inf"),
+    ):
+        self.config, self.recording, self.linger = config, recording, linger
+        self.clock = clock or Clock()
+        self.core = Core(config, path)
+        self.stopping = False
+        self._server = _listen(socket_path)
+        self._socket_path = socket_path
+        self._clients: dict[int, socket.socket] = {}
+        self._links = 0
+        self._alone_since: float | None = None
+        self._frames: queue.SimpleQueue[tuple[float, int, bytes] | BaseException] = queue.SimpleQueue()
+        self._woken, self._wake = os.pipe()
+        os.set_blocking(self._woken, False)
+        os.set_blocking(self._wake, False)
+        self._bus = _open(config.bus, config.listen_only)
+        threading.Thread(target=self._listen_to_bus, name="bus", daemon=True).start()
+
+    def run(self) -> None:
+        """Serve until `stop`, a signal, `linger`, or an error of the bus; then the kit is told to let go."""
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda *_: self.stop())
+        try:
+            while not self.stopping:
+                self._turn()
+        finally:
+            with contextlib.suppress(Exception):
+                self._let_go()
+            self.close()
+
+    def stop(self) -> None:
+        """End `run` soon; may be called from anywhere."""
+        self.stopping = True
+        with contextlib.suppress(OSError):
+            os.write(self._wake, b"!")
+
+    def close(self) -> None:
+        """Free bus, socket and file."""
+        self._server.close()
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(self._socket_path)
+        for client in self._clients.values():
+            client.close()
+        if self.recording:
+            self.recording.close()
+        with contextlib.suppress(Exception):
+            self._bus.shutdown()
+
+    # ---- one turn -------------------------------------------------------------------------------------------
+
+    def _turn(self) -> None:
+        clock = self.clock
+        pause = clock.wall(self.core.wake - clock.now())
+        by_socket = {client: link for link, client in self._clients.items()}
+        watched: list[Any] = [self._server, self._woken, *by_socket]
+        ready, _, _ = select.select(watched, [], [], min(pause, 1.0))
+        if self._woken in ready:
+            with contextlib.suppress(BlockingIOError):
+                os.read(self._woken, 65536)
+        while not self._frames.empty():
+            item = self._frames.get()
+            if isinstance(item, BaseException):
+                raise item
+            self._handle(Frame(clock.now(), *item))
+        for source in ready:
+            if source is self._server:
+                self._accept()
+            elif source in by_socket:
+                self._receive(by_socket[source], source)
+        self._handle(Tick(clock.now()))
+        if self._alone_since is not None and clock.now() - self._alone_since > self.linger:
+            self.stop()
+
+    def _handle(self, event: Event) -> None:
+        outputs = self.core.handle(event)
+        for out in outputs:
+            match out:
+                case Send():
+                    self._transmit(out)
+                case Reply():
+                    with contextlib.suppress(OSError, KeyError):  # it hung up, or does not read: its loss
+                        self._clients[out.link].send(out.data)
+                case Note(topic="state", values=v):
+                    _log.info("%s -> %s: %s", v["from"], v["to"], v["cause"])
+                case Note(topic="refused", values=v):
+                    _log.warning("%s refused: %s", v["order"], v["why"])
+        if self.recording:
+            self.recording.event(event, outputs)
+
+    def _transmit(self, frame: Send) -> None:
+        import can
+
+        extended = self.config.writer.extended
+        self._bus.send(can.Message(arbitration_id=frame.frame_id, data=frame.data, is_extended_id=extended))
+
+    def _accept(self) -> None:
+        client, _ = self._server.accept()
+        client.setblocking(False)
+        self._links += 1
+        self._clients[self._links] = client
+        self._alone_since = None
+        self._handle(Link(self.clock.now(), self._links, True))
+
+    def _receive(self, link: int, client: socket.socket) -> None:
+        while True:
+            try:
+                packet = client.recv(protocol.MAX_PACKET)
+            except BlockingIOError:
+                return
+            except OSError:
+                packet = b""
+            if not packet:
+                break
+            self._handle(Packet(self.clock.now(), link, packet))
+        client.close()
+        del self._clients[link]
+        if not self._clients:
+            self._alone_since = self.clock.now()
+        self._handle(Link(self.clock.now(), link, False))
+
+    def _let_go(self) -> None:
+        """Off, and the neutral frames that go with it."""
+        link = -1
+        self._handle(Link(self.clock.now(), link, True))
+        self._handle(Packet(self.clock.now(), link, protocol.encode(protocol.Command(Order.OFF))))
+        assert self.core.machine.mode is Mode.OFF
+        for _ in range(20):
+            if self.core.quiet:
+                return
+            self.clock.sleep_until(self.core.wake)
+            self._handle(Tick(self.clock.now()))
+
+    def _listen_to_bus(self) -> None:
+        """The bus's thread: frames with their time of arrival into a queue; interfaces differ in how to wait."""
+        try:
+            while not self.stopping:
+                message = self._bus.recv(0.1)
+                if message is None or message.is_error_frame or message.is_remote_frame:
+                    continue
+                self._frames.put((self.clock.now(), message.arbitration_id, bytes(message.data)))
+                with contextlib.suppress(BlockingIOError):
+                    os.write(self._wake, b".")
+        except Exception as error:
+            if not self.stopping:
+                self._frames.put(error)
+                with contextlib.suppress(OSError):
+                    os.write(self._wake, b"!")
+
+
+def _open(arguments: dict[str, Any], listen_only: bool) -> Any:
+    """The bus, with nothing old in its buffers."""
+    options = dict(arguments)
+    if listen_only and options.get("interface") == "slcan":
+        options["listen_only"] = True
+    bus = open_bus(options)
+    for _ in range(10_000):
+        if bus.recv(0.0) is None:
+            break
+    return bus
+
+
+def _listen(path: str) -> socket.socket:
+    """The server socket, for this user only; the file of a driver that was killed is cleared away."""
+    server = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    if os.path.exists(path):
+        with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as probe:
+            try:
+                probe.connect(path)
+            except ConnectionRefusedError:
+                os.unlink(path)
+            else:
+                raise OSError(f"{path}: a driver process is running already; stop it first")
+    File(path).parent.mkdir(parents=True, exist_ok=True)
+    before = os.umask(0o177)
+    try:
+        server.bind(path)
+    finally:
+        os.umask(before)
+    server.listen(8)
+    server.setblocking(False)
+    return server

@@ -1,0 +1,210 @@
+"""A run as a film: the car, to scale, on its path, with the cross-track error running beside it. GIF or MP4."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+from pathlib import Path as File
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from steerkit.errors import require
+from steerkit.plots.style import COLOURS, style
+from steerkit.units import degrees_of
+
+if TYPE_CHECKING:
+    from steerkit.path import Path
+    from steerkit.simulation import Log
+
+LENGTH, WIDTH = 1.75, 0.66
+"""Length and width of a car, in wheelbases: a VW Passat has 4.77 m and 1.82 m at 2.71 m."""
+_WHEEL = (0.24, 0.085)
+_TALL = 0.56  # height of what is seen over its width
+_LASTS = 15.0  # [s] the film, unless a speed is given
+
+
+def animate(
+    log: Log,
+    path: Path | None,
+    file: str | File,
+    *,
+    wheelbase: float = 2.71,
+    l_f: float | None = None,
+    steer_ratio: float = 15.6,
+    speed: float | None = None,
+    fps: float = 12.0,
+    window: float = 18.0,
+    car: int = 0,
+    progress: bool = False,
+) -> File:
+    """Write a film of a run to `file`: .gif (through Pillow) or .mp4 (through ffmpeg).
+
+    log: with car.x, car.y, car.psi, and, if they are there, car.v, car.delta_sw and a tracker's e. path: what the car
+    should follow, or None. wheelbase, l_f [m], steer_ratio [1]: the car, where the log does not know its own. speed:
+    how many seconds of the run one second of film shows (default: so many that it lasts 15 s, 1 at least). fps:
+    pictures a second. window: half the width of what is seen around the car [m]. car: which one of a batch.
+    Returns the file.
+    Raises ValueError for another kind of file, a log without a car, or an MP4 without ffmpeg.
+    """
+    from matplotlib.animation import FFMpegWriter, PillowWriter
+
+    place = File(file)
+    kinds: dict[str, Any] = {".gif": PillowWriter, ".mp4": FFMpegWriter}
+    require(place.suffix in kinds, "animate", f"{place}: a film ends in {' or '.join(kinds)}")
+    film = kinds[place.suffix]
+    require(film.isAvailable(), "animate", f"{place}: needs ffmpeg, which is not there; install it, or write a .gif")
+    require(5.0 <= window <= 1e4, "animate", f"window = {window} m, expected 5 to 10000")
+    require(1.0 <= fps <= 60.0, "animate", f"fps = {fps}, expected 1 to 60")
+    run = _Run(log, car)
+    if speed is None:
+        speed = max(1.0, (log.t[-1] - log.t[0]) / _LASTS)
+    require(speed > 0.0, "animate", f"speed = {speed}, expected a number > 0")
+    moments = np.arange(log.t[0], log.t[-1] + 1e-9, speed / fps)
+    plant = log.loop.blocks.get("car") if log.loop is not None else None
+    known = getattr(plant, "vehicle", None) if plant is not None else None
+    if known is not None and np.ndim(known.wheelbase) == 0:
+        wheelbase, l_f, steer_ratio = float(known.wheelbase), float(known.l_f), float(known.steer_ratio)
+    place.parent.mkdir(parents=True, exist_ok=True)
+    with style():
+        scene = _Scene(run, path, wheelbase, 0.45 * wheelbase if l_f is None else l_f, steer_ratio, window)
+        writer = film(fps=fps)
+        with writer.saving(scene.figure, str(place), dpi=80):
+            for t in _shown(moments, progress):
+                scene.show(float(t), speed)
+                writer.grab_frame()
+    return place
+
+
+class _Run:
+    """The signals of one car over time, to be had at any moment."""
+
+    def __init__(self, log: Log, car: int):
+        names = {key: f"car.{key}" for key in ("x", "y", "psi", "v", "delta_sw")}
+        errors = [name for name in ("path.e", *log) if name.rpartition(".")[2] == "e" and name in log]
+        names |= {"e": errors[0]} if errors else {}
+        missing = [names[key] for key in ("x", "y", "psi") if names[key] not in log]
+        require(not missing, "animate", f"the log lacks {', '.join(missing)}; recorded: {', '.join(log)}")
+        require(len(log.t) >= 2, "animate", f"{len(log.t)} samples, expected two at least")
+        self.t = log.t
+        self.signals: dict[str, np.ndarray] = {}
+        for key, name in names.items():
+            if name in log:
+                values = log[name]
+                cars = 1 if values.ndim == 1 else values.shape[-1]
+                require(car < cars or values.ndim == 1, "animate", f"car = {car}, the log has {cars}: 0 to {cars - 1}")
+                self.signals[key] = values if values.ndim == 1 else values[..., car]
+        self.signals["psi"] = np.unwrap(self.signals["psi"])
+
+    def at(self, t: float) -> dict[str, float]:
+        """All signals at t [s], linear between samples."""
+        return {key: float(np.interp(t, self.t, values)) for key, values in self.signals.items()}
+
+
+class _Scene:
+    """The picture, and what moves in it."""
+
+    def __init__(self, run: _Run, path: Path | None, wheelbase: float, l_f: float, steer_ratio: float, window: float):
+        from matplotlib.figure import Figure
+        from matplotlib.patches import Polygon
+
+        self.run, self.window, self.ratio = run, window, steer_ratio
+        self.figure = Figure(figsize=(7.2, 5.2), layout="constrained")
+        view, strip = self.figure.subplots(2, height_ratios=(3.4, 1.0))
+        self.view, self.strip = view, strip
+        view.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
+        self._look(run.at(run.t[0]))
+        if path is not None:
+            line = path.samples
+            ends = [0] if path.closed else []
+            xy = np.concatenate((line.xy, line.xy[ends]))
+            left = np.column_stack((-np.sin(line.psi), np.cos(line.psi)))
+            for side in (-0.5, 0.5):
+                edge = line.xy + side * left
+                edge = np.concatenate((edge, edge[ends]))
+                view.plot(edge[:, 0], edge[:, 1], color=COLOURS["limit"], lw=0.7, ls="--", alpha=0.6)
+            view.plot(xy[:, 0], xy[:, 1], color=COLOURS["muted"], lw=1.0)
+        (self.trail,) = view.plot([], [], color=COLOURS["learned"], lw=1.6, alpha=0.8)
+        rear = l_f - wheelbase
+        middle, half, side = l_f - 0.5 * wheelbase, 0.5 * LENGTH * wheelbase, 0.5 * WIDTH * wheelbase
+        self.body = _box(middle, half, side, nose=0.12 * wheelbase)
+        self.wheels = [(x, s * 0.82 * side, front) for x, front in ((l_f, True), (rear, False)) for s in (-1.0, 1.0)]
+        self.tyre = _box(0.0, 0.5 * _WHEEL[0] * wheelbase, 0.5 * _WHEEL[1] * wheelbase)
+        ink, body = COLOURS["ink"], COLOURS["learned"]
+        self.shapes = [Polygon(self.tyre, fc=ink, lw=0, zorder=6.5) for _ in self.wheels]
+        self.shapes.append(Polygon(self.body, fc=body, ec=ink, lw=0.8, alpha=0.7, zorder=6))
+        for shape in self.shapes:
+            view.add_patch(shape)
+        self.words = view.text(0.01, 0.98, "", transform=view.transAxes, va="top", color=ink, zorder=9)
+        self._draw_strip()
+        self.figure.draw_without_rendering()
+        self.figure.set_layout_engine("none")  # laid out once: the picture must not jump, and is drawn faster
+
+    def _look(self, now: dict[str, float]) -> None:
+        self.view.set_xlim(now["x"] - self.window, now["x"] + self.window)
+        self.view.set_ylim(now["y"] - _TALL * self.window, now["y"] + _TALL * self.window)
+
+    def _draw_strip(self) -> None:
+        run, strip = self.run, self.strip
+        if "e" in run.signals:
+            e = run.signals["e"]
+            strip.axhspan(-0.05, 0.05, color=COLOURS["goal"], alpha=0.35, lw=0)
+            strip.plot(run.t, e, color=COLOURS["muted"], lw=0.7)
+            (self.line,) = strip.plot([], [], color=COLOURS["learned"], lw=1.3)
+            strip.set_ylim(*(np.array([-1.15, 1.15]) * max(0.06, float(np.nanmax(np.abs(e))))))
+            strip.set_ylabel("e [m]")
+        else:
+            (self.line,) = strip.plot([], [])
+            strip.set_yticks([])
+        self.now = strip.axvline(run.t[0], color=COLOURS["ink"], lw=0.8)
+        strip.set(xlim=(run.t[0], run.t[-1]), xlabel="t [s]")
+
+    def show(self, t: float, speed: float) -> None:
+        """Move everything to time t [s]."""
+        run, now = self.run, self.run.at(t)
+        x, y, psi = now["x"], now["y"], now["psi"]
+        past = run.t <= t
+        self.trail.set_data(np.append(run.signals["x"][past], x), np.append(run.signals["y"][past], y))
+        delta = now.get("delta_sw", 0.0) / self.ratio
+        for shape, (along, across, front) in zip(self.shapes, self.wheels):
+            wheel = _moved(self.tyre, delta if front else 0.0, along, across)
+            shape.set_xy(_moved(wheel, psi, x, y))
+        self.shapes[-1].set_xy(_moved(self.body, psi, x, y))
+        self._look(now)
+        words = [f"t = {t:.1f} s" + ("" if speed == 1.0 else f"   (shown {speed:.3g} x)")]
+        words += [f"v = {now['v']:.1f} m/s"] if "v" in now else []
+        words += [f"wheel {degrees_of(now['delta_sw']):+.0f} deg"] if "delta_sw" in now else []
+        words += [f"e = {now['e']:+.3f} m"] if "e" in now else []
+        self.words.set_text("\n".join(words))
+        if "e" in run.signals:
+            self.line.set_data(run.t[past], run.signals["e"][past])
+        self.now.set_xdata([t, t])
+
+
+def _box(middle: float, half: float, side: float, nose: float = 0.0) -> np.ndarray:
+    """Corners of a box along x, its front corners cut by `nose`."""
+    front, back = middle + half, middle - half
+    return np.array(
+        [
+            (back, -side),
+            (front - nose, -side),
+            (front, -side + 0.6 * nose),
+            (front, side - 0.6 * nose),
+            (front - nose, side),
+            (back, side),
+        ]
+    )
+
+
+def _moved(points: np.ndarray, angle: float, x: float, y: float) -> np.ndarray:
+    """Points turned by an angle about the origin, then moved to (x, y)."""
+    c, s = np.cos(angle), np.sin(angle)
+    return points @ np.array([[c, s], [-s, c]]) + np.array([x, y])
+
+
+def _shown(moments: np.ndarray, progress: bool) -> Iterable[float]:
+    if not progress or not sys.stderr.isatty():
+        return moments
+    from rich.progress import track
+
+    return track(moments, description="film", transient=True)

@@ -1,0 +1,74 @@
+"""Vehicle files: a car, its steering and where the numbers come from, as TOML; read by `vehicle("car.toml")`."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from steerkit.errors import require
+from steerkit.vehicles.parameters import Vehicle
+
+FORMAT = "steerkit vehicle 1"
+
+
+def read_vehicle(file: str | Path) -> Vehicle:
+    """The car in a vehicle file; raises ValueError naming the file, the key and what is valid."""
+    table = table_of(file, "vehicle")
+    known = {f.name for f in dataclasses.fields(Vehicle)}
+    needed = {f.name for f in dataclasses.fields(Vehicle) if f.default is dataclasses.MISSING}
+    for verb, keys in (("lacks", needed - table.keys()), ("has the unknown key", table.keys() - known)):
+        require(not keys, f"{file}", f"[vehicle] {verb} {', '.join(sorted(keys))}; it holds {', '.join(sorted(known))}")
+    try:
+        return Vehicle(**table)
+    except ValueError as error:
+        raise ValueError(f"{file}: {error}") from error
+
+
+def vehicle_text(
+    car: Vehicle,
+    *,
+    steering: Mapping[str, float] | None = None,
+    estimates: Mapping[str, Mapping[str, Any]] | None = None,
+    provenance: Mapping[str, Any] | None = None,
+) -> str:
+    """The text of a vehicle file; numbers come back bit for bit."""
+    rows = [f"format = {json.dumps(FORMAT)}", "", "[vehicle]  # SI and radians; cornering stiffness per axle"]
+    rows += [f"{f.name} = {_value(getattr(car, f.name))}" for f in dataclasses.fields(car)]
+    if steering:
+        rows += ["", "[steering]  # from the command, or the recorded angle, to the road wheels: s, s, rad"]
+        rows += [f"{key} = {_value(value)}" for key, value in steering.items()]
+    for name, table in (estimates or {}).items():
+        entries = ", ".join(f"{key} = {_value(value)}" for key, value in table.items())
+        rows += ["", "[estimates]  # 95 % intervals"] if "[estimates]  # 95 % intervals" not in rows else []
+        rows += [f"{name} = {{ {entries} }}"]
+    if provenance:
+        rows += ["", "[provenance]", *(f"{key} = {_value(value)}" for key, value in provenance.items())]
+    return "\n".join(rows) + "\n"
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(_value(v) for v in value) + "]"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    return repr(float(value))
+
+
+def table_of(file: str | Path, name: str) -> dict[str, Any]:
+    """One table of a vehicle file; raises ValueError naming the file and what it lacks."""
+    try:
+        data = tomllib.loads(Path(file).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ValueError(f"vehicle: {file} cannot be read ({error.strerror}); a name or a vehicle file") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{file}: not TOML ({error})") from error
+    told = data.get("format")
+    require(told == FORMAT, f"{file}", f"format = {told!r}, expected {FORMAT!r}: a file of `steerkit identify`")
+    table = data.get(name)
+    if not isinstance(table, dict):
+        raise ValueError(f"{file}: no table [{name}]; it holds {', '.join(data)}")
+    return table

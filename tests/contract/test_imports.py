@@ -1,0 +1,178 @@
+"""What may import what, and that nothing heavy is loaded before it is used."""
+
+from __future__ import annotations
+
+import ast
+import pkgutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import steerkit
+
+ROOT = Path(steerkit.__file__).parent
+HEAVY = ("torch", "casadi", "control", "matplotlib", "pandas", "pyarrow")
+
+BASE = {"units", "maths", "random", "clock", "errors", "files", "native"}
+RUN = BASE | {"block", "loop", "simulation"}
+PLACES = BASE | {"block", "vehicles", "path", "courses"}
+PARTS = PLACES | {"tracker", "doe", "controllers", "plants"}
+MAY_IMPORT: dict[str, set[str]] = {
+    "units": set(),
+    "clock": set(),
+    "maths": set(),
+    "native": set(),
+    "files": set(),
+    "errors": {"units"},
+    "random": {"errors", "maths"},
+    "block": BASE,
+    "loop": BASE | {"block"},
+    "simulation": RUN,
+    "realtime": RUN,
+    "vehicles": BASE,
+    "path": BASE | {"block"},
+    "tracker": BASE | {"block", "path"},
+    "courses": BASE | {"path"},
+    "doe": BASE | {"block"},
+    "controllers": BASE | {"block", "vehicles", "path"},
+    "plants": BASE | {"block", "vehicles", "path", "tracker"},
+    "compiled": RUN,
+    "analysis": RUN | {"plots"},
+    "metrics": RUN,
+    "plots": RUN | {"path"},
+    "assembly": RUN | PARTS,
+    "scenario": RUN | PARTS | {"assembly", "compiled", "metrics"},
+    "learning": RUN | PARTS | {"assembly", "compiled", "metrics", "plots", "scenario"},
+    "identification": RUN | {"vehicles", "plants", "compiled", "plots"},
+    "gym": RUN | PARTS | {"assembly", "compiled", "scenario", "learning"},
+    "export": RUN | PARTS | {"compiled", "scenario", "learning", "gym"},
+    "on_car": RUN | PARTS | {"realtime", "assembly", "scenario", "learning"},
+}
+"""A module or package at the top of steerkit, and which others it may import; itself always."""
+PROGRAMS = ("__main__", "cli")
+"""Programs over the library: they may import all of it."""
+NEVER = {
+    "learning": {"steerkit.plants.real_car"},
+    "gym": {"steerkit.plants.real_car"},
+    "scenario": {"steerkit.plants.real_car"},
+}
+"""Modules below a package that it may import, which are none of its business."""
+WHEN_USED = {"block": {"plots"}, "loop": {"plots", "analysis"}, "simulation": {"plots"}}
+"""More that a module may import inside a function: how a thing is shown."""
+AT_HOME = {
+    "torch": {"learning.nfq"},
+    "casadi": {"compiled", "maths", "analysis", "controllers.mpc"},
+    "control": {"analysis", "controllers.lqr", "controllers.mpc"},
+    "matplotlib": {"plots", "learning.pictures"},
+    "pandas": {"simulation"},
+    "pyarrow": {"simulation", "learning.data", "identification.reading", "export.minari"},
+    "typer": {"cli"},
+    "onnx": {"export.onnx"},
+    "onnxruntime": {"export.onnx"},
+    "minari": {"export.minari"},
+    "pythonfmu": {"export.fmu"},
+    "fmpy": {"plants.fmu"},
+    "gymnasium": {"gym", "export.minari"},
+    "PIL": {"gym.frames"},
+}
+"""Where a package may be imported: a module or package of steerkit."""
+
+MODULES = {
+    ".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): file
+    for file in sorted(ROOT.rglob("*.py"))
+}
+modules = pytest.mark.parametrize(
+    "module", [name for name in MODULES if name != "__init__" and name.split(".")[0] not in PROGRAMS]
+)
+
+
+def imports(file: Path) -> Iterator[tuple[str, bool]]:
+    """(what is imported, is it at the top of the file); what only type checkers see is left out."""
+
+    def walk(node: ast.AST, top: bool) -> Iterator[tuple[str, bool]]:
+        for child in ast.iter_child_nodes(node):
+            if isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test):
+                continue
+            if isinstance(child, ast.Import):
+                yield from ((alias.name, top) for alias in child.names)
+            elif isinstance(child, ast.ImportFrom):
+                assert child.level == 0, f"{file}: relative import"
+                names = [f"steerkit.{a.name}" for a in child.names] if child.module == "steerkit" else [child.module]
+                yield from ((str(name), top) for name in names)
+            yield from walk(child, top and not isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda)))
+
+    return walk(ast.parse(file.read_text(encoding="utf-8")), True)
+
+
+@modules
+def test_layers(module: str) -> None:
+    home = module.split(".")[0]
+    assert home in MAY_IMPORT, f"say in MAY_IMPORT what steerkit/{home} may import"
+    for name, top in imports(MODULES[module]):
+        package, *rest = name.split(".")
+        if package == "steerkit":
+            allowed = MAY_IMPORT[home] | {home} | (set() if top else WHEN_USED.get(home, set()))
+            assert rest, f"{module} imports all of steerkit"
+            assert rest[0] in allowed, f"{module} imports {name}; allowed: {', '.join(sorted(allowed))}"
+            assert not any(name.startswith(far) for far in NEVER.get(home, ())), f"{module} imports {name}"
+
+
+@modules
+def test_plants_does_and_controllers_do_not_know_each_other(module: str) -> None:
+    parts = {"plants", "doe", "controllers"}
+    known = {name.split(".")[1] for name, _ in imports(MODULES[module]) if name.startswith("steerkit.")}
+    if module.split(".")[0] in parts:
+        assert not known & (parts - {module.split(".")[0]})
+
+
+@modules
+def test_heavy_packages_stay_where_they_are_used(module: str) -> None:
+    for name, top in imports(MODULES[module]):
+        package = name.split(".")[0]
+        if package in AT_HOME:
+            homes = AT_HOME[package]
+            at_home = any(module == home or module.startswith(f"{home}.") for home in homes)
+            assert at_home, f"{module} imports {name}; only {', '.join(sorted(homes))} may"
+            if package in ("matplotlib", "pandas", "pyarrow"):
+                assert not top, f"{module} imports {name} at its top; do it in the function that needs it"
+
+
+def loaded_by(code: str) -> set[str]:
+    """The heavy packages that are loaded after running `code` in a fresh interpreter."""
+    report = f"{code}\nimport sys\nprint([name for name in {HEAVY!r} if name in sys.modules])"
+    answer = subprocess.run([sys.executable, "-c", report], capture_output=True, text=True)
+    assert answer.returncode == 0, answer.stderr
+    return set(ast.literal_eval(answer.stdout.splitlines()[-1]))
+
+
+def test_importing_steerkit_loads_nothing_heavy() -> None:
+    assert loaded_by("import steerkit") == set()
+
+
+def test_building_and_driving_a_loop_loads_nothing_heavy() -> None:
+    code = """
+from steerkit import Integrator, LinearSingleTrack, NfqPolicy, Stanley
+from steerkit import course, placed, simulate, steering_loop, vehicle
+from steerkit.plants.human_driver import ConstantSpeed
+path, passat = course("paper"), vehicle("vw-passat")
+loop = steering_loop(car=placed(LinearSingleTrack(vehicle=passat, v0=5.0), path), path=path,
+                     driver=ConstantSpeed(speed=5.0), controller=NfqPolicy(), doe=Integrator(),
+                     recovery=Stanley.of(passat))
+simulate(loop, 1.0)
+"""
+    assert loaded_by(code) == set()
+
+
+def test_no_public_name_is_also_a_module_which_would_take_its_place() -> None:
+    assert not set(steerkit.__all__) & {module.name for module in pkgutil.iter_modules(steerkit.__path__)}
+
+
+def test_every_public_name_is_there() -> None:
+    for name in steerkit.__all__:
+        assert getattr(steerkit, name) is not None
+    assert set(steerkit.__all__) <= set(dir(steerkit))
+    with pytest.raises(AttributeError, match=r"module 'steerkit' has no attribute 'loop_'; it offers: MPC, Block, "):
+        _ = steerkit.loop_

@@ -1,0 +1,79 @@
+"""What is shipped: the wheel holds every file of the package, and what says what it is agrees."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import steerkit
+from tests.support.places import ROOT
+
+sources = pytest.mark.skipif(not (ROOT / "steerkit").is_dir(), reason="runs on the sources; here steerkit is installed")
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel of the sources, built from links in a temporary directory, so that nothing is left in the tree."""
+    place = tmp_path_factory.mktemp("wheel")
+    for name in ("pyproject.toml", "README.md", "LICENSE", "MANIFEST.in", "steerkit"):
+        (place / name).symlink_to(ROOT / name)
+    code = "from setuptools.build_meta import build_wheel; print(build_wheel('.'))"
+    done = subprocess.run([sys.executable, "-c", code], cwd=place, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return place / done.stdout.splitlines()[-1]
+
+
+@sources
+def test_the_wheel_holds_every_file_of_the_package_and_nothing_else(wheel: Path) -> None:
+    here = {
+        str(file.relative_to(ROOT))
+        for file in (ROOT / "steerkit").rglob("*")
+        if file.is_file() and "__pycache__" not in file.parts
+    }
+    inside = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
+    assert inside == here
+    assert {"steerkit/py.typed", "steerkit/courses/genesis.csv"} <= inside
+
+
+@sources
+def test_the_wheel_says_what_it_is(wheel: Path) -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    archive = zipfile.ZipFile(wheel)
+    info = {name.split("/", 1)[1]: name for name in archive.namelist() if ".dist-info/" in name}
+    assert {"licenses/LICENSE", "licenses/steerkit/courses/LICENSE.genesis"} <= info.keys()
+    assert "steerkit = steerkit.cli.app:main" in archive.read(info["entry_points.txt"]).decode()
+    metadata = archive.read(info["METADATA"]).decode()
+    assert f"Version: {project['version']}\n" in metadata
+    assert "Requires-Python: >=3.11" in metadata
+
+
+def test_the_citation_names_version_and_paper() -> None:
+    yaml = pytest.importorskip("yaml", reason="comes with the extra docs")
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert cited["cff-version"] == "1.2.0"
+    assert (cited["version"], cited["license"]) == (project["version"], project["license"])
+    assert steerkit.__version__ in (project["version"], "0+unknown")
+    assert {"message", "title", "authors"} <= cited.keys()
+    assert cited["references"][0]["doi"] == "10.1109/FBIT.2007.37"
+
+
+def test_the_oldest_python_is_the_same_everywhere() -> None:
+    """For installers, the style checker and the type checker."""
+    said = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    assert said["project"]["requires-python"] == ">=3.11"
+    assert said["tool"]["ruff"]["target-version"] == "py311"
+    assert said["tool"]["mypy"]["python_version"] == "3.11"
+
+
+def test_the_hooks_are_the_tools_of_make_lint() -> None:
+    yaml = pytest.importorskip("yaml", reason="comes with the extra docs")
+    hooks = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8"))["repos"][0]["hooks"]
+    entries = {hook["entry"].removeprefix(".venv/bin/").replace(" --force-exclude", "") for hook in hooks}
+    lint = (ROOT / "Makefile").read_text(encoding="utf-8").split("\nlint:")[1].split("\n\n")[0]
+    assert entries == {line.strip().removeprefix("$(BIN)/") for line in lint.splitlines()[1:]}

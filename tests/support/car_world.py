@@ -1,0 +1,180 @@
+"""A simulated car, the driver's core and a controller in one process, on a clock that the test moves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple
+
+from steerkit import realtime
+from steerkit.block import Block
+from steerkit.controllers.stanley import Stanley
+from steerkit.courses import course
+from steerkit.doe import Dynamic
+from steerkit.loop import Loop
+from steerkit.on_car import loop as loops
+from steerkit.on_car import processes
+from steerkit.on_car.follow import Follow
+from steerkit.path import Path
+from steerkit.plants.real_car.decisions.core import Core, Event, Frame, Link, Note, Packet, Reply, Send, Tick
+from steerkit.plants.real_car.decisions.modes import Mode, Order
+from steerkit.plants.real_car.file.config import CarConfig, load
+from steerkit.plants.real_car.processes import protocol
+from steerkit.plants.real_car.recording import Recording
+from steerkit.plants.real_car.simulated import Fault
+
+BEND = 147.0
+"""Arc length just before a bend of the course [m]: there the wheel has to move."""
+
+
+@cache
+def setup() -> tuple[CarConfig, Path]:
+    return load("dbw-kit.toml"), course("paper")
+
+
+class Sent(NamedTuple):
+    t: float
+    delta_sw: float
+    enable: bool
+    mode: Mode
+
+
+class World:
+    """Car, driver core and controller in one process; time jumps from event to event."""
+
+    def __init__(
+        self,
+        *,
+        s: float = BEND,
+        v: tuple[float, float] = (5.0, 5.5),
+        seed: int = 0,
+        controller: Block | None = None,
+        doe: Dynamic | None = None,
+        tape: Recording | None = None,
+    ):
+        self.config, self.path = setup()
+        self.car = processes.simulated_car(self.config, self.path, s=s, v_min=v[0], v_max=v[1], seed=seed)
+        self.tape = tape
+        self.core = Core(self.config, self.path)
+        self.t = 0.0
+        self.sent: list[Sent] = []
+        self.modes: list[tuple[float, Mode, str]] = [(0.0, Mode.OFF, "start")]
+        self.events: list[tuple[Event, list[Any]]] = []
+        self.last: protocol.Snapshot | None = None
+        self.misses = 0
+        self.tampered: Callable[[float, float], tuple[float, float] | None] = lambda basis, delta_sw: (basis, delta_sw)
+        self.asleep_until = 0.0
+        self.handle(Link(0.0, 1, True))
+        self.packet(protocol.Hello(True))
+        self.until(0.03)
+        loop = self.build(controller or Stanley.of(self.config.vehicle), doe)
+        self.follow = Follow.of(loop, self)
+        self.run = realtime.Run(self.follow.resting, self.follow.resting.init(), realtime.Timing(period=loop.dt))
+        self.due = 0.05
+
+    def build(self, controller: Block, doe: Dynamic | None) -> Loop:
+        """The loop of a controller, or of a policy."""
+        return loops.car_loop(self.config, self.path, self, controller, doe=doe)
+
+    # a CarLink
+    def query(self) -> protocol.Snapshot:
+        self.packet(protocol.Query())
+        assert self.last is not None
+        return self.last
+
+    def request(self, delta_sw: float) -> None:
+        assert self.last is not None
+        asked = self.tampered(self.last.t, delta_sw)
+        if asked is not None:
+            self.packet(protocol.Request(*asked, self.misses))
+
+    def remark(self, text: str) -> None:
+        self.packet(protocol.Remark(text))
+
+    def stepped(self, run: realtime.Run) -> None:
+        """After every control sample."""
+        self.follow.begin(run)
+        self.follow.choose(run)
+
+    # time
+    def until(self, end: float) -> None:
+        while True:
+            due = getattr(self, "due", math.inf)
+            t = max(self.t, min(self.car.next, max(self.core.wake, self.asleep_until), due, end))
+            self.t = t
+            for when, frame_id, data in self.car.advance(t):
+                self.handle(Frame(t, when, frame_id, data))
+            if t >= due:
+                self.due += 0.05
+                self.run.loop.advance(self.run.k, self.run.x, self.run.y)
+                self.run.k += 1
+                self.stepped(self.run)
+            if t >= self.asleep_until:
+                self.handle(Tick(t))
+            if t >= end:
+                return
+
+    def packet(self, message: protocol.Message) -> None:
+        self.handle(Packet(self.t, 1, protocol.encode(message)))
+
+    def order(self, order: Order) -> None:
+        self.packet(protocol.Command(order))
+
+    def handle(self, event: Event) -> None:
+        if event.t < self.asleep_until:
+            return
+        outputs = self.core.handle(event)
+        self.events.append((event, outputs))
+        if self.tape:
+            self.tape.event(event, outputs)
+        for out in outputs:
+            match out:
+                case Send():
+                    self.car.receive(self.t, out.frame_id, out.data)
+                    angle, enable, _ = self.config.writer.read(out.data)
+                    self.sent.append(Sent(self.t, angle, enable, self.core.machine.mode))
+                case Note(topic="state", values=v):
+                    self.modes.append((v["t"], v["to"], v["cause"]))
+                case Reply(data=data):
+                    answer = protocol.decode(data)
+                    if isinstance(answer, protocol.Snapshot):
+                        self.last = answer
+
+    @property
+    def mode(self) -> Mode:
+        return self.core.machine.mode
+
+    def bring_to(self, mode: Mode) -> None:
+        """Into a state, by the way that an operator would go."""
+        if mode is Mode.OFF:
+            return self.until(0.2)
+        self.order(Order.ARM)
+        self.until(0.2)
+        assert self.mode is Mode.READY, self.core.obstacles()
+        if mode is Mode.STANDBY:
+            self.car.faults.append(Fault(kind="torque", target="report", start=self.t))  # a hand on the wheel
+            self.until(0.3)
+        elif mode is not Mode.READY:
+            self.order(Order.ENGAGE)
+            self.until(0.55)
+            assert self.mode is Mode.ENGAGED
+            cause = {Mode.OVERRIDE: "override", Mode.FAULT: "quality"}.get(mode)
+            if cause:
+                target = "pose" if cause == "quality" else "report"
+                self.car.faults.append(Fault(kind=cause, target=target, start=self.t, length=0.1))
+                self.until(0.75)
+        assert self.mode is mode
+        return None
+
+    def check_bus(self) -> None:
+        """Nothing out of limits, nothing enabled outside ENGAGED, never faster than the cap, on the whole bus."""
+        gate = self.config.gate
+        for s in self.sent:
+            assert abs(s.delta_sw) <= gate.delta_sw_max + 1e-9
+            assert s.enable is (s.mode is Mode.ENGAGED)
+        for a, b in zip(self.sent, self.sent[1:]):
+            assert b.t - a.t >= gate.dt_min - 1e-6
+            if a.enable and b.enable:
+                rate = abs(b.delta_sw - a.delta_sw) / min(b.t - a.t, gate.dt_max)
+                assert rate <= gate.rate_max * (1.0 + 1e-6)

@@ -1,0 +1,24 @@
+"""Command lines checked without being run: do the command, its options and their values exist?"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Sequence
+from typing import Any
+
+import typer
+
+from steerkit.cli import app as cli
+
+
+def parsed(words: Sequence[str]) -> None:
+    """Parse `steerkit WORDS` as the command line does; raises its usage error. `--help` asks for no arguments."""
+    command: Any = typer.main.get_command(cli.app)
+    rest = list(words)
+    while hasattr(command, "commands") and rest != ["--help"]:
+        name, *rest = rest
+        if name not in command.commands:
+            raise ValueError(f"no command {name!r}; valid: {', '.join(command.commands)}")
+        command = command.commands[name]
+    with contextlib.suppress(typer.Exit), command.make_context(command.name, rest):
+        pass

@@ -1,0 +1,94 @@
+"""The plan of the house in numbers: `python -m tests.support.house [FOLDER]` (a checkout; default: this one).
+
+Modules side by side in each folder, imports between packages, and cycles of imports, those inside functions included.
+"""
+
+from __future__ import annotations
+
+import ast
+import sys
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from tests.support.places import ROOT
+
+
+def modules(root: Path, package: str) -> dict[str, Path]:
+    """Dotted name and file of every module of a package."""
+    files = sorted((root / package).rglob("*.py"))
+    return {".".join(f.relative_to(root).with_suffix("").parts).removesuffix(".__init__"): f for f in files}
+
+
+def imported(file: Path) -> Iterator[tuple[str, bool]]:
+    """(what is imported, is it at the top of the file); what only type checkers see is left out."""
+
+    def walk(node: ast.AST, top: bool) -> Iterator[tuple[str, bool]]:
+        for child in ast.iter_child_nodes(node):
+            if isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test):
+                continue
+            if isinstance(child, ast.Import):
+                yield from ((alias.name, top) for alias in child.names)
+            elif isinstance(child, ast.ImportFrom):
+                assert child.level == 0, f"{file}: relative import"
+                yield from ((f"{child.module}.{alias.name}", top) for alias in child.names)
+            inside = isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda))
+            yield from walk(child, top and not inside)
+
+    return walk(ast.parse(file.read_text(encoding="utf-8")), True)
+
+
+def graph(files: Mapping[str, Path]) -> dict[str, set[str]]:
+    """Which module imports which of the same packages, at its top or inside a function."""
+    edges: dict[str, set[str]] = {name: set() for name in files}
+    for name, file in files.items():
+        for target, _ in imported(file):
+            module = target if target in files else target.rpartition(".")[0]
+            if module in files and module != name:
+                edges[name].add(module)
+    return edges
+
+
+def cycles(edges: Mapping[str, set[str]]) -> list[list[str]]:
+    """Groups of modules that import each other in a circle (strongly connected, two or more)."""
+
+    def reach(start: str) -> set[str]:
+        seen: set[str] = set()
+        waiting = [start]
+        while waiting:
+            for following in edges[waiting.pop()] - seen:
+                seen.add(following)
+                waiting.append(following)
+        return seen
+
+    far = {name: reach(name) for name in edges}
+    groups = {frozenset(b for b in far[a] if a in far[b]) for a in edges if a in far[a]}
+    return sorted(sorted(group) for group in groups)
+
+
+def package_of(module: str, depth: int = 2) -> str:
+    """`steerkit.plants.sensors` belongs to `steerkit.plants`."""
+    return ".".join(module.split(".")[:depth])
+
+
+def main(root: Path = ROOT) -> None:
+    """Print the plan."""
+    files = modules(root, "steerkit") | modules(root, "benchmarks")
+    sides = Counter(str(file.parent.relative_to(root)) for file in files.values())
+    print("modules side by side")
+    for folder, number in sorted(sides.items()):
+        print(f"  {folder:40s} {number}")
+    edges = graph(files)
+    between: dict[str, set[str]] = defaultdict(set)
+    for name, targets in edges.items():
+        between[package_of(name)] |= {package_of(t) for t in targets} - {package_of(name)}
+    arrows = sum(map(len, between.values()))
+    print(f"imports between modules: {sum(map(len, edges.values()))}; between packages: {arrows}")
+    found = cycles(edges)
+    print(f"cycles: {len(found)}")
+    for group in found:
+        print(f"  {len(group)}: {', '.join(group)}")
+
+
+if __name__ == "__main__":
+    main(*map(Path, sys.argv[1:]))

@@ -1,0 +1,105 @@
+"""What a user expects of any command line: complete help, --version, --json, exit codes, NO_COLOR, completion."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+import steerkit
+from steerkit.cli import app as cli
+from steerkit.courses import names
+from steerkit.units import radians_of
+from tests.support.command_lines import parsed
+
+
+def run(*words: str, monkeypatch: pytest.MonkeyPatch) -> int:
+    monkeypatch.setattr("sys.argv", ["steerkit", *words])
+    try:
+        cli.main()
+    except SystemExit as stop:
+        return int(stop.code or 0)
+    return 0
+
+
+def finished(*words: str, **extra: str) -> subprocess.CompletedProcess[str]:
+    """`python -m steerkit` in a process of its own."""
+    environment = {**os.environ, "COLUMNS": "100", **extra}
+    return subprocess.run([sys.executable, "-m", "steerkit", *words], capture_output=True, text=True, env=environment)
+
+
+def test_python_m_steerkit_version_and_exit_codes() -> None:
+    done = finished("--version")
+    assert (done.returncode, done.stdout) == (0, f"steerkit {steerkit.__version__}\n")
+    asked = finished("learn", "--bogus")
+    assert asked.returncode == 2
+    assert "No such option: --bogus" in asked.stderr
+    assert asked.stdout == ""
+
+
+def test_help_is_complete(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """Every command and every option says what it is for, and the first page has examples and exit codes."""
+    assert run("--help", monkeypatch=monkeypatch) == 0
+    page = capsys.readouterr().out
+    assert all(word in page for word in ("Examples", "Exit codes", "NO_COLOR", "--install-completion", "--version"))
+
+    def all_of(command: Any, name: str) -> None:
+        assert command.help, f"{name}: no help"
+        for parameter in command.params:
+            assert parameter.help, f"{name}: no help for {parameter.name}"
+        for below, inner in getattr(command, "commands", {}).items():
+            all_of(inner, f"{name} {below}")
+
+    all_of(typer.main.get_command(cli.app), "steerkit")
+
+
+def test_the_examples_of_the_help_page_are_valid_commands() -> None:
+    lines = [re.split("  +", line.strip())[0].split()[1:] for line in cli.EPILOG.splitlines() if "  steerkit" in line]
+    assert len(lines) == 5
+    for words in lines:
+        parsed(words)
+
+
+def test_no_color_leaves_out_colours() -> None:
+    """FORCE_COLOR asks rich for a terminal's output; colour codes are ESC[3x, ESC[9x and ESC[38;..., bold is ESC[1."""
+    colour = re.compile(r"\x1b\[(?:[0-9;]*;)?(?:3[0-8]|9[0-7])")
+    assert colour.search(finished("--help", FORCE_COLOR="1").stdout)
+    assert not colour.search(finished("--help", FORCE_COLOR="1", NO_COLOR="1").stdout)
+
+
+def test_completion_for_bash() -> None:
+    words = {"_STEERKIT_COMPLETE": "complete_bash", "COMP_WORDS": "steerkit dr", "COMP_CWORD": "1"}
+    code = "import sys; sys.argv = ['steerkit']; from steerkit.cli.app import main; main()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env={**os.environ, **words})
+    assert done.stdout.split() == ["drive"]
+
+
+def test_courses_and_car_check_as_json(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("courses", "--json", monkeypatch=monkeypatch) == 0
+    rows = {row["course"]: row for row in json.loads(capsys.readouterr().out)["courses"]}
+    assert tuple(rows) == names()
+    assert rows["circle"]["tightest_radius_m"] == pytest.approx(30.0)
+    assert rows["straight"]["tightest_radius_m"] is None
+    assert run("car", "check", "--json", monkeypatch=monkeypatch) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["vehicle"] == "vw-passat"
+    assert facts["limits"]["rate_max"] == pytest.approx(radians_of(550.0))
+    assert facts["read"]["v_kit"] == {"unit": "m/s", "signal": "VEH_VEL", "gain": pytest.approx(1 / 3.6), "offset": 0.0}
+
+
+def test_an_interrupted_run_says_how_to_go_on_and_ends_with_130(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("steerkit.learning.report.learn_with_progress", interrupted)
+    assert run("learn", "--out", str(tmp_path), monkeypatch=monkeypatch) == 130
+    assert f"the same with --out {tmp_path} goes on" in capsys.readouterr().err

@@ -1,0 +1,252 @@
+"""The prediction over a steering delay, and reading delay and lag from a log."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from steerkit.assembly import placed, steering_loop
+from steerkit.compiled import compile
+from steerkit.controllers.delay import Predicted, delayed_stanley, identified
+from steerkit.controllers.lqr import Lqr
+from steerkit.controllers.stanley import Stanley
+from steerkit.courses import circle, course, straight
+from steerkit.doe import Direct
+from steerkit.plants.careful_driver import CarefulDriver
+from steerkit.plants.human_driver import ConstantSpeed, HumanDriver
+from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.steering_actuator import SteeringActuator
+from steerkit.simulation import simulate
+from steerkit.vehicles import vehicle
+
+PASSAT = vehicle("vw-passat")
+AT_REST: dict[str, Any] = {"e": 0.0, "psi_e": 0.0, "v": 6.0, "r": 0.0, "delta_sw_meas": 0.0}
+
+
+def ahead(block: Predicted, commands: tuple[float, ...], **u: Any) -> dict[str, Any]:
+    signals = {"preview": (0.0,) * block.preview_points} | AT_REST | u
+    return block.predict(signals["r"], commands, block.D(**signals))
+
+
+def around(delay: float, lag: float, **changes: Any) -> Predicted:
+    return replace(Predicted.around(Stanley.of(PASSAT), PASSAT, delay=delay, lag=lag), **changes)
+
+
+def test_without_delay_and_lag_it_is_the_block_itself() -> None:
+    stanley = Stanley.of(PASSAT)
+    block = around(0.0, 0.0)
+    u = AT_REST | {"e": 0.2, "psi_e": -0.1, "r": 0.1, "delta_sw_meas": 0.3}
+    x = block.settle(0.0, block.init(), block.D(preview=(0.02, 0.02), **u))
+    y = block.output(0.0, x, block.D(preview=(0.02, 0.02), **u))
+    alone = stanley.settle(0.0, stanley.init(), stanley.D(kappa=0.02, **u))
+    assert y.delta_sw == stanley.output(0.0, alone, stanley.D(kappa=0.02, **u)).delta_sw
+
+
+@given(delay=st.floats(0.0, 0.3), lag=st.floats(0.02, 0.2), first=st.floats(-2.0, 2.0))
+def test_the_wheel_answers_as_the_actuator_does(delay: float, lag: float, first: float) -> None:
+    """A constant command: delta(delay + lag) = command + (first - command) exp(-(delay + lag)/lag)."""
+    block = around(delay, lag, rate_limit=1e3)
+    n = max(1, math.ceil(delay / 0.05 - 1e-9))
+    wheel = ahead(block, (1.0,) * n, delta_sw_meas=first)["delta_sw_meas"]
+    assert wheel == pytest.approx(1.0 + (first - 1.0) * math.exp(-(delay + lag) / lag), abs=1e-9)
+
+
+def test_straight_driving_off_the_path_is_a_triangle() -> None:
+    found = ahead(around(0.2, 0.1), (0.0,) * 4, e=0.5, psi_e=0.1)
+    assert found["e"] == pytest.approx(0.5 + 6.0 * 0.3 * math.sin(0.1))
+    assert found["psi_e"] == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("v", [4.0, 8.0])
+def test_a_steady_bend_stays_one(v: float) -> None:
+    """Front axle on the circle, wheel, yaw rate and heading as in steady driving: nothing changes on the way."""
+    path = circle(20.0)
+    block = delayed_stanley(PASSAT, delay=0.2, lag=0.1)
+    car = placed(LinearSingleTrack(vehicle=PASSAT, v0=v), path)
+    loop = steering_loop(
+        car=car,
+        path=path,
+        controller=block,
+        driver=ConstantSpeed(speed=v),
+        actuator=SteeringActuator(delay=0.2),
+        reference=PASSAT.l_f,
+    )
+    log = simulate(loop, 15.0)
+    now = {name: float(log[f"path.{name}"][-1]) for name in ("e", "psi_e")}
+    r, wheel = float(log["car.r"][-1]), float(log["actuator.delta_sw"][-1])
+    found = ahead(block, (wheel,) * 4, **now, v=v, r=r, delta_sw_meas=wheel, preview=(0.05,) * block.preview_points)
+    assert found["e"] == pytest.approx(now["e"], abs=2e-3)
+    assert found["psi_e"] == pytest.approx(now["psi_e"], abs=1e-3)
+    assert abs(now["e"]) < 0.01
+
+
+@pytest.mark.parametrize("delay", [0.1, 0.2, 0.3])
+def test_the_prediction_comes_true(delay: float) -> None:
+    """On the course, with a car it knows: what it says of e and psi_e is what happens, to a few millimetres."""
+    path, lag = course("paper"), 0.1
+    block = delayed_stanley(PASSAT, delay=delay, lag=lag)
+    car = placed(NonlinearSingleTrack(vehicle=PASSAT, v0=5.0), path, s=60.0, e=0.2)
+    loop = steering_loop(
+        car=car,
+        path=path,
+        driver=ConstantSpeed(speed=5.0),
+        controller=block,
+        actuator=SteeringActuator(delay=delay, lag=lag),
+        reference=PASSAT.l_f,
+    )
+    state, errors, naive = loop.init(), [], []
+    n = len(Stanley.of(PASSAT).init())
+    said: dict[int, tuple[float, float]] = {}
+    for k in range(5 * 160):
+        before = loop.block_state(state, "controller")
+        state, sample = loop.step(state)
+        e = sample["controller_path.e"]
+        if k % 5 == 0:
+            u = block.D(
+                e,
+                sample["controller_path.psi_e"],
+                sample["controller_path.preview"],
+                sample["car.v"],
+                sample["car.r"],
+                sample["actuator.delta_sw"],
+            )
+            found = block.predict(before[n], before[n + 1 :], u)
+            said[k + round((delay + lag) / 0.01)] = found["e"], e
+        if k in said and k > 100:
+            errors.append(abs(said[k][0] - e))
+            naive.append(abs(said[k][1] - e))
+    assert max(errors) < 0.02
+    assert max(errors) < 0.35 * max(naive)
+
+
+def test_a_delayed_car_is_steered_as_if_it_were_not() -> None:
+    """Kicked by 0.5 m, Stanley with 0.3 s delay swings through the path; predicted, it comes back without."""
+    path, low = straight(300.0), []
+    for controller in (Stanley.of(PASSAT), delayed_stanley(PASSAT, delay=0.3, lag=0.1)):
+        car = placed(LinearSingleTrack(vehicle=PASSAT, v0=9.0), path, s=10.0, e=0.5)
+        loop = steering_loop(
+            car=car,
+            path=path,
+            driver=ConstantSpeed(speed=9.0),
+            controller=controller,
+            actuator=SteeringActuator(delay=0.3, lag=0.1),
+            reference=PASSAT.l_f,
+        )
+        e = simulate(loop, 10.0)["path.e"]
+        low.append((float(e.min()), float(np.abs(e[-200:]).max())))
+    assert low[0][1] > 0.3
+    assert low[1][0] > -0.1
+    assert low[1][1] < 0.01
+
+
+def test_broken_commands_and_signals_pass() -> None:
+    block = delayed_stanley(PASSAT, delay=0.2, lag=0.1)
+    u = block.U(preview=(0.0,) * block.preview_points, **AT_REST)
+    bad = u._replace(e=math.nan)
+    y = block.output(0.0, block.init(), block.D(*bad))
+    assert math.isnan(y.delta_sw)
+    x = block.update(0.0, block.init(), bad, y)
+    for _ in range(2):
+        y = block.output(0.0, x, block.D(*u))
+        x = block.update(0.0, x, u, y)
+    assert math.isfinite(y.delta_sw)
+    for v in (0.0, -2.0):
+        assert math.isfinite(block.output(0.0, x, block.D(*u._replace(v=v, e=1.0))).delta_sw)
+
+
+def test_it_wraps_only_what_it_can_serve() -> None:
+    lqr = Lqr.of(PASSAT, LinearSingleTrack(vehicle=PASSAT).matrices, v_step=5.0, preview_points=2)
+    with pytest.raises(ValueError, match="Lqr needs "):
+        Predicted(block=lqr)
+    with pytest.raises(ValueError, match=r"Direct needs action, applied"):
+        Predicted(block=Direct())
+    with pytest.raises(ValueError, match=r"lag = -1.0"):
+        around(0.1, -1.0)
+    with pytest.raises(ValueError, match=r"dt = 0.01 s, but the wrapped block has 0.05 s"):
+        Predicted(block=Stanley.of(PASSAT), dt=0.01)
+
+
+@settings(max_examples=25, deadline=None)
+@given(delay=st.integers(0, 30), lag=st.floats(0.03, 0.3), gain=st.floats(0.8, 1.2), offset=st.floats(-0.1, 0.1))
+def test_delay_and_lag_are_read_from_a_log(delay: int, lag: float, gain: float, offset: float) -> None:
+    """Any delay, also between samples, whatever ratio and offset the wheel has: exact without noise."""
+    motor = SteeringActuator(delay=0.01 * delay, lag=lag, gain=gain, offset=offset, rate_limit=100.0)
+    rng, x = np.random.default_rng(0), motor.init()
+    commands, wheel = [], []
+    for k in range(1500):
+        if k % 5 == 0:
+            commands.append(float(rng.normal()) * 0.3)
+            wheel.append(x[0])
+        x = motor.update(0.0, x, motor.U(commands[-1]), None)
+    found = identified(0.05 * np.arange(len(commands)), np.array(commands), np.array(wheel))
+    assert found.delay == pytest.approx(0.01 * delay, abs=1e-6)
+    assert found.lag == pytest.approx(lag, abs=1e-6)
+    noisy = identified(
+        0.05 * np.arange(len(commands)), np.array(commands), np.array(wheel) + rng.normal(0.0, 0.003, len(wheel))
+    )
+    assert noisy.delay == pytest.approx(0.01 * delay, abs=0.02)
+    assert noisy.lag == pytest.approx(lag, abs=0.05)
+
+
+def test_a_log_that_tells_nothing_is_refused() -> None:
+    t = 0.05 * np.arange(200)
+    with pytest.raises(ValueError, match="was not moved"):
+        identified(t, np.zeros(200), np.zeros(200))
+    with pytest.raises(ValueError, match="even steps"):
+        identified(t**2, np.sin(t), np.sin(t))
+    with pytest.raises(ValueError, match="NaN"):
+        identified(t, np.sin(t), np.sin(t) * np.nan)
+    with pytest.raises(ValueError, match="expected more than"):
+        identified(t[:20], np.sin(t)[:20], np.sin(t)[:20])
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.2])
+def test_a_round_of_the_course_stays_within_a_tenth_of_a_metre(delay: float) -> None:
+    """Nonlinear car, 0.1 s lag; the careful human would drive 9 m/s. Tyres and ratio off: still within 0.3 m."""
+    path = course("paper")
+    driver = CarefulDriver(path=path, driver=HumanDriver(v_min=9.0, v_max=9.0))
+    loop = steering_loop(
+        car=placed(NonlinearSingleTrack(vehicle=PASSAT, v0=5.0), path),
+        path=path,
+        driver=driver,
+        controller=delayed_stanley(PASSAT, delay=delay, lag=0.1),
+        actuator=SteeringActuator(delay=delay, lag=0.1),
+        reference=PASSAT.l_f,
+    )
+    stiffness, ratio = PASSAT.c_f * np.array([1.0, 0.7]), PASSAT.steer_ratio * np.array([1.0, 1.1])
+    cars = {"car.vehicle.c_f": stiffness, "car.vehicle.steer_ratio": ratio}
+    fast = compile(loop, backend="vm", record=["path.e", "path.progress"], every=5, parameters=list(cars))
+    log = fast.run(130.0, parameters=cars)
+    assert log["path.progress"][-1].min() > path.length
+    largest = np.abs(log["path.e"]).max(axis=0)
+    assert largest[0] < 0.1
+    assert largest[1] < 0.3
+
+
+def test_from_three_metres_and_45_degrees_it_comes_back_within_its_limits() -> None:
+    """|a_y| <= 3 m/s^2 and the wheel's speed, with 0.2 s delay: the study recovery_map has all start states."""
+    grid = np.meshgrid([2.0, 4.0, 6.0, 9.0], [-3.0, 0.0, 3.0], np.radians([-45.0, 20.0, 45.0]))
+    v, e, psi = (axis.ravel() for axis in grid)
+    path = straight(400.0)
+    car = placed(NonlinearSingleTrack(vehicle=PASSAT, v0=5.0), path, s=20.0)
+    loop = steering_loop(
+        car=car,
+        path=path,
+        driver=ConstantSpeed(speed=5.0),
+        reference=PASSAT.l_f,
+        controller=delayed_stanley(PASSAT, delay=0.2, lag=0.1),
+        actuator=SteeringActuator(delay=0.2, lag=0.1),
+    )
+    start = {"car.y0": e - PASSAT.l_f * np.sin(psi), "car.psi0": psi, "car.v0": v, "driver.speed": v}
+    record = ["path.e", "car.a_y", "controller.delta_sw"]
+    log = compile(loop, backend="vm", record=record, every=5, parameters=list(start)).run(15.0, parameters=start)
+    assert np.abs(log["path.e"][-100:]).max() < 0.1
+    assert np.abs(log["car.a_y"]).max() < 3.0
+    assert np.abs(np.diff(log["controller.delta_sw"], axis=0)).max() < np.radians(550.0) * 0.05 + 1e-9

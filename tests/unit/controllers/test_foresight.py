@@ -1,0 +1,120 @@
+"""How far a car will get: closed forms, the mirror, and what the real gate makes of it."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from steerkit.assembly import steering_loop
+from steerkit.controllers.foresight import Foresight
+from steerkit.controllers.stanley import Stanley
+from steerkit.courses import course
+from steerkit.errors import WiringError
+from steerkit.plants.human_driver import ConstantSpeed
+from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.real_car.decisions.gate import GateLimits, gate
+from steerkit.units import radians_of
+from steerkit.vehicles import vehicle
+
+RATIO, LENGTH = 15.6, 2.71
+
+
+def reach(e: float, psi_e: float, kappa: float, v: float, doe: float, **limits: float) -> float:
+    block = Foresight(**limits)
+    return float(block.output(0.0, (), block.D(e, psi_e, kappa, v, doe)).reach)
+
+
+def test_straight_ahead_on_a_straight_path_it_stays_where_it_is() -> None:
+    for e in (-1.0, 0.0, 0.3):
+        assert reach(e, 0.0, 0.0, 5.0, 0.0) == pytest.approx(abs(e), abs=1e-12)
+    assert reach(0.0, 0.0, 0.0, 0.0, 5.0) == 0.0
+
+
+def test_a_steady_bend_is_left_no_further_than_the_wheel_is_turned() -> None:
+    """At the front axle psi_e = -delta in the steady bend; kappa is that of the front axle's circle, sin(delta)/L."""
+    delta = radians_of(200.0) / RATIO
+    assert reach(0.0, -delta, math.sin(delta) / LENGTH, 4.0, RATIO * delta) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_while_the_wheels_are_held_it_goes_straight_on() -> None:
+    """With the whole horizon held and no bend, e grows by v T sin(psi_e)."""
+    v, psi_e = 3.0, 0.2
+    far = reach(0.1, psi_e, 0.0, v, 0.0, hold=9.0, horizon=1.0)
+    assert far == pytest.approx(0.1 + v * 1.0 * math.sin(psi_e), abs=1e-12)
+
+
+def test_the_slower_the_wheel_the_further() -> None:
+    """Small angles: e' = v (psi_e + delta), delta' = -w: from psi_e the car has turned when delta = -psi_e, at once
+    for a fast wheel; then it is psi_e^2 v / (2 w) off."""
+    v, psi_e, jerk = 1.0, 0.05, 0.1
+    turn = LENGTH * jerk / v**2  # rad/s of the road wheels
+    expected = v * psi_e**2 / (2.0 * turn)
+    found = reach(0.0, psi_e, 0.0, v, 0.0, hold=0.0, jerk_max=jerk)
+    assert found == pytest.approx(expected, rel=0.05)  # psi_e turns a little meanwhile
+    fast, slow = (reach(0.0, psi_e, 0.0, v, 0.0, hold=0.0, jerk_max=j) for j in (2.0 * jerk, 0.5 * jerk))
+    assert fast < found < slow
+
+
+small = st.floats(-1.0, 1.0)
+
+
+@given(e=small, psi_e=small, kappa=st.floats(-0.1, 0.1), v=st.floats(0.0, 10.0), doe=st.floats(-9.0, 9.0))
+def test_it_is_the_same_in_the_mirror_and_never_nearer_than_now(
+    e: float, psi_e: float, kappa: float, v: float, doe: float
+) -> None:
+    far = reach(e, psi_e, kappa, v, doe)
+    assert far >= abs(e)
+    assert far == reach(-e, -psi_e, -kappa, v, -doe)
+    block = Foresight()
+    assert block.output(0.0, (), block.D(e, psi_e, kappa, v, doe)).distance == max(abs(e), block.weight * far)
+
+
+@given(psi_e=st.floats(-0.5, 0.5), v=st.floats(1.0, 9.0), doe=st.floats(-3.0, 3.0), kappa=st.floats(-0.05, 0.05))
+def test_a_kinematic_car_steered_back_through_the_gate_gets_no_further(
+    psi_e: float, v: float, doe: float, kappa: float
+) -> None:
+    """The same car, stepped finely, its commands gated as on the bus at 50 Hz: a few centimetres from the promise."""
+    limits = GateLimits()
+    promised = reach(0.0, psi_e, kappa, v, doe, horizon=2.0)
+    most = 0.0
+    for lock in (-radians_of(520.0), radians_of(520.0)):
+        e, psi, command = 0.0, psi_e, doe
+        for n in range(1000):
+            t = 0.002 * n
+            if n % 10 == 0 and t >= 0.15:
+                command = gate(limits, lock, command, (v, v), 0.02).delta_sw
+            delta = command / limits.steer_ratio
+            e += 0.002 * v * math.sin(psi + delta)
+            psi += 0.002 * v * (math.sin(delta) / limits.wheelbase - kappa * math.cos(psi + delta))
+            most = max(most, abs(e) if e * lock < 0.0 else 0.0)
+    assert most == pytest.approx(promised, rel=0.03, abs=0.03)
+
+
+@pytest.mark.parametrize("broken", range(5))
+def test_a_nan_is_not_hidden(broken: int) -> None:
+    values = [0.1, 0.1, 0.01, 5.0, 1.0]
+    values[broken] = math.nan
+    block = Foresight()
+    y = block.output(0.0, (), block.D(*values))
+    assert math.isnan(y.distance)
+
+
+@pytest.mark.parametrize(("name", "value"), [("a_y_max", 0.0), ("horizon", -1.0), ("hold", -0.1), ("weight", math.nan)])
+def test_bad_limits(name: str, value: float) -> None:
+    with pytest.raises(ValueError, match=f"Foresight: {name} = "):
+        Foresight(**{name: value})
+
+
+def test_foresight_needs_somebody_to_call() -> None:
+    passat = vehicle("vw-passat")
+    with pytest.raises(WiringError, match="foresight without a recovery controller"):
+        steering_loop(
+            car=LinearSingleTrack(vehicle=passat, v0=5.0),
+            path=course("paper"),
+            driver=ConstantSpeed(speed=5.0),
+            controller=Stanley.of(passat),
+            foresight=Foresight(),
+        )

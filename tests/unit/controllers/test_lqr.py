@@ -1,0 +1,176 @@
+"""The LQR: its model, its gains, what delay states are, and that it holds bends without an offset."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from steerkit.assembly import placed, steering_loop
+from steerkit.compiled import compile
+from steerkit.controllers.lqr import Lqr, LqrDesign
+from steerkit.courses import circle, straight
+from steerkit.path import Path
+from steerkit.plants.human_driver import ConstantSpeed
+from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.steering_actuator import SteeringActuator
+from steerkit.simulation import Log, simulate
+from steerkit.vehicles import vehicle
+
+PASSAT = vehicle("vw-passat")
+MATRICES = LinearSingleTrack(vehicle=PASSAT).matrices
+
+
+def design(**changes: Any) -> LqrDesign:
+    return replace(LqrDesign(matrices=MATRICES, reference=PASSAT.l_f), **changes)
+
+
+def driven(
+    path: Path, v: float, seconds: float, plant: Any = LinearSingleTrack, delay: float = 0.2, **start: float
+) -> Log:
+    car = placed(plant(vehicle=PASSAT, v0=v), path, **start)
+    loop = steering_loop(
+        car=car,
+        path=path,
+        driver=ConstantSpeed(speed=v),
+        controller=Lqr.of(PASSAT, MATRICES, delay=delay, v_step=1.0),
+        actuator=SteeringActuator(delay=delay, lag=0.1),
+        reference=PASSAT.l_f,
+    )
+    return simulate(loop, seconds)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.03, 0.05, 0.12])
+def test_its_model_is_the_car_behind_the_actuator(delay: float) -> None:
+    """Three samples of the linear model against the blocks, stepped finely; small angles and no limits."""
+    v, fine = 6.0, 0.001
+    model, step_in, kappa_in = design(delay=delay, lag=0.1).model(v)
+    car = LinearSingleTrack(vehicle=PASSAT, v0=v, dt=fine, x0=0.0)
+    actuator = SteeringActuator(delay=delay, lag=0.1, dt=fine)
+    x, z = car.init(), actuator.init()
+    state = np.zeros(len(step_in))
+    command = 0.0
+    for step in (1e-3, -4e-4, 2e-4, 0.0):
+        state = model @ state + step_in * step
+        command += step
+        for _ in range(50):
+            y = actuator.output(0.0, z, ())
+            x = car.update(0.0, x, car.U(y.delta_sw, v), car.output(0.0, x, ()))
+            z = actuator.update(0.0, z, actuator.U(command * PASSAT.steer_ratio), y)
+    e = x.y + PASSAT.l_f * math.sin(x.psi)
+    expected = (e, x.psi, x.sway, x.r, z[0] / PASSAT.steer_ratio)
+    np.testing.assert_allclose(state[:5], expected, rtol=0.02, atol=2e-6)
+    assert np.any(kappa_in[:2])
+
+
+@pytest.mark.parametrize("v", [2.0, 5.0, 9.0])
+def test_delay_states_are_a_prediction(v: float) -> None:
+    """The gain of the delayed car is that of the car without delay on the state when the command arrives.
+
+    K_delayed = K [A^n, A^(n-1) B, ..., B]: known commands cost nothing but their prediction (Mirkin, Raskin 2003).
+    """
+    n = 3
+    k, _ = design().gains(v, 1)
+    late, _ = design(delay=n * 0.05).gains(v, 1)
+    a, b, _ = design().model(v)  # x: motion and the last command; the input is its step
+    motion, command = a[:5, :5], a[:5, 5]
+    ahead = np.zeros((6, 5 + n))
+    ahead[:5, :5] = np.linalg.matrix_power(motion, n)
+    for j in range(n):  # oldest first; it acts from now on
+        ahead[:5, 5 + j] = np.linalg.matrix_power(motion, n - 1 - j) @ command
+    ahead[5, -1] = 1.0
+    np.testing.assert_allclose(late, k @ ahead, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(b[:5], command)
+
+
+@pytest.mark.parametrize("v", [2.0, 6.0, 12.0])
+def test_it_is_stable_and_its_curvature_gains_hold_a_steady_bend(v: float) -> None:
+    made = design(delay=0.2)
+    a, b, d = made.model(v)
+    k, g = made.gains(v, 8)
+    closed = a - np.outer(b, k)
+    assert np.abs(np.linalg.eigvals(closed)).max() < 1.0
+    steady = np.linalg.solve(np.eye(len(b)) - closed, d - b * g.sum())  # for kappa = 1
+    assert steady[0] == pytest.approx(0.0, abs=1e-8)
+    assert steady[4] == pytest.approx(
+        PASSAT.wheelbase + PASSAT.understeer_gradient * v * v, rel=1e-3 if v >= 3 else 0.2
+    )
+
+
+def test_preview_gains_are_the_best_use_of_a_known_bend() -> None:
+    """Against brute force: the least cost of 200 samples over all command steps, for a kink seen 4 samples ahead."""
+    made, v, n, ahead = design(), 6.0, 200, 4
+    a, b, d = made.model(v)
+    k, g = made.gains(v, 30)
+    kappa = np.where(np.arange(n + 30) >= ahead, 0.01, 0.0)
+    rows = np.zeros((2, len(b)))
+    rows[0, 0] = 1.0 / made.e_size
+    rows[1, 1:4] = np.array((v, v, made.reference)) / made.e_dot_size
+    free, answer = np.zeros(len(b)), np.zeros((len(b), n))
+    costs, constants = [], []
+    for i in range(n):
+        free, answer = a @ free + d * kappa[i], a @ answer
+        answer[:, i] += b
+        costs.append(rows @ answer)
+        constants.append(rows @ free)
+    matrix = np.vstack((*costs, np.eye(n) / made.step_size))
+    right = -np.concatenate((*constants, np.zeros(n)))
+    best = np.linalg.lstsq(matrix, right, rcond=None)[0]
+    x, steps = np.zeros(len(b)), []
+    for i in range(40):
+        steps.append(-k @ x - g @ kappa[i : i + 30])
+        x = a @ x + b * steps[-1] + d * kappa[i]
+    np.testing.assert_allclose(steps, best[:40], atol=2e-4 * np.abs(best).max())
+
+
+@pytest.mark.parametrize("v", [4.0, 8.0])
+def test_a_circle_is_held_without_an_offset(v: float) -> None:
+    log = driven(circle(30.0), v, 15.0, plant=NonlinearSingleTrack)
+    assert abs(log["path.e"][-1]) < 0.01
+    assert np.ptp(log["path.e"][-100:]) < 1e-3
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.2, 0.3])
+def test_an_offset_dies_out_whatever_the_delay(delay: float) -> None:
+    log = driven(straight(200.0), 8.0, 8.0, delay=delay, e=0.4, s=5.0)
+    assert abs(log["path.e"][-1]) < 2e-3
+    assert log["path.e"].min() > -0.1
+
+
+def test_standstill_reverse_and_nan_give_a_defined_command() -> None:
+    lqr = Lqr.of(PASSAT, MATRICES, delay=0.1, v_step=2.0, preview_points=3)
+    u = dict(e=0.2, e_dot=0.0, preview=(0.0,) * 3, v=0.0, beta=0.0, r=0.0, delta_sw_meas=0.0)
+    for v in (0.0, -3.0, 50.0):
+        assert math.isfinite(lqr.output(0.0, lqr.init(), lqr.D(**(u | {"v": v}))).delta_sw)
+    for name in u:
+        bad = (math.nan,) * 3 if name == "preview" else math.nan
+        assert math.isnan(lqr.output(0.0, lqr.init(), lqr.D(**(u | {name: bad}))).delta_sw)
+    after = lqr.update(0.0, lqr.init(), lqr.U(**u), lqr.Y(math.nan))
+    assert all(map(math.isfinite, after))
+
+
+def test_it_compiles() -> None:
+    path = circle(30.0)
+    loop = steering_loop(
+        car=placed(LinearSingleTrack(vehicle=PASSAT, v0=5.0), path),
+        path=path,
+        driver=ConstantSpeed(speed=5.0),
+        controller=Lqr.of(PASSAT, MATRICES, v_step=3.0, preview_points=4),
+        actuator=SteeringActuator(),
+        reference=PASSAT.l_f,
+    )
+    fast, slow = compile(loop, backend="python").run(2.0), simulate(loop, 2.0)
+    np.testing.assert_allclose(fast["path.e"], slow["path.e"], atol=1e-12)
+
+
+def test_it_refuses_designs_that_cannot_be() -> None:
+    with pytest.raises(ValueError, match=r"e_size = 0.0, expected > 0"):
+        design(e_size=0.0)
+    with pytest.raises(ValueError, match=r"delay = 3.0 \[s\]"):
+        design(delay=3.0)
+    with pytest.raises(ValueError, match="preview_points = 0"):
+        Lqr.of(PASSAT, MATRICES, preview_points=0)

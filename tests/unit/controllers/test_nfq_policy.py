@@ -1,0 +1,233 @@
+"""The greedy policy: one formula in floats, batches and symbols; faults show; files come back bit for bit."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import casadi
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from steerkit.controllers.nfq_policy import BANG_BANG_ACTIONS, IDOE_ACTIONS, NfqPolicy, StateDescription
+from steerkit.learning.nfq.network import Net, forward, new_net
+from steerkit.learning.nfq.patterns import STANDARD, patterns
+from steerkit.units import degrees_of
+
+NETS = tuple(tuple(3.0 * p for p in new_net(seed=k)) for k in range(3))
+POLICIES = [
+    NfqPolicy(nets=NETS),
+    NfqPolicy(nets=NETS, combine="max"),
+    NfqPolicy(nets=NETS[:1], actions=BANG_BANG_ACTIONS, description=StateDescription(action_scale=2.0)),
+    NfqPolicy(nets=(new_net((7, 1), seed=1),)),
+    NfqPolicy(nets=(new_net((7, 4, 3, 5, 1), seed=1), new_net((7, 4, 3, 5, 1), seed=2))),
+]
+policies = pytest.mark.parametrize("policy", POLICIES, ids=range(len(POLICIES)))
+numbers = st.floats(-20.0, 20.0)
+
+
+def cars(n: int, seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    spread = np.array([[0.6], [2.0], [4.0], [0.5], [0.5], [8.0]])
+    return rng.uniform(-1.0, 1.0, (6, n)) * spread + np.array([[0.0], [0.0], [5.0], [0.0], [0.0], [0.0]])
+
+
+def ask(policy: NfqPolicy, s: Any, t: float = 0.0) -> Any:
+    return policy.output(t, policy.init(), policy.D(*s))
+
+
+def traced(policy: NfqPolicy) -> casadi.Function:
+    s, t = casadi.SX.sym("s", 6), casadi.SX.sym("t")
+    return casadi.Function("policy", [t, s], list(ask(policy, [s[i] for i in range(6)], t)))
+
+
+def test_action_sets_in_degrees() -> None:
+    assert sorted(degrees_of(a) for a in IDOE_ACTIONS) == pytest.approx([-60.0, -10.0, 0.0, 10.0, 60.0])
+    assert [degrees_of(a) for a in BANG_BANG_ACTIONS] == pytest.approx([-360.0, 360.0])
+
+
+@policies
+def test_greedy_by_the_written_out_definition(policy: NfqPolicy) -> None:
+    s = cars(100)
+    scale = policy.description.action_scale or max(map(abs, policy.actions))
+    join = np.max if policy.combine == "max" else np.mean
+    values = []
+    for a in policy.actions:
+        x = np.column_stack([(s.T - STANDARD.mid) / STANDARD.half, np.full(100, a / scale)])
+        values.append(join([forward(tuple(p.astype(float) for p in net), x) for net in policy.nets or ()], axis=0))
+    found = ask(policy, s)
+    np.testing.assert_allclose(found.q, np.min(values, axis=0), atol=1e-13)
+    np.testing.assert_array_equal(found.action, np.array(policy.actions)[np.argmin(values, axis=0)])
+    if policy is POLICIES[0]:
+        assert len(set(found.action)) > 1
+
+
+@policies
+def test_floats_batch_and_symbols_agree(policy: NfqPolicy) -> None:
+    s, function = cars(60, seed=1), traced(policy)
+    batch = ask(policy, s)
+    assert batch.action.shape == batch.q.shape == batch.ready.shape == (60,)
+    for i in range(60):
+        one = ask(policy, s[:, i].tolist())
+        action, q, ready = (float(value) for value in function(0.0, s[:, i]))
+        assert all(type(value) is float for value in one)
+        assert one.action == action == batch.action[i]
+        assert one.q == pytest.approx(q, abs=1e-12, rel=0)
+        assert one.q == pytest.approx(batch.q[i], abs=1e-12, rel=0)
+        assert one.ready == ready == batch.ready[i] == 1.0
+
+
+def test_some_inputs_may_be_common_to_the_batch() -> None:
+    s = cars(5)
+    s[2] = 6.0
+    mixed = ask(POLICIES[0], [s[0], s[1], 6.0, s[3], s[4], s[5]])
+    np.testing.assert_array_equal(mixed.q, ask(POLICIES[0], s).q)
+
+
+@settings(max_examples=50)
+@given(s=st.tuples(numbers, numbers, numbers, numbers, numbers, numbers))
+def test_the_action_is_of_the_set_and_the_value_between_zero_and_one(s: tuple[float, ...]) -> None:
+    y = ask(POLICIES[0], s)
+    assert y.action in IDOE_ACTIONS
+    assert 0.0 <= y.q <= 1.0
+
+
+@policies
+@pytest.mark.parametrize("fault", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("port", range(6))
+def test_a_broken_input_shows_in_every_backend(policy: NfqPolicy, port: int, fault: float) -> None:
+    s = cars(3)
+    s[port, 1] = fault
+    one, batch = ask(policy, s[:, 1].tolist()), ask(policy, s)
+    assert np.isnan([one.action, one.q]).all()
+    assert np.isnan(batch.action).tolist() == np.isnan(batch.q).tolist() == [False, True, False]
+
+
+@pytest.mark.parametrize("fault", [np.nan, np.inf, -np.inf])
+def test_a_broken_input_shows_in_symbols(fault: float) -> None:
+    function = traced(POLICIES[0])
+    for port in range(6):
+        s = cars(1)[:, 0]
+        s[port] = fault
+        action, q, _ = function(0.0, s)
+        assert np.isnan([float(action), float(q)]).all()
+
+
+@pytest.mark.parametrize("nets", [None, ()])
+def test_without_a_net_it_is_not_ready(nets: Any) -> None:
+    policy = NfqPolicy(nets=nets)
+    assert ask(policy, [0.0] * 6) == (0.0, 0.0, 0.0)
+    assert ask(policy, cars(4)).ready.tolist() == [0.0] * 4
+    assert [float(value) for value in traced(policy)(1.0, [0.0] * 6)] == [0.0, 0.0, 0.0]
+
+
+def test_ready_from_its_time_on() -> None:
+    policy = replace(POLICIES[0], ready_from=2.0)
+    assert [ask(policy, [0.0] * 6, t).ready for t in (1.9, 2.0, 3.0)] == [0.0, 1.0, 1.0]
+    assert float(traced(policy)(1.9, [0.0] * 6)[2]) == 0.0
+    assert ask(policy, cars(2), 1.0).ready.tolist() == [0.0, 0.0]
+    assert ask(replace(policy, ready_from=np.inf), [0.0] * 6, 1e9).ready == 0.0
+
+
+def test_of_equal_values_the_gentlest_action_wins_in_every_backend() -> None:
+    flat_net: Net = (np.zeros((1, 7)), np.zeros(1))
+    policy = NfqPolicy(nets=(flat_net,), actions=(1.0, -0.2, 0.2, -1.0))
+    assert ask(policy, [0.1] * 6).action == -0.2
+    assert ask(policy, cars(3)).action.tolist() == [-0.2] * 3
+    assert float(traced(policy)(0.0, [0.1] * 6)[0]) == -0.2
+
+
+def test_mirrored_nets_steer_to_the_other_side() -> None:
+    """Turning the signs of the first layer's columns turns the car around: the actions swap sign."""
+    signs = np.array([*STANDARD.mirror_signs, -1.0])
+    turned = replace(POLICIES[0], nets=tuple((net[0] * signs, *net[1:]) for net in NETS))
+    s = cars(50)
+    image, _ = STANDARD.mirror(s.T, np.zeros(50))
+    here, there = ask(POLICIES[0], s), ask(turned, image.T)
+    np.testing.assert_array_equal(there.action, -here.action)
+    np.testing.assert_allclose(there.q, here.q, atol=1e-14)
+
+
+@policies
+def test_saved_and_loaded_bit_for_bit(tmp_path: Path, policy: NfqPolicy) -> None:
+    policy = replace(policy, ready_from=1.5, dt=0.1)
+    policy.save(tmp_path / "a.npz")
+    again = NfqPolicy.load(tmp_path / "a.npz")
+    again.save(tmp_path / "b.npz")
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+    assert (again.actions, again.combine, again.ready_from, again.dt) == (policy.actions, policy.combine, 1.5, 0.1)
+    assert again.description == policy.description
+    s = cars(1)[:, 0].tolist()
+    assert ask(again, s, 2.0) == ask(policy, s, 2.0)
+    for net, other in zip(policy.nets or (), again.nets or (), strict=True):
+        assert [p.dtype for p in net] == [p.dtype for p in other]
+
+
+def test_a_policy_without_nets_can_be_saved(tmp_path: Path) -> None:
+    NfqPolicy().save(tmp_path / "a.npz")
+    assert NfqPolicy.load(tmp_path / "a.npz").nets == ()
+
+
+def test_broken_and_foreign_files_are_named(tmp_path: Path) -> None:
+    file = tmp_path / "p.npz"
+    POLICIES[0].save(file)
+    whole = file.read_bytes()
+    for keep in (0, 10, len(whole) // 2, len(whole) - 5):
+        file.write_bytes(whole[:keep])
+        with pytest.raises(ValueError, match=r"p\.npz: cannot be read .* cut short or not a steerkit policy file"):
+            NfqPolicy.load(file)
+    np.savez(file, x=np.zeros(3))
+    with pytest.raises(ValueError, match="expected 'steerkit policy 1'"):
+        NfqPolicy.load(file)
+    contents = dict(np.load(_written(tmp_path)))
+    contents["net0_2"] = np.full((10, 10), np.nan)
+    np.savez(file, **contents)
+    with pytest.raises(ValueError, match=r"p\.npz: .*layer 1 holds a NaN"):
+        NfqPolicy.load(file)
+    del contents["net0_2"], contents["actions"]
+    np.savez(file, **contents)
+    with pytest.raises(ValueError, match="does not hold together"):
+        NfqPolicy.load(file)
+
+
+def _written(tmp_path: Path) -> Path:
+    POLICIES[0].save(tmp_path / "good.npz")
+    return tmp_path / "good.npz"
+
+
+def test_wrong_parameters_are_taught() -> None:
+    for wrong, words in (
+        ({"combine": "min"}, "valid: mean, max, disagreement"),
+        ({"actions": ()}, "at least one angle"),
+        ({"actions": (0.0, np.nan)}, "expected finite"),
+        ({"nets": (new_net((5, 10, 1)),)}, r"expected W \(n_out, 7\)"),
+        ({"nets": (new_net((7, 10, 2)),)}, "the last layer has 2 units"),
+        ({"nets": (new_net(), new_net((7, 1)))}, "one layout"),
+        ({"nets": (new_net()[:3],)}, "a net of 3 arrays"),
+        (
+            {"description": StateDescription(names=("e",), low=(-1.0,), high=(1.0,), mirror_signs=(1.0,), goal=(0.1,))},
+            "expected 6",
+        ),
+    ):
+        with pytest.raises(ValueError, match=words):
+            NfqPolicy(**wrong)  # type: ignore[arg-type]
+
+
+def test_it_needs_no_learning_library() -> None:
+    code = "import sys, steerkit.controllers.nfq_policy; print([m for m in ('torch', 'casadi') if m in sys.modules])"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert out.stdout.strip() == "[]"
+
+
+def test_patterns_and_policy_scale_alike() -> None:
+    """The value that training sees is the value that steers."""
+    s = cars(20)
+    policy = POLICIES[0]
+    found = ask(policy, s)
+    x = patterns(STANDARD, s.T, found.action, STANDARD.scale_of(policy.actions)).astype(float)
+    np.testing.assert_allclose(np.mean([forward(net, x) for net in NETS], axis=0), found.q, atol=2e-6)

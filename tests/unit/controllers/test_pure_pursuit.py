@@ -1,0 +1,95 @@
+"""Pure pursuit: its circle, its baseline behaviour, and the ends of a path."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from steerkit.assembly import placed, steering_loop
+from steerkit.controllers.pure_pursuit import PurePursuit
+from steerkit.courses import circle, straight
+from steerkit.plants.human_driver import ConstantSpeed
+from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.steering_actuator import SteeringActuator
+from steerkit.simulation import simulate
+from steerkit.vehicles import vehicle
+
+PASSAT = vehicle("vw-passat")
+ROAD = straight(50.0)
+
+
+def steered(pursuit: PurePursuit, **u: float) -> float:
+    return float(pursuit.output(0.0, (), pursuit.D(**u)).delta_sw)
+
+
+@settings(max_examples=25, deadline=None)
+@given(v=st.floats(0.0, 9.0), radius=st.floats(12.0, 60.0))
+def test_on_a_circle_it_steers_that_circle(v: float, radius: float) -> None:
+    """The rear axle on a circle and tangent to it: the arc through any of its points is the circle."""
+    pursuit = PurePursuit.of(PASSAT, circle(radius))
+    at = {"s": 0.0, "x": PASSAT.l_r, "y": 0.0, "psi": 0.0, "v": v}
+    assert steered(pursuit, **at) == pytest.approx(PASSAT.steer_ratio * math.atan(PASSAT.wheelbase / radius), rel=2e-4)
+
+
+@given(e=st.floats(-2.0, 2.0))
+def test_beside_a_straight_it_steers_the_arc_through_the_goal(e: float) -> None:
+    pursuit = PurePursuit.of(PASSAT, ROAD)
+    look = pursuit.look_time * 9.0
+    arc = -2.0 * e / (look**2 + e**2)
+    steer = steered(pursuit, s=10.0, x=10.0 + PASSAT.l_r, y=e, psi=0.0, v=9.0)
+    assert steer == pytest.approx(PASSAT.steer_ratio * math.atan(PASSAT.wheelbase * arc), abs=1e-9)
+
+
+@given(over=st.floats(0.0, 30.0))
+def test_beyond_the_end_of_an_open_path_it_goes_straight_on(over: float) -> None:
+    pursuit = PurePursuit.of(PASSAT, ROAD)
+    assert steered(pursuit, s=50.0, x=50.0 + over, y=0.0, psi=0.0, v=5.0) == pytest.approx(0.0, abs=1e-9)
+    aside = steered(pursuit, s=50.0, x=50.0 + PASSAT.l_r + over, y=0.2, psi=0.0, v=9.0)
+    assert aside == pytest.approx(steered(pursuit, s=20.0, x=20.0 + PASSAT.l_r, y=0.2, psi=0.0, v=9.0))
+
+
+def test_nan_shows_and_a_negative_speed_is_a_standstill() -> None:
+    pursuit = PurePursuit.of(PASSAT, ROAD)
+    at = {"s": 5.0, "x": 5.0, "y": 0.3, "psi": 0.1, "v": 5.0}
+    assert all(math.isnan(steered(pursuit, **(at | {name: math.nan}))) for name in at)
+    assert steered(pursuit, **(at | {"v": -3.0})) == steered(pursuit, **(at | {"v": 0.0}))
+
+
+def test_it_joins_the_path_with_its_rear_axle() -> None:
+    path = circle(20.0)
+    car = placed(LinearSingleTrack(vehicle=PASSAT, v0=5.0), path, e=0.5)
+    pursuit = PurePursuit.of(PASSAT, path)
+    loop = steering_loop(
+        car=car, path=path, driver=ConstantSpeed(speed=5.0), controller=pursuit, reference=pursuit.reference
+    )
+    assert abs(simulate(loop, 8.0)["path.e"][-1]) < 0.03  # tyre slip is not in its geometry
+
+
+def test_told_of_a_delay_it_looks_farther_and_does_not_swing() -> None:
+    path, swing = straight(300.0), []
+    for told in (0.0, 0.2):
+        pursuit = PurePursuit.of(PASSAT, path, delay=told)
+        car = placed(LinearSingleTrack(vehicle=PASSAT, v0=6.0), path, s=10.0, e=0.3)
+        loop = steering_loop(
+            car=car,
+            path=path,
+            driver=ConstantSpeed(speed=6.0),
+            controller=pursuit,
+            actuator=SteeringActuator(delay=0.2, lag=0.1),
+            reference=pursuit.reference,
+        )
+        swing.append(abs(simulate(loop, 12.0)["path.e"][-200:]).max())
+    assert swing[0] > 1.0
+    assert swing[1] < 0.02
+
+
+def test_it_refuses_distances_that_cannot_be() -> None:
+    with pytest.raises(ValueError, match=r"look_max = 1.0 m, expected >= look_min"):
+        PurePursuit(path=ROAD, look_max=1.0)
+    with pytest.raises(ValueError, match=r"delay = -0.1 \[s\], expected 0 to 2"):
+        PurePursuit.of(PASSAT, ROAD, delay=-0.1)
+    with pytest.raises(ValueError, match=r"wheelbase = 0.0, expected > 0"):
+        PurePursuit(path=ROAD, wheelbase=0.0)

@@ -1,0 +1,182 @@
+"""Stanley's law, term by term, and its symmetries."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from steerkit.controllers.stanley import Stanley, StanleyState
+from steerkit.units import degrees_of, radians_of
+from steerkit.vehicles import vehicle
+
+PASSAT = vehicle("vw-passat")
+FREE = dict(a_y_max=1e3, rate_limit=1e3)
+BARE = Stanley(k_d_yaw=0.0, k_d_steer=0.0, steer_ratio=1.0, **FREE)
+OF_PASSAT = replace(Stanley.of(PASSAT), **FREE)
+AT_REST: dict[str, float] = {"e": 0.0, "psi_e": 0.0, "kappa": 0.0, "v": 5.0, "r": 0.0, "delta_sw_meas": 0.0}
+
+
+def steered(stanley: Stanley, before: float = 0.0, **signals: float) -> Any:
+    return stanley.output(0.0, StanleyState(before, 0.0), stanley.D(**(AT_REST | signals))).delta_sw
+
+
+def test_on_the_path_it_steers_straight() -> None:
+    assert steered(Stanley.of(PASSAT)) == 0.0
+
+
+def test_it_steers_against_heading_and_cross_track_error() -> None:
+    assert steered(BARE, psi_e=0.2) == pytest.approx(-0.2)
+    assert steered(BARE, e=0.3) == pytest.approx(-math.atan(2.5 * 0.3 / (1.0 + 5.0)))
+    assert steered(BARE, e=-0.3, psi_e=-0.2) == pytest.approx(0.2 + math.atan(2.5 * 0.3 / 6.0))
+
+
+def test_the_wheel_is_the_ratio_of_the_road_wheel() -> None:
+    assert steered(replace(BARE, steer_ratio=15.6), psi_e=0.1) == pytest.approx(-1.56)
+
+
+@given(e=st.floats(-50.0, 50.0), v=st.floats(0.0, 10.0))
+def test_the_approach_angle_is_limited(e: float, v: float) -> None:
+    limited = steered(replace(BARE, approach_limit=radians_of(30.0)), e=e, v=v)
+    assert abs(degrees_of(limited)) <= 30.0 + 1e-12
+    free = steered(replace(BARE, approach_limit=math.pi / 2.0), e=e, v=v)
+    assert limited == pytest.approx(max(-radians_of(30.0), min(radians_of(30.0), free)))
+
+
+def test_yaw_damping_counts_only_what_the_path_does_not_ask_for() -> None:
+    damped = replace(BARE, k_d_yaw=0.15)
+    assert steered(damped, r=0.4) == pytest.approx(-0.15 * 0.4)
+    assert steered(damped, r=0.4 / math.sqrt(1.0 - (2.7 * 0.08) ** 2), kappa=0.08) == pytest.approx(0.0)
+
+
+def test_steer_damping_works_against_the_wheel_that_turns() -> None:
+    damped = replace(BARE, k_d_steer=0.3)
+    assert steered(damped, before=0.1, delta_sw_meas=0.15) == pytest.approx(-0.3 * 0.05)
+    assert steered(damped, before=0.15, delta_sw_meas=0.15) == 0.0
+    signals = damped.U(**(AT_REST | {"delta_sw_meas": 0.15}))
+    assert damped.update(0.0, StanleyState(0.0, 0.0), signals, damped.Y(0.7)) == StanleyState(0.15, 0.7)
+
+
+def test_it_starts_without_a_kick() -> None:
+    """The wheel may be turned when it takes over: there is no wheel speed yet."""
+    stanley = replace(OF_PASSAT, k_d_steer=10.0)
+    turned = AT_REST | {"delta_sw_meas": 3.0}
+    x = stanley.settle(0.0, stanley.init(), stanley.D(**turned))
+    assert stanley.output(0.0, x, stanley.D(**turned)).delta_sw == 0.0
+
+
+def test_the_curve_offset_is_the_front_slip_angle_of_the_steady_curve() -> None:
+    v, kappa = 8.0, 0.04
+    circle = kappa / math.sqrt(1.0 - (PASSAT.wheelbase * kappa) ** 2)  # of the rear axle
+    force = PASSAT.m * v * v * circle * PASSAT.l_r / PASSAT.wheelbase
+    stanley = replace(OF_PASSAT, k_d_yaw=0.0, k_d_steer=0.0)
+    assert steered(stanley, v=v, kappa=kappa) == pytest.approx(PASSAT.steer_ratio * force / PASSAT.c_f)
+    assert steered(replace(stanley, mass=0.0), v=v, kappa=kappa) == 0.0
+
+
+signals = st.fixed_dictionaries(
+    {
+        "e": st.floats(-5.0, 5.0),
+        "psi_e": st.floats(-3.0, 3.0),
+        "kappa": st.floats(-0.1, 0.1),
+        "v": st.floats(0.0, 12.0),
+        "r": st.floats(-1.0, 1.0),
+        "delta_sw_meas": st.floats(-9.0, 9.0),
+    }
+)
+
+
+@given(signals=signals, before=st.floats(-0.6, 0.6))
+def test_its_mirror_image_is_its_negative_within_the_stops(signals: dict[str, float], before: float) -> None:
+    stanley = Stanley.of(PASSAT)
+    there = steered(stanley, before, **signals)
+    back = steered(stanley, -before, **{name: x if name == "v" else -x for name, x in signals.items()})
+    assert there == -back
+    assert abs(there) <= radians_of(520.0)
+
+
+def test_standstill_is_regular() -> None:
+    assert steered(BARE, e=0.2, v=0.0) == pytest.approx(-math.atan(0.5))
+    assert math.isfinite(steered(Stanley.of(PASSAT), e=1.0, psi_e=1.0, v=0.0))
+
+
+def test_the_textbook_form_is_heading_and_cross_track_only() -> None:
+    textbook = Stanley.textbook(PASSAT)
+    expected = -PASSAT.steer_ratio * (0.1 + math.atan(2.5 * 0.2 / (5.0 + textbook.k_soft)))
+    assert steered(textbook, before=0.3, e=0.2, psi_e=0.1, kappa=0.05, r=0.7) == pytest.approx(expected)
+
+
+def test_a_vehicle_gives_geometry_and_where_to_measure() -> None:
+    stanley = Stanley.of(PASSAT, dt=0.02)
+    assert stanley.reference == PASSAT.l_f
+    assert stanley.dt == 0.02
+    assert stanley.l_r_share == pytest.approx(PASSAT.l_r / PASSAT.wheelbase)
+
+
+@pytest.mark.parametrize("name", ["k", "k_d_yaw", "k_d_steer", "mass", "a_y_reserve"])
+def test_gains_are_not_negative(name: str) -> None:
+    with pytest.raises(ValueError, match=rf"Stanley: {name} = -0.1, expected >= 0"):
+        Stanley(**{name: -0.1})
+
+
+@pytest.mark.parametrize(
+    "name", ["k_soft", "c_f", "steer_ratio", "limit", "approach_limit", "a_y_max", "rate_limit", "wheelbase"]
+)
+def test_divisors_and_limits_are_positive(name: str) -> None:
+    with pytest.raises(ValueError, match=rf"Stanley: {name} = 0.0, expected > 0"):
+        Stanley(**{name: 0.0})
+
+
+@given(e=st.floats(-3.0, 3.0), psi_e=st.floats(-0.8, 0.8), v=st.floats(1.0, 9.0), before=st.floats(-9.0, 9.0))
+def test_commands_keep_the_rate_and_move_towards_what_the_acceleration_allows(
+    e: float, psi_e: float, v: float, before: float
+) -> None:
+    """|delta + (l_r/v) delta'| within the steady angle of a_y_max, unless the wheel is already beyond it."""
+    stanley = Stanley.of(PASSAT)
+    assert stanley.a_y_max == 2.9
+    bound = math.atan(PASSAT.wheelbase * 2.9 / v**2) + PASSAT.understeer_gradient * 2.9
+    u = stanley.D(**(AT_REST | {"e": e, "psi_e": psi_e, "v": v}))
+    command = stanley.output(0.0, StanleyState(0.0, before), u).delta_sw
+    most = min(PASSAT.steer_ratio * bound, radians_of(520.0))
+    if abs(before) <= most:
+        assert abs(command - before) <= radians_of(550.0) * 0.05 + 1e-12
+        room = PASSAT.steer_ratio * (PASSAT.wheelbase * 2.9 / v**2 + PASSAT.understeer_gradient * 2.9)
+        share = 1.0 - math.exp(-v * 0.05 / PASSAT.l_r)
+        assert abs(before + (command - before) / share) <= room * (1.0 + 1e-9)
+    assert abs(command) <= most
+
+
+def test_far_off_it_approaches_only_as_steeply_as_it_can_turn_back() -> None:
+    """sqrt(a_spare |e|)/v, half of the 3 m/s^2 for turning onto the path; near it, the law's own arctan."""
+    stanley = replace(BARE, a_y_max=3.0, approach_limit=1.5, a_y_reserve=1.5)
+    assert steered(stanley, e=2.0, v=9.0, psi_e=-math.sqrt(3.0 * 2.01) / 9.0) == pytest.approx(0.0, abs=1e-12)
+    assert steered(stanley, e=0.1, v=9.0, psi_e=-math.atan(2.5 * 0.1 / 10.0)) == pytest.approx(0.0, abs=1e-12)
+    reserve = -math.sqrt(1.5 * 2.01) / 9.0  # the bend takes 1.62 of the 3 m/s^2; 1.5 stay reserved
+    assert steered(stanley, e=2.0, v=9.0, psi_e=reserve, kappa=0.02) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_path_that_asks_for_more_than_the_limit_gets_it() -> None:
+    """At 8 m/s in a bend of 12 m radius (5.3 m/s^2) the wheel of that bend is allowed, and some more to correct."""
+    kappa, v = 1.0 / 12.0, 8.0
+    need = math.atan(PASSAT.wheelbase * kappa)
+    stanley = replace(Stanley.of(PASSAT), rate_limit=1e3)
+    u = stanley.D(**(AT_REST | {"kappa": kappa, "v": v, "r": v * kappa, "psi_e": -1.0}))
+    x = StanleyState(0.0, PASSAT.steer_ratio * need)
+    assert stanley.output(0.0, x, u).delta_sw > PASSAT.steer_ratio * need
+
+
+def test_a_negative_speed_counts_as_a_standstill() -> None:
+    assert steered(BARE, e=0.3, v=-2.0) == steered(BARE, e=0.3, v=0.0)
+
+
+def test_after_a_broken_sample_the_next_is_whole() -> None:
+    stanley = Stanley.of(PASSAT)
+    bad = stanley.U(**(AT_REST | {"e": math.nan}))
+    y = stanley.output(0.0, stanley.init(), stanley.D(*bad))
+    assert math.isnan(y.delta_sw)
+    x = stanley.update(0.0, stanley.init(), bad, y)
+    assert math.isfinite(stanley.output(0.05, x, stanley.D(**AT_REST)).delta_sw)

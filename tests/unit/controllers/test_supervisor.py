@@ -1,0 +1,267 @@
+"""Who steers: trip and release, faults, and hand-overs without a jump."""
+
+from __future__ import annotations
+
+import logging
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from steerkit.block import Block, In, Out
+from steerkit.controllers.supervisor import Guarded, Supervisor, SupervisorState
+from steerkit.controllers.target_shift import TargetShift
+from steerkit.doe import Integrator, LowPass
+from steerkit.loop import Loop
+from steerkit.simulation import Log, simulate
+from steerkit.units import radians_of
+from tests.support.parts import Script
+
+ON = [1.0]
+
+
+def drive(e: list[float], learner: list[float], ready: list[float] = ON, recovery: list[float] | None = None) -> Log:
+    """The supervisor's answers to signals written down sample by sample; recovery steers 3 rad unless told."""
+    supervisor = Supervisor()
+    scripts = {
+        "e": Script(values=tuple(e)),
+        "learner": Script(values=tuple(learner)),
+        "recovery": Script(values=tuple(recovery or [3.0])),
+        "ready": Script(values=tuple(ready)),
+    }
+    wires = [
+        (scripts["e"].length, supervisor.e),
+        (scripts["learner"].angle, supervisor.learner),
+        (scripts["recovery"].angle, supervisor.recovery),
+        (scripts["ready"].flag, supervisor.ready),
+    ]
+    loop = Loop(blocks={**scripts, "supervisor": supervisor}, wires=wires)
+    n = max(map(len, (e, learner, ready)))
+    record = [f"supervisor.{name}" for name in ("delta_sw", "learning", "tripped", "fault")]
+    return simulate(loop, n * 0.05, record=record, allow_nonfinite=True)
+
+
+def test_trip_at_half_a_metre_release_at_ten_centimetres() -> None:
+    log = drive(e=[0.3, 0.10, 0.09, 0.4, -0.5, -0.51, -0.2, 0.1, -0.099], learner=[1.0])
+    assert log["supervisor.learning"].tolist() == [0, 0, 1, 1, 1, 0, 0, 0, 1]
+    assert log["supervisor.tripped"].tolist() == [0, 0, 0, 0, 0, 1, 0, 0, 0]
+    assert log["supervisor.delta_sw"].tolist() == [3, 3, 1, 1, 1, 3, 3, 3, 1]
+    assert not log["supervisor.fault"].any()
+
+
+def test_the_learner_waits_until_it_is_ready_and_gives_up_when_it_is_not() -> None:
+    log = drive(e=[0.0], learner=[1.0], ready=[0.0, 0.0, 1.0, 1.0, 0.0, 1.0])
+    assert log["supervisor.learning"].tolist() == [0, 0, 1, 1, 0, 1]
+    assert not log["supervisor.tripped"].any()
+
+
+@pytest.mark.parametrize("fault", [math.nan, math.inf, -math.inf, radians_of(521.0), -radians_of(521.0)])
+def test_a_fault_takes_the_wheel_at_once_and_is_latched_until_the_learner_was_not_ready(fault: float) -> None:
+    log = drive(e=[0.0], learner=[1.0, 1.0, fault, 1.0, 1.0, 1.0, 1.0], ready=[1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 1.0])
+    assert log["supervisor.learning"].tolist() == [1, 1, 0, 0, 0, 0, 1]
+    assert log["supervisor.fault"].tolist() == [0, 0, 1, 1, 1, 0, 0]
+    assert log["supervisor.delta_sw"].tolist() == [1, 1, 3, 3, 3, 3, 1]
+    assert not log["supervisor.tripped"].any()
+
+
+def test_a_fault_while_waiting_is_a_fault() -> None:
+    log = drive(e=[0.3, 0.3, 0.0], learner=[math.nan, 1.0])
+    assert log["supervisor.learning"].tolist() == [0, 0, 0]
+    assert log["supervisor.fault"].tolist() == [1, 1, 1]
+
+
+def test_the_full_lock_itself_is_no_fault() -> None:
+    assert drive(e=[0.0], learner=[radians_of(520.0), -radians_of(520.0)])["supervisor.learning"].tolist() == [1, 1]
+
+
+def test_a_lost_position_takes_the_wheel() -> None:
+    log = drive(e=[0.0, math.nan, math.nan, 0.2, 0.0], learner=[1.0])
+    assert log["supervisor.learning"].tolist() == [1, 0, 0, 0, 1]
+    assert log["supervisor.tripped"].tolist() == [0, 1, 0, 0, 0]
+
+
+def test_a_broken_recovery_is_not_hidden_while_it_steers() -> None:
+    log = drive(e=[0.3, 0.0], learner=[1.0], recovery=[math.nan])
+    assert math.isnan(log["supervisor.delta_sw"][0])
+    assert log["supervisor.delta_sw"][1] == 1.0
+
+
+@given(
+    e=st.floats(-1.0, 1.0) | st.just(math.nan),
+    learner=st.floats(-15.0, 15.0) | st.sampled_from([math.nan, math.inf]),
+    recovery=st.floats(-9.0, 9.0),
+    ready=st.sampled_from([0.0, 1.0]),
+    before=st.sampled_from([0.0, 1.0]),
+    fault=st.sampled_from([0.0, 1.0]),
+)
+def test_what_is_steered_is_always_sane(
+    e: float, learner: float, recovery: float, ready: float, before: float, fault: float
+) -> None:
+    supervisor = Supervisor()
+    y = supervisor.output(0.0, SupervisorState(before, fault), supervisor.D(e, learner, recovery, ready))
+    assert abs(y.delta_sw) <= radians_of(520.0) * (1.0 + 1e-9)
+    assert y.delta_sw == (learner if y.learning == 1.0 else recovery)
+    if y.learning == 1.0:
+        assert ready == 1.0
+        assert y.fault == 0.0
+        assert abs(e) <= 0.5
+    assert {y.learning, y.tripped, y.fault} <= {0.0, 1.0}
+
+
+@pytest.mark.parametrize(("release", "trip"), [(0.0, 0.5), (0.6, 0.5), (-0.1, 0.5), (math.nan, 0.5), (0.1, math.nan)])
+def test_bad_thresholds(release: float, trip: float) -> None:
+    with pytest.raises(ValueError, match=r"Supervisor: release = .* m, trip = .* m, expected 0 < release <= trip"):
+        Supervisor(release=release, trip=trip)
+
+
+# ---- hand-over ----------------------------------------------------------------------------------------------------
+
+
+def handed_over(doe: Any, e: list[float], actions: list[float], recovery: list[float]) -> tuple[Log, np.ndarray]:
+    """A learner with a DOE, under a supervisor; the log, and the jump of the wheel into every sample."""
+    supervisor = Supervisor()
+    scripts = {
+        "e": Script(values=tuple(e)),
+        "policy": Script(values=tuple(actions)),
+        "recovery": Script(values=tuple(recovery)),
+        "ready": Script(values=(1.0,)),
+    }
+    wires = [
+        (scripts["e"].length, supervisor.e),
+        (scripts["policy"].angle, doe.action),
+        (scripts["recovery"].angle, supervisor.recovery),
+        (scripts["ready"].flag, supervisor.ready),
+        (doe.delta_sw, supervisor.learner),
+        (supervisor.delta_sw, doe.applied),
+    ]
+    loop = Loop(blocks={**scripts, "doe": doe, "supervisor": supervisor}, wires=wires)
+    log = simulate(loop, len(e) * doe.dt)
+    return log, np.diff(log["supervisor.delta_sw"])
+
+
+def test_at_hand_over_the_wheel_moves_by_one_action_and_does_not_jump() -> None:
+    """Recovery holds 96 degrees when the learner takes over: it goes on from there."""
+    angle, action = radians_of(96.0), radians_of(10.0)
+    e = [0.3, 0.2, 0.15, 0.05, 0.0, 0.0]
+    log, jumps = handed_over(Integrator(), e, actions=[action], recovery=[angle])
+    assert log["supervisor.learning"].tolist() == [0, 0, 0, 1, 1, 1]
+    assert log["supervisor.delta_sw"][2] == angle
+    assert jumps[2:] == pytest.approx([action] * 3)
+    assert log["doe.state"][3] == angle
+
+
+def test_a_low_pass_starts_from_the_angle_applied() -> None:
+    angle = radians_of(96.0)
+    log, jumps = handed_over(LowPass(), [0.3, 0.3, 0.05, 0.0], actions=[0.0], recovery=[angle])
+    assert jumps[1] == pytest.approx(angle * math.expm1(-0.05 / 0.3))
+    assert log["supervisor.learning"][2] == 1.0
+
+
+@settings(deadline=None, max_examples=50)
+@given(
+    e=st.lists(st.floats(-0.7, 0.7), min_size=2, max_size=20),
+    steps=st.lists(st.sampled_from([-60.0, -10.0, 0.0, 10.0, 60.0]), min_size=1, max_size=20),
+    recovery=st.lists(st.floats(-9.0, 9.0), min_size=1, max_size=20),
+)
+def test_whenever_the_learner_steers_the_wheel_moves_by_at_most_one_step(
+    e: list[float], steps: list[float], recovery: list[float]
+) -> None:
+    log, jumps = handed_over(Integrator(), e, [radians_of(a) for a in steps], recovery)
+    learning = log["supervisor.learning"][1:] == 1.0
+    assert (np.abs(jumps[learning]) <= radians_of(60.0) + 1e-12).all()
+
+
+# ---- the guard ----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Fragile(Block):
+    """Steers 1 rad and counts, until t = 0.1 s; then raises, in output or in update."""
+
+    u = In("m")
+    delta_sw = Out("rad")
+    fan = Out("m", size="rays")
+    rays: int = 3
+    where: str = "output"
+
+    def init(self, batch: tuple[int, ...] = ()) -> Any:
+        return (0.0,)
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        if self.where == "output" and t > 0.09:
+            raise ZeroDivisionError("no net")
+        return self.Y(1.0, (0.0,) * self.rays)
+
+    def update(self, t: Any, x: Any, u: Any, y: Any) -> Any:
+        if self.where == "update" and t > 0.09:
+            raise ZeroDivisionError("no net")
+        return (x[0] + 1.0,)
+
+
+def guarded(where: str) -> tuple[Loop, Log]:
+    learner, supervisor = Guarded(block=Fragile(where=where)), Supervisor()
+    e, recovery, ready = Script(values=(0.0,)), Script(values=(3.0,)), Script(values=(1.0,))
+    loop = Loop(
+        blocks={"e": e, "recovery": recovery, "ready": ready, "learner": learner, "supervisor": supervisor},
+        wires=[
+            (e.length, learner.u),
+            (e.length, supervisor.e),
+            (learner.delta_sw, supervisor.learner),
+            (recovery.angle, supervisor.recovery),
+            (ready.flag, supervisor.ready),
+        ],
+    )
+    return loop, simulate(loop, 0.25, allow_nonfinite=True)
+
+
+def test_an_exception_in_the_learner_means_recovery_at_once(caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.ERROR, logger="steerkit"):
+        _, log = guarded("output")
+    assert log["supervisor.delta_sw"].tolist() == [1, 1, 3, 3, 3]
+    assert log["supervisor.fault"].tolist() == [0, 0, 1, 1, 1]
+    assert np.isnan(log["learner.fan"][2:]).all()
+    assert log["learner.fan"].shape == (5, 3)
+    assert "Fragile.output failed at t = 0.1 s" in caplog.text
+    assert "ZeroDivisionError: no net" in caplog.text
+
+
+def test_an_exception_in_update_leaves_the_state_as_it_was(caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.ERROR, logger="steerkit"):
+        loop, log = guarded("update")
+    assert log.state is not None
+    assert loop.block_state(log.state, "learner") == (2.0,)
+    assert "Fragile.update failed at t = 0.1 s" in caplog.text
+
+
+def test_a_guard_is_like_the_block_that_it_guards() -> None:
+    fragile = Fragile(dt=0.02)
+    guard = Guarded(block=fragile)
+    assert guard.dt == 0.02
+    assert [p.name for p in guard.inputs] == ["u"]
+    assert guard.delta_sw.spec is fragile.delta_sw.spec
+    assert guard.delta_sw.block is guard
+    assert guard.fan.size == 3
+    assert guard.init() == fragile.init()
+
+
+def test_the_target_comes_to_a_lost_car_and_goes_back_slowly() -> None:
+    shift = TargetShift(limit=1.0, rate=0.4)
+    e = Script(values=(0.2, 0.6, 0.6, 0.6, 0.6, 3.0, 3.0, 3.0))
+    e_dot = Script(values=(0.1,))
+    loop = Loop(
+        blocks={"e": e, "e_dot": e_dot, "shift": shift},
+        wires=[(e.length, shift.e_path), (e_dot.speed, shift.e_dot_path)],
+    )
+    log = simulate(loop, 8 * 0.05, record=["shift.e", "shift.e_dot", "shift.shift"])
+    assert log["shift.shift"] == pytest.approx([0.0, 0.0, 0.605, 0.585, 0.565, 0.545, 1.0, 1.0])
+    assert log["shift.e"] == pytest.approx([0.2, 0.6, -0.005, 0.015, 0.035, 2.455, 2.0, 2.0])
+    assert log["shift.e_dot"] == pytest.approx([0.1, 0.1, *[0.5] * 6])
+
+
+def test_a_shift_of_nowhere_is_told() -> None:
+    with pytest.raises(ValueError, match="expected > 0"):
+        TargetShift(rate=0.0)

@@ -1,0 +1,99 @@
+"""A loop as an FMU: driven by FMPy it gives the numbers of `simulate`, in a Python that knows no steerkit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import fmpy
+import numpy as np
+import pytest
+from fmpy.fmi1 import FMICallException
+from fmpy.fmi2 import FMU2Slave
+from fmpy.validation import validate_fmu
+
+from steerkit.assembly import placed, steering_loop
+from steerkit.controllers.stanley import Stanley
+from steerkit.courses import course
+from steerkit.export.fmu import export_fmu
+from steerkit.loop import Loop
+from steerkit.plants.human_driver import HumanDriver
+from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.steering_actuator import SteeringActuator
+from steerkit.simulation import simulate
+from steerkit.vehicles import vehicle
+
+CAR = vehicle("vw-passat")
+OUTPUTS = ("path.e", "car.x", "car.v", "car.delta_sw", "controller.delta_sw")
+
+
+def loop(k: float = 2.5) -> Loop:
+    path = course("paper")
+    return steering_loop(
+        car=placed(LinearSingleTrack(vehicle=CAR, v0=5.0), path, s=20.0, e=0.3),
+        path=path,
+        driver=HumanDriver(seed=4),
+        controller=replace(Stanley.of(CAR), k=k),
+        actuator=SteeringActuator(delay=0.03),
+    )
+
+
+@pytest.fixture(scope="module")
+def fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return export_fmu(
+        loop(), tmp_path_factory.mktemp("fmu") / "Drive.fmu", outputs=OUTPUTS, parameters=["controller.k"]
+    )
+
+
+@pytest.mark.parametrize("k", [2.5, 1.0])
+def test_it_gives_the_numbers_of_simulate(fmu: Path, k: float) -> None:
+    result = fmpy.simulate_fmu(str(fmu), stop_time=3.0, output_interval=0.05, start_values={"controller.k": k})
+    log = simulate(loop(k), 3.01, every=5)
+    np.testing.assert_allclose(result["time"], log.t, atol=1e-12)
+    for name in OUTPUTS:
+        np.testing.assert_allclose(result[name], log[name], rtol=0, atol=1e-12)
+
+
+def test_it_holds_no_steerkit_and_is_valid(fmu: Path) -> None:
+    import zipfile
+
+    with zipfile.ZipFile(fmu) as archive:
+        text = archive.read("resources/drive_model.py").decode()
+    assert "import steerkit" not in text
+    assert "numpy" not in text
+    assert validate_fmu(str(fmu)) == []
+
+
+def test_its_state_can_be_saved_and_restored_and_odd_steps_are_refused(fmu: Path) -> None:
+    about = fmpy.read_model_description(str(fmu))
+    numbers = {v.name: v.valueReference for v in about.modelVariables}
+    slave: Any = FMU2Slave(
+        guid=about.guid, unzipDirectory=fmpy.extract(str(fmu)), modelIdentifier=about.coSimulation.modelIdentifier
+    )
+    slave.instantiate()
+    slave.setupExperiment()
+    slave.enterInitializationMode()
+    slave.exitInitializationMode()
+    slave.doStep(0.0, 0.5)
+    state = slave.getFMUstate()
+    ends = []
+    for _ in range(2):
+        slave.setFMUstate(state)
+        slave.doStep(0.5, 0.5)
+        ends.append(slave.getReal([numbers["car.x"]])[0])
+    assert ends[0] == ends[1] == pytest.approx(simulate(loop(), 1.01)["car.x"][-1], abs=1e-12)
+    with pytest.raises(FMICallException):
+        slave.doStep(1.0, 0.013)
+    slave.freeFMUstate(state)
+    slave.terminate()
+    slave.freeInstance()
+
+
+def test_mistakes_are_named(tmp_path: Path) -> None:
+    with pytest.raises(KeyError, match=r"no signal 'path\.f'; did you mean 'path\."):
+        export_fmu(loop(), tmp_path / "Drive.fmu", outputs=["path.f"])
+    with pytest.raises(ValueError, match=r"the ending \.fmu"):
+        export_fmu(loop(), tmp_path / "a drive.fmu", outputs=["path.e"])
+    with pytest.raises(ValueError, match=r"path\.preview is a vector"):
+        export_fmu(loop(), tmp_path / "Drive.fmu", outputs=["path.preview"])

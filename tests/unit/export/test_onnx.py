@@ -1,0 +1,95 @@
+"""A policy as an ONNX model says what the block says, and refuses what it cannot say."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+
+from steerkit.controllers.network_policy import Network, PolicyBlock
+from steerkit.controllers.nfq_policy import BANG_BANG_ACTIONS, NfqPolicy, StateDescription
+from steerkit.export.onnx import check_onnx, export_onnx
+
+RNG = np.random.default_rng(0)
+
+
+def net(*units: int) -> tuple[np.ndarray, ...]:
+    sizes = (7, *units, 1)
+    return tuple(p for a, b in pairwise(sizes) for p in (RNG.normal(size=(b, a)), RNG.normal(size=b)))
+
+
+def layers(*sizes: int) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+    return tuple((RNG.normal(size=(b, a)), RNG.normal(size=b)) for a, b in pairwise(sizes))
+
+
+POLICIES: list[Any] = [
+    NfqPolicy(nets=(net(10, 10), net(10, 10), net(10, 10))),
+    NfqPolicy(nets=(net(5), net(5)), actions=BANG_BANG_ACTIONS, combine="max"),
+    NfqPolicy(nets=(net(20, 20, 3),), description=StateDescription(action_scale=0.3)),
+    PolicyBlock(policy=Network(layers=layers(6, 16, 16, 3)), actions=(-0.1, 0.0, 0.1)),
+    PolicyBlock(policy=Network(layers=layers(6, 16, 1), activation="tanh", head="tanh")),
+    PolicyBlock(policy=Network(layers=layers(6, 16, 1), head="clip"), largest=0.7),
+]
+
+
+def ask(file: Path, state: Any) -> dict[str, np.ndarray]:
+    session = onnxruntime.InferenceSession(str(file))
+    names = [output.name for output in session.get_outputs()]
+    return dict(zip(names, session.run(names, {"state": np.atleast_2d(np.asarray(state, dtype=float))})))
+
+
+@pytest.mark.parametrize("policy", POLICIES, ids=lambda p: type(p).__name__)
+def test_the_model_says_what_the_block_says(policy: Any, tmp_path: Path) -> None:
+    export_onnx(policy, tmp_path / "p.onnx")
+    differences = check_onnx(policy, tmp_path / "p.onnx", states=20_000)
+    assert set(differences) == ({"action", "q"} if isinstance(policy, NfqPolicy) else {"action"})
+    assert all(difference <= 1e-6 for difference in differences.values())
+    assert differences.get("q", 0.0) <= 1e-14
+
+
+def test_the_check_finds_another_policy(tmp_path: Path) -> None:
+    export_onnx(POLICIES[0], tmp_path / "p.onnx")
+    other = replace(POLICIES[0], nets=POLICIES[0].nets[:2])
+    assert check_onnx(other, tmp_path / "p.onnx")["q"] > 1e-3
+
+
+def test_of_equal_values_the_gentlest_action_wins_there_too(tmp_path: Path) -> None:
+    flat = tuple(np.zeros_like(p) for p in net(4))
+    export_onnx(NfqPolicy(nets=(flat,), actions=(-0.5, 0.2, -0.1, 0.3)), tmp_path / "p.onnx")
+    told = ask(tmp_path / "p.onnx", [0.1] * 6)
+    assert (told["action"].tolist(), told["q"].tolist()) == ([-0.1], [0.5])
+
+
+def test_a_broken_state_gives_nan_and_spares_the_others(tmp_path: Path) -> None:
+    export_onnx(POLICIES[0], tmp_path / "p.onnx")
+    states = np.full((3, 6), 0.1)
+    states[0, 2], states[1, 4] = np.nan, np.inf
+    told = ask(tmp_path / "p.onnx", states)
+    for values in told.values():
+        assert np.isnan(values).tolist() == [True, True, False]
+
+
+def test_single_precision_is_close(tmp_path: Path) -> None:
+    export_onnx(POLICIES[0], tmp_path / "p.onnx", single=True)
+    assert check_onnx(POLICIES[0], tmp_path / "p.onnx")["q"] < 1e-6
+
+
+def test_the_model_tells_its_columns_and_units(tmp_path: Path) -> None:
+    export_onnx(POLICIES[0], tmp_path / "p.onnx")
+    model = onnx.load(tmp_path / "p.onnx")
+    about = {p.key: p.value for p in model.metadata_props}
+    assert about["columns"] == "e [m], e_dot [m/s], v [m/s], psi_e [rad], r_e [rad/s], doe [rad]"
+    assert about["sample_time_s"] == "0.05"
+
+
+def test_what_is_no_net_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="no nets: nothing was learned"):
+        export_onnx(NfqPolicy(), tmp_path / "p.onnx")
+    with pytest.raises(TypeError, match="valid: an NfqPolicy, or a PolicyBlock of a Network"):
+        export_onnx(PolicyBlock(policy=lambda x: x[:, 0]), tmp_path / "p.onnx")

@@ -1,0 +1,126 @@
+"""The record of transitions: it grows, it refuses nonsense, and it comes back from disk as it was."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from steerkit.learning.data.transitions import Transitions
+from steerkit.learning.nfq.patterns import StateDescription
+
+
+def filled(n: int, seed: int = 0) -> Transitions:
+    rng = np.random.default_rng(seed)
+    record = Transitions()
+    record.extend(rng.normal(size=(n, 6)), rng.normal(size=n), rng.normal(size=(n, 6)), np.arange(n) // 10)
+    return record
+
+
+@given(st.lists(st.integers(0, 400), max_size=6))
+def test_rows_come_back_in_order_however_they_were_added(counts: list[int]) -> None:
+    n = sum(counts)
+    whole = filled(n)
+    parts = Transitions()
+    at = 0
+    for count in counts:
+        rows = slice(at, at + count)
+        parts.extend(whole.s[rows], whole.a[rows], whole.s_next[rows], whole.episode[rows])
+        at += count
+    assert len(parts) == n
+    for name in ("s", "a", "s_next", "episode"):
+        np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
+
+
+def test_append_is_extend_by_one() -> None:
+    whole, one_by_one = filled(600), Transitions()
+    for row in range(600):
+        one_by_one.append(whole.s[row], whole.a[row], tuple(whole.s_next[row]), whole.episode[row])
+    np.testing.assert_array_equal(one_by_one.s_next, whole.s_next)
+    assert repr(one_by_one) == "Transitions(600 rows, 60 episodes of e, e_dot, v, psi_e, r_e, doe)"
+
+
+def test_views_are_contiguous_read_only_and_stay_valid() -> None:
+    record = filled(10)
+    view, before = record.s, record.s.copy()
+    assert view.flags.c_contiguous
+    with pytest.raises(ValueError, match="read-only"):
+        view[0, 0] = 1.0
+    record.extend(np.ones((5000, 6)), np.ones(5000), np.ones((5000, 6)), 7)
+    np.testing.assert_array_equal(view, before)
+    assert record.s.shape == (5010, 6)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_non_finite_rows_are_refused_by_name_and_leave_nothing(value: float) -> None:
+    record = filled(3)
+    s = np.zeros(6)
+    bad = s.copy()
+    bad[3] = value
+    with pytest.raises(ValueError, match=r"s\.psi_e = (nan|inf) in row 0"):
+        record.append(bad, 0.0, s, 0)
+    with pytest.raises(ValueError, match=r"s_next\.psi_e"):
+        record.append(s, 0.0, bad, 0)
+    with pytest.raises(ValueError, match=r"a = .* \[rad\]"):
+        record.append(s, value, s, 0)
+    assert len(record) == 3
+
+
+def test_wrong_shapes_are_refused_with_the_columns() -> None:
+    with pytest.raises(ValueError, match=r"expected \(1, 6\): e, e_dot, v, psi_e, r_e, doe"):
+        Transitions().append(np.zeros(5), 0.0, np.zeros(6), 0)
+
+
+def test_the_mirror_image_is_the_other_side_and_its_own_inverse() -> None:
+    record, description = filled(20), StateDescription()
+    image = record.mirrored(description)
+    np.testing.assert_array_equal(image.s, record.s * [-1, -1, 1, -1, -1, -1])
+    np.testing.assert_array_equal(image.s_next, record.s_next * [-1, -1, 1, -1, -1, -1])
+    np.testing.assert_array_equal(image.a, -record.a)
+    np.testing.assert_array_equal(image.mirrored(description).s, record.s)
+    with pytest.raises(ValueError, match="but the description has"):
+        Transitions(("x",)).mirrored(description)
+
+
+def test_saved_and_loaded_bit_for_bit(tmp_path: Path) -> None:
+    record, file = filled(300), tmp_path / "t.npz"
+    record.save(file)
+    again = Transitions.load(file)
+    for name in ("s", "a", "s_next", "episode"):
+        assert getattr(again, name).tobytes() == getattr(record, name).tobytes()
+    assert again.names == record.names
+    again.save(tmp_path / "u.npz")
+    assert (tmp_path / "u.npz").read_bytes() == file.read_bytes()
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["t.npz", "u.npz"]
+
+
+@pytest.mark.parametrize("keep", [0, 1, 100, 0.5, 0.99])
+def test_a_truncated_file_is_named(tmp_path: Path, keep: float) -> None:
+    file = tmp_path / "t.npz"
+    filled(300).save(file)
+    whole = file.read_bytes()
+    file.write_bytes(whole[: int(keep if keep >= 1 else keep * len(whole))])
+    with pytest.raises(ValueError, match=r"t\.npz: cannot be read .* cut short or not a steerkit transitions file"):
+        Transitions.load(file)
+
+
+def test_foreign_files_are_named(tmp_path: Path) -> None:
+    file = tmp_path / "t.npz"
+    np.savez(file, x=np.zeros(3))
+    with pytest.raises(ValueError, match="of another program', expected 'steerkit transitions 1'"):
+        Transitions.load(file)
+    np.savez(file, x=np.array([{}], dtype=object))
+    with pytest.raises(ValueError, match="cannot be read"):
+        Transitions.load(file)
+    with open(file, "wb") as out:
+        np.save(out, np.zeros(3))
+    with pytest.raises(ValueError, match="cannot be read"):
+        Transitions.load(file)
+    np.savez(file, format="steerkit transitions 1", names=["e"], s=np.zeros((2, 1)), a=np.zeros(3))
+    with pytest.raises(ValueError, match="do not hold together"):
+        Transitions.load(file)
+    with pytest.raises(FileNotFoundError):
+        Transitions.load(tmp_path / "nothing.npz")

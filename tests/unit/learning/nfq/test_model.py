@@ -1,0 +1,199 @@
+"""The learned model of the car: what it finds, its symmetries, what is imagined with it, and the rival that uses it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from steerkit.controllers.nfq_policy import Net
+from steerkit.doe import Direct, Integrator, LowPass
+from steerkit.learning.costs import TanhCost
+from steerkit.learning.data.transitions import Transitions
+from steerkit.learning.experiment import Experiment, LearningRun
+from steerkit.learning.nfq import iterate as nfq
+from steerkit.learning.nfq.iterate import FitSetting, imagined_cost, imagined_targets, staying
+from steerkit.learning.nfq.model import CarModel, imagine
+from steerkit.learning.nfq.patterns import STANDARD
+from steerkit.learning.offline import offline
+from steerkit.learning.rival import BeforeState, ModelBasedRun, ModelPolicy
+from steerkit.learning.settings import DEFAULT
+
+ACTIONS = (-0.3, 0.0, 0.3)
+CAR = CarModel(held=1.0, pushed=1.0, now=0.002, before=0.004, earlier=0.003, back=0.14, yaw=0.36, limit=9.0)
+signed = st.floats(-0.4, 0.4)
+
+
+def driven(model: CarModel = CAR, n: int = 200, seed: int = 0) -> Transitions:
+    """What the model's car does under random actions, in episodes of 20 samples."""
+    rng, record = np.random.default_rng(seed), Transitions()
+    for episode in range(n // 20):
+        s = np.array([[0.0, *rng.normal(0.0, 0.1, 1), rng.uniform(4.0, 7.0), *rng.normal(0.0, 0.1, 2), 0.0]])
+        earlier = s[:, 5]
+        for _ in range(20):
+            a = rng.choice(ACTIONS, 1)
+            s_next = model.step(s, a, earlier)
+            record.extend(s, a, s_next, episode)
+            s, earlier = s_next, s[:, 5]
+    return record
+
+
+def level(q: float) -> Net:
+    return np.zeros((1, 7), np.float32), np.array([np.log(q / (1.0 - q))], np.float32)
+
+
+# ---- the model --------------------------------------------------------------------------------------------------
+
+
+def test_the_numbers_behind_the_transitions_are_found() -> None:
+    found = CarModel.fit(driven(n=2000), STANDARD)
+    for name in ("held", "pushed", "now", "before", "earlier", "back", "yaw"):
+        assert getattr(found, name) == pytest.approx(getattr(CAR, name), rel=0.03), name
+
+
+@pytest.mark.parametrize("element", [Integrator(), LowPass(), Direct()])
+def test_the_dynamic_output_element_is_found(element: Integrator | LowPass | Direct) -> None:
+    rng, record = np.random.default_rng(1), Transitions()
+    for episode in range(100):
+        s = rng.normal(0.0, 0.1, (1, 6)) + np.array([[0, 0, 5.0, 0, 0, 0]])
+        a = rng.uniform(-2.0, 2.0, 1)
+        angle = element.output(0.0, element.init((1,))._replace(delta_sw=s[:, 5]), element.D(action=a)).delta_sw
+        s_next = s.copy()
+        s_next[:, 5] = angle
+        record.extend(s, a, s_next, episode)
+    found = CarModel.fit(record, STANDARD)
+    s, a = np.array([[0, 0, 5.0, 0, 0, 1.0]]), np.array([0.7])
+    expected = element.output(0.0, element.init((1,))._replace(delta_sw=s[:, 5]), element.D(action=a)).delta_sw
+    assert found.step(s, a, s[:, 5])[0, 5] == pytest.approx(float(expected[0]), abs=1e-3)
+
+
+@given(signed, signed, signed, signed, signed, st.floats(-4.0, 4.0))
+def test_every_steady_bend_is_the_same(e: float, e_dot: float, psi_e: float, r_e: float, a: float, x: float) -> None:
+    s = np.array([[e, e_dot, 5.0, psi_e, r_e, 0.5]])
+    bent = s + np.array([[0, 0, 0, -x * CAR.ratio, 0, x]])
+    action = np.array([a])
+    straight, turned = CAR.step(s, action, s[:, 5]), CAR.step(bent, action, bent[:, 5])
+    np.testing.assert_allclose(turned - straight, [[0, 0, 0, -x * CAR.ratio, 0, x]], atol=1e-12)
+
+
+@given(signed, signed, signed, signed, signed, signed)
+def test_the_mirrored_car_is_the_same_car(e: float, e_dot: float, psi_e: float, r_e: float, a: float, d: float) -> None:
+    s, signs = np.array([[e, e_dot, 5.0, psi_e, r_e, d]]), np.array(STANDARD.mirror_signs)
+    action, earlier = np.array([a]), np.array([0.1])
+    np.testing.assert_allclose(CAR.step(s * signs, -action, -earlier), CAR.step(s, action, earlier) * signs, atol=1e-15)
+
+
+def test_the_real_model_is_learned_from_the_first_seconds_of_driving() -> None:
+    setting = replace(DEFAULT, fit=FitSetting(epochs=5, nets=1))
+    run = LearningRun(Experiment(setting=setting, minutes=0.4))
+    while not run.done():
+        run.drive()
+    car, model = run.experiment.world.vehicle, CarModel.fit(run.transitions, run.description)
+    assert 1.0 / model.ratio == pytest.approx(car.steer_ratio, rel=0.25)
+    assert 1.0 / model.yaw == pytest.approx(car.l_f + car.l_r, rel=0.25)
+
+
+def test_the_model_says_what_it_cannot_learn_from() -> None:
+    with pytest.raises(ValueError, match="no transitions"):
+        CarModel.fit(Transitions(), STANDARD)
+    with pytest.raises(ValueError, match="the model needs"):
+        CarModel.fit(Transitions(("e", "v")), STANDARD)
+
+
+# ---- imagination ------------------------------------------------------------------------------------------------
+
+
+def test_imagined_states_cover_all_bends_and_carry_what_the_model_missed() -> None:
+    record = driven()
+    shifted = Transitions()
+    shifted.extend(record.s, record.a, record.s_next + np.array([0.01, 0, 0, 0, 0, 0]), record.episode)
+    near = imagine(CAR, shifted, STANDARD, 4000, np.random.default_rng(0))
+    assert near.s[:, 5].min() < -8.5
+    assert near.s[:, 5].max() > 8.5
+    np.testing.assert_allclose(np.abs(near.residual[:, 0]), 0.01, atol=1e-12)
+    np.testing.assert_allclose(near.residual[:, 1:], 0.0, atol=1e-12)
+    assert record.s[:, 2].min() <= near.s[:, 2].min()
+    assert near.s[:, 2].max() <= record.s[:, 2].max()
+    assert abs(near.residual[:, 0].mean()) < 0.002  # both sides of the mirror
+
+
+def test_imagined_targets_by_hand() -> None:
+    cost, setting = TanhCost(goal=0.1, step=0.04, action_cost=0.01), FitSetting(discount=0.9, horizon=3)
+    near = imagine(CAR, driven(), STANDARD, 3, np.random.default_rng(0))
+    near.s[:] = [[0.0, 0, 5.0, 0, 0, 0], [0.0, 0, 5.0, 0, 0, 0], [0.49, 4.0, 5.0, 0.8, 0, 0]]
+    near.residual[:], near.earlier[:] = 0.0, 0.0
+    a = np.array([0.0, 0.3, 0.0])
+    first, _ = cost(near.s[:2], a[:2], CAR.step(near.s, a, near.earlier)[:2])
+    y = imagined_targets(CAR, near, a, ACTIONS, cost, setting, STANDARD, ())
+    np.testing.assert_allclose(y, [*first, 1.0], atol=1e-7)
+    y = imagined_targets(CAR, near, a, ACTIONS, cost, setting, STANDARD, (level(0.2),))
+    assert y[0] == pytest.approx(0.9**3 * 0.2, abs=1e-6)  # of equal values, the gentlest
+    assert y[2] == pytest.approx(1.0)
+
+
+def test_dynamic_hints_are_rows_that_stay() -> None:
+    record = Transitions()
+    e = np.array([0.3] * 5 + [0.01] * 30 + [0.3] * 5)
+    s = np.zeros((40, 6))
+    s[:, 0] = e
+    record.extend(s, np.zeros(40), s, np.repeat([0, 1], [20, 20]))
+    assert staying(record, 0.05).tolist() == []
+    record = Transitions()
+    record.extend(s, np.zeros(40), s, 0)
+    assert staying(record, 0.05).tolist() == list(range(5, 16))
+
+
+def test_a_guard_refuses_nets_that_the_model_finds_worse() -> None:
+    record = driven(n=400)
+    good = FitSetting(epochs=100, imagined=500, hints=0, iterations=3)
+    nets = nfq.iterate(record, ACTIONS, TanhCost(), good)
+    for guard, kept in ((1.0, True), (0.0, False)):
+        bad = FitSetting(epochs=0, imagined=500, hints=0, guard=guard)
+        after = nfq.iterate(record, ACTIONS, TanhCost(), bad, nets_before=nets, seed=2)
+        assert all(a is b for a, b in zip(after, nets, strict=True)) is kept
+    near = imagine(CAR, record, STANDARD, 200, np.random.default_rng(3))
+    costs = [imagined_cost(CAR, near, ACTIONS, TanhCost(), good, STANDARD, n) for n in (nets, after)]
+    assert costs[0] < costs[1]
+
+
+def test_offline_updates_are_chained_and_repeatable() -> None:
+    setting = replace(DEFAULT, fit=FitSetting(epochs=10, nets=1, imagined=100))
+    one, two = ([p.nets for p in offline(driven(), setting, 2, seed=4)] for _ in range(2))
+    assert all(np.array_equal(a[0][0], b[0][0]) for a, b in zip(one, two, strict=True))
+    assert not np.array_equal(one[0][0][0], one[1][0][0])
+    with pytest.raises(ValueError, match="updates = 0"):
+        next(offline(driven(), setting, 0))
+
+
+# ---- the rival --------------------------------------------------------------------------------------------------
+
+
+def test_the_optimal_gain_brings_the_modelled_car_onto_the_path_at_any_speed() -> None:
+    policy = ModelPolicy(model=CAR)
+    for v in (2.0, 4.5, 9.0, 14.0):
+        s = np.array([[0.1, 0.0, v, 0.05, 0.0, 0.5]])
+        x, earlier = BeforeState(0.5), s[:, 5]
+        for _ in range(200):
+            u = policy.U(*map(float, s[0]))
+            y = policy.output(0.0, x, u)
+            x = policy.update(0.0, x, u, y)
+            s, earlier = CAR.step(s, np.array([y.action]), earlier), s[:, 5]
+        np.testing.assert_allclose(s[0, [0, 1, 4]], 0.0, atol=1e-3)
+
+
+def test_a_car_that_does_not_answer_the_wheel_is_refused() -> None:
+    dead = replace(CAR, now=0.0, before=0.0, earlier=0.0)
+    with pytest.raises(ValueError, match="cannot be steered"):
+        ModelPolicy(model=dead)
+
+
+def test_the_rival_drives_after_its_first_failure() -> None:
+    run = ModelBasedRun(Experiment(setting=DEFAULT, minutes=0.5))
+    while not run.done():
+        run.drive()
+    assert run.counts.failures == 1
+    assert run.counts.episodes[-1].distance > 100.0
+    assert run.counts.episodes[-1].rms_e < 0.05

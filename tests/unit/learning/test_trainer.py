@@ -1,0 +1,325 @@
+"""Training beside driving: nobody waits, nothing is lost silently, and the nets are those of `nfq.iterate`."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from steerkit.learning.costs import BandCost, Costs, TanhCost
+from steerkit.learning.data.store import TransitionStore
+from steerkit.learning.data.transitions import Transitions
+from steerkit.learning.nfq import iterate as nfq
+from steerkit.learning.nfq.iterate import FitSetting
+from steerkit.learning.trainer import Job, Nets, Result, SimulatedTrainer, Trainer
+
+ACTIONS = (-0.1, 0.0, 0.1)
+FIT = FitSetting(epochs=10, nets=2)
+SECONDS_TO_WAIT = 120.0
+"""Only reached when something is broken."""
+
+
+def record(n: int = 200, seed: int = 0) -> Transitions:
+    rng = np.random.default_rng(seed)
+    rows = Transitions()
+    s = rng.normal(size=(n + 1, 6)) * [0.3, 0.3, 1.0, 0.1, 0.1, 1.0] + [0, 0, 5, 0, 0, 0]
+    rows.extend(s[:-1], rng.choice(ACTIONS, n), s[1:], np.arange(n) // 20)
+    return rows
+
+
+def job(number: int, **changes: Any) -> Job:
+    kwargs: dict[str, Any] = {"transitions": record(), "actions": ACTIONS, "cost": TanhCost(), "fit": FIT}
+    return Job(number=number, seed=number, **(kwargs | changes))
+
+
+def expected(number: int, nets: Nets = (), rows: Transitions | None = None) -> Nets:
+    return nfq.iterate(rows or record(), ACTIONS, TanhCost(), FIT, nets_before=nets, seed=number)
+
+
+def same(nets: Nets | None, others: Nets) -> bool:
+    assert nets is not None
+    return all((p == q).all() for net, other in zip(nets, others, strict=True) for p, q in zip(net, other, strict=True))
+
+
+def until(done: Callable[[], Any]) -> Any:
+    """Wait for something that must come."""
+    deadline = time.monotonic() + SECONDS_TO_WAIT
+    while not (answer := done()):
+        assert time.monotonic() < deadline, "it never came"
+        time.sleep(0.01)
+    return answer
+
+
+@dataclass(frozen=True)
+class Gate:
+    """A cost that tells when training has begun and holds it until a file `go` is there."""
+
+    place: Path
+
+    def __call__(self, s: Any, a: Any, s_next: Any) -> Costs:
+        (self.place / f"begun-{os.getpid()}").touch()
+        until((self.place / "go").exists)
+        return BandCost()(s, a, s_next)
+
+    def wait_for_training(self, pid: int | None) -> None:
+        until((self.place / f"begun-{pid}").exists)
+
+
+class Deadly:
+    def __call__(self, s: Any, a: Any, s_next: Any) -> Costs:
+        os.kill(os.getpid(), signal.SIGKILL)
+        raise AssertionError
+
+
+@pytest.fixture(scope="module")
+def shared() -> Iterator[Trainer]:
+    """One process for all tests that leave it whole."""
+    with Trainer() as trainer:
+        yield trainer
+
+
+@pytest.fixture
+def own() -> Iterator[Trainer]:
+    with Trainer() as trainer:
+        yield trainer
+
+
+# ---- the same interface -----------------------------------------------------------------------------------------
+
+MAKERS: dict[str, Callable[[], AbstractContextManager[Any]]] = {
+    "simulated": lambda: closing(SimulatedTrainer(seconds=3.0)),
+    "process": Trainer,
+}
+
+
+@pytest.fixture(params=list(MAKERS))
+def trainer(request: pytest.FixtureRequest) -> Iterator[Any]:
+    with MAKERS[request.param]() as made:
+        yield made
+
+
+def test_every_trainer_makes_the_nets_of_iterate_one_after_the_other(trainer: Any) -> None:
+    assert trainer.poll(0.0) is None
+    assert not trainer.busy
+    rows = record()
+    trainer.submit(job(1, transitions=rows), 0.0)
+    rows.extend(*[getattr(record(seed=1), name) for name in ("s", "a", "s_next", "episode")])  # drives on
+    assert trainer.busy
+    result = until(lambda: trainer.poll(3.0))
+    first = expected(1)
+    assert (result.number, result.fault, trainer.busy) == (1, "", False)
+    assert same(result.nets, first)
+    assert trainer.poll(4.0) is None  # once only
+    trainer.submit(job(2), 5.0)
+    trainer.submit(job(3), 5.0)
+    second = until(lambda: trainer.poll(11.0))
+    assert second.number == 3  # 2 is where 3 began, and no more
+    assert same(second.nets, expected(3, expected(2, first)))
+    assert second.seconds > 0.0
+    assert (trainer.busy, trainer.poll(100.0)) == (False, None)
+    with pytest.raises(ValueError, match="job number 3, expected > 3, the one before"):
+        trainer.submit(job(3), 12.0)
+
+
+# ---- simulated --------------------------------------------------------------------------------------------------
+
+
+def test_simulated_nets_are_ready_when_the_charged_time_has_passed() -> None:
+    trainer = SimulatedTrainer(seconds=1.5)
+    trainer.submit(job(1), 10.0)
+    assert trainer.poll(11.45) is None
+    assert trainer.poll(30 * 0.05 + 10.0) is not None
+    trainer.submit(job(2), 20.0)
+    trainer.submit(job(3), 20.5)  # begins at 21.5, when 2 is done
+    assert trainer.poll(22.95) is None
+    assert trainer.poll(23.0) is not None
+    trainer.submit(job(4), 40.0)  # after a pause: begins at once
+    assert trainer.poll(41.5) is not None
+
+
+def test_measured_time_is_charged_as_it_was_taken() -> None:
+    trainer = SimulatedTrainer(seconds=None)
+    trainer.submit(job(1), 10.0)
+    assert trainer.pending is not None
+    ready = trainer.pending[0]
+    assert ready > 10.0
+    assert trainer.poll(10.0) is None
+    result = trainer.poll(ready)
+    assert result is not None
+    assert result.seconds == pytest.approx(ready - 10.0)
+
+
+def test_a_simulated_training_goes_on_from_a_checkpoint() -> None:
+    before = SimulatedTrainer(seconds=2.0)
+    before.submit(job(1), 10.0)
+    after = SimulatedTrainer(seconds=2.0, nets=before.nets, pending=before.pending)
+    for trainer in (before, after):
+        trainer.submit(job(2), 11.0)
+        assert trainer.poll(13.9) is None
+    one, other = before.poll(14.0), after.poll(14.0)
+    assert one is not None
+    assert other is not None
+    assert same(one.nets, other.nets or ())
+
+
+def test_simulated_errors_are_raised_where_they_are_made() -> None:
+    with pytest.raises(ValueError, match="no transitions, expected at least one"):
+        SimulatedTrainer().submit(job(1, transitions=Transitions()), 0.0)
+    with pytest.raises(ValueError, match="seconds = -1"):
+        SimulatedTrainer(seconds=-1.0)
+
+
+# ---- in a process -----------------------------------------------------------------------------------------------
+
+
+def test_it_learns_from_a_store(shared: Trainer, tmp_path: Path) -> None:
+    with TransitionStore(tmp_path / "t.db", run="a") as store:
+        store.extend(record())
+    shared.submit(job(100, transitions=tmp_path / "t.db"))
+    result = until(shared.poll)
+    assert same(result.nets, expected(100))
+
+
+def test_an_error_in_training_is_told_and_the_next_job_works(shared: Trainer) -> None:
+    pid = shared.pid
+    for number, change, why in (
+        (200, {"transitions": Transitions()}, "net 200 could not be trained: ValueError: nfq.iterate: no transitions"),
+        (201, {"transitions": "/nowhere/t.db"}, "net 201 could not be trained: StoreError: .*there is no store"),
+        (202, {"cost": lambda s, a, s_next: None}, "net 202: the job cannot be sent to a process"),
+    ):
+        shared.submit(job(number, **change))
+        result = until(shared.poll)
+        assert result.nets is None
+        assert re.match(why, result.fault)
+    before = shared._worker.nets
+    shared.submit(job(203))
+    assert same(until(shared.poll).nets, expected(203, before))
+    assert (shared.pid, shared.busy) == (pid, False)
+
+
+def test_neither_submit_nor_poll_waits_and_the_process_steps_back(own: Trainer, tmp_path: Path) -> None:
+    gate = Gate(tmp_path)
+    own.submit(job(1, cost=gate))
+    gate.wait_for_training(own.pid)
+    assert own.pid is not None
+    assert os.getpriority(os.PRIO_PROCESS, own.pid) >= os.getpriority(os.PRIO_PROCESS, 0) + 10
+    big = record(50_000)  # more than a pipe holds
+    for number in range(2, 20):  # would never return if any of it waited: the gate is closed
+        own.submit(job(number, transitions=big, cost=gate))
+        assert own.poll() is None
+        assert own.busy
+    own.close()
+
+
+def test_kill_9_while_training_is_told_and_made_good(own: Trainer, tmp_path: Path) -> None:
+    gate = Gate(tmp_path)
+    own.submit(job(1))
+    first = until(own.poll)
+    own.submit(job(2, cost=gate))
+    old = own.pid
+    gate.wait_for_training(old)
+    assert old is not None
+    os.kill(old, signal.SIGKILL)
+    assert own.poll() is None  # driving goes on
+    until(lambda: own.pid != old)
+    gate.wait_for_training(own.pid)  # the same job, in a new process
+    assert own.poll() is None
+    assert own.busy
+    (tmp_path / "go").touch()
+    result = until(own.poll)
+    assert result.fault == own.faults[0]
+    assert result.fault == f"training process {old} ended while training net 2 (killed by signal 9); restarted"
+    assert same(result.nets, nfq.iterate(record(), ACTIONS, BandCost(), FIT, nets_before=first.nets, seed=2))
+    own.submit(job(3))
+    assert same(until(own.poll).nets, expected(3, result.nets))
+
+
+def test_kill_9_while_idle_is_noticed_without_a_job(own: Trainer) -> None:
+    old = own.pid
+    assert old is not None
+    os.kill(old, signal.SIGKILL)
+    until(lambda: own.pid != old and own.faults)
+    assert own.faults == (f"training process {old} ended while idle (killed by signal 9); restarted",)
+    own.submit(job(1))
+    assert same(until(own.poll).nets, expected(1))
+
+
+def test_a_job_that_kills_its_process_is_given_up_and_the_next_one_works(own: Trainer) -> None:
+    own.submit(job(1, cost=Deadly()))
+    result = until(own.poll)
+    assert result.nets is None
+    assert result.fault.count("killed by signal 9") == 3
+    assert result.fault.endswith("net 1 is given up: the process died 3 times over it")
+    assert not own.busy
+    own.submit(job(2))
+    assert same(until(own.poll).nets, expected(2))
+
+
+def test_a_process_that_is_silent_for_too_long_is_replaced(tmp_path: Path) -> None:
+    with Trainer(patience=0.01) as trainer:
+        trainer.submit(job(1, cost=Gate(tmp_path)))
+        assert "given up" in until(trainer.poll).fault
+    with pytest.raises(ValueError, match="patience = 0"):
+        Trainer(patience=0.0)
+
+
+def test_ctrl_c_is_for_the_driver(own: Trainer, tmp_path: Path) -> None:
+    gate = Gate(tmp_path)
+    own.submit(job(1, cost=gate))
+    gate.wait_for_training(own.pid)
+    assert own.pid is not None
+    os.kill(own.pid, signal.SIGINT)
+    (tmp_path / "go").touch()
+    result: Result = until(own.poll)
+    assert result.nets is not None
+    assert own.faults == ()
+
+
+def test_close_ends_the_process_in_the_middle_of_a_job(tmp_path: Path) -> None:
+    trainer, gate = Trainer(), Gate(tmp_path)
+    trainer.submit(job(1, cost=gate))
+    gate.wait_for_training(trainer.pid)
+    trainer.close()
+    assert trainer.pid is not None
+    with pytest.raises(ProcessLookupError):
+        os.kill(trainer.pid, 0)
+    assert (trainer.poll(), trainer.faults) in ((None, ()), (Result(1, None, 0.0, "closed"), ()))
+    with pytest.raises(RuntimeError, match="closed; make a new one"):
+        trainer.submit(job(2))
+    trainer.close()
+
+
+def test_the_process_ends_with_its_parent() -> None:
+    code = """
+import sys, time
+from steerkit.learning.trainer import Trainer
+if __name__ == "__main__":
+    trainer = Trainer()
+    print(trainer.pid, flush=True)
+    time.sleep(1000)
+"""
+    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert parent.stdout is not None
+    child = int(parent.stdout.readline())
+    assert alive(child)
+    os.kill(parent.pid, signal.SIGKILL)
+    parent.wait()
+    until(lambda: not alive(child))
+
+
+def alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")")[1].split()[0] != "Z"
+    except OSError:
+        return False
