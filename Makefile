@@ -5,7 +5,7 @@ READY := $(VENV)/ready
 BIN := $(VENV)/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo bench test lint docs dist clean
+.PHONY: help setup demo bench test slips lint docs dist clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-6s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -22,6 +22,10 @@ bench: $(READY)  ## learned against analytic controllers, a ten-minute selection
 test: export OMP_NUM_THREADS = 1
 test: $(READY)  ## all tests, on two processes
 	$(BIN)/python -m pytest -n 2
+
+SLIPS ?=
+slips: $(READY)  ## put mistakes into copies of the code, one at a time: does a test notice? SLIPS="--only TEXT"
+	$(BIN)/python -m tests.support.mutate --jobs 2 $(SLIPS)
 
 lint: $(READY)  ## style, format and types
 	$(BIN)/ruff check
