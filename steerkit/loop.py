@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
-import graphlib
 import math
 import zipfile
 import zlib
@@ -14,13 +12,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from steerkit.block import Block, In, Out, Port, State
+from steerkit.block import Block, Port, State
 from steerkit.errors import WiringError
+from steerkit.wiring import Call, Place, Wire, Wiring, base_step, nearest
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Wire = tuple[Port, Port]
 Values = tuple[Any, ...]
 
 
@@ -55,15 +53,6 @@ class Sample(Mapping[str, Any]):
         return len(self._loop.units)
 
 
-@dataclasses.dataclass(frozen=True)
-class Call:
-    """One evaluation of `output` in a tick; `sources[n]` is (block, output) or None where not yet known."""
-
-    block: int
-    sources: tuple[tuple[int, int] | None, ...]
-    final: bool
-
-
 class Loop:
     """A diagram of blocks: built once, checked whole, run many ways.
 
@@ -81,16 +70,10 @@ class Loop:
     """
 
     def __init__(self, *, blocks: Mapping[str, Block], wires: Sequence[Wire], dt: float | None = None):
-        self.blocks = dict(blocks)
-        self.names = tuple(self.blocks)
-        self._list = tuple(self.blocks.values())
-        _check_blocks(self.blocks)
-        self._index = {id(block): i for i, block in enumerate(self._list)}
-        self.wires = tuple(self._checked(wire) for wire in wires)
-        self.source = self._sources()
-        self.dt, self.every = _base_step(self.blocks, dt)
+        self._wiring = Wiring(blocks, wires)
+        self.blocks, self.names, self.wires = dict(blocks), self._wiring.names, self._wiring.wires
+        self.dt, self.every = base_step(self.blocks, dt)
         self.period = math.lcm(*self.every)
-        self.calls = self._schedule()
         self.units = {f"{name}.{out.name}": out.unit for name, block in self.blocks.items() for out in block.outputs}
         self._where = {
             f"{name}.{out.name}": (i, j)
@@ -98,23 +81,38 @@ class Loop:
             for j, out in enumerate(block.outputs)
         }
         patterns = [tuple([phase % n == 0 for n in self.every]) for phase in range(self.period)]
-        ticks = {due: self._compile_tick(due) for due in set(patterns)}
+        ticks = {due: self._wiring.tick(due) for due in set(patterns)}
         self._phases = [ticks[due] for due in patterns]
 
     # ---- asking ---------------------------------------------------------------------------------------------
 
     def port_name(self, port: Port) -> str:
         """`"car.v"` for `car.v`; raises KeyError when the block is not in this loop."""
-        if id(port.block) not in self._index:
-            raise KeyError(f"{port!r} belongs to a block that is not in this loop (blocks: {', '.join(self.names)})")
-        return f"{self.names[self._index[id(port.block)]]}.{port.spec.name}"
+        return self._wiring.port_name(port)
 
     def locate(self, key: str | Port) -> tuple[int, int]:
-        """(block, output) numbers of a signal; raises KeyError with the nearest name."""
+        """(number of the block, number of its output) of a signal: `y[i][j]` is its value.
+
+        Raises KeyError with the nearest name.
+        """
         name = key if isinstance(key, str) else self.port_name(key)
         if name not in self._where:
-            raise KeyError(f"no signal '{name}'{_nearest(name, self._where)}; signals: {', '.join(self._where)}")
+            raise KeyError(f"no signal '{name}'{nearest(name, self._where)}; signals: {', '.join(self._where)}")
         return self._where[name]
+
+    def inputs_of(self, name: str) -> dict[str, str]:
+        """The signal that drives each input of a block, in the block's order: `{"e": "path.e", ...}`."""
+        i, block = self._number(name), self.blocks[name]
+        return {port.name: self._signal(self._wiring.source[i, port.name]) for port in block.inputs}
+
+    @property
+    def order(self) -> tuple[str, ...]:
+        """The blocks in the order in which all of their direct inputs are known within a tick."""
+        return tuple(self.names[call.block] for call in self._wiring.calls if call.final)
+
+    def sample(self, state: LoopState) -> Sample:
+        """The outputs that a state holds: those of the tick before it, or of the first one in a state of `init`."""
+        return Sample(self, max(0, state.k - 1) * self.dt, state.y)
 
     def __repr__(self) -> str:
         return f"Loop({', '.join(self.names)}; {len(self.wires)} wires; dt = {self.dt:g} s)"
@@ -142,7 +140,9 @@ class Loop:
     def init(self, *, batch: int | None = None, x: Sequence[State] | None = None) -> LoopState:
         """The state at t = 0, of one car or of `batch` cars; each block settles on its first inputs.
 
-        x: the blocks' states to settle from, in the order of the blocks, instead of their own `init`.
+        x: the blocks' states to settle from, in the order of the blocks, instead of their own `init`. Where a block's
+        outputs are needed before it can settle, and settling changes them, all settle once more; raises WiringError
+        when that comes to no end.
         """
         if batch is not None and batch < 1:
             raise ValueError(f"Loop.init: batch = {batch}, expected a number of cars >= 1, or None for one car")
@@ -151,24 +151,25 @@ class Loop:
                 if not block.pure:
                     raise TypeError(f"{name} ({type(block).__name__}) is not pure: it cannot be batched, only stepped")
         shape = () if batch is None else (batch,)
-        x = [block.init(shape) for block in self._list] if x is None else list(x)
-        y: list[Any] = [None] * len(x)
-        for call in self.calls:
-            block = self._list[call.block]
-            u = block.D(*[math.nan if s is None else y[s[0]][s[1]] for s in call.sources])
-            try:
-                if call.final:
-                    x[call.block] = block.settle(0.0, x[call.block], u)
-                y[call.block] = block.output(0.0, x[call.block], u)
-            except AttributeError as error:
-                if error.obj is not u:
-                    raise
-                raise WiringError(
-                    f"{self.names[call.block]}.output read '{error.name}', which is not one of its direct inputs "
-                    f"({', '.join(block.D._fields) or 'none'}); declare the port direct or move the use to update"
-                ) from None
-            self._check_outputs(call, y[call.block], u)
-        return LoopState(0, tuple(x), tuple(y))
+        start = [block.init(shape) for block in self._wiring.blocks] if x is None else list(x)
+        settled = start
+        for _ in range(len(start) + 1):
+            settled, y, changed = self._settle_all(start, settled)
+            if not changed:
+                return LoopState(0, tuple(settled), tuple(y))
+        raise WiringError(
+            f"{changed} is needed before its block can settle, and is another one after it has, however often all "
+            "blocks settle; make it independent of what `settle` finds"
+        )
+
+    def settled(self, name: str, y: Sequence[Values]) -> State:
+        """The state of a block as it would start if `y` (the outputs of all blocks, of one car) were the first sample.
+
+        For a block that begins anew in a loop that goes on: `x[i] = loop.settled("controller", y)`.
+        """
+        i, block = self._number(name), self.blocks[name]
+        sources = [self._wiring.source[i, port.name] for port in block.inputs if port.direct]
+        return block.settle(0.0, block.init(), block.D(*[y[a][b] for a, b in sources]))
 
     def step(self, state: LoopState) -> tuple[LoopState, Sample]:
         """One tick: the outputs at t = state.k*dt and the state one base step later."""
@@ -187,7 +188,7 @@ class Loop:
 
     def with_block(self, name: str, block: Block) -> Loop:
         """The same loop with one block replaced by another that has the same ports; states carry over."""
-        old = self.blocks[self._known(name)]
+        old = self.blocks[self.names[self._number(name)]]
 
         def moved(port: Port) -> Port:
             return getattr(block, port.spec.name) if port.block is old else port
@@ -200,17 +201,17 @@ class Loop:
 
     def block_state(self, state: LoopState, name: str) -> State:
         """The state of one block inside a loop state."""
-        return state.x[self.names.index(self._known(name))]
+        return state.x[self._number(name)]
 
     def with_block_state(self, state: LoopState, name: str, x: State) -> LoopState:
         """`state` with one block's state replaced."""
-        i = self.names.index(self._known(name))
+        i = self._number(name)
         return dataclasses.replace(state, x=(*state.x[:i], x, *state.x[i + 1 :]))
 
     def save_state(self, state: LoopState, file: str | FilePath) -> None:
         """Write a loop state to a NumPy .npz file, bit for bit."""
         arrays = {"k": np.array(state.k)}
-        for name, block, x, y in zip(self.names, self._list, state.x, state.y):
+        for name, block, x, y in zip(self.names, self._wiring.blocks, state.x, state.y):
             arrays[f"x.{name}"] = _packed(x)
             arrays |= {f"y.{name}.{out.name}": _packed(value) for out, value in zip(block.outputs, y)}
         with FilePath(file).open("wb") as stream:  # a stream, since savez would append .npz to a name
@@ -234,129 +235,42 @@ class Loop:
             y.append(block.Y(*[_unpacked(value, vector=vector) for value, vector in ports]))
         return LoopState(int(stored["k"]), tuple(x), tuple(y))
 
-    # ---- building -------------------------------------------------------------------------------------------
+    # ---- inside ---------------------------------------------------------------------------------------------
 
-    def _known(self, name: str) -> str:
+    def _number(self, name: str) -> int:
         if name not in self.blocks:
-            raise KeyError(f"no block '{name}'{_nearest(name, self.names)}; blocks: {', '.join(self.names)}")
-        return name
+            raise KeyError(f"no block '{name}'{nearest(name, self.names)}; blocks: {', '.join(self.names)}")
+        return self.names.index(name)
 
-    def _label(self, port: Port) -> str:
-        return f"{self.port_name(port)} [{port.spec.unit}]"
+    def _signal(self, place: Place) -> str:
+        i, j = place
+        return f"{self.names[i]}.{self._wiring.blocks[i].outputs[j].name}"
 
-    def _checked(self, wire: Any) -> Wire:
-        if not (isinstance(wire, tuple) and len(wire) == 2 and all(isinstance(p, Port) for p in wire)):
-            raise WiringError(f"wire {wire!r}: expected a pair of ports such as (car.v, stanley.v)")
-        a, b = wire
-        for port in wire:
-            if id(port.block) not in self._index:
+    def _settle_all(self, start: list[State], before: list[State]) -> tuple[list[State], list[Values], str]:
+        """All blocks settled from their states `start`, their outputs, and the first output, by name, that was handed
+        on as of the states `before` and is another one now."""
+        x, y, early = list(start), list[Any]([None] * len(start)), dict[Place, Any]()
+        for call in self._wiring.calls:
+            i, block = call.block, self._wiring.blocks[call.block]
+            u = block.D(*[math.nan if s is None else y[s[0]][s[1]] for s in call.sources])
+            try:
+                if call.final:
+                    x[i] = block.settle(0.0, x[i], u)
+                y[i] = block.output(0.0, x[i] if call.final else before[i], u)
+            except AttributeError as error:
+                if error.obj is not u:
+                    raise
                 raise WiringError(
-                    f"wire {a!r} -> {b!r}: {type(port.block).__name__} is not in the loop; "
-                    f"blocks: {', '.join(self.names)}"
-                )
-        text = f"wire {self._label(a)} -> {self._label(b)}"
-        if not isinstance(a.spec, Out) or not isinstance(b.spec, In):
-            raise WiringError(f"{text}: a wire goes from an output to an input, here {a.spec.kind} to {b.spec.kind}")
-        if a.spec.unit != b.spec.unit:
-            raise WiringError(f"{text}: units differ")
-        if a.size != b.size:
-            raise WiringError(f"{text}: sizes differ ({a.size or 'scalar'} and {b.size or 'scalar'})")
-        return a, b
-
-    def _sources(self) -> dict[tuple[int, str], tuple[int, int]]:
-        source: dict[tuple[int, str], tuple[int, int]] = {}
-        labels: dict[tuple[int, str], str] = {}
-        for a, b in self.wires:
-            key = (self._index[id(b.block)], b.spec.name)
-            if key in source:
-                raise WiringError(f"{self._label(b)} has two sources: {labels[key]} and {self._label(a)}")
-            outputs = [out.name for out in a.block.outputs]
-            source[key] = (self._index[id(a.block)], outputs.index(a.spec.name))
-            labels[key] = self._label(a)
-        for i, block in enumerate(self._list):
-            for port in block.inputs:
-                if (i, port.name) not in source:
-                    fit = [f"{n}.{o.name}" for n, b in self.blocks.items() for o in b.outputs if o.unit == port.unit]
-                    raise WiringError(
-                        f"{self.names[i]}.{port.name} [{port.unit}] is not driven; "
-                        f"outputs with that unit: {', '.join(fit) or 'none'}"
-                    )
-        return source
-
-    def _schedule(self) -> tuple[Call, ...]:
-        """Order of the `output` calls. A block that feeds itself through outputs that do not depend on the input
-        in question is called twice: first for those outputs (its unknown inputs are NaN), then for all."""
-        self._check_algebraic_loops()
-        known: set[tuple[int, int]] = set()
-        calls: list[Call] = []
-        waiting = list(range(len(self._list)))
-
-        def sources(i: int) -> list[tuple[int, int]]:
-            return [self.source[i, p.name] for p in self._list[i].inputs if p.direct]
-
-        def early(i: int) -> list[int]:
-            """Outputs of i that can be had now and are not yet."""
-            block = self._list[i]
-            return [
-                j
-                for j, out in enumerate(block.outputs)
-                if out.direct is not None
-                and (i, j) not in known
-                and all(self.source[i, p.name] in known for p in out.direct if p.direct)
-            ]
-
-        while waiting:
-            i = next((i for i in waiting if all(s in known for s in sources(i))), None)
-            final = i is not None
-            if i is None:
-                i = next(i for i in waiting if early(i))
-                known.update((i, j) for j in early(i))
-            else:
-                waiting.remove(i)
-            calls.append(Call(i, tuple(s if final or s in known else None for s in sources(i)), final))
-            if final:
-                known.update((i, j) for j in range(len(self._list[i].outputs)))
-        return tuple(calls)
-
-    def _check_algebraic_loops(self) -> None:
-        graph: dict[str, list[str]] = {}
-        for (i, name), (j, out) in self.source.items():
-            graph[f"{self.names[i]}.{name}"] = [f"{self.names[j]}.{self._list[j].outputs[out].name}"]
-        for name, block in self.blocks.items():
-            for port in block.outputs:
-                direct = block.inputs if port.direct is None else port.direct
-                graph[f"{name}.{port.name}"] = [f"{name}.{p.name}" for p in direct if p.direct]
-        try:
-            graphlib.TopologicalSorter(graph).prepare()
-        except graphlib.CycleError as error:
-            raise WiringError(
-                f"algebraic loop: {' -> '.join(error.args[1])}; make one of these inputs direct=False, "
-                "or put a block with a state between"
-            ) from None
-
-    def _compile_tick(self, due: tuple[bool, ...]) -> Any:
-        """One tick as a straight run of Python calls: nothing is looked up that can be known beforehand."""
-        lines = ["def tick(t, x, y):", "    pass"]
-        scope: dict[str, Any] = {"nan": math.nan}
-
-        def value(source: tuple[int, int] | None) -> str:
-            return "nan" if source is None else f"y[{source[0]}][{source[1]}]"
-
-        for call in self.calls:
-            i = call.block
-            if due[i]:
-                args = ", ".join(value(s) for s in call.sources)
-                lines.append(f"    y[{i}] = output{i}(t, x[{i}], D{i}({args}))")
-        for i, block in enumerate(self._list):
-            scope |= {f"output{i}": block.output, f"update{i}": block.update, f"D{i}": block.D, f"U{i}": block.U}
-            if due[i]:
-                args = ", ".join(value(self.source[i, p.name]) for p in block.inputs)
-                lines.append(f"    x[{i}] = update{i}(t, x[{i}], U{i}({args}), y[{i}])")
-        exec("\n".join(lines), scope)
-        return scope["tick"]
+                    f"{self.names[i]}.output read '{error.name}', which is not one of its direct inputs "
+                    f"({', '.join(block.D._fields) or 'none'}); declare the port direct or move the use to update"
+                ) from None
+            self._check_outputs(call, y[i], u)
+            early |= {(i, j): y[i][j] for j in call.early}
+        changed = [place for place, value in early.items() if not _same(value, y[place[0]][place[1]])]
+        return x, y, self._signal(changed[0]) if changed else ""
 
     def _check_outputs(self, call: Call, y: Any, u: Any) -> None:
-        name, block = self.names[call.block], self._list[call.block]
+        name, block = self.names[call.block], self._wiring.blocks[call.block]
         if len(y) != len(block.outputs):
             raise WiringError(f"{name}.output gave {len(y)} values, expected {len(block.outputs)}: {block.Y._fields}")
         unknown = {field for field, s in zip(u._fields, call.sources) if s is None}
@@ -371,41 +285,6 @@ class Loop:
                 )
 
 
-def _check_blocks(blocks: Mapping[str, Block]) -> None:
-    if not blocks:
-        raise WiringError("a loop needs at least one block")
-    seen: dict[int, str] = {}
-    for name, block in blocks.items():
-        if not isinstance(name, str) or not name.isidentifier():
-            raise WiringError(f"block name {name!r}: expected a Python identifier such as 'car'")
-        if not isinstance(block, Block):
-            raise WiringError(f"block '{name}' is a {type(block).__name__}, expected a Block")
-        if id(block) in seen:
-            raise WiringError(f"'{seen[id(block)]}' and '{name}' are the same block object; make a second one")
-        seen[id(block)] = name
-
-
-def _base_step(blocks: Mapping[str, Block], dt: float | None) -> tuple[float, tuple[int, ...]]:
-    base = min(block.dt for block in blocks.values()) if dt is None else dt
-    if not (math.isfinite(base) and base > 0.0):
-        raise WiringError(f"base sample time {base} s, expected a finite number > 0")
-    every = []
-    for name, block in blocks.items():
-        ratio = block.dt / base
-        if not math.isfinite(ratio) or round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-9 * ratio:
-            raise WiringError(
-                f"sample time of {name} is {block.dt:g} s, not a whole multiple of the base step {base:g} s; "
-                f"sample times: {', '.join(f'{n} {b.dt:g} s' for n, b in blocks.items())}"
-            )
-        every.append(round(ratio))
-    return base, tuple(every)
-
-
-def _nearest(name: str, names: Any) -> str:
-    near = difflib.get_close_matches(name, list(names), n=1)
-    return f"; did you mean '{near[0]}'?" if near else ""
-
-
 def read_npz(file: str | FilePath, where: str) -> dict[str, np.ndarray]:
     """The arrays in a NumPy .npz file; raises ValueError, in the name of `where`, for any other or a broken file."""
     try:
@@ -415,6 +294,12 @@ def read_npz(file: str | FilePath, where: str) -> dict[str, np.ndarray]:
         raise
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error) as error:
         raise ValueError(f"{where}: {file} is no NumPy .npz file, or a broken one ({error})") from error
+
+
+def _same(a: Any, b: Any) -> bool:
+    """Are two outputs equal, NaN to NaN, one number standing for all cars?"""
+    first, second = np.broadcast_arrays(np.asarray(a, dtype=float), np.asarray(b, dtype=float))
+    return bool(np.array_equal(first, second, equal_nan=True))
 
 
 def _packed(values: Any) -> np.ndarray:

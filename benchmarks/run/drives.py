@@ -90,7 +90,7 @@ def drive(
     else:
         steers, doe = policy.block, policy.doe
     loop = scenario.loop(path, steers, doe=doe, seed=seed)
-    inputs = _inputs(loop) if timed_steps else {}
+    inputs = loop.inputs_of("controller") if timed_steps else {}
     log = _driven(scenario, form, path, loop, name, policy is not None, tuple(inputs.values()))
     metrics, trajectory = judged(log, scenario, path, loop)
     if timed_steps:
@@ -187,17 +187,6 @@ def _front_error(loop: Loop, log: Log, path: Path, end: int, l_f: float) -> Any:
     pose = (log["car.x"][:end], log["car.y"][:end], log["car.psi"][:end], nothing, nothing, nothing)
     u = front.U(*pose)
     return front.output(0.0, front.settle(0.0, front.init((end,)), u), u).e
-
-
-def _inputs(loop: Loop) -> dict[str, str]:
-    """The controller's inputs and the signals that drive them."""
-    index = loop.names.index("controller")
-    found = {}
-    for port in loop.blocks["controller"].inputs:
-        i, j = loop.source[index, port.name]
-        source = loop.blocks[loop.names[i]]
-        found[port.name] = f"{loop.names[i]}.{source.outputs[j].name}"
-    return found
 
 
 def _timed(block: Block, log: Log, inputs: dict[str, str], steps: int) -> list[float]:

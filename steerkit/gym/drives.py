@@ -68,9 +68,9 @@ class Drives:
         """Put the cars of these numbers where they were drawn."""
         start = self.task.starts(draws)
         self._cars.put(cars, start)
+        first = self.task.loop.sample(start)
         for row, name in enumerate(self._signals):
-            i, j = self.task.loop.locate(name)
-            self._values[row, cars] = start.y[i][j]
+            self._values[row, cars] = first[name]
         self.steps[cars], self._cost[cars] = 0, 0.0
 
     def step(self, actions: Array) -> Outcome:

@@ -298,8 +298,7 @@ class Task:
         car = loop.blocks["car"]
         if not isinstance(x["car"], SingleTrackState):
             return first
-        i, j = loop.locate("driver.v")
-        v, c, kappa = first.y[i][j], car.vehicle, self.path.kappa(s)  # type: ignore[attr-defined]
+        v, c, kappa = loop.sample(first)["driver.v"], car.vehicle, self.path.kappa(s)  # type: ignore[attr-defined]
         r = v * kappa
         beta = (c.l_r - c.m * v**2 * c.l_f / (c.c_r * c.wheelbase)) * kappa
         wheel = c.steer_ratio * (c.wheelbase + c.understeer_gradient * v**2) * kappa

@@ -156,9 +156,7 @@ class LearningRun:
         self.x, self.y = list(start.x), list(start.y)
         self.ticks = round(self.policy.dt / self.loop.dt)
         self.before: tuple[Any, float] | None = None
-        controller = self.loop.names.index("controller")
-        self._inputs = [self.loop.source[controller, name] for name in self.description.names]
-        self._at = {name: self.loop.locate(name) for name in SIGNALS}
+        self._inputs = self.loop.inputs_of("controller")
         self.recorder = Recorder(self.loop, SIGNALS)
 
     # ---- the story ------------------------------------------------------------------------------------------
@@ -210,7 +208,7 @@ class LearningRun:
             self._back_to_the_start()
 
     def _record_transition(self, learning: bool) -> None:
-        s = tuple([self.y[i][j] for i, j in self._inputs])
+        s = tuple([self._value(self._inputs[name]) for name in self.description.names])
         if self.before is not None:
             self.transitions.append(*self.before, s, episode=len(self.counts.episodes))
         self.before = (s, self._value("controller.action")) if learning else None
@@ -224,9 +222,10 @@ class LearningRun:
 
     def _put_back(self, s: float) -> None:
         """The car stands on the path at s [m] again, with the driver's mood unchanged."""
-        driver, loop = self.loop.names.index("driver"), self.loop
+        loop, driver = self.loop, self.loop.block_state(self.state, "driver")
         start = loop.with_block("car", self.experiment.world.car(self.path, s=s)).init()
-        self.x, self.y = [*start.x[:driver], self.x[driver], *start.x[driver + 1 :]], list(start.y)
+        start = loop.with_block_state(start, "driver", driver)
+        self.x, self.y = list(start.x), list(start.y)
         self.before = None
 
     def _train(self, *, waiting: bool) -> None:
@@ -269,7 +268,7 @@ class LearningRun:
 
     def _calm(self) -> bool:
         """Is the car quiet enough on the path for a new driver?"""
-        e, e_dot = (self.y[i][j] for i, j in (self._inputs[self.description.names.index(n)] for n in ("e", "e_dot")))
+        e, e_dot = (self._value(self._inputs[name]) for name in ("e", "e_dot"))
         return abs(e_dot) < self.experiment.setting.calm and (abs(e) < 0.1 or math.isinf(self.experiment.setting.calm))
 
     def set_policy(self, policy: NfqPolicy) -> None:
@@ -291,7 +290,7 @@ class LearningRun:
     # ---- counting -------------------------------------------------------------------------------------------
 
     def _value(self, signal: str) -> float:
-        i, j = self._at[signal]
+        i, j = self.loop.locate(signal)
         return self.y[i][j]
 
     def _episode(self) -> Episode | None:

@@ -58,22 +58,14 @@ class Follow:
         if lost:
             run.restart(self.resting.init())
         elif not self.engaged:
-            _settle(run)
+            for name in ("controller", "recovery"):
+                if name in run.loop.blocks:
+                    run.x[run.loop.names.index(name)] = run.loop.settled(name, run.y)
         return lost
 
     def choose(self, run: Run) -> None:
         """The loop of the next sample."""
         run.loop = self.driving if self.engaged and self.trusted else self.resting
-
-
-def _settle(run: Run) -> None:
-    """The controllers' states as they would be before a first sample like this one."""
-    loop = run.loop
-    for call in loop.calls:
-        if call.final and loop.names[call.block] in ("controller", "recovery"):
-            block = loop.blocks[loop.names[call.block]]
-            u = block.D(*[math.nan if s is None else run.y[s[0]][s[1]] for s in call.sources])
-            run.x[call.block] = block.settle(0.0, block.init(), u)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -100,12 +100,7 @@ class CarLearner:
         self._before: tuple[Any, float, int] | None = None
         self._idle = build(replace(policy, ready_from=math.inf), setting.element())
         self.follow = Follow(link=link, resting=self._idle, driving=self._with(policy))
-        controller = self._idle.names.index("controller")
-        self._inputs = [self._idle.source[controller, name] for name in self.description.names]
-        self._at = {
-            n: self._idle.locate(n)
-            for n in ("supervisor.learning", "supervisor.tripped", "controller.action", "path.progress", "path.e")
-        }
+        self._inputs = self._idle.inputs_of("controller")
 
     def run(self, duration: float, *, clock: Clock | None = None, watch: Callable[[Run], bool] | None = None) -> Run:
         """Drive and learn for `duration` [s]; the human engages when it is time."""
@@ -167,7 +162,7 @@ class CarLearner:
         )
 
     def _record(self, live: Run, learning: bool) -> None:
-        s = tuple([live.y[i][j] for i, j in self._inputs])
+        s = tuple([self._value(live, self._inputs[name]) for name in self.description.names])
         if self._before is not None and self._before[2] == live.k - 1 and all(map(math.isfinite, s)):
             before, action, _ = self._before
             self.transitions.append(before, action, s, self.episode)
@@ -229,7 +224,7 @@ class CarLearner:
         return self._idle.with_block("controller", Guarded(block=policy))
 
     def _value(self, live: Run, signal: str) -> float:
-        i, j = self._at[signal]
+        i, j = self._idle.locate(signal)
         return live.y[i][j]
 
     def close(self) -> None:

@@ -78,8 +78,7 @@ class Session:
     def watch(self, run: Run) -> bool:
         """Called after every step."""
         self.timing = run.timing
-        i, j = run.loop.source[run.loop.names.index("car"), "delta_sw_in"]
-        self.asked = run.y[i][j]
+        self.asked = run.sample[run.loop.inputs_of("car")["delta_sw_in"]]
         if "supervisor" in run.loop.blocks:
             self.learner_steers = run.sample["supervisor.learning"] > 0.5
         return self.ending

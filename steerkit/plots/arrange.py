@@ -82,7 +82,7 @@ def arrange(loop: Loop) -> Diagram:
     """The picture of a loop."""
     boxes = tuple(_box(loop, i) for i in range(len(loop.names)))
     nets = _nets(loop)
-    layer = _layers(len(boxes), nets, tuple(call.block for call in loop.calls if call.final))
+    layer = _layers(len(boxes), nets, tuple(loop.names.index(name) for name in loop.order))
     return _Router(boxes, nets, layer).diagram()
 
 
@@ -109,10 +109,11 @@ def _box(loop: Loop, i: int) -> Box:
 
 
 def _nets(loop: Loop) -> list[_Net]:
-    nets: dict[tuple[int, int], _Net] = {}
-    for (sink, port), (source, out) in loop.source.items():
-        name = loop.blocks[loop.names[source]].outputs[out].name
-        nets.setdefault((source, out), _Net(source, name, [])).sinks.append((sink, port))
+    nets: dict[tuple[int, str], _Net] = {}
+    number = {id(block): i for i, block in enumerate(loop.blocks.values())}
+    for a, b in loop.wires:
+        source, out = number[id(a.block)], a.spec.name
+        nets.setdefault((source, out), _Net(source, out, [])).sinks.append((number[id(b.block)], b.spec.name))
     return list(nets.values())
 
 

@@ -17,7 +17,7 @@ ROOT = Path(steerkit.__file__).parent
 HEAVY = ("torch", "casadi", "control", "matplotlib", "pandas", "pyarrow")
 
 BASE = {"units", "maths", "random", "clock", "errors", "files", "native"}
-RUN = BASE | {"block", "loop", "simulation"}
+RUN = BASE | {"block", "wiring", "loop", "simulation"}
 PLACES = BASE | {"block", "vehicles", "path", "courses"}
 PARTS = PLACES | {"tracker", "doe", "controllers", "plants"}
 MAY_IMPORT: dict[str, set[str]] = {
@@ -29,7 +29,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "errors": {"units"},
     "random": {"errors", "maths"},
     "block": BASE,
-    "loop": BASE | {"block"},
+    "wiring": BASE | {"block"},
+    "loop": BASE | {"block", "wiring"},
     "simulation": RUN,
     "realtime": RUN,
     "vehicles": BASE,

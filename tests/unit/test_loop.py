@@ -1,28 +1,23 @@
-"""Loops: every mistake in the wiring is told when the loop is built; ticks, rates and states are exact."""
+"""Loops: what they answer, how they settle; ticks, rates and states are exact."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 
+from steerkit import maths as m
 from steerkit.block import Block, In, Out
 from steerkit.controllers.supervisor import Guarded
 from steerkit.doe import Integrator
 from steerkit.errors import WiringError
 from steerkit.loop import Loop
 from steerkit.simulation import simulate
-from tests.support.parts import Angle, Count, Delay, Gain, Pair, Sum, Wave
-
-
-def refused(message: str, **loop: Any) -> None:
-    with pytest.raises(WiringError, match=re.escape(message)):
-        Loop(**loop)
+from tests.support.parts import Count, Delay, Gain, Pair, Sum, Wave
 
 
 def chain(**rates: float) -> Loop:
@@ -32,104 +27,7 @@ def chain(**rates: float) -> Loop:
     return Loop(blocks={"count": count, "gain": gain, "total": total, "late": late}, wires=wires, **rates)
 
 
-# ---- wiring errors ------------------------------------------------------------------------------------------------
-
-
-def test_units_differ() -> None:
-    angle, gain, count = Angle(), Gain(), Count()
-    refused(
-        "wire angle.angle [rad] -> gain.u [m]: units differ",
-        blocks={"angle": angle, "gain": gain, "count": count},
-        wires=[(count.n, angle.u), (angle.angle, gain.u)],
-    )
-
-
-def test_sizes_differ() -> None:
-    count, pair, gain = Count(), Pair(), Gain()
-    refused(
-        "wire pair.both [m] -> gain.u [m]: sizes differ (2 and scalar)",
-        blocks={"count": count, "pair": pair, "gain": gain},
-        wires=[(count.n, pair.u), (pair.both, gain.u)],
-    )
-
-
-def test_an_input_is_not_driven_and_the_candidates_are_named() -> None:
-    count, gain, angle = Count(), Gain(), Angle()
-    refused(
-        "gain.u [m] is not driven; outputs with that unit: count.n, gain.y",
-        blocks={"count": count, "gain": gain, "angle": angle},
-        wires=[(count.n, angle.u)],
-    )
-    refused(
-        "doe.action [rad] is not driven; outputs with that unit: doe.delta_sw, doe.state",
-        blocks={"doe": Integrator()},
-        wires=[],
-    )
-    refused("gain.u [m] is not driven; outputs with that unit: gain.y", blocks={"gain": Gain()}, wires=[])
-
-
-def test_an_input_has_two_sources() -> None:
-    count, other, gain = Count(), Count(), Gain()
-    refused(
-        "gain.u [m] has two sources: count.n [m] and other.n [m]",
-        blocks={"count": count, "other": other, "gain": gain},
-        wires=[(count.n, gain.u), (other.n, gain.u)],
-    )
-
-
-def test_an_unknown_port_is_answered_with_the_nearest_name() -> None:
-    with pytest.raises(AttributeError, match=r"Integrator has no port or parameter 'aplied'; did you mean 'applied'\?"):
-        _ = Integrator().aplied
-    with pytest.raises(AttributeError, match=r"\(inputs: none; outputs: n\)"):
-        _ = Count().qqq
-
-
-def test_a_block_is_not_in_the_loop() -> None:
-    count, gain, stranger = Count(), Gain(), Count()
-    refused(
-        "wire Count.n [m] -> Gain.u [m]: Count is not in the loop; blocks: count, gain",
-        blocks={"count": count, "gain": gain},
-        wires=[(stranger.n, gain.u)],
-    )
-
-
-def test_the_same_block_twice() -> None:
-    count = Count()
-    refused("'a' and 'b' are the same block object; make a second one", blocks={"a": count, "b": count}, wires=[])
-
-
-def test_a_wire_runs_the_wrong_way_or_is_no_wire() -> None:
-    count, gain = Count(), Gain()
-    both: dict[str, Any] = {"blocks": {"count": count, "gain": gain}}
-    refused("a wire goes from an output to an input, here input to output", wires=[(gain.u, count.n)], **both)
-    refused("a wire goes from an output to an input, here output to output", wires=[(gain.y, count.n)], **both)
-    for nonsense in ("count.n", (count.n,), (Count.n, gain.u), [count.n, gain.u], count.n):
-        refused("expected a pair of ports such as (car.v, stanley.v)", wires=[nonsense], **both)
-
-
-def test_blocks_are_blocks_with_names() -> None:
-    refused("a loop needs at least one block", blocks={}, wires=[])
-    refused("block 'count' is a type, expected a Block", blocks={"count": Count}, wires=[])
-    refused("block name 'my count': expected a Python identifier", blocks={"my count": Count()}, wires=[])
-
-
-def test_an_algebraic_loop_is_printed() -> None:
-    a, b = Gain(), Gain()
-    with pytest.raises(WiringError, match="algebraic loop: ") as caught:
-        Loop(blocks={"a": a, "b": b}, wires=[(a.y, b.u), (b.y, a.u)])
-    path = str(caught.value).removeprefix("algebraic loop: ").split(";")[0].split(" -> ")
-    assert path[0] == path[-1]
-    ring = ["a.y", "a.u", "b.y", "b.u"]
-    assert sorted(path[1:]) == sorted(ring)
-    steps = set(pairwise(path))
-    assert steps in ({*zip(ring, ring[1:] + ring[:1])}, {*zip(ring[1:] + ring[:1], ring)})
-    assert "direct=False" in str(caught.value)
-
-
-def test_a_block_that_feeds_itself() -> None:
-    gain, total = Gain(), Sum()
-    refused("algebraic loop: ", blocks={"gain": gain}, wires=[(gain.y, gain.u)])
-    Loop(blocks={"total": total}, wires=[(total.total, total.u)])
+# ---- the first sample ---------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -205,20 +103,6 @@ def test_outputs_are_counted_on_the_first_sample() -> None:
     count, pair = Count(), Pair(entries=3)
     with pytest.raises(WiringError, match=re.escape("pair.both has 2 entries, expected 3")):
         Loop(blocks={"count": count, "pair": pair}, wires=[(count.n, pair.u)]).init()
-
-
-def test_sample_times_have_to_divide() -> None:
-    with pytest.raises(WiringError, match=r"sample time of slow is 0.05 s, not a whole multiple of the base step 0.02"):
-        Loop(blocks={"fast": Count(dt=0.02), "slow": Count(dt=0.05)}, wires=[])
-    for bad in (0.0, -0.01, float("nan"), float("inf")):
-        refused("expected a finite number > 0", blocks={"count": Count()}, wires=[], dt=bad)
-    refused("sample time of count is nan s", blocks={"a": Count(), "count": Count(dt=float("nan"))}, wires=[], dt=0.05)
-    assert Loop(blocks={"fast": Count(dt=0.02), "slow": Count(dt=0.05)}, wires=[], dt=0.01).every == (2, 5)
-
-
-def test_unknown_units_are_refused_when_a_block_is_written() -> None:
-    with pytest.raises(ValueError, match=r"unit 'deg' is not known; SI and radians only, one of 1, 1/\(m s\), "):
-        In("deg")
 
 
 # ---- ticks --------------------------------------------------------------------------------------------------------
@@ -311,6 +195,58 @@ def test_blocks_settle_on_their_first_inputs() -> None:
     loop = Loop(blocks={"settler": settler, "gain": gain, "wave": wave}, wires=wires)
     assert loop.block_state(loop.init(), "settler") == (6.0,)
     assert simulate(loop, 0.1)["settler.y"].tolist() == [6.0, 6.0]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Rolling(Block):
+    """Settles on what pulls it, and shows its state before it knows that pull."""
+
+    pull = In("m")
+    place = Out("m", direct=())
+    share: float = 1.0
+
+    def init(self, batch: tuple[int, ...] = ()) -> Any:
+        return (m.filled(0.0, batch),)
+
+    def settle(self, t: Any, x: Any, u: Any) -> Any:
+        return (self.share * u.pull,)
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        return self.Y(x[0])
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Hill(Block):
+    """Pulls by 1 m and a part of the place; remembers the place that it settled on."""
+
+    place = In("m")
+    pull = Out("m")
+
+    part: float = 0.0
+
+    def settle(self, t: Any, x: Any, u: Any) -> Any:
+        return (u.place,)
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        return self.Y(1.0 + self.part * u.place)
+
+
+def rolling(part: float) -> Loop:
+    ball, hill = Rolling(), Hill(part=part)
+    return Loop(blocks={"ball": ball, "hill": hill}, wires=[(ball.place, hill.place), (hill.pull, ball.pull)])
+
+
+@pytest.mark.parametrize("batch", [None, 3])
+def test_blocks_settle_on_outputs_as_they_are_once_settled(batch: int | None) -> None:
+    loop = rolling(part=0.0)
+    state = loop.init(batch=batch)
+    assert np.all(np.array(state.x) == 1.0), "the hill has settled on where the ball was before it rolled"
+    assert np.all(np.array(loop.step(state)[1]["hill.pull"]) == 1.0)
+
+
+def test_settling_without_end_is_an_error() -> None:
+    with pytest.raises(WiringError, match=r"ball\.place is needed before its block can settle, and is another one"):
+        rolling(part=1.0).init()
 
 
 # ---- states -------------------------------------------------------------------------------------------------------
@@ -425,6 +361,40 @@ def test_signals_are_found_by_name_and_by_port() -> None:
         loop.locate("gain.z")
     with pytest.raises(KeyError, match=re.escape("Count.n [m] belongs to a block that is not in this loop")):
         loop.locate(Count().n)
+
+
+def test_a_loop_says_what_drives_a_block_and_in_which_order_blocks_compute() -> None:
+    doe, picker = Integrator(), Picker()
+    wires = [(doe.state, picker.state), (picker.action, doe.action), (doe.delta_sw, doe.applied)]
+    loop = Loop(blocks={"doe": doe, "picker": picker}, wires=wires)
+    assert loop.inputs_of("doe") == {"action": "picker.action", "applied": "doe.delta_sw"}
+    assert list(loop.inputs_of("doe")) == [port.name for port in doe.inputs]
+    assert loop.inputs_of("picker") == {"state": "doe.state"}
+    assert loop.order == ("picker", "doe")  # doe's state is known earlier, its angle is not
+    assert Loop(blocks={"count": Count()}, wires=[]).inputs_of("count") == {}
+    with pytest.raises(KeyError, match="no block 'dow'; did you mean 'doe'"):
+        loop.inputs_of("dow")
+
+
+def test_a_state_shows_the_outputs_that_it_holds() -> None:
+    loop = chain()
+    state = loop.init()
+    assert dict(loop.sample(state)) == {"count.n": 0.0, "gain.y": 0.0, "total.total": 0.0, "late.y": -1.0}
+    assert loop.sample(state).t == 0.0
+    for _ in range(3):
+        state, sample = loop.step(state)
+        assert dict(loop.sample(state)) == dict(sample)
+        assert loop.sample(state).t == sample.t
+
+
+def test_a_block_settles_as_if_a_sample_were_the_first() -> None:
+    """Whatever it remembers: `settled` begins with the block's own `init`."""
+    loop = rolling(part=0.0)
+    state = loop.init()
+    assert loop.settled("ball", state.y) == (1.0,)
+    assert loop.settled("hill", [(7.0,), (0.0,)]) == (7.0,)
+    with pytest.raises(KeyError, match="no block 'bell'; did you mean 'ball'"):
+        loop.settled("bell", state.y)
 
 
 class Hardware(Count):
