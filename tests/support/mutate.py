@@ -257,7 +257,7 @@ def changed(root: Path, base: str) -> set[str]:
 
 
 def selected(slips: Iterable[Slip], only: str, files: set[str] | None) -> list[Slip]:
-    """Slips that contain a text; with `files`, those whose own file, one of whose tests, or whose list is among them."""
+    """Slips that contain a text; with `files`, those whose own file, test or list is among these."""
 
     def touched(slip: Slip) -> bool:
         own = {slip.file, f"tests/support/slips/{slip.listed}", *(test.split("::")[0] for test in slip.tests)}
