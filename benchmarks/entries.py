@@ -4,21 +4,15 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.util import find_spec
 
 from benchmarks.scenarios import Scenario
+from steerkit import catalogue
 from steerkit.block import Block
-from steerkit.controllers.delay import delayed_stanley
-from steerkit.controllers.lqr import Lqr
-from steerkit.controllers.mpc.linear import MPC
-from steerkit.controllers.mpc.nonlinear import NonlinearMPC
-from steerkit.controllers.pure_pursuit import PurePursuit
-from steerkit.controllers.stanley import Stanley
+from steerkit.catalogue import make_controller
 from steerkit.path import Path
 from steerkit.plants.linear_single_track import LinearSingleTrack
-from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
-from steerkit.plants.steering_actuator import SteeringActuator
 
 Make = Callable[[Scenario, Path], Block]
 
@@ -57,34 +51,9 @@ class Controller:
         return f"{name} is not installed: {extra}"
 
 
-def _stanley(scenario: Scenario, path: Path) -> Block:
-    return Stanley.of(scenario.nominal)
-
-
-def _textbook(scenario: Scenario, path: Path) -> Block:
-    return Stanley.textbook(scenario.nominal)
-
-
-def _delay(scenario: Scenario, path: Path) -> Block:
-    told = scenario.told_actuator()
-    return delayed_stanley(scenario.nominal, delay=scenario.told_dead_time, lag=float(told.lag))
-
-
-def _pure_pursuit(scenario: Scenario, path: Path) -> Block:
-    return PurePursuit.of(scenario.nominal, path, delay=scenario.told_dead_time)
-
-
-def _lqr(scenario: Scenario, path: Path) -> Block:
-    told, car = scenario.told_actuator(), scenario.nominal
-    return Lqr.of(car, LinearSingleTrack(vehicle=car).matrices, delay=scenario.told_dead_time, lag=float(told.lag))
-
-
-def _mpc(scenario: Scenario, path: Path) -> Block:
-    return MPC.of(NonlinearSingleTrack(vehicle=scenario.nominal), _whole_delay(scenario), clock=None)
-
-
-def _nonlinear_mpc(scenario: Scenario, path: Path) -> Block:
-    return NonlinearMPC.of(NonlinearSingleTrack(vehicle=scenario.nominal), _whole_delay(scenario), clock=None)
+def _catalogued(name: str) -> Make:
+    """What makes the library's controller of that name for a scenario."""
+    return lambda scenario, path: make_controller(name, scenario.belief(path))
 
 
 def _do_mpc(scenario: Scenario, path: Path) -> Block:
@@ -95,25 +64,15 @@ def _do_mpc(scenario: Scenario, path: Path) -> Block:
         matrices=LinearSingleTrack(vehicle=car).matrices,
         steer_ratio=car.steer_ratio,
         reference=float(car.l_f),
-        lag=float(scenario.told_actuator().lag),
+        lag=scenario.belief(path).lag,
     )
 
 
-def _whole_delay(scenario: Scenario) -> SteeringActuator:
-    """The steering as told, with the sensors' latency: for the loop, a delay is a delay."""
-    return replace(scenario.told_actuator(), delay=scenario.told_dead_time)
-
-
 _TABLE = (
-    Controller(name="stanley", kind="analytic", about="Stanley, all terms of eq. 9", make=_stanley),
-    Controller(
-        name="stanley-textbook", kind="analytic", about="Stanley, heading and cross-track terms only", make=_textbook
+    *(
+        Controller(name=name, kind="analytic", about=recipe.about, make=_catalogued(name))
+        for name, recipe in catalogue.CONTROLLERS.items()
     ),
-    Controller(name="stanley-delay", kind="analytic", about="Stanley behind a predictor of delay and lag", make=_delay),
-    Controller(name="pure-pursuit", kind="analytic", about="pure pursuit, no model", make=_pure_pursuit),
-    Controller(name="lqr", kind="analytic", about="LQR with delay states and curvature preview", make=_lqr),
-    Controller(name="mpc", kind="analytic", about="linear MPC over 1 s, limits and delay known", make=_mpc),
-    Controller(name="nonlinear-mpc", kind="analytic", about="nonlinear MPC, real-time iteration", make=_nonlinear_mpc),
     Controller(
         name="nfq-idoe", kind="learned", about="NFQ, integrating output element, our best setting", setting="default"
     ),

@@ -10,9 +10,9 @@ import numpy as np
 from benchmarks.peers.commonroad import CommonRoadMultiBody
 from steerkit.assembly import placed, steering_loop
 from steerkit.block import Block
+from steerkit.catalogue import PLANTS, Belief, make_recovery
 from steerkit.controllers.network_policy import PolicyBlock
 from steerkit.controllers.nfq_policy import NfqPolicy
-from steerkit.controllers.stanley import Stanley
 from steerkit.controllers.supervisor import Guarded
 from steerkit.courses import course, lane_change, names, random_course, recorded_speed
 from steerkit.errors import require
@@ -23,7 +23,7 @@ from steerkit.plants.human_driver import HumanDriver, SpeedProfile
 from steerkit.plants.pushed import Pushed
 from steerkit.plants.sensors import Sensors
 from steerkit.plants.steering_actuator import SteeringActuator
-from steerkit.scenario.world import END_MARGIN, PLANTS
+from steerkit.scenario.world import END_MARGIN
 from steerkit.units import radians_of
 from steerkit.vehicles import G, Vehicle, vehicle
 
@@ -153,10 +153,16 @@ class Scenario:
         """Delay of the steering and age of what is seen, as controllers that ask are told [s]."""
         return self.delay + self.latency if self.told_delay is None else self.told_delay
 
-    def told_actuator(self) -> SteeringActuator:
-        """The steering as controllers that ask know it, but for the dead time."""
-        lag = self.lag if self.told_lag is None else self.told_lag
-        return SteeringActuator(lag=lag, rate_limit=radians_of(self.rate_limit_deg))
+    def belief(self, path: Path) -> Belief:
+        """What controllers are told: the nominal car, and the steering as it is or as the scenario says."""
+        return Belief(
+            vehicle=self.nominal,
+            path=path,
+            delay=self.told_dead_time,
+            lag=self.lag if self.told_lag is None else self.told_lag,
+            hold=SteeringActuator.dt,
+            rate_limit=radians_of(self.rate_limit_deg),
+        )
 
     def loop(self, path: Path, controller: Block, *, doe: Block | None = None, seed: int = 0) -> Loop:
         """The loop of the drive; a learned controller (with its doe) is caught by Stanley."""
@@ -168,7 +174,7 @@ class Scenario:
             driver=self._driver(path, seed),
             controller=steers,
             doe=doe,
-            recovery=Stanley.of(self.nominal) if learned else None,
+            recovery=make_recovery("stanley", self.belief(path)) if learned else None,
             actuator=SteeringActuator(
                 delay=self.delay,
                 lag=self.lag,
@@ -232,7 +238,7 @@ def shape(scenario: Scenario) -> Scenario:
     """What a compiled drive depends on: the scenario with all that is left open put to one value."""
     if scenario.plant == MULTI_BODY:
         return replace(scenario, name="shape")
-    lag = float(scenario.told_actuator().lag)
+    lag = scenario.lag if scenario.told_lag is None else scenario.told_lag
     plain = dict(
         name="shape",
         told_delay=scenario.told_dead_time,

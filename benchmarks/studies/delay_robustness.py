@@ -19,35 +19,24 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from benchmarks.studies.driving import CAR, LAG, LIMIT, drive_loop, driven, interpreted, mpc, on_course, rms, worst
+from benchmarks.studies.driving import CAR, LIMIT, belief, drive_loop, driven, interpreted, on_course, rms, worst
 from steerkit.block import Block
+from steerkit.catalogue import make_controller
 from steerkit.compiled.trace import with_parameters
-from steerkit.controllers.delay import delayed_stanley
-from steerkit.controllers.lqr import Lqr
-from steerkit.controllers.pure_pursuit import PurePursuit
-from steerkit.controllers.stanley import Stanley
 from steerkit.courses import course
-from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.units import degrees_of, radians_of
 
 DELAYS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3)
 BELIEVED = 0.2
 TYRES, RATIOS, OFFSETS_DEG, SPEEDS = (0.7, 1.0, 1.3), (0.9, 1.0, 1.1), (-3.0, 0.0, 3.0), (4.0, 5.0, 6.0, 7.0, 8.0, 9.0)
-CONTROLLERS: dict[str, Callable[[float, str], Block]] = {
-    "stanley-delay": lambda delay, name: delayed_stanley(CAR, delay=delay, lag=LAG),
-    "lqr": lambda delay, name: Lqr.of(CAR, LinearSingleTrack(vehicle=CAR).matrices, delay=delay, lag=LAG),
-    "mpc": lambda delay, name: mpc(delay=delay),
-    "stanley": lambda delay, name: Stanley.of(CAR),
-    "stanley-textbook": lambda delay, name: Stanley.textbook(CAR),
-    "pure-pursuit": lambda delay, name: PurePursuit.of(CAR, course(name), delay=delay),
-}
+NAMES = ("stanley-delay", "lqr", "mpc", "stanley", "stanley-textbook", "pure-pursuit")
 COMPENSATES = ("stanley-delay", "lqr", "pure-pursuit", "mpc")
 KINDS = {"nothing": (), "tyres": (0,), "ratio": (1,), "offset": (2,), "all": (0, 1, 2)}
 
@@ -102,7 +91,7 @@ def laps(names: Sequence[str]) -> dict[str, dict[str, dict[str, float]]]:
     for name, where in itertools.product(names, ("paper", "genesis")):
         path = course(where)
         length = path.length - (0.0 if path.closed else 2.0)
-        loop = drive_loop(CONTROLLERS[name](0.2, where), name=where, delay=0.2)
+        loop = drive_loop(make_controller(name, belief(delay=0.2, name=where)), name=where, delay=0.2)
         log = (interpreted if name == "mpc" else driven)(loop, 1.05 * path.length / 4.0)
         row = {
             "rms_e_m": rms(log, "path.e", length),
@@ -124,7 +113,8 @@ def boundary(name: str, believes: float | None, delays: Sequence[float], cars: A
     """A row a delay: worst |e| by kind and by speed, the share of cars held, the slowest that is not; printed too."""
     label, rows = labelled(name, believes), []
     for delay in delays:
-        e = largest(name, CONTROLLERS[name](delay if believes is None else believes, "paper"), delay, cars)
+        controller = make_controller(name, belief(delay=delay if believes is None else believes))
+        e = largest(name, controller, delay, cars)
         kinds, held = by_kind(cars, e), float(np.mean(e <= LIMIT))
         failing = cars[e > LIMIT, 3]
         slowest = float(failing.min()) if len(failing) else None
@@ -202,8 +192,8 @@ def picture(report: dict[str, list[dict[str, Any]]], file: str) -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Drive the whole box, print the boundary, draw it, and with --json one object last."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    usual = [name for name in CONTROLLERS if name != "mpc"]
-    parser.add_argument("--controllers", nargs="+", default=usual, choices=list(CONTROLLERS))
+    usual = [name for name in NAMES if name != "mpc"]
+    parser.add_argument("--controllers", nargs="+", default=usual, choices=NAMES)
     parser.add_argument("--out", default=None, help="file for a picture of the boundary")
     parser.add_argument("--quick", action="store_true", help="every other delay, 4 and 9 m/s only")
     parser.add_argument("--json", action="store_true", help="print one JSON object last")

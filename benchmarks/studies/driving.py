@@ -9,6 +9,7 @@ import numpy as np
 
 from steerkit.assembly import placed, steering_loop
 from steerkit.block import Block
+from steerkit.catalogue import Belief
 from steerkit.compiled import compile
 from steerkit.courses import course
 from steerkit.loop import Loop
@@ -90,10 +91,6 @@ def rms(log: Log, signal: str, length: float) -> Any:
     return np.sqrt(np.where(within, log[signal], 0.0).__pow__(2).sum(axis=0) / np.maximum(within.sum(axis=0), 1))
 
 
-def mpc(*, delay: float, nonlinear: bool = False) -> Block:
-    """The MPC for this car, told the steering's delay and lag."""
-    from steerkit.controllers.mpc.linear import MPC
-    from steerkit.controllers.mpc.nonlinear import NonlinearMPC
-
-    kind = NonlinearMPC if nonlinear else MPC
-    return kind.of(NonlinearSingleTrack(vehicle=CAR), SteeringActuator(delay=delay, lag=LAG), clock=None)
+def belief(*, delay: float, name: str = "paper") -> Belief:
+    """What controllers are told: this car, the course of that name, the steering's delay [s] and lag."""
+    return Belief(vehicle=CAR, path=course(name), delay=delay, lag=LAG, hold=SteeringActuator.dt)

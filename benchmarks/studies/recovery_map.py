@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -22,12 +22,11 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from benchmarks.studies.driving import CAR, LAG, mpc, reference_of
+from benchmarks.studies.driving import CAR, LAG, belief, reference_of
 from steerkit.assembly import placed, steering_loop
 from steerkit.block import Block
+from steerkit.catalogue import make_controller
 from steerkit.compiled import compile
-from steerkit.controllers.delay import delayed_stanley
-from steerkit.controllers.stanley import Stanley
 from steerkit.courses import straight
 from steerkit.loop import Loop
 from steerkit.plants.human_driver import ConstantSpeed
@@ -43,12 +42,7 @@ SECONDS = 20.0
 NEAR, A_Y, RATE = 0.1, 3.0, radians_of(550.0)
 ROAD = straight(400.0)
 RECORD = ["path.e", "car.a_y", "actuator.rate", "controller.delta_sw"]
-CONTROLLERS: dict[str, Callable[[], Block]] = {
-    "stanley-delay": lambda: delayed_stanley(CAR, delay=DELAY, lag=LAG),
-    "stanley-textbook": lambda: Stanley.textbook(CAR),
-    "mpc": lambda: mpc(delay=DELAY),
-    "nonlinear-mpc": lambda: mpc(delay=DELAY, nonlinear=True),
-}
+NAMES = ("stanley-delay", "stanley-textbook", "mpc", "nonlinear-mpc")
 
 
 def start_loop(controller: Block) -> Loop:
@@ -182,14 +176,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Drive all start states, print a table, draw the picture, and with --json print one object last."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     default = ["stanley-delay", "mpc", "nonlinear-mpc"]
-    parser.add_argument("--controllers", nargs="+", default=default, choices=list(CONTROLLERS))
+    parser.add_argument("--controllers", nargs="+", default=default, choices=NAMES)
     parser.add_argument("--out", default="recovery.png", help="file of the picture")
     parser.add_argument("--quick", action="store_true", help="a coarser grid")
     parser.add_argument("--json", action="store_true", help="print one JSON object last")
     given = parser.parse_args(arguments)
     report, results = {}, {}
     for name in given.controllers:
-        controller = CONTROLLERS[name]()
+        controller = make_controller(name, belief(delay=DELAY))
         sides = (5 if given.quick else 9) if name.endswith("mpc") else (9 if given.quick else 25)
         values = starts(sides, reference_of(controller))
         found = judged(driven(controller, values))

@@ -3,19 +3,17 @@
 LQR, MPC and pure pursuit are told the delay, Stanley is not; the learner has found its own way with it in 20 s.
 """
 
-from steerkit import Experiment, SteeringActuator, learn
-from steerkit.controllers.mpc.linear import MPC
-from steerkit.scenario.drive import CONTROLLERS, drive
+from steerkit import Experiment, learn
+from steerkit.catalogue import make_controller
+from steerkit.scenario.drive import drive
 from steerkit.scenario.world import World
 from steerkit.metrics import of_log
 from steerkit.plots.style import PALETTE, new_figure, style
 
 world = World(course="paper", delay=0.15)
-actuator = SteeringActuator(lag=world.lag, delay=world.delay)
 run = learn(Experiment(world=world, minutes=1 / 3, seed=1))
-controllers = {name: CONTROLLERS[name](world) for name in ("stanley", "stanley-textbook", "pure-pursuit", "lqr")}
-controllers["mpc"] = MPC.of(world.car(world.path()), actuator, clock=None)
-logs = {name: drive(world, controller, rounds=0.43) for name, controller in controllers.items()}
+names = ("stanley", "stanley-textbook", "pure-pursuit", "lqr", "mpc")
+logs = {name: drive(world, make_controller(name, world.belief()), rounds=0.43) for name in names}
 logs["learned"] = drive(world, run.policy, doe=run.experiment.setting.element(), rounds=0.43)
 
 figure, (above, below) = new_figure(rows=2, title="Six controllers, 0.15 s delay and 0.12 s lag", height=5.5)

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from steerkit.assembly import steering_loop
 from steerkit.block import Block, Out, State
+from steerkit.catalogue import ELEMENTS
 from steerkit.controllers.nfq_policy import IDOE_ACTIONS, StateDescription
-from steerkit.doe import Direct, Dynamic, HeldAngle, Integrator, LowPass
+from steerkit.doe import Dynamic, HeldAngle, Integrator
 from steerkit.errors import require
 from steerkit.learning.costs import COSTS, BandCost, Cost, IdoeCost, SmoothCost, TanhCost
 from steerkit.learning.nfq.patterns import STANDARD
@@ -31,7 +32,6 @@ from steerkit.units import radians_of
 
 Array = NDArray[np.float64]
 
-ELEMENTS: dict[str, Any] = {"integrator": Integrator, "low-pass": LowPass, "direct": Direct}
 ACTIONS: dict[str, tuple[tuple[float, ...] | None, str]] = {
     "i-doe": (IDOE_ACTIONS, "integrator"),
     "bang-bang": ((radians_of(-520.0), radians_of(520.0)), "direct"),

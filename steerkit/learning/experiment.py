@@ -145,7 +145,7 @@ class LearningRun:
             path=self.path,
             driver=world.driver(experiment.seed),
             controller=self._controller(),
-            doe=setting.element(),
+            doe=setting.element(world.vehicle),
             recovery=world.recovery(),
             actuator=world.actuator(),
             sensors=world.sensors(experiment.seed),

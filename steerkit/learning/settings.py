@@ -8,15 +8,16 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any
 
-from steerkit.doe import Direct, Dynamic, Integrator, LowPass
+from steerkit.catalogue import ELEMENTS, make_element
+from steerkit.doe import Dynamic
 from steerkit.errors import require
 from steerkit.learning.costs import BandCost, Cost, IdoeCost, SmoothCost, TanhCost
 from steerkit.learning.nfq.iterate import FitSetting
 from steerkit.learning.nfq.patterns import StateDescription
 from steerkit.units import radians_of
+from steerkit.vehicles import Vehicle
 
 AFTER_FAILURE = ("recovery", "reset", "shift")
-ELEMENTS: dict[str, type[Dynamic]] = {"integrator": Integrator, "low-pass": LowPass, "direct": Direct}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,9 +80,9 @@ class Setting:
         """The actions [rad]."""
         return tuple(radians_of(a) for a in self.actions_deg)
 
-    def element(self) -> Dynamic:
-        """The dynamic output element."""
-        return ELEMENTS[self.doe]()
+    def element(self, vehicle: Vehicle | None = None) -> Dynamic:
+        """The dynamic output element, within the stops of `vehicle`'s steering wheel (None: 520 degrees)."""
+        return make_element(self.doe, vehicle)
 
     def description(self) -> StateDescription:
         """What the net sees, and in which ranges."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
@@ -9,44 +10,24 @@ from pathlib import Path as FilePath
 from steerkit import realtime
 from steerkit.assembly import steering_loop
 from steerkit.block import Block
+from steerkit.catalogue import CONTROLLERS, Belief, make_controller, make_element, make_recovery
 from steerkit.clock import Clock
-from steerkit.controllers.delay import delayed_stanley
 from steerkit.controllers.foresight import Foresight
-from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.nfq_policy import NfqPolicy
-from steerkit.controllers.pure_pursuit import PurePursuit
-from steerkit.controllers.stanley import Stanley
 from steerkit.controllers.supervisor import Guarded
 from steerkit.courses import course
 from steerkit.doe import Corrected, Dynamic, Integrator
 from steerkit.learning import rundir
-from steerkit.learning.settings import ELEMENTS
 from steerkit.loop import Loop
 from steerkit.on_car import learner as on_car
 from steerkit.on_car.follow import Follow, Steers
 from steerkit.path import Path
 from steerkit.plants.human_driver import ConstantSpeed
-from steerkit.plants.linear_single_track import LinearSingleTrack
-from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.real_car.file.config import CarConfig
 from steerkit.plants.real_car.processes.client import CarLink, DriverLink, RealCar
 
 MPC_BUDGET = 0.03
 """A solution that took longer is not used [s]: the plan before is followed, then the fallback law."""
-CONTROLLERS: dict[str, Callable[[CarConfig], Block]] = {
-    "stanley": lambda config: Stanley.of(config.vehicle),
-    "stanley-textbook": lambda config: Stanley.textbook(config.vehicle),
-    "stanley-delay": lambda config: delayed_stanley(config.vehicle, delay=config.delay, lag=config.lag),
-    "lqr": lambda config: Lqr.of(
-        config.vehicle, LinearSingleTrack(vehicle=config.vehicle).matrices, delay=config.delay, lag=config.lag
-    ),
-    "pure-pursuit": lambda config: PurePursuit.of(config.vehicle, course_of(config), delay=config.delay),
-    "mpc": lambda config: _predictive(config),
-    "nonlinear-mpc": lambda config: _predictive(config, nonlinear=True),
-}
-"""Controllers that steer by themselves, made for a car: its vehicle, its course, the lag and delay of its kit."""
-RECOVERIES = {name: CONTROLLERS[name] for name in ("stanley", "stanley-delay")}
-"""Controllers that catch a learned one."""
 LEARNED = FilePath("runs/car")
 """Where `steerkit learn --car` keeps its run unless told otherwise, and where `nfq` is looked for."""
 VALID = f"{', '.join(CONTROLLERS)}, nfq (the newest net in {LEARNED}), a learning run's directory, a policy's .npz file"
@@ -59,12 +40,21 @@ def course_of(config: CarConfig) -> Path:
     return config.course["path"]
 
 
-def _predictive(config: CarConfig, *, nonlinear: bool = False) -> Block:
-    from steerkit.controllers.mpc.linear import MPC  # here, as it loads CasADi
-    from steerkit.controllers.mpc.nonlinear import NonlinearMPC
+def belief_of(config: CarConfig) -> Belief:
+    """What controllers are told of a car: its vehicle, its course, the delay and lag of its kit, the gate's limits.
 
-    kind, plant = NonlinearMPC if nonlinear else MPC, NonlinearSingleTrack(vehicle=config.vehicle)
-    return kind.of(plant, lag=config.lag, delay=config.delay, budget=MPC_BUDGET)
+    The delay is that from command to wheel, as it was measured: nothing is added to it.
+    """
+    stop = min(float(config.vehicle.delta_sw_max), config.gate.delta_sw_max)
+    return Belief(
+        vehicle=replace(config.vehicle, delta_sw_max=stop),
+        path=course_of(config),
+        delay=config.delay,
+        lag=config.lag,
+        rate_limit=min(Belief.rate_limit, config.gate.rate_max),
+        budget=MPC_BUDGET,
+        clock=time.perf_counter,
+    )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -82,22 +72,23 @@ class Controller:
 def controller_named(name: str, config: CarConfig) -> Controller:
     """A controller by name, or a learned policy by its place; raises ValueError with the valid ones."""
     if name in CONTROLLERS:
-        return Controller(block=CONTROLLERS[name](config), steers=Steers(name=name))
+        return Controller(block=make_controller(name, belief_of(config)), steers=Steers(name=name))
     place = LEARNED if name == "nfq" else FilePath(name)
     if place.is_dir():
         nets = [f for f in sorted(place.glob("nets/net-*.npz")) if f.stem != "net-0000"]
         if nets:
-            return policy_in(nets[-1], element_of(place))
+            return policy_in(nets[-1], element_of(place), config)
     elif place.is_file():
-        return policy_in(place, element_of(place.parent.parent))
+        return policy_in(place, element_of(place.parent.parent), config)
     if name == "nfq":
         raise ValueError(f"controller 'nfq': no net in {place}; learn one first: steerkit learn --car FILE")
     raise ValueError(f"controller {name!r} is not known, nor a place with a trained policy; valid: {VALID}")
 
 
-def policy_in(file: FilePath, doe: str) -> Controller:
+def policy_in(file: FilePath, doe: str, config: CarConfig) -> Controller:
     """The learned policy in `file`, with the output element of that name."""
-    return Controller(block=NfqPolicy.load(file), steers=Steers.by_policy(file, doe), element=ELEMENTS[doe]())
+    element = make_element(doe, belief_of(config).vehicle)
+    return Controller(block=NfqPolicy.load(file), steers=Steers.by_policy(file, doe), element=element)
 
 
 def element_of(place: FilePath) -> str:
@@ -112,9 +103,7 @@ def element_of(place: FilePath) -> str:
 
 def recovery_named(name: str, config: CarConfig) -> Block:
     """The controller that catches a learned one; raises ValueError with the valid names."""
-    if name not in RECOVERIES:
-        raise ValueError(f"recovery {name!r} is not known; valid: {', '.join(RECOVERIES)}")
-    return RECOVERIES[name](config)
+    return make_recovery(name, belief_of(config))
 
 
 def car_loop(
@@ -127,12 +116,14 @@ def car_loop(
     let through, and the recovery controller of that name, called in time for the gate to let it turn the wheel.
     """
     learned = any(port.name == "action" for port in controller.outputs)
+    element = doe or Integrator()
+    element = replace(element, limit=min(element.limit, belief_of(config).vehicle.delta_sw_max))
     return steering_loop(
         car=RealCar(link=link),
         path=path,
         driver=ConstantSpeed(speed=0.0),  # the human in the car keeps the speed; nobody reads this
         controller=Guarded(block=controller) if learned else controller,
-        doe=Corrected(element=doe or Integrator()) if learned else None,
+        doe=Corrected(element=element) if learned else None,
         recovery=recovery_named(recovery, config) if learned else None,
         foresight=foresight(config) if learned else None,
         reference=config.vehicle.l_f,

@@ -101,7 +101,7 @@ class Nets:
                 raise ValueError(f"{file}: the net that drove is gone; name its run's directory with --run")
             if hashlib.sha256(file.read_bytes()).hexdigest() != steers.sha256:
                 raise ValueError(f"{file} is not the net that drove: its SHA-256 differs from the recorded one")
-            controller = loops.policy_in(file, steers.doe)
+            controller = loops.policy_in(file, steers.doe, self.config)
         block: Any = controller.block
         if "budget" in {f.name for f in fields(block)}:  # how long it takes today is no part of what it answered then
             block = replace(block, clock=None, budget=None)

@@ -15,8 +15,10 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from steerkit.block import Block
+from steerkit.catalogue import RECOVERIES
 from steerkit.clock import Clock
 from steerkit.doe import Dynamic
+from steerkit.errors import known
 from steerkit.learning.settings import Setting
 from steerkit.loop import Loop
 from steerkit.on_car import loop as loops
@@ -102,8 +104,7 @@ def session(options: Options) -> Iterator[Session]:
         raise ValueError(f"--time-scale {options.time_scale:g}: a real car has real time; use --simulated")
     if options.simulated and options.channel:
         raise ValueError("--simulated starts a car on a channel of its own; leave --channel out")
-    if options.recovery not in loops.RECOVERIES:
-        raise ValueError(f"--recovery {options.recovery!r} is not known; valid: {', '.join(loops.RECOVERIES)}")
+    known(options.recovery, RECOVERIES, "--recovery")
     channel, started = options.channel, list[subprocess.Popen[str]]()
     with contextlib.ExitStack() as stack:
         try:

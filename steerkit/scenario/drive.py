@@ -3,51 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+import time
 from dataclasses import replace
 
 from steerkit.assembly import steering_loop
 from steerkit.block import Block
-from steerkit.controllers.delay import delayed_stanley
-from steerkit.controllers.lqr import Lqr
-from steerkit.controllers.pure_pursuit import PurePursuit
-from steerkit.controllers.stanley import Stanley
+from steerkit.catalogue import CONTROLLERS, make_controller
 from steerkit.controllers.supervisor import Guarded
+from steerkit.errors import known
 from steerkit.loop import Loop
-from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.scenario.world import World
 from steerkit.simulation import Log, Sample, simulate
-
-CONTROLLERS: dict[str, Callable[[World], Block]] = {
-    "stanley": lambda world: Stanley.of(world.vehicle),
-    "stanley-textbook": lambda world: Stanley.textbook(world.vehicle),
-    "stanley-delay": lambda world: delayed_stanley(world.vehicle, delay=world.dead_time, lag=world.lag),
-    "lqr": lambda world: Lqr.of(
-        world.vehicle, LinearSingleTrack(vehicle=world.vehicle).matrices, delay=world.dead_time, lag=world.lag
-    ),
-    "pure-pursuit": lambda world: PurePursuit.of(world.vehicle, world.path(), delay=world.dead_time),
-    "mpc": lambda world: _predictive(world),
-    "nonlinear-mpc": lambda world: _predictive(world, nonlinear=True),
-}
-"""Analytic controllers by name, each made for a world: its car, its course, its steering delay and lag."""
-
-
-def _predictive(world: World, *, nonlinear: bool = False) -> Block:
-    from steerkit.controllers.mpc.linear import MPC  # loads CasADi
-    from steerkit.controllers.mpc.nonlinear import NonlinearMPC
-
-    kind = NonlinearMPC if nonlinear else MPC
-    actuator = world.actuator()
-    return kind.of(world.car(world.path()), actuator, delay=world.dead_time + 0.5 * actuator.dt)
 
 
 def controller(name: str, world: World) -> Block:
     """The analytic controller of that name for that world; raises ValueError with the valid names."""
-    if name not in CONTROLLERS:
-        raise ValueError(
-            f"controller '{name}' is not known; valid: {', '.join(CONTROLLERS)}, or the directory of a learning run"
-        )
-    return CONTROLLERS[name](world)
+    known(name, CONTROLLERS, "controller", also="the directory of a learning run")
+    return make_controller(name, world.belief(clock=time.perf_counter))
 
 
 def drive_loop(world: World, steering: Block, *, doe: Block | None = None, seed: int = 0, s: float = 0.0) -> Loop:

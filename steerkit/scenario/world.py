@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from steerkit.assembly import placed
 from steerkit.block import Block
-from steerkit.controllers.stanley import Stanley
+from steerkit.catalogue import PLANTS, Belief, make_recovery
 from steerkit.courses import course, random_course
 from steerkit.errors import require
 from steerkit.path import Path
 from steerkit.plants.careful_driver import CarefulDriver
 from steerkit.plants.human_driver import HumanDriver
-from steerkit.plants.linear_single_track import LinearSingleTrack
-from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.sensors import Sensors
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.units import radians_of
@@ -21,7 +20,6 @@ from steerkit.vehicles import Vehicle, vehicle
 
 END_MARGIN = 5.0
 """How far from the end of an open course a learner is carried back to its start [m]."""
-PLANTS = {"nonlinear": NonlinearSingleTrack, "linear": LinearSingleTrack}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,12 +98,25 @@ class World:
 
     def actuator(self) -> SteeringActuator:
         """The motor at the steering wheel."""
-        return SteeringActuator(lag=self.lag, delay=self.delay, rate_limit=radians_of(self.rate_limit_deg))
+        rate_limit, limit = radians_of(self.rate_limit_deg), self.vehicle.delta_sw_max
+        return SteeringActuator(lag=self.lag, delay=self.delay, rate_limit=rate_limit, limit=limit)
 
     def sensors(self, seed: int) -> Sensors | None:
         """What the controllers see; None for the truth."""
         return Sensors.hard(seed) if self.noise else None
 
-    def recovery(self) -> Stanley:
+    def belief(self, *, clock: Callable[[], float] | None = None) -> Belief:
+        """What controllers are told: here the truth. clock: for the times that predictive ones show."""
+        return Belief(
+            vehicle=self.vehicle,
+            path=self.path(),
+            delay=self.dead_time,
+            lag=self.lag,
+            hold=self.actuator().dt,
+            rate_limit=radians_of(self.rate_limit_deg),
+            clock=clock,
+        )
+
+    def recovery(self) -> Block:
         """The analytic controller that catches the car."""
-        return Stanley.of(self.vehicle)
+        return make_recovery("stanley", self.belief())

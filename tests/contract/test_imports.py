@@ -45,12 +45,13 @@ MAY_IMPORT: dict[str, set[str]] = {
     "metrics": RUN,
     "plots": RUN | {"path"},
     "assembly": RUN | PARTS,
-    "scenario": RUN | PARTS | {"assembly", "compiled", "metrics"},
-    "learning": RUN | PARTS | {"assembly", "compiled", "metrics", "plots", "scenario"},
+    "catalogue": BASE | PARTS,
+    "scenario": RUN | PARTS | {"assembly", "catalogue", "compiled", "metrics"},
+    "learning": RUN | PARTS | {"assembly", "catalogue", "compiled", "metrics", "plots", "scenario"},
     "identification": RUN | {"vehicles", "plants", "compiled", "plots"},
-    "gym": RUN | PARTS | {"assembly", "compiled", "scenario", "learning"},
+    "gym": RUN | PARTS | {"assembly", "catalogue", "compiled", "scenario", "learning"},
     "export": RUN | PARTS | {"compiled", "scenario", "learning", "gym"},
-    "on_car": RUN | PARTS | {"realtime", "assembly", "scenario", "learning"},
+    "on_car": RUN | PARTS | {"realtime", "assembly", "catalogue", "scenario", "learning"},
 }
 """A module or package at the top of steerkit, and which others it may import; itself always."""
 PROGRAMS = ("__main__", "cli")

@@ -1,0 +1,165 @@
+"""Every controller, output element and plant by name, and the one recipe by which each is made, whoever asks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any
+
+from steerkit.block import Block
+from steerkit.controllers.delay import delayed_stanley
+from steerkit.controllers.lqr import Lqr
+from steerkit.controllers.pure_pursuit import PurePursuit
+from steerkit.controllers.stanley import Stanley
+from steerkit.doe import Direct, Dynamic, Integrator, LowPass
+from steerkit.errors import known, require
+from steerkit.path import Path
+from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.single_track import SingleTrack
+from steerkit.units import radians_of
+from steerkit.vehicles import Vehicle
+
+
+@dataclass(frozen=True, kw_only=True)
+class Belief:
+    """What a controller is told of the car, the course and the steering when it is made; the truth may be another.
+
+    `Scenario.belief` and `CarConfig` give one; by hand: `Belief(vehicle=vehicle("vw-passat"), path=course("paper"))`.
+    Raises ValueError for a time or a rate out of range.
+    """
+
+    vehicle: Vehicle
+    """The car; its `delta_sw_max` is the largest angle that a controller asks for."""
+    path: Path
+    """The course."""
+    delay: float = 0.0
+    """Pure delay from a command to what is seen of it [s]: the steering's, and the age of what the controller sees."""
+    lag: float = 0.1
+    """First-order time constant of the steering [s]."""
+    hold: float = 0.0
+    """For how long a sampled actuator holds its angle [s], if `delay` does not count that yet. A simulated one: its dt;
+    a car: 0, as its delay is measured from command to wheel, everything in between included. Half of it acts as more
+    delay, which only the predictive controllers make use of: the others are tuned to samples of 50 ms without it."""
+    rate_limit: float = radians_of(550.0)
+    """Fastest steering wheel [rad/s]."""
+    budget: float | None = None
+    """Time within which a predictive controller has to answer [s]; None: any, so that a drive can be repeated."""
+    clock: Callable[[], float] | None = None
+    """Seconds, for the budget; None: no time is taken."""
+
+    def __post_init__(self) -> None:
+        for name, unit, largest in (("delay", "s", 2.0), ("lag", "s", 10.0), ("hold", "s", 1.0)):
+            value = getattr(self, name)
+            require(0.0 <= value <= largest, "Belief", f"{name} = {value} [{unit}], expected 0 to {largest:g}")
+        require(self.rate_limit > 0.0, "Belief", f"rate_limit = {self.rate_limit} [rad/s], expected > 0")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recipe:
+    """How a controller of the table is made."""
+
+    about: str
+    """One line for lists and reports."""
+    make: Callable[[Belief], Block]
+    """Makes the block."""
+    catches: bool = False
+    """May it take over from a learned controller, from any state of the car?"""
+
+
+def _stanley(belief: Belief) -> Block:
+    return replace(Stanley.of(belief.vehicle), rate_limit=belief.rate_limit, limit=belief.vehicle.delta_sw_max)
+
+
+def _textbook(belief: Belief) -> Block:
+    return replace(Stanley.textbook(belief.vehicle), limit=belief.vehicle.delta_sw_max)
+
+
+def _delayed(belief: Belief) -> Block:
+    block = delayed_stanley(belief.vehicle, delay=belief.delay, lag=belief.lag)
+    law = replace(block.block, rate_limit=belief.rate_limit, limit=belief.vehicle.delta_sw_max)  # type: ignore[call-arg]
+    return replace(block, block=law, rate_limit=belief.rate_limit)
+
+
+def _lqr(belief: Belief) -> Block:
+    car = belief.vehicle
+    block = Lqr.of(car, LinearSingleTrack(vehicle=car).matrices, delay=belief.delay, lag=belief.lag)
+    return replace(block, rate_limit=belief.rate_limit, limit=car.delta_sw_max)
+
+
+def _pure_pursuit(belief: Belief) -> Block:
+    block = PurePursuit.of(belief.vehicle, belief.path, delay=belief.delay)
+    return replace(block, limit=belief.vehicle.delta_sw_max)
+
+
+def _linear_mpc(belief: Belief) -> Block:
+    from steerkit.controllers.mpc.linear import MPC  # here, as it loads CasADi
+
+    return _predictive(MPC, belief)
+
+
+def _nonlinear_mpc(belief: Belief) -> Block:
+    from steerkit.controllers.mpc.nonlinear import NonlinearMPC
+
+    return _predictive(NonlinearMPC, belief)
+
+
+def _predictive(kind: Any, belief: Belief) -> Block:
+    car = belief.vehicle
+    return kind.of(
+        NonlinearSingleTrack(vehicle=car),
+        delay=belief.delay + 0.5 * belief.hold,
+        lag=belief.lag,
+        limit=car.delta_sw_max,
+        rate_limit=min(belief.rate_limit, kind.rate_limit),  # its own leaves the motor room to follow
+        fallback=_stanley(belief),
+        budget=belief.budget,
+        clock=belief.clock,
+    )
+
+
+CONTROLLERS: Mapping[str, Recipe] = MappingProxyType(
+    {
+        "stanley": Recipe(about="Stanley, all terms of eq. 9", make=_stanley, catches=True),
+        "stanley-textbook": Recipe(about="Stanley, heading and cross-track terms only", make=_textbook),
+        "stanley-delay": Recipe(about="Stanley behind a predictor of delay and lag", make=_delayed, catches=True),
+        "pure-pursuit": Recipe(about="pure pursuit, no model", make=_pure_pursuit),
+        "lqr": Recipe(about="LQR with delay states and curvature preview", make=_lqr),
+        "mpc": Recipe(about="linear MPC over 1 s, limits and delay known", make=_linear_mpc),
+        "nonlinear-mpc": Recipe(about="nonlinear MPC, real-time iteration", make=_nonlinear_mpc),
+    }
+)
+"""The analytic controllers: they steer by themselves and learn nothing."""
+RECOVERIES = tuple(name for name, recipe in CONTROLLERS.items() if recipe.catches)
+"""Names of those that may catch a learned controller."""
+ELEMENTS: Mapping[str, type[Dynamic]] = MappingProxyType(
+    {"integrator": Integrator, "low-pass": LowPass, "direct": Direct}
+)
+"""The dynamic output elements."""
+PLANTS: Mapping[str, type[SingleTrack]] = MappingProxyType(
+    {"nonlinear": NonlinearSingleTrack, "linear": LinearSingleTrack}
+)
+"""The simulated cars."""
+
+
+def make_controller(name: str, belief: Belief) -> Block:
+    """The controller of that name (see `CONTROLLERS`), made for what is believed of car, course and steering.
+
+    Raises ValueError for an unknown name, with the valid ones.
+    """
+    return CONTROLLERS[known(name, CONTROLLERS, "controller")].make(belief)
+
+
+def make_recovery(name: str, belief: Belief) -> Block:
+    """The controller that catches a learned one: any of `RECOVERIES`. Raises ValueError with the valid names."""
+    return make_controller(known(name, RECOVERIES, "recovery"), belief)
+
+
+def make_element(name: str, vehicle: Vehicle | None = None) -> Dynamic:
+    """The dynamic output element of that name (see `ELEMENTS`), within the steering wheel's stops of `vehicle`.
+
+    Without a vehicle the stops are at 520 degrees. Raises ValueError for an unknown name, with the valid ones.
+    """
+    kind = ELEMENTS[known(name, ELEMENTS, "element")]
+    return kind() if vehicle is None else kind(limit=vehicle.delta_sw_max)

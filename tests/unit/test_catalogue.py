@@ -1,0 +1,97 @@
+"""The catalogue: one recipe a controller, and what it is told is what it gets."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from benchmarks.entries import controller as entry
+from benchmarks.scenarios import Scenario
+from steerkit.block import Block
+from steerkit.catalogue import CONTROLLERS, ELEMENTS, RECOVERIES, Belief, make_controller, make_element, make_recovery
+from steerkit.courses import course
+from steerkit.on_car.loop import belief_of, controller_named
+from steerkit.plants.real_car.file.config import load
+from steerkit.units import radians_of
+from steerkit.vehicles import vehicle
+
+BELIEF = Belief(vehicle=vehicle("vw-passat"), path=course("circle"), delay=0.1, lag=0.12)
+NARROW = replace(BELIEF, vehicle=replace(BELIEF.vehicle, delta_sw_max=radians_of(300.0)), rate_limit=radians_of(200.0))
+
+
+def limits(block: Any, name: str) -> list[float]:
+    """The limit of that name of a block and of those inside it."""
+    inner = [getattr(block, part) for part in ("block", "fallback") if isinstance(getattr(block, part, None), Block)]
+    here = [float(getattr(block, name))] if hasattr(block, name) else []
+    return here + [value for one in inner for value in limits(one, name)]
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_every_controller_keeps_to_the_car_and_the_motor_that_it_is_told(name: str) -> None:
+    block = make_controller(name, NARROW)
+    assert limits(block, "limit")
+    assert set(limits(block, "limit")) == {radians_of(300.0)}
+    if name != "stanley-textbook":  # which has no limits but the stop
+        assert set(limits(block, "rate_limit")) <= {radians_of(200.0)}
+    assert set(limits(make_controller(name, BELIEF), "limit")) == {radians_of(520.0)}
+
+
+@pytest.mark.parametrize("name", ELEMENTS)
+def test_an_element_ends_at_the_stops(name: str) -> None:
+    doe = make_element(name, NARROW.vehicle)
+    assert doe.output(0.0, doe.init(), doe.D(action=9.0)).delta_sw <= radians_of(300.0)
+    assert make_element(name).limit == radians_of(520.0)
+
+
+def test_half_of_what_the_actuator_holds_is_delay_to_the_mpc_alone() -> None:
+    held = replace(BELIEF, hold=0.01)
+    assert make_controller("mpc", held).delay == pytest.approx(0.105)  # type: ignore[attr-defined]
+    assert make_controller("mpc", BELIEF).delay == 0.1  # type: ignore[attr-defined]
+    assert make_controller("stanley-delay", held).delay == 0.1  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_whoever_asks_gets_the_same_controller_but_for_hold_and_budget(name: str) -> None:
+    config = replace(load("dbw-kit.toml"), delay=0.1, lag=0.12)
+    scenario = Scenario(name="x", delay=0.1, lag=0.12)
+    car, bench = controller_named(name, config).block, entry(name).make(scenario, scenario.path())  # type: ignore[misc]
+    changed = {"delay": 0.1, "budget": None, "clock": None} if name.endswith("mpc") else {}
+    assert parameters(replace(car, **changed)) == parameters(replace(bench, **changed))
+    belief = belief_of(config)
+    assert (belief.hold, belief.delay, belief.rate_limit) == (0.0, 0.1, radians_of(550.0))
+
+
+def parameters(block: Any) -> dict[str, Any]:
+    """The numbers and words in a block and in those inside it."""
+    own = {key: value for key, value in vars(block).items() if isinstance(value, int | float | str)}
+    inner = {key: parameters(value) for key, value in vars(block).items() if isinstance(value, Block)}
+    return own | inner
+
+
+def test_a_gate_that_is_narrower_than_the_car_is_what_counts_on_it() -> None:
+    config = load("dbw-kit.toml")
+    config = replace(config, gate=replace(config.gate, delta_sw_max=radians_of(400.0), rate_max=radians_of(300.0)))
+    belief = belief_of(config)
+    assert (belief.vehicle.delta_sw_max, belief.rate_limit) == (radians_of(400.0), radians_of(300.0))
+
+
+@pytest.mark.parametrize(
+    ("ask", "message"),
+    [
+        (lambda: make_controller("stanly", BELIEF), r"controller 'stanly' is not known \(did you mean 'stanley'\?\)"),
+        (lambda: make_recovery("lqr", BELIEF), "recovery 'lqr' is not known.*; valid: stanley, stanley-delay"),
+        (lambda: make_element("integral"), "did you mean 'integrator'"),
+        (lambda: replace(BELIEF, lag=-1.0), r"lag = -1.0 \[s\], expected 0 to 10"),
+        (lambda: replace(BELIEF, delay=3.0), r"delay = 3.0 \[s\], expected 0 to 2"),
+        (lambda: replace(BELIEF, rate_limit=0.0), "rate_limit = 0.0"),
+    ],
+)
+def test_what_cannot_be_made_says_what_can(ask: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        ask()
+
+
+def test_only_controllers_that_catch_from_anywhere_are_recoveries() -> None:
+    assert RECOVERIES == ("stanley", "stanley-delay")
