@@ -199,6 +199,22 @@ class Loop:
             dt=self.dt,
         )
 
+    def with_inserted(self, parts: Mapping[str, tuple[str, Block]]) -> Loop:
+        """The same loop with blocks put into its wires: `{"car.v": ("noise", block)}`, behind car.v for all its users.
+
+        Each block has one input and one output, of the signal's unit; the new blocks come last.
+        """
+        blocks, wires = dict(self.blocks), list(self.wires)
+        for signal, (name, block) in parts.items():
+            i, j = self.locate(signal)
+            source = self._wiring.blocks[i]
+            spec = source.outputs[j]
+            before, behind = Port(block, block.inputs[0]), Port(block, block.outputs[0])
+            wires = [(behind, b) if a.block is source and a.spec.name == spec.name else (a, b) for a, b in wires]
+            wires.append((Port(source, spec), before))
+            blocks[name] = block
+        return Loop(blocks=blocks, wires=wires, dt=self.dt)
+
     def block_state(self, state: LoopState, name: str) -> State:
         """The state of one block inside a loop state."""
         return state.x[self._number(name)]

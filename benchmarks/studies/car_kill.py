@@ -33,7 +33,7 @@ from steerkit.on_car import processes
 from steerkit.on_car.learner import RUN, CarLearner
 from steerkit.plants.real_car import recording as tapes
 from steerkit.plants.real_car.decisions.core import Core
-from steerkit.plants.real_car.file.config import load
+from steerkit.plants.real_car.file.reading import load
 from steerkit.plants.real_car.processes.client import CarLost, DriverLink
 
 LIMIT = 0.1

@@ -31,7 +31,7 @@ from steerkit.on_car import replay as replays
 from steerkit.plants.real_car import recording as tapes
 from steerkit.plants.real_car.decisions.core import Core
 from steerkit.plants.real_car.decisions.modes import Mode
-from steerkit.plants.real_car.file.config import load
+from steerkit.plants.real_car.file.reading import load
 from steerkit.plants.real_car.processes.client import CarLost, DriverLink
 
 

@@ -6,15 +6,17 @@ import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from steerkit.analysis.period import Array, Period, signal_name
 from steerkit.analysis.systems import port_names
 from steerkit.errors import require
-from steerkit.loop import Loop, LoopState
-from steerkit.simulation import Signal
+
+if TYPE_CHECKING:
+    from steerkit.loop import Loop, LoopState
+    from steerkit.simulation import Signal
 
 _TINY = 1e-8  # an entry smaller than this joins nothing
 _SAME = 1e-5  # largest change of the model from one period to the next that still is time-invariant

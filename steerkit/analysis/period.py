@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import namedtuple
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 from steerkit import maths as m
 from steerkit.block import Block, In, Out, Port, State
 from steerkit.errors import require
-from steerkit.loop import Loop, LoopState
-from steerkit.simulation import Signal
+
+if TYPE_CHECKING:
+    from steerkit.loop import Loop, LoopState
+    from steerkit.simulation import Signal
 
 Array = NDArray[np.float64]
 
@@ -122,17 +124,12 @@ def signal_name(loop: Loop, signal: Signal) -> str:
 
 def _tapped(loop: Loop, taps: Mapping[str, bool]) -> tuple[Loop, list[str]]:
     """The loop with a tap behind each of these signals, and the taps' names."""
-    wires, blocks, names = list(loop.wires), dict(loop.blocks), []
-    for name, cut in taps.items():
-        owner, port = name.split(".")
-        source: Port = getattr(loop.blocks[owner], port)
-        tap = Tap(unit=source.spec.unit, cut=cut, dt=source.block.dt)
-        names.append(f"{owner}_{port}_tap")
-        blocks[names[-1]] = tap
-        seen, into = Port(tap, tap.outputs[0]), Port(tap, tap.inputs[0])
-        wires = [(seen, b) if (a.block, a.spec.name) == (source.block, port) else (a, b) for a, b in wires]
-        wires.append((source, into))
-    return Loop(blocks=blocks, wires=wires, dt=loop.dt), names
+    parts: dict[str, tuple[str, Block]] = {}
+    for signal, cut in taps.items():
+        owner, port = signal.split(".")
+        tap = Tap(unit=loop.units[signal], cut=cut, dt=loop.blocks[owner].dt)
+        parts[signal] = (f"{owner}_{port}_tap", tap)
+    return loop.with_inserted(parts), [name for name, _ in parts.values()]
 
 
 def _made(like: State, values: list[Any]) -> State:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,8 +14,10 @@ from steerkit import maths as m
 from steerkit.analysis.period import Array, Period, signal_name, wear
 from steerkit.block import Block, In, Out, State
 from steerkit.errors import require
-from steerkit.loop import Loop, LoopState
-from steerkit.simulation import Signal
+
+if TYPE_CHECKING:
+    from steerkit.loop import Loop, LoopState
+    from steerkit.simulation import Signal
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -25,7 +25,8 @@ from steerkit.on_car import loop as loops
 from steerkit.on_car import processes
 from steerkit.path import Path
 from steerkit.plants.real_car.decisions.modes import Order
-from steerkit.plants.real_car.file.config import CarConfig, load
+from steerkit.plants.real_car.file.config import CarConfig
+from steerkit.plants.real_car.file.reading import load
 from steerkit.plants.real_car.processes.client import CarLost, DriverLink
 from steerkit.realtime import Run, Timing, histogram_text, preferred
 

@@ -12,8 +12,10 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
-from steerkit.loop import Loop
+if TYPE_CHECKING:
+    from steerkit.loop import Loop
 
 HEAD = 2.3
 CHARACTER = 0.36

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from steerkit.block import Block
-
 if TYPE_CHECKING:
+    from steerkit.block import Block
     from steerkit.simulation import Log
 
 _SHOWN = ("e", "delta_sw", "v", "a_y", "psi_e", "r")  # outputs worth a panel, best first

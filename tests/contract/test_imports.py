@@ -6,14 +6,15 @@ import ast
 import pkgutil
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 import steerkit
+from tests.support import house
+from tests.support.house import imported
+from tests.support.places import ROOT
 
-ROOT = Path(steerkit.__file__).parent
 HEAVY = ("torch", "casadi", "control", "matplotlib", "pandas", "pyarrow")
 
 BASE = {"units", "maths", "random", "clock", "errors", "files", "native"}
@@ -82,38 +83,15 @@ AT_HOME = {
 }
 """Where a package may be imported: a module or package of steerkit."""
 
-MODULES = {
-    ".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): file
-    for file in sorted(ROOT.rglob("*.py"))
-}
-modules = pytest.mark.parametrize(
-    "module", [name for name in MODULES if name != "__init__" and name.split(".")[0] not in PROGRAMS]
-)
-
-
-def imports(file: Path) -> Iterator[tuple[str, bool]]:
-    """(what is imported, is it at the top of the file); what only type checkers see is left out."""
-
-    def walk(node: ast.AST, top: bool) -> Iterator[tuple[str, bool]]:
-        for child in ast.iter_child_nodes(node):
-            if isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test):
-                continue
-            if isinstance(child, ast.Import):
-                yield from ((alias.name, top) for alias in child.names)
-            elif isinstance(child, ast.ImportFrom):
-                assert child.level == 0, f"{file}: relative import"
-                names = [f"steerkit.{a.name}" for a in child.names] if child.module == "steerkit" else [child.module]
-                yield from ((str(name), top) for name in names)
-            yield from walk(child, top and not isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda)))
-
-    return walk(ast.parse(file.read_text(encoding="utf-8")), True)
+MODULES = {name.partition(".")[2]: file for name, file in house.modules(ROOT, "steerkit").items() if "." in name}
+modules = pytest.mark.parametrize("module", [name for name in MODULES if name.split(".")[0] not in PROGRAMS])
 
 
 @modules
 def test_layers(module: str) -> None:
     home = module.split(".")[0]
     assert home in MAY_IMPORT, f"say in MAY_IMPORT what steerkit/{home} may import"
-    for name, top in imports(MODULES[module]):
+    for name, top in imported(MODULES[module]):
         package, *rest = name.split(".")
         if package == "steerkit":
             allowed = MAY_IMPORT[home] | {home} | (set() if top else WHEN_USED.get(home, set()))
@@ -125,14 +103,14 @@ def test_layers(module: str) -> None:
 @modules
 def test_plants_does_and_controllers_do_not_know_each_other(module: str) -> None:
     parts = {"plants", "doe", "controllers"}
-    known = {name.split(".")[1] for name, _ in imports(MODULES[module]) if name.startswith("steerkit.")}
+    known = {name.split(".")[1] for name, _ in imported(MODULES[module]) if name.startswith("steerkit.")}
     if module.split(".")[0] in parts:
         assert not known & (parts - {module.split(".")[0]})
 
 
 @modules
 def test_heavy_packages_stay_where_they_are_used(module: str) -> None:
-    for name, top in imports(MODULES[module]):
+    for name, top in imported(MODULES[module]):
         package = name.split(".")[0]
         if package in AT_HOME:
             homes = AT_HOME[package]
@@ -140,6 +118,24 @@ def test_heavy_packages_stay_where_they_are_used(module: str) -> None:
             assert at_home, f"{module} imports {name}; only {', '.join(sorted(homes))} may"
             if package in ("matplotlib", "pandas", "pyarrow"):
                 assert not top, f"{module} imports {name} at its top; do it in the function that needs it"
+
+
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    """Not even inside functions: what a block, a loop or a log looks like is drawn by code that needs them as types."""
+    assert house.cycles(house.graph(house.modules(ROOT, "steerkit") | house.modules(ROOT, "benchmarks"))) == []
+
+
+def test_a_circle_would_be_seen(tmp_path: Path) -> None:
+    package = tmp_path / "house"
+    package.mkdir()
+    (package / "a.py").write_text("from house import b\n")
+    (package / "b.py").write_text("def later():\n    from house.c import x\n")
+    (package / "c.py").write_text(
+        "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from house import a\nx = 1\n"
+    )
+    assert house.cycles(house.graph(house.modules(tmp_path, "house"))) == []
+    (package / "c.py").write_text("import house.a\nx = 1\n")
+    assert house.cycles(house.graph(house.modules(tmp_path, "house"))) == [["house.a", "house.b", "house.c"]]
 
 
 def loaded_by(code: str) -> set[str]:

@@ -22,7 +22,7 @@ from steerkit.on_car import session as sessions
 from steerkit.plants.real_car import recording as tapes
 from steerkit.plants.real_car.decisions.core import Core
 from steerkit.plants.real_car.decisions.modes import Mode, Order
-from steerkit.plants.real_car.file.config import load
+from steerkit.plants.real_car.file.reading import load
 from steerkit.plants.real_car.frames.bus import BusPort, open_bus
 from steerkit.plants.real_car.processes.client import CarLost, DriverLink
 from steerkit.plants.real_car.processes.server import Driver

@@ -19,7 +19,8 @@ from steerkit.on_car.follow import Follow
 from steerkit.path import Path
 from steerkit.plants.real_car.decisions.core import Core, Event, Frame, Link, Note, Packet, Reply, Send, Tick
 from steerkit.plants.real_car.decisions.modes import Mode, Order
-from steerkit.plants.real_car.file.config import CarConfig, load
+from steerkit.plants.real_car.file.config import CarConfig
+from steerkit.plants.real_car.file.reading import load
 from steerkit.plants.real_car.processes import protocol
 from steerkit.plants.real_car.recording import Recording
 from steerkit.plants.real_car.simulated import Fault

@@ -21,7 +21,8 @@ from pathlib import Path as File
 from typing import Any, NamedTuple
 
 from steerkit.plants.real_car.decisions.core import Core, Event, Frame, Link, Note, Output, Packet, Send, Tick
-from steerkit.plants.real_car.file.config import CarConfig, load
+from steerkit.plants.real_car.file.config import CarConfig
+from steerkit.plants.real_car.file.reading import load
 
 FLUSH = 0.2
 """Longest time that a message waits for the operating system [s]."""

@@ -49,7 +49,7 @@ def test_mistakes_are_one_line_and_exit_code_2(
 def test_a_controller_that_is_not_known_names_the_valid_ones(tmp_path: Path) -> None:
     from steerkit.on_car.loop import controller_named
     from steerkit.on_car.processes import fault_of
-    from steerkit.plants.real_car.file.config import load
+    from steerkit.plants.real_car.file.reading import load
 
     with pytest.raises(ValueError, match=r"valid: stanley, .*nfq \(the newest net in runs/car\), a learning run's"):
         controller_named("stanly", load("dbw-kit.toml"))

@@ -266,10 +266,10 @@ def test_a_recording_of_the_real_cars_driver(tmp_path: Path) -> None:
     pytest.importorskip("mcap")
     from steerkit.plants.real_car import recording
     from steerkit.plants.real_car.decisions.core import Frame
-    from steerkit.plants.real_car.file import config
+    from steerkit.plants.real_car.file.reading import load
     from steerkit.plants.real_car.frames.codec import SignalEncoder
 
-    car = config.load("dbw-kit.toml")
+    car = load("dbw-kit.toml")
     tape = recording.Recording(tmp_path / "a.mcap", {f"file:{name}": text for name, text in car.texts.items()})
     columns = driven(seconds=40.0)
     writers = [SignalEncoder(reader) for reader in car.readers]

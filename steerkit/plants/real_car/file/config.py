@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-import tomllib
 from dataclasses import asdict, dataclass, field, fields
 from functools import cached_property
 from importlib.resources import files
@@ -16,6 +14,10 @@ from steerkit.plants.real_car.frames.codec import CommandWriter, FrameReader, Ma
 from steerkit.units import degrees_of
 from steerkit.vehicles import Vehicle
 
+FORMAT = "steerkit car 1"
+REPORT = ("delta_sw", "v_kit", "torque", "echo", "enabled", "override", "timeout")
+POSE = ("x", "y", "lat", "lon", "psi", "v", "r", "beta", "a_y", "quality", "stamp")
+NEEDED = ("delta_sw", "v_kit", "torque", "enabled", "override", "psi", "v", "r")
 DIMENSION = {
     "delta_sw": "rad",
     "echo": "rad",
@@ -36,6 +38,41 @@ ANGLES = {"delta_sw_max", "rate_max", "follow_angle", "psi_e_engage", "delta_eng
 """Limits that the file gives in degrees, as `..._deg`."""
 DERIVED = {"steer_ratio", "wheelbase", "quantum"}
 """Fields of the gate's limits that follow from the car and the DBC."""
+KINDS = {
+    "rad": ("deg", "rad"),
+    "m": ("m", "cm", "mm"),
+    "m/s": ("m/s", "km/h", "mph"),
+    "rad/s": ("deg/s", "rad/s"),
+    "N m": ("Nm", "N m"),
+    "m/s^2": ("m/s^2", "m/s2", "g"),
+    "s": ("s", "ms", "us"),
+}
+WIDEST = {
+    "delta_sw_max_deg": 520.0,
+    "rate_max_deg": 1000.0,
+    "a_y_max": 5.0,
+    "jerk_max": 10.0,
+    "v_max": 40.0,
+    "e_max": 5.0,
+    "report_age": 0.15,
+    "pose_age": 0.15,
+    "request_age": 0.09,
+    "request_lost": 0.3,
+    "v_floor": 5.0,
+    "e_engage": 2.0,
+    "dt_min": 0.02,
+    "dt_max": 0.1,
+    "lateness": 0.1,
+    "echo_age": 0.5,
+    "follow_time": 2.0,
+    "enable_time": 2.0,
+    "torque_reports": 50,
+    "integrity_errors": 10,
+    "misses": 20,
+    "torque_max": 10.0,
+    "v_mismatch": 5.0,
+}
+"""The largest limits that the file may ask for, in the file's units."""
 
 
 class ConfigError(ValueError):
@@ -131,24 +168,3 @@ def shipped(name: str) -> File:
         known = ", ".join(sorted(f.name for f in folder.iterdir() if f.suffix in (".toml", ".dbc")))
         raise ConfigError(f"{name}: no such file, beside the configuration or shipped; shipped: {known}")
     return folder / name
-
-
-def load(file: str | File, *, bus: dict[str, Any] | None = None) -> CarConfig:
-    """The configuration in a TOML file, or the shipped one of that name.
-
-    bus: arguments of `can.Bus` that replace the file's (the simulated car's port). Raises ConfigError with all
-    mistakes, each naming the key, what stands there and what is valid.
-    """
-    path = File(file) if File(file).exists() else shipped(str(file))
-    try:
-        text = path.read_text(encoding="utf-8")
-        data = tomllib.loads(text)
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read as TOML ({error})") from error
-    from steerkit.plants.real_car.file.reading import Reading
-
-    for name in ("can", "cantools"):
-        if importlib.util.find_spec(name) is None:
-            raise ConfigError(f"{path}: a car needs the package {name}: pip install 'steerkit-control[car]'")
-
-    return Reading(path, text, data).config(bus)

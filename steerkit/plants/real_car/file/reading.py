@@ -1,9 +1,11 @@
-"""Reading a car's TOML file: every table, every key, every name checked, and all mistakes reported at once."""
+"""Reading a car's TOML file, `load`: every table, key and name is checked, and all mistakes are reported at once."""
 
 from __future__ import annotations
 
 import difflib
+import importlib.util
 import math
+import tomllib
 from collections.abc import Iterable
 from dataclasses import fields
 from pathlib import Path as File
@@ -12,49 +14,42 @@ from typing import Any
 from steerkit.path import Path
 from steerkit.plants.real_car.decisions.gate import GateLimits
 from steerkit.plants.real_car.decisions.modes import StateLimits
-from steerkit.plants.real_car.file.config import ANGLES, DERIVED, DIMENSION, CarConfig, ConfigError, shipped
+from steerkit.plants.real_car.file.config import (
+    ANGLES,
+    DERIVED,
+    DIMENSION,
+    FORMAT,
+    KINDS,
+    NEEDED,
+    POSE,
+    REPORT,
+    WIDEST,
+    CarConfig,
+    ConfigError,
+    shipped,
+)
 from steerkit.plants.real_car.frames.codec import MAX_JUMP, CommandWriter, FrameReader, Mapping, Protection
 from steerkit.units import radians_of
 from steerkit.vehicles import Vehicle, vehicle
 
-FORMAT = "steerkit car 1"
-REPORT = ("delta_sw", "v_kit", "torque", "echo", "enabled", "override", "timeout")
-POSE = ("x", "y", "lat", "lon", "psi", "v", "r", "beta", "a_y", "quality", "stamp")
-NEEDED = ("delta_sw", "v_kit", "torque", "enabled", "override", "psi", "v", "r")
-KINDS = {
-    "rad": ("deg", "rad"),
-    "m": ("m", "cm", "mm"),
-    "m/s": ("m/s", "km/h", "mph"),
-    "rad/s": ("deg/s", "rad/s"),
-    "N m": ("Nm", "N m"),
-    "m/s^2": ("m/s^2", "m/s2", "g"),
-    "s": ("s", "ms", "us"),
-}
-_ABSOLUTE = {  # the widest that the file may ask for, in the file's units
-    "delta_sw_max_deg": 520.0,
-    "rate_max_deg": 1000.0,
-    "a_y_max": 5.0,
-    "jerk_max": 10.0,
-    "v_max": 40.0,
-    "e_max": 5.0,
-    "report_age": 0.15,
-    "pose_age": 0.15,
-    "request_age": 0.09,
-    "request_lost": 0.3,
-    "v_floor": 5.0,
-    "e_engage": 2.0,
-    "dt_min": 0.02,
-    "dt_max": 0.1,
-    "lateness": 0.1,
-    "echo_age": 0.5,
-    "follow_time": 2.0,
-    "enable_time": 2.0,
-    "torque_reports": 50,
-    "integrity_errors": 10,
-    "misses": 20,
-    "torque_max": 10.0,
-    "v_mismatch": 5.0,
-}
+
+def load(file: str | File, *, bus: dict[str, Any] | None = None) -> CarConfig:
+    """The configuration in a TOML file, or the shipped one of that name.
+
+    bus: arguments of `can.Bus` that replace the file's (the simulated car's port). Raises ConfigError with all
+    mistakes, each naming the key, what stands there and what is valid.
+    """
+    path = File(file) if File(file).exists() else shipped(str(file))
+    try:
+        text = path.read_text(encoding="utf-8")
+        data = tomllib.loads(text)
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read as TOML ({error})") from error
+    for name in ("can", "cantools"):
+        if importlib.util.find_spec(name) is None:
+            raise ConfigError(f"{path}: a car needs the package {name}: pip install 'steerkit-control[car]'")
+
+    return Reading(path, text, data).config(bus)
 
 
 class Reading:
@@ -369,7 +364,7 @@ class Reading:
             if key in table:
                 kind = int if valid[name].type == "int" else float
                 value = self.entry("limits", table, key, kind)
-                most = _ABSOLUTE.get(key, 90.0 if key.endswith("_deg") else 100.0)
+                most = WIDEST.get(key, 90.0 if key.endswith("_deg") else 100.0)
                 if not 0 < value <= most:
                     self.wrong(f"[limits] {key} = {value:g}, expected more than 0 and at most {most:g}")
                 else:

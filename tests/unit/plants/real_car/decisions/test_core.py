@@ -16,7 +16,8 @@ from steerkit.courses import course
 from steerkit.plants.real_car import recording as tapes
 from steerkit.plants.real_car.decisions.core import Core, Frame, Link, Packet, Reply, Send, Tick
 from steerkit.plants.real_car.decisions.modes import Machine, Mode, Order
-from steerkit.plants.real_car.file.config import CarConfig, load
+from steerkit.plants.real_car.file.config import CarConfig
+from steerkit.plants.real_car.file.reading import load
 from steerkit.plants.real_car.processes.client import RealCar, ReplayLink
 from steerkit.plants.real_car.processes.protocol import (
     Command,

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from steerkit.plants.real_car.file.config import ConfigError, load, shipped
+from steerkit.plants.real_car.file.config import ConfigError, shipped
+from steerkit.plants.real_car.file.reading import load
 from steerkit.units import radians_of
 
 TEXT = shipped("dbw-kit.toml").read_text()

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from steerkit.plants.real_car.file.config import load, shipped
+from steerkit.plants.real_car.file.config import shipped
+from steerkit.plants.real_car.file.reading import load
 from steerkit.plants.real_car.frames.codec import (
     MAX_JUMP,
     CommandWriter,
