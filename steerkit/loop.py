@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import zipfile
-import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
@@ -14,6 +12,7 @@ import numpy as np
 
 from steerkit.block import Block, Port, State
 from steerkit.errors import WiringError
+from steerkit.files import read_npz, write_npz
 from steerkit.wiring import Call, Place, Wire, Wiring, base_step, nearest
 
 if TYPE_CHECKING:
@@ -230,8 +229,7 @@ class Loop:
         for name, block, x, y in zip(self.names, self._wiring.blocks, state.x, state.y):
             arrays[f"x.{name}"] = _packed(x)
             arrays |= {f"y.{name}.{out.name}": _packed(value) for out, value in zip(block.outputs, y)}
-        with FilePath(file).open("wb") as stream:  # a stream, since savez would append .npz to a name
-            np.savez(stream, **arrays)  # type: ignore[arg-type]
+        write_npz(file, arrays)
 
     def load_state(self, file: str | FilePath) -> LoopState:
         """Read what `save_state` wrote for a loop of the same blocks; raises ValueError for any other file."""
@@ -299,17 +297,6 @@ class Loop:
                 raise WiringError(
                     f"{name}.{out.name} is declared independent of {', '.join(sorted(unknown))}, but is NaN without it"
                 )
-
-
-def read_npz(file: str | FilePath, where: str) -> dict[str, np.ndarray]:
-    """The arrays in a NumPy .npz file; raises ValueError, in the name of `where`, for any other or a broken file."""
-    try:
-        with FilePath(file).open("rb") as stream, np.lib.npyio.NpzFile(stream, allow_pickle=False) as data:
-            return {key: data[key] for key in data.files}
-    except FileNotFoundError:
-        raise
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error) as error:
-        raise ValueError(f"{where}: {file} is no NumPy .npz file, or a broken one ({error})") from error
 
 
 def _same(a: Any, b: Any) -> bool:

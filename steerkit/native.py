@@ -13,6 +13,8 @@ import subprocess
 import tempfile
 from pathlib import Path
 
+from steerkit.files import whole
+
 FLAGS = ("-O3", "-march=native", "-std=gnu99", "-fPIC", "-shared", "-fno-math-errno", "-fno-trapping-math", "-w")
 """None of these changes a result; -ffast-math is not among them."""
 EXACT = ("-ffp-contract=off",)
@@ -72,17 +74,16 @@ def load(source: str, *, fused: bool = False, vector_maths: bool = False) -> cty
 
 
 def _build(tool: tuple[str, ...], source: str, library: Path, rounding: tuple[str, ...], *, vector_maths: bool) -> None:
-    with tempfile.TemporaryDirectory(dir=library.parent) as folder:
-        file, made = Path(folder, "source.c"), Path(folder, "made.so")
+    with tempfile.TemporaryDirectory(dir=library.parent) as folder, whole(library) as made:
+        file = Path(folder, "source.c")
         file.write_text(source, encoding="utf-8")
         tries = [["-DVECTOR_MATHS", "-Wl,--no-undefined", "-lmvec"], []] if vector_maths else [[]]
         for extra in tries:  # the second, lane by lane, is for machines without libmvec
             command = [*tool, *FLAGS, *rounding, *extra[:1], str(file), "-o", str(made), *extra[1:], "-lm"]
             done = subprocess.run(command, capture_output=True, text=True, check=False)
             if done.returncode == 0:
-                os.replace(made, library)  # atomic: another process sees all of it or nothing
                 return
-    raise NoCompilerError(f"{' '.join(tool)} refused the generated code: {done.stderr.strip()[:500]}")
+        raise NoCompilerError(f"{' '.join(tool)} refused the generated code: {done.stderr.strip()[:500]}")
 
 
 @functools.cache

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from steerkit import maths as m
+from steerkit.files import write_text
 from steerkit.maths import Scalar, Table
 
 Array = NDArray[np.float64]
@@ -244,7 +245,8 @@ class Path:
         k = self.samples
         rows = np.column_stack((k.s, k.xy, k.psi, k.kappa))[: -1 if self.closed else None]
         what = f"{self.name}: {'closed' if self.closed else 'open'} path, {self.length:.9g} m; m, rad, 1/m"
-        np.savetxt(file, rows, fmt="%.9f", delimiter=",", header=f"# {what}\ns,x,y,psi,kappa", comments="")
+        lines = [f"# {what}", "s,x,y,psi,kappa", *(",".join(f"{value:.9f}" for value in row) for row in rows)]
+        write_text(file, "\n".join([*lines, ""]))
 
     def require_closed(self, where: str) -> None:
         """Raise ValueError, in the name of `where`, on an open path."""

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from steerkit.block import Port
-from steerkit.loop import Loop, LoopState, Sample, read_npz
+from steerkit.files import read_npz, write_npz
+from steerkit.loop import Loop, LoopState, Sample
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -101,8 +102,7 @@ class Log(Mapping[str, np.ndarray]):
     def save(self, file: str | FilePath) -> None:
         """Write to a compressed NumPy .npz file."""
         units = np.array([f"{name}\t{self.units[name]}" for name in self.signals])
-        with FilePath(file).open("wb") as stream:
-            np.savez_compressed(stream, t=self.t, units=units, **self.signals)  # type: ignore[arg-type]
+        write_npz(file, {"t": self.t, "units": units, **self.signals}, compressed=True)
 
     @classmethod
     def load(cls, file: str | FilePath) -> Log:

@@ -9,8 +9,9 @@ from pathlib import Path as FilePath
 from tempfile import TemporaryDirectory
 
 from benchmarks.run.compare import Change, same
-from benchmarks.run.results import Results, whole
+from benchmarks.run.results import Results
 from benchmarks.suites import suite
+from steerkit.files import write_text
 
 FILE = FilePath(__file__).parents[2] / "tests" / "golden" / "benchmarks.json"
 TOLERANCES = {"rel": 1e-6, "abs": 1e-8}
@@ -66,4 +67,4 @@ def update(new: Numbers) -> None:
         "cases": new,
     }
     FILE.parent.mkdir(exist_ok=True)
-    whole(FILE, lambda draft: draft.write_text(json.dumps(data, indent=1) + "\n"))
+    write_text(FILE, json.dumps(data, indent=1) + "\n")

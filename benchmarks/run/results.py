@@ -15,16 +15,14 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, fields
-from functools import partial
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from steerkit.loop import read_npz
+from steerkit.files import read_npz, whole, write_npz, write_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -191,7 +189,7 @@ class Store:
         for folder in ("cases", "trajectories", "curves", "nets"):
             (self.place / folder).mkdir(parents=True, exist_ok=True)
         (self.place / "cases.parquet").unlink(missing_ok=True)  # until the new merge, the case files are the truth
-        whole(file, lambda draft: draft.write_text(_json(plan, indent=1)))
+        write_text(file, _json(plan, indent=1))
 
     def has(self, case_id: str) -> bool:
         """Has this case finished, without an error?"""
@@ -209,10 +207,10 @@ class Store:
         """Write a finished case, its JSON last: a kill before that leaves it unfinished, after that finished."""
         for folder, arrays in (("trajectories", trajectory), ("curves", curve)):
             if arrays is not None:
-                whole(self.place / folder / f"{case.id}.npz", partial(_save_npz, arrays))
+                write_npz(self.place / folder / f"{case.id}.npz", arrays, compressed=True)
         if net is not None:
-            whole(self.net_file(case.id), net)
-        whole(self._case_file(case.id), lambda draft: draft.write_text(_json(asdict(case))))
+            net(self.net_file(case.id))
+        write_text(self._case_file(case.id), _json(asdict(case)))
 
     def net_file(self, case_id: str) -> FilePath:
         """Where a learner's last net is."""
@@ -223,7 +221,8 @@ class Store:
         provenance = read_provenance(self.place)
         cases = _from_files(self.place, provenance)
         results = Results(self.place, provenance, cases)
-        whole(self.place / "cases.parquet", lambda draft: results.table().to_parquet(draft, index=False))
+        with whole(self.place / "cases.parquet") as draft:
+            results.table().to_parquet(draft, index=False)
         return results
 
     def _case_file(self, case_id: str) -> FilePath:
@@ -270,16 +269,6 @@ def read_provenance(place: FilePath) -> dict[str, Any]:
     if found != FORMAT:
         raise ValueError(f"{file}: results of version {found!r}, this program reads {FORMAT!r}; run the suite again")
     return data
-
-
-def whole(file: FilePath, write: Callable[[FilePath], Any]) -> None:
-    """Write through a name of this process's own, so that `file` is the old one or the new one, never half."""
-    draft = file.with_name(f".{file.name}.{os.getpid()}.tmp")
-    try:
-        write(draft)
-        os.replace(draft, file)
-    finally:
-        draft.unlink(missing_ok=True)
 
 
 def _from_files(place: FilePath, provenance: Mapping[str, Any]) -> tuple[Case, ...]:
@@ -330,11 +319,6 @@ def _finite(data: Any) -> Any:
     if isinstance(data, float | np.floating):
         return float(data) if math.isfinite(data) else None if math.isnan(data) else str(float(data))
     return data
-
-
-def _save_npz(arrays: Mapping[str, np.ndarray], file: FilePath) -> None:
-    with file.open("wb") as stream:
-        np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
 
 
 def _line(error: BaseException) -> str:

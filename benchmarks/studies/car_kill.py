@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any
 
 from steerkit.clock import Clock
+from steerkit.files import write_text
 from steerkit.learning.data.store import TransitionStore
 from steerkit.learning.settings import setting
 from steerkit.on_car import loop as loops
@@ -62,9 +63,7 @@ def controller(folder: Path) -> None:
                         "faults": len(learner.trainer.faults),
                         "misses": run.timing.misses,
                     }
-                    draft = folder / "state.json.tmp"
-                    draft.write_text(json.dumps(state))
-                    os.replace(draft, folder / "state.json")
+                    write_text(folder / "state.json", json.dumps(state), durable=False)
                 return False
 
             learner.run(float("inf"), clock=Clock(), watch=watch)

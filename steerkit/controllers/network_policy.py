@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from steerkit import maths as m
 from steerkit.block import Block, In, Out, State
-from steerkit.controllers.nfq_policy import StateDescription, read_arrays, write_arrays
+from steerkit.controllers.nfq_policy import StateDescription
 from steerkit.errors import require
+from steerkit.files import read_arrays, write_arrays
 from steerkit.units import radians_of
 
 Array = NDArray[np.float64]
@@ -175,19 +176,21 @@ class PolicyBlock(Block):
         write_arrays(
             path,
             "policy block",
-            actions=self.actions or (),
-            largest=self.largest,
-            ready_from=self.ready_from,
-            dt=self.dt,
-            names=d.names,
-            low=d.low,
-            high=d.high,
-            mirror_signs=d.mirror_signs,
-            goal=d.goal,
-            activation=net.activation,
-            head=net.head,
-            layers=len(net.layers),
-            **arrays,
+            {
+                "actions": self.actions or (),
+                "largest": self.largest,
+                "ready_from": self.ready_from,
+                "dt": self.dt,
+                "names": d.names,
+                "low": d.low,
+                "high": d.high,
+                "mirror_signs": d.mirror_signs,
+                "goal": d.goal,
+                "activation": net.activation,
+                "head": net.head,
+                "layers": len(net.layers),
+                **arrays,
+            },
         )
 
     @classmethod

@@ -5,8 +5,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import os
-import zipfile
-import zlib
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -17,6 +15,7 @@ from steerkit import maths as m
 from steerkit.block import State
 from steerkit.controllers.policy import Policy
 from steerkit.errors import require
+from steerkit.files import read_arrays, write_arrays
 from steerkit.units import radians_of
 
 Combine = Literal["mean", "max", "disagreement"]
@@ -230,24 +229,30 @@ class NfqPolicy(Policy):
             best, action = m.where(better, q, best), m.where(better, candidate, action)
         return action, best
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the policy to one small file (NumPy .npz, no pickle) that `load` gives back bit for bit."""
+    def save(self, path: str | os.PathLike[str], *, durable: bool = True) -> None:
+        """Write the policy to one small file (NumPy .npz, no pickle) that `load` gives back bit for bit.
+
+        durable: wait for the disk; False for a thread that may not (`steerkit.files.whole`).
+        """
         d = self.description
         write_arrays(
             path,
             "policy",
-            actions=self.actions,
-            combine=self.combine,
-            ready_from=self.ready_from,
-            dt=self.dt,
-            names=d.names,
-            low=d.low,
-            high=d.high,
-            mirror_signs=d.mirror_signs,
-            goal=d.goal,
-            action_scale=d.action_scale or 0.0,
-            nets=len(self.nets or ()),
-            **{f"net{k}_{i}": p for k, net in enumerate(self.nets or ()) for i, p in enumerate(net)},
+            {
+                "actions": self.actions,
+                "combine": self.combine,
+                "ready_from": self.ready_from,
+                "dt": self.dt,
+                "names": d.names,
+                "low": d.low,
+                "high": d.high,
+                "mirror_signs": d.mirror_signs,
+                "goal": d.goal,
+                "action_scale": d.action_scale or 0.0,
+                "nets": len(self.nets or ()),
+                **{f"net{k}_{i}": p for k, net in enumerate(self.nets or ()) for i, p in enumerate(net)},
+            },
+            durable=durable,
         )
 
     @classmethod
@@ -318,27 +323,3 @@ def _block_diagonal(blocks: list[NDArray[Any]]) -> NDArray[np.float64]:
     for k, block in enumerate(blocks):
         w[k * rows : (k + 1) * rows, k * cols : (k + 1) * cols] = block
     return w
-
-
-def write_arrays(path: str | os.PathLike[str], kind: str, **arrays: Any) -> None:
-    """Write arrays to an .npz of the given kind, whole or not at all."""
-    part = f"{os.fspath(path)}.part{os.getpid()}"
-    with open(part, "wb") as file:
-        np.savez(file, format=f"steerkit {kind} 1", **arrays)
-    os.replace(part, path)
-
-
-def read_arrays(path: str | os.PathLike[str], kind: str) -> dict[str, NDArray[Any]]:
-    """The arrays that `write_arrays` wrote; raises ValueError naming the file when they are not there."""
-    try:
-        with open(path, "rb") as file:
-            opened = np.load(file, allow_pickle=False)
-            arrays = {name: opened[name] for name in opened.files}
-    except (FileNotFoundError, IsADirectoryError, PermissionError):
-        raise
-    except (ValueError, OSError, EOFError, KeyError, AttributeError, zipfile.BadZipFile, zlib.error) as why:
-        hint = f"it is cut short or not a steerkit {kind} file; write it again with save()"
-        raise ValueError(f"{path}: cannot be read ({why}); {hint}") from why
-    found = str(arrays.get("format", "an .npz of another program"))
-    require(found == f"steerkit {kind} 1", str(path), f"holds '{found}', expected 'steerkit {kind} 1'")
-    return arrays

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from steerkit.errors import require
+from steerkit.files import write_text
 from steerkit.identification.drive import Array, Drive, moments
 from steerkit.identification.model import Simulator, stiffnesses
 from steerkit.vehicles import Vehicle
@@ -123,7 +124,7 @@ class Identified:
     def save(self, file: str | Path, *, command: str = "", held_out: Prediction | None = None) -> None:
         """Write the vehicle file; `vehicle(file)` and `steering_of(file)` read it."""
         require(str(file).endswith(".toml"), "Identified.save", f"{file}: a vehicle file ends in .toml")
-        Path(file).write_text(self.text(command=command, held_out=held_out), encoding="utf-8")
+        write_text(file, self.text(command=command, held_out=held_out))
 
     def plot(self, held_out: Prediction | None = None) -> Any:
         """Measured and predicted yaw rate and the residuals, as a matplotlib figure."""

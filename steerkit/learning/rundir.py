@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from dataclasses import asdict, fields, is_dataclass, replace
 from functools import partial
 from pathlib import Path as FilePath
 from typing import Any
 
 from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.files import write_text
 from steerkit.learning import costs
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.experiment import Counts, Episode, Experiment, LearningRun, Watcher
@@ -68,12 +68,12 @@ def save(run: LearningRun, place: FilePath) -> None:
     pending = run.trainer.pending
     (place / "nets").mkdir(exist_ok=True)
     (place / "drive").mkdir(exist_ok=True)
-    _whole(place / f"state-{number}.npz", lambda f: run.loop.save_state(run.state, f))
-    _whole(place / f"transitions-{number}.npz", run.transitions.save)
+    run.loop.save_state(run.state, place / f"state-{number}.npz")
+    run.transitions.save(place / f"transitions-{number}.npz")
     net = replace(run.policy, nets=pending[2] if pending else run.nets, ready_from=0.0)
-    _whole(place / "nets" / f"net-{run.counts.updates:04d}.npz", net.save)
-    _whole(place / "nets" / f"steering-{number}.npz", replace(run.policy, ready_from=0.0).save)
-    _whole(place / "drive" / f"{number:04d}.npz", run.recorder.log().save)
+    net.save(place / "nets" / f"net-{run.counts.updates:04d}.npz")
+    replace(run.policy, ready_from=0.0).save(place / "nets" / f"steering-{number}.npz")
+    run.recorder.log().save(place / "drive" / f"{number:04d}.npz")
     run.recorder.clear()
     document = {
         "format": FORMAT,
@@ -84,7 +84,7 @@ def save(run: LearningRun, place: FilePath) -> None:
         "trusted": math.isfinite(run.policy.ready_from),
         "before": run.before,
     }
-    _whole(place / "run.json", lambda f: FilePath(f).write_text(json.dumps(document, indent=1)))
+    write_text(place / "run.json", json.dumps(document, indent=1))
     for stale in (*place.glob("state-*.npz"), *place.glob("transitions-*.npz"), *place.glob("nets/steering-*.npz")):
         if stale.stem.split("-")[1] != str(number):
             stale.unlink()
@@ -154,10 +154,3 @@ def _existing(file: FilePath) -> FilePath:
     if not file.exists():
         raise ValueError(f"{file.parent} is not whole: {file.name} is missing; the run cannot be read")
     return file
-
-
-def _whole(file: FilePath, write: Any) -> None:
-    """Write through a temporary name, so that `file` is either the old one or the new one, never half."""
-    draft = file.with_name(f".{file.name}.tmp")
-    write(draft)
-    os.replace(draft, file)

@@ -24,6 +24,7 @@ from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.supervisor import Guarded
 from steerkit.doe import Dynamic
 from steerkit.errors import require
+from steerkit.files import write_text
 from steerkit.learning import rundir
 from steerkit.learning.data.store import TransitionStore
 from steerkit.learning.nfq import iterate as nfq
@@ -207,7 +208,7 @@ class CarLearner:
         if result.nets is not None:
             self.policy = replace(self.policy, nets=result.nets, ready_from=0.0)
             self.follow.driving, self.follow.trusted, self._net = self._with(self.policy), True, result.number
-            self.policy.save(self._file)
+            self.policy.save(self._file, durable=False)  # the next sample does not wait for the disk
             self._tell()
         elif not self.trusted and len(self.transitions):
             self._train(trusted=False)  # try again: without it nobody but the recovery controller would ever drive
@@ -253,9 +254,7 @@ def _claim(place: FilePath, setting: Setting) -> None:
         raise ValueError(f"{place} is not empty and holds no run of a car (no car.json); choose a new directory")
     (place / "nets").mkdir(parents=True, exist_ok=True)
     if not file.exists():
-        draft = file.with_suffix(".tmp")
-        draft.write_text(json.dumps({"format": FORMAT, "setting": rundir.plain(setting)}, indent=1))
-        draft.replace(file)
+        write_text(file, json.dumps({"format": FORMAT, "setting": rundir.plain(setting)}, indent=1))
 
 
 def setting_of(place: FilePath) -> Setting:

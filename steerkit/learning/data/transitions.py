@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from steerkit.controllers.nfq_policy import StateDescription, read_arrays, write_arrays
+from steerkit.controllers.nfq_policy import StateDescription
 from steerkit.errors import require
+from steerkit.files import read_arrays, write_arrays
 
 
 class Transitions:
@@ -96,7 +97,9 @@ class Transitions:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write everything to one .npz file (no pickle)."""
         write_arrays(
-            path, "transitions", names=self.names, s=self.s, a=self.a, s_next=self.s_next, episode=self.episode
+            path,
+            "transitions",
+            {"names": self.names, "s": self.s, "a": self.a, "s_next": self.s_next, "episode": self.episode},
         )
 
     @classmethod

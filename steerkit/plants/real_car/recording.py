@@ -20,6 +20,7 @@ from collections.abc import Iterator
 from pathlib import Path as File
 from typing import Any, NamedTuple
 
+from steerkit.files import whole
 from steerkit.plants.real_car.decisions.core import Core, Event, Frame, Link, Note, Output, Packet, Send, Tick
 from steerkit.plants.real_car.file.config import CarConfig
 from steerkit.plants.real_car.file.reading import load
@@ -206,13 +207,14 @@ def mend(file: str | os.PathLike[str]) -> Recorded:
     """Give a recording that was cut short its end, so that every MCAP tool opens it; returns what it holds."""
     recorded = read(file)
     if not recorded.whole:
-        draft = File(f"{os.fspath(file)}.part")
-        draft.unlink(missing_ok=True)
-        copy = Recording(draft, recorded.metadata)
-        for message in recorded.messages:
-            copy._queue.put(message)
-        copy.close()
-        os.replace(draft, file)
+        with whole(file) as draft:
+            copy = Recording(draft, recorded.metadata)
+            for message in recorded.messages:
+                copy._queue.put(message)
+            copy.close()
+            copy._thread.join()  # however long it takes
+            if copy.failed:
+                raise OSError(f"{file}: its copy could not be written: {copy.failed}")
     return recorded
 
 

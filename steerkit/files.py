@@ -1,0 +1,99 @@
+"""Files that are written whole or not at all, and arrays in NumPy's .npz files; for all that outlives the program."""
+
+from __future__ import annotations
+
+import errno
+import os
+import threading
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path as FilePath
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerkit.errors import require
+
+File = str | os.PathLike[str]
+
+
+@contextmanager
+def whole(file: File, *, durable: bool = True) -> Iterator[FilePath]:
+    """A name beside `file` to write to; where the `with` block ends well, that becomes `file`, else all is as before.
+
+    For whatever must not be found half written: after an error, a full disk or a kill, `file` is the old one or the new
+    one. durable: wait until the disk has it, so that this also holds when the power is cut; False for a thread that may
+    not wait. A link is followed. Raises ValueError where `file` is a folder or a device, FileNotFoundError where its
+    folder is missing, and what the block raises, with a note that `file` is as it was.
+    """
+    target = FilePath(os.path.realpath(file))
+    require(target.is_file() or not target.exists(), f"{file}", "is a folder or a device, expected a file's name")
+    if not target.parent.is_dir():
+        raise FileNotFoundError(errno.ENOENT, "there is no such folder", str(target.parent))
+    draft = target.with_name(f".{target.name}.{os.getpid()}-{threading.get_ident()}.tmp")
+    draft.unlink(missing_ok=True)  # of an earlier process of this number, killed
+    try:
+        yield draft
+        if durable:
+            _flush(draft)
+        os.replace(draft, target)
+    except BaseException as error:
+        error.add_note(f"{file} was not written; what was there before is unchanged")
+        raise
+    finally:
+        draft.unlink(missing_ok=True)
+
+
+def write_text(file: File, text: str, *, durable: bool = True) -> None:
+    """Write a text file (UTF-8), whole or not at all: see `whole`."""
+    with whole(file, durable=durable) as draft:
+        draft.write_text(text, encoding="utf-8")
+
+
+def write_npz(file: File, arrays: Mapping[str, Any], *, compressed: bool = False, durable: bool = True) -> None:
+    """Write arrays by name to an .npz file without pickle, whole or not at all: see `whole`."""
+    for name, values in arrays.items():
+        require(not np.asarray(values).dtype.hasobject, f"{file}", f"{name} holds objects, expected numbers or text")
+    save = np.savez_compressed if compressed else np.savez
+    with whole(file, durable=durable) as draft, draft.open("wb") as stream:  # given a name, savez would append .npz
+        save(stream, **arrays)
+
+
+def read_npz(file: File, where: str) -> dict[str, NDArray[Any]]:
+    """The arrays of an .npz file by name; nothing in it is ever executed.
+
+    Raises ValueError, in the name of `where`, for any other file, one that is cut short and one that holds objects;
+    FileNotFoundError, IsADirectoryError and PermissionError as they are.
+    """
+    try:
+        with FilePath(file).open("rb") as stream, np.lib.npyio.NpzFile(stream, allow_pickle=False) as data:
+            return {key: data[key] for key in data.files}
+    except (FileNotFoundError, IsADirectoryError, PermissionError):
+        raise
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error) as error:
+        raise ValueError(f"{where}: {file} is no NumPy .npz file, or a broken one ({error})") from error
+
+
+def write_arrays(file: File, kind: str, arrays: Mapping[str, Any], *, durable: bool = True) -> None:
+    """`write_npz`, with the kind of thing that the arrays are, such as `policy`, written beside them."""
+    write_npz(file, {"format": f"steerkit {kind} 1", **arrays}, durable=durable)
+
+
+def read_arrays(file: File, kind: str) -> dict[str, NDArray[Any]]:
+    """The arrays that `write_arrays` wrote; raises ValueError for another kind of thing, else as `read_npz`."""
+    try:
+        arrays = read_npz(file, kind)
+    except ValueError as why:
+        hint = f"it is cut short or not a steerkit {kind} file; write it again with save()"
+        raise ValueError(f"{file}: cannot be read ({why.__cause__}); {hint}") from why
+    found = str(arrays.get("format", "an .npz of another program"))
+    require(found == f"steerkit {kind} 1", str(file), f"holds '{found}', expected 'steerkit {kind} 1'")
+    return arrays
+
+
+def _flush(file: FilePath) -> None:
+    with file.open("rb") as stream:
+        os.fsync(stream.fileno())
