@@ -13,7 +13,6 @@ from steerkit.block import Block
 from steerkit.catalogue import PLANTS, Belief, make_recovery
 from steerkit.controllers.network_policy import PolicyBlock
 from steerkit.controllers.nfq_policy import NfqPolicy
-from steerkit.controllers.supervisor import Guarded
 from steerkit.courses import course, lane_change, names, random_course, recorded_speed
 from steerkit.errors import require
 from steerkit.loop import Loop
@@ -167,7 +166,7 @@ class Scenario:
     def loop(self, path: Path, controller: Block, *, doe: Block | None = None, seed: int = 0) -> Loop:
         """The loop of the drive; a learned controller (with its doe) is caught by Stanley."""
         learned = isinstance(controller, NfqPolicy | PolicyBlock)
-        steers = Guarded(block=replace(controller, ready_from=0.0)) if isinstance(controller, NfqPolicy) else controller
+        steers = replace(controller, ready_from=0.0) if isinstance(controller, NfqPolicy) else controller
         return steering_loop(
             car=self._car(path, seed),
             path=path,

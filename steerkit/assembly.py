@@ -10,6 +10,7 @@ from steerkit import maths as m
 from steerkit.block import Block, In, Out
 from steerkit.controllers.supervisor import Guarded, Supervisor
 from steerkit.controllers.target_shift import TargetShift
+from steerkit.doe import Corrected, Dynamic
 from steerkit.errors import WiringError
 from steerkit.loop import Loop, Wire
 from steerkit.path import Path
@@ -45,7 +46,8 @@ def steering_loop(
 
     controller: steers by itself (an output `delta_sw`), or picks actions (an output `action`) that `doe` turns into
     an angle. recovery: an analytic controller that steers while the learner is off, through `supervisor` (default:
-    0.5 m and 0.1 m), which judges |e|, or the `distance` of `foresight`. actuator: between the command and the wheel
+    0.5 m and 0.1 m), which judges |e|, or the `distance` of `foresight`; the controller is then `Guarded`, so that an
+    exception in it is a fault that the supervisor answers. actuator: between the command and the wheel
     (none: the command is the angle). sensors: what the controllers see of the car (none: the truth). reference: where
     e is measured, m ahead of the centre of gravity (the front axle is l_f). shift: what the learner and the supervisor
     take for e (none: the path's).
@@ -53,7 +55,7 @@ def steering_loop(
     The blocks are named driver, car, actuator, sensors, path, shift, controller, doe, recovery, foresight, supervisor.
     `path` tracks the **true** reference point, for logs and metrics; with sensors, `seen` tracks the measured one; a
     controller that wants e elsewhere (its field `reference`) or a preview gets a tracker of its own. A car with an
-    output `applied` (a real one) says which angle it was told in the end; then the doe has to be `Corrected`.
+    output `applied` (a real one) says which angle it was told in the end; the doe is then `Corrected` by it.
     A controller's inputs are joined by name: e, e_dot, psi_e, kappa, r_e, s, progress, preview (its tracker), x, y,
     psi, v, beta, r, a_y (sensors or car), delta_sw_meas (actuator or car), doe (the DOE's state).
 
@@ -75,6 +77,11 @@ def steering_loop(
         raise WiringError("foresight without a recovery controller; give recovery, such as Stanley.of(vehicle)")
     if recovery is not None and "ready" not in _names(controller.outputs):
         raise WiringError(f"{type(controller).__name__} has no output 'ready', which the supervisor needs to know")
+    told = "applied" in _names(car.outputs)
+    if recovery is not None:
+        controller = _guarded(controller)
+    if doe is not None and told:
+        doe = _corrected(doe)
     bench = _Bench(path)
     bench.add("driver", driver)
     bench.add("car", car)
@@ -116,13 +123,41 @@ def steering_loop(
         bench.wire(recovery, "delta_sw", judge, "recovery")
         command = judge
     if doe is not None:
-        told = "applied" in _names(car.outputs)
         bench.wire(car if told else command, "applied" if told else "delta_sw", doe, "applied")
     if actuator is not None:
         bench.wire(command, "delta_sw", actuator, "delta_sw_cmd")
     bench.wire(steered if actuator is not None else command, "delta_sw", car, "delta_sw_in")
     bench.wire(driver, "v", car, "v_in")
     return Loop(blocks=bench.blocks, wires=bench.wires)
+
+
+def controller_of(loop: Loop) -> Block:
+    """The controller that `steering_loop` was given, without the guard around it."""
+    block = loop.blocks["controller"]
+    return block.block if isinstance(block, Guarded) else block
+
+
+def with_controller(loop: Loop, controller: Block) -> Loop:
+    """A steering loop with another controller of the same ports in place of its own, guarded if that was; to exchange
+    a policy while the loop's state goes on."""
+    guarded = isinstance(loop.blocks["controller"], Guarded)
+    return loop.with_block("controller", _guarded(controller) if guarded else controller)
+
+
+def _guarded(controller: Block) -> Guarded:
+    return controller if isinstance(controller, Guarded) else Guarded(block=controller)
+
+
+def _corrected(doe: Block) -> Block:
+    """A doe that goes on from the angle that the car reports."""
+    if doe.inputs and all(port.direct for port in doe.inputs if port.name == "applied"):
+        return doe
+    if not isinstance(doe, Dynamic):
+        raise WiringError(
+            f"{type(doe).__name__} remembers the angle that it asked for, and this car reports another (its output "
+            "'applied'); make it a Dynamic, or its input 'applied' direct, as Corrected does"
+        )
+    return Corrected(element=doe)
 
 
 class _Bench:

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from steerkit.assembly import steering_loop
+from steerkit.assembly import steering_loop, with_controller
+from steerkit.block import Block
 from steerkit.controllers.nfq_policy import NfqPolicy
-from steerkit.controllers.supervisor import Guarded
 from steerkit.controllers.target_shift import TargetShift
 from steerkit.errors import require
 from steerkit.learning.data.transitions import Transitions
@@ -274,14 +274,14 @@ class LearningRun:
     def set_policy(self, policy: NfqPolicy) -> None:
         """Exchange the policy between two samples; the loop's state goes on."""
         self.policy = policy
-        self.loop = self.loop.with_block("controller", self._controller())
+        self.loop = with_controller(self.loop, self._controller())
         self.recorder.loop = self.loop
 
-    def _controller(self) -> Guarded:
+    def _controller(self) -> Block:
         share, policy = self.experiment.setting.exploration, self.policy
         if share and isinstance(policy, NfqPolicy):
-            return Guarded(block=Exploring(policy=policy, share=share, seed=self.experiment.seed))
-        return Guarded(block=policy)
+            return Exploring(policy=policy, share=share, seed=self.experiment.seed)
+        return policy
 
     @property
     def _trusted(self) -> bool:

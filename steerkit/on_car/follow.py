@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol, Self
 
+from steerkit.assembly import controller_of, with_controller
 from steerkit.controllers.nfq_policy import NfqPolicy
-from steerkit.controllers.supervisor import Guarded
 from steerkit.loop import Loop
 from steerkit.realtime import Run
 
@@ -43,10 +43,9 @@ class Follow:
     @classmethod
     def of(cls, loop: Loop, link: Seen) -> Self:
         """For a loop of `steerkit.on_car.loop.car_loop`."""
-        block = loop.blocks["controller"]
-        resting = loop
-        if isinstance(block, Guarded) and isinstance(block.block, NfqPolicy):
-            resting = loop.with_block("controller", Guarded(block=replace(block.block, ready_from=math.inf)))
+        resting, policy = loop, controller_of(loop)
+        if isinstance(policy, NfqPolicy):
+            resting = with_controller(loop, replace(policy, ready_from=math.inf))
         return cls(link=link, resting=resting, driving=loop)
 
     def begin(self, run: Run) -> bool:

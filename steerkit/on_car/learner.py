@@ -18,10 +18,10 @@ from pathlib import Path as FilePath
 from types import TracebackType
 from typing import Any, Protocol, Self
 
+from steerkit.assembly import with_controller
 from steerkit.block import Block
 from steerkit.clock import Clock
 from steerkit.controllers.nfq_policy import NfqPolicy
-from steerkit.controllers.supervisor import Guarded
 from steerkit.doe import Dynamic
 from steerkit.errors import require
 from steerkit.files import write_text
@@ -222,7 +222,7 @@ class CarLearner:
         self.link.remark(steers.text())
 
     def _with(self, policy: NfqPolicy) -> Loop:
-        return self._idle.with_block("controller", Guarded(block=policy))
+        return with_controller(self._idle, policy)
 
     def _value(self, live: Run, signal: str) -> float:
         i, j = self._idle.locate(signal)

@@ -14,9 +14,8 @@ from steerkit.catalogue import CONTROLLERS, Belief, make_controller, make_elemen
 from steerkit.clock import Clock
 from steerkit.controllers.foresight import Foresight
 from steerkit.controllers.nfq_policy import NfqPolicy
-from steerkit.controllers.supervisor import Guarded
 from steerkit.courses import course
-from steerkit.doe import Corrected, Dynamic, Integrator
+from steerkit.doe import Dynamic, Integrator
 from steerkit.learning import rundir
 from steerkit.loop import Loop
 from steerkit.on_car import learner as on_car
@@ -122,8 +121,8 @@ def car_loop(
         car=RealCar(link=link),
         path=path,
         driver=ConstantSpeed(speed=0.0),  # the human in the car keeps the speed; nobody reads this
-        controller=Guarded(block=controller) if learned else controller,
-        doe=Corrected(element=element) if learned else None,
+        controller=controller,
+        doe=element if learned else None,
         recovery=recovery_named(recovery, config) if learned else None,
         foresight=foresight(config) if learned else None,
         reference=config.vehicle.l_f,

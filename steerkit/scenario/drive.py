@@ -9,7 +9,6 @@ from dataclasses import replace
 from steerkit.assembly import steering_loop
 from steerkit.block import Block
 from steerkit.catalogue import CONTROLLERS, make_controller
-from steerkit.controllers.supervisor import Guarded
 from steerkit.errors import known
 from steerkit.loop import Loop
 from steerkit.scenario.world import World
@@ -30,7 +29,7 @@ def drive_loop(world: World, steering: Block, *, doe: Block | None = None, seed:
         car=world.car(path, s=s),
         path=path,
         driver=world.driver(seed),
-        controller=Guarded(block=replace(steering, ready_from=0.0)) if learned else steering,  # type: ignore[call-arg]
+        controller=replace(steering, ready_from=0.0) if learned else steering,  # type: ignore[call-arg]
         doe=doe,
         recovery=world.recovery() if learned else None,
         actuator=world.actuator(),

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pytest
 
-from steerkit.assembly import placed, steering_loop
+from steerkit.assembly import controller_of, placed, steering_loop, with_controller
 from steerkit.block import Block, In, Out
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.stanley import Stanley
+from steerkit.controllers.supervisor import Guarded
 from steerkit.courses import circle, course
-from steerkit.doe import Integrator
+from steerkit.doe import Corrected, Integrator, LowPass
 from steerkit.errors import WiringError
 from steerkit.loop import Loop
 from steerkit.plants.careful_driver import CarefulDriver
@@ -80,6 +82,105 @@ class Odd(Block):
 def test_an_input_of_an_unknown_name_is_told_what_there_is() -> None:
     with pytest.raises(WiringError, match=r"Odd\.wish: no signal of that name; known: s, progress, e"):
         steering_loop(**{**parts(), "controller": Odd()})
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Failing(Block):
+    """A policy whose equations break in the third sample."""
+
+    e = In("m")
+    action = Out("rad")
+    ready = Out("1")
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        if t > 0.12:
+            raise ZeroDivisionError("the net is broken")
+        return self.Y(0.0, 1.0)
+
+
+def test_an_exception_in_a_learned_controller_is_answered_by_the_supervisor() -> None:
+    p = parts() | {"controller": Failing(), "doe": Integrator()}
+    loop = steering_loop(**p, recovery=Stanley.of(VW_PASSAT))
+    log = simulate(loop, 0.3, allow_nonfinite=True)
+    assert log["supervisor.learning"].tolist() == [1.0, 1.0, 1.0, 0.0, 0.0, 0.0]
+    np.testing.assert_array_equal(log["supervisor.delta_sw"][3:], log["recovery.delta_sw"][3:])
+    with pytest.raises(ZeroDivisionError, match="the net is broken"):
+        simulate(steering_loop(**p), 0.3)  # nobody is there to answer
+
+
+def test_a_controller_is_exchanged_as_it_was_put_in() -> None:
+    policy, better = Failing(), Failing()
+    p = parts() | {"doe": Integrator()}
+    caught = steering_loop(**{**p, "controller": policy}, recovery=Stanley.of(VW_PASSAT))
+    guarded = steering_loop(**{**p, "controller": Guarded(block=policy)}, recovery=Stanley.of(VW_PASSAT))
+    alone = steering_loop(**{**p, "controller": policy})
+    for loop, guard in ((caught, True), (guarded, True), (alone, False)):
+        assert controller_of(loop) is policy
+        assert controller_of(with_controller(loop, better)) is better
+        assert isinstance(with_controller(loop, better).blocks["controller"], Guarded) == guard
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Stubborn(Block):
+    """A parked car whose wheel is turned by half of what it is told, which it reports."""
+
+    delta_sw_in = In("rad", direct=False)
+    v_in = In("m/s", direct=False)
+    x = Out("m")
+    y = Out("m")
+    psi = Out("rad")
+    v = Out("m/s")
+    beta = Out("rad")
+    r = Out("rad/s")
+    delta_sw = Out("rad")
+    applied = Out("rad")
+
+    def init(self, batch: tuple[int, ...] = ()) -> Any:
+        return (0.0,)
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        return self.Y(30.0, 0.0, 0.5 * np.pi, 0.0, 0.0, 0.0, x[0], x[0])
+
+    def update(self, t: Any, x: Any, u: Any, y: Any) -> Any:
+        return (0.5 * u.delta_sw_in,)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Steady(Block):
+    """Asks for the same step again and again."""
+
+    doe = In("rad")
+    action = Out("rad")
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        return self.Y(0.2)
+
+
+@pytest.mark.parametrize("doe", [Integrator(), Corrected(), LowPass(tau=0.1)])
+def test_a_doe_goes_on_from_what_the_car_reports(doe: Block) -> None:
+    loop = steering_loop(**{**parts(), "car": Stubborn(), "controller": Steady(), "doe": doe})
+    log = simulate(loop, 0.5)
+    assert isinstance(loop.blocks["doe"], Corrected)
+    np.testing.assert_array_equal(log["doe.state"], log["car.applied"])
+    np.testing.assert_allclose(log["car.applied"][1:], 0.5 * log["doe.delta_sw"][:-1])
+    if isinstance(doe, Integrator):
+        assert log["car.applied"][-1] == pytest.approx(0.2, rel=0.01), "z = (z + 0.2)/2 ends at 0.2"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Own(Block):
+    """A doe of somebody's own, which trusts that what it asks for is done."""
+
+    action = In("rad")
+    applied = In("rad", direct=False)
+    delta_sw = Out("rad")
+    state = Out("rad", direct=())
+
+
+def test_a_doe_that_cannot_be_corrected_is_refused_on_a_car_that_reports() -> None:
+    p = {**parts(), "car": Stubborn(), "controller": Steady()}
+    with pytest.raises(WiringError, match=r"Own remembers the angle that it asked for, and this car reports another"):
+        steering_loop(**p, doe=Own())
 
 
 def test_placed_puts_the_car_beside_the_path() -> None:
