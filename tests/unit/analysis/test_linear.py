@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import control
 import numpy as np
 import pytest
 
-from steerkit import maths as m
 from steerkit.analysis import (
     FromControl,
     NotTimeInvariantError,
@@ -17,29 +15,23 @@ from steerkit.analysis import (
     linearise,
     margins,
     over,
-    plot_bode,
-    plot_over,
-    plot_steps,
     step_response,
     to_control,
 )
 from steerkit.assembly import placed, steering_loop
-from steerkit.compiled import compile
-from steerkit.controllers.delay import delayed_stanley
 from steerkit.controllers.stanley import Stanley
-from steerkit.courses import circle, straight
+from steerkit.courses import circle
 from steerkit.loop import Loop
 from steerkit.plants.human_driver import ConstantSpeed, HumanDriver
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.sensors import Sensors
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.simulation import simulate
-from steerkit.vehicles import vehicle
-from tests.support.parts import Gain
+from tests.support.straight_road import PASSAT, steered
 
-PASSAT = vehicle("vw-passat")
-ROAD = straight(400.0)
 PLANT = control.ss([[0.9, 0.1], [0.0, 0.7]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]], 0.05, inputs=["u"], outputs=["y"])
+
+
 FILTER = control.ss([[0.5]], [[1.0]], [[-0.08]], [[-0.02]], 0.05, inputs=["u"], outputs=["y"])
 
 
@@ -48,19 +40,6 @@ def hand_built() -> Loop:
     plant = FromControl(system=PLANT, units={"u": "m", "y": "m"}, x0=(1.0, 0.0))
     feedback = FromControl(system=FILTER, units={"u": "m", "y": "m"})
     return Loop(blocks={"plant": plant, "law": feedback}, wires=[(plant.y, feedback.u), (feedback.y, plant.u)])
-
-
-def steered(v: float = 6.0, controller: Any = None, delay: float = 0.2, driver: Any = None, **parts: Any) -> Loop:
-    car = placed(LinearSingleTrack(vehicle=PASSAT, v0=v), ROAD, s=20.0)
-    return steering_loop(
-        car=car,
-        path=ROAD,
-        driver=driver or ConstantSpeed(speed=v),
-        reference=PASSAT.l_f,
-        controller=controller or delayed_stanley(PASSAT, delay=delay, lag=0.1),
-        actuator=SteeringActuator(delay=delay, lag=0.1),
-        **parts,
-    )
 
 
 def test_a_loop_is_python_controls_own_feedback() -> None:
@@ -160,92 +139,6 @@ def test_a_linear_loop_answers_a_step_as_its_simulation_does() -> None:
     system = to_control(steered(), inputs=["car.psi"], outputs=["car.r"])
     response = control.input_output_response(system, t, np.full(len(t), 1e-4), system.params["x0"])
     np.testing.assert_allclose(y, np.asarray(response.outputs).ravel() / 1e-4, atol=1e-3 * np.abs(y).max())
-
-
-def test_an_exported_loop_runs_as_it_does_here() -> None:
-    car = placed(LinearSingleTrack(vehicle=PASSAT, v0=6.0), ROAD, s=20.0, e=0.5)
-    loop = steered().with_block("car", car)
-    system = to_control(loop, outputs=["path.e", "car.r"])
-    t = np.arange(40) * 0.05
-    ours = control.input_output_response(system, t, 0, system.params["x0"])
-    log = simulate(loop, 2.0, every=5)
-    np.testing.assert_allclose(ours.outputs[0], log["path.e"], atol=1e-12)
-    np.testing.assert_allclose(ours.outputs[1], log["car.r"], atol=1e-12)
-
-
-def test_a_system_of_python_controls_runs_as_it_does_there() -> None:
-    """Continuous and nonlinear: x'' = u - x' - sin(x), against its own integrator."""
-
-    def rhs(t: float, x: Any, u: Any, params: Any) -> Any:
-        return [x[1], u[0] - x[1] - m.sin(x[0])]
-
-    system = control.nlsys(rhs, lambda t, x, u, p: [x[0]], states=2, inputs=["u"], outputs=["y"])
-    block = FromControl(system=system, units={"u": "m", "y": "m"}, x0=(1.0, 0.0), direct=False)
-    back = Gain(k=-0.5)
-    loop = Loop(blocks={"system": block, "back": back}, wires=[(block.y, back.u), (back.y, block.u)])
-    log = simulate(loop, 3.0)
-    t = log.t
-    held = np.asarray(log["back.y"])
-    x = np.array([1.0, 0.0])
-    for k in range(len(t) - 1):  # the input is held over a sample
-        part = control.input_output_response(system, t[k : k + 2], np.full(2, held[k]), x)
-        x = part.states[:, -1]
-        assert log["system.y"][k + 1] == pytest.approx(x[0], abs=1e-3)
-    assert compile(loop, backend="python").run(3.0)["system.y"][-1] == pytest.approx(log["system.y"][-1], abs=1e-12)
-
-
-def test_a_diagram_of_python_controls_is_a_block_too() -> None:
-    """`interconnect` of a nonlinear plant and a filter, discrete: the same steps, also in a batch."""
-    plant = control.nlsys(
-        lambda t, x, u, p: [p["a"] * x[0] + np.sin(u[0])],
-        lambda t, x, u, p: [x[0]],
-        dt=0.05,
-        states=1,
-        inputs=["u"],
-        outputs=["y"],
-        name="plant",
-        params={"a": 0.9},
-    )
-    law = control.ss([[0.5]], [[1.0]], [[0.3]], [[0.2]], 0.05, inputs=["e"], outputs=["w"], name="law")
-    system = control.interconnect(
-        [plant, law], [["plant.u", "law.w"], ["law.e", "-plant.y"]], ["law.e"], ["plant.y"], inputs=["r"], outputs=["y"]
-    )
-    block, u = FromControl(system=system, direct=False), np.sin(np.arange(20.0))
-    theirs = control.input_output_response(system, 0.05 * np.arange(20), u)
-    for shape in ((), (3,)):
-        x, found = block.init(shape), []
-        for k, r in enumerate(u):
-            y = block.output(0.05 * k, x, ())
-            found.append(np.max(y.y))
-            x = block.update(0.05 * k, x, block.U(r=np.full(shape, r) if shape else float(r)), y)
-        np.testing.assert_allclose(found, theirs.outputs, atol=1e-12)
-
-
-def test_pictures_show_the_margins_and_say_what_is_unstable() -> None:
-    speeds = [5.0, 9.0]
-    points = {
-        "predicted": over(steered, speeds, "controller.delta_sw"),
-        "textbook": over(lambda v: steered(v, Stanley.textbook(PASSAT)), speeds, "controller.delta_sw"),
-    }
-    bode = plot_bode({name: found[1].open_loop for name, found in points.items()})
-    predicted, textbook = (text.get_text() for text in bode.axes[0].get_legend().get_texts())
-    told = points["predicted"][1].margins
-    assert told is not None
-    assert (
-        predicted == f"predicted: gain {told.gain:.2f}, phase {math.degrees(told.phase):.0f}°, delay {told.delay:.2f} s"
-    )
-    assert textbook == "textbook: closed loop unstable"
-    crossing, dot = bode.axes[1].lines[0], bode.axes[1].lines[1]
-    assert dot.get_ydata()[0] == pytest.approx(-180.0 + math.degrees(told.phase), abs=0.5)
-    assert np.all(np.abs(np.diff(crossing.get_ydata())) < 20.0)  # no jumps by a turn
-    phase, delay, pole = plot_over(points).axes
-    assert np.isnan(phase.lines[1].get_ydata()[1])
-    assert delay.lines[0].get_ydata().tolist() == [point.margins.delay for point in points["predicted"]]
-    assert pole.lines[1].get_ydata()[1] > 1.0
-    answers = {f"{v:g} m/s": linearise(steered(v), inputs=["controller_path.e"], outputs=["path.e"]) for v in speeds}
-    steps = plot_steps(answers, 8.0, ylabel="e [m]").axes[0]
-    assert [line.get_label() for line in steps.lines[:2]] == list(answers)
-    assert steps.lines[0].get_ydata()[-1] == pytest.approx(-1.0, abs=0.02)  # e is measured 1 m too large
 
 
 def test_mistakes_are_told() -> None:

@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-import gymnasium
-import minari
 import numpy as np
 import pytest
 
 from steerkit.cli import app as cli
-from steerkit.export.minari import to_minari
-from steerkit.gym import Task
 from steerkit.learning import rundir
-from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.learn import learn
 from steerkit.learning.nfq.iterate import FitSetting
@@ -65,45 +59,3 @@ def test_mistakes_are_named(run: Path, monkeypatch: pytest.MonkeyPatch, capsys: 
     assert "give --onnx FILE, --minari NAME, or both" in capsys.readouterr().err
     assert command("/", "--onnx", "p.onnx", monkeypatch=monkeypatch) == 2
     assert "no run directory" in capsys.readouterr().err
-
-
-def test_the_data_set_holds_the_transitions_and_recovers_its_environment(run: Path) -> None:
-    experiment = rundir.experiment_of(run)
-    world, setting = experiment.world, experiment.setting
-    options: dict[str, Any] = {"world": asdict(world), "actions": setting.actions, "doe": setting.doe}
-    task = Task(**options, cost=rundir.plain(setting.cost))
-    transitions = rundir.load(run).transitions
-    to_minari(transitions, "steerkit/again-v0", task)
-    data = minari.load_dataset("steerkit/again-v0")
-    episodes = list(data.iterate_episodes())
-    seen = np.concatenate([episode.observations[:-1] for episode in episodes])
-    after = np.concatenate([episode.observations[1:] for episode in episodes])
-    actions = np.concatenate([episode.actions for episode in episodes])
-    rewards = np.concatenate([episode.rewards for episode in episodes])
-    np.testing.assert_array_equal(seen, task.observation(transitions.s))
-    np.testing.assert_array_equal(after, task.observation(transitions.s_next))
-    np.testing.assert_array_equal(np.array(setting.actions)[actions], transitions.a)
-    cost, over = setting.cost(transitions.s, transitions.a, transitions.s_next)
-    np.testing.assert_allclose(rewards, -cost)
-    assert sum(episode.terminations.sum() for episode in episodes) == over.sum() >= 1
-    assert all(e.terminations[-1] or e.truncations[-1] for e in episodes)
-    env = data.recover_environment()
-    assert env.observation_space == task.observation_space
-    assert isinstance(env.action_space, gymnasium.spaces.Discrete)
-    assert env.unwrapped.task.price == setting.cost  # type: ignore[attr-defined]
-    env.reset(seed=0)
-    env.step(0)
-    with pytest.raises(ValueError, match="exists; give another name"):
-        to_minari(transitions, "steerkit/again-v0", task)
-
-
-def test_a_gap_in_time_or_an_unknown_action_does_not_go_unseen() -> None:
-    record = Transitions()
-    s = np.random.default_rng(0).uniform(-0.01, 0.01, (6, 6))
-    record.extend(s[:-1], np.zeros(5), s[1:], 0)
-    record.extend(s[:2] + 0.1, np.zeros(2), s[1:3] + 0.1, 0)  # the same episode number, but a jump
-    data = to_minari(record, "steerkit/gap-v0", Task())
-    assert [len(e.rewards) for e in data.iterate_episodes()] == [5, 2]
-    record.append(s[0], 0.123, s[1], 1)
-    with pytest.raises(ValueError, match=r"action .0.123. rad is none of the task's"):
-        to_minari(record, "steerkit/other-v0", Task())

@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 
 from steerkit.block import Block, In, Out
 from steerkit.controllers.supervisor import Guarded, Supervisor, SupervisorState
-from steerkit.controllers.target_shift import TargetShift
 from steerkit.doe import Integrator, LowPass
 from steerkit.loop import Loop
 from steerkit.simulation import Log, simulate
@@ -118,9 +117,6 @@ def test_bad_thresholds(release: float, trip: float) -> None:
         Supervisor(release=release, trip=trip)
 
 
-# ---- hand-over ----------------------------------------------------------------------------------------------------
-
-
 def handed_over(doe: Any, e: list[float], actions: list[float], recovery: list[float]) -> tuple[Log, np.ndarray]:
     """A learner with a DOE, under a supervisor; the log, and the jump of the wheel into every sample."""
     supervisor = Supervisor()
@@ -173,9 +169,6 @@ def test_whenever_the_learner_steers_the_wheel_moves_by_at_most_one_step(
     log, jumps = handed_over(Integrator(), e, [radians_of(a) for a in steps], recovery)
     learning = log["supervisor.learning"][1:] == 1.0
     assert (np.abs(jumps[learning]) <= radians_of(60.0) + 1e-12).all()
-
-
-# ---- the guard ----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -246,22 +239,3 @@ def test_a_guard_is_like_the_block_that_it_guards() -> None:
     assert guard.delta_sw.block is guard
     assert guard.fan.size == 3
     assert guard.init() == fragile.init()
-
-
-def test_the_target_comes_to_a_lost_car_and_goes_back_slowly() -> None:
-    shift = TargetShift(limit=1.0, rate=0.4)
-    e = Script(values=(0.2, 0.6, 0.6, 0.6, 0.6, 3.0, 3.0, 3.0))
-    e_dot = Script(values=(0.1,))
-    loop = Loop(
-        blocks={"e": e, "e_dot": e_dot, "shift": shift},
-        wires=[(e.length, shift.e_path), (e_dot.speed, shift.e_dot_path)],
-    )
-    log = simulate(loop, 8 * 0.05, record=["shift.e", "shift.e_dot", "shift.shift"])
-    assert log["shift.shift"] == pytest.approx([0.0, 0.0, 0.605, 0.585, 0.565, 0.545, 1.0, 1.0])
-    assert log["shift.e"] == pytest.approx([0.2, 0.6, -0.005, 0.015, 0.035, 2.455, 2.0, 2.0])
-    assert log["shift.e_dot"] == pytest.approx([0.1, 0.1, *[0.5] * 6])
-
-
-def test_a_shift_of_nowhere_is_told() -> None:
-    with pytest.raises(ValueError, match="expected > 0"):
-        TargetShift(rate=0.0)

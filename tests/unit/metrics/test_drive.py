@@ -8,13 +8,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from steerkit import metrics
 from steerkit.metrics import GOOD, Summary
 from steerkit.simulation import Log
 from steerkit.units import radians_of
+from tests.support.sines import T, sine
 
-T = np.arange(2001) * 0.05  # 100 s
 SINE = np.sin(2.0 * np.pi * 0.2 * T)  # 20 whole periods
 
 
@@ -145,3 +147,78 @@ def test_each_bound_alone_fails_a_drive(name: str, bound: float, words: str) -> 
 def test_what_is_no_drive_is_refused(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         metrics.summary(**drive(**changes))
+
+
+def drive_of_sines(**changes: Any) -> dict[str, Any]:
+    signals = {
+        "t": T,
+        "e": sine(0.2, amplitude=0.3),
+        "psi_e": radians_of(sine(0.2, amplitude=2.0)),
+        "delta_sw": radians_of(sine(0.2, amplitude=10.0)),
+        "a_y": sine(0.5, amplitude=1.5),
+    }
+    return signals | changes
+
+
+def test_a_drive_of_sines_has_the_metrics_of_sines() -> None:
+    found = metrics.measures(**drive_of_sines())
+    w = 2.0 * math.pi * 0.2
+    expected = {
+        "rms_e": 0.3 / math.sqrt(2.0),
+        "max_e": 0.3,
+        "p95_e": 0.3 * math.sin(math.pi / 2.0 * 0.95),
+        "share_within_25cm": 2.0 / math.pi * math.asin(0.25 / 0.3),
+        "time_over_50cm": 0.0,
+        "rms_psi_e_deg": 2.0 / math.sqrt(2.0),
+        "max_psi_e_deg": 2.0,
+        "rms_wheel_rate_deg": 10.0 * w / math.sqrt(2.0),
+        "rms_wheel_acceleration_deg": 10.0 * w**2 / math.sqrt(2.0),
+        "max_wheel_acceleration_deg": 10.0 * w**2,
+        "large_reversals": 24.0,
+        "small_reversals": 24.0,
+        "max_a_y": 1.5,
+        "weighted_a_y": 1.5 / math.sqrt(2.0) * 0.853,
+    }
+    for name, value in expected.items():
+        assert found[name] == pytest.approx(value, rel=0.015, abs=1e-9), name
+
+
+def test_a_drive_has_every_metric_of_the_table_and_the_few_are_the_same() -> None:
+    found = metrics.measures(**drive_of_sines())
+    groups = ("tracking", "steering", "comfort")
+    assert list(found) == [m.name for m in metrics.TABLE if m.group in groups]
+    few = metrics.summary(**{name: s for name, s in drive_of_sines().items() if name != "psi_e"})
+    assert {name: found[name] for name in vars(few) if name in found} == {
+        name: value for name, value in vars(few).items() if name != "duration"
+    }
+    d = drive_of_sines()
+    names = {"path.e": "e", "path.psi_e": "psi_e", "car.delta_sw": "delta_sw", "car.a_y": "a_y"}
+    log = Log(d["t"], {long: d[short] for long, short in names.items()}, dict.fromkeys(names, "1"))
+    assert metrics.measures_of_log(log) == found
+
+
+@pytest.mark.parametrize("name", ["e", "psi_e", "delta_sw", "a_y"])
+def test_a_nan_in_a_signal_is_in_all_its_metrics(name: str) -> None:
+    found = metrics.measures(**drive_of_sines(**{name: np.where(T > 90.0, math.nan, drive_of_sines()[name])}))
+    of = {
+        "e": ("rms_e", "p95_e", "max_e"),
+        "psi_e": ("rms_psi_e_deg", "max_psi_e_deg"),
+        "delta_sw": [m.name for m in metrics.TABLE if m.group == "steering"],
+        "a_y": [m.name for m in metrics.TABLE if m.group == "comfort"],
+    }
+    assert {key for key, value in found.items() if math.isnan(value)} == set(of[name])
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10_000), st.floats(0.01, 10.0))
+def test_mirrored_drives_are_as_good_and_wider_ones_worse(seed: int, factor: float) -> None:
+    rng = np.random.default_rng(seed)
+    signals = {name: np.cumsum(rng.normal(size=(400))) * 0.01 for name in ("e", "psi_e", "delta_sw", "a_y")}
+    t = T[:400]
+    here = metrics.measures(t=t, **signals)
+    mirrored = metrics.measures(t=t, **{name: -s for name, s in signals.items()})
+    wider = metrics.measures(t=t, **{name: factor * s for name, s in signals.items()})
+    for name, value in here.items():
+        assert mirrored[name] == pytest.approx(value, rel=1e-9, abs=1e-9)
+        if not name.startswith(("share", "time", "large", "small")):
+            assert wider[name] == pytest.approx(factor * value, rel=1e-6, abs=1e-9)

@@ -25,7 +25,6 @@ from steerkit.vehicles import vehicle
 from tests.support.places import SUPPORT
 
 pytestmark = pytest.mark.skipif(native.compiler() is None, reason="the FMU needs a compiler")
-HERE = Path(__file__).parent
 CAR = vehicle("vw-passat")
 STATES = ("x", "y", "psi", "beta", "r")
 PARAMETERS = ("m", "i_z", "l_f", "l_r", "c_f", "c_r", "steer_ratio")

@@ -7,20 +7,18 @@ import json
 import re
 import shutil
 import subprocess
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
-from benchmarks.report import conditions, learning, parts
 from benchmarks.report.page import main, write_report
-from benchmarks.run.results import Case, Results, load_results
-from steerkit.metrics import metric, paired
-from tests.support.report_results import CONTROLLERS, SEEDS, write
+from benchmarks.run.results import Results, load_results
+from tests.support.report_results import CONTROLLERS, write
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
+
+
 PHONE, DESK = (390, 844), (1360, 900)
 
 
@@ -32,104 +30,6 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
 @pytest.fixture(scope="module")
 def page(results: Results) -> str:
     return write_report(results, results.place / "sub" / "page.html").read_text(encoding="utf-8")
-
-
-def test_the_leaderboard_has_the_medians_of_the_cases(results: Results) -> None:
-    cases = [c for c in results.cases if c.suite == "tracking"]
-    columns, rows = parts.leaderboard(cases)
-    assert [row.controller for row in rows] == [*CONTROLLERS, "mpc", "sac"]
-    place = 2 + [m.name for m in columns].index("rms_e")
-    for row in rows[:3]:
-        here = [c for c in cases if c.controller == row.controller]
-        seeds = [np.median([c.metrics["rms_e"] for c in here if c.seed == seed]) for seed in SEEDS]
-        assert row.cells[place].value == pytest.approx(np.median(seeds))
-        assert row.cells[0].text == "12"
-        assert row.cells[1].text == "100 %"
-    assert [row.cells[place].best for row in rows] == [True, False, False, False, False]
-    assert rows[0].cells[2 + [m.name for m in columns].index("max_a_y")].beyond
-    assert rows[3].note == "1 ended in an error"
-    assert (rows[3].cells[1].text, rows[3].cells[place].text) == ("0 %", "–")
-    assert rows[4].note == "not installed"
-
-
-def test_a_case_without_a_value_counts_as_worst(results: Results) -> None:
-    cases = [c for c in results.cases if c.suite == "tracking"]
-    assert parts.of_metric(cases, metric("rms_e"))[-2] == np.inf
-    assert parts.of_metric(cases, metric("share_within_5cm"))[-2] == -np.inf
-
-
-def test_the_comparison_is_paired_by_seed(results: Results) -> None:
-    cases = [c for c in results.cases if c.suite == "tracking"]
-    found = {(v.controller, v.metric.name): v for v in parts.against(cases, "stanley")}
-
-    def seeds(name: str) -> list[float]:
-        return [np.mean([c.metrics["rms_e"] for c in cases if (c.controller, c.seed) == (name, s)]) for s in SEEDS]
-
-    ours = found["pure-pursuit", "rms_e_front"]
-    expected = paired(seeds("pure-pursuit"), seeds("stanley"))
-    assert ours.difference == expected.difference
-    assert (ours.p, ours.verdict) == (pytest.approx(2.0 / 2**6), "worse")
-    assert (ours.seeds, ours.scenarios) == (6, 2)
-    assert found["pure-pursuit", "max_a_y"].verdict == "open"
-    assert ("mpc", "rms_e_front") not in found
-    assert ("pure-pursuit", "rms_e") not in found, "at one point of the car, where that was measured"
-
-
-def test_a_drive_that_was_not_held_counts_as_worst_and_one_without_chance_for_every_seed(results: Results) -> None:
-    case = next(c for c in results.cases if c.suite == "tracking")
-    lost = replace(case, metrics={**case.metrics, "held": 0.0})
-    assert parts.of_metric([case, lost], metric("rms_e")).tolist() == [case.metrics["rms_e"], np.inf]
-    assert parts.of_metric([lost], metric("step_p50_us"))[0] == case.metrics["step_p50_us"]
-
-    def made(scenario: str, seed: int, rms_e: float) -> Case:
-        return Case(suite="s", scenario=scenario, controller="c", seed=seed, metrics={"rms_e": rms_e})
-
-    cases = [made("chance", 0, 1.0), made("chance", 1, 2.0), made("none", 0, 5.0)]
-    np.testing.assert_allclose(parts.by_seed(cases, metric("rms_e")), [3.0, 3.5])
-    others = [replace(c, controller="d", metrics={"rms_e": c.metrics["rms_e"] + 1.0}) for c in cases]
-    (found,) = parts.against([*cases, *others], "c")
-    assert (found.difference.value, found.seeds, found.scenarios) == (1.0, 2, 2)
-
-
-def test_the_failure_map_is_the_grid_that_was_driven(results: Results) -> None:
-    cases = [c for c in results.cases if c.suite == "robustness"]
-    (grid,) = conditions.grids(cases, results.protocol)
-    assert {grid.x, grid.y} == {"v", "delay"}
-    assert (grid.xs, grid.ys) == ((4.0, 6.0, 9.0), (0.3, 0.2, 0.1, 0.0))
-    for name, shares in grid.shares.items():
-        for i, delay in enumerate(grid.ys):
-            for j, v in enumerate(grid.xs):
-                here = [c for c in cases if c.controller == name and c.scenario == f"delay {delay:g} v {v:g}"]
-                assert shares[i, j] == np.mean([c.metrics["held"] for c in here])
-    assert grid.shares["pure-pursuit"][0, 2] == 0.0
-    assert conditions.sweeps(cases, results.protocol) == [], "what is on a map is not drawn again"
-    assert conditions.grids([c for c in results.cases if c.suite == "tracking"], results.protocol) == []
-
-
-def test_one_condition_alone_is_a_sweep_and_no_map(results: Results) -> None:
-    cases = [c for c in results.cases if c.scenario.endswith(" v 6")]
-    assert conditions.grids(cases, results.protocol) == []
-    (sweep,) = conditions.sweeps(cases, results.protocol)
-    assert (sweep.x, sweep.xs) == ("delay", (0.0, 0.1, 0.2, 0.3))
-    assert [len(group) for group in sweep.cases["stanley"]] == [2, 2, 2, 2]
-
-
-def test_the_learning_curve_is_the_share_of_seeds_that_are_good_by_then(results: Results) -> None:
-    """Seed k is good from minute 1 + k/2 on, the last one never."""
-    (curves,) = learning.learning(results, results.cases, points=59)
-    good, low, high = curves.good["nfq-idoe"]
-    for minute, share in ((0.5, 0.0), (1.3, 1.0 / 6.0), (2.3, 0.5), (4.8, 5.0 / 6.0)):
-        at = int(np.searchsorted(curves.x, minute))
-        assert good[at] == pytest.approx(share)
-        assert low[at] <= good[at] <= high[at]
-    rms_e = curves.rms_e["nfq-idoe"][0]
-    assert rms_e[0] == np.inf
-    assert rms_e[-1] == 0.02
-
-
-def test_numbers_are_written_for_people() -> None:
-    written = [parts.number(v) for v in (0.01234, 1.0, 12.34, 1234.5, 0.0, np.inf, np.nan, 1e-9)]
-    assert written == ["0.0123", "1.00", "12.3", "1,234", "0", "never", "–", "1.00e-09"]
 
 
 def test_the_page_holds_everything(page: str) -> None:
@@ -205,6 +105,8 @@ addEventListener("load", () => {
   parent.postMessage(JSON.stringify(probe), "*");
 });
 </script>"""
+
+
 FRAME = """<!doctype html><pre id="probe"></pre><script>
 addEventListener("message", event => { document.querySelector("pre").textContent = event.data; });
 </script><iframe src="probed.html" style="width: %dpx; height: %dpx; border: 0"></iframe>"""

@@ -14,56 +14,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
-from benchmarks.__main__ import app, main
-from benchmarks.run import golden, runner
+from benchmarks.run import runner
 from benchmarks.run.compare import compare
 from benchmarks.run.results import Results, load_results
 from benchmarks.run.runner import WorkersDiedError, carry_out, run
-from benchmarks.scenarios import Scenario
-from benchmarks.suites import SUITES, Suite, jobs
+from benchmarks.suites import jobs
 from tests.support.places import ROOT
-
-TINY = Suite(
-    name="golden",  # a name that --help and the table know; fewer cases
-    about="tests",
-    scenarios=(Scenario(name="slalom", course="slalom", v_max=9.0),),
-    controllers=("stanley", "stanley-textbook"),
-    seeds=3,
-)
-
-
-@pytest.fixture(scope="module")
-def reference(tmp_path_factory: pytest.TempPathFactory) -> Results:
-    """All cases, one after the other in this process."""
-    return run([TINY], tmp_path_factory.mktemp("bench") / "here", workers=1, quiet=True)
-
-
-def same(results: Results, reference: Results) -> None:
-    found = compare(reference, results, rel=0.0, absolute=0.0)
-    assert found.same, found
-    assert found.compared >= 6 * 20
-    for case in results.cases:
-        one, two = results.trajectory(case), reference.trajectory(case)
-        assert one is not None
-        assert two is not None
-        assert all((one[name] == two[name]).all() for name in one)
-
-
-def test_golden_numbers() -> None:
-    found = golden.difference(golden.numbers(golden.measured()), *golden.kept())
-    assert not found, [f"{c.case} {c.metric}: {c.before} -> {c.after}" for c in found[:10]]
-
-
-def test_golden_differences_are_seen() -> None:
-    old, tolerances = golden.kept()
-    name = next(iter(old))
-    new = {**old, name: {**old[name], "rms_e": old[name]["rms_e"] * (1.0 + 1e-5), "new": 1.0}}
-    found = golden.difference(new, old, tolerances)
-    assert [(c.case, c.metric) for c in found] == [(name, "rms_e"), (name, "new")]
-    del new[name]["max_e"]
-    assert {c.metric for c in golden.difference(new, old, tolerances)} == {"rms_e", "max_e", "new"}
+from tests.support.tiny_suite import TINY, same
 
 
 def test_processes_give_the_same_numbers_and_finished_cases_are_not_run_again(
@@ -245,49 +203,3 @@ def test_a_learner_is_taught_once_and_its_net_drives(tmp_path: Path, monkeypatch
     assert compare(results, again, rel=0.0, absolute=0.0).changes == ()
     driven = [case for case in results.cases if case.controller == "nfq-paper-idoe" and case.kind == "drive"]
     assert all(0.0 < case.metrics["rounds"] <= 1.0 for case in driven)
-
-
-# ---- command line
-
-
-def test_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reference: Results) -> None:
-    monkeypatch.setitem(SUITES, "golden", TINY)
-    monkeypatch.chdir(tmp_path)
-    say = CliRunner().invoke
-    listed = say(app, ["list", "--scenarios"]).output
-    assert "robustness" in listed
-    assert "nonlinear-mpc" in listed
-    ran = say(app, ["run", "golden", "--jobs", "1", "--quiet", "--json", "--only", "textbook"])
-    assert ran.exit_code == 0, ran.output
-    told = json.loads(ran.output.splitlines()[-1])
-    assert (told["out"], told["done"], told["errors"]) == ("runs/benchmarks/golden", 3, 0)
-    compared = say(app, ["compare", str(reference.place), "runs/benchmarks/golden", "--json", "--strict"])
-    assert compared.exit_code == 1
-    assert json.loads(compared.output.splitlines()[-1]) == {
-        "same": False,
-        "compared": 72,
-        "changed": 0,
-        "only_a": 3,
-        "only_b": 0,
-    }
-    assert "Nothing to compare" in say(app, ["verdict", str(reference.place)]).output
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["run", "papr"], "did you mean 'paper'"),
-        (["report", "nowhere"], "there are no such results"),
-        (["compare", "a", "b"], "there are no such results"),
-        (["run", "golden", "--only", "xyz"], "--only xyz: no scenario or controller"),
-    ],
-)
-def test_mistakes_are_one_line(words, message, tmp_path, monkeypatch, capsys) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", ["benchmarks", *words])
-    with pytest.raises(SystemExit) as end:
-        main()
-    assert end.value.code == 2
-    told = capsys.readouterr().err.strip()
-    assert message in told
-    assert "\n" not in told

@@ -10,135 +10,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from steerkit.learning.costs import COSTS, BandCost, IdoeCost, SmoothCost, TanhCost
+from steerkit.learning.costs import BandCost, TanhCost
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.nfq.iterate import FitSetting, cost_to_go, fresh_nets, iterate, targets
 from steerkit.learning.nfq.network import Net, flat, forward
-from steerkit.learning.nfq.patterns import STANDARD, StateDescription, goal_patterns, mirror_patterns, patterns
+from steerkit.learning.nfq.patterns import STANDARD, goal_patterns, mirror_patterns, patterns
 from steerkit.learning.nfq.rprop import Fit, fit
-
-ACTIONS = (-0.5, 0.0, 0.5)
-
-
-def states(e: list[float]) -> np.ndarray:
-    s = np.zeros((len(e), 6))
-    s[:, 0], s[:, 2] = e, 5.0
-    return s
-
-
-def chain(e: list[float], episode: list[int], a: float = 0.5) -> Transitions:
-    """Rows k: from e[k] to e[k + 1]."""
-    record = Transitions()
-    record.extend(states(e[:-1]), np.full(len(e) - 1, a), states(e[1:]), episode)
-    return record
+from tests.support.records import ACTIONS, chain, recorded
 
 
 def level(q: float) -> Net:
     """A net whose value is q everywhere."""
     return np.zeros((1, 7), np.float32), np.array([math.log(q / (1.0 - q))], np.float32)
-
-
-def recorded(n: int = 300, seed: int = 0) -> Transitions:
-    rng = np.random.default_rng(seed)
-    record = Transitions()
-    s = rng.uniform(-1.0, 1.0, (n + 1, 6)) * [0.4, 1.0, 1.0, 0.3, 0.3, 6.0] + [0.0, 0.0, 5.0, 0.0, 0.0, 0.0]
-    record.extend(s[:-1], rng.choice(ACTIONS, n), s[1:], np.arange(n) // 50)
-    return record
-
-
-# ---- costs ------------------------------------------------------------------------------------------------------
-
-
-def test_band_cost_by_hand() -> None:
-    e = [0.0, 0.049, -0.051, 0.4, -0.6]
-    c, terminal = BandCost()(states(e), np.ones(5), states(e))
-    assert c.tolist() == [0.0, 0.0, 0.01, 0.01, 1.0]
-    assert terminal.tolist() == [False, False, False, False, True]
-
-
-def test_idoe_cost_is_free_only_with_the_wheel_left_alone() -> None:
-    c, _ = IdoeCost()(states([0.0] * 3), np.array([0.0, -0.0, 0.1]), states([0.01, -0.01, 0.0]))
-    assert c.tolist() == [0.0, 0.0, 0.01]
-
-
-def test_tanh_cost_by_hand() -> None:
-    e = [0.0, 0.05, -0.05, 0.4, 0.51]
-    c, terminal = TanhCost()(states(e), np.zeros(5), states(e))
-    assert c == pytest.approx([0.0, 0.95 * 0.04, 0.95 * 0.04, 0.04, 1.0], abs=1e-12)
-    assert terminal.tolist() == [False] * 4 + [True]
-    moving, _ = TanhCost()(states(e), np.full(5, 0.1), states(e))
-    assert (moving - c) == pytest.approx([0.01] * 4 + [0.0])
-
-
-def test_smooth_cost_by_hand() -> None:
-    """5 m/s: 0.05 rad/s more yaw rate in 0.05 s is a jerk of 5 m/s^3."""
-    cost = SmoothCost(cost=TanhCost(action_cost=0.0), jerk_cost=0.01, jerk_unit=10.0, wheel_cost=0.02, wheel_unit=0.4)
-    s, s_next = states([0.0] * 4), states([0.0, 0.0, 0.0, 0.6])
-    s_next[0, 4] = 0.05
-    s_next[1, 5] = -0.2
-    s_next[2, 4:] = 10.0
-    c, terminal = cost(s, np.zeros(4), s_next)
-    assert c == pytest.approx([0.01 / 4, 0.02 / 4, 0.01 + 0.02, 1.0])
-    assert terminal.tolist() == [False, False, False, True]
-    with pytest.raises(ValueError, match="wheel_unit"):
-        SmoothCost(jerk_unit=0.0)
-
-
-@given(e=st.floats(-2.0, 2.0), a=st.sampled_from(ACTIONS), cost=st.sampled_from(COSTS))
-def test_costs_are_symmetric_and_within_one(e: float, a: float, cost: type) -> None:
-    c, terminal = cost()(states([0.0, 0.0]), np.array([a, -a]), states([e, -e]))
-    assert c[0] == c[1]
-    assert 0.0 <= c[0] <= 1.0
-    assert terminal[0] == (abs(e) > 0.5)
-
-
-def test_costs_say_what_is_wrong() -> None:
-    with pytest.raises(ValueError, match="expected 0 < goal < trip"):
-        BandCost(goal=0.6)
-    with pytest.raises(ValueError, match="expected 0 < step <= 1"):
-        IdoeCost(step=0.0)
-    with pytest.raises(ValueError, match="action_cost"):
-        TanhCost(action_cost=1.0)
-
-
-# ---- patterns ---------------------------------------------------------------------------------------------------
-
-
-def test_ranges_become_minus_one_and_one() -> None:
-    low, high = np.array([STANDARD.low]), np.array([STANDARD.high])
-    assert patterns(STANDARD, low, np.array([-0.5]), 0.5).tolist() == [[-1.0] * 7]
-    assert patterns(STANDARD, high, np.array([0.5]), 0.5).tolist() == [[1.0] * 7]
-
-
-def test_mirroring_patterns_is_mirroring_states() -> None:
-    record = recorded(50)
-    image = record.mirrored(STANDARD)
-    there = patterns(STANDARD, image.s, image.a, 0.5)
-    np.testing.assert_array_equal(there, mirror_patterns(STANDARD, patterns(STANDARD, record.s, record.a, 0.5)))
-
-
-def test_hints_lie_in_the_goal_region_and_leave_the_wheel_alone() -> None:
-    x = goal_patterns(STANDARD, ACTIONS, 500, np.random.default_rng(0))
-    assert x.shape == (500, 7)
-    assert np.all(np.abs(x[:, :-1]) <= STANDARD.goal)
-    assert np.all(np.abs(x[:, 2]).max() > 0.9)
-    assert np.all(x[:, -1] == 0.0)
-    assert set(goal_patterns(STANDARD, (-6.0, 6.0), 100, np.random.default_rng(0))[:, -1]) == {-1.0, 1.0}
-
-
-def test_descriptions_say_what_is_wrong() -> None:
-    with pytest.raises(ValueError, match="low has 2 entries, expected 6"):
-        StateDescription(low=(0.0, 1.0))
-    with pytest.raises(ValueError, match=r"e: low 1\.0 and high 1\.0"):
-        StateDescription(low=(1.0, *STANDARD.low[1:]))
-    with pytest.raises(ValueError, match="sign -1 and range"):
-        StateDescription(low=(-2.0, *STANDARD.low[1:]))
-    with pytest.raises(ValueError, match="valid: -1, 1"):
-        StateDescription(mirror_signs=(0.0, -1.0, 1.0, -1.0, -1.0, -1.0))
-
-
-# ---- targets ----------------------------------------------------------------------------------------------------
 
 
 def test_without_nets_the_target_is_the_cost() -> None:
@@ -206,9 +90,6 @@ def test_cost_to_go_is_the_least_over_the_actions_of_the_combined_value() -> Non
         ]
         found = cost_to_go(nets, record.s, ACTIONS, STANDARD, setting)
         np.testing.assert_allclose(found, np.min(each, axis=0), atol=5e-7)
-
-
-# ---- updates ----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("engine", ["auto", "torch"])

@@ -18,34 +18,14 @@ from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.nfq.iterate import FitSetting, imagined_cost, imagined_targets, staying
 from steerkit.learning.nfq.model import CarModel, imagine
 from steerkit.learning.nfq.patterns import STANDARD
-from steerkit.learning.offline import offline
-from steerkit.learning.rival import BeforeState, ModelBasedRun, ModelPolicy
 from steerkit.learning.settings import DEFAULT
+from tests.support.modelled_car import ACTIONS, CAR, driven
 
-ACTIONS = (-0.3, 0.0, 0.3)
-CAR = CarModel(held=1.0, pushed=1.0, now=0.002, before=0.004, earlier=0.003, back=0.14, yaw=0.36, limit=9.0)
 signed = st.floats(-0.4, 0.4)
-
-
-def driven(model: CarModel = CAR, n: int = 200, seed: int = 0) -> Transitions:
-    """What the model's car does under random actions, in episodes of 20 samples."""
-    rng, record = np.random.default_rng(seed), Transitions()
-    for episode in range(n // 20):
-        s = np.array([[0.0, *rng.normal(0.0, 0.1, 1), rng.uniform(4.0, 7.0), *rng.normal(0.0, 0.1, 2), 0.0]])
-        earlier = s[:, 5]
-        for _ in range(20):
-            a = rng.choice(ACTIONS, 1)
-            s_next = model.step(s, a, earlier)
-            record.extend(s, a, s_next, episode)
-            s, earlier = s_next, s[:, 5]
-    return record
 
 
 def level(q: float) -> Net:
     return np.zeros((1, 7), np.float32), np.array([np.log(q / (1.0 - q))], np.float32)
-
-
-# ---- the model --------------------------------------------------------------------------------------------------
 
 
 def test_the_numbers_behind_the_transitions_are_found() -> None:
@@ -103,9 +83,6 @@ def test_the_model_says_what_it_cannot_learn_from() -> None:
         CarModel.fit(Transitions(("e", "v")), STANDARD)
 
 
-# ---- imagination ------------------------------------------------------------------------------------------------
-
-
 def test_imagined_states_cover_all_bends_and_carry_what_the_model_missed() -> None:
     record = driven()
     shifted = Transitions()
@@ -157,43 +134,3 @@ def test_a_guard_refuses_nets_that_the_model_finds_worse() -> None:
     near = imagine(CAR, record, STANDARD, 200, np.random.default_rng(3))
     costs = [imagined_cost(CAR, near, ACTIONS, TanhCost(), good, STANDARD, n) for n in (nets, after)]
     assert costs[0] < costs[1]
-
-
-def test_offline_updates_are_chained_and_repeatable() -> None:
-    setting = replace(DEFAULT, fit=FitSetting(epochs=10, nets=1, imagined=100))
-    one, two = ([p.nets for p in offline(driven(), setting, 2, seed=4)] for _ in range(2))
-    assert all(np.array_equal(a[0][0], b[0][0]) for a, b in zip(one, two, strict=True))
-    assert not np.array_equal(one[0][0][0], one[1][0][0])
-    with pytest.raises(ValueError, match="updates = 0"):
-        next(offline(driven(), setting, 0))
-
-
-# ---- the rival --------------------------------------------------------------------------------------------------
-
-
-def test_the_optimal_gain_brings_the_modelled_car_onto_the_path_at_any_speed() -> None:
-    policy = ModelPolicy(model=CAR)
-    for v in (2.0, 4.5, 9.0, 14.0):
-        s = np.array([[0.1, 0.0, v, 0.05, 0.0, 0.5]])
-        x, earlier = BeforeState(0.5), s[:, 5]
-        for _ in range(200):
-            u = policy.U(*map(float, s[0]))
-            y = policy.output(0.0, x, u)
-            x = policy.update(0.0, x, u, y)
-            s, earlier = CAR.step(s, np.array([y.action]), earlier), s[:, 5]
-        np.testing.assert_allclose(s[0, [0, 1, 4]], 0.0, atol=1e-3)
-
-
-def test_a_car_that_does_not_answer_the_wheel_is_refused() -> None:
-    dead = replace(CAR, now=0.0, before=0.0, earlier=0.0)
-    with pytest.raises(ValueError, match="cannot be steered"):
-        ModelPolicy(model=dead)
-
-
-def test_the_rival_drives_after_its_first_failure() -> None:
-    run = ModelBasedRun(Experiment(setting=DEFAULT, minutes=0.5))
-    while not run.done():
-        run.drive()
-    assert run.counts.failures == 1
-    assert run.counts.episodes[-1].distance > 100.0
-    assert run.counts.episodes[-1].rms_e < 0.05

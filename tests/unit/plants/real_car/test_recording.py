@@ -1,14 +1,66 @@
-"""Recordings of a drive: mended, or left as they are."""
+"""Recordings of a drive: cut anywhere, mended or left as they are, bit for bit, of another kind."""
 
 from __future__ import annotations
 
 import errno
+import math
+import struct
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from steerkit.courses import course
 from steerkit.plants.real_car import recording as tapes
+from steerkit.plants.real_car.decisions.core import Core, Frame, Link, Tick
+from tests.support.car_messages import config
+
+
+def written(folder: Path) -> bytes:
+    tape = tapes.Recording(folder / "tape.mcap", {"file:config.toml": "x"})
+    core = Core(config(), course("paper"))
+    for k in range(5):
+        for event in (Frame(0.01 * k, 0.01 * k, 0x65, bytes(8)), Tick(0.01 * k), Link(0.01 * k, k, True)):
+            tape.event(event, core.handle(event))
+    tape.close()
+    return (folder / "tape.mcap").read_bytes()
+
+
+def test_a_recording_cut_anywhere_opens_with_all_that_came_before(tmp_path: Path) -> None:
+    whole = written(tmp_path)
+    every = tapes.read(tmp_path / "tape.mcap")
+    assert every.whole
+    assert len(every.messages) >= 15
+    counts = []
+    for length in range(0, len(whole), 7):
+        (tmp_path / "cut.mcap").write_bytes(whole[:length])
+        try:
+            cut = tapes.read(tmp_path / "cut.mcap")
+        except ValueError as error:
+            assert "recording" in str(error)  # noqa: PT017
+            assert not counts
+            continue
+        counts.append(len(cut.messages))
+        assert [repr(m) for m in cut.messages] == [repr(m) for m in every.messages[: len(cut.messages)]]
+    assert counts == sorted(counts)
+    assert counts[-1] == len(every.messages)
+
+
+def test_numbers_of_a_recording_come_back_bit_for_bit(tmp_path: Path) -> None:
+    tape = tapes.Recording(tmp_path / "t.mcap", {"a": "b"})
+    odd = [0.1, 1 / 3, 5e-324, -0.0, math.inf, -math.inf, 1.7976931348623157e308]
+    for value in odd:
+        tape._queue.put(("/command", {"t": 1.0, "request": value, "sent": math.nan, "why": ""}))
+    tape.close()
+    read = tapes.read(tmp_path / "t.mcap").of("/command")
+    assert [struct.pack("<d", v["request"]) for v in read] == [struct.pack("<d", value) for value in odd]
+    assert all(math.isnan(v["sent"]) for v in read)
+
+
+def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "x.mcap").write_text("hello")
+    with pytest.raises(ValueError, match="no recording of steerkit"):
+        tapes.read(tmp_path / "x.mcap")
 
 
 def cut_short(folder: Path) -> Path:

@@ -1,0 +1,25 @@
+"""The shipped car's configuration, and any message to its core."""
+
+from __future__ import annotations
+
+from functools import cache
+
+from hypothesis import strategies as st
+
+from steerkit.plants.real_car.decisions.modes import Order
+from steerkit.plants.real_car.file.config import CarConfig
+from steerkit.plants.real_car.file.reading import load
+from steerkit.plants.real_car.processes.protocol import Command, Hello, Query, Request
+
+
+@cache
+def config() -> CarConfig:
+    return load("dbw-kit.toml")
+
+
+messages = st.one_of(
+    st.builds(Hello, st.booleans(), st.sampled_from([1, 2])),
+    st.just(Query()),
+    st.builds(Command, st.sampled_from(Order)),
+    st.builds(Request, st.floats(), st.floats(), st.integers(0, 2**32 - 1)),
+)

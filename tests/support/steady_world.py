@@ -1,0 +1,17 @@
+"""A world in which nothing is left to chance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from steerkit.block import Block
+from steerkit.plants.human_driver import ConstantSpeed
+from steerkit.scenario.world import World
+
+
+@dataclass(frozen=True, kw_only=True)
+class SteadyWorld(World):
+    """A driver of 6 m/s."""
+
+    def driver(self, seed: int) -> Block:
+        return ConstantSpeed(speed=6.0)

@@ -1,0 +1,34 @@
+"""Transitions in a store, and whether two records are the same."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from steerkit.learning.data.store import TransitionStore
+from steerkit.learning.data.transitions import Transitions
+
+AWKWARD = (-0.0, 5e-324, 0.1 + 0.2, -1e300, 1.0, -3.5)
+
+
+ARRAYS = ("s", "a", "s_next", "episode")
+
+
+def drive(n: int, seed: int = 0, first_episode: int = 1) -> Transitions:
+    rng = np.random.default_rng(seed)
+    record = Transitions()
+    record.extend(
+        rng.normal(size=(n, 6)), rng.normal(size=n), rng.normal(size=(n, 6)), first_episode + np.arange(n) // 10
+    )
+    return record
+
+
+def same(one: Transitions, other: Transitions) -> bool:
+    return all(getattr(one, name).tobytes() == getattr(other, name).tobytes() for name in ARRAYS)
+
+
+def kept(path: Path, record: Transitions, run: str = "a") -> Path:
+    with TransitionStore(path, run=run) as store:
+        store.extend(record)
+    return path

@@ -1,0 +1,121 @@
+"""Blocks that hold everything equations may hold, for the compiler."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from steerkit import maths as m
+from steerkit.block import Block, In, Out, State
+from steerkit.loop import Loop
+from steerkit.maths import Table
+from steerkit.random import normals, seed_state
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Decay(Block):
+    """x(k+1) = a x(k) + b u."""
+
+    u = In("1", direct=False)
+    x = Out("1", direct=())
+
+    a: Any = 0.9
+    b: float = 0.0
+    x0: Any = 1.0
+
+    def init(self, batch: tuple[int, ...] = ()) -> State:
+        return (m.filled(self.x0, batch),)
+
+    def output(self, t: Any, x: State, u: Any) -> Any:
+        return self.Y(x[0])
+
+    def update(self, t: Any, x: State, u: Any, y: Any) -> State:
+        return (self.a * x[0] + self.b * u.u,)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Held(Block):
+    """A value that stays what it was at the start."""
+
+    v = Out("1", direct=())
+    value: Any = 0.5
+
+    def init(self, batch: tuple[int, ...] = ()) -> State:
+        return (m.filled(self.value, batch),)
+
+    def output(self, t: Any, x: State, u: Any) -> Any:
+        return self.Y(x[0])
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Mixed(Block):
+    """Everything that equations may hold: time, tables, choices, functions, a vector port, random numbers."""
+
+    u = In("1")
+    y = Out("1")
+    row = Out("1", size="n")
+    noise = Out("1")
+    n: int = 2
+    seed: int = 1
+    table: Table = field(default_factory=lambda: Table([[0.0, 1.0], [2.0, -1.0], [0.5, 0.25]]))
+
+    def init(self, batch: tuple[int, ...] = ()) -> State:
+        return seed_state(self.seed, batch)
+
+    def output(self, t: Any, x: State, u: Any) -> Any:
+        z = m.wrap(7.0 * t + u.u)
+        i = m.clip(m.floor(1.0 + z), 0.0, 2.0)
+        a, b = self.table(i)
+        c, _ = self.table(m.floor(m.clip(a, 0.0, 2.0)))
+        bent = m.where(m.both(z > 0.0, m.either(a < 1.0, b <= 0.5)), m.atan2(a, 1.0 + z * z), m.tanh(z) - m.absolute(b))
+        n1, n2, _ = normals(x)
+        return self.Y(bent + m.sign(z) * m.exp(-z * z) + m.sqrt(0.1 + m.absolute(c)) * m.tan(0.1 * z), (a, c), n1 + n2)
+
+    def update(self, t: Any, x: State, u: Any, y: Any) -> State:
+        return normals(x)[2]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Branching(Block):
+    """Not traceable: an `if` on a signal."""
+
+    u = In("1")
+    y = Out("1")
+
+    def output(self, t: Any, x: State, u: Any) -> Any:
+        return self.Y(1.0 if u.u > 0.0 else 0.0)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Hardware(Branching):
+    """Not pure."""
+
+    pure = False
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Derived(Decay):
+    """Works a parameter into another number when it is built, and checks it."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.a < 1.0:
+            raise ValueError("a")
+        object.__setattr__(self, "twice", 2.0 * self.a)
+
+
+def decay_loop(**kwargs: Any) -> Loop:
+    held, decay = Held(), Decay(**kwargs)
+    return Loop(blocks={"held": held, "decay": decay}, wires=[(held.v, decay.u)])
+
+
+def mixed_loop(dt: float = 0.05) -> Loop:
+    held, decay, mixed = Held(dt=dt), Decay(b=0.3, dt=dt), Mixed(dt=0.05)
+    return Loop(blocks={"held": held, "decay": decay, "mixed": mixed}, wires=[(mixed.y, decay.u), (decay.x, mixed.u)])
+
+
+def worst(a: Any, b: Any) -> float:
+    assert list(a) == list(b)
+    assert np.array_equal(a.t, b.t)
+    return max(float(np.max(np.abs(a[n] - b[n]), initial=0.0)) for n in a)

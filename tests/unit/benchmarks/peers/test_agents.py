@@ -1,0 +1,74 @@
+"""Other libraries' controllers and learners drive and repeat themselves."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from benchmarks.entries import controller
+from benchmarks.peers import agents as peers
+from benchmarks.run.drives import drive
+from benchmarks.scenarios import Scenario
+from steerkit.vehicles import vehicle
+
+STEP = Scenario(name="step", course="curvature-step", v_min=7.0, v_max=7.0)
+
+
+PASSAT = vehicle("vw-passat")
+
+
+def test_do_mpc_holds_a_steady_bend_and_steers_back_onto_the_path() -> None:
+    pytest.importorskip("do_mpc")
+    block = controller("do-mpc").make(STEP, STEP.path())  # type: ignore[misc]
+    p, v, kappa = PASSAT, 7.0, 1.0 / 27.0
+    # the front axle on the circle: v_front = r/kappa, sideways of it against the path 0
+    delta = (p.wheelbase + p.understeer_gradient * v**2) * kappa
+    beta = p.l_r * kappa - p.m * p.l_f * v**2 * kappa / (p.c_r * p.wheelbase)
+    psi_e = -math.atan2(math.sin(beta) + p.l_f * kappa, math.cos(beta))
+    steady = block.U(0.0, psi_e, v, beta, v * kappa, p.steer_ratio * delta, (kappa,) * 21)
+    command = block.output(0.0, (p.steer_ratio * delta,), steady).delta_sw
+    assert command == pytest.approx(p.steer_ratio * delta, rel=0.05)
+    left = block.U(0.1, 0.0, v, 0.0, 0.0, 0.0, (0.0,) * 21)
+    assert block.output(0.0, (0.0,), left) == block.output(0.0, (0.0,), left)
+    right = block.output(0.0, (0.0,), left._replace(e=-0.1)).delta_sw
+    assert block.output(0.0, (0.0,), left).delta_sw == pytest.approx(-right, rel=1e-3)
+    assert right > 0.01
+    with pytest.raises(ValueError, match="cannot be batched"):
+        block.init((2,))
+
+
+def test_an_agent_learns_the_same_again_and_its_net_drives() -> None:
+    pytest.importorskip("stable_baselines3")
+    from benchmarks.run.drives import Policy
+
+    one, two = (peers.stable_baselines("DQN", steps=400, seed=1, judge=lambda block: {"held": 0.0}) for _ in range(2))
+    assert list(one[1]["iterations"]) == list(range(1, 11))
+    assert one[1]["transitions"][-1] >= 400.0
+    first, again = (np.concatenate([w.ravel() for w, _ in block.policy.layers]) for block, _ in (one, two))  # type: ignore[attr-defined]
+    assert (first == again).all()
+    driven = drive(STEP, "sb3-dqn", policy=Policy(one[0], "sb3-dqn"))
+    assert 0.0 < driven.metrics["rounds"] <= 1.0
+
+
+def test_d3rlpy_learns_from_a_record(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("d3rlpy")
+    from steerkit.learning.data.transitions import Transitions
+    from steerkit.learning.settings import DEFAULT
+
+    rng = np.random.default_rng(0)
+    record = Transitions()
+    s = rng.normal(size=(301, 6)) * 0.1
+    record.extend(s[:-1], rng.choice(DEFAULT.actions, 300), s[1:], np.arange(300) // 100)
+    asked = []
+    block, curve = peers.d3rlpy_nfq(
+        record,
+        DEFAULT,
+        steps=50,
+        seed=0,
+        judge=lambda b: asked.append(b) or {"held": 0.0},  # type: ignore[func-returns-value]
+    )
+    assert len(asked) == 10
+    assert set(block.policy(rng.normal(size=(50, 6)))) <= set(range(7))  # type: ignore[attr-defined]
+    assert (curve["transitions"] == 300.0).all()

@@ -1,0 +1,29 @@
+"""CommonRoad's multi-body car as a plant."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from benchmarks.peers.commonroad import CommonRoadMultiBody
+from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.vehicles import vehicle
+from tests.support.straight_on import straight_on
+
+
+def test_the_multi_body_car_corners_like_its_single_track_where_that_holds() -> None:
+    pytest.importorskip("vehiclemodels")
+    v, delta_sw = 5.0, 0.4
+    _, ours = straight_on(NonlinearSingleTrack(vehicle=vehicle("bmw-320i"), v0=v), 3.0, delta_sw, v)
+    body = CommonRoadMultiBody(v0=v)
+    _, theirs = straight_on(body, 3.0, delta_sw, v)
+    assert theirs[-1].r == pytest.approx(ours[-1].r, rel=0.05)
+    assert theirs[-1].a_y == pytest.approx(ours[-1].a_y, rel=0.05)
+    assert theirs[-1].v == pytest.approx(v, rel=0.02)
+    assert theirs[-1].delta_sw == delta_sw
+    assert math.isnan(body.update(0.0, (math.nan, *body.init()[1:]), body.U(0.0, v), None)[3])
+    with pytest.raises(ValueError, match="cannot be batched"):
+        body.init((2,))
+    with pytest.raises(ValueError, match="valid: bmw-320i, ford-escort"):
+        CommonRoadMultiBody(name="vw-passat")

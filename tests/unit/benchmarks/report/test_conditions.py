@@ -1,0 +1,38 @@
+"""The map of failures is the grid that was driven."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.report import conditions
+from benchmarks.run.results import Results
+from tests.support.report_results import write
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
+    return write(tmp_path_factory.mktemp("bench") / "results")
+
+
+def test_the_failure_map_is_the_grid_that_was_driven(results: Results) -> None:
+    cases = [c for c in results.cases if c.suite == "robustness"]
+    (grid,) = conditions.grids(cases, results.protocol)
+    assert {grid.x, grid.y} == {"v", "delay"}
+    assert (grid.xs, grid.ys) == ((4.0, 6.0, 9.0), (0.3, 0.2, 0.1, 0.0))
+    for name, shares in grid.shares.items():
+        for i, delay in enumerate(grid.ys):
+            for j, v in enumerate(grid.xs):
+                here = [c for c in cases if c.controller == name and c.scenario == f"delay {delay:g} v {v:g}"]
+                assert shares[i, j] == np.mean([c.metrics["held"] for c in here])
+    assert grid.shares["pure-pursuit"][0, 2] == 0.0
+    assert conditions.sweeps(cases, results.protocol) == [], "what is on a map is not drawn again"
+    assert conditions.grids([c for c in results.cases if c.suite == "tracking"], results.protocol) == []
+
+
+def test_one_condition_alone_is_a_sweep_and_no_map(results: Results) -> None:
+    cases = [c for c in results.cases if c.scenario.endswith(" v 6")]
+    assert conditions.grids(cases, results.protocol) == []
+    (sweep,) = conditions.sweeps(cases, results.protocol)
+    assert (sweep.x, sweep.xs) == ("delay", (0.0, 0.1, 0.2, 0.3))
+    assert [len(group) for group in sweep.cases["stanley"]] == [2, 2, 2, 2]

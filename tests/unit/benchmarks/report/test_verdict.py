@@ -1,0 +1,77 @@
+"""The verdict: who won, by how much, and nothing from noise."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.report.verdict import duels, verdict
+from benchmarks.run.results import Case, Results
+from steerkit.metrics import paired
+from tests.support.results_example import example_results
+
+
+@pytest.fixture
+def results(tmp_path: Path) -> Results:
+    return example_results(tmp_path / "a")
+
+
+def replaced(case: Case, **metrics: float) -> Case:
+    from dataclasses import replace
+
+    return replace(case, metrics={**case.metrics, **metrics}) if case.status == "done" else case
+
+
+def verdict_results(results: Results, learned: list[float], analytic: list[float]) -> Results:
+    """Drives of one scenario with these RMS e, all held."""
+    common = dict(suite="s", scenario="course")
+    zero = {"rms_wheel_rate_deg": 1.0, "max_jerk": 1.0, "max_a_y": 1.0, "held": 1.0}
+    who = {"nfq-idoe": learned, "stanley": analytic}
+    cases = [
+        Case(**common, controller=name, seed=n, metrics=zero | {"rms_e": value})
+        for name, values in who.items()
+        for n, value in enumerate(values)
+    ]
+    kinds = {"nfq-idoe": {"kind": "learned"}, "stanley": {"kind": "analytic"}}
+    return Results(results.place, {"controllers": kinds, "planned": [], "scenarios": {}}, tuple(cases))
+
+
+def test_the_verdict_says_who_won_and_by_how_much(results: Results) -> None:
+    rng = np.random.default_rng(0)
+    better, worse = rng.normal(0.02, 0.001, 8).tolist(), rng.normal(0.05, 0.001, 8).tolist()
+    for learned, analytic, word in ((better, worse, "better"), (worse, better, "worse")):
+        one = verdict_results(results, learned, analytic)
+        duel = next(d for d in duels(one, "nfq-idoe", "stanley") if d.metric == "rms_e")
+        expected = paired(learned, analytic)
+        assert duel.result == expected
+        assert duel.decided == (-1 if word == "better" else 1)
+        text = verdict(one)
+        ratio = f"{np.mean(learned) / np.mean(analytic):.2f} times as large over 1 scenarios"
+        assert f"Cross-track error, against stanley: {ratio}; {word} in 1 of 1 scenarios" in text
+        assert "with fewer than 6" not in text
+        assert f"p = {expected.p:.2g}" in text
+        assert f"{expected.difference.value:+.3g}" in text
+        assert (
+            "Lateral acceleration, against stanley: 1.00 times as large over 1 scenarios; not to be told apart" in text
+        )
+
+
+def test_the_verdict_claims_nothing_from_noise_or_from_drives_that_failed(results: Results) -> None:
+    rng = np.random.default_rng(1)
+    even = verdict_results(results, rng.normal(0.03, 0.01, 8).tolist(), rng.normal(0.03, 0.01, 8).tolist())
+    assert "better in 1" not in verdict(even)
+    lost = [replaced(case, held=0.0) if case.controller == "nfq-idoe" else case for case in even.cases]
+    text = verdict(Results(even.place, even.provenance, tuple(lost)))
+    assert "Cross-track error (stanley): no seed on which both held their drive and it was measured." in text
+    assert "| nfq-idoe | 0 of 8 | 0.00 [0.00, 0.32] |" in text
+    assert "**3 seeds: with fewer than 6" in verdict(verdict_results(results, [0.1, 0.2, 0.3], [0.2, 0.3, 0.4]))
+    only = Results(even.place, even.provenance, tuple(c for c in even.cases if c.controller == "stanley"))
+    assert "Nothing to compare" in verdict(only)
+
+
+def test_an_analytic_drive_without_chance_meets_every_net(results: Results) -> None:
+    one = verdict_results(results, [0.05, 0.06, 0.055, 0.052, 0.051, 0.058, 0.053], [0.01])
+    duel = next(d for d in duels(one, "nfq-idoe", "stanley") if d.metric == "rms_e")
+    assert (duel.seeds, duel.decided) == (7, 1)

@@ -1,0 +1,20 @@
+"""The golden numbers, and that a difference from them is seen."""
+
+from __future__ import annotations
+
+from benchmarks.run import golden
+
+
+def test_golden_numbers() -> None:
+    found = golden.difference(golden.numbers(golden.measured()), *golden.kept())
+    assert not found, [f"{c.case} {c.metric}: {c.before} -> {c.after}" for c in found[:10]]
+
+
+def test_golden_differences_are_seen() -> None:
+    old, tolerances = golden.kept()
+    name = next(iter(old))
+    new = {**old, name: {**old[name], "rms_e": old[name]["rms_e"] * (1.0 + 1e-5), "new": 1.0}}
+    found = golden.difference(new, old, tolerances)
+    assert [(c.case, c.metric) for c in found] == [(name, "rms_e"), (name, "new")]
+    del new[name]["max_e"]
+    assert {c.metric for c in golden.difference(new, old, tolerances)} == {"rms_e", "max_e", "new"}

@@ -1,0 +1,63 @@
+"""`steerkit identify`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from scipy.io import savemat
+
+from steerkit.cli import app as cli
+from steerkit.units import degrees_of
+from steerkit.vehicles import vehicle
+from tests.support.recorded_cars import BASE, driven, noisy
+
+
+def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
+    monkeypatch.setattr("sys.argv", ["steerkit", "identify", *words])
+    try:
+        cli.main()
+    except SystemExit as stop:
+        return int(stop.code or 0)
+    return 0
+
+
+def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    columns = noisy(driven(), 0)
+    savemat(
+        tmp_path / "lap.mat",
+        {"time_s": columns["t"], "angle": -degrees_of(columns["delta_sw"]), "v": columns["v"], "r": columns["r"]},
+    )
+    (tmp_path / "map.toml").write_text('[columns]\ndelta_sw = { column = "angle", unit = "deg", scale = -1 }\n')
+    lap, out, picture = (str(tmp_path / name) for name in ("lap.mat", "car.toml", "fit.png"))
+    words = (lap, "--map", str(tmp_path / "map.toml"), "--held-out", lap, "--name", "mine")
+    assert run(monkeypatch, *words, "--out", out, "--plot", picture, "--json") == 0
+    answer = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
+    assert answer["estimates"]["steer_ratio"]["low"] < 14.2 < answer["estimates"]["steer_ratio"]["high"]
+    assert answer["held_out"]["rms"] == pytest.approx(answer["fit"]["rms"])
+    assert vehicle(out).steer_ratio == answer["estimates"]["steer_ratio"]["value"]
+    assert Path(picture).read_bytes()[:4] == b"\x89PNG"
+    assert run(monkeypatch, lap, "--column", "delta_sw=angle:deg:-1", "-q", "--fix", "lag=0.09") == 0
+    text = capsys.readouterr().out
+    (tmp_path / "printed.toml").write_text(text)
+    assert vehicle(str(tmp_path / "printed.toml")).m == BASE.m
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("no.csv",), "cannot be read"),
+        (("genesis", "--out", "car.json"), "ends in .toml"),
+        (("genesis", "--base", "pasat"), "did you mean 'vw-passat'"),
+        (("genesis", "--fix", "lag"), "expected NAME=VALUE"),
+        (("genesis", "--column", "v=speed"), "no column 'speed' for v"),
+    ],
+)
+def test_mistakes_are_one_line(
+    words: tuple[str, ...], says: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(monkeypatch, *words) == 2
+    error = capsys.readouterr().err.strip()
+    assert says in error
+    assert len(error.splitlines()) == 1

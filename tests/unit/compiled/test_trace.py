@@ -1,0 +1,78 @@
+"""Tracing: linear substeps collapse, what cannot be traced is named with the way out."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+from steerkit import maths as m
+from steerkit.block import Block, In, Out, State
+from steerkit.compiled import TraceError, compile
+from steerkit.compiled.trace import trace
+from steerkit.loop import Loop
+from steerkit.maths import Table
+from steerkit.simulation import simulate
+from tests.support.traced_blocks import Branching, Decay, Derived, Hardware, Held, decay_loop, mixed_loop, worst
+
+
+def test_linear_substeps_collapse_to_one_step_matrix() -> None:
+    @dataclass(frozen=True, eq=False, kw_only=True)
+    class Oscillator(Block):
+        v = In("1", direct=False)
+        x = Out("1", direct=())
+
+        def init(self, batch: tuple[int, ...] = ()) -> State:
+            return (m.filled(1.0, batch), m.filled(0.0, batch))
+
+        def output(self, t: Any, x: State, u: Any) -> Any:
+            return self.Y(x[0])
+
+        def update(self, t: Any, x: State, u: Any, y: Any) -> State:
+            for _ in range(20):
+                x = m.rk4(lambda z: (z[1], -u.v * z[0]), x, self.dt / 20)
+            return tuple(x)
+
+    held, oscillator = Held(value=4.0), Oscillator()
+    loop = Loop(blocks={"held": held, "oscillator": oscillator}, wires=[(held.v, oscillator.v)])
+    whole = trace(loop)
+    assert whole.instructions > 300
+    assert whole.with_held((4.0,) * len(whole.held)).instructions <= 6  # two rows of two products and a sum
+    log = compile(loop, backend="python", collapse=True).run(5.0)
+    np.testing.assert_allclose(log["oscillator.x"], np.cos(2.0 * log.t), atol=1e-9)
+    assert worst(log, simulate(loop, 5.0)) < 1e-12
+
+
+def test_errors_name_the_block_and_the_way_out() -> None:
+    for block, message in (
+        (Branching(), r"what \(Branching\) cannot be run on symbols.*m\.where"),
+        (Hardware(), r"what \(Hardware\) is not pure.*simulate"),
+    ):
+        decay = Decay()
+        loop = Loop(blocks={"what": block, "decay": decay}, wires=[(block.y, decay.u), (decay.x, block.u)])
+        with pytest.raises(TraceError, match=message):
+            compile(loop, backend="python")
+    loop = decay_loop()
+    with pytest.raises(KeyError, match=r"did you mean 'decay\.x'"):
+        compile(loop, backend="python", record=["decay.z"])
+    with pytest.raises(TraceError, match=r"has no field 'c'; fields: .*a, b"):
+        compile(loop, backend="python", parameters=["decay.c"])
+    with pytest.raises(ValueError, match="was not left open"):
+        compile(loop, backend="python").run(1.0, parameters={"decay.a": 1.0})
+    with pytest.raises(ValueError, match="different numbers of cars"):
+        compile(loop, backend="python", parameters=["decay.a"]).run(1.0, batch=3, parameters={"decay.a": np.ones(2)})
+    with pytest.raises(ValueError, match="duration"):
+        compile(loop, backend="python").run(math.nan)
+    with pytest.raises(ValueError, match="valid: auto, python, vm, c"):
+        compile(loop, backend="fortran")  # type: ignore[arg-type]
+    derived = Derived()
+    with pytest.raises(TraceError, match=r"computes twice when it is built"):
+        compile(loop.with_block("decay", derived), backend="python", parameters=["decay.a"])
+
+
+def test_a_table_asked_outside_of_a_trace_stays_an_error_after_one() -> None:
+    compile(mixed_loop(), backend="python")
+    assert Table.tracer is None

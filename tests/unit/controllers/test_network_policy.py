@@ -1,0 +1,97 @@
+"""Networks and any function as controllers: as in the environment, compiled, from their file."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+from steerkit.assembly import steering_loop
+from steerkit.compiled import TraceError, compile
+from steerkit.controllers.nfq_policy import IDOE_ACTIONS
+from steerkit.doe import Integrator
+from steerkit.gym import Network, PolicyBlock, Task
+from steerkit.scenario.drive import drive_loop
+from steerkit.scenario.world import World
+from steerkit.simulation import simulate
+from steerkit.units import radians_of
+from tests.support.steady_world import SteadyWorld
+
+CONTINUOUS = "steerkit/TrackSteeringContinuous-v0"
+
+
+def test_a_policy_block_steers_as_its_policy_did_in_the_environment() -> None:
+    rng = np.random.default_rng(1)
+    net = Network(
+        layers=((rng.normal(size=(8, 6)), rng.normal(size=8)), (0.2 * rng.normal(size=(1, 8)), np.zeros(1))),
+        head="tanh",
+    )
+    env = gymnasium.make(CONTINUOUS, world=SteadyWorld(course="circle"), start_e=0.0)
+    observation, _ = env.reset(seed=4)
+    task: Task = env.unwrapped.task  # type: ignore[attr-defined]
+    seen = []
+    for _ in range(12):
+        observation, *_, info = env.step(net(observation[None]).astype(np.float32))
+        seen.append((info["e"], info["delta_sw"]))
+    block = PolicyBlock(policy=net, largest=task.scale)
+    world = task.place
+    loop = steering_loop(
+        car=world.car(task.path),
+        path=task.path,
+        driver=world.driver(0),
+        controller=block,
+        doe=Integrator(),
+        actuator=world.actuator(),
+        reference=world.ahead,
+    )
+    start = dict(zip(task.loop.names, task.starts([task.draw(np.random.default_rng(4))]).x)) | {"controller": ()}
+    floats = [
+        type(x)(*[float(v[0]) for v in x]) if hasattr(x, "_fields") else tuple(float(v[0]) for v in x)
+        for x in (start[name] for name in loop.names)
+    ]
+    log = simulate(loop, 13 * 0.05, state=loop.init(x=floats), every=5)
+    np.testing.assert_allclose(np.array(seen), np.column_stack((log["path.e"], log["car.delta_sw"]))[1:], atol=1e-5)
+
+
+@pytest.mark.parametrize("head", ["argmax", "tanh", "clip"])
+def test_a_policy_block_of_a_network_can_be_compiled(head: Any) -> None:
+    towards = np.array([-0.6, -1.0, 0.0, 0.0, -0.3, 0.0])  # the path: z = h0 - h1 is how fast to turn left
+    last = [[-4.0, 4.0], [0.0, 0.0], [4.0, -4.0]] if head == "argmax" else [[1.0, -1.0]]
+    layers = ((np.array([towards, -towards]), np.zeros(2)), (np.array(last), np.array([0.0, 0.1, 0.0][: len(last)])))
+    net = Network(layers=layers, head=head)
+    actions = (-0.05, 0.0, 0.05) if head == "argmax" else None
+    world = World(course="circle")
+    loop = drive_loop(world, PolicyBlock(policy=net, actions=actions, largest=0.05), doe=Integrator())
+    slow, fast = simulate(loop, 3.0), compile(loop, backend="python").run(3.0)
+    np.testing.assert_allclose(fast["controller.action"], slow["controller.action"], atol=1e-12)
+    assert np.ptp(slow["controller.action"]) > 0.0
+    other = PolicyBlock(policy=lambda x: np.zeros(len(x)))
+    with pytest.raises(TraceError, match="is no Network: it cannot be traced"):
+        compile(drive_loop(world, other, doe=Integrator()), backend="python")
+
+
+def test_a_policy_block_comes_back_from_its_file(tmp_path: Any) -> None:
+    rng = np.random.default_rng(2)
+    net = Network(layers=((rng.normal(size=(4, 6)), rng.normal(size=4)), (rng.normal(size=(5, 4)), rng.normal(size=5))))
+    block = PolicyBlock(policy=net, actions=IDOE_ACTIONS)
+    block.save(tmp_path / "p.npz")
+    again = PolicyBlock.load(tmp_path / "p.npz")
+    u = block.D(*rng.normal(size=(6, 50)))
+    np.testing.assert_array_equal(again.output(0.0, (), u).action, block.output(0.0, (), u).action)
+    (tmp_path / "p.npz").write_bytes(b"PK no more")
+    with pytest.raises(ValueError, match="cut short or not a steerkit policy block file"):
+        PolicyBlock.load(tmp_path / "p.npz")
+    with pytest.raises(TypeError, match="only weights can be written"):
+        PolicyBlock(policy=lambda x: np.zeros(len(x))).save(tmp_path / "q.npz")
+
+
+def test_any_function_may_steer_and_its_mistakes_are_named() -> None:
+    u = PolicyBlock.D(*[0.1] * 6)
+    lazy = PolicyBlock(policy=lambda x: np.full(len(x), -0.5), largest=radians_of(20.0))
+    assert lazy.output(0.0, (), u).action == pytest.approx(radians_of(-10.0))
+    assert np.isnan(lazy.output(0.0, (), u._replace(v=float("inf"))).action)
+    for policy, says in ((lambda x: [2.0], r"within \[-1, 1\]"), (lambda x: [0.0, 0.0], "answered 2 numbers for 1")):
+        with pytest.raises(ValueError, match=says):
+            PolicyBlock(policy=policy).output(0.0, (), u)

@@ -1,0 +1,29 @@
+"""A moved target comes to a lost car and goes back slowly."""
+
+from __future__ import annotations
+
+import pytest
+
+from steerkit.controllers.target_shift import TargetShift
+from steerkit.loop import Loop
+from steerkit.simulation import simulate
+from tests.support.parts import Script
+
+
+def test_the_target_comes_to_a_lost_car_and_goes_back_slowly() -> None:
+    shift = TargetShift(limit=1.0, rate=0.4)
+    e = Script(values=(0.2, 0.6, 0.6, 0.6, 0.6, 3.0, 3.0, 3.0))
+    e_dot = Script(values=(0.1,))
+    loop = Loop(
+        blocks={"e": e, "e_dot": e_dot, "shift": shift},
+        wires=[(e.length, shift.e_path), (e_dot.speed, shift.e_dot_path)],
+    )
+    log = simulate(loop, 8 * 0.05, record=["shift.e", "shift.e_dot", "shift.shift"])
+    assert log["shift.shift"] == pytest.approx([0.0, 0.0, 0.605, 0.585, 0.565, 0.545, 1.0, 1.0])
+    assert log["shift.e"] == pytest.approx([0.2, 0.6, -0.005, 0.015, 0.035, 2.455, 2.0, 2.0])
+    assert log["shift.e_dot"] == pytest.approx([0.1, 0.1, *[0.5] * 6])
+
+
+def test_a_shift_of_nowhere_is_told() -> None:
+    with pytest.raises(ValueError, match="expected > 0"):
+        TargetShift(rate=0.0)

@@ -1,0 +1,82 @@
+"""What is steered, with which actions, from where: options, starts, rewards, ends."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+from steerkit.controllers.nfq_policy import IDOE_ACTIONS, StateDescription
+from steerkit.gym import TrackSteering
+from steerkit.learning.costs import IdoeCost
+from steerkit.scenario.world import World
+from tests.support.steady_world import SteadyWorld
+
+ID = "steerkit/TrackSteering-v0"
+
+
+HOLD = IDOE_ACTIONS.index(0.0)
+
+
+def test_a_car_starts_in_the_steady_state_of_its_bend() -> None:
+    for plant in ("linear", "nonlinear"):
+        env = gymnasium.make(ID, world=SteadyWorld(course="circle", plant=plant), start_e=0.0, start_psi_e=0.0)
+        env.reset(seed=2)
+        infos = [env.step(HOLD)[4] for _ in range(40)]
+        assert max(abs(info["e"]) for info in infos) < 0.02  # 12 m of bend with the wheel held
+        kappa = env.unwrapped.task.path.kappa(0.0)  # type: ignore[attr-defined]
+        assert infos[0]["a_y"] == pytest.approx(6.0**2 * kappa, rel=0.02)
+
+
+def test_the_reward_is_minus_the_cost_and_failure_ends_the_episode() -> None:
+    cost = IdoeCost(trip=0.3)
+    env = gymnasium.make(ID, cost=cost, failure=7.0, course="straight", start_e=0.0, start_psi_e=0.0)
+    observation, _ = env.reset(seed=0)
+    description = StateDescription()
+    for _ in range(100):
+        before = observation * description.half + description.mid
+        observation, reward, terminated, truncated, info = env.step(4)  # 60 degrees to the left, each time
+        after = observation * description.half + description.mid
+        expected, failed = cost(before[None], np.array([IDOE_ACTIONS[4]]), after[None])
+        assert terminated == failed[0] == (info["e"] > 0.3)
+        assert reward == (-7.0 if terminated else -expected[0])
+        if terminated:
+            break
+    assert terminated
+    assert not truncated
+    assert 0.3 < info["e"] < 0.8
+    with pytest.raises(gymnasium.error.ResetNeeded, match="call reset"):
+        env.unwrapped.step(HOLD)
+
+
+def test_options_choose_the_start() -> None:
+    env = gymnasium.make(ID)
+    observation, info = env.reset(seed=0, options={"s": 100.0, "e": -0.2, "psi_e": 0.0})
+    assert (info["s"], info["e"]) == (pytest.approx(100.0, abs=1e-6), pytest.approx(-0.2, abs=1e-6))
+    assert observation[0] == pytest.approx(-0.2, abs=1e-6)
+    assert observation[1] == pytest.approx(0.0, abs=1e-3)  # e stays as it is at first
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"action": "continuous"}, "option .'action'. is not known; valid: course, conditions, world, actions"),
+        ({"actions": "steps"}, "valid: i-doe, bang-bang, continuous, or angles"),
+        ({"actions": (0.1,)}, "at least two angles"),
+        ({"doe": "filter"}, "valid: integrator, low-pass, direct"),
+        ({"cost": "quadratic"}, "valid: smooth, paper"),
+        ({"world": {"corse": "paper"}}, "world has no field .'corse'.; valid: course"),
+        ({"world": World(), "course": "genesis"}, "belong to the world"),
+        ({"backend": "vm"}, "valid: python, c"),
+        ({"course": "papr"}, "did you mean 'paper'"),
+        (
+            {"description": StateDescription(names=("e", "e_dot", "w", "psi_e", "r_e", "doe"))},
+            "'w' is no signal; valid",
+        ),
+    ],
+)
+def test_mistakes_in_options_are_named_with_the_valid_ones(options: dict[str, Any], says: str) -> None:
+    with pytest.raises(ValueError, match=says):
+        TrackSteering(**options)

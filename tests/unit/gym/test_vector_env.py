@@ -1,0 +1,106 @@
+"""Many cars as one environment are the single ones, through ends and starts."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+from steerkit import native
+from steerkit.block import Block
+from steerkit.gym import TrackSteeringVector
+from steerkit.plants.human_driver import RecordedDriver
+from steerkit.scenario.world import World
+
+ID = "steerkit/TrackSteering-v0"
+
+
+CONTINUOUS = "steerkit/TrackSteeringContinuous-v0"
+
+
+needs_compiler = pytest.mark.skipif(native.compiler() is None, reason="C needs a compiler")
+
+
+backends = pytest.mark.parametrize("backend", ["python", pytest.param("c", marks=needs_compiler)])
+
+
+def rolled(env: Any, actions: np.ndarray, seed: int) -> list[tuple[Any, ...]]:
+    observation, info = env.reset(seed=seed)
+    rows: list[tuple[Any, ...]] = [(observation.copy(), info["e"], info["x"])]
+    for action in actions:
+        observation, reward, terminated, truncated, info = env.step(action)
+        rows.append((observation.copy(), reward.copy(), terminated.copy(), truncated.copy(), info["e"], info["x"]))
+    return rows
+
+
+@backends
+@pytest.mark.parametrize(("name", "conditions"), [(ID, "hard"), (CONTINUOUS, "clean")])
+def test_many_cars_are_the_single_ones_through_ends_and_starts(name: str, conditions: str, backend: str) -> None:
+    rng = np.random.default_rng(0)
+    wide = rng.integers(0, 5, (90, 3)) if name == ID else rng.uniform(-0.4, 0.4, (90, 3, 1)).astype(np.float32)
+    options: dict[str, Any] = {"conditions": conditions, "duration": 3.0}
+    one_by_one = rolled(gymnasium.make_vec(name, 3, vectorization_mode="sync", **options), wide, 11)
+    together = rolled(gymnasium.make_vec(name, 3, backend=backend, **options), wide, 11)
+    assert sum(row[2].sum() + row[3].sum() for row in together[1:]) >= 3
+    for single, many in zip(one_by_one, together):
+        for a, b in zip(single, many):
+            np.testing.assert_allclose(np.asarray(b, float), np.asarray(a, float), atol=1e-9)
+
+
+def test_the_three_ways_to_go_on_after_an_end() -> None:
+    fail = np.full(2, 4)  # 60 degrees to the left until it fails
+
+    def until_an_end(env: Any) -> tuple[Any, ...]:
+        env.reset(seed=0)
+        for _ in range(60):
+            result = env.step(fail)
+            if result[2].any():
+                return result
+        raise AssertionError("nothing failed")
+
+    next_step = gymnasium.make_vec(ID, 2, backend="python", course="straight")
+    assert next_step.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
+    observation, _, over, _, info = until_an_end(next_step)
+    assert abs(observation[over, 0]) == pytest.approx(abs(info["e"][over]), rel=1e-5)
+    assert abs(info["e"][over]) > 0.5
+    observation, reward, terminated, _, info = next_step.step(fail)
+    assert (reward[over], info["t"][over], terminated[over]) == (0.0, 0.0, False)
+    assert abs(info["e"][over]) <= 0.1
+
+    same_step = gymnasium.make_vec(ID, 2, backend="python", course="straight", autoreset_mode="SameStep")
+    observation, reward, over, _, info = until_an_end(same_step)
+    assert abs(info["e"][over]) <= 0.1
+    assert reward[over] == -1.0
+    (car,) = np.flatnonzero(over)
+    assert abs(info["final_obs"][car][0]) > 0.5
+    assert abs(info["final_info"]["e"][car]) > 0.5
+    assert info["_final_info"].tolist() == over.tolist()
+
+    by_hand = gymnasium.make_vec(ID, 2, backend="python", course="straight", autoreset_mode="Disabled")
+    _, _, over, _, info = until_an_end(by_hand)
+    others = info["e"][~over]
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        by_hand.step(fail)
+    _, info = by_hand.reset(options={"reset_mask": over})
+    assert abs(info["e"][over]) <= 0.1
+    by_hand.step(fail)
+    assert np.isfinite(others).all()
+
+
+@needs_compiler
+def test_a_loop_that_asks_for_the_time_is_not_compiled_for_many() -> None:
+    class Recorded(World):
+        def driver(self, seed: int) -> Block:
+            return RecordedDriver(speeds=(4.0, 6.0, 5.0), spacing=1.0)
+
+    with pytest.raises(ValueError, match="depends on the time t"):
+        TrackSteeringVector(2, world=Recorded())
+    wide = np.random.default_rng(0).integers(0, 5, (50, 2))
+    options: dict[str, Any] = {"world": Recorded(), "duration": 1.0}
+    together = rolled(TrackSteeringVector(2, backend="python", **options), wide, 1)
+    one_by_one = rolled(gymnasium.make_vec(ID, 2, vectorization_mode="sync", **options), wide, 1)
+    for single, many in zip(one_by_one, together):
+        np.testing.assert_allclose(many[-1], single[-1], atol=1e-9)

@@ -1,0 +1,21 @@
+"""A clean recording, and what is identified from a noisy one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from steerkit.identification import Drive, identify
+from steerkit.identification.estimate import Identified
+from tests.support.recorded_cars import BASE, driven, noisy
+
+
+@pytest.fixture(scope="session")
+def clean() -> dict[str, Any]:
+    return driven()
+
+
+@pytest.fixture(scope="session")
+def found(clean: dict[str, Any]) -> Identified:
+    return identify(Drive.of(**noisy(clean, 0), name="lap"), BASE, name="my-car")

@@ -1,0 +1,92 @@
+"""A recorded drive on one clock: repairs are stated, confusion is refused."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from steerkit.identification import Drive, identify
+from steerkit.identification.estimate import Identified
+from steerkit.units import degrees_of
+from tests.support.recorded_cars import BASE, DT, by_rate, noisy
+
+
+def test_repairs_are_stated_and_harmless(clean: dict[str, Any], found: Identified) -> None:
+    rng = np.random.default_rng(0)
+    rows = np.flatnonzero(~((clean["t"] > 20.0) & (clean["t"] < 23.0)))
+    rows = np.concatenate((rows, rows[100:110]))
+    order = np.arange(len(rows))
+    order[1000:1050] = rng.permutation(order[1000:1050])
+    broken = {key: value[rows[order]].copy() for key, value in noisy(clean, 0).items()}
+    broken["v"][500] = np.nan
+    drive = Drive.of(**broken)
+    said = "\n".join(drive.notes)
+    for words in ("dropped 1 of", "sorted by time", "repeat the time", "1 gaps, 3.0 s in all"):
+        assert words in said
+    assert not drive.measured[round(21.0 / DT)]
+    assert not drive.measured[round(23.5 / DT)]
+    answer = identify(drive, BASE)
+    assert answer["steer_ratio"].value == pytest.approx(found["steer_ratio"].value, rel=0.02)
+
+
+def test_the_headings_zero_repairs_the_gyros(clean: dict[str, Any]) -> None:
+    drive = Drive.of(**(clean | {"r": clean["r"] + 0.01}))
+    assert "yaw rate: -0.01" in drive.notes[0]
+    assert drive.calibrated
+    without = identify(Drive.of(**by_rate(clean | {"r": clean["r"] + 0.004})), BASE)
+    assert without["rate_zero"].low < 0.004 < without["rate_zero"].high
+
+
+def test_yaw_rate_from_the_heading_alone(clean: dict[str, Any]) -> None:
+    heading = {key: value for key, value in clean.items() if key != "r"}
+    heading["psi"] = (heading["psi"] + np.pi) % (2.0 * np.pi) - np.pi
+    drive = Drive.of(**heading)
+    inner = drive.measured & (drive.t < drive.t[-1] - 0.2)
+    np.testing.assert_allclose(drive.r[inner], clean["r"][: len(drive.r)][inner], atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"delta_sw": 57.3}, r'delta_sw reaches .* is it in deg\? Say unit = "deg"'),
+        ({"delta_sw": -1.0}, "one of delta_sw and r has the wrong sign"),
+        ({"delta_sw": 1 / 14.2}, "road wheels' angle"),
+        ({"v": 3.6}, "v is in km/h|is it in km/h"),
+        ({"r": 57.3}, r"is it in deg/s\?"),
+        ({"t": 1000.0}, "is t in ms"),
+        ({"t": 1e9}, "is t in ns"),
+        ({"v": -1.0}, "reversing is not modelled"),
+        ({"v": 0.1}, "only .* s at 3 m/s or faster"),
+        ({"r": 0.0}, "hardly turns"),
+    ],
+)
+def test_confused_units_teach(change: dict[str, float], says: str, clean: dict[str, Any]) -> None:
+    confused = by_rate(clean) | {key: factor * clean[key] for key, factor in change.items()}
+    with pytest.raises(ValueError, match=says):
+        Drive.of(**confused)
+
+
+def test_a_heading_that_contradicts_the_yaw_rate_teaches(clean: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=r"has the other sign .* compass turns clockwise"):
+        Drive.of(**(clean | {"psi": -clean["psi"]}))
+    with pytest.raises(ValueError, match="psi jumps by 360"):
+        Drive.of(**(clean | {"psi": degrees_of(clean["psi"]) % 360.0}))
+
+
+def test_columns_that_do_not_belong_together_teach(clean: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=r"go together by .* wrong columns or clocks"):
+        Drive.of(**(by_rate(clean) | {"delta_sw": np.roll(clean["delta_sw"], 700)}))
+    with pytest.raises(ValueError, match="different lengths: t 4500, delta_sw 4499"):
+        Drive.of(**(by_rate(clean) | {"delta_sw": clean["delta_sw"][1:]}))
+    two = {key: np.concatenate((value, value)) for key, value in by_rate(clean).items()}
+    two["v"] = np.concatenate((clean["v"], clean["v"][::-1]))
+    two["t"] = np.concatenate((clean["t"], clean["t"] + 0.01))
+    with pytest.raises(ValueError, match=r"time runs back at row 4500 .* one after the other"):
+        Drive.of(**two)
+
+
+def test_trusted_units_are_not_judged(clean: dict[str, Any]) -> None:
+    turned = by_rate(clean) | {"delta_sw": -clean["delta_sw"]}
+    assert len(Drive.of(**turned, trusted=True).v) == len(Drive.of(**by_rate(clean)).v)

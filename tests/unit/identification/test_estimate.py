@@ -1,0 +1,57 @@
+"""What was identified predicts other drives and comes back from its file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from steerkit.controllers.stanley import Stanley
+from steerkit.identification import Drive
+from steerkit.identification.estimate import Identified
+from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.steering_actuator import steering_of
+from steerkit.vehicles import vehicle
+from tests.support.recorded_cars import driven
+
+
+def test_held_out_drive(found: Identified) -> None:
+    other = Drive.of(**driven(seconds=40.0, v_low=6.0, v_high=15.0))
+    seen = found.predict(other)
+    assert seen.rms < 0.002
+    shifted = found.predict(replace(other, delta_sw=other.delta_sw + 0.05))
+    assert shifted.rms > 3.0 * seen.rms
+    assert shifted.zero_shift == pytest.approx(-0.05, abs=0.02)
+    assert shifted.rms_rezeroed < 1.5 * seen.rms + 1e-3
+
+
+def test_the_vehicle_file_comes_back_and_drives(found: Identified, tmp_path: Path) -> None:
+    file = tmp_path / "my-car.toml"
+    found.save(file, command="steerkit identify lap", held_out=found.fit)
+    assert vehicle(str(file)) == found.vehicle
+    motor = steering_of(file)
+    assert motor.delay + motor.lag == pytest.approx(found.delay + found.lag - 0.01, abs=1e-12)
+    assert motor.offset == found.offset
+    for block in (LinearSingleTrack(vehicle=vehicle(str(file))), NonlinearSingleTrack(vehicle=vehicle(str(file)))):
+        assert block.vehicle.c_f == found.vehicle.c_f
+    assert Stanley.of(vehicle(str(file)))
+    text = file.read_text()
+    for words in (
+        "[provenance]",
+        'log = "lap"',
+        "held_out_rms",
+        'told_by = "log"',
+        'command = "steerkit identify lap"',
+    ):
+        assert words in text
+    with pytest.raises(ValueError, match=r"a vehicle file ends in \.toml"):
+        found.save(tmp_path / "car.json")
+
+
+def test_a_vehicle_file_serves_a_learning_world(found: Identified, tmp_path: Path) -> None:
+    from steerkit.scenario.world import World
+
+    found.save(tmp_path / "car.toml")
+    assert World(vehicle_name=str(tmp_path / "car.toml")).vehicle == found.vehicle

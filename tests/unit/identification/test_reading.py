@@ -1,0 +1,108 @@
+"""Every kind of file gives the same drive; what is none is told."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from steerkit.identification import Drive, read_drive
+from steerkit.simulation import Log
+from steerkit.units import degrees_of
+from tests.support.recorded_cars import by_rate, driven
+
+
+def test_every_kind_of_file_gives_the_same_drive(clean: dict[str, Any], tmp_path: Path) -> None:
+    drive = Drive.of(**by_rate(clean))
+    csv = "t;wheel;speed_kmh;yaw\n" + "\n".join(
+        f"{t:.3f};{degrees_of(-d):.6f};{3.6 * v:.6f};{r:.8f}".replace(".", ",")
+        for t, d, v, r in zip(clean["t"], clean["delta_sw"], clean["v"], clean["r"])
+    )
+    (tmp_path / "a.csv").write_text(csv)
+    (tmp_path / "a.csv.gz").write_bytes(gzip.compress(csv.encode()))
+    savemat(tmp_path / "a.mat", {k: np.atleast_2d(v) for k, v in clean.items() if k != "psi"} | {"note": "hello"})
+    units = {"controller.delta_sw": "rad", "car.v": "m/s", "car.r": "rad/s"}
+    log = Log(clean["t"], dict(zip(units, (clean["delta_sw"], clean["v"], clean["r"]))), units)
+    log.save(tmp_path / "a.npz")
+    log.to_parquet(tmp_path / "a.parquet")
+    wheel = {"delta_sw": {"column": "wheel", "unit": "deg", "scale": -1.0}, "r": "yaw", "v": "speed_kmh"}
+    for name in ("a.csv", "a.csv.gz", "a.mat", "a.npz", "a.parquet"):
+        read = read_drive(tmp_path / name, wheel if "csv" in name else None)
+        for key in ("delta_sw", "v", "r"):
+            np.testing.assert_allclose(getattr(read, key), getattr(drive, key), atol=1e-6)
+        assert len(read.digest) == 64
+
+
+def test_a_recording_of_the_real_cars_driver(tmp_path: Path) -> None:
+    """Frames of the shipped configuration, written as the driver process writes them, and cut off at the end."""
+    pytest.importorskip("mcap")
+    from steerkit.plants.real_car import recording
+    from steerkit.plants.real_car.decisions.core import Frame
+    from steerkit.plants.real_car.file.reading import load
+    from steerkit.plants.real_car.frames.codec import SignalEncoder
+
+    car = load("dbw-kit.toml")
+    tape = recording.Recording(tmp_path / "a.mcap", {f"file:{name}": text for name, text in car.texts.items()})
+    columns = driven(seconds=40.0)
+    writers = [SignalEncoder(reader) for reader in car.readers]
+    for k in range(len(columns["t"])):
+        t = 100.0 + columns["t"][k]
+        values = {name: float(columns[name][k]) for name in ("delta_sw", "v", "r")}
+        values |= {"psi": float((columns["psi"][k] + np.pi) % (2.0 * np.pi) - np.pi)}
+        for writer in writers:
+            full = {name: values.get(name, 0.0) for name in writer.reader.mappings}
+            tape.event(Frame(t, t, writer.reader.frame_id, writer.write(full, count=k)), [])
+    tape.close()
+    whole = (tmp_path / "a.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(whole[: int(0.9 * len(whole))])
+    drive, cut = (read_drive(tmp_path / name) for name in ("a.mcap", "cut.mcap"))
+    same = Drive.of(**columns)
+    assert abs(len(drive.v) - len(same.v)) <= 1
+    n = min(len(drive.v), len(same.v)) - 1
+    np.testing.assert_allclose(drive.r[:n], same.r[:n], atol=2e-3)
+    np.testing.assert_allclose(drive.delta_sw[:n], same.delta_sw[:n], atol=2e-3)
+    assert len(cut.v) < len(drive.v)
+    assert any("cut short" in note for note in cut.notes)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "says"),
+    [
+        ("a.xls", b"x", "a recording ends in one of, or is called, .mcap"),
+        ("a.csv", b"", "the file is empty"),
+        ("a.csv", b"t,v\n", "no rows under a row of names"),
+        ("a.csv", b"1,2\n3,4\n", "the first row holds numbers"),
+        ("a.csv", b"t,v,yaw\n1,2,3\n2,3,4\n", r"which column is delta_sw, r or psi\? Columns: t, v, yaw"),
+        ("a.mat", b"MATLAB 5.0 or so", "no MATLAB file, or cut off"),
+        ("a.npz", b"PK broken", "a.npz"),
+        ("a.parquet", b"PAR1", "no Parquet file, or cut off"),
+        ("a.csv.gz", b"hello", "not a gzip file"),
+        ("a.mcap", b"hello", "no recording of steerkit"),
+    ],
+)
+def test_a_file_that_is_none_teaches(name: str, content: bytes, says: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(ValueError, match=says):
+        read_drive(tmp_path / name)
+    with pytest.raises(ValueError, match="cannot be read"):
+        read_drive(tmp_path / "none.csv")
+
+
+def test_files_cut_off_are_used_up_to_there(clean: dict[str, Any], tmp_path: Path) -> None:
+    rows = [f"{t:.3f},{d:.6f},{v:.6f},{r:.6f}" for t, d, v, r in zip(*(clean[k] for k in ("t", "delta_sw", "v", "r")))]
+    text = "\n".join(["t,delta_sw,v,r", *rows])
+    (tmp_path / "a.csv").write_text(text[:-12])
+    drive = read_drive(tmp_path / "a.csv")
+    assert "the last one: the file is cut off" in drive.notes[1]
+    packed = gzip.compress(text.encode())
+    (tmp_path / "b.csv.gz").write_bytes(packed[: len(packed) // 2])
+    assert any("cut off" in note for note in read_drive(tmp_path / "b.csv.gz").notes)
+    savemat(tmp_path / "c.mat", {key: value for key, value in clean.items() if key != "psi"})
+    whole = (tmp_path / "c.mat").read_bytes()
+    (tmp_path / "c.mat").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(ValueError, match=r"c\.mat"):
+        read_drive(tmp_path / "c.mat")

@@ -1,0 +1,17 @@
+"""A finished short run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from steerkit.learning.learn import learn
+from tests.support.short_run import SHORT
+
+
+@pytest.fixture(scope="session")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("runs") / "run"
+    learn(SHORT, place)
+    return place

@@ -1,0 +1,63 @@
+"""Costs by hand, symmetric and within one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from steerkit.learning.costs import COSTS, BandCost, IdoeCost, SmoothCost, TanhCost
+from tests.support.records import ACTIONS, states
+
+
+def test_band_cost_by_hand() -> None:
+    e = [0.0, 0.049, -0.051, 0.4, -0.6]
+    c, terminal = BandCost()(states(e), np.ones(5), states(e))
+    assert c.tolist() == [0.0, 0.0, 0.01, 0.01, 1.0]
+    assert terminal.tolist() == [False, False, False, False, True]
+
+
+def test_idoe_cost_is_free_only_with_the_wheel_left_alone() -> None:
+    c, _ = IdoeCost()(states([0.0] * 3), np.array([0.0, -0.0, 0.1]), states([0.01, -0.01, 0.0]))
+    assert c.tolist() == [0.0, 0.0, 0.01]
+
+
+def test_tanh_cost_by_hand() -> None:
+    e = [0.0, 0.05, -0.05, 0.4, 0.51]
+    c, terminal = TanhCost()(states(e), np.zeros(5), states(e))
+    assert c == pytest.approx([0.0, 0.95 * 0.04, 0.95 * 0.04, 0.04, 1.0], abs=1e-12)
+    assert terminal.tolist() == [False] * 4 + [True]
+    moving, _ = TanhCost()(states(e), np.full(5, 0.1), states(e))
+    assert (moving - c) == pytest.approx([0.01] * 4 + [0.0])
+
+
+def test_smooth_cost_by_hand() -> None:
+    """5 m/s: 0.05 rad/s more yaw rate in 0.05 s is a jerk of 5 m/s^3."""
+    cost = SmoothCost(cost=TanhCost(action_cost=0.0), jerk_cost=0.01, jerk_unit=10.0, wheel_cost=0.02, wheel_unit=0.4)
+    s, s_next = states([0.0] * 4), states([0.0, 0.0, 0.0, 0.6])
+    s_next[0, 4] = 0.05
+    s_next[1, 5] = -0.2
+    s_next[2, 4:] = 10.0
+    c, terminal = cost(s, np.zeros(4), s_next)
+    assert c == pytest.approx([0.01 / 4, 0.02 / 4, 0.01 + 0.02, 1.0])
+    assert terminal.tolist() == [False, False, False, True]
+    with pytest.raises(ValueError, match="wheel_unit"):
+        SmoothCost(jerk_unit=0.0)
+
+
+@given(e=st.floats(-2.0, 2.0), a=st.sampled_from(ACTIONS), cost=st.sampled_from(COSTS))
+def test_costs_are_symmetric_and_within_one(e: float, a: float, cost: type) -> None:
+    c, terminal = cost()(states([0.0, 0.0]), np.array([a, -a]), states([e, -e]))
+    assert c[0] == c[1]
+    assert 0.0 <= c[0] <= 1.0
+    assert terminal[0] == (abs(e) > 0.5)
+
+
+def test_costs_say_what_is_wrong() -> None:
+    with pytest.raises(ValueError, match="expected 0 < goal < trip"):
+        BandCost(goal=0.6)
+    with pytest.raises(ValueError, match="expected 0 < step <= 1"):
+        IdoeCost(step=0.0)
+    with pytest.raises(ValueError, match="action_cost"):
+        TanhCost(action_cost=1.0)

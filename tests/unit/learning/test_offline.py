@@ -1,0 +1,22 @@
+"""Updates from a record alone, without driving."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from steerkit.learning.nfq.iterate import FitSetting
+from steerkit.learning.offline import offline
+from steerkit.learning.settings import DEFAULT
+from tests.support.modelled_car import driven
+
+
+def test_offline_updates_are_chained_and_repeatable() -> None:
+    setting = replace(DEFAULT, fit=FitSetting(epochs=10, nets=1, imagined=100))
+    one, two = ([p.nets for p in offline(driven(), setting, 2, seed=4)] for _ in range(2))
+    assert all(np.array_equal(a[0][0], b[0][0]) for a, b in zip(one, two, strict=True))
+    assert not np.array_equal(one[0][0][0], one[1][0][0])
+    with pytest.raises(ValueError, match="updates = 0"):
+        next(offline(driven(), setting, 0))

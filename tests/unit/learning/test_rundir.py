@@ -1,0 +1,81 @@
+"""Run directories: going on, broken and foreign ones, an experiment's plain form."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from steerkit.learning import rundir
+from steerkit.learning.experiment import Experiment, LearningRun
+from steerkit.learning.learn import learn
+from steerkit.learning.settings import PAPER, SETTINGS, setting
+from steerkit.scenario.world import World
+from tests.support.short_run import SHORT
+
+
+def test_an_interrupted_run_goes_on_with_the_same_numbers(kept: Path, tmp_path: Path) -> None:
+    class Killed(Exception):
+        pass
+
+    def kill(what: str, run: LearningRun) -> None:
+        if run.counts.updates == 3:
+            raise Killed
+
+    with pytest.raises(Killed):
+        learn(SHORT, tmp_path / "again", watch=kill)
+    resumed = learn(SHORT, tmp_path / "again")
+    whole = rundir.load(kept)
+    assert np.array_equal(resumed.transitions.s, whole.transitions.s)
+    assert resumed.counts.episodes == whole.counts.episodes
+    a, b = rundir.drive_log(tmp_path / "again"), rundir.drive_log(kept)
+    assert all(np.array_equal(a[name], b[name]) for name in a)
+
+
+def test_broken_and_foreign_directories_are_named(kept: Path, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"no run\.json"):
+        rundir.load(tmp_path)
+    (tmp_path / "note.txt").write_text("mine")
+    with pytest.raises(ValueError, match="not empty and holds no run"):
+        learn(SHORT, tmp_path)
+    with pytest.raises(ValueError, match="another experiment"):
+        learn(replace(SHORT, seed=9), kept)
+    (tmp_path / "run.json").write_text((kept / "run.json").read_text()[:100])
+    with pytest.raises(ValueError, match="truncated"):
+        rundir.load(tmp_path)
+    (tmp_path / "run.json").write_text(json.dumps({"format": "other"}))
+    with pytest.raises(ValueError, match="format 'other'"):
+        rundir.load(tmp_path)
+    (tmp_path / "run.json").write_text((kept / "run.json").read_text())
+    with pytest.raises(ValueError, match="not whole"):
+        rundir.load(tmp_path)
+
+
+@pytest.mark.parametrize("name", SETTINGS)
+def test_an_experiment_survives_its_plain_form(name: str) -> None:
+    experiment = Experiment(setting=setting(name), world=World.under("hard"), seed=5)
+    data = json.loads(json.dumps(rundir.plain(experiment)))
+    assert rundir.from_plain(data, "test") == experiment
+
+
+def test_configuration_errors_name_the_valid_choices() -> None:
+    with pytest.raises(ValueError, match="valid: default, paper"):
+        setting("defualt")
+    with pytest.raises(ValueError, match="no field 'minuts'; valid: setting, world, minutes"):
+        rundir.from_plain({"minuts": 3.0}, "my.toml", Experiment)
+    with pytest.raises(ValueError, match="valid: clean, hard"):
+        World.under("harder")
+    with pytest.raises(ValueError, match="plant 'bicycle'"):
+        World(plant="bicycle")
+
+
+def test_a_sparse_configuration_takes_the_defaults() -> None:
+    sparse = {"minutes": 3.0, "setting": {"fit": {"nets": 1}, "cost": {"kind": "IdoeCost"}}}
+    experiment = rundir.from_plain(sparse, "my.toml", Experiment)
+    assert experiment.minutes == 3.0
+    assert experiment.setting.cost == PAPER.cost
+    assert experiment.setting.fit.nets == 1
+    assert experiment.world == World()

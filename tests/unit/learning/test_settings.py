@@ -1,0 +1,35 @@
+"""Settings are changed by name, and wrong changes are told."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import pytest
+
+from steerkit.learning.settings import DEFAULT, changed
+
+
+def test_settings_are_changed_by_name() -> None:
+    new = changed(DEFAULT, ["fit.nets=2", "after_failure=shift", "cost.goal=0.1", "calm=1", "actions_deg=[-9,0,9]"])
+    assert (new.fit.nets, new.after_failure, new.cost.goal, new.calm) == (2, "shift", 0.1, 1)
+    assert new.actions_deg == (-9, 0, 9)
+    assert replace(DEFAULT.fit, nets=2) == new.fit
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ("nets=2", "no 'nets' there; valid: name, actions_deg"),
+        ("fit.nets", "expected name=value"),
+        ("fit=2", "expected FitSetting, or its parts by their names"),
+        ("fit.nets=two", "expected int"),
+        ("fit.nets.x=2", "'nets' has no parts"),
+        ("fit.nets=0", "expected >= 1"),
+        ("after_failure=cry", "valid: recovery, reset, shift"),
+        ("exploration=2", "expected 0 <= exploration <= 1"),
+    ],
+)
+def test_wrong_changes_are_told(change: str, told: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(told)):
+        changed(DEFAULT, [change])

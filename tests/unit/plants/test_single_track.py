@@ -1,0 +1,97 @@
+"""The cars' common equations: symmetries, where and whereto, batches, stops, NaN, teaching errors."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.units import radians_of
+from steerkit.vehicles import VW_PASSAT
+from tests.support.stepped import run
+
+CARS = pytest.mark.parametrize("cls", [LinearSingleTrack, NonlinearSingleTrack])
+
+
+steering = st.lists(st.tuples(st.floats(-9.0, 9.0), st.floats(0.0, 12.0)), min_size=5, max_size=40)
+
+
+@CARS
+@settings(max_examples=25, deadline=None)
+@given(inputs=steering)
+def test_mirror_symmetry(cls, inputs):
+    car = cls(vehicle=VW_PASSAT)
+    left = run(car, inputs)[0][-1]
+    right = run(car, [(-delta, v) for delta, v in inputs])[0][-1]
+    mirrored = (right.x, -right.y, -right.psi, right.v, -right.beta, -right.r, -right.a_y, -right.delta_sw)
+    assert left == pytest.approx(mirrored, rel=1e-12, abs=1e-12)
+
+
+@CARS
+@settings(max_examples=25, deadline=None)
+@given(inputs=steering, x0=st.floats(-50, 50), y0=st.floats(-50, 50), psi0=st.floats(-7, 7))
+def test_where_and_whereto_do_not_matter(cls, inputs, x0, y0, psi0):
+    here = run(cls(vehicle=VW_PASSAT), inputs)[0][-1]
+    there = run(cls(vehicle=VW_PASSAT, x0=x0, y0=y0, psi0=psi0), inputs)[0][-1]
+    c, s = math.cos(psi0), math.sin(psi0)
+    moved = here._replace(x=x0 + c * here.x - s * here.y, y=y0 + s * here.x + c * here.y, psi=psi0 + here.psi)
+    assert there == pytest.approx(moved, rel=1e-9, abs=1e-9)
+
+
+@CARS
+def test_batch_is_the_single_cars(cls):
+    rng = np.random.default_rng(0)
+    n, steps = 5, 60
+    delta, v = np.cumsum(rng.normal(0, 0.5, (steps, n)), axis=0), rng.uniform(0.0, 12.0, (steps, n))
+    mass = np.array([1400.0, 1639.0, 1700.0, 1800.0, 1500.0])
+    start = dict(x0=rng.normal(size=n), y0=rng.normal(size=n), psi0=rng.normal(size=n), v0=v[0])
+    batch = cls(vehicle=replace(VW_PASSAT, m=mass), **start)
+    ys, _ = run(batch, list(zip(delta, v)), batch.init((n,)))
+    for i in range(n):
+        single = cls(vehicle=replace(VW_PASSAT, m=mass[i].item()), **{k: a[i].item() for k, a in start.items()})
+        alone, x = run(single, list(zip(delta[:, i].tolist(), v[:, i].tolist())))
+        assert all(value.__class__ is float for value in (*x, *alone[-1]))
+        assert [y[i] for y in ys[-1]] == pytest.approx(alone[-1], rel=1e-12, abs=1e-12)
+
+
+@CARS
+def test_outputs_belong_to_the_inputs_last_applied(cls):
+    ys, _ = run(cls(vehicle=VW_PASSAT, v0=2.0), [(1.0, 5.0), (2.0, 6.0), (3.0, 7.0)])
+    assert [y.delta_sw for y in ys] == [0.0, 1.0, 2.0]
+    assert [y.v for y in ys] == pytest.approx([2.0, 5.0, 6.0], rel=1e-3)
+
+
+@CARS
+def test_the_wheel_has_a_stop(cls):
+    ys, _ = run(cls(vehicle=VW_PASSAT), [(99.0, 5.0), (-99.0, 5.0), (0.0, 5.0)])
+    assert [y.delta_sw for y in ys] == [0.0, radians_of(520.0), -radians_of(520.0)]
+
+
+@CARS
+@pytest.mark.parametrize("inputs", [(math.nan, 5.0), (1.0, math.nan)])
+def test_nan_is_not_hidden(cls, inputs):
+    _, x = run(cls(vehicle=VW_PASSAT), [(0.1, 5.0), inputs, (0.1, 5.0)])
+    assert math.isnan(x.sway)
+    assert math.isnan(x.r)
+
+
+@CARS
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (dict(vehicle="vw-passat"), r"give a Vehicle, vehicle\('...'\)"),
+        (dict(dt=0.1), r"dt = 0.1 \[s\], expected .*raise substeps"),
+        (dict(dt=0.0), r"dt = 0.0 \[s\]"),
+        (dict(substeps=0), "substeps = 0"),
+        (dict(v0=-1.0), r"v0 = -1.0 \[m/s\]"),
+        (dict(x0=math.inf), r"x0 = inf \[m\]"),
+    ],
+)
+def test_teaching_errors_of_cars(cls, change, message):
+    with pytest.raises(ValueError, match=f"{cls.__name__}: .*{message}"):
+        cls(**{"vehicle": VW_PASSAT, **change})
+    assert cls(vehicle=VW_PASSAT, dt=0.05, substeps=5).dt == 0.05

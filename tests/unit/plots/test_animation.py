@@ -1,0 +1,84 @@
+"""Films of a drive: frames, scale, mistakes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from steerkit.plots.animation import LENGTH, _moved, _Run, _Scene, animate
+from steerkit.simulation import Log
+from tests.support.circle_drive import PASSAT, PATH
+
+
+def test_a_film_has_its_frames_and_the_car_moves(log: Log, tmp_path: Path) -> None:
+    file = log.animate(PATH, tmp_path / "new" / "run.gif", fps=2.0, speed=1.0)
+    with Image.open(file) as film:
+        assert film.n_frames == 8
+        assert film.info["duration"] == 500
+        frames = []
+        for k in (0, 7):
+            film.seek(k)
+            frames.append(np.asarray(film.convert("L"), dtype=float))
+    assert np.abs(frames[0] - frames[1]).mean() > 1.0
+
+
+def test_the_car_is_to_scale_and_in_its_place(log: Log) -> None:
+    scene = _Scene(_Run(log, 0), PATH, 2.71, PASSAT.l_f, 15.6, 18.0)
+    scene.show(2.0, 1.0)
+    body = scene.shapes[-1].get_xy()
+    x, y, psi = (np.interp(2.0, log.t, log[f"car.{key}"]) for key in ("x", "y", "psi"))
+    local = _moved(body - (x, y), -psi, 0.0, 0.0)
+    assert np.ptp(local[:, 0]) == pytest.approx(LENGTH * 2.71)
+    assert local[:, 0].max() > 0.5 * 2.71
+    assert abs(local[:, 1].max() + local[:, 1].min()) < 1e-9
+    front, rear = (
+        np.mean([_moved(s.get_xy() - (x, y), -psi, 0.0, 0.0).mean(axis=0) for s in pair], axis=0)
+        for pair in (scene.shapes[:2], scene.shapes[2:4])
+    )
+    assert front[0] - rear[0] == pytest.approx(2.71, abs=0.1)
+    assert scene.view.get_xlim() == pytest.approx((x - 18.0, x + 18.0))
+    assert "t = 2.0 s" in scene.words.get_text()
+    assert f"{np.interp(2.0, log.t, log['path.e']):+.3f}" in scene.words.get_text()
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"file": "run.avi"}, r"a film ends in \.gif or \.mp4"),
+        ({"window": 1.0}, "window = 1.0 m"),
+        ({"fps": 0.0}, "fps = 0.0"),
+        ({"speed": -1.0}, "speed = -1.0"),
+    ],
+)
+def test_mistakes_teach(options: dict[str, Any], says: str, log: Log, tmp_path: Path) -> None:
+    file = tmp_path / options.pop("file", "run.gif")
+    with pytest.raises(ValueError, match=says):
+        animate(log, PATH, file, **options)
+    assert not file.exists()
+
+
+def test_a_log_without_a_car_teaches(log: Log, tmp_path: Path) -> None:
+    bare = Log(log.t, {"car.x": log["car.x"]}, {"car.x": "m"})
+    with pytest.raises(ValueError, match=r"the log lacks car\.y, car\.psi; recorded: car\.x"):
+        animate(bare, PATH, tmp_path / "run.gif")
+
+
+def test_mp4_without_ffmpeg_teaches(log: Log, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("matplotlib.animation.FFMpegWriter.isAvailable", classmethod(lambda cls: False))
+    with pytest.raises(ValueError, match=r"needs ffmpeg, which is not there; install it, or write a \.gif"):
+        animate(log, PATH, tmp_path / "run.mp4")
+
+
+def test_drive_animates(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from steerkit.cli import app as cli
+
+    words = ["drive", "stanley", "--course", "circle", "--rounds", "0.04", "--out", str(tmp_path / "d"), "-q"]
+    monkeypatch.setattr("sys.argv", ["steerkit", *words, "--animate", str(tmp_path / "run.gif")])
+    with pytest.raises(SystemExit, match="0"):
+        cli.main()
+    with Image.open(tmp_path / "run.gif") as film:
+        assert film.n_frames >= 5

@@ -1,0 +1,15 @@
+"""Pictures of a course."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from steerkit.courses import circle
+from steerkit.plots.course import plot_course
+
+
+def test_a_course_shows_its_curvature() -> None:
+    axes = {panel.get_ylabel(): panel for panel in plot_course(circle(25.0)).axes}
+    drawn = np.asarray(axes["y [m]"].get_lines()[0].get_xydata())[:-1]
+    np.testing.assert_allclose(np.hypot(*(drawn - drawn.mean(axis=0)).T), 25.0, rtol=1e-3)
+    np.testing.assert_allclose(np.asarray(axes["kappa [1/m]"].get_lines()[-1].get_ydata()), 1.0 / 25.0, rtol=1e-3)
