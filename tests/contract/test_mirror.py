@@ -1,0 +1,154 @@
+"""Tests mirror the house: the test of a file is found by its name.
+
+`steerkit/plants/sensors.py` is tested in `tests/unit/plants/test_sensors.py`, `benchmarks/run/compare.py` in
+`tests/unit/benchmarks/run/test_compare.py`, what a package itself holds in `tests/unit/gym/test_gym.py`. A long test
+is split by what it is about, `test_app_habits.py` beside `test_app.py`. What is tested elsewhere stands in ELSEWHERE.
+"""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+from tests.support.house import modules
+from tests.support.places import ROOT
+
+UNIT = ROOT / "tests" / "unit"
+
+ELSEWHERE = {
+    "steerkit": "contract/test_imports.py",
+    "steerkit.__main__": "unit/cli/test_app_habits.py",
+    "steerkit.analysis.period": "evals/test_analysis_closed_forms.py",
+    "steerkit.block": "contract/test_blocks.py",
+    "steerkit.cli.demo": "unit/cli/test_app.py",
+    "steerkit.clock": "unit/test_realtime.py",
+    # one program, run in every way that it can be
+    "steerkit.compiled.c_code": "unit/compiled/test_compiled.py",
+    "steerkit.compiled.fleet": "unit/gym/test_vector_env.py",
+    "steerkit.compiled.native_program": "unit/compiled/test_compiled.py",
+    "steerkit.compiled.python_code": "unit/compiled/test_compiled.py",
+    "steerkit.compiled.vm": "unit/compiled/test_compiled.py",
+    "steerkit.controllers.limits": "unit/controllers/test_stanley.py",
+    # both MPCs are one table of cases
+    "steerkit.controllers.mpc.nonlinear": "unit/controllers/mpc/test_linear.py",
+    "steerkit.controllers.mpc.path_model": "evals/test_mpc_closed_forms.py",
+    "steerkit.controllers.mpc.qp": "unit/controllers/mpc/test_linear.py",
+    "steerkit.controllers.policy": "unit/controllers/test_nfq_policy.py",
+    "steerkit.courses": "unit/test_path.py",
+    "steerkit.courses.make_courses": "evals/test_path_closed_forms.py",
+    "steerkit.courses.shapes": "evals/test_path_closed_forms.py",
+    "steerkit.errors": "unit/test_wiring.py",
+    "steerkit.gym.drives": "unit/gym/test_vector_env.py",
+    "steerkit.identification.make_drives": "unit/identification/test_identification.py",
+    "steerkit.identification.pictures": "unit/cli/test_identify.py",
+    "steerkit.learning.learn": "unit/learning/test_experiment.py",
+    "steerkit.learning.nfq.kernel": "evals/test_rprop.py",
+    "steerkit.learning.nfq.network": "evals/test_rprop.py",
+    "steerkit.learning.nfq.rprop": "evals/test_rprop.py",
+    "steerkit.learning.pictures.paper": "unit/learning/pictures/test_run.py",
+    "steerkit.learning.report": "unit/cli/test_app.py",
+    "steerkit.maths": "contract/test_same_everywhere.py",
+    "steerkit.native": "unit/compiled/test_compiled.py",
+    # the programs on the car, in a world of processes and simulated hardware
+    "steerkit.on_car.follow": "evals/test_car_learning.py",
+    "steerkit.on_car.learner": "evals/test_car_learning.py",
+    "steerkit.on_car.loop": "evals/test_car_processes.py",
+    "steerkit.on_car.panel": "evals/test_car_panel.py",
+    "steerkit.on_car.processes": "evals/test_car_processes.py",
+    "steerkit.on_car.replay": "evals/test_car_learning.py",
+    "steerkit.on_car.session": "evals/test_car_processes.py",
+    # both cars are one table of cases
+    "steerkit.plants.car": "unit/plants/test_single_track.py",
+    "steerkit.plants.linear_single_track": "unit/plants/test_single_track.py",
+    "steerkit.plants.nonlinear_single_track": "unit/plants/test_single_track.py",
+    "steerkit.plants.playback": "unit/identification/test_identification.py",
+    "steerkit.plants.real_car.decisions.senses": "evals/test_car_fault_matrix.py",
+    "steerkit.plants.real_car.file.reading": "unit/plants/real_car/file/test_config.py",
+    "steerkit.plants.real_car.frames.bus": "evals/test_car_processes.py",
+    "steerkit.plants.real_car.frames.slcan_port": "evals/test_car_processes.py",
+    "steerkit.plants.real_car.processes.server": "evals/test_car_processes.py",
+    "steerkit.plants.real_car.simulated": "evals/test_car_fault_matrix.py",
+    "steerkit.scenario.drive": "unit/learning/test_trials.py",
+    "steerkit.scenario.world": "unit/learning/test_experiment.py",
+    "steerkit.units": "contract/test_same_everywhere.py",
+    "steerkit.vehicles": "unit/vehicles/test_named.py",
+    "benchmarks.report.figures": "unit/benchmarks/report/test_page.py",
+    "benchmarks.report.paper": "unit/benchmarks/report/test_page.py",
+    "benchmarks.run.provenance": "unit/benchmarks/run/test_results.py",
+    "benchmarks.run.trainings": "unit/benchmarks/run/test_runner.py",
+}
+"""Module and the file under tests/ that tests it, where that is not the one of its name."""
+
+
+def holds_something(file: Path) -> bool:
+    """More than a docstring and the names it passes on."""
+
+    def counts(node: ast.stmt) -> bool:
+        passed_on = isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__"
+        return isinstance(node, (ast.FunctionDef, ast.ClassDef, ast.Assign, ast.AnnAssign)) and not passed_on
+
+    return any(map(counts, ast.parse(file.read_text(encoding="utf-8")).body))
+
+
+def mirror_of(file: Path, root: Path = ROOT, unit: Path = UNIT) -> Path:
+    """The test file of a module's file."""
+    *folders, stem = file.relative_to(root).with_suffix("").parts
+    folders = folders[1:] if folders[0] == "steerkit" else folders
+    if stem == "__init__":
+        stem = folders[-1] if folders else "steerkit"
+    return unit.joinpath(*folders, f"test_{stem.strip('_')}.py")
+
+
+def missing(root: Path, unit: Path, elsewhere: dict[str, str]) -> list[str]:
+    """What does not mirror."""
+    files = modules(root, "steerkit") | modules(root, "benchmarks")
+    mirrors = {name: mirror_of(file, root, unit) for name, file in files.items()}
+    found = [
+        f"{name} has no {test.relative_to(root)}"
+        for name, test in mirrors.items()
+        if holds_something(files[name])
+        and not test.is_file()
+        and name not in elsewhere
+        and not name.startswith("benchmarks.studies.")
+    ]
+    known = set(mirrors.values())
+    for test in sorted(unit.rglob("test_*.py")):
+        words = test.stem.split("_")
+        stems = {"_".join(words[:n]) for n in range(2, len(words) + 1)}
+        if not {test.with_name(f"{stem}.py") for stem in stems} & known:
+            found.append(f"{test.relative_to(root)} is the test of no module")
+    for name, test in elsewhere.items():
+        if name not in files:
+            found.append(f"ELSEWHERE: there is no {name}")
+        if not (root / "tests" / test).is_file():
+            found.append(f"ELSEWHERE: there is no tests/{test}")
+    return found
+
+
+@pytest.mark.skipif(not (ROOT / "steerkit").is_dir(), reason="runs on the sources; here steerkit is installed")
+def test_every_module_has_its_test_and_every_test_its_module() -> None:
+    assert not missing(ROOT, UNIT, ELSEWHERE)
+
+
+def test_a_gap_would_be_seen(tmp_path: Path) -> None:
+    for name in (
+        "steerkit/a.py",
+        "steerkit/__init__.py",
+        "steerkit/p/__init__.py",
+        "steerkit/p/b.py",
+        "steerkit/p/c.py",
+    ):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("" if name == "steerkit/__init__.py" else "X = 1\n")
+    unit = tmp_path / "tests" / "unit"
+    for name in ("test_a.py", "test_old.py", "p/test_b_slowly.py", "p/test_p.py"):
+        (unit / name).parent.mkdir(parents=True, exist_ok=True)
+        (unit / name).touch()
+    assert missing(tmp_path, unit, {"steerkit.gone": "unit/test_a.py", "steerkit.p.c": "unit/test_gone.py"}) == [
+        "steerkit.p.b has no tests/unit/p/test_b.py",
+        "tests/unit/test_old.py is the test of no module",
+        "ELSEWHERE: there is no steerkit.gone",
+        "ELSEWHERE: there is no tests/unit/test_gone.py",
+    ]
