@@ -13,7 +13,7 @@ from steerkit.block import Block
 from steerkit.catalogue import CONTROLLERS, ELEMENTS, RECOVERIES, Belief, make_controller, make_element, make_recovery
 from steerkit.courses import course
 from steerkit.on_car.loop import belief_of, controller_named
-from steerkit.plants.real_car.file.config import load
+from steerkit.plants.real_car.file.reading import load
 from steerkit.units import radians_of
 from steerkit.vehicles import vehicle
 
