@@ -182,6 +182,25 @@ def golden(
         raise SystemExit(1)
 
 
+@app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []})
+def study(
+    ctx: typer.Context,
+    name: Annotated[str, typer.Argument(help="Study to carry out: see --list.")] = "",
+    names: Annotated[bool, typer.Option("--list", help="Say what each study measures.")] = False,
+) -> None:
+    """Carry out a single measurement: study NAME [--quick] [--json] [its options]; study NAME --help lists them."""
+    from benchmarks import studies
+
+    if names:
+        width = max(map(len, studies.NAMES))
+        for one in studies.NAMES:
+            print(f"{one:{width}s}  {studies.about(one)}")
+    elif name in ("", "--help"):
+        print(ctx.get_help())
+    else:
+        studies.carry_out(name, ctx.args)
+
+
 def _leaderboard(results: Results) -> None:
     """Means over the drives that each controller held, suite by suite."""
     heads = (

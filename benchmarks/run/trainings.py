@@ -13,13 +13,13 @@ from benchmarks.peers.agents import SETTINGS, d3rlpy_nfq, stable_baselines
 from benchmarks.run.drives import Policy, drive
 from benchmarks.run.results import CURVE, TRAJECTORY
 from benchmarks.scenarios import Scenario
-from benchmarks.studies.learning import Taken, test_drives, train
 from steerkit.controllers.network_policy import PolicyBlock
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.offline import offline
 from steerkit.learning.settings import Setting, setting
-from steerkit.learning.trials import TrialDrive
+from steerkit.learning.training_run import Taken, train
+from steerkit.learning.trials import TrialDrive, drive_each
 from steerkit.metrics import GOOD, Learned
 from steerkit.scenario.world import World
 
@@ -85,7 +85,7 @@ def learn(training: Training, setting_name: str, *, seed: int) -> Learnt:
     trained = train(experiment)
     run = trained.run
     nets = trained.nets + _offline(training, how, run, seed)
-    drives = test_drives(experiment, [net.policy for net in nets], len(nets))
+    drives = drive_each(training.world, how, [net.policy for net in nets], seed=seed + 1000)
     policy = nets[-1].policy if nets else run.policy
     episodic = how.retrain_every_m == 0.0 or training.episode_metres > 0.0  # one training an episode
     return Learnt(_metrics(run, nets, drives, episodic=episodic), _curve(run, nets, drives), _trajectory(run), policy)
@@ -128,7 +128,7 @@ def _metrics(
     run: LearningRun, nets: Sequence[Taken], drives: Sequence[TrialDrive], *, episodic: bool
 ) -> dict[str, float]:
     counts = run.counts
-    good = next((i for i, trial in enumerate(drives) if _good(trial)), None)
+    good = next((i for i, trial in enumerate(drives) if trial.good), None)
     rounds = counts.first_round_done
     cost = Learned(
         round_minutes=math.inf if rounds is None else rounds / 60.0,
@@ -154,10 +154,6 @@ def _metrics(
             metrics[f"held_after_{number}"] = float(trial.held)
             metrics[f"max_e_after_{number}"] = trial.summary.max_e if trial.summary else math.nan
     return metrics
-
-
-def _good(trial: TrialDrive) -> bool:
-    return trial.held and trial.summary is not None and GOOD.met(trial.summary, rounds=1.0)
 
 
 def _curve(run: LearningRun, nets: Sequence[Taken], drives: Sequence[TrialDrive]) -> dict[str, np.ndarray]:

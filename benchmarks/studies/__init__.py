@@ -1,1 +1,80 @@
-"""Single measurements: `python -m benchmarks study --list`."""
+"""Single measurements, each a module here, all called alike: `python -m benchmarks study NAME [--quick] [--json] ...`.
+
+A study module has a docstring, whose first line says what it measures, and two functions:
+
+    add_options(parser)          its own command line options, beside --quick and --json
+    measure(options) -> dict     measures, prints tables for people, returns its figures
+
+and, if it compares what may differ, `objection(figures) -> str`, which says why its figures do not count, or nothing.
+`--quick` is a form that takes seconds: it shows that a study runs, not what it measures.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import json
+import math
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from steerkit.errors import known
+
+_FILES = {file.stem: file for file in sorted(Path(__file__).parent.glob("*.py")) if file.stem != "__init__"}
+NAMES = tuple(_FILES)
+"""All studies."""
+
+
+@cache
+def about(name: str) -> str:
+    """The first line of a study's docstring; nothing is imported for it. Raises ValueError for an unknown name."""
+    file = _FILES[known(name, _FILES, "study")]
+    text = ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or ""
+    return text.split("\n", 1)[0]
+
+
+def parser_of(name: str, study: ModuleType) -> argparse.ArgumentParser:
+    """The command line of a study."""
+    parser = argparse.ArgumentParser(
+        prog=f"python -m benchmarks study {name}",
+        description=study.__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.add_argument("--quick", action="store_true", help="a form that takes seconds: not a measurement")
+    parser.add_argument("--json", action="store_true", help="print one JSON object as the last line")
+    study.add_options(parser)
+    return parser
+
+
+def carry_out(name: str, words: Sequence[str] = ()) -> dict[str, Any]:
+    """Run a study with command line words and return its figures, as JSON can hold them.
+
+    Numbers that are not finite become None. Raises ValueError for an unknown name; SystemExit for a usage error, or
+    after all is printed when the study objects to its own figures.
+    """
+    known(name, _FILES, "study")
+    study = import_module(f"benchmarks.studies.{name}")
+    options = parser_of(name, study).parse_args(list(words))
+    figures = _plain(study.measure(options))
+    if options.json:
+        print(json.dumps(figures, allow_nan=False), flush=True)
+    objection = study.objection(figures) if hasattr(study, "objection") else ""
+    if objection:
+        raise SystemExit(f"study {name}: {objection}")
+    return figures
+
+
+def _plain(value: Any) -> Any:
+    """What JSON knows: text keys, and None for a number that is not finite."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,6 +1,6 @@
 """Kill the controller, the training process or the driver process at random moments, and look at the bus.
 
-    python -m benchmarks study car_kill --kills 50 --json
+    python -m benchmarks study car_kill [--kills N] [--victims NAME,...] [--seed N] [--quick] [--json]
 
 A simulated car on an slcan port hears what goes over the bus and writes it down, with times of the one monotonic clock
 that all processes share. Each round: a learning run drives, one of its processes is killed (kill -9), then it is told
@@ -91,7 +91,7 @@ class Bench:
             )
         if self.controller is None or self.controller.poll() is not None:
             (self.folder / "state.json").unlink(missing_ok=True)
-            command = [sys.executable, __file__, "--controller", str(self.folder)]
+            command = [sys.executable, "-m", __name__, str(self.folder)]
             self.controller = subprocess.Popen(command, stdout=self.text, stderr=self.text, text=True)
         end = time.monotonic() + 90.0
         while time.monotonic() < end:
@@ -189,24 +189,22 @@ class Bench:
         self.text.close()
 
 
-def main() -> None:
-    """Read the options, kill, print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--kills", type=int, default=50)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Its own command line options; --quick kills each victim once."""
+    parser.add_argument("--kills", type=int, default=None, help="how many (default 50)")
     parser.add_argument("--victims", default="controller,driver,trainer")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--json", action="store_true", help="print one JSON object as the last line")
-    parser.add_argument("--controller", default="", help=argparse.SUPPRESS)
-    options = parser.parse_args()
-    if options.controller:
-        controller(Path(options.controller))
-        return
+
+
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """Kill, look, print."""
     victims = options.victims.split(",")
+    kills = (len(victims) if options.quick else 50) if options.kills is None else options.kills
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         bench = Bench(Path(folder), options.seed)
         try:
-            for n in range(options.kills):
+            for n in range(kills):
                 rows.append(bench.kill(victims[n % len(victims)]))
                 print(n + 1, rows[-1], flush=True)
         except Exception:
@@ -223,9 +221,8 @@ def main() -> None:
         total[victim] = {"kills": len(mine), f"worst_{key}": max((r[key] for r in mine), default=0.0), **checks}
     for name, value in total.items():
         print(name, value)
-    if options.json:
-        print(json.dumps(total))
+    return total
 
 
-if __name__ == "__main__":
-    main()
+if __name__ == "__main__":  # as `Bench` starts it
+    controller(Path(sys.argv[1]))

@@ -1,6 +1,6 @@
 """Drive the simulated car over a bus in real time, and say how punctual it was.
 
-    python -m benchmarks study car_realtime --minutes 5 --json
+    python -m benchmarks study car_realtime --minutes 5 --json  # --quick: 3 s
     python -m benchmarks study car_realtime --minutes 6 --controller learn  # from nothing
     python -m benchmarks study car_realtime --minutes 0.5 --compare --load 4  # SCHED_FIFO or not
 
@@ -35,10 +35,10 @@ from steerkit.plants.real_car.file.reading import load
 from steerkit.plants.real_car.processes.client import CarLost, DriverLink
 
 
-def measure(
+def drive(
     controller: str, minutes: float, scale: float, folder: Path, listen: str = "", *, fifo: bool = False, busy: int = 0
 ) -> dict[str, Any]:
-    """One drive; returns its figures."""
+    """One drive; its figures."""
     config = load("dbw-kit.toml")
     path = loops.course_of(config)
     socket, tape, log = str(folder / "socket"), folder / "drive.mcap", folder / "car.jsonl"
@@ -135,9 +135,9 @@ def compare(options: argparse.Namespace) -> dict[str, Any]:
         for fifo in (False, True):
             with tempfile.TemporaryDirectory() as folder:
                 rows.append(
-                    measure(
+                    drive(
                         options.controller,
-                        options.minutes,
+                        minutes(options),
                         options.time_scale,
                         Path(folder),
                         options.listen,
@@ -230,36 +230,36 @@ def learn(
         return run
 
 
-def main() -> None:
-    """Read the options, drive, print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def minutes(options: argparse.Namespace) -> float:
+    """How long a drive lasts."""
+    return (0.05 if options.quick else 5.0) if options.minutes is None else options.minutes
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Its own command line options; --quick drives 3 s."""
     parser.add_argument("--controller", default="stanley", help="stanley, mpc, learn, or a policy's place")
-    parser.add_argument("--minutes", type=float, default=5.0)
+    parser.add_argument("--minutes", type=float, default=None, help="of each drive (default 5)")
     parser.add_argument("--time-scale", type=float, default=1.0, help="1 is real time")
     parser.add_argument("--listen", default="", help="127.0.0.1:0 for TCP instead of a pseudo-terminal")
-    parser.add_argument("--json", action="store_true", help="print one JSON object as the last line")
     parser.add_argument("--fifo", action="store_true", help="controller and driver process under SCHED_FIFO")
     parser.add_argument("--load", type=int, default=0, help="processes that compute beside it")
     parser.add_argument("--compare", action="store_true", help="with and without SCHED_FIFO, idle and with --load")
-    options = parser.parse_args()
+
+
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """Drive and print: once, or in all the ways that --compare asks for."""
     if options.compare:
-        row = compare(options)
-    else:
-        with tempfile.TemporaryDirectory() as folder:
-            row = measure(
-                options.controller,
-                options.minutes,
-                options.time_scale,
-                Path(folder),
-                options.listen,
-                fifo=options.fifo,
-                busy=options.load,
-            )
-        for name, value in row.items():
-            print(f"{name:26s} {value:.4g}" if isinstance(value, float) else f"{name:26s} {value}")
-    if options.json:
-        print(json.dumps(row))
-
-
-if __name__ == "__main__":
-    main()
+        return compare(options)
+    with tempfile.TemporaryDirectory() as folder:
+        row = drive(
+            options.controller,
+            minutes(options),
+            options.time_scale,
+            Path(folder),
+            options.listen,
+            fifo=options.fifo,
+            busy=options.load,
+        )
+    for name, value in row.items():
+        print(f"{name:26s} {value:.4g}" if isinstance(value, float) else f"{name:26s} {value}")
+    return row

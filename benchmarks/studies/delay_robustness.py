@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import json
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -26,7 +25,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from benchmarks.studies.driving import CAR, LIMIT, belief, drive_loop, driven, interpreted, on_course, rms, worst
+from benchmarks.rounds import CAR, LIMIT, belief, drive_loop, driven, interpreted, on_course, rms, worst
 from steerkit.block import Block
 from steerkit.catalogue import make_controller
 from steerkit.compiled.trace import with_parameters
@@ -189,31 +188,27 @@ def picture(report: dict[str, list[dict[str, Any]]], file: str) -> None:
     figure.savefig(file, dpi=120)
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Drive the whole box, print the boundary, draw it, and with --json one object last."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    usual = [name for name in NAMES if name != "mpc"]
-    parser.add_argument("--controllers", nargs="+", default=usual, choices=NAMES)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Its own command line options; --quick drives the delay-aware Stanley at two delays, 4 and 9 m/s only."""
+    parser.add_argument("--controllers", nargs="+", default=None, choices=NAMES, help="default: all but mpc")
     parser.add_argument("--out", default=None, help="file for a picture of the boundary")
-    parser.add_argument("--quick", action="store_true", help="every other delay, 4 and 9 m/s only")
-    parser.add_argument("--json", action="store_true", help="print one JSON object last")
-    given = parser.parse_args(arguments)
-    report: dict[str, Any] = {"laps": laps(given.controllers)}
+
+
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """Drive the whole box, print the boundary, draw it."""
+    usual = ["stanley-delay"] if options.quick else [name for name in NAMES if name != "mpc"]
+    controllers = options.controllers or usual
+    report: dict[str, Any] = {"laps": laps(controllers)}
     print("worst |e| [m] of the round; - : beyond 5 m or not finished; share: cars of the whole box within 0.5 m")
     print(
         f"{'controller':34}{'delay':>6}" + "".join(f"{kind:>9}" for kind in KINDS) + f"{'share':>8}  slowest that fails"
     )
-    pairs = [(name, b) for name in given.controllers for b in (None, BELIEVED) if b is None or name in COMPENSATES]
+    pairs = [(name, b) for name in controllers for b in (None, BELIEVED) if b is None or name in COMPENSATES]
     boundaries = {}
     for name, believes in pairs:
-        delays = DELAYS[:: 2 if given.quick or name == "mpc" else 1]
-        boundaries[labelled(name, believes)] = boundary(name, believes, delays, box(name, given.quick))
-    if given.out:
-        picture(boundaries, given.out)
-        print(f"\npicture: {given.out}")
-    if given.json:
-        print(json.dumps(report | boundaries).replace("Infinity", "null"))
-
-
-if __name__ == "__main__":
-    main()
+        delays = DELAYS[:: 6 if options.quick else 2 if name == "mpc" else 1]
+        boundaries[labelled(name, believes)] = boundary(name, believes, delays, box(name, options.quick))
+    if options.out:
+        picture(boundaries, options.out)
+        print(f"\npicture: {options.out}")
+    return report | boundaries

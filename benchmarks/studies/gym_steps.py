@@ -10,7 +10,6 @@ wheel on a straight in the place of a good driver, so that episodes last 5 s. CP
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from collections.abc import Callable
 from typing import Any
@@ -25,9 +24,9 @@ ID = "steerkit/TrackSteering-v0"
 HOLD = 0
 
 
-def one(options: dict[str, Any], *, random: bool) -> Callable[[int], int]:
+def one(task: dict[str, Any], *, random: bool) -> Callable[[int], int]:
     """Runs so many steps of one car; returns how many."""
-    env = gymnasium.make(ID, **options)
+    env = gymnasium.make(ID, **task)
     rng = np.random.default_rng(0)
     env.reset(seed=0)
 
@@ -41,9 +40,9 @@ def one(options: dict[str, Any], *, random: bool) -> Callable[[int], int]:
     return run
 
 
-def many(cars: int, options: dict[str, Any], *, random: bool) -> Callable[[int], int]:
+def many(cars: int, task: dict[str, Any], *, random: bool) -> Callable[[int], int]:
     """Runs about so many steps of a vector of cars; returns how many."""
-    env = gymnasium.make_vec(ID, cars, **options)
+    env = gymnasium.make_vec(ID, cars, **task)
     rng = np.random.default_rng(0)
     env.reset(seed=0)
 
@@ -64,18 +63,18 @@ def rate(run: Callable[[int], int], seconds: float) -> float:
     return steps / (time.process_time() - begin)
 
 
-def main() -> None:
-    """Measure, print the table, and with --json one object last."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Its own command line options."""
     parser.add_argument("--conditions", default="clean", choices=["clean", "hard"])
-    parser.add_argument("--quick", action="store_true", help="2 turns of 0.2 s each instead of 6")
-    parser.add_argument("--json", action="store_true", help="print one JSON object last")
-    arguments = parser.parse_args()
+
+
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """Measure every way in turns, and print the table."""
     backends = ["python", "c"] if native.compiler() else ["python"]
     ways: list[tuple[str, Callable[..., Callable[[int], int]]]] = []
     for backend in backends:
         ways.append((f"1 car, {backend}", lambda o, random, b=backend: one(o | {"backend": b}, random=random)))
-    for cars in (16, 256):
+    for cars in (4,) if options.quick else (16, 256):
         sync = {"vectorization_mode": "sync"}
         ways.append((f"{cars} cars, SyncVectorEnv", lambda o, random, n=cars, k=sync: many(n, o | k, random=random)))
         for backend in backends:
@@ -86,9 +85,9 @@ def main() -> None:
                 )
             )
     runs = {
-        "random actions": {"conditions": arguments.conditions},
+        "random actions": {"conditions": options.conditions},
         "driven well": {
-            "world": {"course": "straight", "noise": arguments.conditions == "hard"},
+            "world": {"course": "straight", "noise": options.conditions == "hard"},
             "start_e": 0.0,
             "start_psi_e": 0.0,
             "start": "beginning",
@@ -99,18 +98,13 @@ def main() -> None:
         (name, kind): make(options, kind == "random actions") for name, make in ways for kind, options in runs.items()
     }
     best: dict[tuple[str, str], float] = dict.fromkeys(contestants, 0.0)
-    for _ in range(2 if arguments.quick else 6):  # in turns, the best of each: others use this machine too
+    for _ in range(1 if options.quick else 6):  # in turns, the best of each: others use this machine too
         for key, run in contestants.items():
-            best[key] = max(best[key], rate(run, 0.2))
-    result: dict[str, Any] = {"conditions": arguments.conditions, "steps_per_cpu_second": {}}
+            best[key] = max(best[key], rate(run, 0.05 if options.quick else 0.2))
+    result: dict[str, Any] = {"conditions": options.conditions, "steps_per_cpu_second": {}}
     print(f"{'way':28}" + "".join(f"{name:>20}" for name in runs) + "   env steps a second of CPU time")
     for name, _ in ways:
         rates = {kind: best[name, kind] for kind in runs}
         result["steps_per_cpu_second"][name] = rates
         print(f"{name:28}" + "".join(f"{value:20,.0f}" for value in rates.values()))
-    if arguments.json:
-        print(json.dumps(result))
-
-
-if __name__ == "__main__":
-    main()
+    return result

@@ -7,14 +7,12 @@ test-driven after the run, off the clock, and counts from the moment it took the
 last one, not the best. `model-based` is the rival: the same experiment, steered by an optimal gain for the learned
 model.
 
-    python -m benchmarks study learning --setting default --seeds 10 --conditions clean --course paper
+    python -m benchmarks study learning --setting default --seeds 10 --conditions hard [--quick] [--json]
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from multiprocessing import get_context
@@ -25,13 +23,10 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from steerkit.controllers.nfq_policy import NfqPolicy
-from steerkit.learning.experiment import Experiment, LearningRun
-from steerkit.learning.rival import ModelBasedRun
+from steerkit.learning.experiment import Experiment
 from steerkit.learning.settings import SETTINGS, changed, setting
-from steerkit.learning.trials import TrialDrive, drive_many
-from steerkit.metrics import GOOD, of_log
-from steerkit.scenario import drive as evaluate
+from steerkit.learning.training_run import train
+from steerkit.learning.trials import drive_each
 from steerkit.scenario.world import World
 
 
@@ -59,55 +54,16 @@ class Outcome:
     computing: float
 
 
-@dataclass(frozen=True)
-class Trained:
-    """A learning run that has ended, and every net that took the wheel in it."""
-
-    run: LearningRun
-    nets: list[Taken]
-    longest_training: float
-    """Computing time of the longest training [s]."""
-    computing: float
-    """Wall time of the run [s]."""
-
-
-@dataclass(frozen=True)
-class Taken:
-    """A net, and what had happened when it took the wheel."""
-
-    t: float
-    """Driving time [s]."""
-    failures: int
-    transitions: int
-    policy: Any
-
-
-def train(experiment: Experiment, *, model_based: bool = False) -> Trained:
-    """Run an experiment to its end."""
-    nets: list[Taken] = []
-    trainings: list[float] = [0.0]
-
-    def watch(what: str, run: LearningRun) -> None:
-        if what == "trained":
-            nets.append(Taken(run.t, run.counts.failures, len(run.transitions), run.policy))
-
-    began = time.perf_counter()
-    run = (ModelBasedRun if model_based else LearningRun)(experiment, watch=watch)
-    while not run.done():
-        run.drive()
-        if run.counts.train_seconds > trainings[-1]:
-            trainings.append(run.counts.train_seconds)
-    return Trained(run, nets, float(np.diff(trainings).max(initial=0.0)), time.perf_counter() - began)
-
-
 def one_seed(job: tuple[Experiment, int, bool]) -> Outcome:
     """Run one seed, then test-drive its nets: the first GOOD one, the last ones, the final one."""
     experiment, last, model_based = job
     trained = train(experiment, model_based=model_based)
     run, nets = trained.run, trained.nets
-    drives = test_drives(experiment, [net.policy for net in nets], last)
-    found = (i for i, d in enumerate(drives) if d.held and d.summary and GOOD.met(d.summary, rounds=1.0))
-    first = next(found, None)
+    if model_based:  # these drive one by one, which takes long
+        nets = [*nets[:5], *nets[5:][-last:]]
+    policies = [net.policy for net in nets]
+    drives = drive_each(experiment.world, experiment.setting, policies, seed=experiment.seed + 1000)
+    first = next((i for i, drive in enumerate(drives) if drive.good), None)
     final = drives[-1] if drives else None
     summary = final.summary if final else None
     nan = float("nan")
@@ -120,7 +76,7 @@ def one_seed(job: tuple[Experiment, int, bool]) -> Outcome:
         failures_to_good=None if first is None else nets[first].failures,
         failures=run.counts.failures,
         transitions=len(run.transitions),
-        nets=len(nets),
+        nets=len(trained.nets),
         last_nets_hold=float(np.mean([d.held for d in drives[-last:]])) if nets else 0.0,
         final_holds=final is not None and final.held,
         final_rms_e=summary.rms_e if summary else nan,
@@ -130,32 +86,6 @@ def one_seed(job: tuple[Experiment, int, bool]) -> Outcome:
         final_max_a_y=summary.max_a_y if summary else nan,
         longest_training=trained.longest_training,
         computing=trained.computing,
-    )
-
-
-def test_drives(experiment: Experiment, policies: list[Any], last: int) -> list[TrialDrive]:
-    """One round for each policy: nets all at once in compiled code; of model policies only the first and last few."""
-    world, seed = experiment.world, experiment.seed + 1000
-    if all(isinstance(policy, NfqPolicy) for policy in policies):
-        layouts: dict[int, list[int]] = {}
-        for i, policy in enumerate(policies):
-            layouts.setdefault(len(policy.nets or ()), []).append(i)
-        drives: dict[int, TrialDrive] = {}
-        for rows in layouts.values():
-            drives |= zip(rows, drive_many(world, experiment.setting, [policies[i] for i in rows], seed=seed))
-        return [drives[i] for i in range(len(policies))]
-    return [model_drive(experiment, policy, seed) for policy in (*policies[:5], *policies[5:][-last:])]
-
-
-def model_drive(experiment: Experiment, policy: Any, seed: int) -> TrialDrive:
-    """One round of one policy."""
-    world = experiment.world
-    log = evaluate.drive(world, policy, doe=experiment.setting.element(), seed=seed, only_while_held=True)
-    held = evaluate.held_all_along(log)
-    return TrialDrive(
-        rounds=float(log["path.progress"][-1]) / world.round_length,
-        held=held and bool(log["path.progress"][-1] >= world.round_length),
-        summary=of_log(log) if len(log.t) > 20 else None,
     )
 
 
@@ -195,9 +125,8 @@ def summarise(outcomes: list[Outcome], within: float) -> dict[str, Any]:
     return result
 
 
-def main() -> None:
-    """Parse the command line, run the seeds, print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Its own command line options; --quick is one seed that drives for half a minute."""
     parser.add_argument("--setting", default="default", choices=[*sorted(SETTINGS), "model-based"])
     parser.add_argument(
         "--with",
@@ -207,60 +136,58 @@ def main() -> None:
         metavar="NAME=VALUE",
         help="change the setting, such as fit.guard=1.2 or after_failure=shift; may be repeated",
     )
-    parser.add_argument("--seeds", type=int, default=10, help="seeds 0 to N-1 (default 10)")
+    parser.add_argument("--seeds", type=int, default=None, help="how many seeds (default 10)")
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--conditions", default="clean", choices=["clean", "hard"])
     parser.add_argument("--course", default="paper")
     parser.add_argument("--plant", default="nonlinear", choices=["nonlinear", "linear"])
     parser.add_argument("--reference", default="front", choices=["front", "cg"])
     parser.add_argument("--v-max", type=float, default=None, help="fastest speed of the driver [m/s]")
-    parser.add_argument("--minutes", type=float, default=11.0, help="driving time of a run (default 11)")
+    parser.add_argument("--minutes", type=float, default=None, help="driving time of a run (default 11)")
     parser.add_argument("--episodes", type=int, default=1000, help="failures after which a run ends")
     parser.add_argument("--last", type=int, default=20, help="how many of the last nets are test-driven")
     parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--json", action="store_true", help="print one JSON object as the last line")
-    a = parser.parse_args()
-    world = replace(World.under(a.conditions, course=a.course), plant=a.plant, reference=a.reference)
-    if a.v_max is not None:
-        world = replace(world, v_max=a.v_max)
-    model_based = a.setting == "model-based"  # actions, rhythm and charged time are the default's
-    chosen = changed(setting("default" if model_based else a.setting), a.changes)
-    base = Experiment(setting=chosen, world=world, minutes=a.minutes, episodes=a.episodes)
-    jobs = [(replace(base, seed=a.first_seed + n), a.last, model_based) for n in range(a.seeds)]
-    with ProcessPoolExecutor(a.processes, mp_context=get_context("spawn")) as pool:
-        outcomes = list(track(pool.map(one_seed, jobs), total=len(jobs), description=a.setting))
+
+
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """Run the seeds, print the tables."""
+    seeds = (1 if options.quick else 10) if options.seeds is None else options.seeds
+    minutes = (0.5 if options.quick else 11.0) if options.minutes is None else options.minutes
+    world = replace(
+        World.under(options.conditions, course=options.course), plant=options.plant, reference=options.reference
+    )
+    if options.v_max is not None:
+        world = replace(world, v_max=options.v_max)
+    model_based = options.setting == "model-based"  # actions, rhythm and charged time are the default's
+    chosen = changed(setting("default" if model_based else options.setting), options.changes)
+    base = Experiment(setting=chosen, world=world, minutes=minutes, episodes=options.episodes)
+    jobs = [(replace(base, seed=options.first_seed + n), options.last, model_based) for n in range(seeds)]
+    with ProcessPoolExecutor(options.processes, mp_context=get_context("spawn")) as pool:
+        outcomes = list(
+            track(pool.map(one_seed, jobs), total=len(jobs), description=options.setting, console=Console(stderr=True))
+        )
     console = Console(width=170)
     names = list(asdict(outcomes[0]))
-    title = f"{' '.join((a.setting, *a.changes))} on {a.course}, {a.conditions}"
+    title = f"{' '.join((options.setting, *options.changes))} on {options.course}, {options.conditions}"
     table = Table(*[n.replace("_", " ") for n in names], title=title)
     for o in outcomes:
         table.add_row(*[_cell(v) for v in asdict(o).values()])
     console.print(table)
     result = {
-        "setting": a.setting,
-        "changes": a.changes,
-        "course": a.course,
-        "conditions": a.conditions,
-        "plant": a.plant,
-        "reference": a.reference,
+        "setting": options.setting,
+        "changes": options.changes,
+        "course": options.course,
+        "conditions": options.conditions,
+        "plant": options.plant,
+        "reference": options.reference,
         "v_max": world.v_max,
-        "minutes": a.minutes,
+        "minutes": minutes,
         **summarise(outcomes, 660.0),
     }
     for key, value in result.items():
         console.print(f"{key:28s} {_cell(value)}")
-    if a.json:
-        print(json.dumps({**result, "outcomes": [_plain(asdict(o)) for o in outcomes]}))
-
-
-def _plain(row: dict[str, Any]) -> dict[str, Any]:
-    """JSON knows no NaN: what was not measured is null."""
-    return {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in row.items()}
+    return {**result, "outcomes": [asdict(o) for o in outcomes]}
 
 
 def _cell(value: Any) -> str:
     return f"{value:.3g}" if isinstance(value, float) else str(value)
-
-
-if __name__ == "__main__":
-    main()

@@ -13,8 +13,6 @@ The MPCs cannot be compiled: they drive 9 x 9 start states a speed instead of 25
 from __future__ import annotations
 
 import argparse
-import json
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -22,7 +20,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from benchmarks.studies.driving import CAR, LAG, belief, reference_of
+from benchmarks.rounds import CAR, LAG, belief, reference_of
 from steerkit.assembly import placed, steering_loop
 from steerkit.block import Block
 from steerkit.catalogue import make_controller
@@ -172,19 +170,20 @@ def picture(results: dict[str, tuple[int, dict[str, Any]]], file: str) -> None:
     figure.savefig(file, dpi=120)
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Drive all start states, print a table, draw the picture, and with --json print one object last."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Its own command line options; --quick drives a coarse grid of start states."""
     default = ["stanley-delay", "mpc", "nonlinear-mpc"]
     parser.add_argument("--controllers", nargs="+", default=default, choices=NAMES)
-    parser.add_argument("--out", default="recovery.png", help="file of the picture")
-    parser.add_argument("--quick", action="store_true", help="a coarser grid")
-    parser.add_argument("--json", action="store_true", help="print one JSON object last")
-    given = parser.parse_args(arguments)
-    report, results = {}, {}
-    for name in given.controllers:
+    parser.add_argument("--out", default=None, help="file for a picture of the start states")
+
+
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """Drive all start states, print a table, draw the picture."""
+    report: dict[str, Any] = {}
+    results: dict[str, tuple[int, dict[str, Any]]] = {}
+    for name in options.controllers:
         controller = make_controller(name, belief(delay=DELAY))
-        sides = (5 if given.quick else 9) if name.endswith("mpc") else (9 if given.quick else 25)
+        sides = (1 if options.quick else 9) if name.endswith("mpc") else (5 if options.quick else 25)
         values = starts(sides, reference_of(controller))
         found = judged(driven(controller, values))
         results[name] = (sides, found)
@@ -197,11 +196,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 f"{row['slowest_s']:8.1f} s {row['a_y_max']:6.2f} {row['rate_max_deg_s']:9.0f} deg/s"
                 f" {row['farthest_m']:8.1f} m"
             )
-    picture(results, given.out)
-    print(f"\npicture: {given.out}")
-    if given.json:
-        print(json.dumps(report).replace("Infinity", "null"))
-
-
-if __name__ == "__main__":
-    main()
+    if options.out:
+        picture(results, options.out)
+        print(f"\npicture: {options.out}")
+    return report

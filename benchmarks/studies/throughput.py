@@ -15,7 +15,6 @@ one function that leaves no wiring to it at all.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import resource
 import statistics
@@ -30,12 +29,13 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.peers import python_control
 from steerkit.assembly import placed
 from steerkit.block import Block, In, Out
 from steerkit.compiled import Backend, compile
 from steerkit.controllers.stanley import Stanley
 from steerkit.courses import course
-from steerkit.loop import Loop, LoopState, Wire
+from steerkit.loop import Loop, Wire
 from steerkit.plants.human_driver import ConstantSpeed
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator
@@ -94,139 +94,6 @@ def closed_loop(*, tracker: bool = True, actuator: bool = True) -> Loop:
     return Loop(blocks=blocks, wires=wires)
 
 
-# ---- python-control ---------------------------------------------------------------------------------------------
-
-
-def _state(x: Any, like: Any) -> Any:
-    return like._make(x) if hasattr(like, "_make") else tuple(x)
-
-
-def control_diagram(loop: Loop, start: LoopState) -> tuple[Any, list[float]]:
-    """Every block a system of its own, every wire a connection."""
-    import control
-
-    systems = []
-    for (name, block), x0 in zip(loop.blocks.items(), start.x):
-
-        def values(x: Any, u: Any, block: Block = block, x0: Any = x0) -> tuple[Any, Any, Any]:
-            state, all_in = _state(x.tolist(), x0), block.U(*u.tolist())
-            return state, all_in, block.D(*[getattr(all_in, n) for n in block.D._fields])
-
-        def output(t: float, x: Any, u: Any, params: Any, block: Block = block, values: Any = values) -> Any:
-            state, _, direct = values(x, u)
-            return [v for v in block.output(t, state, direct) if v.__class__ is float]
-
-        def update(t: float, x: Any, u: Any, params: Any, block: Block = block, values: Any = values) -> Any:
-            state, all_in, direct = values(x, u)
-            return block.update(t, state, all_in, block.output(t, state, direct))
-
-        ports = [p.name for p in block.outputs if getattr(block, p.name).size is None]
-        systems.append(
-            control.nlsys(
-                update if len(x0) else None,
-                output,
-                name=name,
-                dt=DT,
-                states=len(x0),
-                inputs=[p.name for p in block.inputs],
-                outputs=ports,
-            )
-        )
-    whole = control.interconnect(
-        systems,
-        connections=[[loop.port_name(b), loop.port_name(a)] for a, b in loop.wires],
-        inplist=[],
-        inputs=None,
-        outlist=["path.e"],
-        outputs=["e"],
-        dt=DT,
-    )
-    return whole, [v for x in start.x for v in x]
-
-
-def control_two_systems(loop: Loop, start: LoopState) -> tuple[Any, list[float]]:
-    """A plant (car, actuator, driver) and a controller (tracker, Stanley), each written as one plain function."""
-    import control
-
-    car, motor, seen, stanley = (loop.blocks[n] for n in ("car", "actuator", "path", "controller"))
-    x_car, x_motor, x_seen, x_stanley = (loop.block_state(start, n) for n in ("car", "actuator", "path", "controller"))
-    n_car, n_seen = len(x_car), len(x_seen)
-    signals = ["x", "y", "psi", "v", "beta", "r", "meas"]
-
-    def move(t: float, x: Any, u: Any, params: Any) -> Any:
-        numbers = x.tolist()
-        wheel = motor.U(float(u[0]))
-        return car.update(t, _state(numbers[:n_car], x_car), car.U(numbers[n_car], SPEED), None) + motor.update(
-            t, tuple(numbers[n_car:]), wheel, None
-        )
-
-    def show(t: float, x: Any, u: Any, params: Any) -> Any:
-        numbers = x.tolist()
-        return (*car.output(t, _state(numbers[:n_car], x_car), ())[:6], numbers[n_car])
-
-    def looked(t: float, x: Any, u: Any) -> tuple[Any, ...]:
-        numbers, given = x.tolist(), u.tolist()
-        pose = seen.U(*given[:6])
-        where = _state(numbers[:n_seen], x_seen)
-        y = seen.output(t, where, pose)
-        return (
-            where,
-            pose,
-            y,
-            _state(numbers[n_seen:], x_stanley),
-            stanley.D(y.e, y.psi_e, y.kappa, given[3], given[5], given[6]),
-        )
-
-    def steer(t: float, x: Any, u: Any, params: Any) -> Any:
-        _, _, y, before, errors = looked(t, x, u)
-        return stanley.output(t, before, errors).delta_sw, y.e
-
-    def remember(t: float, x: Any, u: Any, params: Any) -> Any:
-        where, pose, y, before, errors = looked(t, x, u)
-        return (*seen.update(t, where, pose, y), *stanley.update(t, before, errors, None))
-
-    plant = control.nlsys(move, show, name="plant", inputs=["cmd"], outputs=signals, states=n_car + len(x_motor), dt=DT)
-    controller = control.nlsys(
-        remember, steer, name="controller", inputs=signals, outputs=["cmd", "e"], states=n_seen + len(x_stanley), dt=DT
-    )
-    wires = [[f"controller.{n}", f"plant.{n}"] for n in signals] + [["plant.cmd", "controller.cmd"]]
-    whole = control.interconnect(
-        [plant, controller], connections=wires, inplist=[], inputs=None, outlist=["controller.e"], outputs=["e"], dt=DT
-    )
-    return whole, [*x_car, *x_motor, *x_seen, *x_stanley]
-
-
-def control_one_system(loop: Loop, start: LoopState) -> tuple[Any, list[float]]:
-    """The whole loop as one update function, steerkit's own interpreted tick: no diagram is left to python-control."""
-    import control
-
-    ends = np.cumsum([0, *[len(x) for x in start.x]]).tolist()
-
-    def tick(t: float, x: Any) -> tuple[list[Any], list[Any]]:
-        numbers, y = x.tolist(), list(start.y)
-        states = [_state(numbers[a:b], like) for a, b, like in zip(ends, ends[1:], start.x)]
-        loop.run_phase(0, t, states, y)
-        return states, y
-
-    def update(t: float, x: Any, u: Any, params: Any) -> Any:
-        return [v for state in tick(t, x)[0] for v in state]
-
-    def output(t: float, x: Any, u: Any, params: Any) -> Any:
-        return x[:1]
-
-    whole = control.nlsys(update, output, inputs=0, outputs=["x"], states=ends[-1], dt=DT)
-    return whole, [v for x in start.x for v in x]
-
-
-def control_run(made: tuple[Any, list[float]], steps: int) -> np.ndarray:
-    """Outputs of `control.input_output_response`, a fixed-step discrete-time run."""
-    import control
-
-    system, x0 = made
-    response = control.input_output_response(system, np.arange(steps) * DT, 0, x0)
-    return np.asarray(response.outputs).ravel()
-
-
 # ---- measuring --------------------------------------------------------------------------------------------------
 
 
@@ -244,9 +111,13 @@ def contestants(loop: Loop, quick: bool) -> list[Contestant]:
     start, many = loop.init(), loop.init(batch=CARS)
     scale = 1 if quick else 4
     ways = []
-    for name, make in ((DIAGRAM, control_diagram), (TWO, control_two_systems), (ONE, control_one_system)):
+    for name, make in (
+        (DIAGRAM, python_control.diagram),
+        (TWO, python_control.two_systems),
+        (ONE, python_control.one_function),
+    ):
         made, n = make(loop, start), 100 * scale
-        ways.append(Contestant(name, n, lambda made=made, n=n: control_run(made, n)))  # type: ignore[misc]
+        ways.append(Contestant(name, n, lambda made=made, n=n: python_control.run(made, n)))  # type: ignore[misc]
     n = 500 * scale
     ways.append(Contestant("simulate", n, lambda: simulate(loop, n * DT, state=start, record=["path.e"])))
     for name, options, size in (
@@ -274,7 +145,7 @@ def require_equal_runs(loop: Loop) -> float:
     """The largest difference in e between python-control's diagrams and steerkit's ways, over 100 samples [m]."""
     start = loop.init()
     reference = simulate(loop, 100 * DT, state=start)["path.e"]
-    runs = [control_run(make(loop, start), 100) for make in (control_two_systems, control_diagram)]
+    runs = [python_control.run(make(loop, start), 100) for make in (python_control.two_systems, python_control.diagram)]
     runs += [
         compile(loop, backend=b, collapse=c).run(100 * DT, state=start)["path.e"]
         for b in BACKENDS
@@ -358,8 +229,8 @@ def first_calls() -> dict[str, float]:
         costs[backend] = c.first_call_seconds or 0.0
     with tempfile.TemporaryDirectory() as folder:
         code = (
-            f"import sys; sys.path.insert(0, {os.path.dirname(os.path.abspath(__file__))!r}); import throughput as t\n"
-            "c = t.compile(t.closed_loop(), backend='c'); c.run(t.DT); print(c.first_call_seconds)"
+            f"from {__name__} import DT, closed_loop, compile\n"
+            "c = compile(closed_loop(), backend='c'); c.run(DT); print(c.first_call_seconds)"
         )
         for name in ("c", "c, second process"):
             done = subprocess.run(
@@ -373,16 +244,16 @@ def first_calls() -> dict[str, float]:
     return costs
 
 
-def main() -> None:
-    """Measure, print the table, and with --json one object last."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="fewer turns, smaller runs")
-    parser.add_argument("--json", action="store_true", help="print one JSON object last")
-    arguments = parser.parse_args()
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """It has no options of its own; --quick takes fewer turns and smaller runs."""
+
+
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """Measure, and print the tables."""
     warnings.filterwarnings("ignore", message="Unused output")
     loop = closed_loop()
     agreement = require_equal_runs(loop)
-    rates = measured(contestants(loop, arguments.quick), 5 if arguments.quick else 15)
+    rates = measured(contestants(loop, options.quick), 5 if options.quick else 15)
     against = {base: ratios_to(rates, base) for base in (DIAGRAM, TWO, ONE)}
     ratios = against[DIAGRAM]
     print(f"\n20 Hz control steps a second, {os.cpu_count()} cores; all ways agree to {agreement:.0e} m\n")
@@ -403,7 +274,7 @@ def main() -> None:
         "against": against,
         "largest_difference_m": agreement,
     }
-    costs, calls, sizes = block_costs(), first_calls(), scaling(loop, arguments.quick)
+    costs, calls, sizes = block_costs(), first_calls(), scaling(loop, options.quick)
     whole = costs["all"]
     tracker, actuator = whole - costs["without tracker"], whole - costs["without actuator"]
     print(
@@ -416,9 +287,4 @@ def main() -> None:
     print(f"100 laps without a record take {sizes['memory_of_100_silent_laps_mb']:.1f} MB more than one")
     result |= {"seconds_a_step_in_c": costs, "first_call_seconds": calls, "scaling": sizes}
     print("\n" + "\n".join(f"{n}: {result[n]:,.1f}, wanted {least}" for n, least in NEEDED.items()))
-    if arguments.json:
-        print(json.dumps(result))
-
-
-if __name__ == "__main__":
-    main()
+    return result

@@ -15,15 +15,14 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from rich.progress import Progress
 
-from benchmarks.studies.driving import CAR, LAG, drive_loop, driven, rms
+from benchmarks.rounds import CAR, LAG, drive_loop, driven, rms
 from steerkit.block import Block
 from steerkit.controllers.delay import Predicted
 from steerkit.controllers.stanley import Stanley
@@ -117,14 +116,14 @@ def picture(grid: Any, found: dict[str, Result], file: str) -> None:
     figure.savefig(file, dpi=120)
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Search, print what was found, and with --json one object last."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="every other gain, the right car only")
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Its own command line options; --quick takes every other gain, and the right car only."""
     parser.add_argument("--out", default=None, help="file for a picture of all gains")
-    parser.add_argument("--json", action="store_true", help="print one JSON object last")
-    given = parser.parse_args(arguments)
-    grid, found = tuned(given.quick)
+
+
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """Search, and print what was found."""
+    grid, found = tuned(options.quick)
     report: dict[str, Any] = {}
     for name, result in found.items():
         print(f"\nStanley, {name}: worst case over delays and cars")
@@ -138,12 +137,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 f"{which:9}{row['k']:6.2f}{row['k_d_yaw']:9.2f}{row['k_d_steer']:11.2f}{row['rms_e_m']:7.3f} m"
                 f"{row['rms_rate_deg_s']:12.1f} deg/s"
             )
-    if given.out:
-        picture(grid, found, given.out)
-        print(f"\npicture: {given.out}")
-    if given.json:
-        print(json.dumps(report))
-
-
-if __name__ == "__main__":
-    main()
+    if options.out:
+        picture(grid, found, options.out)
+        print(f"\npicture: {options.out}")
+    return report

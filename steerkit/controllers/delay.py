@@ -218,7 +218,7 @@ class Predicted(Block):
 def delayed_stanley(vehicle: Any, *, delay: float, lag: float, dt: float = 0.05) -> Predicted:
     """Stanley for a steering delay and lag [s], 0 to 0.3 s and about 0.1 s: predicted, with gains tuned for that.
 
-    The gains are what `benchmarks/studies/tune_stanley.py` chose: with the prediction, damping only costs.
+    The gains are what `python -m benchmarks study tune_stanley` chose: with the prediction, damping only costs.
     """
     stanley = replace(Stanley.of(vehicle, dt=dt), k=3.0, k_d_yaw=0.0, k_d_steer=0.0)
     return Predicted.around(stanley, vehicle, delay=delay, lag=lag)

@@ -6,13 +6,14 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
 from steerkit.compiled import Compiled, compile
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.learning.settings import Setting
-from steerkit.metrics import Summary, of_log
+from steerkit.metrics import GOOD, Summary, of_log
 from steerkit.scenario import drive as evaluate
 from steerkit.scenario.world import World
 from steerkit.simulation import Log
@@ -31,6 +32,11 @@ class TrialDrive:
     """Did it keep the wheel, with |e| <= 0.5 m, for all the rounds asked for?"""
     summary: Summary | None
     """Metrics of the part it drove; None if that was less than a second."""
+
+    @property
+    def good(self) -> bool:
+        """Did it hold its one round, and meet the bounds of a good driver (`steerkit.metrics.GOOD`)?"""
+        return self.held and self.summary is not None and GOOD.met(self.summary, rounds=1.0)
 
 
 def drive_many(
@@ -54,6 +60,33 @@ def drive_many(
     weights = np.array([policy.flat_weights() for policy in policies]).T
     log = compiled.run(duration, state=start, parameters={WEIGHTS: weights}, allow_nonfinite=True)
     return [_judged(log, car, length) for car in range(len(policies))]
+
+
+def drive_each(world: World, setting: Setting, policies: Sequence[Any], *, seed: int = 0) -> list[TrialDrive]:
+    """Let each policy drive one round, all with the same driver and sensors (`seed`).
+
+    Nets drive all at once, whatever their layouts, in compiled code; if any policy is none, one by one, which takes
+    a second or two each.
+    """
+    if not all(isinstance(policy, NfqPolicy) for policy in policies):
+        return [_drive_one(world, setting, policy, seed) for policy in policies]
+    layouts: dict[int, list[int]] = {}
+    for i, policy in enumerate(policies):
+        layouts.setdefault(len(policy.nets or ()), []).append(i)
+    drives: dict[int, TrialDrive] = {}
+    for rows in layouts.values():
+        drives |= zip(rows, drive_many(world, setting, [policies[i] for i in rows], seed=seed))
+    return [drives[i] for i in range(len(policies))]
+
+
+def _drive_one(world: World, setting: Setting, policy: Any, seed: int) -> TrialDrive:
+    log = evaluate.drive(world, policy, doe=setting.element(), seed=seed, only_while_held=True)
+    progress = float(log["path.progress"][-1])
+    return TrialDrive(
+        rounds=progress / world.round_length,
+        held=evaluate.held_all_along(log) and progress >= world.round_length,
+        summary=of_log(log) if len(log.t) > 20 else None,
+    )
 
 
 def _judged(log: Log, car: int, length: float) -> TrialDrive:

@@ -1,4 +1,4 @@
-"""Test drives that the steering benchmarks share: many cars at once around a course, compiled."""
+"""Rounds of a course that studies drive: many cars at once, compiled, or one after the other."""
 
 from __future__ import annotations
 
