@@ -19,11 +19,18 @@ class Foresight(Block):
     the car has turned. So a kinematic car is rolled forward, its wheel held where it was commanded last for `hold`,
     then turned against the drift as fast as the gate allows, once to the left and once to the right:
 
-        kappa_s(t) = kappa_s(0), t < hold;   then kappa_s(t) = sat(kappa_s(t - h) +- turn),   delta = atan(L kappa_s)
+        kappa_s(t) = kappa_s(0), t < hold;   then kappa_s(t) = kappa_s(t - h) -+ h turn, not beyond -+most; where it is
+        beyond that (the car was slower), back towards it by h fast;   delta = atan(L kappa_s)
         e' = v sin(psi_e + delta),   psi_e' = v (sin(delta)/L - kappa cos(psi_e + delta)),   all at the front axle
-        turn = h min(jerk_max/v^2, rate_max/(steer_ratio L)),   sat to min(a_y_max/v^2, tan(delta_sw_max/steer_ratio)/L)
+        most = min(a_y_max/v^2, tan(delta_sw_max/steer_ratio)/L)
+        fast = min(jerk_max/v^2, rate_max/(steer_ratio L))
+        turn = fast - quantum (1 + (L kappa_s)^2)/(frame_dt steer_ratio L),   at least 0
         reach = max(e(t) while turning right, -e(t) while turning left),   t up to `horizon`, by midpoints of h = 0.05 s
         distance = max(|e|, weight * reach)
+
+    The last term of turn is what the gate's rounding of every frame to whole quanta may cost; it costs half of that on
+    average. So a kinematic car behind the gate gets no further than `reach`: within 1 cm, which the steps of h are good
+    for at |psi_e| <= 0.5 rad, |kappa| <= 0.05 /m, v <= 9 m/s, |doe| <= 3 rad; and hardly ever 15 % less far.
 
     Inputs: e [m], psi_e [rad], kappa [1/m] of the path, all at the **front axle** (a tracker with reference = l_f);
     v [m/s]; doe [rad], the angle that was commanded in the end (a DOE's `state`). Outputs: distance [m]; reach [m].
@@ -54,6 +61,10 @@ class Foresight(Block):
     """Steering-wheel angle over road-wheel angle [1]."""
     wheelbase: float = 2.71
     """L [m]."""
+    quantum: float = radians_of(0.1)
+    """Resolution of the angle on the bus [rad]; the gate rounds every frame towards the one before."""
+    frame_dt: float = 0.02
+    """Time between two frames [s]."""
     hold: float = 0.15
     """Time until the wheels turn back: a sample, and the motor's lag [s]."""
     horizon: float = 2.0
@@ -70,11 +81,13 @@ class Foresight(Block):
             "v_floor",
             "steer_ratio",
             "wheelbase",
+            "frame_dt",
             "horizon",
             "weight",
         ):
             require(getattr(self, name) > 0.0, "Foresight", f"{name} = {getattr(self, name)}, expected > 0")
         require(self.hold >= 0.0, "Foresight", f"hold = {self.hold} s, expected >= 0")
+        require(self.quantum >= 0.0, "Foresight", f"quantum = {self.quantum} rad, expected >= 0")
 
     def output(self, t: Any, x: Any, u: Any) -> Any:
         left, right = self._reach(u, 1.0), self._reach(u, -1.0)
@@ -85,7 +98,8 @@ class Foresight(Block):
         """The furthest that the car gets to the left (side = 1) or right (-1) while it is steered the other way [m]."""
         h, length = 0.05, self.wheelbase
         v_squared = m.maximum(u.v, self.v_floor) ** 2
-        turn = h * m.minimum(self.jerk_max / v_squared, self.rate_max / (self.steer_ratio * length))
+        fastest = m.minimum(self.jerk_max / v_squared, self.rate_max / (self.steer_ratio * length))
+        rounding = self.quantum / (self.frame_dt * self.steer_ratio * length)
         most = m.minimum(self.a_y_max / v_squared, m.tan(self.delta_sw_max / self.steer_ratio) / length)
         # seen in the mirror, the right is the left
         e, psi_e, kappa = side * u.e, side * u.psi_e, side * u.kappa
@@ -94,7 +108,9 @@ class Foresight(Block):
         for n in range(round(self.horizon / h)):
             before = steered
             if n * h >= self.hold:
-                steered = m.maximum(steered - turn, -most)
+                bent = length * steered
+                turn = m.maximum(fastest - rounding * (1.0 + bent * bent), 0.0)
+                steered = m.clip(-most, steered - h * turn, steered + h * fastest)
             delta = m.atan(length * 0.5 * (before + steered))  # halfway through the step
             half = 0.5 * h * u.v * (m.sin(delta) / length - kappa * m.cos(psi_e + delta))
             e = e + h * u.v * m.sin(psi_e + half + delta)
