@@ -50,14 +50,14 @@ def controller(folder: Path) -> None:
         link.wait(timeout=10.0)
         built = lambda policy, doe: loops.car_loop(config, path, link, policy, doe=doe)  # noqa: E731
         with CarLearner(setting("default"), folder / "run", built, link) as learner:
-            began = len(learner.transitions)
+            began = len(learner.story.transitions)
 
             def watch(run: Any) -> bool:
                 if run.timing.steps % 5 == 1:
                     state = {
                         "began": began,
                         "committed": began + learner.store.committed,
-                        "net": learner.updates,
+                        "net": learner.story.counts.updates,
                         "trainer": learner.trainer.pid,
                         "mode": str(link.last.mode) if link.last else "",
                         "faults": len(learner.trainer.faults),

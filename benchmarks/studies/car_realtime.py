@@ -212,17 +212,17 @@ def learn(
         def count(run: realtime.Run) -> bool:
             nonlocal best, since, failures
             watch(run)
-            if learner.failures > failures or link.last is None or link.last.mode is not Mode.ENGAGED:
-                failures, since = learner.failures, learner.driven
-            best = max(best, learner.driven - since)
+            if learner.story.counts.failures > failures or link.last is None or link.last.mode is not Mode.ENGAGED:
+                failures, since = learner.story.counts.failures, learner.story.counts.driven
+            best = max(best, learner.story.counts.driven - since)
             return False
 
         run = learner.run(seconds, clock=clock, watch=count)
         more |= {
-            "nets": learner.updates,
-            "transitions": len(learner.transitions),
-            "failures": learner.failures,
-            "by_learner_m": learner.driven,
+            "nets": learner.story.counts.updates,
+            "transitions": len(learner.story.transitions),
+            "failures": learner.story.counts.failures,
+            "by_learner_m": learner.story.counts.driven,
             "longest_without_failure_m": best,
             "rounds_without_failure": best / path.length,
             "trainer_faults": list(learner.trainer.faults),

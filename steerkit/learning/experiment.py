@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 from steerkit.assembly import steering_loop, with_controller
@@ -12,11 +12,13 @@ from steerkit.block import Block
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.target_shift import TargetShift
 from steerkit.errors import require
+from steerkit.learning.counts import Counts
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.exploration import Exploring
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.settings import Setting
-from steerkit.learning.trainer import Job, SimulatedTrainer, Training
+from steerkit.learning.story import Story, untrained
+from steerkit.learning.trainer import SimulatedTrainer, Training
 from steerkit.loop import LoopState
 from steerkit.scenario.world import END_MARGIN, World
 from steerkit.simulation import Recorder
@@ -64,66 +66,12 @@ class Experiment:
         require(self.seed >= 0, "Experiment", f"seed = {self.seed}, expected >= 0")
 
 
-@dataclass(kw_only=True)
-class Episode:
-    """One time at the wheel of the learner, from take-over to failure (or to the end of the run)."""
-
-    began: float
-    """Driving time at the take-over [s]."""
-    progress: float
-    """Path progress there [m]."""
-    net: int
-    """Number of the net that took over."""
-    ended: float | None = None
-    """Driving time at its end [s]; None while it lasts."""
-    failed: bool = False
-    """Did it end because the recovery controller had to take the wheel?"""
-    distance: float = 0.0
-    """Path distance covered [m]."""
-    sum_e2: float = 0.0
-    samples: int = 0
-    rounds: int = 0
-    """Complete rounds within it."""
-
-    @property
-    def rms_e(self) -> float:
-        """Root mean square cross-track error [m]."""
-        return math.sqrt(self.sum_e2 / max(1, self.samples))
-
-
-@dataclass(kw_only=True)
-class Counts:
-    """What has happened so far: the part of a run that is not loop state, nets or transitions."""
-
-    k: int = 0
-    """Base tick of the loop; driving time is k*dt."""
-    updates: int = 0
-    """Trainings so far; net number n is the product of the n-th."""
-    train_seconds: float = 0.0
-    """Computing time really spent in training [s]; driving time is charged `setting.fit_seconds` an update."""
-    trained_at: float = 0.0
-    """Distance driven at the last training [m]."""
-    driven: float = 0.0
-    """Distance driven by the learner [m]."""
-    first_round_begun: float | None = None
-    """Driving time at which the first complete round began [s]."""
-    first_round_done: float | None = None
-    """Driving time at which it was complete [s]."""
-    failures_to_round: int | None = None
-    """Failures before the first complete round."""
-    episodes: list[Episode] = field(default_factory=list)
-
-    @property
-    def failures(self) -> int:
-        """How often the recovery controller had to take the wheel."""
-        return sum(episode.failed for episode in self.episodes)
-
-
 class LearningRun:
-    """A learning run in progress: the loop, its state, the transitions, the nets and the counts.
+    """A learning run in progress in simulation: the loop, its state, and the learner's story.
 
     `learning.learn` drives it to its end; it can be stepped by hand too: `drive()` one control sample at a time.
-    `keep`, if set, is called at every training, to write a checkpoint.
+    `keep`, if set, is called after every sample with a training in it, to write a checkpoint. trainer: what makes
+    policies of transitions (default: NFQ, charged to the driving time).
     """
 
     def __init__(self, experiment: Experiment, watch: Watcher | None = None, trainer: Training | None = None):
@@ -131,14 +79,13 @@ class LearningRun:
         self.keep: Callable[[LearningRun], None] | None = None
         setting, world = experiment.setting, experiment.world
         self.path = world.path()
-        self.round_length = world.round_length
         self.description = setting.description()
-        self.transitions = Transitions(self.description.names)
-        self.counts = Counts()
-        self.nets = nfq.fresh_nets(setting.fit, self.description, seed=experiment.seed)
-        self.trainer: Training = trainer or SimulatedTrainer(seconds=setting.fit_seconds)
-        self.policy = NfqPolicy(
-            nets=self.nets, actions=setting.actions, description=self.description, combine=setting.fit.combine
+        self.story = Story(
+            setting=setting,
+            seed=experiment.seed,
+            policy=untrained(setting, experiment.seed),
+            trainer=trainer or SimulatedTrainer(seconds=setting.fit_seconds),
+            round_length=world.round_length,
         )
         self.loop = steering_loop(
             car=world.car(self.path),
@@ -155,125 +102,105 @@ class LearningRun:
         start = self.loop.init()
         self.x, self.y = list(start.x), list(start.y)
         self.ticks = round(self.policy.dt / self.loop.dt)
-        self.before: tuple[Any, float] | None = None
         self._inputs = self.loop.inputs_of("controller")
         self.recorder = Recorder(self.loop, SIGNALS)
 
-    # ---- the story ------------------------------------------------------------------------------------------
+    @property
+    def counts(self) -> Counts:
+        """What has happened so far."""
+        return self.story.counts
+
+    @property
+    def transitions(self) -> Transitions:
+        """All that was recorded so far."""
+        return self.story.transitions
+
+    @property
+    def policy(self) -> Any:
+        """The policy in the loop: the newest one that has taken over."""
+        return self.story.steering
+
+    @property
+    def nets(self) -> nfq.Nets:
+        """The nets of that policy."""
+        return self.story.policy.nets or ()
 
     @property
     def t(self) -> float:
         """Driving time [s]."""
         return self.counts.k * self.loop.dt
 
+    @property
+    def state(self) -> LoopState:
+        """The loop's state at this moment."""
+        return LoopState(self.counts.k, tuple(self.x), tuple(self.y))
+
     def done(self) -> bool:
         """Has the experiment come to its end?"""
         counts, experiment = self.counts, self.experiment
-        rounds = sum(episode.rounds for episode in counts.episodes)
         return (
             self.t >= 60.0 * experiment.minutes
             or counts.failures >= experiment.episodes
-            or 0 < experiment.rounds <= rounds
+            or 0 < experiment.rounds <= counts.rounds
         )
 
     def drive(self) -> None:
         """One control sample: drive, record what the learner did, and train when it failed or when it is time."""
-        self._take_over_finished_training()
-        counts = self.counts
+        story, counts = self.story, self.counts
+        trainings = counts.updates
+        self._take_over()
         self.loop.advance(counts.k, self.x, self.y)
         self.recorder.add(counts.k, self.y)
         learning = self._value("supervisor.learning") > 0.5
-        self._record_transition(learning)
-        episode = self._episode()
-        if learning:
-            self._count(episode or self._begin_episode())
-        elif episode:
-            episode.ended, episode.failed = self.t, True
+        events = story.sample(
+            counts.k // self.ticks,
+            self.t,
+            self._state(),
+            self._value("controller.action"),
+            learning=learning,
+            failed=not learning,
+            progress=self._value("path.progress"),
+            e=self._value("path.e"),
+        )
+        if events.round:
+            self._tell("round")
         for k in range(counts.k + 1, counts.k + self.ticks):
             self.loop.advance(k, self.x, self.y)
         counts.k += self.ticks
-        if episode and not learning:
-            after = self.experiment.setting.after_failure
-            if after != "shift":
-                self._train(waiting=True)
-            elif not self.trainer.busy:
-                self._train(waiting=False)
-            self._tell("failed")
-            if after == "reset":
-                self._put_back(self._value("path.s"))
-                counts.k += round(self.experiment.setting.reset_seconds / self.policy.dt) * self.ticks
-        elif learning and self._due():
-            self._train(waiting=False)
+        if events.ended:
+            self._after_failure()
+        elif learning and story.due():
+            story.train(self.t, trusted=True)
         if not self.path.closed and self._value("path.s") > self.path.length - END_MARGIN:
-            self._back_to_the_start()
+            self._put_back(0.0)  # the end of an open course
+        if counts.updates > trainings and self.keep is not None:
+            self.keep(self)
 
-    def _record_transition(self, learning: bool) -> None:
-        s = tuple([self._value(self._inputs[name]) for name in self.description.names])
-        if self.before is not None:
-            self.transitions.append(*self.before, s, episode=len(self.counts.episodes))
-        self.before = (s, self._value("controller.action")) if learning else None
+    def _after_failure(self) -> None:
+        story, setting = self.story, self.experiment.setting
+        if setting.after_failure != "shift":
+            story.train(self.t, trusted=False)
+            self.steer()
+        elif not story.trainer.busy:
+            story.train(self.t, trusted=True)
+        self._tell("failed")
+        if setting.after_failure == "reset":
+            self._put_back(self._value("path.s"))
+            self.counts.k += round(setting.reset_seconds / self.policy.dt) * self.ticks
 
-    def _back_to_the_start(self) -> None:
-        """At the end of an open course the car is carried back to its start."""
-        self._put_back(0.0)
-        episode = self._episode()
-        if episode:
-            episode.ended = self.t
-
-    def _put_back(self, s: float) -> None:
-        """The car stands on the path at s [m] again, with the driver's mood unchanged."""
-        loop, driver = self.loop, self.loop.block_state(self.state, "driver")
-        start = loop.with_block("car", self.experiment.world.car(self.path, s=s)).init()
-        start = loop.with_block_state(start, "driver", driver)
-        self.x, self.y = list(start.x), list(start.y)
-        self.before = None
-
-    def _train(self, *, waiting: bool) -> None:
-        """One update on all transitions; the trainer hands its nets out later."""
-        counts, setting = self.counts, self.experiment.setting
-        counts.updates += 1
-        counts.trained_at = counts.driven
-        job = Job(
-            number=counts.updates,
-            transitions=self.transitions,
-            actions=setting.actions,
-            cost=setting.cost,
-            fit=setting.fit,
-            description=self.description,
-            seed=self.experiment.seed * 100_003 + counts.updates,
-        )
-        self.trainer.submit(job, self.t)
-        if waiting:  # the old policy is not trusted any more
-            self.set_policy(replace(self.policy, ready_from=math.inf))
-        self._checkpoint()
-
-    def _due(self) -> bool:
-        every = self.experiment.setting.retrain_every_m
-        return every > 0.0 and not self.trainer.busy and self.counts.driven - self.counts.trained_at >= every
-
-    def _take_over_finished_training(self) -> None:
-        if not (self._trusted or self._calm()):
-            return
-        result = self.trainer.poll(self.t)
+    def _take_over(self) -> None:
+        e, e_dot = (self._value(self._inputs[name]) for name in ("e", "e_dot"))
+        result = self.story.take_over(self.t, e=e, e_dot=e_dot)
         if result is None:
             return
-        self.counts.train_seconds += result.seconds
-        if result.nets is None:  # the training process broke over it: the same data once more
-            self._tell("lost")
-            self._train(waiting=not self._trusted)
-            return
-        self.nets = result.nets
-        self.set_policy(replace(self.policy, nets=self.nets, ready_from=0.0))
-        self._tell("trained")
+        taken = self.story.net == result.number
+        if taken:
+            self.steer()
+            self._begin_anew()
+        self._tell("trained" if taken else "lost")
 
-    def _calm(self) -> bool:
-        """Is the car quiet enough on the path for a new driver?"""
-        e, e_dot = (self._value(self._inputs[name]) for name in ("e", "e_dot"))
-        return abs(e_dot) < self.experiment.setting.calm and (abs(e) < 0.1 or math.isinf(self.experiment.setting.calm))
-
-    def set_policy(self, policy: NfqPolicy) -> None:
-        """Exchange the policy between two samples; the loop's state goes on."""
-        self.policy = policy
+    def steer(self) -> None:
+        """Put the story's policy into the loop, between two samples; the loop's state goes on."""
         self.loop = with_controller(self.loop, self._controller())
         self.recorder.loop = self.loop
 
@@ -283,49 +210,33 @@ class LearningRun:
             return Exploring(policy=policy, share=share, seed=self.experiment.seed)
         return policy
 
-    @property
-    def _trusted(self) -> bool:
-        return math.isfinite(self.policy.ready_from)
+    def _begin_anew(self) -> None:
+        """A policy that remembers begins as before a first sample, at the output element's present angle."""
+        if self.policy.init():
+            controller, doe = (self.loop.names.index(name) for name in ("controller", "doe"))
+            y: list[Any] = list(self.y)
+            y[doe] = y[doe]._replace(state=self.x[doe][0])
+            self.x[controller] = self.loop.settled("controller", y)
 
-    # ---- counting -------------------------------------------------------------------------------------------
+    def _put_back(self, s: float) -> None:
+        """The car stands on the path at s [m] again, with the driver's mood unchanged."""
+        loop, driver = self.loop, self.loop.block_state(self.state, "driver")
+        start = loop.with_block("car", self.experiment.world.car(self.path, s=s)).init()
+        start = loop.with_block_state(start, "driver", driver)
+        self.x, self.y = list(start.x), list(start.y)
+        self.story.carried(self.t)
+
+    def _state(self) -> tuple[float, ...]:
+        s = tuple([self._value(self._inputs[name]) for name in self.description.names])
+        if not all(map(math.isfinite, s)):
+            values = ", ".join(f"{name} = {value:g}" for name, value in zip(self.description.names, s, strict=True))
+            raise ValueError(f"LearningRun: at {self.t:.2f} s the learner's state is {values}; expected finite numbers")
+        return s
 
     def _value(self, signal: str) -> float:
         i, j = self.loop.locate(signal)
         return self.y[i][j]
 
-    def _episode(self) -> Episode | None:
-        episodes = self.counts.episodes
-        return episodes[-1] if episodes and episodes[-1].ended is None else None
-
-    def _begin_episode(self) -> Episode:
-        episode = Episode(began=self.t, progress=self._value("path.progress"), net=self.counts.updates)
-        self.counts.episodes.append(episode)
-        return episode
-
-    def _count(self, episode: Episode) -> None:
-        distance = self._value("path.progress") - episode.progress
-        self.counts.driven += max(0.0, distance - episode.distance)
-        episode.distance = distance
-        episode.sum_e2 += self._value("path.e") ** 2
-        episode.samples += 1
-        if distance >= (episode.rounds + 1) * self.round_length:
-            episode.rounds += 1
-            if self.counts.first_round_done is None:
-                self.counts.first_round_begun, self.counts.first_round_done = episode.began, self.t
-                self.counts.failures_to_round = self.counts.failures
-            self._tell("round")
-
     def _tell(self, what: str) -> None:
         if self.watch is not None:
             self.watch(what, self)
-
-    # ---- keeping --------------------------------------------------------------------------------------------
-
-    def _checkpoint(self) -> None:
-        if self.keep is not None:
-            self.keep(self)
-
-    @property
-    def state(self) -> LoopState:
-        """The loop's state at this moment."""
-        return LoopState(self.counts.k, tuple(self.x), tuple(self.y))

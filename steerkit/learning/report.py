@@ -64,7 +64,7 @@ def figures_of_merit(run: LearningRun) -> dict[str, Any]:
         "seed": run.experiment.seed,
         "driving_minutes": run.t / 60.0,
         "failures": counts.failures,
-        "rounds": sum(episode.rounds for episode in counts.episodes),
+        "rounds": counts.rounds,
         "first_round_begun_s": counts.first_round_begun,
         "first_round_done_s": counts.first_round_done,
         "failures_to_round": counts.failures_to_round,

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -12,10 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerkit import maths as m
+from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.policy import Policy
 from steerkit.errors import require
-from steerkit.learning.experiment import LearningRun
+from steerkit.learning.experiment import Experiment, LearningRun, Watcher
 from steerkit.learning.nfq.model import CarModel
+from steerkit.learning.story import untrained
+from steerkit.learning.trainer import Job, Pending, Result
 
 FASTEST = 15
 """Speed up to which gains are tabled, one a metre per second; faster cars are steered as at this speed [m/s]."""
@@ -110,40 +114,53 @@ class ModelPolicy(Policy):
         return BeforeState(u.doe)
 
 
-class ModelBasedRun(LearningRun):
-    """A learning run whose policy is `ModelPolicy`: the same car, first failure, recovery, hand-over and counting.
+class ModelTrainer:
+    """Makes a `ModelPolicy` of recorded transitions, in the place of the trainer of nets: see `Training`.
 
-    It begins with the same untrained net as NFQ, and is charged the same `fit_seconds`. No directory is written.
+    seconds: driving time charged for one update [s]. policy: handed out while the car is not known well enough.
     """
 
-    planned: tuple[float, ModelPolicy | None] | None = None
-    """Driving time at which the new policy is there [s], and the policy; None: the car is not known well enough."""
+    def __init__(self, *, seconds: float, policy: NfqPolicy):
+        self.seconds = seconds
+        self._policy: Any = policy
+        self._result: tuple[float, Result] | None = None
 
-    def _train(self, *, waiting: bool) -> None:
-        counts, setting = self.counts, self.experiment.setting
-        counts.updates += 1
-        counts.trained_at = counts.driven
+    def submit(self, job: Job, t: float) -> None:
+        """Fit the car model now; the policy is there `seconds` after t, in the place of one that still waited."""
         began = time.perf_counter()
-        try:
-            model = CarModel.fit(self.transitions, self.description)
-            policy = ModelPolicy(model=model, limit=max(setting.actions))
-        except ValueError:  # too few transitions to know the car: go on with what there is
-            policy = None
-        counts.train_seconds += time.perf_counter() - began
-        self.planned = (self.t + setting.fit_seconds, policy)
-        if waiting:
-            self.set_policy(replace(self.policy, ready_from=math.inf))
+        with contextlib.suppress(ValueError):  # too few transitions to know the car: go on with what there is
+            model = CarModel.fit(job.record(), job.description)
+            self._policy = ModelPolicy(model=model, limit=max(job.actions))
+        seconds = time.perf_counter() - began + (self._result[1].seconds if self._result else 0.0)
+        self._result = (t + self.seconds, Result(job.number, None, seconds, policy=self._policy))
 
-    def _due(self) -> bool:
-        return self.planned is None and super()._due()
+    def poll(self, t: float) -> Result | None:
+        """The newest policy, once, if it would be ready at driving time t [s]."""
+        if self._result is None or t < self._result[0]:
+            return None
+        (_, result), self._result = self._result, None
+        return result
 
-    def _take_over_finished_training(self) -> None:
-        if self.planned is None or self.t < self.planned[0] or not (self._trusted or self._calm()):
-            return
-        (_, policy), self.planned = self.planned, None
-        new: Any = replace(self.policy if policy is None else policy, ready_from=0.0)
-        controller, doe = (self.loop.names.index(name) for name in ("controller", "doe"))
-        if isinstance(new, ModelPolicy):
-            self.x[controller] = BeforeState(self.x[doe][0])  # the net before had no state
-        self.set_policy(new)
-        self._tell("trained")
+    @property
+    def busy(self) -> bool:
+        """Is there a policy still to come?"""
+        return self._result is not None
+
+    @property
+    def pending(self) -> Pending | None:
+        """None: a run of the rival is not kept."""
+        return None
+
+    def close(self) -> None:
+        """Nothing to end."""
+
+
+def model_based(experiment: Experiment, watch: Watcher | None = None) -> LearningRun:
+    """A learning run whose policy is `ModelPolicy`: the same car, first failure, recovery, hand-over and counting.
+
+    It begins with the same untrained net as NFQ, and is charged the same `fit_seconds`. It cannot be kept in a
+    directory.
+    """
+    setting = experiment.setting
+    trainer = ModelTrainer(seconds=setting.fit_seconds, policy=untrained(setting, experiment.seed))
+    return LearningRun(experiment, watch, trainer)

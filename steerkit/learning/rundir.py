@@ -10,7 +10,6 @@ drive/NNNN.npz      the signals between two checkpoints, 20 a second
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import asdict, fields, is_dataclass, replace
 from functools import partial
 from pathlib import Path as FilePath
@@ -19,9 +18,11 @@ from typing import Any
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.files import write_text
 from steerkit.learning import costs
+from steerkit.learning.counts import Counts, Episode
 from steerkit.learning.data.transitions import Transitions
-from steerkit.learning.experiment import Counts, Episode, Experiment, LearningRun, Watcher
+from steerkit.learning.experiment import Experiment, LearningRun, Watcher
 from steerkit.learning.nfq.iterate import FitSetting
+from steerkit.learning.recorder import Before
 from steerkit.learning.settings import Setting
 from steerkit.learning.trainer import SimulatedTrainer
 from steerkit.scenario.world import World
@@ -65,7 +66,7 @@ def keep_in(run: LearningRun, place: FilePath) -> None:
 def save(run: LearningRun, place: FilePath) -> None:
     """Write a checkpoint; a kill at any moment leaves this one or the one before, whole."""
     number = len(list(place.glob("drive/*.npz")))
-    pending = run.trainer.pending
+    pending, before = run.story.trainer.pending, run.story.recorder.before
     (place / "nets").mkdir(exist_ok=True)
     (place / "drive").mkdir(exist_ok=True)
     run.loop.save_state(run.state, place / f"state-{number}.npz")
@@ -81,8 +82,8 @@ def save(run: LearningRun, place: FilePath) -> None:
         "checkpoint": number,
         "counts": asdict(run.counts),
         "pending": pending[0] if pending else None,
-        "trusted": math.isfinite(run.policy.ready_from),
-        "before": run.before,
+        "trusted": run.story.trusted,
+        "before": None if before is None else (before.s, before.action),
     }
     write_text(place / "run.json", json.dumps(document, indent=1))
     for stale in (*place.glob("state-*.npz"), *place.glob("transitions-*.npz"), *place.glob("nets/steering-*.npz")):
@@ -110,23 +111,24 @@ def load(place: FilePath, *, watch: Watcher | None = None) -> LearningRun:
     number = data["checkpoint"]
     run = LearningRun(from_plain(data["experiment"], "run.json"), watch)
     run.keep = partial(save, place=place)
-    counts = data["counts"]
-    run.counts = Counts(**{**counts, "episodes": [Episode(**e) for e in counts["episodes"]]})
+    story, counts = run.story, data["counts"]
+    story.counts = Counts(**{**counts, "episodes": [Episode(**e) for e in counts["episodes"]]})
     state = run.loop.load_state(_existing(place / f"state-{number}.npz"))
     run.x, run.y = list(state.x), list(state.y)
-    run.transitions = Transitions.load(_existing(place / f"transitions-{number}.npz"))
-    steering = NfqPolicy.load(_existing(place / "nets" / f"steering-{number}.npz"))
-    run.nets = steering.nets or ()
-    run.set_policy(replace(steering, ready_from=0.0 if data["trusted"] else math.inf))
-    pending = None
+    story.transitions = Transitions.load(_existing(place / f"transitions-{number}.npz"))
+    story.policy = NfqPolicy.load(_existing(place / "nets" / f"steering-{number}.npz"))
+    story.trusted = data["trusted"]
+    run.steer()
+    pending, updates = None, story.counts.updates
     if data["pending"] is not None:
-        newest = NfqPolicy.load(_existing(place / "nets" / f"net-{run.counts.updates:04d}.npz"))
-        pending = (data["pending"], run.counts.updates, newest.nets or ())
-    run.trainer = SimulatedTrainer(
-        seconds=run.experiment.setting.fit_seconds, nets=run.nets if run.counts.updates else (), pending=pending
+        newest = NfqPolicy.load(_existing(place / "nets" / f"net-{updates:04d}.npz"))
+        pending = (data["pending"], updates, newest.nets or ())
+    story.trainer = SimulatedTrainer(
+        seconds=run.experiment.setting.fit_seconds, nets=run.nets if updates else (), pending=pending
     )
-    before = data["before"]
-    run.before = None if before is None else (tuple(before[0]), before[1])
+    if data["before"] is not None:  # of the last sample that was driven
+        s, action = data["before"]
+        story.recorder.before = Before(story.counts.k // run.ticks - 1, tuple(s), action)
     for stale in place.glob("drive/*.npz"):  # a chunk written after the last whole checkpoint
         if int(stale.stem) > number:
             stale.unlink()

@@ -59,12 +59,16 @@ class Job:
     description: StateDescription = STANDARD
     seed: int = 0
 
+    def record(self) -> Transitions:
+        """The transitions, read from their store if it is one."""
+        record = self.transitions
+        if isinstance(record, Transitions):
+            return record
+        return TransitionStore(record, names=self.description.names).transitions()
+
     def train(self, nets_before: Nets) -> Nets:
         """Do it, here and now."""
-        record = self.transitions
-        if not isinstance(record, Transitions):
-            record = TransitionStore(record, names=self.description.names).transitions()
-        return nfq.iterate(record, self.actions, self.cost, self.fit, self.description, nets_before, self.seed)
+        return nfq.iterate(self.record(), self.actions, self.cost, self.fit, self.description, nets_before, self.seed)
 
 
 class Result(NamedTuple):
@@ -78,6 +82,8 @@ class Result(NamedTuple):
     """Computing time of it and of the jobs before it that were never handed out [s]."""
     fault: str = ""
     """What went wrong; with nets: what went wrong before they were made all the same."""
+    policy: Any = None
+    """The new policy, of a trainer that makes another one than nets."""
 
 
 class Training(Protocol):

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from steerkit.learning.experiment import Experiment, LearningRun
-from steerkit.learning.rival import ModelBasedRun
+from steerkit.learning.rival import model_based as model_based_run
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ def train(experiment: Experiment, *, model_based: bool = False) -> Trained:
             nets.append(Taken(run.t, run.counts.failures, len(run.transitions), run.policy))
 
     began = time.perf_counter()
-    run = (ModelBasedRun if model_based else LearningRun)(experiment, watch=watch)
+    run = (model_based_run if model_based else LearningRun)(experiment, watch)
     while not run.done():
         run.drive()
         if run.counts.train_seconds > trainings[-1]:

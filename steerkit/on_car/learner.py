@@ -1,7 +1,7 @@
 """The experiment on a real car: transitions while engaged, training in the background, Stanley in between.
 
-Of `LearningRun` it keeps the story and leaves the bookkeeping: what a car's human decides (when to engage, how far to
-drive) is not repeatable. The run directory holds
+The story is that of a run in simulation (`steerkit.learning.story`); what a car's human decides (when to engage, how
+far to drive) is not repeatable, so there is no checkpoint of the loop. The run directory holds
 
 car.json            the setting
 transitions.db      the transition store
@@ -27,9 +27,9 @@ from steerkit.errors import require
 from steerkit.files import write_text
 from steerkit.learning import rundir
 from steerkit.learning.data.store import TransitionStore
-from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.settings import Setting
-from steerkit.learning.trainer import Job, Trainer
+from steerkit.learning.story import Story, untrained
+from steerkit.learning.trainer import Trainer
 from steerkit.loop import Loop
 from steerkit.on_car.follow import Follow, Steers
 from steerkit.realtime import Run, run
@@ -78,27 +78,26 @@ class CarLearner:
         require(setting.exploration == 0.0, where, chance)
         after = f"after_failure = '{setting.after_failure}', expected 'recovery'; the others are for simulations"
         require(setting.after_failure == "recovery", where, after)
-        self.setting, self.place, self.link, self.seed, self.recovery = setting, place, link, seed, recovery
+        self.setting, self.place, self.link, self.recovery = setting, place, link, recovery
         _claim(place, setting)
-        self.description = setting.description()
-        self.store = TransitionStore(place / "transitions.db", run=RUN, names=self.description.names)
-        self.transitions = self.store.transitions(RUN)
-        self.episode = self.store.next_episode()
+        names = setting.description().names
+        self.store = TransitionStore(place / "transitions.db", run=RUN, names=names)
         saved = sorted((place / "nets").glob("net-*.npz"))
-        self.updates = int(saved[-1].stem.split("-")[1]) if saved else 0
-        if saved:
-            policy = NfqPolicy.load(saved[-1])
-        else:
-            nets = nfq.fresh_nets(setting.fit, self.description, seed=seed)
-            policy = NfqPolicy(
-                nets=nets, actions=setting.actions, description=self.description, combine=setting.fit.combine
-            )
+        net = int(saved[-1].stem.split("-")[1]) if saved else 0
+        policy = NfqPolicy.load(saved[-1]) if saved else untrained(setting, seed)
+        if not saved:
             policy.save(place / "nets" / "net-0000.npz")
-        self.policy, self._net = policy, self.updates
-        self.trainer = Trainer(nets=policy.nets or () if self.updates else ())
-        self.failures, self.faults = 0, list[str]()
-        self.driven, self.trained_at, self._progress = 0.0, 0.0, math.nan
-        self._before: tuple[Any, float, int] | None = None
+        self.trainer = Trainer(nets=policy.nets or () if net else ())
+        self.story = Story(
+            setting=setting,
+            seed=seed,
+            policy=policy,
+            net=net,
+            trainer=self.trainer,
+            transitions=self.store.transitions(RUN),
+            first=self.store.next_episode(),
+            also=self.store.append,
+        )
         self._idle = build(replace(policy, ready_from=math.inf), setting.element())
         self.follow = Follow(link=link, resting=self._idle, driving=self._with(policy))
         self._inputs = self._idle.inputs_of("controller")
@@ -110,115 +109,75 @@ class CarLearner:
             self.step(live)
             return bool(watch and watch(live))
 
-        self._tell()
+        self.tell()
 
         def late(live: Run) -> None:
             self.link.misses = live.timing.misses
-            self._before = None  # the next sample is not one period later
+            self.story.recorder.forget()  # the next sample is not one period later
 
         return run(self._idle, duration, timer=clock, watch=follow, on_miss=late)
 
     def step(self, live: Run) -> None:
         """After every control sample."""
+        story = self.story
         if self.follow.begin(live):
-            self._before = None
-        engaged = self.follow.engaged
+            story.recorder.forget()
+        engaged, t = self.follow.engaged, live.k * self._idle.dt
+        state = {name: self._value(live, signal) for name, signal in self._inputs.items()}
         learning = engaged and self._value(live, "supervisor.learning") > 0.5
-        self._record(live, learning)
-        if learning:
-            self._count(live)
-        elif not math.isnan(self._progress):
-            self._progress = math.nan
-            self.episode += 1
-            if engaged and self._value(live, "supervisor.tripped") > 0.5:
-                self.failures += 1
-                self._train(trusted=False)
-        if learning and 0.0 < self.setting.retrain_every_m <= self.driven - self.trained_at and not self.trainer.busy:
-            self._train(trusted=True)
-        self._take_over()
+        events = story.sample(
+            live.k,
+            t,
+            [state[name] for name in story.description.names],
+            self._value(live, "controller.action"),
+            learning=learning,
+            failed=engaged and self._value(live, "supervisor.tripped") > 0.5,
+            progress=self._value(live, "path.progress"),
+            e=self._value(live, "path.e"),
+        )
+        if events.ended and events.ended.failed:
+            story.train(t, trusted=False)
+        elif learning and story.due():
+            story.train(t, trusted=True)
+        result = story.take_over(t, e=state["e"], e_dot=state["e_dot"])
+        taken = result is not None and result.number == story.net
+        if taken:
+            story.policy.save(self.net_file, durable=False)  # the next sample does not wait for the disk
+            self.follow.driving = self._with(story.policy)
+        if taken or self.follow.trusted != story.trusted:
+            self.follow.trusted = story.trusted
+            self.tell()
         self.follow.choose(live)
-
-    @property
-    def trusted(self) -> bool:
-        """Does the newest net get the wheel, or does the recovery controller keep it until there is a better one?"""
-        return self.follow.trusted
 
     def figures(self) -> dict[str, Any]:
         """The numbers of a run that a program would read."""
+        counts = self.story.counts
         return {
-            "updates": self.updates,
-            "transitions": len(self.transitions),
-            "driven_by_learner_m": self.driven,
-            "failures": self.failures,
+            "updates": counts.updates,
+            "transitions": len(self.story.transitions),
+            "driven_by_learner_m": counts.driven,
+            "failures": counts.failures,
             "training_faults": list(self.trainer.faults),
         }
 
     def status(self) -> str:
         """One line for the panel."""
+        story, counts = self.story, self.story.counts
         training = "training" if self.trainer.busy else "idle"
-        fault = f", {self.faults[-1]}" if self.faults else ""
+        fault = f", {story.faults[-1]}" if story.faults else ""
         return (
-            f"net {self.updates}, {len(self.transitions)} transitions, {self.driven:.0f} m by the learner, "
-            f"{self.failures} failures, trainer {training}{fault}"
+            f"net {counts.updates}, {len(story.transitions)} transitions, {counts.driven:.0f} m by the learner, "
+            f"{counts.failures} failures, trainer {training}{fault}"
         )
-
-    def _record(self, live: Run, learning: bool) -> None:
-        s = tuple([self._value(live, self._inputs[name]) for name in self.description.names])
-        if self._before is not None and self._before[2] == live.k - 1 and all(map(math.isfinite, s)):
-            before, action, _ = self._before
-            self.transitions.append(before, action, s, self.episode)
-            self.store.append(before, action, s, self.episode)
-        action = self._value(live, "controller.action")
-        sound = all(map(math.isfinite, (*s, action)))
-        self._before = (s, action, live.k) if learning and sound else None
-
-    def _count(self, live: Run) -> None:
-        progress = self._value(live, "path.progress")
-        if not math.isnan(self._progress):
-            self.driven += max(0.0, progress - self._progress)
-        self._progress = progress
-
-    def _train(self, *, trusted: bool) -> None:
-        if self.trusted and not trusted:
-            self.follow.trusted = False
-            self._tell()
-        self.trained_at = self.driven
-        if not len(self.transitions):
-            return
-        setting = self.setting
-        self.updates += 1
-        self.trainer.submit(
-            Job(
-                number=self.updates,
-                transitions=self.transitions,
-                actions=setting.actions,
-                cost=setting.cost,
-                fit=setting.fit,
-                description=self.description,
-                seed=self.seed * 100_003 + self.updates,
-            )
-        )
-
-    def _take_over(self) -> None:
-        result = self.trainer.poll()
-        if result is None:
-            return
-        if result.fault:
-            self.faults.append(result.fault)
-        if result.nets is not None:
-            self.policy = replace(self.policy, nets=result.nets, ready_from=0.0)
-            self.follow.driving, self.follow.trusted, self._net = self._with(self.policy), True, result.number
-            self.policy.save(self._file, durable=False)  # the next sample does not wait for the disk
-            self._tell()
-        elif not self.trusted and len(self.transitions):
-            self._train(trusted=False)  # try again: without it nobody but the recovery controller would ever drive
 
     @property
-    def _file(self) -> FilePath:
-        return self.place / "nets" / f"net-{self._net:04d}.npz"
+    def net_file(self) -> FilePath:
+        """The file of the newest net that has taken over."""
+        return self.place / "nets" / f"net-{self.story.net:04d}.npz"
 
-    def _tell(self) -> None:
-        steers = Steers.by_policy(self._file, self.setting.doe, recovery=self.recovery, trusted=self.trusted)
+    def tell(self) -> None:
+        """Tell the recording who steers from here on."""
+        steers = Steers.by_policy(self.net_file, self.setting.doe, recovery=self.recovery, trusted=self.story.trusted)
         self.link.remark(steers.text())
 
     def _with(self, policy: NfqPolicy) -> Loop:

@@ -93,10 +93,10 @@ class Beside:
         self.world, self.inner = world, SimulatedTrainer(seconds=0.4, nets=nets)
         self.faults: tuple[str, ...] = ()
 
-    def submit(self, job: Job) -> None:
+    def submit(self, job: Job, t: float) -> None:
         self.inner.submit(job, self.world.t)
 
-    def poll(self) -> Result | None:
+    def poll(self, t: float) -> Result | None:
         return self.inner.poll(self.world.t)
 
     @property
@@ -115,7 +115,7 @@ def learned(folder: Path, monkeypatch: pytest.MonkeyPatch, seconds: float, **opt
     world = World(s=20.0, tape=tape)
     monkeypatch.setattr(on_car, "Trainer", lambda nets: Beside(world, nets))
     with on_car.CarLearner(TINY, folder / "run", world.build, world, **options) as learner:
-        learner._tell()  # as `run` does
+        learner.tell()  # as `run` does
         world.run = realtime.Run(learner._idle, learner._idle.init(), realtime.Timing(period=0.05))
         monkeypatch.setattr(world, "stepped", learner.step)
         world.bring_to(Mode.ENGAGED)
@@ -133,7 +133,7 @@ def test_a_learning_run_replays_bit_for_bit_with_the_nets_taken_over_on_the_way(
 ) -> None:
     learner = learned(tmp_path, monkeypatch, 8.0)
     nets = sorted(f.name for f in (tmp_path / "run" / "nets").iterdir())
-    assert learner.failures >= 1
+    assert learner.story.counts.failures >= 1
     assert len(nets) >= 3  # the untrained one, and those taken over
     recorded = tapes.read(tmp_path / "drive.mcap")
     drives = [d for d in replays.drives(recorded) if d.remarks]
@@ -166,8 +166,8 @@ def test_a_run_is_continued_with_its_own_setting_only(tmp_path: Path, monkeypatc
     first = learned(tmp_path, monkeypatch, 3.0)
     (tmp_path / "drive.mcap").unlink()
     again = learned(tmp_path, monkeypatch, 0.5)
-    assert again.updates >= first.updates > 0
-    assert len(again.transitions) > len(first.transitions)
+    assert again.story.counts.updates >= first.story.counts.updates > 0
+    assert len(again.story.transitions) > len(first.story.transitions)
     assert on_car.setting_of(tmp_path / "run") == TINY
     assert loops.element_of(tmp_path / "run") == "integrator"
     world = World()
@@ -177,7 +177,7 @@ def test_a_run_is_continued_with_its_own_setting_only(tmp_path: Path, monkeypatc
         on_car.CarLearner(TINY, tmp_path, world.build, world)
     named = loops.controller_named(str(tmp_path / "run"), setup()[0])
     assert named.steers.doe == "integrator"
-    assert Path(named.steers.name).name == f"net-{again._net:04d}.npz"
+    assert Path(named.steers.name).name == again.net_file.name
 
 
 def test_what_is_for_simulations_stays_there(tmp_path: Path) -> None:

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.errors import require
 from steerkit.learning import rundir
+from steerkit.learning.counts import Episode
 from steerkit.learning.data.transitions import Transitions
-from steerkit.learning.experiment import Episode, Experiment
+from steerkit.learning.experiment import Experiment
 from steerkit.learning.pictures.policy import policy_map, q_slices, styled
 from steerkit.path import Path
 from steerkit.plots.style import COLOURS, PALETTE, new_figure

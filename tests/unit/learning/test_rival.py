@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from steerkit.learning.experiment import Experiment
-from steerkit.learning.rival import BeforeState, ModelBasedRun, ModelPolicy
+from steerkit.learning.rival import BeforeState, ModelPolicy, model_based
 from steerkit.learning.settings import DEFAULT
 from tests.support.modelled_car import CAR
 
@@ -33,7 +33,7 @@ def test_a_car_that_does_not_answer_the_wheel_is_refused() -> None:
 
 
 def test_the_rival_drives_after_its_first_failure() -> None:
-    run = ModelBasedRun(Experiment(setting=DEFAULT, minutes=0.5))
+    run = model_based(Experiment(setting=DEFAULT, minutes=0.5))
     while not run.done():
         run.drive()
     assert run.counts.failures == 1
