@@ -1,0 +1,254 @@
+"""The learner's story: when it is trained, on what, and who may steer; told to a trainer that a test holds in hand."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from steerkit.learning.data.transitions import Transitions
+from steerkit.learning.nfq.iterate import FitSetting
+from steerkit.learning.settings import DEFAULT
+from steerkit.learning.story import Story, untrained
+from steerkit.learning.trainer import Job, Pending, Result
+
+HOW = replace(DEFAULT, fit=FitSetting(nets=1), retrain_every_m=5.0, calm=0.3)
+BETTER = untrained(HOW, seed=9).nets
+
+
+class InHand:
+    """A trainer whose jobs and results a test can see and set."""
+
+    def __init__(self) -> None:
+        self.jobs: list[Job] = []
+        self.result: Result | None = None
+        self.busy = False
+
+    def submit(self, job: Job, t: float) -> None:
+        self.jobs.append(job)
+        self.busy = True
+
+    def poll(self, t: float) -> Result | None:
+        result, self.result = self.result, None
+        self.busy = self.busy and result is None
+        return result
+
+    def done(self, **result: Any) -> None:
+        """The newest job is done."""
+        self.result = Result(self.jobs[-1].number, result.pop("nets", BETTER), 1.5, **result)
+
+    @property
+    def pending(self) -> Pending | None:
+        return None
+
+    def close(self) -> None: ...
+
+
+class Told:
+    """A story, and a car that goes a metre in each sample."""
+
+    def __init__(self, **options: Any):
+        self.trainer, self.number, self.progress = InHand(), 0, 0.0
+        given: dict[str, Any] = {"setting": HOW, "seed": 2, "policy": untrained(HOW, 2), "trainer": self.trainer}
+        self.story = Story(**given | options)
+
+    def drive(self, samples: int, *, learning: bool = True, failed: bool = False) -> Any:
+        for _ in range(samples):
+            self.number += 1
+            self.progress += 1.0
+            s = (0.01 * self.number, 0.0, 5.0, 0.0, 0.0, 0.0)
+            events = self.story.sample(
+                self.number, 0.05 * self.number, s, 0.1, learning=learning, failed=failed, progress=self.progress, e=0.2
+            )
+        return events
+
+    def take_over(self, e: float = 0.0, e_dot: float = 0.0) -> Result | None:
+        return self.story.take_over(0.0, e=e, e_dot=e_dot)
+
+
+def test_what_is_recorded_goes_to_both_places_under_the_episode_s_number() -> None:
+    also: list[Any] = []
+    told = Told(first=4, also=lambda *row: also.append(row))
+    told.drive(3)
+    assert told.drive(1, learning=False, failed=True).ended.failed
+    told.drive(2, learning=False)
+    told.drive(2)
+    record = told.story.transitions
+    assert record.episode.tolist() == [4, 4, 4, 5] == [row[3] for row in also]
+    assert record.s.tolist() == [list(row[0]) for row in also]
+    assert record.s_next[:, 0].tolist() == [0.02, 0.03, 0.04, 0.08]
+
+
+def test_it_goes_on_with_what_was_recorded_before() -> None:
+    before = Transitions()
+    before.append((0.0,) * 6, 0.0, (0.0,) * 6, 0)
+    told = Told(transitions=before, net=7)
+    told.drive(2)
+    told.story.train(0.0, trusted=True)
+    assert len(told.trainer.jobs[0].transitions) == 2  # type: ignore[arg-type]
+    assert told.trainer.jobs[0].number == 8
+    assert told.story.counts.episodes[0].net == 7
+
+
+def test_a_job_is_the_setting_s_and_its_seed_its_own() -> None:
+    told = Told()
+    told.drive(2)
+    for _ in range(2):
+        told.story.train(0.0, trusted=True)
+    job, after = told.trainer.jobs
+    assert (job.actions, job.cost, job.fit, job.description) == (HOW.actions, HOW.cost, HOW.fit, HOW.description())
+    assert job.transitions is told.story.transitions
+    assert [(j.number, j.seed) for j in (job, after)] == [(1, 200_007), (2, 200_008)]
+
+
+def test_while_it_drives_it_is_trained_every_so_many_metres_and_one_training_at_a_time() -> None:
+    told = Told()
+    told.drive(5)
+    assert not told.story.due()  # four metres
+    told.drive(1)
+    assert told.story.due()
+    told.story.train(0.0, trusted=True)
+    told.drive(6)
+    assert not told.story.due()  # busy
+    told.trainer.done()
+    told.take_over()
+    assert told.story.due()
+    told.story.train(0.0, trusted=True)
+    told.trainer.busy = False
+    assert not told.story.due()  # no metre since
+    told.story.setting = replace(HOW, retrain_every_m=0.0)
+    told.drive(100)
+    assert not told.story.due()  # at failures only
+
+
+def test_a_policy_that_failed_keeps_its_hands_off_until_a_newer_one_takes_over() -> None:
+    told = Told()
+    first = told.story.policy
+    assert told.story.steering is first
+    told.drive(2)
+    told.story.train(0.0, trusted=False)
+    assert not told.story.trusted
+    assert told.story.steering.ready_from == math.inf
+    told.story.train(0.0, trusted=True)  # a training asked for by another reason does not bring it back
+    assert not told.story.trusted
+    assert told.take_over() is None
+    assert not told.story.trusted
+    told.trainer.done()
+    assert told.take_over() is not None
+    assert told.story.trusted
+    assert told.story.net == 2
+    assert told.story.steering.ready_from == 0.0
+    np.testing.assert_array_equal(told.story.steering.nets[0][0], BETTER[0][0])  # type: ignore[index]
+    assert told.story.counts.train_seconds == 1.5
+
+
+@pytest.mark.parametrize(
+    ("calm", "e", "e_dot", "taken"),
+    [
+        (0.3, 0.09, 0.29, True),
+        (0.3, -0.09, -0.29, True),
+        (0.3, 0.11, 0.0, False),
+        (0.3, -0.11, 0.0, False),
+        (0.3, 0.0, 0.31, False),
+        (0.3, 0.0, -0.31, False),
+        (0.3, math.nan, 0.0, False),
+        (0.3, 0.0, math.nan, False),
+        (math.inf, 3.0, 5.0, True),  # the supervisor judges |e|
+    ],
+)
+def test_after_a_failure_a_new_policy_waits_until_the_car_is_calm(
+    calm: float, e: float, e_dot: float, taken: bool
+) -> None:
+    told = Told(setting=replace(HOW, calm=calm))
+    told.drive(2)
+    told.story.train(0.0, trusted=False)
+    told.trainer.done()
+    told.take_over(e, e_dot)
+    assert told.story.trusted is taken
+    if not taken:  # it is not lost
+        told.take_over()
+        assert told.story.trusted
+
+
+def test_while_the_policy_drives_well_the_next_one_need_not_wait() -> None:
+    told = Told()
+    told.drive(2)
+    told.story.train(0.0, trusted=True)
+    told.trainer.done()
+    told.take_over(e=0.4, e_dot=1.0)
+    assert told.story.net == 1
+
+
+def test_a_training_that_came_to_nothing_is_repeated_where_nobody_else_would_drive() -> None:
+    told = Told()
+    told.drive(2)
+    told.story.train(0.0, trusted=False)
+    told.trainer.done(nets=None, fault="killed")
+    assert told.take_over() == (1, None, 1.5, "killed", None)
+    assert [job.number for job in told.trainer.jobs] == [1, 2]
+    assert not told.story.trusted
+    assert told.story.faults == ["killed"]
+    told.trainer.done(fault="restarted")
+    told.take_over()
+    assert told.story.trusted
+    assert told.story.faults == ["killed", "restarted"]
+
+
+def test_else_the_next_training_comes_when_it_is_due() -> None:
+    told = Told()
+    told.drive(2)
+    told.story.train(0.0, trusted=True)
+    told.trainer.done(nets=None, fault="killed")
+    told.take_over()
+    assert len(told.trainer.jobs) == 1
+    assert told.story.trusted
+    assert told.story.net == 0
+    told.drive(5)
+    assert told.story.due()
+
+
+def test_without_a_transition_there_is_nothing_to_train_on() -> None:
+    told = Told()
+    told.story.train(0.0, trusted=False)
+    assert told.trainer.jobs == []
+    assert told.story.counts.updates == 0
+    assert not told.story.trusted
+
+
+def test_a_car_that_was_carried_elsewhere_ends_the_episode_and_makes_no_transition() -> None:
+    told = Told()
+    told.drive(3)
+    told.story.carried(1.0)
+    told.drive(2)
+    first, second = told.story.counts.episodes
+    assert (first.ended, first.failed, second.ended) == (1.0, False, None)
+    assert told.story.transitions.episode.tolist() == [1, 1, 2]
+    assert told.story.counts.driven == 3.0
+
+
+def test_rounds_are_told_of() -> None:
+    told = Told(round_length=10.0)
+    assert not told.drive(10).round
+    assert told.drive(1).round
+    assert not told.drive(1).round
+
+
+def test_a_trainer_may_make_a_policy_of_another_kind() -> None:
+    told = Told()
+    told.drive(2)
+    told.story.train(0.0, trusted=False)
+    other = replace(untrained(HOW, 5), ready_from=3.0)
+    told.trainer.done(nets=None, policy=other)
+    told.take_over()
+    assert told.story.trusted
+    np.testing.assert_array_equal(told.story.policy.nets[0][0], other.nets[0][0])  # type: ignore[index]
+    assert told.story.policy.ready_from == 0.0
+
+
+def test_the_untrained_policy_is_the_seed_s() -> None:
+    one, same, other = (untrained(HOW, seed).nets[0][0] for seed in (1, 1, 2))  # type: ignore[index]
+    np.testing.assert_array_equal(one, same)
+    assert not np.array_equal(one, other)
