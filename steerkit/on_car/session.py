@@ -5,9 +5,11 @@ from __future__ import annotations
 import contextlib
 import os
 import re
+import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -108,6 +110,7 @@ def session(options: Options) -> Iterator[Session]:
     known(options.recovery, RECOVERIES, "--recovery")
     channel, started = options.channel, list[subprocess.Popen[str]]()
     with contextlib.ExitStack() as stack:
+        stack.enter_context(_ended_in_order())
         try:
             socket = options.socket or processes.default_socket()
             if options.simulated:  # never through a driver process that may have a real car at its other end
@@ -142,6 +145,29 @@ def session(options: Options) -> Iterator[Session]:
             for process in started:  # the driver first
                 process.terminate()
                 process.wait(10.0)
+
+
+@contextlib.contextmanager
+def _ended_in_order() -> Iterator[None]:
+    """SIGTERM ends a drive as Ctrl-C does; and Ctrl-C does so too where the parent had SIGINT ignored.
+
+    That is what a shell does to what it runs in the background; whoever sits at the keyboard can still press it.
+    Without a keyboard an ignored SIGINT stays ignored, as `nohup` asks. Only the main thread hears signals.
+    """
+
+    def interrupt(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    numbers = [signal.SIGTERM, *([signal.SIGINT] if sys.stdin.isatty() else [])]
+    before = {number: signal.signal(number, interrupt) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _answers(socket: str) -> bool:

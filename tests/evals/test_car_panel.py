@@ -22,14 +22,17 @@ from steerkit.plants.real_car import recording as tapes
 WAIT = 60.0
 """Longest wait for anything [s]; the machine may be busy."""
 DRIVE = ("drive", "--car", "dbw-kit.toml", "--controller", "stanley", "--recovery", "stanley", "--simulated")
+SLOWLY = ("--time-scale", "0.25")  # the car waits for a machine that is busy
 
 
 class Terminal:
     """A program on a pseudo-terminal of 100 columns."""
 
     def __init__(self, folder: Path, *words: str, **environment: str):
+        """Its parent had it ignore SIGINT, as a shell does with what runs in the background."""
         self.master, slave = pty.openpty()
-        command = [sys.executable, "-c", "from steerkit.cli.app import main; main()", *words]
+        ignoring = ("sh", "-c", 'trap "" INT; exec "$0" "$@"')
+        command = [*ignoring, sys.executable, "-c", "from steerkit.cli.app import main; main()", *words]
         env = {**os.environ, "TERM": "xterm", "COLUMNS": "100", "LINES": "30", **environment}
         self.process = subprocess.Popen(command, stdin=slave, stdout=slave, stderr=slave, cwd=folder, env=env)
         os.close(slave)
@@ -54,12 +57,12 @@ class Terminal:
 
     def end(self) -> int:
         """Read what is left; the exit code."""
-        with contextlib.suppress(OSError):
-            while True:
-                text = os.read(self.master, 65536)
-                if not text:
-                    break
-                self.text += text.decode(errors="replace")
+        end = time.monotonic() + WAIT
+        with contextlib.suppress(OSError):  # the terminal is closed with its last program
+            while self.process.poll() is None or select.select([self.master], [], [], 0.0)[0]:
+                assert time.monotonic() < end, f"still running after {WAIT} s; last: {self.text[-500:]}"
+                if select.select([self.master], [], [], 0.1)[0]:
+                    self.text += os.read(self.master, 65536).decode(errors="replace")
         return self.process.wait(WAIT)
 
 
@@ -75,7 +78,7 @@ def terminal(folder: Path, *words: str, **environment: str) -> Iterator[Terminal
 
 
 def test_space_lets_go_and_the_panel_shows_what_counts(tmp_path: Path) -> None:
-    with terminal(tmp_path, *DRIVE, "--recording", "drive.mcap") as there:
+    with terminal(tmp_path, *DRIVE, *SLOWLY, "--recording", "drive.mcap") as there:
         there.until("READY")
         there.press("e")
         screen = there.until(r"ENGAGED[\s\S]*╰")
@@ -104,16 +107,20 @@ def test_without_colours_where_there_is_no_wish_for_them(tmp_path: Path) -> None
         assert there.end() == 0
 
 
-def test_a_dumb_terminal_gets_lines_and_still_keys(tmp_path: Path) -> None:
-    with terminal(tmp_path, *DRIVE, TERM="dumb") as there:
+@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
+def test_a_dumb_terminal_gets_lines_and_still_keys_and_ends_in_order(ending: signal.Signals, tmp_path: Path) -> None:
+    """Ctrl-C works at a keyboard even where a parent had it ignored; the car server gets the order to let go."""
+    with terminal(tmp_path, *DRIVE, *SLOWLY, "--recording", "drive.mcap", TERM="dumb") as there:
         there.until("keys: space let go")
         there.until("READY: all checks hold")
         assert "╭" not in there.text
         there.press("e")
         there.until("ENGAGED: operator: engage")
-        there.process.send_signal(signal.SIGINT)  # Ctrl-C
-        assert there.end() != 0
+        there.process.send_signal(ending)
+        assert there.end() == 130
         assert "Traceback" not in there.text
+    changes = [(v["from"], v["to"], v["cause"]) for v in tapes.read(tmp_path / "drive.mcap").of("/state")]
+    assert ("ENGAGED", "STANDBY", "operator: disengage") in changes
 
 
 def test_without_a_terminal_there_are_lines(tmp_path: Path) -> None:

@@ -46,7 +46,6 @@ def round_trip(path, s):
 CIRCLE = courses.circle(20.0)
 
 
-@settings(deadline=None)
 @given(angle=st.floats(0.0, 6.28), e=st.floats(-30.0, 12.0), psi_e=st.floats(-3.0, 3.0), v=st.floats(0.0, 9.0))
 def test_on_a_circle_every_output_has_its_closed_form(angle, e, psi_e, v):
     rho = 20.0 - e  # left of a left-hand circle is inside
@@ -60,7 +59,6 @@ def test_on_a_circle_every_output_has_its_closed_form(angle, e, psi_e, v):
     assert out.r_e == pytest.approx(0.2 - v * 0.05, abs=1e-6)
 
 
-@settings(deadline=None)
 @given(reference=st.floats(0.0, 3.0), psi=st.floats(-1.5, 1.5), x=st.floats(5.0, 90.0), y=st.floats(-5.0, 5.0))
 def test_on_a_straight_the_reference_point_ahead_is_measured(reference, psi, x, y):
     out = track(PathTracker(path=courses.straight(100.0), reference=reference), x, y, psi, 6.0, -0.1, 0.3)
@@ -186,7 +184,7 @@ def test_gps_positions_become_metres_east_and_north():
 WAYPOINTS = courses.random_course(3, length=120.0, max_kappa=0.15).samples.xy[:-1:3]
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     turn=st.floats(-math.pi, math.pi),
     shift=st.tuples(st.floats(-1e3, 1e3), st.floats(-1e3, 1e3)),
@@ -210,7 +208,7 @@ def test_errors_do_not_depend_on_where_the_map_lies_and_flip_in_a_mirror(turn, s
     assert flipped[2:7] == pytest.approx([-a for a in here[2:7]], abs=1e-7)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 10_000), length=st.floats(100.0, 1500.0), bendy=st.floats(8.01, 100.0))
 def test_random_courses_keep_their_bounds(seed, length, bendy):
     path = courses.random_course(seed, length=length, max_kappa=bendy / length)

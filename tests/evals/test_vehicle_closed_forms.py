@@ -96,7 +96,7 @@ def test_integration_is_stable_at_every_speed(car):
     assert fastest(LinearSingleTrack(vehicle=car)) < 1.25
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     l_f=st.floats(0.8, 2.0),
     l_r=st.floats(0.8, 2.0),

@@ -23,7 +23,6 @@ def inputs(tracker, pose, v=5.0, beta=0.02, r=0.1):
     return tracker.D(*(float(a) for a in pose), v, beta, r)
 
 
-@settings(deadline=None)
 @given(s=st.floats(0.0, 795.0), e=st.floats(-3.0, 3.0), psi_e=st.floats(-1.0, 1.0))
 def test_the_place_is_found_wherever_the_car_starts(s, e, psi_e):
     tracker = PathTracker(path=PAPER)
@@ -99,7 +98,7 @@ def test_symbols_give_the_same_numbers(monkeypatch):
             assert np.allclose([float(a) for a in traced(*values[0], *values[1])], plain, atol=1e-12)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(start=st.floats(0.0, 188.0), v=st.floats(-5.0, 9.0))
 def test_round_after_round_s_wraps_and_progress_does_not(start, v):
     path = courses.circle(30.0)

@@ -173,7 +173,7 @@ def test_it_wraps_only_what_it_can_serve() -> None:
         Predicted(block=Stanley.of(PASSAT), dt=0.01)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(delay=st.integers(0, 30), lag=st.floats(0.03, 0.3), gain=st.floats(0.8, 1.2), offset=st.floats(-0.1, 0.1))
 def test_delay_and_lag_are_read_from_a_log(delay: int, lag: float, gain: float, offset: float) -> None:
     """Any delay, also between samples, whatever ratio and offset the wheel has: exact without noise."""

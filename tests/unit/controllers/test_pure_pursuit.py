@@ -25,7 +25,7 @@ def steered(pursuit: PurePursuit, **u: float) -> float:
     return float(pursuit.output(0.0, (), pursuit.D(**u)).delta_sw)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(v=st.floats(0.0, 9.0), radius=st.floats(12.0, 60.0))
 def test_on_a_circle_it_steers_that_circle(v: float, radius: float) -> None:
     """The rear axle on a circle and tangent to it: the arc through any of its points is the circle."""

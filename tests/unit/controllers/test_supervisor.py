@@ -157,7 +157,7 @@ def test_a_low_pass_starts_from_the_angle_applied() -> None:
     assert log["supervisor.learning"][2] == 1.0
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(
     e=st.lists(st.floats(-0.7, 0.7), min_size=2, max_size=20),
     steps=st.lists(st.sampled_from([-60.0, -10.0, 0.0, 10.0, 60.0]), min_size=1, max_size=20),

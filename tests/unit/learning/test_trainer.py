@@ -213,7 +213,8 @@ def test_neither_submit_nor_poll_waits_and_the_process_steps_back(own: Trainer, 
     own.submit(job(1, cost=gate))
     gate.wait_for_training(own.pid)
     assert own.pid is not None
-    assert os.getpriority(os.PRIO_PROCESS, own.pid) >= os.getpriority(os.PRIO_PROCESS, 0) + 10
+    behind = min(os.getpriority(os.PRIO_PROCESS, 0) + 10, 19)  # 19 is the end of the scale
+    assert os.getpriority(os.PRIO_PROCESS, own.pid) == behind
     big = record(50_000)  # more than a pipe holds
     for number in range(2, 20):  # would never return if any of it waited: the gate is closed
         own.submit(job(number, transitions=big, cost=gate))

@@ -209,7 +209,7 @@ def test_a_nan_in_a_signal_is_in_all_its_metrics(name: str) -> None:
     assert {key for key, value in found.items() if math.isnan(value)} == set(of[name])
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 10_000), st.floats(0.01, 10.0))
 def test_mirrored_drives_are_as_good_and_wider_ones_worse(seed: int, factor: float) -> None:
     rng = np.random.default_rng(seed)

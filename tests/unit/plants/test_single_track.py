@@ -21,7 +21,7 @@ steering = st.lists(st.tuples(st.floats(-9.0, 9.0), st.floats(0.0, 12.0)), min_s
 
 
 @CARS
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(inputs=steering)
 def test_mirror_symmetry(cls, inputs):
     car = cls(vehicle=VW_PASSAT)
@@ -32,7 +32,7 @@ def test_mirror_symmetry(cls, inputs):
 
 
 @CARS
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(inputs=steering, x0=st.floats(-50, 50), y0=st.floats(-50, 50), psi0=st.floats(-7, 7))
 def test_where_and_whereto_do_not_matter(cls, inputs, x0, y0, psi0):
     here = run(cls(vehicle=VW_PASSAT), inputs)[0][-1]

@@ -121,7 +121,7 @@ def test_a_start_beyond_all_limits_has_a_command(kind: Any, start: dict[str, flo
         assert {row.status for row in y} == {0.0}
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     kind=st.sampled_from(KINDS),
     e=st.floats(-5, 5),

@@ -28,7 +28,7 @@ happenings = st.one_of(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(story=st.lists(happenings, max_size=60), engaged=st.booleans())
 def test_noise_raises_nothing_and_moves_nothing(story: list[Any], engaged: bool) -> None:
     core, t = Core(config(), course("paper")), 5.0
