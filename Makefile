@@ -2,13 +2,14 @@
 PYTHON ?= python3
 VENV := .venv
 READY := $(VENV)/ready
+PEERS := $(VENV)/peers
 BIN := $(VENV)/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo bench test slips lint docs dist clean
+.PHONY: help setup demo bench test test-all slips lint docs dist clean
 
 help:  ## this list
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-6s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 setup: $(READY)  ## .venv with steerkit and all it needs
 
@@ -19,9 +20,15 @@ bench: $(READY)  ## learned against analytic controllers, a ten-minute selection
 	$(BIN)/python -m benchmarks run quick
 	$(BIN)/python -m benchmarks report runs/benchmarks/quick
 
-test: export OMP_NUM_THREADS = 1
+test test-all: export OMP_NUM_THREADS = 1
 test: $(READY)  ## all tests, on two processes
 	$(BIN)/python -m pytest -n 2
+
+BROWSER := $(firstword $(shell command -v chromium chromium-browser google-chrome chrome))
+
+test-all: $(PEERS)  ## all tests, with do-mpc, Stable-Baselines3, d3rlpy and a browser too; names what is still skipped
+	@echo "browser: $(or $(BROWSER),none; two tests need one: apt-get install chromium)"
+	$(BIN)/python -m pytest -n 2 -rs
 
 SLIPS ?=
 slips: $(READY)  ## put mistakes into copies of the code, one at a time: does a test notice? SLIPS="--only TEXT"
@@ -48,4 +55,11 @@ clean:  ## remove .venv and caches (runs/ stays)
 $(READY): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	touch $@
+
+# d3rlpy 2.8 asks for a gymnasium that is older than ours, hence --no-deps; docs/benchmarks.md says more.
+$(PEERS): $(READY)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev,peers]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps 'd3rlpy==2.8.*' dataclasses-json h5py structlog \
+		tqdm gym typing-inspect marshmallow scikit-learn narwhals threadpoolctl
 	touch $@

@@ -97,8 +97,7 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         import stable_baselines3  # noqa: F401
     except ImportError:
-        print("skipped: this example needs stable-baselines3; pip install 'steerkit-control[peers]'")
-        return
+        raise SystemExit("this example needs stable-baselines3; pip install 'steerkit-control[peers]'") from None
     place = options.out or Path(tempfile.mkdtemp())
     place.mkdir(parents=True, exist_ok=True)
     task = Task(course=options.course, conditions=options.conditions)

@@ -101,6 +101,10 @@ def test_links_lead_somewhere(page: Path) -> None:
 @pytest.mark.parametrize("script", sorted((ROOT / "examples").glob("*.py")), ids=lambda script: script.name)
 def test_examples_run(script: Path, tmp_path: Path) -> None:
     done = python_in(tmp_path, str(script))
+    if "stable_baselines3" in script.name and not importlib.util.find_spec("stable_baselines3"):
+        assert done.returncode == 1
+        assert done.stderr == "this example needs stable-baselines3; pip install 'steerkit-control[peers]'\n"
+        pytest.skip("needs stable-baselines3: make test-all")
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip()
 

@@ -49,6 +49,7 @@ ELSEWHERE = {
     "steerkit.learning.nfq.rprop": "evals/test_rprop.py",
     "steerkit.learning.pictures.paper": "unit/learning/pictures/test_run.py",
     "steerkit.learning.report": "unit/cli/test_app.py",
+    "steerkit.learning.training_run": "unit/learning/test_experiment.py",
     "steerkit.maths": "contract/test_same_everywhere.py",
     "steerkit.native": "unit/compiled/test_compiled.py",
     # the programs on the car, in a world of processes and simulated hardware
@@ -74,6 +75,8 @@ ELSEWHERE = {
     "steerkit.scenario.world": "unit/learning/test_experiment.py",
     "steerkit.units": "contract/test_same_everywhere.py",
     "steerkit.vehicles": "unit/vehicles/test_named.py",
+    "benchmarks.peers.python_control": "unit/benchmarks/studies/test_studies.py",
+    "benchmarks.rounds": "unit/benchmarks/studies/test_studies.py",
     "benchmarks.report.figures": "unit/benchmarks/report/test_page.py",
     "benchmarks.report.paper": "unit/benchmarks/report/test_page.py",
     "benchmarks.run.provenance": "unit/benchmarks/run/test_results.py",
@@ -111,7 +114,7 @@ def missing(root: Path, unit: Path, elsewhere: dict[str, str]) -> list[str]:
         if holds_something(files[name])
         and not test.is_file()
         and name not in elsewhere
-        and not name.startswith("benchmarks.studies.")
+        and not name.startswith("benchmarks.studies.")  # programs: test_studies.py runs every one
     ]
     known = set(mirrors.values())
     for test in sorted(unit.rglob("test_*.py")):

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from steerkit.assembly import steering_loop
@@ -62,7 +62,6 @@ def test_the_slower_the_wheel_the_further() -> None:
 small = st.floats(-1.0, 1.0)
 
 
-@settings(deadline=None)
 @given(e=small, psi_e=small, kappa=st.floats(-0.1, 0.1), v=st.floats(0.0, 10.0), doe=st.floats(-9.0, 9.0))
 def test_it_is_the_same_in_the_mirror_and_never_nearer_than_now(
     e: float, psi_e: float, kappa: float, v: float, doe: float
@@ -97,7 +96,6 @@ def kept(psi_e: float, kappa: float, v: float, doe: float) -> bool:
     return far - 0.01 <= promised <= 1.15 * far + 0.03
 
 
-@settings(deadline=None)
 @given(psi_e=st.floats(-0.5, 0.5), kappa=st.floats(-0.05, 0.05), v=st.floats(1.0, 9.0), doe=st.floats(-3.0, 3.0))
 def test_a_kinematic_car_steered_back_through_the_gate_gets_no_further(
     psi_e: float, kappa: float, v: float, doe: float

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from steerkit.learning.recorder import Before, State, TransitionRecorder
@@ -59,7 +59,6 @@ def test_the_half_of_a_pair_can_be_kept_and_taken_up_again() -> None:
     assert kept == [((0.5,), 0.1, (0.6,), 2)]
 
 
-@settings(deadline=None)
 @given(st.lists(st.tuples(st.integers(1, 2), st.booleans(), st.sampled_from([0.0, 1.0, math.nan])), max_size=30))
 def test_each_pair_is_a_step_of_the_learner(samples: list[tuple[int, bool, float]]) -> None:
     takes, kept = recorder()
