@@ -26,6 +26,27 @@ def only(folder: Path, pattern: str) -> Path:
     return found[0].resolve()
 
 
+def run_suite(binaries: Path, folder: Path, environment: dict[str, str]) -> None:
+    """The benchmarks of the wheel, from a directory that is no checkout: run, report, study, in both ways to say it."""
+    folder.mkdir()
+    steerkit, benchmarks = [binaries / "steerkit", "bench"], [binaries / "python", "-m", "benchmarks"]
+    for command in (
+        [*steerkit, "run", "golden", "--only", "stanley", "--jobs", "2", "--quiet", "--json", "--out", "results"],
+        [*benchmarks, "run", "golden", "--only", "stanley", "--jobs", "1", "--quiet", "--out", "again"],
+        [*steerkit, "compare", "results", "again", "--strict"],
+        [*benchmarks, "report", "results"],
+        [*steerkit, "study", "tune_stanley", "--quick", "--json"],
+    ):
+        subprocess.run(command, cwd=folder, env=environment, check=True, timeout=600.0)
+    if not (folder / "results" / "report.html").is_file():
+        raise SystemExit("the installed benchmarks wrote no report")
+    told = subprocess.run(
+        [*steerkit, "golden"], cwd=folder, env=environment, capture_output=True, text=True, timeout=60.0
+    )
+    if told.returncode != 2 or "kept in a checkout" not in told.stderr:
+        raise SystemExit(f"`steerkit bench golden` did not say where its numbers are: {told.stderr}")
+
+
 def main() -> int:
     """Unpack, install, look where it was installed, run the tests; returns pytest's exit code."""
     dist, *arguments = sys.argv[1:] or ["dist"]
@@ -35,7 +56,8 @@ def main() -> int:
         with tarfile.open(source) as archive:
             archive.extractall(place, filter="data")
         tree = only(place, "steerkit_control-*")
-        shutil.rmtree(tree / "steerkit")
+        for package in ("steerkit", "benchmarks"):
+            shutil.rmtree(tree / package)
         venv.create(place / "venv", with_pip=False)
         python = place / "venv" / "bin" / "python"
         asked = subprocess.run(
@@ -51,14 +73,15 @@ def main() -> int:
             [sys.executable, *install, "--disable-pip-version-check", "--ignore-installed", str(wheel)], check=True
         )
         environment = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "PYTHONHOME")}
-        where = "import steerkit; print(steerkit.__version__, steerkit.__file__)"
+        where = "import benchmarks, steerkit; print(steerkit.__version__, steerkit.__file__, benchmarks.__file__)"
         said = subprocess.run(
             [python, "-c", where], cwd=tree, env=environment, capture_output=True, text=True, check=True
         )
         print(said.stdout.strip(), flush=True)
-        if str(place / "venv") not in said.stdout:
-            raise SystemExit("steerkit was not imported from where it was installed")
+        if said.stdout.count(str(place / "venv")) != 2:
+            raise SystemExit("the packages were not imported from where they were installed")
         subprocess.run([place / "venv" / "bin" / "steerkit", "courses"], cwd=tree, env=environment, check=True)
+        run_suite(place / "venv" / "bin", place / "elsewhere", environment)
         return subprocess.run([python, "-m", "pytest", *arguments], cwd=tree, env=environment, check=False).returncode
 
 

@@ -13,11 +13,23 @@ from benchmarks.run.results import Results
 from benchmarks.suites import suite
 from steerkit.files import write_text
 
-FILE = FilePath(__file__).parents[2] / "tests" / "golden" / "benchmarks.json"
+_PLACE = FilePath("tests", "golden", "benchmarks.json")
 TOLERANCES = {"rel": 1e-6, "abs": 1e-8}
 """Other compilers and libms move the numbers by 1e-12 or so; anything that counts moves them by far more."""
 Numbers = Mapping[str, Mapping[str, float]]
 """Metrics by case."""
+
+
+def file() -> FilePath:
+    """Where the golden numbers are: in the checkout that this runs from, or in which one stands.
+
+    They are no part of an installed package. Raises ValueError where there is no checkout.
+    """
+    roots = (FilePath(__file__).parents[2], FilePath.cwd())
+    for root in roots:
+        if (root / _PLACE.parent).is_dir():
+            return root / _PLACE
+    raise ValueError(f"golden numbers are kept in a checkout, as {_PLACE}; here is none: run this in one")
 
 
 def measured(*, workers: int = 1) -> Results:
@@ -36,15 +48,15 @@ def numbers(results: Results) -> dict[str, dict[str, float]]:
     return {case.id: dict(case.metrics) for case in results.cases}
 
 
-def kept() -> tuple[dict[str, dict[str, float]], dict[str, float]]:
+def kept(file: FilePath) -> tuple[dict[str, dict[str, float]], dict[str, float]]:
     """The golden numbers and their tolerances. Raises ValueError for a missing or broken file."""
     try:
-        data = json.loads(FILE.read_text())
+        data = json.loads(file.read_text(encoding="utf-8"))
         return data["cases"], data["tolerances"]
     except FileNotFoundError as error:
-        raise ValueError(f"{FILE} is missing; `python -m benchmarks golden --update` makes it") from error
+        raise ValueError(f"{file} is missing; `python -m benchmarks golden --update` makes it") from error
     except (ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"{FILE} is broken ({error}); `python -m benchmarks golden --update` makes it anew") from error
+        raise ValueError(f"{file} is broken ({error}); `python -m benchmarks golden --update` makes it anew") from error
 
 
 def difference(new: Numbers, old: Numbers, tolerances: Mapping[str, float]) -> list[Change]:
@@ -59,12 +71,11 @@ def difference(new: Numbers, old: Numbers, tolerances: Mapping[str, float]) -> l
     return found
 
 
-def update(new: Numbers) -> None:
+def update(new: Numbers, file: FilePath) -> None:
     """Make these the golden numbers."""
     data = {
         "about": "python -m benchmarks golden; renew with --update, which prints the difference",
         "tolerances": TOLERANCES,
         "cases": new,
     }
-    FILE.parent.mkdir(exist_ok=True)
-    write_text(FILE, json.dumps(data, indent=1) + "\n")
+    write_text(file, json.dumps(data, indent=1) + "\n")

@@ -10,35 +10,18 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict
-from functools import lru_cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path as FilePath
 from typing import Any
 
 from benchmarks.entries import CONTROLLERS
 from benchmarks.peers.agents import AGENTS
 from benchmarks.peers.agents import SETTINGS as PEERS
+from benchmarks.run.sources import ROOT, source, versions
 from benchmarks.run.trainings import TRAININGS
 from benchmarks.scenarios import Scenario
 from benchmarks.suites import TRAINING, Job, Suite
 from steerkit.learning.rundir import plain
 from steerkit.learning.settings import setting
-
-ROOT = FilePath(__file__).parents[2]
-PACKAGES = (
-    "numpy",
-    "scipy",
-    "torch",
-    "casadi",
-    "control",
-    "commonroad-vehicle-models",
-    "do-mpc",
-    "stable-baselines3",
-    "d3rlpy",
-)
-"""Packages whose version may change the numbers."""
-_NO_NUMBERS = ("report", "compare", "verdict", "golden", "__main__")
-"""Modules of benchmarks, and what starts with these names, that only read results."""
 
 
 def provenance(suites: Sequence[Suite], planned: Sequence[Job], seeds: int | None) -> dict[str, Any]:
@@ -92,32 +75,6 @@ def digest(job: Job, scenario: Scenario | None, timed_steps: int) -> str:
     return _hash(json.dumps(told, sort_keys=True).encode())
 
 
-@lru_cache
-def source() -> str:
-    """A hash of every source file that numbers may depend on."""
-    found = [*ROOT.glob("steerkit/**/*"), *ROOT.glob("benchmarks/*.py")]
-    whole = hashlib.sha256()
-    for file in sorted(f for f in found if f.suffix in (".py", ".c", ".csv") and not _reads_only(f)):
-        whole.update(str(file.relative_to(ROOT)).encode() + b"\0" + file.read_bytes())
-    return whole.hexdigest()[:16]
-
-
-@lru_cache
-def versions() -> dict[str, str]:
-    """Versions of Python, steerkit and the packages that numbers may depend on; those not installed are left out."""
-    found = {"python": platform.python_version()}
-    for name in ("steerkit-control", *PACKAGES):
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    return found
-
-
-def _reads_only(file: FilePath) -> bool:
-    return file.parent.name == "benchmarks" and file.stem.startswith(_NO_NUMBERS)
-
-
 def _controller(name: str) -> dict[str, Any]:
     one = CONTROLLERS[name]
     told: dict[str, Any] = {"kind": one.kind, "about": one.about}
@@ -128,6 +85,9 @@ def _controller(name: str) -> dict[str, Any]:
 
 
 def _git(*words: str) -> str | None:
+    """What git says of this checkout; None where there is none, as in an installed package."""
+    if not (ROOT / ".git").exists():
+        return None
     try:
         done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, timeout=20, check=True)
     except (OSError, subprocess.SubprocessError):

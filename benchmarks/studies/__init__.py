@@ -27,6 +27,8 @@ from steerkit.errors import known
 _FILES = {file.stem: file for file in sorted(Path(__file__).parent.glob("*.py")) if file.stem != "__init__"}
 NAMES = tuple(_FILES)
 """All studies."""
+_EXTRA = {"car_kill": "car", "car_realtime": "car", "gym_steps": "gym"}
+"""Studies that need an extra of the package, and which."""
 
 
 @cache
@@ -54,13 +56,19 @@ def parser_of(name: str, study: ModuleType) -> argparse.ArgumentParser:
 def carry_out(name: str, words: Sequence[str] = ()) -> dict[str, Any]:
     """Run a study with command line words and return its figures, as JSON can hold them.
 
-    Numbers that are not finite become None. Raises ValueError for an unknown name; SystemExit for a usage error, or
-    after all is printed when the study objects to its own figures.
+    Numbers that are not finite become None. Raises ValueError for an unknown name or a missing extra; SystemExit for a
+    usage error, or after all is printed when the study objects to its own figures.
     """
     known(name, _FILES, "study")
-    study = import_module(f"benchmarks.studies.{name}")
-    options = parser_of(name, study).parse_args(list(words))
-    figures = _plain(study.measure(options))
+    try:
+        study = import_module(f"benchmarks.studies.{name}")
+        options = parser_of(name, study).parse_args(list(words))
+        figures = _plain(study.measure(options))
+    except ModuleNotFoundError as error:
+        if name not in _EXTRA:
+            raise
+        what = f"study {name}: {error.name} is not installed"
+        raise ValueError(f"{what}: pip install 'steerkit-control[{_EXTRA[name]}]'") from error
     if options.json:
         print(json.dumps(figures, allow_nan=False), flush=True)
     objection = study.objection(figures) if hasattr(study, "objection") else ""

@@ -15,6 +15,7 @@ from typing import Annotated, Any
 import typer
 
 from steerkit import __version__
+from steerkit.cli.bench import app as bench_app
 from steerkit.cli.car import app as car_app
 from steerkit.cli.export import export
 from steerkit.cli.identify import identify
@@ -38,6 +39,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.add_typer(car_app, name="car")
+app.add_typer(bench_app, name="bench")
 app.command()(identify)
 app.command()(export)
 

@@ -11,8 +11,10 @@ from pathlib import Path
 import pytest
 
 import steerkit
+from benchmarks.run.sources import source
 from tests.support.places import ROOT
 
+PACKAGES = ("steerkit", "benchmarks")
 sources = pytest.mark.skipif(not (ROOT / "steerkit").is_dir(), reason="runs on the sources; here steerkit is installed")
 
 
@@ -20,7 +22,7 @@ sources = pytest.mark.skipif(not (ROOT / "steerkit").is_dir(), reason="runs on t
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The wheel of the sources, built from links in a temporary directory, so that nothing is left in the tree."""
     place = tmp_path_factory.mktemp("wheel")
-    for name in ("pyproject.toml", "README.md", "LICENSE", "MANIFEST.in", "steerkit"):
+    for name in ("pyproject.toml", "README.md", "LICENSE", "MANIFEST.in", *PACKAGES):
         (place / name).symlink_to(ROOT / name)
     code = "from setuptools.build_meta import build_wheel; print(build_wheel('.'))"
     done = subprocess.run([sys.executable, "-c", code], cwd=place, capture_output=True, text=True)
@@ -32,12 +34,20 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_wheel_holds_every_file_of_the_package_and_nothing_else(wheel: Path) -> None:
     here = {
         str(file.relative_to(ROOT))
-        for file in (ROOT / "steerkit").rglob("*")
+        for package in PACKAGES
+        for file in (ROOT / package).rglob("*")
         if file.is_file() and "__pycache__" not in file.parts
     }
     inside = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
     assert inside == here
-    assert {"steerkit/py.typed", "steerkit/courses/genesis.csv"} <= inside
+    assert {"steerkit/py.typed", "steerkit/courses/genesis.csv", "benchmarks/report/report.html.j2"} <= inside
+
+
+@sources
+def test_the_wheel_has_the_sources_of_the_checkout(wheel: Path, tmp_path: Path) -> None:
+    """As benchmarks see it: a machine with the wheel may work for one with the checkout."""
+    zipfile.ZipFile(wheel).extractall(tmp_path)
+    assert source(tmp_path) == source(ROOT)
 
 
 @sources

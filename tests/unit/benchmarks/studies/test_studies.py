@@ -44,7 +44,7 @@ def called(*words: str, folder: Path) -> subprocess.CompletedProcess[str]:
 
 
 def test_the_list_says_what_each_measures_and_imports_none() -> None:
-    code = "import sys; from benchmarks.__main__ import main; sys.argv[1:] = ['study', '--list']\n"
+    code = "import sys; from benchmarks.app import main; sys.argv[1:] = ['study', '--list']\n"
     code += "try: main()\nfinally: print([n for n in sys.modules if n.startswith('benchmarks.studies.')])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60.0)
     *lines, imported = done.stdout.splitlines()

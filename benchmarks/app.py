@@ -1,0 +1,293 @@
+"""The benchmarks' command line: `steerkit bench`, and the same as `python -m benchmarks`.
+
+What a command needs is imported in it, so that `steerkit --help` stays fast and light.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from dataclasses import asdict
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from benchmarks.run.results import Results
+
+app = typer.Typer(
+    help="Learned against analytic steering controllers, in numbers. All drives are simulated.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
+Machine = Annotated[bool, typer.Option("--json", help="Print one JSON object as the last line.")]
+_EXTRA = {
+    "joblib": "joblib",
+    "pandas": "pandas",
+    "pyarrow": "pyarrow",
+    "jinja2": "jinja2",
+    "markdown_it": "markdown-it-py",
+    "distributed": "distributed",
+}
+"""What the extra `bench` brings: module and package."""
+Place = Annotated[Path, typer.Argument(help="Directory of results, as `run` wrote it.")]
+
+
+def _console() -> Any:
+    from rich.console import Console
+
+    return Console() if Console().is_terminal else Console(width=120)
+
+
+def _require_extra(*modules: str) -> None:
+    """Raise ValueError that says what to install, before hours of computing, if any of them is missing."""
+    missing = [_EXTRA[name] for name in modules if find_spec(name) is None]
+    if missing:
+        said = f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} not installed"
+        raise ValueError(f"{said}: pip install 'steerkit-control[bench]'")
+
+
+@app.command("list")
+def list_(scenarios: Annotated[bool, typer.Option(help="Also every scenario and controller.")] = False) -> None:
+    """List the suites, with how many cases each is."""
+    from rich.table import Table
+
+    from benchmarks.entries import CONTROLLERS
+    from benchmarks.suites import SUITES, jobs
+
+    console = _console()
+    table = Table("suite", "cases", "seeds", "scenarios", "controllers", "what")
+    for one in SUITES.values():
+        sizes = (len(jobs([one])), one.seeds, len(one.scenarios), len(one.controllers))
+        table.add_row(one.name, *map(str, sizes), one.about)
+    console.print(table)
+    if scenarios:
+        names = dict.fromkeys(scene.name for one in SUITES.values() for scene in one.scenarios)
+        console.print(f"scenarios: {', '.join(names)}\n", markup=False)
+        for controller in CONTROLLERS.values():
+            console.print(f"{controller.name:22s} {controller.about}", markup=False, highlight=False)
+
+
+@app.command()
+def run(
+    suites: Annotated[list[str], typer.Argument(metavar="SUITE...", help="Suites to run: see `list`.")],
+    seeds: Annotated[int | None, typer.Option(min=1, help="Seeds 0 to N-1; default: the suite's own.")] = None,
+    workers: Annotated[int, typer.Option("--jobs", "-j", help="Processes at once; -1: one a core.")] = -1,
+    backend: Annotated[str, typer.Option(help="loky: processes here; dask: the workers of a cluster.")] = "loky",
+    address: Annotated[str | None, typer.Option(help="Of the Dask scheduler, tcp://HOST:PORT.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Directory; unfinished results there are gone on with.")] = None,
+    only: Annotated[list[str] | None, typer.Option(help="Cases with this in scenario or controller.")] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")] = False,
+    as_json: Machine = False,
+) -> None:
+    """Run suites; what has finished is kept at once, and the same command goes on after a stop."""
+    _require_extra("joblib", "pandas", "pyarrow", *(["distributed"] if backend == "dask" else []))
+    from benchmarks.run.runner import WorkersDiedError
+    from benchmarks.run.runner import run as carry_out
+    from benchmarks.suites import suite
+
+    chosen = [suite(name) for name in suites]
+    place = out or Path("runs") / "benchmarks" / "+".join(suites)
+    try:
+        results = carry_out(
+            chosen, place, seeds=seeds, only=only or (), workers=workers, backend=backend, address=address, quiet=quiet
+        )
+    except KeyboardInterrupt:
+        print(f"stopped; finished cases are in {place}, and the same command goes on", file=sys.stderr)
+        raise SystemExit(130) from None
+    except WorkersDiedError as error:
+        raise ValueError(str(error)) from error
+    console = _console()
+    _leaderboard(results)
+    done = [case for case in results.cases if case.status == "done"]
+    errors = [case for case in results.cases if case.status == "error"]
+    for case in errors[:10]:
+        console.print(f"error in {case.id}: {case.error}", markup=False, soft_wrap=True)
+    absent = {case.controller: case.error for case in results.cases if case.status == "not installed"}
+    for name, why in absent.items():
+        console.print(f"{name}: {why}", markup=False, soft_wrap=True)
+    console.print(f"{len(done)} cases in {place}; python -m benchmarks report {place}", soft_wrap=True, markup=False)
+    if as_json:
+        cpu = sum(case.cpu_seconds for case in results.cases if math.isfinite(case.cpu_seconds))
+        print(
+            json.dumps(
+                {
+                    "out": str(place),
+                    "done": len(done),
+                    "errors": len(errors),
+                    "absent": sorted(absent),
+                    "cpu_seconds": cpu,
+                }
+            )
+        )
+    if errors:
+        raise SystemExit(1)
+
+
+@app.command()
+def report(
+    place: Place,
+    out: Annotated[Path | None, typer.Option(help="File to write; default: report.html in the results.")] = None,
+) -> None:
+    """Write the results as one self-contained HTML page."""
+    _require_extra("jinja2", "markdown_it")
+    from benchmarks.report.page import write_report
+    from benchmarks.run.results import load_results
+
+    _console().print(f"written: {write_report(load_results(place), out or place / 'report.html')}", soft_wrap=True)
+
+
+@app.command()
+def verdict(place: Place, of: Annotated[str | None, typer.Option("--suite", help="Of one suite only.")] = None) -> None:
+    """Say where learned beats analytic, where it does not, and by how much."""
+    from benchmarks.report.verdict import verdict as text
+    from benchmarks.run.results import load_results
+
+    print(text(load_results(place), suite=of))
+
+
+@app.command()
+def compare(
+    a: Place,
+    b: Place,
+    rel: Annotated[float, typer.Option(min=0.0, help="Relative difference that is none.")] = 1e-9,
+    absolute: Annotated[float, typer.Option("--abs", min=0.0, help="Difference that is none, in the unit.")] = 1e-12,
+    most: Annotated[int, typer.Option(min=1, help="Rows to show.")] = 30,
+    strict: Annotated[bool, typer.Option(help="Exit with 1 if anything differs.")] = False,
+    as_json: Machine = False,
+) -> None:
+    """Compare two results case by case and say what changed; computing times are left out."""
+    from benchmarks.run.compare import compare as compared
+    from benchmarks.run.results import load_results
+
+    console = _console()
+    found = compared(load_results(a), load_results(b), rel=rel, absolute=absolute)
+    for key, (one, two) in found.provenance.items():
+        console.print(f"{key}: {one} -> {two}", markup=False, soft_wrap=True, highlight=False)
+    for label, names in (("only in A", found.only_a), ("only in B", found.only_b)):
+        if names:
+            console.print(f"{label}: {len(names)} cases: {', '.join(names[:5])}", markup=False, soft_wrap=True)
+    for name, one, two in found.status[:most]:
+        console.print(f"{name}: {one} -> {two}", markup=False, soft_wrap=True)
+    if found.changes:
+        console.print(_changes(found.changes[:most], f"{len(found.changes)} of {found.compared} numbers differ"))
+    else:
+        console.print(f"all {found.compared} numbers of the common cases are the same")
+    if as_json:
+        print(
+            json.dumps(
+                {
+                    "same": found.same,
+                    "compared": found.compared,
+                    "changed": len(found.changes),
+                    "only_a": len(found.only_a),
+                    "only_b": len(found.only_b),
+                }
+            )
+        )
+    if strict and not found.same:
+        raise SystemExit(1)
+
+
+@app.command()
+def golden(
+    update: Annotated[bool, typer.Option(help="Make the new numbers the golden ones.")] = False,
+    as_json: Machine = False,
+) -> None:
+    """Run the golden suite and print what differs from the numbers that the tests hold."""
+    _require_extra("joblib", "pandas", "pyarrow")
+    from benchmarks.run import golden as kept
+
+    console, place = _console(), kept.file()
+    try:
+        old, tolerances = kept.kept(place)
+    except ValueError:
+        if not update:
+            raise
+        old, tolerances = {}, kept.TOLERANCES
+    new = kept.numbers(kept.measured())
+    found = kept.difference(new, old, tolerances)
+    if found:
+        console.print(_changes(found, f"{len(found)} numbers differ from the golden ones"))
+    else:
+        console.print(f"all {sum(map(len, old.values()))} golden numbers hold")
+    if update:
+        kept.update(new, place)
+        console.print(f"written: {place}", soft_wrap=True)
+    if as_json:
+        print(json.dumps({"changed": [asdict(change) for change in found], "updated": update}).replace("NaN", "null"))
+    if found and not update:
+        raise SystemExit(1)
+
+
+@app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []})
+def study(
+    ctx: typer.Context,
+    name: Annotated[str, typer.Argument(help="Study to carry out: see --list.")] = "",
+    names: Annotated[bool, typer.Option("--list", help="Say what each study measures.")] = False,
+) -> None:
+    """Carry out a single measurement: study NAME [--quick] [--json] [its options]; study NAME --help lists them."""
+    from benchmarks import studies
+
+    if names:
+        width = max(map(len, studies.NAMES))
+        for one in studies.NAMES:
+            print(f"{one:{width}s}  {studies.about(one)}")
+    elif name in ("", "--help"):
+        print(ctx.get_help())
+    else:
+        studies.carry_out(name, ctx.args)
+
+
+def _leaderboard(results: Results) -> None:
+    """Means over the drives that each controller held, suite by suite."""
+    from rich.markup import escape
+    from rich.table import Table
+
+    heads = (
+        "controller",
+        "held",
+        "RMS e [m]",
+        "max e [m]",
+        "RMS wheel rate [deg/s]",
+        "max a_y [m/s²]",
+        "max jerk [m/s³]",
+    )
+    for name in dict.fromkeys(case.suite for case in results.cases if case.kind == "drive"):
+        table = Table(*map(escape, heads), title=f"{name}: means over the drives held")
+        drives = [c for c in results.cases if c.suite == name and c.status == "done"]
+        for controller in dict.fromkeys(case.controller for case in drives):
+            mine = [case for case in drives if case.controller == controller]
+            held = [case for case in mine if case.metrics.get("held")]
+            metrics = ("rms_e", "max_e", "rms_wheel_rate_deg", "max_a_y", "max_jerk")
+            cells = [_mean([case.metrics[metric] for case in held]) for metric in metrics]
+            table.add_row(controller, f"{len(held)} of {len(mine)}", *cells)
+        _console().print(table)
+
+
+def _mean(values: list[float]) -> str:
+    return f"{sum(values) / len(values):.3g}" if values else "-"
+
+
+def _changes(changes: Any, title: str) -> Table:
+    from rich.table import Table
+
+    table = Table("case", "metric", "before", "after", "change", title=title)
+    for change in changes:
+        part = f"{change.relative:.1e}" if math.isfinite(change.relative) else "-"
+        table.add_row(change.case, change.metric, f"{change.before:.9g}", f"{change.after:.9g}", part)
+    return table
+
+
+def main() -> None:
+    """Run the command line; a mistake of the user's is one line on stderr and exit code 2."""
+    try:
+        app()
+    except (ValueError, KeyError, OSError) as error:
+        print(f"benchmarks: {error.args[0] if isinstance(error, KeyError) else error}", file=sys.stderr)
+        raise SystemExit(2) from None

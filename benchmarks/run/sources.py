@@ -1,0 +1,56 @@
+"""What numbers depend on: a hash of the sources and the versions of packages. It imports neither of them.
+
+Machines of a cluster compare themselves by it: it loads fast, and says the same of a checkout and an installed wheel.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from functools import lru_cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+PACKAGES = (
+    "numpy",
+    "scipy",
+    "torch",
+    "casadi",
+    "control",
+    "commonroad-vehicle-models",
+    "do-mpc",
+    "stable-baselines3",
+    "d3rlpy",
+)
+"""Packages whose version may change the numbers."""
+_NO_NUMBERS = ("__main__.py", "app.py", "rounds.py", "report/", "studies/", "run/compare.py", "run/golden.py")
+"""Files and folders of benchmarks that only read the results of suites, or have no part in them."""
+
+
+@lru_cache
+def source(root: Path = ROOT) -> str:
+    """A hash of every source file below `root`, where both packages are, that the suites' numbers may depend on."""
+    whole = hashlib.sha256()
+    for name, file in sorted(_files(root).items()):
+        whole.update(name.encode() + b"\0" + file.read_bytes())
+    return whole.hexdigest()[:16]
+
+
+def _files(root: Path) -> dict[str, Path]:
+    found = [*root.glob("steerkit/**/*"), *root.glob("benchmarks/**/*")]
+    named = {file.relative_to(root).as_posix(): file for file in found if file.suffix in (".py", ".c", ".csv")}
+    without = tuple(f"benchmarks/{name}" for name in _NO_NUMBERS)
+    return {name: file for name, file in named.items() if not name.startswith(without)}
+
+
+@lru_cache
+def versions() -> dict[str, str]:
+    """Versions of Python, steerkit and the packages that numbers may depend on; those not installed are left out."""
+    found = {"python": platform.python_version()}
+    for name in ("steerkit-control", *PACKAGES):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found

@@ -1,0 +1,117 @@
+"""The benchmarks' command line."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from benchmarks import app as benchmarks_app
+from benchmarks.app import app, main
+from benchmarks.run import golden
+from benchmarks.run.results import Results
+from benchmarks.suites import SUITES
+from tests.support.places import ROOT
+from tests.support.tiny_suite import TINY
+
+
+def test_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reference: Results) -> None:
+    monkeypatch.setitem(SUITES, "golden", TINY)
+    monkeypatch.chdir(tmp_path)
+    say = CliRunner().invoke
+    listed = say(app, ["list", "--scenarios"]).output
+    assert "robustness" in listed
+    assert "nonlinear-mpc" in listed
+    ran = say(app, ["run", "golden", "--jobs", "1", "--quiet", "--json", "--only", "textbook"])
+    assert ran.exit_code == 0, ran.output
+    told = json.loads(ran.output.splitlines()[-1])
+    assert (told["out"], told["done"], told["errors"]) == ("runs/benchmarks/golden", 3, 0)
+    compared = say(app, ["compare", str(reference.place), "runs/benchmarks/golden", "--json", "--strict"])
+    assert compared.exit_code == 1
+    assert json.loads(compared.output.splitlines()[-1]) == {
+        "same": False,
+        "compared": 72,
+        "changed": 0,
+        "only_a": 3,
+        "only_b": 0,
+    }
+    assert "Nothing to compare" in say(app, ["verdict", str(reference.place)]).output
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["run", "papr"], "did you mean 'paper'"),
+        (["report", "nowhere"], "there are no such results"),
+        (["compare", "a", "b"], "there are no such results"),
+        (["run", "golden", "--only", "xyz"], "--only xyz: no scenario or controller"),
+    ],
+)
+def test_mistakes_are_one_line(words, message, tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["benchmarks", *words])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code == 2
+    told = capsys.readouterr().err.strip()
+    assert message in told
+    assert "\n" not in told
+
+
+def test_the_same_commands_under_steerkit_bench() -> None:
+    from steerkit.cli import app as cli
+
+    listed = CliRunner().invoke(cli.app, ["bench", "list"])
+    assert listed.exit_code == 0
+    assert "learning-curve" in listed.output
+    mine, theirs = (typer.main.get_command(one).commands for one in (app, cli.app))  # type: ignore[attr-defined]
+    assert mine.keys() == theirs["bench"].commands.keys()
+    assert {"run", "report", "verdict", "compare", "golden", "study", "list"} <= mine.keys()
+
+
+@pytest.mark.parametrize(
+    ("words", "missing", "said"),
+    [
+        (["run", "golden"], {"joblib", "pandas"}, "joblib, pandas are not installed"),
+        (["golden"], {"pyarrow"}, "pyarrow is not installed"),
+        (["report", "x"], {"markdown_it"}, "markdown-it-py is not installed"),
+        (
+            ["run", "golden", "--backend", "dask", "--address", "tcp://x:1"],
+            {"distributed"},
+            "distributed is not installed",
+        ),
+    ],
+)
+def test_without_the_extra_it_says_what_to_install(words, missing, said, tmp_path, monkeypatch, capsys) -> None:
+    there = importlib.util.find_spec
+    monkeypatch.setattr("benchmarks.app.find_spec", lambda name: None if name in missing else there(name))
+    monkeypatch.setattr(sys, "argv", ["benchmarks", *words])
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code == 2
+    assert capsys.readouterr().err == f"benchmarks: {said}: pip install 'steerkit-control[bench]'\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_extra_is_what_the_commands_look_for() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extra = {line.split(">")[0] for line in project["optional-dependencies"]["bench"]}
+    assert extra == set(benchmarks_app._EXTRA.values())
+
+
+def test_golden_numbers_are_looked_for_in_the_checkout_one_stands_in(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(golden, "__file__", str(tmp_path / "site" / "benchmarks" / "run" / "golden.py"))
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ValueError, match=r"kept in a checkout, as tests/golden/benchmarks\.json; here is none"):
+        golden.file()
+    (tmp_path / "tests" / "golden").mkdir(parents=True)
+    assert golden.file() == tmp_path / "tests" / "golden" / "benchmarks.json"
+    with pytest.raises(ValueError, match=r"benchmarks\.json is missing; `python -m benchmarks golden --update`"):
+        golden.kept(golden.file())
