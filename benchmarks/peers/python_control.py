@@ -130,6 +130,7 @@ def one_function(loop: Loop, start: LoopState) -> Made:
     import control
 
     ends = np.cumsum([0, *[len(x) for x in start.x]]).tolist()
+    east = ends[list(loop.blocks).index("car")]  # the first of the car's states
 
     def tick(t: float, x: Any) -> tuple[list[Any], list[Any]]:
         numbers, y = x.tolist(), list(start.y)
@@ -141,7 +142,7 @@ def one_function(loop: Loop, start: LoopState) -> Made:
         return [v for state in tick(t, x)[0] for v in state]
 
     def output(t: float, x: Any, u: Any, params: Any) -> Any:
-        return x[:1]
+        return x[east : east + 1]
 
     whole = control.nlsys(update, output, inputs=0, outputs=["x"], states=ends[-1], dt=loop.dt)
     return whole, [v for x in start.x for v in x]

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.controllers.stanley import Stanley
+from steerkit.learning import trials
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.nfq.iterate import FitSetting
 from steerkit.learning.settings import BANG_BANG, DEFAULT
-from steerkit.learning.trials import drive_many
+from steerkit.learning.trials import TrialDrive, drive_each, drive_many
 from steerkit.metrics import of_log
 from steerkit.scenario import drive as evaluate
 from steerkit.scenario.world import World
@@ -53,3 +55,33 @@ def test_policies_that_differ_in_more_than_weights_are_refused() -> None:
     with pytest.raises(ValueError, match="different layouts or actions"):
         drive_many(WORLD, SETTING, [policy(0), policy(0, BANG_BANG.actions)])
     assert drive_many(WORLD, SETTING, []) == []
+
+
+def test_nets_of_different_layouts_are_judged_in_their_order() -> None:
+    three = replace(SETTING, fit=FitSetting(nets=3, hidden=(5,)))
+    more = NfqPolicy(
+        nets=nfq.fresh_nets(three.fit, SETTING.description(), seed=9),
+        actions=SETTING.actions,
+        description=SETTING.description(),
+    )
+    policies = [policy(1), more, policy(2)]
+    alone = [drive_many(WORLD, SETTING, [one], seed=3)[0] for one in policies]
+    assert drive_each(WORLD, SETTING, policies, seed=3) == alone
+    assert len({one.rounds for one in alone}) > 1
+    assert drive_each(WORLD, SETTING, []) == []
+
+
+def test_what_is_no_net_drives_by_itself_to_the_same_result() -> None:
+    one = policy(4)
+    (net,) = drive_each(WORLD, SETTING, [one], seed=3)
+    alone = trials._drive_one(WORLD, SETTING, one, 3)
+    assert (alone.held, alone.good) == (net.held, net.good)
+    assert alone.rounds == pytest.approx(net.rounds, abs=0.01)
+
+
+def test_good_is_held_and_within_all_bounds() -> None:
+    summary = of_log(evaluate.drive(World(course="circle"), Stanley.of(World().vehicle), rounds=1.0))
+    assert TrialDrive(rounds=1.0, held=True, summary=summary).good
+    assert not TrialDrive(rounds=1.0, held=False, summary=summary).good
+    assert not TrialDrive(rounds=1.0, held=True, summary=None).good
+    assert not TrialDrive(rounds=1.0, held=True, summary=replace(summary, rms_e=0.11)).good

@@ -1,0 +1,31 @@
+"""A whole learning run: every net that took the wheel, and what had happened by then."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+from steerkit.learning.rival import ModelBasedRun
+from steerkit.learning.training_run import train
+from tests.support.short_run import SHORT
+
+
+def test_every_net_that_took_the_wheel_is_kept_in_its_order() -> None:
+    trained = train(replace(SHORT, minutes=0.4))
+    nets, run = trained.nets, trained.run
+    assert run.t >= 0.4 * 60.0
+    assert len(nets) >= 2
+    assert nets[-1].policy is run.policy
+    for earlier, later in pairwise(nets):
+        assert earlier.t < later.t
+        assert earlier.transitions <= later.transitions
+        assert earlier.failures <= later.failures
+    assert len({id(net.policy) for net in nets}) == len(nets)
+    assert nets[-1].transitions <= len(run.transitions)
+    assert 0.0 < trained.longest_training <= run.counts.train_seconds <= trained.computing
+
+
+def test_the_rival_learns_in_the_same_way() -> None:
+    trained = train(replace(SHORT, minutes=0.3), model_based=True)
+    assert isinstance(trained.run, ModelBasedRun)
+    assert len(trained.nets) >= 1
