@@ -43,6 +43,30 @@ def test_at_a_crossing_the_heading_decides(s):
     assert state.s == pytest.approx(s, abs=0.01)
 
 
+@pytest.mark.parametrize("along", [-0.6, -0.2, 0.0, 0.3, 0.7])
+@pytest.mark.parametrize("e", [-0.5, 0.0, 0.5])
+@pytest.mark.parametrize("s", [2.622 * 60.0 / 4.0, 2.622 * 60.0 * 3.0 / 4.0])
+def test_about_a_crossing_the_strand_that_the_car_follows_is_found_even_if_the_other_is_nearer(s, e, along):
+    path = courses.figure_eight(60.0)
+    tracker = PathTracker(path=path)
+    u = inputs(tracker, pose_beside(path, s + along, e, 0.0))
+    y = tracker.output(0.0, tracker.settle(0.0, tracker.init(), u), u)
+    assert (y.s, y.e, y.psi_e) == pytest.approx((s + along, e, 0.0), abs=0.01)
+
+
+@pytest.mark.parametrize("e", [-4.0, 0.0, 8.0])
+def test_beside_a_bend_the_next_place_is_foreseen_by_the_angle_about_its_centre(e):
+    """On a circle of 20 m a car e inside drives v dt/(20 - e) of an angle, and so 20 times that along the path."""
+    path = courses.circle(20.0)
+    tracker = PathTracker(path=path, dt=0.05)
+    x, y, psi = pose_beside(path, 30.0, e, 0.0)
+    u = tracker.U(float(x), float(y), float(psi), 6.0, 0.0, 6.0 / (20.0 - e))
+    state = tracker.settle(0.0, tracker.init(), tracker.D(*u))
+    after = tracker.update(0.0, state, u, tracker.output(0.0, state, tracker.D(*u)))
+    assert after.s - 30.0 == pytest.approx(20.0 * 6.0 * 0.05 / (20.0 - e), rel=1e-3)
+    assert after.progress == pytest.approx(after.s - 30.0, abs=1e-6)
+
+
 def test_floats_stay_floats():
     tracker = PathTracker(path=PAPER, preview_points=2)
     u = inputs(tracker, (1.0, 0.2, 0.1))

@@ -58,6 +58,25 @@ def test_the_wheel_answers_as_the_actuator_does(delay: float, lag: float, first:
     assert wheel == pytest.approx(1.0 + (first - 1.0) * math.exp(-(delay + lag) / lag), abs=1e-9)
 
 
+@pytest.mark.parametrize("wrong", [0.2, -0.1])
+def test_what_the_model_has_wrong_of_the_yaw_rate_it_has_wrong_all_the_way(wrong: float) -> None:
+    """Wheel straight and held, the model at rest, the car turning: it goes on turning, and psi_e grows by r T."""
+    block, time = around(0.2, 0.1), 0.3
+    found = block.predict(0.0, (0.0,) * 4, block.D(**AT_REST | {"r": wrong, "preview": (0.0,) * block.preview_points}))
+    assert found["r"] == pytest.approx(wrong)
+    assert found["psi_e"] == pytest.approx(wrong * time)
+
+
+@pytest.mark.parametrize("share", [0.8, 1.25])
+def test_a_steady_bend_of_a_car_with_another_ratio_stays_one(share: float) -> None:
+    """The model thinks the wheel turns the car at r; the car turns at `share` times that, and will go on to."""
+    block, v, wheel = around(0.2, 0.1), 6.0, 1.5
+    steady, _ = block._yaw(v)
+    r_model = steady * math.tan(wheel / block.steer_ratio)
+    u = AT_REST | {"r": share * r_model, "delta_sw_meas": wheel, "preview": (0.0,) * block.preview_points}
+    assert block.predict(r_model, (wheel,) * 4, block.D(**u))["r"] == pytest.approx(share * r_model)
+
+
 def test_straight_driving_off_the_path_is_a_triangle() -> None:
     found = ahead(around(0.2, 0.1), (0.0,) * 4, e=0.5, psi_e=0.1)
     assert found["e"] == pytest.approx(0.5 + 6.0 * 0.3 * math.sin(0.1))

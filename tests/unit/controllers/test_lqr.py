@@ -87,6 +87,28 @@ def test_delay_states_are_a_prediction(v: float) -> None:
     np.testing.assert_allclose(b[:5], command)
 
 
+@pytest.mark.parametrize("delay", [0.0, 0.12, 0.2])
+def test_the_block_closes_the_loop_of_its_own_model(delay: float) -> None:
+    """For small errors on a straight: x+ = (A - B K) x, commands on their way and all."""
+    v, made = 6.0, design(delay=delay)
+    lqr = Lqr.of(PASSAT, MATRICES, delay=delay, v_step=1.0, preview_points=2)
+    a, b, _ = made.model(v)
+    k, _ = made.gains(v, 2)
+    x = np.zeros(len(b))
+    x[:4] = 1e-4, -2e-4, 1e-4, 3e-4
+    state = lqr.init()
+    for _ in range(40):
+        e, theta, beta, r, delta = x[:5].tolist()
+        e_dot = v * (theta + beta) + made.reference * r
+        u = lqr.U(e, e_dot, (0.0, 0.0), v, beta, r, delta * PASSAT.steer_ratio)
+        y = lqr.output(0.0, state, lqr.D(*u))
+        before, x = x[-1], (a - np.outer(b, k)) @ x
+        assert y.delta_sw / PASSAT.steer_ratio == pytest.approx(x[-1], abs=1e-9)
+        assert before == pytest.approx(state[-1] / PASSAT.steer_ratio, abs=1e-9)
+        state = lqr.update(0.0, state, u, y)
+    np.testing.assert_allclose(np.array(state) / PASSAT.steer_ratio, x[5:], atol=1e-9)
+
+
 @pytest.mark.parametrize("v", [2.0, 6.0, 12.0])
 def test_it_is_stable_and_its_curvature_gains_hold_a_steady_bend(v: float) -> None:
     made = design(delay=0.2)

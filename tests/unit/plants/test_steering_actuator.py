@@ -1,14 +1,17 @@
 """The steering actuator: lag, delay, rate limit and stops are exact."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from steerkit.plants.steering_actuator import SteeringActuator
+from steerkit.plants.steering_actuator import SteeringActuator, steering_of
 from steerkit.units import radians_of
+from steerkit.vehicles import VW_PASSAT
+from steerkit.vehicles.file import vehicle_text
 from tests.support.stepped import run
 
 
@@ -80,3 +83,29 @@ def test_batch_of_different_actuators():
 def test_teaching_errors_of_actuator(change, message):
     with pytest.raises(ValueError, match=f"SteeringActuator: {message}"):
         SteeringActuator(**change)
+
+
+@pytest.mark.parametrize("offset", [-0.3, 0.0, 0.3])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_the_stop_is_where_it_is_whatever_the_motor_thinks(side: float, offset: float) -> None:
+    motor = SteeringActuator(offset=offset, gain=1.2)
+    x = motor.init()
+    for k in range(300):
+        x = motor.update(0.01 * k, x, motor.U(99.0 * side), ())
+    assert motor.output(0.0, x, ()).delta_sw == pytest.approx(radians_of(520.0) * side, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("delay", "lag", "samples", "rest"),
+    [(0.037, 0.08, 2, 0.087), (0.06, 0.1, 5, 0.1), (0.0, 0.1, 0, 0.09), (0.004, 0.1, 0, 0.094), (0.0, 0.005, 0, 0.0)],
+)
+def test_a_files_delay_and_lag_keep_their_sum_less_a_sample(
+    delay: float, lag: float, samples: int, rest: float, tmp_path: Path
+) -> None:
+    """Holding the angle for dt delays by dt/2, in the motor and in the car: 10 ms less for the motor."""
+    file = tmp_path / "car.toml"
+    file.write_text(f"{vehicle_text(VW_PASSAT)}\n[steering]\ndelay = {delay}\nlag = {lag}\noffset = 0.02\n")
+    motor = steering_of(file)
+    assert motor.delay == pytest.approx(0.01 * samples)
+    assert motor.lag == pytest.approx(rest)
+    assert motor.offset == 0.02

@@ -362,6 +362,38 @@ def test_the_check_sees_every_kind_of_wrong_answer() -> None:
     assert residual("lam_x", slack, 1.0) > 0.5
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("kind", ["x", "a"])
+def test_the_check_is_the_same_to_both_sides(kind: str, side: float) -> None:
+    """A programme at rest at z = 0, all bounds 1 away: each condition is broken alone, upwards or downwards."""
+    block = controller()
+    block._warm_up()
+    qp = block.qp
+    for name in ("h", "g", "a"):
+        qp.data[name][:] = 0.0
+    for name in ("lba", "lbx"):
+        qp.data[name][:] = -1.0
+        qp.data[name.replace("lb", "ub")][:] = 1.0
+
+    def residual(**entries: float) -> float:
+        for array in qp._out.values():
+            array[:] = 0.0
+        qp.data["g"][0] = entries.pop("g", 0.0)
+        for name, value in entries.items():
+            qp._out[name][0] = value
+        qp._check()
+        return float(qp._out["residual"][0])
+
+    assert residual() == 0.0
+    assert residual(x=1.5 * side) == pytest.approx(0.5)  # beyond a bound
+    assert residual(g=0.3 * side) == pytest.approx(0.3)  # not stationary
+    if kind == "x":  # a multiplier pulls although its bound is far: stationary, but not complementary
+        assert residual(g=-0.3 * side, lam_x=0.3 * side) == pytest.approx(0.3)
+        assert residual(g=-0.3 * side, lam_x=0.3 * side, x=side) == pytest.approx(0.0, abs=1e-12)  # it is met
+    else:
+        assert residual(lam_a=0.2 * side) == pytest.approx(0.2)
+
+
 def test_limits_are_soft_in_e_and_a_y_and_hard_in_rate_and_angle() -> None:
     block = controller(horizon=20, soft_every=1)
     driven(block, [inputs(block, e=1.2, v=9.0)])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import math
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,10 @@ import pytest
 
 from steerkit.courses import course
 from steerkit.plants.real_car import recording as tapes
-from steerkit.plants.real_car.decisions.core import Core, Frame, Link, Tick
+from steerkit.plants.real_car.decisions.core import Core, Frame, Link, Note, Packet, Tick
+from steerkit.plants.real_car.decisions.modes import Mode, Order
 from tests.support.car_messages import config
+from tests.support.car_world import World, setup
 
 
 def written(folder: Path) -> bytes:
@@ -94,3 +97,54 @@ def test_a_recording_that_cannot_be_mended_stays_as_it_is(tmp_path: Path, monkey
         tapes.mend(file)
     assert file.read_bytes() == before
     assert [f.name for f in tmp_path.iterdir()] == ["tape.mcap"]
+
+
+def test_every_event_comes_back_as_it_was(tmp_path: Path) -> None:
+    events = [
+        Link(0.1, 3, True),
+        Packet(0.2, 3, b"Q\x00\xff"),
+        Frame(0.31, 0.3, 0x65, bytes(range(8))),  # looked at later than it arrived
+        Tick(1 / 3),
+        Link(0.4, 3, False),
+    ]
+    tape = tapes.Recording(tmp_path / "t.mcap", {"a": "b"})
+    for event in events:
+        tape.event(event, [])
+    tape.close()
+    assert list(tapes.read(tmp_path / "t.mcap").events()) == events
+
+
+def test_numbers_that_json_does_not_know_are_texts(tmp_path: Path) -> None:
+    tape = tapes.Recording(tmp_path / "t.mcap", {"a": "b"})
+    odd = {"t": 1.0, "request": math.inf, "sent": -math.inf, "why": ""}
+    tape.event(Tick(1.0), [Note("command", odd), Note("command", odd | {"request": math.nan})])
+    tape.close()
+    text = (tmp_path / "t.mcap").read_bytes()
+    assert b"Infinity" not in text
+    assert b":NaN" not in text
+    first, second = tapes.read(tmp_path / "t.mcap").of("/command")
+    assert (first["request"], first["sent"]) == (math.inf, -math.inf)
+    assert math.isnan(second["request"])
+
+
+def test_a_replay_that_sends_other_frames_or_more_or_fewer_is_not_exact(tmp_path: Path) -> None:
+    world = World(tape=tapes.Recording(tmp_path / "t.mcap", {"a": "b"}))
+    world.bring_to(Mode.ENGAGED)
+    world.order(Order.DISENGAGE)
+    world.until(world.t + 0.3)
+    assert world.tape is not None
+    world.tape.close()
+    recorded = tapes.read(tmp_path / "t.mcap")
+    frames, same = tapes.replayed_exactly(recorded, Core(*setup()))
+    assert frames == same == len(world.sent)
+
+    def without(topic: str, number: int) -> tapes.Recorded:
+        places = [k for k, message in enumerate(recorded.messages) if message.topic == topic]
+        return recorded._replace(messages=[m for k, m in enumerate(recorded.messages) if k != places[number]])
+
+    for cut in (without("/can/tx", -1), without("/can/tx", 0)):  # the replay sends one more than was recorded
+        before, agreeing = tapes.replayed_exactly(cut, Core(*setup()))
+        assert before == frames - 1
+        assert agreeing < before
+    silent = replace(world.config, listen_only=True)
+    assert tapes.replayed_exactly(recorded, Core(silent, world.path)) == (frames, 0)

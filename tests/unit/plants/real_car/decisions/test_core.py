@@ -5,14 +5,17 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from steerkit.courses import course
 from steerkit.plants.real_car.decisions.core import Core, Frame, Link, Packet, Reply, Send, Tick
-from steerkit.plants.real_car.decisions.modes import Machine, Mode
-from steerkit.plants.real_car.processes.protocol import Hello, Refused, Snapshot, decode, encode
+from steerkit.plants.real_car.decisions.modes import Machine, Mode, Order
+from steerkit.plants.real_car.processes.protocol import Command, Hello, Refused, Request, Snapshot, decode, encode
+from steerkit.plants.real_car.simulated import Fault
 from tests.support.car_messages import config, messages
+from tests.support.car_world import World
 
 ids = st.sampled_from([0x64, 0x65, 0x120, 0x121, 0x122, 0x130, 0x7FF])
 
@@ -65,3 +68,148 @@ def test_time_never_goes_back() -> None:
     core.handle(Tick(10.0))
     core.handle(Tick(9.0))
     assert core.t == 10.0
+
+
+def wheel_rate(world: World) -> float:
+    """The largest step of the wheel that one shortest pause allows [rad], and one quantum."""
+    return world.config.gate.rate_max * world.config.gate.dt_min + world.config.gate.quantum
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("again", [False, True])
+def test_the_gate_starts_from_the_wheel_as_it_is_and_a_pause_earns_nothing(side: float, again: bool) -> None:
+    world = World()
+    world.bring_to(Mode.ENGAGED if again else Mode.READY)
+    if again:
+        world.order(Order.DISENGAGE)
+        world.until(world.t + 0.5)
+    assert world.mode is Mode.READY
+    world.tampered = lambda basis, delta_sw: (basis, world.core.senses.values["delta_sw"] + 0.3 * side)
+    world.until(world.t + 0.06)
+    sent, measured = len(world.sent), world.core.senses.values["delta_sw"]
+    world.order(Order.ENGAGE)
+    world.until(world.t + 0.03)
+    assert world.mode is Mode.ENGAGED
+    first = world.sent[sent].delta_sw
+    assert (first - measured) * side + world.config.gate.quantum > 0.0
+    assert abs(first - measured) <= wheel_rate(world)
+
+
+@pytest.mark.parametrize("target", ["pose", "report"])
+def test_the_gate_reckons_with_the_faster_of_two_speeds(target: str) -> None:
+    """Curvature may change by 5/v^2 a second [1/(m s)]; one of the speeds says 5.9 m/s, the other 5 m/s."""
+    world = World(v=(5.0, 5.0), s=20.0)
+    world.car.faults.append(Fault(kind="speed", target=target, start=0.0, amount=0.9))
+    world.bring_to(Mode.ENGAGED)
+    gate = world.config.gate
+    world.tampered = lambda basis, delta_sw: (basis, 8.0)
+    sent, began = len(world.sent), world.t
+    world.until(began + 0.3)
+    assert world.mode is Mode.ENGAGED
+    kappa = [math.tan(s.delta_sw / gate.steer_ratio) / gate.wheelbase for s in world.sent[sent - 1 :]]
+    took = world.sent[-1].t - world.sent[sent - 1].t
+    fastest = gate.jerk_max / 5.9**2 * took
+    assert 0.7 * fastest < kappa[-1] - kappa[0] <= 1.01 * fastest
+
+
+def test_five_neutral_frames_follow_and_then_silence() -> None:
+    world = World()
+    world.bring_to(Mode.ENGAGED)
+    world.order(Order.DISENGAGE)
+    ended = world.t
+    world.until(ended + 2.0)
+    tail = [s for s in world.sent if not s.enable]
+    assert len(tail) == 5
+    assert [s.t - tail[0].t for s in tail] == pytest.approx([0.0, 0.02, 0.04, 0.06, 0.08], abs=1e-6)
+    assert tail[0].t <= ended + world.config.gate.dt_min + 1e-6
+    assert {s.delta_sw for s in tail} == {[s for s in world.sent if s.enable][-1].delta_sw}
+
+
+def test_the_kit_is_told_to_clear_its_faults_once() -> None:
+    world = World()
+    world.car.timeout = True
+    world.order(Order.ARM)
+    world.until(0.3)
+    world.order(Order.ACKNOWLEDGE)
+    world.until(0.6)
+    world.order(Order.ENGAGE)
+    world.until(1.0)
+    assert world.mode is Mode.ENGAGED
+    frames = [out.data for _, outputs in world.events for out in outputs if isinstance(out, Send)]
+    clears = [world.config.writer.read(data)[2] for data in frames]
+    assert len(clears) > 10
+    assert clears == [True] + [False] * (len(clears) - 1)
+
+
+def linked() -> Core:
+    core = Core(config(), course("paper"))
+    core.handle(Link(5.0, 1, True))
+    core.handle(Packet(5.0, 1, encode(Hello(True))))
+    return core
+
+
+def refusals(core: Core, t: float, link: int, message: Any) -> list[str]:
+    answers = [decode(out.data) for out in core.handle(Packet(t, link, encode(message))) if isinstance(out, Reply)]
+    return [answer.why for answer in answers if isinstance(answer, Refused)]
+
+
+@pytest.mark.parametrize("basis", [math.nan, math.inf, 5.2])
+def test_a_request_is_based_on_the_past(basis: float) -> None:
+    core = linked()
+    assert "future" in refusals(core, 5.1, 1, Request(basis, 0.0, 0))[0]
+    assert core.facts(5.1).request_age == math.inf
+    assert refusals(core, 5.1, 1, Request(5.1, 0.0, 0)) == []
+
+
+def test_missed_deadlines_count_from_the_first_request_and_each() -> None:
+    core = linked()
+    core.handle(Packet(5.1, 1, encode(Request(5.1, 0.0, 70))))
+    assert core.facts(5.1).misses == 0
+    core.handle(Packet(5.2, 1, encode(Request(5.2, 0.0, 72))))
+    core.handle(Packet(5.3, 1, encode(Request(5.3, 0.0, 75))))
+    assert core.facts(5.3).misses == 5
+    assert core.facts(6.25).misses == 3
+    assert core.facts(6.35).misses == 0
+
+
+def test_the_request_goes_with_its_controller_and_there_is_one() -> None:
+    core = linked()
+    core.handle(Packet(5.1, 1, encode(Request(5.1, 0.25, 0))))
+    core.handle(Link(5.1, 2, True))
+    assert "a controller already" in refusals(core, 5.1, 2, Hello(True))[0]
+    assert "only the controller" in refusals(core, 5.1, 2, Request(5.1, 1.0, 0))[0]
+    assert core.facts(5.1).request == 0.25
+    core.handle(Link(5.1, 2, False))
+    assert core.facts(5.1).request == 0.25
+    core.handle(Link(5.1, 1, False))
+    facts = core.facts(5.1)
+    assert (facts.connected, facts.request_age) == (False, math.inf)
+    core.handle(Link(5.2, 3, True))
+    assert refusals(core, 5.2, 3, Hello(True)) == []
+
+
+def test_errors_count_for_a_second() -> None:
+    core = linked()
+    core.senses.error(6.0, "one")
+    core.senses.error(6.5, "two")
+    assert [core.facts(t).integrity_errors for t in (6.5, 6.99, 7.01, 7.49, 7.51)] == [2, 2, 1, 1, 0]
+
+
+def test_arming_takes_the_next_time_stamp_for_an_undelayed_one() -> None:
+    core = linked()
+    core.senses.delay = 0.05
+    core.handle(Packet(5.1, 1, encode(Command(Order.ARM))))
+    assert core.senses.delay == 0.0
+    core.senses.delay = 0.05
+    core.handle(Packet(5.2, 1, encode(Command(Order.OFF))))
+    assert core.senses.delay == 0.05
+
+
+@pytest.mark.parametrize(("v", "r"), [(5.0, 0.3), (8.0, -0.2)])
+def test_without_a_sensor_beta_is_that_of_a_car_that_rolls(v: float, r: float) -> None:
+    """Without slip the rear axle moves along the car, so the centre of gravity has v_y = r*l_r."""
+    core = linked()
+    core.senses.values |= {"v": v, "r": r}
+    rear = v * math.sin(core.snapshot(5.0).beta) / math.cos(core.snapshot(5.0).beta) - r * config().vehicle.l_r
+    assert rear == pytest.approx(0.0, abs=1e-9)
+    assert core.snapshot(5.0).a_y == v * r

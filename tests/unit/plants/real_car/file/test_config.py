@@ -98,6 +98,22 @@ def test_mistakes_are_named(tmp_path: Path, old: str, new: str, says: str) -> No
     assert "car.toml" in str(caught.value)
 
 
+def test_what_the_file_says_arrives_in_its_place(tmp_path: Path) -> None:
+    text = TEXT.replace("lag = 0.1 ", "lag = 0.23 ").replace("delay = 0.0 ", "delay = 0.04 ")
+    text = text.replace("e_max = 2.0", "e_max = 1.5\nfollow_angle_deg = 45\nmisses = 5")
+    new = 'signal = "ANGLE", sign = -1, scale = 2, offset = 0.25, unit = "rad" }'
+    config = load(changed(tmp_path, 'signal = "ANGLE" }', new, text))
+    assert (config.lag, config.delay) == (0.23, 0.04)
+    assert (config.states.e_max, config.states.misses) == (1.5, 5)
+    assert config.states.follow_angle == pytest.approx(math.pi / 4.0)
+    mapping = config.quantities["delta_sw"]
+    assert (mapping.sign, mapping.scale, mapping.offset, mapping.gain) == (-1.0, 2.0, 0.25, -2.0)
+    facts = config.facts()["read"]["delta_sw"]
+    assert (facts["gain"], facts["offset"]) == (-2.0, 0.25)
+    assert config.gate.wheelbase == config.vehicle.wheelbase == config.vehicle.l_f + config.vehicle.l_r
+    assert config.gate.steer_ratio == config.vehicle.steer_ratio
+
+
 def test_all_mistakes_come_at_once(tmp_path: Path) -> None:
     text = TEXT.replace("e_max = 2.0", "e_max = 20.0").replace('signal = "ANGLE"', 'signal = "ANGEL"')
     with pytest.raises(ConfigError) as caught:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import struct
 from typing import Any
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from steerkit.plants.real_car.decisions.modes import Mode
-from steerkit.plants.real_car.processes.protocol import Snapshot, decode, encode
+from steerkit.plants.real_car.decisions.modes import Mode, Order
+from steerkit.plants.real_car.processes.protocol import Command, Hello, Query, Request, Snapshot, decode, encode
 from tests.support.car_messages import messages
 
 
@@ -32,3 +33,17 @@ def test_strange_packets_are_value_errors(packet: bytes) -> None:
         decode(packet)
     except ValueError as error:
         assert "packet" in str(error)  # noqa: PT017
+
+
+def test_layouts_are_written_down() -> None:
+    assert encode(Request(1.5, -0.25, 7)) == b"R" + struct.pack("<ddI", 1.5, -0.25, 7)
+    assert encode(Query()) == b"Q"
+    assert encode(Hello(True)) == b"H\x01\x02"
+    assert [encode(Command(order)) for order in Order] == [b"O" + bytes((k,)) for k in range(5)]
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_every_number_of_a_snapshot_comes_back_bit_for_bit_in_its_place(mode: Mode) -> None:
+    numbers = [1.0 / (k + 3) for k in range(len(Snapshot._fields) - 2)]  # none is a single-precision number
+    snapshot = Snapshot(*numbers, mode=mode, text="why: ä")
+    assert decode(encode(snapshot)) == snapshot

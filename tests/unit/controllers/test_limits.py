@@ -1,0 +1,62 @@
+"""How far and how fast a command may turn the wheel."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from steerkit.controllers.limits import approach_angle, limited
+
+CAR: dict[str, Any] = dict(
+    wheelbase=2.71, l_r=1.49, understeer=0.002, steer_ratio=15.6, rate_limit=9.6, limit=9.07, dt=0.05
+)
+
+
+@given(e=st.floats(-3.0, 3.0), v=st.floats(3.0, 12.0), a_y=st.floats(0.5, 3.0))
+def test_an_arc_of_the_approach_angle_meets_the_path(e: float, v: float, a_y: float) -> None:
+    """e = R (1 - cos(angle)), R = v^2/a_y; a centimetre more, and the angle taken for small."""
+    radius = v * v / a_y
+    exact = 2.0 * math.asin(min(1.0, math.sqrt(0.5 * (abs(e) + 0.01) / radius)))
+    assert approach_angle(e, v, a_y) <= exact * (1.0 + 1e-12)
+    assert approach_angle(e, v, a_y) == pytest.approx(exact, rel=0.05 + 0.15 * (abs(e) + 0.01) / radius)
+
+
+angles, speeds = st.floats(-9.0, 9.0), st.floats(0.0, 15.0)
+
+
+@given(command=st.floats(-1e3, 1e3), before=angles, v=speeds, a_y=st.floats(0.5, 5.0))
+def test_left_and_right_have_the_same_limits(command: float, before: float, v: float, a_y: float) -> None:
+    assert limited(-command, -before, v, a_y, **CAR) == pytest.approx(-limited(command, before, v, a_y, **CAR))
+
+
+@given(command=st.floats(-1e3, 1e3), before=angles, v=speeds, a_y=st.floats(0.5, 5.0))
+def test_stop_and_wheel_speed_are_kept(command: float, before: float, v: float, a_y: float) -> None:
+    out = limited(command, before, v, a_y, **CAR)
+    assert abs(out) <= CAR["limit"]
+    # back from beyond the bound at once, for a car that has become faster; else no faster than the motor
+    assert abs(out - before) <= CAR["rate_limit"] * CAR["dt"] + 1e-9 or abs(out) < abs(before)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("v", [2.0, 5.0, 9.0])
+@pytest.mark.parametrize("a_y", [1.0, 2.9])
+def test_a_command_held_ends_in_the_steady_curve_and_never_feels_more(v: float, a_y: float, side: float) -> None:
+    """delta = atan(L a_y/v^2) + K a_y; on the way the rolling car feels (v^2 tan(delta) + v l_r delta')/L."""
+    wheel, felt = 0.0, []
+    for _ in range(400):
+        before, wheel = wheel, limited(99.0 * side, wheel, v, a_y, **CAR)
+        delta, rate = wheel / CAR["steer_ratio"], (wheel - before) / CAR["steer_ratio"] / CAR["dt"]
+        rolling = delta - CAR["understeer"] * a_y * side
+        felt.append(abs(v * v * math.tan(rolling) + v * CAR["l_r"] * rate) / CAR["wheelbase"])
+    steady = CAR["steer_ratio"] * (math.atan(CAR["wheelbase"] * a_y / v**2) + CAR["understeer"] * a_y)
+    assert wheel * side == pytest.approx(min(steady, CAR["limit"]), rel=1e-6)
+    assert max(felt) < 1.15 * a_y
+
+
+def test_a_nan_stays_and_one_before_limits_nothing() -> None:
+    assert math.isnan(limited(math.nan, 0.0, 5.0, 2.0, **CAR))
+    assert limited(0.1, math.nan, 5.0, 2.0, **CAR) == 0.1

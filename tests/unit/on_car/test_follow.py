@@ -1,0 +1,103 @@
+"""Who steers a real car: the net while it is engaged and trusted, else a loop at rest."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from steerkit.block import Block
+from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.learning.nfq import iterate as nfq
+from steerkit.learning.settings import setting
+from steerkit.on_car.follow import Follow
+from steerkit.plants.real_car.decisions.modes import Mode, Order
+from tests.support.car_world import World
+
+
+def policy() -> NfqPolicy:
+    """A net that has learned nothing, and is ready from the start."""
+    how = setting("default")
+    nets = nfq.fresh_nets(how.fit, how.description(), seed=0)
+    return NfqPolicy(nets=nets, actions=how.actions, description=how.description())
+
+
+def world_of(controller: Block | None = None) -> World:
+    return World(s=20.0, v=(5.0, 5.0), controller=controller)
+
+
+def steered_by(world: World, seconds: float) -> set[str]:
+    """Whose angle went out in each sample."""
+    who, end = set(), world.t + seconds
+    while world.t < end:
+        world.until(world.t + 0.05)
+        sample = world.run.sample
+        who.add("net" if sample["supervisor.learning"] > 0.5 else "recovery")
+        chosen = sample["doe.delta_sw"] if sample["supervisor.learning"] > 0.5 else sample["recovery.delta_sw"]
+        assert sample["supervisor.delta_sw"] == chosen
+    return who
+
+
+def test_a_net_steers_while_engaged_and_trusted_and_never_else() -> None:
+    world = world_of(policy())
+    world.bring_to(Mode.READY)
+    assert steered_by(world, 0.3) == {"recovery"}, "the human has the wheel"
+    world.order(Order.ENGAGE)
+    world.until(world.t + 0.05)
+    assert "net" in steered_by(world, 0.15)
+    world.follow.trusted = False
+    world.until(world.t + 0.05)
+    assert steered_by(world, 2.0) == {"recovery"}, "nobody trusts it"
+    assert world.mode is Mode.ENGAGED
+    world.follow.trusted = True
+    world.until(world.t + 0.05)
+    assert "net" in steered_by(world, 0.5)
+    world.order(Order.DISENGAGE)
+    world.until(world.t + 0.1)
+    assert steered_by(world, 0.5) == {"recovery"}
+
+
+def test_while_a_human_steers_the_controller_settles_on_the_wheel_as_it_is() -> None:
+    world = world_of()
+    world.bring_to(Mode.READY)
+    number = world.run.loop.names.index("controller")
+    for _ in range(10):
+        world.until(world.t + 0.05)
+        assert world.run.x[number] == world.run.loop.settled("controller", world.run.y)
+        assert world.run.x[number].command == world.run.sample["car.delta_sw"]
+    world.order(Order.ENGAGE)
+    world.until(world.t + 0.3)
+    assert world.run.x[number].command == world.run.sample["controller.delta_sw"]
+
+
+class Line:
+    """A line to a car, with what it said last."""
+
+    def __init__(self, world: World):
+        assert world.last is not None
+        self.last = world.last
+
+
+@pytest.mark.parametrize(("mode", "anew"), [(Mode.READY, True), (Mode.STANDBY, True), (Mode.ENGAGED, False)])
+def test_a_pose_that_comes_back_makes_the_loop_begin_anew_once_but_never_while_engaged(mode: Mode, anew: bool) -> None:
+    world = world_of()
+    world.until(1.0)
+    line = Line(world)
+    line.last = line.last._replace(places=1.0, mode=mode)
+    follow = Follow.of(world.run.loop, line)
+    assert not follow.begin(world.run), "the first one is no return"
+    assert world.run.k > 5
+    line.last = line.last._replace(places=2.0, mode=mode)
+    assert follow.begin(world.run) is anew
+    assert (world.run.k == 0) is anew
+    assert not follow.begin(world.run), "once"
+
+
+def test_what_rests_is_the_same_loop_but_for_the_net() -> None:
+    world = world_of(policy())
+    driving, resting = world.follow.driving, world.follow.resting
+    assert driving.names == resting.names
+    inner, rest = (getattr(loop.blocks["controller"], "block", None) for loop in (driving, resting))
+    assert isinstance(inner, NfqPolicy)
+    assert isinstance(rest, NfqPolicy)
+    assert replace(rest, ready_from=inner.ready_from).flat_weights() == inner.flat_weights()

@@ -1,0 +1,176 @@
+"""What the frames say: values, ages, and what is wrong although each frame is well."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import pytest
+
+from steerkit.courses import course, straight
+from steerkit.path import Path
+from steerkit.plants.real_car.decisions.senses import Senses
+from steerkit.plants.real_car.file.config import CarConfig
+from steerkit.plants.real_car.file.reading import load
+from steerkit.plants.real_car.frames.codec import SignalEncoder
+from steerkit.units import radians_of
+
+LINE = straight(length=400.0)
+POSE = {"x": 10.0, "y": 0.0, "psi": 0.0, "v": 5.0, "r": 0.0, "beta": 0.0, "a_y": 0.0, "quality": 4.0}
+REPORT = {"delta_sw": 0.0, "v_kit": 5.0, "torque": 0.2, "echo": 0.0, "enabled": 1.0}
+
+
+@cache
+def config() -> CarConfig:
+    return load("dbw-kit.toml")
+
+
+class Bench:
+    """Senses, and the frames of a car for them."""
+
+    def __init__(self, path: Path = LINE) -> None:
+        self.senses = Senses(config(), path)
+        self.encoders = {reader.name: SignalEncoder(reader) for reader in config().readers}
+        self.counts = dict.fromkeys(self.encoders, 0)
+
+    def send(
+        self,
+        name: str,
+        t: float,
+        arrived: float | None = None,
+        sent: tuple[tuple[float, float], ...] = (),
+        **values: float,
+    ) -> None:
+        """One frame, with all values but these as usual."""
+        self.counts[name] += 1
+        data = self.encoders[name].write(POSE | REPORT | values, count=self.counts[name])
+        frame_id = self.encoders[name].reader.frame_id
+        self.senses.frame(t, t if arrived is None else arrived, frame_id, data, sent)
+
+    def pose(self, t: float, **values: float) -> None:
+        """The three frames of a pose."""
+        for name in ("POSE_MOTION", "POSE_DYNAMICS", "POSE_POSITION"):
+            self.send(name, t, **values)
+
+
+def test_a_value_that_is_not_available_is_an_error_and_changes_nothing() -> None:
+    bench = Bench()
+    bench.send("STEERING_REPORT", 1.0, delta_sw=0.3)
+    before = dict(bench.senses.values)
+    bench.send("STEERING_REPORT", 1.02, delta_sw=math.nan, v_kit=7.0)
+    assert bench.senses.values == before
+    assert "delta_sw not available" in bench.senses.errors[-1][1]
+    assert bench.senses.age(1.02, config().report_frames) == pytest.approx(0.02)
+
+
+def test_only_reports_in_a_row_make_a_hand_on_the_wheel() -> None:
+    bench, seen = Bench(), []
+    for k, torque in enumerate((5.0, -5.0, 0.5, 5.0, 2.4, 2.6)):  # the limit is 2.5 N m, to either side
+        bench.send("STEERING_REPORT", 1.0 + 0.02 * k, torque=torque)
+        seen.append(bench.senses.torque_reports)
+    assert seen == [1, 2, 0, 1, 0, 1]
+
+
+@pytest.mark.parametrize("turned", [1.5, -1.5])
+def test_one_jump_of_the_wheel_is_enough_to_end_driving(turned: float) -> None:
+    bench = Bench()
+    bench.send("STEERING_REPORT", 1.0)
+    bench.send("STEERING_REPORT", 1.02, delta_sw=0.4 * math.copysign(1.0, turned))  # 20 rad/s: a quick hand
+    assert not bench.senses.errors
+    bench.send("STEERING_REPORT", 1.04, delta_sw=turned)
+    assert len(bench.senses.errors) >= config().states.integrity_errors
+    assert "the wheel jumped by" in bench.senses.errors[-1][1]
+    assert bench.senses.error_count == 1
+
+
+@pytest.mark.parametrize(("t", "arrived", "age"), [(1.08, 1.0, 0.08), (1.0, 1.5, 0.0)])
+def test_the_age_counts_from_the_arrival_and_never_from_the_future(t: float, arrived: float, age: float) -> None:
+    bench = Bench()
+    bench.send("STEERING_REPORT", t, arrived)
+    assert bench.senses.age(t, config().report_frames) == pytest.approx(age, abs=1e-6)
+
+
+def test_the_oldest_frame_of_a_pose_tells_its_age() -> None:
+    bench = Bench()
+    assert bench.senses.age(1.0, config().pose_frames) == math.inf
+    bench.pose(1.0)
+    bench.send("POSE_MOTION", 1.1)
+    bench.send("POSE_POSITION", 1.1, x=10.5)
+    assert bench.senses.age(1.1, config().pose_frames) == pytest.approx(0.1, abs=1e-6)
+
+
+@pytest.mark.parametrize(("share", "well"), [(1.0, True), (0.0, False), (2.0, False), (-1.0, True)])
+def test_a_position_moves_with_the_speed(share: float, well: bool) -> None:
+    """At `share` of 10 m/s over 0.4 s; backwards is as well as forwards."""
+    bench = Bench()
+    for k in range(41):
+        bench.pose(1.0 + 0.01 * k, x=10.0 + share * 0.1 * k, v=10.0, v_kit=10.0)
+    assert (not bench.senses.errors) is well
+    if not well:
+        assert "the position moved by" in bench.senses.errors[0][1]
+
+
+def test_a_position_that_jumps_is_enough_to_end_driving() -> None:
+    bench = Bench()
+    bench.pose(1.0)
+    bench.pose(1.01, x=10.05)
+    assert not bench.senses.errors
+    bench.pose(1.02, x=10.8)
+    assert len(bench.senses.errors) >= config().states.integrity_errors
+
+
+def test_the_delay_of_the_pose_is_told_from_the_quickest_so_far() -> None:
+    """Its clock differs from ours by a constant that nobody knows; the first pose is 30 ms late, then one is not."""
+    for offset in (0.0, 12.345, 64.1):  # the last wraps on the way: 16 bits of milliseconds
+        bench, delays = Bench(), []
+        for k, late in enumerate((0.03, 0.0, 0.05, 0.0)):
+            measured = 1.0 + 0.3 * k
+            stamp = (measured + offset) % 65.536
+            bench.send("POSE_DYNAMICS", measured + late, stamp=stamp)
+            delays.append(bench.senses.delay)
+        assert delays == pytest.approx([0.0, 0.0, 0.05, 0.0], abs=2e-3)
+    bench.senses.forget_delay()
+    assert bench.senses.delay == 0.0
+
+
+def test_a_command_is_echoed_until_a_newer_one_should_be() -> None:
+    """An echo of the command of 1.00 s is good until 1.02 s, when the next was sent."""
+    sent = ((1.0, 0.1), (1.02, 0.2), (1.04, 0.3))
+    for echo, good_until in ((0.3, 1.06), (0.2, 1.04), (0.1, 1.02), (0.5, 0.0)):
+        bench = Bench()
+        bench.send("STEERING_REPORT", 1.06, sent=sent, echo=echo)
+        assert bench.senses.echo_ok == pytest.approx(good_until)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_the_wheel_is_compared_with_the_last_command(side: float) -> None:
+    far = 1.2 * config().states.follow_angle * side
+    bench = Bench()
+    bench.send("STEERING_REPORT", 1.0, sent=((0.9, far), (0.98, 0.0)))
+    assert bench.senses.follow_ok == 1.0
+    bench.send("STEERING_REPORT", 1.1, sent=((0.9, 0.0), (1.08, far)))
+    assert bench.senses.follow_ok == 1.0
+
+
+def test_after_a_gap_the_place_on_the_path_is_looked_for_again() -> None:
+    path = course("paper")
+    bench = Bench(path)
+    for t, s, e in ((1.0, 20.0, 0.2), (31.0, 300.0, -0.3), (61.0, 150.0, 0.1)):
+        (x, y), psi = path.point(s), float(path.psi(s))
+        axle = {"x": x - e * math.sin(psi), "y": y + e * math.cos(psi)}
+        lead = config().vehicle.l_f
+        bench.pose(
+            t, x=axle["x"] - lead * math.cos(psi), y=axle["y"] - lead * math.sin(psi), psi=math.remainder(psi, math.tau)
+        )
+        assert bench.senses.e == pytest.approx(e, abs=2e-3)
+        before = bench.senses.places
+    bench.pose(61.01, x=bench.senses.values["x"], y=bench.senses.values["y"], psi=bench.senses.values["psi"])
+    assert bench.senses.places == before > 2, "only after a gap"
+
+
+def test_e_is_that_of_the_front_axle() -> None:
+    bench = Bench()
+    psi = radians_of(10.0)
+    bench.pose(1.0, y=0.1, psi=psi)
+    assert bench.senses.e == pytest.approx(0.1 + config().vehicle.l_f * math.sin(psi), abs=1e-3)
+    assert bench.senses.psi_e == pytest.approx(psi, abs=1e-3)

@@ -1,0 +1,68 @@
+"""The simulated car: its kit does what a kit does."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from steerkit.on_car import processes
+from steerkit.plants.real_car.simulated import WATCHDOG, Fault, SimulatedCar
+from tests.support.car_world import setup
+
+CONFIG, PATH = setup()
+
+
+def car(**changes: float) -> SimulatedCar:
+    return processes.simulated_car(CONFIG, PATH, s=20.0, v_min=5.0, v_max=5.0, **changes)
+
+
+def tell(it: SimulatedCar, angle: float, *, enable: bool = True, clear: bool = False) -> None:
+    it.receive(it.t, CONFIG.writer.frame_id, CONFIG.writer.write(angle, enable=enable, clear=clear))
+
+
+def test_pose_at_100_and_report_at_50_hz() -> None:
+    frames = Counter(frame_id for _, frame_id, _ in car().advance(1.0))
+    assert {frame_id: frames[frame_id] for frame_id in CONFIG.pose_frames} == dict.fromkeys(CONFIG.pose_frames, 100)
+    assert {frame_id: frames[frame_id] for frame_id in CONFIG.report_frames} == dict.fromkeys(CONFIG.report_frames, 50)
+
+
+def test_the_kit_lets_go_100_ms_after_the_last_command_and_until_it_is_cleared() -> None:
+    it = car()
+    tell(it, 0.1)
+    it.advance(0.09)
+    assert (it.enabled, it.timeout) == (True, False)
+    it.advance(0.12)
+    assert WATCHDOG == 0.1
+    assert (it.enabled, it.timeout) == (False, True)
+    tell(it, 0.1)
+    assert not it.enabled
+    tell(it, 0.1, clear=True)
+    assert (it.enabled, it.timeout) == (True, False)
+
+
+def test_an_override_lasts_until_a_frame_without_enable() -> None:
+    it = car()
+    tell(it, 0.1)
+    it.faults.append(Fault(kind="override", target="report", start=it.t, length=0.02))
+    it.advance(it.t + 0.03)
+    assert (it.enabled, it.overridden) == (False, True)
+    tell(it, 0.1)
+    assert not it.enabled, "enable alone does not take the wheel back"
+    tell(it, 0.1, enable=False)
+    assert not it.overridden
+    tell(it, 0.1)
+    assert it.enabled
+
+
+@pytest.mark.parametrize("e", [-0.8, 0.0, 0.6])
+@pytest.mark.parametrize("s", [20.0, 200.0, 430.0])
+def test_it_starts_where_it_is_told(s: float, e: float) -> None:
+    it = processes.simulated_car(CONFIG, PATH, s=s, e=e)
+    psi = float(PATH.psi(s))
+    away = np.array([it.now.x, it.now.y]) - PATH.point(s)
+    assert away @ (math.cos(psi), math.sin(psi)) == pytest.approx(0.0, abs=1e-9)
+    assert away @ (-math.sin(psi), math.cos(psi)) == pytest.approx(e, abs=1e-9)
+    assert it.now.psi == pytest.approx(psi)
