@@ -23,8 +23,6 @@ from steerkit.vehicles import vehicle
 CAR = vehicle("vw-passat")
 LAG = 0.1
 """Time constant of the steering in all drives [s]."""
-LIMIT = 0.5
-"""|e| that no controller should exceed [m]."""
 
 
 def drive_loop(

@@ -7,6 +7,7 @@ import difflib
 from collections import namedtuple
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, overload
 
+from steerkit.task import DT
 from steerkit.units import UNITS
 
 State = tuple[Any, ...]
@@ -94,7 +95,7 @@ class Block:
     batched.
     """
 
-    dt: float = 0.05
+    dt: float = DT
 
     inputs: ClassVar[tuple[In, ...]] = ()
     outputs: ClassVar[tuple[Out, ...]] = ()

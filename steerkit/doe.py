@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from steerkit import maths as m
 from steerkit.block import Block, In, Out
 from steerkit.errors import require
-from steerkit.units import radians_of
+from steerkit.task import STOP
 
 
 class HeldAngle(NamedTuple):
@@ -35,7 +35,7 @@ class Dynamic(Block):
     delta_sw = Out("rad")
     state = Out("rad", direct=())
 
-    limit: m.Scalar = radians_of(520.0)
+    limit: m.Scalar = STOP
     """Largest |delta_sw| [rad]; like `tau`, one number or an `(N,)` array for a batch."""
 
     def __post_init__(self) -> None:

@@ -13,6 +13,7 @@ from steerkit.block import Block, In, Out, State
 from steerkit.errors import require
 from steerkit.maths import Scalar
 from steerkit.path import Path
+from steerkit.task import DT
 
 _LEAST_SLOPE = 0.2  # floor of 1 - kappa*e: keeps a step downhill even beyond the centre of a bend
 _CARS_AT_ONCE = 256  # of a batch, when looking over the whole path
@@ -66,7 +67,7 @@ class PathTracker(Block):
     reference: Scalar = 0.0
     window: float = 1.0
     preview_points: int = 0
-    preview_dt: float = 0.05
+    preview_dt: float = DT
 
     class X(NamedTuple):
         s: Scalar

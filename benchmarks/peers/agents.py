@@ -17,6 +17,7 @@ from steerkit.controllers.network_policy import BOUND, Network, PolicyBlock
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.settings import Setting
 from steerkit.maths import Scalar
+from steerkit.task import DT, STOP
 from steerkit.units import radians_of
 
 TOLD_OF_FAILURE = 4.0
@@ -175,13 +176,13 @@ class DoMpc(Block):
     """Weight of e^2 [1/m^2]."""
     q_rate: float = 3e-4
     """Weight of the wheel's rate [s^2]."""
-    limit: float = radians_of(520.0)
+    limit: float = STOP
     """Largest |delta_sw| [rad]."""
     rate_limit: float = radians_of(500.0)
     """Fastest command [rad/s]."""
     preview_points: int = 21
     """Entries of the preview: one more than the horizon."""
-    preview_dt: float = 0.05
+    preview_dt: float = DT
     """Time between them [s]."""
 
     @cached_property

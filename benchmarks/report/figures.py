@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from steerkit.plots.style import COLOURS, PALETTE, new_figure, style
+from steerkit.task import GOAL, TRIP
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 
 WIDTH = 4.6
 """Width of a picture [in]: it fits a phone, and two or three stand side by side on a desk."""
-TRIP = 0.5
 MOST_DOTS = 150
 """No controller gets more dots than these in one plot."""
 LINES = ("-", (0, (5, 1.5)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)))
@@ -177,7 +177,7 @@ def error_along(drives: Mapping[str, Mapping[str, np.ndarray]], look: Mapping[st
         for name, drive in drives.items():
             dt = float(np.mean(np.diff(drive["t"]))) if len(drive["t"]) > 1 else 0.0
             axes.plot(np.cumsum(drive["v"]) * dt, drive["e"], lw=0.9, label=name, **look[name].line)
-        axes.axhspan(-0.05, 0.05, color=COLOURS["goal"], alpha=0.3, lw=0)
+        axes.axhspan(-GOAL, GOAL, color=COLOURS["goal"], alpha=0.3, lw=0)
         largest = max(float(np.nanmax(np.abs(d["e"]))) for d in drives.values())
         if largest > 0.6 * TRIP:
             for level in (-TRIP, TRIP):

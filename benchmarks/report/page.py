@@ -24,6 +24,7 @@ from benchmarks.report.paper import paper_rows
 from benchmarks.report.verdict import verdict
 from benchmarks.run.results import Case, Results, load_results
 from steerkit.metrics import Metric, interval
+from steerkit.task import TRIP
 
 TEMPLATE = FilePath(__file__).with_name("report.html.j2")
 LINES_ON_A_MAP = 12
@@ -222,7 +223,7 @@ def sweep_plots(cases: Sequence[Case], results: Results, look: dict[str, figures
             look,
             x_label=conditions.condition(sweep.x),
             y_label="max |e| [m]",
-            limit=0.5,
+            limit=TRIP,
             points=True,
             log=True,
         )

@@ -24,10 +24,9 @@ from steerkit.loop import Loop, Sample
 from steerkit.metrics import measures, step_times
 from steerkit.path import Path
 from steerkit.simulation import Log, simulate
+from steerkit.task import DT, TRIP
 from steerkit.tracker import PathTracker
 
-LIMIT = 0.5
-"""|e| beyond which a drive is not held [m]; the paper's bound."""
 OFF_COURSE = 3.0
 """|e| at which a drive is over [m]."""
 SIGNALS = {
@@ -108,12 +107,12 @@ def judged(log: Log, scenario: Scenario, path: Path, loop: Loop) -> tuple[dict[s
     length, e, progress = scenario.length(path), log["path.e"], log["path.progress"]
     off = ~(np.abs(e) <= OFF_COURSE)
     if "supervisor.learning" in log:
-        off |= (log["supervisor.learning"] < 0.5) | ~(np.abs(e) <= LIMIT)
+        off |= (log["supervisor.learning"] < 0.5) | ~(np.abs(e) <= TRIP)
     over = progress >= length
     end = min(_first(off), _first(over) + 1)
     driven = {ours: log[theirs][:end] for ours, theirs in SIGNALS.items() if theirs in log}
     t = log.t[:end]
-    held = bool(over.any()) and _first(over) < _first(off) and bool((np.abs(driven["e"]) <= LIMIT).all())
+    held = bool(over.any()) and _first(over) < _first(off) and bool((np.abs(driven["e"]) <= TRIP).all())
     share = float(np.clip(progress[max(0, end - 1)] / length, 0.0, 1.0)) if end else 0.0
     metrics = {"held": float(held), "rounds": scenario.rounds * share, "duration": float(t[-1]) if end else 0.0}
     if end >= _LEAST:
@@ -197,7 +196,7 @@ def _timed(block: Block, log: Log, inputs: dict[str, str], steps: int) -> list[f
     x: Any = block.init()
     times = []
     for k, column in enumerate(zip(*rows, strict=True)):
-        t, u = 0.05 * k, block.U(*column)
+        t, u = DT * k, block.U(*column)
         d = block.D(*[value for value, sees in zip(column, direct) if sees])
         if k == 0:
             x = block.settle(t, x, d)

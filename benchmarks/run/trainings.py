@@ -22,6 +22,7 @@ from steerkit.learning.training_run import Taken, train
 from steerkit.learning.trials import TrialDrive, drive_each
 from steerkit.metrics import GOOD, Learned
 from steerkit.scenario.world import World
+from steerkit.task import DT
 
 _KEPT = 3000  # samples of a run's trajectory, about
 EPISODES = (70, 120)
@@ -104,7 +105,7 @@ def _agent(training: Training, setting_name: str, seed: int) -> Learnt:
         steps = training.offline_iterations
         block, curve = d3rlpy_nfq(driven.transitions, how, steps=steps, seed=seed, judge=judge)
     else:
-        steps = round(60.0 * training.minutes / 0.05)
+        steps = round(60.0 * training.minutes / DT)
         block, curve = stable_baselines(SETTINGS[setting_name], steps=steps, seed=seed, judge=judge)
     within = {name: curve[name] < getattr(GOOD, name) for name in ("rms_e", "max_e", "max_jerk")}
     good = np.flatnonzero((curve["held"] > 0.5) & np.logical_and.reduce([*within.values()]))

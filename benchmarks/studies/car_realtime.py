@@ -33,6 +33,7 @@ from steerkit.plants.real_car.decisions.core import Core
 from steerkit.plants.real_car.decisions.modes import Mode
 from steerkit.plants.real_car.file.reading import load
 from steerkit.plants.real_car.processes.client import CarLost, DriverLink
+from steerkit.task import DT
 
 
 def drive(
@@ -55,7 +56,7 @@ def drive(
             engagements: list[str] = []
             threading.Thread(target=operate, args=(socket, over, engagements), daemon=True).start()
             squares, worst, engaged, lost = 0.0, 0.0, 0, ""
-            timing = realtime.Timing(period=0.05)
+            timing = realtime.Timing(period=DT)
 
             def watch(run: realtime.Run) -> None:
                 nonlocal squares, worst, engaged, timing

@@ -25,11 +25,12 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from benchmarks.rounds import CAR, LIMIT, belief, drive_loop, driven, interpreted, on_course, rms, worst
+from benchmarks.rounds import CAR, belief, drive_loop, driven, interpreted, on_course, rms, worst
 from steerkit.block import Block
 from steerkit.catalogue import make_controller
 from steerkit.compiled.trace import with_parameters
 from steerkit.courses import course
+from steerkit.task import TRIP
 from steerkit.units import degrees_of, radians_of
 
 DELAYS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3)
@@ -114,8 +115,8 @@ def boundary(name: str, believes: float | None, delays: Sequence[float], cars: A
     for delay in delays:
         controller = make_controller(name, belief(delay=delay if believes is None else believes))
         e = largest(name, controller, delay, cars)
-        kinds, held = by_kind(cars, e), float(np.mean(e <= LIMIT))
-        failing = cars[e > LIMIT, 3]
+        kinds, held = by_kind(cars, e), float(np.mean(e <= TRIP))
+        failing = cars[e > TRIP, 3]
         slowest = float(failing.min()) if len(failing) else None
         speeds = {f"{v:g}": float(e[cars[:, 3] == v].max()) for v in np.unique(cars[:, 3])}
         rows.append(
@@ -163,10 +164,10 @@ def picture(report: dict[str, list[dict[str, Any]]], file: str) -> None:
                 aspect="auto",
                 cmap="RdYlGn_r",
                 alpha=0.85,
-                norm=LogNorm(LIMIT / 10.0, LIMIT * 10.0),
+                norm=LogNorm(TRIP / 10.0, TRIP * 10.0),
             )
             for (i, j), value in np.ndenumerate(e):
-                bold = "bold" if value > LIMIT else "normal"
+                bold = "bold" if value > TRIP else "normal"
                 text = f"{value:.2f}" if value < 5.0 else "off"
                 ax.text(j, i, text, ha="center", va="center", fontsize=7, weight=bold, color=COLOURS["ink"])
             ax.set_xticks(range(len(speeds)), speeds)

@@ -26,6 +26,7 @@ from steerkit.learning.nfq import rprop
 from steerkit.learning.nfq.iterate import FitSetting, fresh_nets, iterate, targets
 from steerkit.learning.nfq.network import new_net
 from steerkit.learning.nfq.patterns import STANDARD, patterns
+from steerkit.task import DT
 
 TOLERANCE = {10: 1e-4, 300: 0.1}
 """Largest relative difference of the errors after so many epochs. Weights move by signs, so both engines take the very
@@ -38,7 +39,7 @@ def drives(n: int, seed: int = 0) -> Transitions:
 
     A thousand cars at most go side by side over paths of random curvature; each starts anew at |e| > 0.5 m.
     """
-    rng, dt, cars = np.random.default_rng(seed), 0.05, min(1000, 1 + n // 100)
+    rng, dt, cars = np.random.default_rng(seed), DT, min(1000, 1 + n // 100)
     record = Transitions()
     e, psi_e, doe, kappa, v, episode = (np.zeros(cars) for _ in range(6))
     fresh, count = np.ones(cars, dtype=bool), 0

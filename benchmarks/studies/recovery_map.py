@@ -31,13 +31,14 @@ from steerkit.plants.human_driver import ConstantSpeed
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.simulation import Log, simulate
+from steerkit.task import A_Y_MAX, DT, RELEASE
 from steerkit.units import degrees_of, radians_of
 
 DELAY = 0.2
 SPEEDS = (2.0, 4.0, 6.0, 9.0)
 FARTHEST, STEEPEST = 3.0, radians_of(45.0)
 SECONDS = 20.0
-NEAR, A_Y, RATE = 0.1, 3.0, radians_of(550.0)
+RATE = radians_of(550.0)
 ROAD = straight(400.0)
 RECORD = ["path.e", "car.a_y", "actuator.rate", "controller.delta_sw"]
 NAMES = ("stanley-delay", "stanley-textbook", "mpc", "nonlinear-mpc")
@@ -85,10 +86,10 @@ def driven(controller: Block, values: dict[str, Any]) -> Log:
 def judged(log: Log) -> dict[str, Any]:
     """For every car: seconds until it is back for good (infinite: never), largest |a_y|, wheel and command speed."""
     e = np.nan_to_num(np.abs(log["path.e"]), nan=np.inf)
-    away = e >= NEAR
+    away = e >= RELEASE
     last = np.where(away.any(axis=0), len(e) - 1 - np.argmax(away[::-1], axis=0), -1)
-    back = np.where(last < len(e) - 1, (last + 1) * 0.05, np.inf)
-    command = np.abs(np.diff(log["controller.delta_sw"], axis=0)).max(axis=0) / 0.05
+    back = np.where(last < len(e) - 1, (last + 1) * DT, np.inf)
+    command = np.abs(np.diff(log["controller.delta_sw"], axis=0)).max(axis=0) / DT
     return {
         "seconds": back,
         "a_y": np.abs(log["car.a_y"]).max(axis=0),
@@ -101,7 +102,7 @@ def judged(log: Log) -> dict[str, Any]:
 def within_limits(found: dict[str, Any]) -> Any:
     """Which cars kept to 3 m/s^2 and to the wheel's speed, steered and commanded."""
     fastest = np.maximum(found["rate"], found["command_rate"])
-    return (found["a_y"] <= A_Y) & (fastest <= RATE * 1.000001)
+    return (found["a_y"] <= A_Y_MAX) & (fastest <= RATE * 1.000001)
 
 
 def summary(found: dict[str, Any], v: Any) -> list[dict[str, float]]:
@@ -163,7 +164,7 @@ def picture(results: dict[str, tuple[int, dict[str, Any]]], file: str) -> None:
             ax.set_xlabel("e at the start [m]")
         for ax in axes[:, 0]:
             ax.set_ylabel("psi_e at the start [deg]")
-        title = f"Back to |e| < {NEAR:g} m from a start off the path; {DELAY:g} s delay, {LAG:g} s lag"
+        title = f"Back to |e| < {RELEASE:g} m from a start off the path; {DELAY:g} s delay, {LAG:g} s lag"
         figure.suptitle(title, x=0.01, ha="left", fontsize=10.5, fontweight="bold", color=COLOURS["ink"])
         patches = [Patch(color=colour, label=label) for label, colour in reversed(kinds.items())]
         figure.legend(handles=patches, loc="outside lower left", ncols=3)

@@ -40,11 +40,12 @@ from steerkit.plants.human_driver import ConstantSpeed
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.simulation import simulate
+from steerkit.task import DT
 from steerkit.tracker import PathTracker
 from steerkit.vehicles import vehicle
 
 BACKENDS: tuple[Backend, ...] = ("python", "vm", "c")
-DT, SPEED, CARS = 0.05, 6.0, 1000
+SPEED, CARS = 6.0, 1000
 CAR = vehicle("vw-passat")
 DIAGRAM, TWO, ONE = (f"python-control, {how}" for how in ("same diagram", "two systems", "one function"))
 NEEDED = {"interpreted_x": 5, "compiled_vm_x": 60, "compiled_c_x": 250, "batch_x": 400, "batch_linear_x": 3000}

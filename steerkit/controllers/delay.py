@@ -14,6 +14,7 @@ from steerkit.block import Block, In, Out, State
 from steerkit.controllers.stanley import Stanley
 from steerkit.errors import require
 from steerkit.maths import Scalar
+from steerkit.task import DT
 from steerkit.units import radians_of
 
 Array = NDArray[np.float64]
@@ -87,7 +88,7 @@ class Predicted(Block):
     """Where e, psi_e and the preview are measured: metres ahead of the centre of gravity."""
     preview_points: int = 1
     """Entries of the preview; (delay + lag)/preview_dt + 2 or more see the whole way."""
-    preview_dt: float = 0.05
+    preview_dt: float = DT
     """Time between them [s]."""
 
     def __post_init__(self) -> None:
@@ -215,7 +216,7 @@ class Predicted(Block):
         return v * s + side * c, r - kappa * (v * c - side * s) / m.maximum(1.0 - kappa * e, 0.2)
 
 
-def delayed_stanley(vehicle: Any, *, delay: float, lag: float, dt: float = 0.05) -> Predicted:
+def delayed_stanley(vehicle: Any, *, delay: float, lag: float, dt: float = DT) -> Predicted:
     """Stanley for a steering delay and lag [s], 0 to 0.3 s and about 0.1 s: predicted, with gains tuned for that.
 
     The gains are what `python -m benchmarks study tune_stanley` chose: with the prediction, damping only costs.

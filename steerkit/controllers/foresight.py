@@ -8,6 +8,7 @@ from typing import Any
 from steerkit import maths as m
 from steerkit.block import Block, In, Out
 from steerkit.errors import require
+from steerkit.task import A_Y_MAX, STOP
 from steerkit.units import radians_of
 
 
@@ -47,13 +48,13 @@ class Foresight(Block):
     distance = Out("m")
     reach = Out("m")
 
-    a_y_max: float = 3.0
+    a_y_max: float = A_Y_MAX
     """Largest lateral acceleration that the gate allows [m/s^2]."""
     jerk_max: float = 5.0
     """Its fastest change [m/s^3]."""
     rate_max: float = radians_of(550.0)
     """Fastest steering wheel [rad/s]."""
-    delta_sw_max: float = radians_of(520.0)
+    delta_sw_max: float = STOP
     """Largest |delta_sw| [rad]."""
     v_floor: float = 1.0
     """Slowest speed that the bounds reckon with [m/s]."""

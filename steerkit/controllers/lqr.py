@@ -15,6 +15,7 @@ from steerkit.block import Block, In, Out, State
 from steerkit.controllers.limits import limited
 from steerkit.errors import require
 from steerkit.maths import Scalar, Table
+from steerkit.task import DT, STOP
 from steerkit.units import radians_of
 
 Array = NDArray[np.float64]
@@ -46,7 +47,7 @@ class LqrDesign:
     """e' that costs 1 [m/s]."""
     step_size: float = 0.02
     """Change of the road-wheel angle in a sample that costs 1 [rad]."""
-    dt: float = 0.05
+    dt: float = DT
     """Sample time [s]."""
 
     def __post_init__(self) -> None:
@@ -177,7 +178,7 @@ class Lqr(Block):
     """Lateral acceleration beyond that of the path which corrections may always use [m/s^2]."""
     rate_limit: Scalar = radians_of(550.0)
     """Fastest command [rad/s]."""
-    limit: Scalar = radians_of(520.0)
+    limit: Scalar = STOP
     """Largest |delta_sw| [rad]."""
 
     def __post_init__(self) -> None:
@@ -198,7 +199,7 @@ class Lqr(Block):
         v_min: float = 1.0,
         v_max: float = 12.0,
         v_step: float = 0.5,
-        dt: float = 0.05,
+        dt: float = DT,
         **sizes: float,
     ) -> Lqr:
         """The regulator for a `Vehicle` whose lateral model is `matrices`, e at the front axle.

@@ -16,6 +16,7 @@ from steerkit.block import State
 from steerkit.controllers.policy import Policy
 from steerkit.errors import require
 from steerkit.files import read_arrays, write_arrays
+from steerkit.task import STOP
 from steerkit.units import radians_of
 
 Combine = Literal["mean", "max", "disagreement"]
@@ -46,9 +47,9 @@ class StateDescription:
 
     names: tuple[str, ...] = ("e", "e_dot", "v", "psi_e", "r_e", "doe")
     """The state's columns, in order; the cost functions read column 0 as e [m]."""
-    low: tuple[float, ...] = (-1.0, -2.0, 0.0, -0.6, -0.6, radians_of(-520.0))
+    low: tuple[float, ...] = (-1.0, -2.0, 0.0, -0.6, -0.6, -STOP)
     """Value that becomes -1 (SI)."""
-    high: tuple[float, ...] = (1.0, 2.0, 10.0, 0.6, 0.6, radians_of(520.0))
+    high: tuple[float, ...] = (1.0, 2.0, 10.0, 0.6, 0.6, STOP)
     """Value that becomes +1 (SI)."""
     mirror_signs: tuple[float, ...] = (-1.0, -1.0, 1.0, -1.0, -1.0, -1.0)
     """Sign of each column seen in the mirror."""

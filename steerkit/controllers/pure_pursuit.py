@@ -10,7 +10,7 @@ from steerkit.block import Block, In, Out
 from steerkit.errors import require
 from steerkit.maths import Scalar
 from steerkit.path import Path
-from steerkit.units import radians_of
+from steerkit.task import DT, STOP
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -51,7 +51,7 @@ class PurePursuit(Block):
     """Centre of gravity to rear axle [m]."""
     steer_ratio: Scalar = 15.6
     """Steering-wheel angle over road-wheel angle [1]."""
-    limit: Scalar = radians_of(520.0)
+    limit: Scalar = STOP
     """Largest |delta_sw| [rad]."""
     reference: Scalar = -1.5
     """Where s has to be measured: -l_r, the rear axle [m]."""
@@ -62,7 +62,7 @@ class PurePursuit(Block):
         require(self.look_max >= self.look_min, "PurePursuit", f"look_max = {self.look_max} m, expected >= look_min")
 
     @classmethod
-    def of(cls, vehicle: Any, path: Path, *, delay: float = 0.0, dt: float = 0.05) -> PurePursuit:
+    def of(cls, vehicle: Any, path: Path, *, delay: float = 0.0, dt: float = DT) -> PurePursuit:
         """The controller with geometry and ratio of a `Vehicle`, on `path`.
 
         delay [s] of the steering: the only remedy is a goal farther away, at the price of cut corners. look_time grows

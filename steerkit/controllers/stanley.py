@@ -10,6 +10,7 @@ from steerkit.block import Block, In, Out
 from steerkit.controllers.limits import approach_angle, limited
 from steerkit.errors import require
 from steerkit.maths import Scalar
+from steerkit.task import DT, STOP
 from steerkit.units import radians_of
 
 _NO_LIMIT = 1e3
@@ -86,7 +87,7 @@ class Stanley(Block):
     """Understeer gradient [rad s^2/m]."""
     steer_ratio: Scalar = 15.6
     """Steering-wheel angle over road-wheel angle [1]."""
-    limit: Scalar = radians_of(520.0)
+    limit: Scalar = STOP
     """Largest |delta_sw| [rad]."""
     reference: Scalar = 1.2
     """Where e, psi_e and kappa have to be measured: metres ahead of the centre of gravity (the front axle, l_f)."""
@@ -98,7 +99,7 @@ class Stanley(Block):
             require(getattr(self, name) > 0.0, "Stanley", f"{name} = {getattr(self, name)}, expected > 0")
 
     @classmethod
-    def of(cls, vehicle: Any, *, dt: float = 0.05) -> Stanley:
+    def of(cls, vehicle: Any, *, dt: float = DT) -> Stanley:
         """The controller with geometry, mass, stiffness and ratio of a `Vehicle`."""
         return cls(
             mass=vehicle.m,
@@ -112,7 +113,7 @@ class Stanley(Block):
         )
 
     @classmethod
-    def textbook(cls, vehicle: Any, *, dt: float = 0.05) -> Stanley:
+    def textbook(cls, vehicle: Any, *, dt: float = DT) -> Stanley:
         """The form of most public code: heading and cross-track terms only, hardly any softening, no limits."""
         bare = dict(k=2.5, k_soft=1e-3, k_d_yaw=0.0, k_d_steer=0.0, mass=0.0, approach_limit=m.pi / 2.0)
         return replace(cls.of(vehicle, dt=dt), **bare, a_y_max=_NO_LIMIT, rate_limit=_NO_LIMIT)

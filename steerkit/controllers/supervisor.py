@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from steerkit import maths as m
 from steerkit.block import Block, In, Out, Port, State
 from steerkit.errors import require
-from steerkit.units import radians_of
+from steerkit.task import RELEASE, STOP, TRIP
 
 
 class SupervisorState(NamedTuple):
@@ -46,11 +46,11 @@ class Supervisor(Block):
     tripped = Out("1")
     fault = Out("1")
 
-    trip: float = 0.5
+    trip: float = TRIP
     """|e| above which the learner loses the wheel [m]."""
-    release: float = 0.1
+    release: float = RELEASE
     """|e| below which it gets the wheel [m]."""
-    limit: float = radians_of(520.0)
+    limit: float = STOP
     """Largest |delta_sw| a learner may ask for [rad]; more is a fault."""
 
     def __post_init__(self) -> None:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 from steerkit import maths as m
 from steerkit.block import Block, In, Out
 from steerkit.errors import require
+from steerkit.task import TRIP
 
 
 class ShiftState(NamedTuple):
@@ -37,7 +38,7 @@ class TargetShift(Block):
     e_dot = Out("m/s", direct=(e_dot_path,))
     shift = Out("m", direct=())
 
-    trip: float = 0.5
+    trip: float = TRIP
     """|e| above which the target comes to the car [m]."""
     limit: float = 1.5
     """Farthest shift [m]."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from steerkit.errors import require
 from steerkit.path import Path
+from steerkit.task import A_Y_MAX
 from steerkit.units import radians_of
 
 _STEEPEST = 10.0 / math.sqrt(3.0)
@@ -24,7 +25,7 @@ _ISO_3888 = {
 """Lengths of the five sections and sideways distance of the lanes' centres [m]."""
 
 
-def lane_change(part: int = 1, *, speed: float = 9.0, a_y: float = 3.0, name: str = "") -> Path:
+def lane_change(part: int = 1, *, speed: float = 9.0, a_y: float = A_Y_MAX, name: str = "") -> Path:
     """The double lane change of ISO 3888-1, or the obstacle avoidance of ISO 3888-2, scaled in length to a speed.
 
     There and back between the lanes' centres, over sections in the standard's proportions,

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from steerkit.gym.task import Task
+from steerkit.task import GOAL
 
 WIDTH, HEIGHT = 720, 480
 _FINE = 2  # drawn so many times larger, then smoothed
@@ -33,7 +34,7 @@ class Painter:
         self._l_r = float(np.max(getattr(vehicle, "l_r", 1.5)))
         self._ratio = float(np.max(getattr(vehicle, "steer_ratio", 16.0)))
         self._limit = float(getattr(task.price, "trip", task.limit))
-        self._goal = float(getattr(task.price, "goal", 0.05))
+        self._goal = float(getattr(task.price, "goal", GOAL))
         self._history: deque[float] = deque(maxlen=round(_SECONDS / task.dt))
         self._now: Mapping[str, Any] = {}
         self._fonts = {size: ImageFont.load_default(size * _FINE) for size in (11, 13)}

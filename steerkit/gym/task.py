@@ -28,13 +28,14 @@ from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.single_track import SingleTrackState
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario.world import END_MARGIN, World
+from steerkit.task import STOP, STOP_DEG, TRIP
 from steerkit.units import radians_of
 
 Array = NDArray[np.float64]
 
 ACTIONS: dict[str, tuple[tuple[float, ...] | None, str]] = {
     "i-doe": (IDOE_ACTIONS, "integrator"),
-    "bang-bang": ((radians_of(-520.0), radians_of(520.0)), "direct"),
+    "bang-bang": ((-STOP, STOP), "direct"),
     "continuous": (None, "integrator"),
 }
 """Action sets by name: their angles [rad], and the dynamic output element they are made for."""
@@ -100,7 +101,7 @@ class Task:
     cost: Any = "smooth"
     """`smooth` (`SmoothCost` of the wheel's steps), `paper` (`IdoeCost`; `BandCost` where no action is 0), any `Cost`,
     or the fields of one with its class under `kind`."""
-    limit: float = 0.5
+    limit: float = TRIP
     """|e| [m] beyond which the episode has failed, for a cost given by name (others bring their own `trip`)."""
     failure: float = 1.0
     """What a failure costs. The costs are made for NFQ, where 1 is the worst there is; a learner with discount g may
@@ -184,7 +185,7 @@ class Task:
     @cached_property
     def scale(self) -> float:
         """The angle of a continuous action of 1 [rad]."""
-        return self.largest or radians_of(25.0 if isinstance(self.element, Integrator) else 520.0)
+        return self.largest or radians_of(25.0 if isinstance(self.element, Integrator) else STOP_DEG)
 
     @cached_property
     def price(self) -> Cost:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerkit.errors import require
+from steerkit.task import DT, GOAL, TRIP
 
 Costs = tuple[NDArray[np.float64], NDArray[np.bool_]]
 Array = NDArray[np.float64]
@@ -34,9 +35,9 @@ class Cost(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class _Limits:
-    goal: float = 0.05
+    goal: float = GOAL
     """|e| [m] below which the car counts as on the path."""
-    trip: float = 0.5
+    trip: float = TRIP
     """|e| [m] above which the episode has failed (terminal, cost 1)."""
     step: float = 0.01
     """Cost of a step elsewhere; 0.04 uses more of a sigmoid's range."""
@@ -127,7 +128,7 @@ class SmoothCost:
     """Price of a step in which the steering wheel turns by `wheel_unit` or more."""
     wheel_unit: float = math.radians(25.0)
     """[rad]"""
-    dt: float = 0.05
+    dt: float = DT
     """Sample time [s]."""
 
     def __post_init__(self) -> None:

@@ -14,6 +14,7 @@ from steerkit.errors import require
 from steerkit.learning.costs import BandCost, Cost, IdoeCost, SmoothCost, TanhCost
 from steerkit.learning.nfq.iterate import FitSetting
 from steerkit.learning.nfq.patterns import StateDescription
+from steerkit.task import STOP_DEG
 from steerkit.units import radians_of
 from steerkit.vehicles import Vehicle
 
@@ -111,13 +112,13 @@ PAPER = Setting(
     calm=math.inf,
 )
 BANG_BANG = replace(  # the 800 m course needs up to 430 degrees in motion: 360 cannot drive it, whatever is learned
-    MODEL_FREE, name="bang-bang", actions_deg=(-520.0, 520.0), doe="direct", cost=TanhCost(action_cost=0.0)
+    MODEL_FREE, name="bang-bang", actions_deg=(-STOP_DEG, STOP_DEG), doe="direct", cost=TanhCost(action_cost=0.0)
 )
 LOW_PASS = replace(
     DEFAULT,
     name="low-pass",
     actions_deg=(
-        -520.0,
+        -STOP_DEG,
         -390.0,
         -260.0,
         -180.0,
@@ -135,7 +136,7 @@ LOW_PASS = replace(
         180.0,
         260.0,
         390.0,
-        520.0,
+        STOP_DEG,
     ),
     doe="low-pass",
     cost=TanhCost(goal=0.15, action_cost=0.0),  # its actions are angles: a price on them would pull the wheel straight

@@ -11,6 +11,7 @@ from steerkit.metrics.comfort import lateral_jerk, r79_acceleration, r79_jerk, w
 from steerkit.metrics.signals import largest, magnitude_at, rates, rms, share_within, time_over
 from steerkit.metrics.steering import accelerations, reversal_rate
 from steerkit.simulation import Log, Signal
+from steerkit.task import GOAL
 from steerkit.units import degrees_of
 
 
@@ -48,7 +49,7 @@ def summary(*, t: ArrayLike, e: ArrayLike, delta_sw: ArrayLike, a_y: ArrayLike) 
         duration=float(times[-1] - times[0]),
         rms_e=rms(e),
         max_e=largest(e),
-        share_within_5cm=share_within(e, 0.05),
+        share_within_5cm=share_within(e, GOAL),
         rms_wheel_rate_deg=rms(degrees_of(rates(t, delta_sw))),
         max_a_y=largest(a_y),
         rms_jerk=rms(jerk),

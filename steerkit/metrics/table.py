@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from steerkit.task import A_Y_MAX, TRIP
+
 Group = Literal["tracking", "steering", "comfort", "computing", "learning"]
 
 
@@ -57,7 +59,7 @@ TABLE: tuple[Metric, ...] = (
         group="tracking",
         what="largest cross-track error",
         source=_PAPER,
-        limit=0.5,
+        limit=TRIP,
     ),
     Metric(
         name="share_within_5cm",
@@ -148,7 +150,7 @@ TABLE: tuple[Metric, ...] = (
         group="comfort",
         what="largest lateral acceleration, unfiltered",
         source=_ISO_11270,
-        limit=3.0,
+        limit=A_Y_MAX,
     ),
     Metric(
         name="max_a_y_r79",
@@ -157,7 +159,7 @@ TABLE: tuple[Metric, ...] = (
         group="comfort",
         what="largest lateral acceleration after a 4th-order Butterworth at 0.5 Hz",
         source=_R79,
-        limit=3.0,
+        limit=A_Y_MAX,
     ),
     Metric(
         name="rms_jerk",

@@ -14,6 +14,7 @@ from steerkit.errors import require
 from steerkit.maths import Table
 from steerkit.path import Path
 from steerkit.plants.human_driver import HumanDriver
+from steerkit.task import A_Y_MAX
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -36,7 +37,7 @@ class CarefulDriver(Block):
     """The course."""
     driver: HumanDriver
     """Who sets the speed where there is no bend."""
-    a_y_max: float = 3.0
+    a_y_max: float = A_Y_MAX
     """Largest lateral acceleration in a bend [m/s^2]."""
     a_x_max: float = 1.5
     """Largest acceleration and braking for it [m/s^2]."""

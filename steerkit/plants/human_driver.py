@@ -15,6 +15,7 @@ from steerkit.block import Block, In, Out, State
 from steerkit.errors import require, require_within
 from steerkit.maths import Scalar, Table
 from steerkit.random import normals, seed_state
+from steerkit.task import DT
 
 _STREAM = 1  # of `seed_state`: the drivers'
 _FASTEST = 60.0  # m/s
@@ -49,7 +50,7 @@ class HumanDriver(Block):
     """Time constant of the foot [s]."""
     seed: int = 0
     """Seed of the random numbers."""
-    dt: float = 0.05
+    dt: float = DT
 
     def __post_init__(self) -> None:
         where = "HumanDriver"
@@ -95,7 +96,7 @@ class ConstantSpeed(Block):
 
     speed: Scalar = 5.0
     """The speed [m/s]; an `(N,)` array for a batch of different drivers."""
-    dt: float = 0.05
+    dt: float = DT
 
     def __post_init__(self) -> None:
         require_within("ConstantSpeed", "speed", self.speed, "m/s", 0.0, _FASTEST)
@@ -118,7 +119,7 @@ class _Profile(Block):
     """Distance between them, in the unit of what they are recorded over."""
     repeat: bool = False
     """After the last sample, go on with the first (which it should equal)? Otherwise hold the last."""
-    dt: float = 0.05
+    dt: float = DT
 
     def __post_init__(self) -> None:
         where = type(self).__name__

@@ -13,6 +13,7 @@ from steerkit.block import Block, In, Out, State
 from steerkit.errors import require_within, whole_samples
 from steerkit.maths import Scalar
 from steerkit.random import RandomState, normals, seed_state
+from steerkit.task import DT
 from steerkit.units import radians_of
 
 _STREAM = 2  # of `seed_state`: the sensors'
@@ -80,10 +81,10 @@ class Sensors(Block):
     """Age of what is seen [s], a multiple of dt."""
     seed: int = 0
     """Seed of the random numbers."""
-    dt: float = 0.05
+    dt: float = DT
 
     @classmethod
-    def hard(cls, seed: int = 0, *, dt: float = 0.05) -> Self:
+    def hard(cls, seed: int = 0, *, dt: float = DT) -> Self:
         """A demanding but ordinary set: RTK position drifting by 1 cm, heading by 0.1 deg, gyro noise, 50 ms late."""
         return cls(
             position_drift=0.01,

@@ -12,6 +12,7 @@ from steerkit import maths as m
 from steerkit.block import Block, In, Out, State
 from steerkit.errors import require, require_within, whole_samples
 from steerkit.maths import Scalar
+from steerkit.task import STOP
 from steerkit.units import radians_of
 from steerkit.vehicles.file import table_of
 
@@ -38,7 +39,7 @@ class SteeringActuator(Block):
     delta_sw = Out("rad", direct=())
     rate = Out("rad/s", direct=())
 
-    limit: Scalar = radians_of(520.0)
+    limit: Scalar = STOP
     """Largest |delta_sw| [rad]."""
     rate_limit: Scalar = radians_of(550.0)
     """Largest |rate| [rad/s]."""

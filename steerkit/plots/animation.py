@@ -11,6 +11,7 @@ import numpy as np
 
 from steerkit.errors import require
 from steerkit.plots.style import COLOURS, style
+from steerkit.task import GOAL
 from steerkit.units import degrees_of
 
 if TYPE_CHECKING:
@@ -148,7 +149,7 @@ class _Scene:
         run, strip = self.run, self.strip
         if "e" in run.signals:
             e = run.signals["e"]
-            strip.axhspan(-0.05, 0.05, color=COLOURS["goal"], alpha=0.35, lw=0)
+            strip.axhspan(-GOAL, GOAL, color=COLOURS["goal"], alpha=0.35, lw=0)
             strip.plot(run.t, e, color=COLOURS["muted"], lw=0.7)
             (self.line,) = strip.plot([], [], color=COLOURS["learned"], lw=1.3)
             strip.set_ylim(*(np.array([-1.15, 1.15]) * max(0.06, float(np.nanmax(np.abs(e))))))

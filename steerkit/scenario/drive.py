@@ -13,6 +13,7 @@ from steerkit.errors import known
 from steerkit.loop import Loop
 from steerkit.scenario.world import World
 from steerkit.simulation import Log, Sample, simulate
+from steerkit.task import TRIP
 
 
 def controller(name: str, world: World) -> Block:
@@ -67,7 +68,7 @@ def drive(
     return simulate(loop, slowest + 5.0, every=ticks, until=over, allow_nonfinite=True, progress=progress)
 
 
-def held_all_along(log: Log, *, limit: float = 0.5) -> bool:
+def held_all_along(log: Log, *, limit: float = TRIP) -> bool:
     """Did the controller stay within |e| <= limit [m] and, if learned, keep the wheel from the first sample on?"""
     on_course = bool((abs(log["path.e"]) <= limit).all())
     return on_course and ("supervisor.learning" not in log or bool((log["supervisor.learning"] > 0.5).all()))

@@ -6,7 +6,7 @@ import dataclasses
 
 from steerkit.errors import require_within
 from steerkit.maths import Scalar
-from steerkit.units import radians_of
+from steerkit.task import STOP
 
 G = 9.81
 """Gravity [m/s^2], as CommonRoad has it."""
@@ -39,7 +39,7 @@ class Vehicle:
     """Steering-wheel angle over road-wheel angle [1]."""
     mu: Scalar = 1.0
     """Friction coefficient between tyres and road [1]."""
-    delta_sw_max: float = radians_of(520.0)
+    delta_sw_max: float = STOP
     """Mechanical stop of the steering wheel, to either side [rad]."""
 
     def __post_init__(self) -> None:

@@ -17,12 +17,13 @@ from tests.support.places import ROOT
 
 HEAVY = ("torch", "casadi", "control", "matplotlib", "pandas", "pyarrow")
 
-BASE = {"units", "maths", "random", "clock", "errors", "files", "native"}
+BASE = {"units", "task", "maths", "random", "clock", "errors", "files", "native"}
 RUN = BASE | {"block", "wiring", "loop", "simulation"}
 PLACES = BASE | {"block", "vehicles", "path", "courses"}
 PARTS = PLACES | {"tracker", "doe", "controllers", "plants"}
 MAY_IMPORT: dict[str, set[str]] = {
     "units": set(),
+    "task": {"units"},
     "clock": set(),
     "maths": set(),
     "native": {"files", "errors", "units"},

@@ -17,6 +17,7 @@ from steerkit.controllers.mpc.path_model import KAPPA_HIGH, V_HIGH, V_LOW, Array
 from steerkit.controllers.mpc.qp import SOLVERS, Answer, StageQp
 from steerkit.controllers.stanley import Stanley
 from steerkit.errors import require
+from steerkit.task import DT, STOP, TRIP
 from steerkit.units import radians_of
 
 SOLVED, PLAN, FALLBACK, HELD = 0.0, 1.0, 2.0, 3.0
@@ -105,11 +106,11 @@ class PredictiveSteering(Block):
     """Weight of the yaw rate's deviation from steady cornering [s^2]."""
     q_rate: float = 2e-4
     """Weight of the command's rate [s^2]."""
-    limit: float = radians_of(520.0)
+    limit: float = STOP
     """Largest |command| [rad]."""
     rate_limit: float = radians_of(500.0)
     """Largest rate of the command [rad/s]."""
-    e_limit: float = 0.5
+    e_limit: float = TRIP
     """|e| [m] that costs extra beyond."""
     a_y_limit: float = 2.8
     """|a_y| [m/s^2] that costs extra beyond; soft, so a little below the 3 that are meant."""
@@ -140,7 +141,7 @@ class PredictiveSteering(Block):
     """Seconds, for milliseconds and the budget; None: no time is taken."""
     preview_points: int = field(init=False, default=0)
     """Curvatures wanted ahead: over the delay and the horizon."""
-    preview_dt: float = field(init=False, default=0.05)
+    preview_dt: float = field(init=False, default=DT)
     """Time between them [s]: dt."""
 
     class X(NamedTuple):

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from steerkit.errors import require
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq.patterns import StateDescription
+from steerkit.task import DT
 
 Array = NDArray[np.float64]
 
@@ -46,11 +47,11 @@ class CarModel:
     yaw: float
     limit: float
     """Largest |doe| [rad]."""
-    dt: float = 0.05
+    dt: float = DT
     """Sample time [s]."""
 
     @classmethod
-    def fit(cls, record: Transitions, description: StateDescription, dt: float = 0.05) -> CarModel:
+    def fit(cls, record: Transitions, description: StateDescription, dt: float = DT) -> CarModel:
         """The model of recorded transitions; raises ValueError for none, or for states of other columns."""
         require(record.names == COLUMNS, "CarModel.fit", f"columns {record.names}, the model needs {COLUMNS}")
         require(len(record) > 0, "CarModel.fit", "no transitions, expected at least one")

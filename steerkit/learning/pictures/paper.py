@@ -10,9 +10,9 @@ import numpy as np
 
 from steerkit.plots.style import COLOURS, new_figure, style
 from steerkit.simulation import Log
+from steerkit.task import GOAL, TRIP
 from steerkit.units import degrees_of
 
-GOAL, TRIP = 0.05, 0.5
 P = ParamSpec("P")
 
 

@@ -16,6 +16,7 @@ from steerkit.learning.nfq.patterns import patterns
 from steerkit.learning.nfq.rprop import predict
 from steerkit.plots.style import COLOURS, new_figure, style
 from steerkit.scenario.world import World
+from steerkit.task import TRIP
 from steerkit.units import degrees_of, radians_of
 
 if TYPE_CHECKING:
@@ -31,7 +32,6 @@ LABELS = {
 }
 SPANS = {"e": 0.5, "e_dot": 1.0, "psi_e": radians_of(15.0), "r_e": radians_of(20.0), "doe": radians_of(300.0)}
 """Half-widths of the slices [SI]."""
-TRIP = 0.5
 """Half-width of the map in e [m]."""
 Array = NDArray[np.float64]
 P = ParamSpec("P")

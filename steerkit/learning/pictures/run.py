@@ -24,13 +24,13 @@ from steerkit.learning.pictures.policy import policy_map, q_slices, styled
 from steerkit.path import Path
 from steerkit.plots.style import COLOURS, PALETTE, new_figure
 from steerkit.simulation import Log
+from steerkit.task import GOAL, TRIP
 from steerkit.units import degrees_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-GOAL, TRIP = 0.05, 0.5
 """Goal band and failure limit of |e| [m]."""
 WINDOW = 5.0
 """Time over which RMS e is taken in a learning curve [s]."""

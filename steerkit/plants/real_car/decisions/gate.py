@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from steerkit.errors import require
+from steerkit.task import A_Y_MAX, STOP
 from steerkit.units import radians_of
 
 
@@ -15,11 +16,11 @@ from steerkit.units import radians_of
 class GateLimits:
     """What may be sent to the steering wheel; each limit is a bound that no request moves."""
 
-    delta_sw_max: float = radians_of(520.0)
+    delta_sw_max: float = STOP
     """Largest |delta_sw| [rad]."""
     rate_max: float = radians_of(550.0)
     """Fastest change of delta_sw [rad/s]."""
-    a_y_max: float = 3.0
+    a_y_max: float = A_Y_MAX
     """|kappa| <= a_y_max/v^2 [m/s^2]."""
     jerk_max: float = 5.0
     """|dkappa/dt| <= jerk_max/v^2 [m/s^2 per s]."""

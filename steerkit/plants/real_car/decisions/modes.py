@@ -9,6 +9,7 @@ from enum import StrEnum
 from typing import NamedTuple
 
 from steerkit.errors import require
+from steerkit.task import STOP
 from steerkit.units import degrees_of, radians_of
 
 
@@ -89,7 +90,7 @@ class StateLimits:
     """Slowest speed to engage at [m/s]."""
     v_engage_max: float = 9.0
     """Fastest speed to engage at [m/s]."""
-    delta_sw_max: float = radians_of(520.0)
+    delta_sw_max: float = STOP
     """Largest |request| [rad]; more is a broken controller."""
 
     def __post_init__(self) -> None:

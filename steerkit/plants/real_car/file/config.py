@@ -11,6 +11,7 @@ from typing import Any
 from steerkit.plants.real_car.decisions.gate import GateLimits
 from steerkit.plants.real_car.decisions.modes import StateLimits
 from steerkit.plants.real_car.frames.codec import CommandWriter, FrameReader, Mapping
+from steerkit.task import STOP_DEG
 from steerkit.units import degrees_of
 from steerkit.vehicles import Vehicle
 
@@ -48,7 +49,7 @@ KINDS = {
     "s": ("s", "ms", "us"),
 }
 WIDEST = {
-    "delta_sw_max_deg": 520.0,
+    "delta_sw_max_deg": STOP_DEG,
     "rate_max_deg": 1000.0,
     "a_y_max": 5.0,
     "jerk_max": 10.0,
