@@ -26,7 +26,7 @@ from steerkit.learning.nfq import rprop
 from steerkit.learning.nfq.iterate import FitSetting, fresh_nets, iterate, targets
 from steerkit.learning.nfq.network import new_net
 from steerkit.learning.nfq.patterns import STANDARD, patterns
-from steerkit.task import DT
+from steerkit.task import DT, TRIP
 
 TOLERANCE = {10: 1e-4, 300: 0.1}
 """Largest relative difference of the errors after so many epochs. Weights move by signs, so both engines take the very
@@ -61,7 +61,7 @@ def drives(n: int, seed: int = 0) -> Transitions:
         psi_e = psi_e + dt * (v * np.tan(doe / 15.6) / 2.71 - v * kappa)
         e = e + dt * v * np.sin(psi_e)
         rows.append((s, a, state(), episode.astype(int)))
-        fresh = np.abs(e) > 0.5
+        fresh = np.abs(e) > TRIP
     s, a, s_next, number = (np.stack(part, axis=1) for part in zip(*rows, strict=True))  # a car's samples in a row
     flat = (s.reshape(-1, 6), a.ravel(), s_next.reshape(-1, 6), number.ravel())
     record.extend(*(part[:n] for part in flat))

@@ -14,6 +14,7 @@ from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.recorder import Keep, TransitionRecorder
 from steerkit.learning.settings import Setting
 from steerkit.learning.trainer import Job, Result, Training
+from steerkit.task import RELEASE
 
 
 def untrained(setting: Setting, seed: int) -> NfqPolicy:
@@ -152,7 +153,7 @@ class Story:
     def calm(self, e: float, e_dot: float) -> bool:
         """Is the car quiet enough on the path for a new driver? A setting without `calm` lets the supervisor judge."""
         limit = self.setting.calm
-        return abs(e_dot) < limit and (abs(e) < 0.1 or math.isinf(limit))
+        return abs(e_dot) < limit and (abs(e) < RELEASE or math.isinf(limit))
 
     def _keep(self, s: tuple[float, ...], action: float, s_next: tuple[float, ...], episode: int) -> None:
         self.transitions.append(s, action, s_next, episode)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from steerkit.task import TRIP
 import dataclasses
 import math
 from collections.abc import Sequence
@@ -91,7 +92,7 @@ def _drive_one(world: World, setting: Setting, policy: Any, seed: int) -> TrialD
 
 def _judged(log: Log, car: int, length: float) -> TrialDrive:
     e, progress = log["path.e"][:, car], log["path.progress"][:, car]
-    lost = (log["supervisor.learning"][:, car] < 0.5) | ~(np.abs(e) <= 0.5)
+    lost = (log["supervisor.learning"][:, car] < 0.5) | ~(np.abs(e) <= TRIP)
     over = progress >= length
     end = min(_first(lost), _first(over) + 1)
     part = Log(log.t[:end], {name: log[name][:end, car] for name in SIGNALS}, log.units)

@@ -74,6 +74,7 @@ ELSEWHERE = {
     "steerkit.scenario.drive": "unit/learning/test_trials.py",
     "steerkit.scenario.world": "unit/learning/test_experiment.py",
     "steerkit.units": "contract/test_same_everywhere.py",
+    "steerkit.task": "contract/test_once.py",
     "steerkit.vehicles": "unit/vehicles/test_named.py",
     "benchmarks.peers.python_control": "unit/benchmarks/studies/test_studies.py",
     "benchmarks.rounds": "unit/benchmarks/studies/test_studies.py",

@@ -79,13 +79,16 @@ def numbers_in(value: ast.expr) -> list[float]:
 
 
 def second_homes(name: str, text: str) -> list[str]:
-    """Where the task's numbers are written once more in a module; 520 (degrees) under any name."""
+    """Where the task's numbers are written once more in a module; 520 (degrees) and a bound on |e| under any name."""
     tree = ast.parse(text)
     found = []
     for target, value in written(tree):
         number = NUMBERS.get(target.rpartition(".")[2].lower())
         if number is not None and number in numbers_in(value):
             found.append(f"{name}:{value.lineno} {target} = {ast.unparse(value)}")
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Compare) and re.search(r"abs(olute)?\(.*\be\b", ast.unparse(node.left)):
+            found += [f"{name}:{node.lineno} {ast.unparse(node)}" for part in node.comparators if numbers_in(part)]
     constants = [node for node in ast.walk(tree) if isinstance(node, ast.Constant)]
     return found + [f"{name}:{node.lineno} {node.value}" for node in constants if node.value == 520]
 
@@ -105,6 +108,7 @@ def test_the_numbers_of_the_task_stand_once() -> None:
         "def f(*, dt: float = 0.05): ...",
         "def f(e, goal=0.05): ...",
         "limit = radians_of(-520)",
+        "near = abs(e) < 0.1",
         "preview_dt: float = field(init=False, default=0.05)",
     ],
 )
