@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from steerkit.task import TRIP
 import dataclasses
 import math
 from collections.abc import Sequence
@@ -18,6 +17,7 @@ from steerkit.metrics import GOOD, Summary, of_log
 from steerkit.scenario import drive as evaluate
 from steerkit.scenario.world import World
 from steerkit.simulation import Log
+from steerkit.task import TRIP
 
 SIGNALS = ("path.e", "path.progress", "car.delta_sw", "car.a_y", "supervisor.learning")
 WEIGHTS = "controller.block.weights"
