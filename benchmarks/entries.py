@@ -7,14 +7,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 
-from benchmarks.scenarios import Scenario
 from steerkit import catalogue
 from steerkit.block import Block
 from steerkit.catalogue import make_controller
-from steerkit.path import Path
 from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.scenario import Scenario
 
-Make = Callable[[Scenario, Path], Block]
+Make = Callable[[Scenario], Block]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +27,7 @@ class Controller:
     about: str
     """One line for the report."""
     make: Make | None = None
-    """Makes the block for a scenario's nominal car and path; None for one that is learned."""
+    """Makes the block from what a scenario tells; None for one that is learned."""
     setting: str = ""
     """How it learns: a name of `steerkit.learning.settings` or `peers.SETTINGS`; empty for one that does not."""
     training: str = "clean"
@@ -53,10 +52,10 @@ class Controller:
 
 def _catalogued(name: str) -> Make:
     """What makes the library's controller of that name for a scenario."""
-    return lambda scenario, path: make_controller(name, scenario.belief(path))
+    return lambda scenario: make_controller(name, scenario.belief())
 
 
-def _do_mpc(scenario: Scenario, path: Path) -> Block:
+def _do_mpc(scenario: Scenario) -> Block:
     from benchmarks.peers.agents import DoMpc
 
     car = scenario.nominal
@@ -64,7 +63,7 @@ def _do_mpc(scenario: Scenario, path: Path) -> Block:
         matrices=LinearSingleTrack(vehicle=car).matrices,
         steer_ratio=car.steer_ratio,
         reference=float(car.l_f),
-        lag=scenario.belief(path).lag,
+        lag=scenario.belief().lag,
     )
 
 

@@ -7,16 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from steerkit.assembly import placed, steering_loop
+from steerkit.assembly import placed
 from steerkit.block import Block
 from steerkit.catalogue import Belief
 from steerkit.compiled import compile
 from steerkit.courses import course
 from steerkit.loop import Loop
-from steerkit.plants.careful_driver import CarefulDriver
-from steerkit.plants.human_driver import HumanDriver
-from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator
+from steerkit.scenario import Scenario
+from steerkit.scenario.drive import assembled
 from steerkit.simulation import Log, simulate
 from steerkit.vehicles import vehicle
 
@@ -40,16 +39,9 @@ def drive_loop(
 
     At 9 m/s the course's hairpin (5.9 m) would be 13.7 m/s^2, more than tyres can do: hence the careful driver.
     """
-    path = course(name)
-    driver = CarefulDriver(path=path, driver=HumanDriver(v_min=v_min, v_max=v_max, seed=seed))
-    return steering_loop(
-        car=placed(NonlinearSingleTrack(vehicle=CAR, v0=v_min), path, e=e),
-        path=path,
-        driver=driver,
-        controller=controller,
-        actuator=SteeringActuator(delay=delay, lag=lag),
-        reference=reference_of(controller),
-    )
+    scenario = Scenario(name="study", course=name, delay=delay, lag=lag, v_min=v_min, v_max=v_max, reference="own")
+    loop = assembled(scenario, controller, seed=seed)
+    return loop.with_block("car", placed(scenario.car(scenario.path()), scenario.path(), e=e))
 
 
 def reference_of(controller: Block) -> float:

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 from benchmarks.entries import CONTROLLERS
 from benchmarks.run.results import case_id
-from benchmarks.scenarios import MULTI_BODY, Scenario
+from benchmarks.scenarios import MULTI_BODY, scene
+from steerkit.scenario import Scenario
 
 TRAINING = "training"
 """The suite that trainings are filed under, so that suites in one directory share them."""
@@ -60,23 +61,23 @@ class Job:
         return case_id(TRAINING, name, self.controller, self.seed)
 
 
-PAPER_ROUND = Scenario(name="paper-round")
-_MB = dict(plant=MULTI_BODY, vehicle_name="bmw-320i", v_min=7.0, v_max=7.0)
+PAPER_ROUND = scene(name="paper-round")
+_MB = dict(plant=MULTI_BODY, vehicle="bmw-320i", v_min=7.0, v_max=7.0)
 _TRACKING = (
     PAPER_ROUND,
-    Scenario(name="paper-fast", v_max=9.0),
-    Scenario(name="paper-linear", plant="linear"),
-    Scenario(name="paper-hard", lag=0.15, noise=1.0, latency=0.05),
-    Scenario(name="genesis-recorded", course="genesis", speed="recorded", v_max=9.0),
-    Scenario(name="genesis-rfs-recorded", course="genesis-rfs", speed="recorded", v_max=9.0),
-    Scenario(name="iso3888-1-9", course="iso3888-1", v_min=9.0, v_max=9.0),
-    Scenario(name="iso3888-1-5", course="iso3888-1", v_min=5.0, v_max=5.0),
-    Scenario(name="iso3888-2-9", course="iso3888-2", v_min=9.0, v_max=9.0),
-    Scenario(name="circle-6", course="circle", v_min=6.0, v_max=6.0),
-    Scenario(name="slalom-9", course="slalom", v_min=9.0, v_max=9.0),
-    Scenario(name="curvature-step-7", course="curvature-step", v_min=7.0, v_max=7.0),
-    Scenario(name="iso3888-1-multi-body", course="iso3888-1", **_MB),  # type: ignore[arg-type]
-    Scenario(name="slalom-multi-body", course="slalom", **_MB),  # type: ignore[arg-type]
+    scene(name="paper-fast", v_max=9.0),
+    scene(name="paper-linear", plant="linear"),
+    scene(name="paper-hard", lag=0.15, noise=1.0, latency=0.05),
+    scene(name="genesis-recorded", course="genesis", speed="recorded", v_max=9.0),
+    scene(name="genesis-rfs-recorded", course="genesis-rfs", speed="recorded", v_max=9.0),
+    scene(name="iso3888-1-9", course="iso3888-1", v_min=9.0, v_max=9.0),
+    scene(name="iso3888-1-5", course="iso3888-1", v_min=5.0, v_max=5.0),
+    scene(name="iso3888-2-9", course="iso3888-2", v_min=9.0, v_max=9.0),
+    scene(name="circle-6", course="circle", v_min=6.0, v_max=6.0),
+    scene(name="slalom-9", course="slalom", v_min=9.0, v_max=9.0),
+    scene(name="curvature-step-7", course="curvature-step", v_min=7.0, v_max=7.0),
+    scene(name="iso3888-1-multi-body", course="iso3888-1", **_MB),  # type: ignore[arg-type]
+    scene(name="slalom-multi-body", course="slalom", **_MB),  # type: ignore[arg-type]
 )
 
 
@@ -87,7 +88,7 @@ def _grid(kind: str, first: tuple[str, Sequence[float]], second: tuple[str, Sequ
         if "v_max" in values:
             values["v_min"] = values["v_max"]
         label = "-".join(f"{key}{value:g}" for key, value in ((first[0], a), (second[0], b)))
-        yield Scenario(name=f"{kind}-{label}", told_delay=0.0, told_lag=0.12, **values)  # type: ignore[arg-type]
+        yield scene(name=f"{kind}-{label}", told_delay=0.0, told_lag=0.12, **values)  # type: ignore[arg-type]
 
 
 _ROBUSTNESS = (
@@ -100,14 +101,14 @@ _ROBUSTNESS = (
 )
 _GENERALISE = (
     PAPER_ROUND,
-    *(Scenario(name=f"random-{n}", course=f"random-{n}") for n in range(1, 6)),
-    Scenario(name="genesis-recorded", course="genesis", speed="recorded", v_max=9.0),
-    Scenario(name="genesis-rfs-recorded", course="genesis-rfs", speed="recorded", v_max=9.0),
-    Scenario(name="paper-linear", plant="linear"),
-    Scenario(name="paper-hard", lag=0.15, noise=1.0, latency=0.05),
-    Scenario(name="paper-bmw", vehicle_name="bmw-320i"),
-    Scenario(name="paper-ford", vehicle_name="ford-escort"),
-    Scenario(name="paper-multi-body", plant=MULTI_BODY, vehicle_name="bmw-320i"),
+    *(scene(name=f"random-{n}", course=f"random-{n}") for n in range(1, 6)),
+    scene(name="genesis-recorded", course="genesis", speed="recorded", v_max=9.0),
+    scene(name="genesis-rfs-recorded", course="genesis-rfs", speed="recorded", v_max=9.0),
+    scene(name="paper-linear", plant="linear"),
+    scene(name="paper-hard", lag=0.15, noise=1.0, latency=0.05),
+    scene(name="paper-bmw", vehicle="bmw-320i"),
+    scene(name="paper-ford", vehicle="ford-escort"),
+    scene(name="paper-multi-body", plant=MULTI_BODY, vehicle="bmw-320i"),
 )
 _ALL = (
     Suite(
@@ -156,7 +157,7 @@ _ALL = (
     Suite(
         name="compute",
         about="computing time a step, one drive at a time",
-        scenarios=(Scenario(name="paper-steady", v_min=6.0, v_max=6.0),),
+        scenarios=(scene(name="paper-steady", v_min=6.0, v_max=6.0),),
         controllers=(*ANALYTIC, "do-mpc", "nfq-idoe-quick", "nfq-bang-bang-quick"),
         seeds=1,
         timed_steps=2000,
@@ -187,10 +188,10 @@ _ALL = (
         name="golden",
         about="a small one whose numbers the tests hold",
         scenarios=(
-            Scenario(
+            scene(
                 name="slalom-hard", course="slalom", v_max=9.0, lag=0.15, noise=1.0, latency=0.05, wind=0.2, gust=0.1
             ),
-            Scenario(name="curvature-step-7", course="curvature-step", v_min=7.0, v_max=7.0),
+            scene(name="curvature-step-7", course="curvature-step", v_min=7.0, v_max=7.0),
         ),
         controllers=("stanley", "stanley-textbook", "pure-pursuit"),
         seeds=2,

@@ -116,7 +116,7 @@ def main(arguments: list[str] | None = None) -> None:
             f"{took:.0f} s of computing; block in {place / name}.npz",
             flush=True,
         )
-    log = drive(world, Stanley.of(world.vehicle), seed=options.seed)
+    log = drive(world, Stanley.of(world.nominal), seed=options.seed)
     rows.append(judged("Stanley", log, float(log["path.progress"][-1]) / length))
     print(f"\none round of {options.course}, {options.conditions}; caught by Stanley while |e| > 0.5 m\n")
     print("          at the wheel  whole round  RMS e [m]  max e [m]  wheel [deg/s]  a_y [m/s²]  jerk [m/s³]")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -14,7 +14,9 @@ from steerkit.controllers.pure_pursuit import PurePursuit
 from steerkit.controllers.stanley import Stanley
 from steerkit.doe import Direct, Dynamic, Integrator, LowPass
 from steerkit.errors import known, require
+from steerkit.outside import imported, is_outside
 from steerkit.path import Path
+from steerkit.plants.car import Car
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.single_track import SingleTrack
@@ -131,6 +133,8 @@ CONTROLLERS: Mapping[str, Recipe] = MappingProxyType(
     }
 )
 """The analytic controllers: they steer by themselves and learn nothing."""
+OWN = "my_file.py:make, package.module:make"
+"""What may stand for a controller's name besides: see `make_controller`."""
 RECOVERIES = tuple(name for name, recipe in CONTROLLERS.items() if recipe.catches)
 """Names of those that may catch a learned controller."""
 ELEMENTS: Mapping[str, type[Dynamic]] = MappingProxyType(
@@ -144,11 +148,50 @@ PLANTS: Mapping[str, type[SingleTrack]] = MappingProxyType(
 
 
 def make_controller(name: str, belief: Belief) -> Block:
-    """The controller of that name (see `CONTROLLERS`), made for what is believed of car, course and steering.
+    """The controller of that name, made for what is believed of car, course and steering.
 
-    Raises ValueError for an unknown name, with the valid ones.
+    name: one of `CONTROLLERS`; or `my_file.py:make`, `package.module:make`, where make(belief) returns a block of your
+    own that steers by itself. Raises ValueError for an unknown name, with the valid ones, and for a `make` that fails
+    or returns something else.
     """
-    return CONTROLLERS[known(name, CONTROLLERS, "controller")].make(belief)
+    if is_outside(name):
+        return _own(name, belief)
+    return CONTROLLERS[known(name, CONTROLLERS, "controller", also=OWN)].make(belief)
+
+
+def _own(name: str, belief: Belief) -> Block:
+    make, where = imported(name, "controller"), f"controller '{name}'"
+    require(callable(make), where, f"a {type(make).__name__}, expected a function of a Belief that returns a Block")
+    try:
+        block = make(belief)
+    except Exception as error:
+        line = (str(error).splitlines() or [""])[0]
+        raise ValueError(f"{where} failed: {type(error).__name__}: {line}") from error
+    expected = "expected a Block with an output delta_sw [rad]"
+    require(isinstance(block, Block), where, f"returned {_called(block)}, {expected}")
+    outputs = {port.name: port.unit for port in block.outputs}
+    given = ", ".join(f"{port} [{unit}]" for port, unit in outputs.items()) or "none"
+    require(outputs.get("delta_sw") == "rad", where, f"{type(block).__name__} has the outputs {given}, {expected}")
+    return block
+
+
+def _called(thing: object) -> str:
+    return f"the class {thing.__name__}" if isinstance(thing, type) else f"{thing!r:.60}"
+
+
+def plant_kind(name: str) -> type[Block]:
+    """The class of a simulated car: one of `PLANTS`, or `package.module:Class` for another.
+
+    Another needs the ports of `steerkit.plants.car.Car` and the parameters vehicle, x0, y0, psi0 and v0; it may refuse
+    vehicles that it has no model of. Raises ValueError for an unknown name and for a class that is no such car.
+    """
+    if not is_outside(name):
+        return PLANTS[known(name, PLANTS, "plant", also="package.module:Class")]
+    kind, where = imported(name, "plant"), f"plant '{name}'"
+    require(isinstance(kind, type) and issubclass(kind, Car), where, f"{_called(kind)}, expected a subclass of Car")
+    lacks = {"vehicle", "x0", "y0", "psi0", "v0"} - {field.name for field in fields(kind)}
+    require(not lacks, where, f"{kind.__name__} has no parameter {', '.join(sorted(lacks))}")
+    return kind
 
 
 def make_recovery(name: str, belief: Belief) -> Block:

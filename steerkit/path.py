@@ -117,8 +117,24 @@ class Path:
         Other columns are ignored. smoothing [m]: by default 0 for x, y and 0.1 for lat, lon. name: by default the
         file's. Raises ValueError for a missing column or a cell that is no number, and as `from_waypoints`.
         """
-        where, name = f"{file}", name or File(file).stem
-        columns = read_columns(File(file).read_text(encoding="utf-8"), where)
+        text = File(file).read_text(encoding="utf-8")
+        return cls.from_text(
+            text, closed=closed, smoothing=smoothing, spacing=spacing, name=name or File(file).stem, where=f"{file}"
+        )
+
+    @classmethod
+    def from_text(
+        cls,
+        text: str,
+        *,
+        closed: bool,
+        smoothing: float | None = None,
+        spacing: float = 1.0,
+        name: str = "",
+        where: str = "the course",
+    ) -> Self:
+        """The path in the text of a CSV file, as `from_csv`; `where` is what errors call it."""
+        columns = read_columns(text, where)
         if {"x", "y"} <= columns.keys():
             xy = np.column_stack((columns["x"], columns["y"]))
             return cls.from_waypoints(xy, closed=closed, smoothing=smoothing or 0.0, spacing=spacing, name=name)

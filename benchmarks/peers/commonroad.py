@@ -12,8 +12,9 @@ import numpy as np
 from steerkit.block import State
 from steerkit.errors import require
 from steerkit.plants.car import Car
-from steerkit.vehicles import VEHICLES
+from steerkit.vehicles import BMW_320I, FORD_ESCORT, Vehicle
 
+CARS = (BMW_320I, FORD_ESCORT)
 _FORWARD = 2.0  # 1/s: how fast the multi-body car's driver closes a gap in speed
 _PEDALS = 3.0  # m/s^2: with how much at most; more spins its wheels
 _SUBSTEPS = 4  # its fastest mode is near -840/s: Runge-Kutta is stable to 2.78/840 s, and exact to 1e-5 at 2.5 ms
@@ -34,8 +35,8 @@ class CommonRoadMultiBody(Car):
 
     pure = False  # its functions branch on their values
 
-    name: str = "bmw-320i"
-    """`bmw-320i` or `ford-escort`."""
+    vehicle: Vehicle = BMW_320I
+    """`bmw-320i` or `ford-escort`, as they are: the model's tyres, masses and springs cannot be others."""
     x0: float = 0.0
     """Start position [m]."""
     y0: float = 0.0
@@ -47,8 +48,8 @@ class CommonRoadMultiBody(Car):
     dt: float = 0.01
 
     def __post_init__(self) -> None:
-        cars = ("bmw-320i", "ford-escort")
-        require(self.name in cars, "CommonRoadMultiBody", f"car {self.name!r}; valid: {', '.join(cars)}")
+        valid = f"valid: {', '.join(car.name for car in CARS)}, with no other tyres, friction or ratio"
+        require(self.vehicle in CARS, "CommonRoadMultiBody", f"car {self.vehicle.name!r}; {valid}")
         require(self.v0 > 0.1, "CommonRoadMultiBody", f"v0 = {self.v0} [m/s], expected > 0.1")
 
     @cached_property
@@ -59,7 +60,7 @@ class CommonRoadMultiBody(Car):
         from vehiclemodels.parameters_vehicle2 import parameters_vehicle2
         from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb
 
-        parameters = {"ford-escort": parameters_vehicle1, "bmw-320i": parameters_vehicle2}[self.name]()
+        parameters = {"ford-escort": parameters_vehicle1, "bmw-320i": parameters_vehicle2}[self.vehicle.name]()
         return vehicle_dynamics_mb, init_mb, parameters
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
@@ -74,7 +75,7 @@ class CommonRoadMultiBody(Car):
         return self.Y(x[0], x[1], x[4], math.hypot(v_x, v_y), math.atan2(v_y, v_x), r, float(a_y), x[29])
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
-        p = VEHICLES[self.name]
+        p = self.vehicle
         delta_sw = min(max(u.delta_sw_in, -p.delta_sw_max), p.delta_sw_max)
         z, v, h = np.array(x[:29]), u.v_in, self.dt / _SUBSTEPS
         z[2] = delta_sw / float(p.steer_ratio)

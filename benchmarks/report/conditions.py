@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks.report.parts import controllers
 from benchmarks.run.results import Case
 
-WORDS = ("name", "title", "what", "label", "description", "about")
+WORDS = ("name", "title", "what", "label", "description", "about", "files")
 """Fields of a scenario that say nothing of how it is driven."""
 
 UNITS = {

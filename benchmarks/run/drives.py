@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks.entries import controller
 from benchmarks.peers.agents import SETTINGS
 from benchmarks.run.results import TRAJECTORY
-from benchmarks.scenarios import Scenario, open_parameters, shape
+from benchmarks.scenarios import open_parameters, shape, suite_loop
 from steerkit.block import Block
 from steerkit.compiled import Compiled, TraceError, compile
 from steerkit.compiled.trace import parameter
@@ -23,6 +23,7 @@ from steerkit.doe import Integrator
 from steerkit.loop import Loop, Sample
 from steerkit.metrics import measures, step_times
 from steerkit.path import Path
+from steerkit.scenario import Scenario
 from steerkit.simulation import Log, simulate
 from steerkit.task import DT, TRIP
 from steerkit.tracker import PathTracker
@@ -83,12 +84,12 @@ def drive(
     timed_steps: over how many of its samples the controller's computing time is measured; 0: not.
     """
     form = shape(scenario)
-    path = _path(form)
+    path = scenario.path()
     if policy is None:
         steers, doe = _steers(name, form), None
     else:
         steers, doe = policy.block, policy.doe
-    loop = scenario.loop(path, steers, doe=doe, seed=seed)
+    loop = suite_loop(scenario, steers, doe=doe, seed=seed)
     inputs = loop.inputs_of("controller") if timed_steps else {}
     log = _driven(scenario, form, path, loop, name, policy is not None, tuple(inputs.values()))
     metrics, trajectory = judged(log, scenario, path, loop)
@@ -104,7 +105,7 @@ def judged(log: Log, scenario: Scenario, path: Path, loop: Loop) -> tuple[dict[s
     distance it drove: until a learned one was first caught, or |e| was beyond 3 m. rms_e_front, max_e_front [m]: e of
     the front axle, wherever the controller has its own measured.
     """
-    length, e, progress = scenario.length(path), log["path.e"], log["path.progress"]
+    length, e, progress = scenario.length, log["path.e"], log["path.progress"]
     off = ~(np.abs(e) <= OFF_COURSE)
     if "supervisor.learning" in log:
         off |= (log["supervisor.learning"] < 0.5) | ~(np.abs(e) <= TRIP)
@@ -127,11 +128,11 @@ def judged(log: Log, scenario: Scenario, path: Path, loop: Loop) -> tuple[dict[s
 def _driven(
     scenario: Scenario, form: Scenario, path: Path, loop: Loop, name: str, learned: bool, extra: tuple[str, ...]
 ) -> Log:
-    seconds = scenario.seconds(path)
+    seconds = scenario.seconds
     record = tuple(dict.fromkeys([n for n in (*SIGNALS.values(), "path.progress") if n in loop.units] + [*extra]))
     program = None if learned else _program(form, name, record)
     if program is None:
-        length = scenario.length(path)
+        length = scenario.length
 
         def over(now: Sample) -> bool:
             caught = learned and now["supervisor.learning"] < 0.5
@@ -149,7 +150,7 @@ def _program(form: Scenario, name: str, record: tuple[str, ...]) -> Compiled | N
     Straight-line Python and not C: the same numbers on machines without a compiler, and a program is made in a tenth
     of a second, which for the some ten drives that share one is sooner done.
     """
-    loop = form.loop(_path(form), _steers(name, form))
+    loop = suite_loop(form, _steers(name, form))
     try:
         return compile(loop, backend="python", record=record, every=_every(loop), parameters=open_parameters(form))
     except TraceError:
@@ -161,12 +162,7 @@ def _steers(name: str, form: Scenario) -> Block:
     make = controller(name).make
     if make is None:
         raise ValueError(f"controller '{name}' is learned; give the policy of a training")
-    return make(form, _path(form))
-
-
-@lru_cache(maxsize=8)
-def _path(form: Scenario) -> Path:
-    return form.path()
+    return make(form)
 
 
 def _every(loop: Loop) -> int:

@@ -9,7 +9,6 @@ import platform
 import subprocess
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -18,10 +17,11 @@ from benchmarks.peers.agents import AGENTS
 from benchmarks.peers.agents import SETTINGS as PEERS
 from benchmarks.run.sources import ROOT, source, versions
 from benchmarks.run.trainings import TRAININGS
-from benchmarks.scenarios import Scenario
+from benchmarks.scenarios import facts
 from benchmarks.suites import TRAINING, Job, Suite
 from steerkit.learning.rundir import plain
 from steerkit.learning.settings import setting
+from steerkit.scenario import Scenario
 
 
 def provenance(suites: Sequence[Suite], planned: Sequence[Job], seeds: int | None) -> dict[str, Any]:
@@ -49,14 +49,14 @@ def scenarios(suites: Sequence[Suite], planned: Sequence[Job]) -> dict[str, dict
     found: dict[str, dict[str, Any]] = {}
     for one in suites:
         for place in one.scenarios:
-            if found.setdefault(place.name, asdict(place)) != asdict(place):
+            if found.setdefault(place.name, facts(place)) != facts(place):
                 raise ValueError(f"two scenarios of these suites are called '{place.name}' but differ")
     for job in planned:
         if job.suite == TRAINING:
             training = TRAININGS[CONTROLLERS[job.controller].training]
             names = ("minutes", "episodes", "episode_metres", "offline_iterations")
             fields = {name: getattr(training, name) for name in names}
-            found[job.scenario] = fields | asdict(training.world) | {"noise": float(training.world.noise)}
+            found[job.scenario] = facts(training.world) | fields
     used = {job.scenario for job in planned}
     return {name: fields for name, fields in found.items() if name in used}
 
@@ -65,7 +65,7 @@ def digest(job: Job, scenario: Scenario | None, timed_steps: int) -> str:
     """A hash of all that determines a case's numbers."""
     told = {
         "case": [job.scenario, job.controller, job.seed, job.kind],
-        "scenario": None if scenario is None else asdict(scenario),
+        "scenario": None if scenario is None else facts(scenario),
         "controller": _controller(job.controller),
         "timed_steps": timed_steps,
         "source": source(),

@@ -18,10 +18,10 @@ from benchmarks.run.drives import Policy, drive
 from benchmarks.run.provenance import digest, provenance, source
 from benchmarks.run.results import Case, Results, Store
 from benchmarks.run.trainings import TRAININGS, learn
-from benchmarks.scenarios import Scenario
 from benchmarks.suites import Job, Suite, jobs
 from steerkit.controllers.network_policy import PolicyBlock
 from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.scenario import Scenario
 
 BACKENDS = ("loky", "dask")
 _PATIENCE = 3  # times that workers may die with no case finished in between

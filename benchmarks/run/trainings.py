@@ -12,7 +12,6 @@ import numpy as np
 from benchmarks.peers.agents import SETTINGS, d3rlpy_nfq, stable_baselines
 from benchmarks.run.drives import Policy, drive
 from benchmarks.run.results import CURVE, TRAJECTORY
-from benchmarks.scenarios import Scenario
 from steerkit.controllers.network_policy import PolicyBlock
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.learning.experiment import Experiment, LearningRun
@@ -21,7 +20,7 @@ from steerkit.learning.settings import Setting, setting
 from steerkit.learning.training_run import Taken, train
 from steerkit.learning.trials import TrialDrive, drive_each
 from steerkit.metrics import GOOD, Learned
-from steerkit.scenario.world import World
+from steerkit.scenario import Scenario
 from steerkit.task import DT
 
 _KEPT = 3000  # samples of a run's trajectory, about
@@ -35,7 +34,7 @@ class Training:
 
     name: str
     """What it is called in results, after `train-`."""
-    world: World = field(default_factory=World)
+    world: Scenario = field(default_factory=Scenario)
     """Course, car, disturbances."""
     minutes: float = 6.0
     """Driving time [min]; recovery and waiting count."""
@@ -51,9 +50,9 @@ _ALL = (
     Training(name="clean"),
     Training(name="published", minutes=16.0),  # as long as the paper's second round took
     Training(name="quick", minutes=3.0),
-    Training(name="genesis", world=World(course="genesis", v_min=6.0, v_max=9.0)),
-    Training(name="linear", world=World(plant="linear")),
-    Training(name="hard", world=World.under("hard")),
+    Training(name="genesis", world=Scenario(course="genesis", v_min=6.0, v_max=9.0)),
+    Training(name="linear", world=Scenario(plant="linear")),
+    Training(name="hard", world=Scenario.under("hard")),
     Training(name="episodes-120", minutes=60.0, episode_metres=200.0),  # else a good episode never ends
     Training(name="offline", minutes=2.0, offline_iterations=20),
     Training(name="agent", minutes=30.0),

@@ -19,6 +19,7 @@ import numpy as np
 
 import steerkit.gym  # noqa: F401
 from steerkit import native
+from steerkit.scenario import CONDITIONS
 
 ID = "steerkit/TrackSteering-v0"
 HOLD = 0
@@ -87,7 +88,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     runs = {
         "random actions": {"conditions": options.conditions},
         "driven well": {
-            "world": {"course": "straight", "noise": options.conditions == "hard"},
+            "scenario": {"course": "straight", **CONDITIONS[options.conditions]},
             "start_e": 0.0,
             "start_psi_e": 0.0,
             "start": "beginning",

@@ -27,7 +27,7 @@ from steerkit.learning.experiment import Experiment
 from steerkit.learning.settings import SETTINGS, changed, setting
 from steerkit.learning.training_run import train
 from steerkit.learning.trials import drive_each
-from steerkit.scenario.world import World
+from steerkit.scenario import Scenario
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     seeds = (1 if options.quick else 10) if options.seeds is None else options.seeds
     minutes = (0.5 if options.quick else 11.0) if options.minutes is None else options.minutes
     world = replace(
-        World.under(options.conditions, course=options.course), plant=options.plant, reference=options.reference
+        Scenario.under(options.conditions, course=options.course), plant=options.plant, reference=options.reference
     )
     if options.v_max is not None:
         world = replace(world, v_max=options.v_max)

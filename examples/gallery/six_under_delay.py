@@ -6,11 +6,11 @@ LQR, MPC and pure pursuit are told the delay, Stanley is not; the learner has fo
 from steerkit import Experiment, learn
 from steerkit.catalogue import make_controller
 from steerkit.scenario.drive import drive
-from steerkit.scenario.world import World
+from steerkit.scenario import Scenario
 from steerkit.metrics import of_log
 from steerkit.plots.style import PALETTE, new_figure, style
 
-world = World(course="paper", delay=0.15)
+world = Scenario(course="paper", delay=0.15)
 run = learn(Experiment(world=world, minutes=1 / 3, seed=1))
 names = ("stanley", "stanley-textbook", "pure-pursuit", "lqr", "mpc")
 logs = {name: drive(world, make_controller(name, world.belief()), rounds=0.43) for name in names}

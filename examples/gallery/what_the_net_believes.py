@@ -5,8 +5,8 @@ Dots are where the car has been: far from them the net is guessing. How to read 
 
 from steerkit import Experiment, learn
 from steerkit.learning.pictures.policy import policy_map
-from steerkit.scenario.world import World
+from steerkit.scenario import Scenario
 
-run = learn(Experiment(world=World(course="paper"), minutes=0.5, seed=1))
+run = learn(Experiment(world=Scenario(course="paper"), minutes=0.5, seed=1))
 policy_map(run.policy, run.experiment.world, visited=run.transitions).savefig("what_the_net_believes.png")
 print(f"a Q-function of {len(run.nets)} nets, from {len(run.transitions)} transitions")

@@ -10,7 +10,7 @@ from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -19,6 +19,9 @@ from steerkit.cli.bench import app as bench_app
 from steerkit.cli.car import app as car_app
 from steerkit.cli.export import export
 from steerkit.cli.identify import identify
+
+if TYPE_CHECKING:
+    from steerkit.scenario import Scenario
 
 EPILOG = """
 Examples
@@ -53,7 +56,19 @@ class Conditions(StrEnum):
 
 _SIMULATED, _CAR = "In simulation (without --car)", "On a car (with --car)"
 Seed = Annotated[int, typer.Option(help="Seed of nets, driver and sensors.")]
-Course = Annotated[str, typer.Option(help="Course to drive: see `steerkit courses`.", rich_help_panel=_SIMULATED)]
+Course = Annotated[
+    str, typer.Option(help="Course: a name of `steerkit courses`, random-7, or a CSV file.", rich_help_panel=_SIMULATED)
+]
+Vehicle = Annotated[
+    str,
+    typer.Option(help="Car: a name, or a vehicle file (its [steering] is then the motor).", rich_help_panel=_SIMULATED),
+]
+ScenarioFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--scenario", help="TOML file of a scenario; options given besides change it.", rich_help_panel=_SIMULATED
+    ),
+]
 Disturbed = Annotated[
     Conditions, typer.Option(help="hard: 1 cm noise, 50 ms sensor delay, 0.15 s lag.", rich_help_panel=_SIMULATED)
 ]
@@ -86,6 +101,8 @@ Realtime = Annotated[
 
 _NOT_ON_A_CAR = {
     "course": "the car's file names the course, under [course]",
+    "vehicle": "the car's file names it, under [vehicle]",
+    "scenario_file": "the car's file says where and with what",
     "conditions": "a car brings its own noise and delays",
     "delay": "the car's file tells it, under [kit]",
     "rounds": "say --minutes, or end with `q`",
@@ -96,7 +113,8 @@ _ON_A_CAR_ONLY = ("recovery", "simulated", "socket", "recording", "channel", "ti
 
 
 _CONTROLLERS = (
-    "stanley, stanley-textbook, stanley-delay, lqr, pure-pursuit, mpc, nonlinear-mpc, nfq, or a run's directory."
+    "stanley, stanley-textbook, stanley-delay, lqr, pure-pursuit, mpc, nonlinear-mpc, nfq, a run's directory, "
+    "or your own: my_file.py:make."
 )
 
 
@@ -135,7 +153,9 @@ def learn(
     quiet: Quiet = False,
     as_json: Machine = False,
     course: Course = "paper",
+    vehicle: Vehicle = "vw-passat",
     conditions: Disturbed = Conditions.clean,
+    scenario_file: ScenarioFile = None,
     rounds: Annotated[
         int,
         typer.Option(help="End after so many complete rounds by the learner; 0: never.", rich_help_panel=_SIMULATED),
@@ -170,18 +190,16 @@ def learn(
         return
     from steerkit.learning import report, rundir
     from steerkit.learning.experiment import Experiment
-    from steerkit.scenario.world import World
 
     if config is None:
-        world = World.under(conditions.value, course=course)
+        world = _scenario(ctx)
         time = 11.0 if minutes is None else minutes
         experiment = Experiment(setting=named(setting), world=world, minutes=time, rounds=rounds, seed=seed)
     else:
         experiment = rundir.from_plain(_toml(config), str(config), Experiment)
     experiment = replace(experiment, setting=changed(experiment.setting, changes or ()))
     name = "-".join((experiment.setting.name, *(changes or ())))
-    name = f"{name}-{experiment.world.course}-{conditions.value}-seed{experiment.seed}"
-    place = out or Path("runs") / name
+    place = out or Path("runs") / f"{name}-{_driven_on(experiment.world, conditions)}-seed{experiment.seed}"
     report.console.stderr = as_json
     try:
         run = report.learn_with_progress(experiment, place, quiet=quiet)
@@ -204,9 +222,13 @@ def drive(
     quiet: Quiet = False,
     as_json: Machine = False,
     course: Course = "paper",
+    vehicle: Vehicle = "vw-passat",
     conditions: Disturbed = Conditions.clean,
+    scenario_file: ScenarioFile = None,
     delay: Annotated[float, typer.Option(help="Steering delay (s).", rich_help_panel=_SIMULATED)] = 0.0,
-    rounds: Annotated[float, typer.Option(help="Rounds to drive.", rich_help_panel=_SIMULATED)] = 1.0,
+    rounds: Annotated[
+        float | None, typer.Option(help="Rounds to drive; default: the scenario's, 1.", rich_help_panel=_SIMULATED)
+    ] = None,
     seed: Annotated[int, typer.Option(help="Seed of driver and sensors.", rich_help_panel=_SIMULATED)] = 0,
     out: Annotated[
         Path | None, typer.Option(help="Directory for the log and the picture.", rich_help_panel=_SIMULATED)
@@ -249,34 +271,50 @@ def drive(
         if as_json:
             print(json.dumps(figures))
         return
+    from steerkit.catalogue import CONTROLLERS
     from steerkit.learning import report
-    from steerkit.scenario import drive as evaluate
-    from steerkit.scenario.world import World
     from steerkit.simulation import Log
 
     if not name:
-        valid = ", ".join(evaluate.CONTROLLERS)
-        raise ValueError(f"drive: with which controller? valid: {valid}, nfq, or the directory of a learning run")
-    world = replace(World.under(conditions.value, course=course), delay=delay)
+        valid = ", ".join(CONTROLLERS)
+        own = "the directory of a learning run, my_file.py:make"
+        raise ValueError(f"drive: with which controller? valid: {valid}, nfq, {own}")
+    world = _scenario(ctx)
+    where = _driven_on(world, conditions)
     if name == "nfq":
-        name = str(Path("runs") / f"default-{course}-{conditions.value}-seed{seed}")
+        name = str(Path("runs") / f"default-{where}-seed{seed}")
         if not Path(name).is_dir():
             raise ValueError(f"drive nfq: there is no {name}; `steerkit learn` with the same options makes it")
-    place = out or Path("runs") / f"drive-{Path(name).name}-{course}-{conditions.value}-seed{seed}"
+    place = out or Path("runs") / f"drive-{Path(name).name.replace(':', '-')}-{where}-seed{seed}"
     report.console.stderr = as_json
     row = report.drive_and_draw(name, world, place, rounds=rounds, seed=seed, quiet=quiet)
     if animate is not None:
-        vehicle, log = world.vehicle, Log.load(place / "drive.npz")
+        p, log = world.nominal, Log.load(place / "drive.npz")
         log.animate(
-            world.path(),
-            animate,
-            wheelbase=vehicle.wheelbase,
-            l_f=vehicle.l_f,
-            steer_ratio=vehicle.steer_ratio,
-            progress=not quiet,
+            world.path(), animate, wheelbase=p.wheelbase, l_f=p.l_f, steer_ratio=p.steer_ratio, progress=not quiet
         )
     if as_json:
         print(json.dumps(row))
+
+
+def _scenario(ctx: typer.Context) -> Scenario:
+    """The scenario that the options describe: that of the file, if one is named, changed by what is given besides."""
+    from steerkit.scenario import CONDITIONS, Scenario
+    from steerkit.scenario.file import read_scenario
+
+    sources = {name: ctx.get_parameter_source(name) for name in ("course", "vehicle", "delay", "conditions")}
+    given = [name for name, source in sources.items() if source is not None and source.name == "COMMANDLINE"]
+    changes = {name: ctx.params[name] for name in given if name != "conditions"}
+    if ctx.params["scenario_file"] is None:
+        return Scenario.under(ctx.params["conditions"].value, **changes)
+    if "conditions" in given:
+        changes |= CONDITIONS[ctx.params["conditions"].value]
+    return replace(read_scenario(ctx.params["scenario_file"]), **changes)
+
+
+def _driven_on(scenario: Scenario, conditions: Conditions) -> str:
+    """Course and conditions as a part of a directory's name."""
+    return f"{scenario.course.removesuffix('.csv')}-{conditions.value}"
 
 
 def _check_options(
@@ -291,7 +329,7 @@ def _check_options(
         source = ctx.get_parameter_source(name)
         if source is None or source.name != "COMMANDLINE":
             continue
-        option = f"--{name.replace('_', '-')}"
+        option = f"--{name.removesuffix('_file').replace('_', '-')}"
         instead = {**_NOT_ON_A_CAR, **not_on_a_car}.get(name)
         if car and instead:
             raise ValueError(f"{option} is for simulations: {instead}; leave it out, or leave out --car")

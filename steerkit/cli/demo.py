@@ -14,8 +14,8 @@ from steerkit.learning.experiment import Experiment
 from steerkit.learning.pictures import paper as figures
 from steerkit.learning.report import comparison, console, figures_of_merit, learn_with_progress
 from steerkit.learning.settings import BANG_BANG, DEFAULT
+from steerkit.scenario import Scenario
 from steerkit.scenario import drive as evaluate
-from steerkit.scenario.world import World
 from steerkit.simulation import Log
 
 
@@ -33,7 +33,7 @@ EXPERIMENTS = {
     "I-DOE, 800 m course": Experiment(setting=DEFAULT, minutes=11.0),
     "bang-bang, 800 m course": Experiment(setting=BANG_BANG, minutes=11.0),
     "I-DOE, recorded lap": Experiment(
-        setting=DEFAULT, world=World(course="genesis", v_min=6.0, v_max=9.0), minutes=20.0
+        setting=DEFAULT, world=Scenario(course="genesis", v_min=6.0, v_max=9.0), minutes=20.0
     ),
 }
 
@@ -77,7 +77,7 @@ def _part(job: tuple[str, Experiment, FilePath, int, bool]) -> Part:
     run = learn_with_progress(experiment, place, quiet=quiet)
     world, doe = experiment.world, experiment.setting.element()
     learned = evaluate.drive(world, rundir.final_policy(place), doe=doe, seed=seed)
-    stanley = evaluate.drive(world, world.recovery(), seed=seed)
+    stanley = evaluate.drive(world, world.catcher(), seed=seed)
     return Part(name, figures_of_merit(run), *(Log(g.t, g.signals, g.units) for g in (learned, stanley)))
 
 

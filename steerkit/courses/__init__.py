@@ -1,12 +1,13 @@
-"""Built-in courses by name, and courses by formula.
+"""Built-in courses by name, courses from files, and courses by formula.
 
-`course(name)` gives one of `names()`; `circle`, `straight`, `figure_eight`, `random_course`, `bends`, `lane_change`,
-`slalom` and `curvature_step` make others.
+`course(name)` gives one of `names()`, `course_of(text, name)` one from a CSV file; `circle`, `straight`,
+`figure_eight`, `random_course`, `bends`, `lane_change`, `slalom` and `curvature_step` make others.
 """
 
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Callable
 from functools import cache, partial
 from importlib.resources import files
@@ -17,6 +18,7 @@ import numpy as np
 from steerkit.courses.manoeuvres import curvature_step, lane_change, slalom
 from steerkit.courses.shapes import bends, circle, figure_eight, paper, random_course, straight
 from steerkit.path import Array, Path, read_columns
+from steerkit.units import radians_of
 
 _T = TypeVar("_T")
 
@@ -24,6 +26,7 @@ __all__ = [
     "bends",
     "circle",
     "course",
+    "course_of",
     "curvature_step",
     "figure_eight",
     "lane_change",
@@ -53,6 +56,31 @@ def course(name: str) -> Path:
     Raises ValueError for another name, with the nearest one.
     """
     return _known(name, _COURSES)()
+
+
+def course_of(text: str, name: str, *, closed: bool | None = None) -> Path:
+    """The course in the text of a CSV file (see `Path.from_csv`), called `name`.
+
+    closed: None means as the file says, if `Path.to_csv` wrote it; else closed if its ends are no farther apart than
+    5 m or three of its steps. Raises ValueError for a broken file, naming it.
+    """
+    if closed is None:
+        said = re.search(r"^#.*: (closed|open) path, ", text, re.MULTILINE)
+        closed = said[1] == "closed" if said else _meets_itself(text, name)
+    return Path.from_text(text, closed=closed, name=name.removesuffix(".csv"), where=name)
+
+
+def _meets_itself(text: str, name: str) -> bool:
+    columns = read_columns(text, name)
+    if {"x", "y"} <= columns.keys():
+        points = np.column_stack((columns["x"], columns["y"]))
+    elif {"lat", "lon"} <= columns.keys():
+        metres = 111_320.0 * np.array([np.cos(radians_of(columns["lat"][0])), 1.0])  # a degree of lon and lat [m]
+        points = np.column_stack((columns["lon"], columns["lat"])) * metres
+    else:
+        return False  # from_text says what is wrong
+    steps = np.hypot(*np.diff(points, axis=0).T)
+    return len(points) > 2 and float(np.hypot(*(points[-1] - points[0]))) <= max(5.0, 3.0 * float(np.median(steps)))
 
 
 def recorded_speed(name: str) -> tuple[Array, Array]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from steerkit.errors import require
 from steerkit.gym.task import Array, Draw, Task
 from steerkit.loop import LoopState
-from steerkit.scenario.world import END_MARGIN
+from steerkit.scenario import END_MARGIN
 
 Backend = Literal["python", "c"]
 INFO = ("path.e", "path.s", "path.progress", "car.x", "car.y", "car.psi", "car.v", "car.a_y", "car.delta_sw")
@@ -85,7 +85,7 @@ class Drives:
             row, car = np.argwhere(~np.isfinite(self._values))[0]
             raise FloatingPointError(
                 f"TrackSteering: {self._signals[row]} of car {car} is {self._values[row, car]} after "
-                f"{self.steps[car] + 1} steps; a block of the world, or an action, is out of its range"
+                f"{self.steps[car] + 1} steps; a block of the scenario, or an action, is out of its range"
             )
         self.steps += 1
         self._cost, terminated = self.task.price(before, actions, self.s)

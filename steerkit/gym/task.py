@@ -8,15 +8,15 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path as FilePath
 from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from steerkit.assembly import steering_loop
 from steerkit.block import Block, Out, State
-from steerkit.catalogue import ELEMENTS
+from steerkit.catalogue import ELEMENTS, make_element
 from steerkit.controllers.nfq_policy import IDOE_ACTIONS, StateDescription
 from steerkit.doe import Dynamic, HeldAngle, Integrator
 from steerkit.errors import require
@@ -25,9 +25,12 @@ from steerkit.learning.nfq.patterns import STANDARD
 from steerkit.loop import Loop, LoopState
 from steerkit.path import Path
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.pushed import GUST_STATES, Pushed
 from steerkit.plants.single_track import SingleTrackState
 from steerkit.plants.steering_actuator import SteeringActuator
-from steerkit.scenario.world import END_MARGIN, World
+from steerkit.scenario import END_MARGIN, Scenario
+from steerkit.scenario.drive import assembled
+from steerkit.scenario.file import read_scenario
 from steerkit.task import STOP, STOP_DEG, TRIP
 from steerkit.units import radians_of
 
@@ -85,12 +88,14 @@ class Task:
     """
 
     course: str = "paper"
-    """Name of a course, or `random-7`: see `steerkit.scenario.world`."""
+    """Name of a course, `random-7`, or a CSV file: see `steerkit.scenario.Scenario`."""
+    vehicle: str = "vw-passat"
+    """Name of a car, or a vehicle file, whose [steering] is then the motor's."""
     conditions: str = "clean"
     """`clean`, or `hard`: pose noise, sensor delay, a slower motor."""
-    world: Any = None
-    """Instead of course and conditions: a `World`, a dictionary of its fields, or any object with its methods `path`,
-    `car`, `driver`, `actuator`, `sensors` and its attribute `ahead`: any plant, course and disturbance."""
+    scenario: Any = None
+    """Instead of course, vehicle and conditions: a `Scenario`, a dictionary of its fields, its TOML file, or any object
+    with the methods of `steerkit.scenario.drive.Place`: any plant, course and disturbance."""
     actions: str | Sequence[float] = "i-doe"
     """`i-doe` (the paper's steps), `bang-bang` (+-520 degrees at once), `continuous`, or angles [rad] of your own."""
     doe: str | Block | None = None
@@ -111,7 +116,7 @@ class Task:
     start: str = "anywhere"
     """Where episodes start: `anywhere` along the course, or at its `beginning`."""
     start_e: float = 0.1
-    """Largest |e| at the start [m], at the world's reference point."""
+    """Largest |e| at the start [m], at the scenario's reference point."""
     start_psi_e: float = 0.02
     """Largest turn at the start [rad], away from the heading that keeps e as it is."""
     description: StateDescription = STANDARD
@@ -148,21 +153,26 @@ class Task:
         require(0.0 <= self.start_e < self.limit, where, f"start_e = {self.start_e} m, expected 0 to limit")
         require(0.0 <= self.start_psi_e < 1.0, where, f"start_psi_e = {self.start_psi_e} rad, expected 0 to 1 rad")
         require(self.description.names[0] == "e", where, f"column 0 is '{self.description.names[0]}', expected 'e'")
-        both = self.world is not None and (self.course, self.conditions) != ("paper", "clean")
-        require(not both, where, "course and conditions belong to the world; give them inside `world`, or no world")
-        if isinstance(self.world, Mapping):
-            valid = [field.name for field in dataclasses.fields(World)]
-            wrong = [name for name in self.world if name not in valid]
-            require(not wrong, where, f"world has no field {wrong[:1]}; valid: {', '.join(valid)}")
+        plain = (self.course, self.vehicle, self.conditions) == ("paper", "vw-passat", "clean")
+        words = "course, vehicle and conditions belong to the scenario; give them inside `scenario`, or no scenario"
+        require(self.scenario is None or plain, where, words)
+        _ = self.place
 
     # ---- what is steered ------------------------------------------------------------------------------------
 
     @cached_property
     def place(self) -> Any:
-        """The world."""
-        if self.world is None:
-            return World.under(self.conditions, course=self.course)
-        return World(**self.world) if isinstance(self.world, Mapping) else self.world
+        """The scenario, or what stands for it."""
+        try:
+            if self.scenario is None:
+                return Scenario.under(self.conditions, course=self.course, vehicle=self.vehicle)
+            if isinstance(self.scenario, Mapping):
+                return Scenario.under(**self.scenario)
+            if isinstance(self.scenario, str | FilePath):
+                return read_scenario(self.scenario)
+        except ValueError as error:
+            raise ValueError(f"TrackSteering: {error}") from error
+        return self.scenario
 
     @cached_property
     def path(self) -> Path:
@@ -180,7 +190,8 @@ class Task:
         if isinstance(self.doe, Block):
             return self.doe
         own = ACTIONS[self.actions][1] if isinstance(self.actions, str) else "integrator"
-        return ELEMENTS[self.doe or own]()
+        vehicle = self.place.nominal if isinstance(self.place, Scenario) else None
+        return make_element(self.doe or own, vehicle)
 
     @cached_property
     def scale(self) -> float:
@@ -205,17 +216,7 @@ class Task:
     @cached_property
     def loop(self) -> Loop:
         """The loop with an `Agent` for a controller."""
-        world = self.place
-        return steering_loop(
-            car=world.car(self.path),
-            path=self.path,
-            driver=world.driver(0),
-            controller=Agent(dt=self.element.dt),
-            doe=self.element,
-            actuator=world.actuator(),
-            sensors=world.sensors(0),
-            reference=world.ahead,
-        )
+        return assembled(self.place, Agent(dt=self.element.dt), doe=self.element)
 
     @cached_property
     def columns(self) -> tuple[str, ...]:
@@ -294,12 +295,14 @@ class Task:
         loop, n = self.loop, len(draws)
         x = {name: self._drawn(block, draws) for name, block in loop.blocks.items()}
         s, e, psi_e = np.array([draw[1:] for draw in draws]).T
-        x["car"] = self._car_at(s, e, psi_e)
+        gusts = x["car"][-GUST_STATES:] if isinstance(loop.blocks["car"], Pushed) else ()
+        start = self._car_at(s, e, psi_e)
+        x["car"] = (*start, *gusts) if gusts else start
         first = loop.init(x=[*x.values()])
-        car = loop.blocks["car"]
-        if not isinstance(x["car"], SingleTrackState):
+        if not isinstance(start, SingleTrackState):
             return first
-        v, c, kappa = loop.sample(first)["driver.v"], car.vehicle, self.path.kappa(s)  # type: ignore[attr-defined]
+        car = self._car
+        v, c, kappa = loop.sample(first)["driver.v"], car.vehicle, self.path.kappa(s)
         r = v * kappa
         beta = (c.l_r - c.m * v**2 * c.l_f / (c.c_r * c.wheelbase)) * kappa
         wheel = c.steer_ratio * (c.wheelbase + c.understeer_gradient * v**2) * kappa
@@ -307,19 +310,26 @@ class Task:
         drift = np.arctan2(v * np.sin(beta) + r * self.place.ahead, v * np.cos(beta))
         at = self._car_at(s, e, psi_e - drift)
         sway = v * np.sin(beta) if isinstance(car, NonlinearSingleTrack) else beta
-        x["car"] = at._replace(sway=sway, r=r, v=v + np.zeros(n), delta_sw=wheel)
+        start = at._replace(sway=sway, r=r, v=v + np.zeros(n), delta_sw=wheel)
+        x["car"] = (*start, *gusts) if gusts else start
         if isinstance(loop.blocks["doe"], Dynamic):
             x["doe"] = HeldAngle(wheel)
         if isinstance(loop.blocks.get("actuator"), SteeringActuator):
             x["actuator"] = (wheel, np.zeros(n), *[wheel] * (len(x["actuator"]) - 2))
         return loop.init(x=[*x.values()])
 
+    @property
+    def _car(self) -> Any:
+        """The car itself, without what pushes it."""
+        car = self.loop.blocks["car"]
+        return car.block if isinstance(car, Pushed) else car
+
     def _car_at(self, s: Array, e: Array, psi_e: Array) -> Any:
         """The car's state with its reference point e [m] left of the path at s [m], turned by psi_e [rad]."""
         psi = self.path.psi(s)
         xy = self.path.point(s) + e[:, None] * np.column_stack((-np.sin(psi), np.cos(psi)))
         xy -= self.place.ahead * np.column_stack((np.cos(psi + psi_e), np.sin(psi + psi_e)))
-        car: Any = self.loop.blocks["car"]
+        car = self._car
         state = car.init(s.shape)
         if isinstance(state, SingleTrackState):
             return state._replace(x=xy[:, 0], y=xy[:, 1], psi=psi + psi_e)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from steerkit.assembly import steering_loop, with_controller
+from steerkit.assembly import with_controller
 from steerkit.block import Block
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.target_shift import TargetShift
@@ -20,7 +20,8 @@ from steerkit.learning.settings import Setting
 from steerkit.learning.story import Story, untrained
 from steerkit.learning.trainer import SimulatedTrainer, Training
 from steerkit.loop import LoopState
-from steerkit.scenario.world import END_MARGIN, World
+from steerkit.scenario import END_MARGIN, Scenario
+from steerkit.scenario.drive import assembled
 from steerkit.simulation import Recorder
 
 SIGNALS = (
@@ -48,8 +49,8 @@ class Experiment:
 
     setting: Setting = field(default_factory=Setting)
     """How it learns: see `steerkit.learning.settings`."""
-    world: World = field(default_factory=World)
-    """Where it learns: course, car, disturbances: see `steerkit.scenario.world`."""
+    world: Scenario = field(default_factory=Scenario)
+    """Where it learns: course, car, disturbances: see `steerkit.scenario`."""
     minutes: float = 11.0
     """Driving time after which it ends [min]; recovery and waiting count."""
     episodes: int = 1000
@@ -87,17 +88,13 @@ class LearningRun:
             trainer=trainer or SimulatedTrainer(seconds=setting.fit_seconds),
             round_length=world.round_length,
         )
-        self.loop = steering_loop(
-            car=world.car(self.path),
-            path=self.path,
-            driver=world.driver(experiment.seed),
-            controller=self._controller(),
-            doe=setting.element(world.vehicle),
-            recovery=world.recovery(),
-            actuator=world.actuator(),
-            sensors=world.sensors(experiment.seed),
-            reference=world.ahead,
+        self.loop = assembled(
+            world,
+            self._controller(),
+            doe=setting.element(world.nominal),
+            recovery=world.catcher(),
             shift=TargetShift() if setting.after_failure == "shift" else None,
+            seed=experiment.seed,
         )
         start = self.loop.init()
         self.x, self.y = list(start.x), list(start.y)
@@ -221,7 +218,7 @@ class LearningRun:
     def _put_back(self, s: float) -> None:
         """The car stands on the path at s [m] again, with the driver's mood unchanged."""
         loop, driver = self.loop, self.loop.block_state(self.state, "driver")
-        start = loop.with_block("car", self.experiment.world.car(self.path, s=s)).init()
+        start = loop.with_block("car", self.experiment.world.car(self.path, s=s, seed=self.experiment.seed)).init()
         start = loop.with_block_state(start, "driver", driver)
         self.x, self.y = list(start.x), list(start.y)
         self.story.carried(self.t)

@@ -13,13 +13,14 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from steerkit.catalogue import CONTROLLERS
 from steerkit.learning import rundir
 from steerkit.learning.experiment import Experiment, LearningRun, Watcher
 from steerkit.learning.learn import learn
 from steerkit.learning.pictures import paper as figures
 from steerkit.metrics import of_log
+from steerkit.scenario import Scenario
 from steerkit.scenario import drive as evaluate
-from steerkit.scenario.world import World
 from steerkit.simulation import Log
 
 console = Console() if Console().is_terminal else Console(width=110)
@@ -88,7 +89,7 @@ def show(place: FilePath, *, quiet: bool = False) -> dict[str, Any]:
     world = run.experiment.world
     logs = {
         "learned": evaluate.drive(world, rundir.final_policy(place), doe=run.experiment.setting.element()),
-        "stanley": evaluate.drive(world, world.recovery()),
+        "stanley": evaluate.drive(world, world.catcher()),
     }
     console.print(comparison(f"one round of {world.course}, the final net", logs))
     drive = rundir.drive_log(place)
@@ -103,11 +104,11 @@ def show(place: FilePath, *, quiet: bool = False) -> dict[str, Any]:
 
 
 def drive_and_draw(
-    name: str, world: World, place: FilePath, *, rounds: float, seed: int, quiet: bool = False
+    name: str, world: Scenario, place: FilePath, *, rounds: float | None, seed: int, quiet: bool = False
 ) -> dict[str, Any]:
     """A test drive of a named controller or of a run's final policy, with table, log and picture in `place`."""
     run = FilePath(name)
-    if name not in evaluate.CONTROLLERS and run.is_dir():
+    if name not in CONTROLLERS and run.is_dir():
         setting = rundir.experiment_of(run).setting
         log = evaluate.drive(
             world, rundir.final_policy(run), doe=setting.element(), rounds=rounds, seed=seed, progress=not quiet
@@ -118,7 +119,7 @@ def drive_and_draw(
     place.mkdir(parents=True, exist_ok=True)
     log.save(place / "drive.npz")
     figures.round_driven(log, title=f"{name} on {world.course}").savefig(place / "drive.png")
-    console.print(comparison(f"{rounds:g} round(s) of {world.course}", {name: log}))
+    console.print(comparison(f"{rounds or world.rounds:g} round(s) of {world.course}", {name: log}))
     if not quiet:
         console.print(f"log and picture: {place}/drive.npz, {place}/drive.png", soft_wrap=True)
     return _row(name, log)

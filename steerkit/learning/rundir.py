@@ -25,7 +25,8 @@ from steerkit.learning.nfq.iterate import FitSetting
 from steerkit.learning.recorder import Before
 from steerkit.learning.settings import Setting
 from steerkit.learning.trainer import SimulatedTrainer
-from steerkit.scenario.world import World
+from steerkit.scenario import Scenario
+from steerkit.scenario.file import of_table
 from steerkit.simulation import Log, joined
 
 FORMAT = "steerkit run 2"
@@ -40,16 +41,18 @@ def plain(value: Any) -> Any:
 
 def from_plain(data: Any, where: str, default: type | None = None) -> Any:
     """What `plain` was given; missing fields take their defaults. Raises ValueError naming an unknown key."""
-    kinds = {c.__name__: c for c in (Experiment, Setting, World, FitSetting, *costs.COSTS)}
+    kinds = {c.__name__: c for c in (Experiment, Setting, FitSetting, *costs.COSTS)}
     if isinstance(data, list):
         return tuple(data)
     if not isinstance(data, dict):
         return data
     name = data.get("kind", default.__name__ if default else None)
+    if name in ("Scenario", "World"):  # a world, in runs of before
+        return of_table(data, where)
     if name not in kinds:
         raise ValueError(f"{where}: kind {name!r} is not known; valid: {', '.join(kinds)}")
     kind = kinds[name]
-    inside = {"setting": Setting, "world": World, "fit": FitSetting, "cost": costs.TanhCost}
+    inside = {"setting": Setting, "world": Scenario, "fit": FitSetting, "cost": costs.TanhCost}
     valid = [f.name for f in fields(kind)]
     for key in data:
         if key != "kind" and key not in valid:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
@@ -14,8 +13,8 @@ from steerkit.compiled import Compiled, compile
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.learning.settings import Setting
 from steerkit.metrics import GOOD, Summary, of_log
+from steerkit.scenario import Scenario
 from steerkit.scenario import drive as evaluate
-from steerkit.scenario.world import World
 from steerkit.simulation import Log
 from steerkit.task import TRIP
 
@@ -41,7 +40,7 @@ class TrialDrive:
 
 
 def drive_many(
-    world: World, setting: Setting, policies: Sequence[NfqPolicy], *, seed: int = 0, rounds: float = 1.0
+    world: Scenario, setting: Setting, policies: Sequence[NfqPolicy], *, seed: int = 0, rounds: float = 1.0
 ) -> list[TrialDrive]:
     """Let each policy drive `rounds` rounds of the world's course, all with the same driver and sensors (`seed`).
 
@@ -56,14 +55,14 @@ def drive_many(
         raise ValueError("drive_many: policies of different layouts or actions; judge them in separate calls")
     compiled = _compiled(world, setting, _Layout(first))
     start = evaluate.drive_loop(world, first.with_weights(), doe=setting.element(), seed=seed).init()
-    length = world.round_length * rounds
-    duration = math.ceil(length / world.v_min / first.dt) * first.dt + 5.0
+    asked = dataclasses.replace(world, rounds=rounds)
+    length, duration = asked.length, asked.seconds
     weights = np.array([policy.flat_weights() for policy in policies]).T
     log = compiled.run(duration, state=start, parameters={WEIGHTS: weights}, allow_nonfinite=True)
     return [_judged(log, car, length) for car in range(len(policies))]
 
 
-def drive_each(world: World, setting: Setting, policies: Sequence[Any], *, seed: int = 0) -> list[TrialDrive]:
+def drive_each(world: Scenario, setting: Setting, policies: Sequence[Any], *, seed: int = 0) -> list[TrialDrive]:
     """Let each policy drive one round, all with the same driver and sensors (`seed`).
 
     Nets drive all at once, whatever their layouts, in compiled code; if any policy is none, one by one, which takes
@@ -80,7 +79,7 @@ def drive_each(world: World, setting: Setting, policies: Sequence[Any], *, seed:
     return [drives[i] for i in range(len(policies))]
 
 
-def _drive_one(world: World, setting: Setting, policy: Any, seed: int) -> TrialDrive:
+def _drive_one(world: Scenario, setting: Setting, policy: Any, seed: int) -> TrialDrive:
     log = evaluate.drive(world, policy, doe=setting.element(), seed=seed, only_while_held=True)
     progress = float(log["path.progress"][-1])
     return TrialDrive(
@@ -124,7 +123,7 @@ class _Layout:
 
 
 @lru_cache(maxsize=8)
-def _compiled(world: World, setting: Setting, layout: _Layout) -> Compiled:
+def _compiled(world: Scenario, setting: Setting, layout: _Layout) -> Compiled:
     loop = evaluate.drive_loop(world, layout.policy.with_weights(), doe=setting.element())
     ticks = round(layout.policy.dt / loop.dt)
     return compile(loop, record=SIGNALS, every=ticks, parameters=[WEIGHTS])

@@ -16,6 +16,8 @@ from steerkit.plants.single_track import V_DYNAMIC, SingleTrack, SingleTrackStat
 from steerkit.random import normals, seed_state
 
 _STREAM = 11  # of `seed_state`: the gusts'
+GUST_STATES = 7
+"""How many numbers of a pushed car's state, the last ones, are the gusts': g and the generator's six."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -67,10 +69,10 @@ class Pushed(Car):
         car = self._kicked(car, x)
         keep = math.exp(-self.dt / self.gust_time)
         n, _, random = normals(tuple(x[-6:]))
-        return (*car, keep * x[-7] + math.sqrt(1.0 - keep * keep) * n, *random)
+        return (*car, keep * x[-GUST_STATES] + math.sqrt(1.0 - keep * keep) * n, *random)
 
     def _car(self, x: State) -> Any:
-        return SingleTrackState(*x[:-7])
+        return SingleTrackState(*x[:-GUST_STATES])
 
     def _kicked(self, car: SingleTrackState, x: State) -> SingleTrackState:
         """The car's state after half a step of the push alone."""
@@ -81,4 +83,4 @@ class Pushed(Car):
         return car._replace(sway=car.sway + 0.5 * self.dt * sideways, r=car.r + 0.5 * self.dt * turn)
 
     def _wind(self, x: State) -> Scalar:
-        return self.wind + self.gust * x[-7]
+        return self.wind + self.gust * x[-GUST_STATES]

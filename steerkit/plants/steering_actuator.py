@@ -14,7 +14,7 @@ from steerkit.errors import require, require_within, whole_samples
 from steerkit.maths import Scalar
 from steerkit.task import STOP
 from steerkit.units import radians_of
-from steerkit.vehicles.file import table_of
+from steerkit.vehicles.file import table_of, text_of
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -90,10 +90,15 @@ def steering_of(file: str | FilePath, *, dt: float = 0.01, **others: Any) -> Ste
     down to a multiple of dt, 0 at least, and the rest is the lag's. others: more fields of `SteeringActuator`. Raises
     ValueError for a broken file.
     """
-    table = table_of(file, "steering")
+    return steering_in(text_of(file), f"{file}", dt=dt, **others)
+
+
+def steering_in(text: str, where: str, *, dt: float = 0.01, **others: Any) -> SteeringActuator:
+    """The same from the text of a vehicle file; `where` is what errors call it."""
+    table = table_of(text, "steering", where)
     numbers = {}
     for key in ("delay", "lag", "offset"):
-        require(isinstance(table.get(key), (int, float)), f"{file}", f"[steering] {key}, expected a number")
+        require(isinstance(table.get(key), (int, float)), where, f"[steering] {key}, expected a number")
         numbers[key] = float(table[key])
     delay = numbers["delay"] - dt
     samples = max(0, math.floor(delay / dt + 1e-6))

@@ -1,1 +1,5 @@
 """What is driven: course, car, disturbances, what the controllers are told; one drive or many."""
+
+from steerkit.scenario.scenario import CONDITIONS, END_MARGIN, Scenario
+
+__all__ = ["CONDITIONS", "END_MARGIN", "Scenario"]

@@ -1,71 +1,136 @@
-"""Test drives: any controller, learned or analytic, over whole rounds of a course, for metrics and pictures."""
+"""The loop of a drive, assembled in one place, and test drives over whole rounds, for metrics and pictures."""
 
 from __future__ import annotations
 
-import math
 import time
-from dataclasses import replace
+from dataclasses import fields, replace
+from typing import Protocol
 
 from steerkit.assembly import steering_loop
 from steerkit.block import Block
-from steerkit.catalogue import CONTROLLERS, make_controller
-from steerkit.errors import known
+from steerkit.catalogue import make_controller
+from steerkit.controllers.supervisor import Supervisor
+from steerkit.controllers.target_shift import TargetShift
 from steerkit.loop import Loop
-from steerkit.scenario.world import World
+from steerkit.path import Path
+from steerkit.scenario.scenario import Scenario
 from steerkit.simulation import Log, Sample, simulate
 from steerkit.task import TRIP
 
 
-def controller(name: str, world: World) -> Block:
-    """The analytic controller of that name for that world; raises ValueError with the valid names."""
-    known(name, CONTROLLERS, "controller", also="the directory of a learning run")
-    return make_controller(name, world.belief(clock=time.perf_counter))
+class Place(Protocol):
+    """What a loop needs to know of where it drives; a `Scenario`, or anything else with these."""
+
+    @property
+    def ahead(self) -> float:
+        """Where e is judged: metres ahead of the centre of gravity."""
+        ...
+
+    def path(self) -> Path:
+        """The course."""
+        ...
+
+    def car(self, path: Path, s: float = 0.0, seed: int = 0) -> Block:
+        """The plant, on the path at arc length s [m]."""
+        ...
+
+    def driver(self, seed: int) -> Block:
+        """Who sets the speed."""
+        ...
+
+    def actuator(self) -> Block | None:
+        """The motor at the steering wheel."""
+        ...
+
+    def sensors(self, seed: int) -> Block | None:
+        """What the controllers see of the car; None for the truth."""
+        ...
 
 
-def drive_loop(world: World, steering: Block, *, doe: Block | None = None, seed: int = 0, s: float = 0.0) -> Loop:
-    """The loop of a test drive: a policy (with its doe) is caught by the world's recovery controller."""
-    path = world.path()
-    learned = "ready" in [port.name for port in steering.outputs]
+def assembled(
+    place: Place,
+    controller: Block,
+    *,
+    doe: Block | None = None,
+    recovery: Block | None = None,
+    shift: TargetShift | None = None,
+    seed: int = 0,
+    s: float = 0.0,
+) -> Loop:
+    """The loop of a drive in simulation, whoever drives: learner, test drive, suite or environment.
+
+    place: course, car and disturbances. controller, doe, recovery, shift: as for `steering_loop`. seed: of driver,
+    sensors and gusts. s: where the car starts [m]. Raises what `steering_loop` raises.
+    """
+    path = place.path()
+    stop = place.nominal.delta_sw_max if isinstance(place, Scenario) else None
+    judge = Supervisor(limit=stop, dt=controller.dt) if recovery is not None and stop is not None else None
     return steering_loop(
-        car=world.car(path, s=s),
+        car=place.car(path, s=s, seed=seed),
         path=path,
-        driver=world.driver(seed),
-        controller=replace(steering, ready_from=0.0) if learned else steering,  # type: ignore[call-arg]
+        driver=place.driver(seed),
+        controller=controller,
         doe=doe,
-        recovery=world.recovery() if learned else None,
-        actuator=world.actuator(),
-        sensors=world.sensors(seed),
-        reference=world.ahead,
+        recovery=recovery,
+        supervisor=judge,
+        actuator=place.actuator(),
+        sensors=place.sensors(seed),
+        reference=_reference(place, controller),
+        shift=shift,
     )
 
 
+def _reference(place: Place, controller: Block) -> float:
+    """Where e is judged [m ahead of the centre of gravity]."""
+    own = getattr(place, "reference", "") == "own" and "reference" in {field.name for field in fields(controller)}
+    return float(controller.reference) if own else place.ahead  # type: ignore[attr-defined]
+
+
+def controller(name: str, scenario: Scenario) -> Block:
+    """The controller of that name for that scenario, or one of your own: see `steerkit.catalogue.make_controller`.
+
+    Raises ValueError with the valid names.
+    """
+    return make_controller(name, scenario.belief(clock=time.perf_counter))
+
+
+def drive_loop(scenario: Scenario, steering: Block, *, doe: Block | None = None, seed: int = 0, s: float = 0.0) -> Loop:
+    """The loop of a test drive: a policy (with its doe) is caught by the scenario's recovery."""
+    if "ready" not in [port.name for port in steering.outputs]:
+        return assembled(scenario, steering, doe=doe, seed=seed, s=s)
+    if "ready_from" in {field.name for field in fields(steering)}:
+        steering = replace(steering, ready_from=0.0)  # type: ignore[call-arg]
+    return assembled(scenario, steering, doe=doe, recovery=scenario.catcher(), seed=seed, s=s)
+
+
 def drive(
-    world: World,
+    scenario: Scenario,
     steering: Block,
     *,
     doe: Block | None = None,
     seed: int = 0,
-    rounds: float = 1.0,
+    rounds: float | None = None,
     s: float = 0.0,
     progress: bool = False,
     only_while_held: bool = False,
 ) -> Log:
-    """Drive `rounds` rounds of the world's course and return the log, 20 samples a second.
+    """Drive the scenario's rounds of its course (or `rounds`) and return the log, 20 samples a second.
 
     only_while_held: end at the first sample in which the recovery controller has the wheel.
     The run also ends after the time that the slowest driver would need; then the last `path.progress` is short of
     `rounds` times the course.
     """
-    loop = drive_loop(world, steering, doe=doe, seed=seed, s=s)
-    length = rounds * world.round_length
+    if rounds is not None:
+        scenario = replace(scenario, rounds=rounds)
+    loop = drive_loop(scenario, steering, doe=doe, seed=seed, s=s)
+    length = scenario.length
     ticks = round(steering.dt / loop.dt)
-    slowest = math.ceil(length / world.v_min / steering.dt) * steering.dt
 
     def over(sample: Sample) -> bool:
         lost = only_while_held and sample["supervisor.learning"] < 0.5
         return lost or sample["path.progress"] >= length
 
-    return simulate(loop, slowest + 5.0, every=ticks, until=over, allow_nonfinite=True, progress=progress)
+    return simulate(loop, scenario.seconds, every=ticks, until=over, allow_nonfinite=True, progress=progress)
 
 
 def held_all_along(log: Log, *, limit: float = TRIP) -> bool:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import difflib
 
-from steerkit.vehicles.file import read_vehicle
+from steerkit.vehicles.file import read_vehicle, vehicle_of
 from steerkit.vehicles.named import BMW_320I, FORD_ESCORT, VEHICLES, VW_PASSAT, scaled
 from steerkit.vehicles.parameters import G, Vehicle
 
-__all__ = ["BMW_320I", "FORD_ESCORT", "VEHICLES", "VW_PASSAT", "G", "Vehicle", "scaled", "vehicle"]
+__all__ = ["BMW_320I", "FORD_ESCORT", "VEHICLES", "VW_PASSAT", "G", "Vehicle", "scaled", "vehicle", "vehicle_of"]
 
 
 def vehicle(name: str) -> Vehicle:

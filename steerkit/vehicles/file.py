@@ -17,15 +17,20 @@ FORMAT = "steerkit vehicle 1"
 
 def read_vehicle(file: str | Path) -> Vehicle:
     """The car in a vehicle file; raises ValueError naming the file, the key and what is valid."""
-    table = table_of(file, "vehicle")
-    known = {f.name for f in dataclasses.fields(Vehicle)}
+    return vehicle_of(text_of(file), f"{file}")
+
+
+def vehicle_of(text: str, where: str) -> Vehicle:
+    """The car in the text of a vehicle file; `where` is what errors call it."""
+    table = table_of(text, "vehicle", where)
+    valid = {f.name for f in dataclasses.fields(Vehicle)}
     needed = {f.name for f in dataclasses.fields(Vehicle) if f.default is dataclasses.MISSING}
-    for verb, keys in (("lacks", needed - table.keys()), ("has the unknown key", table.keys() - known)):
-        require(not keys, f"{file}", f"[vehicle] {verb} {', '.join(sorted(keys))}; it holds {', '.join(sorted(known))}")
+    for verb, keys in (("lacks", needed - table.keys()), ("has the unknown key", table.keys() - valid)):
+        require(not keys, where, f"[vehicle] {verb} {', '.join(sorted(keys))}; it holds {', '.join(sorted(valid))}")
     try:
         return Vehicle(**table)
-    except ValueError as error:
-        raise ValueError(f"{file}: {error}") from error
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"{where}: {error}") from error
 
 
 def vehicle_text(
@@ -58,17 +63,30 @@ def _value(value: Any) -> str:
     return repr(float(value))
 
 
-def table_of(file: str | Path, name: str) -> dict[str, Any]:
-    """One table of a vehicle file; raises ValueError naming the file and what it lacks."""
+def text_of(file: str | Path) -> str:
+    """The text of a vehicle file; raises ValueError when it cannot be read."""
     try:
-        data = tomllib.loads(Path(file).read_text(encoding="utf-8"))
+        return Path(file).read_text(encoding="utf-8")
     except OSError as error:
         raise ValueError(f"vehicle: {file} cannot be read ({error.strerror}); a name or a vehicle file") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
         raise ValueError(f"{file}: not TOML ({error})") from error
-    told = data.get("format")
-    require(told == FORMAT, f"{file}", f"format = {told!r}, expected {FORMAT!r}: a file of `steerkit identify`")
-    table = data.get(name)
-    if not isinstance(table, dict):
-        raise ValueError(f"{file}: no table [{name}]; it holds {', '.join(data)}")
-    return table
+
+
+def table_of(text: str, name: str, where: str) -> dict[str, Any]:
+    """One table of a vehicle file; raises ValueError naming the file and what it lacks."""
+    tables = tables_of(text, where)
+    if not isinstance(tables.get(name), dict):
+        raise ValueError(f"{where}: no table [{name}]; it holds {', '.join(tables)}")
+    return tables[name]
+
+
+def tables_of(text: str, where: str) -> dict[str, Any]:
+    """All that is in the text of a vehicle file; raises ValueError for another format."""
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"{where}: not TOML ({error})") from error
+    found = data.get("format")
+    require(found == FORMAT, where, f"format = {found!r}, expected {FORMAT!r}: a file of `steerkit identify`")
+    return data

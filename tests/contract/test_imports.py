@@ -17,7 +17,7 @@ from tests.support.places import ROOT
 
 HEAVY = ("torch", "casadi", "control", "matplotlib", "pandas", "pyarrow")
 
-BASE = {"units", "task", "maths", "random", "clock", "errors", "files", "native"}
+BASE = {"units", "task", "maths", "random", "clock", "errors", "files", "native", "outside"}
 RUN = BASE | {"block", "wiring", "loop", "simulation"}
 PLACES = BASE | {"block", "vehicles", "path", "courses"}
 PARTS = PLACES | {"tracker", "doe", "controllers", "plants"}
@@ -29,6 +29,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "native": {"files", "errors", "units"},
     "files": {"errors", "units"},
     "errors": {"units"},
+    "outside": {"errors"},
     "random": {"errors", "maths"},
     "block": BASE,
     "wiring": BASE | {"block"},

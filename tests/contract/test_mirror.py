@@ -72,7 +72,6 @@ ELSEWHERE = {
     "steerkit.plants.real_car.processes.server": "evals/test_car_processes.py",
     "steerkit.plants.real_car.simulated": "evals/test_car_fault_matrix.py",
     "steerkit.scenario.drive": "unit/learning/test_trials.py",
-    "steerkit.scenario.world": "unit/learning/test_experiment.py",
     "steerkit.units": "contract/test_same_everywhere.py",
     "steerkit.task": "contract/test_once.py",
     "steerkit.vehicles": "unit/vehicles/test_named.py",

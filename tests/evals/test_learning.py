@@ -10,11 +10,11 @@ from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.learn import learn
 from steerkit.learning.settings import BANG_BANG, DEFAULT
 from steerkit.metrics import of_log
+from steerkit.scenario import Scenario
 from steerkit.scenario import drive as evaluate
-from steerkit.scenario.world import World
 from steerkit.simulation import Log
 
-WORLD = World()
+WORLD = Scenario()
 
 
 @cache

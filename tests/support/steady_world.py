@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 from steerkit.block import Block
 from steerkit.plants.human_driver import ConstantSpeed
-from steerkit.scenario.world import World
+from steerkit.scenario import Scenario
 
 
 @dataclass(frozen=True, kw_only=True)
-class SteadyWorld(World):
+class SteadyWorld(Scenario):
     """A driver of 6 m/s."""
 
     def driver(self, seed: int) -> Block:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from benchmarks.run.compare import compare
 from benchmarks.run.results import Results
-from benchmarks.scenarios import Scenario
+from benchmarks.scenarios import scene
 from benchmarks.suites import Suite
 
 TINY = Suite(
     name="golden",  # a name that --help and the table know; fewer cases
     about="tests",
-    scenarios=(Scenario(name="slalom", course="slalom", v_max=9.0),),
+    scenarios=(scene(name="slalom", course="slalom", v_max=9.0),),
     controllers=("stanley", "stanley-textbook"),
     seeds=3,
 )

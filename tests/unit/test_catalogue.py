@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 
 from benchmarks.entries import controller as entry
-from benchmarks.scenarios import Scenario
 from steerkit.block import Block
 from steerkit.catalogue import CONTROLLERS, ELEMENTS, RECOVERIES, Belief, make_controller, make_element, make_recovery
 from steerkit.courses import course
 from steerkit.on_car.loop import belief_of, controller_named
 from steerkit.plants.real_car.file.reading import load
+from steerkit.scenario import Scenario
 from steerkit.units import radians_of
 from steerkit.vehicles import vehicle
 
@@ -56,7 +56,7 @@ def test_half_of_what_the_actuator_holds_is_delay_to_the_mpc_alone() -> None:
 def test_whoever_asks_gets_the_same_controller_but_for_hold_and_budget(name: str) -> None:
     config = replace(load("dbw-kit.toml"), delay=0.1, lag=0.12)
     scenario = Scenario(name="x", delay=0.1, lag=0.12)
-    car, bench = controller_named(name, config).block, entry(name).make(scenario, scenario.path())  # type: ignore[misc]
+    car, bench = controller_named(name, config).block, entry(name).make(scenario)  # type: ignore[misc]
     changed = {"delay": 0.1, "budget": None, "clock": None} if name.endswith("mpc") else {}
     assert parameters(replace(car, **changed)) == parameters(replace(bench, **changed))
     belief = belief_of(config)

@@ -15,7 +15,7 @@ from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq.patterns import patterns
 from steerkit.learning.nfq.rprop import predict
 from steerkit.plots.style import COLOURS, new_figure, style
-from steerkit.scenario.world import World
+from steerkit.scenario import Scenario
 from steerkit.task import TRIP
 from steerkit.units import degrees_of, radians_of
 
@@ -56,18 +56,20 @@ def q_values(policy: NfqPolicy, s: Array) -> Array:
     return np.array([[predict(net, x) for x in inputs] for net in policy.nets or ()], dtype=float)
 
 
-def course_angle(world: World, doe: Any) -> Any:
+def course_angle(world: Scenario, doe: Any) -> Any:
     """Angle [rad] between the car's axis and the way its reference point goes, wheel at `doe` [rad], without slip.
 
         tan(course) = b/L tan(delta),  b: from the rear axle to the reference point, L: wheelbase
 
     A car that holds the path through a steady bend has psi_e = -course: at the front axle -delta itself.
     """
-    car = world.vehicle
+    car = world.nominal
     return np.arctan((car.l_r + world.ahead) / car.wheelbase * np.tan(np.asarray(doe) / car.steer_ratio))
 
 
-def states(world: World, names: Sequence[str], n: int, *, v: Any, doe: Any = 0.0, psi: Any = 0.0, **more: Any) -> Array:
+def states(
+    world: Scenario, names: Sequence[str], n: int, *, v: Any, doe: Any = 0.0, psi: Any = 0.0, **more: Any
+) -> Array:
     """States (n, columns) that a car can be in: v [m/s], wheel at doe [rad], heading psi [rad] off the steady bend's.
 
         psi_e = psi - course,  e_dot = v/cos(course) sin(psi),  e = r_e = 0, unless `more` says otherwise
@@ -80,7 +82,7 @@ def states(world: World, names: Sequence[str], n: int, *, v: Any, doe: Any = 0.0
 
 
 @styled
-def q_slices(policy: NfqPolicy, world: World, *, v: float = 6.0, doe: float = 0.0, title: str = "") -> Figure:
+def q_slices(policy: NfqPolicy, world: Scenario, *, v: float = 6.0, doe: float = 0.0, title: str = "") -> Figure:
     """Q(s, a) along one input at a time, a line an action; grey: the nets' differing opinions of the greedy value.
 
     Slices go through the car on the path at v [m/s], wheel at doe [rad]; what hangs together moves together (`states`).
@@ -113,7 +115,7 @@ def q_slices(policy: NfqPolicy, world: World, *, v: float = 6.0, doe: float = 0.
 @styled
 def policy_map(
     policy: NfqPolicy,
-    world: World,
+    world: Scenario,
     *,
     visited: Transitions | None = None,
     v: float = 6.0,

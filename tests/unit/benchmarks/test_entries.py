@@ -7,9 +7,9 @@ from dataclasses import replace
 import pytest
 
 from benchmarks.entries import controller
-from benchmarks.scenarios import Scenario
+from benchmarks.scenarios import scene
 
-STEP = Scenario(name="step", course="curvature-step", v_min=7.0, v_max=7.0)
+STEP = scene(name="step", course="curvature-step", v_min=7.0, v_max=7.0)
 
 
 def test_a_missing_peer_is_a_row_of_its_own(monkeypatch: pytest.MonkeyPatch, tmp_path) -> None:

@@ -1,44 +1,40 @@
-"""What is driven, and what the controllers are told of it."""
+"""What the suites drive: where it begins, where it is judged, and what a compiled drive leaves open."""
 
 from __future__ import annotations
 
-import math
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from benchmarks.entries import controller
-from benchmarks.scenarios import Scenario
-from steerkit.units import radians_of
-from steerkit.vehicles import G, vehicle
+from benchmarks.scenarios import MULTI_BODY, facts, open_parameters, scene, shape, suite_loop
+from tests.support.yard import yard
 
-PASSAT = vehicle("vw-passat")
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"course": "papr"}, "did you mean 'paper'"),
-        ({"plant": "bicycle"}, "valid: nonlinear, linear, commonroad-mb"),
-        ({"speed": "fast"}, "valid: wander, recorded"),
-        ({"v_min": 9.0}, "v_min = 9.0, v_max = 7.5"),
-        ({"tyres": 0.0}, "tyres = 0.0"),
-        ({"noise": -1.0}, "noise -1.0"),
-        ({"name": "a--b"}, "holds '--'"),
-        ({"plant": "commonroad-mb", "vehicle_name": "bmw-320i", "wind": 1.0}, "multi-body car has no other"),
-    ],
-)
-def test_bad_scenarios(changes: dict, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        Scenario(**({"name": "x"} | changes))
+STEP = scene(name="step", course="curvature-step", v_min=7.0, v_max=7.0)
 
 
-def test_what_is_wrong_with_the_car_is_not_told() -> None:
-    scenario = Scenario(name="x", tyres=0.7, friction=0.5, ratio=1.1, delay=0.2, told_delay=0.0)
-    true = scenario.true_vehicle
-    assert (true.c_f, true.mu, true.steer_ratio) == (0.7 * PASSAT.c_f, 0.5 * PASSAT.mu, 1.1 * PASSAT.steer_ratio)
-    assert scenario.nominal == PASSAT
-    assert scenario.told_dead_time == 0.0
-    assert Scenario(name="x", delay=0.2, latency=0.05).told_dead_time == 0.25
-    banked = Scenario(name="y", bank_deg=2.0)
-    car = banked.loop(banked.path(), controller("stanley").make(banked, banked.path())).blocks["car"]  # type: ignore[misc]
-    assert car.bank == pytest.approx(G * math.sin(radians_of(2.0)))
+def test_an_open_course_is_driven_from_5_m_on_and_judged_where_the_controller_steers() -> None:
+    loop = suite_loop(STEP, controller("pure-pursuit").make(STEP))  # type: ignore[misc]
+    assert loop.sample(loop.init())["path.s"] == pytest.approx(5.0 - STEP.nominal.l_r, abs=1e-6)
+    assert loop.blocks["path"].reference == -STEP.nominal.l_r  # type: ignore[attr-defined]
+    circle = replace(STEP, course="circle")
+    loop = suite_loop(circle, controller("stanley").make(circle))  # type: ignore[misc]
+    assert loop.blocks["path"].reference == STEP.nominal.l_f  # type: ignore[attr-defined]
+
+
+def test_scenarios_that_differ_in_what_is_open_share_a_shape() -> None:
+    other = replace(STEP, name="other", tyres=0.8, ratio=1.1, offset_deg=3.0, lag=0.3, v_min=5.0, v_max=6.0)
+    told = replace(other, told_lag=STEP.lag)  # what a controller is told is built into it
+    assert shape(told) == shape(STEP) != shape(other)
+    assert shape(replace(STEP, wind=0.1)) != shape(STEP)
+    assert "car.block.vehicle.c_f" in open_parameters(replace(STEP, wind=0.1))
+    assert "driver.driver.v_min" not in open_parameters(replace(STEP, course="iso3888-1"))
+    assert open_parameters(replace(STEP, plant=MULTI_BODY, vehicle="bmw-320i")) == ()
+
+
+def test_the_protocol_tells_one_file_from_another(tmp_path: Path) -> None:
+    one = facts(replace(STEP, course=str(yard(tmp_path))))
+    two = facts(replace(STEP, course=str(yard(tmp_path, radius=30.0))))
+    assert one["course"] == two["course"] == "yard.csv"
+    assert len({one["files"], two["files"], facts(STEP)["files"]}) == 3

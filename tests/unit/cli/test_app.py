@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from steerkit.catalogue import CONTROLLERS
 from steerkit.cli import app as cli
+from steerkit.scenario import Scenario
 from steerkit.scenario import drive as evaluate
-from steerkit.scenario.world import World
 from steerkit.simulation import simulate
 
 
@@ -91,10 +92,10 @@ def test_drive_reports_as_json_and_keeps_log_and_picture(
     assert (tmp_path / "drive.png").read_bytes()[:4] == b"\x89PNG"
 
 
-@pytest.mark.parametrize("name", sorted(evaluate.CONTROLLERS))
+@pytest.mark.parametrize("name", sorted(CONTROLLERS))
 def test_every_analytic_controller_drives_with_delay(name: str) -> None:
     """The first 6 s of the course with 0.1 s delay; the textbook form already swings, but stays near."""
-    world = World(delay=0.1)
+    world = Scenario(delay=0.1)
     steering = evaluate.controller(name, world)
     log = simulate(evaluate.drive_loop(world, steering), 6.0, record=["path.e"])
     assert abs(log["path.e"]).max() < 0.3

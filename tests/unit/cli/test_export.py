@@ -15,14 +15,14 @@ from steerkit.learning.experiment import Experiment
 from steerkit.learning.learn import learn
 from steerkit.learning.nfq.iterate import FitSetting
 from steerkit.learning.settings import PAPER
-from steerkit.scenario.world import World
+from steerkit.scenario import Scenario
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("run")
     setting = replace(PAPER, fit=FitSetting(epochs=20))
-    learn(Experiment(setting=setting, world=World(course="circle"), minutes=0.3, seed=2), place)
+    learn(Experiment(setting=setting, world=Scenario(course="circle"), minutes=0.3, seed=2), place)
     return place
 
 

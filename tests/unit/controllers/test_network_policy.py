@@ -13,8 +13,8 @@ from steerkit.compiled import TraceError, compile
 from steerkit.controllers.nfq_policy import IDOE_ACTIONS
 from steerkit.doe import Integrator
 from steerkit.gym import Network, PolicyBlock, Task
+from steerkit.scenario import Scenario
 from steerkit.scenario.drive import drive_loop
-from steerkit.scenario.world import World
 from steerkit.simulation import simulate
 from steerkit.units import radians_of
 from tests.support.steady_world import SteadyWorld
@@ -62,7 +62,7 @@ def test_a_policy_block_of_a_network_can_be_compiled(head: Any) -> None:
     layers = ((np.array([towards, -towards]), np.zeros(2)), (np.array(last), np.array([0.0, 0.1, 0.0][: len(last)])))
     net = Network(layers=layers, head=head)
     actions = (-0.05, 0.0, 0.05) if head == "argmax" else None
-    world = World(course="circle")
+    world = Scenario(course="circle")
     loop = drive_loop(world, PolicyBlock(policy=net, actions=actions, largest=0.05), doe=Integrator())
     slow, fast = simulate(loop, 3.0), compile(loop, backend="python").run(3.0)
     np.testing.assert_allclose(fast["controller.action"], slow["controller.action"], atol=1e-12)

@@ -19,14 +19,14 @@ from steerkit.learning.experiment import Experiment
 from steerkit.learning.learn import learn
 from steerkit.learning.nfq.iterate import FitSetting
 from steerkit.learning.settings import PAPER
-from steerkit.scenario.world import World
+from steerkit.scenario import Scenario
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("run")
     setting = replace(PAPER, fit=FitSetting(epochs=20))
-    learn(Experiment(setting=setting, world=World(course="circle"), minutes=0.3, seed=2), place)
+    learn(Experiment(setting=setting, world=Scenario(course="circle"), minutes=0.3, seed=2), place)
     return place
 
 
@@ -39,7 +39,7 @@ def sets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_the_data_set_holds_the_transitions_and_recovers_its_environment(run: Path) -> None:
     experiment = rundir.experiment_of(run)
     world, setting = experiment.world, experiment.setting
-    options: dict[str, Any] = {"world": asdict(world), "actions": setting.actions, "doe": setting.doe}
+    options: dict[str, Any] = {"scenario": asdict(world), "actions": setting.actions, "doe": setting.doe}
     task = Task(**options, cost=rundir.plain(setting.cost))
     transitions = rundir.load(run).transitions
     to_minari(transitions, "steerkit/again-v0", task)

@@ -25,7 +25,7 @@ HOLD = IDOE_ACTIONS.index(0.0)
 
 def test_the_steps_are_those_of_the_same_loop_simulated() -> None:
     actions = np.random.default_rng(0).integers(0, 5, 15)
-    env = gymnasium.make(ID, world=SteadyWorld(course="circle"), start_e=0.0)
+    env = gymnasium.make(ID, scenario=SteadyWorld(course="circle"), start_e=0.0)
     env.reset(seed=5)
     infos = [env.step(a)[4] for a in actions]
     task = env.unwrapped.task  # type: ignore[attr-defined]

@@ -11,7 +11,7 @@ import pytest
 from steerkit.controllers.nfq_policy import IDOE_ACTIONS, StateDescription
 from steerkit.gym import TrackSteering
 from steerkit.learning.costs import IdoeCost
-from steerkit.scenario.world import World
+from steerkit.scenario import Scenario
 from tests.support.steady_world import SteadyWorld
 
 ID = "steerkit/TrackSteering-v0"
@@ -22,7 +22,7 @@ HOLD = IDOE_ACTIONS.index(0.0)
 
 def test_a_car_starts_in_the_steady_state_of_its_bend() -> None:
     for plant in ("linear", "nonlinear"):
-        env = gymnasium.make(ID, world=SteadyWorld(course="circle", plant=plant), start_e=0.0, start_psi_e=0.0)
+        env = gymnasium.make(ID, scenario=SteadyWorld(course="circle", plant=plant), start_e=0.0, start_psi_e=0.0)
         env.reset(seed=2)
         infos = [env.step(HOLD)[4] for _ in range(40)]
         assert max(abs(info["e"]) for info in infos) < 0.02  # 12 m of bend with the wheel held
@@ -62,13 +62,13 @@ def test_options_choose_the_start() -> None:
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ({"action": "continuous"}, "option .'action'. is not known; valid: course, conditions, world, actions"),
+        ({"action": "continuous"}, "option .'action'. is not known; valid: course, vehicle, conditions, scenario"),
         ({"actions": "steps"}, "valid: i-doe, bang-bang, continuous, or angles"),
         ({"actions": (0.1,)}, "at least two angles"),
         ({"doe": "filter"}, "valid: integrator, low-pass, direct"),
         ({"cost": "quadratic"}, "valid: smooth, paper"),
-        ({"world": {"corse": "paper"}}, "world has no field .'corse'.; valid: course"),
-        ({"world": World(), "course": "genesis"}, "belong to the world"),
+        ({"scenario": {"corse": "paper"}}, "scenario: no field 'corse'; valid: name, course"),
+        ({"scenario": Scenario(), "course": "genesis"}, "belong to the scenario"),
         ({"backend": "vm"}, "valid: python, c"),
         ({"course": "papr"}, "did you mean 'paper'"),
         (

@@ -13,7 +13,7 @@ from steerkit import native
 from steerkit.block import Block
 from steerkit.gym import TrackSteeringVector
 from steerkit.plants.human_driver import RecordedDriver
-from steerkit.scenario.world import World
+from steerkit.scenario import Scenario
 
 ID = "steerkit/TrackSteering-v0"
 
@@ -92,14 +92,14 @@ def test_the_three_ways_to_go_on_after_an_end() -> None:
 
 @needs_compiler
 def test_a_loop_that_asks_for_the_time_is_not_compiled_for_many() -> None:
-    class Recorded(World):
+    class Recorded(Scenario):
         def driver(self, seed: int) -> Block:
             return RecordedDriver(speeds=(4.0, 6.0, 5.0), spacing=1.0)
 
     with pytest.raises(ValueError, match="depends on the time t"):
-        TrackSteeringVector(2, world=Recorded())
+        TrackSteeringVector(2, scenario=Recorded())
     wide = np.random.default_rng(0).integers(0, 5, (50, 2))
-    options: dict[str, Any] = {"world": Recorded(), "duration": 1.0}
+    options: dict[str, Any] = {"scenario": Recorded(), "duration": 1.0}
     together = rolled(TrackSteeringVector(2, backend="python", **options), wide, 1)
     one_by_one = rolled(gymnasium.make_vec(ID, 2, vectorization_mode="sync", **options), wide, 1)
     for single, many in zip(one_by_one, together):

@@ -51,7 +51,7 @@ def test_the_vehicle_file_comes_back_and_drives(found: Identified, tmp_path: Pat
 
 
 def test_a_vehicle_file_serves_a_learning_world(found: Identified, tmp_path: Path) -> None:
-    from steerkit.scenario.world import World
+    from steerkit.scenario import Scenario
 
     found.save(tmp_path / "car.toml")
-    assert World(vehicle_name=str(tmp_path / "car.toml")).vehicle == found.vehicle
+    assert Scenario(vehicle=str(tmp_path / "car.toml")).nominal == found.vehicle

@@ -13,7 +13,7 @@ from steerkit.learning import rundir
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.learn import learn
 from steerkit.learning.settings import PAPER, SETTINGS, setting
-from steerkit.scenario.world import World
+from steerkit.scenario import Scenario
 from tests.support.short_run import SHORT
 
 
@@ -56,7 +56,7 @@ def test_broken_and_foreign_directories_are_named(kept: Path, tmp_path: Path) ->
 
 @pytest.mark.parametrize("name", SETTINGS)
 def test_an_experiment_survives_its_plain_form(name: str) -> None:
-    experiment = Experiment(setting=setting(name), world=World.under("hard"), seed=5)
+    experiment = Experiment(setting=setting(name), world=Scenario.under("hard"), seed=5)
     data = json.loads(json.dumps(rundir.plain(experiment)))
     assert rundir.from_plain(data, "test") == experiment
 
@@ -67,9 +67,9 @@ def test_configuration_errors_name_the_valid_choices() -> None:
     with pytest.raises(ValueError, match="no field 'minuts'; valid: setting, world, minutes"):
         rundir.from_plain({"minuts": 3.0}, "my.toml", Experiment)
     with pytest.raises(ValueError, match="valid: clean, hard"):
-        World.under("harder")
+        Scenario.under("harder")
     with pytest.raises(ValueError, match="plant 'bicycle'"):
-        World(plant="bicycle")
+        Scenario(plant="bicycle")
 
 
 def test_a_sparse_configuration_takes_the_defaults() -> None:
@@ -78,4 +78,4 @@ def test_a_sparse_configuration_takes_the_defaults() -> None:
     assert experiment.minutes == 3.0
     assert experiment.setting.cost == PAPER.cost
     assert experiment.setting.fit.nets == 1
-    assert experiment.world == World()
+    assert experiment.world == Scenario()

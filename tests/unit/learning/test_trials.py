@@ -16,10 +16,10 @@ from steerkit.learning.nfq.iterate import FitSetting
 from steerkit.learning.settings import BANG_BANG, DEFAULT
 from steerkit.learning.trials import TrialDrive, drive_each, drive_many
 from steerkit.metrics import of_log
+from steerkit.scenario import Scenario
 from steerkit.scenario import drive as evaluate
-from steerkit.scenario.world import World
 
-WORLD = World(course="circle")
+WORLD = Scenario(course="circle")
 SETTING = replace(DEFAULT, fit=FitSetting(nets=2, hidden=(5,)))
 
 
@@ -43,7 +43,7 @@ def test_each_is_judged_as_if_it_drove_alone(combine: Any) -> None:
 def test_the_metrics_are_those_of_the_part_it_drove() -> None:
     lazy = policy(0)  # all weights zero: every action is worth the same, the gentlest wins, and the circle goes on
     zero = tuple(tuple(np.zeros_like(p) for p in net) for net in lazy.nets or ())
-    world = World(course="straight")
+    world = Scenario(course="straight")
     (result,) = drive_many(world, SETTING, [replace(lazy, nets=zero)], rounds=0.2)
     log = evaluate.drive(world, replace(lazy, nets=zero), doe=SETTING.element(), rounds=0.2)
     assert result.held
@@ -80,7 +80,7 @@ def test_what_is_no_net_drives_by_itself_to_the_same_result() -> None:
 
 
 def test_good_is_held_and_within_all_bounds() -> None:
-    summary = of_log(evaluate.drive(World(course="circle"), Stanley.of(World().vehicle), rounds=1.0))
+    summary = of_log(evaluate.drive(Scenario(course="circle"), Stanley.of(Scenario().nominal), rounds=1.0))
     assert TrialDrive(rounds=1.0, held=True, summary=summary).good
     assert not TrialDrive(rounds=1.0, held=False, summary=summary).good
     assert not TrialDrive(rounds=1.0, held=True, summary=None).good

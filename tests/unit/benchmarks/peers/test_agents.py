@@ -10,10 +10,10 @@ import pytest
 from benchmarks.entries import controller
 from benchmarks.peers import agents as peers
 from benchmarks.run.drives import drive
-from benchmarks.scenarios import Scenario
+from benchmarks.scenarios import scene
 from steerkit.vehicles import vehicle
 
-STEP = Scenario(name="step", course="curvature-step", v_min=7.0, v_max=7.0)
+STEP = scene(name="step", course="curvature-step", v_min=7.0, v_max=7.0)
 
 
 PASSAT = vehicle("vw-passat")
@@ -21,7 +21,7 @@ PASSAT = vehicle("vw-passat")
 
 def test_do_mpc_holds_a_steady_bend_and_steers_back_onto_the_path() -> None:
     pytest.importorskip("do_mpc")
-    block = controller("do-mpc").make(STEP, STEP.path())  # type: ignore[misc]
+    block = controller("do-mpc").make(STEP)  # type: ignore[misc]
     p, v, kappa = PASSAT, 7.0, 1.0 / 27.0
     # the front axle on the circle: v_front = r/kappa, sideways of it against the path 0
     delta = (p.wheelbase + p.understeer_gradient * v**2) * kappa

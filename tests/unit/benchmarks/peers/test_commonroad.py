@@ -26,4 +26,4 @@ def test_the_multi_body_car_corners_like_its_single_track_where_that_holds() -> 
     with pytest.raises(ValueError, match="cannot be batched"):
         body.init((2,))
     with pytest.raises(ValueError, match="valid: bmw-320i, ford-escort"):
-        CommonRoadMultiBody(name="vw-passat")
+        CommonRoadMultiBody(vehicle=vehicle("vw-passat"))

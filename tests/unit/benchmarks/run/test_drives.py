@@ -10,10 +10,10 @@ import pytest
 
 from benchmarks.entries import controller
 from benchmarks.run.drives import drive
-from benchmarks.scenarios import Scenario
+from benchmarks.scenarios import scene, suite_loop
 from steerkit.vehicles import vehicle
 
-STEP = Scenario(name="step", course="curvature-step", v_min=7.0, v_max=7.0)
+STEP = scene(name="step", course="curvature-step", v_min=7.0, v_max=7.0)
 
 
 PASSAT = vehicle("vw-passat")
@@ -23,10 +23,9 @@ def test_compiled_with_open_parameters_is_the_interpreted_drive() -> None:
     from steerkit.simulation import simulate
 
     scenario = replace(STEP, tyres=0.8, offset_deg=1.0, wind=0.2, gust=0.1, noise=1.0, latency=0.05)
-    path = scenario.path()
-    block = controller("stanley").make(scenario, path)  # type: ignore[misc]
+    block = controller("stanley").make(scenario)  # type: ignore[misc]
     driven = drive(scenario, "stanley", seed=3)
-    log = simulate(scenario.loop(path, block, seed=3), 15.0, record=["path.e", "car.a_y"], every=5)
+    log = simulate(suite_loop(scenario, block, seed=3), 15.0, record=["path.e", "car.a_y"], every=5)
     e = driven.trajectory["e"][:300]
     assert np.abs(e - log["path.e"][:300]).max() < 1e-9
     assert driven.metrics["max_e"] == pytest.approx(np.abs(driven.trajectory["e"]).max(), rel=1e-12)

@@ -12,7 +12,7 @@ import pytest
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.learning.pictures.policy import course_angle, policy_map, q_slices, q_values, states
 from steerkit.learning.pictures.run import Record
-from steerkit.scenario.world import World
+from steerkit.scenario import Scenario
 from steerkit.units import degrees_of, radians_of
 
 
@@ -36,8 +36,8 @@ def test_values_lead_to_the_actions_that_the_policy_takes(record: Record, combin
 @pytest.mark.parametrize("reference", ["front", "cg"])
 def test_states_on_a_steady_bend_are_where_a_car_really_is(reference: str) -> None:
     """A slow car in a steady bend: r = v tan(delta)/L, every point turns about the same centre."""
-    world = World(reference=reference)
-    car, delta, v = world.vehicle, 0.1, 2.0
+    world = Scenario(reference=reference)
+    car, delta, v = world.nominal, 0.1, 2.0
     b = car.l_r + world.ahead
     r = v * math.tan(delta) / car.wheelbase
     course = course_angle(world, delta * car.steer_ratio)
@@ -108,4 +108,4 @@ def test_the_map_shows_the_action_that_the_policy_takes(record: Record) -> None:
 
 def test_a_policy_without_nets_has_nothing_to_show() -> None:
     with pytest.raises(ValueError, match="the policy has no nets"):
-        q_slices(NfqPolicy(), World())
+        q_slices(NfqPolicy(), Scenario())

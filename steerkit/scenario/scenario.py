@@ -1,0 +1,351 @@
+"""The scenario: where and how fast is driven, with which car, what disturbs it, what the controllers are told."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from functools import lru_cache
+from pathlib import Path as FilePath
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from steerkit.assembly import placed
+from steerkit.block import Block
+from steerkit.catalogue import RECOVERIES, Belief, make_recovery, plant_kind
+from steerkit.courses import course, course_of, lane_change, names, random_course, recorded_speed
+from steerkit.errors import known, require, require_within
+from steerkit.path import Path
+from steerkit.plants.careful_driver import CarefulDriver
+from steerkit.plants.human_driver import HumanDriver, SpeedProfile
+from steerkit.plants.pushed import Pushed
+from steerkit.plants.sensors import Sensors
+from steerkit.plants.single_track import SingleTrack
+from steerkit.plants.steering_actuator import SteeringActuator, steering_in
+from steerkit.units import degrees_of, radians_of
+from steerkit.vehicles import G, Vehicle, vehicle, vehicle_of
+from steerkit.vehicles.file import tables_of
+
+END_MARGIN = 5.0
+"""How far from the ends of an open course a drive begins or ends [m]."""
+SPEEDS = ("wander", "recorded")
+REFERENCES = ("front", "cg", "own")
+CONDITIONS = MappingProxyType({"clean": {}, "hard": {"noise": 1.0, "latency": 0.05, "lag": 0.15}})
+"""Named disturbances: fields of a scenario. `hard` is 1 cm of noise, 50 ms of sensor delay, a slower motor."""
+_RANGES = (  # field, unit, least, largest
+    ("v_min", "m/s", 0.2, 40.0),
+    ("v_max", "m/s", 0.2, 40.0),
+    ("rounds", "1", 1e-3, 1e6),
+    ("lag", "s", 0.0, 10.0),
+    ("delay", "s", 0.0, 2.0),
+    ("rate_limit_deg", "deg/s", 1.0, 10_000.0),
+    ("offset_deg", "deg", -90.0, 90.0),
+    ("tyres", "1", 0.1, 10.0),
+    ("friction", "1", 0.1, 10.0),
+    ("ratio", "1", 0.1, 10.0),
+    ("wind", "m/s^2", -20.0, 20.0),
+    ("gust", "m/s^2", 0.0, 20.0),
+    ("bank_deg", "deg", -45.0, 45.0),
+    ("noise", "1", 0.0, 1000.0),
+    ("latency", "s", 0.0, 2.0),
+    ("told_delay", "s", 0.0, 2.0),
+    ("told_lag", "s", 0.0, 10.0),
+)
+_SLOWEST = 4.0  # m/s: the careful driver's speed in the tightest bend of all courses, 5.9 m
+_TIME_TO_SPARE = 10.0  # s
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenario:
+    """A drive to be made: where, how fast, with which car, and what is wrong with it; for learning, tests and suites.
+
+    Controllers know the nominal car, and the steering's delay and lag unless `told_delay`, `told_lag` say otherwise.
+    A course or a car from a file is read when the scenario is made and kept in `files`, so that a scenario that was
+    stored, sent to another machine or carried to another folder stays what it was. Raises ValueError for whatever
+    cannot be driven, naming the field, its unit and what is valid.
+    """
+
+    name: str = "scenario"
+    """What it is called in results and errors."""
+    course: str = "paper"
+    """Name of a course (`steerkit.courses`); `random-7` and the like, a random course by its seed (500 m, radii of 10 m
+    and more); or a CSV file with the columns x, y [m] or lat, lon [degrees]. ISO lane changes are as long as v_max
+    asks."""
+    closed: bool | None = None
+    """Is a course from a file closed? None: as the file says, or as it looks (`steerkit.courses.course_of`)."""
+    vehicle: str = "vw-passat"
+    """Name of a car (`steerkit.vehicles`), or a vehicle file, `my-car.toml`. Its table [steering] is not read here:
+    `Scenario.under` does, and so do the command line and the environments."""
+    plant: str = "nonlinear"
+    """`nonlinear` or `linear` single track; or `package.module:Class`, see `steerkit.catalogue.plant_kind`."""
+    reference: str = "front"
+    """Where e is judged, and measured for a learner: at the `front` axle (as Stanley does), at the centre of gravity,
+    `cg`, or at the controller's `own` point (the front axle for one that has none)."""
+    recovery: str = "stanley"
+    """Who catches a learned controller: `stanley` or `stanley-delay`."""
+    speed: str = "wander"
+    """`wander`: a human between v_min and v_max, slower in bends (3 m/s^2); `recorded`: as driven on the recorded
+    course, within v_min and v_max."""
+    v_min: float = 4.0
+    """Slowest speed of the human driver [m/s]; equal to v_max: a steady one."""
+    v_max: float = 7.5
+    """Fastest speed of the human driver [m/s]."""
+    rounds: float = 1.0
+    """Rounds that a test drive takes; an open course is driven without END_MARGIN at either end."""
+    lag: float = 0.12
+    """First-order lag of the steering actuator [s]."""
+    delay: float = 0.0
+    """Pure delay of the steering actuator [s], a multiple of 0.01."""
+    rate_limit_deg: float = 550.0
+    """Fastest steering wheel [deg/s]."""
+    offset_deg: float = 0.0
+    """Offset of the steering wheel [deg]."""
+    tyres: float = 1.0
+    """Cornering stiffness over the nominal one [1]."""
+    friction: float = 1.0
+    """Friction coefficient over the nominal one [1]."""
+    ratio: float = 1.0
+    """Steering ratio over the nominal one [1]."""
+    wind: float = 0.0
+    """Lateral acceleration by steady crosswind [m/s^2], acting 0.3 m ahead of the centre of gravity."""
+    gust: float = 0.0
+    """Standard deviation of the gusts' [m/s^2]."""
+    bank_deg: float = 0.0
+    """Bank of the road, + = low on the left [deg]."""
+    noise: float = 0.0
+    """Pose and rate noise: 1 is 1 cm and 0.1 deg of drift and 0.2 deg/s of white noise (`Sensors.hard`)."""
+    latency: float = 0.0
+    """Age of what the controllers see [s], a multiple of 0.05."""
+    told_delay: float | None = None
+    """What controllers that ask are told of the delay, latency included [s]; None: the truth."""
+    told_lag: float | None = None
+    """The same of the lag [s]."""
+    files: tuple[tuple[str, str], ...] = ()
+    """Name and text of every file that course and vehicle name; filled in when the scenario is made."""
+
+    def __post_init__(self) -> None:
+        where = f"scenario '{self.name}'"
+        require(isinstance(self.name, str) and "--" not in self.name, where, "the name holds '--', which parts names")
+        for name, unit, least, largest in _RANGES:
+            value = getattr(self, name)
+            if value is None and name.startswith("told_"):
+                continue
+            number = isinstance(value, int | float) and not isinstance(value, bool)
+            require(number, where, f"{name} = {value!r}, expected a number [{unit}]")
+            require_within(where, name, value, unit, least, largest)
+            object.__setattr__(self, name, float(value))
+        require(self.v_min <= self.v_max, where, f"v_min = {self.v_min}, v_max = {self.v_max} [m/s]")
+        for name, valid in (("speed", SPEEDS), ("reference", REFERENCES), ("recovery", RECOVERIES)):
+            require(getattr(self, name) in valid, where, f"{name} {getattr(self, name)!r}; valid: {', '.join(valid)}")
+        dead = self.told_dead_time
+        require(dead <= 2.0, where, f"delay and latency add up to {dead:g} [s], expected at most 2")
+        self._keep_files(where)
+        try:
+            self._check_parts()
+        except ValueError as error:
+            text = str(error)
+            raise ValueError(text if text.startswith(where) else f"{where}: {text}") from error
+
+    def _keep_files(self, where: str) -> None:
+        """Read the files that course and vehicle name, and keep them under their names without folders."""
+        kept = {str(name): str(text) for name, text in self.files}
+        texts = {}
+        for field, suffix in (("course", ".csv"), ("vehicle", ".toml")):
+            given = str(getattr(self, field))
+            if not given.endswith(suffix):
+                continue
+            file = FilePath(given)
+            try:
+                texts[file.name] = kept[given] if given in kept else file.read_text(encoding="utf-8")
+            except (OSError, UnicodeDecodeError) as error:
+                why = getattr(error, "strerror", None) or "not UTF-8"
+                raise ValueError(f"{where}: {field} {given} cannot be read ({why})") from error
+            object.__setattr__(self, field, file.name)
+        object.__setattr__(self, "files", tuple(sorted(texts.items())))
+
+    def _check_parts(self) -> None:
+        """Make what can be made at once: each part checks itself."""
+        valid = [*names(), "random-7"]
+        if self._text(self.course) is not None:
+            self.path()
+        elif not _is_random(self.course):
+            known(self.course, valid, "course", also="FILE.csv")
+        told = self.closed is None or self._text(self.course) is not None
+        require(told, f"closed = {self.closed}", "only a course from a file is told so")
+        if self.speed == "recorded":
+            recorded_speed(self.course)
+        car = plant_kind(self.plant)(vehicle=self.true_vehicle, v0=self.v_min)  # type: ignore[call-arg]
+        pushes = isinstance(car, SingleTrack) or not self.pushed
+        require(pushes, "wind, gust, bank_deg", f"only single-track cars are pushed, not '{self.plant}'")
+        _ = self.actuator(), self.sensors(0), HumanDriver(v_min=self.v_min, v_max=self.v_max)
+
+    @classmethod
+    def under(cls, conditions: str = "clean", **changes: Any) -> Scenario:
+        """The scenario of the named conditions, `clean` or `hard`, with these fields.
+
+        Where `vehicle` names a file with a table [steering], delay, lag and offset_deg are taken from it, also instead
+        of the conditions' lag, but for those given in `changes`.
+        Raises ValueError for unknown conditions or fields, with the valid ones.
+        """
+        disturbed = CONDITIONS[known(conditions, CONDITIONS, "conditions")]
+        valid = [field.name for field in fields(cls)]
+        for key in changes:
+            require(key in valid, "scenario", f"no field '{key}'; valid: {', '.join(valid)}")
+        steering: dict[str, Any] = {}
+        scenario = cls(**(disturbed | changes))
+        text = scenario._text(scenario.vehicle)
+        if text is not None and "steering" in tables_of(text, scenario.vehicle):
+            motor = steering_in(text, scenario.vehicle)
+            steering = {"delay": motor.delay, "lag": motor.lag, "offset_deg": degrees_of(motor.offset)}
+        return cls(**(disturbed | steering | changes))
+
+    # ---- what it says ---------------------------------------------------------------------------------------
+
+    def _text(self, name: str) -> str | None:
+        return dict(self.files).get(name)
+
+    @property
+    def random(self) -> bool:
+        """Does anything depend on the seed (but for a learner's net)?"""
+        wanders = self.speed == "wander" and self.v_min < self.v_max
+        return wanders or self.noise > 0.0 or self.gust > 0.0
+
+    @property
+    def pushed(self) -> bool:
+        """Is there wind or bank?"""
+        return (self.wind, self.gust, self.bank_deg) != (0.0, 0.0, 0.0)
+
+    @property
+    def nominal(self) -> Vehicle:
+        """The car as the controllers know it."""
+        text = self._text(self.vehicle)
+        return vehicle(self.vehicle) if text is None else _car_of(text, self.vehicle)
+
+    @property
+    def true_vehicle(self) -> Vehicle:
+        """The car as it is."""
+        p = self.nominal
+        if (self.tyres, self.friction, self.ratio) == (1.0, 1.0, 1.0):
+            return p
+        return replace(
+            p,
+            c_f=self.tyres * p.c_f,
+            c_r=self.tyres * p.c_r,
+            mu=self.friction * p.mu,
+            steer_ratio=self.ratio * p.steer_ratio,
+        )
+
+    @property
+    def ahead(self) -> float:
+        """The reference point's distance ahead of the centre of gravity [m], for a controller without its own."""
+        return 0.0 if self.reference == "cg" else float(self.nominal.l_f)
+
+    @property
+    def told_dead_time(self) -> float:
+        """Delay of the steering and age of what is seen, as controllers that ask are told [s]."""
+        return self.delay + self.latency if self.told_delay is None else self.told_delay
+
+    def path(self) -> Path:
+        """The course's path."""
+        return _path(self.course, self.closed, self._text(self.course), self.v_max)
+
+    @property
+    def round_length(self) -> float:
+        """What counts as a round [m]: an open course is driven without END_MARGIN at either end."""
+        path = self.path()
+        return path.length - (0.0 if path.closed else 2.0 * END_MARGIN)
+
+    @property
+    def length(self) -> float:
+        """How far a test drive goes [m]."""
+        return self.rounds * self.round_length
+
+    @property
+    def seconds(self) -> float:
+        """How long that takes the slowest driver, and some more [s]."""
+        if self.speed == "recorded":
+            s, v = recorded_speed(self.course)
+            pace = 1.0 / np.clip(v, self.v_min, self.v_max)
+            return math.ceil(self.rounds * float(np.trapezoid(pace, s)) + _TIME_TO_SPARE)
+        return math.ceil(self.length / min(self.v_min, _SLOWEST) + _TIME_TO_SPARE)
+
+    def belief(self, *, clock: Callable[[], float] | None = None) -> Belief:
+        """What controllers are told: the nominal car, and the steering as it is or as the scenario says.
+
+        clock: seconds, for the times that predictive controllers show; None: no time is taken.
+        """
+        return Belief(
+            vehicle=self.nominal,
+            path=self.path(),
+            delay=self.told_dead_time,
+            lag=self.lag if self.told_lag is None else self.told_lag,
+            hold=SteeringActuator.dt,
+            rate_limit=radians_of(self.rate_limit_deg),
+            clock=clock,
+        )
+
+    # ---- what it is made of ---------------------------------------------------------------------------------
+
+    def car(self, path: Path, s: float = 0.0, seed: int = 0) -> Block:
+        """The plant, on the path at arc length s [m]; `seed` is that of the gusts."""
+        kind = plant_kind(self.plant)
+        car: Any = placed(kind(vehicle=self.true_vehicle, v0=self.v_min), path, s=s)  # type: ignore[call-arg]
+        if not self.pushed:
+            return car
+        bank = G * math.sin(radians_of(self.bank_deg))
+        return Pushed(block=car, wind=self.wind, gust=self.gust, bank=bank, seed=seed)
+
+    def driver(self, seed: int) -> Block:
+        """The human who sets the speed, and slows down for bends."""
+        if self.speed == "recorded":
+            s, v = recorded_speed(self.course)
+            return SpeedProfile.from_samples(s, np.clip(v, self.v_min, self.v_max), spacing=2.0)
+        return CarefulDriver(path=self.path(), driver=HumanDriver(v_min=self.v_min, v_max=self.v_max, seed=seed))
+
+    def actuator(self) -> SteeringActuator:
+        """The motor at the steering wheel."""
+        return SteeringActuator(
+            delay=self.delay,
+            lag=self.lag,
+            rate_limit=radians_of(self.rate_limit_deg),
+            offset=radians_of(self.offset_deg),
+            limit=self.nominal.delta_sw_max,
+        )
+
+    def sensors(self, seed: int) -> Sensors | None:
+        """What the controllers see; None for the truth."""
+        if self.noise == 0.0 and self.latency == 0.0:
+            return None
+        full = Sensors.hard(seed)
+        return replace(
+            full,
+            position_drift=self.noise * full.position_drift,
+            psi_drift=self.noise * full.psi_drift,
+            r_noise=self.noise * full.r_noise,
+            latency=self.latency,
+        )
+
+    def catcher(self) -> Block:
+        """The analytic controller that catches a learned one."""
+        return make_recovery(self.recovery, self.belief())
+
+
+def _is_random(name: str) -> bool:
+    kind, _, number = name.partition("-")
+    return kind == "random" and number.isdigit()
+
+
+@lru_cache(maxsize=32)
+def _path(name: str, closed: bool | None, text: str | None, v_max: float) -> Path:
+    if text is not None:
+        return course_of(text, name, closed=closed)
+    if name.startswith("iso3888-"):
+        return lane_change(int(name[-1]), speed=v_max)
+    return random_course(int(name.partition("-")[2])) if _is_random(name) else course(name)
+
+
+@lru_cache(maxsize=32)
+def _car_of(text: str, name: str) -> Vehicle:
+    return vehicle_of(text, name)
