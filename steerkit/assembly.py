@@ -46,11 +46,11 @@ def steering_loop(
 
     controller: steers by itself (an output `delta_sw`), or picks actions (an output `action`) that `doe` turns into
     an angle. recovery: an analytic controller that steers while the learner is off, through `supervisor` (default:
-    0.5 m and 0.1 m), which judges |e|, or the `distance` of `foresight`; the controller is then `Guarded`, so that an
-    exception in it is a fault that the supervisor answers. actuator: between the command and the wheel
-    (none: the command is the angle). sensors: what the controllers see of the car (none: the truth). reference: where
-    e is measured, m ahead of the centre of gravity (the front axle is l_f). shift: what the learner and the supervisor
-    take for e (none: the path's).
+    0.5 m and 0.1 m, and the doe's stops), which judges |e|, or the `distance` of `foresight`; the controller is
+    then `Guarded`, so that an exception in it is a fault that the supervisor answers. actuator: between the command
+    and the wheel (none: the command is the angle). sensors: what the controllers see of the car (none: the truth).
+    reference: where e is measured, m ahead of the centre of gravity (the front axle is l_f). shift: what the
+    learner and the supervisor take for e (none: the path's).
 
     The blocks are named driver, car, actuator, sensors, path, shift, controller, doe, recovery, foresight, supervisor.
     `path` tracks the **true** reference point, for logs and metrics; with sensors, `seen` tracks the measured one; a
@@ -111,7 +111,7 @@ def steering_loop(
     if recovery is not None:
         bench.add("recovery", recovery)
         bench.control(recovery, tracker, seen, steered, doe)
-        judge = bench.add("supervisor", supervisor or Supervisor(dt=controller.dt))
+        judge = bench.add("supervisor", supervisor or _supervisor(controller, doe))
         if foresight is None:
             bench.wire(shift or tracker, "e", judge, "e")
         else:
@@ -142,6 +142,13 @@ def with_controller(loop: Loop, controller: Block) -> Loop:
     a policy while the loop's state goes on."""
     guarded = isinstance(loop.blocks["controller"], Guarded)
     return loop.with_block("controller", _guarded(controller) if guarded else controller)
+
+
+def _supervisor(controller: Block, doe: Block | None) -> Supervisor:
+    """One that takes an angle for a fault that the learner's output element cannot mean."""
+    element = doe.element if isinstance(doe, Corrected) else doe
+    limit: Any = element.limit if isinstance(element, Dynamic) else Supervisor.limit
+    return Supervisor(dt=controller.dt, limit=limit)
 
 
 def _guarded(controller: Block) -> Guarded:

@@ -71,28 +71,27 @@ class Recipe:
 
 
 def _stanley(belief: Belief) -> Block:
-    return replace(Stanley.of(belief.vehicle), rate_limit=belief.rate_limit, limit=belief.vehicle.delta_sw_max)
+    return replace(Stanley.of(belief.vehicle), rate_limit=belief.rate_limit)
 
 
 def _textbook(belief: Belief) -> Block:
-    return replace(Stanley.textbook(belief.vehicle), limit=belief.vehicle.delta_sw_max)
+    return Stanley.textbook(belief.vehicle)
 
 
 def _delayed(belief: Belief) -> Block:
     block = delayed_stanley(belief.vehicle, delay=belief.delay, lag=belief.lag)
-    law = replace(block.block, rate_limit=belief.rate_limit, limit=belief.vehicle.delta_sw_max)  # type: ignore[call-arg]
+    law = replace(block.block, rate_limit=belief.rate_limit)  # type: ignore[call-arg]
     return replace(block, block=law, rate_limit=belief.rate_limit)
 
 
 def _lqr(belief: Belief) -> Block:
     car = belief.vehicle
     block = Lqr.of(car, LinearSingleTrack(vehicle=car).matrices, delay=belief.delay, lag=belief.lag)
-    return replace(block, rate_limit=belief.rate_limit, limit=car.delta_sw_max)
+    return replace(block, rate_limit=belief.rate_limit)
 
 
 def _pure_pursuit(belief: Belief) -> Block:
-    block = PurePursuit.of(belief.vehicle, belief.path, delay=belief.delay)
-    return replace(block, limit=belief.vehicle.delta_sw_max)
+    return PurePursuit.of(belief.vehicle, belief.path, delay=belief.delay)
 
 
 def _linear_mpc(belief: Belief) -> Block:
@@ -113,7 +112,6 @@ def _predictive(kind: Any, belief: Belief) -> Block:
         NonlinearSingleTrack(vehicle=car),
         delay=belief.delay + 0.5 * belief.hold,
         lag=belief.lag,
-        limit=car.delta_sw_max,
         rate_limit=min(belief.rate_limit, kind.rate_limit),  # its own leaves the motor room to follow
         fallback=_stanley(belief),
         budget=belief.budget,

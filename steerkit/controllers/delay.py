@@ -16,6 +16,7 @@ from steerkit.errors import require
 from steerkit.maths import Scalar
 from steerkit.task import DT
 from steerkit.units import radians_of
+from steerkit.vehicles import Vehicle
 
 Array = NDArray[np.float64]
 
@@ -110,7 +111,7 @@ class Predicted(Block):
         require(self.preview_points >= 1, where, f"preview_points = {self.preview_points}, expected >= 1")
 
     @classmethod
-    def around(cls, block: Block, vehicle: Any, *, delay: float, lag: float) -> Predicted:
+    def around(cls, block: Block, vehicle: Vehicle, *, delay: float, lag: float) -> Predicted:
         """`block` told of a steering delay and lag [s], with geometry, tyres and ratio of a `Vehicle`."""
         L = vehicle.wheelbase
         return cls(
@@ -216,7 +217,7 @@ class Predicted(Block):
         return v * s + side * c, r - kappa * (v * c - side * s) / m.maximum(1.0 - kappa * e, 0.2)
 
 
-def delayed_stanley(vehicle: Any, *, delay: float, lag: float, dt: float = DT) -> Predicted:
+def delayed_stanley(vehicle: Vehicle, *, delay: float, lag: float, dt: float = DT) -> Predicted:
     """Stanley for a steering delay and lag [s], 0 to 0.3 s and about 0.1 s: predicted, with gains tuned for that.
 
     The gains are what `python -m benchmarks study tune_stanley` chose: with the prediction, damping only costs.

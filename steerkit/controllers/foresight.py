@@ -10,6 +10,7 @@ from steerkit.block import Block, In, Out
 from steerkit.errors import require
 from steerkit.task import A_Y_MAX, STOP
 from steerkit.units import radians_of
+from steerkit.vehicles import Vehicle
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -89,6 +90,14 @@ class Foresight(Block):
             require(getattr(self, name) > 0.0, "Foresight", f"{name} = {getattr(self, name)}, expected > 0")
         require(self.hold >= 0.0, "Foresight", f"hold = {self.hold} s, expected >= 0")
         require(self.quantum >= 0.0, "Foresight", f"quantum = {self.quantum} rad, expected >= 0")
+
+    @classmethod
+    def of(cls, vehicle: Vehicle, **settings: float) -> Foresight:
+        """For the geometry, ratio and stop of a `Vehicle`; settings: any fields, such as the gate's limits."""
+        known: dict[str, Any] = dict(
+            steer_ratio=vehicle.steer_ratio, wheelbase=vehicle.wheelbase, delta_sw_max=vehicle.delta_sw_max
+        )
+        return cls(**(known | settings))
 
     def output(self, t: Any, x: Any, u: Any) -> Any:
         left, right = self._reach(u, 1.0), self._reach(u, -1.0)

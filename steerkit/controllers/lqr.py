@@ -17,6 +17,7 @@ from steerkit.errors import require
 from steerkit.maths import Scalar, Table
 from steerkit.task import DT, STOP
 from steerkit.units import radians_of
+from steerkit.vehicles import Vehicle
 
 Array = NDArray[np.float64]
 Matrices = Callable[[float], tuple[Any, Any]]
@@ -190,7 +191,7 @@ class Lqr(Block):
     @classmethod
     def of(
         cls,
-        vehicle: Any,
+        vehicle: Vehicle,
         matrices: Matrices,
         *,
         delay: float = 0.0,
@@ -221,6 +222,7 @@ class Lqr(Block):
             understeer=vehicle.understeer_gradient,
             l_r=vehicle.l_r,
             steer_ratio=vehicle.steer_ratio,
+            limit=vehicle.delta_sw_max,
             dt=dt,
         )
 

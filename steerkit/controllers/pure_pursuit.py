@@ -11,6 +11,7 @@ from steerkit.errors import require
 from steerkit.maths import Scalar
 from steerkit.path import Path
 from steerkit.task import DT, STOP
+from steerkit.vehicles import Vehicle
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -62,8 +63,8 @@ class PurePursuit(Block):
         require(self.look_max >= self.look_min, "PurePursuit", f"look_max = {self.look_max} m, expected >= look_min")
 
     @classmethod
-    def of(cls, vehicle: Any, path: Path, *, delay: float = 0.0, dt: float = DT) -> PurePursuit:
-        """The controller with geometry and ratio of a `Vehicle`, on `path`.
+    def of(cls, vehicle: Vehicle, path: Path, *, delay: float = 0.0, dt: float = DT) -> PurePursuit:
+        """The controller with geometry, ratio and stop of a `Vehicle`, on `path`.
 
         delay [s] of the steering: the only remedy is a goal farther away, at the price of cut corners. look_time grows
         by 2 delay and look_min by 8 m/s * delay: near the least |e| on the 795 m course for each delay, by search.
@@ -76,6 +77,7 @@ class PurePursuit(Block):
             wheelbase=vehicle.wheelbase,
             l_r=vehicle.l_r,
             steer_ratio=vehicle.steer_ratio,
+            limit=vehicle.delta_sw_max,
             reference=-vehicle.l_r,
             dt=dt,
         )

@@ -12,6 +12,7 @@ from steerkit.errors import require
 from steerkit.maths import Scalar
 from steerkit.task import DT, STOP
 from steerkit.units import radians_of
+from steerkit.vehicles import Vehicle
 
 _NO_LIMIT = 1e3
 """m/s^2 or rad/s: more than any car can do."""
@@ -99,8 +100,8 @@ class Stanley(Block):
             require(getattr(self, name) > 0.0, "Stanley", f"{name} = {getattr(self, name)}, expected > 0")
 
     @classmethod
-    def of(cls, vehicle: Any, *, dt: float = DT) -> Stanley:
-        """The controller with geometry, mass, stiffness and ratio of a `Vehicle`."""
+    def of(cls, vehicle: Vehicle, *, dt: float = DT) -> Stanley:
+        """The controller with geometry, mass, stiffness, ratio and stop of a `Vehicle`."""
         return cls(
             mass=vehicle.m,
             c_f=vehicle.c_f,
@@ -108,12 +109,13 @@ class Stanley(Block):
             wheelbase=vehicle.wheelbase,
             understeer=vehicle.understeer_gradient,
             steer_ratio=vehicle.steer_ratio,
+            limit=vehicle.delta_sw_max,
             reference=vehicle.l_f,
             dt=dt,
         )
 
     @classmethod
-    def textbook(cls, vehicle: Any, *, dt: float = DT) -> Stanley:
+    def textbook(cls, vehicle: Vehicle, *, dt: float = DT) -> Stanley:
         """The form of most public code: heading and cross-track terms only, hardly any softening, no limits."""
         bare = dict(k=2.5, k_soft=1e-3, k_d_yaw=0.0, k_d_steer=0.0, mass=0.0, approach_limit=m.pi / 2.0)
         return replace(cls.of(vehicle, dt=dt), **bare, a_y_max=_NO_LIMIT, rate_limit=_NO_LIMIT)

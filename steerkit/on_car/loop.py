@@ -132,8 +132,8 @@ def car_loop(
 def foresight(config: CarConfig) -> Foresight:
     """How far the car will get behind the gate of `config`."""
     limits = config.gate
-    same = ("a_y_max", "jerk_max", "rate_max", "delta_sw_max", "v_floor", "steer_ratio", "wheelbase", "quantum")
-    return Foresight(**{name: getattr(limits, name) for name in same})
+    same = ("a_y_max", "jerk_max", "rate_max", "delta_sw_max", "v_floor", "quantum")
+    return Foresight.of(config.vehicle, **{name: getattr(limits, name) for name in same})
 
 
 def drive(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,14 +10,20 @@ import pytest
 
 from steerkit.assembly import controller_of, placed, steering_loop, with_controller
 from steerkit.block import Block, In, Out
+from steerkit.controllers.delay import delayed_stanley
+from steerkit.controllers.foresight import Foresight
+from steerkit.controllers.lqr import Lqr
+from steerkit.controllers.mpc.linear import MPC
 from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.controllers.pure_pursuit import PurePursuit
 from steerkit.controllers.stanley import Stanley
-from steerkit.controllers.supervisor import Guarded
+from steerkit.controllers.supervisor import Guarded, Supervisor
 from steerkit.courses import circle, course
 from steerkit.doe import Corrected, Integrator, LowPass
 from steerkit.errors import WiringError
 from steerkit.loop import Loop
 from steerkit.plants.human_driver import ConstantSpeed
+from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.sensors import Sensors
 from steerkit.plants.steering_actuator import SteeringActuator
@@ -117,6 +123,38 @@ def test_a_controller_is_exchanged_as_it_was_put_in() -> None:
         assert controller_of(loop) is policy
         assert controller_of(with_controller(loop, better)) is better
         assert isinstance(with_controller(loop, better).blocks["controller"], Guarded) == guard
+
+
+NARROW = replace(VW_PASSAT, delta_sw_max=4.0)
+
+
+@pytest.mark.parametrize("reports", [False, True])
+def test_an_angle_beyond_the_does_stops_is_a_fault(reports: bool) -> None:
+    p = parts() | {"controller": NfqPolicy(), "doe": LowPass(limit=4.0)} | ({"car": Stubborn()} if reports else {})
+    loop = steering_loop(**p, recovery=Stanley.of(VW_PASSAT))
+    supervisor: Any = loop.blocks["supervisor"]
+    assert supervisor.limit == 4.0
+    own = steering_loop(**p, recovery=Stanley.of(VW_PASSAT), supervisor=Supervisor(limit=3.0)).blocks["supervisor"]
+    assert getattr(own, "limit", None) == 3.0
+
+
+def test_the_recipes_take_the_stop_of_the_vehicle() -> None:
+    plant = LinearSingleTrack(vehicle=NARROW)
+    made: list[Any] = [
+        Stanley.of(NARROW),
+        Stanley.textbook(NARROW),
+        delayed_stanley(NARROW, delay=0.1, lag=0.1).block,
+        PurePursuit.of(NARROW, ROUND),
+        Lqr.of(NARROW, plant.matrices),
+        MPC.of(plant),
+        MPC.of(plant, SteeringActuator()),
+        MPC.of(plant).fallback,
+    ]
+    assert [block.limit for block in made] == [4.0] * len(made)
+    assert MPC.of(plant, SteeringActuator(limit=3.0)).limit == 3.0
+    foresight = Foresight.of(NARROW, jerk_max=4.0)
+    assert (foresight.delta_sw_max, foresight.wheelbase, foresight.jerk_max) == (4.0, NARROW.wheelbase, 4.0)
+    assert (foresight.steer_ratio, Foresight.of(NARROW, delta_sw_max=3.0).delta_sw_max) == (NARROW.steer_ratio, 3.0)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -205,7 +205,7 @@ class PredictiveSteering(Block):
             else dict(
                 delay=actuator.delay + 0.5 * actuator.dt,
                 lag=float(actuator.lag),
-                limit=float(actuator.limit),
+                limit=min(float(actuator.limit), float(car.vehicle.delta_sw_max)),
                 rate_limit=min(float(actuator.rate_limit), cls.rate_limit),
             )
         )
@@ -213,6 +213,7 @@ class PredictiveSteering(Block):
             rhs=car.rhs,
             steer_ratio=float(car.vehicle.steer_ratio),
             reference=float(car.vehicle.l_f),
+            limit=float(car.vehicle.delta_sw_max),
             fallback=Stanley.of(car.vehicle, dt=settings.get("dt", cls.dt)),
         )
         return cls(**(base | known | settings))
