@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from steerkit.controllers.nfq_policy import IDOE_ACTIONS, NfqPolicy
+from steerkit.controllers.policy import COLUMNS, DOE
 from steerkit.learning.costs import TanhCost
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq import rprop
@@ -57,13 +58,13 @@ def drives(n: int, seed: int = 0) -> Transitions:
             return np.column_stack([e, v * np.sin(psi_e), v, psi_e, r - v * kappa, doe])  # noqa: B023
 
         s, a = state(), rng.choice(np.array(IDOE_ACTIONS), cars)
-        doe = np.clip(doe + a, STANDARD.low[5], STANDARD.high[5])
+        doe = np.clip(doe + a, STANDARD.low[DOE], STANDARD.high[DOE])
         psi_e = psi_e + dt * (v * np.tan(doe / 15.6) / 2.71 - v * kappa)
         e = e + dt * v * np.sin(psi_e)
         rows.append((s, a, state(), episode.astype(int)))
         fresh = np.abs(e) > TRIP
     s, a, s_next, number = (np.stack(part, axis=1) for part in zip(*rows, strict=True))  # a car's samples in a row
-    flat = (s.reshape(-1, 6), a.ravel(), s_next.reshape(-1, 6), number.ravel())
+    flat = (s.reshape(-1, len(COLUMNS)), a.ravel(), s_next.reshape(-1, len(COLUMNS)), number.ravel())
     record.extend(*(part[:n] for part in flat))
     return record
 

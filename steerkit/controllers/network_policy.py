@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from steerkit import maths as m
 from steerkit.block import Block, In, Out, State
 from steerkit.controllers.nfq_policy import StateDescription
+from steerkit.controllers.policy import COLUMNS
 from steerkit.errors import require
 from steerkit.files import read_arrays, write_arrays
 from steerkit.units import radians_of
 
 Array = NDArray[np.float64]
-PORTS = ("e", "e_dot", "v", "psi_e", "r_e", "doe")
 BOUND = 10.0
 """Scaled inputs are cut off here, as the environments of `steerkit.gym` cut them."""
 
@@ -120,8 +120,8 @@ class PolicyBlock(Block):
 
     def __post_init__(self) -> None:
         where = "PolicyBlock"
-        other = [name for name in self.description.names if name not in PORTS]
-        require(not other, where, f"description column {other[:1]} is no input; valid: {', '.join(PORTS)}")
+        other = [name for name in self.description.names if name not in COLUMNS]
+        require(not other, where, f"description column {other[:1]} is no input; valid: {', '.join(COLUMNS)}")
         if self.actions is not None:
             object.__setattr__(self, "actions", tuple(float(a) for a in self.actions))
             fits = len(self.actions) > 0 and bool(np.isfinite(self.actions).all())

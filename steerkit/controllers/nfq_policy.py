@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from steerkit import maths as m
 from steerkit.block import State
-from steerkit.controllers.policy import Policy
+from steerkit.controllers.policy import ACTION, COLUMNS, Policy
 from steerkit.errors import require
 from steerkit.files import read_arrays, write_arrays
 from steerkit.task import STOP
@@ -45,8 +45,8 @@ class StateDescription:
     on 0 (the mirror would not be a sign in scaled units).
     """
 
-    names: tuple[str, ...] = ("e", "e_dot", "v", "psi_e", "r_e", "doe")
-    """The state's columns, in order; the cost functions read column 0 as e [m]."""
+    names: tuple[str, ...] = COLUMNS
+    """The state's columns, in order; the cost functions read the first as e [m]."""
     low: tuple[float, ...] = (-1.0, -2.0, 0.0, -0.6, -0.6, -STOP)
     """Value that becomes -1 (SI)."""
     high: tuple[float, ...] = (1.0, 2.0, 10.0, 0.6, 0.6, STOP)
@@ -132,7 +132,8 @@ class NfqPolicy(Policy):
         object.__setattr__(self, "actions", actions)
         object.__setattr__(self, "nets", tuple(tuple(np.asarray(p) for p in net) for net in self.nets or ()))
         n = len(self.description.names)
-        require(n == 6, where, f"description has {n} columns, expected 6, one for each of the ports e ... doe")
+        of_ports = f"description has {n} columns, expected {len(COLUMNS)}, one for each of the ports e ... doe"
+        require(n == len(COLUMNS), where, of_ports)
         for net in self.nets or ():
             check_net(net, n + 1, where)
             same = [p.shape for p in net] == [p.shape for p in self.nets[0]]  # type: ignore[index]
@@ -173,9 +174,9 @@ class NfqPolicy(Policy):
         nets = self._parameters()
         mid, half, scale = self.description.mid, self.description.half, self.description.scale_of(self.actions)
         first = 0.5 * np.concatenate([net[0] for net in nets])
-        of_state = first[:, :-1] / half
+        of_state = first[:, :ACTION] / half
         offset = 0.5 * np.concatenate([net[1] for net in nets]) - of_state @ mid
-        of_action = offset[:, None] + np.outer(first[:, -1], np.array(self._order) / scale)
+        of_action = offset[:, None] + np.outer(first[:, ACTION], np.array(self._order) / scale)
         layers = []
         for i in range(2, len(nets[0]), 2):
             w = _block_diagonal([net[i] for net in nets])
@@ -191,7 +192,7 @@ class NfqPolicy(Policy):
         ready, nan = m.where(t >= self.ready_from, 1.0, 0.0), float("nan")
         sound = m.is_finite(u.e + u.e_dot + u.v + u.psi_e + u.r_e + u.doe)  # tanh would hide an infinity
         if all(value.__class__ is float for value in u):
-            column = self._values(np.array(u if sound else [nan] * 6)[:, None]).tolist()
+            column = self._values(np.array(u if sound else [nan] * len(u))[:, None]).tolist()
             q = min(column)
             action = self._order[column.index(q)]
         elif any(map(m.is_symbol, u)):
@@ -199,13 +200,13 @@ class NfqPolicy(Policy):
             q = m.where(sound, q, nan)
         else:
             s = np.where(sound, np.array(np.broadcast_arrays(*u), dtype=float), nan)
-            values = self._values(s.reshape(6, -1)).reshape(-1, *s.shape[1:])
+            values = self._values(s.reshape(len(u), -1)).reshape(-1, *s.shape[1:])
             action, q = np.array(self._order)[values.argmin(axis=0)], values.min(axis=0)
             ready = ready + np.zeros(s.shape[1:])
         return self.Y(action=m.where(sound, action, nan), q=q, ready=ready)
 
     def _values(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """q of every action for the states (6, N), as (A * N,)."""
+        """q of every action for the states (columns, N), as (A * N,)."""
         of_state, of_action, layers = self._folded
         h = np.tanh((of_state @ s)[:, None, :] + of_action[:, :, None]).reshape(len(of_state), -1)
         for w, d in layers:

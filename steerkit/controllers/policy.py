@@ -1,4 +1,4 @@
-"""The ports of every policy that picks actions for a dynamic output element."""
+"""The ports of every policy that picks actions for a dynamic output element, and the columns of the learner's state."""
 
 from __future__ import annotations
 
@@ -24,3 +24,13 @@ class Policy(Block):
     action = Out("rad")
     q = Out("1")
     ready = Out("1", direct=())
+
+
+COLUMNS = tuple(port.name for port in Policy.inputs)
+"""The columns of the learner's state, in recorded transitions and in a net's input: a policy's inputs, in order."""
+UNITS = {port.name: port.unit for port in Policy.inputs}
+"""Their units."""
+E, E_DOT, V, PSI_E, R_E, DOE = range(len(COLUMNS))
+"""Their numbers: `s[:, DOE]` are the output element's angles of the states s (n, columns)."""
+ACTION = -1
+"""In a net's input, the candidate action: the last column, after the state's."""

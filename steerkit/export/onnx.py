@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from steerkit.controllers.network_policy import BOUND, Network, PolicyBlock
 from steerkit.controllers.nfq_policy import NfqPolicy, StateDescription
+from steerkit.controllers.policy import ACTION, UNITS
 from steerkit.errors import require
 
 Array = NDArray[np.float64]
 OPSET = 17
-UNITS = {"e": "m", "e_dot": "m/s", "v": "m/s", "psi_e": "rad", "r_e": "rad/s", "doe": "rad"}
 
 
 def export_onnx(block: NfqPolicy | PolicyBlock, file: str | os.PathLike[str], *, single: bool = False) -> None:
@@ -71,8 +71,8 @@ def _nfq(graph: _Graph, policy: NfqPolicy) -> tuple[str, str]:
     of_nets = []
     for net in policy.nets or ():
         (w, b), *rest = zip(net[::2], net[1::2])
-        action = np.outer(np.array(order) / d.scale_of(policy.actions), w[:, -1]) + b
-        first = graph.op("MatMul", scaled, graph.number(w[:, :-1].T))
+        action = np.outer(np.array(order) / d.scale_of(policy.actions), w[:, ACTION]) + b
+        first = graph.op("MatMul", scaled, graph.number(w[:, :ACTION].T))
         first = graph.op("Unsqueeze", first, graph.whole([1]))  # (N, 1, units), to be added to (actions, units)
         h = graph.op("Sigmoid", graph.op("Add", first, graph.number(action)))
         for w, b in rest:

@@ -13,6 +13,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from steerkit.controllers.policy import DOE, R_E, E, V
 from steerkit.errors import require
 from steerkit.task import DT, GOAL, TRIP
 
@@ -58,7 +59,7 @@ class BandCost(_Limits):
     """
 
     def __call__(self, s: Array, a: Array, s_next: Array) -> Costs:
-        e = np.abs(s_next[:, 0])
+        e = np.abs(s_next[:, E])
         failed = e > self.trip
         return np.where(failed, 1.0, np.where(e < self.goal, 0.0, self.step)), failed
 
@@ -73,7 +74,7 @@ class IdoeCost(_Limits):
     """
 
     def __call__(self, s: Array, a: Array, s_next: Array) -> Costs:
-        e = np.abs(s_next[:, 0])
+        e = np.abs(s_next[:, E])
         failed = e > self.trip
         return np.where(failed, 1.0, np.where((e < self.goal) & (a == 0.0), 0.0, self.step)), failed
 
@@ -100,7 +101,7 @@ class TanhCost(_Limits):
         require(fits, "TanhCost", f"action_cost = {self.action_cost}, expected 0 <= action_cost <= 1 - step")
 
     def __call__(self, s: Array, a: Array, s_next: Array) -> Costs:
-        e = s_next[:, 0]
+        e = s_next[:, E]
         failed = np.abs(e) > self.trip
         well = np.tanh(e * (math.atanh(math.sqrt(0.95)) / self.goal)) ** 2
         return np.where(failed, 1.0, self.step * well + self.action_cost * (a != 0.0)), failed
@@ -143,8 +144,8 @@ class SmoothCost:
 
     def __call__(self, s: Array, a: Array, s_next: Array) -> Costs:
         c, failed = self.cost(s, a, s_next)
-        jerk = s_next[:, 2] * (s_next[:, 4] - s[:, 4]) / self.dt
-        change = s_next[:, 5] - s[:, 5]
+        jerk = s_next[:, V] * (s_next[:, R_E] - s[:, R_E]) / self.dt
+        change = s_next[:, DOE] - s[:, DOE]
         c = c + self.jerk_cost * np.minimum(1.0, (jerk / self.jerk_unit) ** 2)
         c = c + self.wheel_cost * np.minimum(1.0, (change / self.wheel_unit) ** 2)
         return np.where(failed, 1.0, np.minimum(c, 1.0)), failed

@@ -6,9 +6,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from steerkit import realtime
+from steerkit import files, realtime
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.nfq.iterate import FitSetting
@@ -194,3 +195,71 @@ def test_a_remark_is_read_back_and_anything_else_refused() -> None:
     for text in ("", "[]", '{"who": "me"}'):
         with pytest.raises(ValueError, match="not who steers"):
             Steers.read(text)
+
+
+# ---- who may steer ------------------------------------------------------------------------------------------------
+
+
+def test_a_net_that_failed_does_not_steer_until_a_newer_one_has_taken_over_and_no_sample_waits_for_the_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    steps: list[tuple[bool, bool, int, float]] = []
+    step = on_car.CarLearner.step
+
+    def watched(learner: on_car.CarLearner, live: Any) -> None:
+        learning = live.sample["supervisor.learning"] > 0.5
+        step(learner, live)
+        story = learner.story
+        assert (live.loop is learner.follow.driving) is (story.trusted and learner.follow.engaged)
+        steps.append((learning, story.trusted, story.net, story.counts.driven))
+
+    def wait(handle: int) -> None:
+        raise AssertionError("a control sample waits for the disk")
+
+    monkeypatch.setattr(on_car.CarLearner, "step", watched)
+    starting = files.os.fsync
+    monkeypatch.setattr(files.os, "fsync", lambda handle: wait(handle) if steps else starting(handle))
+    learner = learned(tmp_path, monkeypatch, 8.0)
+    story = learner.story
+    assert story.counts.failures == sum(episode.failed for episode in story.counts.episodes) >= 1
+    for before, now, after in zip(steps, steps[1:], steps[2:]):
+        if not now[1]:
+            assert not after[0]  # not trusted: it has not the wheel in the next sample
+        if before[1] is False and now[1] is True:
+            assert now[2] > before[2]  # trusted again: by a newer net
+    assert {trusted for _, trusted, _, _ in steps} == {True, False}
+    assert steps[-1][2] >= 2
+    # transitions: each of an episode's samples but its first one completes one, and they follow each other
+    record = story.transitions
+    assert len(record) == len(learner.store.transitions("car"))
+    same = record.episode[1:] == record.episode[:-1]
+    np.testing.assert_array_equal(record.s[1:][same], record.s_next[:-1][same])
+    assert sum(learning for learning, *_ in steps) - len(record) <= len(story.counts.episodes)
+
+
+def test_the_human_s_taking_the_wheel_is_no_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    learner = learned(tmp_path, monkeypatch, 0.15)  # too short for it to fail
+    first = learner.story.counts.episodes[0]
+    assert first.ended is not None
+    assert not first.failed
+    record = learner.story.transitions
+    assert len(set(record.episode)) == len(learner.story.counts.episodes) >= 1
+
+
+def test_a_late_step_is_no_transition(tmp_path: Path) -> None:
+    world = World()
+    with on_car.CarLearner(TINY, tmp_path / "run", world.build, world) as learner:
+        learner.story.recorder.sample(0, (0.0,) * 6, 0.0, learning=True, episode=0)
+        seen: list[Any] = []
+
+        def run(loop: Any, duration: float, *, timer: Any, watch: Any, on_miss: Any) -> Any:
+            live = realtime.Run(loop, loop.init(), realtime.Timing(period=0.05, misses=3))
+            on_miss(live)
+            seen.append(live)
+            return live
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(on_car, "run", run)
+            learner.run(1.0)
+        assert learner.story.recorder.before is None
+        assert world.misses == 3

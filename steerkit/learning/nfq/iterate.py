@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerkit.controllers.nfq_policy import COMBINATIONS, Combine, combined
+from steerkit.controllers.policy import ACTION, DOE, E
 from steerkit.errors import require
 from steerkit.learning.costs import Cost
 from steerkit.learning.data.transitions import Transitions
@@ -132,7 +133,7 @@ def action_values(
     x = patterns(description, s, np.zeros(len(s)), scale)
     q = np.empty((len(actions), len(s)), dtype=np.float32)
     for row, action in zip(q, actions, strict=True):
-        x[:, -1] = action / scale
+        x[:, ACTION] = action / scale
         values = np.array([predict(net, x, engine=setting.engine) for net in nets])
         row[:] = combined(values, setting.combine)
     return q
@@ -211,7 +212,7 @@ def _imagined_costs(
         c, terminal = cost(s, a, s_next)
         total += weight * c
         weight = weight * setting.discount * ~terminal
-        s, earlier = s_next, s[:, 5]
+        s, earlier = s_next, s[:, DOE]
         if nets:
             q = action_values(nets, s, gentlest_first, description, setting)
             a, least = choices[q.argmin(axis=0)], q.min(axis=0).astype(float)
@@ -236,7 +237,7 @@ def imagined_cost(
 
 def staying(record: Transitions, goal: float) -> NDArray[np.intp]:
     """Rows from which |e| stayed below `goal` [m] for STAY samples of the same episode."""
-    inside = (np.abs(record.s_next[:, 0]) < goal).astype(int)
+    inside = (np.abs(record.s_next[:, E]) < goal).astype(int)
     sums = np.concatenate(([0], np.cumsum(inside)))
     rows = np.arange(max(0, len(record) - STAY + 1))
     whole = record.episode[rows] == record.episode[rows + STAY - 1]

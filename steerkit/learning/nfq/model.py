@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, R_E, E, V
 from steerkit.errors import require
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq.patterns import StateDescription
@@ -14,8 +15,6 @@ from steerkit.task import DT
 
 Array = NDArray[np.float64]
 
-COLUMNS = ("e", "e_dot", "v", "psi_e", "r_e", "doe")
-"""The state that the model is written for."""
 SLOWEST = 1.0
 """Speed below which the model counts the car as this fast [m/s]: it divides by v."""
 SPREAD = 0.13
@@ -55,25 +54,25 @@ class CarModel:
         """The model of recorded transitions; raises ValueError for none, or for states of other columns."""
         require(record.names == COLUMNS, "CarModel.fit", f"columns {record.names}, the model needs {COLUMNS}")
         require(len(record) > 0, "CarModel.fit", "no transitions, expected at least one")
-        s, s_next, limit = record.s, record.s_next, description.high[5]
-        doe, doe_next, v = s[:, 5], s_next[:, 5], _speed(s)
+        s, s_next, limit = record.s, record.s_next, description.high[DOE]
+        doe, doe_next, v = s[:, DOE], s_next[:, DOE], _speed(s)
         free = np.abs(doe_next) < 0.999 * limit
         held, pushed = _least_squares(np.column_stack((doe, record.a))[free], doe_next[free], trace=1e-6)
-        w = s[:, 1] / v - s[:, 3]
-        turn = s_next[:, 1] / _speed(s_next) - s[:, 1] / v - 0.5 * dt * (s[:, 4] + s_next[:, 4])
+        w = s[:, E_DOT] / v - s[:, PSI_E]
+        turn = s_next[:, E_DOT] / _speed(s_next) - s[:, E_DOT] / v - 0.5 * dt * (s[:, R_E] + s_next[:, R_E])
         follows = follow(record)
         rows = follows if follows.sum() >= 10 else np.ones(len(s), dtype=bool)
         x = np.column_stack((doe_next, doe, earlier_doe(record), -w))
         weights = _least_squares(x[rows], turn[rows])
         change = v * (x @ weights)
-        yaw = float(change @ (s_next[:, 4] - s[:, 4]) / (change @ change + 1e-9))
+        yaw = float(change @ (s_next[:, R_E] - s[:, R_E]) / (change @ change + 1e-9))
         now, before, earlier, back = weights
         return cls(
             held=held, pushed=pushed, now=now, before=before, earlier=earlier, back=back, yaw=yaw, limit=limit, dt=dt
         )
 
     def step(self, s: Array, a: Array, earlier: Array) -> Array:
-        """States (n, 6) one sample after s (n, 6) under the actions a (n,), where doe was `earlier` (n,) before s."""
+        """States (n, columns) one sample after s, under the actions a (n,), where doe was `earlier` (n,) before s."""
         e, e_dot, v, psi_e, r_e, doe = s.T
         course = e_dot / _speed(s)
         doe_next = np.clip(self.held * doe + self.pushed * a, -self.limit, self.limit)
@@ -99,9 +98,9 @@ def follow(record: Transitions) -> NDArray[np.bool_]:
 
 def earlier_doe(record: Transitions) -> Array:
     """doe one sample before each row (n,) [rad]; its own where the row begins an episode."""
-    doe = record.s[:, 5].copy()
+    doe = record.s[:, DOE].copy()
     rows = np.flatnonzero(follow(record))
-    doe[rows] = record.s[rows - 1, 5]
+    doe[rows] = record.s[rows - 1, DOE]
     return doe
 
 
@@ -110,11 +109,11 @@ class Imagined:
     """States near the recorded ones, in bends of any strength, with what the model did not foresee there."""
 
     s: Array
-    """States (n, 6)."""
+    """States (n, columns)."""
     earlier: Array
     """doe one sample before (n,) [rad]."""
     residual: Array
-    """What to add to the model's next state (n, 6)."""
+    """What to add to the model's next state (n, columns)."""
 
 
 def imagine(
@@ -128,24 +127,24 @@ def imagine(
     row = rng.integers(len(record), size=count)
     signs = np.where(np.array(description.mirror_signs) < 0.0, rng.choice([-1.0, 1.0], count)[:, None], 1.0)
     s, residual = record.s[row] * signs, record.s_next[row] - model.step(record.s, record.a, earlier_doe(record))[row]
-    back = (earlier_doe(record)[row] - record.s[row, 5]) * signs[:, 5]
-    v = rng.uniform(record.s[:, 2].min(), record.s[:, 2].max(), count)
-    s[:, 1] *= v / _speed(s)
-    s[:, 2] = v
+    back = (earlier_doe(record)[row] - record.s[row, DOE]) * signs[:, DOE]
+    v = rng.uniform(record.s[:, V].min(), record.s[:, V].max(), count)
+    s[:, E_DOT] *= v / _speed(s)
+    s[:, V] = v
     size = SPREAD * description.half * 2.0 * rng.uniform(0.0, 1.0, (count, 1)) ** 2
-    moved = size * rng.standard_normal((count, 6))
-    s[:, 0] += moved[:, 0]
-    s[:, 1] += v * moved[:, 3]
-    s[:, 3] += moved[:, 3]
-    s[:, 4] += moved[:, 4]
+    moved = size * rng.standard_normal((count, len(COLUMNS)))
+    s[:, E] += moved[:, E]
+    s[:, E_DOT] += v * moved[:, PSI_E]
+    s[:, PSI_E] += moved[:, PSI_E]
+    s[:, R_E] += moved[:, R_E]
     bend = rng.uniform(-model.limit, model.limit, count)
-    s[:, 3] -= model.ratio * (bend - s[:, 5] - moved[:, 5])
-    s[:, 5] = bend
+    s[:, PSI_E] -= model.ratio * (bend - s[:, DOE] - moved[:, DOE])
+    s[:, DOE] = bend
     return Imagined(s=s, earlier=bend + back, residual=residual * signs)
 
 
 def _speed(s: Array) -> Array:
-    return np.maximum(s[:, 2], SLOWEST)
+    return np.maximum(s[:, V], SLOWEST)
 
 
 def _least_squares(x: Array, y: Array, trace: float = 1e-3) -> tuple[float, ...]:

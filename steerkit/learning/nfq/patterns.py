@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerkit.controllers.nfq_policy import StateDescription
+from steerkit.controllers.policy import ACTION
 
 __all__ = ["STANDARD", "StateDescription", "goal_patterns", "mirror_patterns", "patterns"]
 
@@ -20,8 +21,8 @@ def patterns(
 ) -> NDArray[np.float32]:
     """Net inputs (n, columns + 1) of states s (n, columns) and actions a (n,) [rad]; scale [rad] becomes 1."""
     x = np.empty((len(s), s.shape[1] + 1), dtype=np.float32)
-    x[:, :-1] = (s - description.mid) / description.half
-    x[:, -1] = a / scale
+    x[:, :ACTION] = (s - description.mid) / description.half
+    x[:, ACTION] = a / scale
     return x
 
 
@@ -39,5 +40,5 @@ def goal_patterns(
     """
     scale = description.scale_of(tuple(actions))
     x = rng.uniform(-1.0, 1.0, (count, len(description.names) + 1)) * np.array([*description.goal, 0.0])
-    x[:, -1] = 0.0 if 0.0 in actions else rng.choice(np.array(actions), count) / scale
+    x[:, ACTION] = 0.0 if 0.0 in actions else rng.choice(np.array(actions), count) / scale
     return x.astype(np.float32)

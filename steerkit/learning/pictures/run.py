@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.controllers.policy import V
 from steerkit.errors import require
 from steerkit.learning import rundir
 from steerkit.learning.counts import Episode
@@ -282,7 +283,7 @@ def draw_all(
     others = [Record.read(other) for other in against]
     folder = FilePath(place) / "diagnostics" if out is None else FilePath(out)
     folder.mkdir(parents=True, exist_ok=True)
-    world, speeds = record.experiment.world, record.transitions.s[:, record.transitions.names.index("v")]
+    world, speeds = record.experiment.world, record.transitions.s[:, V]
     v = float(np.median(speeds)) if len(speeds) else 6.0
     figures: dict[str, Callable[[], Figure]] = {
         "q-slices": lambda: q_slices(record.policy, world, v=v, title=record.name),

@@ -8,9 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from steerkit.controllers.policy import PSI_E, E
 from steerkit.learning import rundir
-from steerkit.learning.experiment import LearningRun
+from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.learn import learn
+from steerkit.learning.rival import model_based
+from steerkit.scenario import Scenario
 from tests.support.short_run import SHORT
 
 
@@ -72,3 +75,33 @@ def test_with_a_shift_the_target_comes_to_the_car_and_the_learner_drives_on(tmp_
     beyond = np.flatnonzero(np.abs(log["path.e"]) > 0.5)
     assert learning[beyond].any()
     assert run.counts.failures == (np.abs(run.transitions.s_next[:, 0]) > 0.5).sum()
+
+
+def test_on_an_open_course_the_way_back_to_the_start_is_no_transition_and_no_failure() -> None:
+    run = model_based(Experiment(world=Scenario(course="slalom"), minutes=0.6, seed=3))  # it drives well at once
+    path, carried = run.loop.names.index("path"), 0
+    while not run.done():
+        before, lasting = run.y[path], run.counts.episode
+        run.drive()
+        if run.y[path].s < before.s - 10.0:  # type: ignore[attr-defined]
+            carried += 1
+            assert lasting is None or (lasting.ended, lasting.failed) == (run.t, False)
+            assert run.counts.episode is None
+            rows = len(run.transitions)
+            run.drive()
+            assert len(run.transitions) == rows
+    ends = [episode for episode in run.counts.episodes if episode.ended is not None and not episode.failed]
+    assert carried == len(ends) >= 1  # at the wheel each time
+    columns = np.abs(run.transitions.s_next - run.transitions.s)
+    assert columns[:, E].max() < 0.3
+    assert columns[:, PSI_E].max() < 0.1
+
+
+def test_a_car_that_is_nowhere_is_an_error_and_no_silence() -> None:
+    run = LearningRun(Experiment(minutes=0.1))
+    for _ in range(5):
+        run.drive()
+    car = run.loop.names.index("car")
+    run.x[car] = type(run.x[car])(*[float("nan")] * len(run.x[car]))
+    with pytest.raises(ValueError, match=r"at 0\.25 s the learner's state is e = nan, .*expected finite numbers"):
+        run.drive()

@@ -12,6 +12,7 @@ import pytest
 from steerkit.learning import rundir
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.learn import learn
+from steerkit.learning.nfq.iterate import FitSetting
 from steerkit.learning.settings import PAPER, SETTINGS, setting
 from steerkit.scenario import Scenario
 from tests.support.short_run import SHORT
@@ -79,3 +80,38 @@ def test_a_sparse_configuration_takes_the_defaults() -> None:
     assert experiment.setting.cost == PAPER.cost
     assert experiment.setting.fit.nets == 1
     assert experiment.world == Scenario()
+
+
+CURT = replace(SHORT.setting, fit=FitSetting(epochs=3, mirror=True, nets=1), fit_seconds=0.5)
+RUNS = {
+    "driving on": Experiment(setting=replace(CURT, retrain_every_m=4.0), minutes=0.15, seed=3),
+    "carried back": Experiment(setting=replace(CURT, after_failure="reset", reset_seconds=5.0), minutes=0.5, seed=3),
+    "noise and chance": Experiment(
+        setting=replace(CURT, retrain_every_m=4.0, exploration=0.2), world=Scenario.under("hard"), minutes=0.15, seed=3
+    ),
+    "an open course": Experiment(
+        setting=replace(CURT, retrain_every_m=4.0), world=Scenario(course="slalom"), minutes=0.15, seed=3
+    ),
+}
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_a_run_goes_on_from_any_of_its_trainings_with_the_same_numbers(name: str, tmp_path: Path) -> None:
+    experiment = RUNS[name]
+    whole = learn(experiment)
+    assert whole.counts.updates >= 2
+    halves = 0
+    for updates in range(1, min(3, whole.counts.updates)):
+        place = tmp_path / str(updates)
+        place.mkdir()
+        killed = LearningRun(experiment)
+        rundir.keep_in(killed, place)
+        while killed.counts.updates < updates:
+            killed.drive()
+        halves += killed.story.recorder.before is not None
+        resumed = learn(experiment, place)
+        for rows in ("s", "a", "s_next", "episode"):
+            np.testing.assert_array_equal(getattr(resumed.transitions, rows), getattr(whole.transitions, rows))
+        assert replace(resumed.counts, train_seconds=0.0) == replace(whole.counts, train_seconds=0.0)
+        assert resumed.x == whole.x
+    assert (halves > 0) is (experiment.setting.after_failure != "reset")  # the first half of a transition was kept
