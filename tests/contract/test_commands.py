@@ -1,0 +1,226 @@
+"""Every command that the project shows is run, as a process: the shell lines of README, CONTRIBUTING and docs (in the
+short forms of tests/support/shell_lines.toml), every study of the benchmarks, every script under examples/."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.support.places import ROOT
+from tests.support.shell_lines import EXAMPLE, EXAMPLES, PAGES, STUDIES, STUDY, Step, blocks, lines_of, story, table
+
+PATIENCE = 300.0
+"""A program that takes longer than this hangs [s]; the machine may be busy."""
+
+
+@pytest.fixture(scope="session")
+def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with `python` and `steerkit`, which run this interpreter: what a virtual environment has."""
+    folder = tmp_path_factory.mktemp("bin")
+    entry = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["scripts"]["steerkit"]
+    module, function = entry.split(":")
+    (folder / "steerkit").write_text(f"#!{sys.executable}\nfrom {module} import {function}\n{function}()\n")
+    (folder / "python").write_text(f'#!/bin/sh\nexec "{sys.executable}" "$@"\n')
+    for file in folder.iterdir():
+        file.chmod(0o755)
+    return folder
+
+
+class Shell:
+    """A bash in a folder of its own, and the programs that it has left running."""
+
+    def __init__(self, folder: Path, programs: Path):
+        self.folder = folder
+        self.values: dict[str, str] = {}
+        """What lines have printed and later lines need, by name."""
+        self.running: list[subprocess.Popen[str]] = []
+        self.environment = {
+            **os.environ,
+            "PATH": f"{programs}{os.pathsep}{os.environ['PATH']}",
+            "PYTHONPATH": os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH")))),
+            "CHECKOUT": str(ROOT),
+            "XDG_RUNTIME_DIR": str(folder),
+            "MPLBACKEND": "agg",
+            "COLUMNS": "120",
+            "OMP_NUM_THREADS": "1",
+        }
+
+    def start(self, line: str, log: Path) -> subprocess.Popen[str]:
+        """Start a line; its output goes to a file."""
+        with log.open("w") as output:
+            return subprocess.Popen(
+                ["bash", "-c", f"set -o pipefail; {line}"],
+                cwd=self.folder,
+                env=self.environment,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=output,
+                text=True,
+                start_new_session=True,
+            )
+
+    def run(self, line: str) -> subprocess.CompletedProcess[str]:
+        """Run a line to its end."""
+        return subprocess.run(
+            ["bash", "-c", f"set -o pipefail; {line}"],
+            cwd=self.folder,
+            env=self.environment,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            timeout=PATIENCE,
+            check=False,
+        )
+
+    def close(self) -> None:
+        """Stop what is running, the last first."""
+        for process in reversed(self.running):
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGTERM)
+            process.wait(PATIENCE)
+
+
+@pytest.fixture
+def shell(programs: Path) -> Iterator[Shell]:
+    """A shell in an empty folder whose path is short enough for a socket."""
+    with (
+        tempfile.TemporaryDirectory(prefix="steerkit-") as folder,
+        contextlib.closing(Shell(Path(folder), programs)) as it,
+    ):
+        yield it
+
+
+# ---- what the text has the reader make ------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="session")
+def learned(programs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A short learning run's directory."""
+    folder = tmp_path_factory.mktemp("learned")
+    done = Shell(folder, programs).run("steerkit learn --course paper --seed 3 --minutes 0.3 --quiet --out run")
+    assert done.returncode == 0, done.stderr
+    return folder / "run"
+
+
+def make(name: str, folder: Path, learned: Path) -> None:
+    """Make a file that a line needs."""
+    if name in ("runs/default-paper-clean-seed3", "runs/mine", "runs/car", "my-run"):
+        shutil.copytree(learned, folder / name)
+    elif name == "my-car.toml":  # "copy the shipped dbw-kit.toml"
+        from steerkit.plants import real_car
+
+        shutil.copy(Path(real_car.__path__[0]) / "configs" / "dbw-kit.toml", folder / name)
+    elif name == "my_controller.py":  # "save this as my_controller.py"
+        codes = [text for language, text in blocks(ROOT / "docs" / "tutorial.md") if language == "python"]
+        (folder / name).write_text(next(code for code in codes if "A controller of my own" in code), encoding="utf-8")
+    elif name in ("tests", "examples"):
+        (folder / name).symlink_to(ROOT / name)
+    else:
+        raise ValueError(f"nobody makes {name}; an earlier line of the page should have")
+
+
+# ---- the lines ------------------------------------------------------------------------------------------------------
+
+
+def wanting(step: Step, text: str, folder: Path) -> str:
+    """What a step has not done; empty: nothing."""
+    if step.prints and not re.search(step.prints, text, re.M):
+        return f"printed nothing like {step.prints!r}"
+    missing = [pattern for pattern in step.files if not list(folder.glob(pattern))]
+    return f"did not make {', '.join(missing)}" if missing else ""
+
+
+def carried_out(step: Step, shell: Shell) -> str:
+    """Run a step; what went wrong, empty: nothing."""
+    line = step.run
+    for name, value in shell.values.items():
+        line = line.replace(f"{{{name}}}", value)
+    if step.stays:
+        return started(step, line, shell)
+    done = shell.run(line)
+    wrong = wanting(step, done.stdout, shell.folder)
+    if done.returncode != step.code:
+        wrong = f"exit code {done.returncode}, expected {step.code}"
+    elif not wrong and line.endswith("--json"):
+        try:
+            wrong = "" if json.loads(done.stdout.strip().splitlines()[-1]) else "an empty JSON object"
+        except (ValueError, IndexError):
+            wrong = "the last line is not JSON"
+    return f"{line}\n{wrong}\n{done.stdout[-2000:]}{done.stderr[-2000:]}" if wrong else ""
+
+
+def started(step: Step, line: str, shell: Shell) -> str:
+    """Start a program that stays, and wait until it is up; what went wrong, empty: nothing."""
+    log = shell.folder / f"background-{len(shell.running)}.log"
+    process = shell.start(line, log)
+    shell.running.append(process)
+    end = time.monotonic() + PATIENCE
+    while (wrong := wanting(step, log.read_text(), shell.folder)) and process.poll() is None and time.monotonic() < end:
+        time.sleep(0.05)
+    if wrong:
+        return f"{line}\n{wrong}\n{log.read_text()}"
+    if match := re.search(step.prints, log.read_text(), re.M):
+        shell.values |= match.groupdict()
+    return ""
+
+
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if any(story(page))], ids=lambda page: str(page.relative_to(ROOT))
+)
+def test_the_shell_lines_of_a_page_run_in_their_order(page: Path, shell: Shell, request: pytest.FixtureRequest) -> None:
+    faults = []
+    for step in story(page):
+        for name in step.needs:
+            if not (shell.folder / name).exists():
+                make(name, shell.folder, request.getfixturevalue("learned"))
+        faults.append(carried_out(step, shell))
+    assert not any(faults), "\n\n".join(filter(None, faults))
+
+
+def test_the_table_names_only_lines_that_a_page_shows() -> None:
+    shown = {line for page in PAGES for line in lines_of(page)}
+    steps, reasons = table()
+    assert not {*steps, *reasons} - shown
+
+
+def test_a_line_that_fails_would_be_found(shell: Shell) -> None:
+    """Exit code, output, files, JSON: each is looked at."""
+    fine = {"shown": "", "run": "echo '{\"a\": 1}'; touch here"}
+    assert carried_out(Step(**fine, prints="a", files=("he*",)), shell) == ""
+    for wrong in (
+        Step(shown="", run="steerkit course"),
+        Step(shown="", run="false | cat"),
+        Step(**fine, code=1),
+        Step(**fine, prints="b"),
+        Step(**fine, files=("there*",)),
+        Step(shown="", run="echo {} --json"),
+        Step(shown="", run="echo nothing", stays=True, prints="something"),
+    ):
+        assert carried_out(wrong, shell), wrong
+
+
+# ---- studies and examples -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_a_study_has_a_quick_form_and_ends_with_json(name: str, shell: Shell) -> None:
+    assert carried_out(Step(shown="", run=STUDY.format(name)), shell) == ""
+
+
+@pytest.mark.parametrize("script", EXAMPLES)
+def test_an_example_has_a_quick_form(script: str, shell: Shell) -> None:
+    make("examples", shell.folder, Path())
+    assert carried_out(Step(shown="", run=EXAMPLE.format(script), prints="."), shell) == ""

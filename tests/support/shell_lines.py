@@ -1,0 +1,92 @@
+"""The shell lines that README, CONTRIBUTING and docs show a reader, and what the tests do with each of them."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from tests.support.places import ROOT, SUPPORT
+
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("**/*.md"))]
+BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.M | re.S)
+TABLE = SUPPORT / "shell_lines.toml"
+STUDIES = tuple(sorted({file.stem for file in (ROOT / "benchmarks" / "studies").glob("*.py")} - {"__init__"}))
+EXAMPLES = tuple(sorted(file.name for file in (ROOT / "examples").glob("*.py")))
+STUDY = "python -m benchmarks study {} --quick --json"
+EXAMPLE = "python examples/{} --quick"
+"""How each study and each example is run, whether a page names it or not."""
+PROGRAMS = ("steerkit", "python", "pip", "make", "dask", "git")
+"""Inline code is a command if it begins with one of these and goes on after a space."""
+
+
+def blocks(page: Path) -> list[tuple[str, str]]:
+    """(language, text) of the fenced blocks."""
+    return BLOCK.findall(page.read_text(encoding="utf-8"))
+
+
+def lines_of(page: Path) -> list[str]:
+    """The commands on a page: each line of a block without a language or marked `sh`, then those in running text."""
+    fenced = [
+        re.sub(r"(^|\s)# .*", "", line).strip()
+        for language, text in blocks(page)
+        if language in ("", "sh")
+        for line in re.sub(r"\s*\\\n\s*", " ", text).splitlines()
+    ]
+    text = BLOCK.sub("", page.read_text(encoding="utf-8"))
+    inline = [" ".join(code.split()) for code in re.findall(r"`([^`]+)`", text)]
+    return [*filter(None, fenced), *(code for code in inline if code.partition(" ")[0] in PROGRAMS and " " in code)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Step:
+    """A line as it is run by the tests."""
+
+    shown: str
+    """The line as the reader sees it."""
+    run: str
+    """The line as it is run, a shorter form where the one shown takes long."""
+    needs: tuple[str, ...] = ()
+    """Files that have to be there: those that the text has the reader make."""
+    files: tuple[str, ...] = ()
+    """Files that the line is to make; patterns."""
+    prints: str = ""
+    """Regular expression for its standard output; of a program that stays, for the line that says that it is up."""
+    stays: bool = False
+    """A program that runs until it is stopped: it stays in the background until the page ends."""
+    code: int = 0
+    """Exit code."""
+
+
+def step(shown: str, **changes: object) -> Step:
+    """A step from its entry in the table; tuples where TOML has arrays."""
+    fields = {name: tuple(value) if isinstance(value, list) else value for name, value in changes.items()}
+    return Step(**{"shown": shown, "run": shown, **fields})  # type: ignore[arg-type]
+
+
+def table() -> tuple[dict[str, Step], dict[str, str]]:
+    """(line -> how it is run, line -> why it is not run), as tests/support/shell_lines.toml says."""
+    text = tomllib.loads(TABLE.read_text(encoding="utf-8"))
+    reasons = {line: group["reason"] for group in text["not_run"] for line in group["lines"]}
+    steps = [step(**entry) for entry in text["line"]]
+    if len({s.shown for s in steps}) != len(steps) or reasons.keys() & {s.shown for s in steps}:
+        raise ValueError(f"{TABLE.name}: a line stands in it twice")
+    return {s.shown: s for s in steps}, reasons
+
+
+def story(page: Path) -> Iterator[Step]:
+    """What is run of a page, in its order: each line in its short form or, if the table does not know it, as it stands.
+
+    What has been run in the same form for an earlier page, or as a study or an example, is not run again.
+    """
+    steps, reasons = table()
+    earlier = {*map(STUDY.format, STUDIES), *map(EXAMPLE.format, EXAMPLES)}
+    for other in PAGES[: PAGES.index(page)]:
+        earlier |= {steps.get(line, step(line)).run for line in lines_of(other)}
+    for line in lines_of(page):
+        now = steps.get(line, step(line))
+        if line not in reasons and now.run not in earlier:
+            earlier.add(now.run)
+            yield now
