@@ -1,10 +1,11 @@
 """Train DQN and SAC of Stable-Baselines3 on a course, then drive them as controller blocks beside Stanley.
 
-    python examples/train_with_stable_baselines3.py [--steps 600] [--course paper] [--seed 0] [--out DIR]
+    python examples/train_with_stable_baselines3.py [--quick] [--steps 40000] [--course paper] [--seed 0] [--out DIR]
 
 Each agent learns in the Gymnasium environment, is turned into a block of plain arrays (no torch any more), written to
-a file, loaded again and driven one round in the usual steering loop, where Stanley catches it when |e| > 0.5 m. The
-default number of steps only shows the way; see docs/gymnasium.md for what longer training brings. No car was driven.
+a file, loaded again and driven one round in the usual steering loop, where Stanley catches it when |e| > 0.5 m.
+`--quick` trains for half a minute of driving and only shows the way; docs/gymnasium.md says what the default brings.
+No car was driven.
 Needs stable-baselines3 (extra `peers`).
 """
 
@@ -86,7 +87,8 @@ def judged(name: str, log: Log, rounds: float) -> str:
 def main(arguments: list[str] | None = None) -> None:
     """Train, save, load, drive, compare."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--steps", type=int, default=600, help="samples that each agent drives (20 a second)")
+    parser.add_argument("--quick", action="store_true", help="600 samples: the agents learn nothing of use")
+    parser.add_argument("--steps", type=int, default=40_000, help="samples that each agent drives (20 a second)")
     parser.add_argument("--agents", nargs="*", default=[*AGENTS], choices=[*AGENTS])
     parser.add_argument("--course", default="paper", help="course to learn and to be judged on")
     parser.add_argument("--conditions", default="clean", choices=["clean", "hard"])
@@ -98,22 +100,23 @@ def main(arguments: list[str] | None = None) -> None:
         import stable_baselines3  # noqa: F401
     except ImportError:
         raise SystemExit("this example needs stable-baselines3; pip install 'steerkit-control[peers]'") from None
-    place = options.out or Path(tempfile.mkdtemp())
-    place.mkdir(parents=True, exist_ok=True)
+    steps = 600 if options.quick else options.steps
+    folder = options.out or Path(tempfile.mkdtemp())
+    folder.mkdir(parents=True, exist_ok=True)
     task = Task(course=options.course, conditions=options.conditions)
     world, length = task.place, task.place.round_length
     rows = []
     for name in options.agents:
         begin = time.process_time()
         chosen = {"course": options.course, "conditions": options.conditions, "failure": FAILURE}
-        trained(name, chosen | {"backend": options.backend}, options.steps, options.seed).save(place / f"{name}.npz")
+        trained(name, chosen | {"backend": options.backend}, steps, options.seed).save(folder / f"{name}.npz")
         took = time.process_time() - begin
-        block = PolicyBlock.load(place / f"{name}.npz")
+        block = PolicyBlock.load(folder / f"{name}.npz")
         log = drive(world, block, doe=task.element, seed=options.seed)
         rows.append(judged(name, log, float(log["path.progress"][-1]) / length))
         print(
-            f"{name}: {options.steps} samples ({options.steps * task.dt / 60.0:.1f} min of driving) learned in "
-            f"{took:.0f} s of computing; block in {place / name}.npz",
+            f"{name}: {steps} samples ({steps * task.dt / 60.0:.1f} min of driving) learned in "
+            f"{took:.0f} s of computing; block in {folder / name}.npz",
             flush=True,
         )
     log = drive(world, Stanley.of(world.nominal), seed=options.seed)

@@ -70,27 +70,29 @@ def tuned(loop: Loop, seconds: float, iterations: int) -> tuple[np.ndarray, np.n
 def main(arguments: list[str] | None = None) -> float:
     """Tune, print what it brought, plot; returns cost after over cost before, on the unseen stretch."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="15 s and 2 iterations: shows that it runs")
     parser.add_argument("--seconds", type=float, default=90.0, help="length of the tuning run")
     parser.add_argument("--iterations", type=int, default=15)
     parser.add_argument("--out", default="", help="file for the picture")
     options = parser.parse_args(arguments)
+    seconds, iterations = (15.0, 2) if options.quick else (options.seconds, options.iterations)
     begin = time.perf_counter()
-    first, best, history = tuned(lap_loop(1.0), options.seconds, options.iterations)
+    first, best, history = tuned(lap_loop(1.0), seconds, iterations)
     took = time.perf_counter() - begin
     print(f"{len(history) - 1} iterations in {took:.1f} s, cost {history[0]:.4f} -> {history[-1]:.4f}")
     for name, a, b in zip(GAINS, first, best):
         print(f"  {name.split('.')[1]:10} {a:.3f} -> {b:.3f}")
-    unseen = lap_loop(1.0 + SPEED * options.seconds)
+    unseen = lap_loop(1.0 + SPEED * seconds)
     logs = []
     for gains in (first, best):
         fields = {name.split(".")[1]: float(value) for name, value in zip(GAINS, gains)}
         trial: Any = replace(unseen.blocks["controller"], **fields)
-        logs.append(compile(unseen.with_block("controller", trial), backend="python").run(options.seconds))
+        logs.append(compile(unseen.with_block("controller", trial), backend="python").run(seconds))
     costs = [float(np.mean(cost(log))) for log in logs]
     rms = [1000.0 * float(np.sqrt(np.mean(log["controller_path.e"][100:] ** 2))) for log in logs]
     less = 100.0 * (1.0 - costs[1] / costs[0])
     print(
-        f"on the next {options.seconds:g} s, unseen: cost {costs[0]:.4f} -> {costs[1]:.4f} ({less:.0f} % less), "
+        f"on the next {seconds:g} s, unseen: cost {costs[0]:.4f} -> {costs[1]:.4f} ({less:.0f} % less), "
         f"RMS e after 5 s {rms[0]:.1f} -> {rms[1]:.1f} mm"
     )
     if options.out:

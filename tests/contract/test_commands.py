@@ -1,5 +1,5 @@
 """Every command that the project shows is run, as a process: the shell lines of README, CONTRIBUTING and docs (in the
-short forms of tests/support/shell_lines.toml), every study of the benchmarks, every script under examples/."""
+short forms of tests/support/shell_lines.toml) and the scripts under examples/; the studies in test_studies.py."""
 
 from __future__ import annotations
 
@@ -20,8 +20,10 @@ from pathlib import Path
 import pytest
 
 from tests.support.places import ROOT
-from tests.support.shell_lines import EXAMPLE, EXAMPLES, PAGES, STUDIES, STUDY, Step, blocks, lines_of, story, table
+from tests.support.shell_lines import EXAMPLE, EXAMPLES, PAGES, Step, blocks, lines_of, story, table
 
+OTHER_PACKAGES = {"train_with_stable_baselines3.py": "stable_baselines3"}
+"""What an example needs beyond the extra `dev`."""
 PATIENCE = 300.0
 """A program that takes longer than this hangs [s]; the machine may be busy."""
 
@@ -212,15 +214,23 @@ def test_a_line_that_fails_would_be_found(shell: Shell) -> None:
         assert carried_out(wrong, shell), wrong
 
 
-# ---- studies and examples -------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", STUDIES)
-def test_a_study_has_a_quick_form_and_ends_with_json(name: str, shell: Shell) -> None:
-    assert carried_out(Step(shown="", run=STUDY.format(name)), shell) == ""
+# ---- examples -------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("script", EXAMPLES)
 def test_an_example_has_a_quick_form(script: str, shell: Shell) -> None:
+    if script in OTHER_PACKAGES:
+        pytest.importorskip(OTHER_PACKAGES[script])
     make("examples", shell.folder, Path())
     assert carried_out(Step(shown="", run=EXAMPLE.format(script), prints="."), shell) == ""
+
+
+@pytest.mark.parametrize("script", OTHER_PACKAGES)
+def test_an_example_without_its_package_says_what_to_install(script: str, shell: Shell) -> None:
+    hidden = f"import runpy, sys; sys.modules[{OTHER_PACKAGES[script]!r}] = None; sys.argv[1:] = ['--quick']"
+    done = shell.run(
+        f"python -c \"{hidden}; runpy.run_path({str(ROOT / 'examples' / script)!r}, run_name='__main__')\""
+    )
+    assert (done.returncode, done.stdout) == (1, "")
+    assert "pip install 'steerkit-control[peers]'" in done.stderr
+    assert "Traceback" not in done.stderr

@@ -1,5 +1,5 @@
-"""Every code block in README and docs runs or is a command that exists, what is shown as output is what comes out, and
-every picture and file they name is there."""
+"""Every Python block in README and docs runs, what is shown as output is what comes out, and every picture and file
+that they name is there. Their shell lines: test_commands.py."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import importlib.util
 import os
 import re
 import runpy
-import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -16,12 +15,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support.command_lines import parsed
 from tests.support.places import ROOT
+from tests.support.shell_lines import BLOCK, PAGES, blocks
 
 GALLERY = ROOT / "docs" / "gallery.md"
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("**/*.md"))]
-BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.M | re.S)
 
 ROW = re.compile(r"^\| .* \| (?:yes|no) \| .*\|$", re.M)
 """Of `steerkit.learning.report.comparison`; a learner's row differs from machine to machine."""
@@ -29,11 +26,6 @@ ROW = re.compile(r"^\| .* \| (?:yes|no) \| .*\|$", re.M)
 
 def name_of(page: Path) -> str:
     return str(page.relative_to(ROOT))
-
-
-def blocks(page: Path) -> list[tuple[str, str]]:
-    """(language, text) of the fenced blocks."""
-    return BLOCK.findall(page.read_text(encoding="utf-8"))
 
 
 def python_in(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
@@ -48,16 +40,16 @@ CODE = [page for page in PAGES if page != GALLERY and any(language == "python" f
 @pytest.mark.parametrize("page", CODE, ids=name_of)
 def test_python_blocks_run_in_their_order_and_print_what_is_shown(page: Path, tmp_path: Path) -> None:
     """A `text` block right after a `python` block is its output."""
-    found = blocks(page)
-    done = python_in(tmp_path, "-c", "\n".join(text for language, text in found if language == "python"))
+    fenced = blocks(page)
+    done = python_in(tmp_path, "-c", "\n".join(text for language, text in fenced if language == "python"))
     assert done.returncode == 0, done.stderr
     written = page.read_text(encoding="utf-8")
     between = BLOCK.split(written)[::3]
     printed = re.sub(r" *[│|] *", "|", done.stdout)
     for row in ROW.findall(written):  # a table of drives, which is printed with other lines around it
         assert row.startswith("| learned") or re.sub(r" *[|] *", "|", row) in printed, row
-    for k, (language, shown) in enumerate(found):
-        if language == "text" and k and found[k - 1][0] == "python" and not between[k].strip():
+    for k, (language, shown) in enumerate(fenced):
+        if language == "text" and k and fenced[k - 1][0] == "python" and not between[k].strip():
             assert shown.strip() in done.stdout
 
 
@@ -68,45 +60,9 @@ def test_a_wrong_output_would_be_found() -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_commands_are_valid(page: Path) -> None:
-    """`steerkit ...` parses; a script named after `python` is there and knows the options given to it."""
-    lines = [
-        line
-        for language, text in blocks(page)
-        if language in ("", "sh")
-        for line in text.replace("\\\n", " ").splitlines()
-    ]
-    inline = re.findall(
-        r"`((?:steerkit|python benchmarks/|python examples/|python docs/)[^`]*)`", page.read_text("utf-8")
-    )
-    for line in (*lines, *inline):
-        words = shlex.split(line.split("|")[0], comments=True)
-        words = [word for word in words if word not in ("...", "…")]
-        if words[:1] == ["steerkit"] and len(words) > 1 and not words[1].startswith("-"):
-            if re.search(r"<|\b[A-Z]{3,}\b", line) or "--help" in words:  # a placeholder such as RUN
-                continue
-            parsed([*words[1:], *(["--help"] if line in inline else [])])  # in running text, arguments may be missing
-        elif words[:1] == ["python"] and words[1:2] and words[1].endswith(".py") and "/" in words[1]:
-            source = (ROOT / words[1]).read_text(encoding="utf-8")
-            for option in (word.split("=")[0] for word in words[2:] if word.startswith("--")):
-                assert f'"{option}"' in source, f"{words[1]} has no {option}"
-
-
-@pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_links_lead_somewhere(page: Path) -> None:
     for target in re.findall(r"\]\((?!https?:|#)([^)#]+)", BLOCK.sub("", page.read_text(encoding="utf-8"))):
         assert (page.parent / target).exists(), target
-
-
-@pytest.mark.parametrize("script", sorted((ROOT / "examples").glob("*.py")), ids=lambda script: script.name)
-def test_examples_run(script: Path, tmp_path: Path) -> None:
-    done = python_in(tmp_path, str(script))
-    if "stable_baselines3" in script.name and not importlib.util.find_spec("stable_baselines3"):
-        assert done.returncode == 1
-        assert done.stderr == "this example needs stable-baselines3; pip install 'steerkit-control[peers]'\n"
-        pytest.skip("needs stable-baselines3: make test-all")
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.strip()
 
 
 def make_gallery() -> Any:

@@ -17,7 +17,7 @@ STUDIES = tuple(sorted({file.stem for file in (ROOT / "benchmarks" / "studies").
 EXAMPLES = tuple(sorted(file.name for file in (ROOT / "examples").glob("*.py")))
 STUDY = "python -m benchmarks study {} --quick --json"
 EXAMPLE = "python examples/{} --quick"
-"""How each study and each example is run, whether a page names it or not."""
+"""How each study (tests/unit/benchmarks/studies) and each example is run, whether a page names it or not."""
 PROGRAMS = ("steerkit", "python", "pip", "make", "dask", "git")
 """Inline code is a command if it begins with one of these and goes on after a space."""
 
