@@ -65,20 +65,20 @@ def linearise(
     state = loop.init() if at is None else at
     period = Period(loop, {name: name in opened for name in added}, shown, state)
     closed = Period(loop, {}, opened, state)
-    x, k, found = closed.x0, state.k, []
+    x, k, matrices = closed.x0, state.k, []
     for _ in range(2 if invariant else 1):
-        after, there = closed.run(x.tolist(), [], k)
-        now = dict(zip(opened, there))
+        next_x, cut_values = closed.run(x.tolist(), [], k)
+        now = dict(zip(opened, cut_values))
         taps = [now.get(name, [0.0]) for name in added]
-        found.append(period.matrices(x, taps, k))
-        x, k = np.array(after), k + loop.period
-    a, b, c, d = found[0]
+        matrices.append(period.matrices(x, taps, k))
+        x, k = np.array(next_x), k + loop.period
+    a, b, c, d = matrices[0]
     rows, row_names = _named(shown, period.samples, opened)
     _, column_names = _named(added, [len(values) for values in taps], opened)
     keep = _joined(a, b, c[rows])
     parts = (a[np.ix_(keep, keep)], b[keep], c[np.ix_(rows, keep)], d[rows])
     if invariant:
-        a, b, c, d = found[1]
+        a, b, c, d = matrices[1]
         then = (a[np.ix_(keep, keep)], b[keep], c[np.ix_(rows, keep)], d[rows])
         change = max((float(np.abs(p - q).max()) for p, q in zip(parts, then) if p.size), default=0.0)
         if not change <= _SAME * (1.0 + max(float(np.abs(p).max()) for p in parts if p.size)):
@@ -195,10 +195,10 @@ def over(make: Callable[[float], Loop], values: Sequence[float], signal: str) ->
     for value in values:
         opened = break_at(make(value), signal)
         poles = control.feedback(opened).poles()
-        found: Margins | None = None
+        margins_here: Margins | None = None
         with suppress(UnstableError):
-            found = margins(opened)
-        points.append(Point(value, opened, found, poles[np.argsort(-np.abs(poles))]))
+            margins_here = margins(opened)
+        points.append(Point(value, opened, margins_here, poles[np.argsort(-np.abs(poles))]))
     return points
 
 
@@ -227,12 +227,12 @@ def _joined(a: Array, b: Array, c: Array) -> list[int]:
     """The states that an input reaches and that an output shows."""
 
     def spread(start: Any, through: Any) -> Any:
-        found = start
+        linked_states = start
         while True:
-            wider = found | (through @ found)
-            if (wider == found).all():
-                return found
-            found = wider
+            next_states = linked_states | (through @ linked_states)
+            if (next_states == linked_states).all():
+                return linked_states
+            linked_states = next_states
 
     linked = np.abs(a) > _TINY
     reached = spread((np.abs(b) > _TINY).any(axis=1), linked)

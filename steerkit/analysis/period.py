@@ -91,8 +91,8 @@ class Period:
         h = _STEP * (1.0 + np.abs(point))
         rows = iter(np.hstack((point[:, None] + np.diag(h), point[:, None] - np.diag(h))))
         after, read = self.run([next(rows) for _ in x], [[next(rows) for _ in values] for values in taps], k)
-        found = [*after, *[value for samples in read for value in samples]]
-        wide = np.array([np.broadcast_to(np.asarray(value, dtype=float), 2 * len(h)) for value in found])
+        results = [*after, *[value for samples in read for value in samples]]
+        wide = np.array([np.broadcast_to(np.asarray(value, dtype=float), 2 * len(h)) for value in results])
         slope = (wide[:, : len(h)] - wide[:, len(h) :]) / (2.0 * h)
         return slope[:n, :n], slope[:n, n:], slope[n:, :n], slope[n:, n:]
 

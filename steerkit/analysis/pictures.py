@@ -74,11 +74,16 @@ def plot_over(points: Mapping[str, Sequence[Point]], *, xlabel: str = "v [m/s]",
     figure, (phase, delay, pole) = new_figure(3, title=title)
     for colour, (name, found) in zip(PALETTE, points.items()):
         x = [point.value for point in found]
-        told = [point.margins for point in found]
+        margins_of = [point.margins for point in found]
         phase.plot(
-            x, [math.nan if t is None else degrees_of(t.phase) for t in told], "o-", ms=3, color=colour, label=name
+            x,
+            [math.nan if t is None else degrees_of(t.phase) for t in margins_of],
+            "o-",
+            ms=3,
+            color=colour,
+            label=name,
         )
-        delay.plot(x, [math.nan if t is None else t.delay for t in told], "o-", ms=3, color=colour)
+        delay.plot(x, [math.nan if t is None else t.delay for t in margins_of], "o-", ms=3, color=colour)
         largest = [abs(point.poles[0]) if len(point.poles) else 0.0 for point in found]
         pole.plot(x, largest, "o-", ms=3, color=colour)
     pole.axhline(1.0, color=COLOURS["limit"], lw=0.9)

@@ -236,8 +236,8 @@ def collapsed(graph: Graph, roots: Sequence[int], fixed: Mapping[int, float]) ->
     comparison or a table index is left as it was written, since there a last digit may decide. Agrees with `graph` to
     rounding.
     """
-    tried = [_multiplied_out(graph, roots, most, fixed) for most in (0, 6, 32)]
-    return min(tried, key=lambda made: _count(*made))
+    candidates = [_multiplied_out(graph, roots, longest, fixed) for longest in (0, 6, 32)]
+    return min(candidates, key=lambda candidate: _count(*candidate))
 
 
 def _count(graph: Graph, roots: Sequence[int]) -> int:
@@ -249,7 +249,7 @@ _Form = dict[int, float]  # coefficient by node of the new graph; key -1 holds t
 
 
 def _multiplied_out(
-    graph: Graph, roots: Sequence[int], most: int, fixed: Mapping[int, float]
+    graph: Graph, roots: Sequence[int], longest: int, fixed: Mapping[int, float]
 ) -> tuple[Graph, list[int]]:
     new = Graph()
     order = graph.order(roots)
@@ -271,7 +271,7 @@ def _multiplied_out(
         form = _form(op, [forms[j] for j in rest]) if op in _LINEAR and i not in exact else None
         if form is not None:
             form = {key: c for key, c in form.items() if c != 0.0} or {-1: 0.0}
-        if form is not None and len(form) <= most and all(map(math.isfinite, form.values())):
+        if form is not None and len(form) <= longest and all(map(math.isfinite, form.values())):
             forms[i] = form
             continue
         if op == "const":

@@ -94,7 +94,7 @@ def _statements(graph: Graph, roots: Sequence[int], trace: Trace) -> tuple[list[
     """Assignments, and the names of the roots. What is used once is written where it is used."""
     order = graph.order(roots)
     uses = Counter(j for i in order for j in graph.operands(i))
-    kept = set(roots)
+    root_nodes = set(roots)
     text: dict[int, str] = {}
     depth: dict[int, int] = {}
     rows: dict[tuple[int, int], str] = {}
@@ -118,7 +118,7 @@ def _statements(graph: Graph, roots: Sequence[int], trace: Trace) -> tuple[list[
             continue
         expression = _expression(op, [text[j] for j in rest])
         depth[i] = 1 + max(depth[j] for j in rest)
-        if uses[i] == 1 and i not in kept and depth[i] < _DEEPEST:
+        if uses[i] == 1 and i not in root_nodes and depth[i] < _DEEPEST:
             text[i] = f"({expression})"
         else:
             text[i], depth[i] = f"v{i}", 0

@@ -60,12 +60,14 @@ class Layout:
 
     def unpack(self, values: Sequence[Any]) -> tuple[list[Any], list[Any]]:
         """States and outputs, shaped as in the loop, from numbers in slot order."""
-        rest = iter(values)
-        x = [_like(state, [next(rest) for _ in state]) for state in self.template.x]
+        numbers = iter(values)
+        x = [_like(state, [next(numbers) for _ in state]) for state in self.template.x]
         y = []
         for block, old in zip(self.loop.blocks.values(), self.template.y):
             sizes = [getattr(block, out.name).size for out in block.outputs]
-            y.append(_like(old, [next(rest) if n is None else tuple(next(rest) for _ in range(n)) for n in sizes]))
+            y.append(
+                _like(old, [next(numbers) if n is None else tuple(next(numbers) for _ in range(n)) for n in sizes])
+            )
         return x, y
 
     def slots_of(self, signal: str) -> list[int]:
@@ -99,8 +101,8 @@ class Trace:
     def with_held(self, values: Sequence[float]) -> Trace:
         """The trace for starts at which the held slots have these values, which are now constants; see `collapsed`."""
         fixed = {slot + 1: value for slot, value in zip(self.held, values)}
-        made = [collapsed(tick.graph, tick.roots, fixed) for tick in self.ticks]
-        return dataclasses.replace(self, ticks=tuple(Tick(graph, tuple(roots)) for graph, roots in made))
+        programs = [collapsed(tick.graph, tick.roots, fixed) for tick in self.ticks]
+        return dataclasses.replace(self, ticks=tuple(Tick(graph, tuple(roots)) for graph, roots in programs))
 
     @property
     def instructions(self) -> int:
@@ -206,17 +208,17 @@ def _scalar(name: str, value: Any) -> Any:
 def _blame(loop: Loop, error: Exception) -> str:
     """The block in which the traced tick failed: the outermost one on the stack of the exception."""
     names = {id(block): name for name, block in loop.blocks.items()}
-    place, line = error.__traceback__, ""
+    frame, line = error.__traceback__, ""
     blamed = None
-    while place is not None:
-        owner = place.tb_frame.f_locals.get("self")
+    while frame is not None:
+        owner = frame.tb_frame.f_locals.get("self")
         if blamed is None and id(owner) in names:
             blamed = owner
-        line = f"{place.tb_frame.f_code.co_filename}:{place.tb_lineno}"
-        place = place.tb_next
-    who = "a block" if blamed is None else f"{names[id(blamed)]} ({type(blamed).__name__})"
+        line = f"{frame.tb_frame.f_code.co_filename}:{frame.tb_lineno}"
+        frame = frame.tb_next
+    culprit = "a block" if blamed is None else f"{names[id(blamed)]} ({type(blamed).__name__})"
     return (
-        f"{who} cannot be run on symbols: {type(error).__name__}: {error} (at {line}); write its equations with "
+        f"{culprit} cannot be run on symbols: {type(error).__name__}: {error} (at {line}); write its equations with "
         "steerkit.maths and arithmetic only (m.where instead of `if`, no numpy calls, parameters that are numbers), "
         "or run the loop with simulate; per-car parameters are named in compile(parameters=...)"
     )

@@ -74,19 +74,19 @@ class VmProgram:
     def _tick(self, phase: int, wanted: Sequence[int], *, split: bool) -> Any:
         trace, tick = self.trace, self.trace.ticks[phase]
         slots, carried = len(trace.layout), trace.carried
-        place = {0: 0} | {slot + 1: i + 1 for i, slot in enumerate(carried)}
-        place |= {slots + 1 + i: len(carried) + 1 + i for i in range(len(trace.parameters))}
+        entry_of = {0: 0} | {slot + 1: i + 1 for i, slot in enumerate(carried)}
+        entry_of |= {slots + 1 + i: len(carried) + 1 + i for i in range(len(trace.parameters))}
         roots = [tick.roots[slot] for slot in wanted]
-        z = casadi.MX.sym("z", len(place))
+        z = casadi.MX.sym("z", len(entry_of))
         with exact_arithmetic():
-            values = self._staged(tick.graph, roots, z, place)
+            values = self._staged(tick.graph, roots, z, entry_of)
         if not split:
             return casadi.Function(f"finish{phase}", [z], [values])
         n = len(carried)
         end = casadi.vertcat(z[0] + 1.0, values[:n], z[n + 1 :])
         return casadi.Function(f"phase{phase}", [z], [end, values[n:]])
 
-    def _staged(self, graph: Graph, roots: Sequence[int], z: Any, place: dict[int, int]) -> Any:
+    def _staged(self, graph: Graph, roots: Sequence[int], z: Any, entry_of: dict[int, int]) -> Any:
         """MX of the roots' values."""
         order = graph.order(roots)
         stage: dict[int, int] = {}
@@ -94,7 +94,7 @@ class VmProgram:
             stage[i] = max((stage[j] for j in graph.operands(i)), default=0) + (graph.nodes[i][0] == "row")
         last = max(stage[i] for i in roots)
         symbols: dict[int, Any] = {}
-        inputs = [casadi.SX.sym("z", len(place))]  # of the stage functions, which take all that came before
+        inputs = [casadi.SX.sym("z", len(entry_of))]  # of the stage functions, which take all that came before
         arguments = [z]
         indices: dict[tuple[int, int], Any] = {}
         for now in range(last + 1):
@@ -109,7 +109,7 @@ class VmProgram:
                         arguments.append(self.tables[table](indices[table, index]))
                     symbols[i] = looked_up[table, index][column]
                 elif op == "in":
-                    symbols[i] = inputs[0][place[rest[0]]]
+                    symbols[i] = inputs[0][entry_of[rest[0]]]
                 elif op == "const":
                     symbols[i] = casadi.SX(float.fromhex(rest[0]))
                 else:
@@ -118,15 +118,15 @@ class VmProgram:
                 break
             later = [i for i in order if stage[i] > now]
             next_rows = [graph.nodes[i] for i in later if graph.nodes[i][0] == "row" and stage[i] == now + 1]
-            asked = list(dict.fromkeys((table, index) for _, table, index, _ in next_rows))
+            lookups = list(dict.fromkeys((table, index) for _, table, index, _ in next_rows))
             used = {j for i in later for j in graph.operands(i)} | set(roots)
             crossing = [
                 i for i in order if stage[i] == now and i in used and graph.nodes[i][0] not in ("const", "in", "row")
             ]
-            outputs = [casadi.vertcat(*[symbols[i] for i in crossing]), *[symbols[i] for _, i in asked]]
+            outputs = [casadi.vertcat(*[symbols[i] for i in crossing]), *[symbols[i] for _, i in lookups]]
             function = casadi.Function(f"stage{now}", inputs, outputs)
             results = function.call(arguments)
-            indices = dict(zip(asked, results[1:]))
+            indices = dict(zip(lookups, results[1:]))
             if crossing:
                 known = casadi.SX.sym("c", len(crossing))
                 inputs.append(known)

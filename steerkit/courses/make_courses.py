@@ -34,11 +34,11 @@ def main(lap: str, out: str) -> None:
     from scipy.io import loadmat
 
     data = {key: np.asarray(value).ravel() for key, value in loadmat(lap).items()}
-    kept = [0]
+    chosen = [0]
     for k in range(1, len(data["x"])):
-        if np.hypot(data["x"][k] - data["x"][kept[-1]], data["y"][k] - data["y"][kept[-1]]) >= STEP:
-            kept.append(k)
-    lat, lon, x, y, v = (data[key][kept] for key in ("lat", "lon", "x", "y", "v"))
+        if np.hypot(data["x"][k] - data["x"][chosen[-1]], data["y"][k] - data["y"][chosen[-1]]) >= STEP:
+            chosen.append(k)
+    lat, lon, x, y, v = (data[key][chosen] for key in ("lat", "lon", "x", "y", "v"))
     name = out.replace("\\", "/").rsplit("/", 1)[-1].removesuffix(".csv").replace("_", "-")
     path = Path.from_gps(lat, lon, closed=False, smoothing=NOISE, spacing=SPACING, name=name)
     driven = np.concatenate(([0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))))
@@ -48,7 +48,7 @@ def main(lap: str, out: str) -> None:
         name=name,
         gap=np.hypot(*(knots.xy[-1] - knots.xy[0])),
         lap=lap.replace("\\", "/").rsplit("/", 1)[-1],
-        dropped=len(data["x"]) - len(kept),
+        dropped=len(data["x"]) - len(chosen),
         all=len(data["x"]),
         step=STEP,
         noise=NOISE,

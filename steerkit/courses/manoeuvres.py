@@ -44,8 +44,8 @@ def lane_change(part: int = 1, *, speed: float = 9.0, a_y: float = A_Y_MAX, name
     require(0.0 < speed < math.inf and 0.0 < a_y < math.inf, where, f"speed {speed} [m/s], a_y {a_y} [m/s^2], > 0")
     sections, h = _ISO_3888[part]
     stretch = speed * math.sqrt(_STEEPEST * h / a_y) / min(sections[1], sections[3])
-    before, out, there, back, after = (stretch * length for length in sections)
-    plan = [(_RUN + before, 0.0), (out, h), (there, h), (back, 0.0), (after + _RUN, 0.0)]
+    entry, first_change, offset_lane, second_change, exit_lane = (stretch * length for length in sections)
+    plan = [(_RUN + entry, 0.0), (first_change, h), (offset_lane, h), (second_change, 0.0), (exit_lane + _RUN, 0.0)]
     return _through(plan, name or f"iso3888-{part}")
 
 

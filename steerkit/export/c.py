@@ -176,13 +176,13 @@ class _Part:
     @property
     def results(self) -> list[tuple[str, int, str]]:
         """(C name, slot, unit) of every output."""
-        made = []
+        rows = []
         for c_name, (signal, _) in self.outputs.items():
             slots = self.trace.layout.slots_of(signal)
             _, size = self.trace.layout.signals[signal]
             unit = self.trace.loop.units[signal]
-            made += [(c_name if size is None else f"{c_name}_{i}", slot, unit) for i, slot in enumerate(slots)]
-        return made
+            rows += [(c_name if size is None else f"{c_name}_{i}", slot, unit) for i, slot in enumerate(slots)]
+        return rows
 
     def header(self, name: str) -> str:
         """The text of <name>.h."""

@@ -88,32 +88,32 @@ def export_fmu(
     target = Path(file)
     fits = target.suffix == ".fmu" and re.fullmatch(r"[A-Za-z]\w*", target.stem)
     require(fits, "export_fmu", f"file {target.name!r}, expected letters, digits and _, and the ending .fmu")
-    made = trace(loop, parameters=parameters)
+    program = trace(loop, parameters=parameters)
     names = [signal if isinstance(signal, str) else loop.port_name(signal) for signal in outputs]
     for name in names:
         loop.locate(name)
-        require(made.layout.signals[name][1] is None, "export_fmu", f"{name} is a vector; expected scalar signals")
+        require(program.layout.signals[name][1] is None, "export_fmu", f"{name} is a vector; expected scalar signals")
     with tempfile.TemporaryDirectory() as folder:
         script = Path(folder, f"{target.stem.lower()}_model.py")
-        script.write_text(_script(made, target.stem, names, parameters), encoding="utf-8")
+        script.write_text(_script(program, target.stem, names, parameters), encoding="utf-8")
         FmuBuilder.build_FMU(script, target, canGetAndSetFMUstate="true", canSerializeFMUstate="true")
     return target
 
 
-def _script(made: Trace, name: str, outputs: Sequence[str], parameters: Sequence[str]) -> str:
-    loop, layout = made.loop, made.layout
+def _script(program: Trace, name: str, outputs: Sequence[str], parameters: Sequence[str]) -> str:
+    loop, layout = program.loop, program.layout
     start = loop.init()
     slots = [float(value) for value in layout.pack(start.x, start.y)]
     fixed = {n: float(v) for n, v in flattened({n: parameter(loop, n) for n in parameters}).items()}
     shown = {output: (layout.slots_of(output)[0], loop.units[output]) for output in outputs}
-    tables = [np.array(table.rows).tolist() for table in made.tables]
+    tables = [np.array(table.rows).tolist() for table in program.tables]
     return "\n".join(
         [
             f"from math import inf, nan, {', '.join(sorted(FUNCTIONS))}",
             "from pythonfmu import Fmi2Causality, Fmi2Initial, Fmi2Slave, Fmi2Variability, Real",
             *[f"table{i} = {rows!r}" for i, rows in enumerate(tables)],
-            PythonProgram(made, (), 1).source,
-            f"STEP, CARRIED, START = {loop.dt!r}, {made.carried!r}, {slots!r}",
+            PythonProgram(program, (), 1).source,
+            f"STEP, CARRIED, START = {loop.dt!r}, {program.carried!r}, {slots!r}",
             f"AT_START = { {output: slots[slot] for output, (slot, _) in shown.items()}!r}",
             f"FIXED, OUTPUTS = {fixed!r}, {shown!r}",
             _SLAVE.format(name=name, description=f"{loop!r}, made by steerkit"),

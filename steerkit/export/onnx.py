@@ -58,10 +58,10 @@ def check_onnx(
     session = onnxruntime.InferenceSession(os.fspath(file), providers=["CPUExecutionProvider"])
     kind = np.float32 if session.get_inputs()[0].type == "tensor(float)" else np.float64
     names = [output.name for output in session.get_outputs()]
-    told = dict(zip(names, session.run(names, {"state": s.astype(kind)})))
+    answers = dict(zip(names, session.run(names, {"state": s.astype(kind)})))
     columns = dict(zip(d.names, s.T))
     y = block.output(0.0, (), block.D(**{port: columns.get(port, np.zeros(states)) for port in block.D._fields}))
-    return {name: float(np.abs(told[name] - getattr(y, name)).max()) for name in names}
+    return {name: float(np.abs(answers[name] - getattr(y, name)).max()) for name in names}
 
 
 def _nfq(graph: _Graph, policy: NfqPolicy) -> tuple[str, str]:
@@ -139,15 +139,18 @@ class _Graph:
         total = self.op("ReduceSum", "state", self.whole([1]), keepdims=0)
         largest = 1e300 if self.float is np.float64 else 1e38
         sound = self.op("LessOrEqual", self.op("Abs", total), self.number(largest))
-        made = {name: value for name, value in outputs.items() if value is not None}
-        for name, value in made.items():
+        written = {name: value for name, value in outputs.items() if value is not None}
+        for name, value in written.items():
             self._nodes.append(helper.make_node("Where", [sound, value, self.number(np.nan)], [name]))
         columns = ", ".join(f"{name} [{UNITS[name]}]" for name in d.names)
         graph = helper.make_graph(
             self._nodes,
             "policy",
             [helper.make_tensor_value_info("state", kind, ["N", len(d.names)], f"columns {columns}")],
-            [helper.make_tensor_value_info(name, kind, ["N"], "[rad]" if name == "action" else "[1]") for name in made],
+            [
+                helper.make_tensor_value_info(name, kind, ["N"], "[rad]" if name == "action" else "[1]")
+                for name in written
+            ],
             self._constants,
         )
         model = helper.make_model(

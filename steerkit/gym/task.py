@@ -223,15 +223,15 @@ class Task:
         """The signals that the observation is made of."""
         names = self.loop.units
         tracker, seen = ("seen", "sensors") if "sensors" in self.loop.blocks else ("path", "car")
-        found = []
+        signals = []
         for name in self.description.names:
             of = ["doe.state"] if name == "doe" else [f"{tracker}.{name}", f"{seen}.{name}", f"car.{name}"]
             signal = next((signal for signal in of if signal in names), None)
             if signal is None:
                 known = [n.split(".")[1] for n in names if n.split(".")[0] in (tracker, seen)]
                 raise ValueError(f"TrackSteering: description column '{name}' is no signal; valid: {known}, doe")
-            found.append(signal)
-        return tuple(found)
+            signals.append(signal)
+        return tuple(signals)
 
     @property
     def dt(self) -> float:

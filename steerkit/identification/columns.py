@@ -111,25 +111,25 @@ class ColumnMap:
     def with_guesses(self, names: Iterable[str], *, where: str) -> ColumnMap:
         """This map, completed with columns of well-known names; raises ValueError when something needed is missing."""
         present = list(names)
-        found = dict(self.columns)
-        for quantity, column in found.items():
+        columns = dict(self.columns)
+        for quantity, column in columns.items():
             require(
                 column.name in present, where, f"no column '{column.name}' for {quantity}{_near(column.name, present)}"
             )
         for quantity, known in _NAMES.items():
             endings = ("", *(f"_{ending}" for ending in _ENDINGS))
             options = [name + ending for name in known for ending in endings if name + ending in present]
-            if quantity not in found and options:
-                found[quantity] = Column(options[0])
-        missing = [name for name in ("t", "delta_sw", "v") if name not in found]
-        missing += [] if {"r", "psi"} & found.keys() else ["r or psi"]
+            if quantity not in columns and options:
+                columns[quantity] = Column(options[0])
+        missing = [name for name in ("t", "delta_sw", "v") if name not in columns]
+        missing += [] if {"r", "psi"} & columns.keys() else ["r or psi"]
         require(
             not missing,
             where,
             f"which column is {', '.join(missing)}? Columns: {', '.join(present)}. Say so in a map, such as "
             'delta_sw = { column = "steering_angle", unit = "deg" }, or with --column delta_sw=steering_angle:deg',
         )
-        return ColumnMap(found)
+        return ColumnMap(columns)
 
     def in_si(self, columns: Mapping[str, Any], *, where: str) -> dict[str, Any]:
         """The mapped columns as arrays in SI units."""

@@ -84,9 +84,9 @@ class Drive:
         """
         given = {"t": t, "delta_sw": delta_sw, "v": v, "r": r, "psi": psi}
         columns = {key: np.asarray(value, dtype=float).ravel() for key, value in given.items() if value is not None}
-        said = list(notes)
-        columns = _in_order(columns, name, said)
-        step, gaps = _steps(columns["t"], name, said)
+        remarks = list(notes)
+        columns = _in_order(columns, name, remarks)
+        step, gaps = _steps(columns["t"], name, remarks)
         if not trusted:
             _check_ranges(columns, name)
         if dt is None:
@@ -94,7 +94,7 @@ class Drive:
         require(1e-3 <= dt <= 0.1, name, f"dt = {dt} s, expected 0.001 to 0.1")
         even = _resampled(columns, dt, step)
         measured = _measured(columns["t"], gaps, even["t"])
-        rate, calibrated = _yaw_rate(even, measured, dt, name, said, trusted)
+        rate, calibrated = _yaw_rate(even, measured, dt, name, remarks, trusted)
         drive = cls(
             name=name,
             dt=dt,
@@ -103,7 +103,7 @@ class Drive:
             r=rate,
             measured=measured,
             calibrated=calibrated,
-            notes=tuple(said),
+            notes=tuple(remarks),
             digest=digest,
         )
         seconds = float(np.sum(drive.driving)) * dt
@@ -113,7 +113,7 @@ class Drive:
         return drive
 
 
-def _in_order(columns: dict[str, Array], name: str, said: list[str]) -> dict[str, Array]:
+def _in_order(columns: dict[str, Array], name: str, remarks: list[str]) -> dict[str, Array]:
     """Finite rows, rising in t."""
     lengths = {key: len(value) for key, value in columns.items()}
     if len(set(lengths.values())) > 1:
@@ -122,7 +122,7 @@ def _in_order(columns: dict[str, Array], name: str, said: list[str]) -> dict[str
     lost = int(np.sum(~finite))
     require(finite.sum() >= 100, name, f"{int(finite.sum())} whole rows of {len(finite)}, expected 100 or more")
     if lost:
-        said.append(f"dropped {lost} of {len(finite)} rows that hold no number")
+        remarks.append(f"dropped {lost} of {len(finite)} rows that hold no number")
         columns = {key: value[finite] for key, value in columns.items()}
     t = columns["t"]
     back = int(np.sum(np.diff(t) < 0.0))
@@ -136,15 +136,15 @@ def _in_order(columns: dict[str, Array], name: str, said: list[str]) -> dict[str
                 "two recordings: they lie one after the other in this file; split it there"
             )
         columns = {key: value[order] for key, value in columns.items()}
-        said.append(f"sorted by time: {back} times a row was earlier than the one before")
+        remarks.append(f"sorted by time: {back} times a row was earlier than the one before")
     new = np.concatenate(([True], np.diff(columns["t"]) > 0.0))
     if not new.all():
         columns = {key: value[new] for key, value in columns.items()}
-        said.append(f"dropped {int(np.sum(~new))} rows that repeat the time of the one before")
+        remarks.append(f"dropped {int(np.sum(~new))} rows that repeat the time of the one before")
     return columns
 
 
-def _steps(t: Array, name: str, said: list[str]) -> tuple[float, NDArray[np.intp]]:
+def _steps(t: Array, name: str, remarks: list[str]) -> tuple[float, NDArray[np.intp]]:
     """The usual step [s], and the numbers of the rows before gaps."""
     steps = np.diff(t)
     step = float(np.median(steps))
@@ -161,7 +161,9 @@ def _steps(t: Array, name: str, said: list[str]) -> tuple[float, NDArray[np.intp
             name,
             f"{lost:.0f} s of {t[-1] - t[0]:.0f} s are gaps: too little is left; is t the right column, in seconds?",
         )
-        said.append(f"{len(gaps)} gaps, {lost:.1f} s in all (the longest {steps.max():.1f} s): bridged, not compared")
+        remarks.append(
+            f"{len(gaps)} gaps, {lost:.1f} s in all (the longest {steps.max():.1f} s): bridged, not compared"
+        )
     return step, gaps
 
 
@@ -211,7 +213,7 @@ def _measured(t: Array, gaps: NDArray[np.intp], clock: Array) -> NDArray[np.bool
 
 
 def _yaw_rate(
-    even: dict[str, Array], measured: NDArray[np.bool_], dt: float, name: str, said: list[str], trusted: bool
+    even: dict[str, Array], measured: NDArray[np.bool_], dt: float, name: str, remarks: list[str], trusted: bool
 ) -> tuple[Array, bool]:
     """The yaw rate, with the heading's zero if there is a heading; and whether there is."""
     if "psi" not in even:
@@ -219,20 +221,20 @@ def _yaw_rate(
     window = max(3, 2 * round(0.5 * HEADING_WINDOW / dt) + 1)
     slope: Array = savgol_filter(even["psi"], window, 2, deriv=1, delta=dt)
     if "r" not in even:
-        said.append(f"yaw rate: slope of the heading over {window * dt:.2f} s")
+        remarks.append(f"yaw rate: slope of the heading over {window * dt:.2f} s")
         return slope, True
     use = measured & (even["v"] >= V_DRIVING)
     require(use.sum() * dt >= LEAST, name, f"less than {LEAST:g} s at {V_DRIVING:g} m/s or faster")
     gain = float(np.polyfit(slope[use], even["r"][use], 1)[0])
     if not trusted and not 0.8 < gain < 1.25:
-        what = "has the other sign than" if gain < 0.0 else f"is {gain:.3g} times"
+        fault = "has the other sign than" if gain < 0.0 else f"is {gain:.3g} times"
         raise ValueError(
-            f"{name}: the yaw rate {what} the heading's rate of change; mind unit and sign of r and psi in the column "
+            f"{name}: the yaw rate {fault} the heading's rate of change; mind unit and sign of r and psi in the column "
             "map (a compass turns clockwise: scale = -1)"
         )
     bias = float(np.mean((even["r"] - slope)[use]))
     if abs(bias) > 2e-4:
-        said.append(f"yaw rate: {-bias:+.5f} rad/s, so that its mean is the heading's rate")
+        remarks.append(f"yaw rate: {-bias:+.5f} rad/s, so that its mean is the heading's rate")
     return even["r"] - bias, True
 
 

@@ -87,10 +87,10 @@ class Identified:
     notes: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> Estimate:
-        found = {estimate.name: estimate for estimate in self.estimates}
-        if name not in found:
-            raise KeyError(f"no estimate '{name}'; there are {', '.join(found)}")
-        return found[name]
+        by_name = {estimate.name: estimate for estimate in self.estimates}
+        if name not in by_name:
+            raise KeyError(f"no estimate '{name}'; there are {', '.join(by_name)}")
+        return by_name[name]
 
     def predict(self, drive: Drive) -> Prediction:
         """Another drive of the same car, from its steering and speed alone."""

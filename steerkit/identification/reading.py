@@ -56,11 +56,11 @@ def read_drive(
         raise ValueError(f"{path}: cannot be read ({error.strerror})") from error
     require(raw, str(path), "the file is empty")
     notes: list[str] = []
-    found = _READERS[kind](path, raw, notes)
+    recorded = _READERS[kind](path, raw, notes)
     given = columns if isinstance(columns, ColumnMap) else ColumnMap.of(columns or {})
-    used = given.with_guesses(found, where=str(path))
+    used = given.with_guesses(recorded, where=str(path))
     notes.insert(0, f"read {used.told()}")
-    values = used.in_si(found, where=str(path))
+    values = used.in_si(recorded, where=str(path))
     digest = hashlib.sha256(raw).hexdigest()
     return Drive.of(**values, name=path.name, dt=dt, trusted=trusted, notes=tuple(notes), digest=digest)
 

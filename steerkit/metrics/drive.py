@@ -134,12 +134,12 @@ class Criterion:
 
     def failures(self, drive: Summary, *, rounds: float) -> tuple[str, ...]:
         """What the drive of `rounds` rounds failed at, in words; empty if it was good. A NaN is a failure."""
-        found = [] if rounds >= self.rounds else [f"{rounds:.2f} rounds, expected {self.rounds:g}"]
+        faults = [] if rounds >= self.rounds else [f"{rounds:.2f} rounds, expected {self.rounds:g}"]
         for name, unit in (("max_e", "m"), ("rms_e", "m"), ("max_jerk", "m/s^3")):
             value, bound = getattr(drive, name), getattr(self, name)
             if not value < bound:
-                found.append(f"{name} {value:.3g} {unit}, expected < {bound:g} {unit}")
-        return tuple(found)
+                faults.append(f"{name} {value:.3g} {unit}, expected < {bound:g} {unit}")
+        return tuple(faults)
 
     def met(self, drive: Summary, *, rounds: float) -> bool:
         """Was the drive of `rounds` rounds good?"""

@@ -37,9 +37,9 @@ def learned(seeds: Sequence[Learned]) -> dict[str, Interval]:
     """
     if not seeds:
         raise ValueError("learned: no seeds, expected at least one")
-    found = {
+    figures = {
         name: interval([getattr(seed, name) for seed in seeds], np.median) for name in Learned.__dataclass_fields__
     }
-    found["round_share"] = share([np.isfinite(seed.round_minutes) for seed in seeds])
-    found["good_share"] = share([np.isfinite(seed.good_minutes) for seed in seeds])
-    return found
+    figures["round_share"] = share([np.isfinite(seed.round_minutes) for seed in seeds])
+    figures["good_share"] = share([np.isfinite(seed.good_minutes) for seed in seeds])
+    return figures

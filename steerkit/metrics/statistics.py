@@ -38,13 +38,13 @@ def interval(values: ArrayLike, statistic: Callable[..., Any] = np.mean, *, seed
     """
     from scipy.stats import bootstrap
 
-    found = _finite_or_never("interval", values)
+    sample = _finite_or_never("interval", values)
     with np.errstate(invalid="ignore"):
-        value = float(statistic(found))
-        if len(found) == 1 or (found == found[0]).all():
-            return Interval(value, value, value, len(found))
-        done = bootstrap(
-            (found,),
+        value = float(statistic(sample))
+        if len(sample) == 1 or (sample == sample[0]).all():
+            return Interval(value, value, value, len(sample))
+        resampled = bootstrap(
+            (sample,),
             statistic,
             n_resamples=RESAMPLES,
             method="percentile",
@@ -53,8 +53,8 @@ def interval(values: ArrayLike, statistic: Callable[..., Any] = np.mean, *, seed
         )
     tail = 0.5 * (1.0 - CONFIDENCE)
     # from the distribution itself: between a number and "never" nothing can be interpolated
-    low, high = np.quantile(done.bootstrap_distribution, [tail, 1.0 - tail], method="inverted_cdf")
-    return Interval(value, float(low), float(high), len(found))
+    low, high = np.quantile(resampled.bootstrap_distribution, [tail, 1.0 - tail], method="inverted_cdf")
+    return Interval(value, float(low), float(high), len(sample))
 
 
 def share(successes: ArrayLike) -> Interval:
@@ -122,7 +122,7 @@ def paired(a: ArrayLike, b: ArrayLike, *, seed: int = 0) -> Paired:
 
 
 def _finite_or_never(where: str, values: ArrayLike) -> Array:
-    found = np.asarray(values, dtype=float)
-    if found.ndim != 1 or not len(found) or np.isnan(found).any():
-        raise ValueError(f"{where}: values {found.tolist()}, expected (n,) with n >= 1, one a seed, none NaN")
-    return found
+    sample = np.asarray(values, dtype=float)
+    if sample.ndim != 1 or not len(sample) or np.isnan(sample).any():
+        raise ValueError(f"{where}: values {sample.tolist()}, expected (n,) with n >= 1, one a seed, none NaN")
+    return sample

@@ -78,8 +78,8 @@ class SteeringActuator(Block):
         delta_sw, _, *pending = x
         pending.append(u.delta_sw_cmd)
         target = m.clip(self.gain * pending[0] + self.offset, -self.limit, self.limit)
-        most = self.rate_limit * self.dt
-        step = m.clip(self._follow * (target - delta_sw), -most, most)
+        largest_step = self.rate_limit * self.dt
+        step = m.clip(self._follow * (target - delta_sw), -largest_step, largest_step)
         return (delta_sw + step, step / self.dt, *pending[1:])
 
 

@@ -50,11 +50,13 @@ def animate(
     """
     from matplotlib.animation import FFMpegWriter, PillowWriter
 
-    place = File(file)
+    film_file = File(file)
     kinds: dict[str, Any] = {".gif": PillowWriter, ".mp4": FFMpegWriter}
-    require(place.suffix in kinds, "animate", f"{place}: a film ends in {' or '.join(kinds)}")
-    film = kinds[place.suffix]
-    require(film.isAvailable(), "animate", f"{place}: needs ffmpeg, which is not there; install it, or write a .gif")
+    require(film_file.suffix in kinds, "animate", f"{film_file}: a film ends in {' or '.join(kinds)}")
+    film = kinds[film_file.suffix]
+    require(
+        film.isAvailable(), "animate", f"{film_file}: needs ffmpeg, which is not there; install it, or write a .gif"
+    )
     require(5.0 <= window <= 1e4, "animate", f"window = {window} m, expected 5 to 10000")
     require(1.0 <= fps <= 60.0, "animate", f"fps = {fps}, expected 1 to 60")
     run = _Run(log, car)
@@ -66,15 +68,15 @@ def animate(
     known = getattr(plant, "vehicle", None) if plant is not None else None
     if known is not None and np.ndim(known.wheelbase) == 0:
         wheelbase, l_f, steer_ratio = float(known.wheelbase), float(known.l_f), float(known.steer_ratio)
-    place.parent.mkdir(parents=True, exist_ok=True)
+    film_file.parent.mkdir(parents=True, exist_ok=True)
     with style():
         scene = _Scene(run, path, wheelbase, 0.45 * wheelbase if l_f is None else l_f, steer_ratio, window)
         writer = film(fps=fps)
-        with writer.saving(scene.figure, str(place), dpi=80):
+        with writer.saving(scene.figure, str(film_file), dpi=80):
             for t in _shown(moments, progress):
                 scene.show(float(t), speed)
                 writer.grab_frame()
-    return place
+    return film_file
 
 
 class _Run:

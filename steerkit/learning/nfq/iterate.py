@@ -295,10 +295,10 @@ def iterate(
         starts = [new_net(sizes, [seed, iteration, 1 + k]) for k in range(setting.nets)]
         if setting.init == "warm":
             starts[: len(nets)] = nets[-setting.nets :]
-        done = _fit_all(starts, x, y, setting)
-        nets = tuple(result.net for result in done)
+        fitted = _fit_all(starts, x, y, setting)
+        nets = tuple(result.net for result in fitted)
         if progress is not None:
-            progress(iteration, [float(result.errors[-1]) for result in done])
+            progress(iteration, [float(result.errors[-1]) for result in fitted])
     together = (*(nets_before or ()), *nets)[-setting.keep * setting.nets :]
     if model is not None and setting.guard and nets_before:
         near = imagine(model, transitions, description, GUARD_STATES, np.random.default_rng([seed, 1_000_033]))

@@ -161,8 +161,8 @@ def _draw_failures(axis: Axes, record: Record, colour: str) -> None:
 
 
 def _finish(count: Axes, records: Sequence[Record]) -> None:
-    most = max(1, *(len(record.failed_at) for record in records))
-    count.set(xlabel="driving time [s]", ylim=(0.0, 1.15 * most))
+    most_failures = max(1, *(len(record.failed_at) for record in records))
+    count.set(xlabel="driving time [s]", ylim=(0.0, 1.15 * most_failures))
     count.set_xlim(0.0, max(float(record.log.t[-1]) for record in records))
     count.locator_params(axis="y", integer=True)
 
