@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.house import modules
+from tests.support.mutate import mirror
 from tests.support.places import ROOT
 
 UNIT = ROOT / "tests" / "unit"
@@ -21,16 +22,13 @@ ELSEWHERE = {
     "steerkit": "contract/test_imports.py",
     "steerkit.__main__": "unit/cli/test_app_habits.py",
     "steerkit.analysis.period": "evals/test_analysis_closed_forms.py",
-    "steerkit.block": "contract/test_blocks.py",
     "steerkit.cli.demo": "unit/cli/test_app.py",
-    "steerkit.clock": "unit/test_realtime.py",
     # one program, run in every way that it can be
     "steerkit.compiled.c_code": "unit/compiled/test_compiled.py",
     "steerkit.compiled.fleet": "unit/gym/test_vector_env.py",
     "steerkit.compiled.native_program": "unit/compiled/test_compiled.py",
     "steerkit.compiled.python_code": "unit/compiled/test_compiled.py",
     "steerkit.compiled.vm": "unit/compiled/test_compiled.py",
-    "steerkit.controllers.limits": "unit/controllers/test_stanley.py",
     # both MPCs are one table of cases
     "steerkit.controllers.mpc.nonlinear": "unit/controllers/mpc/test_linear.py",
     "steerkit.controllers.mpc.path_model": "evals/test_mpc_closed_forms.py",
@@ -50,29 +48,20 @@ ELSEWHERE = {
     "steerkit.learning.pictures.paper": "unit/learning/pictures/test_run.py",
     "steerkit.learning.report": "unit/cli/test_app.py",
     "steerkit.learning.training_run": "unit/learning/test_experiment.py",
-    "steerkit.maths": "contract/test_same_everywhere.py",
     "steerkit.native": "unit/compiled/test_compiled.py",
     # the programs on the car, in a world of processes and simulated hardware
-    "steerkit.on_car.follow": "evals/test_car_learning.py",
     "steerkit.on_car.learner": "evals/test_car_learning.py",
-    "steerkit.on_car.loop": "evals/test_car_processes.py",
     "steerkit.on_car.panel": "evals/test_car_panel.py",
     "steerkit.on_car.processes": "evals/test_car_processes.py",
-    "steerkit.on_car.replay": "evals/test_car_learning.py",
     "steerkit.on_car.session": "evals/test_car_processes.py",
     # both cars are one table of cases
     "steerkit.plants.car": "unit/plants/test_single_track.py",
     "steerkit.plants.linear_single_track": "unit/plants/test_single_track.py",
     "steerkit.plants.nonlinear_single_track": "unit/plants/test_single_track.py",
-    "steerkit.plants.playback": "unit/identification/test_identification.py",
-    "steerkit.plants.real_car.decisions.senses": "evals/test_car_fault_matrix.py",
     "steerkit.plants.real_car.file.reading": "unit/plants/real_car/file/test_config.py",
     "steerkit.plants.real_car.frames.bus": "evals/test_car_processes.py",
-    "steerkit.plants.real_car.frames.slcan_port": "evals/test_car_processes.py",
     "steerkit.plants.real_car.processes.server": "evals/test_car_processes.py",
-    "steerkit.plants.real_car.simulated": "evals/test_car_fault_matrix.py",
     "steerkit.scenario.drive": "unit/learning/test_trials.py",
-    "steerkit.units": "contract/test_same_everywhere.py",
     "steerkit.task": "contract/test_once.py",
     "steerkit.vehicles": "unit/vehicles/test_named.py",
     "benchmarks.peers.python_control": "unit/benchmarks/studies/test_studies.py",
@@ -97,11 +86,7 @@ def holds_something(file: Path) -> bool:
 
 def mirror_of(file: Path, root: Path = ROOT, unit: Path = UNIT) -> Path:
     """The test file of a module's file."""
-    *folders, stem = file.relative_to(root).with_suffix("").parts
-    folders = folders[1:] if folders[0] == "steerkit" else folders
-    if stem == "__init__":
-        stem = folders[-1] if folders else "steerkit"
-    return unit.joinpath(*folders, f"test_{stem.strip('_')}.py")
+    return unit / Path(mirror(str(file.relative_to(root)))).relative_to("tests/unit")
 
 
 def missing(root: Path, unit: Path, elsewhere: dict[str, str]) -> list[str]:

@@ -99,9 +99,9 @@ def mirror(file: str) -> str:
     path = Path(file)
     parts = path.parts[1:] if path.parts[0] == "steerkit" else path.parts
     folder, name = parts[:-1], path.stem
-    if name == "__init__" and folder:
-        name = folder[-1]
-    return str(Path("tests/unit", *folder, f"test_{name}.py"))
+    if name == "__init__":
+        name = folder[-1] if folder else "steerkit"
+    return str(Path("tests/unit", *folder, f"test_{name.strip('_')}.py"))
 
 
 def read(folder: Path = SLIPS) -> list[Slip]:
