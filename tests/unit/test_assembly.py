@@ -18,6 +18,7 @@ from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.pure_pursuit import PurePursuit
 from steerkit.controllers.stanley import Stanley
 from steerkit.controllers.supervisor import Guarded, Supervisor
+from steerkit.controllers.target_shift import TargetShift
 from steerkit.courses import circle, course
 from steerkit.doe import Corrected, Integrator, LowPass
 from steerkit.errors import WiringError
@@ -64,6 +65,53 @@ def test_with_sensors_the_controller_sees_the_measured_and_the_log_keeps_the_tru
     assert first["path.e"][0] == pytest.approx(off_axle, abs=1e-6)
     to_the_left = np.cos(first["car.psi"][0])
     assert first["seen.e"][0] - first["path.e"][0] == pytest.approx(0.2 * to_the_left, abs=1e-3)
+
+
+def learning_loop(**more: Any) -> Loop:
+    p = parts() | {"controller": NfqPolicy(), "doe": Integrator()}
+    return steering_loop(**p, actuator=SteeringActuator(), sensors=Sensors(), **more)
+
+
+MOTION = ("x", "y", "psi", "v", "beta", "r")
+SEEN = {name: f"sensors.{name}" for name in MOTION}
+TRUE = {name: f"car.{name}" for name in MOTION}
+STANLEY = {"e": "recovery_path.e", "psi_e": "recovery_path.psi_e", "kappa": "recovery_path.kappa"}
+STANLEY |= {"v": "sensors.v", "r": "sensors.r", "delta_sw_meas": "actuator.delta_sw"}
+
+
+def test_every_wire_of_a_learner_with_all_its_parts() -> None:
+    """What each block hears, from the docstring: the truth for the log, the measured for who steers."""
+    loop = learning_loop(recovery=Stanley.of(VW_PASSAT))
+    net = {"e": "seen.e", "e_dot": "seen.e_dot", "v": "sensors.v", "psi_e": "seen.psi_e", "r_e": "seen.r_e"}
+    wired = {
+        "car": {"delta_sw_in": "actuator.delta_sw", "v_in": "driver.v"},
+        "actuator": {"delta_sw_cmd": "supervisor.delta_sw"},
+        "sensors": {f"{name}_in": signal for name, signal in TRUE.items()},
+        "path": TRUE,
+        "seen": SEEN,
+        "recovery_path": SEEN,
+        "recovery": STANLEY,
+        "controller": net | {"doe": "doe.state"},
+        "doe": {"action": "controller.action", "applied": "supervisor.delta_sw"},
+        "supervisor": {
+            "e": "seen.e",
+            "learner": "doe.delta_sw",
+            "recovery": "recovery.delta_sw",
+            "ready": "controller.ready",
+        },
+    }
+    assert {name: loop.inputs_of(name) for name in loop.names if name != "driver"} == wired
+
+
+def test_a_shifted_target_and_foresight_come_between() -> None:
+    loop = learning_loop(recovery=Stanley.of(VW_PASSAT), shift=TargetShift())
+    assert loop.inputs_of("shift") == {"e_path": "seen.e", "e_dot_path": "seen.e_dot"}
+    assert {loop.inputs_of("controller")["e"], loop.inputs_of("supervisor")["e"]} == {"shift.e"}
+    assert loop.inputs_of("controller")["e_dot"] == "shift.e_dot"
+    assert loop.inputs_of("recovery") == STANLEY, "it sees the path itself"
+    loop = learning_loop(recovery=Stanley.of(VW_PASSAT), foresight=Foresight())
+    assert loop.inputs_of("supervisor")["e"] == "foresight.distance"
+    assert loop.inputs_of("foresight")["doe"] == "doe.state"
 
 
 def test_missing_parts_are_named() -> None:

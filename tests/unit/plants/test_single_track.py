@@ -95,3 +95,29 @@ def test_teaching_errors_of_cars(cls, change, message):
     with pytest.raises(ValueError, match=f"{cls.__name__}: .*{message}"):
         cls(**{"vehicle": VW_PASSAT, **change})
     assert cls(vehicle=VW_PASSAT, dt=0.05, substeps=5).dt == 0.05
+
+
+@CARS
+@pytest.mark.parametrize(("sway", "v"), [(0.0, 5.0), (0.4, 6.0), (-0.3, 2.0)])
+def test_v_and_beta_are_length_and_direction_of_the_velocity(cls, sway, v):
+    car = cls(vehicle=VW_PASSAT)
+    x = car.init()._replace(psi=0.7, sway=sway, v=v, r=0.2)
+    dx, dy, *_ = car.rhs(x[:5], 0.0, v)
+    y = car.output(0.0, x, ())
+    assert (y.v * math.cos(y.psi + y.beta), y.v * math.sin(y.psi + y.beta)) == pytest.approx((dx, dy), abs=1e-12)
+
+
+@CARS
+def test_substeps_are_parts_of_a_sample(cls):
+    coarse = run(cls(vehicle=VW_PASSAT, dt=0.05, substeps=5), [(2.0, 6.0)] * 20)[1]
+    fine = run(cls(vehicle=VW_PASSAT, dt=0.01), [(2.0, 6.0)] * 100)[1]
+    assert coarse == pytest.approx(fine, rel=1e-12)
+
+
+@CARS
+def test_the_wheel_turns_the_car_through_the_steering_ratio(cls):
+    """Twice the ratio and twice the angle at the steering wheel are the same car."""
+    lazy = replace(VW_PASSAT, steer_ratio=2.0 * VW_PASSAT.steer_ratio)
+    one, two = run(cls(vehicle=VW_PASSAT), [(1.0, 6.0)] * 50)[1], run(cls(vehicle=lazy), [(2.0, 6.0)] * 50)[1]
+    assert tuple(one)[:6] == pytest.approx(tuple(two)[:6], rel=1e-12)
+    assert one.r > 0.05
