@@ -146,8 +146,8 @@ def test_jitter_comes_from_the_histogram() -> None:
     assert timing.jitter(0.5) == pytest.approx(1e-4, abs=1.01 * BIN)
     assert timing.jitter(0.99) == pytest.approx(5e-3, abs=1.01 * BIN)
     assert math.isnan(Timing(period=0.05).jitter(0.5))
-    assert timing.jitter(0.985) > 1e-4, "that many stayed below it"
-    assert timing.jitter(0.99) > 5e-3
+    assert timing.jitter(0.5) >= 1e-4 - 1e-12, "half of them stayed below it"
+    assert timing.jitter(0.99) >= 5e-3 - 1e-12
     text = histogram_text(timing)
     assert sum(int(line.split("ms")[-1].replace("and more", "").split()[0]) for line in text.splitlines()) == 1000
     assert timing.summary()["steps"] == 1000

@@ -77,6 +77,24 @@ def test_a_steady_bend_of_a_car_with_another_ratio_stays_one(share: float) -> No
     assert block.predict(r_model, (wheel,) * 4, block.D(**u))["r"] == pytest.approx(share * r_model)
 
 
+@pytest.mark.parametrize("r", [0.5, -0.3])
+def test_a_turn_off_a_straight_path_is_an_arc(r: float) -> None:
+    """At a steady r, with the front axle `lever` ahead of the point that rolls: e = v/r (1 - cos rT) + lever sin rT."""
+    block, v, time = around(0.2, 0.1, rear_slip=0.0), 6.0, 0.3
+    found = block.predict(0.0, (0.0,) * 4, block.D(**AT_REST | {"r": r, "preview": (0.0,) * block.preview_points}))
+    lever = block.reference + block.l_r
+    assert found["e"] == pytest.approx(v / r * (1.0 - math.cos(r * time)) + lever * math.sin(r * time), abs=1e-3)
+
+
+def test_the_curvature_of_a_step_is_that_of_its_middle() -> None:
+    """Straight on where the path begins to bend, kappa = a t: psi_e falls by v a T^2/2."""
+    block, v, time, a = around(0.2, 0.1), 6.0, 0.3, 0.01
+    preview = tuple(a * 0.05 * i for i in range(block.preview_points))
+    found = block.predict(0.0, (0.0,) * 4, block.D(**AT_REST | {"preview": preview}))
+    assert found["psi_e"] == pytest.approx(-v * a * time**2 / 2.0, rel=1e-3)
+    assert found["kappa"] == pytest.approx(a * time)
+
+
 def test_straight_driving_off_the_path_is_a_triangle() -> None:
     found = ahead(around(0.2, 0.1), (0.0,) * 4, e=0.5, psi_e=0.1)
     assert found["e"] == pytest.approx(0.5 + 6.0 * 0.3 * math.sin(0.1))

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from steerkit.controllers.nfq_policy import BANG_BANG_ACTIONS, IDOE_ACTIONS, NfqPolicy, StateDescription
+from steerkit.controllers.nfq_policy import BANG_BANG_ACTIONS, IDOE_ACTIONS, NfqPolicy, StateDescription, combined
 from steerkit.learning.nfq.network import Net, forward, new_net
 from steerkit.learning.nfq.patterns import STANDARD, patterns
 from steerkit.units import degrees_of
@@ -231,3 +231,15 @@ def test_patterns_and_policy_scale_alike() -> None:
     found = ask(policy, s)
     x = patterns(STANDARD, s.T, found.action, STANDARD.scale_of(policy.actions)).astype(float)
     np.testing.assert_allclose(np.mean([forward(net, x) for net in NETS], axis=0), found.q, atol=2e-6)
+
+
+@given(values=st.lists(st.floats(0.0, 1.0), min_size=1, max_size=5))
+def test_caution_never_makes_an_action_cheaper(values: list[float]) -> None:
+    """The nets' readings of one action: mean <= mean + deviation, and mean <= the largest."""
+    column = np.array(values)[:, None]
+    mean, largest, cautious = (float(combined(column, how)[0]) for how in ("mean", "max", "disagreement"))
+    assert mean == pytest.approx(float(np.mean(values)))
+    assert largest == max(values)
+    assert cautious == pytest.approx(float(np.mean(values) + np.std(values)))
+    assert mean <= largest
+    assert mean <= cautious

@@ -97,8 +97,8 @@ def test_it_refuses_distances_that_cannot_be() -> None:
 
 @pytest.mark.parametrize(("v", "look"), [(-3.0, 2.5), (0.0, 2.5), (8.0, 4.0), (30.0, 15.0), (100.0, 20.0)])
 def test_beside_a_straight_it_is_the_circle_through_the_goal(v: float, look: float) -> None:
-    """e = 1 m to the left, along the path: 1/R = 2 e/d^2, d the distance from the rear axle to the goal."""
-    e, block = 1.0, PurePursuit.of(PASSAT, straight(200.0))
+    """e = 0.5 m to the left, along the path: 1/R = 2 e/d^2, d the distance from the rear axle to the goal."""
+    e, block = 0.5, PurePursuit.of(PASSAT, straight(200.0))
     u = block.D(s=50.0, x=50.0 + PASSAT.l_r, y=e, psi=0.0, v=v)
     delta = block.output(0.0, (), u).delta_sw / PASSAT.steer_ratio
     assert math.tan(delta) / PASSAT.wheelbase == pytest.approx(-2.0 * e / (look**2 + e**2), rel=1e-6)
