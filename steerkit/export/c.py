@@ -91,6 +91,8 @@ class _Part:
     """What is exported, with names for C, and a recording of it."""
 
     trace: Trace
+    tick: int
+    """Number of the first sample."""
     start: list[float]
     inputs: dict[str, str]
     outputs: dict[str, tuple[str, int]]
@@ -129,6 +131,7 @@ class _Part:
         columns = [log[s].reshape(len(log.t), -1) for s in signals]
         return cls(
             made,
+            start.k // every,
             made.layout.pack(x, y),
             {s.replace(".", "_"): p.spec.unit for s, p in sources.items()},
             {s.replace(".", "_"): (s, n) for s in signals for n in [made.layout.signals[s][0]]},
@@ -163,7 +166,7 @@ class _Part:
         held = [0.0] * (len(layout) - len(units) * bool(units) - len(block.init()))
         start = [0.0] * len(units) + [float(v) for v in block.init()] + held
         signals = {s.split(".")[1]: (s, i) for s, (i, _) in layout.signals.items() if s.startswith("block.")}
-        return cls(made, start, units, signals, rows, np.array(expected))
+        return cls(made, 0, start, units, signals, rows, np.array(expected))
 
     @property
     def state(self) -> dict[int, str]:
@@ -247,7 +250,7 @@ class _Part:
                 f'#include <math.h>\n#include "{name}.h"\n\n{macros}\n',
                 table_source(self.trace.tables),
                 *ticks,
-                f"void {name}_init({name}_state *s)\n{{\n  s->phase = 0u;\n  s->k = 0.0;",
+                f"void {name}_init({name}_state *s)\n{{\n  s->phase = {self.tick % period}u;\n  s->k = {self.tick}.0;",
                 *values,
                 "}\n",
                 f"void {name}_step({name}_state *s, const {name}_inputs *u, {name}_outputs *y)\n{{",

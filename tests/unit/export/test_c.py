@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from steerkit.plants.human_driver import ConstantSpeed
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.sensors import Sensors
 from steerkit.plants.steering_actuator import SteeringActuator
+from steerkit.simulation import simulate
 from steerkit.vehicles import vehicle
 
 CAR = vehicle("vw-passat")
@@ -63,7 +65,16 @@ def built(folder: Path, name: str, flags: list[str]) -> subprocess.CompletedProc
 @needs_gcc
 @pytest.mark.parametrize(
     "block",
-    [Stanley.of(CAR), Supervisor(), Integrator(), LowPass(), Direct(), policy(), SteeringActuator(delay=0.1)],
+    [
+        Stanley.of(CAR),
+        Supervisor(),
+        Integrator(),
+        LowPass(),
+        Direct(),
+        policy(),
+        replace(policy(), ready_from=3.0),  # knows the time: ready after 60 of the 200 samples
+        SteeringActuator(delay=0.1),
+    ],
     ids=lambda block: type(block).__name__,
 )
 def test_a_block_replays_its_log_under_sanitizers(block: Block, tmp_path: Path) -> None:
@@ -75,12 +86,44 @@ def test_a_block_replays_its_log_under_sanitizers(block: Block, tmp_path: Path) 
 
 @needs_gcc
 @pytest.mark.parametrize(
-    "blocks", [("controller", "doe", "recovery", "supervisor"), ("recovery_path", "recovery"), ("controller",)]
+    "blocks",
+    [
+        ("controller", "doe", "recovery", "supervisor"),
+        ("recovery_path", "recovery"),
+        ("controller",),
+        ("doe", "supervisor", "actuator"),  # of two rates: the actuator's five samples to one
+    ],
 )
 def test_a_part_of_a_loop_replays_the_simulation(blocks: tuple[str, ...], tmp_path: Path) -> None:
     export_c(learner_loop(), tmp_path, blocks=blocks)
     done = built(tmp_path, "controller", SANITIZED)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+@needs_gcc
+@pytest.mark.parametrize(
+    ("blocks", "tick"),
+    [(("controller", "doe", "supervisor"), 200), (("controller", "doe", "supervisor", "actuator"), 203)],
+)
+def test_a_part_goes_on_from_a_later_state_at_its_time(blocks: tuple[str, ...], tick: int, tmp_path: Path) -> None:
+    """The policy is ready from 3 s on, and the state is that after 2 s: in the middle of a period, if need be."""
+    loop = learner_loop().with_block("controller", replace(policy(), ready_from=3.0))
+    state = simulate(loop, tick * loop.dt, record=()).state
+    assert state.k == tick
+    export_c(loop, tmp_path, blocks=blocks, state=state)
+    done = built(tmp_path, "controller", SANITIZED)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@needs_gcc
+def test_the_replay_notices_a_nan(tmp_path: Path) -> None:
+    export_c(Stanley.of(CAR), tmp_path, name="stanley")
+    source = tmp_path / "stanley.c"
+    text = source.read_text()
+    source.write_text(text.replace("= NUMBER(2.5);", "= NUMBER(NAN);"))
+    done = built(tmp_path, "stanley", ["-O2"])
+    assert done.returncode == 1
+    assert "is nan" in done.stdout.replace("-nan", "nan")
 
 
 @needs_gcc

@@ -13,7 +13,7 @@ import onnxruntime
 import pytest
 
 from steerkit.controllers.network_policy import Network, PolicyBlock
-from steerkit.controllers.nfq_policy import BANG_BANG_ACTIONS, NfqPolicy, StateDescription
+from steerkit.controllers.nfq_policy import BANG_BANG_ACTIONS, COMBINATIONS, NfqPolicy, StateDescription
 from steerkit.export.onnx import check_onnx, export_onnx
 
 RNG = np.random.default_rng(0)
@@ -31,6 +31,8 @@ def layers(*sizes: int) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
 POLICIES: list[Any] = [
     NfqPolicy(nets=(net(10, 10), net(10, 10), net(10, 10))),
     NfqPolicy(nets=(net(5), net(5)), actions=BANG_BANG_ACTIONS, combine="max"),
+    NfqPolicy(nets=(net(10, 10), net(10, 10), net(10, 10)), combine="max"),
+    NfqPolicy(nets=(net(10, 10), net(10, 10), net(10, 10)), combine="disagreement"),
     NfqPolicy(nets=(net(20, 20, 3),), description=StateDescription(action_scale=0.3)),
     PolicyBlock(policy=Network(layers=layers(6, 16, 16, 3)), actions=(-0.1, 0.0, 0.1)),
     PolicyBlock(policy=Network(layers=layers(6, 16, 1), activation="tanh", head="tanh")),
@@ -51,6 +53,24 @@ def test_the_model_says_what_the_block_says(policy: Any, tmp_path: Path) -> None
     assert set(differences) == ({"action", "q"} if isinstance(policy, NfqPolicy) else {"action"})
     assert all(difference <= 1e-6 for difference in differences.values())
     assert differences.get("q", 0.0) <= 1e-14
+
+
+@pytest.mark.parametrize("combine", COMBINATIONS)
+def test_an_ensemble_is_combined_as_its_definition_says(combine: Any, tmp_path: Path) -> None:
+    """Two nets that are constant, 0.2 and 0.6: mean 0.4, largest 0.6, mean and standard deviation 0.4 + 0.2."""
+    nets = tuple((np.zeros((1, 7)), np.array([np.log(q / (1.0 - q))])) for q in (0.2, 0.6))
+    export_onnx(NfqPolicy(nets=nets, combine=combine), tmp_path / "p.onnx")
+    expected = {"mean": 0.4, "max": 0.6, "disagreement": 0.6}[combine]
+    assert ask(tmp_path / "p.onnx", [0.1] * 6)["q"] == pytest.approx(expected)
+
+
+def test_the_ways_to_combine_are_told_apart_by_the_check(tmp_path: Path) -> None:
+    """Nets that disagree choose other actions by their mean, their largest, and their mean with the disagreement."""
+    for policy in (replace(POLICIES[0], combine=combine) for combine in COMBINATIONS):
+        export_onnx(policy, tmp_path / "p.onnx")
+        for other in COMBINATIONS:
+            differences = check_onnx(replace(policy, combine=other), tmp_path / "p.onnx", states=2_000)
+            assert (max(differences.values()) < 1e-6) == (other == policy.combine)
 
 
 def test_the_check_finds_another_policy(tmp_path: Path) -> None:

@@ -61,3 +61,10 @@ def test_costs_say_what_is_wrong() -> None:
         IdoeCost(step=0.0)
     with pytest.raises(ValueError, match="action_cost"):
         TanhCost(action_cost=1.0)
+
+
+@pytest.mark.parametrize("kind", COSTS)
+def test_costs_look_at_where_the_car_came_to(kind: type) -> None:
+    c, terminal = kind()(states([0.6, 0.0]), np.zeros(2), states([0.0, 0.6]))
+    assert c.tolist() == [0.0, 1.0]
+    assert terminal.tolist() == [False, True]

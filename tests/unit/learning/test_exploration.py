@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import pytest
 
+from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.learning.exploration import Exploring
 from steerkit.learning.learn import learn
 from steerkit.learning.nfq import iterate as nfq
 from tests.support.short_run import SHORT
+
+POLICY = NfqPolicy(nets=nfq.fresh_nets(seed=1), actions=tuple(float(a) for a in np.linspace(-0.5, 0.5, 8)))
 
 
 def test_exploration_takes_the_share_of_other_actions_that_was_asked_for() -> None:
@@ -22,3 +28,49 @@ def test_exploration_takes_the_share_of_other_actions_that_was_asked_for() -> No
         q = nfq.action_values(policy, s, actions, run.description)
         others = np.mean(np.array(actions)[q.argmin(axis=0)] != a)
         assert least <= others <= most  # six of seven random actions are other ones
+
+
+def decisions(block: Exploring, samples: int, **values: Any) -> np.ndarray:
+    """Actions of 500 cars in the same state over some samples, (samples, 500)."""
+    u = block.D(**{name: np.full(500, 0.1) for name in block.D._fields} | values)
+    x, actions = block.init((500,)), []
+    for k in range(samples):
+        y = block.output(0.05 * k, x, u)
+        actions.append(y.action)
+        x = block.update(0.05 * k, x, u, y)
+    return np.array(actions)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_the_share_is_that_asked_for_and_all_actions_are_equally_likely(share: float) -> None:
+    actions = decisions(Exploring(policy=POLICY, share=share, seed=4), 200)
+    greedy = float(POLICY.output(0.0, (), POLICY.D(*[0.1] * 6)).action)
+    for action in POLICY.actions:
+        expected = share / 8 + (1.0 - share) * (action == greedy)
+        assert np.mean(actions == action) == pytest.approx(expected, abs=0.006)  # 5 sigma of 100 000
+
+
+def test_what_is_taken_does_not_tell_whether_the_next_sample_explores() -> None:
+    actions = decisions(Exploring(policy=POLICY, share=0.5, seed=4), 200)
+    greedy = float(POLICY.output(0.0, (), POLICY.D(*[0.1] * 6)).action)
+    now, then = actions[:-1], actions[1:] != greedy
+    rates = [then[now == action].mean() for action in POLICY.actions if action != greedy]
+    np.testing.assert_allclose(rates, 0.5 * 7 / 8, atol=0.03)
+
+
+def test_it_is_repeatable_and_another_seed_explores_elsewhere() -> None:
+    one, same, other = (decisions(Exploring(policy=POLICY, share=0.3, seed=seed), 20) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(one, same)
+    assert (one != other).any()
+
+
+def test_a_fault_stays_a_fault() -> None:
+    actions = decisions(Exploring(policy=POLICY, share=1.0), 3, v=np.full(500, np.nan))
+    assert np.isnan(actions).all()
+
+
+def test_mistakes_are_named() -> None:
+    with pytest.raises(ValueError, match=r"share = 1.5, expected 0 <= share <= 1"):
+        Exploring(policy=POLICY, share=1.5)
+    with pytest.raises(ValueError, match=r"dt = 0.1 s, the policy's is 0.05 s"):
+        Exploring(policy=POLICY, dt=0.1)

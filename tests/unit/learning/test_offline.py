@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.nfq.iterate import FitSetting
 from steerkit.learning.offline import offline
 from steerkit.learning.settings import DEFAULT
@@ -20,3 +21,12 @@ def test_offline_updates_are_chained_and_repeatable() -> None:
     assert not np.array_equal(one[0][0][0], one[1][0][0])
     with pytest.raises(ValueError, match="updates = 0"):
         next(offline(driven(), setting, 0))
+
+
+def test_offline_updates_start_from_the_nets_before() -> None:
+    setting = replace(DEFAULT, fit=FitSetting(epochs=30, nets=1, hints=0, discount=0.95))
+    first, second = (policy.nets for policy in offline(driven(), setting, 2, seed=4))
+    alone = nfq.iterate(
+        driven(), setting.actions, setting.cost, setting.fit, setting.description(), first, seed=4 * 100_003 + 1
+    )
+    assert np.array_equal(second[0][0], alone[0][0])

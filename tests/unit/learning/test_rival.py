@@ -39,3 +39,25 @@ def test_the_rival_drives_after_its_first_failure() -> None:
     assert run.counts.failures == 1
     assert run.counts.episodes[-1].distance > 100.0
     assert run.counts.episodes[-1].rms_e < 0.05
+
+
+def test_the_gain_changes_with_the_speed_without_jumps() -> None:
+    policy = ModelPolicy(model=CAR, limit=1e3)
+    speeds = np.linspace(1.0, 15.0, 281)
+    u = policy.U(*np.broadcast_arrays(0.1, 0.2 * speeds / 5.0, speeds, 0.05, 0.02, 0.5))
+    action = policy.output(0.0, BeforeState(0.4), u).action
+    exact = [action[20 * k] for k in range(15)]
+    steps = np.abs(np.diff(action))
+    assert steps.max() < 0.1 * np.ptp(exact)  # twenty samples from one tabled speed to the next
+    between = action[10::20]
+    assert all(min(a, b) - 1e-9 <= x <= max(a, b) + 1e-9 for a, b, x in zip(exact, exact[1:], between))
+
+
+def test_the_rival_is_charged_for_its_training() -> None:
+    run = model_based(Experiment(setting=replace(DEFAULT, fit_seconds=2.0), minutes=0.3))
+    while not run.counts.failures:
+        run.drive()
+    failed = run.t
+    while len(run.counts.episodes) == 1:
+        run.drive()
+    assert run.counts.episodes[1].began >= failed + 2.0 - 0.051

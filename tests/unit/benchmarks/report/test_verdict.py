@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +20,6 @@ def results(tmp_path: Path) -> Results:
 
 
 def replaced(case: Case, **metrics: float) -> Case:
-    from dataclasses import replace
-
     return replace(case, metrics={**case.metrics, **metrics}) if case.status == "done" else case
 
 
@@ -75,3 +74,31 @@ def test_an_analytic_drive_without_chance_meets_every_net(results: Results) -> N
     one = verdict_results(results, [0.05, 0.06, 0.055, 0.052, 0.051, 0.058, 0.053], [0.01])
     duel = next(d for d in duels(one, "nfq-idoe", "stanley") if d.metric == "rms_e")
     assert (duel.seeds, duel.decided) == (7, 1)
+
+
+def test_the_best_analytic_controller_is_the_one_with_the_lowest_mean(results: Results) -> None:
+    rng = np.random.default_rng(3)
+    means = {"nfq-idoe": 0.03, "stanley": 0.05, "lqr": 0.01, "mpc": 0.02}
+    values = {name: rng.normal(mean, 0.0005, 8) for name, mean in means.items()}
+    common = dict(suite="s", scenario="course")
+    others = {"rms_wheel_rate_deg": 1.0, "max_jerk": 1.0, "max_a_y": 1.0, "held": 1.0}
+    cases = tuple(
+        Case(**common, controller=name, seed=n, metrics=others | {"rms_e": float(value)})
+        for name, column in values.items()
+        for n, value in enumerate(column)
+    )
+    kinds = {name: {"kind": "learned" if name == "nfq-idoe" else "analytic"} for name in means}
+    text = verdict(Results(results.place, {"controllers": kinds, "planned": [], "scenarios": {}}, cases))
+    ratio = float(np.mean(values["nfq-idoe"]) / np.mean(values["lqr"]))
+    best = "Cross-track error, against the best analytic controller of each scenario"
+    assert f"{best}: {ratio:.2f} times as large over 1 scenarios; better in 0, worse in 1" in text
+
+
+def test_a_drive_that_was_lost_is_in_no_comparison(results: Results) -> None:
+    """A seed counts where both held: the few metres before a car left the course say nothing."""
+    one = verdict_results(results, [0.02, 0.02, 0.02, 0.9], [0.03, 0.03, 0.03, 0.03])
+    last = [case for case in one.cases if case.controller == "nfq-idoe"][-1]
+    lost = tuple(replaced(case, held=0.0) if case is last else case for case in one.cases)
+    duel = next(d for d in duels(replace(one, cases=lost), "nfq-idoe", "stanley") if d.metric == "rms_e")
+    assert (duel.seeds, duel.left_out) == (3, 1)
+    assert duel.mean_learned == pytest.approx(0.02)

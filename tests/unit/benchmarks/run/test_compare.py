@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from benchmarks.run.compare import compare
+from benchmarks.run.compare import Comparison, compare
 from benchmarks.run.results import Case, Results
 from tests.support.results_example import example_results
 
@@ -34,6 +36,21 @@ def test_compare_finds_what_changed_and_only_that(results: Results, tmp_path: Pa
 
 
 def replaced(case: Case, **metrics: float) -> Case:
-    from dataclasses import replace
-
     return replace(case, metrics={**case.metrics, **metrics}) if case.status == "done" else case
+
+
+def test_compare_sees_errors_new_cases_and_numbers_that_came_or_went(results: Results) -> None:
+    def among(cases: list[Case]) -> Comparison:
+        return compare(results, Results(results.place, results.provenance, tuple(cases)))
+
+    error, driven = results.cases[0], results.cases[1]
+    assert error.status == "error"
+    other = replace(error, error="ValueError: another")
+    assert among([other, *results.cases[1:]]).status == ((error.id, error.error, other.error),)
+    new = replace(driven, seed=99)
+    assert among([*results.cases, new]).only_b == (new.id,)
+    assert not among([*results.cases, new]).same
+    for changed in (replaced(driven, rms_e=math.nan), replaced(driven, max_jerk=1.0), replaced(driven, extra=1.0)):
+        difference = among([changed if case is driven else case for case in results.cases])
+        assert [change.case for change in difference.changes] == [driven.id]
+        assert difference.changes[0].relative == math.inf

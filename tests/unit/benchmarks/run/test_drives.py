@@ -4,14 +4,26 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from benchmarks.entries import controller
-from benchmarks.run.drives import drive
+from benchmarks.run.drives import drive, judged
+from benchmarks.run.results import TRAJECTORY
 from benchmarks.scenarios import scene, suite_loop
+from steerkit.controllers.pure_pursuit import PurePursuit
+from steerkit.controllers.stanley import Stanley
+from steerkit.scenario import Scenario
+from steerkit.simulation import Log
 from steerkit.vehicles import vehicle
+
+SCENARIO = scene(name="straight", course="straight")
+PATH = SCENARIO.path()
+LENGTH = SCENARIO.length
+LOOP = suite_loop(SCENARIO, Stanley.of(SCENARIO.nominal))
+V = 5.0
 
 STEP = scene(name="step", course="curvature-step", v_min=7.0, v_max=7.0)
 
@@ -54,3 +66,117 @@ def test_errors_are_judged_at_the_own_point_and_at_the_front_axle() -> None:
 def test_a_learned_controller_needs_its_training() -> None:
     with pytest.raises(ValueError, match="give the policy of a training"):
         drive(STEP, "nfq-idoe")
+
+
+def log_of(metres: float, *, learned: bool = False, **changes: Any) -> Log:
+    """A drive of so many metres at 5 m/s and 20 Hz, straight on at e = 0.1 m; changes: functions of progress."""
+    t = np.arange(round(20.0 * metres / V) + 1) * 0.05
+    progress = V * t
+    signals = {
+        "path.s": progress + 5.0,
+        "path.progress": progress,
+        "path.e": np.full_like(t, 0.1),
+        "path.psi_e": np.zeros_like(t),
+        "car.x": progress + 5.0,
+        "car.y": np.full_like(t, 0.1),
+        "car.psi": np.zeros_like(t),
+        "car.v": np.full_like(t, V),
+        "car.delta_sw": np.zeros_like(t),
+        "actuator.rate": np.zeros_like(t),
+        "car.a_y": np.zeros_like(t),
+    }
+    if learned:
+        signals["supervisor.learning"] = np.ones_like(t)
+    signals |= {name.replace("__", "."): change(progress) for name, change in changes.items()}
+    return Log(t, signals, dict.fromkeys(signals, "1"))
+
+
+def outcome(log: Log, scenario: Scenario = SCENARIO) -> dict[str, float]:
+    return judged(log, scenario, PATH, LOOP)[0]
+
+
+@pytest.mark.parametrize("learned", [False, True])
+def test_a_whole_drive_on_the_path_is_held(learned: bool) -> None:
+    metrics = outcome(log_of(LENGTH + 1.0, learned=learned))
+    assert (metrics["held"], metrics["rounds"]) == (1.0, 1.0)
+    assert metrics["duration"] == pytest.approx(LENGTH / V, abs=0.05)
+    assert (metrics["rms_e"], metrics["max_e"]) == (pytest.approx(0.1), pytest.approx(0.1))
+
+
+@pytest.mark.parametrize("learned", [False, True])
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.999])
+def test_a_drive_that_ran_out_of_time_is_not_held(share: float, learned: bool) -> None:
+    metrics = outcome(log_of(share * LENGTH, learned=learned))
+    assert metrics["held"] == 0.0
+    assert metrics["rounds"] == pytest.approx(share, abs=0.001)
+
+
+def test_a_learned_drive_that_was_caught_is_not_held_though_recovery_brought_it_home() -> None:
+    def learning(progress: Any) -> Any:
+        return np.where((progress > 100.0) & (progress < 150.0), 0.0, 1.0)  # caught, and let go again
+
+    metrics = outcome(log_of(LENGTH + 1.0, learned=True, supervisor__learning=learning))
+    assert metrics["held"] == 0.0
+    assert metrics["rounds"] == pytest.approx(100.0 / LENGTH, abs=0.001)
+    assert metrics["duration"] == pytest.approx(20.0, abs=0.05)
+
+
+def test_a_learned_drive_that_left_the_lane_without_being_caught_is_not_held() -> None:
+    metrics = outcome(log_of(LENGTH + 1.0, learned=True, path__e=lambda p: np.where(p > 200.0, 0.6, 0.1)))
+    assert metrics["held"] == 0.0
+    assert metrics["rounds"] == pytest.approx(200.0 / LENGTH, abs=0.001)
+    assert metrics["max_e"] == pytest.approx(0.1)  # what came after is not its own
+
+
+@pytest.mark.parametrize("bad", [3.1, -3.1, math.nan])
+def test_an_analytic_drive_ends_where_it_left_the_course(bad: float) -> None:
+    metrics = outcome(log_of(LENGTH + 1.0, path__e=lambda p: np.where(p > 200.0, bad, 0.1)))
+    assert metrics["held"] == 0.0
+    assert metrics["rounds"] == pytest.approx(200.0 / LENGTH, abs=0.001)
+
+
+@pytest.mark.parametrize(("e", "held"), [(0.5, 1.0), (0.51, 0.0), (-0.51, 0.0), (2.9, 0.0)])
+def test_an_analytic_drive_beyond_half_a_metre_goes_on_but_is_not_held(e: float, held: float) -> None:
+    metrics = outcome(log_of(LENGTH + 1.0, path__e=lambda p: np.where(abs(p - 200.0) < 5.0, e, 0.1)))
+    assert (metrics["held"], metrics["rounds"]) == (held, 1.0)
+    assert metrics["max_e"] == abs(e)
+
+
+def test_what_comes_after_the_end_does_not_count() -> None:
+    metrics = outcome(log_of(LENGTH + 30.0, path__e=lambda p: np.where(p > LENGTH + 1.0, 2.0, 0.1)))
+    assert metrics["held"] == 1.0
+    assert metrics["max_e"] == pytest.approx(0.1)
+    assert metrics["duration"] == pytest.approx(LENGTH / V, abs=0.05)
+
+
+def test_of_several_rounds_their_number_is_told() -> None:
+    twice = replace(SCENARIO, rounds=2.0)
+    assert outcome(log_of(2.0 * LENGTH + 1.0), twice)["rounds"] == 2.0
+    assert outcome(log_of(1.5 * LENGTH), twice)["rounds"] == pytest.approx(1.5, abs=0.002)
+    assert outcome(log_of(1.5 * LENGTH), twice)["held"] == 0.0
+
+
+def test_too_short_a_drive_has_no_metrics_but_what_became_of_it() -> None:
+    assert set(outcome(log_of(5.0))) == {"held", "rounds", "duration"}
+
+
+def test_the_front_axle_is_judged_where_it_is() -> None:
+    """A car at y = 0.1 m that points 0.05 rad to the left has its front axle l_f sin(0.05) further left."""
+    own = suite_loop(SCENARIO, PurePursuit.of(SCENARIO.nominal, PATH))
+    assert own.blocks["path"].reference != SCENARIO.nominal.l_f  # type: ignore[attr-defined]
+    log = log_of(LENGTH + 1.0, car__psi=lambda p: np.full_like(p, 0.05))
+    metrics, _ = judged(log, SCENARIO, PATH, own)
+    expected = 0.1 + SCENARIO.nominal.l_f * math.sin(0.05)
+    assert metrics["rms_e_front"] == pytest.approx(expected, abs=1e-6)
+    assert metrics["rms_e"] == pytest.approx(0.1)
+
+
+def test_a_trajectory_is_thinned_out_from_its_start_to_its_end() -> None:
+    log = log_of(LENGTH + 1.0)
+    _, trajectory = judged(log, SCENARIO, PATH, LOOP)
+    assert set(trajectory) == set(TRAJECTORY)
+    t = trajectory["t"]
+    assert 700 < len(t) <= 1500
+    assert (t[0], t[-1]) == (0.0, pytest.approx(LENGTH / V, abs=0.2))
+    np.testing.assert_allclose(np.diff(t), t[1], atol=1e-9)
+    np.testing.assert_allclose(trajectory["x"], 5.0 + V * t, atol=1e-9)

@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from benchmarks.run.results import Case, Results, Store, load_results
@@ -24,7 +26,7 @@ def test_read_as_written(results: Results) -> None:
     for one, two in zip(results.cases, again.cases, strict=True):
         assert (one.status, one.error, one.digest, one.kind) == (two.status, two.error, two.digest, two.kind)
         for name, value in one.metrics.items():
-            assert two.metrics[name] == value or math.isnan(value)
+            assert two.metrics[name] == value or (math.isnan(value) and math.isnan(two.metrics[name]))
     learner = again.cases[-1]
     assert learner.metrics["good_minutes"] == math.inf
     assert len(again.curve(learner)["t"]) == 12
@@ -94,3 +96,67 @@ def test_other_files_and_other_sources_are_not_mixed_in(results: Results, tmp_pa
 def test_a_case_says_what_its_status_may_be() -> None:
     with pytest.raises(ValueError, match="valid: done, error, not installed"):
         Case(suite="a", scenario="b", controller="c", seed=0, status="fine")
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("source", "1" * 16),
+        ("versions", {"steerkit": "0.1.0", "python": "3.11.0", "numpy": "2.0.1"}),
+        ("versions", {"steerkit": "0.1.0", "python": "3.11.0"}),
+    ],
+)
+def test_a_run_is_not_resumed_with_other_sources_or_package_versions(results: Results, key: str, value: object) -> None:
+    before = (results.place / "provenance.json").read_bytes()
+    with pytest.raises(ValueError, match=f"another state of the program \\({key} "):
+        Store(results.place).open({**results.provenance, key: value})
+    assert (results.place / "provenance.json").read_bytes() == before
+    assert (results.place / "cases.parquet").exists()
+
+
+def test_a_suite_that_joins_later_leaves_the_first_ones_cases(results: Results) -> None:
+    place, store = results.place, Store(results.place)
+    later = {
+        **results.provenance,
+        "suites": {"robustness": "later"},
+        "scenarios": {"windy": {"course": "paper", "wind": 1.0, "told": [1, 2]}},
+        "planned": ["robustness--windy--stanley--s9"],
+        "seeds": [9],
+    }
+    store.open(later)
+    assert not (place / "cases.parquet").exists()  # it would hide what is done from now on
+    assert [case.id for case in load_results(place).cases] == [case.id for case in results.cases]
+    store.keep(Case(suite="robustness", scenario="windy", controller="stanley", seed=9, metrics={"rms_e": 1.0}))
+    joined = store.merge()
+    assert len(joined.cases) == len(results.cases) + 1
+    assert joined.missing == ()
+    assert joined.provenance["seeds"] == [0, 1, 2, 9]
+    assert set(joined.provenance["suites"]) == {"tracking", "learning-curve", "robustness"}
+    assert joined.table()["scenario.wind"].iloc[-1] == 1.0
+    assert "scenario.told" not in joined.table()  # a table's cells are single values
+
+
+def test_a_number_that_was_never_measured_is_no_number(tmp_path: Path) -> None:
+    results = example_results(tmp_path / "a")
+    (results.place / "cases.parquet").unlink()
+    for read in (load_results(results.place), results):
+        driven = [case for case in read.cases if case.kind == "drive" and case.status == "done"]
+        assert driven
+        assert all(math.isnan(case.metrics["max_jerk"]) for case in driven)
+        assert all(math.isnan(case.cpu_seconds) for case in read.cases if case.kind == "learn")
+
+
+def test_a_case_that_is_killed_while_it_is_kept_is_not_finished(tmp_path: Path) -> None:
+    """Whatever is written before the case's own file fails: it is then begun again."""
+    results = example_results(tmp_path / "a")
+    store, case = Store(results.place), replace(results.cases[-1], seed=77)
+
+    def killed(file: Path) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        store.keep(case, trajectory={"t": np.zeros(3)}, curve={"t": np.zeros(2)}, net=killed)
+    assert not store.has(case.id)
+    store.keep(case)
+    assert store.has(case.id)
+    assert not store.has(results.cases[0].id)  # it ended in an error: it is tried again

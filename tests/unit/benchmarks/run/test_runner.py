@@ -11,6 +11,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -106,6 +107,31 @@ def test_workers_that_always_die_end_the_run(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(runner, "_PATIENCE", 2)
     with pytest.raises(WorkersDiedError, match=r"workers died 2 times .* goes on; left: golden--slalom"):
         run([TINY], tmp_path / "dead", workers=2, quiet=True)
+
+
+def test_workers_that_die_now_and_then_cost_nothing_as_long_as_cases_finish(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A pool that finishes one case and then loses its workers, again and again."""
+    import joblib
+    from joblib.externals.loky.process_executor import TerminatedWorkerError
+
+    class Dying:
+        def __init__(self, **how: Any):
+            assert how["n_jobs"] == 2
+
+        def __call__(self, tasks: Any) -> Any:
+            first, *rest = tasks
+            function, words, named = first
+            yield function(*words, **named)
+            if rest:
+                raise TerminatedWorkerError("killed")
+
+    monkeypatch.setattr(joblib, "Parallel", Dying)
+    monkeypatch.setattr(runner, "carry_out", lambda piece: SimpleNamespace(case=piece.job))
+    work = [SimpleNamespace(job=SimpleNamespace(id=f"case {n}")) for n in range(2 * runner._PATIENCE)]
+    told: list[str] = []
+    done = [one.case.id for one in runner._all_done(work, {}, 2, told.append)]  # type: ignore[arg-type]
+    assert done == [piece.job.id for piece in work]
+    assert len(told) == len(work) - 1
 
 
 def test_a_dask_cluster_gives_the_same_numbers(reference: Results, tmp_path: Path) -> None:

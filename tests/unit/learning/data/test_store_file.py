@@ -1,15 +1,21 @@
-"""Store files: foreign, truncated, damaged and half made ones."""
+"""Store files: each commit reaches the disk; foreign, truncated, damaged and half made ones are noticed."""
 
 from __future__ import annotations
 
 import sqlite3
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from steerkit.learning.data.exchange import merge
 from steerkit.learning.data.store import StoreError, TransitionStore
+from steerkit.learning.data.store_file import connect, transaction
+from steerkit.learning.data.transitions import Transitions
 from tests.support.stores import drive, kept, same
+
+FULL = 2
 
 
 def refused(path: Path, why: str, **how: object) -> None:
@@ -75,3 +81,88 @@ def test_a_creation_that_was_killed_halfway_is_made_good(tmp_path: Path) -> None
         db.execute("PRAGMA journal_mode = WAL")
     db.close()
     assert len(TransitionStore(kept(tmp_path / "t.db", drive(7))).transitions()) == 7
+
+
+def rows(n: int, first_episode: int = 1) -> Transitions:
+    rng = np.random.default_rng(n)
+    record = Transitions()
+    record.extend(rng.normal(size=(n, 6)), rng.normal(size=n), rng.normal(size=(n, 6)), first_episode)
+    return record
+
+
+def filled(path: Path, run: str, n: int) -> Path:
+    with TransitionStore(path, run=run) as store:
+        store.extend(rows(n))
+    return path
+
+
+def test_every_commit_waits_for_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[tuple[Any, ...]] = []
+
+    class Watched(sqlite3.Connection):
+        def execute(self, sql: str, *values: Any) -> sqlite3.Cursor:
+            if sql == "COMMIT":
+                pragmas = ("synchronous", "journal_mode")
+                seen.append(tuple(super(Watched, self).execute(f"PRAGMA {name}").fetchone()[0] for name in pragmas))
+            return super().execute(sql, *values)
+
+    real = sqlite3.connect
+    monkeypatch.setattr(sqlite3, "connect", lambda *words, **how: real(*words, **how, factory=Watched))
+    path = tmp_path / "t.db"
+    with TransitionStore(path, run="a") as store:  # commits: the tables, the run
+        assert len(seen) == 2
+        store.append([0.0] * 6, 0.0, [0.0] * 6, 1)
+        store.flush()
+        assert len(seen) == 3
+        store.cut(0)
+        assert len(seen) == 4
+    merge(tmp_path / "m.db", [filled(path, "b", 5)])
+    assert len(seen) >= 8
+    assert set(seen) == {(FULL, "wal")}
+
+
+def test_a_transaction_has_the_write_lock_from_its_first_moment(tmp_path: Path) -> None:
+    path = filled(tmp_path / "t.db", "a", 1)
+    one, other = connect(path), connect(path, timeout=0.0)
+    with transaction(one), pytest.raises(sqlite3.OperationalError, match="locked"):
+        other.execute("BEGIN IMMEDIATE")
+    other.execute("BEGIN IMMEDIATE")  # and gives it back
+    one.close()
+    other.close()
+
+
+def test_a_transaction_that_fails_leaves_nothing(tmp_path: Path) -> None:
+    path = filled(tmp_path / "t.db", "a", 3)
+    db = connect(path)
+
+    def fails() -> None:
+        with transaction(db):
+            db.execute("DELETE FROM transition")
+            raise KeyError("a mistake in between")
+
+    with pytest.raises(KeyError, match="in between"):
+        fails()
+    db.close()
+    assert TransitionStore(path).runs() == {"a": 3}
+
+
+@pytest.mark.parametrize(
+    "change", ["episode = episode + 1", "episode = -episode", "crc = crc + 1", "numbers = zeroblob(104)"]
+)
+def test_a_row_that_was_changed_behind_the_stores_back_is_noticed(change: str, tmp_path: Path) -> None:
+    path = filled(tmp_path / "t.db", "a", 5)
+    db = connect(path)
+    db.execute(f"UPDATE transition SET {change} WHERE n = 2")
+    db.close()
+    with pytest.raises(StoreError, match="transition 2 of run 'a' is damaged"):
+        TransitionStore(path).transitions()
+
+
+def test_cutting_a_run_back_leaves_the_others_whole(tmp_path: Path) -> None:
+    path = tmp_path / "t.db"
+    for run, n in (("a", 7), ("b", 5)):
+        filled(path, run, n)
+    with TransitionStore(path, run="b") as store:
+        store.cut(3)
+    assert TransitionStore(path).runs() == {"a": 7, "b": 3}
+    np.testing.assert_array_equal(TransitionStore(path).transitions("b").s, rows(5).s[:3])

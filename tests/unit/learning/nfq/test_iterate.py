@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -14,8 +15,9 @@ from steerkit.learning.costs import BandCost, TanhCost
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.nfq.iterate import FitSetting, cost_to_go, fresh_nets, iterate, targets
+from steerkit.learning.nfq.model import CarModel
 from steerkit.learning.nfq.network import Net, flat, forward
-from steerkit.learning.nfq.patterns import STANDARD, goal_patterns, mirror_patterns, patterns
+from steerkit.learning.nfq.patterns import STANDARD, StateDescription, goal_patterns, mirror_patterns, patterns
 from steerkit.learning.nfq.rprop import Fit, fit
 from tests.support.records import ACTIONS, chain, recorded
 
@@ -183,3 +185,53 @@ def _narrow() -> Transitions:
     record = Transitions(("e", "v"))
     record.append((0.0, 1.0), 0.0, (0.0, 1.0), 0)
     return record
+
+
+@pytest.mark.parametrize("imagined", [0, 20])
+def test_a_window_fits_the_newest_transitions_and_the_model_learns_from_all(
+    imagined: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fitted: list[tuple[np.ndarray, np.ndarray]] = []
+    modelled: list[int] = []
+
+    def watched(net: Net, x: np.ndarray, y: np.ndarray, **how: Any) -> Fit:
+        fitted.append((x, y))
+        return fit(net, x, y, **how)
+
+    class Watched(CarModel):
+        @classmethod
+        def fit(cls, record: Transitions, description: StateDescription, dt: float = 0.05) -> CarModel:
+            modelled.append(len(record))
+            return CarModel.fit(record, description, dt)
+
+    monkeypatch.setattr(nfq, "fit", watched)
+    monkeypatch.setattr(nfq, "CarModel", Watched)
+    record = recorded(200)
+    iterate(record, ACTIONS, BandCost(), FitSetting(epochs=1, hints=0, window=60, imagined=imagined))
+    ((x, y),) = fitted
+    assert len(x) == 60 + imagined
+    np.testing.assert_array_equal(x[:60], patterns(STANDARD, record.s[-60:], record.a[-60:], 0.5))
+    expected, _ = BandCost()(record.s[-60:], record.a[-60:], record.s_next[-60:])
+    np.testing.assert_allclose(y[:60], expected, atol=1e-7)
+    assert modelled == ([200] if imagined else [])
+
+
+@pytest.mark.parametrize("window", [0, 200, 1000])
+def test_a_window_that_holds_everything_changes_nothing(window: int) -> None:
+    record = recorded(200)
+    assert nfq.newest(record, window) is record
+
+
+def test_the_newest_updates_work_together_and_warm_starts_begin_with_the_newest() -> None:
+    record = recorded(40)
+    setting, nets, history = FitSetting(keep=2, nets=2, epochs=1), (), []
+    for seed in range(4):
+        nets = iterate(record, ACTIONS, BandCost(), setting, nets_before=nets, seed=seed)
+        history.append(nets)
+    assert [len(nets) for nets in history] == [2, 4, 4, 4]
+    for before, after in pairwise(history):
+        assert all(a is b for a, b in zip(before[-2:], after[:2], strict=True))
+        assert not any(a is b for a in before for b in after[2:])
+    warm = FitSetting(keep=2, nets=2, epochs=0, init="warm")
+    after = iterate(record, ACTIONS, BandCost(), warm, nets_before=nets)
+    assert all(np.array_equal(flat(a), flat(b)) for a, b in zip(nets[2:], after[2:], strict=True))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.nfq.iterate import FitSetting, imagined_cost, imagined_targets, staying
-from steerkit.learning.nfq.model import CarModel, imagine
+from steerkit.learning.nfq.model import CarModel, earlier_doe, follow, imagine
 from steerkit.learning.nfq.patterns import STANDARD
 from steerkit.learning.settings import DEFAULT
 from tests.support.modelled_car import ACTIONS, CAR, driven
@@ -134,3 +135,98 @@ def test_a_guard_refuses_nets_that_the_model_finds_worse() -> None:
     near = imagine(CAR, record, STANDARD, 200, np.random.default_rng(3))
     costs = [imagined_cost(CAR, near, ACTIONS, TanhCost(), good, STANDARD, n) for n in (nets, after)]
     assert costs[0] < costs[1]
+
+
+def followed(
+    model: CarModel, s: np.ndarray, before: float, residual: np.ndarray, a: float, setting: FitSetting, nets: Any
+) -> tuple[float, bool]:
+    """One imagined car, followed by the definition: its target, and whether it failed on the way."""
+    cost, gentlest = TanhCost(trip=0.3), sorted(ACTIONS, key=abs)
+    angles, total = [before, s[5]], 0.0  # the angle of the sample before comes first
+    for step in range(setting.horizon):
+        s_next = model.step(s[None], np.array([a]), np.array([angles[step]]))[0]
+        s_next = s_next + residual if step == 0 else s_next
+        c, failed = cost(s[None], np.array([a]), s_next[None])
+        total += setting.discount**step * float(c[0])
+        if failed[0]:
+            return total, True
+        s = s_next
+        angles.append(s[5])
+        values = [float(nfq.action_values(nets, s[None], [b], STANDARD, setting)[0, 0]) for b in gentlest]
+        a = gentlest[int(np.argmin(values))]
+    return total + setting.discount**setting.horizon * min(values), False
+
+
+@pytest.mark.parametrize("horizon", [1, 2, 5])
+def test_imagined_cars_drive_greedily_until_they_fail(horizon: int) -> None:
+    """The model remembers the angle before; residuals act once; after a failure nothing counts."""
+    model = replace(CAR, earlier=0.02)
+    setting = FitSetting(horizon=horizon, discount=0.9, clip=(-10.0, 10.0), nets=2)
+    nets = tuple(tuple(4.0 * p for p in net) for net in nfq.fresh_nets(setting, seed=3))
+    near = imagine(model, driven(model), STANDARD, 150, np.random.default_rng(5))
+    rng = np.random.default_rng(6)
+    near.residual[:] = rng.normal(0.0, 0.02, near.residual.shape)
+    near.s[:, 0] *= 2.0
+    a = rng.choice(ACTIONS, 150)
+    y = imagined_targets(model, near, a, ACTIONS, TanhCost(trip=0.3), setting, STANDARD, nets)
+    each = [followed(model, *one, setting, nets) for one in zip(near.s, near.earlier, near.residual, a)]
+    np.testing.assert_allclose(y, [target for target, _ in each], atol=2e-6)
+    assert 10 < sum(failed for _, failed in each) < 140
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_imagined_state_is_the_recorded_one_in_another_bend_at_another_speed(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of one recorded row: courses, the wheel's last turn and the residual stay, up to the mirror."""
+    monkeypatch.setattr("steerkit.learning.nfq.model.SPREAD", 0.0)
+    s = np.array([[0.1, 0.3, 5.0, 0.02, -0.05, 1.0], [0.12, 0.35, 6.0, 0.03, -0.04, 1.5]])
+    record = Transitions()
+    record.extend(s, [0.5, 0.3], s[[1, 1]] + 0.01, 0)
+    late = imagine(CAR, record, STANDARD, 400, np.random.default_rng(seed))
+    signs = np.where(late.s[:, 0] < 0.0, -1.0, 1.0)
+    row = np.where(np.isclose(np.abs(late.s[:, 0]), 0.1), 0, 1)
+    assert 100 < row.sum() < 300
+    assert abs(signs.mean()) < 0.3
+    np.testing.assert_allclose(late.s[:, 1] / late.s[:, 2], signs * (s[:, 1] / s[:, 2])[row], atol=1e-12)
+    np.testing.assert_allclose(late.s[:, 4], signs * s[row, 4], atol=1e-12)
+    bent = late.s[:, 5] - signs * s[row, 5]
+    np.testing.assert_allclose(late.s[:, 3], signs * s[row, 3] - CAR.ratio * bent, atol=1e-12)
+    np.testing.assert_allclose(late.s[:, 5] - late.earlier, signs * np.array([0.0, 0.5])[row], atol=1e-12)
+    missed = record.s_next - CAR.step(record.s, record.a, np.array([1.0, 1.0]))
+    expected = missed[row] * np.where(np.array(STANDARD.mirror_signs) < 0.0, signs[:, None], 1.0)
+    np.testing.assert_allclose(late.residual, expected, atol=1e-12)
+
+
+def test_a_heading_is_imagined_with_its_sideways_speed() -> None:
+    """However a state is moved, its course against its nose is that of its steady bend."""
+    tight = replace(STANDARD, low=(*STANDARD.low[:5], -1e-9), high=(*STANDARD.high[:5], 1e-9))
+    s = np.array([[0.1, 0.3, 5.0, 0.02, -0.05, 1.0]])
+    record = Transitions()
+    record.extend(s, [0.5], s, 0)
+    near = imagine(CAR, record, tight, 500, np.random.default_rng(2))
+    signs = -np.sign(near.residual[:, 5])  # the wheel did not turn by the action, 0.5 rad
+    slip = near.s[:, 1] / near.s[:, 2] - near.s[:, 3] - CAR.ratio * (near.s[:, 5] - signs * 1.0)
+    np.testing.assert_allclose(slip, signs * (0.3 / 5.0 - 0.02), atol=1e-9)
+    assert np.std(near.s[:, 3] + CAR.ratio * near.s[:, 5]) > 0.01  # it was moved
+
+
+def test_the_angle_before_is_the_row_aboves_and_an_episode_begins_with_its_own() -> None:
+    record, s = Transitions(), np.zeros((6, 6))
+    s[:, 5] = [1.0, 2.0, 4.0, 8.0, 16.0, 32.0]
+    record.extend(s, np.zeros(6), s, [1, 1, 1, 2, 2, 3])
+    assert follow(record).tolist() == [False, True, True, False, True, False]
+    assert earlier_doe(record).tolist() == [1.0, 1.0, 2.0, 8.0, 8.0, 32.0]
+
+
+def test_a_guard_lets_pass_what_is_within_its_factor() -> None:
+    record, fitted = driven(n=400), FitSetting(epochs=100, imagined=500, hints=0, iterations=3)
+    nets = nfq.iterate(record, ACTIONS, TanhCost(), fitted)
+
+    def refused(guard: float) -> bool:
+        worse = FitSetting(epochs=0, imagined=500, hints=0, guard=guard)
+        after = nfq.iterate(record, ACTIONS, TanhCost(), worse, nets_before=nets, seed=2)
+        return all(a is b for a, b in zip(after, nets, strict=True))
+
+    assert refused(1.0)
+    assert not refused(1e6)

@@ -1,0 +1,163 @@
+"""What a training came to: minutes are minutes, GOOD is GOOD, and each net is reported as itself."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.run import trainings
+from benchmarks.run.results import CURVE, EPISODES, TRAJECTORY
+from steerkit.learning.counts import Counts, Episode
+from steerkit.learning.trials import TrialDrive
+from steerkit.metrics import GOOD, Summary
+
+FINE = Summary(
+    duration=130.0,
+    rms_e=0.02,
+    max_e=0.1,
+    share_within_5cm=0.9,
+    rms_wheel_rate_deg=30.0,
+    max_a_y=3.0,
+    rms_jerk=1.0,
+    max_jerk=3.0,
+)
+HELD = TrialDrive(rounds=1.0, held=True, summary=FINE)
+
+
+def taken(minutes: float, failures: int = 0, transitions: int = 0) -> Any:
+    return SimpleNamespace(t=60.0 * minutes, failures=failures, transitions=transitions, policy=None)
+
+
+def learned(minutes: float = 6.0, rounds: float | None = None, failures: int = 3) -> Any:
+    """A run of so many minutes, with its first round done at `rounds` minutes after two failures."""
+    episodes = [Episode(began=0.0, progress=0.0, net=0, ended=1.0, failed=k < failures) for k in range(failures)]
+    counts = Counts(episodes=episodes)
+    if rounds is not None:
+        counts.first_round_begun, counts.first_round_done, counts.failures_to_round = 0.0, 60.0 * rounds, 2
+    return SimpleNamespace(t=60.0 * minutes, counts=counts, transitions=np.zeros(1234))
+
+
+def metrics(drives: list[TrialDrive], nets: list[Any] | None = None, *, episodic: bool = False, **run: Any) -> Any:
+    nets = [taken(0.5 * k) for k in range(len(drives))] if nets is None else nets
+    return trainings._metrics(learned(**run), nets, drives, episodic=episodic)
+
+
+def test_times_are_in_minutes() -> None:
+    nets = [taken(1.0, failures=4), taken(2.5, failures=7), taken(3.0, failures=9)]
+    lost = replace(HELD, held=False, rounds=0.3)
+    result = metrics([lost, HELD, HELD], nets, minutes=6.0, rounds=4.5)
+    assert result["driving_minutes"] == pytest.approx(6.0)
+    assert result["round_minutes"] == pytest.approx(4.5)
+    assert result["good_minutes"] == pytest.approx(2.5)
+    assert result["round_episodes"] == 3.0  # the one after two failures
+    assert (result["failures"], result["trainings"], result["transitions"]) == (3.0, 3.0, 1234.0)
+
+
+def test_what_was_never_reached_is_infinite() -> None:
+    for drives in ([], [replace(HELD, held=False)]):
+        result = metrics(drives)
+        assert result["round_minutes"] == result["good_minutes"] == math.inf
+        assert result["round_episodes"] == result["good_episodes"] == math.inf
+        assert result["held"] == 0.0
+
+
+@pytest.mark.parametrize(
+    "flaw",
+    [
+        {"held": False},
+        {"summary": None},
+        {"summary": replace(FINE, max_e=GOOD.max_e)},
+        {"summary": replace(FINE, rms_e=GOOD.rms_e)},
+        {"summary": replace(FINE, max_jerk=GOOD.max_jerk)},
+        {"summary": replace(FINE, max_jerk=math.nan)},
+    ],
+    ids=str,
+)
+def test_only_a_net_that_meets_the_whole_criterion_is_good(flaw: dict[str, Any]) -> None:
+    assert metrics([replace(HELD, **flaw)])["good_minutes"] == math.inf
+    assert metrics([HELD])["good_minutes"] == 0.0
+    assert metrics([replace(HELD, **flaw), HELD])["good_minutes"] == pytest.approx(0.5)
+
+
+def test_the_last_twenty_nets_are_judged_and_the_last_one_alone() -> None:
+    lost = replace(HELD, held=False, summary=replace(FINE, rms_e=0.3))
+    result = metrics([lost] * 30 + [HELD] * 10)
+    assert result["last_nets_hold"] == pytest.approx(0.5)
+    assert (result["held"], result["rms_e"]) == (1.0, 0.02)
+    result = metrics([HELD] * 39 + [lost])
+    assert result["last_nets_hold"] == pytest.approx(0.95)
+    assert (result["held"], result["rms_e"]) == (0.0, 0.3)
+
+
+def test_quality_after_so_many_episodes_is_that_of_the_net_trained_then() -> None:
+    numbered = [replace(HELD, held=k % 2 == 0, summary=replace(FINE, max_e=0.001 * k)) for k in range(1, 131)]
+    result = metrics(numbered, episodic=True)
+    for number in trainings.EPISODES:
+        assert result[f"max_e_after_{number}"] == pytest.approx(0.001 * number)
+        assert result[f"held_after_{number}"] == float(number % 2 == 0)
+    assert not any("after" in name for name in metrics(numbered))
+    assert not any("after" in name for name in metrics(numbered[:69], episodic=True))
+
+
+def test_a_curve_has_a_row_for_each_net() -> None:
+    nets = [taken(0.5, failures=1, transitions=100), taken(1.0, failures=2, transitions=250)]
+    drives = [TrialDrive(rounds=0.2, held=False, summary=None), HELD]
+    curve = trainings._curve(learned(), nets, drives)
+    assert set(curve) == {*CURVE, *EPISODES}
+    np.testing.assert_allclose(curve["t"], [30.0, 60.0])
+    np.testing.assert_allclose(curve["iterations"], [1.0, 2.0])
+    np.testing.assert_allclose(curve["transitions"], [100.0, 250.0])
+    np.testing.assert_allclose(curve["failures"], [1.0, 2.0])
+    np.testing.assert_allclose(curve["held"], [0.0, 1.0])
+    np.testing.assert_allclose(curve["rounds"], [0.2, 1.0])
+    np.testing.assert_allclose(curve["rms_e"], [math.nan, 0.02])
+
+
+@pytest.fixture(scope="module")
+def short() -> trainings.Learnt:
+    training = replace(trainings.TRAININGS["clean"], minutes=0.3)
+    return trainings.learn(training, "paper", seed=1)
+
+
+def test_a_training_drives_for_its_minutes(short: trainings.Learnt) -> None:
+    assert 0.3 <= short.metrics["driving_minutes"] < 0.31
+    assert short.trajectory is not None
+    assert 0.9 * 18.0 < short.trajectory["t"][-1] <= 18.1
+    assert short.curve["t"].max(initial=0.0) <= 18.1
+    assert set(short.trajectory) == set(TRAJECTORY)
+    assert len(short.curve["t"]) == short.metrics["trainings"]
+
+
+def test_the_wheels_rate_is_the_rate_of_the_wheel(short: trainings.Learnt) -> None:
+    assert short.trajectory is not None
+    t, wheel, rate = (short.trajectory[name] for name in ("t", "delta_sw", "delta_sw_rate"))
+    np.testing.assert_allclose(np.cumsum(rate)[:-1] * (t[1] - t[0]), wheel[1:] - wheel[0], atol=0.6)
+    assert np.abs(rate).max() > 0.5
+
+
+def test_an_agent_drives_for_its_minutes_and_is_good_by_the_whole_criterion(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: dict[str, Any] = {}
+    curve = {name: np.full(4, 0.02) for name in CURVE}
+    curve |= {
+        "t": 60.0 * np.arange(1.0, 5.0),
+        "transitions": np.arange(4.0),
+        "held": np.array([1.0, 0.0, 1.0, 1.0]),
+        "max_jerk": np.array([9.0, 1.0, 2.0, 1.0]),
+    }
+
+    def agent(name: str, *, steps: int, seed: int, judge: Any) -> Any:
+        asked.update(name=name, steps=steps, seed=seed)
+        return SimpleNamespace(), curve
+
+    monkeypatch.setattr(trainings, "stable_baselines", agent)
+    name = next(name for name, kind in trainings.SETTINGS.items() if kind != "NFQ")
+    result = trainings.learn(replace(trainings.TRAININGS["agent"], minutes=30.0), name, seed=7)
+    assert asked["steps"] == 30 * 60 * 20  # samples of 0.05 s
+    assert asked["seed"] == 7
+    assert result.metrics["driving_minutes"] == 30.0
+    assert result.metrics["good_minutes"] == pytest.approx(3.0)  # too much jerk at first, then lost
