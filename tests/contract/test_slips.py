@@ -23,6 +23,7 @@ def total(a, b):
 def half(a):
     return a / 2
 '''
+TEST = "tests/unit/tiny/test_sums.py"
 TEST_OF_SUMS = """from tiny.sums import half, total
 
 
@@ -109,7 +110,7 @@ def test_the_tool_tells_killed_from_survived_and_stale(tiny: Path, capsys: pytes
         "is no Python": "stale",
     }
     killed = result["slips"][0]
-    assert killed["detail"] == "tests/unit/tiny/test_sums.py::test_total"
+    assert killed["detail"] == f"{TEST}::test_total"
     assert result["numbers"] == {"killed": 1, "survived": 1, "stale": 3}
     assert (tiny / "tiny/sums.py").read_text(encoding="utf-8") == SUMS, "the tree itself is never touched"
     assert mutate.main(["--root", str(tiny), "--only", "subtracts"]) == 0
@@ -131,8 +132,10 @@ def test_a_slip_that_hangs_is_not_called_killed(
 
 def test_a_test_that_fails_without_a_slip_says_nothing_about_it(tiny: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tiny / "tests/unit/tiny/test_sums.py").write_text("def test_wrong():\n    assert False\n")
-    assert mutate.main(["--root", str(tiny), "--only", "subtracts"]) == 2
-    assert "test_sums.py fails without a slip" in capsys.readouterr().err
+    assert mutate.main(["--root", str(tiny), "--only", "subtracts", "--json"]) == 1
+    (slip,) = json.loads(capsys.readouterr().out)["slips"]
+    assert slip["outcome"] == "untested"
+    assert slip["detail"] == f"{TEST} fails without a slip: {TEST}::test_wrong"
 
 
 def test_the_whole_suite_is_asked_about_survivors(tiny: Path) -> None:

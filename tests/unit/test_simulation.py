@@ -256,3 +256,30 @@ def test_logs_are_joined_in_order_and_empty_ones_do_not_matter() -> None:
     assert len(joined([empty]).t) == 0
     with pytest.raises(ValueError, match="joined: no logs to join"):
         joined([])
+
+
+@pytest.mark.parametrize(("duration", "ticks"), [(0.05, 1), (0.15, 3), (0.3, 6), (0.35, 7), (0.01, 1)])
+def test_a_duration_is_so_many_ticks_however_it_rounds(duration: float, ticks: int) -> None:
+    count = Count()
+    assert len(simulate(Loop(blocks={"count": count}, wires=[]), duration).t) == ticks
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Parting(Block):
+    """One number for all cars at first, then one for each."""
+
+    y = Out("m", direct=())
+
+    def init(self, batch: tuple[int, ...] = ()) -> Any:
+        return (0.0,)
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        return self.Y(x[0])
+
+    def update(self, t: Any, x: Any, u: Any, y: Any) -> Any:
+        return (x[0] + np.array([1.0, 2.0]),)
+
+
+def test_cars_that_part_later_are_recorded_from_the_first_sample() -> None:
+    log = simulate(Loop(blocks={"parting": Parting()}, wires=[]), 0.15, batch=2)
+    assert log["parting.y"].tolist() == [[0.0, 0.0], [1.0, 2.0], [2.0, 4.0]]

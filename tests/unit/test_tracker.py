@@ -67,6 +67,32 @@ def test_beside_a_bend_the_next_place_is_foreseen_by_the_angle_about_its_centre(
     assert after.progress == pytest.approx(after.s - 30.0, abs=1e-6)
 
 
+@pytest.mark.parametrize("off", [-0.9, -0.3, 0.6])
+@pytest.mark.parametrize("e", [-3.0, 5.0])
+def test_progress_is_all_of_the_way_that_s_has_made(e, off):
+    """Also where the place was expected elsewhere, so that both steps of the search have to go some way."""
+    path = courses.circle(20.0)
+    tracker = PathTracker(path=path)
+    u = inputs(tracker, pose_beside(path, 30.0, e, 0.0))
+    y = tracker.output(0.0, tracker.X(30.0 + off, 7.0), u)
+    assert y.progress - 7.0 == pytest.approx(y.s - (30.0 + off), abs=1e-12)
+    assert y.s == pytest.approx(30.0, abs=0.02)
+
+
+def test_beyond_the_end_of_an_open_path_neither_s_nor_progress_goes_on():
+    path = courses.straight(50.0)
+    tracker = PathTracker(path=path, dt=0.05)
+    u = inputs(tracker, (45.0, 0.3, 0.0), beta=0.0, r=0.0)
+    state = tracker.settle(0.0, tracker.init(), u)
+    for k in range(60):
+        now = tracker.U(45.0 + 0.25 * k, 0.3, 0.0, 5.0, 0.0, 0.0)
+        y = tracker.output(0.0, state, tracker.D(*now))
+        assert y.s == pytest.approx(min(50.0, now.x), abs=1e-9)
+        assert y.progress == pytest.approx(min(5.0, now.x - 45.0), abs=1e-9)
+        assert y.e == pytest.approx(0.3)
+        state = tracker.update(0.0, state, now, y)
+
+
 def test_floats_stay_floats():
     tracker = PathTracker(path=PAPER, preview_points=2)
     u = inputs(tracker, (1.0, 0.2, 0.1))

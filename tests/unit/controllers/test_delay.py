@@ -95,6 +95,14 @@ def test_the_curvature_of_a_step_is_that_of_its_middle() -> None:
     assert found["kappa"] == pytest.approx(a * time)
 
 
+@pytest.mark.parametrize("delay", [0.03, 0.05, 0.12])
+def test_the_predicted_wheel_is_no_faster_than_the_motor(delay: float) -> None:
+    """Full lock asked for, and no lag: after the delay the wheel has turned by rate_limit*delay."""
+    block = around(delay, 0.0)
+    n = max(1, math.ceil(delay / 0.05 - 1e-9))
+    assert ahead(block, (9.0,) * n)["delta_sw_meas"] == pytest.approx(block.rate_limit * delay)
+
+
 def test_straight_driving_off_the_path_is_a_triangle() -> None:
     found = ahead(around(0.2, 0.1), (0.0,) * 4, e=0.5, psi_e=0.1)
     assert found["e"] == pytest.approx(0.5 + 6.0 * 0.3 * math.sin(0.1))
