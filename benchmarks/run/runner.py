@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from benchmarks.entries import controller
+from benchmarks.run.cluster import dask_pool
 from benchmarks.run.drives import Policy, drive
 from benchmarks.run.provenance import digest, provenance, source
 from benchmarks.run.results import Case, Results, Store
@@ -25,7 +26,6 @@ from steerkit.scenario import Scenario
 
 BACKENDS = ("loky", "dask")
 _PATIENCE = 3  # times that workers may die with no case finished in between
-_CONTACT = 10.0  # s, for a scheduler to answer
 
 
 class WorkersDiedError(RuntimeError):
@@ -76,7 +76,7 @@ def run(
 
     workers: processes at once, -1: one a core (loky). backend: `loky`, processes of this machine, or `dask`, the
     workers of the scheduler at `address`, which must have the same sources. Raises ValueError for a directory of
-    other results or a scheduler that does not answer; WorkersDiedError when workers die again and again.
+    other results or a cluster that cannot do it (see `dask_pool`); WorkersDiedError when workers die again and again.
     """
     if backend not in BACKENDS:
         raise ValueError(f"backend '{backend}' is not known; valid: {', '.join(BACKENDS)}")
@@ -85,19 +85,19 @@ def run(
     if workers == 0 or workers < -1:
         raise ValueError(f"--jobs {workers}, expected a count >= 1, or -1 for one a core")
     planned = jobs(suites, seeds, only)
-    store = Store(place)
-    store.open(provenance(suites, planned, seeds))
     scenarios = {scene.name: scene for one in suites for scene in one.scenarios}
     timed = {one.name: one.timed_steps for one in suites}
     alone = {one.name for one in suites if one.alone}
-    todo = [job for job in planned if not store.has(job.id)]
-    phases = (
-        [job for job in todo if job.kind == "learn"],
-        [job for job in todo if job.kind == "drive" and job.suite not in alone],
-        [job for job in todo if job.kind == "drive" and job.suite in alone],
-    )
     with ExitStack() as stack:
-        pool = stack.enter_context(_pool(backend, address, workers))
+        pool = stack.enter_context(_pool(backend, address))
+        store = Store(place)
+        store.open(provenance(suites, planned, seeds))
+        todo = [job for job in planned if not store.has(job.id)]
+        phases = (
+            [job for job in todo if job.kind == "learn"],
+            [job for job in todo if job.kind == "drive" and job.suite not in alone],
+            [job for job in todo if job.kind == "drive" and job.suite in alone],
+        )
         told = stack.enter_context(_progress(len(planned), len(planned) - len(todo), quiet))
         for number, phase in enumerate(phases):
             one_by_one = number == 2
@@ -193,24 +193,14 @@ def _all_done(work: Sequence[Work], pool: Mapping[str, Any], workers: int, say: 
 
 
 @contextmanager
-def _pool(backend: str, address: str | None, workers: int) -> Iterator[dict[str, Any]]:
+def _pool(backend: str, address: str | None) -> Iterator[dict[str, Any]]:
     """Arguments of `joblib.parallel_config` for the backend, with a client while it is needed."""
     if backend == "loky":
         yield {"backend": "loky", "inner_max_num_threads": 1}
         return
-    try:
-        from distributed import Client
-    except ImportError as error:
-        raise ValueError(
-            "--backend dask needs the package distributed: pip install 'steerkit-control[bench]'"
-        ) from error
-    try:
-        client = Client(address, timeout=_CONTACT)
-    except (OSError, ValueError) as error:
-        raise ValueError(f"--address {address}: no Dask scheduler answers there ({error})") from error
-    with client:
-        client.wait_for_workers(1, timeout=60)
-        yield {"backend": "dask"}
+    assert address is not None
+    with dask_pool(address) as arguments:
+        yield arguments
 
 
 class _Told:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import math
-import os
 import signal
 import subprocess
 import sys
@@ -134,44 +132,6 @@ def test_workers_that_die_now_and_then_cost_nothing_as_long_as_cases_finish(monk
     assert len(told) == len(work) - 1
 
 
-def test_a_dask_cluster_gives_the_same_numbers(reference: Results, tmp_path: Path) -> None:
-    """A real scheduler and two worker processes, over loopback."""
-    pytest.importorskip("distributed")
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "3"}
-    contact = tmp_path / "scheduler.json"
-    dask = [sys.executable, "-m", "distributed.cli"]
-    options = ["--scheduler-file", str(contact), "--no-dashboard"]
-    started = [
-        subprocess.Popen(
-            [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", *options],
-            env=environment,
-            cwd=tmp_path,
-            stderr=subprocess.DEVNULL,
-        )
-    ]
-    try:
-        until = time.monotonic() + 60.0
-        while not contact.exists():
-            assert started[0].poll() is None, dask
-            assert time.monotonic() < until
-            time.sleep(0.1)
-        started += [
-            subprocess.Popen(
-                [sys.executable, "-m", "distributed.cli.dask_worker", "--nthreads", "1", "--no-nanny", *options],
-                env=environment,
-                cwd=tmp_path,
-                stderr=subprocess.DEVNULL,
-            )
-            for _ in range(2)
-        ]
-        address = json.loads(contact.read_text())["address"]
-        same(run([TINY], tmp_path / "dask", backend="dask", address=address, quiet=True), reference)
-    finally:
-        for process in started:
-            process.kill()
-            process.wait()
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -184,13 +144,6 @@ def test_a_dask_cluster_gives_the_same_numbers(reference: Results, tmp_path: Pat
 def test_bad_options(tmp_path: Path, options: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         run([TINY], tmp_path / "x", **options)
-
-
-def test_a_scheduler_that_is_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("distributed")
-    monkeypatch.setattr(runner, "_CONTACT", 0.5)
-    with pytest.raises(ValueError, match="no Dask scheduler answers there"):
-        run([TINY], tmp_path / "x", backend="dask", address="tcp://127.0.0.1:9")
 
 
 def test_what_goes_wrong_in_a_case_is_its_result(tmp_path: Path) -> None:

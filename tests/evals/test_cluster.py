@@ -1,0 +1,180 @@
+"""The cluster lines of docs/benchmarks.md as written: processes of their own, in a directory that is no checkout."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import resource
+import shlex
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+
+import pytest
+
+import benchmarks
+from benchmarks.run.compare import compare
+from benchmarks.run.results import load_results
+from benchmarks.run.runner import run as carry_out
+from benchmarks.suites import suite
+from tests.support.places import ROOT
+
+pytest.importorskip("distributed", reason="comes with the extra bench")
+
+HOME = Path(benchmarks.__file__ or "").parents[1]
+"""The folder with both packages: a checkout, or where they are installed."""
+Start = Callable[..., subprocess.Popen[str]]
+
+
+def lines() -> dict[str, str]:
+    """The documentation's lines: scheduler, worker, run."""
+    section = (ROOT / "docs" / "benchmarks.md").read_text(encoding="utf-8").split("## On a cluster")[1]
+    (block,) = re.findall(r"^```\n(.*?)^```$", section, re.M | re.S)
+    scheduler, worker, run = block.splitlines()
+    return {"scheduler": scheduler, "worker": worker, "run": run}
+
+
+def words(line: str, port: int) -> list[str]:
+    """A line of the documentation for this machine: HOST:8786 is here, and commands are this Python's."""
+    first, *rest = shlex.split(line.replace("HOST:8786", f"127.0.0.1:{port}"), comments=True)
+    assert first in ("dask", "python")
+    return [sys.executable, *(["-m", "dask"] if first == "dask" else []), *rest]
+
+
+def environment(*folders: Path) -> dict[str, str]:
+    """Packages are looked for in these folders first."""
+    path = os.pathsep.join(map(str, folders))
+    return {**os.environ, "PYTHONPATH": path, "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "5"}
+
+
+@pytest.fixture
+def port() -> int:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return int(free.getsockname()[1])
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Start]:
+    """Starts processes in `tmp_path`, each with a log; ends them and all that they started."""
+    started: list[subprocess.Popen[str]] = []
+
+    def begin(name: str, command: list[str], environment: Mapping[str, str]) -> subprocess.Popen[str]:
+        with (tmp_path / f"{name}.log").open("w") as log:
+            process = subprocess.Popen(
+                command, cwd=tmp_path, env=environment, stdout=log, stderr=log, text=True, start_new_session=True
+            )
+        started.append(process)
+        return process
+
+    yield begin
+    for process in started:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait(30.0)
+
+
+def until(holds: Callable[[], bool], what: str, *, seconds: float = 240.0) -> None:
+    end = time.monotonic() + seconds
+    while not holds():
+        assert time.monotonic() < end, f"{what} within {seconds:g} s"
+        time.sleep(0.05)
+
+
+def cluster(start: Start, port: int, folder: Path, *, scheduler: list[Path], workers: list[list[Path]]) -> list[int]:
+    """Start a scheduler and workers, each with its own packages, and wait for them; returns the workers' ids."""
+    options = ["--host", "127.0.0.1", "--port", str(port), "--no-dashboard"]
+    start("scheduler", words(lines()["scheduler"], port) + options, environment(*scheduler))
+    log = folder / "scheduler.log"
+    until(lambda: "Scheduler at" in log.read_text(), "a scheduler")
+    options = ["--nworkers", "1", "--nthreads", "1", "--no-dashboard"]
+    ids = []
+    for number, packages in enumerate(workers):
+        worker = words(lines()["worker"], port) + options
+        ids.append(start(f"worker{number}", worker, environment(*packages)).pid)
+    registered = "Register worker"
+    until(lambda: log.read_text().count(registered) >= len(workers), f"{len(workers)} workers")
+    return ids
+
+
+def command(port: int, *more: str) -> list[str]:
+    """The documentation's run, of a suite that is soon done."""
+    line = lines()["run"].replace(" run robustness ", " run golden ")
+    return [*words(line, port), "--only", "stanley", "--out", "results", *more]
+
+
+def test_a_cluster_as_documented_and_a_killed_worker(start: Start, port: int, tmp_path: Path) -> None:
+    """All cases are done, with the numbers of this machine, though one of two workers is killed on the way."""
+    ids = cluster(start, port, tmp_path, scheduler=[HOME], workers=[[HOME], [HOME]])
+    run = start("run", command(port, "--seeds", "8", "--json"), environment(HOME))
+    finished = lambda: len(list(tmp_path.glob("results/cases/*.json")))  # noqa: E731
+    until(lambda: finished() >= 2 or run.poll() is not None, "two cases")
+    before = finished()
+    os.killpg(ids[0], signal.SIGKILL)
+    said = lambda: (tmp_path / "run.log").read_text()  # noqa: E731
+    assert run.wait(240.0) == 0, said()
+    figures = json.loads(said().splitlines()[-1])
+    results = load_results(tmp_path / "results")
+    assert before < figures["done"] == len(results.cases) == len(results.provenance["planned"])
+    assert {case.status for case in results.cases} == {"done"}
+    assert results.missing == ()
+    here = carry_out([suite("golden")], tmp_path / "here", seeds=1, only=["stanley"], workers=1, quiet=True)
+    compared = compare(here, results, rel=0.0, absolute=0.0)
+    assert compared.compared >= 4 * 20
+    assert compared.changes == ()
+
+
+@pytest.fixture
+def nothing(tmp_path: Path) -> Path:
+    """A folder that hides the packages: importing them fails as where they are not installed."""
+    folder = tmp_path / "nothing"
+    folder.mkdir()
+    for name in ("benchmarks", "steerkit"):
+        text = f"raise ModuleNotFoundError(\"No module named '{name}'\", name='{name}')\n"
+        (folder / f"{name}.py").write_text(text, encoding="utf-8")
+    return folder
+
+
+@pytest.fixture
+def another(tmp_path: Path) -> Path:
+    """A folder with other sources of the packages."""
+    for name in ("benchmarks", "steerkit"):
+        ignored = shutil.ignore_patterns("__pycache__")
+        shutil.copytree(HOME / name, tmp_path / "another" / name, ignore=ignored)
+    file = tmp_path / "another" / "steerkit" / "controllers" / "stanley.py"
+    file.write_text(file.read_text(encoding="utf-8") + "\n# changed\n", encoding="utf-8")
+    return tmp_path / "another"
+
+
+@pytest.mark.parametrize(
+    ("who", "has", "message"),
+    [
+        ("scheduler", "nothing", r"the scheduler cannot import this package \(ModuleNotFoundError: .*\): install"),
+        ("worker", "nothing", r"the worker tcp://.* cannot import this package \(ModuleNotFoundError: .*\): install"),
+        ("worker", "another", r"the worker tcp://.* has another steerkit-control \(.*\) than this .* \(.*\): install"),
+    ],
+)
+def test_who_cannot_work_for_this_machine_is_told_in_seconds(
+    who: str, has: str, message: str, start: Start, port: int, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    other = [request.getfixturevalue(has), HOME]
+    if who == "scheduler":
+        cluster(start, port, tmp_path, scheduler=other, workers=[])
+    else:
+        cluster(start, port, tmp_path, scheduler=[HOME], workers=[other])
+    before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
+    words = command(port)
+    done = subprocess.run(words, cwd=tmp_path, env=environment(HOME), capture_output=True, text=True, timeout=240.0)
+    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before < 10.0  # computing: a busy machine is slower
+    assert done.returncode == 2, done.stderr
+    assert re.search(message, done.stderr), done.stderr
+    assert done.stderr.count("\n") == 1, done.stderr
+    assert f"--address tcp://127.0.0.1:{port}" in done.stderr
+    assert not (tmp_path / "results").exists()
