@@ -82,6 +82,12 @@ def run(
     address: Annotated[str | None, typer.Option(help="Of the Dask scheduler, tcp://HOST:PORT.")] = None,
     out: Annotated[Path | None, typer.Option(help="Directory; unfinished results there are gone on with.")] = None,
     only: Annotated[list[str] | None, typer.Option(help="Cases with this in scenario or controller.")] = None,
+    controllers: Annotated[
+        list[str] | None,
+        typer.Option("--controller", help="Your own beside the suite's: my_file.py:make, package.module:make."),
+    ] = None,
+    course: Annotated[str, typer.Option(help="Name or CSV file, for scenarios that have no course of their own.")] = "",
+    vehicle: Annotated[str, typer.Option(help="Name or vehicle file, for scenarios without a car of their own.")] = "",
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")] = False,
     as_json: Machine = False,
 ) -> None:
@@ -89,9 +95,13 @@ def run(
     _require_extra("joblib", "pandas", "pyarrow", *(["distributed"] if backend == "dask" else []))
     from benchmarks.run.runner import WorkersDiedError
     from benchmarks.run.runner import run as carry_out
-    from benchmarks.suites import suite
+    from benchmarks.suites import elsewhere, suite
+    from steerkit.catalogue import make_controller
+    from steerkit.scenario import Scenario
 
-    chosen = [suite(name) for name in suites]
+    chosen = [elsewhere(suite(name), course=course, vehicle=vehicle, controllers=controllers or ()) for name in suites]
+    for name in controllers or ():
+        make_controller(name, Scenario().belief())  # what is wrong with it is said before anything is driven
     place = out or Path("runs") / "benchmarks" / "+".join(suites)
     try:
         results = carry_out(

@@ -9,7 +9,8 @@ from importlib.util import find_spec
 
 from steerkit import catalogue
 from steerkit.block import Block
-from steerkit.catalogue import make_controller
+from steerkit.catalogue import OWN, make_controller
+from steerkit.outside import fingerprint, is_outside
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.scenario import Scenario
 
@@ -23,7 +24,7 @@ class Controller:
     name: str
     """What it is called in results."""
     kind: str
-    """`analytic`, `learned` or `peer`."""
+    """`analytic`, `learned`, `peer`, or `own`: a user's, by its file or module."""
     about: str
     """One line for the report."""
     make: Make | None = None
@@ -178,9 +179,15 @@ CONTROLLERS: Mapping[str, Controller] = {c.name: c for c in _TABLE}
 
 
 def controller(name: str) -> Controller:
-    """The controller of that name; raises ValueError with the nearest and the valid names."""
+    """The controller of that name, or one of a user's own, such as `my_file.py:make` (`steerkit.catalogue.OWN`).
+
+    Raises ValueError with the nearest and the valid names, and for a file or module that is not there.
+    """
+    if is_outside(name):
+        about = f"{name}, SHA-256 {fingerprint(name, 'controller')}"
+        return Controller(name=name, kind="own", about=about, make=_catalogued(name))
     if name not in CONTROLLERS:
         near = difflib.get_close_matches(name, CONTROLLERS, n=1, cutoff=0.4)
         hint = f"; did you mean '{near[0]}'?" if near else ""
-        raise ValueError(f"controller '{name}' is not known{hint} (valid: {', '.join(CONTROLLERS)})")
+        raise ValueError(f"controller '{name}' is not known{hint} (valid: {', '.join(CONTROLLERS)}, {OWN})")
     return CONTROLLERS[name]

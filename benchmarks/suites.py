@@ -5,9 +5,10 @@ from __future__ import annotations
 import difflib
 import itertools
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path as FilePath
 
-from benchmarks.entries import CONTROLLERS
+from benchmarks.entries import controller
 from benchmarks.run.results import case_id
 from benchmarks.scenarios import MULTI_BODY, scene
 from steerkit.scenario import Scenario
@@ -57,7 +58,7 @@ class Job:
     @property
     def training(self) -> str:
         """Id of the training that a learned controller's drive needs."""
-        name = f"train-{CONTROLLERS[self.controller].training}"
+        name = f"train-{controller(self.controller).training}"
         return case_id(TRAINING, name, self.controller, self.seed)
 
 
@@ -210,6 +211,32 @@ def suite(name: str) -> Suite:
     return SUITES[name]
 
 
+def elsewhere(one: Suite, *, course: str = "", vehicle: str = "", controllers: Sequence[str] = ()) -> Suite:
+    """The suite on another course, with another car, and with controllers of a user's own beside its own.
+
+    Scenarios on the 800 m course go to `course`, those with the Passat get `vehicle` (names or files; the steering
+    stays the scenario's), and their names say so; those with a course or a car of their own keep it. Raises ValueError
+    where that leaves all as they are.
+    """
+    plain = Scenario()
+    moved = []
+    for scenario in one.scenarios:
+        changes: dict[str, str] = {}
+        if course and scenario.course == plain.course:
+            changes |= {"course": course, "name": f"{scenario.name}-on-{_stem(course)}"}
+        if vehicle and scenario.vehicle == plain.vehicle:
+            changes |= {"vehicle": vehicle, "name": f"{changes.get('name', scenario.name)}-with-{_stem(vehicle)}"}
+        moved.append(replace(scenario, **changes))  # type: ignore[arg-type]
+    if (course or vehicle) and moved == [*one.scenarios]:
+        raise ValueError(f"suite '{one.name}': every scenario has a course and a car of its own, which it keeps")
+    names = tuple(dict.fromkeys((*one.controllers, *controllers)))
+    return replace(one, scenarios=tuple(moved), controllers=names)
+
+
+def _stem(name: str) -> str:
+    return FilePath(name).stem.replace("--", "-")
+
+
 def jobs(suites: Sequence[Suite], seeds: int | None = None, only: Sequence[str] = ()) -> list[Job]:
     """All cases of the suites, trainings first, each once; a drive without chance in it has seed 0 only.
 
@@ -219,7 +246,7 @@ def jobs(suites: Sequence[Suite], seeds: int | None = None, only: Sequence[str] 
     trainings: dict[str, Job] = {}
     for one in suites:
         for place, name in itertools.product(one.scenarios, one.controllers):
-            chance = place.random or CONTROLLERS[name].learns
+            chance = place.random or controller(name).learns
             count = (seeds or one.seeds) if chance else 1
             drives += [Job(suite=one.name, scenario=place.name, controller=name, seed=n) for n in range(count)]
         if not one.scenarios:
@@ -231,7 +258,7 @@ def jobs(suites: Sequence[Suite], seeds: int | None = None, only: Sequence[str] 
             trainings |= {job.training: _training(job) for job in _kept(learners, only)}
     drives = _kept(drives, only)
     for job in drives:
-        if CONTROLLERS[job.controller].learns:
+        if controller(job.controller).learns:
             trainings.setdefault(job.training, _training(job))
     for word in only:
         if not any(_matches(job, word) for job in (*drives, *trainings.values())):
@@ -241,7 +268,7 @@ def jobs(suites: Sequence[Suite], seeds: int | None = None, only: Sequence[str] 
 
 
 def _training(job: Job) -> Job:
-    name = f"train-{CONTROLLERS[job.controller].training}"
+    name = f"train-{controller(job.controller).training}"
     return Job(suite=TRAINING, scenario=name, controller=job.controller, seed=job.seed, kind="learn")
 
 

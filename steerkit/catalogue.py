@@ -159,7 +159,9 @@ def make_controller(name: str, belief: Belief) -> Block:
 
 def _own(name: str, belief: Belief) -> Block:
     make, where = imported(name, "controller"), f"controller '{name}'"
-    require(callable(make), where, f"a {type(make).__name__}, expected a function of a Belief that returns a Block")
+    require(
+        callable(make), where, f"of type {type(make).__name__}, expected a function of a Belief that returns a Block"
+    )
     try:
         block = make(belief)
     except Exception as error:

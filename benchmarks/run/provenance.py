@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path as FilePath
 from typing import Any
 
-from benchmarks.entries import CONTROLLERS
+from benchmarks.entries import controller
 from benchmarks.peers.agents import AGENTS
 from benchmarks.peers.agents import SETTINGS as PEERS
 from benchmarks.run.sources import ROOT, source, versions
@@ -53,7 +53,7 @@ def scenarios(suites: Sequence[Suite], planned: Sequence[Job]) -> dict[str, dict
                 raise ValueError(f"two scenarios of these suites are called '{place.name}' but differ")
     for job in planned:
         if job.suite == TRAINING:
-            training = TRAININGS[CONTROLLERS[job.controller].training]
+            training = TRAININGS[controller(job.controller).training]
             names = ("minutes", "episodes", "episode_metres", "offline_iterations")
             fields = {name: getattr(training, name) for name in names}
             found[job.scenario] = facts(training.world) | fields
@@ -76,7 +76,7 @@ def digest(job: Job, scenario: Scenario | None, timed_steps: int) -> str:
 
 
 def _controller(name: str) -> dict[str, Any]:
-    one = CONTROLLERS[name]
+    one = controller(name)
     told: dict[str, Any] = {"kind": one.kind, "about": one.about}
     if one.setting:
         how = AGENTS[PEERS[one.setting]] if one.setting in PEERS else plain(setting(one.setting))

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path as FilePath
@@ -109,8 +110,8 @@ class Case:
 
 
 def case_id(suite: str, scenario: str, controller: str, seed: int) -> str:
-    """`suite--scenario--controller--sN`."""
-    return f"{suite}--{scenario}--{controller}--s{seed}"
+    """`suite--scenario--controller--sN`; of a controller from a file or module, `/` and `:` are dots."""
+    return f"{suite}--{scenario}--{re.sub(r'[/:]+', '.', controller)}--s{seed}".replace("\\", ".")
 
 
 @dataclass(frozen=True)
@@ -180,6 +181,13 @@ class Store:
                         f"{self.place} holds results of another state of the program ({key} {old.get(key)}, now "
                         f"{plan.get(key)}); mixed, they could not be compared. Choose another --out, or remove it"
                     )
+            for key in ("scenarios", "controllers"):
+                for name, fields_now in json.loads(_json(plan[key])).items():
+                    if old.get(key, {}).get(name, fields_now) != fields_now:
+                        raise ValueError(
+                            f"{self.place} holds results of another {key[:-1]} '{name}' (another file?); mixed, they "
+                            "could not be compared. Choose another --out, or remove it"
+                        )
             for key in ("suites", "scenarios", "controllers"):
                 plan[key] = {**old.get(key, {}), **plan[key]}
             plan["planned"] = [*dict.fromkeys([*old.get("planned", ()), *plan["planned"]])]

@@ -142,6 +142,7 @@ def comparison(title: str, logs: dict[str, Log]) -> Table:
         "max jerk [m/s³]",
     )
     table = Table(*[escape(head) for head in heads], title=title)
+    table.columns[0].overflow = "fold"
     for name, log in logs.items():
         s = of_log(log)
         held = "yes" if evaluate.held_all_along(log) else "no"

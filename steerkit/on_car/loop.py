@@ -16,10 +16,12 @@ from steerkit.controllers.foresight import Foresight
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.courses import course
 from steerkit.doe import Dynamic, Integrator
+from steerkit.errors import require
 from steerkit.learning import rundir
 from steerkit.loop import Loop
 from steerkit.on_car import learner as on_car
 from steerkit.on_car.follow import Follow, Steers
+from steerkit.outside import is_outside
 from steerkit.path import Path
 from steerkit.plants.human_driver import ConstantSpeed
 from steerkit.plants.real_car.file.config import CarConfig
@@ -29,7 +31,10 @@ MPC_BUDGET = 0.03
 """A solution that took longer is not used [s]: the plan before is followed, then the fallback law."""
 LEARNED = FilePath("runs/car")
 """Where `steerkit learn --car` keeps its run unless told otherwise, and where `nfq` is looked for."""
-VALID = f"{', '.join(CONTROLLERS)}, nfq (the newest net in {LEARNED}), a learning run's directory, a policy's .npz file"
+VALID = (
+    f"{', '.join(CONTROLLERS)}, nfq (the newest net in {LEARNED}), a learning run's directory, a policy's .npz file, "
+    "my_file.py:make if the car's file allows it"
+)
 
 
 def course_of(config: CarConfig) -> Path:
@@ -70,7 +75,11 @@ class Controller:
 
 def controller_named(name: str, config: CarConfig) -> Controller:
     """A controller by name, or a learned policy by its place; raises ValueError with the valid ones."""
-    if name in CONTROLLERS:
+    if is_outside(name):
+        allowed = ", ".join(config.controllers) or "none"
+        hint = f"a car takes only those of your own that its file names: [controllers] allow = [{name!r}]"
+        require(name in config.controllers, f"controller {name!r}", f"not allowed; {hint}; allowed are: {allowed}")
+    if name in CONTROLLERS or is_outside(name):
         return Controller(block=make_controller(name, belief_of(config)), steers=Steers(name=name))
     place = LEARNED if name == "nfq" else FilePath(name)
     if place.is_dir():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,10 +13,12 @@ from steerkit.block import Block
 from steerkit.catalogue import CONTROLLERS, ELEMENTS, RECOVERIES, Belief, make_controller, make_element, make_recovery
 from steerkit.courses import course
 from steerkit.on_car.loop import belief_of, controller_named
+from steerkit.plants.real_car.file.config import shipped
 from steerkit.plants.real_car.file.reading import load
 from steerkit.scenario import Scenario
 from steerkit.units import radians_of
 from steerkit.vehicles import vehicle
+from tests.support.own_controller import own_controller
 
 BELIEF = Belief(vehicle=vehicle("vw-passat"), path=course("circle"), delay=0.1, lag=0.12)
 NARROW = replace(BELIEF, vehicle=replace(BELIEF.vehicle, delta_sw_max=radians_of(300.0)), rate_limit=radians_of(200.0))
@@ -95,3 +98,46 @@ def test_what_cannot_be_made_says_what_can(ask: Any, message: str) -> None:
 
 def test_only_controllers_that_catch_from_anywhere_are_recoveries() -> None:
     assert RECOVERIES == ("stanley", "stanley-delay")
+
+
+# ---- a user's own -----------------------------------------------------------------------------------------------
+
+
+def test_a_controller_of_ones_own_is_told_what_the_others_are(tmp_path: Path) -> None:
+    name = own_controller(tmp_path)
+    block = make_controller(name, replace(BELIEF, vehicle=vehicle("bmw-320i")))
+    assert (block.steer_ratio, block.reference) == (16.0, vehicle("bmw-320i").l_f)  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("thing", "message"),
+    [
+        ("nothing", "returned None, expected a Block with an output delta_sw"),
+        ("kind", "returned the class Mine, expected a Block"),
+        ("unlucky", "failed: AttributeError: 'Belief' object has no attribute 'colour'"),
+        ("element", r"PathTracker has the outputs s \[m\].*expected a Block with an output delta_sw \[rad\]"),
+        ("number", "of type int, expected a function of a Belief"),
+        ("mak", "has no 'mak'; it has dataclass, Block"),
+    ],
+)
+def test_what_is_no_controller_is_said_in_one_line(thing: str, message: str, tmp_path: Path) -> None:
+    name = own_controller(tmp_path).replace(":make", f":{thing}")
+    with pytest.raises(ValueError, match=message) as refused:
+        make_controller(name, BELIEF)
+    assert "\n" not in str(refused.value)
+    assert str(refused.value).startswith(f"controller '{name}'")
+
+
+def test_a_car_refuses_what_its_file_does_not_allow(tmp_path: Path) -> None:
+    name, config = own_controller(tmp_path), load("dbw-kit.toml")
+    with pytest.raises(ValueError, match=r"not allowed; .*\[controllers\] allow = .*; allowed are: none"):
+        controller_named(name, config)
+    assert controller_named(name, replace(config, controllers=(name,))).steers.name == name
+    with pytest.raises(ValueError, match="not allowed"):
+        controller_named(name.replace(":make", ":nothing"), replace(config, controllers=(name,)))
+    text = shipped("dbw-kit.toml").read_text()
+    (tmp_path / "car.toml").write_text(f'{text}\n[controllers]\nallow = ["my_file.py:make"]\n')
+    assert load(tmp_path / "car.toml").controllers == ("my_file.py:make",)
+    (tmp_path / "car.toml").write_text(f'{text}\n[controllers]\nallow = ["stanley"]\n')
+    with pytest.raises(ValueError, match=r"\[controllers\] allow: 'stanley', expected names such as 'my_file.py:make'"):
+        load(tmp_path / "car.toml")

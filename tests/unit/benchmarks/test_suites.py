@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import pytest
 
 from benchmarks.entries import CONTROLLERS, controller
 from benchmarks.peers import agents as peers
+from benchmarks.run.runner import run
 from benchmarks.run.trainings import TRAININGS
-from benchmarks.suites import SUITES, jobs, suite
+from benchmarks.suites import SUITES, elsewhere, jobs, suite
 from steerkit.learning.settings import SETTINGS
+from tests.support.own_controller import own_controller
+from tests.support.yard import yard
 
 
 def test_suites_hang_together() -> None:
@@ -43,3 +49,28 @@ def test_suites_hang_together() -> None:
 def test_unknown_names(ask, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         ask()
+
+
+def test_a_suite_goes_elsewhere_where_it_has_no_course_or_car_of_its_own(tmp_path: Path) -> None:
+    tracking = elsewhere(suite("tracking"), course=str(yard(tmp_path)), vehicle="bmw-320i", controllers=("a.py:make",))
+    by_name = {scenario.name: scenario for scenario in tracking.scenarios}
+    assert by_name["paper-round-on-yard-with-bmw-320i"].course == "yard.csv"
+    assert by_name["slalom-9-with-bmw-320i"].course == "slalom"
+    assert by_name["slalom-multi-body"].vehicle == "bmw-320i"
+    assert tracking.controllers[-1] == "a.py:make"
+    assert elsewhere(suite("golden")) == suite("golden")
+    with pytest.raises(ValueError, match="suite 'golden': every scenario has a course and a car of its own"):
+        elsewhere(suite("golden"), course="genesis")
+
+
+def test_a_controller_of_ones_own_drives_a_suite_and_a_changed_file_is_not_mixed_in(tmp_path: Path) -> None:
+    name = own_controller(tmp_path)
+    one = replace(suite("golden"), scenarios=suite("golden").scenarios[1:], controllers=("stanley", name))
+    results = run([one], tmp_path / "results", seeds=1, workers=1, quiet=True)
+    assert {case.controller: case.metrics["held"] for case in results.cases} == {"stanley": 1.0, name: 1.0}
+    assert results.provenance["controllers"][name]["kind"] == "own"
+    assert "SHA-256" in results.provenance["controllers"][name]["about"]
+    file = tmp_path / "my_file.py"
+    file.write_text(file.read_text().replace("2.5", "2.6"))
+    with pytest.raises(ValueError, match=r"results of another controller .*my_file.py:make"):
+        run([one], tmp_path / "results", seeds=1, workers=1, quiet=True)

@@ -109,6 +109,8 @@ class CarConfig:
     """Time constant of the kit's motor [s], for controllers that predict; so is `delay`."""
     delay: float = 0.0
     """From a command to the motor's answer [s]."""
+    controllers: tuple[str, ...] = ()
+    """Controllers of a user's own that may drive this car, by name, such as `my_file.py:make`."""
     texts: dict[str, str] = field(default_factory=dict, repr=False)
     """The files that it was made from: `config.toml`, DBC files and course by name; for the recording."""
 

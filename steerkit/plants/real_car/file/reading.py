@@ -11,6 +11,7 @@ from dataclasses import fields
 from pathlib import Path as File
 from typing import Any
 
+from steerkit.outside import is_outside
 from steerkit.path import Path
 from steerkit.plants.real_car.decisions.gate import GateLimits
 from steerkit.plants.real_car.decisions.modes import StateLimits
@@ -61,7 +62,20 @@ class Reading:
         self.mistakes: list[str] = []
 
     def config(self, bus: dict[str, Any] | None) -> CarConfig:
-        tables = ("format", "bus", "files", "course", "vehicle", "kit", "read", "protect", "write", "driver", "limits")
+        tables = (
+            "format",
+            "bus",
+            "files",
+            "course",
+            "vehicle",
+            "kit",
+            "read",
+            "protect",
+            "write",
+            "driver",
+            "limits",
+            "controllers",
+        )
         self.known("", self.data, tables)
         if self.data.get("format") != FORMAT:
             raise ConfigError(
@@ -74,6 +88,7 @@ class Reading:
         gate, states = self.limits(car, writer)
         course, driver = self.course(), self.table("driver", ("listen_only",))
         lag, delay = self.kit()
+        controllers = self.controllers()
         listen = self.entry("driver", driver, "listen_only", bool, False)
         arguments = self.bus() if bus is None else bus
         if self.mistakes:
@@ -97,6 +112,7 @@ class Reading:
             texts=self.texts,
             lag=lag,
             delay=delay,
+            controllers=controllers,
         )
 
     # ---- tables ---------------------------------------------------------------------------------------------
@@ -152,6 +168,13 @@ class Reading:
         options = self.entry("bus", table, "options", dict, {})
         bitrate = {"bitrate": self.entry("bus", table, "bitrate", int)} if "bitrate" in table else {}
         return {"interface": interface, "channel": channel, **bitrate, **options}
+
+    def controllers(self) -> tuple[str, ...]:
+        names = self.entry("controllers", self.table("controllers", ("allow",)), "allow", list, [])
+        for name in names:
+            if not (isinstance(name, str) and is_outside(name)):
+                self.wrong(f"[controllers] allow: {name!r}, expected names such as 'my_file.py:make'")
+        return tuple(map(str, names))
 
     def kit(self) -> tuple[float, float]:
         table = self.table("kit", ("lag", "delay"))
