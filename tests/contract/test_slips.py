@@ -94,6 +94,11 @@ def test_every_slip_can_still_be_made() -> None:
 
 
 @sources
+def test_the_list_is_long() -> None:
+    assert len(mutate.read()) >= 150
+
+
+@sources
 def test_no_slip_is_listed_twice() -> None:
     slips = mutate.read()
     assert len({(slip.file, slip.before, slip.after) for slip in slips}) == len(slips)
