@@ -28,7 +28,7 @@ def test_a_policy_block_steers_as_its_policy_did_in_the_environment() -> None:
         layers=((rng.normal(size=(8, 6)), rng.normal(size=8)), (0.2 * rng.normal(size=(1, 8)), np.zeros(1))),
         head="tanh",
     )
-    env = gymnasium.make(CONTINUOUS, world=SteadyWorld(course="circle"), start_e=0.0)
+    env = gymnasium.make(CONTINUOUS, scenario=SteadyWorld(course="circle"), start_e=0.0)
     observation, _ = env.reset(seed=4)
     task: Task = env.unwrapped.task  # type: ignore[attr-defined]
     seen = []
