@@ -37,7 +37,7 @@ def drive_loop(
 ) -> Loop:
     """A nonlinear car on a course, whose human slows to 3 m/s^2 for bends; e [m] is judged where the controller has it.
 
-    At 9 m/s the course's hairpin (5.9 m) would be 13.7 m/s^2, more than tyres can do: hence the careful driver.
+    At 9 m/s the course's hairpin (5.9 m) would be 13.7 m/s^2, more than tyres can do: hence the careful human.
     """
     scenario = Scenario(name="study", course=name, delay=delay, lag=lag, v_min=v_min, v_max=v_max, reference="own")
     loop = assembled(scenario, controller, seed=seed)

@@ -74,7 +74,7 @@ def open_parameters(scenario: Scenario) -> tuple[str, ...]:
 
 
 def _open_speeds(scenario: Scenario) -> dict[str, str]:
-    """The driver's speeds, unless the course's own length or a record hangs on them."""
+    """The human's speeds, unless the course's own length or a record hangs on them."""
     if scenario.speed == "recorded" or scenario.course.startswith("iso3888-"):
         return {}
-    return {"v_min": "driver.driver.v_min", "v_max": "driver.driver.v_max"}
+    return {"v_min": "human.human.v_min", "v_max": "human.human.v_max"}

@@ -23,7 +23,7 @@ from steerkit.compiled import compile, gradient
 from steerkit.controllers.stanley import Stanley
 from steerkit.courses import course
 from steerkit.loop import Loop
-from steerkit.plants.human_driver import ConstantSpeed
+from steerkit.plants.human import ConstantSpeed
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.vehicles import vehicle
@@ -38,7 +38,7 @@ def lap_loop(s: float) -> Loop:
     return steering_loop(
         car=placed(NonlinearSingleTrack(vehicle=car, dt=0.05, substeps=5, v0=SPEED), path, s=s),
         path=path,
-        driver=ConstantSpeed(speed=SPEED),
+        human=ConstantSpeed(speed=SPEED),
         controller=Stanley.of(car),
         actuator=SteeringActuator(delay=0.2, dt=0.05),
     )

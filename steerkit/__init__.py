@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from steerkit.learning.learn import learn
     from steerkit.loop import Loop, LoopState
     from steerkit.path import Path
-    from steerkit.plants.human_driver import HumanDriver
+    from steerkit.plants.human import Human
     from steerkit.plants.linear_single_track import LinearSingleTrack
     from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
     from steerkit.plants.sensors import Sensors
@@ -66,7 +66,7 @@ _HOME = {
     "Loop": "loop",
     "LoopState": "loop",
     "Path": "path",
-    "HumanDriver": "plants.human_driver",
+    "Human": "plants.human",
     "LinearSingleTrack": "plants.linear_single_track",
     "NonlinearSingleTrack": "plants.nonlinear_single_track",
     "Sensors": "plants.sensors",
@@ -84,7 +84,7 @@ __all__ = [
     "Direct",
     "Experiment",
     "Guarded",
-    "HumanDriver",
+    "Human",
     "In",
     "Integrator",
     "LinearSingleTrack",

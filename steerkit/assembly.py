@@ -31,7 +31,7 @@ def steering_loop(
     *,
     car: Block,
     path: Path,
-    driver: Block,
+    human: Block,
     controller: Block,
     doe: Block | None = None,
     recovery: Block | None = None,
@@ -42,7 +42,7 @@ def steering_loop(
     reference: float = 0.0,
     shift: TargetShift | None = None,
 ) -> Loop:
-    """The standard wires between a car on a path, its driver and its steering controllers.
+    """The standard wires between a car on a path, its human and its steering controllers.
 
     controller: steers by itself (an output `delta_sw`), or picks actions (an output `action`) that `doe` turns into
     an angle. recovery: an analytic controller that steers while the learner is off, through `supervisor` (default:
@@ -52,7 +52,7 @@ def steering_loop(
     reference: where e is measured, m ahead of the centre of gravity (the front axle is l_f). shift: what the
     learner and the supervisor take for e (none: the path's).
 
-    The blocks are named driver, car, actuator, sensors, path, shift, controller, doe, recovery, foresight, supervisor.
+    The blocks are named human, car, actuator, sensors, path, shift, controller, doe, recovery, foresight, supervisor.
     `path` tracks the **true** reference point, for logs and metrics; with sensors, `seen` tracks the measured one; a
     controller that wants e elsewhere (its field `reference`) or a preview gets a tracker of its own. A car with an
     output `applied` (a real one) says which angle it was told in the end; the doe is then `Corrected` by it.
@@ -83,12 +83,12 @@ def steering_loop(
     if doe is not None and told:
         doe = _corrected(doe)
     bench = _Bench(path)
-    bench.add("driver", driver)
+    bench.add("human", human)
     bench.add("car", car)
     steered = car if actuator is None else bench.add("actuator", actuator)
     truth = bench.add("path", PathTracker(path=path, reference=reference, dt=controller.dt))
     bench.join(truth, car)
-    bench.join(driver, truth)
+    bench.join(human, truth)
     seen: Block = car
     tracker = truth
     if sensors is not None:
@@ -127,7 +127,7 @@ def steering_loop(
     if actuator is not None:
         bench.wire(command, "delta_sw", actuator, "delta_sw_cmd")
     bench.wire(steered if actuator is not None else command, "delta_sw", car, "delta_sw_in")
-    bench.wire(driver, "v", car, "v_in")
+    bench.wire(human, "v", car, "v_in")
     return Loop(blocks=bench.blocks, wires=bench.wires)
 
 

@@ -65,13 +65,13 @@ def diagram(loop: Loop, start: LoopState) -> Made:
 
 
 def two_systems(loop: Loop, start: LoopState) -> Made:
-    """A plant (car, actuator, driver) and a controller (tracker, Stanley), each written as one plain function."""
+    """A plant (car, actuator, human) and a controller (tracker, Stanley), each written as one plain function."""
     import control
 
     car, motor, seen, stanley = (loop.blocks[n] for n in ("car", "actuator", "path", "controller"))
     x_car, x_motor, x_seen, x_stanley = (loop.block_state(start, n) for n in ("car", "actuator", "path", "controller"))
     n_car, n_seen = len(x_car), len(x_seen)
-    speed = loop.blocks["driver"].speed  # type: ignore[attr-defined]
+    speed = loop.blocks["human"].speed  # type: ignore[attr-defined]
     signals = ["x", "y", "psi", "v", "beta", "r", "meas"]
 
     def move(t: float, x: Any, u: Any, params: Any) -> Any:

@@ -204,7 +204,7 @@ class Versus:
 def against(cases: Sequence[Case], reference: str) -> list[Versus]:
     """Every other controller against the reference: the mean over common scenarios, paired by seed.
 
-    Only scenarios that both held on all common seeds count; a seed is one pair, as its scenarios share a driver.
+    Only scenarios that both held on all common seeds count; a seed is one pair, as its scenarios share a human.
     """
     found = []
     table: Drives = {}

@@ -77,7 +77,7 @@ class Case:
     controller: str
     """Name of the controller."""
     seed: int
-    """Seed of driver, sensors, disturbances and, for a learner, its nets."""
+    """Seed of human, sensors, disturbances and, for a learner, its nets."""
     kind: str = "drive"
     """`drive`, or `learn` for a training with the test drives of its nets."""
     status: str = "done"

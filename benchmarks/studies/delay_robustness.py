@@ -58,8 +58,8 @@ def largest(name: str, controller: Block, delay: float, cars: Any) -> Any:
         "car.vehicle.c_r": cars[:, 0] * CAR.c_r,
         "car.vehicle.steer_ratio": cars[:, 1] * CAR.steer_ratio,
         "actuator.offset": radians_of(cars[:, 2]),
-        "driver.driver.v_min": cars[:, 3],
-        "driver.driver.v_max": cars[:, 3],
+        "human.human.v_min": cars[:, 3],
+        "human.human.v_max": cars[:, 3],
     }
     seconds = 1.05 * path.length / SPEEDS[0]  # faster cars slow down for bends, too
     if name != "mpc":

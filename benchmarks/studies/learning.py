@@ -142,7 +142,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--course", default="paper")
     parser.add_argument("--plant", default="nonlinear", choices=["nonlinear", "linear"])
     parser.add_argument("--reference", default="front", choices=["front", "cg"])
-    parser.add_argument("--v-max", type=float, default=None, help="fastest speed of the driver [m/s]")
+    parser.add_argument("--v-max", type=float, default=None, help="fastest speed of the human [m/s]")
     parser.add_argument("--minutes", type=float, default=None, help="driving time of a run (default 11)")
     parser.add_argument("--episodes", type=int, default=1000, help="failures after which a run ends")
     parser.add_argument("--last", type=int, default=20, help="how many of the last nets are test-driven")

@@ -38,8 +38,8 @@ from steerkit.assembly import placed, steering_loop
 from steerkit.controllers.mpc.linear import MPC, PredictiveSteering
 from steerkit.controllers.mpc.nonlinear import NonlinearMPC
 from steerkit.courses import course
-from steerkit.plants.careful_driver import CarefulDriver
-from steerkit.plants.human_driver import HumanDriver
+from steerkit.plants.careful_human import CarefulHuman
+from steerkit.plants.human import Human
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.sensors import Sensors
 from steerkit.plants.steering_actuator import SteeringActuator
@@ -62,7 +62,7 @@ def recorded(samples: int, *, horizon: int = 40) -> list[list[float]]:
     loop = steering_loop(
         car=placed(CAR, path, s=1.0),
         path=path,
-        driver=CarefulDriver(path=path, driver=HumanDriver(seed=1)),
+        human=CarefulHuman(path=path, human=Human(seed=1)),
         controller=mpc,
         actuator=MOTOR,
         sensors=Sensors(seed=1),

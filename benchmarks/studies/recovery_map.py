@@ -27,7 +27,7 @@ from steerkit.catalogue import make_controller
 from steerkit.compiled import compile
 from steerkit.courses import straight
 from steerkit.loop import Loop
-from steerkit.plants.human_driver import ConstantSpeed
+from steerkit.plants.human import ConstantSpeed
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.simulation import Log, simulate
@@ -52,7 +52,7 @@ def start_loop(controller: Block) -> Loop:
     return steering_loop(
         car=car,
         path=ROAD,
-        driver=ConstantSpeed(speed=5.0),
+        human=ConstantSpeed(speed=5.0),
         controller=controller,
         actuator=actuator,
         reference=reference,
@@ -64,7 +64,7 @@ def starts(sides: int, reference: float) -> dict[str, Any]:
     e = np.linspace(-FARTHEST, FARTHEST, sides)
     psi = np.linspace(-STEEPEST, STEEPEST, sides)
     v, e, psi = (a.ravel() for a in np.meshgrid(SPEEDS, e, psi, indexing="ij"))
-    return {"car.y0": e - reference * np.sin(psi), "car.psi0": psi, "car.v0": v, "driver.speed": v}
+    return {"car.y0": e - reference * np.sin(psi), "car.psi0": psi, "car.v0": v, "human.speed": v}
 
 
 def driven(controller: Block, values: dict[str, Any]) -> Log:
@@ -77,7 +77,7 @@ def driven(controller: Block, values: dict[str, Any]) -> Log:
     for i in track(range(len(values["car.y0"])), description="start states", console=Console(stderr=True)):
         one = {name: float(column[i]) for name, column in values.items()}
         car = replace(loop.blocks["car"], y0=one["car.y0"], psi0=one["car.psi0"], v0=one["car.v0"])  # type: ignore[call-arg]
-        alone = loop.with_block("car", car).with_block("driver", ConstantSpeed(speed=one["driver.speed"]))
+        alone = loop.with_block("car", car).with_block("human", ConstantSpeed(speed=one["human.speed"]))
         logs.append(simulate(alone, SECONDS, record=RECORD, every=5, allow_nonfinite=True))
     signals = {name: np.stack([log[name] for log in logs], axis=-1) for name in RECORD}
     return Log(logs[0].t, signals, logs[0].units)

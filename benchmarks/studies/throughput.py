@@ -36,7 +36,7 @@ from steerkit.compiled import Backend, compile
 from steerkit.controllers.stanley import Stanley
 from steerkit.courses import course
 from steerkit.loop import Loop, Wire
-from steerkit.plants.human_driver import ConstantSpeed
+from steerkit.plants.human import ConstantSpeed
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.simulation import simulate
@@ -70,7 +70,7 @@ def closed_loop(*, tracker: bool = True, actuator: bool = True) -> Loop:
     path = course("paper")
     car = LinearSingleTrack(vehicle=CAR, dt=DT, substeps=5, v0=SPEED, y0=0.2)
     car = placed(car, path, s=1.0, e=0.2) if tracker else car
-    stanley, driver = Stanley.of(CAR, dt=DT), ConstantSpeed(speed=SPEED, dt=DT)
+    stanley, human = Stanley.of(CAR, dt=DT), ConstantSpeed(speed=SPEED, dt=DT)
     seen: Any = PathTracker(path=path, reference=stanley.reference, dt=DT) if tracker else StraightAhead(dt=DT)
     motor = SteeringActuator(dt=DT)
     wires: list[Wire] = [(getattr(car, p.name), getattr(seen, p.name)) for p in seen.inputs]
@@ -80,9 +80,9 @@ def closed_loop(*, tracker: bool = True, actuator: bool = True) -> Loop:
         (seen.kappa, stanley.kappa),
         (car.v, stanley.v),
         (car.r, stanley.r),
-        (driver.v, car.v_in),
+        (human.v, car.v_in),
     ]
-    blocks: dict[str, Block] = {"driver": driver, "car": car, "path": seen, "controller": stanley}
+    blocks: dict[str, Block] = {"human": human, "car": car, "path": seen, "controller": stanley}
     if actuator:
         blocks["actuator"] = motor
         wires += [

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from steerkit import Block, LinearSingleTrack, Loop, NonlinearSingleTrack, Out, simulate, vehicle
-from steerkit.plants.human_driver import ConstantSpeed
+from steerkit.plants.human import ConstantSpeed
 from steerkit.plots.style import COLOURS, new_figure
 from steerkit.units import degrees_of
 
@@ -30,11 +30,11 @@ cars = {
 }
 figure, (axes,) = new_figure(title="Lateral acceleration over the steering wheel, 12 m/s")
 for (name, car), colour in zip(cars.items(), ("muted", "learned", "analytic"), strict=True):
-    wheel, driver = SlowTurn(), ConstantSpeed(speed=12.0)
+    wheel, human = SlowTurn(), ConstantSpeed(speed=12.0)
     log = simulate(
         Loop(
-            blocks={"wheel": wheel, "driver": driver, "car": car},
-            wires=[(wheel.delta_sw, car.delta_sw_in), (driver.v, car.v_in)],
+            blocks={"wheel": wheel, "human": human, "car": car},
+            wires=[(wheel.delta_sw, car.delta_sw_in), (human.v, car.v_in)],
         ),
         40.0,
     )

@@ -55,7 +55,7 @@ class Conditions(StrEnum):
 
 
 _SIMULATED, _CAR = "In simulation (without --car)", "On a car (with --car)"
-Seed = Annotated[int, typer.Option(help="Seed of nets, driver and sensors.")]
+Seed = Annotated[int, typer.Option(help="Seed of nets, human and sensors.")]
 Course = Annotated[
     str, typer.Option(help="Course: a name of `steerkit courses`, random-7, or a CSV file.", rich_help_panel=_SIMULATED)
 ]
@@ -229,7 +229,7 @@ def drive(
     rounds: Annotated[
         float | None, typer.Option(help="Rounds to drive; default: the scenario's, 1.", rich_help_panel=_SIMULATED)
     ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of driver and sensors.", rich_help_panel=_SIMULATED)] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of human and sensors.", rich_help_panel=_SIMULATED)] = 0,
     out: Annotated[
         Path | None, typer.Option(help="Directory for the log and the picture.", rich_help_panel=_SIMULATED)
     ] = None,

@@ -66,7 +66,7 @@ class Agent(Block):
 
 
 class Draw(NamedTuple):
-    """Where an episode starts, and with which driver and noise."""
+    """Where an episode starts, and with which human and noise."""
 
     seed: int
     s: float
@@ -302,7 +302,7 @@ class Task:
         if not isinstance(start, SingleTrackState):
             return first
         car = self._car
-        v, c, kappa = loop.sample(first)["driver.v"], car.vehicle, self.path.kappa(s)
+        v, c, kappa = loop.sample(first)["human.v"], car.vehicle, self.path.kappa(s)
         r = v * kappa
         beta = (c.l_r - c.m * v**2 * c.l_f / (c.c_r * c.wheelbase)) * kappa
         wheel = c.steer_ratio * (c.wheelbase + c.understeer_gradient * v**2) * kappa

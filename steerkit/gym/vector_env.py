@@ -21,7 +21,7 @@ Flags = NDArray[np.bool_]
 
 
 class TrackSteeringVector(VectorEnv[NDArray[np.float32], Any, NDArray[Any]]):
-    """Steer N cars, each along a course of its own start, driver and noise; `gymnasium.make_vec(id, num_envs=N)`.
+    """Steer N cars, each along a course of its own start, human and noise; `gymnasium.make_vec(id, num_envs=N)`.
 
     Car i of `reset(seed=k)` is the car of `TrackSteering.reset(seed=k + i)`, with the same numbers to rounding (the
     backends compute sines in other orders). Options as for `TrackSteering`. In `info` every value is an (N,) array,

@@ -58,7 +58,7 @@ class Experiment:
     rounds: int = 0
     """Complete rounds driven by the learner after which it ends; 0: never."""
     seed: int = 0
-    """Seed of the nets, the driver and the sensors."""
+    """Seed of the nets, the human and the sensors."""
 
     def __post_init__(self) -> None:
         require(0.0 < self.minutes < math.inf, "Experiment", f"minutes = {self.minutes}, expected > 0")
@@ -216,10 +216,10 @@ class LearningRun:
             self.x[controller] = self.loop.settled("controller", y)
 
     def _put_back(self, s: float) -> None:
-        """The car stands on the path at s [m] again, with the driver's mood unchanged."""
-        loop, driver = self.loop, self.loop.block_state(self.state, "driver")
+        """The car stands on the path at s [m] again, with the human's mood unchanged."""
+        loop, human = self.loop, self.loop.block_state(self.state, "human")
         start = loop.with_block("car", self.experiment.world.car(self.path, s=s, seed=self.experiment.seed)).init()
-        start = loop.with_block_state(start, "driver", driver)
+        start = loop.with_block_state(start, "human", human)
         self.x, self.y = list(start.x), list(start.y)
         self.story.carried(self.t)
 

@@ -42,7 +42,7 @@ class TrialDrive:
 def drive_many(
     world: Scenario, setting: Setting, policies: Sequence[NfqPolicy], *, seed: int = 0, rounds: float = 1.0
 ) -> list[TrialDrive]:
-    """Let each policy drive `rounds` rounds of the world's course, all with the same driver and sensors (`seed`).
+    """Let each policy drive `rounds` rounds of the world's course, all with the same human and sensors (`seed`).
 
     The policies must share layout, actions and description: they differ in weights. The same numbers as
     `evaluate.drive`, to rounding. Raises ValueError for policies that do not fit together.
@@ -63,7 +63,7 @@ def drive_many(
 
 
 def drive_each(world: Scenario, setting: Setting, policies: Sequence[Any], *, seed: int = 0) -> list[TrialDrive]:
-    """Let each policy drive one round, all with the same driver and sensors (`seed`).
+    """Let each policy drive one round, all with the same human and sensors (`seed`).
 
     Nets drive all at once, whatever their layouts, in compiled code; if any policy is none, one by one, which takes
     a second or two each.

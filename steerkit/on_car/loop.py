@@ -23,7 +23,7 @@ from steerkit.on_car import learner as on_car
 from steerkit.on_car.follow import Follow, Steers
 from steerkit.outside import is_outside
 from steerkit.path import Path
-from steerkit.plants.human_driver import ConstantSpeed
+from steerkit.plants.human import ConstantSpeed
 from steerkit.plants.real_car.file.config import CarConfig
 from steerkit.plants.real_car.processes.client import CarLink, DriverLink, RealCar
 
@@ -129,7 +129,7 @@ def car_loop(
     return steering_loop(
         car=RealCar(link=link),
         path=path,
-        driver=ConstantSpeed(speed=0.0),  # the human in the car keeps the speed; nobody reads this
+        human=ConstantSpeed(speed=0.0),  # the human in the car keeps the speed; nobody reads this
         controller=controller,
         doe=element if learned else None,
         recovery=recovery_named(recovery, config) if learned else None,

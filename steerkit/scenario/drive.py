@@ -34,7 +34,7 @@ class Place(Protocol):
         """The plant, on the path at arc length s [m]."""
         ...
 
-    def driver(self, seed: int) -> Block:
+    def human(self, seed: int) -> Block:
         """Who sets the speed."""
         ...
 
@@ -59,7 +59,7 @@ def assembled(
 ) -> Loop:
     """The loop of a drive in simulation, whoever drives: learner, test drive, suite or environment.
 
-    place: course, car and disturbances. controller, doe, recovery, shift: as for `steering_loop`. seed: of driver,
+    place: course, car and disturbances. controller, doe, recovery, shift: as for `steering_loop`. seed: of human,
     sensors and gusts. s: where the car starts [m]. Raises what `steering_loop` raises.
     """
     path = place.path()
@@ -68,7 +68,7 @@ def assembled(
     return steering_loop(
         car=place.car(path, s=s, seed=seed),
         path=path,
-        driver=place.driver(seed),
+        human=place.human(seed),
         controller=controller,
         doe=doe,
         recovery=recovery,
@@ -117,7 +117,7 @@ def drive(
     """Drive the scenario's rounds of its course (or `rounds`) and return the log, 20 samples a second.
 
     only_while_held: end at the first sample in which the recovery controller has the wheel.
-    The run also ends after the time that the slowest driver would need; then the last `path.progress` is short of
+    The run also ends after the time that the slowest human would need; then the last `path.progress` is short of
     `rounds` times the course.
     """
     if rounds is not None:

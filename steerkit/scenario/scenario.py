@@ -18,8 +18,8 @@ from steerkit.catalogue import RECOVERIES, Belief, make_recovery, plant_kind
 from steerkit.courses import course, course_of, lane_change, names, random_course, recorded_speed
 from steerkit.errors import known, require, require_within
 from steerkit.path import Path
-from steerkit.plants.careful_driver import CarefulDriver
-from steerkit.plants.human_driver import HumanDriver, SpeedProfile
+from steerkit.plants.careful_human import CarefulHuman
+from steerkit.plants.human import Human, SpeedProfile
 from steerkit.plants.pushed import Pushed
 from steerkit.plants.sensors import Sensors
 from steerkit.plants.single_track import SingleTrack
@@ -53,7 +53,7 @@ _RANGES = (  # field, unit, least, largest
     ("told_delay", "s", 0.0, 2.0),
     ("told_lag", "s", 0.0, 10.0),
 )
-_SLOWEST = 4.0  # m/s: the careful driver's speed in the tightest bend of all courses, 5.9 m
+_SLOWEST = 4.0  # m/s: the careful human's speed in the tightest bend of all courses, 5.9 m
 _TIME_TO_SPARE = 10.0  # s
 
 
@@ -89,9 +89,9 @@ class Scenario:
     """`wander`: a human between v_min and v_max, slower in bends (3 m/s^2); `recorded`: as driven on the recorded
     course, within v_min and v_max."""
     v_min: float = 4.0
-    """Slowest speed of the human driver [m/s]; equal to v_max: a steady one."""
+    """Slowest speed of the human [m/s]; equal to v_max: a steady one."""
     v_max: float = 7.5
-    """Fastest speed of the human driver [m/s]."""
+    """Fastest speed of the human [m/s]."""
     rounds: float = 1.0
     """Rounds that a test drive takes; an open course is driven without END_MARGIN at either end."""
     lag: float = 0.12
@@ -179,7 +179,7 @@ class Scenario:
         car = plant_kind(self.plant)(vehicle=self.true_vehicle, v0=self.v_min)  # type: ignore[call-arg]
         pushes = isinstance(car, SingleTrack) or not self.pushed
         require(pushes, "wind, gust, bank_deg", f"only single-track cars are pushed, not '{self.plant}'")
-        _ = self.actuator(), self.sensors(0), HumanDriver(v_min=self.v_min, v_max=self.v_max)
+        _ = self.actuator(), self.sensors(0), Human(v_min=self.v_min, v_max=self.v_max)
 
     @classmethod
     def under(cls, conditions: str = "clean", **changes: Any) -> Scenario:
@@ -264,7 +264,7 @@ class Scenario:
 
     @property
     def seconds(self) -> float:
-        """How long that takes the slowest driver, and some more [s]."""
+        """How long that takes the slowest human, and some more [s]."""
         if self.speed == "recorded":
             s, v = recorded_speed(self.course)
             pace = 1.0 / np.clip(v, self.v_min, self.v_max)
@@ -297,12 +297,12 @@ class Scenario:
         bank = G * math.sin(radians_of(self.bank_deg))
         return Pushed(block=car, wind=self.wind, gust=self.gust, bank=bank, seed=seed)
 
-    def driver(self, seed: int) -> Block:
+    def human(self, seed: int) -> Block:
         """The human who sets the speed, and slows down for bends."""
         if self.speed == "recorded":
             s, v = recorded_speed(self.course)
             return SpeedProfile.from_samples(s, np.clip(v, self.v_min, self.v_max), spacing=2.0)
-        return CarefulDriver(path=self.path(), driver=HumanDriver(v_min=self.v_min, v_max=self.v_max, seed=seed))
+        return CarefulHuman(path=self.path(), human=Human(v_min=self.v_min, v_max=self.v_max, seed=seed))
 
     def actuator(self) -> SteeringActuator:
         """The motor at the steering wheel."""

@@ -38,8 +38,8 @@ from steerkit.learning.exploration import Exploring
 from steerkit.learning.nfq.model import CarModel
 from steerkit.learning.rival import ModelPolicy
 from steerkit.path import Path
-from steerkit.plants.careful_driver import CarefulDriver
-from steerkit.plants.human_driver import ConstantSpeed, HumanDriver, RecordedDriver, SpeedProfile
+from steerkit.plants.careful_human import CarefulHuman
+from steerkit.plants.human import ConstantSpeed, Human, RecordedSpeed, SpeedProfile
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.playback import Playback
@@ -87,7 +87,7 @@ def _pendulum(t: float, x: Any, u: Any, params: Any) -> Any:
 
 
 def _careful(block: Any, i: int) -> Block:
-    return dataclasses.replace(block, driver=_seeded(block.driver, i))
+    return dataclasses.replace(block, human=_seeded(block.human, i))
 
 
 CAR_MODEL = CarModel(
@@ -133,12 +133,12 @@ EXAMPLES = [
     Example(SteeringActuator(lag=0.0, delay=0.03, gain=1.05, offset=0.02)),
     Example(Sensors(), single=_seeded),
     Example(Sensors.hard(seed=3), single=_seeded),
-    Example(HumanDriver(seed=3), single=_seeded),
+    Example(Human(seed=3), single=_seeded),
     Example(ConstantSpeed()),
-    Example(RecordedDriver(speeds=(4.0, 5.0, 7.0, 6.0), spacing=0.1)),
+    Example(RecordedSpeed(speeds=(4.0, 5.0, 7.0, 6.0), spacing=0.1)),
     Example(Playback(angles=(0.0, 0.5, 0.4, -0.2), speeds=(4.0, 5.0, 7.0, 6.0), delay=0.013)),
     Example(SpeedProfile(speeds=(4.0, 5.0, 7.0, 4.0), spacing=0.5, repeat=True)),
-    Example(CarefulDriver(path=OVAL, driver=HumanDriver(seed=3)), single=_careful),
+    Example(CarefulHuman(path=OVAL, human=Human(seed=3)), single=_careful),
 ]
 blocks = pytest.mark.parametrize("example", EXAMPLES, ids=str)
 kinds = pytest.mark.parametrize("kind", sorted({type(e.block) for e in EXAMPLES}, key=lambda c: c.__name__))

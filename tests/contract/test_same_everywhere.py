@@ -27,8 +27,8 @@ from steerkit.courses import course, figure_eight
 from steerkit.doe import Integrator, LowPass
 from steerkit.export.c import export_c
 from steerkit.loop import Loop
-from steerkit.plants.careful_driver import CarefulDriver
-from steerkit.plants.human_driver import ConstantSpeed, HumanDriver, RecordedDriver, SpeedProfile
+from steerkit.plants.careful_human import CarefulHuman
+from steerkit.plants.human import ConstantSpeed, Human, RecordedSpeed, SpeedProfile
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.sensors import Sensors
@@ -44,13 +44,13 @@ needs_compiler = pytest.mark.skipif(native.compiler() is None, reason="C needs a
 few = settings(max_examples=3, suppress_health_check=list(HealthCheck), derandomize=True)
 
 
-def driven(driver: Block, plant: type[Any], rng: np.random.Generator, *, dt: float, **parts: Any) -> Loop:
+def driven(human: Block, plant: type[Any], rng: np.random.Generator, *, dt: float, **parts: Any) -> Loop:
     path = figure_eight() if rng.random() < 0.3 else PAPER
     s, e, psi_e = rng.uniform(0.0, path.length), rng.uniform(-0.4, 0.4), rng.uniform(-0.1, 0.1)
     substeps = 5 if dt > 0.01 else 1
     car = placed(plant(vehicle=CAR, dt=dt, substeps=substeps, v0=5.0), path, s=s, e=e, psi_e=psi_e)
     stanley = {"recovery" if "doe" in parts else "controller": Stanley.of(CAR)}
-    return steering_loop(car=car, path=path, driver=driver, **stanley, **parts)
+    return steering_loop(car=car, path=path, human=human, **stanley, **parts)
 
 
 def policy(rng: np.random.Generator) -> NfqPolicy:
@@ -59,13 +59,13 @@ def policy(rng: np.random.Generator) -> NfqPolicy:
 
 
 def linear_at_constant_speed(seed: int, rng: np.random.Generator) -> Loop:
-    driver = ConstantSpeed(speed=rng.uniform(0.5, 9.0))
-    return driven(driver, LinearSingleTrack, rng, dt=0.05, actuator=SteeringActuator(delay=0.1, dt=0.05))
+    human = ConstantSpeed(speed=rng.uniform(0.5, 9.0))
+    return driven(human, LinearSingleTrack, rng, dt=0.05, actuator=SteeringActuator(delay=0.1, dt=0.05))
 
 
 def linear_with_a_human(seed: int, rng: np.random.Generator) -> Loop:
     return driven(
-        HumanDriver(v_min=0.0, v_max=9.0, seed=seed),
+        Human(v_min=0.0, v_max=9.0, seed=seed),
         LinearSingleTrack,
         rng,
         dt=0.01,
@@ -75,23 +75,23 @@ def linear_with_a_human(seed: int, rng: np.random.Generator) -> Loop:
 
 
 def nonlinear_with_a_record(seed: int, rng: np.random.Generator) -> Loop:
-    driver = RecordedDriver(speeds=tuple(rng.uniform(4.0, 7.5, 9)), spacing=0.5)
-    return driven(driver, NonlinearSingleTrack, rng, dt=0.05)
+    human = RecordedSpeed(speeds=tuple(rng.uniform(4.0, 7.5, 9)), spacing=0.5)
+    return driven(human, NonlinearSingleTrack, rng, dt=0.05)
 
 
 def nonlinear_with_a_profile(seed: int, rng: np.random.Generator) -> Loop:
-    driver = SpeedProfile(speeds=tuple(rng.uniform(4.0, 7.5, 400)), spacing=2.0, repeat=True)
-    return driven(driver, NonlinearSingleTrack, rng, dt=0.01, actuator=SteeringActuator())
+    human = SpeedProfile(speeds=tuple(rng.uniform(4.0, 7.5, 400)), spacing=2.0, repeat=True)
+    return driven(human, NonlinearSingleTrack, rng, dt=0.01, actuator=SteeringActuator())
 
 
 def learner_with_recovery(seed: int, rng: np.random.Generator) -> Loop:
-    driver = CarefulDriver(path=PAPER, driver=HumanDriver(seed=seed))
+    human = CarefulHuman(path=PAPER, human=Human(seed=seed))
     doe = Integrator() if seed % 2 else LowPass()
     car = placed(NonlinearSingleTrack(vehicle=CAR, v0=5.0), PAPER, s=rng.uniform(0.0, PAPER.length), e=0.05)
     return steering_loop(
         car=car,
         path=PAPER,
-        driver=driver,
+        human=human,
         controller=policy(rng),
         doe=doe,
         sensors=Sensors.hard(seed),
@@ -165,7 +165,7 @@ def test_a_linear_car_collapsed_to_its_step_matrix(seed: int) -> None:
 @pytest.mark.parametrize("make", [linear_with_a_human, learner_with_recovery], ids=lambda make: make.__name__)
 def test_exported_controllers_give_the_recorded_commands(make: Callable[..., Loop], tmp_path: Path) -> None:
     loop = make(1, np.random.default_rng(1))
-    blocks = [n for n in loop.names if n not in ("driver", "car", "actuator", "sensors", "path", "seen")]
+    blocks = [n for n in loop.names if n not in ("human", "car", "actuator", "sensors", "path", "seen")]
     export_c(loop, tmp_path, blocks=blocks)
     program = tmp_path / "replay"
     sources = [tmp_path / "controller.c", tmp_path / "controller_test.c"]

@@ -17,8 +17,8 @@ from steerkit.controllers.mpc.nonlinear import NonlinearMPC
 from steerkit.controllers.mpc.path_model import NX, PathModel
 from steerkit.courses import circle, course
 from steerkit.metrics import largest, rms
-from steerkit.plants.careful_driver import CarefulDriver
-from steerkit.plants.human_driver import HumanDriver
+from steerkit.plants.careful_human import CarefulHuman
+from steerkit.plants.human import Human
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator
@@ -199,11 +199,11 @@ def test_the_tables_over_speed_are_the_exact_matrices() -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_round_trip_of_bends_under_delay_stays_within_centimetres(kind: type[PredictiveSteering]) -> None:
     path, motor = course("paper"), SteeringActuator(delay=0.2, lag=0.1)
-    driver = CarefulDriver(path=path, driver=HumanDriver(seed=1))
+    human = CarefulHuman(path=path, human=Human(seed=1))
     loop = steering_loop(
         car=placed(NONLINEAR, path, s=180.0),
         path=path,
-        driver=driver,
+        human=human,
         actuator=motor,
         controller=kind.of(NONLINEAR, motor),
         reference=PASSAT.l_f,
@@ -218,11 +218,11 @@ def test_a_round_trip_of_bends_under_delay_stays_within_centimetres(kind: type[P
 
 def test_a_circle_is_driven_without_a_steady_error() -> None:
     path, motor = circle(20.0), SteeringActuator(delay=0.1, lag=0.1)
-    driver = CarefulDriver(path=path, driver=HumanDriver(v_min=6.0, v_max=6.0))
+    human = CarefulHuman(path=path, human=Human(v_min=6.0, v_max=6.0))
     loop = steering_loop(
         car=placed(NONLINEAR, path),
         path=path,
-        driver=driver,
+        human=human,
         actuator=motor,
         controller=MPC.of(NONLINEAR, motor),
         reference=PASSAT.l_f,

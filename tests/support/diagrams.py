@@ -12,7 +12,7 @@ from steerkit.controllers.stanley import Stanley
 from steerkit.courses import circle
 from steerkit.doe import Integrator
 from steerkit.loop import Loop
-from steerkit.plants.human_driver import HumanDriver
+from steerkit.plants.human import Human
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.sensors import Sensors
 from steerkit.plants.steering_actuator import SteeringActuator
@@ -32,7 +32,7 @@ def learning(sensors: Any = None) -> Loop:
     return steering_loop(
         car=placed(LinearSingleTrack(vehicle=PASSAT, v0=5.0), circle()),
         path=circle(),
-        driver=HumanDriver(),
+        human=Human(),
         controller=NfqPolicy(),
         doe=Integrator(),
         recovery=Stanley.of(PASSAT),

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from steerkit.block import Block
-from steerkit.plants.human_driver import ConstantSpeed
+from steerkit.plants.human import ConstantSpeed
 from steerkit.scenario import Scenario
 
 
 @dataclass(frozen=True, kw_only=True)
 class SteadyWorld(Scenario):
-    """A driver of 6 m/s."""
+    """A human of 6 m/s."""
 
-    def driver(self, seed: int) -> Block:
+    def human(self, seed: int) -> Block:
         return ConstantSpeed(speed=6.0)

@@ -23,7 +23,7 @@ from steerkit.courses import circle, course
 from steerkit.doe import Corrected, Integrator, LowPass
 from steerkit.errors import WiringError
 from steerkit.loop import Loop
-from steerkit.plants.human_driver import ConstantSpeed
+from steerkit.plants.human import ConstantSpeed
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.sensors import Sensors
@@ -37,21 +37,21 @@ ROUND = circle(30.0)
 
 def parts() -> dict:
     car = placed(NonlinearSingleTrack(vehicle=VW_PASSAT, v0=5.0), ROUND)
-    return dict(car=car, path=ROUND, driver=ConstantSpeed(speed=5.0), controller=Stanley.of(VW_PASSAT))
+    return dict(car=car, path=ROUND, human=ConstantSpeed(speed=5.0), controller=Stanley.of(VW_PASSAT))
 
 
 def test_it_is_the_same_loop_as_one_wired_by_hand() -> None:
     p = parts()
     ready = steering_loop(**p, actuator=SteeringActuator(), reference=VW_PASSAT.l_f)
-    car, driver, stanley = placed(p["car"], ROUND), ConstantSpeed(speed=5.0), Stanley.of(VW_PASSAT)
+    car, human, stanley = placed(p["car"], ROUND), ConstantSpeed(speed=5.0), Stanley.of(VW_PASSAT)
     motor = SteeringActuator()
     path = PathTracker(path=ROUND, reference=VW_PASSAT.l_f)
     wires = [(getattr(car, n), getattr(path, n)) for n in ("x", "y", "psi", "v", "beta", "r")]
     wires += [(path.e, stanley.e), (path.psi_e, stanley.psi_e), (path.kappa, stanley.kappa)]
     wires += [(car.v, stanley.v), (car.r, stanley.r), (motor.delta_sw, stanley.delta_sw_meas)]
-    wires += [(stanley.delta_sw, motor.delta_sw_cmd), (motor.delta_sw, car.delta_sw_in), (driver.v, car.v_in)]
+    wires += [(stanley.delta_sw, motor.delta_sw_cmd), (motor.delta_sw, car.delta_sw_in), (human.v, car.v_in)]
     by_hand = Loop(
-        blocks={"driver": driver, "car": car, "actuator": motor, "path": path, "controller": stanley}, wires=wires
+        blocks={"human": human, "car": car, "actuator": motor, "path": path, "controller": stanley}, wires=wires
     )
     a, b = simulate(ready, 3.0), simulate(by_hand, 3.0)
     assert set(a) == set(b)
@@ -84,7 +84,7 @@ def test_every_wire_of_a_learner_with_all_its_parts() -> None:
     loop = learning_loop(recovery=Stanley.of(VW_PASSAT))
     net = {"e": "seen.e", "e_dot": "seen.e_dot", "v": "sensors.v", "psi_e": "seen.psi_e", "r_e": "seen.r_e"}
     wired = {
-        "car": {"delta_sw_in": "actuator.delta_sw", "v_in": "driver.v"},
+        "car": {"delta_sw_in": "actuator.delta_sw", "v_in": "human.v"},
         "actuator": {"delta_sw_cmd": "supervisor.delta_sw"},
         "sensors": {f"{name}_in": signal for name, signal in TRUE.items()},
         "path": TRUE,
@@ -100,7 +100,7 @@ def test_every_wire_of_a_learner_with_all_its_parts() -> None:
             "ready": "controller.ready",
         },
     }
-    assert {name: loop.inputs_of(name) for name in loop.names if name != "driver"} == wired
+    assert {name: loop.inputs_of(name) for name in loop.names if name != "human"} == wired
 
 
 def test_a_shifted_target_and_foresight_come_between() -> None:

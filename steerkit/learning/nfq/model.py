@@ -33,7 +33,7 @@ class CarModel:
         e'   = e + dt*v*(c + c')/2,   v' = v
 
     so that it is the same in every steady bend: nothing changes when doe is turned by x and psi_e by -x*ratio, where
-    ratio = (now + before + earlier)/back is the learned steering ratio's inverse. Bends ahead, drivers and noise are
+    ratio = (now + before + earlier)/back is the learned steering ratio's inverse. Bends ahead, humans and noise are
     in `residuals`. Seven numbers, found by least squares from about 20 transitions on.
     """
 

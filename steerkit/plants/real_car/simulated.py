@@ -10,8 +10,8 @@ from typing import Any
 
 from steerkit.block import Block
 from steerkit.path import Path
-from steerkit.plants.careful_driver import CarefulDriver
-from steerkit.plants.human_driver import HumanDriver
+from steerkit.plants.careful_human import CarefulHuman
+from steerkit.plants.human import Human
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.real_car.file.config import CarConfig
 from steerkit.plants.real_car.frames.codec import SignalEncoder
@@ -89,8 +89,8 @@ class SimulatedCar:
         self.config, self.human, self.faults = config, human, list[Fault]()
         self.t, self.k = t0, 0
         self.tracker = PathTracker(path=path, reference=config.vehicle.l_f, dt=STEP)
-        speed = HumanDriver(v_min=v_min, v_max=v_max, seed=seed, dt=STEP)
-        self.driver = CarefulDriver(path=path, driver=speed, a_y_max=a_y_max, dt=STEP)
+        speed = Human(v_min=v_min, v_max=v_max, seed=seed, dt=STEP)
+        self.pedals = CarefulHuman(path=path, human=speed, a_y_max=a_y_max, dt=STEP)
         self.motor = SteeringActuator(lag=0.1, dt=STEP)
         (x, y), psi = path.point(s), path.psi(s)
         pose: dict[str, Any] = {
@@ -99,7 +99,7 @@ class SimulatedCar:
             "psi0": float(psi),
         }
         self.plant = NonlinearSingleTrack(vehicle=config.vehicle, v0=v_min, dt=STEP, **pose)
-        self.x: dict[str, Any] = {"plant": self.plant.init(), "motor": self.motor.init(), "driver": self.driver.init()}
+        self.x: dict[str, Any] = {"plant": self.plant.init(), "motor": self.motor.init(), "pedals": self.pedals.init()}
         self.now = self.plant.output(0.0, self.x["plant"], ())
         seen = self._seen()
         place = self.tracker.settle(0.0, self.tracker.init(), seen)
@@ -163,7 +163,7 @@ class SimulatedCar:
         t, x = self.t, self.x
         seen = self._seen()
         place = self.tracker.output(t, x["tracker"], seen)
-        v = self.driver.output(t, x["driver"], self.driver.U(s=place.s)).v
+        v = self.pedals.output(t, x["pedals"], self.pedals.U(s=place.s)).v
         motor = self.motor.output(t, x["motor"], ())
         if self.k % HUMAN_EVERY == 0:
             known = {**place._asdict(), **self.now._asdict(), "delta_sw_meas": motor.delta_sw}
@@ -180,7 +180,7 @@ class SimulatedCar:
         if self.enabled and self._fault("loose", t):
             target = motor.delta_sw
         x["tracker"] = self.tracker.update(t, x["tracker"], seen, place)
-        x["driver"] = self.driver.update(t, x["driver"], self.driver.U(s=place.s), ())
+        x["pedals"] = self.pedals.update(t, x["pedals"], self.pedals.U(s=place.s), ())
         x["motor"] = self.motor.update(t, x["motor"], self.motor.U(delta_sw_cmd=target), motor)
         turned = self.motor.output(t, x["motor"], ()).delta_sw
         x["plant"] = self.plant.update(t, x["plant"], self.plant.U(delta_sw_in=turned, v_in=v), ())

@@ -29,7 +29,7 @@ def test_scenarios_that_differ_in_what_is_open_share_a_shape() -> None:
     assert shape(told) == shape(STEP) != shape(other)
     assert shape(replace(STEP, wind=0.1)) != shape(STEP)
     assert "car.block.vehicle.c_f" in open_parameters(replace(STEP, wind=0.1))
-    assert "driver.driver.v_min" not in open_parameters(replace(STEP, course="iso3888-1"))
+    assert "human.human.v_min" not in open_parameters(replace(STEP, course="iso3888-1"))
     assert open_parameters(replace(STEP, plant=MULTI_BODY, vehicle="bmw-320i")) == ()
 
 

@@ -18,8 +18,8 @@ from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.stanley import Stanley
 from steerkit.courses import circle, course, straight
 from steerkit.doe import Direct
-from steerkit.plants.careful_driver import CarefulDriver
-from steerkit.plants.human_driver import ConstantSpeed, HumanDriver
+from steerkit.plants.careful_human import CarefulHuman
+from steerkit.plants.human import ConstantSpeed, Human
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator
@@ -119,7 +119,7 @@ def test_a_steady_bend_stays_one(v: float) -> None:
         car=car,
         path=path,
         controller=block,
-        driver=ConstantSpeed(speed=v),
+        human=ConstantSpeed(speed=v),
         actuator=SteeringActuator(delay=0.2),
         reference=PASSAT.l_f,
     )
@@ -141,7 +141,7 @@ def test_the_prediction_comes_true(delay: float) -> None:
     loop = steering_loop(
         car=car,
         path=path,
-        driver=ConstantSpeed(speed=5.0),
+        human=ConstantSpeed(speed=5.0),
         controller=block,
         actuator=SteeringActuator(delay=delay, lag=lag),
         reference=PASSAT.l_f,
@@ -179,7 +179,7 @@ def test_a_delayed_car_is_steered_as_if_it_were_not() -> None:
         loop = steering_loop(
             car=car,
             path=path,
-            driver=ConstantSpeed(speed=9.0),
+            human=ConstantSpeed(speed=9.0),
             controller=controller,
             actuator=SteeringActuator(delay=0.3, lag=0.1),
             reference=PASSAT.l_f,
@@ -256,11 +256,11 @@ def test_a_log_that_tells_nothing_is_refused() -> None:
 def test_a_round_of_the_course_stays_within_a_tenth_of_a_metre(delay: float) -> None:
     """Nonlinear car, 0.1 s lag; the careful human would drive 9 m/s. Tyres and ratio off: still within 0.3 m."""
     path = course("paper")
-    driver = CarefulDriver(path=path, driver=HumanDriver(v_min=9.0, v_max=9.0))
+    human = CarefulHuman(path=path, human=Human(v_min=9.0, v_max=9.0))
     loop = steering_loop(
         car=placed(NonlinearSingleTrack(vehicle=PASSAT, v0=5.0), path),
         path=path,
-        driver=driver,
+        human=human,
         controller=delayed_stanley(PASSAT, delay=delay, lag=0.1),
         actuator=SteeringActuator(delay=delay, lag=0.1),
         reference=PASSAT.l_f,
@@ -284,12 +284,12 @@ def test_from_three_metres_and_45_degrees_it_comes_back_within_its_limits() -> N
     loop = steering_loop(
         car=car,
         path=path,
-        driver=ConstantSpeed(speed=5.0),
+        human=ConstantSpeed(speed=5.0),
         reference=PASSAT.l_f,
         controller=delayed_stanley(PASSAT, delay=0.2, lag=0.1),
         actuator=SteeringActuator(delay=0.2, lag=0.1),
     )
-    start = {"car.y0": e - PASSAT.l_f * np.sin(psi), "car.psi0": psi, "car.v0": v, "driver.speed": v}
+    start = {"car.y0": e - PASSAT.l_f * np.sin(psi), "car.psi0": psi, "car.v0": v, "human.speed": v}
     record = ["path.e", "car.a_y", "controller.delta_sw"]
     log = compile(loop, backend="vm", record=record, every=5, parameters=list(start)).run(15.0, parameters=start)
     assert np.abs(log["path.e"][-100:]).max() < 0.1

@@ -14,7 +14,7 @@ from steerkit.controllers.foresight import Foresight
 from steerkit.controllers.stanley import Stanley
 from steerkit.courses import course
 from steerkit.errors import WiringError
-from steerkit.plants.human_driver import ConstantSpeed
+from steerkit.plants.human import ConstantSpeed
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.real_car.decisions.gate import GateLimits, gate
 from steerkit.units import radians_of
@@ -141,7 +141,7 @@ def test_foresight_needs_somebody_to_call() -> None:
         steering_loop(
             car=LinearSingleTrack(vehicle=passat, v0=5.0),
             path=course("paper"),
-            driver=ConstantSpeed(speed=5.0),
+            human=ConstantSpeed(speed=5.0),
             controller=Stanley.of(passat),
             foresight=Foresight(),
         )

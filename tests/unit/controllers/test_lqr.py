@@ -14,7 +14,7 @@ from steerkit.compiled import compile
 from steerkit.controllers.lqr import Lqr, LqrDesign
 from steerkit.courses import circle, straight
 from steerkit.path import Path
-from steerkit.plants.human_driver import ConstantSpeed
+from steerkit.plants.human import ConstantSpeed
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator
@@ -36,7 +36,7 @@ def driven(
     loop = steering_loop(
         car=car,
         path=path,
-        driver=ConstantSpeed(speed=v),
+        human=ConstantSpeed(speed=v),
         controller=Lqr.of(PASSAT, MATRICES, delay=delay, v_step=1.0),
         actuator=SteeringActuator(delay=delay, lag=0.1),
         reference=PASSAT.l_f,
@@ -180,7 +180,7 @@ def test_it_compiles() -> None:
     loop = steering_loop(
         car=placed(LinearSingleTrack(vehicle=PASSAT, v0=5.0), path),
         path=path,
-        driver=ConstantSpeed(speed=5.0),
+        human=ConstantSpeed(speed=5.0),
         controller=Lqr.of(PASSAT, MATRICES, v_step=3.0, preview_points=4),
         actuator=SteeringActuator(),
         reference=PASSAT.l_f,

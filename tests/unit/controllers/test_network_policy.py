@@ -40,7 +40,7 @@ def test_a_policy_block_steers_as_its_policy_did_in_the_environment() -> None:
     loop = steering_loop(
         car=world.car(task.path),
         path=task.path,
-        driver=world.driver(0),
+        human=world.human(0),
         controller=block,
         doe=Integrator(),
         actuator=world.actuator(),

@@ -19,7 +19,7 @@ from steerkit.courses import circle
 from steerkit.doe import Direct, Integrator, LowPass
 from steerkit.export.c import export_c
 from steerkit.loop import Loop
-from steerkit.plants.human_driver import ConstantSpeed
+from steerkit.plants.human import ConstantSpeed
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.sensors import Sensors
 from steerkit.plants.steering_actuator import SteeringActuator
@@ -44,7 +44,7 @@ def learner_loop() -> Loop:
     return steering_loop(
         car=car,
         path=path,
-        driver=ConstantSpeed(speed=6.0),
+        human=ConstantSpeed(speed=6.0),
         controller=policy(),
         doe=Integrator(),
         recovery=Stanley.of(CAR),
@@ -163,7 +163,7 @@ def test_the_code_needs_nothing_but_math_h(tmp_path: Path) -> None:
 
 
 def test_bad_requests_name_the_choices(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"which blocks .*driver, car"):
+    with pytest.raises(ValueError, match=r"which blocks .*human, car"):
         export_c(learner_loop(), tmp_path)
     with pytest.raises(ValueError, match="no block 'controler'"):
         export_c(learner_loop(), tmp_path, blocks=("controler",))

@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 from steerkit import native
 from steerkit.block import Block
 from steerkit.gym import TrackSteeringVector
-from steerkit.plants.human_driver import RecordedDriver
+from steerkit.plants.human import RecordedSpeed
 from steerkit.scenario import Scenario
 
 ID = "steerkit/TrackSteering-v0"
@@ -93,8 +93,8 @@ def test_the_three_ways_to_go_on_after_an_end() -> None:
 @needs_compiler
 def test_a_loop_that_asks_for_the_time_is_not_compiled_for_many() -> None:
     class Recorded(Scenario):
-        def driver(self, seed: int) -> Block:
-            return RecordedDriver(speeds=(4.0, 6.0, 5.0), spacing=1.0)
+        def human(self, seed: int) -> Block:
+            return RecordedSpeed(speeds=(4.0, 6.0, 5.0), spacing=1.0)
 
     with pytest.raises(ValueError, match="depends on the time t"):
         TrackSteeringVector(2, scenario=Recorded())

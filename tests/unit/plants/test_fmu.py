@@ -18,7 +18,7 @@ from steerkit.courses import course
 from steerkit.export.fmu import export_fmu
 from steerkit.loop import Loop
 from steerkit.plants.fmu import FmuPlant
-from steerkit.plants.human_driver import ConstantSpeed
+from steerkit.plants.human import ConstantSpeed
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.simulation import simulate
 from steerkit.vehicles import vehicle
@@ -92,7 +92,7 @@ def loop(car: FmuPlant | LinearSingleTrack) -> Loop:
     return steering_loop(
         car=placed(car, PATH, s=30.0, e=0.3, psi_e=0.05),
         path=PATH,
-        driver=ConstantSpeed(speed=5.0),
+        human=ConstantSpeed(speed=5.0),
         controller=Stanley.of(CAR),
     )
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from steerkit.plants.human_driver import HumanDriver
+from steerkit.plants.human import Human
 from steerkit.plants.sensors import Sensors
 from tests.support.stepped import run
 
@@ -66,7 +66,7 @@ def test_sensors_of_a_batch_are_the_single_ones():
 
 
 def test_sensors_and_driver_of_one_seed_are_unrelated():
-    assert Sensors.hard(1).init()[9:15] != HumanDriver(seed=1).init()[2:]
+    assert Sensors.hard(1).init()[9:15] != Human(seed=1).init()[2:]
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from steerkit import Stanley, placed, simulate, steering_loop
-from steerkit.plants.human_driver import ConstantSpeed
+from steerkit.plants.human import ConstantSpeed
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.simulation import Log
 from tests.support.circle_drive import PASSAT, PATH
@@ -14,5 +14,5 @@ from tests.support.circle_drive import PASSAT, PATH
 @pytest.fixture(scope="session")
 def log() -> Log:
     car = placed(LinearSingleTrack(vehicle=PASSAT, v0=5.0), PATH)
-    loop = steering_loop(car=car, path=PATH, driver=ConstantSpeed(speed=5.0), controller=Stanley.of(PASSAT))
+    loop = steering_loop(car=car, path=PATH, human=ConstantSpeed(speed=5.0), controller=Stanley.of(PASSAT))
     return simulate(loop, 4.0)

@@ -10,7 +10,7 @@ import numpy as np
 from steerkit import simulate, vehicle
 from steerkit.block import Block
 from steerkit.doe import Integrator
-from steerkit.plants.human_driver import RecordedDriver
+from steerkit.plants.human import RecordedSpeed
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.simulation import Log
 from tests.support.circle_drive import PASSAT
@@ -27,8 +27,8 @@ def test_a_block_shows_its_parameters_and_ports() -> None:
 
 
 def test_long_and_odd_parameters_are_cut_and_escaped() -> None:
-    driver = RecordedDriver(speeds=tuple(np.linspace(1.0, 2.0, 500).tolist()), spacing=0.1)
-    assert "500 entries" in driver._repr_html_()
+    human = RecordedSpeed(speeds=tuple(np.linspace(1.0, 2.0, 500).tolist()), spacing=0.1)
+    assert "500 entries" in human._repr_html_()
     html = LinearSingleTrack(vehicle=vehicle("vw-passat"))._repr_html_()
     assert "..." in html  # the vehicle
     named = LinearSingleTrack(vehicle=type(PASSAT)(**{**vars(PASSAT), "name": "<script>"}))._repr_html_()

@@ -24,7 +24,7 @@ from steerkit.controllers.mpc.qp import SOLVERS, Answer, StageQp
 from steerkit.controllers.stanley import Stanley
 from steerkit.controllers.supervisor import Supervisor
 from steerkit.courses import course, straight
-from steerkit.plants.human_driver import ConstantSpeed, RecordedDriver
+from steerkit.plants.human import ConstantSpeed, RecordedSpeed
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.simulation import simulate
@@ -153,7 +153,7 @@ def test_the_path_ends_before_the_preview_does(kind: Any) -> None:
     loop = steering_loop(
         car=placed(CAR, path, e=0.3),
         path=path,
-        driver=ConstantSpeed(speed=5.0),
+        human=ConstantSpeed(speed=5.0),
         actuator=MOTOR,
         controller=controller(kind),
     )
@@ -246,7 +246,7 @@ def test_the_fallback_drives_home(monkeypatch: pytest.MonkeyPatch) -> None:
     loop = steering_loop(
         car=placed(CAR, path, s=20.0, e=0.8),
         path=path,
-        driver=ConstantSpeed(speed=5.0),
+        human=ConstantSpeed(speed=5.0),
         actuator=motor,
         controller=MPC.of(CAR, motor),
         reference=CAR.vehicle.l_f,
@@ -262,7 +262,7 @@ def test_a_run_can_be_repeated_bit_for_bit(kind: Any) -> None:
     loop = steering_loop(
         car=placed(CAR, path, e=0.8),
         path=path,
-        driver=ConstantSpeed(speed=6.0),
+        human=ConstantSpeed(speed=6.0),
         actuator=MOTOR,
         controller=kind.of(CAR, MOTOR),
     )
@@ -278,7 +278,7 @@ def test_a_start_far_off_and_askew_is_recovered(kind: Any, e: float, psi_e_deg: 
     loop = steering_loop(
         car=placed(CAR, path, e=e, psi_e=math.radians(psi_e_deg)),
         path=path,
-        driver=ConstantSpeed(speed=6.0),
+        human=ConstantSpeed(speed=6.0),
         actuator=MOTOR,
         controller=kind.of(CAR, MOTOR),
         reference=CAR.vehicle.l_f,
@@ -291,11 +291,11 @@ def test_a_start_far_off_and_askew_is_recovered(kind: Any, e: float, psi_e_deg: 
 @kinds
 def test_a_car_starts_from_standstill_and_stops_again(kind: Any) -> None:
     path = straight(60.0)
-    driver = RecordedDriver(speeds=(0.0, 0.0, 3.0, 3.0, 0.0, 0.0), spacing=2.0)
+    human = RecordedSpeed(speeds=(0.0, 0.0, 3.0, 3.0, 0.0, 0.0), spacing=2.0)
     loop = steering_loop(
         car=placed(CAR, path, e=0.3),
         path=path,
-        driver=driver,
+        human=human,
         actuator=MOTOR,
         controller=kind.of(CAR, MOTOR),
         reference=CAR.vehicle.l_f,
@@ -445,7 +445,7 @@ def test_the_state_and_outputs_are_python_floats() -> None:
 def test_it_cannot_be_compiled_and_says_who() -> None:
     path = straight(50.0)
     loop = steering_loop(
-        car=placed(CAR, path), path=path, driver=ConstantSpeed(speed=5.0), actuator=MOTOR, controller=controller()
+        car=placed(CAR, path), path=path, human=ConstantSpeed(speed=5.0), actuator=MOTOR, controller=controller()
     )
     with pytest.raises(TraceError, match=r"controller \(MPC\).*runs a solver"):
         compile(loop)

@@ -17,12 +17,12 @@ from steerkit.maths import Scalar, Table
 from steerkit.random import normals, seed_state
 from steerkit.task import DT
 
-_STREAM = 1  # of `seed_state`: the drivers'
+_STREAM = 1  # of `seed_state`: the humans'
 _FASTEST = 60.0  # m/s
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class HumanDriver(Block):
+class Human(Block):
     """A human who wanders between two speeds, with a bounded and continuous pace.
 
     z(t + dt) = f z(t) + sqrt(1 - f^2) n,  f = exp(-dt/wander_time),  n standard normal   (Ornstein-Uhlenbeck)
@@ -33,7 +33,7 @@ class HumanDriver(Block):
     0.4 m/s^2 by default.
 
     no inputs. output, of state only: v [m/s]. state: z, g, the random generator's six numbers; it starts anywhere in
-    the stationary distribution. In a batch, car i draws as a driver of seed + i does; v_min and v_max may be `(N,)`
+    the stationary distribution. In a batch, car i draws as a human of seed + i does; v_min and v_max may be `(N,)`
     arrays. errors: ValueError for parameters out of range. source: Uhlenbeck, Ornstein 1930; Gillespie 1996 (exact
     discretisation).
     """
@@ -45,7 +45,7 @@ class HumanDriver(Block):
     v_max: Scalar = 7.5
     """Fastest speed [m/s]."""
     wander_time: float = 10.0
-    """Correlation time of the speed that the driver has in mind [s]."""
+    """Correlation time of the speed that the human has in mind [s]."""
     foot_time: float = 2.0
     """Time constant of the foot [s]."""
     seed: int = 0
@@ -53,7 +53,7 @@ class HumanDriver(Block):
     dt: float = DT
 
     def __post_init__(self) -> None:
-        where = "HumanDriver"
+        where = "Human"
         require_within(where, "v_min", self.v_min, "m/s", 0.0, _FASTEST)
         require_within(where, "v_max", self.v_max, "m/s", self.v_min, _FASTEST, "at least v_min")
         require_within(where, "dt", self.dt, "s", 1e-6, 1.0)
@@ -87,7 +87,7 @@ class HumanDriver(Block):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ConstantSpeed(Block):
-    """A driver who keeps one speed: v = speed.
+    """A human who keeps one speed: v = speed.
 
     no inputs. output, and state: v [m/s]. errors: ValueError for a speed out of range.
     """
@@ -95,7 +95,7 @@ class ConstantSpeed(Block):
     v = Out("m/s", direct=())
 
     speed: Scalar = 5.0
-    """The speed [m/s]; an `(N,)` array for a batch of different drivers."""
+    """The speed [m/s]; an `(N,)` array for a batch of different humans."""
     dt: float = DT
 
     def __post_init__(self) -> None:
@@ -130,7 +130,7 @@ class _Profile(Block):
 
     @classmethod
     def from_samples(cls, at: ArrayLike, speeds: ArrayLike, *, spacing: float = 0.1, repeat: bool = False) -> Self:
-        """The driver of an unevenly spaced record: `speeds` [m/s] at rising `at`, made even every `spacing` or less.
+        """The human of an unevenly spaced record: `speeds` [m/s] at rising `at`, made even every `spacing` or less.
 
         `at` counts from its first entry. Raises ValueError for different lengths or an `at` that does not rise.
         """
@@ -156,8 +156,8 @@ class _Profile(Block):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class RecordedDriver(_Profile):
-    """A driver who repeats a record of speed over time: v(t + start), linear between samples every `spacing` [s].
+class RecordedSpeed(_Profile):
+    """A human who repeats a record of speed over time: v(t + start), linear between samples every `spacing` [s].
 
     no inputs. output: v [m/s]. state: start [s]. Before the first and after the last sample their speeds hold, or
     with `repeat` the record begins again. errors: ValueError for speeds, spacing, start or dt out of range.
@@ -170,7 +170,7 @@ class RecordedDriver(_Profile):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_within("RecordedDriver", "start", self.start, "s", -1e6, 1e6)
+        require_within("RecordedSpeed", "start", self.start, "s", -1e6, 1e6)
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         return (m.filled(self.start, batch),)
@@ -181,7 +181,7 @@ class RecordedDriver(_Profile):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SpeedProfile(_Profile):
-    """A driver who knows the course: speed over progress, v(p), linear between samples every `spacing` [m].
+    """A human who knows the course: speed over progress, v(p), linear between samples every `spacing` [m].
 
     input: progress [m] along the path (a `PathTracker`'s). output: v [m/s]. no state. Beyond the ends the speeds
     hold, or with `repeat` the profile begins again, for rounds: `spacing*(len(speeds) - 1)` should be the course's

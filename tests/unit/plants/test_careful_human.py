@@ -1,4 +1,4 @@
-"""A careful driver keeps both accelerations."""
+"""A careful human keeps both accelerations."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ import pytest
 
 from steerkit.courses import circle, course
 from steerkit.path import Path
-from steerkit.plants.careful_driver import CarefulDriver
-from steerkit.plants.human_driver import HumanDriver
+from steerkit.plants.careful_human import CarefulHuman
+from steerkit.plants.human import Human
 
 
 def test_a_careful_driver_keeps_both_accelerations() -> None:
     path = course("paper")
-    driver = CarefulDriver(path=path, driver=HumanDriver(v_min=7.5, v_max=7.5))
+    human = CarefulHuman(path=path, human=Human(v_min=7.5, v_max=7.5))
     s = np.linspace(0.0, path.length, 8000)
-    v = driver.output(0.0, driver.init((len(s),)), driver.D(s)).v
+    v = human.output(0.0, human.init((len(s),)), human.D(s)).v
     assert (v**2 * np.abs(path.kappa(s))).max() < 3.1
     assert np.abs(np.diff(v**2) / (2.0 * np.diff(s))).max() < 1.6
     assert v.max() > 6.9
@@ -24,18 +24,18 @@ def test_a_careful_driver_keeps_both_accelerations() -> None:
 
 def test_a_careful_driver_on_an_open_course_does_not_brake_for_its_own_start() -> None:
     path = course("genesis-rfs")
-    driver = CarefulDriver(path=path, driver=HumanDriver(v_min=7.0, v_max=7.5), a_y_max=3.0)
+    human = CarefulHuman(path=path, human=Human(v_min=7.0, v_max=7.5), a_y_max=3.0)
     bend = float(path.samples.s[np.abs(path.samples.kappa).argmax()])
-    fast, slow = (driver.output(0.0, driver.init(), driver.D(s)).v for s in (path.length, bend))
+    fast, slow = (human.output(0.0, human.init(), human.D(s)).v for s in (path.length, bend))
     assert fast > 7.0 > 6.95
     assert slow < 7.5
     with pytest.raises(ValueError, match="a_y_max"):
-        CarefulDriver(path=path, driver=HumanDriver(), a_y_max=0.0)
+        CarefulHuman(path=path, human=Human(), a_y_max=0.0)
 
 
 def speeds(path: Path, s: np.ndarray, fastest: float = 30.0) -> np.ndarray:
-    driver = CarefulDriver(path=path, driver=HumanDriver(v_min=fastest, v_max=fastest))
-    return driver.output(0.0, driver.init((len(s),)), driver.D(s)).v
+    human = CarefulHuman(path=path, human=Human(v_min=fastest, v_max=fastest))
+    return human.output(0.0, human.init((len(s),)), human.D(s)).v
 
 
 def test_a_circle_is_driven_at_the_comfortable_acceleration() -> None:

@@ -1,4 +1,4 @@
-"""A human driver who slows down for bends."""
+"""A human who slows down for bends."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from steerkit.block import Block, In, Out, State
 from steerkit.errors import require
 from steerkit.maths import Table
 from steerkit.path import Path
-from steerkit.plants.human_driver import HumanDriver
+from steerkit.plants.human import Human
 from steerkit.task import A_Y_MAX
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class CarefulDriver(Block):
-    """Wraps a driver so that bends are taken at no more than a comfortable lateral acceleration.
+class CarefulHuman(Block):
+    """Wraps a human so that bends are taken at no more than a comfortable lateral acceleration.
 
-    v = min(v of `driver`, ceiling(s)),  ceiling(s)^2 <= a_y_max/|kappa(s')| + 2 a_x_max |s - s'|  for every s',
+    v = min(v of `human`, ceiling(s)),  ceiling(s)^2 <= a_y_max/|kappa(s')| + 2 a_x_max |s - s'|  for every s',
 
     so that braking for a bend and leaving it both cost at most a_x_max. The ceiling is tabled every metre.
 
-    Input: s [m] along `path` (a `PathTracker`'s). Output: v [m/s]. State: that of `driver`. Valid for s on the path.
+    Input: s [m] along `path` (a `PathTracker`'s). Output: v [m/s]. State: that of `human`. Valid for s on the path.
     Raises ValueError unless a_y_max and a_x_max are positive. Source: the curvature-speed bound |kappa| <= a_y/v^2
     of ISO 11270:2014 (a_y at most 3 m/s^2), with the forward and backward pass of Kapania et al. 2016.
     """
@@ -35,7 +35,7 @@ class CarefulDriver(Block):
 
     path: Path
     """The course."""
-    driver: HumanDriver
+    human: Human
     """Who sets the speed where there is no bend."""
     a_y_max: float = A_Y_MAX
     """Largest lateral acceleration in a bend [m/s^2]."""
@@ -43,8 +43,8 @@ class CarefulDriver(Block):
     """Largest acceleration and braking for it [m/s^2]."""
 
     def __post_init__(self) -> None:
-        require(self.a_y_max > 0.0 and self.a_x_max > 0.0, "CarefulDriver", "a_y_max and a_x_max, expected > 0 m/s^2")
-        require(self.dt == self.driver.dt, "CarefulDriver", f"dt = {self.dt} s, but its driver has {self.driver.dt} s")
+        require(self.a_y_max > 0.0 and self.a_x_max > 0.0, "CarefulHuman", "a_y_max and a_x_max, expected > 0 m/s^2")
+        require(self.dt == self.human.dt, "CarefulHuman", f"dt = {self.dt} s, but its human has {self.human.dt} s")
 
     @cached_property
     def _ceiling(self) -> Table:
@@ -64,14 +64,14 @@ class CarefulDriver(Block):
         return Table(np.column_stack((v, np.roll(v, -1) - v if self.path.closed else np.append(np.diff(v), 0.0))))
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
-        return self.driver.init(batch)
+        return self.human.init(batch)
 
     def output(self, t: Any, x: State, u: Any) -> Any:
         rows = float(len(self._ceiling))
         z = m.clip(u.s * (rows / self.path.length), 0.0, rows)
         i = m.minimum(m.where(m.is_finite(z), m.floor(z), 0.0), rows - 1.0)
         start, rise = self._ceiling(i)
-        return self.Y(m.minimum(start + (z - i) * rise, self.driver.output(t, x, ())[0]))  # a NaN in s stays NaN
+        return self.Y(m.minimum(start + (z - i) * rise, self.human.output(t, x, ())[0]))  # a NaN in s stays NaN
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
-        return self.driver.update(t, x, (), ())
+        return self.human.update(t, x, (), ())
