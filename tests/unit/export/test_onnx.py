@@ -113,3 +113,15 @@ def test_what_is_no_net_is_refused(tmp_path: Path) -> None:
         export_onnx(NfqPolicy(), tmp_path / "p.onnx")
     with pytest.raises(TypeError, match="valid: an NfqPolicy, or a PolicyBlock of a Network"):
         export_onnx(PolicyBlock(policy=lambda x: x[:, 0]), tmp_path / "p.onnx")
+
+
+def test_far_outside_its_range_an_agent_sees_the_bound(tmp_path: Path) -> None:
+    """Observations are cut off at ten half-widths, where the agent learned: beyond, nothing changes any more."""
+    policy = PolicyBlock(policy=Network(layers=((np.full((1, 6), 0.01), np.zeros(1)),), head="tanh"), largest=0.7)
+    export_onnx(policy, tmp_path / "p.onnx")
+    d = policy.description
+    for reach in (-40.0, -12.0, -9.0, 0.0, 9.0, 12.0, 40.0):
+        state = d.mid + reach * d.half
+        told = ask(tmp_path / "p.onnx", state)["action"]
+        assert told == pytest.approx(0.7 * np.tanh(0.06 * np.clip(reach, -10.0, 10.0)))
+        assert told == pytest.approx(float(policy.output(0.0, (), policy.D(*state)).action))

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
+import numpy as np
 import pytest
 
 from steerkit.identification import ColumnMap
@@ -31,3 +33,24 @@ def test_column_words() -> None:
         ColumnMap.parsed(["delta_sw"])
     with pytest.raises(ValueError, match="scale 'x' is no number"):
         ColumnMap.parsed(["delta_sw=a:rad:x"])
+
+
+@pytest.mark.parametrize(
+    ("quantity", "unit", "si"),
+    [
+        ("v", "mph", 1760.0 * 0.9144 / 3600.0),  # a mile is 1760 yards of 0.9144 m
+        ("v", "kn", 1852.0 / 3600.0),
+        ("v", "km/h", 1000.0 / 3600.0),
+        ("t", "ms", 1.0 / 1000.0),
+        ("t", "us", 1.0 / 1000.0**2),
+        ("t", "ns", 1.0 / 1000.0**3),
+        ("t", "min", 60.0),
+        ("delta_sw", "deg", math.pi / 180.0),
+        ("r", "deg/s", math.pi / 180.0),
+        ("r", "mrad/s", 1.0 / 1000.0),
+    ],
+)
+def test_units_are_what_their_definitions_say(quantity: str, unit: str, si: float) -> None:
+    column = ColumnMap.of({quantity: {"column": "c", "unit": unit, "scale": -2.0, "offset": 0.5}})
+    values = column.in_si({"c": np.array([0.0, 3.0])}, where="test")[quantity]
+    np.testing.assert_allclose(values, [0.5, 0.5 - 6.0 * si], rtol=1e-14)  # the offset is in SI

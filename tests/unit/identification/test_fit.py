@@ -79,3 +79,30 @@ def test_fixed_and_known(clean: dict[str, Any]) -> None:
         identify(drive, BASE, fixed={"ratio": 15.0})
     with pytest.raises(ValueError, match=r"lag = 9 \[s\], expected 0 to 1"):
         identify(drive, BASE, fixed={"lag": 9})
+
+
+def test_the_covariance_allows_for_errors_that_are_larger_where_they_matter() -> None:
+    """White 1982: r = x theta with error sizes s x has the variance s^2 sum x^4/(sum x^2)^2, found by repetition."""
+    from types import SimpleNamespace
+
+    from steerkit.identification.fit import _Problem, priors
+
+    n, rng = 4000, np.random.default_rng(0)
+    x = np.where(np.arange(n) % 10 == 0, 3.0, 0.3)  # a tenth of the samples tells nearly everything
+    table = {"steer_ratio": replace(priors(BASE)["steer_ratio"], mean=10.0, deviation=1e3, low=-1e4, high=1e4)}
+    claimed, estimates = [], []
+    for _ in range(60):
+        drive = SimpleNamespace(
+            dt=DT, driving=np.ones(n, dtype=bool), v=np.ones(n), r=12.0 * x + 0.5 * x * rng.normal(size=n)
+        )
+        simulator = SimpleNamespace(
+            drive=drive, yaw_rates=lambda sets: np.outer(x, [one["steer_ratio"] for one in sets])
+        )
+        problem = _Problem(simulator, ("steer_ratio",), {"rate_zero": 0.0}, table)  # type: ignore[arg-type]
+        theta, sigma, _ = problem.solve()
+        estimates.append(theta[0])
+        claimed.append(np.sqrt(problem.covariance(theta, sigma)[0][0, 0]))
+    expected = 0.5 * np.sqrt(np.sum(x**4)) / np.sum(x**2)
+    assert np.std(estimates) == pytest.approx(expected, rel=0.25)  # three standard errors of 60 repetitions
+    assert np.mean(estimates) == pytest.approx(12.0, abs=4.0 * expected / np.sqrt(60))
+    assert np.median(claimed) == pytest.approx(expected, rel=0.2)

@@ -105,3 +105,38 @@ def test_a_car_that_is_nowhere_is_an_error_and_no_silence() -> None:
     run.x[car] = type(run.x[car])(*[float("nan")] * len(run.x[car]))
     with pytest.raises(ValueError, match=r"at 0\.25 s the learner's state is e = nan, .*expected finite numbers"):
         run.drive()
+
+
+def test_the_jump_back_to_the_start_of_an_open_course_is_no_transition() -> None:
+    """A wheel left alone on a straight: carried back again and again, never caught."""
+    world = Scenario(course="straight", v_min=4.0, v_max=7.5)
+    run = LearningRun(Experiment(setting=replace(SHORT.setting, retrain_every_m=0.0), world=world, minutes=0.5))
+    nets = tuple(tuple(np.zeros_like(part) for part in net) for net in run.story.policy.nets)
+    run.story.policy = replace(run.story.policy, nets=nets)  # all actions are worth the same: the gentlest wins
+    run.steer()
+    run._put_back(run.path.length - 60.0)
+    for _ in range(100):
+        run.drive()
+    run._put_back(run.path.length - 40.0)
+    while run._value("path.s") > 100.0:
+        run.drive()
+    for _ in range(20):
+        run.drive()
+    log, record = run.recorder.log(), run.transitions
+    assert (log["supervisor.learning"] > 0.5).all()
+    jumps = np.flatnonzero(np.abs(np.diff(log["path.s"])) > 10.0)
+    assert len(jumps) >= 2
+    assert len(record) == len(log.t) - 1 - len(jumps)
+    follows = record.episode[1:] == record.episode[:-1]
+    np.testing.assert_array_equal(record.s[1:][follows], record.s_next[:-1][follows])
+    assert (~follows).sum() == len(jumps)
+    assert run.counts.failures == 0
+
+
+def test_minutes_are_minutes() -> None:
+    run = LearningRun(replace(SHORT, minutes=0.5))
+    run.counts.k = round(30.0 / run.loop.dt) - 1
+    assert not run.done()
+    run.counts.k += 1
+    assert run.t == pytest.approx(30.0)
+    assert run.done()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -115,3 +116,37 @@ def test_a_run_goes_on_from_any_of_its_trainings_with_the_same_numbers(name: str
         assert replace(resumed.counts, train_seconds=0.0) == replace(whole.counts, train_seconds=0.0)
         assert resumed.x == whole.x
     assert (halves > 0) is (experiment.setting.after_failure != "reset")  # the first half of a transition was kept
+
+
+def test_a_run_resumed_at_any_checkpoint_is_the_run_that_went_on(tmp_path: Path) -> None:
+    """Checkpoints after a failure (nobody is trusted, a training is under way) and in the middle of driving."""
+    experiment = replace(SHORT, setting=replace(CURT, retrain_every_m=5.0), minutes=0.35)
+    place, copies = tmp_path / "run", list[Path]()
+    seen: set[tuple[bool, bool, bool]] = set()
+    run = LearningRun(experiment)
+    place.mkdir()
+    rundir.keep_in(run, place)
+    write = run.keep
+    assert write is not None
+
+    def keep(run: LearningRun) -> None:
+        write(run)
+        what = (run.story.recorder.before is not None, run.story.trusted, run.story.trainer.pending is not None)
+        if what not in seen:
+            seen.add(what)
+            copies.append(Path(shutil.copytree(place, tmp_path / f"copy{len(copies)}")))
+
+    run.keep = keep
+    while not run.done():
+        run.drive()
+    assert {before for before, *_ in seen} == {trusted for _, trusted, _ in seen} == {True, False}
+    assert any(pending for *_, pending in seen)
+    for copy in copies:
+        again = rundir.load(copy)
+        assert len(again.transitions) < len(run.transitions)
+        while not again.done():
+            again.drive()
+        for name in ("s", "a", "s_next", "episode"):
+            np.testing.assert_array_equal(getattr(again.transitions, name), getattr(run.transitions, name))
+        assert again.counts.episodes == run.counts.episodes
+        assert again.counts.updates == run.counts.updates

@@ -43,3 +43,23 @@ def test_what_the_filter_removes_is_no_reversal_and_a_nan_is_no_number() -> None
 def test_reversals_refuse_what_they_cannot_count(t: Any, options: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=r"reversal_rate: .* expected more than 10 samples, 0 < cutoff < 0.5/dt"):
         metrics.reversal_rate(t, np.zeros(len(t)), **options)
+
+
+def test_a_jump_of_the_wheel_is_one_rate_and_two_accelerations() -> None:
+    """From 0 to D in one sample: a rate of D/dt once; up by D/dt^2 and down again."""
+    step = np.where(T < 50.0, 0.0, 0.2)
+    rate, acceleration = metrics.rates(T, step), metrics.accelerations(T, step)
+    assert rate[rate != 0.0] == pytest.approx([0.2 / 0.05])
+    assert acceleration[np.abs(acceleration) > 1e-9] == pytest.approx([0.2 / 0.05**2, -0.2 / 0.05**2])
+    assert metrics.rms(rate) == pytest.approx(0.2 / 0.05 / math.sqrt(len(T) - 1))
+    assert metrics.rms(acceleration) == pytest.approx(0.2 / 0.05**2 * math.sqrt(2.0 / (len(T) - 2)))
+
+
+@pytest.mark.parametrize("times", [1, 2, 3, 4, 7])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_wheel_that_jumps_there_and_back_is_counted_each_way(times: int, side: float) -> None:
+    """Jumps of 20 degrees, 10 s apart, each the other way than the one before."""
+    jumps = np.minimum(np.floor((T + 5.0) / 10.0), times)
+    angle = radians_of(side * 20.0 * (jumps % 2))
+    counted = metrics.reversal_rate(T, angle) * (T[-1] - T[0]) / 60.0
+    assert counted == pytest.approx(times)

@@ -1,0 +1,49 @@
+"""A drive: held, caught, or lost."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from steerkit.learning.settings import DEFAULT
+from steerkit.learning.story import untrained
+from steerkit.scenario import Scenario
+from steerkit.scenario.drive import controller, drive, drive_loop, held_all_along
+from steerkit.simulation import Log
+
+
+def log_of(e: Any, learning: Any = None) -> Log:
+    signals = {"path.e": np.array(e, dtype=float)}
+    if learning is not None:
+        signals["supervisor.learning"] = np.array(learning, dtype=float)
+    return Log(0.05 * np.arange(len(e)), signals, dict.fromkeys(signals, "1"))
+
+
+@pytest.mark.parametrize(
+    ("e", "learning", "held"),
+    [
+        ([0.1, -0.5, 0.5], None, True),
+        ([0.1, -0.51, 0.1], None, False),
+        ([0.1, math.nan, 0.1], None, False),
+        ([0.1, 0.1, 0.1], [1, 1, 1], True),
+        ([0.1, 0.1, 0.1], [1, 0, 1], False),
+        ([0.1, 0.1, 0.1], [0, 1, 1], False),
+        ([0.1, 0.1, 0.1], [1, 1, 0], False),
+        ([0.1, 0.6, 0.1], [1, 1, 1], False),
+        ([0.1, math.nan, 0.1], [1, 1, 1], False),
+    ],
+)
+def test_a_drive_is_held_by_who_kept_the_lane_and_the_wheel(e: list[float], learning: Any, held: bool) -> None:
+    assert held_all_along(log_of(e, learning)) is held
+
+
+def test_a_learned_controller_is_caught_where_an_analytic_one_is_alone() -> None:
+    scenario = Scenario(course="circle")
+    assert "recovery" in drive_loop(scenario, untrained(DEFAULT, 0), doe=DEFAULT.element(scenario.nominal)).blocks
+    assert "recovery" not in drive_loop(scenario, controller("stanley", scenario)).blocks
+    log = drive(scenario, untrained(DEFAULT, 0), doe=DEFAULT.element(scenario.nominal))
+    assert not held_all_along(log)
+    assert log["supervisor.learning"].min() == 0.0
