@@ -59,7 +59,7 @@ CASES = {
     "report 0.2 s late": Case(plant_fault("delay", "report", 0.2), "report stale", 0.1),
     "pose repeated": Case(plant_fault("freeze", "pose"), "integrity", 0.03),
     "report repeated": Case(plant_fault("freeze", "report"), "command echo", 0.15),
-    "pose stands still": Case(plant_fault("stuck", "pose"), "pose stale", 0.161),  # its first frame is still true
+    "pose stands still": Case(plant_fault("stuck", "pose"), "integrity", 0.161),  # its first frame is still true
     "pose corrupted": Case(plant_fault("corrupt", "pose"), "integrity", 0.03),
     "report corrupted": Case(plant_fault("corrupt", "report"), "", 0.3),
     "pose counter": Case(plant_fault("counter", "pose"), "integrity", 0.03),

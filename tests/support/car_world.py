@@ -66,8 +66,11 @@ class World:
         self.misses = 0
         self.tampered: Callable[[float, float], tuple[float, float] | None] = lambda basis, delta_sw: (basis, delta_sw)
         self.asleep_until = 0.0
+        self.beat_due, self.beats_until = 0.01, math.inf
         self.handle(Link(0.0, 1, True))
         self.packet(protocol.Hello(True))
+        self.handle(Link(0.0, 2, True))
+        self.handle(Packet(0.0, 2, protocol.encode(protocol.Hello(False))))
         self.until(0.03)
         loop = self.build(controller or Stanley.of(self.config.vehicle), doe)
         self.follow = Follow.of(loop, self)
@@ -102,8 +105,12 @@ class World:
     def until(self, end: float) -> None:
         while True:
             due = getattr(self, "due", math.inf)
-            t = max(self.t, min(self.car.next, max(self.core.wake, self.asleep_until), due, end))
+            t = max(self.t, min(self.car.next, max(self.core.wake, self.asleep_until), due, self.beat_due, end))
             self.t = t
+            if t >= self.beat_due:
+                self.beat_due = t + 0.1
+                if t < self.beats_until:
+                    self.handle(Packet(t, 2, protocol.encode(protocol.Beat())))
             for when, frame_id, data in self.car.advance(t):
                 self.handle(Frame(t, when, frame_id, data))
             if t >= due:

@@ -18,6 +18,8 @@ RESEND = 0.02
 """Period at which the last request is gated and sent again [s]."""
 NEUTRAL_FRAMES = 5
 """Frames with enable = 0 that follow the last one with enable = 1."""
+FOREIGN = 1.0
+"""How long a foreign sender is remembered [s]."""
 LOOK = 0.01
 """Longest time between two looks at the checks [s]."""
 
@@ -29,6 +31,8 @@ class Frame(NamedTuple):
     arrived: float
     frame_id: int
     data: bytes
+    kind: str = ""
+    """"" for an id of 11 bits, "x" for 29, "fd" for CAN FD."""
 
 
 class Packet(NamedTuple):
@@ -53,7 +57,14 @@ class Tick(NamedTuple):
     t: float
 
 
-Event = Frame | Packet | Link | Tick
+class End(NamedTuple):
+    """The process ends; the kit is told to let go first."""
+
+    t: float
+    cause: str
+
+
+Event = Frame | Packet | Link | Tick | End
 
 
 class Send(NamedTuple):
@@ -94,6 +105,8 @@ class Core:
         self.senses = Senses(config, path)
         self._late: deque[tuple[float, float]] = deque(maxlen=1000)
         self._links: dict[int, bool | None] = {}  # is it the controller? None: has not said yet
+        self._beats: dict[int, float] = {}  # of operators: when their panel last read its keys
+        self.recording = ""
         self._request: protocol.Request | None = None
         self._new_request = False
         self._misses: deque[tuple[float, int]] = deque(maxlen=1000)
@@ -126,14 +139,17 @@ class Core:
         order = None
         match event:
             case Frame():
-                self.senses.frame(t, event.arrived, event.frame_id, event.data, self._sent)
+                self.senses.frame(t, event.arrived, event.frame_id, event.data, self._sent, event.kind)
             case Packet():
                 order = self._packet(t, event, out)
             case Link(up=True):
                 self._links[event.link] = None
             case Link(up=False):
+                self._beats.pop(event.link, None)
                 if self._links.pop(event.link, None):
                     self._request = None
+            case End():
+                return self._end(t, event.cause)
         self._decide(t, order, out)
         self._write(t, out)
         self.wake = self._next(t)
@@ -153,6 +169,10 @@ class Core:
                 refused = "there is a controller already; end it first"
             case protocol.Hello():
                 self._links[event.link] = message.controller
+            case _ if self._links.get(event.link) is None:
+                refused = "say hello first, with a version that is understood"
+            case protocol.Beat() if not self._links[event.link]:
+                self._beats[event.link] = t
             case protocol.Query():
                 snapshot = self.snapshot(t)
                 out.append(Reply(event.link, protocol.encode(snapshot)))
@@ -208,7 +228,7 @@ class Core:
             self._late.popleft()
         v, request, config = self.senses.values, self._request, self.config
         engaged = self.machine.mode is Mode.ENGAGED
-        since = self.machine.since
+        since, enabled_since = self.machine.since, self.senses.enabled_since
         return Facts(
             connected=True in self._links.values(),
             listen_only=config.listen_only,
@@ -233,7 +253,27 @@ class Core:
             lateness=max((late for _, late in self._late), default=0.0),
             echo_age=t - max(self.senses.echo_ok, since) + EPS if engaged else 0.0,
             follow_age=t - max(self.senses.follow_ok, since) + EPS if engaged else 0.0,
+            e_growth=self.senses.e_growth(since) if engaged else 0.0,
+            still_for=t - max(self.senses.moving, since) if engaged else 0.0,
+            remaining=self.senses.remaining,
+            heartbeat_age=t - max(self._beats.values(), default=-math.inf) + EPS,
+            brake=v.get("brake", 0.0) != 0.0,
+            accelerator=v.get("accelerator", 0.0) != 0.0,
+            foreign=self.senses.foreign[1] if t - self.senses.foreign[0] < FOREIGN else "",
+            foreign_enable=0.0 if engaged or enabled_since is None else t - max(enabled_since, since),
+            recording=self.recording,
         )
+
+    def _end(self, t: float, cause: str) -> list[Output]:
+        """OFF, whatever the reason, and the neutral frames that go with it."""
+        before, out = self.machine, list[Output]()
+        self.machine = Machine(Mode.OFF, cause, t)
+        out.append(Note("state", {"t": t, "from": before.mode, "to": Mode.OFF, "cause": cause}))
+        if before.mode is Mode.ENGAGED:
+            self._neutral, self._urgent = NEUTRAL_FRAMES, True
+        self._write(t, out)
+        self.wake = self._next(t)
+        return out
 
     def obstacles(self) -> list[str]:
         """What stands against engaging now."""
@@ -306,6 +346,7 @@ class Core:
             )
             if self._request:
                 moments.append(self._request.basis + limits.request_lost)
+            moments.append(max(self._beats.values(), default=t) + limits.heartbeat)
             wake = min([wake, *(w for w in moments if w > t)])
         elif self._neutral:
             wake = min(wake, self._last_frame + self._pause)
@@ -316,12 +357,13 @@ class Core:
         v, f = self.senses.values, self.facts(t)
         speed, r = v.get("v", math.nan), v.get("r", math.nan)
         numbers = {name: v.get(name, math.nan) for name in ("x", "y", "psi", "v", "r", "delta_sw", "v_kit", "torque")}
-        beta = v["beta"] if "beta" in v else math.atan2(r * self.config.vehicle.l_r, max(speed, 1.0))
         against = self.obstacles() if self.machine.mode in (Mode.STANDBY, Mode.READY) else []
+        if self.machine.mode is Mode.ENGAGED:
+            against = states.warnings(self.config.states, f)
         return protocol.Snapshot(
             t=t,
             **numbers,
-            beta=beta,
+            beta=self.senses.beta,
             a_y=v.get("a_y", speed * r),
             e=self.senses.e,
             psi_e=self.senses.psi_e,

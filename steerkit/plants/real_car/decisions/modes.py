@@ -70,8 +70,6 @@ class StateLimits:
     """Largest delay of the driver process itself [s]."""
     quality: float = 1.0
     """Least quality of the pose [1]."""
-    pose_jump: float = 0.5
-    """Largest jump of the position beyond what the speed explains [m]."""
     echo_age: float = 0.12
     """How old the command may be that the kit reports [s]."""
     follow_angle: float = radians_of(60.0)
@@ -92,6 +90,24 @@ class StateLimits:
     """Fastest speed to engage at [m/s]."""
     delta_sw_max: float = STOP
     """Largest |request| [rad]; more is a broken controller."""
+    psi_e_max: float = radians_of(45.0)
+    """|psi_e| that ends driving [rad]."""
+    e_growth: float = 1.5
+    """Largest growth of |e| within a second while driving [m]."""
+    v_reverse: float = 0.15
+    """Speed backwards that ends driving [m/s]."""
+    v_still: float = 0.2
+    """Speed below which the car stands [m/s] ..."""
+    still_time: float = 1.0
+    """... and after so long driving ends, without a fault [s]."""
+    heartbeat: float = 0.3
+    """How long an operator's panel may be silent [s]."""
+    end_margin: float = 5.0
+    """How far before the end of an open course driving ends [m]."""
+    end_warning: float = 5.0
+    """How long before that the operator is warned [s]."""
+    foreign_enable: float = 0.3
+    """How long the kit may be enabled while we are not [s]."""
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
@@ -119,8 +135,8 @@ class Facts(NamedTuple):
     e: float = math.nan
     psi_e: float = math.nan
     quality: float = 0.0
-    torque_reports: int = 0
-    """Reports in a row with more than `torque_max`."""
+    torque_reports: float = 0.0
+    """Reports with more than `torque_max`, less a third of those since with less."""
     override: bool = False
     enabled: bool = False
     kit_faults: tuple[str, ...] = ()
@@ -140,6 +156,22 @@ class Facts(NamedTuple):
     follow_age: float = 0.0
     """How long |command - measured| has been beyond `follow_angle`."""
     engaged_for: float = 0.0
+    e_growth: float = 0.0
+    """By how much |e| has grown within the last second [m]."""
+    still_for: float = 0.0
+    """How long the car has stood [s]."""
+    remaining: float = math.inf
+    """Way to the end of an open course [m]."""
+    heartbeat_age: float = math.inf
+    """Time since an operator's panel last read its keys [s]."""
+    brake: bool = False
+    accelerator: bool = False
+    foreign: str = ""
+    """Who else sends what only we, or only the kit, may send."""
+    foreign_enable: float = 0.0
+    """How long the kit has been enabled while we were not [s]."""
+    recording: str = ""
+    """What is wrong with a recording that has to be made."""
 
 
 class Machine(NamedTuple):
@@ -163,8 +195,10 @@ HUMAN: tuple[Check, ...] = (
     (
         "torque",
         lambda li, f: f.torque_reports >= li.torque_reports,
-        lambda li, f: f"driver torque above {li.torque_max:g} N m in {f.torque_reports} reports",
+        lambda li, f: f"driver torque above {li.torque_max:g} N m in {f.torque_reports:.0f} reports",
     ),
+    ("brake", lambda li, f: f.brake, lambda li, f: "the human brakes"),
+    ("accelerator", lambda li, f: f.accelerator, lambda li, f: "the human accelerates"),
 )
 """The human wants the wheel."""
 
@@ -202,6 +236,18 @@ ALWAYS: tuple[Check, ...] = (
         lambda li, f: f"{f.misses} missed deadlines of the controller within 1 s",
     ),
     ("driver late", lambda li, f: not f.lateness < li.lateness, lambda li, f: f"own delay {_ms(f.lateness)}"),
+    (
+        "operator silent",
+        lambda li, f: not f.heartbeat_age < li.heartbeat,
+        lambda li, f: f"no panel has read its keys since {_ms(f.heartbeat_age)}; open one on a terminal",
+    ),
+    (
+        "reversing",
+        lambda li, f: not (f.v >= -li.v_reverse and f.v_kit >= -li.v_reverse),
+        lambda li, f: f"{min(f.v, f.v_kit):.2f} m/s",
+    ),
+    ("foreign sender", lambda li, f: bool(f.foreign), lambda li, f: f.foreign),
+    ("recording", lambda li, f: bool(f.recording), lambda li, f: f.recording),
 )
 """What must hold to engage, and at all times while engaged."""
 
@@ -222,8 +268,32 @@ DRIVING: tuple[Check, ...] = (
         lambda li, f: not f.follow_age < li.follow_time,
         lambda li, f: f"off by more than {degrees_of(li.follow_angle):.0f} deg for {_ms(f.follow_age)}",
     ),
+    (
+        "across the path",
+        lambda li, f: not abs(f.psi_e) <= li.psi_e_max,
+        lambda li, f: f"psi_e = {degrees_of(f.psi_e):.0f} deg, limit {degrees_of(li.psi_e_max):.0f} deg",
+    ),
+    (
+        "leaving the path",
+        lambda li, f: not f.e_growth <= li.e_growth,
+        lambda li, f: f"|e| grew by {f.e_growth:.2f} m within 1 s, limit {li.e_growth:g} m",
+    ),
 )
 """What must hold while engaged."""
+
+ENDING: tuple[Check, ...] = (
+    (
+        "end of the course",
+        lambda li, f: not f.remaining > li.end_margin,
+        lambda li, f: f"{f.remaining:.1f} m before its end",
+    ),
+    (
+        "standstill",
+        lambda li, f: not f.still_for < li.still_time,
+        lambda li, f: f"below {li.v_still:g} m/s for {f.still_for:.1f} s",
+    ),
+)
+"""What ends driving although nothing is wrong."""
 
 ENGAGING: tuple[Check, ...] = (
     ("listen only", lambda li, f: f.listen_only, lambda li, f: "the driver was started to listen only"),
@@ -248,6 +318,16 @@ ENGAGING: tuple[Check, ...] = (
         lambda li, f: not li.v_engage_min <= f.v <= li.v_engage_max,
         lambda li, f: f"v = {f.v:.2f} m/s, expected {li.v_engage_min:g} to {li.v_engage_max:g}",
     ),
+    (
+        "end of the course",
+        lambda li, f: not f.remaining > li.end_margin + li.end_warning * max(f.v, 0.0),
+        lambda li, f: f"{f.remaining:.1f} m before its end",
+    ),
+    (
+        "foreign enable",
+        lambda li, f: not f.foreign_enable < li.foreign_enable,
+        lambda li, f: f"the kit has been enabled for {_ms(f.foreign_enable)}, and not by us",
+    ),
 )
 """What must hold to engage, only."""
 
@@ -257,13 +337,19 @@ def broken(limits: StateLimits, facts: Facts, checks: tuple[Check, ...]) -> list
     return [f"{name}: {says(limits, facts)}" for name, fails, says in checks if fails(limits, facts)]
 
 
+def warnings(limits: StateLimits, facts: Facts) -> list[str]:
+    """What the operator should know while engaged, before it ends driving."""
+    ahead = facts.remaining - limits.end_margin
+    return [f"the course ends in {ahead:.0f} m"] if ahead < limits.end_warning * max(facts.v, 0.0) else []
+
+
 def step(limits: StateLimits, state: Machine, facts: Facts, t: float, order: Order | None = None) -> Machine:
     """The state after looking at `facts` at time t [s], with at most one order of the operator.
 
     OFF      -ARM->          STANDBY
     STANDBY  -all is well->  READY;  READY -anything is not-> STANDBY
     READY    -ENGAGE->       ENGAGED, in no other way
-    ENGAGED  -human->        OVERRIDE;  -any fault-> FAULT;  -DISENGAGE-> STANDBY
+    ENGAGED  -human->        OVERRIDE;  -any fault-> FAULT;  -DISENGAGE, end of the course, standstill-> STANDBY
     OVERRIDE, FAULT -ACKNOWLEDGE-> STANDBY, in no other way
     any      -OFF->          OFF
 
@@ -294,6 +380,9 @@ def step(limits: StateLimits, state: Machine, facts: Facts, t: float, order: Ord
             if human:
                 return to(Mode.OVERRIDE, human[0])
             faults = broken(limits, facts, ALWAYS + DRIVING)
-            return to(Mode.FAULT, faults[0]) if faults else state
+            if faults:
+                return to(Mode.FAULT, faults[0])
+            over = broken(limits, facts, ENDING)
+            return to(Mode.STANDBY, over[0]) if over else state
         case _:
             return to(Mode.STANDBY, "operator: acknowledge") if order is Order.ACKNOWLEDGE else state

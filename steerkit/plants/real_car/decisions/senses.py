@@ -8,12 +8,12 @@ from collections.abc import Sequence
 from typing import Any
 
 from steerkit.path import Path
+from steerkit.plants.real_car.decisions.motion import Motion
 from steerkit.plants.real_car.file.config import CarConfig
+from steerkit.plants.real_car.frames.codec import FrameReader
 from steerkit.tracker import PathTracker
 from steerkit.units import degrees_of
 
-MOTION_TIME = 0.2
-"""Time over which the position is compared with the speed [s]."""
 WHEEL_RATE = 25.0
 """Faster than any hand turns a wheel [rad/s]."""
 EPS = 1e-9
@@ -35,21 +35,44 @@ class Senses:
         self.values: dict[str, float] = {}
         self.errors: deque[tuple[float, str]] = deque(maxlen=1000)
         self.error_count = 0
-        self.torque_reports = 0
+        self.torque_reports = 0.0
+        self._times: dict[int, deque[float]] = {i: deque(maxlen=1000) for i in self._readers}
+        self.foreign: tuple[float, str] = (-math.inf, "")
+        self._errors_of_path: deque[tuple[float, float]] = deque()
+        self.moving = -math.inf
+        self.enabled_since: float | None = None
         self._tracker = PathTracker(path=path, reference=config.vehicle.l_f)
-        self._anchor: tuple[float, tuple[float, float]] | None = None
+        car = config.vehicle
+        self._motion = Motion(
+            config.motion,
+            wheelbase=float(car.wheelbase),
+            steer_ratio=float(car.steer_ratio),
+            understeer=float(car.understeer_gradient),
+        )
         self._place: Any = None
         self.places = 0
         self.e = self.psi_e = math.nan
+        self.remaining = math.inf
+        self._pose_frame = next(r.frame_id for r in config.readers if {"x", "lat"} & r.mappings.keys())
         self._stamp: tuple[float, float, float] | None = None  # first offset, least offset since, when
         self.delay = 0.0
         self.echo_ok = self.follow_ok = 0.0
 
-    def frame(self, t: float, arrived: float, frame_id: int, data: bytes, sent: Sequence[tuple[float, float]]) -> None:
-        """A frame that arrived at `arrived` is looked at; `sent`: the commands of late (t, delta_sw), oldest first."""
-        reader = self._readers.get(frame_id)
-        if reader is None:
+    def frame(
+        self, t: float, arrived: float, frame_id: int, data: bytes, sent: Sequence[tuple[float, float]], kind: str = ""
+    ) -> None:
+        """A frame that arrived at `arrived` is looked at; `sent`: the commands of late (t, delta_sw), oldest first.
+
+        kind: "" for 11 bits, "x" for 29, "fd" for CAN FD, as the recording has it.
+        """
+        writer = self.config.writer
+        if frame_id == writer.frame_id and kind == ("x" if writer.extended else ""):
+            self.foreign = (t, f"somebody else sends {writer.message.name} (0x{frame_id:X}), which only we may")
             return
+        reader = self._readers.get(frame_id)
+        if reader is None or kind != reader.kind:
+            return
+        self._check_rate(t, reader)
         checked = reader.read(data, self._counter[frame_id])
         self._counter[frame_id] = checked.counter
         missing = [name for name, value in checked.values.items() if not math.isfinite(value)]
@@ -63,17 +86,24 @@ class Senses:
         if "lat" in values:
             values = self._local(values)
         if "x" in values:
-            self._check_motion(t, arrived, values, gap)
+            self._check_position(t, arrived, values, gap)
         if "delta_sw" in values and "delta_sw" in self.values and gap < 1.0:
             turned = abs(values["delta_sw"] - self.values["delta_sw"])
             if turned > WHEEL_RATE * gap + 0.2:
                 self.error(t, f"the wheel jumped by {degrees_of(turned):.0f} deg", self.config.states.integrity_errors)
         self.values |= values
+        if "r" in values:
+            self._reckon(arrived)
         if "stamp" in values:
             self._track_delay(arrived, values["stamp"], reader.mappings["stamp"].gain, gap)
-        if "torque" in values:
+        if "torque" in values:  # a weak one takes a third off: reports of another sender in between do not hide a hand
             strong = abs(values["torque"]) > self.config.states.torque_max
-            self.torque_reports = self.torque_reports + 1 if strong else 0
+            self.torque_reports = self.torque_reports + 1.0 if strong else max(0.0, self.torque_reports - 1.0 / 3.0)
+        if "v" in values and abs(values["v"]) >= self.config.states.v_still:
+            self.moving = arrived
+        if "enabled" in values:
+            since = arrived if self.enabled_since is None else self.enabled_since
+            self.enabled_since = since if values["enabled"] else None
         if "delta_sw" in values:
             self._check_wheel(arrived, sent)
         if {"x", "psi"} & values.keys():
@@ -84,6 +114,18 @@ class Senses:
         self.error_count += 1
         self.errors.extend([(t, text)] * weight)
 
+    def _check_rate(self, t: float, reader: FrameReader) -> None:
+        """Frames that come oftener than they should have a second sender."""
+        if not reader.period:
+            return
+        times = self._times[reader.frame_id]
+        times.append(t)
+        while times[0] < t - 0.5:
+            times.popleft()
+        most = 1.4 * 0.5 / reader.period + 3.0  # three may have waited for the computer
+        if len(times) > most:
+            self.foreign = (t, f"{reader.name} comes {2 * len(times)} times a second, expected {1 / reader.period:.0f}")
+
     def _local(self, values: dict[str, float]) -> dict[str, float]:
         import pymap3d
 
@@ -92,22 +134,31 @@ class Senses:
         x, y, _ = pymap3d.geodetic2enu(values["lat"], values["lon"], 0.0, *map(math.radians, origin), 0.0, deg=False)
         return {**values, "x": float(x), "y": float(y)}
 
-    def _check_motion(self, t: float, arrived: float, values: dict[str, float], gap: float) -> None:
-        """A position that jumps, or that does not move with the speed, is wrong, whatever its CRC says."""
-        here, weight = (values["x"], values["y"]), self.config.states.integrity_errors
-        v, limit = self.values.get("v", math.nan), self.config.states.pose_jump
-        if gap < 1.0 and "x" in self.values:
-            moved = math.dist(here, (self.values["x"], self.values["y"]))
-            if moved > max(abs(v), abs(self.values.get("v_kit", 0.0))) * gap + limit:
-                self.error(t, f"the position jumped by {moved:.2f} m", weight)
-        if self._anchor is None or gap >= 1.0:
-            self._anchor = (arrived, here)
-        since = arrived - self._anchor[0]
-        if since >= MOTION_TIME:
-            moved = math.dist(here, self._anchor[1])
-            if abs(moved - abs(v) * since) > limit:
-                self.error(t, f"the position moved by {moved:.2f} m in {since:.2f} s at {v:.1f} m/s", weight)
-            self._anchor = (arrived, here)
+    def _check_position(self, t: float, arrived: float, values: dict[str, float], gap: float) -> None:
+        """A position that does not move as speed, heading, yaw rate and wheel say is wrong, whatever its CRC says."""
+        if gap > self.config.states.pose_age:
+            self._motion.forget()
+        what = self._motion.pose(arrived, values["x"], values["y"])
+        if what:
+            self.error(t, what, self.config.states.integrity_errors)
+
+    def _reckon(self, arrived: float) -> None:
+        """Add the way since the last speed, heading and yaw rate to what dead reckoning has."""
+        known = self.values
+        if not {"psi", "v", "r", "delta_sw"} <= known.keys():
+            return
+        self._motion.moves(
+            arrived, psi=known["psi"], v=known["v"], r=known["r"], beta=self.beta, delta_sw=known["delta_sw"]
+        )
+
+    @property
+    def beta(self) -> float:
+        """Sideslip, measured, or that of a car whose rear wheels roll where they point [rad]."""
+        known = self.values
+        if "beta" in known:
+            return known["beta"]
+        l_r = float(self.config.vehicle.l_r)
+        return math.atan2(known.get("r", math.nan) * l_r, max(known.get("v", math.nan), 1.0))
 
     def _track_delay(self, arrived: float, stamp: float, gain: float, gap: float) -> None:
         """How much later than the quickest so far the pose comes; its clock is only known up to a constant."""
@@ -151,6 +202,15 @@ class Senses:
         y = self._tracker.output(0.0, self._place, u)
         self._place = self._tracker.X(y.s, y.progress)
         self.e, self.psi_e = y.e, y.psi_e
+        self.remaining = math.inf if self._tracker.path.closed else self._tracker.path.length - y.s
+        self._errors_of_path.append((self.arrived[self._pose_frame], abs(y.e)))
+        while self._errors_of_path[0][0] < self._errors_of_path[-1][0] - 1.0:
+            self._errors_of_path.popleft()
+
+    def e_growth(self, since: float) -> float:
+        """By how much |e| has grown within the last second, counted from `since` [s] at the earliest [m]."""
+        late = [e for t, e in self._errors_of_path if t >= since]
+        return late[-1] - min(late) if late else 0.0
 
     def age(self, t: float, frames: frozenset[int]) -> float:
         """Age of the oldest of some frames [s]."""

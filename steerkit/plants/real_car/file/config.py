@@ -10,6 +10,7 @@ from typing import Any
 
 from steerkit.plants.real_car.decisions.gate import GateLimits
 from steerkit.plants.real_car.decisions.modes import StateLimits
+from steerkit.plants.real_car.decisions.motion import MotionLimits
 from steerkit.plants.real_car.frames.codec import CommandWriter, FrameReader, Mapping
 from steerkit.task import STOP_DEG
 from steerkit.units import degrees_of
@@ -35,7 +36,10 @@ DIMENSION = {
     "a_y": "m/s^2",
     "stamp": "s",
 }
-ANGLES = {"delta_sw_max", "rate_max", "follow_angle", "psi_e_engage", "delta_engage"}
+ANGLES = {
+    *("delta_sw_max", "rate_max", "follow_angle", "psi_e_engage", "delta_engage"),
+    *("motion_across", "heading_slack", "heading_rate", "wheel_slack", "wheel_rate"),
+}
 """Limits that the file gives in degrees, as `..._deg`."""
 DERIVED = {"steer_ratio", "wheelbase", "quantum"}
 """Fields of the gate's limits that follow from the car and the DBC."""
@@ -104,6 +108,7 @@ class CarConfig:
     writer: CommandWriter
     gate: GateLimits
     states: StateLimits
+    motion: MotionLimits = field(default_factory=MotionLimits)
     listen_only: bool = False
     lag: float = 0.1
     """Time constant of the kit's motor [s], for controllers that predict; so is `delay`."""
@@ -125,7 +130,7 @@ class CarConfig:
             name: {"unit": DIMENSION.get(name, "1"), "signal": m.signal, "gain": m.gain, "offset": m.offset}
             for name, m in self.quantities.items()
         }
-        limits = asdict(self.gate) | asdict(self.states)
+        limits = asdict(self.gate) | asdict(self.states) | asdict(self.motion)
         return {
             "file": self.file,
             "vehicle": self.vehicle.name,
@@ -155,7 +160,7 @@ class CarConfig:
         rest = {"enable": w.enable, "clear": w.clear, "counter": w.counter, "CRC": w.crc}
         lines.append(f"           {', '.join(f'{k} {v}' for k, v in rest.items() if v)}; fixed {dict(w.fixed)}")
         lines.append(f"kit      lag {self.lag:g} s, delay {self.delay:g} s, for controllers that predict")
-        for limits in (self.gate, self.states):
+        for limits in (self.gate, self.states, self.motion):
             for f in fields(limits):
                 if f.name not in DERIVED:
                     value = getattr(limits, f.name)

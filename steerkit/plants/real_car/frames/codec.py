@@ -100,14 +100,17 @@ class Checked(NamedTuple):
 class FrameReader:
     """Reads one kind of frame.
 
-    message: of a cantools database. mappings: quantity by name. protection: counter and CRC. The CRC lies in a byte
-    of its own; it covers the other bytes in their order, then the id's low and high byte.
+    message: of a cantools database. mappings: quantity by name. protection: counter and CRC. period: time between two
+    such frames [s], 0: not known; more frequent ones have a second sender. The CRC lies in a byte of its own; it covers
+    the other bytes in their order, then the id's low and high byte.
     """
 
-    def __init__(self, message: Any, mappings: dict[str, Mapping], protection: Protection):
+    def __init__(self, message: Any, mappings: dict[str, Mapping], protection: Protection, period: float = 0.0):
         self.message, self.mappings, self.protection = message, mappings, protection
         self.name: str = message.name
         self.frame_id: int = message.frame_id
+        self.kind = "x" if message.is_extended_frame else ""
+        self.period = period
         self._ranges = {s.name: signal_range(s) for s in message.signals}
         self._crc_byte = message.get_signal_by_name(protection.crc).start // 8 if protection.crc else None
         if protection.counter:
@@ -121,7 +124,15 @@ class FrameReader:
             expected = frame_crc(data, self._crc_byte, self.frame_id)
             if data[self._crc_byte] != expected:
                 return Checked({}, counter, f"{self.name}: CRC 0x{data[self._crc_byte]:02X}, expected 0x{expected:02X}")
-        raw = self.message.decode(data, decode_choices=False)
+        try:
+            raw = self.message.decode(data, decode_choices=False)
+        except Exception as error:  # a multiplexer code of no signal, for one; what cantools raises is not ours to list
+            return Checked({}, counter, f"{self.name}: cannot be decoded ({type(error).__name__}: {error})")
+        absent = [
+            s for s in (*(m.signal for m in self.mappings.values()), self.protection.counter) if s and s not in raw
+        ]
+        if absent:
+            return Checked({}, counter, f"{self.name}: without {', '.join(absent)}")
         if self.protection.counter:
             new = int(raw[self.protection.counter])
             jump = 1 if counter is None else (new - counter) % self._modulus

@@ -90,6 +90,10 @@ class DriverLink:
         """Say, for the recording, what steers from the next request on."""
         self._send(protocol.Remark(text))
 
+    def beat(self) -> None:
+        """Say that the operator's keys were just read; see `protocol.Beat`."""
+        self._send(protocol.Beat())
+
     def order(self, order: Order) -> None:
         """Give an order; what comes of it shows in later snapshots and in `refused`."""
         self._send(protocol.Command(order))

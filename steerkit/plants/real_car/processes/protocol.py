@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from steerkit.plants.real_car.decisions.modes import Mode, Order
 
-VERSION = 2
+VERSION = 3
 _MODES, _ORDERS = tuple(Mode), tuple(Order)
 
 
@@ -21,6 +21,10 @@ class Hello(NamedTuple):
 
 class Query(NamedTuple):
     """Asks for a `Snapshot`."""
+
+
+class Beat(NamedTuple):
+    """An operator's panel has just read its keys: sent ten times a second. Without any, nobody could let go by key."""
 
 
 class Command(NamedTuple):
@@ -86,7 +90,7 @@ class Refused(NamedTuple):
     why: str
 
 
-Message = Hello | Query | Command | Request | Remark | Snapshot | Refused
+Message = Hello | Query | Beat | Command | Request | Remark | Snapshot | Refused
 _REQUEST = struct.Struct("<cddI")
 _NUMBERS = len(Snapshot._fields) - 2
 _SNAPSHOT = struct.Struct(f"<c{_NUMBERS}dB")
@@ -100,6 +104,8 @@ def encode(message: Message) -> bytes:
             return b"H" + bytes((message.controller, message.version))
         case Query():
             return b"Q"
+        case Beat():
+            return b"B"
         case Command():
             return b"O" + bytes((_ORDERS.index(message.order),))
         case Request():
@@ -124,6 +130,8 @@ def decode(packet: bytes) -> Message:
                 return Hello(bool(packet[1]), packet[2])
             case b"Q" if len(packet) == 1:
                 return Query()
+            case b"B" if len(packet) == 1:
+                return Beat()
             case b"O" if len(packet) == 2:
                 return Command(_ORDERS[packet[1]])
             case b"R":

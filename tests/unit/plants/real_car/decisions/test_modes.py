@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from steerkit.plants.real_car.decisions.modes import (
     ALWAYS,
     DRIVING,
+    ENDING,
     ENGAGING,
     HUMAN,
     Facts,
@@ -38,6 +39,7 @@ GOOD = Facts(
     psi_e=0.02,
     quality=4.0,
     enabled=True,
+    heartbeat_age=0.1,
 )
 BAD: dict[str, dict[str, Any]] = {
     "override": {"override": True},
@@ -59,6 +61,17 @@ BAD: dict[str, dict[str, Any]] = {
     "kit not enabled": {"enabled": False},
     "command echo": {"echo_age": 0.15},
     "wheel does not follow": {"follow_age": 0.6},
+    "brake": {"brake": True},
+    "accelerator": {"accelerator": True},
+    "operator silent": {"heartbeat_age": 0.3},
+    "reversing": {"v": -0.16, "v_kit": -0.16},
+    "foreign sender": {"foreign": "somebody"},
+    "recording": {"recording": "the disk is full"},
+    "across the path": {"psi_e": 0.8},
+    "leaving the path": {"e_growth": 1.6},
+    "foreign enable": {"foreign_enable": 0.3},
+    "end of the course": {"remaining": 4.9},
+    "standstill": {"still_for": 1.0},
     "listen only": {"listen_only": True},
     "request stale": {"request_age": 0.075},
     "command differs": {"delta_sw": 0.5},
@@ -66,9 +79,17 @@ BAD: dict[str, dict[str, Any]] = {
     "psi_e": {"psi_e": -0.27},
     "speed": {"v": 0.4, "v_kit": 0.4},
 }
+FAR_OFF = ("controller silent", "across the path")
+"""What ends driving from values at which nobody could have engaged."""
 NAMES = {
     group: [name for name, _, _ in checks]
-    for group, checks in (("human", HUMAN), ("always", ALWAYS), ("driving", DRIVING), ("engaging", ENGAGING))
+    for group, checks in (
+        ("human", HUMAN),
+        ("always", ALWAYS),
+        ("driving", DRIVING),
+        ("engaging", ENGAGING),
+        ("ending", ENDING),
+    )
 }
 
 
@@ -76,22 +97,24 @@ def expected(mode: Mode, name: str, order: Order | None) -> Mode:
     """The state after one look, with one thing wrong ("": nothing), written out once more as a table."""
     if order is Order.OFF:
         return Mode.OFF
-    against = name in (*NAMES["human"], *NAMES["always"], *NAMES["engaging"])
+    against = name in (*NAMES["human"], *NAMES["always"], *NAMES["engaging"]) or name in FAR_OFF
     if mode is Mode.OFF:
         return Mode.STANDBY if order is Order.ARM else Mode.OFF
     if mode in (Mode.OVERRIDE, Mode.FAULT):
         return Mode.STANDBY if order is Order.ACKNOWLEDGE else mode
     if mode is Mode.STANDBY:
-        return Mode.STANDBY if against or name == "controller silent" else Mode.READY
+        return Mode.STANDBY if against else Mode.READY
     if mode is Mode.READY:
-        if against or name == "controller silent":
+        if against:
             return Mode.STANDBY
         return Mode.ENGAGED if order is Order.ENGAGE else Mode.READY
     if order is Order.DISENGAGE:
         return Mode.STANDBY
     if name in NAMES["human"]:
         return Mode.OVERRIDE
-    return Mode.FAULT if name in (*NAMES["always"], *NAMES["driving"]) else Mode.ENGAGED
+    if name in (*NAMES["always"], *NAMES["driving"]):
+        return Mode.FAULT
+    return Mode.STANDBY if name in NAMES["ending"] else Mode.ENGAGED
 
 
 def test_every_check_has_a_case() -> None:
@@ -111,8 +134,8 @@ def test_every_fault_in_every_state_under_every_order(name: str) -> None:
 
 @pytest.mark.parametrize("name", [n for n in BAD if n not in ("kit not enabled",)])
 def test_the_good_case_just_holds(name: str) -> None:
-    assert not broken(LIMITS, GOOD, HUMAN + ALWAYS + ENGAGING + DRIVING)
-    assert broken(LIMITS, GOOD._replace(**BAD[name]), HUMAN + ALWAYS + ENGAGING + DRIVING)
+    assert not broken(LIMITS, GOOD, HUMAN + ALWAYS + ENGAGING + DRIVING + ENDING)
+    assert broken(LIMITS, GOOD._replace(**BAD[name]), HUMAN + ALWAYS + ENGAGING + DRIVING + ENDING)
 
 
 def test_the_kit_has_some_time_to_say_that_it_is_enabled() -> None:

@@ -1,0 +1,168 @@
+"""Dead reckoning against the pose: does the car move as its speed, heading, yaw rate and wheel say that it must?"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from steerkit.errors import require
+from steerkit.units import degrees_of, radians_of
+
+SPACING = 0.05
+"""Time between two kept samples [s]: every later pose is compared with each of them."""
+HORIZON = 4.0
+"""How long a sample is kept [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionLimits:
+    """How far pose, speed, yaw rate and wheel may contradict each other over any time T, up to `HORIZON`.
+
+    along the heading:  pose_jump + 0.06 s v + motion_along*v*T       (0.06 s: frames that the computer reads late)
+    across it:          pose_jump + motion_across*v*T                 motion_across: a heading that is off [rad]
+    heading:            heading_slack + heading_rate*T + 0.05*turned     turned: by how much it turned to and fro
+    wheel:              wheel_slack + wheel_rate*T + wheel_share*turned  a ratio, tyres, a wheel that is off
+
+    A fault that stays below them for ever moves the car by `motion_across*v` a second at most.
+    """
+
+    pose_jump: float = 0.25
+    """Jump of the position that a good receiver makes [m]."""
+    motion_along: float = 0.06
+    """Error of the speed [1]."""
+    motion_across: float = 0.03
+    """Error of the heading, and of the sideslip where it is not measured [rad]."""
+    heading_slack: float = radians_of(4.0)
+    """Jump of the heading that a good receiver makes [rad]."""
+    heading_rate: float = radians_of(1.0)
+    """Error of the yaw rate [rad/s]."""
+    wheel_slack: float = radians_of(5.0)
+    """Heading by which the yaw rate lags behind the wheel, or runs ahead [rad]."""
+    wheel_rate: float = radians_of(3.0)
+    """Yaw rate that the wheel does not explain: its offset, wind, a banked road [rad/s]."""
+    wheel_share: float = 0.4
+    """The same as a share of the yaw rate: ratio and tyres that differ from the data sheet [1]."""
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            value = getattr(self, name)
+            require(0.0 < value < math.inf, "MotionLimits", f"{name} = {value}, expected a finite number > 0")
+
+
+class Reckoned(NamedTuple):
+    """What dead reckoning has added up, from a beginning that does not matter."""
+
+    t: float
+    """[s]"""
+    x: float
+    y: float
+    """Way by speed and measured heading [m]."""
+    psi: float
+    """Heading by the measured yaw rate [rad]."""
+    psi_wheel: float
+    """Heading by speed and wheel [rad]."""
+    turned: float
+    """|psi|' added up [rad]."""
+    turned_wheel: float
+    """The same of the wheel."""
+
+
+class Sample(NamedTuple):
+    """A pose, less what dead reckoning explains of it: what is left must stand still."""
+
+    t: float
+    x: float
+    y: float
+    psi: float
+    """Measured heading, unwrapped, less the yaw rate's [rad]."""
+    wheel: float
+    """The yaw rate's heading less the wheel's [rad]."""
+    reckoned: Reckoned
+
+
+class Motion:
+    """Compares each pose with all those of the last seconds; the windows overlap, and none of them starts anew.
+
+    wheelbase [m], steer_ratio [1], understeer [rad s^2/m]: of the car; r = v tan(delta)/(L + K v^2) at a steady wheel.
+    Source: as Autoware's pose instability detector compares a pose with odometry; the split along and across the
+    heading is ours.
+    """
+
+    def __init__(self, limits: MotionLimits, *, wheelbase: float, steer_ratio: float, understeer: float = 0.0):
+        self.limits = limits
+        self._length, self._ratio, self._understeer = wheelbase, steer_ratio, understeer
+        self._at: Reckoned | None = None
+        self._rates = (0.0, 0.0, 0.0, 0.0)
+        self._psi = 0.0
+        self._kept: deque[Sample] = deque()
+
+    def forget(self) -> None:
+        """Begin anew, after a pause without poses."""
+        self._at = None
+        self._kept.clear()
+
+    def moves(self, t: float, *, psi: float, v: float, r: float, beta: float, delta_sw: float) -> None:
+        """Speed, heading, yaw rate and wheel at time t [SI]: added up from the last time on (trapezoids)."""
+        course = psi + beta
+        delta = delta_sw / self._ratio
+        by_wheel = v * math.tan(delta) / (self._length + self._understeer * v * v) if abs(delta) < 1.5 else r
+        rates = (v * math.cos(course), v * math.sin(course), r, by_wheel if math.isfinite(by_wheel) else r)
+        if self._at is None:
+            self._at, self._psi = Reckoned(t, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), psi
+        else:
+            old, dt = self._at, max(0.0, t - self._at.t)
+            x, y, turn, turn_wheel = (0.5 * dt * (a + b) for a, b in zip(self._rates, rates))
+            self._at = Reckoned(
+                t,
+                old.x + x,
+                old.y + y,
+                old.psi + turn,
+                old.psi_wheel + turn_wheel,
+                old.turned + abs(turn),
+                old.turned_wheel + abs(turn_wheel),
+            )
+            self._psi += math.remainder(psi - self._psi, 2.0 * math.pi)
+        self._rates = rates
+
+    def pose(self, t: float, x: float, y: float) -> str:
+        """The position at time t [s, m]: what contradicts the motion of the last seconds, or ""."""
+        at = self._at
+        if at is None:
+            return ""
+        ahead = max(0.0, min(t - at.t, 0.1))  # the position may come before the speed of the same moment
+        here = Sample(
+            t,
+            x - at.x - ahead * self._rates[0],
+            y - at.y - ahead * self._rates[1],
+            self._psi - at.psi,
+            at.psi - at.psi_wheel,
+            at,
+        )
+        while self._kept and self._kept[0].t < t - HORIZON:
+            self._kept.popleft()
+        what = next((text for sample in self._kept if (text := self._against(sample, here))), "")
+        if not self._kept or t - self._kept[-1].t >= SPACING:
+            self._kept.append(here)
+        return what
+
+    def _against(self, then: Sample, here: Sample) -> str:
+        limits, span = self.limits, here.t - then.t
+        v = math.hypot(self._rates[0], self._rates[1])
+        dx, dy = here.x - then.x, here.y - then.y
+        cos, sin = math.cos(self._psi), math.sin(self._psi)
+        along, across = dx * cos + dy * sin, dy * cos - dx * sin
+        way = v * span
+        if not abs(along) <= limits.pose_jump + 0.06 * v + limits.motion_along * way:
+            return f"the position is {along:+.2f} m along from where {span:.2f} s at {v:.1f} m/s lead"
+        if not abs(across) <= limits.pose_jump + limits.motion_across * way:
+            return f"the position drifted by {across:+.2f} m across the heading in {span:.2f} s"
+        psi, turned = here.psi - then.psi, here.reckoned.turned - then.reckoned.turned
+        if not abs(psi) <= limits.heading_slack + limits.heading_rate * span + 0.05 * turned:
+            return f"the heading is {degrees_of(psi):+.1f} deg from where the yaw rate of {span:.2f} s leads"
+        wheel = here.wheel - then.wheel
+        turned = max(turned, here.reckoned.turned_wheel - then.reckoned.turned_wheel)
+        if not abs(wheel) <= limits.wheel_slack + limits.wheel_rate * span + limits.wheel_share * turned:
+            return f"the car turned by {degrees_of(wheel):+.1f} deg more than its wheel says in {span:.2f} s"
+        return ""
