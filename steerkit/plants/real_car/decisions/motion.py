@@ -15,28 +15,31 @@ SPACING = 0.05
 HORIZON = 4.0
 """How long a sample is kept [s]."""
 
+READ_LATE = 0.06
+"""How late a busy computer may read a frame [s]; the process that reads watches that of its own."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class MotionLimits:
     """How far pose, speed, yaw rate and wheel may contradict each other over any time T, up to `HORIZON`.
 
-    along the heading:  pose_jump + 0.06 s v + motion_along*v*T       (0.06 s: frames that the computer reads late)
-    across it:          pose_jump + motion_across*v*T                 motion_across: a heading that is off [rad]
-    heading:            heading_slack + heading_rate*T + 0.05*turned     turned: by how much it turned to and fro
-    wheel:              wheel_slack + wheel_rate*T + wheel_share*turned  a ratio, tyres, a wheel that is off
+    along the heading:  pose_jump + READ_LATE*v + motion_along*v*T
+    across it:          pose_jump + motion_across*v*T
+    heading:            heading_slack + heading_rate*T + 0.05*turned         turned: by how much, to and fro [rad]
+    wheel:              wheel_slack + wheel_rate*T + wheel_share*turned
 
-    A fault that stays below them for ever moves the car by `motion_across*v` a second at most.
+    What stays below them for ever moves the car by motion_across*v + pose_jump/HORIZON a second at most.
     """
 
     pose_jump: float = 0.25
     """Jump of the position that a good receiver makes [m]."""
     motion_along: float = 0.06
     """Error of the speed [1]."""
-    motion_across: float = 0.03
+    motion_across: float = 0.012
     """Error of the heading, and of the sideslip where it is not measured [rad]."""
-    heading_slack: float = radians_of(4.0)
+    heading_slack: float = radians_of(1.5)
     """Jump of the heading that a good receiver makes [rad]."""
-    heading_rate: float = radians_of(1.0)
+    heading_rate: float = radians_of(0.5)
     """Error of the yaw rate [rad/s]."""
     wheel_slack: float = radians_of(5.0)
     """Heading by which the yaw rate lags behind the wheel, or runs ahead [rad]."""
@@ -73,8 +76,10 @@ class Sample(NamedTuple):
     """A pose, less what dead reckoning explains of it: what is left must stand still."""
 
     t: float
-    x: float
-    y: float
+    along: float
+    """What is left of each step, along the heading of that step, added up [m]."""
+    across: float
+    """The same across it, + = left: a wrong speed does not turn into it in a bend [m]."""
     psi: float
     """Measured heading, unwrapped, less the yaw rate's [rad]."""
     wheel: float
@@ -96,11 +101,12 @@ class Motion:
         self._at: Reckoned | None = None
         self._rates = (0.0, 0.0, 0.0, 0.0)
         self._psi = 0.0
+        self._last: tuple[float, float, float, float] | None = None
         self._kept: deque[Sample] = deque()
 
     def forget(self) -> None:
         """Begin anew, after a pause without poses."""
-        self._at = None
+        self._at = self._last = None
         self._kept.clear()
 
     def moves(self, t: float, *, psi: float, v: float, r: float, beta: float, delta_sw: float) -> None:
@@ -132,14 +138,13 @@ class Motion:
         if at is None:
             return ""
         ahead = max(0.0, min(t - at.t, 0.1))  # the position may come before the speed of the same moment
-        here = Sample(
-            t,
-            x - at.x - ahead * self._rates[0],
-            y - at.y - ahead * self._rates[1],
-            self._psi - at.psi,
-            at.psi - at.psi_wheel,
-            at,
-        )
+        left_x, left_y = x - at.x - ahead * self._rates[0], y - at.y - ahead * self._rates[1]
+        last_x, last_y, along, across = self._last or (left_x, left_y, 0.0, 0.0)
+        cos, sin = math.cos(self._psi), math.sin(self._psi)
+        along += (left_x - last_x) * cos + (left_y - last_y) * sin
+        across += (left_y - last_y) * cos - (left_x - last_x) * sin
+        self._last = (left_x, left_y, along, across)
+        here = Sample(t, along, across, self._psi - at.psi, at.psi - at.psi_wheel, at)
         while self._kept and self._kept[0].t < t - HORIZON:
             self._kept.popleft()
         what = next((text for sample in self._kept if (text := self._against(sample, here))), "")
@@ -150,11 +155,8 @@ class Motion:
     def _against(self, then: Sample, here: Sample) -> str:
         limits, span = self.limits, here.t - then.t
         v = math.hypot(self._rates[0], self._rates[1])
-        dx, dy = here.x - then.x, here.y - then.y
-        cos, sin = math.cos(self._psi), math.sin(self._psi)
-        along, across = dx * cos + dy * sin, dy * cos - dx * sin
-        way = v * span
-        if not abs(along) <= limits.pose_jump + 0.06 * v + limits.motion_along * way:
+        along, across, way = here.along - then.along, here.across - then.across, v * span
+        if not abs(along) <= limits.pose_jump + READ_LATE * v + limits.motion_along * way:
             return f"the position is {along:+.2f} m along from where {span:.2f} s at {v:.1f} m/s lead"
         if not abs(across) <= limits.pose_jump + limits.motion_across * way:
             return f"the position drifted by {across:+.2f} m across the heading in {span:.2f} s"

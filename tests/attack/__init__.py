@@ -1,0 +1,1 @@
+"""An attacker that shares no code with the product: its own car, kit, client, course and wire formats."""

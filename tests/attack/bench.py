@@ -1,0 +1,357 @@
+"""A drive under attack: the true car, its sensors, its kit, a client and an operator around the product's core.
+
+Time is simulated; the core is given nothing but frames, packets and times, and is judged by the true car and the bus.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+import struct
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Protocol
+
+from steerkit.plants.real_car.decisions.core import Core, Event, Frame, Link, Note, Packet, Reply, Send, Tick
+from steerkit.plants.real_car.file.config import CarConfig, load
+from tests.attack import wire
+from tests.attack.car import FRONT, Car, Course, road, stadium, stanley
+
+STEP = 0.005
+WATCHDOG = 0.1
+SETTLE = 2.5
+"""When the operator has engaged and the car has settled: no attack begins before [s]."""
+
+
+@cache
+def courses() -> dict[str, Course]:
+    """The attacker's own courses."""
+    return {"stadium": stadium(), "road": road()}
+
+
+@cache
+def configuration(name: str) -> tuple[CarConfig, Any]:
+    """The product's configuration for one of them, as a user would write it."""
+    course = courses()[name]
+    with TemporaryDirectory() as folder:
+        Path(folder, "track.csv").write_text(course.csv())
+        shipped = load("dbw-kit.toml").texts["config.toml"]
+        closed = "true" if course.closed else "false"
+        text = shipped.replace('name = "paper"', f'file = "track.csv"\nclosed = {closed}', 1)
+        Path(folder, "car.toml").write_text(text)
+        config = load(Path(folder, "car.toml"))
+    return config, config.course["path"]
+
+
+@dataclass
+class Sensed:
+    """What the sensors say in one moment; an attack changes it. SI, flags of the kit by name."""
+
+    x: float
+    y: float
+    psi: float
+    v: float
+    r: float
+    beta: float
+    a_y: float
+    stamp: float
+    quality: float
+    angle: float
+    echo: float
+    v_kit: float
+    torque: float
+    flags: set[str]
+
+
+class Steerer(Protocol):
+    """A client: from the last snapshot to the wheel it asks for [rad], None for nothing."""
+
+    def __call__(self, drive: Drive, snapshot: dict[str, float]) -> float | None:
+        """Twenty times a second."""
+        ...
+
+
+class OwnClient:
+    """Finds its place on the attacker's course by itself."""
+
+    def __init__(self, course: Course):
+        self.course, self.near = course, None
+
+    def __call__(self, drive: Drive, snapshot: dict[str, float]) -> float | None:
+        psi = snapshot["psi"]
+        x, y = snapshot["x"] + FRONT * math.cos(psi), snapshot["y"] + FRONT * math.sin(psi)
+        if not math.isfinite(x + y + snapshot["v"] + snapshot["r"]):
+            return None
+        _, e, heading = self.course.at(x, y)
+        near, _, _ = self.course.at(x, y)
+        psi_e = math.remainder(psi - heading, 2.0 * math.pi)
+        return stanley(e, psi_e, snapshot["v"], snapshot["r"], float(self.course.kappa[near]))
+
+
+@dataclass
+class Attack:
+    """Something wrong from an onset on. Each hook sees the drive and the time since the onset [s]."""
+
+    name: str
+    sense: Callable[[Drive, Sensed, float], None] | None = None
+    """Changes what the sensors say."""
+    frames: Callable[[Drive, list[tuple[int, bytes, str]], float], list[tuple[int, bytes, str]]] | None = None
+    """Changes the frames of one moment: (id, data, kind)."""
+    request: Callable[[Drive, float, float], float | None] | None = None
+    """Changes the angle that the client asks for."""
+    motor: Callable[[Drive, float, float], float] | None = None
+    """Changes where the motor turns the wheel."""
+    act: Callable[[Drive, float], None] | None = None
+    """Whatever else, each step."""
+    speed: Callable[[Drive, float, float], float] | None = None
+    """Changes the speed that the human keeps [m/s]."""
+    latency: Callable[[float], float] | None = None
+    """Delay of all pose frames [s]."""
+    course: str = "stadium"
+    where: str = "bend"
+    """Where it begins: in a `bend`, on a `straight`, or at the bend's `entry`."""
+    seconds: float = 8.0
+    """How long it is watched."""
+    harmless: bool = False
+    """Nothing has to happen: the car is steered as well as before."""
+
+
+@dataclass
+class Drive:
+    """One drive; `run` it, then look at `outcome`."""
+
+    attack: Attack
+    speed: float = 5.0
+    seed: int = 0
+    client: Steerer | None = None
+    noise: float = 1.0
+    t: float = 0.0
+    mode: str = "OFF"
+    sent: list[tuple[float, float, bool]] = field(default_factory=list)
+    modes: list[tuple[float, str, str]] = field(default_factory=list)
+    truth: list[tuple[float, float, float, bool]] = field(default_factory=list)
+    """(t, true e, true a_y, does the kit steer?)"""
+    events: list[tuple[Event, list[Any]]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.config, path = configuration(self.attack.course)
+        self.core = Core(self.config, path)
+        self.dice = random.Random(self.seed)
+        course = courses()[self.attack.course]
+        self.course = course
+        self.onset = SETTLE + self.dice.random() * 0.3
+        at = {"bend": 70.0, "straight": 150.0, "entry": 33.0}[self.attack.where]
+        start = (at - self.onset * self.speed) % course.length if course.closed else 2.0
+        i = round(start / course.step) % len(course.x)
+        psi = float(course.psi[i])
+        self.car = Car(course, float(course.x[i]) - FRONT * math.cos(psi), float(course.y[i]) - FRONT * math.sin(psi),
+                       psi, v=self.speed, near=i)  # fmt: skip
+        self.car.wheel = 15.6 * 2.71 * float(course.kappa[i])
+        self.client = self.client or OwnClient(course)
+        self.kit_enabled = self.kit_timeout = self.overridden = False
+        self.command, self.heard = 0.0, -math.inf
+        self.snapshot: dict[str, float] = {}
+        self.refusals: list[str] = []
+        self.count = self.k = 0
+        self.drift = [0.0, 0.0, 0.0]
+        self.waiting: list[tuple[float, int, bytes, str]] = []
+        self.frozen: dict[str, Any] = {}
+        self.beating = self.controlling = True
+        self.misses = 0
+
+    # ---- around the core --------------------------------------------------------------------------------------
+
+    def handle(self, event: Event) -> None:
+        """Give the core an event, and do what it answers."""
+        outputs = self.core.handle(event)
+        self.events.append((event, outputs))
+        for out in outputs:
+            match out:
+                case Send():
+                    angle, enable, clear = wire.command(out.data)
+                    self.sent.append((self.t, angle, enable))
+                    self.hear(angle, enable, clear)
+                case Note(topic="state", values=v):
+                    self.mode = str(v["to"])
+                    self.modes.append((self.t, self.mode, v["cause"]))
+                case Reply(data=data) if data[:1] == b"S":
+                    numbers = struct.unpack_from(f"<{len(wire.SNAPSHOT)}d", data, 1)
+                    self.snapshot = dict(zip(wire.SNAPSHOT, numbers))
+                case Reply(data=data):
+                    self.refusals.append(data[1:].decode())
+
+    def packet(self, link: int, data: bytes) -> None:
+        """A client's packet."""
+        self.handle(Packet(self.t, link, data))
+
+    def order(self, name: str) -> None:
+        """An order of the operator, as a key gives it."""
+        self.packet(2, wire.ORDERS[name])
+
+    def hear(self, angle: float, enable: bool, clear: bool) -> None:
+        """A command reaches the kit."""
+        self.heard = self.t
+        if clear:
+            self.kit_timeout = self.overridden = False
+        self.kit_enabled = enable and not (self.kit_timeout or self.overridden)
+        if self.kit_enabled:
+            self.command = angle
+
+    def since(self) -> float | None:
+        """Time since the onset [s], None before it."""
+        return self.t - self.onset if self.t >= self.onset else None
+
+    # ---- one step ---------------------------------------------------------------------------------------------
+
+    def sensed(self) -> Sensed:
+        """Noise as under `hard` conditions: drifts of 1 cm and 0.1 degrees, 0.2 deg/s on the yaw rate."""
+        car, gauss = self.car, self.dice.gauss
+        for i, size in enumerate((0.01, 0.01, math.radians(0.1))):
+            self.drift[i] += self.noise * (-self.drift[i] / 100.0 + gauss(0.0, size * math.sqrt(2.0 / 100.0)))
+        return Sensed(
+            x=car.x + self.drift[0],
+            y=car.y + self.drift[1],
+            psi=car.psi + self.drift[2],
+            v=car.v + self.noise * gauss(0.0, 0.02),
+            r=car.r + self.noise * gauss(0.0, math.radians(0.2)),
+            beta=math.atan2(car.slide, max(abs(car.v), 0.5)),
+            a_y=car.a_y,
+            stamp=self.t,
+            quality=4.0,
+            angle=car.wheel,
+            echo=self.command if self.kit_enabled else car.wheel,
+            v_kit=car.v,
+            torque=0.2 + self.noise * gauss(0.0, 0.1),
+            flags={name for name, up in (("ENABLED", self.kit_enabled), ("OVERRIDE", self.overridden),
+                                         ("TMOUT", self.kit_timeout)) if up},
+        )  # fmt: skip
+
+    def transmit(self) -> None:
+        """Pose frames at 100 Hz, the kit's report at 50 Hz; the attack has its way with each."""
+        since, attack = self.since(), self.attack
+        values = self.sensed()
+        if since is not None and attack.sense:
+            attack.sense(self, values, since)
+        self.count += 1
+        n = self.count
+        pose = [
+            (wire.POSITION, wire.position(values.x, values.y, quality=int(values.quality), count=n), ""),
+            (wire.MOTION, wire.motion(values.psi, values.v, values.r, count=n), ""),
+            (wire.DYNAMICS, wire.dynamics(values.beta, values.a_y, values.stamp, count=n), ""),
+        ]
+        degrees = math.degrees
+        kit = [] if n % 2 else [(wire.REPORT, wire.report(degrees(values.angle), degrees(values.echo), values.v_kit,
+                                                          values.torque, values.flags), "")]  # fmt: skip
+        late = attack.latency(since) if since is not None and attack.latency else 0.0
+        frames = pose + kit
+        if since is not None and attack.frames:
+            frames = attack.frames(self, frames, since)
+        for frame_id, data, kind in frames:
+            when = self.t + (late if frame_id in (wire.POSITION, wire.MOTION, wire.DYNAMICS) else 0.0)
+            self.waiting.append((when, frame_id, data, kind))
+        due = [w for w in self.waiting if w[0] <= self.t + 1e-9]
+        self.waiting = [w for w in self.waiting if w[0] > self.t + 1e-9]
+        for when, frame_id, data, kind in due:
+            self.handle(Frame(self.t, max(when, self.t - 0.01), frame_id, data, kind))
+
+    def step(self) -> None:
+        """5 ms."""
+        since, attack, car = self.since(), self.attack, self.car
+        self.k += 1
+        self.t = self.k * STEP
+        if self.k % 2 == 0:
+            self.transmit()
+        if self.beating and self.k % 20 == 3:
+            self.packet(2, wire.BEAT)
+        if self.controlling and self.k % 10 == 5:
+            self.packet(1, wire.QUERY)
+            asked = self.client(self, self.snapshot) if self.snapshot and self.client else None
+            if since is not None and attack.request and asked is not None:
+                asked = attack.request(self, asked, since)
+            if asked is not None:
+                self.packet(1, struct.pack("<cddI", b"R", self.snapshot["t"], asked, self.misses))
+        if since is not None and attack.act:
+            attack.act(self, since)
+        while self.core.wake <= self.t:
+            self.handle(Tick(self.t))
+            if self.core.wake <= self.t:
+                break
+        if self.kit_enabled and self.t - self.heard >= WATCHDOG:
+            self.kit_timeout, self.kit_enabled = True, False
+        e, psi_e, kappa = car.error()
+        target = self.command if self.kit_enabled else stanley(e, psi_e, car.v, car.r, kappa)
+        if since is not None and attack.motor:
+            target = attack.motor(self, target, since)
+        speed = self.speed
+        if since is not None and attack.speed:
+            speed = attack.speed(self, speed, since)
+        car.steer(target, STEP)
+        car.move(STEP, speed)
+        self.truth.append((self.t, e, car.a_y, self.kit_enabled))
+
+    def run(self) -> Drive:
+        """Engage, let the attack have its way, and go on for a while after the product has let go."""
+        self.handle(Link(0.0, 1, True))
+        self.packet(1, bytes([ord("H"), 1, 3]))
+        self.handle(Link(0.0, 2, True))
+        self.packet(2, bytes([ord("H"), 0, 3]))
+        self.order("ARM")
+        end = self.onset + self.attack.seconds
+        while self.t < end:
+            self.step()
+            if self.mode == "READY" and self.t < self.onset - 1.0 and self.t > 0.8:
+                self.order("ENGAGE")
+            if self.t > self.onset and self.mode != "ENGAGED" and self.ended() < self.t - 0.6:
+                break
+        return self
+
+    # ---- judging ----------------------------------------------------------------------------------------------
+
+    def engaged_at_onset(self) -> bool:
+        """Was the product driving when the attack began?"""
+        before = [mode for t, mode, _ in self.modes if t < self.onset]
+        return bool(before) and before[-1] == "ENGAGED"
+
+    def ended(self) -> float:
+        """When it let go after the onset [s]; infinite if it did not."""
+        return next((t for t, mode, _ in self.modes if t >= self.onset and mode != "ENGAGED"), math.inf)
+
+    def cause(self) -> str:
+        """Why."""
+        return next((cause for t, mode, cause in self.modes if t >= self.onset and mode != "ENGAGED"), "")
+
+    def silence(self) -> float:
+        """From the onset to the last frame with enable = 1 [s]."""
+        return max((t for t, _, enable in self.sent if enable), default=self.onset) - self.onset
+
+    def excess(self) -> float:
+        """How much further off the true car got than it was at the onset, while the product steered it [m]."""
+        before = max((abs(e) for t, e, _, _ in self.truth if self.onset - 0.5 <= t <= self.onset), default=0.0)
+        during = [abs(e) for t, e, _, steered in self.truth if t >= self.onset and steered]
+        return max(during, default=0.0) - before
+
+    def a_y(self) -> float:
+        """Largest true lateral acceleration while the product steered [m/s^2]."""
+        return max((abs(a) for t, _, a, steered in self.truth if steered), default=0.0)
+
+    def bus_faults(self) -> list[str]:
+        """What was wrong on the bus: enabled frames after the end, too few neutral ones, too fast a wheel."""
+        found = []
+        ended = self.ended()
+        if any(enable for t, _, enable in self.sent if t > ended + 1e-9) and "ENGAGED" not in self.after(ended):
+            found.append("enabled frames after the end")
+        neutral = [t for t, _, enable in self.sent if t >= ended and not enable]
+        if math.isfinite(ended) and len(neutral) < 5:
+            found.append(f"{len(neutral)} neutral frames")
+        enabled: Sequence[tuple[float, float, bool]] = [s for s in self.sent if s[2]]
+        for a, b in zip(enabled, enabled[1:]):
+            if b[0] - a[0] < 0.5 and abs(b[1] - a[1]) > 9.6 * min(b[0] - a[0], 0.06) + 2e-3:
+                found.append(f"the wheel was to turn by {b[1] - a[1]:.3f} rad in {b[0] - a[0]:.3f} s")
+        return found
+
+    def after(self, t: float) -> list[str]:
+        """Modes entered after t."""
+        return [mode for when, mode, _ in self.modes if when > t]
