@@ -327,7 +327,10 @@ class Core:
         writer = self.config.writer
         angle = self._command if math.isfinite(self._command) else 0.0
         angle = round(angle / writer.quantum) * writer.quantum
-        data = writer.write(angle, enable=enable, clear=self._clear, count=self._frames_sent)
+        alert = (
+            not enable and self.machine.mode in (Mode.OVERRIDE, Mode.FAULT, Mode.STANDBY, Mode.OFF) and not self._clear
+        )
+        data = writer.write(angle, enable=enable, clear=self._clear, alert=alert, count=self._frames_sent)
         self._clear = self._urgent = False
         self._last_frame = t
         self._frames_sent += 1

@@ -17,7 +17,7 @@ from steerkit.units import degrees_of
 from steerkit.vehicles import Vehicle
 
 FORMAT = "steerkit car 1"
-REPORT = ("delta_sw", "v_kit", "torque", "echo", "enabled", "override", "timeout")
+REPORT = ("delta_sw", "v_kit", "torque", "echo", "enabled", "override", "timeout", "brake", "accelerator")
 POSE = ("x", "y", "lat", "lon", "psi", "v", "r", "beta", "a_y", "quality", "stamp")
 NEEDED = ("delta_sw", "v_kit", "torque", "enabled", "override", "psi", "v", "r")
 DIMENSION = {
@@ -37,7 +37,7 @@ DIMENSION = {
     "stamp": "s",
 }
 ANGLES = {
-    *("delta_sw_max", "rate_max", "follow_angle", "psi_e_engage", "delta_engage"),
+    *("delta_sw_max", "rate_max", "follow_angle", "psi_e_engage", "psi_e_max", "delta_engage"),
     *("motion_across", "heading_slack", "heading_rate", "wheel_slack", "wheel_rate"),
 }
 """Limits that the file gives in degrees, as `..._deg`."""
@@ -52,32 +52,6 @@ KINDS = {
     "m/s^2": ("m/s^2", "m/s2", "g"),
     "s": ("s", "ms", "us"),
 }
-WIDEST = {
-    "delta_sw_max_deg": STOP_DEG,
-    "rate_max_deg": 1000.0,
-    "a_y_max": 5.0,
-    "jerk_max": 10.0,
-    "v_max": 40.0,
-    "e_max": 5.0,
-    "report_age": 0.15,
-    "pose_age": 0.15,
-    "request_age": 0.09,
-    "request_lost": 0.3,
-    "v_floor": 5.0,
-    "e_engage": 2.0,
-    "dt_min": 0.02,
-    "dt_max": 0.1,
-    "lateness": 0.1,
-    "echo_age": 0.5,
-    "follow_time": 2.0,
-    "enable_time": 2.0,
-    "torque_reports": 50,
-    "integrity_errors": 10,
-    "misses": 20,
-    "torque_max": 10.0,
-    "v_mismatch": 5.0,
-}
-"""The largest limits that the file may ask for, in the file's units."""
 
 
 class ConfigError(ValueError):
@@ -110,6 +84,8 @@ class CarConfig:
     states: StateLimits
     motion: MotionLimits = field(default_factory=MotionLimits)
     listen_only: bool = False
+    keep_recording: bool = False
+    """Does a recording that fails end the drive?"""
     lag: float = 0.1
     """Time constant of the kit's motor [s], for controllers that predict; so is `delay`."""
     delay: float = 0.0

@@ -15,6 +15,9 @@ from steerkit.outside import is_outside
 from steerkit.path import Path
 from steerkit.plants.real_car.decisions.gate import GateLimits
 from steerkit.plants.real_car.decisions.modes import StateLimits
+from steerkit.plants.real_car.decisions.motion import MotionLimits
+from steerkit.plants.real_car.file.audit import audit
+from steerkit.plants.real_car.file.bounds import BOUNDS
 from steerkit.plants.real_car.file.config import (
     ANGLES,
     DERIVED,
@@ -24,7 +27,6 @@ from steerkit.plants.real_car.file.config import (
     NEEDED,
     POSE,
     REPORT,
-    WIDEST,
     CarConfig,
     ConfigError,
     shipped,
@@ -85,17 +87,17 @@ class Reading:
         car = self.car()
         readers, origin, flags = self.reading(database)
         writer = self.writing(database)
-        gate, states = self.limits(car, writer)
-        course, driver = self.course(), self.table("driver", ("listen_only",))
+        gate, states, motion = self.limits(car, writer)
+        course, driver = self.course(), self.table("driver", ("listen_only", "keep_recording"))
         lag, delay = self.kit()
         controllers = self.controllers()
-        listen = self.entry("driver", driver, "listen_only", bool, False)
+        listen, keep = (self.entry("driver", driver, key, bool, False) for key in ("listen_only", "keep_recording"))
         arguments = self.bus() if bus is None else bus
         if self.mistakes:
             raise ConfigError("\n".join(f"{self.path}: {m}" for m in self.mistakes))
         assert writer is not None
         ids = {r.frame_id: set(r.mappings) for r in readers}
-        return CarConfig(
+        config = CarConfig(
             file=str(self.path),
             bus=arguments,
             course=course,
@@ -108,12 +110,18 @@ class Reading:
             writer=writer,
             gate=gate,
             states=states,
+            motion=motion,
             listen_only=listen,
+            keep_recording=keep,
             texts=self.texts,
             lag=lag,
             delay=delay,
             controllers=controllers,
         )
+        mistakes = audit(config)
+        if mistakes:
+            raise ConfigError("\n".join(f"{self.path}: {m}" for m in mistakes))
+        return config
 
     # ---- tables ---------------------------------------------------------------------------------------------
 
@@ -202,8 +210,14 @@ class Reading:
 
     def car(self) -> Vehicle:
         table = self.table("vehicle", ("name",))
+        name = self.entry("vehicle", table, "name", str)
         try:
-            return vehicle(self.entry("vehicle", table, "name", str))
+            if not name.endswith(".toml"):
+                return vehicle(name)
+            place = self.path.parent / name
+            car = vehicle(str(place))
+            self.texts[name] = place.read_text(encoding="utf-8")
+            return car
         except ValueError as error:
             self.wrong(f"[vehicle] name: {error}")
             return vehicle("vw-passat")
@@ -289,7 +303,7 @@ class Reading:
         flags = self.faults(database, table, found)
         readers = [self.reader(database, name, mappings) for name, mappings in found.items()]
         report = found.get(str(entries.get("delta_sw", {}).get("frame")), {})
-        if report and self.table("protect").get(next(iter(report.values())).frame) == "none" and "echo" not in entries:
+        if report and not self.guarded(next(iter(report.values())).frame) and "echo" not in entries:
             self.wrong(
                 "[read] echo: missing; the kit's report has neither counter nor CRC, so its echo of the command "
                 "is the only thing that shows when it freezes"
@@ -315,20 +329,25 @@ class Reading:
     def reader(self, database: Any, name: str, mappings: dict[str, Mapping]) -> FrameReader:
         message, where = database.get_message_by_name(name), f"protect.{name}"
         table = self.table("protect").get(name)
-        guard = {"counter": "", "crc": ""}
+        guard, period = {"counter": "", "crc": ""}, 0.0
         if isinstance(table, dict):
-            self.known(where, table, guard)
+            self.known(where, table, (*guard, "period"))
             guard |= {k: v for k, v in table.items() if k in guard and self.signal(message, where, v) is not None}
-        elif table != "none":
+            period = self.entry(where, table, "period", float, 0.0)
+        else:
             self.wrong(
-                f'[protect] {name} = {table!r}, expected {{ counter = ..., crc = ... }}, or "none" for one '
-                "that has neither"
+                f"[protect] {name} = {table!r}, expected {{ counter = ..., crc = ... }}, or, for a frame that has "
+                "neither, {{ period = ... }}: the time between two of them [s], to notice a second sender"
             )
         self.crc_fits(message, where, guard["crc"])
         if guard["counter"] and message.get_signal_by_name(guard["counter"]).length < 3:
             self.wrong(f"[{where}] counter = {guard['counter']!r} counts to less than {2 * MAX_JUMP}, too few")
             guard["counter"] = ""
-        return FrameReader(message, mappings, Protection(**guard))
+        return FrameReader(message, mappings, Protection(**guard), period)
+
+    def guarded(self, frame: str) -> bool:
+        table = self.table("protect").get(frame)
+        return isinstance(table, dict) and bool(table.keys() & {"counter", "crc"})
 
     def crc_fits(self, message: Any, where: str, name: str) -> None:
         if name:
@@ -356,7 +375,7 @@ class Reading:
         return float(origin[0]), float(origin[1])  # type: ignore[index]
 
     def writing(self, database: Any) -> CommandWriter | None:
-        table = self.table("write", ("frame", "angle", "enable", "clear", "counter", "crc", "fixed"))
+        table = self.table("write", ("frame", "angle", "enable", "clear", "alert", "counter", "crc", "fixed"))
         message = self.message(database, "write", table.get("frame"))
         angle = self.table("write.angle", ("signal", "unit", "scale", "sign"), inside=table)
         if message is None:
@@ -364,7 +383,7 @@ class Reading:
         mapping = self.mapping("write.angle", "delta_sw", message, angle)
         if "enable" not in table:
             self.wrong("[write] enable: missing, expected the name of the signal that is 1 while steering")
-        names = {k: table.get(k, "") for k in ("enable", "clear", "counter", "crc")}
+        names = {k: table.get(k, "") for k in ("enable", "clear", "alert", "counter", "crc")}
         for key, name in names.items():
             if name and self.signal(message, f"write.{key}", name) is None:
                 names[key] = ""
@@ -378,30 +397,32 @@ class Reading:
             return None
         return CommandWriter(message, mapping, **names, fixed=tuple(fixed.items()))
 
-    def limits(self, car: Vehicle, writer: CommandWriter | None) -> tuple[GateLimits, StateLimits]:
-        valid = {f.name: f for kind in (GateLimits, StateLimits) for f in fields(kind) if f.name not in DERIVED}
+    def limits(self, car: Vehicle, writer: CommandWriter | None) -> tuple[GateLimits, StateLimits, MotionLimits]:
+        kinds = (GateLimits, StateLimits, MotionLimits)
+        valid = {f.name: f for kind in kinds for f in fields(kind) if f.name not in DERIVED}
         keys = {f"{name}_deg" if name in ANGLES else name: name for name in valid}
         table = self.table("limits", keys)
         values: dict[str, Any] = {}
         for key, name in keys.items():
             if key in table:
-                kind = int if valid[name].type == "int" else float
-                value = self.entry("limits", table, key, kind)
-                most = WIDEST.get(key, 90.0 if key.endswith("_deg") else 100.0)
-                if not 0 < value <= most:
-                    self.wrong(f"[limits] {key} = {value:g}, expected more than 0 and at most {most:g}")
+                value = self.entry("limits", table, key, int if valid[name].type == "int" else float)
+                low, high = BOUNDS[key]
+                if not low <= value <= high:
+                    self.wrong(f"[limits] {key} = {value:g}, expected {low:g} to {high:g}")
                 else:
                     values[name] = radians_of(value) if name in ANGLES else value
-        known = {kind: {f.name for f in fields(kind)} for kind in (GateLimits, StateLimits)}
         derived = {"steer_ratio": car.steer_ratio, "wheelbase": car.wheelbase}
         if writer is not None:
             derived["quantum"] = writer.quantum
-        try:
-            gate = GateLimits(**{k: v for k, v in values.items() if k in known[GateLimits]}, **derived)
-            return gate, StateLimits(**{k: v for k, v in values.items() if k in known[StateLimits]})
-        except ValueError as error:
-            self.wrong(f"[limits]: {error}")
-            return GateLimits(), StateLimits()
+
+        def made(kind: Any, **more: Any) -> Any:
+            try:
+                return kind(**{f.name: values[f.name] for f in fields(kind) if f.name in values}, **more)
+            except ValueError as error:
+                self.wrong(f"[limits]: {error}")
+                return kind()
+
+        return made(GateLimits, **derived), made(StateLimits), made(MotionLimits)
 
 
 def _kind(kind: type) -> str:

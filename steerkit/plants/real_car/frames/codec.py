@@ -167,7 +167,7 @@ def signal_range(signal: Any) -> tuple[float, float]:
 class CommandWriter:
     """Writes the steering command.
 
-    message: of a cantools database. angle: where delta_sw goes. enable, clear, counter, crc: names of signals, empty
+    message: of a cantools database. angle: where delta_sw goes. enable, clear, alert, counter, crc: names of signals, empty
     for none. fixed: raw values of others.
     """
 
@@ -175,6 +175,7 @@ class CommandWriter:
     angle: Mapping
     enable: str
     clear: str = ""
+    alert: str = ""
     counter: str = ""
     crc: str = ""
     fixed: tuple[tuple[str, float], ...] = ()
@@ -194,14 +195,19 @@ class CommandWriter:
         """The angle's resolution on the bus [rad]."""
         return abs(self.message.get_signal_by_name(self.angle.signal).scale * self.angle.gain)
 
-    def write(self, delta_sw: float, *, enable: bool, clear: bool = False, count: int = 0) -> bytes:
-        """The frame for delta_sw [rad], a whole number of quanta. Raises ValueError for a value it cannot hold."""
+    def write(
+        self, delta_sw: float, *, enable: bool, clear: bool = False, alert: bool = False, count: int = 0
+    ) -> bytes:
+        """The frame for delta_sw [rad], a whole number of quanta. alert: ask the kit to warn the human."""
+        return self._bytes(delta_sw, {self.enable: enable, self.clear: clear, self.alert: alert}, count)
+
+    def _bytes(self, delta_sw: float, flags: dict[str, bool], count: int) -> bytes:
+        """The frame with those flags up that it has a signal for. Raises ValueError for a value it cannot hold."""
         signal = self.message.get_signal_by_name(self.angle.signal)
         code = round(((delta_sw - self.angle.offset) / self.angle.gain - signal.offset) / signal.scale)
         raw: dict[str, float] = {s.name: 0 for s in self.message.signals}
-        raw |= dict(self.fixed) | {self.angle.signal: code, self.enable: int(enable)}
-        if self.clear:
-            raw[self.clear] = int(clear)
+        raw |= dict(self.fixed) | {self.angle.signal: code}
+        raw |= {name: int(up) for name, up in flags.items() if name}
         if self.counter:
             raw[self.counter] = count % (1 << self.message.get_signal_by_name(self.counter).length)
         low, high = signal_range(signal)
