@@ -11,6 +11,7 @@ import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Protocol
@@ -347,7 +348,7 @@ class Drive:
         if math.isfinite(ended) and len(neutral) < 5:
             found.append(f"{len(neutral)} neutral frames")
         enabled: Sequence[tuple[float, float, bool]] = [s for s in self.sent if s[2]]
-        for a, b in zip(enabled, enabled[1:]):
+        for a, b in pairwise(enabled):
             if b[0] - a[0] < 0.5 and abs(b[1] - a[1]) > 9.6 * min(b[0] - a[0], 0.06) + 2e-3:
                 found.append(f"the wheel was to turn by {b[1] - a[1]:.3f} rad in {b[0] - a[0]:.3f} s")
         return found

@@ -6,9 +6,10 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterator
+from typing import Any
 
 from steerkit.plants.real_car.file.config import CarConfig
-from steerkit.plants.real_car.frames.codec import FrameReader, Mapping, signal_range
+from steerkit.plants.real_car.frames.codec import Mapping, signal_range
 from steerkit.units import degrees_of
 
 TELLING = {
@@ -56,9 +57,9 @@ def _signals(config: CarConfig) -> Iterator[str]:
     if not config.fault_flags:
         yield "[read.faults] signals = [], expected at least one flag that is 1 when the kit is broken"
     for quantity in ("enabled", "override", "timeout", "brake", "accelerator", *config.fault_flags):
-        mapping = config.quantities.get(quantity)
-        if mapping and _signal(config, mapping).length > 4:
-            yield f"[read.{quantity}] signal = {mapping.signal!r} has {_signal(config, mapping).length} bits, no flag"
+        flag = config.quantities.get(quantity)
+        if flag and _signal(config, flag).length > 4:
+            yield f"[read.{quantity}] signal = {flag.signal!r} has {_signal(config, flag).length} bits, it is no flag"
 
 
 def _frames(config: CarConfig) -> Iterator[str]:
@@ -132,7 +133,7 @@ def _command(config: CarConfig) -> Iterator[str]:
             yield f"[write.fixed] {name} = {value}, expected 0: it switches a protection of the kit off"
     signal = writer.message.get_signal_by_name(writer.angle.signal)
     if not (math.isfinite(signal.scale) and signal.scale != 0.0):
-        yield f"[write] {writer.message.name}.{signal.name}: scale {signal.scale} in the DBC, expected one that is not 0"
+        yield f"[write] {signal.name}: scale {signal.scale} in the DBC, expected one that is not 0"
         return
     if not degrees_of(writer.quantum) <= 1.0:
         yield f"[write] {signal.name} has steps of {degrees_of(writer.quantum):.3g} deg, expected at most 1 deg"
@@ -142,13 +143,13 @@ def _command(config: CarConfig) -> Iterator[str]:
         except Exception as error:  # whatever the DBC library says of a value that does not fit
             low, high = signal_range(signal)
             yield (
-                f"[limits] delta_sw_max_deg = {degrees_of(most):g} is more than {writer.message.name}.{signal.name} can "
-                f"say ({low:g} to {high:g} {signal.unit or ''}): {error}"
+                f"[limits] delta_sw_max_deg = {degrees_of(most):g} is more than {signal.name} of {writer.message.name} "
+                f"can say ({low:g} to {high:g} {signal.unit or ''}): {error}"
             )
             break
 
 
-def _signal(config: CarConfig, mapping: Mapping) -> FrameReader:
+def _signal(config: CarConfig, mapping: Mapping) -> Any:
     return next(r for r in config.readers if r.name == mapping.frame).message.get_signal_by_name(mapping.signal)
 
 

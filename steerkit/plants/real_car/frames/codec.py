@@ -167,8 +167,8 @@ def signal_range(signal: Any) -> tuple[float, float]:
 class CommandWriter:
     """Writes the steering command.
 
-    message: of a cantools database. angle: where delta_sw goes. enable, clear, alert, counter, crc: names of signals, empty
-    for none. fixed: raw values of others.
+    message: of a cantools database. angle: where delta_sw goes. enable, clear, alert, counter, crc: names of signals,
+    empty for none. fixed: raw values of others.
     """
 
     message: Any

@@ -156,7 +156,7 @@ lon = { frame = "GNSS_POSITION", signal = "LON" }
 origin_deg = [52.0, 10.0]
 
 [protect]
-GNSS_POSITION = "none"
+GNSS_POSITION = { period = 0.01 }
 """,
     )
     file = tmp_path / "car.toml"
