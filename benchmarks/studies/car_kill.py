@@ -12,6 +12,7 @@ before the kill, and the run goes on from it.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import random
@@ -81,6 +82,8 @@ class Bench:
         self.driver: subprocess.Popen[str] | None = None
         self.controller: subprocess.Popen[str] | None = None
         self.text = (folder / "text.log").open("w")
+        self.attended = contextlib.ExitStack()
+        self.attended.enter_context(processes.attended(self.socket))
 
     def up(self) -> dict[str, Any]:
         """Start what is not running, and engage; returns the controller's state."""

@@ -51,7 +51,7 @@ def drive(
     beside = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(busy)]
     granted = ""
     try:
-        with DriverLink(socket) as link:
+        with processes.attended(socket, time_scale=scale), DriverLink(socket) as link:
             over = threading.Event()
             engagements: list[str] = []
             threading.Thread(target=operate, args=(socket, over, engagements), daemon=True).start()

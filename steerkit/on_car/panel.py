@@ -1,8 +1,13 @@
-"""The live panel of a drive, and its keys: on a line of its own to the driver process, should the controller hang."""
+"""The live panel of a drive, and its keys: on a line of its own to the driver process, should the controller hang.
+
+Keys are read, the picture is drawn and the heartbeat is sent by one thread: a terminal that takes no more text, or is
+gone, stops the heartbeat, and 300 ms later the car is the human's again.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import select
 import sys
@@ -17,6 +22,8 @@ from steerkit.plants.real_car.processes.client import CarLost, DriverLink
 from steerkit.plants.real_car.processes.protocol import Snapshot
 from steerkit.units import degrees_of
 
+PERIOD = 0.05
+"""Longest wait for a key [s]: a heartbeat follows each."""
 KEYS = {" ": Order.DISENGAGE, "e": Order.ENGAGE, "a": Order.ACKNOWLEDGE, "r": Order.ARM, "o": Order.OFF}
 HELP = "space let go · e engage · a acknowledge · r arm · o off · q quit"
 COLOURS = {
@@ -40,6 +47,7 @@ class Panel:
         self.session, self.title, self.live, self.more = session, title, live, more
         self._thread = threading.Thread(target=self._run, name="panel", daemon=True)
         self._over = False
+        self._attended = sys.stdin.isatty() or session.options.simulated
         self._lost: CarLost | None = None
 
     def __enter__(self) -> Self:
@@ -64,26 +72,40 @@ class Panel:
     def _serve(self, link: DriverLink) -> None:
         link.order(Order.ARM)
         last: Snapshot | None = None
-        said = ""
+        said, drawn = "", -math.inf
+        period = PERIOD / self.session.options.time_scale
         if not self.live and sys.stdin.isatty():
             print(f"keys: {HELP}", flush=True)
         with _keys() as read, self._screen() as show:
             while not self._over:
-                key = read(0.1)
+                key = read(period)
+                engaged = last is not None and last.mode is Mode.ENGAGED
+                if key is None:  # the terminal is gone
+                    link.order(Order.DISENGAGE)
+                    self.session.ending = True
+                    return
                 if key == "q":
                     link.order(Order.DISENGAGE)
                     self.session.ending = True
                 elif key in KEYS:
                     said = ""
                     link.order(KEYS[key])
+                elif key and engaged:  # whoever hits any other key wants something, and the wheel is the safe answer
+                    link.order(Order.DISENGAGE)
+                if self._attended:
+                    link.beat()
                 snapshot = link.query()
+                if engaged and snapshot.mode is not Mode.ENGAGED and sys.stdout.isatty():
+                    print("\a", end="", flush=True)
                 if link.refused:
                     said = link.refused[-1]
                     link.refused.clear()
                 if not self.live and (last is None or snapshot.mode is not last.mode):
                     print(line_of(snapshot), flush=True)
+                if snapshot.mode is not (last and last.mode) or time.monotonic() - drawn > 0.12:
+                    show(snapshot, said)
+                    drawn = time.monotonic()
                 last = snapshot
-                show(snapshot, said)
         if self.live and last is not None:
             print(line_of(last), flush=True)
 
@@ -94,8 +116,8 @@ class Panel:
             return
         from rich.live import Live
 
-        with Live(refresh_per_second=8, transient=True) as live:
-            yield lambda snapshot, said: live.update(self._picture(snapshot, said))
+        with Live(auto_refresh=False, transient=True) as live:
+            yield lambda snapshot, said: live.update(self._picture(snapshot, said), refresh=True)
 
     def _picture(self, s: Snapshot, said: str) -> Any:
         from rich.panel import Panel as Box
@@ -118,12 +140,13 @@ class Panel:
             rows.append(
                 ("steps", f"{timing.steps}, misses {timing.misses}, p99 {1e3 * timing.jitter(0.99):.2f} ms late")
             )
-        rows += [("against", line) for line in against] + ([("refused", said)] if said else [])
+        rows += [("warning" if s.mode is Mode.ENGAGED else "against", line) for line in against]
+        rows += [("refused", said)] if said else []
         if self.more:
             rows.append(("learning", self.more()))
         for name, value in rows:
             table.add_row(name, value)
-        keys = HELP if sys.stdin.isatty() else "no keyboard here; let go with: steerkit car order DISENGAGE"
+        keys = HELP if sys.stdin.isatty() else "no keyboard here: nobody could let go, a real car stays with the human"
         return Box(table, title=f"steerkit car: {self.title}", subtitle=keys)
 
     def _asked(self) -> str:
@@ -152,7 +175,7 @@ def _ms(age: float) -> str:
 
 @contextlib.contextmanager
 def _keys() -> Any:
-    """A function that waits for a key for some seconds and returns it, or ""."""
+    """A function that waits for a key for some seconds and returns it, "" for none, None when the terminal is gone."""
     if not sys.stdin.isatty():
 
         def wait(seconds: float) -> str:
@@ -167,12 +190,22 @@ def _keys() -> Any:
     fd = sys.stdin.fileno()
     before = termios.tcgetattr(fd)
     tty.setcbreak(fd)
+    plain = termios.tcgetattr(fd)
+    plain[0] &= ~(termios.IXON | termios.IXOFF)  # Ctrl-S is a key like others here, and does not stop the screen
+    termios.tcsetattr(fd, termios.TCSADRAIN, plain)
 
-    def read(seconds: float) -> str:
+    def read(seconds: float) -> str | None:
         ready, _, _ = select.select([fd], [], [], seconds)
-        return os.read(fd, 1).decode(errors="replace") if ready else ""
+        if not ready:
+            return ""
+        try:
+            data = os.read(fd, 1)
+        except OSError:
+            return None
+        return data.decode(errors="replace") if data else None
 
     try:
         yield read
     finally:
-        termios.tcsetattr(fd, termios.TCSADRAIN, before)
+        with contextlib.suppress(termios.error):  # of a terminal that is gone
+            termios.tcsetattr(fd, termios.TCSANOW, before)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import subprocess
 import sys
 import tempfile
+import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path as FilePath
 from typing import Any, TextIO
 
@@ -24,7 +26,13 @@ from steerkit.plants.real_car.simulated import Fault, SimulatedCar
 
 def default_socket() -> str:
     """Where clients look for the driver process unless told otherwise."""
-    folder = os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir()
+    folder = os.environ.get("XDG_RUNTIME_DIR")
+    if not folder:  # a folder of our own: anybody may put a socket into the common one
+        own = FilePath(tempfile.gettempdir()) / f"steerkit-{os.getuid()}"
+        own.mkdir(mode=0o700, exist_ok=True)
+        if own.is_symlink() or own.stat().st_uid != os.getuid() or own.stat().st_mode & 0o077:
+            raise OSError(f"{own}: not a folder of this user's alone; remove it, or give --socket")
+        folder = str(own)
     return str(FilePath(folder) / f"steerkit-car-{os.getuid()}")
 
 
@@ -130,11 +138,35 @@ def fault_of(line: str, start: float) -> Fault:
     return Fault(kind=kind, target=target, start=start, length=length, amount=amount)
 
 
+@contextlib.contextmanager
+def attended(socket_path: str, *, time_scale: float = 1.0) -> Iterator[None]:
+    """Says, as an operator's panel does, that keys are read; for simulated cars only, where nobody has to let go.
+
+    A car server that ends is waited for: another may come.
+    """
+    over = threading.Event()
+
+    def beat() -> None:
+        while not over.wait(0.05):
+            with contextlib.suppress(CarLost), DriverLink(socket_path, controller=False) as link:
+                while not over.wait(0.05 / time_scale):
+                    link.beat()
+
+    thread = threading.Thread(target=beat, name="operator", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join(5.0)
+
+
 def engage(socket_path: str, *, timeout: float = 20.0) -> None:
     """Arm, acknowledge and engage as an operator would, waiting for READY; for tests and simulated cars."""
     with DriverLink(socket_path, controller=False) as operator:
         end = time.monotonic() + timeout
         while True:
+            operator.beat()
             snapshot = operator.query()
             match snapshot.mode:
                 case Mode.ENGAGED:

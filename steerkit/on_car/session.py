@@ -30,6 +30,7 @@ from steerkit.plants.real_car.decisions.modes import Order
 from steerkit.plants.real_car.file.config import CarConfig
 from steerkit.plants.real_car.file.reading import load
 from steerkit.plants.real_car.processes.client import CarLost, DriverLink
+from steerkit.plants.real_car.processes.protocol import digest
 from steerkit.realtime import Run, Timing, histogram_text, preferred
 
 
@@ -133,7 +134,7 @@ def session(options: Options) -> Iterator[Session]:
                 started.insert(0, driver)
             else:
                 print(f"the driver process at {socket} is used as it runs, with its own configuration and recording")
-            here.link = stack.enter_context(DriverLink(socket))
+            here.link = stack.enter_context(DriverLink(socket, course=digest(here.path)))
             if options.realtime:
                 print(preferred())
             try:

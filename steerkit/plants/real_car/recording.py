@@ -21,7 +21,7 @@ from pathlib import Path as File
 from typing import Any, NamedTuple
 
 from steerkit.files import whole
-from steerkit.plants.real_car.decisions.core import Core, Event, Frame, Link, Note, Output, Packet, Send, Tick
+from steerkit.plants.real_car.decisions.core import Core, End, Event, Frame, Link, Note, Output, Packet, Send, Tick
 from steerkit.plants.real_car.file.config import CarConfig
 from steerkit.plants.real_car.file.reading import load
 
@@ -34,6 +34,7 @@ _TOPICS: dict[str, dict[str, Any]] = {
     "/can/tx": {"t": _NUMBER, "id": {"type": "integer"}, "data": _TEXT},
     "/client": {"t": _NUMBER, "link": {"type": "integer"}, "data": _TEXT, "up": {"type": "boolean"}},
     "/tick": {"t": _NUMBER},
+    "/end": {"t": _NUMBER, "cause": _TEXT},
     "/state": {"t": _NUMBER, "from": _TEXT, "to": _TEXT, "cause": _TEXT},
     "/command": {"t": _NUMBER, "request": _NUMBER, "sent": _NUMBER, "why": _TEXT},
     "/steers": {"t": _NUMBER, "what": _TEXT},
@@ -75,6 +76,7 @@ class Recording:
         match event:
             case Frame():
                 record = {"t": event.t, "arrived": event.arrived, "id": event.frame_id, "data": event.data.hex()}
+                record |= {"kind": event.kind} if event.kind else {}
                 put(("/can/rx", record))
             case Packet():
                 put(("/client", {"t": event.t, "link": event.link, "data": event.data.hex()}))
@@ -82,6 +84,8 @@ class Recording:
                 put(("/client", {"t": event.t, "link": event.link, "up": event.up}))
             case Tick():
                 put(("/tick", {"t": event.t}))
+            case End():
+                put(("/end", {"t": event.t, "cause": event.cause}))
         for out in outputs:
             match out:
                 case Send():
@@ -150,13 +154,15 @@ class Recorded(NamedTuple):
         for topic, v in self.messages:
             match topic:
                 case "/can/rx":
-                    yield Frame(v["t"], v["arrived"], v["id"], bytes.fromhex(v["data"]))
+                    yield Frame(v["t"], v["arrived"], v["id"], bytes.fromhex(v["data"]), v.get("kind", ""))
                 case "/client" if "up" in v:
                     yield Link(v["t"], v["link"], v["up"])
                 case "/client":
                     yield Packet(v["t"], v["link"], bytes.fromhex(v["data"]))
                 case "/tick":
                     yield Tick(v["t"])
+                case "/end":
+                    yield End(v["t"], v["cause"])
 
 
 def read(file: str | os.PathLike[str]) -> Recorded:

@@ -32,7 +32,7 @@ class Frame(NamedTuple):
     frame_id: int
     data: bytes
     kind: str = ""
-    """"" for an id of 11 bits, "x" for 29, "fd" for CAN FD."""
+    """"" for an id of 11 bits, "x" for 29, "fd" for CAN FD, "bad" for what the adapter could not read."""
 
 
 class Packet(NamedTuple):
@@ -103,10 +103,12 @@ class Core:
         self.wake = 0.0
         self.t = -math.inf
         self.senses = Senses(config, path)
+        self._course = protocol.digest(path)
         self._late: deque[tuple[float, float]] = deque(maxlen=1000)
         self._links: dict[int, bool | None] = {}  # is it the controller? None: has not said yet
         self._beats: dict[int, float] = {}  # of operators: when their panel last read its keys
         self.recording = ""
+        self.ended = False
         self._request: protocol.Request | None = None
         self._new_request = False
         self._misses: deque[tuple[float, int]] = deque(maxlen=1000)
@@ -167,9 +169,11 @@ class Core:
                 refused = f"the driver speaks version {protocol.VERSION}, not {version}"
             case protocol.Hello(controller=True) if True in self._links.values():
                 refused = "there is a controller already; end it first"
+            case protocol.Hello() if message.course not in (protocol.NO_COURSE, self._course):
+                refused = "the driver is on another course; start both with the same configuration"
             case protocol.Hello():
                 self._links[event.link] = message.controller
-            case _ if self._links.get(event.link) is None:
+            case _ if self._links.get(event.link) is None and not isinstance(message, protocol.Query):
                 refused = "say hello first, with a version that is understood"
             case protocol.Beat() if not self._links[event.link]:
                 self._beats[event.link] = t
@@ -267,7 +271,7 @@ class Core:
     def _end(self, t: float, cause: str) -> list[Output]:
         """OFF, whatever the reason, and the neutral frames that go with it."""
         before, out = self.machine, list[Output]()
-        self.machine = Machine(Mode.OFF, cause, t)
+        self.machine, self.ended = Machine(Mode.OFF, cause, t), True
         out.append(Note("state", {"t": t, "from": before.mode, "to": Mode.OFF, "cause": cause}))
         if before.mode is Mode.ENGAGED:
             self._neutral, self._urgent = NEUTRAL_FRAMES, True

@@ -66,6 +66,9 @@ class Senses:
         kind: "" for 11 bits, "x" for 29, "fd" for CAN FD, as the recording has it.
         """
         writer = self.config.writer
+        if kind == "bad":
+            self.error(t, f"the adapter sent what is no frame: {data[:40]!r}")
+            return
         if frame_id == writer.frame_id and kind == ("x" if writer.extended else ""):
             self.foreign = (t, f"somebody else sends {writer.message.name} (0x{frame_id:X}), which only we may")
             return

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
 import socket
+import struct
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -40,11 +42,14 @@ class DriverLink:
     """A line to the driver process over its Unix socket.
 
     socket_path: as given to the driver process. controller: may it ask for angles? Others may look, and give orders.
+    course: `protocol.digest` of the course that it drives.
     timeout [s]: longest wait for an answer; of a driver process that ends, one hears at once, and one that stands still
     lets go of the wheel by itself. Raises CarLost when there is nobody, now or later.
     """
 
-    def __init__(self, socket_path: str, *, controller: bool = True, timeout: float = 1.0):
+    def __init__(
+        self, socket_path: str, *, controller: bool = True, timeout: float = 1.0, course: bytes = protocol.NO_COURSE
+    ):
         self.path, self.last, self.misses = socket_path, None, 0
         self.refused: list[str] = []
         """What the driver did not obey, and why; whoever shows it may clear it."""
@@ -57,7 +62,9 @@ class DriverLink:
                 f"{socket_path}: no driver process answers there ({error.strerror}); start one with "
                 "`steerkit car driver`, or see its log"
             ) from error
-        self._send(protocol.Hello(controller))
+        if not _ours(self._socket):
+            raise CarLost(f"{socket_path}: the process there is another user's; it is not obeyed")
+        self._send(protocol.Hello(controller, course=course))
         self.query()
         if controller and self.refused:
             raise CarLost(f"{socket_path}: {self.refused[0]}")
@@ -125,6 +132,14 @@ class DriverLink:
             self._socket.send(protocol.encode(message))
         except OSError as error:
             raise CarLost(f"{self.path}: the driver process is gone ({error.strerror})") from error
+
+
+def _ours(line: socket.socket) -> bool:
+    """Does the process at the other end belong to this user, or to root?"""
+    if not hasattr(socket, "SO_PEERCRED"):  # not Linux: the folder's permissions have to do
+        return True
+    _, uid, _ = struct.unpack("3i", line.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i")))
+    return uid in (os.getuid(), 0)
 
 
 class ReplayLink:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import struct
 from typing import NamedTuple
 
+from steerkit.path import Path
 from steerkit.plants.real_car.decisions.modes import Mode, Order
 
 VERSION = 3
+NO_COURSE = bytes(8)
+"""Of a client that does not say which course it means."""
 _MODES, _ORDERS = tuple(Mode), tuple(Order)
 
 
@@ -17,6 +21,8 @@ class Hello(NamedTuple):
 
     controller: bool
     version: int = VERSION
+    course: bytes = NO_COURSE
+    """`digest` of the course that the controller drives; a car server on another one refuses it."""
 
 
 class Query(NamedTuple):
@@ -97,11 +103,16 @@ _SNAPSHOT = struct.Struct(f"<c{_NUMBERS}dB")
 MAX_PACKET = 4096
 
 
+def digest(path: Path) -> bytes:
+    """Eight bytes that tell courses apart."""
+    return hashlib.blake2b(path.samples.xy.tobytes() + bytes([path.closed]), digest_size=8).digest()
+
+
 def encode(message: Message) -> bytes:
     """A message as a packet."""
     match message:
         case Hello():
-            return b"H" + bytes((message.controller, message.version))
+            return b"H" + bytes((message.controller, message.version)) + message.course
         case Query():
             return b"Q"
         case Beat():
@@ -126,8 +137,8 @@ def decode(packet: bytes) -> Message:
     """The message in a packet; raises ValueError for anything that `encode` did not write."""
     try:
         match packet[:1]:
-            case b"H" if len(packet) == 3:
-                return Hello(bool(packet[1]), packet[2])
+            case b"H" if len(packet) >= 3:  # of any version, so that an old one is told that it is old
+                return Hello(bool(packet[1]), packet[2], packet[3:11].ljust(8, b"\0"))
             case b"Q" if len(packet) == 1:
                 return Query()
             case b"B" if len(packet) == 1:

@@ -9,20 +9,30 @@ import queue
 import select
 import signal
 import socket
+import stat
 import threading
+import time
+from collections import deque
 from pathlib import Path as File
 from typing import Any
 
 from steerkit.clock import Clock
 from steerkit.path import Path
-from steerkit.plants.real_car.decisions.core import Core, Event, Frame, Link, Note, Packet, Reply, Send, Tick
-from steerkit.plants.real_car.decisions.modes import Mode, Order
+from steerkit.plants.real_car.decisions.core import Core, End, Event, Frame, Link, Note, Packet, Reply, Send, Tick
 from steerkit.plants.real_car.file.config import CarConfig
 from steerkit.plants.real_car.frames.bus import open_bus
 from steerkit.plants.real_car.processes import protocol
 from steerkit.plants.real_car.recording import Recording
 
 _log = logging.getLogger("steerkit.car")
+MAX_CLIENTS = 16
+"""Clients at once."""
+MAX_TURN = 32
+"""Packets of one client before the others have their turn."""
+MAX_RATE = 2000
+"""Packets of one client within a second; who sends more is hung up on."""
+MAX_GARBLED = 20
+"""Lines within a second that are no frames, from which the adapter counts as broken."""
 
 
 class Driver:
@@ -46,13 +56,15 @@ class Driver:
         self.config, self.recording, self.linger = config, recording, linger
         self.clock = clock or Clock()
         self.core = Core(config, path)
-        self.stopping = False
+        self.stopping, self.cause = False, "the car server was stopped"
         self._server = _listen(socket_path)
         self._socket_path = socket_path
         self._clients: dict[int, socket.socket] = {}
         self._links = 0
         self._alone_since: float | None = None
-        self._frames: queue.SimpleQueue[tuple[float, int, bytes] | BaseException] = queue.SimpleQueue()
+        self._told = False
+        self._packets: dict[int, deque[float]] = {}
+        self._frames: queue.SimpleQueue[tuple[float, int, bytes, str] | BaseException] = queue.SimpleQueue()
         self._woken, self._wake = os.pipe()
         os.set_blocking(self._woken, False)
         os.set_blocking(self._wake, False)
@@ -62,17 +74,23 @@ class Driver:
     def run(self) -> None:
         """Serve until `stop`, a signal, `linger`, or an error of the bus; then the kit is told to let go."""
         for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, lambda *_: self.stop())
+            signal.signal(number, lambda n, _: self.stop(f"the car server got {signal.Signals(n).name}"))
         try:
             while not self.stopping:
                 self._turn()
+        except BaseException as error:
+            self.cause = f"the car server failed: {type(error).__name__}: {error}"
+            raise
         finally:
-            with contextlib.suppress(Exception):
-                self._let_go()
-            self.close()
+            try:
+                self._let_go(self.cause)
+            finally:
+                self.close()
 
-    def stop(self) -> None:
-        """End `run` soon; may be called from anywhere."""
+    def stop(self, cause: str = "the car server was stopped") -> None:
+        """End `run` soon, for that cause; may be called from anywhere."""
+        if not self.stopping:
+            self.cause = cause
         self.stopping = True
         with contextlib.suppress(OSError):
             os.write(self._wake, b"!")
@@ -112,14 +130,21 @@ class Driver:
                 self._receive(by_socket[source], source)
         self._handle(Tick(clock.now()))
         if self._alone_since is not None and clock.now() - self._alone_since > self.linger:
-            self.stop()
+            self.stop(f"no client for {self.linger:g} s")
 
     def _handle(self, event: Event) -> None:
+        if self.recording:
+            self.core.recording = self.recording.failed if self.config.keep_recording else ""
         outputs = self.core.handle(event)
         for out in outputs:
             match out:
                 case Send():
-                    self._transmit(out)
+                    try:
+                        self._transmit(out)
+                    except Exception as error:
+                        if not isinstance(event, End) and not self.core.ended:
+                            raise
+                        _log.error("a neutral frame could not be sent: %s", error)
                 case Reply():
                     with contextlib.suppress(OSError, KeyError):  # it hung up, or does not read: its loss
                         self._clients[out.link].send(out.data)
@@ -129,6 +154,9 @@ class Driver:
                     _log.warning("%s refused: %s", v["order"], v["why"])
         if self.recording:
             self.recording.event(event, outputs)
+            if self.recording.failed and not self._told:
+                self._told = True
+                _log.error("THE RECORDING HAS STOPPED: %s", self.recording.failed)
 
     def _transmit(self, frame: Send) -> None:
         import can
@@ -138,6 +166,10 @@ class Driver:
 
     def _accept(self) -> None:
         client, _ = self._server.accept()
+        if len(self._clients) >= MAX_CLIENTS:
+            with client, contextlib.suppress(OSError):
+                client.send(protocol.encode(protocol.Refused(f"{MAX_CLIENTS} clients are here already")))
+            return
         client.setblocking(False)
         self._links += 1
         self._clients[self._links] = client
@@ -145,28 +177,34 @@ class Driver:
         self._handle(Link(self.clock.now(), self._links, True))
 
     def _receive(self, link: int, client: socket.socket) -> None:
-        while True:
+        times = self._packets.setdefault(link, deque(maxlen=MAX_RATE))
+        for _ in range(MAX_TURN):
             try:
                 packet = client.recv(protocol.MAX_PACKET)
             except BlockingIOError:
                 return
             except OSError:
                 packet = b""
+            wall = time.monotonic()
+            if len(times) == MAX_RATE and wall - times[0] < 1.0:
+                _log.warning("client %d sent more than %d packets in a second: it is hung up on", link, MAX_RATE)
+                packet = b""
+            times.append(wall)
             if not packet:
                 break
             self._handle(Packet(self.clock.now(), link, packet))
+        else:
+            return  # the others have their turn
         client.close()
+        del self._packets[link]
         del self._clients[link]
         if not self._clients:
             self._alone_since = self.clock.now()
         self._handle(Link(self.clock.now(), link, False))
 
-    def _let_go(self) -> None:
-        """Off, and the neutral frames that go with it."""
-        link = -1
-        self._handle(Link(self.clock.now(), link, True))
-        self._handle(Packet(self.clock.now(), link, protocol.encode(protocol.Command(Order.OFF))))
-        assert self.core.machine.mode is Mode.OFF
+    def _let_go(self, cause: str) -> None:
+        """Off for that cause, and the neutral frames that go with it."""
+        self._handle(End(self.clock.now(), cause))
         for _ in range(20):
             if self.core.quiet:
                 return
@@ -175,19 +213,31 @@ class Driver:
 
     def _listen_to_bus(self) -> None:
         """The bus's thread: frames with their time of arrival into a queue; interfaces differ in how to wait."""
-        try:
-            while not self.stopping:
+        garbled: deque[float] = deque(maxlen=MAX_GARBLED)
+        while not self.stopping:
+            try:
                 message = self._bus.recv(0.1)
-                if message is None or message.is_error_frame or message.is_remote_frame:
+            except (ValueError, IndexError) as error:  # a line that is no frame: counted, not the end
+                garbled.append(time.monotonic())
+                if len(garbled) < MAX_GARBLED or garbled[-1] - garbled[0] > 1.0:
+                    self._put((self.clock.now(), -1, str(error).encode()[:200], "bad"))
                     continue
-                self._frames.put((self.clock.now(), message.arbitration_id, bytes(message.data)))
-                with contextlib.suppress(BlockingIOError):
-                    os.write(self._wake, b".")
-        except Exception as error:
-            if not self.stopping:
-                self._frames.put(error)
-                with contextlib.suppress(OSError):
-                    os.write(self._wake, b"!")
+                message = error
+            except Exception as error:
+                message = error
+            if isinstance(message, Exception):
+                if not self.stopping:
+                    self._put(message)
+                return
+            if message is None or message.is_error_frame or message.is_remote_frame:
+                continue
+            kind = "fd" if message.is_fd else "x" if message.is_extended_id else ""
+            self._put((self.clock.now(), message.arbitration_id, bytes(message.data), kind))
+
+    def _put(self, item: tuple[float, int, bytes, str] | Exception) -> None:
+        self._frames.put(item)
+        with contextlib.suppress(OSError):
+            os.write(self._wake, b".")
 
 
 def _open(arguments: dict[str, Any], listen_only: bool) -> Any:
@@ -205,6 +255,8 @@ def _open(arguments: dict[str, Any], listen_only: bool) -> Any:
 def _listen(path: str) -> socket.socket:
     """The server socket, for this user only; the file of a driver that was killed is cleared away."""
     server = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    if os.path.lexists(path) and not stat.S_ISSOCK(os.lstat(path).st_mode):
+        raise OSError(f"{path}: is a file, not a socket; it stays as it is: choose another --socket")
     if os.path.exists(path):
         with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as probe:
             try:
