@@ -17,7 +17,8 @@ from tempfile import TemporaryDirectory
 from typing import Any, Protocol
 
 from steerkit.plants.real_car.decisions.core import Core, Event, Frame, Link, Note, Packet, Reply, Send, Tick
-from steerkit.plants.real_car.file.config import CarConfig, load
+from steerkit.plants.real_car.file.config import CarConfig
+from steerkit.plants.real_car.file.reading import load
 from tests.attack import wire
 from tests.attack.car import FRONT, Car, Course, road, stadium, stanley
 
@@ -30,7 +31,7 @@ SETTLE = 2.5
 @cache
 def courses() -> dict[str, Course]:
     """The attacker's own courses."""
-    return {"stadium": stadium(), "road": road()}
+    return {"stadium": stadium(), "road": road(), "careful": stadium()}
 
 
 @cache
@@ -42,6 +43,8 @@ def configuration(name: str) -> tuple[CarConfig, Any]:
         shipped = load("dbw-kit.toml").texts["config.toml"]
         closed = "true" if course.closed else "false"
         text = shipped.replace('name = "paper"', f'file = "track.csv"\nclosed = {closed}', 1)
+        if name == "careful":  # what docs/real-car.md recommends for controllers that do not learn
+            text = text.replace("e_max = 2.0", "e_max = 0.45\ne_growth = 0.4\ne_engage = 0.3")
         Path(folder, "car.toml").write_text(text)
         config = load(Path(folder, "car.toml"))
     return config, config.course["path"]
@@ -191,6 +194,10 @@ class Drive:
     def order(self, name: str) -> None:
         """An order of the operator, as a key gives it."""
         self.packet(2, wire.ORDERS[name])
+
+    def hang_up(self, link: int) -> None:
+        """A client's line is cut."""
+        self.handle(Link(self.t, link, False))
 
     def hear(self, angle: float, enable: bool, clear: bool) -> None:
         """A command reaches the kit."""

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from steerkit.plants.real_car.decisions.modes import Order
 from steerkit.plants.real_car.file.config import CarConfig
 from steerkit.plants.real_car.file.reading import load
-from steerkit.plants.real_car.processes.protocol import Command, Hello, Query, Request
+from steerkit.plants.real_car.processes.protocol import Beat, Command, Hello, Query, Request
 
 
 @cache
@@ -18,7 +18,8 @@ def config() -> CarConfig:
 
 
 messages = st.one_of(
-    st.builds(Hello, st.booleans(), st.sampled_from([1, 2])),
+    st.builds(Hello, st.booleans(), st.sampled_from([1, 2, 3]), st.binary(min_size=8, max_size=8)),
+    st.just(Beat()),
     st.just(Query()),
     st.builds(Command, st.sampled_from(Order)),
     st.builds(Request, st.floats(), st.floats(), st.integers(0, 2**32 - 1)),
