@@ -21,8 +21,9 @@ class Foresight(Block):
     the car has turned. So a kinematic car is rolled forward, its wheel held where it was commanded last for `hold`,
     then turned against the drift as fast as the gate allows, once to the left and once to the right:
 
-        kappa_s(t) = kappa_s(0), t < hold;   then kappa_s(t) = kappa_s(t - h) -+ h turn, not beyond -+most; where it is
-        beyond that (the car was slower), back towards it by h fast;   delta = atan(L kappa_s)
+        kappa_s(t) = kappa_s(0), t < hold;   then kappa_s(t) = kappa_s(t - h) -+ h turn, not beyond -+most, nor, while
+        it grows, beyond v^2 kappa_s + v arm kappa_s' = -+a_y_max; where it is beyond most (the car was slower), back
+        towards it by h fast;   delta = atan(L kappa_s)
         e' = v sin(psi_e + delta),   psi_e' = v (sin(delta)/L - kappa cos(psi_e + delta)),   all at the front axle
         most = min(a_y_max/v^2, tan(delta_sw_max/steer_ratio)/L)
         fast = min(jerk_max/v^2, rate_max/(steer_ratio L))
@@ -63,6 +64,8 @@ class Foresight(Block):
     """Steering-wheel angle over road-wheel angle [1]."""
     wheelbase: float = 2.71
     """L [m]."""
+    arm: float = 1.49
+    """Centre of gravity to rear axle [m]: the gate keeps the centre's lateral acceleration while the wheel turns."""
     quantum: float = radians_of(0.1)
     """Resolution of the angle on the bus [rad]; the gate rounds every frame towards the one before."""
     frame_dt: float = 0.02
@@ -83,6 +86,7 @@ class Foresight(Block):
             "v_floor",
             "steer_ratio",
             "wheelbase",
+            "arm",
             "frame_dt",
             "horizon",
             "weight",
@@ -95,7 +99,10 @@ class Foresight(Block):
     def of(cls, vehicle: Vehicle, **settings: float) -> Foresight:
         """For the geometry, ratio and stop of a `Vehicle`; settings: any fields, such as the gate's limits."""
         known: dict[str, Any] = dict(
-            steer_ratio=vehicle.steer_ratio, wheelbase=vehicle.wheelbase, delta_sw_max=vehicle.delta_sw_max
+            steer_ratio=vehicle.steer_ratio,
+            wheelbase=vehicle.wheelbase,
+            arm=vehicle.l_r,
+            delta_sw_max=vehicle.delta_sw_max,
         )
         return cls(**(known | settings))
 
@@ -107,10 +114,12 @@ class Foresight(Block):
     def _reach(self, u: Any, side: float) -> Any:
         """The furthest that the car gets to the left (side = 1) or right (-1) while it is steered the other way [m]."""
         h, length = 0.05, self.wheelbase
-        v_squared = m.maximum(u.v, self.v_floor) ** 2
+        v = m.maximum(u.v, self.v_floor)
+        v_squared = v**2
         fastest = m.minimum(self.jerk_max / v_squared, self.rate_max / (self.steer_ratio * length))
         rounding = self.quantum / (self.frame_dt * self.steer_ratio * length)
         most = m.minimum(self.a_y_max / v_squared, m.tan(self.delta_sw_max / self.steer_ratio) / length)
+        sway = self.arm / (v * h)
         # seen in the mirror, the right is the left
         e, psi_e, kappa = side * u.e, side * u.psi_e, side * u.kappa
         steered = m.tan(side * u.doe / self.steer_ratio) / length
@@ -119,7 +128,9 @@ class Foresight(Block):
             before = steered
             if n * h >= self.hold:
                 bent = length * steered
-                turn = m.maximum(fastest - rounding * (1.0 + bent * bent), 0.0)
+                lost = rounding * (1.0 + bent * bent)
+                swung = (steered + self.a_y_max / v_squared) / (h * (1.0 + sway))  # what a_y leaves to turn by
+                turn = m.minimum(m.maximum(fastest - lost, 0.0), m.maximum(swung - lost, lost))
                 steered = m.clip(-most, steered - h * turn, steered + h * fastest)
             delta = m.atan(length * 0.5 * (before + steered))  # halfway through the step
             half = 0.5 * h * u.v * (m.sin(delta) / length - kappa * m.cos(psi_e + delta))

@@ -131,18 +131,25 @@ def misses(drive: Drive, since: float) -> None:
     drive.misses = int(since / 0.06)
 
 
-def stale(drive: Drive, since: float) -> None:
-    drive.snapshot["t"] = min(drive.snapshot["t"], drive.onset)
+def asked_at(when: Callable[[Drive], float]) -> Any:
+    """The request says that it was computed from another moment's data."""
 
+    def request(drive: Drive, angle: float, since: float) -> float:
+        drive.snapshot["t"] = when(drive)
+        return angle
 
-def future(drive: Drive, since: float) -> None:
-    drive.snapshot["t"] = drive.t + 1.0
+    return request
 
 
 def rogue_enable(drive: Drive, since: float) -> None:
     """After our end, somebody else keeps the kit enabled."""
     if drive.mode != "ENGAGED":
         drive.kit_enabled, drive.heard = True, drive.t
+
+
+def halting(drive: Drive, sent: Frames, since: float) -> Frames:
+    """Every other 50 ms without frames."""
+    return sent if since % 0.1 < 0.05 else []
 
 
 WEAK = wire.report(0.0, 0.0, 5.0, 0.0, {"ENABLED"})
@@ -169,18 +176,23 @@ def _pose() -> list[Attack]:
         for size in (0.2, 0.5, 1.0, 2.0):
             for side, s in sign:
                 found.append(
-                    Attack(f"position drifts {side} at {size} m/s, {where}",
-                           sense=moved(across=lambda t, r=s * size: r * t), where=where)
-                )  # fmt: skip
+                    Attack(
+                        f"position drifts {side} at {size} m/s, {where}",
+                        sense=moved(across=lambda t, r=s * size: r * t),
+                        where=where,
+                    )
+                )
     for where in PLACES:
-        found.append(Attack(f"heading stands still, {where}", sense=held("psi"), where=where))
+        found.append(
+            Attack(f"heading stands still, {where}", sense=held("psi"), where=where, harmless=where == "straight")
+        )
     for name in ("x", "y"):
         found.append(Attack(f"{name} stands still", sense=held(name)))
     for size in (20.0, -20.0, 30.0, 90.0, 180.0):
-        found.append(Attack(f"heading jumps by {size:g} deg", sense=changed(psi=lambda p, t, a=rad(size): p + a)))
+        found.append(Attack(f"heading jumps by {size:g} deg", sense=changed(psi=lambda p, t, a=size: p + rad(a))))
     for rate in (3.0, 10.0, -10.0, 30.0):
         found.append(
-            Attack(f"heading drifts at {rate:g} deg/s", sense=changed(psi=lambda p, t, a=rad(rate): p + a * t))
+            Attack(f"heading drifts at {rate:g} deg/s", sense=changed(psi=lambda p, t, a=rate: p + rad(a) * t))
         )
     for size in (0.6, -0.6, 1.0, 3.0):
         found.append(Attack(f"position jumps {size:g} m across", sense=moved(across=lambda t, a=size: a)))
@@ -189,22 +201,24 @@ def _pose() -> list[Attack]:
         found.append(Attack(f"position runs {rate:g} m/s along", sense=moved(along=lambda t, a=rate: a * t)))
     found += [
         Attack("position swings across by 1 m in 2 s", sense=moved(across=lambda t: math.sin(math.pi * t))),
-        Attack("heading swings by 10 deg in 2 s", sense=changed(psi=lambda p, t: p + rad(10.0) * math.sin(math.pi * t))),
+        Attack("heading swings by 10 deg", sense=changed(psi=lambda p, t: p + rad(10.0) * math.sin(math.pi * t))),
         Attack("position and heading turn together about the origin at 3 deg/s", sense=_turned(rad(3.0))),
         Attack("yaw rate reversed", sense=changed(r=lambda r, t: -r)),
         Attack("yaw rate stands still", sense=held("r"), where="entry"),
         Attack("yaw rate is zero", sense=changed(r=lambda r, t: 0.0)),
         Attack("yaw rate + 0.2 rad/s", sense=changed(r=lambda r, t: r + 0.2)),
         Attack("yaw rate halved", sense=changed(r=lambda r, t: 0.5 * r)),
-        Attack("heading and yaw rate + 0.1 rad/s together",
-               sense=changed(r=lambda r, t: r + 0.1, psi=lambda p, t: p + 0.1 * t)),
+        Attack(
+            "heading and yaw rate + 0.1 rad/s together",
+            sense=changed(r=lambda r, t: r + 0.1, psi=lambda p, t: p + 0.1 * t),
+        ),
         Attack("speed of the pose stands still while the car slows", sense=held("v"), speed=lambda d, v, t: 0.3 * v),
         Attack("speed of the pose halved", sense=changed(v=lambda v, t: 0.5 * v)),
         Attack("both speeds halved", sense=changed(v=lambda v, t: 0.5 * v, v_kit=lambda v, t: 0.5 * v)),
         Attack("both speeds times 1.5", sense=changed(v=lambda v, t: 1.5 * v, v_kit=lambda v, t: 1.5 * v)),
         Attack("both speeds zero", sense=changed(v=lambda v, t: 0.0, v_kit=lambda v, t: 0.0)),
         Attack("quality 0", sense=changed(quality=lambda q, t: 0.0)),
-    ]  # fmt: skip
+    ]
     for name in ("x", "y", "psi", "v", "r"):
         found.append(Attack(f"{name} not available", sense=changed(**{name: lambda value, t: math.nan})))
     return found
@@ -222,16 +236,26 @@ def _turned(rate: float) -> Sense:
 def _kit() -> list[Attack]:
     found = [
         Attack("steering sensor stands still", sense=held("angle"), where="entry"),
-        Attack("steering sensor + 35 deg", sense=changed(angle=lambda a, t: a + rad(35.0))),
-        Attack("steering sensor - 35 deg", sense=changed(angle=lambda a, t: a - rad(35.0))),
-        Attack("steering sensor times 0.8", sense=changed(angle=lambda a, t: 0.8 * a)),
+        Attack("steering sensor + 35 deg", harmless=True, sense=changed(angle=lambda a, t: a + rad(35.0))),
+        Attack("steering sensor - 35 deg", harmless=True, sense=changed(angle=lambda a, t: a - rad(35.0))),
+        Attack("steering sensor times 0.8", harmless=True, sense=changed(angle=lambda a, t: 0.8 * a)),
         Attack("steering sensor reversed", sense=changed(angle=lambda a, t: -a)),
-        Attack("motor 100 deg off, its sensor repeats the command", motor=lambda d, a, t: a + rad(100.0),
-               sense=_repeats),
-        Attack("motor 40 deg off, its sensor repeats the command", motor=lambda d, a, t: a - rad(40.0), sense=_repeats),
+        Attack(
+            "motor 100 deg off, its sensor repeats the command", motor=lambda d, a, t: a + rad(100.0), sense=_repeats
+        ),
+        Attack(
+            "motor 40 deg off, its sensor repeats the command",
+            harmless=True,
+            motor=lambda d, a, t: a - rad(40.0),
+            sense=_repeats,
+        ),
         Attack("motor turns the wrong way, its sensor repeats the command", motor=lambda d, a, t: -a, sense=_repeats),
-        Attack("motor stands still, its sensor repeats the command", motor=lambda d, a, t: d.car.wheel, where="entry",
-               sense=_repeats),
+        Attack(
+            "motor stands still, its sensor repeats the command",
+            motor=lambda d, a, t: d.car.wheel,
+            where="entry",
+            sense=_repeats,
+        ),
         Attack("motor torn off", motor=lambda d, a, t: d.car.wheel, where="entry"),
         Attack("motor runs to the left", motor=lambda d, a, t: d.car.wheel + 0.5 if d.kit_enabled else a),
         Attack("echo of another command", sense=changed(echo=lambda a, t: a + rad(5.0))),
@@ -241,8 +265,11 @@ def _kit() -> list[Attack]:
         Attack("kit watchdog flag", sense=flag("TMOUT")),
         Attack("kit not enabled", sense=flag("ENABLED", up=False)),
         Attack("torque 5 N m", sense=changed(torque=lambda m, t: 5.0)),
-        Attack("torque - 7.5 N m, a foreign sender of weak reports", sense=changed(torque=lambda m, t: -7.5),
-               frames=beside((wire.REPORT, WEAK, ""))),
+        Attack(
+            "torque - 7.5 N m, a foreign sender of weak reports",
+            sense=changed(torque=lambda m, t: -7.5),
+            frames=beside((wire.REPORT, WEAK, "")),
+        ),
         Attack("a foreign sender of the report", frames=beside((wire.REPORT, WEAK, ""))),
         Attack("a foreign sender of the command", frames=beside((wire.COMMAND, FOREIGN, ""))),
         Attack("report speed + 3 m/s", sense=changed(v_kit=lambda v, t: v + 3.0)),
@@ -254,7 +281,7 @@ def _kit() -> list[Attack]:
         Attack("report all ones", frames=frames(wire.REPORT, change=lambda d: b"\xff" * 8)),
         Attack("report all zeros", frames=frames(wire.REPORT, change=lambda d: bytes(8))),
         Attack("somebody else enables the kit after us", act=rogue_enable, sense=flag("OVERRIDE"), seconds=2.0),
-    ]  # fmt: skip
+    ]
     for frame_id, name in zip(POSE, ("position", "motion", "dynamics")):
         found += [
             Attack(f"{name} frames dropped", frames=frames(frame_id, drop=True)),
@@ -283,15 +310,18 @@ def _time() -> list[Attack]:
         found.append(Attack(f"pose {late:g} s late", latency=lambda t, a=late: a, harmless=late < 0.15))
     found += [
         Attack("stamps 2 % fast", sense=changed(stamp=lambda s, t: s + 0.02 * t)),
-        Attack("stamps 2 % fast, delay growing by 20 ms a second", sense=changed(stamp=lambda s, t: s + 0.02 * t),
-               latency=lambda t: 0.02 * t),
+        Attack(
+            "stamps 2 % fast, delay growing by 20 ms a second",
+            sense=changed(stamp=lambda s, t: s + 0.02 * t),
+            latency=lambda t: 0.02 * t,
+        ),
         Attack("delay growing by 20 ms a second", latency=lambda t: 0.02 * t, seconds=10.0),
         Attack("delay growing by 100 ms a second", latency=lambda t: 0.1 * t),
         Attack("stamp 5 s ahead", sense=changed(stamp=lambda s, t: s + 5.0)),
         Attack("stamp 5 s ahead and back", sense=changed(stamp=lambda s, t: s + 5.0 * (t < 0.5))),
         Attack("stamp stands still", sense=held("stamp")),
         Attack("stamps at random", sense=changed(stamp=lambda s, t: s + 0.5 * math.sin(1e4 * t))),
-    ]  # fmt: skip
+    ]
     return found
 
 
@@ -305,8 +335,8 @@ def _client() -> list[Attack]:
         Attack("request silent", request=lambda d, a, t: None),
         Attack("client silent", act=client_silent),
         Attack("client gone", act=client_gone),
-        Attack("client asks from old data", act=stale),
-        Attack("client asks from the future", act=future),
+        Attack("client asks from old data", request=asked_at(lambda d: d.onset)),
+        Attack("client asks from the future", request=asked_at(lambda d: d.t + 1.0)),
         Attack("client misses deadlines", act=misses),
         Attack("full lock left", request=lambda d, a, t: lock, **careful),
         Attack("full lock right", request=lambda d, a, t: -lock, **careful),
@@ -314,7 +344,7 @@ def _client() -> list[Attack]:
         Attack("bang-bang at 20 Hz", request=lambda d, a, t: lock if round(t / 0.05) % 2 else -lock, **careful),
         Attack("bang-bang at 1 Hz", request=lambda d, a, t: lock if round(t / 0.5) % 2 else -lock, **careful),
         Attack("steers the wrong way", request=lambda d, a, t: -a, **careful),
-        Attack("steers twice as much", request=lambda d, a, t: 2.0 * a, **careful),
+        Attack("steers twice as much", harmless=True, request=lambda d, a, t: 2.0 * a, **careful),
         Attack("100 deg to the left", request=lambda d, a, t: a + rad(100.0), **careful),
         Attack("always straight ahead", request=lambda d, a, t: 0.0, **careful),
         Attack("holds the wheel", request=lambda d, a, t: d.frozen.setdefault("a", a), where="entry", **careful),
@@ -328,20 +358,26 @@ def _people_and_bus() -> list[Attack]:
         Attack("space bar", act=order("DISENGAGE")),
         Attack("off", act=order("OFF")),
         Attack("bus silent", frames=lambda d, sent, t: []),
-        Attack("bus silent for 50 ms at a time", frames=lambda d, sent, t: sent if t % 0.1 < 0.05 else [], harmless=True),
+        Attack("bus silent for 50 ms at a time", frames=halting, harmless=True),
         Attack("a flood of other frames", frames=beside(JUNK, times=30), seconds=3.0, harmless=True),
         Attack("a flood of garbled lines", frames=beside((-1, b"T00", "bad"), times=3)),
-        Attack("a garbled line now and then", frames=lambda d, sent, t: [*sent, (-1, b"?", "bad")]
-               if d.k % 400 == 0 else sent, harmless=True),
+        Attack(
+            "a garbled line now and then",
+            frames=lambda d, sent, t: [*sent, (-1, b"?", "bad")] if d.k % 400 == 0 else sent,
+            harmless=True,
+        ),
         Attack("frames shuffled", frames=lambda d, sent, t: sent[::-1], harmless=True),
         Attack("every frame twice", frames=lambda d, sent, t: [f for frame in sent for f in (frame, frame)]),
         Attack("reversing", speed=lambda d, v, t: -2.0),
-        Attack("reversing, speeds without a sign", speed=lambda d, v, t: -2.0,
-               sense=changed(v=lambda v, t: abs(v), v_kit=lambda v, t: abs(v))),
+        Attack(
+            "reversing, speeds without a sign",
+            speed=lambda d, v, t: -2.0,
+            sense=changed(v=lambda v, t: abs(v), v_kit=lambda v, t: abs(v)),
+        ),
         Attack("standstill", speed=lambda d, v, t: 0.0),
         Attack("faster and faster", speed=lambda d, v, t: v + 2.0 * t, where="straight"),
         Attack("the open course ends", course="road", seconds=90.0),
-    ]  # fmt: skip
+    ]
 
 
 ATTACKS = {a.name: a for a in (*_pose(), *_kit(), *_time(), *_client(), *_people_and_bus())}

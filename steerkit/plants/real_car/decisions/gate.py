@@ -32,6 +32,8 @@ class GateLimits:
     """Steering-wheel angle over road-wheel angle [1]."""
     wheelbase: float = 2.71
     """L [m]; kappa = tan(delta_sw/steer_ratio)/L, which an understeering car does not reach: pessimistic."""
+    arm: float = 1.49
+    """Centre of gravity to rear axle [m]: while kappa grows the centre is swung aside, which adds to a_y."""
     quantum: float = radians_of(0.1)
     """Resolution of the angle on the bus [rad]."""
     dt_min: float = 0.01
@@ -63,7 +65,9 @@ def gate(limits: GateLimits, request: float, last: float, speeds: Sequence[float
 
     v      = max |speeds|, at least v_floor; v_max if one of them is no number, or none is known
     target = sat(request) to |delta_sw| <= delta_sw_max and |kappa| <= a_y_max/v^2
-    out    = sat(target) to last +- rate_max*dt and kappa(last) +- jerk_max/v^2*dt,  dt at most dt_max
+    out    = sat(target) to last +- rate_max*dt and kappa(last) +- jerk_max/v^2*dt,  dt at most dt_max,
+             and, where |kappa| grows, to |v^2 kappa + v arm dkappa/dt| <= a_y_max, a_y of the centre of gravity, or
+             by one quantum
     sent   = out, rounded towards `last` to a whole number of quanta
 
     Where the bounds on kappa and on its change contradict each other (the speed has jumped), the change is bounded
@@ -90,8 +94,12 @@ def gate(limits: GateLimits, request: float, last: float, speeds: Sequence[float
     target = max(-bound, min(bound, request))
     kappa, turn = math.tan(last / ratio) / length, limits.jerk_max / (v * v) * dt
     step = limits.rate_max * dt
+    sway, most_kappa = limits.arm / (v * dt), limits.a_y_max / (v * v)
+    right, left = ((sway * kappa + side * most_kappa) / (1.0 + sway) for side in (-1.0, 1.0))
     low = max(last - step, ratio * math.atan(length * (kappa - turn)))
     high = min(last + step, ratio * math.atan(length * (kappa + turn)))
+    low = max(low, min(last - q, ratio * math.atan(length * right)))
+    high = min(high, max(last + q, ratio * math.atan(length * left)))
     out = max(low, min(high, target))
 
     z = (out - last) / q

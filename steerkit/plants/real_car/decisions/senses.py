@@ -18,6 +18,12 @@ WHEEL_RATE = 25.0
 """Faster than any hand turns a wheel [rad/s]."""
 EPS = 1e-9
 """An age counts as reached a nanosecond early [s], so that a wake at the very moment finds it."""
+FOLLOW = 0.35
+"""The wheel has to be where the commands of so long ago, and later ones, sent it [s]."""
+AHEAD = 0.3
+"""A pose that seems to come so much quicker than the quickest so far has a wrong time stamp [s]."""
+FAST, FAST_TIME = 0.04, 3.0
+"""The quickest pose may not become quicker by so much within so long [s]: the clock of the time stamps runs fast."""
 _STAMP_DRIFT = 2e-4  # by how much the clock of the pose may run differently
 
 
@@ -55,6 +61,7 @@ class Senses:
         self.remaining = math.inf
         self._pose_frame = next(r.frame_id for r in config.readers if {"x", "lat"} & r.mappings.keys())
         self._stamp: tuple[float, float, float] | None = None  # first offset, least offset since, when
+        self._stamped, self._quickest = 0.0, deque[tuple[float, float]]()
         self.delay = 0.0
         self.echo_ok = self.follow_ok = 0.0
 
@@ -98,7 +105,7 @@ class Senses:
         if "r" in values:
             self._reckon(arrived)
         if "stamp" in values:
-            self._track_delay(arrived, values["stamp"], reader.mappings["stamp"].gain, gap)
+            self._track_delay(t, arrived, values["stamp"], reader.mappings["stamp"].gain, gap)
         if "torque" in values:  # a weak one takes a third off: reports of another sender in between do not hide a hand
             strong = abs(values["torque"]) > self.config.states.torque_max
             self.torque_reports = self.torque_reports + 1.0 if strong else max(0.0, self.torque_reports - 1.0 / 3.0)
@@ -163,16 +170,28 @@ class Senses:
         l_r = float(self.config.vehicle.l_r)
         return math.atan2(known.get("r", math.nan) * l_r, max(known.get("v", math.nan), 1.0))
 
-    def _track_delay(self, arrived: float, stamp: float, gain: float, gap: float) -> None:
+    def _track_delay(self, t: float, arrived: float, stamp: float, gain: float, gap: float) -> None:
         """How much later than the quickest so far the pose comes; its clock is only known up to a constant."""
         length = self._readers_signal_length("stamp")
         wrap = gain * float(1 << length)
         offset = arrived - stamp
         if self._stamp is None or gap > 1.0:
             self._stamp = (offset, 0.0, arrived)
+            self._stamped = arrived
+            self._quickest.clear()
         first, least, when = self._stamp
         now = math.remainder(offset - first, wrap)
+        if now < least - AHEAD:  # not believed, so that it is forgotten when it comes back
+            self.error(t, f"the time stamp is {least - now:.2f} s ahead", self.config.states.integrity_errors)
+            return
         least = min(least + _STAMP_DRIFT * (arrived - when), now)
+        self._quickest.append((arrived, least))
+        while self._quickest[0][0] < arrived - FAST_TIME:
+            self._quickest.popleft()
+        begun, then = self._quickest[0]
+        if arrived - self._stamped > FAST_TIME and least < then - FAST:
+            what = f"the time stamps run ahead by {1e3 * (then - least):.0f} ms in {arrived - begun:.1f} s"
+            self.error(t, what, self.config.states.integrity_errors)
         self._stamp = (first, least, arrived)
         self.delay = now - least
 
@@ -190,7 +209,9 @@ class Senses:
                 self.echo_ok = max(self.echo_ok, superseded)
                 break
             superseded = t
-        if sent and abs(sent[-1][1] - self.values["delta_sw"]) <= self.config.states.follow_angle:
+        late = [delta_sw for t, delta_sw in sent if t >= arrived - FOLLOW] or [delta_sw for _, delta_sw in sent][-1:]
+        slack = self.config.states.follow_angle
+        if late and min(late) - slack <= self.values["delta_sw"] <= max(late) + slack:
             self.follow_ok = arrived
 
     def _locate(self, gap: float) -> None:

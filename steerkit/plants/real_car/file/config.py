@@ -41,7 +41,7 @@ ANGLES = {
     *("motion_across", "heading_slack", "heading_rate", "wheel_slack", "wheel_rate"),
 }
 """Limits that the file gives in degrees, as `..._deg`."""
-DERIVED = {"steer_ratio", "wheelbase", "quantum"}
+DERIVED = {"steer_ratio", "wheelbase", "arm", "quantum"}
 """Fields of the gate's limits that follow from the car and the DBC."""
 KINDS = {
     "rad": ("deg", "rad"),

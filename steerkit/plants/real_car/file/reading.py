@@ -411,7 +411,7 @@ class Reading:
                     self.wrong(f"[limits] {key} = {value:g}, expected {low:g} to {high:g}")
                 else:
                     values[name] = radians_of(value) if name in ANGLES else value
-        derived = {"steer_ratio": car.steer_ratio, "wheelbase": car.wheelbase}
+        derived = {"steer_ratio": car.steer_ratio, "wheelbase": car.wheelbase, "arm": car.l_r}
         if writer is not None:
             derived["quantum"] = writer.quantum
 
