@@ -121,6 +121,10 @@ class Attack:
     """How long it is watched."""
     harmless: bool = False
     """Nothing has to happen: the car is steered as well as before."""
+    physics: str = ""
+    """Why the sensors cannot tell in time, where they cannot; then `excess_max` and `a_y_max` hold."""
+    excess_max: float = 0.5
+    a_y_max: float = 3.0
 
 
 @dataclass

@@ -72,9 +72,9 @@ class StateLimits:
     """Least quality of the pose [1]."""
     echo_age: float = 0.12
     """How old the command may be that the kit reports [s]."""
-    follow_angle: float = radians_of(60.0)
+    follow_angle: float = radians_of(40.0)
     """Largest |command - measured| while driving [rad] ..."""
-    follow_time: float = 0.6
+    follow_time: float = 0.3
     """... for so long [s]."""
     enable_time: float = 0.3
     """How long the kit may take to report that it is enabled [s]."""

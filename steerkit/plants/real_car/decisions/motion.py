@@ -41,9 +41,9 @@ class MotionLimits:
     """Jump of the heading that a good receiver makes [rad]."""
     heading_rate: float = radians_of(0.5)
     """Error of the yaw rate [rad/s]."""
-    wheel_slack: float = radians_of(5.0)
+    wheel_slack: float = radians_of(4.0)
     """Heading by which the yaw rate lags behind the wheel, or runs ahead [rad]."""
-    wheel_rate: float = radians_of(3.0)
+    wheel_rate: float = radians_of(2.5)
     """Yaw rate that the wheel does not explain: its offset, wind, a banked road [rad/s]."""
     wheel_share: float = 0.4
     """The same as a share of the yaw rate: ratio and tyres that differ from the data sheet [1]."""

@@ -60,7 +60,7 @@ BAD: dict[str, dict[str, Any]] = {
     "controller silent": {"request_age": 0.15},
     "kit not enabled": {"enabled": False},
     "command echo": {"echo_age": 0.15},
-    "wheel does not follow": {"follow_age": 0.6},
+    "wheel does not follow": {"follow_age": 0.3},
     "brake": {"brake": True},
     "accelerator": {"accelerator": True},
     "operator silent": {"heartbeat_age": 0.3},
