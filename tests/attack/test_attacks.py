@@ -13,9 +13,15 @@ from tests.attack.attacks import ATTACKS
 from tests.attack.bench import Drive
 
 SPEEDS = (2.0, 5.0, 7.0)
-FAST = ("x and y stand still, bend", "all of the pose stands still but stamp and counter, bend", "heading jumps by 20 deg",
-        "heading jumps by 90 deg", "heading stands still, bend", "position drifts left at 1.0 m/s, bend",
-        "position drifts right at 2.0 m/s, straight")  # fmt: skip
+FAST = (
+    "x and y stand still, bend",
+    "all of the pose stands still but stamp and counter, bend",
+    "heading jumps by 20 deg",
+    "heading jumps by 90 deg",
+    "heading stands still, bend",
+    "position drifts left at 1.0 m/s, bend",
+    "position drifts right at 2.0 m/s, straight",
+)
 """Attacks that have to end within half a second at 2 m/s and above."""
 
 

@@ -121,7 +121,7 @@ class Motion:
             old, dt = self._at, max(0.0, t - self._at.t)
             x, y, turn, turn_wheel = (0.5 * dt * (a + b) for a, b in zip(self._rates, rates))
             self._at = Reckoned(
-                t,
+                max(t, old.t),
                 old.x + x,
                 old.y + y,
                 old.psi + turn,

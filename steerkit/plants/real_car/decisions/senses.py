@@ -155,11 +155,10 @@ class Senses:
     def _reckon(self, arrived: float) -> None:
         """Add the way since the last speed, heading and yaw rate to what dead reckoning has."""
         known = self.values
-        if not {"psi", "v", "r", "delta_sw"} <= known.keys():
+        if not {"psi", "v", "r"} <= known.keys():
             return
-        self._motion.moves(
-            arrived, psi=known["psi"], v=known["v"], r=known["r"], beta=self.beta, delta_sw=known["delta_sw"]
-        )
+        wheel = known.get("delta_sw", math.nan)  # without one, the yaw rate is not compared with it
+        self._motion.moves(arrived, psi=known["psi"], v=known["v"], r=known["r"], beta=self.beta, delta_sw=wheel)
 
     @property
     def beta(self) -> float:

@@ -12,7 +12,6 @@ from steerkit.plants.real_car.decisions.gate import GateLimits
 from steerkit.plants.real_car.decisions.modes import StateLimits
 from steerkit.plants.real_car.decisions.motion import MotionLimits
 from steerkit.plants.real_car.frames.codec import CommandWriter, FrameReader, Mapping
-from steerkit.task import STOP_DEG
 from steerkit.units import degrees_of
 from steerkit.vehicles import Vehicle
 

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from steerkit.courses import course
-from steerkit.plants.real_car.decisions.core import Core, Frame, Link, Packet, Reply, Send, Tick
+from steerkit.plants.real_car.decisions.core import Core, End, Frame, Link, Packet, Reply, Send, Tick
 from steerkit.plants.real_car.decisions.modes import Machine, Mode, Order
-from steerkit.plants.real_car.processes.protocol import Command, Hello, Refused, Request, Snapshot, decode, encode
+from steerkit.plants.real_car.processes.protocol import Beat, Command, Hello, Refused, Request, Snapshot, decode, encode
 from steerkit.plants.real_car.simulated import Fault
 from tests.support.car_messages import config, messages
 from tests.support.car_world import World
@@ -177,6 +177,8 @@ def test_the_request_goes_with_its_controller_and_there_is_one() -> None:
     core.handle(Packet(5.1, 1, encode(Request(5.1, 0.25, 0))))
     core.handle(Link(5.1, 2, True))
     assert "a controller already" in refusals(core, 5.1, 2, Hello(True))[0]
+    assert "say hello first" in refusals(core, 5.1, 2, Request(5.1, 1.0, 0))[0]
+    assert refusals(core, 5.1, 2, Hello(False)) == []
     assert "only the controller" in refusals(core, 5.1, 2, Request(5.1, 1.0, 0))[0]
     assert core.facts(5.1).request == 0.25
     core.handle(Link(5.1, 2, False))
@@ -213,3 +215,49 @@ def test_without_a_sensor_beta_is_that_of_a_car_that_rolls(v: float, r: float) -
     rear = v * math.sin(core.snapshot(5.0).beta) / math.cos(core.snapshot(5.0).beta) - r * config().vehicle.l_r
     assert rear == pytest.approx(0.0, abs=1e-9)
     assert core.snapshot(5.0).a_y == v * r
+
+
+def test_only_an_operator_s_heartbeat_counts_and_it_goes_with_the_operator() -> None:
+    core = linked()
+    core.handle(Packet(5.1, 1, encode(Beat())))  # the controller's panel may hang while the controller steers on
+    assert core.facts(5.1).heartbeat_age == math.inf
+    core.handle(Link(5.1, 2, True))
+    core.handle(Packet(5.1, 2, encode(Hello(False))))
+    core.handle(Packet(5.2, 2, encode(Beat())))
+    assert core.facts(5.3).heartbeat_age == pytest.approx(0.1)
+    core.handle(Link(5.3, 2, False))
+    assert core.facts(5.3).heartbeat_age == math.inf
+
+
+def test_the_end_of_the_process_lets_go_first_and_says_why() -> None:
+    world = World()
+    world.bring_to(Mode.ENGAGED)
+    sent = len(world.sent)
+    world.handle(End(world.t, "the bus is lost"))
+    world.until(world.t + 0.3)
+    assert world.modes[-1][1:] == (Mode.OFF, "the bus is lost")
+    assert [s.enable for s in world.sent[sent:]] == [False] * 5
+
+
+def test_a_controller_on_another_course_is_refused() -> None:
+    core = linked()
+    core.handle(Link(5.1, 2, True))
+    core.handle(Link(5.1, 1, False))
+    assert "another course" in refusals(core, 5.2, 2, Hello(True, course=b"elsewher"))[0]
+    assert refusals(core, 5.2, 2, Hello(True)) == []
+
+
+def test_a_foreign_sender_of_the_command_is_told() -> None:
+    core = linked()
+    core.handle(Frame(5.1, 5.1, config().writer.frame_id, bytes(8)))
+    assert "somebody else sends STEERING_CMD" in core.facts(5.2).foreign
+    assert core.facts(6.2).foreign == ""
+
+
+def test_the_kit_enabled_by_somebody_else_is_told_after_a_while() -> None:
+    world = World()
+    world.order(Order.ARM)
+    world.until(0.5)
+    assert world.mode is Mode.READY
+    world.core.senses.values["enabled"], world.core.senses.enabled_since = 1.0, world.t
+    assert world.core.facts(world.t + 0.2).foreign_enable == pytest.approx(0.2)

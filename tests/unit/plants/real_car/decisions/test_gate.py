@@ -122,3 +122,16 @@ def test_the_gate_is_pure() -> None:
     arguments = (LIMITS, 1.0, 0.9, [5.0, 5.1], 0.02)
     answers = [gate(*arguments) for _ in range(3)]
     assert all(a == b for a, b in pairwise(answers))
+
+
+@given(goal=st.floats(-9, 9), start=st.floats(-2.0, 2.0), v=st.floats(1.0, 10.0))
+def test_the_centre_of_gravity_is_not_swung_beyond_the_limit(goal: float, start: float, v: float) -> None:
+    """a_y = v^2 kappa + v arm dkappa/dt of a kinematic car; one quantum is always let through."""
+    bound = LIMITS.steer_ratio * math.atan(LIMITS.wheelbase * LIMITS.a_y_max / v**2)
+    last = max(-bound, min(bound, round(start / LIMITS.quantum) * LIMITS.quantum))
+    slack = 2.0 * v * LIMITS.arm * LIMITS.quantum * (1.0 + 0.4) / (0.02 * LIMITS.steer_ratio * LIMITS.wheelbase)
+    for _ in range(100):
+        before, last = last, gate(LIMITS, goal, last, [v], 0.02).delta_sw
+        growth = (kappa(last) - kappa(before)) / 0.02
+        if abs(kappa(last)) > abs(kappa(before)) and kappa(last) * growth > 0.0:
+            assert abs(v * v * kappa(last) + v * LIMITS.arm * growth) <= LIMITS.a_y_max + slack

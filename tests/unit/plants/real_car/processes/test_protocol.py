@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from steerkit.plants.real_car.decisions.modes import Mode, Order
-from steerkit.plants.real_car.processes.protocol import Command, Hello, Query, Request, Snapshot, decode, encode
+from steerkit.plants.real_car.processes.protocol import Beat, Command, Hello, Query, Request, Snapshot, decode, encode
 from tests.support.car_messages import messages
 
 
@@ -38,7 +38,9 @@ def test_strange_packets_are_value_errors(packet: bytes) -> None:
 def test_layouts_are_written_down() -> None:
     assert encode(Request(1.5, -0.25, 7)) == b"R" + struct.pack("<ddI", 1.5, -0.25, 7)
     assert encode(Query()) == b"Q"
-    assert encode(Hello(True)) == b"H\x01\x02"
+    assert encode(Hello(True)) == b"H\x01\x03" + bytes(8)
+    assert encode(Hello(False, course=b"12345678")) == b"H\x00\x0312345678"
+    assert encode(Beat()) == b"B"
     assert [encode(Command(order)) for order in Order] == [b"O" + bytes((k,)) for k in range(5)]
 
 
