@@ -22,7 +22,7 @@ from steerkit.plants.real_car.processes.client import CarLost, DriverLink
 from steerkit.plants.real_car.processes.protocol import Snapshot
 from steerkit.units import degrees_of
 
-PERIOD = 50e-3
+PERIOD = 0.04
 """Longest wait for a key [s]: a heartbeat follows each."""
 KEYS = {" ": Order.DISENGAGE, "e": Order.ENGAGE, "a": Order.ACKNOWLEDGE, "r": Order.ARM, "o": Order.OFF}
 HELP = "space let go · e engage · a acknowledge · r arm · o off · q quit"
