@@ -96,18 +96,22 @@ def driver(
 ) -> None:
     """The process that owns the bus. `steerkit drive --car` and `learn --car` start one where there is none."""
     from steerkit.plants.real_car.processes.server import Driver
-    from steerkit.plants.real_car.recording import Recording
+    from steerkit.plants.real_car.recording import Recording, described
 
     logging.basicConfig(format="%(asctime)s %(name)s %(message)s", level=logging.INFO, stream=sys.stdout)
     loaded, path = sessions.loaded(config, channel)
-    metadata = {f"file:{name}": text for name, text in loaded.texts.items()} | {"time_scale": str(time_scale)}
-    tape = Recording(recording, metadata) if recording else None
-    if realtime:
-        from steerkit.realtime import preferred
+    if loaded.keep_recording and not recording:
+        raise ValueError(f"{config}: keep_recording = true, but nothing is recorded; give --recording FILE.mcap")
+    tape = Recording(recording, described(loaded, path, time_scale)) if recording else None
+    with contextlib.closing(tape) if tape else contextlib.nullcontext():
+        if realtime:
+            from steerkit.realtime import preferred
 
-        logging.info(preferred(threads=True))  # the bus's thread too, but not the recording's
-    clock = Clock(scale=time_scale)
-    Driver(loaded, path, socket or processes.default_socket(), recording=tape, clock=clock, linger=linger).run()
+            logging.info(preferred(threads=True))  # the bus's thread too, but not the recording's
+        clock = Clock(scale=time_scale)
+        Driver(loaded, path, socket or processes.default_socket(), recording=tape, clock=clock, linger=linger).run()
+    if tape and tape.failed:
+        raise typer.Exit(1)
 
 
 @app.command()
@@ -134,24 +138,52 @@ def tape(
     file: Annotated[FilePath, typer.Argument(help="A recording, .mcap.")],
     controller: Annotated[str, typer.Option(help="Replay through this one, instead of those who steered.")] = "",
     run: Annotated[str, typer.Option(help="Directory of the learning run, if it has moved.")] = "",
+    out: Annotated[str, typer.Option(help="File for the repaired recording; default: FILE.repaired.mcap.")] = "",
+    overwrite: Annotated[bool, typer.Option(help="Write that file even if it is there already.")] = False,
 ) -> None:
-    """Look into a recording, mend one that a kill cut short, and replay it: are the commands the same, bit for bit?"""
+    """Look into a recording, and replay it: are the commands the same, bit for bit?
+
+    One that is damaged or cut short is repaired into a new file and stays as it is itself. One that is still being
+    written is only looked into. Exit code: 0; 1 when messages are missing, 2 when a replay lacks something.
+    """
     from steerkit.on_car import replay as replays
     from steerkit.plants.real_car import recording as tapes
     from steerkit.plants.real_car.decisions.core import Core
 
-    recorded = tapes.mend(file)
-    print(f"{len(recorded.messages)} messages{'' if recorded.whole else ', cut short; its end is mended'}")
+    recorded = tapes.read(file)
+    print(recorded.kept())
+    for line in [*recorded.lost, *(str(gap) for gap in recorded.gaps if gap.missing == 0)]:
+        print(f"  {line}")
+    if recorded.in_use and out:
+        raise ValueError(f"{file}: is being written by a car server; repair it when that has ended")
+    if recorded.in_use:
+        print("it is being written by a car server: this is what is there so far")
+    elif not recorded.sound:
+        try:
+            place = tapes.repair(file, out or None, overwrite=overwrite)[1]
+            print(f"all that is intact is in {place}; {file} is as it was")
+        except FileExistsError as error:
+            print(f"not repaired: {error}")
     for v in recorded.of("/state"):
         print(f"  {v['t']:.3f} s  {v['from']} -> {v['to']}: {v['cause']}")
     config = tapes.config_of(recorded)
     path = loops.course_of(config)
+    for difference in tapes.differences(recorded, config, path):
+        print(f"not as it was then: {difference}")
+    if any(gap.missing for gap in recorded.gaps):
+        print("what follows missing messages may replay differently")
     frames, same = tapes.replayed_exactly(recorded, Core(config, path))
     print(f"driver: {same} of {frames} frames the same")
+    lacking = False
     for drive in replays.drives(recorded):
         asked, who = len(drive.requests), controller or drive.who
-        same = replays.replayed_requests(drive, config, path, controller=controller, run=run)
-        print(f"{who}: {same} of {asked} requests the same")
+        try:
+            same = replays.replayed_requests(drive, config, path, controller=controller, run=run)
+            print(f"{who}: {same} of {asked} requests the same")
+        except ValueError as error:
+            lacking = True
+            print(f"{who}: {asked} requests cannot be replayed: {error}")
+    raise typer.Exit(2 if lacking else 1 if recorded.lost else 0)
 
 
 def main() -> None:

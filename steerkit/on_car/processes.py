@@ -60,15 +60,15 @@ def start_driver(
         except CarLost:
             time.sleep(0.05)
     process.terminate()
-    raise CarLost(f"the driver process did not come up: {_last_line(log) or f'no answer within {wait:g} s'}")
+    raise CarLost(f"the driver process did not come up: {(log and last_line(log.name)) or f'no answer within {wait:g} s'}")
 
 
-def _last_line(log: TextIO | None) -> str:
-    """What a process said last in its log, and where that is."""
-    if log is None or not os.path.isfile(log.name):
+def last_line(log: str) -> str:
+    """What a process said last in its log, and where that is; "" without one."""
+    if not os.path.isfile(log):
         return ""
-    lines = FilePath(log.name).read_text(errors="replace").split("\n")
-    return f"{next((line for line in reversed(lines) if line), 'it said nothing')} (log: {log.name})"
+    lines = FilePath(log).read_text(errors="replace").split("\n")
+    return f"{next((line for line in reversed(lines) if line), 'it said nothing')} (log: {log})"
 
 
 def start_simulated(

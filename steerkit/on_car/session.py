@@ -80,6 +80,8 @@ class Session:
         """The angle that the controller asked for last [rad]."""
         self.learner_steers: bool | None = None
         """Has the learner the wheel, or its recovery controller? None: there is no learner."""
+        self.broken = ""
+        """What the car server ended with, if that was no good end."""
 
     def watch(self, run: Run) -> bool:
         """Called after every step."""
@@ -145,7 +147,9 @@ def session(options: Options) -> Iterator[Session]:
         finally:
             for process in started:  # the driver first
                 process.terminate()
-                process.wait(10.0)
+                process.wait(20.0)  # it may have to write the end of its recording
+        if here.recording and started[0].returncode == 1:
+            here.broken = f"the car server ended badly: {processes.last_line(str(log))}"
 
 
 @contextlib.contextmanager
@@ -229,4 +233,6 @@ def _told(here: Session, run: Run) -> dict[str, Any]:
         print(histogram_text(run.timing))
     print(", ".join(f"{k} {v:.3g}" for k, v in figures.items()))
     print(f"recording {here.recording}" if here.recording else "recorded by the driver process that was there")
+    if here.broken:
+        raise OSError(here.broken)
     return {**figures, "recording": here.recording}

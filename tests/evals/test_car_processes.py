@@ -112,9 +112,8 @@ def test_kill_the_driver_process(bench: dict[str, Any]) -> None:
     recorded = tapes.read(bench["tape"])
     assert not recorded.whole
     assert recorded.of("/can/rx")
-    assert len(tapes.mend(bench["tape"]).messages) == len(recorded.messages)
-    again = tapes.read(bench["tape"])
-    assert again.whole
+    again = tapes.read(tapes.repair(bench["tape"])[1])
+    assert again.sound
     assert [repr(m) for m in again.messages] == [repr(m) for m in recorded.messages]
     assert last > 0
 

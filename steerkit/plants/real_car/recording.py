@@ -1,9 +1,7 @@
-"""Everything that the driver process received, decided and sent, in an MCAP file that survives a kill.
+"""Everything that the driver process received, decided and sent, in a file that survives a kill, and read again.
 
-MCAP (https://mcap.dev) because it is append-only: what has been written can be read, with or without its end; MDF needs
-a finished header. Field tools (Foxglove, PlotJuggler, `mcap`) open it; messages are JSON, so none needs our code.
-Topics: /can/rx /client /tick (what the core was given), /can/tx (what it sent), /state /command /steers /car /refused
-(why).
+Topics: /can/rx /client /tick /recording /end (what the core was given), /can/tx (what it sent), /state /command /steers
+/car /refused (why). How they lie in the file, and what protects them there: `tape_file`.
 """
 
 from __future__ import annotations
@@ -11,67 +9,83 @@ from __future__ import annotations
 import json
 import math
 import os
+import platform
 import queue
-import struct
 import tempfile
 import threading
 import time
+import tomllib
 from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import asdict
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path as File
 from typing import Any, NamedTuple
 
+from steerkit.errors import require
 from steerkit.files import whole
-from steerkit.plants.real_car.decisions.core import Core, End, Event, Frame, Link, Note, Output, Packet, Send, Tick
+from steerkit.path import Path
+from steerkit.plants.real_car.decisions.core import (
+    Core,
+    End,
+    Event,
+    Frame,
+    Link,
+    Note,
+    Output,
+    Packet,
+    Send,
+    Taping,
+    Tick,
+)
 from steerkit.plants.real_car.file.config import CarConfig
-from steerkit.plants.real_car.file.reading import load
+from steerkit.plants.real_car.file.reading import Reading
+from steerkit.plants.real_car.processes import protocol
+from steerkit.plants.real_car.tape_file import TapeFile, contents, in_use, what_is_wrong
 
 FLUSH = 0.2
 """Longest time that a message waits for the operating system [s]."""
-_NUMBER = {"type": ["number", "string"]}  # a NaN or an infinity is written as a text
-_TEXT = {"type": "string"}
-_TOPICS: dict[str, dict[str, Any]] = {
-    "/can/rx": {"t": _NUMBER, "arrived": _NUMBER, "id": {"type": "integer"}, "data": _TEXT},
-    "/can/tx": {"t": _NUMBER, "id": {"type": "integer"}, "data": _TEXT},
-    "/client": {"t": _NUMBER, "link": {"type": "integer"}, "data": _TEXT, "up": {"type": "boolean"}},
-    "/tick": {"t": _NUMBER},
-    "/end": {"t": _NUMBER, "cause": _TEXT},
-    "/state": {"t": _NUMBER, "from": _TEXT, "to": _TEXT, "cause": _TEXT},
-    "/command": {"t": _NUMBER, "request": _NUMBER, "sent": _NUMBER, "why": _TEXT},
-    "/steers": {"t": _NUMBER, "what": _TEXT},
-    "/car": {"t": _NUMBER, "mode": _TEXT},
-    "/refused": {"t": _NUMBER, "order": _TEXT, "why": _TEXT},
-}
+SYNC = 0.5
+"""Longest time that the operating system's part waits for the disk, if that takes no time [s]."""
+STALL = 5.0
+"""From when on a disk that does not answer is told of [s]."""
+BACKLOG = 200_000
+"""Messages that wait for a disk that does not answer; then the recording ends there, before the memory does."""
+_PACKAGES = ("steerkit-control", "numpy", "scipy", "cantools", "python-can", "mcap")
 
 
 class Recording:
     """Writes a recording from a thread of its own, so that a slow disk never holds up the driver.
 
-    file: a new one. metadata: texts about the run (the configuration, the course). Raises FileExistsError.
+    file: a new one. description: texts about the run, as `described` makes them; versions are added. Raises
+    FileExistsError, and OSError when not even the beginning can be written.
     """
 
-    def __init__(self, file: str | os.PathLike[str], metadata: dict[str, str]):
-        from mcap.writer import IndexType, Writer
-
+    def __init__(self, file: str | os.PathLike[str], description: dict[str, str]):
         self.file = File(file)
-        self.failed = ""
-        self._stream = self.file.open("xb")
-        self._writer = Writer(self._stream, use_chunking=False, index_types=IndexType.NONE)
-        self._writer.start(profile="steerkit", library="steerkit")
-        self._writer.add_metadata("steerkit", metadata)
-        self._channels = {}
-        for topic, properties in _TOPICS.items():
-            schema = {"type": "object", "properties": properties}
-            number = self._writer.register_schema(topic.strip("/"), "jsonschema", json.dumps(schema).encode())
-            self._channels[topic] = self._writer.register_channel(topic, "json", number)
-        self._stream.flush()
+        self._broken = ""
+        self._tape = TapeFile(self.file, {**description, "protocol": str(protocol.VERSION), **_versions()})
+        self._alive = time.monotonic()
         self._epoch = time.time_ns()
         self._begun: float | None = None
         self._queue: queue.SimpleQueue[tuple[str, dict[str, Any]] | None] = queue.SimpleQueue()
-        self._thread = threading.Thread(target=self._write, name="recording", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
         self._thread.start()
+
+    @property
+    def failed(self) -> str:
+        """What is wrong with it; "" when all is well. An error stays, a disk that does not answer may come back."""
+        silent = time.monotonic() - self._alive
+        if self._broken or silent < STALL or not self._thread.is_alive():
+            return self._broken
+        return f"{self.file}: the disk has not answered for more than {STALL:g} s"
 
     def event(self, event: Event, outputs: list[Output]) -> None:
         """One event of the core and what it answered; returns at once."""
+        if self._broken:
+            return
+        if self._queue.qsize() > BACKLOG:
+            self._broken = f"{self.file}: the disk does not keep up; {BACKLOG} messages wait for it"
         put = self._queue.put
         match event:
             case Frame():
@@ -84,6 +98,8 @@ class Recording:
                 put(("/client", {"t": event.t, "link": event.link, "up": event.up}))
             case Tick():
                 put(("/tick", {"t": event.t}))
+            case Taping():
+                put(("/recording", {"t": event.t, "wrong": event.wrong}))
             case End():
                 put(("/end", {"t": event.t, "cause": event.cause}))
         for out in outputs:
@@ -93,41 +109,85 @@ class Recording:
                 case Note():
                     put((f"/{out.topic}", out.values))
 
-    def close(self) -> None:
-        """Write what is left and the file's end."""
+    def close(self, timeout: float = 10.0) -> None:
+        """Write what is left and the file's end; `failed` tells when that does not succeed within `timeout` [s]."""
         self._queue.put(None)
-        self._thread.join(10.0)
+        self._thread.join(timeout)
+        if self._thread.is_alive():
+            self._broken = self._broken or f"{self.file}: its end could not be written within {timeout:g} s"
+
+    def _run(self) -> None:
+        try:
+            self._write()
+        except BaseException as error:  # whatever ends it, the driver has to know, and to go on without it
+            what = error if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
+            self._broken = f"{self.file}: {what}"
+            self._tape.abandon()
 
     def _write(self) -> None:
-        flushed, last = time.monotonic(), False
-        try:
-            while not last:
-                try:
-                    item = self._queue.get(timeout=FLUSH)
-                    last = item is None
-                    if item is not None:
-                        self._add(*item)
-                except queue.Empty:
-                    pass
-                if time.monotonic() - flushed > FLUSH or last:
-                    self._stream.flush()
-                    flushed = time.monotonic()
-            self._writer.finish()
-            self._stream.close()
-        except OSError as error:  # a full disk must not stop the car's driver; it says so in `failed`
-            self.failed = f"{self.file}: {error}"
+        flushed = synced = time.monotonic()
+        while True:
+            try:
+                item = self._queue.get(timeout=FLUSH)
+            except queue.Empty:
+                pass
+            else:
+                if item is None:
+                    break
+                self._add(*item)
+            self._alive = now = time.monotonic()
+            if now - synced > SYNC:
+                self._tape.sync()
+                flushed = synced = time.monotonic()
+            elif now - flushed > FLUSH:
+                self._tape.flush()
+                flushed = now
+        self._tape.close()
 
     def _add(self, topic: str, values: dict[str, Any]) -> None:
         data = json.dumps({k: _plain(v) for k, v in values.items()}, separators=(",", ":")).encode()
         if self._begun is None:
             self._begun = values["t"]
-        when = self._epoch + round((values["t"] - self._begun) * 1e9)
-        self._writer.add_message(self._channels[topic], when, data, when)
+        self._tape.add(topic, self._epoch + round((values["t"] - self._begun) * 1e9), data)
 
 
 def _plain(value: Any) -> Any:
     """JSON knows neither NaN nor infinity; Python's repr of a finite float comes back bit for bit."""
     return repr(value) if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _versions() -> dict[str, str]:
+    """Of all that a replay's numbers come from."""
+    found = {"python": platform.python_version(), "machine": platform.platform()}
+    for name in _PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return found
+
+
+def described(config: CarConfig, path: Path, time_scale: float = 1.0) -> dict[str, str]:
+    """The description of a recording made with that configuration and course: all that a replay needs.
+
+    The nets of a learner are not in it: of each the recording has its file and SHA-256 (see `Remark`).
+    """
+    files = {f"file:{name}": text for name, text in config.texts.items()}
+    return files | {"time_scale": repr(time_scale), **_facts(config, path)}
+
+
+def _facts(config: CarConfig, path: Path) -> dict[str, str]:
+    """What built-in names mean, to notice when they mean something else later."""
+    return {"course": protocol.digest(path).hex(), "vehicle": json.dumps(asdict(config.vehicle))}
+
+
+def differences(recorded: Recorded, config: CarConfig, path: Path) -> list[str]:
+    """What is different now from when the recording was made, so that its replay may be."""
+    now = _versions() | _facts(config, path)
+    then = recorded.metadata
+    changed = [name for name, text in now.items() if then.get(name, text) != text]
+    texts = {"course": "the course of that name is another one", "vehicle": "the vehicle of that name is another one"}
+    return [texts.get(name, f"{name} {then[name]}, now {now[name]}") for name in changed]
 
 
 class Message(NamedTuple):
@@ -137,13 +197,68 @@ class Message(NamedTuple):
     values: dict[str, Any]
 
 
+class Gap(NamedTuple):
+    """A place where a file is damaged, cut off, or where messages were missing already when it was repaired."""
+
+    begin: int
+    """Byte of the file; so is `end`, the first one behind."""
+    end: int
+    after: float | None
+    """t of the last message before it [s]; None at the beginning."""
+    before: float | None
+    """t of the first message behind it [s]; None at the end."""
+    missing: int | None
+    """Messages; None where nothing tells how many there were."""
+
+    def __str__(self) -> str:
+        where = f"bytes {self.begin} to {self.end}" if self.end > self.begin else f"at byte {self.begin}"
+        if self.missing == 0:
+            return f"{where}: no message is missing"
+        since = "the beginning" if self.after is None else f"{self.after:.3f} s"
+        until = "the end" if self.before is None else f"{self.before:.3f} s"
+        count = f"{self.missing} messages are" if self.missing else "an unknown number of messages is"
+        return f"{where}: {count} missing between {since} and {until}"
+
+
 class Recorded(NamedTuple):
     """A recording, read."""
 
     metadata: dict[str, str]
     messages: list[Message]
-    whole: bool
-    """Was it closed properly? Otherwise its last fraction of a second is missing."""
+    gaps: list[Gap]
+    size: int
+    """Bytes of the file."""
+    in_use: bool
+    """Was it still being written? Then its end is not missing, but yet to come."""
+
+    @property
+    def sound(self) -> bool:
+        """Was the file closed properly, and is every byte as it was written? Otherwise a repair does it good."""
+        return not self.in_use and not any(gap.end > gap.begin or gap.before is None for gap in self.gaps)
+
+    @property
+    def lost(self) -> list[str]:
+        """Which messages are missing, or may be; also those that were missing before a repair."""
+        earlier = json.loads(self.metadata.get("repaired", "[]"))
+        return [*earlier, *(str(gap) for gap in self.gaps if gap.missing != 0 and (gap.end > gap.begin or not earlier))]
+
+    @property
+    def whole(self) -> bool:
+        """Is it sound, and nothing missing?"""
+        return self.sound and not self.lost
+
+    def kept(self) -> str:
+        """How much of how much is there."""
+        known = [gap.missing for gap in self.gaps if gap.missing is not None]
+        more = " and an unknown number" if len(known) < len(self.gaps) else ""
+        bad = sum(gap.end - gap.begin for gap in self.gaps)
+        times = [m.values["t"] for m in self.messages]
+        span = times[-1] - times[0] if times else 0.0
+        gone = sum(g.before - g.after for g in self.gaps if g.missing and g.before is not None and g.after is not None)
+        return (
+            f"{len(times)} of {len(times) + sum(known)}{more} messages, {self.size - bad} of {self.size} bytes, "
+            f"{span - gone:.2f} of {span:.2f}{' or more' if more else ''} seconds"
+        )
 
     def of(self, topic: str) -> list[dict[str, Any]]:
         """All messages of a topic such as "/can/tx"."""
@@ -161,67 +276,112 @@ class Recorded(NamedTuple):
                     yield Packet(v["t"], v["link"], bytes.fromhex(v["data"]))
                 case "/tick":
                     yield Tick(v["t"])
+                case "/recording":
+                    yield Taping(v["t"], v["wrong"])
                 case "/end":
                     yield End(v["t"], v["cause"])
 
 
 def read(file: str | os.PathLike[str]) -> Recorded:
-    """A recording, even one that was cut short by a kill. Raises ValueError for a file of another kind."""
-    from mcap.exceptions import McapError
-    from mcap.records import Channel, Metadata
-    from mcap.records import Message as McapMessage
-    from mcap.stream_reader import StreamReader
+    """All that is intact in a recording, also behind a damaged place, and one that is still being written.
 
-    topics: dict[int, str] = {}
-    metadata: dict[str, str] = {}
-    messages: list[Message] = []
-    whole = True
-    with File(file).open("rb") as stream:
-        try:
-            for record in StreamReader(stream).records:
-                if isinstance(record, Channel):
-                    topics[record.id] = record.topic
-                elif isinstance(record, Metadata) and record.name == "steerkit":
-                    metadata = record.metadata
-                elif isinstance(record, McapMessage):
-                    values = {k: _number(v) for k, v in json.loads(record.data).items()}
-                    messages.append(Message(topics[record.channel_id], values))
-        except (McapError, EOFError, struct.error, json.JSONDecodeError, UnicodeDecodeError) as error:
-            if not metadata:
-                raise ValueError(f"{file}: no recording of steerkit, or cut off before it began ({error})") from error
-            whole = False
-    if not metadata:
-        raise ValueError(f"{file}: an MCAP file of another program, not a recording of steerkit")
-    return Recorded(metadata, messages, whole)
+    Raises ValueError for a file of another kind, one that was cut off before it began, and one of an older protocol.
+    """
+    return _read(file)[0]
 
 
-def _number(value: Any) -> Any:
-    return float(value) if value in ("nan", "inf", "-inf") else value
+def _read(file: str | os.PathLike[str]) -> tuple[Recorded, Any]:
+    used = in_use(file)  # before its bytes are read, as it may be closed in between
+    data = File(file).read_bytes()
+    found = contents(data)
+    if found.description is None and not found.chunks:
+        raise ValueError(f"{file}: {what_is_wrong(data)}")
+    metadata = found.description or {}
+    wanted = str(protocol.VERSION)
+    if metadata.get("protocol", wanted) != wanted:
+        raise ValueError(
+            f"{file}: a recording of protocol {metadata['protocol']}, this is {wanted}; replay it with the steerkit "
+            f"that made it, {metadata.get('steerkit-control', 'of an unknown version')}"
+        )
+    messages = [Message(line.topic, line.values) for chunk in found.chunks for line in chunk.lines]
+    gaps = _gaps(found, len(data))
+    if used and gaps and gaps[-1].before is None and gaps[-1].missing is None:
+        gaps.pop()
+    return Recorded(metadata, messages, gaps, len(data), used), found
+
+
+def _gaps(found: Any, size: int) -> list[Gap]:
+    """Where messages are missing, and where bytes are damaged even if none is."""
+    gaps, damaged, known, after, count = list[Gap](), list(found.damaged), 0, None, 0
+    for chunk in found.chunks:
+        here = [place for place in damaged if place[0] < chunk.end]  # a chunk's own head counts as before it
+        damaged = damaged[len(here) :]
+        missing = max(0, chunk.lines[0].number - known)
+        if here or missing:
+            begin, end = (here[0][0], here[-1][1]) if here else (chunk.begin, chunk.begin)
+            gaps.append(Gap(begin, end, after, chunk.lines[0].values.get("t"), missing))
+        after, known, count = chunk.lines[-1].values.get("t"), chunk.lines[-1].number + 1, count + len(chunk.lines)
+    at_the_end: int | None = None
+    if found.finished:
+        told = sum(gap.missing or 0 for gap in gaps if gap.end > gap.begin)  # others were missing before a repair
+        at_the_end = 0 if found.total is None else max(0, found.total - count - told)
+    if damaged or at_the_end != 0:
+        begin, end = (damaged[0][0], damaged[-1][1]) if damaged else (size, size)
+        gaps.append(Gap(begin, end, after, None, at_the_end))
+    return gaps
 
 
 def config_of(recorded: Recorded) -> CarConfig:
-    """The configuration that a recording was made with; its course file, if it names one, is gone after this call."""
+    """The configuration that a recording was made with; it depends on no file but the recording.
+
+    Raises ValueError, with their names, when it lacks files.
+    """
+    texts = {k.removeprefix("file:"): text for k, text in recorded.metadata.items() if k.startswith("file:")}
+    require("config.toml" in texts, "the recording", "its description is damaged or has no configuration: no replay")
+    data = tomllib.loads(texts["config.toml"])
+    databases = data.get("files", {}).get("dbc", [])
+    course, car = data.get("course", {}), data.get("vehicle", {})
+    named = [*databases, *([course["file"]] if "file" in course else [])]
+    named += [car["name"]] if str(car.get("name", "")).endswith(".toml") else []
+    missing = [name for name in named if name not in texts]
+    require(not missing, "the recording", f"it lacks {', '.join(missing)}, named by its configuration: no replay")
     with tempfile.TemporaryDirectory() as folder:
-        for name, text in recorded.metadata.items():
-            if name.startswith("file:"):
-                place = File(folder) / File(name.removeprefix("file:")).name
-                place.write_text(text, encoding="cp1252" if place.suffix == ".dbc" else "utf-8")
-        return load(File(folder) / "config.toml", bus={})
+        short = {name: f"{k}-{File(name).name}" for k, name in enumerate(named)}  # their folders are not here
+        for name, flat in short.items():
+            (File(folder) / flat).write_text(texts[name], encoding="cp1252" if name in databases else "utf-8")
+        if databases:
+            data["files"]["dbc"] = [short[name] for name in databases]
+        if "file" in course:
+            course["file"] = short[course["file"]]
+        car["name"] = short.get(car.get("name"), car.get("name"))
+        return Reading(File(folder) / "config.toml", texts["config.toml"], data).config({})
 
 
-def mend(file: str | os.PathLike[str]) -> Recorded:
-    """Give a recording that was cut short its end, so that every MCAP tool opens it; returns what it holds."""
-    recorded = read(file)
-    if not recorded.whole:
-        with whole(file) as draft:
-            copy = Recording(draft, recorded.metadata)
-            for message in recorded.messages:
-                copy._queue.put(message)
-            copy.close()
-            copy._thread.join()  # however long it takes
-            if copy.failed:
-                raise OSError(f"{file}: its copy could not be written: {copy.failed}")
-    return recorded
+def repair(
+    file: str | os.PathLike[str], target: str | os.PathLike[str] | None = None, *, overwrite: bool = False
+) -> tuple[Recorded, File]:
+    """Write all that is intact in a recording to a new file, with a proper end; `file` itself is never changed.
+
+    target: the new file; by default beside `file`, as NAME.repaired.mcap. overwrite: even if it is there already.
+    Returns what is kept, and where. Raises ValueError for a recording that is being written, FileExistsError, and
+    OSError when it cannot be written; then `target` is as it was.
+    """
+    place = File(target) if target else File(file).with_suffix(f".repaired{File(file).suffix}")
+    recorded, found = _read(file)
+    require(not recorded.in_use, f"{file}", "is being written by a car server; repair it when that has ended")
+    if place.exists() and place.samefile(file):
+        raise ValueError(f"{place}: is the recording itself, which a repair never changes; choose another name")
+    if place.exists() and not overwrite:
+        raise FileExistsError(f"{place}: exists already; it is overwritten only with --overwrite")
+    with whole(place) as draft, ExitStack() as stack:
+        tape = TapeFile(draft, {**recorded.metadata, "repaired": json.dumps(recorded.lost)})
+        stack.callback(tape.abandon)
+        for chunk in found.chunks:
+            for line in chunk.lines:
+                tape.add(line.topic, line.when, line.data, line.number)
+            tape.flush()
+        tape.close()
+    return recorded, place
 
 
 def replay(recorded: Recorded, core: Core) -> list[tuple[float, Send]]:

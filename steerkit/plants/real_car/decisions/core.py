@@ -57,6 +57,14 @@ class Tick(NamedTuple):
     t: float
 
 
+class Taping(NamedTuple):
+    """The recording has stopped, or goes on again."""
+
+    t: float
+    wrong: str
+    """Why it stopped; "" when it goes on."""
+
+
 class End(NamedTuple):
     """The process ends; the kit is told to let go first."""
 
@@ -64,7 +72,7 @@ class End(NamedTuple):
     cause: str
 
 
-Event = Frame | Packet | Link | Tick | End
+Event = Frame | Packet | Link | Tick | Taping | End
 
 
 class Send(NamedTuple):
@@ -107,7 +115,7 @@ class Core:
         self._late: deque[tuple[float, float]] = deque(maxlen=1000)
         self._links: dict[int, bool | None] = {}  # is it the controller? None: has not said yet
         self._beats: dict[int, float] = {}  # of operators: when their panel last read its keys
-        self.recording = ""
+        self._unrecorded = ""
         self.ended = False
         self._request: protocol.Request | None = None
         self._new_request = False
@@ -150,6 +158,8 @@ class Core:
                 self._beats.pop(event.link, None)
                 if self._links.pop(event.link, None):
                     self._request = None
+            case Taping():
+                self._unrecorded = event.wrong
             case End():
                 return self._end(t, event.cause)
         self._decide(t, order, out)
@@ -265,7 +275,7 @@ class Core:
             accelerator=v.get("accelerator", 0.0) != 0.0,
             foreign=self.senses.foreign[1] if t - self.senses.foreign[0] < FOREIGN else "",
             foreign_enable=0.0 if engaged or enabled_since is None else t - max(enabled_since, since),
-            recording=self.recording,
+            recording=self._unrecorded if config.keep_recording else "",
         )
 
     def _end(self, t: float, cause: str) -> list[Output]:
@@ -367,6 +377,8 @@ class Core:
         against = self.obstacles() if self.machine.mode in (Mode.STANDBY, Mode.READY) else []
         if self.machine.mode is Mode.ENGAGED:
             against = states.warnings(self.config.states, f)
+        if self._unrecorded and not f.recording:  # else it stands among the obstacles already
+            against = [*against, f"not recorded: {self._unrecorded}"]
         return protocol.Snapshot(
             t=t,
             **numbers,

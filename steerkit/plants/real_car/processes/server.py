@@ -18,7 +18,19 @@ from typing import Any
 
 from steerkit.clock import Clock
 from steerkit.path import Path
-from steerkit.plants.real_car.decisions.core import Core, End, Event, Frame, Link, Note, Packet, Reply, Send, Tick
+from steerkit.plants.real_car.decisions.core import (
+    Core,
+    End,
+    Event,
+    Frame,
+    Link,
+    Note,
+    Packet,
+    Reply,
+    Send,
+    Taping,
+    Tick,
+)
 from steerkit.plants.real_car.file.config import CarConfig
 from steerkit.plants.real_car.frames.bus import open_bus
 from steerkit.plants.real_car.processes import protocol
@@ -62,7 +74,7 @@ class Driver:
         self._clients: dict[int, socket.socket] = {}
         self._links = 0
         self._alone_since: float | None = None
-        self._told = False
+        self._unrecorded = ""
         self._packets: dict[int, deque[float]] = {}
         self._frames: queue.SimpleQueue[tuple[float, int, bytes, str] | BaseException] = queue.SimpleQueue()
         self._woken, self._wake = os.pipe()
@@ -104,6 +116,8 @@ class Driver:
             client.close()
         if self.recording:
             self.recording.close()
+            if self.recording.failed:
+                _log.error("THE RECORDING IS NOT WHOLE: %s", self.recording.failed)
         with contextlib.suppress(Exception):
             self._bus.shutdown()
 
@@ -128,13 +142,12 @@ class Driver:
                 self._accept()
             elif source in by_socket:
                 self._receive(by_socket[source], source)
+        self._look_at_recording()
         self._handle(Tick(clock.now()))
         if self._alone_since is not None and clock.now() - self._alone_since > self.linger:
             self.stop(f"no client for {self.linger:g} s")
 
     def _handle(self, event: Event) -> None:
-        if self.recording:
-            self.core.recording = self.recording.failed if self.config.keep_recording else ""
         outputs = self.core.handle(event)
         for out in outputs:
             match out:
@@ -154,9 +167,17 @@ class Driver:
                     _log.warning("%s refused: %s", v["order"], v["why"])
         if self.recording:
             self.recording.event(event, outputs)
-            if self.recording.failed and not self._told:
-                self._told = True
-                _log.error("THE RECORDING HAS STOPPED: %s", self.recording.failed)
+
+    def _look_at_recording(self) -> None:
+        """A recording that stops, or goes on, is told at once: in the log, and to the core."""
+        wrong = self.recording.failed if self.recording else ""
+        if wrong != self._unrecorded:
+            self._unrecorded = wrong
+            if wrong:
+                _log.error("THE RECORDING HAS STOPPED: %s", wrong)
+            else:
+                _log.warning("the recording goes on")
+            self._handle(Taping(self.clock.now(), wrong))
 
     def _transmit(self, frame: Send) -> None:
         import can
