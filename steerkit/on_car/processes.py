@@ -60,7 +60,8 @@ def start_driver(
         except CarLost:
             time.sleep(0.05)
     process.terminate()
-    raise CarLost(f"the driver process did not come up: {(log and last_line(log.name)) or f'no answer within {wait:g} s'}")
+    said = last_line(log.name) if log else ""
+    raise CarLost(f"the driver process did not come up: {said or f'no answer within {wait:g} s'}")
 
 
 def last_line(log: str) -> str:

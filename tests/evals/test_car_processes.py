@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import signal
 import threading
 import time
@@ -22,6 +23,7 @@ from steerkit.on_car import session as sessions
 from steerkit.plants.real_car import recording as tapes
 from steerkit.plants.real_car.decisions.core import Core
 from steerkit.plants.real_car.decisions.modes import Mode, Order
+from steerkit.plants.real_car.file.config import shipped
 from steerkit.plants.real_car.file.reading import load
 from steerkit.plants.real_car.frames.bus import BusPort, open_bus
 from steerkit.plants.real_car.processes.client import CarLost, DriverLink
@@ -186,3 +188,38 @@ def test_a_bus_that_is_not_there_is_named_and_so_is_the_log(tmp_path: Path) -> N
         open_bus({"interface": "nope", "channel": "x"})
     with (tmp_path / "driver.log").open("w") as log, pytest.raises(CarLost, match=r"/dev/nowhere.*driver\.log"):
         processes.start_driver(CONFIG, str(tmp_path / "socket"), channel="/dev/nowhere", log=log)
+
+
+@pytest.mark.parametrize("keep", [False, True])
+def test_a_full_disk_is_told_and_the_exit_code_says_so(tmp_path: Path, keep: bool) -> None:
+    """No file of the car server may grow beyond 40 kB; without frames it records a hundred ticks a second."""
+    text = shipped(CONFIG).read_text()
+    (tmp_path / "car.toml").write_text(text.replace("keep_recording = false", f"keep_recording = {str(keep).lower()}"))
+    socket, tape, log = str(tmp_path / "socket"), tmp_path / "drive.mcap", tmp_path / "driver.log"
+    with log.open("w") as stream:
+        driver = processes.start(
+            *("driver", "--config", str(tmp_path / "car.toml"), "--channel", "virtual:x", "--recording", str(tape)),
+            *("--socket", socket),
+            stdout=stream,
+            stderr=stream,
+            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, resource.RLIM_INFINITY)),
+        )
+    try:
+        end = time.monotonic() + 60.0
+        while "THE RECORDING HAS STOPPED" not in log.read_text():
+            assert time.monotonic() < end, log.read_text()
+            assert driver.poll() is None, log.read_text()
+            time.sleep(0.05)
+        with DriverLink(socket, controller=False) as operator:
+            operator.order(Order.ARM)
+            operator.query()
+            told = operator.query().text.split("\n")
+        line = next(line for line in told if "File too large" in line)
+        assert line.startswith("recording: " if keep else "not recorded: ")
+    finally:
+        driver.terminate()
+        assert driver.wait(30.0) == 1
+    assert "THE RECORDING IS NOT WHOLE" in log.read_text()
+    recorded = tapes.read(tape)
+    assert recorded.lost
+    assert len(recorded.messages) > 20

@@ -16,7 +16,7 @@ import threading
 import time
 import tomllib
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path as File
@@ -41,7 +41,7 @@ from steerkit.plants.real_car.decisions.core import (
 from steerkit.plants.real_car.file.config import CarConfig
 from steerkit.plants.real_car.file.reading import Reading
 from steerkit.plants.real_car.processes import protocol
-from steerkit.plants.real_car.tape_file import TapeFile, contents, in_use, what_is_wrong
+from steerkit.plants.real_car.tape_file import Contents, TapeFile, contents, in_use, what_is_wrong
 
 FLUSH = 0.2
 """Longest time that a message waits for the operating system [s]."""
@@ -119,10 +119,13 @@ class Recording:
     def _run(self) -> None:
         try:
             self._write()
-        except BaseException as error:  # whatever ends it, the driver has to know, and to go on without it
-            what = error if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
-            self._broken = f"{self.file}: {what}"
+        except OSError as error:
+            self._broken = f"{self.file}: {error}"
             self._tape.abandon()
+        except BaseException as error:  # whatever ends it, the driver has to know, and to go on without it
+            self._broken = f"{self.file}: {type(error).__name__}: {error}"
+            with suppress(OSError):
+                self._tape.close()
 
     def _write(self) -> None:
         flushed = synced = time.monotonic()
@@ -290,18 +293,23 @@ def read(file: str | os.PathLike[str]) -> Recorded:
     return _read(file)[0]
 
 
-def _read(file: str | os.PathLike[str]) -> tuple[Recorded, Any]:
+def _read(file: str | os.PathLike[str]) -> tuple[Recorded, Contents]:
     used = in_use(file)  # before its bytes are read, as it may be closed in between
-    data = File(file).read_bytes()
+    try:
+        return _read_bytes(File(file).read_bytes(), used)
+    except ValueError as error:
+        raise ValueError(f"{file}: {error}") from error
+
+
+def _read_bytes(data: bytes, used: bool = False) -> tuple[Recorded, Contents]:
     found = contents(data)
     if found.description is None and not found.chunks:
-        raise ValueError(f"{file}: {what_is_wrong(data)}")
-    metadata = found.description or {}
-    wanted = str(protocol.VERSION)
+        raise ValueError(what_is_wrong(data))
+    metadata, wanted = found.description or {}, str(protocol.VERSION)
     if metadata.get("protocol", wanted) != wanted:
         raise ValueError(
-            f"{file}: a recording of protocol {metadata['protocol']}, this is {wanted}; replay it with the steerkit "
-            f"that made it, {metadata.get('steerkit-control', 'of an unknown version')}"
+            f"a recording of protocol {metadata['protocol']}, this is {wanted}; replay it with the steerkit that made "
+            f"it, {metadata.get('steerkit-control', 'of an unknown version')}"
         )
     messages = [Message(line.topic, line.values) for chunk in found.chunks for line in chunk.lines]
     gaps = _gaps(found, len(data))
@@ -310,9 +318,10 @@ def _read(file: str | os.PathLike[str]) -> tuple[Recorded, Any]:
     return Recorded(metadata, messages, gaps, len(data), used), found
 
 
-def _gaps(found: Any, size: int) -> list[Gap]:
+def _gaps(found: Contents, size: int) -> list[Gap]:
     """Where messages are missing, and where bytes are damaged even if none is."""
-    gaps, damaged, known, after, count = list[Gap](), list(found.damaged), 0, None, 0
+    gaps, damaged, known, count = list[Gap](), list(found.damaged), 0, 0
+    after: float | None = None
     for chunk in found.chunks:
         here = [place for place in damaged if place[0] < chunk.end]  # a chunk's own head counts as before it
         damaged = damaged[len(here) :]

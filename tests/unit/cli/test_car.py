@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import fcntl
+import re
 from pathlib import Path
 
 import pytest
 
 from steerkit.cli import car as car_cli
+from steerkit.plants.real_car import recording as tapes
+from steerkit.plants.real_car.file.config import shipped
+from steerkit.plants.real_car.tape_file import contents
+from tests.support.tapes import LINES, flipped, small
 
 
 def run(*words: str, monkeypatch: pytest.MonkeyPatch) -> int:
@@ -59,3 +65,78 @@ def test_a_controller_that_is_not_known_names_the_valid_ones(tmp_path: Path) -> 
     assert (fault.kind, fault.target, fault.start, fault.length, fault.amount) == ("delay", "pose", 5.0, 2.0, 0.2)
     with pytest.raises(ValueError, match="valid: drop, delay"):
         fault_of("dorp pose", 0.0)
+
+
+def test_a_recording_that_is_whole_replays_with_exit_code_0(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "drive.mcap"
+    file.write_bytes(small())
+    assert run("tape", str(file), "--controller", "stanley", monkeypatch=monkeypatch) == 0
+    printed = capsys.readouterr().out
+    count = len(tapes.read(file).messages)
+    assert printed.startswith(f"{count} of {count} messages, ")
+    assert "READY -> ENGAGED: operator: engage" in printed
+    frames, same = re.search(r"driver: (\d+) of (\d+) frames the same", printed).groups()  # type: ignore[union-attr]
+    assert frames == same != "0"
+    assert "stanley: " in printed
+    assert [f.name for f in tmp_path.iterdir()] == ["drive.mcap"]
+    assert run("tape", str(file), monkeypatch=monkeypatch) == 2
+    assert "cannot be replayed: the recording does not tell who steered" in capsys.readouterr().out
+
+
+def test_a_damaged_recording_is_repaired_into_a_new_file_with_exit_code_1(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, words = tmp_path / "drive.mcap", ("--controller", "stanley")
+    hurt = flipped(small(), 8 * (contents(small()).chunks[-2].begin + 300))
+    file.write_bytes(hurt)
+    assert run("tape", str(file), *words, monkeypatch=monkeypatch) == 1
+    printed = capsys.readouterr().out
+    assert f"{LINES} messages are missing between" in printed
+    assert f"drive.repaired.mcap; {file} is as it was" in printed
+    assert "what follows missing messages may replay differently" in printed
+    assert file.read_bytes() == hurt
+    repaired = tmp_path / "drive.repaired.mcap"
+    repaired.write_bytes(b"mine")
+    assert run("tape", str(file), *words, monkeypatch=monkeypatch) == 1
+    assert "not repaired: " in capsys.readouterr().out
+    assert repaired.read_bytes() == b"mine"
+    assert run("tape", str(file), *words, "--overwrite", monkeypatch=monkeypatch) == 1
+    assert run("tape", str(repaired), *words, monkeypatch=monkeypatch) == 1  # what was missing before still is
+    assert f"{LINES} messages are missing between" in capsys.readouterr().out
+    assert sorted(f.name for f in tmp_path.iterdir()) == ["drive.mcap", "drive.repaired.mcap"]
+
+
+def test_a_recording_with_nothing_but_a_damaged_index_has_lost_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "drive.mcap"
+    file.write_bytes(small()[:-3])
+    out = tmp_path / "new.mcap"
+    assert run("tape", str(file), "--controller", "stanley", "--out", str(out), monkeypatch=monkeypatch) == 0
+    assert "no message is missing" in capsys.readouterr().out
+    assert tapes.read(out).whole
+
+
+def test_a_recording_in_use_is_only_looked_into(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "drive.mcap"
+    file.write_bytes(small()[:-3])
+    with file.open("rb") as stream:
+        fcntl.flock(stream, fcntl.LOCK_EX)
+        assert run("tape", str(file), "--controller", "stanley", monkeypatch=monkeypatch) == 0
+        assert "being written by a car server: this is what is there so far" in capsys.readouterr().out
+        assert run("tape", str(file), "--out", str(tmp_path / "new.mcap"), monkeypatch=monkeypatch) == 2
+        assert "repair it when that has ended" in capsys.readouterr().err
+    assert [f.name for f in tmp_path.iterdir()] == ["drive.mcap"]
+
+
+def test_a_recording_that_has_to_be_kept_has_to_be_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = shipped("dbw-kit.toml").read_text()
+    (tmp_path / "car.toml").write_text(text.replace("keep_recording = false", "keep_recording = true"))
+    assert run("driver", "--config", str(tmp_path / "car.toml"), "--channel", "virtual:x", monkeypatch=monkeypatch) == 2
+    assert "keep_recording = true, but nothing is recorded; give --recording" in capsys.readouterr().err

@@ -1,150 +1,486 @@
-"""Recordings of a drive: cut anywhere, mended or left as they are, bit for bit, of another kind."""
+"""Recordings of a drive: cut, damaged, in use, on a full or slow disk; bit for bit; with all that a replay needs."""
 
 from __future__ import annotations
 
-import errno
+import contextlib
+import json
 import math
+import os
+import random
+import resource
 import struct
-from dataclasses import replace
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+from mcap.writer import IndexType, Writer
 
-from steerkit.courses import course
+from steerkit.on_car.loop import course_of
 from steerkit.plants.real_car import recording as tapes
-from steerkit.plants.real_car.decisions.core import Core, Frame, Link, Note, Packet, Tick
-from steerkit.plants.real_car.decisions.modes import Mode, Order
-from tests.support.car_messages import config
+from steerkit.plants.real_car import tape_file
+from steerkit.plants.real_car.decisions.core import Core, End, Frame, Link, Note, Packet, Send, Taping, Tick
+from steerkit.plants.real_car.decisions.modes import Mode
+from steerkit.plants.real_car.file.config import shipped
+from steerkit.plants.real_car.file.reading import load
+from steerkit.plants.real_car.processes import protocol
+from steerkit.vehicles import vehicle
+from steerkit.vehicles.file import vehicle_text
 from tests.support.car_world import World, setup
+from tests.support.tapes import LINES, brief, chunked, flipped, small
 
 
-def written(folder: Path) -> bytes:
-    tape = tapes.Recording(folder / "tape.mcap", {"file:config.toml": "x"})
-    core = Core(config(), course("paper"))
-    for k in range(5):
-        for event in (Frame(0.01 * k, 0.01 * k, 0x65, bytes(8)), Tick(0.01 * k), Link(0.01 * k, k, True)):
-            tape.event(event, core.handle(event))
+@pytest.fixture
+def drive(tmp_path: Path) -> Path:
+    (tmp_path / "drive.mcap").write_bytes(small())
+    return tmp_path / "drive.mcap"
+
+
+def until(true: Callable[[], Any]) -> None:
+    """Wait for another thread."""
+    end = time.monotonic() + 60.0
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def same(a: list[tapes.Message], b: list[tapes.Message]) -> bool:
+    return list(map(repr, a)) == list(map(repr, b))
+
+
+# ---- what is read ------------------------------------------------------------------------------------------
+
+
+def test_a_recording_of_a_drive_replays_bit_for_bit(drive: Path) -> None:
+    recorded = tapes.read(drive)
+    assert recorded.whole
+    assert recorded.sound
+    assert not recorded.in_use
+    frames, equal = tapes.replayed_exactly(recorded, Core(tapes.config_of(recorded), setup()[1]))
+    assert frames == equal > 10
+    assert {type(event) for event in recorded.events()} == {Frame, Packet, Link, Tick, Taping}
+    count, size = len(recorded.messages), len(small())
+    assert recorded.kept() == f"{count} of {count} messages, {size} of {size} bytes, 0.65 of 0.65 seconds"
+
+
+def test_every_kind_of_event_comes_back_as_it_was(tmp_path: Path) -> None:
+    events = [
+        Frame(1.5, 1.25, 0x65, b"\x01\xff", "fd"),
+        Frame(1.5, 1.5, 0x1ABCDEF0, b"", "x"),
+        Frame(1.5, 1.5, 7, b"\0"),
+        Packet(1.6, 3, b"Q"),
+        Link(1.7, 3, True),
+        Link(1.8, 3, False),
+        Taping(1.9, "full"),
+        Tick(0.1 + 0.2),
+        End(2.0, "stopped"),
+    ]
+    tape = tapes.Recording(tmp_path / "t.mcap", {})
+    for event in events:
+        tape.event(event, [Send(5, b"\x10"), Note("state", {"t": 1.0, "from": "A", "to": "B", "cause": "c"})])
     tape.close()
-    return (folder / "tape.mcap").read_bytes()
-
-
-def test_a_recording_cut_anywhere_opens_with_all_that_came_before(tmp_path: Path) -> None:
-    whole = written(tmp_path)
-    every = tapes.read(tmp_path / "tape.mcap")
-    assert every.whole
-    assert len(every.messages) >= 15
-    counts = []
-    for length in range(0, len(whole), 7):
-        (tmp_path / "cut.mcap").write_bytes(whole[:length])
-        try:
-            cut = tapes.read(tmp_path / "cut.mcap")
-        except ValueError as error:
-            assert "recording" in str(error)  # noqa: PT017
-            assert not counts
-            continue
-        counts.append(len(cut.messages))
-        assert [repr(m) for m in cut.messages] == [repr(m) for m in every.messages[: len(cut.messages)]]
-    assert counts == sorted(counts)
-    assert counts[-1] == len(every.messages)
+    recorded = tapes.read(tmp_path / "t.mcap")
+    assert list(recorded.events()) == events
+    assert recorded.of("/can/tx")[0] == {"t": 1.5, "id": 5, "data": "10"}
+    assert len(recorded.of("/state")) == len(events)
 
 
 def test_numbers_of_a_recording_come_back_bit_for_bit(tmp_path: Path) -> None:
     tape = tapes.Recording(tmp_path / "t.mcap", {"a": "b"})
     odd = [0.1, 1 / 3, 5e-324, -0.0, math.inf, -math.inf, 1.7976931348623157e308]
     for value in odd:
-        tape._queue.put(("/command", {"t": 1.0, "request": value, "sent": math.nan, "why": ""}))
+        tape.event(Tick(1.0), [Note("command", {"t": 1.0, "request": value, "sent": math.nan, "why": "inf"})])
     tape.close()
     read = tapes.read(tmp_path / "t.mcap").of("/command")
     assert [struct.pack("<d", v["request"]) for v in read] == [struct.pack("<d", value) for value in odd]
     assert all(math.isnan(v["sent"]) for v in read)
 
 
+@pytest.mark.parametrize(("keep", "mode"), [(False, Mode.ENGAGED), (True, Mode.FAULT)])
+def test_a_recording_that_stops_ends_the_drive_if_it_has_to_be_kept(keep: bool, mode: Mode, tmp_path: Path) -> None:
+    tape = tapes.Recording(tmp_path / "t.mcap", {})
+    world = World(tape=tape)
+    world.config = replace(world.config, keep_recording=keep)
+    world.core.config = world.config
+    world.bring_to(Mode.ENGAGED)
+    world.handle(Taping(world.t, "no space"))
+    world.until(world.t + 0.1)
+    assert world.mode is mode
+    text = world.query().text
+    assert "no space" in text
+    assert ("not recorded" in text) is not keep
+    world.handle(Taping(world.t, ""))
+    world.until(world.t + 0.1)
+    assert keep or "no space" not in world.query().text
+    tape.close()
+    frames, equal = tapes.replayed_exactly(tapes.read(tmp_path / "t.mcap"), Core(world.config, world.path))
+    assert frames == equal > 5
+
+
 def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:
     (tmp_path / "x.mcap").write_text("hello")
-    with pytest.raises(ValueError, match="no recording of steerkit"):
+    with pytest.raises(ValueError, match=r"x\.mcap: no recording of steerkit, or cut off before it began"):
         tapes.read(tmp_path / "x.mcap")
+    with (tmp_path / "y.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(library="somebody")
+        writer.finish()
+    with pytest.raises(ValueError, match="an MCAP file of another program"):
+        tapes.read(tmp_path / "y.mcap")
 
 
-def cut_short(folder: Path) -> Path:
-    tape = tapes.Recording(folder / "tape.mcap", {"a": "b"})
-    for k in range(50):
-        tape._queue.put(("/tick", {"t": 0.01 * k}))
-    tape.close()
-    whole = (folder / "tape.mcap").read_bytes()
-    (folder / "tape.mcap").write_bytes(whole[: 3 * len(whole) // 4])
-    return folder / "tape.mcap"
+@pytest.mark.parametrize(("version", "says"), [(1, "protocol 1;"), (2, "protocol 2;"), (None, "protocol 1 or 2;")])
+def test_recordings_of_before_say_which_protocol_they_have(tmp_path: Path, version: int | None, says: str) -> None:
+    with (tmp_path / "old.mcap").open("wb") as stream:
+        writer = Writer(stream, use_chunking=False, index_types=IndexType.NONE)
+        writer.start(profile="steerkit", library="steerkit")
+        writer.add_metadata("steerkit", {"file:config.toml": "x"})
+        number = writer.register_channel("/client", "json", writer.register_schema("client", "jsonschema", b"{}"))
+        if version:
+            hello = {"t": 1.0, "link": 1, "data": protocol.encode(protocol.Hello(True, version)).hex()}
+            writer.add_message(number, 1, json.dumps(hello, separators=(",", ":")).encode(), 1)
+        writer.finish()
+    with pytest.raises(ValueError, match=rf"old\.mcap: a recording of {says} replay it with the steerkit of then"):
+        tapes.read(tmp_path / "old.mcap")
 
 
-def test_a_recording_that_was_cut_short_gets_its_end(tmp_path: Path) -> None:
-    file = cut_short(tmp_path)
-    left = tapes.read(file)
-    assert not left.whole
-    assert [m.values for m in tapes.mend(file).messages] == [m.values for m in left.messages]
-    assert tapes.read(file) == left._replace(whole=True)
-    assert [f.name for f in tmp_path.iterdir()] == ["tape.mcap"]
+def test_a_recording_of_a_later_protocol_is_refused_with_its_number_and_version(tmp_path: Path) -> None:
+    chunked(tape_file.contents(small()), tmp_path / "t.mcap", {"protocol": "9", "steerkit-control": "7.0"})
+    with pytest.raises(ValueError, match=rf"of protocol 9, this is {protocol.VERSION}; .* that made it, 7\.0"):
+        tapes.read(tmp_path / "t.mcap")
 
 
-def test_a_recording_that_cannot_be_mended_stays_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    file = cut_short(tmp_path)
-    before = file.read_bytes()
-
-    def full(self: tapes.Recording, topic: str, values: dict[str, Any]) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(tapes.Recording, "_add", full)
-    with pytest.raises(OSError, match=r"its copy could not be written: .*No space left"):
-        tapes.mend(file)
-    assert file.read_bytes() == before
-    assert [f.name for f in tmp_path.iterdir()] == ["tape.mcap"]
+# ---- damage ------------------------------------------------------------------------------------------------
 
 
-def test_every_event_comes_back_as_it_was(tmp_path: Path) -> None:
-    events = [
-        Link(0.1, 3, True),
-        Packet(0.2, 3, b"Q\x00\xff"),
-        Frame(0.31, 0.3, 0x65, bytes(range(8))),  # looked at later than it arrived
-        Tick(1 / 3),
-        Link(0.4, 3, False),
+def places_to_cut() -> list[int]:
+    found, rng = tape_file.contents(small()), random.Random(1)
+    borders = [chunk.end + k for chunk in found.chunks for k in (-1, 0, 1)]
+    return sorted({*borders, *(rng.randrange(len(small())) for _ in range(100)), len(small()) - 1})
+
+
+def test_a_recording_cut_anywhere_opens_with_all_chunks_that_came_before(tmp_path: Path) -> None:
+    found, every = tape_file.contents(small()), list(map(repr, tapes._read_bytes(small())[0].messages))
+    first = found.chunks[0].begin
+    ended = 0
+    for length in places_to_cut():
+        (tmp_path / "cut.mcap").write_bytes(small()[:length])
+        try:
+            cut = tapes.read(tmp_path / "cut.mcap")
+        except ValueError as error:
+            assert "cut off before it began" in str(error)  # noqa: PT017
+            assert length < first
+            continue
+        there = sum(len(chunk.lines) for chunk in found.chunks if chunk.end <= length)
+        assert list(map(repr, cut.messages)) == every[:there]
+        assert not cut.sound
+        (gap,) = cut.gaps
+        assert gap.end == length
+        assert gap.before is None
+        behind = length >= found.chunks[-1].end + 13
+        assert gap.missing == (0 if behind else None)  # how many came behind a cut, nothing tells
+        assert bool(cut.lost) is not behind
+        ended += behind
+    assert ended > 3
+
+
+def test_a_thousand_flipped_bits_lose_no_more_than_their_chunk_and_are_told() -> None:
+    rng, every = random.Random(2), list(map(repr, tapes._read_bytes(brief())[0].messages))
+    whole = tapes._read_bytes(brief())[0]
+    for k in range(1000):
+        bit = rng.randrange(8 * len(brief()))
+        damaged = tapes._read_bytes(flipped(brief(), bit))[0]
+        assert not damaged.sound
+        (gap,) = damaged.gaps
+        assert gap.begin <= bit // 8 < gap.end
+        assert gap.missing == len(every) - len(damaged.messages) <= LINES
+        assert bool(damaged.lost) is (gap.missing > 0)
+        assert damaged.metadata == whole.metadata
+        if gap.missing or k % 20 == 0:
+            n = next((k for k, m in enumerate(damaged.messages) if repr(m) != every[k]), len(damaged.messages))
+            assert list(map(repr, damaged.messages)) == every[:n] + every[n + gap.missing :]
+            if gap.missing:
+                assert gap.after == (whole.messages[n - 1].values["t"] if n else None)
+                after = n + gap.missing
+                assert gap.before == (whole.messages[after].values["t"] if after < len(every) else None)
+
+
+def test_what_is_missing_is_told_in_messages_bytes_and_seconds(drive: Path) -> None:
+    chunks = tape_file.contents(small()).chunks
+    drive.write_bytes(flipped(small(), 8 * (chunks[3].begin + 200)))
+    recorded = tapes.read(drive)
+    count, size, gone = len(recorded.messages), len(small()), chunks[3].end - chunks[3].begin
+    before, after = chunks[2].lines[-1].values["t"], chunks[4].lines[0].values["t"]
+    assert recorded.kept() == (
+        f"{count} of {count + LINES} messages, {size - gone} of {size} bytes, "
+        f"{0.65 - (after - before):.2f} of 0.65 seconds"
+    )
+    where = f"bytes {chunks[3].begin} to {chunks[3].end}"
+    told = f"{where}: {LINES} messages are missing between {before:.3f} s and {after:.3f} s"
+    assert recorded.lost == [told]
+    drive.write_bytes(small()[: chunks[4].end])
+    cut = tapes.read(drive)
+    assert " and an unknown number messages, " in cut.kept()
+    assert "or more seconds" in cut.kept()
+    assert cut.lost == [
+        f"at byte {chunks[4].end}: an unknown number of messages is missing "
+        f"between {chunks[4].lines[-1].values['t']:.3f} s and the end"
     ]
-    tape = tapes.Recording(tmp_path / "t.mcap", {"a": "b"})
-    for event in events:
-        tape.event(event, [])
+    drive.write_bytes(flipped(small(), 8 * 100))
+    assert tapes.read(drive).lost == []
+    assert str(tapes.read(drive).gaps[0]).endswith(": no message is missing")
+
+
+def test_a_repair_writes_a_new_file_and_keeps_all_behind_the_damage(drive: Path) -> None:
+    chunks = tape_file.contents(small()).chunks
+    hurt = flipped(flipped(small(), 8 * (chunks[3].begin + 200)), 8 * (chunks[6].begin + 1))[: chunks[-1].end]
+    drive.write_bytes(hurt)
+    left, place = tapes.repair(drive)
+    assert drive.read_bytes() == hurt
+    assert place == drive.with_name("drive.repaired.mcap")
+    assert sorted(f.name for f in drive.parent.iterdir()) == ["drive.mcap", "drive.repaired.mcap"]
+    again = tapes.read(place)
+    assert again.sound
+    assert not again.whole
+    assert same(again.messages, left.messages)
+    assert again.lost == left.lost
+    assert len(again.lost) == 3
+    assert {k: v for k, v in again.metadata.items() if k != "repaired"} == left.metadata
+    lines = [line for chunk in tape_file.contents(place.read_bytes()).chunks for line in chunk.lines]
+    assert {line[:4] for line in lines} <= {line[:4] for chunk in chunks for line in chunk.lines}
+    assert len(tape_file.contents(place.read_bytes()).chunks) == len(chunks) - 2
+
+
+def test_a_repaired_recording_that_is_damaged_again_tells_of_both(drive: Path) -> None:
+    chunks = tape_file.contents(small()).chunks
+    drive.write_bytes(flipped(small(), 8 * (chunks[3].begin + 200)))
+    _, place = tapes.repair(drive)
+    chunks = tape_file.contents(place.read_bytes()).chunks
+    place.write_bytes(flipped(place.read_bytes(), 8 * (chunks[-1].begin + 200)))
+    again = tapes.read(place)
+    assert not again.sound
+    assert len(again.lost) == 2
+    assert again.gaps[-1].missing == len(chunks[-1].lines)
+    _, third = tapes.repair(place)
+    assert third.name == "drive.repaired.repaired.mcap"
+    assert tapes.read(third).lost == again.lost
+
+
+def test_a_repair_overwrites_nothing_unless_it_is_told_to_and_never_the_recording(drive: Path) -> None:
+    drive.write_bytes(small()[:-100])
+    other = drive.with_name("other.mcap")
+    other.write_text("mine")
+    with pytest.raises(FileExistsError, match=r"other\.mcap: exists already; it is overwritten only with --overwrite"):
+        tapes.repair(drive, other)
+    assert other.read_text() == "mine"
+    with pytest.raises(ValueError, match="is the recording itself"):
+        tapes.repair(drive, drive, overwrite=True)
+    assert drive.read_bytes() == small()[:-100]
+    tapes.repair(drive, other, overwrite=True)
+    assert tapes.read(other).whole
+
+
+@contextlib.contextmanager
+def full_disk(size: int) -> Iterator[None]:
+    """No file of this process may grow beyond that size: writing there fails, as on a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_a_repair_that_cannot_be_written_leaves_nothing_behind(drive: Path) -> None:
+    drive.write_bytes(small()[:-100])
+    with full_disk(30_000), pytest.raises(OSError, match="too large"):
+        tapes.repair(drive)
+    assert [f.name for f in drive.parent.iterdir()] == ["drive.mcap"]
+    assert drive.read_bytes() == small()[:-100]
+
+
+# ---- while it is written -----------------------------------------------------------------------------------
+
+
+def test_a_recording_in_use_is_looked_into_but_not_repaired(tmp_path: Path) -> None:
+    file = tmp_path / "t.mcap"
+    tape = tapes.Recording(file, {"a": "b"})
+    tape.event(Tick(1.0), [])
+    until(lambda: tapes.read(file).messages)
+    recorded = tapes.read(file)
+    assert recorded.in_use
+    assert recorded.gaps == []
+    assert not recorded.whole
+    with pytest.raises(ValueError, match="is being written by a car server; repair it when that has ended"):
+        tapes.repair(file)
+    assert [f.name for f in tmp_path.iterdir()] == ["t.mcap"]
     tape.close()
-    assert list(tapes.read(tmp_path / "t.mcap").events()) == events
+    assert tapes.read(file).whole
 
 
-def test_numbers_that_json_does_not_know_are_texts(tmp_path: Path) -> None:
-    tape = tapes.Recording(tmp_path / "t.mcap", {"a": "b"})
-    odd = {"t": 1.0, "request": math.inf, "sent": -math.inf, "why": ""}
-    tape.event(Tick(1.0), [Note("command", odd), Note("command", odd | {"request": math.nan})])
+def test_what_was_recorded_reaches_the_disk_without_an_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    synced: list[int] = []
+    monkeypatch.setattr(os, "fsync", lambda number: synced.append(os.fstat(number).st_size))
+    file = tmp_path / "t.mcap"
+    tape = tapes.Recording(file, {})
+    begin = synced[-1]
+    tape.event(Tick(1.0), [])
+    until(lambda: synced[-1] > begin)
+    assert file.read_bytes().endswith(b'{"t":1.0}')
+    tape.event(Tick(2.0), [])
+    size = synced[-1]
+    until(lambda: synced[-1] > size)
+    assert len(tapes.read(file).messages) == 2
     tape.close()
-    text = (tmp_path / "t.mcap").read_bytes()
-    assert b"Infinity" not in text
-    assert b":NaN" not in text
-    first, second = tapes.read(tmp_path / "t.mcap").of("/command")
-    assert (first["request"], first["sent"]) == (math.inf, -math.inf)
-    assert math.isnan(second["request"])
+    assert synced[-1] == file.stat().st_size
+    assert tapes.FLUSH < tapes.SYNC < 1.0
 
 
-def test_a_replay_that_sends_other_frames_or_more_or_fewer_is_not_exact(tmp_path: Path) -> None:
-    world = World(tape=tapes.Recording(tmp_path / "t.mcap", {"a": "b"}))
-    world.bring_to(Mode.ENGAGED)
-    world.order(Order.DISENGAGE)
-    world.until(world.t + 0.3)
-    assert world.tape is not None
-    world.tape.close()
+def test_a_full_disk_is_told_and_what_was_there_stays_readable(tmp_path: Path) -> None:
+    tape = tapes.Recording(tmp_path / "t.mcap", {"x": "y" * 1000})
+    assert tape.failed == ""
+    with full_disk(12_000):
+        k = 0
+        while not tape.failed:
+            k += 1
+            tape.event(Tick(0.01 * k), [])
+            time.sleep(0.001)
+        tape.event(Tick(0.01 * k), [])
+        tape.close()
+    assert "t.mcap: [Errno 27] File too large" in tape.failed
+    assert tape._queue.qsize() < k
     recorded = tapes.read(tmp_path / "t.mcap")
-    frames, same = tapes.replayed_exactly(recorded, Core(*setup()))
-    assert frames == same == len(world.sent)
+    assert recorded.lost
+    assert [m.values["t"] for m in recorded.messages] == [0.01 * n for n in range(1, len(recorded.messages) + 1)]
 
-    def without(topic: str, number: int) -> tapes.Recorded:
-        places = [k for k, message in enumerate(recorded.messages) if message.topic == topic]
-        return recorded._replace(messages=[m for k, m in enumerate(recorded.messages) if k != places[number]])
 
-    for cut in (without("/can/tx", -1), without("/can/tx", 0)):  # the replay sends one more than was recorded
-        before, agreeing = tapes.replayed_exactly(cut, Core(*setup()))
-        assert before == frames - 1
-        assert agreeing < before
-    silent = replace(world.config, listen_only=True)
-    assert tapes.replayed_exactly(recorded, Core(silent, world.path)) == (frames, 0)
+def test_a_recording_that_cannot_even_begin_raises(tmp_path: Path) -> None:
+    with full_disk(100), pytest.raises(OSError, match="too large"):
+        tapes.Recording(tmp_path / "t.mcap", {"x": "y"})
+    with pytest.raises(FileExistsError):
+        tapes.Recording(tmp_path / "t.mcap", {})
+
+
+def test_a_thread_that_dies_of_anything_else_is_told_too(tmp_path: Path) -> None:
+    tape = tapes.Recording(tmp_path / "t.mcap", {})
+    tape.event(Tick(1.0), [Note("state", {"t": 1.0, "cause": object()})])
+    until(lambda: tape.failed)
+    assert "t.mcap: TypeError: Object of type object is not JSON serializable" in tape.failed
+    tape.event(Tick(2.0), [])
+    assert tape._queue.empty()
+    tape.close()
+    assert [m.values["t"] for m in tapes.read(tmp_path / "t.mcap").messages] == [1.0]
+
+
+def test_a_disk_that_does_not_answer_holds_up_nobody_and_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tape = tapes.Recording(tmp_path / "t.mcap", {})
+    answers, waiting = threading.Event(), threading.Event()
+
+    def stuck(number: int) -> None:
+        waiting.set()
+        answers.wait(60.0)
+
+    monkeypatch.setattr(os, "fsync", stuck)
+    tape.event(Tick(0.0), [])
+    assert waiting.wait(60.0)
+    assert tape.failed == ""
+    monkeypatch.setattr(tapes, "STALL", 0.0)
+    assert "the disk has not answered for more than 0 s" in tape.failed
+    for k in range(1000):
+        tape.event(Tick(1.0 + k), [])
+    monkeypatch.setattr(tapes, "STALL", 60.0)
+    assert tape.failed == ""
+    tape.close(timeout=0.0)
+    assert "its end could not be written within 0 s" in tape.failed
+    answers.set()
+    tape._thread.join(60.0)
+    assert len(tapes.read(tmp_path / "t.mcap").messages) == 1001
+
+
+def test_a_recording_ends_before_the_memory_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tape = tapes.Recording(tmp_path / "t.mcap", {})
+    monkeypatch.setattr(tapes, "BACKLOG", 50)
+    answers = threading.Event()
+    monkeypatch.setattr(os, "fsync", lambda number: answers.wait(60.0))
+    until(lambda: tape.event(Tick(0.0), []) or tape.failed)
+    assert "the disk does not keep up; 50 messages wait for it" in tape.failed
+    waiting = tape._queue.qsize()
+    tape.event(Tick(0.0), [])
+    assert tape._queue.qsize() == waiting
+    answers.set()
+    tape.close()
+
+
+# ---- what a replay needs -----------------------------------------------------------------------------------
+
+
+def own_files(folder: Path) -> Path:
+    """A configuration whose DBCs, course and vehicle are files of its own, in folders of their own."""
+    for name in ("can", "places", "cars"):
+        (folder / name).mkdir(parents=True)
+    text = shipped("dbw-kit.toml").read_text()
+    for name in ("dbw_steering.dbc", "pose.dbc"):
+        (folder / "can" / name).with_suffix(".DBC").write_bytes(shipped(name).read_bytes())
+        text = text.replace(f'"{name}"', f'"can/{Path(name).stem}.DBC"', 1)
+    text = text.replace('name = "paper"', 'file = "places/same.csv"\nclosed = true')
+    text = text.replace('name = "vw-passat"', 'name = "cars/own.toml"')
+    points = [(60 * math.cos(k / 20 * math.pi), 50 * math.sin(k / 20 * math.pi)) for k in range(40)]
+    (folder / "places/same.csv").write_text("x,y\n" + "".join(f"{x},{y}\n" for x, y in points))
+    (folder / "cars/own.toml").write_text(vehicle_text(replace(vehicle("vw-passat"), m=1234.5)))
+    (folder / "car.toml").write_text(text)
+    return folder / "car.toml"
+
+
+def test_a_replay_depends_on_no_file_but_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = load(own_files(tmp_path / "here"))
+    path = course_of(config)
+    tapes.Recording(tmp_path / "t.mcap", tapes.described(config, path, 2.5)).close()
+    for file in (tmp_path / "here").rglob("*.*"):
+        file.write_text("gone")
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    recorded = tapes.read(tmp_path / "t.mcap")
+    again = tapes.config_of(recorded)
+    assert asdict(again.vehicle) == asdict(config.vehicle)
+    assert protocol.digest(course_of(again)) == protocol.digest(path)
+    assert [reader.frame_id for reader in again.readers] == [reader.frame_id for reader in config.readers]
+    assert again.gate == config.gate
+    assert recorded.metadata["time_scale"] == "2.5"
+    assert recorded.metadata["protocol"] == str(protocol.VERSION)
+    assert {"python", "numpy", "steerkit-control", "cantools"} <= recorded.metadata.keys()
+    assert tapes.differences(recorded, again, course_of(again)) == []
+
+
+@pytest.mark.parametrize("name", ["can/pose.DBC", "places/same.csv", "cars/own.toml"])
+def test_a_recording_that_lacks_a_file_says_which(tmp_path: Path, name: str) -> None:
+    config = load(own_files(tmp_path / "here"))
+    description = tapes.described(config, course_of(config))
+    del description[f"file:{name}"]
+    tapes.Recording(tmp_path / "t.mcap", description).close()
+    with pytest.raises(ValueError, match=f"it lacks {name}, named by its configuration"):
+        tapes.config_of(tapes.read(tmp_path / "t.mcap"))
+
+
+def test_a_recording_without_description_says_that_there_is_no_replay(tmp_path: Path) -> None:
+    first = tape_file.contents(small()).chunks[0].begin
+    (tmp_path / "t.mcap").write_bytes(small()[:8] + bytes(first - 8) + small()[first:])
+    recorded = tapes.read(tmp_path / "t.mcap")
+    assert len(recorded.messages) == len(tapes._read_bytes(small())[0].messages)
+    with pytest.raises(ValueError, match="its description is damaged or has no configuration"):
+        tapes.config_of(recorded)
+    assert len(tapes.read(tapes.repair(tmp_path / "t.mcap")[1]).messages) == len(recorded.messages)
+
+
+def test_what_is_different_from_then_is_told(drive: Path) -> None:
+    recorded = tapes.read(drive)
+    config, path = setup()
+    assert tapes.differences(recorded, config, path) == []
+    then = recorded._replace(metadata={**recorded.metadata, "numpy": "0.1", "course": "00", "vehicle": "{}"})
+    told = tapes.differences(then, config, path)
+    assert any(text.startswith("numpy 0.1, now ") for text in told)
+    assert {"the course of that name is another one", "the vehicle of that name is another one"} < set(told)

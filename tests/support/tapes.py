@@ -1,0 +1,61 @@
+"""A short recording of an engaged drive, in chunks of a few messages whatever the clock said."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from steerkit.plants.real_car import recording as tapes
+from steerkit.plants.real_car.decisions.core import Taping
+from steerkit.plants.real_car.decisions.modes import Mode
+from steerkit.plants.real_car.processes.protocol import VERSION
+from steerkit.plants.real_car.tape_file import Contents, TapeFile, contents
+from tests.support.car_world import World, setup
+
+LINES = 24
+"""Messages of a chunk."""
+
+
+@cache
+def small() -> bytes:
+    """The file: READY, engaged, the recording "stops" for a moment, the human brakes, the process ends."""
+    with TemporaryDirectory() as folder:
+        tape = tapes.Recording(Path(folder) / "raw.mcap", tapes.described(*setup()))
+        world = World(tape=tape)
+        world.bring_to(Mode.ENGAGED)
+        world.handle(Taping(world.t, "a slow disk"))
+        world.handle(Taping(world.t, ""))
+        world.until(world.t + 0.1)
+        tape.close()
+        assert not tape.failed
+        return chunked(contents((Path(folder) / "raw.mcap").read_bytes()), Path(folder) / "small.mcap").read_bytes()
+
+
+@cache
+def brief() -> bytes:
+    """The first 100 messages, with a shorter description: for what is read a thousand times."""
+    with TemporaryDirectory() as folder:
+        found = contents(small())
+        assert found.description is not None
+        text = {"file:config.toml": found.description["file:config.toml"][:2000], "protocol": str(VERSION)}
+        return chunked(found, Path(folder) / "brief.mcap", text, 100).read_bytes()
+
+
+def chunked(found: Contents, file: Path, description: dict[str, str] | None = None, count: int | None = None) -> Path:
+    """The same messages in a new file, LINES to a chunk."""
+    tape = TapeFile(file, found.description or {} if description is None else description)
+    lines = [line for chunk in found.chunks for line in chunk.lines][:count]
+    for k, line in enumerate(lines, 1):
+        tape.add(line.topic, line.when, line.data)
+        if k % LINES == 0:
+            tape.flush()
+    tape.close()
+    return file
+
+
+def flipped(data: bytes, bit: int) -> bytes:
+    """The bytes with one bit turned over."""
+    copy = bytearray(data)
+    copy[bit // 8] ^= 1 << bit % 8
+    return bytes(copy)
