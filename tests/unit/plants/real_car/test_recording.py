@@ -425,7 +425,8 @@ def own_files(folder: Path) -> Path:
         (folder / name).mkdir(parents=True)
     text = shipped("dbw-kit.toml").read_text()
     for name in ("dbw_steering.dbc", "pose.dbc"):
-        (folder / "can" / name).with_suffix(".DBC").write_bytes(shipped(name).read_bytes())
+        raw = shipped(name).read_bytes() + 'CM_ "f\xfcr Stra\xdfen";\n'.encode("cp1252")
+        (folder / "can" / name).with_suffix(".DBC").write_bytes(raw)
         text = text.replace(f'"{name}"', f'"can/{Path(name).stem}.DBC"', 1)
     text = text.replace('name = "paper"', 'file = "places/same.csv"\nclosed = true')
     text = text.replace('name = "vw-passat"', 'name = "cars/own.toml"')
@@ -447,6 +448,9 @@ def test_a_replay_depends_on_no_file_but_the_recording(tmp_path: Path, monkeypat
     recorded = tapes.read(tmp_path / "t.mcap")
     again = tapes.config_of(recorded)
     assert asdict(again.vehicle) == asdict(config.vehicle)
+    assert sorted(text for name, text in again.texts.items() if name.endswith(".DBC")) == sorted(
+        text for name, text in config.texts.items() if name.endswith(".DBC")
+    )
     assert protocol.digest(course_of(again)) == protocol.digest(path)
     assert [reader.frame_id for reader in again.readers] == [reader.frame_id for reader in config.readers]
     assert again.gate == config.gate
