@@ -164,7 +164,7 @@ def _mcap(path: Path, raw: bytes, notes: list[str]) -> Columns:
         raise ValueError(f"{path}: MCAP needs the car's packages: pip install 'steerkit-control[car]'") from None
     recorded = recording.read(path)
     if not recorded.whole:
-        notes.append("the recording was cut short; all that was flushed is used")
+        notes.append(f"the recording is damaged or cut short, what is intact is used: {recorded.kept()}")
     config = recording.config_of(recorded)
     readers = {reader.frame_id: reader for reader in config.readers}
     counters: dict[int, int | None] = dict.fromkeys(readers)
