@@ -133,6 +133,14 @@ def test_bytes_that_went_missing_or_came_in_between_lose_one_chunk_at_most() -> 
             assert found.description == whole.description
 
 
+def test_what_looks_like_a_beginning_hides_no_chunk_behind_it() -> None:
+    whole = files.contents(small())
+    place = whole.chunks[2].begin
+    found = files.contents(small()[:place] + b"x\x06" + small()[place:])
+    assert found.damaged[0] == (place, place + 2)
+    assert [read(c, place=False) for c in found.chunks] == [read(c, place=False) for c in whole.chunks]
+
+
 @pytest.mark.parametrize("copy", [0, 1])
 def test_one_of_the_two_copies_of_the_description_is_enough(copy: int) -> None:
     data = small()
