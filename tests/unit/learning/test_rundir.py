@@ -17,6 +17,7 @@ from steerkit.learning.nfq.iterate import FitSetting
 from steerkit.learning.settings import PAPER, SETTINGS, setting
 from steerkit.scenario import Scenario
 from tests.support.short_run import SHORT
+from tests.support.yard import yard
 
 
 def test_an_interrupted_run_goes_on_with_the_same_numbers(kept: Path, tmp_path: Path) -> None:
@@ -150,3 +151,27 @@ def test_a_run_resumed_at_any_checkpoint_is_the_run_that_went_on(tmp_path: Path)
             np.testing.assert_array_equal(getattr(again.transitions, name), getattr(run.transitions, name))
         assert again.counts.episodes == run.counts.episodes
         assert again.counts.updates == run.counts.updates
+
+
+def test_a_run_on_files_is_carried_elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = yard(tmp_path)
+    experiment = Experiment(world=Scenario(course=str(file)), minutes=0.05, seed=1)
+    learn(experiment, tmp_path / "here" / "run")
+    file.unlink()
+    (tmp_path / "here").rename(tmp_path / "there")
+    monkeypatch.chdir("/")
+    run = rundir.load(tmp_path / "there" / "run")
+    assert run.experiment == experiment
+    assert run.path.length == experiment.world.path().length
+    yard(tmp_path, radius=30.0)
+    other = Experiment(world=Scenario(course=str(file)), minutes=0.05, seed=1)
+    with pytest.raises(ValueError, match="a run of another experiment"):
+        learn(other, tmp_path / "there" / "run")
+
+
+def test_a_run_from_before_there_were_scenarios_is_read() -> None:
+    data = json.loads(json.dumps(rundir.plain(Experiment(world=Scenario.under("hard", course="genesis")))))
+    new = data["world"]
+    names = ("course", "plant", "reference", "lag", "delay", "rate_limit_deg", "v_min", "v_max")
+    data["world"] = {"kind": "World", "vehicle_name": new["vehicle"], "noise": True} | {n: new[n] for n in names}
+    assert rundir.from_plain(data, "run.json").world == Scenario.under("hard", course="genesis")
