@@ -30,7 +30,7 @@ def test_a_scenario_comes_back_with_its_files(tmp_path: FilePath, monkeypatch: p
     assert read_scenario(tmp_path / "scenario.toml") == scenario
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(
     name=st.text(max_size=8).filter(lambda text: "--" not in text and text.isprintable()),
     lag=st.floats(0.0, 10.0),
