@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import json
 import math
 import os
@@ -319,6 +320,28 @@ def test_a_recording_in_use_is_looked_into_but_not_repaired(tmp_path: Path) -> N
     assert [f.name for f in tmp_path.iterdir()] == ["t.mcap"]
     tape.close()
     assert tapes.read(file).whole
+
+
+def test_damage_in_a_recording_in_use_is_told_but_not_its_end_that_is_yet_to_come(drive: Path) -> None:
+    chunks = tape_file.contents(small()).chunks
+    drive.write_bytes(flipped(small(), 8 * (chunks[1].begin + 200))[: chunks[4].end])
+    with drive.open("rb") as stream:
+        fcntl.flock(stream, fcntl.LOCK_EX)
+        (gap,) = tapes.read(drive).gaps
+    assert gap.missing == LINES
+    assert len(tapes.read(drive).gaps) == 2
+    drive.write_bytes(flipped(small(), 8 * (chunks[-1].begin + 200)))  # with its end, and damage just before that
+    with drive.open("rb") as stream:
+        fcntl.flock(stream, fcntl.LOCK_EX)
+        assert len(tapes.read(drive).gaps) == 1
+
+
+def test_the_operating_system_has_it_before_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tapes, "SYNC", 1e6)
+    tape = tapes.Recording(tmp_path / "t.mcap", {})
+    tape.event(Tick(1.0), [])
+    until(lambda: tapes.read(tmp_path / "t.mcap").messages)
+    tape.close()
 
 
 def test_what_was_recorded_reaches_the_disk_without_an_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

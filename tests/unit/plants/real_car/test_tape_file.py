@@ -141,6 +141,15 @@ def test_what_looks_like_a_beginning_hides_no_chunk_behind_it() -> None:
     assert [read(c, place=False) for c in found.chunks] == [read(c, place=False) for c in whole.chunks]
 
 
+def test_a_sum_of_zero_is_a_sum_like_any_other() -> None:
+    """To MCAP it means that there is none."""
+    chunk = files.contents(small()).chunks[2]
+    data = bytearray(small())
+    data[chunk.begin + 33 : chunk.begin + 37] = bytes(4)
+    data[chunk.begin + 300] ^= 1
+    assert chunk.begin not in [c.begin for c in files.contents(bytes(data)).chunks]
+
+
 @pytest.mark.parametrize("copy", [0, 1])
 def test_one_of_the_two_copies_of_the_description_is_enough(copy: int) -> None:
     data = small()
