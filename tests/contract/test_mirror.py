@@ -32,7 +32,6 @@ ELSEWHERE = {
     # both MPCs are one table of cases
     "steerkit.controllers.mpc.nonlinear": "unit/controllers/mpc/test_linear.py",
     "steerkit.controllers.mpc.path_model": "evals/test_mpc_closed_forms.py",
-    "steerkit.controllers.mpc.qp": "unit/controllers/mpc/test_linear.py",
     "steerkit.controllers.policy": "unit/controllers/test_nfq_policy.py",
     "steerkit.courses": "unit/test_path.py",
     "steerkit.courses.make_courses": "evals/test_path_closed_forms.py",

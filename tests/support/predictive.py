@@ -1,0 +1,48 @@
+"""What the tests of predictive steering share: a car, its motor, and a block driven without a loop."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from typing import Any
+
+import pytest
+
+from steerkit.controllers.mpc.linear import MPC, PredictiveSteering
+from steerkit.controllers.mpc.nonlinear import NonlinearMPC
+from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.steering_actuator import SteeringActuator
+from steerkit.vehicles import vehicle
+
+CAR = NonlinearSingleTrack(vehicle=vehicle("vw-passat"), v0=5.0)
+MOTOR = SteeringActuator(delay=0.1, lag=0.1)
+KINDS = (MPC, NonlinearMPC)
+kinds = pytest.mark.parametrize("kind", KINDS)
+ZEROS = {"e": 0.0, "psi_e": 0.0, "v": 5.0, "beta": 0.0, "r": 0.0, "delta_sw_meas": 0.0}
+
+
+@cache
+def controller(kind: type[PredictiveSteering] = MPC, **fields: Any) -> PredictiveSteering:
+    return kind.of(CAR, MOTOR, **({"clock": None, "horizon": 10} | fields))
+
+
+def inputs(block: PredictiveSteering, *, kappa: float = 0.01, **values: float) -> Any:
+    return block.D(**(ZEROS | values), preview=(kappa,) * block.preview_points)
+
+
+def driven(block: PredictiveSteering, samples: list[Any]) -> list[Any]:
+    """The outputs for inputs one after the other, from rest."""
+    x, found = block.settle(0.0, block.init(), samples[0]), []
+    for u in samples:
+        found.append(block.output(0.0, x, u))
+        x = block.update(0.0, x, u, found[-1])
+    return found
+
+
+def checked(block: PredictiveSteering, outputs: list[Any], last: float = 0.0) -> None:
+    """All commands are numbers within the limits, angle and rate."""
+    for y in outputs:
+        assert math.isfinite(y.delta_sw)
+        assert abs(y.delta_sw) <= block.limit + 1e-12
+        assert abs(y.delta_sw - last) <= block.rate_limit * block.dt + 1e-12
+        last = y.delta_sw
