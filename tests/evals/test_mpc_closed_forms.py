@@ -94,7 +94,7 @@ def test_the_delay_is_answered_as_by_lqr_with_the_commands_on_their_way_as_state
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("car", [LINEAR, NONLINEAR])
-@pytest.mark.parametrize(("v", "kappa"), [(5.0, 0.05), (7.4, -0.03), (4.0, 0.1)])
+@pytest.mark.parametrize(("v", "kappa"), [(5.0, 0.05), (7.4, -0.03), (4.0, 0.1), (9.0, 0.045)])
 def test_a_steady_bend_is_held(kind: type[PredictiveSteering], car: Any, v: float, kappa: float) -> None:
     block = controller(kind, car, delay=0.125)
     speed = block.model.sway_is_speed
@@ -228,3 +228,14 @@ def test_a_circle_is_driven_without_a_steady_error() -> None:
         reference=PASSAT.l_f,
     )
     assert largest(simulate(loop, 15.0, record=["path.e"])["path.e"][-300:]) < 2e-3
+
+
+@pytest.mark.parametrize("car", [LINEAR, NONLINEAR])
+@pytest.mark.parametrize(
+    ("sway", "r", "wheel", "v"), [(0.02, 0.3, 1.0, 6.0), (-0.05, 0.1, -2.0, 9.0), (0.0, 0.0, 1.5, 4.0)]
+)
+def test_the_models_lateral_acceleration_is_the_plants_own(
+    car: Any, sway: float, r: float, wheel: float, v: float
+) -> None:
+    plant = car.output(0.0, car.init()._replace(sway=sway, r=r, delta_sw=wheel, v=v), ())
+    assert controller(MPC, car).model.a_y((0.2, -0.1, sway, r), wheel, v) == pytest.approx(plant.a_y, abs=1e-9)

@@ -16,7 +16,7 @@ from steerkit.assembly import placed, steering_loop
 from steerkit.compiled import compile
 from steerkit.compiled.trace import TraceError
 from steerkit.controllers.mpc import linear as module
-from steerkit.controllers.mpc.linear import MPC, PredictiveSteering
+from steerkit.controllers.mpc.linear import FAILED, FALLBACK, MPC, PredictiveSteering
 from steerkit.controllers.mpc.nonlinear import NonlinearMPC
 from steerkit.controllers.mpc.qp import Answer, StageQp
 from steerkit.controllers.stanley import Stanley
@@ -267,6 +267,28 @@ def test_a_car_starts_from_standstill_and_stops_again(kind: Any) -> None:
     assert np.isfinite(log["controller.delta_sw"]).all()
     assert set(log["controller.fault"]) == {0.0, 4.0}
     assert abs(log["path.e"][-1]) < 0.05
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@kinds
+def test_the_fallback_turns_the_wheel_no_faster_than_the_motor(kind: Any, side: float) -> None:
+    """Commanded to one side for long, found at the other (a stuck motor): the fallback goes on from the command."""
+    block = controller(kind)
+    n = max(block.pieces, 1)
+    state = block.X((-6.0 * side,) * n, (0.0,) * block.horizon, float(block.patience))
+    u = inputs(block, e=-1.5 * side, psi_e=-0.4 * side, delta_sw_meas=6.0 * side)
+    command, status = block._command(state, u, FAILED, state.plan)
+    assert status == FALLBACK
+    assert abs(command + 6.0 * side) <= block.rate_limit * block.dt + 1e-12
+    assert block._fallback(state, u) * side > -5.0, "it would jump"
+
+
+def test_an_actuators_times_are_its_delay_its_lag_and_half_of_its_sample() -> None:
+    motor = SteeringActuator(delay=0.1, lag=0.13, rate_limit=5.0, limit=8.0, dt=0.02)
+    block = MPC.of(CAR, motor)
+    assert (block.delay, block.lag) == (pytest.approx(0.11), 0.13)
+    assert (block.rate_limit, block.limit) == (5.0, 8.0)
+    assert MPC.of(CAR, motor, delay=0.3).delay == 0.3
 
 
 # ---- as a block -----------------------------------------------------------------------------------------------------

@@ -116,3 +116,15 @@ def test_limits_are_soft_in_e_and_a_y_and_hard_in_rate_and_angle() -> None:
         a_y = one.qp._out["x"][one.qp.place["x"]] @ one.model.at(9.0)[2]
         most.append(float(np.abs(a_y[:-1]).max()))  # the last stage has no soft limits
     assert most[0] < 3.1 < 5.0 < most[1]
+
+
+def test_a_programme_that_is_not_finite_is_no_solution() -> None:
+    block = controller()
+    driven(block, [inputs(block)])
+    saved = {name: array.copy() for name, array in block.qp.data.items()}
+    block.qp.data["lba"][0] = math.nan
+    answer = block.qp.solve()
+    assert not answer.success
+    assert answer.residual == math.inf
+    for name, array in saved.items():
+        block.qp.data[name][:] = array
