@@ -10,7 +10,7 @@ import pytest
 
 from steerkit.assembly import steering_loop
 from steerkit.compiled import TraceError, compile
-from steerkit.controllers.nfq_policy import IDOE_ACTIONS
+from steerkit.controllers.nfq_policy import IDOE_ACTIONS, StateDescription
 from steerkit.doe import Integrator
 from steerkit.gym import Network, PolicyBlock, Task
 from steerkit.scenario import Scenario
@@ -95,3 +95,16 @@ def test_any_function_may_steer_and_its_mistakes_are_named() -> None:
     for policy, says in ((lambda x: [2.0], r"within \[-1, 1\]"), (lambda x: [0.0, 0.0], "answered 2 numbers for 1")):
         with pytest.raises(ValueError, match=says):
             PolicyBlock(policy=policy).output(0.0, (), u)
+
+
+@pytest.mark.parametrize("value", [-0.7, -0.2, 0.0, 0.5])
+@pytest.mark.parametrize("name", StateDescription().names)
+def test_a_policy_sees_each_column_as_a_share_of_its_range(name: str, value: float) -> None:
+    """A net that hands one column on: 0 in the middle of its range, 1 at its upper end."""
+    d = StateDescription()
+    row = [[float(n == name) for n in d.names]]
+    block = PolicyBlock(policy=Network(layers=((np.array(row), np.zeros(1)),), head="clip"), largest=0.4)
+    low, high = d.low[d.names.index(name)], d.high[d.names.index(name)]
+    middle = {n: 0.5 * (a + b) for n, a, b in zip(d.names, d.low, d.high)}
+    u = block.D(**middle | {name: 0.5 * (low + high) + value * 0.5 * (high - low)})
+    assert block.output(0.0, (), u).action == pytest.approx(0.4 * value, abs=1e-9)
