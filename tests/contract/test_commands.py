@@ -117,6 +117,10 @@ def learned(programs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "run"
 
 
+WRITTEN_BY = {"yard-smooth.csv": ("course.md", "yard"), "my_file.py": ("controller.md", "my_file.py")}
+"""Files that Python blocks of a page write: the page under docs/howto, and a word that only those blocks have."""
+
+
 def make(name: str, folder: Path, learned: Path) -> None:
     """Make a file that a line needs."""
     if name in ("runs/default-paper-clean-seed3", "runs/mine", "runs/car", "my-run"):
@@ -128,6 +132,15 @@ def make(name: str, folder: Path, learned: Path) -> None:
     elif name == "my_controller.py":  # "save this as my_controller.py"
         codes = [text for language, text in blocks(ROOT / "docs" / "tutorial.md") if language == "python"]
         (folder / name).write_text(next(code for code in codes if "A controller of my own" in code), encoding="utf-8")
+    elif name in WRITTEN_BY:
+        page, word = WRITTEN_BY[name]
+        codes = [
+            code for language, code in blocks(ROOT / "docs" / "howto" / page) if language == "python" and word in code
+        ]
+        environment = {**os.environ, "MPLBACKEND": "agg"}
+        subprocess.run(
+            [sys.executable, "-c", "\n".join(codes)], cwd=folder, env=environment, timeout=PATIENCE, check=True
+        )
     elif name in ("tests", "examples"):
         (folder / name).symlink_to(ROOT / name)
     else:
