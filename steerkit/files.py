@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import math
 import os
 import threading
 import zipfile
@@ -62,14 +63,21 @@ def write_npz(file: File, arrays: Mapping[str, Any], *, compressed: bool = False
         save(stream, **arrays)
 
 
-def read_npz(file: File, where: str) -> dict[str, NDArray[Any]]:
+LARGEST = 1 << 32
+"""Bytes that the arrays of a file may take in memory, unless told otherwise."""
+
+
+def read_npz(file: File, where: str, *, largest: int = LARGEST) -> dict[str, NDArray[Any]]:
     """The arrays of an .npz file by name; nothing in it is ever executed.
 
-    Raises ValueError, in the name of `where`, for any other file, one that is cut short and one that holds objects;
+    largest: bytes that they may take in memory; a small file may ask for a lot. Raises ValueError, in the name of
+    `where`, for any other file, one that is cut short, one that holds objects and one that is too large;
     FileNotFoundError, IsADirectoryError and PermissionError as they are.
     """
     try:
         with FilePath(file).open("rb") as stream, np.lib.npyio.NpzFile(stream, allow_pickle=False) as data:
+            assert data.zip is not None
+            _check_sizes(data.zip, largest)
             return {key: data[key] for key in data.files}
     except (FileNotFoundError, IsADirectoryError, PermissionError):
         raise
@@ -77,15 +85,31 @@ def read_npz(file: File, where: str) -> dict[str, NDArray[Any]]:
         raise ValueError(f"{where}: {file} is no NumPy .npz file, or a broken one ({error})") from error
 
 
+def _check_sizes(archive: zipfile.ZipFile, largest: int) -> None:
+    """Raise ValueError where the arrays' headers ask for more memory than is allowed, or than their data has."""
+    total = 0
+    for member in archive.infolist():
+        with archive.open(member) as stream:
+            version = np.lib.format.read_magic(stream)
+            read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+            shape, _, dtype = read(stream)
+        size = math.prod(shape) * dtype.itemsize
+        if size > member.file_size:
+            raise ValueError(f"{member.filename} says that it has {size} bytes, and has {member.file_size}")
+        total += size
+    if total > largest:
+        raise ValueError(f"its arrays take {total / 1e6:.0f} MB, expected at most {largest / 1e6:.0f} MB")
+
+
 def write_arrays(file: File, kind: str, arrays: Mapping[str, Any], *, durable: bool = True) -> None:
     """`write_npz`, with the kind of thing that the arrays are, such as `policy`, written beside them."""
     write_npz(file, {"format": f"steerkit {kind} 1", **arrays}, durable=durable)
 
 
-def read_arrays(file: File, kind: str) -> dict[str, NDArray[Any]]:
+def read_arrays(file: File, kind: str, *, largest: int = LARGEST) -> dict[str, NDArray[Any]]:
     """The arrays that `write_arrays` wrote; raises ValueError for another kind of thing, else as `read_npz`."""
     try:
-        arrays = read_npz(file, kind)
+        arrays = read_npz(file, kind, largest=largest)
     except ValueError as why:
         hint = f"it is cut short or not a steerkit {kind} file; write it again with save()"
         raise ValueError(f"{file}: cannot be read ({why.__cause__}); {hint}") from why

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from steerkit import maths as m
 from steerkit.block import Block, In, Out, State
 from steerkit.controllers.nfq_policy import StateDescription
-from steerkit.controllers.policy import COLUMNS
+from steerkit.controllers.policy import COLUMNS, LARGEST_POLICY
 from steerkit.errors import require
 from steerkit.files import read_arrays, write_arrays
 from steerkit.units import radians_of
@@ -196,7 +196,7 @@ class PolicyBlock(Block):
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> PolicyBlock:
         """The block that `save` wrote; raises ValueError for a truncated or foreign file."""
-        f = read_arrays(path, "policy block")
+        f = read_arrays(path, "policy block", largest=LARGEST_POLICY)
         try:
             net = Network(
                 layers=tuple((f[f"w{i}"], f[f"b{i}"]) for i in range(int(f["layers"]))),

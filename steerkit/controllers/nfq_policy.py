@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from steerkit import maths as m
 from steerkit.block import State
-from steerkit.controllers.policy import ACTION, COLUMNS, Policy
+from steerkit.controllers.policy import ACTION, COLUMNS, LARGEST_POLICY, Policy
 from steerkit.errors import require
 from steerkit.files import read_arrays, write_arrays
 from steerkit.task import STOP
@@ -129,6 +129,8 @@ class NfqPolicy(Policy):
         actions = tuple(float(a) for a in self.actions)
         require(len(actions) > 0, where, "actions is empty, expected at least one angle [rad]")
         require(bool(np.isfinite(actions).all()), where, f"actions = {actions} [rad], expected finite numbers")
+        reach = max(map(abs, actions))
+        require(reach <= 4.0 * STOP, where, f"an action of {reach:g} rad, expected at most {4.0 * STOP:.0f} [rad]")
         object.__setattr__(self, "actions", actions)
         object.__setattr__(self, "nets", tuple(tuple(np.asarray(p) for p in net) for net in self.nets or ()))
         n = len(self.description.names)
@@ -260,7 +262,7 @@ class NfqPolicy(Policy):
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> NfqPolicy:
         """The policy that `save` wrote; raises ValueError for a truncated or foreign file."""
-        f = read_arrays(path, "policy")
+        f = read_arrays(path, "policy", largest=LARGEST_POLICY)
         try:
             layout = [sum(name.startswith(f"net{k}_") for name in f) for k in range(int(f["nets"]))]
             numbers = {name: tuple(f[name].tolist()) for name in ("names", "low", "high", "mirror_signs", "goal")}

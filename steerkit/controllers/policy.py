@@ -32,5 +32,7 @@ UNITS = {port.name: port.unit for port in Policy.inputs}
 """Their units."""
 E, E_DOT, V, PSI_E, R_E, DOE = range(len(COLUMNS))
 """Their numbers: `s[:, DOE]` are the output element's angles of the states s (n, columns)."""
+LARGEST_POLICY = 64_000_000
+"""Bytes that a policy's file may ask for in memory: a hundred thousand times the paper's net."""
 ACTION = -1
 """In a net's input, the candidate action: the last column, after the state's."""

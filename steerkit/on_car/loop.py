@@ -105,8 +105,10 @@ def element_of(place: FilePath) -> str:
         return on_car.setting_of(place).doe
     if (place / "run.json").is_file():
         return rundir.experiment_of(place).setting.doe
-    raise ValueError(f"{place} is no run directory (neither car.json nor run.json), so nothing tells the output "
-                     "element of its policies")  # fmt: skip
+    raise ValueError(
+        f"{place} is no run directory (neither car.json nor run.json), so nothing tells the output "
+        "element of its policies"
+    )
 
 
 def recovery_named(name: str, config: CarConfig) -> Block:
@@ -115,9 +117,14 @@ def recovery_named(name: str, config: CarConfig) -> Block:
 
 
 def car_loop(
-    config: CarConfig, path: Path, link: CarLink, controller: Block, *, doe: Dynamic | None = None,
+    config: CarConfig,
+    path: Path,
+    link: CarLink,
+    controller: Block,
+    *,
+    doe: Dynamic | None = None,
     recovery: str = "stanley",
-) -> Loop:  # fmt: skip
+) -> Loop:
     """The loop of the simulated runs with a `RealCar` in the plant's place: 20 Hz, e at the front axle.
 
     controller: a block that steers, or a policy, which gets `doe` (default: an Integrator), corrected by what the gate
@@ -146,10 +153,16 @@ def foresight(config: CarConfig) -> Foresight:
 
 
 def drive(
-    config: CarConfig, path: Path, link: DriverLink, controller: Controller, *, recovery: str = "stanley",
-    duration: float = float("inf"), clock: Clock | None = None,
+    config: CarConfig,
+    path: Path,
+    link: DriverLink,
+    controller: Controller,
+    *,
+    recovery: str = "stanley",
+    duration: float = float("inf"),
+    clock: Clock | None = None,
     watch: Callable[[realtime.Run], bool | None] | None = None,
-) -> realtime.Run:  # fmt: skip
+) -> realtime.Run:
     """Run a controller at 20 Hz on the car behind `link`, engaged or not, for `duration` [s].
 
     Missed deadlines go to the driver process with the next request; it disengages when they repeat. Raises CarLost

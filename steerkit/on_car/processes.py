@@ -43,9 +43,16 @@ def start(*words: str, **popen: Any) -> subprocess.Popen[str]:
 
 
 def start_driver(
-    config: str, socket_path: str, *, recording: str = "", channel: str = "", time_scale: float = 1.0,
-    realtime: bool = False, log: TextIO | None = None, wait: float = 15.0,
-) -> subprocess.Popen[str]:  # fmt: skip
+    config: str,
+    socket_path: str,
+    *,
+    recording: str = "",
+    channel: str = "",
+    time_scale: float = 1.0,
+    realtime: bool = False,
+    log: TextIO | None = None,
+    wait: float = 15.0,
+) -> subprocess.Popen[str]:
     """Start the process that owns the bus, and wait until it answers; raises CarLost when it does not."""
     options = ["--config", config, "--socket", socket_path, "--time-scale", str(time_scale)]
     options += ["--recording", recording] if recording else []
@@ -73,9 +80,14 @@ def last_line(log: str) -> str:
 
 
 def start_simulated(
-    config: str, *, time_scale: float = 1.0, log: str = "", listen: str = "", options: Sequence[str] = (),
+    config: str,
+    *,
+    time_scale: float = 1.0,
+    log: str = "",
+    listen: str = "",
+    options: Sequence[str] = (),
     wait: float = 15.0,
-) -> tuple[subprocess.Popen[str], str]:  # fmt: skip
+) -> tuple[subprocess.Popen[str], str]:
     """Start a simulated car; returns its process, which takes faults on its standard input, and its channel."""
     words = ["simulate", "--config", config, "--time-scale", str(time_scale), *options]
     words += ["--log", log] if log else []
@@ -95,9 +107,14 @@ def simulated_car(config: CarConfig, path: Path, **options: Any) -> SimulatedCar
 
 
 def serve_simulated(
-    car: SimulatedCar, port: Port, clock: Clock, *, log: TextIO | None = None, faults: TextIO | None = None,
+    car: SimulatedCar,
+    port: Port,
+    clock: Clock,
+    *,
+    log: TextIO | None = None,
+    faults: TextIO | None = None,
     duration: float = float("inf"),
-) -> None:  # fmt: skip
+) -> None:
     """Run a simulated car in real time on a port; it writes every command it hears to `log`, as JSON lines.
 
     faults: lines such as `drop pose 0.5` (kind, target, length [s], amount), each acting from when it is read.
@@ -126,8 +143,15 @@ def serve_simulated(
                 except ValueError as error:
                     print(error, flush=True)
             if log:
-                state = {"t": now, "s": car.on_path.s, "progress": car.on_path.progress, "e": car.on_path.e,
-                         "v": car.now.v, "enabled": car.enabled, "timeout": car.timeout}  # fmt: skip
+                state = {
+                    "t": now,
+                    "s": car.on_path.s,
+                    "progress": car.on_path.progress,
+                    "e": car.on_path.e,
+                    "v": car.now.v,
+                    "enabled": car.enabled,
+                    "timeout": car.timeout,
+                }
                 log.write(json.dumps(state) + "\n")
                 log.flush()
 

@@ -66,15 +66,31 @@ def _draw_box(axes: Axes, box: Box, colour: str, hollow: set[str]) -> None:
 
     tint = tuple(1.0 - 0.16 * (1.0 - channel) for channel in to_rgb(colour))
     shape = FancyBboxPatch(
-        (box.x, box.y), box.width, box.height, boxstyle="round,pad=0,rounding_size=0.35",
-        fc=COLOURS["paper"], ec=colour, lw=1.2, zorder=4,
-    )  # fmt: skip
+        (box.x, box.y),
+        box.width,
+        box.height,
+        boxstyle="round,pad=0,rounding_size=0.35",
+        fc=COLOURS["paper"],
+        ec=colour,
+        lw=1.2,
+        zorder=4,
+    )
     axes.add_patch(shape)
     head = Rectangle((box.x, box.y), box.width, HEAD - 0.25, fc=tint, lw=0, zorder=4.1)
     axes.add_patch(head)
     head.set_clip_path(shape)
-    axes.add_patch(FancyBboxPatch((box.x, box.y), box.width, box.height, boxstyle="round,pad=0,rounding_size=0.35",
-                                  fc="none", ec=colour, lw=1.2, zorder=4.2))  # fmt: skip
+    axes.add_patch(
+        FancyBboxPatch(
+            (box.x, box.y),
+            box.width,
+            box.height,
+            boxstyle="round,pad=0,rounding_size=0.35",
+            fc="none",
+            ec=colour,
+            lw=1.2,
+            zorder=4.2,
+        )
+    )
     ink, muted = COLOURS["ink"], COLOURS["muted"]
     text: dict[str, Any] = {"zorder": 5, "va": "center"}
     axes.text(box.x + 0.5, box.y + 0.68, box.name, fontsize=9, fontweight="bold", color=ink, **text)

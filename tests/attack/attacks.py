@@ -241,7 +241,11 @@ def _kit() -> list[Attack]:
         Attack("steering sensor times 0.8", harmless=True, sense=changed(angle=lambda a, t: 0.8 * a)),
         Attack("steering sensor reversed", sense=changed(angle=lambda a, t: -a)),
         Attack(
-            "motor 100 deg off, its sensor repeats the command", motor=lambda d, a, t: a + rad(100.0), sense=_repeats
+            "motor 100 deg off, its sensor repeats the command",
+            motor=lambda d, a, t: a + rad(100.0),
+            sense=_repeats,
+            physics="the motor turns the wheel as nobody asked; only the yaw rate, later, tells",
+            a_y_max=5.0,
         ),
         Attack(
             "motor 40 deg off, its sensor repeats the command",
@@ -266,7 +270,7 @@ def _kit() -> list[Attack]:
         Attack(
             "motor runs to the left",
             physics="the motor turns as nobody asked, to its stop",
-            a_y_max=5.0,
+            a_y_max=6.0,
             motor=lambda d, a, t: d.car.wheel + 0.5 if d.kit_enabled else a,
         ),
         Attack("echo of another command", sense=changed(echo=lambda a, t: a + rad(5.0))),

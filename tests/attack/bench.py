@@ -155,8 +155,14 @@ class Drive:
         start = (at - self.onset * self.speed) % course.length if course.closed else 2.0
         i = round(start / course.step) % len(course.x)
         psi = float(course.psi[i])
-        self.car = Car(course, float(course.x[i]) - FRONT * math.cos(psi), float(course.y[i]) - FRONT * math.sin(psi),
-                       psi, v=self.speed, near=i)  # fmt: skip
+        self.car = Car(
+            course,
+            float(course.x[i]) - FRONT * math.cos(psi),
+            float(course.y[i]) - FRONT * math.sin(psi),
+            psi,
+            v=self.speed,
+            near=i,
+        )
         self.car.wheel = 15.6 * 2.71 * float(course.kappa[i])
         self.client = self.client or OwnClient(course)
         self.kit_enabled = self.kit_timeout = self.overridden = False
@@ -237,9 +243,16 @@ class Drive:
             echo=self.command if self.kit_enabled else car.wheel,
             v_kit=car.v,
             torque=0.2 + self.noise * gauss(0.0, 0.1),
-            flags={name for name, up in (("ENABLED", self.kit_enabled), ("OVERRIDE", self.overridden),
-                                         ("TMOUT", self.kit_timeout)) if up},
-        )  # fmt: skip
+            flags={
+                name
+                for name, up in (
+                    ("ENABLED", self.kit_enabled),
+                    ("OVERRIDE", self.overridden),
+                    ("TMOUT", self.kit_timeout),
+                )
+                if up
+            },
+        )
 
     def transmit(self) -> None:
         """Pose frames at 100 Hz, the kit's report at 50 Hz; the attack has its way with each."""
@@ -255,8 +268,17 @@ class Drive:
             (wire.DYNAMICS, wire.dynamics(values.beta, values.a_y, values.stamp, count=n), ""),
         ]
         degrees = math.degrees
-        kit = [] if n % 2 else [(wire.REPORT, wire.report(degrees(values.angle), degrees(values.echo), values.v_kit,
-                                                          values.torque, values.flags), "")]  # fmt: skip
+        kit = (
+            []
+            if n % 2
+            else [
+                (
+                    wire.REPORT,
+                    wire.report(degrees(values.angle), degrees(values.echo), values.v_kit, values.torque, values.flags),
+                    "",
+                )
+            ]
+        )
         late = attack.latency(since) if since is not None and attack.latency else 0.0
         frames = pose + kit
         if since is not None and attack.frames:

@@ -181,3 +181,23 @@ def test_arrays_of_another_kind_are_refused(tmp_path: Path) -> None:
     (tmp_path / "c").write_text("no")
     with pytest.raises(ValueError, match=r"c: cannot be read .* cut short or not a steerkit policy file"):
         read_arrays(tmp_path / "c", "policy")
+
+
+def test_a_small_file_that_asks_for_a_lot_of_memory_is_refused_before_it_gets_any(tmp_path: Path) -> None:
+    file = tmp_path / "bomb.npz"
+    np.savez_compressed(file, a=np.zeros(3_000_000))  # 24 MB of zeros in 24 kB
+    assert file.stat().st_size < 100_000
+    with pytest.raises(ValueError, match="its arrays take 24 MB, expected at most 20 MB"):
+        read_npz(file, "test", largest=20_000_000)
+    assert read_npz(file, "test", largest=25_000_000)["a"].shape == (3_000_000,)
+
+
+def test_a_header_that_promises_more_than_there_is_is_refused(tmp_path: Path) -> None:
+    import zipfile
+
+    whole_file, liar = tmp_path / "a.npz", tmp_path / "b.npz"
+    np.savez(whole_file, a=np.zeros(10))
+    with zipfile.ZipFile(whole_file) as source, zipfile.ZipFile(liar, "w") as target:
+        target.writestr("a.npy", source.read("a.npy").replace(b"(10,)", b"(99,)"))
+    with pytest.raises(ValueError, match="says that it has 792 bytes"):
+        read_npz(liar, "test")

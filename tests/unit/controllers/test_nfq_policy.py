@@ -243,3 +243,8 @@ def test_caution_never_makes_an_action_cheaper(values: list[float]) -> None:
     assert cautious == pytest.approx(float(np.mean(values) + np.std(values)))
     assert mean <= largest
     assert mean <= cautious
+
+
+def test_actions_beyond_any_steering_wheel_are_refused() -> None:
+    with pytest.raises(ValueError, match="an action of 1e\\+09 rad, expected at most 36"):
+        NfqPolicy(actions=(-1e9, 0.0, 1e9))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import logging
 import os
 import queue
@@ -266,11 +267,27 @@ def _open(arguments: dict[str, Any], listen_only: bool) -> Any:
     options = dict(arguments)
     if listen_only and options.get("interface") == "slcan":
         options["listen_only"] = True
+    lock = _locked(options)
     bus = open_bus(options)
+    bus.steerkit_lock = lock  # as long as the bus is open
     for _ in range(10_000):
         if bus.recv(0.0) is None:
             break
     return bus
+
+
+def _locked(options: dict[str, Any]) -> int | None:
+    """A lock on the adapter's serial device: two processes on one would each read half of the frames."""
+    channel = str(options.get("channel", ""))
+    if options.get("interface") != "slcan" or not os.path.exists(channel):
+        return None
+    device = os.open(channel, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    try:
+        fcntl.flock(device, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        os.close(device)
+        raise OSError(f"{channel}: another process has the adapter; end it first ({error.strerror})") from error
+    return device
 
 
 def _listen(path: str) -> socket.socket:
