@@ -362,7 +362,12 @@ def _client() -> list[Attack]:
         Attack("bang-bang at 1 Hz", request=lambda d, a, t: lock if round(t / 0.5) % 2 else -lock, **careful),
         Attack("steers the wrong way", request=lambda d, a, t: -a, **careful),
         Attack("steers twice as much", harmless=True, request=lambda d, a, t: 2.0 * a, **careful),
-        Attack("100 deg to the left", request=lambda d, a, t: a + rad(100.0), **careful),
+        Attack(
+            "100 deg to the left",
+            physics="at 2 m/s a steady 0.25 m off, within e_max",
+            request=lambda d, a, t: a + rad(100.0),
+            **careful,
+        ),
         Attack("always straight ahead", request=lambda d, a, t: 0.0, **careful),
         Attack("holds the wheel", request=lambda d, a, t: d.frozen.setdefault("a", a), where="entry", **careful),
     ]

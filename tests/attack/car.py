@@ -90,7 +90,7 @@ class Car:
         most_front, most_rear = GRIP * load_front, GRIP * load_rear
         force_front = most_front * math.tanh(STIFF_FRONT * slip_front / most_front)
         force_rear = most_rear * math.tanh(STIFF_REAR * slip_rear / most_rear)
-        if abs(self.v) > 1.0:
+        if self.v > 1.0:
             slide = (force_front * math.cos(delta) + force_rear) / MASS - self.v * self.r
             turn = (FRONT * force_front * math.cos(delta) - REAR * force_rear) / INERTIA
             self.slide += slide * dt
