@@ -11,6 +11,7 @@ import pytest
 from steerkit.cli import car as car_cli
 from steerkit.plants.real_car import recording as tapes
 from steerkit.plants.real_car.file.config import shipped
+from steerkit.plants.real_car.processes.server import Driver
 from steerkit.plants.real_car.tape_file import contents
 from tests.support.tapes import LINES, flipped, small
 
@@ -138,5 +139,7 @@ def test_a_recording_that_has_to_be_kept_has_to_be_made(
 ) -> None:
     text = shipped("dbw-kit.toml").read_text()
     (tmp_path / "car.toml").write_text(text.replace("keep_recording = false", "keep_recording = true"))
-    assert run("driver", "--config", str(tmp_path / "car.toml"), "--channel", "virtual:x", monkeypatch=monkeypatch) == 2
+    monkeypatch.setattr(Driver, "run", Driver.close)  # should it get there
+    words = ("--config", str(tmp_path / "car.toml"), "--channel", "virtual:x", "--socket", str(tmp_path / "socket"))
+    assert run("driver", *words, monkeypatch=monkeypatch) == 2
     assert "keep_recording = true, but nothing is recorded; give --recording" in capsys.readouterr().err
