@@ -58,6 +58,8 @@ ELSEWHERE = {
     "steerkit.plants.linear_single_track": "unit/plants/test_single_track.py",
     "steerkit.plants.nonlinear_single_track": "unit/plants/test_single_track.py",
     "steerkit.plants.real_car.file.reading": "unit/plants/real_car/file/test_config.py",
+    "steerkit.plants.real_car.file.signals": "unit/plants/real_car/file/test_config.py",
+    "steerkit.plants.real_car.file.tables": "unit/plants/real_car/file/test_config.py",
     "steerkit.plants.real_car.frames.bus": "evals/test_car_processes.py",
     "steerkit.plants.real_car.processes.server": "evals/test_car_processes.py",
     "steerkit.scenario.drive": "unit/learning/test_trials.py",
