@@ -35,7 +35,8 @@ from rich.console import Console
 from rich.progress import track
 
 from steerkit.assembly import placed, steering_loop
-from steerkit.controllers.mpc.linear import MPC, PredictiveSteering
+from steerkit.controllers.mpc.block import PredictiveSteering
+from steerkit.controllers.mpc.linear import MPC
 from steerkit.controllers.mpc.nonlinear import NonlinearMPC
 from steerkit.courses import course
 from steerkit.plants.careful_human import CarefulHuman

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from steerkit.catalogue import CONTROLLERS
-from steerkit.controllers.mpc.linear import FALLBACK, LATE, PLAN, SOLVED
+from steerkit.controllers.mpc.block import FALLBACK, LATE, PLAN, SOLVED
 from steerkit.controllers.stanley import Stanley
 from steerkit.on_car import loop as loops
 from steerkit.on_car import replay as replays

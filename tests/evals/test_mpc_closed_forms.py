@@ -12,7 +12,8 @@ import pytest
 
 from steerkit import maths as m
 from steerkit.assembly import placed, steering_loop
-from steerkit.controllers.mpc.linear import MPC, PredictiveSteering
+from steerkit.controllers.mpc.block import PredictiveSteering
+from steerkit.controllers.mpc.linear import MPC
 from steerkit.controllers.mpc.nonlinear import NonlinearMPC
 from steerkit.controllers.mpc.path_model import NX, PathModel
 from steerkit.courses import circle, course

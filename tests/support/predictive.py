@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 
-from steerkit.controllers.mpc.linear import MPC, PredictiveSteering
+from steerkit.controllers.mpc.block import PredictiveSteering
+from steerkit.controllers.mpc.linear import MPC
 from steerkit.controllers.mpc.nonlinear import NonlinearMPC
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator

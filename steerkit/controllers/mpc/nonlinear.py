@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from steerkit.controllers.mpc.linear import Motion, PredictiveSteering, Table
+from steerkit.controllers.mpc.block import Motion, PredictiveSteering, Table
 from steerkit.controllers.mpc.path_model import NX, Array, bound
 
 

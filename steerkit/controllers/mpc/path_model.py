@@ -130,6 +130,22 @@ class PathModel:
             end = self.stepped(end, commands[i], v, kappa[i], self.dt if i else first, substeps)[0]
         return casadi.Function("predict", [x, commands, v, kappa], [casadi.cse(end)])
 
+    def prediction(self, pieces: int, first: float, substeps: int) -> Callable[..., Array]:
+        """`predictor` on arrays: (x (5,), commands, v, curvatures) -> x (5,); that of no commands is a copy."""
+        if pieces == 0:
+            return lambda x, commands, v, kappa: np.array(x)
+        function = self.predictor(pieces, first, substeps)
+        inputs, end = (np.zeros(5), np.zeros(pieces), np.zeros(1), np.zeros(pieces)), np.zeros(5)
+        run = bound(function, inputs, [end])
+
+        def predict(*values: Any) -> Array:
+            for array, value in zip(inputs, values):
+                array[:] = value
+            run()
+            return end
+
+        return predict
+
     def linearised_step(self, substeps: int) -> casadi.Function:
         """The stage map x+ = F(x, rate) of the six states and its slopes, and a_y at x with its slope.
 

@@ -15,8 +15,9 @@ from hypothesis import strategies as st
 from steerkit.assembly import placed, steering_loop
 from steerkit.compiled import compile
 from steerkit.compiled.trace import TraceError
-from steerkit.controllers.mpc import linear as module
-from steerkit.controllers.mpc.linear import FAILED, FALLBACK, MPC, PredictiveSteering
+from steerkit.controllers.mpc import block as module
+from steerkit.controllers.mpc.block import FAILED, FALLBACK, PredictiveSteering
+from steerkit.controllers.mpc.linear import MPC
 from steerkit.controllers.mpc.nonlinear import NonlinearMPC
 from steerkit.controllers.mpc.qp import Answer, StageQp
 from steerkit.controllers.stanley import Stanley
