@@ -17,8 +17,9 @@ import numpy as np
 
 from steerkit.courses.manoeuvres import curvature_step, lane_change, slalom
 from steerkit.courses.shapes import bends, circle, figure_eight, paper, random_course, straight
-from steerkit.path import Array, Path, read_columns
+from steerkit.path import Array, Path
 from steerkit.units import radians_of
+from steerkit.waypoints import read_columns
 
 _T = TypeVar("_T")
 

@@ -68,6 +68,7 @@ ELSEWHERE = {
     "steerkit.scenario.drive": "unit/learning/test_trials.py",
     "steerkit.task": "contract/test_once.py",
     "steerkit.vehicles": "unit/vehicles/test_named.py",
+    "steerkit.waypoints": "unit/test_path.py",
     "benchmarks.peers.python_control": "unit/benchmarks/studies/test_studies.py",
     "benchmarks.rounds": "unit/benchmarks/studies/test_studies.py",
     "benchmarks.report.figures": "unit/benchmarks/report/test_page.py",

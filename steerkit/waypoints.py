@@ -1,0 +1,113 @@
+"""Waypoints: read from the text of a CSV file, and checked before a path is laid along them."""
+
+from __future__ import annotations
+
+import csv
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_FEWEST_CLOSED = 6
+
+
+def read_columns(text: str, where: str) -> dict[str, Array]:
+    """The columns of CSV text by the names in its header; lines that start with `#` are comments.
+
+    Raises ValueError for an empty file, a ragged row or a cell that is no number, with its line.
+    """
+    lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip() and line.lstrip()[0] != "#"]
+    if len(lines) < 2:
+        raise ValueError(f"{where}: no rows, expected a header such as 'x,y' or 'lat,lon' and one point a line")
+    names, *rows = ([cell.strip().lower() for cell in row] for row in csv.reader(line for _, line in lines))
+    if all(_is_number(name) for name in names):
+        raise ValueError(f"{where}: line {lines[0][0]} holds numbers, expected a header such as 'x,y' or 'lat,lon'")
+    for (k, line), row in zip(lines[1:], rows):
+        if len(row) != len(names) or not all(_is_number(cell) for cell in row):
+            raise ValueError(f"{where}: line {k} is {line!r}, expected {len(names)} numbers ({','.join(names)})")
+    return dict(zip(names, np.array(rows, dtype=float).T))
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def distances(points: Array) -> Array:
+    """From each point to the next, (n - 1,)."""
+    return np.hypot(*np.diff(points, axis=0).T)
+
+
+def _few(indices: NDArray[np.intp]) -> str:
+    return ", ".join(map(str, indices[:5])) + (f" and {len(indices) - 5} more" if len(indices) > 5 else "")
+
+
+def checked(points: Array, where: str) -> Array:
+    """The waypoints (n, 2) [m]; ValueError, in the name of `where`, for such as no path leads along."""
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise ValueError(f"{where}: waypoints of shape {points.shape}, expected (n, 2): one row (x, y) [m] a point")
+    if len(points) < 2:
+        raise ValueError(f"{where}: {len(points)} waypoints, expected at least 2 (open) or {_FEWEST_CLOSED} (closed)")
+    broken = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if broken.size:
+        at = tuple(points[broken[0]].tolist())
+        raise ValueError(f"{where}: waypoint {_few(broken)} not finite (the first is {at}) [m], expected numbers")
+    if float(np.ptp(points, axis=0).max()) < 0.1:
+        raise ValueError(
+            f"{where}: all waypoints within {np.ptp(points, axis=0).max():.3g} m, expected metres; "
+            "for latitudes and longitudes in degrees use Path.from_gps"
+        )
+    same = np.flatnonzero(distances(points) < 1e-9) + 1
+    if same.size:
+        raise ValueError(
+            f"{where}: waypoint {_few(same)} repeats the one before it (a car at rest?), expected distinct points; "
+            "keep xy[np.r_[True, np.hypot(*np.diff(xy, axis=0).T) > 0.05]]"
+        )
+    return points
+
+
+def ring(points: Array, where: str) -> Array:
+    """The points with the first repeated at the end, once the ends are known to meet; else ValueError."""
+    steps, gap = distances(points), math.dist(points[0], points[-1])
+    if gap < 1e-3 * float(np.median(steps)):
+        points, steps = points[:-1], steps[:-1]
+        gap = math.dist(points[0], points[-1])
+    if len(points) < _FEWEST_CLOSED:
+        raise ValueError(f"{where}: {len(points)} distinct waypoints, expected at least {_FEWEST_CLOSED} when closed")
+    if gap > 3.0 * float(steps.max()):
+        raise ValueError(
+            f"{where}: closed, but its ends are {gap:.3g} m apart where neighbours are at most {steps.max():.3g} m; "
+            "use closed=False, or add waypoints that bridge the gap"
+        )
+    back = points[0] - points[-1]
+    ends = np.array([points[-1] - points[-2], points[1] - points[0]])
+    if (ends @ back < -0.5 * np.hypot(*ends.T) * gap).all():
+        near = len(points) // 2 + int(np.argmin(np.hypot(*(points[len(points) // 2 :] - points[0]).T)))
+        raise ValueError(
+            f"{where}: closed, but its end overlaps its start by {gap:.3g} m; cut it to the first {near} waypoints, "
+            "where it comes back to its start"
+        )
+    return np.vstack((points, points[:1]))
+
+
+def check_gps(lat: Array, lon: Array, where: str) -> None:
+    """ValueError, in the name of `where`, unless these are positions in degrees."""
+    if lat.ndim != 1 or lat.shape != lon.shape or not lat.size:
+        raise ValueError(f"{where}: lat of shape {lat.shape}, lon of shape {lon.shape}, expected both (n,)")
+    broken = np.flatnonzero(~(np.isfinite(lat) & np.isfinite(lon)))
+    if broken.size:
+        raise ValueError(f"{where}: position {_few(broken)} not finite [degrees], expected numbers")
+    wrong = np.flatnonzero((np.abs(lat) > 90.0) | (np.abs(lon) > 180.0))
+    if wrong.size:
+        k = wrong[0]
+        swapped = "; swapped?" if np.abs(lat).max() <= 180.0 and np.abs(lon).max() <= 90.0 else ""
+        raise ValueError(
+            f"{where}: position {k}: lat {lat[k]:g}, lon {lon[k]:g} [degrees], expected -90..90 and -180..180{swapped}"
+        )
+    if np.abs(lat).max() <= math.pi / 2.0 and np.abs(lon).max() <= math.pi:  # open sea, if they were degrees
+        raise ValueError(f"{where}: lat {lat[0]:g}, lon {lon[0]:g} look like radians, expected degrees")
