@@ -22,7 +22,10 @@ ELSEWHERE = {
     "steerkit": "contract/test_imports.py",
     "steerkit.__main__": "unit/cli/test_app_habits.py",
     "steerkit.analysis.period": "evals/test_analysis_closed_forms.py",
+    "steerkit.cli.courses": "unit/cli/test_app_habits.py",
     "steerkit.cli.demo": "unit/cli/test_app.py",
+    "steerkit.cli.options": "unit/cli/test_app.py",
+    "steerkit.cli.show": "unit/cli/test_learn.py",
     # one program, run in every way that it can be
     "steerkit.compiled.c_code": "unit/compiled/test_compiled.py",
     "steerkit.compiled.fleet": "unit/gym/test_vector_env.py",
@@ -48,7 +51,7 @@ ELSEWHERE = {
     "steerkit.learning.nfq.network": "evals/test_rprop.py",
     "steerkit.learning.nfq.rprop": "evals/test_rprop.py",
     "steerkit.learning.pictures.paper": "unit/learning/pictures/test_run.py",
-    "steerkit.learning.report": "unit/cli/test_app.py",
+    "steerkit.learning.report": "unit/cli/test_learn.py",
     "steerkit.learning.training_run": "unit/learning/test_experiment.py",
     "steerkit.native": "unit/compiled/test_compiled.py",
     # the programs on the car, in a world of processes and simulated hardware

@@ -1,4 +1,4 @@
-"""Command lines checked without being run: do the command, its options and their values exist?"""
+"""Command lines: run in this process, or checked without being run."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import contextlib
 from collections.abc import Sequence
 from typing import Any
 
+import pytest
 import typer
 
 from steerkit.cli import app as cli
@@ -22,3 +23,13 @@ def parsed(words: Sequence[str]) -> None:
         command = command.commands[name]
     with contextlib.suppress(typer.Exit), command.make_context(command.name, rest):
         pass
+
+
+def run(*words: str, monkeypatch: pytest.MonkeyPatch) -> int:
+    """Run `steerkit WORDS`; its exit code."""
+    monkeypatch.setattr("sys.argv", ["steerkit", *words])
+    try:
+        cli.main()
+    except SystemExit as stop:
+        return int(stop.code or 0)
+    return 0

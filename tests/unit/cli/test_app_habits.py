@@ -17,16 +17,7 @@ import steerkit
 from steerkit.cli import app as cli
 from steerkit.courses import names
 from steerkit.units import radians_of
-from tests.support.command_lines import parsed
-
-
-def run(*words: str, monkeypatch: pytest.MonkeyPatch) -> int:
-    monkeypatch.setattr("sys.argv", ["steerkit", *words])
-    try:
-        cli.main()
-    except SystemExit as stop:
-        return int(stop.code or 0)
-    return 0
+from tests.support.command_lines import parsed, run
 
 
 def finished(*words: str, **extra: str) -> subprocess.CompletedProcess[str]:

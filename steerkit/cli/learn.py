@@ -1,0 +1,122 @@
+"""The command `steerkit learn`: a car learns to steer, in simulation or on a car."""
+
+from __future__ import annotations
+
+import json
+import sys
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from steerkit.cli.options import (
+    SIMULATED,
+    Car,
+    Channel,
+    Conditions,
+    Course,
+    Disturbed,
+    Machine,
+    Quiet,
+    Realtime,
+    RecordTo,
+    Recovery,
+    Scale,
+    ScenarioFile,
+    Seed,
+    Simulated,
+    Socket,
+    Vehicle,
+    car_options,
+    check_options,
+    driven_on,
+    scenario_of,
+)
+
+
+def learn(
+    ctx: typer.Context,
+    car: Car = "",
+    setting: Annotated[str, typer.Option(help="How to learn: default, paper, bang-bang, ...")] = "default",
+    changes: Annotated[
+        list[str] | None,
+        typer.Option("--with", metavar="NAME=VALUE", help="Change the setting: fit.nets=3, after_failure=shift, ..."),
+    ] = None,
+    seed: Seed = 0,
+    minutes: Annotated[
+        float | None,
+        typer.Option(help="Minutes of driving, recovery and waiting included; default: 11, on a car until `q`."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Run directory; an unfinished run there is resumed. On a car: runs/car.")
+    ] = None,
+    quiet: Quiet = False,
+    as_json: Machine = False,
+    course: Course = "paper",
+    vehicle: Vehicle = "vw-passat",
+    conditions: Disturbed = Conditions.clean,
+    scenario_file: ScenarioFile = None,
+    rounds: Annotated[
+        int, typer.Option(help="End after so many complete rounds by the learner; 0: never.", rich_help_panel=SIMULATED)
+    ] = 0,
+    config: Annotated[
+        Path | None,
+        typer.Option(help="TOML file with an experiment; other options give way.", rich_help_panel=SIMULATED),
+    ] = None,
+    recovery: Recovery = "stanley",
+    simulated: Simulated = False,
+    socket: Socket = "",
+    recording: RecordTo = "",
+    channel: Channel = "",
+    time_scale: Scale = 1.0,
+    realtime: Realtime = False,
+) -> None:
+    """Let a car learn to steer a course from nothing, the recovery controller catching it."""
+    from steerkit.learning.settings import changed
+    from steerkit.learning.settings import setting as named
+
+    check_options(ctx, car)
+    if car:
+        from steerkit.on_car import loop as loops
+        from steerkit.on_car import session as car_session
+
+        options = car_options(ctx)
+        place = out or loops.LEARNED
+        how = changed(named(setting), changes or ())
+        figures = car_session.learn(options, how, place, minutes=minutes or 0.0, seed=seed)
+        if as_json:
+            print(json.dumps(figures))
+        return
+    from steerkit.learning import report, rundir
+    from steerkit.learning.experiment import Experiment
+
+    if config is None:
+        world = scenario_of(ctx)
+        time = 11.0 if minutes is None else minutes
+        experiment = Experiment(setting=named(setting), world=world, minutes=time, rounds=rounds, seed=seed)
+    else:
+        experiment = rundir.from_plain(_toml(config), str(config), Experiment)
+    experiment = replace(experiment, setting=changed(experiment.setting, changes or ()))
+    name = "-".join((experiment.setting.name, *(changes or ())))
+    place = out or Path("runs") / f"{name}-{driven_on(experiment.world, conditions)}-seed{experiment.seed}"
+    report.console.stderr = as_json
+    try:
+        run = report.learn_with_progress(experiment, place, quiet=quiet)
+    except KeyboardInterrupt:
+        print(f"steerkit: interrupted; the same with --out {place} goes on from the last training", file=sys.stderr)
+        raise
+    report.show(place, quiet=quiet)
+    if as_json:
+        print(json.dumps(report.figures_of_merit(run)))
+
+
+def _toml(file: Path) -> dict[str, Any]:
+    try:
+        with file.open("rb") as stream:
+            return tomllib.load(stream)
+    except OSError as error:
+        raise ValueError(f"--config {file}: cannot be read ({error.strerror})") from error
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"--config {file}: not TOML ({error})") from error

@@ -1,0 +1,63 @@
+"""`steerkit drive` in simulation: results where they are expected, and what is one's own is driven too."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from steerkit.catalogue import CONTROLLERS
+from steerkit.cli import drive as command
+from steerkit.scenario import Scenario
+from steerkit.scenario import drive as evaluate
+from steerkit.scenario.file import write_scenario
+from steerkit.simulation import simulate
+from steerkit.vehicles import VEHICLES
+from steerkit.vehicles.file import vehicle_text
+from tests.support.command_lines import run
+from tests.support.own_controller import own_controller
+from tests.support.yard import yard
+
+
+def test_drive_reports_as_json_and_keeps_log_and_picture(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("drive", "stanley", "--course", "genesis-rfs", "--rounds", "0.2", "--out", str(tmp_path), "--json", "-q")
+    assert run(*words, monkeypatch=monkeypatch) == 0
+    row = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
+    assert row["controller"] == "stanley"
+    assert row["held"] is True
+    assert 0.0 < row["rms_e"] < 0.05
+    assert (tmp_path / "drive.npz").stat().st_size > 1000
+    assert (tmp_path / "drive.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_ones_own_controller_course_car_and_scenario(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    yard(tmp_path)
+    steering = {"delay": 0.11, "lag": 0.1, "offset": 0.0}
+    (tmp_path / "car.toml").write_text(vehicle_text(VEHICLES["bmw-320i"], steering=steering))
+    own_controller(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    write_scenario(Scenario.under("hard", course="yard.csv", vehicle="car.toml", rounds=0.3), "yard.toml")
+    by_options = ("--course", "yard.csv", "--vehicle", "car.toml", "--conditions", "hard", "--rounds", "0.3")
+    rows = []
+    for words in (by_options, ("--scenario", "yard.toml"), ("--scenario", "yard.toml", "--delay", "0")):
+        assert run("drive", "my_file.py:make", *words, "--json", "-q", monkeypatch=monkeypatch) == 0
+        rows.append(json.loads(capsys.readouterr().out.strip().splitlines()[-1]))
+    assert rows[0]["controller"] == "my_file.py:make"
+    assert rows[0] == rows[1]
+    assert rows[0]["rms_e"] != rows[2]["rms_e"]
+    assert (tmp_path / "runs/drive-my_file.py-make-yard-hard-seed0/drive.npz").exists()
+
+
+@pytest.mark.parametrize("name", sorted(CONTROLLERS))
+def test_every_analytic_controller_drives_with_delay(name: str) -> None:
+    """The first 6 s of the course with 0.1 s delay; the textbook form already swings, but stays near."""
+    world = Scenario(delay=0.1)
+    steering = evaluate.controller(name, world)
+    log = simulate(evaluate.drive_loop(world, steering), 6.0, record=["path.e"])
+    assert abs(log["path.e"]).max() < 0.3
+    assert name in command._CONTROLLERS.split(", ")

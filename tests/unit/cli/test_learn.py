@@ -1,0 +1,33 @@
+"""`steerkit learn`, and what its run directory is for: `show` and `drive`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.support.command_lines import run
+
+
+def test_learn_from_a_config_then_show_and_drive_its_policy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config, place = tmp_path / "my.toml", tmp_path / "run"
+    config.write_text("minutes = 0.2\nseed = 2\n[world]\ncourse = 'circle'\n[setting.fit]\nnets = 1\nepochs = 30\n")
+    words = ("learn", "--config", str(config), "--out", str(place), "--json")
+    assert run(*words, monkeypatch=monkeypatch) == 0
+    merit = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
+    assert merit["seed"] == 2
+    assert merit["course"] == "circle"
+    assert 0.2 <= merit["driving_minutes"] < 0.21
+    assert {p.name for p in place.glob("*.png")} == {"learning.png", "round.png"}
+    assert run("show", str(place), "-q", "--json", monkeypatch=monkeypatch) == 0
+    shown = json.loads(capsys.readouterr().out)  # nothing else on stdout
+    assert shown["failures"] == merit["failures"]
+    assert [drive["controller"] for drive in shown["drives"]] == ["learned", "stanley"]
+    words = ("drive", str(place), "--course", "circle", "--rounds", "0.1", "--out", str(tmp_path / "d"), "-q")
+    assert run(*words, monkeypatch=monkeypatch) == 0
+    config.write_text("minuts = 3\n")
+    assert run("learn", "--config", str(config), monkeypatch=monkeypatch) == 2
+    assert "no field 'minuts'; valid: setting, world, minutes" in capsys.readouterr().err
