@@ -147,14 +147,14 @@ class Motion:
         here = Sample(t, along, across, self._psi - at.psi, at.psi - at.psi_wheel, at)
         while self._kept and self._kept[0].t < t - HORIZON:
             self._kept.popleft()
-        what = next((text for sample in self._kept if (text := self._against(sample, here))), "")
+        v = math.hypot(self._rates[0], self._rates[1])
+        what = next((text for sample in self._kept if (text := self._against(sample, here, v))), "")
         if not self._kept or t - self._kept[-1].t >= SPACING:
             self._kept.append(here)
         return what
 
-    def _against(self, then: Sample, here: Sample) -> str:
+    def _against(self, then: Sample, here: Sample, v: float) -> str:
         limits, span = self.limits, here.t - then.t
-        v = math.hypot(self._rates[0], self._rates[1])
         along, across, way = here.along - then.along, here.across - then.across, v * span
         if not abs(along) <= limits.pose_jump + READ_LATE * v + limits.motion_along * way:
             return f"the position is {along:+.2f} m along from where {span:.2f} s at {v:.1f} m/s lead"

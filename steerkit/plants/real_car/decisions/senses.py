@@ -45,6 +45,7 @@ class Senses:
         self._times: dict[int, deque[float]] = {i: deque(maxlen=1000) for i in self._readers}
         self.foreign: tuple[float, str] = (-math.inf, "")
         self._errors_of_path: deque[tuple[float, float]] = deque()
+        self._growth = (-math.inf, math.inf, 0.0)
         self.moving = -math.inf
         self.enabled_since: float | None = None
         self._tracker = PathTracker(path=path, reference=config.vehicle.l_f)
@@ -232,8 +233,11 @@ class Senses:
 
     def e_growth(self, since: float) -> float:
         """By how much |e| has grown within the last second, counted from `since` [s] at the earliest [m]."""
-        late = [e for t, e in self._errors_of_path if t >= since]
-        return late[-1] - min(late) if late else 0.0
+        errors = self._errors_of_path
+        if errors and self._growth[:2] != (errors[-1][0], since):  # asked at every event, new with every pose
+            late = [e for t, e in errors if t >= since]
+            self._growth = (errors[-1][0], since, late[-1] - min(late) if late else 0.0)
+        return self._growth[2]
 
     def age(self, t: float, frames: frozenset[int]) -> float:
         """Age of the oldest of some frames [s]."""
