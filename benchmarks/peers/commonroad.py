@@ -15,7 +15,7 @@ from steerkit.plants.car import Car
 from steerkit.vehicles import BMW_320I, FORD_ESCORT, Vehicle
 
 CARS = (BMW_320I, FORD_ESCORT)
-_FORWARD = 2.0  # 1/s: how fast the multi-body car's driver closes a gap in speed
+_FORWARD = 2.0  # 1/s: how fast the multi-body car's speed control closes a gap in speed
 _PEDALS = 3.0  # m/s^2: with how much at most; more spins its wheels
 _SUBSTEPS = 4  # its fastest mode is near -840/s: Runge-Kutta is stable to 2.78/840 s, and exact to 1e-5 at 2.5 ms
 

@@ -44,8 +44,8 @@ def paper_rows(results: Results) -> list[PaperRow]:
     cases = [c for c in results.cases if c.suite == SUITE and c.status == "done"]
     if not cases:
         return []
-    drivers = dict.fromkeys(c.controller for c in cases)
-    learners = [c for c in results.cases if c.kind == "learn" and c.status == "done" and c.controller in drivers]
+    steering = dict.fromkeys(c.controller for c in cases)
+    learners = [c for c in results.cases if c.kind == "learn" and c.status == "done" and c.controller in steering]
     rows = [PaperRow(what, paper, _each(learners, name)) for what, paper, name in _LEARNING]
     for kind, e, a_y in _DRIVING:
         here = [c for c in cases if kind in c.controller]

@@ -1,10 +1,10 @@
-"""Kill the controller, the training process or the driver process at random moments, and look at the bus.
+"""Kill the controller, the training process or the car server at random moments, and look at the bus.
 
     python -m benchmarks study car_kill [--kills N] [--victims NAME,...] [--seed N] [--quick] [--json]
 
 A simulated car on an slcan port hears what goes over the bus and writes it down, with times of the one monotonic clock
 that all processes share. Each round: a learning run drives, one of its processes is killed (kill -9), then it is told
-apart how long the kit still heard commands with enable = 1. After a kill of the controller or the driver process both
+apart how long the kit still heard commands with enable = 1. After a kill of the controller or the car server both
 are started again, the recording is opened and replayed, the transition store is compared with what had been committed
 before the kill, and the run goes on from it.
 """
@@ -36,7 +36,7 @@ from steerkit.on_car.learner import RUN, CarLearner
 from steerkit.plants.real_car import recording as tapes
 from steerkit.plants.real_car.decisions.core import Core
 from steerkit.plants.real_car.file.reading import load
-from steerkit.plants.real_car.processes.client import CarLost, DriverLink
+from steerkit.plants.real_car.processes.client import CarClient, CarLost
 
 LIMIT = 0.1
 """The bus has to be silent or neutral so soon after a kill [s]."""
@@ -47,7 +47,7 @@ def controller(folder: Path) -> None:
     """The process that is the controller: it learns, and says now and then what is safely on disk."""
     config = load(CONFIG)
     path = loops.course_of(config)
-    with DriverLink(str(folder / "socket")) as link:
+    with CarClient(str(folder / "socket")) as link:
         link.wait(timeout=10.0)
         built = lambda policy, doe: loops.car_loop(config, path, link, policy, doe=doe)  # noqa: E731
         with CarLearner(setting("default"), folder / "run", built, link) as learner:
@@ -79,7 +79,7 @@ class Bench:
         self.log = folder / "car.jsonl"
         self.simulated, self.channel = processes.start_simulated(CONFIG, log=str(self.log))
         self.tapes = 0
-        self.driver: subprocess.Popen[str] | None = None
+        self.server: subprocess.Popen[str] | None = None
         self.controller: subprocess.Popen[str] | None = None
         self.text = (folder / "text.log").open("w")
         self.attended = contextlib.ExitStack()
@@ -87,9 +87,9 @@ class Bench:
 
     def up(self) -> dict[str, Any]:
         """Start what is not running, and engage; returns the controller's state."""
-        if self.driver is None or self.driver.poll() is not None:
+        if self.server is None or self.server.poll() is not None:
             self.tapes += 1
-            self.driver = processes.start_driver(
+            self.server = processes.start_car_server(
                 CONFIG, self.socket, recording=str(self.tape), channel=self.channel, log=self.text
             )
         if self.controller is None or self.controller.poll() is not None:
@@ -124,13 +124,13 @@ class Bench:
         """One round; returns what happened."""
         before = self.up()
         time.sleep(self.dice.uniform(0.3, 2.0))
-        with DriverLink(self.socket, controller=False) as operator:
+        with CarClient(self.socket, controller=False) as operator:
             if operator.query().mode != "ENGAGED":  # the learner went too far off; that is not what is tested here
                 self.engage()
                 time.sleep(0.3)
             mode = str(operator.query().mode)
         state = self.state()
-        pids = {"controller": self.controller, "driver": self.driver}
+        pids = {"controller": self.controller, "server": self.server}
         pid = state["trainer"] if victim == "trainer" else pids[victim].pid  # type: ignore[union-attr]
         killed = time.monotonic()
         os.kill(pid, signal.SIGKILL)
@@ -144,11 +144,11 @@ class Bench:
         row["heard_before_ms"] = 1e3 * min(
             (killed - h["t"] for h in heard if h.get("enable") == 1 and h["t"] <= killed), default=9.0
         )
-        for process in (self.controller, self.driver) if victim == "driver" else (self.controller,):
+        for process in (self.controller, self.server) if victim == "server" else (self.controller,):
             assert process is not None
             process.wait(20.0)
         row["ok_bus"] = row["silent_after_ms"] <= 1e3 * LIMIT and row["heard_before_ms"] < 50.0  # it did steer
-        row |= self._recording(cut=victim == "driver")
+        row |= self._recording(cut=victim == "server")
         store = TransitionStore(self.folder / "run" / "transitions.db").transitions(RUN)
         row |= {"committed": state["committed"], "rows": len(store), "ok_store": len(store) >= state["committed"]}
         after_all = self.up()
@@ -184,7 +184,7 @@ class Bench:
 
     def down(self) -> None:
         """End all of it."""
-        for process in (self.controller, self.driver, self.simulated):
+        for process in (self.controller, self.server, self.simulated):
             if process is not None and process.poll() is None:
                 process.terminate()
                 process.wait(20.0)
@@ -194,7 +194,7 @@ class Bench:
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Its own command line options; --quick kills each victim once."""
     parser.add_argument("--kills", type=int, default=None, help="how many (default 50)")
-    parser.add_argument("--victims", default="controller,driver,trainer")
+    parser.add_argument("--victims", default="controller,server,trainer")
     parser.add_argument("--seed", type=int, default=0)
 
 

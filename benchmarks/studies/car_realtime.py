@@ -4,8 +4,8 @@
     python -m benchmarks study car_realtime --minutes 6 --controller learn  # from nothing
     python -m benchmarks study car_realtime --minutes 0.5 --compare --load 4  # SCHED_FIFO or not
 
-Three processes: the simulated car on an slcan port, the driver process that owns the bus, and this one with the
-controller at 20 Hz. Counts steps, missed deadlines and lateness; then replays the recording through the driver's core
+Three processes: the simulated car on an slcan port, the car server that owns the bus, and this one with the
+controller at 20 Hz. Counts steps, missed deadlines and lateness; then replays the recording through the server's core
 and through the controllers, and compares every frame and every request bit for bit. --load: so many processes that do
 nothing but compute run beside it.
 """
@@ -32,7 +32,7 @@ from steerkit.plants.real_car import recording as tapes
 from steerkit.plants.real_car.decisions.core import Core
 from steerkit.plants.real_car.decisions.modes import Mode
 from steerkit.plants.real_car.file.reading import load
-from steerkit.plants.real_car.processes.client import CarLost, DriverLink
+from steerkit.plants.real_car.processes.client import CarClient, CarLost
 from steerkit.task import DT
 
 
@@ -44,14 +44,14 @@ def drive(
     path = loops.course_of(config)
     socket, tape, log = str(folder / "socket"), folder / "drive.mcap", folder / "car.jsonl"
     simulated, channel = processes.start_simulated("dbw-kit.toml", time_scale=scale, log=str(log), listen=listen)
-    with (folder / "driver.log").open("w") as text:
-        driver = processes.start_driver(
+    with (folder / "server.log").open("w") as text:
+        server = processes.start_car_server(
             "dbw-kit.toml", socket, recording=str(tape), channel=channel, time_scale=scale, realtime=fifo, log=text
         )
     beside = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(busy)]
     granted = ""
     try:
-        with processes.attended(socket, time_scale=scale), DriverLink(socket) as link:
+        with processes.attended(socket, time_scale=scale), CarClient(socket) as link:
             over = threading.Event()
             engagements: list[str] = []
             threading.Thread(target=operate, args=(socket, over, engagements), daemon=True).start()
@@ -87,8 +87,8 @@ def drive(
         for process in beside:
             process.kill()
             process.wait()
-        driver.terminate()
-        driver.wait(10.0)
+        server.terminate()
+        server.wait(10.0)
         simulated.terminate()
     recorded = tapes.read(tape)
     frames, same = tapes.replayed_exactly(recorded, Core(config, path))
@@ -174,7 +174,7 @@ def operate(socket: str, over: threading.Event, engagements: list[str]) -> None:
     cause = ""
     try:
         while not over.is_set():
-            with DriverLink(socket, controller=False) as link:
+            with CarClient(socket, controller=False) as link:
                 snapshot = link.query()
             if snapshot.mode in (Mode.FAULT, Mode.OVERRIDE):
                 cause = snapshot.text.splitlines()[0]
@@ -188,14 +188,7 @@ def operate(socket: str, over: threading.Event, engagements: list[str]) -> None:
 
 
 def learn(
-    config: Any,
-    path: Any,
-    link: DriverLink,
-    place: Path,
-    seconds: float,
-    clock: Clock,
-    watch: Any,
-    more: dict[str, Any],
+    config: Any, path: Any, link: CarClient, place: Path, seconds: float, clock: Clock, watch: Any, more: dict[str, Any]
 ) -> realtime.Run:
     """A learning run from nothing; its counts go to `more`."""
     from steerkit.learning.settings import setting
@@ -242,7 +235,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--minutes", type=float, default=None, help="of each drive (default 5)")
     parser.add_argument("--time-scale", type=float, default=1.0, help="1 is real time")
     parser.add_argument("--listen", default="", help="127.0.0.1:0 for TCP instead of a pseudo-terminal")
-    parser.add_argument("--fifo", action="store_true", help="controller and driver process under SCHED_FIFO")
+    parser.add_argument("--fifo", action="store_true", help="controller and car server under SCHED_FIFO")
     parser.add_argument("--load", type=int, default=0, help="processes that compute beside it")
     parser.add_argument("--compare", action="store_true", help="with and without SCHED_FIFO, idle and with --load")
 

@@ -23,7 +23,7 @@ app = typer.Typer(
 )
 
 Config = Annotated[str, typer.Option("--config", help="TOML file, or a shipped one: dbw-kit.toml.")]
-Socket = Annotated[str, typer.Option("--socket", help="Unix socket of the driver process.")]
+Socket = Annotated[str, typer.Option("--socket", help="Unix socket of the car server.")]
 Scale = Annotated[float, typer.Option(help="How many times faster than real time; simulated cars only.")]
 RecordTo = Annotated[str, typer.Option(help="MCAP file to record to.")]
 Channel = Annotated[
@@ -54,7 +54,7 @@ def simulate(
         str, typer.Option(help="INTERFACE:CHANNEL of python-can, such as socketcan:vcan0, in its place.")
     ] = "",
     time_scale: Scale = 1.0,
-    seed: Annotated[int, typer.Option(help="Seed of the human driver.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the human at the wheel.")] = 0,
     v_min: Annotated[float, typer.Option(help="Slowest speed [m/s].")] = 4.0,
     v_max: Annotated[float, typer.Option(help="Fastest speed [m/s].")] = 6.0,
     log: Annotated[str, typer.Option(help="File for every command heard, as JSON lines.")] = "",
@@ -85,7 +85,7 @@ def simulate(
 
 
 @app.command()
-def driver(
+def server(
     config: Config = "dbw-kit.toml",
     socket: Socket = "",
     recording: RecordTo = "",
@@ -95,7 +95,7 @@ def driver(
     realtime: Annotated[bool, typer.Option(help="Run under SCHED_FIFO; needs the right to.")] = False,
 ) -> None:
     """The process that owns the bus. `steerkit drive --car` and `learn --car` start one where there is none."""
-    from steerkit.plants.real_car.processes.server import Driver
+    from steerkit.plants.real_car.processes.server import CarServer
     from steerkit.plants.real_car.recording import Recording, described
 
     logging.basicConfig(format="%(asctime)s %(name)s %(message)s", level=logging.INFO, stream=sys.stdout)
@@ -109,7 +109,7 @@ def driver(
 
             logging.info(preferred(threads=True))  # the bus's thread too, but not the recording's
         clock = Clock(scale=time_scale)
-        Driver(loaded, path, socket or processes.default_socket(), recording=tape, clock=clock, linger=linger).run()
+        CarServer(loaded, path, socket or processes.default_socket(), recording=tape, clock=clock, linger=linger).run()
     if tape and tape.failed:
         raise typer.Exit(1)
 
@@ -118,13 +118,13 @@ def driver(
 def order(
     word: Annotated[str, typer.Argument(help="ARM, ENGAGE, DISENGAGE, ACKNOWLEDGE or OFF.")], socket: Socket = ""
 ) -> None:
-    """Give the driver process an order from a second terminal, whatever the controller is doing."""
+    """Give the car server an order from a second terminal, whatever the controller is doing."""
     from steerkit.plants.real_car.decisions.modes import Order
-    from steerkit.plants.real_car.processes.client import DriverLink
+    from steerkit.plants.real_car.processes.client import CarClient
 
     if word.upper() not in list(Order):
         raise ValueError(f"order {word!r} is not known; valid: {', '.join(Order)}")
-    with DriverLink(socket or processes.default_socket(), controller=False) as link:
+    with CarClient(socket or processes.default_socket(), controller=False) as link:
         link.order(Order(word.upper()))
         snapshot = link.query()
         for why in link.refused:
@@ -173,7 +173,7 @@ def tape(
     if any(gap.missing for gap in recorded.gaps):
         print("what follows missing messages may replay differently")
     frames, same = tapes.replayed_exactly(recorded, Core(config, path))
-    print(f"driver: {same} of {frames} frames the same")
+    print(f"server: {same} of {frames} frames the same")
     lacking = False
     for drive in replays.drives(recorded):
         asked, who = len(drive.requests), controller or drive.who

@@ -52,7 +52,7 @@ Recovery = Annotated[str, typer.Option(help="Who catches a learner: stanley, sta
 Simulated = Annotated[
     bool, typer.Option("--simulated", help="A simulated car on a bus, started for it.", rich_help_panel=ON_CAR)
 ]
-Socket = Annotated[str, typer.Option(help="Unix socket of the driver process.", rich_help_panel=ON_CAR)]
+Socket = Annotated[str, typer.Option(help="Unix socket of the car server.", rich_help_panel=ON_CAR)]
 RecordTo = Annotated[str, typer.Option(help="MCAP file to record to; default: under runs/.", rich_help_panel=ON_CAR)]
 Channel = Annotated[
     str,

@@ -37,7 +37,7 @@ def read_drive(
 ) -> Drive:
     """A recorded drive from a file, or a shipped one by name.
 
-    file: .mcap of a real car's driver, .npz or .parquet of a Log, .mat of MATLAB (up to version 7.2), .csv or .csv.gz
+    file: .mcap of a car server, .npz or .parquet of a Log, .mat of MATLAB (up to version 7.2), .csv or .csv.gz
     with a row of names. columns: which column is what (default: columns of well-known names). dt, trusted: see
     `Drive.of`. Raises ValueError, saying what to do, for a file that is not there, broken, of another kind, lacks a
     quantity or holds nonsense; what could be repaired is in the drive's `notes`.

@@ -151,7 +151,7 @@ class Story:
         return result
 
     def calm(self, e: float, e_dot: float) -> bool:
-        """Is the car quiet enough on the path for a new driver? A setting without `calm` lets the supervisor judge."""
+        """Is the car quiet enough on the path for a new net? A setting without `calm` lets the supervisor judge."""
         limit = self.setting.calm
         return abs(e_dot) < limit and (abs(e) < RELEASE or math.isinf(limit))
 

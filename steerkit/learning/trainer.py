@@ -38,7 +38,7 @@ Nets = tuple[Net, ...]
 Pending = tuple[float, int, Nets]
 """Driving time at which an unfinished job is done [s], its number, its nets."""
 NICE = 10
-"""How far the training process steps back behind the driver's (os.nice)."""
+"""How far the training process steps back behind the loop's (os.nice)."""
 ATTEMPTS = 3
 """Deaths of the training process over one job after which the job, not the process, is blamed."""
 _log = logging.getLogger("steerkit.trainer")
@@ -160,7 +160,7 @@ class SimulatedTrainer:
 
 
 class Trainer:
-    """Trains in a process of its own, behind the driver in priority; nothing here waits for it.
+    """Trains in a process of its own, behind the loop in priority; nothing here waits for it.
 
     A thread of the trainer's own talks to the process. When the process dies (out of memory, kill -9) or is silent
     for `patience` [s], it is started again with the same job; the result's `fault`, `faults` and the log
@@ -310,7 +310,7 @@ class _Worker(threading.Thread):
 
 def _serve(link: Connection, nice: int) -> None:
     """The training process: jobs in, nets out, until the other end closes."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the driver's
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the loop's
     os.nice(nice)
     with contextlib.suppress(EOFError, BrokenPipeError):
         while True:
@@ -351,7 +351,7 @@ def _rebuilt(names: tuple[str, ...], s: Any, a: Any, s_next: Any, episode: Any) 
 
 
 def _send(link: Connection, message: Any) -> None:
-    """Pickle with the arrays beside it, uncopied: no long stretch in which the driver's thread would have to wait."""
+    """Pickle with the arrays beside it, uncopied: no long stretch in which the loop's thread would have to wait."""
     arrays: list[pickle.PickleBuffer] = []
     head = pickle.dumps(message, protocol=5, buffer_callback=arrays.append)
     link.send((head, len(arrays)))

@@ -39,7 +39,7 @@ FORMAT = "steerkit car run 1"
 
 
 class Car(Protocol):
-    """What the learner needs of the line to the driver process: see `DriverLink`."""
+    """What the learner needs of the line to the car server: see `CarClient`."""
 
     last: Any
     misses: int

@@ -25,7 +25,7 @@ from steerkit.outside import is_outside
 from steerkit.path import Path
 from steerkit.plants.human import ConstantSpeed
 from steerkit.plants.real_car.file.config import CarConfig
-from steerkit.plants.real_car.processes.client import CarLink, DriverLink, RealCar
+from steerkit.plants.real_car.processes.client import CarClient, CarLink, RealCar
 
 MPC_BUDGET = 0.03
 """A solution that took longer is not used [s]: the plan before is followed, then the fallback law."""
@@ -155,7 +155,7 @@ def foresight(config: CarConfig) -> Foresight:
 def drive(
     config: CarConfig,
     path: Path,
-    link: DriverLink,
+    link: CarClient,
     controller: Controller,
     *,
     recovery: str = "stanley",
@@ -165,8 +165,8 @@ def drive(
 ) -> realtime.Run:
     """Run a controller at 20 Hz on the car behind `link`, engaged or not, for `duration` [s].
 
-    Missed deadlines go to the driver process with the next request; it disengages when they repeat. Raises CarLost
-    when the driver process ends.
+    Missed deadlines go to the car server with the next request; it disengages when they repeat. Raises CarLost
+    when the car server ends.
     """
     link.wait(timeout=10.0)
     follow = Follow.of(car_loop(config, path, link, controller.block, doe=controller.element, recovery=recovery), link)
@@ -182,6 +182,6 @@ def drive(
     )
 
 
-def count_misses(run: realtime.Run, link: DriverLink) -> None:
-    """Tell the driver process about missed deadlines, with the next request."""
+def count_misses(run: realtime.Run, link: CarClient) -> None:
+    """Tell the car server about missed deadlines, with the next request."""
     link.misses = run.timing.misses

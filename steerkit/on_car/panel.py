@@ -1,4 +1,4 @@
-"""The live panel of a drive, and its keys: on a line of its own to the driver process, should the controller hang.
+"""The live panel of a drive, and its keys: on a line of its own to the car server, should the controller hang.
 
 Keys are read, the picture is drawn and the heartbeat is sent by one thread: a terminal that takes no more text, or is
 gone, stops the heartbeat, and 300 ms later the car is the human's again.
@@ -18,7 +18,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from steerkit.plants.real_car.decisions.modes import Mode, Order
-from steerkit.plants.real_car.processes.client import CarLost, DriverLink
+from steerkit.plants.real_car.processes.client import CarClient, CarLost
 from steerkit.plants.real_car.processes.protocol import Snapshot
 from steerkit.units import degrees_of
 
@@ -62,14 +62,14 @@ class Panel:
 
     def _run(self) -> None:
         try:
-            with DriverLink(self.session.socket, controller=False, timeout=2.0) as link:
+            with CarClient(self.session.socket, controller=False, timeout=2.0) as link:
                 self._serve(link)
         except CarLost as error:
             self._lost = error
         finally:
             self.session.ending = True
 
-    def _serve(self, link: DriverLink) -> None:
+    def _serve(self, link: CarClient) -> None:
         link.order(Order.ARM)
         last: Snapshot | None = None
         said, drawn = "", -math.inf

@@ -20,12 +20,12 @@ from steerkit.path import Path
 from steerkit.plants.real_car.decisions.modes import Mode, Order
 from steerkit.plants.real_car.file.config import CarConfig
 from steerkit.plants.real_car.frames.bus import Port
-from steerkit.plants.real_car.processes.client import CarLost, DriverLink
+from steerkit.plants.real_car.processes.client import CarClient, CarLost
 from steerkit.plants.real_car.simulated import Fault, SimulatedCar
 
 
 def default_socket() -> str:
-    """Where clients look for the driver process unless told otherwise."""
+    """Where clients look for the car server unless told otherwise."""
     folder = os.environ.get("XDG_RUNTIME_DIR")
     if not folder:  # a folder of our own: anybody may put a socket into the common one
         own = FilePath(tempfile.gettempdir()) / f"steerkit-{os.getuid()}"
@@ -42,7 +42,7 @@ def start(*words: str, **popen: Any) -> subprocess.Popen[str]:
     return subprocess.Popen(command, text=True, start_new_session=True, **popen)
 
 
-def start_driver(
+def start_car_server(
     config: str,
     socket_path: str,
     *,
@@ -58,17 +58,17 @@ def start_driver(
     options += ["--recording", recording] if recording else []
     options += ["--channel", channel] if channel else []
     options += ["--realtime"] if realtime else []
-    process = start("driver", *options, stdout=log, stderr=log)
+    process = start("server", *options, stdout=log, stderr=log)
     end = time.monotonic() + wait
     while time.monotonic() < end and process.poll() is None:
         try:
-            DriverLink(socket_path, controller=False).close()
+            CarClient(socket_path, controller=False).close()
             return process
         except CarLost:
             time.sleep(0.05)
     process.terminate()
     said = last_line(log.name) if log else ""
-    raise CarLost(f"the driver process did not come up: {said or f'no answer within {wait:g} s'}")
+    raise CarLost(f"the car server did not come up: {said or f'no answer within {wait:g} s'}")
 
 
 def last_line(log: str) -> str:
@@ -173,7 +173,7 @@ def attended(socket_path: str, *, time_scale: float = 1.0) -> Iterator[None]:
 
     def beat() -> None:
         while not over.wait(0.05):
-            with contextlib.suppress(CarLost), DriverLink(socket_path, controller=False) as link:
+            with contextlib.suppress(CarLost), CarClient(socket_path, controller=False) as link:
                 while not over.wait(0.05 / time_scale):
                     link.beat()
 
@@ -188,7 +188,7 @@ def attended(socket_path: str, *, time_scale: float = 1.0) -> Iterator[None]:
 
 def engage(socket_path: str, *, timeout: float = 20.0) -> None:
     """Arm, acknowledge and engage as an operator would, waiting for READY; for tests and simulated cars."""
-    with DriverLink(socket_path, controller=False) as operator:
+    with CarClient(socket_path, controller=False) as operator:
         end = time.monotonic() + timeout
         while True:
             operator.beat()

@@ -1,6 +1,6 @@
 """Recorded drives through their controllers again: are the requests the same, bit for bit?
 
-The driver process records what it is told about who steers: a controller by name, or a learner's net by its file and
+The car server records what it is told about who steers: a controller by name, or a learner's net by its file and
 SHA-256, from which request on, and whether it was trusted. So a drive whose nets changed on the way can be replayed
 too, as long as its run directory keeps them.
 """
@@ -67,7 +67,7 @@ def drives(recorded: Recorded) -> Iterator[Drive]:
 
 
 def decode_or_none(data: str) -> object:
-    """The message in a recorded packet; None for one that the driver refused as unknown."""
+    """The message in a recorded packet; None for one that the car server refused as unknown."""
     try:
         return decode(bytes.fromhex(data))
     except ValueError:

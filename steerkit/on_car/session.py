@@ -29,7 +29,7 @@ from steerkit.path import Path
 from steerkit.plants.real_car.decisions.modes import Order
 from steerkit.plants.real_car.file.config import CarConfig
 from steerkit.plants.real_car.file.reading import load
-from steerkit.plants.real_car.processes.client import CarLost, DriverLink
+from steerkit.plants.real_car.processes.client import CarClient, CarLost
 from steerkit.plants.real_car.processes.protocol import digest
 from steerkit.realtime import Run, Timing, histogram_text, preferred
 
@@ -56,7 +56,7 @@ class Options:
 
     config: str
     simulated: bool = False
-    """Start a simulated car, and a driver process for it alone."""
+    """Start a simulated car, and a car server for it alone."""
     socket: str = ""
     recording: str = ""
     channel: str = ""
@@ -67,7 +67,7 @@ class Options:
 
 
 class Session:
-    """The line to the driver process, the clock, and the wish to end."""
+    """The line to the car server, the clock, and the wish to end."""
 
     def __init__(self, options: Options, socket: str, channel: str):
         self.options, self.socket, self.recording = options, socket, options.recording
@@ -105,7 +105,7 @@ class Session:
 
 @contextlib.contextmanager
 def session(options: Options) -> Iterator[Session]:
-    """A session: with the driver process that is there, or else one of its own; both end in order."""
+    """A session: with the car server that is there, or else one of its own; both end in order."""
     if options.time_scale != 1.0 and not (options.simulated or options.channel):
         raise ValueError(f"--time-scale {options.time_scale:g}: a real car has real time; use --simulated")
     if options.simulated and options.channel:
@@ -116,7 +116,7 @@ def session(options: Options) -> Iterator[Session]:
         stack.enter_context(_ended_in_order())
         try:
             socket = options.socket or processes.default_socket()
-            if options.simulated:  # never through a driver process that may have a real car at its other end
+            if options.simulated:  # never through a car server that may have a real car at its other end
                 socket = options.socket or stack.enter_context(tempfile.TemporaryDirectory()) + "/car"
                 process, channel = processes.start_simulated(options.config, time_scale=options.time_scale)
                 started.append(process)
@@ -124,7 +124,7 @@ def session(options: Options) -> Iterator[Session]:
             if options.simulated or not os.path.exists(socket) or not _answers(socket):
                 here.recording, log = _files(options.recording)
                 text = stack.enter_context(log.open("w"))
-                driver = processes.start_driver(
+                server = processes.start_car_server(
                     options.config,
                     socket,
                     recording=here.recording,
@@ -133,10 +133,10 @@ def session(options: Options) -> Iterator[Session]:
                     realtime=options.realtime,
                     log=text,
                 )
-                started.insert(0, driver)
+                started.insert(0, server)
             else:
-                print(f"the driver process at {socket} is used as it runs, with its own configuration and recording")
-            here.link = stack.enter_context(DriverLink(socket, course=digest(here.path)))
+                print(f"the car server at {socket} is used as it runs, with its own configuration and recording")
+            here.link = stack.enter_context(CarClient(socket, course=digest(here.path)))
             if options.realtime:
                 print(preferred())
             try:
@@ -145,7 +145,7 @@ def session(options: Options) -> Iterator[Session]:
                 with contextlib.suppress(CarLost):
                     here.link.order(Order.DISENGAGE)  # an end in order, or Ctrl-C, is no fault
         finally:
-            for process in started:  # the driver first
+            for process in started:  # the server first
                 process.terminate()
                 process.wait(20.0)  # it may have to write the end of its recording
         if here.recording and started[0].returncode == 1:
@@ -177,14 +177,14 @@ def _ended_in_order() -> Iterator[None]:
 
 def _answers(socket: str) -> bool:
     try:
-        DriverLink(socket, controller=False).close()
+        CarClient(socket, controller=False).close()
     except CarLost:
         return False
     return True
 
 
 def _files(recording: str) -> tuple[str, FilePath]:
-    """Where to record to, and the driver process's log beside it; the folder is made."""
+    """Where to record to, and the car server's log beside it; the folder is made."""
     tape = FilePath(recording or f"runs/car-{time.strftime('%Y%m%d-%H%M%S')}.mcap")
     if tape.exists():
         raise ValueError(f"--recording {tape} exists already, and recordings are not overwritten; choose another name")
@@ -232,7 +232,7 @@ def _told(here: Session, run: Run) -> dict[str, Any]:
     if not here.options.quiet:
         print(histogram_text(run.timing))
     print(", ".join(f"{k} {v:.3g}" for k, v in figures.items()))
-    print(f"recording {here.recording}" if here.recording else "recorded by the driver process that was there")
+    print(f"recording {here.recording}" if here.recording else "recorded by the car server that was there")
     if here.broken:
         raise OSError(here.broken)
     return {**figures, "recording": here.recording}

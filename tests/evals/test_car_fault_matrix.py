@@ -70,7 +70,7 @@ CASES = {
     "pose speed + 3 m/s": Case(plant_fault("speed", "pose", 3.0), "speed mismatch", 0.02),
     "kit speed + 3 m/s": Case(plant_fault("speed", "report", 3.0), "speed mismatch", 0.03),
     "override flag": Case(plant_fault("override", "report"), "override", 0.04, Mode.OVERRIDE),
-    "driver torque": Case(plant_fault("torque", "report", 5.0), "torque", 0.07, Mode.OVERRIDE),
+    "human torque": Case(plant_fault("torque", "report", 5.0), "torque", 0.07, Mode.OVERRIDE),
     "kit fault": Case(plant_fault("kit_fault", "report"), "kit fault", 0.03),
     "kit watchdog flag": Case(plant_fault("timeout", "report"), "kit timeout", 0.03),
     "kit not enabled": Case(plant_fault("disabled", "report"), "kit not enabled", 0.03),
@@ -84,7 +84,7 @@ CASES = {
     "controller silent": Case(ask(lambda basis, delta_sw: None), "controller silent", 0.15),
     "controller gone": Case(lambda world: world.handle(Link(world.t, 1, False)), "controller gone", 0.001),
     "3 missed deadlines": Case(miss_deadlines, "missed deadlines", 0.05),
-    "driver process stalls 80 ms": Case(sleep(0.08), "driver late", 0.085),
+    "car server stalls 80 ms": Case(sleep(0.08), "server late", 0.085),
     "space bar": Case(lambda world: world.order(Order.DISENGAGE), "operator", 0.001, Mode.STANDBY),
 }
 
@@ -159,7 +159,7 @@ def test_in_every_other_state_nothing_moves(name: str, mode: Mode) -> None:
 
 
 @pytest.mark.parametrize("gap", [1])
-def test_one_late_step_trips_neither_driver_nor_kit(gap: int) -> None:
+def test_one_late_step_trips_neither_server_nor_kit(gap: int) -> None:
     world = World()
     world.bring_to(Mode.ENGAGED)
     world.due += 0.05 * gap

@@ -26,8 +26,8 @@ from steerkit.plants.real_car.decisions.modes import Mode, Order
 from steerkit.plants.real_car.file.config import shipped
 from steerkit.plants.real_car.file.reading import load
 from steerkit.plants.real_car.frames.bus import BusPort, open_bus
-from steerkit.plants.real_car.processes.client import CarLost, DriverLink
-from steerkit.plants.real_car.processes.server import Driver
+from steerkit.plants.real_car.processes.client import CarClient, CarLost
+from steerkit.plants.real_car.processes.server import CarServer
 
 CONFIG = "dbw-kit.toml"
 
@@ -35,11 +35,11 @@ CONFIG = "dbw-kit.toml"
 @pytest.fixture(params=["", "127.0.0.1:0"], ids=["pty", "tcp"])
 def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[dict[str, Any]]:
     simulated, channel = processes.start_simulated(CONFIG, log=str(tmp_path / "car.jsonl"), listen=request.param)
-    text = (tmp_path / "driver.log").open("w")
+    text = (tmp_path / "server.log").open("w")
     socket, tape = str(tmp_path / "socket"), tmp_path / "drive.mcap"
-    driver = processes.start_driver(CONFIG, socket, recording=str(tape), channel=channel, log=text)
-    yield {"socket": socket, "tape": tape, "driver": driver, "simulated": simulated, "log": tmp_path / "car.jsonl"}
-    for process in (driver, simulated):
+    server = processes.start_car_server(CONFIG, socket, recording=str(tape), channel=channel, log=text)
+    yield {"socket": socket, "tape": tape, "server": server, "simulated": simulated, "log": tmp_path / "car.jsonl"}
+    for process in (server, simulated):
         process.terminate()
         process.wait(20.0)
     text.close()
@@ -52,8 +52,8 @@ def drive(bench: dict[str, Any], seconds: float, name: str = "stanley") -> tuple
     engaged = 0
     with (
         processes.attended(bench["socket"]),
-        DriverLink(bench["socket"], timeout=5.0) as link,
-        DriverLink(bench["socket"], controller=False) as operator,
+        CarClient(bench["socket"], timeout=5.0) as link,
+        CarClient(bench["socket"], controller=False) as operator,
     ):
 
         def watch(run: Any) -> None:
@@ -80,8 +80,8 @@ def commands(bench: dict[str, Any]) -> list[dict[str, Any]]:
 @pytest.mark.parametrize("name", ["stanley", "mpc"])
 def test_drive_record_replay_and_an_orderly_end(bench: dict[str, Any], name: str) -> None:
     _, engaged = drive(bench, 2.5, name)
-    bench["driver"].terminate()
-    assert bench["driver"].wait(20.0) == 0
+    bench["server"].terminate()
+    assert bench["server"].wait(20.0) == 0
     assert engaged > 0
     recorded = tapes.read(bench["tape"])
     assert recorded.whole
@@ -103,12 +103,12 @@ def test_drive_record_replay_and_an_orderly_end(bench: dict[str, Any], name: str
     assert not heard[-1]["enable"]
 
 
-def test_kill_the_driver_process(bench: dict[str, Any]) -> None:
+def test_kill_the_car_server(bench: dict[str, Any]) -> None:
     drive(bench, 1.5)
-    with DriverLink(bench["socket"]) as link:
-        os.kill(bench["driver"].pid, signal.SIGKILL)
-        bench["driver"].wait(20.0)
-        with pytest.raises(CarLost, match="driver process"):
+    with CarClient(bench["socket"]) as link:
+        os.kill(bench["server"].pid, signal.SIGKILL)
+        bench["server"].wait(20.0)
+        with pytest.raises(CarLost, match="car server"):
             link.query()
     last = bench["log"].stat().st_size
     recorded = tapes.read(bench["tape"])
@@ -121,9 +121,9 @@ def test_kill_the_driver_process(bench: dict[str, Any]) -> None:
 
 
 def test_one_controller_at_a_time_and_orders_are_answered(bench: dict[str, Any]) -> None:
-    with DriverLink(bench["socket"]), DriverLink(bench["socket"], controller=False) as operator:
+    with CarClient(bench["socket"]), CarClient(bench["socket"], controller=False) as operator:
         with pytest.raises(CarLost, match="there is a controller already"):
-            DriverLink(bench["socket"])
+            CarClient(bench["socket"])
         operator.order(Order.ENGAGE)
         operator.query()
         assert "not engaged from OFF" in operator.refused[0]
@@ -133,7 +133,7 @@ def test_one_controller_at_a_time_and_orders_are_answered(bench: dict[str, Any])
 
 
 def test_another_interface_of_python_can(tmp_path: Path) -> None:
-    """Car, driver and controller over python-can's `virtual`, in three threads; its `Driver` is the processes' own.
+    """Car, server and controller over python-can's `virtual`, in three threads; its `CarServer` is the processes' own.
 
     At a fifth of real time, as the threads share one interpreter.
     """
@@ -142,15 +142,17 @@ def test_another_interface_of_python_can(tmp_path: Path) -> None:
     config, (_, path) = load(CONFIG, bus=bus), sessions.loaded(CONFIG)
     port, clock, socket = BusPort(bus), Clock(scale=0.2), str(tmp_path / "socket")
     car = processes.simulated_car(config, path, t0=clock.now())
-    driver = Driver(config, path, socket, recording=tapes.Recording(tmp_path / "drive.mcap", {"a": "b"}), clock=clock)
+    server = CarServer(
+        config, path, socket, recording=tapes.Recording(tmp_path / "drive.mcap", {"a": "b"}), clock=clock
+    )
     modes: list[Mode] = []
 
     def control() -> None:
         try:
             with (
                 processes.attended(socket),
-                DriverLink(socket, timeout=5.0) as link,
-                DriverLink(socket, controller=False, timeout=5.0) as operator,
+                CarClient(socket, timeout=5.0) as link,
+                CarClient(socket, controller=False, timeout=5.0) as operator,
             ):
 
                 def watch(run: Any) -> bool:
@@ -165,14 +167,14 @@ def test_another_interface_of_python_can(tmp_path: Path) -> None:
                 stanley = loops.controller_named("stanley", config)
                 loops.drive(config, path, link, stanley, duration=20.0, clock=clock, watch=watch)
         finally:
-            driver.stop()
+            server.stop()
 
     serve = partial(processes.serve_simulated, car, port, clock, duration=30.0)
     threading.Thread(target=serve, daemon=True).start()
     threading.Thread(target=control, daemon=True).start()
     handlers = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
     try:
-        driver.run()  # here, as it wants the signals
+        server.run()  # here, as it wants the signals
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler)
@@ -186,8 +188,8 @@ def test_another_interface_of_python_can(tmp_path: Path) -> None:
 def test_a_bus_that_is_not_there_is_named_and_so_is_the_log(tmp_path: Path) -> None:
     with pytest.raises(OSError, match=r"bus interface = 'nope', channel = 'x': cannot be opened \(Unknown interface"):
         open_bus({"interface": "nope", "channel": "x"})
-    with (tmp_path / "driver.log").open("w") as log, pytest.raises(CarLost, match=r"/dev/nowhere.*driver\.log"):
-        processes.start_driver(CONFIG, str(tmp_path / "socket"), channel="/dev/nowhere", log=log)
+    with (tmp_path / "server.log").open("w") as log, pytest.raises(CarLost, match=r"/dev/nowhere.*server\.log"):
+        processes.start_car_server(CONFIG, str(tmp_path / "socket"), channel="/dev/nowhere", log=log)
 
 
 @pytest.mark.parametrize("keep", [False, True])
@@ -195,10 +197,10 @@ def test_a_full_disk_is_told_and_the_exit_code_says_so(tmp_path: Path, keep: boo
     """No file of the car server may grow beyond 40 kB; without frames it records a hundred ticks a second."""
     text = shipped(CONFIG).read_text()
     (tmp_path / "car.toml").write_text(text.replace("keep_recording = false", f"keep_recording = {str(keep).lower()}"))
-    socket, tape, log = str(tmp_path / "socket"), tmp_path / "drive.mcap", tmp_path / "driver.log"
+    socket, tape, log = str(tmp_path / "socket"), tmp_path / "drive.mcap", tmp_path / "server.log"
     with log.open("w") as stream:
-        driver = processes.start(
-            *("driver", "--config", str(tmp_path / "car.toml"), "--channel", "virtual:x", "--recording", str(tape)),
+        server = processes.start(
+            *("server", "--config", str(tmp_path / "car.toml"), "--channel", "virtual:x", "--recording", str(tape)),
             *("--socket", socket),
             stdout=stream,
             stderr=stream,
@@ -208,17 +210,17 @@ def test_a_full_disk_is_told_and_the_exit_code_says_so(tmp_path: Path, keep: boo
         end = time.monotonic() + 60.0
         while "THE RECORDING HAS STOPPED" not in log.read_text():
             assert time.monotonic() < end, log.read_text()
-            assert driver.poll() is None, log.read_text()
+            assert server.poll() is None, log.read_text()
             time.sleep(0.05)
-        with DriverLink(socket, controller=False) as operator:
+        with CarClient(socket, controller=False) as operator:
             operator.order(Order.ARM)
             operator.query()
             told = operator.query().text.split("\n")
         line = next(line for line in told if "File too large" in line)
         assert line.startswith("recording: " if keep else "not recorded: ")
     finally:
-        driver.terminate()
-        assert driver.wait(30.0) == 1
+        server.terminate()
+        assert server.wait(30.0) == 1
     assert "THE RECORDING IS NOT WHOLE" in log.read_text()
     recorded = tapes.read(tape)
     assert recorded.lost

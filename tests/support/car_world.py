@@ -1,4 +1,4 @@
-"""A simulated car, the driver's core and a controller in one process, on a clock that the test moves."""
+"""A simulated car, the car server's core and a controller in one process, on a clock that the test moves."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Sent(NamedTuple):
 
 
 class World:
-    """Car, driver core and controller in one process; time jumps from event to event."""
+    """Car, server core and controller in one process; time jumps from event to event."""
 
     def __init__(
         self,

@@ -2,7 +2,7 @@
 
 One SQLite file in write-ahead mode. `append` only puts a row into memory; a thread of the store's own writes and
 commits what has come in, four times a second. Commits are synced to the disk (synchronous=FULL): the thread can wait
-for the disk, the driver never does, and a car's power is cut as often as a process is killed.
+for the disk, the loop never does, and a car's power is cut as often as a process is killed.
 """
 
 from __future__ import annotations
@@ -196,7 +196,7 @@ class TransitionStore:
 
 
 class _Writer(threading.Thread):
-    """Commits what waits, every PERIOD; a database that is busy or broken makes the rows wait, never the driver."""
+    """Commits what waits, every PERIOD; a database that is busy or broken makes the rows wait, never the loop."""
 
     def __init__(self, path: FilePath, number: int):
         super().__init__(name="steerkit store", daemon=True)

@@ -1,4 +1,4 @@
-"""Everything that the driver process received, decided and sent, in a file that survives a kill, and read again.
+"""Everything that the car server received, decided and sent, in a file that survives a kill, and read again.
 
 Topics: /can/rx /client /tick /recording /end (what the core was given), /can/tx (what it sent), /state /command /steers
 /car /refused (why). How they lie in the file, and what protects them there: `tape_file`.
@@ -55,7 +55,7 @@ _PACKAGES = ("steerkit-control", "numpy", "scipy", "cantools", "python-can", "mc
 
 
 class Recording:
-    """Writes a recording from a thread of its own, so that a slow disk never holds up the driver.
+    """Writes a recording from a thread of its own, so that a slow disk never holds up the car server.
 
     file: a new one. description: texts about the run, as `described` makes them; versions are added. Raises
     FileExistsError, and OSError when not even the beginning can be written.
@@ -122,7 +122,7 @@ class Recording:
         except OSError as error:
             self._broken = f"{self.file}: {error}"
             self._tape.abandon()
-        except BaseException as error:  # whatever ends it, the driver has to know, and to go on without it
+        except BaseException as error:  # whatever ends it, the car server has to know, and to go on without it
             self._broken = f"{self.file}: {type(error).__name__}: {error}"
             with suppress(OSError):
                 self._tape.close()
@@ -348,6 +348,8 @@ def config_of(recorded: Recorded) -> CarConfig:
     texts = {k.removeprefix("file:"): text for k, text in recorded.metadata.items() if k.startswith("file:")}
     require("config.toml" in texts, "the recording", "its description is damaged or has no configuration: no replay")
     data = tomllib.loads(texts["config.toml"])
+    if "driver" in data:  # the name of the table before it was called after the car server
+        data["server"] = data.pop("driver")
     databases = data.get("files", {}).get("dbc", [])
     course, car = data.get("course", {}), data.get("vehicle", {})
     named = [*databases, *([course["file"]] if "file" in course else [])]

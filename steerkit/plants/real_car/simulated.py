@@ -67,7 +67,7 @@ class Fault:
 class SimulatedCar:
     """Car, kit, sensors and human; `advance` it in time, `receive` what the bus brings.
 
-    config: the same as the driver's: the frames it reads are sent, the one it writes is understood. path: where the
+    config: the same as the car server's: the frames it reads are sent, the one it writes is understood. path: where the
     human drives. human: a controller block such as Stanley, the human at the wheel while the kit is off. v_min, v_max
     [m/s]: the human's speeds, less in bends (a_y_max [m/s^2]). s [m], e [m]: where it starts. t0 [s]: when.
     """

@@ -11,7 +11,7 @@ import pytest
 from steerkit.cli import car as car_cli
 from steerkit.plants.real_car import recording as tapes
 from steerkit.plants.real_car.file.config import shipped
-from steerkit.plants.real_car.processes.server import Driver
+from steerkit.plants.real_car.processes.server import CarServer
 from steerkit.plants.real_car.tape_file import contents
 from tests.support.tapes import LINES, flipped, small
 
@@ -39,7 +39,7 @@ def test_check_prints_what_is_read_and_written(
     [
         (("check", "mine.toml"), "shipped: dbw-kit.toml"),
         (("order", "GO"), "valid: ARM, ENGAGE, DISENGAGE, ACKNOWLEDGE, OFF"),
-        (("order", "ENGAGE", "--socket", "/nowhere/socket"), "no driver process answers there"),
+        (("order", "ENGAGE", "--socket", "/nowhere/socket"), "no car server answers there"),
         (("tape", "/dev/null"), "no recording of steerkit"),
         (("simulate", "--listen", "0.0.0.0:0"), "only 127.0.0.1"),
     ],
@@ -78,7 +78,7 @@ def test_a_recording_that_is_whole_replays_with_exit_code_0(
     count = len(tapes.read(file).messages)
     assert printed.startswith(f"{count} of {count} messages, ")
     assert "READY -> ENGAGED: operator: engage" in printed
-    frames, same = re.search(r"driver: (\d+) of (\d+) frames the same", printed).groups()  # type: ignore[union-attr]
+    frames, same = re.search(r"server: (\d+) of (\d+) frames the same", printed).groups()  # type: ignore[union-attr]
     assert frames == same != "0"
     assert "stanley: " in printed
     assert [f.name for f in tmp_path.iterdir()] == ["drive.mcap"]
@@ -139,7 +139,7 @@ def test_a_recording_that_has_to_be_kept_has_to_be_made(
 ) -> None:
     text = shipped("dbw-kit.toml").read_text()
     (tmp_path / "car.toml").write_text(text.replace("keep_recording = false", "keep_recording = true"))
-    monkeypatch.setattr(Driver, "run", Driver.close)  # should it get there
+    monkeypatch.setattr(CarServer, "run", CarServer.close)  # should it get there
     words = ("--config", str(tmp_path / "car.toml"), "--channel", "virtual:x", "--socket", str(tmp_path / "socket"))
-    assert run("driver", *words, monkeypatch=monkeypatch) == 2
+    assert run("server", *words, monkeypatch=monkeypatch) == 2
     assert "keep_recording = true, but nothing is recorded; give --recording" in capsys.readouterr().err

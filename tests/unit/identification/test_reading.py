@@ -37,8 +37,8 @@ def test_every_kind_of_file_gives_the_same_drive(clean: dict[str, Any], tmp_path
         assert len(read.digest) == 64
 
 
-def test_a_recording_of_the_real_cars_driver(tmp_path: Path) -> None:
-    """Frames of the shipped configuration, written as the driver process writes them, and cut off at the end."""
+def test_a_recording_of_the_real_cars_server(tmp_path: Path) -> None:
+    """Frames of the shipped configuration, written as the car server writes them, and cut off at the end."""
     pytest.importorskip("mcap")
     from steerkit.plants.real_car import recording
     from steerkit.plants.real_car.decisions.core import Frame

@@ -275,7 +275,7 @@ def test_a_process_that_is_silent_for_too_long_is_replaced(tmp_path: Path) -> No
         Trainer(patience=0.0)
 
 
-def test_ctrl_c_is_for_the_driver(own: Trainer, tmp_path: Path) -> None:
+def test_ctrl_c_is_for_the_loop(own: Trainer, tmp_path: Path) -> None:
     gate = Gate(tmp_path)
     own.submit(job(1, cost=gate))
     gate.wait_for_training(own.pid)

@@ -11,7 +11,7 @@ from steerkit.plants.careful_human import CarefulHuman
 from steerkit.plants.human import Human
 
 
-def test_a_careful_driver_keeps_both_accelerations() -> None:
+def test_a_careful_human_keeps_both_accelerations() -> None:
     path = course("paper")
     human = CarefulHuman(path=path, human=Human(v_min=7.5, v_max=7.5))
     s = np.linspace(0.0, path.length, 8000)
@@ -22,7 +22,7 @@ def test_a_careful_driver_keeps_both_accelerations() -> None:
     assert v.min() == pytest.approx(np.sqrt(3.0 / np.abs(path.samples.kappa).max()), rel=0.02)
 
 
-def test_a_careful_driver_on_an_open_course_does_not_brake_for_its_own_start() -> None:
+def test_a_careful_human_on_an_open_course_does_not_brake_for_its_own_start() -> None:
     path = course("genesis-rfs")
     human = CarefulHuman(path=path, human=Human(v_min=7.0, v_max=7.5), a_y_max=3.0)
     bend = float(path.samples.s[np.abs(path.samples.kappa).argmax()])

@@ -21,7 +21,7 @@ def speeds(human, steps, batch=()):
     return np.array(v)
 
 
-def test_human_driver_wanders_smoothly_over_the_whole_range():
+def test_human_wanders_smoothly_over_the_whole_range():
     human = Human(seed=1)
     v = speeds(human, 1200, (64,))
     assert 4.0 < v.min() < 4.2
@@ -33,7 +33,7 @@ def test_human_driver_wanders_smoothly_over_the_whole_range():
     assert np.abs(np.diff(pace, axis=0)).max() < 0.5  # the pace itself does not jump
 
 
-def test_human_driver_is_stationary_from_the_start():
+def test_human_is_stationary_from_the_start():
     x = Human(seed=9).init((20_000,))
     z, g = np.array(x[:2])
     moments = [np.cov(z, g)]
@@ -45,7 +45,7 @@ def test_human_driver_is_stationary_from_the_start():
     assert moments[0][0, 0] == pytest.approx(1.0, abs=0.03)
 
 
-def test_human_driver_of_a_batch_is_the_single_ones():
+def test_human_of_a_batch_is_the_single_ones():
     batch = speeds(Human(seed=5), 100, (3,))
     for i in range(3):
         assert batch[:, i] == pytest.approx(speeds(Human(seed=5 + i), 100), rel=1e-12)
@@ -57,7 +57,7 @@ def test_constant_speed():
     assert speeds(ConstantSpeed(speed=np.array([4.0, 5.0])), 2, (2,)).tolist() == [[4.0, 5.0]] * 2
 
 
-def test_recorded_driver():
+def test_recorded_human():
     human = RecordedSpeed(speeds=(4.0, 6.0, 5.0), spacing=0.1)
     assert speeds(human, 7) == pytest.approx([4.0, 5.0, 6.0, 5.5, 5.0, 5.0, 5.0])
     again = replace(human, repeat=True, start=0.1)
@@ -101,6 +101,6 @@ def test_speed_profile_is_traced_through_a_table(monkeypatch):
         (lambda: SpeedProfile.from_samples([0.0, 0.0], [4.0, 5.0]), "at rising strictly"),
     ],
 )
-def test_teaching_errors_of_drivers(make, message):
+def test_teaching_errors_of_humans(make, message):
     with pytest.raises(ValueError, match=message):
         make()

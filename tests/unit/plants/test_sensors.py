@@ -65,7 +65,7 @@ def test_sensors_of_a_batch_are_the_single_ones():
         assert all(value.__class__ is float for value in alone)
 
 
-def test_sensors_and_driver_of_one_seed_are_unrelated():
+def test_sensors_and_human_of_one_seed_are_unrelated():
     assert Sensors.hard(1).init()[9:15] != Human(seed=1).init()[2:]
 
 

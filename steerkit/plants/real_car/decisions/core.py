@@ -1,4 +1,4 @@
-"""The driver without its wires: events in, frames and answers out; equal events give equal frames, bit for bit."""
+"""The car server without its wires: events in, frames and answers out; equal events give equal frames, bit for bit."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ Output = Send | Reply | Note
 
 
 class Core:
-    """All decisions of the driver process. `handle` one event after the other; call it with a `Tick` at `wake` [s].
+    """All decisions of the car server. `handle` one event after the other; call it with a `Tick` at `wake` [s].
 
     config: the car. path: where it drives; the core tracks e by itself, at the front axle.
     """
@@ -176,11 +176,11 @@ class Core:
         refused, order = "", None
         match message:
             case protocol.Hello(version=version) if version != protocol.VERSION:
-                refused = f"the driver speaks version {protocol.VERSION}, not {version}"
+                refused = f"the car server speaks version {protocol.VERSION}, not {version}"
             case protocol.Hello(controller=True) if True in self._links.values():
                 refused = "there is a controller already; end it first"
             case protocol.Hello() if message.course not in (protocol.NO_COURSE, self._course):
-                refused = "the driver is on another course; start both with the same configuration"
+                refused = "the car server is on another course; start both with the same configuration"
             case protocol.Hello():
                 self._links[event.link] = message.controller
             case _ if self._links.get(event.link) is None and not isinstance(message, protocol.Query):
@@ -202,7 +202,7 @@ class Core:
             case protocol.Remark() if self._links.get(event.link):
                 out.append(Note("steers", {"t": t, "what": message.text}))
             case _:
-                refused = f"{type(message).__name__} is not for the driver"
+                refused = f"{type(message).__name__} is not for the car server"
         if refused:
             out.append(Reply(event.link, protocol.encode(protocol.Refused(refused))))
         return order

@@ -59,7 +59,7 @@ class StateLimits:
     v_mismatch: float = 1.0
     """Largest difference between the two speeds [m/s]."""
     torque_max: float = 2.5
-    """Driver torque at the wheel that counts as a touch [N m]."""
+    """The human's torque at the wheel that counts as a touch [N m]."""
     torque_reports: int = 3
     """Reports in a row with such a torque that count as an override."""
     integrity_errors: int = 2
@@ -67,7 +67,7 @@ class StateLimits:
     misses: int = 3
     """Missed deadlines of the controller within a second that end driving."""
     lateness: float = 0.05
-    """Largest delay of the driver process itself [s]."""
+    """Largest delay of the car server itself [s]."""
     quality: float = 1.0
     """Least quality of the pose [1]."""
     echo_age: float = 0.12
@@ -150,7 +150,7 @@ class Facts(NamedTuple):
     misses: int = 0
     """Missed deadlines of the controller within the last second."""
     lateness: float = 0.0
-    """How late the driver process itself was, at most, within the last second."""
+    """How late the car server itself was, at most, within the last second."""
     echo_age: float = 0.0
     """For how long the command that the kit reports has been superseded."""
     follow_age: float = 0.0
@@ -195,7 +195,7 @@ HUMAN: tuple[Check, ...] = (
     (
         "torque",
         lambda li, f: f.torque_reports >= li.torque_reports,
-        lambda li, f: f"driver torque above {li.torque_max:g} N m in {f.torque_reports:.0f} reports",
+        lambda li, f: f"human torque above {li.torque_max:g} N m in {f.torque_reports:.0f} reports",
     ),
     ("brake", lambda li, f: f.brake, lambda li, f: "the human brakes"),
     ("accelerator", lambda li, f: f.accelerator, lambda li, f: "the human accelerates"),
@@ -235,7 +235,7 @@ ALWAYS: tuple[Check, ...] = (
         lambda li, f: f.misses >= li.misses,
         lambda li, f: f"{f.misses} missed deadlines of the controller within 1 s",
     ),
-    ("driver late", lambda li, f: not f.lateness < li.lateness, lambda li, f: f"own delay {_ms(f.lateness)}"),
+    ("server late", lambda li, f: not f.lateness < li.lateness, lambda li, f: f"own delay {_ms(f.lateness)}"),
     (
         "operator silent",
         lambda li, f: not f.heartbeat_age < li.heartbeat,
@@ -296,7 +296,7 @@ ENDING: tuple[Check, ...] = (
 """What ends driving although nothing is wrong."""
 
 ENGAGING: tuple[Check, ...] = (
-    ("listen only", lambda li, f: f.listen_only, lambda li, f: "the driver was started to listen only"),
+    ("listen only", lambda li, f: f.listen_only, lambda li, f: "the car server was started to listen only"),
     (
         "request stale",
         lambda li, f: not f.request_age < li.request_age,

@@ -61,7 +61,7 @@ class Reading(Signals):
             "read",
             "protect",
             "write",
-            "driver",
+            "server",
             "limits",
             "controllers",
         )
@@ -75,10 +75,10 @@ class Reading(Signals):
         readers, origin, flags = self.reading(database)
         writer = self.writing(database)
         gate, states, motion = self.limits(car, writer)
-        course, driver = self.course(), self.table("driver", ("listen_only", "keep_recording"))
+        course, server = self.course(), self.table("server", ("listen_only", "keep_recording"))
         lag, delay = self.kit()
         controllers = self.controllers()
-        listen, keep = (self.entry("driver", driver, key, bool, False) for key in ("listen_only", "keep_recording"))
+        listen, keep = (self.entry("server", server, key, bool, False) for key in ("listen_only", "keep_recording"))
         arguments = self.bus() if bus is None else bus
         if self.mistakes:
             raise ConfigError("\n".join(f"{self.path}: {m}" for m in self.mistakes))

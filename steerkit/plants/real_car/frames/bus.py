@@ -40,7 +40,7 @@ class Port(Protocol):
 class BusPort:
     """A simulated car's port on a bus that the computer has already: kernel CAN, UDP multicast, ...
 
-    arguments: of `can.Bus`. channel: what `--channel` of the driver process wants. Raises OSError.
+    arguments: of `can.Bus`. channel: what `--channel` of the car server wants. Raises OSError.
     """
 
     def __init__(self, arguments: dict[str, Any]):

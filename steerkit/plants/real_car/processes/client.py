@@ -1,4 +1,4 @@
-"""The real car as a block, and its line to the driver process."""
+"""The real car as a block, and its line to the car server."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from steerkit.plants.real_car.processes.protocol import Snapshot
 
 
 class CarLost(ConnectionError):
-    """The driver process is gone or does not answer: there is no car any more."""
+    """The car server is gone or does not answer: there is no car any more."""
 
 
 class CarLink(Protocol):
-    """What `RealCar` asks of a line to a car: of a `DriverLink`, or of a `ReplayLink`."""
+    """What `RealCar` asks of a line to a car: of a `CarClient`, or of a `ReplayLink`."""
 
     last: Snapshot | None
 
     def query(self) -> Snapshot:
-        """What the driver process knows now."""
+        """What the car server knows now."""
         ...
 
     def request(self, delta_sw: float) -> None:
@@ -38,12 +38,12 @@ class CarLink(Protocol):
         ...
 
 
-class DriverLink:
-    """A line to the driver process over its Unix socket.
+class CarClient:
+    """A line to the car server over its Unix socket.
 
-    socket_path: as given to the driver process. controller: may it ask for angles? Others may look, and give orders.
+    socket_path: as given to the car server. controller: may it ask for angles? Others may look, and give orders.
     course: `protocol.digest` of the course that it drives.
-    timeout [s]: longest wait for an answer; of a driver process that ends, one hears at once, and one that stands still
+    timeout [s]: longest wait for an answer; of a car server that ends, one hears at once, and one that stands still
     lets go of the wheel by itself. Raises CarLost when there is nobody, now or later.
     """
 
@@ -52,15 +52,15 @@ class DriverLink:
     ):
         self.path, self.last, self.misses = socket_path, None, 0
         self.refused: list[str] = []
-        """What the driver did not obey, and why; whoever shows it may clear it."""
+        """What the car server did not obey, and why; whoever shows it may clear it."""
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._socket.settimeout(timeout)
         try:
             self._socket.connect(socket_path)
         except OSError as error:
             raise CarLost(
-                f"{socket_path}: no driver process answers there ({error.strerror}); start one with "
-                "`steerkit car driver`, or see its log"
+                f"{socket_path}: no car server answers there ({error.strerror}); start one with "
+                "`steerkit car server`, or see its log"
             ) from error
         if not _ours(self._socket):
             raise CarLost(f"{socket_path}: the process there is another user's; it is not obeyed")
@@ -72,15 +72,15 @@ class DriverLink:
     last: Snapshot | None
 
     def query(self) -> Snapshot:
-        """What the driver process knows now."""
+        """What the car server knows now."""
         self._send(protocol.Query())
         while True:
             try:
                 packet = self._socket.recv(protocol.MAX_PACKET)
             except OSError as error:
-                raise CarLost(f"{self.path}: the driver process does not answer ({error})") from error
+                raise CarLost(f"{self.path}: the car server does not answer ({error})") from error
             if not packet:
-                raise CarLost(f"{self.path}: the driver process has ended")
+                raise CarLost(f"{self.path}: the car server has ended")
             message = protocol.decode(packet)
             if isinstance(message, protocol.Refused):
                 self.refused.append(message.why)
@@ -118,7 +118,7 @@ class DriverLink:
             time.sleep(wall)
 
     def close(self) -> None:
-        """Hang up; the driver process disengages if this was its controller."""
+        """Hang up; the car server disengages if this was its controller."""
         self._socket.close()
 
     def __enter__(self) -> Self:
@@ -131,7 +131,7 @@ class DriverLink:
         try:
             self._socket.send(protocol.encode(message))
         except OSError as error:
-            raise CarLost(f"{self.path}: the driver process is gone ({error.strerror})") from error
+            raise CarLost(f"{self.path}: the car server is gone ({error.strerror})") from error
 
 
 def _ours(line: socket.socket) -> bool:
@@ -171,15 +171,15 @@ class ReplayLink:
 class RealCar(Car):
     """A car on a CAN bus, with the ports of the simulated plants; the only block that is not pure.
 
-    Its outputs are the driver process's last good readings at the moment of the sample; its input is sent on, and
-    moves the wheel only while the driver process is ENGAGED, after its checks and its gate.
+    Its outputs are the car server's last good readings at the moment of the sample; its input is sent on, and
+    moves the wheel only while the car server is ENGAGED, after its checks and its gate.
 
     inputs: delta_sw_in [rad]; v_in [m/s], not used: the human keeps the speed. outputs: x, y [m] of the centre of
     gravity; psi [rad]; v [m/s]; beta [rad]; r [rad/s]; a_y [m/s^2]; delta_sw [rad], measured; engaged [1];
     applied [rad], the angle that the gate let through last, or while not engaged the measured one.
-    state: none. Raises CarLost when the driver process is gone; TypeError when it is batched or traced.
+    state: none. Raises CarLost when the car server is gone; TypeError when it is batched or traced.
 
-    link: the line to the driver process. dt [s]: sample time.
+    link: the line to the car server. dt [s]: sample time.
     """
 
     engaged = Out("1", direct=())

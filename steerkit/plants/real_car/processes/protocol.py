@@ -1,4 +1,4 @@
-"""What the driver process and its clients say to each other: one packet, one message, fixed layouts."""
+"""What the car server and its clients say to each other: one packet, one message, fixed layouts."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Remark(NamedTuple):
 
 
 class Snapshot(NamedTuple):
-    """All that the driver process knows: the car's outputs, then who has the wheel and why.
+    """All that the car server knows: the car's outputs, then who has the wheel and why.
 
     Values hold the last good reading; the ages [s] tell how good they are. NaN: never read.
     """
@@ -91,7 +91,7 @@ class Snapshot(NamedTuple):
 
 
 class Refused(NamedTuple):
-    """The driver's answer to a packet that it does not obey."""
+    """The car server's answer to a packet that it does not obey."""
 
     why: str
 

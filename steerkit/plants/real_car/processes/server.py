@@ -48,7 +48,7 @@ MAX_GARBLED = 20
 """Lines within a second that are no frames, from which the adapter counts as broken."""
 
 
-class Driver:
+class CarServer:
     """Runs until it is told to stop: `run()`.
 
     config: the car. path: its course. socket_path: where clients find it. recording: the file to write; None for none.
@@ -291,7 +291,7 @@ def _locked(options: dict[str, Any]) -> int | None:
 
 
 def _listen(path: str) -> socket.socket:
-    """The server socket, for this user only; the file of a driver that was killed is cleared away."""
+    """The server socket, for this user only; the file of a car server that was killed is cleared away."""
     server = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     if os.path.lexists(path) and not stat.S_ISSOCK(os.lstat(path).st_mode):
         raise OSError(f"{path}: is a file, not a socket; it stays as it is: choose another --socket")
@@ -302,7 +302,7 @@ def _listen(path: str) -> socket.socket:
             except ConnectionRefusedError:
                 os.unlink(path)
             else:
-                raise OSError(f"{path}: a driver process is running already; stop it first")
+                raise OSError(f"{path}: a car server is running already; stop it first")
     File(path).parent.mkdir(parents=True, exist_ok=True)
     before = os.umask(0o177)
     try:

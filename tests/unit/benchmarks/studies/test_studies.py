@@ -20,7 +20,7 @@ from benchmarks import studies
 from tests.support.places import ROOT
 
 KEYS = {
-    "car_kill": {"kills", "controller", "driver", "trainer"},
+    "car_kill": {"kills", "controller", "server", "trainer"},
     "car_realtime": {"steps", "misses", "jitter_p99_ms", "rms_e_m", "frames_replayed_exactly", "recording_mb"},
     "delay_robustness": {"laps", "stanley-delay", "stanley-delay, believes 0.2 s"},
     "gym_steps": {"conditions", "steps_per_cpu_second"},
@@ -74,8 +74,8 @@ def sensible_throughput(figures: Any) -> None:
 
 def sensible_kills(figures: Any) -> None:
     assert figures["kills"] == 3
-    assert all(figures[victim]["kills"] == 1 for victim in ("controller", "driver", "trainer"))
-    assert all(figures[victim]["ok_store"] == 1 for victim in ("controller", "driver"))  # the rest is how fast
+    assert all(figures[victim]["kills"] == 1 for victim in ("controller", "server", "trainer"))
+    assert all(figures[victim]["ok_store"] == 1 for victim in ("controller", "server"))  # the rest is how fast
 
 
 def sensible_drive(figures: Any) -> None:

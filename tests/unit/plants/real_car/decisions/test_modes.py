@@ -56,7 +56,7 @@ BAD: dict[str, dict[str, Any]] = {
     "off the path": {"e": -2.01},
     "request invalid": {"request": math.nan},
     "missed deadlines": {"misses": 3},
-    "driver late": {"lateness": 0.05},
+    "server late": {"lateness": 0.05},
     "controller silent": {"request_age": 0.15},
     "kit not enabled": {"enabled": False},
     "command echo": {"echo_age": 0.15},

@@ -58,6 +58,7 @@ def test_the_summary_tells_all_that_is_read_and_written_and_every_limit() -> Non
         ('channel = "/dev/ttyACM0"', "channel = true", "[bus] channel = True"),
         ("bitrate = 500000", 'bitrate = "fast"', "[bus] bitrate = 'fast', expected a whole number"),
         ("[course]", "[curse]", "did you mean 'course'"),
+        ("[server]", "[driver]", "driver: not known; did you mean 'server'"),
         ('"pose.dbc"]', '"poes.dbc"]', "poes.dbc: no such file"),
         ('name = "vw-passat"', 'name = "vw-pasat"', "did you mean 'vw-passat'"),
         ('signal = "ANGLE"', 'signal = "ANGEL"', "STEERING_REPORT has no signal 'ANGEL'; did you mean 'ANGLE'"),
