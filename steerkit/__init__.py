@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from steerkit.controllers.stanley import Stanley
     from steerkit.controllers.supervisor import Guarded, Supervisor
     from steerkit.courses import course
-    from steerkit.doe import Direct, Integrator, LowPass
+    from steerkit.doe import Integrator, LowPass, PlainAngle
     from steerkit.errors import WiringError
     from steerkit.learning.experiment import Experiment
     from steerkit.learning.learn import learn
@@ -58,7 +58,7 @@ _HOME = {
     "Supervisor": "controllers.supervisor",
     "Stanley": "controllers.stanley",
     "course": "courses",
-    "Direct": "doe",
+    "PlainAngle": "doe",
     "Integrator": "doe",
     "LowPass": "doe",
     "Experiment": "learning.experiment",
@@ -81,7 +81,6 @@ _HOME = {
 __all__ = [
     "MPC",
     "Block",
-    "Direct",
     "Experiment",
     "Guarded",
     "Human",
@@ -99,6 +98,7 @@ __all__ = [
     "Out",
     "Path",
     "PathTracker",
+    "PlainAngle",
     "Predicted",
     "PurePursuit",
     "Sensors",

@@ -12,7 +12,7 @@ from steerkit.controllers.delay import delayed_stanley
 from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.pure_pursuit import PurePursuit
 from steerkit.controllers.stanley import Stanley
-from steerkit.doe import Direct, Dynamic, Integrator, LowPass
+from steerkit.doe import Dynamic, Integrator, LowPass, PlainAngle
 from steerkit.errors import known, require
 from steerkit.outside import imported, is_outside
 from steerkit.path import Path
@@ -136,9 +136,11 @@ OWN = "my_file.py:make, package.module:make"
 RECOVERIES = tuple(name for name, recipe in CONTROLLERS.items() if recipe.catches)
 """Names of those that may catch a learned controller."""
 ELEMENTS: Mapping[str, type[Dynamic]] = MappingProxyType(
-    {"integrator": Integrator, "low-pass": LowPass, "direct": Direct}
+    {"integrator": Integrator, "low-pass": LowPass, "plain": PlainAngle}
 )
 """The dynamic output elements."""
+OLD_ELEMENTS: Mapping[str, str] = MappingProxyType({"direct": "plain"})
+"""Names of elements in files written before they were renamed, and what they are called now."""
 PLANTS: Mapping[str, type[SingleTrack]] = MappingProxyType(
     {"nonlinear": NonlinearSingleTrack, "linear": LinearSingleTrack}
 )

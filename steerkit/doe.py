@@ -89,7 +89,7 @@ class LowPass(Dynamic):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Direct(Dynamic):
+class PlainAngle(Dynamic):
     """No dynamics: the action is the angle, delta_sw(t) = sat(action(t)); the paper's bang-bang controller.
 
     Inputs, outputs, state: see `Dynamic`; the state still says which angle was steered last.

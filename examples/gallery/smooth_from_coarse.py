@@ -5,7 +5,7 @@ The same five actions in the same order, to the wheel directly, through a low-pa
 
 from itertools import pairwise
 
-from steerkit import Direct, Integrator, LowPass
+from steerkit import PlainAngle, Integrator, LowPass
 from steerkit.plots.style import COLOURS, new_figure
 from steerkit.units import degrees_of, radians_of
 
@@ -15,7 +15,7 @@ t = [0.05 * k for k in range(len(ACTIONS_DEG))]
 panels[0].step(t, ACTIONS_DEG, where="post", color=COLOURS["muted"])
 panels[0].set(ylabel="action [deg]", yticks=(-60, -10, 10, 60))
 ELEMENTS = (
-    ("direct, times 5", Direct(), 5.0, "muted"),
+    ("plain, times 5", PlainAngle(), 5.0, "muted"),
     ("low-pass, times 5", LowPass(tau=0.3), 5.0, "analytic"),
     ("integrator", Integrator(), 1.0, "learned"),
 )

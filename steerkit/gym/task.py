@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 
 ACTIONS: dict[str, tuple[tuple[float, ...] | None, str]] = {
     "i-doe": (IDOE_ACTIONS, "integrator"),
-    "bang-bang": ((-STOP, STOP), "direct"),
+    "bang-bang": ((-STOP, STOP), "plain"),
     "continuous": (None, "integrator"),
 }
 """Action sets by name: their angles [rad], and the dynamic output element they are made for."""
@@ -99,7 +99,7 @@ class Task:
     actions: str | Sequence[float] = "i-doe"
     """`i-doe` (the paper's steps), `bang-bang` (+-520 degrees at once), `continuous`, or angles [rad] of your own."""
     doe: str | Block | None = None
-    """Dynamic output element: `integrator`, `low-pass`, `direct` or a block; by default the action set's own."""
+    """Dynamic output element: `integrator`, `low-pass`, `plain` or a block; by default the action set's own."""
     largest: float | None = None
     """The angle [rad] that a continuous action of 1 means. By default 25 degrees a sample (500 degrees/s) with the
     integrator, else 520 degrees."""

@@ -15,6 +15,7 @@ from functools import partial
 from pathlib import Path as FilePath
 from typing import Any
 
+from steerkit.catalogue import OLD_ELEMENTS
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.files import write_text
 from steerkit.learning import costs
@@ -52,6 +53,8 @@ def from_plain(data: Any, where: str, default: type | None = None) -> Any:
     if name not in kinds:
         raise ValueError(f"{where}: kind {name!r} is not known; valid: {', '.join(kinds)}")
     kind = kinds[name]
+    if kind is Setting and data.get("doe") in OLD_ELEMENTS:
+        data = data | {"doe": OLD_ELEMENTS[data["doe"]]}
     inside = {"setting": Setting, "world": Scenario, "fit": FitSetting, "cost": costs.TanhCost}
     valid = [f.name for f in fields(kind)]
     for key in data:

@@ -28,9 +28,9 @@ class Setting:
     name: str = "default"
     """What to call it in tables."""
     actions_deg: tuple[float, ...] = (-25.0, -10.0, -3.0, 0.0, 3.0, 10.0, 25.0)
-    """The actions [deg]: steps a sample for the integrator, angles for `direct` and `low-pass`."""
+    """The actions [deg]: steps a sample for the integrator, angles for `plain` and `low-pass`."""
     doe: str = "integrator"
-    """Dynamic output element: `integrator`, `low-pass` or `direct`."""
+    """Dynamic output element: `integrator`, `low-pass` or `plain`."""
     cost: Cost = field(default_factory=lambda: TanhCost(goal=0.15, action_cost=0.005))
     """Cost of a transition: see `steerkit.learning.costs`."""
     # Measured model-free (8 seeds, clean, 2.5 min): one iteration every 10 to 30 m beats two every 60 m (GOOD after 47
@@ -112,7 +112,7 @@ PAPER = Setting(
     calm=math.inf,
 )
 BANG_BANG = replace(  # the 800 m course needs up to 430 degrees in motion: 360 cannot drive it, whatever is learned
-    MODEL_FREE, name="bang-bang", actions_deg=(-STOP_DEG, STOP_DEG), doe="direct", cost=TanhCost(action_cost=0.0)
+    MODEL_FREE, name="bang-bang", actions_deg=(-STOP_DEG, STOP_DEG), doe="plain", cost=TanhCost(action_cost=0.0)
 )
 LOW_PASS = replace(
     DEFAULT,
@@ -143,7 +143,7 @@ LOW_PASS = replace(
 )
 SMOOTH = replace(DEFAULT, name="smooth", cost=SmoothCost(cost=TanhCost(goal=0.15, action_cost=0.0)))
 """Jerk and turning of the wheel cost, not the mere taking of an action."""
-PAPER_BANG_BANG = replace(PAPER, name="paper-bang-bang", actions_deg=(-360.0, 360.0), doe="direct", cost=BandCost())
+PAPER_BANG_BANG = replace(PAPER, name="paper-bang-bang", actions_deg=(-360.0, 360.0), doe="plain", cost=BandCost())
 PAPER_WARM = replace(PAPER, name="paper-warm", fit=replace(PAPER.fit, init="warm"))
 
 SETTINGS = {s.name: s for s in (DEFAULT, PAPER, PAPER_WARM, MODEL_FREE, BANG_BANG, LOW_PASS, SMOOTH, PAPER_BANG_BANG)}

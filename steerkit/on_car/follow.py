@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Protocol, Self
 
 from steerkit.assembly import controller_of, with_controller
+from steerkit.catalogue import OLD_ELEMENTS
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.loop import Loop
 from steerkit.realtime import Run
@@ -95,6 +96,7 @@ class Steers:
     def read(cls, text: str) -> Self:
         """What `text` wrote; raises ValueError for anything else."""
         try:
-            return cls(**json.loads(text))
+            steers = cls(**json.loads(text))
+            return replace(steers, doe=OLD_ELEMENTS.get(steers.doe, steers.doe))
         except (TypeError, ValueError) as error:
             raise ValueError(f"remark {text!r}: not who steers ({error})") from error

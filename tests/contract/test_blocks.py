@@ -32,7 +32,7 @@ from steerkit.controllers.pure_pursuit import PurePursuit
 from steerkit.controllers.stanley import Stanley
 from steerkit.controllers.supervisor import Guarded, Supervisor, SupervisorState
 from steerkit.controllers.target_shift import TargetShift
-from steerkit.doe import Corrected, Direct, Integrator, LowPass
+from steerkit.doe import Corrected, Integrator, LowPass, PlainAngle
 from steerkit.gym.task import Agent
 from steerkit.learning.exploration import Exploring
 from steerkit.learning.nfq.model import CarModel
@@ -96,7 +96,7 @@ CAR_MODEL = CarModel(
 EXAMPLES = [
     Example(Integrator()),
     Example(LowPass()),
-    Example(Direct()),
+    Example(PlainAngle()),
     Example(Corrected()),
     Example(Corrected(element=LowPass())),
     Example(Foresight()),

@@ -11,14 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from steerkit.block import Block
-from steerkit.doe import Corrected, Direct, HeldAngle, Integrator, LowPass
+from steerkit.doe import Corrected, HeldAngle, Integrator, LowPass, PlainAngle
 from steerkit.loop import Loop
 from steerkit.simulation import Log, simulate
 from steerkit.units import radians_of
 from tests.support.parts import Script
 
 angles = st.floats(-12.0, 12.0)
-does = pytest.mark.parametrize("doe", [Integrator(), LowPass(), Direct()], ids=["integrator", "low-pass", "direct"])
+does = pytest.mark.parametrize("doe", [Integrator(), LowPass(), PlainAngle()], ids=["integrator", "low-pass", "plain"])
 
 
 def respond(doe: Any, *actions: float, seconds: float = 1.0) -> Log:
@@ -60,7 +60,7 @@ def test_the_low_pass_does_not_depend_on_how_finely_it_is_sampled() -> None:
 
 def test_direct_is_the_action() -> None:
     actions = [radians_of(360.0), radians_of(-360.0), radians_of(360.0)]
-    log = respond(Direct(), *actions, seconds=0.15)
+    log = respond(PlainAngle(), *actions, seconds=0.15)
     np.testing.assert_array_equal(log["doe.delta_sw"], actions)
     np.testing.assert_array_equal(log["doe.state"], [0.0, *actions[:2]])
 
@@ -103,7 +103,7 @@ def test_nan_stays_nan(doe: Any) -> None:
     ("kind", "parameters", "message"),
     [
         (Integrator, {"dt": 0.0}, r"Integrator: dt = 0.0 s, expected > 0"),
-        (Direct, {"limit": 520.0}, r"Direct: limit = 520.0 rad, expected 0 to 20 rad"),
+        (PlainAngle, {"limit": 520.0}, r"PlainAngle: limit = 520.0 rad, expected 0 to 20 rad"),
         (LowPass, {"limit": -1.0}, r"LowPass: limit = -1.0 rad"),
         (LowPass, {"tau": 0.0}, r"LowPass: tau = 0.0 s, expected > 0"),
         (LowPass, {"tau": math.nan}, r"LowPass: tau = nan s, expected > 0"),
@@ -118,7 +118,7 @@ def test_bad_parameters(kind: type[Block], parameters: dict[str, float], message
 
 
 def test_corrected_goes_on_from_what_was_really_commanded() -> None:
-    for element in (Integrator(), LowPass(), Direct()):
+    for element in (Integrator(), LowPass(), PlainAngle()):
         doe = Corrected(element=element)
         told = doe.output(0.0, (), doe.D(action=0.3, applied=-2.0))
         expected = element.output(0.0, HeldAngle(-2.0), element.D(action=0.3))

@@ -17,7 +17,7 @@ from steerkit.controllers.delay import Predicted, delayed_stanley, identified
 from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.stanley import Stanley
 from steerkit.courses import circle, course, straight
-from steerkit.doe import Direct
+from steerkit.doe import PlainAngle
 from steerkit.plants.careful_human import CarefulHuman
 from steerkit.plants.human import ConstantSpeed, Human
 from steerkit.plants.linear_single_track import LinearSingleTrack
@@ -210,8 +210,8 @@ def test_it_wraps_only_what_it_can_serve() -> None:
     lqr = Lqr.of(PASSAT, LinearSingleTrack(vehicle=PASSAT).matrices, v_step=5.0, preview_points=2)
     with pytest.raises(ValueError, match="Lqr needs "):
         Predicted(block=lqr)
-    with pytest.raises(ValueError, match=r"Direct needs action, applied"):
-        Predicted(block=Direct())
+    with pytest.raises(ValueError, match=r"PlainAngle needs action, applied"):
+        Predicted(block=PlainAngle())
     with pytest.raises(ValueError, match=r"lag = -1.0"):
         around(0.1, -1.0)
     with pytest.raises(ValueError, match=r"dt = 0.01 s, but the wrapped block has 0.05 s"):

@@ -16,7 +16,7 @@ from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.stanley import Stanley
 from steerkit.controllers.supervisor import Supervisor
 from steerkit.courses import circle
-from steerkit.doe import Direct, Integrator, LowPass
+from steerkit.doe import Integrator, LowPass, PlainAngle
 from steerkit.export.c import export_c
 from steerkit.loop import Loop
 from steerkit.plants.human import ConstantSpeed
@@ -70,7 +70,7 @@ def built(folder: Path, name: str, flags: list[str]) -> subprocess.CompletedProc
         Supervisor(),
         Integrator(),
         LowPass(),
-        Direct(),
+        PlainAngle(),
         policy(),
         replace(policy(), ready_from=3.0),  # knows the time: ready after 60 of the 200 samples
         SteeringActuator(delay=0.1),

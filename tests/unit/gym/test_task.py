@@ -65,7 +65,7 @@ def test_options_choose_the_start() -> None:
         ({"action": "continuous"}, "option .'action'. is not known; valid: course, vehicle, conditions, scenario"),
         ({"actions": "steps"}, "valid: i-doe, bang-bang, continuous, or angles"),
         ({"actions": (0.1,)}, "at least two angles"),
-        ({"doe": "filter"}, "valid: integrator, low-pass, direct"),
+        ({"doe": "filter"}, "valid: integrator, low-pass, plain"),
         ({"cost": "quadratic"}, "valid: smooth, paper"),
         ({"scenario": {"corse": "paper"}}, "scenario: no field 'corse'; valid: name, course"),
         ({"scenario": Scenario(), "course": "genesis"}, "belong to the scenario"),

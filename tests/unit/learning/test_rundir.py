@@ -169,6 +169,15 @@ def test_a_run_on_files_is_carried_elsewhere(tmp_path: Path, monkeypatch: pytest
         learn(other, tmp_path / "there" / "run")
 
 
+def test_a_run_from_when_the_plain_element_was_called_direct_is_read() -> None:
+    experiment = Experiment(setting=setting("bang-bang"))
+    data = json.loads(json.dumps(rundir.plain(experiment)).replace('"doe": "plain"', '"doe": "direct"'))
+    assert data["setting"]["doe"] == "direct"
+    assert rundir.from_plain(data, "run.json") == experiment
+    with pytest.raises(ValueError, match="doe 'direkt'; valid: integrator, low-pass, plain"):
+        rundir.from_plain(data["setting"] | {"doe": "direkt"}, "run.json")
+
+
 def test_a_run_from_before_there_were_scenarios_is_read() -> None:
     data = json.loads(json.dumps(rundir.plain(Experiment(world=Scenario.under("hard", course="genesis")))))
     new = data["world"]

@@ -10,7 +10,7 @@ from steerkit.block import Block
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.settings import setting
-from steerkit.on_car.follow import Follow
+from steerkit.on_car.follow import Follow, Steers
 from steerkit.plants.real_car.decisions.modes import Mode, Order
 from tests.support.car_world import World
 
@@ -101,3 +101,8 @@ def test_what_rests_is_the_same_loop_but_for_the_net() -> None:
     assert isinstance(inner, NfqPolicy)
     assert isinstance(rest, NfqPolicy)
     assert replace(rest, ready_from=inner.ready_from).flat_weights() == inner.flat_weights()
+
+
+def test_a_recording_from_when_the_plain_element_was_called_direct_is_read() -> None:
+    assert Steers.read('{"name": "net.npz", "doe": "direct"}') == Steers(name="net.npz", doe="plain")
+    assert Steers.read(Steers(name="net.npz", doe="low-pass").text()).doe == "low-pass"

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from steerkit.controllers.nfq_policy import Net
-from steerkit.doe import Direct, Integrator, LowPass
+from steerkit.doe import Integrator, LowPass, PlainAngle
 from steerkit.learning.costs import TanhCost
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.experiment import Experiment, LearningRun
@@ -35,8 +35,8 @@ def test_the_numbers_behind_the_transitions_are_found() -> None:
         assert getattr(found, name) == pytest.approx(getattr(CAR, name), rel=0.03), name
 
 
-@pytest.mark.parametrize("element", [Integrator(), LowPass(), Direct()])
-def test_the_dynamic_output_element_is_found(element: Integrator | LowPass | Direct) -> None:
+@pytest.mark.parametrize("element", [Integrator(), LowPass(), PlainAngle()])
+def test_the_dynamic_output_element_is_found(element: Integrator | LowPass | PlainAngle) -> None:
     rng, record = np.random.default_rng(1), Transitions()
     for episode in range(100):
         s = rng.normal(0.0, 0.1, (1, 6)) + np.array([[0, 0, 5.0, 0, 0, 0]])
