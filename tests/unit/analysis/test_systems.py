@@ -17,6 +17,7 @@ from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.simulation import simulate
 from tests.support.parts import Gain
 from tests.support.straight_road import PASSAT, ROAD, steered
+from tests.support.traced_blocks import mixed_loop
 
 
 def test_an_exported_loop_runs_as_it_does_here() -> None:
@@ -76,3 +77,16 @@ def test_a_diagram_of_python_controls_is_a_block_too() -> None:
             found.append(np.max(y.y))
             x = block.update(0.05 * k, x, block.U(r=np.full(shape, r) if shape else float(r)), y)
         np.testing.assert_allclose(found, theirs.outputs, atol=1e-12)
+
+
+def test_an_exported_loop_that_starts_later_knows_its_time() -> None:
+    """One of its blocks depends on t; python-control's time counts from the state it starts from."""
+    loop = mixed_loop()
+    later = simulate(loop, 1.0, record=()).state
+    system = to_control(loop, outputs=["mixed.y", "decay.x"], at=later)
+    t = np.arange(20) * 0.05
+    ours = control.input_output_response(system, t, 0, system.params["x0"])
+    log = simulate(loop, 1.0, state=later)
+    assert np.ptp(log["mixed.y"]) > 0.5
+    np.testing.assert_allclose(ours.outputs[0], log["mixed.y"], atol=1e-12)
+    np.testing.assert_allclose(ours.outputs[1], log["decay.x"], atol=1e-12)

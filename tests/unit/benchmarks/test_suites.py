@@ -11,7 +11,8 @@ from benchmarks.entries import CONTROLLERS, controller
 from benchmarks.peers import agents as peers
 from benchmarks.run.runner import run
 from benchmarks.run.trainings import TRAININGS
-from benchmarks.suites import SUITES, elsewhere, jobs, suite
+from benchmarks.scenarios import scene
+from benchmarks.suites import SUITES, Suite, elsewhere, jobs, suite
 from steerkit.learning.settings import SETTINGS
 from tests.support.own_controller import own_controller
 from tests.support.yard import yard
@@ -74,3 +75,16 @@ def test_a_controller_of_ones_own_drives_a_suite_and_a_changed_file_is_not_mixed
     file.write_text(file.read_text().replace("2.5", "2.6"))
     with pytest.raises(ValueError, match=r"results of another controller .*my_file.py:make"):
         run([one], tmp_path / "results", seeds=1, workers=1, quiet=True)
+
+
+def test_a_drive_without_chance_is_planned_once_and_one_with_it_for_every_seed() -> None:
+    steady = scene(name="steady", course="circle", v_min=6.0, v_max=6.0)
+    chances = (replace(steady, name="wander", v_max=7.0), replace(steady, name="noise", noise=1.0))
+    chances += (replace(steady, name="gust", gust=0.1),)
+    one = Suite(name="x", about="", scenarios=(steady, *chances), controllers=("stanley",), seeds=4)
+    for asked, seeds in ((None, 4), (7, 7)):
+        planned = [job.scenario for job in jobs([one], asked)]
+        assert planned.count("steady") == 1
+        assert all(planned.count(scenario.name) == seeds for scenario in chances)
+    learned = jobs([replace(one, scenarios=(steady,), controllers=("nfq-idoe",))])
+    assert [job.kind for job in learned].count("drive") == 4  # its net is another one for each seed

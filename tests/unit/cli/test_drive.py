@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from steerkit.catalogue import CONTROLLERS
 from steerkit.cli import drive as command
+from steerkit.learning import report
 from steerkit.scenario import Scenario
 from steerkit.scenario import drive as evaluate
 from steerkit.scenario.file import write_scenario
@@ -61,3 +63,31 @@ def test_every_analytic_controller_drives_with_delay(name: str) -> None:
     log = simulate(evaluate.drive_loop(world, steering), 6.0, record=["path.e"])
     assert abs(log["path.e"]).max() < 0.3
     assert name in command._CONTROLLERS.split(", ")
+
+
+def test_the_options_of_a_drive_are_heard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    heard: dict[str, Any] = {}
+
+    def driven(name: str, world: Scenario, place: Path, **options: Any) -> dict[str, Any]:
+        heard.update(name=name, world=world, place=place, **options)
+        return {}
+
+    monkeypatch.setattr(report, "drive_and_draw", driven)
+    where = ("--course", "circle", "--conditions", "hard", "--delay", "0.07")
+    words = ("drive", "lqr", *where, "--rounds", "2.5", "--seed", "7", "-q", "--out")
+    assert run(*words, str(tmp_path), monkeypatch=monkeypatch) == 0
+    assert (heard["name"], heard["rounds"], heard["seed"], heard["quiet"]) == ("lqr", 2.5, 7, True)
+    assert heard["place"] == tmp_path
+    hard = Scenario.under("hard", course="circle")
+    assert (heard["world"].course, heard["world"].delay, heard["world"].lag) == ("circle", 0.07, hard.lag)
+
+
+def test_with_json_only_json_is_on_standard_output(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(report.console, "stderr", False)
+    words = ["drive", "stanley", "--course", "circle", "--rounds", "0.1", "--json", "--out"]
+    assert run(*words, str(tmp_path), monkeypatch=monkeypatch) == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out)["controller"] == "stanley"  # all of it
+    assert "RMS e" in err

@@ -59,3 +59,12 @@ def test_mistakes_are_named(run: Path, monkeypatch: pytest.MonkeyPatch, capsys: 
     assert "give --onnx FILE, --minari NAME, or both" in capsys.readouterr().err
     assert command("/", "--onnx", "p.onnx", monkeypatch=monkeypatch) == 2
     assert "no run directory" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("gap", [1e-3, float("nan")])
+def test_a_model_that_says_something_else_is_no_success(
+    gap: float, run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("steerkit.export.onnx.check_onnx", lambda *_, **__: {"action": 0.0, "q": gap})
+    assert command(str(run), "--onnx", str(tmp_path / "p.onnx"), monkeypatch=monkeypatch) == 2
+    assert "its q differs from the policy's by" in capsys.readouterr().err

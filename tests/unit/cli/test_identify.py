@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 from scipy.io import savemat
@@ -61,3 +62,25 @@ def test_mistakes_are_one_line(
     error = capsys.readouterr().err.strip()
     assert says in error
     assert len(error.splitlines()) == 1
+
+
+def test_the_car_that_is_given_is_the_one_that_was_described(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from steerkit import identification
+
+    heard: list[Any] = []
+
+    def stopped(drive: Any, car: Any, **options: Any) -> Any:
+        heard.append((car, options["fixed"]))
+        raise ValueError("enough was heard")
+
+    monkeypatch.setattr(identification, "identify", stopped)
+    assert run(monkeypatch, "genesis-rfs", "-q", "--wheelbase", "3.01", "--mass", "2100", "--fix", "lag=0.1") == 2
+    assert run(monkeypatch, "genesis-rfs", "-q", "--wheelbase", "3.01") == 2
+    assert run(monkeypatch, "genesis-rfs", "-q", "--base", "bmw-320i") == 2
+    assert "enough was heard" in capsys.readouterr().err
+    (both, held), (long, _), (named, _) = heard
+    assert (both.wheelbase, both.m, held) == (pytest.approx(3.01), 2100.0, {"lag": 0.1})
+    assert (long.wheelbase, long.m) == (pytest.approx(3.01), vehicle("vw-passat").m)
+    assert named == vehicle("bmw-320i")

@@ -7,6 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from steerkit.learning import report
+from steerkit.learning.experiment import Experiment
+from steerkit.scenario import Scenario
 from tests.support.command_lines import run
 
 
@@ -31,3 +34,21 @@ def test_learn_from_a_config_then_show_and_drive_its_policy(
     config.write_text("minuts = 3\n")
     assert run("learn", "--config", str(config), monkeypatch=monkeypatch) == 2
     assert "no field 'minuts'; valid: setting, world, minutes" in capsys.readouterr().err
+
+
+def test_the_options_of_learning_are_heard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    heard: list[tuple[Experiment, Path]] = []
+
+    def learned(experiment: Experiment, place: Path, *, quiet: bool) -> None:
+        heard.append((experiment, place))
+
+    monkeypatch.setattr(report, "learn_with_progress", learned)
+    monkeypatch.setattr(report, "show", lambda *_, **__: {})
+    words = ["learn", "--setting", "paper", "--with", "fit.nets=3", "--with", "calm=0.7", "--minutes", "2.5"]
+    words += ["--seed", "6", "--rounds", "4", "--course", "circle", "--conditions", "hard", "-q"]
+    assert run(*words, "--out", str(tmp_path / "here"), monkeypatch=monkeypatch) == 0
+    ((experiment, place),) = heard
+    assert (experiment.setting.name, experiment.setting.fit.nets, experiment.setting.calm) == ("paper", 3, 0.7)
+    assert (experiment.minutes, experiment.seed, experiment.rounds) == (2.5, 6, 4)
+    assert experiment.world == Scenario.under("hard", course="circle")
+    assert place == tmp_path / "here"

@@ -76,3 +76,17 @@ def test_a_gap_in_time_or_an_unknown_action_does_not_go_unseen() -> None:
     record.append(s[0], 0.123, s[1], 1)
     with pytest.raises(ValueError, match=r"action .0.123. rad is none of the task's"):
         to_minari(record, "steerkit/other-v0", Task())
+
+
+def test_an_episode_ends_for_one_reason() -> None:
+    """Failed: terminated and not truncated; handed over or cut: truncated and not terminated."""
+    record, task = Transitions(), Task()
+    s = np.zeros((6, 6))
+    s[:, 0], s[:, 2] = [0.0, 0.1, 0.2, 0.3, 0.4, 0.7], 5.0
+    record.extend(s[:-1], np.zeros(5), s[1:], 0)  # the last one beyond 0.5 m
+    record.extend(s[:3], np.zeros(3), s[1:4], 1)
+    data = to_minari(record, "steerkit/ends-v0", task)
+    ends = [(e.terminations.tolist(), e.truncations.tolist(), e.rewards) for e in data.iterate_episodes()]
+    assert [e[:2] for e in ends] == [([False] * 4 + [True], [False] * 5), ([False] * 3, [False, False, True])]
+    assert ends[0][2][-1] == -task.failure
+    assert all((rewards <= 0.0).all() for *_, rewards in ends)

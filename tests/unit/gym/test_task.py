@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from steerkit.controllers.nfq_policy import IDOE_ACTIONS, StateDescription
-from steerkit.gym import TrackSteering
+from steerkit.gym import Task, TrackSteering
+from steerkit.gym.task import LEAST_ROOM, Draw
 from steerkit.learning.costs import IdoeCost
-from steerkit.scenario import Scenario
+from steerkit.scenario import END_MARGIN, Scenario
+from steerkit.units import radians_of
 from tests.support.steady_world import SteadyWorld
 
 ID = "steerkit/TrackSteering-v0"
@@ -80,3 +82,34 @@ def test_options_choose_the_start() -> None:
 def test_mistakes_in_options_are_named_with_the_valid_ones(options: dict[str, Any], says: str) -> None:
     with pytest.raises(ValueError, match=says):
         TrackSteering(**options)
+
+
+def test_on_an_open_course_a_car_starts_with_room_before_its_end() -> None:
+    task, rng = Task(course="straight"), np.random.default_rng(0)
+    starts = np.array([task.draw(rng).s for _ in range(2000)])
+    end = task.path.length - END_MARGIN - LEAST_ROOM
+    assert 0.0 <= starts.min() < 0.01 * end
+    assert 0.99 * end < starts.max() <= end
+    closed = Task(course="circle")
+    around = np.array([closed.draw(rng).s for _ in range(2000)])
+    assert around.max() > 0.99 * closed.path.length
+
+
+@pytest.mark.parametrize(
+    ("options", "largest"), [({}, radians_of(25.0)), ({"doe": "direct"}, radians_of(520.0)), ({"largest": 0.3}, 0.3)]
+)
+def test_a_continuous_action_means_its_share_of_the_largest_angle(options: dict[str, Any], largest: float) -> None:
+    task = Task(actions="continuous", **options)
+    for share in (-1.0, -0.5, 0.0, 0.25, 1.0):
+        assert task.angle(np.array([share]), (1,)) == pytest.approx([share * largest])
+    np.testing.assert_allclose(task.angle(np.array([[0.5], [-1.0]]), (2, 1)), [0.5 * largest, -largest])
+
+
+def test_each_episode_has_the_human_and_the_noise_of_its_seed() -> None:
+    task = Task(conditions="hard")
+    draws = [Draw(seed=seed, s=10.0, e=0.0, psi_e=0.0) for seed in (1, 2, 1)]
+    states = dict(zip(task.loop.names, task.starts(draws).x, strict=True))
+    for name in ("human", "sensors"):
+        numbers = np.array([np.broadcast_to(column, 3) for column in states[name]], dtype=float)
+        np.testing.assert_array_equal(numbers[:, 0], numbers[:, 2])
+        assert (numbers[:, 0] != numbers[:, 1]).any(), name

@@ -90,3 +90,29 @@ def test_columns_that_do_not_belong_together_teach(clean: dict[str, Any]) -> Non
 def test_trusted_units_are_not_judged(clean: dict[str, Any]) -> None:
     turned = by_rate(clean) | {"delta_sw": -clean["delta_sw"]}
     assert len(Drive.of(**turned, trusted=True).v) == len(Drive.of(**by_rate(clean)).v)
+
+
+def circling(**changes: Any) -> dict[str, Any]:
+    """A minute of weaving to the left, round and round: the heading passes 180 degrees many times."""
+    t = np.arange(3000) * DT
+    r = 0.5 + 0.2 * np.sin(0.5 * t)
+    psi = 0.5 * t + 0.4 * (1.0 - np.cos(0.5 * t))
+    return {"t": t, "delta_sw": 45.0 * r / 6.0, "v": np.full_like(t, 6.0), "r": r, "psi": psi} | changes
+
+
+def test_a_heading_that_passes_180_degrees_goes_on() -> None:
+    whole = circling()
+    wrapped = (whole["psi"] + np.pi) % (2.0 * np.pi) - np.pi
+    assert (np.abs(np.diff(wrapped)) > 6.0).sum() >= 4
+    for columns in (circling(psi=wrapped), circling(psi=wrapped, r=None)):
+        drive = Drive.of(**columns)
+        inner = drive.measured & (drive.t < drive.t[-1] - 0.2)
+        np.testing.assert_allclose(drive.r[inner], whole["r"][: len(drive.r)][inner], atol=2e-3)
+
+
+@pytest.mark.parametrize("zero", [0.01, -0.02])
+def test_a_gyros_zero_is_taken_off(zero: float) -> None:
+    whole = circling()
+    drive = Drive.of(**circling(r=whole["r"] + zero))
+    inner = drive.measured & (drive.t < drive.t[-1] - 0.2)
+    np.testing.assert_allclose(drive.r[inner], whole["r"][: len(drive.r)][inner], atol=1e-3)

@@ -37,17 +37,16 @@ def test_every_kind_of_file_gives_the_same_drive(clean: dict[str, Any], tmp_path
         assert len(read.digest) == 64
 
 
-def test_a_recording_of_the_real_cars_server(tmp_path: Path) -> None:
-    """Frames of the shipped configuration, written as the car server writes them, and cut off at the end."""
-    pytest.importorskip("mcap")
+def taped(file: Path, columns: dict[str, Any], *, spoilt: int = 0) -> None:
+    """Frames of the shipped configuration, written as the car server writes them; every `spoilt`-th has a bit
+    that turned over on the way."""
     from steerkit.plants.real_car import recording
     from steerkit.plants.real_car.decisions.core import Frame
     from steerkit.plants.real_car.file.reading import load
     from steerkit.plants.real_car.frames.codec import SignalEncoder
 
     car = load("dbw-kit.toml")
-    tape = recording.Recording(tmp_path / "a.mcap", {f"file:{name}": text for name, text in car.texts.items()})
-    columns = driven(seconds=40.0)
+    tape = recording.Recording(file, {f"file:{name}": text for name, text in car.texts.items()})
     writers = [SignalEncoder(reader) for reader in car.readers]
     for k in range(len(columns["t"])):
         t = 100.0 + columns["t"][k]
@@ -55,8 +54,18 @@ def test_a_recording_of_the_real_cars_server(tmp_path: Path) -> None:
         values |= {"psi": float((columns["psi"][k] + np.pi) % (2.0 * np.pi) - np.pi)}
         for writer in writers:
             full = {name: values.get(name, 0.0) for name in writer.reader.mappings}
-            tape.event(Frame(t, t, writer.reader.frame_id, writer.write(full, count=k)), [])
+            data = writer.write(full, count=k)
+            if spoilt and k % spoilt == spoilt - 1 and writer.reader.protection.crc:
+                data = bytes([data[0], data[1] ^ 0x10, *data[2:]])
+            tape.event(Frame(t, t, writer.reader.frame_id, data), [])
     tape.close()
+
+
+def test_a_recording_of_the_real_cars_server(tmp_path: Path) -> None:
+    """As it was written, and cut off at the end."""
+    pytest.importorskip("mcap")
+    columns = driven(seconds=40.0)
+    taped(tmp_path / "a.mcap", columns)
     whole = (tmp_path / "a.mcap").read_bytes()
     (tmp_path / "cut.mcap").write_bytes(whole[: int(0.9 * len(whole))])
     drive, cut = (read_drive(tmp_path / name) for name in ("a.mcap", "cut.mcap"))
@@ -67,6 +76,18 @@ def test_a_recording_of_the_real_cars_server(tmp_path: Path) -> None:
     np.testing.assert_allclose(drive.delta_sw[:n], same.delta_sw[:n], atol=2e-3)
     assert len(cut.v) < len(drive.v)
     assert any("cut short" in note for note in cut.notes)
+
+
+def test_frames_that_were_spoilt_on_the_way_are_left_out(tmp_path: Path) -> None:
+    """One bit in every 40th frame: the checksum tells, and what is read is what was driven."""
+    pytest.importorskip("mcap")
+    columns = driven(seconds=40.0)
+    taped(tmp_path / "a.mcap", columns, spoilt=40)
+    drive, same = read_drive(tmp_path / "a.mcap"), Drive.of(**columns)
+    assert any("left out" in note and "broken" in note for note in drive.notes)
+    n = min(len(drive.v), len(same.v)) - 1
+    np.testing.assert_allclose(drive.delta_sw[:n], same.delta_sw[:n], atol=0.02)
+    np.testing.assert_allclose(drive.v[:n], same.v[:n], atol=0.05)
 
 
 @pytest.mark.parametrize(

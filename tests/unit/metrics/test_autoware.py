@@ -38,3 +38,17 @@ def test_the_goal_is_missed_ahead_to_the_left_and_turned() -> None:
     assert found["goal_lateral_deviation"] == pytest.approx(-1.0)
     assert found["goal_lateral_deviation_abs"] == pytest.approx(1.0)
     assert found["goal_yaw_deviation"] == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(("dt", "looks"), [(0.02, 51), (0.05, 51), (0.1, 51), (0.2, 26), (0.25, 21)])
+def test_rates_are_per_second_however_often_the_record_looks(dt: float, looks: int) -> None:
+    """Every 100 ms, or as often as the record is sampled, if that is less."""
+    t = np.arange(round(5.0 / dt) + 1) * dt
+    found = metrics.control_evaluator(
+        t, e=0.0 * t, psi_e=0.0 * t, delta=0.3 * t, a_y=-2.0 + 0.0 * t, v=1.0 + 0.5 * t - 0.04 * t**2
+    )
+    assert found["steering_rate"].mean == pytest.approx(0.3)
+    assert found["acceleration"].mean == pytest.approx(0.3)  # 0.5 - 0.08 t, over 5 s
+    assert found["jerk"].mean == pytest.approx(-0.08)
+    assert found["lateral_acceleration"].min == pytest.approx(2.0)
+    assert found["velocity"].count == looks

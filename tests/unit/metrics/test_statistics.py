@@ -93,3 +93,8 @@ def test_no_seeds_or_a_nan_are_refused() -> None:
         share([])
     with pytest.raises(ValueError, match="learned: no seeds"):
         learned([])
+
+
+def test_a_tie_is_half_a_win() -> None:
+    assert paired([1.0, 2.0, 3.0, 4.0], [2.0, 2.0, 2.0, 4.0]).wins == pytest.approx((1.0 + 0.5 + 0.0 + 0.5) / 4.0)
+    assert paired([1.0, 2.0], [1.0, 3.0]).wins == 0.75

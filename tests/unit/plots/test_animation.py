@@ -82,3 +82,34 @@ def test_drive_animates(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
         cli.main()
     with Image.open(tmp_path / "run.gif") as film:
         assert film.n_frames >= 5
+
+
+@pytest.mark.parametrize("psi", [0.0, 0.7, -2.0, 3.1])
+def test_the_car_points_where_it_heads_and_its_front_wheels_where_they_are_turned(psi: float) -> None:
+    t = np.array([0.0, 1.0])
+    signals = {"x": [1.0, 1.0], "y": [2.0, 2.0], "psi": [psi, psi], "delta_sw": [7.8, 7.8]}
+    log = Log(
+        t, {f"car.{n}": np.array(v) for n, v in signals.items()}, dict.fromkeys((f"car.{n}" for n in signals), "1")
+    )
+    scene = _Scene(_Run(log, 0), None, 2.71, 1.2, 15.6, 18.0)
+    scene.show(0.5, 1.0)
+
+    def heading(corners: np.ndarray) -> float:
+        """From the middle of the back edge to that of the front edge."""
+        ahead = corners[2:4].mean(axis=0) - corners[[0, 5]].mean(axis=0)
+        return float(np.arctan2(ahead[1], ahead[0]))
+
+    *wheels, body = (shape.get_xy()[:6] for shape in scene.shapes)
+    turned = [psi + 0.5, psi + 0.5, psi, psi]  # 7.8 rad of steering wheel are 0.5 rad of road wheel
+    for corners, angle in zip([*wheels, body], [*turned, psi], strict=True):
+        assert np.cos(heading(corners) - angle) == pytest.approx(1.0)
+
+
+def test_a_heading_that_passes_180_degrees_is_no_spin() -> None:
+    signals = {"x": [0.0, 1.0], "y": [0.0, 0.0], "psi": [3.1, 0.1 + 3.1 - 2.0 * np.pi]}
+    log = Log(
+        np.array([0.0, 1.0]),
+        {f"car.{n}": np.array(v) for n, v in signals.items()},
+        dict.fromkeys((f"car.{n}" for n in signals), "1"),
+    )
+    assert _Run(log, 0).at(0.5)["psi"] == pytest.approx(3.15)

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from steerkit.plots.log import plot_log
 from steerkit.plots.style import new_figure
-from steerkit.simulation import simulate
+from steerkit.simulation import Log, simulate
 from tests.support.diagrams import small
 
 
@@ -51,3 +51,11 @@ def test_drawing_into_given_axes() -> None:
     assert len(top.get_lines()) == len(low.get_lines()) == 1
     with pytest.raises(ValueError, match=r"plot_log: 1 axes for 2 units \(m, rad\)"):
         log.plot("wave.v", "angle.angle", ax=top)
+
+
+def test_a_batch_has_its_cars_in_their_order() -> None:
+    log = simulate(small(), 1.0, batch=3)
+    values = log["wave.v"] + np.array([0.0, 10.0, 20.0])
+    figure = Log(log.t, {"wave.v": values}, {"wave.v": "m"}).plot("wave.v")
+    for car, line in enumerate(figure.axes[0].get_lines()):
+        np.testing.assert_array_equal(line.get_ydata(), values[:, car])

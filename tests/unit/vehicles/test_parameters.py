@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from steerkit.units import radians_of
-from steerkit.vehicles import VW_PASSAT
+from steerkit.vehicles import VW_PASSAT, G, Vehicle
 
 
 @pytest.mark.parametrize(
@@ -27,3 +27,25 @@ from steerkit.vehicles import VW_PASSAT
 def test_teaching_errors_of_vehicle(change, message):
     with pytest.raises(ValueError, match=message):
         replace(VW_PASSAT, **change)
+
+
+@pytest.mark.parametrize(("axle", "share"), [("c_f", 0.8), ("c_r", 0.2)])
+def test_a_stiffness_is_judged_by_its_own_axles_load(axle, share):
+    """A car with four fifths of its weight in front: 2 to 100 times the axle's load."""
+    loads = {"c_f": 0.8 * 1500.0 * G, "c_r": 0.2 * 1500.0 * G}
+    fine = dict(name="x", m=1500.0, i_z=1500.0, l_f=0.5, l_r=2.0, steer_ratio=15.0)
+    fine |= {name: 20.0 * load for name, load in loads.items()}
+    load = share * 1500.0 * G
+    for times in (2.1, 99.0):
+        Vehicle(**fine | {axle: times * load})
+    for times in (1.9, 101.0):
+        with pytest.raises(ValueError, match=f"{axle} = "):
+            Vehicle(**fine | {axle: times * load})
+
+
+def test_a_car_with_its_weight_and_grip_alike_steers_neutrally():
+    """c_f l_f = c_r l_r; less grip in front makes it understeer, more makes it oversteer."""
+    neutral = replace(VW_PASSAT, c_f=1e5 / VW_PASSAT.l_f, c_r=1e5 / VW_PASSAT.l_r)
+    assert neutral.understeer_gradient == pytest.approx(0.0, abs=1e-12)
+    assert replace(neutral, c_f=0.9 * neutral.c_f).understeer_gradient > 1e-4
+    assert replace(neutral, c_f=1.1 * neutral.c_f).understeer_gradient < -1e-4

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
@@ -26,3 +28,14 @@ def test_the_learning_curve_is_the_share_of_seeds_that_are_good_by_then(results:
     rms_e = curves.rms_e["nfq-idoe"][0]
     assert rms_e[0] == np.inf
     assert rms_e[-1] == 0.02
+
+
+@pytest.mark.parametrize(
+    "flaw",
+    [("held", 0.0), ("rounds", 0.99), ("max_e", 0.25), ("rms_e", 0.1), ("max_jerk", 5.0), ("max_jerk", math.nan)],
+)
+def test_only_a_net_that_meets_the_whole_criterion_is_drawn_as_good(flaw: tuple[str, float]) -> None:
+    name, value = flaw
+    curve = {"held": 1.0, "rounds": 1.0, "max_e": 0.24, "rms_e": 0.09, "max_jerk": 4.9}
+    columns = {key: np.array([number, value if key == name else number]) for key, number in curve.items()}
+    assert learning._good(columns).tolist() == [1.0, 0.0]

@@ -111,3 +111,12 @@ def test_a_run_that_has_just_begun_can_be_drawn_too(tmp_path: Path) -> None:
         "learning-curve",
         "failures",
     ]
+
+
+def test_an_episode_that_ended_otherwise_is_no_failure(record: Record) -> None:
+    """At the end of an open course, say: the car was carried back."""
+    carried = replace(record, episodes=(replace(record.episodes[0], failed=False), *record.episodes[1:]))
+    assert record.episodes[0].failed
+    assert len(carried.failed_at) == len(record.failed_at) - 1
+    np.testing.assert_array_equal(carried.failed_at, record.failed_at[1:])
+    assert f"{len(record.failed_at) - 1} failures" in failure_map(carried).get_suptitle()
