@@ -96,7 +96,7 @@ def test_on_an_open_course_a_car_starts_with_room_before_its_end() -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "largest"), [({}, radians_of(25.0)), ({"doe": "direct"}, radians_of(520.0)), ({"largest": 0.3}, 0.3)]
+    ("options", "largest"), [({}, radians_of(25.0)), ({"doe": "plain"}, radians_of(520.0)), ({"largest": 0.3}, 0.3)]
 )
 def test_a_continuous_action_means_its_share_of_the_largest_angle(options: dict[str, Any], largest: float) -> None:
     task = Task(actions="continuous", **options)
