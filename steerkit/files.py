@@ -11,7 +11,7 @@ import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path as FilePath
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,6 +118,11 @@ def read_arrays(file: File, kind: str, *, largest: int = LARGEST) -> dict[str, N
     return arrays
 
 
+def sync(stream: IO[bytes]) -> None:
+    """Wait until the disk has what was written to an open file, as far as the operating system has it."""
+    os.fsync(stream.fileno())
+
+
 def _flush(file: FilePath) -> None:
     with file.open("rb") as stream:
-        os.fsync(stream.fileno())
+        sync(stream)

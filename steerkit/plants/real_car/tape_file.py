@@ -23,6 +23,8 @@ from io import BytesIO
 from pathlib import Path as File
 from typing import Any, NamedTuple
 
+from steerkit import files
+
 _log = logging.getLogger("steerkit.car")
 _NUMBER = {"type": ["number", "string"]}  # a NaN or an infinity is written as a text
 _TEXT = {"type": "string"}
@@ -143,13 +145,13 @@ class TapeFile:
     def sync(self) -> None:
         """`flush`, and wait until the disk has it all: losing power loses nothing of it."""
         self.flush()
-        os.fsync(self._stream.fileno())
+        files.sync(self._stream)
 
     def close(self) -> None:
         """Write the file's end and close it."""
         self._writer.finish()
         self._stream.flush()
-        os.fsync(self._stream.fileno())
+        files.sync(self._stream)
         self._stream.close()
 
     def abandon(self) -> None:

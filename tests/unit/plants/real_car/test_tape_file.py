@@ -176,7 +176,7 @@ def test_topics_are_known_without_the_first_chunk_that_tells_them() -> None:
     assert [line.topic for line in found.chunks[0].lines] == [line.topic for line in whole.chunks[1].lines]
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.binary(max_size=200), st.integers(0, 30), st.booleans())
 def test_noise_raises_nothing(noise: bytes, head: int, tail: bool) -> None:
     data = small()[:head] + noise + (small()[-60:] if tail else b"")
