@@ -63,7 +63,11 @@ class Panel:
     def _run(self) -> None:
         try:
             with CarClient(self.session.socket, controller=False, timeout=2.0) as link:
-                self._serve(link)
+                try:
+                    self._serve(link)
+                finally:  # in order, before the heartbeat goes with the line
+                    with contextlib.suppress(CarLost):
+                        link.order(Order.DISENGAGE)
         except CarLost as error:
             self._lost = error
         finally:
