@@ -119,8 +119,10 @@ def test_a_dumb_terminal_gets_lines_and_still_keys_and_ends_in_order(ending: sig
         there.process.send_signal(ending)
         assert there.end() == 130
         assert "Traceback" not in there.text
-    changes = [(v["from"], v["to"], v["cause"]) for v in tapes.read(tmp_path / "drive.mcap").of("/state")]
-    assert ("ENGAGED", "STANDBY", "operator: disengage") in changes
+    recorded = tapes.read(tmp_path / "drive.mcap")
+    (left,) = [v["cause"] for v in recorded.of("/state") if v["from"] == "ENGAGED"]
+    assert left.startswith(("operator: disengage", "operator silent"))  # the heartbeat may end before the order comes
+    assert recorded.of("/state")[-1]["to"] == "OFF"
 
 
 def test_without_a_terminal_there_are_lines(tmp_path: Path) -> None:

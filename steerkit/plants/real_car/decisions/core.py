@@ -155,7 +155,6 @@ class Core:
             case Link(up=True):
                 self._links[event.link] = None
             case Link(up=False):
-                self._beats.pop(event.link, None)
                 if self._links.pop(event.link, None):
                     self._request = None
             case Taping():

@@ -225,8 +225,8 @@ def test_only_an_operator_s_heartbeat_counts_and_it_goes_with_the_operator() -> 
     core.handle(Packet(5.1, 2, encode(Hello(False))))
     core.handle(Packet(5.2, 2, encode(Beat())))
     assert core.facts(5.3).heartbeat_age == pytest.approx(0.1)
-    core.handle(Link(5.3, 2, False))
-    assert core.facts(5.3).heartbeat_age == math.inf
+    core.handle(Link(5.3, 2, False))  # gone: nothing more comes, and the last one ages
+    assert core.facts(5.5).heartbeat_age == pytest.approx(0.3)
 
 
 def test_the_end_of_the_process_lets_go_first_and_says_why() -> None:
