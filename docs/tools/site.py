@@ -13,9 +13,9 @@ from mkdocs.structure.files import File
 ROOT = Path(__file__).parents[2]
 GROUPS: dict[str, tuple[str, ...]] = {
     "Blocks and loops": ("block", "wiring", "loop", "simulation", "assembly", "catalogue", "scenario"),
-    "Base": ("maths", "units", "random", "clock", "errors", "files", "native"),
+    "Base": ("maths", "units", "random", "clock", "errors", "files", "native", "outside", "task"),
     "Pictures": ("plots",),
-    "Paths and courses": ("path", "tracker", "courses", "roads"),
+    "Paths and courses": ("path", "tracker", "courses", "roads", "waypoints"),
     "Cars, humans, sensors": ("vehicle", "vehicles", "plants"),
     "Controllers": ("controllers", "doe"),
     "Learning": ("learning", "gym"),
