@@ -18,11 +18,13 @@ from steerkit.cli.identify import identify
 from steerkit.cli.learn import learn
 from steerkit.cli.options import Quiet, Seed
 from steerkit.cli.show import show
+from steerkit.cli.vehicles import vehicles
 
 EPILOG = """
 Examples
 
   steerkit courses                            what can be driven\n
+  steerkit vehicles toyota                    with which cars\n
   steerkit drive stanley --course genesis     a controller on a course\n
   steerkit learn --minutes 2 --out runs/mine  a car learns; the run is kept\n
   steerkit show runs/mine                     its story, and its pictures\n
@@ -45,6 +47,7 @@ app.command()(learn)
 app.command()(drive)
 app.command()(show)
 app.command()(courses)
+app.command()(vehicles)
 
 
 def _print_version(wanted: bool) -> None:

@@ -29,7 +29,10 @@ Course = Annotated[
 ]
 Vehicle = Annotated[
     str,
-    typer.Option(help="Car: a name, or a vehicle file (its [steering] is then the motor).", rich_help_panel=SIMULATED),
+    typer.Option(
+        help="Car: a name of `steerkit vehicles`, fleet-17, or a vehicle file (its [steering] is then the motor).",
+        rich_help_panel=SIMULATED,
+    ),
 ]
 ScenarioFile = Annotated[
     Path | None,

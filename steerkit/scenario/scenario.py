@@ -76,7 +76,8 @@ class Scenario:
     closed: bool | None = None
     """Is a course from a file closed? None: as the file says, or as it looks (`steerkit.courses.course_of`)."""
     vehicle: str = "vw-passat"
-    """Name of a car (`steerkit.vehicles`), or a vehicle file, `my-car.toml`. Its table [steering] is not read here:
+    """Name of a car (`steerkit.vehicles`); `fleet-17` and the like, a production car by its seed, of which the steering
+    delay is not taken (`fleet_scenario` does); or a vehicle file, `my-car.toml`. Its table [steering] is not read here:
     `Scenario.under` does, and so do the command line and the environments."""
     plant: str = "nonlinear"
     """`nonlinear` or `linear` single track; or `package.module:Class`, see `steerkit.catalogue.plant_kind`."""

@@ -1,26 +1,48 @@
-"""Cars: their numbers, by name or from a file."""
+"""Cars: their numbers, by name, drawn from a fleet, or from a file."""
 
 from __future__ import annotations
 
 import difflib
 
 from steerkit.vehicles.file import read_vehicle, vehicle_of
+from steerkit.vehicles.fleet import FleetCar, drawn_car, drawn_number, fleet
 from steerkit.vehicles.named import BMW_320I, FORD_ESCORT, VEHICLES, VW_PASSAT, scaled
 from steerkit.vehicles.parameters import G, Vehicle
 
-__all__ = ["BMW_320I", "FORD_ESCORT", "VEHICLES", "VW_PASSAT", "G", "Vehicle", "scaled", "vehicle", "vehicle_of"]
+__all__ = [
+    "BMW_320I",
+    "FORD_ESCORT",
+    "VEHICLES",
+    "VW_PASSAT",
+    "FleetCar",
+    "G",
+    "Vehicle",
+    "drawn_car",
+    "fleet",
+    "scaled",
+    "vehicle",
+    "vehicle_of",
+]
 
 
 def vehicle(name: str) -> Vehicle:
     """The car of that name, or in the vehicle file of that name (`.toml`, written by `steerkit identify`).
 
-    Case does not matter, nor does `_` or a space for `-`. Raises ValueError otherwise, with the nearest name.
+    name: one of `VEHICLES`; one of `fleet()`, such as `toyota-rav4-prime` (`steerkit vehicles` lists them); `fleet-17`
+    and the like, a car of the fleet drawn by that seed. Case does not matter, nor does `_` or a space for `-`. Raises
+    ValueError otherwise, with the nearest name.
     """
     if name.endswith(".toml"):
         return read_vehicle(name)
     key = name.strip().lower().replace("_", "-").replace(" ", "-")
-    if key not in VEHICLES:
-        near = difflib.get_close_matches(key, VEHICLES, n=1, cutoff=0.4)
+    if key in VEHICLES:
+        return VEHICLES[key]
+    number = drawn_number(key)
+    if number is not None:
+        return drawn_car(number).vehicle
+    if key not in fleet():
+        near = difflib.get_close_matches(key, [*VEHICLES, *fleet()], n=1, cutoff=0.4)
         hint = f" (did you mean '{near[0]}'?)" if near else ""
-        raise ValueError(f"vehicle: '{name}' is not known{hint}; valid: {', '.join(VEHICLES)}, FILE.toml")
-    return VEHICLES[key]
+        valid = f"{', '.join(VEHICLES)}, a car of the fleet (steerkit vehicles), fleet-17, FILE.toml"
+        raise ValueError(f"vehicle: '{name}' is not known{hint}; valid: {valid}")
+    return fleet()[key].vehicle

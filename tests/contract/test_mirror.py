@@ -26,6 +26,7 @@ ELSEWHERE = {
     "steerkit.cli.demo": "unit/cli/test_app.py",
     "steerkit.cli.options": "unit/cli/test_app.py",
     "steerkit.cli.show": "unit/cli/test_learn.py",
+    "steerkit.cli.vehicles": "unit/cli/test_app_habits.py",
     # one program, run in every way that it can be
     "steerkit.compiled.c_code": "unit/compiled/test_compiled.py",
     "steerkit.compiled.fleet": "unit/gym/test_vector_env.py",

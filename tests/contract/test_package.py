@@ -15,6 +15,8 @@ from benchmarks.run.sources import source
 from tests.support.places import ROOT
 
 PACKAGES = ("steerkit", "benchmarks")
+OTHERS = ("courses/LICENSE.genesis", "identification/drives/LICENSE.genesis", "vehicles/LICENSE.opendbc")
+"""Licences of what others recorded or wrote."""
 sources = pytest.mark.skipif(not (ROOT / "steerkit").is_dir(), reason="runs on the sources; here steerkit is installed")
 
 
@@ -55,7 +57,7 @@ def test_the_wheel_says_what_it_is(wheel: Path) -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     archive = zipfile.ZipFile(wheel)
     info = {name.split("/", 1)[1]: name for name in archive.namelist() if ".dist-info/" in name}
-    assert {"licenses/LICENSE", "licenses/steerkit/courses/LICENSE.genesis"} <= info.keys()
+    assert {"licenses/LICENSE", *(f"licenses/steerkit/{name}" for name in OTHERS)} <= info.keys()
     assert "steerkit = steerkit.cli.app:main" in archive.read(info["entry_points.txt"]).decode()
     metadata = archive.read(info["METADATA"]).decode()
     assert f"Version: {project['version']}\n" in metadata

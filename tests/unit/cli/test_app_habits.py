@@ -17,6 +17,7 @@ import steerkit
 from steerkit.cli import app as cli
 from steerkit.courses import names
 from steerkit.units import radians_of
+from steerkit.vehicles import VEHICLES, fleet
 from tests.support.command_lines import parsed, run
 
 
@@ -53,7 +54,7 @@ def test_help_is_complete(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captur
 
 def test_the_examples_of_the_help_page_are_valid_commands() -> None:
     lines = [re.split("  +", line.strip())[0].split()[1:] for line in cli.EPILOG.splitlines() if "  steerkit" in line]
-    assert len(lines) == 5
+    assert len(lines) == 6
     for words in lines:
         parsed(words)
 
@@ -83,6 +84,21 @@ def test_courses_and_car_check_as_json(monkeypatch: pytest.MonkeyPatch, capsys: 
     assert facts["vehicle"] == "vw-passat"
     assert facts["limits"]["rate_max"] == pytest.approx(radians_of(550.0))
     assert facts["read"]["v_kit"] == {"unit": "m/s", "signal": "VEH_VEL", "gain": pytest.approx(1 / 3.6), "offset": 0.0}
+
+
+def test_vehicles_as_a_table_and_as_json(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("vehicles", "--json", monkeypatch=monkeypatch) == 0
+    rows = {row["vehicle"]: row for row in json.loads(capsys.readouterr().out)["vehicles"]}
+    assert set(rows) == {*VEHICLES, *fleet()}
+    assert (rows["kia-ceed"]["steer_delay_s"], rows["kia-ceed"]["interface"]) == (0.1, "torque")
+    assert rows["kia-ceed"]["mass_kg"] == fleet()["kia-ceed"].vehicle.m
+    assert rows["vw-passat"]["steer_delay_s"] is None
+    assert run("vehicles", "RAV4", monkeypatch=monkeypatch) == 0
+    printed = capsys.readouterr().out
+    assert "toyota-rav4-prime" in printed  # in 80 columns, whole
+    assert "kia" not in printed
+    assert run("vehicles", "trabant", monkeypatch=monkeypatch) == 2
+    assert "no name has 'trabant' in it" in capsys.readouterr().err
 
 
 def test_an_interrupted_run_says_how_to_go_on_and_ends_with_130(

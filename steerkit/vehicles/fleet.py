@@ -1,0 +1,82 @@
+"""The fleet: production cars by name, with the steering delay that their production software assumes."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from types import MappingProxyType
+
+from steerkit.random import seed_state, uniform
+from steerkit.vehicles.parameters import Vehicle
+
+MU = 0.9
+"""Friction coefficient that every car of the fleet gets: assumed, dry asphalt."""
+_STREAM = 21  # of `seed_state`: which car is drawn
+
+
+@dataclass(frozen=True, kw_only=True)
+class FleetCar:
+    """A production car: its numbers, and what its interface for lane keeping does with a command."""
+
+    vehicle: Vehicle
+    """The car. Mass, wheelbase, l_f and ratio are its own; yaw inertia and stiffness are scaled from another car's;
+    mu = 0.9 and stops at 520 degrees are assumed."""
+    steer_delay: float
+    """From a steering command to the car's answer, as production software assumes it [s]."""
+    slowest: float
+    """Slowest speed at which the maker's interface takes commands [m/s]; the models take them at any."""
+    interface: str
+    """`torque` or `angle`: what a command is to the maker's interface."""
+
+
+@cache
+def fleet() -> Mapping[str, FleetCar]:
+    """The production cars by name, 243 of them, such as `toyota-rav4-prime`; read from the shipped table once.
+
+    Source: commaai/opendbc 0.3.1, the car parameters of its interfaces (MIT, `LICENSE.opendbc` beside the table).
+    """
+    text = (files("steerkit.vehicles") / "fleet.csv").read_text(encoding="utf-8")
+    rows = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
+    cars = [_car(row) for row in rows]
+    return MappingProxyType({car.vehicle.name: car for car in cars})
+
+
+def drawn_car(number: int) -> FleetCar:
+    """A car of the fleet drawn by its seed: the same number, the same car; all cars are equally likely.
+
+    Raises ValueError unless the number is a whole one, >= 0.
+    """
+    u, _ = uniform(seed_state(number, stream=_STREAM))
+    cars = list(fleet().values())
+    return cars[int(u * len(cars))]
+
+
+def drawn_number(name: str) -> int | None:
+    """17 of `fleet-17`; None for a name that is not of that form."""
+    found = re.fullmatch(r"fleet-(\d{1,18})", name)
+    return int(found[1]) if found else None
+
+
+def _car(row: Mapping[str, str]) -> FleetCar:
+    wheelbase, l_f = float(row["wheelbase_m"]), float(row["l_f_m"])
+    vehicle = Vehicle(
+        name=row["name"].lower().replace("_", "-"),
+        m=float(row["m_kg"]),
+        i_z=float(row["i_z_kgm2"]),
+        l_f=l_f,
+        l_r=wheelbase - l_f,
+        c_f=float(row["c_f_N_per_rad"]),
+        c_r=float(row["c_r_N_per_rad"]),
+        steer_ratio=float(row["steer_ratio"]),
+        mu=MU,
+    )
+    return FleetCar(
+        vehicle=vehicle,
+        steer_delay=float(row["steer_delay_s"]),
+        slowest=float(row["min_steer_speed_mps"]),
+        interface=row["control"],
+    )
