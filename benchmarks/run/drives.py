@@ -15,11 +15,11 @@ from benchmarks.peers.agents import SETTINGS
 from benchmarks.run.results import TRAJECTORY
 from benchmarks.scenarios import open_parameters, shape, suite_loop
 from steerkit.block import Block
+from steerkit.catalogue import make_element
 from steerkit.compiled import Compiled, TraceError, compile
 from steerkit.compiled.trace import parameter
 from steerkit.controllers.network_policy import PolicyBlock
 from steerkit.controllers.nfq_policy import NfqPolicy
-from steerkit.doe import Integrator
 from steerkit.loop import Loop, Sample
 from steerkit.metrics import measures, step_times
 from steerkit.path import Path
@@ -27,6 +27,7 @@ from steerkit.scenario import Scenario
 from steerkit.simulation import Log, simulate
 from steerkit.task import DT, TRIP
 from steerkit.tracker import PathTracker
+from steerkit.vehicles import Vehicle
 
 OFF_COURSE = 3.0
 """|e| at which a drive is over [m]."""
@@ -54,12 +55,12 @@ class Policy:
     block: NfqPolicy | PolicyBlock
     setting: str
 
-    @property
-    def doe(self) -> Block:
-        """The dynamic output element; that of the environments for an agent."""
+    def element(self, vehicle: Vehicle) -> Block:
+        """The dynamic output element, within that car's stops; that of the environments for an agent."""
         from steerkit.learning.settings import setting
 
-        return Integrator() if isinstance(self.block, PolicyBlock) else setting(self.setting).element()
+        agent = isinstance(self.block, PolicyBlock)
+        return make_element("integrator", vehicle) if agent else setting(self.setting).element(vehicle)
 
     @classmethod
     def load(cls, file: FilePath, setting: str) -> Policy:
@@ -88,7 +89,7 @@ def drive(
     if policy is None:
         steers, doe = _steers(name, form), None
     else:
-        steers, doe = policy.block, policy.doe
+        steers, doe = policy.block, policy.element(scenario.nominal)
     loop = suite_loop(scenario, steers, doe=doe, seed=seed)
     inputs = loop.inputs_of("controller") if timed_steps else {}
     log = _driven(scenario, form, path, loop, name, policy is not None, tuple(inputs.values()))

@@ -50,7 +50,8 @@ def controller(folder: Path) -> None:
     with CarClient(str(folder / "socket")) as link:
         link.wait(timeout=10.0)
         built = lambda policy, doe: loops.car_loop(config, path, link, policy, doe=doe)  # noqa: E731
-        with CarLearner(setting("default"), folder / "run", built, link) as learner:
+        vehicle = loops.belief_of(config).vehicle
+        with CarLearner(setting("default"), folder / "run", built, link, vehicle=vehicle) as learner:
             began = len(learner.story.transitions)
 
             def watch(run: Any) -> bool:

@@ -201,7 +201,8 @@ def learn(
     def build(policy: Any, doe: Any) -> Any:
         return loops.car_loop(config, path, link, policy, doe=doe)
 
-    with CarLearner(setting("default"), place, build, link) as learner:
+    vehicle = loops.belief_of(config).vehicle
+    with CarLearner(setting("default"), place, build, link, vehicle=vehicle) as learner:
 
         def count(run: realtime.Run) -> bool:
             nonlocal best, since, failures

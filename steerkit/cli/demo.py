@@ -75,7 +75,8 @@ def _part(job: tuple[str, Experiment, FilePath, int, bool]) -> Part:
     name, experiment, place, seed, quiet = job
     experiment = replace(experiment, seed=seed)
     run = learn_with_progress(experiment, place, quiet=quiet)
-    world, doe = experiment.world, experiment.setting.element()
+    world = experiment.world
+    doe = experiment.setting.element(world.nominal)
     learned = evaluate.drive(world, rundir.final_policy(place), doe=doe, seed=seed)
     stanley = evaluate.drive(world, world.catcher(), seed=seed)
     return Part(name, figures_of_merit(run), *(Log(g.t, g.signals, g.units) for g in (learned, stanley)))

@@ -88,7 +88,7 @@ def show(place: FilePath, *, quiet: bool = False) -> dict[str, Any]:
     console.print(table)
     world = run.experiment.world
     logs = {
-        "learned": evaluate.drive(world, rundir.final_policy(place), doe=run.experiment.setting.element()),
+        "learned": evaluate.drive(world, rundir.final_policy(place), doe=run.experiment.setting.element(world.nominal)),
         "stanley": evaluate.drive(world, world.catcher()),
     }
     console.print(comparison(f"one round of {world.course}, the final net", logs))
@@ -111,7 +111,12 @@ def drive_and_draw(
     if name not in CONTROLLERS and run.is_dir():
         setting = rundir.experiment_of(run).setting
         log = evaluate.drive(
-            world, rundir.final_policy(run), doe=setting.element(), rounds=rounds, seed=seed, progress=not quiet
+            world,
+            rundir.final_policy(run),
+            doe=setting.element(world.nominal),
+            rounds=rounds,
+            seed=seed,
+            progress=not quiet,
         )
     else:
         steering = evaluate.controller(name, world)

@@ -33,6 +33,7 @@ from steerkit.learning.trainer import Trainer
 from steerkit.loop import Loop
 from steerkit.on_car.follow import Follow, Steers
 from steerkit.realtime import Run, run
+from steerkit.vehicles import Vehicle
 
 RUN = "car"
 FORMAT = "steerkit car run 1"
@@ -54,7 +55,8 @@ class CarLearner:
 
     setting: how. place: run directory; a run there is continued with all its transitions and its newest net.
     build: makes the loop of a policy and an output element (`steerkit.on_car.loop.car_loop`). seed: of the nets.
-    recovery: the name of the controller that catches it there, for the recording.
+    recovery: the name of the controller that catches it there, for the recording. vehicle: what controllers are told of
+    the car (`steerkit.on_car.loop.belief_of`), at whose stops the output element ends; None: 520 degrees.
 
     While the car is ENGAGED and the policy has the wheel, every sample is recorded. When the recovery controller has
     to take it, or `retrain_every_m` are driven, a process of its own trains on what is committed; driving goes on, and
@@ -72,6 +74,7 @@ class CarLearner:
         *,
         seed: int = 0,
         recovery: str = "stanley",
+        vehicle: Vehicle | None = None,
     ):
         where = f"setting '{setting.name}' on a car"
         chance = f"exploration = {setting.exploration}, expected 0: no action at random on a real steering wheel"
@@ -98,7 +101,7 @@ class CarLearner:
             first=self.store.next_episode(),
             also=self.store.append,
         )
-        self._idle = build(replace(policy, ready_from=math.inf), setting.element())
+        self._idle = build(replace(policy, ready_from=math.inf), setting.element(vehicle))
         self.follow = Follow(link=link, resting=self._idle, driving=self._with(policy))
         self._inputs = self._idle.inputs_of("controller")
 

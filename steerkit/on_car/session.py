@@ -215,7 +215,10 @@ def learn(options: Options, how: Setting, place: FilePath, *, minutes: float, se
 
     with session(options) as here:
         here.link.wait(timeout=10.0)
-        with CarLearner(how, place, here.build, here.link, seed=seed, recovery=options.recovery) as learner:
+        vehicle = loops.belief_of(here.config).vehicle
+        with CarLearner(
+            how, place, here.build, here.link, seed=seed, recovery=options.recovery, vehicle=vehicle
+        ) as learner:
             with here.panel(f"learning, {how.name}", learner.status):
                 run = learner.run(60.0 * minutes or float("inf"), clock=here.clock, watch=here.watch)
             print(learner.status())

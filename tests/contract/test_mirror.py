@@ -54,7 +54,6 @@ ELSEWHERE = {
     "steerkit.learning.pictures.paper": "unit/learning/pictures/test_run.py",
     "steerkit.learning.report": "unit/cli/test_learn.py",
     "steerkit.learning.training_run": "unit/learning/test_experiment.py",
-    "steerkit.native": "unit/compiled/test_compiled.py",
     # the programs on the car, in a world of processes and simulated hardware
     "steerkit.on_car.learner": "evals/test_car_learning.py",
     "steerkit.on_car.panel": "evals/test_car_panel.py",

@@ -21,6 +21,7 @@ from steerkit.on_car import replay as replays
 from steerkit.on_car.follow import Steers
 from steerkit.plants.real_car import recording as tapes
 from steerkit.plants.real_car.decisions.modes import Mode, Order
+from steerkit.task import STOP
 from tests.support.car_world import World, setup
 
 TINY = replace(
@@ -179,6 +180,21 @@ def test_a_run_is_continued_with_its_own_setting_only(tmp_path: Path, monkeypatc
     named = loops.controller_named(str(tmp_path / "run"), setup()[0])
     assert named.steers.doe == "integrator"
     assert Path(named.steers.name).name == again.net_file.name
+
+
+def test_the_output_element_ends_at_the_stops_of_the_cars_wheel(tmp_path: Path) -> None:
+    elements: list[Any] = []
+    world = World(s=20.0)
+
+    def build(policy: Any, doe: Any) -> Any:
+        elements.append(doe)
+        return world.build(policy, doe)
+
+    wide = replace(world.config.vehicle, delta_sw_max=9.9)
+    for vehicle in (wide, None):
+        with on_car.CarLearner(TINY, tmp_path / str(len(elements)), build, world, vehicle=vehicle):
+            pass
+    assert [doe.limit for doe in elements] == [9.9, STOP]
 
 
 def test_what_is_for_simulations_stays_there(tmp_path: Path) -> None:

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from steerkit.catalogue import CONTROLLERS
+from steerkit.cli import demo
 from steerkit.cli import drive as command
 from steerkit.learning import report
+from steerkit.learning.counts import Counts
+from steerkit.learning.experiment import Experiment
 from steerkit.scenario import Scenario
 from steerkit.scenario import drive as evaluate
 from steerkit.scenario.file import write_scenario
@@ -80,6 +85,36 @@ def test_the_options_of_a_drive_are_heard(tmp_path: Path, monkeypatch: pytest.Mo
     assert heard["place"] == tmp_path
     hard = Scenario.under("hard", course="circle")
     assert (heard["world"].course, heard["world"].delay, heard["world"].lag) == ("circle", 0.07, hard.lag)
+
+
+def test_the_output_element_of_a_learned_drive_ends_at_the_cars_stops(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "car.toml").write_text(vehicle_text(replace(VEHICLES["bmw-320i"], delta_sw_max=9.9)))
+    world = Scenario(vehicle=str(tmp_path / "car.toml"))
+    limits = []
+
+    class Seen(Exception):
+        pass
+
+    def driven(world: Scenario, policy: Any, *, doe: Any, **options: Any) -> Any:
+        limits.append(doe.limit)
+        raise Seen
+
+    run = SimpleNamespace(experiment=Experiment(world=world), t=0.0, counts=Counts(), transitions=())
+    monkeypatch.setattr(evaluate, "drive", driven)
+    monkeypatch.setattr(report.rundir, "final_policy", lambda place: None)
+    monkeypatch.setattr(report.rundir, "experiment_of", lambda place: run.experiment)
+    monkeypatch.setattr(report.rundir, "load", lambda place: run)
+    monkeypatch.setattr(demo, "learn_with_progress", lambda *words, **options: run)
+    for test_drive in (
+        lambda: report.show(tmp_path),
+        lambda: report.drive_and_draw(str(tmp_path), world, tmp_path, rounds=None, seed=0),
+        lambda: demo._part(("a", run.experiment, tmp_path, 0, True)),
+    ):
+        with pytest.raises(Seen):
+            test_drive()
+    assert limits == [9.9, 9.9, 9.9]
 
 
 def test_with_json_only_json_is_on_standard_output(

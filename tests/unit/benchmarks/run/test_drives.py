@@ -10,9 +10,12 @@ import numpy as np
 import pytest
 
 from benchmarks.entries import controller
-from benchmarks.run.drives import drive, judged
+from benchmarks.peers.agents import SETTINGS
+from benchmarks.run.drives import Policy, drive, judged
 from benchmarks.run.results import TRAJECTORY
 from benchmarks.scenarios import scene, suite_loop
+from steerkit.controllers.network_policy import PolicyBlock
+from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.pure_pursuit import PurePursuit
 from steerkit.controllers.stanley import Stanley
 from steerkit.scenario import Scenario
@@ -50,6 +53,13 @@ def test_a_drive_that_leaves_the_road_says_how_far_it_came() -> None:
     assert 0.1 < driven.metrics["rounds"] < 0.9
     assert np.abs(driven.trajectory["e"]).max() <= 3.0
     assert driven.metrics["max_e"] > 0.5
+
+
+@pytest.mark.parametrize("setting", ["default", "sb3-dqn"])
+def test_the_output_element_ends_at_the_cars_stops(setting: str) -> None:
+    learned: Any = PolicyBlock if setting in SETTINGS else NfqPolicy
+    policy = Policy(object.__new__(learned), setting)
+    assert policy.element(replace(PASSAT, delta_sw_max=9.9)).limit == 9.9  # type: ignore[attr-defined]
 
 
 def test_errors_are_judged_at_the_own_point_and_at_the_front_axle() -> None:

@@ -1,0 +1,113 @@
+"""How studies judge what was driven: by hand, on logs of a few samples."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks import rounds
+from benchmarks.studies import delay_robustness, learning, recovery_map, throughput, tune_stanley
+from steerkit.simulation import Log
+from steerkit.task import DT
+
+NAN = math.nan
+
+
+def log(**signals: Any) -> Log:
+    """Samples of signals whose names are given with `__` for the point."""
+    columns = {name.replace("__", "."): np.array(values, dtype=float) for name, values in signals.items()}
+    samples = len(next(iter(columns.values())))
+    return Log(DT * np.arange(samples), columns, dict.fromkeys(columns, ""))
+
+
+@pytest.mark.parametrize(
+    ("progress", "e", "worst"),
+    [
+        ([0, 5, 10, 15], [0.1, -0.3, 0.2, 0.9], 0.3),  # what comes after the round does not count
+        ([0, 5, 10, 9], [0.1, -0.3, 0.2, 0.9], 0.3),  # nor where the car rolls back behind the end
+        ([0, 5, 9, 9.5], [0.1, 0.3, 0.2, 0.1], math.inf),  # not finished
+        ([0, 5, 10, 15], [0.1, NAN, 0.2, 0.1], math.inf),
+    ],
+)
+def test_the_worst_error_is_that_of_a_whole_first_round(progress: list[float], e: list[float], worst: float) -> None:
+    drive = log(path__progress=progress, path__e=e)
+    assert rounds.worst(drive, 10.0) == worst
+    assert rounds.worst(log(path__progress=[[p] for p in progress], path__e=[[x] for x in e]), 10.0) == [worst]
+
+
+def test_the_root_mean_square_is_that_of_the_first_round() -> None:
+    drive = log(path__progress=[0, 5, 10, 4], path__e=[3.0, 4.0, 100.0, 100.0])
+    assert rounds.rms(drive, "path.e", 10.0) == pytest.approx(math.sqrt(12.5))
+
+
+@pytest.mark.parametrize(
+    ("e", "seconds"),
+    [
+        ([0.01, 0.02, 0.01, 0.0], 0.0),
+        ([1.0, 0.5, 0.01, 0.0], 2 * DT),
+        ([1.0, 0.01, -0.5, 0.0], 3 * DT),  # back for a moment is not back
+        ([1.0, 0.01, 0.01, 0.1], math.inf),  # and at the limit is not within it
+        ([1.0, 0.01, NAN, 0.0], 3 * DT),
+        ([1.0, 0.01, NAN, NAN], math.inf),
+    ],
+)
+def test_a_car_is_back_when_it_stays(e: list[float], seconds: float) -> None:
+    columns = dict.fromkeys(("car__a_y", "actuator__rate", "controller__delta_sw"), [[0.0]] * len(e))
+    assert recovery_map.judged(log(path__e=[[x] for x in e], **columns))["seconds"] == pytest.approx([seconds])
+
+
+def test_all_limits_count() -> None:
+    fine = {"a_y": np.array([2.9]), "rate": np.array([1.0]), "command_rate": np.array([1.0])}
+    assert recovery_map.within_limits(fine).all()
+    for name, beyond in (("a_y", 3.1), ("rate", 9.7), ("command_rate", 9.7)):
+        assert not recovery_map.within_limits({**fine, name: np.array([beyond])}).any(), name
+
+
+def test_starts_are_offset_at_the_reference_point() -> None:
+    starts = recovery_map.starts(3, reference=1.5)
+    e = starts["car.y0"] + 1.5 * np.sin(starts["car.psi0"])
+    assert sorted({round(float(x), 9) for x in e}) == [-3.0, 0.0, 3.0]
+    assert (starts["car.v0"] == starts["human.speed"]).all()
+    assert len(e) == 9 * len(recovery_map.SPEEDS)
+
+
+def test_one_thing_off_is_not_two() -> None:
+    cars = np.array(
+        [[1, 1, 0, 4], [0.7, 1, 0, 4], [1, 0.9, 0, 4], [1, 1, 3, 4], [0.7, 0.9, 0, 4], [0.7, 0.9, 3, 4]], dtype=float
+    )
+    e = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
+    assert delay_robustness.by_kind(cars, e) == {"nothing": 0.1, "tyres": 0.2, "ratio": 0.3, "offset": 0.4, "all": 0.6}
+
+
+def test_gains_are_chosen_among_those_near_the_best() -> None:
+    result = tune_stanley.Result(e=np.array([0.10, 0.11, 0.121]), rate=np.array([3.0, 2.0, 1.0]))
+    assert result.chosen == 1
+
+
+def outcome(**changes: Any) -> learning.Outcome:
+    fields = dict.fromkeys(learning.Outcome.__dataclass_fields__, 0.0)
+    return learning.Outcome(**{**fields, **changes})  # type: ignore[arg-type]
+
+
+def test_a_seed_that_never_learned_counts_as_infinite() -> None:
+    seeds = [
+        outcome(first_round_done=100.0, good=200.0),
+        outcome(first_round_done=900.0, good=None),
+        outcome(first_round_done=None, good=None),
+    ]
+    figures = learning.summarise(seeds, 660.0)
+    assert (figures["first_round_done_median"], figures["first_round_done_worst"]) == (900.0, None)
+    assert (figures["good_median"], figures["good_worst"]) == (None, None)
+    shares = (figures["round_share"], figures["round_within_share"], figures["good_share"])
+    assert shares == pytest.approx((2 / 3, 1 / 3, 1 / 3))
+
+
+@pytest.mark.filterwarnings("ignore:Unused output")
+def test_ways_that_compute_something_else_are_not_timed(monkeypatch: pytest.MonkeyPatch) -> None:
+    run = throughput.python_control.run
+    monkeypatch.setattr(throughput.python_control, "run", lambda made, steps: run(made, steps) + 1e-9)
+    with pytest.raises(SystemExit, match=r"the ways disagree by 1\.00e-09 m"):
+        throughput.require_equal_runs(throughput.closed_loop())
