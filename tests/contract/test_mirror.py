@@ -43,7 +43,6 @@ ELSEWHERE = {
     "steerkit.courses": "unit/test_path.py",
     "steerkit.courses.make_courses": "evals/test_path_closed_forms.py",
     "steerkit.courses.shapes": "evals/test_path_closed_forms.py",
-    "steerkit.errors": "unit/test_wiring.py",
     "steerkit.gym.drives": "unit/gym/test_vector_env.py",
     "steerkit.identification.make_drives": "unit/identification/test_identification.py",
     "steerkit.identification.pictures": "unit/cli/test_identify.py",

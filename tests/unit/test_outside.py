@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import pytest
@@ -20,6 +21,28 @@ def test_a_file_is_run_as_it_stands_with_its_neighbours(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text("def make():\n    return 4.0\n")
     assert imported(name, "controller")() == 4.0
     assert fingerprint(name, "controller") != before
+
+
+def test_a_file_leaves_nothing_behind_but_its_module(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("def make():\n    return 1.0\n")
+    (tmp_path / "broken.py").write_text("1 / 0\n")
+    before, modules = list(sys.path), set(sys.modules)
+    imported(f"{tmp_path}/mine.py:make", "controller")
+    with pytest.raises(ValueError, match="ZeroDivisionError"):
+        imported(f"{tmp_path}/broken.py:make", "controller")
+    assert sys.path == before
+    assert len(set(sys.modules) - modules) == 1
+
+
+def test_a_modules_fingerprint_changes_with_its_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "a_module_of_mine.py"
+    monkeypatch.syspath_prepend(tmp_path)
+    prints = []
+    for text in ("def make(): return 1\n", "def make(): return 2\n"):
+        file.write_text(text)
+        prints.append(fingerprint("a_module_of_mine:make", "controller"))
+    assert len(set(prints)) == 2
+    assert all(len(digits) == 16 for digits in prints)
 
 
 def test_a_module_is_imported() -> None:

@@ -28,6 +28,9 @@ def test_scenarios_that_differ_in_what_is_open_share_a_shape() -> None:
     told = replace(other, told_lag=STEP.lag)  # what a controller is told is built into it
     assert shape(told) == shape(STEP) != shape(other)
     assert shape(replace(STEP, wind=0.1)) != shape(STEP)
+    for case in (other, told, replace(STEP, latency=0.05), replace(STEP, told_delay=0.3, told_lag=0.05)):
+        believed, meant = shape(case).belief(), case.belief()
+        assert (believed.delay, believed.lag) == (meant.delay, meant.lag)
     assert "car.block.vehicle.c_f" in open_parameters(replace(STEP, wind=0.1))
     assert "human.human.v_min" not in open_parameters(replace(STEP, course="iso3888-1"))
     assert open_parameters(replace(STEP, plant=MULTI_BODY, vehicle="bmw-320i")) == ()
