@@ -80,7 +80,7 @@ def _build(tool: tuple[str, ...], source: str, library: Path, rounding: tuple[st
         tries = [["-DVECTOR_MATHS", "-Wl,--no-undefined", "-lmvec"], []] if vector_maths else [[]]
         for extra in tries:  # the second, lane by lane, is for machines without libmvec
             command = [*tool, *FLAGS, *rounding, *extra[:1], str(file), "-o", str(made), *extra[1:], "-lm"]
-            done = subprocess.run(command, capture_output=True, text=True, check=False)
+            done = subprocess.run(command, capture_output=True, encoding="utf-8", errors="replace", check=False)
             if done.returncode == 0:
                 return
         raise NoCompilerError(f"{' '.join(tool)} refused the generated code: {done.stderr.strip()[:500]}")
@@ -89,7 +89,9 @@ def _build(tool: tuple[str, ...], source: str, library: Path, rounding: tuple[st
 @functools.cache
 def _machine(tool: str) -> str:
     """What a library built with -march=native depends on."""
-    version = subprocess.run([tool, "--version"], capture_output=True, text=True, check=False).stdout
+    version = subprocess.run(
+        [tool, "--version"], capture_output=True, encoding="utf-8", errors="replace", check=False
+    ).stdout
     cpu = Path("/proc/cpuinfo")
-    lines = cpu.read_text().splitlines() if cpu.exists() else []
+    lines = cpu.read_text(encoding="utf-8", errors="replace").splitlines() if cpu.exists() else []
     return "\n".join([version, platform.machine(), *next(([line] for line in lines if line.startswith("flags")), [])])

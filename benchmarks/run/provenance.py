@@ -89,7 +89,7 @@ def _git(*words: str) -> str | None:
     if not (ROOT / ".git").exists():
         return None
     try:
-        done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, timeout=20, check=True)
+        done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, encoding="utf-8", timeout=20, check=True)
     except (OSError, subprocess.SubprocessError):
         return None
     return done.stdout.strip()
@@ -97,7 +97,7 @@ def _git(*words: str) -> str | None:
 
 def _processor() -> str:
     try:
-        lines = FilePath("/proc/cpuinfo").read_text().splitlines()
+        lines = FilePath("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
         return platform.processor()
     return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), "")

@@ -202,7 +202,7 @@ class Store:
     def has(self, case_id: str) -> bool:
         """Has this case finished, without an error?"""
         file = self._case_file(case_id)
-        return file.exists() and json.loads(file.read_text())["status"] == "done"
+        return file.exists() and json.loads(file.read_text(encoding="utf-8"))["status"] == "done"
 
     def keep(
         self,
@@ -270,7 +270,7 @@ def read_provenance(place: FilePath) -> dict[str, Any]:
     if not file.exists():
         raise ValueError(f"{place} is no results directory: it has no provenance.json; expected what `run` wrote")
     try:
-        data = json.loads(file.read_text())
+        data = json.loads(file.read_text(encoding="utf-8"))
     except ValueError as error:
         raise ValueError(f"{file} is truncated or no JSON ({error})") from error
     found = data.get("format") if isinstance(data, dict) else None
@@ -286,7 +286,7 @@ def _from_files(place: FilePath, provenance: Mapping[str, Any]) -> tuple[Case, .
         if not file.exists():
             continue
         try:
-            data = json.loads(file.read_text())
+            data = json.loads(file.read_text(encoding="utf-8"))
             data["metrics"] = {name: _number(value) for name, value in data["metrics"].items()}
             found.append(Case(**data | {"cpu_seconds": _number(data["cpu_seconds"])}))
         except (ValueError, TypeError, KeyError, AttributeError) as error:

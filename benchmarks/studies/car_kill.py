@@ -82,7 +82,7 @@ class Bench:
         self.tapes = 0
         self.server: subprocess.Popen[str] | None = None
         self.controller: subprocess.Popen[str] | None = None
-        self.text = (folder / "text.log").open("w")
+        self.text = (folder / "text.log").open("w", encoding="utf-8")
         self.attended = contextlib.ExitStack()
         self.attended.enter_context(processes.attended(self.socket))
 
@@ -96,7 +96,7 @@ class Bench:
         if self.controller is None or self.controller.poll() is not None:
             (self.folder / "state.json").unlink(missing_ok=True)
             command = [sys.executable, "-m", __name__, str(self.folder)]
-            self.controller = subprocess.Popen(command, stdout=self.text, stderr=self.text, text=True)
+            self.controller = subprocess.Popen(command, stdout=self.text, stderr=self.text, encoding="utf-8")
         end = time.monotonic() + 90.0
         while time.monotonic() < end:
             state = self.state()
@@ -117,7 +117,7 @@ class Bench:
     def state(self) -> dict[str, Any]:
         """What the controller last wrote."""
         try:
-            return json.loads((self.folder / "state.json").read_text())
+            return json.loads((self.folder / "state.json").read_text(encoding="utf-8"))
         except (FileNotFoundError, json.JSONDecodeError):
             return {}
 
@@ -139,7 +139,9 @@ class Bench:
         row: dict[str, Any] = {"victim": victim, "mode": mode}
         if victim == "trainer":
             return row | self._after_trainer(killed, pid)
-        heard = [json.loads(line) for line in self.log.read_text().splitlines()[-400:] if line.endswith("}")]
+        heard = [
+            json.loads(line) for line in self.log.read_text(encoding="utf-8").splitlines()[-400:] if line.endswith("}")
+        ]
         after = [h["t"] - killed for h in heard if h.get("enable") == 1 and h["t"] > killed]
         row["silent_after_ms"] = 1e3 * max(after, default=0.0)
         row["heard_before_ms"] = 1e3 * min(
@@ -166,7 +168,7 @@ class Bench:
             whole = tapes.read(tapes.repair(copy, overwrite=True)[1]).sound
         except ValueError as error:
             return {"ok_recording": False, "why": str(error)}
-        heard = [json.loads(line) for line in self.log.read_text().splitlines() if line.endswith("}")]
+        heard = [json.loads(line) for line in self.log.read_text(encoding="utf-8").splitlines() if line.endswith("}")]
         last_heard = max(h["t"] for h in heard if "enable" in h)
         lost = last_heard - max(v["t"] for v in recorded.of("/can/tx")) if cut else 0.0
         ok = same >= frames - 1 and whole and lost <= 1.0
@@ -177,7 +179,9 @@ class Bench:
         end = time.monotonic() + 30.0
         while time.monotonic() < end and self.state().get("trainer") == pid:
             time.sleep(0.2)
-        heard = [json.loads(line) for line in self.log.read_text().splitlines()[-2000:] if line.endswith("}")]
+        heard = [
+            json.loads(line) for line in self.log.read_text(encoding="utf-8").splitlines()[-2000:] if line.endswith("}")
+        ]
         times = [h["t"] for h in heard if h.get("enable") == 1 and killed - 0.5 <= h["t"] <= killed + 0.5]
         gap = max((b - a for a, b in pairwise(times)), default=9.0)
         back = self.state().get("trainer") != pid
@@ -211,7 +215,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
                 rows.append(bench.kill(victims[n % len(victims)]))
                 print(n + 1, rows[-1], flush=True)
         except Exception:
-            print((Path(folder) / "text.log").read_text()[-3000:])
+            print((Path(folder) / "text.log").read_text(encoding="utf-8")[-3000:])
             raise
         finally:
             bench.down()

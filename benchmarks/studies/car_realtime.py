@@ -44,7 +44,7 @@ def drive(
     path = loops.course_of(config)
     socket, tape, log = str(folder / "socket"), folder / "drive.mcap", folder / "car.jsonl"
     simulated, channel = processes.start_simulated("dbw-kit.toml", time_scale=scale, log=str(log), listen=listen)
-    with (folder / "server.log").open("w") as text:
+    with (folder / "server.log").open("w", encoding="utf-8") as text:
         server = processes.start_car_server(
             "dbw-kit.toml", socket, recording=str(tape), channel=channel, time_scale=scale, realtime=fifo, log=text
         )
@@ -96,7 +96,7 @@ def drive(
     for drive in replays.drives(recorded):
         asked += len(drive.requests)
         same_asked += replays.replayed_requests(drive, config, path)
-    heard = [json.loads(line) for line in log.read_text().splitlines()]
+    heard = [json.loads(line) for line in log.read_text(encoding="utf-8").splitlines()]
     times = [h["t"] for h in heard if h.get("enable") == 1]
     print(realtime.histogram_text(timing))
     return {

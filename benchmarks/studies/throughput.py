@@ -238,7 +238,7 @@ def first_calls() -> dict[str, float]:
                 [sys.executable, "-c", code],
                 env={**os.environ, "XDG_CACHE_HOME": folder},
                 capture_output=True,
-                text=True,
+                encoding="utf-8",
                 check=True,
             )
             costs[name] = float(done.stdout)

@@ -78,7 +78,7 @@ def simulate(
     car = processes.simulated_car(loaded, path, seed=seed, v_min=v_min, v_max=v_max, t0=clock.now())
     print(f"channel {port.channel}", flush=True)
     with contextlib.ExitStack() as stack:
-        stream = stack.enter_context(open(log, "w")) if log else None
+        stream = stack.enter_context(open(log, "w", encoding="utf-8")) if log else None
         stack.callback(port.close)
         with contextlib.suppress(KeyboardInterrupt):
             processes.serve_simulated(car, port, clock, log=stream, faults=sys.stdin)

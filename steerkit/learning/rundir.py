@@ -103,7 +103,7 @@ def document(place: FilePath) -> dict[str, Any]:
     if not file.exists():
         raise ValueError(f"{place} is no run directory: it has no run.json; make one with `steerkit learn`")
     try:
-        data = json.loads(file.read_text())
+        data = json.loads(file.read_text(encoding="utf-8"))
     except ValueError as error:
         raise ValueError(f"{file} is truncated or no JSON ({error}); the run cannot be read") from error
     if not isinstance(data, dict) or data.get("format") != FORMAT:

@@ -223,7 +223,7 @@ def setting_of(place: FilePath) -> Setting:
     """How a run on a car learns; raises ValueError for a directory that holds none."""
     file = place / "car.json"
     try:
-        data = json.loads(file.read_text())
+        data = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise ValueError(f"{file}: no run of a car ({error}); make one with `steerkit learn --car FILE`") from error
     if not isinstance(data, dict) or data.get("format") != FORMAT:

@@ -39,7 +39,7 @@ def default_socket() -> str:
 def start(*words: str, **popen: Any) -> subprocess.Popen[str]:
     """Start `steerkit car WORDS` as a process of its own, out of the terminal's reach (Ctrl-C is not for it)."""
     command = [sys.executable, "-m", "steerkit.cli.car", *words]
-    return subprocess.Popen(command, text=True, start_new_session=True, **popen)
+    return subprocess.Popen(command, encoding="utf-8", start_new_session=True, **popen)
 
 
 def start_car_server(
@@ -75,7 +75,7 @@ def last_line(log: str) -> str:
     """What a process said last in its log, and where that is; "" without one."""
     if not os.path.isfile(log):
         return ""
-    lines = FilePath(log).read_text(errors="replace").split("\n")
+    lines = FilePath(log).read_text(encoding="utf-8", errors="replace").split("\n")
     return f"{next((line for line in reversed(lines) if line), 'it said nothing')} (log: {log})"
 
 

@@ -123,7 +123,7 @@ def session(options: Options) -> Iterator[Session]:
             here = Session(options, socket, channel)
             if options.simulated or not os.path.exists(socket) or not _answers(socket):
                 here.recording, log = _files(options.recording)
-                text = stack.enter_context(log.open("w"))
+                text = stack.enter_context(log.open("w", encoding="utf-8"))
                 server = processes.start_car_server(
                     options.config,
                     socket,
