@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.house import modules
 from tests.support.places import ROOT
 from tests.support.shell_lines import BLOCK, PAGES, blocks
 
@@ -65,8 +66,9 @@ def test_links_lead_somewhere(page: Path) -> None:
         assert (page.parent / target).exists(), target
 
 
-def make_gallery() -> Any:
-    spec = importlib.util.spec_from_file_location("make_gallery", ROOT / "docs" / "tools" / "make_gallery.py")
+def tool(name: str) -> Any:
+    """A module under docs/tools."""
+    spec = importlib.util.spec_from_file_location(name, ROOT / "docs" / "tools" / f"{name}.py")
     assert spec
     assert spec.loader
     module = importlib.util.module_from_spec(spec)
@@ -75,11 +77,28 @@ def make_gallery() -> Any:
 
 
 def test_the_gallery_page_is_made_of_the_scripts_and_no_script_is_left_out() -> None:
-    tool = make_gallery()
-    assert GALLERY.read_text(encoding="utf-8") == tool.page(), "run python docs/tools/make_gallery.py"
-    scripts = {script.stem for script in tool.SCRIPTS.glob("*.py")}
-    assert scripts == set(tool.ORDER) == {picture.stem for picture in tool.PICTURES.glob("*.png")}
-    assert all(len((tool.SCRIPTS / f"{name}.py").read_text("utf-8").splitlines()) <= 45 for name in scripts)
+    maker = tool("make_gallery")
+    assert GALLERY.read_text(encoding="utf-8") == maker.page(), "run python docs/tools/make_gallery.py"
+    scripts = {script.stem for script in maker.SCRIPTS.glob("*.py")}
+    assert scripts == set(maker.ORDER) == {picture.stem for picture in maker.PICTURES.glob("*.png")}
+    assert all(len((maker.SCRIPTS / f"{name}.py").read_text("utf-8").splitlines()) <= 45 for name in scripts)
+
+
+def test_every_module_has_its_page_of_the_reference(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("mkdocs")
+    site = tool("site")
+    pages = site.modules()
+    assert caplog.messages == []
+    assert list(pages) == list(site.GROUPS)
+    documented = sorted(name for names in pages.values() for name in names)
+    assert len(documented) == len(set(documented)) > 100
+    packages = {"steerkit." + name for name in documented}
+    assert packages <= modules(ROOT, "steerkit").keys()
+    monkeypatch.setattr(site, "GROUPS", {"Blocks and loops": site.GROUPS["Blocks and loops"]})
+    site.modules()
+    assert any("steerkit.errors is on no page of the reference" in message for message in caplog.messages)
 
 
 @pytest.mark.parametrize("script", sorted((ROOT / "examples" / "gallery").glob("*.py")), ids=lambda script: script.stem)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.contract.test_mirror import holds_something
 from tests.support import mutate
 from tests.support.places import ROOT
 
@@ -100,9 +101,26 @@ def test_every_slip_can_still_be_made() -> None:
     assert not old, "\n".join(old)
 
 
+def without_slip(root: Path, slips: list[mutate.Slip]) -> list[str]:
+    """Packages of the code none of whose own modules has a slip; those that hold nothing need none."""
+    homes = {Path(slip.file).parent for slip in slips}
+    files = [file for folder in ("steerkit", "benchmarks", "tiny") for file in (root / folder).rglob("*.py")]
+    packages = {file.parent.relative_to(root) for file in files if holds_something(file)}
+    return sorted(str(package) for package in packages - homes)
+
+
 @sources
-def test_the_list_is_long() -> None:
-    assert len(mutate.read()) >= 150
+def test_the_list_is_long_and_every_package_has_a_slip() -> None:
+    slips = mutate.read()
+    assert len(slips) >= 150
+    assert not without_slip(ROOT, slips)
+
+
+def test_a_package_without_a_slip_is_named(tiny: Path) -> None:
+    for name, text in (("more/__init__.py", ""), ("more/sums.py", SUMS), ("empty/__init__.py", '"""Nothing."""\n')):
+        (tiny / "tiny" / name).parent.mkdir(exist_ok=True)
+        (tiny / "tiny" / name).write_text(text)
+    assert without_slip(tiny, slips_of(tiny)) == ["tiny/more"]
 
 
 @sources

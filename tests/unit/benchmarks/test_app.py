@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from benchmarks import app as benchmarks_app
 from benchmarks.app import app, main
 from benchmarks.run import golden
-from benchmarks.run.results import Results
+from benchmarks.run.results import Case, Results
 from benchmarks.suites import SUITES
 from tests.support.places import ROOT
 from tests.support.tiny_suite import TINY
@@ -115,3 +115,31 @@ def test_golden_numbers_are_looked_for_in_the_checkout_one_stands_in(tmp_path, m
     assert golden.file() == tmp_path / "tests" / "golden" / "benchmarks.json"
     with pytest.raises(ValueError, match=r"benchmarks\.json is missing; `python -m benchmarks golden --update`"):
         golden.kept(golden.file())
+
+
+@pytest.mark.parametrize(("factor", "words", "code"), [(1.0, [], 0), (2.0, [], 1), (2.0, ["--update"], 0)])
+def test_golden_numbers_that_moved_end_with_1_unless_they_are_renewed(
+    factor: float, words: list[str], code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    golden.update({"a": {"rms_e": 1.0}}, tmp_path / "golden.json")
+    monkeypatch.setattr(golden, "file", lambda: tmp_path / "golden.json")
+    monkeypatch.setattr(golden, "measured", lambda: None)
+    monkeypatch.setattr(golden, "numbers", lambda results: {"a": {"rms_e": factor}})
+    ended = CliRunner().invoke(app, ["golden", "--json", *words])
+    assert ended.exit_code == code, ended.output
+    told = json.loads(ended.output.splitlines()[-1])
+    assert (len(told["changed"]), told["updated"]) == (int(factor != 1.0), bool(words))
+    kept = golden.kept(tmp_path / "golden.json")[0]["a"]["rms_e"]
+    assert kept == (factor if words else 1.0)
+
+
+def test_the_leaderboards_means_are_over_the_drives_held(capsys: pytest.CaptureFixture[str]) -> None:
+    names = ("rms_e", "max_e", "rms_wheel_rate_deg", "max_a_y", "max_jerk")
+    drives = [(0.1, True), (0.3, True), (9.0, False)]
+    cases = [
+        Case(suite="s", scenario="a", controller="c", seed=n, metrics={**dict.fromkeys(names, e), "held": float(held)})
+        for n, (e, held) in enumerate(drives)
+    ]
+    benchmarks_app._leaderboard(Results(Path(), {}, tuple(cases)))
+    row = next(line for line in capsys.readouterr().out.splitlines() if "2 of 3" in line)
+    assert row.split()[-10::2] == ["0.2"] * 5, row

@@ -30,6 +30,17 @@ def test_the_failure_map_is_the_grid_that_was_driven(results: Results) -> None:
     assert conditions.grids([c for c in results.cases if c.suite == "tracking"], results.protocol) == []
 
 
+def test_a_place_that_nobody_drove_is_not_called_lost(results: Results) -> None:
+    cases = [c for c in results.cases if c.suite == "robustness"]
+    (whole,) = conditions.grids(cases, results.protocol)
+    gone = ("pure-pursuit", "delay 0.3 v 9")
+    (grid,) = conditions.grids([c for c in cases if (c.controller, c.scenario) != gone], results.protocol)
+    unknown = np.isnan(grid.shares["pure-pursuit"])
+    assert unknown[0, 2]
+    assert unknown.sum() == 1
+    assert (grid.shares["stanley"] == whole.shares["stanley"]).all()
+
+
 def test_one_condition_alone_is_a_sweep_and_no_map(results: Results) -> None:
     cases = [c for c in results.cases if c.scenario.endswith(" v 6")]
     assert conditions.grids(cases, results.protocol) == []
