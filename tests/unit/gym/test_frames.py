@@ -8,6 +8,7 @@ import gymnasium
 import numpy as np
 import pytest
 
+import steerkit.gym  # noqa: F401  registers the environments
 from steerkit.controllers.nfq_policy import IDOE_ACTIONS
 
 ID = "steerkit/TrackSteering-v0"
@@ -28,3 +29,14 @@ def test_frames_show_the_car_and_change_with_it() -> None:
     assert (first != second).any()
     with pytest.warns(UserWarning, match="made without render_mode"):
         assert gymnasium.make(ID).unwrapped.render() is None
+
+
+def test_a_bend_to_the_left_goes_to_the_left() -> None:
+    env: Any = gymnasium.make(ID, render_mode="rgb_array", course="circle", start_e=0.0, start_psi_e=0.0)
+    env.reset(seed=0)
+    assert float(env.unwrapped.task.path.samples.kappa.mean()) > 0.0
+    picture = env.render()[:360].astype(int)  # what is seen from above, without the strip of e below it
+    path = (np.abs(picture - (0x8F, 0xC3, 0xA0)).max(axis=-1) < 12).nonzero()
+    ahead = path[0] < 100
+    assert ahead.sum() > 20
+    assert path[1][ahead].mean() < 360 - 4, "the path bends away from the middle, to the left"

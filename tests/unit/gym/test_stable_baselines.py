@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import gymnasium
 import numpy as np
 import pytest
+import torch
 
 import steerkit.gym
 from steerkit.gym import Task, TrackSteering
@@ -19,6 +22,36 @@ def test_stable_baselines3_has_nothing_to_say() -> None:
     checker = pytest.importorskip("stable_baselines3.common.env_checker")
     for name in (ID, CONTINUOUS):
         checker.check_env(gymnasium.make(name).unwrapped, warn=True)
+
+
+@pytest.mark.parametrize("between", ["ReLU", "Tanh"])
+@pytest.mark.parametrize("kind", ["DQN", "SAC", "TD3", "PPO"])
+def test_layers_are_found_where_these_models_keep_them(kind: str, between: str) -> None:
+    """Nets of torch in objects that are shaped as Stable-Baselines3's are; it itself is needed below only."""
+    task = Task(actions="i-doe" if kind == "DQN" else "continuous")
+    last = len(task.angles or (0.0,))
+    torch.manual_seed(0)
+    own = getattr(torch.nn, between)
+    inner = torch.nn.Sequential(torch.nn.Linear(6, 5), own(), torch.nn.Linear(5, 4), own())
+    outer = torch.nn.Linear(4, last)
+    if kind == "DQN":
+        policy = SimpleNamespace(q_net=SimpleNamespace(q_net=torch.nn.Sequential(*inner, outer)))
+    elif kind == "PPO":
+        policy = SimpleNamespace(mlp_extractor=SimpleNamespace(policy_net=inner), action_net=outer)
+    elif kind == "SAC":
+        policy = SimpleNamespace(actor=SimpleNamespace(latent_pi=inner, mu=outer))
+    else:
+        policy = SimpleNamespace(actor=SimpleNamespace(mu=torch.nn.Sequential(*inner, outer, torch.nn.Tanh())))
+    spaces = {"observation_space": task.observation_space, "action_space": task.action_space}
+    block = steerkit.gym.from_stable_baselines(type(kind, (), {**spaces, "policy": policy})(), task)
+    observations = np.random.default_rng(0).uniform(-2.0, 2.0, (50, 6))
+    with torch.no_grad():
+        raw = outer(inner(torch.as_tensor(observations, dtype=torch.float32))).numpy().astype(float)
+    squashed = np.tanh(raw[:, 0]) if kind in ("SAC", "TD3") else np.clip(raw[:, 0], -1.0, 1.0)
+    expected = np.array(task.angles)[raw.argmax(axis=1)] if kind == "DQN" else task.scale * squashed
+    d = task.description
+    told = block.output(0.0, (), block.D(*(observations * d.half + d.mid).T)).action
+    np.testing.assert_allclose(told, expected, atol=1e-5)
 
 
 @pytest.mark.parametrize("kind", ["DQN", "SAC", "TD3", "PPO"])
