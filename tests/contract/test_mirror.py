@@ -35,7 +35,6 @@ ELSEWHERE = {
     "steerkit.compiled.vm": "unit/compiled/test_compiled.py",
     # both MPCs are one table of cases
     "steerkit.controllers.mpc.block": "unit/controllers/mpc/test_linear.py",
-    "steerkit.controllers.mpc.fallback": "unit/controllers/mpc/test_linear.py",
     "steerkit.controllers.mpc.nonlinear": "unit/controllers/mpc/test_linear.py",
     "steerkit.controllers.mpc.path_model": "evals/test_mpc_closed_forms.py",
     "steerkit.controllers.mpc.settings": "unit/controllers/mpc/test_linear.py",

@@ -31,6 +31,7 @@ def test_pictures_show_the_margins_and_say_what_is_unstable() -> None:
     assert np.all(np.abs(np.diff(crossing.get_ydata())) < 20.0)  # no jumps by a turn
     phase, delay, pole = plot_over(points).axes
     assert np.isnan(phase.lines[1].get_ydata()[1])
+    assert phase.lines[0].get_ydata()[1] == pytest.approx(math.degrees(told.phase))
     assert delay.lines[0].get_ydata().tolist() == [point.margins.delay for point in points["predicted"]]
     assert pole.lines[1].get_ydata()[1] > 1.0
     answers = {f"{v:g} m/s": linearise(steered(v), inputs=["controller_path.e"], outputs=["path.e"]) for v in speeds}

@@ -85,6 +85,12 @@ def test_the_options_of_a_drive_are_heard(tmp_path: Path, monkeypatch: pytest.Mo
     assert heard["place"] == tmp_path
     hard = Scenario.under("hard", course="circle")
     assert (heard["world"].course, heard["world"].delay, heard["world"].lag) == ("circle", 0.07, hard.lag)
+    write_scenario(Scenario(course="circle", delay=0.03, lag=0.2), tmp_path / "mine.toml")
+    for given, lag, noise in (((), 0.2, 0.0), (("--conditions", "hard"), 0.15, 1.0)):
+        words = ("drive", "lqr", "--scenario", str(tmp_path / "mine.toml"), *given, "-q", "--out")
+        assert run(*words, str(tmp_path), monkeypatch=monkeypatch) == 0
+        world = heard["world"]
+        assert (world.course, world.delay, world.lag, world.noise) == ("circle", 0.03, lag, noise)
 
 
 def test_the_output_element_of_a_learned_drive_ends_at_the_cars_stops(

@@ -9,7 +9,8 @@ import pytest
 
 from steerkit.controllers.stanley import Stanley
 from steerkit.identification import Drive
-from steerkit.identification.estimate import Identified
+from steerkit.identification.estimate import Identified, predict
+from steerkit.identification.model import Simulator
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.steering_actuator import steering_of
@@ -25,6 +26,14 @@ def test_held_out_drive(found: Identified) -> None:
     assert shifted.rms > 3.0 * seen.rms
     assert shifted.zero_shift == pytest.approx(-0.05, abs=0.02)
     assert shifted.rms_rezeroed < 1.5 * seen.rms + 1e-3
+
+
+def test_the_zero_of_a_gyroscope_is_predicted_too_unless_it_is_calibrated(found: Identified) -> None:
+    theta = found.theta | {"rate_zero": 0.01}
+    calibrated, raw = (
+        predict(Simulator(replace(found.drive, calibrated=told), found.base), theta).r for told in (True, False)
+    )
+    assert raw - calibrated == pytest.approx(0.01)
 
 
 def test_the_vehicle_file_comes_back_and_drives(found: Identified, tmp_path: Path) -> None:

@@ -92,7 +92,7 @@ def loop(car: FmuPlant | LinearSingleTrack) -> Loop:
     return steering_loop(
         car=placed(car, PATH, s=30.0, e=0.3, psi_e=0.05),
         path=PATH,
-        human=ConstantSpeed(speed=5.0),
+        human=ConstantSpeed(speed=6.0),  # other than before the first sample
         controller=Stanley.of(CAR),
     )
 

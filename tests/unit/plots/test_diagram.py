@@ -21,6 +21,22 @@ def test_the_diagram_says_names_units_and_rates(name: str) -> None:
         assert (f"{source.spec.name} [{unit}]" if unit != "1" else source.spec.name) in said
 
 
+def test_hollow_ports_are_those_that_only_update_sees() -> None:
+    loop = learning()
+    axes = loop.plot().axes[0]
+    hollow = {
+        (float(line.get_xdata()[0]), float(line.get_ydata()[0])) for line in axes.lines if line.get_marker() == "o"
+    }
+    expected = {
+        (box.x, box.y + box.inputs[port.name])
+        for box in arrange(loop).boxes
+        for port in loop.blocks[box.name].inputs
+        if not port.direct
+    }
+    assert hollow == expected
+    assert expected
+
+
 def test_texts_fit_into_their_boxes() -> None:
     figure = learning().plot()
     figure.canvas.draw()

@@ -30,6 +30,12 @@ def test_a_scenario_comes_back_with_its_files(tmp_path: FilePath, monkeypatch: p
     assert read_scenario(tmp_path / "scenario.toml") == scenario
 
 
+def test_every_character_comes_back(tmp_path: FilePath) -> None:
+    scenario = Scenario(name="".join(map(chr, range(0x180))))
+    write_scenario(scenario, tmp_path / "scenario.toml")
+    assert read_scenario(tmp_path / "scenario.toml").name == scenario.name
+
+
 @settings(max_examples=50)
 @given(
     name=st.text(max_size=8).filter(lambda text: "--" not in text and text.isprintable()),

@@ -13,7 +13,7 @@ import pytest
 
 from steerkit.courses import course
 from steerkit.plants.pushed import Pushed
-from steerkit.scenario import Scenario
+from steerkit.scenario import END_MARGIN, Scenario
 from steerkit.units import radians_of
 from steerkit.vehicles import G, vehicle
 from steerkit.vehicles.file import vehicle_text
@@ -81,6 +81,39 @@ def test_what_is_wrong_with_the_car_is_not_told() -> None:
     assert Scenario(lag=0.3, told_lag=0.1).belief().lag == 0.1
 
 
+def test_a_controller_without_a_point_of_its_own_is_judged_where_the_scenario_says() -> None:
+    assert {where: Scenario(reference=where).ahead for where in ("front", "cg", "own")} == {
+        "front": PASSAT.l_f,
+        "cg": 0.0,
+        "own": PASSAT.l_f,
+    }
+
+
+def test_an_open_course_is_driven_without_its_ends_and_no_farther() -> None:
+    for name, ends in (("genesis-rfs", 2.0 * END_MARGIN), ("paper", 0.0)):
+        scenario = Scenario(course=name, rounds=1.5)
+        assert scenario.round_length == course(name).length - ends
+        assert scenario.length == 1.5 * scenario.round_length
+
+
+def test_what_depends_on_the_seed_is_random() -> None:
+    steady = Scenario(v_min=5.0, v_max=5.0)
+    assert not steady.random
+    assert not replace(steady, wind=1.0, latency=0.05).random
+    assert Scenario().random
+    assert replace(steady, noise=0.5).random
+    assert replace(steady, gust=0.1).random
+    assert not Scenario(course="genesis", speed="recorded").random
+
+
+def test_all_noises_grow_together() -> None:
+    one, two = (Scenario(noise=factor).sensors(3) for factor in (1.0, 2.5))
+    assert one is not None
+    assert two is not None
+    for name in ("position_drift", "psi_drift", "r_noise"):
+        assert getattr(two, name) == 2.5 * getattr(one, name) > 0.0
+
+
 def test_bank_and_wind_push_the_car() -> None:
     banked = Scenario(bank_deg=2.0, wind=0.3, gust=0.1)
     car = banked.car(banked.path(), seed=4)
@@ -140,6 +173,21 @@ def test_a_file_is_closed_if_its_ends_meet_or_if_it_says_so(share: float, tmp_pa
     assert Scenario(course=str(tmp_path / "again.csv")).path().closed is path.closed
     if share == 1.0:
         assert not Scenario(course=str(file), closed=False).path().closed
+
+
+@pytest.mark.parametrize(("gap", "closed"), [(3.0, True), (6.0, False)])
+def test_ends_in_degrees_meet_within_five_metres(gap: float, closed: bool, tmp_path: FilePath) -> None:
+    """At 60 degrees north, where a degree of longitude is half as long as one of latitude."""
+    radius, metre = 30.0, 1.0 / 111_320.0
+    turns = [2.0 * math.pi * (k + 0.5) / 180 * (1.0 - gap / (2.0 * math.pi * radius)) for k in range(181)]
+    points = [(60.0 + metre * radius * math.sin(t), 8.0 + 2.0 * metre * radius * math.cos(t)) for t in turns[:180]]
+    ends = math.hypot(points[0][0] - points[-1][0], 0.5 * (points[0][1] - points[-1][1])) / metre
+    turned = [(60.0 + 0.5 * (lon - 8.0), 8.0 - 2.0 * (lat - 60.0)) for lat, lon in points]  # the gap along the parallel
+    assert gap - 0.5 < ends < gap + 1.5
+    for n, rows in enumerate((points, turned)):
+        file = tmp_path / f"{n}.csv"
+        file.write_text("lat,lon\n" + "".join(f"{lat:.9f},{lon:.9f}\n" for lat, lon in rows))
+        assert Scenario(course=str(file)).path().closed is closed
 
 
 def test_a_vehicle_files_steering_is_the_motor_under_conditions_and_not_in_the_constructor(tmp_path: FilePath) -> None:
