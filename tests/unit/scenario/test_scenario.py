@@ -9,6 +9,7 @@ from dataclasses import fields, replace
 from pathlib import Path as FilePath
 from typing import Any
 
+import numpy as np
 import pytest
 
 from steerkit.courses import course
@@ -175,18 +176,16 @@ def test_a_file_is_closed_if_its_ends_meet_or_if_it_says_so(share: float, tmp_pa
         assert not Scenario(course=str(file), closed=False).path().closed
 
 
-@pytest.mark.parametrize(("gap", "closed"), [(3.0, True), (6.0, False)])
-def test_ends_in_degrees_meet_within_five_metres(gap: float, closed: bool, tmp_path: FilePath) -> None:
-    """At 60 degrees north, where a degree of longitude is half as long as one of latitude."""
+@pytest.mark.parametrize(("gap", "closed"), [(8.0, True), (12.0, False)])
+def test_ends_in_degrees_meet_within_three_steps(gap: float, closed: bool, tmp_path: FilePath) -> None:
+    """At 60 degrees north, where a degree of longitude is half as long as one of latitude; steps of 3 m."""
     radius, metre = 30.0, 1.0 / 111_320.0
-    turns = [2.0 * math.pi * (k + 0.5) / 180 * (1.0 - gap / (2.0 * math.pi * radius)) for k in range(181)]
-    points = [(60.0 + metre * radius * math.sin(t), 8.0 + 2.0 * metre * radius * math.cos(t)) for t in turns[:180]]
-    ends = math.hypot(points[0][0] - points[-1][0], 0.5 * (points[0][1] - points[-1][1])) / metre
-    turned = [(60.0 + 0.5 * (lon - 8.0), 8.0 - 2.0 * (lat - 60.0)) for lat, lon in points]  # the gap along the parallel
-    assert gap - 0.5 < ends < gap + 1.5
-    for n, rows in enumerate((points, turned)):
+    turns = np.linspace(0.5 * gap / radius, 2.0 * math.pi - 0.5 * gap / radius, 60)
+    x, y = radius * np.cos(turns), radius * np.sin(turns)
+    for n, (east, north) in enumerate(((x, y), (y, x))):  # the gap lies along the meridian, then along the parallel
         file = tmp_path / f"{n}.csv"
-        file.write_text("lat,lon\n" + "".join(f"{lat:.9f},{lon:.9f}\n" for lat, lon in rows))
+        lat, lon = 60.0 + metre * north, 8.0 + 2.0 * metre * east
+        file.write_text("lat,lon\n" + "".join(f"{a:.9f},{b:.9f}\n" for a, b in zip(lat, lon)))
         assert Scenario(course=str(file)).path().closed is closed
 
 
