@@ -37,7 +37,9 @@ def steering_loop(
     recovery: Block | None = None,
     supervisor: Supervisor | None = None,
     foresight: Block | None = None,
+    link: Block | None = None,
     actuator: Block | None = None,
+    column: Block | None = None,
     sensors: Block | None = None,
     reference: float = 0.0,
     shift: TargetShift | None = None,
@@ -48,16 +50,18 @@ def steering_loop(
     an angle. recovery: an analytic controller that steers while the learner is off, through `supervisor` (default:
     0.5 m and 0.1 m, and the doe's stops), which judges |e|, or the `distance` of `foresight`; the controller is
     then `Guarded`, so that an exception in it is a fault that the supervisor answers. actuator: between the command
-    and the wheel (none: the command is the angle). sensors: what the controllers see of the car (none: the truth).
-    reference: where e is measured, m ahead of the centre of gravity (the front axle is l_f). shift: what the
-    learner and the supervisor take for e (none: the path's).
+    and the wheel (none: the command is the angle); link: between the command and the actuator; column: between the
+    actuator and the road wheels, and then it says what is measured of the wheel. sensors: what the controllers see of
+    the car (none: the truth). reference: where e is measured, m ahead of the centre of gravity (the front axle is
+    l_f). shift: what the learner and the supervisor take for e (none: the path's).
 
-    The blocks are named human, car, actuator, sensors, path, shift, controller, doe, recovery, foresight, supervisor.
+    The blocks are named human, car, link, actuator, column, sensors, path, shift, controller, doe, recovery,
+    foresight, supervisor.
     `path` tracks the **true** reference point, for logs and metrics; with sensors, `seen` tracks the measured one; a
     controller that wants e elsewhere (its field `reference`) or a preview gets a tracker of its own. A car with an
     output `applied` (a real one) says which angle it was told in the end; the doe is then `Corrected` by it.
     A controller's inputs are joined by name: e, e_dot, psi_e, kappa, r_e, s, progress, preview (its tracker), x, y,
-    psi, v, beta, r, a_y (sensors or car), delta_sw_meas (actuator or car), doe (the DOE's state).
+    psi, v, beta, r, a_y (sensors or car), delta_sw_meas (column, actuator or car), doe (the DOE's state).
 
     Raises WiringError when a part is missing or an input has a name not listed here.
     """
@@ -85,7 +89,9 @@ def steering_loop(
     bench = _Bench(path)
     bench.add("human", human)
     bench.add("car", car)
-    steered = car if actuator is None else bench.add("actuator", actuator)
+    parts = (("link", link), ("actuator", actuator), ("column", column))
+    chain = [bench.add(name, part) for name, part in parts if part is not None]
+    steered = chain[-1] if chain else car
     truth = bench.add("path", PathTracker(path=path, reference=reference, dt=controller.dt))
     bench.join(truth, car)
     bench.join(human, truth)
@@ -124,9 +130,13 @@ def steering_loop(
         command = judge
     if doe is not None:
         bench.wire(car if told else command, "applied" if told else "delta_sw", doe, "applied")
-    if actuator is not None:
-        bench.wire(command, "delta_sw", actuator, "delta_sw_cmd")
-    bench.wire(steered if actuator is not None else command, "delta_sw", car, "delta_sw_in")
+    for part in chain:
+        into = next(name for name in ("delta_sw_cmd", "delta_sw_in") if name in _names(part.inputs))
+        bench.wire(command, "delta_sw", part, into)
+        if "v_in" in _names(part.inputs):
+            bench.wire(car, "v", part, "v_in")
+        command = part
+    bench.wire(command, "delta_sw", car, "delta_sw_in")
     bench.wire(human, "v", car, "v_in")
     return Loop(blocks=bench.blocks, wires=bench.wires)
 
@@ -208,7 +218,7 @@ class _Bench:
             self.join(tracker, seen)
         for name in _names(block.inputs):
             if name == "delta_sw_meas":
-                self.wire(steered, "delta_sw", block, name)
+                self.wire(steered, name if name in _names(steered.outputs) else "delta_sw", block, name)
             elif name == "doe":
                 if doe is None:
                     raise WiringError(f"{type(block).__name__}.doe: there is no doe in this loop")

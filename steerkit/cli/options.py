@@ -20,6 +20,7 @@ class Conditions(StrEnum):
 
     clean = "clean"
     hard = "hard"
+    real = "real"
 
 
 SIMULATED, ON_CAR = "In simulation (without --car)", "On a car (with --car)"
@@ -41,7 +42,11 @@ ScenarioFile = Annotated[
     ),
 ]
 Disturbed = Annotated[
-    Conditions, typer.Option(help="hard: 1 cm noise, 50 ms sensor delay, 0.15 s lag.", rich_help_panel=SIMULATED)
+    Conditions,
+    typer.Option(
+        help="hard: 1 cm noise, 50 ms sensor delay, 0.15 s lag; real: and noisy v, no sideslip, lost samples.",
+        rich_help_panel=SIMULATED,
+    ),
 ]
 Machine = Annotated[bool, typer.Option("--json", help="Print one JSON object, and all that is for people on stderr.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print results only, no progress.")]

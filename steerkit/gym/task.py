@@ -92,7 +92,7 @@ class Task:
     vehicle: str = "vw-passat"
     """Name of a car, or a vehicle file, whose [steering] is then the motor's."""
     conditions: str = "clean"
-    """`clean`, or `hard`: pose noise, sensor delay, a slower motor."""
+    """`clean`; `hard`: pose noise, sensor delay, a slower motor; or `real`: and noisy v, no sideslip, lost samples."""
     scenario: Any = None
     """Instead of course, vehicle and conditions: a `Scenario`, a dictionary of its fields, its TOML file, or any object
     with the methods of `steerkit.scenario.drive.Place`: any plant, course and disturbance."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Self
@@ -95,6 +96,13 @@ class Sensors(Block):
             seed=seed,
             dt=dt,
         )
+
+    @classmethod
+    def real(cls, seed: int = 0, *, dt: float = DT) -> Self:
+        """As `hard`, and what a car in series has: a speed from its wheels with 0.05 m/s of noise. `PoorSensors.real`
+        adds what goes wrong on the way, and has no sideslip."""
+        full = cls.hard(seed, dt=dt)
+        return dataclasses.replace(full, v_noise=0.05)
 
     def __post_init__(self) -> None:
         where = "Sensors"

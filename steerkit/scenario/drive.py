@@ -42,6 +42,14 @@ class Place(Protocol):
         """The motor at the steering wheel."""
         ...
 
+    def link(self, seed: int) -> Block | None:
+        """The way of a command to the motor; None if it is perfect."""
+        ...
+
+    def column(self) -> Block | None:
+        """What is between the motor and the road wheels; None if it is rigid."""
+        ...
+
     def sensors(self, seed: int) -> Block | None:
         """What the controllers see of the car; None for the truth."""
         ...
@@ -60,7 +68,7 @@ def assembled(
     """The loop of a drive in simulation, whoever drives: learner, test drive, suite or environment.
 
     place: course, car and disturbances. controller, doe, recovery, shift: as for `steering_loop`. seed: of human,
-    sensors and gusts. s: where the car starts [m]. Raises what `steering_loop` raises.
+    sensors, gusts and the link's delays. s: where the car starts [m]. Raises what `steering_loop` raises.
     """
     path = place.path()
     stop = place.nominal.delta_sw_max if isinstance(place, Scenario) else None
@@ -73,7 +81,9 @@ def assembled(
         doe=doe,
         recovery=recovery,
         supervisor=judge,
+        link=place.link(seed),
         actuator=place.actuator(),
+        column=place.column(),
         sensors=place.sensors(seed),
         reference=_reference(place, controller),
         shift=shift,

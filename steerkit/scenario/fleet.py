@@ -14,6 +14,8 @@ LAG = (0.1, 0.3)
 """Least and largest lag of the steering [s]."""
 OFFSET_DEG = 3.0
 """Largest |offset| of the steering wheel [degrees]."""
+PLAY_DEG = 2.0
+"""Largest free play of the steering, at the wheel [degrees]."""
 _STREAM = 22  # of `seed_state`: what is drawn besides the car
 
 
@@ -21,7 +23,8 @@ def fleet_scenario(number: int, **changes: Any) -> Scenario:
     """A production car drawn by a seed, on a course that nothing was tuned on, under `hard` conditions.
 
     Drawn are: the car, as `vehicle("fleet-17")` is, with its own steering delay; the lag of its steering, uniform from
-    0.1 to 0.3 s; the offset of its wheel, uniform within +-3 degrees. The course is `random-1017` for number 17.
+    0.1 to 0.3 s; the offset of its wheel, uniform within +-3 degrees; free play, uniform up to 2 degrees. The course is
+    `random-1017` for number 17.
 
     number: the seed, a whole number >= 0. changes: fields of the scenario that are to be others. Raises ValueError for
     another number, and for changes that make no scenario.
@@ -29,6 +32,7 @@ def fleet_scenario(number: int, **changes: Any) -> Scenario:
     car = drawn_car(number)
     share, state = uniform(seed_state(number, stream=_STREAM))
     side, state = uniform(state)
+    worn, _ = uniform(state)
     drawn: dict[str, Any] = {
         "name": f"fleet-{number}",
         "vehicle": car.vehicle.name,
@@ -36,5 +40,6 @@ def fleet_scenario(number: int, **changes: Any) -> Scenario:
         "delay": round(car.steer_delay, 2),
         "lag": round(LAG[0] + (LAG[1] - LAG[0]) * share, 3),
         "offset_deg": round(OFFSET_DEG * (2.0 * side - 1.0), 2),
+        "play_deg": round(PLAY_DEG * worn, 2),
     }
     return Scenario.under("hard", **(drawn | changes))

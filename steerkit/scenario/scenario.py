@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
-from functools import lru_cache
 from pathlib import Path as FilePath
 from types import MappingProxyType
 from typing import Any
@@ -15,25 +14,30 @@ import numpy as np
 from steerkit.assembly import placed
 from steerkit.block import Block
 from steerkit.catalogue import RECOVERIES, Belief, make_recovery, plant_kind
-from steerkit.courses import course, course_of, lane_change, names, random_course, recorded_speed
+from steerkit.courses import names, recorded_speed
 from steerkit.errors import known, require, require_within
 from steerkit.path import Path
 from steerkit.plants.careful_human import CarefulHuman
 from steerkit.plants.human import Human, SpeedProfile
 from steerkit.plants.pushed import Pushed
-from steerkit.plants.sensors import Sensors
 from steerkit.plants.single_track import SingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator, steering_in
+from steerkit.scenario.parts import actuator_of, car_of, column_of, is_random, link_of, path_of, sensors_of
 from steerkit.units import degrees_of, radians_of
-from steerkit.vehicles import G, Vehicle, vehicle, vehicle_of
+from steerkit.vehicles import G, Vehicle, vehicle
 from steerkit.vehicles.file import tables_of
 
 END_MARGIN = 5.0
 """How far from the ends of an open course a drive begins or ends [m]."""
 SPEEDS = ("wander", "recorded")
 REFERENCES = ("front", "cg", "own")
-CONDITIONS = MappingProxyType({"clean": {}, "hard": {"noise": 1.0, "latency": 0.05, "lag": 0.15}})
-"""Named disturbances: fields of a scenario. `hard` is 1 cm of noise, 50 ms of sensor delay, a slower motor."""
+SENSING = ("hard", "real")
+_HARD: dict[str, Any] = {"noise": 1.0, "latency": 0.05, "lag": 0.15}
+CONDITIONS: Mapping[str, dict[str, Any]] = MappingProxyType(
+    {"clean": {}, "hard": _HARD, "real": _HARD | {"sensing": "real"}}
+)
+"""Named disturbances: fields of a scenario. `hard` is 1 cm of noise, 50 ms of sensor delay, a slower motor; `real` is
+that with a noisy speed, no sideslip, late and lost samples, jumps and a heading that wanders (`PoorSensors.real`)."""
 _RANGES = (  # field, unit, least, largest
     ("v_min", "m/s", 0.2, 40.0),
     ("v_max", "m/s", 0.2, 40.0),
@@ -42,6 +46,11 @@ _RANGES = (  # field, unit, least, largest
     ("delay", "s", 0.0, 2.0),
     ("rate_limit_deg", "deg/s", 1.0, 10_000.0),
     ("offset_deg", "deg", -90.0, 90.0),
+    ("play_deg", "deg", 0.0, 20.0),
+    ("friction_deg", "deg", 0.0, 20.0),
+    ("dead_band_deg", "deg", 0.0, 20.0),
+    ("quantum_deg", "deg", 0.0, 20.0),
+    ("delay_jitter", "s", 0.0, 0.5),
     ("tyres", "1", 0.1, 10.0),
     ("friction", "1", 0.1, 10.0),
     ("ratio", "1", 0.1, 10.0),
@@ -103,6 +112,16 @@ class Scenario:
     """Fastest steering wheel [deg/s]."""
     offset_deg: float = 0.0
     """Offset of the steering wheel [deg]."""
+    play_deg: float = 0.0
+    """Free play between steering wheel and road wheels, from end to end, at the steering wheel [deg]."""
+    friction_deg: float = 0.0
+    """Twist of the column that its friction holds, to either side [deg]; see `SteeringColumn`."""
+    dead_band_deg: float = 0.0
+    """Change of a command that the motor leaves [deg]."""
+    quantum_deg: float = 0.0
+    """Resolution of a command [deg]."""
+    delay_jitter: float = 0.0
+    """Longest time that a command takes beyond `delay` [s], each its own, a multiple of 0.01."""
     tyres: float = 1.0
     """Cornering stiffness over the nominal one [1]."""
     friction: float = 1.0
@@ -117,6 +136,9 @@ class Scenario:
     """Bank of the road, + = low on the left [deg]."""
     noise: float = 0.0
     """Pose and rate noise: 1 is 1 cm and 0.1 deg of drift and 0.2 deg/s of white noise (`Sensors.hard`)."""
+    sensing: str = "hard"
+    """Which errors `noise` scales: those of `hard` sensors, or of `real` ones (`PoorSensors.real`), which have no
+    sideslip and up to 20 ms of jitter even without noise."""
     latency: float = 0.0
     """Age of what the controllers see [s], a multiple of 0.05."""
     told_delay: float | None = None
@@ -138,7 +160,12 @@ class Scenario:
             require_within(where, name, value, unit, least, largest)
             object.__setattr__(self, name, float(value))
         require(self.v_min <= self.v_max, where, f"v_min = {self.v_min}, v_max = {self.v_max} [m/s]")
-        for name, valid in (("speed", SPEEDS), ("reference", REFERENCES), ("recovery", RECOVERIES)):
+        for name, valid in (
+            ("speed", SPEEDS),
+            ("reference", REFERENCES),
+            ("recovery", RECOVERIES),
+            ("sensing", SENSING),
+        ):
             require(getattr(self, name) in valid, where, f"{name} {getattr(self, name)!r}; valid: {', '.join(valid)}")
         dead = self.told_dead_time
         require(dead <= 2.0, where, f"delay and latency add up to {dead:g} [s], expected at most 2")
@@ -171,7 +198,7 @@ class Scenario:
         valid = [*names(), "random-7"]
         if self._text(self.course) is not None:
             self.path()
-        elif not _is_random(self.course):
+        elif not is_random(self.course):
             known(self.course, valid, "course", also="FILE.csv")
         told = self.closed is None or self._text(self.course) is not None
         require(told, f"closed = {self.closed}", "only a course from a file is told so")
@@ -180,7 +207,7 @@ class Scenario:
         car = plant_kind(self.plant)(vehicle=self.true_vehicle, v0=self.v_min)  # type: ignore[call-arg]
         pushes = isinstance(car, SingleTrack) or not self.pushed
         require(pushes, "wind, gust, bank_deg", f"only single-track cars are pushed, not '{self.plant}'")
-        _ = self.actuator(), self.sensors(0), Human(v_min=self.v_min, v_max=self.v_max)
+        _ = self.link(), self.actuator(), self.column(), self.sensors(0), Human(v_min=self.v_min, v_max=self.v_max)
 
     @classmethod
     def under(cls, conditions: str = "clean", **changes: Any) -> Scenario:
@@ -211,7 +238,7 @@ class Scenario:
     def random(self) -> bool:
         """Does anything depend on the seed (but for a learner's net)?"""
         wanders = self.speed == "wander" and self.v_min < self.v_max
-        return wanders or self.noise > 0.0 or self.gust > 0.0
+        return wanders or self.sensing == "real" or max(self.noise, self.gust, self.delay_jitter) > 0.0
 
     @property
     def pushed(self) -> bool:
@@ -222,7 +249,7 @@ class Scenario:
     def nominal(self) -> Vehicle:
         """The car as the controllers know it."""
         text = self._text(self.vehicle)
-        return vehicle(self.vehicle) if text is None else _car_of(text, self.vehicle)
+        return vehicle(self.vehicle) if text is None else car_of(text, self.vehicle)
 
     @property
     def true_vehicle(self) -> Vehicle:
@@ -245,12 +272,13 @@ class Scenario:
 
     @property
     def told_dead_time(self) -> float:
-        """Delay of the steering and age of what is seen, as controllers that ask are told [s]."""
-        return self.delay + self.latency if self.told_delay is None else self.told_delay
+        """Delay of the steering and age of what is seen, as controllers are told [s]; the mean of what varies."""
+        dead = self.delay + self.latency + 0.5 * self.delay_jitter
+        return dead if self.told_delay is None else self.told_delay
 
     def path(self) -> Path:
         """The course's path."""
-        return _path(self.course, self.closed, self._text(self.course), self.v_max)
+        return path_of(self.course, self.closed, self._text(self.course), self.v_max)
 
     @property
     def round_length(self) -> float:
@@ -305,48 +333,22 @@ class Scenario:
             return SpeedProfile.from_samples(s, np.clip(v, self.v_min, self.v_max), spacing=2.0)
         return CarefulHuman(path=self.path(), human=Human(v_min=self.v_min, v_max=self.v_max, seed=seed))
 
+    def link(self, seed: int = 0) -> Block | None:
+        """The way of a command to the motor; None if it is perfect. `seed` is that of its delays."""
+        return link_of(self, seed)
+
     def actuator(self) -> SteeringActuator:
         """The motor at the steering wheel."""
-        return SteeringActuator(
-            delay=self.delay,
-            lag=self.lag,
-            rate_limit=radians_of(self.rate_limit_deg),
-            offset=radians_of(self.offset_deg),
-            limit=self.nominal.delta_sw_max,
-        )
+        return actuator_of(self)
 
-    def sensors(self, seed: int) -> Sensors | None:
+    def column(self) -> Block | None:
+        """What is between the motor and the road wheels; None if it is rigid."""
+        return column_of(self)
+
+    def sensors(self, seed: int) -> Block | None:
         """What the controllers see; None for the truth."""
-        if self.noise == 0.0 and self.latency == 0.0:
-            return None
-        full = Sensors.hard(seed)
-        return replace(
-            full,
-            position_drift=self.noise * full.position_drift,
-            psi_drift=self.noise * full.psi_drift,
-            r_noise=self.noise * full.r_noise,
-            latency=self.latency,
-        )
+        return sensors_of(self, seed)
 
     def catcher(self) -> Block:
         """The analytic controller that catches a learned one."""
         return make_recovery(self.recovery, self.belief())
-
-
-def _is_random(name: str) -> bool:
-    kind, _, number = name.partition("-")
-    return kind == "random" and number.isdigit()
-
-
-@lru_cache(maxsize=32)
-def _path(name: str, closed: bool | None, text: str | None, v_max: float) -> Path:
-    if text is not None:
-        return course_of(text, name, closed=closed)
-    if name.startswith("iso3888-"):
-        return lane_change(int(name[-1]), speed=v_max)
-    return random_course(int(name.partition("-")[2])) if _is_random(name) else course(name)
-
-
-@lru_cache(maxsize=32)
-def _car_of(text: str, name: str) -> Vehicle:
-    return vehicle_of(text, name)

@@ -31,8 +31,11 @@ from steerkit.plants.careful_human import CarefulHuman
 from steerkit.plants.human import ConstantSpeed, Human, RecordedSpeed, SpeedProfile
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.poor_sensors import PoorSensors
 from steerkit.plants.sensors import Sensors
 from steerkit.plants.steering_actuator import SteeringActuator
+from steerkit.plants.steering_column import SteeringColumn
+from steerkit.plants.steering_link import SteeringLink
 from steerkit.simulation import Log, simulate
 from steerkit.vehicles import vehicle
 
@@ -100,12 +103,26 @@ def learner_with_recovery(seed: int, rng: np.random.Generator) -> Loop:
     )
 
 
+def worn_steering_and_poor_sensors(seed: int, rng: np.random.Generator) -> Loop:
+    return driven(
+        Human(seed=seed),
+        NonlinearSingleTrack,
+        rng,
+        dt=0.01,
+        link=SteeringLink(quantum=rng.uniform(0.001, 0.01), dead_band=0.012, jitter=0.04, seed=seed),
+        actuator=SteeringActuator(delay=0.05),
+        column=SteeringColumn(friction=0.01, play=0.03),
+        sensors=PoorSensors.real(CAR, seed).scaled(3.0),
+    )
+
+
 LOOPS: list[Callable[[int, np.random.Generator], Loop]] = [
     linear_at_constant_speed,
     linear_with_a_human,
     nonlinear_with_a_record,
     nonlinear_with_a_profile,
     learner_with_recovery,
+    worn_steering_and_poor_sensors,
 ]
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from steerkit.courses import random_course
 from steerkit.scenario import CONDITIONS, fleet_scenario
-from steerkit.scenario.fleet import LAG, OFFSET_DEG
+from steerkit.scenario.fleet import LAG, OFFSET_DEG, PLAY_DEG
 from steerkit.vehicles import drawn_car, fleet
 
 MANY = 400
@@ -26,8 +26,8 @@ def test_a_drawn_scenario_has_the_cars_own_delay_and_an_unseen_course() -> None:
 
 def test_what_is_drawn_is_uniform_and_independent() -> None:
     drawn = [fleet_scenario(number) for number in range(MANY)]
-    rows = np.array([[scenario.lag, scenario.offset_deg] for scenario in drawn])
-    for column, (least, largest) in zip(rows.T, (LAG, (-OFFSET_DEG, OFFSET_DEG))):
+    rows = np.array([[scenario.lag, scenario.offset_deg, scenario.play_deg] for scenario in drawn])
+    for column, (least, largest) in zip(rows.T, (LAG, (-OFFSET_DEG, OFFSET_DEG), (0.0, PLAY_DEG))):
         span = largest - least
         assert (column >= least).all()
         assert (column <= largest).all()
@@ -35,7 +35,7 @@ def test_what_is_drawn_is_uniform_and_independent() -> None:
         assert column.std() == pytest.approx(span / np.sqrt(12.0), rel=0.1)
     order = {name: k for k, name in enumerate(fleet())}
     places = np.array([order[scenario.vehicle] for scenario in drawn])
-    assert (abs(np.corrcoef(np.column_stack((rows, places)).T)[np.triu_indices(3, 1)]) < 4.0 / np.sqrt(MANY)).all()
+    assert (abs(np.corrcoef(np.column_stack((rows, places)).T)[np.triu_indices(4, 1)]) < 4.0 / np.sqrt(MANY)).all()
 
 
 def test_a_field_that_is_given_is_not_drawn() -> None:

@@ -1,0 +1,147 @@
+"""The table of examples that every shipped block is in; the rules: tests/contract/test_blocks.py."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import control
+import numpy as np
+
+from steerkit.analysis import FromControl, Tap
+from steerkit.block import Block
+from steerkit.controllers.delay import Predicted, delayed_stanley
+from steerkit.controllers.foresight import Foresight
+from steerkit.controllers.lqr import Lqr
+from steerkit.controllers.network_policy import Network, PolicyBlock
+from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.controllers.pure_pursuit import PurePursuit
+from steerkit.controllers.stanley import Stanley
+from steerkit.controllers.supervisor import Guarded, Supervisor, SupervisorState
+from steerkit.controllers.target_shift import TargetShift
+from steerkit.doe import Corrected, Integrator, LowPass, PlainAngle
+from steerkit.gym.task import Agent
+from steerkit.learning.exploration import Exploring
+from steerkit.learning.nfq.model import CarModel
+from steerkit.learning.rival import ModelPolicy
+from steerkit.path import Path
+from steerkit.plants.careful_human import CarefulHuman
+from steerkit.plants.human import ConstantSpeed, Human, RecordedSpeed, SpeedProfile
+from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.playback import Playback
+from steerkit.plants.poor_sensors import PoorSensors
+from steerkit.plants.pushed import Pushed
+from steerkit.plants.sensors import Sensors
+from steerkit.plants.steering_actuator import SteeringActuator
+from steerkit.plants.steering_column import SteeringColumn
+from steerkit.plants.steering_link import SteeringLink
+from steerkit.tracker import PathTracker
+from steerkit.units import radians_of
+from steerkit.vehicles import vehicle
+
+PASSAT = vehicle("vw-passat")
+_round = np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False)
+OVAL = Path.from_waypoints(np.column_stack((25 * np.cos(_round), 15 * np.sin(_round))), closed=True, spacing=3.0)
+_rng = np.random.default_rng(0)
+NETS = tuple(
+    (_rng.normal(size=(5, 7)), _rng.normal(size=5), _rng.normal(size=(1, 5)), _rng.normal(size=1)) for _ in range(2)
+)
+LAYERS = ((_rng.normal(size=(5, 6)), _rng.normal(size=5)), (_rng.normal(size=(3, 5)), _rng.normal(size=3)))
+
+
+@dataclass(frozen=True)
+class Example:
+    """One block to try.
+
+    single(block, i): the block that car i of a batch is; state: where to start instead of init; blind: inputs that it
+    rightly does not look at in this state.
+    """
+
+    block: Block
+    single: Callable[[Any, int], Block] = lambda block, i: block
+    state: tuple[float, ...] | None = None
+    blind: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        inner = getattr(self.block, "block", None)
+        return type(self.block).__name__ + (f"-{type(inner).__name__}" if inner is not None else "")
+
+
+def _seeded(block: Any, i: int) -> Block:
+    return dataclasses.replace(block, seed=block.seed + i)
+
+
+def _sensed(block: Any, i: int) -> Block:
+    return dataclasses.replace(block, block=_seeded(block.block, i))
+
+
+def _pendulum(t: float, x: Any, u: Any, params: Any) -> Any:
+    return [x[1], u[0] - 2.0 * x[1] - 3.0 * x[0] - 0.3 * x[0] * x[0]]
+
+
+def _careful(block: Any, i: int) -> Block:
+    return dataclasses.replace(block, human=_seeded(block.human, i))
+
+
+CAR_MODEL = CarModel(
+    held=1.0, pushed=1.0, now=0.01, before=0.006, earlier=0.004, back=0.32, yaw=0.35, limit=radians_of(520.0)
+)
+EXAMPLES = [
+    Example(Integrator()),
+    Example(LowPass()),
+    Example(PlainAngle()),
+    Example(Corrected()),
+    Example(Corrected(element=LowPass())),
+    Example(Foresight()),
+    Example(Stanley.of(PASSAT)),
+    Example(Stanley.textbook(PASSAT)),
+    Example(delayed_stanley(PASSAT, delay=0.13, lag=0.1)),
+    Example(Predicted(block=Stanley.of(PASSAT), delay=0.0, lag=0.0)),
+    Example(Lqr.of(PASSAT, LinearSingleTrack(vehicle=PASSAT).matrices, delay=0.2, preview_points=5, v_step=3.0)),
+    Example(PurePursuit.of(PASSAT, OVAL)),
+    Example(FromControl(system=control.ss([[0.5, 0.1], [0.0, 0.9]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.3]], 0.05))),
+    Example(FromControl(system=control.nlsys(_pendulum, None, states=2, inputs=1, outputs=2), units={"u_0": "rad"})),
+    Example(Tap(unit="rad")),
+    Example(Tap(unit="rad", cut=True), blind=("u",)),
+    Example(Supervisor(), blind=("e", "ready")),
+    Example(Supervisor(), state=SupervisorState(1.0, 0.0), blind=("recovery",)),
+    Example(Guarded(block=Integrator())),
+    Example(Guarded(block=PathTracker(path=OVAL, preview_points=2))),
+    Example(NfqPolicy(nets=NETS)),
+    Example(NfqPolicy(nets=NETS, combine="max", ready_from=0.1)),
+    Example(NfqPolicy(nets=NETS, combine="disagreement")),
+    Example(Exploring(policy=NfqPolicy(nets=NETS), share=0.5, seed=3), single=_seeded),
+    Example(TargetShift()),
+    Example(PolicyBlock(policy=Network(layers=LAYERS), actions=(-0.1, 0.0, 0.1))),
+    Example(PolicyBlock(policy=Network(layers=(LAYERS[0], (LAYERS[1][0][:1], LAYERS[1][1][:1])), head="tanh"))),
+    Example(Agent()),
+    Example(ModelPolicy(model=CAR_MODEL)),
+    Example(PathTracker(path=OVAL)),
+    Example(PathTracker(path=OVAL, reference=1.2, preview_points=3)),
+    Example(LinearSingleTrack(vehicle=PASSAT, v0=5.0)),
+    Example(NonlinearSingleTrack(vehicle=PASSAT, v0=5.0)),
+    Example(Pushed(block=NonlinearSingleTrack(vehicle=PASSAT, v0=5.0), wind=0.3, gust=0.2, seed=3), single=_seeded),
+    Example(Pushed(block=LinearSingleTrack(vehicle=PASSAT, v0=5.0), bank=0.2), single=_seeded),
+    Example(SteeringActuator(lag=0.1)),
+    Example(SteeringActuator(lag=0.0, delay=0.03, gain=1.05, offset=0.02)),
+    Example(SteeringColumn()),
+    Example(SteeringColumn(friction=0.03, play=0.05)),
+    Example(SteeringLink()),
+    Example(SteeringLink(quantum=0.01, dead_band=0.02, jitter=0.03, every=0.02, seed=3), single=_seeded),
+    Example(Sensors(), single=_seeded),
+    Example(PoorSensors(block=Sensors(seed=3)), single=_sensed),
+    Example(
+        PoorSensors(block=Sensors.hard(seed=3), age_jitter=0.05, lost=0.3, jump=0.1, jump_time=0.1), single=_sensed
+    ),
+    Example(PoorSensors.real(PASSAT, seed=3), single=_sensed, blind=("beta_in",)),
+    Example(Sensors.hard(seed=3), single=_seeded),
+    Example(Human(seed=3), single=_seeded),
+    Example(ConstantSpeed()),
+    Example(RecordedSpeed(speeds=(4.0, 5.0, 7.0, 6.0), spacing=0.1)),
+    Example(Playback(angles=(0.0, 0.5, 0.4, -0.2), speeds=(4.0, 5.0, 7.0, 6.0), delay=0.013)),
+    Example(SpeedProfile(speeds=(4.0, 5.0, 7.0, 4.0), spacing=0.5, repeat=True)),
+    Example(CarefulHuman(path=OVAL, human=Human(seed=3)), single=_careful),
+]
