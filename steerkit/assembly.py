@@ -136,8 +136,8 @@ def steering_loop(
         if "v_in" in _names(part.inputs):
             bench.wire(car, "v", part, "v_in")
         command = part
-    bench.wire(command, "delta_sw", car, "delta_sw_in")
-    bench.wire(human, "v", car, "v_in")
+    bench.wire(command, "delta_sw", car, "delta_sw_cmd")
+    bench.wire(human, "v", car, "v_cmd")
     return Loop(blocks=bench.blocks, wires=bench.wires)
 
 

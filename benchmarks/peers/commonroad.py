@@ -25,10 +25,10 @@ class CommonRoadMultiBody(Car):
     """CommonRoad's multi-body car (29 states: suspension, wheels, Magic Formula tyres) as a plant that is not ours.
 
     x' = vehicle_dynamics_mb(x, (0, a_x)), four Runge-Kutta steps of dt/4 a sample, with the road-wheel angle put to
-    delta_sw_in/steer_ratio (held) and a_x = 2/s (v_in - v_x) within +-3 m/s^2; a_y = v_y' + v_x r.
+    delta_sw_cmd/steer_ratio (held) and a_x = 2/s (v_cmd - v_x) within +-3 m/s^2; a_y = v_y' + v_x r.
 
     Ports: those of `SingleTrack`, whose docstring has their units. State: the model's 29, the last delta_sw [rad] and
-    the last v_in [m/s]. Interpreted floats only: the model cannot be traced or batched. Valid above 0.1 m/s.
+    the last v_cmd [m/s]. Interpreted floats only: the model cannot be traced or batched. Valid above 0.1 m/s.
     Raises ValueError for a car that CommonRoad has not, ImportError without commonroad-vehicle-models.
     Source: Althoff, Wuersching 2020, section 9; commonroad-vehicle-models 3.
     """
@@ -76,8 +76,8 @@ class CommonRoadMultiBody(Car):
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
         p = self.vehicle
-        delta_sw = min(max(u.delta_sw_in, -p.delta_sw_max), p.delta_sw_max)
-        z, v, h = np.array(x[:29]), u.v_in, self.dt / _SUBSTEPS
+        delta_sw = min(max(u.delta_sw_cmd, -p.delta_sw_max), p.delta_sw_max)
+        z, v, h = np.array(x[:29]), u.v_cmd, self.dt / _SUBSTEPS
         z[2] = delta_sw / float(p.steer_ratio)
         for _ in range(_SUBSTEPS):
             k1 = self._slope(z, v)

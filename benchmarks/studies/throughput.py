@@ -80,18 +80,18 @@ def closed_loop(*, tracker: bool = True, actuator: bool = True) -> Loop:
         (seen.kappa, stanley.kappa),
         (car.v, stanley.v),
         (car.r, stanley.r),
-        (human.v, car.v_in),
+        (human.v, car.v_cmd),
     ]
     blocks: dict[str, Block] = {"human": human, "car": car, "path": seen, "controller": stanley}
     if actuator:
         blocks["actuator"] = motor
         wires += [
             (stanley.delta_sw, motor.delta_sw_cmd),
-            (motor.delta_sw, car.delta_sw_in),
+            (motor.delta_sw, car.delta_sw_cmd),
             (motor.delta_sw, stanley.delta_sw_meas),
         ]
     else:
-        wires += [(stanley.delta_sw, car.delta_sw_in), (car.delta_sw, stanley.delta_sw_meas)]
+        wires += [(stanley.delta_sw, car.delta_sw_cmd), (car.delta_sw, stanley.delta_sw_meas)]
     return Loop(blocks=blocks, wires=wires)
 
 

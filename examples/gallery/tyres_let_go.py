@@ -34,7 +34,7 @@ for (name, car), colour in zip(cars.items(), ("muted", "learned", "analytic"), s
     log = simulate(
         Loop(
             blocks={"wheel": wheel, "human": human, "car": car},
-            wires=[(wheel.delta_sw, car.delta_sw_in), (human.v, car.v_in)],
+            wires=[(wheel.delta_sw, car.delta_sw_cmd), (human.v, car.v_cmd)],
         ),
         40.0,
     )

@@ -52,7 +52,7 @@ class Simulator:
         car = LinearSingleTrack(vehicle=base, dt=drive.dt, substeps=substeps, v0=float(drive.v[0]))
         loop = Loop(
             blocks={"drive": play, "actuator": actuator, "car": car},
-            wires=[(play.delta_sw, actuator.delta_sw_cmd), (actuator.delta_sw, car.delta_sw_in), (play.v, car.v_in)],
+            wires=[(play.delta_sw, actuator.delta_sw_cmd), (actuator.delta_sw, car.delta_sw_cmd), (play.v, car.v_cmd)],
         )
         names = (*OPEN.values(), "car.vehicle.c_f", "car.vehicle.c_r")
         self.loop = loop

@@ -86,7 +86,7 @@ class Session:
     def watch(self, run: Run) -> bool:
         """Called after every step."""
         self.timing = run.timing
-        self.asked = run.sample[run.loop.inputs_of("car")["delta_sw_in"]]
+        self.asked = run.sample[run.loop.inputs_of("car")["delta_sw_cmd"]]
         if "supervisor" in run.loop.blocks:
             self.learner_steers = run.sample["supervisor.learning"] > 0.5
         return self.ending

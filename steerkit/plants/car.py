@@ -11,13 +11,13 @@ from steerkit.block import Block, In, Out
 class Car(Block):
     """A car, driven by steering-wheel angle and speed; abstract.
 
-    inputs: delta_sw_in [rad], the angle at the steering wheel; v_in [m/s], the speed that the human keeps. Both act
+    inputs: delta_sw_cmd [rad], the angle at the steering wheel; v_cmd [m/s], the speed that the human keeps. Both act
     from their sample to the next. outputs, of state only: x, y [m] of the centre of gravity; psi [rad], any turn;
     v [m/s], its speed; beta [rad]; r [rad/s]; a_y [m/s^2]; delta_sw [rad].
     """
 
-    delta_sw_in = In("rad", direct=False)
-    v_in = In("m/s", direct=False)
+    delta_sw_cmd = In("rad", direct=False)
+    v_cmd = In("m/s", direct=False)
     x = Out("m", direct=())
     y = Out("m", direct=())
     psi = Out("rad", direct=())

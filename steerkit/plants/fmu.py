@@ -19,7 +19,7 @@ from steerkit.errors import require, require_within
 from steerkit.maths import Scalar
 from steerkit.plants.car import Car
 
-_NEEDED = ("delta_sw_in", "v_in", "x", "y", "psi", "beta", "r", "a_y")
+_NEEDED = ("delta_sw_cmd", "v_cmd", "x", "y", "psi", "beta", "r", "a_y")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -31,7 +31,7 @@ class FmuPlant(Car):
     is pure: it can be saved, restored and batched (car by car), but not traced or compiled. The car is put at (x0, y0,
     psi0) by turning its plane: what it does must not depend on where it stands.
 
-    inputs: delta_sw_in [rad], v_in [m/s]. outputs, of state only: x, y [m], psi [rad], v [m/s] (the speed last
+    inputs: delta_sw_cmd [rad], v_cmd [m/s]. outputs, of state only: x, y [m], psi [rad], v [m/s] (the speed last
     applied), beta [rad], r [rad/s], a_y [m/s^2], delta_sw [rad]. state: the FMU's, then v and delta_sw last applied.
     errors: ValueError for a file that is no FMU, an FMU for co-simulation only (its state stays inside), one with
     events or of another FMI version, and for variables that it does not have; ImportError without FMPy.
@@ -41,7 +41,7 @@ class FmuPlant(Car):
     file: str
     """The FMU."""
     variables: Mapping[str, str] = field(default_factory=dict)
-    """The FMU's names of delta_sw_in, v_in, x, y, psi, beta, r, a_y, where they differ; in the units above."""
+    """The FMU's names of delta_sw_cmd, v_cmd, x, y, psi, beta, r, a_y, where they differ; in the units above."""
     parameters: Mapping[str, float] = field(default_factory=dict)
     """Start values of the FMU's parameters, and of its states."""
     x0: Scalar = 0.0
@@ -109,11 +109,11 @@ class FmuPlant(Car):
         h, motion = self.dt / self.substeps, tuple(x[:-2])
 
         def rhs(states: Sequence[Scalar]) -> tuple[Scalar, ...]:
-            return self._each(self._fmu.derivatives, t, states, u.delta_sw_in, u.v_in)
+            return self._each(self._fmu.derivatives, t, states, u.delta_sw_cmd, u.v_cmd)
 
         for _ in range(self.substeps):
             motion = m.rk4(rhs, motion, h)
-        return (*motion, u.v_in, u.delta_sw_in)
+        return (*motion, u.v_cmd, u.delta_sw_cmd)
 
     def _each(self, function: Any, t: Any, x: Sequence[Scalar], delta_sw: Scalar, v: Scalar) -> tuple[Scalar, ...]:
         """`function` of one car, or of each car of a batch."""

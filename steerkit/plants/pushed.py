@@ -65,7 +65,7 @@ class Pushed(Car):
         return self.Y(*motion, a_y + self._wind(x) + self.bank, delta_sw)
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
-        car = self.block.update(t, self._kicked(self._car(x), x), self.block.U(u.delta_sw_in, u.v_in), ())
+        car = self.block.update(t, self._kicked(self._car(x), x), self.block.U(u.delta_sw_cmd, u.v_cmd), ())
         car = self._kicked(car, x)
         keep = math.exp(-self.dt / self.gust_time)
         n, _, random = normals(tuple(x[-6:]))

@@ -46,8 +46,8 @@ class SingleTrack(Car):
         (sway, r)' = w (sway, r)'_dynamic + (1 - w) ((sway, r)_kinematic - (sway, r))/0.05 s,
         w = smoothstep((v - 1)/(3 - 1)):  0 below 1 m/s, 1 (the model, exactly) from 3 m/s on.
 
-    inputs: delta_sw_in [rad], the angle at the steering wheel, after the actuator; it stops at the vehicle's
-    delta_sw_max; v_in [m/s], the speed that the human keeps. Both act from their sample to the next.
+    inputs: delta_sw_cmd [rad], the angle at the steering wheel, after the actuator; it stops at the vehicle's
+    delta_sw_max; v_cmd [m/s], the speed that the human keeps. Both act from their sample to the next.
     outputs, of state only: x, y [m] of the centre of gravity; psi [rad], any turn; v [m/s], its speed; beta [rad];
     r [rad/s]; a_y [m/s^2]; delta_sw [rad]. v, a_y and delta_sw belong to the inputs last applied: where these jump,
     they are limits from the left.
@@ -90,7 +90,7 @@ class SingleTrack(Car):
 
     def update(self, t: Any, x: SingleTrackState, u: Any, y: Any) -> SingleTrackState:
         stop = self.vehicle.delta_sw_max
-        delta_sw, v = m.clip(u.delta_sw_in, -stop, stop), u.v_in
+        delta_sw, v = m.clip(u.delta_sw_cmd, -stop, stop), u.v_cmd
         held = self.held(delta_sw / self.vehicle.steer_ratio, v)
         motion: tuple[Scalar, ...] = x[:5]
         for _ in range(self.substeps):

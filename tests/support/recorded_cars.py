@@ -56,7 +56,7 @@ def driven(car: Vehicle = TRUE, seconds: float = 90.0, *, v_low: float = 5.0, v_
     plant = LinearSingleTrack(vehicle=car, v0=float(v[0]))
     loop = Loop(
         blocks={"drive": play, "actuator": motor, "car": plant},
-        wires=[(play.delta_sw, motor.delta_sw_cmd), (motor.delta_sw, plant.delta_sw_in), (play.v, plant.v_in)],
+        wires=[(play.delta_sw, motor.delta_sw_cmd), (motor.delta_sw, plant.delta_sw_cmd), (play.v, plant.v_cmd)],
     )
     log = simulate(loop, seconds, record=["drive.delta_sw", "drive.v", "car.r", "car.psi"], every=2)
     return {

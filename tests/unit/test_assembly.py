@@ -49,7 +49,7 @@ def test_it_is_the_same_loop_as_one_wired_by_hand() -> None:
     wires = [(getattr(car, n), getattr(path, n)) for n in ("x", "y", "psi", "v", "beta", "r")]
     wires += [(path.e, stanley.e), (path.psi_e, stanley.psi_e), (path.kappa, stanley.kappa)]
     wires += [(car.v, stanley.v), (car.r, stanley.r), (motor.delta_sw, stanley.delta_sw_meas)]
-    wires += [(stanley.delta_sw, motor.delta_sw_cmd), (motor.delta_sw, car.delta_sw_in), (human.v, car.v_in)]
+    wires += [(stanley.delta_sw, motor.delta_sw_cmd), (motor.delta_sw, car.delta_sw_cmd), (human.v, car.v_cmd)]
     by_hand = Loop(
         blocks={"human": human, "car": car, "actuator": motor, "path": path, "controller": stanley}, wires=wires
     )
@@ -84,7 +84,7 @@ def test_every_wire_of_a_learner_with_all_its_parts() -> None:
     loop = learning_loop(recovery=Stanley.of(VW_PASSAT))
     net = {"e": "seen.e", "e_dot": "seen.e_dot", "v": "sensors.v", "psi_e": "seen.psi_e", "r_e": "seen.r_e"}
     wired = {
-        "car": {"delta_sw_in": "actuator.delta_sw", "v_in": "human.v"},
+        "car": {"delta_sw_cmd": "actuator.delta_sw", "v_cmd": "human.v"},
         "actuator": {"delta_sw_cmd": "supervisor.delta_sw"},
         "sensors": {f"{name}_in": signal for name, signal in TRUE.items()},
         "path": TRUE,
@@ -209,8 +209,8 @@ def test_the_recipes_take_the_stop_of_the_vehicle() -> None:
 class Stubborn(Block):
     """A parked car whose wheel is turned by half of what it is told, which it reports."""
 
-    delta_sw_in = In("rad", direct=False)
-    v_in = In("m/s", direct=False)
+    delta_sw_cmd = In("rad", direct=False)
+    v_cmd = In("m/s", direct=False)
     x = Out("m")
     y = Out("m")
     psi = Out("rad")
@@ -227,7 +227,7 @@ class Stubborn(Block):
         return self.Y(30.0, 0.0, 0.5 * np.pi, 0.0, 0.0, 0.0, x[0], x[0])
 
     def update(self, t: Any, x: Any, u: Any, y: Any) -> Any:
-        return (0.5 * u.delta_sw_in,)
+        return (0.5 * u.delta_sw_cmd,)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

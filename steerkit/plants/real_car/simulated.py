@@ -183,7 +183,7 @@ class SimulatedCar:
         x["pedals"] = self.pedals.update(t, x["pedals"], self.pedals.U(s=place.s), ())
         x["motor"] = self.motor.update(t, x["motor"], self.motor.U(delta_sw_cmd=target), motor)
         turned = self.motor.output(t, x["motor"], ()).delta_sw
-        x["plant"] = self.plant.update(t, x["plant"], self.plant.U(delta_sw_in=turned, v_in=v), ())
+        x["plant"] = self.plant.update(t, x["plant"], self.plant.U(delta_sw_cmd=turned, v_cmd=v), ())
         self.k += 1
         self.t += STEP
         self.now = self.plant.output(self.t, x["plant"], ())

@@ -39,7 +39,7 @@ def test_the_identified_loop_drives_as_the_car_that_was_recorded(found: Identifi
     plant = LinearSingleTrack(vehicle=vehicle(str(tmp_path / "car.toml")), v0=truth["v"][0], dt=DT, substeps=2)
     loop = Loop(
         blocks={"drive": play, "actuator": motor, "car": plant},
-        wires=[(play.delta_sw, motor.delta_sw_cmd), (motor.delta_sw, plant.delta_sw_in), (play.v, plant.v_in)],
+        wires=[(play.delta_sw, motor.delta_sw_cmd), (motor.delta_sw, plant.delta_sw_cmd), (play.v, plant.v_cmd)],
     )
     rate = simulate(loop, 40.0)["car.r"]
     error = (rate - truth["r"])[100:]

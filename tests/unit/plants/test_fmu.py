@@ -82,7 +82,7 @@ def fmu(library: Path) -> str:
 def plant(fmu: str) -> FmuPlant:
     return FmuPlant(
         file=fmu,
-        variables={"delta_sw_in": "wheel", "v_in": "speed"},
+        variables={"delta_sw_cmd": "wheel", "v_cmd": "speed"},
         v0=5.0,
         parameters={name: float(getattr(CAR, name)) for name in PARAMETERS},
     )
@@ -128,7 +128,7 @@ def test_it_is_not_compiled(fmu: str) -> None:
 
 
 def test_what_does_not_fit_is_refused(fmu: str, library: Path, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"has no variable .'delta_sw_in'.; it has: a_y, beta"):
+    with pytest.raises(ValueError, match=r"has no variable .'delta_sw_cmd'.; it has: a_y, beta"):
         FmuPlant(file=fmu)
     with pytest.raises(ValueError, match="has 2 event indicators, expected a model without events"):
         plant(packed(tmp_path / "e.fmu", library, description("ModelExchange", events=2)))

@@ -59,7 +59,7 @@ def at_rest_in_it(car: Pushed, seconds: float = 4.0) -> Any:
     """The outputs after some time with the wheel straight."""
     x = car.init()
     for k in range(round(seconds / car.dt)):
-        x = car.update(k * car.dt, x, car.U(delta_sw_in=0.0, v_in=V), ())
+        x = car.update(k * car.dt, x, car.U(delta_sw_cmd=0.0, v_cmd=V), ())
     return car.output(0.0, x, ())
 
 
@@ -86,7 +86,7 @@ def test_gusts_have_the_stated_deviation_and_correlation() -> None:
     x = car.init((n,))
     first = car._wind(x)
     for k in range(round(seconds / car.dt)):
-        x = car.update(k * car.dt, x, car.U(delta_sw_in=np.zeros(n), v_in=np.full(n, V)), ())
+        x = car.update(k * car.dt, x, car.U(delta_sw_cmd=np.zeros(n), v_cmd=np.full(n, V)), ())
     last = car._wind(x)
     for gusts in (first, last):  # stationary from the first sample on
         assert gusts.std() == pytest.approx(0.2, rel=0.05)

@@ -174,7 +174,7 @@ class RealCar(Car):
     Its outputs are the car server's last good readings at the moment of the sample; its input is sent on, and
     moves the wheel only while the car server is ENGAGED, after its checks and its gate.
 
-    inputs: delta_sw_in [rad]; v_in [m/s], not used: the human keeps the speed. outputs: x, y [m] of the centre of
+    inputs: delta_sw_cmd [rad]; v_cmd [m/s], not used: the human keeps the speed. outputs: x, y [m] of the centre of
     gravity; psi [rad]; v [m/s]; beta [rad]; r [rad/s]; a_y [m/s^2]; delta_sw [rad], measured; engaged [1];
     applied [rad], the angle that the gate let through last, or while not engaged the measured one.
     state: none. Raises CarLost when the car server is gone; TypeError when it is batched or traced.
@@ -205,5 +205,5 @@ class RealCar(Car):
         return self.Y(s.x, s.y, s.psi, s.v, s.beta, s.r, s.a_y, s.delta_sw, engaged, applied)
 
     def update(self, t: Any, x: Any, u: Any, y: Any) -> tuple[Any, ...]:
-        self.link.request(float(u.delta_sw_in))
+        self.link.request(float(u.delta_sw_cmd))
         return ()

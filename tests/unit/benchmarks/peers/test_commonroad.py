@@ -31,6 +31,6 @@ def test_the_multi_body_car_corners_like_its_single_track_where_that_holds() -> 
 
 def test_its_pedals_reach_a_speed_no_faster_than_a_human_would() -> None:
     pytest.importorskip("vehiclemodels")
-    for v_in, sign in ((25.0, 1.0), (1.0, -1.0)):
-        _, seen = straight_on(CommonRoadMultiBody(v0=10.0), 0.5, 0.0, v_in)
+    for v_cmd, sign in ((25.0, 1.0), (1.0, -1.0)):
+        _, seen = straight_on(CommonRoadMultiBody(v0=10.0), 0.5, 0.0, v_cmd)
         assert 0.5 < sign * (seen[-1].v - seen[0].v) / 0.5 < 3.2

@@ -37,7 +37,7 @@ def test_a_request_goes_out_with_the_time_of_what_it_was_computed_from() -> None
     car = RealCar(link=link)
     for angle in (0.1, 0.2):
         y = car.output(0.0, (), ())
-        car.update(0.0, (), car.U(delta_sw_in=angle, v_in=5.0), y)
+        car.update(0.0, (), car.U(delta_sw_cmd=angle, v_cmd=5.0), y)
     assert link.requests == [(0.5, 0.1), (0.55, 0.2)]
     assert link.count == 2
     with pytest.raises(CarLost, match="ended"):
