@@ -7,6 +7,7 @@ from typing import Any
 
 from steerkit import maths as m
 from steerkit.block import Block, In, Out
+from steerkit.loop import Loop
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -127,3 +128,10 @@ class Script(Block):
     def output(self, t: Any, x: Any, u: Any) -> Any:
         value = self.values[min(round(t / self.dt), len(self.values) - 1)]
         return self.Y(value, value, value, value)
+
+
+def chain(**rates: float) -> Loop:
+    """count -> gain -> total, and count -> late."""
+    count, gain, total, late = Count(), Gain(), Sum(), Delay(first=-1.0)
+    wires = [(count.n, gain.u), (gain.y, total.u), (count.n, late.u)]
+    return Loop(blocks={"count": count, "gain": gain, "total": total, "late": late}, wires=wires, **rates)

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
+import resource
+import time
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from steerkit.plants.real_car import recording as tapes
 from steerkit.plants.real_car.decisions.core import Taping
@@ -59,3 +64,27 @@ def flipped(data: bytes, bit: int) -> bytes:
     copy = bytearray(data)
     copy[bit // 8] ^= 1 << bit % 8
     return bytes(copy)
+
+
+def until(true: Callable[[], Any]) -> None:
+    """Wait for another thread."""
+    end = time.monotonic() + 60.0
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def same(a: list[tapes.Message], b: list[tapes.Message]) -> bool:
+    """Are the messages equal, NaN to NaN?"""
+    return list(map(repr, a)) == list(map(repr, b))
+
+
+@contextlib.contextmanager
+def full_disk(size: int) -> Iterator[None]:
+    """No file of this process may grow beyond that size: writing there fails, as on a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)

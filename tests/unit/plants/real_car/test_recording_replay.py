@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -21,25 +18,6 @@ from steerkit.vehicles import vehicle
 from steerkit.vehicles.file import vehicle_text
 from tests.support.car_world import setup
 from tests.support.tapes import small
-
-
-@pytest.fixture
-def drive(tmp_path: Path) -> Path:
-    (tmp_path / "drive.mcap").write_bytes(small())
-    return tmp_path / "drive.mcap"
-
-
-def until(true: Callable[[], Any]) -> None:
-    """Wait for another thread."""
-    end = time.monotonic() + 60.0
-    while not true():
-        assert time.monotonic() < end
-        time.sleep(0.01)
-
-
-def same(a: list[tapes.Message], b: list[tapes.Message]) -> bool:
-    return list(map(repr, a)) == list(map(repr, b))
-
 
 # ---- what a replay needs -----------------------------------------------------------------------------------
 
