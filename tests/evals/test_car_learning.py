@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -229,12 +230,15 @@ def test_a_net_that_failed_does_not_steer_until_a_newer_one_has_taken_over_and_n
         assert (live.loop is learner.follow.driving) is (story.trusted and learner.follow.engaged)
         steps.append((learning, story.trusted, story.net, story.counts.driven))
 
-    def wait(handle: int) -> None:
-        raise AssertionError("a control sample waits for the disk")
+    here = threading.current_thread()  # the recording has a thread of its own, which may wait
+
+    def fsync(handle: int) -> None:
+        assert not steps or threading.current_thread() is not here, "a control sample waits for the disk"
+        starting(handle)
 
     monkeypatch.setattr(on_car.CarLearner, "step", watched)
     starting = files.os.fsync
-    monkeypatch.setattr(files.os, "fsync", lambda handle: wait(handle) if steps else starting(handle))
+    monkeypatch.setattr(files.os, "fsync", fsync)
     learner = learned(tmp_path, monkeypatch, 8.0)
     story = learner.story
     assert story.counts.failures == sum(episode.failed for episode in story.counts.episodes) >= 1
