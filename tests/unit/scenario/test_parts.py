@@ -38,7 +38,7 @@ def test_fields_become_blocks() -> None:
     assert loop.inputs_of("link")["delta_sw_cmd"] == "controller.delta_sw"
     assert loop.inputs_of("actuator")["delta_sw_cmd"] == "link.delta_sw"
     assert loop.inputs_of("column")["delta_sw_in"] == "actuator.delta_sw"
-    assert loop.inputs_of("car")["delta_sw_in"] == "column.delta_sw"
+    assert loop.inputs_of("car")["delta_sw_cmd"] == "column.delta_sw"
     assert loop.inputs_of("controller")["delta_sw_meas"] == "column.delta_sw_meas"
 
 
