@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
-from hypothesis import settings
+import os
+
+from hypothesis import Phase, settings
 
 settings.register_profile("steerkit", deadline=None, print_blob=True)
-settings.load_profile("steerkit")
+settings.register_profile(
+    "slips", settings.get_profile("steerkit"), phases=[Phase.explicit, Phase.generate]
+)  # for tests.support.mutate: that a test fails is enough, on the smallest example or another
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "steerkit"))

@@ -204,6 +204,7 @@ class Copies:
             "PYTHONDONTWRITEBYTECODE": "1",
             "XDG_CACHE_HOME": str(cache),
             "OMP_NUM_THREADS": "1",
+            "HYPOTHESIS_PROFILE": "slips",  # of tests/conftest.py: a failure need not be made small
             "COLUMNS": "200",
         }
         start = time.monotonic()

@@ -116,6 +116,15 @@ def test_its_state_can_be_kept_and_two_cars_of_one_file_do_not_meet(fmu: str, tm
     np.testing.assert_array_equal(rest["car.x"], whole["car.x"][100:])
 
 
+def test_it_is_told_the_time(fmu: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    car, times = plant(fmu), list[float]()
+    monkeypatch.setattr(car._fmu._model, "setTime", times.append)
+    x = car.init()
+    y = car.output(3.5, x, ())
+    car.update(4.5, x, car.U(0.0, 5.0), y)
+    assert (times[0], set(times[1:])) == (3.5, {4.5})
+
+
 def test_a_batch_is_its_cars(fmu: str) -> None:
     one, two = simulate(loop(plant(fmu)), 0.5), simulate(loop(plant(fmu)), 0.5, batch=2)
     for car in range(2):
