@@ -81,10 +81,10 @@ def steering_loop(
         raise WiringError("foresight without a recovery controller; give recovery, such as Stanley.of(vehicle)")
     if recovery is not None and "ready" not in _names(controller.outputs):
         raise WiringError(f"{type(controller).__name__} has no output 'ready', which the supervisor needs to know")
-    told = "applied" in _names(car.outputs)
+    reports = "applied" in _names(car.outputs)
     if recovery is not None:
         controller = _guarded(controller)
-    if doe is not None and told:
+    if doe is not None and reports:
         doe = _corrected(doe)
     bench = _Bench(path)
     bench.add("human", human)
@@ -129,7 +129,7 @@ def steering_loop(
         bench.wire(recovery, "delta_sw", judge, "recovery")
         command = judge
     if doe is not None:
-        bench.wire(car if told else command, "applied" if told else "delta_sw", doe, "applied")
+        bench.wire(car if reports else command, "applied" if reports else "delta_sw", doe, "applied")
     for part in chain:
         into = next(name for name in ("delta_sw_cmd", "delta_sw_in") if name in _names(part.inputs))
         bench.wire(command, "delta_sw", part, into)

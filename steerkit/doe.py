@@ -122,5 +122,5 @@ class Corrected(Block):
         object.__setattr__(self, "dt", self.element.dt)
 
     def output(self, t: Any, x: Any, u: Any) -> Any:
-        told = HeldAngle(m.clip(u.applied, -self.element.limit, self.element.limit))
-        return self.Y(*self.element.output(t, told, self.element.D(u.action)))
+        held = HeldAngle(m.clip(u.applied, -self.element.limit, self.element.limit))
+        return self.Y(*self.element.output(t, held, self.element.D(u.action)))

@@ -113,8 +113,8 @@ def read_arrays(file: File, kind: str, *, largest: int = LARGEST) -> dict[str, N
     except ValueError as why:
         hint = f"it is cut short or not a steerkit {kind} file; write it again with save()"
         raise ValueError(f"{file}: cannot be read ({why.__cause__}); {hint}") from why
-    found = str(arrays.get("format", "an .npz of another program"))
-    require(found == f"steerkit {kind} 1", str(file), f"holds '{found}', expected 'steerkit {kind} 1'")
+    kept = str(arrays.get("format", "an .npz of another program"))
+    require(kept == f"steerkit {kind} 1", str(file), f"holds '{kept}', expected 'steerkit {kind} 1'")
     return arrays
 
 

@@ -30,8 +30,8 @@ class NoCompilerError(RuntimeError):
 
 def compiler() -> tuple[str, ...] | None:
     """The C compiler's command: $CC with its options, where that is set, else gcc, else cc; None if it is not there."""
-    told = shlex.split(os.environ.get("CC", ""))
-    for words in [told] if told else [["gcc"], ["cc"]]:
+    asked = shlex.split(os.environ.get("CC", ""))
+    for words in [asked] if asked else [["gcc"], ["cc"]]:
         if path := shutil.which(words[0]):
             return (path, *words[1:])
     return None
@@ -60,8 +60,8 @@ def load(source: str, *, fused: bool = False, vector_maths: bool = False) -> cty
     """
     tool = compiler()
     if tool is None:
-        told = f"CC = {os.environ['CC']} is not there" if os.environ.get("CC") else "neither gcc nor cc is there"
-        raise NoCompilerError(f"no C compiler found ({told}): install gcc (or clang), or set CC")
+        missing = f"CC = {os.environ['CC']} is not there" if os.environ.get("CC") else "neither gcc nor cc is there"
+        raise NoCompilerError(f"no C compiler found ({missing}): install gcc (or clang), or set CC")
     flags = (*tool[1:], *FLAGS, *(FUSED if fused or vector_maths else EXACT), *(["libmvec"] if vector_maths else []))
     key = hashlib.sha256("\0".join((source, _machine(tool[0]), *flags)).encode()).hexdigest()[:32]
     library = directory() / f"{key}.so"

@@ -259,8 +259,8 @@ class Path:
         """Write s, x, y, psi, kappa at the knots; `from_csv` reads them back to the same curve (closed as before)."""
         k = self.samples
         rows = np.column_stack((k.s, k.xy, k.psi, k.kappa))[: -1 if self.closed else None]
-        what = f"{self.name}: {'closed' if self.closed else 'open'} path, {self.length:.9g} m; m, rad, 1/m"
-        lines = [f"# {what}", "s,x,y,psi,kappa", *(",".join(f"{value:.9f}" for value in row) for row in rows)]
+        head = f"{self.name}: {'closed' if self.closed else 'open'} path, {self.length:.9g} m; m, rad, 1/m"
+        lines = [f"# {head}", "s,x,y,psi,kappa", *(",".join(f"{value:.9f}" for value in row) for row in rows)]
         write_text(file, "\n".join([*lines, ""]))
 
     def require_closed(self, where: str) -> None:

@@ -205,9 +205,9 @@ def histogram_text(timing: Timing, width: int = 40) -> str:
     edges = [0.0, *(1e-4 * 2.0**i for i in range(9)), math.inf]
     at = (np.arange(_BINS) + 0.5) * BIN
     rows = []
-    most = max(1, timing.steps)
+    total = max(1, timing.steps)
     for low, high in pairwise(edges):
         count = int(timing.histogram[(at >= low) & (at < high)].sum())
         label = f"{1e3 * low:5.1f} to {1e3 * high:5.1f} ms" if high < math.inf else f"{1e3 * low:5.1f} ms and more"
-        rows.append(f"{label:18s} {count:8d} {'#' * round(width * count / most)}")
+        rows.append(f"{label:18s} {count:8d} {'#' * round(width * count / total)}")
     return "\n".join(rows)

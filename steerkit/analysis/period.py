@@ -71,9 +71,9 @@ class Period:
 
     def run(self, x: Sequence[Any], taps: Sequence[Sequence[Any]], k: int) -> tuple[list[Any], list[list[Any]]]:
         """From tick k on, tap j taking the values taps[j] in turn: the states after, and all samples of each output."""
-        rest, period = iter(x), self._loop.period
+        numbers, period = iter(x), self._loop.period
         blocks = len(self._like) - len(taps)
-        states = [_made(like, [next(rest) for _ in like]) for like in self._like[:blocks]] + [()] * len(taps)
+        states = [_made(like, [next(numbers) for _ in like]) for like in self._like[:blocks]] + [()] * len(taps)
         y, read = list(self._held), [list[Any]() for _ in self._read]
         for phase in range(period):
             for j, values in enumerate(taps):

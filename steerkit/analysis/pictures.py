@@ -45,9 +45,9 @@ def plot_bode(loops: Mapping[str, Any], *, title: str = "", points: int = 1000) 
         angle = np.unwrap(np.angle(answer))
         angle -= 2.0 * math.pi * math.ceil((angle[0] - 0.1) / (2.0 * math.pi))  # starts in (-360, 0] degrees
         try:
-            found = margins(system)
-            label = f"{name}: {_told(found.gain, found.phase, found.delay)}"
-            at = found.gain_crossing
+            margin = margins(system)
+            label = f"{name}: {_told(margin.gain, margin.phase, margin.delay)}"
+            at = margin.gain_crossing
         except UnstableError:
             label, at = f"{name}: closed loop unstable", math.nan
         gain.plot(w, 20.0 * np.log10(np.maximum(np.abs(answer), 1e-9)), color=colour, label=label)
@@ -72,9 +72,9 @@ def plot_over(points: Mapping[str, Sequence[Point]], *, xlabel: str = "v [m/s]",
     points: as `over` gives them. Where the closed loop is unstable the margins have a gap and the pole is above 1.
     """
     figure, (phase, delay, pole) = new_figure(3, title=title)
-    for colour, (name, found) in zip(PALETTE, points.items()):
-        x = [point.value for point in found]
-        margins_of = [point.margins for point in found]
+    for colour, (name, varied) in zip(PALETTE, points.items()):
+        x = [point.value for point in varied]
+        margins_of = [point.margins for point in varied]
         phase.plot(
             x,
             [math.nan if t is None else degrees_of(t.phase) for t in margins_of],
@@ -84,7 +84,7 @@ def plot_over(points: Mapping[str, Sequence[Point]], *, xlabel: str = "v [m/s]",
             label=name,
         )
         delay.plot(x, [math.nan if t is None else t.delay for t in margins_of], "o-", ms=3, color=colour)
-        largest = [abs(point.poles[0]) if len(point.poles) else 0.0 for point in found]
+        largest = [abs(point.poles[0]) if len(point.poles) else 0.0 for point in varied]
         pole.plot(x, largest, "o-", ms=3, color=colour)
     pole.axhline(1.0, color=COLOURS["limit"], lw=0.9)
     phase.set(ylabel="phase margin [deg]", ylim=(0.0, 90.0))

@@ -62,36 +62,37 @@ def identify(
         other = ident.read_drive(held_out, given, dt=dt, trusted=trust_units) if held_out else None
         if status:
             status.update(f"fitting {len(drive.v)} samples")
-        found = ident.identify(drive, car, fixed=_fixed(fix or ()), name=name or f"{Path(log).name.split('.')[0]}-car")
+        called = name or f"{Path(log).name.split('.')[0]}-car"
+        identified = ident.identify(drive, car, fixed=_fixed(fix or ()), name=called)
         if status and other:
             status.update("predicting the held-out drive")
-        prediction = found.predict(other) if other else None
+        prediction = identified.predict(other) if other else None
     command = " ".join(["steerkit", *sys.argv[1:]])
-    _report(console, found, prediction, quiet=quiet)
+    _report(console, identified, prediction, quiet=quiet)
     if out is not None:
-        found.save(out, command=command, held_out=prediction)
+        identified.save(out, command=command, held_out=prediction)
         console.print(f"vehicle file: {out}", soft_wrap=True)
     elif not as_json:
-        print(found.text(command=command, held_out=prediction), end="")
+        print(identified.text(command=command, held_out=prediction), end="")
     if plot is not None:
-        found.plot(prediction).savefig(plot)
+        identified.plot(prediction).savefig(plot)
         console.print(f"picture: {plot}", soft_wrap=True)
     if as_json:
-        print(json.dumps(figures(found, prediction)))
+        print(json.dumps(figures(identified, prediction)))
 
 
-def figures(found: Any, prediction: Any) -> dict[str, Any]:
+def figures(identified: Any, prediction: Any) -> dict[str, Any]:
     """What a program would read."""
     answer: dict[str, Any] = {
-        "vehicle": found.vehicle.name,
+        "vehicle": identified.vehicle.name,
         "estimates": {
             e.name: {"value": e.value, "low": e.low, "high": e.high, "unit": e.unit, "told_by": e.told_by}
-            for e in found.estimates
+            for e in identified.estimates
         },
-        "correlation_time": found.correlation_time,
-        "notes": [*found.drive.notes, *found.notes],
+        "correlation_time": identified.correlation_time,
+        "notes": [*identified.drive.notes, *identified.notes],
     }
-    for key, part in (("fit", found.fit), ("held_out", prediction)):
+    for key, part in (("fit", identified.fit), ("held_out", prediction)):
         if part is not None:
             answer[key] = {
                 "drive": part.drive.name,
@@ -104,25 +105,25 @@ def figures(found: Any, prediction: Any) -> dict[str, Any]:
     return answer
 
 
-def _report(console: Any, found: Any, prediction: Any, *, quiet: bool) -> None:
+def _report(console: Any, identified: Any, prediction: Any, *, quiet: bool) -> None:
     from rich.markup import escape
     from rich.table import Table
 
     if not quiet:
-        for part in (found.fit, *([prediction] if prediction else ())):
+        for part in (identified.fit, *([prediction] if prediction else ())):
             for note in part.drive.notes:
                 console.print(f"{part.drive.name}: {escape(note)}", soft_wrap=True, highlight=False)
-    table = Table("parameter", "value", "95 % interval", "unit", "told by", "", title=f"{found.vehicle.name}")
-    for e in found.estimates:
+    table = Table("parameter", "value", "95 % interval", "unit", "told by", "", title=f"{identified.vehicle.name}")
+    for e in identified.estimates:
         table.add_row(e.name, f"{e.value:.4g}", escape(f"[{e.low:.4g}, {e.high:.4g}]"), e.unit, e.told_by, e.note)
     console.print(table)
     fits = Table("yaw rate of", "RMS \\[rad/s]", "from 3 m/s on", "mean", "wheel's zero found anew")
-    for part in (found.fit, *([prediction] if prediction else ())):
+    for part in (identified.fit, *([prediction] if prediction else ())):
         numbers = (part.rms, part.rms_driving, part.mean_driving, part.rms_rezeroed)
         fits.add_row(part.drive.name, *(f"{x:.5f}" for x in numbers))
     console.print(fits)
     if not quiet:
-        for note in found.notes:
+        for note in identified.notes:
             console.print(escape(note), highlight=False, soft_wrap=True)
 
 

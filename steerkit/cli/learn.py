@@ -84,8 +84,8 @@ def learn(
 
         options = car_options(ctx)
         place = out or loops.LEARNED
-        how = changed(named(setting), changes or ())
-        figures = car_session.learn(options, how, place, minutes=minutes or 0.0, seed=seed)
+        chosen = changed(named(setting), changes or ())
+        figures = car_session.learn(options, chosen, place, minutes=minutes or 0.0, seed=seed)
         if as_json:
             print(json.dumps(figures))
         return

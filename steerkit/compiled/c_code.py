@@ -245,21 +245,21 @@ def statements(graph: Graph, roots: Sequence[int], source: object, tables: Seque
     rows: set[tuple[int, int]] = set()
     assert callable(source)
     for i in graph.order(roots):
-        op, *rest = graph.nodes[i]
+        op, *operands = graph.nodes[i]
         kind = "mask" if op in BOOLEAN else "real"
         if op == "row":
-            table, index, column = rest
+            table, index, column = operands
             name = f"r{table}_{index}"
             if (table, index) not in rows:
                 rows.add((table, index))
                 lines.append(f"  ROW({name}, {table}, v{index});")
             text = f"AT({name}, {column})"
         elif op == "const":
-            text = f"NUMBER({c_number(float.fromhex(rest[0]))})"
+            text = f"NUMBER({c_number(float.fromhex(operands[0]))})"
         elif op == "in":
-            text = source(rest[0])
+            text = source(operands[0])
         else:
-            text = _expression(op, [f"v{j}" for j in rest])
+            text = _expression(op, [f"v{j}" for j in operands])
         lines.append(f"  const {kind} v{i} = {text};")
     return lines
 

@@ -113,11 +113,11 @@ class Graph:
 
     def boolean(self, i: int) -> int:
         """Node i as a condition; constants stay constants."""
-        op, *rest = self.nodes[i]
+        op, *operands = self.nodes[i]
         if op in BOOLEAN or op == "const":
             return i
-        if op == "select" and (self.value(rest[1]), self.value(rest[2])) == (1.0, 0.0):
-            return rest[0]
+        if op == "select" and (self.value(operands[1]), self.value(operands[2])) == (1.0, 0.0):
+            return operands[0]
         return self._put(("ne", i, self.const(0.0)))
 
     def order(self, roots: Iterable[int]) -> list[int]:
@@ -263,25 +263,25 @@ def _multiplied_out(
         return made[i]
 
     for i in order:
-        op, *rest = graph.nodes[i]
-        if op == "in" and rest[0] in fixed:
-            made[i] = new.const(fixed[rest[0]])
-            forms[i] = {-1: fixed[rest[0]]}
+        op, *operands = graph.nodes[i]
+        if op == "in" and operands[0] in fixed:
+            made[i] = new.const(fixed[operands[0]])
+            forms[i] = {-1: fixed[operands[0]]}
             continue
-        form = _form(op, [forms[j] for j in rest]) if op in _LINEAR and i not in exact else None
+        form = _form(op, [forms[j] for j in operands]) if op in _LINEAR and i not in exact else None
         if form is not None:
             form = {key: c for key, c in form.items() if c != 0.0} or {-1: 0.0}
         if form is not None and len(form) <= longest and all(map(math.isfinite, form.values())):
             forms[i] = form
             continue
         if op == "const":
-            made[i] = new.const(float.fromhex(rest[0]))
+            made[i] = new.const(float.fromhex(operands[0]))
         elif op == "in":
-            made[i] = new.add(op, *rest)
+            made[i] = new.add(op, *operands)
         elif op == "row":
-            made[i] = new.add(op, rest[0], node(rest[1]), rest[2])
+            made[i] = new.add(op, operands[0], node(operands[1]), operands[2])
         else:
-            made[i] = new.add(op, *[node(j) for j in rest])
+            made[i] = new.add(op, *[node(j) for j in operands])
         value = new.value(made[i])
         forms[i] = {made[i]: 1.0} if value is None else {-1: value}
     return new, [node(i) for i in roots]

@@ -100,15 +100,15 @@ def _statements(graph: Graph, roots: Sequence[int], trace: Trace) -> tuple[list[
     rows: dict[tuple[int, int], str] = {}
     lines: list[str] = []
     for i in order:
-        op, *rest = graph.nodes[i]
+        op, *operands = graph.nodes[i]
         if op == "const":
-            text[i], depth[i] = _number(float.fromhex(rest[0])), 0
+            text[i], depth[i] = _number(float.fromhex(operands[0])), 0
             continue
         if op == "in":
-            text[i], depth[i] = _input(rest[0], len(trace.layout)), 0
+            text[i], depth[i] = _input(operands[0], len(trace.layout)), 0
             continue
         if op == "row":
-            table, index, column = rest
+            table, index, column = operands
             if (table, index) not in rows:
                 rows[table, index] = f"r{len(rows)}"
                 width = trace.tables[table].rows.shape[1]
@@ -116,8 +116,8 @@ def _statements(graph: Graph, roots: Sequence[int], trace: Trace) -> tuple[list[
                 lines.append(f"{columns}= table{table}[int({text[index]})]")
             text[i], depth[i] = f"{rows[table, index]}_{column}", 0
             continue
-        expression = _expression(op, [text[j] for j in rest])
-        depth[i] = 1 + max(depth[j] for j in rest)
+        expression = _expression(op, [text[j] for j in operands])
+        depth[i] = 1 + max(depth[j] for j in operands)
         if uses[i] == 1 and i not in root_nodes and depth[i] < _DEEPEST:
             text[i] = f"({expression})"
         else:

@@ -251,8 +251,8 @@ def flattened(values: Mapping[str, Any]) -> dict[str, Any]:
 
 def _regrouped(present: Mapping[str, Any], numbers: Sequence[Any]) -> dict[str, Any]:
     """`numbers`, in the order of `flattened(present)`, under the names of `present`."""
-    rest = iter(numbers)
-    return {n: tuple([next(rest) for _ in v]) if isinstance(v, tuple) else next(rest) for n, v in present.items()}
+    left = iter(numbers)
+    return {n: tuple([next(left) for _ in v]) if isinstance(v, tuple) else next(left) for n, v in present.items()}
 
 
 def parameter(loop: Loop, name: str) -> Any:
@@ -277,8 +277,8 @@ def _replaced(owner: Any, fields: list[str], value: Any, name: str) -> Any:
             warnings.simplefilter("ignore", FutureWarning)
             return dataclasses.replace(owner, **{field: new})
     except Exception:  # its checks cannot judge a symbol or an array: copy the fields as they are
-        found = [item for base in type(owner).__mro__ for item in vars(base).items()]
-        cached = {n for n, v in found if isinstance(v, functools.cached_property)}
+        members = [item for base in type(owner).__mro__ for item in vars(base).items()]
+        cached = {n for n, v in members if isinstance(v, functools.cached_property)}
         made = {f.name for f in dataclasses.fields(owner) if not f.init} | vars(owner).keys() - {*known, *cached}
         if made:
             raise TraceError(

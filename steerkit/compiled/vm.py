@@ -100,20 +100,20 @@ class VmProgram:
         for now in range(last + 1):
             looked_up: dict[tuple[int, int], Any] = {}
             for i in (i for i in order if stage[i] == now):
-                op, *rest = graph.nodes[i]
+                op, *operands = graph.nodes[i]
                 if op == "row":
-                    table, index, column = rest
+                    table, index, column = operands
                     if (table, index) not in looked_up:
                         row = looked_up[table, index] = casadi.SX.sym("row", self.tables[table].size1_out(0))
                         inputs.append(row)
                         arguments.append(self.tables[table](indices[table, index]))
                     symbols[i] = looked_up[table, index][column]
                 elif op == "in":
-                    symbols[i] = inputs[0][entry_of[rest[0]]]
+                    symbols[i] = inputs[0][entry_of[operands[0]]]
                 elif op == "const":
-                    symbols[i] = casadi.SX(float.fromhex(rest[0]))
+                    symbols[i] = casadi.SX(float.fromhex(operands[0]))
                 else:
-                    symbols[i] = _CALLS[op](*[symbols[j] for j in rest])
+                    symbols[i] = _CALLS[op](*[symbols[j] for j in operands])
             if now == last:
                 break
             later = [i for i in order if stage[i] > now]

@@ -133,7 +133,7 @@ class Predicted(Block):
     @cached_property
     def _steps(self) -> tuple[Step, ...]:
         """From now to delay + lag: a piece for each command on its way, then pieces of at most dt under the last."""
-        n, found, t = self._waiting, [], 0.0
+        n, steps, t = self._waiting, [], 0.0
         first = self.delay - (n - 1) * self.dt if self.delay > 0.0 else 0.0
         pieces = [(first if i == 0 else self.dt, i) for i in range(n)] if self.delay > 0.0 else []
         tail = int(np.ceil(self.lag / self.dt - 1e-9))
@@ -141,9 +141,9 @@ class Predicted(Block):
         for h, command in pieces:
             place = (t + 0.5 * h) / self.preview_dt
             entry = min(int(place), max(self.preview_points - 2, 0))
-            found.append(Step(h, command, entry, min(place - entry, 1.0) if self.preview_points > 1 else 0.0))
+            steps.append(Step(h, command, entry, min(place - entry, 1.0) if self.preview_points > 1 else 0.0))
             t += h
-        return tuple(found)
+        return tuple(steps)
 
     @cached_property
     def _waiting(self) -> int:
@@ -192,8 +192,8 @@ class Predicted(Block):
         lever = self.reference + self.l_r - self.rear_slip * v * v
         for h, command, entry, share in self._steps:
             follow = 1.0 - float(np.exp(-h / self.lag)) if self.lag > 0.0 else 1.0
-            most = self.rate_limit * h
-            moved = m.clip(follow * (commands[command] - wheel), -most, most)
+            step = self.rate_limit * h
+            moved = m.clip(follow * (commands[command] - wheel), -step, step)
             r_steady = steady * m.tan((wheel + 0.5 * moved) / self.steer_ratio) + wrong
             r_after = r_steady + (r - r_steady) * m.exp(fade * h)
             kappa = u.preview[entry]
@@ -251,19 +251,19 @@ def identified(t: Array, command: Array, wheel: Array, *, longest: float = 0.5) 
     require(np.isfinite([t, command, wheel]).all(), where, "the record holds a NaN or an infinity")
     dt = float(t[1] - t[0]) if len(t) > 1 else 0.0
     require(dt > 0.0 and np.allclose(np.diff(t), dt, rtol=1e-3), where, "t must rise in even steps")
-    most = int(longest / dt + 1e-9) + 1
-    require(len(t) > 3 * most + 10, where, f"{len(t)} samples, expected more than {3 * most + 10} for {longest} s")
+    count = int(longest / dt + 1e-9) + 1
+    require(len(t) > 3 * count + 10, where, f"{len(t)} samples, expected more than {3 * count + 10} for {longest} s")
     require(np.ptp(command) > 1e-3 and np.ptp(wheel) > 1e-3, where, "the wheel was not moved in this record")
-    now, after = wheel[most:-1], wheel[most + 1 :]
+    now, after = wheel[count:-1], wheel[count + 1 :]
     best: tuple[float, float, float] = (np.inf, 0.0, 0.0)
-    for n in range(most):
-        recent, older = (command[most - i : len(t) - 1 - i] for i in (n, n + 1))
+    for n in range(count):
+        recent, older = (command[count - i : len(t) - 1 - i] for i in (n, n + 1))
         columns = np.column_stack((now, recent, older, np.ones_like(now)))
-        found, *_ = np.linalg.lstsq(columns, after, rcond=None)
-        keep, a, b, _ = found
+        coefficients, *_ = np.linalg.lstsq(columns, after, rcond=None)
+        keep, a, b, _ = coefficients
         if not (0.0 <= keep < 1.0 and a + b > 0.0 and min(a, b) >= -0.2 * max(a, b)):
             continue  # no delay between n and n + 1 samples explains it, nor would it but for noise
-        error = float(np.sqrt(np.mean((columns @ found - after) ** 2)))
+        error = float(np.sqrt(np.mean((columns @ coefficients - after) ** 2)))
         lag = -dt / np.log(keep) if keep > 1e-9 else 0.0
         # the older command acts first, for `early`: its share is exp(-(dt - early)/lag) - exp(-dt/lag) of the whole
         share = min(max(0.0, b / (a + b)), 1.0)

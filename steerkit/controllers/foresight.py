@@ -118,7 +118,7 @@ class Foresight(Block):
         v_squared = v**2
         fastest = m.minimum(self.jerk_max / v_squared, self.rate_max / (self.steer_ratio * length))
         rounding = self.quantum / (self.frame_dt * self.steer_ratio * length)
-        most = m.minimum(self.a_y_max / v_squared, m.tan(self.delta_sw_max / self.steer_ratio) / length)
+        curvature = m.minimum(self.a_y_max / v_squared, m.tan(self.delta_sw_max / self.steer_ratio) / length)
         sway = self.arm / (v * h)
         # seen in the mirror, the right is the left
         e, psi_e, kappa = side * u.e, side * u.psi_e, side * u.kappa
@@ -131,7 +131,7 @@ class Foresight(Block):
                 lost = rounding * (1.0 + bent * bent)
                 swung = (steered + self.a_y_max / v_squared) / (h * (1.0 + sway))  # what a_y leaves to turn by
                 turn = m.minimum(m.maximum(fastest - lost, 0.0), m.maximum(swung - lost, lost))
-                steered = m.clip(-most, steered - h * turn, steered + h * fastest)
+                steered = m.clip(-curvature, steered - h * turn, steered + h * fastest)
             delta = m.atan(length * 0.5 * (before + steered))  # halfway through the step
             half = 0.5 * h * u.v * (m.sin(delta) / length - kappa * m.cos(psi_e + delta))
             e = e + h * u.v * m.sin(psi_e + half + delta)

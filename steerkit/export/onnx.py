@@ -70,12 +70,12 @@ def _nfq(graph: _Graph, policy: NfqPolicy) -> tuple[str, str]:
     scaled = graph.op("Div", graph.op("Sub", "state", graph.number(d.mid)), graph.number(d.half))
     of_nets = []
     for net in policy.nets or ():
-        (w, b), *rest = zip(net[::2], net[1::2])
+        (w, b), *following = zip(net[::2], net[1::2])
         action = np.outer(np.array(order) / d.scale_of(policy.actions), w[:, ACTION]) + b
         first = graph.op("MatMul", scaled, graph.number(w[:, :ACTION].T))
         first = graph.op("Unsqueeze", first, graph.whole([1]))  # (N, 1, units), to be added to (actions, units)
         h = graph.op("Sigmoid", graph.op("Add", first, graph.number(action)))
-        for w, b in rest:
+        for w, b in following:
             h = graph.op("Sigmoid", graph.op("Add", graph.op("MatMul", h, graph.number(w.T)), graph.number(b)))
         of_nets.append(h)
     q = _combined(graph, graph.op("Concat", *of_nets, axis=2), policy.combine)

@@ -97,8 +97,8 @@ class ColumnMap:
         """A map from words such as `delta_sw=steering_angle:deg` or `delta_sw=df:rad:15.87` (unit, then scale)."""
         table: dict[str, Any] = {}
         for word in words:
-            quantity, sign, rest = word.partition("=")
-            name, *more = rest.rsplit(":", 2) if rest.count(":") >= 2 else rest.split(":")
+            quantity, sign, source = word.partition("=")
+            name, *more = source.rsplit(":", 2) if source.count(":") >= 2 else source.split(":")
             require(sign and name, "--column", f"'{word}', expected QUANTITY=COLUMN[:UNIT[:SCALE]]")
             table[quantity] = {"column": name, "unit": more[0] if more else ""}
             if len(more) > 1:

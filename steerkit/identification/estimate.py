@@ -149,7 +149,7 @@ def predict(simulator: Simulator, theta: dict[str, float]) -> Prediction:
     use = np.flatnonzero(drive.driving)
     rms_driving, mean = moments(error[use])
     slope = (rates[:, 1] - rates[:, 0]) / step
-    first, rest = np.split(use, [min(len(use) // 2, round(REZERO / drive.dt))])
+    first, later = np.split(use, [min(len(use) // 2, round(REZERO / drive.dt))])
     shift = float(slope[first] @ error[first] / (slope[first] @ slope[first]))
     return Prediction(
         drive=drive,
@@ -157,6 +157,6 @@ def predict(simulator: Simulator, theta: dict[str, float]) -> Prediction:
         rms=moments(error[drive.measured])[0],
         rms_driving=rms_driving,
         mean_driving=mean,
-        rms_rezeroed=moments((error - shift * slope)[rest])[0],
+        rms_rezeroed=moments((error - shift * slope)[later])[0],
         zero_shift=shift,
     )

@@ -144,7 +144,7 @@ class _Problem:
                 for end in (up, down):
                     points.append(np.where(np.arange(len(theta)) == i, end, theta))
             sets = [self.held | dict(zip(self.free, point.tolist())) for point in points]
-            rates = self.simulator.yaw_rates(sets) + np.array([one["rate_zero"] for one in sets])
+            rates = self.simulator.yaw_rates(sets) + np.array([values["rate_zero"] for values in sets])
             rates = rates[self.use]
             slopes = (rates[:, 1::2] - rates[:, 2::2]) / (up - down)
             self._last = key, self.simulator.drive.r[self.use] - rates[:, 0], -slopes
@@ -163,10 +163,10 @@ class _Problem:
             def jac(x: Array, weight: float = weight) -> Array:
                 return np.vstack((self.linearised(x)[1] * weight, np.diag(1.0 / self.deviation)))
 
-            found = least_squares(
+            solution = least_squares(
                 fun, theta, jac, bounds=(self.low, self.high), x_scale=self.deviation, xtol=1e-9, ftol=1e-9
             )
-            theta = found.x
+            theta = solution.x
             error = self.linearised(theta)[0]
             correlation, _ = self._correlation_times(error)
             sigma = max(moments(error)[0], 1e-7) * math.sqrt(correlation / dt)
@@ -242,7 +242,7 @@ def _estimates(
         ("c_r", c_r, "N/rad", {"d_r": -c_r / values["d_r"]}, f"given mass {base.m:g} kg"),
         ("rate_zero", values["rate_zero"], "rad/s", {"rate_zero": 1.0}, "zero of the recorded yaw rate"),
     ]
-    found = []
+    estimates = []
     for name, value, unit, slopes, note in rows:
         g = np.array([slopes.get(n, 0.0) for n in free])
         deviation, prior = (math.sqrt(g @ m @ g) for m in (covariance, before))
@@ -260,12 +260,12 @@ def _estimates(
         for key in slopes.keys() & set(free):
             if not table[key].low < values[key] < table[key].high:
                 note = f"{note}; {key} is at its bound".lstrip("; ")
-        found.append(
+        estimates.append(
             Estimate(
                 name=name, value=float(value), low=float(low), high=float(high), unit=unit, learned=learned, note=note
             )
         )
-    return tuple(found)
+    return tuple(estimates)
 
 
 def _notes(
@@ -292,10 +292,10 @@ def _notes(
         )
     deviations = np.sqrt(np.diag(covariance))
     related = covariance / np.outer(deviations, deviations)
-    for i, one in enumerate(free):
+    for i, name in enumerate(free):
         for j in range(i):
             if abs(related[i, j]) > 0.9:
-                notes.append(f"{free[j]} and {one} cannot be told apart well (correlation {related[i, j]:+.2f})")
+                notes.append(f"{free[j]} and {name} cannot be told apart well (correlation {related[i, j]:+.2f})")
     if values["delay"] < -0.02:
         notes.append("the delay is negative: the yaw rate's clock runs ahead of the steering's, or it was smoothed")
     if max(values["delay"], values["lag"]) > 0.5:

@@ -14,14 +14,14 @@ if TYPE_CHECKING:
 _PAUSE = 0.04  # share of the axis between the fitted and the held-out drive
 
 
-def residuals(found: Identified, held_out: Prediction | None = None) -> Any:
+def residuals(identified: Identified, held_out: Prediction | None = None) -> Any:
     """Yaw rate, residual and speed over time, the held-out drive after the fitted one; beside them a scatter plot."""
-    fit = found.fit
+    fit = identified.fit
     parts = [(fit, "fitted", COLOURS["learned"]), *([(held_out, "held out", COLOURS["analytic"])] if held_out else [])]
     ends: list[float] = []
     with style():
         figure, (cloud, rate, left, speed) = new_figure(
-            3, map_beside=True, title=f"{found.vehicle.name}: yaw rate from steering wheel and speed alone"
+            3, map_beside=True, title=f"{identified.vehicle.name}: yaw rate from steering wheel and speed alone"
         )
         start = 0.0
         for part, word, colour in parts:
@@ -59,11 +59,11 @@ def residuals(found: Identified, held_out: Prediction | None = None) -> Any:
             low, high = axis.get_ylim()
             axis.set_ylim(low - 0.22 * (high - low), high)
         rate.margins(x=0.01)
-        _intervals(figure, found)
+        _intervals(figure, identified)
         return figure
 
 
-def _intervals(figure: Any, found: Identified) -> None:
+def _intervals(figure: Any, identified: Identified) -> None:
     """The estimates in words under the cloud."""
     lines = []
     for name, label, factor, unit in (
@@ -72,7 +72,7 @@ def _intervals(figure: Any, found: Identified) -> None:
         ("delay_lag", "delay + lag", 1e3, "ms"),
         ("offset", "offset at the wheel", 180.0 / np.pi, "deg"),
     ):
-        e = found[name]
+        e = identified[name]
         numbers = f"{factor * e.value:.3g}  [{factor * e.low:.3g}, {factor * e.high:.3g}] {unit}"
         lines.append(f"{label}: {numbers}" + ("" if e.told_by == "log" else f"  ({e.told_by})"))
     figure.axes[-1].text(

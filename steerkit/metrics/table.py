@@ -289,6 +289,6 @@ def as_markdown() -> str:
     for m in TABLE:
         better = "lower" if m.lower_is_better else "higher"
         limit = "" if m.limit is None else f"{m.limit:g}"
-        what = m.what.replace("|e|", "\\|e\\|").replace("|psi_e|", "\\|psi_e\\|")
-        rows.append(f"| `{m.name}` | {m.unit} | {better} | {what} | {m.source} | {limit} |")
+        meaning = m.what.replace("|e|", "\\|e\\|").replace("|psi_e|", "\\|psi_e\\|")
+        rows.append(f"| `{m.name}` | {m.unit} | {better} | {meaning} | {m.source} | {limit} |")
     return "\n".join(rows) + "\n"

@@ -146,7 +146,7 @@ def _ordered(start: Order, cost: Callable[[Order], float]) -> Order:
     best, least = start, cost(start)
     while True:
         others = [(a, tuple(b for b in best if b != a)) for a in best]
-        moved = ((*rest[:n], a, *rest[n:]) for a, rest in others for n in range(len(best)))
+        moved = ((*others_of[:n], a, *others_of[n:]) for a, others_of in others for n in range(len(best)))
         candidate = min(moved, key=cost, default=best)
         if cost(candidate) >= least:
             return best

@@ -200,8 +200,8 @@ class Scenario:
             self.path()
         elif not is_random(self.course):
             known(self.course, valid, "course", also="FILE.csv")
-        told = self.closed is None or self._text(self.course) is not None
-        require(told, f"closed = {self.closed}", "only a course from a file is told so")
+        chosen = self.closed is None or self._text(self.course) is not None
+        require(chosen, f"closed = {self.closed}", "only a course from a file is told so")
         if self.speed == "recorded":
             recorded_speed(self.course)
         car = plant_kind(self.plant)(vehicle=self.true_vehicle, v0=self.v_min)  # type: ignore[call-arg]

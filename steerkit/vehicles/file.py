@@ -87,6 +87,6 @@ def tables_of(text: str, where: str) -> dict[str, Any]:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ValueError(f"{where}: not TOML ({error})") from error
-    found = data.get("format")
-    require(found == FORMAT, where, f"format = {found!r}, expected {FORMAT!r}: a file of `steerkit identify`")
+    written = data.get("format")
+    require(written == FORMAT, where, f"format = {written!r}, expected {FORMAT!r}: a file of `steerkit identify`")
     return data

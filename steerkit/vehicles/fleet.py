@@ -57,8 +57,8 @@ def drawn_car(number: int) -> FleetCar:
 
 def drawn_number(name: str) -> int | None:
     """17 of `fleet-17`; None for a name that is not of that form."""
-    found = re.fullmatch(r"fleet-(\d{1,18})", name)
-    return int(found[1]) if found else None
+    match = re.fullmatch(r"fleet-(\d{1,18})", name)
+    return int(match[1]) if match else None
 
 
 def _car(row: Mapping[str, str]) -> FleetCar:

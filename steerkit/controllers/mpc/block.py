@@ -304,7 +304,7 @@ class PredictiveSteering(Block):
 
     def _command(self, state: X, u: Any, fault: float, plan: tuple[float, ...]) -> tuple[float, float]:
         """The command and where it came from."""
-        last, most = state.commands[-1], self.rate_limit * self.dt
+        last, step = state.commands[-1], self.rate_limit * self.dt
         if fault == STANDING:
             return last, HELD
         if fault == NO_FAULT or state.age < self.patience:
@@ -313,7 +313,7 @@ class PredictiveSteering(Block):
             target, status = self._fallback(state, u), FALLBACK
         if not math.isfinite(target):
             return last, HELD
-        return m.clip(m.clip(target, last - most, last + most), -self.limit, self.limit), status
+        return m.clip(m.clip(target, last - step, last + step), -self.limit, self.limit), status
 
     def _fallback(self, state: X, u: Any) -> float:
         """What the fallback commands [rad]; NaN if it cannot tell. A broken beta or wheel angle is done without."""

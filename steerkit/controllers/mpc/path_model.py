@@ -265,8 +265,8 @@ class PathModel:
         for kappa_i in np.arange(KAPPA_STEP, KAPPA_HIGH + 0.5 * KAPPA_STEP, KAPPA_STEP):
             guess = 2.0 * rows[-1] - rows[-2] if len(rows) > 1 else rows[-1]
             for _ in range(8):
-                found, error, pace = newton(guess[:, :4].T, all_speeds, np.full_like(all_speeds, kappa_i))
-                guess = np.vstack((found.full(), pace.full())).T
+                solution, error, pace = newton(guess[:, :4].T, all_speeds, np.full_like(all_speeds, kappa_i))
+                guess = np.vstack((solution.full(), pace.full())).T
             with np.errstate(invalid="ignore"):
                 more = np.abs(guess[:, 3]) > np.abs(rows[-1][:, 3])  # not past the tyres' best
                 good = good & more & (error.full()[0] < 1e-8) & (np.abs(guess[:, 0]) < _STEEPEST)

@@ -192,11 +192,11 @@ class StageQp:
         The solver is wrapped, since HPIPM, called through a buffer of its own, keeps the vectors of its first call.
         """
         v = self._symbols
-        found = self._conic(**{name: v[name] for name in _DATA})
-        residual = self._residual(v | {"x": found["x"], "lam_x": found["lam_x"], "lam_a": found["lam_a"]})
+        answer = self._conic(**{name: v[name] for name in _DATA})
+        residual = self._residual(v | {"x": answer["x"], "lam_x": answer["lam_x"], "lam_a": answer["lam_a"]})
         return self._bound(
             casadi.Function(
-                "solve", [v[name] for name in _DATA], [found["x"], residual], list(_DATA), ["x", "residual"]
+                "solve", [v[name] for name in _DATA], [answer["x"], residual], list(_DATA), ["x", "residual"]
             )
         )
 

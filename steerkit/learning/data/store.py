@@ -86,8 +86,8 @@ class TransitionStore:
         """
         n = len(self.names)
         if len(s) != n or len(s_next) != n:
-            what = f"s has {len(s)}, s_next has {len(s_next)} entries, expected {n}: {', '.join(self.names)}"
-            raise ValueError(f"TransitionStore: {what}")
+            fault = f"s has {len(s)}, s_next has {len(s_next)} entries, expected {n}: {', '.join(self.names)}"
+            raise ValueError(f"TransitionStore: {fault}")
         numbers = (*s, a, *s_next)
         if not all(map(math.isfinite, numbers)):
             columns = (*self.names, "a", *(f"{name}_next" for name in self.names))

@@ -93,13 +93,13 @@ def opened(path: FilePath, names: Sequence[str] | None, *, create: bool) -> tupl
     if new:
         path.touch()
     with reading(path) as db:
-        one = {name: db.execute(f"PRAGMA {name}").fetchone()[0] for name in ("application_id", "user_version")}
+        numbers = {name: db.execute(f"PRAGMA {name}").fetchone()[0] for name in ("application_id", "user_version")}
         tables = {row[0] for row in db.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
-        blank = not tables and not any(one.values())  # also: killed while it was being made
+        blank = not tables and not any(numbers.values())  # also: killed while it was being made
         if not blank:
-            if one["application_id"] != APPLICATION:
+            if numbers["application_id"] != APPLICATION:
                 raise StoreError(f"{path}: an SQLite file of another program, not a transition store")
-            check_schema(path, one["user_version"])
+            check_schema(path, numbers["user_version"])
             check = db.execute("PRAGMA quick_check(1)").fetchone()[0]
             if check != "ok":
                 raise StoreError(f"{path}: damaged ({check}); use a copy, or a new file")
@@ -109,10 +109,10 @@ def opened(path: FilePath, names: Sequence[str] | None, *, create: bool) -> tupl
         _create(path, tuple(names or StateDescription().names))
     with reading(path) as db:
         (text,) = db.execute("SELECT value FROM meta WHERE key = 'names'").fetchone()
-    found = tuple(json.loads(text))
-    if names is not None and tuple(names) != found:
-        raise StoreError(f"{path}: holds the columns {', '.join(found)}, expected {', '.join(names)}; use a new file")
-    return found
+    columns = tuple(json.loads(text))
+    if names is not None and tuple(names) != columns:
+        raise StoreError(f"{path}: holds the columns {', '.join(columns)}, expected {', '.join(names)}; use a new file")
+    return columns
 
 
 def _create(path: FilePath, names: tuple[str, ...]) -> None:
@@ -131,8 +131,8 @@ def _create(path: FilePath, names: tuple[str, ...]) -> None:
 def check_schema(path: Path, schema: int) -> None:
     """Raise StoreError unless this steerkit knows the schema."""
     if schema != SCHEMA:
-        what = "a newer steerkit wrote it, update yours" if schema > SCHEMA else "no steerkit ever wrote that"
-        raise StoreError(f"{path}: schema {schema}, expected {SCHEMA}: {what}")
+        reason = "a newer steerkit wrote it, update yours" if schema > SCHEMA else "no steerkit ever wrote that"
+        raise StoreError(f"{path}: schema {schema}, expected {SCHEMA}: {reason}")
 
 
 def insert(db: sqlite3.Connection, run: int, n: int, rows: Sequence[Row]) -> None:

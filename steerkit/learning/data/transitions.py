@@ -65,12 +65,12 @@ class Transitions:
         s, a, s_next = np.asarray(s, dtype=float), np.asarray(a, dtype=float), np.asarray(s_next, dtype=float)
         n, columns = a.size, len(self.names)
         for name, rows in (("s", s), ("s_next", s_next)):
-            what = f"{name} of shape {rows.shape}, expected ({n}, {columns}): {', '.join(self.names)}"
-            require(rows.shape == (n, columns) and a.shape == (n,), "Transitions", what)
+            fault = f"{name} of shape {rows.shape}, expected ({n}, {columns}): {', '.join(self.names)}"
+            require(rows.shape == (n, columns) and a.shape == (n,), "Transitions", fault)
             if not np.isfinite(rows).all():
                 row, column = np.argwhere(~np.isfinite(rows))[0]
-                what = f"{name}.{self.names[column]} = {rows[row, column]} in row {row}, expected a finite number"
-                raise ValueError(f"Transitions: {what}; end the episode before the faulty sample")
+                fault = f"{name}.{self.names[column]} = {rows[row, column]} in row {row}, expected a finite number"
+                raise ValueError(f"Transitions: {fault}; end the episode before the faulty sample")
         require(bool(np.isfinite(a).all()), "Transitions", f"a = {a[~np.isfinite(a)][:1]} [rad], expected finite")
         end = self._n + n
         if end > len(self._a):
@@ -86,8 +86,8 @@ class Transitions:
 
     def mirrored(self, description: StateDescription) -> Transitions:
         """These transitions as seen in the mirror, under the same episode numbers."""
-        what = f"columns {self.names}, but the description has {description.names}"
-        require(description.names == self.names, "Transitions.mirrored", what)
+        fault = f"columns {self.names}, but the description has {description.names}"
+        require(description.names == self.names, "Transitions.mirrored", fault)
         s, a = description.mirror(self.s, self.a)
         s_next, _ = description.mirror(self.s_next, self.a)
         other = Transitions(self.names)

@@ -219,8 +219,8 @@ def replay(record: Record, number: int, *, margin: float = 2.0) -> Figure:
     part = (log.t >= began - margin) & (log.t <= ended + margin)
     inside = (log.t >= began - 1e-6) & (log.t <= ended + 1e-6)
     t = log.t[part] - began
-    how = "failed" if episode.failed else "still driving"
-    title = f"{record.name}: episode {number}, {how} after {ended - began:.1f} s, {episode.distance:.0f} m"
+    ending = "failed" if episode.failed else "still driving"
+    title = f"{record.name}: episode {number}, {ending} after {ended - began:.1f} s, {episode.distance:.0f} m"
     figure, (course, e, psi, wheel, act) = new_figure(4, title=title, map_beside=True, height=6.6)
     line = record.path.samples
     course.plot(line.xy[:, 0], line.xy[:, 1], color=COLOURS["grid"], lw=6.0, zorder=1)

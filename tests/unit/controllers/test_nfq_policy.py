@@ -241,8 +241,8 @@ def test_caution_never_makes_an_action_cheaper(values: list[float]) -> None:
     assert mean == pytest.approx(float(np.mean(values)))
     assert largest == max(values)
     assert cautious == pytest.approx(float(np.mean(values) + np.std(values)))
-    assert mean <= largest
-    assert mean <= cautious
+    assert mean <= largest + 1e-12  # the mean of three equal numbers may round up
+    assert mean <= cautious + 1e-12
 
 
 def test_actions_beyond_any_steering_wheel_are_refused() -> None:
