@@ -3,160 +3,38 @@
 from __future__ import annotations
 
 import math
-import struct
-from collections.abc import Callable
-from typing import Any
 
 from tests.attack import wire
-from tests.attack.bench import Attack, Drive, Sensed
+from tests.attack.bench import Attack
+from tests.attack.hooks import (
+    FOREIGN,
+    JUNK,
+    PLACES,
+    POSE,
+    WEAK,
+    asked_at,
+    beside,
+    changed,
+    client_gone,
+    client_silent,
+    flag,
+    frames,
+    gone,
+    halting,
+    held,
+    misses,
+    moved,
+    order,
+    repeated,
+    repeats,
+    replaced,
+    rogue_enable,
+    sign,
+    silent,
+    turned,
+)
 
 rad = math.radians
-Sense = Callable[[Drive, Sensed, float], None]
-
-
-def held(*names: str) -> Sense:
-    """These values stand still."""
-
-    def sense(drive: Drive, values: Sensed, since: float) -> None:
-        kept = drive.frozen.setdefault(names, tuple(getattr(values, name) for name in names))
-        for name, value in zip(names, kept):
-            setattr(values, name, value)
-
-    return sense
-
-
-def changed(**changes: Callable[[float, float], float]) -> Sense:
-    """value -> change(value, time since the onset)."""
-
-    def sense(drive: Drive, values: Sensed, since: float) -> None:
-        for name, change in changes.items():
-            setattr(values, name, change(getattr(values, name), since))
-
-    return sense
-
-
-def moved(along: Callable[[float], float] | None = None, across: Callable[[float], float] | None = None) -> Sense:
-    """The position is off, along or across the heading [m]."""
-
-    def sense(drive: Drive, values: Sensed, since: float) -> None:
-        a, c = (along(since) if along else 0.0), (across(since) if across else 0.0)
-        psi = drive.car.psi
-        values.x += a * math.cos(psi) - c * math.sin(psi)
-        values.y += a * math.sin(psi) + c * math.cos(psi)
-
-    return sense
-
-
-def flag(*names: str, up: bool = True) -> Sense:
-    """Flags of the kit's report."""
-
-    def sense(drive: Drive, values: Sensed, since: float) -> None:
-        values.flags = values.flags | set(names) if up else values.flags - set(names)
-
-    return sense
-
-
-POSE = (wire.POSITION, wire.MOTION, wire.DYNAMICS)
-Frames = list[tuple[int, bytes, str]]
-
-
-def frames(*ids: int, change: Callable[[bytes], bytes] = bytes, kind: str = "", drop: bool = False) -> Any:
-    """Frames of these ids come changed, as another kind, or not at all."""
-
-    def edit(drive: Drive, sent: Frames, since: float) -> Frames:
-        return [(i, change(d), kind or k) if i in ids else (i, d, k) for i, d, k in sent if not (drop and i in ids)]
-
-    return edit
-
-
-def repeated(*ids: int) -> Any:
-    """The last frame before the onset comes again and again, counter and all."""
-
-    def edit(drive: Drive, sent: Frames, since: float) -> Frames:
-        return [(i, drive.frozen.setdefault(i, d), k) if i in ids else (i, d, k) for i, d, k in sent]
-
-    return edit
-
-
-def beside(*more: tuple[int, bytes, str], times: int = 1) -> Any:
-    """Frames of another sender, after ours."""
-
-    def edit(drive: Drive, sent: Frames, since: float) -> Frames:
-        return [*sent, *(list(more) * times)]
-
-    return edit
-
-
-def replaced(frame_id: int, kind: str) -> Any:
-    """The true frame stays away; one of another kind with its number comes, as it was at the onset."""
-
-    def edit(drive: Drive, sent: Frames, since: float) -> Frames:
-        return [(i, drive.frozen.setdefault(i, d), kind) if i == frame_id else (i, d, k) for i, d, k in sent]
-
-    return edit
-
-
-def order(name: str) -> Any:
-    """The operator presses a key once."""
-
-    def act(drive: Drive, since: float) -> None:
-        if drive.frozen.setdefault("pressed", False) is False:
-            drive.frozen["pressed"] = True
-            drive.order(name)
-
-    return act
-
-
-def silent(drive: Drive, since: float) -> None:
-    drive.beating = False
-
-
-def gone(drive: Drive, since: float) -> None:
-    if drive.beating:
-        drive.beating = False
-        drive.hang_up(2)
-
-
-def client_gone(drive: Drive, since: float) -> None:
-    if drive.controlling:
-        drive.controlling = False
-        drive.hang_up(1)
-
-
-def client_silent(drive: Drive, since: float) -> None:
-    drive.controlling = False
-
-
-def misses(drive: Drive, since: float) -> None:
-    drive.misses = int(since / 0.06)
-
-
-def asked_at(when: Callable[[Drive], float]) -> Any:
-    """The request says that it was computed from another moment's data."""
-
-    def request(drive: Drive, angle: float, since: float) -> float:
-        drive.snapshot["t"] = when(drive)
-        return angle
-
-    return request
-
-
-def rogue_enable(drive: Drive, since: float) -> None:
-    """After our end, somebody else keeps the kit enabled."""
-    if drive.mode != "ENGAGED":
-        drive.kit_enabled, drive.heard = True, drive.t
-
-
-def halting(drive: Drive, sent: Frames, since: float) -> Frames:
-    """Every other 50 ms without frames."""
-    return sent if since % 0.1 < 0.05 else []
-
-
-WEAK = wire.report(0.0, 0.0, 5.0, 0.0, {"ENABLED"})
-FOREIGN = struct.pack("<hBB4x", 300, 1, 0)
-JUNK = (0x333, bytes(8), "")
-sign = [("left", 1.0), ("right", -1.0)]
-PLACES = ("bend", "straight", "entry")
 
 
 def _pose() -> list[Attack]:
@@ -202,7 +80,7 @@ def _pose() -> list[Attack]:
     found += [
         Attack("position swings across by 1 m in 2 s", sense=moved(across=lambda t: math.sin(math.pi * t))),
         Attack("heading swings by 10 deg", sense=changed(psi=lambda p, t: p + rad(10.0) * math.sin(math.pi * t))),
-        Attack("position and heading turn together about the origin at 3 deg/s", sense=_turned(rad(3.0))),
+        Attack("position and heading turn together about the origin at 3 deg/s", sense=turned(rad(3.0))),
         Attack("yaw rate reversed", sense=changed(r=lambda r, t: -r)),
         Attack("yaw rate stands still", sense=held("r"), where="entry"),
         Attack("yaw rate is zero", sense=changed(r=lambda r, t: 0.0)),
@@ -224,15 +102,6 @@ def _pose() -> list[Attack]:
     return found
 
 
-def _turned(rate: float) -> Sense:
-    def sense(drive: Drive, values: Sensed, since: float) -> None:
-        cos, sin = math.cos(rate * since), math.sin(rate * since)
-        values.x, values.y = cos * values.x - sin * values.y, sin * values.x + cos * values.y
-        values.psi += rate * since
-
-    return sense
-
-
 def _kit() -> list[Attack]:
     found = [
         Attack("steering sensor stands still", sense=held("angle"), where="entry"),
@@ -243,7 +112,7 @@ def _kit() -> list[Attack]:
         Attack(
             "motor 100 deg off, its sensor repeats the command",
             motor=lambda d, a, t: a + rad(100.0),
-            sense=_repeats,
+            sense=repeats,
             physics="the motor turns the wheel as nobody asked; only the yaw rate, later, tells",
             a_y_max=5.0,
         ),
@@ -251,12 +120,12 @@ def _kit() -> list[Attack]:
             "motor 40 deg off, its sensor repeats the command",
             harmless=True,
             motor=lambda d, a, t: a - rad(40.0),
-            sense=_repeats,
+            sense=repeats,
         ),
         Attack(
             "motor turns the wrong way, its sensor repeats the command",
             motor=lambda d, a, t: -a,
-            sense=_repeats,
+            sense=repeats,
             physics="the motor turns the wheel as nobody asked; only the yaw rate, later, tells",
             a_y_max=3.6,
         ),
@@ -264,7 +133,7 @@ def _kit() -> list[Attack]:
             "motor stands still, its sensor repeats the command",
             motor=lambda d, a, t: d.car.wheel,
             where="entry",
-            sense=_repeats,
+            sense=repeats,
         ),
         Attack("motor torn off", motor=lambda d, a, t: d.car.wheel, where="entry"),
         Attack(
@@ -312,11 +181,6 @@ def _kit() -> list[Attack]:
             Attack(f"{name} frames of 3 bytes", frames=frames(frame_id, change=lambda d: d[:3])),
         ]
     return found
-
-
-def _repeats(drive: Drive, values: Sensed, since: float) -> None:
-    if drive.kit_enabled:
-        values.angle = drive.command
 
 
 def _time() -> list[Attack]:

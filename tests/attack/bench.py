@@ -135,6 +135,10 @@ class Drive:
     speed: float = 5.0
     seed: int = 0
     client: Steerer | None = None
+    human: Callable[[float, float, float, float, float], float] = stanley
+    """Who steers while the product does not; as it may only be engaged where both want the same angle."""
+    lead: float = 0.0
+    """How much earlier on a closed course the product is engaged [m]: on the straight before the bend, if need be."""
     noise: float = 1.0
     t: float = 0.0
     mode: str = "OFF"
@@ -150,7 +154,7 @@ class Drive:
         self.dice = random.Random(self.seed)
         course = courses()[self.attack.course]
         self.course = course
-        self.onset = SETTLE + self.dice.random() * 0.3
+        self.onset = SETTLE + self.dice.random() * 0.3 + (self.lead / self.speed if course.closed else 0.0)
         at = {"bend": 70.0, "straight": 150.0, "entry": 33.0}[self.attack.where]
         start = (at - self.onset * self.speed) % course.length if course.closed else 2.0
         i = round(start / course.step) % len(course.x)
@@ -168,6 +172,7 @@ class Drive:
         self.kit_enabled = self.kit_timeout = self.overridden = False
         self.command, self.heard = 0.0, -math.inf
         self.snapshot: dict[str, float] = {}
+        self.answer = b""
         self.refusals: list[str] = []
         self.count = self.k = 0
         self.drift = [0.0, 0.0, 0.0]
@@ -193,7 +198,7 @@ class Drive:
                     self.modes.append((self.t, self.mode, v["cause"]))
                 case Reply(data=data) if data[:1] == b"S":
                     numbers = struct.unpack_from(f"<{len(wire.SNAPSHOT)}d", data, 1)
-                    self.snapshot = dict(zip(wire.SNAPSHOT, numbers))
+                    self.snapshot, self.answer = dict(zip(wire.SNAPSHOT, numbers)), data
                 case Reply(data=data):
                     self.refusals.append(data[1:].decode())
 
@@ -316,7 +321,7 @@ class Drive:
         if self.kit_enabled and self.t - self.heard >= WATCHDOG:
             self.kit_timeout, self.kit_enabled = True, False
         e, psi_e, kappa = car.error()
-        target = self.command if self.kit_enabled else stanley(e, psi_e, car.v, car.r, kappa)
+        target = self.command if self.kit_enabled else self.human(e, psi_e, car.v, car.r, kappa)
         if since is not None and attack.motor:
             target = attack.motor(self, target, since)
         speed = self.speed
@@ -336,7 +341,7 @@ class Drive:
         end = self.onset + self.attack.seconds
         while self.t < end:
             self.step()
-            if self.mode == "READY" and self.t < self.onset - 1.0 and self.t > 0.8:
+            if self.mode == "READY" and 0.8 < self.t < self.onset - 1.0:
                 self.order("ENGAGE")
             if self.t > self.onset and self.mode != "ENGAGED" and self.ended() < self.t - 0.6:
                 break

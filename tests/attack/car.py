@@ -112,6 +112,18 @@ class Car:
 
 
 def stanley(e: float, psi_e: float, v: float, r: float, kappa: float) -> float:
-    """What the attacker's client and its human steer [rad at the wheel]: front-axle Stanley with yaw damping."""
-    delta = REAR * kappa - psi_e - math.atan2(2.0 * e, 1.0 + abs(v)) - 0.12 * (r - v * kappa)
+    """What the attacker's client and its human steer [rad at the wheel]: front-axle Stanley with yaw damping.
+
+    They cut bends by 0.1 to 0.2 m, as people do.
+    """
+    return _turned(REAR * kappa, e, psi_e, v, r, kappa)
+
+
+def centred(e: float, psi_e: float, v: float, r: float, kappa: float) -> float:
+    """The same with the front tyres' slip in a bend in its right place: what an exact driver steers."""
+    return _turned(MASS * REAR / (LENGTH * STIFF_FRONT) * v * v * kappa, e, psi_e, v, r, kappa)
+
+
+def _turned(ahead: float, e: float, psi_e: float, v: float, r: float, kappa: float) -> float:
+    delta = ahead - psi_e - math.atan2(2.0 * e, 1.0 + abs(v)) - 0.12 * (r - v * kappa)
     return max(-9.0, min(9.0, RATIO * delta))

@@ -1,13 +1,19 @@
-"""All attacks at all speeds, as the Markdown of docs/real-car.md: `python -m tests.attack.table [--jobs 2]`."""
+"""All attacks at all speeds, as the Markdown of docs/real-car-attacks.md: `python -m tests.attack.table [--jobs 2]`.
+
+With `--controllers mpc lqr ...` those of the product steer, and each has a column instead of each speed.
+"""
 
 from __future__ import annotations
 
 import argparse
 import math
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 
 from tests.attack.attacks import ATTACKS
 from tests.attack.bench import Drive
+from tests.attack.judge import complaints
+from tests.attack.product import CONTROLLERS, driven_by
 from tests.attack.test_attacks import SPEEDS
 
 
@@ -17,17 +23,23 @@ def row(name: str) -> str:
     drives = [Drive(attack, speed=speed).run() for speed in SPEEDS]
     ends = [f"{1e3 * d.silence():.0f}" if math.isfinite(d.ended()) else "drives on" for d in drives]
     cause = next((d.cause() for d in drives if d.cause()), attack.physics or "-")
-    good = all(
-        d.engaged_at_onset()
-        and d.excess() <= attack.excess_max
-        and d.a_y() <= attack.a_y_max
-        and not d.bus_faults()
-        and (math.isfinite(d.ended()) or attack.harmless or attack.physics)
-        for d in drives
-    )
     worst, a_y = max(d.excess() for d in drives), max(d.a_y() for d in drives)
     said = cause.split(": ", 1)[0] if attack.physics else cause.split(", last: ")[-1].split(": ")[0]
-    return f"| {name} | {' | '.join(ends)} | {worst:.2f} | {a_y:.2f} | {said} |{'' if good else ' **MISSED** |'}"
+    missed = any(complaints(d) for d in drives)
+    return f"| {name} | {' | '.join(ends)} | {worst:.2f} | {a_y:.2f} | {said} |{' **MISSED** |' if missed else ''}"
+
+
+def compared(name: str, controllers: list[str]) -> str:
+    """One attack: of each controller the latest silence, the worst true excess of |e| and a_y, and what was missed."""
+    cells, wrong = [name], []
+    for controller in controllers:
+        drives = [driven_by(controller, ATTACKS[name], speed=speed) for speed in SPEEDS]
+        ends = [f"{1e3 * d.silence():.0f}" for d in drives if math.isfinite(d.ended())]
+        on = "on" if len(ends) < len(SPEEDS) else ""
+        end = ", ".join([max(ends, key=int), on] if ends and on else [max(ends, key=int)] if ends else [on])
+        cells.append(f"{end} / {max(d.excess() for d in drives):.2f} / {max(d.a_y() for d in drives):.2f}")
+        wrong += [f"{controller} at {d.speed:g} m/s: {what}" for d in drives for what in complaints(d)]
+    return f"| {' | '.join(cells)} |{f' **MISSED** {wrong} |' if wrong else ''}"
 
 
 def main() -> None:
@@ -35,13 +47,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--jobs", type=int, default=2, help="processes at once")
     parser.add_argument("--only", default="", help="attacks with this in their name")
+    parser.add_argument("--controllers", nargs="+", choices=CONTROLLERS, default=[], help="the product's own steer")
     options = parser.parse_args()
-    speeds = " | ".join(f"silence at {speed:g} m/s [ms]" for speed in SPEEDS)
-    print(f"| attack | {speeds} | worst excess of true e [m] | worst true a_y [m/s²] | noticed as |")
-    print(f"|---|{'---|' * (len(SPEEDS) + 3)}")
+    if options.controllers:
+        heads = [f"{name} [ms / m / m/s²]" for name in options.controllers]
+    else:
+        heads = [*(f"silence at {speed:g} m/s [ms]" for speed in SPEEDS), "worst excess of true e [m]"]
+        heads += ["worst true a_y [m/s²]", "noticed as"]
+    print(f"| attack | {' | '.join(heads)} |")
+    print(f"|---|{'---|' * len(heads)}")
+    line = partial(compared, controllers=options.controllers) if options.controllers else row
     with ProcessPoolExecutor(options.jobs) as pool:
-        for line in pool.map(row, [name for name in ATTACKS if options.only in name]):
-            print(line, flush=True)
+        for text in pool.map(line, [name for name in ATTACKS if options.only in name]):
+            print(text, flush=True)
 
 
 if __name__ == "__main__":

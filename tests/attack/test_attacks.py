@@ -10,7 +10,9 @@ import math
 import pytest
 
 from tests.attack.attacks import ATTACKS
-from tests.attack.bench import Drive
+from tests.attack.bench import Attack, Drive
+from tests.attack.judge import complaints
+from tests.attack.product import CONTROLLERS, driven_by
 
 SPEEDS = (2.0, 5.0, 7.0)
 FAST = (
@@ -33,14 +35,7 @@ def test_there_are_enough() -> None:
 def test_whatever_happens_the_car_stays_on_its_path(name: str, speed: float) -> None:
     attack = ATTACKS[name]
     drive = Drive(attack, speed=speed).run()
-    assert drive.engaged_at_onset(), drive.core.obstacles()
-    assert drive.excess() <= attack.excess_max, drive.cause()
-    assert drive.a_y() <= attack.a_y_max
-    assert drive.bus_faults() == []
-    if not (attack.harmless or attack.physics):
-        assert math.isfinite(drive.ended()), f"{name} went unnoticed"
-    if attack.harmless and math.isinf(drive.ended()):
-        assert drive.excess() < 0.25
+    assert complaints(drive) == []
     if name in FAST:
         assert drive.silence() <= 0.5
 
@@ -59,8 +54,26 @@ def test_without_a_heartbeat_the_wheel_is_free_after_300_ms(name: str) -> None:
 @pytest.mark.parametrize("seed", [0, 1])
 def test_without_an_attack_it_drives_on(seed: int) -> None:
     """Under noise, on a course of straights and bends: no false alarm."""
-    from tests.attack.bench import Attack
-
     drive = Drive(Attack("none", seconds=40.0), speed=5.0, seed=seed).run()
     assert math.isinf(drive.ended()), drive.cause()
     assert drive.excess() < 0.25
+
+
+@pytest.mark.parametrize("controller", CONTROLLERS)
+def test_without_an_attack_the_product_s_own_controllers_drive_on(controller: str) -> None:
+    drive = driven_by(controller, Attack("none", seconds=12.0), speed=5.0)
+    assert math.isinf(drive.ended()), drive.cause()
+    assert drive.excess() < 0.1
+    assert {"nfq": 1.0}.get(controller, math.nan) == pytest.approx(drive.client.learning, nan_ok=True)  # type: ignore[union-attr]
+
+
+CASES = [(CONTROLLERS[i % 4], name, SPEEDS[i // 4 % 3]) for i, name in enumerate(ATTACKS) if i % 4 == i // 8 % 4]
+"""A quarter of the attacks, each on one of the controllers at one of the speeds; all of them: `tests.attack.table`."""
+
+
+@pytest.mark.parametrize(("controller", "name", "speed"), CASES)
+def test_whoever_steers_the_car_stays_on_its_path(controller: str, name: str, speed: float) -> None:
+    drive = driven_by(controller, ATTACKS[name], speed=speed)
+    assert complaints(drive) == []
+    if name in FAST:
+        assert drive.silence() <= 0.5

@@ -1,0 +1,86 @@
+"""The product's own controllers as clients of an attacked drive: the loop of `drive --car`, sample by sample."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from steerkit import realtime
+from steerkit.on_car import loop as loops
+from steerkit.on_car.follow import Follow
+from steerkit.plants.real_car.processes import protocol
+from tests.attack.bench import Attack, Drive, configuration
+from tests.attack.car import centred
+
+POLICY = Path(__file__).parent / "policy.npz"
+"""A learned policy; see docs/real-car-attacks.md for how it was made."""
+CONTROLLERS = ("mpc", "lqr", "pure-pursuit", "nfq")
+"""The product's own controllers that are attacked."""
+
+
+@cache
+def made(name: str, course: str) -> loops.Controller:
+    """A controller for a course, made once. Solutions take as long as they take: no result depends on the machine."""
+    config, _ = configuration(course)
+    if name == "nfq":
+        return loops.policy_in(POLICY, "integrator", config)
+    controller = loops.controller_named(name, config)
+    block: Any = controller.block
+    if hasattr(type(block), "budget"):
+        block = replace(block, clock=None, budget=None)
+    return replace(controller, block=block)
+
+
+class ProductClient:
+    """Steers with one of the product's controllers; it is the line to the car server of that controller's loop."""
+
+    def __init__(self, name: str, course: str):
+        self.controller, self.course = made(name, course), course
+        self.last: protocol.Snapshot | None = None
+        self.asked: float | None = None
+        self.follow: Follow | None = None
+        self.learning = math.nan
+        """Has the learned policy the wheel? NaN for a controller that does not learn."""
+
+    def query(self) -> protocol.Snapshot:
+        """What the car server said last."""
+        assert self.last is not None
+        return self.last
+
+    def request(self, delta_sw: float) -> None:
+        """Keep what the loop asks for."""
+        self.asked = delta_sw
+
+    def __call__(self, drive: Drive, snapshot: dict[str, float]) -> float | None:
+        answer = protocol.decode(drive.answer)
+        assert isinstance(answer, protocol.Snapshot)
+        self.last, self.asked = answer, None
+        if self.follow is None:
+            if not math.isfinite(answer.x + answer.psi + answer.v + answer.delta_sw):
+                return None  # as the product waits for a first pose and report
+            config, path = configuration(self.course)
+            loop = loops.car_loop(config, path, self, self.controller.block, doe=self.controller.element)
+            self.follow = Follow.of(loop, self)
+            resting = self.follow.resting
+            self.run = realtime.Run(resting, resting.init(), realtime.Timing(period=loop.dt))
+        self.run.loop.advance(self.run.k, self.run.x, self.run.y)
+        self.run.k += 1
+        self.follow.begin(self.run)
+        self.follow.choose(self.run)
+        if "supervisor" in self.run.loop.blocks:
+            self.learning = self.run.sample["supervisor.learning"]
+        return self.asked
+
+
+def driven_by(name: str, attack: Attack, *, speed: float, seed: int = 0) -> Drive:
+    """A drive with that controller under attack, done.
+
+    The human steers exactly, as a controller is only engaged that asks for the angle that the wheel has; pure pursuit
+    wants another one in a bend, and is engaged on the straight before it.
+    """
+    lead = 45.0 if name == "pure-pursuit" else 0.0
+    client = ProductClient(name, attack.course)
+    return Drive(attack, speed=speed, seed=seed, client=client, human=centred, lead=lead).run()
