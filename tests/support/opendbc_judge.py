@@ -1,0 +1,124 @@
+"""opendbc's safety code, the C that runs in a panda between computer and car, as a judge of many commands at once."""
+
+from __future__ import annotations
+
+import ctypes
+import importlib.util
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from steerkit import native
+
+SOURCE = """
+#include <math.h>
+#include <stdlib.h>
+#include "opendbc/safety/tests/libsafety/fake_stm.h"
+#include "opendbc/safety/can.h"
+#include "opendbc/safety/safety.h"
+
+static void before(int last, double v) {
+  controls_allowed = true;
+  desired_angle_last = last;
+  int code = (int)(v * VEHICLE_SPEED_FACTOR + 0.5);
+  vehicle_speed.min = code;
+  vehicle_speed.max = code;
+  for (int i = 0; i < MAX_SAMPLE_VALS; i++) vehicle_speed.values[i] = code;
+  angle_meas.min = angle_meas.max = last;
+  for (int i = 0; i < MAX_SAMPLE_VALS; i++) angle_meas.values[i] = last;
+}
+
+/* Angle cars with a model of the car; rejected[i] says whether command i may not pass. */
+void judge_model(int n, const int *angle, const int *last, const double *v, int frequency, double per_deg,
+                 double slip, double ratio, double wheelbase, unsigned char *rejected) {
+  const AngleSteeringLimits limits = {.angle_deg_to_can = per_deg, .frequency = frequency, .max_angle = 100000000};
+  const AngleSteeringParams params = {.slip_factor = slip, .steer_ratio = ratio, .wheelbase = wheelbase};
+  for (int i = 0; i < n; i++) {
+    before(last[i], v[i]);
+    rt_angle_msgs = 0;
+    rejected[i] = steer_angle_cmd_checks_vm(angle[i], true, limits, params);
+  }
+}
+
+/* Cars with a table of rates: angles, or curvatures with a limit on the lateral acceleration. */
+void judge_table(int n, const int *angle, const int *last, const double *v, const double *rate, double per_unit,
+                 int most, int curvature, unsigned char *rejected) {
+  for (int i = 0; i < n; i++) {
+    const AngleSteeringLimits limits = {
+      .max_angle = most, .angle_deg_to_can = per_unit, .max_angle_error = 2 * most, .enforce_angle_error = true,
+      .angle_rate_up_lookup = {{0., 1., 2.}, {rate[i], rate[i], rate[i]}},
+      .angle_rate_down_lookup = {{0., 1., 2.}, {rate[i], rate[i], rate[i]}},
+      .angle_is_curvature = curvature};
+    before(last[i], v[i]);
+    rejected[i] = steer_angle_cmd_checks(angle[i], true, limits);
+  }
+}
+
+/* How many of n frames at these times [us] come too often. */
+int judge_rate(int n, const unsigned int *when, int frequency) {
+  const AngleSteeringLimits limits = {.frequency = frequency};
+  int wrong = 0;
+  rt_angle_msgs = 0;
+  ts_angle_check_last = timer_cnt = when[0];
+  for (int i = 0; i < n; i++) {
+    timer_cnt = when[i];
+    wrong += rt_angle_rate_limit_check(limits);
+  }
+  return wrong;
+}
+"""
+
+
+class Judge:
+    """The functions of SOURCE, with arrays; `per` is how many codes a degree or a 1/m has."""
+
+    def __init__(self, library: ctypes.CDLL):
+        self.library = library
+
+    @staticmethod
+    def _codes(values: np.ndarray, per: float) -> np.ndarray:
+        return np.round(values * per).astype(np.int32)
+
+    def model(
+        self, angle_deg: np.ndarray, last_deg: np.ndarray, v: np.ndarray, *, frequency: int, car: tuple[float, ...]
+    ) -> np.ndarray:
+        """Rejected by `steer_angle_cmd_checks_vm`? car: slip factor [s^2/m^2], steering ratio, wheelbase [m]."""
+        per, wrong = 10.0, np.zeros(len(v), np.uint8)
+        angle, last = self._codes(angle_deg, per), self._codes(last_deg, per)
+        numbers = [ctypes.c_double(x) for x in (per, *car)]
+        self.library.judge_model(len(v), _at(angle), _at(last), _at(v), frequency, *numbers, _at(wrong))
+        return wrong.astype(bool)
+
+    def table(
+        self, x: np.ndarray, last: np.ndarray, v: np.ndarray, rate: np.ndarray, *, per: float, most: float, kappa: bool
+    ) -> np.ndarray:
+        """Rejected by `steer_angle_cmd_checks`? x, last: degrees or curvatures [1/m]; rate: the most a frame."""
+        wrong, code, before = np.zeros(len(v), np.uint8), self._codes(x, per), self._codes(last, per)
+        limit = round(most * per)
+        arrays = (_at(code), _at(before), _at(v), _at(rate))
+        self.library.judge_table(len(v), *arrays, ctypes.c_double(per), limit, int(kappa), _at(wrong))
+        return wrong.astype(bool)
+
+    def too_often(self, when: np.ndarray, frequency: int) -> int:
+        """How many of the frames at these times [s] come too often for a car of that frequency [Hz]."""
+        micro = np.round(when * 1e6).astype(np.uint32)
+        return int(self.library.judge_rate(len(micro), _at(micro), frequency))
+
+
+def _at(array: np.ndarray) -> ctypes.c_void_p:
+    assert array.flags.c_contiguous
+    return ctypes.c_void_p(array.ctypes.data)
+
+
+def judge() -> Judge:
+    """The judge, compiled; skips a test where opendbc or a compiler is not there."""
+    found = importlib.util.find_spec("opendbc")
+    if found is None or found.origin is None:
+        pytest.skip("opendbc is not installed")
+    if native.compiler() is None:
+        pytest.skip("opendbc's safety code is C, and there is no compiler")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CPATH", str(Path(found.origin).parent.parent))
+        return Judge(native.load(f"// opendbc {version('opendbc')}{SOURCE}"))
