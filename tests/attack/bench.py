@@ -311,7 +311,7 @@ class Drive:
             if since is not None and attack.request and asked is not None:
                 asked = attack.request(self, asked, since)
             if asked is not None:
-                self.packet(1, struct.pack("<cddI", b"R", self.snapshot["t"], asked, self.misses))
+                self.packet(1, wire.asked(self.snapshot["t"], asked, self.misses))
         if since is not None and attack.act:
             attack.act(self, since)
         while self.core.wake <= self.t:

@@ -91,3 +91,8 @@ SNAPSHOT = (
     "frames_sent",
     "places",
 )
+
+
+def asked(basis: float, angle: float, misses: int) -> bytes:
+    """A client's request: the time of the snapshot behind it [s], an angle [rad], missed deadlines."""
+    return struct.pack("<cddI", b"R", basis, angle, misses)
