@@ -24,7 +24,8 @@ class SupervisorState(NamedTuple):
 class Supervisor(Block):
     """Gives the wheel to the learned controller while it can be trusted, else to the recovery controller.
 
-    fault    = not (|learner| <= limit), latched until `ready` is 0 once (a NaN or out-of-range command)
+    fault    = not (|learner| <= limit and ready = 1), latched until `ready` is 0 once: a command that is NaN or out of
+               range, and a `ready` that is NaN, as that of a `Guarded` block is after an exception
     learning = ready and not fault and |e| <= trip      if the learner steered in the sample before,
                ready and not fault and |e| <  release   otherwise
     delta_sw = learner if learning, else recovery
@@ -65,9 +66,9 @@ class Supervisor(Block):
         return SupervisorState(m.filled(0.0, batch), m.filled(0.0, batch))
 
     def output(self, t: Any, x: SupervisorState, u: Any) -> Any:
-        ready = u.ready > 0.5
-        sane = m.absolute(u.learner) <= self.limit * (1.0 + 1e-9)  # a NaN compares false
-        fault = m.where(ready, m.where(sane, x.fault, 1.0), 0.0)
+        ready = u.ready > 0.5  # a NaN compares false, to whatever it is compared
+        sane = m.both(ready, m.absolute(u.learner) <= self.limit * (1.0 + 1e-9))
+        fault = m.where(u.ready <= 0.5, 0.0, m.where(sane, x.fault, 1.0))
         steered = x.learning > 0.5
         distance = m.absolute(u.e)
         near = m.where(steered, m.where(distance <= self.trip, 1.0, 0.0), m.where(distance < self.release, 1.0, 0.0))

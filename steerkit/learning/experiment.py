@@ -10,6 +10,7 @@ from typing import Any
 from steerkit.assembly import with_controller
 from steerkit.block import Block
 from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.controllers.supervisor import SupervisorState
 from steerkit.controllers.target_shift import TargetShift
 from steerkit.errors import require
 from steerkit.learning.counts import Counts
@@ -194,6 +195,8 @@ class LearningRun:
         if taken:
             self.steer()
             self._begin_anew()
+            supervisor = self.loop.names.index("supervisor")
+            self.x[supervisor] = SupervisorState(self.x[supervisor][0], 0.0)  # a fault was that of the policy before
         self._tell("trained" if taken else "lost")
 
     def steer(self) -> None:

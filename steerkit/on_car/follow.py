@@ -12,6 +12,7 @@ from typing import Any, Protocol, Self
 from steerkit.assembly import controller_of, with_controller
 from steerkit.catalogue import OLD_ELEMENTS
 from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.controllers.supervisor import SupervisorState
 from steerkit.loop import Loop
 from steerkit.realtime import Run
 
@@ -62,6 +63,13 @@ class Follow:
                 if name in run.loop.blocks:
                     run.x[run.loop.names.index(name)] = run.loop.settled(name, run.y)
         return lost
+
+    def exchange(self, run: Run, driving: Loop) -> None:
+        """Another policy drives from the next sample on; a fault was that of the one before."""
+        self.driving = driving
+        if "supervisor" in driving.blocks:
+            k = driving.names.index("supervisor")
+            run.x[k] = SupervisorState(run.x[k][0], 0.0)
 
     def choose(self, run: Run) -> None:
         """The loop of the next sample."""

@@ -59,10 +59,11 @@ class CarLearner:
     the car (`steerkit.on_car.loop.belief_of`), at whose stops the output element ends; None: 520 degrees.
 
     While the car is ENGAGED and the policy has the wheel, every sample is recorded. When the recovery controller has
-    to take it, or `retrain_every_m` are driven, a process of its own trains on what is committed; driving goes on, and
-    the new nets are taken over between two samples; the recording is told each time. Raises ValueError for a directory
-    that holds something else, or a run with another setting, and for a setting that is for simulations only: actions
-    drawn at random, a car put back by hand, a target that leaves the path.
+    to take it (the car leaves the path; the policy answers NaN, or raises), or `retrain_every_m` are driven, a process
+    of its own trains on what is committed; driving goes on, and the new nets are taken over between two samples; the
+    recording is told each time. Raises ValueError for a directory that holds something else, or a run with another
+    setting, and for a setting that is for simulations only: actions drawn at random, a car put back by hand, a target
+    that leaves the path.
     """
 
     def __init__(
@@ -128,17 +129,18 @@ class CarLearner:
         engaged, t = self.follow.engaged, live.k * self._idle.dt
         state = {name: self._value(live, signal) for name, signal in self._inputs.items()}
         learning = engaged and self._value(live, "supervisor.learning") > 0.5
+        fault = engaged and self._value(live, "supervisor.fault") > 0.5  # a NaN, or an exception in the policy
         events = story.sample(
             live.k,
             t,
             [state[name] for name in story.description.names],
             self._value(live, "controller.action"),
             learning=learning,
-            failed=engaged and self._value(live, "supervisor.tripped") > 0.5,
+            failed=fault or (engaged and self._value(live, "supervisor.tripped") > 0.5),
             progress=self._value(live, "path.progress"),
             e=self._value(live, "path.e"),
         )
-        if events.ended and events.ended.failed:
+        if (events.ended and events.ended.failed) or (fault and story.trusted):
             story.train(t, trusted=False)
         elif learning and story.due():
             story.train(t, trusted=True)
@@ -146,7 +148,7 @@ class CarLearner:
         taken = result is not None and result.number == story.net
         if taken:
             story.policy.save(self.net_file, durable=False)  # the next sample does not wait for the disk
-            self.follow.driving = self._with(story.policy)
+            self.follow.exchange(live, self._with(story.policy))
         if taken or self.follow.trusted != story.trusted:
             self.follow.trusted = story.trusted
             self.tell()

@@ -38,10 +38,13 @@ VALID = (
 
 
 def course_of(config: CarConfig) -> Path:
-    """The path that a configuration names."""
-    if "name" in config.course:
+    """The path that a configuration names; raises ValueError, saying where, for a name that is not known."""
+    if "name" not in config.course:
+        return config.course["path"]
+    try:
         return course(config.course["name"])
-    return config.course["path"]
+    except ValueError as error:
+        raise ValueError(f"{config.file}: [course] name: {error}") from error
 
 
 def belief_of(config: CarConfig) -> Belief:

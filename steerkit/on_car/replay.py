@@ -132,7 +132,9 @@ def replayed_requests(drive: Drive, config: CarConfig, path: Path, *, controller
             follow.begin(live)
             while remarks and remarks[0][0] <= link.count:
                 steers = remarks.pop(0)[1]
-                follow.driving, follow.trusted = nets.follow(steers).driving, steers.trusted
+                follow.trusted, driving = steers.trusted, nets.follow(steers).driving
+                if driving is not follow.driving:
+                    follow.exchange(live, driving)
             follow.choose(live)
     except CarLost:
         return sum(a == b for a, b in zip(drive.requests, link.requests))

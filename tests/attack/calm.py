@@ -1,7 +1,7 @@
 """Nothing is wrong, and nothing may be taken for wrong: `python -m tests.attack.calm [--minutes 60] [--jobs 2]`.
 
-Drives under hard sensors, on a computer that is held up again and again, and the two recorded laps of a real car, played
-back with noise. Prints how each of them ended.
+Drives under hard sensors, on a computer that is held up again and again, and the two recorded laps of a real car,
+played back with noise. Prints how each of them ended.
 """
 
 from __future__ import annotations

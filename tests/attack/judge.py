@@ -7,8 +7,11 @@ import math
 from tests.attack.bench import Drive
 
 
-def complaints(drive: Drive) -> list[str]:
-    """What was not as it should be; nothing, if all was."""
+def complaints(drive: Drive, harmless: float = 0.25) -> list[str]:
+    """What was not as it should be; nothing, if all was.
+
+    harmless: how much further off the path an attack may bring the car that needs no answer [m].
+    """
     attack, found = drive.attack, drive.bus_faults()
     if not drive.engaged_at_onset():
         found.append(f"not engaged at the onset: {drive.core.obstacles()}")
@@ -19,6 +22,6 @@ def complaints(drive: Drive) -> list[str]:
     unnoticed = math.isinf(drive.ended())
     if unnoticed and not (attack.harmless or attack.physics):
         found.append("went unnoticed")
-    if unnoticed and attack.harmless and not drive.excess() < 0.25:
+    if unnoticed and attack.harmless and not drive.excess() < harmless:
         found.append(f"not as harmless as it was thought to be: {drive.excess():.2f} m")
     return found

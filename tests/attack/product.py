@@ -75,12 +75,24 @@ class ProductClient:
         return self.asked
 
 
+LEARNS = ("nfq",)
+"""Those that may learn on: they need the shipped limits (`e_max` = 2 m); the others get those that the guide recommends
+for controllers that do not learn."""
+BEYOND = {("nfq", "stamps 2 % fast, delay growing by 20 ms a second"): 2.0}
+"""How far off the path a learner gets where no sensor tells, and tighter limits stop the others [m]: `e_max`."""
+HARMLESS = 0.5
+"""They have no integral action: a wheel that is 40 degrees off and says nothing of it brings them so far off [m]."""
+
+
 def driven_by(name: str, attack: Attack, *, speed: float, seed: int = 0) -> Drive:
     """A drive with that controller under attack, done.
 
     The human steers exactly, as a controller is only engaged that asks for the angle that the wheel has; pure pursuit
     wants another one in a bend, and is engaged on the straight before it.
     """
+    if attack.course == "stadium" and name not in LEARNS:
+        attack = replace(attack, course="careful")
+    attack = replace(attack, excess_max=BEYOND.get((name, attack.name), attack.excess_max))
     lead = 45.0 if name == "pure-pursuit" else 0.0
     client = ProductClient(name, attack.course)
     return Drive(attack, speed=speed, seed=seed, client=client, human=centred, lead=lead).run()

@@ -12,7 +12,7 @@ import pytest
 from tests.attack.attacks import ATTACKS
 from tests.attack.bench import Attack, Drive
 from tests.attack.judge import complaints
-from tests.attack.product import CONTROLLERS, driven_by
+from tests.attack.product import CONTROLLERS, HARMLESS, driven_by
 
 SPEEDS = (2.0, 5.0, 7.0)
 FAST = (
@@ -74,6 +74,6 @@ CASES = [(CONTROLLERS[i % 4], name, SPEEDS[i // 4 % 3]) for i, name in enumerate
 @pytest.mark.parametrize(("controller", "name", "speed"), CASES)
 def test_whoever_steers_the_car_stays_on_its_path(controller: str, name: str, speed: float) -> None:
     drive = driven_by(controller, ATTACKS[name], speed=speed)
-    assert complaints(drive) == []
+    assert complaints(drive, HARMLESS) == []
     if name in FAST:
         assert drive.silence() <= 0.5

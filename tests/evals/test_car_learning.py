@@ -283,3 +283,42 @@ def test_a_late_step_is_no_transition(tmp_path: Path) -> None:
             learner.run(1.0)
         assert learner.story.recorder.before is None
         assert world.misses == 3
+
+
+@pytest.mark.parametrize("how", ["raises", "answers NaN"])
+def test_a_policy_that_breaks_has_failed_and_a_newer_one_takes_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: str
+) -> None:
+    """Once it has learned something, the net at the wheel breaks, for ever."""
+    seen: list[tuple[int, bool, bool, bool]] = []
+    broken: list[Any] = []
+    learners: list[on_car.CarLearner] = []
+    output, step = NfqPolicy.output, on_car.CarLearner.step
+
+    def breaks(policy: NfqPolicy, t: Any, x: Any, u: Any) -> Any:
+        if not broken and seen and seen[-1][1] and len(learners[0].story.transitions) > 5:
+            broken.append(policy.nets[0][0])  # type: ignore[index]
+        if broken and policy.nets and policy.nets[0][0] is broken[0]:
+            if how == "raises":
+                raise ZeroDivisionError("no net")
+            return output(policy, t, x, u)._replace(action=float("nan"), q=float("nan"))
+        return output(policy, t, x, u)
+
+    def watched(learner: on_car.CarLearner, live: Any) -> None:
+        learners[:] = [learner]
+        flags = (live.sample[f"supervisor.{name}"] > 0.5 for name in ("learning", "fault"))
+        step(learner, live)
+        learning, fault = flags
+        seen.append((learner.story.net, learning, fault, learner.story.trusted))
+
+    monkeypatch.setattr(NfqPolicy, "output", breaks)
+    monkeypatch.setattr(on_car.CarLearner, "step", watched)
+    learner = learned(tmp_path, monkeypatch, 6.0)
+    at = next(i for i, (_, _, fault, _) in enumerate(seen) if fault)
+    net = seen[at][0]
+    assert seen[at - 1][1]  # it had the wheel,
+    assert seen[at][1] is False  # lost it in that very sample,
+    assert seen[at][3] is False  # is not trusted any more,
+    assert any(episode.failed and episode.net == net for episode in learner.story.counts.episodes)
+    newer = [row for row in seen[at:] if row[0] > net]
+    assert any(learning and not fault for _, learning, fault, _ in newer)

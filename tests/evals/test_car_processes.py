@@ -6,6 +6,8 @@ import json
 import os
 import resource
 import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -225,3 +227,42 @@ def test_a_full_disk_is_told_and_the_exit_code_says_so(tmp_path: Path, keep: boo
     recorded = tapes.read(tape)
     assert recorded.lost
     assert len(recorded.messages) > 20
+
+
+def limited() -> None:
+    """No file of this process, nor of those it starts, may grow beyond 60 kB."""
+    resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, resource.RLIM_INFINITY))
+
+
+@pytest.mark.parametrize("words", [("drive", "--controller", "stanley"), ("learn", "--out", "run")])
+def test_a_drive_whose_recording_failed_ends_with_exit_code_2(tmp_path: Path, words: tuple[str, ...]) -> None:
+    command = [sys.executable, "-m", "steerkit", *words, "--car", CONFIG, "--simulated", "--minutes", "0.08", "--quiet"]
+    done = subprocess.run(
+        [*command, "--recording", "drive.mcap"],
+        cwd=tmp_path,
+        preexec_fn=limited,
+        capture_output=True,
+        text=True,
+        timeout=180.0,
+    )
+    assert done.returncode == 2, done.stderr
+    assert "the car server ended badly: " in done.stderr
+    assert "drive.log" in done.stderr
+    assert tapes.read(tmp_path / "drive.mcap").lost
+
+
+def test_a_second_process_on_the_same_adapter_is_refused_and_the_first_does_not_notice(tmp_path: Path) -> None:
+    simulated, channel = processes.start_simulated(CONFIG)
+    server = processes.start_car_server(CONFIG, str(tmp_path / "first"), channel=channel)
+    try:
+        refused = pytest.raises(CarLost, match="another process has the adapter; end it first")
+        with (tmp_path / "second.log").open("w") as log, refused:
+            processes.start_car_server(CONFIG, str(tmp_path / "second"), channel=channel, log=log)
+        with CarClient(str(tmp_path / "first"), controller=False) as link:
+            assert link.wait(timeout=10.0).pose_age < 1.0
+            assert link.last is not None
+            assert link.last.errors == 0.0
+    finally:
+        for process in (server, simulated):
+            process.terminate()
+            process.wait(20.0)

@@ -53,6 +53,15 @@ def test_mistakes_are_one_line_and_exit_code_2(
     assert len(error.splitlines()) == 1
 
 
+def test_check_knows_the_courses(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "car.toml"
+    file.write_text(shipped("dbw-kit.toml").read_text().replace('name = "paper"', 'name = "papre"'))
+    assert run("check", str(file), monkeypatch=monkeypatch) == 2
+    assert f"{file}: [course] name: course: 'papre' is not known; did you mean 'paper'?" in capsys.readouterr().err
+
+
 def test_a_controller_that_is_not_known_names_the_valid_ones(tmp_path: Path) -> None:
     from steerkit.on_car.loop import controller_named
     from steerkit.on_car.processes import fault_of

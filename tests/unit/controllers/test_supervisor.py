@@ -67,6 +67,14 @@ def test_a_fault_takes_the_wheel_at_once_and_is_latched_until_the_learner_was_no
     assert not log["supervisor.tripped"].any()
 
 
+def test_a_learner_that_cannot_say_whether_it_is_ready_is_faulty() -> None:
+    ready = [1.0, math.nan, 1.0, 0.0, 1.0]
+    log = drive(e=[0.0], learner=[1.0, math.nan, 1.0, 1.0, 1.0], ready=ready)
+    assert log["supervisor.learning"].tolist() == [1, 0, 0, 0, 1]
+    assert log["supervisor.fault"].tolist() == [0, 1, 1, 0, 0]
+    assert drive(e=[0.0], learner=[1.0], ready=[math.nan])["supervisor.fault"].tolist() == [1]
+
+
 def test_a_fault_while_waiting_is_a_fault() -> None:
     log = drive(e=[0.3, 0.3, 0.0], learner=[math.nan, 1.0])
     assert log["supervisor.learning"].tolist() == [0, 0, 0]
