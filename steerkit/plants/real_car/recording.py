@@ -41,7 +41,7 @@ from steerkit.plants.real_car.decisions.core import (
 from steerkit.plants.real_car.file.config import CarConfig
 from steerkit.plants.real_car.file.reading import Reading
 from steerkit.plants.real_car.processes import protocol
-from steerkit.plants.real_car.tape_file import Contents, TapeFile, contents, in_use, what_is_wrong
+from steerkit.plants.real_car.tape_file import Contents, Gap, TapeFile, contents, gaps_in, in_use, what_is_wrong
 
 FLUSH = 0.2
 """Longest time that a message waits for the operating system [s]."""
@@ -200,29 +200,6 @@ class Message(NamedTuple):
     values: dict[str, Any]
 
 
-class Gap(NamedTuple):
-    """A place where a file is damaged, cut off, or where messages were missing already when it was repaired."""
-
-    begin: int
-    """Byte of the file; so is `end`, the first one behind."""
-    end: int
-    after: float | None
-    """t of the last message before it [s]; None at the beginning."""
-    before: float | None
-    """t of the first message behind it [s]; None at the end."""
-    missing: int | None
-    """Messages; None where nothing tells how many there were."""
-
-    def __str__(self) -> str:
-        where = f"bytes {self.begin} to {self.end}" if self.end > self.begin else f"at byte {self.begin}"
-        if self.missing == 0:
-            return f"{where}: no message is missing"
-        since = "the beginning" if self.after is None else f"{self.after:.3f} s"
-        until = "the end" if self.before is None else f"{self.before:.3f} s"
-        count = f"{self.missing} messages are" if self.missing else "an unknown number of messages is"
-        return f"{where}: {count} missing between {since} and {until}"
-
-
 class Recorded(NamedTuple):
     """A recording, read."""
 
@@ -312,32 +289,10 @@ def _read_bytes(data: bytes, used: bool = False) -> tuple[Recorded, Contents]:
             f"it, {metadata.get('steerkit-control', 'of an unknown version')}"
         )
     messages = [Message(line.topic, line.values) for chunk in found.chunks for line in chunk.lines]
-    gaps = _gaps(found, len(data))
+    gaps = gaps_in(found, len(data))
     if used and gaps and gaps[-1].before is None and gaps[-1].missing is None:
         gaps.pop()
     return Recorded(metadata, messages, gaps, len(data), used), found
-
-
-def _gaps(found: Contents, size: int) -> list[Gap]:
-    """Where messages are missing, and where bytes are damaged even if none is."""
-    gaps, damaged, known, count = list[Gap](), list(found.damaged), 0, 0
-    after: float | None = None
-    for chunk in found.chunks:
-        here = [place for place in damaged if place[0] < chunk.end]  # a chunk's own head counts as before it
-        damaged = damaged[len(here) :]
-        missing = max(0, chunk.lines[0].number - known)
-        if here or missing:
-            begin, end = (here[0][0], here[-1][1]) if here else (chunk.begin, chunk.begin)
-            gaps.append(Gap(begin, end, after, chunk.lines[0].values.get("t"), missing))
-        after, known, count = chunk.lines[-1].values.get("t"), chunk.lines[-1].number + 1, count + len(chunk.lines)
-    at_the_end: int | None = None
-    if found.finished:
-        told = sum(gap.missing or 0 for gap in gaps if gap.end > gap.begin)  # others were missing before a repair
-        at_the_end = 0 if found.total is None else max(0, found.total - count - told)
-    if damaged or at_the_end != 0:
-        begin, end = (damaged[0][0], damaged[-1][1]) if damaged else (size, size)
-        gaps.append(Gap(begin, end, after, None, at_the_end))
-    return gaps
 
 
 def config_of(recorded: Recorded) -> CarConfig:

@@ -346,3 +346,48 @@ def what_is_wrong(data: bytes) -> str:
         return nothing
     hello = re.search(rb'"data":"480[01]([0-9a-f]{2})', data)  # a client's first packet tells the version
     return f"a recording of protocol {int(hello[1], 16) if hello else '1 or 2'}; replay it with the steerkit of then"
+
+
+class Gap(NamedTuple):
+    """A place where a file is damaged, cut off, or where messages were missing already when it was repaired."""
+
+    begin: int
+    """Byte of the file; so is `end`, the first one behind."""
+    end: int
+    after: float | None
+    """t of the last message before it [s]; None at the beginning."""
+    before: float | None
+    """t of the first message behind it [s]; None at the end."""
+    missing: int | None
+    """Messages; None where nothing tells how many there were."""
+
+    def __str__(self) -> str:
+        where = f"bytes {self.begin} to {self.end}" if self.end > self.begin else f"at byte {self.begin}"
+        if self.missing == 0:
+            return f"{where}: no message is missing"
+        since = "the beginning" if self.after is None else f"{self.after:.3f} s"
+        until = "the end" if self.before is None else f"{self.before:.3f} s"
+        count = f"{self.missing} messages are" if self.missing else "an unknown number of messages is"
+        return f"{where}: {count} missing between {since} and {until}"
+
+
+def gaps_in(found: Contents, size: int) -> list[Gap]:
+    """Where messages are missing, and where bytes are damaged even if none is."""
+    gaps, damaged, known, count = list[Gap](), list(found.damaged), 0, 0
+    after: float | None = None
+    for chunk in found.chunks:
+        here = [place for place in damaged if place[0] < chunk.end]  # a chunk's own head counts as before it
+        damaged = damaged[len(here) :]
+        missing = max(0, chunk.lines[0].number - known)
+        if here or missing:
+            begin, end = (here[0][0], here[-1][1]) if here else (chunk.begin, chunk.begin)
+            gaps.append(Gap(begin, end, after, chunk.lines[0].values.get("t"), missing))
+        after, known, count = chunk.lines[-1].values.get("t"), chunk.lines[-1].number + 1, count + len(chunk.lines)
+    at_the_end: int | None = None
+    if found.finished:
+        told = sum(gap.missing or 0 for gap in gaps if gap.end > gap.begin)  # others were missing before a repair
+        at_the_end = 0 if found.total is None else max(0, found.total - count - told)
+    if damaged or at_the_end != 0:
+        begin, end = (damaged[0][0], damaged[-1][1]) if damaged else (size, size)
+        gaps.append(Gap(begin, end, after, None, at_the_end))
+    return gaps
