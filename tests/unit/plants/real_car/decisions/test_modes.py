@@ -23,6 +23,7 @@ from steerkit.plants.real_car.decisions.modes import (
     StateLimits,
     broken,
     step,
+    warnings,
 )
 
 LIMITS = StateLimits()
@@ -219,3 +220,56 @@ def test_limits_are_checked(field: str) -> None:
             StateLimits(**{field: value})
     with pytest.raises(ValueError, match="request_age < request_lost"):
         StateLimits(request_age=0.2)
+
+
+@pytest.mark.parametrize(
+    ("name", "facts"),
+    [
+        ("reversing", {"v": -0.2, "v_kit": -0.1}),
+        ("reversing", {"v": -0.1, "v_kit": -0.2}),
+        ("speed mismatch", {"v": math.nan}),
+        ("speed mismatch", {"v_kit": math.nan}),
+        ("speed mismatch", {"v": 6.3}),
+        ("too fast", {"v": 9.9, "v_kit": 10.1}),
+        ("too fast", {"v": 10.1, "v_kit": 9.9}),
+        ("off the path", {"e": 2.01}),
+        ("off the path", {"e": -2.01}),
+        ("request invalid", {"request": -1e3}),
+        ("pose quality", {"quality": math.nan}),
+        ("across the path", {"psi_e": -0.8}),
+        ("across the path", {"psi_e": 0.8}),
+    ],
+)
+def test_each_side_of_a_check_ends_driving(name: str, facts: dict[str, Any]) -> None:
+    assert name in {text.split(":")[0] for text in broken(LIMITS, GOOD._replace(**facts), ALWAYS + DRIVING)}
+
+
+@pytest.mark.parametrize(
+    ("name", "facts"),
+    [
+        ("e", {"e": -0.51}),
+        ("e", {"e": 0.51}),
+        ("psi_e", {"psi_e": -0.3}),
+        ("psi_e", {"psi_e": 0.3}),
+        ("speed", {"v": 0.4, "v_kit": 0.4}),
+        ("speed", {"v": 9.1, "v_kit": 9.1}),
+        ("command differs", {"request": -0.35}),
+        ("command differs", {"delta_sw": math.nan}),
+        ("end of the course", {"remaining": 29.0}),
+        ("foreign enable", {"foreign_enable": 0.3}),
+        ("request stale", {"request_age": 0.08}),
+    ],
+)
+def test_each_side_of_a_check_stands_against_engaging(name: str, facts: dict[str, Any]) -> None:
+    assert name in {text.split(":")[0] for text in broken(LIMITS, GOOD._replace(**facts), ENGAGING)}
+
+
+def test_the_operator_is_warned_of_the_end_of_the_course_and_only_then() -> None:
+    assert warnings(LIMITS, GOOD._replace(remaining=31.0)) == []
+    assert warnings(LIMITS, GOOD._replace(remaining=29.0)) == ["the course ends in 24 m"]
+
+
+def test_the_kit_s_time_counts_from_the_engagement() -> None:
+    late, facts = Machine(Mode.ENGAGED, "", 100.0), GOOD._replace(enabled=False)
+    assert step(LIMITS, late, facts, 100.29).mode is Mode.ENGAGED
+    assert step(LIMITS, late, facts, 100.31).mode is Mode.FAULT

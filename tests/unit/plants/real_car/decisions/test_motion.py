@@ -25,21 +25,24 @@ def drive(
     r_gain: float = 1.0,
     wheel_off: float = 0.0,
     late: float = 0.0,
+    beta: float = 0.0,
+    since: float = 0.0,
 ) -> tuple[float, str]:
-    """(when it was noticed [s], what was said) of a car on a circle whose pose drifts (along, across) [m/s]."""
+    """(when it was noticed [s], what was said) of a car on a circle; its pose drifts (along, across) [m/s] from `since`."""
     motion, psi, x, y = Motion(LIMITS, wheelbase=LENGTH, steer_ratio=RATIO), 0.3, 1.0, 2.0
     for k in range(round(seconds / DT)):
         t = k * DT + (late if k % 37 == 36 else 0.0)
         r = v * kappa
         delta_sw = RATIO * math.atan(LENGTH * kappa) + wheel_off
         seen = psi + psi_rate * k * DT
-        motion.moves(t, psi=math.remainder(seen, math.tau), v=v, r=r_gain * r, beta=0.0, delta_sw=delta_sw)
+        motion.moves(t, psi=math.remainder(seen, math.tau), v=v, r=r_gain * r, beta=beta, delta_sw=delta_sw)
         what = motion.pose(t, x, y)
         if what:
             return k * DT, what
-        middle = psi + 0.5 * r * DT
-        x += DT * ((v + drift[0]) * math.cos(middle) - drift[1] * math.sin(middle))
-        y += DT * ((v + drift[0]) * math.sin(middle) + drift[1] * math.cos(middle))
+        middle = psi + beta + 0.5 * r * DT
+        along, across = drift if k * DT >= since else (0.0, 0.0)
+        x += DT * ((v + along) * math.cos(middle) - across * math.sin(middle))
+        y += DT * ((v + along) * math.sin(middle) + across * math.cos(middle))
         psi += r * DT
     return math.inf, ""
 
@@ -115,3 +118,15 @@ def test_after_a_pause_it_begins_anew() -> None:
 def test_limits_are_checked(field: str, value: float) -> None:
     with pytest.raises(ValueError, match=field):
         MotionLimits(**{field: value})
+
+
+@pytest.mark.parametrize("beta", [0.03, -0.03])
+@pytest.mark.parametrize("kappa", [0.0, 0.04])
+def test_a_car_that_slides_moves_where_its_sideslip_says(beta: float, kappa: float) -> None:
+    assert drive(6.0, beta=beta, kappa=kappa) == (math.inf, "")
+
+
+def test_a_drift_is_noticed_as_soon_whenever_it_begins() -> None:
+    """Windows overlap and never start anew, not even when the oldest sample is dropped."""
+    took = [drive(9.0, drift=(0.0, 0.2), since=since)[0] - since for since in (0.0, 1.0, 3.0, 3.5, 4.5)]
+    assert max(took) <= min(took) + 0.1
