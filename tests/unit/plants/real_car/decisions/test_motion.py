@@ -28,7 +28,7 @@ def drive(
     beta: float = 0.0,
     since: float = 0.0,
 ) -> tuple[float, str]:
-    """(when it was noticed [s], what was said) of a car on a circle; its pose drifts (along, across) [m/s] from `since`."""
+    """(when it was noticed [s], what was said) of a car on a circle; its pose drifts (along, across) after `since`."""
     motion, psi, x, y = Motion(LIMITS, wheelbase=LENGTH, steer_ratio=RATIO), 0.3, 1.0, 2.0
     for k in range(round(seconds / DT)):
         t = k * DT + (late if k % 37 == 36 else 0.0)
