@@ -59,7 +59,7 @@ def controller(folder: Path) -> None:
                     state = {
                         "began": began,
                         "committed": began + learner.store.committed,
-                        "net": learner.story.counts.updates,
+                        "net": learner.story.net,  # not one that is still in training: a kill takes that along
                         "trainer": learner.trainer.pid,
                         "mode": str(link.last.mode) if link.last else "",
                         "faults": len(learner.trainer.faults),

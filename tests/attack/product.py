@@ -78,8 +78,9 @@ class ProductClient:
 LEARNS = ("nfq",)
 """Those that may learn on: they need the shipped limits (`e_max` = 2 m); the others get those that the guide recommends
 for controllers that do not learn."""
-BEYOND = {("nfq", "stamps 2 % fast, delay growing by 20 ms a second"): 2.0}
-"""How far off the path a learner gets where no sensor tells, and tighter limits stop the others [m]: `e_max`."""
+SLOW_CLOCK = "stamps 2 % fast, delay growing by 20 ms a second"
+BEYOND = {("nfq", SLOW_CLOCK): 2.0, ("pure-pursuit", SLOW_CLOCK): 0.7}
+"""How far off the path they get where no sensor tells [m]: `e_max` bounds the e that is seen, 0.25 s late."""
 HARMLESS = 0.5
 """They have no integral action: a wheel that is 40 degrees off and says nothing of it brings them so far off [m]."""
 
