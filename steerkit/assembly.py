@@ -10,6 +10,7 @@ from steerkit import maths as m
 from steerkit.block import Block, In, Out
 from steerkit.controllers.supervisor import Guarded, Supervisor
 from steerkit.controllers.target_shift import TargetShift
+from steerkit.controllers.trimmed import Trimmed
 from steerkit.doe import Corrected, Dynamic
 from steerkit.errors import WiringError
 from steerkit.loop import Loop, Wire
@@ -133,8 +134,8 @@ def steering_loop(
     for part in chain:
         into = next(name for name in ("delta_sw_cmd", "delta_sw_in") if name in _names(part.inputs))
         bench.wire(command, "delta_sw", part, into)
-        if "v_in" in _names(part.inputs):
-            bench.wire(car, "v", part, "v_in")
+        if "v" in _names(part.inputs):
+            bench.wire(car, "v", part, "v")
         command = part
     bench.wire(command, "delta_sw", car, "delta_sw_cmd")
     bench.wire(human, "v", car, "v_cmd")
@@ -145,6 +146,11 @@ def controller_of(loop: Loop) -> Block:
     """The controller that `steering_loop` was given, without the guard around it."""
     block = loop.blocks["controller"]
     return block.block if isinstance(block, Guarded) else block
+
+
+def bare(controller: Block) -> Block:
+    """The law itself, without a guard or a trim around it: it says where it wants e measured, and how far it looks."""
+    return bare(controller.block) if isinstance(controller, Guarded | Trimmed) else controller
 
 
 def with_controller(loop: Loop, controller: Block) -> Loop:
@@ -208,7 +214,7 @@ class _Bench:
         shift: TargetShift | None = None,
     ) -> None:
         """Wires a controller's inputs by name, through a tracker at its own reference point if it asks for one."""
-        asks: Any = block.block if isinstance(block, Guarded) else block
+        asks: Any = bare(block)
         reference = asks.reference if "reference" in _fields(asks) else tracker.reference
         points = asks.preview_points if "preview_points" in _fields(asks) else 0
         if reference != tracker.reference or points:

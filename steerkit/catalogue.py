@@ -12,6 +12,7 @@ from steerkit.controllers.delay import delayed_stanley
 from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.pure_pursuit import PurePursuit
 from steerkit.controllers.stanley import Stanley
+from steerkit.controllers.trimmed import Trimmed
 from steerkit.doe import Dynamic, Integrator, LowPass, PlainAngle
 from steerkit.errors import known, require
 from steerkit.outside import imported, is_outside
@@ -46,6 +47,14 @@ class Belief:
     delay, which only the predictive controllers make use of: the others are tuned to samples of 50 ms without it."""
     rate_limit: float = radians_of(550.0)
     """Fastest steering wheel [rad/s]."""
+    slew: float | None = None
+    """Fastest change of the lateral acceleration of a car that is steered by torque [m/s^3]; None: by angle."""
+    a_y_limit: float | None = None
+    """Its largest lateral acceleration [m/s^2]; None: by angle."""
+    offset: float = 0.0
+    """Known offset of the angle that the steering reaches [rad]: commands are given less by it."""
+    gain: float = 1.0
+    """Known gain of the steering, angle reached over angle commanded [1]: commands are divided by it."""
     budget: float | None = None
     """Time within which a predictive controller has to answer [s]; None: any, so that a drive can be repeated."""
     clock: Callable[[], float] | None = None
@@ -55,6 +64,11 @@ class Belief:
         for name, unit, largest in (("delay", "s", 2.0), ("lag", "s", 10.0), ("hold", "s", 1.0)):
             value = getattr(self, name)
             require(0.0 <= value <= largest, "Belief", f"{name} = {value} [{unit}], expected 0 to {largest:g}")
+        for name, unit in (("slew", "m/s^3"), ("a_y_limit", "m/s^2")):
+            value = getattr(self, name)
+            require(value is None or value > 0.0, "Belief", f"{name} = {value} [{unit}], expected > 0, or None")
+        require(abs(self.offset) <= 3.0, "Belief", f"offset = {self.offset} [rad], expected -3 to 3")
+        require(0.1 <= self.gain <= 10.0, "Belief", f"gain = {self.gain} [1], expected 0.1 to 10")
         require(self.rate_limit > 0.0, "Belief", f"rate_limit = {self.rate_limit} [rad/s], expected > 0")
 
 
@@ -71,7 +85,8 @@ class Recipe:
 
 
 def _stanley(belief: Belief) -> Block:
-    return replace(Stanley.of(belief.vehicle), rate_limit=belief.rate_limit)
+    law = Stanley.of(belief.vehicle)
+    return replace(law, rate_limit=belief.rate_limit, slew=belief.slew, a_y_limit=belief.a_y_limit)
 
 
 def _textbook(belief: Belief) -> Block:
@@ -79,14 +94,16 @@ def _textbook(belief: Belief) -> Block:
 
 
 def _delayed(belief: Belief) -> Block:
-    block = delayed_stanley(belief.vehicle, delay=belief.delay, lag=belief.lag)
+    told: dict[str, Any] = dict(delay=belief.delay, lag=belief.lag, slew=belief.slew, a_y_limit=belief.a_y_limit)
+    block = delayed_stanley(belief.vehicle, **told)
     law = replace(block.block, rate_limit=belief.rate_limit)  # type: ignore[call-arg]
     return replace(block, block=law, rate_limit=belief.rate_limit)
 
 
 def _lqr(belief: Belief) -> Block:
     car = belief.vehicle
-    block = Lqr.of(car, LinearSingleTrack(vehicle=car).matrices, delay=belief.delay, lag=belief.lag)
+    told: dict[str, Any] = dict(delay=belief.delay, lag=belief.lag, slew=belief.slew, a_y_limit=belief.a_y_limit)
+    block = Lqr.of(car, LinearSingleTrack(vehicle=car).matrices, v_max=25.0, **told)
     return replace(block, rate_limit=belief.rate_limit)
 
 
@@ -106,6 +123,10 @@ def _nonlinear_mpc(belief: Belief) -> Block:
     return _predictive(NonlinearMPC, belief)
 
 
+_Q_RATE_OF_TORQUE = 4e-3
+"""Weight of the command's rate for a car steered by torque: at that of the others, a gain 25 % off makes it swing."""
+
+
 def _predictive(kind: Any, belief: Belief) -> Block:
     car = belief.vehicle
     return kind.of(
@@ -113,6 +134,9 @@ def _predictive(kind: Any, belief: Belief) -> Block:
         delay=belief.delay + 0.5 * belief.hold,
         lag=belief.lag,
         rate_limit=min(belief.rate_limit, kind.rate_limit),  # its own leaves the motor room to follow
+        slew=belief.slew,
+        **({} if belief.slew is None else {"q_rate": _Q_RATE_OF_TORQUE}),
+        **({} if belief.a_y_limit is None else {"a_y_limit": min(belief.a_y_limit, kind.a_y_limit)}),
         fallback=_stanley(belief),
         budget=belief.budget,
         clock=belief.clock,
@@ -156,7 +180,9 @@ def make_controller(name: str, belief: Belief) -> Block:
     """
     if is_outside(name):
         return _own(name, belief)
-    return CONTROLLERS[known(name, CONTROLLERS, "controller", also=OWN)].make(belief)
+    block = CONTROLLERS[known(name, CONTROLLERS, "controller", also=OWN)].make(belief)
+    trimmed = (belief.offset, belief.gain) != (0.0, 1.0)
+    return Trimmed(block=block, offset=belief.offset, gain=belief.gain) if trimmed else block
 
 
 def _own(name: str, belief: Belief) -> Block:

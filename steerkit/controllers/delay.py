@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from steerkit import maths as m
 from steerkit.block import Block, In, Out, State
+from steerkit.controllers.limits import slewed
 from steerkit.controllers.stanley import Stanley
 from steerkit.errors import require
 from steerkit.maths import Scalar
@@ -21,6 +23,10 @@ from steerkit.vehicles import Vehicle
 Array = NDArray[np.float64]
 
 
+_TRUST = 0.1
+"""Share of a sample in how far a slow wheel is taken to be off its model: half a second."""
+
+
 class Step(NamedTuple):
     """A piece of the way into the future: its length [s], which command acts in it, where in the preview it lies."""
 
@@ -28,6 +34,15 @@ class Step(NamedTuple):
     command: int
     preview: int
     share: float
+
+
+class Motion(NamedTuple):
+    """Where the car is beside its path, and how it turns."""
+
+    e: Scalar
+    psi_e: Scalar
+    r: Scalar
+    wheel: Scalar
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -44,12 +59,17 @@ class Predicted(Block):
 
     a steadily sliding rear axle, and a yaw rate that lags as that of the linear single track; what the model has wrong
     now (ratio, tyres, offset) it is taken to have wrong all the way. One midpoint step (lag and yaw: exact) a command.
+    A car steered by torque turns its wheel slowly; then more time passes until what was begun can be ended. So with a
+    `slew` the state is carried on until the wheel is back at the path's own angle, turned there as fast as the slew
+    allows, for 2 a_y_limit/slew at most: a wheel that stands there already costs no time.
     To a controller without a model the car then looks as if it had neither delay nor lag, and damping that fought these
     is no longer wanted: see `delayed_stanley`. For a linear law this is what delay states give an LQR.
 
     Inputs: e [m], psi_e [rad] and preview [1/m] (kappa every preview_dt of driving) at `reference`; v [m/s]; r [rad/s];
-    delta_sw_meas [rad]. Output: delta_sw [rad]. State: that of the wrapped block, r_m, then the commands on their way,
-    oldest first; one that is not finite never left, so the wheel's angle stands in for it. A negative v counts as 0.
+    delta_sw_meas [rad]. Output: delta_sw [rad]. State: that of the wrapped block; r_m (with a slew: of the sample
+    before, the wheel of then, the model's own wheel and by how much that is off, averaged over half a second: commands
+    are taken to be off by that); then the commands on their way, oldest first; one that is not finite never left, so
+    the wheel's angle stands in for it. A negative v counts as 0.
     NaN in an input that the wrapped block or the prediction needs gives NaN out. A command replaced on its way to the
     wheel (by another controller in charge, a limiter) is not known here: for `delay` after a hand-over the prediction
     is wrong by the difference. Raises ValueError for parameters out of range and for a wrapped block with other ports.
@@ -85,10 +105,14 @@ class Predicted(Block):
     """Steering-wheel angle over road-wheel angle [1]."""
     rate_limit: Scalar = radians_of(550.0)
     """Fastest steering wheel [rad/s]."""
+    slew: float | None = None
+    """Fastest change of the lateral acceleration of a car that is steered by torque [m/s^3]; None: no bound."""
+    a_y_limit: float = 3.0
+    """Its largest lateral acceleration [m/s^2]; nothing without a slew."""
     reference: Scalar = 1.2
     """Where e, psi_e and the preview are measured: metres ahead of the centre of gravity."""
     preview_points: int = 1
-    """Entries of the preview; (delay + lag)/preview_dt + 2 or more see the whole way."""
+    """Entries of the preview; (delay + lag + 2 a_y_limit/slew)/preview_dt + 2 or more see the whole way."""
     preview_dt: float = DT
     """Time between them [s]."""
 
@@ -106,14 +130,29 @@ class Predicted(Block):
         require(self.dt == self.block.dt, where, f"dt = {self.dt} s, but the wrapped block has {self.block.dt} s")
         for name in ("delay", "lag"):
             require(0.0 <= getattr(self, name) <= 2.0, where, f"{name} = {getattr(self, name)} [s], expected 0 to 2")
-        for name in ("wheelbase", "steer_ratio", "rate_limit", "yaw_time", "preview_dt"):
+        for name in ("wheelbase", "steer_ratio", "rate_limit", "yaw_time", "preview_dt", "a_y_limit"):
             require(getattr(self, name) > 0.0, where, f"{name} = {getattr(self, name)}, expected > 0")
+        require(self.slew is None or self.slew > 0.0, where, f"slew = {self.slew} [m/s^3], expected > 0, or None")
         require(self.preview_points >= 1, where, f"preview_points = {self.preview_points}, expected >= 1")
 
     @classmethod
-    def around(cls, block: Block, vehicle: Vehicle, *, delay: float, lag: float) -> Predicted:
-        """`block` told of a steering delay and lag [s], with geometry, tyres and ratio of a `Vehicle`."""
+    def around(
+        cls,
+        block: Block,
+        vehicle: Vehicle,
+        *,
+        delay: float,
+        lag: float,
+        slew: float | None = None,
+        a_y_limit: float | None = None,
+    ) -> Predicted:
+        """`block` told of a steering delay and lag [s], with geometry, tyres and ratio of a `Vehicle`.
+
+        slew [m/s^3], a_y_limit [m/s^2]: of a car that is steered by torque; None: without.
+        """
         L = vehicle.wheelbase
+        bound = cls.a_y_limit if a_y_limit is None else a_y_limit
+        back = 0.0 if slew is None else 2.0 * bound / slew
         return cls(
             block=block,
             delay=delay,
@@ -124,8 +163,10 @@ class Predicted(Block):
             rear_slip=vehicle.m * vehicle.l_f / (vehicle.c_r * L),
             yaw_time=vehicle.i_z / (vehicle.c_f * vehicle.l_f**2 + vehicle.c_r * vehicle.l_r**2),
             steer_ratio=vehicle.steer_ratio,
+            slew=slew,
+            a_y_limit=bound,
             reference=getattr(block, "reference", 0.0),
-            preview_points=int((delay + lag) / block.dt + 1e-9) + 2,
+            preview_points=int((delay + lag + back) / block.dt + 1e-9) + 2,
             preview_dt=block.dt,
             dt=block.dt,
         )
@@ -150,6 +191,11 @@ class Predicted(Block):
         """Commands to remember: those that act within the delay; one at least, to hold."""
         return max(1, int(np.ceil(self.delay / self.dt - 1e-9)))
 
+    @property
+    def _kept(self) -> int:
+        """Numbers of the model in the state: r_m; with a slew the wheel before, its own wheel, how far that is off."""
+        return 1 if self.slew is None else 4
+
     @cached_property
     def _inner(self) -> Any:
         """What makes the wrapped block's state from its entries, and how many these are."""
@@ -157,11 +203,13 @@ class Predicted(Block):
         return getattr(type(like), "_make", tuple), len(like)
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
-        return (*self.block.init(batch), *[m.filled(0.0, batch)] * (1 + self._waiting))
+        return (*self.block.init(batch), *[m.filled(0.0, batch)] * (self._kept + self._waiting))
 
     def settle(self, t: float, x: State, u: Any) -> State:
         make, n = self._inner
-        added = (u.r + 0.0, *[u.delta_sw_meas + 0.0] * self._waiting)
+        wheel = (u.delta_sw_meas + 0.0,)
+        model = () if self.slew is None else (*wheel * 2, 0.0 * u.delta_sw_meas)
+        added = (u.r + 0.0, *model, *wheel * self._waiting)
         return (*self.block.settle(t, make(x[:n]), self._ahead(self.block.D, (*x[:n], *added), u)), *added)
 
     def output(self, t: Any, x: State, u: Any) -> Any:
@@ -172,39 +220,98 @@ class Predicted(Block):
         make, n = self._inner
         inner = self.block.update(t, make(x[:n]), self._ahead(self.block.U, x, u), self.block.Y(y.delta_sw))
         sent = m.where(m.is_finite(y.delta_sw), y.delta_sw, u.delta_sw_meas)
-        steady, fade = self._yaw(m.maximum(u.v, 0.0))
-        r = steady * m.tan(u.delta_sw_meas / self.steer_ratio)
-        r = r + (x[n] - r) * m.exp(fade * self.dt)
+        if self.slew is not None:  # how far a slow wheel got within the sample is known at its end
+            commands = (*x[n + 4 :], sent)
+            off = x[n + 3] + _TRUST * (u.delta_sw_meas - x[n + 2] - x[n + 3])
+            model = (self._model_now(x, u), u.delta_sw_meas + 0.0, self._wheel(x[n + 2], commands, u.v), off)
+            return (*inner, *[m.where(m.is_finite(value), value, 0.0) for value in model], *commands[1:])
+        r = self._model(x[n], u.delta_sw_meas, u.v)
         return (*inner, m.where(m.is_finite(r), r, 0.0), *x[n + 2 :], sent)
+
+    def _model(self, r: Scalar, wheel: Scalar, v: Scalar) -> Scalar:
+        """The model's yaw rate a sample after it was r, with this wheel [rad]."""
+        steady, fade = self._yaw(m.maximum(v, 0.0))
+        after = steady * m.tan(wheel / self.steer_ratio)
+        return after + (r - after) * m.exp(fade * self.dt)
+
+    def _wheel(self, wheel: Scalar, commands: State, v: Scalar) -> Scalar:
+        """The model's wheel [rad] a sample later, under the oldest command and the one after it."""
+        fastest, first = self._fastest(m.maximum(v, 0.0)), self._steps[0].h if self.delay > 0.0 else 0.0
+        for h, command in zip((first, self.dt - first), commands):
+            follow = 1.0 - float(np.exp(-h / self.lag)) if self.lag > 0.0 else 1.0
+            wheel = wheel + m.clip(follow * (command - wheel), -fastest * h, fastest * h)
+        return wheel
+
+    def _model_now(self, x: State, u: Any) -> Scalar:
+        """The model's yaw rate now, of a state that has it of the sample before, with the wheel of then."""
+        _, n = self._inner
+        return self._model(x[n], 0.5 * (x[n + 1] + u.delta_sw_meas), u.v)
 
     def _ahead(self, ports: Any, x: State, u: Any) -> Any:
         """The wrapped block's inputs, `delay + lag` from now."""
         _, n = self._inner
-        values = self.predict(x[n], x[n + 1 :], u)
+        r_model = x[n] if self.slew is None else self._model_now(x, u)
+        commands = x[n + self._kept :]
+        if self.slew is not None:
+            commands = tuple([command + x[n + 3] for command in commands])
+        values = self.predict(r_model, commands, u)
         return ports(**{name: values[name] for name in ports._fields})
 
     def predict(self, r_model: Scalar, commands: State, u: Any) -> dict[str, Scalar]:
         """e, psi_e, kappa, v, r, delta_sw_meas when the next command has arrived; `commands` oldest first."""
         v = m.maximum(u.v, 0.0)
-        e, psi_e, r, wheel = u.e, u.psi_e, u.r, u.delta_sw_meas
-        wrong = r - r_model
-        steady, fade = self._yaw(v)
-        lever = self.reference + self.l_r - self.rear_slip * v * v
+        now = Motion(u.e, u.psi_e, u.r, u.delta_sw_meas)
+        wrong = u.r - r_model
+        fastest = self._fastest(v)
         for h, command, entry, share in self._steps:
             follow = 1.0 - float(np.exp(-h / self.lag)) if self.lag > 0.0 else 1.0
-            step = self.rate_limit * h
-            moved = m.clip(follow * (commands[command] - wheel), -step, step)
-            r_steady = steady * m.tan((wheel + 0.5 * moved) / self.steer_ratio) + wrong
-            r_after = r_steady + (r - r_steady) * m.exp(fade * h)
-            kappa = u.preview[entry]
-            if share > 0.0:
-                kappa = kappa + share * (u.preview[entry + 1] - kappa)
-            turn = 0.5 * (r + r_after)
-            e_dot, psi_dot = self._drift(v, e, psi_e, turn, lever, kappa)
-            e_dot, psi_dot = self._drift(v, e + 0.5 * h * e_dot, psi_e + 0.5 * h * psi_dot, turn, lever, kappa)
-            e, psi_e, r, wheel = e + h * e_dot, psi_e + h * psi_dot, r_after, wheel + moved
+            step = fastest * h
+            moved = m.clip(follow * (commands[command] - now.wheel), -step, step)
+            now = self._moved(now, h, moved, self._kappa(u.preview, entry, share), v, wrong)
         last = min(round((self.delay + self.lag) / self.preview_dt), self.preview_points - 1)
-        return dict(e=e, psi_e=psi_e, kappa=u.preview[last], v=u.v, r=r, delta_sw_meas=wheel)
+        kappa = u.preview[last]
+        if self.slew is not None:
+            now, kappa = self._back(now, kappa, u.preview, v, wrong)
+        return dict(e=now.e, psi_e=now.psi_e, kappa=kappa, v=u.v, r=now.r, delta_sw_meas=now.wheel)
+
+    def _back(self, now: Motion, kappa: Scalar, preview: Any, v: Scalar, wrong: Scalar) -> tuple[Motion, Scalar]:
+        """The motion, and the path's curvature, when the wheel has been turned back to the path's own angle."""
+        per_kappa = self.wheelbase + self.understeer * v * v
+        fastest, going = self._fastest(v), 1.0
+        for piece in range(math.ceil(2.0 * self.a_y_limit / (self.slew or math.inf) / self.dt)):
+            place = (self.delay + self.lag + (piece + 0.5) * self.dt) / self.preview_dt
+            entry = min(int(place), max(self.preview_points - 2, 0))
+            ahead = self._kappa(preview, entry, min(place - entry, 1.0) if self.preview_points > 1 else 0.0)
+            gap = self.steer_ratio * m.atan(per_kappa * ahead) - now.wheel
+            moved = going * m.clip(gap, -fastest * self.dt, fastest * self.dt)
+            h = m.absolute(moved) / fastest
+            now = self._moved(now, h, moved, ahead, v, wrong)
+            kappa = m.where(going > 0.5, ahead, kappa)
+            going = m.where(m.absolute(gap) > fastest * self.dt, going, 0.0)
+        return now, kappa
+
+    def _moved(self, now: Motion, h: Scalar, moved: Scalar, kappa: Scalar, v: Scalar, wrong: Scalar) -> Motion:
+        """The motion h [s] later, in which the wheel moves so far [rad]: one midpoint step, exact in lag and yaw."""
+        steady, fade = self._yaw(v)
+        lever = self.reference + self.l_r - self.rear_slip * v * v
+        r_steady = steady * m.tan((now.wheel + 0.5 * moved) / self.steer_ratio) + wrong
+        r = r_steady + (now.r - r_steady) * m.exp(fade * h)
+        turn = 0.5 * (now.r + r)
+        e, psi_e = now.e, now.psi_e
+        e_dot, psi_dot = self._drift(v, e, psi_e, turn, lever, kappa)
+        e_dot, psi_dot = self._drift(v, e + 0.5 * h * e_dot, psi_e + 0.5 * h * psi_dot, turn, lever, kappa)
+        return Motion(e + h * e_dot, psi_e + h * psi_dot, r, now.wheel + moved)
+
+    @staticmethod
+    def _kappa(preview: Any, entry: int, share: float) -> Scalar:
+        """The curvature between two entries of the preview."""
+        kappa = preview[entry]
+        return kappa + share * (preview[entry + 1] - kappa) if share > 0.0 else kappa
+
+    def _fastest(self, v: Scalar) -> Scalar:
+        """How fast the wheel turns [rad/s]."""
+        car = dict(wheelbase=self.wheelbase, understeer=self.understeer, steer_ratio=self.steer_ratio)
+        return slewed(self.rate_limit, self.slew, v, **car)
 
     def _yaw(self, v: Scalar) -> tuple[Scalar, Scalar]:
         """Steady yaw rate over tan(delta) [1/s], and the model's pole [1/s]."""
@@ -217,13 +324,22 @@ class Predicted(Block):
         return v * s + side * c, r - kappa * (v * c - side * s) / m.maximum(1.0 - kappa * e, 0.2)
 
 
-def delayed_stanley(vehicle: Vehicle, *, delay: float, lag: float, dt: float = DT) -> Predicted:
+def delayed_stanley(
+    vehicle: Vehicle,
+    *,
+    delay: float,
+    lag: float,
+    slew: float | None = None,
+    a_y_limit: float | None = None,
+    dt: float = DT,
+) -> Predicted:
     """Stanley for a steering delay and lag [s], 0 to 0.3 s and about 0.1 s: predicted, with gains tuned for that.
 
     The gains are what `python -m benchmarks study tune_stanley` chose: with the prediction, damping only costs.
+    slew [m/s^3], a_y_limit [m/s^2]: of a car that is steered by torque; None: without.
     """
-    stanley = replace(Stanley.of(vehicle, dt=dt), k=3.0, k_d_yaw=0.0, k_d_steer=0.0)
-    return Predicted.around(stanley, vehicle, delay=delay, lag=lag)
+    stanley = replace(Stanley.of(vehicle, dt=dt), k=3.0, k_d_yaw=0.0, k_d_steer=0.0, slew=slew, a_y_limit=a_y_limit)
+    return Predicted.around(stanley, vehicle, delay=delay, lag=lag, slew=slew, a_y_limit=a_y_limit)
 
 
 class Steering(NamedTuple):

@@ -18,6 +18,20 @@ def approach_angle(e: Scalar, v: Scalar, a_y: Scalar) -> Scalar:
     return m.sqrt(2.0 * a_y * (m.absolute(e) + 0.01)) / m.maximum(v, _SLOWEST)
 
 
+def slewed(
+    rate_limit: Scalar, slew: Scalar | None, v: Scalar, *, wheelbase: Scalar, understeer: Scalar, steer_ratio: Scalar
+) -> Scalar:
+    """Fastest wheel [rad/s] within rate_limit that a car steered by torque follows; None: its slew is not known.
+
+    Steady cornering needs delta = (L/v^2 + K) a_y, so a_y that changes by slew [m/s^3] turns the wheel by
+    steer_ratio (L/v^2 + K) slew.
+    """
+    if slew is None:
+        return rate_limit
+    v = m.maximum(v, _SLOWEST)
+    return m.minimum(rate_limit, slew * steer_ratio * (wheelbase / (v * v) + understeer))
+
+
 def limited(
     command: Scalar,
     before: Scalar,

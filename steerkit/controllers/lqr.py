@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from steerkit import maths as m
 from steerkit.block import Block, In, Out, State
-from steerkit.controllers.limits import limited
+from steerkit.controllers.limits import limited, slewed
 from steerkit.errors import require
 from steerkit.maths import Scalar, Table
 from steerkit.task import DT, STOP
@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 Matrices = Callable[[float], tuple[Any, Any]]
 """v [m/s] -> A (2, 2), B (2,) of (beta, r)' = A (beta, r) + B delta; `LinearSingleTrack.matrices` is one."""
 
+_STEP_OF_SLEW = 1.2  # step that costs 1, over what a slew allows in a sample
+_REACH = 0.5  # m: what a car with a slew is taken to be off at most
 _MOTION = 5  # e, theta, beta, r, delta
 _SLOWEST = 1.0  # m/s: below it, the gains stay and theta is formed with this speed
 
@@ -179,6 +181,12 @@ class Lqr(Block):
     """Lateral acceleration beyond that of the path which corrections may always use [m/s^2]."""
     rate_limit: Scalar = radians_of(550.0)
     """Fastest command [rad/s]."""
+    slew: Scalar | None = None
+    """Fastest change of the lateral acceleration of a car that is steered by torque [m/s^3]; None: no bound."""
+    a_y_limit: Scalar | None = None
+    """Its largest lateral acceleration [m/s^2]; None: no bound."""
+    e_reach: Scalar | None = None
+    """The car is taken to be at most so far off [m], so that it comes at no steeper an angle; None: no bound."""
     limit: Scalar = STOP
     """Largest |delta_sw| [rad]."""
 
@@ -200,20 +208,29 @@ class Lqr(Block):
         v_min: float = 1.0,
         v_max: float = 12.0,
         v_step: float = 0.5,
+        slew: float | None = None,
+        a_y_limit: float | None = None,
         dt: float = DT,
         **sizes: float,
     ) -> Lqr:
         """The regulator for a `Vehicle` whose lateral model is `matrices`, e at the front axle.
 
-        delay, lag [s]: of the steering. sizes: e_size, e_dot_size, step_size of `LqrDesign`.
+        delay, lag [s]: of the steering. slew [m/s^3], a_y_limit [m/s^2]: of a car that is steered by torque; its steps
+        cost more, so that a slew which acts is the exception, and e counts up to 0.5 m only; None: without. sizes:
+        e_size, e_dot_size, step_size of `LqrDesign`.
         """
         require(preview_points >= 1, "Lqr", f"preview_points = {preview_points}, expected >= 1")
         require(0.0 < v_min < v_max and v_step > 0.0, "Lqr", f"speeds {v_min} to {v_max} by {v_step} m/s")
         design = LqrDesign(matrices=matrices, reference=vehicle.l_f, delay=delay, lag=lag, dt=dt, **sizes)
         speeds = v_min + v_step * np.arange(round((v_max - v_min) / v_step) + 1)
-        rows = np.array([np.concatenate(design.gains(float(v), preview_points)) for v in speeds])
+        rows = []
+        for v in speeds.tolist():
+            if slew is not None:
+                fastest = slew * dt * (vehicle.wheelbase / v**2 + vehicle.understeer_gradient)
+                slow = replace(design, step_size=min(design.step_size, _STEP_OF_SLEW * fastest))
+            rows.append(np.concatenate((design if slew is None else slow).gains(v, preview_points)))
         return cls(
-            table=Table(rows),
+            table=Table(np.array(rows)),
             v_min=v_min,
             v_step=v_step,
             reference=vehicle.l_f,
@@ -222,6 +239,9 @@ class Lqr(Block):
             understeer=vehicle.understeer_gradient,
             l_r=vehicle.l_r,
             steer_ratio=vehicle.steer_ratio,
+            slew=slew,
+            a_y_limit=a_y_limit,
+            e_reach=None if slew is None else _REACH,
             limit=vehicle.delta_sw_max,
             dt=dt,
         )
@@ -248,20 +268,22 @@ class Lqr(Block):
         wheel = [m.tan(angle / self.steer_ratio) for angle in (u.delta_sw_meas, *x)]
         lever = self.reference + self.l_r
         ahead = [kappa / m.sqrt(m.maximum(1.0 - lever * kappa * (lever * kappa), 0.1)) for kappa in u.preview]
-        step = -sum([g * z for g, z in zip(gains, (u.e, theta, u.beta, u.r, *wheel, *ahead), strict=True)])
+        e = u.e if self.e_reach is None else m.clip(u.e, -self.e_reach, self.e_reach)
+        step = -sum([g * z for g, z in zip(gains, (e, theta, u.beta, u.r, *wheel, *ahead), strict=True)])
         command = self.steer_ratio * m.atan(wheel[-1] + step)
         allowed = m.maximum(self.a_y_max, m.absolute(ahead[0]) * slow * slow + self.a_y_reserve)
+        if self.a_y_limit is not None:
+            allowed = m.minimum(allowed, self.a_y_limit)
+        car = dict(wheelbase=self.wheelbase, understeer=self.understeer, steer_ratio=self.steer_ratio)
         return self.Y(
             limited(
                 command,
                 x[-1],
                 slow,
                 allowed,
-                wheelbase=self.wheelbase,
+                **car,
                 l_r=self.l_r,
-                understeer=self.understeer,
-                steer_ratio=self.steer_ratio,
-                rate_limit=self.rate_limit,
+                rate_limit=slewed(self.rate_limit, self.slew, slow, **car),
                 limit=self.limit,
                 dt=self.dt,
             )

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from steerkit import maths as m
 from steerkit.block import Block, In, Out
-from steerkit.controllers.limits import approach_angle, limited
+from steerkit.controllers.limits import approach_angle, limited, slewed
 from steerkit.errors import require
 from steerkit.maths import Scalar
 from steerkit.task import DT, STOP
@@ -76,6 +76,10 @@ class Stanley(Block):
     """Lateral acceleration beyond that of the path which corrections may always use [m/s^2]."""
     rate_limit: Scalar = radians_of(550.0)
     """Fastest command [rad/s]."""
+    slew: Scalar | None = None
+    """Fastest change of the lateral acceleration of a car that is steered by torque [m/s^3]; None: no bound."""
+    a_y_limit: Scalar | None = None
+    """Its largest lateral acceleration, which not even a path that asks for more exceeds [m/s^2]; None: no bound."""
     mass: Scalar = 0.0
     """Car mass [kg]; 0 leaves out the curve offset psi_ss."""
     c_f: Scalar = 1.0
@@ -131,27 +135,29 @@ class Stanley(Block):
         bent = self.wheelbase * u.kappa
         r_path = v * u.kappa / m.sqrt(m.maximum(1.0 - bent * bent, 0.1))
         psi_ss = self.mass * v * r_path * self.l_r_share / self.c_f
-        spare = m.maximum(self.a_y_max - v * m.absolute(r_path), self.a_y_reserve)
+        spare = self._possible(m.maximum(self.a_y_max - v * m.absolute(r_path), self.a_y_reserve))
         steepest = m.minimum(approach_angle(u.e, v, 0.5 * spare), self.approach_limit)
         approach = m.clip(m.atan(self.k * u.e / (self.k_soft + v)), -steepest, steepest)
         damping = self.k_d_yaw * (u.r - r_path) + self.k_d_steer * (u.delta_sw_meas / self.steer_ratio - x.delta_before)
         delta = -(u.psi_e - psi_ss) - approach - damping
-        allowed = m.maximum(self.a_y_max, v * m.absolute(r_path) + self.a_y_reserve)
+        allowed = self._possible(m.maximum(self.a_y_max, v * m.absolute(r_path) + self.a_y_reserve))
+        car = dict(wheelbase=self.wheelbase, understeer=self.understeer, steer_ratio=self.steer_ratio)
         return self.Y(
             limited(
                 self.steer_ratio * delta,
                 x.command,
                 v,
                 allowed,
-                wheelbase=self.wheelbase,
+                **car,
                 l_r=self.l_r_share * self.wheelbase,
-                understeer=self.understeer,
-                steer_ratio=self.steer_ratio,
-                rate_limit=self.rate_limit,
+                rate_limit=slewed(self.rate_limit, self.slew, v, **car),
                 limit=self.limit,
                 dt=self.dt,
             )
         )
+
+    def _possible(self, a_y: Scalar) -> Scalar:
+        return a_y if self.a_y_limit is None else m.minimum(a_y, self.a_y_limit)
 
     def update(self, t: Any, x: StanleyState, u: Any, y: Any) -> StanleyState:
         return StanleyState(u.delta_sw_meas / self.steer_ratio, y.delta_sw)

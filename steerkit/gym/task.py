@@ -28,6 +28,7 @@ from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.pushed import GUST_STATES, Pushed
 from steerkit.plants.single_track import SingleTrackState
 from steerkit.plants.steering_actuator import SteeringActuator
+from steerkit.plants.torque_steering import TorqueSteering
 from steerkit.scenario import END_MARGIN, Scenario
 from steerkit.scenario.drive import assembled
 from steerkit.scenario.file import read_scenario
@@ -314,8 +315,11 @@ class Task:
         x["car"] = (*start, *gusts) if gusts else start
         if isinstance(loop.blocks["doe"], Dynamic):
             x["doe"] = HeldAngle(wheel)
-        if isinstance(loop.blocks.get("actuator"), SteeringActuator):
+        motor = loop.blocks.get("actuator")
+        if isinstance(motor, SteeringActuator):
             x["actuator"] = (wheel, np.zeros(n), *[wheel] * (len(x["actuator"]) - 2))
+        elif isinstance(motor, TorqueSteering):
+            x["actuator"] = motor.holding(wheel, v)
         return loop.init(x=[*x.values()])
 
     @property

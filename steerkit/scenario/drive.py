@@ -6,7 +6,7 @@ import time
 from dataclasses import fields, replace
 from typing import Protocol
 
-from steerkit.assembly import steering_loop
+from steerkit.assembly import bare, steering_loop
 from steerkit.block import Block
 from steerkit.catalogue import make_controller
 from steerkit.controllers.supervisor import Supervisor
@@ -92,8 +92,9 @@ def assembled(
 
 def _reference(place: Place, controller: Block) -> float:
     """Where e is judged [m ahead of the centre of gravity]."""
-    own = getattr(place, "reference", "") == "own" and "reference" in {field.name for field in fields(controller)}
-    return float(controller.reference) if own else place.ahead  # type: ignore[attr-defined]
+    law = bare(controller)
+    own = getattr(place, "reference", "") == "own" and "reference" in {field.name for field in fields(law)}
+    return float(law.reference) if own else place.ahead  # type: ignore[attr-defined]
 
 
 def controller(name: str, scenario: Scenario) -> Block:

@@ -14,11 +14,16 @@ from steerkit.plants.sensors import Sensors
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.plants.steering_column import SteeringColumn
 from steerkit.plants.steering_link import SteeringLink
+from steerkit.plants.torque_steering import TorqueSteering
 from steerkit.units import radians_of
 from steerkit.vehicles import Vehicle, vehicle_of
 
 if TYPE_CHECKING:
     from steerkit.scenario.scenario import Scenario
+
+
+DRAWN = {"random": (500.0, 0.1), "sweeping": (2000.0, 0.01)}
+"""Length [m] and largest curvature [1/m] of random courses, by what their names begin with."""
 
 
 def link_of(scenario: Scenario, seed: int) -> SteeringLink | None:
@@ -33,8 +38,19 @@ def link_of(scenario: Scenario, seed: int) -> SteeringLink | None:
     )
 
 
-def actuator_of(scenario: Scenario) -> SteeringActuator:
-    """The motor at the steering wheel."""
+def actuator_of(scenario: Scenario) -> Block:
+    """The motor at the steering wheel, or what steers by torque in its place."""
+    if scenario.steering == "torque":
+        return TorqueSteering.of(
+            scenario.nominal,
+            delay=scenario.delay,
+            lag=scenario.lag,
+            slew=scenario.slew,
+            a_y_limit=scenario.a_y_limit,
+            gain=scenario.gain,
+            offset=radians_of(scenario.offset_deg),
+            rate_limit=radians_of(scenario.rate_limit_deg),
+        )
     return SteeringActuator(
         delay=scenario.delay,
         lag=scenario.lag,
@@ -69,10 +85,10 @@ def sensors_of(scenario: Scenario, seed: int) -> Block | None:
     )
 
 
-def is_random(name: str) -> bool:
-    """Is it the name of a random course?"""
+def drawn_course(name: str) -> tuple[int, float, float] | None:
+    """Seed, length [m] and largest curvature [1/m] of a random course; None for any other name."""
     kind, _, number = name.partition("-")
-    return kind == "random" and number.isdigit()
+    return (int(number), *DRAWN[kind]) if kind in DRAWN and number.isdigit() else None
 
 
 @lru_cache(maxsize=32)
@@ -82,7 +98,11 @@ def path_of(name: str, closed: bool | None, text: str | None, v_max: float) -> P
         return course_of(text, name, closed=closed)
     if name.startswith("iso3888-"):
         return lane_change(int(name[-1]), speed=v_max)
-    return random_course(int(name.partition("-")[2])) if is_random(name) else course(name)
+    drawn = drawn_course(name)
+    if drawn is None:
+        return course(name)
+    seed, length, max_kappa = drawn
+    return random_course(seed, length=length, max_kappa=max_kappa, name=name)
 
 
 @lru_cache(maxsize=32)

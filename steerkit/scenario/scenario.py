@@ -22,7 +22,8 @@ from steerkit.plants.human import Human, SpeedProfile
 from steerkit.plants.pushed import Pushed
 from steerkit.plants.single_track import SingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator, steering_in
-from steerkit.scenario.parts import actuator_of, car_of, column_of, is_random, link_of, path_of, sensors_of
+from steerkit.scenario.parts import actuator_of, car_of, column_of, drawn_course, link_of, path_of, sensors_of
+from steerkit.task import A_Y_MAX
 from steerkit.units import degrees_of, radians_of
 from steerkit.vehicles import G, Vehicle, vehicle
 from steerkit.vehicles.file import tables_of
@@ -32,6 +33,8 @@ END_MARGIN = 5.0
 SPEEDS = ("wander", "recorded")
 REFERENCES = ("front", "cg", "own")
 SENSING = ("hard", "real")
+STEERING = ("angle", "torque")
+TOLD = ("data sheet", "truth")
 _HARD: dict[str, Any] = {"noise": 1.0, "latency": 0.05, "lag": 0.15}
 CONDITIONS: Mapping[str, dict[str, Any]] = MappingProxyType(
     {"clean": {}, "hard": _HARD, "real": _HARD | {"sensing": "real"}}
@@ -46,6 +49,10 @@ _RANGES = (  # field, unit, least, largest
     ("delay", "s", 0.0, 2.0),
     ("rate_limit_deg", "deg/s", 1.0, 10_000.0),
     ("offset_deg", "deg", -90.0, 90.0),
+    ("slew", "m/s^3", 0.1, 1000.0),
+    ("a_y_limit", "m/s^2", 0.1, 100.0),
+    ("gain", "1", 0.1, 10.0),
+    ("a_y_human", "m/s^2", 0.1, 20.0),
     ("play_deg", "deg", 0.0, 20.0),
     ("friction_deg", "deg", 0.0, 20.0),
     ("dead_band_deg", "deg", 0.0, 20.0),
@@ -80,8 +87,8 @@ class Scenario:
     """What it is called in results and errors."""
     course: str = "paper"
     """Name of a course (`steerkit.courses`); `random-7` and the like, a random course by its seed (500 m, radii of 10 m
-    and more); or a CSV file with the columns x, y [m] or lat, lon [degrees]. ISO lane changes are as long as v_max
-    asks."""
+    and more), `sweeping-7` one with wide bends (2 km, 100 m and more); or a CSV file with the columns x, y [m] or lat,
+    lon [degrees]. ISO lane changes are as long as v_max asks."""
     closed: bool | None = None
     """Is a course from a file closed? None: as the file says, or as it looks (`steerkit.courses.course_of`)."""
     vehicle: str = "vw-passat"
@@ -104,6 +111,10 @@ class Scenario:
     """Fastest speed of the human [m/s]."""
     rounds: float = 1.0
     """Rounds that a test drive takes; an open course is driven without END_MARGIN at either end."""
+    a_y_human: float = A_Y_MAX
+    """Lateral acceleration in bends for which the wandering human slows down [m/s^2]."""
+    steering: str = "angle"
+    """`angle`: a motor that turns the wheel; `torque`: as lane keeping steers most cars (`TorqueSteering`)."""
     lag: float = 0.12
     """First-order lag of the steering actuator [s]."""
     delay: float = 0.0
@@ -112,6 +123,12 @@ class Scenario:
     """Fastest steering wheel [deg/s]."""
     offset_deg: float = 0.0
     """Offset of the steering wheel [deg]."""
+    slew: float = 5.0
+    """Steered by torque: fastest change of the lateral acceleration [m/s^3]."""
+    a_y_limit: float = 3.0
+    """Steered by torque: largest lateral acceleration [m/s^2]."""
+    gain: float = 1.0
+    """Steered by torque: lateral acceleration reached over what was asked for [1]; controllers are told 1."""
     play_deg: float = 0.0
     """Free play between steering wheel and road wheels, from end to end, at the steering wheel [deg]."""
     friction_deg: float = 0.0
@@ -141,6 +158,9 @@ class Scenario:
     sideslip and up to 20 ms of jitter even without noise."""
     latency: float = 0.0
     """Age of what the controllers see [s], a multiple of 0.05."""
+    told: str = "data sheet"
+    """What controllers are told of the car: the nominal one, as its `data sheet` has it; or the `truth`: tyres,
+    friction and ratio, and the steering's offset and gain."""
     told_delay: float | None = None
     """What controllers that ask are told of the delay, latency included [s]; None: the truth."""
     told_lag: float | None = None
@@ -165,6 +185,8 @@ class Scenario:
             ("reference", REFERENCES),
             ("recovery", RECOVERIES),
             ("sensing", SENSING),
+            ("steering", STEERING),
+            ("told", TOLD),
         ):
             require(getattr(self, name) in valid, where, f"{name} {getattr(self, name)!r}; valid: {', '.join(valid)}")
         dead = self.told_dead_time
@@ -195,10 +217,10 @@ class Scenario:
 
     def _check_parts(self) -> None:
         """Make what can be made at once: each part checks itself."""
-        valid = [*names(), "random-7"]
+        valid = [*names(), "random-7", "sweeping-7"]
         if self._text(self.course) is not None:
             self.path()
-        elif not is_random(self.course):
+        elif drawn_course(self.course) is None:
             known(self.course, valid, "course", also="FILE.csv")
         chosen = self.closed is None or self._text(self.course) is not None
         require(chosen, f"closed = {self.closed}", "only a course from a file is told so")
@@ -301,17 +323,23 @@ class Scenario:
         return math.ceil(self.length / min(self.v_min, _SLOWEST) + _TIME_TO_SPARE)
 
     def belief(self, *, clock: Callable[[], float] | None = None) -> Belief:
-        """What controllers are told: the nominal car, and the steering as it is or as the scenario says.
+        """What controllers are told: the nominal car or the true one, as `told` says, and the steering's delay and lag.
 
         clock: seconds, for the times that predictive controllers show; None: no time is taken.
         """
+        truth = self.told == "truth"
+        torque, gain = self.steering == "torque", self.gain if truth else 1.0
         return Belief(
-            vehicle=self.nominal,
+            vehicle=self.true_vehicle if truth else self.nominal,
             path=self.path(),
             delay=self.told_dead_time,
             lag=self.lag if self.told_lag is None else self.told_lag,
             hold=SteeringActuator.dt,
             rate_limit=radians_of(self.rate_limit_deg),
+            slew=gain * self.slew if torque else None,
+            a_y_limit=gain * self.a_y_limit if torque else None,
+            offset=radians_of(self.offset_deg) if truth else 0.0,
+            gain=gain if torque else 1.0,
             clock=clock,
         )
 
@@ -331,13 +359,14 @@ class Scenario:
         if self.speed == "recorded":
             s, v = recorded_speed(self.course)
             return SpeedProfile.from_samples(s, np.clip(v, self.v_min, self.v_max), spacing=2.0)
-        return CarefulHuman(path=self.path(), human=Human(v_min=self.v_min, v_max=self.v_max, seed=seed))
+        human = Human(v_min=self.v_min, v_max=self.v_max, seed=seed)
+        return CarefulHuman(path=self.path(), human=human, a_y_max=self.a_y_human)
 
     def link(self, seed: int = 0) -> Block | None:
         """The way of a command to the motor; None if it is perfect. `seed` is that of its delays."""
         return link_of(self, seed)
 
-    def actuator(self) -> SteeringActuator:
+    def actuator(self) -> Block:
         """The motor at the steering wheel."""
         return actuator_of(self)
 

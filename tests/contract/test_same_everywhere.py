@@ -21,8 +21,10 @@ from steerkit import native
 from steerkit.assembly import placed, steering_loop
 from steerkit.block import Block
 from steerkit.compiled import compile
+from steerkit.controllers.delay import delayed_stanley
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.stanley import Stanley
+from steerkit.controllers.trimmed import Trimmed
 from steerkit.courses import course, figure_eight
 from steerkit.doe import Integrator, LowPass
 from steerkit.export.c import export_c
@@ -36,6 +38,7 @@ from steerkit.plants.sensors import Sensors
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.plants.steering_column import SteeringColumn
 from steerkit.plants.steering_link import SteeringLink
+from steerkit.plants.torque_steering import TorqueSteering
 from steerkit.simulation import Log, simulate
 from steerkit.vehicles import vehicle
 
@@ -116,6 +119,20 @@ def worn_steering_and_poor_sensors(seed: int, rng: np.random.Generator) -> Loop:
     )
 
 
+def steered_by_torque(seed: int, rng: np.random.Generator) -> Loop:
+    stanley = delayed_stanley(CAR, delay=0.3, lag=0.0, slew=5.0, a_y_limit=3.0)
+    motor = TorqueSteering.of(CAR, delay=0.3, gain=rng.uniform(0.8, 1.2))
+    return steering_loop(
+        car=placed(NonlinearSingleTrack(vehicle=CAR, v0=5.0), PAPER, s=rng.uniform(0.0, PAPER.length), e=0.5),
+        path=PAPER,
+        human=Human(seed=seed),
+        controller=Trimmed(block=stanley, offset=0.02, gain=1.1),
+        link=SteeringLink(quantum=0.01),
+        actuator=motor,
+        column=SteeringColumn(play=0.03),
+    )
+
+
 LOOPS: list[Callable[[int, np.random.Generator], Loop]] = [
     linear_at_constant_speed,
     linear_with_a_human,
@@ -123,6 +140,7 @@ LOOPS: list[Callable[[int, np.random.Generator], Loop]] = [
     nonlinear_with_a_profile,
     learner_with_recovery,
     worn_steering_and_poor_sensors,
+    steered_by_torque,
 ]
 
 

@@ -21,6 +21,7 @@ from steerkit.controllers.pure_pursuit import PurePursuit
 from steerkit.controllers.stanley import Stanley
 from steerkit.controllers.supervisor import Guarded, Supervisor, SupervisorState
 from steerkit.controllers.target_shift import TargetShift
+from steerkit.controllers.trimmed import Trimmed
 from steerkit.doe import Corrected, Integrator, LowPass, PlainAngle
 from steerkit.gym.task import Agent
 from steerkit.learning.exploration import Exploring
@@ -38,6 +39,7 @@ from steerkit.plants.sensors import Sensors
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.plants.steering_column import SteeringColumn
 from steerkit.plants.steering_link import SteeringLink
+from steerkit.plants.torque_steering import TorqueSteering
 from steerkit.tracker import PathTracker
 from steerkit.units import radians_of
 from steerkit.vehicles import vehicle
@@ -101,6 +103,10 @@ EXAMPLES = [
     Example(delayed_stanley(PASSAT, delay=0.13, lag=0.1)),
     Example(Predicted(block=Stanley.of(PASSAT), delay=0.0, lag=0.0)),
     Example(Lqr.of(PASSAT, LinearSingleTrack(vehicle=PASSAT).matrices, delay=0.2, preview_points=5, v_step=3.0)),
+    Example(dataclasses.replace(Stanley.of(PASSAT), slew=5.0, a_y_limit=3.0)),
+    Example(delayed_stanley(PASSAT, delay=0.13, lag=0.1, slew=20.0, a_y_limit=3.0)),
+    Example(Lqr.of(PASSAT, LinearSingleTrack(vehicle=PASSAT).matrices, preview_points=5, v_step=3.0, slew=5.0)),
+    Example(Trimmed(block=Stanley.of(PASSAT), offset=0.05, gain=1.1)),
     Example(PurePursuit.of(PASSAT, OVAL)),
     Example(FromControl(system=control.ss([[0.5, 0.1], [0.0, 0.9]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.3]], 0.05))),
     Example(FromControl(system=control.nlsys(_pendulum, None, states=2, inputs=1, outputs=2), units={"u_0": "rad"})),
@@ -127,6 +133,8 @@ EXAMPLES = [
     Example(Pushed(block=LinearSingleTrack(vehicle=PASSAT, v0=5.0), bank=0.2), single=_seeded),
     Example(SteeringActuator(lag=0.1)),
     Example(SteeringActuator(lag=0.0, delay=0.03, gain=1.05, offset=0.02)),
+    Example(TorqueSteering(delay=0.03)),
+    Example(TorqueSteering.of(PASSAT, delay=0.02, lag=0.1, slew=50.0, gain=1.2, offset=0.02)),
     Example(SteeringColumn()),
     Example(SteeringColumn(friction=0.03, play=0.05)),
     Example(SteeringLink()),

@@ -111,6 +111,8 @@ class PredictiveSteering(Block):
     """Largest |command| [rad]."""
     rate_limit: float = radians_of(500.0)
     """Largest rate of the command [rad/s]."""
+    slew: float | None = None
+    """Fastest change of the lateral acceleration of a car steered by torque [m/s^3]: bounds the rate; None: none."""
     e_limit: float = TRIP
     """|e| [m] that costs extra beyond."""
     a_y_limit: float = 2.8
@@ -304,7 +306,7 @@ class PredictiveSteering(Block):
 
     def _command(self, state: X, u: Any, fault: float, plan: tuple[float, ...]) -> tuple[float, float]:
         """The command and where it came from."""
-        last, step = state.commands[-1], self.rate_limit * self.dt
+        last, step = state.commands[-1], self._fastest(u.v) * self.dt
         if fault == STANDING:
             return last, HELD
         if fault == NO_FAULT or state.age < self.patience:
@@ -366,10 +368,19 @@ class PredictiveSteering(Block):
         d["a"][at["rows"][:, 1]] = row
         d["lba"][at["limit"][:, 1]] = np.minimum(-self.a_y_limit, path - self.a_y_room) - offset
         d["uba"][at["limit"][:, 1]] = np.maximum(self.a_y_limit, path + self.a_y_room) - offset
+        if self.slew is not None:
+            d["ubx"][self.qp.at_u] = self._fastest(v)
+            d["lbx"][self.qp.at_u] = -self._fastest(v)
         d["h"][at["p"]] = terminal
         d["g"][at["x"][:-1]] = self._minus_q * goal[1:-1]
         d["g"][at["x"][-1]] = -terminal @ goal[-1]
         return self.qp.solve()
+
+    def _fastest(self, v: float) -> float:
+        """How fast a command may change [rad/s]; a car steered by torque is slow where little wheel does much."""
+        if self.slew is None or not math.isfinite(v):
+            return self.rate_limit
+        return min(self.rate_limit, self.slew * self.model.per_a_y(v))
 
     @cached_property
     def _soft(self) -> Any:

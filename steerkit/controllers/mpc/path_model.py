@@ -276,6 +276,11 @@ class PathModel:
         psi_e, sway, r, wheel, pace = np.moveaxis(np.concatenate((right, left), axis=1), 2, 0)
         return np.stack((0.0 * psi_e, psi_e, sway, r, wheel, wheel, pace), axis=2)
 
+    def per_a_y(self, v: float) -> float:
+        """Steering-wheel angle a unit of lateral acceleration in steady wide bends at speed v [rad s^2/m]."""
+        v = min(max(v, V_LOW), V_HIGH)
+        return float(self.steady(v, np.array([KAPPA_STEP]))[0, 4] / (KAPPA_STEP * v * v))
+
     def steady(self, v: float, kappa: Array) -> Array:
         """(n, 7): the six states that hold curvatures kappa (n,) [1/m] at speed v for ever, e = 0; and s'/v."""
         i, t = self._place(v)

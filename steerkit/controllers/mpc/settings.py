@@ -41,6 +41,7 @@ def check(block: PredictiveSteering) -> None:
         require(0.0 <= value < 1e6, where, f"{name} = {value}, expected >= 0 and finite")
     require(block.delay <= 2.0, where, f"delay = {block.delay} [s], expected at most 2 s")
     require(-5.0 <= block.reference <= 5.0, where, f"reference = {block.reference} [m], expected -5 to 5")
+    require(block.slew is None or block.slew > 0.0, where, f"slew = {block.slew} [m/s^3], expected > 0, or None")
     if block.budget is not None:
         require(block.budget > 0.0, where, f"budget = {block.budget} [s], expected > 0, or None for no limit")
         require(block.clock is not None, where, f"budget = {block.budget} [s] needs a clock")

@@ -191,6 +191,48 @@ def test_a_delayed_car_is_steered_as_if_it_were_not() -> None:
     assert low[1][1] < 0.01
 
 
+@pytest.mark.parametrize("a_y", [0.7, -2.9])
+def test_a_slow_wheel_is_carried_on_until_it_is_straight(a_y: float) -> None:
+    """On a straight the wanted yaw rate falls to 0 by s = slew/v a second, and the car's follows with the lag tau."""
+    v, slew, tau = 15.0, 5.0, 0.15
+    bare = dict(wheelbase=2.7, understeer=0.0, reference=-1.5, l_r=1.5, rear_slip=0.0, yaw_time=tau / v)
+    block = around(0.1, 0.0, slew=slew, preview_points=40, **bare)
+    wheel = block.steer_ratio * math.atan(2.7 * a_y / v**2)
+    u = dict(v=v, r=a_y / v, delta_sw_meas=wheel, preview=(0.0,) * 40)
+    found, still = (ahead(one, (wheel, wheel), **u) for one in (block, replace(block, slew=None)))
+    lasts, s = abs(a_y) / slew, math.copysign(slew / v, a_y)
+    faded = 1.0 - math.exp(-lasts / tau)
+    psi = a_y / v * lasts - s * lasts**2 / 2.0 + s * tau * (lasts - tau * faded)
+    side = a_y / v * lasts**2 / 2.0 - s * lasts**3 / 6.0 + s * tau * (lasts**2 / 2.0 - tau * lasts + tau**2 * faded)
+    assert found["delta_sw_meas"] == pytest.approx(0.0, abs=1e-9)
+    assert found["r"] == pytest.approx(s * tau * faded, rel=0.02)
+    assert found["psi_e"] - still["psi_e"] == pytest.approx(psi, rel=0.02)
+    assert found["e"] - still["e"] == pytest.approx(v * (side + still["psi_e"] * lasts), rel=0.02)
+
+
+def test_a_slow_wheel_at_the_paths_angle_costs_no_time() -> None:
+    v, kappa = 15.0, 0.01
+    block = around(0.1, 0.05, slew=5.0, a_y_limit=3.0, preview_points=40)
+    wheel = block.steer_ratio * math.atan((block.wheelbase + block.understeer * v * v) * kappa)
+    u = dict(e=0.1, psi_e=0.02, v=v, r=v * kappa, delta_sw_meas=wheel, preview=(kappa,) * 40)
+    slow, quick = (ahead(one, (wheel,) * 2, **u) for one in (block, replace(block, slew=None)))
+    assert slow == pytest.approx(quick, abs=1e-9)
+
+
+def test_a_steering_with_another_gain_is_predicted_as_it_is() -> None:
+    """A wheel that stays 25 % beyond what was commanded is taken to stay there: the model learns by how much."""
+    block, command = around(0.1, 0.0, slew=5.0, preview_points=40), 0.2
+    u = AT_REST | {"v": 12.0, "delta_sw_meas": 1.25 * command, "preview": (0.0,) * 40}
+    x: Any = block.settle(0.0, block.init(), block.D(**u))
+    for _ in range(100):
+        x = block.update(0.0, x, block.U(**u), block.Y(command))
+    n = len(block.block.init())
+    assert x[n + 2 : n + 4] == pytest.approx((command, 0.25 * command), rel=1e-3)
+    assert len(x) == n + 4 + 2
+    quick = replace(block, slew=None)
+    assert len(quick.init()) == n + 1 + 2
+
+
 def test_broken_commands_and_signals_pass() -> None:
     block = delayed_stanley(PASSAT, delay=0.2, lag=0.1)
     u = block.U(preview=(0.0,) * block.preview_points, **AT_REST)

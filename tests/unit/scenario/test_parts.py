@@ -11,11 +11,14 @@ from steerkit.plants.poor_sensors import PoorSensors
 from steerkit.plants.sensors import Sensors
 from steerkit.plants.steering_column import SteeringColumn
 from steerkit.plants.steering_link import SteeringLink
+from steerkit.plants.torque_steering import TorqueSteering
 from steerkit.scenario import Scenario
 from steerkit.scenario.drive import assembled, controller, drive
+from steerkit.scenario.parts import drawn_course
 from steerkit.units import degrees_of, radians_of
 
 PLAIN = Scenario()
+STANLEY = controller("stanley", PLAIN)
 
 
 def test_what_is_not_there_is_left_out() -> None:
@@ -74,3 +77,47 @@ def test_a_car_with_all_of_it_is_driven_worse_but_driven() -> None:
     rms, best = (float(np.sqrt(np.mean(e["path.e"] ** 2))) for e in (log, clean))
     assert best < rms < 0.2
     assert float(abs(log["path.e"]).max()) < 0.5
+
+
+def test_what_is_told_of_the_car() -> None:
+    wrong = Scenario(tyres=0.7, ratio=1.2, friction=0.8, offset_deg=2.0, gain=0.8)
+    told = wrong.belief()
+    assert (told.vehicle, told.offset, told.gain) == (wrong.nominal, 0.0, 1.0)
+    truth = replace(wrong, told="truth").belief()
+    assert (truth.vehicle, truth.offset, truth.gain) == (wrong.true_vehicle, radians_of(2.0), 1.0)
+    assert (truth.delay, truth.lag, truth.slew, truth.a_y_limit) == (told.delay, told.lag, None, None)
+    with pytest.raises(ValueError, match="told 'all'; valid: data sheet, truth"):
+        Scenario(told="all")
+
+
+def test_steering_by_torque() -> None:
+    """The gain acts on what is asked for, so who is told of it knows that slew and limit come out of it too."""
+    scenario = Scenario(steering="torque", delay=0.35, lag=0.0, gain=0.8, offset_deg=1.0, slew=4.0, a_y_limit=2.5)
+    motor = scenario.actuator()
+    assert isinstance(motor, TorqueSteering)
+    assert (motor.delay, motor.lag, motor.slew, motor.a_y_limit, motor.gain) == (0.35, 0.0, 4.0, 2.5, 0.8)
+    assert (motor.steer_ratio, motor.offset) == (scenario.nominal.steer_ratio, radians_of(1.0))
+    told, truth = scenario.belief(), replace(scenario, told="truth").belief()
+    assert (told.slew, told.a_y_limit, told.gain) == (4.0, 2.5, 1.0)
+    assert (truth.slew, truth.a_y_limit, truth.gain) == (pytest.approx(3.2), 2.0, 0.8)
+    loop = assembled(scenario, controller("stanley-delay", scenario))
+    assert loop.inputs_of("actuator") == {"delta_sw_cmd": "controller.delta_sw", "v": "car.v"}
+    with pytest.raises(ValueError, match="steering 'hands'; valid: angle, torque"):
+        Scenario(steering="hands")
+
+
+def test_sweeping_courses_have_bends_of_100_m_and_more() -> None:
+    path = Scenario(course="sweeping-7").path()
+    assert abs(path.samples.kappa).max() == pytest.approx(0.01, rel=0.05)
+    assert abs(path.samples.kappa).max() < 0.01
+    assert path.length == pytest.approx(2000.0)
+    assert path.name == "sweeping-7"
+    assert drawn_course("random-7") == (7, 500.0, 0.1)
+    assert drawn_course("sweeping-x") is None
+    with pytest.raises(ValueError, match="random-7, sweeping-7, FILE"):
+        Scenario(course="swooping-7")
+
+
+def test_a_human_slows_down_as_told() -> None:
+    log = drive(Scenario(course="circle", v_min=20.0, v_max=20.0, a_y_human=1.5, rounds=0.1), STANLEY)
+    assert log["human.v"] == pytest.approx(np.full(len(log.t), np.sqrt(1.5 * 30.0)), rel=0.01)

@@ -33,6 +33,7 @@ KEYS = {
         *("batch_linear_x", "steps_per_second", "base", "against", "largest_difference_m", "seconds_a_step_in_c"),
         *("first_call_seconds", "scaling"),
     },
+    "torque_steering": {"stanley-delay"},
     "tune_stanley": {"predicted", "plain"},
 }
 """What each prints, at least."""
@@ -108,6 +109,7 @@ SENSIBLE = {
     "nfq_iteration": lambda f: f["equal_work"] or pytest.fail(f),
     "recovery_map": lambda f: f["stanley-delay"][1]["recovered"] == 1.0 or pytest.fail(f),
     "throughput": sensible_throughput,
+    "torque_steering": lambda f: f["stanley-delay"][0]["held"] or pytest.fail(f),
     "tune_stanley": lambda f: 0.0 < f["predicted"]["chosen"]["rms_e_m"] < 0.1 or pytest.fail(f),
 }
 

@@ -1,0 +1,53 @@
+"""A controller that is told what the steering makes of its commands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from steerkit.block import Block, In, Out, Port, State
+from steerkit.errors import require
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Trimmed(Block):
+    """Wraps a controller so that it need not know of an offset or a gain of the steering, for comparing what is told.
+
+    delta_sw = (delta_sw of `block` - offset)/gain, what a steering that turns the wheel to gain*command + offset has
+    to be told. Ports, units, state and sample time are those of `block`, which goes on from its own angle. A measured
+    angle is that of the wheel, offset and gain included, and reaches it as it is.
+
+    Raises ValueError for a gain that is not positive and for a block without an output delta_sw.
+    """
+
+    block: Block
+    """The controller."""
+    offset: float = 0.0
+    """Offset of the angle reached [rad]."""
+    gain: float = 1.0
+    """Angle reached over angle commanded [1]."""
+
+    def __post_init__(self) -> None:
+        require(self.gain > 0.0, "Trimmed", f"gain = {self.gain} [1], expected > 0")
+        gives = [port.name for port in self.block.outputs]
+        require("delta_sw" in gives, "Trimmed", f"block with outputs {gives}, expected delta_sw among them")
+        for name in ("inputs", "outputs", "U", "D", "Y", "dt", "pure"):  # those of the block inside, on this object
+            object.__setattr__(self, name, getattr(self.block, name))
+        ports: tuple[In | Out, ...] = (*self.block.inputs, *self.block.outputs)
+        for spec in ports:
+            object.__setattr__(self, spec.name, Port(self, spec))
+            if isinstance(spec.size, str):
+                object.__setattr__(self, spec.size, getattr(self.block, spec.size))
+
+    def init(self, batch: tuple[int, ...] = ()) -> State:
+        return self.block.init(batch)
+
+    def settle(self, t: float, x: State, u: Any) -> State:
+        return self.block.settle(t, x, u)
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        y = self.block.output(t, x, u)
+        return y._replace(delta_sw=(y.delta_sw - self.offset) / self.gain)
+
+    def update(self, t: Any, x: Any, u: Any, y: Any) -> State:
+        return self.block.update(t, x, u, y._replace(delta_sw=self.gain * y.delta_sw + self.offset))
