@@ -120,8 +120,8 @@ def worn_steering_and_poor_sensors(seed: int, rng: np.random.Generator) -> Loop:
 
 
 def steered_by_torque(seed: int, rng: np.random.Generator) -> Loop:
-    stanley = delayed_stanley(CAR, delay=0.3, lag=0.0, slew=5.0, a_y_limit=3.0)
-    motor = TorqueSteering.of(CAR, delay=0.3, gain=rng.uniform(0.8, 1.2))
+    stanley = delayed_stanley(CAR, delay=0.1, lag=0.0, slew=5.0, a_y_limit=3.0)
+    motor = TorqueSteering.of(CAR, delay=0.1, gain=rng.uniform(0.8, 1.2))
     return steering_loop(
         car=placed(NonlinearSingleTrack(vehicle=CAR, v0=5.0), PAPER, s=rng.uniform(0.0, PAPER.length), e=0.5),
         path=PAPER,
