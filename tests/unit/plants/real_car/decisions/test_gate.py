@@ -135,3 +135,15 @@ def test_the_centre_of_gravity_is_not_swung_beyond_the_limit(goal: float, start:
         growth = (kappa(last) - kappa(before)) / 0.02
         if abs(kappa(last)) > abs(kappa(before)) and kappa(last) * growth > 0.0:
             assert abs(v * v * kappa(last) + v * LIMITS.arm * growth) <= LIMITS.a_y_max + slack
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_what_changed_a_command_is_named_to_both_sides(side: float) -> None:
+    assert "delta_sw limit" in gate(LIMITS, side * 9.5, side * 9.0, (0.5,), 0.02).why
+    assert "a_y limit" in gate(LIMITS, side * 8.0, 0.0, (5.0,), 0.02).why
+    assert gate(LIMITS, side * 0.05, side * 0.05, (5.0,), 0.02).why == ""
+
+
+def test_a_road_wheel_turns_by_less_than_a_quarter_of_a_circle() -> None:
+    with pytest.raises(ValueError, match=r"expected delta_sw_max/steer_ratio < 1\.4 rad"):
+        GateLimits(delta_sw_max=22.0, steer_ratio=15.6)

@@ -130,3 +130,11 @@ def test_a_drift_is_noticed_as_soon_whenever_it_begins() -> None:
     """Windows overlap and never start anew, not even when the oldest sample is dropped."""
     took = [drive(9.0, drift=(0.0, 0.2), since=since)[0] - since for since in (0.0, 1.0, 3.0, 3.5, 4.5)]
     assert max(took) <= min(took) + 0.1
+
+
+def test_a_position_may_come_a_tenth_of_a_second_before_the_speed_of_its_moment() -> None:
+    motion, v = Motion(LIMITS, wheelbase=LENGTH, steer_ratio=RATIO), 12.0
+    for k in range(100):
+        motion.moves(k * DT, psi=0.0, v=v, r=0.0, beta=0.0, delta_sw=0.0)
+        assert motion.pose(k * DT, v * k * DT, 0.0) == ""
+    assert motion.pose(1.09, v * 1.09, 0.0) == ""
