@@ -214,7 +214,7 @@ def test_a_slow_wheel_at_the_paths_angle_costs_no_time() -> None:
     v, kappa = 15.0, 0.01
     block = around(0.1, 0.05, slew=5.0, a_y_limit=3.0, preview_points=40)
     wheel = block.steer_ratio * math.atan((block.wheelbase + block.understeer * v * v) * kappa)
-    u = dict(e=0.1, psi_e=0.02, v=v, r=v * kappa, delta_sw_meas=wheel, preview=(kappa,) * 40)
+    u = dict(e=0.1, psi_e=0.02, v=v, r=v * kappa, delta_sw_meas=wheel, preview=(*(kappa,) * 6, *(0.0,) * 34))
     slow, quick = (ahead(one, (wheel,) * 2, **u) for one in (block, replace(block, slew=None)))
     assert slow == pytest.approx(quick, abs=1e-9)
 

@@ -29,14 +29,16 @@ def accelerations(block: TorqueSteering, angles: np.ndarray, v: float) -> np.nda
     return np.tan(angles / block.steer_ratio) / per_a
 
 
-@pytest.mark.parametrize("v", [8.0, 16.0, 25.0])
-def test_a_step_is_answered_after_the_dead_time_with_the_slew_up_to_the_limit_times_the_gain(v: float) -> None:
+@pytest.mark.parametrize(("v", "side"), [(8.0, 1.0), (16.0, -1.0), (25.0, 1.0)])
+def test_a_step_is_answered_after_the_dead_time_with_the_slew_up_to_the_limit_times_the_gain(
+    v: float, side: float
+) -> None:
     block = TorqueSteering.of(VW_PASSAT, gain=0.8)
-    ys, x = run(block, [(wheel_of(9.0, v), v)] * 150)
+    ys, x = run(block, [(wheel_of(9.0 * side, v), v)] * 150)
     t = block.dt * np.arange(150)
     ramp = np.clip(5.0 * (t - 0.35), 0.0, 3.0)
     found = accelerations(block, np.array([y.delta_sw for y in ys]), v)
-    assert found == pytest.approx(0.8 * ramp, abs=1e-9)
+    assert found == pytest.approx(0.8 * side * ramp, abs=1e-9)
     assert len(x) == 3 + 35
 
 
