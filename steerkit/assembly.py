@@ -216,7 +216,7 @@ class _Bench:
         """Wires a controller's inputs by name, through a tracker at its own reference point if it asks for one."""
         asks: Any = bare(block)
         reference = asks.reference if "reference" in _fields(asks) else tracker.reference
-        points = asks.preview_points if "preview_points" in _fields(asks) else 0
+        points = getattr(asks, "preview_points", 0)
         if reference != tracker.reference or points:
             role = next(name for name, b in self.blocks.items() if b is block)
             preview = {"preview_points": points, "preview_dt": asks.preview_dt} if points else {}

@@ -12,11 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from steerkit import maths as m
-from steerkit.block import State
+from steerkit.block import In, State
+from steerkit.controllers import forecast as ahead
+from steerkit.controllers.forecast import Forecast
 from steerkit.controllers.policy import ACTION, COLUMNS, LARGEST_POLICY, Policy
 from steerkit.errors import require
 from steerkit.files import read_arrays, write_arrays
-from steerkit.task import STOP
+from steerkit.task import DT, STOP
 from steerkit.units import radians_of
 
 Combine = Literal["mean", "max", "disagreement"]
@@ -28,6 +30,8 @@ COMBINATIONS: dict[str, str] = {
 """How the values of an ensemble's nets become one."""
 Net = tuple[NDArray[Any], ...]
 """An all-sigmoid net as plain arrays: W [n_out, n_in] and b [n_out] of each layer in turn; the last has one unit."""
+
+_INPUTS = len(COLUMNS)
 
 IDOE_ACTIONS = tuple(radians_of(a) for a in (0.0, -10.0, 10.0, -60.0, 60.0))
 """Steps of the steering wheel [rad] that an integrating dynamic output element takes (the paper's I-DOE set)."""
@@ -101,13 +105,20 @@ class NfqPolicy(Policy):
         action = argmin_a q(s, a),   q = mean (or max, or mean + standard deviation) over the nets of Q(s, a),
         Q: each layer y = sigmoid(W y + b), sigmoid(z) = (1 + tanh(z/2)) / 2, fed with the scaled (s, a)
 
+    `continuous`: any action between those of the set, the lowest point of the parabola through the best one's value and
+    its neighbours'. `forecast`: the state s is not the one that is seen but the one in which the command will act.
+
     Inputs: e [m], e_dot [m/s], v [m/s], psi_e [rad], r_e [rad/s], doe [rad] (the dynamic output element's angle),
-    all direct. Outputs: action [rad], q [1] in (0, 1), ready [1] (1.0 once t >= ready_from with a net, else 0.0).
+    preview [1/m] (of `preview_points`, none without a forecast), all direct. Outputs: action [rad], q [1] in (0, 1),
+    ready [1] (1.0 once t >= ready_from with a net, else 0.0).
     Without a net, action and q are 0.0. Equal values: the smallest |action| wins, then the first given. A NaN or an
-    infinity among the inputs makes action and q NaN, so that a supervisor sees the fault. No state.
+    infinity among the inputs makes action and q NaN, so that a supervisor sees the fault. State: what a forecast
+    remembers; none without `preview_points`.
     Raises ValueError for an unknown `combine`, an empty or non-finite action set, nets of unlike or wrong layout, or
     non-finite weights. Source: Riedmiller 2005 (Neural Fitted Q Iteration), eq. for the greedy policy.
     """
+
+    preview = In("1/m", size="preview_points")
 
     nets: tuple[Net, ...] | None = ()
     """The ensemble; empty: nothing learned yet."""
@@ -119,9 +130,17 @@ class NfqPolicy(Policy):
     """How the nets' values become one: see `COMBINATIONS`."""
     ready_from: float = 0.0
     """Time from which a net counts as there [s]."""
+    continuous: bool = False
+    """Take actions between those of the set too?"""
+    preview_points: int = 0
+    """`forecast.PREVIEW` for a policy that has a forecast, or may get one while it drives; else 0."""
+    preview_dt: float = DT
+    """Time between two curvatures of the preview [s]."""
+    forecast: Forecast | None = None
+    """The car's dead time and how it answers the wheel; None: commands act at once."""
     weights: tuple[Any, ...] = ()
-    """All weights of `nets` as one flat tuple, which then gives their layout only: `with_weights` makes it, for a
-    compiled loop that leaves them open (a batch of cars with a policy each)."""
+    """All weights of `nets`, then the forecast's numbers, as one flat tuple; `nets` and `forecast` then say only how
+    many: `with_weights` makes it, for a compiled loop that leaves them open (a batch of cars with a policy each)."""
 
     def __post_init__(self) -> None:
         where = "NfqPolicy"
@@ -140,24 +159,28 @@ class NfqPolicy(Policy):
             check_net(net, n + 1, where)
             same = [p.shape for p in net] == [p.shape for p in self.nets[0]]  # type: ignore[index]
             require(same, where, "nets of different layouts, expected one layout for the whole ensemble")
-        n_weights = sum(np.size(p) for net in self.nets or () for p in net)
+        n_weights = len(self.flat_weights())
         fits = len(self.weights) in (0, n_weights)
-        require(fits, where, f"weights holds {len(self.weights)} numbers, expected {n_weights}, those of nets")
+        require(fits, where, f"weights holds {len(self.weights)} numbers, expected {n_weights}: of nets and forecast")
+        points = f"preview_points = {self.preview_points}; valid: 0, or {ahead.PREVIEW}, which a forecast needs"
+        valid = self.preview_points == ahead.PREVIEW or (self.preview_points == 0 and self.forecast is None)
+        require(valid, where, points)
 
     def with_weights(self) -> NfqPolicy:
         """The same policy with its weights in the field `weights`, for `compile(parameters=["....weights"])`."""
         return dataclasses.replace(self, weights=self.flat_weights())
 
     def flat_weights(self) -> tuple[float, ...]:
-        """All weights, in the order that `weights` wants."""
-        return tuple(float(w) for net in self.nets or () for p in net for w in p.ravel())
+        """All weights and the forecast's numbers, in the order that `weights` wants."""
+        weights = tuple(float(w) for net in self.nets or () for p in net for w in p.ravel())
+        return weights + tuple(map(float, self.forecast.numbers if self.forecast else ()))
 
     def _parameters(self) -> list[list[NDArray[Any]]]:
         """W, b, W, b, ... of each net, from `weights` (numbers or symbols) where they are given."""
         nets = [[np.asarray(p, dtype=np.float64) for p in net] for net in self.nets or ()]
         if not self.weights:
             return nets
-        rest = iter(self.weights)
+        rest = iter(self.weights)  # the forecast's numbers are left over
         kind = object if any(map(m.is_symbol, self.weights)) else np.float64
         return [[np.array([next(rest) for _ in range(p.size)], dtype=kind).reshape(p.shape) for p in n] for n in nets]
 
@@ -186,26 +209,64 @@ class NfqPolicy(Policy):
             layers.append((0.25 * w, d[:, None]))
         return of_state, of_action, layers
 
+    def init(self, batch: tuple[int, ...] = ()) -> State:
+        return ahead.nothing(batch) if self.preview_points else ()
+
+    def settle(self, t: float, x: State, u: Any) -> State:
+        return ahead.at_first(u) if self.preview_points else ()
+
+    def update(self, t: Any, x: State, u: Any, y: Any) -> State:
+        return self._forecast.remember(x, u) if self.preview_points else ()
+
     def output(self, t: Any, x: State, u: Any) -> Any:
         """The greedy action, its value, and whether to be trusted with the wheel."""
+        s: tuple[Any, ...] = tuple(u[:_INPUTS])
         if not self.nets:
-            nothing = np.zeros(np.broadcast(*u).shape) if any(isinstance(value, np.ndarray) for value in u) else 0.0
+            nothing = np.zeros(np.broadcast(*s).shape) if any(isinstance(value, np.ndarray) for value in s) else 0.0
             return self.Y(action=nothing, q=nothing, ready=nothing)
+        if self.forecast is not None:
+            s = self._forecast.ahead(x, u)
         ready, nan = m.where(t >= self.ready_from, 1.0, 0.0), float("nan")
-        sound = m.is_finite(u.e + u.e_dot + u.v + u.psi_e + u.r_e + u.doe)  # tanh would hide an infinity
-        if all(value.__class__ is float for value in u):
-            column = self._values(np.array(u if sound else [nan] * len(u))[:, None]).tolist()
+        sound = m.is_finite(s[0] + s[1] + s[2] + s[3] + s[4] + s[5])  # tanh would hide an infinity
+        if all(value.__class__ is float for value in s):
+            column = self._values(np.array(s if sound else [nan] * len(s))[:, None]).tolist()
             q = min(column)
             action = self._order[column.index(q)]
-        elif any(map(m.is_symbol, u)):
-            action, q = self._symbolic(u)
+            if self.continuous:
+                action = self._between(column, action)
+        elif any(map(m.is_symbol, (*s, *self.weights))):
+            action, q = self._symbolic(s)
             q = m.where(sound, q, nan)
         else:
-            s = np.where(sound, np.array(np.broadcast_arrays(*u), dtype=float), nan)
-            values = self._values(s.reshape(len(u), -1)).reshape(-1, *s.shape[1:])
+            states = np.where(sound, np.array(np.broadcast_arrays(*s), dtype=float), nan)
+            values = self._values(states.reshape(len(s), -1)).reshape(-1, *states.shape[1:])
             action, q = np.array(self._order)[values.argmin(axis=0)], values.min(axis=0)
-            ready = ready + np.zeros(s.shape[1:])
+            if self.continuous:
+                action = self._between(list(values), action)
+            ready = ready + np.zeros(states.shape[1:])
         return self.Y(action=m.where(sound, action, nan), q=q, ready=ready)
+
+    @functools.cached_property
+    def _forecast(self) -> Forecast:
+        """The forecast, with its numbers from `weights` where they are given; without one: of a car that stands."""
+        plain = self.forecast or Forecast()
+        n = len(plain.numbers)
+        return plain.with_numbers(self.weights[-n:]) if self.forecast and self.weights else plain
+
+    def _between(self, values: list[Any], best: Any) -> Any:
+        """The lowest point of the parabola through the best action's value and those beside it; `values` by `_order`.
+
+        a = a1 + ((a2 - a1)^2 (q0 - q1) - (a1 - a0)^2 (q2 - q1)) / (2 ((a2 - a1)(q0 - q1) + (a1 - a0)(q2 - q1)))
+        """
+        rising = sorted(range(len(values)), key=self._order.__getitem__)
+        for left, middle, right in zip(rising, rising[1:], rising[2:]):
+            a1 = self._order[middle]
+            below, above = a1 - self._order[left], self._order[right] - a1
+            rise, other = values[left] - values[middle], values[right] - values[middle]  # >= 0 beside the best one
+            curved = above * rise + below * other
+            step = 0.5 * (above**2 * rise - below**2 * other) / m.where(curved > 0.0, curved, 1.0)
+            best = m.where(m.both(best == a1, curved > 0.0), a1 + step, best)  # at most half way to the next
+        return best
 
     def _values(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
         """q of every action for the states (columns, N), as (A * N,)."""
@@ -221,17 +282,19 @@ class NfqPolicy(Policy):
         z = [_dot(row, u) for row in of_state.tolist()]
         best: Any = None
         action: Any = self._order[0]
+        values = []
         for candidate, offsets in zip(self._order, of_action.T.tolist(), strict=True):
             h = [m.tanh(a + b) for a, b in zip(z, offsets, strict=True)]
             for w, d in layers:
                 h = [m.tanh(_dot(row, h) + c) for row, (c,) in zip(w.tolist(), d.tolist(), strict=True)]
             q = 0.5 + 0.5 * _combined_symbols(h, self.combine)
+            values.append(q)
             if best is None:
                 best = q
                 continue
             better = q < best
             best, action = m.where(better, q, best), m.where(better, candidate, action)
-        return action, best
+        return (self._between(values, action) if self.continuous else action), best
 
     def save(self, path: str | os.PathLike[str], *, durable: bool = True) -> None:
         """Write the policy to one small file (NumPy .npz, no pickle) that `load` gives back bit for bit.
@@ -254,6 +317,13 @@ class NfqPolicy(Policy):
                 "goal": d.goal,
                 "action_scale": d.action_scale or 0.0,
                 "nets": len(self.nets or ()),
+                **({"continuous": True} if self.continuous else {}),
+                **(
+                    {"preview_points": self.preview_points, "preview_dt": self.preview_dt}
+                    if self.preview_points
+                    else {}
+                ),
+                **({"dead_samples": kept.samples, "forecast": kept.numbers} if (kept := self.forecast) else {}),
                 **{f"net{k}_{i}": p for k, net in enumerate(self.nets or ()) for i, p in enumerate(net)},
             },
             durable=durable,
@@ -273,9 +343,22 @@ class NfqPolicy(Policy):
                 combine=str(f["combine"]),  # type: ignore[arg-type]
                 ready_from=float(f["ready_from"]),
                 dt=float(f["dt"]),
+                continuous=bool(f.get("continuous", False)),
+                preview_points=int(f.get("preview_points", 0)),
+                preview_dt=float(f.get("preview_dt", DT)),
+                forecast=_forecast_in(f),
             )
         except (ValueError, TypeError, KeyError) as why:
             raise ValueError(f"{path}: the policy in it does not hold together: {why}") from why
+
+
+def _forecast_in(f: Any) -> Forecast | None:
+    """The forecast of a policy's file, if it holds one."""
+    if "dead_samples" not in f:
+        return None
+    numbers = f["forecast"].tolist()
+    require(bool(np.isfinite(numbers).all()), "forecast", "its numbers hold a NaN or an infinity")
+    return Forecast(samples=int(f["dead_samples"]), dt=float(f["dt"])).with_numbers(numbers)
 
 
 def check_net(net: Net, n_in: int, where: str) -> None:

@@ -18,7 +18,7 @@ from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.exploration import Exploring
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.settings import Setting
-from steerkit.learning.story import Story, untrained
+from steerkit.learning.story import Story, state_signals, untrained
 from steerkit.learning.trainer import SimulatedTrainer, Training
 from steerkit.loop import LoopState
 from steerkit.scenario import END_MARGIN, Scenario
@@ -81,7 +81,6 @@ class LearningRun:
         self.keep: Callable[[LearningRun], None] | None = None
         setting, world = experiment.setting, experiment.world
         self.path = world.path()
-        self.description = setting.description()
         self.story = Story(
             setting=setting,
             seed=experiment.seed,
@@ -100,7 +99,7 @@ class LearningRun:
         start = self.loop.init()
         self.x, self.y = list(start.x), list(start.y)
         self.ticks = round(self.policy.dt / self.loop.dt)
-        self._inputs = self.loop.inputs_of("controller")
+        self._inputs = state_signals(setting, self.loop.inputs_of("controller"))
         self.recorder = Recorder(self.loop, SIGNALS)
 
     @property
@@ -211,9 +210,9 @@ class LearningRun:
         return policy
 
     def _begin_anew(self) -> None:
-        """A policy that remembers begins as before a first sample, at the output element's present angle."""
-        if self.policy.init():
-            controller, doe = (self.loop.names.index(name) for name in ("controller", "doe"))
+        """A policy that remembers other things than the one before begins at the output element's present angle."""
+        controller, doe = (self.loop.names.index(name) for name in ("controller", "doe"))
+        if len(self.policy.init()) != len(self.x[controller]):
             y: list[Any] = list(self.y)
             y[doe] = y[doe]._replace(state=self.x[doe][0])
             self.x[controller] = self.loop.settled("controller", y)
@@ -227,9 +226,9 @@ class LearningRun:
         self.story.carried(self.t)
 
     def _state(self) -> tuple[float, ...]:
-        s = tuple([self._value(self._inputs[name]) for name in self.description.names])
+        s = tuple([self._value(signal) for signal in self._inputs.values()])
         if not all(map(math.isfinite, s)):
-            values = ", ".join(f"{name} = {value:g}" for name, value in zip(self.description.names, s, strict=True))
+            values = ", ".join(f"{name} = {value:g}" for name, value in zip(self._inputs, s, strict=True))
             raise ValueError(f"LearningRun: at {self.t:.2f} s the learner's state is {values}; expected finite numbers")
         return s
 

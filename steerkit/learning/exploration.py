@@ -6,12 +6,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from steerkit import maths as m
+from steerkit.block import In, State
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.policy import Policy
 from steerkit.errors import require
-from steerkit.random import RandomState, seed_state, uniform
+from steerkit.random import seed_state, uniform
 
 _STREAM = 3  # of `seed_state`: exploration's
+_RANDOM = len(seed_state(0))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -20,11 +22,14 @@ class Exploring(Policy):
 
         action = actions[floor(n*w)] if u < share, else the greedy one;   u, w uniform in (0, 1), n actions
 
-    Inputs, as for the policy: e [m], e_dot [m/s], v [m/s], psi_e [rad], r_e [rad/s], doe [rad]. Outputs: action [rad];
-    q [1], the greedy action's; ready [1]. A NaN action stays NaN.
-    State: six numbers of the generator (`steerkit.random`), from `seed`. Raises ValueError unless 0 <= share <= 1.
+    Inputs, as for the policy: e [m], e_dot [m/s], v [m/s], psi_e [rad], r_e [rad/s], doe [rad], preview [1/m]. Outputs:
+    action [rad]; q [1], the greedy action's; ready [1]. A NaN action stays NaN.
+    State: six numbers of the generator (`steerkit.random`), from `seed`; then the policy's.
+    Raises ValueError unless 0 <= share <= 1.
     Source: Watkins 1989 (epsilon-greedy exploration).
     """
+
+    preview = In("1/m", size="preview_points")
 
     policy: NfqPolicy
     """Who acts otherwise."""
@@ -38,12 +43,25 @@ class Exploring(Policy):
         same = self.policy.dt == self.dt
         require(same, "Exploring", f"dt = {self.dt} s, the policy's is {self.policy.dt} s, expected the same")
 
-    def init(self, batch: tuple[int, ...] = ()) -> RandomState:
-        return seed_state(self.seed, batch, stream=_STREAM)
+    @property
+    def preview_points(self) -> int:
+        """As the policy's."""
+        return self.policy.preview_points
 
-    def output(self, t: Any, x: RandomState, u: Any) -> Any:
-        greedy = self.policy.output(t, (), u)
-        explores, after = uniform(x)
+    @property
+    def preview_dt(self) -> float:
+        """As the policy's [s]."""
+        return self.policy.preview_dt
+
+    def init(self, batch: tuple[int, ...] = ()) -> State:
+        return (*seed_state(self.seed, batch, stream=_STREAM), *self.policy.init(batch))
+
+    def settle(self, t: float, x: State, u: Any) -> State:
+        return (*x[:_RANDOM], *self.policy.settle(t, x[_RANDOM:], u))
+
+    def output(self, t: Any, x: State, u: Any) -> Any:
+        greedy = self.policy.output(t, x[_RANDOM:], u)
+        explores, after = uniform(tuple(x[:_RANDOM]))
         which, _ = uniform(after)
         actions = self.policy.actions
         action = actions[-1]
@@ -52,5 +70,6 @@ class Exploring(Policy):
         chosen = m.where(explores < self.share, action, greedy.action)
         return self.Y(m.where(m.is_finite(greedy.action), chosen, greedy.action), greedy.q, greedy.ready)
 
-    def update(self, t: Any, x: RandomState, u: Any, y: Any) -> RandomState:
-        return uniform(uniform(x)[1])[1]
+    def update(self, t: Any, x: State, u: Any, y: Any) -> State:
+        random = uniform(uniform(tuple(x[:_RANDOM]))[1])[1]
+        return (*random, *self.policy.update(t, x[_RANDOM:], u, y))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.errors import require
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.settings import Setting
+from steerkit.learning.story import untrained
 
 
 def offline(record: Transitions, setting: Setting, updates: int, *, seed: int = 0) -> Iterator[NfqPolicy]:
@@ -18,10 +20,11 @@ def offline(record: Transitions, setting: Setting, updates: int, *, seed: int = 
     the same arguments. Raises ValueError as `nfq.iterate` does, or for updates < 1.
     """
     require(updates >= 1, "offline", f"updates = {updates}, expected >= 1")
+    policy = untrained(setting, seed)
     description = setting.description()
-    nets: nfq.Nets | None = None
+    learned = nfq.Learned()
     for number in range(updates):
-        nets = nfq.iterate(
-            record, setting.actions, setting.cost, setting.fit, description, nets, seed=seed * 100_003 + number
+        learned = nfq.update(
+            record, setting.actions, setting.cost, setting.fit, description, learned, seed=seed * 100_003 + number
         )
-        yield NfqPolicy(nets=nets, actions=setting.actions, description=description, combine=setting.fit.combine)
+        yield replace(policy, nets=learned.nets, forecast=learned.forecast)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -158,9 +158,10 @@ class ModelTrainer:
 def model_based(experiment: Experiment, watch: Watcher | None = None) -> LearningRun:
     """A learning run whose policy is `ModelPolicy`: the same car, first failure, recovery, hand-over and counting.
 
-    It begins with the same untrained net as NFQ, and is charged the same `fit_seconds`. It cannot be kept in a
-    directory.
+    It begins with an untrained net as NFQ does, and is charged the same `fit_seconds`. It knows no dead time. It cannot
+    be kept in a directory.
     """
-    setting = experiment.setting
+    setting = replace(experiment.setting, fit=replace(experiment.setting.fit, dead_time=0.0))
+    experiment = replace(experiment, setting=setting)
     trainer = ModelTrainer(seconds=setting.fit_seconds, policy=untrained(setting, experiment.seed))
     return LearningRun(experiment, watch, trainer)

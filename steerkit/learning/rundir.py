@@ -22,7 +22,7 @@ from steerkit.learning import costs
 from steerkit.learning.counts import Counts, Episode
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.experiment import Experiment, LearningRun, Watcher
-from steerkit.learning.nfq.iterate import FitSetting
+from steerkit.learning.nfq.iterate import FitSetting, Learned
 from steerkit.learning.recorder import Before
 from steerkit.learning.settings import Setting
 from steerkit.learning.trainer import SimulatedTrainer
@@ -77,7 +77,9 @@ def save(run: LearningRun, place: FilePath) -> None:
     (place / "drive").mkdir(exist_ok=True)
     run.loop.save_state(run.state, place / f"state-{number}.npz")
     run.transitions.save(place / f"transitions-{number}.npz")
-    net = replace(run.policy, nets=pending[2] if pending else run.nets, ready_from=0.0)
+    policy = run.story.policy
+    nets, forecast = pending[2] if pending else (run.nets, getattr(policy, "forecast", None))
+    net = replace(policy, nets=nets, forecast=forecast, ready_from=0.0)
     net.save(place / "nets" / f"net-{run.counts.updates:04d}.npz")
     replace(run.policy, ready_from=0.0).save(place / "nets" / f"steering-{number}.npz")
     run.recorder.log().save(place / "drive" / f"{number:04d}.npz")
@@ -128,7 +130,7 @@ def load(place: FilePath, *, watch: Watcher | None = None) -> LearningRun:
     pending, updates = None, story.counts.updates
     if data["pending"] is not None:
         newest = NfqPolicy.load(_existing(place / "nets" / f"net-{updates:04d}.npz"))
-        pending = (data["pending"], updates, newest.nets or ())
+        pending = (data["pending"], updates, Learned(newest.nets or (), newest.forecast))
     story.trainer = SimulatedTrainer(
         seconds=run.experiment.setting.fit_seconds, nets=run.nets if updates else (), pending=pending
     )

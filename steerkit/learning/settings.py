@@ -31,16 +31,27 @@ class Setting:
     """The actions [deg]: steps a sample for the integrator, angles for `plain` and `low-pass`."""
     doe: str = "integrator"
     """Dynamic output element: `integrator`, `low-pass` or `plain`."""
-    cost: Cost = field(default_factory=lambda: TanhCost(goal=0.15, action_cost=0.005))
+    cost: Cost = field(default_factory=lambda: TanhCost(goal=0.15, action_cost=0.015))
     """Cost of a transition: see `steerkit.learning.costs`."""
     # Measured model-free (8 seeds, clean, 2.5 min): one iteration every 10 to 30 m beats two every 60 m (GOOD after 47
     # to 63 s); 600 epochs, 4 steps, 20-20 nets: no gain.
     fit: FitSetting = field(
         default_factory=lambda: FitSetting(
-            mirror=True, hints=0, n_step=3, nets=4, iterations=3, imagined=3000, horizon=5, window=5000
+            mirror=True,
+            symmetric=True,
+            hints=0,
+            n_step=3,
+            nets=4,
+            iterations=3,
+            imagined=3000,
+            horizon=5,
+            window=5000,
+            dead_time=0.6,
         )
     )
     """How the Q-net is fitted: see `steerkit.learning.nfq.iterate`."""
+    continuous: bool = True
+    """Take actions between those of the set too (see `NfqPolicy.continuous`)? A calmer wheel at no cost in training."""
     hint_doe: float = 0.02
     """Half-width of the hints' steering angles, as a share of the largest. 1 would say that any angle may be held at
     psi_e = 0, which is wrong where e is measured at the front axle. `paper`, 6 seeds, 11 minutes: 0.02: a round in
@@ -85,6 +96,11 @@ class Setting:
         """The dynamic output element, within the stops of `vehicle`'s steering wheel (None: 520 degrees)."""
         return make_element(self.doe, vehicle)
 
+    def recorded(self) -> tuple[str, ...]:
+        """The columns of recorded states: what the net sees, and the curvature where a dead time is looked for."""
+        names = self.description().names
+        return (*names, "kappa") if self.fit.dead_time else names
+
     def description(self) -> StateDescription:
         """What the net sees, and in which ranges."""
         goal = (0.02, 0.02, 1.0, 0.02, 0.02, self.hint_doe)
@@ -96,6 +112,7 @@ MODEL_FREE = Setting(
     actions_deg=(-60.0, -10.0, 0.0, 10.0, 60.0),
     cost=TanhCost(),
     fit=FitSetting(mirror=True, hints=0, n_step=3, nets=3),
+    continuous=False,
     retrain_every_m=20.0,
     fit_seconds=0.5,
 )
@@ -107,6 +124,7 @@ PAPER = Setting(
     actions_deg=(-60.0, -10.0, 0.0, 10.0, 60.0),
     cost=IdoeCost(),
     fit=FitSetting(),
+    continuous=False,
     retrain_every_m=0.0,
     fit_seconds=0.5,  # the cost measured here; the machine of 2007 needed 30 s
     calm=math.inf,

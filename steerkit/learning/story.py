@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -21,7 +21,23 @@ def untrained(setting: Setting, seed: int) -> NfqPolicy:
     """The policy that a run of this setting and seed begins with: nets drawn at random."""
     description = setting.description()
     nets = nfq.fresh_nets(setting.fit, description, seed=seed)
-    return NfqPolicy(nets=nets, actions=setting.actions, description=description, combine=setting.fit.combine)
+    return NfqPolicy(
+        nets=nets,
+        actions=setting.actions,
+        description=description,
+        combine=setting.fit.combine,
+        continuous=setting.continuous,
+        preview_points=setting.fit.preview_points,
+    )
+
+
+def state_signals(setting: Setting, inputs: Mapping[str, str]) -> dict[str, str]:
+    """Recorded column -> signal of the loop, from those that drive a policy's inputs (`Loop.inputs_of`).
+
+    The path's curvature is the first of the policy's preview.
+    """
+    known = {**inputs, "kappa": inputs["preview"].replace(".preview", ".kappa") if "preview" in inputs else ""}
+    return {name: known[name] for name in setting.recorded()}
 
 
 class Events(NamedTuple):
@@ -59,9 +75,9 @@ class Story:
         round_length: float = math.inf,
     ):
         self.setting, self.seed, self.trainer = setting, seed, trainer
-        self.description = setting.description()
+        self.names = setting.recorded()
         self.policy, self.net, self.trusted = policy, net, True
-        self.transitions = Transitions(self.description.names) if transitions is None else transitions
+        self.transitions = Transitions(self.names) if transitions is None else transitions
         self.counts = Counts(updates=net)
         self.recorder = TransitionRecorder(self._keep)
         self.faults: list[str] = []
@@ -87,8 +103,9 @@ class Story:
     ) -> Events:
         """Record and count sample `number`, at driving time t [s].
 
-        s: the learner's state (SI). action: its wish [rad]. learning: does it steer? failed: if not, was the wheel
-        taken from it? progress: along the path [m]. e: cross-track error [m], which its state may hold with noise.
+        s: the learner's state (SI), of the columns `names`. action: its wish [rad]. learning: does it steer?
+        failed: if not, was the wheel taken from it? progress: along the path [m]. e: cross-track error [m], which
+        its state may hold with noise.
         """
         episode = self._first + len(self.counts.episodes) - 1
         self.recorder.sample(number, tuple(s), action, learning=learning, episode=episode)
@@ -123,7 +140,8 @@ class Story:
             actions=setting.actions,
             cost=setting.cost,
             fit=setting.fit,
-            description=self.description,
+            description=setting.description(),
+            names=self.names,
             seed=self.seed * 100_003 + counts.updates,
         )
         self.trainer.submit(job, t)
@@ -146,7 +164,9 @@ class Story:
             if not self.trusted:
                 self.train(t, trusted=False)
             return result
-        policy = replace(self.policy, nets=result.nets) if result.policy is None else result.policy
+        policy = (
+            replace(self.policy, nets=result.nets, forecast=result.forecast) if result.policy is None else result.policy
+        )
         self.policy, self.net, self.trusted = replace(policy, ready_from=0.0), result.number, True
         return result
 

@@ -25,18 +25,18 @@ from pathlib import Path as FilePath
 from types import TracebackType
 from typing import Any, NamedTuple, Protocol, Self
 
+from steerkit.controllers.forecast import Forecast
+from steerkit.controllers.policy import COLUMNS
 from steerkit.errors import require
 from steerkit.learning.costs import Cost
 from steerkit.learning.data.store import TransitionStore
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq import iterate as nfq
-from steerkit.learning.nfq.iterate import FitSetting
-from steerkit.learning.nfq.network import Net
+from steerkit.learning.nfq.iterate import FitSetting, Learned, Nets
 from steerkit.learning.nfq.patterns import STANDARD, StateDescription
 
-Nets = tuple[Net, ...]
-Pending = tuple[float, int, Nets]
-"""Driving time at which an unfinished job is done [s], its number, its nets."""
+Pending = tuple[float, int, Learned]
+"""Driving time at which an unfinished job is done [s], its number, what it gives the policy."""
 NICE = 10
 """How far the training process steps back behind the loop's (os.nice)."""
 ATTEMPTS = 3
@@ -46,7 +46,7 @@ _log = logging.getLogger("steerkit.trainer")
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Job:
-    """One update of the Q-function: the arguments of `nfq.iterate`, but for the nets before, which a trainer knows."""
+    """One update of the Q-function: the arguments of `nfq.update`, but for what was before, which a trainer knows."""
 
     number: int
     """Of the update; each job's is larger than those before it."""
@@ -57,6 +57,8 @@ class Job:
     cost: Cost
     fit: FitSetting
     description: StateDescription = STANDARD
+    names: tuple[str, ...] = COLUMNS
+    """The columns of the recorded states."""
     seed: int = 0
 
     def record(self) -> Transitions:
@@ -64,11 +66,11 @@ class Job:
         record = self.transitions
         if isinstance(record, Transitions):
             return record
-        return TransitionStore(record, names=self.description.names).transitions()
+        return TransitionStore(record, names=self.names).transitions()
 
-    def train(self, nets_before: Nets) -> Nets:
+    def train(self, before: Learned) -> Learned:
         """Do it, here and now."""
-        return nfq.iterate(self.record(), self.actions, self.cost, self.fit, self.description, nets_before, self.seed)
+        return nfq.update(self.record(), self.actions, self.cost, self.fit, self.description, before, self.seed)
 
 
 class Result(NamedTuple):
@@ -84,6 +86,8 @@ class Result(NamedTuple):
     """What went wrong; with nets: what went wrong before they were made all the same."""
     policy: Any = None
     """The new policy, of a trainer that makes another one than nets."""
+    forecast: Forecast | None = None
+    """What goes with the nets: see `Learned`."""
 
 
 class Training(Protocol):
@@ -123,7 +127,7 @@ class SimulatedTrainer:
     def __init__(self, *, seconds: float | None = 1.0, nets: Nets = (), pending: Pending | None = None):
         ok = seconds is None or (math.isfinite(seconds) and seconds >= 0.0)
         require(ok, "SimulatedTrainer", f"seconds = {seconds} s, expected >= 0, or None for the time really taken")
-        self.seconds, self.nets = seconds, pending[2] if pending else nets
+        self.seconds, self.learned = seconds, pending[2] if pending else Learned(nets)
         self._pending = pending
         self._newest, self._spent = pending[1] if pending else 0, 0.0
 
@@ -131,19 +135,19 @@ class SimulatedTrainer:
         """Train now; the result is there `seconds` after t, or after the job before."""
         _require_newer(job, self._newest)
         began = time.perf_counter()
-        self.nets = job.train(self.nets)
+        self.learned = job.train(self.learned)
         taken = time.perf_counter() - began
         self._newest, self._spent = job.number, self._spent + taken
         start = max(t, self._pending[0]) if self._pending else t
-        self._pending = (start + (taken if self.seconds is None else self.seconds), job.number, self.nets)
+        self._pending = (start + (taken if self.seconds is None else self.seconds), job.number, self.learned)
 
     def poll(self, t: float) -> Result | None:
         """The newest nets, once, if they would be ready at driving time t [s]."""
         if self._pending is None or t < self._pending[0] - 1e-9:
             return None
-        (_, number, nets), self._pending = self._pending, None
+        (_, number, learned), self._pending = self._pending, None
         seconds, self._spent = self._spent, 0.0
-        return Result(number, nets, seconds)
+        return Result(number, learned.nets, seconds, forecast=learned.forecast)
 
     @property
     def busy(self) -> bool:
@@ -173,7 +177,7 @@ class Trainer:
 
     def __init__(self, *, nets: Nets = (), nice: int = NICE, patience: float = 600.0):
         require(patience > 0.0, "Trainer", f"patience = {patience} s, expected > 0")
-        self._worker = _Worker(nets, nice, patience)
+        self._worker = _Worker(Learned(nets), nice, patience)
         self._newest = self._fetched = 0
         self._spent = 0.0
         self._end = weakref.finalize(self, _Worker.end, self._worker)
@@ -235,9 +239,9 @@ class Trainer:
 class _Worker(threading.Thread):
     """The thread that keeps a training process alive and busy."""
 
-    def __init__(self, nets: Nets, nice: int, patience: float):
+    def __init__(self, learned: Learned, nice: int, patience: float):
         super().__init__(name="steerkit trainer", daemon=True)
-        self.nets, self.nice, self.patience = nets, nice, patience
+        self.learned, self.nice, self.patience = learned, nice, patience
         self.jobs: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
         self.results: queue.SimpleQueue[Result] = queue.SimpleQueue()
         self.faults: list[str] = []
@@ -263,20 +267,23 @@ class _Worker(threading.Thread):
             if not self.process.is_alive():
                 told.append(self._restart("while idle"))
             try:
-                _send(self._link, (job, self.nets))
+                _send(self._link, (job, self.learned))
                 if not self._link.poll(self.patience):
                     self.process.kill()
-                nets, error, seconds = _receive(self._link)
+                learned, error, seconds = _receive(self._link)
             except (EOFError, OSError):  # the process is dead
                 if self._ending:
                     return Result(job.number, None, 0.0, "closed")
                 told.append(self._restart(f"while training net {job.number}"))
                 continue
             except (pickle.PicklingError, TypeError, AttributeError) as why:
-                nets, error, seconds = None, f"net {job.number}: the job cannot be sent to a process: {why}", 0.0
+                learned, error, seconds = None, f"net {job.number}: the job cannot be sent to a process: {why}", 0.0
             self._deaths = 0
-            self.nets = nets or self.nets
-            return Result(job.number, nets, seconds, "; ".join([*told, *([self._fault(error)] if error else [])]))
+            self.learned = learned or self.learned
+            fault = "; ".join([*told, *([self._fault(error)] if error else [])])
+            if learned is None:
+                return Result(job.number, None, seconds, fault)
+            return Result(job.number, learned.nets, seconds, fault, forecast=learned.forecast)
         told.append(self._fault(f"net {job.number} is given up: the process died {ATTEMPTS} times over it"))
         return Result(job.number, None, time.monotonic() - began, "; ".join(told))
 
@@ -314,14 +321,14 @@ def _serve(link: Connection, nice: int) -> None:
     os.nice(nice)
     with contextlib.suppress(EOFError, BrokenPipeError):
         while True:
-            job, nets = _receive(link)
+            job, learned = _receive(link)
             began = time.perf_counter()
             error = ""
             try:
-                nets = job.train(nets)
+                learned = job.train(learned)
             except Exception as why:
-                nets, error = None, f"net {job.number} could not be trained: {type(why).__name__}: {why}"
-            _send(link, (nets, error, time.perf_counter() - began))
+                learned, error = None, f"net {job.number} could not be trained: {type(why).__name__}: {why}"
+            _send(link, (learned, error, time.perf_counter() - began))
 
 
 def _require_newer(job: Job, newest: int) -> None:

@@ -20,6 +20,8 @@ from steerkit.task import TRIP
 
 SIGNALS = ("path.e", "path.progress", "car.delta_sw", "car.a_y", "supervisor.learning")
 WEIGHTS = "controller.block.weights"
+WORTH_COMPILING = 12
+"""Policies of one layout from which on compiling a loop for them takes less time than driving them one by one."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -50,11 +52,10 @@ def drive_many(
     if not policies:
         return []
     first = policies[0]
-    shapes = {tuple(p.shape for net in policy.nets or () for p in net) for policy in policies}
-    if len(shapes) > 1 or any(p.actions != first.actions for p in policies):
+    if len({_Layout(policy) for policy in policies}) > 1:
         raise ValueError("drive_many: policies of different layouts or actions; judge them in separate calls")
     compiled = _compiled(world, setting, _Layout(first))
-    start = evaluate.drive_loop(world, first.with_weights(), doe=setting.element(), seed=seed).init()
+    start = evaluate.drive_loop(world, first.with_weights(), doe=setting.element(world.nominal), seed=seed).init()
     asked = dataclasses.replace(world, rounds=rounds)
     length, duration = asked.length, asked.seconds
     weights = np.array([policy.flat_weights() for policy in policies]).T
@@ -65,22 +66,26 @@ def drive_many(
 def drive_each(world: Scenario, setting: Setting, policies: Sequence[Any], *, seed: int = 0) -> list[TrialDrive]:
     """Let each policy drive one round, all with the same human and sensors (`seed`).
 
-    Nets drive all at once, whatever their layouts, in compiled code; if any policy is none, one by one, which takes
-    a second or two each.
+    Many nets of one layout drive all at once, in compiled code; few, and policies that are no nets, one by one, which
+    takes a second or two each.
     """
     if not all(isinstance(policy, NfqPolicy) for policy in policies):
         return [_drive_one(world, setting, policy, seed) for policy in policies]
-    layouts: dict[int, list[int]] = {}
+    layouts: dict[_Layout, list[int]] = {}
     for i, policy in enumerate(policies):
-        layouts.setdefault(len(policy.nets or ()), []).append(i)
+        layouts.setdefault(_Layout(policy), []).append(i)
     drives: dict[int, TrialDrive] = {}
     for rows in layouts.values():
-        drives |= zip(rows, drive_many(world, setting, [policies[i] for i in rows], seed=seed))
+        some = [policies[i] for i in rows]
+        if len(rows) < WORTH_COMPILING:
+            drives |= zip(rows, [_drive_one(world, setting, policy, seed) for policy in some])
+        else:
+            drives |= zip(rows, drive_many(world, setting, some, seed=seed))
     return [drives[i] for i in range(len(policies))]
 
 
 def _drive_one(world: Scenario, setting: Setting, policy: Any, seed: int) -> TrialDrive:
-    log = evaluate.drive(world, policy, doe=setting.element(), seed=seed, only_while_held=True)
+    log = evaluate.drive(world, policy, doe=setting.element(world.nominal), seed=seed, only_while_held=True)
     progress = float(log["path.progress"][-1])
     return TrialDrive(
         rounds=progress / world.round_length,
@@ -113,7 +118,9 @@ class _Layout:
     def __init__(self, policy: NfqPolicy):
         self.policy = policy
         shapes = tuple(p.shape for net in policy.nets or () for p in net)
-        self.key = (shapes, policy.actions, policy.combine, repr(policy.description), policy.dt)
+        dead = None if policy.forecast is None else policy.forecast.samples
+        how = (policy.combine, policy.continuous, policy.preview_points, policy.dt)
+        self.key = (shapes, dead, policy.actions, repr(policy.description), how)
 
     def __hash__(self) -> int:
         return hash(self.key)
@@ -124,6 +131,6 @@ class _Layout:
 
 @lru_cache(maxsize=8)
 def _compiled(world: Scenario, setting: Setting, layout: _Layout) -> Compiled:
-    loop = evaluate.drive_loop(world, layout.policy.with_weights(), doe=setting.element())
+    loop = evaluate.drive_loop(world, layout.policy.with_weights(), doe=setting.element(world.nominal))
     ticks = round(layout.policy.dt / loop.dt)
     return compile(loop, record=SIGNALS, every=ticks, parameters=[WEIGHTS])

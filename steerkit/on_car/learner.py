@@ -28,7 +28,7 @@ from steerkit.files import write_text
 from steerkit.learning import rundir
 from steerkit.learning.data.store import TransitionStore
 from steerkit.learning.settings import Setting
-from steerkit.learning.story import Story, untrained
+from steerkit.learning.story import Story, state_signals, untrained
 from steerkit.learning.trainer import Trainer
 from steerkit.loop import Loop
 from steerkit.on_car.follow import Follow, Steers
@@ -84,7 +84,7 @@ class CarLearner:
         require(setting.after_failure == "recovery", where, after)
         self.setting, self.place, self.link, self.recovery = setting, place, link, recovery
         _claim(place, setting)
-        names = setting.description().names
+        names = setting.recorded()
         self.store = TransitionStore(place / "transitions.db", run=RUN, names=names)
         saved = sorted((place / "nets").glob("net-*.npz"))
         net = int(saved[-1].stem.split("-")[1]) if saved else 0
@@ -104,7 +104,7 @@ class CarLearner:
         )
         self._idle = build(replace(policy, ready_from=math.inf), setting.element(vehicle))
         self.follow = Follow(link=link, resting=self._idle, driving=self._with(policy))
-        self._inputs = self._idle.inputs_of("controller")
+        self._inputs = state_signals(setting, self._idle.inputs_of("controller"))
 
     def run(self, duration: float, *, clock: Clock | None = None, watch: Callable[[Run], bool] | None = None) -> Run:
         """Drive and learn for `duration` [s]; the human engages when it is time."""
@@ -133,7 +133,7 @@ class CarLearner:
         events = story.sample(
             live.k,
             t,
-            [state[name] for name in story.description.names],
+            list(state.values()),
             self._value(live, "controller.action"),
             learning=learning,
             failed=fault or (engaged and self._value(live, "supervisor.tripped") > 0.5),

@@ -6,20 +6,23 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from steerkit.controllers.forecast import LONGEST, PREVIEW, Forecast
 from steerkit.controllers.nfq_policy import COMBINATIONS, Combine, combined
 from steerkit.controllers.policy import ACTION, DOE, E
 from steerkit.errors import require
 from steerkit.learning.costs import Cost
 from steerkit.learning.data.transitions import Transitions
+from steerkit.learning.nfq.dead_time import process_of
 from steerkit.learning.nfq.model import CarModel, Imagined, imagine
 from steerkit.learning.nfq.network import Net, new_net, sizes_of
 from steerkit.learning.nfq.patterns import STANDARD, StateDescription, goal_patterns, mirror_patterns, patterns
 from steerkit.learning.nfq.rprop import Engine, Fit, engine_of, fit, predict
+from steerkit.task import DT
 
 Nets = tuple[Net, ...]
 Progress = Callable[[int, Sequence[float]], None]
@@ -75,6 +78,14 @@ class FitSetting:
     """Samples for which an imagined car is followed, greedily after its first action, before bootstrapping."""
     hidden: tuple[int, ...] = (10, 10)
     """Units of the hidden layers."""
+    symmetric: bool = False
+    """Every net works together with its mirror image, so that the Q-function is that of a car that is the same in the
+    mirror, by construction. RMS e on a recorded lap without noise halves; a net's use costs twice the time. A car
+    that is not the same in the mirror, as its wheel is mounted off centre: see `dead_time`."""
+    dead_time: float = 0.0
+    """Longest dead time that is looked for in the record [s], 0: none. The commands' way is then found from the record,
+    fractions of a sample and the angle of going straight on with it; nets learn the process without it, and the
+    policy acts on the state forecast over it (`steerkit.learning.nfq.dead_time`). Needs `imagined`."""
     guard: float = 0.0
     """New nets are refused, and those before go on, when the learned model says that their first second costs more than
     this many times that of the nets before (needs `imagined`); 0: every net is accepted."""
@@ -92,12 +103,50 @@ class FitSetting:
         least_of = {"epochs": 0, "hints": 0, "n_step": 1, "nets": 1, "iterations": 1, "imagined": 0, "horizon": 1}
         for name, least in {**least_of, "keep": 1, "window": 0}.items():
             require(getattr(self, name) >= least, where, f"{name} = {getattr(self, name)}, expected >= {least}")
+        sought = f"dead_time = {self.dead_time} s with imagined = {self.imagined}, expected 0, or 0 to "
+        bridged = 0.0 <= self.dead_time <= LONGEST * DT and (self.dead_time == 0.0 or self.imagined > 0)
+        require(bridged, where, sought + f"{LONGEST * DT:g} with imagined > 0")
         origins = f"hint_from = {self.hint_from!r}; valid: 'region', 'record'"
         require(self.hint_from in ("region", "record"), where, origins)
         guarded = f"guard = {self.guard} with imagined = {self.imagined}, expected 0, or >= 1 with imagined > 0"
         require(self.guard == 0.0 or (self.guard >= 1.0 and self.imagined > 0), where, guarded)
         require(all(h >= 1 for h in self.hidden), where, f"hidden = {self.hidden}, expected sizes >= 1")
         require(self.clip[0] < self.clip[1], where, f"clip = {self.clip}, expected low < high")
+
+    @property
+    def preview_points(self) -> int:
+        """Of the policies that it makes: see `NfqPolicy.preview_points`."""
+        return PREVIEW if self.dead_time else 0
+
+
+class Learned(NamedTuple):
+    """What an update of the Q-function gives a policy."""
+
+    nets: Nets = ()
+    forecast: Forecast | None = None
+    """Of a setting with `dead_time`."""
+
+
+NOTHING = Learned()
+"""Before the first update."""
+
+
+def update(
+    transitions: Transitions,
+    actions: Sequence[float],
+    cost: Cost,
+    setting: FitSetting = FitSetting(),
+    description: StateDescription = STANDARD,
+    before: Learned = NOTHING,
+    seed: int = 0,
+) -> Learned:
+    """One update: `iterate`, and before it the search for the dead time, where the setting has it; see there."""
+    if not setting.dead_time:
+        return Learned(iterate(transitions, actions, cost, setting, description, before.nets, seed))
+    require(len(transitions) > 0, "nfq.update", "no transitions, expected at least one")
+    process = process_of(transitions, description, setting.dead_time)
+    nets = iterate(process.record, actions, cost, setting, description, before.nets, seed, model=process.model)
+    return Learned(nets, process.forecast)
 
 
 def fresh_nets(
@@ -253,14 +302,16 @@ def iterate(
     nets_before: Sequence[Net] | None = (),
     seed: int = 0,
     progress: Progress | None = None,
+    model: CarModel | None = None,
 ) -> tuple[Net, ...]:
     """One update of the Q-function: `setting.iterations` rounds of new targets and a new fit of every net.
 
-    Takes the recorded transitions, the action set [rad], the cost, and the nets of the update before (none at first:
-    the targets are then the costs alone). Returns the new nets, for `NfqPolicy(nets=...)` and for the next update. The
-    result depends on its arguments, engine and machine only. Two members train at once where two cores are there.
-    Raises ValueError for no transitions, unlike columns, an action set that `mirror` needs and that is not its own
-    mirror image, or nets of another layout than the setting's. Source: Riedmiller 2005 (NFQ), batch with Rprop.
+    Takes the recorded transitions, the action set [rad], the cost, and the nets of the update before (none at
+    first: the targets are then the costs alone). Returns the new nets, for `NfqPolicy(nets=...)` and for the next
+    update. The result depends on its arguments, engine and machine only. model: of the car, for `imagined`;
+    default: fitted. Two members train at once where two cores are there. Raises ValueError for no transitions,
+    unlike columns, an action set that `mirror` needs and that is not its own mirror image, or nets of another
+    layout than the setting's. Source: Riedmiller 2005 (NFQ), batch with Rprop.
     """
     where = "nfq.iterate"
     names = description.names
@@ -277,7 +328,8 @@ def iterate(
     scale = description.scale_of(tuple(actions))
     recent = newest(transitions, setting.window)
     states = patterns(description, recent.s, recent.a, scale)
-    model = CarModel.fit(transitions, description) if setting.imagined else None
+    if setting.imagined and model is None:
+        model = CarModel.fit(transitions, description)
     for iteration in range(setting.iterations):
         hints = _hints(recent, actions, cost, setting, description, np.random.default_rng([seed, iteration, 0]))
         y = targets(recent, actions, cost, setting, description, nets)
@@ -297,9 +349,11 @@ def iterate(
             starts[: len(nets)] = nets[-setting.nets :]
         fitted = _fit_all(starts, x, y, setting)
         nets = tuple(result.net for result in fitted)
+        if setting.symmetric:
+            nets = (*nets, *(mirror_image(net, description) for net in nets))
         if progress is not None:
             progress(iteration, [float(result.errors[-1]) for result in fitted])
-    together = (*(nets_before or ()), *nets)[-setting.keep * setting.nets :]
+    together = (*(nets_before or ()), *nets)[-setting.keep * len(nets) :]
     if model is not None and setting.guard and nets_before:
         near = imagine(model, transitions, description, GUARD_STATES, np.random.default_rng([seed, 1_000_033]))
         new, old = (imagined_cost(model, near, actions, cost, setting, description, n) for n in (together, nets_before))
@@ -321,6 +375,12 @@ def _hints(
     rows = staying(record, cost.goal)
     rows = rng.choice(rows, min(setting.hints, len(rows)), replace=False) if len(rows) else rows
     return patterns(description, record.s[rows], record.a[rows], description.scale_of(tuple(actions)))
+
+
+def mirror_image(net: Net, description: StateDescription) -> Net:
+    """The net whose value of a state and an action is that of `net` for both as seen in the mirror."""
+    signs = np.array([*description.mirror_signs, -1.0], dtype=net[0].dtype)
+    return (net[0] * signs, *net[1:])
 
 
 def newest(transitions: Transitions, count: int) -> Transitions:

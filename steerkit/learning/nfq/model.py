@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from steerkit.controllers.forecast import SLOWEST, Motion, moved
 from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, R_E, E, V
 from steerkit.errors import require
 from steerkit.learning.data.transitions import Transitions
@@ -15,8 +16,12 @@ from steerkit.task import DT
 
 Array = NDArray[np.float64]
 
-SLOWEST = 1.0
-"""Speed below which the model counts the car as this fast [m/s]: it divides by v."""
+KAPPA = len(COLUMNS)
+"""In recorded states, the column of the path's curvature, where there is one."""
+CENTRED = 4.0
+"""How firmly a wheel is taken to be mounted straight: about (noise of a sample over what 3 degrees do in one)^2."""
+OFF_CENTRE = 0.5
+"""Largest offset of the wheel that is believed [rad]."""
 SPREAD = 0.13
 """How far imagined states lie from recorded ones, as a share of the description's half ranges."""
 
@@ -27,14 +32,12 @@ class CarModel:
 
     With the course of the reference point against the path c = e_dot/v and its angle to the car w = c - psi_e:
 
-        doe' = sat(held*doe + pushed*a)                    the dynamic output element
-        p    = now*doe' + before*doe + earlier*doe(t-dt) - back*w      turn of w: wheel, tyres, lag and delay
-        r_e' = r_e + yaw*v*p,   psi_e' = psi_e + dt*r,   c' = c + p + dt*r,   r = (r_e + r_e')/2
-        e'   = e + dt*v*(c + c')/2,   v' = v
+        doe' = sat(held*doe + pushed*a),  v' = v           the dynamic output element, the human
+        e', c', psi_e', r_e'                               `steerkit.controllers.forecast.moved`
 
-    so that it is the same in every steady bend: nothing changes when doe is turned by x and psi_e by -x*ratio, where
-    ratio = (now + before + earlier)/back is the learned steering ratio's inverse. Bends ahead, humans and noise are
-    in `residuals`. Seven numbers, found by least squares from about 20 transitions on.
+    in which nothing changes when doe is turned by x and psi_e by -x*ratio, where ratio = (now + before + earlier)/back
+    is the learned steering ratio's inverse. Bends ahead, humans and noise are in `residuals`. Seven numbers, found by
+    least squares from about 20 transitions on; an eighth, `straight`, where the path's curvature was recorded.
     """
 
     held: float
@@ -46,13 +49,21 @@ class CarModel:
     yaw: float
     limit: float
     """Largest |doe| [rad]."""
+    straight: float = 0.0
+    """Angle of the wheel at which the car goes straight on [rad]; states are told with doe counted from there."""
     dt: float = DT
     """Sample time [s]."""
 
     @classmethod
     def fit(cls, record: Transitions, description: StateDescription, dt: float = DT) -> CarModel:
-        """The model of recorded transitions; raises ValueError for none, or for states of other columns."""
-        require(record.names == COLUMNS, "CarModel.fit", f"columns {record.names}, the model needs {COLUMNS}")
+        """The model of recorded transitions; raises ValueError for none, or for states of other columns.
+
+        Where they tell the curvature (a column kappa after the others), the yaw rate's answer is found without the
+        bends' part in it, which is of the same size and the other sign, and `straight` is found.
+        """
+        told = record.names == (*COLUMNS, "kappa")
+        valid = f"columns {record.names}, the model needs {COLUMNS}, and kappa or not"
+        require(told or record.names == COLUMNS, "CarModel.fit", valid)
         require(len(record) > 0, "CarModel.fit", "no transitions, expected at least one")
         s, s_next, limit = record.s, record.s_next, description.high[DOE]
         doe, doe_next, v = s[:, DOE], s_next[:, DOE], _speed(s)
@@ -63,25 +74,29 @@ class CarModel:
         follows = follow(record)
         rows = follows if follows.sum() >= 10 else np.ones(len(s), dtype=bool)
         x = np.column_stack((doe_next, doe, earlier_doe(record), -w))
-        weights = _least_squares(x[rows], turn[rows])
-        change = v * (x @ weights)
-        yaw = float(change @ (s_next[:, R_E] - s[:, R_E]) / (change @ change + 1e-9))
+        rise = s_next[:, R_E] - s[:, R_E]
+        constant, straight = 0.0, 0.0
+        if told:
+            rise = rise + s_next[:, V] * s_next[:, KAPPA] - s[:, V] * s[:, KAPPA]
+            x = np.column_stack((x, np.ones(len(x))))
+            *weights, constant = _least_squares(x[rows], turn[rows], trace=np.array([1e-3] * 4 + [CENTRED]))
+        else:
+            weights = list(_least_squares(x[rows], turn[rows]))
+        change = v * (x[:, :4] @ np.array(weights) + constant)
+        yaw = float(change @ rise / (change @ change + 1e-9))
         now, before, earlier, back = weights
-        return cls(
-            held=held, pushed=pushed, now=now, before=before, earlier=earlier, back=back, yaw=yaw, limit=limit, dt=dt
-        )
+        if now + before + earlier > 1e-6:
+            straight = float(np.clip(-constant / (now + before + earlier), -OFF_CENTRE, OFF_CENTRE))
+        numbers = {"now": now, "before": before, "earlier": earlier, "back": back, "yaw": yaw, "straight": straight}
+        return cls(held=held, pushed=pushed, limit=limit, dt=dt, **numbers)
 
     def step(self, s: Array, a: Array, earlier: Array) -> Array:
         """States (n, columns) one sample after s, under the actions a (n,), where doe was `earlier` (n,) before s."""
         e, e_dot, v, psi_e, r_e, doe = s.T
         course = e_dot / _speed(s)
         doe_next = np.clip(self.held * doe + self.pushed * a, -self.limit, self.limit)
-        p = self.now * doe_next + self.before * doe + self.earlier * earlier - self.back * (course - psi_e)
-        r_next = r_e + self.yaw * v * p
-        turn = 0.5 * self.dt * (r_e + r_next)
-        course_next = course + p + turn
-        e_next = e + 0.5 * self.dt * v * (course + course_next)
-        return np.column_stack((e_next, v * course_next, v, psi_e + turn, r_next, doe_next))
+        e, course, psi_e, r_e = moved(self, Motion(e, course, psi_e, r_e), v, (doe_next, doe, earlier), dt=self.dt)
+        return np.column_stack((e, v * course, v, psi_e, r_e, doe_next))
 
     @property
     def ratio(self) -> float:
@@ -147,7 +162,7 @@ def _speed(s: Array) -> Array:
     return np.maximum(s[:, V], SLOWEST)
 
 
-def _least_squares(x: Array, y: Array, trace: float = 1e-3) -> tuple[float, ...]:
+def _least_squares(x: Array, y: Array, trace: float | Array = 1e-3) -> tuple[float, ...]:
     """Weights of y on x with a trace of regularisation: unexcited directions stay 0."""
     weights = np.linalg.solve(x.T @ x + trace * np.eye(x.shape[1]), x.T @ y)
     return tuple(float(value) for value in weights)
