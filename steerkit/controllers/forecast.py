@@ -36,6 +36,7 @@ class Answer(NamedTuple):
     before: Any
     earlier: Any
     back: Any
+    slip: Any
     yaw: Any
 
 
@@ -44,14 +45,15 @@ def moved(car: Any, x: Motion, v: Any, doe: Sequence[Any], bend: Any = 0.0, dt: 
 
     With the angle of the course to the car's axis w = c - psi_e, and the wheel's angles doe = (doe', doe, doe(t-dt)):
 
-        p    = now*doe' + before*doe + earlier*doe(t-dt) - back*w       how w turns: wheel, tyres, lag
+        p    = now*doe' + before*doe + earlier*doe(t-dt) - (back + slip*v^2)*w      how w turns: wheel, tyres, lag
         r_e' = r_e + yaw*v*p - bend,   psi_e' = psi_e + dt*r,   c' = c + p + dt*r,   r = (r_e + r_e')/2
         e'   = e + dt*v*(c + c')/2
 
     car: anything with the numbers of `Answer`. v [m/s], at least SLOWEST. bend [rad/s]: by how much v*kappa grows in
-    the sample. It is the same in every steady bend: nothing changes when doe is turned by x and psi_e by -x*ratio.
+    the sample. It is the same in every steady bend: nothing changes when doe is turned by x and psi_e by -x*ratio, of
+    ratio = (now + before + earlier)/(back + slip*v^2).
     """
-    p = car.now * doe[0] + car.before * doe[1] + car.earlier * doe[2] - car.back * (x.c - x.psi_e)
+    p = car.now * doe[0] + car.before * doe[1] + car.earlier * doe[2] - (car.back + car.slip * v * v) * (x.c - x.psi_e)
     r_e = x.r_e + car.yaw * v * p - bend
     turn = 0.5 * dt * (x.r_e + r_e)
     c = x.c + p + turn
@@ -78,6 +80,7 @@ class Forecast:
     before: Any = 0.0
     earlier: Any = 0.0
     back: Any = 0.0
+    slip: Any = 0.0
     yaw: Any = 0.0
     straight: Any = 0.0
     """Angle of the wheel at which the car goes straight on [rad]; the policy is told angles from there."""

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
-from steerkit.controllers.forecast import LONGEST, Forecast
-from steerkit.controllers.policy import COLUMNS, DOE, E_DOT
+from steerkit.controllers.forecast import LONGEST, SLOWEST, Forecast
+from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, R_E, V
 from steerkit.learning.data.transitions import Transitions
-from steerkit.learning.nfq.model import CarModel, earlier_doe, follow
+from steerkit.learning.nfq.model import CENTRED, KAPPA, OFF_CENTRE, CarModel, earlier_doe, follow
 from steerkit.learning.nfq.patterns import StateDescription
 from steerkit.task import DT
 
@@ -19,8 +21,15 @@ FEWEST = 15
 AS_GOOD = 1.02
 """A longer dead time is preferred to a shorter one that explains the car better by less than this factor: the model's
 three angles can stand for a sample of it, and the process that is learned is the simpler, the less of it is left."""
-TRUST = 0.5
+AHEAD = 10
+"""Samples over which a model has to foresee the car."""
+ROWS = 3000
+"""Newest samples from which it has to."""
+TRUST = 0.25
 """Share of what is seen in the filtered values (see `Forecast.trust`)."""
+
+
+Array = NDArray[np.float64]
 
 
 class Process(NamedTuple):
@@ -48,8 +57,9 @@ def process_of(record: Transitions, description: StateDescription, longest: floa
     best = int(np.argmin(errors))
     while best < last and errors[best + 1] <= AS_GOOD * min(errors):
         best += 1
-    model, part = models[best], known[best]
-    numbers = {name: getattr(model, name) for name in ("now", "before", "earlier", "back", "yaw", "straight")}
+    part = known[best]
+    model = refined(models[best], part)
+    numbers = {name: getattr(model, name) for name in ("now", "before", "earlier", "back", "slip", "yaw", "straight")}
     forecast = Forecast(samples=best, trust=TRUST, dt=dt, **numbers)
     s, s_next = part.s[:, : len(COLUMNS)].copy(), part.s_next[:, : len(COLUMNS)].copy()
     s[:, DOE] -= model.straight
@@ -77,18 +87,58 @@ def aligned(record: Transitions, samples: int) -> Transitions:
     return part
 
 
+def refined(model: CarModel, part: Transitions) -> CarModel:
+    """The model that foresees w = c - psi_e best over the next AHEAD samples, beginning from one of least squares.
+
+    One sample's turn is mostly noise, and weights fitted to it let a long forecast stray; least squares over what the
+    model makes of w by the wheel's angles alone, 1 to AHEAD samples after each row, do not. The yaw rate's answer is
+    that of its change over AHEAD samples. Returns the model as it was where the record is too short, or where the
+    other would turn the car the wrong way. Source: Ljung 1999, section 4.2 (output error).
+    """
+    episode = np.cumsum(~follow(part))
+    row = np.arange(1, max(1, len(part) - AHEAD))
+    row = row[episode[row - 1] == episode[row + AHEAD]][-ROWS:]
+    if len(row) < 2 * FEWEST:
+        return model
+    s = part.s
+    v, doe = np.maximum(s[:, V], SLOWEST), s[:, DOE]
+    w, r = s[:, E_DOT] / v - s[:, PSI_E], s[:, R_E] + s[:, V] * s[:, KAPPA]
+    firmly = np.sqrt(AHEAD * CENTRED)
+
+    def strays(weights: Array) -> Array:
+        now, before, earlier, back, slip, constant = weights
+        foreseen, errors = w[row], []
+        for j in range(AHEAD):
+            at = row + j
+            turn = now * doe[at + 1] + before * doe[at] + earlier * doe[at - 1] + constant
+            foreseen = foreseen + turn - (back + slip * v[at] ** 2) * foreseen
+            errors.append(foreseen - w[at + 1])
+        return np.append(np.concatenate(errors), firmly * constant)
+
+    total = model.now + model.before + model.earlier
+    start = (model.now, model.before, model.earlier, model.back, model.slip, -model.straight * total)
+    found = least_squares(strays, start, x_scale=(1e-2, 1e-2, 1e-2, 1e-1, 1e-3, 1e-3), max_nfev=30)
+    now, before, earlier, back, slip, constant = (float(value) for value in found.x)
+    change = np.add.reduce([v[row + j] * (w[row + j + 1] - w[row + j]) for j in range(AHEAD)])
+    yaw = float(change @ (r[row + AHEAD] - r[row]) / (change @ change + 1e-9))
+    straight = float(np.clip(-constant / max(now + before + earlier, 1e-6), -OFF_CENTRE, OFF_CENTRE))
+    other = replace(model, now=now, before=before, earlier=earlier, back=back, slip=slip, yaw=yaw, straight=straight)
+    right = (other.ratio(np.array([v.min(), v.max()])) > 0.0).all() and 0.0 < yaw < 4.0 * abs(model.yaw)
+    return other if right else model
+
+
 def _unexplained(model: CarModel, part: Transitions, skipped: int) -> float:
     """RMS of what the model leaves of the course's change in a sample [rad], without each episode's first samples.
 
     A model in which the wheel turns the car the wrong way explains nothing.
     """
-    if model.ratio <= 0.0:
+    if (model.ratio(np.array([part.s[:, V].min(), part.s[:, V].max()])) <= 0.0).any():
         return np.inf
     columns = slice(len(COLUMNS))
     s, s_next = part.s[:, columns].copy(), part.s_next[:, columns]
     s[:, DOE] -= model.straight
     foreseen = model.step(s, part.a, earlier_doe(part) - model.straight)
-    error: NDArray[np.float64] = (s_next[:, E_DOT] - foreseen[:, E_DOT]) / np.maximum(s[:, 2], 1.0)
+    error: NDArray[np.float64] = (s_next[:, E_DOT] - foreseen[:, E_DOT]) / np.maximum(s[:, V], 1.0)
     starts = np.flatnonzero(~follow(part))
     place = np.arange(len(part)) - np.repeat(starts, np.diff([*starts, len(part)]))
     judged = error[place >= skipped]

@@ -18,8 +18,11 @@ Array = NDArray[np.float64]
 
 KAPPA = len(COLUMNS)
 """In recorded states, the column of the path's curvature, where there is one."""
-CENTRED = 4.0
-"""How firmly a wheel is taken to be mounted straight: about (noise of a sample over what 3 degrees do in one)^2."""
+CENTRED = 300.0
+"""How firmly a wheel is taken to be mounted straight: some hundred samples' worth of evidence. White noise alone would
+ask for 4; but what the model leaves unexplained goes on for seconds, such as a bend's."""
+SAME = 10.0
+"""How firmly `slip` is taken to be nothing, so that it stays so while all speeds are alike."""
 OFF_CENTRE = 0.5
 """Largest offset of the wheel that is believed [rad]."""
 SPREAD = 0.13
@@ -35,9 +38,9 @@ class CarModel:
         doe' = sat(held*doe + pushed*a),  v' = v           the dynamic output element, the human
         e', c', psi_e', r_e'                               `steerkit.controllers.forecast.moved`
 
-    in which nothing changes when doe is turned by x and psi_e by -x*ratio, where ratio = (now + before + earlier)/back
-    is the learned steering ratio's inverse. Bends ahead, humans and noise are in `residuals`. Seven numbers, found by
-    least squares from about 20 transitions on; an eighth, `straight`, where the path's curvature was recorded.
+    in which nothing changes when doe is turned by x and psi_e by -x*ratio, where `ratio` is the learned steering
+    ratio's inverse. Bends ahead, humans and noise are in `residuals`. Seven numbers, found by least squares from about
+    20 transitions on; two more, `slip` and `straight`, where the path's curvature was recorded.
     """
 
     held: float
@@ -49,6 +52,8 @@ class CarModel:
     yaw: float
     limit: float
     """Largest |doe| [rad]."""
+    slip: float = 0.0
+    """How the tyres' slip grows with speed [s^2/m^2]."""
     straight: float = 0.0
     """Angle of the wheel at which the car goes straight on [rad]; states are told with doe counted from there."""
     dt: float = DT
@@ -78,17 +83,17 @@ class CarModel:
         constant, straight = 0.0, 0.0
         if told:
             rise = rise + s_next[:, V] * s_next[:, KAPPA] - s[:, V] * s[:, KAPPA]
-            x = np.column_stack((x, np.ones(len(x))))
-            *weights, constant = _least_squares(x[rows], turn[rows], trace=np.array([1e-3] * 4 + [CENTRED]))
+            x = np.column_stack((x, -v * v * w, np.ones(len(x))))
+            *weights, constant = _least_squares(x[rows], turn[rows], trace=np.array([1e-3] * 4 + [SAME, CENTRED]))
         else:
             weights = list(_least_squares(x[rows], turn[rows]))
-        change = v * (x[:, :4] @ np.array(weights) + constant)
+        change = v * (x[:, : len(weights)] @ np.array(weights) + constant)
         yaw = float(change @ rise / (change @ change + 1e-9))
-        now, before, earlier, back = weights
+        now, before, earlier, back, slip = (*weights, 0.0)[:5]
         if now + before + earlier > 1e-6:
             straight = float(np.clip(-constant / (now + before + earlier), -OFF_CENTRE, OFF_CENTRE))
-        numbers = {"now": now, "before": before, "earlier": earlier, "back": back, "yaw": yaw, "straight": straight}
-        return cls(held=held, pushed=pushed, limit=limit, dt=dt, **numbers)
+        answer = {"now": now, "before": before, "earlier": earlier, "back": back, "slip": slip, "yaw": yaw}
+        return cls(held=held, pushed=pushed, limit=limit, straight=straight, dt=dt, **answer)
 
     def step(self, s: Array, a: Array, earlier: Array) -> Array:
         """States (n, columns) one sample after s, under the actions a (n,), where doe was `earlier` (n,) before s."""
@@ -98,10 +103,13 @@ class CarModel:
         e, course, psi_e, r_e = moved(self, Motion(e, course, psi_e, r_e), v, (doe_next, doe, earlier), dt=self.dt)
         return np.column_stack((e, v * course, v, psi_e, r_e, doe_next))
 
-    @property
-    def ratio(self) -> float:
-        """Road angle of the front over steering-wheel angle in a steady bend [1]; 0 while unknown."""
-        return (self.now + self.before + self.earlier) / self.back if self.back > 1e-3 else 0.0
+    def ratio(self, v: Array) -> Array:
+        """Angle of the course to the car's axis over that of the steering wheel in a steady bend [1]; 0 while unknown.
+
+        (now + before + earlier)/(back + slip*v^2), v (n,) [m/s].
+        """
+        back = self.back + self.slip * v * v
+        return np.where(back > 1e-3, (self.now + self.before + self.earlier) / np.maximum(back, 1e-3), 0.0)
 
 
 def follow(record: Transitions) -> NDArray[np.bool_]:
@@ -144,6 +152,7 @@ def imagine(
     s, residual = record.s[row] * signs, record.s_next[row] - model.step(record.s, record.a, earlier_doe(record))[row]
     back = (earlier_doe(record)[row] - record.s[row, DOE]) * signs[:, DOE]
     v = rng.uniform(record.s[:, V].min(), record.s[:, V].max(), count)
+    s[:, PSI_E] += (model.ratio(_speed(s)) - model.ratio(np.maximum(v, SLOWEST))) * s[:, DOE] * float(model.slip != 0.0)
     s[:, E_DOT] *= v / _speed(s)
     s[:, V] = v
     size = SPREAD * description.half * 2.0 * rng.uniform(0.0, 1.0, (count, 1)) ** 2
@@ -153,7 +162,7 @@ def imagine(
     s[:, PSI_E] += moved[:, PSI_E]
     s[:, R_E] += moved[:, R_E]
     bend = rng.uniform(-model.limit, model.limit, count)
-    s[:, PSI_E] -= model.ratio * (bend - s[:, DOE] - moved[:, DOE])
+    s[:, PSI_E] -= model.ratio(_speed(s)) * (bend - s[:, DOE] - moved[:, DOE])
     s[:, DOE] = bend
     return Imagined(s=s, earlier=bend + back, residual=residual * signs)
 
