@@ -31,7 +31,7 @@ class Setting:
     """The actions [deg]: steps a sample for the integrator, angles for `plain` and `low-pass`."""
     doe: str = "integrator"
     """Dynamic output element: `integrator`, `low-pass` or `plain`."""
-    cost: Cost = field(default_factory=lambda: TanhCost(goal=0.15, action_cost=0.015))
+    cost: Cost = field(default_factory=lambda: TanhCost(goal=0.15, action_cost=0.025))
     """Cost of a transition: see `steerkit.learning.costs`."""
     # Measured model-free (8 seeds, clean, 2.5 min): one iteration every 10 to 30 m beats two every 60 m (GOOD after 47
     # to 63 s); 600 epochs, 4 steps, 20-20 nets: no gain.
