@@ -8,6 +8,8 @@ last one, not the best. `model-based` is the rival: the same experiment, steered
 model.
 
     python -m benchmarks study learning --setting default --seeds 10 --conditions hard [--quick] [--json]
+
+With --fleet N: N cars drawn from the fleet, each on a course of its own (`benchmarks.studies.fleet`).
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from benchmarks.studies.fleet import fleet
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.settings import SETTINGS, changed, setting
 from steerkit.learning.training_run import train
@@ -136,6 +139,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=VALUE",
         help="change the setting, such as fit.guard=1.2 or after_failure=shift; may be repeated",
     )
+    parser.add_argument("--fleet", type=int, default=0, metavar="N", help="N cars of the fleet, 5 minutes each")
     parser.add_argument("--seeds", type=int, default=None, help="how many seeds (default 10)")
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--conditions", default="clean", choices=["clean", "hard"])
@@ -153,6 +157,11 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Run the seeds, print the tables."""
     seeds = (1 if options.quick else 10) if options.seeds is None else options.seeds
     minutes = (0.5 if options.quick else 11.0) if options.minutes is None else options.minutes
+    if options.fleet:
+        how = changed(setting(options.setting), options.changes)
+        seeds = 1 if options.seeds is None else options.seeds
+        five = minutes if options.minutes is not None or options.quick else 5.0
+        return fleet(options.fleet, seeds, how, five, options.processes)
     world = replace(
         Scenario.under(options.conditions, course=options.course), plant=options.plant, reference=options.reference
     )

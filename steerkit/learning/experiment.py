@@ -169,7 +169,7 @@ class LearningRun:
         elif learning and story.due():
             story.train(self.t, trusted=True)
         if not self.path.closed and self._value("path.s") > self.path.length - END_MARGIN:
-            self._put_back(0.0)  # the end of an open course
+            self._put_back(self.experiment.world.start)  # the end of an open course
         if counts.updates > trainings and self.keep is not None:
             self.keep(self)
 

@@ -42,6 +42,7 @@ class Setting:
             hints=0,
             n_step=3,
             nets=4,
+            keep=2,
             iterations=3,
             imagined=3000,
             horizon=5,

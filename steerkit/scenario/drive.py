@@ -63,14 +63,17 @@ def assembled(
     recovery: Block | None = None,
     shift: TargetShift | None = None,
     seed: int = 0,
-    s: float = 0.0,
+    s: float | None = None,
 ) -> Loop:
     """The loop of a drive in simulation, whoever drives: learner, test drive, suite or environment.
 
     place: course, car and disturbances. controller, doe, recovery, shift: as for `steering_loop`. seed: of human,
-    sensors, gusts and the link's delays. s: where the car starts [m]. Raises what `steering_loop` raises.
+    sensors, gusts and the link's delays. s: where the car starts [m]; None:
+    where the place says. Raises what `steering_loop` raises.
     """
     path = place.path()
+    if s is None:
+        s = place.start if isinstance(place, Scenario) else 0.0
     stop = place.nominal.delta_sw_max if isinstance(place, Scenario) else None
     judge = Supervisor(limit=stop, dt=controller.dt) if recovery is not None and stop is not None else None
     return steering_loop(
@@ -105,7 +108,9 @@ def controller(name: str, scenario: Scenario) -> Block:
     return make_controller(name, scenario.belief(clock=time.perf_counter))
 
 
-def drive_loop(scenario: Scenario, steering: Block, *, doe: Block | None = None, seed: int = 0, s: float = 0.0) -> Loop:
+def drive_loop(
+    scenario: Scenario, steering: Block, *, doe: Block | None = None, seed: int = 0, s: float | None = None
+) -> Loop:
     """The loop of a test drive: a policy (with its doe) is caught by the scenario's recovery."""
     if "ready" not in [port.name for port in steering.outputs]:
         return assembled(scenario, steering, doe=doe, seed=seed, s=s)
@@ -121,7 +126,7 @@ def drive(
     doe: Block | None = None,
     seed: int = 0,
     rounds: float | None = None,
-    s: float = 0.0,
+    s: float | None = None,
     progress: bool = False,
     only_while_held: bool = False,
 ) -> Log:

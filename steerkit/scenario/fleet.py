@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
+from steerkit.courses import random_course
+from steerkit.path import Path
 from steerkit.random import seed_state, uniform
 from steerkit.scenario.scenario import Scenario
 from steerkit.vehicles import drawn_car
@@ -19,24 +23,35 @@ PLAY_DEG = 2.0
 _STREAM = 22  # of `seed_state`: what is drawn besides the car
 
 
+def straightest(path: Path, length: float = 20.0) -> float:
+    """Where the stretch of `length` [m] begins that bends least in its worst place [m]."""
+    s = np.arange(0.0, path.length, 1.0)
+    kappa = np.abs(path.kappa(s))
+    worst = np.max([np.roll(kappa, -k) for k in range(int(length))], axis=0)
+    return float(s[worst.argmin()])
+
+
 def fleet_scenario(number: int, **changes: Any) -> Scenario:
     """A production car drawn by a seed, on a course that nothing was tuned on, under `hard` conditions.
 
     Drawn are: the car, as `vehicle("fleet-17")` is, with its own steering delay; the lag of its steering, uniform from
     0.1 to 0.3 s; the offset of its wheel, uniform within +-3 degrees; free play, uniform up to 2 degrees. The course is
-    `random-1017` for number 17.
+    `random-1017` for number 17; drives begin where it is straightest, as a car put down in a tight bend leaves the path
+    whoever steers it.
 
     number: the seed, a whole number >= 0. changes: fields of the scenario that are to be others. Raises ValueError for
     another number, and for changes that make no scenario.
     """
     car = drawn_car(number)
+    name = f"random-{COURSES_FROM + number}"
     share, state = uniform(seed_state(number, stream=_STREAM))
     side, state = uniform(state)
     worn, _ = uniform(state)
     drawn: dict[str, Any] = {
         "name": f"fleet-{number}",
         "vehicle": car.vehicle.name,
-        "course": f"random-{COURSES_FROM + number}",
+        "course": name,
+        "start": straightest(random_course(COURSES_FROM + number)),
         "delay": round(car.steer_delay, 2),
         "lag": round(LAG[0] + (LAG[1] - LAG[0]) * share, 3),
         "offset_deg": round(OFFSET_DEG * (2.0 * side - 1.0), 2),

@@ -45,6 +45,7 @@ _RANGES = (  # field, unit, least, largest
     ("v_min", "m/s", 0.2, 40.0),
     ("v_max", "m/s", 0.2, 40.0),
     ("rounds", "1", 1e-3, 1e6),
+    ("start", "m", 0.0, 1e6),
     ("lag", "s", 0.0, 10.0),
     ("delay", "s", 0.0, 2.0),
     ("rate_limit_deg", "deg/s", 1.0, 10_000.0),
@@ -115,6 +116,8 @@ class Scenario:
     """Lateral acceleration in bends for which the wandering human slows down [m/s^2]."""
     steering: str = "angle"
     """`angle`: a motor that turns the wheel; `torque`: as lane keeping steers most cars (`TorqueSteering`)."""
+    start: float = 0.0
+    """Where on the course a drive begins [m]: at rest relative to it, so that a tight bend there is no fair start."""
     lag: float = 0.12
     """First-order lag of the steering actuator [s]."""
     delay: float = 0.0
@@ -224,6 +227,8 @@ class Scenario:
             known(self.course, valid, "course", also="FILE.csv")
         chosen = self.closed is None or self._text(self.course) is not None
         require(chosen, f"closed = {self.closed}", "only a course from a file is told so")
+        if self.start:
+            require_within("scenario", "start", self.start, "m", 0.0, self.path().length, "the course's length")
         if self.speed == "recorded":
             recorded_speed(self.course)
         car = plant_kind(self.plant)(vehicle=self.true_vehicle, v0=self.v_min)  # type: ignore[call-arg]

@@ -1,0 +1,169 @@
+"""Does it learn any car there is? Cars drawn from the fleet, each with its delay, lag, offset and play, on its own course.
+
+Part of the study `learning`: `python -m benchmarks study learning --fleet 40 --seeds 1 [--json]`. The learner is told
+nothing of its car. Analytic controllers drive the same test once told the truth (delay, lag, and the wheel's offset,
+which they subtract) and once the data sheet (mass, tyres, ratio; nothing of the steering's delay, lag and offset).
+Play and sensor noise nobody is told. A ratio is the learner's final net over the analytic controller of the least RMS e.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass, replace
+from multiprocessing import get_context
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from steerkit.learning.experiment import Experiment
+from steerkit.learning.settings import Setting
+from steerkit.learning.training_run import Taken, train
+from steerkit.learning.trials import TrialDrive, drive_each
+from steerkit.metrics import Summary, of_log
+from steerkit.scenario import Scenario, drive
+from steerkit.scenario.fleet import fleet_scenario
+
+TOLD_TRUTH = ("stanley-delay", "lqr", "mpc")
+"""Analytic controllers that can be told of a delay."""
+TOLD_DATA_SHEET = ("stanley", "lqr", "mpc")
+"""Those that a data sheet is enough for."""
+FIRST_NETS = 12
+"""So many of a run's first nets are test-driven in search of the first GOOD one, then every fourth."""
+
+
+@dataclass(frozen=True)
+class FleetOutcome:
+    """What one car came to; times in seconds of driving, None where it did not happen."""
+
+    number: int
+    seed: int
+    car: str
+    delay: float
+    lag: float
+    offset_deg: float
+    play_deg: float
+    dead_samples: int
+    good: float | None
+    failures: int
+    nets: int
+    held: bool
+    rms_e: float
+    max_e: float
+    wheel_rate_deg: float
+    jerk_rms: float
+    best: str
+    rms_x_told_truth: float
+    wheel_x_told_truth: float
+    jerk_x_told_truth: float
+    best_on_data_sheet: str
+    rms_x_data_sheet: float
+    computing: float
+
+
+def one_car(job: tuple[int, int, Setting, float]) -> FleetOutcome:
+    """Let car `number` learn with `seed` for so many minutes, and compare its final net on a drive of its own."""
+    number, seed, setting, minutes = job
+    world = fleet_scenario(number, recovery="stanley-delay")
+    trained = train(Experiment(setting=setting, world=world, minutes=minutes, seed=seed))
+    test = seed + 1000
+
+    def judged(net: Taken) -> TrialDrive:
+        return drive_each(world, setting, [net.policy], seed=test)[0]
+
+    nets = trained.nets
+    good = first_good(nets, judged)
+    final = judged(nets[-1]) if nets else None
+    summary = final.summary if final else None
+    nan = float("nan")
+    best, truth = _best(replace(world, offset_deg=0.0), TOLD_TRUTH, test)
+    on_sheet, sheet = _best(replace(world, told_delay=0.0, told_lag=0.0), TOLD_DATA_SHEET, test)
+    forecast = nets[-1].policy.forecast if nets else None
+    mine = (summary.rms_e, summary.rms_wheel_rate_deg, summary.rms_jerk) if summary else (nan,) * 3
+    return FleetOutcome(
+        number=number,
+        seed=seed,
+        car=world.vehicle,
+        delay=world.delay,
+        lag=world.lag,
+        offset_deg=world.offset_deg,
+        play_deg=world.play_deg,
+        dead_samples=forecast.samples if forecast else 0,
+        good=good,
+        failures=trained.run.counts.failures,
+        nets=len(nets),
+        held=final is not None and final.held,
+        rms_e=mine[0],
+        max_e=summary.max_e if summary else nan,
+        wheel_rate_deg=mine[1],
+        jerk_rms=mine[2],
+        best=best,
+        rms_x_told_truth=mine[0] / truth.rms_e,
+        wheel_x_told_truth=mine[1] / truth.rms_wheel_rate_deg,
+        jerk_x_told_truth=mine[2] / truth.rms_jerk,
+        best_on_data_sheet=on_sheet,
+        rms_x_data_sheet=mine[0] / sheet.rms_e,
+        computing=trained.computing,
+    )
+
+
+def first_good(nets: list[Taken], judged: Callable[[Taken], TrialDrive]) -> float | None:
+    """When the first GOOD net took the wheel [s]."""
+    for i, net in enumerate(nets):
+        if (i < FIRST_NETS or i % 4 == 0) and judged(net).good:
+            return net.t
+    return None
+
+
+def _best(world: Scenario, names: Iterable[str], seed: int) -> tuple[str, Summary]:
+    """The controller of the least RMS e on a whole test drive, and its metrics."""
+    rows = [(name, of_log(drive.drive(world, drive.controller(name, world), seed=seed))) for name in names]
+    return min(rows, key=lambda row: row[1].rms_e)
+
+
+def summarise(outcomes: list[FleetOutcome]) -> dict[str, Any]:
+    """Shares, medians and worst cases over cars; one that never got there counts as infinite, and is None here."""
+
+    def finite(value: float) -> float | None:
+        return float(value) if np.isfinite(value) else None
+
+    times = [np.inf if o.good is None else o.good for o in outcomes]
+    ratios = {
+        name: [np.nan_to_num(getattr(o, name), nan=np.inf) if o.held else np.inf for o in outcomes]
+        for name in ("rms_x_told_truth", "wheel_x_told_truth", "jerk_x_told_truth", "rms_x_data_sheet")
+    }
+    return {
+        "cars": len(outcomes),
+        "good_share": float(np.mean(np.isfinite(times))),
+        "good_median_s": finite(np.median(times)),
+        "good_worst_s": finite(np.max(times)),
+        "failures_worst": int(max(o.failures for o in outcomes)),
+        "held_share": float(np.mean([o.held for o in outcomes])),
+        **{name: finite(np.median(values)) for name, values in ratios.items()},
+        "worst_rms_x_told_truth": finite(np.max(ratios["rms_x_told_truth"])),
+        "computing_median_s": float(np.median([o.computing for o in outcomes])),
+    }
+
+
+def fleet(cars: int, seeds: int, setting: Setting, minutes: float, processes: int) -> dict[str, Any]:
+    """Run all cars, a line each as it comes, then the table's last line."""
+    jobs = [(number, seed, setting, minutes) for number in range(cars) for seed in range(seeds)]
+    console, outcomes = Console(width=170), []
+    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
+        for outcome in pool.map(one_car, jobs):
+            outcomes.append(outcome)
+            good = "never" if outcome.good is None else f"{outcome.good:.0f} s"
+            Console(stderr=True).print(
+                f"{len(outcomes)}/{len(jobs)} {outcome.car}: GOOD after {good}, {outcome.failures} failures, "
+                f"RMS e {outcome.rms_x_told_truth:.2f} x {outcome.best} told the truth",
+                soft_wrap=True,
+            )
+    shown = [name for name in asdict(outcomes[0]) if name not in ("number", "seed", "best_on_data_sheet", "computing")]
+    table = Table(*[name.replace("_", " ") for name in shown], title=f"{cars} cars of the fleet, {minutes:g} minutes")
+    for outcome in outcomes:
+        values = asdict(outcome)
+        table.add_row(*[f"{values[n]:.3g}" if isinstance(values[n], float) else str(values[n]) for n in shown])
+    console.print(table)
+    return {**summarise(outcomes), "outcomes": [asdict(o) for o in outcomes]}
