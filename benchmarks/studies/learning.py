@@ -9,7 +9,7 @@ model.
 
     python -m benchmarks study learning --setting default --seeds 10 --conditions hard [--quick] [--json]
 
-With --fleet N: N cars drawn from the fleet, each on a course of its own (`benchmarks.studies.fleet`).
+With --fleet N: N cars drawn from the fleet, each on a course of its own (`benchmarks.run.fleet`).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from benchmarks.studies.fleet import fleet
+from benchmarks.run.fleet import fleet
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.settings import SETTINGS, changed, setting
 from steerkit.learning.training_run import train

@@ -165,6 +165,8 @@ class NfqPolicy(Policy):
         points = f"preview_points = {self.preview_points}; valid: 0, or {ahead.PREVIEW}, which a forecast needs"
         valid = self.preview_points == ahead.PREVIEW or (self.preview_points == 0 and self.forecast is None)
         require(valid, where, points)
+        if not self.preview_points:
+            without_preview(self)
 
     def with_weights(self) -> NfqPolicy:
         """The same policy with its weights in the field `weights`, for `compile(parameters=["....weights"])`."""
@@ -359,6 +361,12 @@ def _forecast_in(f: Any) -> Forecast | None:
     numbers = f["forecast"].tolist()
     require(bool(np.isfinite(numbers).all()), "forecast", "its numbers hold a NaN or an infinity")
     return Forecast(samples=int(f["dead_samples"]), dt=float(f["dt"])).with_numbers(numbers)
+
+
+def without_preview(block: Policy) -> None:
+    """Take the input `preview` from a policy that looks at no path, so that a loop needs no wire to it."""
+    for name in ("inputs", "U", "D"):
+        object.__setattr__(block, name, getattr(Policy, name))
 
 
 def check_net(net: Net, n_in: int, where: str) -> None:

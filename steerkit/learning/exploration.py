@@ -7,7 +7,7 @@ from typing import Any
 
 from steerkit import maths as m
 from steerkit.block import In, State
-from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.controllers.nfq_policy import NfqPolicy, without_preview
 from steerkit.controllers.policy import Policy
 from steerkit.errors import require
 from steerkit.random import seed_state, uniform
@@ -42,6 +42,8 @@ class Exploring(Policy):
         require(0.0 <= self.share <= 1.0, "Exploring", f"share = {self.share}, expected 0 <= share <= 1")
         same = self.policy.dt == self.dt
         require(same, "Exploring", f"dt = {self.dt} s, the policy's is {self.policy.dt} s, expected the same")
+        if not self.preview_points:
+            without_preview(self)
 
     @property
     def preview_points(self) -> int:

@@ -1,9 +1,10 @@
-"""Does it learn any car there is? Cars drawn from the fleet, each with its delay, lag, offset and play, on its own course.
+"""Does it learn any car there is? Cars drawn from the fleet, each with its delay, lag, offset, play and course.
 
 Part of the study `learning`: `python -m benchmarks study learning --fleet 40 --seeds 1 [--json]`. The learner is told
 nothing of its car. Analytic controllers drive the same test once told the truth (delay, lag, and the wheel's offset,
 which they subtract) and once the data sheet (mass, tyres, ratio; nothing of the steering's delay, lag and offset).
-Play and sensor noise nobody is told. A ratio is the learner's final net over the analytic controller of the least RMS e.
+Play and sensor noise nobody is told. A ratio is that of the learner's final net to the analytic controller of the
+least RMS e.
 """
 
 from __future__ import annotations
