@@ -85,13 +85,9 @@ def drive_each(world: Scenario, setting: Setting, policies: Sequence[Any], *, se
 
 
 def _drive_one(world: Scenario, setting: Setting, policy: Any, seed: int) -> TrialDrive:
-    log = evaluate.drive(world, policy, doe=setting.element(world.nominal), seed=seed, only_while_held=True)
-    progress = float(log["path.progress"][-1])
-    return TrialDrive(
-        rounds=progress / world.round_length,
-        held=evaluate.held_all_along(log) and progress >= world.round_length,
-        summary=of_log(log) if len(log.t) > 20 else None,
-    )
+    log = evaluate.drive(world, policy, doe=setting.element(world.nominal), seed=seed, rounds=1.0, only_while_held=True)
+    one_car = Log(log.t, {name: log[name][:, None] for name in SIGNALS}, log.units)
+    return _judged(one_car, 0, world.round_length)
 
 
 def _judged(log: Log, car: int, length: float) -> TrialDrive:

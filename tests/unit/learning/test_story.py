@@ -187,7 +187,7 @@ def test_a_training_that_came_to_nothing_is_repeated_where_nobody_else_would_dri
     told.drive(2)
     told.story.train(0.0, trusted=False)
     told.trainer.done(nets=None, fault="killed")
-    assert told.take_over() == (1, None, 1.5, "killed", None)
+    assert told.take_over() == (1, None, 1.5, "killed", None, None)
     assert [job.number for job in told.trainer.jobs] == [1, 2]
     assert not told.story.trusted
     assert told.story.faults == ["killed"]

@@ -163,7 +163,7 @@ def test_measured_time_is_charged_as_it_was_taken() -> None:
 def test_a_simulated_training_goes_on_from_a_checkpoint() -> None:
     before = SimulatedTrainer(seconds=2.0)
     before.submit(job(1), 10.0)
-    after = SimulatedTrainer(seconds=2.0, nets=before.nets, pending=before.pending)
+    after = SimulatedTrainer(seconds=2.0, nets=before.learned.nets, pending=before.pending)
     for trainer in (before, after):
         trainer.submit(job(2), 11.0)
         assert trainer.poll(13.9) is None
@@ -202,9 +202,9 @@ def test_an_error_in_training_is_told_and_the_next_job_works(shared: Trainer) ->
         result = until(shared.poll)
         assert result.nets is None
         assert re.match(why, result.fault)
-    before = shared._worker.nets
+    before = shared._worker.learned
     shared.submit(job(203))
-    assert same(until(shared.poll).nets, expected(203, before))
+    assert same(until(shared.poll).nets, expected(203, before.nets))
     assert (shared.pid, shared.busy) == (pid, False)
 
 

@@ -18,7 +18,7 @@ from steerkit.units import degrees_of, radians_of
 
 @pytest.mark.parametrize("combine", ["mean", "max", "disagreement"])
 def test_values_lead_to_the_actions_that_the_policy_takes(record: Record, combine: Any) -> None:
-    policy = replace(record.policy, combine=combine)
+    policy = replace(record.policy, combine=combine, continuous=False)
     s = record.transitions.s[:200]
     members = q_values(policy, s)
     q = {
@@ -84,7 +84,7 @@ def test_slices_hold_the_policys_values(record: Record) -> None:
 
 
 def test_the_map_shows_the_action_that_the_policy_takes(record: Record) -> None:
-    policy, world = record.policy, record.experiment.world
+    policy, world = replace(record.policy, continuous=False), record.experiment.world  # the map shows the set's
     figure = policy_map(policy, world, visited=record.transitions, v=5.0, doe_deg=(0.0, 120.0))
     above = [axis for axis in figure.axes if axis.get_title(loc="left")]
     assert len(above) == 2
