@@ -21,6 +21,8 @@ FEWEST = 15
 AS_GOOD = 1.02
 """A longer dead time is preferred to a shorter one that explains the car better by less than this factor: the model's
 three angles can stand for a sample of it, and the process that is learned is the simpler, the less of it is left."""
+NOTHING = 1e-5
+"""Turn in a sample that is as good as none [rad], for records without noise."""
 AHEAD = 10
 """Samples over which a model has to foresee the car."""
 ROWS = 3000
@@ -55,7 +57,7 @@ def process_of(record: Transitions, description: StateDescription, longest: floa
     last = len(known) - 1
     errors = [_unexplained(model, part, last - n) for n, (model, part) in enumerate(zip(models, known, strict=True))]
     best = int(np.argmin(errors))
-    while best < last and errors[best + 1] <= AS_GOOD * min(errors):
+    while best < last and errors[best + 1] <= AS_GOOD * min(errors) + NOTHING:
         best += 1
     part = known[best]
     model = refined(models[best], part)

@@ -1,0 +1,73 @@
+"""The study of the fleet: what counts as GOOD, as a ratio, and as the worst."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from benchmarks.run import fleet
+from benchmarks.run.fleet import FleetOutcome, first_good, one_car, summarise
+from steerkit.learning.settings import setting
+
+GOOD = FleetOutcome(
+    number=0,
+    seed=0,
+    car="a",
+    delay=0.1,
+    lag=0.2,
+    offset_deg=1.0,
+    play_deg=0.0,
+    dead_samples=3,
+    good=10.0,
+    failures=1,
+    nets=30,
+    held=True,
+    rms_e=0.01,
+    max_e=0.1,
+    wheel_rate_deg=40.0,
+    jerk_rms=0.4,
+    best="mpc",
+    rms_x_told_truth=0.9,
+    wheel_x_told_truth=1.0,
+    jerk_x_told_truth=1.1,
+    best_on_data_sheet="stanley",
+    rms_x_data_sheet=0.3,
+    computing=20.0,
+)
+
+
+def test_medians_and_worst_cases_count_a_car_that_never_got_there_as_infinite() -> None:
+    slow, lost = replace(GOOD, good=30.0, rms_x_told_truth=1.2, failures=3), replace(GOOD, good=None, held=False)
+    two = summarise([GOOD, slow])
+    assert (two["good_share"], two["good_median_s"], two["good_worst_s"]) == (1.0, 20.0, 30.0)
+    assert (two["rms_x_told_truth"], two["worst_rms_x_told_truth"]) == pytest.approx((1.05, 1.2))
+    three = summarise([GOOD, slow, lost])
+    assert (three["good_share"], three["held_share"]) == pytest.approx((2 / 3, 2 / 3))
+    assert (three["good_worst_s"], three["worst_rms_x_told_truth"]) == (None, None)
+    assert (three["rms_x_told_truth"], three["failures_worst"]) == (1.2, 3)
+
+
+def test_the_first_good_net_counts_from_when_it_took_the_wheel() -> None:
+    nets: Any = [SimpleNamespace(t=float(t), policy=t) for t in range(20)]
+
+    def judged(good: set[int]) -> Any:
+        return lambda net: SimpleNamespace(good=net.policy in good)
+
+    assert first_good(nets, judged({7, 3})) == 3.0
+    assert first_good(nets, judged({13, 16})) == 16.0  # after the first dozen every fourth is judged
+    assert first_good(nets, judged(set())) is None
+
+
+def test_a_car_that_hardly_learned_is_told_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fleet, "TOLD_TRUTH", ("stanley-delay",))
+    monkeypatch.setattr(fleet, "TOLD_DATA_SHEET", ("stanley",))
+    made = fleet.fleet_scenario
+    monkeypatch.setattr(fleet, "fleet_scenario", lambda number, **more: made(number, rounds=0.1, **more))
+    outcome = one_car((3, 0, setting("model-free"), 0.05))
+    assert (outcome.number, outcome.best, outcome.best_on_data_sheet) == (3, "stanley-delay", "stanley")
+    assert outcome.delay == made(3).delay
+    assert outcome.good is None
+    assert not outcome.held

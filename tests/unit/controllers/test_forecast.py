@@ -1,0 +1,139 @@
+"""A forecast is where the car will be: against a car that is moved by the same numbers, and in every backend."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import casadi
+import numpy as np
+import pytest
+
+from steerkit.controllers.forecast import LONGEST, PREVIEW, Forecast, Motion, at_first, moved, nothing
+from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.learning.nfq.iterate import mirror_image
+from steerkit.learning.nfq.network import new_net
+from steerkit.learning.nfq.patterns import STANDARD
+from steerkit.task import DT
+
+CAR = Forecast(samples=5, now=0.004, before=0.005, earlier=0.003, back=0.2, slip=4e-4, yaw=0.38, straight=0.05)
+STATE = ("e", "e_dot", "v", "psi_e", "r_e", "doe")
+
+
+def driven(car: Forecast, n: int = 80, seed: int = 0) -> tuple[list[Any], list[Motion]]:
+    """What is seen of a car of these numbers at n samples, and its motion; steered at random through its dead time."""
+    rng, speed = np.random.default_rng(seed), 5.0
+    doe = np.concatenate((np.zeros(20), 0.2 * np.cumsum(rng.normal(size=n + 20))))  # doe[k + 20]: known at sample k
+    kappa = 0.02 * np.sin(0.1 * np.arange(n + 40))
+    x, motions = Motion(0.1, 0.02, -0.03, 0.01), []
+    for k in range(n + LONGEST):
+        motions.append(x)
+        acting = [doe[k + 20 + 1 - car.samples - i] - car.straight for i in range(3)]
+        x = moved(car, x, speed, acting, speed * (kappa[k + 1] - kappa[k]))
+    seen = [
+        SimpleNamespace(
+            e=x.e, e_dot=speed * x.c, v=speed, psi_e=x.psi_e, r_e=x.r_e, doe=doe[k + 20],
+            preview=tuple(kappa[k : k + PREVIEW]),
+        )
+        for k, x in enumerate(motions[:n])
+    ]  # fmt: skip
+    return seen, motions
+
+
+@pytest.mark.parametrize("samples", [0, 1, 5, LONGEST])
+@pytest.mark.parametrize("trust", [1.0, 0.25])
+def test_the_forecast_is_where_the_car_will_be(samples: int, trust: float) -> None:
+    car = replace(CAR, samples=samples, trust=trust)
+    seen, motions = driven(car)
+    x = at_first(seen[0])
+    for k, u in enumerate(seen):
+        if k > 40:  # what was steered before the first sample is forgotten
+            e, e_dot, v, psi_e, r_e, doe = car.ahead(x, u)
+            np.testing.assert_allclose((e, e_dot / v, psi_e, r_e), motions[k + samples], atol=1e-9)
+            assert (v, doe) == (u.v, u.doe - car.straight)
+        x = car.remember(x, u)
+
+
+def test_noise_is_filtered_and_a_nan_is_forgotten() -> None:
+    car = replace(CAR, trust=0.25)
+    seen, motions = driven(car)
+    rng, errors, x = np.random.default_rng(1), [], at_first(seen[0])
+    for k, u in enumerate(seen):
+        u = SimpleNamespace(**{**vars(u), "r_e": u.r_e + rng.normal(0.0, 0.01)})
+        if k == 30:
+            u.r_e = float("nan")
+        if k > 45:
+            errors.append(car._filtered(x, u, u.v)[1] - motions[k].r_e)
+        x = car.remember(x, u)
+        assert np.isfinite(x).all() or 30 <= k < 33
+    assert 0.0 < np.std(errors) < 0.006  # of 0.01
+
+
+def test_the_same_in_batches_and_symbols() -> None:
+    policy = NfqPolicy(nets=(new_net(seed=1),), preview_points=PREVIEW, forecast=CAR, continuous=True)
+    rng = np.random.default_rng(2)
+    values, kappa = rng.normal(0.0, 0.1, (6, 50)), rng.normal(0.0, 0.02, (PREVIEW, 50))
+    values[2] += 6.0
+    memory = rng.normal(0.0, 0.1, (len(nothing()), 50))
+    memory[-2] += 6.0
+    batch = policy.output(0.0, tuple(memory), policy.D(*values, tuple(kappa)))
+    next_state = policy.update(0.0, tuple(memory), policy.U(*values, tuple(kappa)), batch)
+    s = casadi.SX.sym("s", 6)
+    k, x = casadi.SX.sym("k", PREVIEW), casadi.SX.sym("x", len(memory))
+    u = policy.D(*[s[i] for i in range(6)], tuple(k[i] for i in range(PREVIEW)))
+    y = policy.output(0.0, tuple(x[i] for i in range(len(memory))), u)
+    traced = casadi.Function("policy", [s, k, x], [y.action, y.q])
+    for car in range(50):
+        here = policy.D(*[float(v) for v in values[:, car]], tuple(map(float, kappa[:, car])))
+        one = policy.output(0.0, tuple(map(float, memory[:, car])), here)
+        assert (one.action, one.q) == pytest.approx((batch.action[car], batch.q[car]), abs=1e-12)
+        found = traced(values[:, car], kappa[:, car], memory[:, car])
+        assert [float(f) for f in found] == pytest.approx([one.action, one.q], abs=1e-12)
+        after = policy.update(0.0, tuple(map(float, memory[:, car])), here, one)
+        np.testing.assert_allclose(after, [row[car] for row in next_state], atol=1e-15)
+
+
+def test_a_policy_with_a_forecast_comes_back_bit_for_bit_and_leaves_its_weights_open(tmp_path: Path) -> None:
+    policy = NfqPolicy(nets=(new_net(seed=1),), preview_points=PREVIEW, forecast=CAR, continuous=True)
+    policy.save(tmp_path / "p.npz")
+    again = NfqPolicy.load(tmp_path / "p.npz")
+    assert (again.forecast, again.continuous, again.preview_points) == (CAR, True, PREVIEW)
+    opened = replace(policy, forecast=replace(CAR, back=9.0)).with_weights()
+    opened = replace(opened, weights=policy.flat_weights())
+    u = policy.D(0.1, 0.2, 6.0, 0.05, 0.1, 0.3, tuple(0.01 * i for i in range(PREVIEW)))
+    x = policy.settle(0.0, (), u)
+    assert opened.output(0.0, x, u) == policy.output(0.0, x, u)
+
+
+def test_the_action_between_is_the_lowest_point_of_the_parabola() -> None:
+    policy = NfqPolicy(nets=(new_net(seed=1),), actions=(-0.5, -0.1, 0.0, 0.2, 0.5), continuous=True)
+    for lowest in np.linspace(-0.29, 0.34, 33):
+        values = [(a - lowest) ** 2 for a in policy._order]
+        best = policy._order[int(np.argmin(values))]
+        assert policy._between(values, best) == pytest.approx(lowest, abs=1e-12)
+    assert policy._between([1.0] * 5, 0.0) == 0.0  # flat: the action itself
+    assert policy._between([5.0, 4.0, 3.0, 2.0, 1.0], policy._order[-1]) == policy._order[-1]  # at the end of the set
+
+
+def test_a_net_and_its_mirror_image_steer_a_car_that_is_the_same_in_the_mirror() -> None:
+    net = new_net(seed=3)
+    policy = NfqPolicy(nets=(net, mirror_image(net, STANDARD)), actions=(-0.4, -0.1, 0.0, 0.1, 0.4), continuous=True)
+    s = np.random.default_rng(0).normal(0.0, 0.3, (6, 200))
+    s[2] = 6.0
+    here = policy.output(0.0, (), policy.D(*s))
+    there = policy.output(0.0, (), policy.D(*(np.array(STANDARD.mirror_signs)[:, None] * s)))
+    np.testing.assert_allclose(here.q, there.q, atol=1e-15)
+    np.testing.assert_allclose(here.action, -there.action, atol=1e-9)
+
+
+def test_numbers_out_of_range_are_refused() -> None:
+    for wrong in (-1, LONGEST + 1, 2.0):
+        with pytest.raises(ValueError, match="samples"):
+            Forecast(samples=wrong)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="trust"):
+        Forecast(trust=0.0)
+    with pytest.raises(ValueError, match="preview_points"):
+        NfqPolicy(forecast=Forecast())
+    assert Forecast().dt == DT

@@ -1,0 +1,106 @@
+"""Dead time out of recorded transitions: the one that a car really has, and what goes with it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, V
+from steerkit.learning.data.transitions import Transitions
+from steerkit.learning.nfq.dead_time import aligned, process_of
+from steerkit.learning.nfq.iterate import FitSetting, Learned, update
+from steerkit.learning.nfq.model import CarModel
+from steerkit.learning.settings import DEFAULT
+from tests.support.modelled_car import ACTIONS
+
+CAR = CarModel(held=1.0, pushed=1.0, now=0.006, before=0.005, earlier=0.0, back=0.2, slip=4e-4, yaw=0.38, limit=9.0)
+DESCRIPTION = DEFAULT.description()
+
+
+def late(samples: int, *, straight: float = 0.0, n: int = 600, noise: float = 0.0, seed: int = 0) -> Transitions:
+    """What is recorded of `CAR` where its motion is `samples` late, in bends, in episodes of 60 samples."""
+    rng, record = np.random.default_rng(seed), Transitions((*COLUMNS, "kappa"))
+    for episode in range(n // 60):
+        angles, actions = [0.0] * (samples + 2), []
+        for _ in range(62 + samples):
+            actions.append(float(rng.choice(ACTIONS)) - 0.1 * angles[-1])
+            angles.append(angles[-1] + actions[-1])
+        kappa = 0.03 * np.sin(0.15 * np.arange(62 + samples) + episode)
+        s = np.array([[0.0, rng.normal(0.0, 0.1), rng.uniform(4.0, 7.0), rng.normal(0.0, 0.05), 0.0, 0.0]])
+        rows = []
+        for k in range(61):
+            old = angles[k + 1 : k + 3]  # the angle that acted before, and the one that acts in this sample
+            s[0, DOE] = old[1] - straight
+            rows.append(np.append(s[0], kappa[k]))
+            following = CAR.step(s, np.array([angles[k + 3] - old[1]]), np.array([old[0] - straight]))
+            following[0, 4] -= s[0, V] * (kappa[k + 1] - kappa[k])
+            s = following
+        motion = np.array(rows)
+        motion[:, [1, 4]] += noise * rng.standard_normal((61, 2))
+        motion[:, DOE] = angles[samples + 2 : samples + 63]
+        taken = np.array(actions[1:61])
+        record.extend(motion[:-1], taken, motion[1:], episode)
+    return record
+
+
+@pytest.mark.parametrize("samples", [0, 3, 7, 12])
+@pytest.mark.parametrize("straight", [0.0, 0.06])
+def test_the_dead_time_is_found_and_the_car_behind_it(samples: int, straight: float) -> None:
+    process = process_of(late(samples, straight=straight), DESCRIPTION, 0.6)
+    assert process.forecast.samples == samples
+    for name in ("now", "before", "back", "slip", "yaw"):
+        assert getattr(process.model, name) == pytest.approx(getattr(CAR, name), rel=0.15, abs=1e-4), name
+    assert process.model.straight == pytest.approx(straight, abs=0.02)
+    assert process.forecast.back == process.model.back
+    assert process.record.names == COLUMNS
+
+
+def test_what_is_aligned_is_the_process_without_dead_time() -> None:
+    record = late(5)
+    part = aligned(record, 5)
+    assert len(part) == 10 * (60 - 5)  # the last angles of each episode have not acted yet
+    columns = slice(len(COLUMNS))
+    earlier = np.where(np.arange(len(part)) % 55 > 0, np.roll(part.s[:, DOE], 1), np.nan)
+    foreseen = CAR.step(part.s[:, columns], part.a, earlier)
+    inside = np.isfinite(earlier)
+    for column in (E_DOT, PSI_E):
+        bends = 0.05 * 7.0 * 7.0 * 0.03 * 0.15  # what a sample of bends does to the course
+        assert np.abs(foreseen - part.s_next[:, columns])[inside, column].max() < bends
+
+
+def test_a_wheel_off_centre_is_told_from_the_angle_of_going_straight_on() -> None:
+    record = late(4, straight=0.06)
+    process = process_of(record, DESCRIPTION, 0.6)
+    shift = record.s[:, DOE].mean() - process.record.s[:, DOE].mean()
+    assert shift == pytest.approx(0.06, abs=0.05)
+    assert process.forecast.straight == pytest.approx(process.model.straight)
+
+
+def test_a_record_that_is_too_short_is_taken_as_it_is_and_noise_does_not_lead_far_off() -> None:
+    short = late(6, n=60)
+    few = Transitions(short.names)
+    few.extend(short.s[:8], short.a[:8], short.s_next[:8], short.episode[:8])
+    assert process_of(few, DESCRIPTION, 0.6).forecast.samples == 0
+    assert abs(process_of(late(6, noise=2e-3), DESCRIPTION, 0.6).forecast.samples - 6) <= 1
+
+
+def test_an_update_gives_nets_and_forecast_and_needs_the_imagined() -> None:
+    fit = FitSetting(mirror=True, symmetric=True, hints=0, nets=2, imagined=200, epochs=5, dead_time=0.6)
+    learned = update(late(3), ACTIONS, DEFAULT.cost, fit, DESCRIPTION)
+    assert (len(learned.nets), learned.forecast and learned.forecast.samples) == (4, 3)
+    later = update(late(3), ACTIONS, DEFAULT.cost, fit, DESCRIPTION, learned, 1)
+    assert not np.array_equal(later.nets[0][0], learned.nets[0][0])
+    plain = replace(fit, dead_time=0.0, symmetric=False)
+    record = late(0)
+    six = Transitions(COLUMNS)
+    six.extend(record.s[:, :6], record.a, record.s_next[:, :6], record.episode)
+    nothing_found = update(six, ACTIONS, DEFAULT.cost, plain, DESCRIPTION)
+    assert isinstance(nothing_found, Learned)
+    assert nothing_found.forecast is None
+    for wrong in (0.7, -0.1):
+        with pytest.raises(ValueError, match="dead_time"):
+            replace(fit, dead_time=wrong)
+    with pytest.raises(ValueError, match="imagined"):
+        replace(fit, imagined=0)
