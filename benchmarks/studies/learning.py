@@ -146,6 +146,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--course", default="paper")
     parser.add_argument("--plant", default="nonlinear", choices=["nonlinear", "linear"])
     parser.add_argument("--reference", default="front", choices=["front", "cg"])
+    parser.add_argument(
+        "--speed", default="wander", choices=["wander", "recorded"], help="recorded: as the lap was driven"
+    )
     parser.add_argument("--v-max", type=float, default=None, help="fastest speed of the human [m/s]")
     parser.add_argument("--minutes", type=float, default=None, help="driving time of a run (default 11)")
     parser.add_argument("--episodes", type=int, default=1000, help="failures after which a run ends")
@@ -167,6 +170,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     )
     if options.v_max is not None:
         world = replace(world, v_max=options.v_max)
+    world = replace(world, speed=options.speed)
     model_based = options.setting == "model-based"  # actions, rhythm and charged time are the default's
     chosen = changed(setting("default" if model_based else options.setting), options.changes)
     base = Experiment(setting=chosen, world=world, minutes=minutes, episodes=options.episodes)

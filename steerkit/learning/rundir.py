@@ -110,6 +110,9 @@ def document(place: FilePath) -> dict[str, Any]:
         raise ValueError(f"{file} is truncated or no JSON ({error}); the run cannot be read") from error
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         raise ValueError(f"{file}: format {data.get('format') if isinstance(data, dict) else None!r}, not {FORMAT!r}")
+    setting = data.get("experiment", {}).get("setting", {})
+    if "fit" in setting:  # of before there were actions between those of the set
+        setting.setdefault("continuous", False)
     return data
 
 

@@ -184,3 +184,13 @@ def test_a_run_from_before_there_were_scenarios_is_read() -> None:
     names = ("course", "plant", "reference", "lag", "delay", "rate_limit_deg", "v_min", "v_max")
     data["world"] = {"kind": "World", "vehicle_name": new["vehicle"], "noise": True} | {n: new[n] for n in names}
     assert rundir.from_plain(data, "run.json").world == Scenario.under("hard", course="genesis")
+
+
+def test_a_run_of_before_goes_on_with_the_actions_of_its_set(tmp_path: Path) -> None:
+    rundir.keep_in(LearningRun(SHORT), tmp_path)
+    assert rundir.load(tmp_path).policy.continuous
+    file = tmp_path / "run.json"
+    data = json.loads(file.read_text(encoding="utf-8"))
+    del data["experiment"]["setting"]["continuous"]
+    file.write_text(json.dumps(data), encoding="utf-8")
+    assert not rundir.experiment_of(tmp_path).setting.continuous
