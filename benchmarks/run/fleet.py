@@ -64,10 +64,10 @@ class FleetOutcome:
     computing: float
 
 
-def one_car(job: tuple[int, int, Setting, float]) -> FleetOutcome:
-    """Let car `number` learn with `seed` for so many minutes, and compare its final net on a drive of its own."""
-    number, seed, setting, minutes = job
-    world = fleet_scenario(number, recovery="stanley-delay")
+def one_car(job: tuple[int, int, Setting, float, float]) -> FleetOutcome:
+    """Let car `number` learn with `seed` for so many minutes, and compare its final net on so many rounds."""
+    number, seed, setting, minutes, rounds = job
+    world = fleet_scenario(number, recovery="stanley-delay", rounds=rounds)
     trained = train(Experiment(setting=setting, world=world, minutes=minutes, seed=seed))
     test = seed + 1000
 
@@ -148,9 +148,11 @@ def summarise(outcomes: list[FleetOutcome]) -> dict[str, Any]:
     }
 
 
-def fleet(cars: int, seeds: int, setting: Setting, minutes: float, processes: int) -> dict[str, Any]:
+def fleet(
+    cars: int, seeds: int, setting: Setting, minutes: float, processes: int, *, rounds: float = 1.0
+) -> dict[str, Any]:
     """Run all cars, a line each as it comes, then the table's last line."""
-    jobs = [(number, seed, setting, minutes) for number in range(cars) for seed in range(seeds)]
+    jobs = [(number, seed, setting, minutes, rounds) for number in range(cars) for seed in range(seeds)]
     console, outcomes = Console(width=170), []
     with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
         for outcome in pool.map(one_car, jobs):

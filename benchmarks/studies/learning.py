@@ -164,7 +164,8 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         how = changed(setting(options.setting), options.changes)
         seeds = 1 if options.seeds is None else options.seeds
         five = minutes if options.minutes is not None or options.quick else 5.0
-        return fleet(options.fleet, seeds, how, five, options.processes)
+        rounds = 0.05 if options.quick else 1.0
+        return fleet(options.fleet, seeds, how, five, options.processes, rounds=rounds)
     world = replace(
         Scenario.under(options.conditions, course=options.course), plant=options.plant, reference=options.reference
     )

@@ -64,10 +64,8 @@ def test_the_first_good_net_counts_from_when_it_took_the_wheel() -> None:
 def test_a_car_that_hardly_learned_is_told_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fleet, "TOLD_TRUTH", ("stanley-delay",))
     monkeypatch.setattr(fleet, "TOLD_DATA_SHEET", ("stanley",))
-    made = fleet.fleet_scenario
-    monkeypatch.setattr(fleet, "fleet_scenario", lambda number, **more: made(number, rounds=0.1, **more))
-    outcome = one_car((3, 0, setting("model-free"), 0.05))
+    outcome = one_car((3, 0, setting("model-free"), 0.05, 0.1))
     assert (outcome.number, outcome.best, outcome.best_on_data_sheet) == (3, "stanley-delay", "stanley")
-    assert outcome.delay == made(3).delay
+    assert outcome.delay == fleet.fleet_scenario(3).delay
     assert outcome.good is None
     assert not outcome.held
