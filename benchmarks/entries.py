@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 
 from steerkit import catalogue
@@ -15,6 +15,10 @@ from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.scenario import Scenario
 
 Make = Callable[[Scenario], Block]
+TOLD_TRUTH = "-told-truth"
+"""What the name of a controller ends with that is told the truth, whatever the scenario tells."""
+TELLABLE = ("stanley-delay", "lqr", "mpc")
+"""Analytic controllers that make use of all that the truth tells."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,6 +37,8 @@ class Controller:
     """How it learns: a name of `steerkit.learning.settings` or `peers.SETTINGS`; empty for one that does not."""
     training: str = "clean"
     """Where it learns: a name of `trainings.TRAININGS`."""
+    told: str = ""
+    """`truth`: it is told everything of the car and its steering, whatever the scenario tells; empty: as that says."""
     needs: str = ""
     """Package that it cannot do without."""
 
@@ -49,6 +55,10 @@ class Controller:
         name = self.needs.replace("_", "-")
         extra = "docs/benchmarks.md says how" if name == "d3rlpy" else "pip install 'steerkit-control[peers]'"
         return f"{name} is not installed: {extra}"
+
+    def in_its_eyes(self, scenario: Scenario) -> Scenario:
+        """The scenario with what this controller is told of it."""
+        return replace(scenario, told="truth", told_delay=None, told_lag=None) if self.told == "truth" else scenario
 
 
 def _catalogued(name: str) -> Make:
@@ -72,6 +82,16 @@ _TABLE = (
     *(
         Controller(name=name, kind="analytic", about=recipe.about, make=_catalogued(name))
         for name, recipe in catalogue.CONTROLLERS.items()
+    ),
+    *(
+        Controller(
+            name=f"{name}{TOLD_TRUTH}",
+            kind="analytic",
+            about=f"{name}, told the car and its steering as they are",
+            make=_catalogued(name),
+            told="truth",
+        )
+        for name in TELLABLE
     ),
     Controller(
         name="nfq-idoe", kind="learned", about="NFQ, integrating output element, our best setting", setting="default"
@@ -126,6 +146,16 @@ _TABLE = (
         about="nfq-idoe, taught with noise, latency and more lag",
         setting="default",
         training="hard",
+    ),
+    *(
+        Controller(
+            name=f"nfq-same-car-{minutes}",
+            kind="learned",
+            about=f"nfq-idoe, taught {minutes} min on that very car and course, told nothing of it",
+            setting="default",
+            training=f"same-car-{minutes}",
+        )
+        for minutes in (1, 5)
     ),
     Controller(
         name="nfq-paper-120",

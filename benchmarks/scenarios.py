@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import asdict, replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any
 
 from steerkit.block import Block
 from steerkit.catalogue import PLANTS
+from steerkit.courses import random_course
 from steerkit.loop import Loop
 from steerkit.scenario import END_MARGIN, Scenario
 from steerkit.scenario.drive import drive_loop
+from steerkit.scenario.fleet import fleet_scenario, straightest
 
 MULTI_BODY = "benchmarks.peers.commonroad:CommonRoadMultiBody"
 """The plant that is CommonRoad's; it has `bmw-320i` and `ford-escort`."""
@@ -31,9 +33,39 @@ OPEN = {
 """Fields that a compiled drive leaves open, so that one program serves many scenarios, and what they are in a loop."""
 
 
+_SHEET: dict[str, Any] = dict(recovery="stanley-delay", told="data sheet", told_delay=0.0, told_lag=0.0)
+_ADAPT_COURSE = "random-2000"
+FLEET = (0, 10, 1, 9)
+"""Cars of the fleet in `unlike_the_data_sheet`: the first with 0.1, 0.12, 0.15 and 0.2 s of steering delay."""
+
+
+@lru_cache(maxsize=1)
+def unlike_the_data_sheet() -> tuple[Scenario, ...]:
+    """Cars that differ from their data sheet, which is all that controllers are told: no delay, no lag, nothing wrong.
+
+    Cars of the fleet, each with the delay, lag, offset and play that its number draws, and the Passat with one kind of
+    trouble at a time; all with `hard` sensors, on random courses that nothing was tuned on.
+    """
+    start = straightest(random_course(int(_ADAPT_COURSE.removeprefix("random-"))))
+
+    def passat(name: str, **trouble: Any) -> Scenario:
+        return Scenario.under("hard", name=f"passat-{name}", course=_ADAPT_COURSE, start=start, **(_SHEET | trouble))
+
+    return (
+        *(fleet_scenario(number, **_SHEET) for number in FLEET),
+        passat("ratio-tyres", ratio=1.25, tyres=0.6),
+        passat("delay", delay=0.2),
+        passat("lag", lag=0.3),
+        passat("offset", offset_deg=4.0),
+        passat("play", play_deg=4.0),
+        passat("wind-bank", wind=0.4, gust=0.2, bank_deg=3.0),
+        passat("noise", noise=2.0, latency=0.1),
+    )
+
+
 def suite_loop(scenario: Scenario, controller: Block, *, doe: Block | None = None, seed: int = 0) -> Loop:
     """The loop of a suite's drive, which begins END_MARGIN behind the start of an open course."""
-    return drive_loop(scenario, controller, doe=doe, seed=seed, s=0.0 if scenario.path().closed else END_MARGIN)
+    return drive_loop(scenario, controller, doe=doe, seed=seed, s=None if scenario.path().closed else END_MARGIN)
 
 
 def facts(scenario: Scenario) -> dict[str, Any]:
@@ -45,6 +77,8 @@ def facts(scenario: Scenario) -> dict[str, Any]:
 def shape(scenario: Scenario) -> Scenario:
     """What a compiled drive depends on: the scenario with all that is left open put to one value."""
     if scenario.plant not in PLANTS:
+        return replace(scenario, name="shape")
+    if scenario.told == "truth":  # then the controller itself depends on all of it
         return replace(scenario, name="shape")
     plain: dict[str, Any] = dict(
         name="shape",

@@ -8,9 +8,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 
-from benchmarks.entries import controller
+from benchmarks.entries import TELLABLE, TOLD_TRUTH, controller
 from benchmarks.run.results import case_id
-from benchmarks.scenarios import MULTI_BODY, scene
+from benchmarks.run.trainings import TRAININGS
+from benchmarks.scenarios import MULTI_BODY, scene, unlike_the_data_sheet
 from steerkit.scenario import Scenario
 
 TRAINING = "training"
@@ -49,6 +50,8 @@ class Job:
     controller: str
     seed: int
     kind: str = "drive"
+    taught_on: str = ""
+    """The scenario that a training is made for, where each has one of its own."""
 
     @property
     def id(self) -> str:
@@ -58,8 +61,7 @@ class Job:
     @property
     def training(self) -> str:
         """Id of the training that a learned controller's drive needs."""
-        name = f"train-{controller(self.controller).training}"
-        return case_id(TRAINING, name, self.controller, self.seed)
+        return _training(self).id
 
 
 PAPER_ROUND = scene(name="paper-round")
@@ -111,6 +113,7 @@ _GENERALISE = (
     scene(name="paper-ford", vehicle="ford-escort"),
     scene(name="paper-multi-body", plant=MULTI_BODY, vehicle="bmw-320i"),
 )
+_ADAPT = (*TELLABLE, *(name + TOLD_TRUTH for name in TELLABLE), "nfq-same-car-1", "nfq-same-car-5")
 _ALL = (
     Suite(
         name="paper",
@@ -154,6 +157,20 @@ _ALL = (
         ),
         controllers=("stanley", "mpc", "nfq-idoe", "sb3-dqn", "sb3-sac", "d3rlpy-nfq", "do-mpc"),
         seeds=3,
+    ),
+    Suite(
+        name="adapt",
+        about="cars unlike their data sheet: learned on that very car; analytic ones told the data sheet, or the truth",
+        scenarios=unlike_the_data_sheet(),
+        controllers=_ADAPT,
+        seeds=3,
+    ),
+    Suite(
+        name="adapt-quick",
+        about="one car of adapt, one minute of learning",
+        scenarios=tuple(s for s in unlike_the_data_sheet() if s.name == "passat-ratio-tyres"),
+        controllers=_ADAPT[:-1],
+        seeds=1,
     ),
     Suite(
         name="compute",
@@ -268,8 +285,12 @@ def jobs(suites: Sequence[Suite], seeds: int | None = None, only: Sequence[str] 
 
 
 def _training(job: Job) -> Job:
-    name = f"train-{controller(job.controller).training}"
-    return Job(suite=TRAINING, scenario=name, controller=job.controller, seed=job.seed, kind="learn")
+    training = TRAININGS[controller(job.controller).training]
+    taught_on = job.scenario if training.world is None else ""
+    name = f"train-{training.name}" + (f"-on-{taught_on}" if taught_on else "")
+    return Job(
+        suite=TRAINING, scenario=name, controller=job.controller, seed=job.seed, kind="learn", taught_on=taught_on
+    )
 
 
 def _kept(found: Sequence[Job], only: Sequence[str]) -> list[Job]:

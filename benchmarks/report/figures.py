@@ -284,3 +284,39 @@ def bands(
         axes.set_xlabel(x_label)
         axes.set_ylabel(y_label)
         return figure
+
+
+def falling(
+    x: np.ndarray,
+    learned: tuple[np.ndarray, np.ndarray, np.ndarray],
+    drives: Mapping[float, float],
+    levels: Sequence[tuple[str, bool, float]],
+    look: Mapping[str, Look],
+    learner: str,
+    *,
+    span: tuple[float, float],
+) -> Figure:
+    """A learner's RMS e over driving time x [min] among level lines: (controller, told the truth?, RMS e [m]).
+
+    learned: (middle, low, high) of the net in use, infinite is a gap. drives: RMS e by minutes learned, as dots.
+    Dashed: told the data sheet; solid: told the truth. span: range of RMS e, the same in pictures to be compared.
+    """
+    with style():
+        figure, axes = new(2.9)
+        for name, truth, level in levels:
+            if math.isfinite(level):
+                axes.axhline(level, color=look[name].colour, lw=1.3, ls="-" if truth else (0, (4, 2.5)))
+        middle, low, high = learned
+        seen, colour = np.isfinite(middle), look[learner].colour
+        top = np.where(np.isfinite(high), high, span[1])
+        axes.fill_between(x, low, top, where=seen, color=colour, alpha=0.14, lw=0, step="post")
+        axes.plot(x, np.where(seen, middle, np.nan), color=colour, lw=2.4, drawstyle="steps-post")
+        at = {minutes: value for minutes, value in drives.items() if math.isfinite(value)}
+        axes.plot([*at], [*at.values()], "o", ms=6.0, color=colour, mec=COLOURS["paper"], mew=1.2, clip_on=False)
+        axes.set_yscale("log")
+        _plain_numbers(axes.yaxis)
+        axes.set_ylim(*span)
+        axes.set_xlim(0.0, 1.02 * float(x[-1]))
+        axes.set_xlabel("driving time [min]")
+        axes.set_ylabel("RMS e [m]")
+        return figure

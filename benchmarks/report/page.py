@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.report import conditions, figures, learning, parts
+from benchmarks.report import adapt, conditions, figures, learning, parts
 from benchmarks.report.paper import paper_rows
 from benchmarks.report.verdict import verdict
 from benchmarks.run.results import Case, Results, load_results
@@ -125,6 +125,7 @@ def suite(results: Results, name: str, look: dict[str, figures.Look]) -> dict[st
     columns, rows = parts.leaderboard(cases)
     reference = parts.reference_of(parts.controllers(done))
     learners, learned = learning.costs(done)
+    elsewhere = [case for case in done if not adapt.trained_on(results, case)]  # the others are in pictures of adapt
     return {
         "name": name,
         "cases": len(cases),
@@ -140,8 +141,9 @@ def suite(results: Results, name: str, look: dict[str, figures.Look]) -> dict[st
         "maps": maps(results, done, look),
         "grids": conditions.grids(done, results.protocol),
         "sweeps": sweep_plots(done, results, look),
-        "curves": curve_plots(results, done, look),
-        "traces": trace_plots(results, done, look),
+        "adapt": adapt.section(results, done),
+        "curves": curve_plots(results, elsewhere, look),
+        "traces": trace_plots(results, elsewhere, look),
         "learners": learners,
         "learned": learned,
     }

@@ -47,6 +47,7 @@ def provenance(suites: Sequence[Suite], planned: Sequence[Job], seeds: int | Non
 def scenarios(suites: Sequence[Suite], planned: Sequence[Job]) -> dict[str, dict[str, Any]]:
     """The fields of every scenario and training that is planned, by its name."""
     found: dict[str, dict[str, Any]] = {}
+    places = {place.name: place for one in suites for place in one.scenarios}
     for one in suites:
         for place in one.scenarios:
             if found.setdefault(place.name, facts(place)) != facts(place):
@@ -56,7 +57,7 @@ def scenarios(suites: Sequence[Suite], planned: Sequence[Job]) -> dict[str, dict
             training = TRAININGS[controller(job.controller).training]
             names = ("minutes", "episodes", "episode_metres", "offline_iterations")
             fields = {name: getattr(training, name) for name in names}
-            found[job.scenario] = facts(training.world) | fields
+            found[job.scenario] = facts(training.at(places.get(job.taught_on))) | fields
     used = {job.scenario for job in planned}
     return {name: fields for name, fields in found.items() if name in used}
 

@@ -130,7 +130,7 @@ def carry_out(work: Work) -> Done:
             done = Done(Case(**said, status="not installed", error=missing))  # type: ignore[arg-type]
         elif job.kind == "learn":
             one = controller(job.controller)
-            learnt = learn(TRAININGS[one.training], one.setting, seed=job.seed)
+            learnt = learn(TRAININGS[one.training], one.setting, seed=job.seed, driven=work.scenario)
             case = Case(**said, metrics=learnt.metrics)  # type: ignore[arg-type]
             done = Done(case, learnt.trajectory, learnt.curve, learnt.policy)
         else:
@@ -164,7 +164,7 @@ def _work(
     if job.kind == "drive" and one.learns:
         file = store.net_file(job.training)
         policy = Policy.load(file, one.setting) if file.exists() else None
-    return Work(job, scenarios.get(job.scenario), timed.get(job.suite, 0), policy, source(), place)
+    return Work(job, scenarios.get(job.taught_on or job.scenario), timed.get(job.suite, 0), policy, source(), place)
 
 
 def _all_done(work: Sequence[Work], pool: Mapping[str, Any], workers: int, say: Any) -> Iterator[Done]:

@@ -14,6 +14,7 @@ from benchmarks.run.drives import Policy, drive
 from benchmarks.run.results import CURVE, TRAJECTORY
 from steerkit.controllers.network_policy import PolicyBlock
 from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.errors import require
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.offline import offline
 from steerkit.learning.settings import Setting, setting
@@ -34,8 +35,8 @@ class Training:
 
     name: str
     """What it is called in results, after `train-`."""
-    world: Scenario = field(default_factory=Scenario)
-    """Course, car, disturbances."""
+    world: Scenario | None = field(default_factory=Scenario)
+    """Course, car, disturbances; None: those of the scenario that is driven afterwards, a training each."""
     minutes: float = 6.0
     """Driving time [min]; recovery and waiting count."""
     episodes: int = 1000
@@ -44,6 +45,18 @@ class Training:
     """Distance after which an episode ends too, and is trained on [m]; 0: as the learner's setting has it."""
     offline_iterations: int = 0
     """Trainings on the recorded transitions after the driving; for d3rlpy, gradient steps."""
+
+    def at(self, driven: Scenario | None) -> Scenario:
+        """Where it learns: its own world, or that of the scenario `driven` afterwards.
+
+        There the recovery controller is told the steering's delay and lag, which the learner finds out by itself.
+        Raises ValueError where neither is given.
+        """
+        if self.world is not None:
+            return self.world
+        require(driven is not None, f"training '{self.name}'", "it is one for each scenario, and none was given")
+        assert driven is not None
+        return replace(driven, told_delay=None, told_lag=None)
 
 
 _ALL = (
@@ -57,6 +70,8 @@ _ALL = (
     Training(name="offline", minutes=2.0, offline_iterations=20),
     Training(name="agent", minutes=30.0),
     Training(name="record", minutes=4.0, offline_iterations=20_000),
+    Training(name="same-car-1", world=None, minutes=1.0),
+    Training(name="same-car-5", world=None, minutes=5.0),
 )
 TRAININGS = {training.name: training for training in _ALL}
 """All trainings by name."""
@@ -72,20 +87,25 @@ class Learnt:
     policy: NfqPolicy | PolicyBlock
 
 
-def learn(training: Training, setting_name: str, *, seed: int) -> Learnt:
-    """Run a training to its end and test-drive its nets, off the clock: every one of ours, ten of an agent's."""
+def learn(training: Training, setting_name: str, *, seed: int, driven: Scenario | None = None) -> Learnt:
+    """Run a training to its end and test-drive its nets, off the clock: every one of ours, ten of an agent's.
+
+    Test drives are of another seed than the training. With its own world, the training has `seed`; on the scenario
+    `driven`, the test drives have it, so that they are the very drive that the analytic controllers make there.
+    """
+    learns, drives_with = (seed, seed + 1000) if training.world is not None else (seed + 1000, seed)
     if setting_name in SETTINGS:
         return _agent(training, setting_name, seed)
     how = setting(setting_name)
     if training.episode_metres:
         how = replace(how, retrain_every_m=training.episode_metres)
     experiment = Experiment(
-        setting=how, world=training.world, minutes=training.minutes, episodes=training.episodes, seed=seed
+        setting=how, world=training.at(driven), minutes=training.minutes, episodes=training.episodes, seed=learns
     )
     trained = train(experiment)
     run = trained.run
-    nets = trained.nets + _offline(training, how, run, seed)
-    drives = drive_each(training.world, how, [net.policy for net in nets], seed=seed + 1000)
+    nets = trained.nets + _offline(training, how, run, learns)
+    drives = drive_each(experiment.world, how, [net.policy for net in nets], seed=drives_with)
     policy = nets[-1].policy if nets else run.policy
     episodic = how.retrain_every_m == 0.0 or training.episode_metres > 0.0  # one training an episode
     return Learnt(_metrics(run, nets, drives, episodic=episodic), _curve(run, nets, drives), _trajectory(run), policy)
@@ -100,7 +120,7 @@ def _agent(training: Training, setting_name: str, seed: int) -> Learnt:
 
     if SETTINGS[setting_name] == "NFQ":
         how = setting("default")
-        driven = train(Experiment(setting=how, world=training.world, minutes=training.minutes, seed=seed)).run
+        driven = train(Experiment(setting=how, world=training.at(None), minutes=training.minutes, seed=seed)).run
         steps = training.offline_iterations
         block, curve = d3rlpy_nfq(driven.transitions, how, steps=steps, seed=seed, judge=judge)
     else:

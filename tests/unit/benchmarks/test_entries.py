@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from benchmarks.entries import CONTROLLERS, controller
@@ -18,6 +19,14 @@ def test_one_who_is_learned_is_taught_before_it_drives_and_no_other() -> None:
     assert {entry.kind for entry in CONTROLLERS.values() if entry.learns} == {"learned", "peer"}
     assert not any(entry.learns for entry in CONTROLLERS.values() if entry.kind == "analytic" or entry.make)
     assert all(entry.learns or entry.make for entry in CONTROLLERS.values())
+
+
+def test_one_that_is_told_the_truth_knows_what_the_scenario_hides() -> None:
+    hidden = replace(STEP, ratio=1.25, offset_deg=2.0, delay=0.2, lag=0.3, told_delay=0.0, told_lag=0.0)
+    seen = controller("lqr-told-truth").in_its_eyes(hidden).belief()
+    assert (seen.delay, seen.lag, seen.offset) == (0.2, 0.3, pytest.approx(np.deg2rad(2.0)))
+    assert seen.vehicle.steer_ratio == pytest.approx(1.25 * STEP.nominal.steer_ratio)
+    assert controller("lqr").in_its_eyes(hidden) == hidden
 
 
 def test_results_say_which_text_of_ones_own_controller_drove(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.entries import controller
-from benchmarks.scenarios import MULTI_BODY, facts, open_parameters, scene, shape, suite_loop
+from benchmarks.scenarios import MULTI_BODY, facts, open_parameters, scene, shape, suite_loop, unlike_the_data_sheet
 from tests.support.yard import yard
 
 STEP = scene(name="step", course="curvature-step", v_min=7.0, v_max=7.0)
@@ -34,6 +34,25 @@ def test_scenarios_that_differ_in_what_is_open_share_a_shape() -> None:
     assert "car.block.vehicle.c_f" in open_parameters(replace(STEP, wind=0.1))
     assert "human.human.v_min" not in open_parameters(replace(STEP, course="iso3888-1"))
     assert open_parameters(replace(STEP, plant=MULTI_BODY, vehicle="bmw-320i")) == ()
+
+
+def test_what_a_controller_that_knows_the_truth_knows_is_not_left_out_of_the_shape() -> None:
+    known = replace(STEP, told="truth", ratio=1.25, tyres=0.6, offset_deg=2.0)
+    assert shape(known).belief() == known.belief()
+    assert shape(known) != shape(replace(known, ratio=1.2))
+
+
+def test_cars_unlike_their_data_sheet_begin_where_their_scenario_says_and_tell_nothing() -> None:
+    cars = unlike_the_data_sheet()
+    delays = [one.delay for one in cars if one.name.startswith("fleet-")]
+    assert delays == [0.1, 0.12, 0.15, 0.2]
+    for one in cars:
+        believed = one.belief()
+        assert (believed.delay, believed.lag, believed.vehicle) == (0.0, 0.0, one.nominal)
+    slow = cars[0]
+    loop = suite_loop(slow, controller("stanley").make(slow))  # type: ignore[misc]
+    front = loop.sample(loop.init())["path.s"] % slow.path().length
+    assert front == pytest.approx(slow.start + slow.nominal.l_f, abs=0.1)
 
 
 def test_the_protocol_tells_one_file_from_another(tmp_path: Path) -> None:

@@ -9,9 +9,10 @@ import pytest
 
 from benchmarks.entries import CONTROLLERS, controller
 from benchmarks.peers import agents as peers
+from benchmarks.report.page import html
 from benchmarks.run.runner import run
 from benchmarks.run.trainings import TRAININGS
-from benchmarks.scenarios import scene
+from benchmarks.scenarios import facts, scene
 from benchmarks.suites import SUITES, Suite, elsewhere, jobs, suite
 from steerkit.learning.settings import SETTINGS
 from tests.support.own_controller import own_controller
@@ -75,6 +76,35 @@ def test_a_controller_of_ones_own_drives_a_suite_and_a_changed_file_is_not_mixed
     file.write_text(file.read_text().replace("2.5", "2.6"))
     with pytest.raises(ValueError, match=r"results of another controller .*my_file.py:make"):
         run([one], tmp_path / "results", seeds=1, workers=1, quiet=True)
+
+
+def test_on_cars_unlike_their_data_sheet_a_learner_is_trained_for_each_and_quickly_gone_on_with(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    planned = jobs([suite("adapt")], 1)
+    trained = [job for job in planned if job.kind == "learn"]
+    assert len(trained) == len({job.id for job in trained}) == 2 * len(suite("adapt").scenarios)
+    assert {job.training for job in planned if job.kind == "drive" and "nfq" in job.controller} == {
+        job.id for job in trained
+    }
+    monkeypatch.setitem(TRAININGS, "same-car-1", replace(TRAININGS["same-car-1"], minutes=0.3))
+    quick = replace(suite("adapt-quick"), controllers=("lqr", "lqr-told-truth", "nfq-same-car-1"))
+    (car,) = quick.scenarios
+    results = run([quick], tmp_path / "results", workers=1, quiet=True)
+    assert [case.status for case in results.cases] == ["done"] * 4
+    rms_e = {case.controller: case.metrics["rms_e"] for case in results.cases if case.kind == "drive"}
+    assert rms_e["lqr-told-truth"] < 0.5 * rms_e["lqr"], "it knows the ratio and the tyres"
+    training = f"train-same-car-1-on-{car.name}"
+    assert results.protocol[training] | {"told_delay": 0.0, "told_lag": 0.0} == (
+        results.protocol[car.name] | {k: v for k, v in results.protocol[training].items() if k not in facts(car)}
+    )
+    times = [file.stat().st_mtime_ns for file in (tmp_path / "results" / "cases").glob("*.json")]
+    run([quick], tmp_path / "results", workers=1, quiet=True)
+    assert [file.stat().st_mtime_ns for file in (tmp_path / "results" / "cases").glob("*.json")] == times
+    text = html(results)
+    assert "Learned on the car itself" in text
+    assert "<b>dashed</b> told the data sheet" in text
+    assert f"{car.name}: vw-passat, ratio 1.25, tyres 0.6" in text
 
 
 def test_a_drive_without_chance_is_planned_once_and_one_with_it_for_every_seed() -> None:

@@ -15,6 +15,7 @@ from benchmarks.run.results import CURVE, EPISODES, TRAJECTORY
 from steerkit.learning.counts import Counts, Episode
 from steerkit.learning.trials import TrialDrive
 from steerkit.metrics import GOOD, Summary
+from steerkit.scenario import Scenario
 
 FINE = Summary(
     duration=130.0,
@@ -116,6 +117,36 @@ def test_a_curve_has_a_row_for_each_net() -> None:
     np.testing.assert_allclose(curve["held"], [0.0, 1.0])
     np.testing.assert_allclose(curve["rounds"], [0.2, 1.0])
     np.testing.assert_allclose(curve["rms_e"], [math.nan, 0.02])
+
+
+def test_on_the_car_driven_only_the_recovery_is_told_and_test_drives_are_the_suites_own(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked: dict[str, Any] = {}
+
+    def drive_each(world: Any, setting: Any, nets: Any, *, seed: int) -> list[TrialDrive]:
+        asked["judged"] = (world, seed)
+        return []
+
+    def train(experiment: Any) -> Any:
+        asked["learned"] = (experiment.world, experiment.seed)
+        return SimpleNamespace(run=run, nets=[])
+
+    run = learned(minutes=1.0)
+    run.policy = None
+    monkeypatch.setattr(trainings, "train", train)
+    monkeypatch.setattr(trainings, "drive_each", drive_each)
+    monkeypatch.setattr(trainings, "_trajectory", lambda run: None)
+    same_car, car = trainings.TRAININGS["same-car-1"], Scenario(name="slow", delay=0.2, told_delay=0.0, told_lag=0.0)
+    trainings.learn(same_car, "default", seed=3, driven=car)
+    believed = car.belief(), replace(car, told_delay=None, told_lag=None).belief()
+    assert [b.delay for b in believed] == [0.0, 0.2]
+    assert asked["judged"] == (replace(car, told_delay=None, told_lag=None), 3)
+    assert asked["learned"] == (asked["judged"][0], 1003)
+    trainings.learn(trainings.TRAININGS["clean"], "default", seed=3)
+    assert (asked["learned"][1], asked["judged"]) == (3, (Scenario(), 1003))
+    with pytest.raises(ValueError, match="training 'same-car-1': it is one for each scenario"):
+        trainings.learn(same_car, "default", seed=3)
 
 
 @pytest.fixture(scope="module")

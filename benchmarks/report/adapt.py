@@ -1,0 +1,176 @@
+"""Cars unlike their data sheet in the report: the learned RMS e falling through the analytic ones over driving time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from benchmarks.entries import TOLD_TRUTH
+from benchmarks.report import figures
+from benchmarks.report.conditions import UNITS
+from benchmarks.report.learning import Band, learning
+from benchmarks.report.parts import controllers, number, of_metric
+from benchmarks.run.results import Case, Results
+from steerkit.metrics import metric
+from steerkit.scenario import Scenario
+
+LEARNED = "learned on this car"
+"""What the learner is called in these pictures, whichever its training was."""
+_TROUBLE = ("delay", "lag", "offset_deg", "play_deg", "ratio", "tyres", "wind", "gust", "bank_deg", "noise", "latency")
+_SECOND = 1.0 / 60.0  # min
+
+
+@dataclass(frozen=True)
+class Level:
+    """The median RMS e of one analytic controller, told one thing."""
+
+    name: str
+    """Controller, without what its name says of the telling."""
+    truth: bool
+    """Was it told the truth, or the data sheet?"""
+    rms_e: float
+    """[m]; infinite where half the seeds or more were not held."""
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One scenario: what was learned over driving time, and what analytic controllers came to."""
+
+    scenario: str
+    trouble: str
+    """In which ways the car is not what its data sheet says."""
+    x: np.ndarray
+    """Driving time [min]."""
+    learned: Band
+    """RMS e of the net in use [m]: median, low and high over the seeds; infinite before the first that held."""
+    drives: dict[float, float]
+    """Median RMS e of the suite's drives [m] by the minutes that were learned before."""
+    levels: tuple[Level, ...]
+    seeds: int
+
+    def best(self, *, truth: bool) -> Level | None:
+        """The best analytic controller told the truth, or told the data sheet; None if none held it."""
+        held = [level for level in self.levels if level.truth is truth and math.isfinite(level.rms_e)]
+        return min(held, key=lambda level: level.rms_e, default=None)
+
+    def below(self, *, truth: bool) -> float:
+        """Driving time from which on the learned median stays below that of the best analytic one [min], or infinity.
+
+        Where no analytic one held the drive, the learned one is below as soon as it holds.
+        """
+        best = self.best(truth=truth)
+        above = np.flatnonzero(~(self.learned[0] < (math.inf if best is None else best.rms_e)))
+        after = int(above[-1]) + 1 if len(above) else 0
+        return float(self.x[after]) if after < len(self.x) else math.inf
+
+
+def trained_on(results: Results, case: Case) -> str:
+    """The scenario whose car and course a training learned on; empty for any other case."""
+    name = str(results.protocol.get(case.scenario, {}).get("name", ""))
+    return name if case.kind == "learn" and case.scenario.endswith(f"-on-{name}") else ""
+
+
+def panels(results: Results, cases: Sequence[Case]) -> list[Panel]:
+    """One for every scenario of the suite's finished `cases` that something was learned on; none for other suites."""
+    learnt = [c for c in results.cases if c.status == "done" and trained_on(results, c)]
+    found = []
+    for scenario in dict.fromkeys(case.scenario for case in cases):
+        here = [case for case in learnt if trained_on(results, case) == scenario]
+        longest = max((_minutes(results, case) for case in here), default=0.0)
+        runs = [case for case in here if _minutes(results, case) == longest]
+        curves = learning(results, runs, points=round(longest / _SECOND) + 1) if runs else []
+        if curves:
+            drives = [case for case in cases if case.scenario == scenario]
+            (band,) = curves[0].rms_e.values()
+            trouble = _trouble(results.protocol.get(scenario, {}))
+            after = {_minutes(results, c): _rms_e([d for d in drives if d.controller == c.controller]) for c in here}
+            found.append(Panel(scenario, trouble, curves[0].x, band, after, _levels(results, drives), len(runs)))
+    return found
+
+
+def _minutes(results: Results, case: Case) -> float:
+    return float(results.protocol[case.scenario]["minutes"])
+
+
+def _rms_e(cases: Sequence[Case]) -> float:
+    return float(np.median(of_metric(cases, metric("rms_e")))) if cases else math.nan
+
+
+def _levels(results: Results, drives: Sequence[Case]) -> tuple[Level, ...]:
+    told = results.provenance["controllers"]
+    return tuple(
+        Level(
+            name.removesuffix(TOLD_TRUTH),
+            name.endswith(TOLD_TRUTH),
+            _rms_e([d for d in drives if d.controller == name]),
+        )
+        for name in controllers(drives)
+        if told.get(name, {}).get("kind") == "analytic"
+    )
+
+
+def _trouble(fields: Mapping[str, Any]) -> str:
+    """What is wrong, beyond sensors and motor of `hard` conditions: 'ratio 1.25, tyres 0.6'."""
+    usual = Scenario.under("hard")
+    wrong = [name for name in _TROUBLE if fields.get(name, getattr(usual, name)) != getattr(usual, name)]
+    words = [
+        f"{name.removesuffix('_deg')} {fields[name]:g} {'°' if name.endswith('_deg') else UNITS.get(name, '')}".strip()
+        for name in wrong
+    ]
+    return ", ".join([str(fields.get("vehicle", "")), *words]).strip(", ")
+
+
+def section(results: Results, cases: Sequence[Case]) -> dict[str, Any] | None:
+    """What the page shows of these cases: a sentence, a legend, a picture a scenario; None where nothing is to be."""
+    found = panels(results, cases)
+    if not found:
+        return None
+    names = dict.fromkeys(level.name for panel in found for level in panel.levels)
+    look = figures.looks([LEARNED, *names])
+    span = _span(found)
+    pictures = []
+    for panel in found:
+        levels = [(level.name, level.truth, level.rms_e) for level in panel.levels]
+        figure = figures.falling(panel.x, panel.learned, panel.drives, levels, look, LEARNED, span=span)
+        words = f"{panel.scenario}: RMS e over driving time, learned and analytic"
+        pictures.append((f"{panel.scenario}: {panel.trouble}", _caption(panel), figures.svg(figure, words)))
+    return {"summary": _summary(found), "look": look, "pictures": pictures}
+
+
+def _span(found: Sequence[Panel]) -> tuple[float, float]:
+    """One range of RMS e for all pictures [m]: from the best of all to three times the worst analytic one."""
+    drawn = [level.rms_e for panel in found for level in panel.levels]
+    learned = np.concatenate([panel.learned[0] for panel in found])
+    lines = [value for value in drawn if math.isfinite(value)]
+    values = [*lines, *learned[np.isfinite(learned)]]
+    return (0.7 * min(values), 3.0 * max(lines or values)) if values else (0.01, 1.0)
+
+
+def _caption(panel: Panel) -> str:
+    said = [f"after {minutes:g} min {number(value)} m" for minutes, value in sorted(panel.drives.items())]
+    text = [f"Learned: {', '.join(said)}."]
+    for truth, told in ((False, "the data sheet"), (True, "the truth")):
+        best, after = panel.best(truth=truth), panel.below(truth=truth)
+        shown = "none held" if best is None else f"{number(best.rms_e)} m ({best.name})"
+        when = (
+            f"learned is below for good after {60.0 * after:.0f} s" if math.isfinite(after) else "learned stays above"
+        )
+        text.append(f"Best told {told}: {shown}; {when}.")
+        lost = [level.name for level in panel.levels if level.truth is truth and not math.isfinite(level.rms_e)]
+        if lost and best is not None:
+            text.append(f"Not held: {', '.join(lost)}.")
+    return " ".join([*text, f"Seeds: {panel.seeds}."])
+
+
+def _summary(found: Sequence[Panel]) -> str:
+    parts = []
+    for truth, told in ((False, "the data sheet"), (True, "the truth")):
+        times = [panel.below(truth=truth) for panel in found]
+        reached = [time for time in times if math.isfinite(time)]
+        when = f", for good after {60.0 * float(np.median(reached)):.0f} s of driving in the median" if reached else ""
+        parts.append(f"the best that was told {told} in {len(reached)} of {len(found)} scenarios{when}")
+    return f"By the end of its driving the learned controller has a lower RMS e than {parts[0]}; than {parts[1]}."

@@ -1,0 +1,103 @@
+"""Learned on the car itself: curves fall through levels where the numbers say, and what was not held is told."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.report import adapt
+from benchmarks.report.page import html
+from benchmarks.run.results import Case, Results, Store
+
+CAR = "passat-ratio"
+LEARNED = {30: math.nan, 60: 0.2, 90: 0.04, 120: 0.02}
+"""RMS e of the net that took the wheel after so many seconds [m]; NaN: it did not hold."""
+ANALYTIC = {"lqr": 0.05, "mpc": math.nan, "lqr-told-truth": 0.03, "mpc-told-truth": 0.01}
+"""RMS e [m]; NaN: not held."""
+
+
+def case(name: str, rms_e: float, **changes: Any) -> Case:
+    held = {"held": float(math.isfinite(rms_e)), "rms_e": 1.0 if math.isnan(rms_e) else rms_e}
+    return Case(**{"suite": "adapt", "scenario": CAR, "controller": name, "seed": 0, "metrics": held} | changes)
+
+
+def write(place: Path) -> Results:
+    store, fields = Store(place), {"name": CAR, "vehicle": "vw-passat", "ratio": 1.25, "lag": 0.15, "noise": 1.0}
+    drives = [case(name, value) for name, value in ANALYTIC.items()]
+    drives += [case(f"nfq-same-car-{minutes}", LEARNED[60 * minutes]) for minutes in (1, 2)]
+    trainings = [
+        case(
+            f"nfq-same-car-{minutes}",
+            LEARNED[60 * minutes],
+            suite="training",
+            scenario=f"train-same-car-{minutes}-on-{CAR}",
+            kind="learn",
+        )
+        for minutes in (1, 2)
+    ]
+    protocol = {CAR: fields} | {t.scenario: fields | {"minutes": float(i)} for i, t in enumerate(trainings, 1)}
+    kinds = {c.controller: {"kind": "learned" if "nfq" in c.controller else "analytic"} for c in drives}
+    planned = [c.id for c in (*drives, *trainings)]
+    told = {"suites": {}, "seeds": [0], "scenarios": protocol, "controllers": kinds, "planned": planned}
+    store.open(told | {"source": "", "versions": {}})
+    for one in drives:
+        store.keep(one)
+    for minutes, one in enumerate(trainings, 1):
+        kept = {t: value for t, value in LEARNED.items() if t <= 60 * minutes}
+        rms_e = np.array([*kept.values()])
+        columns = {name: np.ones(len(kept)) for name in ("rounds", "max_e", "max_jerk")}
+        store.keep(one, curve=columns | {"t": np.array([*kept], float), "rms_e": rms_e, "held": np.isfinite(rms_e) * 1.0})
+    return store.merge()
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
+    return write(tmp_path_factory.mktemp("adapt") / "results")
+
+
+@pytest.fixture(scope="module")
+def panel(results: Results) -> adapt.Panel:
+    (found,) = adapt.panels(results, [c for c in results.cases if c.suite == "adapt"])
+    return found
+
+
+def test_the_longest_training_is_the_curve_and_every_drive_a_dot(panel: adapt.Panel) -> None:
+    middle = dict(zip(np.round(60.0 * panel.x).astype(int).tolist(), panel.learned[0], strict=True))
+    assert (middle[59], middle[60], middle[89], middle[90], middle[120]) == (math.inf, 0.2, 0.2, 0.04, 0.02)
+    assert panel.drives == {1.0: 0.2, 2.0: 0.02}
+    assert panel.trouble == "vw-passat, ratio 1.25"
+
+
+def test_what_it_falls_below_and_when(panel: adapt.Panel) -> None:
+    sheet, truth = panel.best(truth=False), panel.best(truth=True)
+    assert sheet == adapt.Level("lqr", False, 0.05), "mpc left the course and is not best"
+    assert truth == adapt.Level("mpc", True, 0.01)
+    assert 60.0 * panel.below(truth=False) == pytest.approx(90.0)
+    assert panel.below(truth=True) == math.inf
+
+
+def test_a_curve_that_rises_again_is_not_below_for_good(panel: adapt.Panel) -> None:
+    x, learned = np.array([0.0, 1.0, 2.0, 3.0]), np.array([math.inf, 0.04, 0.06, 0.02])
+    again = adapt.Panel("", "", x, (learned, learned, learned), {}, panel.levels, 1)
+    assert again.below(truth=False) == 3.0
+    none_held = adapt.Panel("", "", x, (learned, learned, learned), {}, (), 1)
+    assert none_held.below(truth=False) == 1.0
+
+
+def test_the_page_says_it_in_words_and_keeps_these_curves_in_one_place(results: Results) -> None:
+    page = html(results)
+    assert "the best that was told the data sheet in 1 of 1 scenarios, for good after 90 s" in page
+    assert "the best that was told the truth in 0 of 1 scenarios." in page
+    assert "Best told the data sheet: 0.05 m (lqr); learned is below for good after 90 s. Not held: mpc." in " ".join(
+        page.split()
+    ).replace("0.0500", "0.05")
+    assert "learned stays above" in page
+    assert "good drivers over driving time" not in page
+
+
+def test_other_suites_have_no_such_section(results: Results) -> None:
+    assert adapt.section(results, [c for c in results.cases if c.kind == "learn"]) is None
