@@ -298,25 +298,39 @@ def falling(
 ) -> Figure:
     """A learner's RMS e over driving time x [min] among level lines: (controller, told the truth?, RMS e [m]).
 
-    learned: (middle, low, high) of the net in use, infinite is a gap. drives: RMS e by minutes learned, as dots.
-    Dashed: told the data sheet; solid: told the truth. span: range of RMS e, the same in pictures to be compared.
+    learned: (middle, low, high) of the net in use. drives: RMS e by minutes learned, as dots. What is infinite was not
+    held, and is drawn in the strip at the top. Dashed: told the data sheet; solid: told the truth. span: range of RMS e,
+    the same in pictures to be compared. Both axes are logarithmic: most is learned in the first seconds.
     """
+    least, most = span
+    lost = most * np.geomspace(
+        1.12, 1.7, 2 + sum(not math.isfinite(level) for *_, level in levels)
+    )  # rows of the strip
     with style():
         figure, axes = new(2.9)
+        axes.axhspan(most, 1.9 * most, color=COLOURS["limit"], alpha=0.1, lw=0)
+        axes.text(0.985, 0.985, "not held", transform=axes.transAxes, ha="right", va="top", color=COLOURS["limit"])
+        rows = iter(lost[1:])
         for name, truth, level in levels:
-            if math.isfinite(level):
-                axes.axhline(level, color=look[name].colour, lw=1.3, ls="-" if truth else (0, (4, 2.5)))
-        middle, low, high = learned
-        seen, colour = np.isfinite(middle), look[learner].colour
-        top = np.where(np.isfinite(high), high, span[1])
-        axes.fill_between(x, low, top, where=seen, color=colour, alpha=0.14, lw=0, step="post")
-        axes.plot(x, np.where(seen, middle, np.nan), color=colour, lw=2.4, drawstyle="steps-post")
-        at = {minutes: value for minutes, value in drives.items() if math.isfinite(value)}
-        axes.plot([*at], [*at.values()], "o", ms=6.0, color=colour, mec=COLOURS["paper"], mew=1.2, clip_on=False)
+            at = level if math.isfinite(level) else next(rows)
+            axes.axhline(at, color=look[name].colour, lw=1.3, ls="-" if truth else (0, (4, 2.5)))
+        middle, low, high = (np.where(np.isfinite(values), values, lost[0]) for values in learned)
+        colour = look[learner].colour
+        axes.fill_between(x, low, high, color=colour, alpha=0.14, lw=0, step="post")
+        axes.plot(x, middle, color=colour, lw=2.4, drawstyle="steps-post")
+        values = [value if math.isfinite(value) else lost[0] for value in drives.values()]
+        axes.plot([*drives], values, "o", ms=6.0, color=colour, mec=COLOURS["paper"], mew=1.2, clip_on=False)
+        axes.set_xscale("log")
         axes.set_yscale("log")
-        _plain_numbers(axes.yaxis)
-        axes.set_ylim(*span)
-        axes.set_xlim(0.0, 1.02 * float(x[-1]))
-        axes.set_xlabel("driving time [min]")
+        axes.set_ylim(least, 1.9 * most)
+        ticks = [f * 10.0**k for k in range(-5, 2) for f in (1.0, 2.0, 5.0)]
+        axes.set_yticks([tick for tick in ticks if least <= tick <= most], minor=False)
+        axes.yaxis.set_major_formatter("{x:g}")
+        times = {2: "2 s", 5: "5 s", 10: "10 s", 30: "30 s", 60: "1 min", 120: "2 min", 300: "5 min"}
+        axes.set_xlim(2.0 / 60.0, 1.08 * float(x[-1]))
+        shown = {seconds / 60.0: text for seconds, text in times.items() if seconds / 60.0 <= x[-1]}
+        axes.set_xticks([*shown], [*shown.values()])
+        axes.minorticks_off()
+        axes.set_xlabel("driving time")
         axes.set_ylabel("RMS e [m]")
         return figure

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.report import adapt
+from benchmarks.report import adapt, figures
 from benchmarks.report.page import html
 from benchmarks.run.results import Case, Results, Store
 
@@ -50,7 +50,9 @@ def write(place: Path) -> Results:
         kept = {t: value for t, value in LEARNED.items() if t <= 60 * minutes}
         rms_e = np.array([*kept.values()])
         columns = {name: np.ones(len(kept)) for name in ("rounds", "max_e", "max_jerk")}
-        store.keep(one, curve=columns | {"t": np.array([*kept], float), "rms_e": rms_e, "held": np.isfinite(rms_e) * 1.0})
+        store.keep(
+            one, curve=columns | {"t": np.array([*kept], float), "rms_e": rms_e, "held": np.isfinite(rms_e) * 1.0}
+        )
     return store.merge()
 
 
@@ -101,3 +103,18 @@ def test_the_page_says_it_in_words_and_keeps_these_curves_in_one_place(results: 
 
 def test_other_suites_have_no_such_section(results: Results) -> None:
     assert adapt.section(results, [c for c in results.cases if c.kind == "learn"]) is None
+
+
+def test_the_strip_at_the_top_holds_what_was_not_held_and_nothing_else(panel: adapt.Panel) -> None:
+    look = figures.looks([adapt.LEARNED, "lqr", "mpc"])
+    levels = [(level.name, level.truth, level.rms_e) for level in panel.levels]
+    drawn = figures.falling(panel.x, panel.learned, panel.drives, levels, look, adapt.LEARNED, span=(0.007, 0.3))
+    *lines, curve, dots = drawn.axes[0].lines
+    for (name, truth, level), line in zip(levels, lines, strict=True):
+        (at, _), dashed = line.get_ydata(), line.get_linestyle() != "-"
+        assert at == level if math.isfinite(level) else 0.3 < at < 0.57
+        assert (line.get_color(), dashed) == (look[name].colour, not truth)
+    y = np.asarray(curve.get_ydata())
+    assert (y[:60] > 0.3).all()
+    assert y[60:].tolist() == panel.learned[0][60:].tolist()
+    assert list(dots.get_ydata()) == [0.2, 0.02]
