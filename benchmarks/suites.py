@@ -113,7 +113,7 @@ _GENERALISE = (
     scene(name="paper-ford", vehicle="ford-escort"),
     scene(name="paper-multi-body", plant=MULTI_BODY, vehicle="bmw-320i"),
 )
-_ADAPT = (*TELLABLE, *(name + TOLD_TRUTH for name in TELLABLE), "nfq-same-car-1", "nfq-same-car-5")
+_ADAPT = ("stanley", *TELLABLE, *(name + TOLD_TRUTH for name in TELLABLE), "nfq-same-car-1", "nfq-same-car-5")
 _ALL = (
     Suite(
         name="paper",

@@ -67,6 +67,11 @@ class Panel:
         after = int(above[-1]) + 1 if len(above) else 0
         return float(self.x[after]) if after < len(self.x) else math.inf
 
+    def times(self, *, truth: bool) -> float:
+        """RMS e at the end of the learning over that of the best analytic controller [1]; NaN where none held."""
+        best = self.best(truth=truth)
+        return math.nan if best is None else float(self.learned[0][-1]) / best.rms_e
+
 
 def trained_on(results: Results, case: Case) -> str:
     """The scenario whose car and course a training learned on; empty for any other case."""
@@ -86,9 +91,22 @@ def panels(results: Results, cases: Sequence[Case]) -> list[Panel]:
         if curves:
             drives = [case for case in cases if case.scenario == scenario]
             (band,) = curves[0].rms_e.values()
+            middle, low, high = (
+                np.append(values, values[-1]) for values in band
+            )  # the last net has the wheel to the end
             trouble = _trouble(results.protocol.get(scenario, {}))
             after = {_minutes(results, c): _rms_e([d for d in drives if d.controller == c.controller]) for c in here}
-            found.append(Panel(scenario, trouble, curves[0].x, band, after, _levels(results, drives), len(runs)))
+            found.append(
+                Panel(
+                    scenario,
+                    trouble,
+                    np.append(curves[0].x, longest),
+                    (middle, low, high),
+                    after,
+                    _levels(results, drives),
+                    len(runs),
+                )
+            )
     return found
 
 
@@ -142,12 +160,12 @@ def section(results: Results, cases: Sequence[Case]) -> dict[str, Any] | None:
 
 
 def _span(found: Sequence[Panel]) -> tuple[float, float]:
-    """One range of RMS e for all pictures [m]: from the best of all to three times the worst analytic one."""
+    """One range of RMS e for all pictures [m]: from the best of all to beyond the worst analytic one."""
     drawn = [level.rms_e for panel in found for level in panel.levels]
     learned = np.concatenate([panel.learned[0] for panel in found])
     lines = [value for value in drawn if math.isfinite(value)]
     values = [*lines, *learned[np.isfinite(learned)]]
-    return (0.7 * min(values), 3.0 * max(lines or values)) if values else (0.01, 1.0)
+    return (0.7 * min(values), 1.5 * max(lines or values)) if values else (0.01, 1.0)
 
 
 def _caption(panel: Panel) -> str:
@@ -160,6 +178,8 @@ def _caption(panel: Panel) -> str:
             f"learned is below for good after {60.0 * after:.0f} s" if math.isfinite(after) else "learned stays above"
         )
         text.append(f"Best told {told}: {shown}; {when}.")
+        if truth and best is not None:
+            when = f"learned ends at {panel.times(truth=True):.2f} times that"
         lost = [level.name for level in panel.levels if level.truth is truth and not math.isfinite(level.rms_e)]
         if lost and best is not None:
             text.append(f"Not held: {', '.join(lost)}.")
@@ -167,10 +187,16 @@ def _caption(panel: Panel) -> str:
 
 
 def _summary(found: Sequence[Panel]) -> str:
-    parts = []
-    for truth, told in ((False, "the data sheet"), (True, "the truth")):
-        times = [panel.below(truth=truth) for panel in found]
-        reached = [time for time in times if math.isfinite(time)]
-        when = f", for good after {60.0 * float(np.median(reached)):.0f} s of driving in the median" if reached else ""
-        parts.append(f"the best that was told {told} in {len(reached)} of {len(found)} scenarios{when}")
-    return f"By the end of its driving the learned controller has a lower RMS e than {parts[0]}; than {parts[1]}."
+    reached = [time for panel in found if math.isfinite(time := panel.below(truth=False))]
+    when = f", for good after {60.0 * float(np.median(reached)):.0f} s of driving in the median" if reached else ""
+    text = (
+        "The learned controller ends with a lower RMS e than the best analytic one that is told the data sheet in "
+        f"{len(reached)} of {len(found)} scenarios{when}."
+    )
+    times = [ratio for panel in found if not math.isnan(ratio := panel.times(truth=True))]
+    if times:
+        text += (
+            f" It ends at {np.median(times):.2f} times the RMS e of the best that is told the truth in the median, "
+            f"{max(times):.2f} times at worst."
+        )
+    return text

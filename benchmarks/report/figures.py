@@ -299,8 +299,8 @@ def falling(
     """A learner's RMS e over driving time x [min] among level lines: (controller, told the truth?, RMS e [m]).
 
     learned: (middle, low, high) of the net in use. drives: RMS e by minutes learned, as dots. What is infinite was not
-    held, and is drawn in the strip at the top. Dashed: told the data sheet; solid: told the truth. span: range of RMS e,
-    the same in pictures to be compared. Both axes are logarithmic: most is learned in the first seconds.
+    held, and is drawn in the strip at the top. Dashed: told the data sheet; solid: told the truth. span: range of RMS e
+    [m], the same in pictures to be compared. Both axes are logarithmic: most is learned in the first seconds.
     """
     least, most = span
     lost = most * np.geomspace(
@@ -309,7 +309,6 @@ def falling(
     with style():
         figure, axes = new(2.9)
         axes.axhspan(most, 1.9 * most, color=COLOURS["limit"], alpha=0.1, lw=0)
-        axes.text(0.985, 0.985, "not held", transform=axes.transAxes, ha="right", va="top", color=COLOURS["limit"])
         rows = iter(lost[1:])
         for name, truth, level in levels:
             at = level if math.isfinite(level) else next(rows)
@@ -324,12 +323,12 @@ def falling(
         axes.set_yscale("log")
         axes.set_ylim(least, 1.9 * most)
         ticks = [f * 10.0**k for k in range(-5, 2) for f in (1.0, 2.0, 5.0)]
-        axes.set_yticks([tick for tick in ticks if least <= tick <= most], minor=False)
-        axes.yaxis.set_major_formatter("{x:g}")
+        shown = {tick: f"{tick:g}" for tick in ticks if least <= tick <= most} | {1.38 * most: "not held"}
+        axes.set_yticks([*shown], [*shown.values()])
         times = {2: "2 s", 5: "5 s", 10: "10 s", 30: "30 s", 60: "1 min", 120: "2 min", 300: "5 min"}
         axes.set_xlim(2.0 / 60.0, 1.08 * float(x[-1]))
-        shown = {seconds / 60.0: text for seconds, text in times.items() if seconds / 60.0 <= x[-1]}
-        axes.set_xticks([*shown], [*shown.values()])
+        marked = {seconds / 60.0: text for seconds, text in times.items() if seconds / 60.0 <= x[-1]}
+        axes.set_xticks([*marked], [*marked.values()])
         axes.minorticks_off()
         axes.set_xlabel("driving time")
         axes.set_ylabel("RMS e [m]")

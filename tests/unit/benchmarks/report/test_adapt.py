@@ -80,6 +80,7 @@ def test_what_it_falls_below_and_when(panel: adapt.Panel) -> None:
     assert truth == adapt.Level("mpc", True, 0.01)
     assert 60.0 * panel.below(truth=False) == pytest.approx(90.0)
     assert panel.below(truth=True) == math.inf
+    assert (panel.times(truth=False), panel.times(truth=True)) == (pytest.approx(0.4), pytest.approx(2.0))
 
 
 def test_a_curve_that_rises_again_is_not_below_for_good(panel: adapt.Panel) -> None:
@@ -88,16 +89,18 @@ def test_a_curve_that_rises_again_is_not_below_for_good(panel: adapt.Panel) -> N
     assert again.below(truth=False) == 3.0
     none_held = adapt.Panel("", "", x, (learned, learned, learned), {}, (), 1)
     assert none_held.below(truth=False) == 1.0
+    assert math.isnan(none_held.times(truth=True))
 
 
 def test_the_page_says_it_in_words_and_keeps_these_curves_in_one_place(results: Results) -> None:
     page = html(results)
-    assert "the best that was told the data sheet in 1 of 1 scenarios, for good after 90 s" in page
-    assert "the best that was told the truth in 0 of 1 scenarios." in page
-    assert "Best told the data sheet: 0.05 m (lqr); learned is below for good after 90 s. Not held: mpc." in " ".join(
-        page.split()
-    ).replace("0.0500", "0.05")
-    assert "learned stays above" in page
+    assert "told the data sheet in 1 of 1 scenarios, for good after 90 s of driving in the median." in page
+    assert (
+        "It ends at 2.00 times the RMS e of the best that is told the truth in the median, 2.00 times at worst" in page
+    )
+    assert "Learned: after 1 min 0.200 m, after 2 min 0.0200 m." in page
+    assert "Best told the data sheet: 0.0500 m (lqr); learned is below for good after 90 s. Not held: mpc." in page
+    assert "Best told the truth: 0.0100 m (mpc); learned ends at 2.00 times that." in page
     assert "good drivers over driving time" not in page
 
 
