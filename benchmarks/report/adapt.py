@@ -177,9 +177,9 @@ def _caption(panel: Panel) -> str:
         when = (
             f"learned is below for good after {60.0 * after:.0f} s" if math.isfinite(after) else "learned stays above"
         )
-        text.append(f"Best told {told}: {shown}; {when}.")
         if truth and best is not None:
             when = f"learned ends at {panel.times(truth=True):.2f} times that"
+        text.append(f"Best told {told}: {shown}; {when}.")
         lost = [level.name for level in panel.levels if level.truth is truth and not math.isfinite(level.rms_e)]
         if lost and best is not None:
             text.append(f"Not held: {', '.join(lost)}.")
