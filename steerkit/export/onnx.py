@@ -29,11 +29,18 @@ def export_onnx(block: NfqPolicy | PolicyBlock, file: str | os.PathLike[str], *,
     a NaN or an infinity gives NaN. Numbers are float64; single: float32, with which a choice between two actions of
     nearly equal cost may come out differently. Names, units and ranges stand in the model's metadata.
 
-    Raises ValueError for a policy without nets, TypeError for a block that holds no net, ImportError without onnx.
+    Raises ValueError for a policy without nets, or one that is more than its nets (a forecast, actions between those of
+    its set); TypeError for a block that holds no net; ImportError without onnx.
     """
     graph = _Graph(single)
     if isinstance(block, NfqPolicy):
         require(bool(block.nets), "export_onnx", "the policy has no nets: nothing was learned yet")
+        more = block.forecast is not None or block.continuous
+        fault = (
+            "the policy is more than its nets: it forecasts, or takes actions between those of its set. Export its "
+            "loop as C (export_c), or learn with --with fit.dead_time=0 --with continuous=false"
+        )
+        require(not more, "export_onnx", fault)
         actions, values = _nfq(graph, block)
     elif isinstance(block, PolicyBlock) and isinstance(block.policy, Network):
         actions, values = _network(graph, block, block.policy), None
