@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 import subprocess
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from steerkit.assembly import placed, steering_loop
 from steerkit.block import Block
 from steerkit.compiled import compile
 from steerkit.controllers.delay import delayed_stanley
+from steerkit.controllers.forecast import PREVIEW, Forecast
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.stanley import Stanley
 from steerkit.controllers.trimmed import Trimmed
@@ -106,6 +108,23 @@ def learner_with_recovery(seed: int, rng: np.random.Generator) -> Loop:
     )
 
 
+def learner_that_forecasts(seed: int, rng: np.random.Generator) -> Loop:
+    car = placed(NonlinearSingleTrack(vehicle=CAR, v0=5.0), PAPER, s=rng.uniform(0.0, PAPER.length), e=0.05)
+    answer = {"now": 0.006, "before": 0.005, "earlier": 0.002, "back": 0.2, "slip": 4e-4, "yaw": 0.38}
+    ahead = Forecast(samples=int(rng.integers(0, 9)), trust=0.25, straight=0.02, **answer)
+    nets = tuple(tuple(4.0 * p for p in net) for net in policy(rng).nets or ())  # flatter ones magnify rounding
+    return steering_loop(
+        car=car,
+        path=PAPER,
+        human=CarefulHuman(path=PAPER, human=Human(seed=seed)),
+        controller=replace(policy(rng), nets=nets, preview_points=PREVIEW, forecast=ahead, continuous=True),
+        doe=Integrator(),
+        sensors=Sensors.hard(seed),
+        recovery=Stanley.of(CAR),
+        actuator=SteeringActuator(delay=0.2),
+    )
+
+
 def worn_steering_and_poor_sensors(seed: int, rng: np.random.Generator) -> Loop:
     return driven(
         Human(seed=seed),
@@ -139,6 +158,7 @@ LOOPS: list[Callable[[int, np.random.Generator], Loop]] = [
     nonlinear_with_a_record,
     nonlinear_with_a_profile,
     learner_with_recovery,
+    learner_that_forecasts,
     worn_steering_and_poor_sensors,
     steered_by_torque,
 ]
