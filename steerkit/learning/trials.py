@@ -22,6 +22,8 @@ SIGNALS = ("path.e", "path.progress", "car.delta_sw", "car.a_y", "supervisor.lea
 WEIGHTS = "controller.block.weights"
 WORTH_COMPILING = 12
 """Policies of one layout from which on compiling a loop for them takes less time than driving them one by one."""
+LARGEST_COMPILED = 8
+"""Nets of a policy up to which that is so: with 16 and their weights left open the C compiler takes minutes."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -77,7 +79,7 @@ def drive_each(world: Scenario, setting: Setting, policies: Sequence[Any], *, se
     drives: dict[int, TrialDrive] = {}
     for rows in layouts.values():
         some = [policies[i] for i in rows]
-        if len(rows) < WORTH_COMPILING:
+        if len(rows) < WORTH_COMPILING or len(some[0].nets or ()) > LARGEST_COMPILED:
             drives |= zip(rows, [_drive_one(world, setting, policy, seed) for policy in some])
         else:
             drives |= zip(rows, drive_many(world, setting, some, seed=seed))
