@@ -35,7 +35,11 @@ def to_minari(transitions: Transitions, dataset_id: str, task: Task, *, descript
         raise ImportError("to_minari needs minari and pyarrow: pip install 'steerkit-control[export]'") from why
     where, names = "to_minari", transitions.names
     require(len(transitions) > 0, where, "no transitions, expected at least one")
-    require(names == task.description.names, where, f"columns {names}, but the task has {task.description.names}")
+    fault = f"columns {names}, but the task has {task.description.names}"
+    if "kappa" in names:
+        fault += "; a run of a setting that looks for dead time takes actions between those of its set, too, and no "
+        fault += "environment does: learn with --setting model-free, or --with fit.dead_time=0 --with continuous=false"
+    require(names == task.description.names, where, fault)
     require(dataset_id not in minari.list_local_datasets(), where, f"data set '{dataset_id}' exists; give another name")
     s, a, s_next, episode = transitions.s, transitions.a, transitions.s_next, transitions.episode
     cost, over = task.price(s, a, s_next)
