@@ -147,7 +147,9 @@ def session(options: Options) -> Iterator[Session]:
         finally:
             for process in started:  # the server first
                 process.terminate()
-                process.wait(20.0)  # it may have to write the end of its recording
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    process.wait(20.0)  # it may have to write the end of its recording
+                process.kill()  # nothing, if it has ended: whoever did not hear is not left behind
         if here.recording and started[0].returncode == 1:
             here.broken = f"the car server ended badly: {processes.last_line(str(log))}"
 
