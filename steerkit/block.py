@@ -154,6 +154,17 @@ class Block:
             )
 
 
+def take_ports(wrapper: Block, block: Block) -> None:
+    """Give one wrapper object the ports of the block inside it, its sample time, and whether it is pure."""
+    for name in ("inputs", "outputs", "U", "D", "Y", "dt", "pure"):
+        object.__setattr__(wrapper, name, getattr(block, name))
+    ports: tuple[In | Out, ...] = (*block.inputs, *block.outputs)
+    for spec in ports:
+        object.__setattr__(wrapper, spec.name, Port(wrapper, spec))
+        if isinstance(spec.size, str):
+            object.__setattr__(wrapper, spec.size, getattr(block, spec.size))
+
+
 def _known_unit(unit: str) -> str:
     if unit not in UNITS:
         raise ValueError(f"port: unit {unit!r} is not known; SI and radians only, one of {', '.join(sorted(UNITS))}")

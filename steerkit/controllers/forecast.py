@@ -17,6 +17,8 @@ PREVIEW = LONGEST + 1
 """Curvatures of the path that a forecast needs, one a sample of driving."""
 SLOWEST = 1.0
 """Speed below which a car counts as this fast [m/s]: the formulas divide by v."""
+ANSWER = ("now", "before", "earlier", "back", "slip", "yaw")
+"""The learned numbers by which a car answers its steering wheel: see `moved`."""
 _REMEMBERED = LONGEST + 2
 
 
@@ -29,17 +31,6 @@ class Motion(NamedTuple):
     r_e: Any
 
 
-class Answer(NamedTuple):
-    """How a car answers its steering wheel, in a few learned numbers; see `moved`."""
-
-    now: Any
-    before: Any
-    earlier: Any
-    back: Any
-    slip: Any
-    yaw: Any
-
-
 def moved(car: Any, x: Motion, v: Any, doe: Sequence[Any], bend: Any = 0.0, dt: float = DT) -> Motion:
     """The motion one sample later, as far as it is the wheel's doing; for floats, arrays and symbols.
 
@@ -49,7 +40,7 @@ def moved(car: Any, x: Motion, v: Any, doe: Sequence[Any], bend: Any = 0.0, dt: 
         r_e' = r_e + yaw*v*p - bend,   psi_e' = psi_e + dt*r,   c' = c + p + dt*r,   r = (r_e + r_e')/2
         e'   = e + dt*v*(c + c')/2
 
-    car: anything with the numbers of `Answer`. v [m/s], at least SLOWEST. bend [rad/s]: by how much v*kappa grows in
+    car: anything with the numbers of `ANSWER`. v [m/s], at least SLOWEST. bend [rad/s]: by how much v*kappa grows in
     the sample. It is the same in every steady bend: nothing changes when doe is turned by x and psi_e by -x*ratio, of
     ratio = (now + before + earlier)/(back + slip*v^2).
     """
@@ -139,7 +130,7 @@ class Forecast:
         """The angle that begins to act `steps` samples before the next command's, and the two before it."""
         angles = (*x[:_REMEMBERED], u.doe)
         at = len(angles) - steps
-        doe, before, earlier = (angles[max(0, at - i)] - self.straight for i in range(3))
+        doe, before, earlier = (angles[at - i] - self.straight for i in range(3))
         return doe, before, earlier
 
 

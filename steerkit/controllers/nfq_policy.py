@@ -159,7 +159,8 @@ class NfqPolicy(Policy):
             check_net(net, n + 1, where)
             same = [p.shape for p in net] == [p.shape for p in self.nets[0]]  # type: ignore[index]
             require(same, where, "nets of different layouts, expected one layout for the whole ensemble")
-        n_weights = len(self.flat_weights())
+        n_weights = sum(np.size(p) for net in self.nets or () for p in net)
+        n_weights += len(self.forecast.numbers) if self.forecast else 0
         fits = len(self.weights) in (0, n_weights)
         require(fits, where, f"weights holds {len(self.weights)} numbers, expected {n_weights}: of nets and forecast")
         points = f"preview_points = {self.preview_points}; valid: 0, or {ahead.PREVIEW}, which a forecast needs"
@@ -255,13 +256,18 @@ class NfqPolicy(Policy):
         n = len(plain.numbers)
         return plain.with_numbers(self.weights[-n:]) if self.forecast and self.weights else plain
 
+    @functools.cached_property
+    def _neighbours(self) -> tuple[tuple[int, int, int], ...]:
+        """Places in `_order` of every action but the outermost ones, between those of the actions beside it."""
+        rising = sorted(range(len(self._order)), key=self._order.__getitem__)
+        return tuple(zip(rising, rising[1:], rising[2:]))
+
     def _between(self, values: list[Any], best: Any) -> Any:
         """The lowest point of the parabola through the best action's value and those beside it; `values` by `_order`.
 
         a = a1 + ((a2 - a1)^2 (q0 - q1) - (a1 - a0)^2 (q2 - q1)) / (2 ((a2 - a1)(q0 - q1) + (a1 - a0)(q2 - q1)))
         """
-        rising = sorted(range(len(values)), key=self._order.__getitem__)
-        for left, middle, right in zip(rising, rising[1:], rising[2:]):
+        for left, middle, right in self._neighbours:
             a1 = self._order[middle]
             below, above = a1 - self._order[left], self._order[right] - a1
             rise, other = values[left] - values[middle], values[right] - values[middle]  # >= 0 beside the best one

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from steerkit import maths as m
-from steerkit.block import Block, In, Out, Port, State
+from steerkit.block import Block, In, Out, Port, State, take_ports
 from steerkit.errors import require
 from steerkit.task import RELEASE, STOP, TRIP
 
@@ -92,13 +92,7 @@ class Guarded(Block):
     block: Block
 
     def __post_init__(self) -> None:
-        for name in ("inputs", "outputs", "U", "D", "Y", "dt", "pure"):  # those of the block inside, on this object
-            object.__setattr__(self, name, getattr(self.block, name))
-        ports: tuple[In | Out, ...] = (*self.block.inputs, *self.block.outputs)
-        for spec in ports:
-            object.__setattr__(self, spec.name, Port(self, spec))
-            if isinstance(spec.size, str):
-                object.__setattr__(self, spec.size, getattr(self.block, spec.size))
+        take_ports(self, self.block)
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         return self.block.init(batch)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from steerkit.block import Block, In, Out, Port, State
+from steerkit.block import Block, State, take_ports
 from steerkit.errors import require
 
 
@@ -31,13 +31,7 @@ class Trimmed(Block):
         require(self.gain > 0.0, "Trimmed", f"gain = {self.gain} [1], expected > 0")
         gives = [port.name for port in self.block.outputs]
         require("delta_sw" in gives, "Trimmed", f"block with outputs {gives}, expected delta_sw among them")
-        for name in ("inputs", "outputs", "U", "D", "Y", "dt", "pure"):  # those of the block inside, on this object
-            object.__setattr__(self, name, getattr(self.block, name))
-        ports: tuple[In | Out, ...] = (*self.block.inputs, *self.block.outputs)
-        for spec in ports:
-            object.__setattr__(self, spec.name, Port(self, spec))
-            if isinstance(spec.size, str):
-                object.__setattr__(self, spec.size, getattr(self.block, spec.size))
+        take_ports(self, self.block)
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         return self.block.init(batch)

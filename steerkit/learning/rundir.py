@@ -78,7 +78,7 @@ def save(run: LearningRun, place: FilePath) -> None:
     run.loop.save_state(run.state, place / f"state-{number}.npz")
     run.transitions.save(place / f"transitions-{number}.npz")
     policy = run.story.policy
-    nets, forecast = pending[2] if pending else (run.nets, getattr(policy, "forecast", None))
+    nets, forecast = pending[2] if pending else (run.nets, policy.forecast)
     net = replace(policy, nets=nets, forecast=forecast, ready_from=0.0)
     net.save(place / "nets" / f"net-{run.counts.updates:04d}.npz")
     replace(run.policy, ready_from=0.0).save(place / "nets" / f"steering-{number}.npz")

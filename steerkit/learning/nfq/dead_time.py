@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from steerkit.controllers.forecast import LONGEST, SLOWEST, Forecast
+from steerkit.controllers.forecast import ANSWER, LONGEST, Forecast
 from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, R_E, V
 from steerkit.learning.data.transitions import Transitions
-from steerkit.learning.nfq.model import CENTRED, KAPPA, OFF_CENTRE, CarModel, earlier_doe, follow
+from steerkit.learning.nfq.model import CENTRED, KAPPA, OFF_CENTRE, CarModel, earlier_doe, follow, speed
 from steerkit.learning.nfq.patterns import StateDescription
 from steerkit.task import DT
 
@@ -61,7 +61,7 @@ def process_of(record: Transitions, description: StateDescription, longest: floa
         best += 1
     part = known[best]
     model = refined(models[best], part)
-    numbers = {name: getattr(model, name) for name in ("now", "before", "earlier", "back", "slip", "yaw", "straight")}
+    numbers = {name: getattr(model, name) for name in (*ANSWER, "straight")}
     forecast = Forecast(samples=best, trust=TRUST, dt=dt, **numbers)
     s, s_next = part.s[:, : len(COLUMNS)].copy(), part.s_next[:, : len(COLUMNS)].copy()
     s[:, DOE] -= model.straight
@@ -103,7 +103,7 @@ def refined(model: CarModel, part: Transitions) -> CarModel:
     if len(row) < 2 * FEWEST:
         return model
     s = part.s
-    v, doe = np.maximum(s[:, V], SLOWEST), s[:, DOE]
+    v, doe = speed(s), s[:, DOE]
     w, r = s[:, E_DOT] / v - s[:, PSI_E], s[:, R_E] + s[:, V] * s[:, KAPPA]
     firmly = np.sqrt(AHEAD * CENTRED)
 
@@ -140,7 +140,7 @@ def _unexplained(model: CarModel, part: Transitions, skipped: int) -> float:
     s, s_next = part.s[:, columns].copy(), part.s_next[:, columns]
     s[:, DOE] -= model.straight
     foreseen = model.step(s, part.a, earlier_doe(part) - model.straight)
-    error: NDArray[np.float64] = (s_next[:, E_DOT] - foreseen[:, E_DOT]) / np.maximum(s[:, V], 1.0)
+    error: NDArray[np.float64] = (s_next[:, E_DOT] - foreseen[:, E_DOT]) / speed(s)
     starts = np.flatnonzero(~follow(part))
     place = np.arange(len(part)) - np.repeat(starts, np.diff([*starts, len(part)]))
     judged = error[place >= skipped]

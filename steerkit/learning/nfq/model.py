@@ -71,11 +71,11 @@ class CarModel:
         require(told or record.names == COLUMNS, "CarModel.fit", valid)
         require(len(record) > 0, "CarModel.fit", "no transitions, expected at least one")
         s, s_next, limit = record.s, record.s_next, description.high[DOE]
-        doe, doe_next, v = s[:, DOE], s_next[:, DOE], _speed(s)
+        doe, doe_next, v = s[:, DOE], s_next[:, DOE], speed(s)
         free = np.abs(doe_next) < 0.999 * limit
         held, pushed = _least_squares(np.column_stack((doe, record.a))[free], doe_next[free], trace=1e-6)
         w = s[:, E_DOT] / v - s[:, PSI_E]
-        turn = s_next[:, E_DOT] / _speed(s_next) - s[:, E_DOT] / v - 0.5 * dt * (s[:, R_E] + s_next[:, R_E])
+        turn = s_next[:, E_DOT] / speed(s_next) - s[:, E_DOT] / v - 0.5 * dt * (s[:, R_E] + s_next[:, R_E])
         follows = follow(record)
         rows = follows if follows.sum() >= 10 else np.ones(len(s), dtype=bool)
         x = np.column_stack((doe_next, doe, earlier_doe(record), -w))
@@ -98,7 +98,7 @@ class CarModel:
     def step(self, s: Array, a: Array, earlier: Array) -> Array:
         """States (n, columns) one sample after s, under the actions a (n,), where doe was `earlier` (n,) before s."""
         e, e_dot, v, psi_e, r_e, doe = s.T
-        course = e_dot / _speed(s)
+        course = e_dot / speed(s)
         doe_next = np.clip(self.held * doe + self.pushed * a, -self.limit, self.limit)
         e, course, psi_e, r_e = moved(self, Motion(e, course, psi_e, r_e), v, (doe_next, doe, earlier), dt=self.dt)
         return np.column_stack((e, v * course, v, psi_e, r_e, doe_next))
@@ -152,22 +152,23 @@ def imagine(
     s, residual = record.s[row] * signs, record.s_next[row] - model.step(record.s, record.a, earlier_doe(record))[row]
     back = (earlier_doe(record)[row] - record.s[row, DOE]) * signs[:, DOE]
     v = rng.uniform(record.s[:, V].min(), record.s[:, V].max(), count)
-    s[:, PSI_E] += (model.ratio(_speed(s)) - model.ratio(np.maximum(v, SLOWEST))) * s[:, DOE] * float(model.slip != 0.0)
-    s[:, E_DOT] *= v / _speed(s)
+    s[:, PSI_E] += (model.ratio(speed(s)) - model.ratio(np.maximum(v, SLOWEST))) * s[:, DOE]
+    s[:, E_DOT] *= v / speed(s)
     s[:, V] = v
     size = SPREAD * description.half * 2.0 * rng.uniform(0.0, 1.0, (count, 1)) ** 2
-    moved = size * rng.standard_normal((count, len(COLUMNS)))
-    s[:, E] += moved[:, E]
-    s[:, E_DOT] += v * moved[:, PSI_E]
-    s[:, PSI_E] += moved[:, PSI_E]
-    s[:, R_E] += moved[:, R_E]
+    shift = size * rng.standard_normal((count, len(COLUMNS)))
+    s[:, E] += shift[:, E]
+    s[:, E_DOT] += v * shift[:, PSI_E]
+    s[:, PSI_E] += shift[:, PSI_E]
+    s[:, R_E] += shift[:, R_E]
     bend = rng.uniform(-model.limit, model.limit, count)
-    s[:, PSI_E] -= model.ratio(_speed(s)) * (bend - s[:, DOE] - moved[:, DOE])
+    s[:, PSI_E] -= model.ratio(speed(s)) * (bend - s[:, DOE] - shift[:, DOE])
     s[:, DOE] = bend
     return Imagined(s=s, earlier=bend + back, residual=residual * signs)
 
 
-def _speed(s: Array) -> Array:
+def speed(s: Array) -> Array:
+    """Speeds of the states s (n, columns) that may be divided by, SLOWEST at least (n,) [m/s]."""
     return np.maximum(s[:, V], SLOWEST)
 
 
