@@ -365,8 +365,12 @@ def _forecast_in(f: Any) -> Forecast | None:
     if "dead_samples" not in f:
         return None
     numbers = f["forecast"].tolist()
-    require(bool(np.isfinite(numbers).all()), "forecast", "its numbers hold a NaN or an infinity")
-    return Forecast(samples=int(f["dead_samples"]), dt=float(f["dt"])).with_numbers(numbers)
+    found = Forecast(samples=int(f["dead_samples"]), dt=float(f["dt"])).with_numbers(numbers)
+    for name in (*ahead.ANSWER, "straight"):  # some 0.01, 0.2 and 0.4; others would steer straight on in silence
+        require(
+            abs(getattr(found, name)) <= 10.0, "forecast", f"{name} = {getattr(found, name):g}, expected within +-10"
+        )
+    return found
 
 
 def without_preview(block: Policy) -> None:

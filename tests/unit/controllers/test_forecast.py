@@ -137,3 +137,13 @@ def test_numbers_out_of_range_are_refused() -> None:
     with pytest.raises(ValueError, match="preview_points"):
         NfqPolicy(forecast=Forecast())
     assert Forecast().dt == DT
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("back", 1e300), ("straight", 1e12), ("slip", -1e9), ("now", float("nan"))]
+)
+def test_a_file_with_numbers_that_no_car_has_is_refused(name: str, value: float, tmp_path: Path) -> None:
+    policy = NfqPolicy(nets=(new_net(seed=1),), preview_points=PREVIEW, forecast=replace(CAR, **{name: value}))
+    policy.save(tmp_path / "p.npz")
+    with pytest.raises(ValueError, match=f"{name} = "):
+        NfqPolicy.load(tmp_path / "p.npz")
