@@ -49,6 +49,8 @@ class FleetOutcome:
     dead_samples: int
     good: float | None
     failures: int
+    departure: float
+    """Largest true |e| of the whole run, first failure and recovery included [m]."""
     nets: int
     held: bool
     rms_e: float
@@ -94,6 +96,7 @@ def one_car(job: tuple[int, int, Setting, float, float]) -> FleetOutcome:
         dead_samples=forecast.samples if forecast else 0,
         good=good,
         failures=trained.run.counts.failures,
+        departure=float(np.abs(trained.run.recorder.log()["path.e"]).max()),
         nets=len(nets),
         held=final is not None and final.held,
         rms_e=mine[0],
@@ -141,6 +144,8 @@ def summarise(outcomes: list[FleetOutcome]) -> dict[str, Any]:
         "good_median_s": finite(np.median(times)),
         "good_worst_s": finite(np.max(times)),
         "failures_worst": int(max(o.failures for o in outcomes)),
+        "departure_median_m": float(np.median([o.departure for o in outcomes])),
+        "departure_worst_m": float(np.max([o.departure for o in outcomes])),
         "held_share": float(np.mean([o.held for o in outcomes])),
         **{name: finite(np.median(values)) for name, values in ratios.items()},
         "worst_rms_x_told_truth": finite(np.max(ratios["rms_x_told_truth"])),

@@ -23,6 +23,7 @@ GOOD = FleetOutcome(
     dead_samples=3,
     good=10.0,
     failures=1,
+    departure=2.0,
     nets=30,
     held=True,
     rms_e=0.01,
@@ -48,6 +49,8 @@ def test_medians_and_worst_cases_count_a_car_that_never_got_there_as_infinite() 
     assert (three["good_share"], three["held_share"]) == pytest.approx((2 / 3, 2 / 3))
     assert (three["good_worst_s"], three["worst_rms_x_told_truth"]) == (None, None)
     assert (three["rms_x_told_truth"], three["failures_worst"]) == (1.2, 3)
+    far = summarise([GOOD, replace(GOOD, departure=7.0)])
+    assert (far["departure_median_m"], far["departure_worst_m"]) == (4.5, 7.0)
 
 
 def test_the_first_good_net_counts_from_when_it_took_the_wheel() -> None:
@@ -68,4 +71,5 @@ def test_a_car_that_hardly_learned_is_told_as_it_is(monkeypatch: pytest.MonkeyPa
     assert (outcome.number, outcome.best, outcome.best_on_data_sheet) == (3, "stanley-delay", "stanley")
     assert outcome.delay == fleet.fleet_scenario(3).delay
     assert outcome.good is None
+    assert outcome.departure > 0.5  # it has failed, and nobody hides by how much
     assert not outcome.held
