@@ -147,9 +147,7 @@ def session(options: Options) -> Iterator[Session]:
         finally:
             for process in started:  # the server first
                 process.terminate()
-                with contextlib.suppress(subprocess.TimeoutExpired):
-                    process.wait(20.0)  # it may have to write the end of its recording
-                process.kill()  # nothing, if it has ended: whoever did not hear is not left behind
+                process.wait(20.0)  # it may have to write the end of its recording
         if here.recording and started[0].returncode == 1:
             here.broken = f"the car server ended badly: {processes.last_line(str(log))}"
 

@@ -34,7 +34,8 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("bin")
     entry = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["scripts"]["steerkit"]
     module, function = entry.split(":")
-    (folder / "steerkit").write_text(f"#!{sys.executable}\nfrom {module} import {function}\n{function}()\n")
+    guarded = f'if __name__ == "__main__":\n    {function}()\n'  # as pip writes it: a training process imports it again
+    (folder / "steerkit").write_text(f"#!{sys.executable}\nfrom {module} import {function}\n{guarded}")
     (folder / "python").write_text(f'#!/bin/sh\nexec "{sys.executable}" "$@"\n')
     for file in folder.iterdir():
         file.chmod(0o755)
