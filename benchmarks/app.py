@@ -241,7 +241,7 @@ def study(
     name: Annotated[str, typer.Argument(help="Study to carry out: see --list.")] = "",
     names: Annotated[bool, typer.Option("--list", help="Say what each study measures.")] = False,
 ) -> None:
-    """Carry out a single measurement: study NAME [--quick] [--json] [its options]; study NAME --help lists them."""
+    """Carry out a single measurement: study NAME, then --quick, --json or its options; study NAME --help lists them."""
     from benchmarks import studies
 
     if names:

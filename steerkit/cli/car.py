@@ -11,6 +11,7 @@ from typing import Annotated
 
 import typer
 
+from steerkit.cli.options import CHANNEL, SOCKET, TIME_SCALE
 from steerkit.clock import Clock
 from steerkit.on_car import loop as loops
 from steerkit.on_car import processes
@@ -23,12 +24,10 @@ app = typer.Typer(
 )
 
 Config = Annotated[str, typer.Option("--config", help="TOML file, or a shipped one: dbw-kit.toml.")]
-Socket = Annotated[str, typer.Option("--socket", help="Unix socket of the car server.")]
-Scale = Annotated[float, typer.Option(help="How many times faster than real time; simulated cars only.")]
+Socket = Annotated[str, typer.Option(help=SOCKET)]
+Scale = Annotated[float, typer.Option(help=TIME_SCALE)]
 RecordTo = Annotated[str, typer.Option(help="MCAP file to record to.")]
-Channel = Annotated[
-    str, typer.Option(help="slcan device or socket://, or INTERFACE:CHANNEL of python-can, instead of the file's bus.")
-]
+Channel = Annotated[str, typer.Option(help=CHANNEL)]
 
 
 @app.command()
@@ -55,13 +54,14 @@ def simulate(
     ] = "",
     time_scale: Scale = 1.0,
     seed: Annotated[int, typer.Option(help="Seed of the human at the wheel.")] = 0,
-    v_min: Annotated[float, typer.Option(help="Slowest speed [m/s].")] = 4.0,
-    v_max: Annotated[float, typer.Option(help="Fastest speed [m/s].")] = 6.0,
+    v_min: Annotated[float, typer.Option(help="Slowest speed (m/s).")] = 4.0,
+    v_max: Annotated[float, typer.Option(help="Fastest speed (m/s).")] = 6.0,
     log: Annotated[str, typer.Option(help="File for every command heard, as JSON lines.")] = "",
 ) -> None:
     """A simulated car behind the same DBC on a bus of its own; faults come as lines on standard input.
 
-    A line is `KIND pose|report [LENGTH [AMOUNT]]`, such as `drop pose 0.5`; an unknown one prints the kinds.
+    A line is KIND, `pose` or `report`, and if wanted LENGTH and AMOUNT, such as `drop pose 0.5`; an unknown one prints
+    the kinds.
     """
     from steerkit.plants.real_car.frames.bus import BusPort
     from steerkit.plants.real_car.frames.slcan_port import SlcanPort
@@ -91,7 +91,7 @@ def server(
     recording: RecordTo = "",
     channel: Channel = "",
     time_scale: Scale = 1.0,
-    linger: Annotated[float, typer.Option(help="End when no client has been there for so long [s].")] = 60.0,
+    linger: Annotated[float, typer.Option(help="End when no client has been there for so long (s).")] = 60.0,
     realtime: Annotated[bool, typer.Option(help="Run under SCHED_FIFO; needs the right to.")] = False,
 ) -> None:
     """The process that owns the bus. `steerkit drive --car` and `learn --car` start one where there is none."""

@@ -9,26 +9,13 @@ from typing import Annotated
 import typer
 
 from steerkit.cli.options import (
-    ON_CAR,
-    SIMULATED,
-    Car,
-    Channel,
-    Conditions,
-    Course,
-    Disturbed,
-    Machine,
-    Quiet,
-    Realtime,
-    RecordTo,
-    Recovery,
-    Scale,
-    ScenarioFile,
-    Simulated,
-    Socket,
-    Vehicle,
+    DriveOptions,
     car_options,
     check_options,
+    drive_options,
     driven_on,
+    in_simulation,
+    on_car,
     scenario_of,
 )
 
@@ -38,44 +25,23 @@ _CONTROLLERS = (
 )
 
 
+@drive_options
 def drive(
     ctx: typer.Context,
+    options: DriveOptions,
     name: Annotated[str, typer.Argument(metavar="CONTROLLER", show_default=False, help=_CONTROLLERS)] = "",
     controller: Annotated[
         str, typer.Option(help="The same as an option; nfq: what `learn`, called alike, has learned.")
     ] = "",
-    car: Car = "",
-    quiet: Quiet = False,
-    as_json: Machine = False,
-    course: Course = "paper",
-    vehicle: Vehicle = "vw-passat",
-    conditions: Disturbed = Conditions.clean,
-    scenario_file: ScenarioFile = None,
-    delay: Annotated[float, typer.Option(help="Steering delay (s).", rich_help_panel=SIMULATED)] = 0.0,
-    rounds: Annotated[
-        float | None, typer.Option(help="Rounds to drive; default: the scenario's, 1.", rich_help_panel=SIMULATED)
-    ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of human and sensors.", rich_help_panel=SIMULATED)] = 0,
-    out: Annotated[
-        Path | None, typer.Option(help="Directory for the log and the picture.", rich_help_panel=SIMULATED)
-    ] = None,
-    animate: Annotated[
-        Path | None,
-        typer.Option(help="Film of the drive to write: .gif, or .mp4 with ffmpeg.", rich_help_panel=SIMULATED),
-    ] = None,
-    recovery: Recovery = "stanley",
-    minutes: Annotated[float, typer.Option(help="How many minutes; 0: until `q`.", rich_help_panel=ON_CAR)] = 0.0,
-    simulated: Simulated = False,
-    socket: Socket = "",
-    recording: RecordTo = "",
-    channel: Channel = "",
-    time_scale: Scale = 1.0,
-    realtime: Realtime = False,
+    delay: Annotated[float, in_simulation("Steering delay (s).")] = 0.0,
+    rounds: Annotated[float | None, in_simulation("Rounds to drive; default: the scenario's, 1.")] = None,
+    out: Annotated[Path | None, in_simulation("Directory for the log and the picture.")] = None,
+    animate: Annotated[Path | None, in_simulation("Film of the drive to write: .gif, or .mp4 with ffmpeg.")] = None,
+    minutes: Annotated[float, on_car("How many minutes; 0: until `q`.")] = 0.0,
 ) -> None:
     """Drive with any controller: a course in simulation, or with --car FILE a car, armed and engaged by keys."""
     check_options(
         ctx,
-        car,
         not_on_a_car={
             "seed": "nothing is drawn by lot there",
             "out": "say --recording FILE",
@@ -87,14 +53,14 @@ def drive(
     if name and controller and name != controller:
         raise ValueError(f"two controllers, '{name}' and --controller {controller}; name one")
     name = name or controller
-    if car:
+    if options.car:
         from steerkit.on_car import loop as loops
         from steerkit.on_car import session as car_session
 
         if not name:
             raise ValueError(f"drive: with which controller? valid: {loops.VALID}")
         figures = car_session.drive(car_options(ctx), name, minutes=minutes)
-        if as_json:
+        if options.as_json:
             print(json.dumps(figures))
         return
     from steerkit.catalogue import CONTROLLERS
@@ -106,18 +72,23 @@ def drive(
         own = "the directory of a learning run, my_file.py:make"
         raise ValueError(f"drive: with which controller? valid: {valid}, nfq, {own}")
     world = scenario_of(ctx)
-    where = driven_on(world, conditions)
+    where = driven_on(world, options.conditions)
     if name == "nfq":
-        name = str(Path("runs") / f"default-{where}-seed{seed}")
+        name = str(Path("runs") / f"default-{where}-seed{options.seed}")
         if not Path(name).is_dir():
             raise ValueError(f"drive nfq: there is no {name}; `steerkit learn` with the same options makes it")
-    place = out or Path("runs") / f"drive-{Path(name).name.replace(':', '-')}-{where}-seed{seed}"
-    report.console.stderr = as_json
-    row = report.drive_and_draw(name, world, place, rounds=rounds, seed=seed, quiet=quiet)
+    place = out or Path("runs") / f"drive-{Path(name).name.replace(':', '-')}-{where}-seed{options.seed}"
+    report.console.stderr = options.as_json
+    row = report.drive_and_draw(name, world, place, rounds=rounds, seed=options.seed, quiet=options.quiet)
     if animate is not None:
         p, log = world.nominal, Log.load(place / "drive.npz")
         log.animate(
-            world.path(), animate, wheelbase=p.wheelbase, l_f=p.l_f, steer_ratio=p.steer_ratio, progress=not quiet
+            world.path(),
+            animate,
+            wheelbase=p.wheelbase,
+            l_f=p.l_f,
+            steer_ratio=p.steer_ratio,
+            progress=not options.quiet,
         )
-    if as_json:
+    if options.as_json:
         print(json.dumps(row))

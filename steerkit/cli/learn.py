@@ -12,39 +12,25 @@ from typing import Annotated, Any
 import typer
 
 from steerkit.cli.options import (
-    SIMULATED,
-    Car,
-    Channel,
-    Conditions,
-    Course,
-    Disturbed,
-    Machine,
-    Quiet,
-    Realtime,
-    RecordTo,
-    Recovery,
-    Scale,
-    ScenarioFile,
-    Seed,
-    Simulated,
-    Socket,
-    Vehicle,
+    DriveOptions,
     car_options,
     check_options,
+    drive_options,
     driven_on,
+    in_simulation,
     scenario_of,
 )
 
 
+@drive_options
 def learn(
     ctx: typer.Context,
-    car: Car = "",
+    options: DriveOptions,
     setting: Annotated[str, typer.Option(help="How to learn: default, paper, bang-bang, ...")] = "default",
     changes: Annotated[
         list[str] | None,
         typer.Option("--with", metavar="NAME=VALUE", help="Change the setting: fit.nets=3, after_failure=shift, ..."),
     ] = None,
-    seed: Seed = 0,
     minutes: Annotated[
         float | None,
         typer.Option(help="Minutes of driving, recovery and waiting included; default: 11, on a car until `q`."),
@@ -52,41 +38,22 @@ def learn(
     out: Annotated[
         Path | None, typer.Option(help="Run directory; an unfinished run there is resumed. On a car: runs/car.")
     ] = None,
-    quiet: Quiet = False,
-    as_json: Machine = False,
-    course: Course = "paper",
-    vehicle: Vehicle = "vw-passat",
-    conditions: Disturbed = Conditions.clean,
-    scenario_file: ScenarioFile = None,
-    rounds: Annotated[
-        int, typer.Option(help="End after so many complete rounds by the learner; 0: never.", rich_help_panel=SIMULATED)
-    ] = 0,
-    config: Annotated[
-        Path | None,
-        typer.Option(help="TOML file with an experiment; other options give way.", rich_help_panel=SIMULATED),
-    ] = None,
-    recovery: Recovery = "stanley",
-    simulated: Simulated = False,
-    socket: Socket = "",
-    recording: RecordTo = "",
-    channel: Channel = "",
-    time_scale: Scale = 1.0,
-    realtime: Realtime = False,
+    rounds: Annotated[int, in_simulation("End after so many complete rounds by the learner; 0: never.")] = 0,
+    config: Annotated[Path | None, in_simulation("TOML file with an experiment; other options give way.")] = None,
 ) -> None:
     """Let a car learn to steer a course from nothing, the recovery controller catching it."""
     from steerkit.learning.settings import changed
     from steerkit.learning.settings import setting as named
 
-    check_options(ctx, car)
-    if car:
+    check_options(ctx)
+    if options.car:
         from steerkit.on_car import loop as loops
         from steerkit.on_car import session as car_session
 
-        options = car_options(ctx)
         place = out or loops.LEARNED
         chosen = changed(named(setting), changes or ())
-        figures = car_session.learn(options, chosen, place, minutes=minutes or 0.0, seed=seed)
-        if as_json:
+        figures = car_session.learn(car_options(ctx), chosen, place, minutes=minutes or 0.0, seed=options.seed)
+        if options.as_json:
             print(json.dumps(figures))
         return
     from steerkit.learning import report, rundir
@@ -95,20 +62,20 @@ def learn(
     if config is None:
         world = scenario_of(ctx)
         time = 11.0 if minutes is None else minutes
-        experiment = Experiment(setting=named(setting), world=world, minutes=time, rounds=rounds, seed=seed)
+        experiment = Experiment(setting=named(setting), world=world, minutes=time, rounds=rounds, seed=options.seed)
     else:
         experiment = rundir.from_plain(_toml(config), str(config), Experiment)
     experiment = replace(experiment, setting=changed(experiment.setting, changes or ()))
     name = "-".join((experiment.setting.name, *(changes or ())))
-    place = out or Path("runs") / f"{name}-{driven_on(experiment.world, conditions)}-seed{experiment.seed}"
-    report.console.stderr = as_json
+    place = out or Path("runs") / f"{name}-{driven_on(experiment.world, options.conditions)}-seed{experiment.seed}"
+    report.console.stderr = options.as_json
     try:
-        run = report.learn_with_progress(experiment, place, quiet=quiet)
+        run = report.learn_with_progress(experiment, place, quiet=options.quiet)
     except KeyboardInterrupt:
         print(f"steerkit: interrupted; the same with --out {place} goes on from the last training", file=sys.stderr)
         raise
-    report.show(place, quiet=quiet)
-    if as_json:
+    report.show(place, quiet=options.quiet)
+    if options.as_json:
         print(json.dumps(report.figures_of_merit(run)))
 
 

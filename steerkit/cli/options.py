@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+import functools
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from types import MappingProxyType
@@ -24,56 +26,88 @@ class Conditions(StrEnum):
 
 
 SIMULATED, ON_CAR = "In simulation (without --car)", "On a car (with --car)"
-Seed = Annotated[int, typer.Option(help="Seed of nets, human and sensors.")]
-Course = Annotated[
-    str, typer.Option(help="Course: a name of `steerkit courses`, random-7, or a CSV file.", rich_help_panel=SIMULATED)
-]
-Vehicle = Annotated[
-    str,
-    typer.Option(
-        help="Car: a name of `steerkit vehicles`, fleet-17, or a vehicle file (its [steering] is then the motor).",
-        rich_help_panel=SIMULATED,
-    ),
-]
-ScenarioFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--scenario", help="TOML file of a scenario; options given besides change it.", rich_help_panel=SIMULATED
-    ),
-]
-Disturbed = Annotated[
-    Conditions,
-    typer.Option(
-        help="hard: 1 cm noise, 50 ms sensor delay, 0.15 s lag; real: and noisy v, no sideslip, lost samples.",
-        rich_help_panel=SIMULATED,
-    ),
-]
+SOCKET, TIME_SCALE = "Unix socket of the car server.", "How many times faster than real time; simulated cars only."
+CHANNEL = "slcan device or socket://, or INTERFACE:CHANNEL of python-can, instead of the file's bus."
+Seed = Annotated[int, typer.Option(help="Seed of human and sensors, and of a learner's nets.")]
 Machine = Annotated[bool, typer.Option("--json", help="Print one JSON object, and all that is for people on stderr.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print results only, no progress.")]
-Car = Annotated[
-    str,
-    typer.Option(
-        "--car", help="TOML file of a car on a CAN bus, or a shipped one: dbw-kit.toml; read docs/real-car.md first."
-    ),
-]
-Recovery = Annotated[str, typer.Option(help="Who catches a learner: stanley, stanley-delay.", rich_help_panel=ON_CAR)]
-Simulated = Annotated[
-    bool, typer.Option("--simulated", help="A simulated car on a bus, started for it.", rich_help_panel=ON_CAR)
-]
-Socket = Annotated[str, typer.Option(help="Unix socket of the car server.", rich_help_panel=ON_CAR)]
-RecordTo = Annotated[str, typer.Option(help="MCAP file to record to; default: under runs/.", rich_help_panel=ON_CAR)]
-Channel = Annotated[
-    str,
-    typer.Option(
-        help="slcan device or socket://, or INTERFACE:CHANNEL, instead of the file's bus.", rich_help_panel=ON_CAR
-    ),
-]
-Scale = Annotated[
-    float, typer.Option(help="How many times faster than real time; simulated cars only.", rich_help_panel=ON_CAR)
-]
-Realtime = Annotated[
-    bool, typer.Option("--realtime", help="Run under SCHED_FIFO, if the system lets us.", rich_help_panel=ON_CAR)
-]
+
+
+def in_simulation(text: str, *names: str) -> Any:
+    """An option that only a simulation has; `names` as on the command line, if the variable's does not serve."""
+    return typer.Option(*names, help=text, rich_help_panel=SIMULATED)
+
+
+def on_car(text: str, *names: str) -> Any:
+    """An option that only a session on a car has; `names` as on the command line, if the variable's does not serve."""
+    return typer.Option(*names, help=text, rich_help_panel=ON_CAR)
+
+
+@dataclass(frozen=True)
+class DriveOptions:
+    """The options of every command in which a car drives: which car, where, what disturbs it, what is printed.
+
+    A command gets them by one parameter of this type, under `drive_options`.
+    """
+
+    car: Annotated[
+        str,
+        typer.Option(
+            help="TOML file of a car on a CAN bus, or a shipped one: dbw-kit.toml; read docs/real-car.md first."
+        ),
+    ] = ""
+    seed: Seed = 0
+    quiet: Quiet = False
+    as_json: Machine = False
+    course: Annotated[str, in_simulation("Course: a name of `steerkit courses`, random-7, or a CSV file.")] = "paper"
+    vehicle: Annotated[
+        str,
+        in_simulation(
+            "Car: a name of `steerkit vehicles`, fleet-17, or a vehicle file (its table `steering` is then the motor)."
+        ),
+    ] = "vw-passat"
+    conditions: Annotated[
+        Conditions,
+        in_simulation(
+            "hard: 1 cm noise, 50 ms sensor delay, 0.15 s lag; real: and noisy v, no sideslip, lost samples."
+        ),
+    ] = Conditions.clean
+    scenario_file: Annotated[
+        Path | None, in_simulation("TOML file of a scenario; options given besides change it.", "--scenario")
+    ] = None
+    recovery: Annotated[str, on_car("Who catches a learner: stanley, stanley-delay.")] = "stanley"
+    simulated: Annotated[bool, on_car("A simulated car on a bus, started for it.", "--simulated")] = False
+    socket: Annotated[str, on_car(SOCKET)] = ""
+    recording: Annotated[str, on_car("MCAP file to record to; default: under runs/.")] = ""
+    channel: Annotated[str, on_car(CHANNEL)] = ""
+    time_scale: Annotated[float, on_car(TIME_SCALE)] = 1.0
+    realtime: Annotated[bool, on_car("Run under SCHED_FIFO, if the system lets us.", "--realtime")] = False
+
+
+def drive_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Put the fields of `DriveOptions` on the command line, where `command` has a parameter of that type.
+
+    typer reads a command's options off its signature, so the signature is written here: each field stands in it as a
+    parameter of its own, in place of the one that gets them all.
+    """
+    shared = inspect.signature(DriveOptions, eval_str=True).parameters
+    own = inspect.signature(command, eval_str=True).parameters
+    (receiver,) = (p.name for p in own.values() if p.annotation is DriveOptions)
+
+    @functools.wraps(command)
+    def wrapper(**values: Any) -> None:
+        options = DriveOptions(**{name: values.pop(name) for name in shared})
+        command(**values, **{receiver: options})
+
+    parameters = [
+        parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+        for p in own.values()
+        for parameter in (shared.values() if p.name == receiver else (p,))
+    ]
+    wrapper.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    wrapper.__annotations__ = {p.name: p.annotation for p in parameters}
+    return wrapper
+
 
 _NOT_ON_A_CAR = {
     "course": "the car's file names the course, under [course]",
@@ -109,13 +143,10 @@ def driven_on(scenario: Scenario, conditions: Conditions) -> str:
 
 
 def check_options(
-    ctx: typer.Context,
-    car: str,
-    *,
-    not_on_a_car: Mapping[str, str] = MappingProxyType({}),
-    on_a_car_only: Sequence[str] = (),
+    ctx: typer.Context, *, not_on_a_car: Mapping[str, str] = MappingProxyType({}), on_a_car_only: Sequence[str] = ()
 ) -> None:
     """Refuse options of the simulation on a car, and the other way round, saying what there is instead."""
+    car = ctx.params["car"]
     for name in ctx.params:
         source = ctx.get_parameter_source(name)
         if source is None or source.name != "COMMANDLINE":

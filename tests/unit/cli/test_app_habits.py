@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 import typer
+from rich import markup
 
 import steerkit
 from steerkit.cli import app as cli
@@ -37,15 +38,18 @@ def test_python_m_steerkit_version_and_exit_codes() -> None:
 
 
 def test_help_is_complete(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """Every command and every option says what it is for, and the first page has examples and exit codes."""
+    """Every command and every option says what it is for, nothing of it is taken for a colour's name in brackets and
+    left out, and the first page has examples and exit codes."""
     assert run("--help", monkeypatch=monkeypatch) == 0
     page = capsys.readouterr().out
     assert all(word in page for word in ("Examples", "Exit codes", "NO_COLOR", "--install-completion", "--version"))
 
     def all_of(command: Any, name: str) -> None:
         assert command.help, f"{name}: no help"
+        assert markup.render(command.help).plain == command.help
         for parameter in command.params:
             assert parameter.help, f"{name}: no help for {parameter.name}"
+            assert markup.render(parameter.help).plain == parameter.help
         for below, inner in getattr(command, "commands", {}).items():
             all_of(inner, f"{name} {below}")
 
