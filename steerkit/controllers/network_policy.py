@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from steerkit import maths as m
 from steerkit.block import Block, In, Out, State
-from steerkit.controllers.nfq_policy import StateDescription
 from steerkit.controllers.policy import COLUMNS, LARGEST_POLICY
+from steerkit.controllers.state_description import StateDescription
 from steerkit.errors import require
 from steerkit.files import read_arrays, write_arrays
 from steerkit.units import radians_of

@@ -9,13 +9,14 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from steerkit import maths as m
 from steerkit.block import In, State
 from steerkit.controllers import forecast as ahead
 from steerkit.controllers.forecast import Forecast
 from steerkit.controllers.policy import ACTION, COLUMNS, LARGEST_POLICY, Policy
+from steerkit.controllers.state_description import StateDescription
 from steerkit.errors import require
 from steerkit.files import read_arrays, write_arrays
 from steerkit.task import DT, STOP
@@ -37,65 +38,6 @@ IDOE_ACTIONS = tuple(radians_of(a) for a in (0.0, -10.0, 10.0, -60.0, 60.0))
 """Steps of the steering wheel [rad] that an integrating dynamic output element takes (the paper's I-DOE set)."""
 BANG_BANG_ACTIONS = tuple(radians_of(a) for a in (-360.0, 360.0))
 """The paper's bang-bang angles of the steering wheel [rad]."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class StateDescription:
-    """What the learner's state is made of: names, ranges, and how it looks in a mirror.
-
-    A net sees x = (s - mid) / half, which brings [low, high] to [-1, 1] (values outside go beyond, nothing is cut),
-    and the candidate action a / action_scale. Mirrored left to right, the car is the same car: s -> mirror_signs * s,
-    a -> -a. Raises ValueError when the lengths differ, a range is empty, or a sign of -1 has a range not centred
-    on 0 (the mirror would not be a sign in scaled units).
-    """
-
-    names: tuple[str, ...] = COLUMNS
-    """The state's columns, in order; the cost functions read the first as e [m]."""
-    low: tuple[float, ...] = (-1.0, -2.0, 0.0, -0.6, -0.6, -STOP)
-    """Value that becomes -1 (SI)."""
-    high: tuple[float, ...] = (1.0, 2.0, 10.0, 0.6, 0.6, STOP)
-    """Value that becomes +1 (SI)."""
-    mirror_signs: tuple[float, ...] = (-1.0, -1.0, 1.0, -1.0, -1.0, -1.0)
-    """Sign of each column seen in the mirror."""
-    goal: tuple[float, ...] = (0.02, 0.02, 1.0, 0.02, 0.02, 1.0)
-    """Half-widths, in scaled units about 0, of the goal region that hint-to-goal patterns are drawn from: on the path
-    and parallel to it, at any speed and any steering angle (a steady bend)."""
-    action_scale: float | None = None
-    """Action [rad] that becomes 1; None: the largest |action| of the set."""
-
-    def __post_init__(self) -> None:
-        for name in ("low", "high", "mirror_signs", "goal"):
-            values = tuple(float(value) for value in getattr(self, name))
-            n = len(self.names)
-            require(len(values) == n, "StateDescription", f"{name} has {len(values)} entries, expected {n}, as names")
-            require(all(np.isfinite(values)), "StateDescription", f"{name} = {values}, expected finite numbers")
-            object.__setattr__(self, name, values)
-        object.__setattr__(self, "names", tuple(self.names))
-        for name, low, high, sign in zip(self.names, self.low, self.high, self.mirror_signs, strict=True):
-            require(low < high, "StateDescription", f"{name}: low {low} and high {high}, expected low < high")
-            require(sign in (-1.0, 1.0), "StateDescription", f"{name}: mirror sign {sign}; valid: -1, 1")
-            centred = sign > 0.0 or abs(low + high) <= 1e-12 * high
-            require(centred, "StateDescription", f"{name}: sign -1 and range [{low}, {high}], expected low = -high")
-        scale = self.action_scale
-        require(scale is None or scale > 0.0, "StateDescription", f"action_scale = {scale} [rad], expected > 0 or None")
-
-    @property
-    def mid(self) -> NDArray[np.float64]:
-        """Centre of each range."""
-        return 0.5 * (np.array(self.low) + np.array(self.high))
-
-    @property
-    def half(self) -> NDArray[np.float64]:
-        """Half-width of each range."""
-        return 0.5 * (np.array(self.high) - np.array(self.low))
-
-    def scale_of(self, actions: tuple[float, ...]) -> float:
-        """The action [rad] that a net sees as 1."""
-        return self.action_scale or max(map(abs, actions)) or 1.0
-
-    def mirror(self, s: ArrayLike, a: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """States (..., n) and actions (...) as seen in the mirror."""
-        return np.asarray(s, dtype=float) * np.array(self.mirror_signs), -np.asarray(a, dtype=float)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

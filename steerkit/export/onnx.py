@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerkit.controllers.network_policy import BOUND, Network, PolicyBlock
-from steerkit.controllers.nfq_policy import NfqPolicy, StateDescription
+from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.policy import ACTION, UNITS
+from steerkit.controllers.state_description import StateDescription
 from steerkit.errors import require
 
 Array = NDArray[np.float64]

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from steerkit.block import Block, Out, State
 from steerkit.catalogue import ELEMENTS, make_element
-from steerkit.controllers.nfq_policy import IDOE_ACTIONS, StateDescription
+from steerkit.controllers.nfq_policy import IDOE_ACTIONS
+from steerkit.controllers.state_description import StateDescription
 from steerkit.doe import Dynamic, HeldAngle, Integrator
 from steerkit.errors import require
 from steerkit.learning.costs import COSTS, BandCost, Cost, IdoeCost, SmoothCost, TanhCost

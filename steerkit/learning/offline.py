@@ -8,7 +8,7 @@ from dataclasses import replace
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.errors import require
 from steerkit.learning.data.transitions import Transitions
-from steerkit.learning.nfq import iterate as nfq
+from steerkit.learning.nfq.update import Learned, update
 from steerkit.learning.settings import Setting
 from steerkit.learning.story import untrained
 
@@ -22,9 +22,9 @@ def offline(record: Transitions, setting: Setting, updates: int, *, seed: int = 
     require(updates >= 1, "offline", f"updates = {updates}, expected >= 1")
     policy = untrained(setting, seed)
     description = setting.description()
-    learned = nfq.Learned()
+    learned = Learned()
     for number in range(updates):
-        learned = nfq.update(
+        learned = update(
             record, setting.actions, setting.cost, setting.fit, description, learned, seed=seed * 100_003 + number
         )
         yield replace(policy, nets=learned.nets, forecast=learned.forecast)

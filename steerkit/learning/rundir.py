@@ -22,7 +22,8 @@ from steerkit.learning import costs
 from steerkit.learning.counts import Counts, Episode
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.experiment import Experiment, LearningRun, Watcher
-from steerkit.learning.nfq.iterate import FitSetting, Learned
+from steerkit.learning.nfq.iterate import FitSetting
+from steerkit.learning.nfq.update import Learned
 from steerkit.learning.recorder import Before
 from steerkit.learning.settings import Setting
 from steerkit.learning.trainer import SimulatedTrainer

@@ -9,11 +9,11 @@ from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any
 
 from steerkit.catalogue import ELEMENTS, make_element
+from steerkit.controllers.state_description import StateDescription
 from steerkit.doe import Dynamic
 from steerkit.errors import require
 from steerkit.learning.costs import BandCost, Cost, IdoeCost, SmoothCost, TanhCost
 from steerkit.learning.nfq.iterate import FitSetting
-from steerkit.learning.nfq.patterns import StateDescription
 from steerkit.task import STOP_DEG
 from steerkit.units import radians_of
 from steerkit.vehicles import Vehicle

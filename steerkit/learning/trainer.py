@@ -27,13 +27,14 @@ from typing import Any, NamedTuple, Protocol, Self
 
 from steerkit.controllers.forecast import Forecast
 from steerkit.controllers.policy import COLUMNS
+from steerkit.controllers.state_description import StateDescription
 from steerkit.errors import require
 from steerkit.learning.costs import Cost
 from steerkit.learning.data.store import TransitionStore
 from steerkit.learning.data.transitions import Transitions
-from steerkit.learning.nfq import iterate as nfq
-from steerkit.learning.nfq.iterate import FitSetting, Learned, Nets
-from steerkit.learning.nfq.patterns import STANDARD, StateDescription
+from steerkit.learning.nfq.iterate import FitSetting, Nets
+from steerkit.learning.nfq.patterns import STANDARD
+from steerkit.learning.nfq.update import Learned, update
 
 Pending = tuple[float, int, Learned]
 """Driving time at which an unfinished job is done [s], its number, what it gives the policy."""
@@ -46,7 +47,7 @@ _log = logging.getLogger("steerkit.trainer")
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Job:
-    """One update of the Q-function: the arguments of `nfq.update`, but for what was before, which a trainer knows."""
+    """One update of the Q-function: the arguments of `update`, but for what was before, which a trainer knows."""
 
     number: int
     """Of the update; each job's is larger than those before it."""
@@ -70,7 +71,7 @@ class Job:
 
     def train(self, before: Learned) -> Learned:
         """Do it, here and now."""
-        return nfq.update(self.record(), self.actions, self.cost, self.fit, self.description, before, self.seed)
+        return update(self.record(), self.actions, self.cost, self.fit, self.description, before, self.seed)
 
 
 class Result(NamedTuple):

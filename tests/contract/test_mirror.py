@@ -49,6 +49,7 @@ ELSEWHERE = {
     "steerkit.learning.nfq.kernel": "evals/test_rprop.py",
     "steerkit.learning.nfq.network": "evals/test_rprop.py",
     "steerkit.learning.nfq.rprop": "evals/test_rprop.py",
+    "steerkit.learning.nfq.update": "unit/learning/nfq/test_dead_time.py",
     "steerkit.learning.pictures.paper": "unit/learning/pictures/test_run.py",
     "steerkit.learning.report": "unit/cli/test_learn.py",
     "steerkit.learning.training_run": "unit/learning/test_experiment.py",

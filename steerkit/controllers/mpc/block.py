@@ -14,7 +14,7 @@ import numpy as np
 from steerkit import maths as m
 from steerkit.block import Block, In, Out
 from steerkit.controllers.mpc.fallback import asked
-from steerkit.controllers.mpc.path_model import KAPPA_HIGH, V_HIGH, V_LOW, Array, PathModel, Rhs
+from steerkit.controllers.mpc.path_model import KAPPA_HIGH, V_HIGH, V_LOW, Array, Motion, PathModel, Rhs, Table
 from steerkit.controllers.mpc.qp import Answer, StageQp
 from steerkit.controllers.mpc.settings import check
 from steerkit.controllers.stanley import Stanley
@@ -26,10 +26,6 @@ SOLVED, PLAN, FALLBACK, HELD = 0.0, 1.0, 2.0, 3.0
 """Where a command came from: this sample's solution, an earlier one's plan, the fallback law, the command before."""
 NO_FAULT, NOT_FINITE, FAILED, LATE, STANDING = 0.0, 1.0, 2.0, 3.0, 4.0
 """Why there is no solution: an input is NaN or infinite, the solver or its check failed, too late, too slow a car."""
-Table = tuple[Array, Array, Array, Array]
-"""A, B, row of a_y and P at one speed."""
-Motion = tuple[Array, Array, Array, Array, Array]
-"""A, B, gaps, rows and offsets of a_y."""
 _NOTHING = 1e9  # residual of a solution that is not finite
 _BETA, _R = 0.8, 5.0  # rad and rad/s: no sensor that works has more to say
 _PACE = 1.15  # in tight bends the front axle is that much faster than the centre of gravity

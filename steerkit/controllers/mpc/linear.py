@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from steerkit.controllers.mpc.block import Motion, PredictiveSteering, Table
-from steerkit.controllers.mpc.path_model import Array
+from steerkit.controllers.mpc.block import PredictiveSteering
+from steerkit.controllers.mpc.path_model import Array, Motion, Table
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from steerkit.controllers.mpc.block import Motion, PredictiveSteering, Table
-from steerkit.controllers.mpc.path_model import NX, Array, bound
+from steerkit.controllers.mpc.block import PredictiveSteering
+from steerkit.controllers.mpc.path_model import NX, Array, Motion, Table, bound
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

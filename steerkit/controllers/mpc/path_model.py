@@ -19,7 +19,10 @@ from steerkit import maths as m
 Array = NDArray[np.float64]
 Rhs = Callable[[Sequence[Any], Any, Any], Sequence[Any]]
 """(x', y', psi', sway', r') = rhs((x, y, psi, sway, r), delta, v): a plant's own, on floats and on symbols."""
-
+Table = tuple[Array, Array, Array, Array]
+"""A, B, row of a_y and P at one speed."""
+Motion = tuple[Array, Array, Array, Array, Array]
+"""A, B, gaps, rows and offsets of a_y."""
 
 NX = 6
 """States of a stage: e, psi_e, sway, r, wheel angle, command."""
@@ -234,7 +237,7 @@ class PathModel:
             rows.append(np.concatenate([a.ravel(), b, row, self.riccati(a, b).ravel()]))
         return np.ascontiguousarray(CubicSpline(self.speeds, np.array(rows)).c.swapaxes(0, 1))
 
-    def at(self, v: float) -> tuple[Array, Array, Array, Array]:
+    def at(self, v: float) -> Table:
         """A (6, 6), B (6,), row of a_y (6,) and P (6, 6) at speed v, from the table."""
         i, t = self._place(v)
         t *= V_STEP

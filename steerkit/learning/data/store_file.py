@@ -16,7 +16,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from steerkit.controllers.nfq_policy import StateDescription
+from steerkit.controllers.state_description import StateDescription
 from steerkit.learning.data.transitions import Transitions
 
 APPLICATION, SCHEMA = 0x53746565, 1

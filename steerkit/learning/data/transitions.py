@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from steerkit.controllers.nfq_policy import StateDescription
+from steerkit.controllers.state_description import StateDescription
 from steerkit.errors import require
 from steerkit.files import read_arrays, write_arrays
 

@@ -11,9 +11,9 @@ from scipy.optimize import least_squares
 
 from steerkit.controllers.forecast import ANSWER, LONGEST, Forecast
 from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, R_E, V
+from steerkit.controllers.state_description import StateDescription
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq.model import CENTRED, KAPPA, OFF_CENTRE, CarModel, earlier_doe, follow, speed
-from steerkit.learning.nfq.patterns import StateDescription
 from steerkit.task import DT
 
 FEWEST = 15

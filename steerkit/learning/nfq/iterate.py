@@ -6,21 +6,21 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit.controllers.forecast import LONGEST, PREVIEW, Forecast
+from steerkit.controllers.forecast import LONGEST, PREVIEW
 from steerkit.controllers.nfq_policy import COMBINATIONS, Combine, combined
 from steerkit.controllers.policy import ACTION, DOE, E
+from steerkit.controllers.state_description import StateDescription
 from steerkit.errors import require
 from steerkit.learning.costs import Cost
 from steerkit.learning.data.transitions import Transitions
-from steerkit.learning.nfq.dead_time import process_of
 from steerkit.learning.nfq.model import CarModel, Imagined, imagine
 from steerkit.learning.nfq.network import Net, new_net, sizes_of
-from steerkit.learning.nfq.patterns import STANDARD, StateDescription, goal_patterns, mirror_patterns, patterns
+from steerkit.learning.nfq.patterns import STANDARD, goal_patterns, mirror_patterns, patterns
 from steerkit.learning.nfq.rprop import Engine, Fit, engine_of, fit, predict
 from steerkit.task import DT
 
@@ -117,36 +117,6 @@ class FitSetting:
     def preview_points(self) -> int:
         """Of the policies that it makes: see `NfqPolicy.preview_points`."""
         return PREVIEW if self.dead_time else 0
-
-
-class Learned(NamedTuple):
-    """What an update of the Q-function gives a policy."""
-
-    nets: Nets = ()
-    forecast: Forecast | None = None
-    """Of a setting with `dead_time`."""
-
-
-NOTHING = Learned()
-"""Before the first update."""
-
-
-def update(
-    transitions: Transitions,
-    actions: Sequence[float],
-    cost: Cost,
-    setting: FitSetting = FitSetting(),
-    description: StateDescription = STANDARD,
-    before: Learned = NOTHING,
-    seed: int = 0,
-) -> Learned:
-    """One update: `iterate`, and before it the search for the dead time, where the setting has it; see there."""
-    if not setting.dead_time:
-        return Learned(iterate(transitions, actions, cost, setting, description, before.nets, seed))
-    require(len(transitions) > 0, "nfq.update", "no transitions, expected at least one")
-    process = process_of(transitions, description, setting.dead_time)
-    nets = iterate(process.record, actions, cost, setting, description, before.nets, seed, model=process.model)
-    return Learned(nets, process.forecast)
 
 
 def fresh_nets(

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from steerkit.controllers.forecast import SLOWEST, Motion, moved
 from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, R_E, E, V
+from steerkit.controllers.state_description import StateDescription
 from steerkit.errors import require
 from steerkit.learning.data.transitions import Transitions
-from steerkit.learning.nfq.patterns import StateDescription
 from steerkit.task import DT
 
 Array = NDArray[np.float64]

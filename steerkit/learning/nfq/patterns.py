@@ -7,10 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit.controllers.nfq_policy import StateDescription
 from steerkit.controllers.policy import ACTION
-
-__all__ = ["STANDARD", "StateDescription", "goal_patterns", "mirror_patterns", "patterns"]
+from steerkit.controllers.state_description import StateDescription
 
 STANDARD = StateDescription()
 """The six inputs of the steering task, in their usual ranges."""

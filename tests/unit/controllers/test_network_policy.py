@@ -10,7 +10,8 @@ import pytest
 
 from steerkit.assembly import steering_loop
 from steerkit.compiled import TraceError, compile
-from steerkit.controllers.nfq_policy import IDOE_ACTIONS, StateDescription
+from steerkit.controllers.nfq_policy import IDOE_ACTIONS
+from steerkit.controllers.state_description import StateDescription
 from steerkit.doe import Integrator
 from steerkit.gym import Network, PolicyBlock, Task
 from steerkit.scenario import Scenario

@@ -14,7 +14,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from steerkit.controllers.nfq_policy import BANG_BANG_ACTIONS, IDOE_ACTIONS, NfqPolicy, StateDescription, combined
+from steerkit.controllers.nfq_policy import BANG_BANG_ACTIONS, IDOE_ACTIONS, NfqPolicy, combined
+from steerkit.controllers.state_description import StateDescription
 from steerkit.learning.nfq.network import Net, forward, new_net
 from steerkit.learning.nfq.patterns import STANDARD, patterns
 from steerkit.units import degrees_of

@@ -13,7 +13,8 @@ import onnxruntime
 import pytest
 
 from steerkit.controllers.network_policy import Network, PolicyBlock
-from steerkit.controllers.nfq_policy import BANG_BANG_ACTIONS, COMBINATIONS, NfqPolicy, StateDescription
+from steerkit.controllers.nfq_policy import BANG_BANG_ACTIONS, COMBINATIONS, NfqPolicy
+from steerkit.controllers.state_description import StateDescription
 from steerkit.export.onnx import check_onnx, export_onnx
 
 RNG = np.random.default_rng(0)

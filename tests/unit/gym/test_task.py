@@ -8,7 +8,8 @@ import gymnasium
 import numpy as np
 import pytest
 
-from steerkit.controllers.nfq_policy import IDOE_ACTIONS, StateDescription
+from steerkit.controllers.nfq_policy import IDOE_ACTIONS
+from steerkit.controllers.state_description import StateDescription
 from steerkit.gym import Task, TrackSteering
 from steerkit.gym.task import LEAST_ROOM, Draw
 from steerkit.learning.costs import IdoeCost

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from steerkit.controllers.state_description import StateDescription
 from steerkit.learning.data.transitions import Transitions
-from steerkit.learning.nfq.patterns import StateDescription
 
 
 def filled(n: int, seed: int = 0) -> Transitions:

@@ -11,13 +11,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from steerkit.controllers.state_description import StateDescription
 from steerkit.learning.costs import BandCost, TanhCost
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.nfq.iterate import FitSetting, cost_to_go, fresh_nets, iterate, targets
 from steerkit.learning.nfq.model import CarModel
 from steerkit.learning.nfq.network import Net, flat, forward
-from steerkit.learning.nfq.patterns import STANDARD, StateDescription, goal_patterns, mirror_patterns, patterns
+from steerkit.learning.nfq.patterns import STANDARD, goal_patterns, mirror_patterns, patterns
 from steerkit.learning.nfq.rprop import Fit, fit
 from tests.support.records import ACTIONS, chain, recorded
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
-from steerkit.learning.nfq.patterns import STANDARD, StateDescription, goal_patterns, mirror_patterns, patterns
+from steerkit.learning.nfq.patterns import STANDARD, goal_patterns, mirror_patterns, patterns
 from tests.support.records import ACTIONS, recorded
 
 
@@ -29,14 +28,3 @@ def test_hints_lie_in_the_goal_region_and_leave_the_wheel_alone() -> None:
     assert np.all(np.abs(x[:, 2]).max() > 0.9)
     assert np.all(x[:, -1] == 0.0)
     assert set(goal_patterns(STANDARD, (-6.0, 6.0), 100, np.random.default_rng(0))[:, -1]) == {-1.0, 1.0}
-
-
-def test_descriptions_say_what_is_wrong() -> None:
-    with pytest.raises(ValueError, match="low has 2 entries, expected 6"):
-        StateDescription(low=(0.0, 1.0))
-    with pytest.raises(ValueError, match=r"e: low 1\.0 and high 1\.0"):
-        StateDescription(low=(1.0, *STANDARD.low[1:]))
-    with pytest.raises(ValueError, match="sign -1 and range"):
-        StateDescription(low=(-2.0, *STANDARD.low[1:]))
-    with pytest.raises(ValueError, match="valid: -1, 1"):
-        StateDescription(mirror_signs=(0.0, -1.0, 1.0, -1.0, -1.0, -1.0))
