@@ -46,7 +46,7 @@ class Panel:
     def __init__(self, session: Any, title: str, *, live: bool, more: Callable[[], str] | None = None):
         self.session, self.title, self.live, self.more = session, title, live, more
         self._thread = threading.Thread(target=self._run, name="panel", daemon=True)
-        self._over = False
+        self._over = self._engaged = False
         self._attended = sys.stdin.isatty() or session.options.simulated
         self._lost: CarLost | None = None
 
@@ -68,6 +68,8 @@ class Panel:
                 finally:  # in order, before the heartbeat goes with the line
                     with contextlib.suppress(CarLost):
                         link.order(Order.DISENGAGE)
+                    if self._engaged:  # whatever ended it; the car server may be gone
+                        _ring()
         except CarLost as error:
             self._lost = error
         finally:
@@ -83,7 +85,6 @@ class Panel:
         with _keys() as read, self._screen() as show:
             while not self._over:
                 key = read(period)
-                engaged = last is not None and last.mode is Mode.ENGAGED
                 if key is None:  # the terminal is gone
                     link.order(Order.DISENGAGE)
                     self.session.ending = True
@@ -94,13 +95,14 @@ class Panel:
                 elif key in KEYS:
                     said = ""
                     link.order(KEYS[key])
-                elif key and engaged:  # whoever hits any other key wants something, and the wheel is the safe answer
+                elif key and self._engaged:  # whoever hits another key wants something; the wheel is the safe answer
                     link.order(Order.DISENGAGE)
                 if self._attended:
                     link.beat()
                 snapshot = link.query()
-                if engaged and snapshot.mode is not Mode.ENGAGED and sys.stdout.isatty():
-                    print("\a", end="", flush=True)
+                before, self._engaged = self._engaged, snapshot.mode is Mode.ENGAGED
+                if before and not self._engaged:
+                    _ring()
                 if link.refused:
                     said = link.refused[-1]
                     link.refused.clear()
@@ -162,6 +164,15 @@ class Panel:
         if learner is None or s.mode is not Mode.ENGAGED:
             return ""
         return " by the learner" if learner else " by the recovery controller"
+
+
+def _ring() -> None:
+    """The terminal's bell, past whatever draws on it, which takes such characters out."""
+    for stream in (sys.stdout, sys.stderr, sys.stdin):
+        if stream.isatty():
+            with contextlib.suppress(OSError):  # of a terminal that is gone
+                os.write(stream.fileno(), b"\a")
+            return
 
 
 def line_of(s: Snapshot) -> str:

@@ -78,7 +78,7 @@ class ProductClient:
 LEARNS = ("nfq",)
 """Those that may learn on: they need the shipped limits (`e_max` = 2 m); the others get those that the guide recommends
 for controllers that do not learn."""
-SLOW_CLOCK = "stamps 2 % fast, delay growing by 20 ms a second"
+SLOW_CLOCK = "a clock 2 % slow: stamps, counters and the delay agree"
 BEYOND = {("nfq", SLOW_CLOCK): 2.0, ("pure-pursuit", SLOW_CLOCK): 0.7}
 """How far off the path they get where no sensor tells [m]: `e_max` bounds the e that is seen, 0.25 s late."""
 HARMLESS = 0.5

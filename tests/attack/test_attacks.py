@@ -6,13 +6,14 @@ All attacks at all speeds, as a table: `python -m tests.attack.table`.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 
 from tests.attack.attacks import ATTACKS
 from tests.attack.bench import Attack, Drive
 from tests.attack.judge import complaints
-from tests.attack.product import CONTROLLERS, HARMLESS, driven_by
+from tests.attack.product import CONTROLLERS, HARMLESS, SLOW_CLOCK, driven_by
 
 SPEEDS = (2.0, 5.0, 7.0)
 FAST = (
@@ -65,6 +66,14 @@ def test_without_an_attack_the_product_s_own_controllers_drive_on(controller: st
     assert math.isinf(drive.ended()), drive.cause()
     assert drive.excess() < 0.1
     assert {"nfq": 1.0}.get(controller, math.nan) == pytest.approx(drive.client.learning, nan_ok=True)  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("controller", CONTROLLERS)
+def test_a_slow_clock_that_nothing_contradicts_brings_nobody_off_the_path_within_nine_seconds(controller: str) -> None:
+    """That is, until the delay is 0.18 s; what comes then, `BEYOND` bounds."""
+    drive = driven_by(controller, replace(ATTACKS[SLOW_CLOCK], seconds=9.0), speed=7.0)
+    assert math.isinf(drive.ended()), drive.cause()
+    assert drive.excess() < 0.5
 
 
 CASES = [(CONTROLLERS[i % 4], name, SPEEDS[i // 4 % 3]) for i, name in enumerate(ATTACKS) if i % 4 == i // 8 % 4]

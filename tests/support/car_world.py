@@ -53,8 +53,10 @@ class World:
         controller: Block | None = None,
         doe: Dynamic | None = None,
         tape: Recording | None = None,
+        config: CarConfig | None = None,
     ):
         self.config, self.path = setup()
+        self.config = config or self.config
         self.car = processes.simulated_car(self.config, self.path, s=s, v_min=v[0], v_max=v[1], seed=seed)
         self.tape = tape
         self.core = Core(self.config, self.path)

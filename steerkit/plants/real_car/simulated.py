@@ -19,7 +19,7 @@ from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.tracker import PathTracker
 
 STEP = 0.01
-"""Step of the plant, and period of the pose [s]; the kit reports every second step."""
+"""Step of the plant, and period of the pose [s] where the configuration gives none; the kit's is twice as long."""
 WATCHDOG = 0.1
 """Silence after which the kit lets go of the wheel [s]."""
 HUMAN_EVERY = 5
@@ -36,6 +36,8 @@ FAULTS = {
     "speed": "the speed is `amount` [m/s] off",
     "override": "the human takes the wheel: the kit reports an override (report)",
     "torque": "the human's hand: a torque of `amount` [N m] (report)",
+    "brake": "the human's foot on the brake, of a kit that tells (report)",
+    "accelerator": "the same on the accelerator (report)",
     "kit_fault": "the kit reports a power fault (report)",
     "timeout": "the kit reports that its watchdog ran out (report)",
     "disabled": "the kit says that it is not enabled (report)",
@@ -201,6 +203,8 @@ class SimulatedCar:
             "enabled": float(self.enabled),
             "override": float(self.overridden),
             "timeout": float(self.timeout),
+            "brake": float(self._fault("brake", t) is not None),
+            "accelerator": float(self._fault("accelerator", t) is not None),
             "x": y.x,
             "y": y.y,
             "psi": wrapped,
@@ -240,7 +244,9 @@ class SimulatedCar:
         for encoder in self._encoders:
             frame_id = encoder.reader.frame_id
             pose = frame_id in self.config.pose_frames
-            if pose or self.k % 2 == 0:
+            period = encoder.reader.period or (STEP if pose else 2.0 * STEP)
+            due, before = (math.floor(k * STEP / period + 1e-6) for k in (self.k, self.k - 1))
+            for _ in range(due - before):
                 self._send_one(encoder, values, t, "pose" if pose else "report")
 
     def _send_one(self, encoder: SignalEncoder, values: dict[str, float], t: float, target: str) -> None:
@@ -250,7 +256,7 @@ class SimulatedCar:
         else:
             self._stuck.pop(frame_id, None)
         if self._fault("nan", t, target):
-            flags = ("enabled", "override", "timeout", *self.config.fault_flags)
+            flags = ("enabled", "override", "timeout", "brake", "accelerator", *self.config.fault_flags)
             values = {q: v if q in flags else math.nan for q, v in values.items()}
         self._count[frame_id] += 6 if self._fault("counter", t, target) else 1
         data = encoder.write(values, count=self._count[frame_id])

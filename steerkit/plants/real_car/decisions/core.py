@@ -340,9 +340,7 @@ class Core:
         writer = self.config.writer
         angle = self._command if math.isfinite(self._command) else 0.0
         angle = round(angle / writer.quantum) * writer.quantum
-        alert = (
-            not enable and self.machine.mode in (Mode.OVERRIDE, Mode.FAULT, Mode.STANDBY, Mode.OFF) and not self._clear
-        )
+        alert = not enable and not self._clear
         data = writer.write(angle, enable=enable, clear=self._clear, alert=alert, count=self._frames_sent)
         self._clear = self._urgent = False
         self._last_frame = t
@@ -373,9 +371,13 @@ class Core:
         v, f = self.senses.values, self.facts(t)
         speed, r = v.get("v", math.nan), v.get("r", math.nan)
         numbers = {name: v.get(name, math.nan) for name in ("x", "y", "psi", "v", "r", "delta_sw", "v_kit", "torque")}
-        against = self.obstacles() if self.machine.mode in (Mode.STANDBY, Mode.READY) else []
-        if self.machine.mode is Mode.ENGAGED:
-            against = states.warnings(self.config.states, f)
+        match self.machine.mode:
+            case Mode.STANDBY | Mode.READY:
+                against = self.obstacles()
+            case Mode.ENGAGED:
+                against = states.warnings(self.config.states, f)
+            case _:
+                against = states.broken(self.config.states, f, (states.FOREIGN_ENABLE,))
         if self._unrecorded and not f.recording:  # else it stands among the obstacles already
             against = [*against, f"not recorded: {self._unrecorded}"]
         return protocol.Snapshot(

@@ -295,6 +295,13 @@ ENDING: tuple[Check, ...] = (
 )
 """What ends driving although nothing is wrong."""
 
+FOREIGN_ENABLE: Check = (
+    "foreign enable",
+    lambda li, f: not f.foreign_enable < li.foreign_enable,
+    lambda li, f: f"the kit has been enabled for {_ms(f.foreign_enable)}, and not by us",
+)
+"""Whoever has the wheel, it is neither the human nor we: told in every state but ENGAGED."""
+
 ENGAGING: tuple[Check, ...] = (
     ("listen only", lambda li, f: f.listen_only, lambda li, f: "the car server was started to listen only"),
     (
@@ -323,11 +330,7 @@ ENGAGING: tuple[Check, ...] = (
         lambda li, f: not f.remaining > li.end_margin + li.end_warning * max(f.v, 0.0),
         lambda li, f: f"{f.remaining:.1f} m before its end",
     ),
-    (
-        "foreign enable",
-        lambda li, f: not f.foreign_enable < li.foreign_enable,
-        lambda li, f: f"the kit has been enabled for {_ms(f.foreign_enable)}, and not by us",
-    ),
+    FOREIGN_ENABLE,
 )
 """What must hold to engage, only."""
 

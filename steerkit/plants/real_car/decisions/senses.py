@@ -25,6 +25,41 @@ AHEAD = 0.3
 FAST, FAST_TIME = 0.04, 3.0
 """The quickest pose may not become quicker by so much within so long [s]: the clock of the time stamps runs fast."""
 _STAMP_DRIFT = 2e-4  # by how much the clock of the pose may run differently
+BEHIND, BEHIND_TIME = 0.12, 0.5
+"""So much later than its counter says, the quickest of them, a frame may not come for so long [s]: they queue up."""
+_COUNT_DRIFT = 1e-3  # by how much a sender's period may differ from the file's
+
+
+class Punctuality:
+    """How much later frames come than their own counter says: a queue on the way that fills slows no counter.
+
+    period [s] between two frames, modulus of the counter. Frames that are lost are counted, also those of whole turns
+    of the counter: the time since the last one says how many. After a pause of more than `patience` [s] it begins anew.
+    """
+
+    def __init__(self, period: float, modulus: int, patience: float):
+        self.period, self.modulus, self.patience = period, modulus, patience
+        self._last: tuple[float, int] | None = None
+        self._offset = self._least = self._on_time = 0.0
+
+    def forget(self) -> None:
+        """Take the next frame for one in time."""
+        self._last = None
+
+    def behind(self, arrived: float, counter: int) -> float:
+        """How much later than the quickest so far this one came [s], if all those of `BEHIND_TIME` did; else 0."""
+        if self._last is None or arrived - self._last[0] > self.patience:
+            self._last, self._offset, self._least, self._on_time = (arrived, counter), 0.0, 0.0, arrived
+            return 0.0
+        dt, steps = arrived - self._last[0], (counter - self._last[1]) % self.modulus
+        steps += self.modulus * max(0, round((dt / self.period - steps) / self.modulus))
+        self._last = arrived, counter
+        self._offset += dt - steps * self.period
+        self._least = min(self._least + _COUNT_DRIFT * dt, self._offset)
+        late = self._offset - self._least
+        if late < BEHIND:
+            self._on_time = arrived
+        return late if arrived - self._on_time > BEHIND_TIME else 0.0
 
 
 class Senses:
@@ -42,6 +77,11 @@ class Senses:
         self.errors: deque[tuple[float, str]] = deque(maxlen=1000)
         self.error_count = 0
         self.torque_reports = 0.0
+        self._punctual = {
+            r.frame_id: Punctuality(r.period, r.modulus, config.states.pose_age)
+            for r in config.readers
+            if r.period and r.protection.counter
+        }
         self._times: dict[int, deque[float]] = {i: deque(maxlen=1000) for i in self._readers}
         self.foreign: tuple[float, str] = (-math.inf, "")
         self._errors_of_path: deque[tuple[float, float]] = deque()
@@ -77,7 +117,7 @@ class Senses:
         if kind == "bad":
             self.error(t, f"the adapter sent what is no frame: {data[:40]!r}")
             return
-        if frame_id == writer.frame_id and kind == ("x" if writer.extended else ""):
+        if frame_id == writer.frame_id and kind != ("" if writer.extended else "x"):  # CAN FD does not say which it is
             self.foreign = (t, f"somebody else sends {writer.message.name} (0x{frame_id:X}), which only we may")
             return
         reader = self._readers.get(frame_id)
@@ -91,6 +131,14 @@ class Senses:
             self.error(t, checked.error or f"{reader.name}: {', '.join(missing)} not available")
             return
         arrived = min(arrived, t)
+        if frame_id in self._punctual and checked.counter is not None:
+            late = self._punctual[frame_id].behind(arrived, checked.counter)
+            if late:
+                what = (
+                    f"{reader.name} comes {1e3 * late:.0f} ms later than its counter says: frames queue up on the way, "
+                    f"or come less often than every {1e3 * reader.period:g} ms"
+                )
+                self.error(t, what, self.config.states.integrity_errors)
         gap = arrived - self.arrived[frame_id]
         self.arrived[frame_id] = arrived
         values = checked.values
@@ -244,5 +292,7 @@ class Senses:
         return t - min(self.arrived[i] for i in frames) + EPS
 
     def forget_delay(self) -> None:
-        """Take the next time stamp for an undelayed one."""
+        """Take the next time stamp for an undelayed one, and the next frame of each kind for one in time."""
         self._stamp, self.delay = None, 0.0
+        for frames in self._punctual.values():
+            frames.forget()

@@ -113,8 +113,8 @@ class FrameReader:
         self.period = period
         self._ranges = {s.name: signal_range(s) for s in message.signals}
         self._crc_byte = message.get_signal_by_name(protection.crc).start // 8 if protection.crc else None
-        if protection.counter:
-            self._modulus = 1 << message.get_signal_by_name(protection.counter).length
+        self.modulus = 1 << message.get_signal_by_name(protection.counter).length if protection.counter else 0
+        """The counter's; 0 without one."""
 
     def read(self, data: bytes, counter: int | None) -> Checked:
         """`data` checked against the last good frame's counter (None: there was none). Raises nothing."""
@@ -135,7 +135,7 @@ class FrameReader:
             return Checked({}, counter, f"{self.name}: without {', '.join(absent)}")
         if self.protection.counter:
             new = int(raw[self.protection.counter])
-            jump = 1 if counter is None else (new - counter) % self._modulus
+            jump = 1 if counter is None else (new - counter) % self.modulus
             if not 1 <= jump <= MAX_JUMP:
                 return Checked({}, new, f"{self.name}: counter {new} after {counter}")
             counter = new
@@ -244,7 +244,7 @@ class SignalEncoder:
                 codes[mapping.signal] = self._code(values[quantity], mapping)
         protection = self.reader.protection
         if protection.counter:
-            codes[protection.counter] = count % self.reader._modulus
+            codes[protection.counter] = count % self.reader.modulus
         data = bytearray(self.reader.message.encode(codes, scaling=False, strict=False))
         if self.reader._crc_byte is not None:
             data[self.reader._crc_byte] = frame_crc(bytes(data), self.reader._crc_byte, self.reader.frame_id)

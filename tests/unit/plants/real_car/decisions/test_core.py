@@ -125,6 +125,40 @@ def test_five_neutral_frames_follow_and_then_silence() -> None:
     assert {s.delta_sw for s in tail} == {[s for s in world.sent if s.enable][-1].delta_sw}
 
 
+def alerts(world: World, since: float) -> list[bool]:
+    """The ALERT bit of each frame sent from then on, as the kit's DBC has it: bit 22."""
+    sent = [
+        out.data for event, outputs in world.events for out in outputs if isinstance(out, Send) and event.t >= since
+    ]
+    return [bool(data[2] >> 6 & 1) for data in sent]
+
+
+@pytest.mark.parametrize("how", ["space bar", "off", "override", "torque", "quality", "end"])
+def test_at_every_takeover_the_kit_is_asked_to_alert_the_human(how: str) -> None:
+    """In all five frames that let go; never while it steers, nor in a frame that clears its faults."""
+    world = World()
+    world.bring_to(Mode.ENGAGED)
+    assert not any(alerts(world, 0.0))
+    ended = world.t
+    match how:
+        case "space bar" | "off":
+            world.order(Order.DISENGAGE if how == "space bar" else Order.OFF)
+        case "end":
+            world.handle(End(world.t, "the car server was stopped"))
+        case _:
+            target = "pose" if how == "quality" else "report"
+            world.car.faults.append(Fault(kind=how, target=target, start=world.t, length=0.2))
+    world.until(ended + 0.1)
+    ended = next(t for t, mode, _ in world.modes if t >= ended and mode is not Mode.ENGAGED)
+    world.until(ended + 0.6)
+    assert world.mode is not Mode.ENGAGED
+    assert alerts(world, ended) == [True] * 5
+    if world.mode in (Mode.OVERRIDE, Mode.FAULT):
+        world.order(Order.ACKNOWLEDGE)
+        world.until(world.t + 0.2)
+        assert alerts(world, ended) == [True] * 5 + [False]
+
+
 def test_the_kit_is_told_to_clear_its_faults_once() -> None:
     world = World()
     world.car.timeout = True
@@ -252,6 +286,30 @@ def test_a_foreign_sender_of_the_command_is_told() -> None:
     core.handle(Frame(5.1, 5.1, config().writer.frame_id, bytes(8)))
     assert "somebody else sends STEERING_CMD" in core.facts(5.2).foreign
     assert core.facts(6.2).foreign == ""
+    core.handle(Frame(7.0, 7.0, config().writer.frame_id, bytes(8), "x"))  # of 29 bits: another one
+    assert core.facts(7.0).foreign == ""
+    core.handle(Frame(8.0, 8.0, config().writer.frame_id, bytes(8), "fd"))
+    assert "somebody else" in core.facts(8.0).foreign
+
+
+@pytest.mark.parametrize("mode", [m for m in Mode if m is not Mode.ENGAGED])
+def test_a_kit_that_stays_enabled_is_told_whatever_the_state(mode: Mode) -> None:
+    world = World()
+    world.bring_to(mode)
+    assert "not by us" not in world.query().text
+    world.car.commands, world.car.enabled = 0, True  # by somebody else, who goes on telling it
+    advance = world.car.advance
+
+    def kept(t: float) -> list[tuple[float, int, bytes]]:
+        world.car.enabled, world.car.heard = True, world.car.t
+        return advance(t)
+
+    world.car.advance = kept  # type: ignore[method-assign]
+    world.car.faults.clear()
+    world.car.overridden = False
+    world.until(world.t + 0.5)
+    assert "the kit has been enabled for" in world.query().text
+    assert world.mode is (Mode.STANDBY if mode is Mode.READY else mode)
 
 
 def test_the_kit_enabled_by_somebody_else_is_told_after_a_while() -> None:

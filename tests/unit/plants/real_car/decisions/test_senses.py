@@ -9,7 +9,7 @@ import pytest
 
 from steerkit.courses import course, straight
 from steerkit.path import Path
-from steerkit.plants.real_car.decisions.senses import Senses
+from steerkit.plants.real_car.decisions.senses import BEHIND, BEHIND_TIME, Senses
 from steerkit.plants.real_car.file.config import CarConfig
 from steerkit.plants.real_car.file.reading import load
 from steerkit.plants.real_car.frames.codec import SignalEncoder
@@ -209,10 +209,10 @@ def test_what_the_adapter_could_not_read_is_counted_not_obeyed() -> None:
 
 
 def stamped(clock: float, seconds: float = 8.0, jump: float = 0.0) -> Senses:
-    """Poses every 20 ms whose clock runs `clock` times as fast, and jumps after half of the time."""
+    """Poses every 10 ms whose clock runs `clock` times as fast, and jumps after half of the time."""
     bench = Bench()
-    for k in range(round(seconds / 0.02)):
-        t = 1.0 + 0.02 * k
+    for k in range(round(seconds / 0.01)):
+        t = 1.0 + 0.01 * k
         bench.send("POSE_DYNAMICS", t, stamp=(clock * t + (jump if 2.0 * t > seconds else 0.0)) % 65.536)
     return bench.senses
 
@@ -223,6 +223,59 @@ def test_time_stamps_that_run_fast_or_jump_ahead_are_noticed() -> None:
     assert "5.00 s ahead" in stamped(1.0, jump=5.0).errors[-1][1]
     assert stamped(1.0, jump=5.0).delay == pytest.approx(0.0, abs=2e-3)  # and is forgotten when it is back
     assert stamped(1.0, jump=-1.0).delay == pytest.approx(1.0, abs=1e-2)
+
+
+def queued(share: float, *, seconds: float = 12.0, lost: int = 0, halt: float = 0.0) -> list[tuple[float, str]]:
+    """Errors of frames of 100 Hz that come later by `share` of the time, stamps and all: (when, what).
+
+    In the middle, so many frames are lost, and so long nothing comes; what was sent meanwhile then comes at once.
+    """
+    bench, middle = Bench(), round(50.0 * seconds)
+    for k in range(round(100.0 * seconds)):
+        t = 1.0 + 0.01 * k * (1.0 + share)
+        if middle <= k < middle + lost:
+            bench.counts["POSE_DYNAMICS"] += 1
+            continue
+        late = max(0.0, 1.0 + 0.01 * middle + halt - t) if k >= middle else 0.0
+        bench.send("POSE_DYNAMICS", t + late, stamp=t % 65.536)
+    return list(bench.senses.errors)
+
+
+def test_frames_that_come_later_and_later_are_noticed_whatever_their_stamps_say() -> None:
+    """A queue that fills up on the way, with stamps to match: their counter tells."""
+    errors = queued(0.02, seconds=9.0)
+    when, what = errors[0]
+    assert 1.0 + BEHIND / 0.02 + BEHIND_TIME < when < 1.0 + BEHIND / 0.018 + BEHIND_TIME
+    assert "POSE_DYNAMICS comes 129 ms later than its counter says" in what
+    assert len(errors) > config().states.integrity_errors
+    assert queued(0.005, seconds=40.0)
+    for share in (0.0, 1e-3, -1e-3, -0.02):  # the sender's quartz is no better; too quick is none of this
+        assert queued(share, seconds=40.0) == []
+
+
+@pytest.mark.parametrize("lost", [3, 15, 16, 17, 40])
+def test_lost_frames_are_no_delay(lost: int) -> None:
+    """The counter has 4 bits; more than three at a time are an error of their own, once."""
+    errors = [what for _, what in queued(0.0, lost=lost)]
+    assert len(errors) <= 1
+    assert all("counter" in what and "later" not in what for what in errors)
+
+
+@pytest.mark.parametrize("halt", [0.05, 0.11, 0.4])
+def test_a_computer_that_reads_late_is_no_delay(halt: float) -> None:
+    assert [what for _, what in queued(0.0, halt=halt) if "later" in what] == []
+
+
+def test_a_delay_that_stays_is_forgotten_with_an_order_only() -> None:
+    bench = Bench()
+    for k in range(400):
+        bench.send("POSE_MOTION", 1.0 + 0.01 * k + 0.065 * (k > 100) + 0.065 * (k > 101))
+    errors = len(bench.senses.errors)
+    assert errors > 100
+    bench.senses.forget_delay()
+    for k in range(400, 600):
+        bench.send("POSE_MOTION", 1.13 + 0.01 * k)
+    assert len(bench.senses.errors) == errors
 
 
 def test_how_much_e_has_grown_within_a_second() -> None:

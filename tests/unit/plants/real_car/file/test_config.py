@@ -72,7 +72,7 @@ def test_the_summary_tells_all_that_is_read_and_written_and_every_limit() -> Non
         ("echo = {", "# echo = {", "[read] echo: missing"),
         ("STEERING_REPORT = { period = 0.02 }", "", "[protect] STEERING_REPORT = None"),
         ('POSE_MOTION = { counter = "COUNT"', 'POSE_MOTION = { counter = "COUNTER"', "did you mean 'COUNT'"),
-        ('crc = "CRC" }', 'crc = "COUNT" }', "does not fill one byte"),
+        ('crc = "CRC", period', 'crc = "COUNT", period', "does not fill one byte"),
         ('counter = "COUNT", crc', 'counter = "COUN", crc', "did you mean 'COUNT'"),
         ('enable = "EN"', "", "[write] enable: missing"),
         ('clear = "CLEAR"', 'clear = "CLAER"', "did you mean 'CLEAR'"),
