@@ -18,6 +18,8 @@ from pathlib import Path
 import pytest
 
 from steerkit.plants.real_car import recording as tapes
+from steerkit.plants.real_car.decisions.modes import Mode
+from steerkit.plants.real_car.processes.client import CarClient
 
 WAIT = 60.0
 """Longest wait for anything [s]; the machine may be busy."""
@@ -88,8 +90,8 @@ def test_space_lets_go_and_the_panel_shows_what_counts(tmp_path: Path) -> None:
             assert word in screen, word
         assert "\x1b[1;32mENGAGED" in screen  # green and bold
         there.press(" ")
-        there.until("READY|STANDBY")
-        there.press("x")  # no key of ours
+        there.until("\a")  # the bell
+        there.until("READY")
         there.press("q")
         assert there.end() == 0
         assert "recording drive.mcap" in there.text.replace("\r", "")
@@ -97,6 +99,49 @@ def test_space_lets_go_and_the_panel_shows_what_counts(tmp_path: Path) -> None:
     changes = [(v["from"], v["to"], v["cause"]) for v in tapes.read(tmp_path / "drive.mcap").of("/state")]
     assert ("READY", "ENGAGED", "operator: engage") in changes
     assert ("ENGAGED", "STANDBY", "operator: disengage") in changes
+
+
+def test_any_other_key_lets_go_and_rings(tmp_path: Path) -> None:
+    """Ctrl-S too, which would have stopped the screen, and the first byte of an arrow; not the keys of the list."""
+    with terminal(tmp_path, *DRIVE, *SLOWLY, "--recording", "drive.mcap") as there:
+        for key in ("x", "\x13", "\x1b", "E"):
+            there.until("READY")
+            there.press(key)  # nobody drives: nothing to let go of
+            there.press("e")
+            there.until("ENGAGED")
+            there.press("e")
+            there.until("not engaged from ENGAGED")
+            assert "\a" not in there.text
+            there.press(key)
+            there.until("\a")
+        there.until("READY")
+        there.press("q")
+        assert there.end() == 0
+    changes = [(v["from"], v["cause"]) for v in tapes.read(tmp_path / "drive.mcap").of("/state")]
+    assert [cause for before, cause in changes if before == "ENGAGED"] == ["operator: disengage"] * 4
+
+
+def test_a_terminal_that_reads_nothing_more_or_is_gone_lets_go(tmp_path: Path) -> None:
+    socket = str(tmp_path / "socket")
+    with terminal(tmp_path, *DRIVE, *SLOWLY, "--recording", "drive.mcap", "--socket", socket) as there:
+        there.until("READY")
+        there.press("e")
+        there.until("ENGAGED")
+        with CarClient(socket, controller=False) as link:  # from here on, the screen is not read
+            assert link.wait(Mode.FAULT, timeout=WAIT).text.startswith("operator silent: no panel has read its keys")
+        there.until("FAULT[\\s\\S]*\a|\a[\\s\\S]*FAULT")
+        there.press("a")
+        there.until("READY")
+        there.press("e")
+        there.until("ENGAGED")
+        os.close(there.master)
+        there.process.wait(WAIT)
+        there.master = os.open(os.devnull, os.O_RDONLY)
+    recorded = tapes.read(tmp_path / "drive.mcap")
+    assert recorded.whole
+    causes = [v["cause"].split(":")[0] for v in recorded.of("/state") if v["from"] == "ENGAGED"]
+    assert causes == ["operator silent", "operator"]
+    assert recorded.of("/state")[-1]["to"] == "OFF"
 
 
 def test_without_colours_where_there_is_no_wish_for_them(tmp_path: Path) -> None:

@@ -36,7 +36,15 @@ TELLING = {
 }
 """Names of signals that say which quantity they are: one that bears another's is taken for a swap."""
 DANGEROUS = re.compile(r"IGN|CAL|TEST|DIAG|QUIET|BYPASS|OVERRIDE|DISABLE", re.I)
-"""Signals of a command that switch protection off: they stay 0."""
+"""Signals of a command that switch protection off: they stay 0, and are none of ours."""
+WRITTEN = {
+    "enable": re.compile(r"^(EN|.*ENABLED?)$", re.I),
+    "clear": re.compile(r"^(CLEAR|CLR|RESET).*", re.I),
+    "alert": re.compile(r".*(ALERT|WARN|CHIME).*", re.I),
+    "counter": re.compile(r".*(COUNT|CNT|ALIVE).*", re.I),
+    "crc": re.compile(r".*(CRC|CHECKSUM).*", re.I),
+}
+"""The same of the signals that we write, by their part in the command."""
 
 
 def audit(config: CarConfig) -> list[str]:
@@ -49,6 +57,12 @@ def _signals(config: CarConfig) -> Iterator[str]:
     for (frame, signal), number in homes.items():
         if number > 1:
             yield f"[read] {frame}.{signal} is read as {number} quantities, expected one each"
+    for reader in config.readers:
+        guards = [name for name in (reader.protection.counter, reader.protection.crc) if name]
+        for name in sorted(set(guards)):
+            if guards.count(name) > 1 or (reader.name, name) in homes:
+                each = "expected a signal each for counter, CRC and what is read"
+                yield f"[protect] {reader.name}: {name} has two parts, {each}"
     own = {name: quantity for quantity, names in TELLING.items() for name in names}
     for quantity, mapping in config.quantities.items():
         other = own.get(mapping.signal.upper(), quantity)
@@ -74,6 +88,8 @@ def _frames(config: CarConfig) -> Iterator[str]:
         if many:
             yield f"[read] {reader.name} is multiplexed ({', '.join(many)}), expected a frame with one layout"
         guarded = reader.protection.counter or reader.protection.crc
+        if guarded and reader.period != 0.0 and not 0.002 <= reader.period <= 0.1:
+            yield f"[protect] {reader.name}: period = {reader.period:g} s, expected 0.002 to 0.1 s, or none"
         if not guarded and not 0.002 <= reader.period <= 0.1:
             yield (
                 f"[protect] {reader.name}: period = {reader.period:g} s, expected 0.002 to 0.1 s: with neither counter "
@@ -106,6 +122,9 @@ def _ranges(config: CarConfig) -> Iterator[str]:
                 f"[read.{quantity}] {mapping.signal} reaches from {low:.4g} to {high:.4g} [{unit}], expected at least "
                 f"{'' if one_sided else '+-'}{least:.4g}, or a tighter limit"
             )
+    low, high = _reach(config, config.quantities["psi"])
+    if not high - low >= 2.0 * math.pi - 0.02:
+        yield f"[read.psi] reaches from {low:.4g} to {high:.4g} rad, expected a whole circle"
     path = config.course.get("path")
     if path is not None and "x" in config.quantities:
         for name, column in (("x", path.samples.xy[:, 0]), ("y", path.samples.xy[:, 1])):
@@ -122,6 +141,21 @@ def _command(config: CarConfig) -> Iterator[str]:
     for name, number in Counter(names).items():
         if number > 1:
             yield f"[write] {name} has {number} roles, expected one"
+    for role, own in WRITTEN.items():
+        name = getattr(writer, role)
+        other = next((r for r, pattern in WRITTEN.items() if r != role and pattern.match(name)), "")
+        if other and not own.match(name):
+            yield f"[write] {role} = {name!r} is named like {other}; are the two swapped?"
+        elif name and DANGEROUS.search(name) and not own.match(name):
+            yield f"[write] {role} = {name!r} switches a protection of the kit off; expected the signal for {role}"
+    for where, message, name in [
+        ("write", writer.message, writer.counter),
+        *((f"protect.{r.name}", r.message, r.protection.counter) for r in config.readers),
+    ]:
+        counter = message.get_signal_by_name(name) if name else None
+        if counter and (counter.scale, counter.offset) != (1, 0):
+            steps = f"in steps of {counter.scale:g} from {counter.offset:g}"
+            yield f"[{where}] counter = {name!r} counts {steps}, expected 1 from 0"
     for role in ("enable", "clear", "alert"):
         name = getattr(writer, role)
         if name and writer.message.get_signal_by_name(name).length != 1:

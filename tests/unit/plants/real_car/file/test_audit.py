@@ -138,6 +138,66 @@ CASES = {
         "dt_min = 1e-05, expected 0.004 to 0.02",
     ),
     "a jump as long as the course": ([(FILE, "e_max = 2.0", "pose_jump = 100.0")], "pose_jump = 100, expected 0.05 to"),
+    "enable and clear swapped": (
+        [(FILE, 'enable = "EN"', 'enable = "CLEAR"'), (FILE, 'clear = "CLEAR" ', 'clear = "EN" ')],
+        "[write] enable = 'CLEAR' is named like clear; are the two swapped?",
+    ),
+    "alert and enable swapped": (
+        [(FILE, 'enable = "EN"', 'enable = "ALERT"'), (FILE, 'alert = "ALERT" ', 'alert = "EN" ')],
+        "[write] alert = 'EN' is named like enable",
+    ),
+    "a flag that switches protection off while steering": (
+        [(FILE, 'enable = "EN"', 'enable = "IGNORE"')],
+        "[write] enable = 'IGNORE' switches a protection of the kit off",
+    ),
+    "a flag that switches protection off when faults are cleared": (
+        [(FILE, 'clear = "CLEAR"', 'clear = "IGNORE"')],
+        "[write] clear = 'IGNORE' switches a protection of the kit off",
+    ),
+    "a flag that calibrates the kit at every takeover": (
+        [(FILE, 'alert = "ALERT"', 'alert = "CAL"')],
+        "[write] alert = 'CAL' switches a protection of the kit off; expected the signal for alert",
+    ),
+    "a speed that counts": (
+        [(FILE, 'counter = "COUNT"\nfixed = { SVEL = 0 }', 'counter = "SVEL"')],
+        "counter = 'SVEL' counts in steps of 4 from 0, expected 1 from 0",
+    ),
+    "a read counter with steps": (
+        [(POSE, "SG_ COUNT : 52|4@1+ (1,0)", "SG_ COUNT : 52|4@1+ (1,3)")],
+        "[protect.POSE_POSITION] counter = 'COUNT' counts in steps of 1 from 3",
+    ),
+    "a counter that is the CRC": (
+        [(FILE, 'POSE_MOTION = { counter = "COUNT"', 'POSE_MOTION = { counter = "CRC"')],
+        "[protect] POSE_MOTION: CRC has two parts",
+    ),
+    "a counter for a time stamp": (
+        [(FILE, 'signal = "STAMP" }', 'signal = "COUNT", unit = "ms" }')],
+        "[protect] POSE_DYNAMICS: COUNT has two parts",
+    ),
+    "a pose every minute": (
+        [
+            (
+                FILE,
+                'POSE_MOTION = { counter = "COUNT", crc = "CRC", period = 0.01',
+                'POSE_MOTION = { counter = "COUNT", period = 60',
+            )
+        ],
+        "[protect] POSE_MOTION: period = 60 s, expected 0.002 to 0.1 s, or none",
+    ),
+    "a pose at no time": (
+        [
+            (
+                FILE,
+                'POSE_MOTION = { counter = "COUNT", crc = "CRC", period = 0.01',
+                'POSE_MOTION = { counter = "COUNT", period = nan',
+            )
+        ],
+        "[protect] POSE_MOTION: period = nan s",
+    ),
+    "a heading that reaches half around": (
+        [(POSE, '[-3.2767|3.2767] "rad"', '[-1.5708|1.5708] "rad"')],
+        "[read.psi] reaches from -1.571 to 1.571 rad, expected a whole circle",
+    ),
     "a vehicle file that is not there": (
         [(FILE, 'name = "vw-passat"', 'name = "my-car.toml"')],
         "my-car.toml cannot be read",
