@@ -22,9 +22,9 @@ def row(name: str) -> str:
     attack = ATTACKS[name]
     drives = [Drive(attack, speed=speed).run() for speed in SPEEDS]
     ends = [f"{1e3 * d.silence():.0f}" if math.isfinite(d.ended()) else "drives on" for d in drives]
-    cause = next((d.cause() for d in drives if d.cause()), attack.physics or "-")
+    cause = next((d.cause() for d in drives if d.cause()), "")
     worst, a_y = max(d.excess() for d in drives), max(d.a_y() for d in drives)
-    said = cause.split(": ", 1)[0] if attack.physics else cause.split(", last: ")[-1].split(": ")[0]
+    said = cause.split(", last: ")[-1].split(": ")[0] or attack.physics or "-"
     missed = any(complaints(d) for d in drives)
     return f"| {name} | {' | '.join(ends)} | {worst:.2f} | {a_y:.2f} | {said} |{' **MISSED** |' if missed else ''}"
 

@@ -9,7 +9,7 @@ import pytest
 
 from steerkit.courses import course, straight
 from steerkit.path import Path
-from steerkit.plants.real_car.decisions.senses import BEHIND, BEHIND_TIME, Senses
+from steerkit.plants.real_car.decisions.senses import BEHIND, BEHIND_TIME, Punctuality, Senses
 from steerkit.plants.real_car.file.config import CarConfig
 from steerkit.plants.real_car.file.reading import load
 from steerkit.plants.real_car.frames.codec import SignalEncoder
@@ -259,6 +259,16 @@ def test_lost_frames_are_no_delay(lost: int) -> None:
     errors = [what for _, what in queued(0.0, lost=lost)]
     assert len(errors) <= 1
     assert all("counter" in what and "later" not in what for what in errors)
+
+
+@pytest.mark.parametrize(("modulus", "lost"), [(8, 7), (8, 8), (8, 12), (16, 12), (256, 13)])
+def test_lost_frames_are_counted_beyond_a_turn_of_the_counter(modulus: int, lost: int) -> None:
+    """A counter of three bits turns within 80 ms; again and again so many frames are lost, none of them is late."""
+    frames, late = Punctuality(0.01, modulus, 0.15), 0.0
+    for k in range(3000):
+        if k % 50 >= lost:
+            late = max(late, frames.behind(1.0 + 0.01 * k, k % modulus))
+    assert late == 0.0
 
 
 @pytest.mark.parametrize("halt", [0.05, 0.11, 0.4])
