@@ -58,16 +58,17 @@ def list_(scenarios: Annotated[bool, typer.Option(help="Also every scenario and 
     from rich.table import Table
 
     from benchmarks.entries import CONTROLLERS
-    from benchmarks.suites import SUITES, jobs
+    from benchmarks.suites import SUITES, jobs, suite
 
     console = _console()
     table = Table("suite", "cases", "seeds", "scenarios", "controllers", "what")
-    for one in SUITES.values():
+    suites = [suite(name) for name in SUITES]
+    for one in suites:
         sizes = (len(jobs([one])), one.seeds, len(one.scenarios), len(one.controllers))
         table.add_row(one.name, *map(str, sizes), one.about)
     console.print(table)
     if scenarios:
-        names = dict.fromkeys(scene.name for one in SUITES.values() for scene in one.scenarios)
+        names = dict.fromkeys(scene.name for one in suites for scene in one.scenarios)
         console.print(f"scenarios: {', '.join(names)}\n", markup=False)
         for controller in CONTROLLERS.values():
             console.print(f"{controller.name:22s} {controller.about}", markup=False, highlight=False)

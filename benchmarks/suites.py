@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import difflib
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path as FilePath
 
 from benchmarks.entries import TELLABLE, TOLD_TRUTH, controller
@@ -66,22 +67,26 @@ class Job:
 
 PAPER_ROUND = scene(name="paper-round")
 _MB = dict(plant=MULTI_BODY, vehicle="bmw-320i", v_min=7.0, v_max=7.0)
-_TRACKING = (
-    PAPER_ROUND,
-    scene(name="paper-fast", v_max=9.0),
-    scene(name="paper-linear", plant="linear"),
-    scene(name="paper-hard", lag=0.15, noise=1.0, latency=0.05),
-    scene(name="genesis-recorded", course="genesis", speed="recorded", v_max=9.0),
-    scene(name="genesis-rfs-recorded", course="genesis-rfs", speed="recorded", v_max=9.0),
-    scene(name="iso3888-1-9", course="iso3888-1", v_min=9.0, v_max=9.0),
-    scene(name="iso3888-1-5", course="iso3888-1", v_min=5.0, v_max=5.0),
-    scene(name="iso3888-2-9", course="iso3888-2", v_min=9.0, v_max=9.0),
-    scene(name="circle-6", course="circle", v_min=6.0, v_max=6.0),
-    scene(name="slalom-9", course="slalom", v_min=9.0, v_max=9.0),
-    scene(name="curvature-step-7", course="curvature-step", v_min=7.0, v_max=7.0),
-    scene(name="iso3888-1-multi-body", course="iso3888-1", **_MB),  # type: ignore[arg-type]
-    scene(name="slalom-multi-body", course="slalom", **_MB),  # type: ignore[arg-type]
-)
+
+
+@cache
+def _tracking_scenarios() -> tuple[Scenario, ...]:
+    return (
+        PAPER_ROUND,
+        scene(name="paper-fast", v_max=9.0),
+        scene(name="paper-linear", plant="linear"),
+        scene(name="paper-hard", lag=0.15, noise=1.0, latency=0.05),
+        scene(name="genesis-recorded", course="genesis", speed="recorded", v_max=9.0),
+        scene(name="genesis-rfs-recorded", course="genesis-rfs", speed="recorded", v_max=9.0),
+        scene(name="iso3888-1-9", course="iso3888-1", v_min=9.0, v_max=9.0),
+        scene(name="iso3888-1-5", course="iso3888-1", v_min=5.0, v_max=5.0),
+        scene(name="iso3888-2-9", course="iso3888-2", v_min=9.0, v_max=9.0),
+        scene(name="circle-6", course="circle", v_min=6.0, v_max=6.0),
+        scene(name="slalom-9", course="slalom", v_min=9.0, v_max=9.0),
+        scene(name="curvature-step-7", course="curvature-step", v_min=7.0, v_max=7.0),
+        scene(name="iso3888-1-multi-body", course="iso3888-1", **_MB),  # type: ignore[arg-type]
+        scene(name="slalom-multi-body", course="slalom", **_MB),  # type: ignore[arg-type]
+    )
 
 
 def _grid(kind: str, first: tuple[str, Sequence[float]], second: tuple[str, Sequence[float]]) -> Iterable[Scenario]:
@@ -94,85 +99,118 @@ def _grid(kind: str, first: tuple[str, Sequence[float]], second: tuple[str, Sequ
         yield scene(name=f"{kind}-{label}", told_delay=0.0, told_lag=0.12, **values)  # type: ignore[arg-type]
 
 
-_ROBUSTNESS = (
-    *_grid("delay", ("delay", (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3)), ("v_max", (5.0, 6.0, 7.0, 8.0, 9.0))),
-    *_grid("lag", ("lag", (0.05, 0.12, 0.2, 0.3, 0.4)), ("v_max", (5.0, 7.0, 9.0))),
-    *_grid("tyres", ("tyres", (0.5, 0.7, 0.85, 1.0, 1.2, 1.5)), ("friction", (0.3, 0.45, 0.6, 0.8, 1.0))),
-    *_grid("steering", ("ratio", (0.8, 0.9, 1.0, 1.1, 1.2)), ("offset_deg", (-8.0, -4.0, 0.0, 4.0, 8.0))),
-    *_grid("pose", ("noise", (0.0, 1.0, 2.0, 4.0)), ("latency", (0.0, 0.05, 0.1, 0.15, 0.2))),
-    *_grid("wind", ("wind", (0.0, 0.2, 0.4, 0.8)), ("bank_deg", (0.0, 2.0, 4.0, 6.0))),
-)
-_GENERALISE = (
-    PAPER_ROUND,
-    *(scene(name=f"random-{n}", course=f"random-{n}") for n in range(1, 6)),
-    scene(name="genesis-recorded", course="genesis", speed="recorded", v_max=9.0),
-    scene(name="genesis-rfs-recorded", course="genesis-rfs", speed="recorded", v_max=9.0),
-    scene(name="paper-linear", plant="linear"),
-    scene(name="paper-hard", lag=0.15, noise=1.0, latency=0.05),
-    scene(name="paper-bmw", vehicle="bmw-320i"),
-    scene(name="paper-ford", vehicle="ford-escort"),
-    scene(name="paper-multi-body", plant=MULTI_BODY, vehicle="bmw-320i"),
-)
 _ADAPT = ("stanley", *TELLABLE, *(name + TOLD_TRUTH for name in TELLABLE), "nfq-same-car-1", "nfq-same-car-5")
-_ALL = (
-    Suite(
+
+
+@cache
+def _paper() -> Suite:
+    return Suite(
         name="paper",
         about="figures 3 to 6 of the paper: learning on the 800 m course, the final nets' round, beside its values",
         scenarios=(PAPER_ROUND,),
         controllers=("stanley", "stanley-textbook", *LEARNED, *AS_PUBLISHED, "nfq-paper-120"),
-    ),
-    Suite(
+    )
+
+
+@cache
+def _tracking() -> Suite:
+    return Suite(
         name="tracking",
         about="every controller on courses, lane changes, slalom, steps and three plants; nets of the 800 m course",
-        scenarios=_TRACKING,
+        scenarios=_tracking_scenarios(),
         controllers=(*ANALYTIC, *LEARNED),
-    ),
-    Suite(
+    )
+
+
+@cache
+def _robustness() -> Suite:
+    return Suite(
         name="robustness",
         about="grids of what no controller is told: delay, lag, tyres, friction, ratio, offset, noise, wind, bank",
-        scenarios=_ROBUSTNESS,
+        scenarios=(
+            *_grid("delay", ("delay", (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3)), ("v_max", (5.0, 6.0, 7.0, 8.0, 9.0))),
+            *_grid("lag", ("lag", (0.05, 0.12, 0.2, 0.3, 0.4)), ("v_max", (5.0, 7.0, 9.0))),
+            *_grid("tyres", ("tyres", (0.5, 0.7, 0.85, 1.0, 1.2, 1.5)), ("friction", (0.3, 0.45, 0.6, 0.8, 1.0))),
+            *_grid("steering", ("ratio", (0.8, 0.9, 1.0, 1.1, 1.2)), ("offset_deg", (-8.0, -4.0, 0.0, 4.0, 8.0))),
+            *_grid("pose", ("noise", (0.0, 1.0, 2.0, 4.0)), ("latency", (0.0, 0.05, 0.1, 0.15, 0.2))),
+            *_grid("wind", ("wind", (0.0, 0.2, 0.4, 0.8)), ("bank_deg", (0.0, 2.0, 4.0, 6.0))),
+        ),
         controllers=("stanley", "stanley-textbook", "stanley-delay", "pure-pursuit", "lqr", "mpc", "nfq-idoe"),
         seeds=3,
-    ),
-    Suite(
+    )
+
+
+@cache
+def _generalise() -> Suite:
+    return Suite(
         name="generalise",
         about="nets taught on one course and car, driven on others",
-        scenarios=_GENERALISE,
+        scenarios=(
+            PAPER_ROUND,
+            *(scene(name=f"random-{n}", course=f"random-{n}") for n in range(1, 6)),
+            scene(name="genesis-recorded", course="genesis", speed="recorded", v_max=9.0),
+            scene(name="genesis-rfs-recorded", course="genesis-rfs", speed="recorded", v_max=9.0),
+            scene(name="paper-linear", plant="linear"),
+            scene(name="paper-hard", lag=0.15, noise=1.0, latency=0.05),
+            scene(name="paper-bmw", vehicle="bmw-320i"),
+            scene(name="paper-ford", vehicle="ford-escort"),
+            scene(name="paper-multi-body", plant=MULTI_BODY, vehicle="bmw-320i"),
+        ),
         controllers=("stanley", "lqr", *LEARNED, "nfq-idoe-genesis", "nfq-idoe-linear", "nfq-idoe-hard"),
         seeds=5,
-    ),
-    Suite(
+    )
+
+
+@cache
+def _learning_curve() -> Suite:
+    return Suite(
         name="learning-curve",
         about="driving time against performance, offline iterations, 70 and 120 episodes",
         scenarios=(),
         controllers=(*LEARNED, *AS_PUBLISHED, "nfq-paper-120", "nfq-idoe-offline"),
-    ),
-    Suite(
+    )
+
+
+@cache
+def _peers() -> Suite:
+    return Suite(
         name="peers",
         about="controllers that nobody here wrote: agents of Stable-Baselines3 and d3rlpy, do-mpc, CommonRoad's car",
         scenarios=tuple(
             s
-            for s in _TRACKING
+            for s in _tracking_scenarios()
             if s.name in ("paper-round", "iso3888-1-9", "slalom-9", "curvature-step-7", "slalom-multi-body")
         ),
         controllers=("stanley", "mpc", "nfq-idoe", "sb3-dqn", "sb3-sac", "d3rlpy-nfq", "do-mpc"),
         seeds=3,
-    ),
-    Suite(
+    )
+
+
+@cache
+def _adapt() -> Suite:
+    return Suite(
         name="adapt",
         about="cars unlike their data sheet: learned on that very car; analytic ones told the data sheet, or the truth",
         scenarios=unlike_the_data_sheet(),
         controllers=_ADAPT,
         seeds=3,
-    ),
-    Suite(
+    )
+
+
+@cache
+def _adapt_quick() -> Suite:
+    return Suite(
         name="adapt-quick",
         about="one car of adapt, one minute of learning",
         scenarios=tuple(s for s in unlike_the_data_sheet() if s.name == "passat-ratio-tyres"),
         controllers=_ADAPT[:-1],
         seeds=1,
-    ),
-    Suite(
+    )
+
+
+@cache
+def _compute() -> Suite:
+    return Suite(
         name="compute",
         about="computing time a step, one drive at a time",
         scenarios=(scene(name="paper-steady", v_min=6.0, v_max=6.0),),
@@ -180,13 +218,17 @@ _ALL = (
         seeds=1,
         timed_steps=2000,
         alone=True,
-    ),
-    Suite(
+    )
+
+
+@cache
+def _quick() -> Suite:
+    return Suite(
         name="quick",
         about="a ten-minute selection of paper and tracking, nets after 3 minutes of driving (make bench)",
         scenarios=tuple(
             s
-            for s in _TRACKING
+            for s in _tracking_scenarios()
             if s.name
             in (
                 "paper-round",
@@ -201,8 +243,12 @@ _ALL = (
         controllers=(*ANALYTIC, "nfq-idoe-quick", "nfq-bang-bang-quick"),
         seeds=5,
         timed_steps=200,
-    ),
-    Suite(
+    )
+
+
+@cache
+def _golden() -> Suite:
+    return Suite(
         name="golden",
         about="a small one whose numbers the tests hold",
         scenarios=(
@@ -213,10 +259,23 @@ _ALL = (
         ),
         controllers=("stanley", "stanley-textbook", "pure-pursuit"),
         seeds=2,
-    ),
-)
-SUITES = {suite.name: suite for suite in _ALL}
-"""All suites by name."""
+    )
+
+
+SUITES: dict[str, Callable[[], Suite]] = {
+    "paper": _paper,
+    "tracking": _tracking,
+    "robustness": _robustness,
+    "generalise": _generalise,
+    "learning-curve": _learning_curve,
+    "peers": _peers,
+    "adapt": _adapt,
+    "adapt-quick": _adapt_quick,
+    "compute": _compute,
+    "quick": _quick,
+    "golden": _golden,
+}
+"""What makes each suite, by name; a suite's courses take long, so it is made when it is asked for."""
 
 
 def suite(name: str) -> Suite:
@@ -225,7 +284,7 @@ def suite(name: str) -> Suite:
         near = difflib.get_close_matches(name, SUITES, n=1, cutoff=0.4)
         hint = f"; did you mean '{near[0]}'?" if near else ""
         raise ValueError(f"suite '{name}' is not known{hint} (valid: {', '.join(SUITES)})")
-    return SUITES[name]
+    return SUITES[name]()
 
 
 def elsewhere(one: Suite, *, course: str = "", vehicle: str = "", controllers: Sequence[str] = ()) -> Suite:

@@ -12,10 +12,6 @@ from typing import Annotated
 import typer
 
 from steerkit.cli.options import CHANNEL, SOCKET, TIME_SCALE
-from steerkit.clock import Clock
-from steerkit.on_car import loop as loops
-from steerkit.on_car import processes
-from steerkit.on_car import session as sessions
 
 app = typer.Typer(
     help="A car on a CAN bus. No car has been driven with this software: see docs/real-car.md.",
@@ -36,6 +32,8 @@ def check(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead, in SI units.")] = False,
 ) -> None:
     """Check a configuration and print what would be read and written, and every limit."""
+    from steerkit.on_car import session as sessions
+
     loaded, path = sessions.loaded(config)
     if as_json:
         print(json.dumps({**loaded.facts(), "course": path.name, "length": path.length, "closed": path.closed}))
@@ -63,6 +61,9 @@ def simulate(
     A line is KIND, `pose` or `report`, and if wanted LENGTH and AMOUNT, such as `drop pose 0.5`; an unknown one prints
     the kinds.
     """
+    from steerkit.clock import Clock
+    from steerkit.on_car import processes
+    from steerkit.on_car import session as sessions
     from steerkit.plants.real_car.frames.bus import BusPort
     from steerkit.plants.real_car.frames.slcan_port import SlcanPort
 
@@ -95,6 +96,9 @@ def server(
     realtime: Annotated[bool, typer.Option(help="Run under SCHED_FIFO; needs the right to.")] = False,
 ) -> None:
     """The process that owns the bus. `steerkit drive --car` and `learn --car` start one where there is none."""
+    from steerkit.clock import Clock
+    from steerkit.on_car import processes
+    from steerkit.on_car import session as sessions
     from steerkit.plants.real_car.processes.server import CarServer
     from steerkit.plants.real_car.recording import Recording, described
 
@@ -119,6 +123,7 @@ def order(
     word: Annotated[str, typer.Argument(help="ARM, ENGAGE, DISENGAGE, ACKNOWLEDGE or OFF.")], socket: Socket = ""
 ) -> None:
     """Give the car server an order from a second terminal, whatever the controller is doing."""
+    from steerkit.on_car import processes
     from steerkit.plants.real_car.decisions.modes import Order
     from steerkit.plants.real_car.processes.client import CarClient
 
@@ -146,6 +151,7 @@ def tape(
     One that is damaged or cut short is repaired into a new file and stays as it is itself. One that is still being
     written is only looked into. Exit code: 0; 1 when messages are missing, 2 when a replay lacks something.
     """
+    from steerkit.on_car import loop as loops
     from steerkit.on_car import replay as replays
     from steerkit.plants.real_car import recording as tapes
     from steerkit.plants.real_car.decisions.core import Core

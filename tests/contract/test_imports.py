@@ -141,9 +141,9 @@ def test_a_circle_would_be_seen(tmp_path: Path) -> None:
     assert house.cycles(house.graph(house.modules(tmp_path, "house"))) == [["house.a", "house.b", "house.c"]]
 
 
-def loaded_by(code: str) -> set[str]:
-    """The heavy packages that are loaded after running `code` in a fresh interpreter."""
-    report = f"{code}\nimport sys\nprint([name for name in {HEAVY!r} if name in sys.modules])"
+def loaded_by(code: str, packages: tuple[str, ...] = HEAVY) -> set[str]:
+    """Those of the packages that are loaded after running `code` in a fresh interpreter."""
+    report = f"{code}\nimport sys\nprint([name for name in {packages!r} if name in sys.modules])"
     answer = subprocess.run([sys.executable, "-c", report], capture_output=True, text=True)
     assert answer.returncode == 0, answer.stderr
     return set(ast.literal_eval(answer.stdout.splitlines()[-1]))
@@ -151,6 +151,10 @@ def loaded_by(code: str) -> set[str]:
 
 def test_importing_steerkit_loads_nothing_heavy() -> None:
     assert loaded_by("import steerkit") == set()
+
+
+def test_the_command_line_starts_with_nothing_heavy_not_even_arrays() -> None:
+    assert loaded_by("import steerkit.cli.app, benchmarks.app", ("numpy", "scipy", *HEAVY)) == set()
 
 
 def test_building_and_driving_a_loop_loads_nothing_heavy() -> None:

@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from steerkit.controllers.forecast import ANSWER, LONGEST, Forecast
 from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, R_E, V
@@ -102,6 +101,8 @@ def refined(model: CarModel, part: Transitions) -> CarModel:
     row = row[episode[row - 1] == episode[row + AHEAD]][-ROWS:]
     if len(row) < 2 * FEWEST:
         return model
+    from scipy.optimize import least_squares
+
     s = part.s
     v, doe = speed(s), s[:, DOE]
     w, r = s[:, E_DOT] / v - s[:, PSI_E], s[:, R_E] + s[:, V] * s[:, KAPPA]

@@ -22,7 +22,7 @@ from tests.support.tiny_suite import TINY
 
 
 def test_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reference: Results) -> None:
-    monkeypatch.setitem(SUITES, "golden", TINY)
+    monkeypatch.setitem(SUITES, "golden", lambda: TINY)
     monkeypatch.chdir(tmp_path)
     say = CliRunner().invoke
     listed = say(app, ["list", "--scenarios"]).output
