@@ -21,6 +21,8 @@ bench: $(READY)  ## learned against analytic controllers, a ten-minute selection
 	$(BIN)/python -m benchmarks report runs/benchmarks/quick
 
 test test-all: export OMP_NUM_THREADS = 1
+# Tests start some hundred programs; without their bytecode each compiles the library anew, most of a second.
+test test-all: export PYTHONDONTWRITEBYTECODE =
 test: $(READY)  ## all tests, on two processes
 	$(BIN)/python -m pytest -n 2
 
