@@ -212,6 +212,16 @@ def test_the_table_names_only_lines_that_a_page_shows() -> None:
     assert not {*steps, *reasons} - shown
 
 
+def test_a_study_is_run_in_its_quick_form() -> None:
+    """As it stands, a study measures for minutes or hours."""
+    for page in PAGES:
+        for step in story(page):
+            if "benchmarks study" in step.run:
+                assert "--quick" in step.run or step.run.endswith("--list"), (
+                    f"{step.run}: tests/support/shell_lines.toml"
+                )
+
+
 def test_a_line_that_fails_would_be_found(shell: Shell) -> None:
     """Exit code, output, files, JSON: each is looked at."""
     fine = {"shown": "", "run": "echo '{\"a\": 1}'; touch here"}
