@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import fields, replace
 from typing import Any, TypeVar
 
@@ -14,6 +14,7 @@ from steerkit.controllers.trimmed import Trimmed
 from steerkit.doe import Corrected, Dynamic
 from steerkit.errors import WiringError
 from steerkit.loop import Loop, Wire
+from steerkit.mistakes import require_block
 from steerkit.path import Path
 from steerkit.tracker import PathTracker
 
@@ -66,6 +67,20 @@ def steering_loop(
 
     Raises WiringError when a part is missing or an input has a name not listed here.
     """
+    _check_parts(
+        {"car": car, "human": human, "controller": controller},
+        {
+            "doe": doe,
+            "recovery": recovery,
+            "supervisor": supervisor,
+            "foresight": foresight,
+            "link": link,
+            "actuator": actuator,
+            "column": column,
+            "sensors": sensors,
+            "shift": shift,
+        },
+    )
     learns = "action" in _names(controller.outputs)
     if learns == (doe is None):
         kind = type(controller).__name__
@@ -140,6 +155,29 @@ def steering_loop(
     bench.wire(command, "delta_sw", car, "delta_sw_cmd")
     bench.wire(human, "v", car, "v_cmd")
     return Loop(blocks=bench.blocks, wires=bench.wires)
+
+
+_EXAMPLES = {
+    "car": "NonlinearSingleTrack(vehicle=vehicle('vw-passat'))",
+    "human": "Human(), or ConstantSpeed(speed=5.0) of steerkit.plants.human",
+    "controller": "Stanley.of(vehicle('vw-passat')); by name: steerkit.catalogue.make_controller",
+    "doe": "Integrator()",
+    "recovery": "Stanley.of(vehicle('vw-passat'))",
+    "supervisor": "Supervisor()",
+    "foresight": "Foresight(...)",
+    "link": "SteeringLink()",
+    "actuator": "SteeringActuator(lag=0.12)",
+    "column": "SteeringColumn(play=0.02)",
+    "sensors": "Sensors.hard(0)",
+    "shift": "TargetShift()",
+}
+"""What would do for a part of the loop."""
+
+
+def _check_parts(needed: Mapping[str, Any], possible: Mapping[str, Any]) -> None:
+    given = {role: part for role, part in possible.items() if part is not None}
+    for role, part in {**needed, **given}.items():
+        require_block(part, "steering_loop", role, _EXAMPLES[role])
 
 
 def controller_of(loop: Loop) -> Block:

@@ -7,8 +7,12 @@ import difflib
 from collections import namedtuple
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, overload
 
+import numpy as np
+
 from steerkit.task import DT
 from steerkit.units import UNITS
+
+_CHANGEABLE = (list, dict, set, bytearray, np.ndarray)
 
 State = tuple[Any, ...]
 """A block's state: a flat tuple (often a NamedTuple) of scalars: floats, `(N,)` arrays or symbols."""
@@ -93,6 +97,9 @@ class Block:
     results, nothing is kept in the object. Equations use `steerkit.maths`, so that they serve floats, batches and
     CasADi symbols. A block whose `pure` is False (a real car) can be simulated step by step but not traced or
     batched.
+
+    Raises TypeError for a class that could remember: with an `__init__` of its own or a list, dictionary, set or array
+    as a class attribute, when the class is made; without `@dataclass(frozen=True, ...)`, when its first object is.
     """
 
     dt: float = DT
@@ -107,8 +114,17 @@ class Block:
     Y: ClassVar[type[Any]]
     """Named tuple of the outputs."""
 
+    def __new__(cls, *args: Any, **kwargs: Any) -> Self:
+        parameters = vars(cls).get("__dataclass_params__")  # the decorator comes after __init_subclass__
+        if parameters is None or not parameters.frozen:
+            raise TypeError(f"{cls.__name__} is no frozen dataclass, and could keep state in itself; {_DECORATE}")
+        return super().__new__(cls)
+
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
+        _check_forgetful(cls)
+        if "__repr__" not in vars(cls):
+            cls.__repr__ = Block.__repr__  # type: ignore[method-assign]  # the decorator leaves it alone then
         ports = {name: port for base in reversed(cls.__mro__) for name, port in vars(base).items()}
         cls.inputs = tuple(p for p in ports.values() if isinstance(p, In))
         cls.outputs = tuple(p for p in ports.values() if isinstance(p, Out))
@@ -132,6 +148,11 @@ class Block:
         """The state one sample time after t."""
         return x
 
+    def __repr__(self) -> str:
+        """Its parameters in a line or two, however many numbers they hold."""
+        values = (f"{field.name}={_brief(getattr(self, field.name))}" for field in dataclasses.fields(self) if field.repr)
+        return f"{type(self).__name__}({', '.join(values)})"
+
     def _repr_html_(self) -> str:
         """Parameters and ports as tables, for a notebook."""
         from steerkit.plots.notebook import block_html
@@ -151,6 +172,41 @@ class Block:
                 f"{type(self).__name__} has no port or parameter '{name}'{hint} "
                 f"(inputs: {', '.join(p.name for p in self.inputs) or 'none'}; "
                 f"outputs: {', '.join(p.name for p in self.outputs) or 'none'})"
+            )
+
+
+_SHOWN = 8
+"""Entries of a tuple that are printed."""
+
+
+def _brief(value: Any, *, inside: bool = False) -> str:
+    """A parameter as it is printed: arrays by their shape, long tuples by their first entries."""
+    if isinstance(value, np.ndarray) and value.size > _SHOWN:
+        return f"<array {value.shape}>"
+    if type(value) is not tuple or not value:
+        return repr(value)
+    if inside and not all(isinstance(entry, float | int | str) for entry in value):
+        return f"<{len(value)} entries>"
+    shown = [_brief(entry, inside=True) for entry in value[:_SHOWN]]
+    more = [f"... {len(value)} in all"] if len(value) > _SHOWN else [""] * (len(value) == 1)
+    return f"({', '.join([*shown, *more]).strip()})"
+
+
+_DECORATE = "write @dataclass(frozen=True, eq=False, kw_only=True) above the class; what changes goes into its state"
+
+
+def _check_forgetful(cls: type) -> None:
+    """Raise TypeError for a class whose objects would remember, as far as it can be known before it is decorated."""
+    if "__init__" in vars(cls):
+        raise TypeError(
+            f"{cls.__name__}.__init__: a block's parameters are fields, such as `gain: float = 2.0`, and checked in "
+            f"__post_init__; {_DECORATE}"
+        )
+    for name, value in vars(cls).items():
+        if isinstance(value, _CHANGEABLE) and not name.startswith("__"):
+            raise TypeError(
+                f"{cls.__name__}.{name} is a {type(value).__name__} of the class, which all its objects would share and "
+                f"could change; expected a tuple, or a field: `{name}: tuple[float, ...] = ()`"
             )
 
 

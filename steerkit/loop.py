@@ -13,6 +13,7 @@ import numpy as np
 from steerkit.block import Block, Port, State
 from steerkit.errors import WiringError
 from steerkit.files import read_npz, write_npz
+from steerkit.mistakes import check_outputs, check_state, explained
 from steerkit.wiring import Call, Place, Wire, Wiring, base_step, nearest
 
 if TYPE_CHECKING:
@@ -150,16 +151,12 @@ class Loop:
                 if not block.pure:
                     raise TypeError(f"{name} ({type(block).__name__}) is not pure: it cannot be batched, only stepped")
         shape = () if batch is None else (batch,)
-        start = [block.init(shape) for block in self._wiring.blocks] if x is None else list(x)
-        settled = start
-        for _ in range(len(start) + 1):
-            settled, y, changed = self._settle_all(start, settled)
-            if not changed:
-                return LoopState(0, tuple(settled), tuple(y))
-        raise WiringError(
-            f"{changed} is needed before its block can settle, and is another one after it has, however often all "
-            "blocks settle; make it independent of what `settle` finds"
-        )
+        try:
+            return self._started(shape, x)
+        except Exception as error:
+            if (teaching := explained(error, self.blocks)) is not None:
+                raise teaching from error
+            raise
 
     def settled(self, name: str, y: Sequence[Values]) -> State:
         """The state of a block as it would start if `y` (the outputs of all blocks, of one car) were the first sample.
@@ -176,6 +173,11 @@ class Loop:
         t = state.k * self.dt
         self.advance(state.k, x, y)
         return LoopState(state.k + 1, tuple(x), tuple(y)), Sample(self, t, y)
+
+    def check(self, before: Sequence[State], x: Sequence[State]) -> None:
+        """Raise WiringError where a block's `update` made something else than a state like the one `before`."""
+        for (name, block), old, new in zip(self.blocks.items(), before, x):
+            check_state(name, block, new, "update", like=old)
 
     def advance(self, k: int, x: list[State], y: list[Values]) -> None:
         """The tick k in place, on lists of states and outputs: what `step` and `simulate` stand on."""
@@ -260,38 +262,43 @@ class Loop:
         i, j = place
         return f"{self.names[i]}.{self._wiring.blocks[i].outputs[j].name}"
 
-    def _settle_all(self, start: list[State], before: list[State]) -> tuple[list[State], list[Values], str]:
+    def _started(self, shape: tuple[int, ...], x: Sequence[State] | None) -> LoopState:
+        start = [block.init(shape) for block in self._wiring.blocks] if x is None else list(x)
+        for (name, block), state in zip(self.blocks.items(), start):
+            check_state(name, block, state, "init", shape)
+        settled = start
+        for _ in range(len(start) + 1):
+            settled, y, changed = self._settle_all(start, settled, shape)
+            if not changed:
+                return LoopState(0, tuple(settled), tuple(y))
+        raise WiringError(
+            f"{changed} is needed before its block can settle, and is another one after it has, however often all "
+            "blocks settle; make it independent of what `settle` finds"
+        )
+
+    def _settle_all(
+        self, start: list[State], before: list[State], shape: tuple[int, ...]
+    ) -> tuple[list[State], list[Values], str]:
         """All blocks settled from their states `start`, their outputs, and the first output, by name, that was handed
         on as of the states `before` and is another one now."""
         x, y, early = list(start), list[Any]([None] * len(start)), dict[Place, Any]()
         for call in self._wiring.calls:
-            i, block = call.block, self._wiring.blocks[call.block]
+            i, block, name = call.block, self._wiring.blocks[call.block], self.names[call.block]
             u = block.D(*[math.nan if s is None else y[s[0]][s[1]] for s in call.sources])
-            try:
-                if call.final:
-                    x[i] = block.settle(0.0, x[i], u)
-                y[i] = block.output(0.0, x[i] if call.final else before[i], u)
-            except AttributeError as error:
-                if error.obj is not u:
-                    raise
-                raise WiringError(
-                    f"{self.names[i]}.output read '{error.name}', which is not one of its direct inputs "
-                    f"({', '.join(block.D._fields) or 'none'}); declare the port direct or move the use to update"
-                ) from None
-            self._check_outputs(call, y[i], u)
+            if call.final:
+                x[i] = block.settle(0.0, x[i], u)
+                check_state(name, block, x[i], "settle", shape, like=start[i])
+            y[i] = block.output(0.0, x[i] if call.final else before[i], u)
+            check_outputs(name, block, y[i], shape)
+            self._check_independence(call, y[i], u)
             early |= {(i, j): y[i][j] for j in call.early}
         changed = [place for place, value in early.items() if not _same(value, y[place[0]][place[1]])]
         return x, y, self._signal(changed[0]) if changed else ""
 
-    def _check_outputs(self, call: Call, y: Any, u: Any) -> None:
+    def _check_independence(self, call: Call, y: Any, u: Any) -> None:
         name, block = self.names[call.block], self._wiring.blocks[call.block]
-        if len(y) != len(block.outputs):
-            raise WiringError(f"{name}.output gave {len(y)} values, expected {len(block.outputs)}: {block.Y._fields}")
         unknown = {field for field, s in zip(u._fields, call.sources) if s is None}
         for out, value in zip(block.outputs, y):
-            size = getattr(block, out.name).size
-            if size is not None and len(value) != size:
-                raise WiringError(f"{name}.{out.name} has {len(value)} entries, expected {size}")
             independent = out.direct is not None and not unknown & {p.name for p in out.direct}
             if unknown and independent and np.isnan(np.asarray(value, dtype=float)).any():
                 raise WiringError(

@@ -172,6 +172,9 @@ class Table:
     def __len__(self) -> int:
         return len(self._tuples)
 
+    def __repr__(self) -> str:
+        return f"<Table {self.rows.shape}>"
+
     def __call__(self, index: Scalar) -> Sequence[Scalar]:
         if index.__class__ is float:
             return self._tuples[int(index)]

@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from steerkit.block import Port
+from steerkit.errors import require
 from steerkit.files import read_npz, write_npz
 from steerkit.loop import Loop, LoopState, Sample
+from steerkit.mistakes import explained
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -204,6 +206,7 @@ def simulate(
         raise ValueError(f"simulate: every = {every}, expected a whole number >= 1")
     if state is not None and batch is not None:
         raise ValueError("simulate: give state or batch, not both; the state knows its number of cars")
+    require(isinstance(loop, Loop), "simulate", f"{type(loop).__name__} is no Loop; expected steering_loop(...) or Loop(...)")
     start = loop.init(batch=batch) if state is None else state
     recorder = Recorder(loop, record)
     x, y = list(start.x), list(start.y)
@@ -212,12 +215,16 @@ def simulate(
     try:
         for k in _shown(ticks, progress):
             loop.advance(k, x, y)
+            if k == start.k:
+                loop.check(start.x, x)
             if k % every == 0:
                 recorder.add(k, y)
                 if until is not None and until(Sample(loop, k * loop.dt, y)):
                     break
     except Exception as error:
         error.add_note(f"in tick {k}, t = {k * loop.dt:g} s, of {loop!r}")
+        if (teaching := explained(error, loop.blocks)) is not None:
+            raise teaching from error
         raise
     log = recorder.log(LoopState(k + 1, tuple(x), tuple(y)))
     if not allow_nonfinite:

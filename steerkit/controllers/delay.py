@@ -18,7 +18,7 @@ from steerkit.errors import require
 from steerkit.maths import Scalar
 from steerkit.task import DT
 from steerkit.units import radians_of
-from steerkit.vehicles import Vehicle
+from steerkit.vehicles import Vehicle, require_vehicle
 
 Array = NDArray[np.float64]
 
@@ -150,6 +150,7 @@ class Predicted(Block):
 
         slew [m/s^3], a_y_limit [m/s^2]: of a car that is steered by torque; None: without.
         """
+        require_vehicle(vehicle, "Predicted.around")
         L = vehicle.wheelbase
         bound = cls.a_y_limit if a_y_limit is None else a_y_limit
         back = 0.0 if slew is None else 2.0 * bound / slew

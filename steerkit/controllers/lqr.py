@@ -17,7 +17,7 @@ from steerkit.errors import require
 from steerkit.maths import Scalar, Table
 from steerkit.task import DT, STOP
 from steerkit.units import radians_of
-from steerkit.vehicles import Vehicle
+from steerkit.vehicles import Vehicle, require_vehicle
 
 Array = NDArray[np.float64]
 Matrices = Callable[[float], tuple[Any, Any]]
@@ -219,6 +219,7 @@ class Lqr(Block):
         cost more, so that a slew which acts is the exception, and e counts up to 0.5 m only; None: without. sizes:
         e_size, e_dot_size, step_size of `LqrDesign`.
         """
+        require_vehicle(vehicle, "Lqr.of")
         require(preview_points >= 1, "Lqr", f"preview_points = {preview_points}, expected >= 1")
         require(0.0 < v_min < v_max and v_step > 0.0, "Lqr", f"speeds {v_min} to {v_max} by {v_step} m/s")
         design = LqrDesign(matrices=matrices, reference=vehicle.l_f, delay=delay, lag=lag, dt=dt, **sizes)

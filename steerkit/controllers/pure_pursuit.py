@@ -11,7 +11,7 @@ from steerkit.errors import require
 from steerkit.maths import Scalar
 from steerkit.path import Path
 from steerkit.task import DT, STOP
-from steerkit.vehicles import Vehicle
+from steerkit.vehicles import Vehicle, require_vehicle
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -69,6 +69,7 @@ class PurePursuit(Block):
         delay [s] of the steering: the only remedy is a goal farther away, at the price of cut corners. look_time grows
         by 2 delay and look_min by 8 m/s * delay: near the least |e| on the 795 m course for each delay, by search.
         """
+        require_vehicle(vehicle, "PurePursuit.of")
         require(0.0 <= delay <= 2.0, "PurePursuit", f"delay = {delay} [s], expected 0 to 2")
         return cls(
             path=path,

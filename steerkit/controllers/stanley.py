@@ -12,7 +12,7 @@ from steerkit.errors import require
 from steerkit.maths import Scalar
 from steerkit.task import DT, STOP
 from steerkit.units import radians_of
-from steerkit.vehicles import Vehicle
+from steerkit.vehicles import Vehicle, require_vehicle
 
 _NO_LIMIT = 1e3
 """m/s^2 or rad/s: more than any car can do."""
@@ -106,6 +106,7 @@ class Stanley(Block):
     @classmethod
     def of(cls, vehicle: Vehicle, *, dt: float = DT) -> Stanley:
         """The controller with geometry, mass, stiffness, ratio and stop of a `Vehicle`."""
+        require_vehicle(vehicle, "Stanley.of")
         return cls(
             mass=vehicle.m,
             c_f=vehicle.c_f,

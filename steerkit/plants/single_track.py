@@ -12,7 +12,7 @@ from steerkit import maths as m
 from steerkit.errors import require, require_within
 from steerkit.maths import Scalar
 from steerkit.plants.car import Car
-from steerkit.vehicles import Vehicle
+from steerkit.vehicles import Vehicle, require_vehicle
 
 V_KINEMATIC = 1.0
 """Up to this speed [m/s] a car rolls kinematically."""
@@ -73,7 +73,7 @@ class SingleTrack(Car):
 
     def __post_init__(self) -> None:
         where = type(self).__name__
-        require(isinstance(self.vehicle, Vehicle), where, f"vehicle = {self.vehicle!r}; give a Vehicle, vehicle('...')")
+        require_vehicle(self.vehicle, where)
         require(isinstance(self.substeps, int) and self.substeps >= 1, where, f"substeps = {self.substeps!r}, >= 1")
         p = self.vehicle
         # the lateral dynamics' larger diagonal entry where w/v is largest; 2 of 2.78 leaves room for the coupling

@@ -7,7 +7,7 @@ import difflib
 from steerkit.vehicles.file import read_vehicle, vehicle_of
 from steerkit.vehicles.fleet import FleetCar, drawn_car, drawn_number, fleet
 from steerkit.vehicles.named import BMW_320I, FORD_ESCORT, VEHICLES, VW_PASSAT, scaled
-from steerkit.vehicles.parameters import G, Vehicle
+from steerkit.vehicles.parameters import G, Vehicle, require_vehicle
 
 __all__ = [
     "BMW_320I",
@@ -19,6 +19,7 @@ __all__ = [
     "Vehicle",
     "drawn_car",
     "fleet",
+    "require_vehicle",
     "scaled",
     "vehicle",
     "vehicle_of",

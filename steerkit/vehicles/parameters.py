@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
-from steerkit.errors import require_within
+from steerkit.errors import require, require_within
 from steerkit.maths import Scalar
 from steerkit.task import STOP
 
@@ -72,3 +72,9 @@ class Vehicle:
         Then r/delta = v/(L + K v^2). K > 0 understeers. Source: Rajamani 2012, section 3.3.
         """
         return self.m * (self.c_r * self.l_r - self.c_f * self.l_f) / (self.c_f * self.c_r * self.wheelbase)
+
+
+def require_vehicle(vehicle: object, where: str) -> None:
+    """Raise ValueError, in the name of `where`, unless this is a `Vehicle`: a name is none yet."""
+    what = f"vehicle = {vehicle!r:.60}, expected a Vehicle; by name or from a file: vehicle('vw-passat')"
+    require(isinstance(vehicle, Vehicle), where, what)

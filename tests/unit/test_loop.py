@@ -310,6 +310,7 @@ def test_a_block_settles_as_if_a_sample_were_the_first() -> None:
         loop.settled("bell", state.y)
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Hardware(Count):
     """A block that is not pure."""
 

@@ -83,7 +83,7 @@ def test_nan_is_not_hidden(cls, inputs):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (dict(vehicle="vw-passat"), r"give a Vehicle, vehicle\('...'\)"),
+        (dict(vehicle="vw-passat"), r"expected a Vehicle; by name or from a file: vehicle\('vw-passat'\)"),
         (dict(dt=0.1), r"dt = 0.1 \[s\], expected .*raise substeps"),
         (dict(dt=0.0), r"dt = 0.0 \[s\]"),
         (dict(substeps=0), "substeps = 0"),
