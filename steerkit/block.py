@@ -118,6 +118,15 @@ class Block:
         parameters = vars(cls).get("__dataclass_params__")  # the decorator comes after __init_subclass__
         if parameters is None or not parameters.frozen:
             raise TypeError(f"{cls.__name__} is no frozen dataclass, and could keep state in itself; {_DECORATE}")
+        valid = [field.name for field in dataclasses.fields(cls) if field.init]
+        if args:
+            what = f"{len(args)} argument{'s' * (len(args) > 1)} without a name, expected parameters by name"
+            raise TypeError(f"{cls.__name__}: {what}: {', '.join(valid)}")
+        for name in kwargs:
+            if name not in valid:
+                near = difflib.get_close_matches(name, valid, n=1)
+                hint = f"; did you mean '{near[0]}'?" if near else ""
+                raise TypeError(f"{cls.__name__} has no parameter '{name}'{hint} (parameters: {', '.join(valid)})")
         return super().__new__(cls)
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
@@ -150,7 +159,9 @@ class Block:
 
     def __repr__(self) -> str:
         """Its parameters in a line or two, however many numbers they hold."""
-        values = (f"{field.name}={_brief(getattr(self, field.name))}" for field in dataclasses.fields(self) if field.repr)
+        values = (
+            f"{field.name}={_brief(getattr(self, field.name))}" for field in dataclasses.fields(self) if field.repr
+        )
         return f"{type(self).__name__}({', '.join(values)})"
 
     def _repr_html_(self) -> str:
@@ -205,8 +216,8 @@ def _check_forgetful(cls: type) -> None:
     for name, value in vars(cls).items():
         if isinstance(value, _CHANGEABLE) and not name.startswith("__"):
             raise TypeError(
-                f"{cls.__name__}.{name} is a {type(value).__name__} of the class, which all its objects would share and "
-                f"could change; expected a tuple, or a field: `{name}: tuple[float, ...] = ()`"
+                f"{cls.__name__}.{name} is a {type(value).__name__} of the class, which all its objects would share; "
+                f"expected a tuple, or a field: `{name}: tuple[float, ...] = ()`"
             )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import MISSING, dataclass, fields, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -15,6 +15,7 @@ from steerkit.controllers.stanley import Stanley
 from steerkit.controllers.trimmed import Trimmed
 from steerkit.doe import Dynamic, Integrator, LowPass, PlainAngle
 from steerkit.errors import known, require
+from steerkit.mistakes import in_one_line
 from steerkit.outside import imported, is_outside
 from steerkit.path import Path
 from steerkit.plants.car import Car
@@ -193,8 +194,7 @@ def _own(name: str, belief: Belief) -> Block:
     try:
         block = make(belief)
     except Exception as error:
-        line = (str(error).splitlines() or [""])[0]
-        raise ValueError(f"{where} failed: {type(error).__name__}: {line}") from error
+        raise ValueError(f"{where} failed: {in_one_line(error)}") from error
     expected = "expected a Block with an output delta_sw [rad]"
     require(isinstance(block, Block), where, f"returned {_called(block)}, {expected}")
     outputs = {port.name: port.unit for port in block.outputs}
@@ -230,7 +230,21 @@ def make_recovery(name: str, belief: Belief) -> Block:
 def make_element(name: str, vehicle: Vehicle | None = None) -> Dynamic:
     """The dynamic output element of that name (see `ELEMENTS`), within the steering wheel's stops of `vehicle`.
 
-    Without a vehicle the stops are at 520 degrees. Raises ValueError for an unknown name, with the valid ones.
+    name: or `my_file.py:Class`, `package.module:Class`, a subclass of `Dynamic` of your own, which is made with its
+    default parameters. Without a vehicle the stops are at 520 degrees. Raises ValueError for an unknown name, with the
+    valid ones, and for a class that is no such element.
     """
-    kind = ELEMENTS[known(name, ELEMENTS, "element")]
+    kind = element_kind(name)
     return kind() if vehicle is None else kind(limit=vehicle.delta_sw_max)
+
+
+def element_kind(name: str) -> type[Dynamic]:
+    """The class of an output element: see `make_element`."""
+    if not is_outside(name):
+        return ELEMENTS[known(name, ELEMENTS, "element", also="my_file.py:Class")]
+    kind, where = imported(name, "element"), f"element '{name}'"
+    fits = isinstance(kind, type) and issubclass(kind, Dynamic) and kind is not Dynamic
+    require(fits, where, f"{_called(kind)}, expected a subclass of Dynamic (steerkit.doe)")
+    asks = [f.name for f in fields(kind) if f.init and f.default is MISSING and f.default_factory is MISSING]
+    require(not asks, where, f"{kind.__name__} has no default for {', '.join(asks)}, expected one for every parameter")
+    return kind

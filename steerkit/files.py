@@ -6,6 +6,7 @@ import errno
 import math
 import os
 import threading
+import tomllib
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
@@ -52,6 +53,44 @@ def write_text(file: File, text: str, *, durable: bool = True) -> None:
     """Write a text file (UTF-8), whole or not at all: see `whole`."""
     with whole(file, durable=durable) as draft:
         draft.write_text(text, encoding="utf-8")
+
+
+_NO_TEXT = {
+    b"PK\x03\x04": "a ZIP archive, such as a spreadsheet; export it as CSV",
+    b"\x1f\x8b": "compressed by gzip; unpack it",
+    b"\xff\xfe": "UTF-16 text; save it as UTF-8",
+    b"\xfe\xff": "UTF-16 text; save it as UTF-8",
+    b"\x89PNG": "a picture",
+    b"%PDF": "a PDF",
+}
+"""How files begin that are often taken for text."""
+
+
+def read_text(file: File, where: str) -> str:
+    """The text of a file in UTF-8, without the byte-order mark that some programs put before it.
+
+    Raises ValueError, in the name of `where`, for what is no such text, saying what it looks like; OSError as it is.
+    """
+    data = FilePath(file).read_bytes()
+    known = next((what for start, what in _NO_TEXT.items() if data.startswith(start)), "")
+    what = known or ("binary" if b"\0" in data else "")
+    require(not what, where, f"{file} is {what}, expected text in UTF-8" if not known else f"{file} is {known}")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        what = f"{file}, line {line}: byte {data[error.start]:#x} is not UTF-8 (Latin-1?); save the file as UTF-8"
+        raise ValueError(f"{where}: {what}") from error
+
+
+def read_toml(file: File, where: str) -> dict[str, Any]:
+    """What a TOML file holds; raises ValueError, in the name of `where`, for one that cannot be read or is no TOML."""
+    try:
+        return tomllib.loads(read_text(file, where))
+    except OSError as error:
+        raise ValueError(f"{where}: cannot be read ({error.strerror}), expected a TOML file") from error
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"{where}: not TOML ({error})") from error
 
 
 def write_npz(file: File, arrays: Mapping[str, Any], *, compressed: bool = False, durable: bool = True) -> None:

@@ -57,15 +57,18 @@ def place_of(error: BaseException, blocks: Mapping[str, Block]) -> Place | None:
 
 
 def explained(error: Exception, blocks: Mapping[str, Block]) -> WiringError | None:
-    """The error of a block's code as one that says what a block does instead; None if it is none of the usual ones.
+    """The error of a block's code as one that says what a block does instead; None if it is none of the usual ones,
+    which is then given a note that says where it came up.
 
     `if` of a signal in a batch, functions of `math` on arrays, an attribute that is set, an input that is not there,
     wrong names for `self.Y`.
     """
     if isinstance(error, WiringError) or (place := place_of(error, blocks)) is None:
         return None
-    what = _mistake(error, place)
-    return WiringError(f"{place.text}, {place.line}: {what}") if what else None
+    if what := _mistake(error, place):
+        return WiringError(f"{place.text}, {place.line}: {what}")
+    error.add_note(f"in {place.text}, {place.line}")
+    return None
 
 
 def _mistake(error: Exception, place: Place) -> str:
@@ -76,7 +79,7 @@ def _mistake(error: Exception, place: Place) -> str:
             "m.where(condition, a, b), m.minimum, m.maximum of steerkit.maths"
         )
     if isinstance(error, TypeError) and "can be converted to Python scalars" in text:
-        return "gives an array (a batch of cars) to a function of `math` or to float(); take sin, sqrt, ... of steerkit.maths"
+        return "gives an array (a batch of cars) to `math` or to float(); take sin, sqrt, ... of steerkit.maths"
     if isinstance(error, dataclasses.FrozenInstanceError):
         return f"sets an attribute ({text}); a block keeps nothing: give it a state by `init`, changed by `update`"
     if isinstance(error, AttributeError) and type(error.obj).__name__ in ("U", "D") and place.called:
@@ -101,6 +104,13 @@ def _no_input(error: AttributeError, block: Block, method: str) -> str:
 
 def _answer(block: Block) -> str:
     return f"self.Y({', '.join(f'{name}=...' for name in block.Y._fields)})"
+
+
+def in_one_line(error: BaseException) -> str:
+    """What somebody's own code raised, with the notes that say where."""
+    text = " ".join(str(error).split())
+    kind = "" if isinstance(error, WiringError) else f"{type(error).__name__}: "
+    return "; ".join([f"{kind}{text}", *getattr(error, "__notes__", ())])
 
 
 def check_outputs(name: str, block: Block, y: Any, shape: tuple[int, ...] | None = None) -> None:

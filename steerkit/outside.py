@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import importlib
 import importlib.util
+import os
 import sys
 from functools import lru_cache
 from pathlib import Path
@@ -12,6 +13,9 @@ from types import ModuleType
 from typing import Any
 
 from steerkit.errors import require
+
+_PREFIX = "_steerkit_outside_"
+"""How the names of modules begin that are files of users."""
 
 
 def is_outside(name: str) -> bool:
@@ -33,6 +37,22 @@ def imported(name: str, where: str) -> Any:
     public = [key for key in vars(module) if not key.startswith("_")]
     require(hasattr(module, thing), where, f"{home} has no '{thing}'; it has {', '.join(public) or 'nothing'}")
     return getattr(module, thing)
+
+
+def name_of(thing: type) -> str:
+    """The name by which `imported` finds a class again, in this program and in a later one; empty: by none."""
+    module = sys.modules.get(thing.__module__)
+    file = getattr(module, "__file__", None)
+    home = thing.__module__
+    if home.startswith(_PREFIX) and file:
+        home = os.path.relpath(file) if Path(file).is_relative_to(Path.cwd()) else file
+    name = f"{home}:{thing.__qualname__}"
+    if home == "__main__" or module is None or "." in thing.__qualname__ or not file:
+        return ""
+    try:
+        return name if imported(name, "class") is thing else ""
+    except ValueError:
+        return ""
 
 
 def fingerprint(name: str, where: str) -> str:
@@ -58,7 +78,7 @@ def _from_file(file: Path, where: str) -> ModuleType:
 @lru_cache
 def _run(file: Path, text: bytes) -> ModuleType:
     """The module in a file; once for each text, so that classes in it stay the same ones."""
-    key = f"_steerkit_outside_{_digest(str(file).encode() + text)}_{file.stem}"
+    key = f"{_PREFIX}{_digest(str(file).encode() + text)}_{file.stem}"
     spec = importlib.util.spec_from_file_location(key, file)
     assert spec is not None
     module = importlib.util.module_from_spec(spec)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from steerkit import maths as m
-from steerkit.files import write_text
+from steerkit.files import read_text, write_text
 from steerkit.maths import Scalar, Table
 from steerkit.waypoints import check_gps, checked, distances, read_columns, ring
 
@@ -116,7 +116,7 @@ class Path:
         Other columns are ignored. smoothing [m]: by default 0 for x, y and 0.1 for lat, lon. name: by default the
         file's. Raises ValueError for a missing column or a cell that is no number, and as `from_waypoints`.
         """
-        text = File(file).read_text(encoding="utf-8")
+        text = read_text(file, "Path.from_csv")
         return cls.from_text(
             text, closed=closed, smoothing=smoothing, spacing=spacing, name=name or File(file).stem, where=f"{file}"
         )

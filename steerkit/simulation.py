@@ -206,7 +206,11 @@ def simulate(
         raise ValueError(f"simulate: every = {every}, expected a whole number >= 1")
     if state is not None and batch is not None:
         raise ValueError("simulate: give state or batch, not both; the state knows its number of cars")
-    require(isinstance(loop, Loop), "simulate", f"{type(loop).__name__} is no Loop; expected steering_loop(...) or Loop(...)")
+    require(
+        isinstance(loop, Loop),
+        "simulate",
+        f"{type(loop).__name__} is no Loop; expected steering_loop(...) or Loop(...)",
+    )
     start = loop.init(batch=batch) if state is None else state
     recorder = Recorder(loop, record)
     x, y = list(start.x), list(start.y)

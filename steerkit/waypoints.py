@@ -18,9 +18,21 @@ def read_columns(text: str, where: str) -> dict[str, Array]:
 
     Raises ValueError for an empty file, a ragged row or a cell that is no number, with its line.
     """
+    if text.lstrip().startswith("<"):
+        raise ValueError(
+            f"{where}: is XML (GPX?), expected CSV; write its positions under a header 'lat,lon', one a line, as "
+            "lat and lon of every <trkpt> stand in a GPX file"
+        )
     lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip() and line.lstrip()[0] != "#"]
     if len(lines) < 2:
         raise ValueError(f"{where}: no rows, expected a header such as 'x,y' or 'lat,lon' and one point a line")
+    head = lines[0][1]
+    for sign, called in ((";", "semicolons"), ("\t", "tabs"), ("|", "bars")):
+        if sign in head and "," not in head:
+            raise ValueError(
+                f"{where}: line {lines[0][0]} is {head!r}: columns parted by {called}, expected commas, and points in "
+                "numbers (52.28, not 52,28)"
+            )
     names, *rows = ([cell.strip().lower() for cell in row] for row in csv.reader(line for _, line in lines))
     if all(_is_number(name) for name in names):
         raise ValueError(f"{where}: line {lines[0][0]} holds numbers, expected a header such as 'x,y' or 'lat,lon'")

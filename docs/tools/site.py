@@ -12,7 +12,7 @@ from mkdocs.structure.files import File
 
 ROOT = Path(__file__).parents[2]
 GROUPS: dict[str, tuple[str, ...]] = {
-    "Blocks and loops": ("block", "wiring", "loop", "simulation", "assembly", "catalogue", "scenario"),
+    "Blocks and loops": ("block", "mistakes", "wiring", "loop", "simulation", "assembly", "catalogue", "scenario"),
     "Base": ("maths", "units", "random", "clock", "errors", "files", "native", "outside", "task"),
     "Pictures": ("plots",),
     "Paths and courses": ("path", "tracker", "courses", "roads", "waypoints"),

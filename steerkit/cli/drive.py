@@ -64,6 +64,7 @@ def drive(
             print(json.dumps(figures))
         return
     from steerkit.catalogue import CONTROLLERS
+    from steerkit.errors import require
     from steerkit.learning import report
     from steerkit.simulation import Log
 
@@ -71,6 +72,10 @@ def drive(
         valid = ", ".join(CONTROLLERS)
         own = "the directory of a learning run, my_file.py:make"
         raise ValueError(f"drive: with which controller? valid: {valid}, nfq, {own}")
+    films = animate is None or animate.suffix in (".gif", ".mp4")
+    require(films, f"--animate {animate}", "expected a name that ends in .gif or .mp4")
+    folder = out is None or out.is_dir() or not out.exists()
+    require(folder, f"--out {out}", "is a file, expected a directory for log and picture")
     world = scenario_of(ctx)
     where = driven_on(world, options.conditions)
     if name == "nfq":

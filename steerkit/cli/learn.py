@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import json
 import sys
-import tomllib
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -56,6 +55,7 @@ def learn(
         if options.as_json:
             print(json.dumps(figures))
         return
+    from steerkit.files import read_toml
     from steerkit.learning import report, rundir
     from steerkit.learning.experiment import Experiment
 
@@ -64,7 +64,7 @@ def learn(
         time = 11.0 if minutes is None else minutes
         experiment = Experiment(setting=named(setting), world=world, minutes=time, rounds=rounds, seed=options.seed)
     else:
-        experiment = rundir.from_plain(_toml(config), str(config), Experiment)
+        experiment = rundir.from_plain(read_toml(config, f"--config {config}"), str(config), Experiment)
     experiment = replace(experiment, setting=changed(experiment.setting, changes or ()))
     name = "-".join((experiment.setting.name, *(changes or ())))
     place = out or Path("runs") / f"{name}-{driven_on(experiment.world, options.conditions)}-seed{experiment.seed}"
@@ -74,16 +74,9 @@ def learn(
     except KeyboardInterrupt:
         print(f"steerkit: interrupted; the same with --out {place} goes on from the last training", file=sys.stderr)
         raise
+    except OSError as error:
+        error.add_note(f"the run is kept up to its last training; the same with --out {place} goes on from there")
+        raise
     report.show(place, quiet=options.quiet)
     if options.as_json:
         print(json.dumps(report.figures_of_merit(run)))
-
-
-def _toml(file: Path) -> dict[str, Any]:
-    try:
-        with file.open("rb") as stream:
-            return tomllib.load(stream)
-    except OSError as error:
-        raise ValueError(f"--config {file}: cannot be read ({error.strerror})") from error
-    except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"--config {file}: not TOML ({error})") from error

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import difflib
-import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from steerkit.errors import require
+from steerkit.files import read_toml
 from steerkit.units import RAD_PER_DEG
 
 QUANTITIES = {"t": "s", "delta_sw": "rad", "v": "m/s", "r": "rad/s", "psi": "rad"}
@@ -63,12 +63,7 @@ class ColumnMap:
     @classmethod
     def load(cls, file: str | Path) -> ColumnMap:
         """A map from a TOML file with a table `[columns]`; raises ValueError saying what is wrong where."""
-        try:
-            data = tomllib.loads(Path(file).read_text(encoding="utf-8"))
-        except OSError as error:
-            raise ValueError(f"--map {file}: cannot be read ({error.strerror})") from error
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise ValueError(f"--map {file}: not TOML ({error})") from error
+        data = read_toml(file, f"--map {file}")
         require("columns" in data, f"--map {file}", f"no table [columns]; it holds {', '.join(data) or 'nothing'}")
         return cls.of(data["columns"], where=f"--map {file}")
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from numbers import Integral, Real
 from typing import Any
 
 from steerkit.assembly import with_controller
@@ -62,7 +63,17 @@ class Experiment:
     """Seed of the nets, the human and the sensors."""
 
     def __post_init__(self) -> None:
-        require(0.0 < self.minutes < math.inf, "Experiment", f"minutes = {self.minutes}, expected > 0")
+        asked = (
+            f"setting = {self.setting!r:.60}, expected a Setting; by name: steerkit.learning.settings.setting('paper')"
+        )
+        require(isinstance(self.setting, Setting), "Experiment", asked)
+        asked = f"world = {self.world!r:.60}, expected a Scenario, such as Scenario(course='paper')"
+        require(isinstance(self.world, Scenario), "Experiment", asked)
+        for name, kinds in (("minutes", Real), ("episodes", Integral), ("rounds", Integral), ("seed", Integral)):
+            value = getattr(self, name)
+            number = isinstance(value, kinds) and not isinstance(value, bool)
+            require(number, "Experiment", f"{name} = {value!r}, expected a {'whole ' * (kinds is Integral)}number")
+        require(0.0 < self.minutes < math.inf, "Experiment", f"minutes = {self.minutes}, expected > 0 min")
         require(self.episodes >= 1, "Experiment", f"episodes = {self.episodes}, expected >= 1")
         require(self.rounds >= 0, "Experiment", f"rounds = {self.rounds}, expected >= 0")
         require(self.seed >= 0, "Experiment", f"seed = {self.seed}, expected >= 0")

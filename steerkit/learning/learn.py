@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path as FilePath
 
+from steerkit.errors import require
 from steerkit.learning import rundir
 from steerkit.learning.experiment import Experiment, LearningRun, Watcher
+from steerkit.learning.ownership import held, is_free
 
 
 def learn(
@@ -14,24 +17,59 @@ def learn(
     """Run an experiment to its end and return the run; with a `directory`, keep everything there.
 
     A directory that holds an unfinished run of the same experiment is resumed from its last training, with the
-    same numbers as if it had never stopped. watch: called with "failed", "trained" or "round" and the run.
-    Raises ValueError when the directory holds something else.
+    same numbers as if it had never stopped. One that has come to its end learns on where `minutes`, `episodes` or
+    `rounds` are more now, with the same numbers as if it had been so many from the start. watch: called with
+    "failed", "trained" or "round" and the run.
+    Raises ValueError when the directory holds something else, when another process learns in it, and for parts of
+    your own that could not be found again when the run is read.
     """
-    place = None if directory is None else FilePath(directory)
-    if place is not None and (place / "run.json").exists():
-        run = rundir.load(place, watch=watch)
-        if run.experiment != experiment:
-            raise ValueError(f"learn: {place} holds a run of another experiment; choose another directory")
-    else:
-        if place is not None:
-            if place.exists() and any(place.iterdir()):
-                raise ValueError(f"learn: {place} is not empty and holds no run; choose a new directory")
-            place.mkdir(parents=True, exist_ok=True)
-        run = LearningRun(experiment, watch)
-        if place is not None:
+    what = f"{experiment!r:.60}, expected an Experiment, such as Experiment(world=Scenario(course='paper'), minutes=2)"
+    require(isinstance(experiment, Experiment), "learn", what)
+    if directory is None:
+        return _driven(LearningRun(experiment, watch))
+    rundir.plain(experiment)
+    place = FilePath(directory)
+    made = f"{place} is a file, expected a directory for the run; choose another name"
+    require(place.is_dir() or not place.exists(), "learn", made)
+    begun = (place / "run.json").exists()
+    free = begun or not place.exists() or is_free(place)
+    require(free, "learn", f"{place} is not empty and holds no run; choose a new directory")
+    place.mkdir(parents=True, exist_ok=True)
+    with held(place):
+        if (place / "run.json").exists():
+            run = rundir.resumed(place, watch=watch)
+            _check_same(run.experiment, experiment, place)
+            run.experiment = experiment
+        else:
+            run = LearningRun(experiment, watch)
             rundir.keep_in(run, place)
+        return _driven(run)
+
+
+def _driven(run: LearningRun) -> LearningRun:
     while not run.done():
         run.drive()
     if run.keep is not None:
         run.keep(run)
     return run
+
+
+ENDS = ("minutes", "episodes", "rounds")
+"""What ends a run, and changes nothing in it until then."""
+
+
+def _check_same(kept: Experiment, asked: Experiment, place: FilePath) -> None:
+    """Raise ValueError unless a kept run can go on as the experiment that is asked for."""
+    same = replace(asked, **{name: getattr(kept, name) for name in ENDS})
+    differing = [name for name in ("setting", "world", "seed") if getattr(same, name) != getattr(kept, name)]
+    what = f"{place} holds a run of another experiment: its {' and '.join(differing)} differ"
+    require(not differing, "learn", f"{what}; choose another directory")
+    less = [name for name in ENDS if _later(getattr(kept, name)) > _later(getattr(asked, name))]
+    told = ", ".join(f"{name} {getattr(kept, name):g}, now {getattr(asked, name):g}" for name in less)
+    require(
+        not less, "learn", f"{place} holds a run of more: {told}; give as many or more, or choose another directory"
+    )
+
+
+def _later(end: float) -> float:
+    return end or float("inf")  # rounds = 0: never

@@ -19,6 +19,8 @@ from steerkit.learning.experiment import Experiment, LearningRun, Watcher
 from steerkit.learning.learn import learn
 from steerkit.learning.pictures import paper as figures
 from steerkit.metrics import of_log
+from steerkit.mistakes import in_one_line
+from steerkit.outside import is_outside
 from steerkit.scenario import Scenario
 from steerkit.scenario import drive as evaluate
 from steerkit.simulation import Log
@@ -88,11 +90,13 @@ def show(place: FilePath, *, quiet: bool = False) -> dict[str, Any]:
     console.print(table)
     world = run.experiment.world
     logs = {
-        "learned": evaluate.drive(world, rundir.final_policy(place), doe=run.experiment.setting.element(world.nominal)),
+        "learned": evaluate.drive(
+            world, rundir.final_policy(place, run.counts.updates), doe=run.experiment.setting.element(world.nominal)
+        ),
         "stanley": evaluate.drive(world, world.catcher()),
     }
     console.print(comparison(f"one round of {world.course}, the final net", logs))
-    drive = rundir.drive_log(place)
+    drive = rundir.drive_log(place, until=run.t)
     name = run.experiment.setting.name
     figures.learning(drive, title=f"{name} on {world.course}: from the first second").savefig(place / "learning.png")
     figures.round_driven(logs["learned"], logs["stanley"], title=f"{name} on {world.course}: final net").savefig(
@@ -120,7 +124,12 @@ def drive_and_draw(
         )
     else:
         steering = evaluate.controller(name, world)
-        log = evaluate.drive(world, steering, rounds=rounds, seed=seed, progress=not quiet)
+        try:
+            log = evaluate.drive(world, steering, rounds=rounds, seed=seed, progress=not quiet)
+        except Exception as error:
+            if not is_outside(name):
+                raise
+            raise ValueError(f"controller '{name}' failed: {in_one_line(error)}") from error
     place.mkdir(parents=True, exist_ok=True)
     log.save(place / "drive.npz")
     figures.round_driven(log, title=f"{name} on {world.course}").savefig(place / "drive.png")

@@ -10,6 +10,7 @@ drive/NNNN.npz      the signals between two checkpoints, 20 a second
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import asdict, fields, is_dataclass, replace
 from functools import partial
 from pathlib import Path as FilePath
@@ -17,6 +18,7 @@ from typing import Any
 
 from steerkit.catalogue import OLD_ELEMENTS
 from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.errors import require
 from steerkit.files import write_text
 from steerkit.learning import costs
 from steerkit.learning.counts import Counts, Episode
@@ -27,6 +29,7 @@ from steerkit.learning.nfq.update import Learned
 from steerkit.learning.recorder import Before
 from steerkit.learning.settings import Setting
 from steerkit.learning.trainer import SimulatedTrainer
+from steerkit.outside import imported, is_outside, name_of
 from steerkit.scenario import Scenario
 from steerkit.scenario.file import of_table
 from steerkit.simulation import Log, joined
@@ -34,16 +37,35 @@ from steerkit.simulation import Log, joined
 FORMAT = "steerkit run 2"
 
 
+KINDS = {c.__name__: c for c in (Experiment, Setting, FitSetting, *costs.COSTS)}
+"""What an experiment is made of, by the names under which runs keep it; scenarios are read by `of_table`."""
+
+
+def kind_of(cls: type) -> str:
+    """The name under which a run keeps a class, and finds it again; raises ValueError for one that cannot be found.
+
+    One of your own is `package.module:Class`, or `my_file.py:Class` if it was loaded by that name.
+    """
+    if cls is Scenario or KINDS.get(cls.__name__) is cls:
+        return cls.__name__
+    name = name_of(cls)
+    what = (
+        f"a {cls.__name__} of your own ({cls.__module__}.{cls.__qualname__}), which the run could not find again; put "
+        f"the class into a module that can be imported, and take it from there: from my_parts import {cls.__name__}"
+    )
+    require(name, "experiment", what)
+    return name
+
+
 def plain(value: Any) -> Any:
     """Nested dataclasses as dictionaries that JSON and TOML can hold; the class is kept under `kind`."""
     if is_dataclass(value) and not isinstance(value, type):
-        return {"kind": type(value).__name__} | {f.name: plain(getattr(value, f.name)) for f in fields(value)}
+        return {"kind": kind_of(type(value))} | {f.name: plain(getattr(value, f.name)) for f in fields(value)}
     return list(value) if isinstance(value, tuple) else value
 
 
 def from_plain(data: Any, where: str, default: type | None = None) -> Any:
     """What `plain` was given; missing fields take their defaults. Raises ValueError naming an unknown key."""
-    kinds = {c.__name__: c for c in (Experiment, Setting, FitSetting, *costs.COSTS)}
     if isinstance(data, list):
         return tuple(data)
     if not isinstance(data, dict):
@@ -51,17 +73,30 @@ def from_plain(data: Any, where: str, default: type | None = None) -> Any:
     name = data.get("kind", default.__name__ if default else None)
     if name in ("Scenario", "World"):  # a world, in runs of before
         return of_table(data, where)
-    if name not in kinds:
-        raise ValueError(f"{where}: kind {name!r} is not known; valid: {', '.join(kinds)}")
-    kind = kinds[name]
-    if kind is Setting and data.get("doe") in OLD_ELEMENTS:
-        data = data | {"doe": OLD_ELEMENTS[data["doe"]]}
+    kind = KINDS.get(name) if not is_outside(str(name)) else _own_kind(name, where)
+    if kind is None:
+        raise ValueError(f"{where}: kind {name!r} is not known; valid: {', '.join(KINDS)}, package.module:Class")
+    if issubclass(kind, Scenario):
+        return of_table(data, where, kind)
     inside = {"setting": Setting, "world": Scenario, "fit": FitSetting, "cost": costs.TanhCost}
+    if issubclass(kind, Setting) and data.get("doe") in OLD_ELEMENTS:
+        data = data | {"doe": OLD_ELEMENTS[data["doe"]]}
     valid = [f.name for f in fields(kind)]
     for key in data:
         if key != "kind" and key not in valid:
             raise ValueError(f"{where}: {name} has no field '{key}'; valid: {', '.join(valid)}")
     return kind(**{k: from_plain(v, f"{where}.{k}", inside.get(k)) for k, v in data.items() if k != "kind"})
+
+
+def _own_kind(name: str, where: str) -> type:
+    """A class of somebody's own: a part of an experiment, and nothing else that could be imported."""
+    kind = imported(name, where)
+    fits = isinstance(kind, type) and is_dataclass(kind)
+    known = (Scenario, Setting, FitSetting)
+    part = fits and (issubclass(kind, known) or all(hasattr(kind, n) for n in ("goal", "__call__")))
+    expected = "a dataclass that extends Scenario or Setting, or a cost"
+    require(part, where, f"kind '{name}' is no part of an experiment, expected {expected}")
+    return kind
 
 
 def keep_in(run: LearningRun, place: FilePath) -> None:
@@ -96,7 +131,7 @@ def save(run: LearningRun, place: FilePath) -> None:
     }
     write_text(place / "run.json", json.dumps(document, indent=1))
     for stale in (*place.glob("state-*.npz"), *place.glob("transitions-*.npz"), *place.glob("nets/steering-*.npz")):
-        if stale.stem.split("-")[1] != str(number):
+        if int(stale.stem.split("-")[1]) not in (number, number - 1):  # somebody may be reading the one before
             stale.unlink()
 
 
@@ -117,12 +152,31 @@ def document(place: FilePath) -> dict[str, Any]:
     return data
 
 
-def load(place: FilePath, *, watch: Watcher | None = None) -> LearningRun:
-    """The run as it was at its last checkpoint, ready to go on. Raises ValueError for a broken directory."""
+def load(place: FilePath) -> LearningRun:
+    """The run as it was at its last checkpoint, also while it is being learned; raises ValueError for a broken one."""
+    while True:
+        data = document(place)
+        try:
+            return _load(place, data)
+        except (ValueError, OSError):
+            if document(place)["checkpoint"] == data["checkpoint"]:
+                raise  # else the learner wrote a newer one meanwhile, and took this one away
+
+
+def resumed(place: FilePath, *, watch: Watcher | None = None) -> LearningRun:
+    """The run, to go on with and to be kept where it is; only for who has `ownership.held` its directory."""
     data = document(place)
+    run = _load(place, data)
+    run.watch, run.keep = watch, partial(save, place=place)
+    for stale in place.glob("drive/*.npz"):  # a chunk written after the last whole checkpoint
+        if int(stale.stem) > data["checkpoint"]:
+            stale.unlink()
+    return run
+
+
+def _load(place: FilePath, data: dict[str, Any]) -> LearningRun:
     number = data["checkpoint"]
-    run = LearningRun(from_plain(data["experiment"], "run.json"), watch)
-    run.keep = partial(save, place=place)
+    run = LearningRun(from_plain(data["experiment"], "run.json"))
     story, counts = run.story, data["counts"]
     story.counts = Counts(**{**counts, "episodes": [Episode(**e) for e in counts["episodes"]]})
     state = run.loop.load_state(_existing(place / f"state-{number}.npz"))
@@ -141,16 +195,14 @@ def load(place: FilePath, *, watch: Watcher | None = None) -> LearningRun:
     if data["before"] is not None:  # of the last sample that was driven
         s, action = data["before"]
         story.recorder.before = Before(story.counts.k // run.ticks - 1, tuple(s), action)
-    for stale in place.glob("drive/*.npz"):  # a chunk written after the last whole checkpoint
-        if int(stale.stem) > number:
-            stale.unlink()
     return run
 
 
-def drive_log(place: FilePath) -> Log:
-    """All signals of a run, from its start to its last checkpoint."""
+def drive_log(place: FilePath, *, until: float = math.inf) -> Log:
+    """All signals of a run, from its start to its last checkpoint, or to an earlier one at driving time `until` [s]."""
     data = document(place)
-    return joined([Log.load(_existing(place / "drive" / f"{n:04d}.npz")) for n in range(data["checkpoint"] + 1)])
+    parts = [Log.load(_existing(place / "drive" / f"{n:04d}.npz")) for n in range(data["checkpoint"] + 1)]
+    return joined([part for part in parts if not len(part.t) or part.t[0] < until])
 
 
 def experiment_of(place: FilePath) -> Experiment:
@@ -158,9 +210,9 @@ def experiment_of(place: FilePath) -> Experiment:
     return from_plain(document(place)["experiment"], "run.json")
 
 
-def final_policy(place: FilePath) -> NfqPolicy:
-    """The policy of a run's last update."""
-    updates = document(place)["counts"]["updates"]
+def final_policy(place: FilePath, updates: int | None = None) -> NfqPolicy:
+    """The policy of a run's last update, or of an earlier one by its number."""
+    updates = document(place)["counts"]["updates"] if updates is None else updates
     return NfqPolicy.load(_existing(FilePath(place) / "nets" / f"net-{updates:04d}.npz"))
 
 

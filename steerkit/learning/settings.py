@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any
 
-from steerkit.catalogue import ELEMENTS, make_element
+from steerkit.catalogue import element_kind, make_element
 from steerkit.controllers.state_description import StateDescription
 from steerkit.doe import Dynamic
 from steerkit.errors import require
@@ -30,7 +30,8 @@ class Setting:
     actions_deg: tuple[float, ...] = (-25.0, -10.0, -3.0, 0.0, 3.0, 10.0, 25.0)
     """The actions [deg]: steps a sample for the integrator, angles for `plain` and `low-pass`."""
     doe: str = "integrator"
-    """Dynamic output element: `integrator`, `low-pass` or `plain`."""
+    """Dynamic output element: `integrator`, `low-pass` or `plain`; or one of your own, `my_file.py:Class`: see
+    `steerkit.catalogue.make_element`."""
     cost: Cost = field(default_factory=lambda: TanhCost(goal=0.15, action_cost=0.025))
     """Cost of a transition: see `steerkit.learning.costs`."""
     # Measured model-free (8 seeds, clean, 2.5 min): one iteration every 10 to 30 m beats two every 60 m (GOOD after 47
@@ -84,7 +85,7 @@ class Setting:
         require(self.reset_seconds >= 0.0, "Setting", f"reset_seconds = {self.reset_seconds} s, expected >= 0")
         require(self.calm > 0.0, "Setting", f"calm = {self.calm} m/s, expected > 0")
         require(len(self.actions_deg) >= 2, "Setting", f"actions_deg = {self.actions_deg}, expected at least two")
-        require(self.doe in ELEMENTS, "Setting", f"doe '{self.doe}'; valid: {', '.join(ELEMENTS)}")
+        element_kind(self.doe)
         require(self.retrain_every_m >= 0.0, "Setting", f"retrain_every_m = {self.retrain_every_m} m, expected >= 0")
         require(self.fit_seconds >= 0.0, "Setting", f"fit_seconds = {self.fit_seconds} s, expected >= 0")
 

@@ -78,10 +78,7 @@ class Controller:
 
 def controller_named(name: str, config: CarConfig) -> Controller:
     """A controller by name, or a learned policy by its place; raises ValueError with the valid ones."""
-    if is_outside(name):
-        allowed = ", ".join(config.controllers) or "none"
-        hint = f"a car takes only those of your own that its file names: [controllers] allow = [{name!r}]"
-        require(name in config.controllers, f"controller {name!r}", f"not allowed; {hint}; allowed are: {allowed}")
+    check_allowed("controller", name, config)
     if name in CONTROLLERS or is_outside(name):
         return Controller(block=make_controller(name, belief_of(config)), steers=Steers(name=name))
     place = LEARNED if name == "nfq" else FilePath(name)
@@ -96,8 +93,17 @@ def controller_named(name: str, config: CarConfig) -> Controller:
     raise ValueError(f"controller {name!r} is not known, nor a place with a trained policy; valid: {VALID}")
 
 
+def check_allowed(what: str, name: str, config: CarConfig) -> None:
+    """Raise ValueError for a controller or an output element of somebody's own that the car's file does not name."""
+    if is_outside(name):
+        allowed = ", ".join(config.controllers) or "none"
+        hint = f"a car takes only those of your own that its file names: [controllers] allow = [{name!r}]"
+        require(name in config.controllers, f"{what} {name!r}", f"not allowed; {hint}; allowed are: {allowed}")
+
+
 def policy_in(file: FilePath, doe: str, config: CarConfig) -> Controller:
     """The learned policy in `file`, with the output element of that name."""
+    check_allowed("element", doe, config)
     element = make_element(doe, belief_of(config).vehicle)
     return Controller(block=NfqPolicy.load(file), steers=Steers.by_policy(file, doe), element=element)
 

@@ -214,6 +214,7 @@ def learn(options: Options, how: Setting, place: FilePath, *, minutes: float, se
     from steerkit.on_car.learner import CarLearner
 
     with session(options) as here:
+        loops.check_allowed("element", how.doe, here.config)
         here.link.wait(timeout=10.0)
         vehicle = loops.belief_of(here.config).vehicle
         with CarLearner(

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path as FilePath
 from typing import Any
 
 from steerkit.errors import require
+from steerkit.files import read_toml
 from steerkit.scenario.scenario import CONDITIONS, Scenario
 
 FORMAT = "steerkit scenario 1"
@@ -22,12 +22,7 @@ def read_scenario(file: str | FilePath) -> Scenario:
     Raises ValueError naming the file, the key and the valid keys.
     """
     place = FilePath(file)
-    try:
-        table = tomllib.loads(place.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ValueError(f"{file}: cannot be read ({error.strerror}); expected a scenario's TOML file") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{file}: not TOML ({error})") from error
+    table = read_toml(place, f"scenario {file}")
     format_ = table.pop("format", None)
     require(format_ == FORMAT, f"{file}", f"format = {format_!r}, expected {FORMAT!r} in the first line")
     texts = table.get("files", {})
@@ -52,18 +47,19 @@ def write_scenario(scenario: Scenario, file: str | FilePath) -> None:
     FilePath(file).write_text("\n".join(rows) + "\n", encoding="utf-8")
 
 
-def of_table(table: Mapping[str, Any], where: str) -> Scenario:
+def of_table(table: Mapping[str, Any], where: str, made: type[Scenario] = Scenario) -> Scenario:
     """The scenario whose fields these are; missing ones take their defaults, `kind` is passed over.
 
-    A table of a `World`, as runs kept it before there were scenarios, is read as one. Raises ValueError, beginning with
+    made: the class, one of your own that extends `Scenario`. A table of a `World`, as runs kept it before there were
+    scenarios, is read as one. Raises ValueError, beginning with
     `where`, for an unknown field, naming the valid ones, and for values that make no scenario.
     """
     values = _renewed(table) if table.get("kind") == "World" else {k: v for k, v in table.items() if k != "kind"}
-    valid = [field.name for field in fields(Scenario)]
+    valid = [field.name for field in fields(made)]
     for key in values:
         require(key in valid, where, f"a scenario has no field '{key}'; valid: {', '.join(valid)}")
     try:
-        return Scenario(**values)
+        return made(**values)
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from error
 

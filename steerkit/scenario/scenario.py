@@ -16,6 +16,7 @@ from steerkit.block import Block
 from steerkit.catalogue import RECOVERIES, Belief, make_recovery, plant_kind
 from steerkit.courses import names, recorded_speed
 from steerkit.errors import known, require, require_within
+from steerkit.files import read_text
 from steerkit.path import Path
 from steerkit.plants.careful_human import CarefulHuman
 from steerkit.plants.human import Human, SpeedProfile
@@ -211,10 +212,9 @@ class Scenario:
                 continue
             file = FilePath(given)
             try:
-                texts[file.name] = kept[given] if given in kept else file.read_text(encoding="utf-8")
-            except (OSError, UnicodeDecodeError) as error:
-                why = getattr(error, "strerror", None) or "not UTF-8"
-                raise ValueError(f"{where}: {field} {given} cannot be read ({why})") from error
+                texts[file.name] = kept[given] if given in kept else read_text(file, f"{where}: {field}")
+            except OSError as error:
+                raise ValueError(f"{where}: {field} {given} cannot be read ({error.strerror})") from error
             object.__setattr__(self, field, file.name)
         object.__setattr__(self, "files", tuple(sorted(texts.items())))
 

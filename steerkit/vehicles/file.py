@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from steerkit.errors import require
+from steerkit.files import read_text
 from steerkit.vehicles.parameters import Vehicle
 
 FORMAT = "steerkit vehicle 1"
@@ -66,11 +67,9 @@ def _value(value: Any) -> str:
 def text_of(file: str | Path) -> str:
     """The text of a vehicle file; raises ValueError when it cannot be read."""
     try:
-        return Path(file).read_text(encoding="utf-8")
+        return read_text(file, "vehicle")
     except OSError as error:
         raise ValueError(f"vehicle: {file} cannot be read ({error.strerror}); a name or a vehicle file") from error
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{file}: not TOML ({error})") from error
 
 
 def table_of(text: str, name: str, where: str) -> dict[str, Any]:

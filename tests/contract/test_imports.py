@@ -18,7 +18,7 @@ from tests.support.places import ROOT
 HEAVY = ("torch", "casadi", "control", "matplotlib", "pandas", "pyarrow")
 
 BASE = {"units", "task", "maths", "random", "clock", "errors", "files", "native", "outside"}
-RUN = BASE | {"block", "wiring", "loop", "simulation"}
+RUN = BASE | {"block", "mistakes", "wiring", "loop", "simulation"}
 PLACES = BASE | {"block", "vehicles", "path", "courses"}
 PARTS = PLACES | {"tracker", "doe", "controllers", "plants"}
 MAY_IMPORT: dict[str, set[str]] = {
@@ -32,8 +32,9 @@ MAY_IMPORT: dict[str, set[str]] = {
     "outside": {"errors"},
     "random": {"errors", "maths"},
     "block": BASE,
+    "mistakes": BASE | {"block"},
     "wiring": BASE | {"block"},
-    "loop": BASE | {"block", "wiring"},
+    "loop": BASE | {"block", "mistakes", "wiring"},
     "simulation": RUN,
     "realtime": RUN,
     "vehicles": BASE,
@@ -49,7 +50,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "metrics": RUN,
     "plots": RUN | {"path"},
     "assembly": RUN | PARTS,
-    "catalogue": BASE | PARTS,
+    "catalogue": BASE | PARTS | {"mistakes"},
     "scenario": RUN | PARTS | {"assembly", "catalogue", "compiled", "metrics"},
     "learning": RUN | PARTS | {"assembly", "catalogue", "compiled", "metrics", "plots", "scenario"},
     "identification": RUN | {"vehicles", "plants", "compiled", "plots"},

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from steerkit import files
-from steerkit.files import read_arrays, read_npz, whole, write_arrays, write_npz, write_text
+from steerkit.files import read_arrays, read_npz, read_text, read_toml, whole, write_arrays, write_npz, write_text
 
 
 def names(folder: Path) -> list[str]:
@@ -201,3 +201,18 @@ def test_a_header_that_promises_more_than_there_is_is_refused(tmp_path: Path) ->
         target.writestr("a.npy", source.read("a.npy").replace(b"(10,)", b"(99,)"))
     with pytest.raises(ValueError, match="says that it has 792 bytes"):
         read_npz(liar, "test")
+
+
+def test_a_byte_order_mark_is_no_part_of_the_text(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_bytes(b"\xef\xbb\xbfx,y\n")
+    assert read_text(tmp_path / "a.csv", "test") == "x,y\n"
+
+
+def test_a_toml_file_is_read_or_refused_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_text("a = 1\n")
+    assert read_toml(tmp_path / "a.toml", "test") == {"a": 1}
+    (tmp_path / "b.toml").write_text("a = = 1\n")
+    with pytest.raises(ValueError, match=r"^test: not TOML .*line 1"):
+        read_toml(tmp_path / "b.toml", "test")
+    with pytest.raises(ValueError, match=r"^test: cannot be read .No such file or directory., expected a TOML file$"):
+        read_toml(tmp_path / "c.toml", "test")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -62,3 +64,16 @@ def test_help_and_courses(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captur
         assert run(*words, monkeypatch=monkeypatch) in (0, 2)
     out = capsys.readouterr().out
     assert all(word in out for word in ("learn", "drive", "show", "demo", "--seed", "--config", "genesis"))
+
+
+def test_a_full_disk_is_told_with_what_is_kept_and_is_no_mistake_of_the_users(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def written(*_: Any, **__: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", str(tmp_path / "run" / "state-3.npz"))
+
+    monkeypatch.setattr("steerkit.learning.report.learn_with_progress", written)
+    assert run("learn", "--out", str(tmp_path / "run"), "-q", monkeypatch=monkeypatch) == 1
+    error = capsys.readouterr().err.strip()
+    assert f"{tmp_path}/run/state-3.npz: No space left on device; the run is kept up to its last training" in error
+    assert error.endswith(f"the same with --out {tmp_path}/run goes on from there")
