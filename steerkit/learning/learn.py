@@ -67,7 +67,7 @@ def _check_same(kept: Experiment, asked: Experiment, place: FilePath) -> None:
     less = [name for name in ENDS if _later(getattr(kept, name)) > _later(getattr(asked, name))]
     told = ", ".join(f"{name} {getattr(kept, name):g}, now {getattr(asked, name):g}" for name in less)
     require(
-        not less, "learn", f"{place} holds a run of more: {told}; give as many or more, or choose another directory"
+        not less, "learn", f"{place} holds a run of more: {told}; give as much or more, or choose another directory"
     )
 
 

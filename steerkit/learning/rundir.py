@@ -70,10 +70,10 @@ def from_plain(data: Any, where: str, default: type | None = None) -> Any:
         return tuple(data)
     if not isinstance(data, dict):
         return data
-    name = data.get("kind", default.__name__ if default else None)
+    name = str(data.get("kind", default.__name__ if default else None))
     if name in ("Scenario", "World"):  # a world, in runs of before
         return of_table(data, where)
-    kind = KINDS.get(name) if not is_outside(str(name)) else _own_kind(name, where)
+    kind: Any = _own_kind(name, where) if is_outside(name) else KINDS.get(name)
     if kind is None:
         raise ValueError(f"{where}: kind {name!r} is not known; valid: {', '.join(KINDS)}, package.module:Class")
     if issubclass(kind, Scenario):

@@ -133,6 +133,10 @@ def make(name: str, folder: Path, learned: Path) -> None:
     elif name == "my_controller.py":  # "save this as my_controller.py"
         codes = [text for language, text in blocks(ROOT / "docs" / "tutorial.md") if language == "python"]
         (folder / name).write_text(next(code for code in codes if "A controller of my own" in code), encoding="utf-8")
+    elif name == "my_doe.py":  # "save the imports and the class as my_doe.py"
+        codes = [text for language, text in blocks(ROOT / "docs" / "howto" / "doe.md") if language == "python"]
+        code = next(code for code in codes if "class GearedIntegrator" in code)
+        (folder / name).write_text(code.partition("\ndoe = ")[0], encoding="utf-8")
     elif name in WRITTEN_BY:
         page, word = WRITTEN_BY[name]
         codes = [

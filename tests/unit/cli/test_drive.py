@@ -109,7 +109,7 @@ def test_the_output_element_of_a_learned_drive_ends_at_the_cars_stops(
 
     run = SimpleNamespace(experiment=Experiment(world=world), t=0.0, counts=Counts(), transitions=())
     monkeypatch.setattr(evaluate, "drive", driven)
-    monkeypatch.setattr(report.rundir, "final_policy", lambda place: None)
+    monkeypatch.setattr(report.rundir, "final_policy", lambda place, updates=None: None)
     monkeypatch.setattr(report.rundir, "experiment_of", lambda place: run.experiment)
     monkeypatch.setattr(report.rundir, "load", lambda place: run)
     monkeypatch.setattr(demo, "learn_with_progress", lambda *words, **options: run)

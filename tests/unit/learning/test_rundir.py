@@ -174,7 +174,7 @@ def test_a_run_from_when_the_plain_element_was_called_direct_is_read() -> None:
     data = json.loads(json.dumps(rundir.plain(experiment)).replace('"doe": "plain"', '"doe": "direct"'))
     assert data["setting"]["doe"] == "direct"
     assert rundir.from_plain(data, "run.json") == experiment
-    with pytest.raises(ValueError, match="doe 'direkt'; valid: integrator, low-pass, plain"):
+    with pytest.raises(ValueError, match="element 'direkt' is not known; valid: integrator, low-pass, plain"):
         rundir.from_plain(data["setting"] | {"doe": "direkt"}, "run.json")
 
 

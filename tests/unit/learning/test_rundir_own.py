@@ -1,0 +1,99 @@
+"""Parts of one's own in a run: found again when it is read, or refused before the first second."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import pytest
+
+from steerkit.learning import report, rundir
+from steerkit.learning.experiment import Experiment
+from steerkit.learning.learn import learn
+from steerkit.learning.settings import PAPER, Setting
+from steerkit.outside import imported
+from steerkit.scenario import Scenario
+from tests.support import own_parts
+from tests.support.own_parts import Dear, Geared, Patient, Yard
+
+HOME = "tests.support.own_parts"
+
+
+def test_own_place_setting_cost_and_element_are_kept_and_found_again(tmp_path: Path) -> None:
+    setting = Patient(fit=PAPER.fit, cost=Dear(price=4.0), doe=f"{HOME}:Geared", name="mine")
+    experiment = Experiment(world=Yard(radius=30.0), setting=setting, minutes=0.1)
+    learn(experiment, tmp_path / "run")
+    kept = json.loads((tmp_path / "run" / "run.json").read_text())["experiment"]
+    assert (kept["world"]["kind"], kept["setting"]["kind"]) == (f"{HOME}:Yard", f"{HOME}:Patient")
+    run = rundir.load(tmp_path / "run")
+    assert run.experiment == experiment
+    assert run.path.length == pytest.approx(2.0 * 3.14159 * 30.0, rel=1e-4)
+    assert isinstance(run.loop.blocks["doe"], Geared)
+    assert learn(experiment, tmp_path / "run").t == run.t  # it resumes
+    row = report.drive_and_draw(
+        str(tmp_path / "run"), experiment.world, tmp_path / "drive", rounds=0.1, seed=0, quiet=True
+    )
+    assert row["controller"] == str(tmp_path / "run")
+
+
+def test_a_part_that_could_not_be_found_again_is_refused_before_the_first_second(tmp_path: Path) -> None:
+    @dataclass(frozen=True, kw_only=True)
+    class Here(Scenario):
+        """In a function: nobody can import it."""
+
+    experiment = Experiment(world=Here(), minutes=0.1)
+    with pytest.raises(ValueError, match=r"a Here of your own .*could not find again; put the class into a module"):
+        learn(experiment, tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_part_in_a_file_is_kept_by_the_files_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(own_parts.__file__, tmp_path / "mine.py")
+    kind = imported("mine.py:Yard", "test")
+    data = rundir.plain(Experiment(world=kind(radius=40.0)))
+    assert data["world"]["kind"] == "mine.py:Yard"
+    assert rundir.from_plain(data, "test").world.path().length == pytest.approx(251.3, abs=0.1)
+    (tmp_path / "mine.py").unlink()
+    with pytest.raises(ValueError, match=r"test.world 'mine.py:Yard': mine.py cannot be read"):
+        rundir.from_plain(data, "test")
+
+
+@pytest.mark.parametrize("kind", ["os:system", "pathlib:Path", "steerkit.path:Path", "dataclasses:dataclass"])
+def test_nothing_but_a_part_of_an_experiment_is_made(kind: str) -> None:
+    data = rundir.plain(Experiment())
+    data["world"] = {"kind": kind}
+    with pytest.raises(ValueError, match=f"kind '{kind}' is no part of an experiment, expected a dataclass that"):
+        rundir.from_plain(data, "run.json")
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("geared", "element 'geared' is not known; valid: integrator, low-pass, plain, my_file.py:Class"),
+        ("steerkit.doe:Dynamic", "the class Dynamic, expected a subclass of Dynamic"),
+        ("steerkit.doe:Corrected", "the class Corrected, expected a subclass of Dynamic"),
+        ("mine.py:Geared", "element 'mine.py:Geared': mine.py cannot be read"),
+    ],
+)
+def test_an_element_that_is_none_is_refused_with_the_setting(name: str, says: str) -> None:
+    with pytest.raises(ValueError, match=says):
+        Setting(doe=name)
+
+
+def test_a_finished_run_learns_on_with_the_numbers_of_a_longer_one(tmp_path: Path) -> None:
+    short = Experiment(setting=replace(PAPER, retrain_every_m=20.0), world=Scenario(course="circle"), minutes=0.15)
+    learn(short, tmp_path / "run")
+    longer = replace(short, minutes=0.3)
+    run, whole = learn(longer, tmp_path / "run"), learn(longer)
+    assert run.x == whole.x
+    assert len(run.transitions) == len(whole.transitions) > 50
+    assert replace(run.counts, train_seconds=0.0) == replace(whole.counts, train_seconds=0.0)
+    assert rundir.experiment_of(tmp_path / "run").minutes == 0.3
+    assert len(rundir.drive_log(tmp_path / "run").t) == 360
+    with pytest.raises(ValueError, match=r"holds a run of more: minutes 0.3, now 0.15; give as much or more"):
+        learn(short, tmp_path / "run")
+    with pytest.raises(ValueError, match=r"another experiment: its setting and seed differ"):
+        learn(replace(longer, setting=PAPER, seed=4), tmp_path / "run")
