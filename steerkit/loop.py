@@ -264,11 +264,12 @@ class Loop:
 
     def _started(self, shape: tuple[int, ...], x: Sequence[State] | None) -> LoopState:
         start = [block.init(shape) for block in self._wiring.blocks] if x is None else list(x)
+        cars = shape if x is None else None  # states that are given say themselves of how many cars they are
         for (name, block), state in zip(self.blocks.items(), start):
-            check_state(name, block, state, "init", shape)
+            check_state(name, block, state, "init", cars)
         settled = start
         for _ in range(len(start) + 1):
-            settled, y, changed = self._settle_all(start, settled, shape)
+            settled, y, changed = self._settle_all(start, settled, cars)
             if not changed:
                 return LoopState(0, tuple(settled), tuple(y))
         raise WiringError(
@@ -277,7 +278,7 @@ class Loop:
         )
 
     def _settle_all(
-        self, start: list[State], before: list[State], shape: tuple[int, ...]
+        self, start: list[State], before: list[State], shape: tuple[int, ...] | None
     ) -> tuple[list[State], list[Values], str]:
         """All blocks settled from their states `start`, their outputs, and the first output, by name, that was handed
         on as of the states `before` and is another one now."""

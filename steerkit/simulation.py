@@ -12,7 +12,7 @@ import numpy as np
 
 from steerkit.block import Port
 from steerkit.errors import require
-from steerkit.files import read_npz, write_npz
+from steerkit.files import read_npz, whole, write_npz, write_text
 from steerkit.loop import Loop, LoopState, Sample
 from steerkit.mistakes import explained
 
@@ -99,12 +99,30 @@ class Log(Mapping[str, np.ndarray]):
             pa.field(name, pa.from_numpy_dtype(a.dtype), metadata={"unit": units[name.split("[")[0]]})
             for name, a in columns.items()
         ]
-        pq.write_table(pa.table(list(columns.values()), schema=pa.schema(fields)), file)
+        with whole(file) as draft:
+            pq.write_table(pa.table(list(columns.values()), schema=pa.schema(fields)), draft)
+
+    def to_csv(self, file: str | FilePath) -> None:
+        """Write all columns to a CSV file, whole or not at all; units stand in the header: `t [s],car.v [m/s]`."""
+        columns = self.columns()
+        units = {"t": "s", **self.units}
+        head = ",".join(f"{name} [{units[name.split('[')[0]]}]" for name in columns)
+        rows = np.column_stack(list(columns.values()))
+        write_text(file, "\n".join([head, *(",".join(map(repr, row)) for row in rows.tolist()), ""]))
 
     def save(self, file: str | FilePath) -> None:
-        """Write to a compressed NumPy .npz file."""
+        """Write to a file of the kind that its name says: .npz, which `load` reads again, .csv or .parquet.
+
+        Raises ValueError for another name.
+        """
+        kind = FilePath(file).suffix
+        require(kind in (".npz", ".csv", ".parquet"), "Log.save", f"{file}, expected .npz, .csv or .parquet at its end")
+        if kind == ".csv":
+            return self.to_csv(file)
+        if kind == ".parquet":
+            return self.to_parquet(file)
         units = np.array([f"{name}\t{self.units[name]}" for name in self.signals])
-        write_npz(file, {"t": self.t, "units": units, **self.signals}, compressed=True)
+        return write_npz(file, {"t": self.t, "units": units, **self.signals}, compressed=True)
 
     @classmethod
     def load(cls, file: str | FilePath) -> Log:

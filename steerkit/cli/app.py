@@ -18,6 +18,7 @@ from steerkit.cli.export import export
 from steerkit.cli.identify import identify
 from steerkit.cli.learn import learn
 from steerkit.cli.options import Quiet, Seed
+from steerkit.cli.plot import plot
 from steerkit.cli.show import show
 from steerkit.cli.vehicles import vehicles
 
@@ -47,6 +48,7 @@ app.command()(export)
 app.command()(learn)
 app.command()(drive)
 app.command()(show)
+app.command()(plot)
 app.command()(courses)
 app.command()(vehicles)
 

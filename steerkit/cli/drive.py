@@ -29,7 +29,9 @@ _CONTROLLERS = (
 def drive(
     ctx: typer.Context,
     options: DriveOptions,
-    name: Annotated[str, typer.Argument(metavar="CONTROLLER", show_default=False, help=_CONTROLLERS)] = "",
+    names: Annotated[
+        list[str] | None, typer.Argument(metavar="CONTROLLER...", show_default=False, help=_CONTROLLERS)
+    ] = None,
     controller: Annotated[
         str, typer.Option(help="The same as an option; nfq: what `learn`, called alike, has learned.")
     ] = "",
@@ -39,7 +41,10 @@ def drive(
     animate: Annotated[Path | None, in_simulation("Film of the drive to write: .gif, or .mp4 with ffmpeg.")] = None,
     minutes: Annotated[float, on_car("How many minutes; 0: until `q`.")] = 0.0,
 ) -> None:
-    """Drive with any controller: a course in simulation, or with --car FILE a car, armed and engaged by keys."""
+    """Drive with any controller: a course in simulation, or with --car FILE a car, armed and engaged by keys.
+
+    Several controllers drive the same course under the same conditions: one table, one picture.
+    """
     check_options(
         ctx,
         not_on_a_car={
@@ -50,10 +55,14 @@ def drive(
         },
         on_a_car_only=("minutes",),
     )
-    if name and controller and name != controller:
-        raise ValueError(f"two controllers, '{name}' and --controller {controller}; name one")
-    name = name or controller
+    asked = list(names or ())
+    if asked and controller and asked != [controller]:
+        raise ValueError(f"two controllers, '{asked[0]}' and --controller {controller}; name one")
+    asked = asked or [controller] * bool(controller)
+    name = asked[0] if asked else ""
     if options.car:
+        if len(asked) > 1:
+            raise ValueError(f"drive: {len(asked)} controllers ({', '.join(asked)}), expected one on a car")
         from steerkit.on_car import loop as loops
         from steerkit.on_car import session as car_session
 
@@ -78,12 +87,19 @@ def drive(
     require(folder, f"--out {out}", "is a file, expected a directory for log and picture")
     world = scenario_of(ctx)
     where = driven_on(world, options.conditions)
-    if name == "nfq":
-        name = str(Path("runs") / f"default-{where}-seed{options.seed}")
-        if not Path(name).is_dir():
-            raise ValueError(f"drive nfq: there is no {name}; `steerkit learn` with the same options makes it")
-    place = out or Path("runs") / f"drive-{Path(name).name.replace(':', '-')}-{where}-seed{options.seed}"
+    asked = [_learned(where, options.seed) if one == "nfq" else one for one in asked]
+    require(len(set(asked)) == len(asked), "drive", f"a controller stands twice in {', '.join(asked)}")
+    who = "+".join(Path(one).name.replace(":", "-") for one in asked)
+    what = report.described(asked, world, rounds=rounds, seed=options.seed)
+    place = out or report.place_of_its_own(Path("runs") / f"drive-{who}-{where}-seed{options.seed}", what)
     report.console.stderr = options.as_json
+    if len(asked) > 1:
+        require(animate is None, "--animate", "films one controller; name one")
+        rows = report.drive_and_compare(asked, world, place, rounds=rounds, seed=options.seed, quiet=options.quiet)
+        if options.as_json:
+            print(json.dumps({"drives": rows}))
+        return
+    (name,) = asked
     row = report.drive_and_draw(name, world, place, rounds=rounds, seed=options.seed, quiet=options.quiet)
     if animate is not None:
         p, log = world.nominal, Log.load(place / "drive.npz")
@@ -97,3 +113,11 @@ def drive(
         )
     if options.as_json:
         print(json.dumps(row))
+
+
+def _learned(where: str, seed: int) -> str:
+    """The directory of the run that `learn`, called with the same options, makes."""
+    place = Path("runs") / f"default-{where}-seed{seed}"
+    if not place.is_dir():
+        raise ValueError(f"drive nfq: there is no {place}; `steerkit learn` with the same options makes it")
+    return str(place)

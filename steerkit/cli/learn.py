@@ -6,7 +6,7 @@ import json
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -16,9 +16,13 @@ from steerkit.cli.options import (
     check_options,
     drive_options,
     driven_on,
+    given,
     in_simulation,
     scenario_of,
 )
+
+if TYPE_CHECKING:
+    from steerkit.learning.experiment import Experiment
 
 
 @drive_options
@@ -31,41 +35,43 @@ def learn(
         typer.Option("--with", metavar="NAME=VALUE", help="Change the setting: fit.nets=3, after_failure=shift, ..."),
     ] = None,
     minutes: Annotated[
-        float | None,
-        typer.Option(help="Minutes of driving, recovery and waiting included; default: 11, on a car until `q`."),
-    ] = None,
+        str,
+        typer.Option(
+            help="Minutes of driving, recovery and waiting included, or +5: so many more than the run in --out has; "
+            "default: 11, on a car until `q`."
+        ),
+    ] = "",
     out: Annotated[
-        Path | None, typer.Option(help="Run directory; an unfinished run there is resumed. On a car: runs/car.")
+        Path | None,
+        typer.Option(
+            help="Run directory. A run that is there goes on, as it was begun: only what ends it may be given anew. "
+            "On a car: runs/car."
+        ),
     ] = None,
     rounds: Annotated[int, in_simulation("End after so many complete rounds by the learner; 0: never.")] = 0,
-    config: Annotated[Path | None, in_simulation("TOML file with an experiment; other options give way.")] = None,
+    config: Annotated[
+        Path | None, in_simulation("TOML file with an experiment; options given besides change it.")
+    ] = None,
 ) -> None:
     """Let a car learn to steer a course from nothing, the recovery controller catching it."""
-    from steerkit.learning.settings import changed
-    from steerkit.learning.settings import setting as named
-
     check_options(ctx)
     if options.car:
+        from steerkit.learning.settings import changed
+        from steerkit.learning.settings import setting as named
         from steerkit.on_car import loop as loops
         from steerkit.on_car import session as car_session
 
         place = out or loops.LEARNED
         chosen = changed(named(setting), changes or ())
-        figures = car_session.learn(car_options(ctx), chosen, place, minutes=minutes or 0.0, seed=options.seed)
+        figures = car_session.learn(
+            car_options(ctx), chosen, place, minutes=_minutes(minutes, None) or 0.0, seed=options.seed
+        )
         if options.as_json:
             print(json.dumps(figures))
         return
-    from steerkit.files import read_toml
-    from steerkit.learning import report, rundir
-    from steerkit.learning.experiment import Experiment
+    from steerkit.learning import report
 
-    if config is None:
-        world = scenario_of(ctx)
-        time = 11.0 if minutes is None else minutes
-        experiment = Experiment(setting=named(setting), world=world, minutes=time, rounds=rounds, seed=options.seed)
-    else:
-        experiment = rundir.from_plain(read_toml(config, f"--config {config}"), str(config), Experiment)
-    experiment = replace(experiment, setting=changed(experiment.setting, changes or ()))
+    experiment = _experiment(ctx, config, out)
     name = "-".join((experiment.setting.name, *(changes or ())))
     place = out or Path("runs") / f"{name}-{driven_on(experiment.world, options.conditions)}-seed{experiment.seed}"
     report.console.stderr = options.as_json
@@ -80,3 +86,42 @@ def learn(
     report.show(place, quiet=options.quiet)
     if options.as_json:
         print(json.dumps(report.figures_of_merit(run)))
+
+
+def _experiment(ctx: typer.Context, config: Path | None, out: Path | None) -> Experiment:
+    """The experiment of the run in `out`, of the file, or of the defaults, changed by the options that are given."""
+    from steerkit.files import read_toml
+    from steerkit.learning import rundir
+    from steerkit.learning.experiment import Experiment
+    from steerkit.learning.settings import changed
+    from steerkit.learning.settings import setting as named
+
+    base: Experiment | None = None
+    if out is not None and (out / "run.json").is_file():
+        base = rundir.experiment_of(out)
+    if config is not None:
+        base = rundir.from_plain(read_toml(config, f"--config {config}"), str(config), Experiment)
+    names, p = given(ctx), ctx.params
+    world = scenario_of(ctx) if base is None else scenario_of(ctx, base.world)
+    if base is None or "setting" in names:
+        setting = named(p["setting"])
+    else:
+        setting = base.setting
+    ends: dict[str, Any] = {name: p[name] for name in ("rounds", "seed") if base is None or name in names}
+    minutes = _minutes(p["minutes"], base)
+    if minutes is not None or base is None:
+        ends["minutes"] = 11.0 if minutes is None else minutes
+    setting = changed(setting, p["changes"] or ())
+    return replace(base or Experiment(), setting=setting, world=world, **ends)
+
+
+def _minutes(text: str, base: Experiment | None) -> float | None:
+    """The minutes that are asked for; None: none are. `+5` is five more than those of `base`."""
+    if not text:
+        return None
+    try:
+        minutes = float(text)
+    except ValueError:
+        raise ValueError(f"--minutes {text}: expected a number, or +5 for five more") from None
+    more = text.startswith("+") and base is not None
+    return minutes + base.minutes if more and base is not None else minutes

@@ -72,6 +72,10 @@ class DriveOptions:
             "hard: 1 cm noise, 50 ms sensor delay, 0.15 s lag; real: and noisy v, no sideslip, lost samples."
         ),
     ] = Conditions.clean
+    speed: Annotated[
+        str, in_simulation("A steady speed (m/s), `wander`, `recorded`, or a CSV file with the columns s (m), v (m/s).")
+    ] = "wander"
+    v_max: Annotated[float, in_simulation("Fastest speed of the human (m/s).")] = 7.5
     scenario_file: Annotated[
         Path | None, in_simulation("TOML file of a scenario; options given besides change it.", "--scenario")
     ] = None
@@ -115,6 +119,8 @@ _NOT_ON_A_CAR = {
     "scenario_file": "the car's file says where and with what",
     "conditions": "a car brings its own noise and delays",
     "delay": "the car's file tells it, under [kit]",
+    "speed": "who drives sets it",
+    "v_max": "who drives keeps to it",
     "rounds": "say --minutes, or end with `q`",
     "config": "an experiment is a simulation; choose --setting",
 }
@@ -122,19 +128,53 @@ _NOT_ON_A_CAR = {
 _ON_A_CAR_ONLY = ("recovery", "simulated", "socket", "recording", "channel", "time_scale", "realtime")
 
 
-def scenario_of(ctx: typer.Context) -> Scenario:
-    """The scenario that the options describe: that of the file, if one is named, changed by what is given besides."""
+def given(ctx: typer.Context) -> set[str]:
+    """The parameters that stand on the command line."""
+    sources = {name: ctx.get_parameter_source(name) for name in ctx.params}
+    return {name for name, source in sources.items() if source is not None and source.name == "COMMANDLINE"}
+
+
+def scenario_of(ctx: typer.Context, base: Scenario | None = None) -> Scenario:
+    """The scenario that the options describe: that of the file, if one is named, changed by what is given besides.
+
+    base: the scenario to change instead, such as that of a run.
+    """
     from steerkit.scenario import CONDITIONS, Scenario
     from steerkit.scenario.file import read_scenario
 
-    sources = {name: ctx.get_parameter_source(name) for name in ("course", "vehicle", "delay", "conditions")}
-    given = [name for name, source in sources.items() if source is not None and source.name == "COMMANDLINE"]
-    changes = {name: ctx.params[name] for name in given if name != "conditions"}
-    if ctx.params["scenario_file"] is None:
+    names = given(ctx)
+    changes: dict[str, Any] = {n: ctx.params[n] for n in ("course", "vehicle", "delay") if n in names}
+    if ctx.params["scenario_file"] is not None:
+        base = read_scenario(ctx.params["scenario_file"])
+    if names & {"speed", "v_max"}:
+        changes |= _speeds(ctx.params["speed"], ctx.params["v_max"] if "v_max" in names else None, base or Scenario())
+    if base is None:
         return Scenario.under(ctx.params["conditions"].value, **changes)
-    if "conditions" in given:
-        changes |= CONDITIONS[ctx.params["conditions"].value]
-    return replace(read_scenario(ctx.params["scenario_file"]), **changes)
+    if "conditions" in names:
+        changes |= _UNDISTURBED | CONDITIONS[ctx.params["conditions"].value]
+    return replace(base, **changes)
+
+
+_UNDISTURBED = {"noise": 0.0, "latency": 0.0, "sensing": "hard"}
+
+
+def _speeds(speed: str, v_max: float | None, base: Scenario) -> dict[str, Any]:
+    """The fields of a scenario that --speed and --v-max mean."""
+    from steerkit.errors import require
+    from steerkit.scenario.parts import profile_of
+
+    try:
+        steady = float(speed)
+    except ValueError:
+        fields: dict[str, Any] = {"speed": speed}
+        if speed.endswith(".csv"):
+            _, v = profile_of(speed)
+            fields |= {"v_min": min(base.v_min, float(v.min())), "v_max": max(base.v_max, float(v.max()))}
+        if v_max is not None:
+            fields |= {"v_max": v_max, "v_min": min(fields.get("v_min", base.v_min), v_max)}
+        return fields
+    require(v_max is None, f"--speed {speed}", "a steady speed; leave --v-max out")
+    return {"speed": "wander", "v_min": steady, "v_max": steady}
 
 
 def driven_on(scenario: Scenario, conditions: Conditions) -> str:
@@ -147,10 +187,7 @@ def check_options(
 ) -> None:
     """Refuse options of the simulation on a car, and the other way round, saying what there is instead."""
     car = ctx.params["car"]
-    for name in ctx.params:
-        source = ctx.get_parameter_source(name)
-        if source is None or source.name != "COMMANDLINE":
-            continue
+    for name in sorted(given(ctx)):
         option = f"--{name.removesuffix('_file').replace('_', '-')}"
         instead = {**_NOT_ON_A_CAR, **not_on_a_car}.get(name)
         if car and instead:

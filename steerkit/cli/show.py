@@ -1,4 +1,4 @@
-"""The command `steerkit show`: a learning run's story."""
+"""The command `steerkit show`: a learning run's story, or several runs as one table."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from steerkit.cli.options import Machine, Quiet
 
 
 def show(
-    run: Annotated[Path, typer.Argument(help="Directory of a learning run.")],
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Directories of learning runs.")],
     diagnostics: Annotated[
         bool, typer.Option(help="Draw what the net believes, and where and when it failed.")
     ] = False,
@@ -20,10 +20,18 @@ def show(
     quiet: Quiet = False,
     as_json: Machine = False,
 ) -> None:
-    """Show a learning run: its counts, its episodes, learned against Stanley, and its pictures."""
+    """Show a learning run: counts, episodes, learned against Stanley, and its pictures; several as one table."""
+    from steerkit.errors import require
     from steerkit.learning import report
 
     report.console.stderr = as_json
+    if len(runs) > 1:
+        require(not diagnostics, "show --diagnostics", "takes one run; the others go with --against")
+        rows = report.show_several(runs)
+        if as_json:
+            print(json.dumps({"runs": rows}))
+        return
+    (run,) = runs
     figures = report.show(run, quiet=quiet)
     if diagnostics:
         from steerkit.learning.pictures.run import draw_all

@@ -62,7 +62,8 @@ def _check_same(kept: Experiment, asked: Experiment, place: FilePath) -> None:
     """Raise ValueError unless a kept run can go on as the experiment that is asked for."""
     same = replace(asked, **{name: getattr(kept, name) for name in ENDS})
     differing = [name for name in ("setting", "world", "seed") if getattr(same, name) != getattr(kept, name)]
-    what = f"{place} holds a run of another experiment: its {' and '.join(differing)} differ"
+    verb = "differs" if len(differing) == 1 else "differ"
+    what = f"{place} holds a run of another experiment: its {' and '.join(differing)} {verb}"
     require(not differing, "learn", f"{what}; choose another directory")
     less = [name for name in ENDS if _later(getattr(kept, name)) > _later(getattr(asked, name))]
     told = ", ".join(f"{name} {getattr(kept, name):g}, now {getattr(asked, name):g}" for name in less)

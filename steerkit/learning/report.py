@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path as FilePath
@@ -14,13 +15,15 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from steerkit.catalogue import CONTROLLERS
+from steerkit.errors import require
+from steerkit.files import write_text
 from steerkit.learning import rundir
 from steerkit.learning.experiment import Experiment, LearningRun, Watcher
 from steerkit.learning.learn import learn
 from steerkit.learning.pictures import paper as figures
 from steerkit.metrics import of_log
 from steerkit.mistakes import in_one_line
-from steerkit.outside import is_outside
+from steerkit.outside import fingerprint, is_outside
 from steerkit.scenario import Scenario
 from steerkit.scenario import drive as evaluate
 from steerkit.simulation import Log
@@ -111,32 +114,125 @@ def drive_and_draw(
     name: str, world: Scenario, place: FilePath, *, rounds: float | None, seed: int, quiet: bool = False
 ) -> dict[str, Any]:
     """A test drive of a named controller or of a run's final policy, with table, log and picture in `place`."""
-    run = FilePath(name)
-    if name not in CONTROLLERS and run.is_dir():
-        setting = rundir.experiment_of(run).setting
-        log = evaluate.drive(
-            world,
-            rundir.final_policy(run),
-            doe=setting.element(world.nominal),
-            rounds=rounds,
-            seed=seed,
-            progress=not quiet,
-        )
-    else:
-        steering = evaluate.controller(name, world)
-        try:
-            log = evaluate.drive(world, steering, rounds=rounds, seed=seed, progress=not quiet)
-        except Exception as error:
-            if not is_outside(name):
-                raise
-            raise ValueError(f"controller '{name}' failed: {in_one_line(error)}") from error
+    log = _driven(name, world, rounds=rounds, seed=seed, quiet=quiet)
     place.mkdir(parents=True, exist_ok=True)
     log.save(place / "drive.npz")
     figures.round_driven(log, title=f"{name} on {world.course}").savefig(place / "drive.png")
+    _note(place, described([name], world, rounds=rounds, seed=seed))
     console.print(comparison(f"{rounds or world.rounds:g} round(s) of {world.course}", {name: log}))
     if not quiet:
         console.print(f"log and picture: {place}/drive.npz, {place}/drive.png", soft_wrap=True)
     return _row(name, log)
+
+
+def drive_and_compare(
+    names: Sequence[str], world: Scenario, place: FilePath, *, rounds: float | None, seed: int, quiet: bool = False
+) -> list[dict[str, Any]]:
+    """Test drives of several controllers under the same conditions: one table, one picture, and a log of each."""
+    logs = {name: _driven(name, world, rounds=rounds, seed=seed, quiet=quiet) for name in names}
+    place.mkdir(parents=True, exist_ok=True)
+    files = {name: place / f"{_file_name(name)}.npz" for name in names}
+    require(len(set(files.values())) == len(files), "drive", f"two of {', '.join(names)} would have one log's name")
+    for name, log in logs.items():
+        log.save(files[name])
+    figures.rounds_driven(logs, title=f"on {world.course}").savefig(place / "drive.png")
+    _note(place, described(names, world, rounds=rounds, seed=seed))
+    console.print(comparison(f"{rounds or world.rounds:g} round(s) of {world.course}", logs))
+    if not quiet:
+        console.print(f"logs: {', '.join(map(str, files.values()))}; picture: {place}/drive.png", soft_wrap=True)
+    return [_row(name, log) for name, log in logs.items()]
+
+
+def _file_name(name: str) -> str:
+    return FilePath(name).name.replace(":", "-")
+
+
+def _driven(name: str, world: Scenario, *, rounds: float | None, seed: int, quiet: bool) -> Log:
+    run = FilePath(name)
+    if name not in CONTROLLERS and run.is_dir():
+        doe = rundir.experiment_of(run).setting.element(world.nominal)
+        policy = rundir.final_policy(run)
+        return evaluate.drive(world, policy, doe=doe, rounds=rounds, seed=seed, progress=not quiet)
+    steering = evaluate.controller(name, world)
+    try:
+        return evaluate.drive(world, steering, rounds=rounds, seed=seed, progress=not quiet)
+    except Exception as error:
+        if not is_outside(name):
+            raise
+        raise ValueError(f"controller '{name}' failed: {in_one_line(error)}") from error
+
+
+NOTE = "drive.json"
+"""The file beside a drive's log that says what was driven."""
+
+
+def described(names: Sequence[str], world: Scenario, *, rounds: float | None, seed: int) -> dict[str, Any]:
+    """What tells one test drive from another: who drives, where and how; as JSON has it."""
+
+    def version(name: str) -> Any:
+        if is_outside(name):
+            return fingerprint(name, "controller")
+        own = name not in CONTROLLERS and FilePath(name).is_dir()
+        return rundir.document(FilePath(name))["counts"]["updates"] if own else None
+
+    told = {"controllers": {name: version(name) for name in names}, "scenario": asdict(world)}
+    return dict(json.loads(json.dumps({**told, "rounds": rounds, "seed": seed}, default=str)))
+
+
+def place_of_its_own(place: FilePath, what: dict[str, Any]) -> FilePath:
+    """`place`, or `place`-2 and so on where that holds another drive: none is written over by a different one."""
+    number = 1
+    while True:
+        chosen = place if number == 1 else place.with_name(f"{place.name}-{number}")
+        note = chosen / NOTE
+        if not chosen.exists() or (note.is_file() and json.loads(note.read_text(encoding="utf-8")) == what):
+            return chosen
+        number += 1
+
+
+def _note(place: FilePath, what: dict[str, Any]) -> None:
+    write_text(place / NOTE, json.dumps(what, indent=1))
+
+
+def show_several(places: Sequence[FilePath]) -> list[dict[str, Any]]:
+    """Print several runs as one table: what learning took, and a test drive of each one's final net."""
+    rows = []
+    table = Table(*map(escape, _OF_RUNS), title=f"{len(places)} runs")
+    table.columns[0].overflow = "fold"
+    for place in places:
+        run = rundir.load(place)
+        world, merit = run.experiment.world, figures_of_merit(run)
+        policy = rundir.final_policy(place, run.counts.updates)
+        log = evaluate.drive(world, policy, doe=run.experiment.setting.element(world.nominal))
+        row = _row(str(place), log)
+        done = merit["first_round_done_s"]
+        table.add_row(
+            str(place),
+            f"{merit['setting']}, {merit['course']}, seed {merit['seed']}",
+            f"{merit['driving_minutes']:.1f}",
+            *(str(merit[key]) for key in ("failures", "rounds", "updates")),
+            "-" if done is None else f"{done:.0f}",
+            "yes" if row["held"] else "no",
+            *_cells((row["rms_e"], 3), (row["max_e"], 3), (row["rms_wheel_rate_deg"], 0)),
+        )
+        rows.append(merit | {"run": str(place), "drive": row})
+    console.print(table)
+    return rows
+
+
+_OF_RUNS = (
+    "run",
+    "setting, course",
+    "driven [min]",
+    "failures",
+    "rounds",
+    "updates",
+    "first round [s]",
+    "held",
+    "RMS e [m]",
+    "max e [m]",
+    "wheel [deg/s]",
+)
 
 
 def _row(name: str, log: Log) -> dict[str, Any]:

@@ -6,9 +6,13 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from steerkit.block import Block
 from steerkit.courses import course, course_of, lane_change, random_course
-from steerkit.path import Path
+from steerkit.errors import require
+from steerkit.files import read_text
+from steerkit.path import Array, Path
 from steerkit.plants.poor_sensors import PoorSensors
 from steerkit.plants.sensors import Sensors
 from steerkit.plants.steering_actuator import SteeringActuator
@@ -17,6 +21,7 @@ from steerkit.plants.steering_link import SteeringLink
 from steerkit.plants.torque_steering import TorqueSteering
 from steerkit.units import radians_of
 from steerkit.vehicles import Vehicle, vehicle_of
+from steerkit.waypoints import read_columns
 
 if TYPE_CHECKING:
     from steerkit.scenario.scenario import Scenario
@@ -109,3 +114,30 @@ def path_of(name: str, closed: bool | None, text: str | None, v_max: float) -> P
 def car_of(text: str, name: str) -> Vehicle:
     """The car in the text of a vehicle file."""
     return vehicle_of(text, name)
+
+
+def profile_of(file: str) -> tuple[Array, Array]:
+    """s [m] and v [m/s] of a speed profile's file; raises ValueError for one that cannot be read or is none."""
+    try:
+        return profile_in(read_text(file, "speed"), file)
+    except OSError as error:
+        raise ValueError(f"speed {file} cannot be read ({error.strerror}), expected a CSV file: s, v") from error
+
+
+def profile_in(text: str, name: str) -> tuple[Array, Array]:
+    """s [m] and v [m/s] in the text of a CSV file; raises ValueError for other columns, or an s that does not rise."""
+    columns = read_columns(text, name)
+    require({"s", "v"} <= columns.keys(), name, f"columns {', '.join(columns)}; valid: s [m], v [m/s]")
+    s, v = columns["s"], columns["v"]
+    fine = bool(np.isfinite(s).all() and np.isfinite(v).all() and (np.diff(s) > 0.0).all() and len(s) >= 2)
+    require(fine, name, "expected two rows or more of numbers, s [m] rising from row to row")
+    return s, v
+
+
+def profile_on(path: Path, text: str, name: str) -> tuple[Array, Array]:
+    """A file's profile, every metre of a course; a closed one goes on from its end to its beginning."""
+    s, v = profile_in(text, name)
+    longest = f"s to {s[-1]:g} m, on a course of {path.length:.1f} m"
+    require(s[0] >= 0.0 and s[-1] <= path.length + 1.0, name, f"{longest}; expected s from 0 to the course's length")
+    at = np.linspace(0.0, path.length, max(2, round(path.length) + 1))
+    return at, np.interp(at, s, v, period=path.length if path.closed else None)

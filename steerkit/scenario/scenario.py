@@ -10,6 +10,7 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from steerkit.assembly import placed
 from steerkit.block import Block
@@ -23,7 +24,16 @@ from steerkit.plants.human import Human, SpeedProfile
 from steerkit.plants.pushed import Pushed
 from steerkit.plants.single_track import SingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator, steering_in
-from steerkit.scenario.parts import actuator_of, car_of, column_of, drawn_course, link_of, path_of, sensors_of
+from steerkit.scenario.parts import (
+    actuator_of,
+    car_of,
+    column_of,
+    drawn_course,
+    link_of,
+    path_of,
+    profile_on,
+    sensors_of,
+)
 from steerkit.task import A_Y_MAX
 from steerkit.units import degrees_of, radians_of
 from steerkit.vehicles import G, Vehicle, vehicle
@@ -106,7 +116,7 @@ class Scenario:
     """Who catches a learned controller: `stanley` or `stanley-delay`."""
     speed: str = "wander"
     """`wander`: a human between v_min and v_max, slower in bends (3 m/s^2); `recorded`: as driven on the recorded
-    course, within v_min and v_max."""
+    course, within v_min and v_max; or a CSV file with the columns s [m] along the course and v [m/s], within them."""
     v_min: float = 4.0
     """Slowest speed of the human [m/s]; equal to v_max: a steady one."""
     v_max: float = 7.5
@@ -184,8 +194,10 @@ class Scenario:
             require_within(where, name, value, unit, least, largest)
             object.__setattr__(self, name, float(value))
         require(self.v_min <= self.v_max, where, f"v_min = {self.v_min}, v_max = {self.v_max} [m/s]")
+        profile = isinstance(self.speed, str) and self.speed.endswith(".csv")
+        speeds = f"speed {self.speed!r}; valid: {', '.join(SPEEDS)}, FILE.csv; a steady one: v_min = v_max"
+        require(self.speed in SPEEDS or profile, where, speeds)
         for name, valid in (
-            ("speed", SPEEDS),
             ("reference", REFERENCES),
             ("recovery", RECOVERIES),
             ("sensing", SENSING),
@@ -203,10 +215,10 @@ class Scenario:
             raise ValueError(text if text.startswith(where) else f"{where}: {text}") from error
 
     def _keep_files(self, where: str) -> None:
-        """Read the files that course and vehicle name, and keep them under their names without folders."""
+        """Read the files that course, vehicle and speed name, and keep them under their names without folders."""
         kept = {str(name): str(text) for name, text in self.files}
         texts = {}
-        for field, suffix in (("course", ".csv"), ("vehicle", ".toml")):
+        for field, suffix in (("course", ".csv"), ("vehicle", ".toml"), ("speed", ".csv")):
             given = str(getattr(self, field))
             if not given.endswith(suffix):
                 continue
@@ -215,6 +227,7 @@ class Scenario:
                 texts[file.name] = kept[given] if given in kept else read_text(file, f"{where}: {field}")
             except OSError as error:
                 raise ValueError(f"{where}: {field} {given} cannot be read ({error.strerror})") from error
+            require(field != "speed" or self.course != file.name, where, f"course and speed are both {file.name}")
             object.__setattr__(self, field, file.name)
         object.__setattr__(self, "files", tuple(sorted(texts.items())))
 
@@ -231,6 +244,11 @@ class Scenario:
             require_within("scenario", "start", self.start, "m", 0.0, self.path().length, "the course's length")
         if self.speed == "recorded":
             recorded_speed(self.course)
+        elif self.speed != "wander":
+            _, v = self._profile()
+            told = f"{v.min():g} to {v.max():g} m/s, expected v_min to v_max, {self.v_min:g} to {self.v_max:g}"
+            within = self.v_min - 1e-9 <= v.min() and v.max() <= self.v_max + 1e-9
+            require(within, f"speed {self.speed}", f"{told}; change v_min, v_max")
         car = plant_kind(self.plant)(vehicle=self.true_vehicle, v0=self.v_min)  # type: ignore[call-arg]
         pushes = isinstance(car, SingleTrack) or not self.pushed
         require(pushes, "wind, gust, bank_deg", f"only single-track cars are pushed, not '{self.plant}'")
@@ -318,11 +336,16 @@ class Scenario:
         """How far a test drive goes [m]."""
         return self.rounds * self.round_length
 
+    def _profile(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """s [m] along the course, and the speed there [m/s], as recorded or from a file."""
+        text = self._text(self.speed)
+        return recorded_speed(self.course) if text is None else profile_on(self.path(), text, self.speed)
+
     @property
     def seconds(self) -> float:
         """How long that takes the slowest human, and some more [s]."""
-        if self.speed == "recorded":
-            s, v = recorded_speed(self.course)
+        if self.speed != "wander":
+            s, v = self._profile()
             pace = 1.0 / np.clip(v, self.v_min, self.v_max)
             return math.ceil(self.rounds * float(np.trapezoid(pace, s)) + _TIME_TO_SPARE)
         return math.ceil(self.length / min(self.v_min, _SLOWEST) + _TIME_TO_SPARE)
@@ -361,9 +384,10 @@ class Scenario:
 
     def human(self, seed: int) -> Block:
         """The human who sets the speed, and slows down for bends."""
-        if self.speed == "recorded":
-            s, v = recorded_speed(self.course)
-            return SpeedProfile.from_samples(s, np.clip(v, self.v_min, self.v_max), spacing=2.0)
+        if self.speed != "wander":
+            s, v = self._profile()
+            again = self.speed != "recorded" and self.path().closed
+            return SpeedProfile.from_samples(s, np.clip(v, self.v_min, self.v_max), spacing=2.0, repeat=again)
         human = Human(v_min=self.v_min, v_max=self.v_max, seed=seed)
         return CarefulHuman(path=self.path(), human=human, a_y_max=self.a_y_human)
 

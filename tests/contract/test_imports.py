@@ -51,7 +51,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "plots": RUN | {"path"},
     "assembly": RUN | PARTS,
     "catalogue": BASE | PARTS | {"mistakes"},
-    "scenario": RUN | PARTS | {"assembly", "catalogue", "compiled", "metrics"},
+    "scenario": RUN | PARTS | {"assembly", "catalogue", "compiled", "metrics", "waypoints"},
     "learning": RUN | PARTS | {"assembly", "catalogue", "compiled", "metrics", "plots", "scenario"},
     "identification": RUN | {"vehicles", "plants", "compiled", "plots"},
     "gym": RUN | PARTS | {"assembly", "catalogue", "compiled", "scenario", "learning"},

@@ -224,7 +224,7 @@ def test_parquet_keeps_columns_and_units(tmp_path: Path) -> None:
 @pytest.mark.parametrize("batch", [None, 3])
 def test_a_saved_log_comes_back(tmp_path: Path, batch: int | None) -> None:
     log = simulate(LOOP, 1.0, batch=batch)
-    log.save(tmp_path / "log")
+    log.save(tmp_path / "log.npz")
     back = Log.load(tmp_path / "log")
     assert list(back) == list(log)
     assert back.units == log.units
@@ -283,3 +283,19 @@ class Parting(Block):
 def test_cars_that_part_later_are_recorded_from_the_first_sample() -> None:
     log = simulate(Loop(blocks={"parting": Parting()}, wires=[]), 0.15, batch=2)
     assert log["parting.y"].tolist() == [[0.0, 0.0], [1.0, 2.0], [2.0, 4.0]]
+
+
+def test_a_log_is_saved_as_its_name_says(tmp_path: Path) -> None:
+    log = simulate(LOOP, 1.0)
+    log.save(tmp_path / "log.csv")
+    head, first, *rest = (tmp_path / "log.csv").read_text().splitlines()
+    assert head.split(",")[0] == "t [s]"
+    assert all(cell.endswith("]") for cell in head.split(","))
+    table = np.array([[float(cell) for cell in line.split(",")] for line in (first, *rest)])
+    np.testing.assert_array_equal(table, np.column_stack(list(log.columns().values())))
+    log.save(tmp_path / "log.parquet")
+    assert (tmp_path / "log.parquet").read_bytes()[:4] == b"PAR1"
+    for name in ("log.xlsx", "log"):
+        with pytest.raises(ValueError, match=r"Log.save: .*log.*, expected .npz, .csv or .parquet at its end"):
+            log.save(tmp_path / name)
+    assert len([*tmp_path.iterdir()]) == 2

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import wraps
+from itertools import cycle
 from typing import Any, ParamSpec
 
 import numpy as np
 
-from steerkit.plots.style import COLOURS, new_figure, style
+from steerkit.plots.style import COLOURS, PALETTE, new_figure, style
 from steerkit.simulation import Log
 from steerkit.task import GOAL, TRIP
 from steerkit.units import degrees_of
@@ -105,4 +106,25 @@ def round_driven(log: Log, other: Log | None = None, *, title: str) -> Any:
     for axis, label in ((e_axis, "e [m]"), (wheel, "steering wheel [deg]"), (comfort, "a_y [m/s²]")):
         axis.set_ylabel(label)
     comfort.set_xlabel("distance driven [m]")
+    return figure
+
+
+@_styled
+def rounds_driven(logs: Mapping[str, Log], *, title: str) -> Any:
+    """Several drives over the same course in one picture: where they went, cross-track error, wheel, acceleration."""
+    figure, axes = new_figure(rows=3, title=title, map_beside=True)
+    course, *panels = axes
+    for (name, log), colour in zip(logs.items(), cycle(PALETTE)):
+        course.plot(log["car.x"], log["car.y"], color=colour, lw=1.1, label=name)
+        at = log["path.progress"] - log["path.progress"][0]
+        for panel, values in zip(panels, (log["path.e"], degrees_of(log["car.delta_sw"]), log["car.a_y"])):
+            panel.plot(at, values, color=colour, lw=1.0)
+    course.set_aspect("equal")
+    course.set_xlabel("x [m]")
+    course.set_ylabel("y [m]")
+    course.legend(loc="best", fontsize=8.0)
+    panels[0].axhspan(-GOAL, GOAL, color=COLOURS["goal"], alpha=0.25, lw=0)
+    for panel, label in zip(panels, ("e [m]", "steering wheel [deg]", "a_y [m/s²]")):
+        panel.set_ylabel(label)
+    panels[-1].set_xlabel("distance driven [m]")
     return figure

@@ -8,6 +8,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from steerkit.catalogue import CONTROLLERS
@@ -132,3 +133,85 @@ def test_with_json_only_json_is_on_standard_output(
     out, err = capsys.readouterr()
     assert json.loads(out)["controller"] == "stanley"  # all of it
     assert "RMS e" in err
+
+
+def test_several_controllers_are_one_table_one_picture_and_a_log_each(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    words = ("--course", "circle", "--rounds", "0.05", "-q")
+    assert run("drive", "stanley", "lqr", *words, "--json", monkeypatch=monkeypatch) == 0
+    out, err = capsys.readouterr()
+    assert [row["controller"] for row in json.loads(out)["drives"]] == ["stanley", "lqr"]
+    assert err.count("RMS e") == 1
+    place = tmp_path / "runs" / "drive-stanley+lqr-circle-clean-seed0"
+    assert sorted(file.name for file in place.iterdir()) == ["drive.json", "drive.png", "lqr.npz", "stanley.npz"]
+    for wrong, says in (
+        (("stanley", "stanley"), "a controller stands twice"),
+        (("stanley", "lqr", "--animate", "a.gif"), "films one controller"),
+        (("stanley", "lqr", "--car", "dbw-kit.toml"), "2 controllers (stanley, lqr), expected one on a car"),
+    ):
+        given = () if "--car" in wrong else words
+        assert run("drive", *wrong, *given, monkeypatch=monkeypatch) == 2
+        assert says in capsys.readouterr().err
+
+
+def test_no_drive_is_written_over_by_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    words = ("drive", "stanley", "--course", "circle", "-q", "--rounds")
+    for more in (("0.05",), ("0.05", "--delay", "0.1"), ("0.05",), ("0.1",), ("0.05", "--delay", "0.1")):
+        assert run(*words, *more, monkeypatch=monkeypatch) == 0
+    places = sorted(place.name for place in (tmp_path / "runs").iterdir())
+    first = "drive-stanley-circle-clean-seed0"
+    assert places == [first, f"{first}-2", f"{first}-3"]
+    kept = [json.loads((tmp_path / "runs" / place / "drive.json").read_text()) for place in places]
+    assert [(note["rounds"], note["scenario"]["delay"]) for note in kept] == [(0.05, 0.0), (0.05, 0.1), (0.1, 0.0)]
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (("--speed", "5"), ("wander", 5.0, 5.0)),
+        (("--v-max", "12"), ("wander", 4.0, 12.0)),
+        (("--v-max", "3"), ("wander", 3.0, 3.0)),
+        (("--speed", "recorded", "--course", "genesis", "--v-max", "9"), ("recorded", 4.0, 9.0)),
+        (("--speed", "v.csv"), ("v.csv", 4.0, 11.0)),
+        (("--speed", "5", "--v-max", "9"), "a steady speed; leave --v-max out"),
+        (("--speed", "v.csv", "--v-max", "6"), "speed v.csv: 5 to 11 m/s, expected v_min to v_max, 4 to 6"),
+        (("--speed", "fast"), "speed 'fast'; valid: wander, recorded, FILE.csv"),
+        (("--speed", "w.csv"), "speed w.csv cannot be read (No such file or directory)"),
+        (("--speed", "x.csv"), "x.csv: columns x, v; valid: s [m], v [m/s]"),
+        (("--speed", "far.csv"), "far.csv: s to 999 m, on a course of 188.5 m"),
+    ],
+)
+def test_speeds(
+    words: tuple[str, ...],
+    expected: Any,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name, text in (("v", "s,v\n0,5\n60,11\n120,5\n"), ("x", "x,v\n0,5\n"), ("far", "s,v\n0,5\n999,5\n")):
+        Path(f"{name}.csv").write_text(text)
+    heard: list[Scenario] = []
+    monkeypatch.setattr(report, "drive_and_draw", lambda name, world, place, **options: heard.append(world) or {})
+    course = () if "--course" in words else ("--course", "circle")
+    code = run("drive", "stanley", *course, *words, "-q", monkeypatch=monkeypatch)
+    if isinstance(expected, str):
+        assert code == 2
+        assert expected in capsys.readouterr().err
+    else:
+        assert code == 0
+        assert (heard[0].speed, heard[0].v_min, heard[0].v_max) == expected
+
+
+def test_a_speed_profile_is_driven_round_after_round(tmp_path: Path) -> None:
+    (tmp_path / "v.csv").write_text("s,v\n0,5\n60,8\n120,5\n")
+    world = Scenario(course="circle", speed=str(tmp_path / "v.csv"), v_max=8.0, rounds=1.5)
+    (tmp_path / "v.csv").unlink()  # the scenario has kept it
+    log = evaluate.drive(world, evaluate.controller("stanley", world))
+    length = world.path().length
+    assert log["path.progress"][-1] >= 1.5 * length
+    expected = np.interp(log["path.progress"] % length, [0.0, 60.0, 120.0, length], [5.0, 8.0, 5.0, 5.0])
+    np.testing.assert_allclose(log["human.v"], expected, atol=0.15)

@@ -29,6 +29,18 @@ def test_learn_from_a_config_then_show_and_drive_its_policy(
     shown = json.loads(capsys.readouterr().out)  # nothing else on stdout
     assert shown["failures"] == merit["failures"]
     assert [drive["controller"] for drive in shown["drives"]] == ["learned", "stanley"]
+    assert run("show", str(place), str(place), "--json", monkeypatch=monkeypatch) == 0
+    out, err = capsys.readouterr()
+    assert [row["failures"] for row in json.loads(out)["runs"]] == 2 * [merit["failures"]]
+    assert json.loads(out)["runs"][0]["drive"]["rms_e"] == shown["drives"][0]["rms_e"]
+    assert "2 runs" in err
+    assert run("show", str(place), str(place), "--diagnostics", monkeypatch=monkeypatch) == 2
+    assert run("learn", "--out", str(place), "--minutes", "+0.1", "-q", "--json", monkeypatch=monkeypatch) == 0
+    longer = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
+    assert (longer["course"], longer["seed"]) == ("circle", 2)
+    assert 0.3 <= longer["driving_minutes"] < 0.31
+    assert run("learn", "--out", str(place), "--course", "paper", monkeypatch=monkeypatch) == 2
+    assert "another experiment: its world differs" in capsys.readouterr().err
     words = ("drive", str(place), "--course", "circle", "--rounds", "0.1", "--out", str(tmp_path / "d"), "-q")
     assert run(*words, monkeypatch=monkeypatch) == 0
     config.write_text("minuts = 3\n")
@@ -52,3 +64,24 @@ def test_the_options_of_learning_are_heard(tmp_path: Path, monkeypatch: pytest.M
     assert (experiment.minutes, experiment.seed, experiment.rounds) == (2.5, 6, 4)
     assert experiment.world == Scenario.under("hard", course="circle")
     assert place == tmp_path / "here"
+
+
+def test_options_change_the_experiment_of_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    heard: list[Experiment] = []
+    monkeypatch.setattr(report, "learn_with_progress", lambda experiment, place, **_: heard.append(experiment))
+    monkeypatch.setattr(report, "show", lambda *_, **__: {})
+    config = tmp_path / "my.toml"
+    text = "minutes = 0.2\nseed = 2\n[world]\ncourse = 'circle'\nnoise = 1.0\nlag = 0.3\n[setting]\ncalm = 0.6\n"
+    config.write_text(text)
+    for words in (
+        (),
+        ("--course", "slalom", "--seed", "7", "--minutes", "3"),
+        ("--conditions", "clean"),
+        ("--rounds", "2"),
+    ):
+        assert run("learn", "--config", str(config), *words, "-q", monkeypatch=monkeypatch) == 0
+    as_it_is, changed, clean, rounds = heard
+    assert (as_it_is.world.course, as_it_is.seed, as_it_is.minutes, as_it_is.setting.calm) == ("circle", 2, 0.2, 0.6)
+    assert (changed.world.course, changed.seed, changed.minutes, changed.setting.calm) == ("slalom", 7, 3.0, 0.6)
+    assert (changed.world.noise, clean.world.noise, clean.world.lag) == (1.0, 0.0, 0.3)
+    assert (rounds.rounds, rounds.world) == (2, as_it_is.world)
