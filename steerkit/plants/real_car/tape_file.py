@@ -334,6 +334,8 @@ def what_is_wrong(data: bytes) -> str:
     from mcap.records import Header, Metadata
 
     nothing = "no recording of steerkit, or cut off before it began"
+    if (_MAGIC + _header()).startswith(data):
+        return nothing
     try:
         stream = ReadDataStream(BytesIO(data[17:]))
         if data[:8] != _MAGIC or Header.read(stream).library != NAME:

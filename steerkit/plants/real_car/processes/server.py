@@ -149,16 +149,17 @@ class CarServer:
             self.stop(f"no client for {self.linger:g} s")
 
     def _handle(self, event: Event) -> None:
-        outputs = self.core.handle(event)
+        outputs, lost = self.core.handle(event), None
         for out in outputs:
             match out:
                 case Send():
                     try:
                         self._transmit(out)
                     except Exception as error:
-                        if not isinstance(event, End) and not self.core.ended:
-                            raise
-                        _log.error("a neutral frame could not be sent: %s", error)
+                        if isinstance(event, End) or self.core.ended:
+                            _log.error("a neutral frame could not be sent: %s", error)
+                        else:
+                            lost = lost or error
                 case Reply():
                     with contextlib.suppress(OSError, KeyError):  # it hung up, or does not read: its loss
                         self._clients[out.link].send(out.data)
@@ -168,6 +169,8 @@ class CarServer:
                     _log.warning("%s refused: %s", v["order"], v["why"])
         if self.recording:
             self.recording.event(event, outputs)
+        if lost:
+            raise lost
 
     def _look_at_recording(self) -> None:
         """A recording that stops, or goes on, is told at once: in the log, and to the core."""

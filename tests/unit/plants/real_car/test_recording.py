@@ -66,6 +66,20 @@ def test_numbers_of_a_recording_come_back_bit_for_bit(tmp_path: Path) -> None:
     read = tapes.read(tmp_path / "t.mcap").of("/command")
     assert [struct.pack("<d", v["request"]) for v in read] == [struct.pack("<d", value) for value in odd]
     assert all(math.isnan(v["sent"]) for v in read)
+    found = tape_file.contents((tmp_path / "t.mcap").read_bytes())
+    for line in (line for chunk in found.chunks for line in chunk.lines):  # JSON as other tools read it, too
+        json.loads(line.data, parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
+
+
+def test_a_replay_that_sends_more_or_fewer_frames_is_not_exact(drive: Path) -> None:
+    recorded, (config, path) = tapes.read(drive), setup()
+    (*_, last) = (k for k, message in enumerate(recorded.messages) if message.topic == "/can/tx")
+    for messages in (
+        recorded.messages[:last] + recorded.messages[last + 1 :],
+        [*recorded.messages, recorded.messages[last]],
+    ):
+        frames, equal = tapes.replayed_exactly(recorded._replace(messages=messages), Core(config, path))
+        assert equal == frames - 1
 
 
 @pytest.mark.parametrize(("keep", "mode"), [(False, Mode.ENGAGED), (True, Mode.FAULT)])
@@ -128,7 +142,8 @@ def test_a_recording_of_a_later_protocol_is_refused_with_its_number_and_version(
 def places_to_cut() -> list[int]:
     found, rng = tape_file.contents(small()), random.Random(1)
     borders = [chunk.end + k for chunk in found.chunks for k in (-1, 0, 1)]
-    return sorted({*borders, *(rng.randrange(len(small())) for _ in range(100)), len(small()) - 1})
+    some = (rng.randrange(len(small())) for _ in range(100))
+    return sorted({*range(100), *borders, *some, len(small()) - 1})
 
 
 def test_a_recording_cut_anywhere_opens_with_all_chunks_that_came_before(tmp_path: Path) -> None:

@@ -271,6 +271,15 @@ def test_lost_frames_are_counted_beyond_a_turn_of_the_counter(modulus: int, lost
     assert late == 0.0
 
 
+def test_a_sender_that_pauses_without_counting_is_not_late() -> None:
+    """After each pause it begins anew; no number of turns of its counter would explain them."""
+    frames, t, late = Punctuality(0.01, 16, 0.15), 1.0, 0.0
+    for k in range(1000):
+        t += 0.24 if k % 100 == 99 else 0.01
+        late = max(late, frames.behind(t, k % 16))
+    assert late == 0.0
+
+
 @pytest.mark.parametrize("halt", [0.05, 0.11, 0.4])
 def test_a_computer_that_reads_late_is_no_delay(halt: float) -> None:
     assert [what for _, what in queued(0.0, halt=halt) if "later" in what] == []

@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+import signal
 import socket
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from steerkit.courses import course
+from steerkit.plants.real_car import recording as tapes
+from steerkit.plants.real_car.decisions.modes import Machine, Mode
 from steerkit.plants.real_car.file.reading import load
 from steerkit.plants.real_car.processes import client as clients
 from steerkit.plants.real_car.processes import protocol, server
 from steerkit.plants.real_car.processes.client import CarClient, CarLost
 from steerkit.plants.real_car.processes.server import CarServer
+from steerkit.plants.real_car.recording import Recording
 
 
 def made(place: Path) -> CarServer:
@@ -99,6 +108,136 @@ def test_a_client_that_floods_keeps_nobody_waiting_and_is_hung_up_on(
         car_server._turn()
     assert len(car_server._clients) == 1
     assert isinstance(answer(car_server, other), protocol.Snapshot)
+
+
+class Bus:
+    """A bus whose `recv` gives, one after the other, what it is told: messages, errors to raise, functions to call."""
+
+    def __init__(self, *received: Any, broken: bool = False):
+        self.received, self.broken = list(received), broken
+        self.sent: list[Any] = []
+
+    def recv(self, timeout: float) -> Any:
+        time.sleep(0.001)
+        item = self.received.pop(0) if self.received else None
+        if isinstance(item, Exception):
+            raise item
+        return item() if callable(item) else item
+
+    def send(self, message: Any) -> None:
+        if self.broken:
+            raise OSError("no such device")
+        self.sent.append(message)
+
+    def shutdown(self) -> None:
+        """Nothing to free."""
+
+
+@pytest.fixture
+def signals() -> Iterator[None]:
+    """`run` takes the signals; they are given back."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+def driving(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bus: Bus) -> CarServer:
+    """A car server on that bus, with a recording, ENGAGED by force."""
+    monkeypatch.setattr(server, "_open", lambda *words: bus)
+    config = replace(load("dbw-kit.toml"), bus={"interface": "virtual", "channel": "x"})
+    tape = Recording(tmp_path / "drive.mcap", {})
+    running = CarServer(config, course("paper"), str(tmp_path / "socket"), recording=tape)
+    running.core.machine = Machine(Mode.ENGAGED, "by force", running.clock.now())
+    return running
+
+
+def ended(tmp_path: Path) -> tuple[str, list[bool]]:
+    """What the recording says of the end: its cause, and of each frame sent whether it enables the kit."""
+    recorded = tapes.read(tmp_path / "drive.mcap")
+    assert recorded.whole
+    (end,), last = recorded.of("/end"), recorded.of("/state")[-1]
+    assert (last["to"], last["cause"]) == ("OFF", end["cause"])
+    return end["cause"], [bool(bytes.fromhex(v["data"])[2] & 1) for v in recorded.of("/can/tx")]
+
+
+ENDS: dict[str, tuple[Callable[[CarServer], None], str, type[BaseException] | None]] = {
+    "the bus is lost": (
+        lambda it: it._frames.put(OSError("unplugged")),
+        "the car server failed: OSError: unplugged",
+        OSError,
+    ),
+    "a mistake in the program": (
+        lambda it: setattr(it, "_look_at_recording", lambda: 1 / 0),
+        "the car server failed: ZeroDivisionError: division by zero",
+        ZeroDivisionError,
+    ),
+    "the keyboard": (
+        lambda it: it._frames.put(KeyboardInterrupt("Ctrl-C")),
+        "the car server failed: KeyboardInterrupt: Ctrl-C",
+        KeyboardInterrupt,
+    ),
+    "a signal": (lambda it: os.kill(os.getpid(), signal.SIGTERM), "the car server got SIGTERM", None),
+    "nobody is there any more": (
+        lambda it: vars(it).update(linger=-1.0, _alone_since=it.clock.now()),
+        "no client for -1 s",
+        None,
+    ),
+    "an order to stop": (lambda it: it.stop(), "the car server was stopped", None),
+}
+
+
+@pytest.mark.usefixtures("signals")
+@pytest.mark.parametrize("broken", [False, True])
+@pytest.mark.parametrize("name", ENDS)
+def test_every_end_has_its_cause_on_the_recording_and_neutral_frames_before_it(
+    name: str, broken: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also on a bus that takes no frames any more."""
+    act, cause, error = ENDS[name]
+    if broken and name == "nobody is there any more":  # it lets go before that, in vain
+        cause, error = "the car server failed: OSError: no such device", OSError
+    bus = Bus(broken=broken)
+    running = driving(tmp_path, monkeypatch, bus)
+    turn = running._turn
+
+    def first() -> None:
+        monkeypatch.setattr(running, "_turn", turn)
+        act(running)
+        if not running.stopping:
+            turn()
+
+    monkeypatch.setattr(running, "_turn", first)
+    with pytest.raises(error) if error else contextlib.nullcontext():
+        running.run()
+    said, enabled = ended(tmp_path)
+    assert said == cause
+    assert next(v["from"] for v in tapes.read(tmp_path / "drive.mcap").of("/state")) == "ENGAGED"
+    assert enabled[-5:] == [False] * 5
+    assert not any(enabled)
+    assert broken or [bool(message.data[2] & 1) for message in bus.sent] == enabled
+
+
+@pytest.mark.usefixtures("signals")
+@pytest.mark.parametrize(("lines", "fails"), [(1, False), (19, False), (20, True)])
+def test_a_line_that_is_no_frame_is_counted_and_many_are_a_broken_adapter(
+    lines: int, fails: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bus = Bus(*[ValueError("invalid literal for int() with base 16: '?'")] * lines)
+    running = driving(tmp_path, monkeypatch, bus)
+    monkeypatch.setattr(server, "time", SimpleNamespace(monotonic=lambda: 7.0))  # all within a second
+    seen = running.core.senses
+
+    def done() -> None:
+        while seen.error_count < lines:
+            time.sleep(0.001)
+        running.stop()
+
+    bus.received.append(done)
+    with pytest.raises(ValueError, match="invalid literal") if fails else contextlib.nullcontext():
+        running.run()
+    assert seen.error_count == min(lines, 19)
+    assert ended(tmp_path)[0].startswith("the car server failed: ValueError" if fails else "the car server was stopped")
 
 
 def test_a_car_server_of_another_user_is_not_obeyed(
