@@ -50,7 +50,7 @@ SYNC = 0.5
 STALL = 5.0
 """From when on a disk that does not answer is told of [s]."""
 BACKLOG = 200_000
-"""Messages that wait for a disk that does not answer; then the recording ends there, before the memory does."""
+"""Events that wait for a disk that does not answer; then the recording ends there, before the memory does."""
 _PACKAGES = ("steerkit-control", "numpy", "scipy", "cantools", "python-can", "mcap")
 
 
@@ -68,7 +68,7 @@ class Recording:
         self._alive = time.monotonic()
         self._epoch = time.time_ns()
         self._begun: float | None = None
-        self._queue: queue.SimpleQueue[tuple[str, dict[str, Any]] | None] = queue.SimpleQueue()
+        self._queue: queue.SimpleQueue[list[tuple[str, dict[str, Any]]] | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
         self._thread.start()
 
@@ -81,12 +81,13 @@ class Recording:
         return f"{self.file}: the disk has not answered for more than {STALL:g} s"
 
     def event(self, event: Event, outputs: list[Output]) -> None:
-        """One event of the core and what it answered; returns at once."""
+        """One event of the core and what it answered; returns at once. A kill loses both or neither."""
         if self._broken:
             return
         if self._queue.qsize() > BACKLOG:
-            self._broken = f"{self.file}: the disk does not keep up; {BACKLOG} messages wait for it"
-        put = self._queue.put
+            self._broken = f"{self.file}: the disk does not keep up; {BACKLOG} events wait for it"
+        lines = list[tuple[str, dict[str, Any]]]()
+        put = lines.append
         match event:
             case Frame():
                 record = {"t": event.t, "arrived": event.arrived, "id": event.frame_id, "data": event.data.hex()}
@@ -108,6 +109,7 @@ class Recording:
                     put(("/can/tx", {"t": event.t, "id": out.frame_id, "data": out.data.hex()}))
                 case Note():
                     put((f"/{out.topic}", out.values))
+        self._queue.put(lines)
 
     def close(self, timeout: float = 10.0) -> None:
         """Write what is left and the file's end; `failed` tells when that does not succeed within `timeout` [s]."""
@@ -137,7 +139,8 @@ class Recording:
             else:
                 if item is None:
                     break
-                self._add(*item)
+                for line in item:
+                    self._add(*line)
             self._alive = now = time.monotonic()
             if now - synced > SYNC:
                 self._tape.sync()

@@ -208,7 +208,8 @@ def contents(data: bytes) -> Contents:
     elif sound:
         damaged.append((at + _DATA_END.size, len(data)))
     total = index.total if index else None
-    return Contents(description, chunks, [(a, b) for a, b in damaged if a < b], index is not None or sound, total)
+    damaged = [(a, b) for a, b in damaged if a < b or a == len(data)]  # the end may be missing and nothing else
+    return Contents(description, chunks, damaged, index is not None or sound, total)
 
 
 def _next(data: bytes, at: int) -> int:

@@ -141,7 +141,8 @@ def test_a_recording_of_a_later_protocol_is_refused_with_its_number_and_version(
 
 def places_to_cut() -> list[int]:
     found, rng = tape_file.contents(small()), random.Random(1)
-    borders = [chunk.end + k for chunk in found.chunks for k in (-1, 0, 1)]
+    ends = [chunk.end for chunk in found.chunks]
+    borders = [end + k for end in (*ends, ends[-1] + 13) for k in (-1, 0, 1)]  # 13 bytes end the data
     some = (rng.randrange(len(small())) for _ in range(100))
     return sorted({*range(100), *borders, *some, len(small()) - 1})
 

@@ -54,6 +54,21 @@ def test_the_operating_system_has_it_before_the_disk(tmp_path: Path, monkeypatch
     tape.close()
 
 
+def test_an_event_and_what_came_of_it_reach_the_operating_system_together(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So that a recording that ends with a kill replays exactly, to its last frame."""
+    monkeypatch.setattr(tapes, "FLUSH", 0.0)
+    tape = tapes.Recording(tmp_path / "t.mcap", {})
+    for k in range(50):
+        tape.event(Tick(float(k)), [Note("state", {"t": float(k)}), Note("command", {"t": float(k)})])
+    until(lambda: tape._queue.empty())
+    tape.close()
+    chunks = tape_file.contents((tmp_path / "t.mcap").read_bytes()).chunks
+    assert len(chunks) > 10
+    assert {len(chunk.lines) % 3 for chunk in chunks} == {0}
+
+
 def test_what_was_recorded_reaches_the_disk_without_an_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     synced: list[int] = []
     monkeypatch.setattr(os, "fsync", lambda number: synced.append(os.fstat(number).st_size))
@@ -141,7 +156,7 @@ def test_a_recording_ends_before_the_memory_does(tmp_path: Path, monkeypatch: py
     answers = threading.Event()
     monkeypatch.setattr(os, "fsync", lambda number: answers.wait(60.0))
     until(lambda: tape.event(Tick(0.0), []) or tape.failed)
-    assert "the disk does not keep up; 50 messages wait for it" in tape.failed
+    assert "the disk does not keep up; 50 events wait for it" in tape.failed
     waiting = tape._queue.qsize()
     tape.event(Tick(0.0), [])
     assert tape._queue.qsize() == waiting
