@@ -7,6 +7,7 @@ import os
 import signal
 import socket
 import time
+import tty
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -24,6 +25,7 @@ from steerkit.plants.real_car.processes import protocol, server
 from steerkit.plants.real_car.processes.client import CarClient, CarLost
 from steerkit.plants.real_car.processes.server import CarServer
 from steerkit.plants.real_car.recording import Recording
+from steerkit.units import radians_of
 
 
 def made(place: Path) -> CarServer:
@@ -238,6 +240,32 @@ def test_a_line_that_is_no_frame_is_counted_and_many_are_a_broken_adapter(
         running.run()
     assert seen.error_count == min(lines, 19)
     assert ended(tmp_path)[0].startswith("the car server failed: ValueError" if fails else "the car server was stopped")
+
+
+NOISE = (b"T0", b"t1", b"\xff\xfe\x80", b"t123ZZ", b"t1239000000", b"d123F00", b"\x00", b"t\xff652AABB", b"r", b"")
+"""Lines as noise on a serial line makes them; more than half cannot be read."""
+
+
+def test_noise_on_a_real_slcan_line_is_counted_and_the_frames_between_are_read(tmp_path: Path) -> None:
+    """Bytes that are no text, too: python-can keeps those, and would find them before every later line."""
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    bus = {"interface": "slcan", "channel": os.ttyname(slave), "bitrate": 500000, "sleep_after_open": 0.0}
+    running = CarServer(replace(load("dbw-kit.toml"), bus=bus), course("paper"), str(tmp_path / "socket"))
+    senses, end = running.core.senses, time.monotonic() + 60.0
+    try:
+        for k, noise in enumerate(NOISE, 1):
+            os.write(master, noise + b"\r")
+            while running.core.senses.arrived[0x65] < 0.0 or senses.values["delta_sw"] != pytest.approx(radians_of(k)):
+                os.write(master, b"t0658%04x000000000000\r" % int.from_bytes((10 * k).to_bytes(2, "little"), "big"))
+                running._turn()
+                assert time.monotonic() < end
+        assert len(NOISE) / 2 < senses.error_count <= len(NOISE)
+        assert not running._clients
+    finally:
+        running.close()
+        os.close(master)
+        os.close(slave)
 
 
 def test_a_car_server_of_another_user_is_not_obeyed(
