@@ -345,7 +345,7 @@ def jobs(suites: Sequence[Suite], seeds: int | None = None, only: Sequence[str] 
 
 def _training(job: Job) -> Job:
     training = TRAININGS[controller(job.controller).training]
-    taught_on = job.scenario if training.world is None else ""
+    taught_on = job.scenario if training.scenario is None else ""
     name = f"train-{training.name}" + (f"-on-{taught_on}" if taught_on else "")
     return Job(
         suite=TRAINING, scenario=name, controller=job.controller, seed=job.seed, kind="learn", taught_on=taught_on

@@ -104,7 +104,7 @@ def main(arguments: list[str] | None = None) -> None:
     folder = options.out or Path(tempfile.mkdtemp())
     folder.mkdir(parents=True, exist_ok=True)
     task = Task(course=options.course, conditions=options.conditions)
-    world, length = task.place, task.place.round_length
+    scenario, length = task.place, task.place.round_length
     rows = []
     for name in options.agents:
         begin = time.process_time()
@@ -112,14 +112,14 @@ def main(arguments: list[str] | None = None) -> None:
         trained(name, chosen | {"backend": options.backend}, steps, options.seed).save(folder / f"{name}.npz")
         took = time.process_time() - begin
         block = PolicyBlock.load(folder / f"{name}.npz")
-        log = drive(world, block, doe=task.element, seed=options.seed)
+        log = drive(scenario, block, doe=task.element, seed=options.seed)
         rows.append(judged(name, log, float(log["path.progress"][-1]) / length))
         print(
             f"{name}: {steps} samples ({steps * task.dt / 60.0:.1f} min of driving) learned in "
             f"{took:.0f} s of computing; block in {folder / name}.npz",
             flush=True,
         )
-    log = drive(world, Stanley.of(world.nominal), seed=options.seed)
+    log = drive(scenario, Stanley.of(scenario.nominal), seed=options.seed)
     rows.append(judged("Stanley", log, float(log["path.progress"][-1]) / length))
     print(f"\none round of {options.course}, {options.conditions}; caught by Stanley while |e| > 0.5 m\n")
     print("          at the wheel  whole round  RMS e [m]  max e [m]  wheel [deg/s]  a_y [m/s²]  jerk [m/s³]")

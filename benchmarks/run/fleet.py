@@ -69,30 +69,30 @@ class FleetOutcome:
 def one_car(job: tuple[int, int, Setting, float, float]) -> FleetOutcome:
     """Let car `number` learn with `seed` for so many minutes, and compare its final net on so many rounds."""
     number, seed, setting, minutes, rounds = job
-    world = fleet_scenario(number, recovery="stanley-delay", rounds=rounds)
-    trained = train(Experiment(setting=setting, world=world, minutes=minutes, seed=seed))
+    scenario = fleet_scenario(number, recovery="stanley-delay", rounds=rounds)
+    trained = train(Experiment(setting=setting, scenario=scenario, minutes=minutes, seed=seed))
     test = seed + 1000
 
     def judged(net: Taken) -> TrialDrive:
-        return drive_each(world, setting, [net.policy], seed=test)[0]
+        return drive_each(scenario, setting, [net.policy], seed=test)[0]
 
     nets = trained.nets
     good = first_good(nets, judged)
     final = judged(nets[-1]) if nets else None
     summary = final.summary if final else None
     nan = float("nan")
-    best, truth = _best(replace(world, offset_deg=0.0), TOLD_TRUTH, test)
-    on_sheet, sheet = _best(replace(world, told_delay=0.0, told_lag=0.0), TOLD_DATA_SHEET, test)
+    best, truth = _best(replace(scenario, offset_deg=0.0), TOLD_TRUTH, test)
+    on_sheet, sheet = _best(replace(scenario, told_delay=0.0, told_lag=0.0), TOLD_DATA_SHEET, test)
     forecast = nets[-1].policy.forecast if nets else None
     mine = (summary.rms_e, summary.rms_wheel_rate_deg, summary.rms_jerk) if summary else (nan,) * 3
     return FleetOutcome(
         number=number,
         seed=seed,
-        car=world.vehicle,
-        delay=world.delay,
-        lag=world.lag,
-        offset_deg=world.offset_deg,
-        play_deg=world.play_deg,
+        car=scenario.vehicle,
+        delay=scenario.delay,
+        lag=scenario.lag,
+        offset_deg=scenario.offset_deg,
+        play_deg=scenario.play_deg,
         dead_samples=forecast.samples if forecast else 0,
         good=good,
         failures=trained.run.counts.failures,
@@ -121,9 +121,9 @@ def first_good(nets: list[Taken], judged: Callable[[Taken], TrialDrive]) -> floa
     return None
 
 
-def _best(world: Scenario, names: Iterable[str], seed: int) -> tuple[str, Summary]:
+def _best(scenario: Scenario, names: Iterable[str], seed: int) -> tuple[str, Summary]:
     """The controller of the least RMS e on a whole test drive, and its metrics."""
-    rows = [(name, of_log(drive.drive(world, drive.controller(name, world), seed=seed))) for name in names]
+    rows = [(name, of_log(drive.drive(scenario, drive.controller(name, scenario), seed=seed))) for name in names]
     return min(rows, key=lambda row: row[1].rms_e)
 
 

@@ -35,7 +35,7 @@ class Training:
 
     name: str
     """What it is called in results, after `train-`."""
-    world: Scenario | None = field(default_factory=Scenario)
+    scenario: Scenario | None = field(default_factory=Scenario)
     """Course, car, disturbances; None: those of the scenario that is driven afterwards, a training each."""
     minutes: float = 6.0
     """Driving time [min]; recovery and waiting count."""
@@ -47,13 +47,13 @@ class Training:
     """Trainings on the recorded transitions after the driving; for d3rlpy, gradient steps."""
 
     def at(self, driven: Scenario | None) -> Scenario:
-        """Where it learns: its own world, or that of the scenario `driven` afterwards.
+        """Where it learns: its own scenario, or the one `driven` afterwards.
 
         There the recovery controller is told the steering's delay and lag, which the learner finds out by itself.
         Raises ValueError where neither is given.
         """
-        if self.world is not None:
-            return self.world
+        if self.scenario is not None:
+            return self.scenario
         require(driven is not None, f"training '{self.name}'", "it is one for each scenario, and none was given")
         assert driven is not None
         return replace(driven, told_delay=None, told_lag=None)
@@ -63,15 +63,15 @@ _ALL = (
     Training(name="clean"),
     Training(name="published", minutes=16.0),  # as long as the paper's second round took
     Training(name="quick", minutes=3.0),
-    Training(name="genesis", world=Scenario(course="genesis", v_min=6.0, v_max=9.0)),
-    Training(name="linear", world=Scenario(plant="linear")),
-    Training(name="hard", world=Scenario.under("hard")),
+    Training(name="genesis", scenario=Scenario(course="genesis", v_min=6.0, v_max=9.0)),
+    Training(name="linear", scenario=Scenario(plant="linear")),
+    Training(name="hard", scenario=Scenario.under("hard")),
     Training(name="episodes-120", minutes=60.0, episode_metres=200.0),  # else a good episode never ends
     Training(name="offline", minutes=2.0, offline_iterations=20),
     Training(name="agent", minutes=30.0),
     Training(name="record", minutes=4.0, offline_iterations=20_000),
-    Training(name="same-car-1", world=None, minutes=1.0),
-    Training(name="same-car-5", world=None, minutes=5.0),
+    Training(name="same-car-1", scenario=None, minutes=1.0),
+    Training(name="same-car-5", scenario=None, minutes=5.0),
 )
 TRAININGS = {training.name: training for training in _ALL}
 """All trainings by name."""
@@ -90,22 +90,22 @@ class Learnt:
 def learn(training: Training, setting_name: str, *, seed: int, driven: Scenario | None = None) -> Learnt:
     """Run a training to its end and test-drive its nets, off the clock: every one of ours, ten of an agent's.
 
-    Test drives are of another seed than the training. With its own world, the training has `seed`; on the scenario
+    Test drives are of another seed than the training. With its own scenario, the training has `seed`; on the scenario
     `driven`, the test drives have it, so that they are the very drive that the analytic controllers make there.
     """
-    learns, drives_with = (seed, seed + 1000) if training.world is not None else (seed + 1000, seed)
+    learns, drives_with = (seed, seed + 1000) if training.scenario is not None else (seed + 1000, seed)
     if setting_name in SETTINGS:
         return _agent(training, setting_name, seed)
     how = setting(setting_name)
     if training.episode_metres:
         how = replace(how, retrain_every_m=training.episode_metres)
     experiment = Experiment(
-        setting=how, world=training.at(driven), minutes=training.minutes, episodes=training.episodes, seed=learns
+        setting=how, scenario=training.at(driven), minutes=training.minutes, episodes=training.episodes, seed=learns
     )
     trained = train(experiment)
     run = trained.run
     nets = trained.nets + _offline(training, how, run, learns)
-    drives = drive_each(experiment.world, how, [net.policy for net in nets], seed=drives_with)
+    drives = drive_each(experiment.scenario, how, [net.policy for net in nets], seed=drives_with)
     policy = nets[-1].policy if nets else run.policy
     episodic = how.retrain_every_m == 0.0 or training.episode_metres > 0.0  # one training an episode
     return Learnt(_metrics(run, nets, drives, episodic=episodic), _curve(run, nets, drives), _trajectory(run), policy)
@@ -120,7 +120,7 @@ def _agent(training: Training, setting_name: str, seed: int) -> Learnt:
 
     if SETTINGS[setting_name] == "NFQ":
         how = setting("default")
-        driven = train(Experiment(setting=how, world=training.at(None), minutes=training.minutes, seed=seed)).run
+        driven = train(Experiment(setting=how, scenario=training.at(None), minutes=training.minutes, seed=seed)).run
         steps = training.offline_iterations
         block, curve = d3rlpy_nfq(driven.transitions, how, steps=steps, seed=seed, judge=judge)
     else:

@@ -65,7 +65,7 @@ def one_seed(job: tuple[Experiment, int, bool]) -> Outcome:
     if model_based:  # these drive one by one, which takes long
         nets = [*nets[:5], *nets[5:][-last:]]
     policies = [net.policy for net in nets]
-    drives = drive_each(experiment.world, experiment.setting, policies, seed=experiment.seed + 1000)
+    drives = drive_each(experiment.scenario, experiment.setting, policies, seed=experiment.seed + 1000)
     first = next((i for i, drive in enumerate(drives) if drive.good), None)
     final = drives[-1] if drives else None
     summary = final.summary if final else None
@@ -166,15 +166,15 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         five = minutes if options.minutes is not None or options.quick else 5.0
         rounds = 0.05 if options.quick else 1.0
         return fleet(options.fleet, seeds, how, five, options.processes, rounds=rounds)
-    world = replace(
+    scenario = replace(
         Scenario.under(options.conditions, course=options.course), plant=options.plant, reference=options.reference
     )
     if options.v_max is not None:
-        world = replace(world, v_max=options.v_max)
-    world = replace(world, speed=options.speed)
+        scenario = replace(scenario, v_max=options.v_max)
+    scenario = replace(scenario, speed=options.speed)
     model_based = options.setting == "model-based"  # actions, rhythm and charged time are the default's
     chosen = changed(setting("default" if model_based else options.setting), options.changes)
-    base = Experiment(setting=chosen, world=world, minutes=minutes, episodes=options.episodes)
+    base = Experiment(setting=chosen, scenario=scenario, minutes=minutes, episodes=options.episodes)
     jobs = [(replace(base, seed=options.first_seed + n), options.last, model_based) for n in range(seeds)]
     with ProcessPoolExecutor(options.processes, mp_context=get_context("spawn")) as pool:
         outcomes = list(
@@ -194,7 +194,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         "conditions": options.conditions,
         "plant": options.plant,
         "reference": options.reference,
-        "v_max": world.v_max,
+        "v_max": scenario.v_max,
         "minutes": minutes,
         **summarise(outcomes, 660.0),
     }

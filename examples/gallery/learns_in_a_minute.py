@@ -9,8 +9,8 @@ from steerkit.learning.pictures.paper import learning
 from steerkit.scenario import Scenario
 from steerkit.metrics import of_log
 
-world = Scenario(course="paper")
-run = learn(Experiment(world=world, minutes=1.0, seed=1))
+scenario = Scenario(course="paper")
+run = learn(Experiment(scenario=scenario, minutes=1.0, seed=1))
 learning(run.recorder.log(), title="From the first second", seconds=60.0).savefig("learns_in_a_minute.png")
-log = drive(world, run.policy, doe=run.experiment.setting.element(world.nominal))
+log = drive(scenario, run.policy, doe=run.experiment.setting.element(scenario.nominal))
 print(f"{run.counts.failures} failures; then a whole round with RMS e {of_log(log).rms_e:.3f} m")

@@ -10,11 +10,11 @@ from steerkit.scenario import Scenario
 from steerkit.metrics import of_log
 from steerkit.plots.style import PALETTE, new_figure, style
 
-world = Scenario(course="paper", delay=0.15)
-run = learn(Experiment(world=world, minutes=1 / 3, seed=1))
+scenario = Scenario(course="paper", delay=0.15)
+run = learn(Experiment(scenario=scenario, minutes=1 / 3, seed=1))
 names = ("stanley", "stanley-textbook", "pure-pursuit", "lqr", "mpc")
-logs = {name: drive(world, make_controller(name, world.belief()), rounds=0.43) for name in names}
-logs["learned"] = drive(world, run.policy, doe=run.experiment.setting.element(world.nominal), rounds=0.43)
+logs = {name: drive(scenario, make_controller(name, scenario.belief()), rounds=0.43) for name in names}
+logs["learned"] = drive(scenario, run.policy, doe=run.experiment.setting.element(scenario.nominal), rounds=0.43)
 
 figure, (above, below) = new_figure(rows=2, title="Six controllers, 0.15 s delay and 0.12 s lag", height=5.5)
 below.remove()

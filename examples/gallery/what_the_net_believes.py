@@ -7,6 +7,6 @@ from steerkit import Experiment, learn
 from steerkit.learning.pictures.policy import policy_map
 from steerkit.scenario import Scenario
 
-run = learn(Experiment(world=Scenario(course="paper"), minutes=0.5, seed=1))
-policy_map(run.policy, run.experiment.world, visited=run.transitions).savefig("what_the_net_believes.png")
+run = learn(Experiment(scenario=Scenario(course="paper"), minutes=0.5, seed=1))
+policy_map(run.policy, run.experiment.scenario, visited=run.transitions).savefig("what_the_net_believes.png")
 print(f"a Q-function of {len(run.nets)} nets, from {len(run.transitions)} transitions")

@@ -33,7 +33,7 @@ EXPERIMENTS = {
     "I-DOE, 800 m course": Experiment(setting=DEFAULT, minutes=11.0),
     "bang-bang, 800 m course": Experiment(setting=BANG_BANG, minutes=11.0),
     "I-DOE, recorded lap": Experiment(
-        setting=DEFAULT, world=Scenario(course="genesis", v_min=6.0, v_max=9.0), minutes=20.0
+        setting=DEFAULT, scenario=Scenario(course="genesis", v_min=6.0, v_max=9.0), minutes=20.0
     ),
 }
 
@@ -75,10 +75,10 @@ def _part(job: tuple[str, Experiment, FilePath, int, bool]) -> Part:
     name, experiment, place, seed, quiet = job
     experiment = replace(experiment, seed=seed)
     run = learn_with_progress(experiment, place, quiet=quiet)
-    world = experiment.world
-    doe = experiment.setting.element(world.nominal)
-    learned = evaluate.drive(world, rundir.final_policy(place), doe=doe, seed=seed)
-    stanley = evaluate.drive(world, world.catcher(), seed=seed)
+    scenario = experiment.scenario
+    doe = experiment.setting.element(scenario.nominal)
+    learned = evaluate.drive(scenario, rundir.final_policy(place), doe=doe, seed=seed)
+    stanley = evaluate.drive(scenario, scenario.catcher(), seed=seed)
     return Part(name, figures_of_merit(run), *(Log(g.t, g.signals, g.units) for g in (learned, stanley)))
 
 

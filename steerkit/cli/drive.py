@@ -85,26 +85,26 @@ def drive(
     require(films, f"--animate {animate}", "expected a name that ends in .gif or .mp4")
     folder = out is None or out.is_dir() or not out.exists()
     require(folder, f"--out {out}", "is a file, expected a directory for log and picture")
-    world = scenario_of(ctx)
-    where = driven_on(world, options.conditions)
+    scenario = scenario_of(ctx)
+    where = driven_on(scenario, options.conditions)
     asked = [_learned(where, options.seed) if one == "nfq" else one for one in asked]
     require(len(set(asked)) == len(asked), "drive", f"a controller stands twice in {', '.join(asked)}")
     who = "+".join(Path(one).name.replace(":", "-") for one in asked)
-    what = report.described(asked, world, rounds=rounds, seed=options.seed)
+    what = report.described(asked, scenario, rounds=rounds, seed=options.seed)
     place = out or report.place_of_its_own(Path("runs") / f"drive-{who}-{where}-seed{options.seed}", what)
     report.console.stderr = options.as_json
     if len(asked) > 1:
         require(animate is None, "--animate", "films one controller; name one")
-        rows = report.drive_and_compare(asked, world, place, rounds=rounds, seed=options.seed, quiet=options.quiet)
+        rows = report.drive_and_compare(asked, scenario, place, rounds=rounds, seed=options.seed, quiet=options.quiet)
         if options.as_json:
             print(json.dumps({"drives": rows}))
         return
     (name,) = asked
-    row = report.drive_and_draw(name, world, place, rounds=rounds, seed=options.seed, quiet=options.quiet)
+    row = report.drive_and_draw(name, scenario, place, rounds=rounds, seed=options.seed, quiet=options.quiet)
     if animate is not None:
-        p, log = world.nominal, Log.load(place / "drive.npz")
+        p, log = scenario.nominal, Log.load(place / "drive.npz")
         log.animate(
-            world.path(),
+            scenario.path(),
             animate,
             wheelbase=p.wheelbase,
             l_f=p.l_f,

@@ -59,7 +59,7 @@ def _to_minari(run: Path, name: str) -> dict[str, Any]:
     experiment = rundir.experiment_of(run)
     setting = experiment.setting
     task = Task(
-        scenario=asdict(experiment.world), actions=setting.actions, doe=setting.doe, cost=rundir.plain(setting.cost)
+        scenario=asdict(experiment.scenario), actions=setting.actions, doe=setting.doe, cost=rundir.plain(setting.cost)
     )
     data = to_minari(rundir.load(run).transitions, name, task, description=f"steerkit learn: {experiment}")
     return {"name": name, "episodes": int(data.total_episodes), "steps": int(data.total_steps)}

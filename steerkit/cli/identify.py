@@ -39,7 +39,7 @@ def identify(
 
     for t, delta_sw, v, and r or psi; or by --column delta_sw=angle:deg:-1.
 
-    The vehicle file serves wherever a car's name does: `vehicle("my-car.toml")`, `--base`, a learning world.
+    The vehicle file serves wherever a car's name does: `vehicle("my-car.toml")`, `--base`, a scenario.
     """
     from rich.console import Console
 

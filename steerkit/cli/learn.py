@@ -73,7 +73,7 @@ def learn(
 
     experiment = _experiment(ctx, config, out)
     name = "-".join((experiment.setting.name, *(changes or ())))
-    place = out or Path("runs") / f"{name}-{driven_on(experiment.world, options.conditions)}-seed{experiment.seed}"
+    place = out or Path("runs") / f"{name}-{driven_on(experiment.scenario, options.conditions)}-seed{experiment.seed}"
     report.console.stderr = options.as_json
     try:
         run = report.learn_with_progress(experiment, place, quiet=options.quiet)
@@ -102,7 +102,7 @@ def _experiment(ctx: typer.Context, config: Path | None, out: Path | None) -> Ex
     if config is not None:
         base = rundir.from_plain(read_toml(config, f"--config {config}"), str(config), Experiment)
     names, p = given(ctx), ctx.params
-    world = scenario_of(ctx) if base is None else scenario_of(ctx, base.world)
+    scenario = scenario_of(ctx) if base is None else scenario_of(ctx, base.scenario)
     if base is None or "setting" in names:
         setting = named(p["setting"])
     else:
@@ -112,7 +112,7 @@ def _experiment(ctx: typer.Context, config: Path | None, out: Path | None) -> Ex
     if minutes is not None or base is None:
         ends["minutes"] = 11.0 if minutes is None else minutes
     setting = changed(setting, p["changes"] or ())
-    return replace(base or Experiment(), setting=setting, world=world, **ends)
+    return replace(base or Experiment(), setting=setting, scenario=scenario, **ends)
 
 
 def _minutes(text: str, base: Experiment | None) -> float | None:

@@ -51,7 +51,7 @@ class Experiment:
 
     setting: Setting = field(default_factory=Setting)
     """How it learns: see `steerkit.learning.settings`."""
-    world: Scenario = field(default_factory=Scenario)
+    scenario: Scenario = field(default_factory=Scenario)
     """Where it learns: course, car, disturbances: see `steerkit.scenario`."""
     minutes: float = 11.0
     """Driving time after which it ends [min]; recovery and waiting count."""
@@ -67,8 +67,8 @@ class Experiment:
             f"setting = {self.setting!r:.60}, expected a Setting; by name: steerkit.learning.settings.setting('paper')"
         )
         require(isinstance(self.setting, Setting), "Experiment", asked)
-        asked = f"world = {self.world!r:.60}, expected a Scenario, such as Scenario(course='paper')"
-        require(isinstance(self.world, Scenario), "Experiment", asked)
+        asked = f"scenario = {self.scenario!r:.60}, expected a Scenario, such as Scenario(course='paper')"
+        require(isinstance(self.scenario, Scenario), "Experiment", asked)
         for name, kinds in (("minutes", Real), ("episodes", Integral), ("rounds", Integral), ("seed", Integral)):
             value = getattr(self, name)
             number = isinstance(value, kinds) and not isinstance(value, bool)
@@ -90,20 +90,20 @@ class LearningRun:
     def __init__(self, experiment: Experiment, watch: Watcher | None = None, trainer: Training | None = None):
         self.experiment, self.watch = experiment, watch
         self.keep: Callable[[LearningRun], None] | None = None
-        setting, world = experiment.setting, experiment.world
-        self.path = world.path()
+        setting, scenario = experiment.setting, experiment.scenario
+        self.path = scenario.path()
         self.story = Story(
             setting=setting,
             seed=experiment.seed,
             policy=untrained(setting, experiment.seed),
             trainer=trainer or SimulatedTrainer(seconds=setting.fit_seconds),
-            round_length=world.round_length,
+            round_length=scenario.round_length,
         )
         self.loop = assembled(
-            world,
+            scenario,
             self._controller(),
-            doe=setting.element(world.nominal),
-            recovery=world.catcher(),
+            doe=setting.element(scenario.nominal),
+            recovery=scenario.catcher(),
             shift=TargetShift() if setting.after_failure == "shift" else None,
             seed=experiment.seed,
         )
@@ -180,7 +180,7 @@ class LearningRun:
         elif learning and story.due():
             story.train(self.t, trusted=True)
         if not self.path.closed and self._value("path.s") > self.path.length - END_MARGIN:
-            self._put_back(self.experiment.world.start)  # the end of an open course
+            self._put_back(self.experiment.scenario.start)  # the end of an open course
         if counts.updates > trainings and self.keep is not None:
             self.keep(self)
 
@@ -231,7 +231,7 @@ class LearningRun:
     def _put_back(self, s: float) -> None:
         """The car stands on the path at s [m] again, with the human's mood unchanged."""
         loop, human = self.loop, self.loop.block_state(self.state, "human")
-        start = loop.with_block("car", self.experiment.world.car(self.path, s=s, seed=self.experiment.seed)).init()
+        start = loop.with_block("car", self.experiment.scenario.car(self.path, s=s, seed=self.experiment.seed)).init()
         start = loop.with_block_state(start, "human", human)
         self.x, self.y = list(start.x), list(start.y)
         self.story.carried(self.t)

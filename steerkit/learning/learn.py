@@ -23,7 +23,9 @@ def learn(
     Raises ValueError when the directory holds something else, when another process learns in it, and for parts of
     your own that could not be found again when the run is read.
     """
-    what = f"{experiment!r:.60}, expected an Experiment, such as Experiment(world=Scenario(course='paper'), minutes=2)"
+    what = (
+        f"{experiment!r:.60}, expected an Experiment, such as Experiment(scenario=Scenario(course='paper'), minutes=2)"
+    )
     require(isinstance(experiment, Experiment), "learn", what)
     if directory is None:
         return _driven(LearningRun(experiment, watch))
@@ -61,7 +63,7 @@ ENDS = ("minutes", "episodes", "rounds")
 def _check_same(kept: Experiment, asked: Experiment, place: FilePath) -> None:
     """Raise ValueError unless a kept run can go on as the experiment that is asked for."""
     same = replace(asked, **{name: getattr(kept, name) for name in ENDS})
-    differing = [name for name in ("setting", "world", "seed") if getattr(same, name) != getattr(kept, name)]
+    differing = [name for name in ("setting", "scenario", "seed") if getattr(same, name) != getattr(kept, name)]
     verb = "differs" if len(differing) == 1 else "differ"
     what = f"{place} holds a run of another experiment: its {' and '.join(differing)} {verb}"
     require(not differing, "learn", f"{what}; choose another directory")

@@ -44,7 +44,7 @@ def _watching(experiment: Experiment) -> Iterator[Watcher]:
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[story]}"), TimeElapsedColumn())
     with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
         task = bar.add_task(
-            f"{experiment.setting.name} on {experiment.world.course}", total=experiment.minutes, story=""
+            f"{experiment.setting.name} on {experiment.scenario.course}", total=experiment.minutes, story=""
         )
 
         def watch(what: str, run: LearningRun) -> None:
@@ -66,7 +66,7 @@ def figures_of_merit(run: LearningRun) -> dict[str, Any]:
     counts = run.counts
     return {
         "setting": run.experiment.setting.name,
-        "course": run.experiment.world.course,
+        "course": run.experiment.scenario.course,
         "seed": run.experiment.seed,
         "driving_minutes": run.t / 60.0,
         "failures": counts.failures,
@@ -91,18 +91,20 @@ def show(place: FilePath, *, quiet: bool = False) -> dict[str, Any]:
     for key, value in merit.items():
         table.add_row(key.replace("_", " "), f"{value:.2f}" if isinstance(value, float) else str(value))
     console.print(table)
-    world = run.experiment.world
+    scenario = run.experiment.scenario
     logs = {
         "learned": evaluate.drive(
-            world, rundir.final_policy(place, run.counts.updates), doe=run.experiment.setting.element(world.nominal)
+            scenario,
+            rundir.final_policy(place, run.counts.updates),
+            doe=run.experiment.setting.element(scenario.nominal),
         ),
-        "stanley": evaluate.drive(world, world.catcher()),
+        "stanley": evaluate.drive(scenario, scenario.catcher()),
     }
-    console.print(comparison(f"one round of {world.course}, the final net", logs))
+    console.print(comparison(f"one round of {scenario.course}, the final net", logs))
     drive = rundir.drive_log(place, until=run.t)
     name = run.experiment.setting.name
-    figures.learning(drive, title=f"{name} on {world.course}: from the first second").savefig(place / "learning.png")
-    figures.round_driven(logs["learned"], logs["stanley"], title=f"{name} on {world.course}: final net").savefig(
+    figures.learning(drive, title=f"{name} on {scenario.course}: from the first second").savefig(place / "learning.png")
+    figures.round_driven(logs["learned"], logs["stanley"], title=f"{name} on {scenario.course}: final net").savefig(
         place / "round.png"
     )
     if not quiet:
@@ -111,33 +113,33 @@ def show(place: FilePath, *, quiet: bool = False) -> dict[str, Any]:
 
 
 def drive_and_draw(
-    name: str, world: Scenario, place: FilePath, *, rounds: float | None, seed: int, quiet: bool = False
+    name: str, scenario: Scenario, place: FilePath, *, rounds: float | None, seed: int, quiet: bool = False
 ) -> dict[str, Any]:
     """A test drive of a named controller or of a run's final policy, with table, log and picture in `place`."""
-    log = _driven(name, world, rounds=rounds, seed=seed, quiet=quiet)
+    log = _driven(name, scenario, rounds=rounds, seed=seed, quiet=quiet)
     place.mkdir(parents=True, exist_ok=True)
     log.save(place / "drive.npz")
-    figures.round_driven(log, title=f"{name} on {world.course}").savefig(place / "drive.png")
-    _note(place, described([name], world, rounds=rounds, seed=seed))
-    console.print(comparison(f"{rounds or world.rounds:g} round(s) of {world.course}", {name: log}))
+    figures.round_driven(log, title=f"{name} on {scenario.course}").savefig(place / "drive.png")
+    _note(place, described([name], scenario, rounds=rounds, seed=seed))
+    console.print(comparison(f"{rounds or scenario.rounds:g} round(s) of {scenario.course}", {name: log}))
     if not quiet:
         console.print(f"log and picture: {place}/drive.npz, {place}/drive.png", soft_wrap=True)
     return _row(name, log)
 
 
 def drive_and_compare(
-    names: Sequence[str], world: Scenario, place: FilePath, *, rounds: float | None, seed: int, quiet: bool = False
+    names: Sequence[str], scenario: Scenario, place: FilePath, *, rounds: float | None, seed: int, quiet: bool = False
 ) -> list[dict[str, Any]]:
     """Test drives of several controllers under the same conditions: one table, one picture, and a log of each."""
-    logs = {name: _driven(name, world, rounds=rounds, seed=seed, quiet=quiet) for name in names}
+    logs = {name: _driven(name, scenario, rounds=rounds, seed=seed, quiet=quiet) for name in names}
     place.mkdir(parents=True, exist_ok=True)
     files = {name: place / f"{_file_name(name)}.npz" for name in names}
     require(len(set(files.values())) == len(files), "drive", f"two of {', '.join(names)} would have one log's name")
     for name, log in logs.items():
         log.save(files[name])
-    figures.rounds_driven(logs, title=f"on {world.course}").savefig(place / "drive.png")
-    _note(place, described(names, world, rounds=rounds, seed=seed))
-    console.print(comparison(f"{rounds or world.rounds:g} round(s) of {world.course}", logs))
+    figures.rounds_driven(logs, title=f"on {scenario.course}").savefig(place / "drive.png")
+    _note(place, described(names, scenario, rounds=rounds, seed=seed))
+    console.print(comparison(f"{rounds or scenario.rounds:g} round(s) of {scenario.course}", logs))
     if not quiet:
         console.print(f"logs: {', '.join(map(str, files.values()))}; picture: {place}/drive.png", soft_wrap=True)
     return [_row(name, log) for name, log in logs.items()]
@@ -147,15 +149,15 @@ def _file_name(name: str) -> str:
     return FilePath(name).name.replace(":", "-")
 
 
-def _driven(name: str, world: Scenario, *, rounds: float | None, seed: int, quiet: bool) -> Log:
+def _driven(name: str, scenario: Scenario, *, rounds: float | None, seed: int, quiet: bool) -> Log:
     run = FilePath(name)
     if name not in CONTROLLERS and run.is_dir():
-        doe = rundir.experiment_of(run).setting.element(world.nominal)
+        doe = rundir.experiment_of(run).setting.element(scenario.nominal)
         policy = rundir.final_policy(run)
-        return evaluate.drive(world, policy, doe=doe, rounds=rounds, seed=seed, progress=not quiet)
-    steering = evaluate.controller(name, world)
+        return evaluate.drive(scenario, policy, doe=doe, rounds=rounds, seed=seed, progress=not quiet)
+    steering = evaluate.controller(name, scenario)
     try:
-        return evaluate.drive(world, steering, rounds=rounds, seed=seed, progress=not quiet)
+        return evaluate.drive(scenario, steering, rounds=rounds, seed=seed, progress=not quiet)
     except Exception as error:
         if not is_outside(name):
             raise
@@ -166,7 +168,7 @@ NOTE = "drive.json"
 """The file beside a drive's log that says what was driven."""
 
 
-def described(names: Sequence[str], world: Scenario, *, rounds: float | None, seed: int) -> dict[str, Any]:
+def described(names: Sequence[str], scenario: Scenario, *, rounds: float | None, seed: int) -> dict[str, Any]:
     """What tells one test drive from another: who drives, where and how; as JSON has it."""
 
     def version(name: str) -> Any:
@@ -175,7 +177,7 @@ def described(names: Sequence[str], world: Scenario, *, rounds: float | None, se
         own = name not in CONTROLLERS and FilePath(name).is_dir()
         return rundir.document(FilePath(name))["counts"]["updates"] if own else None
 
-    told = {"controllers": {name: version(name) for name in names}, "scenario": asdict(world)}
+    told = {"controllers": {name: version(name) for name in names}, "scenario": asdict(scenario)}
     return dict(json.loads(json.dumps({**told, "rounds": rounds, "seed": seed}, default=str)))
 
 
@@ -201,9 +203,9 @@ def show_several(places: Sequence[FilePath]) -> list[dict[str, Any]]:
     table.columns[0].overflow = "fold"
     for place in places:
         run = rundir.load(place)
-        world, merit = run.experiment.world, figures_of_merit(run)
+        scenario, merit = run.experiment.scenario, figures_of_merit(run)
         policy = rundir.final_policy(place, run.counts.updates)
-        log = evaluate.drive(world, policy, doe=run.experiment.setting.element(world.nominal))
+        log = evaluate.drive(scenario, policy, doe=run.experiment.setting.element(scenario.nominal))
         row = _row(str(place), log)
         done = merit["first_round_done_s"]
         table.add_row(

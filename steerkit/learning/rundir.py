@@ -71,14 +71,16 @@ def from_plain(data: Any, where: str, default: type | None = None) -> Any:
     if not isinstance(data, dict):
         return data
     name = str(data.get("kind", default.__name__ if default else None))
-    if name in ("Scenario", "World"):  # a world, in runs of before
+    if name in ("Scenario", "World"):  # the second in runs of before
         return of_table(data, where)
     kind: Any = _own_kind(name, where) if is_outside(name) else KINDS.get(name)
     if kind is None:
         raise ValueError(f"{where}: kind {name!r} is not known; valid: {', '.join(KINDS)}, package.module:Class")
     if issubclass(kind, Scenario):
         return of_table(data, where, kind)
-    inside = {"setting": Setting, "world": Scenario, "fit": FitSetting, "cost": costs.TanhCost}
+    if kind is Experiment and "world" in data and "scenario" not in data:  # in runs and files of before
+        data = {"scenario" if key == "world" else key: value for key, value in data.items()}
+    inside = {"setting": Setting, "scenario": Scenario, "fit": FitSetting, "cost": costs.TanhCost}
     if issubclass(kind, Setting) and data.get("doe") in OLD_ELEMENTS:
         data = data | {"doe": OLD_ELEMENTS[data["doe"]]}
     valid = [f.name for f in fields(kind)]

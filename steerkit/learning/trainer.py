@@ -42,7 +42,7 @@ NICE = 10
 """How far the training process steps back behind the loop's (os.nice)."""
 ATTEMPTS = 3
 """Deaths of the training process over one job after which the job, not the process, is blamed."""
-_log = logging.getLogger("steerkit.trainer")
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -169,8 +169,8 @@ class Trainer:
 
     A thread of the trainer's own talks to the process. When the process dies (out of memory, kill -9) or is silent
     for `patience` [s], it is started again with the same job; the result's `fault`, `faults` and the log
-    "steerkit.trainer" tell. After ATTEMPTS deaths over one job, or an error in training, the result has no nets; the
-    next job is taken up as usual. nets: what the first job starts from.
+    `steerkit.learning.trainer` tell. After ATTEMPTS deaths over one job, or an error in training, the result has no
+    nets; the next job is taken up as usual. nets: what the first job starts from.
 
     The process imports the main module, as multiprocessing's spawn does: a script needs `if __name__ == "__main__":`.
     Close it, or use it in a `with`; it also ends with the program, and the process ends with its parent.

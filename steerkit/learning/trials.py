@@ -44,9 +44,9 @@ class TrialDrive:
 
 
 def drive_many(
-    world: Scenario, setting: Setting, policies: Sequence[NfqPolicy], *, seed: int = 0, rounds: float = 1.0
+    scenario: Scenario, setting: Setting, policies: Sequence[NfqPolicy], *, seed: int = 0, rounds: float = 1.0
 ) -> list[TrialDrive]:
-    """Let each policy drive `rounds` rounds of the world's course, all with the same human and sensors (`seed`).
+    """Let each policy drive `rounds` rounds of the scenario's course, all with the same human and sensors (`seed`).
 
     The policies must share layout, actions and description: they differ in weights. The same numbers as
     `evaluate.drive`, to rounding. Raises ValueError for policies that do not fit together.
@@ -56,23 +56,23 @@ def drive_many(
     first = policies[0]
     if len({_Layout(policy) for policy in policies}) > 1:
         raise ValueError("drive_many: policies of different layouts or actions; judge them in separate calls")
-    compiled = _compiled(world, setting, _Layout(first))
-    start = evaluate.drive_loop(world, first.with_weights(), doe=setting.element(world.nominal), seed=seed).init()
-    asked = dataclasses.replace(world, rounds=rounds)
+    compiled = _compiled(scenario, setting, _Layout(first))
+    start = evaluate.drive_loop(scenario, first.with_weights(), doe=setting.element(scenario.nominal), seed=seed).init()
+    asked = dataclasses.replace(scenario, rounds=rounds)
     length, duration = asked.length, asked.seconds
     weights = np.array([policy.flat_weights() for policy in policies]).T
     log = compiled.run(duration, state=start, parameters={WEIGHTS: weights}, allow_nonfinite=True)
     return [_judged(log, car, length) for car in range(len(policies))]
 
 
-def drive_each(world: Scenario, setting: Setting, policies: Sequence[Any], *, seed: int = 0) -> list[TrialDrive]:
+def drive_each(scenario: Scenario, setting: Setting, policies: Sequence[Any], *, seed: int = 0) -> list[TrialDrive]:
     """Let each policy drive one round, all with the same human and sensors (`seed`).
 
     Many nets of one layout drive all at once, in compiled code; few, and policies that are no nets, one by one, which
     takes a second or two each.
     """
     if not all(isinstance(policy, NfqPolicy) for policy in policies):
-        return [_drive_one(world, setting, policy, seed) for policy in policies]
+        return [_drive_one(scenario, setting, policy, seed) for policy in policies]
     layouts: dict[_Layout, list[int]] = {}
     for i, policy in enumerate(policies):
         layouts.setdefault(_Layout(policy), []).append(i)
@@ -80,16 +80,18 @@ def drive_each(world: Scenario, setting: Setting, policies: Sequence[Any], *, se
     for rows in layouts.values():
         some = [policies[i] for i in rows]
         if len(rows) < WORTH_COMPILING or len(some[0].nets or ()) > LARGEST_COMPILED:
-            drives |= zip(rows, [_drive_one(world, setting, policy, seed) for policy in some])
+            drives |= zip(rows, [_drive_one(scenario, setting, policy, seed) for policy in some])
         else:
-            drives |= zip(rows, drive_many(world, setting, some, seed=seed))
+            drives |= zip(rows, drive_many(scenario, setting, some, seed=seed))
     return [drives[i] for i in range(len(policies))]
 
 
-def _drive_one(world: Scenario, setting: Setting, policy: Any, seed: int) -> TrialDrive:
-    log = evaluate.drive(world, policy, doe=setting.element(world.nominal), seed=seed, rounds=1.0, only_while_held=True)
+def _drive_one(scenario: Scenario, setting: Setting, policy: Any, seed: int) -> TrialDrive:
+    log = evaluate.drive(
+        scenario, policy, doe=setting.element(scenario.nominal), seed=seed, rounds=1.0, only_while_held=True
+    )
     one_car = Log(log.t, {name: log[name][:, None] for name in SIGNALS}, log.units)
-    return _judged(one_car, 0, world.round_length)
+    return _judged(one_car, 0, scenario.round_length)
 
 
 def _judged(log: Log, car: int, length: float) -> TrialDrive:
@@ -128,7 +130,7 @@ class _Layout:
 
 
 @lru_cache(maxsize=8)
-def _compiled(world: Scenario, setting: Setting, layout: _Layout) -> Compiled:
-    loop = evaluate.drive_loop(world, layout.policy.with_weights(), doe=setting.element(world.nominal))
+def _compiled(scenario: Scenario, setting: Setting, layout: _Layout) -> Compiled:
+    loop = evaluate.drive_loop(scenario, layout.policy.with_weights(), doe=setting.element(scenario.nominal))
     ticks = round(layout.policy.dt / loop.dt)
     return compile(loop, record=SIGNALS, every=ticks, parameters=[WEIGHTS])

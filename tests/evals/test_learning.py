@@ -14,15 +14,15 @@ from steerkit.scenario import Scenario
 from steerkit.scenario import drive as evaluate
 from steerkit.simulation import Log
 
-WORLD = Scenario()
+SCENARIO = Scenario()
 
 
 @cache
 def learned(name: str) -> tuple[LearningRun, Log]:
     """A run until its first complete round (at most 11 minutes of driving), and a drive of the policy it ended with."""
     setting = {"i-doe": DEFAULT, "bang-bang": BANG_BANG}[name]
-    run = learn(Experiment(setting=setting, world=WORLD, minutes=11.0, rounds=1))
-    return run, evaluate.drive(WORLD, run.policy, doe=setting.element(), seed=7, only_while_held=True)
+    run = learn(Experiment(setting=setting, scenario=SCENARIO, minutes=11.0, rounds=1))
+    return run, evaluate.drive(SCENARIO, run.policy, doe=setting.element(), seed=7, only_while_held=True)
 
 
 @pytest.mark.parametrize("name", ["i-doe", "bang-bang"])
@@ -33,7 +33,7 @@ def test_it_learns_a_whole_round_from_nothing(name: str) -> None:
     assert first.ended is not None
     assert first.ended - first.began < 5.0  # it knew nothing
     assert run.counts.first_round_done is not None
-    assert run.counts.episodes[-1].distance >= WORLD.path().length
+    assert run.counts.episodes[-1].distance >= SCENARIO.path().length
 
 
 def test_the_integrating_element_is_smoother() -> None:

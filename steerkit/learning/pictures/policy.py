@@ -56,19 +56,19 @@ def q_values(policy: NfqPolicy, s: Array) -> Array:
     return np.array([[predict(net, x) for x in inputs] for net in policy.nets or ()], dtype=float)
 
 
-def course_angle(world: Scenario, doe: Any) -> Any:
+def course_angle(scenario: Scenario, doe: Any) -> Any:
     """Angle [rad] between the car's axis and the way its reference point goes, wheel at `doe` [rad], without slip.
 
         tan(course) = b/L tan(delta),  b: from the rear axle to the reference point, L: wheelbase
 
     A car that holds the path through a steady bend has psi_e = -course: at the front axle -delta itself.
     """
-    car = world.nominal
-    return np.arctan((car.l_r + world.ahead) / car.wheelbase * np.tan(np.asarray(doe) / car.steer_ratio))
+    car = scenario.nominal
+    return np.arctan((car.l_r + scenario.ahead) / car.wheelbase * np.tan(np.asarray(doe) / car.steer_ratio))
 
 
 def states(
-    world: Scenario, names: Sequence[str], n: int, *, v: Any, doe: Any = 0.0, psi: Any = 0.0, **more: Any
+    scenario: Scenario, names: Sequence[str], n: int, *, v: Any, doe: Any = 0.0, psi: Any = 0.0, **more: Any
 ) -> Array:
     """States (n, columns) that a car can be in: v [m/s], wheel at doe [rad], heading psi [rad] off the steady bend's.
 
@@ -76,13 +76,13 @@ def states(
 
     Each a number or (n,). Nets are only good where cars have been: a heading error without its e_dot is no such place.
     """
-    course = course_angle(world, doe)
+    course = course_angle(scenario, doe)
     columns = {"v": v, "doe": doe, "psi_e": psi - course, "e_dot": v / np.cos(course) * np.sin(psi)} | more
     return np.stack([np.broadcast_to(columns.get(name, 0.0), n) for name in names], axis=1).astype(float)
 
 
 @styled
-def q_slices(policy: NfqPolicy, world: Scenario, *, v: float = 6.0, doe: float = 0.0, title: str = "") -> Figure:
+def q_slices(policy: NfqPolicy, scenario: Scenario, *, v: float = 6.0, doe: float = 0.0, title: str = "") -> Figure:
     """Q(s, a) along one input at a time, a line an action; grey: the nets' differing opinions of the greedy value.
 
     Slices go through the car on the path at v [m/s], wheel at doe [rad]; what hangs together moves together (`states`).
@@ -94,7 +94,7 @@ def q_slices(policy: NfqPolicy, world: Scenario, *, v: float = 6.0, doe: float =
     for axis, name in zip(axes.flat, names):
         x = np.linspace(3.0, 9.0, n) if name == "v" else np.linspace(-SPANS[name], SPANS[name], n)
         where = {"v": v, "doe": doe} | {"psi" if name == "psi_e" else name: x}
-        members = q_values(policy, states(world, names, n, **where))
+        members = q_values(policy, states(scenario, names, n, **where))
         q, best = combined(members, policy.combine), members.min(axis=1)
         at = x if name in ("e", "e_dot", "v") else degrees_of(x)
         if len(best) > 1:
@@ -115,7 +115,7 @@ def q_slices(policy: NfqPolicy, world: Scenario, *, v: float = 6.0, doe: float =
 @styled
 def policy_map(
     policy: NfqPolicy,
-    world: Scenario,
+    scenario: Scenario,
     *,
     visited: Transitions | None = None,
     v: float = 6.0,
@@ -132,7 +132,7 @@ def policy_map(
     e, psi = np.linspace(-TRIP, TRIP, n), np.linspace(-radians_of(10.0), radians_of(10.0), n)
     over = {"e": np.tile(e, n), "psi": np.repeat(psi, n), "v": v}
     q = [
-        combined(q_values(policy, states(world, names, n * n, doe=radians_of(doe), **over)), policy.combine)
+        combined(q_values(policy, states(scenario, names, n * n, doe=radians_of(doe), **over)), policy.combine)
         for doe in doe_deg
     ]
     colours = _action_colours(actions)
@@ -144,13 +144,13 @@ def policy_map(
     )
     seen = dict(zip(names, (visited or Transitions(names)).s.T))
     for (above, below), doe, values in zip(axes.T, doe_deg, q):
-        course = course_angle(world, radians_of(doe))
+        course = course_angle(scenario, radians_of(doe))
         value = values.min(axis=0).reshape(n, n)
         above.imshow(shades[values.argmin(axis=0).reshape(n, n)], **look)
         picture = below.imshow(value, cmap="viridis", vmin=0.0, vmax=top, **look)
         below.contour(e, degrees_of(psi), value, levels=8, colors="white", linewidths=0.5, alpha=0.6)
         near = (np.abs(seen["v"] - v) < 0.75) & (np.abs(seen["doe"] - radians_of(doe)) < radians_of(40.0))
-        heading = degrees_of(seen["psi_e"][near] + course_angle(world, seen["doe"][near]))
+        heading = degrees_of(seen["psi_e"][near] + course_angle(scenario, seen["doe"][near]))
         for axis, colour in ((above, COLOURS["ink"]), (below, COLOURS["paper"])):
             axis.plot(seen["e"][near], heading, ".", ms=2.2, mew=0, color=colour, alpha=0.6)
             axis.grid(False)

@@ -57,12 +57,12 @@ class Record:
         place = FilePath(place)
         data, experiment = rundir.document(place), rundir.experiment_of(place)
         return cls(
-            name=f"{place.resolve().name}: {experiment.setting.name} on {experiment.world.course}",
+            name=f"{place.resolve().name}: {experiment.setting.name} on {experiment.scenario.course}",
             experiment=experiment,
             episodes=tuple(Episode(**episode) for episode in data["counts"]["episodes"]),
             log=rundir.drive_log(place),
             policy=rundir.final_policy(place),
-            path=experiment.world.path(),
+            path=experiment.scenario.path(),
             transitions=Transitions.load(place / f"transitions-{data['checkpoint']}.npz"),
         )
 
@@ -283,11 +283,11 @@ def draw_all(
     others = [Record.read(other) for other in against]
     folder = FilePath(place) / "diagnostics" if out is None else FilePath(out)
     folder.mkdir(parents=True, exist_ok=True)
-    world, speeds = record.experiment.world, record.transitions.s[:, V]
+    scenario, speeds = record.experiment.scenario, record.transitions.s[:, V]
     v = float(np.median(speeds)) if len(speeds) else 6.0
     figures: dict[str, Callable[[], Figure]] = {
-        "q-slices": lambda: q_slices(record.policy, world, v=v, title=record.name),
-        "policy-map": lambda: policy_map(record.policy, world, visited=record.transitions, v=v, title=record.name),
+        "q-slices": lambda: q_slices(record.policy, scenario, v=v, title=record.name),
+        "policy-map": lambda: policy_map(record.policy, scenario, visited=record.transitions, v=v, title=record.name),
         "learning-curve": lambda: learning_curve(record),
         "failures": lambda: failure_map(record),
     }

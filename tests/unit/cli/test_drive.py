@@ -64,9 +64,9 @@ def test_ones_own_controller_course_car_and_scenario(
 @pytest.mark.parametrize("name", sorted(CONTROLLERS))
 def test_every_analytic_controller_drives_with_delay(name: str) -> None:
     """The first 6 s of the course with 0.1 s delay; the textbook form already swings, but stays near."""
-    world = Scenario(delay=0.1)
-    steering = evaluate.controller(name, world)
-    log = simulate(evaluate.drive_loop(world, steering), 6.0, record=["path.e"])
+    scenario = Scenario(delay=0.1)
+    steering = evaluate.controller(name, scenario)
+    log = simulate(evaluate.drive_loop(scenario, steering), 6.0, record=["path.e"])
     assert abs(log["path.e"]).max() < 0.3
     assert name in command._CONTROLLERS.split(", ")
 
@@ -74,8 +74,8 @@ def test_every_analytic_controller_drives_with_delay(name: str) -> None:
 def test_the_options_of_a_drive_are_heard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     heard: dict[str, Any] = {}
 
-    def driven(name: str, world: Scenario, place: Path, **options: Any) -> dict[str, Any]:
-        heard.update(name=name, world=world, place=place, **options)
+    def driven(name: str, scenario: Scenario, place: Path, **options: Any) -> dict[str, Any]:
+        heard.update(name=name, scenario=scenario, place=place, **options)
         return {}
 
     monkeypatch.setattr(report, "drive_and_draw", driven)
@@ -85,30 +85,30 @@ def test_the_options_of_a_drive_are_heard(tmp_path: Path, monkeypatch: pytest.Mo
     assert (heard["name"], heard["rounds"], heard["seed"], heard["quiet"]) == ("lqr", 2.5, 7, True)
     assert heard["place"] == tmp_path
     hard = Scenario.under("hard", course="circle")
-    assert (heard["world"].course, heard["world"].delay, heard["world"].lag) == ("circle", 0.07, hard.lag)
+    assert (heard["scenario"].course, heard["scenario"].delay, heard["scenario"].lag) == ("circle", 0.07, hard.lag)
     write_scenario(Scenario(course="circle", delay=0.03, lag=0.2), tmp_path / "mine.toml")
     for given, lag, noise in (((), 0.2, 0.0), (("--conditions", "hard"), 0.15, 1.0)):
         words = ("drive", "lqr", "--scenario", str(tmp_path / "mine.toml"), *given, "-q", "--out")
         assert run(*words, str(tmp_path), monkeypatch=monkeypatch) == 0
-        world = heard["world"]
-        assert (world.course, world.delay, world.lag, world.noise) == ("circle", 0.03, lag, noise)
+        scenario = heard["scenario"]
+        assert (scenario.course, scenario.delay, scenario.lag, scenario.noise) == ("circle", 0.03, lag, noise)
 
 
 def test_the_output_element_of_a_learned_drive_ends_at_the_cars_stops(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "car.toml").write_text(vehicle_text(replace(VEHICLES["bmw-320i"], delta_sw_max=9.9)))
-    world = Scenario(vehicle=str(tmp_path / "car.toml"))
+    scenario = Scenario(vehicle=str(tmp_path / "car.toml"))
     limits = []
 
     class Seen(Exception):
         pass
 
-    def driven(world: Scenario, policy: Any, *, doe: Any, **options: Any) -> Any:
+    def driven(scenario: Scenario, policy: Any, *, doe: Any, **options: Any) -> Any:
         limits.append(doe.limit)
         raise Seen
 
-    run = SimpleNamespace(experiment=Experiment(world=world), t=0.0, counts=Counts(), transitions=())
+    run = SimpleNamespace(experiment=Experiment(scenario=scenario), t=0.0, counts=Counts(), transitions=())
     monkeypatch.setattr(evaluate, "drive", driven)
     monkeypatch.setattr(report.rundir, "final_policy", lambda place, updates=None: None)
     monkeypatch.setattr(report.rundir, "experiment_of", lambda place: run.experiment)
@@ -116,7 +116,7 @@ def test_the_output_element_of_a_learned_drive_ends_at_the_cars_stops(
     monkeypatch.setattr(demo, "learn_with_progress", lambda *words, **options: run)
     for test_drive in (
         lambda: report.show(tmp_path),
-        lambda: report.drive_and_draw(str(tmp_path), world, tmp_path, rounds=None, seed=0),
+        lambda: report.drive_and_draw(str(tmp_path), scenario, tmp_path, rounds=None, seed=0),
         lambda: demo._part(("a", run.experiment, tmp_path, 0, True)),
     ):
         with pytest.raises(Seen):
@@ -195,7 +195,7 @@ def test_speeds(
     for name, text in (("v", "s,v\n0,5\n60,11\n120,5\n"), ("x", "x,v\n0,5\n"), ("far", "s,v\n0,5\n999,5\n")):
         Path(f"{name}.csv").write_text(text)
     heard: list[Scenario] = []
-    monkeypatch.setattr(report, "drive_and_draw", lambda name, world, place, **options: heard.append(world) or {})
+    monkeypatch.setattr(report, "drive_and_draw", lambda name, scenario, place, **options: heard.append(scenario) or {})
     course = () if "--course" in words else ("--course", "circle")
     code = run("drive", "stanley", *course, *words, "-q", monkeypatch=monkeypatch)
     if isinstance(expected, str):
@@ -208,10 +208,10 @@ def test_speeds(
 
 def test_a_speed_profile_is_driven_round_after_round(tmp_path: Path) -> None:
     (tmp_path / "v.csv").write_text("s,v\n0,5\n60,8\n120,5\n")
-    world = Scenario(course="circle", speed=str(tmp_path / "v.csv"), v_max=8.0, rounds=1.5)
+    scenario = Scenario(course="circle", speed=str(tmp_path / "v.csv"), v_max=8.0, rounds=1.5)
     (tmp_path / "v.csv").unlink()  # the scenario has kept it
-    log = evaluate.drive(world, evaluate.controller("stanley", world))
-    length = world.path().length
+    log = evaluate.drive(scenario, evaluate.controller("stanley", scenario))
+    length = scenario.path().length
     assert log["path.progress"][-1] >= 1.5 * length
     expected = np.interp(log["path.progress"] % length, [0.0, 60.0, 120.0, length], [5.0, 8.0, 5.0, 5.0])
     np.testing.assert_allclose(log["human.v"], expected, atol=0.15)

@@ -22,7 +22,7 @@ from steerkit.scenario import Scenario
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("run")
     setting = replace(PAPER, fit=FitSetting(epochs=20))
-    learn(Experiment(setting=setting, world=Scenario(course="circle"), minutes=0.3, seed=2), place)
+    learn(Experiment(setting=setting, scenario=Scenario(course="circle"), minutes=0.3, seed=2), place)
     return place
 
 

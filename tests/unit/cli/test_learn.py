@@ -17,7 +17,7 @@ def test_learn_from_a_config_then_show_and_drive_its_policy(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     config, place = tmp_path / "my.toml", tmp_path / "run"
-    config.write_text("minutes = 0.2\nseed = 2\n[world]\ncourse = 'circle'\n[setting.fit]\nnets = 1\nepochs = 30\n")
+    config.write_text("minutes = 0.2\nseed = 2\n[scenario]\ncourse = 'circle'\n[setting.fit]\nnets = 1\nepochs = 30\n")
     words = ("learn", "--config", str(config), "--out", str(place), "--json")
     assert run(*words, monkeypatch=monkeypatch) == 0
     merit = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
@@ -40,12 +40,12 @@ def test_learn_from_a_config_then_show_and_drive_its_policy(
     assert (longer["course"], longer["seed"]) == ("circle", 2)
     assert 0.3 <= longer["driving_minutes"] < 0.31
     assert run("learn", "--out", str(place), "--course", "paper", monkeypatch=monkeypatch) == 2
-    assert "another experiment: its world differs" in capsys.readouterr().err
+    assert "another experiment: its scenario differs" in capsys.readouterr().err
     words = ("drive", str(place), "--course", "circle", "--rounds", "0.1", "--out", str(tmp_path / "d"), "-q")
     assert run(*words, monkeypatch=monkeypatch) == 0
     config.write_text("minuts = 3\n")
     assert run("learn", "--config", str(config), monkeypatch=monkeypatch) == 2
-    assert "no field 'minuts'; valid: setting, world, minutes" in capsys.readouterr().err
+    assert "no field 'minuts'; valid: setting, scenario, minutes" in capsys.readouterr().err
 
 
 def test_the_options_of_learning_are_heard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -62,7 +62,7 @@ def test_the_options_of_learning_are_heard(tmp_path: Path, monkeypatch: pytest.M
     ((experiment, place),) = heard
     assert (experiment.setting.name, experiment.setting.fit.nets, experiment.setting.calm) == ("paper", 3, 0.7)
     assert (experiment.minutes, experiment.seed, experiment.rounds) == (2.5, 6, 4)
-    assert experiment.world == Scenario.under("hard", course="circle")
+    assert experiment.scenario == Scenario.under("hard", course="circle")
     assert place == tmp_path / "here"
 
 
@@ -71,7 +71,7 @@ def test_options_change_the_experiment_of_a_file(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(report, "learn_with_progress", lambda experiment, place, **_: heard.append(experiment))
     monkeypatch.setattr(report, "show", lambda *_, **__: {})
     config = tmp_path / "my.toml"
-    text = "minutes = 0.2\nseed = 2\n[world]\ncourse = 'circle'\nnoise = 1.0\nlag = 0.3\n[setting]\ncalm = 0.6\n"
+    text = "minutes = 0.2\nseed = 2\n[scenario]\ncourse = 'circle'\nnoise = 1.0\nlag = 0.3\n[setting]\ncalm = 0.6\n"
     config.write_text(text)
     for words in (
         (),
@@ -81,7 +81,7 @@ def test_options_change_the_experiment_of_a_file(tmp_path: Path, monkeypatch: py
     ):
         assert run("learn", "--config", str(config), *words, "-q", monkeypatch=monkeypatch) == 0
     as_it_is, changed, clean, rounds = heard
-    assert (as_it_is.world.course, as_it_is.seed, as_it_is.minutes, as_it_is.setting.calm) == ("circle", 2, 0.2, 0.6)
-    assert (changed.world.course, changed.seed, changed.minutes, changed.setting.calm) == ("slalom", 7, 3.0, 0.6)
-    assert (changed.world.noise, clean.world.noise, clean.world.lag) == (1.0, 0.0, 0.3)
-    assert (rounds.rounds, rounds.world) == (2, as_it_is.world)
+    assert (as_it_is.scenario.course, as_it_is.seed, as_it_is.minutes, as_it_is.setting.calm) == ("circle", 2, 0.2, 0.6)
+    assert (changed.scenario.course, changed.seed, changed.minutes, changed.setting.calm) == ("slalom", 7, 3.0, 0.6)
+    assert (changed.scenario.noise, clean.scenario.noise, clean.scenario.lag) == (1.0, 0.0, 0.3)
+    assert (rounds.rounds, rounds.scenario) == (2, as_it_is.scenario)

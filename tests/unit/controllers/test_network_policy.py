@@ -37,15 +37,15 @@ def test_a_policy_block_steers_as_its_policy_did_in_the_environment() -> None:
         observation, *_, info = env.step(net(observation[None]).astype(np.float32))
         seen.append((info["e"], info["delta_sw"]))
     block = PolicyBlock(policy=net, largest=task.scale)
-    world = task.place
+    scenario = task.place
     loop = steering_loop(
-        car=world.car(task.path),
+        car=scenario.car(task.path),
         path=task.path,
-        human=world.human(0),
+        human=scenario.human(0),
         controller=block,
         doe=Integrator(),
-        actuator=world.actuator(),
-        reference=world.ahead,
+        actuator=scenario.actuator(),
+        reference=scenario.ahead,
     )
     start = dict(zip(task.loop.names, task.starts([task.draw(np.random.default_rng(4))]).x)) | {"controller": ()}
     floats = [
@@ -63,14 +63,14 @@ def test_a_policy_block_of_a_network_can_be_compiled(head: Any) -> None:
     layers = ((np.array([towards, -towards]), np.zeros(2)), (np.array(last), np.array([0.0, 0.1, 0.0][: len(last)])))
     net = Network(layers=layers, head=head)
     actions = (-0.05, 0.0, 0.05) if head == "argmax" else None
-    world = Scenario(course="circle")
-    loop = drive_loop(world, PolicyBlock(policy=net, actions=actions, largest=0.05), doe=Integrator())
+    scenario = Scenario(course="circle")
+    loop = drive_loop(scenario, PolicyBlock(policy=net, actions=actions, largest=0.05), doe=Integrator())
     slow, fast = simulate(loop, 3.0), compile(loop, backend="python").run(3.0)
     np.testing.assert_allclose(fast["controller.action"], slow["controller.action"], atol=1e-12)
     assert np.ptp(slow["controller.action"]) > 0.0
     other = PolicyBlock(policy=lambda x: np.zeros(len(x)))
     with pytest.raises(TraceError, match="is no Network: it cannot be traced"):
-        compile(drive_loop(world, other, doe=Integrator()), backend="python")
+        compile(drive_loop(scenario, other, doe=Integrator()), backend="python")
 
 
 def test_a_policy_block_comes_back_from_its_file(tmp_path: Any) -> None:

@@ -26,7 +26,7 @@ from steerkit.scenario import Scenario
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("run")
     setting = replace(PAPER, fit=FitSetting(epochs=20))
-    learn(Experiment(setting=setting, world=Scenario(course="circle"), minutes=0.3, seed=2), place)
+    learn(Experiment(setting=setting, scenario=Scenario(course="circle"), minutes=0.3, seed=2), place)
     return place
 
 
@@ -38,8 +38,8 @@ def sets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_the_data_set_holds_the_transitions_and_recovers_its_environment(run: Path) -> None:
     experiment = rundir.experiment_of(run)
-    world, setting = experiment.world, experiment.setting
-    options: dict[str, Any] = {"scenario": asdict(world), "actions": setting.actions, "doe": setting.doe}
+    scenario, setting = experiment.scenario, experiment.setting
+    options: dict[str, Any] = {"scenario": asdict(scenario), "actions": setting.actions, "doe": setting.doe}
     task = Task(**options, cost=rundir.plain(setting.cost))
     transitions = rundir.load(run).transitions
     to_minari(transitions, "steerkit/again-v0", task)

@@ -38,7 +38,7 @@ def test_the_steps_are_those_of_the_same_loop_simulated() -> None:
         def output(self, t: Any, x: Any, u: Any) -> Any:
             return self.Y(self.angles[min(round(t / self.dt), len(self.angles) - 1)])
 
-    world = task.place
+    scenario = task.place
     loop = task.loop.with_block("controller", Script(angles=tuple(IDOE_ACTIONS[a] for a in actions)))
     start = task.starts([task.draw(np.random.default_rng(5))])
     x = [
@@ -46,7 +46,7 @@ def test_the_steps_are_those_of_the_same_loop_simulated() -> None:
     ]
     x[loop.names.index("controller")] = ()
     log = simulate(loop, 16 * 0.05, state=loop.init(x=x), every=5)
-    assert world.ahead == pytest.approx(0.45 * 2.71)
+    assert scenario.ahead == pytest.approx(0.45 * 2.71)
     for name in ("e", "s", "x", "v", "a_y", "delta_sw"):
         signal = f"path.{name}" if name in ("e", "s") else f"car.{name}"
         assert [info[name] for info in infos] == log[signal][1:].tolist()

@@ -59,7 +59,7 @@ def test_the_vehicle_file_comes_back_and_drives(found: Identified, tmp_path: Pat
         found.save(tmp_path / "car.json")
 
 
-def test_a_vehicle_file_serves_a_learning_world(found: Identified, tmp_path: Path) -> None:
+def test_a_vehicle_file_serves_a_scenario(found: Identified, tmp_path: Path) -> None:
     from steerkit.scenario import Scenario
 
     found.save(tmp_path / "car.toml")

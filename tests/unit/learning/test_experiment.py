@@ -78,7 +78,7 @@ def test_with_a_shift_the_target_comes_to_the_car_and_the_learner_drives_on(tmp_
 
 
 def test_on_an_open_course_the_way_back_to_the_start_is_no_transition_and_no_failure() -> None:
-    run = model_based(Experiment(world=Scenario(course="slalom"), minutes=0.6, seed=3))  # it drives well at once
+    run = model_based(Experiment(scenario=Scenario(course="slalom"), minutes=0.6, seed=3))  # it drives well at once
     path, carried = run.loop.names.index("path"), 0
     while not run.done():
         before, lasting = run.y[path], run.counts.episode
@@ -109,8 +109,8 @@ def test_a_car_that_is_nowhere_is_an_error_and_no_silence() -> None:
 
 def test_the_jump_back_to_the_start_of_an_open_course_is_no_transition() -> None:
     """A wheel left alone on a straight: carried back again and again, never caught."""
-    world = Scenario(course="straight", v_min=4.0, v_max=7.5)
-    run = LearningRun(Experiment(setting=replace(SHORT.setting, retrain_every_m=0.0), world=world, minutes=0.5))
+    scenario = Scenario(course="straight", v_min=4.0, v_max=7.5)
+    run = LearningRun(Experiment(setting=replace(SHORT.setting, retrain_every_m=0.0), scenario=scenario, minutes=0.5))
     nets = tuple(tuple(np.zeros_like(part) for part in net) for net in run.story.policy.nets)
     run.story.policy = replace(run.story.policy, nets=nets)  # all actions are worth the same: the gentlest wins
     run.steer()

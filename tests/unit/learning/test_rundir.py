@@ -59,7 +59,7 @@ def test_broken_and_foreign_directories_are_named(kept: Path, tmp_path: Path) ->
 
 @pytest.mark.parametrize("name", SETTINGS)
 def test_an_experiment_survives_its_plain_form(name: str) -> None:
-    experiment = Experiment(setting=setting(name), world=Scenario.under("hard"), seed=5)
+    experiment = Experiment(setting=setting(name), scenario=Scenario.under("hard"), seed=5)
     data = json.loads(json.dumps(rundir.plain(experiment)))
     assert rundir.from_plain(data, "test") == experiment
 
@@ -67,7 +67,7 @@ def test_an_experiment_survives_its_plain_form(name: str) -> None:
 def test_configuration_errors_name_the_valid_choices() -> None:
     with pytest.raises(ValueError, match="valid: default, paper"):
         setting("defualt")
-    with pytest.raises(ValueError, match="no field 'minuts'; valid: setting, world, minutes"):
+    with pytest.raises(ValueError, match="no field 'minuts'; valid: setting, scenario, minutes"):
         rundir.from_plain({"minuts": 3.0}, "my.toml", Experiment)
     with pytest.raises(ValueError, match="valid: clean, hard"):
         Scenario.under("harder")
@@ -81,7 +81,7 @@ def test_a_sparse_configuration_takes_the_defaults() -> None:
     assert experiment.minutes == 3.0
     assert experiment.setting.cost == PAPER.cost
     assert experiment.setting.fit.nets == 1
-    assert experiment.world == Scenario()
+    assert experiment.scenario == Scenario()
 
 
 CURT = replace(SHORT.setting, fit=FitSetting(epochs=3, mirror=True, nets=1), fit_seconds=0.5)
@@ -89,10 +89,13 @@ RUNS = {
     "driving on": Experiment(setting=replace(CURT, retrain_every_m=4.0), minutes=0.15, seed=3),
     "carried back": Experiment(setting=replace(CURT, after_failure="reset", reset_seconds=5.0), minutes=0.5, seed=3),
     "noise and chance": Experiment(
-        setting=replace(CURT, retrain_every_m=4.0, exploration=0.2), world=Scenario.under("hard"), minutes=0.15, seed=3
+        setting=replace(CURT, retrain_every_m=4.0, exploration=0.2),
+        scenario=Scenario.under("hard"),
+        minutes=0.15,
+        seed=3,
     ),
     "an open course": Experiment(
-        setting=replace(CURT, retrain_every_m=4.0), world=Scenario(course="slalom"), minutes=0.15, seed=3
+        setting=replace(CURT, retrain_every_m=4.0), scenario=Scenario(course="slalom"), minutes=0.15, seed=3
     ),
 }
 
@@ -155,16 +158,16 @@ def test_a_run_resumed_at_any_checkpoint_is_the_run_that_went_on(tmp_path: Path)
 
 def test_a_run_on_files_is_carried_elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = yard(tmp_path)
-    experiment = Experiment(world=Scenario(course=str(file)), minutes=0.05, seed=1)
+    experiment = Experiment(scenario=Scenario(course=str(file)), minutes=0.05, seed=1)
     learn(experiment, tmp_path / "here" / "run")
     file.unlink()
     (tmp_path / "here").rename(tmp_path / "there")
     monkeypatch.chdir("/")
     run = rundir.load(tmp_path / "there" / "run")
     assert run.experiment == experiment
-    assert run.path.length == experiment.world.path().length
+    assert run.path.length == experiment.scenario.path().length
     yard(tmp_path, radius=30.0)
-    other = Experiment(world=Scenario(course=str(file)), minutes=0.05, seed=1)
+    other = Experiment(scenario=Scenario(course=str(file)), minutes=0.05, seed=1)
     with pytest.raises(ValueError, match="a run of another experiment"):
         learn(other, tmp_path / "there" / "run")
 
@@ -179,11 +182,21 @@ def test_a_run_from_when_the_plain_element_was_called_direct_is_read() -> None:
 
 
 def test_a_run_from_before_there_were_scenarios_is_read() -> None:
-    data = json.loads(json.dumps(rundir.plain(Experiment(world=Scenario.under("hard", course="genesis")))))
-    new = data["world"]
+    data = json.loads(json.dumps(rundir.plain(Experiment(scenario=Scenario.under("hard", course="genesis")))))
+    new = data.pop("scenario")
     names = ("course", "plant", "reference", "lag", "delay", "rate_limit_deg", "v_min", "v_max")
     data["world"] = {"kind": "World", "vehicle_name": new["vehicle"], "noise": True} | {n: new[n] for n in names}
-    assert rundir.from_plain(data, "run.json").world == Scenario.under("hard", course="genesis")
+    assert rundir.from_plain(data, "run.json").scenario == Scenario.under("hard", course="genesis")
+
+
+def test_an_experiment_that_calls_its_scenario_a_world_is_read() -> None:
+    """As run.json and experiment files did before; both names at once are a mistake."""
+    scenario = Scenario.under("hard", course="genesis")
+    old = {"world": json.loads(json.dumps(rundir.plain(scenario))), "seed": 4}
+    assert rundir.from_plain(old, "old.toml", Experiment) == Experiment(scenario=scenario, seed=4)
+    assert rundir.from_plain({"world": {"course": "genesis"}}, "old.toml", Experiment).scenario.course == "genesis"
+    with pytest.raises(ValueError, match="Experiment has no field 'world'; valid: setting, scenario, minutes"):
+        rundir.from_plain(old | {"scenario": old["world"]}, "old.toml", Experiment)
 
 
 def test_a_run_of_before_goes_on_with_the_actions_of_its_set(tmp_path: Path) -> None:

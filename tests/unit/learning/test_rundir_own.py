@@ -23,17 +23,17 @@ HOME = "tests.support.own_parts"
 
 def test_own_place_setting_cost_and_element_are_kept_and_found_again(tmp_path: Path) -> None:
     setting = Patient(fit=PAPER.fit, cost=Dear(price=4.0), doe=f"{HOME}:Geared", name="mine")
-    experiment = Experiment(world=Yard(radius=30.0), setting=setting, minutes=0.1)
+    experiment = Experiment(scenario=Yard(radius=30.0), setting=setting, minutes=0.1)
     learn(experiment, tmp_path / "run")
     kept = json.loads((tmp_path / "run" / "run.json").read_text())["experiment"]
-    assert (kept["world"]["kind"], kept["setting"]["kind"]) == (f"{HOME}:Yard", f"{HOME}:Patient")
+    assert (kept["scenario"]["kind"], kept["setting"]["kind"]) == (f"{HOME}:Yard", f"{HOME}:Patient")
     run = rundir.load(tmp_path / "run")
     assert run.experiment == experiment
     assert run.path.length == pytest.approx(2.0 * 3.14159 * 30.0, rel=1e-4)
     assert isinstance(run.loop.blocks["doe"], Geared)
     assert learn(experiment, tmp_path / "run").t == run.t  # it resumes
     row = report.drive_and_draw(
-        str(tmp_path / "run"), experiment.world, tmp_path / "drive", rounds=0.1, seed=0, quiet=True
+        str(tmp_path / "run"), experiment.scenario, tmp_path / "drive", rounds=0.1, seed=0, quiet=True
     )
     assert row["controller"] == str(tmp_path / "run")
 
@@ -43,7 +43,7 @@ def test_a_part_that_could_not_be_found_again_is_refused_before_the_first_second
     class Here(Scenario):
         """In a function: nobody can import it."""
 
-    experiment = Experiment(world=Here(), minutes=0.1)
+    experiment = Experiment(scenario=Here(), minutes=0.1)
     with pytest.raises(ValueError, match=r"a Here of your own .*could not find again; put the class into a module"):
         learn(experiment, tmp_path / "run")
     assert not (tmp_path / "run").exists()
@@ -53,18 +53,18 @@ def test_a_part_in_a_file_is_kept_by_the_files_name(tmp_path: Path, monkeypatch:
     monkeypatch.chdir(tmp_path)
     shutil.copy(own_parts.__file__, tmp_path / "mine.py")
     kind = imported("mine.py:Yard", "test")
-    data = rundir.plain(Experiment(world=kind(radius=40.0)))
-    assert data["world"]["kind"] == "mine.py:Yard"
-    assert rundir.from_plain(data, "test").world.path().length == pytest.approx(251.3, abs=0.1)
+    data = rundir.plain(Experiment(scenario=kind(radius=40.0)))
+    assert data["scenario"]["kind"] == "mine.py:Yard"
+    assert rundir.from_plain(data, "test").scenario.path().length == pytest.approx(251.3, abs=0.1)
     (tmp_path / "mine.py").unlink()
-    with pytest.raises(ValueError, match=r"test.world 'mine.py:Yard': mine.py cannot be read"):
+    with pytest.raises(ValueError, match=r"test.scenario 'mine.py:Yard': mine.py cannot be read"):
         rundir.from_plain(data, "test")
 
 
 @pytest.mark.parametrize("kind", ["os:system", "pathlib:Path", "steerkit.path:Path", "dataclasses:dataclass"])
 def test_nothing_but_a_part_of_an_experiment_is_made(kind: str) -> None:
     data = rundir.plain(Experiment())
-    data["world"] = {"kind": kind}
+    data["scenario"] = {"kind": kind}
     with pytest.raises(ValueError, match=f"kind '{kind}' is no part of an experiment, expected a dataclass that"):
         rundir.from_plain(data, "run.json")
 
@@ -84,7 +84,7 @@ def test_an_element_that_is_none_is_refused_with_the_setting(name: str, says: st
 
 
 def test_a_finished_run_learns_on_with_the_numbers_of_a_longer_one(tmp_path: Path) -> None:
-    short = Experiment(setting=replace(PAPER, retrain_every_m=20.0), world=Scenario(course="circle"), minutes=0.15)
+    short = Experiment(setting=replace(PAPER, retrain_every_m=20.0), scenario=Scenario(course="circle"), minutes=0.15)
     learn(short, tmp_path / "run")
     longer = replace(short, minutes=0.3)
     run, whole = learn(longer, tmp_path / "run"), learn(longer)

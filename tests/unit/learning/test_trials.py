@@ -43,9 +43,9 @@ def test_each_is_judged_as_if_it_drove_alone(combine: Any) -> None:
 def test_the_metrics_are_those_of_the_part_it_drove() -> None:
     lazy = policy(0)  # all weights zero: every action is worth the same, the gentlest wins, and the circle goes on
     zero = tuple(tuple(np.zeros_like(p) for p in net) for net in lazy.nets or ())
-    world = Scenario(course="straight")
-    (result,) = drive_many(world, SETTING, [replace(lazy, nets=zero)], rounds=0.2)
-    log = evaluate.drive(world, replace(lazy, nets=zero), doe=SETTING.element(), rounds=0.2)
+    scenario = Scenario(course="straight")
+    (result,) = drive_many(scenario, SETTING, [replace(lazy, nets=zero)], rounds=0.2)
+    log = evaluate.drive(scenario, replace(lazy, nets=zero), doe=SETTING.element(), rounds=0.2)
     assert result.held
     assert result.summary is not None
     assert result.summary.rms_e == pytest.approx(of_log(log).rms_e, abs=1e-12)

@@ -124,12 +124,12 @@ def test_on_the_car_driven_only_the_recovery_is_told_and_test_drives_are_the_sui
 ) -> None:
     asked: dict[str, Any] = {}
 
-    def drive_each(world: Any, setting: Any, nets: Any, *, seed: int) -> list[TrialDrive]:
-        asked["judged"] = (world, seed)
+    def drive_each(scenario: Any, setting: Any, nets: Any, *, seed: int) -> list[TrialDrive]:
+        asked["judged"] = (scenario, seed)
         return []
 
     def train(experiment: Any) -> Any:
-        asked["learned"] = (experiment.world, experiment.seed)
+        asked["learned"] = (experiment.scenario, experiment.seed)
         return SimpleNamespace(run=run, nets=[])
 
     run = learned(minutes=1.0)

@@ -74,7 +74,7 @@ def test_the_real_model_is_learned_from_the_first_seconds_of_driving() -> None:
     run = LearningRun(Experiment(setting=setting, minutes=0.4))
     while not run.done():
         run.drive()
-    car, model = run.experiment.world.nominal, CarModel.fit(run.transitions, run.experiment.setting.description())
+    car, model = run.experiment.scenario.nominal, CarModel.fit(run.transitions, run.experiment.setting.description())
     assert 1.0 / float(model.ratio(np.array(6.0))) == pytest.approx(car.steer_ratio, rel=0.25)
     assert 1.0 / model.yaw == pytest.approx(car.l_f + car.l_r, rel=0.25)
 

@@ -36,28 +36,28 @@ def test_values_lead_to_the_actions_that_the_policy_takes(record: Record, combin
 @pytest.mark.parametrize("reference", ["front", "cg"])
 def test_states_on_a_steady_bend_are_where_a_car_really_is(reference: str) -> None:
     """A slow car in a steady bend: r = v tan(delta)/L, every point turns about the same centre."""
-    world = Scenario(reference=reference)
-    car, delta, v = world.nominal, 0.1, 2.0
-    b = car.l_r + world.ahead
+    scenario = Scenario(reference=reference)
+    car, delta, v = scenario.nominal, 0.1, 2.0
+    b = car.l_r + scenario.ahead
     r = v * math.tan(delta) / car.wheelbase
-    course = course_angle(world, delta * car.steer_ratio)
+    course = course_angle(scenario, delta * car.steer_ratio)
     assert course == pytest.approx(math.atan2(b * r, v))
     if reference == "front":
         assert course == pytest.approx(delta)
     names = NfqPolicy().description.names
-    steady = dict(zip(names, states(world, names, 1, v=v, doe=delta * car.steer_ratio)[0]))
+    steady = dict(zip(names, states(scenario, names, 1, v=v, doe=delta * car.steer_ratio)[0]))
     assert steady["psi_e"] == pytest.approx(-course)
     assert (steady["e"], steady["e_dot"], steady["r_e"], steady["v"]) == (0.0, 0.0, 0.0, v)
     psi_e = 0.05 - course  # turned out of it: the point's speed across the path, component by component
     across = v * math.sin(psi_e) + b * r * math.cos(psi_e)
-    turned = dict(zip(names, states(world, names, 1, v=v, doe=delta * car.steer_ratio, psi=0.05)[0]))
+    turned = dict(zip(names, states(scenario, names, 1, v=v, doe=delta * car.steer_ratio, psi=0.05)[0]))
     assert turned["e_dot"] == pytest.approx(across)
 
 
 def test_recorded_states_keep_to_the_rule_that_the_pictures_use(record: Record) -> None:
     """e_dot = v/cos(course) sin(psi_e + course), with the angle really steered: in the log, wheel moving slowly."""
-    log, world = record.log, record.experiment.world
-    course = course_angle(world, log["car.delta_sw"])
+    log, scenario = record.log, record.experiment.scenario
+    course = course_angle(scenario, log["car.delta_sw"])
     e_dot = np.gradient(log["path.e"], log.t)
     rule = log["car.v"] / np.cos(course) * np.sin(log["path.psi_e"] + course)
     slow = np.abs(np.gradient(log["car.delta_sw"], log.t)) < radians_of(40.0)
@@ -66,8 +66,8 @@ def test_recorded_states_keep_to_the_rule_that_the_pictures_use(record: Record) 
 
 
 def test_slices_hold_the_policys_values(record: Record) -> None:
-    policy, world = record.policy, record.experiment.world
-    figure = q_slices(policy, world, v=5.0)
+    policy, scenario = record.policy, record.experiment.scenario
+    figure = q_slices(policy, scenario, v=5.0)
     assert [axis.get_xlabel().split(" [")[0] for axis in figure.axes] == [
         "e",
         "e_dot",
@@ -84,8 +84,8 @@ def test_slices_hold_the_policys_values(record: Record) -> None:
 
 
 def test_the_map_shows_the_action_that_the_policy_takes(record: Record) -> None:
-    policy, world = replace(record.policy, continuous=False), record.experiment.world  # the map shows the set's
-    figure = policy_map(policy, world, visited=record.transitions, v=5.0, doe_deg=(0.0, 120.0))
+    policy, scenario = replace(record.policy, continuous=False), record.experiment.scenario  # the map shows the set's
+    figure = policy_map(policy, scenario, visited=record.transitions, v=5.0, doe_deg=(0.0, 120.0))
     above = [axis for axis in figure.axes if axis.get_title(loc="left")]
     assert len(above) == 2
     legend = {handle.get_label(): handle.get_color() for handle in above[0].get_lines() if handle.get_label()[0] != "_"}
@@ -96,7 +96,7 @@ def test_the_map_shows_the_action_that_the_policy_takes(record: Record) -> None:
         pixels = np.asarray(axis.get_images()[0].get_array())
         for i, j in np.random.default_rng(0).integers(0, 161, (40, 2)):
             e, psi = np.linspace(-0.5, 0.5, 161)[j], np.linspace(-1.0, 1.0, 161)[i] * radians_of(10.0)
-            s = states(world, policy.description.names, 1, v=5.0, doe=doe, e=e, psi=psi)
+            s = states(scenario, policy.description.names, 1, v=5.0, doe=doe, e=e, psi=psi)
             q = np.sort(q_values(policy, s).mean(axis=0)[:, 0])
             if q[1] - q[0] > 1e-5:
                 action = float(policy.output(0.0, (), policy.D(*s.T)).action[0])
