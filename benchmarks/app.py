@@ -177,31 +177,33 @@ def compare(
     from benchmarks.run.results import load_results
 
     console = _console()
-    found = compared(load_results(a), load_results(b), rel=rel, absolute=absolute)
-    for key, (one, two) in found.provenance.items():
+    comparison = compared(load_results(a), load_results(b), rel=rel, absolute=absolute)
+    for key, (one, two) in comparison.provenance.items():
         console.print(f"{key}: {one} -> {two}", markup=False, soft_wrap=True, highlight=False)
-    for label, names in (("only in A", found.only_a), ("only in B", found.only_b)):
+    for label, names in (("only in A", comparison.only_a), ("only in B", comparison.only_b)):
         if names:
             console.print(f"{label}: {len(names)} cases: {', '.join(names[:5])}", markup=False, soft_wrap=True)
-    for name, one, two in found.status[:most]:
+    for name, one, two in comparison.status[:most]:
         console.print(f"{name}: {one} -> {two}", markup=False, soft_wrap=True)
-    if found.changes:
-        console.print(_changes(found.changes[:most], f"{len(found.changes)} of {found.compared} numbers differ"))
+    if comparison.changes:
+        console.print(
+            _changes(comparison.changes[:most], f"{len(comparison.changes)} of {comparison.compared} numbers differ")
+        )
     else:
-        console.print(f"all {found.compared} numbers of the common cases are the same")
+        console.print(f"all {comparison.compared} numbers of the common cases are the same")
     if as_json:
         print(
             json.dumps(
                 {
-                    "same": found.same,
-                    "compared": found.compared,
-                    "changed": len(found.changes),
-                    "only_a": len(found.only_a),
-                    "only_b": len(found.only_b),
+                    "same": comparison.same,
+                    "compared": comparison.compared,
+                    "changed": len(comparison.changes),
+                    "only_a": len(comparison.only_a),
+                    "only_b": len(comparison.only_b),
                 }
             )
         )
-    if strict and not found.same:
+    if strict and not comparison.same:
         raise SystemExit(1)
 
 
@@ -222,17 +224,17 @@ def golden(
             raise
         old, tolerances = {}, kept.TOLERANCES
     new = kept.numbers(kept.measured())
-    found = kept.difference(new, old, tolerances)
-    if found:
-        console.print(_changes(found, f"{len(found)} numbers differ from the golden ones"))
+    changes = kept.difference(new, old, tolerances)
+    if changes:
+        console.print(_changes(changes, f"{len(changes)} numbers differ from the golden ones"))
     else:
         console.print(f"all {sum(map(len, old.values()))} golden numbers hold")
     if update:
         kept.update(new, place)
         console.print(f"written: {place}", soft_wrap=True)
     if as_json:
-        print(json.dumps({"changed": [asdict(change) for change in found], "updated": update}).replace("NaN", "null"))
-    if found and not update:
+        print(json.dumps({"changed": [asdict(change) for change in changes], "updated": update}).replace("NaN", "null"))
+    if changes and not update:
         raise SystemExit(1)
 
 

@@ -352,8 +352,8 @@ def _training(job: Job) -> Job:
     )
 
 
-def _kept(found: Sequence[Job], only: Sequence[str]) -> list[Job]:
-    return [job for job in found if not only or any(_matches(job, word) for word in only)]
+def _kept(cases: Sequence[Job], only: Sequence[str]) -> list[Job]:
+    return [job for job in cases if not only or any(_matches(job, word) for word in only)]
 
 
 def _matches(job: Job, word: str) -> bool:

@@ -117,8 +117,8 @@ def d3rlpy_nfq(
     return block, dict(zip(CURVE, np.array(rows).T, strict=True))
 
 
-def _row(found: dict[str, float], check: int, t: float, transitions: int) -> list[float]:
-    row = {"t": t, "iterations": check + 1.0, "transitions": float(transitions), **found}
+def _row(figures: dict[str, float], check: int, t: float, transitions: int) -> list[float]:
+    row = {"t": t, "iterations": check + 1.0, "transitions": float(transitions), **figures}
     return [float(row.get(column, np.nan)) for column in CURVE]
 
 

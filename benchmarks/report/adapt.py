@@ -82,7 +82,7 @@ def trained_on(results: Results, case: Case) -> str:
 def panels(results: Results, cases: Sequence[Case]) -> list[Panel]:
     """One for every scenario of the suite's finished `cases` that something was learned on; none for other suites."""
     learnt = [c for c in results.cases if c.status == "done" and trained_on(results, c)]
-    found = []
+    rows = []
     for scenario in dict.fromkeys(case.scenario for case in cases):
         here = [case for case in learnt if trained_on(results, case) == scenario]
         longest = max((_minutes(results, case) for case in here), default=0.0)
@@ -96,7 +96,7 @@ def panels(results: Results, cases: Sequence[Case]) -> list[Panel]:
             )  # the last net has the wheel to the end
             trouble = _trouble(results.protocol.get(scenario, {}))
             after = {_minutes(results, c): _rms_e([d for d in drives if d.controller == c.controller]) for c in here}
-            found.append(
+            rows.append(
                 Panel(
                     scenario,
                     trouble,
@@ -107,7 +107,7 @@ def panels(results: Results, cases: Sequence[Case]) -> list[Panel]:
                     len(runs),
                 )
             )
-    return found
+    return rows
 
 
 def _minutes(results: Results, case: Case) -> float:
@@ -119,7 +119,7 @@ def _rms_e(cases: Sequence[Case]) -> float:
 
 
 def _levels(results: Results, drives: Sequence[Case]) -> tuple[Level, ...]:
-    told = results.provenance["controllers"]
+    entries = results.provenance["controllers"]
     return tuple(
         Level(
             name.removesuffix(TOLD_TRUTH),
@@ -127,7 +127,7 @@ def _levels(results: Results, drives: Sequence[Case]) -> tuple[Level, ...]:
             _rms_e([d for d in drives if d.controller == name]),
         )
         for name in controllers(drives)
-        if told.get(name, {}).get("kind") == "analytic"
+        if entries.get(name, {}).get("kind") == "analytic"
     )
 
 
@@ -144,25 +144,25 @@ def _trouble(fields: Mapping[str, Any]) -> str:
 
 def section(results: Results, cases: Sequence[Case]) -> dict[str, Any] | None:
     """What the page shows of these cases: a sentence, a legend, a picture a scenario; None where nothing is to be."""
-    found = panels(results, cases)
-    if not found:
+    shown = panels(results, cases)
+    if not shown:
         return None
-    names = dict.fromkeys(level.name for panel in found for level in panel.levels)
+    names = dict.fromkeys(level.name for panel in shown for level in panel.levels)
     look = figures.looks([LEARNED, *names])
-    span = _span(found)
+    span = _span(shown)
     pictures = []
-    for panel in found:
+    for panel in shown:
         levels = [(level.name, level.truth, level.rms_e) for level in panel.levels]
         figure = figures.falling(panel.x, panel.learned, panel.drives, levels, look, LEARNED, span=span)
         words = f"{panel.scenario}: RMS e over driving time, learned and analytic"
         pictures.append((f"{panel.scenario}: {panel.trouble}", _caption(panel), figures.svg(figure, words)))
-    return {"summary": _summary(found), "look": look, "pictures": pictures}
+    return {"summary": _summary(shown), "look": look, "pictures": pictures}
 
 
-def _span(found: Sequence[Panel]) -> tuple[float, float]:
+def _span(shown: Sequence[Panel]) -> tuple[float, float]:
     """One range of RMS e for all pictures [m]: from the best of all to beyond the worst analytic one."""
-    drawn = [level.rms_e for panel in found for level in panel.levels]
-    learned = np.concatenate([panel.learned[0] for panel in found])
+    drawn = [level.rms_e for panel in shown for level in panel.levels]
+    learned = np.concatenate([panel.learned[0] for panel in shown])
     lines = [value for value in drawn if math.isfinite(value)]
     values = [*lines, *learned[np.isfinite(learned)]]
     return (0.7 * min(values), 1.5 * max(lines or values)) if values else (0.01, 1.0)
@@ -171,7 +171,7 @@ def _span(found: Sequence[Panel]) -> tuple[float, float]:
 def _caption(panel: Panel) -> str:
     said = [f"after {minutes:g} min {number(value)} m" for minutes, value in sorted(panel.drives.items())]
     text = [f"Learned: {', '.join(said)}."]
-    for truth, told in ((False, "the data sheet"), (True, "the truth")):
+    for truth, source in ((False, "the data sheet"), (True, "the truth")):
         best, after = panel.best(truth=truth), panel.below(truth=truth)
         shown = "none held" if best is None else f"{number(best.rms_e)} m ({best.name})"
         when = (
@@ -179,21 +179,21 @@ def _caption(panel: Panel) -> str:
         )
         if truth and best is not None:
             when = f"learned ends at {panel.times(truth=True):.2f} times that"
-        text.append(f"Best told {told}: {shown}; {when}.")
+        text.append(f"Best told {source}: {shown}; {when}.")
         lost = [level.name for level in panel.levels if level.truth is truth and not math.isfinite(level.rms_e)]
         if lost and best is not None:
             text.append(f"Not held: {', '.join(lost)}.")
     return " ".join([*text, f"Seeds: {panel.seeds}."])
 
 
-def _summary(found: Sequence[Panel]) -> str:
-    reached = [time for panel in found if math.isfinite(time := panel.below(truth=False))]
+def _summary(shown: Sequence[Panel]) -> str:
+    reached = [time for panel in shown if math.isfinite(time := panel.below(truth=False))]
     when = f", for good after {60.0 * float(np.median(reached)):.0f} s of driving in the median" if reached else ""
     text = (
         "The learned controller ends with a lower RMS e than the best analytic one that is told the data sheet in "
-        f"{len(reached)} of {len(found)} scenarios{when}."
+        f"{len(reached)} of {len(shown)} scenarios{when}."
     )
-    times = [ratio for panel in found if not math.isnan(ratio := panel.times(truth=True))]
+    times = [ratio for panel in shown if not math.isnan(ratio := panel.times(truth=True))]
     if times:
         text += (
             f" It ends at {np.median(times):.2f} times the RMS e of the best that is told the truth in the median, "

@@ -34,8 +34,8 @@ UNITS = {
 def condition(field: str) -> str:
     """A field of a scenario in words, with its unit."""
     words = field.removesuffix("_deg").replace("_", " ")
-    found = "deg" if field.endswith("_deg") else UNITS.get(field, "")
-    return f"{words} [{found}]" if found else words
+    unit = "deg" if field.endswith("_deg") else UNITS.get(field, "")
+    return f"{words} [{unit}]" if unit else words
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Sweep:
 
 def grids(cases: Sequence[Case], protocol: Mapping[str, Mapping[str, Any]]) -> list[Grid]:
     """Failure-boundary maps: every pair of a scenario's numbers that the cases vary over a grid, all else equal."""
-    found = []
+    maps = []
     for x, y in combinations(_varying(cases, protocol), 2):
         for fixed, group in _groups(cases, protocol, (x, y)).items():
             at = {name: (_value(protocol, name, x), _value(protocol, name, y)) for name in group}
@@ -76,13 +76,13 @@ def grids(cases: Sequence[Case], protocol: Mapping[str, Mapping[str, Any]]) -> l
                 held = [[_held(here, name, at, (u, w)) for u in xs] for w in reversed(ys)]
                 shares[name] = np.array(held)
             seeds = len({c.seed for c in here})
-            found.append(Grid(x, y, tuple(xs), tuple(reversed(ys)), fixed, shares, seeds))
-    return found
+            maps.append(Grid(x, y, tuple(xs), tuple(reversed(ys)), fixed, shares, seeds))
+    return maps
 
 
 def sweeps(cases: Sequence[Case], protocol: Mapping[str, Mapping[str, Any]]) -> list[Sweep]:
     """Every number of the scenarios that takes three values or more, all else equal, and is not on a map already."""
-    found = []
+    lines = []
     mapped = {name for x, y in combinations(_varying(cases, protocol), 2) for name in _on_a_map(cases, protocol, x, y)}
     for x in _varying(cases, protocol):
         for fixed, group in _groups(cases, protocol, (x,)).items():
@@ -92,8 +92,8 @@ def sweeps(cases: Sequence[Case], protocol: Mapping[str, Mapping[str, Any]]) -> 
             xs = tuple(sorted(at))
             names = controllers(c for c in cases if c.scenario in group)
             by = {n: [[c for c in cases if (c.controller, c.scenario) == (n, at[v])] for v in xs] for n in names}
-            found.append(Sweep(x, xs, fixed, by))
-    return found
+            lines.append(Sweep(x, xs, fixed, by))
+    return lines
 
 
 def _covers(at: Mapping[str, tuple[float, float]], xs: Sequence[float], ys: Sequence[float]) -> bool:
@@ -102,12 +102,12 @@ def _covers(at: Mapping[str, tuple[float, float]], xs: Sequence[float], ys: Sequ
 
 
 def _on_a_map(cases: Sequence[Case], protocol: Mapping[str, Mapping[str, Any]], x: str, y: str) -> list[str]:
-    found: list[str] = []
+    names: list[str] = []
     for group in _groups(cases, protocol, (x, y)).values():
         at = {name: (_value(protocol, name, x), _value(protocol, name, y)) for name in group}
         if _covers(at, sorted({p[0] for p in at.values()}), sorted({p[1] for p in at.values()})):
-            found += group
-    return found
+            names += group
+    return names
 
 
 def _held(cases: Iterable[Case], name: str, at: Mapping[str, tuple[float, float]], point: tuple[float, float]) -> float:
@@ -153,6 +153,6 @@ def _groups(
     for n, fixed in known.items():
         groups.setdefault(repr(sorted((k, repr(v)) for k, v in fixed.items() if k not in free)), []).append(n)
     firsts = [known[group[0]] for group in groups.values()]
-    told = [k for k in dict.fromkeys(k for f in firsts for k in f) if len({repr(f.get(k)) for f in firsts}) > 1]
-    words = [", ".join(f"{k} {f[k]}" for k in told if k in f and k not in free) for f in firsts]
+    differing = [k for k in dict.fromkeys(k for f in firsts for k in f) if len({repr(f.get(k)) for f in firsts}) > 1]
+    words = [", ".join(f"{k} {f[k]}" for k in differing if k in f and k not in free) for f in firsts]
     return dict(zip(words, groups.values()))

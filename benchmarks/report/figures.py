@@ -118,8 +118,8 @@ def dots(
         if len(positive) and len(positive) == len(finite) and positive.max() > 25.0 * positive.min():
             axes.set_xscale("log")
             _plain_numbers(axes.xaxis)
-        for row, (name, found) in enumerate(values.items()):
-            shown = found[np.isfinite(found)]
+        for row, (name, numbers) in enumerate(values.items()):
+            shown = numbers[np.isfinite(numbers)]
             if len(shown) > MOST_DOTS:  # as many of their quantiles, or the page grows with every case
                 shown = np.quantile(shown, np.linspace(0.0, 1.0, MOST_DOTS))
             shift = rng.uniform(-0.22, 0.22, len(shown))
@@ -302,13 +302,11 @@ def falling(
     held, and is drawn in the strip at the top. Dashed: told the data sheet; solid: told the truth. span: range of RMS e
     [m], the same in pictures to be compared. Both axes are logarithmic: most is learned in the first seconds.
     """
-    least, most = span
-    lost = most * np.geomspace(
-        1.12, 1.7, 2 + sum(not math.isfinite(level) for *_, level in levels)
-    )  # rows of the strip
+    bottom, top = span
+    lost = top * np.geomspace(1.12, 1.7, 2 + sum(not math.isfinite(level) for *_, level in levels))  # rows of the strip
     with style():
         figure, axes = new(2.9)
-        axes.axhspan(most, 1.9 * most, color=COLOURS["limit"], alpha=0.1, lw=0)
+        axes.axhspan(top, 1.9 * top, color=COLOURS["limit"], alpha=0.1, lw=0)
         rows = iter(lost[1:])
         for name, truth, level in levels:
             at = level if math.isfinite(level) else next(rows)
@@ -321,9 +319,9 @@ def falling(
         axes.plot([*drives], values, "o", ms=6.0, color=colour, mec=COLOURS["paper"], mew=1.2, clip_on=False)
         axes.set_xscale("log")
         axes.set_yscale("log")
-        axes.set_ylim(least, 1.9 * most)
+        axes.set_ylim(bottom, 1.9 * top)
         ticks = [f * 10.0**k for k in range(-5, 2) for f in (1.0, 2.0, 5.0)]
-        shown = {tick: f"{tick:g}" for tick in ticks if least <= tick <= most} | {1.38 * most: "not held"}
+        shown = {tick: f"{tick:g}" for tick in ticks if bottom <= tick <= top} | {1.38 * top: "not held"}
         axes.set_yticks([*shown], [*shown.values()])
         times = {2: "2 s", 5: "5 s", 10: "10 s", 30: "30 s", 60: "1 min", 120: "2 min", 300: "5 min"}
         axes.set_xlim(2.0 / 60.0, 1.08 * float(x[-1]))

@@ -32,32 +32,34 @@ def learning(results: Results, cases: Sequence[Case], *, points: int = 80) -> li
 
     A seed's value at a time is that of the last net that had taken the wheel; before the first it counts as never.
     """
-    found = []
+    curves = []
     for scenario, learners in _runs(results, cases).items():
         end = max(float(c["t"].max()) for runs in learners.values() for c in runs)
-        found.append(_curves(scenario, learners, np.linspace(0.0, end / 60.0, points), lambda c: c["t"] / 60.0))
-    return found
+        curves.append(_curves(scenario, learners, np.linspace(0.0, end / 60.0, points), lambda c: c["t"] / 60.0))
+    return curves
 
 
 def offline(results: Results, cases: Sequence[Case]) -> list[Curves]:
     """The same over the number of trainings, for scenarios whose nets went on being trained after the driving."""
-    found = []
+    curves = []
     for scenario, learners in _runs(results, cases).items():
         runs = [c for them in learners.values() for c in them]
         if all(np.count_nonzero(c["t"] == c["t"].max()) >= 3 for c in runs):
-            most = max(len(c["t"]) for c in runs)
-            found.append(_curves(scenario, learners, np.arange(most + 1.0), lambda c: np.arange(1.0, len(c["t"]) + 1)))
-    return found
+            count = max(len(c["t"]) for c in runs)
+            curves.append(
+                _curves(scenario, learners, np.arange(count + 1.0), lambda c: np.arange(1.0, len(c["t"]) + 1))
+            )
+    return curves
 
 
 def _runs(results: Results, cases: Sequence[Case]) -> dict[str, dict[str, list[Curve]]]:
     """Curves of the finished trainings, by scenario and controller."""
-    found: dict[str, dict[str, list[Curve]]] = {}
+    runs: dict[str, dict[str, list[Curve]]] = {}
     for case in (c for c in cases if c.kind == "learn" and c.status == "done"):
         curve = results.curve(case)
         if curve is not None and len(curve["t"]):
-            found.setdefault(case.scenario, {}).setdefault(case.controller, []).append(curve)
-    return found
+            runs.setdefault(case.scenario, {}).setdefault(case.controller, []).append(curve)
+    return runs
 
 
 def _curves(
@@ -94,8 +96,8 @@ def _shares(rows: list[np.ndarray]) -> Band:
 def _by_column(rows: list[np.ndarray], of: Callable[[np.ndarray], Interval]) -> Band:
     """Value, low and high of each column; between two new nets columns repeat, and are worked out once."""
     columns, which = np.unique(np.array(rows), axis=1, return_inverse=True)
-    found = np.array([(i.value, i.low, i.high) for i in map(of, columns.T)])[which]
-    return found[:, 0], found[:, 1], found[:, 2]
+    bands = np.array([(i.value, i.low, i.high) for i in map(of, columns.T)])[which]
+    return bands[:, 0], bands[:, 1], bands[:, 2]
 
 
 @dataclass(frozen=True)
@@ -117,14 +119,14 @@ def costs(cases: Sequence[Case]) -> tuple[list[Metric], list[Cost]]:
     """What learning cost, by scenario and learner; and the metrics of which there are medians."""
     learnt = [c for c in cases if c.kind == "learn" and c.status == "done"]
     columns = [m for m in TABLE if m.group == "learning" and any(m.name in c.metrics for c in learnt)]
-    found = []
+    rows = []
     for scenario, name in dict.fromkeys((c.scenario, c.controller) for c in learnt):
         here = [c for c in learnt if (c.scenario, c.controller) == (scenario, name)]
         medians = tuple(interval(of_metric(here, m), np.median) for m in columns)
-        found.append(
+        rows.append(
             Cost(scenario, name, len(here), medians, _reached(here, "round_minutes"), _reached(here, "good_minutes"))
         )
-    return columns, found
+    return columns, rows
 
 
 def _reached(cases: Sequence[Case], name: str) -> Interval:

@@ -85,7 +85,7 @@ def html(results: Results) -> str:
 def tiles(results: Results) -> list[tuple[str, str, str]]:
     """The numbers at the top: (number, what it is, more about it)."""
     drives = [c for c in results.cases if c.status == "done"]
-    found = [
+    rows = [
         (
             f"{len(drives):,}",
             "cases finished",
@@ -93,7 +93,7 @@ def tiles(results: Results) -> list[tuple[str, str, str]]:
         )
     ]
     seeds = {c.seed for c in drives}
-    found.append(
+    rows.append(
         (
             str(len(parts.controllers(drives))),
             "controllers",
@@ -103,10 +103,10 @@ def tiles(results: Results) -> list[tuple[str, str, str]]:
     measured = [c for c in drives if "held" in c.metrics]
     if measured:
         held = float(np.mean([c.metrics["held"] > 0.5 for c in measured]))
-        found.append((f"{100.0 * held:.0f} %", "of all drives kept to the course", "|e| ≤ 0.5 m, start to end"))
+        rows.append((f"{100.0 * held:.0f} %", "of all drives kept to the course", "|e| ≤ 0.5 m, start to end"))
     spent = sum(c.cpu_seconds for c in drives if math.isfinite(c.cpu_seconds))
-    found.append((f"{spent / 60.0:,.1f} min", "computing time", "of one core, all cases"))
-    return found
+    rows.append((f"{spent / 60.0:,.1f} min", "computing time", "of one core, all cases"))
+    return rows
 
 
 def verdict_html(results: Results) -> str:
@@ -151,7 +151,7 @@ def suite(results: Results, name: str, look: dict[str, figures.Look]) -> dict[st
 
 def metric_plots(cases: Sequence[Case], look: dict[str, figures.Look]) -> list[Picture]:
     """One plot a metric: every case a dot, the median with its interval a bar."""
-    found = []
+    pictures = []
     for m in (m for m in parts.METRICS if m.group != "learning" and parts.has(cases, m.name)):
         of = {name: [c for c in cases if c.controller == name] for name in parts.controllers(cases)}
         values = {name: parts.of_metric(here, m) for name, here in of.items()}
@@ -160,8 +160,8 @@ def metric_plots(cases: Sequence[Case], look: dict[str, figures.Look]) -> list[P
         better = "lower" if m.lower_is_better else "higher"
         limit = "" if m.limit is None else f" Dashed: {m.limit:g} {parts.unit(m)}."
         text = f"{m.what}; {better} is better.{limit} {_off_the_plot(values)}"
-        found.append(Picture(_named(m), text, figures.svg(figure, m.what)))
-    return found
+        pictures.append(Picture(_named(m), text, figures.svg(figure, m.what)))
+    return pictures
 
 
 def _named(m: Metric) -> str:
@@ -169,19 +169,19 @@ def _named(m: Metric) -> str:
 
 
 def _median(values: np.ndarray, m: Metric) -> tuple[float, float, float]:
-    found = interval(values if m.lower_is_better else -values, np.median)
-    return (found.value, found.low, found.high) if m.lower_is_better else (-found.value, -found.high, -found.low)
+    middle = interval(values if m.lower_is_better else -values, np.median)
+    return (middle.value, middle.low, middle.high) if m.lower_is_better else (-middle.value, -middle.high, -middle.low)
 
 
 def _off_the_plot(values: dict[str, np.ndarray]) -> str:
     lost = {name: int((~np.isfinite(v)).sum()) for name, v in values.items()}
-    told = ", ".join(f"{name} {n}" for name, n in lost.items() if n)
-    return f"Not held or without a value, counted as worst: {told}." if told else ""
+    counts = ", ".join(f"{name} {n}" for name, n in lost.items() if n)
+    return f"Not held or without a value, counted as worst: {counts}." if counts else ""
 
 
 def maps(results: Results, cases: Sequence[Case], look: dict[str, figures.Look]) -> list[dict[str, Any]]:
     """For the first drive on each course: where the controllers drove, and e along the way."""
-    found, seen = [], set()
+    entries, seen = [], set()
     cases = [case for case in cases if case.kind == "drive"]
     for scenario in dict.fromkeys(case.scenario for case in cases):
         course = str(results.protocol.get(scenario, {}).get("course", scenario))
@@ -196,7 +196,7 @@ def maps(results: Results, cases: Sequence[Case], look: dict[str, figures.Look])
         seen.add(course)
         shown = dict(list(drives.items())[:LINES_ON_A_MAP])
         times = figures.magnification(shown)
-        found.append(
+        entries.append(
             {
                 "course": course,
                 "scenario": scenario,
@@ -208,12 +208,12 @@ def maps(results: Results, cases: Sequence[Case], look: dict[str, figures.Look])
                 "along": figures.svg(figures.error_along(shown, look), f"cross-track error along {course}"),
             }
         )
-    return found
+    return entries
 
 
 def sweep_plots(cases: Sequence[Case], results: Results, look: dict[str, figures.Look]) -> list[Picture]:
     """Largest |e| over each condition that was varied alone."""
-    found = []
+    pictures = []
     for sweep in conditions.sweeps(cases, results.protocol):
         curves = {}
         for name, by_value in sweep.cases.items():
@@ -231,8 +231,8 @@ def sweep_plots(cases: Sequence[Case], results: Results, look: dict[str, figures
         )
         title = f"max |e| over {conditions.condition(sweep.x)}" + (f" ({sweep.fixed})" if sweep.fixed else "")
         text = "Median over the seeds with its 95 % interval. A line ends where half the drives left the course."
-        found.append(Picture(title, text, figures.svg(figure, title)))
-    return found
+        pictures.append(Picture(title, text, figures.svg(figure, title)))
+    return pictures
 
 
 def _largest_e(cases: Sequence[Case]) -> tuple[float, float, float]:
@@ -240,13 +240,13 @@ def _largest_e(cases: Sequence[Case]) -> tuple[float, float, float]:
     values = [math.inf if math.isnan(v) else v for v in held]
     if not values:
         return (math.inf, math.inf, math.inf)
-    found = interval(values, np.median)
-    return found.value, found.low, found.high
+    middle = interval(values, np.median)
+    return middle.value, middle.low, middle.high
 
 
 def curve_plots(results: Results, cases: Sequence[Case], look: dict[str, figures.Look]) -> list[Picture]:
     """Two pictures a scenario of learning: the share of seeds that drive well, and how well."""
-    found = []
+    pictures = []
     for curves, x in (
         *((c, "driving time [min]") for c in learning.learning(results, cases)),
         *((c, "trainings") for c in learning.offline(results, cases)),
@@ -258,20 +258,20 @@ def curve_plots(results: Results, cases: Sequence[Case], look: dict[str, figures
             f"Wilson's 95 % interval. Seeds: {seeds}."
         )
         title = f"{curves.scenario}: good drivers over {x.partition(' [')[0]}"
-        found.append(Picture(title, text, figures.svg(good, title)))
+        pictures.append(Picture(title, text, figures.svg(good, title)))
         rms = figures.bands(curves.x, curves.rms_e, look, x_label=x, y_label="RMS e [m]", log=True, steps=True)
         text = (
             "RMS e of one round by the net of that moment: median over the seeds, bootstrap 95 % interval. The line "
             "begins when half the seeds hold the round."
         )
         title = f"{curves.scenario}: RMS e over {x.partition(' [')[0]}"
-        found.append(Picture(title, text, figures.svg(rms, title)))
-    return found
+        pictures.append(Picture(title, text, figures.svg(rms, title)))
+    return pictures
 
 
 def trace_plots(results: Results, cases: Sequence[Case], look: dict[str, figures.Look]) -> list[Picture]:
     """The first training of each learner from its first second on, as the paper's figure 5."""
-    found, seen = [], set()
+    pictures, seen = [], set()
     for case in sorted((c for c in cases if c.kind == "learn"), key=lambda c: c.seed):
         drive = results.trajectory(case)
         if drive is None or len(drive["t"]) < 2 or (case.controller, case.scenario) in seen:
@@ -280,8 +280,8 @@ def trace_plots(results: Results, cases: Sequence[Case], look: dict[str, figures
         title = f"{case.controller}, {case.scenario}, seed {case.seed}: from the first second"
         text = "Shaded: the recovery controller steers. Dashed: |e| = 0.5 m, where an episode ends."
         figure = figures.first_seconds(drive, look[case.controller])
-        found.append(Picture(title, text, figures.svg(figure, title)))
-    return found
+        pictures.append(Picture(title, text, figures.svg(figure, title)))
+    return pictures
 
 
 def protocol(results: Results) -> dict[str, Any]:
@@ -304,9 +304,9 @@ def known_controllers(results: Results) -> dict[str, Any]:
 
 def kinds(results: Results) -> dict[str, tuple[str, str]]:
     """What each controller is (analytic, learned, peer) and one line about it; empty words where that was not kept."""
-    told = known_controllers(results)
+    entries = known_controllers(results)
     return {
-        name: (str(told.get(name, {}).get("kind", "")), str(told.get(name, {}).get("about", "")))
+        name: (str(entries.get(name, {}).get("kind", "")), str(entries.get(name, {}).get("about", "")))
         for name in parts.controllers(results.cases)
     }
 
@@ -330,8 +330,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except ValueError as error:
         parser.error(str(error))
     size, cases = file.stat().st_size, len(results.cases)
-    told = json.dumps({"report": str(file), "bytes": size, "cases": cases})
-    print(told if a.json else f"{file}: {size / 1e6:.1f} MB, {cases} cases")
+    answer = json.dumps({"report": str(file), "bytes": size, "cases": cases})
+    print(answer if a.json else f"{file}: {size / 1e6:.1f} MB, {cases} cases")
 
 
 if __name__ == "__main__":

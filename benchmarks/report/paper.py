@@ -60,23 +60,25 @@ def _of(cases: Sequence[Case], controller: str) -> list[Case]:
 
 def _each(cases: Sequence[Case], name: str) -> str:
     """Each controller's median over its seeds with the interval, and of how many seeds, where not of all."""
-    told = []
+    parts = []
     for controller in dict.fromkeys(c.controller for c in cases):
         values = np.array([c.metrics.get(name, np.nan) for c in _of(cases, controller)])
         known = values[~np.isnan(values)]
         if len(known):
-            found = interval(known, np.median)
+            middle = interval(known, np.median)
             of = "" if len(known) == len(values) else f" ({len(known)} of {len(values)} seeds)"
-            told.append(f"{controller}: {number(found.value, 2)} [{number(found.low, 2)}, {number(found.high, 2)}]{of}")
-    return "; ".join(told) or "–"
+            parts.append(
+                f"{controller}: {number(middle.value, 2)} [{number(middle.low, 2)}, {number(middle.high, 2)}]{of}"
+            )
+    return "; ".join(parts) or "–"
 
 
 def _ranges(results: Results, cases: Sequence[Case]) -> str:
     """Least and greatest e of the recorded drives, of all seeds together."""
-    told = []
+    parts = []
     for name in dict.fromkeys(c.controller for c in cases):
         drives = [d["e"] for c in _of(cases, name) if (d := results.trajectory(c)) is not None and len(d["e"])]
         if drives:
             e = np.concatenate(drives)
-            told.append(f"{name}: {number(float(np.nanmin(e)), 2)} to {number(float(np.nanmax(e)), 2)}")
-    return "; ".join(told) or "–"
+            parts.append(f"{name}: {number(float(np.nanmin(e)), 2)} to {number(float(np.nanmax(e)), 2)}")
+    return "; ".join(parts) or "–"

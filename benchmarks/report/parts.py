@@ -76,8 +76,8 @@ class Row:
 
 def suites(results: Results) -> list[str]:
     """The suites that have finished cases, in the order of the cases; those that only taught nets come last."""
-    found = dict.fromkeys(case.suite for case in results.cases)
-    return sorted(found, key=lambda name: all(c.kind == "learn" for c in results.cases if c.suite == name))
+    names = dict.fromkeys(case.suite for case in results.cases)
+    return sorted(names, key=lambda name: all(c.kind == "learn" for c in results.cases if c.suite == name))
 
 
 def controllers(cases: Iterable[Case]) -> list[str]:
@@ -106,8 +106,8 @@ def of_metric(cases: Iterable[Case], m: Metric) -> np.ndarray:
     Else a controller would be judged by the few metres before it left the course.
     """
     worst = math.inf if m.lower_is_better else -math.inf
-    found = [value_of(case, m) for case in cases]
-    return np.array([worst if math.isnan(value) else value for value in found])
+    values = [value_of(case, m) for case in cases]
+    return np.array([worst if math.isnan(value) else value for value in values])
 
 
 def value_of(case: Case, m: Metric) -> float:
@@ -153,10 +153,10 @@ def leaderboard(cases: Sequence[Case]) -> tuple[list[Metric], list[Row]]:
             continue
         errors = sum(c.status == "error" for c in ran[name])
         kept = float(np.mean(held[name]))
-        told = f"{sum(held[name])} of {len(held[name])} drives"
+        detail = f"{sum(held[name])} of {len(held[name])} drives"
         cells = [
             Cell(str(len(ran[name])), float(len(ran[name]))),
-            Cell(f"{100.0 * kept:.0f} %", kept, title=told, best=kept == max(shares) > min(shares)),
+            Cell(f"{100.0 * kept:.0f} %", kept, title=detail, best=kept == max(shares) > min(shares)),
         ]
         for m in columns:
             value = medians[m.name][name]
@@ -206,7 +206,7 @@ def against(cases: Sequence[Case], reference: str) -> list[Versus]:
 
     Only scenarios that both held on all common seeds count; a seed is one pair, as its scenarios share a human.
     """
-    found = []
+    rows = []
     table: Drives = {}
     for case in (c for c in cases if c.status == "done"):
         table.setdefault(case.controller, {}).setdefault(case.scenario, {})[case.seed] = case
@@ -222,8 +222,8 @@ def against(cases: Sequence[Case], reference: str) -> list[Versus]:
                 continue
             ours, theirs, scenarios = pairs
             test = paired(ours, theirs)
-            found.append(Versus(name, m, len(ours), scenarios, float(theirs.mean()), test.difference, test.p))
-    return found
+            rows.append(Versus(name, m, len(ours), scenarios, float(theirs.mean()), test.difference, test.p))
+    return rows
 
 
 def _paired_means(table: Drives, name: str, reference: str, m: Metric) -> tuple[np.ndarray, np.ndarray, int] | None:

@@ -51,7 +51,7 @@ class Duel:
 
 def duels(results: Results, learned: str, analytic: str, suite: str | None = None) -> list[Duel]:
     """The learned against the analytic controller, in every scenario that both drove, by every judged metric."""
-    found = []
+    rows = []
     for scenario in dict.fromkeys(case.scenario for case in _drives(results, suite)):
         one, two = (_by_seed(results, scenario, name, suite) for name in (learned, analytic))
         if not one or not two:
@@ -66,7 +66,7 @@ def duels(results: Results, learned: str, analytic: str, suite: str | None = Non
             ]
             values = np.array([pair for pair in held if np.isfinite(pair).all()], dtype=float).reshape(-1, 2)
             means = values.mean(axis=0) if len(values) else (math.nan, math.nan)
-            found.append(
+            rows.append(
                 Duel(
                     scenario=scenario,
                     metric=name,
@@ -79,12 +79,12 @@ def duels(results: Results, learned: str, analytic: str, suite: str | None = Non
                     left_out=len(pairs) - len(values),
                 )
             )
-    return found
+    return rows
 
 
 def verdict(results: Results, *, suite: str | None = None) -> str:
     """The text, in Markdown. suite: of one suite only. Says so where there is nothing to compare."""
-    kinds = {name: told["kind"] for name, told in results.provenance["controllers"].items()}
+    kinds = {name: entry["kind"] for name, entry in results.provenance["controllers"].items()}
     driven = dict.fromkeys(case.controller for case in _drives(results, suite))
     learned = [name for name in driven if kinds.get(name) == "learned"]
     analytic = [name for name in driven if kinds.get(name) == "analytic"]
@@ -154,10 +154,10 @@ def _of_one(results: Results, learned: str, analytic: Sequence[str], suite: str 
     return lines
 
 
-def _sentence(word: str, found: Sequence[Duel]) -> str:
+def _sentence(word: str, rows: Sequence[Duel]) -> str:
     """One metric against the usual opponent, scenario by scenario in words."""
-    compared = [d for d in found if d.seeds]
-    never = [d for d in found if not d.seeds]
+    compared = [d for d in rows if d.seeds]
+    never = [d for d in rows if not d.seeds]
     if not compared:
         return f"{word.capitalize()} ({OPPONENT}): no seed on which both held their drive and it was measured."
     unit = metric(compared[0].metric).unit
@@ -165,13 +165,15 @@ def _sentence(word: str, found: Sequence[Duel]) -> str:
     for what, sign in (("better", -1), ("worse", 1)):
         of_kind = [d for d in compared if d.decided == sign]
         if of_kind:
-            most = max(of_kind, key=lambda d: abs(math.log(max(d.mean_learned, 1e-12) / max(d.mean_analytic, 1e-12))))
-            assert most.result is not None
-            gap = most.result.difference
+            clearest = max(
+                of_kind, key=lambda d: abs(math.log(max(d.mean_learned, 1e-12) / max(d.mean_analytic, 1e-12)))
+            )
+            assert clearest.result is not None
+            gap = clearest.result.difference
             parts.append(
-                f"{what} in {len(of_kind)} of {len(compared)} scenarios, most in {most.scenario}: "
-                f"{most.mean_learned:.3g} against {most.mean_analytic:.3g} {unit}, "
-                f"difference {gap.value:+.3g} [{gap.low:+.3g}, {gap.high:+.3g}], p = {most.result.p:.2g}"
+                f"{what} in {len(of_kind)} of {len(compared)} scenarios, most in {clearest.scenario}: "
+                f"{clearest.mean_learned:.3g} against {clearest.mean_analytic:.3g} {unit}, "
+                f"difference {gap.value:+.3g} [{gap.low:+.3g}, {gap.high:+.3g}], p = {clearest.result.p:.2g}"
             )
     even = sum(d.decided == 0 for d in compared)
     if even:
@@ -181,16 +183,16 @@ def _sentence(word: str, found: Sequence[Duel]) -> str:
     return f"{word.capitalize()}, against {OPPONENT}: {_ratio(compared)}; {'; '.join(parts)}."
 
 
-def _ratio(found: Sequence[Duel]) -> str:
+def _ratio(rows: Sequence[Duel]) -> str:
     """How large the learned controller's figure is beside the other's: geometric mean over the scenarios."""
-    gaps = [math.log(max(d.mean_learned, 1e-12) / max(d.mean_analytic, 1e-12)) for d in found]
-    return f"{math.exp(sum(gaps) / len(gaps)):.2f} times as large over {len(found)} scenarios"
+    gaps = [math.log(max(d.mean_learned, 1e-12) / max(d.mean_analytic, 1e-12)) for d in rows]
+    return f"{math.exp(sum(gaps) / len(gaps)):.2f} times as large over {len(rows)} scenarios"
 
 
-def _best(found: Iterable[Duel]) -> list[Duel]:
+def _best(rows: Iterable[Duel]) -> list[Duel]:
     """For each scenario the duel with the analytic controller whose mean is lowest, of those that held most seeds."""
     by_scenario: dict[str, list[Duel]] = {}
-    for duel in found:
+    for duel in rows:
         if duel.seeds:
             by_scenario.setdefault(duel.scenario, []).append(duel)
     return [min(duels, key=lambda d: (-d.seeds, d.mean_analytic)) for duels in by_scenario.values()]
@@ -209,6 +211,6 @@ def _at(cases: dict[int, Case], seed: int) -> Case | None:
     return next(iter(cases.values())) if len(cases) == 1 else cases.get(seed)
 
 
-def _names(found: Iterable[str], most: int = 6) -> str:
-    names = [*dict.fromkeys(found)]
-    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+def _names(words: Iterable[str], limit: int = 6) -> str:
+    names = [*dict.fromkeys(words)]
+    return ", ".join(names[:limit]) + (f" and {len(names) - limit} more" if len(names) > limit else "")

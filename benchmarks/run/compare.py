@@ -75,9 +75,9 @@ def compare(a: Results, b: Results, *, rel: float = REL, absolute: float = ABS) 
             if not same(x, y, rel, absolute):
                 changes.append(Change(name, metric, x, y))
     keys = ("commit", "dirty", "source", "versions", "platform", "processor", "cores")
-    told = {key: (a.provenance.get(key), b.provenance.get(key)) for key in keys}
+    facts = {key: (a.provenance.get(key), b.provenance.get(key)) for key in keys}
     return Comparison(
-        provenance={key: pair for key, pair in told.items() if pair[0] != pair[1]},
+        provenance={key: pair for key, pair in facts.items() if pair[0] != pair[1]},
         only_a=tuple(name for name in first if name not in second),
         only_b=tuple(name for name in second if name not in first),
         status=tuple(status),

@@ -61,14 +61,14 @@ def kept(file: FilePath) -> tuple[dict[str, dict[str, float]], dict[str, float]]
 
 def difference(new: Numbers, old: Numbers, tolerances: Mapping[str, float]) -> list[Change]:
     """Every number that is not the golden one, and every one that came or went (NaN on the other side)."""
-    found = []
+    changes = []
     for case in dict.fromkeys([*old, *new]):
         before, after = old.get(case, {}), new.get(case, {})
         for metric in dict.fromkeys([*before, *after]):
             x, y = before.get(metric, math.nan), after.get(metric, math.nan)
             if not same(x, y, tolerances["rel"], tolerances["abs"]):
-                found.append(Change(case, metric, x, y))
-    return found
+                changes.append(Change(case, metric, x, y))
+    return changes
 
 
 def update(new: Numbers, file: FilePath) -> None:

@@ -46,25 +46,25 @@ def provenance(suites: Sequence[Suite], planned: Sequence[Job], seeds: int | Non
 
 def scenarios(suites: Sequence[Suite], planned: Sequence[Job]) -> dict[str, dict[str, Any]]:
     """The fields of every scenario and training that is planned, by its name."""
-    found: dict[str, dict[str, Any]] = {}
+    table: dict[str, dict[str, Any]] = {}
     places = {place.name: place for one in suites for place in one.scenarios}
     for one in suites:
         for place in one.scenarios:
-            if found.setdefault(place.name, facts(place)) != facts(place):
+            if table.setdefault(place.name, facts(place)) != facts(place):
                 raise ValueError(f"two scenarios of these suites are called '{place.name}' but differ")
     for job in planned:
         if job.suite == TRAINING:
             training = TRAININGS[controller(job.controller).training]
             names = ("minutes", "episodes", "episode_metres", "offline_iterations")
             fields = {name: getattr(training, name) for name in names}
-            found[job.scenario] = facts(training.at(places.get(job.taught_on))) | fields
+            table[job.scenario] = facts(training.at(places.get(job.taught_on))) | fields
     used = {job.scenario for job in planned}
-    return {name: fields for name, fields in found.items() if name in used}
+    return {name: fields for name, fields in table.items() if name in used}
 
 
 def digest(job: Job, scenario: Scenario | None, timed_steps: int) -> str:
     """A hash of all that determines a case's numbers."""
-    told = {
+    content = {
         "case": [job.scenario, job.controller, job.seed, job.kind],
         "scenario": None if scenario is None else facts(scenario),
         "controller": _controller(job.controller),
@@ -73,16 +73,16 @@ def digest(job: Job, scenario: Scenario | None, timed_steps: int) -> str:
         "versions": versions(),
         "machine": platform.machine(),
     }
-    return _hash(json.dumps(told, sort_keys=True).encode())
+    return _hash(json.dumps(content, sort_keys=True).encode())
 
 
 def _controller(name: str) -> dict[str, Any]:
     one = controller(name)
-    told: dict[str, Any] = {"kind": one.kind, "about": one.about}
+    entry: dict[str, Any] = {"kind": one.kind, "about": one.about}
     if one.setting:
         how = AGENTS[PEERS[one.setting]] if one.setting in PEERS else plain(setting(one.setting))
-        told |= {"setting": how, "training": f"train-{one.training}"}
-    return told
+        entry |= {"setting": how, "training": f"train-{one.training}"}
+    return entry
 
 
 def _git(*words: str) -> str | None:

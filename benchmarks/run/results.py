@@ -280,7 +280,7 @@ def read_provenance(place: FilePath) -> dict[str, Any]:
 
 
 def _from_files(place: FilePath, provenance: Mapping[str, Any]) -> tuple[Case, ...]:
-    found = []
+    cases = []
     for name in provenance.get("planned", ()):
         file = place / "cases" / f"{name}.json"
         if not file.exists():
@@ -288,10 +288,10 @@ def _from_files(place: FilePath, provenance: Mapping[str, Any]) -> tuple[Case, .
         try:
             data = json.loads(file.read_text(encoding="utf-8"))
             data["metrics"] = {name: _number(value) for name, value in data["metrics"].items()}
-            found.append(Case(**data | {"cpu_seconds": _number(data["cpu_seconds"])}))
+            cases.append(Case(**data | {"cpu_seconds": _number(data["cpu_seconds"])}))
         except (ValueError, TypeError, KeyError, AttributeError) as error:
             raise ValueError(f"{file} is broken ({_line(error)}); remove it and run the suite again") from error
-    return tuple(found)
+    return tuple(cases)
 
 
 def _case_of(row: Mapping[Any, Any]) -> Case:

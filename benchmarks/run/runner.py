@@ -98,15 +98,15 @@ def run(
             [job for job in todo if job.kind == "drive" and job.suite not in alone],
             [job for job in todo if job.kind == "drive" and job.suite in alone],
         )
-        told = stack.enter_context(_progress(len(planned), len(planned) - len(todo), quiet))
+        display = stack.enter_context(_progress(len(planned), len(planned) - len(todo), quiet))
         for number, phase in enumerate(phases):
             one_by_one = number == 2
             shared = None if backend == "dask" and not one_by_one else place
             work = [_work(job, scenarios, timed, store, shared) for job in phase]
-            for done in _all_done(work, {} if one_by_one else pool, 1 if one_by_one else workers, told.say):
+            for done in _all_done(work, {} if one_by_one else pool, 1 if one_by_one else workers, display.say):
                 if shared is None:
                     done.keep(store)
-                told.finished(done.case)
+                display.finished(done.case)
     return store.merge()
 
 
@@ -203,7 +203,7 @@ def _pool(backend: str, address: str | None) -> Iterator[dict[str, Any]]:
         yield arguments
 
 
-class _Told:
+class _Display:
     """Tells how far it is: a bar on a terminal, a line every tenth of the way elsewhere."""
 
     def __init__(self, bar: Progress, total: int, before: int, quiet: bool):
@@ -230,7 +230,7 @@ class _Told:
 
 
 @contextmanager
-def _progress(total: int, before: int, quiet: bool) -> Iterator[_Told]:
+def _progress(total: int, before: int, quiet: bool) -> Iterator[_Display]:
     console = Console(stderr=True)
     columns = (
         TextColumn("{task.description}"),
@@ -241,7 +241,7 @@ def _progress(total: int, before: int, quiet: bool) -> Iterator[_Told]:
         TextColumn("{task.fields[story]}"),
     )
     with Progress(*columns, console=console, disable=quiet or not console.is_terminal) as bar:
-        told = _Told(bar, total, before, quiet)
+        display = _Display(bar, total, before, quiet)
         if before:
-            told.say(f"{before} of {total} cases have finished before; going on")
-        yield told
+            display.say(f"{before} of {total} cases have finished before; going on")
+        yield display

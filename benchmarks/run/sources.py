@@ -38,8 +38,8 @@ def source(root: Path = ROOT) -> str:
 
 
 def _files(root: Path) -> dict[str, Path]:
-    found = [*root.glob("steerkit/**/*"), *root.glob("benchmarks/**/*")]
-    named = {file.relative_to(root).as_posix(): file for file in found if file.suffix in (".py", ".c", ".csv")}
+    files = [*root.glob("steerkit/**/*"), *root.glob("benchmarks/**/*")]
+    named = {file.relative_to(root).as_posix(): file for file in files if file.suffix in (".py", ".c", ".csv")}
     without = tuple(f"benchmarks/{name}" for name in _NO_NUMBERS)
     return {name: file for name, file in named.items() if not name.startswith(without)}
 
@@ -47,10 +47,10 @@ def _files(root: Path) -> dict[str, Path]:
 @lru_cache
 def versions() -> dict[str, str]:
     """Versions of Python, steerkit and the packages that numbers may depend on; those not installed are left out."""
-    found = {"python": platform.python_version()}
+    installed = {"python": platform.python_version()}
     for name in ("steerkit-control", *PACKAGES):
         try:
-            found[name] = version(name)
+            installed[name] = version(name)
         except PackageNotFoundError:
             continue
-    return found
+    return installed

@@ -140,8 +140,8 @@ def _agent(training: Training, setting_name: str, seed: int) -> Learnt:
 def _offline(training: Training, how: Setting, run: LearningRun, seed: int) -> list[Taken]:
     if not training.offline_iterations:
         return []
-    found = offline(run.transitions, how, training.offline_iterations, seed=seed)
-    return [Taken(run.t, run.counts.failures, len(run.transitions), policy) for policy in found]
+    policies = offline(run.transitions, how, training.offline_iterations, seed=seed)
+    return [Taken(run.t, run.counts.failures, len(run.transitions), policy) for policy in policies]
 
 
 def _metrics(
@@ -201,7 +201,7 @@ def _curve(run: LearningRun, nets: Sequence[Taken], drives: Sequence[TrialDrive]
 def _trajectory(run: LearningRun) -> dict[str, np.ndarray]:
     log = run.recorder.log()
     step = max(1, -(-len(log.t) // _KEPT))
-    found = {
+    columns = {
         "t": log.t,
         "s": log["path.s"],
         "x": log["car.x"],
@@ -214,4 +214,4 @@ def _trajectory(run: LearningRun) -> dict[str, np.ndarray]:
         "a_y": log["car.a_y"],
         "learning": log["supervisor.learning"],
     }
-    return {name: np.asarray(found[name][::step], dtype=float) for name in TRAJECTORY}
+    return {name: np.asarray(columns[name][::step], dtype=float) for name in TRAJECTORY}

@@ -84,13 +84,13 @@ def recorded(samples: int, *, horizon: int = 40) -> list[list[float]]:
 
 def cases(block: PredictiveSteering, rows: list[list[float]]) -> list[Case]:
     """The block's own states along the record, and its inputs."""
-    x, found = None, []
+    x, points = None, []
     for *scalars, preview in rows:
         u = block.D(*scalars, tuple(preview[: block.preview_points]))  # type: ignore[index]
         x = block.settle(0.0, block.init(), u) if x is None else x
-        found.append((x, u))
+        points.append((x, u))
         x = block.update(0.0, x, u, block.output(0.0, x, u))
-    return found
+    return points
 
 
 def timed(run: Callable[..., Any], *arguments: Any) -> tuple[float, Any]:

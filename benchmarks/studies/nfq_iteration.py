@@ -89,15 +89,15 @@ def equal_work(x: np.ndarray, y: np.ndarray, starts: int) -> dict[str, Any]:
     """Our error relative to PyTorch's after 10 and 300 epochs: medians and extremes over the starts."""
     ours = [rprop.fit(new_net(seed=k), x, y, engine="c").errors for k in range(starts)]
     torch = [rprop.fit(new_net(seed=k), x, y, engine="torch").errors for k in range(starts)]
-    found: dict[str, Any] = {"starts": starts, "error_0": float(ours[0][0])}
+    numbers: dict[str, Any] = {"starts": starts, "error_0": float(ours[0][0])}
     for epoch in (10, 300):
         ratios = [float(a[epoch] / b[epoch]) for a, b in zip(ours, torch, strict=True)]
-        found[f"error_{epoch}"], found[f"error_{epoch}_torch"] = float(ours[0][epoch]), float(torch[0][epoch])
-        found[f"error_ratio_{epoch}"] = statistics.median(ratios)
-        found[f"error_ratio_{epoch}_span"] = [min(ratios), max(ratios)]
-    every_start = max(abs(ratio - 1.0) for ratio in found["error_ratio_10_span"]) <= TOLERANCE[10]
-    found["equal_work"] = every_start and abs(found["error_ratio_300"] - 1.0) <= TOLERANCE[300]
-    return found
+        numbers[f"error_{epoch}"], numbers[f"error_{epoch}_torch"] = float(ours[0][epoch]), float(torch[0][epoch])
+        numbers[f"error_ratio_{epoch}"] = statistics.median(ratios)
+        numbers[f"error_ratio_{epoch}_span"] = [min(ratios), max(ratios)]
+    every_start = max(abs(ratio - 1.0) for ratio in numbers["error_ratio_10_span"]) <= TOLERANCE[10]
+    numbers["equal_work"] = every_start and abs(numbers["error_ratio_300"] - 1.0) <= TOLERANCE[300]
+    return numbers
 
 
 def d3rlpy_iteration(record: Transitions, steps: int = 5) -> dict[str, float]:
@@ -178,7 +178,7 @@ def figures(quick: bool) -> dict[str, Any]:
     in_turns(works, 1)
     times = in_turns(works, repeats)
     rest = max(0.0, times["ours"] - times["fit"])  # patterns and targets: granted to PyTorch at our speed
-    found: dict[str, Any] = {
+    numbers: dict[str, Any] = {
         "transitions": n,
         "epochs": 300,
         "seconds": times["ours"],
@@ -190,44 +190,47 @@ def figures(quick: bool) -> dict[str, Any]:
     }
     grown = in_turns({str(size): whole(drives(size)) for size in sizes}, 3)
     each = [1e6 * grown[str(size)] / size for size in sizes]
-    found |= {f"linear_seconds_{size}": grown[str(size)] for size in sizes}
-    found |= {"linear_us_per_transition": each, "linear_worst_x": max(each) / min(each)}
-    found |= {"decision_numpy_us": decision(), "decision_numpy_us_per_car_of_1000": decision(1000)}
+    numbers |= {f"linear_seconds_{size}": grown[str(size)] for size in sizes}
+    numbers |= {"linear_us_per_transition": each, "linear_worst_x": max(each) / min(each)}
+    numbers |= {"decision_numpy_us": decision(), "decision_numpy_us_per_car_of_1000": decision(1000)}
     if importlib.util.find_spec("d3rlpy") is not None:
-        found |= d3rlpy_iteration(record)
+        numbers |= d3rlpy_iteration(record)
     versions = {"torch": torch.__version__, "numpy": np.__version__, "python": platform.python_version()}
-    return found | {"versions": versions, "machine": platform.machine(), "cores": os.cpu_count()}
+    return numbers | {"versions": versions, "machine": platform.machine(), "cores": os.cpu_count()}
 
 
-def table(found: dict[str, Any]) -> str:
+def table(numbers: dict[str, Any]) -> str:
     """The figures for reading."""
-    ours, torch = found["seconds"] * 1e3, found["seconds_torch"] * 1e3
+    ours, torch = numbers["seconds"] * 1e3, numbers["seconds_torch"] * 1e3
     lines = [
-        f"one NFQ iteration on one thread: {found['transitions']} transitions, 5 actions; targets, then 300 epochs of",
+        f"one NFQ iteration on one thread: {numbers['transitions']} transitions, 5 actions; targets, then 300 epochs "
+        "of",
         "full-batch Rprop of a 7-10-10-1 net (patterns and targets of the reference are made at our speed)",
-        f"  {'steerkit (C)':24}{ours:10.1f} ms   of it the fit {found['seconds_fit'] * 1e3:.1f} ms",
-        f"  {'torch.optim.Rprop':24}{torch:10.1f} ms   {found['vs_torch_rprop_x']:.1f} times as long",
+        f"  {'steerkit (C)':24}{ours:10.1f} ms   of it the fit {numbers['seconds_fit'] * 1e3:.1f} ms",
+        f"  {'torch.optim.Rprop':24}{torch:10.1f} ms   {numbers['vs_torch_rprop_x']:.1f} times as long",
     ]
-    if "seconds_d3rlpy" in found:
+    if "seconds_d3rlpy" in numbers:
         for name, key in (("d3rlpy, its fit()", "seconds_d3rlpy"), ("d3rlpy, batch reused", "seconds_d3rlpy_reused")):
-            lines.append(f"  {name:24}{found[key] * 1e3:10.1f} ms   {found[key] / found['seconds']:.1f} times as long")
+            lines.append(
+                f"  {name:24}{numbers[key] * 1e3:10.1f} ms   {numbers[key] / numbers['seconds']:.1f} times as long"
+            )
     else:
         lines.append("  d3rlpy                  not installed: it is in the extra `peers`")
     for epoch in (10, 300):
-        low, high = found[f"error_ratio_{epoch}_span"]
+        low, high = numbers[f"error_ratio_{epoch}_span"]
         lines.append(
-            f"mean squared error after {epoch:3d} epochs: {found[f'error_{epoch}']:.6f}, PyTorch "
-            f"{found[f'error_{epoch}_torch']:.6f}; ratio over {found['starts']} starts: median "
-            f"{found[f'error_ratio_{epoch}']:.6f}, {low:.4f} to {high:.4f}"
+            f"mean squared error after {epoch:3d} epochs: {numbers[f'error_{epoch}']:.6f}, PyTorch "
+            f"{numbers[f'error_{epoch}_torch']:.6f}; ratio over {numbers['starts']} starts: median "
+            f"{numbers[f'error_ratio_{epoch}']:.6f}, {low:.4f} to {high:.4f}"
         )
     gate = f"all within {TOLERANCE[10]} of 1 after 10, the median within {TOLERANCE[300]} after 300"
-    lines.append(f"equal work ({gate}): {'yes' if found['equal_work'] else 'NO'}")
-    for name, value in found.items():
+    lines.append(f"equal work ({gate}): {'yes' if numbers['equal_work'] else 'NO'}")
+    for name, value in numbers.items():
         if name.startswith("linear_seconds_"):
             lines.append(f"  {name.rsplit('_', 1)[1]:>8} transitions {value * 1e3:10.1f} ms")
     lines.append(
-        f"one greedy decision, 3 nets, 5 actions: {found['decision_numpy_us']:.1f} us; "
-        f"{found['decision_numpy_us_per_car_of_1000']:.2f} us a car in a batch of 1000"
+        f"one greedy decision, 3 nets, 5 actions: {numbers['decision_numpy_us']:.1f} us; "
+        f"{numbers['decision_numpy_us_per_car_of_1000']:.2f} us a car in a batch of 1000"
     )
     return "\n".join(lines)
 
@@ -238,9 +241,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Measure and print."""
-    found = figures(options.quick)
-    print(table(found))
-    return found
+    numbers = figures(options.quick)
+    print(table(numbers))
+    return numbers
 
 
 def objection(figures: Mapping[str, Any]) -> str:

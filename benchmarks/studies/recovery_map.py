@@ -99,29 +99,29 @@ def judged(log: Log) -> dict[str, Any]:
     }
 
 
-def within_limits(found: dict[str, Any]) -> Any:
+def within_limits(outcome: dict[str, Any]) -> Any:
     """Which cars kept to 3 m/s^2 and to the wheel's speed, steered and commanded."""
-    fastest = np.maximum(found["rate"], found["command_rate"])
-    return (found["a_y"] <= A_Y_MAX) & (fastest <= RATE * 1.000001)
+    fastest = np.maximum(outcome["rate"], outcome["command_rate"])
+    return (outcome["a_y"] <= A_Y_MAX) & (fastest <= RATE * 1.000001)
 
 
-def summary(found: dict[str, Any], v: Any) -> list[dict[str, float]]:
+def summary(outcome: dict[str, Any], v: Any) -> list[dict[str, float]]:
     """A row a speed."""
     rows = []
     for speed in SPEEDS:
         at = v == speed
-        back = np.isfinite(found["seconds"][at])
-        kept = within_limits(found)[at]
+        back = np.isfinite(outcome["seconds"][at])
+        kept = within_limits(outcome)[at]
         rows.append(
             {
                 "v": speed,
                 "recovered": float(np.mean(back)),
                 "within_limits": float(np.mean(back & kept)),
-                "median_s": float(np.median(found["seconds"][at])),
-                "slowest_s": float(found["seconds"][at].max()),
-                "a_y_max": float(found["a_y"][at].max()),
-                "rate_max_deg_s": float(degrees_of(found["rate"][at].max())),
-                "farthest_m": float(found["farthest"][at].max()),
+                "median_s": float(np.median(outcome["seconds"][at])),
+                "slowest_s": float(outcome["seconds"][at].max()),
+                "a_y_max": float(outcome["a_y"][at].max()),
+                "rate_max_deg_s": float(degrees_of(outcome["rate"][at].max())),
+                "farthest_m": float(outcome["farthest"][at].max()),
             }
         )
     return rows
@@ -140,12 +140,12 @@ def picture(results: dict[str, tuple[int, dict[str, Any]]], file: str) -> None:
     with style():
         figure = Figure(figsize=(2.7 * len(SPEEDS) + 0.5, 2.5 * len(results) + 1.0), layout="constrained")
         axes = figure.subplots(len(results), len(SPEEDS), sharex=True, sharey=True, squeeze=False)
-        for row, (name, (sides, found)) in zip(axes, results.items()):
+        for row, (name, (sides, outcome)) in zip(axes, results.items()):
             shape = (len(SPEEDS), sides, sides)
-            back = np.isfinite(found["seconds"]).reshape(shape)
-            kept = within_limits(found).reshape(shape)
+            back = np.isfinite(outcome["seconds"]).reshape(shape)
+            kept = within_limits(outcome).reshape(shape)
             e, psi = np.linspace(*reach[:2], sides), np.linspace(*reach[2:], sides)
-            for ax, v, b, k, s in zip(row, SPEEDS, back, kept, found["seconds"].reshape(shape)):
+            for ax, v, b, k, s in zip(row, SPEEDS, back, kept, outcome["seconds"].reshape(shape)):
                 kind = np.where(b, np.where(k, 2, 1), 0)
                 ax.pcolormesh(e, psi, kind.T, cmap=ListedColormap(list(kinds.values())), vmin=0, vmax=2)
                 if b.mean() > 0.5:
@@ -186,9 +186,9 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         controller = make_controller(name, belief(delay=DELAY))
         sides = (1 if options.quick else 9) if name.endswith("mpc") else (5 if options.quick else 25)
         values = starts(sides, reference_of(controller))
-        found = judged(driven(controller, values))
-        results[name] = (sides, found)
-        report[name] = summary(found, values["car.v0"])
+        outcome = judged(driven(controller, values))
+        results[name] = (sides, outcome)
+        report[name] = summary(outcome, values["car.v0"])
         print(f"\n{name}: {sides * sides} start states a speed")
         print("   v     back  within limits   median   slowest   |a_y|   wheel speed   farthest")
         for row in report[name]:

@@ -79,7 +79,7 @@ def tuned(quick: bool) -> tuple[Any, dict[str, Result]]:
     present = np.array([[getattr(Stanley.of(CAR), name) for name in GAINS]])
     grid, cars = np.vstack((grid, present)), np.array(CARS[:1] if quick else CARS)
     stanley = Stanley.of(CAR)
-    around = {told: sorted({max(0.0, round(told + off, 3)) for off in OFF}) for told in TOLD}
+    around = {believed: sorted({max(0.0, round(believed + off, 3)) for off in OFF}) for believed in TOLD}
     with Progress() as progress:
         task = progress.add_task(
             f"{len(grid)} gains, {len(cars)} cars", total=sum(map(len, around.values())) + len(PLAIN)
@@ -89,22 +89,22 @@ def tuned(quick: bool) -> tuple[Any, dict[str, Result]]:
             progress.advance(task)
 
         results = []
-        for told, delays in around.items():
-            controller = Predicted.around(stanley, CAR, delay=told, lag=LAG)
+        for believed, delays in around.items():
+            controller = Predicted.around(stanley, CAR, delay=believed, lag=LAG)
             results.append(judged(controller, "controller.block", delays, grid, cars, done))
         plain = judged(stanley, "controller", list(PLAIN), grid, cars, done)
     predicted = Result(np.max([r.e for r in results], axis=0), np.max([r.rate for r in results], axis=0))
     return grid, {"predicted": predicted, "plain": plain}
 
 
-def picture(grid: Any, found: dict[str, Result], file: str) -> None:
+def picture(grid: Any, results: dict[str, Result], file: str) -> None:
     """Worst wheel speed over worst RMS e: a dot a choice of gains, the band near the best, a star the choice."""
     from steerkit.plots.style import COLOURS, PALETTE, new_figure, style
 
     delays = {"predicted": (TOLD[0], TOLD[-1] + OFF[-1]), "plain": (PLAIN[0], PLAIN[-1])}
     with style():
         figure, (panel,) = new_figure(1, height=4.0, title="Stanley's gains: worst case over delays and cars")
-        for colour, (name, result) in zip(PALETTE, found.items()):
+        for colour, (name, result) in zip(PALETTE, results.items()):
             e, rate, best, i = result.e, degrees_of(result.rate), float(result.e.min()), result.chosen
             low, high = delays[name]
             panel.plot(e, rate, "o", ms=3.5, alpha=0.5, color=colour, label=f"{name}, {low:g} to {high:g} s delay")
@@ -123,9 +123,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Search, and print what was found."""
-    grid, found = tuned(options.quick)
+    grid, results = tuned(options.quick)
     report: dict[str, Any] = {}
-    for name, result in found.items():
+    for name, result in results.items():
         print(f"\nStanley, {name}: worst case over delays and cars")
         print(f"{'':9}{'k':>6}{'k_d_yaw':>9}{'k_d_steer':>11}{'RMS e':>9}{'RMS wheel speed':>18}")
         places = {"best": int(np.argmin(result.e)), "chosen": result.chosen, "default": len(grid) - 1}
@@ -138,6 +138,6 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
                 f"{row['rms_rate_deg_s']:12.1f} deg/s"
             )
     if options.out:
-        picture(grid, found, options.out)
+        picture(grid, results, options.out)
         print(f"\npicture: {options.out}")
     return report

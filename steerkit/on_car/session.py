@@ -46,8 +46,8 @@ def bus_of(channel: str) -> dict[str, Any] | None:
 
 def loaded(config: str, channel: str = "") -> tuple[CarConfig, Path]:
     """A configuration, on another bus if `channel` says so, and its course."""
-    found = load(config, bus=bus_of(channel))
-    return found, loops.course_of(found)
+    loaded_config = load(config, bus=bus_of(channel))
+    return loaded_config, loops.course_of(loaded_config)
 
 
 @dataclass(frozen=True, kw_only=True)

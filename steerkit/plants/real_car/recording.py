@@ -164,13 +164,13 @@ def _plain(value: Any) -> Any:
 
 def _versions() -> dict[str, str]:
     """Of all that a replay's numbers come from."""
-    found = {"python": platform.python_version(), "machine": platform.platform()}
+    versions = {"python": platform.python_version(), "machine": platform.platform()}
     for name in _PACKAGES:
         try:
-            found[name] = version(name)
+            versions[name] = version(name)
         except PackageNotFoundError:
-            found[name] = "not installed"
-    return found
+            versions[name] = "not installed"
+    return versions
 
 
 def described(config: CarConfig, path: Path, time_scale: float = 1.0) -> dict[str, str]:
@@ -282,20 +282,20 @@ def _read(file: str | os.PathLike[str]) -> tuple[Recorded, Contents]:
 
 
 def _read_bytes(data: bytes, used: bool = False) -> tuple[Recorded, Contents]:
-    found = contents(data)
-    if found.description is None and not found.chunks:
+    parts = contents(data)
+    if parts.description is None and not parts.chunks:
         raise ValueError(what_is_wrong(data))
-    metadata, wanted = found.description or {}, str(protocol.VERSION)
+    metadata, wanted = parts.description or {}, str(protocol.VERSION)
     if metadata.get("protocol", wanted) != wanted:
         raise ValueError(
             f"a recording of protocol {metadata['protocol']}, this is {wanted}; replay it with the steerkit that made "
             f"it, {metadata.get('steerkit-control', 'of an unknown version')}"
         )
-    messages = [Message(line.topic, line.values) for chunk in found.chunks for line in chunk.lines]
-    gaps = gaps_in(found, len(data))
+    messages = [Message(line.topic, line.values) for chunk in parts.chunks for line in chunk.lines]
+    gaps = gaps_in(parts, len(data))
     if used and gaps and gaps[-1].before is None and gaps[-1].missing is None:
         gaps.pop()
-    return Recorded(metadata, messages, gaps, len(data), used), found
+    return Recorded(metadata, messages, gaps, len(data), used), parts
 
 
 def config_of(recorded: Recorded) -> CarConfig:
@@ -336,7 +336,7 @@ def repair(
     OSError when it cannot be written; then `target` is as it was.
     """
     place = File(target) if target else File(file).with_suffix(f".repaired{File(file).suffix}")
-    recorded, found = _read(file)
+    recorded, parts = _read(file)
     require(not recorded.in_use, f"{file}", "is being written by a car server; repair it when that has ended")
     if place.exists() and place.samefile(file):
         raise ValueError(f"{place}: is the recording itself, which a repair never changes; choose another name")
@@ -345,7 +345,7 @@ def repair(
     with whole(place) as draft, ExitStack() as stack:
         tape = TapeFile(draft, {**recorded.metadata, "repaired": json.dumps(recorded.lost)})
         stack.callback(tape.abandon)
-        for chunk in found.chunks:
+        for chunk in parts.chunks:
             for line in chunk.lines:
                 tape.add(line.topic, line.when, line.data, line.number)
             tape.flush()

@@ -374,11 +374,11 @@ class Gap(NamedTuple):
         return f"{where}: {count} missing between {since} and {until}"
 
 
-def gaps_in(found: Contents, size: int) -> list[Gap]:
+def gaps_in(parts: Contents, size: int) -> list[Gap]:
     """Where messages are missing, and where bytes are damaged even if none is."""
-    gaps, damaged, known, count = list[Gap](), list(found.damaged), 0, 0
+    gaps, damaged, known, count = list[Gap](), list(parts.damaged), 0, 0
     after: float | None = None
-    for chunk in found.chunks:
+    for chunk in parts.chunks:
         here = [place for place in damaged if place[0] < chunk.end]  # a chunk's own head counts as before it
         damaged = damaged[len(here) :]
         missing = max(0, chunk.lines[0].number - known)
@@ -387,9 +387,9 @@ def gaps_in(found: Contents, size: int) -> list[Gap]:
             gaps.append(Gap(begin, end, after, chunk.lines[0].values.get("t"), missing))
         after, known, count = chunk.lines[-1].values.get("t"), chunk.lines[-1].number + 1, count + len(chunk.lines)
     at_the_end: int | None = None
-    if found.finished:
-        told = sum(gap.missing or 0 for gap in gaps if gap.end > gap.begin)  # others were missing before a repair
-        at_the_end = 0 if found.total is None else max(0, found.total - count - told)
+    if parts.finished:
+        counted = sum(gap.missing or 0 for gap in gaps if gap.end > gap.begin)  # others were missing before a repair
+        at_the_end = 0 if parts.total is None else max(0, parts.total - count - counted)
     if damaged or at_the_end != 0:
         begin, end = (damaged[0][0], damaged[-1][1]) if damaged else (size, size)
         gaps.append(Gap(begin, end, after, None, at_the_end))

@@ -84,8 +84,8 @@ def gate(limits: GateLimits, request: float, last: float, speeds: Sequence[float
     if not (math.isfinite(dt) and dt >= limits.dt_min):
         return Verdict(False, 0.0, "too soon after the last frame")
     q, ratio, length = limits.quantum, limits.steer_ratio, limits.wheelbase
-    most = math.floor(limits.delta_sw_max / q + 1e-9)
-    n_last = max(-most, min(most, round(last / q)))
+    n_max = math.floor(limits.delta_sw_max / q + 1e-9)
+    n_last = max(-n_max, min(n_max, round(last / q)))
     last = n_last * q
     v = pessimistic(limits, speeds)
     dt = min(dt, limits.dt_max)
@@ -94,8 +94,8 @@ def gate(limits: GateLimits, request: float, last: float, speeds: Sequence[float
     target = max(-bound, min(bound, request))
     kappa, turn = math.tan(last / ratio) / length, limits.jerk_max / (v * v) * dt
     step = limits.rate_max * dt
-    sway, most_kappa = limits.arm / (v * dt), limits.a_y_max / (v * v)
-    right, left = ((sway * kappa + side * most_kappa) / (1.0 + sway) for side in (-1.0, 1.0))
+    sway, kappa_max = limits.arm / (v * dt), limits.a_y_max / (v * v)
+    right, left = ((sway * kappa + side * kappa_max) / (1.0 + sway) for side in (-1.0, 1.0))
     low = max(last - step, ratio * math.atan(length * (kappa - turn)))
     high = min(last + step, ratio * math.atan(length * (kappa + turn)))
     low = max(low, min(last - q, ratio * math.atan(length * right)))
@@ -103,7 +103,7 @@ def gate(limits: GateLimits, request: float, last: float, speeds: Sequence[float
     out = max(low, min(high, target))
 
     z = (out - last) / q
-    n = max(-most, min(most, n_last + math.trunc(z + math.copysign(1e-6, z))))
+    n = max(-n_max, min(n_max, n_last + math.trunc(z + math.copysign(1e-6, z))))
     changed = [
         text
         for text, hit in (

@@ -181,8 +181,8 @@ class Senses:
         times.append(t)
         while times[0] < t - 0.5:
             times.popleft()
-        most = 1.4 * 0.5 / reader.period + 3.0  # three may have waited for the computer
-        if len(times) > most:
+        allowed = 1.4 * 0.5 / reader.period + 3.0  # three may have waited for the computer
+        if len(times) > allowed:
             self.foreign = (t, f"{reader.name} comes {2 * len(times)} times a second, expected {1 / reader.period:.0f}")
 
     def _local(self, values: dict[str, float]) -> dict[str, float]:

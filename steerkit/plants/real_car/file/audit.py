@@ -134,7 +134,7 @@ def _ranges(config: CarConfig) -> Iterator[str]:
 
 
 def _command(config: CarConfig) -> Iterator[str]:
-    writer, most = config.writer, config.gate.delta_sw_max
+    writer, largest = config.writer, config.gate.delta_sw_max
     names = [
         n for n in (writer.angle.signal, writer.enable, writer.clear, writer.alert, writer.counter, writer.crc) if n
     ]
@@ -171,14 +171,14 @@ def _command(config: CarConfig) -> Iterator[str]:
         return
     if not degrees_of(writer.quantum) <= 1.0:
         yield f"[write] {signal.name} has steps of {degrees_of(writer.quantum):.3g} deg, expected at most 1 deg"
-    for side in (-most, most):
+    for side in (-largest, largest):
         try:
             writer.write(math.trunc(side / writer.quantum) * writer.quantum, enable=True)
         except Exception as error:  # whatever the DBC library says of a value that does not fit
             low, high = signal_range(signal)
             yield (
-                f"[limits] delta_sw_max_deg = {degrees_of(most):g} is more than {signal.name} of {writer.message.name} "
-                f"can say ({low:g} to {high:g} {signal.unit or ''}): {error}"
+                f"[limits] delta_sw_max_deg = {degrees_of(largest):g} is more than {signal.name} of "
+                f"{writer.message.name} can say ({low:g} to {high:g} {signal.unit or ''}): {error}"
             )
             break
 

@@ -58,7 +58,7 @@ class Signals(Tables):
         place = ("lat", "lon") if gnss else ("x", "y")
         if gnss and ({"x", "y"} & entries.keys()):
             self.wrong("[read]: both x, y and gnss, expected one of them")
-        found: dict[str, dict[str, Mapping]] = {}
+        by_frame: dict[str, dict[str, Mapping]] = {}
         for name in (*NEEDED, *place):
             if name not in entries:
                 self.wrong(f"[read] {name}: missing, expected {{ frame = ..., signal = ... }}")
@@ -71,20 +71,20 @@ class Signals(Tables):
             message = self.message(database, where, entry.get("frame"))
             mapping = self.mapping(where, name, message, entry) if message is not None else None
             if mapping is not None:
-                found.setdefault(mapping.frame, {})[name] = mapping
-        flags = self.faults(database, table, found)
-        readers = [self.reader(database, name, mappings) for name, mappings in found.items()]
-        report = found.get(str(entries.get("delta_sw", {}).get("frame")), {})
+                by_frame.setdefault(mapping.frame, {})[name] = mapping
+        flags = self.faults(database, table, by_frame)
+        readers = [self.reader(database, name, mappings) for name, mappings in by_frame.items()]
+        report = by_frame.get(str(entries.get("delta_sw", {}).get("frame")), {})
         if report and not self.guarded(next(iter(report.values())).frame) and "echo" not in entries:
             self.wrong(
                 "[read] echo: missing; the kit's report has neither counter nor CRC, so its echo of the command "
                 "is the only thing that shows when it freezes"
             )
-        self.known("protect", self.table("protect"), found)
+        self.known("protect", self.table("protect"), by_frame)
         self.groups(readers)
         return readers, self.origin(gnss) if gnss else None, flags
 
-    def faults(self, database: Any, table: dict[str, Any], found: dict[str, dict[str, Mapping]]) -> tuple[str, ...]:
+    def faults(self, database: Any, table: dict[str, Any], by_frame: dict[str, dict[str, Mapping]]) -> tuple[str, ...]:
         faults = self.table("read.faults", ("frame", "signals"), inside=table)
         message = self.message(database, "read.faults", faults.get("frame")) if faults else None
         if message is None:
@@ -94,7 +94,7 @@ class Signals(Tables):
         names = []
         for flag in self.entry("read.faults", faults, "signals", list):
             if self.signal(message, "read.faults", flag) is not None:
-                found.setdefault(message.name, {})[f"fault:{flag}"] = Mapping(frame=message.name, signal=flag)
+                by_frame.setdefault(message.name, {})[f"fault:{flag}"] = Mapping(frame=message.name, signal=flag)
                 names.append(f"fault:{flag}")
         return tuple(names)
 
