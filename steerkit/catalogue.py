@@ -104,7 +104,7 @@ def _delayed(belief: Belief) -> Block:
 def _lqr(belief: Belief) -> Block:
     car = belief.vehicle
     told: dict[str, Any] = dict(delay=belief.delay, lag=belief.lag, slew=belief.slew, a_y_limit=belief.a_y_limit)
-    block = Lqr.of(car, LinearSingleTrack(vehicle=car).matrices, v_max=25.0, **told)
+    block = Lqr.of(car, LinearSingleTrack(vehicle=car).matrices, **told)
     return replace(block, rate_limit=belief.rate_limit)
 
 

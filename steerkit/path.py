@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from steerkit import maths as m
 from steerkit.files import read_text, write_text
 from steerkit.maths import Scalar, Table
-from steerkit.waypoints import check_gps, checked, distances, read_columns, ring
+from steerkit.waypoints import check_gps, check_metres, checked, distances, place_deg, read_columns, ring
 
 Array = NDArray[np.float64]
 
@@ -44,6 +44,8 @@ class Path:
     length: float
     closed: bool
     name: str = "path"
+    origin_deg: tuple[float, float] | None = None
+    """Latitude and longitude of x = y = 0 [degrees], of a path from GPS."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "h", self.length / len(self.table))
@@ -105,7 +107,8 @@ class Path:
 
         east, north, _ = pymap3d.geodetic2enu(lat, lon, 0.0, lat[0], lon[0], 0.0)
         xy = np.column_stack((east, north))
-        return cls.from_waypoints(xy, closed=closed, smoothing=smoothing, spacing=spacing, name=name)
+        path = cls.from_waypoints(xy, closed=closed, smoothing=smoothing, spacing=spacing, name=name)
+        return dataclasses.replace(path, origin_deg=(float(lat[0]), float(lon[0])))
 
     @classmethod
     def from_csv(
@@ -136,6 +139,7 @@ class Path:
         columns = read_columns(text, where)
         if {"x", "y"} <= columns.keys():
             xy = np.column_stack((columns["x"], columns["y"]))
+            check_metres(checked(xy, where), where)
             return cls.from_waypoints(xy, closed=closed, smoothing=smoothing or 0.0, spacing=spacing, name=name)
         if {"lat", "lon"} <= columns.keys():
             wide = 0.1 if smoothing is None else smoothing
@@ -176,7 +180,8 @@ class Path:
         n = max(_FEWEST_SEGMENTS, math.ceil(left / self.h - 1e-9))
         u = np.linspace(0.0, left, n + 1)
         curve = _spline(u, self.point(s + u), _DEGREE, self.closed)
-        return self._of_curve(curve, left, self.closed, left / n * (1.0 + 1e-9), self.name)
+        path = self._of_curve(curve, left, self.closed, left / n * (1.0 + 1e-9), self.name)
+        return dataclasses.replace(path, origin_deg=self.origin_deg)
 
     # -- evaluating ---------------------------------------------------------------------------------------------
 
@@ -273,7 +278,8 @@ class Path:
             )
 
     def __repr__(self) -> str:
-        return f"Path('{self.name}', {'closed' if self.closed else 'open'}, {self.length:.1f} m)"
+        at = f", at {place_deg(*self.origin_deg)}" if self.origin_deg else ""
+        return f"Path('{self.name}', {'closed' if self.closed else 'open'}, {self.length:.1f} m{at})"
 
 
 def _number(s: Any) -> Any:

@@ -8,6 +8,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from steerkit.land import near_land
+
 Array = NDArray[np.float64]
 
 _FEWEST_CLOSED = 6
@@ -123,3 +125,37 @@ def check_gps(lat: Array, lon: Array, where: str) -> None:
         )
     if np.abs(lat).max() <= math.pi / 2.0 and np.abs(lon).max() <= math.pi:  # open sea, if they were degrees
         raise ValueError(f"{where}: lat {lat[0]:g}, lon {lon[0]:g} look like radians, expected degrees")
+    if not near_land(float(lat[0]), float(lon[0])):
+        mirrored = abs(float(lon[0])) <= 90.0 and near_land(float(lon[0]), float(lat[0]))
+        hint = f"; lat and lon swapped? {place_deg(lon[0], lat[0])} is near land" if mirrored else ""
+        raise ValueError(f"{where}: {place_deg(lat[0], lon[0])} is in the open sea, expected degrees on land{hint}")
+
+
+def place_deg(lat_deg: float, lon_deg: float) -> str:
+    """A position as people write it: `52.28000 N, 8.02000 E`."""
+    north, east = "N" if lat_deg >= 0.0 else "S", "E" if lon_deg >= 0.0 else "W"
+    return f"{abs(lat_deg):.5f} {north}, {abs(lon_deg):.5f} {east}"
+
+
+_MANY, _FAR, _WIDE, _SMALL = 10, 100.0, 5000.0, 5.0
+"""From so many points on they may lie so far apart [m] at most; a road that turns round has a bend tighter than this
+radius [m]; a course is so large [m] at least."""
+
+
+def check_metres(xy: Array, where: str) -> None:
+    """ValueError, in the name of `where`, for a log whose numbers are millimetres or kilometres rather than metres."""
+    if len(xy) < 2:
+        return
+    size = float(np.ptp(xy, axis=0).max())
+    if size < _SMALL:
+        raise ValueError(f"{where}: all of it within {size:.3g} m, expected metres; kilometres? multiply x, y by 1000")
+    steps = distances(xy)
+    step = float(np.median(steps))
+    if len(xy) >= _MANY and step > _FAR:
+        what = f"its points are {step:.0f} m apart (median), expected at most {_FAR:.0f} m"
+        raise ValueError(f"{where}: {what}; millimetres? divide x, y by 1000")
+    bends = np.abs(np.diff(np.unwrap(np.arctan2(*np.diff(xy, axis=0).T[::-1]))))
+    tightest = float((bends / (0.5 * (steps[1:] + steps[:-1]))).max(initial=0.0))
+    if bends.sum() > np.pi and tightest < 1.0 / _WIDE:
+        what = f"it turns by {bends.sum():.1f} rad without a bend tighter than {1.0 / max(tightest, 1e-9):.0f} m"
+        raise ValueError(f"{where}: {what}, expected metres; millimetres? divide x, y by 1000")

@@ -15,7 +15,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "Blocks and loops": ("block", "mistakes", "wiring", "loop", "simulation", "assembly", "catalogue", "scenario"),
     "Base": ("maths", "units", "random", "clock", "errors", "files", "native", "outside", "task"),
     "Pictures": ("plots",),
-    "Paths and courses": ("path", "tracker", "courses", "roads", "waypoints"),
+    "Paths and courses": ("path", "tracker", "courses", "roads", "waypoints", "land"),
     "Cars, humans, sensors": ("vehicle", "vehicles", "plants"),
     "Controllers": ("controllers", "doe"),
     "Learning": ("learning", "gym"),

@@ -143,8 +143,8 @@ class Lqr(Block):
     Inputs: e [m] and e_dot [m/s] at `reference`; preview [1/m], every dt of driving; v [m/s]; beta [rad]; r [rad/s];
     delta_sw_meas [rad]. Output: delta_sw [rad]. State: the commands on their way [rad], oldest first; one that is not
     finite never left, so the wheel's angle stands in for it. Valid for |e| up to about 1 m: the law is linear, and
-    does not limit its approach angle. Speeds outside the table, a standstill or a negative v take its nearest row. NaN
-    in any input gives NaN out.
+    does not limit its approach angle. Speeds outside the table, a standstill or a negative v take its nearest row,
+    whose gains fit no much faster car: with one up to 12 m/s it is metres off at 30. NaN in any input gives NaN out.
     Raises ValueError for parameters out of range. Source: Anderson, Moore 1990; Tomizuka 1975; Rajamani 2012, ch. 3.
     """
 
@@ -206,7 +206,7 @@ class Lqr(Block):
         lag: float = 0.1,
         preview_points: int = 24,
         v_min: float = 1.0,
-        v_max: float = 12.0,
+        v_max: float = 40.0,
         v_step: float = 0.5,
         slew: float | None = None,
         a_y_limit: float | None = None,
@@ -215,9 +215,10 @@ class Lqr(Block):
     ) -> Lqr:
         """The regulator for a `Vehicle` whose lateral model is `matrices`, e at the front axle.
 
-        delay, lag [s]: of the steering. slew [m/s^3], a_y_limit [m/s^2]: of a car that is steered by torque; its steps
-        cost more, so that a slew which acts is the exception, and e counts up to 0.5 m only; None: without. sizes:
-        e_size, e_dot_size, step_size of `LqrDesign`.
+        delay, lag [s]: of the steering. v_max [m/s]: the fastest speed with gains of its own; it has to be no less
+        than what will be driven. slew [m/s^3], a_y_limit [m/s^2]: of a car that is steered by torque; its steps cost
+        more, so that a slew which acts is the exception, and e counts up to 0.5 m only; None: without. sizes: e_size,
+        e_dot_size, step_size of `LqrDesign`.
         """
         require_vehicle(vehicle, "Lqr.of")
         require(preview_points >= 1, "Lqr", f"preview_points = {preview_points}, expected >= 1")

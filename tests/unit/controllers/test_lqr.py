@@ -18,6 +18,7 @@ from steerkit.plants.human import ConstantSpeed
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator
+from steerkit.scenario import Scenario
 from steerkit.simulation import Log, simulate
 from steerkit.vehicles import vehicle
 
@@ -154,6 +155,17 @@ def test_a_circle_is_held_without_an_offset(v: float) -> None:
     log = driven(circle(30.0), v, 15.0, plant=NonlinearSingleTrack)
     assert abs(log["path.e"][-1]) < 0.01
     assert np.ptp(log["path.e"][-100:]) < 1e-3
+
+
+def test_its_gains_reach_as_fast_as_a_scenario_may_be() -> None:
+    """A table that ends at 12 m/s leaves the path by metres at 30."""
+    log = driven(circle(600.0), 30.0, 20.0, NonlinearSingleTrack, delay=0.0, e=0.2)
+    assert abs(log["path.e"][-100:]).max() < 0.05
+    loop = log.loop
+    assert loop is not None
+    law = loop.blocks["controller"]
+    assert isinstance(law, Lqr)
+    assert law.v_min + law.v_step * (len(law.table) - 1) == Scenario(v_min=40.0, v_max=40.0).v_max
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.2, 0.3])
