@@ -152,6 +152,8 @@ def scenario_of(ctx: typer.Context, base: Scenario | None = None) -> Scenario:
         return Scenario.under(ctx.params["conditions"].value, **changes)
     if "conditions" in names:
         changes |= _UNDISTURBED | CONDITIONS[ctx.params["conditions"].value]
+    if "vehicle" in names:  # its file's [steering] comes with it
+        changes = replace(base, **changes).steering_told() | changes
     return replace(base, **changes)
 
 

@@ -266,15 +266,18 @@ class Scenario:
         valid = [field.name for field in fields(cls)]
         for key in changes:
             require(key in valid, "scenario", f"no field '{key}'; valid: {', '.join(valid)}")
-        steering: dict[str, Any] = {}
-        scenario = cls(**(disturbed | changes))
-        text = scenario._text(scenario.vehicle)
-        if text is not None and "steering" in tables_of(text, scenario.vehicle):
-            motor = steering_in(text, scenario.vehicle)
-            steering = {"delay": motor.delay, "lag": motor.lag, "offset_deg": degrees_of(motor.offset)}
+        steering = cls(**(disturbed | changes)).steering_told()
         return cls(**(disturbed | steering | changes))
 
     # ---- what it says ---------------------------------------------------------------------------------------
+
+    def steering_told(self) -> dict[str, float]:
+        """Delay, lag and offset_deg of the table [steering] of the vehicle's file; empty where there is none."""
+        text = self._text(self.vehicle)
+        if text is None or "steering" not in tables_of(text, self.vehicle):
+            return {}
+        motor = steering_in(text, self.vehicle)
+        return {"delay": motor.delay, "lag": motor.lag, "offset_deg": degrees_of(motor.offset)}
 
     def _text(self, name: str) -> str | None:
         return dict(self.files).get(name)

@@ -10,6 +10,7 @@ import pytest
 from benchmarks.entries import CONTROLLERS, controller
 from benchmarks.peers import agents as peers
 from benchmarks.report.page import html
+from benchmarks.report.verdict import _ENOUGH
 from benchmarks.run.runner import run
 from benchmarks.run.trainings import TRAININGS
 from benchmarks.scenarios import facts, scene
@@ -53,6 +54,10 @@ def test_unknown_names(ask, message: str) -> None:
         ask()
 
 
+def test_the_selection_of_make_bench_has_seeds_enough_for_its_verdict() -> None:
+    assert suite("quick").seeds >= _ENOUGH
+
+
 def test_a_suite_goes_elsewhere_where_it_has_no_course_or_car_of_its_own(tmp_path: Path) -> None:
     tracking = elsewhere(suite("tracking"), course=str(yard(tmp_path)), vehicle="bmw-320i", controllers=("a.py:make",))
     by_name = {scenario.name: scenario for scenario in tracking.scenarios}
@@ -68,8 +73,10 @@ def test_a_suite_goes_elsewhere_where_it_has_no_course_or_car_of_its_own(tmp_pat
 def test_a_controller_of_ones_own_drives_a_suite_and_a_changed_file_is_not_mixed_in(tmp_path: Path) -> None:
     name = own_controller(tmp_path)
     one = replace(suite("golden"), scenarios=suite("golden").scenarios[1:], controllers=("stanley", name))
-    results = run([one], tmp_path / "results", seeds=1, workers=1, quiet=True)
+    kept = run([replace(one, controllers=("stanley",))], tmp_path / "results", seeds=1, workers=1, quiet=True)
+    results = run([one], tmp_path / "results", seeds=1, workers=1, only=["my_file"], quiet=True)
     assert {case.controller: case.metrics["held"] for case in results.cases} == {"stanley": 1.0, name: 1.0}
+    assert kept.cases[0] in results.cases  # beside it, and not driven anew
     assert results.provenance["controllers"][name]["kind"] == "own"
     assert "SHA-256" in results.provenance["controllers"][name]["about"]
     file = tmp_path / "my_file.py"

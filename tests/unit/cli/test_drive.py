@@ -215,3 +215,17 @@ def test_a_speed_profile_is_driven_round_after_round(tmp_path: Path) -> None:
     assert log["path.progress"][-1] >= 1.5 * length
     expected = np.interp(log["path.progress"] % length, [0.0, 60.0, 120.0, length], [5.0, 8.0, 5.0, 5.0])
     np.testing.assert_allclose(log["human.v"], expected, atol=0.15)
+
+
+def test_a_vehicle_beside_a_scenarios_file_brings_its_steering(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = vehicle_text(VEHICLES["bmw-320i"]) + "\n[steering]\ndelay = 0.05\nlag = 0.2\noffset = 0.01\n"
+    (tmp_path / "car.toml").write_text(text)
+    write_scenario(Scenario(course="circle", wind=0.2), tmp_path / "mine.toml")
+    heard: list[Scenario] = []
+    monkeypatch.setattr(report, "drive_and_draw", lambda name, world, place, **options: heard.append(world) or {})
+    words = ("drive", "stanley", "--scenario", str(tmp_path / "mine.toml"), "--vehicle", str(tmp_path / "car.toml"))
+    told = Scenario.under("clean", vehicle=str(tmp_path / "car.toml"))
+    assert told.delay > 0.0
+    for more in ((), ("--delay", "0.07")):
+        assert run(*words, *more, "-q", monkeypatch=monkeypatch) == 0
+    assert [(world.delay, world.lag, world.wind) for world in heard] == [(told.delay, 0.2, 0.2), (0.07, 0.2, 0.2)]
