@@ -123,8 +123,8 @@ def drive_and_draw(
     _note(place, described([name], scenario, rounds=rounds, seed=seed))
     console.print(comparison(f"{rounds or scenario.rounds:g} round(s) of {scenario.course}", {name: log}))
     if not quiet:
-        if world.path().origin_deg:
-            console.print(f"course: {world.path()!r}", soft_wrap=True)
+        if scenario.path().origin_deg:
+            console.print(f"course: {scenario.path()!r}", soft_wrap=True)
         console.print(f"log and picture: {place}/drive.npz, {place}/drive.png", soft_wrap=True)
     return _row(name, log)
 
