@@ -122,7 +122,9 @@ class CarConfig:
         lines.append(f"course   {self.course.get('name') or self.course['file']}")
         for reader in self.readers:
             p = reader.protection
-            guard = ", ".join(f"{k} {v}" for k, v in (("counter", p.counter), ("CRC-8 0x2F", p.crc)) if v) or "none"
+            period = f"{reader.period:g} s" if reader.period else ""
+            parts = (("counter", p.counter), ("CRC-8 0x2F", p.crc), ("period", period))
+            guard = ", ".join(f"{k} {v}" for k, v in parts if v)
             lines.append(f"read     {reader.name} (0x{reader.frame_id:X}), protection: {guard}")
             for name, mapping in reader.mappings.items():
                 unit = DIMENSION.get(name, "1")

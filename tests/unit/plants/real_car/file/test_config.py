@@ -41,7 +41,8 @@ def test_the_summary_tells_all_that_is_read_and_written_and_every_limit() -> Non
     for word in (
         "STEERING_REPORT (0x65)",
         "STEERING_CMD (0x64)",
-        "CRC-8 0x2F",
+        "protection: counter COUNT, CRC-8 0x2F CRC, period 0.01 s",
+        "protection: period 0.02 s",
         "delta_sw_max_deg = 520",
         "e_max = 2",
         "pose_age = 0.15",
