@@ -101,9 +101,9 @@ class FrameReader:
     """Reads one kind of frame.
 
     message: of a cantools database. mappings: quantity by name. protection: counter and CRC. period: time between two
-    such frames [s], 0: not known; more frequent ones have a second sender, those that come later than their counter says
-    queue up on the way. The CRC lies in a byte of its own; it covers the other bytes in their order, then the id's low and
-    high byte.
+    such frames [s], 0: not known; more frequent ones have a second sender, those that come later than their counter
+    says queue up on the way. The CRC lies in a byte of its own; it covers the other bytes in their order, then the id's
+    low and high byte.
     """
 
     def __init__(self, message: Any, mappings: dict[str, Mapping], protection: Protection, period: float = 0.0):

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from steerkit.on_car import processes
+from steerkit.plants.real_car.decisions.core import Frame
+from steerkit.plants.real_car.decisions.modes import Mode
+from steerkit.plants.real_car.file.config import shipped
+from steerkit.plants.real_car.file.reading import load
 from steerkit.plants.real_car.simulated import WATCHDOG, Fault, SimulatedCar
-from tests.support.car_world import setup
+from tests.support.car_world import World, setup
 
 CONFIG, PATH = setup()
 
@@ -27,6 +32,18 @@ def test_pose_at_100_and_report_at_50_hz() -> None:
     frames = Counter(frame_id for _, frame_id, _ in car().advance(1.0))
     assert {frame_id: frames[frame_id] for frame_id in CONFIG.pose_frames} == dict.fromkeys(CONFIG.pose_frames, 100)
     assert {frame_id: frames[frame_id] for frame_id in CONFIG.report_frames} == dict.fromkeys(CONFIG.report_frames, 50)
+
+
+@pytest.mark.parametrize("period", [0.005, 0.01, 0.015, 0.02])
+def test_a_pose_as_often_as_the_configuration_says_is_driven_by(tmp_path: Path, period: float) -> None:
+    text = shipped("dbw-kit.toml").read_text(encoding="utf-8").replace("period = 0.01 }", f"period = {period} }}")
+    (tmp_path / "car.toml").write_text(text)
+    world = World(config=load(tmp_path / "car.toml"))
+    world.bring_to(Mode.ENGAGED)
+    world.until(3.0)
+    assert world.mode is Mode.ENGAGED
+    poses = [event for event, _ in world.events if isinstance(event, Frame) and event.frame_id == 0x120]
+    assert len(poses) == pytest.approx(3.0 / period, abs=2)
 
 
 def test_the_kit_lets_go_100_ms_after_the_last_command_and_until_it_is_cleared() -> None:
