@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import copy
+import pickle
+from dataclasses import dataclass, replace
 
 import pytest
 
 from steerkit.block import Block, In, Out
+from steerkit.learning.settings import DEFAULT
+from steerkit.learning.story import untrained
+from steerkit.plants.human import SpeedProfile
+from tests.support.parts import Gain
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -29,3 +35,18 @@ def test_output_sees_the_direct_inputs_and_update_all() -> None:
 def test_a_port_has_a_unit_of_the_si(kind: type, unit: str) -> None:
     with pytest.raises(ValueError, match=f"unit {unit!r} is not known; SI and radians only"):
         kind(unit)
+
+
+def test_a_block_is_printed_in_a_few_lines_however_many_numbers_it_holds() -> None:
+    for printed in (repr(untrained(DEFAULT, 0)), repr(SpeedProfile(speeds=(5.0,) * 4000, spacing=1.0))):
+        assert len(printed) < 900
+    assert repr(Mixed(dt=0.1)) == "Mixed(dt=0.1)"
+    assert "speeds=(5.0, 5.0, 5.0, 5.0, 5.0, 5.0, 5.0, 5.0, ... 4000 in all)" in printed
+
+
+def test_a_parameter_is_named_and_known() -> None:
+    with pytest.raises(TypeError, match=r"^Gain has no parameter 'gain'; did you mean|^Gain has no parameter 'gain' "):
+        Gain(gain=2.0)  # type: ignore[call-arg]
+    with pytest.raises(TypeError, match=r"^Gain: 2 arguments without a name, expected parameters by name: dt, k$"):
+        Gain(1.0, 2.0)  # type: ignore[misc]
+    assert copy.copy(Gain(k=3.0)).k == pickle.loads(pickle.dumps(Gain(k=3.0))).k == replace(Gain(), k=3.0).k
