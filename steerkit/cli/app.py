@@ -90,7 +90,7 @@ def main() -> None:
         raise SystemExit(1 if full else 2) from None
 
 
-_NO_ROOM = (errno.ENOSPC, errno.EDQUOT)
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def told(error: Exception) -> str:
