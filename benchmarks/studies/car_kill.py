@@ -1,4 +1,4 @@
-"""Kill the controller, the training process or the car server at random moments, and look at the bus.
+"""What goes over the bus after a kill: of the controller, the training process or the car server, at random moments.
 
     python -m benchmarks study car_kill [--kills N] [--victims NAME,...] [--seed N] [--quick] [--json]
 
@@ -72,7 +72,7 @@ def controller(folder: Path) -> None:
 
 
 class Bench:
-    """The processes, and the rounds."""
+    """A simulated car, a car server and a controller that learns, and rounds in which one of them is killed."""
 
     def __init__(self, folder: Path, seed: int):
         self.folder, self.dice = folder, random.Random(seed)

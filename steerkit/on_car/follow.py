@@ -25,7 +25,7 @@ class Seen(Protocol):
 
 @dataclass(kw_only=True)
 class Follow:
-    """Watches a drive: after every sample, `begin` and then `choose`.
+    """The choice of a loop while a car is driven: ask `begin` and then `choose` after every sample.
 
     A pose that comes back after a pause makes the loop begin anew, so that it looks for its place on the path. While
     the human has the wheel, controllers settle on the wheel as it is, again and again: whoever engages finds no memory

@@ -51,7 +51,7 @@ class Car(Protocol):
 
 
 class CarLearner:
-    """Learns on a car behind `link`: `run` it, in a `with`.
+    """A learning run on a real car, behind `link`: `run` it, in a `with`.
 
     setting: how. place: run directory; a run there is continued with all its transitions and its newest net.
     build: makes the loop of a policy and an output element (`steerkit.on_car.loop.car_loop`). seed: of the nets.

@@ -67,7 +67,7 @@ class Options:
 
 
 class Session:
-    """The line to the car server, the clock, and the wish to end."""
+    """What a drive and a learning run on a car share: the line to the car server, the clock, and the wish to end."""
 
     def __init__(self, options: Options, socket: str, channel: str):
         self.options, self.socket, self.recording = options, socket, options.recording

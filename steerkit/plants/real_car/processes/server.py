@@ -49,7 +49,7 @@ MAX_GARBLED = 20
 
 
 class CarServer:
-    """Runs until it is told to stop: `run()`.
+    """The program that owns a car's bus, for as long as anybody is to drive: `run()` ends when it is told to stop.
 
     config: the car. path: its course. socket_path: where clients find it. recording: the file to write; None for none.
     clock: time. linger [s]: how long it stays without any client, once there was one.
