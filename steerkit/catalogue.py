@@ -158,7 +158,9 @@ CONTROLLERS: Mapping[str, Recipe] = MappingProxyType(
 """The analytic controllers: they steer by themselves and learn nothing."""
 OWN = "my_file.py:make, package.module:make"
 """What may stand for a controller's name besides: see `make_controller`."""
-RECOVERIES = tuple(name for name, recipe in CONTROLLERS.items() if recipe.catches)
+FITTING = "fitting"
+"""The recovery controller that fits the car: `stanley-delay` where a dead time or a slew is told, else `stanley`."""
+RECOVERIES = (FITTING, *(name for name, recipe in CONTROLLERS.items() if recipe.catches))
 """Names of those that may catch a learned controller."""
 ELEMENTS: Mapping[str, type[Dynamic]] = MappingProxyType(
     {"integrator": Integrator, "low-pass": LowPass, "plain": PlainAngle}
@@ -224,7 +226,9 @@ def plant_kind(name: str) -> type[Block]:
 
 def make_recovery(name: str, belief: Belief) -> Block:
     """The controller that catches a learned one: any of `RECOVERIES`. Raises ValueError with the valid names."""
-    return make_controller(known(name, RECOVERIES, "recovery"), belief)
+    if known(name, RECOVERIES, "recovery") == FITTING:
+        name = "stanley" if belief.delay == 0.0 and belief.slew is None else "stanley-delay"
+    return make_controller(name, belief)
 
 
 def make_element(name: str, vehicle: Vehicle | None = None) -> Dynamic:

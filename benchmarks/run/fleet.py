@@ -1,31 +1,33 @@
-"""Does it learn any car there is? Cars drawn from the fleet, each with its delay, lag, offset, play and course.
+"""Does it learn any car there is? Cars of the fleet, or of another kind, each on a course that nothing was tuned on.
 
-Part of the study `learning`: `python -m benchmarks study learning --fleet 40 --seeds 1 [--json]`. The learner is told
-nothing of its car. Analytic controllers drive the same test once told the truth (delay, lag, and the wheel's offset,
-which they subtract) and once the data sheet (mass, tyres, ratio; nothing of the steering's delay, lag and offset).
-Play and sensor noise nobody is told. A ratio is that of the learner's final net to the analytic controller of the
-least RMS e.
+Part of the study `learning`: `python -m benchmarks study learning --fleet 40 --seeds 1 [--json]`, and `--cars KIND` for
+the cars of `KINDS`. The learner is told nothing of its car, but of one steered by torque the slew. Analytic controllers
+drive the same test once told the truth (`Scenario.told`, delay and lag) and once the data sheet (mass, tyres, ratio;
+nothing of the steering's delay, lag and offset, but of torque steering all except its gain). Play and sensor noise
+nobody is told. A ratio is that of the learner's final net to the analytic controller of the least RMS e.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from multiprocessing import get_context
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.scenarios import MULTI_BODY
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.settings import Setting
 from steerkit.learning.training_run import Taken, train
 from steerkit.learning.trials import TrialDrive, drive_each
 from steerkit.metrics import Summary, of_log
 from steerkit.scenario import Scenario, drive
-from steerkit.scenario.fleet import fleet_scenario
+from steerkit.scenario.fleet import fleet_scenario, straightest
 
 TOLD_TRUTH = ("stanley-delay", "lqr", "mpc")
 """Analytic controllers that can be told of a delay."""
@@ -35,11 +37,58 @@ FIRST_NETS = 12
 """So many of a run's first nets are test-driven in search of the first GOOD one, then every fourth."""
 
 
+def of_kind(name: str, **changes: Any) -> tuple[Scenario, ...]:
+    """The cars of a kind, one of `KINDS`; changes: fields that are to be others."""
+    return tuple(replace(scenario, **changes) for scenario in KINDS[name]())
+
+
+def of_fleet(count: int, rounds: float = 1.0) -> tuple[Scenario, ...]:
+    """The first `count` cars of the fleet, on so many rounds."""
+    return tuple(fleet_scenario(number, rounds=rounds) for number in range(count))
+
+
+def _delays(course: str, v_min: float, v_max: float) -> tuple[Scenario, ...]:
+    told: dict[str, Any] = dict(course=course, v_min=v_min, v_max=v_max, lag=0.2, start=_start(course))
+    return tuple(Scenario.under("hard", name=f"{delay:g} s", delay=delay, **told) for delay in DELAYS)
+
+
+def _torque() -> tuple[Scenario, ...]:
+    course = "sweeping-2000"
+    told: dict[str, Any] = dict(course=course, start=_start(course), v_min=12.0, v_max=20.0, a_y_human=1.5)
+    steered: dict[str, Any] = dict(steering="torque", delay=0.35, lag=0.0, **told)
+    return tuple(Scenario.under("hard", name=f"gain {gain:g}", gain=gain, **steered) for gain in (0.75, 1.25))
+
+
+def _multi_body() -> tuple[Scenario, ...]:
+    course = "random-2000"
+    car: dict[str, Any] = dict(plant=MULTI_BODY, vehicle="bmw-320i", delay=0.2, lag=0.2)
+    return (Scenario.under("hard", name="multi-body", course=course, start=_start(course), **car),)
+
+
+def _start(course: str) -> float:
+    """Where the course hardly bends [m], for longer where cars are fast."""
+    return straightest(Scenario(course=course).path(), 60.0 if course.startswith("sweeping") else 20.0)
+
+
+DELAYS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
+"""Steering delays of the kinds `delays` and `fast-delays` [s]."""
+KINDS: Mapping[str, Callable[[], tuple[Scenario, ...]]] = MappingProxyType(
+    {
+        "delays": lambda: _delays("random-2000", 4.0, 7.5),
+        "fast-delays": lambda: _delays("sweeping-2000", 12.0, 25.0),
+        "torque": _torque,
+        "multi-body": _multi_body,
+    }
+)
+"""Cars besides the fleet's: the Passat with a delay, at 4 to 7.5 and at 12 to 25 m/s; steered by torque with a gain 25
+% off, on bends of 100 m and more; CommonRoad's multi-body BMW with 0.2 s of delay. All with `hard` sensors."""
+
+
 @dataclass(frozen=True)
 class FleetOutcome:
     """What one car came to; times in seconds of driving, None where it did not happen."""
 
-    number: int
+    name: str
     seed: int
     car: str
     delay: float
@@ -51,6 +100,8 @@ class FleetOutcome:
     failures: int
     departure: float
     """Largest true |e| of the whole run, first failure and recovery included [m]."""
+    stuck: int
+    """How often recovery steered for 20 s without getting to hand over."""
     nets: int
     held: bool
     rms_e: float
@@ -66,10 +117,9 @@ class FleetOutcome:
     computing: float
 
 
-def one_car(job: tuple[int, int, Setting, float, float]) -> FleetOutcome:
-    """Let car `number` learn with `seed` for so many minutes, and compare its final net on so many rounds."""
-    number, seed, setting, minutes, rounds = job
-    scenario = fleet_scenario(number, recovery="stanley-delay", rounds=rounds)
+def one_car(job: tuple[Scenario, int, Setting, float]) -> FleetOutcome:
+    """Let the scenario's car learn with a seed for so many minutes, and compare its final net."""
+    scenario, seed, setting, minutes = job
     trained = train(Experiment(setting=setting, scenario=scenario, minutes=minutes, seed=seed))
     test = seed + 1000
 
@@ -81,12 +131,14 @@ def one_car(job: tuple[int, int, Setting, float, float]) -> FleetOutcome:
     final = judged(nets[-1]) if nets else None
     summary = final.summary if final else None
     nan = float("nan")
-    best, truth = _best(replace(scenario, offset_deg=0.0), TOLD_TRUTH, test)
-    on_sheet, sheet = _best(replace(scenario, told_delay=0.0, told_lag=0.0), TOLD_DATA_SHEET, test)
+    best, truth = _best(replace(scenario, told="truth"), TOLD_TRUTH, test)
+    by_torque = scenario.steering == "torque"  # whose dead time and slew its makers know
+    on_paper = scenario if by_torque else replace(scenario, told_delay=0.0, told_lag=0.0)
+    on_sheet, sheet = _best(on_paper, TOLD_TRUTH if by_torque else TOLD_DATA_SHEET, test)
     forecast = nets[-1].policy.forecast if nets else None
     mine = (summary.rms_e, summary.rms_wheel_rate_deg, summary.rms_jerk) if summary else (nan,) * 3
     return FleetOutcome(
-        number=number,
+        name=scenario.name,
         seed=seed,
         car=scenario.vehicle,
         delay=scenario.delay,
@@ -96,6 +148,7 @@ def one_car(job: tuple[int, int, Setting, float, float]) -> FleetOutcome:
         dead_samples=forecast.samples if forecast else 0,
         good=good,
         failures=trained.run.counts.failures,
+        stuck=len(trained.run.counts.stuck),
         departure=float(np.abs(trained.run.recorder.log()["path.e"]).max()),
         nets=len(nets),
         held=final is not None and final.held,
@@ -149,27 +202,28 @@ def summarise(outcomes: list[FleetOutcome]) -> dict[str, Any]:
         "held_share": float(np.mean([o.held for o in outcomes])),
         **{name: finite(np.median(values)) for name, values in ratios.items()},
         "worst_rms_x_told_truth": finite(np.max(ratios["rms_x_told_truth"])),
+        "stuck": int(sum(o.stuck for o in outcomes)),
         "computing_median_s": float(np.median([o.computing for o in outcomes])),
     }
 
 
 def fleet(
-    cars: int, seeds: int, setting: Setting, minutes: float, processes: int, *, rounds: float = 1.0
+    cars: Sequence[Scenario], seeds: Sequence[int], setting: Setting, minutes: float, processes: int
 ) -> dict[str, Any]:
-    """Run all cars, a line each as it comes, then the table's last line."""
-    jobs = [(number, seed, setting, minutes, rounds) for number in range(cars) for seed in range(seeds)]
-    console, outcomes = Console(width=170), []
+    """Run all cars with all seeds, a line each as it comes, then the table's last line."""
+    jobs = [(car, seed, setting, minutes) for car in cars for seed in seeds]
+    console, outcomes = Console(width=190), []
     with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
         for outcome in pool.map(one_car, jobs):
             outcomes.append(outcome)
             good = "never" if outcome.good is None else f"{outcome.good:.0f} s"
             Console(stderr=True).print(
-                f"{len(outcomes)}/{len(jobs)} {outcome.car}: GOOD after {good}, {outcome.failures} failures, "
-                f"RMS e {outcome.rms_x_told_truth:.2f} x {outcome.best} told the truth",
+                f"{len(outcomes)}/{len(jobs)} {outcome.name}, {outcome.car}: GOOD after {good}, {outcome.failures} "
+                f"failures, RMS e {outcome.rms_x_told_truth:.2f} x {outcome.best} told the truth",
                 soft_wrap=True,
             )
-    shown = [name for name in asdict(outcomes[0]) if name not in ("number", "seed", "best_on_data_sheet", "computing")]
-    table = Table(*[name.replace("_", " ") for name in shown], title=f"{cars} cars of the fleet, {minutes:g} minutes")
+    shown = [name for name in asdict(outcomes[0]) if name not in ("best_on_data_sheet", "computing")]
+    table = Table(*[name.replace("_", " ") for name in shown], title=f"{len(cars)} cars, {minutes:g} minutes")
     for outcome in outcomes:
         values = asdict(outcome)
         table.add_row(*[f"{values[n]:.3g}" if isinstance(values[n], float) else str(values[n]) for n in shown])

@@ -9,7 +9,8 @@ model.
 
     python -m benchmarks study learning --setting default --seeds 10 --conditions hard [--quick] [--json]
 
-With --fleet N: N cars drawn from the fleet, each on a course of its own (`benchmarks.run.fleet`).
+With --fleet N: N cars drawn from the fleet, each on a course of its own; with --cars KIND: cars with steering delays,
+at low or at high speed, one steered by torque, CommonRoad's multi-body car (`benchmarks.run.fleet`).
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from benchmarks.run.fleet import fleet
+from benchmarks.run.fleet import KINDS, fleet, of_fleet, of_kind
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.settings import SETTINGS, changed, setting
 from steerkit.learning.training_run import train
@@ -140,6 +141,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="change the setting, such as fit.guard=1.2 or after_failure=shift; may be repeated",
     )
     parser.add_argument("--fleet", type=int, default=0, metavar="N", help="N cars of the fleet, 5 minutes each")
+    parser.add_argument("--cars", choices=list(KINDS), default=None, help="cars of that kind, 5 minutes each")
     parser.add_argument("--seeds", type=int, default=None, help="how many seeds (default 10)")
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--conditions", default="clean", choices=["clean", "hard"])
@@ -158,14 +160,15 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Run the seeds, print the tables."""
-    seeds = (1 if options.quick else 10) if options.seeds is None else options.seeds
+    count = (1 if options.quick else 10) if options.seeds is None else options.seeds
     minutes = (0.5 if options.quick else 11.0) if options.minutes is None else options.minutes
-    if options.fleet:
+    if options.fleet or options.cars:
         how = changed(setting(options.setting), options.changes)
-        seeds = 1 if options.seeds is None else options.seeds
+        seeds = range(options.first_seed, options.first_seed + (1 if options.seeds is None else options.seeds))
         five = minutes if options.minutes is not None or options.quick else 5.0
         rounds = 0.05 if options.quick else 1.0
-        return fleet(options.fleet, seeds, how, five, options.processes, rounds=rounds)
+        cars = of_kind(options.cars, rounds=rounds) if options.cars else of_fleet(options.fleet, rounds)
+        return fleet(cars[:1] if options.quick else cars, seeds, how, five, options.processes)
     scenario = replace(
         Scenario.under(options.conditions, course=options.course), plant=options.plant, reference=options.reference
     )
@@ -175,7 +178,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     model_based = options.setting == "model-based"  # actions, rhythm and charged time are the default's
     chosen = changed(setting("default" if model_based else options.setting), options.changes)
     base = Experiment(setting=chosen, scenario=scenario, minutes=minutes, episodes=options.episodes)
-    jobs = [(replace(base, seed=options.first_seed + n), options.last, model_based) for n in range(seeds)]
+    jobs = [(replace(base, seed=options.first_seed + n), options.last, model_based) for n in range(count)]
     with ProcessPoolExecutor(options.processes, mp_context=get_context("spawn")) as pool:
         outcomes = list(
             track(pool.map(one_seed, jobs), total=len(jobs), description=options.setting, console=Console(stderr=True))

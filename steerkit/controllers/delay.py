@@ -27,6 +27,10 @@ _TRUST = 0.1
 """Share of a sample in how far a slow wheel is taken to be off its model: half a second."""
 
 
+_SHARE_OF_TORQUE = 0.3
+"""Of a car steered by torque (`Stanley.share`): with all of it sensor noise, or a gain 25 % off, makes it swing."""
+
+
 class Step(NamedTuple):
     """A piece of the way into the future: its length [s], which command acts in it, where in the preview it lies."""
 
@@ -339,7 +343,8 @@ def delayed_stanley(
     The gains are what `python -m benchmarks study tune_stanley` chose: with the prediction, damping only costs.
     slew [m/s^3], a_y_limit [m/s^2]: of a car that is steered by torque; None: without.
     """
-    stanley = replace(Stanley.of(vehicle, dt=dt), k=3.0, k_d_yaw=0.0, k_d_steer=0.0, slew=slew, a_y_limit=a_y_limit)
+    gains: dict[str, float] = dict(k=3.0, k_d_yaw=0.0, k_d_steer=0.0, share=1.0 if slew is None else _SHARE_OF_TORQUE)
+    stanley = replace(Stanley.of(vehicle, dt=dt), slew=slew, a_y_limit=a_y_limit, **gains)
     return Predicted.around(stanley, vehicle, delay=delay, lag=lag, slew=slew, a_y_limit=a_y_limit)
 
 

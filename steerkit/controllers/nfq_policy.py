@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 import os
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -171,6 +172,10 @@ class NfqPolicy(Policy):
             return self.Y(action=nothing, q=nothing, ready=nothing)
         if self.forecast is not None:
             s = self._forecast.ahead(x, u)
+        share: Any = 1.0
+        if self.description.scaled_from < math.inf:
+            excess, s = self.description.excess(u.v), self.description.scaled(s)
+            share = 1.0 / (excess * excess)
         ready, nan = m.where(t >= self.ready_from, 1.0, 0.0), float("nan")
         sound = m.is_finite(s[0] + s[1] + s[2] + s[3] + s[4] + s[5])  # tanh would hide an infinity
         if all(value.__class__ is float for value in s):
@@ -189,7 +194,7 @@ class NfqPolicy(Policy):
             if self.continuous:
                 action = self._between(list(values), action)
             ready = ready + np.zeros(states.shape[1:])
-        return self.Y(action=m.where(sound, action, nan), q=q, ready=ready)
+        return self.Y(action=m.where(sound, share * action, nan), q=q, ready=ready)
 
     @functools.cached_property
     def _forecast(self) -> Forecast:
@@ -266,6 +271,7 @@ class NfqPolicy(Policy):
                 "mirror_signs": d.mirror_signs,
                 "goal": d.goal,
                 "action_scale": d.action_scale or 0.0,
+                **({"scaled_from": d.scaled_from} if d.scaled_from < math.inf else {}),
                 "nets": len(self.nets or ()),
                 **({"continuous": True} if self.continuous else {}),
                 **(
@@ -289,7 +295,11 @@ class NfqPolicy(Policy):
             return cls(
                 nets=tuple(tuple(f[f"net{k}_{i}"] for i in range(n)) for k, n in enumerate(layout)),
                 actions=tuple(f["actions"].tolist()),
-                description=StateDescription(**numbers, action_scale=float(f["action_scale"]) or None),
+                description=StateDescription(
+                    **numbers,
+                    action_scale=float(f["action_scale"]) or None,
+                    scaled_from=float(f.get("scaled_from", math.inf)),
+                ),
                 combine=str(f["combine"]),  # type: ignore[arg-type]
                 ready_from=float(f["ready_from"]),
                 dt=float(f["dt"]),

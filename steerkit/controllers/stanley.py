@@ -80,6 +80,8 @@ class Stanley(Block):
     """Fastest change of the lateral acceleration of a car that is steered by torque [m/s^3]; None: no bound."""
     a_y_limit: Scalar | None = None
     """Its largest lateral acceleration, which not even a path that asks for more exceeds [m/s^2]; None: no bound."""
+    share: Scalar = 1.0
+    """Share of what the law asks for beyond the path's own angle, (L + K v^2) kappa: < 1 where the wheel is slow."""
     mass: Scalar = 0.0
     """Car mass [kg]; 0 leaves out the curve offset psi_ss."""
     c_f: Scalar = 1.0
@@ -102,6 +104,7 @@ class Stanley(Block):
             require(getattr(self, name) >= 0.0, "Stanley", f"{name} = {getattr(self, name)}, expected >= 0")
         for name in ("k_soft", "c_f", "steer_ratio", "limit", "approach_limit", "a_y_max", "rate_limit", "wheelbase"):
             require(getattr(self, name) > 0.0, "Stanley", f"{name} = {getattr(self, name)}, expected > 0")
+        require((self.share > 0.0) & (self.share <= 1.0), "Stanley", f"share = {self.share}, expected 0 < share <= 1")
 
     @classmethod
     def of(cls, vehicle: Vehicle, *, dt: float = DT) -> Stanley:
@@ -141,6 +144,8 @@ class Stanley(Block):
         approach = m.clip(m.atan(self.k * u.e / (self.k_soft + v)), -steepest, steepest)
         damping = self.k_d_yaw * (u.r - r_path) + self.k_d_steer * (u.delta_sw_meas / self.steer_ratio - x.delta_before)
         delta = -(u.psi_e - psi_ss) - approach - damping
+        steady = (self.wheelbase + self.understeer * v * v) * u.kappa
+        delta = delta - (1.0 - self.share) * (delta - steady)
         allowed = self._possible(m.maximum(self.a_y_max, v * m.absolute(r_path) + self.a_y_reserve))
         car = dict(wheelbase=self.wheelbase, understeer=self.understeer, steer_ratio=self.steer_ratio)
         return self.Y(

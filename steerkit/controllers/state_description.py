@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from steerkit import maths as m
 from steerkit.controllers.policy import COLUMNS
 from steerkit.errors import require
 from steerkit.task import STOP
@@ -35,6 +39,9 @@ class StateDescription:
     and parallel to it, at any speed and any steering angle (a steady bend)."""
     action_scale: float | None = None
     """Action [rad] that becomes 1; None: the largest |action| of the set."""
+    scaled_from: float = math.inf
+    """Speed above which the same action turns the wheel the less, and angles count the more, the faster the car is
+    [m/s]: see `scaled`."""
 
     def __post_init__(self) -> None:
         for name in ("low", "high", "mirror_signs", "goal"):
@@ -51,6 +58,8 @@ class StateDescription:
             require(centred, "StateDescription", f"{name}: sign -1 and range [{low}, {high}], expected low = -high")
         scale = self.action_scale
         require(scale is None or scale > 0.0, "StateDescription", f"action_scale = {scale} [rad], expected > 0 or None")
+        start = f"scaled_from = {self.scaled_from} [m/s], expected > 0"
+        require(self.scaled_from > 0.0, "StateDescription", start)
 
     @property
     def mid(self) -> NDArray[np.float64]:
@@ -61,6 +70,22 @@ class StateDescription:
     def half(self) -> NDArray[np.float64]:
         """Half-width of each range."""
         return 0.5 * (np.array(self.high) - np.array(self.low))
+
+    def excess(self, v: Any) -> Any:
+        """How many times `scaled_from` the speed v [m/s] is, 1 at least; for floats, arrays and symbols."""
+        return m.maximum(v / self.scaled_from, 1.0)
+
+    def scaled(self, s: Sequence[Any]) -> tuple[Any, ...]:
+        """The columns e, e_dot, v, psi_e, r_e, doe as a net is told them; for floats, arrays and symbols.
+
+            x = max(1, v/scaled_from):   e, e_dot, v/sqrt(x), psi_e x, r_e x, doe x^2;   an action a turns by a/x^2
+
+        The same number then means about the same e_dot, or the same lateral acceleration, at any speed: 25 degrees of
+        the wheel are a touch at 5 m/s and a swerve at 25.
+        """
+        e, e_dot, v, psi_e, r_e, doe = s
+        x = self.excess(v)
+        return e, e_dot, v / m.sqrt(x), psi_e * x, r_e * x, doe * x * x
 
     def scale_of(self, actions: tuple[float, ...]) -> float:
         """The action [rad] that a net sees as 1."""

@@ -5,6 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from steerkit.task import RELEASE
+
+PATIENCE = 20.0
+"""For how long the recovery controller may steer before the run says that it does not get to hand over [s]."""
+
 
 @dataclass(kw_only=True)
 class Episode:
@@ -34,6 +39,18 @@ class Episode:
 
 
 @dataclass(kw_only=True)
+class Recovery:
+    """The time for which the recovery controller has been steering without a break."""
+
+    began: float
+    """Driving time at its begin, or when it was last said that it lasts [s]."""
+    nearest: float = math.inf
+    """Least |e| since then [m]."""
+    slowest: float = math.inf
+    """Least |e_dot| since then with |e| < RELEASE [m/s]."""
+
+
+@dataclass(kw_only=True)
 class Counts:
     """What has happened so far: the part of a run that is not loop state, nets or transitions."""
 
@@ -54,6 +71,10 @@ class Counts:
     failures_to_round: int | None = None
     """Failures before the first complete round."""
     episodes: list[Episode] = field(default_factory=list)
+    recovery: Recovery | None = None
+    """That of the recovery controller now; None: it does not steer."""
+    stuck: list[str] = field(default_factory=list)
+    """Why the recovery controller could not hand over for PATIENCE, a line for each time."""
 
     @property
     def failures(self) -> int:
@@ -75,7 +96,7 @@ class Counts:
 
         progress: along the path [m]; e: cross-track error [m]. An episode begins with its first sample.
         """
-        episode = self.episode
+        self.recovery, episode = None, self.episode
         if episode is None:
             episode = Episode(began=t, progress=progress, net=self.updates)
             self.episodes.append(episode)
@@ -98,3 +119,26 @@ class Counts:
         if episode is not None:
             episode.ended, episode.failed = t, failed
         return episode
+
+    def recovering(self, t: float, *, e: float, e_dot: float, calm: float, busy: bool) -> str | None:
+        """The recovery controller steers at driving time t [s]: why it does not hand over, once after each PATIENCE.
+
+        e [m], e_dot [m/s]: as the learner sees them. calm: |e_dot| below which it would [m/s]. busy: is the training
+        of the policy that is to take over still going on?
+        """
+        recovery = self.recovery = self.recovery or Recovery(began=t)
+        recovery.nearest = min(recovery.nearest, abs(e))
+        if abs(e) < RELEASE:
+            recovery.slowest = min(recovery.slowest, abs(e_dot))
+        if t - recovery.began < PATIENCE:
+            return None
+        if recovery.nearest >= RELEASE:
+            why = f"it came no nearer to the path than {recovery.nearest:.2f} m, and hands over below {RELEASE:g} m"
+        elif recovery.slowest >= calm:
+            why = f"it crosses the path at {recovery.slowest:.2f} m/s at least, and hands over below {calm:g} m/s"
+        else:
+            why = "the training of the next policy is not done" if busy else "no policy is ready to take over"
+        line = f"at {t:.0f} s: recovery has steered for {PATIENCE:g} s and cannot hand over: {why}"
+        self.stuck.append(line)
+        self.recovery = Recovery(began=t)
+        return line

@@ -90,7 +90,8 @@ class LearningRun:
     def __init__(self, experiment: Experiment, watch: Watcher | None = None, trainer: Training | None = None):
         self.experiment, self.watch = experiment, watch
         self.keep: Callable[[LearningRun], None] | None = None
-        setting, scenario = experiment.setting, experiment.scenario
+        scenario = experiment.scenario
+        setting = experiment.setting.suited(scenario.belief())
         self.path = scenario.path()
         self.story = Story(
             setting=setting,
@@ -172,6 +173,10 @@ class LearningRun:
         )
         if events.round:
             self._tell("round")
+        if not learning:
+            e, e_dot = (self._value(self._inputs[name]) for name in ("e", "e_dot"))
+            if story.recovering(self.t, e=e, e_dot=e_dot):
+                self._tell("stuck")
         for k in range(counts.k + 1, counts.k + self.ticks):
             self.loop.advance(k, self.x, self.y)
         counts.k += self.ticks

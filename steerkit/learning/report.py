@@ -54,6 +54,8 @@ def _watching(experiment: Experiment) -> Iterator[Watcher]:
                 f"episode {len(run.counts.episodes)}, {run.t / 60:.1f} min driven, held {held:.0f} s, "
                 f"RMS e {episode.rms_e if episode else 0:.3f} m, {len(run.transitions)} transitions"
             )
+            if what == "stuck":
+                bar.console.print(run.counts.stuck[-1], soft_wrap=True, style="yellow")
             bar.update(task, completed=run.t / 60.0, story=story)
             if not console.is_terminal and (what == "round" or (what == "failed" and run.counts.failures % 5 == 0)):
                 console.print(f"{what}: {story}", soft_wrap=True)
@@ -70,6 +72,7 @@ def figures_of_merit(run: LearningRun) -> dict[str, Any]:
         "seed": run.experiment.seed,
         "driving_minutes": run.t / 60.0,
         "failures": counts.failures,
+        "stuck": len(counts.stuck),
         "rounds": counts.rounds,
         "first_round_begun_s": counts.first_round_begun,
         "first_round_done_s": counts.first_round_done,

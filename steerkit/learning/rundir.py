@@ -21,7 +21,7 @@ from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.errors import require
 from steerkit.files import write_text
 from steerkit.learning import costs
-from steerkit.learning.counts import Counts, Episode
+from steerkit.learning.counts import Counts, Episode, Recovery
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.experiment import Experiment, LearningRun, Watcher
 from steerkit.learning.nfq.iterate import FitSetting
@@ -151,6 +151,7 @@ def document(place: FilePath) -> dict[str, Any]:
     setting = data.get("experiment", {}).get("setting", {})
     if "fit" in setting:  # of before there were actions between those of the set
         setting.setdefault("continuous", False)
+        setting.setdefault("scaled_from", math.inf)
     return data
 
 
@@ -180,7 +181,12 @@ def _load(place: FilePath, data: dict[str, Any]) -> LearningRun:
     number = data["checkpoint"]
     run = LearningRun(from_plain(data["experiment"], "run.json"))
     story, counts = run.story, data["counts"]
-    story.counts = Counts(**{**counts, "episodes": [Episode(**e) for e in counts["episodes"]]})
+    lasting = counts.get("recovery")
+    again = {
+        "episodes": [Episode(**e) for e in counts["episodes"]],
+        "recovery": Recovery(**lasting) if lasting else None,
+    }
+    story.counts = Counts(**{**counts, **again})
     state = run.loop.load_state(_existing(place / f"state-{number}.npz"))
     run.x, run.y = list(state.x), list(state.y)
     story.transitions = Transitions.load(_existing(place / f"transitions-{number}.npz"))

@@ -170,6 +170,10 @@ class Story:
         self.policy, self.net, self.trusted = replace(policy, ready_from=0.0), result.number, True
         return result
 
+    def recovering(self, t: float, *, e: float, e_dot: float) -> str | None:
+        """The recovery controller steers at driving time t [s]: why it does not hand over, where that takes long."""
+        return self.counts.recovering(t, e=e, e_dot=e_dot, calm=self.setting.calm, busy=self.trainer.busy)
+
     def calm(self, e: float, e_dot: float) -> bool:
         """Is the car quiet enough on the path for a new net? A setting without `calm` lets the supervisor judge."""
         limit = self.setting.calm

@@ -20,6 +20,7 @@ from typing import Any, Protocol, Self
 
 from steerkit.assembly import with_controller
 from steerkit.block import Block
+from steerkit.catalogue import FITTING
 from steerkit.clock import Clock
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.doe import Dynamic
@@ -74,7 +75,7 @@ class CarLearner:
         link: Car,
         *,
         seed: int = 0,
-        recovery: str = "stanley",
+        recovery: str = FITTING,
         vehicle: Vehicle | None = None,
     ):
         where = f"setting '{setting.name}' on a car"
@@ -140,6 +141,8 @@ class CarLearner:
             progress=self._value(live, "path.progress"),
             e=self._value(live, "path.e"),
         )
+        if engaged and not learning:
+            story.recovering(t, e=state["e"], e_dot=state["e_dot"])
         if (events.ended and events.ended.failed) or (fault and story.trusted):
             story.train(t, trusted=False)
         elif learning and story.due():
@@ -162,6 +165,7 @@ class CarLearner:
             "transitions": len(self.story.transitions),
             "driven_by_learner_m": counts.driven,
             "failures": counts.failures,
+            "stuck": list(counts.stuck),
             "training_faults": list(self.trainer.faults),
         }
 
@@ -170,6 +174,8 @@ class CarLearner:
         story, counts = self.story, self.story.counts
         training = "training" if self.trainer.busy else "idle"
         fault = f", {story.faults[-1]}" if story.faults else ""
+        if counts.recovery and counts.stuck:
+            fault += f", {counts.stuck[-1]}"
         return (
             f"net {counts.updates}, {len(story.transitions)} transitions, {counts.driven:.0f} m by the learner, "
             f"{counts.failures} failures, trainer {training}{fault}"

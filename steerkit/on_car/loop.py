@@ -10,7 +10,7 @@ from pathlib import Path as FilePath
 from steerkit import realtime
 from steerkit.assembly import steering_loop
 from steerkit.block import Block
-from steerkit.catalogue import CONTROLLERS, Belief, make_controller, make_element, make_recovery
+from steerkit.catalogue import CONTROLLERS, FITTING, Belief, make_controller, make_element, make_recovery
 from steerkit.clock import Clock
 from steerkit.controllers.foresight import Foresight
 from steerkit.controllers.nfq_policy import NfqPolicy
@@ -132,7 +132,7 @@ def car_loop(
     controller: Block,
     *,
     doe: Dynamic | None = None,
-    recovery: str = "stanley",
+    recovery: str = FITTING,
 ) -> Loop:
     """The loop of the simulated runs with a `RealCar` in the plant's place: 20 Hz, e at the front axle.
 
@@ -167,7 +167,7 @@ def drive(
     link: CarClient,
     controller: Controller,
     *,
-    recovery: str = "stanley",
+    recovery: str = FITTING,
     duration: float = float("inf"),
     clock: Clock | None = None,
     watch: Callable[[realtime.Run], bool | None] | None = None,

@@ -17,7 +17,7 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from steerkit.block import Block
-from steerkit.catalogue import RECOVERIES
+from steerkit.catalogue import FITTING, RECOVERIES
 from steerkit.clock import Clock
 from steerkit.doe import Dynamic
 from steerkit.errors import known
@@ -62,7 +62,7 @@ class Options:
     channel: str = ""
     time_scale: float = 1.0
     realtime: bool = False
-    recovery: str = "stanley"
+    recovery: str = FITTING
     quiet: bool = False
 
 

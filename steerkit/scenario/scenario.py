@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from steerkit.assembly import placed
 from steerkit.block import Block
-from steerkit.catalogue import RECOVERIES, Belief, make_recovery, plant_kind
+from steerkit.catalogue import FITTING, RECOVERIES, Belief, make_recovery, plant_kind
 from steerkit.courses import names, recorded_speed
 from steerkit.errors import known, require, require_within
 from steerkit.files import read_text
@@ -112,8 +112,8 @@ class Scenario:
     reference: str = "front"
     """Where e is judged, and measured for a learner: at the `front` axle (as Stanley does), at the centre of gravity,
     `cg`, or at the controller's `own` point (the front axle for one that has none)."""
-    recovery: str = "stanley"
-    """Who catches a learned controller: `stanley` or `stanley-delay`."""
+    recovery: str = FITTING
+    """Who catches a learned controller: `stanley`, `stanley-delay`, or `fitting`: of both the one for what is told."""
     speed: str = "wander"
     """`wander`: a human between v_min and v_max, slower in bends (3 m/s^2); `recorded`: as driven on the recorded
     course, within v_min and v_max; or a CSV file with the columns s [m] along the course and v [m/s], within them."""

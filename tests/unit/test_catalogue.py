@@ -11,6 +11,8 @@ import pytest
 from benchmarks.entries import controller as entry
 from steerkit.block import Block
 from steerkit.catalogue import CONTROLLERS, ELEMENTS, RECOVERIES, Belief, make_controller, make_element, make_recovery
+from steerkit.controllers.delay import Predicted
+from steerkit.controllers.stanley import Stanley
 from steerkit.courses import course
 from steerkit.on_car.loop import belief_of, controller_named
 from steerkit.plants.real_car.file.config import shipped
@@ -103,7 +105,7 @@ def test_a_gate_that_is_narrower_than_the_car_is_what_counts_on_it() -> None:
     ("ask", "message"),
     [
         (lambda: make_controller("stanly", BELIEF), r"controller 'stanly' is not known \(did you mean 'stanley'\?\)"),
-        (lambda: make_recovery("lqr", BELIEF), "recovery 'lqr' is not known.*; valid: stanley, stanley-delay"),
+        (lambda: make_recovery("lqr", BELIEF), "recovery 'lqr' is not known.*; valid: fitting, stanley, stanley-delay"),
         (lambda: make_element("integral"), "did you mean 'integrator'"),
         (lambda: replace(BELIEF, lag=-1.0), r"lag = -1.0 \[s\], expected 0 to 10"),
         (lambda: replace(BELIEF, delay=3.0), r"delay = 3.0 \[s\], expected 0 to 2"),
@@ -116,7 +118,17 @@ def test_what_cannot_be_made_says_what_can(ask: Any, message: str) -> None:
 
 
 def test_only_controllers_that_catch_from_anywhere_are_recoveries() -> None:
-    assert RECOVERIES == ("stanley", "stanley-delay")
+    assert RECOVERIES == ("fitting", "stanley", "stanley-delay")
+
+
+def test_the_fitting_recovery_knows_of_dead_time_and_slew_where_there_is_some() -> None:
+    assert isinstance(make_recovery("fitting", replace(BELIEF, delay=0.0)), Stanley)
+    late = make_recovery("fitting", replace(BELIEF, delay=0.15))
+    assert isinstance(late, Predicted)
+    assert late.delay == 0.15
+    by_torque = make_recovery("fitting", replace(BELIEF, delay=0.0, slew=5.0, a_y_limit=3.0))
+    assert isinstance(by_torque, Predicted)
+    assert (by_torque.slew, by_torque.block.share) == (5.0, 0.3)  # type: ignore[attr-defined]
 
 
 # ---- a user's own -----------------------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from steerkit.controllers.forecast import LONGEST, PREVIEW
 from steerkit.controllers.nfq_policy import COMBINATIONS, Combine, combined
-from steerkit.controllers.policy import ACTION, DOE, E
+from steerkit.controllers.policy import ACTION, DOE, E, V
 from steerkit.controllers.state_description import StateDescription
 from steerkit.errors import require
 from steerkit.learning.costs import Cost
@@ -234,7 +234,7 @@ def _imagined_costs(
         s, earlier = s_next, s[:, DOE]
         if nets:
             q = action_values(nets, s, gentlest_first, description, setting)
-            a, least = choices[q.argmin(axis=0)], q.min(axis=0).astype(float)
+            a, least = choices[q.argmin(axis=0)] / description.excess(s[:, V]) ** 2, q.min(axis=0).astype(float)
     return total, weight, least
 
 
@@ -249,7 +249,7 @@ def imagined_cost(
 ) -> float:
     """Mean discounted cost of a second of greedy driving by the nets, from imagined states, in the learned model."""
     q = action_values(nets, states.s, actions, description, setting)
-    a = np.array(actions)[q.argmin(axis=0)]
+    a = np.array(actions)[q.argmin(axis=0)] / description.excess(states.s[:, V]) ** 2
     steps = round(1.0 / model.dt)
     return float(_imagined_costs(model, states, a, actions, cost, setting, description, nets, steps)[0].mean())
 
@@ -308,7 +308,7 @@ def iterate(
         if model is not None:
             rng = np.random.default_rng([seed, iteration, 1_000_003])
             near = imagine(model, transitions, description, setting.imagined, rng)
-            a = rng.choice(np.array(actions), setting.imagined)
+            a = rng.choice(np.array(actions), setting.imagined) / description.excess(near.s[:, V]) ** 2
             x = np.concatenate([x, patterns(description, near.s, a, scale)])
             dreamt = imagined_targets(model, near, a, actions, cost, setting, description, nets)
             y = np.concatenate([y, dreamt])

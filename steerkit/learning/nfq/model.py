@@ -157,11 +157,14 @@ def imagine(
     s[:, V] = v
     size = SPREAD * description.half * 2.0 * rng.uniform(0.0, 1.0, (count, 1)) ** 2
     shift = size * rng.standard_normal((count, len(COLUMNS)))
+    excess = description.excess(v)
+    shift[:, [PSI_E, R_E]] /= excess[:, None]
+    shift[:, DOE] /= excess**2
     s[:, E] += shift[:, E]
     s[:, E_DOT] += v * shift[:, PSI_E]
     s[:, PSI_E] += shift[:, PSI_E]
     s[:, R_E] += shift[:, R_E]
-    bend = rng.uniform(-model.limit, model.limit, count)
+    bend = rng.uniform(-model.limit, model.limit, count) / excess**2
     s[:, PSI_E] -= model.ratio(speed(s)) * (bend - s[:, DOE] - shift[:, DOE])
     s[:, DOE] = bend
     return Imagined(s=s, earlier=bend + back, residual=residual * signs)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit.controllers.policy import ACTION
+from steerkit.controllers.policy import ACTION, V
 from steerkit.controllers.state_description import StateDescription
 
 STANDARD = StateDescription()
@@ -18,6 +19,8 @@ def patterns(
     description: StateDescription, s: NDArray[np.float64], a: NDArray[np.float64], scale: float
 ) -> NDArray[np.float32]:
     """Net inputs (n, columns + 1) of states s (n, columns) and actions a (n,) [rad]; scale [rad] becomes 1."""
+    if description.scaled_from < math.inf:
+        s, a = np.column_stack(description.scaled(tuple(s.T))), a * description.excess(s[:, V]) ** 2
     x = np.empty((len(s), s.shape[1] + 1), dtype=np.float32)
     x[:, :ACTION] = (s - description.mid) / description.half
     x[:, ACTION] = a / scale

@@ -234,6 +234,25 @@ def test_patterns_and_policy_scale_alike() -> None:
     np.testing.assert_allclose(np.mean([forward(net, x) for net in NETS], axis=0), found.q, atol=2e-6)
 
 
+def test_at_speed_the_net_is_told_scaled_numbers_and_turns_the_wheel_less() -> None:
+    plain = NfqPolicy(nets=NETS, description=StateDescription(action_scale=2.0), continuous=True)
+    policy = replace(plain, description=replace(plain.description, scaled_from=4.0))
+    e, e_dot, v, psi_e, r_e, doe = s = cars(200)
+    x = np.maximum(v / 4.0, 1.0)
+    assert 0 < (x > 1.0).sum() < 200
+    asked = ask(policy, s)
+    by_hand = ask(plain, (e, e_dot, v / np.sqrt(x), psi_e * x, r_e * x, doe * x**2))
+    np.testing.assert_allclose(asked.action, by_hand.action / x**2, rtol=1e-12)
+    np.testing.assert_allclose(asked.q, by_hand.q, rtol=1e-12)
+    one_by_one = [ask(policy, tuple(float(value) for value in column)) for column in s.T]
+    np.testing.assert_allclose([y.action for y in one_by_one], asked.action, rtol=1e-9)
+    symbols = traced(policy)
+    np.testing.assert_allclose([float(symbols(0.0, column)[0]) for column in s.T], asked.action, rtol=1e-9)
+    of_the_set = ask(replace(policy, continuous=False), s)
+    seen = patterns(policy.description, s.T, of_the_set.action, 2.0).astype(float)  # as training sees it
+    np.testing.assert_allclose(np.mean([forward(net, seen) for net in NETS], axis=0), of_the_set.q, atol=2e-6)
+
+
 @given(values=st.lists(st.floats(0.0, 1.0), min_size=1, max_size=5))
 def test_caution_never_makes_an_action_cheaper(values: list[float]) -> None:
     """The nets' readings of one action: mean <= mean + deviation, and mean <= the largest."""

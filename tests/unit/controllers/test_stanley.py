@@ -61,6 +61,19 @@ def test_steer_damping_works_against_the_wheel_that_turns() -> None:
     assert damped.update(0.0, StanleyState(0.0, 0.0), signals, damped.Y(0.7)) == StanleyState(0.15, 0.7)
 
 
+def test_a_share_of_it_corrects_less_and_holds_the_same_bend() -> None:
+    half = replace(OF_PASSAT, share=0.5)
+    assert steered(half, e=0.1, psi_e=0.02) == pytest.approx(0.5 * steered(OF_PASSAT, e=0.1, psi_e=0.02))
+    v, kappa = 8.0, 0.02
+    steady = OF_PASSAT.steer_ratio * (OF_PASSAT.wheelbase + OF_PASSAT.understeer * v * v) * kappa
+    bent = dict(v=v, kappa=kappa, r=v * kappa)
+    asked = steered(OF_PASSAT, e=0.05, **bent)
+    assert steered(half, e=0.05, **bent) == pytest.approx(0.5 * (asked + steady))
+    for share in (0.0, 1.1):
+        with pytest.raises(ValueError, match=rf"share = {share}, expected 0 < share <= 1"):
+            replace(OF_PASSAT, share=share)
+
+
 def test_it_starts_without_a_kick() -> None:
     """The wheel may be turned when it takes over: there is no wheel speed yet."""
     stanley = replace(OF_PASSAT, k_d_steer=10.0)

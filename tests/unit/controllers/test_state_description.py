@@ -31,7 +31,22 @@ def test_the_mirror_turns_all_but_the_speed_and_undoes_itself() -> None:
     np.testing.assert_array_equal(again[1], a)
 
 
+def test_a_fast_car_and_a_slow_one_give_the_net_the_same_numbers() -> None:
+    """The same e_dot, and the same lateral acceleration of wheel and yaw rate, at 4, 8 and 16 m/s."""
+    fast = StateDescription(scaled_from=4.0)
+    told = [fast.scaled((0.1, 0.2, v, 0.2 / v, 0.8 / v, 3.0 / v**2)) for v in (4.0, 8.0, 16.0)]
+    for s, v in zip(told, (4.0, 8.0, 16.0), strict=True):
+        assert s[:2] == (0.1, 0.2)
+        assert s[2] == pytest.approx(4.0 * (v / 4.0) ** 0.5)
+        assert s[3:] == pytest.approx(told[0][3:], rel=1e-12)
+    s = (0.1, 0.2, 3.9, 0.3, 0.4, 6.0)
+    assert fast.scaled(s) == s
+    assert STANDARD.scaled(s) == s
+
+
 def test_descriptions_say_what_is_wrong() -> None:
+    with pytest.raises(ValueError, match=r"scaled_from = 0\.0 \[m/s\], expected > 0"):
+        StateDescription(scaled_from=0.0)
     with pytest.raises(ValueError, match="low has 2 entries, expected 6"):
         StateDescription(low=(0.0, 1.0))
     with pytest.raises(ValueError, match=r"e: low 1\.0 and high 1\.0"):

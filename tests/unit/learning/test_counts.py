@@ -62,3 +62,35 @@ def test_a_round_is_driven_within_one_episode() -> None:
     ]
     assert counts.rounds == 2
     assert (counts.first_round_begun, counts.first_round_done, counts.failures_to_round) == (10.0, 11.0, 1)
+
+
+def recovery(counts: Counts, seconds: float, *, e: float, e_dot: float, busy: bool = False) -> list[str]:
+    """What is said while recovery steers for so long from t = 100 s on, 20 samples a second."""
+    lines = [
+        counts.recovering(100.0 + 0.05 * k, e=e, e_dot=e_dot, calm=0.3, busy=busy)
+        for k in range(round(20 * seconds) + 1)
+    ]
+    return [line for line in lines if line]
+
+
+def test_a_recovery_that_lasts_says_why_it_does_not_hand_over() -> None:
+    assert recovery(Counts(), 19.9, e=1.0, e_dot=0.0) == []
+    (far,) = recovery(Counts(), 20.1, e=-0.31, e_dot=0.0)
+    assert far == (
+        "at 120 s: recovery has steered for 20 s and cannot hand over: "
+        "it came no nearer to the path than 0.31 m, and hands over below 0.1 m"
+    )
+    assert "crosses the path at 0.50 m/s at least" in recovery(Counts(), 20.1, e=0.05, e_dot=-0.5)[0]
+    assert "the training of the next policy is not done" in recovery(Counts(), 20.1, e=0.05, e_dot=0.0, busy=True)[0]
+    counts = Counts()
+    assert len(recovery(counts, 61.0, e=0.05, e_dot=0.0)) == len(counts.stuck) == 3
+    assert "no policy is ready" in counts.stuck[0]
+
+
+def test_a_learner_that_steers_ends_the_recovery() -> None:
+    counts = Counts()
+    assert recovery(counts, 15.0, e=1.0, e_dot=0.0) == []
+    driven(counts, 0.0, t=115.0)
+    assert counts.recovery is None
+    assert counts.recovering(116.0, e=1.0, e_dot=0.0, calm=0.3, busy=False) is None
+    assert counts.recovering(130.0, e=1.0, e_dot=0.0, calm=0.3, busy=False) is None

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from steerkit.learning.settings import DEFAULT, changed
+from steerkit.learning.settings import DEFAULT, SETTINGS, changed
+from steerkit.scenario import Scenario
 
 
 def test_settings_are_changed_by_name() -> None:
@@ -33,3 +34,14 @@ def test_settings_are_changed_by_name() -> None:
 def test_wrong_changes_are_told(change: str, told: str) -> None:
     with pytest.raises(ValueError, match=re.escape(told)):
         changed(DEFAULT, [change])
+
+
+def test_where_torque_steers_no_action_asks_for_more_than_its_slew() -> None:
+    scenario = Scenario(course="sweeping-7", steering="torque", delay=0.35, v_min=12.0, v_max=20.0)
+    car, suited = scenario.nominal, DEFAULT.suited(scenario.belief())
+    for v in (12.0, 16.0, 20.0):
+        step = max(suited.actions) / suited.description().excess(v) ** 2
+        slewed = car.steer_ratio * car.wheelbase * scenario.slew * 0.05 / v**2
+        assert step == pytest.approx(slewed, rel=1e-12)
+    assert DEFAULT.suited(Scenario().belief()) is DEFAULT
+    assert SETTINGS["paper"].suited(scenario.belief()) is SETTINGS["paper"]

@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 
 from benchmarks.run import fleet
-from benchmarks.run.fleet import FleetOutcome, first_good, one_car, summarise
+from benchmarks.run.fleet import KINDS, FleetOutcome, first_good, of_fleet, of_kind, one_car, summarise
 from steerkit.learning.settings import setting
 
 GOOD = FleetOutcome(
-    number=0,
+    name="fleet-0",
     seed=0,
     car="a",
     delay=0.1,
@@ -24,6 +24,7 @@ GOOD = FleetOutcome(
     good=10.0,
     failures=1,
     departure=2.0,
+    stuck=0,
     nets=30,
     held=True,
     rms_e=0.01,
@@ -67,9 +68,22 @@ def test_the_first_good_net_counts_from_when_it_took_the_wheel() -> None:
 def test_a_car_that_hardly_learned_is_told_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fleet, "TOLD_TRUTH", ("stanley-delay",))
     monkeypatch.setattr(fleet, "TOLD_DATA_SHEET", ("stanley",))
-    outcome = one_car((3, 0, setting("model-free"), 0.05, 0.1))
-    assert (outcome.number, outcome.best, outcome.best_on_data_sheet) == (3, "stanley-delay", "stanley")
+    (*_, car) = of_fleet(4, rounds=0.1)
+    outcome = one_car((car, 0, setting("model-free"), 0.05))
+    assert (outcome.name, outcome.best, outcome.best_on_data_sheet) == ("fleet-3", "stanley-delay", "stanley")
     assert outcome.delay == fleet.fleet_scenario(3).delay
     assert outcome.good is None
     assert outcome.departure > 0.5  # it has failed, and nobody hides by how much
     assert not outcome.held
+
+
+def test_every_kind_of_car_starts_where_it_is_straight_and_can_be_told_the_truth() -> None:
+    for kind in KINDS:
+        cars = of_kind(kind, rounds=0.5)
+        assert len({car.name for car in cars}) == len(cars)
+        for car in cars:
+            assert car.rounds == 0.5
+            assert abs(car.path().kappa(car.start)) < 0.01
+            assert replace(car, told="truth").belief().gain == car.gain
+    assert [car.delay for car in of_kind("delays")] == list(fleet.DELAYS)
+    assert {car.gain for car in of_kind("torque")} == {0.75, 1.25}

@@ -176,6 +176,31 @@ def test_imagined_cars_drive_greedily_until_they_fail(horizon: int) -> None:
     assert 10 < sum(failed for _, failed in each) < 140
 
 
+def test_imagined_cars_at_speed_turn_the_wheel_less_and_lie_nearer_to_the_recorded_ones() -> None:
+    fast = replace(STANDARD, scaled_from=2.0, action_scale=max(ACTIONS))
+    setting = FitSetting(horizon=3, nets=2)
+    nets = tuple(tuple(4.0 * p for p in net) for net in nfq.fresh_nets(setting, seed=3))
+    near, plain = (imagine(CAR, driven(), d, 150, np.random.default_rng(5)) for d in (fast, STANDARD))
+    excess = fast.excess(near.s[:, 2])
+    assert excess.min() > 1.5
+    bend = np.abs(near.s[:, 5])
+    assert (bend <= CAR.limit / excess**2).all()
+    assert bend.max() > 0.5 * CAR.limit / excess.max() ** 2
+    assert np.abs(near.s[:, 3]).mean() < 0.5 * np.abs(plain.s[:, 3]).mean()
+    taken: list[tuple[np.ndarray, np.ndarray]] = []
+
+    class Listening(TanhCost):
+        def __call__(self, s: np.ndarray, a: np.ndarray, s_next: np.ndarray) -> Any:
+            taken.append((fast.excess(s[:, 2]), a))
+            return super().__call__(s, a, s_next)
+
+    imagined_targets(CAR, near, np.zeros(150), ACTIONS, Listening(trip=50.0), setting, fast, nets)
+    for x, a in taken[1:]:
+        nearest = np.abs((a * x**2)[:, None] - np.array(ACTIONS)).min(axis=1)
+        np.testing.assert_allclose(nearest, 0.0, atol=1e-12)
+        assert np.abs(a).max() > 0.0
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_an_imagined_state_is_the_recorded_one_in_another_bend_at_another_speed(
     seed: int, monkeypatch: pytest.MonkeyPatch
