@@ -54,7 +54,9 @@ class Cheat(Delay):
 def test_a_false_direct_declaration_fails_on_the_first_sample() -> None:
     count, cheat = Count(), Cheat()
     loop = Loop(blocks={"count": count, "cheat": cheat}, wires=[(count.n, cheat.u)])
-    with pytest.raises(WiringError, match=re.escape("cheat.output read 'u', which is not one of its direct inputs (n")):
+    with pytest.raises(
+        WiringError, match=r"cheat\.output \(Cheat\).*: read 'u', which is not one of its direct inputs \(n"
+    ):
         loop.init()
 
 
@@ -89,10 +91,12 @@ class Few(Block):
 
 
 def test_outputs_are_counted_on_the_first_sample() -> None:
-    with pytest.raises(WiringError, match=re.escape("few.output gave 1 values, expected 2: ('a', 'b')")):
+    with pytest.raises(
+        WiringError, match=re.escape("few.output (Few) gave 1 values, expected 2: return self.Y(a=..., b=...)")
+    ):
         Loop(blocks={"few": Few()}, wires=[]).init()
     count, pair = Count(), Pair(entries=3)
-    with pytest.raises(WiringError, match=re.escape("pair.both has 2 entries, expected 3")):
+    with pytest.raises(WiringError, match=re.escape("pair.both [m] has 2 entries, expected 3")):
         Loop(blocks={"count": count, "pair": pair}, wires=[(count.n, pair.u)]).init()
 
 
@@ -214,6 +218,9 @@ class Hill(Block):
     pull = Out("m")
 
     part: float = 0.0
+
+    def init(self, batch: tuple[int, ...] = ()) -> Any:
+        return (np.zeros(batch) if batch else 0.0,)
 
     def settle(self, t: Any, x: Any, u: Any) -> Any:
         return (u.place,)
