@@ -27,13 +27,16 @@ if TYPE_CHECKING:
     from steerkit.errors import WiringError
     from steerkit.learning.experiment import Experiment
     from steerkit.learning.learn import learn
+    from steerkit.learning.report import comparison
     from steerkit.loop import Loop, LoopState
     from steerkit.path import Path
-    from steerkit.plants.human import Human
+    from steerkit.plants.human import ConstantSpeed, Human
     from steerkit.plants.linear_single_track import LinearSingleTrack
     from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
     from steerkit.plants.sensors import Sensors
     from steerkit.plants.steering_actuator import SteeringActuator
+    from steerkit.scenario import Scenario
+    from steerkit.scenario.drive import drive
     from steerkit.simulation import Log, simulate
     from steerkit.tracker import PathTracker
     from steerkit.vehicles import Vehicle, vehicle
@@ -63,14 +66,18 @@ _HOME = {
     "LowPass": "doe",
     "Experiment": "learning.experiment",
     "learn": "learning.learn",
+    "comparison": "learning.report",
     "Loop": "loop",
     "LoopState": "loop",
     "Path": "path",
+    "ConstantSpeed": "plants.human",
     "Human": "plants.human",
     "LinearSingleTrack": "plants.linear_single_track",
     "NonlinearSingleTrack": "plants.nonlinear_single_track",
     "Sensors": "plants.sensors",
     "SteeringActuator": "plants.steering_actuator",
+    "Scenario": "scenario",
+    "drive": "scenario.drive",
     "Vehicle": "vehicles",
     "vehicle": "vehicles",
     "Log": "simulation",
@@ -81,6 +88,7 @@ _HOME = {
 __all__ = [
     "MPC",
     "Block",
+    "ConstantSpeed",
     "Experiment",
     "Guarded",
     "Human",
@@ -101,15 +109,18 @@ __all__ = [
     "PlainAngle",
     "Predicted",
     "PurePursuit",
+    "Scenario",
     "Sensors",
     "Stanley",
     "SteeringActuator",
     "Supervisor",
     "Vehicle",
     "WiringError",
+    "comparison",
     "compile",
     "course",
     "delayed_stanley",
+    "drive",
     "learn",
     "linearise",
     "placed",

@@ -28,8 +28,33 @@ HEAD = """\
 # Gallery
 
 Ten scripts of at most 45 lines, each with the picture that it draws. They are in `examples/gallery`, and run in the
-tests; this page is written by `python docs/tools/make_gallery.py`.
+tests; their blocks can be pasted at Python's prompt. This page is written by `python docs/tools/make_gallery.py`.
 """
+
+
+def for_a_prompt(code: str) -> str:
+    """The same statements as they can be pasted at Python's prompt: there a blank line ends a statement.
+
+    So blank lines inside of a class, a function or a loop go, except in texts, and one comes after each of them.
+    """
+    tree = ast.parse(code)
+    inside: set[int] = set()
+    last: set[int] = set()
+    for statement in tree.body:
+        if hasattr(statement, "body"):
+            inside |= {*range(statement.lineno, statement.end_lineno or statement.lineno)}
+            last.add(statement.end_lineno or statement.lineno)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            inside -= {*range(node.lineno, node.end_lineno or node.lineno)}
+    lines = code.splitlines()
+    made: list[str] = []
+    for n, line in enumerate(lines, start=1):
+        if line.strip() or n not in inside:
+            made.append(line)
+        if n in last and n < len(lines) and lines[n].strip():
+            made.append("")
+    return "\n".join(made)
 
 
 def page() -> str:
@@ -37,11 +62,12 @@ def page() -> str:
     parts = [HEAD]
     for name in ORDER:
         text = (SCRIPTS / f"{name}.py").read_text(encoding="utf-8")
-        said = ast.get_docstring(ast.parse(text)) or ""
+        tree = ast.parse(text)
+        said = ast.get_docstring(tree) or ""
         title, _, rest = said.partition("\n")
         title, _, more = title.rstrip(".").partition(": ")
         lead = f"{more[:1].upper()}{more[1:]}. " if more else ""
-        code = text.split('"""\n', 2)[-1].strip()
+        code = for_a_prompt("\n".join(text.splitlines()[tree.body[0].end_lineno :]).strip())
         parts.append(
             f"## {title}\n\n{lead}{rest.strip()}\n\n![{title}](gallery/{name}.png)\n\n```python\n{code}\n```\n"
         )

@@ -3,12 +3,15 @@ that they name is there. Their shell lines: test_commands.py."""
 
 from __future__ import annotations
 
+import ast
+import codeop
 import importlib.util
 import os
 import re
 import runpy
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +20,7 @@ import pytest
 
 from tests.support.house import modules
 from tests.support.places import ROOT
-from tests.support.shell_lines import BLOCK, PAGES, blocks
+from tests.support.shell_lines import BLOCK, PAGES, blocks, lines_of
 
 GALLERY = ROOT / "docs" / "gallery.md"
 
@@ -60,6 +63,67 @@ def test_a_wrong_output_would_be_found() -> None:
     assert len(shown) >= 4
 
 
+def typed(text: str) -> list[ast.stmt]:
+    """The statements that Python's prompt makes of a block's lines, as `code.InteractiveConsole` does, and an Enter."""
+    compiler = codeop.CommandCompiler()
+    waiting: list[str] = []
+    found: list[ast.stmt] = []
+    for line in [*text.splitlines(), ""]:
+        waiting.append(line)
+        if compiler("\n".join(waiting), "<prompt>", "single") is not None:
+            found += ast.parse("\n".join(waiting)).body
+            waiting = []
+    assert not waiting, "the last statement is not complete"
+    return found
+
+
+IN_A_FILE = [ROOT / "docs" / "howto" / f"{name}.md" for name in ("controller", "doe", "plant")]
+"""Pages of classes that one writes into a file: lines are left blank between their methods."""
+
+
+@pytest.mark.parametrize("page", [p for p in [*CODE, GALLERY] if p not in IN_A_FILE], ids=name_of)
+def test_python_blocks_can_be_pasted_at_the_prompt(page: Path) -> None:
+    """A blank line in a class ends it there, and a line right after a loop is a mistake: not one statement differs."""
+    for language, text in blocks(page):
+        if language == "python":
+            assert [ast.dump(s) for s in typed(text)] == [ast.dump(s) for s in ast.parse(text).body]
+
+
+def test_a_block_that_does_not_paste_would_be_found() -> None:
+    for text in (
+        "class A:\n    x = 1\n\n    y = 2\n",
+        "for k in range(2):\n    print(k)\nprint('done')\n",
+        "if True:\n",
+    ):
+        with pytest.raises((SyntaxError, AssertionError)):
+            typed(text)
+
+
+def test_the_tutorial_needs_no_deep_imports() -> None:
+    """What it uses, `from steerkit import ...` gives."""
+    text = "\n".join(text for language, text in blocks(ROOT / "docs" / "tutorial.md") if language == "python")
+    modules = {n.module for n in ast.walk(ast.parse(text)) if isinstance(n, ast.ImportFrom) and n.module}
+    assert {name for name in modules if name.startswith("steerkit")} == {"steerkit"}
+
+
+def test_the_readme_activates_the_environment_before_it_uses_it() -> None:
+    lines = lines_of(ROOT / "README.md")
+    used = [k for k, line in enumerate(lines) if line.split()[0] in ("steerkit", "python")]
+    assert used
+    assert lines.index(". .venv/bin/activate") < used[0]
+
+
+def test_every_extra_that_is_named_is_there_and_stands_under_install() -> None:
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["optional-dependencies"]
+    sources = [file for package in ("steerkit", "benchmarks") for file in (ROOT / package).rglob("*.py")]
+    words = "\n".join(file.read_text(encoding="utf-8") for file in [*PAGES, *sources])
+    assert set(re.findall(r"steerkit-control\[(\w+)\]", words)) <= extras.keys()
+    install = (ROOT / "docs" / "index.md").read_text(encoding="utf-8").split("## Install")[1]
+    assert set(re.findall(r"`(\w+)`", install)) >= extras.keys()
+    assert any("moviepy" in package for package in extras["film"]), "gymnasium.wrappers.RecordVideo needs it"
+    assert "download.pytorch.org/whl/cpu" in install
+
+
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_links_lead_somewhere(page: Path) -> None:
     for target in re.findall(r"\]\((?!https?:|#)([^)#]+)", BLOCK.sub("", page.read_text(encoding="utf-8"))):
@@ -81,6 +145,12 @@ def test_the_gallery_page_is_made_of_the_scripts_and_no_script_is_left_out() -> 
     assert GALLERY.read_text(encoding="utf-8") == maker.page(), "run python docs/tools/make_gallery.py"
     scripts = {script.stem for script in maker.SCRIPTS.glob("*.py")}
     assert scripts == set(maker.ORDER) == {picture.stem for picture in maker.PICTURES.glob("*.png")}
+    shown = [ast.dump(ast.parse(text)) for language, text in blocks(GALLERY) if language == "python"]
+    # all of a script but its docstring
+    whole = [ast.parse((maker.SCRIPTS / f"{name}.py").read_text("utf-8")) for name in maker.ORDER]
+    assert shown == [ast.dump(ast.Module(tree.body[1:], [])) for tree in whole], (
+        "not all of a script, but its docstring"
+    )
     assert all(len((maker.SCRIPTS / f"{name}.py").read_text("utf-8").splitlines()) <= 45 for name in scripts)
 
 
