@@ -9,6 +9,7 @@ import importlib.util
 import os
 import re
 import runpy
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -169,6 +170,34 @@ def test_every_module_has_its_page_of_the_reference(
     monkeypatch.setattr(site, "GROUPS", {"Blocks and loops": site.GROUPS["Blocks and loops"]})
     site.modules()
     assert any("steerkit.errors is on no page of the reference" in message for message in caplog.messages)
+
+
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium or Chrome is installed, so the search was not tried in one")
+def test_the_search_finds_words_where_pages_are_opened_from_the_disk(tmp_path: Path) -> None:
+    """A site of one page, with the settings of ours."""
+    pytest.importorskip("mkdocs")
+    import yaml
+
+    settings = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
+    plugins = [plugin for plugin in settings["plugins"] if isinstance(plugin, str)]
+    settings |= {"plugins": plugins, "nav": [{"Home": "index.md"}], "hooks": []}
+    (tmp_path / "mkdocs.yml").write_text(yaml.safe_dump(settings), encoding="utf-8")
+    (tmp_path / "docs").mkdir()
+    for name in (*settings["extra_css"], *settings["extra"]["polyfills"]):
+        shutil.copy(ROOT / "docs" / name, tmp_path / "docs" / name)
+    (tmp_path / "docs" / "index.md").write_text("# Animals\n\n## Striped\n\nA zebra.\n", encoding="utf-8")
+    done = python_in(tmp_path, "-m", "mkdocs", "build", "--quiet")
+    assert done.returncode == 0, done.stderr
+    assert BROWSER is not None
+    options = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--virtual-time-budget=8000")
+    page = (tmp_path / "site" / "index.html").as_uri()
+    for word, found in (("zebra", "1 matching document"), ("lion", "No matching documents")):
+        command = [BROWSER, *options, f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom", f"{page}?q={word}"]
+        dom = subprocess.run(command, capture_output=True, text=True, timeout=120).stdout
+        assert re.findall(r'search-result__meta">([^<]*)', dom.replace("\n", "")) == [found], word
 
 
 @pytest.mark.parametrize("script", sorted((ROOT / "examples" / "gallery").glob("*.py")), ids=lambda script: script.stem)

@@ -38,7 +38,10 @@ CAR = ("--car", "dbw-kit.toml")
         (("drive", "stanly", *CAR), "nor a place with a trained policy; valid: stanley"),
         (("drive", "nfq", *CAR), "no net in runs/car; learn one first: steerkit learn --car FILE"),
         (("drive", "stanley", "--car", "mine.toml"), "shipped: dbw-kit.toml"),
-        (("drive", "stanley", *CAR, "--recovery", "prayer"), "--recovery 'prayer' is not known; valid: fitting, stanley"),
+        (
+            ("drive", "stanley", *CAR, "--recovery", "prayer"),
+            "--recovery 'prayer' is not known; valid: fitting, stanley",
+        ),
         (("drive", "stanley", *CAR, "--time-scale", "2"), "a real car has real time; use --simulated"),
         (("drive", "stanley", *CAR, "--simulated", "--channel", "/dev/x"), "leave --channel out"),
         (("drive", "stanley", *CAR, "--recording", "there.mcap"), "recordings are not overwritten"),
