@@ -81,8 +81,11 @@ def drive(
         valid = ", ".join(CONTROLLERS)
         own = "the directory of a learning run, my_file.py:make"
         raise ValueError(f"drive: with which controller? valid: {valid}, nfq, {own}")
-    films = animate is None or animate.suffix in (".gif", ".mp4")
-    require(films, f"--animate {animate}", "expected a name that ends in .gif or .mp4")
+    if animate is not None:
+        from steerkit.plots.animation import film_writer
+
+        require(animate.suffix in (".gif", ".mp4"), f"--animate {animate}", "expected a name that ends in .gif or .mp4")
+        film_writer(animate)
     folder = out is None or out.is_dir() or not out.exists()
     require(folder, f"--out {out}", "is a file, expected a directory for log and picture")
     scenario = scenario_of(ctx)

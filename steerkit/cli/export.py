@@ -47,6 +47,7 @@ def _to_onnx(run: Path, file: Path, single: bool) -> dict[str, Any]:
     difference = check_onnx(policy, file, states=states)
     bound = 1e-4 if single else 1e-6
     if not difference["q"] <= bound:
+        file.unlink()
         raise ValueError(f"{file}: its q differs from the policy's by {difference['q']:.2g}, expected <= {bound}")
     return {"file": str(file), "states": states, "largest_difference": difference}
 

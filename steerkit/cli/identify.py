@@ -56,7 +56,7 @@ def identify(
     car = vehicle(base)
     if wheelbase is not None or mass is not None:
         length, weight = wheelbase or float(car.wheelbase), mass or float(car.m)
-        car = scaled(name or f"{car.name}-scaled", m=weight, wheelbase=length, steer_ratio=float(car.steer_ratio))
+        car = scaled(f"{car.name}-scaled", m=weight, wheelbase=length, steer_ratio=float(car.steer_ratio))
     with console.status("reading", spinner="line") if not quiet else _nothing() as status:
         drive = ident.read_drive(log, given, dt=dt, trusted=trust_units)
         other = ident.read_drive(held_out, given, dt=dt, trusted=trust_units) if held_out else None

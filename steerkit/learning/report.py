@@ -103,7 +103,8 @@ def show(place: FilePath, *, quiet: bool = False) -> dict[str, Any]:
         ),
         "stanley": evaluate.drive(scenario, scenario.catcher()),
     }
-    console.print(comparison(f"one round of {scenario.course}, the final net", logs))
+    net = "the final net" if run.counts.updates else "a net that was never trained"
+    console.print(comparison(f"one round of {scenario.course}, {net}", logs))
     drive = rundir.drive_log(place, until=run.t)
     name = run.experiment.setting.name
     figures.learning(drive, title=f"{name} on {scenario.course}: from the first second").savefig(place / "learning.png")
@@ -204,8 +205,7 @@ def _note(place: FilePath, what: dict[str, Any]) -> None:
 def show_several(places: Sequence[FilePath]) -> list[dict[str, Any]]:
     """Print several runs as one table: what learning took, and a test drive of each one's final net."""
     rows = []
-    table = Table(*map(escape, _OF_RUNS), title=f"{len(places)} runs")
-    table.columns[0].overflow = "fold"
+    columns: list[list[str]] = []
     for place in places:
         run = rundir.load(place)
         scenario, merit = run.experiment.scenario, figures_of_merit(run)
@@ -213,23 +213,31 @@ def show_several(places: Sequence[FilePath]) -> list[dict[str, Any]]:
         log = evaluate.drive(scenario, policy, doe=run.experiment.setting.element(scenario.nominal))
         row = _row(str(place), log)
         done = merit["first_round_done_s"]
-        table.add_row(
-            str(place),
-            f"{merit['setting']}, {merit['course']}, seed {merit['seed']}",
-            f"{merit['driving_minutes']:.1f}",
-            *(str(merit[key]) for key in ("failures", "rounds", "updates")),
-            "-" if done is None else f"{done:.0f}",
-            "yes" if row["held"] else "no",
-            *_cells((row["rms_e"], 3), (row["max_e"], 3), (row["rms_wheel_rate_deg"], 0)),
+        columns.append(
+            [
+                *(str(merit[key]) for key in ("setting", "course", "seed")),
+                f"{merit['driving_minutes']:.1f}",
+                *(str(merit[key]) for key in ("failures", "rounds", "updates")),
+                "-" if done is None else f"{done:.0f}",
+                "yes" if row["held"] else "no",
+                *_cells((row["rms_e"], 3), (row["max_e"], 3), (row["rms_wheel_rate_deg"], 0)),
+            ]
         )
         rows.append(merit | {"run": str(place), "drive": row})
+    # a column a run: a row a run is wider than a terminal
+    table = Table("", *(escape(str(place)) for place in places), title=f"{len(places)} runs")
+    for column in table.columns[1:]:
+        column.overflow = "fold"
+    for head, *cells in zip(_OF_RUNS, *columns):
+        table.add_row(escape(head), *map(escape, cells))
     console.print(table)
     return rows
 
 
 _OF_RUNS = (
-    "run",
-    "setting, course",
+    "setting",
+    "course",
+    "seed",
     "driven [min]",
     "failures",
     "rounds",

@@ -25,6 +25,21 @@ _TALL = 0.56  # height of what is seen over its width
 _LASTS = 15.0  # [s] the film, unless a speed is given
 
 
+def film_writer(file: str | File) -> Any:
+    """Matplotlib's writer for a film of that name: ask before a long drive whether its film can be written.
+
+    Raises ValueError for another ending than .gif and .mp4, and for an MP4 without ffmpeg.
+    """
+    from matplotlib.animation import FFMpegWriter, PillowWriter
+
+    kinds: dict[str, Any] = {".gif": PillowWriter, ".mp4": FFMpegWriter}
+    ending = File(file).suffix
+    require(ending in kinds, "animate", f"{file}: a film ends in {' or '.join(kinds)}")
+    without = f"{file}: needs ffmpeg, which is not there; install it, or write a .gif"
+    require(kinds[ending].isAvailable(), "animate", without)
+    return kinds[ending]
+
+
 def animate(
     log: Log,
     path: Path | None,
@@ -48,15 +63,8 @@ def animate(
     Returns the file.
     Raises ValueError for another kind of file, a log without a car, or an MP4 without ffmpeg.
     """
-    from matplotlib.animation import FFMpegWriter, PillowWriter
-
     film_file = File(file)
-    kinds: dict[str, Any] = {".gif": PillowWriter, ".mp4": FFMpegWriter}
-    require(film_file.suffix in kinds, "animate", f"{film_file}: a film ends in {' or '.join(kinds)}")
-    film = kinds[film_file.suffix]
-    require(
-        film.isAvailable(), "animate", f"{film_file}: needs ffmpeg, which is not there; install it, or write a .gif"
-    )
+    film = film_writer(film_file)
     require(5.0 <= window <= 1e4, "animate", f"window = {window} m, expected 5 to 10000")
     require(1.0 <= fps <= 60.0, "animate", f"fps = {fps}, expected 1 to 60")
     run = _Run(log, car)

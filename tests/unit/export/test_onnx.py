@@ -35,6 +35,7 @@ POLICIES: list[Any] = [
     NfqPolicy(nets=(net(10, 10), net(10, 10), net(10, 10)), combine="max"),
     NfqPolicy(nets=(net(10, 10), net(10, 10), net(10, 10)), combine="disagreement"),
     NfqPolicy(nets=(net(20, 20, 3),), description=StateDescription(action_scale=0.3)),
+    NfqPolicy(nets=(net(10, 10), net(10, 10)), description=StateDescription(scaled_from=6.0)),
     PolicyBlock(policy=Network(layers=layers(6, 16, 16, 3)), actions=(-0.1, 0.0, 0.1)),
     PolicyBlock(policy=Network(layers=layers(6, 16, 1), activation="tanh", head="tanh")),
     PolicyBlock(policy=Network(layers=layers(6, 16, 1), head="clip"), largest=0.7),

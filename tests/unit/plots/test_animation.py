@@ -12,6 +12,7 @@ from PIL import Image
 from steerkit.plots.animation import LENGTH, _moved, _Run, _Scene, animate
 from steerkit.simulation import Log
 from tests.support.circle_drive import PASSAT, PATH
+from tests.support.command_lines import run
 
 
 def test_a_film_has_its_frames_and_the_car_moves(log: Log, tmp_path: Path) -> None:
@@ -71,6 +72,17 @@ def test_mp4_without_ffmpeg_teaches(log: Log, tmp_path: Path, monkeypatch: pytes
     monkeypatch.setattr("matplotlib.animation.FFMpegWriter.isAvailable", classmethod(lambda cls: False))
     with pytest.raises(ValueError, match=r"needs ffmpeg, which is not there; install it, or write a \.gif"):
         animate(log, PATH, tmp_path / "run.mp4")
+
+
+def test_what_cannot_be_filmed_is_not_driven(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("matplotlib.animation.FFMpegWriter.isAvailable", classmethod(lambda cls: False))
+    monkeypatch.setattr("steerkit.learning.report.drive_and_draw", lambda *_, **__: pytest.fail("it drove"))
+    film, place = tmp_path / "run.mp4", tmp_path / "d"
+    words = ("drive", "stanley", "--rounds", "0.04", "--out", str(place), "--animate", str(film))
+    assert run(*words, monkeypatch=monkeypatch) == 2
+    assert "needs ffmpeg, which is not there; install it, or write a .gif" in capsys.readouterr().err
 
 
 def test_drive_animates(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
