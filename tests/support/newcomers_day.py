@@ -261,7 +261,7 @@ DAY = (
     Command(line="show runs/a runs/b --json", shows=_told_apart, longer=True),
     Command(line=f"{COMPARE} --out compared --json", shows=_compared),
     Command(line="plot compared/a.npz --table a.csv", shows=_plotted, longer=True),
-    Command(line=f"drive runs/a {CAR} --rounds 0.1 --animate film.gif --out filmed --json", shows=_filmed),
+    Command(line=f"drive runs/a {CAR} --rounds 0.05 --animate film.gif --out filmed --json", shows=_filmed),
     Command(
         line=f"drive runs/a {CAR} --rounds 0.02 --animate film.mp4 --out late -q",
         shows=_mp4 if MP4 else _no_film,

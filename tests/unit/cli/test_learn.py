@@ -48,6 +48,14 @@ def test_learn_from_a_config_then_show_and_drive_its_policy(
     assert "no field 'minuts'; valid: setting, scenario, minutes" in capsys.readouterr().err
 
 
+def test_a_run_that_was_never_trained_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("learn", "--course", "circle", "--minutes", "0.01", "--out", str(tmp_path / "run"), "-q")
+    assert run(*words, monkeypatch=monkeypatch) == 0
+    assert "a net that was never trained" in capsys.readouterr().out
+
+
 def test_the_options_of_learning_are_heard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     heard: list[tuple[Experiment, Path]] = []
 
