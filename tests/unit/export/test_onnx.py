@@ -81,6 +81,20 @@ def test_the_check_finds_another_policy(tmp_path: Path) -> None:
     assert check_onnx(other, tmp_path / "p.onnx")["q"] > 1e-3
 
 
+def test_the_check_tells_a_worse_action_and_lets_one_as_good_pass(tmp_path: Path) -> None:
+    """Nets that see the action with its sign turned have the same least cost, and choose the opposite."""
+    policy, turned = POLICIES[0], np.diag([1.0] * 6 + [-1.0])
+    export_onnx(policy, tmp_path / "p.onnx")
+    opposite = replace(policy, nets=tuple((w @ turned, *rest) for w, *rest in policy.nets))
+    told = check_onnx(opposite, tmp_path / "p.onnx")
+    assert told["q"] < 1e-12
+    assert told["action"] > 0.1
+    flat = NfqPolicy(nets=(tuple(np.zeros_like(p) for p in net(4)),), actions=(-0.5, 0.2))
+    export_onnx(flat, tmp_path / "p.onnx")
+    assert check_onnx(replace(flat, actions=(-0.5, 0.2, -0.1)), tmp_path / "p.onnx") == {"action": 0.0, "q": 0.0}
+    assert check_onnx(replace(flat, actions=(-0.5, 0.3)), tmp_path / "p.onnx")["action"] == pytest.approx(0.1)
+
+
 def test_of_equal_values_the_gentlest_action_wins_there_too(tmp_path: Path) -> None:
     flat = tuple(np.zeros_like(p) for p in net(4))
     export_onnx(NfqPolicy(nets=(flat,), actions=(-0.5, 0.2, -0.1, 0.3)), tmp_path / "p.onnx")
