@@ -108,7 +108,7 @@ def dots(
     values: by controller, of which the finite ones are drawn. middle: (median, low, high), infinite ones left out.
     """
     with style():
-        height, left = 0.42 + 0.24 * len(values), 0.14 + 0.066 * max(map(len, values))
+        height, left = 0.42 + 0.24 * len(values), 0.16 + 0.073 * max(map(len, values))
         figure, axes = new(height)
         figure.set_layout_engine("none")  # known margins: solving for them takes as long as drawing
         axes.set_position((left / WIDTH, 0.3 / height, 1.0 - (left + 0.16) / WIDTH, 1.0 - 0.36 / height))
@@ -117,7 +117,7 @@ def dots(
         positive = finite[finite > 0.0]
         if len(positive) and len(positive) == len(finite) and positive.max() > 25.0 * positive.min():
             axes.set_xscale("log")
-            _plain_numbers(axes.xaxis)
+            _plain_numbers(axes.xaxis, positive.max() / positive.min())
         for row, (name, numbers) in enumerate(values.items()):
             shown = numbers[np.isfinite(numbers)]
             if len(shown) > MOST_DOTS:  # as many of their quantiles, or the page grows with every case
@@ -144,11 +144,12 @@ def dots(
         return figure
 
 
-def _plain_numbers(axis: Axis) -> None:
-    """On a logarithmic axis: 0.1, 0.2, 0.5 instead of powers of ten."""
+def _plain_numbers(axis: Axis, span: float = 1.0) -> None:
+    """On a logarithmic axis: 0.1, 0.2, 0.5 instead of powers of ten; the fewer, the larger the ratio `span`."""
     from matplotlib.ticker import LogLocator, NullFormatter
 
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=10))
+    subs = (1.0, 2.0, 5.0) if span < 40.0 else (1.0, 3.0) if span < 500.0 else (1.0,)
+    axis.set_major_locator(LogLocator(subs=subs, numticks=10))
     axis.set_major_formatter("{x:g}")
     axis.set_minor_formatter(NullFormatter())
 

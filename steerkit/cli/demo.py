@@ -57,7 +57,9 @@ def run(out: FilePath, *, seed: int = 0, quiet: bool = False) -> None:
     pictures = {
         "figure-3-bang-bang.png": figures.trace(bang.learned, title="Bang-bang actions, final net"),
         "figure-4-i-doe.png": figures.trace(idoe.learned, title="Integrating DOE, final net"),
-        "figure-5-learning.png": figures.learning(log, title="Learning from the first second, recovery shaded"),
+        "figure-5-learning.png": figures.learning(
+            log, title="Learning from the first second, recovery shaded", seconds=350.0
+        ),
         "figure-6-first-round.png": figures.first_round(
             log, began=counts["first_round_begun"], done=counts["first_round_done"], title="First complete round"
         ),

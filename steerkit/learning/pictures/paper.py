@@ -45,9 +45,14 @@ def trace(log: Log, *, title: str, seconds: float = 100.0) -> Any:
 
 
 @_styled
-def learning(log: Log, *, title: str, seconds: float = 350.0) -> Any:
-    """Cross-track error from the first second on, shaded where the recovery controller steers (figure 5)."""
+def learning(log: Log, *, title: str, seconds: float | None = None) -> Any:
+    """Cross-track error from the first second on, shaded where the recovery controller steers (figure 5).
+
+    seconds: how much of the drive is shown; all of it where nothing is said.
+    """
     figure, (axis,) = new_figure(rows=1, title=title)
+    if seconds is None:
+        seconds = float(log.t[-1])
     keep = log.t <= seconds
     t, e, learns = log.t[keep], log["path.e"][keep], log["supervisor.learning"][keep] > 0.5
     axis.fill_between(
@@ -77,22 +82,30 @@ def learning(log: Log, *, title: str, seconds: float = 350.0) -> Any:
 def first_round(log: Log, *, began: float | None, done: float | None, title: str) -> Any:
     """The learner's first complete round: where it drove, and its cross-track error (figure 6)."""
     if began is None or done is None:
-        return learning(log, title=f"{title}: no complete round", seconds=float(log.t[-1]))
+        return learning(log, title=f"{title}: no complete round")
     keep = (log.t >= began) & (log.t <= done)
     part = Log(log.t[keep] - began, {name: values[keep] for name, values in log.items()}, log.units)
     return round_driven(part, title=f"{title}, begun {began:.0f} s after the start")
 
 
+def _with_map(log: Log, title: str) -> tuple[Any, tuple[Any, ...]]:
+    """A figure with a map on the left, which fills its place, and three panels: as high as the drive's map needs."""
+    width, depth = float(np.ptp(log["car.x"])), float(np.ptp(log["car.y"]))
+    height = float(np.clip(1.2 + 4.0 * depth / max(width, 1e-9), 4.8, 6.4))
+    figure, axes = new_figure(rows=3, title=title, map_beside=True, height=height)
+    axes[0].set_aspect("equal", adjustable="datalim")
+    axes[0].set_xlabel("x [m]")
+    axes[0].set_ylabel("y [m]")
+    return figure, axes
+
+
 @_styled
 def round_driven(log: Log, other: Log | None = None, *, title: str) -> Any:
     """The course coloured by |e|, with cross-track error, steering wheel and lateral acceleration beside it."""
-    figure, axes = new_figure(rows=3, title=title, map_beside=True)
+    figure, axes = _with_map(log, title)
     course, e_axis, wheel, comfort = axes
     dots = course.scatter(log["car.x"], log["car.y"], c=np.abs(log["path.e"]), s=6, cmap="viridis", vmin=0.0)
-    course.set_aspect("equal")
-    course.set_xlabel("x [m]")
-    course.set_ylabel("y [m]")
-    figure.colorbar(dots, ax=course, label="|e| [m]", location="bottom", shrink=0.7, aspect=40)
+    figure.colorbar(dots, ax=course, label="|e| [m]", shrink=0.8, aspect=40)
     e_axis.axhspan(-GOAL, GOAL, color=COLOURS["goal"], alpha=0.25, lw=0)
     for drive, colour, label in ((other, "analytic", "Stanley"), (log, "learned", "this drive")):
         if drive is None:
@@ -112,16 +125,13 @@ def round_driven(log: Log, other: Log | None = None, *, title: str) -> Any:
 @_styled
 def rounds_driven(logs: Mapping[str, Log], *, title: str) -> Any:
     """Several drives over the same course in one picture: where they went, cross-track error, wheel, acceleration."""
-    figure, axes = new_figure(rows=3, title=title, map_beside=True)
+    figure, axes = _with_map(next(iter(logs.values())), title)
     course, *panels = axes
     for (name, log), colour in zip(logs.items(), cycle(PALETTE)):
         course.plot(log["car.x"], log["car.y"], color=colour, lw=1.1, label=name)
         at = log["path.progress"] - log["path.progress"][0]
         for panel, values in zip(panels, (log["path.e"], degrees_of(log["car.delta_sw"]), log["car.a_y"])):
             panel.plot(at, values, color=colour, lw=1.0)
-    course.set_aspect("equal")
-    course.set_xlabel("x [m]")
-    course.set_ylabel("y [m]")
     course.legend(loc="best", fontsize=8.0)
     panels[0].axhspan(-GOAL, GOAL, color=COLOURS["goal"], alpha=0.25, lw=0)
     for panel, label in zip(panels, ("e [m]", "steering wheel [deg]", "a_y [m/s²]")):
