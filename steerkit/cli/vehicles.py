@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import json
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from steerkit.cli.options import Machine
 
+if TYPE_CHECKING:
+    from steerkit.vehicles import Vehicle
+    from steerkit.vehicles.fleet import FleetCar
+
 
 def vehicles(
-    having: Annotated[str, typer.Argument(help="Only cars whose name has this in it, such as toyota.")] = "",
+    having: Annotated[
+        str, typer.Argument(help="Only cars whose name has this in it, such as toyota; or a vehicle file, FILE.toml.")
+    ] = "",
     as_json: Machine = False,
 ) -> None:
     """List the cars: those by name, and the fleet of production cars with the steering delay of each.
@@ -24,19 +30,26 @@ def vehicles(
 
     from steerkit.vehicles import VEHICLES, fleet
 
-    cars = {name: (car, None) for name, car in VEHICLES.items()}
-    cars |= {name: (member.vehicle, member) for name, member in fleet().items()}  # type: ignore[misc]
     rows: list[dict[str, Any]] = []
+    cars: dict[str, tuple[Vehicle, FleetCar | None]] = {}
+    delay: float | None = None
+    if having.endswith(".toml"):
+        from steerkit.scenario import Scenario
+
+        told = Scenario(vehicle=having)
+        cars[having], delay = (told.nominal, None), told.steering_told().get("delay")
+    else:
+        known = {name: (car, None) for name, car in VEHICLES.items()}
+        known |= {name: (member.vehicle, member) for name, member in fleet().items()}  # type: ignore[misc]
+        cars = {name: car for name, car in known.items() if having.lower() in name}
     for name, (car, member) in cars.items():
-        if having.lower() not in name:
-            continue
         rows.append(
             {
                 "vehicle": name,
                 "mass_kg": car.m,
                 "wheelbase_m": car.wheelbase,
                 "steer_ratio": car.steer_ratio,
-                "steer_delay_s": member and member.steer_delay,
+                "steer_delay_s": member.steer_delay if member else delay,
                 "interface": member and member.interface,
                 "slowest_mps": member and member.slowest,
             }
@@ -50,7 +63,11 @@ def vehicles(
     table.add_column("vehicle", no_wrap=True)
     for heading in ("mass (kg)", "wheelbase (m)", "ratio", "delay (s)", "interface", "from (m/s)"):
         table.add_column(heading)
-    for name, mass, wheelbase, ratio, delay, interface, slowest in (row.values() for row in rows):
-        known = ("-",) * 3 if delay is None else (f"{delay:.2f}", interface, f"{slowest:.1f}")
-        table.add_row(name, f"{mass:.0f}", f"{wheelbase:.2f}", f"{ratio:.1f}", *known)
+    for name, mass, wheelbase, ratio, waits, interface, slowest in (row.values() for row in rows):
+        steering = (
+            "-" if waits is None else f"{waits:.2f}",
+            interface or "-",
+            "-" if slowest is None else f"{slowest:.1f}",
+        )
+        table.add_row(name, f"{mass:.0f}", f"{wheelbase:.2f}", f"{ratio:.1f}", *steering)
     Console().print(table)

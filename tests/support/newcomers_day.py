@@ -111,6 +111,14 @@ def _identified(done: Done) -> None:
     assert any("the rest of vw-passat" in note for note in done.answer()["notes"]), "names the car that was borrowed"
 
 
+def _listed(done: Done) -> None:
+    (car,) = done.answer()["vehicles"]
+    assert car["vehicle"] == "mine.toml"
+    assert abs(car["steer_ratio"] / RATIO - 1.0) < 0.02, car
+    assert abs(car["wheelbase_m"] - WHEELBASE) < 1e-9, car
+    assert 0.0 < car["steer_delay_s"] < DELAY + 0.03, car
+
+
 def _driven_once(done: Done) -> None:
     row = done.answer()
     assert row["controller"] == OWN
@@ -251,6 +259,7 @@ def _cases(place: Path) -> set[str]:
 MP4 = shutil.which("ffmpeg") is not None
 DAY = (
     Command(line=f"identify lap.csv --wheelbase {WHEELBASE} --name mine --out mine.toml --json", shows=_identified),
+    Command(line="vehicles mine.toml --json", shows=_listed, longer=True),
     Command(line=f"drive {OWN} {CAR} --rounds 0.3 --out first --json", shows=_driven_once, longer=True),
     Command(line=f"{LEARN} --out runs/a --json", shows=_interrupted, stop=signal.SIGINT, code=130),
     Command(line=f"{LEARN} --out runs/a --json", shows=_killed, stop=signal.SIGKILL, code=-9, longer=True),
