@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.report import adapt, conditions, figures, learning, parts
+from benchmarks.report.overall import PLAIN, glances
 from benchmarks.report.paper import paper_rows
 from benchmarks.report.verdict import verdict
 from benchmarks.run.results import Case, Results, load_results
@@ -69,6 +70,8 @@ def html(results: Results) -> str:
         place=results.place.name,
         tiles=tiles(results),
         verdict=verdict_html(results),
+        glances=glances(results),
+        plain=PLAIN,
         suites=[suite(results, name, look) for name in parts.suites(results)],
         paper=paper_rows(results),
         metrics=parts.METRICS,

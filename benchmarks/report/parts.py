@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -217,7 +217,7 @@ def against(cases: Sequence[Case], reference: str) -> list[Versus]:
         if name == reference or reference not in table:
             continue
         for m in compared:
-            pairs = _paired_means(table, name, reference, m)
+            pairs = paired_means(table, name, reference, m)
             if pairs is None:
                 continue
             ours, theirs, scenarios = pairs
@@ -226,7 +226,19 @@ def against(cases: Sequence[Case], reference: str) -> list[Versus]:
     return rows
 
 
-def _paired_means(table: Drives, name: str, reference: str, m: Metric) -> tuple[np.ndarray, np.ndarray, int] | None:
+def paired_means(
+    table: Drives,
+    name: str,
+    reference: str,
+    m: Metric,
+    *,
+    of: Callable[[np.ndarray], np.ndarray] = np.asarray,
+    least: int = 2,
+) -> tuple[np.ndarray, np.ndarray, int] | None:
+    """Means of `of` the metric over the scenarios that both held on all common seeds: ours (n,), theirs (n,), how many.
+
+    None for fewer seeds than `least`, or where there is no such scenario.
+    """
     seeds = sorted(_seeds(table[name]) & _seeds(table[reference]))
     scenarios = [scenario for scenario in table[name] if scenario in table[reference]]
 
@@ -237,9 +249,9 @@ def _paired_means(table: Drives, name: str, reference: str, m: Metric) -> tuple[
 
     both = [(values(name, sc), values(reference, sc)) for sc in scenarios]
     both = [pair for pair in both if np.isfinite(pair).all()]
-    if len(seeds) < 2 or not both:
+    if len(seeds) < least or not both:
         return None
-    ours, theirs = np.mean(both, axis=0)
+    ours, theirs = np.mean(of(np.array(both)), axis=0)
     return ours, theirs, len(both)
 
 

@@ -8,20 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks.report.overall import ENOUGH, JUDGED, OPPONENT, SIGNIFICANT, headline
 from benchmarks.run.results import Case, Results
 from steerkit.metrics import Paired, metric, paired, share
-
-JUDGED = {
-    "rms_e": "cross-track error",
-    "rms_wheel_rate_deg": "smoothness at the wheel",
-    "max_jerk": "lateral jerk",
-    "max_a_y": "lateral acceleration",
-}
-"""What is compared, and what it stands for."""
-SIGNIFICANT = 0.05
-_ENOUGH = 6  # seeds: no p of the test is below 2^(1 - n)
-OPPONENT = "stanley"
-"""The analytic controller that every text also compares with, whichever was best."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,11 +89,13 @@ def verdict(results: Results, *, suite: str | None = None) -> str:
     if not learned or not analytic:
         return "\n".join([*lines, "Nothing to compare: these results lack drives of one of the two kinds.", ""])
     seeds = max(len({case.seed for case in _drives(results, suite) if case.controller == name}) for name in learned)
-    if seeds < _ENOUGH:
+    if seeds < ENOUGH:
         lines += [
-            f"**{seeds} seeds: with fewer than {_ENOUGH} nothing can be told apart; the ratios are all there is.**",
+            f"**{seeds} seed{'s' if seeds != 1 else ''}: with fewer than {ENOUGH} nothing is certain; "
+            "the ratios are all there is.**",
             "",
         ]
+    lines += [headline(results, suite=suite), ""]
     lines += [*_holding(results, [*analytic, *learned], suite), ""]
     for name in learned:
         lines += [*_of_one(results, name, analytic, suite), ""]
@@ -148,7 +139,7 @@ def _of_one(results: Results, learned: str, analytic: Sequence[str], suite: str 
             even = len(best) - len(won) - len(lost)
             lines.append(
                 f"* {word.capitalize()}, against the best analytic controller of each scenario: {_ratio(best)}; "
-                f"better in {len(won)}, worse in {len(lost)}, not to be told apart in {even} of {len(best)}"
+                f"better in {len(won)}, worse in {len(lost)}, no certain difference in {even} of {len(best)}"
                 + (f"; better in {_names(d.scenario for d in won)}." if won else ".")
             )
     return lines
@@ -177,7 +168,7 @@ def _sentence(word: str, rows: Sequence[Duel]) -> str:
             )
     even = sum(d.decided == 0 for d in compared)
     if even:
-        parts.append(f"not to be told apart in {even}")
+        parts.append(f"no certain difference in {even}")
     if never:
         parts.append(f"never both held in {_names(d.scenario for d in never)}")
     return f"{word.capitalize()}, against {OPPONENT}: {_ratio(compared)}; {'; '.join(parts)}."

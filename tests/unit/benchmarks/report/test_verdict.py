@@ -53,7 +53,7 @@ def test_the_verdict_says_who_won_and_by_how_much(results: Results) -> None:
         assert f"p = {expected.p:.2g}" in text
         assert f"{expected.difference.value:+.3g}" in text
         assert (
-            "Lateral acceleration, against stanley: 1.00 times as large over 1 scenarios; not to be told apart" in text
+            "Lateral acceleration, against stanley: 1.00 times as large over 1 scenarios; no certain difference" in text
         )
 
 

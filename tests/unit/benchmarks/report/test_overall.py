@@ -1,0 +1,125 @@
+"""The verdict at a glance: the ratios are those of the results, coloured where certain, and one sentence tells them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.report.overall import JUDGED, PLAIN, glances, headline, times
+from benchmarks.report.page import html
+from benchmarks.report.verdict import verdict
+from benchmarks.run.results import Case, Results
+from tests.support.results_example import example_results
+
+KINDS = {"net": "learned", "poor-net": "learned", "stanley": "analytic", "mpc": "analytic", "lqr": "analytic"}
+
+
+def made(place: Path, seeds: int, lost: tuple[tuple[str, str, int], ...] = (), **sizes: float) -> Results:
+    """Drives of two scenarios: each controller's RMS e about its size, all else the same."""
+    known = example_results(place)
+    rng = np.random.default_rng(0)
+    cases = tuple(
+        Case(
+            suite="s",
+            scenario=scenario,
+            controller=name,
+            seed=seed,
+            metrics={
+                **dict.fromkeys(JUDGED, 1.0),
+                "rms_e": size * scale * rng.uniform(0.97, 1.03),
+                "held": float((name, scenario, seed) not in lost),
+            },
+        )
+        for name, size in sizes.items()
+        for scenario, scale in (("easy", 0.01), ("hard", 0.05))
+        for seed in range(seeds)
+    )
+    kinds = {name.replace("_", "-"): {"kind": KINDS[name.replace("_", "-")]} for name in sizes}
+    return Results(known.place, known.provenance | {"controllers": kinds, "planned": []}, cases)
+
+
+def test_a_ratio_is_the_geometric_mean_and_certain_differences_are_told(tmp_path: Path) -> None:
+    results = made(tmp_path / "a", 8, net=1.0, stanley=2.0, mpc=0.5, lqr=1.0)
+    (glance,) = glances(results)
+    by_name = {name: next(m for m in row if m.metric == "rms_e") for name, row in glance.matches.items()}
+    values = {
+        name: np.array(
+            [[c.metrics["rms_e"] for c in results.cases if (c.controller, c.seed) == (name, n)] for n in range(8)]
+        )
+        for name in ("net", "stanley")
+    }
+    exact = float(np.exp(np.log(values["net"]).mean() - np.log(values["stanley"]).mean()))
+    assert by_name["stanley"].ratio.value == pytest.approx(exact, rel=1e-12)
+    assert by_name["stanley"].ratio.low < exact < by_name["stanley"].ratio.high < 0.55
+    assert {name: match.decided for name, match in by_name.items()} == {"stanley": -1, "mpc": 1, "lqr": 0}
+    assert by_name["stanley"].scenarios == 2
+    low, middle, high = by_name["mpc"].bar or (0.0, 0.0, 0.0)
+    assert 50.0 < low < middle < high <= 100.0
+    text = headline(results)
+    assert text.startswith(
+        "net kept to the course in all 16 drives. Its distance from the path was 50 % less than that of"
+    )
+    assert "2.0 times that of mpc, the best of the analytic controllers" in text
+    assert "nearer to the path than stanley; certainly further from the path than mpc; not certainly different" in text
+    assert text in verdict(results)
+
+
+def test_with_few_seeds_nothing_is_certain(tmp_path: Path) -> None:
+    for seeds, word in ((1, "1 seed;"), (5, "5 seeds;")):
+        results = made(tmp_path / str(seeds), seeds, net=1.0, stanley=4.0)
+        (glance,) = glances(results)
+        assert [m.decided for m in glance.matches["stanley"]] == [0] * len(JUDGED)
+        assert f"No difference is certain with {word} 6 are needed." in glance.sentence
+        assert "certainly nearer" not in glance.sentence
+        assert 'class="won"' not in html(results)
+
+
+def test_a_scenario_that_one_of_them_lost_is_left_out_and_said(tmp_path: Path) -> None:
+    results = made(tmp_path / "a", 6, lost=(("net", "hard", 3),), net=1.0, stanley=2.0)
+    (glance,) = glances(results)
+    assert {match.scenarios for match in glance.matches["stanley"]} == {1}
+    assert glance.sentence.startswith("net kept to the course in 11 of 12 drives.")
+    never = tuple(("net", name, seed) for name in ("easy", "hard") for seed in range(6))
+    text = headline(made(tmp_path / "b", 6, lost=never, net=1.0, stanley=2.0))
+    assert text.endswith("There is no scenario that it and an analytic controller both held.")
+
+
+def test_the_best_learned_controller_is_the_headline_and_nobody_is_without_two_kinds(tmp_path: Path) -> None:
+    results = made(tmp_path / "a", 6, lost=(("net", "hard", 3),), net=0.5, stanley=1.0)
+    other = made(tmp_path / "b", 6, stanley=1.0)
+    assert headline(other) == ""
+    assert glances(other) == []
+    poor = tuple(
+        Case(suite="s", scenario=c.scenario, controller="poor-net", seed=c.seed, metrics={**c.metrics, "held": 1.0})
+        for c in results.cases
+        if c.controller == "stanley"
+    )
+    kinds = results.provenance["controllers"] | {"poor-net": {"kind": "learned"}}
+    both = Results(results.place, results.provenance | {"controllers": kinds}, (*results.cases, *poor))
+    assert [glance.learned for glance in glances(both)] == ["poor-net", "net"], "it held all of its drives"
+
+
+def test_the_page_shows_the_sentence_and_colours_what_is_certain(tmp_path: Path) -> None:
+    page = html(made(tmp_path / "a", 8, net=1.0, stanley=2.0, mpc=0.5, lqr=1.0))
+    section = page.split('<section id="verdict">')[1].split("</section>")[0]
+    assert section.index('class="headline"') < section.index('class="glance"') < section.index("<details")
+    assert (section.count('class="won"'), section.count('class="lost"')) == (1, 1)
+    assert section.count('class="even"') == 3 * len(PLAIN) - 2
+    assert all(words in section for words, _ in PLAIN.values())
+    assert PLAIN.keys() == JUDGED.keys()
+
+
+@pytest.mark.parametrize(
+    ("ratio", "said"),
+    [
+        (0.84, "16 % less than"),
+        (1.0, "as large as"),
+        (1.03, "3 % more than"),
+        (1.86, "1.9 times"),
+        (12.3, "12.3 times"),
+    ],
+)
+def test_a_ratio_is_said_as_one_says_it(ratio: float, said: str) -> None:
+    assert times(ratio) == said
