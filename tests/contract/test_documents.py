@@ -115,7 +115,8 @@ def test_the_readme_activates_the_environment_before_it_uses_it() -> None:
 
 
 def test_every_extra_that_is_named_is_there_and_stands_under_install() -> None:
-    extras = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["optional-dependencies"]
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    extras = project["optional-dependencies"]
     sources = [file for package in ("steerkit", "benchmarks") for file in (ROOT / package).rglob("*.py")]
     words = "\n".join(file.read_text(encoding="utf-8") for file in [*PAGES, *sources])
     assert set(re.findall(r"steerkit-control\[(\w+)\]", words)) <= extras.keys()
@@ -123,6 +124,7 @@ def test_every_extra_that_is_named_is_there_and_stands_under_install() -> None:
     assert set(re.findall(r"`(\w+)`", install)) >= extras.keys()
     assert any("moviepy" in package for package in extras["film"]), "gymnasium.wrappers.RecordVideo needs it"
     assert "download.pytorch.org/whl/cpu" in install
+    assert f"steerkit_control-{project['version']}-py3-none-any.whl" in install
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
