@@ -163,8 +163,7 @@ class Wiring:
             if due[i]:
                 args = ", ".join(value(self.source[i, p.name]) for p in block.inputs)
                 lines.append(f"    x[{i}] = update{i}(t, x[{i}], U{i}({args}), y[{i}])")
-        # compiled first: an interrupt inside exec of a text ends `python -m steerkit` by the signal, not with 130
-        exec(compile("\n".join(lines), "<steerkit wiring>", "exec"), scope)
+        exec("\n".join(lines), scope)
         return scope["tick"]
 
 

@@ -89,17 +89,3 @@ def test_the_machines_encoding_is_seen(call: str) -> None:
 )
 def test_what_says_its_encoding_or_needs_none_passes(call: str) -> None:
     assert not [*in_the_machines_encoding(ast.parse(call))]
-
-
-def texts_executed(tree: ast.AST) -> list[str]:
-    """Calls of `exec` with anything but `compile(...)`."""
-    calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call) and ast.unparse(node.func) == "exec"]
-    return [ast.unparse(call) for call in calls if not ast.unparse(call.args[0]).startswith("compile(")]
-
-
-@pytest.mark.skipif(not CODE, reason="runs on the sources; here steerkit is installed")
-def test_what_is_executed_was_compiled_before() -> None:
-    """An interrupt inside `exec` of a text makes `python -m` end by the signal, whatever exit code was asked for."""
-    assert texts_executed(ast.parse("exec(text)")) == ["exec(text)"]
-    calls = {file: texts_executed(ast.parse(file.read_text("utf-8"))) for file in CODE}
-    assert not [f"{file.relative_to(ROOT)}: {call}" for file, found in calls.items() for call in found]

@@ -105,6 +105,17 @@ def test_vehicles_as_a_table_and_as_json(monkeypatch: pytest.MonkeyPatch, capsys
     assert "no name has 'trabant' in it" in capsys.readouterr().err
 
 
+def test_an_interrupt_inside_code_made_from_text_ends_with_130_too(tmp_path: Path) -> None:
+    text = (
+        "import os, signal as s; s.signal(2, s.default_int_handler); os.kill(os.getpid(), 2)\nfor _ in range(9): pass"
+    )
+    (tmp_path / "mine.py").write_text(f"def make(belief):\n    exec({text!r})\n")
+    words = [sys.executable, "-m", "steerkit", "drive", "mine.py:make", "--course", "circle", "-q"]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=120.0)
+    assert done.returncode == 130, done.stderr
+    assert "Traceback" not in done.stderr
+
+
 def test_an_interrupted_run_says_how_to_go_on_and_ends_with_130(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
