@@ -23,14 +23,14 @@ bench: $(READY)  ## learned against analytic controllers, a ten-minute selection
 test test-all: export OMP_NUM_THREADS = 1
 # Tests start some hundred programs; without their bytecode each compiles the library anew, most of a second.
 test test-all: export PYTHONDONTWRITEBYTECODE =
-test: $(READY)  ## all tests, on two processes
-	$(BIN)/python -m pytest -n 2
+test: $(READY)  ## all tests, on three processes: some wait for a car in real time
+	$(BIN)/python -m pytest -n 3
 
 BROWSER := $(firstword $(shell command -v chromium chromium-browser google-chrome chrome))
 
 test-all: $(PEERS)  ## all tests, with do-mpc, Stable-Baselines3, d3rlpy and a browser too; names what is still skipped
 	@echo "browser: $(or $(BROWSER),none; two tests need one: apt-get install chromium)"
-	$(BIN)/python -m pytest -n 2 -rs
+	$(BIN)/python -m pytest -n 3 -rs
 
 SLIPS ?=
 slips: $(READY)  ## put mistakes into copies of the code, one at a time: does a test notice? SLIPS="--only TEXT"
