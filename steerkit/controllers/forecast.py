@@ -17,8 +17,10 @@ PREVIEW = LONGEST + 1
 """Curvatures of the path that a forecast needs, one a sample of driving."""
 SLOWEST = 1.0
 """Speed below which a car counts as this fast [m/s]: the formulas divide by v."""
-ANSWER = ("now", "before", "earlier", "back", "slip", "yaw")
+ANSWER = ("now", "before", "earlier", "back", "slip", "yaw", "loss")
 """The learned numbers by which a car answers its steering wheel: see `moved`."""
+LEAST = 0.1
+"""Least share of its course in a slow bend that a fast car is taken to have left."""
 _REMEMBERED = LONGEST + 2
 
 
@@ -31,21 +33,29 @@ class Motion(NamedTuple):
     r_e: Any
 
 
+def course_left(loss: Any, v: Any) -> Any:
+    """1 - loss*v^2, LEAST at least; loss [s^2/m^2] and v [m/s] of any kind."""
+    return m.maximum(1.0 - loss * v * v, LEAST)
+
+
 def moved(car: Any, x: Motion, v: Any, doe: Sequence[Any], bend: Any = 0.0, dt: float = DT) -> Motion:
     """The motion one sample later, as far as it is the wheel's doing; for floats, arrays and symbols.
 
     With the angle of the course to the car's axis w = c - psi_e, and the wheel's angles doe = (doe', doe, doe(t-dt)):
 
-        p    = now*doe' + before*doe + earlier*doe(t-dt) - (back + slip*v^2)*w      how w turns: wheel, tyres, lag
-        r_e' = r_e + yaw*v*p - bend,   psi_e' = psi_e + dt*r,   c' = c + p + dt*r,   r = (r_e + r_e')/2
+        p    = g*(now*doe' + before*doe + earlier*doe(t-dt)) - (back + slip*v^2)*w      how w turns: wheel, tyres, lag
+        r_e' = r_e + yaw*v*p/g - bend,   psi_e' = psi_e + dt*r,   c' = c + p + dt*r,   r = (r_e + r_e')/2
         e'   = e + dt*v*(c + c')/2
 
     car: anything with the numbers of `ANSWER`. v [m/s], at least SLOWEST. bend [rad/s]: by how much v*kappa grows in
     the sample. It is the same in every steady bend: nothing changes when doe is turned by x and psi_e by -x*ratio, of
-    ratio = (now + before + earlier)/(back + slip*v^2).
+    ratio = g*(now + before + earlier)/(back + slip*v^2). g = `course_left(loss, v)`: what the tyres' slip leaves of w
+    in a bend, but not of the yaw rate; of a single track (L + (K - m*l_r/(L*c_f))*v^2)/(L + K*v^2) at its front axle.
     """
-    p = car.now * doe[0] + car.before * doe[1] + car.earlier * doe[2] - (car.back + car.slip * v * v) * (x.c - x.psi_e)
-    r_e = x.r_e + car.yaw * v * p - bend
+    g = course_left(car.loss, v)
+    wheel = g * (car.now * doe[0] + car.before * doe[1] + car.earlier * doe[2])
+    p = wheel - (car.back + car.slip * v * v) * (x.c - x.psi_e)
+    r_e = x.r_e + car.yaw * v * p / g - bend
     turn = 0.5 * dt * (x.r_e + r_e)
     c = x.c + p + turn
     return Motion(x.e + 0.5 * dt * v * (x.c + c), c, x.psi_e + turn, r_e)
@@ -77,6 +87,7 @@ class Forecast:
     """Angle of the wheel at which the car goes straight on [rad]; the policy is told angles from there."""
     trust: Any = 1.0
     """Share of what is seen in the filtered values [1]."""
+    loss: Any = 0.0
     dt: float = DT
     """Sample time [s]."""
 

@@ -317,6 +317,7 @@ def _forecast_in(f: Any) -> Forecast | None:
     if "dead_samples" not in f:
         return None
     numbers = f["forecast"].tolist()
+    numbers += [0.0] * (len(Forecast().numbers) - len(numbers))  # of before there was a loss
     found = Forecast(samples=int(f["dead_samples"]), dt=float(f["dt"])).with_numbers(numbers)
     for name in (*ahead.ANSWER, "straight"):  # some 0.01, 0.2 and 0.4; others would steer straight on in silence
         require(

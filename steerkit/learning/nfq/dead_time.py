@@ -8,11 +8,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit.controllers.forecast import ANSWER, LONGEST, Forecast
+from steerkit.controllers.forecast import ANSWER, LONGEST, Forecast, course_left
 from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, R_E, V
 from steerkit.controllers.state_description import StateDescription
 from steerkit.learning.data.transitions import Transitions
-from steerkit.learning.nfq.model import CENTRED, KAPPA, OFF_CENTRE, CarModel, earlier_doe, follow, speed
+from steerkit.learning.nfq.model import CENTRED, KAPPA, OFF_CENTRE, CarModel, believed_loss, earlier_doe, follow, speed
 from steerkit.task import DT
 
 FEWEST = 15
@@ -106,26 +106,31 @@ def refined(model: CarModel, part: Transitions) -> CarModel:
     s = part.s
     v, doe = speed(s), s[:, DOE]
     w, r = s[:, E_DOT] / v - s[:, PSI_E], s[:, R_E] + s[:, V] * s[:, KAPPA]
-    firmly = np.sqrt(AHEAD * CENTRED)
+    firmly, fast = np.sqrt(AHEAD * CENTRED), model.loss != 0.0
 
     def strays(weights: Array) -> Array:
-        now, before, earlier, back, slip, constant = weights
+        now, before, earlier, back, grown, constant = weights
+        slip, loss = (0.0, grown) if fast else (grown, 0.0)
         foreseen, errors = w[row], []
         for j in range(AHEAD):
             at = row + j
             turn = now * doe[at + 1] + before * doe[at] + earlier * doe[at - 1] + constant
-            foreseen = foreseen + turn - (back + slip * v[at] ** 2) * foreseen
+            foreseen = foreseen + course_left(loss, v[at]) * turn - (back + slip * v[at] ** 2) * foreseen
             errors.append(foreseen - w[at + 1])
         return np.append(np.concatenate(errors), firmly * constant)
 
     total = model.now + model.before + model.earlier
-    start = (model.now, model.before, model.earlier, model.back, model.slip, -model.straight * total)
+    grown = model.loss if fast else model.slip
+    start = (model.now, model.before, model.earlier, model.back, grown, -model.straight * total)
     found = least_squares(strays, start, x_scale=(1e-2, 1e-2, 1e-2, 1e-1, 1e-3, 1e-3), max_nfev=30)
-    now, before, earlier, back, slip, constant = (float(value) for value in found.x)
-    change = np.add.reduce([v[row + j] * (w[row + j + 1] - w[row + j]) for j in range(AHEAD)])
+    now, before, earlier, back, grown, constant = (float(value) for value in found.x)
+    slip, loss = (0.0, believed_loss(grown, v)) if fast else (grown, 0.0)
+    lever = v / course_left(loss, v)
+    change = np.add.reduce([lever[row + j] * (w[row + j + 1] - w[row + j]) for j in range(AHEAD)])
     yaw = float(change @ (r[row + AHEAD] - r[row]) / (change @ change + 1e-9))
     straight = float(np.clip(-constant / max(now + before + earlier, 1e-6), -OFF_CENTRE, OFF_CENTRE))
-    other = replace(model, now=now, before=before, earlier=earlier, back=back, slip=slip, yaw=yaw, straight=straight)
+    answer = {"now": now, "before": before, "earlier": earlier, "back": back, "slip": slip, "yaw": yaw, "loss": loss}
+    other = replace(model, **answer, straight=straight)
     right = (other.ratio(np.array([v.min(), v.max()])) > 0.0).all() and 0.0 < yaw < 4.0 * abs(model.yaw)
     return other if right else model
 

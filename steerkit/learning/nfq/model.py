@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit.controllers.forecast import SLOWEST, Motion, moved
+from steerkit.controllers.forecast import SLOWEST, Motion, course_left, moved
 from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, R_E, E, V
 from steerkit.controllers.state_description import StateDescription
 from steerkit.errors import require
@@ -23,6 +23,10 @@ CENTRED = 300.0
 ask for 4; but what the model leaves unexplained goes on for seconds, such as a bend's."""
 SAME = 10.0
 """How firmly `slip` is taken to be nothing, so that it stays so while all speeds are alike."""
+SAME_AT_SPEED = 2500.0
+"""The same of `loss`, over the mean of now + before + earlier."""
+MOST_LOST = 0.85
+"""Share of its course in a bend that a car is believed to lose at its highest speed."""
 OFF_CENTRE = 0.5
 """Largest offset of the wheel that is believed [rad]."""
 SPREAD = 0.13
@@ -40,7 +44,9 @@ class CarModel:
 
     in which nothing changes when doe is turned by x and psi_e by -x*ratio, where `ratio` is the learned steering
     ratio's inverse. Bends ahead, humans and noise are in `residuals`. Seven numbers, found by least squares from about
-    20 transitions on; two more, `slip` and `straight`, where the path's curvature was recorded.
+    20 transitions on; two more where the path's curvature was recorded: `straight`, and how the tyres' slip grows with
+    speed. At low speed that is told by how fast w comes back (`slip`); in records with speeds above the description's
+    `scaled_from`, where lag and tyres can be told apart, by how far it goes (`loss`).
     """
 
     held: float
@@ -54,6 +60,8 @@ class CarModel:
     """Largest |doe| [rad]."""
     slip: float = 0.0
     """How the tyres' slip grows with speed [s^2/m^2]."""
+    loss: float = 0.0
+    """What the tyres' slip takes of the course in a bend, over v^2 [s^2/m^2]."""
     straight: float = 0.0
     """Angle of the wheel at which the car goes straight on [rad]; states are told with doe counted from there."""
     dt: float = DT
@@ -80,19 +88,30 @@ class CarModel:
         rows = follows if follows.sum() >= 10 else np.ones(len(s), dtype=bool)
         x = np.column_stack((doe_next, doe, earlier_doe(record), -w))
         rise = s_next[:, R_E] - s[:, R_E]
-        constant, straight = 0.0, 0.0
+        constant, straight, loss, fast = 0.0, 0.0, 0.0, v.max() > description.scaled_from
         if told:
             rise = rise + s_next[:, V] * s_next[:, KAPPA] - s[:, V] * s[:, KAPPA]
-            x = np.column_stack((x, -v * v * w, np.ones(len(x))))
-            *weights, constant = _least_squares(x[rows], turn[rows], trace=np.array([1e-3] * 4 + [SAME, CENTRED]))
+            grown, same = (-v * v * doe_next, SAME_AT_SPEED) if fast else (-v * v * w, SAME)
+            x = np.column_stack((x, grown, np.ones(len(x))))
+            *weights, constant = _least_squares(x[rows], turn[rows], trace=np.array([1e-3] * 4 + [same, CENTRED]))
         else:
             weights = list(_least_squares(x[rows], turn[rows]))
-        change = v * (x[:, : len(weights)] @ np.array(weights) + constant)
-        yaw = float(change @ rise / (change @ change + 1e-9))
         now, before, earlier, back, slip = (*weights, 0.0)[:5]
+        if fast and told:
+            slip, loss = 0.0, believed_loss(slip / max(now + before + earlier, 1e-6), v)
+        change = v * (x[:, : len(weights)] @ np.array(weights) + constant) / course_left(loss, v)
+        yaw = float(change @ rise / (change @ change + 1e-9))
         if now + before + earlier > 1e-6:
             straight = float(np.clip(-constant / (now + before + earlier), -OFF_CENTRE, OFF_CENTRE))
-        answer = {"now": now, "before": before, "earlier": earlier, "back": back, "slip": slip, "yaw": yaw}
+        answer = {
+            "now": now,
+            "before": before,
+            "earlier": earlier,
+            "back": back,
+            "slip": slip,
+            "yaw": yaw,
+            "loss": loss,
+        }
         return cls(held=held, pushed=pushed, limit=limit, straight=straight, dt=dt, **answer)
 
     def step(self, s: Array, a: Array, earlier: Array) -> Array:
@@ -106,10 +125,16 @@ class CarModel:
     def ratio(self, v: Array) -> Array:
         """Angle of the course to the car's axis over that of the steering wheel in a steady bend [1]; 0 while unknown.
 
-        (now + before + earlier)/(back + slip*v^2), v (n,) [m/s].
+        g*(now + before + earlier)/(back + slip*v^2), g = `course_left(loss, v)`, v (n,) [m/s].
         """
-        back = self.back + self.slip * v * v
-        return np.where(back > 1e-3, (self.now + self.before + self.earlier) / np.maximum(back, 1e-3), 0.0)
+        back, wheel = self.back + self.slip * v * v, course_left(self.loss, v) * (self.now + self.before + self.earlier)
+        return np.where(back > 1e-3, wheel / np.maximum(back, 1e-3), 0.0)
+
+
+def believed_loss(loss: float, v: Array) -> float:
+    """`loss` within what is believed of a car of these speeds (n,)."""
+    most = MOST_LOST / float(v.max()) ** 2
+    return float(np.clip(loss, -most, most))
 
 
 def follow(record: Transitions) -> NDArray[np.bool_]:
