@@ -93,8 +93,9 @@ def refined(model: CarModel, part: Transitions) -> CarModel:
 
     One sample's turn is mostly noise, and weights fitted to it let a long forecast stray; least squares over what the
     model makes of w by the wheel's angles alone, 1 to AHEAD samples after each row, do not. The yaw rate's answer is
-    that of its change over AHEAD samples. Returns the model as it was where the record is too short, or where the
-    other would turn the car the wrong way. Source: Ljung 1999, section 4.2 (output error).
+    that of its change over AHEAD samples; of a fast car, that of the yaw rate itself to the w of the wheel's angles.
+    Returns the model as it was where the record is too short, or where the other would turn the car the wrong way.
+    Source: Ljung 1999, section 4.2 (output error).
     """
     episode = np.cumsum(~follow(part))
     row = np.arange(1, max(1, len(part) - AHEAD))
@@ -125,14 +126,29 @@ def refined(model: CarModel, part: Transitions) -> CarModel:
     found = least_squares(strays, start, x_scale=(1e-2, 1e-2, 1e-2, 1e-1, 1e-3, 1e-3), max_nfev=30)
     now, before, earlier, back, grown, constant = (float(value) for value in found.x)
     slip, loss = (0.0, believed_loss(grown, v)) if fast else (grown, 0.0)
-    lever = v / course_left(loss, v)
-    change = np.add.reduce([lever[row + j] * (w[row + j + 1] - w[row + j]) for j in range(AHEAD)])
-    yaw = float(change @ (r[row + AHEAD] - r[row]) / (change @ change + 1e-9))
+    if fast:  # so little is left of w that its noise, and the tyres' lag, would make the yaw rate's answer too small
+        turn = course_left(loss, v[1:-1]) * (now * doe[2:] + before * doe[1:-1] + earlier * doe[:-2] + constant)
+        x, y = (v / course_left(loss, v) * _driven(w, turn, back, episode))[row], r[row]
+    else:
+        x, y = (
+            np.add.reduce([v[row + j] * (w[row + j + 1] - w[row + j]) for j in range(AHEAD)]),
+            r[row + AHEAD] - r[row],
+        )
+    yaw = float(x @ y / (x @ x + 1e-9))
     straight = float(np.clip(-constant / max(now + before + earlier, 1e-6), -OFF_CENTRE, OFF_CENTRE))
     answer = {"now": now, "before": before, "earlier": earlier, "back": back, "slip": slip, "yaw": yaw, "loss": loss}
     other = replace(model, **answer, straight=straight)
     right = (other.ratio(np.array([v.min(), v.max()])) > 0.0).all() and 0.0 < yaw < 4.0 * abs(model.yaw)
     return other if right else model
+
+
+def _driven(w: Array, turn: Array, back: float, episode: NDArray[np.intp]) -> Array:
+    """What the wheel makes of w (n,) by turning it by `turn` (n - 2,) from its second sample on, without noise."""
+    course = w.copy()
+    for k in range(1, len(w) - 1):
+        if episode[k - 1] == episode[k + 1]:
+            course[k + 1] = course[k] + turn[k - 1] - back * course[k]
+    return course
 
 
 def _unexplained(model: CarModel, part: Transitions, skipped: int) -> float:

@@ -11,8 +11,9 @@ import casadi
 import numpy as np
 import pytest
 
-from steerkit.controllers.forecast import LONGEST, PREVIEW, Forecast, Motion, at_first, moved, nothing
+from steerkit.controllers.forecast import LEAST, LONGEST, PREVIEW, Forecast, Motion, at_first, moved, nothing
 from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.files import read_arrays, write_arrays
 from steerkit.learning.nfq.iterate import mirror_image
 from steerkit.learning.nfq.network import new_net
 from steerkit.learning.nfq.patterns import STANDARD
@@ -54,6 +55,22 @@ def test_the_forecast_is_where_the_car_will_be(samples: int, trust: float) -> No
             np.testing.assert_allclose((e, e_dot / v, psi_e, r_e), motions[k + samples], atol=1e-9)
             assert (v, doe) == (u.v, u.doe - car.straight)
         x = car.remember(x, u)
+
+
+@pytest.mark.parametrize("v", [6.0, 20.0, 40.0])
+def test_in_a_steady_bend_the_loss_takes_of_the_course_and_leaves_the_yaw_rate(v: float) -> None:
+    car = replace(CAR, slip=0.0, loss=1.2e-3)
+    left = max(1.0 - 1.2e-3 * v * v, LEAST)
+    ends = []
+    for number in (replace(car, loss=0.0), car):
+        x = Motion(0.0, 0.0, 0.0, 0.0)
+        for _ in range(200):
+            x = moved(number, x, v, (0.1, 0.1, 0.1))
+        ends.append((x.c - x.psi_e, x.r_e))
+    (plain, r_plain), (lost, r_lost) = ends
+    assert lost == pytest.approx(left * plain, rel=1e-9)
+    assert plain == pytest.approx(0.1 * 0.012 / 0.2, rel=1e-9)
+    assert r_lost == pytest.approx(r_plain, rel=1e-9)
 
 
 def test_noise_is_filtered_and_a_nan_is_forgotten() -> None:
@@ -137,6 +154,15 @@ def test_numbers_out_of_range_are_refused() -> None:
     with pytest.raises(ValueError, match="preview_points"):
         NfqPolicy(forecast=Forecast())
     assert Forecast().dt == DT
+
+
+def test_a_policy_of_before_there_was_a_loss_has_none(tmp_path: Path) -> None:
+    policy = NfqPolicy(nets=(new_net(seed=1),), preview_points=PREVIEW, forecast=replace(CAR, trust=0.25))
+    policy.save(tmp_path / "p.npz")
+    arrays = {name: value for name, value in read_arrays(tmp_path / "p.npz", "policy").items() if name != "format"}
+    arrays["forecast"] = arrays["forecast"][:-1]
+    write_arrays(tmp_path / "old.npz", "policy", arrays)
+    assert NfqPolicy.load(tmp_path / "old.npz").forecast == policy.forecast
 
 
 @pytest.mark.parametrize(

@@ -17,11 +17,22 @@ from steerkit.learning.settings import DEFAULT
 from tests.support.modelled_car import ACTIONS
 
 CAR = CarModel(held=1.0, pushed=1.0, now=0.006, before=0.005, earlier=0.0, back=0.2, slip=4e-4, yaw=0.38, limit=9.0)
+FAST = replace(CAR, slip=0.0, loss=1.2e-3)
+"""A car at speed: of its course in a bend the tyres leave 83 % at 12 m/s and 31 % at 24."""
 DESCRIPTION = DEFAULT.description()
 
 
-def late(samples: int, *, straight: float = 0.0, n: int = 600, noise: float = 0.0, seed: int = 0) -> Transitions:
-    """What is recorded of `CAR` where its motion is `samples` late, in bends, in episodes of 60 samples."""
+def late(
+    samples: int,
+    *,
+    straight: float = 0.0,
+    n: int = 600,
+    noise: float = 0.0,
+    seed: int = 0,
+    car: CarModel = CAR,
+    speeds: tuple[float, float] = (4.0, 7.0),
+) -> Transitions:
+    """What is recorded of a car where its motion is `samples` late, in bends, in episodes of 60 samples."""
     rng, record = np.random.default_rng(seed), Transitions((*COLUMNS, "kappa"))
     for episode in range(n // 60):
         angles, actions = [0.0] * (samples + 2), []
@@ -29,13 +40,13 @@ def late(samples: int, *, straight: float = 0.0, n: int = 600, noise: float = 0.
             actions.append(float(rng.choice(ACTIONS)) - 0.1 * angles[-1])
             angles.append(angles[-1] + actions[-1])
         kappa = 0.03 * np.sin(0.15 * np.arange(62 + samples) + episode)
-        s = np.array([[0.0, rng.normal(0.0, 0.1), rng.uniform(4.0, 7.0), rng.normal(0.0, 0.05), 0.0, 0.0]])
+        s = np.array([[0.0, rng.normal(0.0, 0.1), rng.uniform(*speeds), rng.normal(0.0, 0.05), 0.0, 0.0]])
         rows = []
         for k in range(61):
             old = angles[k + 1 : k + 3]  # the angle that acted before, and the one that acts in this sample
             s[0, DOE] = old[1] - straight
             rows.append(np.append(s[0], kappa[k]))
-            following = CAR.step(s, np.array([angles[k + 3] - old[1]]), np.array([old[0] - straight]))
+            following = car.step(s, np.array([angles[k + 3] - old[1]]), np.array([old[0] - straight]))
             following[0, 4] -= s[0, V] * (kappa[k + 1] - kappa[k])
             s = following
         motion = np.array(rows)
@@ -56,6 +67,18 @@ def test_the_dead_time_is_found_and_the_car_behind_it(samples: int, straight: fl
     assert process.model.straight == pytest.approx(straight, abs=0.02)
     assert process.forecast.back == process.model.back
     assert process.record.names == COLUMNS
+
+
+@pytest.mark.parametrize("samples", [0, 6])
+def test_at_speed_the_tyres_take_of_the_course_and_not_of_the_yaw_rate(samples: int) -> None:
+    found = process_of(late(samples, car=FAST, speeds=(12.0, 24.0), n=1200), DESCRIPTION, 0.6)
+    assert found.forecast.samples == samples
+    for name in ("now", "before", "back", "yaw", "loss"):
+        assert getattr(found.model, name) == pytest.approx(getattr(FAST, name), rel=0.15, abs=1e-4), name
+    assert found.model.slip == 0.0
+    assert found.forecast.loss == found.model.loss
+    slow = process_of(late(samples), DESCRIPTION, 0.6).model
+    assert (slow.loss, slow.slip) == (0.0, pytest.approx(CAR.slip, rel=0.15))
 
 
 def test_what_is_aligned_is_the_process_without_dead_time() -> None:
