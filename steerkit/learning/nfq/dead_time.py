@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -142,7 +142,7 @@ def refined(model: CarModel, part: Transitions) -> CarModel:
     return other if right else model
 
 
-def _driven(w: Array, turn: Array, back: float, episode: NDArray[np.intp]) -> Array:
+def _driven(w: Array, turn: Array, back: float, episode: NDArray[Any]) -> Array:
     """What the wheel makes of w (n,) by turning it by `turn` (n - 2,) from its second sample on, without noise."""
     course = w.copy()
     for k in range(1, len(w) - 1):

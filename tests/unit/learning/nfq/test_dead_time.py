@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from steerkit.controllers.forecast import course_left
 from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, V
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq.dead_time import aligned, process_of
@@ -39,8 +40,11 @@ def late(
         for _ in range(62 + samples):
             actions.append(float(rng.choice(ACTIONS)) - 0.1 * angles[-1])
             angles.append(angles[-1] + actions[-1])
-        kappa = 0.03 * np.sin(0.15 * np.arange(62 + samples) + episode)
+        kappa = (0.004 if car.loss else 0.03) * np.sin(0.15 * np.arange(62 + samples) + episode)
         s = np.array([[0.0, rng.normal(0.0, 0.1), rng.uniform(*speeds), rng.normal(0.0, 0.05), 0.0, 0.0]])
+        if car.loss:  # the yaw rate of its course, as a real one has
+            v, w = s[0, V], s[0, E_DOT] / s[0, V] - s[0, PSI_E]
+            s[0, 4] = car.yaw * v * w / course_left(car.loss, v) - v * kappa[0]
         rows = []
         for k in range(61):
             old = angles[k + 1 : k + 3]  # the angle that acted before, and the one that acts in this sample
