@@ -9,8 +9,8 @@ import pytest
 
 from benchmarks.entries import CONTROLLERS, controller
 from benchmarks.peers import agents as peers
+from benchmarks.report.overall import ENOUGH
 from benchmarks.report.page import html
-from benchmarks.report.verdict import _ENOUGH
 from benchmarks.run.runner import run
 from benchmarks.run.trainings import TRAININGS
 from benchmarks.scenarios import facts, scene
@@ -55,7 +55,7 @@ def test_unknown_names(ask, message: str) -> None:
 
 
 def test_the_selection_of_make_bench_has_seeds_enough_for_its_verdict() -> None:
-    assert suite("quick").seeds >= _ENOUGH
+    assert suite("quick").seeds >= ENOUGH
 
 
 def test_a_suite_goes_elsewhere_where_it_has_no_course_or_car_of_its_own(tmp_path: Path) -> None:
