@@ -48,6 +48,8 @@ class Recovery:
     """Least |e| since then [m]."""
     slowest: float = math.inf
     """Least |e_dot| since then with |e| < RELEASE [m/s]."""
+    said: str = ""
+    """The newest line of `Counts.stuck` about it."""
 
 
 @dataclass(kw_only=True)
@@ -140,5 +142,5 @@ class Counts:
             why = "the training of the next policy is not done" if busy else "no policy is ready to take over"
         line = f"at {t:.0f} s: recovery has steered for {PATIENCE:g} s and cannot hand over: {why}"
         self.stuck.append(line)
-        self.recovery = Recovery(began=t)
+        self.recovery = Recovery(began=t, said=line)
         return line

@@ -114,9 +114,10 @@ class Story:
         return Events(self.counts.ended(t, failed=failed), False)
 
     def carried(self, t: float) -> None:
-        """Somebody carried the car elsewhere: that ends the episode, and is no transition."""
+        """Somebody carried the car elsewhere: that ends the episode and the recovery, and is no transition."""
         self.recorder.forget()
         self.counts.ended(t, failed=False)
+        self.counts.recovery = None
 
     def due(self) -> bool:
         """Is it time to train anew while driving on?"""

@@ -141,7 +141,9 @@ class CarLearner:
             progress=self._value(live, "path.progress"),
             e=self._value(live, "path.e"),
         )
-        if engaged and not learning:
+        if not engaged:
+            story.counts.recovery = None  # the human steers
+        elif not learning:
             story.recovering(t, e=state["e"], e_dot=state["e_dot"])
         if (events.ended and events.ended.failed) or (fault and story.trusted):
             story.train(t, trusted=False)
@@ -174,8 +176,8 @@ class CarLearner:
         story, counts = self.story, self.story.counts
         training = "training" if self.trainer.busy else "idle"
         fault = f", {story.faults[-1]}" if story.faults else ""
-        if counts.recovery and counts.stuck:
-            fault += f", {counts.stuck[-1]}"
+        if counts.recovery and counts.recovery.said:
+            fault += f", {counts.recovery.said}"
         return (
             f"net {counts.updates}, {len(story.transitions)} transitions, {counts.driven:.0f} m by the learner, "
             f"{counts.failures} failures, trainer {training}{fault}"

@@ -228,6 +228,7 @@ def test_a_net_that_failed_does_not_steer_until_a_newer_one_has_taken_over_and_n
         step(learner, live)
         story = learner.story
         assert (live.loop is learner.follow.driving) is (story.trusted and learner.follow.engaged)
+        assert (story.counts.recovery is not None) is (learner.follow.engaged and not learning)
         steps.append((learning, story.trusted, story.net, story.counts.driven))
 
     here = threading.current_thread()  # the recording has a thread of its own, which may wait

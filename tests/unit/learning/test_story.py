@@ -229,6 +229,19 @@ def test_a_car_that_was_carried_elsewhere_ends_the_episode_and_makes_no_transiti
     assert told.story.counts.driven == 3.0
 
 
+def test_a_recovery_ends_where_the_car_is_carried_elsewhere() -> None:
+    """A reset costs as much driving time as recovery may take before it says why it does not hand over."""
+    story = Told().story
+    assert story.recovering(1.0, e=1.0, e_dot=0.0) is None
+    story.carried(1.0)
+    assert story.recovering(21.5, e=1.0, e_dot=0.0) is None
+    line = story.recovering(41.5, e=1.0, e_dot=0.0)
+    assert line is not None
+    assert story.counts.recovery is not None
+    assert story.counts.recovery.said == line
+    assert story.counts.stuck == [line]
+
+
 def test_rounds_are_told_of() -> None:
     told = Told(round_length=10.0)
     assert not told.drive(10).round
