@@ -92,7 +92,7 @@ def drive(
     where = driven_on(scenario, options.conditions)
     asked = [_learned(where, options.seed) if one == "nfq" else one for one in asked]
     require(len(set(asked)) == len(asked), "drive", f"a controller stands twice in {', '.join(asked)}")
-    who = "+".join(Path(one).name.replace(":", "-") for one in asked)
+    who = "+".join(map(report.file_name, asked))
     what = report.described(asked, scenario, rounds=rounds, seed=options.seed)
     place = out or report.place_of_its_own(Path("runs") / f"drive-{who}-{where}-seed{options.seed}", what)
     report.console.stderr = options.as_json

@@ -88,6 +88,7 @@ class Forecast:
     trust: Any = 1.0
     """Share of what is seen in the filtered values [1]."""
     loss: Any = 0.0
+    """One more number of `moved`; it stands last as older files do not have it."""
     dt: float = DT
     """Sample time [s]."""
 

@@ -95,14 +95,7 @@ def show(place: FilePath, *, quiet: bool = False) -> dict[str, Any]:
         table.add_row(key.replace("_", " "), f"{value:.2f}" if isinstance(value, float) else str(value))
     console.print(table)
     scenario = run.experiment.scenario
-    logs = {
-        "learned": evaluate.drive(
-            scenario,
-            rundir.final_policy(place, run.counts.updates),
-            doe=run.experiment.setting.element(scenario.nominal),
-        ),
-        "stanley": evaluate.drive(scenario, scenario.catcher()),
-    }
+    logs = {"learned": _final_drive(place, run), "stanley": evaluate.drive(scenario, scenario.catcher())}
     net = "the final net" if run.counts.updates else "a net that was never trained"
     console.print(comparison(f"one round of {scenario.course}, {net}", logs))
     drive = rundir.drive_log(place, until=run.t)
@@ -114,6 +107,13 @@ def show(place: FilePath, *, quiet: bool = False) -> dict[str, Any]:
     if not quiet:
         console.print(f"pictures: {place}/learning.png, {place}/round.png", soft_wrap=True)
     return merit | {"drives": [_row(name, log) for name, log in logs.items()]}
+
+
+def _final_drive(place: FilePath, run: LearningRun) -> Log:
+    """A test drive of the net that a run had when it was loaded, where it was learned."""
+    scenario = run.experiment.scenario
+    policy = rundir.final_policy(place, run.counts.updates)
+    return evaluate.drive(scenario, policy, doe=run.experiment.setting.element(scenario.nominal))
 
 
 def drive_and_draw(
@@ -139,7 +139,7 @@ def drive_and_compare(
     """Test drives of several controllers under the same conditions: one table, one picture, and a log of each."""
     logs = {name: _driven(name, scenario, rounds=rounds, seed=seed, quiet=quiet) for name in names}
     place.mkdir(parents=True, exist_ok=True)
-    files = {name: place / f"{_file_name(name)}.npz" for name in names}
+    files = {name: place / f"{file_name(name)}.npz" for name in names}
     require(len(set(files.values())) == len(files), "drive", f"two of {', '.join(names)} would have one log's name")
     for name, log in logs.items():
         log.save(files[name])
@@ -151,7 +151,8 @@ def drive_and_compare(
     return [_row(name, log) for name, log in logs.items()]
 
 
-def _file_name(name: str) -> str:
+def file_name(name: str) -> str:
+    """A controller's name, or that of a run's directory, as a part of a file's name."""
     return FilePath(name).name.replace(":", "-")
 
 
@@ -208,10 +209,8 @@ def show_several(places: Sequence[FilePath]) -> list[dict[str, Any]]:
     columns: list[list[str]] = []
     for place in places:
         run = rundir.load(place)
-        scenario, merit = run.experiment.scenario, figures_of_merit(run)
-        policy = rundir.final_policy(place, run.counts.updates)
-        log = evaluate.drive(scenario, policy, doe=run.experiment.setting.element(scenario.nominal))
-        row = _row(str(place), log)
+        merit = figures_of_merit(run)
+        row = _row(str(place), _final_drive(place, run))
         done = merit["first_round_done_s"]
         columns.append(
             [

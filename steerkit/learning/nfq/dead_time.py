@@ -136,7 +136,7 @@ def refined(model: CarModel, part: Transitions) -> CarModel:
         )
     yaw = float(x @ y / (x @ x + 1e-9))
     straight = float(np.clip(-constant / max(now + before + earlier, 1e-6), -OFF_CENTRE, OFF_CENTRE))
-    answer = {"now": now, "before": before, "earlier": earlier, "back": back, "slip": slip, "yaw": yaw, "loss": loss}
+    answer = dict(zip(ANSWER, (now, before, earlier, back, slip, yaw, loss), strict=True))
     other = replace(model, **answer, straight=straight)
     right = (other.ratio(np.array([v.min(), v.max()])) > 0.0).all() and 0.0 < yaw < 4.0 * abs(model.yaw)
     return other if right else model

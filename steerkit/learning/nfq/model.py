@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit.controllers.forecast import SLOWEST, Motion, course_left, moved
+from steerkit.controllers.forecast import ANSWER, SLOWEST, Motion, course_left, moved
 from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, R_E, E, V
 from steerkit.controllers.state_description import StateDescription
 from steerkit.errors import require
@@ -88,7 +88,7 @@ class CarModel:
         rows = follows if follows.sum() >= 10 else np.ones(len(s), dtype=bool)
         x = np.column_stack((doe_next, doe, earlier_doe(record), -w))
         rise = s_next[:, R_E] - s[:, R_E]
-        constant, straight, loss, fast = 0.0, 0.0, 0.0, v.max() > description.scaled_from
+        constant, straight, loss, fast = 0.0, 0.0, 0.0, told and v.max() > description.scaled_from
         if told:
             rise = rise + s_next[:, V] * s_next[:, KAPPA] - s[:, V] * s[:, KAPPA]
             grown, same = (-v * v * doe_next, SAME_AT_SPEED) if fast else (-v * v * w, SAME)
@@ -97,21 +97,13 @@ class CarModel:
         else:
             weights = list(_least_squares(x[rows], turn[rows]))
         now, before, earlier, back, slip = (*weights, 0.0)[:5]
-        if fast and told:
+        if fast:
             slip, loss = 0.0, believed_loss(slip / max(now + before + earlier, 1e-6), v)
         change = v * (x[:, : len(weights)] @ np.array(weights) + constant) / course_left(loss, v)
         yaw = float(change @ rise / (change @ change + 1e-9))
         if now + before + earlier > 1e-6:
             straight = float(np.clip(-constant / (now + before + earlier), -OFF_CENTRE, OFF_CENTRE))
-        answer = {
-            "now": now,
-            "before": before,
-            "earlier": earlier,
-            "back": back,
-            "slip": slip,
-            "yaw": yaw,
-            "loss": loss,
-        }
+        answer = dict(zip(ANSWER, (now, before, earlier, back, slip, yaw, loss), strict=True))
         return cls(held=held, pushed=pushed, limit=limit, straight=straight, dt=dt, **answer)
 
     def step(self, s: Array, a: Array, earlier: Array) -> Array:
