@@ -52,10 +52,10 @@ def _delays(course: str, v_min: float, v_max: float) -> tuple[Scenario, ...]:
     return tuple(Scenario.under("hard", name=f"{delay:g} s", delay=delay, **told) for delay in DELAYS)
 
 
-def _torque() -> tuple[Scenario, ...]:
+def _torque(vehicle: str) -> tuple[Scenario, ...]:
     course = "sweeping-2000"
-    told: dict[str, Any] = dict(course=course, start=_start(course), v_min=12.0, v_max=20.0, a_y_human=1.5)
-    steered: dict[str, Any] = dict(steering="torque", delay=0.35, lag=0.0, **told)
+    driven: dict[str, Any] = dict(course=course, start=_start(course), v_min=12.0, v_max=20.0, a_y_human=1.5)
+    steered: dict[str, Any] = dict(vehicle=vehicle, steering="torque", delay=0.35, lag=0.0, **driven)
     return tuple(Scenario.under("hard", name=f"gain {gain:g}", gain=gain, **steered) for gain in (0.75, 1.25))
 
 
@@ -76,12 +76,14 @@ KINDS: Mapping[str, Callable[[], tuple[Scenario, ...]]] = MappingProxyType(
     {
         "delays": lambda: _delays("random-2000", 4.0, 7.5),
         "fast-delays": lambda: _delays("sweeping-2000", 12.0, 25.0),
-        "torque": _torque,
+        "torque": lambda: _torque("vw-passat"),
+        "torque-soft": lambda: _torque("fleet-12"),
         "multi-body": _multi_body,
     }
 )
 """Cars besides the fleet's: the Passat with a delay, at 4 to 7.5 and at 12 to 25 m/s; steered by torque with a gain 25
-% off, on bends of 100 m and more; CommonRoad's multi-body BMW with 0.2 s of delay. All with `hard` sensors."""
+% off, on bends of 100 m and more, and the same with a Corolla, whose tyres give way more; CommonRoad's multi-body BMW
+with 0.2 s of delay. All with `hard` sensors."""
 
 
 @dataclass(frozen=True)
