@@ -12,6 +12,7 @@ import pytest
 
 from steerkit import files, realtime
 from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.learning.counts import Recovery
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.nfq.iterate import FitSetting
 from steerkit.learning.settings import Setting, changed, setting
@@ -265,6 +266,23 @@ def test_the_human_s_taking_the_wheel_is_no_failure(tmp_path: Path, monkeypatch:
     assert not first.failed
     record = learner.story.transitions
     assert len(set(record.episode)) == len(learner.story.counts.episodes) >= 1
+
+
+def test_the_human_s_taking_the_wheel_ends_a_recovery(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    by_hand: list[Recovery | None] = []
+    step = on_car.CarLearner.step
+
+    def watched(learner: on_car.CarLearner, live: Any) -> None:
+        counts = learner.story.counts
+        counts.recovery = counts.recovery or Recovery(began=0.0)
+        step(learner, live)
+        if not learner.follow.engaged:
+            by_hand.append(counts.recovery)
+
+    monkeypatch.setattr(on_car.CarLearner, "step", watched)
+    learned(tmp_path, monkeypatch, 0.15)
+    assert len(by_hand) > 3
+    assert by_hand == [None] * len(by_hand)
 
 
 def test_a_late_step_is_no_transition(tmp_path: Path) -> None:
