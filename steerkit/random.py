@@ -64,8 +64,10 @@ def uniform(state: RandomState) -> tuple[Scalar, RandomState]:
 def normals(state: RandomState) -> tuple[Scalar, Scalar, RandomState]:
     """Two independent standard normal numbers, and the state after them.
 
-    n1 = sqrt(-2 ln u1) cos(2 pi u2), n2 = sqrt(-2 ln u1) sin(2 pi u2). |n| < 6.7. Equal in all backends as far as
-    their logarithms and sines are: to the last bits. Source: Box, Muller 1958.
+        n1 = sqrt(-2 ln u1) cos(2 pi u2),   n2 = sqrt(-2 ln u1) sin(2 pi u2)
+
+    |n| < 6.7. Equal in all backends as far as their logarithms and sines are: to the last bits.
+    Source: Box, Muller 1958.
     """
     u1, state = uniform(state)
     u2, state = uniform(state)

@@ -26,7 +26,7 @@ class PathTracker(Block):
     With p = (x, y) + reference*(cos psi, sin psi), the foot point c(s) solves (p - c(s)) . c'(s) = 0:
 
         s <- s + (p - c).c' / max(1 - kappa*e, 0.2)           twice a sample, each step within +-window
-        e = c' x (p - c),  psi_e = wrap(psi - psi_path(s)),  r_e = r - v*kappa
+        e = cross(c', p - c),  psi_e = wrap(psi - psi_path(s)),  r_e = r - v*kappa
         e_dot = v sin(psi_e + beta) + r*reference*cos(psi_e)  velocity of p along the path's left normal
         s(t + dt) ~ s + dt*(v cos(psi_e + beta) - r*reference*sin(psi_e))/(1 - kappa*e)   where the next search starts
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from mkdocs.structure.files import File
+from pymdownx.arithmatex import arithmatex_fenced_format
 
 ROOT = Path(__file__).parents[2]
 GROUPS: dict[str, tuple[str, ...]] = {
@@ -52,7 +53,8 @@ def _slug(title: str) -> str:
 
 
 def on_config(config: Any) -> Any:
-    """Puts the pages of the reference where the navigation says `reference/`, and leaves out pages not written yet."""
+    """Puts the pages of the reference where the navigation says `reference/`, leaves out pages not written yet, and has
+    blocks of ```math typeset, as GitHub does."""
     here = [{title: f"reference/{_slug(title)}.md"} for title in modules()]
     nav = [{name: here if page == "reference/" else page for name, page in entry.items()} for entry in config.nav]
     for entry in nav:
@@ -60,6 +62,8 @@ def on_config(config: Any) -> Any:
             if isinstance(page, list) and page is not here:
                 entry[name] = [one for one in page if _written(config, one)]
     config.nav = nav
+    fence = {"name": "math", "class": "arithmatex", "format": arithmatex_fenced_format(mode="generic")}
+    config.mdx_configs["pymdownx.superfences"] = {"custom_fences": [fence]}
     return config
 
 

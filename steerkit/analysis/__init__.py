@@ -1,4 +1,4 @@
-"""Linear analysis of loops with python-control: linearise, break open, margins; and systems to and from it.
+"""Linear analysis of loops with python-control: linearise, break open, margins; and systems to and from it::
 
     L = loop.break_at("controller.delta_sw")        # a control.StateSpace; closed loop = control.feedback(L)
     print(margins(L), L.poles());  plot_bode({"Stanley": L})

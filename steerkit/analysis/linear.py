@@ -41,8 +41,9 @@ def linearise(
 ) -> Any:
     """The loop about a run as a discrete `control.StateSpace`, one step a period of the loop.
 
-    x(K+1) = A x(K) + B u(K),  y(K) = C x(K) + D u(K): deviations from the run from `at` on
-    (default: `loop.init()`).
+        x(K+1) = A x(K) + B u(K),  y(K) = C x(K) + D u(K)
+
+    in deviations from the run from `at` on (default: `loop.init()`).
 
     inputs: signals that u is added to, behind their block and before all who use them, held over a period.
     outputs: signals, as they are at the period's start. Both default to all scalar signals. cut: those inputs at which

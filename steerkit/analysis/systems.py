@@ -24,8 +24,10 @@ if TYPE_CHECKING:
 class FromControl(Block):
     """A python-control input/output system, `control.NonlinearIOSystem` or `control.StateSpace`, as a block.
 
-    x(t + dt) = f(t, x, u), y = h(t, x, u): a discrete system's own step (its dt must be this block's); a continuous one
-    takes `substeps` Runge-Kutta steps (order 4) with u held.
+        x(t + dt) = f(t, x, u),  y = h(t, x, u)
+
+    is a discrete system's own step (its dt must be this block's); a continuous one takes `substeps` Runge-Kutta steps
+    (order 4) with u held.
 
     Ports: the system's inputs and outputs by their names (u[0] is u_0), with the units given.
     State: the system's, from `x0` [0] on. A StateSpace runs in all ways; a nonlinear one runs batched car by car, and

@@ -33,9 +33,9 @@ def identify(
     """Estimate a car's steering ratio, offset, delay, lag and cornering stiffness from a recorded drive.
 
     LOG is an .mcap of a car server, an .npz or .parquet of a Log, a MATLAB .mat, a .csv or .csv.gz. Columns of
-    other names or units are told by --map, a TOML file whose table `columns` has lines such as
+    other names or units are told by --map, a TOML file whose table `columns` has lines such as::
 
-    delta_sw = { column = "angle", unit = "deg", scale = -1 }
+        delta_sw = { column = "angle", unit = "deg", scale = -1 }
 
     for t, delta_sw, v, and r or psi; or by --column delta_sw=angle:deg:-1.
 

@@ -26,8 +26,10 @@ def gradient(
 ) -> Cost:
     """A function of parameter values that gives the mean of `cost` over a run, and its gradient.
 
-    J(p) = 1/T sum_k cost(y_k(p)),  dJ/dp by forward sensitivities: with z the loop's state,
-    S_k+1 = dF/dz S_k + dF/dp, one column a parameter, next to the run itself and in the same pass.
+        J(p) = 1/T sum_k cost(y_k(p)),   S_{k+1} = dF/dz S_k + dF/dp
+
+    dJ/dp by forward sensitivities S of the loop's state z, one column a parameter, next to the run itself and in the
+    same pass.
 
     cost: of one sample, in `steerkit.maths`: `lambda y: y["path.e"] ** 2`. parameters: block fields, such as
     "controller.k". state: where to start, the same for all values (default: `loop.init()`). The gradient is that of

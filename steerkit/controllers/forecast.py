@@ -43,9 +43,11 @@ def moved(car: Any, x: Motion, v: Any, doe: Sequence[Any], bend: Any = 0.0, dt: 
 
     With the angle of the course to the car's axis w = c - psi_e, and the wheel's angles doe = (doe', doe, doe(t-dt)):
 
-        p    = g*(now*doe' + before*doe + earlier*doe(t-dt)) - (back + slip*v^2)*w      how w turns: wheel, tyres, lag
+        p    = g*(now*doe' + before*doe + earlier*doe(t-dt)) - (back + slip*v^2)*w
         r_e' = r_e + yaw*v*p/g - bend,   psi_e' = psi_e + dt*r,   c' = c + p + dt*r,   r = (r_e + r_e')/2
         e'   = e + dt*v*(c + c')/2
+
+    in which p is how w turns, by wheel, tyres and lag.
 
     car: anything with the numbers of `ANSWER`. v [m/s], at least SLOWEST. bend [rad/s]: by how much v*kappa grows in
     the sample. It is the same in every steady bend: nothing changes when doe is turned by x and psi_e by -x*ratio, of

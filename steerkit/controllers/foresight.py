@@ -21,9 +21,10 @@ class Foresight(Block):
     the car has turned. So a kinematic car is rolled forward, its wheel held where it was commanded last for `hold`,
     then turned against the drift as fast as the gate allows, once to the left and once to the right:
 
-        kappa_s(t) = kappa_s(0), t < hold;   then kappa_s(t) = kappa_s(t - h) -+ h turn, not beyond -+most, nor, while
-        it grows, beyond v^2 kappa_s + v arm kappa_s' = -+a_y_max; where it is beyond most (the car was slower), back
-        towards it by h fast;   delta = atan(L kappa_s)
+        kappa_s(t) = kappa_s(0) while t < hold,   then kappa_s(t) = kappa_s(t - h) -+ h turn
+        not beyond -+most,   nor, while it grows, beyond v^2 kappa_s + v arm kappa_s' = -+a_y_max
+        and where it is beyond most, the car having been slower, back by h fast
+        delta = atan(L kappa_s)
         e' = v sin(psi_e + delta),   psi_e' = v (sin(delta)/L - kappa cos(psi_e + delta)),   all at the front axle
         most = min(a_y_max/v^2, tan(delta_sw_max/steer_ratio)/L)
         fast = min(jerk_max/v^2, rate_max/(steer_ratio L))

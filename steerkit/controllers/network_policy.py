@@ -27,7 +27,8 @@ BOUND = 10.0
 class Network:
     """A feed-forward net as plain arrays: what is left of a trained policy when the learning library has gone.
 
-    h = x;  h = act(W h + b) in all layers but the last;  z = W h + b in the last;
+        h = x,   h = act(W h + b) in all layers but the last,   z = W h + b in the last
+
     head: argmax (the number of the largest z), tanh (tanh z) or clip (z limited to [-1, 1]), of one z the latter two.
 
     Call it with scaled states (n, columns): it answers (n,). `symbolic` is the same in scalars, for tracing.
@@ -88,8 +89,9 @@ class Network:
 class PolicyBlock(Block):
     """Steers by any policy of the scaled state, such as an agent that was trained in `steerkit.gym`.
 
-    x = clip((s - mid)/half, -10, 10),  s the columns of `description`;
-    action = actions[policy(x)]  (discrete),  or  action = largest*policy(x)  (continuous, policy in [-1, 1]).
+        x = clip((s - mid)/half, -10, 10),   s the columns of `description`
+        action = actions[policy(x)]   discrete
+        action = largest*policy(x)    continuous, policy in [-1, 1]
 
     Inputs: e [m], e_dot [m/s], v [m/s], psi_e [rad], r_e [rad/s], doe [rad], all direct. Outputs: action [rad], for a
     dynamic output element; ready [1], 1 from ready_from on. No state. A NaN or an infinity among the inputs makes

@@ -45,8 +45,8 @@ BANG_BANG_ACTIONS = tuple(radians_of(a) for a in (-360.0, 360.0))
 class NfqPolicy(Policy):
     """Steers greedily by a learned Q-function: the action of the least expected cost.
 
-        action = argmin_a q(s, a),   q = mean (or max, or mean + standard deviation) over the nets of Q(s, a),
-        Q: each layer y = sigmoid(W y + b), sigmoid(z) = (1 + tanh(z/2)) / 2, fed with the scaled (s, a)
+        action = argmin_a q(s, a),   q = mean, or max, or mean + standard deviation, over the nets of Q(s, a)
+        y = sigmoid(W y + b) in each layer of Q, from the scaled (s, a) on,   sigmoid(z) = (1 + tanh(z/2))/2
 
     `continuous`: any action between those of the set, the lowest point of the parabola through the best one's value and
     its neighbours'. `forecast`: the state s is not the one that is seen but the one in which the command will act.

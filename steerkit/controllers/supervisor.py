@@ -24,11 +24,13 @@ class SupervisorState(NamedTuple):
 class Supervisor(Block):
     """Gives the wheel to the learned controller while it can be trusted, else to the recovery controller.
 
-    fault    = not (|learner| <= limit and ready = 1), latched until `ready` is 0 once: a command that is NaN or out of
-               range, and a `ready` that is NaN, as that of a `Guarded` block is after an exception
-    learning = ready and not fault and |e| <= trip      if the learner steered in the sample before,
-               ready and not fault and |e| <  release   otherwise
-    delta_sw = learner if learning, else recovery
+        fault    = not (|learner| <= limit and ready = 1),   latched until `ready` is 0 once
+        learning = ready and not fault and |e| <= trip      if the learner steered in the sample before
+        learning = ready and not fault and |e| <  release   otherwise
+        delta_sw = learner if learning, else recovery
+
+    So a fault is a command that is NaN or out of range, and a `ready` that is NaN, as that of a `Guarded` block is
+    after an exception.
 
     Inputs: e [m] as measured; learner, recovery [rad], both commands; ready [1], is there a policy to trust.
     Outputs: delta_sw [rad]; learning [1]; tripped [1], 1 in the one sample in which the learner lost the wheel by

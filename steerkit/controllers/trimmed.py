@@ -13,9 +13,11 @@ from steerkit.errors import require
 class Trimmed(Block):
     """Wraps a controller so that it need not know of an offset or a gain of the steering, for comparing what is told.
 
-    delta_sw = (delta_sw of `block` - offset)/gain, what a steering that turns the wheel to gain*command + offset has
-    to be told. Ports, units, state and sample time are those of `block`, which goes on from its own angle. A measured
-    angle is that of the wheel, offset and gain included, and reaches it as it is.
+        delta_sw = (delta_sw of `block` - offset)/gain
+
+    is what a steering that turns the wheel to gain*command + offset has to be told. Ports, units, state and sample time
+    are those of `block`, which goes on from its own angle. A measured angle is that of the wheel, offset and gain
+    included, and reaches it as it is.
 
     Raises ValueError for a gain that is not positive and for a block without an output delta_sw.
     """

@@ -32,7 +32,7 @@ def export_c(
 ) -> list[Path]:
     """Write a block, or some `blocks` of a loop, as C99 with a header, a CMake file and a test that replays a log.
 
-    The C is one file with no allocation, no recursion and nothing of libc but math.h:
+    The C is one file with no allocation, no recursion and nothing of libc but math.h::
 
         void <name>_init(<name>_state *s);
         void <name>_step(<name>_state *s, const <name>_inputs *u, <name>_outputs *y);

@@ -55,7 +55,7 @@ LEAST_ROOM = 30.0
 class Agent(Block):
     """Stands in a loop for whoever decides outside of it: its output is what was written into its state.
 
-    action(t) = x.   No inputs. Output, of state only: action [rad]. State: that number, 0 until it is written.
+    No inputs. Output, of state only: action [rad]. State: that number, 0 until it is written.
     """
 
     action = Out("rad", direct=())

@@ -1,4 +1,4 @@
-"""From a recorded drive to the model of the car: `read_drive`, `identify`, and the vehicle file that the plants load.
+"""From a recorded drive to the model of the car: `read_drive`, `identify`, and the vehicle file that the plants load::
 
 drive = read_drive("lap.mat", ColumnMap.load("lap.toml"))
 found = identify(drive, base=vehicle("vw-passat"))

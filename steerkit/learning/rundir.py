@@ -1,4 +1,4 @@
-"""A run's directory: all that is needed to resume it, to replay it and to draw it.
+"""A run's directory: all that is needed to resume it, to replay it and to draw it::
 
 run.json            the experiment, the counts, and which checkpoint is the last whole one; written last
 state-N.npz         the loop's state at checkpoint N

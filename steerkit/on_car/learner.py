@@ -1,11 +1,11 @@
 """The experiment on a real car: transitions while engaged, training in the background, Stanley in between.
 
 The story is that of a run in simulation (`steerkit.learning.story`); what a car's human decides (when to engage, how
-far to drive) is not repeatable, so there is no checkpoint of the loop. The run directory holds
+far to drive) is not repeatable, so there is no checkpoint of the loop. The run directory holds::
 
-car.json            the setting
-transitions.db      the transition store
-nets/net-NNNN.npz   the policy after update NNNN (0: the untrained net); never changed, as recordings refer to them
+    car.json            the setting
+    transitions.db      the transition store
+    nets/net-NNNN.npz   the policy after update NNNN (0: the untrained net); never changed, as recordings refer to them
 """
 
 from __future__ import annotations

@@ -18,7 +18,9 @@ from steerkit.maths import Scalar, Table
 class Playback(Block):
     """Steering-wheel angle and speed as they were recorded every dt, linear in between; the angle `delay` later.
 
-    delta_sw(t) = angle(t - delay),  v(t) = speed(t); before the first and after the last sample their values hold.
+    delta_sw(t) = angle(t - delay),  v(t) = speed(t).
+
+    Before the first and after the last sample their values hold.
 
     no inputs. outputs: delta_sw [rad], v [m/s]. no state. delay need not be a multiple of dt, and may be negative (the
     record is known ahead); it may be an `(N,)` array for a batch. errors: ValueError for samples that are not finite

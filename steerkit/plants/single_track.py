@@ -43,8 +43,8 @@ class SingleTrack(Car):
     sample, with inputs held and delta = delta_sw/steer_ratio. Slip angles divide by v; so that the car can stand
     still, sideways motion and yaw rate are blended into kinematic rolling:
 
-        (sway, r)' = w (sway, r)'_dynamic + (1 - w) ((sway, r)_kinematic - (sway, r))/0.05 s,
-        w = smoothstep((v - 1)/(3 - 1)):  0 below 1 m/s, 1 (the model, exactly) from 3 m/s on.
+        (sway, r)' = w (sway, r)'_dynamic + (1 - w) ((sway, r)_kinematic - (sway, r))/0.05 s
+        w = smoothstep((v - 1)/(3 - 1)),   0 below 1 m/s, and 1, the model exactly, from 3 m/s on
 
     inputs: delta_sw_cmd [rad], the angle at the steering wheel, after the actuator; it stops at the vehicle's
     delta_sw_max; v_cmd [m/s], the speed that the human keeps. Both act from their sample to the next.

@@ -44,13 +44,13 @@ scaled by mass and wheelbase from another car, as opendbc does (`car/interfaces.
 BMW_320I = _commonroad("bmw-320i", m=1093.2952334674046, i_z=1791.5995300122856, l_f=1.1561957064, l_r=1.4227170936)
 """BMW 320i of CommonRoad (vehicle 2): Althoff, Wuersching 2020, table 6; tyre of table 7.
 
-steer_ratio = 16 is assumed (CommonRoad steers the road wheels); all other values are theirs.
+The steer_ratio of 16 is assumed (CommonRoad steers the road wheels); all other values are theirs.
 """
 
 FORD_ESCORT = _commonroad("ford-escort", m=1225.8878467253344, i_z=1538.8533713561394, l_f=0.88392, l_r=1.50876)
 """Ford Escort of CommonRoad (vehicle 1): Althoff, Wuersching 2020, table 6; tyre of table 7.
 
-steer_ratio = 16 is assumed (CommonRoad steers the road wheels); all other values are theirs.
+The steer_ratio of 16 is assumed (CommonRoad steers the road wheels); all other values are theirs.
 """
 
 VEHICLES = {car.name: car for car in (VW_PASSAT, BMW_320I, FORD_ESCORT)}

@@ -62,14 +62,15 @@ class Vehicle:
 
     @property
     def wheelbase(self) -> Scalar:
-        """L = l_f + l_r [m]."""
+        """L = l_f + l_r [m]"""
         return self.l_f + self.l_r
 
     @property
     def understeer_gradient(self) -> Scalar:
-        """K = m (c_r l_r - c_f l_f) / (c_f c_r L) [rad s^2/m]: steady driving needs delta = L kappa + K v^2 kappa.
+        """K = m (c_r l_r - c_f l_f) / (c_f c_r L) [rad s^2/m]
 
-        Then r/delta = v/(L + K v^2). K > 0 understeers. Source: Rajamani 2012, section 3.3.
+        Steady driving needs delta = L kappa + K v^2 kappa; then r/delta = v/(L + K v^2). K > 0 understeers.
+        Source: Rajamani 2012, section 3.3.
         """
         return self.m * (self.c_r * self.l_r - self.c_f * self.l_f) / (self.c_f * self.c_r * self.wheelbase)
 

@@ -188,7 +188,8 @@ def test_the_search_finds_words_where_pages_are_opened_from_the_disk(tmp_path: P
     settings |= {"plugins": plugins, "nav": [{"Home": "index.md"}], "hooks": []}
     (tmp_path / "mkdocs.yml").write_text(yaml.safe_dump(settings), encoding="utf-8")
     (tmp_path / "docs").mkdir()
-    for name in (*settings["extra_css"], *settings["extra"]["polyfills"]):
+    for name in (*settings["extra_css"], *settings["extra_javascript"], *settings["extra"]["polyfills"]):
+        (tmp_path / "docs" / name).parent.mkdir(exist_ok=True)
         shutil.copy(ROOT / "docs" / name, tmp_path / "docs" / name)
     (tmp_path / "docs" / "index.md").write_text("# Animals\n\n## Striped\n\nA zebra.\n", encoding="utf-8")
     done = python_in(tmp_path, "-m", "mkdocs", "build", "--quiet")

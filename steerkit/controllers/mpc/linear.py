@@ -13,7 +13,7 @@ from steerkit.controllers.mpc.path_model import Array, Motion, Table
 class MPC(PredictiveSteering):
     """Model predictive steering with a motion that is linear about steady cornering, and varies with speed:
 
-    x_k+1 - x_ss(kappa_k) = A(v) (x_k - x_ss(kappa_k)) + B(v) rate_k,
+        x_{k+1} - x_ss(kappa_k) = A(v) (x_k - x_ss(kappa_k)) + B(v) rate_k,
 
     A, B the exact answer of `rhs`, linearised about straight driving, to a command held for dt; x_ss from the
     nonlinear `rhs`. So it is one convex programme a sample, and exact in steady bends. See `PredictiveSteering`.

@@ -17,10 +17,10 @@ from steerkit.controllers.mpc.path_model import NX, Array, Motion, Table, bound
 class NonlinearMPC(PredictiveSteering):
     """Model predictive steering with the nonlinear motion, by one Gauss-Newton step a sample (real-time iteration).
 
-    Prepare: the last plan, moved on by a sample, is driven from the predicted state with x_k+1 = F(x_k, rate_k), F
+    Prepare: the last plan, moved on by a sample, is driven from the predicted state with x_{k+1} = F(x_k, rate_k), F
     the nonlinear `rhs` by Runge-Kutta, and F and a_y are linearised along it. Feed back: one convex programme,
 
-        x_k+1 = F(xp_k, p_k) + A_k (x_k - xp_k) + B_k (rate_k - p_k),
+        x_{k+1} = F(xp_k, p_k) + A_k (x_k - xp_k) + B_k (rate_k - p_k),
 
     whose solution is the next plan; from sample to sample the plans converge. Both steps are taken within the
     sample: prepared with its own speed and preview, and together short against dt. See `PredictiveSteering`.

@@ -18,7 +18,10 @@ from steerkit import maths as m
 
 Array = NDArray[np.float64]
 Rhs = Callable[[Sequence[Any], Any, Any], Sequence[Any]]
-"""(x', y', psi', sway', r') = rhs((x, y, psi, sway, r), delta, v): a plant's own, on floats and on symbols."""
+"""(x', y', psi', sway', r') = rhs((x, y, psi, sway, r), delta, v)
+
+A plant's own, on floats and on symbols.
+"""
 Table = tuple[Array, Array, Array, Array]
 """A, B, row of a_y and P at one speed."""
 Motion = tuple[Array, Array, Array, Array, Array]

@@ -48,7 +48,7 @@ class StageQp:
 
     u_k: the rate, and where the limits are soft (`soft` stages) one slack for each of two limits:
 
-        x_k+1 = A_k x_k + B_k rate_k + c_k,  x_0 known,  |rate| <= bound,  |x_k[5]| <= bound,
+        x_{k+1} = A_k x_k + B_k rate_k + c_k,  x_0 known,  |rate_k| <= bound,  |x_k[5]| <= bound,
         low <= rows_k x_k - slack_k <= high,
 
     so that a slack of either sign, which costs its square, takes up what a limit cannot hold. A solver is asked by
@@ -279,7 +279,7 @@ class StageQp:
         return casadi.conic("qp", "qpoases", shapes, {"printLevel": "none", "error_on_fail": False})
 
     def _condensed(self) -> tuple[float, bool]:
-        """z = T u + s from the gaps; qpOASES for u; then the multipliers of the gaps from the states' columns."""
+        """By qpOASES for u, with z = T u + s from the gaps; then the gaps' multipliers from the states' columns."""
         d, out = self.data, self._out
         inputs, x, limits, gap = self._split
         a_like, h_like, _ = self._places

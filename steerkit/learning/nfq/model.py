@@ -39,9 +39,9 @@ class CarModel:
 
     With the course of the reference point against the path c = e_dot/v and its angle to the car w = c - psi_e:
 
-        doe' = sat(held*doe + pushed*a),  v' = v           the dynamic output element, the human
-        e', c', psi_e', r_e'                               `steerkit.controllers.forecast.moved`
+        doe' = sat(held*doe + pushed*a),   v' = v
 
+    for the dynamic output element and the human; e', c', psi_e' and r_e' by `steerkit.controllers.forecast.moved`,
     in which nothing changes when doe is turned by x and psi_e by -x*ratio, where `ratio` is the learned steering
     ratio's inverse. Bends ahead, humans and noise are in `residuals`. Seven numbers, found by least squares from about
     20 transitions on; two more where the path's curvature was recorded: `straight`, and how the tyres' slip grows with

@@ -347,14 +347,14 @@ def warnings(limits: StateLimits, facts: Facts) -> list[str]:
 
 
 def step(limits: StateLimits, state: Machine, facts: Facts, t: float, order: Order | None = None) -> Machine:
-    """The state after looking at `facts` at time t [s], with at most one order of the operator.
+    """The state after looking at `facts` at time t [s], with at most one order of the operator::
 
-    OFF      -ARM->          STANDBY
-    STANDBY  -all is well->  READY;  READY -anything is not-> STANDBY
-    READY    -ENGAGE->       ENGAGED, in no other way
-    ENGAGED  -human->        OVERRIDE;  -any fault-> FAULT;  -DISENGAGE, end of the course, standstill-> STANDBY
-    OVERRIDE, FAULT -ACKNOWLEDGE-> STANDBY, in no other way
-    any      -OFF->          OFF
+        OFF      -ARM->          STANDBY
+        STANDBY  -all is well->  READY;  READY -anything is not-> STANDBY
+        READY    -ENGAGE->       ENGAGED, in no other way
+        ENGAGED  -human->        OVERRIDE;  -any fault-> FAULT;  -DISENGAGE, end of the course, standstill-> STANDBY
+        OVERRIDE, FAULT -ACKNOWLEDGE-> STANDBY, in no other way
+        any      -OFF->          OFF
 
     Pure: equal arguments give equal results. Raises nothing.
     """

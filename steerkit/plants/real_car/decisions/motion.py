@@ -23,10 +23,10 @@ READ_LATE = 0.06
 class MotionLimits:
     """How far pose, speed, yaw rate and wheel may contradict each other over any time T, up to `HORIZON`.
 
-    along the heading:  pose_jump + READ_LATE*v + motion_along*v*T
-    across it:          pose_jump + motion_across*v*T
-    heading:            heading_slack + heading_rate*T + 0.05*turned         turned: by how much, to and fro [rad]
-    wheel:              wheel_slack + wheel_rate*T + wheel_share*turned
+        along   = pose_jump + READ_LATE*v + motion_along*v*T      along the heading
+        across  = pose_jump + motion_across*v*T                   across it
+        heading = heading_slack + heading_rate*T + 0.05*turned    turned by how much, to and fro [rad]
+        wheel   = wheel_slack + wheel_rate*T + wheel_share*turned
 
     What stays below them for ever moves the car by motion_across*v + pose_jump/HORIZON a second at most.
     """
