@@ -307,7 +307,7 @@ def test_declared_feedthrough_is_needed(name: str) -> None:
 
 @blocks
 def test_a_nan_shows(example: Example) -> None:
-    """In some output, within ten samples: as a NaN, as a fault, or in that the learner loses the wheel."""
+    """In some output, within ten samples: as a NaN, as a fault, as missing, or in that the learner loses the wheel."""
     block = example.block
     for port in (p for p in block.inputs if p.name not in example.blind):
         clean = inputs(block, 1)
@@ -320,6 +320,8 @@ def test_a_nan_shows(example: Example) -> None:
             shown |= bool(np.isnan(numbers(y)).any())
             if isinstance(block, Supervisor):
                 shown |= y.fault == 1.0 or y.learning < x.learning
+            if "missing" in y._fields:  # an estimator goes on without the sample, and says so
+                shown |= k > 0 and y.missing == 1.0
             x = block.update(t, x, block.U(**u), y)
         assert shown, f"{port.name} = NaN is hidden"
 

@@ -13,6 +13,7 @@ import numpy as np
 from steerkit.analysis import FromControl, Tap
 from steerkit.block import Block
 from steerkit.controllers.delay import Predicted, delayed_stanley
+from steerkit.controllers.estimators.steering_delay import WheelDelay, YawDelay
 from steerkit.controllers.foresight import Foresight
 from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.network_policy import Network, PolicyBlock
@@ -95,6 +96,8 @@ EXAMPLES = [
     Example(Integrator()),
     Example(LowPass()),
     Example(PlainAngle()),
+    Example(WheelDelay(prior_delay=0.05, longest=0.1, prior_lag=0.02)),
+    Example(YawDelay(vehicle=PASSAT)),
     Example(Corrected()),
     Example(Corrected(element=LowPass())),
     Example(Foresight()),

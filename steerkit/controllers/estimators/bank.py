@@ -1,0 +1,105 @@
+"""A bank of candidates: recursive least squares for each of them, and the one between them that fits best."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from steerkit import maths as m
+from steerkit.block import State
+from steerkit.maths import Scalar
+
+
+class Fit(NamedTuple):
+    """What one candidate's regression says."""
+
+    coefficients: tuple[Scalar, ...]
+    saved: Scalar
+    """By how much it lowers the weighted sum of squares."""
+    last_variance: Scalar
+    """Variance of its last coefficient."""
+
+
+class Best(NamedTuple):
+    """The lowest point of a parabola through the lowest candidate and its neighbours."""
+
+    place: Scalar
+    """Number of the candidate, with a fraction."""
+    variance: Scalar
+    """Of the place, in candidates squared: 2 over the curvature."""
+    cost: Scalar
+    number: Scalar
+    """Number of the lowest candidate itself, not at either end of the bank."""
+
+
+def size(regressors: int) -> int:
+    """Moments that are kept of a candidate: means, covariances, covariances with the response."""
+    return 2 * regressors + regressors * (regressors + 1) // 2
+
+
+def taught(moments: State, x: Sequence[Scalar], dy: Scalar, keep: Scalar, gain: Scalar, weight: Scalar) -> State:
+    """A candidate's moments after one more sample.
+
+    m' = m + gain (x - m),  C' = keep C + weight (1 - gain) (x - m)(x - m)^T,  the same with y:
+
+    exact exponential forgetting of weighted means and centred sums of products, so that an unknown constant costs
+    nothing. x: regressors; dy: the response less its mean before; gain: weight over the sum of all weights.
+    Source: West 1979 (updating weighted means and covariances).
+    """
+    p = len(x)
+    d = [value - mean for value, mean in zip(x, moments[:p])]
+    added = [weight * (1.0 - gain) * value for value in d]
+    means = [mean + gain * value for mean, value in zip(moments[:p], d)]
+    products = [added[i] * d[j] for i in range(p) for j in range(i + 1)] + [value * dy for value in added]
+    return (*means, *[keep * before + product for before, product in zip(moments[p:], products)])
+
+
+def fitted(moments: State, precision: Sequence[float], prior: Sequence[float]) -> Fit:
+    """The coefficients theta that lower (y - theta x)^2, summed, plus precision (theta - prior)^2, most.
+
+    By Cholesky's decomposition without roots. Precisions are one over the priors' variances; the weights of `taught`
+    are one over that of the response's noise.
+    """
+    p = len(precision)
+    products, cross = moments[p : p + p * (p + 1) // 2], moments[p + p * (p + 1) // 2 :]
+    right = [c + q * mean for c, q, mean in zip(cross, precision, prior)]
+    pivot: list[Scalar] = []
+    lower: list[list[Scalar]] = []
+    half: list[Scalar] = []
+    for i in range(p):
+        row: list[Scalar] = []
+        for j in range(i):
+            entry = products[i * (i + 1) // 2 + j]
+            row.append((entry - sum(row[k] * lower[j][k] * pivot[k] for k in range(j))) / pivot[j])
+        pivot.append(products[i * (i + 3) // 2] + precision[i] - sum(row[k] * row[k] * pivot[k] for k in range(i)))
+        half.append(right[i] - sum(row[k] * half[k] for k in range(i)))
+        lower.append(row)
+    theta: list[Scalar] = [0.0] * p
+    for i in reversed(range(p)):
+        theta[i] = half[i] / pivot[i] - sum(lower[k][i] * theta[k] for k in range(i + 1, p))
+    saved = sum(h * h / d for h, d in zip(half, pivot)) - sum(q * mean * mean for q, mean in zip(precision, prior))
+    return Fit(tuple(theta), saved, 1.0 / pivot[-1])
+
+
+def lowest(costs: Sequence[Scalar], least_curvature: float) -> Best:
+    """Where between the candidates the cost is lowest; it never leaves the bank.
+
+    costs: three or more, -2 log likelihood. least_curvature: that of the prior, which a valley cannot be wider than.
+    """
+    cost, number, before, after = costs[1], 1.0 + 0.0 * costs[1], costs[0], costs[2]
+    for i in range(2, len(costs) - 1):
+        lower = costs[i] < cost
+        before, after = m.where(lower, costs[i - 1], before), m.where(lower, costs[i + 1], after)
+        cost, number = m.where(lower, costs[i], cost), m.where(lower, float(i), number)
+    curvature = m.maximum(before - 2.0 * cost + after, least_curvature)
+    aside = m.clip(0.5 * (before - after) / curvature, -1.0, 1.0)
+    bottom = cost - 0.5 * curvature * aside * aside
+    return Best(number + aside, 2.0 / curvature, bottom, number)
+
+
+def at(number: Scalar, values: Sequence[Scalar]) -> Scalar:
+    """The value of the candidate of that number."""
+    picked = values[0]
+    for i in range(1, len(values)):
+        picked = m.where(number > i - 0.5, values[i], picked)
+    return picked
