@@ -17,6 +17,10 @@ def show(
         bool, typer.Option(help="Draw what the net believes, and where and when it failed.")
     ] = False,
     against: Annotated[list[Path] | None, typer.Option(help="Other runs to compare with (with --diagnostics).")] = None,
+    film: Annotated[
+        Path | None, typer.Option(help="Film of the run to write, from its first second on (.gif).")
+    ] = None,
+    film_lasts: Annotated[float, typer.Option(help="Length of the film in s, 2 to 120.")] = 20.0,
     quiet: Quiet = False,
     as_json: Machine = False,
 ) -> None:
@@ -27,11 +31,16 @@ def show(
     report.console.stderr = as_json
     if len(runs) > 1:
         require(not diagnostics, "show --diagnostics", "takes one run; the others go with --against")
+        require(film is None, "show --film", "takes one run")
         rows = report.show_several(runs)
         if as_json:
             print(json.dumps({"runs": rows}))
         return
     (run,) = runs
+    if film is not None:  # before what takes longer, as its name may be refused
+        from steerkit.learning.pictures.film import film_of
+
+        report.console.print(f"film: {film_of(run, film, lasts=film_lasts)}", soft_wrap=True)
     figures = report.show(run, quiet=quiet)
     if diagnostics:
         from steerkit.learning.pictures.run import draw_all

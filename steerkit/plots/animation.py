@@ -11,10 +11,12 @@ import numpy as np
 
 from steerkit.errors import require
 from steerkit.plots.style import COLOURS, style
-from steerkit.task import GOAL
+from steerkit.task import GOAL, TRIP
 from steerkit.units import degrees_of
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from steerkit.path import Path
     from steerkit.simulation import Log
 
@@ -117,7 +119,6 @@ class _Scene:
 
     def __init__(self, run: _Run, path: Path | None, wheelbase: float, l_f: float, steer_ratio: float, window: float):
         from matplotlib.figure import Figure
-        from matplotlib.patches import Polygon
 
         self.run, self.window, self.ratio = run, window, steer_ratio
         self.figure = Figure(figsize=(7.2, 5.2), layout="constrained")
@@ -126,27 +127,10 @@ class _Scene:
         view.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
         self._look(run.at(run.t[0]))
         if path is not None:
-            line = path.samples
-            ends = [0] if path.closed else []
-            xy = np.concatenate((line.xy, line.xy[ends]))
-            left = np.column_stack((-np.sin(line.psi), np.cos(line.psi)))
-            for side in (-0.5, 0.5):
-                edge = line.xy + side * left
-                edge = np.concatenate((edge, edge[ends]))
-                view.plot(edge[:, 0], edge[:, 1], color=COLOURS["limit"], lw=0.7, ls="--", alpha=0.6)
-            view.plot(xy[:, 0], xy[:, 1], color=COLOURS["muted"], lw=1.0)
+            draw_path(view, path)
         (self.trail,) = view.plot([], [], color=COLOURS["learned"], lw=1.6, alpha=0.8)
-        rear = l_f - wheelbase
-        middle, half, side = l_f - 0.5 * wheelbase, 0.5 * LENGTH * wheelbase, 0.5 * WIDTH * wheelbase
-        self.body = _box(middle, half, side, nose=0.12 * wheelbase)
-        self.wheels = [(x, s * 0.82 * side, front) for x, front in ((l_f, True), (rear, False)) for s in (-1.0, 1.0)]
-        self.tyre = _box(0.0, 0.5 * _WHEEL[0] * wheelbase, 0.5 * _WHEEL[1] * wheelbase)
-        ink, body = COLOURS["ink"], COLOURS["learned"]
-        self.shapes = [Polygon(self.tyre, fc=ink, lw=0, zorder=6.5) for _ in self.wheels]
-        self.shapes.append(Polygon(self.body, fc=body, ec=ink, lw=0.8, alpha=0.7, zorder=6))
-        for shape in self.shapes:
-            view.add_patch(shape)
-        self.words = view.text(0.01, 0.98, "", transform=view.transAxes, va="top", color=ink, zorder=9)
+        self.car = CarShape(view, wheelbase, l_f)
+        self.words = view.text(0.01, 0.98, "", transform=view.transAxes, va="top", color=COLOURS["ink"], zorder=9)
         self._draw_strip()
         self.figure.draw_without_rendering()
         self.figure.set_layout_engine("none")  # laid out once: the picture must not jump, and is drawn faster
@@ -176,11 +160,7 @@ class _Scene:
         x, y, psi = now["x"], now["y"], now["psi"]
         past = run.t <= t
         self.trail.set_data(np.append(run.signals["x"][past], x), np.append(run.signals["y"][past], y))
-        delta = now.get("delta_sw", 0.0) / self.ratio
-        for shape, (along, across, front) in zip(self.shapes, self.wheels):
-            wheel = _moved(self.tyre, delta if front else 0.0, along, across)
-            shape.set_xy(_moved(wheel, psi, x, y))
-        self.shapes[-1].set_xy(_moved(self.body, psi, x, y))
+        self.car.place(x, y, psi, now.get("delta_sw", 0.0) / self.ratio)
         self._look(now)
         words = [f"t = {t:.1f} s" + ("" if speed == 1.0 else f"   (shown {speed:.3g} x)")]
         words += [f"v = {now['v']:.1f} m/s"] if "v" in now else []
@@ -190,6 +170,44 @@ class _Scene:
         if "e" in run.signals:
             self.line.set_data(run.t[past], run.signals["e"][past])
         self.now.set_xdata([t, t])
+
+
+def draw_path(axis: Axes, path: Path) -> None:
+    """The path, and the limits of |e| beside it."""
+    line = path.samples
+    ends = [0] if path.closed else []
+    xy = np.concatenate((line.xy, line.xy[ends]))
+    left = np.column_stack((-np.sin(line.psi), np.cos(line.psi)))
+    for side in (-TRIP, TRIP):
+        edge = line.xy + side * left
+        edge = np.concatenate((edge, edge[ends]))
+        axis.plot(edge[:, 0], edge[:, 1], color=COLOURS["limit"], lw=0.7, ls="--", alpha=0.6)
+    axis.plot(xy[:, 0], xy[:, 1], color=COLOURS["muted"], lw=1.0)
+
+
+class CarShape:
+    """A car to scale, seen from above, its front wheels turned as they are."""
+
+    def __init__(self, axis: Axes, wheelbase: float, l_f: float):
+        from matplotlib.patches import Polygon
+
+        rear = l_f - wheelbase
+        middle, half, side = l_f - 0.5 * wheelbase, 0.5 * LENGTH * wheelbase, 0.5 * WIDTH * wheelbase
+        self.body = _box(middle, half, side, nose=0.12 * wheelbase)
+        self.wheels = [(x, s * 0.82 * side, front) for x, front in ((l_f, True), (rear, False)) for s in (-1.0, 1.0)]
+        self.tyre = _box(0.0, 0.5 * _WHEEL[0] * wheelbase, 0.5 * _WHEEL[1] * wheelbase)
+        ink, body = COLOURS["ink"], COLOURS["learned"]
+        self.shapes = [Polygon(self.tyre, fc=ink, lw=0, zorder=6.5) for _ in self.wheels]
+        self.shapes.append(Polygon(self.body, fc=body, ec=ink, lw=0.8, alpha=0.7, zorder=6))
+        for shape in self.shapes:
+            axis.add_patch(shape)
+
+    def place(self, x: float, y: float, psi: float, delta: float) -> None:
+        """Move it: centre of gravity x, y [m], yaw psi [rad], road-wheel angle delta [rad]."""
+        for shape, (along, across, front) in zip(self.shapes, self.wheels):
+            wheel = _moved(self.tyre, delta if front else 0.0, along, across)
+            shape.set_xy(_moved(wheel, psi, x, y))
+        self.shapes[-1].set_xy(_moved(self.body, psi, x, y))
 
 
 def _box(middle: float, half: float, side: float, nose: float = 0.0) -> np.ndarray:

@@ -29,6 +29,14 @@ def test_learn_from_a_config_then_show_and_drive_its_policy(
     shown = json.loads(capsys.readouterr().out)  # nothing else on stdout
     assert shown["failures"] == merit["failures"]
     assert [drive["controller"] for drive in shown["drives"]] == ["learned", "stanley"]
+    film = tmp_path / "film.gif"
+    assert run("show", str(place), "--film", str(film), "--film-lasts", "2", "-q", monkeypatch=monkeypatch) == 0
+    assert film.stat().st_size > 10_000
+    assert f"film: {film}" in capsys.readouterr().out
+    assert run("show", str(place), "--film", str(tmp_path / "film.avi"), monkeypatch=monkeypatch) == 2
+    assert "ends in .gif" in capsys.readouterr().err
+    assert run("show", str(place), str(place), "--film", str(film), monkeypatch=monkeypatch) == 2
+    assert "show --film: takes one run" in capsys.readouterr().err
     assert run("show", str(place), str(place), "--json", monkeypatch=monkeypatch) == 0
     out, err = capsys.readouterr()
     assert [row["failures"] for row in json.loads(out)["runs"]] == 2 * [merit["failures"]]

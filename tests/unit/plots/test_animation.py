@@ -30,7 +30,7 @@ def test_a_film_has_its_frames_and_the_car_moves(log: Log, tmp_path: Path) -> No
 def test_the_car_is_to_scale_and_in_its_place(log: Log) -> None:
     scene = _Scene(_Run(log, 0), PATH, 2.71, PASSAT.l_f, 15.6, 18.0)
     scene.show(2.0, 1.0)
-    body = scene.shapes[-1].get_xy()
+    body = scene.car.shapes[-1].get_xy()
     x, y, psi = (np.interp(2.0, log.t, log[f"car.{key}"]) for key in ("x", "y", "psi"))
     local = _moved(body - (x, y), -psi, 0.0, 0.0)
     assert np.ptp(local[:, 0]) == pytest.approx(LENGTH * 2.71)
@@ -38,7 +38,7 @@ def test_the_car_is_to_scale_and_in_its_place(log: Log) -> None:
     assert abs(local[:, 1].max() + local[:, 1].min()) < 1e-9
     front, rear = (
         np.mean([_moved(s.get_xy() - (x, y), -psi, 0.0, 0.0).mean(axis=0) for s in pair], axis=0)
-        for pair in (scene.shapes[:2], scene.shapes[2:4])
+        for pair in (scene.car.shapes[:2], scene.car.shapes[2:4])
     )
     assert front[0] - rear[0] == pytest.approx(2.71, abs=0.1)
     assert scene.view.get_xlim() == pytest.approx((x - 18.0, x + 18.0))
@@ -111,7 +111,7 @@ def test_the_car_points_where_it_heads_and_its_front_wheels_where_they_are_turne
         ahead = corners[2:4].mean(axis=0) - corners[[0, 5]].mean(axis=0)
         return float(np.arctan2(ahead[1], ahead[0]))
 
-    *wheels, body = (shape.get_xy()[:6] for shape in scene.shapes)
+    *wheels, body = (shape.get_xy()[:6] for shape in scene.car.shapes)
     turned = [psi + 0.5, psi + 0.5, psi, psi]  # 7.8 rad of steering wheel are 0.5 rad of road wheel
     for corners, angle in zip([*wheels, body], [*turned, psi], strict=True):
         assert np.cos(heading(corners) - angle) == pytest.approx(1.0)
