@@ -1,4 +1,4 @@
-"""What goes over the bus after a kill: of the controller, the training process or the car server, at random moments.
+"""Frames on the bus after a kill: of the controller, the training process or the car server, at random moments.
 
     python -m benchmarks study car_kill [--kills N] [--victims NAME,...] [--seed N] [--quick] [--json]
 

@@ -1,4 +1,4 @@
-"""Up to where does a steering controller hold the car within 0.5 m? Delay, tyres, steering ratio and offset off.
+"""The box in which a steering controller holds the car within 0.5 m: delay, tyres, steering ratio and offset off.
 
 One round of the 795 m course, nonlinear single track, 0.1 s steering lag, perfect pose, |e| where the controller has
 its errors measured (front axle; pure pursuit: rear axle). Every combination of

@@ -1,4 +1,4 @@
-"""How many environment steps a second of computing: one car and many, each backend, beside Gymnasium's own vectors.
+"""Environment steps in a second of computing: one car and many, each backend, beside Gymnasium's own vectors.
 
     python -m benchmarks study gym_steps [--conditions hard] [--quick] [--json]
 

@@ -1,4 +1,4 @@
-"""How fast and how well a setting learns, over seeds fixed beforehand.
+"""The speed and the quality with which a setting learns, over seeds fixed beforehand.
 
 Driving time counts everything: the learner's driving, recovery, and waiting for a training to end (charged at the
 setting's `fit_seconds`, which the measured cost must not exceed: `longest_training` is measured). A net is GOOD when

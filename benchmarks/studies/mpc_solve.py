@@ -1,4 +1,4 @@
-"""How long predictive steering takes for a command, next to do-mpc and ipopt on the same model.
+"""The time that predictive steering takes for a command, next to do-mpc and ipopt on the same model.
 
 500 samples are recorded: the nonlinear car behind a motor with 0.2 s delay and 0.1 s lag drives the 795 m course
 under the linear MPC, with noisy sensors, and is moved sideways by 0.8 m every 50 samples. Then every contestant is

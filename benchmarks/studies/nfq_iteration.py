@@ -1,4 +1,4 @@
-"""How fast is one NFQ iteration? Targets and 300 Rprop epochs on 20,000 transitions, against torch.optim.Rprop.
+"""The time of one NFQ iteration: targets and 300 Rprop epochs on 20,000 transitions, against torch.optim.Rprop.
 
 Both engines do the same work on one thread, in turns, in one run: the same transitions, the same start weights, the
 same targets. A figure counts only when both arrive at the same error (the equal-work gate).

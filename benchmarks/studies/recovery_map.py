@@ -1,4 +1,4 @@
-"""From which start states does a recovery controller bring the car back, and does it keep to the limits?
+"""The start states from which a recovery controller brings the car back, and whether it keeps to the limits.
 
 A nonlinear single track stands off a straight path: |e| up to 3 m at the reference point, |heading error| up to 45
 degrees, at 2 to 9 m/s, wheel straight; steering delay 0.2 s and lag 0.1 s, which the controller is told. Recovered:

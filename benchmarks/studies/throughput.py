@@ -1,4 +1,4 @@
-"""How many control steps a second: one closed loop run in every way steerkit has, next to python-control.
+"""Control steps in a second of computing: one closed loop run in every way steerkit has, next to python-control.
 
 The loop: a linear single-track car (Runge-Kutta, 5 x 10 ms), a steering actuator, a path tracker and Stanley at 20 Hz
 on the 795 m course, at a constant speed. python-control gets the same equations (the blocks' own functions on

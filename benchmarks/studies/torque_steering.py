@@ -1,4 +1,4 @@
-"""Which controllers bring a car that is steered by torque back to its path, and how close they hold it.
+"""The controllers that bring a car steered by torque back to its path, and how close they hold it.
 
 The car answers 0.35 s after a command, its lateral acceleration follows within 5 m/s^3 and 3 m/s^2 and comes out 25 %
 weaker, as told, or 25 % stronger. It starts 1 m off, turned away by 5 degrees, on courses with bends of 100 m and more,
