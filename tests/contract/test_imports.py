@@ -84,7 +84,7 @@ AT_HOME = {
     "pythonfmu": {"export.fmu"},
     "fmpy": {"plants.fmu"},
     "gymnasium": {"gym", "export.minari"},
-    "PIL": {"gym.frames"},
+    "PIL": {"gym.frames", "learning.pictures.film"},
 }
 """Where a package may be imported: a module or package of steerkit."""
 
