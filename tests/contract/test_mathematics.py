@@ -23,6 +23,7 @@ LITERAL = {
     "steerkit.cli.identify.identify",
     "steerkit.export.c.export_c",
     "steerkit.identification",
+    "steerkit.learning.pictures.film",
     "steerkit.learning.rundir",
     "steerkit.on_car.learner",
     "steerkit.plants.real_car.decisions.modes.step",
