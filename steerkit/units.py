@@ -7,7 +7,24 @@ from typing import Any
 RAD_PER_DEG = 0.017453292519943295
 
 UNITS = frozenset(
-    {"1", "rad", "rad/s", "rad/s^2", "m", "m/s", "m/s^2", "m/s^3", "1/m", "1/(m s)", "s", "N", "N m", "kg", "kg m^2"}
+    {
+        "1",
+        "rad",
+        "rad/s",
+        "rad/s^2",
+        "m",
+        "m/s",
+        "m/s^2",
+        "m/s^3",
+        "rad s^2/m",
+        "1/m",
+        "1/(m s)",
+        "s",
+        "N",
+        "N m",
+        "kg",
+        "kg m^2",
+    }
 )
 """The units a port may carry; "1" is a pure number, a flag or a count."""
 

@@ -13,6 +13,7 @@ import numpy as np
 from steerkit.analysis import FromControl, Tap
 from steerkit.block import Block
 from steerkit.controllers.delay import Predicted, delayed_stanley
+from steerkit.controllers.estimators.single_track_filter import SingleTrackFilter
 from steerkit.controllers.estimators.steering_delay import WheelDelay, YawDelay
 from steerkit.controllers.foresight import Foresight
 from steerkit.controllers.lqr import Lqr
@@ -98,6 +99,7 @@ EXAMPLES = [
     Example(PlainAngle()),
     Example(WheelDelay(prior_delay=0.05, longest=0.1, prior_lag=0.02)),
     Example(YawDelay(vehicle=PASSAT)),
+    Example(SingleTrackFilter(vehicle=PASSAT), blind=("psi",)),
     Example(Corrected()),
     Example(Corrected(element=LowPass())),
     Example(Foresight()),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,47 +9,10 @@ import pytest
 
 from steerkit.controllers.estimators.estimate import Estimated, estimated, quantities
 from steerkit.controllers.estimators.steering_delay import DelayBank, WheelDelay, YawDelay
-from steerkit.plants.linear_single_track import LinearSingleTrack
-from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.units import radians_of
-from steerkit.vehicles import vehicle
+from tests.support.steered_car import HELD, PASSAT, answered, driven, gaps, steered
 
-PASSAT = vehicle("vw-passat")
 WHEEL, YAW = WheelDelay(), YawDelay(vehicle=PASSAT)
-HELD = 0.005
-"""A plant of 10 ms holds its input: its answer is that much later [s]."""
-
-
-def steered(seconds: float, seed: int = 0) -> np.ndarray:
-    """Steering as a person does it: smooth, to and fro within some tens of degrees, 20 samples a second [rad]."""
-    rng, t = np.random.default_rng(seed), np.arange(round(seconds / 0.05)) * 0.05
-    waves = [np.sin(2.0 * np.pi * f * t + rng.uniform(0.0, 6.3)) / np.sqrt(f) for f in (0.07, 0.13, 0.23, 0.41, 0.67)]
-    return np.asarray(radians_of(8.0) * np.sum(waves, axis=0))
-
-
-def answered(command: Sequence[float], *, delay: float, lag: float, v: float = 8.0) -> dict[str, np.ndarray]:
-    """Wheel and yaw rate of a car on whose way these are: signals of an estimator's inputs."""
-    actuator, car = SteeringActuator(delay=delay, lag=lag), LinearSingleTrack(vehicle=PASSAT, v0=v)
-    motor, x, wheel, r = actuator.init(), car.init(), [], []
-    for k in range(5 * len(command)):
-        angle = actuator.output(0.0, motor, ()).delta_sw
-        if k % 5 == 0:
-            wheel.append(angle)
-            r.append(x.r)
-        motor = actuator.update(0.0, motor, actuator.U(float(command[k // 5])), None)
-        x = car.update(0.0, x, car.U(angle, v), None)
-    ones = np.ones(len(command))
-    signals = {"delta_sw_cmd": command, "delta_sw_meas": wheel, "r": r, "v": v * ones, "active": ones}
-    return {name: np.array(values, dtype=float) for name, values in signals.items()}
-
-
-def driven(block: DelayBank, signals: dict[str, np.ndarray], x: Any = None) -> Any:
-    """The block's state after these signals."""
-    x = block.init() if x is None else x
-    rows = [signals[port.name].tolist() for port in block.inputs]
-    for row in zip(*rows):
-        x = block.update(0.0, x, block.U(*row), None)
-    return x
 
 
 def said(block: DelayBank, x: Any, name: str = "delay_lag") -> Estimated:
@@ -126,15 +88,6 @@ def test_at_a_standstill_nothing_is_forgotten() -> None:
     before = WHEEL.output(0.0, x, ())
     stands = {name: np.zeros(4000) for name in ("delta_sw_cmd", "delta_sw_meas", "v")} | {"active": np.ones(4000)}
     assert WHEEL.output(0.0, driven(WHEEL, stands, x), ()) == before
-
-
-def gaps(n: int) -> np.ndarray:
-    """True in some stretches of one to four seconds, 40 % of the time."""
-    rng, mask = np.random.default_rng(5), np.zeros(n, dtype=bool)
-    while mask.mean() < 0.4:
-        start, length = rng.integers(0, n), rng.integers(20, 80)
-        mask[start : start + length] = True
-    return mask
 
 
 @pytest.mark.parametrize("what", ["override", "nan"])
