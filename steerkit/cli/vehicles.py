@@ -25,6 +25,7 @@ def vehicles(
     delay: of the steering, as production software assumes it; from: the slowest speed that the maker's interface takes
     commands at. One of the fleet can also be drawn: `--vehicle fleet-17` is the car of seed 17.
     """
+    from rich.box import SIMPLE_HEAD
     from rich.console import Console
     from rich.table import Table
 
@@ -59,10 +60,10 @@ def vehicles(
     if as_json:
         print(json.dumps({"vehicles": rows}))
         return
-    table = Table()
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, collapse_padding=True, show_edge=False)
     table.add_column("vehicle", no_wrap=True)
-    for heading in ("mass (kg)", "wheelbase (m)", "ratio", "delay (s)", "interface", "from (m/s)"):
-        table.add_column(heading)
+    for heading in ("mass\n(kg)", "wheel-\nbase\n(m)", "ratio", "delay\n(s)", "steer\nby", "from\n(m/s)"):
+        table.add_column(heading, no_wrap=True, justify="left" if heading.endswith("by") else "right")
     for name, mass, wheelbase, ratio, waits, interface, slowest in (row.values() for row in rows):
         steering = (
             "-" if waits is None else f"{waits:.2f}",
@@ -70,4 +71,4 @@ def vehicles(
             "-" if slowest is None else f"{slowest:.1f}",
         )
         table.add_row(name, f"{mass:.0f}", f"{wheelbase:.2f}", f"{ratio:.1f}", *steering)
-    Console().print(table)
+    Console(width=max(80, Console().width)).print(table)  # a narrower terminal would cut off words

@@ -10,6 +10,7 @@ far to drive) is not repeatable, so there is no checkpoint of the loop. The run 
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 from collections.abc import Callable
@@ -28,6 +29,7 @@ from steerkit.errors import require
 from steerkit.files import write_text
 from steerkit.learning import rundir
 from steerkit.learning.data.store import TransitionStore
+from steerkit.learning.ownership import held, is_free
 from steerkit.learning.settings import Setting
 from steerkit.learning.story import Story, state_signals, untrained
 from steerkit.learning.trainer import Trainer
@@ -63,8 +65,8 @@ class CarLearner:
     to take it (the car leaves the path; the policy answers NaN, or raises), or `retrain_every_m` are driven, a process
     of its own trains on what is committed; driving goes on, and the new nets are taken over between two samples; the
     recording is told each time. Raises ValueError for a directory that holds something else, or a run with another
-    setting, and for a setting that is for simulations only: actions drawn at random, a car put back by hand, a target
-    that leaves the path.
+    setting, while another process learns there, and for a setting that is for simulations only: actions drawn at
+    random, a car put back by hand, a target that leaves the path.
     """
 
     def __init__(
@@ -84,6 +86,16 @@ class CarLearner:
         after = f"after_failure = '{setting.after_failure}', expected 'recovery'; the others are for simulations"
         require(setting.after_failure == "recovery", where, after)
         self.setting, self.place, self.link, self.recovery = setting, place, link, recovery
+        what = f"{place} is not empty and holds no run of a car (no car.json); choose a new directory"
+        require(not place.exists() or is_free(place) or (place / "car.json").exists(), where, what)
+        place.mkdir(parents=True, exist_ok=True)
+        with contextlib.ExitStack() as until_closed:
+            until_closed.enter_context(held(place))
+            self._begin(build, seed, vehicle)
+            self._open = until_closed.pop_all()
+
+    def _begin(self, build: Callable[[Block, Dynamic], Loop], seed: int, vehicle: Vehicle | None) -> None:
+        setting, place = self.setting, self.place
         _claim(place, setting)
         names = setting.recorded()
         self.store = TransitionStore(place / "transitions.db", run=RUN, names=names)
@@ -104,7 +116,7 @@ class CarLearner:
             also=self.store.append,
         )
         self._idle = build(replace(policy, ready_from=math.inf), setting.element(vehicle))
-        self.follow = Follow(link=link, resting=self._idle, driving=self._with(policy))
+        self.follow = Follow(link=self.link, resting=self._idle, driving=self._with(policy))
         self._inputs = state_signals(setting, self._idle.inputs_of("controller"))
 
     def run(self, duration: float, *, clock: Clock | None = None, watch: Callable[[Run], bool] | None = None) -> Run:
@@ -204,6 +216,7 @@ class CarLearner:
         """End the training process and write what is left."""
         self.trainer.close()
         self.store.close()
+        self._open.close()
 
     def __enter__(self) -> Self:
         return self
@@ -222,8 +235,6 @@ def _claim(place: FilePath, setting: Setting) -> None:
                 f"{place} was learned with the setting '{other.name}', which differs from '{setting.name}'; continue "
                 f"it with --setting {other.name}, or choose a new directory"
             )
-    elif place.exists() and any(place.iterdir()):
-        raise ValueError(f"{place} is not empty and holds no run of a car (no car.json); choose a new directory")
     (place / "nets").mkdir(parents=True, exist_ok=True)
     if not file.exists():
         write_text(file, json.dumps({"format": FORMAT, "setting": rundir.plain(setting)}, indent=1))

@@ -23,6 +23,9 @@ from steerkit.plants.real_car.frames.bus import Port
 from steerkit.plants.real_car.processes.client import CarClient, CarLost
 from steerkit.plants.real_car.simulated import Fault, SimulatedCar
 
+OF = "session: "
+"""How the first line of a car server's log begins, which says whose session it is."""
+
 
 def default_socket() -> str:
     """Where clients look for the car server unless told otherwise."""
@@ -76,7 +79,8 @@ def last_line(log: str) -> str:
     if not os.path.isfile(log):
         return ""
     lines = FilePath(log).read_text(encoding="utf-8", errors="replace").split("\n")
-    return f"{next((line for line in reversed(lines) if line), 'it said nothing')} (log: {log})"
+    said = next((line for line in reversed(lines) if line and not line.startswith(OF)), "it said nothing")
+    return f"{said} (log: {log})"
 
 
 def start_simulated(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import re
 import signal
@@ -14,17 +15,19 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path as FilePath
-from typing import Any
+from typing import Any, TextIO
 
 from steerkit.block import Block
 from steerkit.catalogue import FITTING, RECOVERIES
 from steerkit.clock import Clock
 from steerkit.doe import Dynamic
 from steerkit.errors import known
+from steerkit.learning.ownership import this_process
 from steerkit.learning.settings import Setting
 from steerkit.loop import Loop
 from steerkit.on_car import loop as loops
 from steerkit.on_car import processes
+from steerkit.on_car.processes import OF
 from steerkit.path import Path
 from steerkit.plants.real_car.decisions.modes import Order
 from steerkit.plants.real_car.file.config import CarConfig
@@ -122,8 +125,8 @@ def session(options: Options) -> Iterator[Session]:
                 started.append(process)
             here = Session(options, socket, channel)
             if options.simulated or not os.path.exists(socket) or not _answers(socket):
-                here.recording, log = _files(options.recording)
-                text = stack.enter_context(log.open("w", encoding="utf-8"))
+                text = stack.enter_context(_claimed(tape := _tape(options.recording)))
+                here.recording, log = str(tape), text.name
                 server = processes.start_car_server(
                     options.config,
                     socket,
@@ -149,7 +152,7 @@ def session(options: Options) -> Iterator[Session]:
                 process.terminate()
                 process.wait(20.0)  # it may have to write the end of its recording
         if here.recording and started[0].returncode == 1:
-            here.broken = f"the car server ended badly: {processes.last_line(str(log))}"
+            here.broken = f"the car server ended badly: {processes.last_line(log)}"
 
 
 @contextlib.contextmanager
@@ -183,13 +186,32 @@ def _answers(socket: str) -> bool:
     return True
 
 
-def _files(recording: str) -> tuple[str, FilePath]:
-    """Where to record to, and the car server's log beside it; the folder is made."""
+def _tape(recording: str) -> FilePath:
+    """A new file to record to; its folder is made."""
     tape = FilePath(recording or f"runs/car-{time.strftime('%Y%m%d-%H%M%S')}.mcap")
     if tape.exists():
         raise ValueError(f"--recording {tape} exists already, and recordings are not overwritten; choose another name")
     tape.parent.mkdir(parents=True, exist_ok=True)
-    return str(tape), tape.with_suffix(".log")
+    return tape
+
+
+@contextlib.contextmanager
+def _claimed(tape: FilePath) -> Iterator[TextIO]:
+    """The car server's log beside a new recording, open to write to; its first line says whose both are.
+
+    Raises ValueError while another session has that name, naming its process. The lock on the log is shared with the
+    car server that writes to it, and ends with the last of them, however they end.
+    """
+    with tape.with_suffix(".log").open("a+", encoding="utf-8") as log:
+        try:
+            fcntl.flock(log, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as why:
+            log.seek(0)
+            whose = log.readline().strip().removeprefix(OF) or "another process"
+            raise ValueError(f"--recording {tape} is being written by {whose}; choose another name") from why
+        log.truncate(0)
+        print(f"{OF}{this_process()}", file=log, flush=True)
+        yield log
 
 
 def drive(options: Options, name: str, *, minutes: float) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from dataclasses import replace
 from pathlib import Path
@@ -179,9 +180,26 @@ def test_a_run_is_continued_with_its_own_setting_only(tmp_path: Path, monkeypatc
         on_car.CarLearner(setting("default"), tmp_path / "run", world.build, world)
     with pytest.raises(ValueError, match="holds no run of a car"):
         on_car.CarLearner(TINY, tmp_path, world.build, world)
+    assert not (tmp_path / ".lock").exists()  # nothing is left in a folder of something else
     named = loops.controller_named(str(tmp_path / "run"), setup()[0])
     assert named.steers.doe == "integrator"
     assert Path(named.steers.name).name == again.net_file.name
+
+
+def test_one_process_at_a_time_learns_on_a_car_in_a_directory(tmp_path: Path) -> None:
+    world = World(s=20.0)
+    with on_car.CarLearner(TINY, tmp_path / "run", world.build, world) as learner:
+        before = {file: file.read_bytes() for file in (tmp_path / "run").rglob("*") if file.is_file()}
+        with pytest.raises(
+            ValueError, match=rf"run is being learned by process {os.getpid()} \(.*\) since .*; wait for"
+        ):
+            on_car.CarLearner(TINY, tmp_path / "run", world.build, world)
+        assert {file: file.read_bytes() for file in before} == before
+        learner.store.append([0.0] * len(learner.story.names), 0.0, [0.0] * len(learner.story.names), 1)
+    with pytest.raises(ValueError, match="differs from 'default'"):
+        on_car.CarLearner(setting("default"), tmp_path / "run", world.build, world)
+    with on_car.CarLearner(TINY, tmp_path / "run", world.build, world) as again:  # a refused one holds nothing
+        assert len(again.story.transitions) == 1
 
 
 def test_the_output_element_ends_at_the_stops_of_the_cars_wheel(tmp_path: Path) -> None:

@@ -99,8 +99,16 @@ def test_vehicles_as_a_table_and_as_json(monkeypatch: pytest.MonkeyPatch, capsys
     assert rows["vw-passat"]["steer_delay_s"] is None
     assert run("vehicles", "RAV4", monkeypatch=monkeypatch) == 0
     printed = capsys.readouterr().out
-    assert "toyota-rav4-prime" in printed  # in 80 columns, whole
+    assert "toyota-rav4-prime" in printed
     assert "kia" not in printed
+    for columns in ("80", "40"):
+        monkeypatch.setenv("COLUMNS", columns)
+        assert run("vehicles", monkeypatch=monkeypatch) == 0
+        printed = capsys.readouterr().out
+        assert max(map(len, (*VEHICLES, *fleet()))) > 30
+        assert all(name in printed for name in (*VEHICLES, *fleet(), "wheel-", "steer", "torque", "(m/s)"))
+        assert "…" not in printed
+        assert max(map(len, printed.splitlines())) <= 80
     assert run("vehicles", "trabant", monkeypatch=monkeypatch) == 2
     assert "no name has 'trabant' in it" in capsys.readouterr().err
 
