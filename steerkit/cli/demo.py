@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path as FilePath
 
+from rich.markup import escape
 from rich.table import Table
 
-from steerkit.learning import rundir
+from steerkit.learning import progress, rundir
 from steerkit.learning.experiment import Experiment
+from steerkit.learning.learn import learn
 from steerkit.learning.pictures import paper as figures
-from steerkit.learning.report import comparison, console, figures_of_merit, learn_with_progress
+from steerkit.learning.report import comparison, console, figures_of_merit
 from steerkit.learning.settings import BANG_BANG, DEFAULT
 from steerkit.scenario import Scenario
 from steerkit.scenario import drive as evaluate
@@ -42,10 +45,13 @@ def run(out: FilePath, *, seed: int = 0, quiet: bool = False) -> None:
     """Run all parts (an interrupted demonstration goes on where it was), print the tables, draw the figures."""
     if not quiet:
         console.print(
-            "Three cars learn to steer from nothing, each for 11 to 20 minutes of driving. No real car was driven."
+            f"Three cars learn to steer from nothing: {'; '.join(map(escape, EXPERIMENTS))}. Each drives for 11 to 20 minutes, two "
+            "at a time; no real car is driven. Lines begin with the seconds since now.",
+            soft_wrap=True,
         )
     out.mkdir(parents=True, exist_ok=True)
-    jobs = [(name, experiment, out / _slug(name), seed, quiet) for name, experiment in EXPERIMENTS.items()]
+    began = None if quiet else time.time()
+    jobs = [(name, experiment, out / _slug(name), seed, began) for name, experiment in EXPERIMENTS.items()]
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
         parts = list(pool.map(_part, jobs))
     console.print(_milestones(parts))
@@ -73,10 +79,19 @@ def run(out: FilePath, *, seed: int = 0, quiet: bool = False) -> None:
         console.print(f"pictures: {', '.join(pictures)} in {out}", soft_wrap=True)
 
 
-def _part(job: tuple[str, Experiment, FilePath, int, bool]) -> Part:
-    name, experiment, place, seed, quiet = job
+def _part(job: tuple[str, Experiment, FilePath, int, float | None]) -> Part:
+    name, experiment, place, seed, began = job
+
+    def say(line: str) -> None:
+        if began is not None:
+            said = f"[dim]{time.time() - began:4.0f} s[/]  [bold]{escape(name)}[/]: {escape(line)}"
+            console.print(said, soft_wrap=True, highlight=False)
+
     experiment = replace(experiment, seed=seed)
-    run = learn_with_progress(experiment, place, quiet=quiet)
+    say("begins to learn")
+    run = learn(experiment, place, watch=progress.in_lines(say))
+    counts = run.counts
+    say(f"has learned: {counts.rounds} rounds, {counts.failures} failures; drives a round, and Stanley beside it")
     scenario = experiment.scenario
     doe = experiment.setting.element(scenario.nominal)
     learned = evaluate.drive(scenario, rundir.final_policy(place), doe=doe, seed=seed)

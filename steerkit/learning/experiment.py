@@ -155,7 +155,7 @@ class LearningRun:
 
     def drive(self) -> None:
         """One control sample: drive, record what the learner did, and train when it failed or when it is time."""
-        story, counts = self.story, self.counts
+        story, counts, second = self.story, self.counts, int(self.t)
         trainings = counts.updates
         self._take_over()
         self.loop.advance(counts.k, self.x, self.y)
@@ -188,6 +188,8 @@ class LearningRun:
             self._put_back(self.experiment.scenario.start)  # the end of an open course
         if counts.updates > trainings and self.keep is not None:
             self.keep(self)
+        if int(self.t) > second:
+            self._tell("second")
 
     def _after_failure(self) -> None:
         story, setting = self.story, self.experiment.setting

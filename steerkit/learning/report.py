@@ -1,24 +1,22 @@
-"""What a run looks like to a person: progress while it learns, tables, and pictures in its directory."""
+"""What a run looks like to a person: it learns before your eyes; tables; pictures in its directory."""
 
 from __future__ import annotations
 
-import contextlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path as FilePath
 from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from steerkit.catalogue import CONTROLLERS
 from steerkit.errors import require
 from steerkit.files import write_text
-from steerkit.learning import rundir
-from steerkit.learning.experiment import Experiment, LearningRun, Watcher
+from steerkit.learning import progress, rundir
+from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.learn import learn
 from steerkit.learning.pictures import paper as figures
 from steerkit.metrics import of_log
@@ -31,36 +29,14 @@ from steerkit.simulation import Log
 console = Console() if Console().is_terminal else Console(width=110)
 
 
-def learn_with_progress(experiment: Experiment, place: FilePath, *, quiet: bool = False) -> LearningRun:
-    """`learn`, with a bar on a terminal and a line for every tenth failure and every round elsewhere."""
+def learn_with_progress(experiment: Experiment, place: FilePath, *, quiet: bool = False, note: str = "") -> LearningRun:
+    """`learn`, with a moving picture on a terminal and a line for every fifth failure and every round elsewhere."""
     if quiet:
         return learn(experiment, place)
-    with _watching(experiment) as watch:
+    if not console.is_terminal:
+        return learn(experiment, place, watch=progress.in_lines(lambda line: console.print(line, soft_wrap=True)))
+    with progress.on_terminal(experiment, console, note=note) as watch:
         return learn(experiment, place, watch=watch)
-
-
-@contextlib.contextmanager
-def _watching(experiment: Experiment) -> Iterator[Watcher]:
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[story]}"), TimeElapsedColumn())
-    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
-        task = bar.add_task(
-            f"{experiment.setting.name} on {experiment.scenario.course}", total=experiment.minutes, story=""
-        )
-
-        def watch(what: str, run: LearningRun) -> None:
-            episode = run.counts.episodes[-1] if run.counts.episodes else None
-            held = (episode.ended or run.t) - episode.began if episode else 0.0
-            story = (
-                f"episode {len(run.counts.episodes)}, {run.t / 60:.1f} min driven, held {held:.0f} s, "
-                f"RMS e {episode.rms_e if episode else 0:.3f} m, {len(run.transitions)} transitions"
-            )
-            if what == "stuck":
-                bar.console.print(run.counts.stuck[-1], soft_wrap=True, style="yellow")
-            bar.update(task, completed=run.t / 60.0, story=story)
-            if not console.is_terminal and (what == "round" or (what == "failed" and run.counts.failures % 5 == 0)):
-                console.print(f"{what}: {story}", soft_wrap=True)
-
-        yield watch
 
 
 def figures_of_merit(run: LearningRun) -> dict[str, Any]:
@@ -258,12 +234,12 @@ def comparison(title: str, logs: dict[str, Log]) -> Table:
     heads = (
         "controller",
         "held",
-        "RMS e [m]",
-        "max e [m]",
-        "RMS wheel rate [deg/s]",
-        "max a_y [m/s²]",
-        "|e| < 0.05 m [%]",
-        "max jerk [m/s³]",
+        "RMS e\n[m]",
+        "max e\n[m]",
+        "RMS wheel\nrate\n[deg/s]",
+        "max a_y\n[m/s²]",
+        "|e| <\n0.05 m\n[%]",
+        "max jerk\n[m/s³]",
     )
     table = Table(*[escape(head) for head in heads], title=title)
     table.columns[0].overflow = "fold"

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import errno
+import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from steerkit.cli import demo
+from steerkit.learning.experiment import Experiment
+from steerkit.scenario import Scenario
 from tests.support.command_lines import run
+from tests.support.short_run import FAST
 
 CAR = ("--car", "dbw-kit.toml")
 
@@ -80,3 +86,24 @@ def test_a_full_disk_is_told_with_what_is_kept_and_is_no_mistake_of_the_users(
     error = capsys.readouterr().err.strip()
     assert f"{tmp_path}/run/state-3.npz: No space left on device; the run is kept up to its last training" in error
     assert error.endswith(f"the same with --out {tmp_path}/run goes on from there")
+
+
+def test_the_demonstration_names_the_car_and_the_time_in_every_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    setting = replace(FAST, retrain_every_m=0.0)
+    short = Experiment(setting=setting, scenario=Scenario(course="circle", rounds=0.1), minutes=3.0, rounds=1)
+    cars = {"one, round": short, "two": replace(short, minutes=0.05), "three [b]": replace(short, minutes=0.05)}
+    monkeypatch.setattr(demo, "EXPERIMENTS", cars)
+    monkeypatch.setenv("COLUMNS", "110")
+    assert run("demo", "--out", str(tmp_path), monkeypatch=monkeypatch) == 0
+    first, *lines = capfd.readouterr().out.splitlines()
+    assert first.startswith("Three cars learn to steer from nothing: one, round; two; three [b].")
+    lines = lines[: next(k for k, line in enumerate(lines) if "learning, in driving time" in line)]
+    told = [re.fullmatch(r" *\d+ s  (one, round|two|three \[b\]): (.+)", line) for line in lines]
+    assert all(told), lines
+    said = [(match[1], match[2].partition(":")[0]) for match in told if match]
+    assert ("one, round", "first learned round") in said
+    for name in cars:
+        assert [what for who, what in said if who == name][:1] == ["begins to learn"]
+        assert (name, "has learned") in said

@@ -113,11 +113,11 @@ def test_the_output_element_of_a_learned_drive_ends_at_the_cars_stops(
     monkeypatch.setattr(report.rundir, "final_policy", lambda place, updates=None: None)
     monkeypatch.setattr(report.rundir, "experiment_of", lambda place: run.experiment)
     monkeypatch.setattr(report.rundir, "load", lambda place: run)
-    monkeypatch.setattr(demo, "learn_with_progress", lambda *words, **options: run)
+    monkeypatch.setattr(demo, "learn", lambda *words, **options: run)
     for test_drive in (
         lambda: report.show(tmp_path),
         lambda: report.drive_and_draw(str(tmp_path), scenario, tmp_path, rounds=None, seed=0),
-        lambda: demo._part(("a", run.experiment, tmp_path, 0, True)),
+        lambda: demo._part(("a", run.experiment, tmp_path, 0, None)),
     ):
         with pytest.raises(Seen):
             test_drive()
