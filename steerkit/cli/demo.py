@@ -45,8 +45,8 @@ def run(out: FilePath, *, seed: int = 0, quiet: bool = False) -> None:
     """Run all parts (an interrupted demonstration goes on where it was), print the tables, draw the figures."""
     if not quiet:
         console.print(
-            f"Three cars learn to steer from nothing: {'; '.join(map(escape, EXPERIMENTS))}. Each drives for 11 to 20 minutes, two "
-            "at a time; no real car is driven. Lines begin with the seconds since now.",
+            f"Three cars learn to steer from nothing: {'; '.join(map(escape, EXPERIMENTS))}. Each drives for "
+            "11 to 20 minutes, two at a time; no real car is driven. Lines begin with the seconds since now.",
             soft_wrap=True,
         )
     out.mkdir(parents=True, exist_ok=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sys
 from dataclasses import replace
@@ -11,7 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from steerkit.cli.options import (
+    PORT,
     DriveOptions,
+    Live,
+    Port,
     car_options,
     check_options,
     drive_options,
@@ -22,7 +26,7 @@ from steerkit.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from steerkit.learning.experiment import Experiment
+    from steerkit.learning.experiment import Experiment, LearningRun
 
 
 @drive_options
@@ -52,6 +56,9 @@ def learn(
     config: Annotated[
         Path | None, in_simulation("TOML file with an experiment; options given besides change it.")
     ] = None,
+    live: Live = False,
+    port: Port = PORT,
+    stay: Annotated[bool, typer.Option("--stay", help="Keep the page of --live until Ctrl-C.")] = False,
 ) -> None:
     """Let a car learn to steer a course from nothing, the recovery controller catching it."""
     check_options(ctx)
@@ -69,23 +76,42 @@ def learn(
         if options.as_json:
             print(json.dumps(figures))
         return
+    from steerkit.errors import require
     from steerkit.learning import report
+    from steerkit.learning.live.server import beside
 
     experiment = _experiment(ctx, config, out)
     name = "-".join((experiment.setting.name, *(changes or ())))
     place = out or Path("runs") / f"{name}-{driven_on(experiment.scenario, options.conditions)}-seed{experiment.seed}"
     report.console.stderr = options.as_json
+    for option in ("port", "stay"):
+        require(live or option not in given(ctx), f"learn --{option}", "is for the page of --live; say --live too")
+    with contextlib.ExitStack() as page:
+        where, server = page.enter_context(beside(place, port=port)) if live else ("", None)
+        note = f"live page: {where}" if live else ""
+        if live and not (report.console.is_terminal and not options.quiet):
+            report.console.print(note, soft_wrap=True)
+        run = _learned(experiment, place, quiet=options.quiet, note=note)
+        report.show(place, quiet=options.quiet)
+        if options.as_json:
+            print(json.dumps(report.figures_of_merit(run)), flush=True)
+        if server is not None and stay:
+            report.console.print(f"{note} stays until Ctrl-C", soft_wrap=True)
+            with contextlib.suppress(KeyboardInterrupt):
+                server.wait()
+
+
+def _learned(experiment: Experiment, place: Path, *, quiet: bool, note: str) -> LearningRun:
+    from steerkit.learning import report
+
     try:
-        run = report.learn_with_progress(experiment, place, quiet=options.quiet)
+        return report.learn_with_progress(experiment, place, quiet=quiet, note=note)
     except KeyboardInterrupt:
         print(f"steerkit: interrupted; the same with --out {place} goes on from the last training", file=sys.stderr)
         raise
     except OSError as error:
         error.add_note(f"the run is kept up to its last training; the same with --out {place} goes on from there")
         raise
-    report.show(place, quiet=options.quiet)
-    if options.as_json:
-        print(json.dumps(report.figures_of_merit(run)))
 
 
 def _experiment(ctx: typer.Context, config: Path | None, out: Path | None) -> Experiment:

@@ -32,6 +32,14 @@ Seed = Annotated[int, typer.Option(help="Seed of human and sensors, and of a lea
 Machine = Annotated[bool, typer.Option("--json", help="Print one JSON object, and all that is for people on stderr.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print results only, no progress.")]
 
+PORT = 8520
+"""Of the live page, unless told otherwise."""
+Live = Annotated[
+    bool,
+    typer.Option("--live", help="Show it in a browser while it learns: a read-only page on this machine's loopback."),
+]
+Port = Annotated[int, typer.Option(help="Port of the page of --live; 0: any free one.", min=0, max=65535)]
+
 
 def in_simulation(text: str, *names: str) -> Any:
     """An option that only a simulation has; `names` as on the command line, if the variable's does not serve."""
@@ -123,6 +131,9 @@ _NOT_ON_A_CAR = {
     "v_max": "who drives keeps to it",
     "rounds": "say --minutes, or end with `q`",
     "config": "an experiment is a simulation; choose --setting",
+    "live": "the panel shows it",
+    "port": "the panel shows it",
+    "stay": "the panel shows it",
 }
 """Options of the simulation, and what a car has instead."""
 _ON_A_CAR_ONLY = ("recovery", "simulated", "socket", "recording", "channel", "time_scale", "realtime")

@@ -8,10 +8,11 @@ from typing import Annotated
 
 import typer
 
-from steerkit.cli.options import Machine, Quiet
+from steerkit.cli.options import PORT, Live, Machine, Port, Quiet, given
 
 
 def show(
+    ctx: typer.Context,
     runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Directories of learning runs.")],
     diagnostics: Annotated[
         bool, typer.Option(help="Draw what the net believes, and where and when it failed.")
@@ -21,6 +22,8 @@ def show(
         Path | None, typer.Option(help="Film of the run to write, from its first second on (.gif).")
     ] = None,
     film_lasts: Annotated[float, typer.Option(help="Length of the film in s, 2 to 120.")] = 20.0,
+    live: Live = False,
+    port: Port = PORT,
     quiet: Quiet = False,
     as_json: Machine = False,
 ) -> None:
@@ -29,6 +32,13 @@ def show(
     from steerkit.learning import report
 
     report.console.stderr = as_json
+    require(live or "port" not in given(ctx), "show --port", "is that of the page of --live; say --live too")
+    if live:
+        require(len(runs) == 1, "show --live", f"takes one run, not {len(runs)}; start it once for each, with a --port")
+        pictures = diagnostics or film is not None
+        require(not pictures, "show --live", "serves a page; leave out --diagnostics and --film, or --live")
+        _show_live(runs[0], port, as_json=as_json)
+        return
     if len(runs) > 1:
         require(not diagnostics, "show --diagnostics", "takes one run; the others go with --against")
         require(film is None, "show --film", "takes one run")
@@ -45,7 +55,21 @@ def show(
     if diagnostics:
         from steerkit.learning.pictures.run import draw_all
 
-        pictures = draw_all(run, against=against or ())
-        report.console.print(f"diagnostics: {', '.join(map(str, pictures))}", soft_wrap=True)
+        drawn = draw_all(run, against=against or ())
+        report.console.print(f"diagnostics: {', '.join(map(str, drawn))}", soft_wrap=True)
     if as_json:
         print(json.dumps(figures))
+
+
+def _show_live(run: Path, port: int, *, as_json: bool) -> None:
+    """The page of a run, which may be being learned by another process, until Ctrl-C."""
+    from steerkit.learning import report, rundir
+    from steerkit.learning.live.server import address, listening, serve
+
+    rundir.document(run)  # a directory that holds none is a mistake, here
+    with listening(port) as it:
+        where = address(it)
+        if as_json:
+            print(json.dumps({"url": where}), flush=True)
+        report.console.print(f"live page: {where} until Ctrl-C", soft_wrap=True)
+        serve(it, run)

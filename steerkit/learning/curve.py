@@ -54,13 +54,18 @@ class Curve:
         self.add(t, samples=samples, sum_e2=sum(one.sum_e2 for one in counts.episodes), failures=counts.failures)
 
     def over(self, edges: ArrayLike) -> Stretches:
-        """What happened between each edge [s] and the next; between two totals, as much in every second."""
+        """What happened between each edge [s] and the next."""
         edges = np.asarray(edges, dtype=float)
+        return self.between(edges[:-1], edges[1:])
+
+    def between(self, began: ArrayLike, ended: ArrayLike) -> Stretches:
+        """What happened from each of `began` to each of `ended` [s]; between two totals, as much in every second."""
+        edges = np.array([began, ended], dtype=float)
         t, *totals = np.array(self._rows).T
-        samples, sum_e2, failures = (np.interp(edges, t, total) for total in totals)
-        samples, sum_e2 = np.diff(samples), np.diff(sum_e2)
-        driven = np.diff(np.minimum(edges, self.t))
+        samples, sum_e2 = (np.diff(np.interp(edges, t, total), axis=0)[0] for total in totals[:2])
+        failures = np.diff(np.floor(np.interp(edges, t, totals[2]) + 1e-9), axis=0)[0]
+        driven = np.diff(np.minimum(edges, self.t), axis=0)[0]
         some = samples > 0.5
         rms_e = np.sqrt(np.divide(sum_e2, samples, out=np.full(len(samples), np.nan), where=some))
         share = np.divide(self.period * samples, driven, out=np.full(len(samples), np.nan), where=driven > 0.0)
-        return Stretches(rms_e, np.minimum(share, 1.0), np.diff(np.floor(failures + 1e-9)))
+        return Stretches(rms_e, np.minimum(share, 1.0), failures)

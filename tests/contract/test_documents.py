@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.browser import BROWSER
 from tests.support.house import modules
 from tests.support.places import ROOT
 from tests.support.shell_lines import BLOCK, PAGES, blocks, lines_of
@@ -172,9 +173,6 @@ def test_every_module_has_its_page_of_the_reference(
     monkeypatch.setattr(site, "GROUPS", {"Blocks and loops": site.GROUPS["Blocks and loops"]})
     site.modules()
     assert any("steerkit.errors is on no page of the reference" in message for message in caplog.messages)
-
-
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium or Chrome is installed, so the search was not tried in one")

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import html
-import json
 import re
-import shutil
-import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +10,8 @@ import pytest
 
 from benchmarks.report.page import main, write_report
 from benchmarks.run.results import Results, load_results
+from tests.support.browser import BROWSER, FRAME, FRAME_JS, shown
 from tests.support.report_results import CONTROLLERS, write
-
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
-
 
 PHONE, DESK = (390, 844), (1360, 900)
 
@@ -107,45 +101,14 @@ addEventListener("load", () => {
 </script>"""
 
 
-FRAME = """<!doctype html><pre id="probe"></pre><script>
-addEventListener("message", event => { document.querySelector("pre").textContent = event.data; });
-</script><iframe src="probed.html" style="width: %dpx; height: %dpx; border: 0"></iframe>"""
-
-
 def browsed(page: str, size: tuple[int, int], tmp_path: Path) -> dict[str, Any]:
     """What a real browser, showing the page in a frame of this size, says of it: no window is as narrow as a phone."""
-    assert BROWSER is not None
     probed = page.replace('<meta charset="utf-8">', f'<meta charset="utf-8">{PROBE}', 1)
     (tmp_path / "probed.html").write_text(probed, encoding="utf-8")
     file = tmp_path / "frame.html"
-    file.write_text(FRAME % size, encoding="utf-8")
-    done = subprocess.run(
-        [
-            BROWSER,
-            "--headless",
-            "--no-sandbox",
-            "--disable-gpu",
-            "--disable-quic",
-            "--no-first-run",
-            "--disable-background-networking",
-            "--disable-component-update",
-            "--disable-sync",
-            "--disable-dev-shm-usage",
-            f"--user-data-dir={tmp_path / 'profile'}",
-            "--window-size=1500,1000",
-            "--enable-logging=stderr",
-            "--virtual-time-budget=10000",
-            "--dump-dom",
-            file.as_uri(),
-        ],
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-    found = re.search(r'<pre id="probe">(.+?)</pre>', done.stdout, re.S)
-    assert found, done.stderr[-2000:]
-    said = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
-    return json.loads(html.unescape(found[1])) | {"console": said}
+    file.write_text(FRAME % ("frame.js", "probed.html", *size), encoding="utf-8")
+    (tmp_path / "frame.js").write_text(FRAME_JS, encoding="utf-8")
+    return shown(file.as_uri(), tmp_path)
 
 
 @pytest.mark.skipif(
