@@ -17,10 +17,10 @@ PREVIEW = LONGEST + 1
 """Curvatures of the path that a forecast needs, one a sample of driving."""
 SLOWEST = 1.0
 """Speed below which a car counts as this fast [m/s]: the formulas divide by v."""
-ANSWER = ("now", "before", "earlier", "back", "slip", "yaw", "loss")
+ANSWER = ("now", "before", "earlier", "back", "slip", "yaw", "loss", "nose", "tail", "fast")
 """The learned numbers by which a car answers its steering wheel: see `moved`."""
-LEAST = 0.1
-"""Least share of its course in a slow bend that a fast car is taken to have left."""
+LENGTH = 2.7
+"""Of a fast car's w = LENGTH*r/v [m]: about a wheelbase, so that w is about an angle of the road wheels."""
 _REMEMBERED = LONGEST + 2
 
 
@@ -33,34 +33,36 @@ class Motion(NamedTuple):
     r_e: Any
 
 
-def course_left(loss: Any, v: Any) -> Any:
-    """1 - loss*v^2, LEAST at least; loss [s^2/m^2] and v [m/s] of any kind."""
-    return m.maximum(1.0 - loss * v * v, LEAST)
+def turning(car: Any, c: Any, psi_e: Any, v: Any, r: Any) -> Any:
+    """The angle w by which a car turns: c - psi_e; of one whose number `fast` is 1, LENGTH*r/v. r = r_e + v*kappa."""
+    return m.where(car.fast > 0.5, LENGTH * r / v, c - psi_e)
 
 
 def moved(car: Any, x: Motion, v: Any, doe: Sequence[Any], bend: Any = 0.0, dt: float = DT) -> Motion:
     """The motion one sample later, as far as it is the wheel's doing; for floats, arrays and symbols.
 
-    With the angle of the course to the car's axis w = c - psi_e, and the wheel's angles doe = (doe', doe, doe(t-dt)):
+    With w = c - psi_e, and the wheel's angles doe = (doe', doe, doe(t-dt)):
 
-        p    = g*(now*doe' + before*doe + earlier*doe(t-dt)) - (back + slip*v^2)*w
-        r_e' = r_e + yaw*v*p/g - bend,   psi_e' = psi_e + dt*r,   c' = c + p + dt*r,   r = (r_e + r_e')/2
-        e'   = e + dt*v*(c + c')/2
+        p    = (now*doe' + before*doe + earlier*doe(t-dt))/(1 + loss*v^2) - (back + slip*v^2)*w
+        r_e' = r_e + yaw*v*p - bend,   c' = c + (nose - tail*v^2)*p + dt*r,   r = (r_e + r_e')/2
+        w'   = w + p,   psi_e' = c' - w',   e' = e + dt*v*(c + c')/2
 
-    in which p is how w turns, by wheel, tyres and lag.
+    in which p is how w turns. A slow car's w is the angle of its front axle's course to its own axis: nose = 1,
+    tail = 0, loss = 0. Soft tyres take that angle away as speed grows (of a single track it is
+    (L - m*l_f*v^2/(L*c_r))*r/v, nothing at 20 m/s for some), while the yaw rate stays. So a `fast` car's w is its yaw
+    rate's, LENGTH*r/v, its psi_e is told as c - w, and nose and tail say what of it the course makes; `turning` gives w.
 
     car: anything with the numbers of `ANSWER`. v [m/s], at least SLOWEST. bend [rad/s]: by how much v*kappa grows in
     the sample. It is the same in every steady bend: nothing changes when doe is turned by x and psi_e by -x*ratio, of
-    ratio = g*(now + before + earlier)/(back + slip*v^2). g = `course_left(loss, v)`: what the tyres' slip leaves of w
-    in a bend, but not of the yaw rate; of a single track (L + (K - m*l_r/(L*c_f))*v^2)/(L + K*v^2) at its front axle.
+    ratio = (now + before + earlier)/((1 + loss*v^2)*(back + slip*v^2)).
     """
-    g = course_left(car.loss, v)
-    wheel = g * (car.now * doe[0] + car.before * doe[1] + car.earlier * doe[2])
+    wheel = (car.now * doe[0] + car.before * doe[1] + car.earlier * doe[2]) / (1.0 + car.loss * v * v)
     p = wheel - (car.back + car.slip * v * v) * (x.c - x.psi_e)
-    r_e = x.r_e + car.yaw * v * p / g - bend
+    r_e = x.r_e + car.yaw * v * p - bend
     turn = 0.5 * dt * (x.r_e + r_e)
-    c = x.c + p + turn
-    return Motion(x.e + 0.5 * dt * v * (x.c + c), c, x.psi_e + turn, r_e)
+    course = (car.nose - car.tail * v * v) * p
+    c = x.c + course + turn
+    return Motion(x.e + 0.5 * dt * v * (x.c + c), c, x.psi_e + turn + (course - p), r_e)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,7 +72,7 @@ class Forecast:
     The state s(k) that is seen is what the angles until `samples` samples before have made of the car. The angles on
     their way since then are known, the bends ahead too: `moved`, once for each, gives the car's motion at the moment
     from which the next angle acts. A policy that is asked about that motion drives a car without dead time. What is
-    seen of w = c - psi_e and of r_e is first filtered, as sensors are noisy: trust*seen + (1 - trust)*foreseen a
+    seen of w and of r_e is first filtered, as sensors are noisy: trust*seen + (1 - trust)*foreseen a
     sample before.
 
     Every number may be a symbol. Raises ValueError unless 0 <= samples <= LONGEST and 0 < trust <= 1.
@@ -90,7 +92,10 @@ class Forecast:
     trust: Any = 1.0
     """Share of what is seen in the filtered values [1]."""
     loss: Any = 0.0
-    """One more number of `moved`; it stands last as older files do not have it."""
+    nose: Any = 1.0
+    tail: Any = 0.0
+    fast: Any = 0.0
+    """More numbers of `moved`; they stand last as older files do not have them."""
     dt: float = DT
     """Sample time [s]."""
 
@@ -114,7 +119,8 @@ class Forecast:
         """The policy's six inputs (e, e_dot, v, psi_e, r_e, doe) when its command acts; x, u: see `remember`."""
         v = m.maximum(u.v, SLOWEST)
         w, r_e = self._filtered(x, u, v)
-        motion = Motion(u.e, w + u.psi_e, u.psi_e, r_e)
+        c = m.where(self.fast > 0.5, u.e_dot / v, w + u.psi_e)
+        motion = Motion(u.e, c, c - w, r_e)
         for i in range(self.samples):
             bend = v * (u.preview[i + 1] - u.preview[i])
             motion = moved(self, motion, v, self._angles(x, u, self.samples - i), bend, self.dt)
@@ -129,12 +135,18 @@ class Forecast:
         v = m.maximum(u.v, SLOWEST)
         return (*x[1:_REMEMBERED], u.doe, *self._filtered(x, u, v), v, u.preview[0])
 
+    def at_first(self, u: Any) -> State:
+        """The state at a first sample, in which the wheel is taken to have stood still; u: see `remember`."""
+        v = m.maximum(u.v, SLOWEST)
+        kappa = u.preview[0]
+        return (*(u.doe,) * _REMEMBERED, turning(self, u.e_dot / v, u.psi_e, v, u.r_e + v * kappa), u.r_e, v, kappa)
+
     def _filtered(self, x: State, u: Any, v: Any) -> tuple[Any, Any]:
         """w and r_e, filtered."""
         *_, w, r_e, v_before, kappa = x
         bend = v * u.preview[0] - v_before * kappa
         foreseen = moved(self, Motion(0.0, w, 0.0, r_e), v_before, self._angles(x, u, self.samples + 1), bend, self.dt)
-        seen = u.e_dot / v - u.psi_e
+        seen = turning(self, u.e_dot / v, u.psi_e, v, u.r_e + v * u.preview[0])
         w_next = foreseen.c - foreseen.psi_e
         known = m.is_finite(w_next + foreseen.r_e)  # else a NaN that was seen once would stay for good
         filtered = w_next + self.trust * (seen - w_next), foreseen.r_e + self.trust * (u.r_e - foreseen.r_e)
@@ -151,9 +163,3 @@ class Forecast:
 def nothing(batch: tuple[int, ...] = ()) -> State:
     """A state in which nothing has been seen yet."""
     return (m.filled(0.0, batch),) * (_REMEMBERED + 4)
-
-
-def at_first(u: Any) -> State:
-    """The state at a first sample, in which the wheel is taken to have stood still: the inputs as for `remember`."""
-    v = m.maximum(u.v, SLOWEST)
-    return (*(u.doe,) * _REMEMBERED, u.e_dot / v - u.psi_e, u.r_e, v, u.preview[0])

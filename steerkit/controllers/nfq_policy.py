@@ -159,7 +159,7 @@ class NfqPolicy(Policy):
         return ahead.nothing(batch) if self.preview_points else ()
 
     def settle(self, t: float, x: State, u: Any) -> State:
-        return ahead.at_first(u) if self.preview_points else ()
+        return self._forecast.at_first(u) if self.preview_points else ()
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
         return self._forecast.remember(x, u) if self.preview_points else ()
@@ -317,7 +317,9 @@ def _forecast_in(f: Any) -> Forecast | None:
     if "dead_samples" not in f:
         return None
     numbers = f["forecast"].tolist()
-    numbers += [0.0] * (len(Forecast().numbers) - len(numbers))  # of before there was a loss
+    told = "numbers of a fast car as an earlier version told them, which this one cannot drive: learn it again"
+    require(len(numbers) != 9 or numbers[-1] == 0.0, "forecast", told)
+    numbers += Forecast().numbers[len(numbers) :]  # of before there were fast cars
     found = Forecast(samples=int(f["dead_samples"]), dt=float(f["dt"])).with_numbers(numbers)
     for name in (*ahead.ANSWER, "straight"):  # some 0.01, 0.2 and 0.4; others would steer straight on in silence
         require(

@@ -3,16 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit.controllers.forecast import ANSWER, LONGEST, Forecast, course_left
+from steerkit.controllers.forecast import ANSWER, LONGEST, Forecast
 from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, R_E, V
 from steerkit.controllers.state_description import StateDescription
 from steerkit.learning.data.transitions import Transitions
-from steerkit.learning.nfq.model import CENTRED, KAPPA, OFF_CENTRE, CarModel, believed_loss, earlier_doe, follow, speed
+from steerkit.learning.nfq.model import (
+    CENTRED,
+    KAPPA,
+    OFF_CENTRE,
+    CarModel,
+    believed_loss,
+    earlier_doe,
+    follow,
+    least_squares_of,
+    speed,
+    told_by_yaw_rate,
+)
 from steerkit.task import DT
 
 FEWEST = 15
@@ -47,12 +58,15 @@ def process_of(record: Transitions, description: StateDescription, longest: floa
     """The process without dead time behind recorded transitions, and the dead time, up to `longest` [s].
 
     The dead time is the one whose model leaves the least of the car's turning unexplained, all judged on the same
-    samples. record: with the column kappa. A record too short to tell is taken to have none.
+    samples. record: with the column kappa. A record too short to tell is taken to have none. One with speeds above the
+    description's `scaled_from` is of a fast car (see `moved`).
     """
+    fast = bool(record.s[:, V].max(initial=0.0) > description.scaled_from)
+    record = told_by_yaw_rate(record) if fast else record
     known = [aligned(record, n) for n in range(min(LONGEST, round(longest / dt)) + 1)]
     while len(known) > 1 and len(known[-1]) < FEWEST:
         known.pop()
-    models = [CarModel.fit(part, description, dt) for part in known]
+    models = [CarModel.fit(part, description, dt, fast=fast) for part in known]
     last = len(known) - 1
     errors = [_unexplained(model, part, last - n) for n, (model, part) in enumerate(zip(models, known, strict=True))]
     best = int(np.argmin(errors))
@@ -89,11 +103,11 @@ def aligned(record: Transitions, samples: int) -> Transitions:
 
 
 def refined(model: CarModel, part: Transitions) -> CarModel:
-    """The model that foresees w = c - psi_e best over the next AHEAD samples, beginning from one of least squares.
+    """The model that foresees w best over the next AHEAD samples, beginning from one of least squares.
 
     One sample's turn is mostly noise, and weights fitted to it let a long forecast stray; least squares over what the
     model makes of w by the wheel's angles alone, 1 to AHEAD samples after each row, do not. The yaw rate's answer is
-    that of its change over AHEAD samples; of a fast car, that of the yaw rate itself to the w of the wheel's angles.
+    that of its change over AHEAD samples; a fast car's yaw rate is w, and the course's share is found so.
     Returns the model as it was where the record is too short, or where the other would turn the car the wrong way.
     Source: Ljung 1999, section 4.2 (output error).
     """
@@ -106,49 +120,45 @@ def refined(model: CarModel, part: Transitions) -> CarModel:
 
     s = part.s
     v, doe = speed(s), s[:, DOE]
-    w, r = s[:, E_DOT] / v - s[:, PSI_E], s[:, R_E] + s[:, V] * s[:, KAPPA]
-    firmly, fast = np.sqrt(AHEAD * CENTRED), model.loss != 0.0
+    course = s[:, E_DOT] / v
+    w = course - s[:, PSI_E]
+    firmly, fast = np.sqrt(AHEAD * CENTRED), model.fast > 0.0
 
-    def strays(weights: Array) -> Array:
+    def foresees(weights: Array) -> list[Array]:
         now, before, earlier, back, grown, constant = weights
         slip, loss = (0.0, grown) if fast else (grown, 0.0)
-        foreseen, errors = w[row], []
+        foreseen, course = w[row], []
         for j in range(AHEAD):
             at = row + j
             turn = now * doe[at + 1] + before * doe[at] + earlier * doe[at - 1] + constant
-            foreseen = foreseen + course_left(loss, v[at]) * turn - (back + slip * v[at] ** 2) * foreseen
-            errors.append(foreseen - w[at + 1])
-        return np.append(np.concatenate(errors), firmly * constant)
+            foreseen = foreseen + turn / (1.0 + loss * v[at] ** 2) - (back + slip * v[at] ** 2) * foreseen
+            course.append(foreseen)
+        return course
+
+    def strays(weights: Array) -> Array:
+        errors = [foreseen - w[row + j + 1] for j, foreseen in enumerate(foresees(weights))]
+        return np.append(np.concatenate(errors), firmly * weights[-1])
 
     total = model.now + model.before + model.earlier
     grown = model.loss if fast else model.slip
     start = (model.now, model.before, model.earlier, model.back, grown, -model.straight * total)
     found = least_squares(strays, start, x_scale=(1e-2, 1e-2, 1e-2, 1e-1, 1e-3, 1e-3), max_nfev=30)
     now, before, earlier, back, grown, constant = (float(value) for value in found.x)
-    slip, loss = (0.0, believed_loss(grown, v)) if fast else (grown, 0.0)
-    if fast:  # so little is left of w that its noise, and the tyres' lag, would make the yaw rate's answer too small
-        turn = course_left(loss, v[1:-1]) * (now * doe[2:] + before * doe[1:-1] + earlier * doe[:-2] + constant)
-        x, y = (v / course_left(loss, v) * _driven(w, turn, back, episode))[row], r[row]
+    answer = {"now": now, "before": before, "earlier": earlier, "back": back}
+    if fast:
+        rises = foresees(found.x)[-1] - w[row]
+        turned = model.dt * np.add.reduce([0.5 * (s[row + j, R_E] + s[row + j + 1, R_E]) for j in range(AHEAD)])
+        x, y = np.column_stack((rises, -(v[row] ** 2) * rises)), course[row + AHEAD] - course[row] - turned
+        answer["nose"], answer["tail"] = least_squares_of(x, y)
+        answer["loss"] = believed_loss(grown, v)
     else:
-        x, y = (
-            np.add.reduce([v[row + j] * (w[row + j + 1] - w[row + j]) for j in range(AHEAD)]),
-            r[row + AHEAD] - r[row],
-        )
-    yaw = float(x @ y / (x @ x + 1e-9))
+        x = np.add.reduce([v[row + j] * (w[row + j + 1] - w[row + j]) for j in range(AHEAD)])
+        r = s[:, R_E] + s[:, V] * s[:, KAPPA]
+        answer |= {"slip": grown, "yaw": float(x @ (r[row + AHEAD] - r[row]) / (x @ x + 1e-9))}
     straight = float(np.clip(-constant / max(now + before + earlier, 1e-6), -OFF_CENTRE, OFF_CENTRE))
-    answer = dict(zip(ANSWER, (now, before, earlier, back, slip, yaw, loss), strict=True))
     other = replace(model, **answer, straight=straight)
-    right = (other.ratio(np.array([v.min(), v.max()])) > 0.0).all() and 0.0 < yaw < 4.0 * abs(model.yaw)
+    right = (other.ratio(np.array([v.min(), v.max()])) > 0.0).all() and 0.0 < other.yaw < 4.0 * abs(model.yaw)
     return other if right else model
-
-
-def _driven(w: Array, turn: Array, back: float, episode: NDArray[Any]) -> Array:
-    """What the wheel makes of w (n,) by turning it by `turn` (n - 2,) from its second sample on, without noise."""
-    course = w.copy()
-    for k in range(1, len(w) - 1):
-        if episode[k - 1] == episode[k + 1]:
-            course[k + 1] = course[k] + turn[k - 1] - back * course[k]
-    return course
 
 
 def _unexplained(model: CarModel, part: Transitions, skipped: int) -> float:
@@ -162,7 +172,9 @@ def _unexplained(model: CarModel, part: Transitions, skipped: int) -> float:
     s, s_next = part.s[:, columns].copy(), part.s_next[:, columns]
     s[:, DOE] -= model.straight
     foreseen = model.step(s, part.a, earlier_doe(part) - model.straight)
-    error: NDArray[np.float64] = (s_next[:, E_DOT] - foreseen[:, E_DOT]) / speed(s)
+    error: Array = (s_next[:, E_DOT] - foreseen[:, E_DOT]) / speed(s)
+    if model.fast:
+        error = error - (s_next[:, PSI_E] - foreseen[:, PSI_E])
     starts = np.flatnonzero(~follow(part))
     place = np.arange(len(part)) - np.repeat(starts, np.diff([*starts, len(part)]))
     judged = error[place >= skipped]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit.controllers.forecast import ANSWER, SLOWEST, Motion, course_left, moved
+from steerkit.controllers.forecast import ANSWER, LENGTH, SLOWEST, Motion, moved
 from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, R_E, E, V
 from steerkit.controllers.state_description import StateDescription
 from steerkit.errors import require
@@ -25,8 +25,9 @@ SAME = 10.0
 """How firmly `slip` is taken to be nothing, so that it stays so while all speeds are alike."""
 SAME_AT_SPEED = 2500.0
 """The same of `loss`, over the mean of now + before + earlier."""
-MOST_LOST = 0.85
-"""Share of its course in a bend that a car is believed to lose at its highest speed."""
+LEAST_LOST = -0.5
+MOST_LOST = 4.0
+"""Least and largest loss*v^2 believed at a car's highest speed: twice or a fifth of the wheel's effect is left."""
 OFF_CENTRE = 0.5
 """Largest offset of the wheel that is believed [rad]."""
 SPREAD = 0.13
@@ -45,8 +46,8 @@ class CarModel:
     in which nothing changes when doe is turned by x and psi_e by -x*ratio, where `ratio` is the learned steering
     ratio's inverse. Bends ahead, humans and noise are in `residuals`. Seven numbers, found by least squares from about
     20 transitions on; two more where the path's curvature was recorded: `straight`, and how the tyres' slip grows with
-    speed. At low speed that is told by how fast w comes back (`slip`); in records with speeds above the description's
-    `scaled_from`, where lag and tyres can be told apart, by how far it goes (`loss`).
+    speed. At low speed that is told by how fast w comes back (`slip`); a `fast` car's states are
+    `told_by_yaw_rate`, and its slip by how far w goes (`loss`).
     """
 
     held: float
@@ -61,18 +62,25 @@ class CarModel:
     slip: float = 0.0
     """How the tyres' slip grows with speed [s^2/m^2]."""
     loss: float = 0.0
-    """What the tyres' slip takes of the course in a bend, over v^2 [s^2/m^2]."""
+    """The wheel turns a fast car by 1/(1 + loss*v^2) of what it does at walking pace [s^2/m^2]."""
+    nose: float = 1.0
+    """Share of w's change that the course makes, at walking pace [1]."""
+    tail: float = 0.0
+    """What v^2 takes of that share [s^2/m^2]."""
+    fast: float = 0.0
+    """1 of a fast car, else 0."""
     straight: float = 0.0
     """Angle of the wheel at which the car goes straight on [rad]; states are told with doe counted from there."""
     dt: float = DT
     """Sample time [s]."""
 
     @classmethod
-    def fit(cls, record: Transitions, description: StateDescription, dt: float = DT) -> CarModel:
+    def fit(cls, record: Transitions, description: StateDescription, dt: float = DT, *, fast: bool = False) -> CarModel:
         """The model of recorded transitions; raises ValueError for none, or for states of other columns.
 
         Where they tell the curvature (a column kappa after the others), the yaw rate's answer is found without the
-        bends' part in it, which is of the same size and the other sign, and `straight` is found.
+        bends' part in it, which is of the same size and the other sign, and `straight` is found. fast: of a
+        record `told_by_yaw_rate`, with kappa.
         """
         told = record.names == (*COLUMNS, "kappa")
         valid = f"columns {record.names}, the model needs {COLUMNS}, and kappa or not"
@@ -81,29 +89,39 @@ class CarModel:
         s, s_next, limit = record.s, record.s_next, description.high[DOE]
         doe, doe_next, v = s[:, DOE], s_next[:, DOE], speed(s)
         free = np.abs(doe_next) < 0.999 * limit
-        held, pushed = _least_squares(np.column_stack((doe, record.a))[free], doe_next[free], trace=1e-6)
+        held, pushed = least_squares_of(np.column_stack((doe, record.a))[free], doe_next[free], trace=1e-6)
         w = s[:, E_DOT] / v - s[:, PSI_E]
         turn = s_next[:, E_DOT] / speed(s_next) - s[:, E_DOT] / v - 0.5 * dt * (s[:, R_E] + s_next[:, R_E])
         follows = follow(record)
         rows = follows if follows.sum() >= 10 else np.ones(len(s), dtype=bool)
         x = np.column_stack((doe_next, doe, earlier_doe(record), -w))
-        rise = s_next[:, R_E] - s[:, R_E]
-        constant, straight, loss, fast = 0.0, 0.0, 0.0, told and v.max() > description.scaled_from
+        constant, straight = 0.0, 0.0
+        answer = dict.fromkeys(ANSWER, 0.0) | {"nose": 1.0, "fast": float(fast)}
+        if fast:
+            course, turn = turn, s_next[:, E_DOT] / speed(s_next) - s_next[:, PSI_E] - w
         if told:
-            rise = rise + s_next[:, V] * s_next[:, KAPPA] - s[:, V] * s[:, KAPPA]
             grown, same = (-v * v * doe_next, SAME_AT_SPEED) if fast else (-v * v * w, SAME)
             x = np.column_stack((x, grown, np.ones(len(x))))
-            *weights, constant = _least_squares(x[rows], turn[rows], trace=np.array([1e-3] * 4 + [same, CENTRED]))
+            *weights, constant = least_squares_of(x[rows], turn[rows], trace=np.array([1e-3] * 4 + [same, CENTRED]))
         else:
-            weights = list(_least_squares(x[rows], turn[rows]))
+            weights = list(least_squares_of(x[rows], turn[rows]))
         now, before, earlier, back, slip = (*weights, 0.0)[:5]
+        answer |= {"now": now, "before": before, "earlier": earlier, "back": back}
+        change = x[:, : len(weights)] @ np.array(weights) + constant
         if fast:
-            slip, loss = 0.0, believed_loss(slip / max(now + before + earlier, 1e-6), v)
-        change = v * (x[:, : len(weights)] @ np.array(weights) + constant) / course_left(loss, v)
-        yaw = float(change @ rise / (change @ change + 1e-9))
+            answer["loss"] = believed_loss(slip / max(now + before + earlier, 1e-6), v)
+            answer["yaw"] = 1.0 / LENGTH
+            answer["nose"], tail = least_squares_of(np.column_stack((change, -v * v * change))[rows], course[rows])
+            answer["tail"] = tail
+        else:
+            answer["slip"] = slip
+            rise = s_next[:, R_E] - s[:, R_E]
+            if told:
+                rise = rise + s_next[:, V] * s_next[:, KAPPA] - s[:, V] * s[:, KAPPA]
+            change = v * change
+            answer["yaw"] = float(change @ rise / (change @ change + 1e-9))
         if now + before + earlier > 1e-6:
             straight = float(np.clip(-constant / (now + before + earlier), -OFF_CENTRE, OFF_CENTRE))
-        answer = dict(zip(ANSWER, (now, before, earlier, back, slip, yaw, loss), strict=True))
         return cls(held=held, pushed=pushed, limit=limit, straight=straight, dt=dt, **answer)
 
     def step(self, s: Array, a: Array, earlier: Array) -> Array:
@@ -117,16 +135,30 @@ class CarModel:
     def ratio(self, v: Array) -> Array:
         """Angle of the course to the car's axis over that of the steering wheel in a steady bend [1]; 0 while unknown.
 
-        g*(now + before + earlier)/(back + slip*v^2), g = `course_left(loss, v)`, v (n,) [m/s].
+        (now + before + earlier)/((1 + loss*v^2)*(back + slip*v^2)), v (n,) [m/s].
         """
-        back, wheel = self.back + self.slip * v * v, course_left(self.loss, v) * (self.now + self.before + self.earlier)
+        back = self.back + self.slip * v * v
+        wheel = (self.now + self.before + self.earlier) / (1.0 + self.loss * v * v)
         return np.where(back > 1e-3, wheel / np.maximum(back, 1e-3), 0.0)
 
 
 def believed_loss(loss: float, v: Array) -> float:
     """`loss` within what is believed of a car of these speeds (n,)."""
-    most = MOST_LOST / float(v.max()) ** 2
-    return float(np.clip(loss, -most, most))
+    fastest = float(v.max()) ** 2
+    return float(np.clip(loss, LEAST_LOST / fastest, MOST_LOST / fastest))
+
+
+def told_by_yaw_rate(record: Transitions) -> Transitions:
+    """The same transitions, with psi_e such that e_dot/v - psi_e is LENGTH*r/v (see `moved`); with the column kappa."""
+    told = Transitions(record.names)
+    told.extend(_by_yaw_rate(record.s), record.a, _by_yaw_rate(record.s_next), record.episode)
+    return told
+
+
+def _by_yaw_rate(s: Array) -> Array:
+    s, v = s.copy(), speed(s)
+    s[:, PSI_E] = (s[:, E_DOT] - LENGTH * (s[:, R_E] + v * s[:, KAPPA])) / v
+    return s
 
 
 def follow(record: Transitions) -> NDArray[np.bool_]:
@@ -192,7 +224,7 @@ def speed(s: Array) -> Array:
     return np.maximum(s[:, V], SLOWEST)
 
 
-def _least_squares(x: Array, y: Array, trace: float | Array = 1e-3) -> tuple[float, ...]:
+def least_squares_of(x: Array, y: Array, trace: float | Array = 1e-3) -> tuple[float, ...]:
     """Weights of y on x with a trace of regularisation: unexcited directions stay 0."""
     weights = np.linalg.solve(x.T @ x + trace * np.eye(x.shape[1]), x.T @ y)
     return tuple(float(value) for value in weights)

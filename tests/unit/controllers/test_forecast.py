@@ -11,7 +11,7 @@ import casadi
 import numpy as np
 import pytest
 
-from steerkit.controllers.forecast import LEAST, LONGEST, PREVIEW, Forecast, Motion, at_first, moved, nothing
+from steerkit.controllers.forecast import LENGTH, LONGEST, PREVIEW, Forecast, Motion, moved, nothing
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.files import read_arrays, write_arrays
 from steerkit.learning.nfq.iterate import mirror_image
@@ -20,6 +20,7 @@ from steerkit.learning.nfq.patterns import STANDARD
 from steerkit.task import DT
 
 CAR = Forecast(samples=5, now=0.004, before=0.005, earlier=0.003, back=0.2, slip=4e-4, yaw=0.38, straight=0.05)
+FAST = replace(CAR, slip=0.0, loss=1.2e-3, yaw=1.0 / LENGTH, nose=0.9, tail=2e-3, fast=1.0)
 STATE = ("e", "e_dot", "v", "psi_e", "r_e", "doe")
 
 
@@ -29,13 +30,15 @@ def driven(car: Forecast, n: int = 80, seed: int = 0) -> tuple[list[Any], list[M
     doe = np.concatenate((np.zeros(20), 0.2 * np.cumsum(rng.normal(size=n + 20))))  # doe[k + 20]: known at sample k
     kappa = 0.02 * np.sin(0.1 * np.arange(n + 40))
     x, motions = Motion(0.1, 0.02, -0.03, 0.01), []
+    if car.fast:
+        x = x._replace(psi_e=x.c - LENGTH * (x.r_e + speed * kappa[0]) / speed)
     for k in range(n + LONGEST):
         motions.append(x)
         acting = [doe[k + 20 + 1 - car.samples - i] - car.straight for i in range(3)]
         x = moved(car, x, speed, acting, speed * (kappa[k + 1] - kappa[k]))
     seen = [
         SimpleNamespace(
-            e=x.e, e_dot=speed * x.c, v=speed, psi_e=x.psi_e, r_e=x.r_e, doe=doe[k + 20],
+            e=x.e, e_dot=speed * x.c, v=speed, psi_e=0.0 if car.fast else x.psi_e, r_e=x.r_e, doe=doe[k + 20],
             preview=tuple(kappa[k : k + PREVIEW]),
         )
         for k, x in enumerate(motions[:n])
@@ -45,10 +48,11 @@ def driven(car: Forecast, n: int = 80, seed: int = 0) -> tuple[list[Any], list[M
 
 @pytest.mark.parametrize("samples", [0, 1, 5, LONGEST])
 @pytest.mark.parametrize("trust", [1.0, 0.25])
-def test_the_forecast_is_where_the_car_will_be(samples: int, trust: float) -> None:
-    car = replace(CAR, samples=samples, trust=trust)
+@pytest.mark.parametrize("kind", [CAR, FAST], ids=["slow", "fast"])
+def test_the_forecast_is_where_the_car_will_be(kind: Forecast, samples: int, trust: float) -> None:
+    car = replace(kind, samples=samples, trust=trust)
     seen, motions = driven(car)
-    x = at_first(seen[0])
+    x = car.at_first(seen[0])
     for k, u in enumerate(seen):
         if k > 40:  # what was steered before the first sample is forgotten
             e, e_dot, v, psi_e, r_e, doe = car.ahead(x, u)
@@ -58,25 +62,22 @@ def test_the_forecast_is_where_the_car_will_be(samples: int, trust: float) -> No
 
 
 @pytest.mark.parametrize("v", [6.0, 20.0, 40.0])
-def test_in_a_steady_bend_the_loss_takes_of_the_course_and_leaves_the_yaw_rate(v: float) -> None:
-    car = replace(CAR, slip=0.0, loss=1.2e-3)
-    left = max(1.0 - 1.2e-3 * v * v, LEAST)
-    ends = []
-    for number in (replace(car, loss=0.0), car):
-        x = Motion(0.0, 0.0, 0.0, 0.0)
-        for _ in range(200):
-            x = moved(number, x, v, (0.1, 0.1, 0.1))
-        ends.append((x.c - x.psi_e, x.r_e))
-    (plain, r_plain), (lost, r_lost) = ends
-    assert lost == pytest.approx(left * plain, rel=1e-9)
-    assert plain == pytest.approx(0.1 * 0.012 / 0.2, rel=1e-9)
-    assert r_lost == pytest.approx(r_plain, rel=1e-9)
+def test_in_a_steady_bend_a_fast_car_turns_as_its_wheel_says_and_soft_tyres_take_of_the_course(v: float) -> None:
+    x = Motion(0.0, 0.0, 0.0, 0.0)
+    for _ in range(200):
+        x = moved(FAST, x, v, (0.1, 0.1, 0.1))
+    w = 0.1 * 0.012 / 0.2 / (1.0 + 1.2e-3 * v * v)
+    assert x.c - x.psi_e == pytest.approx(w, rel=1e-9)
+    assert x.r_e == pytest.approx(v * w / LENGTH, rel=1e-9)
+    first = moved(FAST, Motion(0.0, 0.0, 0.0, 0.0), v, (0.1, 0.1, 0.1))
+    p = first.c - first.psi_e
+    assert first.c == pytest.approx((0.9 - 2e-3 * v * v) * p + 0.5 * DT * first.r_e, rel=1e-9)
 
 
 def test_noise_is_filtered_and_a_nan_is_forgotten() -> None:
     car = replace(CAR, trust=0.25)
     seen, motions = driven(car)
-    rng, errors, x = np.random.default_rng(1), [], at_first(seen[0])
+    rng, errors, x = np.random.default_rng(1), [], car.at_first(seen[0])
     for k, u in enumerate(seen):
         u = SimpleNamespace(**{**vars(u), "r_e": u.r_e + rng.normal(0.0, 0.01)})
         if k == 30:
@@ -88,8 +89,9 @@ def test_noise_is_filtered_and_a_nan_is_forgotten() -> None:
     assert 0.0 < np.std(errors) < 0.006  # of 0.01
 
 
-def test_the_same_in_batches_and_symbols() -> None:
-    policy = NfqPolicy(nets=(new_net(seed=1),), preview_points=PREVIEW, forecast=CAR, continuous=True)
+@pytest.mark.parametrize("kind", [CAR, FAST], ids=["slow", "fast"])
+def test_the_same_in_batches_and_symbols(kind: Forecast) -> None:
+    policy = NfqPolicy(nets=(new_net(seed=1),), preview_points=PREVIEW, forecast=kind, continuous=True)
     rng = np.random.default_rng(2)
     values, kappa = rng.normal(0.0, 0.1, (6, 50)), rng.normal(0.0, 0.02, (PREVIEW, 50))
     values[2] += 6.0
@@ -156,13 +158,20 @@ def test_numbers_out_of_range_are_refused() -> None:
     assert Forecast().dt == DT
 
 
-def test_a_policy_of_before_there_was_a_loss_has_none(tmp_path: Path) -> None:
+def test_a_policy_of_before_there_were_fast_cars_drives_as_it_did_and_one_of_another_fast_car_is_refused(
+    tmp_path: Path,
+) -> None:
     policy = NfqPolicy(nets=(new_net(seed=1),), preview_points=PREVIEW, forecast=replace(CAR, trust=0.25))
     policy.save(tmp_path / "p.npz")
     arrays = {name: value for name, value in read_arrays(tmp_path / "p.npz", "policy").items() if name != "format"}
-    arrays["forecast"] = arrays["forecast"][:-1]
-    write_arrays(tmp_path / "old.npz", "policy", arrays)
-    assert NfqPolicy.load(tmp_path / "old.npz").forecast == policy.forecast
+    numbers = arrays["forecast"]
+    for loss in ((), (0.0,), (1.2e-3,)):
+        write_arrays(tmp_path / "old.npz", "policy", {**arrays, "forecast": np.append(numbers[:8], loss)})
+        if loss == (1.2e-3,):
+            with pytest.raises(ValueError, match="learn it again"):
+                NfqPolicy.load(tmp_path / "old.npz")
+        else:
+            assert NfqPolicy.load(tmp_path / "old.npz").forecast == policy.forecast
 
 
 @pytest.mark.parametrize(
