@@ -78,14 +78,16 @@ class StateDescription:
     def scaled(self, s: Sequence[Any]) -> tuple[Any, ...]:
         """The columns e, e_dot, v, psi_e, r_e, doe as a net is told them; for floats, arrays and symbols.
 
-            x = max(1, v/scaled_from):   e, e_dot, v/sqrt(x), psi_e x, r_e x, doe x^2;   an action a turns by a/x^2
+            x = max(1, v/scaled_from):   e, e_dot, v/sqrt(x), c x - w x^2, r_e x, doe x^2;   an action a turns by a/x^2
+            c = e_dot/v,   w = c - psi_e
 
         The same number then means about the same e_dot, or the same lateral acceleration, at any speed: 25 degrees of
         the wheel are a touch at 5 m/s and a swerve at 25.
         """
         e, e_dot, v, psi_e, r_e, doe = s
         x = self.excess(v)
-        return e, e_dot, v / m.sqrt(x), psi_e * x, r_e * x, doe * x * x
+        w = e_dot / m.maximum(v, self.scaled_from) - psi_e  # where x is 1 it does not count
+        return e, e_dot, v / m.sqrt(x), psi_e * x - w * (x * x - x), r_e * x, doe * x * x
 
     def scale_of(self, actions: tuple[float, ...]) -> float:
         """The action [rad] that a net sees as 1."""

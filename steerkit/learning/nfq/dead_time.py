@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +15,15 @@ from steerkit.controllers.state_description import StateDescription
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq.model import (
     CENTRED,
+    FINE,
     KAPPA,
+    LEAST_LOST,
+    MOST_LOST,
     OFF_CENTRE,
     CarModel,
-    believed_loss,
+    course_share,
     earlier_doe,
     follow,
-    least_squares_of,
     speed,
     told_by_yaw_rate,
 )
@@ -37,6 +40,8 @@ AHEAD = 10
 """Samples over which a model has to foresee the car."""
 ROWS = 3000
 """Newest samples from which it has to."""
+LITTLE = 0.01
+"""How firmly a fast car's loss*v^2 is taken to be little [rad]."""
 TRUST = 0.25
 """Share of what is seen in the filtered values (see `Forecast.trust`)."""
 
@@ -118,39 +123,31 @@ def refined(model: CarModel, part: Transitions) -> CarModel:
         return model
     from scipy.optimize import least_squares
 
-    s = part.s
-    v, doe = speed(s), s[:, DOE]
+    s, v = part.s, speed(part.s)
     course = s[:, E_DOT] / v
     w = course - s[:, PSI_E]
-    firmly, fast = np.sqrt(AHEAD * CENTRED), model.fast > 0.0
-
-    def foresees(weights: Array) -> list[Array]:
-        now, before, earlier, back, grown, constant = weights
-        slip, loss = (0.0, grown) if fast else (grown, 0.0)
-        foreseen, course = w[row], []
-        for j in range(AHEAD):
-            at = row + j
-            turn = now * doe[at + 1] + before * doe[at] + earlier * doe[at - 1] + constant
-            foreseen = foreseen + turn / (1.0 + loss * v[at] ** 2) - (back + slip * v[at] ** 2) * foreseen
-            course.append(foreseen)
-        return course
+    fast, fastest = model.fast > 0.0, float(v.max()) ** 2
+    firmly = np.sqrt(AHEAD * CENTRED / (FINE if fast else 1.0))
 
     def strays(weights: Array) -> Array:
-        errors = [foreseen - w[row + j + 1] for j, foreseen in enumerate(foresees(weights))]
-        return np.append(np.concatenate(errors), firmly * weights[-1])
+        errors = [foreseen - w[row + j + 1] for j, foreseen in enumerate(_foreseen(part, row, weights, fast))]
+        believed = [firmly * weights[-1], *([LITTLE * weights[-2] * fastest] if fast else ())]
+        return np.append(np.concatenate(errors), believed)
 
-    total = model.now + model.before + model.earlier
-    grown = model.loss if fast else model.slip
-    start = (model.now, model.before, model.earlier, model.back, grown, -model.straight * total)
-    found = least_squares(strays, start, x_scale=(1e-2, 1e-2, 1e-2, 1e-1, 1e-3, 1e-3), max_nfev=30)
+    bounds: tuple[Any, Any] = (-np.inf, np.inf)
+    if fast:
+        most = np.array([np.inf] * 4 + [MOST_LOST / fastest, np.inf])
+        bounds = (np.array([-np.inf] * 4 + [LEAST_LOST / fastest, -np.inf]), most)
+    scale = (1e-2, 1e-2, 1e-2, 1e-1, 1e-3, 1e-3)
+    found = least_squares(strays, _weights(model), bounds=bounds, x_scale=scale, max_nfev=30)
     now, before, earlier, back, grown, constant = (float(value) for value in found.x)
     answer = {"now": now, "before": before, "earlier": earlier, "back": back}
     if fast:
-        rises = foresees(found.x)[-1] - w[row]
+        rises = _foreseen(part, row, found.x, fast)[-1] - w[row]
         turned = model.dt * np.add.reduce([0.5 * (s[row + j, R_E] + s[row + j + 1, R_E]) for j in range(AHEAD)])
-        x, y = np.column_stack((rises, -(v[row] ** 2) * rises)), course[row + AHEAD] - course[row] - turned
-        answer["nose"], answer["tail"] = least_squares_of(x, y)
-        answer["loss"] = believed_loss(grown, v)
+        kept = course[row + AHEAD] - course[row] - turned
+        answer["nose"], answer["tail"] = course_share(rises, kept, v[row])
+        answer["loss"] = grown
     else:
         x = np.add.reduce([v[row + j] * (w[row + j + 1] - w[row + j]) for j in range(AHEAD)])
         r = s[:, R_E] + s[:, V] * s[:, KAPPA]
@@ -161,21 +158,52 @@ def refined(model: CarModel, part: Transitions) -> CarModel:
     return other if right else model
 
 
-def _unexplained(model: CarModel, part: Transitions, skipped: int) -> float:
-    """RMS of what the model leaves of the course's change in a sample [rad], without each episode's first samples.
+def _weights(model: CarModel) -> tuple[float, ...]:
+    """The weights of `_foreseen`."""
+    total = model.now + model.before + model.earlier
+    grown = model.loss if model.fast else model.slip
+    return model.now, model.before, model.earlier, model.back, grown, -model.straight * total
 
-    A model in which the wheel turns the car the wrong way explains nothing.
+
+def _foreseen(part: Transitions, row: NDArray[np.intp], weights: Sequence[float] | Array, fast: bool) -> list[Array]:
+    """What w becomes 1 to AHEAD samples after each row (n,), by the wheel's angles alone."""
+    now, before, earlier, back, grown, constant = weights
+    slip, loss = (0.0, grown) if fast else (grown, 0.0)
+    v, doe = speed(part.s), part.s[:, DOE]
+    w, ahead = part.s[row, E_DOT] / v[row] - part.s[row, PSI_E], []
+    for j in range(AHEAD):
+        at = row + j
+        turn = now * doe[at + 1] + before * doe[at] + earlier * doe[at - 1] + constant
+        w = w + turn / (1.0 + loss * v[at] ** 2) - (back + slip * v[at] ** 2) * w
+        ahead.append(w)
+    return ahead
+
+
+def _unexplained(model: CarModel, part: Transitions, skipped: int) -> float:
+    """RMS of what the model leaves of the car's turning [rad], without each episode's first samples.
+
+    That of the course in a sample; of a fast car, where noise is much of that, of w over AHEAD. A model in which the
+    wheel turns the car the wrong way explains nothing.
     """
     if (model.ratio(np.array([part.s[:, V].min(), part.s[:, V].max()])) <= 0.0).any():
         return np.inf
     columns = slice(len(COLUMNS))
     s, s_next = part.s[:, columns].copy(), part.s_next[:, columns]
+    follows = follow(part)
+    starts = np.flatnonzero(~follows)
+    place = np.arange(len(part)) - np.repeat(starts, np.diff([*starts, len(part)]))
+    judged = place >= skipped
+    if model.fast:
+        row = np.flatnonzero(judged & (place > 0))
+        row = row[row < len(part) - AHEAD]
+        row = row[place[row + AHEAD] == place[row] + AHEAD]
+        if len(row) >= FEWEST:
+            w = s[:, E_DOT] / speed(s) - s[:, PSI_E]
+            ahead = _foreseen(part, row, _weights(model), True)
+            return float(np.sqrt(np.mean([(x - w[row + j + 1]) ** 2 for j, x in enumerate(ahead)])))
     s[:, DOE] -= model.straight
     foreseen = model.step(s, part.a, earlier_doe(part) - model.straight)
     error: Array = (s_next[:, E_DOT] - foreseen[:, E_DOT]) / speed(s)
     if model.fast:
         error = error - (s_next[:, PSI_E] - foreseen[:, PSI_E])
-    starts = np.flatnonzero(~follow(part))
-    place = np.arange(len(part)) - np.repeat(starts, np.diff([*starts, len(part)]))
-    judged = error[place >= skipped]
-    return float(np.sqrt(np.mean(judged**2))) if len(judged) else np.inf
+    return float(np.sqrt(np.mean(error[judged] ** 2))) if judged.any() else np.inf

@@ -25,6 +25,8 @@ SAME = 10.0
 """How firmly `slip` is taken to be nothing, so that it stays so while all speeds are alike."""
 SAME_AT_SPEED = 2500.0
 """The same of `loss`, over the mean of now + before + earlier."""
+FINE = 1.0 / 30.0
+"""How much less evidence the small angles of a fast car need, and how much more an offset among them."""
 LEAST_LOST = -0.5
 MOST_LOST = 4.0
 """Least and largest loss*v^2 believed at a car's highest speed: twice or a fifth of the wheel's effect is left."""
@@ -89,7 +91,7 @@ class CarModel:
         s, s_next, limit = record.s, record.s_next, description.high[DOE]
         doe, doe_next, v = s[:, DOE], s_next[:, DOE], speed(s)
         free = np.abs(doe_next) < 0.999 * limit
-        held, pushed = least_squares_of(np.column_stack((doe, record.a))[free], doe_next[free], trace=1e-6)
+        held, pushed = _least_squares(np.column_stack((doe, record.a))[free], doe_next[free], trace=1e-6)
         w = s[:, E_DOT] / v - s[:, PSI_E]
         turn = s_next[:, E_DOT] / speed(s_next) - s[:, E_DOT] / v - 0.5 * dt * (s[:, R_E] + s_next[:, R_E])
         follows = follow(record)
@@ -102,17 +104,18 @@ class CarModel:
         if told:
             grown, same = (-v * v * doe_next, SAME_AT_SPEED) if fast else (-v * v * w, SAME)
             x = np.column_stack((x, grown, np.ones(len(x))))
-            *weights, constant = least_squares_of(x[rows], turn[rows], trace=np.array([1e-3] * 4 + [same, CENTRED]))
+            fine = FINE if fast else 1.0
+            trace = np.array([1e-3] * 3 + [1e-3 * fine, same, CENTRED / fine])
+            *weights, constant = _least_squares(x[rows], turn[rows], trace=trace)
         else:
-            weights = list(least_squares_of(x[rows], turn[rows]))
+            weights = list(_least_squares(x[rows], turn[rows]))
         now, before, earlier, back, slip = (*weights, 0.0)[:5]
         answer |= {"now": now, "before": before, "earlier": earlier, "back": back}
         change = x[:, : len(weights)] @ np.array(weights) + constant
         if fast:
             answer["loss"] = believed_loss(slip / max(now + before + earlier, 1e-6), v)
             answer["yaw"] = 1.0 / LENGTH
-            answer["nose"], tail = least_squares_of(np.column_stack((change, -v * v * change))[rows], course[rows])
-            answer["tail"] = tail
+            answer["nose"], answer["tail"] = course_share(change[rows], course[rows], v[rows])
         else:
             answer["slip"] = slip
             rise = s_next[:, R_E] - s[:, R_E]
@@ -146,6 +149,14 @@ def believed_loss(loss: float, v: Array) -> float:
     """`loss` within what is believed of a car of these speeds (n,)."""
     fastest = float(v.max()) ** 2
     return float(np.clip(loss, LEAST_LOST / fastest, MOST_LOST / fastest))
+
+
+def course_share(turned: Array, course: Array, v: Array) -> tuple[float, float]:
+    """`nose` and `tail` of changes of w (n,) and the course's part of them (n,); all of it where little is told."""
+    fastest = float(v.max()) ** 2
+    x = np.column_stack((turned, -turned * v * v / fastest))
+    nose, tail = _least_squares(x, course - turned, trace=1e-4)
+    return 1.0 + nose, tail / fastest
 
 
 def told_by_yaw_rate(record: Transitions) -> Transitions:
@@ -224,7 +235,7 @@ def speed(s: Array) -> Array:
     return np.maximum(s[:, V], SLOWEST)
 
 
-def least_squares_of(x: Array, y: Array, trace: float | Array = 1e-3) -> tuple[float, ...]:
+def _least_squares(x: Array, y: Array, trace: float | Array = 1e-3) -> tuple[float, ...]:
     """Weights of y on x with a trace of regularisation: unexcited directions stay 0."""
     weights = np.linalg.solve(x.T @ x + trace * np.eye(x.shape[1]), x.T @ y)
     return tuple(float(value) for value in weights)

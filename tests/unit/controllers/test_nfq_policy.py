@@ -241,7 +241,9 @@ def test_at_speed_the_net_is_told_scaled_numbers_and_turns_the_wheel_less() -> N
     x = np.maximum(v / 4.0, 1.0)
     assert 0 < (x > 1.0).sum() < 200
     asked = ask(policy, s)
-    by_hand = ask(plain, (e, e_dot, v / np.sqrt(x), psi_e * x, r_e * x, doe * x**2))
+    course = e_dot / np.maximum(v, 1.0)
+    by_course = np.where(x > 1.0, course * x - (course - psi_e) * x**2, psi_e)
+    by_hand = ask(plain, (e, e_dot, v / np.sqrt(x), by_course, r_e * x, doe * x**2))
     np.testing.assert_allclose(asked.action, by_hand.action / x**2, rtol=1e-12)
     np.testing.assert_allclose(asked.q, by_hand.q, rtol=1e-12)
     one_by_one = [ask(policy, tuple(float(value) for value in column)) for column in s.T]
