@@ -50,7 +50,7 @@ def moved(car: Any, x: Motion, v: Any, doe: Sequence[Any], bend: Any = 0.0, dt: 
     in which p is how w turns. A slow car's w is the angle of its front axle's course to its own axis: nose = 1,
     tail = 0, loss = 0. Soft tyres take that angle away as speed grows (of a single track it is
     (L - m*l_f*v^2/(L*c_r))*r/v, nothing at 20 m/s for some), while the yaw rate stays. So a `fast` car's w is its yaw
-    rate's, LENGTH*r/v, its psi_e is told as c - w, and nose and tail say what of it the course makes; `turning` gives w.
+    rate's, LENGTH*r/v (`turning`), its psi_e is told as c - w, and nose and tail say what of w the course makes.
 
     car: anything with the numbers of `ANSWER`. v [m/s], at least SLOWEST. bend [rad/s]: by how much v*kappa grows in
     the sample. It is the same in every steady bend: nothing changes when doe is turned by x and psi_e by -x*ratio, of
