@@ -90,17 +90,19 @@ def _equally_good(policy: NfqPolicy, u: Any, answer: Array, rounding: float) -> 
     return found
 
 
+def _column(graph: _Graph, state: str, name: str) -> str:
+    return graph.op("Gather", state, graph.whole([COLUMNS.index(name)]), axis=1)
+
+
 def _nfq(graph: _Graph, policy: NfqPolicy) -> tuple[str, str]:
     """The graph of the greedy policy; its nets see the state and, in the last column, the action."""
     order, d = sorted(policy.actions, key=abs), policy.description  # of equal values the gentlest action's comes first
     state, excess = "state", None
     if d.scaled_from < math.inf:  # see StateDescription.scaled
-        e_dot, v, psi_e = (
-            graph.op("Gather", state, graph.whole([COLUMNS.index(n)]), axis=1) for n in ("e_dot", "v", "psi_e")
-        )
+        e_dot, v, psi_e = (_column(graph, state, name) for name in ("e_dot", "v", "psi_e"))
         excess = graph.op("Max", graph.op("Div", v, graph.number(d.scaled_from)), graph.number(1.0))
-        w = graph.op("Sub", graph.op("Div", e_dot, graph.op("Max", v, graph.number(d.scaled_from))), psi_e)
-        more = graph.op("Mul", w, graph.op("Sub", graph.op("Mul", excess, excess), excess))
+        turning = graph.op("Sub", graph.op("Div", e_dot, graph.op("Max", v, graph.number(d.scaled_from))), psi_e)
+        more = graph.op("Mul", turning, graph.op("Sub", graph.op("Mul", excess, excess), excess))
         state = graph.op("Mul", state, graph.op("Pow", excess, graph.number([[0.0, 0.0, -0.5, 1.0, 1.0, 2.0]])))
         state = graph.op("Sub", state, graph.op("Mul", more, graph.number([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0]])))
     scaled = graph.op("Div", graph.op("Sub", state, graph.number(d.mid)), graph.number(d.half))
