@@ -35,6 +35,21 @@ class Curve:
         self.period = period
         self._rows: list[tuple[float, float, float, float]] = [(0.0, 0.0, 0.0, 0.0)]
 
+    @classmethod
+    def of_drive(cls, t: Array, learns: NDArray[np.bool_], e: Array, failed: Array, *, period: float = DT) -> Curve:
+        """Of a recorded drive, a total a second.
+
+        t [s], does the learner steer, e [m]: (n,), one a sample. failed: the times at which it failed [s].
+        """
+        curve = cls(period)
+        samples, sum_e2 = np.cumsum(learns), np.cumsum(np.where(learns, e**2, 0.0))
+        seconds = np.arange(1.0, t[-1] + 1.0) if len(t) else np.array([])
+        for k in np.unique(np.minimum(np.searchsorted(t, seconds), len(t) - 1)):
+            if t[k] > curve.t:
+                failures = float((failed <= t[k]).sum())
+                curve.add(float(t[k]), samples=float(samples[k]), sum_e2=float(sum_e2[k]), failures=failures)
+        return curve
+
     @property
     def t(self) -> float:
         """Driving time until which it goes [s]."""

@@ -63,12 +63,14 @@ def in_lines(say: Callable[[str], None]) -> Watcher:
 
 
 @contextlib.contextmanager
-def on_terminal(experiment: Experiment, console: Console, *, note: str = "") -> Iterator[Watcher]:
+def on_terminal(
+    experiment: Experiment, console: Console, *, note: str = "", before: Curve | None = None
+) -> Iterator[Watcher]:
     """A picture that moves, drawn by a thread of its own; the run only tells it that a second has passed.
 
-    note: one more line, such as where else to look.
+    note: one more line, such as where else to look. before: of a run that goes on, what was before.
     """
-    picture = Picture(experiment, note=note)
+    picture = Picture(experiment, note=note, before=before)
     live = Live(get_renderable=lambda: picture.drawn(console), console=console, refresh_per_second=4)
 
     def watch(what: str, run: LearningRun) -> None:
@@ -83,9 +85,16 @@ def on_terminal(experiment: Experiment, console: Console, *, note: str = "") -> 
 class Picture:
     """The curve of RMS e, who steered, the counts and the time to go, as text; `see` the run whenever it has moved."""
 
-    def __init__(self, experiment: Experiment, *, note: str = "", clock: Callable[[], float] = time.monotonic):
+    def __init__(
+        self,
+        experiment: Experiment,
+        *,
+        note: str = "",
+        before: Curve | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ):
         self.experiment, self.note, self.clock = experiment, note, clock
-        self.curve = Curve()
+        self.curve = before or Curve()
         self.run: LearningRun | None = None
         self._pace: deque[tuple[float, float]] = deque()
 

@@ -8,6 +8,7 @@ from dataclasses import asdict
 from pathlib import Path as FilePath
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -16,6 +17,7 @@ from steerkit.catalogue import CONTROLLERS
 from steerkit.errors import require
 from steerkit.files import write_text
 from steerkit.learning import progress, rundir
+from steerkit.learning.curve import Curve
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.learn import learn
 from steerkit.learning.pictures import paper as figures
@@ -35,8 +37,18 @@ def learn_with_progress(experiment: Experiment, place: FilePath, *, quiet: bool 
         return learn(experiment, place)
     if not console.is_terminal:
         return learn(experiment, place, watch=progress.in_lines(lambda line: console.print(line, soft_wrap=True)))
-    with progress.on_terminal(experiment, console, note=note) as watch:
+    with progress.on_terminal(experiment, console, note=note, before=_before(place)) as watch:
         return learn(experiment, place, watch=watch)
+
+
+def _before(place: FilePath) -> Curve | None:
+    """What the run in a directory has done so far, if there is one that can be read; `learn` says why it cannot."""
+    try:
+        log, counts = rundir.drive_log(place), rundir.document(place)["counts"]
+    except (ValueError, OSError):
+        return None
+    failed = np.array([one["ended"] for one in counts["episodes"] if one["failed"]], dtype=float)
+    return Curve.of_drive(log.t, log["supervisor.learning"] > 0.5, log["path.e"], failed)
 
 
 def figures_of_merit(run: LearningRun) -> dict[str, Any]:

@@ -57,6 +57,7 @@ class Reader:
     def _forget(self) -> None:
         self._parts: list[dict[str, Array]] = []
         self._shown: tuple[int, dict[str, Any]] | None = None
+        self._path: Path | None = None
 
     def read(self) -> dict[str, Any]:
         """The run as it was at its last checkpoint, with when that was written, and whether somebody learns on."""
@@ -81,7 +82,7 @@ class Reader:
         experiment: Experiment = rundir.from_plain(data["experiment"], "run.json")
         episodes = [Episode(**episode) for episode in counts["episodes"]]
         policy = NfqPolicy.load(self.place / "nets" / f"steering-{data['checkpoint']}.npz")
-        path = experiment.scenario.path()
+        path = self._path = self._path or experiment.scenario.path()
         t = float(drive["t"][-1]) if len(drive["t"]) else 0.0
         lasting = episodes[-1] if episodes and episodes[-1].ended is None else None
         v = float(np.median(drive["car.v"][-1200:])) if len(drive["t"]) else 6.0
@@ -133,23 +134,16 @@ def learner(place: FilePath) -> str | None:
 def _curve(drive: dict[str, Array], episodes: list[Episode]) -> dict[str, Any]:
     """RMS e of the learner over the last WINDOW at each time, when the recovery controller steered, and failures."""
     t, learns = drive["t"], drive["supervisor.learning"] > 0.5
-    curve = Curve()
-    samples, sum_e2 = np.cumsum(learns), np.cumsum(np.where(learns, drive["path.e"] ** 2, 0.0))
-    n = min(samples[-1] if len(t) else 0, round(LAST / DT))
-    late = drive["path.e"][learns][len(t[learns]) - n :]
+    late = drive["path.e"][learns][-round(LAST / DT) :]
     failed = np.array([one.ended for one in episodes if one.failed], dtype=float)
-    at = np.searchsorted(t, np.arange(1.0, t[-1] + 1.0)) if len(t) else np.array([], dtype=int)
-    for k in np.unique(np.minimum(at, len(t) - 1)):
-        if t[k] > curve.t:
-            failures = int((failed <= t[k]).sum())
-            curve.add(float(t[k]), samples=float(samples[k]), sum_e2=float(sum_e2[k]), failures=failures)
+    curve = Curve.of_drive(t, learns, drive["path.e"], failed)
     edges = np.linspace(0.0, curve.t, min(POINTS, max(1, round(curve.t))) + 1)
     steered = curve.over(edges).share > 0.0
     rms = np.where(steered, curve.between(edges[1:] - WINDOW, edges[1:]).rms_e, np.nan)
     return {
         "t": _plain(edges[1:], 2),
         "rms": _plain(rms, 5),
-        "lately": round(float(np.sqrt(np.mean(late**2))), 5) if n else None,
+        "lately": round(float(np.sqrt(np.mean(late**2))), 5) if len(late) else None,
         "recovery": [[round(a, 2), round(b, 2)] for a, b in _stretches(t, ~learns)],
         "failed": _plain(failed, 2),
     }

@@ -5,12 +5,14 @@ from __future__ import annotations
 import io
 import math
 import re
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from rich.console import Console
 
-from steerkit.learning import progress
+from steerkit.learning import progress, report, rundir
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.progress import HEIGHT, Picture, in_lines, spoken
 from steerkit.scenario import Scenario
@@ -84,6 +86,26 @@ def test_a_recovery_that_lasts_is_shown_as_who_steers() -> None:
     run.drive()
     picture.see(run)
     assert any("the recovery controller steers" in line for line in drawn(picture, 80))
+
+
+def test_the_curve_of_a_run_that_goes_on_begins_at_its_beginning(kept: Path) -> None:
+    before = report._before(kept)
+    assert before is not None
+    run = rundir.load(kept)
+    samples = sum(one.samples for one in run.counts.episodes)
+    rms, share, failures = before.over([0.0, before.t])
+    assert before.t == pytest.approx(run.t, abs=0.051)
+    assert rms[0] == pytest.approx(math.sqrt(sum(one.sum_e2 for one in run.counts.episodes) / samples))
+    assert share[0] == pytest.approx(0.05 * samples / before.t)
+    assert failures[0] == run.counts.failures
+    picture = Picture(replace(run.experiment, minutes=1.6), before=before)
+    steers = next(line for line in drawn(picture, 80) if line.startswith(" steers"))
+    assert 35 <= len(steers) - 7 <= 36  # half of the minutes are driven
+    longer = LearningRun(run.experiment)
+    longer.story.counts = run.counts
+    picture.see(longer)
+    assert picture.curve.t == pytest.approx(run.t)
+    assert report._before(kept / "nowhere") is None
 
 
 def test_a_curve_stands_at_its_height_on_the_scale() -> None:
