@@ -123,8 +123,11 @@ class Server(ThreadingHTTPServer):
 
 class _Handler(BaseHTTPRequestHandler):
     server: Server
-    timeout = PATIENCE
     server_version, sys_version = "steerkit", ""
+
+    def setup(self) -> None:
+        self.timeout = PATIENCE
+        super().setup()
 
     def do_GET(self) -> None:
         # a page of another site, whose name was made to point here, would send its own name

@@ -238,8 +238,12 @@ RUBBISH = (
 )
 
 
-def test_rubbish_gets_nothing_and_leaves_the_page_as_it_was(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    with serving(tmp_path) as port:
+def test_rubbish_gets_nothing_and_leaves_the_page_as_it_was(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    with listening(0) as it, Server(it, tmp_path) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        port = it.getsockname()[1]
         for data in RUBBISH:
             assert b"200 OK" not in raw(port, data), data[:40]
         for _ in range(20):  # gone in the middle of an answer
@@ -248,13 +252,16 @@ def test_rubbish_gets_nothing_and_leaves_the_page_as_it_was(tmp_path: Path, capf
             link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
             link.close()
         assert answer(port).status == 200
+        server.shutdown()
+        assert all(server._free.acquire(timeout=SLOW) for _ in range(live.AT_ONCE))  # all were answered
     assert capfd.readouterr() == ("", "")  # the terminal is the learner's
+    assert caplog.records == []
 
 
 def test_silent_readers_are_sent_away_so_that_others_are_answered(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(live._Handler, "timeout", 0.3)
+    monkeypatch.setattr(live, "PATIENCE", 0.3)
     with serving(tmp_path) as port, contextlib.ExitStack() as open_:
         for k in range(3 * live.AT_ONCE):
             link = open_.enter_context(socket.create_connection(("127.0.0.1", port)))
