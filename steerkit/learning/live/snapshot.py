@@ -172,7 +172,7 @@ def _map(drive: dict[str, Array], episodes: list[Episode], path: Path) -> dict[s
         **ways,
         "failed": [[round(float(x[k]), 2), round(float(y[k]), 2)] for k in at],
         "car": [round(float(x[-1]), 2), round(float(y[-1]), 2)] if len(t) else None,
-        "learning": bool(learns[-1]) if len(t) else False,
+        "learning": bool(learns[-1]) if len(t) else None,
     }
 
 

@@ -140,9 +140,10 @@ function tell() {
   at("left").textContent = left;
   at("rms").textContent = run.curve.lately === null ? "–" : `${run.curve.lately.toFixed(3)} m`;
   at("rms-note").textContent = run.curve.lately !== null && run.curve.lately < run.limits.goal ? "within the goal band" : "cross-track error";
-  at("who").textContent = run.map.learning ? "learner" : "recovery";
-  at("who").className = run.map.learning ? "learner-steers" : "recovery-steers";
-  at("held").textContent = run.held === null ? "until the next net" : `for ${seconds(run.held)}`;
+  const who = { true: "learner", false: "recovery", null: "–" }[run.map.learning];
+  at("who").textContent = who;
+  at("who").className = `${who}-steers`;
+  at("held").textContent = run.map.learning === null ? "" : run.held === null ? "until the next net" : `for ${seconds(run.held)}`;
   at("failures").textContent = run.failures;
   at("failed-last").textContent = run.curve.failed.length ? `last: ${seconds(run.curve.failed.at(-1))}` : "none so far";
   at("updates").textContent = run.updates;
