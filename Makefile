@@ -29,7 +29,7 @@ test: $(READY)  ## all tests, on three processes: some wait for a car in real ti
 BROWSER := $(firstword $(shell command -v chromium chromium-browser google-chrome chrome))
 
 test-all: $(PEERS)  ## all tests, with do-mpc, Stable-Baselines3, d3rlpy and a browser too; names what is still skipped
-	@echo "browser: $(or $(BROWSER),none; two tests need one: apt-get install chromium)"
+	@echo "browser: $(or $(BROWSER),none; five tests need one: apt-get install chromium)"
 	$(BIN)/python -m pytest -n 3 -rs
 
 SLIPS ?=

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import ast
-import html
 import os
 import re
-import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -15,17 +13,12 @@ from types import ModuleType
 
 import pytest
 
+from tests.support.browser import BROWSER, FRAME, FRAME_JS, shown
 from tests.support.places import ROOT
 
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
-OPTIONS = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--hide-scrollbars")
-OPTIONS += ("--virtual-time-budget=8000", "--dump-dom")
-TELLS = """<script>addEventListener('load', () => parent.postMessage(
-{dom: document.documentElement.outerHTML, width: document.documentElement.scrollWidth}, '*'))</script>"""
-TELEPHONE = """<title></title><pre></pre><script>addEventListener('message', event => { if (event.data.dom) {
-document.title = 'wide ' + event.data.width; document.querySelector('pre').textContent = event.data.dom } })</script>
-<iframe src="all.html" style="border: 0; width: 390px; height: 900px"></iframe>"""
-"""A page with another one in it, as a browser's own window is no narrower than 500."""
+TELLS = """<script>addEventListener('load', () => parent.postMessage(JSON.stringify({
+formulas: document.querySelectorAll('.katex').length, width: document.documentElement.scrollWidth,
+errors: [...document.querySelectorAll('.katex-error')].map(error => error.title)}), '*'))</script>"""
 LITERAL = {
     "steerkit.analysis",
     "steerkit.cli.identify.identify",
@@ -157,13 +150,10 @@ def test_all_formulas_of_the_site_are_typeset_in_a_browser_from_the_disk_and_fit
     host = pages["mathematics.html"]
     begin, end = host.index(">", host.index("<article")) + 1, host.index("</article>")
     (site / "all.html").write_text(host[:begin] + "\n".join(blocks) + TELLS + host[end:], encoding="utf-8")
-    (site / "telephone.html").write_text(TELEPHONE, encoding="utf-8")
-    assert BROWSER is not None
-    command = [BROWSER, *OPTIONS, f"--user-data-dir={tmp_path / 'profile'}", (site / "telephone.html").as_uri()]
-    dom = subprocess.run(command, capture_output=True, text=True, timeout=120).stdout
-    width, dom = re.search(r"<title>wide (\d+)</title>", dom), html.unescape(dom)
-    formulas = sum(block.count("data-tex=") + block.count("arithmatex") for block in blocks)
-    assert len(re.findall(r'class="katex"', dom)) == formulas
-    assert "katex-error" not in dom, re.findall(r'katex-error[^>]*title="([^"]*)"', dom)
-    assert width
-    assert int(width[1]) == 390, "a formula makes the page wider than the window"
+    (site / "frame.js").write_text(FRAME_JS, encoding="utf-8")
+    (site / "frame.html").write_text(FRAME % ("frame.js", "all.html", 390, 900), encoding="utf-8")
+    said = shown((site / "frame.html").as_uri(), tmp_path, "--hide-scrollbars")
+    assert said["errors"] == []
+    assert said["formulas"] == sum(block.count("data-tex=") + block.count("arithmatex") for block in blocks)
+    assert said["width"] == 390, "a formula makes the page wider than the window"
+    assert said["console"] == []
