@@ -16,7 +16,7 @@ setup: $(READY)  ## .venv with steerkit and all it needs
 demo: $(READY)  ## three cars learn to steer, are compared with Stanley; table and figures under runs/
 	$(BIN)/steerkit demo
 
-bench: $(READY)  ## learned against analytic controllers, a ten-minute selection; report under runs/benchmarks/quick
+bench: $(READY)  ## learned against analytic controllers, a selection of some minutes; report under runs/benchmarks/quick
 	$(BIN)/python -m benchmarks run quick
 	$(BIN)/python -m benchmarks report runs/benchmarks/quick
 

@@ -225,7 +225,7 @@ def _compute() -> Suite:
 def _quick() -> Suite:
     return Suite(
         name="quick",
-        about="a ten-minute selection of paper and tracking, nets after 3 minutes of driving (make bench)",
+        about="a selection of some minutes of paper and tracking, nets after 3 minutes of driving (make bench)",
         scenarios=tuple(
             s
             for s in _tracking_scenarios()

@@ -126,8 +126,8 @@ class _Handler(BaseHTTPRequestHandler):
     server_version, sys_version = "steerkit", ""
 
     def setup(self) -> None:
-        self.timeout = PATIENCE
         super().setup()
+        self.connection.settimeout(PATIENCE)
 
     def do_GET(self) -> None:
         # a page of another site, whose name was made to point here, would send its own name

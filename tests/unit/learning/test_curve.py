@@ -37,7 +37,9 @@ def test_a_stretch_is_what_happened_in_it() -> None:
 def test_every_failure_counts_once_however_fine_the_stretches() -> None:
     curve, _, _, failures = filled()
     for pieces in (7, 40, 333):
-        assert curve.over(np.linspace(0.0, 40.0, pieces + 1)).failures.sum() == failures.sum()
+        counted = curve.over(np.linspace(0.0, 40.0, pieces + 1)).failures
+        assert counted.sum() == failures.sum()
+        assert np.array_equal(counted, np.round(counted))
 
 
 def test_where_nobody_drove_and_where_the_learner_did_not_there_is_no_number() -> None:

@@ -78,6 +78,18 @@ def test_the_picture_shows_what_the_run_has_counted_and_how_long_it_takes() -> N
     "\n".join(drawn(picture, 80, "ascii")[:10]).encode("ascii")
 
 
+def test_the_time_to_go_is_taken_from_the_speed_of_late() -> None:
+    now = [0.0]
+    picture = Picture(replace(SHORT, minutes=20.0), clock=lambda: now[0])
+    run = LearningRun(SHORT)
+    for second in range(600, 1000):  # a run that goes on: first slowly, then two seconds of driving in one
+        run.counts.k = second * run.ticks * 20
+        now[0] += 3.0 if second < 700 else 0.5
+        picture.see(run)
+    assert run.t == 999.0
+    assert picture.to_go() == pytest.approx(201.0 * 0.5, rel=0.01)
+
+
 def test_a_recovery_that_lasts_is_shown_as_who_steers() -> None:
     picture = Picture(Experiment(scenario=Scenario(course="circle"), minutes=1.0))
     run = LearningRun(picture.experiment)
