@@ -18,7 +18,9 @@ from tests.support.places import ROOT
 
 TELLS = """<script>addEventListener('load', () => parent.postMessage(JSON.stringify({
 formulas: document.querySelectorAll('.katex').length, width: document.documentElement.scrollWidth,
-errors: [...document.querySelectorAll('.katex-error')].map(error => error.title)}), '*'))</script>"""
+errors: [...document.querySelectorAll('.katex-error, .katex-html [style*=color]')].map(one => one.textContent)}), '*'))
+</script>"""
+"""KaTeX shows what it cannot read as an error, and a command it does not know in colour."""
 LITERAL = {
     "steerkit.analysis",
     "steerkit.cli.identify.identify",
