@@ -43,6 +43,7 @@ def steering_loop(
     actuator: Block | None = None,
     column: Block | None = None,
     sensors: Block | None = None,
+    estimator: Block | None = None,
     reference: float = 0.0,
     shift: TargetShift | None = None,
 ) -> Loop:
@@ -78,6 +79,7 @@ def steering_loop(
             "actuator": actuator,
             "column": column,
             "sensors": sensors,
+            "estimator": estimator,
             "shift": shift,
         },
     )
@@ -116,8 +118,12 @@ def steering_loop(
     if sensors is not None:
         seen = bench.add("sensors", sensors)
         bench.join(sensors, car)
+    if estimator is not None:
+        bench.estimate(estimator, seen, steered)
+        seen = estimator
+    if seen is not car:
         tracker = bench.add("seen", PathTracker(path=path, reference=reference, dt=controller.dt))
-        bench.join(tracker, sensors)
+        bench.join(tracker, seen)
     if shift is not None:
         if recovery is None:
             raise WiringError("a shift without a recovery controller; give recovery, such as Stanley.of(vehicle)")
@@ -169,6 +175,7 @@ _EXAMPLES = {
     "actuator": "SteeringActuator(lag=0.12)",
     "column": "SteeringColumn(play=0.02)",
     "sensors": "Sensors.hard(0)",
+    "estimator": "VehicleState.of(NonlinearSingleTrack(vehicle=vehicle('vw-passat')))",
     "shift": "TargetShift()",
 }
 """What would do for a part of the loop."""
@@ -242,6 +249,18 @@ class _Bench:
             if name.removesuffix("_in") in _names(source.outputs):
                 self.wire(source, name.removesuffix("_in"), sink, name)
 
+    def estimate(self, block: Block, seen: Block, steered: Block) -> None:
+        """Wires what is measured to an estimator; truth, or sensors that do not say their age, has none."""
+        self.add("estimator", block)
+        self.join(block, seen)
+        if "motion_age_in" in _names(block.inputs) and "motion_age" not in _names(seen.outputs):
+            self.wire(seen, "age", block, "motion_age_in")
+        self.hear(block, "delta_sw_meas", steered)
+
+    def hear(self, block: Block, name: str, steered: Block) -> None:
+        """Wires the measured angle of the steering wheel."""
+        self.wire(steered, name if name in _names(steered.outputs) else "delta_sw", block, name)
+
     def control(
         self,
         block: Block,
@@ -262,7 +281,7 @@ class _Bench:
             self.join(tracker, seen)
         for name in _names(block.inputs):
             if name == "delta_sw_meas":
-                self.wire(steered, name if name in _names(steered.outputs) else "delta_sw", block, name)
+                self.hear(block, name, steered)
             elif name == "doe":
                 if doe is None:
                     raise WiringError(f"{type(block).__name__}.doe: there is no doe in this loop")

@@ -80,6 +80,9 @@ class DriveOptions:
             "hard: 1 cm noise, 50 ms sensor delay, 0.15 s lag; real: and noisy v, no sideslip, lost samples."
         ),
     ] = Conditions.clean
+    estimator: Annotated[
+        str, in_simulation("Between sensors and controllers: none, or vehicle-state, a filter that needs no sideslip.")
+    ] = "none"
     speed: Annotated[
         str, in_simulation("A steady speed (m/s), `wander`, `recorded`, or a CSV file with the columns s (m), v (m/s).")
     ] = "wander"
@@ -125,6 +128,7 @@ _NOT_ON_A_CAR = {
     "course": "the car's file names the course, under [course]",
     "vehicle": "the car's file names it, under [vehicle]",
     "scenario_file": "the car's file says where and with what",
+    "estimator": "controllers see what the car's own unit says",
     "conditions": "a car brings its own noise and delays",
     "delay": "the car's file tells it, under [kit]",
     "speed": "who drives sets it",
@@ -154,7 +158,7 @@ def scenario_of(ctx: typer.Context, base: Scenario | None = None) -> Scenario:
     from steerkit.scenario.file import read_scenario
 
     names = given(ctx)
-    changes: dict[str, Any] = {n: ctx.params[n] for n in ("course", "vehicle", "delay") if n in names}
+    changes: dict[str, Any] = {n: ctx.params[n] for n in ("course", "vehicle", "delay", "estimator") if n in names}
     if ctx.params["scenario_file"] is not None:
         base = read_scenario(ctx.params["scenario_file"])
     if names & {"speed", "v_max"}:

@@ -2,7 +2,7 @@
 
 Not needed at run time. The lap is a MATLAB file of the genesis_path_follower recordings, 100 Hz: t, df [rad] (the
 steering wheel's angle over 15.87, as their state_publisher.py has it: it comes in steps of 0.1 degree), v [m/s],
-psi [rad], and in some wz [rad/s]. Every second sample is kept.
+psi [rad], x, y [m] (of which point of the car nobody says), and in some wz [rad/s]. Every second sample is kept.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ RATIO = 15.87
 HEADER = """\
 # A real drive by a person in a Hyundai Genesis, 2018: every second sample of {lap} of
 # MPC-Berkeley/genesis_path_follower, MIT License, (c) 2018 Vijay Govindarajan: see LICENSE.genesis.
-# t [s], steering wheel delta_sw [deg] = 15.87 * df, speed v [m/s], heading psi [rad], yaw rate wz [rad/s].
+# t [s], steering wheel delta_sw [deg] = 15.87 * df, speed v [m/s], heading psi [rad], position x, y [m], yaw rate
+# wz [rad/s].
 """
 
 
@@ -33,6 +34,8 @@ def main(lap: str, out: str) -> None:
         "delta_sw_deg": [f"{x:.1f}" for x in degrees_of(RATIO * data["df"])],
         "v": [f"{x:.3f}" for x in data["v"]],
         "psi": [f"{x:.5f}" for x in data["psi"]],
+        "x": [f"{x:.3f}" for x in data["x"]],
+        "y": [f"{x:.3f}" for x in data["y"]],
     }
     if "wz" in data:
         columns["wz"] = [f"{x:.5f}" for x in data["wz"]]

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Self
 
 from steerkit import maths as m
 from steerkit.block import Block, In, Out, State
-from steerkit.errors import require, require_within
+from steerkit.errors import require, require_within, whole_samples
 from steerkit.maths import Scalar
 from steerkit.plants.sensors import Sensors
 from steerkit.random import normals, seed_state, uniform
@@ -37,8 +38,10 @@ class PoorSensors(Block):
     axle that does not slide. By default all is off, and beta is what the sensors say.
 
     inputs: x_in, y_in [m], psi_in [rad], v_in [m/s], beta_in [rad], r_in [rad/s], the truth. outputs: x, y, psi, v,
-    beta, r, seen. state: the six seen and the six true ones a sample before, the share a, whether this sample is lost,
-    o (two), b, the generator's six numbers, then the wrapped sensors'. In a batch, car i draws as sensors of seed + i.
+    beta, r, seen; age [s] of these, as a receiver stamps it: the latency, a dt and, held, dt after dt more. state: the
+    seven seen and the six true ones, the share a, whether this sample is lost, o (two), b, the generator's six numbers,
+    the shares of the samples on their way, oldest first, then the wrapped sensors'. In a batch, car i draws as sensors
+    of seed + i.
     errors: ValueError for parameters out of range.
     source: Nilsson 1998 (jitter); Misra, Enge 2011, ch. 5 and 7 (jumps of a position); Titterton, Weston 2004, ch. 12
     (drift of a heading); Rajamani 2012, eq. 2.12 (sideslip of a rolling car).
@@ -56,6 +59,7 @@ class PoorSensors(Block):
     v = Out("m/s")
     beta = Out("rad")
     r = Out("rad/s")
+    age = Out("s", direct=())
 
     block: Sensors
     """The sensors; their seed is this block's."""
@@ -122,23 +126,25 @@ class PoorSensors(Block):
         g1, g2, random = normals(seed_state(self.block.seed, batch, stream=_STREAM))
         g3, _, random = normals(random)
         start = (self.jump * g1, self.jump * g2, self.heading_drift * g3)
-        return (*(zero,) * 14, *start, *random, *self.block.init(batch))
+        return (*(zero,) * 15, *start, *random, *(zero,) * self._waiting, *self.block.init(batch))
 
     def settle(self, t: float, x: State, u: Any) -> State:
-        inner = self.block.settle(t, tuple(x[23:]), self.block.D(*u))
+        n = 24 + self._waiting
+        inner = self.block.settle(t, tuple(x[n:]), self.block.D(*u))
         measured = self.block.output(t, inner, self.block.D(*u))
-        return (*self._faulty(measured, x[14:17]), *[truth + 0.0 for truth in u], *x[12:23], *inner)
+        return (*self._faulty(measured, x), *[truth + 0.0 for truth in u], *x[13:n], *inner)
 
     def output(self, t: Any, x: State, u: Any) -> Any:
-        seen = self._faulty(self.block.output(t, tuple(x[23:]), self.block.D(*_older(x, u))), x[14:17])
-        return self.Y(*[m.where(x[13] > 0.5, before, now) for now, before in zip(seen, x[:6])])
+        seen = self._faulty(self.block.output(t, tuple(x[24 + self._waiting :]), self.block.D(*_older(x, u))), x)
+        held = (*x[:6], x[6] + self.dt)
+        return self.Y(*[m.where(x[14] > 0.5, before, now) for now, before in zip(seen, held)])
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
-        inner = tuple(x[23:])
+        shares, inner = x[24 : 24 + self._waiting], tuple(x[24 + self._waiting :])
         older = _older(x, u)
         measured = self.block.output(t, inner, self.block.D(*older))
         inner = self.block.update(t, inner, self.block.U(*older), measured)
-        o_x, o_y, b, *state = x[14:23]
+        o_x, o_y, b, *state = x[15:24]
         w_age, random = uniform(tuple(state))
         w_lost, random = uniform(random)
         w_jump, random = uniform(random)
@@ -149,16 +155,23 @@ class PoorSensors(Block):
         keep = math.exp(-self.dt / self.heading_time)
         b = keep * b + (1.0 - keep * keep) ** 0.5 * self.heading_drift * g3
         share, gone = w_age * (self.age_jitter / self.dt), m.where(w_lost < self.lost, 1.0, 0.0)
-        return (*y, *[truth + 0.0 for truth in u], share, gone, o_x, o_y, b, *random, *inner)
+        older_shares = (*shares, x[13])[1:] if shares else ()
+        return (*y, *[truth + 0.0 for truth in u], share, gone, o_x, o_y, b, *random, *older_shares, *inner)
 
-    def _faulty(self, measured: State, errors: State) -> State:
-        """What is seen of a sample that arrives."""
-        x, y, psi, v, beta, r = measured
+    @cached_property
+    def _waiting(self) -> int:
+        """Samples on their way, whose shares have to be remembered for their stamps."""
+        return whole_samples("PoorSensors", "latency", self.block.latency, self.dt)
+
+    def _faulty(self, measured: State, x: State) -> State:
+        """What is seen of a sample that arrives, and its age, in this state."""
+        px, py, psi, v, beta, r, age = measured
         if self.rear is not None:
             beta = self.rear * r / m.maximum(v, _SLOWEST)
-        return (x + errors[0], y + errors[1], psi + errors[2], v, beta, r)
+        share = x[24] if self._waiting else x[13]
+        return (px + x[15], py + x[16], psi + x[17], v, beta, r, age + share * self.dt)
 
 
 def _older(x: State, u: Any) -> State:
     """The truth of a share of a sample ago."""
-    return tuple([now + x[12] * (before - now) for now, before in zip(u, x[6:12])])
+    return tuple([now + x[13] * (before - now) for now, before in zip(u, x[7:13])])

@@ -31,10 +31,11 @@ class Sensors(Block):
     n and n' standard normal, new for every sample and channel. By default all is zero: seen = truth.
 
     inputs: x_in, y_in [m], psi_in [rad], v_in [m/s], beta_in [rad], r_in [rad/s], the truth. outputs: x, y, psi, v,
-    beta, r, seen. state: six errors of the present sample, three drifts, the generator's six numbers, then the
-    latency/dt samples on their way (six numbers each, oldest first), all equal to the first sample at the start.
-    In a batch, car i draws as sensors of seed + i do; deviations and biases may be `(N,)` arrays. errors: ValueError
-    for parameters out of range, or a latency that is no multiple of dt. source: Gelb 1974 (Gauss-Markov).
+    beta, r, seen; age [s] of these, the latency. state: six errors of the present sample, three drifts, the generator's
+    six numbers, then the latency/dt samples on their way (six numbers each, oldest first), all equal to the first
+    sample at the start. In a batch, car i draws as sensors of seed + i do; deviations and biases may be `(N,)` arrays.
+    errors: ValueError for parameters out of range, or a latency that is no multiple of dt. source: Gelb 1974 (Gauss-
+    Markov).
     """
 
     x_in = In("m")
@@ -49,6 +50,7 @@ class Sensors(Block):
     v = Out("m/s", direct=(v_in,))
     beta = Out("rad", direct=(beta_in,))
     r = Out("rad/s", direct=(r_in,))
+    age = Out("s", direct=())
 
     position_noise: Scalar = 0.0
     """Standard deviation of the white noise on x and on y [m]."""
@@ -145,7 +147,7 @@ class Sensors(Block):
         return (*x[:15], *self._measured(x, u) * (len(x[15:]) // 6))
 
     def output(self, t: Any, x: State, u: Any) -> Any:
-        return self.Y(*(x[15:21] or self._measured(x, u)))
+        return self.Y(*(x[15:21] or self._measured(x, u)), self.latency)
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
         errors = x[:15] if self._exact else self._drawn(x[6:9], x[9:15], kept=float(np.exp(-self.dt / self.drift_time)))

@@ -51,7 +51,11 @@ class Place(Protocol):
         ...
 
     def sensors(self, seed: int) -> Block | None:
-        """What the controllers see of the car; None for the truth."""
+        """What is measured of the car; None for the truth."""
+        ...
+
+    def estimator_block(self) -> Block | None:
+        """What makes of that what the controllers see; None if they see it as it is."""
         ...
 
 
@@ -88,6 +92,7 @@ def assembled(
         actuator=place.actuator(),
         column=place.column(),
         sensors=place.sensors(seed),
+        estimator=place.estimator_block(),
         reference=_reference(place, controller),
         shift=shift,
     )

@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from steerkit.block import Block
+from steerkit.controllers.estimators.vehicle_state import VehicleState
 from steerkit.courses import course, course_of, lane_change, random_course
 from steerkit.errors import require
 from steerkit.files import read_text
 from steerkit.path import Array, Path
+from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.poor_sensors import PoorSensors
 from steerkit.plants.sensors import Sensors
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.plants.steering_column import SteeringColumn
 from steerkit.plants.steering_link import SteeringLink
 from steerkit.plants.torque_steering import TorqueSteering
+from steerkit.task import DT
 from steerkit.units import radians_of
 from steerkit.vehicles import Vehicle, vehicle_of
 from steerkit.waypoints import read_columns
@@ -78,15 +82,36 @@ def sensors_of(scenario: Scenario, seed: int) -> Block | None:
     if scenario.sensing == "real":
         poor = PoorSensors.real(scenario.nominal, seed).scaled(noise)
         return replace(poor, block=replace(poor.block, latency=latency))
-    if noise == 0.0 and latency == 0.0:
+    sideslip = scenario.sensing == "hard"
+    if noise == 0.0 and latency == 0.0 and sideslip and scenario.estimator == "none":
         return None
     full = Sensors.hard(seed)
-    return replace(
+    hard = replace(
         full,
         position_drift=noise * full.position_drift,
         psi_drift=noise * full.psi_drift,
         r_noise=noise * full.r_noise,
         latency=latency,
+    )
+    return hard if sideslip else PoorSensors(block=hard, rear=scenario.nominal.l_r)
+
+
+def estimator_of(scenario: Scenario) -> VehicleState | None:
+    """What stands between sensors and controllers; it is told the sensors' data sheet and the nominal car."""
+    if scenario.estimator == "none":
+        return None
+    sensors: Any = sensors_of(scenario, 0)
+    poor = isinstance(sensors, PoorSensors)
+    sheet: Sensors = sensors.block if poor else sensors
+    return VehicleState.of(
+        NonlinearSingleTrack(vehicle=scenario.nominal),
+        horizon=scenario.latency + DT,
+        position_drift=math.hypot(sheet.position_drift, sensors.jump if poor else 0.0),
+        psi_drift=sheet.psi_drift,
+        drift_time=sheet.drift_time,
+        v_noise=sheet.v_noise,
+        r_noise=sheet.r_noise,
+        heading_drift=sensors.heading_drift if poor else 0.0,
     )
 
 

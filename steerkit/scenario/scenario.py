@@ -29,6 +29,7 @@ from steerkit.scenario.parts import (
     car_of,
     column_of,
     drawn_course,
+    estimator_of,
     link_of,
     path_of,
     profile_on,
@@ -43,7 +44,8 @@ END_MARGIN = 5.0
 """How far from the ends of an open course a drive begins or ends [m]."""
 SPEEDS = ("wander", "recorded")
 REFERENCES = ("front", "cg", "own")
-SENSING = ("hard", "real")
+SENSING = ("hard", "no sideslip", "real")
+ESTIMATORS = ("none", "vehicle-state")
 STEERING = ("angle", "torque")
 TOLD = ("data sheet", "truth")
 _HARD: dict[str, Any] = {"noise": 1.0, "latency": 0.05, "lag": 0.15}
@@ -168,8 +170,11 @@ class Scenario:
     noise: float = 0.0
     """Pose and rate noise: 1 is 1 cm and 0.1 deg of drift and 0.2 deg/s of white noise (`Sensors.hard`)."""
     sensing: str = "hard"
-    """Which errors `noise` scales: those of `hard` sensors, or of `real` ones (`PoorSensors.real`), which have no
-    sideslip and up to 20 ms of jitter even without noise."""
+    """Which errors `noise` scales: those of `hard` sensors, with or with `no sideslip`, or of `real` ones
+    (`PoorSensors.real`), which have no sideslip and up to 20 ms of jitter even without noise."""
+    estimator: str = "none"
+    """What stands between sensors and controllers: `none`, or `vehicle-state`, an estimator that is told the sensors'
+    data sheet and the nominal car, needs no sideslip and predicts to now (`VehicleState`)."""
     latency: float = 0.0
     """Age of what the controllers see [s], a multiple of 0.05."""
     told: str = "data sheet"
@@ -201,6 +206,7 @@ class Scenario:
             ("reference", REFERENCES),
             ("recovery", RECOVERIES),
             ("sensing", SENSING),
+            ("estimator", ESTIMATORS),
             ("steering", STEERING),
             ("told", TOLD),
         ):
@@ -252,7 +258,8 @@ class Scenario:
         car = plant_kind(self.plant)(vehicle=self.true_vehicle, v0=self.v_min)  # type: ignore[call-arg]
         pushes = isinstance(car, SingleTrack) or not self.pushed
         require(pushes, "wind, gust, bank_deg", f"only single-track cars are pushed, not '{self.plant}'")
-        _ = self.link(), self.actuator(), self.column(), self.sensors(0), Human(v_min=self.v_min, v_max=self.v_max)
+        _ = self.link(), self.actuator(), self.column(), self.sensors(0), self.estimator_block()
+        _ = Human(v_min=self.v_min, v_max=self.v_max)
 
     @classmethod
     def under(cls, conditions: str = "clean", **changes: Any) -> Scenario:
@@ -320,8 +327,12 @@ class Scenario:
 
     @property
     def told_dead_time(self) -> float:
-        """Delay of the steering and age of what is seen, as controllers are told [s]; the mean of what varies."""
-        dead = self.delay + self.latency + 0.5 * self.delay_jitter
+        """Delay of the steering and age of what is seen, as controllers are told [s]; the mean of what varies.
+
+        Behind an estimator nothing that is seen is old.
+        """
+        age = self.latency if self.estimator == "none" else 0.0
+        dead = self.delay + age + 0.5 * self.delay_jitter
         return dead if self.told_delay is None else self.told_delay
 
     def path(self) -> Path:
@@ -409,6 +420,10 @@ class Scenario:
     def sensors(self, seed: int) -> Block | None:
         """What the controllers see; None for the truth."""
         return sensors_of(self, seed)
+
+    def estimator_block(self) -> Block | None:
+        """What makes of that where the car is; None if controllers see the sensors themselves."""
+        return estimator_of(self)
 
     def catcher(self) -> Block:
         """The analytic controller that catches a learned one."""

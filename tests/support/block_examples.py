@@ -15,6 +15,7 @@ from steerkit.block import Block
 from steerkit.controllers.delay import Predicted, delayed_stanley
 from steerkit.controllers.estimators.single_track_filter import SingleTrackFilter
 from steerkit.controllers.estimators.steering_delay import WheelDelay, YawDelay
+from steerkit.controllers.estimators.vehicle_state import VehicleState
 from steerkit.controllers.foresight import Foresight
 from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.network_policy import Network, PolicyBlock
@@ -150,6 +151,8 @@ EXAMPLES = [
         PoorSensors(block=Sensors.hard(seed=3), age_jitter=0.05, lost=0.3, jump=0.1, jump_time=0.1), single=_sensed
     ),
     Example(PoorSensors.real(PASSAT, seed=3), single=_sensed, blind=("beta_in",)),
+    Example(VehicleState.of(NonlinearSingleTrack(vehicle=PASSAT))),
+    Example(VehicleState.of(LinearSingleTrack(vehicle=PASSAT), horizon=0.0)),
     Example(Sensors.hard(seed=3), single=_seeded),
     Example(Human(seed=3), single=_seeded),
     Example(ConstantSpeed()),

@@ -16,6 +16,11 @@ MANY = 20_000
 
 def seen(sensors: PoorSensors, truth: np.ndarray) -> np.ndarray:
     """What is seen of x, y, psi, v, beta, r; a row a sample."""
+    return stamped(sensors, truth)[:, :6]
+
+
+def stamped(sensors: PoorSensors, truth: np.ndarray) -> np.ndarray:
+    """The same with the age that its stamp says."""
     return np.array(run(sensors, [tuple(row) for row in truth.tolist()])[0])
 
 
@@ -33,7 +38,7 @@ def test_off_it_is_the_sensors() -> None:
     inner = Sensors.hard(seed=4)
     truth = np.random.default_rng(0).normal(size=(50, 6))
     plain = np.array(run(inner, [tuple(row) for row in truth.tolist()])[0])
-    assert (seen(PoorSensors(block=inner), truth) == plain).all()
+    assert (stamped(PoorSensors(block=inner), truth) == plain).all()
 
 
 def test_age_is_uniform_up_to_the_jitter() -> None:
@@ -45,6 +50,15 @@ def test_age_is_uniform_up_to_the_jitter() -> None:
     assert age.mean() == pytest.approx(0.015, rel=0.02)
     assert age.std() == pytest.approx(0.03 / np.sqrt(12.0), rel=0.02)
     assert abs(np.corrcoef(age[1:], age[:-1])[0, 1]) < 4.0 / np.sqrt(MANY)
+
+
+def test_the_stamp_tells_the_age_of_what_is_seen() -> None:
+    """Also of a sample that is held, as the next were lost, and of the latency."""
+    sensors = PoorSensors(block=Sensors(seed=4, latency=0.1), age_jitter=0.03, lost=0.3)
+    truth = moving(2000, sensors)
+    found = stamped(sensors, truth)[20:]
+    assert found[:, 6] == pytest.approx((truth[20:, 0] - found[:, 0]) / 10.0, abs=1e-9)
+    assert found[:, 6].max() > 0.2
 
 
 def test_a_lost_sample_is_the_one_before_and_as_many_are_lost_as_said() -> None:

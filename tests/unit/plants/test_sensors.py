@@ -14,7 +14,7 @@ TRUTH = (10.0, -3.0, 0.4, 6.0, 0.02, 0.3)
 
 def test_sensors_are_transparent_by_default():
     ys, _ = run(Sensors(), [TRUTH, TRUTH[::-1]])
-    assert [tuple(y) for y in ys] == [TRUTH, TRUTH[::-1]]
+    assert [tuple(y) for y in ys] == [(*TRUTH, 0.0), (*TRUTH[::-1], 0.0)]
 
 
 @pytest.mark.parametrize("latency", [0.05, 0.15])
@@ -22,12 +22,13 @@ def test_latency_is_exact_and_starts_with_the_first_sample(latency):
     samples = [tuple(row) for row in np.random.default_rng(1).normal(size=(12, 6)).tolist()]
     ys, _ = run(Sensors(latency=latency), samples)
     n = round(latency / 0.05)
-    assert [tuple(y) for y in ys] == [samples[0]] * n + samples[: 12 - n]
+    assert [tuple(y)[:6] for y in ys] == [samples[0]] * n + samples[: 12 - n]
+    assert {y.age for y in ys} == {latency}
 
 
 def test_bias():
     y = run(Sensors(x_bias=0.1, y_bias=-0.2, psi_bias=0.01, v_bias=0.3, beta_bias=-0.01, r_bias=0.02), [TRUTH])[0][0]
-    assert np.subtract(y, TRUTH) == pytest.approx([0.1, -0.2, 0.01, 0.3, -0.01, 0.02], abs=1e-12)
+    assert np.subtract(y[:6], TRUTH) == pytest.approx([0.1, -0.2, 0.01, 0.3, -0.01, 0.02], abs=1e-12)
 
 
 def test_noise_and_drift_have_the_stated_statistics():
@@ -44,7 +45,7 @@ def test_noise_and_drift_have_the_stated_statistics():
         seed=11,
     )
     ys, _ = run(sensors, [tuple(np.full(n, value) for value in TRUTH)] * steps, sensors.init((n,)))
-    errors = np.array([np.array(y) - np.array(TRUTH)[:, None] for y in ys])  # (steps, channel, car)
+    errors = np.array([np.array(y[:6]) - np.array(TRUTH)[:, None] for y in ys])  # (steps, channel, car)
     drift = np.array([0.03, 0.03, 0.002, 0.0, 0.0, 0.0])
     spread = np.hypot(drift, [0.02, 0.02, 0.003, 0.05, 0.004, 0.01])
     for k in (0, 20, 40):  # stationary from the first sample on
@@ -61,7 +62,7 @@ def test_sensors_of_a_batch_are_the_single_ones():
     ys, _ = run(batch, [tuple(np.full(2, value) for value in TRUTH)] * 20, batch.init((2,)))
     for i in range(2):
         alone = run(Sensors.hard(3 + i), [TRUTH] * 20)[0][-1]
-        assert [y[i] for y in ys[-1]] == pytest.approx(alone, rel=1e-12)
+        assert [y[i] for y in ys[-1][:6]] == pytest.approx(alone[:6], rel=1e-12)
         assert all(value.__class__ is float for value in alone)
 
 

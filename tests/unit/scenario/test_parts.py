@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from steerkit.controllers.estimators.vehicle_state import VehicleState
 from steerkit.plants.poor_sensors import PoorSensors
 from steerkit.plants.sensors import Sensors
 from steerkit.plants.steering_column import SteeringColumn
@@ -60,8 +61,32 @@ def test_real_sensors() -> None:
     assert isinstance(twice, PoorSensors)
     assert (twice.block.v_noise, twice.block.latency, twice.jump) == (0.1, 0.1, 0.04)
     assert replace(real, noise=0.0, v_min=5.0, v_max=5.0).random
-    with pytest.raises(ValueError, match="sensing 'perfect'; valid: hard, real"):
+    with pytest.raises(ValueError, match="sensing 'perfect'; valid: hard, no sideslip, real"):
         Scenario(sensing="perfect")
+
+
+def test_an_estimator_is_told_the_data_sheet_and_stands_between_sensors_and_controllers() -> None:
+    hard = Scenario.under("hard", sensing="no sideslip", estimator="vehicle-state", noise=2.0, delay=0.1)
+    block, sensors = hard.estimator_block(), hard.sensors(3)
+    assert isinstance(block, VehicleState)
+    assert isinstance(sensors, PoorSensors)
+    assert (block.position_drift, block.psi_drift, block.heading_drift) == (0.02, radians_of(0.2), 0.0)
+    assert (block.horizon, sensors.rear, sensors.block.seed) == (pytest.approx(0.1), hard.nominal.l_r, 3)
+    assert hard.belief().delay == pytest.approx(0.1)
+    assert replace(hard, estimator="none").belief().delay == pytest.approx(0.15)
+    assert replace(hard, estimator="none").estimator_block() is None
+    real = Scenario.under("real", estimator="vehicle-state").estimator_block()
+    assert isinstance(real, VehicleState)
+    assert (real.heading_drift, real.v_noise) == (radians_of(0.2), 0.05)
+    loop = assembled(hard, controller("mpc", hard), seed=3)
+    assert loop.inputs_of("estimator")["age_in"] == loop.inputs_of("estimator")["motion_age_in"] == "sensors.age"
+    assert loop.inputs_of("estimator")["delta_sw_meas"] == "actuator.delta_sw"
+    assert loop.inputs_of("controller")["beta"] == "estimator.beta"
+    assert loop.inputs_of("controller_path")["x"] == "estimator.x"
+    clean = replace(Scenario(), estimator="vehicle-state")
+    assert isinstance(clean.sensors(0), Sensors)
+    with pytest.raises(ValueError, match="estimator 'kalman'; valid: none, vehicle-state"):
+        Scenario(estimator="kalman")
 
 
 def test_a_car_with_all_of_it_is_driven_worse_but_driven() -> None:

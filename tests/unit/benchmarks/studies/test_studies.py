@@ -35,6 +35,10 @@ KEYS = {
     },
     "torque_steering": {"stanley-delay"},
     "tune_stanley": {"predicted", "plain"},
+    "vehicle_state": {
+        *("rms_x", "wheel_x", "wheel_noise_x", "innovation_ok_pct", "nis_mean", "side_coverage_pct", "unlike_x"),
+        *("outage_coverage_pct", "outage_said_pct", "jump_said_pct", "lap_half_second_x", "cost_python_us"),
+    },
 }
 """What each prints, at least."""
 
@@ -99,6 +103,12 @@ def sensible_learning(figures: Any) -> None:
     assert figures["outcomes"][0]["transitions"] > 100
 
 
+def sensible_state(figures: Any) -> None:
+    assert figures["outage_said_pct"] == figures["jump_said_pct"] == 100.0
+    assert figures["outage_false_pct"] == 0.0
+    assert 0.5 < figures["nis_mean"] < 1.5
+
+
 SENSIBLE = {
     "car_kill": sensible_kills,
     "car_realtime": sensible_drive,
@@ -111,6 +121,7 @@ SENSIBLE = {
     "throughput": sensible_throughput,
     "torque_steering": lambda f: f["stanley-delay"][0]["held"] or pytest.fail(f),
     "tune_stanley": lambda f: 0.0 < f["predicted"]["chosen"]["rms_e_m"] < 0.1 or pytest.fail(f),
+    "vehicle_state": sensible_state,
 }
 
 

@@ -1,0 +1,272 @@
+"""What the vehicle-state estimator is worth: closed loop, its deviations, outages and jumps, recorded laps, cost.
+
+`hard` sensors without measured sideslip, seeds and courses that nothing was tuned on, judged by the simulated truth.
+
+* Closed loop: each controller with the sensors themselves, behind the estimator, and with perfect sensors. rms_x,
+  wheel_x: RMS e and RMS wheel speed behind it over those without it, mean of all courses. Most of the wheel's speed is
+  the course's bends; wheel_noise_x is that of what goes beyond perfect sensors, in squares.
+* Deviations: 40 drives. A drive counts where the share of samples whose normalised innovations (position, heading,
+  gyro: four a sample) are within the 95 % bound of chi-squared is 93 to 97 %: `innovation_ok_pct`. nis_mean is their
+  mean, 1 if the deviations are right.
+* Outages: all but the wheel's angle is lost for 2 s, again and again; a position jumps by 0.3 m for 0.3 s.
+* The car is another than told: RMS e over that without the estimator (`unlike_x`).
+* Recorded laps: where is the car in half a second, if nobody turns the wheel until then, by the estimator or by dead
+  reckoning (a circle at the yaw rate and along the heading measured last); the car is identified from the other lap.
+
+    python -m benchmarks study vehicle_state [--controllers NAME ...] [--learner MINUTES] [--quick] [--json]
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from benchmarks.laps import half_second_ahead
+from steerkit.compiled import Backend, compile
+from steerkit.controllers.estimators.vehicle_state import VehicleState
+from steerkit.learning.experiment import Experiment
+from steerkit.learning.settings import setting
+from steerkit.learning.training_run import train
+from steerkit.learning.trials import drive_each
+from steerkit.metrics.signals import rates, rms
+from steerkit.scenario import Scenario
+from steerkit.scenario.drive import controller, drive, drive_loop
+from steerkit.simulation import Log
+from steerkit.task import DT
+from steerkit.units import degrees_of
+
+Array = NDArray[np.float64]
+CONTROLLERS = ("mpc", "stanley", "lqr")
+DRIVES = (("paper", 101), ("random-2101", 102), ("random-2102", 103), ("genesis-rfs", 104), ("sweeping-2103", 105))
+"""Course and seed of each drive."""
+UNLIKE: dict[str, dict[str, float]] = {
+    "ratio 1.25, tyres 0.6": {"ratio": 1.25, "tyres": 0.6},
+    "ratio 0.9": {"ratio": 0.9},
+    "gusts of 0.5 m/s^2": {"gust": 0.5},
+    "bank of 3 degrees": {"bank_deg": 3.0},
+}
+BEGIN = 5.0
+"""Seconds at the start of a drive that are not judged: the car comes from rest relative to the course."""
+OUTAGE, EVERY = 2.0, 12.0
+JUMP, JUMP_TIME = 0.3, 0.3
+_INPUTS = ("x", "y", "psi", "age", "v", "r", "age")
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Its own command line options; --quick drives one controller for seconds, without a learner."""
+    parser.add_argument("--controllers", nargs="+", default=list(CONTROLLERS), metavar="NAME")
+    parser.add_argument("--learner", type=float, default=3.0, metavar="MINUTES", help="0: without the learner")
+
+
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """Measure all parts and print them."""
+    quick = options.quick
+    names = options.controllers[:1] if quick else options.controllers
+    report = closed_loop(names, DRIVES[:1] if quick else DRIVES, 0.03 if quick else 1.0)
+    if options.learner and not quick:
+        report["learner"] = learner(options.learner)
+        for key in ("rms_x", "wheel_x", "wheel_noise_x"):
+            report[key]["learner"] = report["learner"][key]
+    report["unlike_x"] = {} if quick else unlike()
+    backend: Backend = "python" if quick else "c"
+    report |= innovations(2 if quick else 20, 8.0 if quick else 100.0, backend)
+    report |= outages(20.0 if quick else 120.0, backend)
+    report |= half_second_ahead(12.0 if quick else None)
+    report |= cost(1.0 if quick else 50.0, ("python",) if quick else ("python", "c"))
+    return report
+
+
+def scene(estimator: str, course: str, **others: Any) -> Scenario:
+    """The scenario of a drive; estimator `truth`: perfect sensors."""
+    if estimator == "truth":
+        others = {"noise": 0.0, "latency": 0.0} | others
+        estimator = "none"
+    return Scenario.under("hard", course=course, sensing="no sideslip", estimator=estimator, reference="own", **others)
+
+
+def judged(log: Log) -> tuple[float, float]:
+    """RMS e [m] and RMS wheel speed [deg/s]."""
+    late = log.t > BEGIN if log.t[-1] > 2.0 * BEGIN else log.t >= 0.0
+    return rms(log["path.e"][late]), rms(degrees_of(rates(log.t[late], log["car.delta_sw"][late])))
+
+
+def closed_loop(names: list[str], drives: tuple[tuple[str, int], ...], rounds: float) -> dict[str, Any]:
+    """Drives of each controller with the sensors, behind the estimator and with the truth."""
+    report: dict[str, Any] = {"rms_x": {}, "wheel_x": {}, "wheel_noise_x": {}, "drives": []}
+    print(f"{'':12}{'course':16}{'RMS e raw -> behind it [m]':>28}{'x':>7}{'wheel [deg/s]':>18}{'x':>7}{'truth':>8}")
+    for name in names:
+        ratios = []
+        for course, seed in drives:
+            e, wheel = {}, {}
+            for kind in ("none", "vehicle-state", "truth"):
+                scenario = scene(kind, course, rounds=rounds)
+                e[kind], wheel[kind] = judged(drive(scenario, controller(name, scenario), seed=seed))
+            row = _ratios(e, wheel)
+            ratios.append(row)
+            report["drives"].append({"controller": name, "course": course, "seed": seed, "e": e, "wheel": wheel, **row})
+            print(
+                f"{name:12}{course:16}{e['none']:18.4f} -> {e['vehicle-state']:.4f}{row['rms_x']:7.3f}"
+                f"{wheel['none']:9.1f} -> {wheel['vehicle-state']:5.1f}{row['wheel_x']:7.3f}{wheel['truth']:8.1f}",
+                flush=True,
+            )
+        for key in ("rms_x", "wheel_x", "wheel_noise_x"):
+            report[key][name] = float(np.mean([row[key] for row in ratios]))
+    for key in ("rms_x", "wheel_x", "wheel_noise_x"):
+        print(f"{key}: " + ", ".join(f"{name} {value:.3f}" for name, value in report[key].items()))
+    return report
+
+
+def _ratios(e: dict[str, float], wheel: dict[str, float]) -> dict[str, float]:
+    """What is left behind the estimator, over what there is without it."""
+    floor = wheel["truth"] ** 2
+    beyond = [max(wheel[kind] ** 2 - floor, 0.0) for kind in ("vehicle-state", "none")]
+    return {
+        "rms_x": e["vehicle-state"] / e["none"],
+        "wheel_x": wheel["vehicle-state"] / wheel["none"],
+        "wheel_noise_x": float(np.sqrt(beyond[0] / beyond[1])) if beyond[1] > 0.0 else float("nan"),
+    }
+
+
+def learner(minutes: float, seed: int = 161) -> dict[str, Any]:
+    """A car that learns for so long with either, and its final net on another seed."""
+    e, wheel = {}, {}
+    for kind in ("none", "vehicle-state", "truth"):
+        scenario = replace(scene(kind, "paper"), reference="front")
+        experiment = Experiment(setting=setting("default"), scenario=scenario, minutes=minutes, seed=seed)
+        nets = train(experiment).nets
+        final = (
+            drive_each(scenario, experiment.setting, [nets[-1].policy], seed=seed + 1000)[0].summary if nets else None
+        )
+        e[kind] = final.rms_e if final else float("nan")
+        wheel[kind] = final.rms_wheel_rate_deg if final else float("nan")
+    row = _ratios(e, wheel)
+    print(f"learner, {minutes:g} minutes: RMS e {e} m, wheel {wheel} deg/s, x {row['rms_x']:.3f}, {row['wheel_x']:.3f}")
+    return {"e": e, "wheel": wheel, **row}
+
+
+def unlike() -> dict[str, float]:
+    """Stanley in cars that are not as the estimator is told."""
+    found = {}
+    for what, changes in UNLIKE.items():
+        ratios = []
+        for course, seed in DRIVES[1::3]:
+            pair = []
+            for kind in ("none", "vehicle-state"):
+                scenario = scene(kind, course, **changes)
+                pair.append(judged(drive(scenario, controller("stanley", scenario), seed=seed))[0])
+            ratios.append(pair[1] / pair[0])
+        found[what] = float(np.mean(ratios))
+        print(f"unlike what is told, {what}: RMS e x {found[what]:.3f}", flush=True)
+    return found
+
+
+def recorded(course: str, seconds: float, cars: int, seed: int, backend: Backend) -> Log:
+    """Drives of Stanley behind the estimator, one a car, compiled."""
+    scenario = scene("vehicle-state", course)
+    names = [f"sensors.{name}" for name in ("x", "y", "psi", "age", "v", "r")] + ["actuator.delta_sw"]
+    names += [f"car.{name}" for name in ("x", "y", "psi", "beta", "r", "v")]
+    names += [f"estimator.{name}" for name in ("x", "y", "psi", "side_deviation", "psi_deviation", "nis", "nis_count")]
+    loop = drive_loop(scenario, controller("stanley", scenario), seed=seed)
+    return compile(loop, record=names, every=5, backend=backend).run(seconds, batch=cars)
+
+
+def aside(log: Log, x: Array, y: Array) -> Array:
+    """How far a position is to the left of the true car [m]."""
+    c, s = np.cos(log["car.psi"]), np.sin(log["car.psi"])
+    return -s * (x - log["car.x"]) + c * (y - log["car.y"])
+
+
+def innovations(cars: int, seconds: float, backend: Backend) -> dict[str, Any]:
+    """Are the innovations as large as the filter says, and the errors?"""
+    shares, means, side, heading = [], [], [], []
+    for course, seed in (("random-2104", 300), ("paper", 400)):
+        log = recorded(course, seconds, cars, seed, backend)
+        late = log.t > BEGIN
+        nis, count = log["estimator.nis"][late], log["estimator.nis_count"][late]
+        shares += list((nis <= chi2.ppf(0.95, 4)).mean(axis=0))
+        means += list(nis.sum(axis=0) / count.sum(axis=0))
+        error = aside(log, log["estimator.x"], log["estimator.y"])
+        turned = np.angle(np.exp(1j * (log["estimator.psi"] - log["car.psi"])))
+        side += list((np.abs(error) <= 1.96 * log["estimator.side_deviation"])[late].mean(axis=0))
+        heading += list((np.abs(turned) <= 1.96 * log["estimator.psi_deviation"])[late].mean(axis=0))
+    fine = [0.93 <= share <= 0.97 for share in shares]
+    report = {
+        "innovation_ok_pct": 100.0 * float(np.mean(fine)),
+        "innovation_share_pct": [100.0 * min(shares), 100.0 * max(shares)],
+        "nis_mean": float(np.mean(means)),
+        "side_coverage_pct": 100.0 * float(np.mean(side)),
+        "heading_coverage_pct": 100.0 * float(np.mean(heading)),
+    }
+    print(f"innovations of {len(shares)} drives: {report}")
+    return report
+
+
+def replayed(block: VehicleState, log: Log, lost: NDArray[np.bool_], jumped: NDArray[np.bool_]) -> Array:
+    """The estimator's outputs (T, outputs) on the drive of one car, with samples lost and positions moved."""
+    columns = [log[f"sensors.{name}"][:, 0] for name in _INPUTS] + [log["actuator.delta_sw"][:, 0]]
+    rows = np.column_stack(columns)
+    rows[lost, :7] = np.nan
+    rows[jumped, 0] += JUMP
+    first = block.D(*[float(value) for name, value in zip(block.U._fields, rows[0]) if name in block.D._fields])
+    x, outputs = block.settle(0.0, block.init(), first), []
+    for row in rows.tolist():
+        u = block.U(*row)
+        y = block.output(0.0, x, block.D(*[getattr(u, name) for name in block.D._fields]))
+        x = block.update(0.0, x, u, y)
+        outputs.append(y)
+    return np.array(outputs)
+
+
+def outages(seconds: float, backend: Backend) -> dict[str, Any]:
+    """What 2 s without sensors and jumps of a position do."""
+    log = recorded("paper", seconds, 1, 500, backend)
+    block = scene("vehicle-state", "paper").estimator_block()
+    assert isinstance(block, VehicleState)
+    phase = log.t % EVERY
+    lost, jumped = (log.t > EVERY) & (phase < OUTAGE), (log.t > EVERY) & (phase > 7.0) & (phase < 7.0 + JUMP_TIME)
+    y = replayed(block, log, lost, jumped)
+    names = list(block.Y._fields)
+    one = {name: y[:, i] for i, name in enumerate(names)}
+    c, s = np.cos(log["car.psi"][:, 0]), np.sin(log["car.psi"][:, 0])
+    side = -s * (one["x"] - log["car.x"][:, 0]) + c * (one["y"] - log["car.y"][:, 0])
+    ends = lost & (phase > OUTAGE - 0.3)
+    calm = (log.t > EVERY) & (phase > 5.0) & (phase < 7.0)
+    report = {
+        "outage_side_m": rms(side[ends]),
+        "outage_side_deviation_m": rms(one["side_deviation"][ends]),
+        "outage_coverage_pct": 100.0 * float(np.mean(np.abs(side[ends]) <= 1.96 * one["side_deviation"][ends])),
+        "outage_said_pct": 100.0 * float(np.mean(one["outage"][lost & (phase > 0.6)])),
+        "outage_false_pct": 100.0 * float(np.mean(one["outage"][calm])),
+        "jump_side_m": rms(side[jumped]),
+        "usual_side_m": rms(side[calm]),
+        "jump_said_pct": 100.0 * float(np.mean(one["rejected"][jumped & (phase > 7.2)])),
+    }
+    print(f"outages of {OUTAGE:g} s, jumps of {JUMP:g} m for {JUMP_TIME:g} s: {report}")
+    return report
+
+
+def cost(seconds: float, backends: tuple[Backend, ...]) -> dict[str, Any]:
+    """What a sample costs [us], generated: less the same loop without the estimator; in C, 20 times the seconds."""
+    found: dict[str, Any] = {}
+    for backend in backends:
+        times, much = [], seconds * (20.0 if backend == "c" else 1.0)
+        for kind in ("none", "vehicle-state"):
+            scenario = scene(kind, "paper")
+            loop = drive_loop(scenario, controller("stanley", scenario))
+            program = compile(loop, backend=backend, record=["path.e"])
+            program.run(1.0)
+            spent = []
+            for _ in range(5):
+                begin = time.process_time()
+                program.run(much)
+                spent.append(time.process_time() - begin)
+            times.append(min(spent) / (much / DT) * 1e6)
+        found[f"cost_{backend}_us"] = times[1] - times[0]
+    print(f"cost of a sample: {found}")
+    return found
