@@ -10,6 +10,7 @@ from typing import Any
 from steerkit.block import Block
 from steerkit.controllers.delay import delayed_stanley
 from steerkit.controllers.lqr import Lqr
+from steerkit.controllers.offset_free import OffsetFree
 from steerkit.controllers.pure_pursuit import PurePursuit
 from steerkit.controllers.stanley import Stanley
 from steerkit.controllers.trimmed import Trimmed
@@ -144,6 +145,11 @@ def _predictive(kind: Any, belief: Belief) -> Block:
     )
 
 
+def _offset_free(make: Callable[[Belief], Block]) -> Callable[[Belief], Block]:
+    """What makes a controller with integral action around the one that `make` makes."""
+    return lambda belief: OffsetFree.around(make(belief), belief.vehicle, delay=belief.delay)
+
+
 CONTROLLERS: Mapping[str, Recipe] = MappingProxyType(
     {
         "stanley": Recipe(about="Stanley, all terms of eq. 9", make=_stanley, catches=True),
@@ -153,6 +159,9 @@ CONTROLLERS: Mapping[str, Recipe] = MappingProxyType(
         "lqr": Recipe(about="LQR with delay states and curvature preview", make=_lqr),
         "mpc": Recipe(about="linear MPC over 1 s, limits and delay known", make=_linear_mpc),
         "nonlinear-mpc": Recipe(about="nonlinear MPC, real-time iteration", make=_nonlinear_mpc),
+        "stanley-offset-free": Recipe(about="stanley-delay with integral action", make=_offset_free(_delayed)),
+        "lqr-offset-free": Recipe(about="LQR with integral action", make=_offset_free(_lqr)),
+        "mpc-offset-free": Recipe(about="linear MPC with integral action", make=_offset_free(_linear_mpc)),
     }
 )
 """The analytic controllers: they steer by themselves and learn nothing."""

@@ -20,8 +20,8 @@ from steerkit.cli.options import (
 )
 
 _CONTROLLERS = (
-    "stanley, stanley-textbook, stanley-delay, lqr, pure-pursuit, mpc, nonlinear-mpc, nfq, a run's directory, "
-    "or your own: my_file.py:make."
+    "stanley, stanley-textbook, stanley-delay, lqr, pure-pursuit, mpc, nonlinear-mpc, "
+    "stanley-offset-free, lqr-offset-free, mpc-offset-free, nfq, a run's directory, or your own: my_file.py:make."
 )
 
 

@@ -25,6 +25,7 @@ from steerkit.compiled import compile
 from steerkit.controllers.delay import delayed_stanley
 from steerkit.controllers.forecast import PREVIEW, Forecast
 from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.controllers.offset_free import OffsetFree
 from steerkit.controllers.stanley import Stanley
 from steerkit.controllers.trimmed import Trimmed
 from steerkit.courses import course, figure_eight
@@ -145,7 +146,7 @@ def steered_by_torque(seed: int, rng: np.random.Generator) -> Loop:
         car=placed(NonlinearSingleTrack(vehicle=CAR, v0=5.0), PAPER, s=rng.uniform(0.0, PAPER.length), e=0.5),
         path=PAPER,
         human=Human(seed=seed),
-        controller=Trimmed(block=stanley, offset=0.02, gain=1.1),
+        controller=OffsetFree(block=Trimmed(block=stanley, offset=0.02, gain=1.1)),
         link=SteeringLink(quantum=0.01),
         actuator=motor,
         column=SteeringColumn(play=0.03),

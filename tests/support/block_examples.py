@@ -20,6 +20,7 @@ from steerkit.controllers.foresight import Foresight
 from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.network_policy import Network, PolicyBlock
 from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.controllers.offset_free import OffsetFree
 from steerkit.controllers.pure_pursuit import PurePursuit
 from steerkit.controllers.stanley import Stanley
 from steerkit.controllers.supervisor import Guarded, Supervisor, SupervisorState
@@ -113,6 +114,7 @@ EXAMPLES = [
     Example(delayed_stanley(PASSAT, delay=0.13, lag=0.1, slew=20.0, a_y_limit=3.0)),
     Example(Lqr.of(PASSAT, LinearSingleTrack(vehicle=PASSAT).matrices, preview_points=5, v_step=3.0, slew=5.0)),
     Example(Trimmed(block=Stanley.of(PASSAT), offset=0.05, gain=1.1)),
+    Example(OffsetFree.around(Stanley.of(PASSAT), PASSAT)),
     Example(PurePursuit.of(PASSAT, OVAL)),
     Example(FromControl(system=control.ss([[0.5, 0.1], [0.0, 0.9]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.3]], 0.05))),
     Example(FromControl(system=control.nlsys(_pendulum, None, states=2, inputs=1, outputs=2), units={"u_0": "rad"})),

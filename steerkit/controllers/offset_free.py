@@ -1,0 +1,121 @@
+"""Integral action for any steering controller: no constant disturbance leaves the car beside its path."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from steerkit import maths as m
+from steerkit.block import Block, State, take_ports
+from steerkit.errors import require, require_within
+from steerkit.maths import Scalar
+from steerkit.task import STOP, TRIP
+from steerkit.units import radians_of
+from steerkit.vehicles import Vehicle, require_vehicle
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class OffsetFree(Block):
+    """Wraps a steering controller so that no constant offset, bank, wind or wrong ratio leaves an error e behind.
+
+        delta_sw = sat(delta_sw of `block` + z),   z' = -n/(v T tau) (e + T e'),   sat to +-limit,   |z| <= most
+
+    T is the time in which `block` brings e to 0, tau that in which z finds what disturbs it. For a law that drives
+    e' = -e/T, a wheel that stands d beside what is asked for adds v d/n to e' at the front axle, so that
+
+        e' = -e/T + v (z + d)/n,   z' = -(z + d)/tau:
+
+    z is an observer of the disturbance d, and forgets where the car began. A car that comes back to its path as it
+    should has e + T e' = 0, which winds up nothing; and where e stays constant, z stays only if e = 0. So it needs no
+    model of what disturbs, and does not ask how `block` came by its command: the same lines serve Stanley, LQR and MPC,
+    where a disturbance in the model would be another one in each, and none in Stanley.
+
+    z stands still while |e| > reach, below v_least, while the command is at its limit or as fast as may be, and where e
+    or v is not finite. Ports, units and sample time are those of `block`, which goes on from its own angle. State: that
+    of `block`, then z [rad], the last e [m] and the last command [rad]. Valid where `block` by itself is stable.
+    Raises ValueError for parameters out of range and for a block without the inputs e and v and the output delta_sw.
+
+    Source: Astrom, Hagglund 2006, section 3.5 and ch. 6 (conditional integration, cancelled pole); Pannocchia, Rawlings
+    2003 and Maeder, Borrelli, Morari 2009 (what a model of the disturbance gives an MPC).
+    """
+
+    block: Block
+    """The controller; e of the front axle."""
+    steer_ratio: Scalar = 15.6
+    """n, steering-wheel angle over road-wheel angle [1]."""
+    approach: Scalar = 0.5
+    """T [s]; of the controllers of the catalogue 0.43 to 0.57 from 3 to 15 m/s, and the delay more."""
+    time: Scalar = 3.0
+    """tau [s]."""
+    most: Scalar = radians_of(60.0)
+    """Largest |z| [rad]."""
+    reach: Scalar = TRIP
+    """|e| beyond which the car is on its way back, and z stands still [m]."""
+    v_least: Scalar = 1.0
+    """Speed below which it does, too [m/s]."""
+    limit: Scalar = STOP
+    """Largest |delta_sw| [rad]."""
+    rate_limit: Scalar = radians_of(550.0)
+    """Fastest command of `block` [rad/s]; z stands still from 99 % of it on."""
+
+    def __post_init__(self) -> None:
+        where = "OffsetFree"
+        gives = {port.name for port in self.block.outputs}
+        asks = {port.name for port in self.block.inputs}
+        kind = type(self.block).__name__
+        require("delta_sw" in gives, where, f"{kind} with outputs {sorted(gives)}, expected delta_sw among them")
+        require({"e", "v"} <= asks, where, f"{kind} with inputs {sorted(asks)}, expected e and v among them")
+        for name, unit, low, high in (
+            ("steer_ratio", "1", 1.0, 100.0),
+            ("approach", "s", 0.05, 60.0),
+            ("time", "s", 0.1, 1e4),
+            ("most", "rad", 0.0, 30.0),
+            ("reach", "m", 1e-3, 1e3),
+            ("v_least", "m/s", 0.1, 100.0),
+            ("limit", "rad", 1e-3, 30.0),
+            ("rate_limit", "rad/s", 1e-3, 200.0),
+        ):
+            require_within(where, name, getattr(self, name), unit, low, high)
+        take_ports(self, self.block)
+
+    @classmethod
+    def around(cls, block: Block, vehicle: Vehicle, *, delay: float = 0.0, **settings: float) -> OffsetFree:
+        """`block` in a `Vehicle` of whose ratio and stops it is told, and whose steering has that delay [s].
+
+        settings: any other fields.
+        """
+        require_vehicle(vehicle, "OffsetFree.around")
+        told = dict(steer_ratio=vehicle.steer_ratio, limit=vehicle.delta_sw_max, approach=cls.approach + delay)
+        told["rate_limit"] = getattr(block, "rate_limit", cls.rate_limit)
+        return cls(block=block, **(told | settings))
+
+    @cached_property
+    def _inner(self) -> Any:
+        """What makes the wrapped block's state from its entries."""
+        return getattr(type(self.block.init()), "_make", tuple)
+
+    def init(self, batch: tuple[int, ...] = ()) -> State:
+        return (*self.block.init(batch), *[m.filled(0.0, batch)] * 3)
+
+    def settle(self, t: float, x: State, u: Any) -> State:
+        inner = self.block.settle(t, self._inner(x[:-3]), u)
+        angle = u.delta_sw_meas if "delta_sw_meas" in u._fields else 0.0 * u.e
+        return (*inner, x[-3], u.e + 0.0, angle + 0.0)
+
+    def output(self, t: Any, x: State, u: Any) -> Any:
+        y = self.block.output(t, self._inner(x[:-3]), u)
+        return y._replace(delta_sw=m.clip(y.delta_sw + x[-3], -self.limit, self.limit))
+
+    def update(self, t: Any, x: State, u: Any, y: Any) -> State:
+        z, e_before, before = x[-3:]
+        inner = self.block.update(t, self._inner(x[:-3]), u, y._replace(delta_sw=y.delta_sw - z))
+        v = m.maximum(u.v, self.v_least)
+        beyond = self.dt * u.e + self.approach * (u.e - e_before)  # (e + T e') dt
+        change = -self.steer_ratio / (v * self.approach * self.time) * beyond
+        on_path = m.both(m.absolute(u.e) <= self.reach, u.v >= self.v_least)
+        fastest = 0.99 * self.rate_limit * self.dt
+        free = m.both(m.absolute(y.delta_sw) < self.limit, m.absolute(y.delta_sw - before) < fastest)
+        moves = m.both(m.both(on_path, free), m.is_finite(change))
+        z = m.clip(z + m.where(moves, change, 0.0), -self.most, self.most)
+        return (*inner, z, u.e + 0.0, y.delta_sw + 0.0)

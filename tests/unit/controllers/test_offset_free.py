@@ -1,0 +1,156 @@
+"""Whatever is constantly wrong, the car ends on its path, and a car that comes back to it is not turned past it."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from steerkit.assembly import placed, steering_loop
+from steerkit.catalogue import make_controller
+from steerkit.controllers.offset_free import OffsetFree
+from steerkit.controllers.stanley import Stanley
+from steerkit.courses import straight
+from steerkit.doe import Integrator
+from steerkit.plants.human import ConstantSpeed
+from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.scenario import Scenario
+from steerkit.scenario.drive import controller, drive
+from steerkit.simulation import simulate
+from steerkit.units import radians_of
+from steerkit.vehicles import vehicle
+
+PASSAT = vehicle("vw-passat")
+STRAIGHT = Scenario(course="straight", v_min=6.0, v_max=6.0)
+BEND = replace(STRAIGHT, course="circle", rounds=1.5)
+D = radians_of(5.0)
+HERE = dict(e=0.01, psi_e=0.0, kappa=0.0, v=6.0, r=0.0, delta_sw_meas=0.0)
+
+
+@cache
+def at_the_end(name: str, scenario: Scenario) -> float:
+    """e in the last second, which has to be steady [m]."""
+    e = drive(scenario, controller(name, scenario))["path.e"][-20:]
+    assert np.ptp(e) < 5e-4
+    return float(e[-1])
+
+
+def stanley_beside() -> float:
+    law = Stanley.of(PASSAT)
+    return D * (law.k_soft + 6.0) / (law.k * PASSAT.steer_ratio)
+
+
+def lqr_beside() -> float:
+    """Its command is -D, and stands there: the terms of e and of the command are each other's opposite."""
+    block: Any = controller("lqr", STRAIGHT)
+    row = block.table.rows[round((6.0 - block.v_min) / block.v_step)]
+    return float(row[5]) * math.tan(D / PASSAT.steer_ratio) / float(row[0])
+
+
+@pytest.mark.parametrize(
+    ("name", "beside"), [("stanley-delay", None), ("stanley", stanley_beside()), ("lqr", lqr_beside()), ("mpc", None)]
+)
+def test_an_offset_of_the_wheel_leaves_what_the_law_says_and_nothing_with_it(name: str, beside: float | None) -> None:
+    off = replace(STRAIGHT, offset_deg=5.0)
+    without = at_the_end(name, off)
+    assert without > 0.008
+    if beside is not None:
+        assert without == pytest.approx(beside, rel=0.02)
+    if name != "stanley":
+        assert abs(at_the_end(f"{name.removesuffix('-delay')}-offset-free", off)) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [
+        *itertools.product(("stanley", "lqr"), ({"offset_deg": 5.0}, {"bank_deg": 3.0}, {"ratio": 1.25, "tyres": 0.6})),
+        ("mpc", {"ratio": 1.25, "tyres": 0.6}),
+    ],
+)
+def test_in_a_steady_bend_neither_offset_nor_bank_nor_ratio_leaves_an_error(name: str, wrong: dict[str, float]) -> None:
+    bent: Any = replace(BEND, **wrong)  # type: ignore[arg-type]
+    assert abs(at_the_end("stanley-delay" if name == "stanley" else name, bent)) > 5e-3
+    assert abs(at_the_end(f"{name}-offset-free", bent)) < 1e-3
+
+
+def driven(block: Any, e: float) -> np.ndarray:
+    """e at the front axle of a car that starts so far beside a straight, at 6 m/s."""
+    path = straight(200.0)
+    car = placed(NonlinearSingleTrack(vehicle=PASSAT, v0=6.0), path, s=5.0, e=e)
+    loop = steering_loop(car=car, path=path, human=ConstantSpeed(speed=6.0), controller=block, reference=PASSAT.l_f)
+    return np.asarray(simulate(loop, 12.0)["path.e"])
+
+
+def test_the_disturbance_is_found_within_the_time_that_is_stated() -> None:
+    """Behind the law's own transient e = v d/n exp(-t/tau)/(1/T - 1/tau), T = (k_soft + v)/(k v)."""
+    law = replace(Stanley.of(PASSAT), k_d_yaw=0.0, k_d_steer=0.0)
+    T, tau, n = (law.k_soft + 6.0) / (law.k * 6.0), 4.0, PASSAT.steer_ratio
+    off = replace(STRAIGHT, offset_deg=5.0, lag=0.0)
+    e = drive(off, OffsetFree.around(law, PASSAT, approach=T, time=tau))["path.e"]
+    assert e[180] / e[100] == pytest.approx(math.exp(-1.0), rel=0.03)
+    assert e[100] == pytest.approx(6.0 * D / n * math.exp(-5.0 / tau) / (1.0 / T - 1.0 / tau), rel=0.05)
+
+
+@pytest.mark.parametrize("start", [0.45, 3.0])
+@pytest.mark.parametrize("name", ["stanley", "lqr", "mpc"])
+def test_a_car_that_starts_beside_its_path_is_turned_past_it_by_no_more_than_2_cm(name: str, start: float) -> None:
+    bare = make_controller("stanley-delay" if name == "stanley" else name, replace(STRAIGHT, lag=0.0).belief())
+    e, before = driven(OffsetFree.around(bare, PASSAT), start), driven(bare, start)
+    assert abs(e[-1]) < 0.01
+    assert e.min() > min(before.min(), 0.0) - 0.02
+
+
+def z_after(block: OffsetFree, state: Any, **u: float) -> float:
+    values = block.U(**HERE | u)
+    y = block.output(0.0, state, block.D(**HERE | u))
+    return float(block.update(0.0, state, values, y)[-3])
+
+
+def test_where_it_stands_still() -> None:
+    block = OffsetFree.around(Stanley.of(PASSAT), PASSAT)
+    u = block.U(**HERE)
+    x = block.settle(0.0, block.init(), u)
+    assert z_after(block, x) == pytest.approx(-block.steer_ratio / (6.0 * 0.5 * 3.0) * 0.05 * 0.01)
+    assert z_after(block, x, e=-0.01) == pytest.approx(block.steer_ratio / 9.0 * (0.05 * 0.01 + 0.5 * 0.02))
+    stood = (*x[:-3], 0.2, 0.01, 0.1)
+    for wrong in ({"e": 0.6}, {"e": -0.6}, {"v": 0.5}, {"v": -3.0}, {"e": math.nan}, {"v": math.nan}):
+        assert z_after(block, stood, **wrong) == 0.2
+    assert z_after(replace(block, limit=1e-3), stood) == 0.2
+    assert z_after(replace(block, rate_limit=1e-3), stood) == 0.2
+    assert abs(z_after(replace(block, most=0.2), (*x[:-3], -0.2, 0.01, -0.3))) == 0.2
+
+
+def test_a_gap_in_what_is_measured_is_forgotten() -> None:
+    block = OffsetFree.around(Stanley.of(PASSAT), PASSAT)
+    x = block.settle(0.0, block.init(), block.U(**HERE))
+    for e in (0.01, math.nan, 0.01, 0.01):
+        y = block.output(0.0, x, block.D(**HERE | {"e": e}))
+        x = block.update(0.0, x, block.U(**HERE | {"e": e}), y)
+    assert all(map(math.isfinite, x))
+    assert x[-3] == pytest.approx(-2.0 * block.steer_ratio / 9.0 * 0.05 * 0.01)  # of the first sample and the last
+
+
+def test_the_wrapped_law_goes_on_from_its_own_angle() -> None:
+    block = OffsetFree(block=Stanley.of(PASSAT))
+    x = block.settle(0.0, block.init(), block.U(**HERE))
+    x = (*x[:-3], 0.1, *x[-2:])
+    y = block.output(0.0, x, block.D(**HERE))
+    inner = block.block.output(0.0, block.block.init(), block.D(**HERE)).delta_sw
+    assert y.delta_sw == pytest.approx(inner + 0.1)
+    assert block.update(0.0, x, block.U(**HERE), y)[1] == pytest.approx(inner)
+    assert abs(replace(block, limit=0.03).output(0.0, x, block.D(**HERE)).delta_sw) == 0.03
+
+
+def test_what_it_is_not_made_for() -> None:
+    with pytest.raises(ValueError, match="expected delta_sw among them"):
+        OffsetFree(block=ConstantSpeed())
+    with pytest.raises(ValueError, match="expected e and v among them"):
+        OffsetFree(block=Integrator())
+    for name, value in (("approach", 0.0), ("time", 0.0), ("most", -1.0), ("reach", 0.0), ("v_least", 0.0)):
+        with pytest.raises(ValueError, match=f"OffsetFree: {name} = {value}"):
+            OffsetFree(block=Stanley.of(PASSAT), **{name: value})
