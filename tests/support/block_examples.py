@@ -15,6 +15,7 @@ from steerkit.block import Block
 from steerkit.controllers.delay import Predicted, delayed_stanley
 from steerkit.controllers.estimators.single_track_filter import SingleTrackFilter
 from steerkit.controllers.estimators.steering_delay import WheelDelay, YawDelay
+from steerkit.controllers.estimators.steering_wear import SteeringFriction, SteeringPlay
 from steerkit.controllers.estimators.vehicle_state import VehicleState
 from steerkit.controllers.foresight import Foresight
 from steerkit.controllers.lqr import Lqr
@@ -101,6 +102,8 @@ EXAMPLES = [
     Example(PlainAngle()),
     Example(WheelDelay(prior_delay=0.05, longest=0.1, prior_lag=0.02)),
     Example(YawDelay(vehicle=PASSAT)),
+    Example(SteeringFriction(longest=0.2)),
+    Example(SteeringPlay(vehicle=PASSAT)),
     Example(SingleTrackFilter(vehicle=PASSAT), blind=("psi",)),
     Example(Corrected()),
     Example(Corrected(element=LowPass())),

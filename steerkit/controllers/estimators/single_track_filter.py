@@ -9,7 +9,7 @@ from typing import Any
 
 from steerkit import maths as m
 from steerkit.block import Block, In, Out, State
-from steerkit.controllers.estimators.bank import at
+from steerkit.controllers.estimators.way import arrived
 from steerkit.controllers.estimators.yaw_model import SLOWEST, steady_gain, yaw_step
 from steerkit.errors import require, require_within, whole_samples
 from steerkit.maths import Scalar
@@ -22,7 +22,7 @@ _OUTLIER = 3.0
 """Standard deviations beyond which a sample counts for less."""
 _N = 5
 _ROWS = [(i, j) for i in range(_N) for j in range(i + 1)]
-_FILTERS = 15
+_FILTERS = 14
 _BOUNDS = ((0.4, 2.5), (-0.02, 0.05), (-0.5, 0.5), (-0.1, 0.1), (-0.2, 0.2))
 """Of gain, understeer gradient [rad s^2/m], offset [rad], gyro zero [rad/s], disturbance [rad]."""
 
@@ -116,6 +116,8 @@ class SingleTrackFilter(Block):
     """Longest time over which headings are compared [s]; the first is an eighth of it, the next two."""
     longest: float = 1.0
     """Longest delay [s], a multiple of dt; a longer one is taken for this."""
+    held: bool = True
+    """Is the angle a command, held for dt? Else it is measured, and at least dt late."""
 
     def __post_init__(self) -> None:
         where = "SingleTrackFilter"
@@ -174,13 +176,11 @@ class SingleTrackFilter(Block):
             for value, deviation, most in found
             for entry in (value, deviation, m.where(deviation <= most, 1.0, 0.0))
         ]
-        return self.Y(*flat, self._expected(numbers, x[5], x[1])[0], x[2])
+        return self.Y(*flat, self._expected(numbers, x[4], x[1])[0], x[2])
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
         p, dt = self.vehicle, self.dt
-        angle, v_before, _, since, lagged, w, beta, rate, stands, turned, clock, start, going, arrived, window = x[
-            :_FILTERS
-        ]
+        angle, v_before, _, since, w, beta, rate, stands, turned, clock, start, going, came, window = x[:_FILTERS]
         line, numbers, covariance = x[_FILTERS : self._first], x[self._first : self._first + _N], x[self._first + _N :]
         finite = [m.is_finite(value) for value in (u.delta_sw, u.v, u.r, u.delay, u.lag, u.active)]
         known, moves, turns = finite[0], finite[1], finite[2]
@@ -222,13 +222,8 @@ class SingleTrackFilter(Block):
         going = m.where(whole, 1.0, 0.0)
         # the angle on its way
         command = m.where(known, u.delta_sw, angle)
-        lagged_next = command + (lagged - command) * m.exp(-dt / m.maximum(lag, 1e-3))
-        line = (lagged_next, *line[:-1])
-        place = delay / dt
-        entry = m.floor(place)
-        before, after = at(entry, line), at(m.minimum(entry + 1.0, len(line) - 1.0), line)
-        arrives = before + (place - entry) * (after - before)
-        beta, rate = yaw_step(p, beta, rate, 0.5 * (arrived + arrives) / p.steer_ratio, v, dt)
+        line, arrives = arrived(line, command, delay - (0.0 if self.held else dt), lag, dt)
+        beta, rate = yaw_step(p, beta, rate, 0.5 * (came + arrives) / p.steer_ratio, v, dt)
         w = rate / steady_gain(p, v)
         since = m.where(acts, m.minimum(since + 1.0, 1e6), 0.0)
         filters = (
@@ -236,7 +231,6 @@ class SingleTrackFilter(Block):
             v,
             m.where(read, 0.0, 1.0),
             since,
-            lagged_next,
             w,
             beta,
             rate,
