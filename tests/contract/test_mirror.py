@@ -72,6 +72,7 @@ ELSEWHERE = {
     "steerkit.vehicles": "unit/vehicles/test_named.py",
     "steerkit.waypoints": "unit/test_path.py",
     "benchmarks.peers.python_control": "unit/benchmarks/studies/test_studies.py",
+    "benchmarks.calibration": "unit/benchmarks/studies/test_studies.py",
     "benchmarks.rounds": "unit/benchmarks/studies/test_studies.py",
     "benchmarks.report.figures": "unit/benchmarks/report/test_page.py",
     "benchmarks.report.paper": "unit/benchmarks/report/test_page.py",

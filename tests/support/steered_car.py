@@ -52,7 +52,14 @@ def answered(
         x = plant.update(0.0, x, plant.U(y.delta_sw, speeds[k // 5]), None)
     wheel, r, psi = np.array(rows).T
     ones = np.ones(len(command))
-    known = {"delay": delay * ones, "lag": lag * ones, "active": ones, "v": np.array(speeds, dtype=float)}
+    known = {
+        "delay": delay * ones,
+        "lag": lag * ones,
+        "delay_deviation": 0.0 * ones,
+        "lag_deviation": 0.0 * ones,
+        "active": ones,
+        "v": np.array(speeds, dtype=float),
+    }
     return known | {"delta_sw_cmd": command, "delta_sw": command, "delta_sw_meas": wheel, "r": r, "psi": psi}
 
 

@@ -18,11 +18,13 @@ from steerkit.vehicles import Vehicle, require_vehicle
 
 _STANDS, _STANDING = 0.1, 1.0
 """A car stands below this speed [m/s], after that long [s]."""
+_TOGETHER = 1.0
+"""For how long errors of the angle hang together [s]."""
 _OUTLIER = 3.0
 """Standard deviations beyond which a sample counts for less."""
 _N = 5
 _ROWS = [(i, j) for i in range(_N) for j in range(i + 1)]
-_FILTERS = 14
+_FILTERS = 15
 _BOUNDS = ((0.4, 2.5), (-0.02, 0.05), (-0.5, 0.5), (-0.1, 0.1), (-0.2, 0.2))
 """Of gain, understeer gradient [rad s^2/m], offset [rad], gyro zero [rad/s], disturbance [rad]."""
 
@@ -37,10 +39,15 @@ class SingleTrackFilter(Block):
         r = g v (w + offset + disturbance)/(n (L + K v^2)) + rate_zero + noise,  g = 1/ratio,
         disturbance' = f disturbance + noise,  P' = F P F + (1 - F^2) P_0,  F = diag(exp(-dt/memory), ..., f),
 
-    n, L of the data sheet. Forgetting widens P towards the prior's P_0 and moves no value, so nothing drifts. While the
-    car stands, r is rate_zero itself. Over windows of `window`/8, /4, /2 and then `window` the heading gives it, too:
-    the integral of r less the change of psi. A sample further than 3 deviations off counts for less, as if its noise
-    were that large; one further than 6 is not integrated either.
+    n, L of the data sheet. The variance of r's error is that of its noise, of free play and friction, and of a delay
+    that is not known yet, each as often as it is new: with c = `correlated`,
+
+        noise^2 c/dt + (g v/(n (L + K v^2)))^2 (wear^2 + (w' delay_deviation)^2) (1 s)/dt.
+
+    Forgetting widens P towards the prior's P_0 and moves no value, so nothing drifts. While the car stands, r is
+    rate_zero itself. Over windows of `window`/8, /4, /2 and then `window` the heading gives it, too: the integral of r
+    less the change of psi. A sample further than 3 deviations off counts for less, as if its noise were that large; one
+    further than 6 is not integrated either.
 
     What is told apart when: ratio in bends; offset wherever the car drives, but from rate_zero only with a heading, a
     stop or changes of speed; K in bends at different speeds from about 15 m/s, below it is the prior's; a bank or a
@@ -48,13 +55,13 @@ class SingleTrackFilter(Block):
     and a bank that never ends is one. total_offset = offset + disturbance is what a controller has to steer against.
 
     Inputs: delta_sw [rad], the command, or the measured wheel, whose offset is then found; v [m/s]; r [rad/s]; psi
-    [rad], NaN where there is none; delay, lag [s] from that angle to the measured r, without the car's own; active [1]:
-    does the angle steer? Outputs, of state only: ratio, ratio_deviation [1], understeer, understeer_deviation
-    [rad s^2/m], offset, offset_deviation, disturbance, disturbance_deviation, total_offset, total_offset_deviation
-    [rad], rate_zero, rate_zero_deviation [rad/s]; ratio_valid, understeer_valid, offset_valid, disturbance_valid,
-    total_offset_valid, rate_zero_valid [1]: the deviation is at most 3 %, half of the prior's, 0.25 degrees, half of
-    its own, 0.35 degrees, 0.001 rad/s; r_model [rad/s], what it expects of this sample's gyro; missing [1]: 1 where
-    angle, speed, gyro, delay, lag or `active` were no numbers.
+    [rad], NaN where there is none; delay, lag [s] from that angle to the measured r, without the car's own, and
+    delay_deviation [s] of their sum; active [1]: does the angle steer?
+    Outputs, of state only: ratio, ratio_deviation [1], understeer, understeer_deviation [rad s^2/m], offset,
+    offset_deviation, disturbance, disturbance_deviation, total_offset, total_offset_deviation [rad], rate_zero,
+    rate_zero_deviation [rad/s]; ratio_valid, understeer_valid, offset_valid, disturbance_valid, total_offset_valid,
+    rate_zero_valid [1]: the deviation is at most 3 %, half of the prior's, 0.25 degrees, half of its own, 0.35 degrees,
+    0.001 rad/s; r_model [rad/s], what it expects of this sample's gyro; missing [1]: 1 where one but psi was no number.
     A sample teaches where these are finite, v is 3 m/s or more, and the angle has steered for delay + 4 lag + 0.3 s.
     State: filters, a delay line, the five numbers, P's lower triangle. Raises ValueError for parameters out of range.
 
@@ -68,6 +75,7 @@ class SingleTrackFilter(Block):
     psi = In("rad", direct=False)
     delay = In("s", direct=False)
     lag = In("s", direct=False)
+    delay_deviation = In("s", direct=False)
     active = In("1", direct=False)
     ratio = Out("1", direct=())
     ratio_deviation = Out("1", direct=())
@@ -112,6 +120,8 @@ class SingleTrackFilter(Block):
     """Standard deviation of what is wrong with psi [rad], at both ends of a window."""
     correlated: float = 0.2
     """For how long the errors of r hang together [s], dt at least."""
+    wear: float = radians_of(0.4)
+    """Standard deviation of what free play and friction make of the angle [rad]."""
     window: float = 40.0
     """Longest time over which headings are compared [s]; the first is an eighth of it, the next two."""
     longest: float = 1.0
@@ -136,6 +146,7 @@ class SingleTrackFilter(Block):
             ("noise", "rad/s", 1e-6, 1.0),
             ("psi_noise", "rad", 1e-6, 1.0),
             ("correlated", "s", self.dt, 10.0),
+            ("wear", "rad", 0.0, 0.3),
             ("window", "s", self.dt, 1e3),
         ):
             require_within(where, name, getattr(self, name), unit, low, high)
@@ -155,7 +166,7 @@ class SingleTrackFilter(Block):
         start = (1.0, self.vehicle.understeer_gradient, 0.0, 0.0, 0.0)
         covariance = [m.filled(variances[i] if i == j else 0.0, batch) for i, j in _ROWS]
         line = (zero,) * (self._first - _FILTERS)
-        held = (zero, m.filled(SLOWEST, batch), *(zero,) * (_FILTERS - 3), m.filled(self.window / 8.0, batch))
+        held = (zero, m.filled(SLOWEST, batch), *(zero,) * (_FILTERS - 4), m.filled(self.window / 8.0, batch), zero)
         return (*held, *line, *[m.filled(value, batch) for value in start], *covariance)
 
     def output(self, t: Any, x: State, u: Any) -> Any:
@@ -180,12 +191,14 @@ class SingleTrackFilter(Block):
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
         p, dt = self.vehicle, self.dt
-        angle, v_before, _, since, w, beta, rate, stands, turned, clock, start, going, came, window = x[:_FILTERS]
+        angle, v_before, _, since, w, beta, rate, stands, turned, clock, start, going, came, window, turning = x[
+            :_FILTERS
+        ]
         line, numbers, covariance = x[_FILTERS : self._first], x[self._first : self._first + _N], x[self._first + _N :]
-        finite = [m.is_finite(value) for value in (u.delta_sw, u.v, u.r, u.delay, u.lag, u.active)]
+        finite = [m.is_finite(value) for value in (u.delta_sw, u.v, u.r, u.delay, u.lag, u.active, u.delay_deviation)]
         known, moves, turns = finite[0], finite[1], finite[2]
         told = m.both(finite[3], finite[4])
-        read = m.both(m.both(known, moves), m.both(m.both(turns, told), finite[5]))
+        read = m.both(m.both(known, moves), m.both(m.both(turns, told), m.both(finite[5], finite[6])))
         v = m.where(moves, m.maximum(u.v, SLOWEST), v_before)
         drives = m.both(moves, u.v >= SLOWEST)
         acts = m.both(m.both(known, drives), m.both(told, u.active > 0.5))
@@ -200,8 +213,10 @@ class SingleTrackFilter(Block):
         covariance = _forgotten(covariance, keeps, self._variances)
         expected, slopes = self._expected(numbers, w, v)
         variance = self.noise**2 * self.correlated / dt
+        late = turning * m.where(m.is_finite(u.delay_deviation), u.delay_deviation, 0.0)
+        uneven = slopes[2] * slopes[2] * (self.wear**2 + late * late) * (_TOGETHER / dt)
         error = m.where(teaches, r - expected, 0.0)
-        numbers, covariance, off = _corrected(numbers, covariance, slopes, error, variance, teaches)
+        numbers, covariance, off = _corrected(numbers, covariance, slopes, error, variance + uneven, teaches)
         r = m.where(off > 4.0, expected, r)
         stands = m.where(m.both(moves, u.v < _STANDS), stands + dt, 0.0)
         stopped = m.both(turns, stands > _STANDING)
@@ -212,7 +227,7 @@ class SingleTrackFilter(Block):
         psi = m.where(m.is_finite(u.psi), u.psi, 0.0)
         ends = m.both(m.both(whole, going > 0.5), clock + 0.5 * dt >= window)
         measured = m.wrap(turned - psi + start) / window
-        variance = 2.0 * (self.psi_noise / window) ** 2 + self.noise**2 * dt / window
+        variance = 2.0 * self.psi_noise**2 / (window * window) + self.noise**2 * dt / window
         numbers, covariance, _ = _corrected(numbers, covariance, only_zero, measured - numbers[3], variance, ends)
         begins = m.either(ends, m.both(whole, going < 0.5))
         start = m.where(begins, psi, start)
@@ -224,6 +239,7 @@ class SingleTrackFilter(Block):
         command = m.where(known, u.delta_sw, angle)
         line, arrives = arrived(line, command, delay - (0.0 if self.held else dt), lag, dt)
         beta, rate = yaw_step(p, beta, rate, 0.5 * (came + arrives) / p.steer_ratio, v, dt)
+        turning = (rate / steady_gain(p, v) - w) / dt
         w = rate / steady_gain(p, v)
         since = m.where(acts, m.minimum(since + 1.0, 1e6), 0.0)
         filters = (
@@ -241,6 +257,7 @@ class SingleTrackFilter(Block):
             going,
             arrives,
             window,
+            turning,
         )
         return (*filters, *line, *numbers, *covariance)
 

@@ -46,7 +46,8 @@ class DelayBank(Block):
     squares left over and the priors' (a = 1 +- 0.3, b = 0 +- prior_lag_deviation, c = 0 +- 0.5, d = prior_delay +-
     prior_delay_deviation). A parabola through the lowest U and its neighbours gives the delay between samples and, by
     its curvature, the variance. Delay and lag are those with the regression's first two moments: with B = b/a their sum
-    is d + L0 + B, and L = sqrt(L0^2 + 2 L0 B - B^2): near L0 + B, 1.4 L0 at most. Without excitation U is the priors'
+    is d + L0 + B, and L = sqrt(L0^2 + 2 L0 B - B^2): near L0 + B, 1.4 L0 at most, drawn to L0 where it is short.
+    Without excitation U is the priors'
     own parabola, so they come out. Where more is left over than the noise explains, deviations grow by that.
 
     A sample teaches where all is finite, v is 3 m/s or more, and for longest + 4 L0 + 0.3 s the commands have acted:
@@ -197,11 +198,16 @@ class DelayBank(Block):
         lag = m.sqrt(prior * prior + 2.0 * prior * moved - moved * moved)
         stretch = (prior - moved) / m.maximum(lag, 0.1 * prior)  # of the lag over b/a
         odd = _NO_SINGLE_LAG * m.maximum(stretch, 1.0)
-        own = m.sqrt(unknown * unknown + _TIMING**2 + (_CUBIC * (lag - prior)) ** 2)
-        sum_variance = (1.0 + slope) ** 2 * variance + spread + own * own
-        lag_variance = stretch * stretch * (slope * slope * variance + spread) + odd * odd
-        rest = (1.0 + slope - stretch * slope) ** 2 * variance + (1.0 - stretch) ** 2 * spread
-        deviations = [m.sqrt(rest + odd * odd + own * own), m.sqrt(lag_variance), m.sqrt(sum_variance)]
+        trust = 1.0 / (1.0 + odd * odd / self.prior_lag_deviation**2)  # in a lag that second moments hardly tell
+        lag = prior + trust * (lag - prior)
+        stretch = trust * stretch
+        cubic = _CUBIC * (lag - prior)
+        own = m.sqrt(unknown * unknown + _TIMING**2 + cubic * cubic)
+        sum_variance = (1.0 + slope) * (1.0 + slope) * variance + spread + own * own
+        lag_variance = stretch * stretch * (slope * slope * variance + spread) + trust * odd * odd
+        less = 1.0 - stretch
+        rest = (1.0 + less * slope) * (1.0 + less * slope) * variance + less * less * spread
+        deviations = [m.sqrt(rest + trust * odd * odd + own * own), m.sqrt(lag_variance), m.sqrt(sum_variance)]
         explained = left < (1.0 - _EXPLAINED) * power
         enough = (2.0 * self.enough, 2.0 * self.enough, self.enough)
         valid = [m.where(m.both(explained, d <= most), 1.0, 0.0) for d, most in zip(deviations, enough)]
@@ -274,7 +280,7 @@ class YawDelay(DelayBank):
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
         read = m.both(m.both(m.is_finite(u.r), m.is_finite(u.v)), m.is_finite(u.active))
         gain = steady_gain(self.vehicle, x[6])
-        return self._learn(x, u, u.r / gain, (gain / self.noise) ** 2, u.v, read)
+        return self._learn(x, u, u.r / gain, gain * gain / self.noise**2, u.v, read)
 
     def _follow(self, x: State, command: Scalar, v: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar]:
         p, before = self.vehicle, x[7]

@@ -22,7 +22,7 @@ _GAIN = 1.0 / 0.3**2
 _LATE = 1.0 / 0.1**2
 """Precision of the delay that is still wrong, 0 +- 0.1 s [1/s^2]."""
 _CANDIDATES = 9
-_MOMENTS, _FILTERS = size(2), 13
+_MOMENTS, _FILTERS = size(2), 14
 _SETTLED = 3.0
 """How long the commands have to have acted before they teach [s]: the operators have to get at an end of their gaps."""
 _EXPLAINED = 0.5
@@ -44,19 +44,21 @@ class GapBank(Block):
     is regressed as in `DelayBank`, with priors a = 1 +- 0.3, b = 0 +- 0.1 s, g = prior +- prior_deviation. The loop of
     a delay that is told wrong grows with the wheel's speed, that of a gap does not, which tells them apart. A parabola
     through the lowest cost and its neighbours gives g and its variance; where more is left over than the noise
-    explains, the deviation grows by that. Without steering to and fro the prior stays.
+    explains, the deviation grows by that; and `per_lag` times lag_deviation is in it, as a lag that is taken for delay
+    leaves a loop that hardly differs from a gap's. Without steering to and fro the prior stays.
 
     A sample teaches where all is finite, v is 3 m/s or more, and `active` was 1 for 3 s. Valid: the deviation is at
     most a tenth of the value, or 0.1 degrees, and half of the response's variance is explained.
 
-    Inputs: angle [rad]; delay, lag [s]; v [m/s]; active [1]. State: filters, the angles on their way, the operators,
-    moments. Raises ValueError for parameters out of range. Source: as for `SteeringColumn` (Nordin, Gutman 2002;
-    Visintin 1994) and `DelayBank`.
+    Inputs: angle [rad]; delay, lag, lag_deviation [s]; v [m/s]; active [1]. State: filters, the angles on their way,
+    the operators, moments. Raises ValueError for parameters out of range. Source: as for `SteeringColumn` (Nordin,
+    Gutman 2002; Visintin 1994) and `DelayBank`.
     """
 
     angle = In("rad", direct=False)
     delay = In("s", direct=False)
     lag = In("s", direct=False)
+    lag_deviation = In("s", direct=False)
     v = In("m/s", direct=False)
     active = In("1", direct=False)
 
@@ -70,6 +72,8 @@ class GapBank(Block):
     """Seconds of driving that taught, after which their weight has fallen to 1/e."""
     correlated: float = 0.15
     """For how long the errors of the response hang together [s], dt at least."""
+    per_lag: float = radians_of(9.0)
+    """By how much the half width is off, for each second of a lag that is taken for delay [rad/s]."""
     longest: float = 1.0
     """Longest delay [s], a multiple of dt; a longer one is taken for this."""
     held: bool = True
@@ -83,6 +87,7 @@ class GapBank(Block):
         require_within(where, "widest", self.widest, "rad", 1e-4, 1.0, "radians: radians_of(1.6)")
         require_within(where, "prior", self.prior, "rad", 0.0, self.widest, "0 to widest")
         require_within(where, "prior_deviation", self.prior_deviation, "rad", 1e-6, 1.0)
+        require_within(where, "per_lag", self.per_lag, "rad/s", 0.0, 10.0, "radians: radians_of(9)")
         require_within(where, "memory", self.memory, "s", 1.0, 1e6)
         require_within(where, "correlated", self.correlated, "s", self.dt, 10.0, "at least dt")
 
@@ -106,9 +111,9 @@ class GapBank(Block):
     def _learn(self, x: State, u: Any, response: Scalar, weight: Scalar, read: Scalar) -> State:
         """The next state. response [rad] and weight [1/rad^2] of this sample; read: was it finite?"""
         n, dt = self._line, self.dt
-        held, since, _, total, count, mean, power, speed, _, _, _, front, rate = x[:_FILTERS]
+        held, since, _, total, count, mean, power, speed, _, _, _, front, rate, split = x[:_FILTERS]
         line, behind = x[_FILTERS : _FILTERS + n], x[_FILTERS + n : _FILTERS + n + _CANDIDATES]
-        told = m.both(m.is_finite(u.delay), m.is_finite(u.lag))
+        told = m.both(m.both(m.is_finite(u.delay), m.is_finite(u.lag)), m.is_finite(u.lag_deviation))
         known = m.both(m.is_finite(u.angle), told)
         read = m.both(m.both(read, known), m.both(m.is_finite(u.v), m.is_finite(u.active)))
         acts = m.both(known, u.active > 0.5)
@@ -135,7 +140,8 @@ class GapBank(Block):
         since = m.where(acts, m.minimum(since + 1.0, 1e6), 0.0)
         missing = m.where(read, 0.0, 1.0)
         filters = (held, since, missing, total, count, mean + gain * dy, power, speed, tap, beta, r)
-        return (*filters, after, (after - front) / dt, *line, *behind, *moments)
+        split = m.where(m.is_finite(u.lag_deviation), u.lag_deviation, split)
+        return (*filters, after, (after - front) / dt, split, *line, *behind, *moments)
 
     def _found(self, x: State) -> tuple[Scalar, Scalar, Scalar]:
         """The half width [rad], its deviation [rad] and its validity."""
@@ -150,7 +156,8 @@ class GapBank(Block):
         best = lowest(costs, 2.0 * (self._step / self.prior_deviation) ** 2)
         left = power - at(best.number, saved)
         excess = m.maximum(left / m.maximum(x[4], 10.0), 1.0)
-        width, deviation = best.place * self._step, m.sqrt(excess * best.variance * self._step**2 + _UNTOLD**2)
+        width, aside = best.place * self._step, self.per_lag * x[13]
+        deviation = m.sqrt(excess * best.variance * self._step**2 + _UNTOLD**2 + aside * aside)
         precise = deviation <= m.maximum(_SHARE * width, _LEAST)
         return width, deviation, m.where(m.both(precise, left < (1.0 - _EXPLAINED) * power), 1.0, 0.0)
 
@@ -162,8 +169,8 @@ class SteeringFriction(GapBank):
     As `GapBank` says, with angle = the command, delay and lag those of the motor (`WheelDelay`), response =
     delta_sw_meas. friction [rad] is what `SteeringColumn` calls so: half the loop's width.
 
-    Inputs: angle, delta_sw_meas [rad]; delay, lag [s]; v [m/s]; active [1]. Outputs, of state only: friction,
-    friction_deviation [rad]; friction_valid, missing [1], the last 1 where the sample before held a NaN.
+    Inputs: angle, delta_sw_meas [rad]; delay, lag, lag_deviation [s]; v [m/s]; active [1]. Outputs, of state only:
+    friction, friction_deviation [rad]; friction_valid, missing [1], the last 1 where the sample before held a NaN.
     """
 
     delta_sw_meas = In("rad", direct=False)
@@ -194,8 +201,8 @@ class SteeringPlay(GapBank):
     and lag of `YawDelay`, and then friction and play are found as one, nearly their sum. x is behind the linear single
     track of the data sheet, response = r n (L + K v^2)/v. play [rad] is the whole loop, as `SteeringColumn` has it.
 
-    Inputs: angle [rad]; delay, lag [s]; v [m/s]; r [rad/s]; active [1]. Outputs, of state only: play, play_deviation
-    [rad]; play_valid, missing [1], the last 1 where the sample before held a NaN.
+    Inputs: angle [rad]; delay, lag, lag_deviation [s]; v [m/s]; r [rad/s]; active [1]. Outputs, of state only: play,
+    play_deviation [rad]; play_valid, missing [1], the last 1 where the sample before held a NaN.
     """
 
     r = In("rad/s", direct=False)
@@ -221,7 +228,7 @@ class SteeringPlay(GapBank):
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
         gain = steady_gain(self.vehicle, x[7])
-        return self._learn(x, u, u.r / gain, (gain / self.noise) ** 2, m.is_finite(u.r))
+        return self._learn(x, u, u.r / gain, gain * gain / self.noise**2, m.is_finite(u.r))
 
     def _front(self, x: State, tap: Scalar, v: Scalar) -> tuple[Scalar, Scalar, Scalar]:
         beta, r = yaw_step(self.vehicle, x[9], x[10], 0.5 * (x[8] + tap) / self.vehicle.steer_ratio, v, self.dt)

@@ -20,6 +20,17 @@ from benchmarks import studies
 from tests.support.places import ROOT
 
 KEYS = {
+    "calibration": {
+        *(
+            "lagd_error_ms",
+            "delay_error_ms",
+            "delay_yaw_error_ms",
+            "delay_seconds",
+            "offset_error_deg",
+            "ratio_error_pct",
+        ),
+        *("friction_error_pct", "play_error_pct", "coverage_pct", "lap_rms_rad_s", "cost_c_us", "cost_python_us"),
+    },
     "car_kill": {"kills", "controller", "server", "trainer"},
     "car_realtime": {"steps", "misses", "jitter_p99_ms", "rms_e_m", "frames_replayed_exactly", "recording_mb"},
     "delay_robustness": {"laps", "stanley-delay", "stanley-delay, believes 0.2 s"},
@@ -71,6 +82,16 @@ def test_the_quick_form_runs_as_a_process_and_prints_its_figures_last(name: str,
     assert list(tmp_path.iterdir()) == [], "a study leaves no files behind unless asked to"
 
 
+def sensible_calibration(figures: Any) -> None:
+    """Four drives of half a minute say little of how well it works, all of whether."""
+    assert figures["drives"] == 4
+    assert figures["lagd_error_ms"] < 10.0
+    assert figures["table"]["delay + lag, wheel"]["median"] < 10.0
+    assert figures["table"]["delay + lag, yaw rate"]["median"] < 30.0
+    assert figures["lap_rms_worst_rad_s"] < 0.0040  # exact: a recording
+    assert figures["coverage_pct"] > 70.0
+
+
 def sensible_throughput(figures: Any) -> None:
     assert figures["largest_difference_m"] < 1e-11
     assert min(figures["steps_per_second"].values()) > 0.0
@@ -110,6 +131,7 @@ def sensible_state(figures: Any) -> None:
 
 
 SENSIBLE = {
+    "calibration": sensible_calibration,
     "car_kill": sensible_kills,
     "car_realtime": sensible_drive,
     "delay_robustness": sensible_laps,

@@ -147,9 +147,9 @@ def test_what_it_expects_of_the_gyro_comes_before_the_sample() -> None:
     assert float(np.sqrt(np.mean(np.square(errors[40:])))) < 0.002
 
 
-@pytest.mark.parametrize("name", ["delta_sw", "v", "r", "delay", "lag", "active"])
+@pytest.mark.parametrize("name", ["delta_sw", "v", "r", "delay", "lag", "delay_deviation", "active"])
 def test_a_sample_that_cannot_be_read_is_told(name: str) -> None:
-    u = dict(delta_sw=0.1, v=8.0, r=0.01, psi=0.0, delay=0.1, lag=0.1, active=1.0)
+    u = dict(delta_sw=0.1, v=8.0, r=0.01, psi=0.0, delay=0.1, lag=0.1, delay_deviation=0.0, active=1.0)
 
     def told(u: dict[str, float]) -> Any:
         return BLOCK.output(0.0, BLOCK.update(0.0, BLOCK.init(), BLOCK.U(**u), None), ()).missing

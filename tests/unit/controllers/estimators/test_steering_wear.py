@@ -111,3 +111,14 @@ def test_a_sample_that_cannot_be_read_is_told(block: GapBank) -> None:
 def test_parameters_out_of_range(wrong: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         SteeringFriction(**wrong)
+
+
+def test_a_lag_that_is_hardly_known_is_in_the_interval() -> None:
+    signals = worn(friction_deg=0.5)
+    sure, unsure = (
+        said(FRICTION, driven(FRICTION, signals | {"lag_deviation": np.full(len(signals["v"]), deviation)}))
+        for deviation in (0.0, 0.04)
+    )
+    assert unsure.value == sure.value
+    assert unsure.deviation == pytest.approx(np.hypot(sure.deviation, 0.04 * FRICTION.per_lag))
+    assert (sure.valid, unsure.valid) == (1.0, 0.0)

@@ -1,0 +1,245 @@
+"""How soon, how well and how honestly a car's delay, ratio, offset and wear are found while it drives.
+
+Parts: `lagd`, a sine that comes back 3 to 9 samples of 50 ms late, without noise; `drives`, production cars drawn by
+seed on courses of their own at 5 to 9 m/s under `hard` sensors, with a data sheet that is wrong (ratio and tyres by 20
+to 25 %, offset, gyro's zero, friction, play), and commands that do not act in 40 % of the time as far as the delay is
+concerned; `laps`, both recorded laps, the yaw rate said before it is measured, with the parameters identified from the
+other lap; `cost`, all five estimators together, a sample.
+
+Every estimator is fed what the others estimate, not the truth. Errors are 90 % quantiles over the drives, after 30 s
+(delay + lag), 20 s (offset), 60 s (ratio), 120 s (friction, play); medians stand in the table. `delay_error_ms` is with
+a measured wheel, `delay_yaw_error_ms` by the yaw rate alone. `delay_seconds`: from when on 90 % of the drives are
+within 10 ms. `coverage_pct`: how often a 95 % interval holds the truth, over all drives and quantities, after 60 s.
+
+    python -m benchmarks study calibration [--drives 200] [--first 2000] [--parts lagd drives ...] [--quick] [--json]
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from benchmarks.calibration import drawn, estimated, estimators
+from steerkit.block import Block, Out
+from steerkit.compiled import Backend, compile
+from steerkit.controllers.estimators.estimate import estimated as quantity
+from steerkit.controllers.estimators.single_track_filter import SingleTrackFilter
+from steerkit.controllers.estimators.steering_delay import WheelDelay
+from steerkit.identification import identify, read_drive, shipped_drives
+from steerkit.loop import Loop
+from steerkit.maths import sin
+from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.task import DT
+from steerkit.units import degrees_of, radians_of
+from steerkit.vehicles import vehicle
+
+CLOSE = 0.010
+"""Error of delay + lag that is wanted [s]."""
+TIMES = (5.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 90.0, 119.0)
+
+
+def lagd(options: argparse.Namespace) -> dict[str, Any]:
+    """The worst error of a sine that comes back late."""
+    errors = []
+    for samples in range(3, 10):
+        for frequency in (0.1, 0.2, 0.5):
+            block = WheelDelay(prior_lag=0.03, prior_lag_deviation=0.02)  # told that there is next to no lag
+            x = block.init()
+            for k in range(600):
+                now, late = (radians_of(30.0) * np.sin(2.0 * np.pi * frequency * DT * i) for i in (k, k - samples))
+                u = dict(delta_sw_cmd=float(now), delta_sw_meas=float(late), v=20.0, active=1.0)
+                x = block.update(k * DT, x, block.U(**u), None)
+            # the sine is not held for a sample, as a command is: it comes half of one early
+            errors.append(block.output(0.0, x, ()).delay_lag - (samples - 0.5) * DT)
+    worst = 1e3 * float(np.abs(errors).max())
+    print(f"\nA sine, 3 to 9 samples late: delay + lag within {worst:.1f} ms")
+    return {"lagd_error_ms": worst}
+
+
+def drives(options: argparse.Namespace) -> dict[str, Any]:
+    """Errors and coverage over drawn drives."""
+    count, times = (4, [20.0, 30.0]) if options.quick else (options.drives, list(TIMES))
+    every = []
+    for number in range(options.first, options.first + count):
+        every.append(drawn(number, times[-1] + 1.0))
+        if len(every) % 20 == 0:
+            print(f"  {len(every)} drives driven", flush=True)
+    found = estimated(every, times, lambda what: None)
+    names = list(every[0].truth)
+    truth = {name: np.array([drive.truth[name] for drive in every]) for name in names}
+    said = {t: {name: quantity(found[t][name.split(".")[0]], name.split(".")[1]) for name in names} for t in times}
+    error = {t: {name: np.abs(said[t][name].value - truth[name]) for name in names} for t in times}
+    covered = {
+        t: {name: np.mean((said[t][name].low <= truth[name]) & (truth[name] <= said[t][name].high)) for name in names}
+        for t in times
+    }
+
+    def after(seconds: float) -> float:
+        return min(times, key=lambda t: abs(t - seconds))
+
+    def soon(name: str) -> float:
+        close = [t for t in times if all(np.mean(error[later][name] <= CLOSE) >= 0.9 for later in times if later >= t)]
+        return close[0] if close else float("nan")
+
+    shown = [
+        ("delay + lag, wheel", "wheel.delay_lag", 30.0, 1e3, "ms"),
+        ("delay + lag, yaw rate", "yaw.delay_lag", 30.0, 1e3, "ms"),
+        ("delay alone, wheel", "wheel.delay", 30.0, 1e3, "ms"),
+        ("delay alone, yaw rate", "yaw.delay", 30.0, 1e3, "ms"),
+        ("offset", "filter.offset", 20.0, degrees_of(1.0), "deg"),
+        ("ratio", "filter.ratio", 60.0, 100.0 / truth["filter.ratio"], "%"),
+        ("gyro's zero", "filter.rate_zero", 60.0, degrees_of(1.0), "deg/s"),
+        ("friction", "friction.friction", 119.0, 100.0 / truth["friction.friction"], "%"),
+        ("play, of 0.5 deg or more", "play.play", 119.0, 100.0 / truth["play.play"], "%"),
+    ]
+    print(f"\n{count} drives{'':18}{'after':>8}{'median':>10}{'90 %':>10}{'':7}{'valid':>7}{'covered':>9}")
+    table = {}
+    for label, name, seconds, factor, unit in shown:
+        t = after(seconds)
+        scaled = factor * error[t][name]
+        if name == "play.play" and (truth[name] >= radians_of(0.5)).any():
+            scaled = scaled[truth[name] >= radians_of(0.5)]
+        row = {
+            "after_s": t,
+            "median": float(np.median(scaled)),
+            "p90": float(np.quantile(scaled, 0.9)),
+            "unit": unit,
+            "valid_share": float(np.mean(said[t][name].valid)),
+            "coverage_pct": 100.0 * float(covered[t][name]),
+        }
+        table[label] = row
+        print(
+            f"{label:28}{t:6.0f} s{row['median']:10.2f}{row['p90']:10.2f} {unit:6}{row['valid_share']:7.0%}"
+            f"{covered[t][name]:9.0%}",
+            flush=True,
+        )
+    end = after(60.0)
+    return {
+        "delay_error_ms": table["delay + lag, wheel"]["p90"],
+        "delay_yaw_error_ms": table["delay + lag, yaw rate"]["p90"],
+        "delay_yaw_within_10_ms_pct": 100.0 * float(np.mean(error[after(30.0)]["yaw.delay_lag"] <= CLOSE)),
+        "delay_seconds": soon("wheel.delay_lag"),
+        "delay_yaw_seconds": soon("yaw.delay_lag"),
+        "offset_error_deg": table["offset"]["p90"],
+        "ratio_error_pct": table["ratio"]["p90"],
+        "friction_error_pct": table["friction"]["p90"],
+        "play_error_pct": table["play, of 0.5 deg or more"]["p90"],
+        "coverage_pct": 100.0 * float(np.mean([covered[end][name] for name in names])),
+        "coverage_by_quantity_pct": {name: 100.0 * float(covered[end][name]) for name in names},
+        "table": table,
+        "drives": count,
+    }
+
+
+def laps(options: argparse.Namespace) -> dict[str, Any]:
+    """RMS of the yaw rate said before it is measured, on both recorded laps; no disturbance is estimated."""
+    recorded = {name: read_drive(name) for name in shipped_drives()}
+    report = {}
+    print("\nRecorded laps, parameters from the other: yaw rate ahead of the gyro")
+    for name, drive in recorded.items():
+        (other,) = (identify(lap) for key, lap in recorded.items() if key != name)
+        slow = dict(ratio_prior=0.02, understeer_prior=2e-4, offset_prior=0.02, disturbance_prior=1e-7)
+        block = SingleTrackFilter(vehicle=other.vehicle, dt=drive.dt, held=False, **slow)
+        x, errors = block.init(), []
+        for k in range(len(drive.v)):
+            errors.append(block.output(0.0, x, ()).r_model - drive.r[k])
+            r = float(drive.r[k]) if drive.measured[k] else float("nan")
+            wheel, delay = float(drive.delta_sw[k]), max(0.0, other.delay)
+            x = block.update(
+                0.0, x, block.U(wheel, float(drive.v[k]), r, float("nan"), delay, other.lag, 0.0, 1.0), None
+            )
+        rms = float(np.sqrt(np.mean(np.square(errors)[drive.driving])))
+        report[name] = rms
+        print(f"  {name:14}{rms:8.4f} rad/s", flush=True)
+    return {"lap_rms_rad_s": report, "lap_rms_worst_rad_s": max(report.values())}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Made(Block):
+    """Signals that excite all estimators, made up: what measuring their cost needs."""
+
+    delta_sw_cmd = Out("rad", direct=())
+    delta_sw_meas = Out("rad", direct=())
+    v = Out("m/s", direct=())
+    r = Out("rad/s", direct=())
+    psi = Out("rad", direct=())
+    active = Out("1", direct=())
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        angle = sin(t) + 0.3 * sin(3.1 * t)
+        return self.Y(angle, 0.9 * angle, 8.0 + sin(0.1 * t), 0.2 * angle, 0.2 * sin(t), 1.0 + 0.0 * angle)
+
+
+def cost(options: argparse.Namespace) -> dict[str, Any]:
+    """Microseconds a sample in C and in straight Python, and how many steps of a car's model that is."""
+    car = vehicle("vw-passat")
+    blocks, made = estimators(car), Made()
+    wires: list[Any] = []
+    delays: dict[str, Any] = {"filter": blocks["yaw"], "friction": blocks["wheel"], "play": blocks["yaw"]}
+    for name, block in blocks.items():
+        for port in block.inputs:
+            source: Any = delays[name] if port.name in ("delay", "lag", "delay_deviation", "lag_deviation") else made
+            given = {"angle": "delta_sw_cmd", "delta_sw": "delta_sw_cmd", "delay_deviation": "delay_lag_deviation"}.get(
+                port.name, port.name
+            )
+            wires.append((getattr(source, given), getattr(block, port.name)))
+    samples = 400 if options.quick else 20_000
+
+    def a_sample(loop: Loop, backend: Backend, n: int) -> float:
+        program = compile(loop, backend=backend)  # all is recorded: what nobody asks for is not computed
+        program.run(1.0)
+        begun = time.perf_counter()
+        program.run(n * DT)
+        return 1e6 * (time.perf_counter() - begun) / n
+
+    alone = Loop(blocks={"made": made}, wires=[])
+    with_all = Loop(blocks={"made": made, **blocks}, wires=wires)
+    stepped = NonlinearSingleTrack(vehicle=car, v0=8.0)
+    plant = Loop(
+        blocks={"made": made, "car": stepped},
+        wires=[(made.delta_sw_cmd, stepped.delta_sw_cmd), (made.v, stepped.v_cmd)],
+    )
+    report: dict[str, Any] = {}
+    print()
+    rounds: tuple[tuple[Backend, int], ...] = (("c", samples), ("python", samples // 10))
+    for backend, n in rounds:
+        turns = []
+        for _ in range(3):
+            base = a_sample(alone, backend, n)
+            all_five = a_sample(with_all, backend, n) - base
+            turns.append((all_five, all_five / (a_sample(plant, backend, n) - base)))
+        us, x = (statistics.median(turn[i] for turn in turns) for i in range(2))
+        report |= {f"cost_{backend}_us": us, f"cost_{backend}_in_car_steps": x}
+        print(f"All five estimators, {backend}: {us:.1f} us a sample, as much as {x:.1f} steps of the nonlinear car")
+    return report
+
+
+PARTS: dict[str, Callable[[argparse.Namespace], dict[str, Any]]] = {
+    "lagd": lagd,
+    "drives": drives,
+    "laps": laps,
+    "cost": cost,
+}
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Its own command line options; --quick: four drives of half a minute."""
+    parser.add_argument("--drives", type=int, default=200, help="how many (200)")
+    parser.add_argument(
+        "--first", type=int, default=2000, help="number of the first (2000): nothing was tuned on those"
+    )
+    parser.add_argument("--parts", nargs="+", default=list(PARTS), choices=list(PARTS), help="which parts (all)")
+
+
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """Carry out the parts; their figures together."""
+    report: dict[str, Any] = {}
+    for part in options.parts:
+        report |= PARTS[part](options)
+    return report
