@@ -120,6 +120,14 @@ def test_the_angle_of_a_driver_who_overrides_is_not_taken_for_the_cars() -> None
     assert got["offset"].value == pytest.approx(radians_of(3.0), abs=radians_of(0.3))
 
 
+def test_while_the_delay_is_hardly_known_fast_turns_count_for_less() -> None:
+    """Told 0.15 s too little, and how sure that is: the interval still holds the ratio."""
+    signals = sensed(drive(20.0, delay=0.3)) | {"delay": np.full(400, 0.15)}
+    sure, unsure = (found(driven(BLOCK, signals | {"delay_deviation": np.full(400, d)}))["ratio"] for d in (0.0, 0.1))
+    assert unsure.deviation > 1.2 * sure.deviation
+    assert unsure.low <= 1.2 <= unsure.high
+
+
 def test_without_heading_at_one_speed_offset_and_gyro_zero_are_not_told_apart() -> None:
     signals = sensed(drive(v=8.0), zero=0.004) | {"psi": np.full(1200, np.nan)}
     got = found(driven(BLOCK, signals))
