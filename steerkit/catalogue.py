@@ -8,7 +8,10 @@ from types import MappingProxyType
 from typing import Any
 
 from steerkit.block import Block
+from steerkit.controllers.adaptive import Adaptive
 from steerkit.controllers.delay import delayed_stanley
+from steerkit.controllers.estimators.single_track_filter import SingleTrackFilter
+from steerkit.controllers.estimators.steering_delay import YawDelay
 from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.offset_free import OffsetFree
 from steerkit.controllers.pure_pursuit import PurePursuit
@@ -150,6 +153,28 @@ def _offset_free(make: Callable[[Belief], Block]) -> Callable[[Belief], Block]:
     return lambda belief: OffsetFree.around(make(belief), belief.vehicle, delay=belief.delay)
 
 
+_DEAD_TIMES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
+"""Dead times for which an adaptive controller is made [s]."""
+
+
+def _adaptive(make: Callable[[Belief], Block]) -> Callable[[Belief], Block]:
+    """What makes a controller that adapts, of those that `make` makes."""
+
+    def made(belief: Belief) -> Block:
+        car, prior = belief.vehicle, min(belief.delay, _DEAD_TIMES[-1])
+        return Adaptive(
+            blocks=tuple(make(replace(belief, delay=delay)) for delay in _DEAD_TIMES),
+            delays=_DEAD_TIMES,
+            delay=YawDelay(vehicle=car, prior_delay=prior, prior_lag=max(belief.lag, 0.01)),
+            steering=SingleTrackFilter(vehicle=car),
+            prior_delay=prior,
+            lag=belief.lag,
+            limit=car.delta_sw_max,
+        )
+
+    return made
+
+
 CONTROLLERS: Mapping[str, Recipe] = MappingProxyType(
     {
         "stanley": Recipe(about="Stanley, all terms of eq. 9", make=_stanley, catches=True),
@@ -160,6 +185,9 @@ CONTROLLERS: Mapping[str, Recipe] = MappingProxyType(
         "mpc": Recipe(about="linear MPC over 1 s, limits and delay known", make=_linear_mpc),
         "nonlinear-mpc": Recipe(about="nonlinear MPC, real-time iteration", make=_nonlinear_mpc),
         "stanley-offset-free": Recipe(about="stanley-delay with integral action", make=_offset_free(_delayed)),
+        "stanley-adaptive": Recipe(about="stanley-offset-free that adapts", make=_adaptive(_offset_free(_delayed))),
+        "lqr-adaptive": Recipe(about="lqr-offset-free that adapts", make=_adaptive(_offset_free(_lqr))),
+        "mpc-adaptive": Recipe(about="mpc-offset-free that adapts", make=_adaptive(_offset_free(_linear_mpc))),
         "lqr-offset-free": Recipe(about="LQR with integral action", make=_offset_free(_lqr)),
         "mpc-offset-free": Recipe(about="linear MPC with integral action", make=_offset_free(_linear_mpc)),
     }

@@ -21,7 +21,8 @@ from steerkit.cli.options import (
 
 _CONTROLLERS = (
     "stanley, stanley-textbook, stanley-delay, lqr, pure-pursuit, mpc, nonlinear-mpc, "
-    "stanley-offset-free, lqr-offset-free, mpc-offset-free, nfq, a run's directory, or your own: my_file.py:make."
+    "stanley-offset-free, lqr-offset-free, mpc-offset-free, stanley-adaptive, lqr-adaptive, mpc-adaptive, "
+    "nfq, a run's directory, or your own: my_file.py:make."
 )
 
 

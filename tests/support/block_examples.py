@@ -12,6 +12,7 @@ import numpy as np
 
 from steerkit.analysis import FromControl, Tap
 from steerkit.block import Block
+from steerkit.controllers.adaptive import Adaptive
 from steerkit.controllers.delay import Predicted, delayed_stanley
 from steerkit.controllers.estimators.single_track_filter import SingleTrackFilter
 from steerkit.controllers.estimators.steering_delay import WheelDelay, YawDelay
@@ -117,6 +118,14 @@ EXAMPLES = [
     Example(delayed_stanley(PASSAT, delay=0.13, lag=0.1, slew=20.0, a_y_limit=3.0)),
     Example(Lqr.of(PASSAT, LinearSingleTrack(vehicle=PASSAT).matrices, preview_points=5, v_step=3.0, slew=5.0)),
     Example(Trimmed(block=Stanley.of(PASSAT), offset=0.05, gain=1.1)),
+    Example(
+        Adaptive(
+            blocks=(Stanley.of(PASSAT), dataclasses.replace(Stanley.of(PASSAT), k=4.0)),
+            delays=(0.0, 0.1),
+            delay=YawDelay(vehicle=PASSAT, prior_delay=0.05, longest=0.1),
+            steering=SingleTrackFilter(vehicle=PASSAT, longest=0.2),
+        )
+    ),
     Example(OffsetFree.around(Stanley.of(PASSAT), PASSAT)),
     Example(PurePursuit.of(PASSAT, OVAL)),
     Example(FromControl(system=control.ss([[0.5, 0.1], [0.0, 0.9]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.3]], 0.05))),

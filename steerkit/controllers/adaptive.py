@@ -1,0 +1,187 @@
+"""A controller that is told what estimators find while it drives: dead time and steering ratio."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from steerkit import maths as m
+from steerkit.block import Block, In, Out, State, take_ports
+from steerkit.controllers.estimators.single_track_filter import SingleTrackFilter
+from steerkit.controllers.estimators.steering_delay import YawDelay
+from steerkit.errors import require, require_within
+from steerkit.maths import Scalar
+from steerkit.task import STOP
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Adaptive(Block):
+    """Wraps a controller of any kind so that it follows what its car turns out to be; for cars nobody has measured.
+
+    Two estimators watch its commands and the gyro: `YawDelay` and `SingleTrackFilter`. With the dead time d and the
+    ratio as a multiple g of the data sheet's that are told,
+
+        delta_sw = sat(g w),   w = (1 - a) w_i(wheel/g) + a w_j(wheel/g),   d = (1 - a) d_i + a d_j,   j = i + 1,
+
+    where w_i is what the controller made for the dead time d_i asks for: tables are not solved anew, but those of two
+    dead times are mixed. What is told starts with the prior (d = prior_delay, g = 1) and moves towards an estimate, no
+    faster than so much a second, only while that is valid and within its bounds; else it stays. The filter sees
+    g n tan(delta) cos(beta) for g n delta, n the data sheet's ratio, tan(beta) = tan(delta) l_r/L: tight bends. An
+    offset is not told: without a heading it cannot be told from the gyro's zero, and `OffsetFree` steers against it,
+    inside, for the estimators have to see what is really commanded.
+
+    Ports and sample time are those of `blocks`, the inputs v and r among them; the preview is the longest. State: those
+    of `blocks`, of `delay` and `steering`, then d [s] and g [1]. Only the two controllers that are mixed are
+    asked in a drive of one car. NaN in v or r teaches nothing. Raises ValueError for parameters out of range, and for
+    controllers with other ports. Source: Astrom, Wittenmark 1995, sections 1.4 (gain scheduling) and 3.1 (certainty
+    equivalence: estimates are used as if they were the truth).
+    """
+
+    blocks: tuple[Block, ...]
+    """The same controller, made for each of `delays`."""
+    delays: tuple[float, ...]
+    """Dead times [s], evenly spaced, from the shortest to the longest that is told."""
+    delay: YawDelay
+    """Finds the dead time, told the lag."""
+    steering: SingleTrackFilter
+    """Finds the ratio."""
+    prior_delay: float = 0.0
+    """Dead time until another is found [s]."""
+    lag: float = 0.1
+    """Lag of the steering that `blocks` are told of [s]; what it is longer counts as dead time."""
+    ratio_least: float = 0.6
+    """Smallest ratio that is told, as a multiple of the data sheet's [1]."""
+    ratio_most: float = 1.6
+    """Largest [1]."""
+    delay_rate: float = 0.1
+    """Fastest change of the dead time that is told [s/s]."""
+    ratio_rate: float = 0.1
+    """That of the ratio [1/s]."""
+    limit: float = STOP
+    """Largest |delta_sw| [rad]."""
+
+    def __post_init__(self) -> None:
+        where, n = "Adaptive", len(self.delays)
+        require(
+            len(self.blocks) == n and n >= 2, where, f"{len(self.blocks)} blocks for {n} delays, expected 2 or more"
+        )
+        step = self.delays[1] - self.delays[0]
+        even = all(abs(b - a - step) < 1e-9 for a, b in zip(self.delays, self.delays[1:]))
+        require(step > 0.0 and even, where, f"delays = {self.delays} [s], expected growing by the same step")
+        ports = [_units(block.inputs) | _units(block.outputs) for block in self.blocks]
+        require(all(one == ports[0] for one in ports), where, "blocks have different ports, expected the same")
+        names = set(ports[0])
+        require({"v", "r", "delta_sw"} <= names, where, f"ports {sorted(names)}, expected v, r and delta_sw among them")
+        for name, unit, low, high in (
+            ("prior_delay", "s", self.delays[0], self.delays[-1]),
+            ("lag", "s", 0.0, 10.0),
+            ("ratio_least", "1", 0.1, 1.0),
+            ("ratio_most", "1", 1.0, 10.0),
+            ("delay_rate", "s/s", 0.0, 10.0),
+            ("ratio_rate", "1/s", 0.0, 10.0),
+            ("limit", "rad", 1e-3, 30.0),
+        ):
+            require_within(where, name, getattr(self, name), unit, low, high)
+        take_ports(self, self.block)
+
+    @property
+    def block(self) -> Block:
+        """The controller made for the longest dead time: it looks furthest ahead."""
+        return self.blocks[-1]
+
+    @cached_property
+    def _parts(self) -> tuple[tuple[Any, int, int], ...]:
+        """What makes a block's state from its entries, and where in the state these are."""
+        parts, first = [], 0
+        for block in (*self.blocks, self.delay, self.steering):
+            like = block.init()
+            parts.append((getattr(type(like), "_make", tuple), first, first + len(like)))
+            first += len(like)
+        return tuple(parts)
+
+    def _states(self, x: State) -> list[State]:
+        return [make(x[first:end]) for make, first, end in self._parts]
+
+    def init(self, batch: tuple[int, ...] = ()) -> State:
+        inner = [value for block in (*self.blocks, self.delay, self.steering) for value in block.init(batch)]
+        return (*inner, *[m.filled(value, batch) for value in (self.prior_delay, 1.0)])
+
+    def settle(self, t: float, x: State, u: Any) -> State:
+        states = self._states(x)
+        settled = [
+            value
+            for block, state in zip(self.blocks, states)
+            for value in block.settle(t, state, self._seen(block, block.D, u, x[-1]))
+        ]
+        return (*settled, *x[len(settled) :])
+
+    def output(self, t: Any, x: State, u: Any) -> Any:
+        delay, ratio = x[-2:]
+        place = (delay - self.delays[0]) / (self.delays[1] - self.delays[0])
+        states, asked, nearest = self._states(x), 0.0, None
+        for i, block in enumerate(self.blocks):
+            share = m.clip(1.0 - m.absolute(place - i), 0.0, 1.0)
+            if type(share) is float and share == 0.0:  # one car: the others need not be asked
+                continue
+            y = block.output(t, states[i], self._seen(block, block.D, u, ratio))
+            asked = asked + share * y.delta_sw
+            nearest = y if nearest is None else self._nearer(share, y, nearest)
+        command = m.clip(ratio * asked, -self.limit, self.limit)
+        return nearest._replace(delta_sw=command)  # type: ignore[union-attr]
+
+    def update(self, t: Any, x: State, u: Any, y: Any) -> State:
+        delay, ratio = x[-2:]
+        states = self._states(x)
+        own = y._replace(delta_sw=y.delta_sw / ratio)
+        after = [
+            block.update(t, state, self._seen(block, block.U, u, ratio), own)
+            for block, state in zip(self.blocks, states)
+        ]
+        found, known = self.delay.output(t, states[-2], ()), self.steering.output(t, states[-1], ())
+        after.append(self.delay.update(t, states[-2], self.delay.U(y.delta_sw, 1.0, u.r, u.v), found))
+        car = self.steering.vehicle
+        n = ratio * car.steer_ratio
+        steep = m.tan(y.delta_sw / n)
+        lever = car.l_r / car.wheelbase * steep  # tan(beta): v is that of the centre of gravity
+        bent = n * steep / m.sqrt(1.0 + lever * lever)
+        watched = self.steering.U(bent, u.v, u.r, math.nan, delay, self.lag, 1.0)
+        after.append(self.steering.update(t, states[-1], watched, known))
+        bounds = self.delays[0], self.delays[-1]
+        told = (
+            self._told(delay, found.delay_lag - self.lag, found.delay_lag_valid, self.delay_rate, bounds),
+            self._told(ratio, known.ratio, known.ratio_valid, self.ratio_rate, (self.ratio_least, self.ratio_most)),
+        )
+        return (*[value for state in after for value in state], *told)
+
+    def _told(self, before: Scalar, value: Scalar, valid: Scalar, rate: float, bounds: tuple[float, float]) -> Scalar:
+        """What is told a sample later."""
+        step = m.clip(m.clip(value, *bounds) - before, -rate * self.dt, rate * self.dt)
+        return before + m.where(m.both(valid > 0.5, m.is_finite(value)), step, 0.0)
+
+    @staticmethod
+    def _nearer(share: Scalar, y: Any, other: Any) -> Any:
+        """The outputs of the controller with the larger share."""
+        pick = share > 0.5
+        return type(y)(
+            *[
+                tuple(m.where(pick, p, q) for p, q in zip(a, b)) if isinstance(a, tuple) else m.where(pick, a, b)
+                for a, b in zip(y, other)
+            ]
+        )
+
+    def _seen(self, block: Block, ports: Any, u: Any, ratio: Scalar) -> Any:
+        """What one controller sees: its own preview, and the wheel as the data sheet's ratio would have it."""
+        values = {name: getattr(u, name) for name in ports._fields}
+        points: int = getattr(block, "preview_points", 0)
+        if "preview" in values:
+            values["preview"] = tuple([values["preview"][i] for i in range(points)])
+        if "delta_sw_meas" in values:
+            values["delta_sw_meas"] = values["delta_sw_meas"] / ratio
+        return ports(**values)
+
+
+def _units(ports: Sequence[In | Out]) -> dict[str, str]:
+    return {port.name: port.unit for port in ports}

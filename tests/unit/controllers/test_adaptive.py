@@ -1,0 +1,108 @@
+"""What estimators find is told while it is valid, slowly and within bounds; and then it drives as if told the truth."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from steerkit.controllers.adaptive import Adaptive
+from steerkit.controllers.estimators.single_track_filter import SingleTrackFilter
+from steerkit.controllers.estimators.steering_delay import YawDelay
+from steerkit.controllers.pure_pursuit import PurePursuit
+from steerkit.controllers.stanley import Stanley
+from steerkit.courses import circle
+from steerkit.scenario import Scenario
+from steerkit.scenario.drive import controller, drive
+from steerkit.vehicles import vehicle
+
+PASSAT = vehicle("vw-passat")
+HERE = dict(e=0.02, psi_e=0.01, kappa=0.01, v=6.0, r=0.05, delta_sw_meas=0.01)
+HARD = replace(Stanley.of(PASSAT), k=5.0)
+SOFT = replace(HARD, k=1.0)
+
+
+def adaptive(**settings: Any) -> Adaptive:
+    parts: dict[str, Any] = dict(
+        blocks=(SOFT, HARD),
+        delays=(0.0, 0.1),
+        delay=YawDelay(vehicle=PASSAT, prior_lag=0.1),
+        steering=SingleTrackFilter(vehicle=PASSAT),
+    )
+    return Adaptive(**parts | settings)
+
+
+def asked(block: Any, x: Any, **u: float) -> float:
+    return float(block.output(0.0, x, block.D(**HERE | u)).delta_sw)
+
+
+def test_between_two_dead_times_two_controllers_are_mixed() -> None:
+    block = adaptive()
+    x = block.settle(0.0, block.init(), block.U(**HERE))
+    soft, hard = (asked(law, law.settle(0.0, law.init(), law.U(**HERE))) for law in (SOFT, HARD))
+    assert abs(soft - hard) > 0.05
+    for delay, expected in ((0.0, soft), (0.1, hard), (0.025, 0.75 * soft + 0.25 * hard)):
+        assert asked(block, (*x[:-2], delay, 1.0)) == pytest.approx(expected)
+
+
+def test_the_ratio_is_in_the_command_and_taken_off_the_measured_wheel() -> None:
+    block = adaptive()
+    x = block.settle(0.0, (*block.init()[:-2], 0.0, 1.25), block.U(**HERE))
+    seen = HERE | {"delta_sw_meas": 0.01 / 1.25}
+    inner = asked(SOFT, SOFT.settle(0.0, SOFT.init(), SOFT.U(**seen)), delta_sw_meas=0.01 / 1.25)
+    assert asked(block, x) == pytest.approx(1.25 * inner)
+    y = block.output(0.0, x, block.D(**HERE))
+    assert block.update(0.0, x, block.U(**HERE), y)[1] == pytest.approx(inner)  # it goes on from its own angle
+    assert abs(asked(replace(block, limit=0.01), x)) == 0.01
+
+
+def test_what_is_told_moves_while_it_is_valid_no_faster_than_stated_and_within_bounds() -> None:
+    block = adaptive()
+    assert block._told(0.0, 0.3, 1.0, 0.1, (0.0, 0.1)) == pytest.approx(0.005)
+    assert block._told(0.098, 0.3, 1.0, 0.1, (0.0, 0.1)) == pytest.approx(0.1)
+    assert block._told(0.05, 0.0499, 1.0, 0.1, (0.0, 0.1)) == pytest.approx(0.0499)
+    assert block._told(0.05, 0.3, 0.0, 0.1, (0.0, 0.1)) == 0.05
+    assert block._told(0.05, math.nan, 1.0, 0.1, (0.0, 0.1)) == 0.05
+
+
+def test_nothing_is_told_at_a_standstill_nor_of_what_is_no_number() -> None:
+    block = adaptive(prior_delay=0.04)
+    for wrong in ({"v": 0.0}, {"v": math.nan}, {"r": math.nan}):
+        u = block.U(**HERE | wrong)
+        x = block.settle(0.0, block.init(), block.U(**HERE))
+        for _ in range(100):
+            x = block.update(0.0, x, u, block.Y(0.3))
+        assert x[-2:] == (0.04, 1.0)
+
+
+def rms(name: str, scenario: Scenario) -> tuple[float, float]:
+    """RMS e from 30 s on, and the largest |e| from 1 s on [m]."""
+    e = drive(scenario, controller(name, scenario))["path.e"]
+    return float(np.sqrt(np.mean(e[600:] ** 2))), float(np.abs(e[20:]).max())
+
+
+@pytest.mark.parametrize("wrong", [{"ratio": 1.25}, {"offset_deg": 3.0}, {"delay": 0.2, "told_delay": 0.0}])
+def test_it_drives_nearly_as_well_as_one_that_is_told_the_truth(wrong: dict[str, float]) -> None:
+    off: Any = Scenario(**wrong)  # type: ignore[arg-type]
+    truth = rms("stanley-delay", replace(off, told="truth", told_delay=None))[0]
+    plain, adapts = rms("stanley-delay", off), rms("stanley-adaptive", off)
+    assert adapts[0] < plain[0]
+    assert adapts[0] < max(1.3 * truth, 0.008)
+    assert adapts[1] < 0.5
+
+
+def test_what_it_is_not_made_for() -> None:
+    with pytest.raises(ValueError, match="2 blocks for 1 delays, expected 2 or more"):
+        adaptive(delays=(0.0,))
+    with pytest.raises(ValueError, match="expected growing by the same step"):
+        adaptive(delays=(0.1, 0.0))
+    with pytest.raises(ValueError, match="blocks have different ports"):
+        adaptive(blocks=(SOFT, PurePursuit.of(PASSAT, circle())))
+    with pytest.raises(ValueError, match="expected v, r and delta_sw among them"):
+        adaptive(blocks=(PurePursuit.of(PASSAT, circle()),) * 2)
+    for name, value in (("prior_delay", 0.3), ("ratio_least", 1.2), ("ratio_most", 0.9), ("limit", 0.0)):
+        with pytest.raises(ValueError, match=f"Adaptive: {name} = {value}"):
+            adaptive(**{name: value})
