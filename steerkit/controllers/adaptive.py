@@ -147,7 +147,8 @@ class Adaptive(Block):
         steep = m.tan(y.delta_sw / n)
         lever = car.l_r / car.wheelbase * steep  # tan(beta): v is that of the centre of gravity
         bent = n * steep / m.sqrt(1.0 + lever * lever)
-        watched = self.steering.U(bent, u.v, u.r, math.nan, delay, self.lag, 1.0)
+        unsure = found.delay_lag_deviation
+        watched = self.steering.U(bent, u.v, u.r, math.nan, delay, self.lag, unsure, 1.0)
         after.append(self.steering.update(t, states[-1], watched, known))
         bounds = self.delays[0], self.delays[-1]
         told = (
