@@ -185,11 +185,11 @@ CONTROLLERS: Mapping[str, Recipe] = MappingProxyType(
         "mpc": Recipe(about="linear MPC over 1 s, limits and delay known", make=_linear_mpc),
         "nonlinear-mpc": Recipe(about="nonlinear MPC, real-time iteration", make=_nonlinear_mpc),
         "stanley-offset-free": Recipe(about="stanley-delay with integral action", make=_offset_free(_delayed)),
+        "lqr-offset-free": Recipe(about="LQR with integral action", make=_offset_free(_lqr)),
+        "mpc-offset-free": Recipe(about="linear MPC with integral action", make=_offset_free(_linear_mpc)),
         "stanley-adaptive": Recipe(about="stanley-offset-free that adapts", make=_adaptive(_offset_free(_delayed))),
         "lqr-adaptive": Recipe(about="lqr-offset-free that adapts", make=_adaptive(_offset_free(_lqr))),
         "mpc-adaptive": Recipe(about="mpc-offset-free that adapts", make=_adaptive(_offset_free(_linear_mpc))),
-        "lqr-offset-free": Recipe(about="LQR with integral action", make=_offset_free(_lqr)),
-        "mpc-offset-free": Recipe(about="linear MPC with integral action", make=_offset_free(_linear_mpc)),
     }
 )
 """The analytic controllers: they steer by themselves and learn nothing."""

@@ -22,7 +22,10 @@ from steerkit import native
 from steerkit.assembly import placed, steering_loop
 from steerkit.block import Block
 from steerkit.compiled import compile
+from steerkit.controllers.adaptive import Adaptive
 from steerkit.controllers.delay import delayed_stanley
+from steerkit.controllers.estimators.single_track_filter import SingleTrackFilter
+from steerkit.controllers.estimators.steering_delay import YawDelay
 from steerkit.controllers.forecast import PREVIEW, Forecast
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.offset_free import OffsetFree
@@ -153,6 +156,24 @@ def steered_by_torque(seed: int, rng: np.random.Generator) -> Loop:
     )
 
 
+def one_that_adapts(seed: int, rng: np.random.Generator) -> Loop:
+    delays, prior = (0.0, 0.1), rng.uniform(0.02, 0.08)
+    adaptive = Adaptive(
+        blocks=tuple(OffsetFree.around(delayed_stanley(CAR, delay=d, lag=0.1), CAR, delay=d) for d in delays),
+        delays=delays,
+        delay=YawDelay(vehicle=CAR, prior_delay=prior, prior_lag=0.1),
+        steering=SingleTrackFilter(vehicle=CAR),
+        prior_delay=prior,
+    )
+    return steering_loop(
+        car=placed(NonlinearSingleTrack(vehicle=CAR, v0=5.0), PAPER, s=rng.uniform(0.0, PAPER.length), e=0.2),
+        path=PAPER,
+        human=Human(seed=seed),
+        controller=adaptive,
+        actuator=SteeringActuator(lag=0.1),
+    )
+
+
 LOOPS: list[Callable[[int, np.random.Generator], Loop]] = [
     linear_at_constant_speed,
     linear_with_a_human,
@@ -162,6 +183,7 @@ LOOPS: list[Callable[[int, np.random.Generator], Loop]] = [
     learner_that_forecasts,
     worn_steering_and_poor_sensors,
     steered_by_torque,
+    one_that_adapts,
 ]
 
 
