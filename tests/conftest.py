@@ -1,8 +1,10 @@
-"""For all tests: properties have no deadline, as a machine may be busy, and print what they failed on."""
+"""For all tests: properties have no deadline, as a machine may be busy, and print what they failed on; an interrupt ends
+a program that a test starts, though a shell has what runs in the background ignore it, and children inherit that."""
 
 from __future__ import annotations
 
 import os
+import signal
 
 from hypothesis import Phase, settings
 
@@ -11,3 +13,6 @@ settings.register_profile(
     "slips", settings.get_profile("steerkit"), phases=[Phase.explicit, Phase.generate]
 )  # for tests.support.mutate: that a test fails is enough, on the smallest example or another
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "steerkit"))
+
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
