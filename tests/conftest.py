@@ -1,5 +1,7 @@
-"""For all tests: properties have no deadline, as a machine may be busy, and print what they failed on; an interrupt ends
-a program that a test starts, though a shell has what runs in the background ignore it, and children inherit that."""
+"""For all tests: properties have no deadline, as a machine may be busy, and print what they failed on.
+
+An interrupt ends the programs that tests start, though a shell has what runs in the background ignore it.
+"""
 
 from __future__ import annotations
 
