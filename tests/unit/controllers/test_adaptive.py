@@ -52,8 +52,12 @@ def test_the_ratio_is_in_the_command_and_taken_off_the_measured_wheel() -> None:
     block = adaptive()
     x = block.settle(0.0, (*block.init()[:-2], 0.0, 1.25), block.U(**HERE))
     seen = HERE | {"delta_sw_meas": 0.01 / 1.25}
-    inner = asked(SOFT, SOFT.settle(0.0, SOFT.init(), SOFT.U(**seen)), delta_sw_meas=0.01 / 1.25)
+    settled = SOFT.settle(0.0, SOFT.init(), SOFT.U(**seen))
+    inner = asked(SOFT, settled, delta_sw_meas=0.01 / 1.25)
     assert asked(block, x) == pytest.approx(1.25 * inner)
+    turned = asked(SOFT, settled, delta_sw_meas=0.1 / 1.25)  # the law is damped by how far the wheel has turned
+    assert abs(turned - inner) > 1e-3
+    assert asked(block, x, delta_sw_meas=0.1) == pytest.approx(1.25 * turned)
     y = block.output(0.0, x, block.D(**HERE))
     assert block.update(0.0, x, block.U(**HERE), y)[1] == pytest.approx(inner)  # it goes on from its own angle
     assert abs(asked(replace(block, limit=0.01), x)) == 0.01
