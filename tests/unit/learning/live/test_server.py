@@ -26,7 +26,7 @@ from steerkit.learning.live import server as live
 from steerkit.learning.live.server import Server, listening
 from tests.support.browser import BROWSER, FRAME, FRAME_JS, shown
 
-SLOW = 120.0
+SLOW = 60.0
 """A process that takes longer than this hangs [s]; the machine may be busy."""
 CONFIG = """minutes = 1.0
 seed = 2
