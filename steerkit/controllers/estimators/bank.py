@@ -9,6 +9,24 @@ from steerkit import maths as m
 from steerkit.block import State
 from steerkit.maths import Scalar
 
+_EXPLAINED = 0.5
+"""Share of the response's variance that has to be explained."""
+_FEWEST = 10.0
+"""Samples of their own from which on what is left over tells of the noise."""
+
+
+class Weighed(NamedTuple):
+    """What is summed over all samples that taught, with forgetting."""
+
+    total: Scalar
+    """Weights."""
+    count: Scalar
+    """Samples that tell something of their own."""
+    mean: Scalar
+    """Of the response."""
+    power: Scalar
+    """Weighted squares of the response about its mean."""
+
 
 class Fit(NamedTuple):
     """What one candidate's regression says."""
@@ -54,6 +72,46 @@ def taught(moments: State, x: Sequence[Scalar], dy: Scalar, keep: Scalar, gain: 
     return (*means, *[keep * before + product for before, product in zip(moments[p:], products)])
 
 
+def learned(
+    sums: Weighed,
+    moments: State,
+    rows: Sequence[Sequence[Scalar]],
+    response: Scalar,
+    *,
+    weight: Scalar,
+    share: float,
+    keep: float,
+    teaches: Scalar,
+) -> tuple[Weighed, list[Scalar]]:
+    """Sums, and the moments of all candidates, after a sample; as they were where it teaches nothing.
+
+    rows: the regressors of each candidate. weight: one over the variance of the response's noise. share: how much of a
+    sample of its own this is. keep: what is left of what came before.
+    """
+    keeps = m.where(teaches, keep, 1.0)
+    weight = m.where(teaches, weight * share, 0.0)
+    total = keeps * sums.total + weight
+    gain = weight / m.maximum(total, 1e-12)
+    dy = m.where(teaches, response, 0.0) - sums.mean
+    after: list[Scalar] = []
+    for candidate, row in zip(_split(moments, len(rows[0])), rows):
+        after += taught(candidate, row, dy, keeps, gain, weight)
+    count = keeps * sums.count + m.where(teaches, share, 0.0)
+    power = keeps * sums.power + weight * (1.0 - gain) * dy * dy
+    return Weighed(total, count, sums.mean + gain * dy, power), after
+
+
+def _split(moments: State, regressors: int) -> list[State]:
+    """The moments of each candidate."""
+    n = size(regressors)
+    return [moments[i : i + n] for i in range(0, len(moments), n)]
+
+
+def fits(moments: State, precision: Sequence[float], prior: Sequence[float]) -> list[Fit]:
+    """What the regression of each candidate says; see `fitted`."""
+    return [fitted(candidate, precision, prior) for candidate in _split(moments, len(precision))]
+
+
 def fitted(moments: State, precision: Sequence[float], prior: Sequence[float]) -> Fit:
     """The coefficients theta that lower (y - theta x)^2, summed, plus precision (theta - prior)^2, most.
 
@@ -95,6 +153,24 @@ def lowest(costs: Sequence[Scalar], least_curvature: float) -> Best:
     aside = m.clip(0.5 * (before - after) / curvature, -1.0, 1.0)
     bottom = cost - 0.5 * curvature * aside * aside
     return Best(number + aside, 2.0 / curvature, bottom, number)
+
+
+class Valley(NamedTuple):
+    """Where the candidates fit best, and how well."""
+
+    best: Best
+    excess: Scalar
+    """How many times more is left over than the noise explains, 1 at least."""
+    explained: Scalar
+    """Does the best one explain half of the response's variance? 0 or 1."""
+
+
+def valley(sums: Weighed, saved: Sequence[Scalar], step: float, prior: float, deviation: float) -> Valley:
+    """Of candidates 0, step, 2 step, ... that lower the sum of squares by `saved`; theirs is prior +- deviation."""
+    costs = [sums.power - fit + ((i * step - prior) / deviation) ** 2 for i, fit in enumerate(saved)]
+    best = lowest(costs, 2.0 * (step / deviation) ** 2)
+    left = sums.power - at(best.number, saved)
+    return Valley(best, m.maximum(left / m.maximum(sums.count, _FEWEST), 1.0), left < (1.0 - _EXPLAINED) * sums.power)
 
 
 def at(number: Scalar, values: Sequence[Scalar]) -> Scalar:

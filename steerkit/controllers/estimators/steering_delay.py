@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 from steerkit import maths as m
 from steerkit.block import Block, In, Out, State
-from steerkit.controllers.estimators.bank import Fit, at, fitted, lowest, size, taught
+from steerkit.controllers.estimators.bank import Weighed, at, fits, learned, size, valley
 from steerkit.controllers.estimators.yaw_model import SLOWEST, steady_gain, yaw_delay, yaw_step
 from steerkit.errors import require, require_within, whole_samples
 from steerkit.maths import Scalar
@@ -28,8 +28,6 @@ _CUBIC = 0.06
 _TIMING = 0.003
 """Deviation of all delays for what happens between samples [s]."""
 _LEAST_GAIN = 0.3
-_EXPLAINED = 0.5
-"""Share of the response's variance that the commands have to explain."""
 _FILTERS, _MOMENTS = 14, size(3)
 
 
@@ -131,27 +129,23 @@ class DelayBank(Block):
     def _learn(self, x: State, u: Any, response: Scalar, weight: Scalar, v: Scalar, read: Scalar) -> State:
         """The next state. response [rad] and weight [1/rad^2] of this sample; read: were its inputs all finite?"""
         n = self._count
-        before, since, _, total, count, mean, _, wheel, _, _, w, again, behind, power = x[:_FILTERS]
+        before, since, _, *sums, _, wheel, _, _, w, again, behind, power = x[:_FILTERS]
         lines = [x[_FILTERS + i * n : _FILTERS + (i + 1) * n] for i in range(3)]
         known = m.is_finite(u.delta_sw_cmd)
         command = m.where(known, u.delta_sw_cmd, before)
         calm = m.both(m.absolute(command) <= self.limit, m.absolute(command - before) <= self.rate_limit * self.dt)
         acts = m.both(m.both(u.active > 0.5, known), m.both(calm, v >= SLOWEST))
         teaches = m.both(since * self.dt > self.longest + 4.0 * self.prior_lag + 0.3, m.both(read, acts))
-        forgets = m.where(teaches, math.exp(-self.dt / self.memory), 1.0)
-        # moments of this sample
-        weight = m.where(teaches, weight * (self.dt / self.correlated), 0.0)
-        response = m.where(teaches, response, 0.0)
-        total = forgets * total + weight
-        gain = weight / m.maximum(total, 1e-12)
-        dy = response - mean
-        moments: list[Scalar] = []
-        for i in range(n):
-            first = _FILTERS + 3 * n + i * _MOMENTS
-            regressors = (lines[0][i], lines[1][i], lines[2][i])
-            moments += taught(x[first : first + _MOMENTS], regressors, dy, forgets, gain, weight)
-        power = forgets * power + weight * (1.0 - gain) * dy * dy
-        count = forgets * count + m.where(teaches, self.dt / self.correlated, 0.0)
+        weighed, moments = learned(
+            Weighed._make((*sums, power)),
+            x[_FILTERS + 3 * n :],
+            list(zip(*lines)),
+            response,
+            weight=weight,
+            share=self.dt / self.correlated,
+            keep=math.exp(-self.dt / self.memory),
+            teaches=teaches,
+        )
         # filters and lines of the next sample
         speed = m.where(m.is_finite(v), m.maximum(v, SLOWEST), x[6])
         wheel, beta, r, after = self._follow(x, command, speed)
@@ -163,33 +157,22 @@ class DelayBank(Block):
         fresh = (after - self.worn * h, h, (again - after) / self.prior_lag)
         since = m.where(acts, m.minimum(since + 1.0, 1e6), 0.0)
         missing = m.where(m.both(read, known), 0.0, 1.0)
-        mean = mean + gain * dy
-        filters = (command, since, missing, total, count, mean, speed, wheel, beta, r, after, again, behind, power)
+        *sums, power = weighed
+        filters = (command, since, missing, *sums, speed, wheel, beta, r, after, again, behind, power)
         pushed = [value for line, new in zip(lines, fresh) for value in (new, *line[:-1])]
         return (*filters, *pushed, *moments)
 
-    def _fits(self, x: State) -> list[Fit]:
-        precision = (_GAIN, _SHARE, 1.0 / self.prior_lag_deviation**2)
-        first = _FILTERS + 3 * self._count
-        return [
-            fitted(x[first + i * _MOMENTS : first + (i + 1) * _MOMENTS], precision, (1.0, 0.0, 0.0))
-            for i in range(self._count)
-        ]
-
     def _found(self, x: State, unknown: Scalar) -> State:
         """All outputs. unknown: deviation of what the car's model adds to the delay [s]."""
-        dt, fits, power = self.dt, self._fits(x), x[13]
-        costs = [
-            power - fit.saved + ((i * dt - self.prior_delay) / self.prior_delay_deviation) ** 2
-            for i, fit in enumerate(fits)
-        ]
-        best = lowest(costs, 2.0 * (dt / self.prior_delay_deviation) ** 2)
-        gains = [m.maximum(fit.coefficients[0], _LEAST_GAIN) for fit in fits]
-        lags = [fit.coefficients[2] / gain for fit, gain in zip(fits, gains)]
-        spreads = [fit.last_variance / (gain * gain) for fit, gain in zip(fits, gains)]
+        dt, precision = self.dt, (_GAIN, _SHARE, 1.0 / self.prior_lag_deviation**2)
+        bank = fits(x[_FILTERS + 3 * self._count :], precision, (1.0, 0.0, 0.0))
+        saved = [fit.saved for fit in bank]
+        sums = Weighed._make((*x[3:6], x[13]))
+        best, excess, explained = valley(sums, saved, dt, self.prior_delay, self.prior_delay_deviation)
+        gains = [m.maximum(fit.coefficients[0], _LEAST_GAIN) for fit in bank]
+        lags = [fit.coefficients[2] / gain for fit, gain in zip(bank, gains)]
+        spreads = [fit.last_variance / (gain * gain) for fit, gain in zip(bank, gains)]
         low, here, high = (at(best.number + step, lags) for step in (-1.0, 0.0, 1.0))
-        left = power - at(best.number, [fit.saved for fit in fits])
-        excess = m.maximum(left / m.maximum(x[4], 10.0), 1.0)
         slope = 0.5 * (high - low) / dt  # of b/a over the delay, along the valley
         variance, spread = excess * best.variance * dt * dt, excess * at(best.number, spreads)
         prior = self.prior_lag
@@ -208,7 +191,6 @@ class DelayBank(Block):
         less = 1.0 - stretch
         rest = (1.0 + less * slope) * (1.0 + less * slope) * variance + less * less * spread
         deviations = [m.sqrt(rest + trust * odd * odd + own * own), m.sqrt(lag_variance), m.sqrt(sum_variance)]
-        explained = left < (1.0 - _EXPLAINED) * power
         enough = (2.0 * self.enough, 2.0 * self.enough, self.enough)
         valid = [m.where(m.both(explained, d <= most), 1.0, 0.0) for d, most in zip(deviations, enough)]
         found = zip((both - lag, lag, both), deviations, valid)

@@ -9,7 +9,7 @@ from typing import Any
 
 from steerkit import maths as m
 from steerkit.block import Block, In, Out, State
-from steerkit.controllers.estimators.bank import at, fitted, lowest, size, taught
+from steerkit.controllers.estimators.bank import Weighed, fits, learned, size, valley
 from steerkit.controllers.estimators.way import arrived
 from steerkit.controllers.estimators.yaw_model import SLOWEST, steady_gain, yaw_step
 from steerkit.errors import require, require_within, whole_samples
@@ -25,7 +25,6 @@ _CANDIDATES = 9
 _MOMENTS, _FILTERS = size(2), 14
 _SETTLED = 3.0
 """How long the commands have to have acted before they teach [s]: the operators have to get at an end of their gaps."""
-_EXPLAINED = 0.5
 _UNTOLD = radians_of(0.06)
 """Deviation for what lies between samples and is no play operator [rad]."""
 _SHARE, _LEAST = 0.1, radians_of(0.1)
@@ -111,24 +110,23 @@ class GapBank(Block):
     def _learn(self, x: State, u: Any, response: Scalar, weight: Scalar, read: Scalar) -> State:
         """The next state. response [rad] and weight [1/rad^2] of this sample; read: was it finite?"""
         n, dt = self._line, self.dt
-        held, since, _, total, count, mean, power, speed, _, _, _, front, rate, split = x[:_FILTERS]
+        held, since, _, *sums, speed, _, _, _, front, rate, split = x[:_FILTERS]
         line, behind = x[_FILTERS : _FILTERS + n], x[_FILTERS + n : _FILTERS + n + _CANDIDATES]
         told = m.both(m.both(m.is_finite(u.delay), m.is_finite(u.lag)), m.is_finite(u.lag_deviation))
         known = m.both(m.is_finite(u.angle), told)
         read = m.both(m.both(read, known), m.both(m.is_finite(u.v), m.is_finite(u.active)))
         acts = m.both(known, u.active > 0.5)
         teaches = m.both(m.both(read, since * dt > _SETTLED), m.both(acts, u.v >= SLOWEST))
-        forgets = m.where(teaches, math.exp(-dt / self.memory), 1.0)
-        weight = m.where(teaches, weight * (dt / self.correlated), 0.0)
-        total = forgets * total + weight
-        gain = weight / m.maximum(total, 1e-12)
-        dy = m.where(teaches, response, 0.0) - mean
-        moments: list[Scalar] = []
-        for i in range(_CANDIDATES):
-            first = _FILTERS + n + _CANDIDATES + i * _MOMENTS
-            moments += taught(x[first : first + _MOMENTS], (behind[i], rate), dy, forgets, gain, weight)
-        power = forgets * power + weight * (1.0 - gain) * dy * dy
-        count = forgets * count + m.where(teaches, dt / self.correlated, 0.0)
+        weighed, moments = learned(
+            Weighed._make(sums),
+            x[_FILTERS + n + _CANDIDATES :],
+            [(twisted, rate) for twisted in behind],
+            response,
+            weight=weight,
+            share=dt / self.correlated,
+            keep=math.exp(-dt / self.memory),
+            teaches=teaches,
+        )
         # the next sample's angle and what the operators make of it
         held = m.where(m.is_finite(u.angle), u.angle, held)
         speed = m.where(m.is_finite(u.v), m.maximum(u.v, SLOWEST), speed)
@@ -139,27 +137,20 @@ class GapBank(Block):
         behind = tuple([after - m.clip(after - before, -gap, gap) for before, gap in zip(behind, gaps)])
         since = m.where(acts, m.minimum(since + 1.0, 1e6), 0.0)
         missing = m.where(read, 0.0, 1.0)
-        filters = (held, since, missing, total, count, mean + gain * dy, power, speed, tap, beta, r)
+        filters = (held, since, missing, *weighed, speed, tap, beta, r)
         split = m.where(m.is_finite(u.lag_deviation), u.lag_deviation, split)
         return (*filters, after, (after - front) / dt, split, *line, *behind, *moments)
 
     def _found(self, x: State) -> tuple[Scalar, Scalar, Scalar]:
         """The half width [rad], its deviation [rad] and its validity."""
-        first, power, precision = _FILTERS + self._line + _CANDIDATES, x[6], (_GAIN, _LATE)
-        saved = [
-            fitted(x[first + i * _MOMENTS : first + (i + 1) * _MOMENTS], precision, (1.0, 0.0)).saved
-            for i in range(_CANDIDATES)
-        ]
-        costs = [
-            power - fit + ((i * self._step - self.prior) / self.prior_deviation) ** 2 for i, fit in enumerate(saved)
-        ]
-        best = lowest(costs, 2.0 * (self._step / self.prior_deviation) ** 2)
-        left = power - at(best.number, saved)
-        excess = m.maximum(left / m.maximum(x[4], 10.0), 1.0)
+        moments = x[_FILTERS + self._line + _CANDIDATES :]
+        saved = [fit.saved for fit in fits(moments, (_GAIN, _LATE), (1.0, 0.0))]
+        sums = Weighed._make(x[3:7])
+        best, excess, explained = valley(sums, saved, self._step, self.prior, self.prior_deviation)
         width, aside = best.place * self._step, self.per_lag * x[13]
         deviation = m.sqrt(excess * best.variance * self._step**2 + _UNTOLD**2 + aside * aside)
         precise = deviation <= m.maximum(_SHARE * width, _LEAST)
-        return width, deviation, m.where(m.both(precise, left < (1.0 - _EXPLAINED) * power), 1.0, 0.0)
+        return width, deviation, m.where(m.both(precise, explained), 1.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
