@@ -70,7 +70,17 @@ def corrected(
     """
     share = [sum(entries) for entries in zip(*[line(p, j) for j in states])]  # P h'
     gain = m.where(used, 1.0 / (sum([share[j] for j in states]) + noise), 0.0)
-    step = gain * m.where(used, missed, 0.0)
+    return drawn(mean, p, share, gain, m.where(used, missed, 0.0))
+
+
+def drawn(
+    mean: Sequence[Scalar], p: Covariance, share: Sequence[Scalar], gain: Scalar, missed: Scalar
+) -> tuple[list[Scalar], Covariance]:
+    """Mean and covariance after a measurement of any sum h x, given what they come from.
+
+    share: P h'. gain: one over the innovation's variance, 0 where nothing was measured. missed: the innovation.
+    """
+    step = gain * missed
     after = []
     for i, (row, mine) in enumerate(zip(p, share)):
         part = gain * mine

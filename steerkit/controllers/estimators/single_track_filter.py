@@ -9,6 +9,7 @@ from typing import Any
 
 from steerkit import maths as m
 from steerkit.block import Block, In, Out, State
+from steerkit.controllers.estimators import gauss
 from steerkit.controllers.estimators.way import arrived
 from steerkit.controllers.estimators.yaw_model import SLOWEST, steady_gain, yaw_step
 from steerkit.errors import require, require_within, whole_samples
@@ -23,7 +24,7 @@ _TOGETHER = 1.0
 _OUTLIER = 3.0
 """Standard deviations beyond which a sample counts for less."""
 _N = 5
-_ROWS = [(i, j) for i in range(_N) for j in range(i + 1)]
+_OFFSET, _DISTURBANCE = 2, 4
 _FILTERS = 15
 _BOUNDS = ((0.4, 2.5), (-0.02, 0.05), (-0.5, 0.5), (-0.1, 0.1), (-0.2, 0.2))
 """Of gain, understeer gradient [rad s^2/m], offset [rad], gyro zero [rad/s], disturbance [rad]."""
@@ -63,7 +64,7 @@ class SingleTrackFilter(Block):
     rate_zero_valid [1]: the deviation is at most 3 %, half of the prior's, 0.25 degrees, half of its own, 0.35 degrees,
     0.001 rad/s; r_model [rad/s], what it expects of this sample's gyro; missing [1]: 1 where one but psi was no number.
     A sample teaches where these are finite, v is 3 m/s or more, and the angle has steered for delay + 4 lag + 0.3 s.
-    State: filters, a delay line, the five numbers, P's lower triangle. Raises ValueError for parameters out of range.
+    State: filters, a delay line, the five numbers, P's upper triangle. Raises ValueError for parameters out of range.
 
     Source: Gelb 1974, section 6.1 (extended Kalman filter); Rajamani 2012, section 3.3; Kulhavy, Zarrop 1993
     (forgetting towards a prior). openpilot's paramsd (comma.ai) and Autoware's steering offset estimator do this too.
@@ -164,23 +165,24 @@ class SingleTrackFilter(Block):
     def init(self, batch: tuple[int, ...] = ()) -> State:
         zero, variances = m.filled(0.0, batch), self._variances
         start = (1.0, self.vehicle.understeer_gradient, 0.0, 0.0, 0.0)
-        covariance = [m.filled(variances[i] if i == j else 0.0, batch) for i, j in _ROWS]
+        covariance = [[m.filled(variance, batch), *(zero,) * (_N - 1 - i)] for i, variance in enumerate(variances)]
         line = (zero,) * (self._first - _FILTERS)
         held = (zero, m.filled(SLOWEST, batch), *(zero,) * (_FILTERS - 4), m.filled(self.window / 8.0, batch), zero)
-        return (*held, *line, *[m.filled(value, batch) for value in start], *covariance)
+        return (*held, *line, *[m.filled(value, batch) for value in start], *gauss.packed(covariance))
 
     def output(self, t: Any, x: State, u: Any) -> Any:
-        numbers, p = x[self._first : self._first + _N], x[self._first + _N :]
+        numbers, p = x[self._first : self._first + _N], gauss.unpacked(x[self._first + _N :], _N)
         g, understeer, offset, zero, disturbance = numbers
         variances = self._variances
-        sum_variance = p[_at(2, 2)] + p[_at(4, 4)] + 2.0 * p[_at(4, 2)]
+        total = (_OFFSET, _DISTURBANCE)
+        deviations = [m.sqrt(row[0]) for row in p]
         found = (
-            (1.0 / g, m.sqrt(p[_at(0, 0)]) / (g * g), 0.03),
-            (understeer, m.sqrt(p[_at(1, 1)]), 0.5 * math.sqrt(variances[1])),
-            (offset, m.sqrt(p[_at(2, 2)]), radians_of(0.25)),
-            (zero, m.sqrt(p[_at(3, 3)]), 0.001),
-            (disturbance, m.sqrt(p[_at(4, 4)]), 0.5 * math.sqrt(variances[4])),
-            (offset + disturbance, m.sqrt(m.maximum(sum_variance, 0.0)), radians_of(0.35)),
+            (1.0 / g, deviations[0] / (g * g), 0.03),
+            (understeer, deviations[1], 0.5 * math.sqrt(variances[1])),
+            (offset, deviations[2], radians_of(0.25)),
+            (zero, deviations[3], 0.001),
+            (disturbance, deviations[4], 0.5 * math.sqrt(variances[4])),
+            (offset + disturbance, m.sqrt(m.maximum(gauss.covariance(p, total, total), 0.0)), radians_of(0.35)),
         )
         flat = [
             entry
@@ -194,7 +196,8 @@ class SingleTrackFilter(Block):
         angle, v_before, _, since, w, beta, rate, stands, turned, clock, start, going, came, window, turning = x[
             :_FILTERS
         ]
-        line, numbers, covariance = x[_FILTERS : self._first], x[self._first : self._first + _N], x[self._first + _N :]
+        line, numbers = x[_FILTERS : self._first], x[self._first : self._first + _N]
+        covariance = gauss.unpacked(x[self._first + _N :], _N)
         finite = [m.is_finite(value) for value in (u.delta_sw, u.v, u.r, u.delay, u.lag, u.active, u.delay_deviation)]
         known, moves, turns = finite[0], finite[1], finite[2]
         told = m.both(finite[3], finite[4])
@@ -210,7 +213,8 @@ class SingleTrackFilter(Block):
         keeps = [m.where(drives, math.exp(-dt / self.memory), 1.0)] * 4
         keeps.append(m.where(drives, math.exp(-dt / self.disturbance_time), 1.0))
         numbers = (*numbers[:4], keeps[4] * numbers[4])
-        covariance = _forgotten(covariance, keeps, self._variances)
+        fresh = {i: (1.0 - keep * keep) * variance for i, (keep, variance) in enumerate(zip(keeps, self._variances))}
+        covariance = gauss.carried(covariance, (), keeps, fresh)
         expected, slopes = self._expected(numbers, w, v)
         variance = self.noise**2 * self.correlated / dt
         late = turning * m.where(m.is_finite(u.delay_deviation), u.delay_deviation, 0.0)
@@ -259,7 +263,7 @@ class SingleTrackFilter(Block):
             window,
             turning,
         )
-        return (*filters, *line, *numbers, *covariance)
+        return (*filters, *line, *numbers, *gauss.packed(covariance))
 
     def _expected(self, numbers: State, w: Scalar, v: Scalar) -> tuple[Scalar, tuple[Scalar, ...]]:
         """What the gyro should say [rad/s], and its derivatives with respect to the five numbers."""
@@ -273,33 +277,16 @@ class SingleTrackFilter(Block):
         return g * turn + zero, (turn, -g * turn * v * v / length, slope, 1.0 + 0.0 * slope, slope)
 
 
-def _at(i: int, j: int) -> int:
-    """Where in the lower triangle the entry of row i, column j <= i stands."""
-    return i * (i + 1) // 2 + j
-
-
-def _forgotten(covariance: State, keeps: Sequence[Scalar], variances: Sequence[float]) -> State:
-    """F P F + (1 - F^2) P_0, P_0 diagonal."""
-    return tuple(
-        [
-            keeps[i] * keeps[j] * entry + ((1.0 - keeps[i] * keeps[i]) * variances[i] if i == j else 0.0)
-            for (i, j), entry in zip(_ROWS, covariance)
-        ]
-    )
-
-
 def _corrected(
-    numbers: State, covariance: State, slopes: Sequence[Scalar], error: Scalar, variance: Scalar, applies: Scalar
-) -> tuple[State, State, Scalar]:
+    numbers: State, p: gauss.Covariance, slopes: Sequence[Scalar], error: Scalar, variance: Scalar, applies: Scalar
+) -> tuple[State, gauss.Covariance, Scalar]:
     """Numbers and covariance after one measurement, where it `applies`; Huber's weight for one that is far off.
 
     And its squared error over that of 3 deviations.
     """
-    spread = [sum(covariance[_at(max(i, j), min(i, j))] * slopes[j] for j in range(_N)) for i in range(_N)]
-    of_model = sum(slope * value for slope, value in zip(slopes, spread))
+    share = [sum([entry * slope for entry, slope in zip(gauss.line(p, i), slopes)]) for i in range(_N)]
+    of_model = sum([slope * value for slope, value in zip(slopes, share)])
     off = error * error / (_OUTLIER * _OUTLIER * (of_model + variance))
     weight = m.where(applies, 1.0 / (of_model + variance * m.maximum(off, 1.0)), 0.0)
-    moved = [number + weight * value * error for number, value in zip(numbers, spread)]
-    numbers = tuple([m.clip(number, low, high) for number, (low, high) in zip(moved, _BOUNDS)])
-    covariance = tuple([entry - weight * spread[i] * spread[j] for (i, j), entry in zip(_ROWS, covariance)])
-    return numbers, covariance, off
+    moved, p = gauss.drawn(numbers, p, share, weight, error)
+    return tuple([m.clip(number, low, high) for number, (low, high) in zip(moved, _BOUNDS)]), p, off
