@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 from collections import namedtuple
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, overload
 
 import numpy as np
@@ -230,6 +231,12 @@ def take_ports(wrapper: Block, block: Block) -> None:
         object.__setattr__(wrapper, spec.name, Port(wrapper, spec))
         if isinstance(spec.size, str):
             object.__setattr__(wrapper, spec.size, getattr(block, spec.size))
+
+
+def entries_of(block: Block) -> tuple[Callable[[Sequence[Any]], State], int]:
+    """What makes a block's state from its entries, and how many these are: for those that keep others' among theirs."""
+    like = block.init()
+    return getattr(type(like), "_make", tuple), len(like)
 
 
 def _known_unit(unit: str) -> str:

@@ -7,6 +7,7 @@ Neither NumPy's dispatch nor CasADi is paid for when the arguments are floats.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -125,6 +126,11 @@ def both(a: Scalar, b: Scalar) -> Scalar:
 
         return casadi.logic_and(a, b)
     return a & b
+
+
+def every(*conditions: Scalar) -> Scalar:
+    """Logical and of two or more."""
+    return functools.reduce(both, conditions)
 
 
 def either(a: Scalar, b: Scalar) -> Scalar:

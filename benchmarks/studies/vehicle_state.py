@@ -233,8 +233,7 @@ def outages(seconds: float, backend: Backend) -> dict[str, Any]:
     y = replayed(block, log, lost, jumped)
     names = list(block.Y._fields)
     one = {name: y[:, i] for i, name in enumerate(names)}
-    c, s = np.cos(log["car.psi"][:, 0]), np.sin(log["car.psi"][:, 0])
-    side = -s * (one["x"] - log["car.x"][:, 0]) + c * (one["y"] - log["car.y"][:, 0])
+    side = aside(log, one["x"][:, None], one["y"][:, None])[:, 0]
     ends = lost & (phase > OUTAGE - 0.3)
     calm = (log.t > EVERY) & (phase > 5.0) & (phase < 7.0)
     report = {

@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import Any
 
 from steerkit import maths as m
-from steerkit.block import Block, In, Out, State, take_ports
+from steerkit.block import Block, In, Out, State, entries_of, take_ports
 from steerkit.controllers.estimators.single_track_filter import SingleTrackFilter
 from steerkit.controllers.estimators.steering_delay import YawDelay
 from steerkit.errors import require, require_within
@@ -97,9 +97,9 @@ class Adaptive(Block):
         """What makes a block's state from its entries, and where in the state these are."""
         parts, first = [], 0
         for block in (*self.blocks, self.delay, self.steering):
-            like = block.init()
-            parts.append((getattr(type(like), "_make", tuple), first, first + len(like)))
-            first += len(like)
+            make, count = entries_of(block)
+            parts.append((make, first, first + count))
+            first += count
         return tuple(parts)
 
     def _states(self, x: State) -> list[State]:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerkit import maths as m
-from steerkit.block import Block, In, Out, State
+from steerkit.block import Block, In, Out, State, entries_of
 from steerkit.controllers.limits import slewed
 from steerkit.controllers.stanley import Stanley
 from steerkit.errors import require
@@ -203,9 +203,7 @@ class Predicted(Block):
 
     @cached_property
     def _inner(self) -> Any:
-        """What makes the wrapped block's state from its entries, and how many these are."""
-        like = self.block.init()
-        return getattr(type(like), "_make", tuple), len(like)
+        return entries_of(self.block)
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         return (*self.block.init(batch), *[m.filled(0.0, batch)] * (self._kept + self._waiting))

@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Any
 
 from steerkit import maths as m
-from steerkit.block import Block, State, take_ports
+from steerkit.block import Block, State, entries_of, take_ports
 from steerkit.errors import require, require_within
 from steerkit.maths import Scalar
 from steerkit.task import STOP, TRIP
@@ -92,8 +92,7 @@ class OffsetFree(Block):
 
     @cached_property
     def _inner(self) -> Any:
-        """What makes the wrapped block's state from its entries."""
-        return getattr(type(self.block.init()), "_make", tuple)
+        return entries_of(self.block)[0]
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         return (*self.block.init(batch), *[m.filled(0.0, batch)] * 3)
@@ -116,6 +115,6 @@ class OffsetFree(Block):
         on_path = m.both(m.absolute(u.e) <= self.reach, u.v >= self.v_least)
         fastest = 0.99 * self.rate_limit * self.dt
         free = m.both(m.absolute(y.delta_sw) < self.limit, m.absolute(y.delta_sw - before) < fastest)
-        moves = m.both(m.both(on_path, free), m.is_finite(change))
+        moves = m.every(on_path, free, m.is_finite(change))
         z = m.clip(z + m.where(moves, change, 0.0), -self.most, self.most)
         return (*inner, z, u.e + 0.0, y.delta_sw + 0.0)

@@ -118,9 +118,9 @@ def save(run: LearningRun, place: FilePath) -> None:
     policy = run.story.policy
     nets, forecast = pending[2] if pending else (run.nets, policy.forecast)
     net = replace(policy, nets=nets, forecast=forecast, ready_from=0.0)
-    net.save(place / "nets" / f"net-{run.counts.updates:04d}.npz")
-    replace(run.policy, ready_from=0.0).save(place / "nets" / f"steering-{number}.npz")
-    run.recorder.log().save(place / "drive" / f"{number:04d}.npz")
+    net.save(net_file(place, run.counts.updates))
+    replace(run.policy, ready_from=0.0).save(steering_file(place, number))
+    run.recorder.log().save(part_file(place, number))
     run.recorder.clear()
     document = {
         "format": FORMAT,
@@ -190,12 +190,12 @@ def _load(place: FilePath, data: dict[str, Any]) -> LearningRun:
     state = run.loop.load_state(_existing(place / f"state-{number}.npz"))
     run.x, run.y = list(state.x), list(state.y)
     story.transitions = Transitions.load(_existing(place / f"transitions-{number}.npz"))
-    story.policy = NfqPolicy.load(_existing(place / "nets" / f"steering-{number}.npz"))
+    story.policy = NfqPolicy.load(_existing(steering_file(place, number)))
     story.trusted = data["trusted"]
     run.steer()
     pending, updates = None, story.counts.updates
     if data["pending"] is not None:
-        newest = NfqPolicy.load(_existing(place / "nets" / f"net-{updates:04d}.npz"))
+        newest = NfqPolicy.load(_existing(net_file(place, updates)))
         pending = (data["pending"], updates, Learned(newest.nets or (), newest.forecast))
     story.trainer = SimulatedTrainer(
         seconds=run.experiment.setting.fit_seconds, nets=run.nets if updates else (), pending=pending
@@ -209,7 +209,7 @@ def _load(place: FilePath, data: dict[str, Any]) -> LearningRun:
 def drive_log(place: FilePath, *, until: float = math.inf) -> Log:
     """All signals of a run, from its start to its last checkpoint, or to an earlier one at driving time `until` [s]."""
     data = document(place)
-    parts = [Log.load(_existing(place / "drive" / f"{n:04d}.npz")) for n in range(data["checkpoint"] + 1)]
+    parts = [Log.load(_existing(part_file(place, n))) for n in range(data["checkpoint"] + 1)]
     return joined([part for part in parts if not len(part.t) or part.t[0] < until])
 
 
@@ -221,7 +221,22 @@ def experiment_of(place: FilePath) -> Experiment:
 def final_policy(place: FilePath, updates: int | None = None) -> NfqPolicy:
     """The policy of a run's last update, or of an earlier one by its number."""
     updates = document(place)["counts"]["updates"] if updates is None else updates
-    return NfqPolicy.load(_existing(FilePath(place) / "nets" / f"net-{updates:04d}.npz"))
+    return NfqPolicy.load(_existing(net_file(place, updates)))
+
+
+def part_file(place: FilePath, number: int) -> FilePath:
+    """The log of what was driven up to a checkpoint, from the one before."""
+    return FilePath(place) / "drive" / f"{number:04d}.npz"
+
+
+def steering_file(place: FilePath, number: int) -> FilePath:
+    """The policy that steered at a checkpoint."""
+    return FilePath(place) / "nets" / f"steering-{number}.npz"
+
+
+def net_file(place: FilePath, updates: int) -> FilePath:
+    """The policy of an update."""
+    return FilePath(place) / "nets" / f"net-{updates:04d}.npz"
 
 
 def _existing(file: FilePath) -> FilePath:

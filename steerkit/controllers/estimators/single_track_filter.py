@@ -198,16 +198,15 @@ class SingleTrackFilter(Block):
         ]
         line, numbers = x[_FILTERS : self._first], x[self._first : self._first + _N]
         covariance = gauss.unpacked(x[self._first + _N :], _N)
-        finite = [m.is_finite(value) for value in (u.delta_sw, u.v, u.r, u.delay, u.lag, u.active, u.delay_deviation)]
-        known, moves, turns = finite[0], finite[1], finite[2]
-        told = m.both(finite[3], finite[4])
-        read = m.both(m.both(known, moves), m.both(m.both(turns, told), m.both(finite[5], finite[6])))
+        known, moves, turns, sure, steers = map(m.is_finite, (u.delta_sw, u.v, u.r, u.delay_deviation, u.active))
+        told = m.both(m.is_finite(u.delay), m.is_finite(u.lag))
+        read = m.every(known, moves, turns, told, sure, steers)
         v = m.where(moves, m.maximum(u.v, SLOWEST), v_before)
         drives = m.both(moves, u.v >= SLOWEST)
-        acts = m.both(m.both(known, drives), m.both(told, u.active > 0.5))
+        acts = m.every(known, drives, told, u.active > 0.5)
         delay = m.where(told, m.clip(u.delay, 0.0, self.longest), 0.0)
         lag = m.where(told, m.clip(u.lag, 0.0, 2.0), 0.0)
-        teaches = m.both(read, m.both(acts, since * dt > delay + 4.0 * lag + 0.3))
+        teaches = m.every(read, acts, since * dt > delay + 4.0 * lag + 0.3)
         r = m.where(turns, u.r, 0.0)
         # the five numbers
         keeps = [m.where(drives, math.exp(-dt / self.memory), 1.0)] * 4
@@ -217,7 +216,7 @@ class SingleTrackFilter(Block):
         covariance = gauss.carried(covariance, (), keeps, fresh)
         expected, slopes = self._expected(numbers, w, v)
         variance = self.noise**2 * self.correlated / dt
-        late = turning * m.where(m.is_finite(u.delay_deviation), u.delay_deviation, 0.0)
+        late = turning * m.where(sure, u.delay_deviation, 0.0)
         uneven = slopes[2] * slopes[2] * (self.wear**2 + late * late) * (_TOGETHER / dt)
         error = m.where(teaches, r - expected, 0.0)
         numbers, covariance, off = _corrected(numbers, covariance, slopes, error, variance + uneven, teaches)
@@ -229,7 +228,7 @@ class SingleTrackFilter(Block):
         # the heading against the gyro
         whole = m.both(turns, m.is_finite(u.psi))
         psi = m.where(m.is_finite(u.psi), u.psi, 0.0)
-        ends = m.both(m.both(whole, going > 0.5), clock + 0.5 * dt >= window)
+        ends = m.every(whole, going > 0.5, clock + 0.5 * dt >= window)
         measured = m.wrap(turned - psi + start) / window
         variance = 2.0 * self.psi_noise**2 / (window * window) + self.noise**2 * dt / window
         numbers, covariance, _ = _corrected(numbers, covariance, only_zero, measured - numbers[3], variance, ends)

@@ -134,8 +134,8 @@ class DelayBank(Block):
         known = m.is_finite(u.delta_sw_cmd)
         command = m.where(known, u.delta_sw_cmd, before)
         calm = m.both(m.absolute(command) <= self.limit, m.absolute(command - before) <= self.rate_limit * self.dt)
-        acts = m.both(m.both(u.active > 0.5, known), m.both(calm, v >= SLOWEST))
-        teaches = m.both(since * self.dt > self.longest + 4.0 * self.prior_lag + 0.3, m.both(read, acts))
+        acts = m.every(u.active > 0.5, known, calm, v >= SLOWEST)
+        teaches = m.every(since * self.dt > self.longest + 4.0 * self.prior_lag + 0.3, read, acts)
         weighed, moments = learned(
             Weighed._make((*sums, power)),
             x[_FILTERS + 3 * n :],
@@ -223,7 +223,7 @@ class WheelDelay(DelayBank):
         return self.Y(*self._found(x, 0.0))
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
-        read = m.both(m.both(m.is_finite(u.delta_sw_meas), m.is_finite(u.v)), m.is_finite(u.active))
+        read = m.every(*map(m.is_finite, (u.delta_sw_meas, u.v, u.active)))
         return self._learn(x, u, u.delta_sw_meas, 1.0 / self.noise**2, u.v, read)
 
 
@@ -260,7 +260,7 @@ class YawDelay(DelayBank):
         return self.Y(*self._found(x, self.yaw_unknown * yaw_delay(self.vehicle, x[6])))
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
-        read = m.both(m.both(m.is_finite(u.r), m.is_finite(u.v)), m.is_finite(u.active))
+        read = m.every(*map(m.is_finite, (u.r, u.v, u.active)))
         gain = steady_gain(self.vehicle, x[6])
         return self._learn(x, u, u.r / gain, gain * gain / self.noise**2, u.v, read)
 

@@ -112,11 +112,11 @@ class GapBank(Block):
         n, dt = self._line, self.dt
         held, since, _, *sums, speed, _, _, _, front, rate, split = x[:_FILTERS]
         line, behind = x[_FILTERS : _FILTERS + n], x[_FILTERS + n : _FILTERS + n + _CANDIDATES]
-        told = m.both(m.both(m.is_finite(u.delay), m.is_finite(u.lag)), m.is_finite(u.lag_deviation))
+        told = m.every(*map(m.is_finite, (u.delay, u.lag, u.lag_deviation)))
         known = m.both(m.is_finite(u.angle), told)
-        read = m.both(m.both(read, known), m.both(m.is_finite(u.v), m.is_finite(u.active)))
+        read = m.every(read, known, m.is_finite(u.v), m.is_finite(u.active))
         acts = m.both(known, u.active > 0.5)
-        teaches = m.both(m.both(read, since * dt > _SETTLED), m.both(acts, u.v >= SLOWEST))
+        teaches = m.every(read, since * dt > _SETTLED, acts, u.v >= SLOWEST)
         weighed, moments = learned(
             Weighed._make(sums),
             x[_FILTERS + n + _CANDIDATES :],

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
-import re
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path as FilePath
@@ -18,7 +16,7 @@ from steerkit.learning import rundir
 from steerkit.learning.counts import Episode
 from steerkit.learning.curve import Curve
 from steerkit.learning.experiment import Experiment
-from steerkit.learning.ownership import HOLDER, holder
+from steerkit.learning.ownership import learner
 from steerkit.learning.pictures.policy import course_angle, states
 from steerkit.learning.progress import LAST
 from steerkit.path import Path
@@ -63,7 +61,7 @@ class Reader:
         """The run as it was at its last checkpoint, with when that was written, and whether somebody learns on."""
         written = (self.place / "run.json").stat().st_mtime if (self.place / "run.json").exists() else 0.0
         data = rundir.document(self.place)
-        first = (self.place / "drive" / "0000.npz").stat()
+        first = rundir.part_file(self.place, 0).stat()
         if self._of != (first.st_ino, first.st_mtime_ns):  # the directory holds another run now
             self._forget()
             self._of = (first.st_ino, first.st_mtime_ns)
@@ -75,15 +73,16 @@ class Reader:
 
     def _picture(self, data: dict[str, Any]) -> dict[str, Any]:
         for number in range(len(self._parts), data["checkpoint"] + 1):
-            log = Log.load(self.place / "drive" / f"{number:04d}.npz")
+            log = Log.load(rundir.part_file(self.place, number))
             self._parts.append({"t": log.t, **{name: log.signals[name] for name in _SIGNALS}})
         drive = {name: np.concatenate([part[name] for part in self._parts]) for name in ("t", *_SIGNALS)}
         counts = data["counts"]
         experiment: Experiment = rundir.from_plain(data["experiment"], "run.json")
         episodes = [Episode(**episode) for episode in counts["episodes"]]
-        policy = NfqPolicy.load(self.place / "nets" / f"steering-{data['checkpoint']}.npz")
+        policy = NfqPolicy.load(rundir.steering_file(self.place, data["checkpoint"]))
         path = self._path = self._path or experiment.scenario.path()
         t = float(drive["t"][-1]) if len(drive["t"]) else 0.0
+        failed = np.array([one.ended for one in episodes if one.failed], dtype=float)
         lasting = episodes[-1] if episodes and episodes[-1].ended is None else None
         v = float(np.median(drive["car.v"][-1200:])) if len(drive["t"]) else 6.0
         return {
@@ -91,7 +90,7 @@ class Reader:
             "place": str(self.place),
             "checkpoint": data["checkpoint"],
             "t": t,
-            "failures": sum(one.failed for one in episodes),
+            "failures": len(failed),
             "rounds": sum(one.rounds for one in episodes),
             "updates": counts["updates"],
             "driven_km": counts["driven"] / 1000.0,
@@ -100,8 +99,8 @@ class Reader:
             "stuck": counts["stuck"][-3:],
             "pace": self._pace(data["checkpoint"], t),
             "limits": {"goal": GOAL, "trip": TRIP, "release": RELEASE},
-            "curve": _curve(drive, episodes),
-            "map": _map(drive, episodes, path),
+            "curve": _curve(drive, failed),
+            "map": _map(drive, failed, path),
             "policy": _policy(policy, experiment, drive, v),
         }
 
@@ -110,32 +109,14 @@ class Reader:
         first = max(1, checkpoint - LATELY)  # the one before is of the first moment, and empty
         if checkpoint <= first:
             return None
-        ages = [(self.place / "drive" / f"{number:04d}.npz").stat().st_mtime for number in (first, checkpoint)]
+        ages = [rundir.part_file(self.place, number).stat().st_mtime for number in (first, checkpoint)]
         return (t - float(self._parts[first]["t"][-1])) / (ages[1] - ages[0]) if ages[1] > ages[0] else None
 
 
-def learner(place: FilePath) -> str | None:
-    """Who learns in a run's directory now, in one line; None: nobody."""
-    if not (place / HOLDER).exists():
-        return None
-    told = holder(place)
-    number = re.match(r"process (\d+)", told)
-    if number is None:
-        return None
-    try:
-        os.kill(int(number[1]), 0)
-    except ProcessLookupError:  # it was killed
-        return None
-    except PermissionError:  # it is somebody else's
-        pass
-    return told
-
-
-def _curve(drive: dict[str, Array], episodes: list[Episode]) -> dict[str, Any]:
+def _curve(drive: dict[str, Array], failed: Array) -> dict[str, Any]:
     """RMS e of the learner over the last WINDOW at each time, when the recovery controller steered, and failures."""
     t, learns = drive["t"], drive["supervisor.learning"] > 0.5
     late = drive["path.e"][learns][-round(LAST / DT) :]
-    failed = np.array([one.ended for one in episodes if one.failed], dtype=float)
     curve = Curve.of_drive(t, learns, drive["path.e"], failed)
     edges = np.linspace(0.0, curve.t, min(POINTS, max(1, round(curve.t))) + 1)
     steered = curve.over(edges).share > 0.0
@@ -149,7 +130,7 @@ def _curve(drive: dict[str, Array], episodes: list[Episode]) -> dict[str, Any]:
     }
 
 
-def _map(drive: dict[str, Array], episodes: list[Episode], path: Path) -> dict[str, Any]:
+def _map(drive: dict[str, Array], failed: Array, path: Path) -> dict[str, Any]:
     """The path, the car's way by who steered, where it failed, and where it is now."""
     t, x, y = drive["t"], drive["car.x"], drive["car.y"]
     xy = path.samples.xy
@@ -165,8 +146,7 @@ def _map(drive: dict[str, Array], episodes: list[Episode], path: Path) -> dict[s
             kept = [*range(began, ended, every), ended if joined else ended - 1]
             way = np.column_stack([x[kept], y[kept]])
             ways["learner" if learns[began] else "recovery"].append(_plain(way, 2))
-    failed = [one.ended for one in episodes if one.failed and one.ended is not None]
-    at = np.minimum(np.searchsorted(t, np.array(failed) - 1e-6), len(t) - 1)
+    at = np.minimum(np.searchsorted(t, failed - 1e-6), len(t) - 1)
     return {
         "path": _plain(line, 2),
         **ways,

@@ -89,7 +89,7 @@ class _Scene:
         from matplotlib.figure import Figure
 
         self.record, self.until, self.done = record, until, done
-        self.psi = record.path.psi(record.log["path.s"]) + record.log["path.psi_e"]
+        self.psi = np.unwrap(record.path.psi(record.log["path.s"]) + record.log["path.psi_e"])
         scenario = record.experiment.scenario
         car = scenario.nominal
         self.ratio = float(car.steer_ratio)
@@ -139,7 +139,7 @@ class _Scene:
         record, log = self.record, self.record.log
         k = max(0, int(np.searchsorted(log.t, t + 1e-9)) - 1)
         x, y, delta_sw = (float(np.interp(t, log.t, log[f"car.{key}"])) for key in ("x", "y", "delta_sw"))
-        psi = float(np.interp(t, log.t, np.unwrap(self.psi)))
+        psi = float(np.interp(t, log.t, self.psi))
         learns = bool(record.learning[k])
         colour = self.paint[0 if learns else 1]
         failures = int((log.t[record.failed_at] <= t).sum())

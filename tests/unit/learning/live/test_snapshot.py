@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -20,8 +17,7 @@ from steerkit.learning import rundir
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.learn import learn
 from steerkit.learning.live import snapshot
-from steerkit.learning.live.snapshot import GRID, Reader, learner
-from steerkit.learning.ownership import HOLDER, held
+from steerkit.learning.live.snapshot import GRID, Reader
 from steerkit.learning.settings import BANG_BANG, changed
 from steerkit.scenario import Scenario
 from steerkit.task import TRIP
@@ -125,22 +121,6 @@ def test_a_broken_run_is_refused_and_read_again_when_it_is_whole(kept: Path, tmp
             reader.read()
     last.write_bytes(whole)
     assert reader.read()["t"] == pytest.approx(48.0, abs=0.1)
-
-
-def test_who_learns_is_named_while_it_lives(tmp_path: Path) -> None:
-    assert learner(tmp_path) is None
-    with held(tmp_path):
-        assert str(learner(tmp_path)).startswith(f"process {os.getpid()} (")
-    assert learner(tmp_path) is None
-    gone = subprocess.Popen([sys.executable, "-c", ""])
-    gone.wait()
-    for text, who in (
-        (f"process {gone.pid} (killed) since", None),
-        ("process 1 (init)", "process 1 (init)"),
-        ("?", None),
-    ):
-        (tmp_path / HOLDER).write_text(text)
-        assert learner(tmp_path) == who
 
 
 def test_a_car_that_is_put_back_does_not_drive_there(tmp_path: Path) -> None:
