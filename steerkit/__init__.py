@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from steerkit.controllers.mpc.nonlinear import NonlinearMPC
     from steerkit.controllers.nfq_policy import NfqPolicy
     from steerkit.controllers.pure_pursuit import PurePursuit
+    from steerkit.controllers.safety_filter import SafetyFilter
     from steerkit.controllers.stanley import Stanley
     from steerkit.controllers.supervisor import Guarded, Supervisor
     from steerkit.courses import course
@@ -59,6 +60,7 @@ _HOME = {
     "PurePursuit": "controllers.pure_pursuit",
     "Guarded": "controllers.supervisor",
     "Supervisor": "controllers.supervisor",
+    "SafetyFilter": "controllers.safety_filter",
     "Stanley": "controllers.stanley",
     "course": "courses",
     "PlainAngle": "doe",
@@ -109,6 +111,7 @@ __all__ = [
     "PlainAngle",
     "Predicted",
     "PurePursuit",
+    "SafetyFilter",
     "Scenario",
     "Sensors",
     "Stanley",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import fields, replace
 from typing import Any, TypeVar
 
@@ -41,6 +41,7 @@ def steering_loop(
     recovery: Block | None = None,
     supervisor: Supervisor | None = None,
     foresight: Block | None = None,
+    safety: Block | None = None,
     link: Block | None = None,
     actuator: Block | None = None,
     column: Block | None = None,
@@ -57,11 +58,12 @@ def steering_loop(
     then `Guarded`, so that an exception in it is a fault that the supervisor answers. actuator: between the command
     and the wheel (none: the command is the angle); link: between the command and the actuator; column: between the
     actuator and the road wheels, and then it says what is measured of the wheel. sensors: what the controllers see of
-    the car (none: the truth). reference: where e is measured, m ahead of the centre of gravity (the front axle is
-    l_f). shift: what the learner and the supervisor take for e (none: the path's).
+    the car (none: the truth). safety: a `SafetyFilter` between whoever steers and the wheel; the doe goes on from what
+    it lets through. reference: where e is measured, m ahead of the centre of gravity (the front axle is l_f).
+    shift: what the learner and the supervisor take for e (none: the path's).
 
     The blocks are named human, car, link, actuator, column, sensors, path, shift, controller, doe, recovery,
-    foresight, supervisor.
+    foresight, supervisor, safety.
     `path` tracks the **true** reference point, for logs and metrics; with sensors, `seen` tracks the measured one; a
     controller that wants e elsewhere (its field `reference`) or a preview gets a tracker of its own. A car with an
     output `applied` (a real one) says which angle it was told in the end; the doe is then `Corrected` by it.
@@ -77,6 +79,7 @@ def steering_loop(
             "recovery": recovery,
             "supervisor": supervisor,
             "foresight": foresight,
+            "safety": safety,
             "link": link,
             "actuator": actuator,
             "column": column,
@@ -152,6 +155,11 @@ def steering_loop(
         bench.wire(command, "delta_sw", judge, "learner")
         bench.wire(recovery, "delta_sw", judge, "recovery")
         command = judge
+    if safety is not None:
+        bench.add("safety", safety)
+        bench.wire(command, "delta_sw", safety, "command")
+        bench.control(safety, tracker, seen, steered, doe, wired=("command",))
+        command = safety
     if doe is not None:
         bench.wire(car if reports else command, "applied" if reports else "delta_sw", doe, "applied")
     for part in chain:
@@ -173,6 +181,7 @@ _EXAMPLES = {
     "recovery": "Stanley.of(vehicle('vw-passat'))",
     "supervisor": "Supervisor()",
     "foresight": "Foresight(...)",
+    "safety": "SafetyFilter.of(vehicle('vw-passat'))",
     "link": "SteeringLink()",
     "actuator": "SteeringActuator(lag=0.12)",
     "column": "SteeringColumn(play=0.02)",
@@ -271,10 +280,14 @@ class _Bench:
         steered: Block,
         doe: Block | None,
         shift: TargetShift | None = None,
+        wired: Collection[str] = (),
     ) -> None:
-        """Wires a controller's inputs by name, through a tracker at its own reference point if it asks for one."""
+        """Wires a controller's inputs by name, through a tracker at its own reference point if it asks for one.
+
+        wired: those that have a source already.
+        """
         asks: Any = bare(block)
-        reference = asks.reference if "reference" in _fields(asks) else tracker.reference
+        reference = getattr(asks, "reference", tracker.reference)
         points = getattr(asks, "preview_points", 0)
         if reference != tracker.reference or points:
             role = next(name for name, b in self.blocks.items() if b is block)
@@ -282,6 +295,8 @@ class _Bench:
             tracker = self.add(f"{role}_path", PathTracker(path=self.path, reference=reference, dt=block.dt, **preview))
             self.join(tracker, seen)
         for name in _names(block.inputs):
+            if name in wired:
+                continue
             if name == "delta_sw_meas":
                 self.hear(block, name, steered)
             elif name == "doe":

@@ -228,10 +228,10 @@ class Predicted(Block):
             off = x[n + 3] + _TRUST * (u.delta_sw_meas - x[n + 2] - x[n + 3])
             model = (self._model_now(x, u), u.delta_sw_meas + 0.0, self._wheel(x[n + 2], commands, u.v), off)
             return (*inner, *[m.where(m.is_finite(value), value, 0.0) for value in model], *commands[1:])
-        r = self._model(x[n], u.delta_sw_meas, u.v)
+        r = self.yaw_rate(x[n], u.delta_sw_meas, u.v)
         return (*inner, m.where(m.is_finite(r), r, 0.0), *x[n + 2 :], sent)
 
-    def _model(self, r: Scalar, wheel: Scalar, v: Scalar) -> Scalar:
+    def yaw_rate(self, r: Scalar, wheel: Scalar, v: Scalar) -> Scalar:
         """The model's yaw rate a sample after it was r, with this wheel [rad]."""
         steady, fade = self._yaw(m.maximum(v, 0.0))
         after = steady * m.tan(wheel / self.steer_ratio)
@@ -248,7 +248,7 @@ class Predicted(Block):
     def _model_now(self, x: State, u: Any) -> Scalar:
         """The model's yaw rate now, of a state that has it of the sample before, with the wheel of then."""
         _, n = self._inner
-        return self._model(x[n], 0.5 * (x[n + 1] + u.delta_sw_meas), u.v)
+        return self.yaw_rate(x[n], 0.5 * (x[n + 1] + u.delta_sw_meas), u.v)
 
     def _ahead(self, ports: Any, x: State, u: Any) -> Any:
         """The wrapped block's inputs, `delay + lag` from now."""
@@ -270,7 +270,7 @@ class Predicted(Block):
             follow = 1.0 - float(np.exp(-h / self.lag)) if self.lag > 0.0 else 1.0
             step = fastest * h
             moved = m.clip(follow * (commands[command] - now.wheel), -step, step)
-            now = self._moved(now, h, moved, self._kappa(u.preview, entry, share), v, wrong)
+            now = self.moved(now, h, moved, self._kappa(u.preview, entry, share), v, wrong)
         last = min(round((self.delay + self.lag) / self.preview_dt), self.preview_points - 1)
         kappa = u.preview[last]
         if self.slew is not None:
@@ -288,13 +288,16 @@ class Predicted(Block):
             gap = self.steer_ratio * m.atan(per_kappa * ahead) - now.wheel
             moved = going * m.clip(gap, -fastest * self.dt, fastest * self.dt)
             h = m.absolute(moved) / fastest
-            now = self._moved(now, h, moved, ahead, v, wrong)
+            now = self.moved(now, h, moved, ahead, v, wrong)
             kappa = m.where(going > 0.5, ahead, kappa)
             going = m.where(m.absolute(gap) > fastest * self.dt, going, 0.0)
         return now, kappa
 
-    def _moved(self, now: Motion, h: Scalar, moved: Scalar, kappa: Scalar, v: Scalar, wrong: Scalar) -> Motion:
-        """The motion h [s] later, in which the wheel moves so far [rad]: one midpoint step, exact in lag and yaw."""
+    def moved(self, now: Motion, h: Scalar, moved: Scalar, kappa: Scalar, v: Scalar, wrong: Scalar) -> Motion:
+        """The motion h [s] later, in which the wheel moves so far [rad]: one midpoint step, exact in lag and yaw.
+
+        kappa [1/m] of the path, v >= 0 [m/s]; wrong [rad/s]: by how much the car turns faster than the model.
+        """
         steady, fade = self._yaw(v)
         lever = self.reference + self.l_r - self.rear_slip * v * v
         r_steady = steady * m.tan((now.wheel + 0.5 * moved) / self.steer_ratio) + wrong

@@ -66,14 +66,15 @@ def assembled(
     doe: Block | None = None,
     recovery: Block | None = None,
     shift: TargetShift | None = None,
+    safety: Block | None = None,
     seed: int = 0,
     s: float | None = None,
 ) -> Loop:
     """The loop of a drive in simulation, whoever drives: learner, test drive, suite or environment.
 
-    place: course, car and disturbances. controller, doe, recovery, shift: as for `steering_loop`. seed: of human,
-    sensors, gusts and the link's delays. s: where the car starts [m]; None:
-    where the place says. Raises what `steering_loop` raises.
+    place: course, car and disturbances. controller, doe, recovery, shift, safety: as for `steering_loop`. seed: of
+    human, sensors, gusts and the link's delays. s: where the car starts [m]; None: where the place says.
+    Raises what `steering_loop` raises.
     """
     path = place.path()
     if s is None:
@@ -95,6 +96,7 @@ def assembled(
         estimator=place.estimator_block(),
         reference=_reference(place, controller),
         shift=shift,
+        safety=safety,
     )
 
 

@@ -24,6 +24,7 @@ from steerkit.controllers.network_policy import Network, PolicyBlock
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.offset_free import OffsetFree
 from steerkit.controllers.pure_pursuit import PurePursuit
+from steerkit.controllers.safety_filter import SafetyFilter
 from steerkit.controllers.stanley import Stanley
 from steerkit.controllers.supervisor import Guarded, Supervisor, SupervisorState
 from steerkit.controllers.target_shift import TargetShift
@@ -128,6 +129,8 @@ EXAMPLES = [
     ),
     Example(OffsetFree.around(Stanley.of(PASSAT), PASSAT)),
     Example(PurePursuit.of(PASSAT, OVAL)),
+    Example(SafetyFilter.of(PASSAT, delay=0.05, horizon=0.35, hold=1, halvings=2)),
+    Example(SafetyFilter.of(PASSAT, horizon=0.35, hold=1, halvings=1, bound=9.0)),
     Example(FromControl(system=control.ss([[0.5, 0.1], [0.0, 0.9]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.3]], 0.05))),
     Example(FromControl(system=control.nlsys(_pendulum, None, states=2, inputs=1, outputs=2), units={"u_0": "rad"})),
     Example(Tap(unit="rad")),

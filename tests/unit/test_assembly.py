@@ -16,6 +16,7 @@ from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.mpc.linear import MPC
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.pure_pursuit import PurePursuit
+from steerkit.controllers.safety_filter import SafetyFilter
 from steerkit.controllers.stanley import Stanley
 from steerkit.controllers.supervisor import Guarded, Supervisor
 from steerkit.controllers.target_shift import TargetShift
@@ -101,6 +102,17 @@ def test_every_wire_of_a_learner_with_all_its_parts() -> None:
         },
     }
     assert {name: loop.inputs_of(name) for name in loop.names if name != "human"} == wired
+
+
+def test_a_safety_filter_comes_between_whoever_steers_and_the_wheel() -> None:
+    loop = learning_loop(recovery=Stanley.of(VW_PASSAT), safety=SafetyFilter.of(VW_PASSAT))
+    ahead = {name: f"safety_path.{name}" for name in ("e", "psi_e", "preview")}
+    heard = {"v": "sensors.v", "r": "sensors.r", "delta_sw_meas": "actuator.delta_sw"}
+    assert loop.inputs_of("safety") == {"command": "supervisor.delta_sw", **ahead, **heard}
+    assert loop.inputs_of("actuator") == {"delta_sw_cmd": "safety.delta_sw"}
+    assert loop.inputs_of("doe")["applied"] == "safety.delta_sw"
+    tracker: Any = loop.blocks["safety_path"]
+    assert tracker.reference == VW_PASSAT.l_f
 
 
 def test_a_shifted_target_and_foresight_come_between() -> None:

@@ -1,0 +1,304 @@
+"""A safety filter between whoever steers and the wheel: it changes only commands that could end beside the path."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+from steerkit import maths as m
+from steerkit.block import Block, In, Out, State
+from steerkit.controllers.delay import Motion, Predicted
+from steerkit.controllers.limits import limited
+from steerkit.controllers.stanley import Stanley, StanleyState
+from steerkit.errors import require, require_within
+from steerkit.maths import Scalar
+from steerkit.task import TRIP
+from steerkit.vehicles import Vehicle, require_vehicle
+
+REASONS = ("passed", "wheel limits", "corrected", "backup: nothing else is safe", "backup: the command is not finite")
+"""What each value of the output `reason` means."""
+_ADAPT = 0.5
+"""Time in which the yaw rate's slow part, and by how much the model has it wrong, are averaged [s]."""
+_KEPT = 4
+"""Numbers in the state before the commands on their way."""
+
+
+class _Now(NamedTuple):
+    """What a roll-out starts from; seen in the mirror for the right side."""
+
+    e: Scalar
+    psi_e: Scalar
+    r: Scalar
+    wheel: Scalar
+    wheel_before: Scalar
+    wrong: Scalar
+    r_slow: Scalar
+    commands: tuple[Scalar, ...]
+    preview: tuple[Scalar, ...]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SafetyFilter(Block):
+    """Passes a command if the car can still be kept on its path after it, else the nearest one for which it can.
+
+    The backup is Stanley on the state that is predicted for when its command arrives. With it a sample asks
+
+        reach(c) = max over t of |e(t)|,   c held for `hold` samples, then the backup, for `horizon` in all,
+        w        = command within wheel stop, wheel speed and a_y (see `limits`)
+        delta_sw = w                          if reach(w) <= bound
+                 = w + share (backup - w)     otherwise: the least share with reach <= bound, by `halvings`
+
+    A held command follows the bends: the path's own angle is added as it changes. Holding it for several samples is
+    what keeps the corrections calm: they begin earlier, and have so long to act (multi-step filter); hold = 1 is the
+    one-step filter, which chatters at the bound.
+
+    reach is not that of the model but the worst of what is told not to be known. Two cars are rolled out, one pushed to
+    the left, one to the right, by the same equations seen in the mirror. The left one begins e_doubt further left and
+    turned psi_doubt further left than is seen, its yaw rate is
+
+        r = r_model + wrong + yaw_doubt + ratio_doubt |r - r_slow|,
+
+    its wheel is the one that is further left, of a wheel that gets commands after `delay` and one that gets them
+    delay_doubt and a sample later; and its backup sees it e_doubt and psi_doubt further right than it would be seen,
+    without what pushed it while its command was on the way. `wrong` and r_slow are averages over 0.5 s.
+
+    What holds by this: while the true car stays between the pushed ones, one that got a command with reach <= bound
+    has |e| <= bound for `horizon` from then on. For at each sample after it either another such command is sent, or the
+    backup's, and that the backup stays within the bound is what was found then. It stays between them if the doubts
+    bound its errors and a wheel further left keeps it further left. Beyond the horizon the roll-out's last drift is
+    counted on for `approach`: that a car which is coming back there stays is measured, not shown. Nothing here bounds a
+    path that bends beyond its preview faster than the wheel may turn, nor a car that slides.
+
+    Why a roll-out, and no optimal plan: its cost is fixed (2 (1 + halvings) roll-outs), it has no branch and no solver
+    that may fail, the same lines serve floats, batches and C, and what it promises is what steers if it has to.
+
+    Inputs: command [rad]; e [m], psi_e [rad], preview [1/m] (kappa every preview_dt of driving) at `reference`;
+    v [m/s]; r [rad/s]; delta_sw_meas [rad]. Outputs: delta_sw [rad]; correction [rad], delta_sw - command; share [1],
+    0 for none, 1 for the backup alone; reach [m] of w; reason [1], the number of one of `REASONS`. State: r_model,
+    `wrong`, r_slow, the wheel one sample before, then commands on their way, oldest first. A command that is not finite
+    leaves the wheel to the backup; a NaN in what the backup sees gives NaN, which the gate before a bus refuses.
+    A negative v counts as 0. Raises ValueError for parameters out of range and for a backup that is not Stanley.
+
+    Source: Wabersich, Zeilinger 2018 and 2021 (predictive safety filter); Gurriet et al. 2020 (a backup rolled out);
+    Pizarro Bejarano, Brunke, Schoellig 2023 (multi-step filters).
+    """
+
+    command = In("rad")
+    e = In("m")
+    psi_e = In("rad")
+    preview = In("1/m", size="preview_points")
+    v = In("m/s")
+    r = In("rad/s")
+    delta_sw_meas = In("rad")
+    delta_sw = Out("rad")
+    correction = Out("rad")
+    share = Out("1")
+    reach = Out("m")
+    reason = Out("1")
+
+    backup: Predicted
+    """Stanley, and the model that is rolled out: geometry, ratio, dead time and lag as they are told."""
+    bound: float = TRIP
+    """|e| that is not to be exceeded [m]."""
+    horizon: float = 0.9
+    """How far is looked ahead from when the command arrives [s]; at least 0.3 s longer than the hold."""
+    hold: int = 8
+    """Samples for which a command is taken to be held."""
+    halvings: int = 5
+    """How often the share is halved between one that is safe and one that is not."""
+    e_doubt: float = 0.03
+    """Largest error of e as seen [m]."""
+    psi_doubt: float = 0.005
+    """Largest error of psi_e as seen [rad]."""
+    yaw_doubt: float = 0.01
+    """Largest error of the yaw rate that is neither constant nor in proportion to its changes [rad/s]."""
+    ratio_doubt: float = 0.1
+    """Largest error of the yaw rate as a share of its change [1]: steering ratio, tyres."""
+    delay_doubt: float = 0.05
+    """How much later than told commands may arrive [s]."""
+    approach: float = 0.4
+    """Time for which the drift at the end of a roll-out is counted on [s]."""
+    preview_points: int = 16
+    """Entries of the preview."""
+    preview_dt: float = 0.1
+    """Time between them [s]."""
+
+    def __post_init__(self) -> None:
+        where = "SafetyFilter"
+        kind = type(self.backup.block if isinstance(self.backup, Predicted) else self.backup).__name__
+        law = isinstance(self.backup, Predicted) and isinstance(self.backup.block, Stanley)
+        require(law, where, f"backup of {kind}, expected Predicted around Stanley, such as SafetyFilter.of makes")
+        require(self.dt == self.backup.dt, where, f"dt = {self.dt} s, but the backup has {self.backup.dt} s")
+        for name, unit, low, high in (
+            ("bound", "m", 0.05, 100.0),
+            ("horizon", "s", self.hold * self.dt + 0.3, 10.0),
+            ("e_doubt", "m", 0.0, 10.0),
+            ("psi_doubt", "rad", 0.0, 1.0),
+            ("yaw_doubt", "rad/s", 0.0, 1.0),
+            ("ratio_doubt", "1", 0.0, 1.0),
+            ("delay_doubt", "s", 0.0, 2.0),
+            ("approach", "s", 0.0, 10.0),
+            ("preview_dt", "s", 1e-3, 10.0),
+        ):
+            require_within(where, name, getattr(self, name), unit, low, high)
+        for name, least in (("hold", 1), ("halvings", 1), ("preview_points", 2)):
+            value = getattr(self, name)
+            require(
+                isinstance(value, int) and value >= least, where, f"{name} = {value!r}, expected a count >= {least}"
+            )
+
+    @classmethod
+    def of(cls, vehicle: Vehicle, *, delay: float = 0.0, lag: float = 0.1, **settings: Any) -> SafetyFilter:
+        """For a `Vehicle`, with the delay and lag that are told of its steering [s].
+
+        settings: any other fields.
+        """
+        require_vehicle(vehicle, "SafetyFilter.of")
+        return cls(backup=Predicted.around(Stanley.of(vehicle), vehicle, delay=delay, lag=lag), **settings)
+
+    @property
+    def reference(self) -> Scalar:
+        """Where e, psi_e and the preview are measured: metres ahead of the centre of gravity."""
+        return self.backup.reference
+
+    @property
+    def _law(self) -> Stanley:
+        return self.backup.block  # type: ignore[return-value]
+
+    @cached_property
+    def _soonest(self) -> int:
+        """Samples after which a command acts at the soonest."""
+        return math.floor(self.backup.delay / self.dt + 1e-9)
+
+    @cached_property
+    def _latest(self) -> int:
+        """Samples after which it acts at the latest."""
+        return math.floor((self.backup.delay + self.delay_doubt) / self.dt + 1e-9) + 1
+
+    @cached_property
+    def _follow(self) -> float:
+        """Share of the way to its command that the wheel goes in a sample."""
+        lag = self.backup.lag
+        return 1.0 - math.exp(-self.dt / lag) if lag > 0.0 else 1.0
+
+    def init(self, batch: tuple[int, ...] = ()) -> State:
+        return (m.filled(0.0, batch),) * (_KEPT + self._latest)
+
+    def settle(self, t: float, x: State, u: Any) -> State:
+        wheel = u.delta_sw_meas + 0.0
+        return (u.r + 0.0, 0.0 * u.r, u.r + 0.0, *[wheel] * (1 + self._latest))
+
+    def output(self, t: Any, x: State, u: Any) -> Any:
+        v, sound = m.maximum(u.v, 0.0), m.is_finite(u.command)
+        now = _Now(u.e, u.psi_e, u.r, u.delta_sw_meas, x[3], x[1], x[2], x[_KEPT:], tuple(u.preview))
+        within = self._within(u.command, x[-1], v, u.preview[0])
+        reach = self._reach(now, v, within)
+        safe = m.both(sound, reach <= self.bound)
+        if safe is True:  # one car whose command is kept, as nearly all are: nothing else to be asked
+            return self.Y(within, within - u.command, 0.0, reach, 0.0 if within == u.command else 1.0)
+        own = self._own(now, v)
+        low = m.where(sound, within, own)
+        high, share, step = own, 1.0, 1.0
+        for _ in range(self.halvings):
+            step = 0.5 * step
+            middle = 0.5 * (low + high)
+            good = self._reach(now, v, middle) <= self.bound
+            low, high = m.where(good, low, middle), m.where(good, middle, high)
+            share = m.where(good, share - step, share)
+        share = m.where(safe, 0.0, m.where(sound, share, 1.0))
+        delta_sw = m.where(safe, within, m.where(sound, high, own))
+        changed = m.where(share < 1.0, m.where(share > 0.0, 2.0, m.where(within == u.command, 0.0, 1.0)), 3.0)
+        return self.Y(delta_sw, delta_sw - u.command, share, reach, m.where(sound, changed, 4.0))
+
+    def update(self, t: Any, x: State, u: Any, y: Any) -> State:
+        part = self.dt / _ADAPT
+        after = (
+            self.backup.yaw_rate(x[0], u.delta_sw_meas, u.v),
+            x[1] + part * (u.r - x[0] - x[1]),
+            x[2] + part * (u.r - x[2]),
+            u.delta_sw_meas,
+            *x[_KEPT + 1 :],
+            y.delta_sw,
+        )
+        before = (*x[:_KEPT], *x[_KEPT + 1 :], x[-1])  # what is no number was not measured, or never left
+        return tuple([m.where(m.is_finite(new), new + 0.0, old) for new, old in zip(after, before, strict=True)])
+
+    def _within(self, command: Scalar, before: Scalar, v: Scalar, kappa: Scalar) -> Scalar:
+        """The command within stop, wheel speed and lateral acceleration, as the backup's."""
+        law = self._law
+        return limited(
+            command,
+            before,
+            v,
+            m.maximum(law.a_y_max, v * v * m.absolute(kappa) + law.a_y_reserve),
+            wheelbase=law.wheelbase,
+            l_r=law.l_r_share * law.wheelbase,
+            understeer=law.understeer,
+            steer_ratio=law.steer_ratio,
+            rate_limit=law.rate_limit,
+            limit=law.limit,
+            dt=self.dt,
+        )
+
+    def _wheel(self, wheel: Scalar, command: Scalar) -> Scalar:
+        """The wheel a sample later."""
+        step = self.backup.rate_limit * self.dt
+        return wheel + m.clip(self._follow * (command - wheel), -step, step)
+
+    def _kappa(self, preview: tuple[Scalar, ...], samples: float) -> Scalar:
+        """The path's curvature so many samples ahead; beyond the preview, its last."""
+        place = samples * self.dt / self.preview_dt
+        entry = min(int(place + 1e-9), self.preview_points - 2)
+        share = min(place - entry, 1.0)
+        return preview[entry] + share * (preview[entry + 1] - preview[entry])
+
+    def _answer(self, seen: Motion, v: Scalar, kappa: Scalar, wheel_before: Scalar, command: Scalar) -> Scalar:
+        """The backup's command [rad] after another, for what it sees."""
+        law = self._law
+        u = law.D(e=seen.e, psi_e=seen.psi_e, kappa=kappa, v=v, r=seen.r, delta_sw_meas=seen.wheel)
+        return law.output(0.0, StanleyState(wheel_before / law.steer_ratio, command), u).delta_sw
+
+    def _own(self, now: _Now, v: Scalar) -> Scalar:
+        """The backup's command now: that of the state in which it will arrive, as told."""
+        motion, before = Motion(now.e, now.psi_e, now.r, now.wheel), now.wheel_before
+        for k in range(self._soonest):
+            wheel, before = self._wheel(motion.wheel, now.commands[k - self._soonest]), motion.wheel
+            kappa = self._kappa(now.preview, k + 0.5)
+            motion = self.backup.moved(motion, self.dt, wheel - motion.wheel, kappa, v, now.wrong)
+        return self._answer(motion, v, self._kappa(now.preview, self._soonest), before, now.commands[-1])
+
+    def _reach(self, now: _Now, v: Scalar, command: Scalar) -> Scalar:
+        """The furthest that the car may get to either side after a command [m]."""
+        flipped = [-value for value in now[:7]]
+        mirrored = _Now._make((*flipped, tuple([-c for c in now.commands]), tuple([-k for k in now.preview])))
+        return m.maximum(self._left(now, v, command), self._left(mirrored, v, -command))
+
+    def _left(self, now: _Now, v: Scalar, command: Scalar) -> Scalar:
+        """The furthest to the left, of a car that is pushed there."""
+        model, dt, soonest, latest = self.backup, self.dt, self._soonest, self._latest
+        per_kappa, dead = model.wheelbase + model.understeer * v * v, soonest * dt
+        commands = list(now.commands)
+        soon, late = now.wheel, m.maximum(now.wheel, now.wheel_before)
+        car = Motion(now.e + self.e_doubt, now.psi_e + self.psi_doubt, now.r, late)
+        push, before, furthest = self.yaw_doubt, late, -1e9
+        bend = m.atan(per_kappa * self._kappa(now.preview, soonest))
+        for k in range(soonest + round(self.horizon / dt)):
+            if k >= soonest:
+                kappa = self._kappa(now.preview, k)
+                if k < soonest + self.hold:
+                    given = command + model.steer_ratio * (m.atan(per_kappa * kappa) - bend)
+                else:
+                    unaware = 2.0 * self.psi_doubt + push * dead
+                    e_seen = car.e - 2.0 * self.e_doubt - v * unaware * dead
+                    given = self._answer(Motion(e_seen, car.psi_e - unaware, car.r, car.wheel), v, kappa, before, given)
+                commands.append(given)
+            soon, late = self._wheel(soon, commands[k + latest - soonest]), self._wheel(late, commands[k])
+            push = self.yaw_doubt + self.ratio_doubt * m.absolute(car.r - now.r_slow)
+            before, e_before = car.wheel, car.e
+            turned = m.maximum(soon, late) - before
+            car = model.moved(car, dt, turned, self._kappa(now.preview, k + 0.5), v, now.wrong + push)
+            if k >= soonest:  # until then nothing that is commanded now makes a difference
+                furthest = m.maximum(car.e, furthest)
+        return m.maximum(car.e + self.approach * (car.e - e_before) / dt, furthest)

@@ -1,0 +1,277 @@
+"""What is safe passes to the bit, what is not is turned back, and nobody leaves the path, whatever he commands."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from steerkit import maths as m
+from steerkit.block import Block, In, Out
+from steerkit.compiled import compile
+from steerkit.controllers.delay import Predicted, delayed_stanley
+from steerkit.controllers.safety_filter import REASONS, SafetyFilter
+from steerkit.controllers.stanley import Stanley
+from steerkit.controllers.trimmed import Trimmed
+from steerkit.loop import Loop
+from steerkit.scenario import Scenario
+from steerkit.scenario.drive import assembled
+from steerkit.simulation import Log, simulate
+from steerkit.task import STOP
+from steerkit.vehicles import vehicle
+
+PASSAT = vehicle("vw-passat")
+SURE: dict[str, float] = dict(e_doubt=0.0, psi_doubt=0.0, yaw_doubt=0.0, ratio_doubt=0.0, delay_doubt=0.0)
+DOUBTS: dict[str, float] = dict(e_doubt=0.1, psi_doubt=0.02, yaw_doubt=0.05, ratio_doubt=0.3, delay_doubt=0.15)
+HERE: dict[str, float] = dict(command=0.0, e=0.0, psi_e=0.0, v=6.0, r=0.0, delta_sw_meas=0.0)
+
+
+def asked(block: SafetyFilter, *, kappa: float = 0.0, **values: float) -> Any:
+    """The outputs of a filter that starts here, with the wheel where it is measured."""
+    u = {**HERE, "preview": (kappa,) * block.preview_points, **values}
+    ports = block.D(**u)
+    return block.output(0.0, block.settle(0.0, block.init(), ports), ports)
+
+
+@pytest.mark.parametrize("v", [0.0, 2.0, 5.0, 9.0])
+def test_near_its_path_no_command_of_a_careful_driver_is_touched(v: float) -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        e, psi_e, command = rng.uniform(-1.0, 1.0, 3) * (0.1, 0.03, 0.2)
+        y = asked(SafetyFilter.of(PASSAT), command=float(command), e=float(e), psi_e=float(psi_e), v=v)
+        assert (y.delta_sw, y.correction, y.share, y.reason) == (float(command), 0.0, 0.0, 0.0)
+
+
+def test_a_car_beside_a_straight_path_reaches_what_it_has_and_no_more() -> None:
+    """Parallel to it, nothing but the bound and the doubt of e decides."""
+    for doubt in (0.0, 0.07):
+        block = SafetyFilter.of(PASSAT, **(SURE | {"e_doubt": doubt}))
+        for side in (1.0, -1.0):
+            assert asked(block, e=0.3 * side).reach == pytest.approx(0.3 + doubt, abs=1e-12)
+            assert asked(block, e=side * (0.499 - doubt)).share == 0.0
+            assert asked(block, e=side * (0.501 - doubt)).share > 0.0
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.1, 0.2])
+def test_a_car_that_runs_away_goes_on_for_dead_time_and_hold(delay: float) -> None:
+    """Straight on at an angle, v sin(psi_e) a second, before the backup can begin to turn it."""
+    psi, v, e = 0.03, 6.0, 0.05
+    block = SafetyFilter.of(PASSAT, delay=delay, bound=5.0, **SURE)
+    least = e + v * math.sin(psi) * (delay + block.hold * block.dt)
+    assert least < asked(block, e=e, psi_e=psi).reach < least + v * math.sin(psi) * 0.6
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class HeldThenStanley(Block):
+    """What a roll-out takes for granted: a command for some time, then the backup."""
+
+    e = In("m")
+    psi_e = In("rad")
+    kappa = In("1/m")
+    v = In("m/s")
+    r = In("rad/s")
+    delta_sw_meas = In("rad")
+    delta_sw = Out("rad")
+
+    law: Stanley
+    held: float
+    until: float
+
+    def init(self, batch: tuple[int, ...] = ()) -> Any:
+        return self.law.init(batch)
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        return self.Y(m.where(t < self.until - 1e-9, self.held, self.law.output(t, x, u).delta_sw))
+
+    def update(self, t: Any, x: Any, u: Any, y: Any) -> Any:
+        return self.law.update(t, x, u, y)
+
+
+@pytest.mark.parametrize("v", [3.0, 6.0, 9.0])
+def test_what_is_rolled_out_is_what_the_car_does_and_the_drift_of_a_sample_more(v: float) -> None:
+    """For a command acts between now and a sample later, as the actuator's and the path's samples fall."""
+    law, held = Stanley.of(PASSAT), 0.2
+    block = SafetyFilter.of(PASSAT, **SURE)
+    place = Scenario(course="straight", v_min=v, v_max=v)
+    until = block.hold * block.dt
+    log = simulate(assembled(place, HeldThenStanley(law=law, held=held, until=until)), 3.0)
+    drift = float(np.gradient(log["path.e"], log.t).max()) * block.dt
+    found = asked(block, command=held, v=v).reach
+    assert 0.3 * drift < found - float(np.abs(log["path.e"]).max()) < drift
+
+
+def test_a_drift_at_the_end_of_the_roll_out_counts_on() -> None:
+    """One that runs away faster than it can be turned."""
+    y = asked(SafetyFilter.of(PASSAT), e=0.2, psi_e=0.5, v=9.0)
+    assert y.reach > asked(SafetyFilter.of(PASSAT, approach=0.0), e=0.2, psi_e=0.5, v=9.0).reach + 0.4
+
+
+def test_more_doubt_is_more_reach() -> None:
+    wheel = dict(e=0.2, psi_e=0.02, delta_sw_meas=0.5, command=0.9, r=0.05)
+    sure = asked(SafetyFilter.of(PASSAT, **SURE), **wheel).reach
+    for name, value in DOUBTS.items():
+        one, more = (asked(SafetyFilter.of(PASSAT, **(SURE | {name: k * value})), **wheel).reach for k in (1.0, 2.0))
+        assert sure + 1e-3 < one < more - 1e-3, name
+
+
+def test_what_leaves_is_turned_back_no_further_than_needed() -> None:
+    block = SafetyFilter.of(PASSAT)
+    leaving = dict(e=0.3, psi_e=0.03, command=0.3)
+    y = asked(block, **leaving)
+    assert 0.0 < y.share < 1.0
+    assert REASONS[int(y.reason)] == "corrected"
+    assert y.correction < 0.0
+    assert y.reach > block.bound
+    kept = asked(block, **(leaving | {"command": y.delta_sw}))
+    assert (kept.delta_sw, kept.share) == (y.delta_sw, 0.0)
+    finer = asked(replace(block, halvings=12), **leaving)
+    assert finer.share <= y.share <= finer.share + 1.0 / 32.0
+
+
+def test_left_and_right_are_mirror_images() -> None:
+    rng, block = np.random.default_rng(1), SafetyFilter.of(PASSAT, delay=0.1)
+    reasons = set()
+    for _ in range(40):
+        u = dict(zip(("command", "e", "psi_e", "r", "delta_sw_meas", "kappa"), rng.uniform(-1.0, 1.0, 6).tolist()))
+        u |= dict(e=0.45 * u["e"], psi_e=0.1 * u["psi_e"], r=0.2 * u["r"], kappa=0.05 * u["kappa"])
+        one, other = asked(block, **u), asked(block, **{name: -value for name, value in u.items()})
+        assert (other.delta_sw, other.correction) == (-one.delta_sw, -one.correction)
+        assert (other.share, other.reach, other.reason) == (one.share, one.reach, one.reason)
+        reasons.add(one.reason)
+    assert {0.0, 2.0, 3.0} <= reasons
+
+
+def test_the_wheels_limits_hold_for_whoever_commands() -> None:
+    block = SafetyFilter.of(PASSAT)
+    y = asked(block, command=STOP)
+    assert REASONS[int(y.reason)] in ("wheel limits", "corrected")
+    assert abs(y.delta_sw) <= block.backup.rate_limit * block.dt + 1e-12
+    assert REASONS[int(asked(block, command=0.6, v=2.0).reason)] == "wheel limits"
+    turned = asked(replace(block, bound=5.0), command=STOP, delta_sw_meas=2.0, v=9.0)
+    steady = 9.0**2 * math.tan(turned.delta_sw / PASSAT.steer_ratio) / PASSAT.wheelbase
+    assert steady < 3.0 * (1.0 + PASSAT.understeer_gradient * 9.0**2 / PASSAT.wheelbase)
+
+
+@pytest.mark.parametrize("broken", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("delay", [0.0, 0.1])
+def test_a_command_that_is_none_leaves_the_wheel_to_stanley_where_the_car_will_be(broken: float, delay: float) -> None:
+    """The car runs straight on, so that e grows by v sin(psi_e) a second until the command arrives."""
+    law, block = Stanley.of(PASSAT), SafetyFilter.of(PASSAT, delay=delay)
+    e, psi_e, v = -0.2, -0.05, 6.0
+    y = asked(block, command=broken, e=e, psi_e=psi_e, v=v)
+    assert (REASONS[int(y.reason)], y.share) == ("backup: the command is not finite", 1.0)
+    there = law.D(e=e + delay * v * math.sin(psi_e), psi_e=psi_e, kappa=0.0, v=v, r=0.0, delta_sw_meas=0.0)
+    assert y.delta_sw == pytest.approx(law.output(0.0, law.init(), there).delta_sw, abs=1e-12)
+    assert abs(y.delta_sw) > 0.1
+
+
+def test_what_was_sent_is_what_is_on_its_way() -> None:
+    block = SafetyFilter.of(PASSAT, delay=0.1)
+    u: Any = block.U(**{**HERE, "preview": (0.0,) * block.preview_points, "command": math.nan, "e": 0.3})
+    x = block.settle(0.0, block.init(), u)
+    y = block.output(0.0, x, u)
+    after = block.update(0.0, x, u, y)
+    assert after[-1] == y.delta_sw != 0.0
+    assert after[4:-1] == x[5:]
+    assert block.update(0.0, x, u, y._replace(delta_sw=math.nan))[-1] == x[-1]
+
+
+@pytest.mark.parametrize("blind", ["e", "psi_e", "v", "r", "delta_sw_meas"])
+def test_a_backup_that_sees_nothing_is_no_angle(blind: str) -> None:
+    block = SafetyFilter.of(PASSAT, delay=0.05)
+    u: Any = block.D(**{**HERE, "preview": (0.0,) * 16})
+    x = block.settle(0.0, block.init(), u)
+    y = block.output(0.0, x, u._replace(**{blind: math.nan}))
+    assert math.isnan(y.delta_sw)
+    assert y.reason >= 3.0
+    assert np.isfinite(block.update(0.0, x, block.U(**u._asdict())._replace(**{blind: math.nan}), y)).all()
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Adversary(Block):
+    """One that wants to leave: to one side, to and fro, away from where the path is, or by chance."""
+
+    e = In("m")
+    psi_e = In("rad")
+    delta_sw = Out("rad")
+
+    kind: str = "left"
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        half = m.where(m.sin(2.0 * m.pi * t / (0.1 if self.kind == "bang-bang" else 1.4) + 0.1) > 0.0, 1.0, -1.0)
+        away = m.where(u.e + 1.5 * u.psi_e >= 0.0, 1.0, -1.0)
+        side = {"left": 1.0, "right": -1.0, "away": away}.get(self.kind, half)
+        return self.Y(side * STOP + 0.0 * u.e)
+
+
+def driven(kind: str, scenario: Scenario, *, seconds: float = 8.0, **settings: Any) -> Log:
+    belief = scenario.belief()
+    block = SafetyFilter.of(belief.vehicle, delay=belief.delay, lag=belief.lag, **settings)
+    return simulate(assembled(scenario, Adversary(kind=kind), safety=block), seconds, every=5)
+
+
+WORST = Scenario.under("hard", course="paper", tyres=0.7, delay=0.1, told_delay=0.05)
+
+
+@pytest.mark.parametrize(("kind", "v", "ratio"), [("left", 6.5, 0.9), ("right", 4.0, 1.1), ("bang-bang", 5.0, 1.1)])
+def test_no_adversary_leaves_the_path_of_a_car_that_is_not_as_told(kind: str, v: float, ratio: float) -> None:
+    log = driven(kind, replace(WORST, v_min=v, v_max=v, ratio=ratio), delay_doubt=0.1)
+    assert np.abs(log["path.e"]).max() < 0.5
+    assert np.abs(log["path.e"]).max() > 0.3
+    assert (log["safety.share"] > 0.0).any()
+
+
+def test_without_the_filter_he_leaves_it_at_once() -> None:
+    free = simulate(assembled(WORST, Adversary()), 3.0, every=5)
+    assert np.abs(free["path.e"]).max() > 2.0
+
+
+def test_several_steps_correct_more_calmly_than_one() -> None:
+    place = Scenario.under("hard", course="straight", v_min=5.0, v_max=5.0)
+
+    def chatter(hold: int) -> float:
+        log = driven("left", place, hold=hold)
+        assert np.abs(log["path.e"]).max() < 0.5
+        return float(np.sqrt(np.mean(np.diff(log["safety.correction"][60:]) ** 2)))
+
+    assert chatter(1) > 4.0 * chatter(8)
+
+
+def small(scenario: Scenario) -> Loop:
+    """A loop with a filter that looks ahead a short way, which is translated quickly."""
+    block = SafetyFilter.of(scenario.belief().vehicle, delay=0.05, horizon=0.35, hold=1, halvings=1)
+    return assembled(scenario, Adversary(kind="away"), safety=block)
+
+
+@pytest.mark.parametrize("backend", ["python", "c"])
+def test_compiled_it_is_the_same(backend: Any) -> None:
+    loop = small(Scenario.under("hard", course="paper"))
+    reference = simulate(loop, 4.0, every=5)
+    log = compile(loop, backend=backend, every=5).run(4.0)
+    for name in ("safety.delta_sw", "safety.share", "safety.reach", "safety.reason", "path.e"):
+        np.testing.assert_allclose(log[name], reference[name], rtol=0.0, atol=1e-11)
+    assert len(set(reference["safety.reason"])) > 1
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        ({"bound": 0.0}, "bound"),
+        ({"horizon": 0.5}, "horizon"),
+        ({"hold": 0}, "hold = 0"),
+        ({"halvings": 0}, "halvings = 0"),
+        ({"halvings": 2.5}, "halvings = 2.5"),
+        ({"preview_points": 1}, "preview_points = 1"),
+        ({"e_doubt": -0.1}, "e_doubt"),
+        ({"delay_doubt": math.nan}, "delay_doubt"),
+        ({"backup": Stanley.of(PASSAT)}, "backup of Stanley, expected Predicted around Stanley"),
+        ({"backup": Predicted(block=Trimmed(block=Stanley.of(PASSAT)))}, "backup of Trimmed, expected"),
+        ({"backup": delayed_stanley(PASSAT, delay=0.1, lag=0.1, dt=0.02)}, "dt = 0.05 s, but the backup has 0.02 s"),
+    ],
+)
+def test_what_cannot_be_is_refused(settings: dict[str, Any], told: str) -> None:
+    with pytest.raises(ValueError, match=told):
+        replace(SafetyFilter.of(PASSAT), **settings)
