@@ -155,6 +155,8 @@ def _offset_free(make: Callable[[Belief], Block]) -> Callable[[Belief], Block]:
 
 _DEAD_TIMES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
 """Dead times for which an adaptive controller is made [s]."""
+_CAUTION = 0.1
+"""By how much it begins with more than it is told [s]: too much costs little for a while, with too little it swings."""
 
 
 def _adaptive(make: Callable[[Belief], Block]) -> Callable[[Belief], Block]:
@@ -165,9 +167,9 @@ def _adaptive(make: Callable[[Belief], Block]) -> Callable[[Belief], Block]:
         return Adaptive(
             blocks=tuple(make(replace(belief, delay=delay)) for delay in _DEAD_TIMES),
             delays=_DEAD_TIMES,
-            delay=YawDelay(vehicle=car, prior_delay=prior, prior_lag=max(belief.lag, 0.01)),
+            delay=YawDelay(vehicle=car, prior_delay=prior, prior_lag=max(belief.lag, 0.01), enough=0.05),
             steering=SingleTrackFilter(vehicle=car),
-            prior_delay=prior,
+            prior_delay=min(prior + _CAUTION, _DEAD_TIMES[-1]),
             lag=belief.lag,
             limit=car.delta_sw_max,
         )

@@ -66,6 +66,8 @@ def atan2(y: Scalar, x: Scalar) -> Scalar:
 
 def absolute(x: Scalar) -> Scalar:
     """|x|."""
+    if x.__class__ is float:
+        return abs(x)
     if is_symbol(x):
         import casadi
 
@@ -121,6 +123,8 @@ def sign(x: Scalar) -> Scalar:
 
 def both(a: Scalar, b: Scalar) -> Scalar:
     """Logical and."""
+    if a.__class__ is bool and b.__class__ is bool:
+        return a and b
     if is_symbol(a) or is_symbol(b):
         import casadi
 
@@ -144,6 +148,8 @@ def either(a: Scalar, b: Scalar) -> Scalar:
 
 def is_finite(x: Scalar) -> Scalar:
     """True where `x` is neither NaN nor infinite (nor beyond 1e300), in every backend."""
+    if x.__class__ is float:
+        return -1e300 <= x <= 1e300
     return absolute(x) <= 1e300
 
 

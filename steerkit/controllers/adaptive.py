@@ -28,7 +28,9 @@ class Adaptive(Block):
 
     where w_i is what the controller made for the dead time d_i asks for: tables are not solved anew, but those of two
     dead times are mixed. What is told starts with the prior (d = prior_delay, g = 1) and moves towards an estimate, no
-    faster than so much a second, only while that is valid and within its bounds; else it stays. The filter sees
+    faster than so much a second, only while that is valid and within its bounds; else it stays. The filter is given the
+    dead time as it is found, with its deviation, not as it is told: what is told too late or not yet would be taken for
+    another ratio, and firmly. It sees
     g n tan(delta) cos(beta) for g n delta, n the data sheet's ratio, tan(beta) = tan(delta) l_r/L: tight bends. An
     offset is not told: without a heading it cannot be told from the gyro's zero, and `OffsetFree` steers against it,
     inside, for the estimators have to see what is really commanded.
@@ -49,14 +51,14 @@ class Adaptive(Block):
     steering: SingleTrackFilter
     """Finds the ratio."""
     prior_delay: float = 0.0
-    """Dead time until another is found [s]."""
+    """Dead time that is told until another is found [s]; better too long than too short, with which loops swing."""
     lag: float = 0.1
     """Lag of the steering that `blocks` are told of [s]; what it is longer counts as dead time."""
     ratio_least: float = 0.6
     """Smallest ratio that is told, as a multiple of the data sheet's [1]."""
     ratio_most: float = 1.6
     """Largest [1]."""
-    delay_rate: float = 0.1
+    delay_rate: float = 0.5
     """Fastest change of the dead time that is told [s/s]."""
     ratio_rate: float = 0.1
     """That of the ratio [1/s]."""
@@ -147,12 +149,12 @@ class Adaptive(Block):
         steep = m.tan(y.delta_sw / n)
         lever = car.l_r / car.wheelbase * steep  # tan(beta): v is that of the centre of gravity
         bent = n * steep / m.sqrt(1.0 + lever * lever)
-        unsure = found.delay_lag_deviation
-        watched = self.steering.U(bent, u.v, u.r, math.nan, delay, self.lag, unsure, 1.0)
+        dead = found.delay_lag - self.lag
+        watched = self.steering.U(bent, u.v, u.r, math.nan, dead, self.lag, found.delay_lag_deviation, 1.0)
         after.append(self.steering.update(t, states[-1], watched, known))
         bounds = self.delays[0], self.delays[-1]
         told = (
-            self._told(delay, found.delay_lag - self.lag, found.delay_lag_valid, self.delay_rate, bounds),
+            self._told(delay, dead, found.delay_lag_valid, self.delay_rate, bounds),
             self._told(ratio, known.ratio, known.ratio_valid, self.ratio_rate, (self.ratio_least, self.ratio_most)),
         )
         return (*[value for state in after for value in state], *told)

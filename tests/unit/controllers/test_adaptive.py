@@ -82,6 +82,20 @@ def test_nothing_is_told_at_a_standstill_nor_of_what_is_no_number() -> None:
         assert x[-2:] == (0.04, 1.0)
 
 
+def test_the_ratio_is_looked_for_behind_the_dead_time_as_it_is_found_not_as_it_is_told() -> None:
+    states = []
+    for told in (0.0, 0.1):
+        block = adaptive(prior_delay=told, delay_rate=0.0)
+        x = block.settle(0.0, block.init(), block.U(**HERE))
+        for k in range(80):
+            u = block.U(**HERE | {"r": 0.1 * math.sin(0.2 * k)})
+            x = block.update(0.05 * k, x, u, block.Y(math.sin(0.2 * k + 1.0)))
+        assert x[-2] == told
+        states.append(block._states(x)[-1])
+    assert states[0] == states[1]
+    assert block.steering.output(0.0, states[0], ()).ratio != 1.0  # it has learned
+
+
 def rms(name: str, scenario: Scenario) -> tuple[float, float]:
     """RMS e from 30 s on, and the largest |e| from 1 s on [m]."""
     e = drive(scenario, controller(name, scenario))["path.e"]

@@ -30,6 +30,7 @@ KEYS = {
             "ratio_error_pct",
         ),
         *("friction_error_pct", "play_error_pct", "coverage_pct", "lap_rms_rad_s", "cost_c_us", "cost_python_us"),
+        *("adaptive_x_told_truth", "adaptive_worst_x", "adaptive_x_unadapted_worst", "adaptive_max_e_m"),
     },
     "car_kill": {"kills", "controller", "server", "trainer"},
     "car_realtime": {"steps", "misses", "jitter_p99_ms", "rms_e_m", "frames_replayed_exactly", "recording_mb"},
@@ -90,6 +91,9 @@ def sensible_calibration(figures: Any) -> None:
     assert figures["table"]["delay + lag, yaw rate"]["median"] < 30.0
     assert figures["lap_rms_worst_rad_s"] < 0.0040  # exact: a recording
     assert figures["coverage_pct"] > 70.0
+    assert figures["adaptive_worst_x"] < 2.0  # one car, and not settled yet
+    assert figures["adaptive_x_unadapted_worst"] < 1.0
+    assert figures["adaptive_max_e_m"] < 0.5
 
 
 def sensible_throughput(figures: Any) -> None:

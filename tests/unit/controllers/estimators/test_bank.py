@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from steerkit.controllers.estimators.bank import at, fitted, lowest, size, taught
+from steerkit.controllers.estimators.bank import Weighed, at, fits, fitted, learned, lowest, size, taught
 
 
 def test_recursive_moments_with_forgetting_are_the_weighted_ones() -> None:
@@ -48,3 +48,24 @@ def test_the_lowest_of_several_valleys_is_taken_and_nothing_outside_the_bank() -
 
 def test_the_candidate_of_a_number() -> None:
     assert [at(float(i), [10.0, 20.0, 30.0]) for i in range(3)] == [10.0, 20.0, 30.0]
+
+
+def test_one_cars_candidates_are_those_of_a_batch_of_one() -> None:
+    """Floats take a shorter way."""
+    for number in (-1.0, 0.5, 1.0, 1.5, 1.50001, 9.0, float("inf"), float("nan")):
+        assert at(number, [10.0, 20.0, 30.0]) == at(np.array([number]), [10.0, 20.0, 30.0])
+    rng = np.random.default_rng(2)
+    one, many = [0.0] * (4 * size(3)), [np.zeros(1)] * (4 * size(3))
+    sums, all_sums = Weighed(0.0, 0.0, 0.0, 0.0), Weighed(*[np.zeros(1)] * 4)
+    for _ in range(20):
+        rows, y, teaches = rng.normal(size=(4, 3)), float(rng.normal()), bool(rng.random() < 0.7)
+        told = dict(weight=1.3, share=0.3, keep=0.9)
+        sums, one = learned(sums, one, rows.tolist(), y, teaches=teaches, **told)
+        given = [[np.array([value]) for value in row] for row in rows.tolist()]
+        all_sums, many = learned(all_sums, many, given, np.array([y]), teaches=np.array([teaches]), **told)
+    assert {*map(type, one)} == {float}
+    assert one == [float(value[0]) for value in many]
+    prior = (0.3, 0.7, 2.0), (1.0, 0.0, -0.5)
+    for fit, other in zip(fits(one, *prior), fits(many, *prior), strict=True):
+        assert list(fit.coefficients) == [float(value[0]) for value in other.coefficients]
+        assert (fit.saved, fit.last_variance) == (float(other.saved[0]), float(other.last_variance[0]))
