@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 from steerkit import maths as m
 from steerkit.block import Block, In, Out
 from steerkit.controllers.adaptive import Adaptive
+from steerkit.controllers.excited import Excited
 from steerkit.controllers.offset_free import OffsetFree
 from steerkit.controllers.supervisor import Guarded, Supervisor
 from steerkit.controllers.target_shift import TargetShift
@@ -206,7 +207,8 @@ def controller_of(loop: Loop) -> Block:
 
 def bare(controller: Block) -> Block:
     """The law itself, without a guard or a trim around it: it says where it wants e measured, and how far it looks."""
-    return bare(controller.block) if isinstance(controller, Adaptive | Guarded | OffsetFree | Trimmed) else controller
+    wrappers = Adaptive | Excited | Guarded | OffsetFree | Trimmed
+    return bare(controller.block) if isinstance(controller, wrappers) else controller
 
 
 def with_controller(loop: Loop, controller: Block) -> Loop:

@@ -7,11 +7,11 @@ import json
 import logging
 import sys
 from pathlib import Path as FilePath
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from steerkit.cli.options import CHANNEL, SOCKET, TIME_SCALE
+from steerkit.cli.options import CHANNEL, SOCKET, TIME_SCALE, Machine, Quiet
 
 app = typer.Typer(
     help="A car on a CAN bus. No car has been driven with this software: see docs/real-car.md.",
@@ -51,6 +51,10 @@ def simulate(
         str, typer.Option(help="INTERFACE:CHANNEL of python-can, such as socketcan:vcan0, in its place.")
     ] = "",
     time_scale: Scale = 1.0,
+    ratio: Annotated[float, typer.Option(help="True steering ratio over that of the data sheet.")] = 1.0,
+    delay: Annotated[float, typer.Option(help="Dead time from a command to the motor (s).")] = 0.0,
+    lag: Annotated[float, typer.Option(help="Lag of the motor (s).")] = 0.1,
+    offset_deg: Annotated[float, typer.Option(help="Offset of the steering that its sensor does not see (deg).")] = 0.0,
     seed: Annotated[int, typer.Option(help="Seed of the human at the wheel.")] = 0,
     v_min: Annotated[float, typer.Option(help="Slowest speed (m/s).")] = 4.0,
     v_max: Annotated[float, typer.Option(help="Fastest speed (m/s).")] = 6.0,
@@ -61,11 +65,14 @@ def simulate(
     A line is KIND, `pose` or `report`, and if wanted LENGTH and AMOUNT, such as `drop pose 0.5`; an unknown one prints
     the kinds.
     """
+    from dataclasses import replace
+
     from steerkit.clock import Clock
     from steerkit.on_car import processes
     from steerkit.on_car import session as sessions
     from steerkit.plants.real_car.frames.bus import BusPort
     from steerkit.plants.real_car.frames.slcan_port import SlcanPort
+    from steerkit.units import radians_of
 
     loaded, path = sessions.loaded(config, "-")
     arguments = sessions.bus_of(channel)
@@ -76,7 +83,10 @@ def simulate(
         )
     clock = Clock(scale=time_scale)
     port = BusPort(arguments) if arguments else SlcanPort(listen)
-    car = processes.simulated_car(loaded, path, seed=seed, v_min=v_min, v_max=v_max, t0=clock.now())
+    known = loaded.vehicle
+    untold: dict[str, Any] = {"delay": delay, "lag": lag, "offset": radians_of(offset_deg)}
+    untold |= {"vehicle": replace(known, steer_ratio=ratio * known.steer_ratio)}
+    car = processes.simulated_car(loaded, path, seed=seed, v_min=v_min, v_max=v_max, t0=clock.now(), **untold)
     print(f"channel {port.channel}", flush=True)
     with contextlib.ExitStack() as stack:
         stream = stack.enter_context(open(log, "w", encoding="utf-8")) if log else None
@@ -119,6 +129,57 @@ def server(
 
 
 @app.command()
+def calibrate(
+    config: Annotated[str, typer.Argument(help="TOML file of the car, or a shipped one.")] = "dbw-kit.toml",
+    out: Annotated[FilePath | None, typer.Option(help="Vehicle file to write; default: NAME-calibrated.toml.")] = None,
+    minutes: Annotated[float, typer.Option(help="How long to drive, engaged (0.1 to 60).")] = 4.0,
+    controller: Annotated[str, typer.Option(help="Who keeps the car on its course.")] = "stanley",
+    source: Annotated[
+        FilePath | None, typer.Option("--from", help="Make the file from this recording; nothing is driven.")
+    ] = None,
+    simulated: Annotated[bool, typer.Option("--simulated", help="A simulated car on a bus, started for it.")] = False,
+    socket: Socket = "",
+    recording: RecordTo = "",
+    channel: Channel = "",
+    time_scale: Scale = 1.0,
+    realtime: Annotated[bool, typer.Option("--realtime", help="Run under SCHED_FIFO, if the system lets us.")] = False,
+    quiet: Quiet = False,
+    as_json: Machine = False,
+) -> None:
+    """A guided drive that ends in a vehicle file: delay, lag, ratio, offset and wear of the steering, with intervals.
+
+    The car follows its course while the wheel swings slowly, then steps to and fro, then is left to the bends. Engage
+    by `e`, let go by space, as in any drive. Exit code: 0; 1 when the drive told nothing.
+    """
+    from steerkit.on_car import calibrated, calibration
+    from steerkit.on_car.session import Options
+
+    place = out or FilePath(f"{FilePath(config).stem}-calibrated.toml")
+    with contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext():
+        try:
+            if source is not None:
+                calibrated.check_place(place)
+                figures = calibrated.from_recording(source, place, say=not quiet)
+            else:
+                options = Options(
+                    config=config,
+                    simulated=simulated,
+                    socket=socket,
+                    recording=recording,
+                    channel=channel,
+                    time_scale=time_scale,
+                    realtime=realtime,
+                    quiet=quiet,
+                )
+                figures = calibration.calibrate(options, place, base=controller, minutes=minutes)
+        except calibrated.NothingLearned as error:
+            print(error, file=sys.stderr)
+            raise typer.Exit(1) from None
+    if as_json:
+        print(json.dumps(figures))
+
+
+@app.command()
 def order(
     word: Annotated[str, typer.Argument(help="ARM, ENGAGE, DISENGAGE, ACKNOWLEDGE or OFF.")], socket: Socket = ""
 ) -> None:
@@ -151,6 +212,7 @@ def tape(
     One that is damaged or cut short is repaired into a new file and stays as it is itself. One that is still being
     written is only looked into. Exit code: 0; 1 when messages are missing, 2 when a replay lacks something.
     """
+    from steerkit.on_car import estimates
     from steerkit.on_car import loop as loops
     from steerkit.on_car import replay as replays
     from steerkit.plants.real_car import recording as tapes
@@ -189,6 +251,11 @@ def tape(
         except ValueError as error:
             lacking = True
             print(f"{who}: {asked} requests cannot be replayed: {error}")
+        estimators, again = replays.replayed_estimates(drive, config)
+        if drive.estimates:
+            print(f"estimates: {again} of {len(drive.estimates)} the same")
+        for line in estimates.report(estimators.found(), estimates.earlier(config)):
+            print(f"  {line}")
     raise typer.Exit(2 if lacking else 1 if recorded.lost else 0)
 
 

@@ -52,6 +52,7 @@ def course(name: str) -> Path:
     * genesis: a recorded real lap, 3.7 km, bends down to 24 m, open: it ends 102 m short of its start;
     * genesis-rfs: a shorter drive, 477 m with one right bend down to 18 m, open;
     * iso3888-1, iso3888-2: lane changes for 9 m/s and 3 m/s^2 (`manoeuvres.lane_change`), open;
+    * calibration: a figure of eight, 100 m by 35 m, bends down to 17 m, for `steerkit car calibrate`;
     * circle, straight, figure-eight, slalom, curvature-step: the formulas with their default sizes.
 
     Raises ValueError for another name, with the nearest one.
@@ -118,6 +119,7 @@ _COURSES: dict[str, Callable[[], Path]] = {
     "circle": circle,
     "straight": straight,
     "figure-eight": figure_eight,
+    "calibration": partial(figure_eight, 100.0, name="calibration"),
     "iso3888-1": partial(lane_change, 1),
     "iso3888-2": partial(lane_change, 2),
     "slalom": slalom,

@@ -20,7 +20,10 @@ from steerkit.realtime import Run
 class Seen(Protocol):
     """What `Follow` needs of a line to a car."""
 
-    last: Any
+    @property
+    def last(self) -> Any:
+        """The last snapshot."""
+        ...
 
 
 @dataclass(kw_only=True)

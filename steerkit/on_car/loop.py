@@ -12,6 +12,7 @@ from steerkit.assembly import steering_loop
 from steerkit.block import Block
 from steerkit.catalogue import CONTROLLERS, FITTING, Belief, make_controller, make_element, make_recovery
 from steerkit.clock import Clock
+from steerkit.controllers.excited import WAVES, excited
 from steerkit.controllers.foresight import Foresight
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.courses import course
@@ -32,7 +33,8 @@ MPC_BUDGET = 0.03
 LEARNED = FilePath("runs/car")
 """Where `steerkit learn --car` keeps its run unless told otherwise, and where `nfq` is looked for."""
 VALID = (
-    f"{', '.join(CONTROLLERS)}, nfq (the newest net in {LEARNED}), a learning run's directory, a policy's .npz file, "
+    f"{', '.join(CONTROLLERS)}, one of these with a wave on top ({', '.join(f'stanley+{wave}' for wave in WAVES)}), "
+    f"nfq (the newest net in {LEARNED}), a learning run's directory, a policy's .npz file, "
     "my_file.py:make if the car's file allows it"
 )
 
@@ -79,6 +81,10 @@ class Controller:
 def controller_named(name: str, config: CarConfig) -> Controller:
     """A controller by name, or a learned policy by its place; raises ValueError with the valid ones."""
     check_allowed("controller", name, config)
+    base, plus, wave = name.partition("+")
+    if plus and base in CONTROLLERS:
+        block = excited(make_controller(base, belief_of(config)), wave, config.vehicle)
+        return Controller(block=block, steers=Steers(name=name))
     if name in CONTROLLERS or is_outside(name):
         return Controller(block=make_controller(name, belief_of(config)), steers=Steers(name=name))
     place = LEARNED if name == "nfq" else FilePath(name)
@@ -171,14 +177,17 @@ def drive(
     duration: float = float("inf"),
     clock: Clock | None = None,
     watch: Callable[[realtime.Run], bool | None] | None = None,
+    line: CarLink | None = None,
 ) -> realtime.Run:
     """Run a controller at 20 Hz on the car behind `link`, engaged or not, for `duration` [s].
 
+    line: what the loop's car asks, such as `steerkit.on_car.estimates.Watched` around the link (default: the link).
     Missed deadlines go to the car server with the next request; it disengages when they repeat. Raises CarLost
     when the car server ends.
     """
     link.wait(timeout=10.0)
-    follow = Follow.of(car_loop(config, path, link, controller.block, doe=controller.element, recovery=recovery), link)
+    loop = car_loop(config, path, line or link, controller.block, doe=controller.element, recovery=recovery)
+    follow = Follow.of(loop, link)
 
     def step(run: realtime.Run) -> bool:
         follow.begin(run)

@@ -39,12 +39,15 @@ COLOURS = {
 class Panel:
     """Shows who has the wheel and why, and turns keys into orders; without a terminal it prints transitions only.
 
-    session: with `socket`, `timing`, `asked`, `learner_steers`, and `ending`, which ends the drive: so does a panel
-    that breaks, as nobody could let go by key any more. live: draw. more: a line of text of somebody else.
+    session: with `socket`, `timing`, `asked`, `learner_steers`, `watched`, and `ending`, which ends the drive: so does
+    a panel that breaks, as nobody could let go by key any more. live: draw. more: a line of text of somebody else, and
+    what it is about.
     """
 
-    def __init__(self, session: Any, title: str, *, live: bool, more: Callable[[], str] | None = None):
-        self.session, self.title, self.live, self.more = session, title, live, more
+    def __init__(
+        self, session: Any, title: str, *, live: bool, more: Callable[[], str] | None = None, about: str = "learning"
+    ):
+        self.session, self.title, self.live, self.more, self.about = session, title, live, more, about
         self._thread = threading.Thread(target=self._run, name="panel", daemon=True)
         self._over = self._engaged = False
         self._attended = sys.stdin.isatty() or session.options.simulated
@@ -149,7 +152,8 @@ class Panel:
         rows += [("warning" if s.mode is Mode.ENGAGED else "against", line) for line in against]
         rows += [("refused", said)] if said else []
         if self.more:
-            rows.append(("learning", self.more()))
+            rows.append((self.about, self.more()))
+        rows += [("found" if k == 0 else "", line) for k, line in enumerate(self.session.watched.report())]
         for name, value in rows:
             table.add_row(name, value)
         keys = HELP if sys.stdin.isatty() else "no keyboard here: nobody could let go, a real car stays with the human"

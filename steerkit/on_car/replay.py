@@ -16,12 +16,13 @@ from typing import Any
 from steerkit import realtime
 from steerkit.loop import Loop
 from steerkit.on_car import loop as loops
+from steerkit.on_car.estimates import CarEstimators, message_of
 from steerkit.on_car.follow import Follow, Steers
 from steerkit.path import Path
 from steerkit.plants.real_car.decisions.modes import Mode
 from steerkit.plants.real_car.file.config import CarConfig
 from steerkit.plants.real_car.processes.client import CarLost, ReplayLink
-from steerkit.plants.real_car.processes.protocol import Hello, Remark, Request, Snapshot, decode
+from steerkit.plants.real_car.processes.protocol import Estimates, Hello, Remark, Request, Snapshot, decode, encode
 from steerkit.plants.real_car.recording import Recorded
 
 
@@ -36,6 +37,10 @@ class Drive:
     """Who steers, each with the number of snapshots before it."""
     first: int = 0
     """Snapshots before the first request."""
+    samples: list[Snapshot | None] = field(default_factory=list)
+    """The snapshot that each request was computed from; None where it is lost."""
+    estimates: list[tuple[int, Estimates]] = field(default_factory=list)
+    """What was said to be found of the car, each with the number of requests before it."""
 
     @property
     def who(self) -> str:
@@ -60,6 +65,10 @@ def drives(recorded: Recorded) -> Iterator[Drive]:
                 case Request() as asked if values["link"] == link:
                     drive.first = drive.first or len(drive.snapshots)
                     drive.requests.append((asked.basis, asked.delta_sw))
+                    last = drive.snapshots[-1] if drive.snapshots else None
+                    drive.samples.append(last if last is not None and last.t == asked.basis else None)
+                case Estimates() as found if values["link"] == link:
+                    drive.estimates.append((len(drive.requests), found))
                 case Remark(text=text) if values["link"] == link:
                     drive.remarks.append((len(drive.snapshots), Steers.read(text)))
     if drive.requests:
@@ -138,3 +147,19 @@ def replayed_requests(drive: Drive, config: CarConfig, path: Path, *, controller
             follow.choose(live)
     except CarLost:
         return sum(a == b for a, b in zip(drive.requests, link.requests))
+
+
+def replayed_estimates(drive: Drive, config: CarConfig) -> tuple[CarEstimators, int]:
+    """The estimators as they were at a drive's end, and how many of the recorded estimates they say bit for bit again.
+
+    It depends on what was measured and commanded alone, not on who steered.
+    """
+    estimators, said, same = CarEstimators(config), iter(drive.estimates), 0
+    count, recorded = next(said, (0, None))
+    for k, sample in enumerate(drive.samples, start=1):
+        if sample is not None:
+            estimators.sample(sample)
+        while recorded is not None and count == k:
+            same += encode(message_of(estimators.found())) == encode(recorded)  # as bytes: a NaN equals itself
+            count, recorded = next(said, (0, None))
+    return estimators, same

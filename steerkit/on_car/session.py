@@ -27,6 +27,7 @@ from steerkit.learning.settings import Setting
 from steerkit.loop import Loop
 from steerkit.on_car import loop as loops
 from steerkit.on_car import processes
+from steerkit.on_car.estimates import Watched
 from steerkit.on_car.processes import OF
 from steerkit.path import Path
 from steerkit.plants.real_car.decisions.modes import Order
@@ -78,6 +79,8 @@ class Session:
         self.clock = Clock(scale=options.time_scale)
         self.ending = False
         self.link: Any = None
+        self.watched: Any = None
+        """The link with the estimators behind it, `steerkit.on_car.estimates.Watched`."""
         self.timing: Timing | None = None
         self.asked: float | None = None
         """The angle that the controller asked for last [rad]."""
@@ -96,14 +99,22 @@ class Session:
 
     def build(self, policy: Block, doe: Dynamic) -> Loop:
         """The loop of a learner."""
-        return loops.car_loop(self.config, self.path, self.link, policy, doe=doe, recovery=self.options.recovery)
+        return loops.car_loop(self.config, self.path, self.watched, policy, doe=doe, recovery=self.options.recovery)
 
-    def panel(self, title: str, more: Any = None) -> Any:
-        """The live panel; without a terminal, or when told to be quiet, one line for each transition."""
+    def panel(self, title: str, more: Any = None, about: str = "learning") -> Any:
+        """The live panel; without a terminal, or when told to be quiet, one line for each transition.
+
+        more: a line of text of somebody else, called `about`.
+        """
         from steerkit.on_car.panel import Panel
 
+        return Panel(self, title, live=self.live, more=more, about=about)
+
+    @property
+    def live(self) -> bool:
+        """Is the panel drawn?"""
         terminal = sys.stdout.isatty() and os.environ.get("TERM", "dumb") != "dumb"
-        return Panel(self, title, live=terminal and not self.options.quiet, more=more)
+        return terminal and not self.options.quiet
 
 
 @contextlib.contextmanager
@@ -140,6 +151,7 @@ def session(options: Options) -> Iterator[Session]:
             else:
                 print(f"the car server at {socket} is used as it runs, with its own configuration and recording")
             here.link = stack.enter_context(CarClient(socket, course=digest(here.path)))
+            here.watched = Watched(here.link, here.config, here.link.tell)
             if options.realtime:
                 print(preferred())
             try:
@@ -227,8 +239,9 @@ def drive(options: Options, name: str, *, minutes: float) -> dict[str, Any]:
             duration=60.0 * minutes or float("inf"),
             clock=here.clock,
             watch=here.watch,
+            line=here.watched,
         )
-    return _told(here, run)
+    return told(here, run)
 
 
 def learn(options: Options, how: Setting, place: FilePath, *, minutes: float, seed: int) -> dict[str, Any]:
@@ -250,14 +263,17 @@ def learn(options: Options, how: Setting, place: FilePath, *, minutes: float, se
         f"policies and transitions in {place}; drive with them: steerkit drive --car {options.config} --controller "
         f"{'nfq' if place == loops.LEARNED else place}"
     )
-    return _told(here, run) | merit
+    return told(here, run) | merit
 
 
-def _told(here: Session, run: Run) -> dict[str, Any]:
+def told(here: Session, run: Run) -> dict[str, Any]:
+    """The figures of a session that has ended, printed too; raises OSError if its car server ended badly."""
     figures = run.timing.summary()
     if not here.options.quiet:
         print(histogram_text(run.timing))
     print(", ".join(f"{k} {v:.3g}" for k, v in figures.items()))
+    if not here.options.quiet:
+        print("\n".join(here.watched.report()))
     print(f"recording {here.recording}" if here.recording else "recorded by the car server that was there")
     if here.broken:
         raise OSError(here.broken)

@@ -54,10 +54,12 @@ class World:
         doe: Dynamic | None = None,
         tape: Recording | None = None,
         config: CarConfig | None = None,
+        path: Path | None = None,
+        **untold: Any,
     ):
         self.config, self.path = setup()
-        self.config = config or self.config
-        self.car = processes.simulated_car(self.config, self.path, s=s, v_min=v[0], v_max=v[1], seed=seed)
+        self.config, self.path = config or self.config, path or self.path
+        self.car = processes.simulated_car(self.config, self.path, s=s, v_min=v[0], v_max=v[1], seed=seed, **untold)
         self.tape = tape
         self.core = Core(self.config, self.path)
         self.t = 0.0

@@ -229,11 +229,12 @@ class SingleTrackFilter(Block):
         whole = m.both(turns, m.is_finite(u.psi))
         psi = m.where(m.is_finite(u.psi), u.psi, 0.0)
         ends = m.every(whole, going > 0.5, clock + 0.5 * dt >= window)
-        measured = m.wrap(turned - psi + start) / window
+        half = 0.5 * dt * r  # the integral of r is that of lines between samples
+        measured = m.wrap(turned + half - psi + start) / window
         variance = 2.0 * self.psi_noise**2 / (window * window) + self.noise**2 * dt / window
         numbers, covariance, _ = _corrected(numbers, covariance, only_zero, measured - numbers[3], variance, ends)
         begins = m.either(ends, m.both(whole, going < 0.5))
-        start = m.where(begins, psi, start)
+        start = m.where(begins, psi - half, start)
         window = m.where(ends, m.minimum(2.0 * window, self.window), window)
         turned = m.where(begins, 0.0, turned) + r * dt
         clock = m.where(begins, 0.0, clock) + dt

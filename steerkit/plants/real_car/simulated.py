@@ -5,6 +5,7 @@ from __future__ import annotations
 import heapq
 import math
 import random
+from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,12 +18,15 @@ from steerkit.plants.real_car.file.config import CarConfig
 from steerkit.plants.real_car.frames.codec import SignalEncoder
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.tracker import PathTracker
+from steerkit.vehicles import Vehicle
 
 STEP = 0.01
 """Step of the plant, and period of the pose [s] where the configuration gives none; the kit's is twice as long."""
 WATCHDOG = 0.1
 """Silence after which the kit lets go of the wheel [s]."""
 HUMAN_EVERY = 5
+HANDS = 0.1
+"""Lag of the human's hands at the wheel [s]."""
 FAULTS = {
     "drop": "its frames stay away",
     "delay": "its frames come `amount` [s] late",
@@ -72,6 +76,10 @@ class SimulatedCar:
     config: the same as the car server's: the frames it reads are sent, the one it writes is understood. path: where the
     human drives. human: a controller block such as Stanley, the human at the wheel while the kit is off. v_min, v_max
     [m/s]: the human's speeds, less in bends (a_y_max [m/s^2]). s [m], e [m]: where it starts. t0 [s]: when.
+
+    What nobody is told of: vehicle, the car that it is (default: the configuration's); lag and delay [s] from a command
+    to the wheel, which the human's hands do not have; offset [rad], which the road wheels see and the wheel's sensor
+    does not; rate_zero [rad/s], of its gyro.
     """
 
     def __init__(
@@ -87,31 +95,38 @@ class SimulatedCar:
         s: float = 0.0,
         e: float = 0.0,
         t0: float = 0.0,
+        vehicle: Vehicle | None = None,
+        lag: float = 0.1,
+        delay: float = 0.0,
+        offset: float = 0.0,
+        rate_zero: float = 0.0,
     ):
         self.config, self.human, self.faults = config, human, list[Fault]()
         self.t, self.k = t0, 0
         self.tracker = PathTracker(path=path, reference=config.vehicle.l_f, dt=STEP)
         speed = Human(v_min=v_min, v_max=v_max, seed=seed, dt=STEP)
         self.pedals = CarefulHuman(path=path, human=speed, a_y_max=a_y_max, dt=STEP)
-        self.motor = SteeringActuator(lag=0.1, dt=STEP)
+        self.hands, self.motor = SteeringActuator(lag=HANDS, dt=STEP), SteeringActuator(lag=lag, dt=STEP)
+        self.delay, self.offset, self.rate_zero, self.turned = delay, offset, rate_zero, 0.0
         (x, y), psi = path.point(s), path.psi(s)
         pose: dict[str, Any] = {
             "x0": float(x) - e * math.sin(psi),
             "y0": float(y) + e * math.cos(psi),
             "psi0": float(psi),
         }
-        self.plant = NonlinearSingleTrack(vehicle=config.vehicle, v0=v_min, dt=STEP, **pose)
+        self.plant = NonlinearSingleTrack(vehicle=vehicle or config.vehicle, v0=v_min, dt=STEP, **pose)
         self.x: dict[str, Any] = {"plant": self.plant.init(), "motor": self.motor.init(), "pedals": self.pedals.init()}
         self.now = self.plant.output(0.0, self.x["plant"], ())
         seen = self._seen()
         place = self.tracker.settle(0.0, self.tracker.init(), seen)
         self.x |= {"tracker": place, "human": human.init()}
         self.on_path = self.tracker.output(0.0, place, seen)
-        self.steered = 0.0
+        self.steered = self._reached = 0.0
         # the kit
         self.enabled = self.timeout = self.overridden = False
         self.command, self.heard = 0.0, -math.inf
         self.commands = 0
+        self._coming: deque[tuple[float, float]] = deque()  # commands that have not got to the motor yet
         # what is on its way to the bus: (when, order, id, data)
         self._waiting: list[tuple[float, int, int, bytes]] = []
         self._encoders = [SignalEncoder(reader) for reader in config.readers]
@@ -137,6 +152,10 @@ class SimulatedCar:
         ok = enable and not (self.timeout or self.overridden or self._fault("kit_fault", t))
         if ok:
             self.command = angle
+            if not self.enabled:  # it goes on from the wheel as it is
+                self._coming.clear()
+                self._reached = self.turned if self.delay else angle
+            self._coming.append((t + self.delay, angle))
         self.enabled = ok
 
     def advance(self, t: float) -> list[tuple[float, int, bytes]]:
@@ -178,14 +197,17 @@ class SimulatedCar:
             self.timeout = True
         if self.timeout or self.overridden or self._fault("kit_fault", t):
             self.enabled = False
-        target = self.command if self.enabled else self.steered
+        while self._coming and self._coming[0][0] <= t + 1e-9:
+            self._reached = self._coming.popleft()[1]
+        target = self._reached if self.enabled else self.steered
         if self.enabled and self._fault("loose", t):
             target = motor.delta_sw
         x["tracker"] = self.tracker.update(t, x["tracker"], seen, place)
         x["pedals"] = self.pedals.update(t, x["pedals"], self.pedals.U(s=place.s), ())
-        x["motor"] = self.motor.update(t, x["motor"], self.motor.U(delta_sw_cmd=target), motor)
-        turned = self.motor.output(t, x["motor"], ()).delta_sw
-        x["plant"] = self.plant.update(t, x["plant"], self.plant.U(delta_sw_cmd=turned, v_cmd=v), ())
+        turns = self.motor if self.enabled else self.hands
+        x["motor"] = turns.update(t, x["motor"], turns.U(delta_sw_cmd=target), motor)
+        self.turned = self.motor.output(t, x["motor"], ()).delta_sw
+        x["plant"] = self.plant.update(t, x["plant"], self.plant.U(delta_sw_cmd=self.turned + self.offset, v_cmd=v), ())
         self.k += 1
         self.t += STEP
         self.now = self.plant.output(self.t, x["plant"], ())
@@ -196,10 +218,10 @@ class SimulatedCar:
         y, t = self.now, self.t
         wrapped = math.remainder(y.psi, 2.0 * math.pi)
         values = {
-            "delta_sw": y.delta_sw,
+            "delta_sw": self.turned,
             "v_kit": y.v,
             "torque": 0.2,
-            "echo": self.command if self.enabled else y.delta_sw,
+            "echo": self.command if self.enabled else self.turned,
             "enabled": float(self.enabled),
             "override": float(self.overridden),
             "timeout": float(self.timeout),
@@ -209,7 +231,7 @@ class SimulatedCar:
             "y": y.y,
             "psi": wrapped,
             "v": y.v,
-            "r": y.r,
+            "r": y.r + self.rate_zero,
             "beta": y.beta,
             "a_y": y.a_y,
             "quality": 4.0,

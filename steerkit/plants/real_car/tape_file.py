@@ -40,6 +40,7 @@ TOPICS: dict[str, dict[str, Any]] = {
     "/car": {"t": _NUMBER, "mode": _TEXT},
     "/refused": {"t": _NUMBER, "order": _TEXT, "why": _TEXT},
     "/recording": {"t": _NUMBER, "wrong": _TEXT},
+    "/estimates": {"t": _NUMBER},
 }
 """Topics with the properties of their messages. A topic's place is its number in the file: only ever add at the end."""
 NAME = "steerkit"

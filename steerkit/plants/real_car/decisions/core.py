@@ -200,6 +200,8 @@ class Core:
                 refused = self._take_request(t, event.link, message)
             case protocol.Remark() if self._links.get(event.link):
                 out.append(Note("steers", {"t": t, "what": message.text}))
+            case protocol.Estimates() if self._links.get(event.link):
+                out.append(Note("estimates", {"t": t, **message.named()}))
             case _:
                 refused = f"{type(message).__name__} is not for the car server"
         if refused:

@@ -91,6 +91,8 @@ class CarConfig:
     """From a command to the motor's answer [s]."""
     controllers: tuple[str, ...] = ()
     """Controllers of a user's own that may drive this car, by name, such as `my_file.py:make`."""
+    vehicle_file: str = ""
+    """Name of the vehicle file that `vehicle` is from; "" for a car by its name."""
     texts: dict[str, str] = field(default_factory=dict, repr=False)
     """The files that it was made from: `config.toml`, DBC files and course by name; for the recording."""
 

@@ -49,6 +49,7 @@ class Reading(Signals):
         super().__init__(data)
         self.path = path
         self.texts = {"config.toml": text}
+        self.vehicle_file = ""
 
     def config(self, bus: dict[str, Any] | None) -> CarConfig:
         tables = (
@@ -100,6 +101,7 @@ class Reading(Signals):
             motion=motion,
             listen_only=listen,
             keep_recording=keep,
+            vehicle_file=self.vehicle_file,
             texts=self.texts,
             lag=lag,
             delay=delay,
@@ -169,6 +171,7 @@ class Reading(Signals):
             place = self.path.parent / name
             car = vehicle(str(place))
             self.texts[name] = place.read_text(encoding="utf-8")
+            self.vehicle_file = name
             return car
         except ValueError as error:
             self.wrong(f"[vehicle] name: {error}")

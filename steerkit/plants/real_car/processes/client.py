@@ -27,7 +27,10 @@ class CarLost(ConnectionError):
 class CarLink(Protocol):
     """What `RealCar` asks of a line to a car: of a `CarClient`, or of a `ReplayLink`."""
 
-    last: Snapshot | None
+    @property
+    def last(self) -> Snapshot | None:
+        """The last answer."""
+        ...
 
     def query(self) -> Snapshot:
         """What the car server knows now."""
@@ -96,6 +99,10 @@ class CarClient:
     def remark(self, text: str) -> None:
         """Say, for the recording, what steers from the next request on."""
         self._send(protocol.Remark(text))
+
+    def tell(self, estimates: protocol.Estimates) -> None:
+        """Say, for the recording and whoever looks on, what was found of the car."""
+        self._send(estimates)
 
     def beat(self) -> None:
         """Say that the operator's keys were just read; see `protocol.Beat`."""

@@ -56,6 +56,18 @@ class Remark(NamedTuple):
     text: str
 
 
+class Estimates(NamedTuple):
+    """What the controller's estimators have found, for the recording and whoever looks on; moves nothing."""
+
+    numbers: tuple[float, ...]
+    """Value, standard deviation and validity of each of `ESTIMATES` [SI]."""
+
+    def named(self) -> dict[str, float]:
+        """The numbers by `NAME`, `NAME_deviation`, `NAME_valid`."""
+        names = [f"{name}{end}" for name in ESTIMATES for end in ("", "_deviation", "_valid")]
+        return dict(zip(names, self.numbers))
+
+
 class Snapshot(NamedTuple):
     """All that the car server knows: the car's outputs, then who has the wheel and why.
 
@@ -96,8 +108,11 @@ class Refused(NamedTuple):
     why: str
 
 
-Message = Hello | Query | Beat | Command | Request | Remark | Snapshot | Refused
+Message = Hello | Query | Beat | Command | Request | Remark | Estimates | Snapshot | Refused
+ESTIMATES = ("delay", "lag", "delay_lag", "steer_ratio", "understeer", "offset", "rate_zero", "friction", "play")
+"""What is estimated in a drive, in this order; the units are those of the blocks."""
 _REQUEST = struct.Struct("<cddI")
+_ESTIMATES = struct.Struct(f"<c{3 * len(ESTIMATES)}d")
 _NUMBERS = len(Snapshot._fields) - 2
 _SNAPSHOT = struct.Struct(f"<c{_NUMBERS}dB")
 MAX_PACKET = 4096
@@ -126,6 +141,8 @@ def encode(message: Message) -> bytes:
             if len(text) >= MAX_PACKET:
                 raise ValueError(f"remark of {len(text)} bytes, expected less than {MAX_PACKET}")
             return b"T" + text
+        case Estimates():
+            return _ESTIMATES.pack(b"F", *message.numbers)
         case Snapshot():
             numbers = message[:_NUMBERS]
             return _SNAPSHOT.pack(b"S", *numbers, _MODES.index(message.mode)) + message.text.encode()[:2000]
@@ -149,6 +166,8 @@ def decode(packet: bytes) -> Message:
                 return Request(*_REQUEST.unpack(packet)[1:])
             case b"T":
                 return Remark(packet[1:].decode(errors="replace"))
+            case b"F":
+                return Estimates(_ESTIMATES.unpack(packet)[1:])
             case b"S":
                 numbers = _SNAPSHOT.unpack_from(packet)[1:]
                 text = packet[_SNAPSHOT.size :].decode(errors="replace")

@@ -1,0 +1,128 @@
+"""A controller whose car is to tell of itself: a wave on top of its angle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import pi
+from types import MappingProxyType
+from typing import Any
+
+from steerkit import maths as m
+from steerkit.block import Block, State, entries_of, take_ports
+from steerkit.controllers.adaptive import Adaptive
+from steerkit.errors import known, require, require_within
+from steerkit.maths import Scalar
+from steerkit.vehicles import Vehicle, require_vehicle
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Excited(Block):
+    """Wraps a steering controller and swings its angle about what it asks for, so that estimators see what they need.
+
+        delta_sw = delta_sw of `block` + w,   w = n (L + K v^2)/v^2 a,   sat to -+most,
+        a = amplitude sat(steepness sin(2 pi frequency tau)),   sat to -+1,   |v r + a| <= a_y_most
+
+    a is the lateral acceleration of a car that follows at once: so the way to the side is the same at any speed,
+    amplitude/(2 pi frequency)^2 for a sine. steepness 1 is a sine, 4 and more are steps. In bends a is cut, and never
+    adds to what is beyond a_y_most already. Below v_least, or where v or r is not finite, w = 0. tau counts from the
+    first sample, and anew from the first one with another `number`: waves are exchanged while the state goes on.
+
+    The controller steers against w as against any disturbance, and goes on from its own angle. One that watches its own
+    commands (`Adaptive`) has to be put around this block, not inside. Ports and sample time are those of `block`; it
+    needs the inputs v and r and the output delta_sw. State: that of `block`, then tau [s] and the number.
+    Raises ValueError for parameters out of range. Source: Ljung 1999, section 13.3 (inputs for identification: sums
+    of sines, and steps; within the limits of the system).
+    """
+
+    block: Block
+    """The controller."""
+    vehicle: Vehicle
+    """The car by its data sheet, for g(v)."""
+    amplitude: Scalar = 0.5
+    """Of the lateral acceleration [m/s^2]; 0: `block` alone."""
+    frequency: Scalar = 0.3
+    """[Hz]"""
+    steepness: Scalar = 1.0
+    """1: a sine; the more, the more like steps [1]."""
+    most: Scalar = 1.0
+    """Largest |w| [rad]."""
+    a_y_most: Scalar = 2.0
+    """Lateral acceleration that w does not lead beyond [m/s^2]."""
+    v_least: Scalar = 2.0
+    """Slowest speed at which the wheel is swung [m/s]."""
+    number: float = 0.0
+    """Of this wave, among those of a drive."""
+
+    def __post_init__(self) -> None:
+        where = "Excited"
+        asks, gives = ({port.name for port in ports} for ports in (self.block.inputs, self.block.outputs))
+        kind = type(self.block).__name__
+        require({"v", "r"} <= asks, where, f"{kind} with inputs {sorted(asks)}, expected v and r among them")
+        require("delta_sw" in gives, where, f"{kind} with outputs {sorted(gives)}, expected delta_sw among them")
+        require_vehicle(self.vehicle, where)
+        for name, unit, low, high in (
+            ("amplitude", "m/s^2", 0.0, 3.0),
+            ("frequency", "Hz", 0.01, 2.0),
+            ("steepness", "1", 1.0, 1e3),
+            ("most", "rad", 0.0, 3.0),
+            ("a_y_most", "m/s^2", 0.1, 3.0),
+            ("v_least", "m/s", 0.5, 20.0),
+            ("number", "1", 0.0, 1e6),
+        ):
+            require_within(where, name, getattr(self, name), unit, low, high)
+        take_ports(self, self.block)
+
+    @cached_property
+    def _inner(self) -> Any:
+        return entries_of(self.block)[0]
+
+    def init(self, batch: tuple[int, ...] = ()) -> State:
+        return (*self.block.init(batch), m.filled(0.0, batch), m.filled(self.number, batch))
+
+    def settle(self, t: float, x: State, u: Any) -> State:
+        return (*self.block.settle(t, self._inner(x[:-2]), u), *x[-2:])
+
+    def output(self, t: Any, x: State, u: Any) -> Any:
+        y = self.block.output(t, self._inner(x[:-2]), u)
+        return y._replace(delta_sw=y.delta_sw + self._wave(x, u))
+
+    def update(self, t: Any, x: State, u: Any, y: Any) -> State:
+        own = y._replace(delta_sw=y.delta_sw - self._wave(x, u))
+        inner = self.block.update(t, self._inner(x[:-2]), u, own)
+        return (*inner, self._since(x) + self.dt, 0.0 * x[-1] + self.number)
+
+    def _wave(self, x: State, u: Any) -> Scalar:
+        """w of this sample [rad]."""
+        drives = m.every(m.is_finite(u.v), m.is_finite(u.r), u.v >= self.v_least)
+        v = m.where(drives, u.v, self.v_least)
+        swing = m.clip(self.steepness * m.sin(2.0 * pi * self.frequency * self._since(x)), -1.0, 1.0)
+        a_y = m.where(drives, v * u.r, 0.0)
+        low, high = m.minimum(-self.a_y_most - a_y, 0.0), m.maximum(self.a_y_most - a_y, 0.0)
+        car = self.vehicle
+        per_a_y = car.steer_ratio * (car.wheelbase + car.understeer_gradient * v * v) / (v * v)
+        wave = m.clip(per_a_y * m.clip(self.amplitude * swing, low, high), -self.most, self.most)
+        return m.where(drives, wave, 0.0)
+
+    def _since(self, x: State) -> Scalar:
+        """Time since this wave began [s]."""
+        return m.where(m.absolute(x[-1] - self.number) < 0.5, x[-2], 0.0)
+
+
+WAVES: Mapping[str, Mapping[str, float]] = MappingProxyType(
+    {
+        "sine": {"amplitude": 0.6, "frequency": 0.3},
+        "steps": {"amplitude": 0.5, "frequency": 0.2, "steepness": 6.0},
+        "bends": {"amplitude": 0.0},
+    }
+)
+"""The waves of a calibration by name; in `bends` the course alone moves the wheel."""
+
+
+def excited(controller: Block, wave: str, vehicle: Vehicle) -> Block:
+    """`controller` with one of `WAVES` on top; one that adapts gets it inside. Raises ValueError for another name."""
+    known(wave, WAVES, "wave")
+    if isinstance(controller, Adaptive):
+        return replace(controller, blocks=tuple(excited(block, wave, vehicle) for block in controller.blocks))
+    return Excited(block=controller, vehicle=vehicle, number=float([*WAVES].index(wave)), **WAVES[wave])

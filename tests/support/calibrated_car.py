@@ -1,0 +1,103 @@
+"""A calibration in one process: a car of which nobody is told the truth, its car server's core, its guided drive."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.signal import lfilter
+
+from steerkit import realtime
+from steerkit.courses import course
+from steerkit.on_car.calibration import Guided
+from steerkit.on_car.estimates import Watched
+from steerkit.plants.real_car import recording as tapes
+from steerkit.plants.real_car.decisions.modes import Order
+from steerkit.plants.real_car.file.config import CarConfig
+from steerkit.plants.real_car.processes.protocol import Snapshot
+from steerkit.units import radians_of
+from tests.support.car_world import World, setup
+
+CONFIG = replace(setup()[0], course={"name": "calibration"})
+CONFIG.texts["config.toml"] = CONFIG.texts["config.toml"].replace('name = "paper"', 'name = "calibration"')
+PATH = course("calibration")
+RATIO, DELAY, LAG, OFFSET, RATE_ZERO = 1.1, 0.2, 0.15, radians_of(1.5), 0.003
+UNTOLD: dict[str, Any] = {
+    "vehicle": replace(CONFIG.vehicle, steer_ratio=RATIO * CONFIG.vehicle.steer_ratio),
+    "delay": DELAY,
+    "lag": LAG,
+    "offset": OFFSET,
+    "rate_zero": RATE_ZERO,
+}
+
+
+class CalibratedWorld(World):
+    """The car server's core, a simulated car on the course for it, and a guided drive."""
+
+    def __init__(self, *, minutes: float = 0.5, config: CarConfig = CONFIG, v: Any = (4.5, 5.0), **more: Any):
+        self.guided: Guided | None = None
+        self.seen: list[Snapshot] = []
+        super().__init__(s=0.0, v=v, config=config, path=PATH, **(UNTOLD | more))
+        self.watched = Watched(self, config, self.packet)
+        self.due = math.inf  # the human drives alone
+        self.until(10.0)
+        told: Any = self
+        self.guided = Guided(config=config, path=PATH, link=told, line=self.watched, minutes=minutes)
+        resting = self.guided.follow.resting
+        self.run = realtime.Run(resting, resting.init(), realtime.Timing(period=resting.dt))
+        self.over = False
+        self.due = self.t + 0.05
+
+    def stepped(self, run: realtime.Run) -> None:
+        if self.guided is None:
+            return super().stepped(run)
+        assert self.last is not None
+        self.seen.append(self.last)
+        self.over = self.over or self.guided.step(run)
+        return None
+
+    def drive(self, longest: float = 300.0) -> None:
+        """Engage, and drive until all is driven."""
+        self.order(Order.ARM)
+        self.until(self.t + 0.2)
+        self.order(Order.ENGAGE)
+        end = self.t + longest
+        while not self.over and self.t < end:
+            self.until(self.t + 0.05)
+
+    def late(self) -> float:
+        """By how much commands come to the bus later than the samples that they are of [s], as a motor feels it."""
+        t = np.arange(self.seen[40].t, self.seen[-2].t, 0.001)
+        times, angles = np.array([(s.t, s.command) for s in self.seen]).T
+        sent = np.array([(s.t, s.delta_sw) for s in self.sent])
+        keep = np.exp(-0.001 / LAG)
+
+        def felt(x: Any) -> Any:
+            return lfilter([1.0 - keep], [1.0, -keep], x - x[0])
+
+        held = felt(angles[np.searchsorted(times, t, side="right")])
+        acted = felt(sent[np.searchsorted(sent[:, 0], t, side="right") - 1, 1])
+        return 0.001 * min(
+            range(60), key=lambda ms: float(np.mean((acted[2000:] - held[2000 - ms : len(t) - ms]) ** 2))
+        )
+
+
+class Made(NamedTuple):
+    """A drive that has ended."""
+
+    world: CalibratedWorld
+    tape: Path
+
+
+def made(folder: Path, **more: Any) -> Made:
+    """A guided drive from its beginning to its end, recorded."""
+    file = folder / "drive.mcap"
+    config = more.get("config", CONFIG)
+    tape = tapes.Recording(file, tapes.described(config, PATH))
+    world = CalibratedWorld(tape=tape, **more)
+    world.drive()
+    tape.close()
+    return Made(world, file)
