@@ -23,6 +23,8 @@ EVERY = 20
 """Samples from one message of estimates to the next."""
 _RAGGED = 0.4
 """A sample that comes later or earlier by more than this share of the period begins anew [1]."""
+_MOST = {"v": 150.0, "r": 10.0, "psi": 1e3, "delta_sw": 100.0, "command": 100.0, "report_age": 1.0}
+"""What no car exceeds, in SI: such a reading is none."""
 _MOTION_UNKNOWN = 0.01
 """Deviation of the time between what is measured of wheel and of motion [s]."""
 
@@ -83,6 +85,8 @@ class CarEstimators:
 
     def sample(self, now: Snapshot) -> None:
         """Take note of the next sample, 50 ms after the one before."""
+        readings: Any = {name: _read(getattr(now, name), most) for name, most in _MOST.items()}
+        now = now._replace(**readings)
         before, self._before = self._before, now
         if before is None:
             return
@@ -142,6 +146,10 @@ class CarEstimators:
         for name in ("understeer", "offset", "rate_zero"):
             every[name] = estimated(y["filter"], name)
         return {name: every[name] for name in ESTIMATES}
+
+
+def _read(value: float, most: float) -> float:
+    return value if abs(value) <= most else math.nan
 
 
 class Watched:

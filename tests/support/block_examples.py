@@ -18,6 +18,7 @@ from steerkit.controllers.estimators.single_track_filter import SingleTrackFilte
 from steerkit.controllers.estimators.steering_delay import WheelDelay, YawDelay
 from steerkit.controllers.estimators.steering_wear import SteeringFriction, SteeringPlay
 from steerkit.controllers.estimators.vehicle_state import VehicleState
+from steerkit.controllers.excited import Excited
 from steerkit.controllers.foresight import Foresight
 from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.network_policy import Network, PolicyBlock
@@ -119,6 +120,7 @@ EXAMPLES = [
     Example(delayed_stanley(PASSAT, delay=0.13, lag=0.1, slew=20.0, a_y_limit=3.0)),
     Example(Lqr.of(PASSAT, LinearSingleTrack(vehicle=PASSAT).matrices, preview_points=5, v_step=3.0, slew=5.0)),
     Example(Trimmed(block=Stanley.of(PASSAT), offset=0.05, gain=1.1)),
+    Example(Excited(block=Stanley.of(PASSAT), vehicle=PASSAT, amplitude=0.6, steepness=2.0)),
     Example(
         Adaptive(
             blocks=(Stanley.of(PASSAT), dataclasses.replace(Stanley.of(PASSAT), k=4.0)),

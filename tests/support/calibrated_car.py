@@ -21,8 +21,9 @@ from steerkit.plants.real_car.processes.protocol import Snapshot
 from steerkit.units import radians_of
 from tests.support.car_world import World, setup
 
-CONFIG = replace(setup()[0], course={"name": "calibration"})
-CONFIG.texts["config.toml"] = CONFIG.texts["config.toml"].replace('name = "paper"', 'name = "calibration"')
+_TEXTS = setup()[0].texts
+_TEXT = _TEXTS["config.toml"].replace('name = "paper"', 'name = "calibration"')
+CONFIG = replace(setup()[0], course={"name": "calibration"}, texts={**_TEXTS, "config.toml": _TEXT})
 PATH = course("calibration")
 RATIO, DELAY, LAG, OFFSET, RATE_ZERO = 1.1, 0.2, 0.15, radians_of(1.5), 0.003
 UNTOLD: dict[str, Any] = {

@@ -42,6 +42,13 @@ def test_check_prints_what_is_read_and_written(
         (("order", "ENGAGE", "--socket", "/nowhere/socket"), "no car server answers there"),
         (("tape", "/dev/null"), "no recording of steerkit"),
         (("simulate", "--listen", "0.0.0.0:0"), "only 127.0.0.1"),
+        (("simulate", "--ratio", "9"), "steer_ratio = 140.4 [1], expected 1 to 50"),
+        (("calibrate", "mine.toml"), "shipped: dbw-kit.toml"),
+        (("calibrate", "--out", "mine.csv"), "a vehicle file ends in .toml"),
+        (("calibrate", "--minutes", "0"), "expected 0.1 to 60 of driving"),
+        (("calibrate", "--controller", "mcp"), "valid: stanley"),
+        (("calibrate", "--from", "none.mcap"), "No such file"),
+        (("calibrate", "--from", "/dev/null"), "no recording of steerkit"),
     ],
 )
 def test_mistakes_are_one_line_and_exit_code_2(
@@ -152,3 +159,21 @@ def test_a_recording_that_has_to_be_kept_has_to_be_made(
     words = ("--config", str(tmp_path / "car.toml"), "--channel", "virtual:x", "--socket", str(tmp_path / "socket"))
     assert run("server", *words, monkeypatch=monkeypatch) == 2
     assert "keep_recording = true, but nothing is recorded; give --recording" in capsys.readouterr().err
+
+
+def test_a_drive_that_told_nothing_of_the_car_is_exit_code_1_and_leaves_what_is_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, out = tmp_path / "drive.mcap", tmp_path / "mine.toml"
+    file.write_bytes(small())
+    words = ("calibrate", "--from", str(file), "--out", str(out))
+    assert run(*words, monkeypatch=monkeypatch) == 1
+    told = capsys.readouterr()
+    assert "nothing was learned, no vehicle file is written; the wheel has to move to and fro" in told.err
+    assert "steering ratio" in told.out
+    assert [f.name for f in tmp_path.iterdir()] == ["drive.mcap"]
+    assert run(*words, "--json", "-q", monkeypatch=monkeypatch) == 1
+    assert capsys.readouterr().out == ""
+    out.write_text("mine", encoding="utf-8")
+    assert run(*words, monkeypatch=monkeypatch) == 2
+    assert out.read_text(encoding="utf-8") == "mine"

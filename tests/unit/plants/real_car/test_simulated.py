@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from steerkit.plants.real_car.decisions.modes import Mode
 from steerkit.plants.real_car.file.config import shipped
 from steerkit.plants.real_car.file.reading import load
 from steerkit.plants.real_car.simulated import WATCHDOG, Fault, SimulatedCar
-from tests.support.car_world import World, setup
+from tests.support.car_world import BEND, World, setup
 
 CONFIG, PATH = setup()
 
@@ -83,3 +84,31 @@ def test_it_starts_where_it_is_told(s: float, e: float) -> None:
     assert away @ (math.cos(psi), math.sin(psi)) == pytest.approx(0.0, abs=1e-9)
     assert away @ (-math.sin(psi), math.cos(psi)) == pytest.approx(e, abs=1e-9)
     assert it.now.psi == pytest.approx(psi)
+
+
+def test_what_nobody_is_told_of_the_car() -> None:
+    """Delay and lag are the motor's and not the hands'; the offset is behind the sensor of the wheel."""
+    untold = dict(delay=0.2, lag=0.05, offset=0.03, rate_zero=0.004)
+    true = replace(CONFIG.vehicle, steer_ratio=20.0)
+    it = processes.simulated_car(CONFIG, PATH, s=20.0, v_min=5.0, v_max=5.0, vehicle=true, **untold)
+    for k in range(300):
+        tell(it, 0.5)
+        it.advance(0.01 * (k + 1))
+        if k < 19:
+            assert it.turned == 0.0
+    assert it.turned == pytest.approx(0.5, abs=0.002)
+    assert it._values()["delta_sw"] == it.turned
+    assert it._values()["r"] == it.now.r + 0.004
+    turn = (it.turned + 0.03) / 20.0 * it.now.v / (true.wheelbase + true.understeer_gradient * it.now.v**2)
+    assert it.now.r == pytest.approx(turn, rel=0.01)
+
+
+def test_a_delayed_motor_goes_on_from_the_wheel_as_it_is() -> None:
+    it = processes.simulated_car(CONFIG, PATH, s=BEND, v_min=5.0, v_max=5.0, delay=0.2)
+    it.advance(2.0)
+    before = it.turned
+    assert abs(before) > 0.1
+    for k in range(19):
+        tell(it, 0.0)
+        it.advance(2.0 + 0.01 * (k + 1))
+        assert it.turned == pytest.approx(before, abs=1e-9)

@@ -248,5 +248,6 @@ def test_the_numbers_of_topics_are_for_good() -> None:
             "/car",
             "/refused",
             "/recording",
+            "/estimates",
         ]
     )

@@ -10,9 +10,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from steerkit.courses import course
-from steerkit.plants.real_car.decisions.core import Core, End, Frame, Link, Packet, Reply, Send, Tick
+from steerkit.plants.real_car.decisions.core import Core, End, Frame, Link, Note, Packet, Reply, Send, Tick
 from steerkit.plants.real_car.decisions.modes import Machine, Mode, Order
-from steerkit.plants.real_car.processes.protocol import Beat, Command, Hello, Refused, Request, Snapshot, decode, encode
+from steerkit.plants.real_car.processes.protocol import (
+    ESTIMATES,
+    Beat,
+    Command,
+    Estimates,
+    Hello,
+    Refused,
+    Request,
+    Snapshot,
+    decode,
+    encode,
+)
 from steerkit.plants.real_car.simulated import Fault
 from tests.support.car_messages import config, messages
 from tests.support.car_world import World
@@ -261,6 +272,18 @@ def test_only_an_operator_s_heartbeat_counts_and_it_goes_with_the_operator() -> 
     assert core.facts(5.3).heartbeat_age == pytest.approx(0.1)
     core.handle(Link(5.3, 2, False))  # gone: nothing more comes, and the last one ages
     assert core.facts(5.5).heartbeat_age == pytest.approx(0.3)
+
+
+def test_estimates_are_the_controllers_and_for_the_recording_only() -> None:
+    core = linked()
+    told = Packet(5.1, 1, encode(Estimates(tuple(map(float, range(3 * len(ESTIMATES)))))))
+    (note,) = [out for out in core.handle(told) if isinstance(out, Note) and out.topic == "estimates"]
+    assert [*note.values.values()] == [5.1, *range(3 * len(ESTIMATES))]
+    core.handle(Link(5.2, 2, True))
+    core.handle(Packet(5.2, 2, encode(Hello(False))))
+    (reply,) = core.handle(told._replace(t=5.3, link=2))
+    assert isinstance(reply, Reply)
+    assert decode(reply.data) == Refused("Estimates is not for the car server")
 
 
 def test_the_end_of_the_process_lets_go_first_and_says_why() -> None:

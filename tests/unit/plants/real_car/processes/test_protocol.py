@@ -10,7 +10,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from steerkit.plants.real_car.decisions.modes import Mode, Order
-from steerkit.plants.real_car.processes.protocol import Beat, Command, Hello, Query, Request, Snapshot, decode, encode
+from steerkit.plants.real_car.processes.protocol import (
+    ESTIMATES,
+    Beat,
+    Command,
+    Estimates,
+    Hello,
+    Query,
+    Request,
+    Snapshot,
+    decode,
+    encode,
+)
 from tests.support.car_messages import messages
 
 
@@ -49,3 +60,14 @@ def test_every_number_of_a_snapshot_comes_back_bit_for_bit_in_its_place(mode: Mo
     numbers = [1.0 / (k + 3) for k in range(len(Snapshot._fields) - 2)]  # none is a single-precision number
     snapshot = Snapshot(*numbers, mode=mode, text="why: ä")
     assert decode(encode(snapshot)) == snapshot
+
+
+def test_estimates_are_named_in_their_order_and_come_back_bit_for_bit() -> None:
+    numbers = tuple(1.0 / (k + 3) for k in range(3 * len(ESTIMATES)))
+    estimates = Estimates(numbers)
+    assert decode(encode(estimates)) == estimates
+    named = estimates.named()
+    assert [*named][:4] == ["delay", "delay_deviation", "delay_valid", "lag"]
+    assert [*named.values()] == [*numbers]
+    with pytest.raises(ValueError, match="packet b'F'"):
+        decode(encode(estimates)[:-1])
