@@ -80,6 +80,19 @@ def test_while_the_car_stands_the_gyro_tells_its_zero_and_all_else_stays() -> No
         assert got[name].valid == 0.0
 
 
+def test_bends_leave_nothing_in_the_gyros_zero() -> None:
+    """Which the heading tells: by the trapezoidal rule, as a car in a bend turns by a degree from sample to sample."""
+    t = 0.05 * np.arange(1200)
+    r, psi = 0.4 * np.sin(0.11 * t) + 0.004, 0.4 / 0.11 * (1.0 - np.cos(0.11 * t))
+    block, nan = replace(BLOCK, psi_noise=1e-4, noise=1e-4), float("nan")
+    x = block.init()
+    for k in range(len(t)):
+        u = block.U(0.0, 6.0, float(r[k]), float(psi[k]), nan, nan, nan, 0.0)
+        x = block.update(0.0, x, u, ())
+        if k > 110:  # the first window is over
+            assert block.output(0.0, x, ()).rate_zero == pytest.approx(0.004, abs=1e-4)
+
+
 def test_what_was_learned_outlasts_a_stop_to_the_last_digit() -> None:
     x = driven(BLOCK, sensed(drive()))
     stands = {port.name: np.zeros(400) for port in BLOCK.inputs} | {"r": np.full(400, np.nan)}
