@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, final
 
 import numpy as np
 import pytest
@@ -12,8 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from steerkit.assembly import placed, steering_loop
+from steerkit.block import Block, In, Out, State
 from steerkit.compiled import compile
 from steerkit.controllers.delay import Predicted, delayed_stanley, identified
+from steerkit.controllers.limits import slewed
 from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.stanley import Stanley
 from steerkit.courses import circle, course, straight
@@ -231,6 +233,43 @@ def test_a_steering_with_another_gain_is_predicted_as_it_is() -> None:
     assert len(x) == n + 4 + 2
     quick = replace(block, slew=None)
     assert len(quick.init()) == n + 1 + 2
+
+
+@final
+@dataclass(frozen=True)
+class YawRateSeen(Block):
+    """Answers with the yaw rate that it is shown."""
+
+    r = In("rad/s")
+    delta_sw = Out("rad")
+
+    def output(self, t: Any, x: State, u: Any) -> Any:
+        return self.Y(u.r)
+
+
+def test_a_slow_wheel_has_been_on_its_way_all_the_sample() -> None:
+    """A wheel turned evenly, then held, and a yaw rate that follows it as the model's does: nothing is wrong with the
+    model, so its prediction is what comes."""
+    v, dt, last, fine = 12.0, 0.05, 19, 200
+    block = around(dt, 0.0, block=YawRateSeen(), slew=5.0, preview_points=40)
+    car = dict(wheelbase=block.wheelbase, understeer=block.understeer, steer_ratio=block.steer_ratio)
+    rate = slewed(block.rate_limit, 5.0, v, **car)
+    per_kappa, fade = block.wheelbase + block.understeer * v * v, 1.0 / (block.yaw_time * v)
+    x: Any = None
+    r = 0.0
+    for k in range(last + 1):
+        wheel = rate * dt * max(0, k - 1)  # a command of the first sample turns it from the second on
+        kappa = math.tan(wheel / block.steer_ratio) / per_kappa
+        u = AT_REST | {"v": v, "r": r, "delta_sw_meas": wheel, "preview": (kappa,) * 40}
+        x = block.settle(0.0, block.init(), block.D(**u)) if x is None else x
+        if k == last:
+            expected = r + (v * kappa - r) * (1.0 - math.exp(-fade * dt))
+            assert block.output(0.0, x, block.D(**u)).delta_sw == pytest.approx(expected, rel=6e-3)
+            return
+        x = block.update(0.0, x, block.U(**u), block.Y(2.0 if k < last - 1 else rate * dt * (last - 1)))
+        for i in range(fine):
+            turned = wheel + (rate * dt * (i + 0.5) / fine if k > 0 else 0.0)
+            r += dt / fine * fade * (v * math.tan(turned / block.steer_ratio) / per_kappa - r)
 
 
 def test_broken_commands_and_signals_pass() -> None:
