@@ -20,6 +20,7 @@ from benchmarks import studies
 from tests.support.places import ROOT
 
 KEYS = {
+    "alternatives": {"updates", "minutes", "drives", "aligned_held_share", "in_flight_held_share", "actor_held_share"},
     "calibration": {
         *(
             "lagd_error_ms",
@@ -134,7 +135,14 @@ def sensible_state(figures: Any) -> None:
     assert 0.5 < figures["nis_mean"] < 1.5
 
 
+def sensible_alternatives(figures: Any) -> None:
+    """Three updates teach nobody; the run itself has learned."""
+    assert [drive["way"] for drive in figures["drives"]] == ["default", "aligned", "in flight", "actor"]
+    assert figures["default_held_share"] == 1.0
+
+
 SENSIBLE = {
+    "alternatives": sensible_alternatives,
     "calibration": sensible_calibration,
     "car_kill": sensible_kills,
     "car_realtime": sensible_drive,
