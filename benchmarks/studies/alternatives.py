@@ -32,7 +32,7 @@ from steerkit.block import In, State
 from steerkit.controllers import forecast as ahead
 from steerkit.controllers.forecast import Forecast, Motion, moved
 from steerkit.controllers.nfq_policy import Net, NfqPolicy
-from steerkit.controllers.policy import ACTION, COLUMNS, DOE, E_DOT, PSI_E, R_E, E, Policy
+from steerkit.controllers.policy import ACTION, COLUMNS, DOE, E_DOT, PSI_E, R_E, E, Policy, V
 from steerkit.controllers.state_description import StateDescription
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.experiment import Experiment
@@ -203,7 +203,7 @@ def _delayed_step(model: CarModel, s: Array, a: Array, earlier: Array, residual:
     """The state a sample later, of a car on which the oldest angles act."""
     newest, waiting = s[:, DOE], s[:, DOE:]
     begins, acts = waiting[:, samples - 1], waiting[:, samples]
-    v, c = s[:, 2], s[:, E_DOT] / speed(s)
+    v, c = s[:, V], s[:, E_DOT] / speed(s)
     motion = moved(model, Motion(s[:, E], c, s[:, PSI_E], s[:, R_E]), v, (begins, acts, earlier), dt=model.dt)
     doe = np.clip(model.held * newest + model.pushed * a, -model.limit, model.limit)
     seen = np.column_stack([motion.e, v * motion.c, v, motion.psi_e, motion.r_e]) + residual[:, :DOE]
