@@ -15,6 +15,7 @@ from steerkit.controllers.estimators.steering_delay import YawDelay
 from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.offset_free import OffsetFree
 from steerkit.controllers.pure_pursuit import PurePursuit
+from steerkit.controllers.safety_filter import SafetyFilter
 from steerkit.controllers.stanley import Stanley
 from steerkit.controllers.trimmed import Trimmed
 from steerkit.doe import Dynamic, Integrator, LowPass, PlainAngle
@@ -268,6 +269,18 @@ def make_recovery(name: str, belief: Belief) -> Block:
     if known(name, RECOVERIES, "recovery") == FITTING:
         name = "stanley" if belief.delay == 0.0 and belief.slew is None else "stanley-delay"
     return make_controller(name, belief)
+
+
+def make_safety(belief: Belief) -> SafetyFilter:
+    """The safety filter for what is believed of car and steering.
+
+    Raises ValueError for a car that is steered by torque: its wheel is too slow for the time that is looked ahead.
+    """
+    told = f"slew = {belief.slew} [m/s^3], expected none: the filter is for cars whose steering takes an angle"
+    require(belief.slew is None, "make_safety", told)
+    made = SafetyFilter.of(belief.vehicle, delay=belief.delay, lag=belief.lag)
+    law = replace(made.backup.block, rate_limit=belief.rate_limit)  # type: ignore[call-arg]
+    return replace(made, backup=replace(made.backup, block=law, rate_limit=belief.rate_limit))
 
 
 def make_element(name: str, vehicle: Vehicle | None = None) -> Dynamic:

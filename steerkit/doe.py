@@ -49,6 +49,13 @@ class Dynamic(Block):
     def update(self, t: Any, x: HeldAngle, u: Any, y: Any) -> HeldAngle:
         return HeldAngle(m.clip(u.applied, -self.limit, self.limit))
 
+    def action_for(self, delta_sw: m.Scalar, state: m.Scalar) -> m.Scalar:
+        """The action [rad] that would have made this angle [rad] of that state: what was done where another changed it.
+
+        Raises NotImplementedError for an element of your own that does not say.
+        """
+        raise NotImplementedError(f"{type(self).__name__}.action_for is not defined: which action makes an angle?")
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Integrator(Dynamic):
@@ -63,6 +70,9 @@ class Integrator(Dynamic):
 
     def output(self, t: Any, x: HeldAngle, u: Any) -> Any:
         return self.Y(m.clip(x.delta_sw + u.action, -self.limit, self.limit), x.delta_sw)
+
+    def action_for(self, delta_sw: m.Scalar, state: m.Scalar) -> m.Scalar:
+        return delta_sw - state
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -83,9 +93,15 @@ class LowPass(Dynamic):
         require(self.tau > 0.0, "LowPass", f"tau = {self.tau} s, expected > 0")
 
     def output(self, t: Any, x: HeldAngle, u: Any) -> Any:
-        gain = 1.0 - m.exp(-self.dt / self.tau)
-        angle = x.delta_sw + gain * (u.action - x.delta_sw)
+        angle = x.delta_sw + self._gain * (u.action - x.delta_sw)
         return self.Y(m.clip(angle, -self.limit, self.limit), x.delta_sw)
+
+    @property
+    def _gain(self) -> m.Scalar:
+        return 1.0 - m.exp(-self.dt / self.tau)
+
+    def action_for(self, delta_sw: m.Scalar, state: m.Scalar) -> m.Scalar:
+        return state + (delta_sw - state) / self._gain
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -97,6 +113,9 @@ class PlainAngle(Dynamic):
 
     def output(self, t: Any, x: HeldAngle, u: Any) -> Any:
         return self.Y(m.clip(u.action, -self.limit, self.limit), x.delta_sw)
+
+    def action_for(self, delta_sw: m.Scalar, state: m.Scalar) -> m.Scalar:
+        return delta_sw
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

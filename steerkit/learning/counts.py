@@ -72,6 +72,8 @@ class Counts:
     """Driving time at which it was complete [s]."""
     failures_to_round: int | None = None
     """Failures before the first complete round."""
+    corrected: int = 0
+    """Samples in which the policy at the wheel had to be corrected by the safety filter, since it got it."""
     episodes: list[Episode] = field(default_factory=list)
     recovery: Recovery | None = None
     """That of the recovery controller now; None: it does not steer."""

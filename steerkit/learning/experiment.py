@@ -10,6 +10,7 @@ from typing import Any
 
 from steerkit.assembly import with_controller
 from steerkit.block import Block
+from steerkit.catalogue import make_safety
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.supervisor import SupervisorState
 from steerkit.controllers.target_shift import TargetShift
@@ -42,6 +43,8 @@ SIGNALS = (
     "supervisor.learning",
     "controller.action",
 )
+SAFETY_SIGNALS = ("safety.share", "safety.correction", "safety.reason")
+"""Those of a learner with a safety filter besides."""
 Watcher = Callable[[str, "LearningRun"], None]
 
 
@@ -106,13 +109,16 @@ class LearningRun:
             doe=setting.element(scenario.nominal),
             recovery=scenario.catcher(),
             shift=TargetShift() if setting.after_failure == "shift" else None,
+            safety=make_safety(scenario.belief()) if setting.safe else None,
             seed=experiment.seed,
         )
         start = self.loop.init()
         self.x, self.y = list(start.x), list(start.y)
         self.ticks = round(self.policy.dt / self.loop.dt)
         self._inputs = state_signals(setting, self.loop.inputs_of("controller"))
-        self.recorder = Recorder(self.loop, SIGNALS)
+        self.safe = setting.safe
+        self._element = setting.element(scenario.nominal)
+        self.recorder = Recorder(self.loop, SIGNALS + SAFETY_SIGNALS * self.safe)
 
     @property
     def counts(self) -> Counts:
@@ -165,7 +171,7 @@ class LearningRun:
             counts.k // self.ticks,
             self.t,
             self._state(),
-            self._value("controller.action"),
+            self._action(),
             learning=learning,
             failed=not learning,
             progress=self._value("path.progress"),
@@ -182,6 +188,9 @@ class LearningRun:
         counts.k += self.ticks
         if events.ended:
             self._after_failure()
+        elif learning and self._had_enough():
+            story.trusted = False  # the recovery controller has the wheel from the next sample on, and that trains
+            self.steer()
         elif learning and story.due():
             story.train(self.t, trusted=True)
         if not self.path.closed and self._value("path.s") > self.path.length - END_MARGIN:
@@ -190,6 +199,19 @@ class LearningRun:
             self.keep(self)
         if int(self.t) > second:
             self._tell("second")
+
+    def _action(self) -> float:
+        """What the learner did: where the filter changed it, the action that makes what was sent."""
+        changed = self.safe and self._value("safety.correction") != 0.0
+        if not changed or self.experiment.setting.teaches == "chosen":
+            return self._value("controller.action")
+        return self._element.action_for(self._value("safety.delta_sw"), self._value("doe.state"))
+
+    def _had_enough(self) -> bool:
+        """Has the policy been corrected for as long as it may be?"""
+        if self.safe and self._value("safety.share") > 0.0:
+            self.counts.corrected += 1
+        return self.safe and self.counts.corrected * self.policy.dt >= self.experiment.setting.corrected_seconds
 
     def _after_failure(self) -> None:
         story, setting = self.story, self.experiment.setting
@@ -210,6 +232,7 @@ class LearningRun:
             return
         taken = self.story.net == result.number
         if taken:
+            self.counts.corrected = 0
             self.steer()
             self._begin_anew()
             supervisor = self.loop.names.index("supervisor")

@@ -19,6 +19,7 @@ from steerkit.units import radians_of
 from steerkit.vehicles import Vehicle
 
 AFTER_FAILURE = ("recovery", "reset", "shift")
+TEACHES = ("applied", "chosen")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,12 +80,31 @@ class Setting:
     and the target moves slowly back (`steerkit.controllers.supervisor.TargetShift`)."""
     reset_seconds: float = 20.0
     """Driving time charged for a reset [s]."""
+    safe: bool = False
+    """Is there a `SafetyFilter` between learner and wheel while it learns (never in test drives)? Then it fails within
+    the bound: a policy that had to be corrected for `corrected_seconds` is taken from the wheel and trained anew."""
+    corrected_seconds: float = 0.5
+    """Time for which a policy may be corrected until then [s], in one piece or in several."""
+    teaches: str = "applied"
+    """What a corrected sample teaches: the action that was `applied` in the end, or the one that was `chosen`, which is
+    here to be compared with: from it hardly anything is learned."""
 
     def __post_init__(self) -> None:
         choices = f"after_failure = {self.after_failure!r}; valid: {', '.join(AFTER_FAILURE)}"
         require(self.after_failure in AFTER_FAILURE, "Setting", choices)
         share = f"exploration = {self.exploration}, expected 0 <= exploration <= 1"
         require(0.0 <= self.exploration <= 1.0, "Setting", share)
+        require(
+            self.corrected_seconds > 0.0, "Setting", f"corrected_seconds = {self.corrected_seconds} s, expected > 0"
+        )
+        require(self.teaches in TEACHES, "Setting", f"teaches = {self.teaches!r}; valid: {', '.join(TEACHES)}")
+        caught = f"after_failure = {self.after_failure!r} with safe, expected recovery"
+        require(not self.safe or self.after_failure == "recovery", "Setting", caught)
+        tells = element_kind(self.doe).action_for is not Dynamic.action_for
+        silent = (
+            f"doe = {self.doe!r} with safe, expected an element with a method action_for (see steerkit.doe.Dynamic)"
+        )
+        require(tells or not self.safe or self.teaches == "chosen", "Setting", silent)
         require(self.reset_seconds >= 0.0, "Setting", f"reset_seconds = {self.reset_seconds} s, expected >= 0")
         require(self.calm > 0.0, "Setting", f"calm = {self.calm} m/s, expected > 0")
         require(len(self.actions_deg) >= 2, "Setting", f"actions_deg = {self.actions_deg}, expected at least two")

@@ -83,6 +83,8 @@ class CarLearner:
         where = f"setting '{setting.name}' on a car"
         chance = f"exploration = {setting.exploration}, expected 0: no action at random on a real steering wheel"
         require(setting.exploration == 0.0, where, chance)
+        filtered = "safe = true, expected false: the filter does not know the gate's limits yet"
+        require(not setting.safe, where, filtered)
         after = f"after_failure = '{setting.after_failure}', expected 'recovery'; the others are for simulations"
         require(setting.after_failure == "recovery", where, after)
         self.setting, self.place, self.link, self.recovery = setting, place, link, recovery

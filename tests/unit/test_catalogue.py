@@ -10,7 +10,16 @@ import pytest
 
 from benchmarks.entries import controller as entry
 from steerkit.block import Block
-from steerkit.catalogue import CONTROLLERS, ELEMENTS, RECOVERIES, Belief, make_controller, make_element, make_recovery
+from steerkit.catalogue import (
+    CONTROLLERS,
+    ELEMENTS,
+    RECOVERIES,
+    Belief,
+    make_controller,
+    make_element,
+    make_recovery,
+    make_safety,
+)
 from steerkit.controllers.delay import Predicted
 from steerkit.controllers.stanley import Stanley
 from steerkit.courses import course
@@ -69,6 +78,13 @@ def test_an_element_ends_at_the_stops(name: str) -> None:
     assert make_element(name).limit == radians_of(520.0)
 
 
+def test_a_safety_filter_is_told_what_the_others_are() -> None:
+    filter = make_safety(replace(NARROW, delay=0.15, lag=0.07, rate_limit=3.0))
+    model: Any = filter.backup
+    assert (model.delay, model.lag, model.rate_limit, model.block.rate_limit) == (0.15, 0.07, 3.0, 3.0)
+    assert (model.block.limit, model.steer_ratio) == (radians_of(300.0), NARROW.vehicle.steer_ratio)
+
+
 def test_half_of_what_the_actuator_holds_is_delay_to_the_mpc_alone() -> None:
     held = replace(BELIEF, hold=0.01)
     assert make_controller("mpc", held).delay == pytest.approx(0.105)  # type: ignore[attr-defined]
@@ -113,6 +129,7 @@ def test_a_gate_that_is_narrower_than_the_car_is_what_counts_on_it() -> None:
     [
         (lambda: make_controller("stanly", BELIEF), r"controller 'stanly' is not known \(did you mean 'stanley'\?\)"),
         (lambda: make_recovery("lqr", BELIEF), "recovery 'lqr' is not known.*; valid: fitting, stanley, stanley-delay"),
+        (lambda: make_safety(replace(BELIEF, slew=5.0)), "slew = 5.0 .*expected none: the filter is for cars whose"),
         (lambda: make_element("integral"), "did you mean 'integrator'"),
         (lambda: replace(BELIEF, lag=-1.0), r"lag = -1.0 \[s\], expected 0 to 10"),
         (lambda: replace(BELIEF, delay=3.0), r"delay = 3.0 \[s\], expected 0 to 2"),

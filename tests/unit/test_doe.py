@@ -74,6 +74,12 @@ def test_within_limits_and_odd(doe: Block, angle: float, action: float) -> None:
     assert there.state == angle
 
 
+@does
+@given(before=angles, angle=st.floats(-9.0, 9.0))
+def test_the_action_for_an_angle_makes_it(doe: Any, before: float, angle: float) -> None:
+    assert once(doe, before, doe.action_for(angle, before)).delta_sw == pytest.approx(angle, abs=1e-12)
+
+
 @given(angle=st.floats(-9.0, 9.0), action=st.floats(-9.0, 9.0), tau=st.floats(0.01, 10.0))
 def test_the_low_pass_never_passes_its_action(angle: float, action: float, tau: float) -> None:
     after = once(LowPass(tau=tau), angle, action).delta_sw

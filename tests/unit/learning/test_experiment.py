@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from steerkit.controllers.policy import PSI_E, E
+from steerkit.controllers.policy import DOE, PSI_E, E
 from steerkit.learning import rundir
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.learn import learn
@@ -140,3 +141,49 @@ def test_minutes_are_minutes() -> None:
     run.counts.k += 1
     assert run.t == pytest.approx(30.0)
     assert run.done()
+
+
+def safely(seconds: float, **changes: Any) -> LearningRun:
+    setting = replace(SHORT.setting, safe=True, **changes)
+    return learn(Experiment(setting=setting, scenario=Scenario.under("hard"), minutes=seconds / 60.0, seed=0))
+
+
+@pytest.mark.parametrize("doe", ["integrator", "low-pass", "plain"])
+def test_a_learner_with_a_filter_is_corrected_and_taken_from_the_wheel_within_the_bound(doe: str) -> None:
+    run = safely(5.0, doe=doe)
+    log = run.recorder.log()
+    assert np.abs(log["path.e"]).max() < 0.5
+    corrected = (log["safety.share"] > 0.0) & (log["supervisor.learning"] > 0.5)
+    first = run.counts.episodes[0]
+    assert first.failed
+    assert corrected[log.t < first.ended].sum() == 10
+    assert np.abs(log["path.e"][log.t < first.ended]).max() < 0.45
+    free = learn(
+        Experiment(setting=replace(run.experiment.setting, safe=False), scenario=Scenario.under("hard"), minutes=0.1)
+    )
+    assert np.abs(free.recorder.log()["path.e"]).max() > 0.5
+
+
+def test_patience_is_how_long_a_policy_may_be_corrected() -> None:
+    ends = [safely(4.0, corrected_seconds=patience).counts.episodes[0].ended for patience in (0.5, 1.0)]
+    assert ends[1] == pytest.approx(ends[0] + 0.5, abs=0.06)
+
+
+def test_what_a_corrected_sample_teaches_is_what_was_done() -> None:
+    """The integrator's angle afterwards is that before and the action, of each transition there is."""
+    taught = {}
+    for teaches in ("applied", "chosen"):
+        rows = safely(3.0, teaches=teaches).transitions
+        beside = np.abs(rows.s_next[:, DOE] - rows.s[:, DOE] - rows.a)
+        taught[teaches] = beside
+    assert taught["applied"].max() < 1e-9
+    assert taught["chosen"].max() > 0.1
+
+
+def test_the_next_policy_begins_uncorrected() -> None:
+    setting = replace(SHORT.setting, safe=True)
+    run = LearningRun(Experiment(setting=setting, scenario=Scenario.under("hard"), minutes=1.0, seed=0))
+    while run.story.net == 0:
+        before = run.counts.corrected
+        run.drive()
+    assert (before, run.counts.corrected) == (10, 0)

@@ -94,6 +94,12 @@ RUNS = {
         minutes=0.15,
         seed=3,
     ),
+    "corrected": Experiment(
+        setting=replace(CURT, retrain_every_m=2.0, safe=True, corrected_seconds=1.0),
+        scenario=Scenario.under("hard"),
+        minutes=0.1,
+        seed=3,
+    ),
     "an open course": Experiment(
         setting=replace(CURT, retrain_every_m=4.0), scenario=Scenario(course="slalom"), minutes=0.15, seed=3
     ),

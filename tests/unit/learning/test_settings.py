@@ -28,12 +28,21 @@ def test_settings_are_changed_by_name() -> None:
         ("fit.nets.x=2", "'nets' has no parts"),
         ("fit.nets=0", "expected >= 1"),
         ("after_failure=cry", "valid: recovery, reset, shift"),
+        ("corrected_seconds=0", "corrected_seconds = 0 s, expected > 0"),
+        ("teaches=cry", "valid: applied, chosen"),
+        ("safe=1", "expected bool"),
         ("exploration=2", "expected 0 <= exploration <= 1"),
     ],
 )
 def test_wrong_changes_are_told(change: str, told: str) -> None:
     with pytest.raises(ValueError, match=re.escape(told)):
         changed(DEFAULT, [change])
+
+
+def test_a_filter_goes_with_the_recovery_controller_only() -> None:
+    assert changed(DEFAULT, ["safe=true"]).safe
+    with pytest.raises(ValueError, match="after_failure = 'shift' with safe, expected recovery"):
+        changed(DEFAULT, ["after_failure=shift", "safe=true"])
 
 
 def test_where_torque_steers_no_action_asks_for_more_than_its_slew() -> None:
