@@ -149,9 +149,9 @@ def _predictive(kind: Any, belief: Belief) -> Block:
     )
 
 
-def _offset_free(make: Callable[[Belief], Block]) -> Callable[[Belief], Block]:
+def _offset_free(make: Callable[[Belief], Block], **settings: float) -> Callable[[Belief], Block]:
     """What makes a controller with integral action around the one that `make` makes."""
-    return lambda belief: OffsetFree.around(make(belief), belief.vehicle, delay=belief.delay)
+    return lambda belief: OffsetFree.around(make(belief), belief.vehicle, delay=belief.delay, **settings)
 
 
 _DEAD_TIMES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
@@ -160,7 +160,11 @@ _CAUTION = 0.1
 """By how much it begins with more than it is told [s]: too much costs little for a while, with too little it swings."""
 
 
-def _adaptive(make: Callable[[Belief], Block]) -> Callable[[Belief], Block]:
+_OFFSET_TIME = 6.0
+"""Within which an adaptive controller finds an offset [s]: it has no ratio to follow, and the slower, the calmer."""
+
+
+def _adaptive(make: Callable[[Belief], Block], *, hears: bool = False) -> Callable[[Belief], Block]:
     """What makes a controller that adapts, of those that `make` makes."""
 
     def made(belief: Belief) -> Block:
@@ -173,9 +177,15 @@ def _adaptive(make: Callable[[Belief], Block]) -> Callable[[Belief], Block]:
             prior_delay=min(prior + _CAUTION, _DEAD_TIMES[-1]),
             lag=belief.lag,
             limit=car.delta_sw_max,
+            hears=hears,
         )
 
     return made
+
+
+def _adaptive_offset_free(make: Callable[[Belief], Block]) -> Callable[[Belief], Block]:
+    """What makes a controller that adapts, with integral action, of those that `make` makes."""
+    return _adaptive(_offset_free(make, time=_OFFSET_TIME))
 
 
 CONTROLLERS: Mapping[str, Recipe] = MappingProxyType(
@@ -190,9 +200,9 @@ CONTROLLERS: Mapping[str, Recipe] = MappingProxyType(
         "stanley-offset-free": Recipe(about="stanley-delay with integral action", make=_offset_free(_delayed)),
         "lqr-offset-free": Recipe(about="LQR with integral action", make=_offset_free(_lqr)),
         "mpc-offset-free": Recipe(about="linear MPC with integral action", make=_offset_free(_linear_mpc)),
-        "stanley-adaptive": Recipe(about="stanley-offset-free that adapts", make=_adaptive(_offset_free(_delayed))),
-        "lqr-adaptive": Recipe(about="lqr-offset-free that adapts", make=_adaptive(_offset_free(_lqr))),
-        "mpc-adaptive": Recipe(about="mpc-offset-free that adapts", make=_adaptive(_offset_free(_linear_mpc))),
+        "stanley-adaptive": Recipe(about="stanley-offset-free that adapts", make=_adaptive_offset_free(_delayed)),
+        "lqr-adaptive": Recipe(about="lqr-offset-free that adapts", make=_adaptive_offset_free(_lqr)),
+        "mpc-adaptive": Recipe(about="mpc-offset-free that adapts", make=_adaptive_offset_free(_linear_mpc)),
     }
 )
 """The analytic controllers: they steer by themselves and learn nothing."""
@@ -200,7 +210,9 @@ OWN = "my_file.py:make, package.module:make"
 """What may stand for a controller's name besides: see `make_controller`."""
 FITTING = "fitting"
 """The recovery controller that fits the car: `stanley-delay` where a dead time or a slew is told, else `stanley`."""
-RECOVERIES = (FITTING, *(name for name, recipe in CONTROLLERS.items() if recipe.catches))
+ADAPTING = "adapting"
+"""The recovery controller that need not be told dead time and ratio: it finds them while it or the learner steers."""
+RECOVERIES = (FITTING, ADAPTING, *(name for name, recipe in CONTROLLERS.items() if recipe.catches))
 """Names of those that may catch a learned controller."""
 ELEMENTS: Mapping[str, type[Dynamic]] = MappingProxyType(
     {"integrator": Integrator, "low-pass": LowPass, "plain": PlainAngle}
@@ -223,7 +235,10 @@ def make_controller(name: str, belief: Belief) -> Block:
     """
     if is_outside(name):
         return _own(name, belief)
-    block = CONTROLLERS[known(name, CONTROLLERS, "controller", also=OWN)].make(belief)
+    return _trimmed(CONTROLLERS[known(name, CONTROLLERS, "controller", also=OWN)].make(belief), belief)
+
+
+def _trimmed(block: Block, belief: Belief) -> Block:
     trimmed = (belief.offset, belief.gain) != (0.0, 1.0)
     return Trimmed(block=block, offset=belief.offset, gain=belief.gain) if trimmed else block
 
@@ -266,7 +281,9 @@ def plant_kind(name: str) -> type[Block]:
 
 def make_recovery(name: str, belief: Belief) -> Block:
     """The controller that catches a learned one: any of `RECOVERIES`. Raises ValueError with the valid names."""
-    if known(name, RECOVERIES, "recovery") == FITTING:
+    if known(name, RECOVERIES, "recovery") == ADAPTING:
+        return _trimmed(_adaptive(_delayed, hears=True)(belief), belief)
+    if name == FITTING:
         name = "stanley" if belief.delay == 0.0 and belief.slew is None else "stanley-delay"
     return make_controller(name, belief)
 

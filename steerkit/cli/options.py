@@ -90,7 +90,9 @@ class DriveOptions:
     scenario_file: Annotated[
         Path | None, in_simulation("TOML file of a scenario; options given besides change it.", "--scenario")
     ] = None
-    recovery: Annotated[str, on_car("Who catches a learner: stanley, stanley-delay, or what is fitting.")] = "fitting"
+    recovery: Annotated[str, on_car("Who catches a learner: stanley, stanley-delay, adapting, or what is fitting.")] = (
+        "fitting"
+    )
     simulated: Annotated[bool, on_car("A simulated car on a bus, started for it.", "--simulated")] = False
     socket: Annotated[str, on_car(SOCKET)] = ""
     recording: Annotated[str, on_car("MCAP file to record to; default: under runs/.")] = ""

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections import namedtuple
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 from steerkit import maths as m
-from steerkit.block import Block, In, Out, State, entries_of, take_ports
+from steerkit.block import Block, In, Out, Port, State, entries_of, take_ports
 from steerkit.controllers.estimators.single_track_filter import SingleTrackFilter
 from steerkit.controllers.estimators.steering_delay import YawDelay
 from steerkit.errors import require, require_within
@@ -30,15 +31,16 @@ class Adaptive(Block):
     dead times are mixed. What is told starts with the prior (d = prior_delay, g = 1) and moves towards an estimate, no
     faster than so much a second, only while that is valid and within its bounds; else it stays. The filter is given the
     dead time as it is found, with its deviation, not as it is told: what is told too late or not yet would be taken for
-    another ratio, and firmly. It sees
+    another ratio, and firmly. It looks away, as `delay` does, where the angle jumps faster than wheels turn. It sees
     g n tan(delta) cos(beta) for g n delta, n the data sheet's ratio, tan(beta) = tan(delta) l_r/L: tight bends. An
     offset is not told: without a heading it cannot be told from the gyro's zero, and `OffsetFree` steers against it,
     inside, for the estimators have to see what is really commanded.
 
-    Ports and sample time are those of `blocks`, the inputs v and r among them; the preview is the longest. State: those
+    Ports and sample time are those of `blocks`, the inputs v and r among them; the preview is the longest. One that
+    `hears` has an input more, doe [rad]: the angle that was asked for a sample before, whoever did. State: those
     of `blocks`, of `delay` and `steering`, then d [s] and g [1]. Only the two controllers that are mixed are
-    asked in a drive of one car. NaN in v or r teaches nothing. Raises ValueError for parameters out of range, and for
-    controllers with other ports. Source: Astrom, Wittenmark 1995, sections 1.4 (gain scheduling) and 3.1 (certainty
+    asked in a drive of one car. NaN in v, r or doe teaches nothing. Raises ValueError for parameters out of range, and
+    for controllers with other ports. Source: Astrom, Wittenmark 1995, sections 1.4 (gain scheduling) and 3.1 (certainty
     equivalence: estimates are used as if they were the truth).
     """
 
@@ -64,6 +66,8 @@ class Adaptive(Block):
     """That of the ratio [1/s]."""
     limit: float = STOP
     """Largest |delta_sw| [rad]."""
+    hears: bool = False
+    """Does somebody else steer now and then, as in a recovery controller's loop? Then doe is what was asked for."""
 
     def __post_init__(self) -> None:
         where, n = "Adaptive", len(self.delays)
@@ -88,6 +92,12 @@ class Adaptive(Block):
         ):
             require_within(where, name, getattr(self, name), unit, low, high)
         take_ports(self, self.block)
+        if self.hears:
+            heard = In("rad", direct=False)
+            heard.__set_name__(type(self), "doe")
+            object.__setattr__(self, "inputs", (*self.inputs, heard))
+            object.__setattr__(self, "U", namedtuple("U", (*self.U._fields, "doe")))
+            object.__setattr__(self, "doe", Port(self, heard))
 
     @property
     def block(self) -> Block:
@@ -143,18 +153,21 @@ class Adaptive(Block):
             for block, state in zip(self.blocks, states)
         ]
         found, known = self.delay.output(t, states[-2], ()), self.steering.output(t, states[-1], ())
-        after.append(self.delay.update(t, states[-2], self.delay.U(y.delta_sw, 1.0, u.r, u.v), found))
+        sent = u.doe if self.hears else y.delta_sw
+        after.append(self.delay.update(t, states[-2], self.delay.U(sent, 1.0, u.r, u.v), found))
         car = self.steering.vehicle
         n = ratio * car.steer_ratio
-        steep = m.tan(y.delta_sw / n)
+        steep = m.tan(sent / n)
         lever = car.l_r / car.wheelbase * steep  # tan(beta): v is that of the centre of gravity
         bent = n * steep / m.sqrt(1.0 + lever * lever)
-        dead = found.delay_lag - self.lag
-        watched = self.steering.U(bent, u.v, u.r, math.nan, dead, self.lag, found.delay_lag_deviation, 1.0)
+        dead, late = found.delay_lag - self.lag, self.dt if self.hears else 0.0
+        step = m.absolute(bent - states[-1][0])  # the filter's state begins with the angle of a sample before
+        followed = m.where(step <= self.delay.rate_limit * self.dt, 1.0, 0.0)
+        watched = self.steering.U(bent, u.v, u.r, math.nan, dead, self.lag, found.delay_lag_deviation, followed)
         after.append(self.steering.update(t, states[-1], watched, known))
         bounds = self.delays[0], self.delays[-1]
         told = (
-            self._told(delay, dead, found.delay_lag_valid, self.delay_rate, bounds),
+            self._told(delay, dead + late, found.delay_lag_valid, self.delay_rate, bounds),
             self._told(ratio, known.ratio, known.ratio_valid, self.ratio_rate, (self.ratio_least, self.ratio_most)),
         )
         return (*[value for state in after for value in state], *told)

@@ -115,7 +115,8 @@ class Scenario:
     """Where e is judged, and measured for a learner: at the `front` axle (as Stanley does), at the centre of gravity,
     `cg`, or at the controller's `own` point (the front axle for one that has none)."""
     recovery: str = FITTING
-    """Who catches a learned controller: `stanley`, `stanley-delay`, or `fitting`: of both the one for what is told."""
+    """Who catches a learned controller: `stanley`, `stanley-delay`, or `fitting`: of both the one for what is told; or
+    `adapting`: `stanley-delay` that finds dead time and ratio by itself (`Adaptive`)."""
     speed: str = "wander"
     """`wander`: a human between v_min and v_max, slower in bends (3 m/s^2); `recorded`: as driven on the recorded
     course, within v_min and v_max; or a CSV file with the columns s [m] along the course and v [m/s], within them."""

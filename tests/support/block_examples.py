@@ -129,6 +129,16 @@ EXAMPLES = [
             steering=SingleTrackFilter(vehicle=PASSAT, longest=0.2),
         )
     ),
+    Example(
+        Adaptive(
+            blocks=(Stanley.of(PASSAT),) * 2,
+            delays=(0.0, 0.1),
+            delay=YawDelay(vehicle=PASSAT, prior_delay=0.05, longest=0.1),
+            steering=SingleTrackFilter(vehicle=PASSAT, longest=0.2),
+            hears=True,
+        ),
+        blind=("doe",),
+    ),
     Example(OffsetFree.around(Stanley.of(PASSAT), PASSAT)),
     Example(PurePursuit.of(PASSAT, OVAL)),
     Example(SafetyFilter.of(PASSAT, delay=0.05, horizon=0.35, hold=1, halvings=2)),

@@ -20,6 +20,7 @@ from steerkit.catalogue import (
     make_recovery,
     make_safety,
 )
+from steerkit.controllers.adaptive import Adaptive
 from steerkit.controllers.delay import Predicted
 from steerkit.controllers.stanley import Stanley
 from steerkit.courses import course
@@ -128,8 +129,11 @@ def test_a_gate_that_is_narrower_than_the_car_is_what_counts_on_it() -> None:
     ("ask", "message"),
     [
         (lambda: make_controller("stanly", BELIEF), r"controller 'stanly' is not known \(did you mean 'stanley'\?\)"),
-        (lambda: make_recovery("lqr", BELIEF), "recovery 'lqr' is not known.*; valid: fitting, stanley, stanley-delay"),
         (lambda: make_safety(replace(BELIEF, slew=5.0)), "slew = 5.0 .*expected none: the filter is for cars whose"),
+        (
+            lambda: make_recovery("lqr", BELIEF),
+            "recovery 'lqr' is not known.*; valid: fitting, adapting, stanley, stanley-delay",
+        ),
         (lambda: make_element("integral"), "did you mean 'integrator'"),
         (lambda: replace(BELIEF, lag=-1.0), r"lag = -1.0 \[s\], expected 0 to 10"),
         (lambda: replace(BELIEF, delay=3.0), r"delay = 3.0 \[s\], expected 0 to 2"),
@@ -142,7 +146,14 @@ def test_what_cannot_be_made_says_what_can(ask: Any, message: str) -> None:
 
 
 def test_only_controllers_that_catch_from_anywhere_are_recoveries() -> None:
-    assert RECOVERIES == ("fitting", "stanley", "stanley-delay")
+    assert RECOVERIES == ("fitting", "adapting", "stanley", "stanley-delay")
+
+
+def test_the_adapting_recovery_hears_what_others_steer_and_winds_up_nothing_meanwhile() -> None:
+    block = make_recovery("adapting", replace(BELIEF, delay=0.15))
+    assert isinstance(block, Adaptive)
+    assert block.hears
+    assert all(isinstance(one, Predicted) for one in block.blocks)
 
 
 def test_the_fitting_recovery_knows_of_dead_time_and_slew_where_there_is_some() -> None:

@@ -15,9 +15,13 @@ from steerkit.controllers.estimators.steering_delay import YawDelay
 from steerkit.controllers.pure_pursuit import PurePursuit
 from steerkit.controllers.stanley import Stanley
 from steerkit.courses import circle
+from steerkit.learning.settings import setting as named
+from steerkit.learning.story import untrained
 from steerkit.scenario import Scenario
-from steerkit.scenario.drive import controller, drive
+from steerkit.scenario.drive import assembled, controller, drive
+from steerkit.simulation import simulate
 from steerkit.vehicles import vehicle
+from tests.support.steered_car import answered, steered
 
 PASSAT = vehicle("vw-passat")
 HERE = dict(e=0.02, psi_e=0.01, kappa=0.01, v=6.0, r=0.05, delta_sw_meas=0.01)
@@ -94,6 +98,44 @@ def test_the_ratio_is_looked_for_behind_the_dead_time_as_it_is_found_not_as_it_i
         states.append(block._states(x)[-1])
     assert states[0] == states[1]
     assert block.steering.output(0.0, states[0], ()).ratio != 1.0  # it has learned
+
+
+def test_one_that_hears_learns_of_what_others_steered_and_counts_the_sample_that_it_heard_late() -> None:
+    signals = answered(steered(30.0), delay=0.15, lag=0.1, v=7.0 + np.zeros(600))
+    told = []
+    for block in (adaptive(delays=(0.0, 0.5)), adaptive(delays=(0.0, 0.5), hears=True)):
+        x = block.settle(0.0, block.init(), block.U(**HERE | {"doe": 0.0} if block.hears else HERE))
+        for k in range(600):
+            u, sent = HERE | {"r": float(signals["r"][k]), "v": 7.0}, float(signals["delta_sw"][k])
+            heard = {"doe": sent} if block.hears else {}
+            x = block.update(0.05 * k, x, block.U(**u | heard), block.Y(0.0 if block.hears else sent))
+        told.append(x[-2])
+    assert told[0] == pytest.approx(0.15, abs=0.04)
+    assert told[1] == pytest.approx(told[0] + 0.05, abs=1e-9)
+
+
+def test_commands_faster_than_a_wheel_can_turn_teach_nothing_of_the_ratio() -> None:
+    block = adaptive()
+    x = block.settle(0.0, block.init(), block.U(**HERE))
+    before = block.steering.output(0.0, block._states(x)[-1], ()).ratio
+    for k in range(200):
+        x = block.update(0.05 * k, x, block.U(**HERE | {"r": 0.2 * (-1.0) ** (k // 20)}), block.Y(2.0 * (-1.0) ** k))
+    assert block.steering.output(0.0, block._states(x)[-1], ()).ratio == pytest.approx(before, abs=1e-9)
+
+
+def caught(recovery: str) -> float:
+    """Largest |e| from 10 to 15 s on [m], where only the recovery steers, told nothing of 0.35 s of delay."""
+    place = Scenario.under("hard", delay=0.35, lag=0.28, told_delay=0.0, recovery=recovery)
+    setting = named("default")
+    never = replace(untrained(setting, 0), ready_from=math.inf)
+    loop = assembled(place, never, doe=setting.element(place.nominal), recovery=place.catcher())
+    e = simulate(loop, 15.0, every=round(0.05 / loop.dt), allow_nonfinite=True)["path.e"]
+    return float(np.abs(e[200:]).max())
+
+
+def test_as_a_recovery_it_catches_a_car_whose_delay_nobody_knows() -> None:
+    assert caught("adapting") < 0.15
+    assert caught("fitting") > 1.0
 
 
 def rms(name: str, scenario: Scenario) -> tuple[float, float]:

@@ -37,7 +37,7 @@ PASSAT = vehicle("vw-passat")
         ({"speed": "fast"}, "speed 'fast'; valid: wander, recorded"),
         ({"speed": "recorded"}, "'paper' is not known.*genesis"),
         ({"reference": "rear"}, "reference 'rear'; valid: front, cg, own"),
-        ({"recovery": "lqr"}, "recovery 'lqr'; valid: fitting, stanley, stanley-delay"),
+        ({"recovery": "lqr"}, "recovery 'lqr'; valid: fitting, adapting, stanley, stanley-delay"),
         ({"v_min": 9.0}, "v_min = 9.0, v_max = 7.5"),
         ({"v_min": 0.0}, r"v_min = 0.0 \[m/s\], expected 0.2 to 40"),
         ({"lag": -1.0}, r"lag = -1.0 \[s\], expected 0 to 10"),
