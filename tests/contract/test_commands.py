@@ -226,6 +226,16 @@ def test_a_study_is_run_in_its_quick_form() -> None:
                 )
 
 
+def test_a_learning_run_is_a_short_one() -> None:
+    """As it stands, `steerkit learn` drives for eleven minutes, a minute's computing."""
+    for page in PAGES:
+        for step in story(page):
+            if "steerkit learn" in step.run and "--help" not in step.run:
+                minutes = re.search(r"--minutes \+?([0-9.]+)", step.run)
+                assert minutes, f"{page.name}: {step.run}: tests/support/shell_lines.toml"
+                assert float(minutes[1]) <= 0.3, step.run
+
+
 def test_a_line_that_fails_would_be_found(shell: Shell) -> None:
     """Exit code, output, files, JSON: each is looked at."""
     fine = {"shown": "", "run": "echo '{\"a\": 1}'; touch here"}
