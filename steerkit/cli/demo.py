@@ -91,7 +91,7 @@ def _part(job: tuple[str, Experiment, FilePath, int, float | None]) -> Part:
     say("begins to learn")
     run = learn(experiment, place, watch=progress.in_lines(say))
     counts = run.counts
-    say(f"has learned (rounds: {counts.rounds}, failures: {counts.failures}); drives a round, and Stanley beside it")
+    say(f"has learned: rounds {counts.rounds}, failures {counts.failures}; drives a round, and Stanley beside it")
     scenario = experiment.scenario
     doe = experiment.setting.element(scenario.nominal)
     learned = evaluate.drive(scenario, rundir.final_policy(place), doe=doe, seed=seed)

@@ -112,7 +112,8 @@ def sensible_kills(figures: Any) -> None:
 def sensible_drive(figures: Any) -> None:
     assert figures["frames_replayed_exactly"] == figures["frames_sent"] > 0
     assert figures["requests_replayed_exactly"] == figures["requests"]
-    assert figures["steps"] == 60 or figures["lost"]  # a machine that stands still loses the car
+    least = 60 - figures["misses"]  # a busy machine leaves steps out; one that stands still loses the car
+    assert least <= figures["steps"] <= 60 or figures["lost"]
 
 
 def sensible_rates(figures: Any) -> None:
