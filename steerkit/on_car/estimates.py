@@ -187,7 +187,15 @@ class Watched:
 
     def report(self) -> list[str]:
         """What is known, and what has changed since an earlier drive, a line each."""
-        return report(self.found, self.before)
+        anew = f"the estimators began anew {self.estimators.faults} times: errors of arithmetic"
+        return [*report(self.found, self.before), *([anew] if self.estimators.faults else [])]
+
+    def rows(self) -> list[tuple[str, str]]:
+        """The same in few rows, for a screen: what is known with its interval, what is not by its name."""
+        known = [told(name, *q[:2]) for name, q in self.found.items() if q.valid > 0.5]
+        rest = [QUANTITIES[name].text for name, q in self.found.items() if not q.valid > 0.5]
+        rows = [("found", " · ".join(known)), ("not yet", ", ".join(rest))]
+        return [row for row in rows if row[1]] + [("", line) for line in self.report()[len(self.found) :]]
 
 
 def message_of(found: Mapping[str, Estimated]) -> Estimates:

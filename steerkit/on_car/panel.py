@@ -153,7 +153,7 @@ class Panel:
         rows += [("refused", said)] if said else []
         if self.more:
             rows.append((self.about, self.more()))
-        rows += [("found" if k == 0 else "", line) for k, line in enumerate(self.session.watched.report())]
+        rows += self.session.watched.rows()
         for name, value in rows:
             table.add_row(name, value)
         keys = HELP if sys.stdin.isatty() else "no keyboard here: nobody could let go, a real car stays with the human"

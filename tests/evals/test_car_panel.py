@@ -180,3 +180,21 @@ def test_without_a_terminal_there_are_lines(tmp_path: Path) -> None:
     assert json.loads(done.stdout.splitlines()[-1])["steps"] > 10
     assert "╭" not in done.stdout
     assert "\x1b" not in done.stdout
+
+
+def test_a_calibration_is_guided_on_the_screen_and_q_ends_it_with_a_file(tmp_path: Path) -> None:
+    words = ("car", "calibrate", "dbw-kit.toml", "--simulated", "--recording", "drive.mcap", "--minutes", "1")
+    with terminal(tmp_path, *words, "--time-scale", "0.5") as there:
+        there.until(r"guide[\s\S]*until you engage[\s\S]*READY|READY[\s\S]*until you engage")
+        there.press("e")
+        screen = there.until(r"not yet[\s\S]*╰")
+        screen += there.until("zero of the gyro [-0-9]")
+        for word in ("calibration, stanley", "guide", "sine, the wheel swings slowly", "found", "space let go"):
+            assert word in screen, word
+        there.press("q")
+        assert there.end() == 0
+    assert "quantities in dbw-kit-calibrated.toml" in there.text
+    assert (tmp_path / "dbw-kit-calibrated.toml").is_file()
+    recorded = tapes.read(tmp_path / "drive.mcap")
+    assert recorded.of("/estimates")
+    assert [v["cause"] for v in recorded.of("/state") if v["from"] == "ENGAGED"] == ["operator: disengage"]

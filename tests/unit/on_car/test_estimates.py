@@ -59,6 +59,27 @@ def test_the_truth_that_nobody_told_is_in_the_intervals(calibration: Made) -> No
     assert found["steer_ratio"].high - found["steer_ratio"].low < 1.2
 
 
+def test_a_samples_motion_goes_with_the_next_ones_wheel_and_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The command that acted from it on is known with the next; the filter takes the wheel a sample late (`held`)."""
+    got: dict[str, dict[str, float]] = {}
+    monkeypatch.setattr(CarEstimators, "_feed", lambda of, name, **given: got.update({name: given}))
+    one = Snapshot(t=1.0, v=5.0, r=0.1, psi=0.2, delta_sw=0.3, command=0.4, report_age=0.01, mode=Mode.ENGAGED)
+    two = Snapshot(t=1.05, v=6.0, r=0.5, psi=0.6, delta_sw=0.7, command=0.8, report_age=0.0, mode=Mode.ENGAGED)
+    estimators = CarEstimators(CONFIG)
+    estimators.sample(one)
+    estimators.sample(two)
+    for name, angle in (("filter", "delta_sw"), ("play", "angle")):
+        motion = {key: got[name][key] for key in ("v", "r", "psi", angle, "delay", "lag")}
+        assert motion == {"v": 5.0, "r": 0.1, "psi": 0.2, angle: 0.7, "delay": 0.05, "lag": 0.0}
+    for name, command in (("wheel", "delta_sw_cmd"), ("friction", "angle")):
+        assert (got[name][command], got[name]["delta_sw_meas"], got[name]["active"]) == (0.8, 0.3, 1.0)
+    estimators.sample(two._replace(t=1.15))
+    assert math.isnan(got["filter"]["delta_sw"])
+    assert math.isnan(got["filter"]["psi"])
+    assert math.isnan(got["wheel"]["delta_sw_cmd"])
+    assert got["wheel"]["active"] == 0.0
+
+
 def test_who_drives_by_hand_tells_the_ratio_but_no_delay(calibration: Made) -> None:
     by_hand = [s._replace(mode=Mode.STANDBY) for s in samples_of(calibration)]
     found = fed(by_hand)
@@ -126,6 +147,22 @@ def test_an_error_of_arithmetic_begins_anew_and_is_counted(calibration: Made, mo
     monkeypatch.setattr(type(estimators.blocks["play"]), "update", whole)
     assert estimators.faults == 1
     assert estimators.found() == CarEstimators(CONFIG).found()
+
+
+def test_a_screen_has_few_rows(calibration: Made) -> None:
+    watched = Watched(calibration.world, CONFIG, print)
+    assert watched.rows() == []
+    watched.found = {name: Estimated(0.1, 0.01, float(name == "lag")) for name in ESTIMATES}
+    watched.before, watched.estimators.faults = {"lag": Estimated(0.3, 0.01, 1.0)}, 2
+    found, rest, *more = watched.rows()
+    assert found == ("found", "lag 0.100 [0.080, 0.120] s")
+    assert rest[0] == "not yet"
+    assert rest[1].startswith("dead time, dead time and lag, steering ratio")
+    assert [text.split(":")[0] for _, text in more] == [
+        "changed since the last calibration",
+        "the estimators began anew 2 times",
+    ]
+    assert len(watched.report()) == len(ESTIMATES) + 2
 
 
 def test_the_request_goes_out_before_anything_is_computed() -> None:

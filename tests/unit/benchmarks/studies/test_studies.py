@@ -33,6 +33,7 @@ KEYS = {
         *("friction_error_pct", "play_error_pct", "coverage_pct", "lap_rms_rad_s", "cost_c_us", "cost_python_us"),
         *("adaptive_x_told_truth", "adaptive_worst_x", "adaptive_x_unadapted_worst", "adaptive_max_e_m"),
     },
+    "car_calibration": {"rows", "faults", "worst_e_m", "coverage_pct", "steer_ratio_error", "delay_lag_valid_pct"},
     "car_kill": {"kills", "controller", "server", "trainer"},
     "car_realtime": {"steps", "misses", "jitter_p99_ms", "rms_e_m", "frames_replayed_exactly", "recording_mb"},
     "delay_robustness": {"laps", "stanley-delay", "stanley-delay, believes 0.2 s"},
@@ -103,6 +104,15 @@ def sensible_throughput(figures: Any) -> None:
     assert set(figures["against"]) == {f"python-control, {n}" for n in ("same diagram", "two systems", "one function")}
 
 
+def sensible_cars(figures: Any) -> None:
+    (row,) = figures["rows"]  # exact: a clock of its own
+    assert row["driven"] == pytest.approx(600, abs=5)
+    assert row["faults"] == []
+    assert row["worst_e_m"] < 0.5
+    assert figures["coverage_pct"] == 100.0
+    assert figures["steer_ratio_error"]["worst"] < 2.0
+
+
 def sensible_kills(figures: Any) -> None:
     assert figures["kills"] == 3
     assert all(figures[victim]["kills"] == 1 for victim in ("controller", "server", "trainer"))
@@ -145,6 +155,7 @@ def sensible_alternatives(figures: Any) -> None:
 SENSIBLE = {
     "alternatives": sensible_alternatives,
     "calibration": sensible_calibration,
+    "car_calibration": sensible_cars,
     "car_kill": sensible_kills,
     "car_realtime": sensible_drive,
     "delay_robustness": sensible_laps,

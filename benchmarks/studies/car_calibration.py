@@ -1,0 +1,202 @@
+"""Calibrate simulated cars behind their bus, told the data sheet, and say how near the truth the vehicle file is.
+
+    python -m benchmarks study car_calibration [--cars 8] [--first 0] [--minutes 2] [--quick] [--json]
+
+Each car is drawn by its seed: ratio 20 % less to 25 % more than the data sheet has, 0 to 0.2 s of dead time, 0.05 to
+0.2 s of lag, an offset within 3 degrees, a gyro whose zero is off by up to 0.005 rad/s. Car, kit and the car server's
+core (gate, checks, state machine, all of them) are those of a drive, on a clock of their own: no machine is too slow.
+The operator engages again after whatever ends a drive. Dead time is that from the sample which a command is computed
+from: what the gate and the 20 ms of the bus add to it is measured on the bus and part of the truth.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.signal import lfilter
+
+from steerkit import realtime
+from steerkit.courses import course
+from steerkit.on_car import processes
+from steerkit.on_car.calibration import Guided
+from steerkit.on_car.estimates import Watched
+from steerkit.plants.real_car.decisions.core import Core, Frame, Link, Packet, Reply, Send, Tick
+from steerkit.plants.real_car.decisions.modes import Mode, Order
+from steerkit.plants.real_car.file.reading import load
+from steerkit.plants.real_car.processes import protocol
+from steerkit.units import degrees_of, radians_of
+
+COMPUTING = 0.003
+"""From a sample to its request [s]."""
+OPERATOR = 2
+SHOWN = {
+    "delay_lag": ("dead time and lag", 1e3, "ms"),
+    "delay": ("dead time", 1e3, "ms"),
+    "lag": ("lag", 1e3, "ms"),
+    "steer_ratio": ("steering ratio", 100.0, "%"),
+    "offset": ("offset", degrees_of(1.0), "deg"),
+    "rate_zero": ("gyro's zero", degrees_of(1.0), "deg/s"),
+}
+
+
+class Yard:
+    """A car, its car server's core and a guided drive, stepped by 10 ms; a line to the core for the drive."""
+
+    def __init__(self, seed: int, minutes: float):
+        rng = np.random.default_rng(seed)
+        low, high = (0.8, 0.0, 0.05, radians_of(-3.0), -0.005), (1.25, 0.2, 0.2, radians_of(3.0), 0.005)
+        ratio, delay, lag, offset, zero = map(float, rng.uniform(low, high))
+        self.config, path = replace(load("dbw-kit.toml"), course={"name": "calibration"}), course("calibration")
+        true = replace(self.config.vehicle, steer_ratio=ratio * self.config.vehicle.steer_ratio)
+        untold: dict[str, Any] = dict(vehicle=true, delay=delay, lag=lag, offset=offset, rate_zero=zero)
+        self.car = processes.simulated_car(self.config, path, seed=seed, v_min=4.0, v_max=5.0, **untold)
+        self.truth = dict(steer_ratio=true.steer_ratio, delay=delay, lag=lag, offset=offset, rate_zero=zero)
+        self.core, self.t = Core(self.config, path), 0.0
+        self.last: protocol.Snapshot | None = None
+        self.sent: list[tuple[float, float]] = []
+        self.asked: list[tuple[float, float]] = []
+        self.faults, self.worst, self.driven = list[str](), 0.0, 0
+        for link, controls in ((1, True), (OPERATOR, False)):
+            self._happens(Link(0.0, link, True))
+            self._say(protocol.Hello(controls), link)
+        while self.t < 8.0:
+            self._step()
+        line: Any = self
+        watched = Watched(line, self.config, self._say)
+        self.guided = Guided(config=self.config, path=path, link=line, line=watched, minutes=minutes)
+        resting = self.guided.follow.resting
+        self.run = realtime.Run(resting, resting.init(), realtime.Timing(period=resting.dt))
+
+    def calibrated(self, longest: float) -> dict[str, Any]:
+        """Drive until all is driven, or for so long [s]; what is found."""
+        self._say(protocol.Command(Order.ARM), OPERATOR)
+        tick, over, end = 0, False, self.t + longest
+        while not over and self.t < end:
+            self._step()
+            tick += 1
+            if tick % 5 == 0:
+                self.run.loop.advance(self.run.k, self.run.x, self.run.y)
+                self.run.k += 1
+                over = self.guided.step(self.run)
+                self._note()
+            if tick % 10 == 0:
+                self._operate()
+        late = self._late()
+        self.truth["delay"] += late
+        self.truth["delay_lag"] = self.truth["delay"] + self.truth["lag"]
+        return self.guided.line.estimators.found()
+
+    def query(self) -> protocol.Snapshot:
+        """As a line to the car server has it; so are the next two."""
+        self._say(protocol.Query())
+        assert self.last is not None
+        return self.last
+
+    def request(self, delta_sw: float) -> None:
+        """Sent once it is computed."""
+        assert self.last is not None
+        self.t += COMPUTING
+        self._say(protocol.Request(self.last.t, delta_sw, 0))
+        self.t -= COMPUTING
+
+    def remark(self, text: str) -> None:
+        """Who steers."""
+        self._say(protocol.Remark(text))
+
+    def _say(self, message: Any, link: int = 1) -> None:
+        self._happens(Packet(self.t, link, protocol.encode(message)))
+
+    def _step(self) -> None:
+        self.t = round(self.t + 0.01, 6)
+        for when, frame_id, data in self.car.advance(self.t):
+            self._happens(Frame(self.t, when, frame_id, data))
+        self._happens(Tick(self.t))
+
+    def _happens(self, event: Any) -> None:
+        for out in self.core.handle(event):
+            if isinstance(out, Send):
+                self.car.receive(self.t, out.frame_id, out.data)
+                self.sent.append((self.t, self.config.writer.read(out.data)[0]))
+            elif isinstance(out, Reply):
+                answer = protocol.decode(out.data)
+                self.last = answer if isinstance(answer, protocol.Snapshot) else self.last
+
+    def _operate(self) -> None:
+        self._say(protocol.Beat(), OPERATOR)
+        machine = self.core.machine
+        if machine.mode in (Mode.FAULT, Mode.OVERRIDE):
+            self.faults.append(machine.cause)
+            self._say(protocol.Command(Order.ACKNOWLEDGE), OPERATOR)
+        elif machine.mode is Mode.READY:
+            self._say(protocol.Command(Order.ENGAGE), OPERATOR)
+
+    def _note(self) -> None:
+        assert self.last is not None
+        self.asked.append((self.last.t, self.last.command))
+        if self.last.mode is Mode.ENGAGED:
+            self.worst, self.driven = max(self.worst, abs(self.last.e)), self.driven + 1
+
+    def _late(self) -> float:
+        """By how much commands come to the bus later than the samples that they are of [s], as the motor feels it."""
+        times, angles = np.array(self.asked).T
+        sent = np.array(self.sent)
+        ok = np.isfinite(angles)
+        times, angles = times[ok], angles[ok]
+        t = np.arange(max(times[0], sent[0, 0]) + 1.0, times[-1] - 0.1, 0.001)
+        keep = np.exp(-0.001 / self.truth["lag"])
+
+        def felt(x: Any) -> Any:
+            return lfilter([1.0 - keep], [1.0, -keep], x - x[0])
+
+        held = felt(angles[np.searchsorted(times, t, side="right")])
+        acted = felt(sent[np.searchsorted(sent[:, 0], t, side="right") - 1, 1])
+        start = 2000
+        return 0.001 * min(
+            range(60), key=lambda ms: float(np.mean((acted[start:] - held[start - ms : len(t) - ms]) ** 2))
+        )
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Its own command line options; --quick drives one car for half a minute."""
+    parser.add_argument("--cars", type=int, default=8, help="how many cars (default 8)")
+    parser.add_argument("--first", type=int, default=0, help="seed of the first (default 0)")
+    parser.add_argument("--minutes", type=float, default=2.0, help="of driving each, engaged (default 2)")
+
+
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """Drive and print."""
+    cars, minutes = (1, 0.5) if options.quick else (options.cars, options.minutes)
+    rows: list[dict[str, Any]] = []
+    print(f"{'car':>4}{'faults':>8}{'worst e':>9}   " + "".join(f"{text:>30}" for text, _, _ in SHOWN.values()))
+    for seed in range(options.first, options.first + cars):
+        yard = Yard(seed, minutes)
+        found = yard.calibrated(240.0 * minutes)
+        row: dict[str, Any] = {"seed": seed, "faults": yard.faults, "worst_e_m": yard.worst, "driven": yard.driven}
+        for name, (_, factor, _) in SHOWN.items():
+            true, q = yard.truth[name], found[name]
+            factor = factor / true if name == "steer_ratio" else factor
+            row[name] = {"truth": true, "value": q.value, "low": q.low, "high": q.high, "valid": q.valid > 0.5}
+            row[name] |= {"error": factor * (q.value - true), "holds": bool(q.low <= true <= q.high)}
+        rows.append(row)
+        told = [
+            f"{row[n]['error']:+.2f} {u} {'' if row[n]['holds'] else 'OUTSIDE '}{'' if row[n]['valid'] else '?'}"
+            for n, (_, _, u) in SHOWN.items()
+        ]
+        print(
+            f"{seed:4d}{len(yard.faults):8d}{yard.worst:9.2f}   " + "".join(f"{text:>30}" for text in told), flush=True
+        )
+    figures: dict[str, Any] = {"cars": cars, "minutes": minutes, "rows": rows}
+    figures["faults"] = sum(len(row["faults"]) for row in rows)
+    figures["worst_e_m"] = max(row["worst_e_m"] for row in rows)
+    figures["coverage_pct"] = 100.0 * float(np.mean([row[name]["holds"] for row in rows for name in SHOWN]))
+    print(f"\n{'':20}{'median':>10}{'worst':>10}{'':8}{'valid':>7}{'covered':>9}")
+    for name, (text, _, unit) in SHOWN.items():
+        errors = np.abs([row[name]["error"] for row in rows])
+        share, holds = (float(np.mean([row[name][key] for row in rows])) for key in ("valid", "holds"))
+        figures[f"{name}_error"] = {"median": float(np.median(errors)), "worst": float(errors.max()), "unit": unit}
+        figures[f"{name}_valid_pct"] = 100.0 * share
+        print(f"{text:20}{np.median(errors):10.2f}{errors.max():10.2f} {unit:7}{share:7.0%}{holds:9.0%}")
+    return figures
