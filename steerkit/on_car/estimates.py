@@ -25,6 +25,15 @@ _RAGGED = 0.4
 """A sample that comes later or earlier by more than this share of the period begins anew [1]."""
 _MOST = {"v": 150.0, "r": 10.0, "psi": 1e3, "delta_sw": 100.0, "command": 100.0, "report_age": 1.0}
 """What no car exceeds, in SI: such a reading is none."""
+_ARITHMETIC = (ArithmeticError, ValueError)
+"""What floats raise: a division by 0, an overflow, the root of a negative number. None of it may end a drive."""
+_LAGS = {"short lag": 0.08, "middle lag": 0.16, "long lag": 0.32}
+"""Priors of the lag [s]: each block finds lags from half of its own to 1.4 times that."""
+_UPPER = 1.3
+"""A lag that is longer than so many times the prior is the next block's [1]."""
+_OTHERS = ("filter", "friction", "play")
+_SPREAD = 0.004
+"""Deviation of when a command acts, which the gate spreads over the frames of its sample [s]."""
 _MOTION_UNKNOWN = 0.01
 """Deviation of the time between what is measured of wheel and of motion [s]."""
 
@@ -68,9 +77,9 @@ class CarEstimators:
     def __init__(self, config: CarConfig):
         self.config = config
         car = config.vehicle
-        longest = WheelDelay.longest
+        delay = min(config.delay, WheelDelay.longest)
         self.blocks: dict[str, Block] = {
-            "wheel": WheelDelay(prior_delay=min(config.delay, longest), prior_lag=max(config.lag, 0.02)),
+            **{name: WheelDelay(prior_delay=delay, prior_lag=lag) for name, lag in _LAGS.items()},
             "filter": SingleTrackFilter(vehicle=car, held=False),
             "friction": SteeringFriction(),
             "play": SteeringPlay(vehicle=car, held=False),
@@ -92,9 +101,12 @@ class CarEstimators:
             return
         try:
             self._update(before, now)
-        except ArithmeticError:
-            self.faults += 1
-            self._begin()
+        except _ARITHMETIC:
+            self._fail()
+
+    def _fail(self) -> None:
+        self.faults += 1
+        self._begin()
 
     def _update(self, before: Snapshot, now: Snapshot) -> None:
         """A sample is complete with the next one: that says which command acted from it on."""
@@ -105,11 +117,12 @@ class CarEstimators:
         steers = 1.0 if engaged else 0.0
         command = now.command if engaged else math.nan
         wheel = now.delta_sw if even else math.nan
-        said: Any = self.blocks["wheel"].output(0.0, self.x["wheel"], ())
+        said = self._wheel()
         psi = before.psi if even else math.nan
         motion = {"v": before.v, "r": before.r, "psi": psi, "delay_deviation": _MOTION_UNKNOWN, "active": 1.0}
         way = {"delay": DT, "lag": 0.0, "lag_deviation": 0.0}  # the wheel comes a sample after the motion
-        self._feed("wheel", delta_sw_cmd=command, delta_sw_meas=before.delta_sw, v=before.v, active=steers)
+        for name in _LAGS:
+            self._feed(name, delta_sw_cmd=command, delta_sw_meas=before.delta_sw, v=before.v, active=steers)
         self._feed("filter", delta_sw=wheel, **motion, **way)
         self._feed("play", angle=wheel, **motion, **way)
         self._feed(
@@ -128,9 +141,25 @@ class CarEstimators:
         u = block.U(*[given[port.name] for port in block.inputs])
         self.x[name] = block.update(0.0, self.x[name], u, ())
 
+    def _wheel(self) -> Any:
+        """What is said of dead time and lag: by the block with the shortest prior whose lag is not at its upper end."""
+        for name, prior in _LAGS.items():
+            said: Any = self.blocks[name].output(0.0, self.x[name], ())
+            if said.lag < _UPPER * prior:
+                break
+        return said
+
     def found(self) -> dict[str, Estimated]:
         """All quantities of `protocol.ESTIMATES`: SI and radians."""
-        y: dict[str, Any] = {name: block.output(0.0, self.x[name], ()) for name, block in self.blocks.items()}
+        try:
+            return self._found()
+        except _ARITHMETIC:
+            self._fail()
+            return self._found()
+
+    def _found(self) -> dict[str, Estimated]:
+        y: dict[str, Any] = {name: self.blocks[name].output(0.0, self.x[name], ()) for name in _OTHERS}
+        y["wheel"] = self._wheel()
         age = self._ages / self._engaged if self._engaged else 0.0
         n = self.config.vehicle.steer_ratio
         share = estimated(y["filter"], "ratio")
@@ -142,7 +171,7 @@ class CarEstimators:
         }
         for name in ("delay", "delay_lag"):
             late = estimated(y["wheel"], name)
-            every[name] = late._replace(value=late.value - age)
+            every[name] = Estimated(late.value - age, math.hypot(late.deviation, _SPREAD), late.valid)
         for name in ("understeer", "offset", "rate_zero"):
             every[name] = estimated(y["filter"], name)
         return {name: every[name] for name in ESTIMATES}

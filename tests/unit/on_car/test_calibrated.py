@@ -20,6 +20,7 @@ from steerkit.plants.steering_actuator import steering_of
 from steerkit.vehicles import vehicle
 from tests.support.calibrated_car import CONFIG, DELAY, LAG, PATH, RATIO, Made
 from tests.support.command_lines import run
+from tests.support.tapes import small
 
 PRIOR = CarEstimators(CONFIG).found()
 
@@ -78,6 +79,13 @@ def test_a_drive_that_told_nothing_writes_nothing(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="nobody drove"):
         calibrated.from_recording(tmp_path / "t.mcap", out)
     assert not out.exists()
+    (tmp_path / "t.mcap").write_bytes(small())
+    row = {"value": 15.0, "low": 14.9, "high": 15.1, "unit": "1", "told_by": "drive"}
+    out.write_text(calibrated.vehicle_text(CONFIG.vehicle, estimates={"steer_ratio": row}), encoding="utf-8")
+    before = out.read_bytes()
+    with pytest.raises(NothingLearned, match="nothing was learned, no vehicle file is written"):
+        calibrated.from_recording(tmp_path / "t.mcap", out)
+    assert out.read_bytes() == before
     assert after().learned == 0
     assert after({"lag": Estimated(0.3, 0.01, 1.0)}).learned == 0
     assert issubclass(NothingLearned, ValueError)

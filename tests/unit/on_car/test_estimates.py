@@ -56,6 +56,7 @@ def test_the_truth_that_nobody_told_is_in_the_intervals(calibration: Made) -> No
     assert {"delay", "lag", "delay_lag", "steer_ratio", "rate_zero"} <= known
     assert "understeer" not in known, "nothing below 15 m/s tells it"
     assert found["delay_lag"].high - found["delay_lag"].low < 0.03
+    assert found["lag"].value == pytest.approx(LAG, abs=0.02), "half of it again would be beyond one prior's reach"
     assert found["steer_ratio"].high - found["steer_ratio"].low < 1.2
 
 
@@ -71,13 +72,13 @@ def test_a_samples_motion_goes_with_the_next_ones_wheel_and_command(monkeypatch:
     for name, angle in (("filter", "delta_sw"), ("play", "angle")):
         motion = {key: got[name][key] for key in ("v", "r", "psi", angle, "delay", "lag")}
         assert motion == {"v": 5.0, "r": 0.1, "psi": 0.2, angle: 0.7, "delay": 0.05, "lag": 0.0}
-    for name, command in (("wheel", "delta_sw_cmd"), ("friction", "angle")):
+    for name, command in (("short lag", "delta_sw_cmd"), ("long lag", "delta_sw_cmd"), ("friction", "angle")):
         assert (got[name][command], got[name]["delta_sw_meas"], got[name]["active"]) == (0.8, 0.3, 1.0)
     estimators.sample(two._replace(t=1.15))
     assert math.isnan(got["filter"]["delta_sw"])
     assert math.isnan(got["filter"]["psi"])
-    assert math.isnan(got["wheel"]["delta_sw_cmd"])
-    assert got["wheel"]["active"] == 0.0
+    assert math.isnan(got["short lag"]["delta_sw_cmd"])
+    assert got["short lag"]["active"] == 0.0
 
 
 def test_who_drives_by_hand_tells_the_ratio_but_no_delay(calibration: Made) -> None:
@@ -147,6 +148,11 @@ def test_an_error_of_arithmetic_begins_anew_and_is_counted(calibration: Made, mo
     monkeypatch.setattr(type(estimators.blocks["play"]), "update", whole)
     assert estimators.faults == 1
     assert estimators.found() == CarEstimators(CONFIG).found()
+    for sample in samples[201:300]:
+        estimators.sample(sample)
+    estimators.x["filter"] = tuple(-1.0 for _ in estimators.x["filter"])  # no covariance: its roots do not exist
+    assert estimators.found() == CarEstimators(CONFIG).found()
+    assert estimators.faults == 2
 
 
 def test_a_screen_has_few_rows(calibration: Made) -> None:
