@@ -53,7 +53,7 @@ CAR = ("--car", "dbw-kit.toml")
         (("drive", "stanley", "--car", "mine.toml"), "shipped: dbw-kit.toml"),
         (
             ("drive", "stanley", *CAR, "--recovery", "prayer"),
-            "--recovery 'prayer' is not known; valid: fitting, stanley",
+            "--recovery 'prayer' is not known; valid: fitting, adapting, stanley",
         ),
         (("drive", "stanley", *CAR, "--time-scale", "2"), "a real car has real time; use --simulated"),
         (("drive", "stanley", *CAR, "--simulated", "--channel", "/dev/x"), "leave --channel out"),
