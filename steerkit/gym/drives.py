@@ -14,7 +14,10 @@ from steerkit.loop import LoopState
 from steerkit.scenario import END_MARGIN
 
 Backend = Literal["python", "c"]
-INFO = ("path.e", "path.s", "path.progress", "car.x", "car.y", "car.psi", "car.v", "car.a_y", "car.delta_sw")
+INFO = (
+    *("path.e", "path.s", "path.progress", "car.x", "car.y", "car.psi", "car.v", "car.a_y", "car.delta_sw"),
+    *("safety.correction", "safety.share"),
+)
 """The true signals that `info` reports by their last names, where the loop has them."""
 
 

@@ -16,7 +16,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from steerkit.block import Block, Out, State
-from steerkit.catalogue import ELEMENTS, make_element
+from steerkit.catalogue import ELEMENTS, make_element, make_safety
 from steerkit.controllers.nfq_policy import IDOE_ACTIONS
 from steerkit.controllers.state_description import StateDescription
 from steerkit.doe import Dynamic, HeldAngle, Integrator
@@ -121,6 +121,9 @@ class Task:
     """Largest |e| at the start [m], at the scenario's reference point."""
     start_psi_e: float = 0.02
     """Largest turn at the start [rad], away from the heading that keeps e as it is."""
+    safe: bool = False
+    """Is there a `SafetyFilter` between the agent and the wheel? It keeps |e| of the front axle within 0.5 m, whatever
+    the agent does. `info` holds `correction` [rad] and `share` [1] then: an agent that is corrected should be told."""
     description: StateDescription = STANDARD
     """The observation's columns and ranges: names of the tracker's or the sensors' outputs, or `doe`; column 0 is e."""
 
@@ -159,6 +162,8 @@ class Task:
         words = "course, vehicle and conditions belong to the scenario; give them inside `scenario`, or no scenario"
         require(self.scenario is None or plain, where, words)
         _ = self.place
+        told = isinstance(self.place, Scenario)
+        require(told or not self.safe, where, "safe needs a Scenario, which says what is told of the car")
 
     # ---- what is steered ------------------------------------------------------------------------------------
 
@@ -218,7 +223,8 @@ class Task:
     @cached_property
     def loop(self) -> Loop:
         """The loop with an `Agent` for a controller."""
-        return assembled(self.place, Agent(dt=self.element.dt), doe=self.element)
+        safety = make_safety(self.place.belief()) if self.safe else None
+        return assembled(self.place, Agent(dt=self.element.dt), doe=self.element, safety=safety)
 
     @cached_property
     def columns(self) -> tuple[str, ...]:

@@ -94,3 +94,43 @@ def test_actions_out_of_range_are_refused() -> None:
             env.step(np.array([value]))
     with pytest.raises(ValueError, match=r"option .'x'. is not known; valid: s, e, psi_e"):
         env.reset(options={"x": 3.0})
+
+
+def worst_of(env: Any, steps: int) -> tuple[float, bool]:
+    """Largest |e| of an agent that takes another angle every half second, and did an episode fail?"""
+    rng = np.random.default_rng(1)
+    env.reset(seed=1)
+    worst, failed, action = 0.0, False, np.zeros(1)
+    for k in range(steps):
+        action = rng.uniform(-1.0, 1.0, 1) if k % 10 == 0 else action
+        _, _, terminated, _, info = env.step(action.astype(np.float32))
+        worst, failed = max(worst, abs(info["e"])), failed or terminated
+        if terminated:
+            break
+        assert ("correction" in info, "share" in info) == (env.unwrapped.task.safe,) * 2
+    return worst, failed
+
+
+def test_with_a_filter_no_agent_fails() -> None:
+    place: dict[str, Any] = dict(conditions="hard", actions="continuous")
+    assert worst_of(gymnasium.make(ID, **place), 100)[1]
+    worst, failed = worst_of(gymnasium.make(ID, safe=True, **place), 100)
+    assert not failed
+    assert 0.2 < worst < 0.5
+
+
+def test_many_cars_have_a_filter_each() -> None:
+    envs = gymnasium.make_vec(ID, num_envs=3, backend="python", conditions="hard", actions="continuous", safe=True)
+    one = gymnasium.make(ID, conditions="hard", actions="continuous", safe=True)
+    envs.reset(seed=4)
+    one.reset(seed=5)
+    for _ in range(30):
+        *_, infos = envs.step(np.ones((3, 1), dtype=np.float32))
+        *_, info = one.step(np.ones(1, dtype=np.float32))
+    assert infos["correction"][1] == pytest.approx(info["correction"], abs=1e-9)
+    assert np.abs(infos["e"]).max() < 0.5
+
+
+def test_a_filter_needs_to_be_told_of_the_car() -> None:
+    with pytest.raises(ValueError, match="safe needs a Scenario"):
+        gymnasium.make(ID, scenario=object(), safe=True)

@@ -114,3 +114,10 @@ def test_each_episode_has_the_human_and_the_noise_of_its_seed() -> None:
         numbers = np.array([np.broadcast_to(column, 3) for column in states[name]], dtype=float)
         np.testing.assert_array_equal(numbers[:, 0], numbers[:, 2])
         assert (numbers[:, 0] != numbers[:, 1]).any(), name
+
+
+def test_safe_is_a_filter_behind_the_output_element() -> None:
+    loop = Task(safe=True).loop
+    assert loop.inputs_of("safety")["command"] == "doe.delta_sw"
+    assert loop.inputs_of("doe")["applied"] == "safety.delta_sw"
+    assert "safety" not in Task().loop.names

@@ -42,6 +42,10 @@ KEYS = {
     "mpc_solve": {"ltv20_ms", "ltv20_p99_ms", "ltv40_ms", "nmpc20_ms", "nmpc40_ms", "ltv20_unsolved"},
     "nfq_iteration": {"seconds", "seconds_torch", "vs_torch_rprop_x", "equal_work", "decision_numpy_us"},
     "recovery_map": {"stanley-delay", "mpc", "nonlinear-mpc"},
+    "safety": {
+        *("departures", "runs", "good_median_s", "interventions_pct", "final_rms_x", "filter_p99_ms"),
+        *("adversary_max_e", "chatter_x"),
+    },
     "throughput": {
         *("interpreted_x", "simulate_x", "compiled_vm_x", "compiled_vm_uncollapsed_x", "compiled_c_x", "batch_x"),
         *("batch_linear_x", "steps_per_second", "base", "against", "largest_difference_m", "seconds_a_step_in_c"),
@@ -135,6 +139,13 @@ def sensible_laps(figures: Any) -> None:
     assert [row["delay"] for row in figures["stanley-delay"]] == [0.0, 0.3]
 
 
+def sensible_safety(figures: Any) -> None:
+    assert (figures["runs"], figures["departures"], figures["departures_without"]) == (1, 0, 1)
+    assert 0.3 < figures["adversary_max_e"] < 0.5
+    assert figures["chatter_x"] > 4.0
+    assert figures["filter_p99_ms"] is None or figures["filter_p99_ms"] > 0.0
+
+
 def sensible_learning(figures: Any) -> None:
     assert (figures["seeds"], figures["minutes"], len(figures["outcomes"])) == (1, 0.5, 1)
     assert figures["outcomes"][0]["transitions"] > 100
@@ -164,6 +175,7 @@ SENSIBLE = {
     "mpc_solve": lambda f: (f["ltv20_ms"] > 0.0 and f["ltv20_unsolved"] == 0) or pytest.fail(f),
     "nfq_iteration": lambda f: f["equal_work"] or pytest.fail(f),
     "recovery_map": lambda f: f["stanley-delay"][1]["recovered"] == 1.0 or pytest.fail(f),
+    "safety": sensible_safety,
     "throughput": sensible_throughput,
     "torque_steering": lambda f: f["stanley-delay"][0]["held"] or pytest.fail(f),
     "tune_stanley": lambda f: 0.0 < f["predicted"]["chosen"]["rms_e_m"] < 0.1 or pytest.fail(f),

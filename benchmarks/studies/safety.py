@@ -1,0 +1,306 @@
+"""What the safety filter is worth: no departure while learning, adversaries that stay on the path, chatter, cost.
+
+`hard` sensors throughout, judged by the simulated truth.
+
+* Learners: each seed learns with the filter on the single track, on CommonRoad's multi-body car and on cars of the
+  fleet, and once more without it. A departure is a run in which |e| exceeds 0.5 m after the first second. GOOD is when
+  a net takes the wheel that drives a whole round as `study learning` asks, without the filter. interventions_pct:
+  samples of the last minute in which the learner's command was mixed with the backup's, of the worst run.
+  final_rms_x: RMS e of the final net's test drive over that of the one that learned without it, in the median.
+* Adversaries: full lock to either side, bang-bang at 20 Hz and slower, away from the path, an untrained net, commands
+  by chance; tyres 30 % off, ratio 10 % off either way, 0.1 s of delay that nobody is told; 2 to 9 m/s. The filter is
+  told that commands may be 0.1 s late.
+* Chatter: RMS of the correction's change from sample to sample, of the one-step filter over the multi-step one, against
+  a driver who is smooth and wants to be 0.8 m beside the path, and against full lock.
+* Cost: time of a sample in the filter's own C, exported and called from Python, where its commands are corrected.
+
+    python -m benchmarks study safety [--seeds N] [--fleet N] [--minutes M] [--processes N] [--quick] [--json]
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import re
+import subprocess
+import tempfile
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass, replace
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.run.fleet import first_good, of_fleet, of_kind
+from steerkit import maths as m
+from steerkit.block import Block, In, Out
+from steerkit.catalogue import make_safety
+from steerkit.controllers.safety_filter import SafetyFilter
+from steerkit.controllers.stanley import Stanley
+from steerkit.export.c import export_c
+from steerkit.learning.experiment import Experiment
+from steerkit.learning.settings import DEFAULT
+from steerkit.learning.training_run import Taken, train
+from steerkit.learning.trials import TrialDrive, drive_each
+from steerkit.native import compiler
+from steerkit.scenario import Scenario
+from steerkit.scenario.drive import assembled
+from steerkit.simulation import Log, simulate
+from steerkit.task import DT, STOP, TRIP
+
+Array = NDArray[np.float64]
+KINDS = ("left", "right", "bang-bang", "slow bang-bang", "away", "untrained net", "chance")
+"""What an adversary does."""
+SPEEDS = (2.0, 4.0, 6.5, 9.0)
+"""Of the adversaries' drives [m/s]."""
+LATE = 0.1
+"""Delay that nobody is told [s]."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Adversary(Block):
+    """One who wants to leave the path."""
+
+    e = In("m")
+    psi_e = In("rad")
+    v = In("m/s")
+    delta_sw = Out("rad")
+
+    kind: str = "left"
+    """One of `KINDS`."""
+    seed: int = 0
+    """Of what is done by chance."""
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        kind = self.kind
+        if kind in ("left", "right"):
+            wish = STOP if kind == "left" else -STOP
+        elif kind == "away":
+            wish = m.where(u.e + 1.5 * u.psi_e >= 0.0, STOP, -STOP)
+        elif kind == "untrained net":
+            rng = np.random.default_rng((self.seed, int(t)))  # another one every second
+            first, last = rng.normal(size=(10, 4)), rng.normal(size=10)
+            wish = STOP * float(np.tanh(last @ np.tanh(first @ (2.0 * u.e, 5.0 * u.psi_e, u.v / 5.0, 1.0))))
+        elif kind == "chance":
+            wish = float(np.random.default_rng((self.seed, int(t / 0.2 + 1e-9))).uniform(-STOP, STOP))
+        else:
+            half = DT if kind == "bang-bang" else 0.7
+            wish = STOP * (1.0 if int(t / half + 1e-9) % 2 else -1.0)
+        return self.Y(wish + 0.0 * u.e)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Beside(Block):
+    """A smooth driver whose path is another: Stanley, so far to the left."""
+
+    e = In("m")
+    psi_e = In("rad")
+    kappa = In("1/m")
+    v = In("m/s")
+    r = In("rad/s")
+    delta_sw_meas = In("rad")
+    delta_sw = Out("rad")
+
+    law: Stanley
+    """The driver's law."""
+    by: float = 0.8
+    """How far [m]."""
+
+    def init(self, batch: tuple[int, ...] = ()) -> Any:
+        return self.law.init(batch)
+
+    def settle(self, t: float, x: Any, u: Any) -> Any:
+        return self.law.settle(t, x, self._seen(u))
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        return self.Y(self.law.output(t, x, self._seen(u)).delta_sw)
+
+    def update(self, t: Any, x: Any, u: Any, y: Any) -> Any:
+        return self.law.update(t, x, self._seen(u), y)
+
+    def _seen(self, u: Any) -> Any:
+        return u._replace(e=u.e - self.by)
+
+
+@dataclass(frozen=True)
+class Learner:
+    """What one learning run came to; times in seconds of driving, None where it did not happen."""
+
+    car: str
+    seed: int
+    max_e: float
+    good: float | None
+    failures: int
+    interventions_pct: float
+    final_rms_e: float
+    final_rms_e_without: float
+    max_e_without: float
+    computing: float
+
+
+def one_run(job: tuple[Scenario, int, float]) -> Learner:
+    """Let one car learn with the filter, and once more without."""
+    scenario, seed, minutes = job
+
+    def run(safe: bool) -> tuple[Log, list[Taken], Any]:
+        setting = replace(DEFAULT, safe=safe)
+        trained = train(Experiment(setting=setting, scenario=scenario, minutes=minutes, seed=seed))
+        return trained.run.recorder.log(), trained.nets, trained
+
+    def judged(net: Taken) -> TrialDrive:
+        return drive_each(scenario, DEFAULT, [net.policy], seed=seed + 1000)[0]
+
+    def final(nets: list[Taken]) -> float:
+        summary = judged(nets[-1]).summary if nets else None
+        return summary.rms_e if summary else float("nan")
+
+    log, nets, trained = run(safe=True)
+    last = (log.t >= log.t[-1] - 60.0) & (log["supervisor.learning"] > 0.5)
+    free, free_nets, _ = run(safe=False)
+    return Learner(
+        car=scenario.name or scenario.plant,
+        seed=seed,
+        max_e=_furthest(log),
+        good=first_good(nets, judged),
+        failures=trained.run.counts.failures,
+        interventions_pct=100.0 * float(np.mean(log["safety.share"][last] > 0.0)),
+        final_rms_e=final(nets),
+        final_rms_e_without=final(free_nets),
+        max_e_without=_furthest(free),
+        computing=trained.computing,
+    )
+
+
+def _furthest(log: Log) -> float:
+    """Largest |e| after the first second [m]."""
+    return float(np.abs(log["path.e"][log.t > 1.0]).max())
+
+
+def adversaries(seconds: float, kinds: tuple[str, ...], speeds: tuple[float, ...]) -> dict[str, Any]:
+    """Largest |e| of each adversary at each speed, the worse of both ratios; and what lateral acceleration it takes."""
+    table: dict[str, dict[str, float]] = {}
+    beyond = 0.0
+    for kind in kinds:
+        row = table.setdefault(kind, {})
+        for v in speeds:
+            for ratio in (0.9, 1.1):
+                changes: dict[str, Any] = dict(v_min=v, v_max=v, tyres=0.7, ratio=ratio, delay=LATE, told_delay=DT)
+                log = against(Adversary(kind=kind), Scenario.under("hard", course="paper", **changes), seconds, LATE)
+                row[f"{v:g} m/s"] = max(row.get(f"{v:g} m/s", 0.0), float(np.abs(log["path.e"]).max()))
+                bends = v * v * np.abs(log["path.kappa"])
+                beyond = max(beyond, float((np.abs(log["car.a_y"]) - np.maximum(bends, 3.0)).max()))
+    worst = max(value for row in table.values() for value in row.values())
+    return {"adversary_max_e": worst, "adversary_a_y_beyond": beyond, "adversaries": table}
+
+
+def against(driver: Block, scenario: Scenario, seconds: float, late: float, **settings: Any) -> Log:
+    """A drive of somebody with the filter, which is told that commands may be so late [s]."""
+    safety = replace(make_safety(scenario.belief()), delay_doubt=late, **settings)
+    return simulate(assembled(scenario, driver, safety=safety), seconds, every=5)
+
+
+def chatter(seconds: float, speeds: tuple[float, ...]) -> dict[str, Any]:
+    """RMS of the correction's change of both filters [rad a sample], and the least ratio."""
+    late = SafetyFilter.delay_doubt
+    rows: dict[str, tuple[float, float]] = {}
+    for v in speeds:
+        scenario = Scenario.under("hard", course="paper", v_min=v, v_max=v)
+        for name, driver in (("full lock", Adversary()), ("0.8 m beside", Beside(law=Stanley.of(scenario.nominal)))):
+            logs = [against(driver, scenario, seconds, late, hold=hold) for hold in (1, SafetyFilter.hold)]
+            one, many = (_rms(np.diff(log["safety.correction"][40:])) for log in logs)
+            rows[f"{name}, {v:g} m/s"] = (one, many)
+    return {"chatter": rows, "chatter_x": min(one / many for one, many in rows.values())}
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def cost(seconds: float, **settings: Any) -> dict[str, Any]:
+    """Time of a sample of the filter and its path tracker in exported C, the call from Python included [ms].
+
+    It is given the inputs of a drive of full lock, so that most commands are corrected. None without a C compiler.
+    """
+    tool = compiler()
+    if tool is None:
+        return {"filter_p99_ms": None, "filter_median_ms": None}
+    scenario = Scenario.under("hard", course="paper")
+    loop = assembled(scenario, Adversary(), safety=replace(make_safety(scenario.belief()), **settings))
+    log = simulate(loop, seconds, every=5)
+    with tempfile.TemporaryDirectory() as folder:
+        export_c(loop, folder, blocks=("safety_path", "safety"), name="filter")
+        library, header = Path(folder) / "filter.so", (Path(folder) / "filter.h").read_text(encoding="utf-8")
+        subprocess.run([*tool, "-O2", "-shared", "-fPIC", f"{folder}/filter.c", "-lm", "-o", str(library)], check=True)
+        names = re.findall(r"double (\w+);", header.split("typedef struct {")[2])
+        columns = [log[_signal(name, list(log))] for name in names]
+        code, taken = ctypes.CDLL(str(library)), []
+        state, outputs = ctypes.create_string_buffer(4096), ctypes.create_string_buffer(4096)
+        code.filter_init(state)
+        for row in np.column_stack(columns):
+            given = (ctypes.c_double * len(names))(*row)
+            began = time.perf_counter()
+            code.filter_step(state, given, outputs)
+            taken.append(time.perf_counter() - began)
+    p99, median = np.percentile(taken, (99.0, 50.0))
+    return {"filter_p99_ms": 1e3 * float(p99), "filter_median_ms": 1e3 * float(median)}
+
+
+def _signal(field: str, names: list[str]) -> str:
+    """The signal of a loop that a field of the C is named after."""
+    return next(name for name in names if name.replace(".", "_") == field)
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Its own command line options; --quick is one seed that drives for seconds, and one adversary."""
+    parser.add_argument("--seeds", type=int, default=5, help="seeds of each car")
+    parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--fleet", type=int, default=3, metavar="N", help="cars of the fleet")
+    parser.add_argument("--minutes", type=float, default=3.0, help="driving time of a run")
+    parser.add_argument("--processes", type=int, default=2)
+
+
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """Measure all parts and print them."""
+    console, quick = Console(width=150), options.quick
+    report = adversaries(4.0 if quick else 15.0, KINDS[:1] if quick else KINDS, SPEEDS[1:2] if quick else SPEEDS)
+    for kind, row in report["adversaries"].items():
+        console.print(f"{kind:16s} max |e|", "  ".join(f"{v}: {e:.3f} m" for v, e in row.items()))
+    report |= chatter(6.0 if quick else 20.0, (5.0,) if quick else (3.0, 5.0, 8.0))
+    report |= cost(2.0, horizon=0.35, hold=1, halvings=1) if quick else cost(100.0)
+    cars = [Scenario.under("hard", course="paper", name="single track")]
+    if not quick:
+        cars += [*of_kind("multi-body"), *of_fleet(options.fleet)]
+    seeds = range(options.first_seed, options.first_seed + (1 if quick else options.seeds))
+    jobs = [(car, seed, 0.1 if quick else options.minutes) for car in cars for seed in seeds]
+    with ProcessPoolExecutor(1 if quick else options.processes, mp_context=get_context("spawn")) as pool:
+        runs = list(pool.map(one_run, jobs))
+    table = Table(*[name.replace("_", " ") for name in asdict(runs[0])])
+    for run in runs:
+        table.add_row(*[f"{v:.3g}" if isinstance(v, float) else str(v) for v in asdict(run).values()])
+    console.print(table)
+    report |= summarise(runs) | {"outcomes": [asdict(run) for run in runs]}
+    for key, value in report.items():
+        if not isinstance(value, (dict, list)):
+            console.print(f"{key:26s} {value:.4g}" if isinstance(value, float) else f"{key:26s} {value}")
+    return report
+
+
+def summarise(runs: list[Learner]) -> dict[str, Any]:
+    """Counts, medians and worst cases over the runs; one that never got GOOD counts as infinite."""
+    good = np.array([np.inf if run.good is None else run.good for run in runs])
+    ratios = [run.final_rms_e / run.final_rms_e_without for run in runs]
+    return {
+        "runs": len(runs),
+        "departures": sum(run.max_e > TRIP for run in runs),
+        "departures_without": sum(run.max_e_without > TRIP for run in runs),
+        "max_e": max(run.max_e for run in runs),
+        "good_median_s": float(np.median(good)),
+        "good_worst_s": float(good.max()),
+        "interventions_pct": max(run.interventions_pct for run in runs),
+        "final_rms_x": float(np.nanmedian(ratios)) if np.isfinite(ratios).any() else float("nan"),
+    }
