@@ -158,7 +158,7 @@ def sensible_state(figures: Any) -> None:
 
 
 def sensible_alternatives(figures: Any) -> None:
-    """Three updates teach nobody; the run itself has learned."""
+    """Two updates teach nobody; the run itself has learned."""
     assert [drive["way"] for drive in figures["drives"]] == ["default", "aligned", "in flight", "actor"]
     assert figures["default_held_share"] == 1.0
 
