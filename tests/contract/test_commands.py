@@ -113,7 +113,7 @@ def shell(programs: Path) -> Iterator[Shell]:
 def learned(programs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A short learning run's directory."""
     folder = tmp_path_factory.mktemp("learned")
-    done = Shell(folder, programs).run("steerkit learn --course paper --seed 3 --minutes 0.3 --quiet --out run")
+    done = Shell(folder, programs).run("steerkit learn --course circle --seed 3 --minutes 0.2 --quiet --out run")
     assert done.returncode == 0, done.stderr
     return folder / "run"
 
