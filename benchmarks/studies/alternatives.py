@@ -39,7 +39,7 @@ from steerkit.learning.experiment import Experiment
 from steerkit.learning.nfq.dead_time import Process, process_of
 from steerkit.learning.nfq.iterate import FitSetting, iterate, mirror_image
 from steerkit.learning.nfq.model import CarModel, imagine, speed
-from steerkit.learning.nfq.network import new_net
+from steerkit.learning.nfq.network import forward, new_net
 from steerkit.learning.nfq.patterns import mirror_patterns, patterns
 from steerkit.learning.nfq.rprop import fit
 from steerkit.learning.settings import DEFAULT, Setting
@@ -132,14 +132,8 @@ class Actor(Policy):
 def acted(actor: Net, s: Array, description: StateDescription) -> NDArray[np.float64]:
     """pi(s)/reach (n,) of a net without the action's column, odd in the mirror: (pi(s) - pi(mirrored s))/2."""
     x = patterns(description, s, np.zeros(len(s)), 1.0)
-    one, other = (_sigmoid_net(actor, side[:, :ACTION]) for side in (x, mirror_patterns(description, x)))
+    one, other = (forward(actor, side[:, :ACTION]) for side in (x, mirror_patterns(description, x)))
     return (one - other).astype(np.float64)
-
-
-def _sigmoid_net(net: Net, x: NDArray[Any]) -> NDArray[Any]:
-    for w, b in zip(net[::2], net[1::2], strict=True):
-        x = 0.5 + 0.5 * np.tanh(0.5 * (x @ w.T + b))
-    return x[:, 0]
 
 
 def _first(description: StateDescription, n: int) -> StateDescription:
@@ -259,7 +253,7 @@ def actor_critic(process: Process, setting: Setting, updates: int, seed: int) ->
         c, terminal = setting.cost(whole.s, whole.a, whole.s_next)
         x = patterns(description, whole.s, whole.a, reach)
         follows = patterns(description, whole.s_next, reach * acted(actor, whole.s_next, description), reach)
-        to_go = np.mean([_sigmoid_net(net, follows) for net in critics], axis=0) if critics else np.zeros(len(c))
+        to_go = np.mean([forward(net, follows) for net in critics], axis=0) if critics else np.zeros(len(c))
         y = np.clip(np.where(terminal, c, c + fits.discount * to_go), *fits.clip).astype(np.float32)
         x2, y2 = np.concatenate([x, mirror_patterns(description, x)]), np.concatenate([y, y])
         sizes = (n + 1, *fits.hidden, 1)

@@ -12,6 +12,7 @@ from: what the gate and the 20 ms of the bus add to it is measured on the bus an
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -29,6 +30,8 @@ from steerkit.plants.real_car.file.reading import load
 from steerkit.plants.real_car.processes import protocol
 from steerkit.units import degrees_of, radians_of
 
+Timed = Sequence[tuple[float, float]]
+"""Times [s] and angles [rad]."""
 COMPUTING = 0.003
 """From a sample to its request [s]."""
 OPERATOR = 2
@@ -140,23 +143,26 @@ class Yard:
             self.worst, self.driven = max(self.worst, abs(self.last.e)), self.driven + 1
 
     def _late(self) -> float:
-        """By how much commands come to the bus later than the samples that they are of [s], as the motor feels it."""
-        times, angles = np.array(self.asked).T
-        sent = np.array(self.sent)
-        ok = np.isfinite(angles)
-        times, angles = times[ok], angles[ok]
-        t = np.arange(max(times[0], sent[0, 0]) + 1.0, times[-1] - 0.1, 0.001)
-        keep = np.exp(-0.001 / self.truth["lag"])
+        """By how much commands come to the bus later than the samples that they are of [s]."""
+        asked = [(t, angle) for t, angle in self.asked if np.isfinite(angle)]
+        begin = max(asked[0][0], self.sent[0][0]) + 1.0
+        return lateness(asked, self.sent, begin, asked[-1][0] - 0.1, self.truth["lag"])
 
-        def felt(x: Any) -> Any:
-            return lfilter([1.0 - keep], [1.0, -keep], x - x[0])
 
-        held = felt(angles[np.searchsorted(times, t, side="right")])
-        acted = felt(sent[np.searchsorted(sent[:, 0], t, side="right") - 1, 1])
-        start = 2000
-        return 0.001 * min(
-            range(60), key=lambda ms: float(np.mean((acted[start:] - held[start - ms : len(t) - ms]) ** 2))
-        )
+def lateness(asked: Timed, sent: Timed, begin: float, end: float, lag: float) -> float:
+    """By how much angles (t, angle) are sent later than the samples of which they were asked [s], as a motor of that
+    lag feels it between `begin` and `end`: to 1 ms, 60 ms at most."""
+    t = np.arange(begin, end, 0.001)
+    keep = np.exp(-0.001 / lag)
+
+    def felt(x: Any) -> Any:
+        return lfilter([1.0 - keep], [1.0, -keep], x - x[0])
+
+    (times, angles), (acting, moved) = np.array(asked).T, np.array(sent).T
+    held = felt(angles[np.searchsorted(times, t, side="right")])
+    acted = felt(moved[np.searchsorted(acting, t, side="right") - 1])
+    start = 2000
+    return 0.001 * min(range(60), key=lambda ms: float(np.mean((acted[start:] - held[start - ms : len(t) - ms]) ** 2)))
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

@@ -32,13 +32,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
 from benchmarks.run.fleet import first_good, of_fleet, of_kind
 from steerkit import maths as m
-from steerkit.block import Block, In, Out
+from steerkit.block import Block, In, Out, take_ports
 from steerkit.catalogue import make_safety
 from steerkit.controllers.safety_filter import SafetyFilter
 from steerkit.controllers.stanley import Stanley
@@ -47,16 +46,16 @@ from steerkit.learning.experiment import Experiment
 from steerkit.learning.settings import DEFAULT
 from steerkit.learning.training_run import Taken, train
 from steerkit.learning.trials import TrialDrive, drive_each
+from steerkit.metrics.signals import largest, rms
 from steerkit.native import compiler
 from steerkit.scenario import Scenario
 from steerkit.scenario.drive import assembled
 from steerkit.simulation import Log, simulate
 from steerkit.task import DT, STOP, TRIP
 
-Array = NDArray[np.float64]
 KINDS = ("left", "right", "bang-bang", "slow bang-bang", "away", "untrained net", "chance")
 """What an adversary does."""
-SPEEDS = (2.0, 4.0, 6.5, 9.0)
+SPEEDS = (2.0, 4.0, 6.5, 8.0, 9.0)
 """Of the adversaries' drives [m/s]."""
 LATE = 0.1
 """Delay that nobody is told [s]."""
@@ -98,18 +97,13 @@ class Adversary(Block):
 class Beside(Block):
     """A smooth driver whose path is another: Stanley, so far to the left."""
 
-    e = In("m")
-    psi_e = In("rad")
-    kappa = In("1/m")
-    v = In("m/s")
-    r = In("rad/s")
-    delta_sw_meas = In("rad")
-    delta_sw = Out("rad")
-
     law: Stanley
     """The driver's law."""
     by: float = 0.8
     """How far [m]."""
+
+    def __post_init__(self) -> None:
+        take_ports(self, self.law)
 
     def init(self, batch: tuple[int, ...] = ()) -> Any:
         return self.law.init(batch)
@@ -178,7 +172,7 @@ def one_run(job: tuple[Scenario, int, float]) -> Learner:
 
 def _furthest(log: Log) -> float:
     """Largest |e| after the first second [m]."""
-    return float(np.abs(log["path.e"][log.t > 1.0]).max())
+    return largest(log["path.e"][log.t > 1.0])
 
 
 def adversaries(seconds: float, kinds: tuple[str, ...], speeds: tuple[float, ...]) -> dict[str, Any]:
@@ -191,7 +185,7 @@ def adversaries(seconds: float, kinds: tuple[str, ...], speeds: tuple[float, ...
             for ratio in (0.9, 1.1):
                 changes: dict[str, Any] = dict(v_min=v, v_max=v, tyres=0.7, ratio=ratio, delay=LATE, told_delay=DT)
                 log = against(Adversary(kind=kind), Scenario.under("hard", course="paper", **changes), seconds, LATE)
-                row[f"{v:g} m/s"] = max(row.get(f"{v:g} m/s", 0.0), float(np.abs(log["path.e"]).max()))
+                row[f"{v:g} m/s"] = max(row.get(f"{v:g} m/s", 0.0), largest(log["path.e"]))
                 bends = v * v * np.abs(log["path.kappa"])
                 beyond = max(beyond, float((np.abs(log["car.a_y"]) - np.maximum(bends, 3.0)).max()))
     worst = max(value for row in table.values() for value in row.values())
@@ -212,13 +206,9 @@ def chatter(seconds: float, speeds: tuple[float, ...]) -> dict[str, Any]:
         scenario = Scenario.under("hard", course="paper", v_min=v, v_max=v)
         for name, driver in (("full lock", Adversary()), ("0.8 m beside", Beside(law=Stanley.of(scenario.nominal)))):
             logs = [against(driver, scenario, seconds, late, hold=hold) for hold in (1, SafetyFilter.hold)]
-            one, many = (_rms(np.diff(log["safety.correction"][40:])) for log in logs)
+            one, many = (rms(np.diff(log["safety.correction"][40:])) for log in logs)
             rows[f"{name}, {v:g} m/s"] = (one, many)
     return {"chatter": rows, "chatter_x": min(one / many for one, many in rows.values())}
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def cost(seconds: float, **settings: Any) -> dict[str, Any]:

@@ -7,9 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-from scipy.signal import lfilter
-
+from benchmarks.studies.car_calibration import lateness
 from steerkit import realtime
 from steerkit.courses import course
 from steerkit.on_car.calibration import Guided
@@ -71,19 +69,8 @@ class CalibratedWorld(World):
 
     def late(self) -> float:
         """By how much commands come to the bus later than the samples that they are of [s], as a motor feels it."""
-        t = np.arange(self.seen[40].t, self.seen[-2].t, 0.001)
-        times, angles = np.array([(s.t, s.command) for s in self.seen]).T
-        sent = np.array([(s.t, s.delta_sw) for s in self.sent])
-        keep = np.exp(-0.001 / LAG)
-
-        def felt(x: Any) -> Any:
-            return lfilter([1.0 - keep], [1.0, -keep], x - x[0])
-
-        held = felt(angles[np.searchsorted(times, t, side="right")])
-        acted = felt(sent[np.searchsorted(sent[:, 0], t, side="right") - 1, 1])
-        return 0.001 * min(
-            range(60), key=lambda ms: float(np.mean((acted[2000:] - held[2000 - ms : len(t) - ms]) ** 2))
-        )
+        asked, sent = [(s.t, s.command) for s in self.seen], [(s.t, s.delta_sw) for s in self.sent]
+        return lateness(asked, sent, self.seen[40].t, self.seen[-2].t, LAG)
 
 
 class Made(NamedTuple):

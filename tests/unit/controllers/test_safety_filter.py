@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from steerkit import maths as m
-from steerkit.block import Block, In, Out
+from steerkit.block import Block, In, Out, take_ports
 from steerkit.compiled import compile
 from steerkit.controllers.delay import Predicted, delayed_stanley
 from steerkit.controllers.safety_filter import REASONS, SafetyFilter
@@ -68,17 +68,12 @@ def test_a_car_that_runs_away_goes_on_for_dead_time_and_hold(delay: float) -> No
 class HeldThenStanley(Block):
     """What a roll-out takes for granted: a command for some time, then the backup."""
 
-    e = In("m")
-    psi_e = In("rad")
-    kappa = In("1/m")
-    v = In("m/s")
-    r = In("rad/s")
-    delta_sw_meas = In("rad")
-    delta_sw = Out("rad")
-
     law: Stanley
     held: float
     until: float
+
+    def __post_init__(self) -> None:
+        take_ports(self, self.law)
 
     def init(self, batch: tuple[int, ...] = ()) -> Any:
         return self.law.init(batch)
