@@ -78,7 +78,7 @@ class Shell:
     def run(self, line: str) -> subprocess.CompletedProcess[str]:
         """Run a line to its end."""
         return subprocess.run(
-            ["bash", "-c", f"set -o pipefail; {line}"],
+            ["bash", "-c", f"set -o pipefail; {line}\nexit $?"],  # bash stays: a program may ask which shell it is in
             cwd=self.folder,
             env=self.environment,
             stdin=subprocess.DEVNULL,
