@@ -21,6 +21,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "Controllers": ("controllers", "doe"),
     "Learning": ("learning", "gym"),
     "Analysis and metrics": ("analysis", "metrics", "identification"),
+    "Logs in and out": ("logs",),
     "Compiled loops and export": ("compiled", "export"),
     "On a car": ("on_car", "realtime", "plants.real_car"),
     "Command line": ("cli",),

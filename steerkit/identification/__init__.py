@@ -7,11 +7,9 @@ found.save("my-car.toml")            # vehicle("my-car.toml") is the car
 
 from __future__ import annotations
 
-from steerkit.identification.columns import Column, ColumnMap
-from steerkit.identification.drive import Drive
 from steerkit.identification.estimate import Estimate, Identified, Prediction
 from steerkit.identification.fit import identify
-from steerkit.identification.reading import read_drive, shipped_drives
+from steerkit.logs import Column, ColumnMap, Drive, read_drive, shipped_drives
 
 __all__ = [
     "Column",

@@ -11,8 +11,8 @@ import numpy as np
 
 from steerkit.errors import require
 from steerkit.files import write_text
-from steerkit.identification.drive import Array, Drive, moments
 from steerkit.identification.model import Simulator, stiffnesses
+from steerkit.logs.drive import Array, Drive, moments
 from steerkit.vehicles import Vehicle
 from steerkit.vehicles.file import vehicle_text
 

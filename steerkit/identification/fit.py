@@ -12,9 +12,9 @@ from scipy import stats
 from scipy.optimize import least_squares
 
 from steerkit.errors import require
-from steerkit.identification.drive import Array, Drive, moments
 from steerkit.identification.estimate import Estimate, Identified, car_of, predict
 from steerkit.identification.model import Simulator, stiffnesses
+from steerkit.logs.drive import Array, Drive, moments
 from steerkit.vehicles import Vehicle, vehicle
 
 BLOCK, BLOCKS = 2.0, 8

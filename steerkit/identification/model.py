@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from steerkit.compiled import Compiled, compile
-from steerkit.identification.drive import Array, Drive
+from steerkit.logs.drive import Array, Drive
 from steerkit.loop import Loop
 from steerkit.maths import Scalar
 from steerkit.plants.linear_single_track import LinearSingleTrack

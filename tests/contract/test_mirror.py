@@ -43,7 +43,6 @@ ELSEWHERE = {
     "steerkit.courses.make_courses": "evals/test_path_closed_forms.py",
     "steerkit.courses.shapes": "evals/test_path_closed_forms.py",
     "steerkit.gym.drives": "unit/gym/test_vector_env.py",
-    "steerkit.identification.make_drives": "unit/identification/test_identification.py",
     "steerkit.identification.pictures": "unit/cli/test_identify.py",
     "steerkit.learning.learn": "unit/learning/test_experiment.py",
     "steerkit.learning.nfq.kernel": "evals/test_rprop.py",
@@ -53,6 +52,10 @@ ELSEWHERE = {
     "steerkit.learning.pictures.paper": "unit/learning/pictures/test_run.py",
     "steerkit.learning.report": "unit/cli/test_learn.py",
     "steerkit.learning.training_run": "unit/learning/test_experiment.py",
+    "steerkit.logs.channels": "unit/logs/test_names.py",
+    "steerkit.logs.make_drives": "unit/identification/test_identification.py",
+    "steerkit.logs.own": "unit/logs/test_reading.py",
+    "steerkit.logs.tables": "unit/logs/test_reading.py",
     # the programs on the car, in a world of processes and simulated hardware
     "steerkit.on_car.learner": "evals/test_car_learning.py",
     "steerkit.on_car.panel": "evals/test_car_panel.py",

@@ -116,3 +116,35 @@ def test_a_gyros_zero_is_taken_off(zero: float) -> None:
     drive = Drive.of(**circling(r=whole["r"] + zero))
     inner = drive.measured & (drive.t < drive.t[-1] - 0.2)
     np.testing.assert_allclose(drive.r[inner], whole["r"][: len(drive.r)][inner], atol=1e-3)
+
+
+@pytest.mark.parametrize(("key", "jump"), [("delta_sw", 4.0), ("v", 8.0), ("r", 2.0)])
+def test_a_lone_value_that_no_car_reaches_is_left_out(key: str, jump: float, clean: dict[str, Any]) -> None:
+    spoilt = {name: value.copy() for name, value in by_rate(clean).items()}
+    spoilt[key][1234] += jump
+    drive, same = Drive.of(**spoilt), Drive.of(**by_rate(clean))
+    assert any(f"dropped 1 rows of a lone {key} that no car reaches" in note for note in drive.notes)
+    np.testing.assert_allclose(getattr(drive, key), getattr(same, key), atol=0.02)
+
+
+@pytest.mark.parametrize("off", [-64.0, -3.0, 0.7, 32.0])
+def test_a_row_whose_time_was_spoilt_is_left_out_not_sorted(off: float, clean: dict[str, Any]) -> None:
+    spoilt = by_rate(clean) | {"t": clean["t"].copy()}
+    spoilt["t"][2222] += off
+    drive, same = Drive.of(**spoilt), Drive.of(**by_rate(clean))
+    assert any("dropped 1 rows whose time is far" in note for note in drive.notes)
+    assert len(drive.v) == len(same.v)
+    np.testing.assert_allclose(drive.delta_sw, same.delta_sw, atol=0.02)
+
+
+def test_where_the_car_was_comes_along(clean: dict[str, Any]) -> None:
+    place = {"x": 3.0 * clean["t"], "y": np.where(clean["t"] < 50.0, -clean["t"], np.nan)}
+    drive = Drive.of(**clean, **place)
+    assert drive.x is not None
+    assert drive.y is not None
+    assert drive.psi is not None
+    np.testing.assert_allclose(drive.x, 3.0 * drive.t, atol=1e-9)
+    assert np.isnan(drive.y[drive.t > 50.1]).all()
+    np.testing.assert_allclose(drive.y[drive.t < 49.9], -drive.t[drive.t < 49.9], atol=1e-9)
+    np.testing.assert_allclose(drive.psi, clean["psi"][: len(drive.psi)], atol=1e-9)
+    assert Drive.of(**by_rate(clean)).x is None

@@ -4,40 +4,14 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from steerkit.errors import require
 from steerkit.files import read_toml
-from steerkit.units import RAD_PER_DEG
-
-QUANTITIES = {"t": "s", "delta_sw": "rad", "v": "m/s", "r": "rad/s", "psi": "rad"}
-"""What a drive is made of, in SI: time, steering-wheel angle, speed, yaw rate, heading (one of r and psi, or both)."""
-
-UNITS: dict[str, dict[str, float]] = {
-    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
-    "rad": {"rad": 1.0, "deg": RAD_PER_DEG},
-    "m/s": {"m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704, "kn": 1852.0 / 3600.0},
-    "rad/s": {"rad/s": 1.0, "deg/s": RAD_PER_DEG, "mrad/s": 1e-3},
-}
-"""SI unit to the units that a column may have, and what one of them is in SI."""
-
-_NAMES = {
-    "t": ("t", "time", "timestamp", "time_s"),
-    "delta_sw": (
-        "delta_sw",
-        "supervisor.delta_sw",
-        "doe.delta_sw",
-        "controller.delta_sw",
-        "actuator.delta_sw",
-        "car.delta_sw",
-    ),
-    "v": ("v", "sensors.v", "car.v"),
-    "r": ("r", "wz", "yaw_rate", "sensors.r", "car.r"),
-    "psi": ("psi", "sensors.psi", "car.psi"),
-}
-"""Names that need no map, best first; those with a dot are steerkit's own signals, the command before the angle."""
+from steerkit.logs.channels import Channel
+from steerkit.logs.names import QUANTITIES, UNITS, candidates, ended_unit, told_unit
 
 
 @dataclass(frozen=True)
@@ -103,25 +77,28 @@ class ColumnMap:
                     raise ValueError(f"--column: '{word}': scale '{more[1]}' is no number") from None
         return cls.of(table, where="--column")
 
-    def with_guesses(self, names: Iterable[str], *, where: str) -> ColumnMap:
-        """This map, completed with columns of well-known names; raises ValueError when something needed is missing."""
-        present = list(names)
-        columns = dict(self.columns)
-        for quantity, column in columns.items():
-            require(
-                column.name in present, where, f"no column '{column.name}' for {quantity}{_near(column.name, present)}"
-            )
-        for quantity, known in _NAMES.items():
-            endings = ("", *(f"_{ending}" for ending in _ENDINGS))
-            options = [name + ending for name in known for ending in endings if name + ending in present]
-            if quantity not in columns and options:
-                columns[quantity] = Column(options[0])
-        missing = [name for name in ("t", "delta_sw", "v") if name not in columns]
+    def with_guesses(self, channels: Mapping[str, Channel], *, where: str) -> ColumnMap:
+        """This map, completed with channels of well-known names or kinds, each with the unit that the file tells.
+
+        Raises ValueError when something that a drive needs is missing.
+        """
+        columns = {quantity: _found(quantity, column, channels, where) for quantity, column in self.columns.items()}
+        for quantity in QUANTITIES:
+            options = candidates(quantity, channels)
+            given = {"delta": "delta_sw", "delta_sw": "delta"}.get(quantity)
+            if quantity not in columns and given not in columns and options:
+                columns[quantity] = Column(options[0], told_unit(quantity, channels[options[0]]))
+        for pair in (("x", "y"), ("lat_deg", "lon_deg")):
+            if len(columns.keys() & set(pair)) == 1:
+                columns.pop(*(columns.keys() & set(pair)))
+        columns.pop("t", None)
+        missing = [] if {"delta_sw", "delta"} & columns.keys() else ["delta_sw"]
+        missing += [] if "v" in columns else ["v"]
         missing += [] if {"r", "psi"} & columns.keys() else ["r or psi"]
         require(
             not missing,
             where,
-            f"which column is {', '.join(missing)}? Columns: {', '.join(present)}. Say so in a map, such as "
+            f"which column is {', '.join(missing)}? Columns: {', '.join(channels)}. Say so in a map, such as "
             'delta_sw = { column = "steering_angle", unit = "deg" }, or with --column delta_sw=steering_angle:deg',
         )
         return ColumnMap(columns)
@@ -141,29 +118,25 @@ class ColumnMap:
         )
 
 
-_ENDINGS = {
-    "deg": "deg",
-    "deg_s": "deg/s",
-    "degs": "deg/s",
-    "kmh": "km/h",
-    "kph": "km/h",
-    "mph": "mph",
-    "ms": "ms",
-    "us": "us",
-    "ns": "ns",
-    "s": "s",
-    "mps": "m/s",
-    "rad": "rad",
-    "rad_s": "rad/s",
-}
+def _found(quantity: str, column: Column, channels: Mapping[str, Channel], where: str) -> Column:
+    """The column that a user named, under its full name, with the unit that it has."""
+    name = column.name
+    if name not in channels:
+        bare = name.partition(" [")[0]
+        ends = [full for full in channels if full == bare or full.endswith((f"/{name}", f".{name}"))]
+        require(len(ends) < 2, where, f"'{name}' for {quantity} may be {' or '.join(ends)}; give the whole name")
+        require(len(ends) == 1, where, f"no column '{name}' for {quantity}{_near(name, channels)}")
+        name = ends[0]
+    said = channels[name].unit
+    unit = column.unit or told_unit(quantity, channels[name])
+    if said and not unit:
+        units = ", ".join(UNITS[QUANTITIES[quantity]])
+        raise ValueError(f"{where}: {name} is in '{said}', and {quantity} may be in {units}; say unit in the map")
+    return replace(column, name=name, unit=unit)
 
 
 def _unit(quantity: str, column: Column) -> str:
-    if column.unit:
-        return column.unit
-    si = QUANTITIES[quantity]
-    ends = [unit for ending, unit in _ENDINGS.items() if column.name.lower().endswith(f"_{ending}")]
-    return next((unit for unit in ends if unit in UNITS[si]), si)
+    return column.unit or ended_unit(quantity, column.name) or QUANTITIES[quantity]
 
 
 def _factor(quantity: str, column: Column, where: str) -> float:

@@ -1,4 +1,4 @@
-"""Makes a shipped drive of a recorded lap: `python -m steerkit.identification.make_drives LAP.mat OUT.csv.gz`.
+"""Makes a shipped drive of a recorded lap: `python -m steerkit.logs.make_drives LAP.mat OUT.csv.gz`.
 
 Not needed at run time. The lap is a MATLAB file of the genesis_path_follower recordings, 100 Hz: t, df [rad] (the
 steering wheel's angle over 15.87, as their state_publisher.py has it: it comes in steps of 0.1 degree), v [m/s],

@@ -97,7 +97,7 @@ def test_frames_that_were_spoilt_on_the_way_are_left_out(tmp_path: Path) -> None
         ("a.csv", b"", "the file is empty"),
         ("a.csv", b"t,v\n", "no rows under a row of names"),
         ("a.csv", b"1,2\n3,4\n", "the first row holds numbers"),
-        ("a.csv", b"t,v,yaw\n1,2,3\n2,3,4\n", r"which column is delta_sw, r or psi\? Columns: t, v, yaw"),
+        ("a.csv", b"t,v,yaw\n1,2,3\n2,3,4\n", r"which column is delta_sw, r or psi\? Columns: v, yaw"),
         ("a.mat", b"MATLAB 5.0 or so", "no MATLAB file, or cut off"),
         ("a.npz", b"PK broken", "a.npz"),
         ("a.parquet", b"PAR1", "no Parquet file, or cut off"),
@@ -127,3 +127,47 @@ def test_files_cut_off_are_used_up_to_there(clean: dict[str, Any], tmp_path: Pat
     (tmp_path / "c.mat").write_bytes(whole[: len(whole) // 2])
     with pytest.raises(ValueError, match=r"c\.mat"):
         read_drive(tmp_path / "c.mat")
+
+
+def test_files_of_different_rates_on_one_clock_are_one_drive(clean: dict[str, Any], tmp_path: Path) -> None:
+    """Each quantity in a file of its own, each with its own times, units in names or in brackets."""
+    t = clean["t"]
+    for name, head, every, values in (
+        ("wheel", "t_s,steering_wheel_deg", 1, degrees_of(clean["delta_sw"])),
+        ("speed", "time [ms],speed [km/h]", 4, 3.6 * clean["v"]),
+        ("gyro", "t,yaw_rate", 2, clean["r"]),
+    ):
+        clock = t * 1000.0 if name == "speed" else t
+        rows = [f"{a!r},{b!r}" for a, b in zip(clock[::every].tolist(), values[::every].tolist())]
+        (tmp_path / f"{name}.csv").write_text("\n".join([head, *rows, ""]))
+    files = [tmp_path / f"{name}.csv" for name in ("wheel", "speed", "gyro")]
+    drive, same = read_drive(files), Drive.of(**by_rate(clean))
+    assert "delta_sw = steering_wheel_deg [deg], v = speed [km/h], r = yaw_rate [rad/s]" in drive.notes[0]
+    assert "one clock of 50 Hz for channels of delta_sw 50, v 12.5, r 25 Hz" in drive.notes
+    n = len(drive.v)
+    np.testing.assert_allclose(drive.delta_sw, same.delta_sw[:n], atol=1e-12)
+    np.testing.assert_allclose(drive.v, same.v[:n], atol=1e-3)
+    np.testing.assert_allclose(drive.r, same.r[:n], atol=0.01)
+
+
+def test_the_road_wheels_angle_is_said_to_be_one(clean: dict[str, Any], tmp_path: Path) -> None:
+    columns = {
+        "t": clean["t"],
+        "steering_tire_angle": clean["delta_sw"] / 14.2,
+        "v": clean["v"],
+        "yaw_rate": clean["r"],
+    }
+    savemat(tmp_path / "a.mat", columns)
+    drive = read_drive(tmp_path / "a.mat", steer_ratio=14.2)
+    np.testing.assert_allclose(drive.delta_sw, Drive.of(**by_rate(clean)).delta_sw, atol=1e-12)
+    assert any("delta_sw = 14.2 * the road wheels' angle" in note for note in drive.notes)
+    assert any("15 * the road wheels' angle" in note for note in read_drive(tmp_path / "a.mat").notes)
+
+
+def test_a_unit_that_is_none_of_the_quantity_teaches(clean: dict[str, Any], tmp_path: Path) -> None:
+    rows = ["t,delta_sw,v [rpm],r", *("0,0,0,0" for _ in range(5))]
+    (tmp_path / "a.csv").write_text("\n".join(rows))
+    with pytest.raises(ValueError, match="which column is v"):
+        read_drive(tmp_path / "a.csv")
+    with pytest.raises(ValueError, match="v is in 'rpm', and v may be in m/s, km/h"):
+        read_drive(tmp_path / "a.csv", {"v": "v"})

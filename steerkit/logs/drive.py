@@ -11,6 +11,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal import savgol_filter
 
 from steerkit.errors import require
+from steerkit.logs.clock import PLACES
 from steerkit.units import RAD_PER_DEG
 
 Array = NDArray[np.floating[Any]]
@@ -23,6 +24,8 @@ SETTLE = 1.0
 """After a gap, and at the start, the model has this long to forget what it does not know [s]."""
 HEADING_WINDOW = 0.2
 """Length of the parabola whose slope is the yaw rate, where only the heading was recorded [s]."""
+_FASTEST = {"delta_sw": 35.0, "v": 30.0, "r": 30.0, "psi": 10.0}
+"""What no car changes faster than: 2000 deg/s of wheel [rad/s], 3 g [m/s^2], yaw [rad/s^2], heading [rad/s]."""
 PLAUSIBLE = (15.0, 120.0)
 """Steering-wheel angle over curvature, n (L + K v^2) [m], that a road car can have."""
 
@@ -45,6 +48,12 @@ class Drive:
     """Where samples were recorded, that is not in a gap nor within 1 s after one (n,)."""
     calibrated: bool
     """Is the yaw rate's zero known, from the heading?"""
+    psi: Array | None = None
+    """Heading without jumps, + = counter-clockwise (n,) [rad]; None where the log has none."""
+    x: Array | None = None
+    """Where the car was, east or as the log has it (n,) [m]; NaN where not known, None where the log has none."""
+    y: Array | None = None
+    """The same, north."""
     notes: tuple[str, ...] = ()
     """What was read and what was repaired, in words."""
     digest: str = ""
@@ -69,6 +78,8 @@ class Drive:
         v: ArrayLike,
         r: ArrayLike | None = None,
         psi: ArrayLike | None = None,
+        x: ArrayLike | None = None,
+        y: ArrayLike | None = None,
         name: str = "drive",
         dt: float | None = None,
         trusted: bool = False,
@@ -77,15 +88,16 @@ class Drive:
     ) -> Drive:
         """A drive from columns in SI (n,), with r or psi or both, repaired and brought to one clock.
 
-        Repaired, with a note each: rows that are not finite, rows out of order, repeated times, gaps (bridged, and
-        left out of every comparison), a yaw rate whose zero differs from the heading's rate. r from psi: slope of a
+        Repaired, with a note each: rows that are not finite, rows out of order, repeated times, lone values that no
+        car reaches, gaps (bridged, and left out of every comparison), a yaw rate whose zero differs from the heading's
+        rate. x, y may be unknown (NaN) in places. r from psi: slope of a
         parabola over 0.2 s. dt: the clock's step [s] (default: the recording's, within 0.01 to 0.05). trusted: do not
         judge whether units and signs are plausible. Raises ValueError for what cannot be repaired, with advice.
         """
-        given = {"t": t, "delta_sw": delta_sw, "v": v, "r": r, "psi": psi}
+        given = {"t": t, "delta_sw": delta_sw, "v": v, "r": r, "psi": psi, "x": x, "y": y}
         columns = {key: np.asarray(value, dtype=float).ravel() for key, value in given.items() if value is not None}
         remarks = list(notes)
-        columns = _in_order(columns, name, remarks)
+        columns = _without_lone(_in_order(columns, name, remarks), remarks)
         step, gaps = _steps(columns["t"], name, remarks)
         if not trusted:
             _check_ranges(columns, name)
@@ -103,6 +115,9 @@ class Drive:
             r=rate,
             measured=measured,
             calibrated=calibrated,
+            psi=even.get("psi"),
+            x=even.get("x"),
+            y=even.get("y"),
             notes=tuple(remarks),
             digest=digest,
         )
@@ -118,12 +133,16 @@ def _in_order(columns: dict[str, Array], name: str, remarks: list[str]) -> dict[
     lengths = {key: len(value) for key, value in columns.items()}
     if len(set(lengths.values())) > 1:
         raise ValueError(f"{name}: columns of different lengths: {', '.join(f'{k} {n}' for k, n in lengths.items())}")
-    finite = np.all([np.isfinite(value) for value in columns.values()], axis=0)
+    finite = np.all([np.isfinite(value) for key, value in columns.items() if key not in PLACES], axis=0)
     lost = int(np.sum(~finite))
     require(finite.sum() >= 100, name, f"{int(finite.sum())} whole rows of {len(finite)}, expected 100 or more")
     if lost:
         remarks.append(f"dropped {lost} of {len(finite)} rows that hold no number")
         columns = {key: value[finite] for key, value in columns.items()}
+    stray = _stray(columns["t"])
+    if stray.any():
+        remarks.append(f"dropped {int(stray.sum())} rows whose time is far from that of the rows around them")
+        columns = {key: value[~stray] for key, value in columns.items()}
     t = columns["t"]
     back = int(np.sum(np.diff(t) < 0.0))
     if back:
@@ -142,6 +161,35 @@ def _in_order(columns: dict[str, Array], name: str, remarks: list[str]) -> dict[
         columns = {key: value[new] for key, value in columns.items()}
         remarks.append(f"dropped {int(np.sum(~new))} rows that repeat the time of the one before")
     return columns
+
+
+def _stray(t: Array) -> NDArray[np.bool_]:
+    """Lone rows whose time is neither between that of their neighbours nor near it: of a spoilt digit, say."""
+    stray = np.zeros(len(t), dtype=bool)
+    before, at, after = t[:-2], t[1:-1], t[2:]
+    step = float(np.median(np.abs(np.diff(t))))
+    off = np.maximum(np.maximum(at - np.maximum(before, after), np.minimum(before, after) - at), 0.0)
+    stray[1:-1] = (before <= after) & (off > max(5.0 * step, 0.25))
+    return stray if stray.sum() <= 1 + 0.01 * len(t) else np.zeros_like(stray)
+
+
+def _without_lone(columns: dict[str, Array], remarks: list[str]) -> dict[str, Array]:
+    """Rows in which one value stands off from both neighbours by more than a car can change, and they agree: a spoilt
+    digit or bit, in a format that has no check sum."""
+    t = columns["t"]
+    bad = np.zeros(len(t), dtype=bool)
+    span = np.minimum(np.diff(t)[:-1], np.diff(t)[1:])
+    for key, fastest in _FASTEST.items():
+        if key in columns:
+            value = np.unwrap(columns[key]) if key == "psi" else columns[key]
+            there, back = np.diff(value)[:-1], np.diff(value)[1:]
+            usual = 20.0 * float(np.median(np.abs(np.diff(value))))
+            least = np.minimum(np.abs(there), np.abs(back))
+            lone = (there * back < 0.0) & (least > 4.0 * np.abs(there + back)) & (least > fastest * span + usual)
+            if lone.any():
+                bad[1:-1] |= lone
+                remarks.append(f"dropped {int(lone.sum())} rows of a lone {key} that no car reaches")
+    return {key: value[~bad] for key, value in columns.items()} if bad.any() else columns
 
 
 def _steps(t: Array, name: str, remarks: list[str]) -> tuple[float, NDArray[np.intp]]:
@@ -199,8 +247,14 @@ def _resampled(columns: dict[str, Array], dt: float, step: float) -> dict[str, A
     for key, value in columns.items():
         if key != "t":
             value = np.unwrap(value) if key == "psi" else value
-            values = np.asarray(uniform_filter1d(value, width) if width >= 2 else value, dtype=float)
-            even[key] = np.interp(clock, t, values)
+            known = np.isfinite(value) if key in PLACES else np.ones(len(t), dtype=bool)
+            if not known.any():
+                continue
+            smooth = width >= 2 and known.all()
+            values = np.asarray(uniform_filter1d(value, width) if smooth else value, dtype=float)
+            even[key] = np.interp(clock, t[known], values[known])
+            if not known.all():
+                even[key][~np.interp(clock, t, known.astype(float)).astype(bool)] = np.nan
     even["v"] = np.maximum(even["v"], 0.0)
     return even
 

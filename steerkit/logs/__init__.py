@@ -1,0 +1,13 @@
+"""Logs of any program: what is in them (`read_log`), and the drive that they hold (`read_drive`)::
+
+drive = read_drive("lap.mat", ColumnMap.load("lap.toml"))
+"""
+
+from __future__ import annotations
+
+from steerkit.logs.channels import Channel
+from steerkit.logs.columns import Column, ColumnMap
+from steerkit.logs.drive import Drive
+from steerkit.logs.reading import RawLog, drive_of, read_drive, read_log, shipped_drives
+
+__all__ = ["Channel", "Column", "ColumnMap", "Drive", "RawLog", "drive_of", "read_drive", "read_log", "shipped_drives"]

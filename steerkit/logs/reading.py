@@ -1,0 +1,189 @@
+"""`read_log`: any file of a log to channels; `read_drive`: those to a drive on one clock."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from importlib.resources import as_file, files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from steerkit.errors import require
+from steerkit.logs import own, tables
+from steerkit.logs.channels import Channel, Options, Source, Table
+from steerkit.logs.clock import aligned, in_metres
+from steerkit.logs.columns import Column, ColumnMap
+from steerkit.logs.drive import Drive
+from steerkit.logs.names import is_time
+
+_SHIPPED = {"genesis": "genesis.csv.gz", "genesis-rfs": "genesis_rfs.csv.gz"}
+
+STEER_RATIO = 15.0
+"""Steering-wheel angle over the road wheels' where a log has only these, and nobody says the car's."""
+
+
+def shipped_drives() -> tuple[str, ...]:
+    """Names of the recorded drives that come with steerkit: those of the courses `genesis` and `genesis-rfs`."""
+    return tuple(_SHIPPED)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RawLog:
+    """The channels of one or more files, each on its own clock; `read_log` makes one."""
+
+    name: str
+    """Of the files, for messages."""
+    channels: Mapping[str, Channel]
+    """By name; `FILE/NAME` where two files have one of the same name."""
+    sources: tuple[Source, ...]
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was repaired in which file, in words."""
+        one = len(self.sources) == 1
+        return tuple(note if one else f"{s.path.name}: {note}" for s in self.sources for note in s.notes)
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the file; of the digests of several."""
+        digests = [source.digest for source in self.sources]
+        return digests[0] if len(digests) == 1 else hashlib.sha256("".join(digests).encode()).hexdigest()
+
+
+Files = str | Path | Iterable[str | Path]
+
+
+def read_log(files: Files, *, dbc: str | Path | Iterable[str | Path] = (), time: Column | None = None) -> RawLog:
+    """Everything that is in one or more files of a log, as channels.
+
+    files: CSV, MATLAB, npz, Parquet, MCAP of a car server. dbc: what is in CAN frames. time: which column of a table
+    is the time (default: one of a well-known name). Raises ValueError, saying what to do, for a file that is not
+    there, broken, or of another kind.
+    """
+    options = Options(dbc=tuple(str(one) for one in _many(dbc)))
+    paths = [Path(file) for file in _many(files)]
+    require(paths, "read_log", "no files, expected one or more")
+    sources = [_source(path, options) for path in paths]
+    found = [(source, channel) for source in sources for channel in _channels(source, time)]
+    names = [channel.name for _, channel in found]
+    channels: dict[str, Channel] = {}
+    for source, channel in found:
+        name = channel.name if names.count(channel.name) == 1 else f"{source.path.name}/{channel.name}"
+        require(name not in channels, str(source.path), f"two channels of one name: {name}")
+        channels[name] = replace(channel, name=name)
+    return RawLog(name=", ".join(path.name for path in paths), channels=channels, sources=tuple(sources))
+
+
+def read_drive(
+    file: Files,
+    columns: ColumnMap | Mapping[str, Any] | None = None,
+    *,
+    dbc: str | Path | Iterable[str | Path] = (),
+    steer_ratio: float | None = None,
+    dt: float | None = None,
+    trusted: bool = False,
+) -> Drive:
+    """A recorded drive from a file, from several of one clock, or a shipped one by name.
+
+    file: see `read_log`. columns: which channel is what (default: those of well-known names and kinds). dbc: what is
+    in CAN frames. steer_ratio: of the car, for logs that have the road wheels' angle only (default: 15, with a note).
+    dt, trusted: see `Drive.of`. Raises ValueError, saying what to do, for a file that is not there, broken, of
+    another kind, lacks a quantity or holds nonsense; what could be repaired is in the drive's `notes`.
+    """
+    paths = [str(one) for one in _many(file)]
+    if len(paths) == 1 and paths[0] in _SHIPPED and not Path(paths[0]).exists():
+        with as_file(files(__package__) / "drives" / _SHIPPED[paths[0]]) as place:
+            return read_drive(place, columns, steer_ratio=steer_ratio, dt=dt, trusted=trusted)
+    given = columns if isinstance(columns, ColumnMap) else ColumnMap.of(columns or {})
+    log = read_log(paths, dbc=dbc, time=given.columns.get("t"))
+    return drive_of(log, given, steer_ratio=steer_ratio, dt=dt, trusted=trusted)
+
+
+def drive_of(
+    log: RawLog, columns: ColumnMap, *, steer_ratio: float | None = None, dt: float | None = None, trusted: bool = False
+) -> Drive:
+    """The drive in a log that was read: see `read_drive`."""
+    where = ", ".join(str(source.path) for source in log.sources)
+    used = columns.with_guesses(log.channels, where=where)
+    clock = columns.columns.get("t")
+    notes = [f"read {', '.join(([f't = {clock.name}'] if clock else []) + [used.told()])}", *log.notes]
+    values = used.in_si({name: channel.values for name, channel in log.channels.items()}, where=where)
+    times = {quantity: log.channels[column.name].t for quantity, column in used.columns.items()}
+    if "delta" in values and "delta_sw" not in values:
+        ratio = STEER_RATIO if steer_ratio is None else steer_ratio
+        require(0.0 < ratio < 100.0, where, f"steer_ratio = {ratio:g}, expected more than 0, such as 15")
+        values["delta_sw"], times["delta_sw"] = ratio * values.pop("delta"), times.pop("delta")
+        kind = "not known: say steer_ratio" if steer_ratio is None else "as given"
+        notes.append(f"delta_sw = {ratio:g} * the road wheels' angle: the log has no other; the ratio is {kind}")
+    if {"lat_deg", "lon_deg"} <= values.keys():
+        values, times = in_metres(values, times, notes)
+    even = aligned(values, times, where, notes)
+    name = Path(log.sources[0].path).name if len(log.sources) == 1 else log.name
+    return Drive.of(**even, name=name, dt=dt, trusted=trusted, notes=tuple(notes), digest=log.digest)
+
+
+def _many(files: Any) -> list[Any]:
+    return [files] if isinstance(files, str | Path) else list(files)
+
+
+def _source(path: Path, options: Options) -> Source:
+    kind = "".join(path.suffixes[-2:]).lower() if path.suffix.lower() == ".gz" else path.suffix.lower()
+    if kind not in _READERS:
+        known = ", ".join((*_READERS, *_SHIPPED))
+        raise ValueError(f"{path}: a recording ends in one of, or is called, {known}")
+    try:
+        with path.open("rb") as stream:
+            digest = hashlib.file_digest(stream, "sha256").hexdigest()
+        size = path.stat().st_size
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read ({error.strerror})") from error
+    require(size, str(path), "the file is empty")
+    notes: list[str] = []
+    found = _READERS[kind](path, options, notes)
+    return Source(path=path, tables=tuple(found), notes=tuple(notes), digest=digest, size=size)
+
+
+def _channels(source: Source, time: Column | None) -> Iterable[Channel]:
+    for table in source.tables:
+        t, clock = table.t, ""
+        if t is None:
+            clock = _clock(table, time, str(source.path))
+            column = Column(clock) if time is None or time.name != clock else time
+            column = replace(column, unit=column.unit or table.units.get(clock, ""))
+            t = ColumnMap({"t": column}).in_si({clock: table.columns[clock]}, where=str(source.path))["t"]
+        for name, values in table.columns.items():
+            if name != clock:
+                numbers = np.asarray(values, dtype=float)
+                unit, means = table.units.get(name, ""), table.means.get(name, "")
+                yield Channel(name=name, t=t, values=numbers, unit=unit, means=means)
+
+
+def _clock(table: Table, time: Column | None, where: str) -> str:
+    """The column that holds the time."""
+    if time is not None and time.name in table.columns:
+        return time.name
+    known = [name for name in table.columns if is_time(name)]
+    require(
+        known,
+        where,
+        f"which column is t? Columns: {', '.join(table.columns)}. Say so in a map, such as "
+        't = { column = "stamp", unit = "ms" }, or with --column t=stamp:ms',
+    )
+    return known[0]
+
+
+def _mcap(path: Path, options: Options, notes: list[str]) -> list[Table]:
+    return own.read_own(path, options, notes)
+
+
+_READERS: dict[str, Callable[[Path, Options, list[str]], list[Table]]] = {
+    ".mcap": _mcap,
+    ".npz": tables.read_npz,
+    ".parquet": tables.read_parquet,
+    ".mat": tables.read_mat,
+    ".csv": tables.read_csv,
+    ".csv.gz": tables.read_csv_gz,
+}

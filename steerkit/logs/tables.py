@@ -1,0 +1,187 @@
+"""Readers of tables: CSV, MATLAB, and what a Log saves (npz, Parquet)."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import re
+import zlib
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from steerkit.errors import require
+from steerkit.logs.channels import Options, Table
+
+Columns = dict[str, np.ndarray]
+
+ROWS = 4096
+"""Rows of text that are turned into numbers at a time: text takes many times the memory of its numbers."""
+_UNIT = re.compile(r"^(?P<name>.*\S)\s*[\[(](?P<unit>[^\[\]()]*)[\])]$")
+
+
+def read_csv(path: Path, options: Options, notes: list[str]) -> list[Table]:
+    """Rows of numbers under a row of names such as `v` or `v [m/s]`; `,`, `;` or tab between, `#` before comments."""
+    with path.open("rb") as stream:
+        return [_table(path, _lines(stream), notes)]
+
+
+def read_csv_gz(path: Path, options: Options, notes: list[str]) -> list[Table]:
+    """The same, compressed; of a file that is cut off, what comes before."""
+    with gzip.open(path) as stream:
+        return [_table(path, _lines(stream, path, notes), notes)]
+
+
+def _lines(stream: Any, path: Path | None = None, notes: list[str] | None = None) -> Iterator[str]:
+    """Lines that hold something. UTF-8, or else as Windows writes it."""
+    begun = False
+    try:
+        for raw in _pieces(stream):
+            line = _text(raw.removeprefix(b"\xef\xbb\xbf") if not begun else raw)
+            begun = True
+            if line.strip() and not line.lstrip().startswith("#"):
+                yield line
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        kind = "not a gzip file" if isinstance(error, gzip.BadGzipFile) and not begun else "a broken gzip file"
+        require(begun and notes is not None, str(path), f"{kind} ({error})")
+        assert notes is not None
+        notes.append("the compressed file is cut off or broken: what comes before is used")
+
+
+def _pieces(stream: IO[bytes]) -> Iterator[bytes]:
+    """Lines, as bytes, ended by any of the usual signs."""
+    for raw in stream:
+        yield from re.split(rb"\r\n|\r|\n", raw.rstrip(b"\r\n")) if b"\r" in raw.rstrip(b"\r\n") else (raw,)
+
+
+def _text(raw: bytes) -> str:
+    try:
+        return raw.decode("utf-8")
+    except UnicodeDecodeError:
+        return raw.decode("latin-1")
+
+
+def _table(path: Path, lines: Iterator[str], notes: list[str]) -> Table:
+    first = list(islice(lines, 2))
+    require(len(first) == 2, str(path), "no rows under a row of names")
+    head = first[0].rstrip("\r\n")
+    mark = max(";\t,", key=lambda c: (head.count(c), c == ";"))
+    names = [name.strip() for name in next(csv.reader([head], delimiter=mark))]
+    require(
+        not all(np.isfinite(_number(name, comma=False)) for name in names),
+        str(path),
+        f"the first row holds numbers ({head[:60]}), no names",
+    )
+    require(len(set(names)) == len(names), str(path), f"two columns of one name: {', '.join(names)}")
+    blocks, odd, last, comma = list[np.ndarray](), 0, False, None
+    pending = first[1:]
+    while chunk := pending + list(islice(lines, ROWS)):
+        pending = []
+        rows = [_cells(line, mark) for line in chunk]
+        whole = [row for row in rows if len(row) == len(names)]
+        odd, last = odd + len(rows) - len(whole), len(rows[-1]) != len(names)
+        if comma is None and whole:
+            comma = mark == ";" and any("," in cell for row in whole[:100] for cell in row)
+        if whole:
+            blocks.append(np.array([[_number(cell, bool(comma)) for cell in row] for row in whole], dtype=float))
+    if odd:
+        where = "the last one: the file is cut off" if last else "in the middle of the file"
+        notes.append(f"dropped {odd} rows without {len(names)} entries, among them {where}")
+    count = sum(map(len, blocks))
+    require(count >= 2, str(path), f"no rows with {len(names)} entries, as the row of names has")
+    columns = {name: np.concatenate([block[:, k] for block in blocks]) for k, name in enumerate(names)}
+    return with_units(columns)
+
+
+def _cells(line: str, mark: str) -> list[str]:
+    """One line at a time, so that a stray quote spoils no other line."""
+    line = line.rstrip("\r\n")
+    if '"' not in line:
+        return line.split(mark)
+    try:
+        return next(csv.reader([line], delimiter=mark))
+    except csv.Error:
+        return []
+
+
+def _number(text: str, comma: bool) -> float:
+    try:
+        return float(text.replace(",", ".") if comma else text)
+    except ValueError:
+        return float("nan")
+
+
+def with_units(columns: Columns) -> Table:
+    """The columns, with the unit that a name ends in taken off it: `car.v [m/s]`, `speed (km/h)`."""
+    parts = {name: _UNIT.match(name) for name in columns}
+    bare = {name: part["name"] if part else name for name, part in parts.items()}
+    bare = bare if len(set(bare.values())) == len(bare) else {name: name for name in columns}
+    units = {bare[name]: part["unit"].strip() for name, part in parts.items() if part}
+    return Table(columns={bare[name]: values for name, values in columns.items()}, units=units)
+
+
+def read_mat(path: Path, options: Options, notes: list[str]) -> list[Table]:
+    """Arrays of a MATLAB file by name; those of the commonest length."""
+    from scipy.io import loadmat
+
+    try:
+        data = loadmat(str(path), appendmat=False)
+    except NotImplementedError as error:
+        raise ValueError(f"{path}: MATLAB 7.3 is not read; save(..., '-v7') in MATLAB writes what is") from error
+    except Exception as error:  # scipy's reader lets anything out when the bytes are not what it expects
+        raise ValueError(f"{path}: no MATLAB file, or cut off ({type(error).__name__}: {error})") from error
+    arrays = {name: np.asarray(value) for name, value in data.items() if not name.startswith("__")}
+    numeric = {name: np.ravel(a).astype(float) for name, a in arrays.items() if a.dtype.kind in "fiub" and a.size > 1}
+    require(numeric, str(path), f"no arrays of numbers in it; it holds {', '.join(arrays) or 'nothing'}")
+    return one_length(numeric, path, notes)
+
+
+def one_length(columns: Columns, path: Path, notes: list[str]) -> list[Table]:
+    """A table of the columns of the commonest length; others are told of."""
+    lengths = [len(values) for values in columns.values()]
+    n = max(set(lengths), key=lambda length: (lengths.count(length), length))
+    odd = [f"{name} ({len(values)})" for name, values in columns.items() if len(values) != n]
+    if odd:
+        notes.append(f"left out {', '.join(odd)}: not of the others' length, {n}")
+    return [with_units({name: values for name, values in columns.items() if len(values) == n})]
+
+
+def read_npz(path: Path, options: Options, notes: list[str]) -> list[Table]:
+    """A Log that was saved, or arrays of one length by name."""
+    from steerkit.files import read_npz as arrays_of
+    from steerkit.simulation import Log
+
+    arrays = arrays_of(path, "read_drive")
+    if {"t", "units"} <= arrays.keys():
+        log = Log.load(path)
+        return [_one_car(path, log.columns(), {"t": "s", **log.units})]
+    numeric = {k: np.ravel(a).astype(float) for k, a in arrays.items() if a.dtype.kind in "fiub" and a.size > 1}
+    require(numeric, str(path), f"no arrays of numbers in it; it holds {', '.join(arrays) or 'nothing'}")
+    return one_length(numeric, path, notes)
+
+
+def read_parquet(path: Path, options: Options, notes: list[str]) -> list[Table]:
+    """Columns of numbers; units from the fields' metadata."""
+    try:
+        import pyarrow.parquet as parquet
+    except ImportError:
+        raise ValueError(f"{path}: Parquet needs pyarrow: pip install 'steerkit-control[logs]'") from None
+    try:
+        table = parquet.read_table(str(path), page_checksum_verification=True)
+    except Exception as error:  # pyarrow's errors have no base of their own
+        raise ValueError(f"{path}: no Parquet file, or cut off ({error}); its index is at the end") from error
+    units = {f.name: (f.metadata or {}).get(b"unit", b"").decode("utf-8", "replace") for f in table.schema}
+    columns = {name: table[name].to_numpy() for name in table.column_names}
+    numeric = {name: a.astype(float) for name, a in columns.items() if a.dtype.kind in "fiub"}
+    require(numeric, str(path), f"no columns of numbers in it; it holds {', '.join(columns) or 'nothing'}")
+    return [_one_car(path, numeric, units)]
+
+
+def _one_car(path: Path, columns: Columns, units: dict[str, str]) -> Table:
+    batch = "car.v[0]" in columns
+    require(not batch, str(path), "it holds a batch of cars; save one: Log(t, {name: a[:, i] ...}, units)")
+    table = with_units(columns)
+    return Table(columns=table.columns, units={**table.units, **{k: u for k, u in units.items() if u}})
