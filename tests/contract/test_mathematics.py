@@ -26,6 +26,7 @@ LITERAL = {
     "steerkit.cli.identify.identify",
     "steerkit.export.c.export_c",
     "steerkit.identification",
+    "steerkit.logs",
     "steerkit.learning.pictures.film",
     "steerkit.learning.rundir",
     "steerkit.on_car.learner",
