@@ -15,6 +15,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from steerkit.courses.kept import kept
 from steerkit.courses.manoeuvres import curvature_step, lane_change, slalom
 from steerkit.courses.shapes import bends, circle, figure_eight, paper, random_course, straight
 from steerkit.path import Array, Path
@@ -57,7 +58,7 @@ def course(name: str) -> Path:
 
     Raises ValueError for another name, with the nearest one.
     """
-    return _known(name, _COURSES)()
+    return kept(name, _known(name, _COURSES))
 
 
 def course_of(text: str, name: str, *, closed: bool | None = None) -> Path:

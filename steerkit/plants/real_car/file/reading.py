@@ -19,6 +19,7 @@ from steerkit.plants.real_car.file.bounds import BOUNDS
 from steerkit.plants.real_car.file.config import ANGLES, DERIVED, FORMAT, POSE, REPORT, CarConfig, ConfigError, shipped
 from steerkit.plants.real_car.file.signals import Signals
 from steerkit.plants.real_car.frames.codec import CommandWriter
+from steerkit.plants.real_car.frames.python_can import python_can
 from steerkit.units import radians_of
 from steerkit.vehicles import Vehicle, vehicle
 
@@ -115,8 +116,7 @@ class Reading(Signals):
     def bus(self) -> dict[str, Any]:
         table = self.table("bus", ("interface", "channel", "bitrate", "options"))
         interface = self.entry("bus", table, "interface", str)
-        from can.interfaces import BACKENDS
-
+        BACKENDS = python_can().interfaces.BACKENDS
         if interface and interface not in BACKENDS:
             near = difflib.get_close_matches(interface, BACKENDS, n=1)
             hint = f"; did you mean '{near[0]}'?" if near else ""
@@ -147,6 +147,7 @@ class Reading(Signals):
         return values[0], values[1]
 
     def database(self) -> Any:
+        python_can()
         import cantools
 
         table = self.table("files", ("dbc",))

@@ -5,11 +5,12 @@ from __future__ import annotations
 import contextlib
 from typing import Any, Protocol
 
+from steerkit.plants.real_car.frames.python_can import python_can
+
 
 def open_bus(arguments: dict[str, Any]) -> Any:
     """`can.Bus` of these arguments; raises OSError, naming them, when it cannot be opened."""
-    import can
-
+    can = python_can()
     try:
         return can.Bus(**arguments)
     except Exception as error:  # the interfaces' own libraries raise whatever they like, a NameError included
@@ -58,8 +59,7 @@ class BusPort:
 
     def send(self, frame_id: int, data: bytes) -> None:
         """A frame to the bus; a full one drops it."""
-        import can
-
+        can = python_can()
         with contextlib.suppress(can.CanOperationError):
             self._bus.send(can.Message(arbitration_id=frame_id, data=data, is_extended_id=False))
 

@@ -34,6 +34,7 @@ from steerkit.plants.real_car.decisions.core import (
 )
 from steerkit.plants.real_car.file.config import CarConfig
 from steerkit.plants.real_car.frames.bus import open_bus
+from steerkit.plants.real_car.frames.python_can import python_can
 from steerkit.plants.real_car.processes import protocol
 from steerkit.plants.real_car.recording import Recording
 
@@ -184,8 +185,7 @@ class CarServer:
             self._handle(Taping(self.clock.now(), wrong))
 
     def _transmit(self, frame: Send) -> None:
-        import can
-
+        can = python_can()
         extended = self.config.writer.extended
         self._bus.send(can.Message(arbitration_id=frame.frame_id, data=frame.data, is_extended_id=extended))
 
