@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path as FilePath
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from steerkit import maths as m
 from steerkit.block import Block, Port, State
 from steerkit.errors import WiringError
 from steerkit.files import read_npz, write_npz
@@ -152,7 +154,7 @@ class Loop:
                     raise TypeError(f"{name} ({type(block).__name__}) is not pure: it cannot be batched, only stepped")
         shape = () if batch is None else (batch,)
         try:
-            return self._started(shape, x)
+            return self._started(shape, x)[0]
         except Exception as error:
             if (teaching := explained(error, self.blocks)) is not None:
                 raise teaching from error
@@ -262,16 +264,26 @@ class Loop:
         i, j = place
         return f"{self.names[i]}.{self._wiring.blocks[i].outputs[j].name}"
 
-    def _started(self, shape: tuple[int, ...], x: Sequence[State] | None) -> LoopState:
+    @functools.cached_property
+    def _rounds(self) -> int:
+        """How often all blocks settle until nothing changes any more."""
+        return self._started((), None)[1]
+
+    def _started(self, shape: tuple[int, ...], x: Sequence[State] | None) -> tuple[LoopState, int]:
+        """The settled state, and how often all blocks had to settle."""
         start = [block.init(shape) for block in self._wiring.blocks] if x is None else list(x)
         cars = shape if x is None else None  # states that are given say themselves of how many cars they are
         for (name, block), state in zip(self.blocks.items(), start):
             check_state(name, block, state, "init", cars)
         settled = start
-        for _ in range(len(start) + 1):
+        if any(m.is_symbol(number) for state in start for number in state):  # whether they changed cannot be asked
+            for _ in range(self._rounds):
+                settled, y, _ = self._settle_all(start, settled, cars)
+            return LoopState(0, tuple(settled), tuple(y)), self._rounds
+        for rounds in range(1, len(start) + 2):
             settled, y, changed = self._settle_all(start, settled, cars)
             if not changed:
-                return LoopState(0, tuple(settled), tuple(y))
+                return LoopState(0, tuple(settled), tuple(y)), rounds
         raise WiringError(
             f"{changed} is needed before its block can settle, and is another one after it has, however often all "
             "blocks settle; make it independent of what `settle` finds"
@@ -293,7 +305,7 @@ class Loop:
             check_outputs(name, block, y[i], shape)
             self._check_independence(call, y[i], u)
             early |= {(i, j): y[i][j] for j in call.early}
-        changed = [place for place, value in early.items() if not _same(value, y[place[0]][place[1]])]
+        changed = [(i, j) for (i, j), value in early.items() if not m.is_symbol(y[i][j]) and not _same(value, y[i][j])]
         return x, y, self._signal(changed[0]) if changed else ""
 
     def _check_independence(self, call: Call, y: Any, u: Any) -> None:
@@ -301,7 +313,7 @@ class Loop:
         unknown = {field for field, s in zip(u._fields, call.sources) if s is None}
         for out, value in zip(block.outputs, y):
             independent = out.direct is not None and not unknown & {p.name for p in out.direct}
-            if unknown and independent and np.isnan(np.asarray(value, dtype=float)).any():
+            if unknown and independent and not m.is_symbol(value) and np.isnan(np.asarray(value, dtype=float)).any():
                 raise WiringError(
                     f"{name}.{out.name} is declared independent of {', '.join(sorted(unknown))}, but is NaN without it"
                 )

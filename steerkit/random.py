@@ -13,6 +13,7 @@ from the next whole number, more than rounding can bridge; so every backend draw
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,17 @@ _M1, _M2 = 4294967087.0, 4294944443.0
 _NORM = 2.328306549295727688e-10  # 1 / (m1 + 1), as published
 
 
-def seed_state(seed: int, batch: tuple[int, ...] = (), *, stream: int = 0) -> RandomState:
+class OpenSeed:
+    """A seed that is chosen later: stands in a block's `seed` while its start is traced on symbols.
+
+    states(stream): the six symbols that stand for the state of that stream.
+    """
+
+    def __init__(self, states: Callable[[int], RandomState]):
+        self.states = states
+
+
+def seed_state(seed: int | OpenSeed, batch: tuple[int, ...] = (), *, stream: int = 0) -> RandomState:
     """The generator's state for a seed: car i of a batch gets seed + i, and so draws what a single run with it does.
 
     seed, stream: whole numbers >= 0, seed below 2^63. Different streams of one seed are unrelated: blocks of
@@ -36,6 +47,8 @@ def seed_state(seed: int, batch: tuple[int, ...] = (), *, stream: int = 0) -> Ra
     floats, or `(N,)` arrays for `batch=(N,)`. The numbers are six outputs of SplitMix64 (Steele, Lea, Flood 2014).
     Raises ValueError for a seed or stream that is no such number.
     """
+    if isinstance(seed, OpenSeed):
+        return seed.states(stream)
     for name, value in (("seed", seed), ("stream", stream)):
         whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
         require(whole and 0 <= value < 2**63, "seed_state", f"{name} = {value!r}, expected a whole number >= 0")

@@ -16,6 +16,7 @@ from steerkit.path import Path
 from steerkit.task import DT
 
 _LEAST_SLOPE = 0.2  # floor of 1 - kappa*e: keeps a step downhill even beyond the centre of a bend
+_STEPS_OF_SYMBOLS = 6  # three do within a metre or two of the place that is told
 _CARS_AT_ONCE = 256  # of a batch, when looking over the whole path
 
 
@@ -87,8 +88,14 @@ class PathTracker(Block):
         return self.X(np.zeros(batch), np.zeros(batch)) if batch else self.X(0.0, 0.0)
 
     def settle(self, t: float, x: State, u: Any) -> State:
-        """The nearest place of the whole path; a heading against it counts as up to sqrt(2) m of distance."""
+        """The nearest place of the whole path; a heading against it counts as up to sqrt(2) m of distance. For symbols,
+        which cannot be compared with all of it, the place near x.s."""
         px, py = u.x + self.reference * m.cos(u.psi), u.y + self.reference * m.sin(u.psi)
+        if m.is_symbol(px):
+            s = x.s
+            for _ in range(_STEPS_OF_SYMBOLS):
+                s = self.path.inside(s + self._step(s, px, py, self.path.frame(s)))
+            return self.X(s, 0.0)
         pose = np.broadcast_arrays(*(np.atleast_1d(np.asarray(a, dtype=float)) for a in (px, py, u.psi)))
         lost = np.flatnonzero(~np.isfinite(pose).all(axis=0))
         require(

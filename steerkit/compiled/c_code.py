@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from steerkit.compiled.graph import BOOLEAN, FUNCTIONS, Graph
-from steerkit.compiled.trace import Trace
+from steerkit.compiled.trace import Tick, Trace
 from steerkit.maths import Table
 
 _INFIX = {
@@ -207,6 +207,21 @@ def run_source(trace: Trace, recorded: Sequence[int], *, many: bool) -> str:
     )
     parts = ["#include <math.h>\n", _MANY if many else _ONE, table_source(trace.tables), *ticks, run]
     return "\n".join(parts)
+
+
+def lanes_source(tables: Sequence[Table]) -> str:
+    """The head of a C file whose `real` is a vector of LANES cars' numbers: types, functions and these tables."""
+    return "\n".join(["#include <math.h>\n", _MANY, table_source(tables)])
+
+
+def function_source(
+    head: str, tick: Tick, names: Sequence[str], source: Callable[[int], str], tables: Sequence[Table]
+) -> str:
+    """A C function that writes the roots of a graph to `names`. source: the C text of an input."""
+    lines = statements(tick.graph, tick.roots, source, tables)
+    values = [f"  const real w{n} = v{i};" for n, i in enumerate(tick.roots)]  # all read before any is written
+    stores = [f"  {name} = w{n};" for n, name in enumerate(names)]
+    return "\n".join([f"static inline void {head}\n{{", *lines, *values, *stores, "}\n"])
 
 
 def table_source(tables: Sequence[Table]) -> str:

@@ -32,8 +32,7 @@ class Fleet:
     def __init__(self, loop: Loop, cars: int):
         self.loop, self.cars = loop, cars
         self.trace: Trace = trace(loop)
-        nodes = [tick.graph.nodes[i] for tick in self.trace.ticks for i in tick.graph.order(tick.roots)]
-        if any(op == "in" and operands[0] == 0 for op, *operands in nodes):
+        if self.trace.timed:
             raise ValueError(f"Fleet: a block of {loop!r} depends on the time t, which a fleet's cars do not share")
         self._library = NativeProgram(self.trace, (), 1).many
         self.lanes: int = self._library.lanes()

@@ -213,7 +213,7 @@ def _operation(graph: Graph, e: Any, parts: list[int]) -> int:
         return graph.add("not", *parts)
     if op == casadi.OP_IF_ELSE_ZERO:
         return graph.add("select", *parts, graph.const(0.0))
-    if op == casadi.OP_SQ:
+    if op == casadi.OP_SQ or (op in (casadi.OP_POW, casadi.OP_CONSTPOW) and graph.value(parts[1]) == 2.0):
         return graph.add("mul", parts[0], parts[0])
     if op == casadi.OP_TWICE:
         return graph.add("add", parts[0], parts[0])

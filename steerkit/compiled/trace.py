@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import threading
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -104,6 +104,12 @@ class Trace:
         programs = [collapsed(tick.graph, tick.roots, fixed) for tick in self.ticks]
         return dataclasses.replace(self, ticks=tuple(Tick(graph, tuple(roots)) for graph, roots in programs))
 
+    @functools.cached_property
+    def timed(self) -> bool:
+        """Does any block depend on the time t?"""
+        nodes = [tick.graph.nodes[i] for tick in self.ticks for i in tick.graph.order(tick.roots)]
+        return any(op == "in" and operands[0] == 0 for op, *operands in nodes)
+
     @property
     def instructions(self) -> int:
         """Operations in one period."""
@@ -161,6 +167,30 @@ def _tick(loop: Loop, phase: int, layout: Layout, symbols: list[Any], tables: An
         raise TraceError(f"a block of {loop!r} changed the number of its states or outputs in a tick")
     expressions = [_scalar(name, value) for name, value in zip(layout.names, values)]
     graph, roots = from_symbols(expressions, [k, *slots, *symbols], lookups)
+    return Tick(graph, tuple(roots))
+
+
+def traced(
+    what: str, function: Callable[[Callable[[], Any]], Sequence[Any]], tables: dict[int, tuple[int, Table]]
+) -> Tick:
+    """The graph of a function that is no loop: its values are the roots, and its inputs what `symbol()` gave it.
+
+    function: is called once with `symbol`, which makes the next input, and gives its values. tables: by id, with their
+    numbers; those that it looks into are added. Raises TraceError, beginning with `what`, if it cannot be run on
+    symbols.
+    """
+    inputs: list[Any] = []
+
+    def symbol() -> Any:
+        inputs.append(casadi.SX.sym(f"i{len(inputs)}"))
+        return inputs[-1]
+
+    with _lock, recorded_lookups(tables) as lookups, exact_arithmetic():
+        try:
+            values = [_scalar(what, value) for value in function(symbol)]
+            graph, roots = from_symbols(values, inputs, lookups)
+        except Exception as error:
+            raise TraceError(f"{what} cannot be run on symbols: {type(error).__name__}: {error}") from error
     return Tick(graph, tuple(roots))
 
 

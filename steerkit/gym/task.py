@@ -15,6 +15,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from steerkit import maths as m
 from steerkit.block import Block, Out, State
 from steerkit.catalogue import ELEMENTS, make_element, make_safety
 from steerkit.controllers.nfq_policy import IDOE_ACTIONS
@@ -24,6 +25,7 @@ from steerkit.errors import require
 from steerkit.learning.costs import COSTS, BandCost, Cost, IdoeCost, SmoothCost, TanhCost
 from steerkit.learning.nfq.patterns import STANDARD
 from steerkit.loop import Loop, LoopState
+from steerkit.maths import Scalar
 from steerkit.path import Path
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.pushed import GUST_STATES, Pushed
@@ -34,6 +36,7 @@ from steerkit.scenario import END_MARGIN, Scenario
 from steerkit.scenario.drive import assembled
 from steerkit.scenario.file import read_scenario
 from steerkit.task import STOP, STOP_DEG, TRIP
+from steerkit.tracker import PathTracker
 from steerkit.units import radians_of
 
 Array = NDArray[np.float64]
@@ -268,7 +271,8 @@ class Task:
         """The actions [rad] (N,) that an agent's actions mean; raises ValueError for one outside of the space."""
         given = np.asarray(actions)
         if self.angles:
-            whole = given.shape == shape and bool(np.all((given >= 0) & (given < len(self.angles)) & (given % 1 == 0)))
+            whole = given.shape == shape and bool(np.all((given >= 0) & (given < len(self.angles))))
+            whole = whole and (given.dtype.kind in "iu" or bool(np.all(given % 1 == 0)))
             if not whole:
                 raise ValueError(f"TrackSteering.step: action {actions!r}, expected 0 to {len(self.angles) - 1}")
             return self._angles[given.astype(np.intp)].reshape(-1)
@@ -300,31 +304,44 @@ class Task:
 
     def starts(self, draws: Sequence[Draw]) -> LoopState:
         """The loop's state of len(draws) cars, settled."""
-        loop, n = self.loop, len(draws)
-        x = {name: self._drawn(block, draws) for name, block in loop.blocks.items()}
         s, e, psi_e = np.array([draw[1:] for draw in draws]).T
+        return self.started(s, e, psi_e, [self._drawn(block, draws) for block in self.loop.blocks.values()])
+
+    def started(self, s: Scalar, e: Scalar, psi_e: Scalar, drawn: Sequence[State]) -> LoopState:
+        """The loop's state, settled, of cars e [m] left of the path at s [m], turned by psi_e [rad]: arrays or symbols.
+
+        drawn: the state of each block at its start, with the random numbers of its seed.
+        """
+        loop, batch = self.loop, np.shape(s) if isinstance(s, np.ndarray) else ()
+        x = dict(zip(loop.names, drawn))
+        for name, block in loop.blocks.items():
+            if isinstance(block, PathTracker):
+                x[name] = block.X(s, 0.0 * s)
+        px, py, dx, dy, ddx, ddy = self.path.frame(self.path.inside(s))
+        psi, kappa = m.atan2(dy, dx), dx * ddy - dy * ddx
+        px, py = px - e * m.sin(psi), py + e * m.cos(psi)
         gusts = x["car"][-GUST_STATES:] if isinstance(loop.blocks["car"], Pushed) else ()
-        start = self._car_at(s, e, psi_e)
+        start = self._car_at(px, py, psi + psi_e, batch)
         x["car"] = (*start, *gusts) if gusts else start
         first = loop.init(x=[*x.values()])
         if not isinstance(start, SingleTrackState):
             return first
         car = self._car
-        v, c, kappa = loop.sample(first)["human.v"], car.vehicle, self.path.kappa(s)
+        v, c = loop.sample(first)["human.v"] + 0.0 * s, car.vehicle
         r = v * kappa
         beta = (c.l_r - c.m * v**2 * c.l_f / (c.c_r * c.wheelbase)) * kappa
         wheel = c.steer_ratio * (c.wheelbase + c.understeer_gradient * v**2) * kappa
-        wheel = np.clip(wheel, -c.delta_sw_max, c.delta_sw_max)
-        drift = np.arctan2(v * np.sin(beta) + r * self.place.ahead, v * np.cos(beta))
-        at = self._car_at(s, e, psi_e - drift)
-        sway = v * np.sin(beta) if isinstance(car, NonlinearSingleTrack) else beta
-        start = at._replace(sway=sway, r=r, v=v + np.zeros(n), delta_sw=wheel)
+        wheel = m.clip(wheel, -c.delta_sw_max, c.delta_sw_max)
+        drift = m.atan2(v * m.sin(beta) + r * self.place.ahead, v * m.cos(beta))
+        at = self._car_at(px, py, psi + (psi_e - drift), batch)
+        sway = v * m.sin(beta) if isinstance(car, NonlinearSingleTrack) else beta
+        start = at._replace(sway=sway, r=r, v=v, delta_sw=wheel)
         x["car"] = (*start, *gusts) if gusts else start
         if isinstance(loop.blocks["doe"], Dynamic):
             x["doe"] = HeldAngle(wheel)
         motor = loop.blocks.get("actuator")
         if isinstance(motor, SteeringActuator):
-            x["actuator"] = (wheel, np.zeros(n), *[wheel] * (len(x["actuator"]) - 2))
+            x["actuator"] = (wheel, 0.0 * s, *[wheel] * (len(x["actuator"]) - 2))
         elif isinstance(motor, TorqueSteering):
             x["actuator"] = motor.holding(wheel, v)
         return loop.init(x=[*x.values()])
@@ -335,16 +352,14 @@ class Task:
         car = self.loop.blocks["car"]
         return car.block if isinstance(car, Pushed) else car
 
-    def _car_at(self, s: Array, e: Array, psi_e: Array) -> Any:
-        """The car's state with its reference point e [m] left of the path at s [m], turned by psi_e [rad]."""
-        psi = self.path.psi(s)
-        xy = self.path.point(s) + e[:, None] * np.column_stack((-np.sin(psi), np.cos(psi)))
-        xy -= self.place.ahead * np.column_stack((np.cos(psi + psi_e), np.sin(psi + psi_e)))
+    def _car_at(self, x: Scalar, y: Scalar, psi: Scalar, batch: tuple[int, ...]) -> Any:
+        """The car's state with its reference point at x, y [m] and this heading [rad]."""
+        x, y = x - self.place.ahead * m.cos(psi), y - self.place.ahead * m.sin(psi)
         car = self._car
-        state = car.init(s.shape)
+        state = car.init(batch)
         if isinstance(state, SingleTrackState):
-            return state._replace(x=xy[:, 0], y=xy[:, 1], psi=psi + psi_e)
-        return dataclasses.replace(car, x0=xy[:, 0], y0=xy[:, 1], psi0=psi + psi_e).init(s.shape)
+            return state._replace(x=x, y=y, psi=psi)
+        return dataclasses.replace(car, x0=x, y0=y, psi0=psi).init(batch)
 
     def _drawn(self, block: Block, draws: Sequence[Draw]) -> Any:
         """The block's state at the start of these cars, with their seeds if it draws random numbers."""

@@ -13,6 +13,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from steerkit import maths as m
 from steerkit.controllers.policy import DOE, R_E, E, V
 from steerkit.errors import require
 from steerkit.task import DT, GOAL, TRIP
@@ -59,9 +60,9 @@ class BandCost(_Limits):
     """
 
     def __call__(self, s: Array, a: Array, s_next: Array) -> Costs:
-        e = np.abs(s_next[:, E])
+        e = m.absolute(s_next[:, E])
         failed = e > self.trip
-        return np.where(failed, 1.0, np.where(e < self.goal, 0.0, self.step)), failed
+        return m.where(failed, 1.0, m.where(e < self.goal, 0.0, self.step)), failed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,9 +75,9 @@ class IdoeCost(_Limits):
     """
 
     def __call__(self, s: Array, a: Array, s_next: Array) -> Costs:
-        e = np.abs(s_next[:, E])
+        e = m.absolute(s_next[:, E])
         failed = e > self.trip
-        return np.where(failed, 1.0, np.where((e < self.goal) & (a == 0.0), 0.0, self.step)), failed
+        return m.where(failed, 1.0, m.where(m.both(e < self.goal, a == 0.0), 0.0, self.step)), failed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,9 +103,9 @@ class TanhCost(_Limits):
 
     def __call__(self, s: Array, a: Array, s_next: Array) -> Costs:
         e = s_next[:, E]
-        failed = np.abs(e) > self.trip
-        well = np.tanh(e * (math.atanh(math.sqrt(0.95)) / self.goal)) ** 2
-        return np.where(failed, 1.0, self.step * well + self.action_cost * (a != 0.0)), failed
+        failed = m.absolute(e) > self.trip
+        well = m.tanh(e * (math.atanh(math.sqrt(0.95)) / self.goal)) ** 2
+        return m.where(failed, 1.0, self.step * well + self.action_cost * (a != 0.0)), failed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,9 +147,9 @@ class SmoothCost:
         c, failed = self.cost(s, a, s_next)
         jerk = s_next[:, V] * (s_next[:, R_E] - s[:, R_E]) / self.dt
         change = s_next[:, DOE] - s[:, DOE]
-        c = c + self.jerk_cost * np.minimum(1.0, (jerk / self.jerk_unit) ** 2)
-        c = c + self.wheel_cost * np.minimum(1.0, (change / self.wheel_unit) ** 2)
-        return np.where(failed, 1.0, np.minimum(c, 1.0)), failed
+        c = c + self.jerk_cost * m.minimum((jerk / self.jerk_unit) ** 2, 1.0)
+        c = c + self.wheel_cost * m.minimum((change / self.wheel_unit) ** 2, 1.0)
+        return m.where(failed, 1.0, m.minimum(c, 1.0)), failed
 
 
 COSTS = (BandCost, IdoeCost, TanhCost, SmoothCost)
