@@ -32,8 +32,7 @@ class Fleet:
     def __init__(self, loop: Loop, cars: int):
         self.loop, self.cars = loop, cars
         self.trace: Trace = trace(loop)
-        if self.trace.timed:
-            raise ValueError(f"Fleet: a block of {loop!r} depends on the time t, which a fleet's cars do not share")
+        self.trace.require_timeless("Fleet")
         self._library = NativeProgram(self.trace, (), 1).many
         self.lanes: int = self._library.lanes()
         self._groups = -(-cars // self.lanes)

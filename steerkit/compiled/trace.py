@@ -104,11 +104,12 @@ class Trace:
         programs = [collapsed(tick.graph, tick.roots, fixed) for tick in self.ticks]
         return dataclasses.replace(self, ticks=tuple(Tick(graph, tuple(roots)) for graph, roots in programs))
 
-    @functools.cached_property
-    def timed(self) -> bool:
-        """Does any block depend on the time t?"""
+    def require_timeless(self, where: str) -> None:
+        """Raise ValueError if a block depends on the time t, which cars that start anew one by one do not share."""
         nodes = [tick.graph.nodes[i] for tick in self.ticks for i in tick.graph.order(tick.roots)]
-        return any(op == "in" and operands[0] == 0 for op, *operands in nodes)
+        if any(op == "in" and operands[0] == 0 for op, *operands in nodes):
+            what = "depends on the time t, which cars that start anew one by one do not share; valid: backend python"
+            raise ValueError(f"{where}: a block of {self.loop!r} {what}")
 
     @property
     def instructions(self) -> int:
@@ -185,7 +186,8 @@ def traced(
         inputs.append(casadi.SX.sym(f"i{len(inputs)}"))
         return inputs[-1]
 
-    with _lock, recorded_lookups(tables) as lookups, exact_arithmetic():
+    with _lock, recorded_lookups(tables) as lookups, exact_arithmetic(), warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)  # CasADi's, of a NumPy function that will not take its symbols
         try:
             values = [_scalar(what, value) for value in function(symbol)]
             graph, roots = from_symbols(values, inputs, lookups)

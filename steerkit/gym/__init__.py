@@ -3,7 +3,8 @@
 * `steerkit/TrackSteering-v0`: discrete actions, by default the paper's five steps of the steering wheel;
 * `steerkit/TrackSteeringContinuous-v0`: the same with the wheel's speed in [-1, 1].
 
-Both have a vector environment of their own, so that `gymnasium.make_vec(id, num_envs=N)` drives N cars in one loop.
+Both have a vector environment of their own, so that `gymnasium.make_vec(id, num_envs=N)` drives N cars in one loop, in
+C with all that is judged and drawn; `PufferSteering` is the same in PufferLib's buffers.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ except ImportError as why:
 if TYPE_CHECKING:
     from steerkit.controllers.network_policy import Network, PolicyBlock
     from steerkit.gym.env import TrackSteering
+    from steerkit.gym.puffer import PufferSteering
     from steerkit.gym.stable_baselines import from_stable_baselines
     from steerkit.gym.task import Task
     from steerkit.gym.vector_env import TrackSteeringVector
@@ -26,12 +28,21 @@ if TYPE_CHECKING:
 _HOME = {
     "Network": "controllers.network_policy",
     "PolicyBlock": "controllers.network_policy",
+    "PufferSteering": "gym.puffer",
     "Task": "gym.task",
     "TrackSteering": "gym.env",
     "TrackSteeringVector": "gym.vector_env",
     "from_stable_baselines": "gym.stable_baselines",
 }
-__all__ = ["Network", "PolicyBlock", "Task", "TrackSteering", "TrackSteeringVector", "from_stable_baselines"]
+__all__ = [
+    "Network",
+    "PolicyBlock",
+    "PufferSteering",
+    "Task",
+    "TrackSteering",
+    "TrackSteeringVector",
+    "from_stable_baselines",
+]
 
 for _name, _kwargs in (("TrackSteering", {}), ("TrackSteeringContinuous", {"actions": "continuous"})):
     if f"steerkit/{_name}-v0" not in gymnasium.registry:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from steerkit.compiled.c_code import function_source, lanes_source
-from steerkit.compiled.trace import Tick, Trace, TraceError, trace, traced
+from steerkit.compiled.trace import Tick, Trace, trace, traced
 from steerkit.gym.task import BOUND, Task, reseeded
 from steerkit.maths import Table
 from steerkit.random import OpenSeed, RandomState
@@ -205,11 +205,11 @@ class _Columns:
 def episode_code(task: Task, signals: Sequence[str], place: str) -> EpisodeCode:
     """The C of the task's episodes. signals: the observation's columns, then those of `info`; place: the true s.
 
-    Raises TraceError for a loop, a cost or a start that cannot be run on symbols, naming which.
+    Raises TraceError for a loop, a cost or a start that cannot be run on symbols, naming which, and ValueError for a
+    block that depends on t.
     """
     graphs = trace(task.loop)
-    if graphs.timed:
-        raise TraceError(f"a block of {task.loop!r} depends on the time t, which cars that start anew do not share")
+    graphs.require_timeless("TrackSteering")
     tables = {id(table): (i, table) for i, table in enumerate(graphs.tables)}
     carried, columns = graphs.carried, len(task.columns)
     rows = [graphs.layout.slots_of(name)[0] for name in signals]

@@ -15,7 +15,7 @@ from steerkit import native
 from steerkit.errors import require
 from steerkit.gym.drives import INFO
 from steerkit.gym.episode_code import Fleet, episode_code
-from steerkit.gym.task import LEAST_ROOM, Array, Draw, Task
+from steerkit.gym.task import Array, Draw, Task
 from steerkit.scenario import END_MARGIN
 
 _HOW = {AutoresetMode.NEXT_STEP: 0, AutoresetMode.SAME_STEP: 1, AutoresetMode.DISABLED: 2}
@@ -30,7 +30,8 @@ class Episodes:
     starts are drawn from the cars' own NumPy generators: the same numbers, to rounding, as those of single
     environments. All arrays are written in place: what is to be kept has to be copied.
 
-    threads: by default one for 256 cars, up to the number of cores. Raises TraceError for a loop, cost or start that
+    threads: by default one for 256 cars, up to the number of cores. observation: where to write what the agents see, a
+    C-contiguous float32 array (N, columns); by default its own. Raises TraceError for a loop, cost or start that
     cannot be run on symbols, ValueError for sample times that do not fit, NoCompilerError without a C compiler.
     """
 
@@ -43,7 +44,14 @@ class Episodes:
     over: NDArray[np.bool_]
     """Whose episode is over and has not begun anew."""
 
-    def __init__(self, task: Task, cars: int, mode: AutoresetMode, threads: int | None = None):
+    def __init__(
+        self,
+        task: Task,
+        cars: int,
+        mode: AutoresetMode,
+        threads: int | None = None,
+        observation: NDArray[np.float32] | None = None,
+    ):
         loop = task.loop
         whole = round(task.dt / loop.dt) == loop.period
         require(whole, "TrackSteering", f"sample times of {loop!r}, expected none longer than the agent's {task.dt} s")
@@ -66,7 +74,7 @@ class Episodes:
             "action": np.zeros(padded),
             "state": np.zeros((groups, code.carried, lanes)),
             "signals": np.zeros((groups, len(self._signals), lanes)),
-            "observation": np.zeros((cars, columns), np.float32),
+            "observation": np.zeros((cars, columns), np.float32) if observation is None else observation,
             "last_observation": np.zeros((cars, columns), np.float32),
             "info": np.zeros((len(info), padded)),
             "last_info": np.zeros((len(info) + 2, padded)),
@@ -82,13 +90,18 @@ class Episodes:
             failure=task.failure,
             longest=round(task.duration / task.dt),
             end=np.inf if path.closed else path.length - END_MARGIN,
-            far=path.length if path.closed else max(0.0, path.length - END_MARGIN - LEAST_ROOM),
+            far=task.last_start,
             start_e=task.start_e,
             start_psi_e=task.start_psi_e,
             cars=cars,
             padded=padded,
             groups=groups,
             **{name: array.ctypes.data for name, array in self._arrays.items()},
+        )
+        seen = self._arrays["observation"]
+        fits = seen.shape == (cars, columns) and seen.dtype == np.float32 and seen.flags.c_contiguous
+        require(
+            fits, "Episodes", f"observation {seen.dtype} {seen.shape}, expected float32 {(cars, columns)}, contiguous"
         )
         self._generators: list[np.random.Generator] = []
         for name in ("observation", "reward", "terminated", "truncated", "over"):

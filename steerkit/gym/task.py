@@ -288,14 +288,18 @@ class Task:
 
     # ---- where it starts ------------------------------------------------------------------------------------
 
+    @cached_property
+    def last_start(self) -> float:
+        """The largest s at which an episode starts [m]."""
+        return self.path.length if self.path.closed else max(0.0, self.path.length - END_MARGIN - LEAST_ROOM)
+
     def draw(self, rng: np.random.Generator, options: Mapping[str, Any] | None = None) -> Draw:
         """The start of an episode; `options` s [m], e [m], psi_e [rad] stand for what is drawn otherwise."""
         given = dict(options or {})
         unknown = [name for name in given if name not in ("s", "e", "psi_e")]
         require(not unknown, "TrackSteering.reset", f"option {unknown[:1]} is not known; valid: s, e, psi_e")
         seed = int(rng.integers(2**31))
-        end = self.path.length if self.path.closed else max(0.0, self.path.length - END_MARGIN - LEAST_ROOM)
-        s, e, psi_e = rng.random() * end, rng.uniform(-self.start_e, self.start_e), rng.uniform(-1.0, 1.0)
+        s, e, psi_e = rng.random() * self.last_start, rng.uniform(-self.start_e, self.start_e), rng.uniform(-1.0, 1.0)
         chosen = {"s": 0.0 if self.start == "beginning" else s, "e": e, "psi_e": self.start_psi_e * psi_e} | given
         drawn = Draw(seed, *(float(chosen[name]) for name in ("s", "e", "psi_e")))
         fits = 0.0 <= drawn.s <= self.path.length and abs(drawn.e) < self.limit and abs(drawn.psi_e) < 1.6

@@ -37,7 +37,7 @@ KEYS = {
     "car_kill": {"kills", "controller", "server", "trainer"},
     "car_realtime": {"steps", "misses", "jitter_p99_ms", "rms_e_m", "frames_replayed_exactly", "recording_mb"},
     "delay_robustness": {"laps", "stanley-delay", "stanley-delay, believes 0.2 s"},
-    "gym_steps": {"conditions", "steps_per_cpu_second"},
+    "gym_steps": {"conditions", "steps_per_cpu_second", "vector_steps_per_second", "x_sync_vector_env"},
     "learning": {"setting", "seeds", "good_share", "good_median", "final_rms_e_worst", "outcomes"},
     "mpc_solve": {"ltv20_ms", "ltv20_p99_ms", "ltv40_ms", "nmpc20_ms", "nmpc40_ms", "ltv20_unsolved"},
     "nfq_iteration": {"seconds", "seconds_torch", "vs_torch_rprop_x", "equal_work", "decision_numpy_us"},
@@ -132,6 +132,7 @@ def sensible_drive(figures: Any) -> None:
 
 def sensible_rates(figures: Any) -> None:
     assert all(rate > 0.0 for rates in figures["steps_per_cpu_second"].values() for rate in rates.values())
+    assert figures["x_sync_vector_env"] > 3.0
 
 
 def sensible_laps(figures: Any) -> None:

@@ -1,0 +1,104 @@
+"""Episodes in C are those of Python, in whatever way they go on, with however many threads."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+from steerkit import native
+from steerkit.gym import TrackSteeringVector
+from steerkit.gym.episodes import Episodes
+from steerkit.gym.task import Task
+from tests.unit.gym.test_episode_code import Sorting
+
+pytestmark = pytest.mark.skipif(native.compiler() is None, reason="C needs a compiler")
+CARS = 19  # more than two groups of lanes, and not a whole number of them
+
+
+def rolled(backend: str, mode: AutoresetMode, **options: Any) -> tuple[list[Any], Any]:
+    """What two seconds of random actions bring, and the environment."""
+    env = TrackSteeringVector(CARS, backend=backend, autoreset_mode=mode, duration=0.8, **options)  # type: ignore[arg-type]
+    rows: list[Any] = [*env.reset(seed=5)]
+    for actions in np.random.default_rng(1).integers(0, 5, (40, CARS)):
+        over = env._over.copy()
+        if mode is AutoresetMode.DISABLED and over.any():
+            rows += [*env.reset(options={"reset_mask": over})]
+        rows += [*env.step(actions)]
+    return rows, env
+
+
+def same(a: Any, b: Any) -> None:
+    if isinstance(a, dict):
+        assert a.keys() == b.keys()
+        for key in a:
+            same(a[key], b[key])
+    elif isinstance(a, np.ndarray) and a.dtype == object:
+        for x, y in zip(a, b, strict=True):
+            assert (x is None) == (y is None)
+            if x is not None:
+                same(x, y)
+    else:
+        np.testing.assert_allclose(np.asarray(b, float), np.asarray(a, float), atol=1e-9)
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_in_each_way_to_go_on_they_are_those_of_python(mode: AutoresetMode) -> None:
+    (python, by_python), (compiled, in_c) = (rolled(backend, mode) for backend in ("python", "c"))
+    assert isinstance(in_c._drives, Episodes)
+    for a, b in zip(python, compiled, strict=True):
+        same(a, b)
+    ends = [int(flags.sum()) for flags in python if isinstance(flags, np.ndarray) and flags.dtype.kind == "b"]
+    assert sum(ends) > CARS
+    for a, b in zip(by_python.np_random, in_c.np_random):
+        assert a.bit_generator.state == b.bit_generator.state
+
+
+def test_however_many_threads_it_is_the_same_to_the_bit() -> None:
+    one, three = (rolled("c", AutoresetMode.SAME_STEP, threads=threads)[0] for threads in (1, 3))
+    for a, b in zip(one, three, strict=True):
+        if isinstance(a, np.ndarray):
+            assert np.array_equal(a, b)
+
+
+def test_without_copies_the_arrays_are_written_over() -> None:
+    kept, shared = (TrackSteeringVector(2, backend="c", copy=copy) for copy in (True, False))
+    first, second = (env.reset(seed=0)[0] for env in (kept, shared))
+    before = first.copy()
+    same(first, second)
+    for env in (kept, shared):
+        env.step([4, 4])
+    assert np.array_equal(first, before)
+    assert not np.array_equal(second, before)
+
+
+def test_a_cost_that_cannot_be_compiled_is_computed_in_python_and_that_is_said() -> None:
+    options: dict[str, Any] = {"cost": Sorting()}
+    python, _ = rolled("python", AutoresetMode.NEXT_STEP, **options)
+    with pytest.warns(UserWarning, match="the cost cannot be run on symbols.*computed in Python"):
+        compiled, _ = rolled("c", AutoresetMode.NEXT_STEP, **options)
+    for a, b in zip(python, compiled, strict=True):
+        same(a, b)
+
+
+def test_what_is_no_number_any_more_is_told_with_the_car_and_the_signal() -> None:
+    task = Task()
+    episodes = Episodes(task, CARS, AutoresetMode.NEXT_STEP)
+    generators = [np.random.default_rng(i) for i in range(CARS)]
+    episodes.draw_from(generators)
+    episodes.start(np.arange(CARS), [task.draw(generator) for generator in generators])
+    actions = np.zeros(CARS)
+    actions[17] = np.nan
+    with pytest.raises(FloatingPointError, match="of car 17 is nan after 1 steps"):
+        episodes.step(actions)
+
+
+def test_arguments_are_checked() -> None:
+    with pytest.raises(ValueError, match=r"threads = 0, expected a number >= 1"):
+        TrackSteeringVector(2, backend="c", threads=0)
+    env = TrackSteeringVector(2, backend="c")
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.step([2, 2])
