@@ -87,7 +87,7 @@ class PathTracker(Block):
     def init(self, batch: tuple[int, ...] = ()) -> State:
         return self.X(np.zeros(batch), np.zeros(batch)) if batch else self.X(0.0, 0.0)
 
-    def settle(self, t: float, x: State, u: Any) -> State:
+    def settle(self, t: float, x: Any, u: Any) -> State:
         """The nearest place of the whole path; a heading against it counts as up to sqrt(2) m of distance. For symbols,
         which cannot be compared with all of it, the place near x.s."""
         px, py = u.x + self.reference * m.cos(u.psi), u.y + self.reference * m.sin(u.psi)

@@ -32,6 +32,7 @@ from steerkit.plants.pushed import GUST_STATES, Pushed
 from steerkit.plants.single_track import SingleTrackState
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.plants.torque_steering import TorqueSteering
+from steerkit.random import OpenSeed
 from steerkit.scenario import END_MARGIN, Scenario
 from steerkit.scenario.drive import assembled
 from steerkit.scenario.file import read_scenario
@@ -380,7 +381,7 @@ def _is_cost(cost: Any) -> bool:
     return cost.get("kind") in COST_KINDS if isinstance(cost, Mapping) else callable(cost)
 
 
-def reseeded(block: Any, seed: int) -> Any:
+def reseeded(block: Any, seed: int | OpenSeed) -> Any:
     """The block with its field `seed`, or that of a block inside it, exchanged; itself if there is none."""
     changed: dict[str, Any] = {}
     for name, value in vars(block).items():
