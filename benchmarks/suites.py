@@ -310,7 +310,7 @@ def elsewhere(one: Suite, *, course: str = "", vehicle: str = "", controllers: S
 
 
 def _stem(name: str) -> str:
-    return FilePath(name).stem.replace("--", "-")
+    return FilePath(name.partition("#")[0]).stem.replace("--", "-")
 
 
 def jobs(suites: Sequence[Suite], seeds: int | None = None, only: Sequence[str] = ()) -> list[Job]:

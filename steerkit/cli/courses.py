@@ -1,22 +1,53 @@
-"""The command `steerkit courses`: what can be driven."""
+"""The command `steerkit courses`: what can be driven, what a map holds, and a course made of it."""
 
 from __future__ import annotations
 
 import json
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 from steerkit.cli.options import Machine
+
+if TYPE_CHECKING:
+    from steerkit.roads import Course, Map
 
 ALSO = {
     "random-7": "a random course by its seed: 500 m, radii of 10 m and more",
     "sweeping-7": "one with wide bends by its seed: 2 km, radii of 100 m and more",
     "FILE.csv": "a course of your own: columns x, y [m] or lat, lon [degrees]",
+    "FILE.gpx": "a recorded track; lap.gpx#noise=0.5 says how good its positions are [m]",
+    "FILE.geojson": "a line that was drawn: site.geojson#feature=yard",
+    "FILE.xodr": "OpenDRIVE: town.xodr#road=1,lane=-1,to=5",
+    "FILE.xml": "CommonRoad: crossing.xml#lanelet=17,to=42",
+    "FILE.osm": "Lanelet2 or plain OSM: town.osm#way=123,to=456",
 }
 """What else can be named, and what it is."""
 
 
-def courses(as_json: Machine = False) -> None:
-    """List the courses: the built-in ones, and what else can stand for a course's name."""
+def courses(
+    file: Annotated[
+        str, typer.Argument(metavar="[FILE[#KEY=VALUE,...]]", show_default=False, help="A map or a track.")
+    ] = "",
+    to: Annotated[Path | None, typer.Option(help="Course to write (.csv), of what is chosen.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Picture to write (.png, .pdf, .svg), of what is chosen.")] = None,
+    vehicle: Annotated[str, typer.Option(help="Car whose wheel has to do the bends: name or file.")] = "vw-passat",
+    as_json: Machine = False,
+) -> None:
+    """List the courses; or what a map's FILE holds, and make a course of it.
+
+    Keys for every file: noise (m, how far a point is from where it belongs), closed, reverse (yes, no). By kind: CSV
+    lap; GPX track, lap; GeoJSON feature, lap; OpenDRIVE road, lane, to; CommonRoad and Lanelet2 lanelet, to; OSM way,
+    to. `to` is where the shortest way along connected lanes leads. Every --course takes such an address, too.
+    """
+    if file:
+        _of_file(file, to, plot, vehicle, as_json)
+        return
+    if to is not None or plot is not None:
+        raise ValueError(
+            "--to and --plot make something of a map's file; name it: steerkit courses lap.gpx --to lap.csv"
+        )
     from rich.console import Console
     from rich.table import Table
 
@@ -37,3 +68,82 @@ def courses(as_json: Machine = False) -> None:
     Console().print(table)
     for name, what in ALSO.items():
         print(f"{name:12s} {what}")
+
+
+def _of_file(file: str, to: Path | None, plot: Path | None, vehicle: str, as_json: bool) -> None:
+    from steerkit import roads
+    from steerkit import vehicle as car
+
+    found = roads.contents(file)
+    address = roads.Address.parsed(file)
+    single = len(found.pieces) == 1
+    if not (address.choice or single) and to is None and plot is None:
+        _list(found, address.file, as_json)
+        return
+    made = roads.read_course(file, tightest=float(car(vehicle).tightest))
+    if to is not None:
+        if to.suffix != ".csv":
+            raise ValueError(f"--to {to}: a course's file ends in .csv")
+        made.to_csv(str(to))
+    if plot is not None:
+        from steerkit.plots.course import plot_course
+
+        plot_course(made.path).savefig(plot)
+    row = _row(made)
+    if as_json:
+        print(json.dumps({**row, "notes": made.notes, "written": [str(f) for f in (to, plot) if f is not None]}))
+        return
+    print(made.path)
+    speeds = [f"{row[key][0]:.1f} to {row[key][1]:.1f} m/s {what}" for key, what in _SPEEDS.items() if row[key]]
+    radius = row["tightest_radius_m"]
+    print(f"tightest radius {radius:.1f} m" if radius else "straight", *speeds, sep=", ")
+    for note in made.notes:
+        print(f"  {note}")
+    for written in (to, plot):
+        if written is not None:
+            print(f"wrote {written}")
+
+
+_SPEEDS = {"v": "as driven", "v_limit": "allowed"}
+
+
+def _row(made: Course) -> dict[str, Any]:
+    import numpy as np
+
+    path = made.path
+    sharpest = float(abs(path.samples.kappa).max())
+    row: dict[str, Any] = {"course": path.name, "length_m": path.length, "closed": path.closed}
+    row["tightest_radius_m"] = 1.0 / sharpest if sharpest > 1e-6 else None
+    for key, speeds in (("v", made.v), ("v_limit", made.v_limit)):
+        row[key] = None if speeds is None else [float(np.nanmin(speeds)), float(np.nanmax(speeds))]
+    return row
+
+
+def _list(found: Map, file: str, as_json: bool) -> None:
+    """What there is to choose from."""
+    rows = []
+    for group, pieces in found.groups().items():
+        lanes = list(dict.fromkeys(piece.lane for piece in pieces))
+        after = {found.pieces[name].group for piece in pieces for name in piece.next if name in found.pieces} - {group}
+        row: dict[str, Any] = {
+            found.kind: group,
+            "length_m": found.length_of(group),
+            "lanes": [lane for lane in lanes if lane],
+        }
+        rows.append(row | {"leads_to": sorted(after), "about": " ".join(dict.fromkeys(p.about for p in pieces))})
+    if as_json:
+        print(json.dumps({"file": file, "kind": found.kind, f"{found.kind}s": rows, "notes": found.notes}))
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(found.kind, "length (m)", "lanes", "leads to", "")
+    for row in rows:
+        leads = ", ".join(row["leads_to"][:8]) + (" ..." if len(row["leads_to"]) > 8 else "")
+        table.add_row(row[found.kind], f"{row['length_m']:.0f}", ", ".join(row["lanes"]), leads, row["about"])
+    Console().print(table)
+    for note in found.notes:
+        print(note)
+    first = rows[0]
+    lane = f",lane={first['lanes'][0]}" if len(first["lanes"]) > 1 else ""
+    print(f"choose: steerkit courses '{file}#{found.kind}={first[found.kind]}{lane}' --to course.csv")

@@ -9,6 +9,7 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache, partial
 from importlib.resources import files
 from typing import TypeVar
@@ -65,12 +66,17 @@ def course_of(text: str, name: str, *, closed: bool | None = None) -> Path:
     """The course in the text of a CSV file (see `Path.from_csv`), called `name`.
 
     closed: None means as the file says, if `Path.to_csv` wrote it; else closed if its ends are no farther apart than
-    5 m or three of its steps. Raises ValueError for a broken file, naming it.
+    5 m or three of its steps. Raises ValueError for a broken file, naming it, and for one that is cut short.
     """
+    said = re.search(r"^#.*: (closed|open) path, ([\d.]+) m", text, re.MULTILINE)
     if closed is None:
-        said = re.search(r"^#.*: (closed|open) path, ", text, re.MULTILINE)
         closed = said[1] == "closed" if said else _meets_itself(text, name)
-    return Path.from_text(text, closed=closed, name=name.removesuffix(".csv"), where=name)
+    path = Path.from_text(text, closed=closed, name=name.removesuffix(".csv"), where=name)
+    if said and closed == (said[1] == "closed") and abs(path.length - float(said[2])) > 0.05 + 1e-4 * path.length:
+        what = f"its first line says {said[2]} m, its points make {path.length:.1f} m: cut short, or changed by hand"
+        raise ValueError(f"{name}: {what}; write it again, or delete that line")
+    place = re.search(r"^# origin (-?[\d.]+), (-?[\d.]+) deg$", text, re.MULTILINE)
+    return replace(path, origin_deg=(float(place[1]), float(place[2]))) if place else path
 
 
 def _meets_itself(text: str, name: str) -> bool:

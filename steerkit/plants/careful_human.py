@@ -12,7 +12,7 @@ from steerkit import maths as m
 from steerkit.block import Block, In, Out, State
 from steerkit.errors import require
 from steerkit.maths import Table
-from steerkit.path import Path
+from steerkit.path import Array, Path
 from steerkit.plants.human import Human
 from steerkit.task import A_Y_MAX
 
@@ -49,18 +49,7 @@ class CarefulHuman(Block):
     @cached_property
     def _ceiling(self) -> Table:
         """Rows of ceiling [m/s] and its rise to the next row."""
-        n = max(2, round(self.path.length))
-        ds = self.path.length / n
-        kappa = np.abs(self.path.kappa(np.linspace(0.0, self.path.length, n, endpoint=False)))
-        v2 = self.a_y_max / np.maximum(kappa, 1e-4)
-        gain = 2.0 * self.a_x_max * ds
-        rounds = 2 if self.path.closed else 1  # the second carries a ceiling across the start
-        for _ in range(rounds):
-            for i in range(0 if self.path.closed else 1, n):  # leaving a bend
-                v2[i] = min(v2[i], v2[i - 1] + gain)
-            for i in range(n - 1 if self.path.closed else n - 2, -1, -1):  # braking for one
-                v2[i] = min(v2[i], v2[(i + 1) % n] + gain)
-        v = np.sqrt(v2)
+        v = ceiling(self.path, self.a_y_max, self.a_x_max)
         return Table(np.column_stack((v, np.roll(v, -1) - v if self.path.closed else np.append(np.diff(v), 0.0))))
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
@@ -75,3 +64,24 @@ class CarefulHuman(Block):
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
         return self.human.update(t, x, (), ())
+
+
+def ceiling(path: Path, a_y_max: float, a_x_max: float, limit: Array | None = None) -> Array:
+    """Fastest speed [m/s] about every metre of a path, (n,) at s = k length/n, as in `CarefulHuman`.
+
+    a_y_max, a_x_max [m/s^2]; limit: speed that is allowed there besides (n,) [m/s].
+    """
+    n = max(2, round(path.length))
+    ds = path.length / n
+    kappa = np.abs(path.kappa(np.linspace(0.0, path.length, n, endpoint=False)))
+    v2 = a_y_max / np.maximum(kappa, 1e-4)
+    if limit is not None:
+        v2 = np.minimum(v2, limit * limit)
+    gain = 2.0 * a_x_max * ds
+    rounds = 2 if path.closed else 1  # the second carries a ceiling across the start
+    for _ in range(rounds):
+        for i in range(0 if path.closed else 1, n):  # leaving a bend
+            v2[i] = min(v2[i], v2[i - 1] + gain)
+        for i in range(n - 1 if path.closed else n - 2, -1, -1):  # braking for one
+            v2[i] = min(v2[i], v2[(i + 1) % n] + gain)
+    return np.asarray(np.sqrt(v2))

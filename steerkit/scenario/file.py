@@ -11,6 +11,7 @@ from typing import Any
 
 from steerkit.errors import require
 from steerkit.files import read_toml
+from steerkit.roads.address import is_road
 from steerkit.scenario.scenario import CONDITIONS, Scenario
 
 FORMAT = "steerkit scenario 1"
@@ -30,7 +31,9 @@ def read_scenario(file: str | FilePath) -> Scenario:
     require(fits, f"{file}", "[files], expected the text of a file under each name")
     for key in ("course", "vehicle"):
         name = table.get(key)
-        if isinstance(name, str) and name.endswith((".csv", ".toml")) and name not in texts:
+        if not isinstance(name, str) or name in texts:
+            continue
+        if name.endswith((".csv", ".toml")) or (key == "course" and is_road(name)):
             table[key] = str(place.parent / name)
     return of_table({**table, "files": tuple(texts.items())}, f"{file}")
 

@@ -15,6 +15,7 @@ from steerkit.courses import course, course_of, lane_change, random_course
 from steerkit.errors import require
 from steerkit.files import read_text
 from steerkit.path import Array, Path
+from steerkit.plants.careful_human import CarefulHuman, ceiling
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.poor_sensors import PoorSensors
 from steerkit.plants.sensors import Sensors
@@ -157,6 +158,30 @@ def profile_in(text: str, name: str) -> tuple[Array, Array]:
     fine = bool(np.isfinite(s).all() and np.isfinite(v).all() and (np.diff(s) > 0.0).all() and len(s) >= 2)
     require(fine, name, "expected two rows or more of numbers, s [m] rising from row to row")
     return s, v
+
+
+def carried_speed(scenario: Scenario, text: str) -> tuple[Array, Array]:
+    """s [m] and v [m/s] of a course's file that carries speeds: as it was driven, or as fast as is allowed.
+
+    `limit`: v_limit, v_max where nothing is said, and slower for bends, as a `CarefulHuman` is.
+    """
+    path, columns = scenario.path(), read_columns(text, scenario.course)
+    key = {"recorded": "v", "limit": "v_limit"}[scenario.speed]
+    told = f"no column {key} [m/s]; columns: {', '.join(columns)}"
+    require({"s", key} <= columns.keys(), f"speed {scenario.speed}: {scenario.course}", told)
+    s, v = columns["s"], columns[key]
+    if scenario.speed == "recorded":
+        require(
+            np.isfinite(v).all() and (np.diff(s) > 0.0).all(), scenario.course, "s rising, v [m/s], expected numbers"
+        )
+        at = np.linspace(0.0, path.length, max(2, round(path.length) + 1))
+        return at, np.interp(at, s, v, period=path.length if path.closed else None)
+    n = max(2, round(path.length))
+    at = np.linspace(0.0, path.length, n + 1)
+    allowed = v[np.clip(np.searchsorted(s, at[:-1] + 1e-6, side="right") - 1, 0, len(s) - 1)]
+    allowed = np.clip(np.where(np.isfinite(allowed), allowed, scenario.v_max), scenario.v_min, scenario.v_max)
+    fastest = ceiling(path, scenario.a_y_human, CarefulHuman.a_x_max, allowed)
+    return at, np.append(fastest, fastest[0] if path.closed else fastest[-1])
 
 
 def profile_on(path: Path, text: str, name: str) -> tuple[Array, Array]:

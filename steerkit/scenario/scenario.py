@@ -24,9 +24,13 @@ from steerkit.plants.human import Human, SpeedProfile
 from steerkit.plants.pushed import Pushed
 from steerkit.plants.single_track import SingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator, steering_in
+from steerkit.roads.address import KINDS, Address, is_road
+from steerkit.roads.course import check_bends
+from steerkit.roads.reading import read_course
 from steerkit.scenario.parts import (
     actuator_of,
     car_of,
+    carried_speed,
     column_of,
     drawn_course,
     estimator_of,
@@ -42,7 +46,7 @@ from steerkit.vehicles.file import tables_of
 
 END_MARGIN = 5.0
 """How far from the ends of an open course a drive begins or ends [m]."""
-SPEEDS = ("wander", "recorded")
+SPEEDS = ("wander", "recorded", "limit")
 REFERENCES = ("front", "cg", "own")
 SENSING = ("hard", "no sideslip", "real")
 ESTIMATORS = ("none", "vehicle-state")
@@ -83,6 +87,7 @@ _RANGES = (  # field, unit, least, largest
     ("told_delay", "s", 0.0, 2.0),
     ("told_lag", "s", 0.0, 10.0),
 )
+_TIGHTEST = 0.5  # m: no course from a map is tighter; what the scenario's car can do is judged besides
 _SLOWEST = 4.0  # m/s: the careful human's speed in the tightest bend of all courses, 5.9 m
 _TIME_TO_SPARE = 10.0  # s
 
@@ -101,8 +106,9 @@ class Scenario:
     """What it is called in results and errors."""
     course: str = "paper"
     """Name of a course (`steerkit.courses`); `random-7` and the like, a random course by its seed (500 m, radii of 10 m
-    and more), `sweeping-7` one with wide bends (2 km, 100 m and more); or a CSV file with the columns x, y [m] or lat,
-    lon [degrees]. ISO lane changes are as long as v_max asks."""
+    and more), `sweeping-7` one with wide bends (2 km, 100 m and more); or a file: CSV with the columns x, y [m] or lat,
+    lon [degrees], or any that `steerkit.roads.read_course` reads, such as `town.xodr#road=1,lane=-1`, which is kept as
+    such a CSV. ISO lane changes are as long as v_max asks."""
     closed: bool | None = None
     """Is a course from a file closed? None: as the file says, or as it looks (`steerkit.courses.course_of`)."""
     vehicle: str = "vw-passat"
@@ -118,8 +124,9 @@ class Scenario:
     """Who catches a learned controller: `stanley`, `stanley-delay`, or `fitting`: of both the one for what is told; or
     `adapting`: `stanley-delay` that finds dead time and ratio by itself (`Adaptive`)."""
     speed: str = "wander"
-    """`wander`: a human between v_min and v_max, slower in bends (3 m/s^2); `recorded`: as driven on the recorded
-    course, within v_min and v_max; or a CSV file with the columns s [m] along the course and v [m/s], within them."""
+    """`wander`: a human between v_min and v_max, slower in bends (3 m/s^2); `recorded`: as driven on a recorded
+    course; `limit`: as fast as a course from a map allows, slower in bends; or a CSV file with the columns s [m] along
+    the course and v [m/s]; all within v_min and v_max."""
     v_min: float = 4.0
     """Slowest speed of the human [m/s]; equal to v_max: a steady one."""
     v_max: float = 7.5
@@ -227,11 +234,15 @@ class Scenario:
         texts = {}
         for field, suffix in (("course", ".csv"), ("vehicle", ".toml"), ("speed", ".csv")):
             given = str(getattr(self, field))
-            if not given.endswith(suffix):
+            road = field == "course" and given not in kept and is_road(given)
+            if not (given.endswith(suffix) or road):
                 continue
-            file = FilePath(given)
+            file = FilePath(f"{Address.parsed(given).name}.csv" if road else given)
             try:
-                texts[file.name] = kept[given] if given in kept else read_text(file, f"{where}: {field}")
+                if road:
+                    texts[file.name] = read_course(given, tightest=_TIGHTEST, closed=self.closed).text()
+                else:
+                    texts[file.name] = kept[given] if given in kept else read_text(file, f"{where}: {field}")
             except OSError as error:
                 raise ValueError(f"{where}: {field} {given} cannot be read ({error.strerror})") from error
             require(field != "speed" or self.course != file.name, where, f"course and speed are both {file.name}")
@@ -242,15 +253,15 @@ class Scenario:
         """Make what can be made at once: each part checks itself."""
         valid = [*names(), "random-7", "sweeping-7"]
         if self._text(self.course) is not None:
-            self.path()
+            check_bends(self.path(), self.nominal.tightest)
         elif drawn_course(self.course) is None:
-            known(self.course, valid, "course", also="FILE.csv")
+            known(self.course, valid, "course", also=f"FILE{', '.join(KINDS)}")
         chosen = self.closed is None or self._text(self.course) is not None
         require(chosen, f"closed = {self.closed}", "only a course from a file is told so")
         if self.start:
             require_within("scenario", "start", self.start, "m", 0.0, self.path().length, "the course's length")
-        if self.speed == "recorded":
-            recorded_speed(self.course)
+        if self.speed in ("recorded", "limit"):
+            self._profile()
         elif self.speed != "wander":
             _, v = self._profile()
             told = f"{v.min():g} to {v.max():g} m/s, expected v_min to v_max, {self.v_min:g} to {self.v_max:g}"
@@ -353,8 +364,13 @@ class Scenario:
 
     def _profile(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """s [m] along the course, and the speed there [m/s], as recorded or from a file."""
-        text = self._text(self.speed)
-        return recorded_speed(self.course) if text is None else profile_on(self.path(), text, self.speed)
+        text, course = self._text(self.speed), self._text(self.course)
+        if text is not None:
+            return profile_on(self.path(), text, self.speed)
+        if course is not None:
+            return carried_speed(self, course)
+        require(self.speed == "recorded", f"speed {self.speed}", f"course '{self.course}' has none; a map's file has")
+        return recorded_speed(self.course)
 
     @property
     def seconds(self) -> float:
@@ -401,8 +417,8 @@ class Scenario:
         """The human who sets the speed, and slows down for bends."""
         if self.speed != "wander":
             s, v = self._profile()
-            again = self.speed != "recorded" and self.path().closed
-            return SpeedProfile.from_samples(s, np.clip(v, self.v_min, self.v_max), spacing=2.0, repeat=again)
+            v, closed = np.clip(v, self.v_min, self.v_max), self.path().closed
+            return SpeedProfile.from_samples(s, v, spacing=2.0, repeat=closed)
         human = Human(v_min=self.v_min, v_max=self.v_max, seed=seed)
         return CarefulHuman(path=self.path(), human=human, a_y_max=self.a_y_human)
 

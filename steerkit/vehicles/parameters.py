@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 
+import numpy as np
+
 from steerkit.errors import require, require_within
 from steerkit.maths import Scalar
 from steerkit.task import STOP
@@ -64,6 +66,11 @@ class Vehicle:
     def wheelbase(self) -> Scalar:
         """L = l_f + l_r [m]"""
         return self.l_f + self.l_r
+
+    @property
+    def tightest(self) -> Scalar:
+        """Radius of the centre of gravity with the wheel at its stop, rolling: sqrt((L/tan delta_max)^2 + l_r^2) [m]"""
+        return np.hypot(self.wheelbase / np.tan(np.minimum(self.delta_sw_max / self.steer_ratio, 1.5)), self.l_r)
 
     @property
     def understeer_gradient(self) -> Scalar:

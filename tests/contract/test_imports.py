@@ -43,6 +43,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "path": BASE | {"block", "waypoints"},
     "tracker": BASE | {"block", "path"},
     "courses": BASE | {"path", "waypoints"},
+    "roads": BASE | {"path", "waypoints"},
     "doe": BASE | {"block"},
     "controllers": BASE | {"block", "vehicles", "path"},
     "plants": BASE | {"block", "vehicles", "path", "tracker"},
@@ -52,7 +53,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "plots": RUN | {"path"},
     "assembly": RUN | PARTS,
     "catalogue": BASE | PARTS | {"mistakes"},
-    "scenario": RUN | PARTS | {"assembly", "catalogue", "compiled", "metrics", "waypoints"},
+    "scenario": RUN | PARTS | {"assembly", "catalogue", "compiled", "metrics", "waypoints", "roads"},
     "learning": RUN | PARTS | {"assembly", "catalogue", "compiled", "metrics", "plots", "scenario"},
     "logs": RUN | {"vehicles", "plants", "plots"},
     "identification": RUN | {"logs", "vehicles", "plants", "compiled", "plots"},
@@ -85,6 +86,8 @@ AT_HOME = {
     "pythonfmu": {"export.fmu"},
     "fmpy": {"plants.fmu"},
     "gymnasium": {"gym", "export.minari"},
+    "defusedxml": {"roads.xml_stream"},
+    "ijson": {"roads.tracks"},
     "PIL": {"gym.frames", "learning.pictures.film"},
 }
 """Where a package may be imported: a module or package of steerkit."""

@@ -1,0 +1,1 @@
+"""OpenDRIVE maps: reference lines by their closed forms, lanes beside them, routes through them."""
