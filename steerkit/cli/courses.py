@@ -37,7 +37,7 @@ def courses(
 ) -> None:
     """List the courses; or what a map's FILE holds, and make a course of it.
 
-    Keys for every file: noise (m, how far a point is from where it belongs), closed, reverse (yes, no). By kind: CSV
+    Keys for every file: noise (m, how far points lie beside the way), closed, reverse (yes, no). By kind: CSV
     lap; GPX track, lap; GeoJSON feature, lap; OpenDRIVE road, lane, to; CommonRoad and Lanelet2 lanelet, to; OSM way,
     to. `to` is where the shortest way along connected lanes leads. Every --course takes such an address, too.
     """

@@ -67,7 +67,9 @@ class DriveOptions:
     seed: Seed = 0
     quiet: Quiet = False
     as_json: Machine = False
-    course: Annotated[str, in_simulation("Course: a name of `steerkit courses`, random-7, or a CSV file.")] = "paper"
+    course: Annotated[
+        str, in_simulation("Course: a name of `steerkit courses`, random-7, a CSV file, or of a map: town.xodr#road=1.")
+    ] = "paper"
     vehicle: Annotated[
         str,
         in_simulation(
@@ -84,7 +86,10 @@ class DriveOptions:
         str, in_simulation("Between sensors and controllers: none, or vehicle-state, a filter that needs no sideslip.")
     ] = "none"
     speed: Annotated[
-        str, in_simulation("A steady speed (m/s), `wander`, `recorded`, or a CSV file with the columns s (m), v (m/s).")
+        str,
+        in_simulation(
+            "A steady speed (m/s), `wander`, `recorded`, `limit`, or a CSV file with the columns s (m), v (m/s)."
+        ),
     ] = "wander"
     v_max: Annotated[float, in_simulation("Fastest speed of the human (m/s).")] = 7.5
     scenario_file: Annotated[

@@ -29,7 +29,7 @@ class Address:
     choice: Mapping[str, str]
     """What is chosen by name: road, lane, lanelet, way, track, feature, to, lap."""
     noise: float | None
-    """How far a point is from where it belongs, in x and in y each, as a standard deviation [m]; None: the format's."""
+    """How far points lie beside the way, as a standard deviation [m]; None: the format's."""
     closed: bool | None
     """None: closed if it comes back to its beginning."""
     reverse: bool

@@ -23,6 +23,8 @@ DENSE = 1.0
 """What was drawn with straights between its points gets one so often [m]."""
 SHORTEST, LONGEST = 10.0, 200_000.0
 """Least and greatest length of a course [m]."""
+_SPIKE = 0.3
+"""A point without which its neighbours turn by so much less [rad] may be a wrong one."""
 SHARP = 2.0
 """What was drawn turns by no more than this at one point [rad]; beyond, it turns back."""
 
@@ -48,11 +50,11 @@ class Line:
         limit = None if self.v_limit is None else self.v_limit[::-1]
         return Line(xy=self.xy[::-1], v_limit=limit)
 
-    def dense(self) -> Line:
-        """With points between the points, so that none is more than `DENSE` from the next."""
+    def dense(self, step: float = DENSE) -> Line:
+        """With points between the points, so that none is more than `step` [m] from the next."""
         steps = np.hypot(*np.diff(self.xy, axis=0).T)
         s = np.concatenate(([0.0], np.cumsum(steps)))
-        counts = np.ceil(steps / DENSE).astype(int)
+        counts = np.ceil(steps / step).astype(int)
         at = np.concatenate([*(a + b / k * np.arange(k) for a, b, k in zip(s, steps, counts)), s[-1:]])
         xy = np.column_stack([np.interp(at, s, column) for column in self.xy.T])
         nearest = np.minimum(np.searchsorted(s, at + 1e-9, side="right") - 1, len(s) - 1)
@@ -106,11 +108,13 @@ def laid(
     tightest: float = TIGHTEST,
     notes: tuple[str, ...] = (),
     origin_deg: tuple[float, float] | None = None,
+    hint: str = "",
 ) -> Course:
     """The course along a line, smoothed by its noise, or ValueError with the place and the reason why it has none.
 
-    noise [m]: standard deviation of the points in x and in y; 0: exact. drawn: the line runs straight between its
-    points; else they were recorded one after the other on a smooth way. tightest [m]: least radius of the car.
+    noise [m]: standard deviation of the points across the way; 0: exact. drawn: the line runs straight between its
+    points; else they were recorded one after the other on a smooth way. tightest [m]: least radius of the car. hint:
+    what else may help where it bends too much.
     """
     line = distinct(line, name)
     if closed and math.dist(line.xy[0], line.xy[-1]) < SAME:
@@ -119,22 +123,24 @@ def laid(
     require(SHORTEST <= total <= LONGEST, name, f"is {total:.1f} m long, expected {SHORTEST:g} to {LONGEST:g} m")
     if drawn:
         check_turns(line.xy, name)
+    check_spikes(line.xy, noise, name)
+    if drawn:
         line = line.dense() if noise > 0.0 else line
     remarks = list(notes)
     if noise > 0.0 and len(line.xy) > 8:
         curve, end, u, shown = smoothed(line.xy, noise, closed=closed)
         count = max(12, round(end))
         fine = curve(np.linspace(0.0, end, count + 1)[: -1 if closed else None])
-        remarks.append(f"smoothed by noise = {noise:g} m: the curve passes the points at {shown:.2g} m in x and in y")
+        remarks.append(f"smoothed by noise = {noise:g} m: the points lie {shown:.2g} m beside the curve (RMS)")
     else:
         fine, u = line.xy, np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(line.xy, axis=0).T))))
         end = float(u[-1]) + (math.dist(line.xy[0], line.xy[-1]) if closed else 0.0)
     try:
         path = Path.from_waypoints(fine, closed=closed, name=name)
     except ValueError as error:
-        hint = f"; it was read with noise = {noise:g} m, more of it smooths more: FILE#noise={max(2.0 * noise, 0.1):g}"
-        raise ValueError(f"{name}: cannot be driven as it is: {str(error).split('; give')[0]}{hint}") from error
-    check_bends(path, tightest, noise)
+        what = str(error).split("; give")[0].removeprefix(f"Path '{name}': ")
+        raise ValueError(f"{name}: cannot be driven as it is: {what}{_smoother(noise)}{hint}") from error
+    check_bends(path, tightest, f"{_smoother(noise)}{hint}")
     path = replace(path, origin_deg=origin_deg)
     s = u * (path.length / end)
     v, limit = (_along(path, s, a) for a in (line.v, line.v_limit))
@@ -169,7 +175,37 @@ def check_turns(xy: Array, name: str) -> None:
         raise ValueError(f"{name}: {what}; choose a part without it, or a route along lanes")
 
 
-def check_bends(path: Path, tightest: float, noise: float = 0.0) -> None:
+def check_spikes(xy: Array, noise: float, name: str) -> None:
+    """ValueError for a single point that lies beside a line that is smooth without it."""
+    if len(xy) < 6:
+        return
+
+    def turns(points: Array) -> Array:
+        heading = np.unwrap(np.arctan2(*np.diff(points, axis=1).transpose(2, 0, 1)[::-1]), axis=-1)
+        return np.abs(np.diff(heading, axis=1)).sum(axis=1)
+
+    five = np.stack([xy[k : len(xy) - 4 + k] for k in range(5)], axis=1)
+    less = turns(five) - turns(five[:, [0, 1, 3, 4]])
+    a, p, b = five[:, 1], five[:, 2], five[:, 3]
+    chord = b - a
+    cross = chord[:, 0] * (p - a)[:, 1] - chord[:, 1] * (p - a)[:, 0]
+    beside = np.abs(cross) / np.maximum(np.hypot(*chord.T), 1e-9)
+    bad = np.flatnonzero((less > _SPIKE) & (beside > max(6.0 * noise, SAME)))
+    if bad.size:
+        k = int(bad[0]) + 2
+        what = (
+            f"point {k}, ({xy[k, 0]:.1f}, {xy[k, 1]:.1f}) [m], lies {beside[k - 2]:.1f} m beside its neighbours' line"
+        )
+        raise ValueError(f"{name}: {what}: a wrong position? leave it out, or say how good positions are: noise=")
+
+
+def _smoother(noise: float) -> str:
+    """What to do about bends that may be noise."""
+    worse = max(2.0 * noise, 0.1)
+    return f"; if the points are no better than {worse:g} m, say so: noise={worse:g}"
+
+
+def check_bends(path: Path, tightest: float, hint: str = "") -> None:
     """ValueError, with the place, where a path bends tighter than `tightest` [m]."""
     k = path.samples
     worst = int(np.abs(k.kappa).argmax())
@@ -177,10 +213,7 @@ def check_bends(path: Path, tightest: float, noise: float = 0.0) -> None:
     if radius < tightest:
         x, y = k.xy[worst]
         what = f"bends to a radius of {radius:.2g} m at s = {k.s[worst]:.0f} m, ({x:.1f}, {y:.1f}) [m]"
-        more = (
-            f"; if the points are no better than {max(2.0 * noise, 0.1):g} m, say so: noise={max(2.0 * noise, 0.1):g}"
-        )
-        raise ValueError(f"{path.name}: {what}; the car's wheel does {tightest:.2g} m{more}")
+        raise ValueError(f"{path.name}: {what}; the car's wheel does {tightest:.2g} m{hint}")
 
 
 def _along(path: Path, s: Array, values: Array | None) -> Array | None:

@@ -45,7 +45,7 @@ class Map:
     """What its groups are: road, lanelet, way, track, feature."""
     pieces: Mapping[str, Piece]
     noise: float
-    """Standard deviation of its points in x and y unless something else is said [m]."""
+    """How far its points lie beside the way unless something else is said, as a standard deviation [m]."""
     drawn: bool
     """Does a line run straight between its points?"""
     notes: tuple[str, ...] = ()

@@ -64,45 +64,61 @@ def read_course(address: str, *, tightest: float = TIGHTEST, closed: bool | None
     driven: gaps, kinks, bends below `tightest`, lanes that are not connected; and for damaged files.
     """
     where = Address.parsed(address)
-    ending = FilePath(where.file).suffix.lower()
     found = contents(where.file)
-    choice = dict(where.choice)
-    lap = _lap(choice.pop("lap", None), address)
-    line, closed_route, told = found.route(choice, address)
-    noise = found.noise if where.noise is None else where.noise
-    drawn, origin = found.drawn, found.origin_deg
-    notes = [f"read {FilePath(where.file).name} ({KINDS[ending]}), sha256 {_digest(where.file)}: {told[0]}"]
-    notes += [*told[1:], *found.notes]
-    wanted = closed if where.closed is None else where.closed
-    round_ = closed_route
-    if found.kind in ("track", "feature"):
-        name = choice.get(found.kind) or next(iter(found.pieces))
-        track = found.pieces[name].line.args[0]  # type: ignore[attr-defined]
-        drawn = track.drawn
-        if where.noise is None:
-            noise = _DRAWN if drawn else _RECORDED
-            notes.append(f"noise = {noise:g} m is assumed; FILE#noise=... says otherwise")
-        line, origin, more = _recorded(track, noise, address)
-        notes += more
-        if wanted is not False:
-            line, round_, cut = rounds(line, noise, lap, address)
-            notes += cut
-    elif where.noise is None:
-        notes.append(f"noise = {noise:g} m is assumed for this kind of map; FILE#noise=... says otherwise")
-    if wanted is None:
-        wanted = round_ or _meets(line.xy)
-    if where.reverse:
-        line = line.backwards()
+    line, closed_route, told = chosen(found, where, closed)
+    kind = KINDS[FilePath(where.file).suffix.lower()]
+    first = f"read {FilePath(where.file).name} ({kind}), sha256 {_digest(where.file)}: {told[0]}"
+    noise = _noise(found, where)
+    assumed = f"noise = {noise:g} m is assumed; FILE#noise=... says otherwise"
+    recorded = found.kind in ("track", "feature") and not _track(found, where).drawn
     return laid(
-        line,
+        line.backwards() if where.reverse else line,
         name=where.name,
         noise=noise,
-        closed=wanted,
-        drawn=drawn,
+        closed=closed_route,
+        drawn=not recorded and found.drawn,
         tightest=tightest,
-        notes=tuple(notes),
-        origin_deg=origin,
+        notes=(first, *told[1:], *found.notes, *([assumed] if where.noise is None else [])),
+        origin_deg=_origin(found, where),
+        hint="; recorded too coarsely for its bends? record more often, or drive them slower" if recorded else "",
     )
+
+
+def chosen(found: Map, where: Address, closed: bool | None = None) -> tuple[Line, bool, list[str]]:
+    """The line that an address means, before it is smoothed; is it closed; and what to say of it."""
+    choice = dict(where.choice)
+    lap = _lap(choice.pop("lap", None), where.file)
+    line, round_, told = found.route(choice, where.file)
+    notes = [*told]
+    wanted = closed if where.closed is None else where.closed
+    if found.kind in ("track", "feature"):
+        line, more = _recorded(_track(found, where), _noise(found, where), where.file)
+        notes += more
+        if wanted is not False:
+            line, round_, cut = rounds(line, _noise(found, where), lap, where.file)
+            notes += cut
+    return line, (round_ or _meets(line.xy)) if wanted is None else wanted, notes
+
+
+def _track(found: Map, where: Address) -> tracks.Track:
+    name = where.choice.get(found.kind) or next(iter(found.pieces))
+    track: tracks.Track = found.pieces[name].line.args[0]  # type: ignore[attr-defined]
+    return track
+
+
+def _noise(found: Map, where: Address) -> float:
+    if where.noise is not None:
+        return where.noise
+    if found.kind in ("track", "feature"):
+        return _DRAWN if _track(found, where).drawn else _RECORDED
+    return found.noise
+
+
+def _origin(found: Map, where: Address) -> tuple[float, float] | None:
+    if found.kind not in ("track", "feature"):
+        return found.origin_deg
+    track = _track(found, where)
+    return None if track.flat else (track.a[0], track.b[0])
 
 
 def _piece(track: tracks.Track) -> Piece:
@@ -123,10 +139,9 @@ def _rough_length(track: tracks.Track) -> float:
     return float(111_320.0 * np.hypot(np.diff(a), east).sum())
 
 
-def _recorded(track: tracks.Track, noise: float, where: str) -> tuple[Line, tuple[float, float] | None, list[str]]:
-    """A track in metres, without what was recorded at rest; where x = y = 0 is; and what was done."""
+def _recorded(track: tracks.Track, noise: float, where: str) -> tuple[Line, list[str]]:
+    """A track in metres, without what was recorded at rest; and what was done."""
     a, b, t, v = tracks.numbers(track)
-    origin = None
     if track.flat:
         xy: Array = np.column_stack((a, b))
         check_metres(xy, where)
@@ -134,13 +149,12 @@ def _recorded(track: tracks.Track, noise: float, where: str) -> tuple[Line, tupl
         import pymap3d
 
         check_gps(a, b, where)
-        origin = (float(a[0]), float(b[0]))
-        east, north, _ = pymap3d.geodetic2enu(a, b, 0.0, *origin, 0.0)
+        east, north, _ = pymap3d.geodetic2enu(a, b, 0.0, a[0], b[0], 0.0)
         xy = np.column_stack((east, north))
     if track.drawn:
-        return Line(xy=xy), origin, []
+        return Line(xy=xy), []
     line, told = cleaned(xy, t if np.isfinite(t).all() else None, v, noise, where)
-    return line, origin, [*told]
+    return line, [*told]
 
 
 def _meets(xy: Array) -> bool:

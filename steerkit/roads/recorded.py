@@ -133,8 +133,9 @@ def rounds(line: Line, noise: float, which: int | None, where: str) -> tuple[Lin
 def _returns(xy: Array, noise: float) -> list[int]:
     """The points at which a track has come round to its beginning: the nearest of each visit, going the same way."""
     steps = np.hypot(*np.diff(xy, axis=0).T)
+    usual = float(np.median(steps))
     s = np.concatenate(([0.0], np.cumsum(steps)))
-    reach = max(5.0, 4.0 * noise, 1.5 * float(np.median(steps)))
+    reach = max(5.0, 4.0 * noise, 1.5 * usual)
     ahead = min(int(np.searchsorted(s, max(10.0, 6.0 * noise))), len(xy) - 1)
     away = xy[ahead] - xy[0]
     distance = np.hypot(*(xy - xy[0]).T)
@@ -148,7 +149,8 @@ def _returns(xy: Array, noise: float) -> list[int]:
             end += 1
         before = max(0, int(np.searchsorted(s, s[k] - max(10.0, 6.0 * noise))))
         if (xy[min(end, len(xy) - 1)] - xy[before]) @ away > 0.0:
-            passed = np.flatnonzero((xy[k:end] - xy[0]) @ away >= 0.0)  # the round ends before it is at its beginning
+            short = (0.4 * usual + noise) * float(np.hypot(*away))  # the last point of a round lies before the first
+            passed = np.flatnonzero((xy[k:end] - xy[0]) @ away >= -short)
             found.append(k + int(passed[0]) if passed.size else end)
         k = max(end, int(np.searchsorted(s, s[k] + _LEAST_ROUND)))
     return [n for n in found if n >= 6]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from array import array
 from collections.abc import Iterator
 from datetime import UTC, datetime
@@ -90,7 +91,7 @@ def geojson(file: str) -> list[Track]:
     reader = _GeoJson(file, tracks)
     try:
         with FilePath(file).open("rb") as stream:
-            for prefix, event, value in ijson.parse(stream, use_float=True):
+            for prefix, event, value in ijson.parse(stream, use_float=True, buf_size=_CHUNK):
                 reader.take(prefix, event, value)
     except OSError as error:
         raise ValueError(f"{file}: cannot be read ({error.strerror})") from error
@@ -102,7 +103,7 @@ def geojson(file: str) -> list[Track]:
 
 
 _GEO = ("FeatureCollection", "Feature", "GeometryCollection", "LineString", "MultiLineString")
-_DEEPEST = 40
+_DEEPEST, _CHUNK = 40, 1 << 12
 
 
 class _GeoJson:
@@ -171,8 +172,9 @@ class _GeoJson:
         """The end of a feature: its lines get its name and times."""
         lines = self.waiting if self.geometry in ("LineString", "MultiLineString") or not self.geometry else []
         used = {track.name for track in self.tracks}
+        base = self.name or str(len(self.tracks))
         for k, track in enumerate(lines):
-            name = (self.name or str(len(self.tracks))) + (f".{k}" if len(lines) > 1 else "")
+            name = base + (f".{k}" if len(lines) > 1 else "")
             track.name = name if name not in used else f"{name}#{len(self.tracks)}".replace("#", "-")
             if len(lines) == 1 and len(self.times) == len(track.a):
                 track.t = self.times
@@ -190,13 +192,23 @@ def csv(file: str) -> list[Track]:
     from steerkit.waypoints import read_columns
 
     try:
-        columns = read_columns(read_text(file, "course"), file)
+        text = read_text(file, "course")
+        columns = read_columns(text, file)
     except OSError as error:
         raise ValueError(f"{file}: cannot be read ({error.strerror})") from error
     flat = {"x", "y"} <= columns.keys()
     require(flat or {"lat", "lon"} <= columns.keys(), file, f"columns {', '.join(columns)}; valid: x, y or lat, lon")
     track = Track("0", flat=flat)
     track.a, track.b = (array("d", columns[key]) for key in (("x", "y") if flat else ("lat", "lon")))
+    said = re.search(r"^#.*: (closed|open) path, ([\d.]+) m", text, re.MULTILINE)
+    if said and flat:
+        steps = np.hypot(np.diff(columns["x"]), np.diff(columns["y"]))
+        gap = math.dist((track.a[0], track.b[0]), (track.a[-1], track.b[-1]))
+        length = float(steps.sum()) + (min(gap, 1.5 * float(np.median(steps))) if said[1] == "closed" else 0.0)
+        told = f"its first line says {said[2]} m, its points make {length:.1f} m: cut short, or changed by hand"
+        require(
+            abs(length - float(said[2])) < 0.5 + 2e-3 * length, file, f"{told}; write it again, or delete that line"
+        )
     nowhere = np.full(len(track.a), np.nan)
     track.t, track.v = (array("d", columns.get(key, nowhere)) for key in ("t", "v"))
     return [track]

@@ -9,7 +9,7 @@ from typing import Any
 
 from steerkit.errors import require
 
-_CHUNK = 1 << 16
+_CHUNK = 1 << 12
 _DEEPEST = 100
 
 
@@ -104,15 +104,18 @@ def records(file: str | FilePath, wanted: set[str], marks: set[str] = frozenset(
             if self.stack:
                 self.stack[-1].text += content
 
+    empty = True
     handler, parser = Handler(), create_parser(forbid_dtd=False, forbid_entities=True, forbid_external=True)
     parser.setContentHandler(handler)
     try:
         with FilePath(file).open("rb") as stream:
             while chunk := stream.read(_CHUNK):
+                empty = False
                 parser.feed(chunk)
                 yield from handler.ready
                 handler.ready.clear()
         parser.close()
+        require(not empty, f"{file}", "no XML, damaged or cut off (it is empty)")
     except DefusedXmlException as error:
         what = f"declares entities ({type(error).__name__}), which maps do not need and attacks do"
         raise ValueError(f"{file}: {what}; remove its <!DOCTYPE ...>") from error
@@ -130,7 +133,7 @@ def root_of(file: str | FilePath) -> str:
 
     try:
         with FilePath(file).open("rb") as stream:
-            head = stream.read(_CHUNK)
+            head = stream.read(16 * _CHUNK)
     except OSError as error:
         raise ValueError(f"{file}: cannot be read ({error.strerror})") from error
     found = re.search(rb"<(?:[A-Za-z0-9]+:)?([A-Za-z][\w.-]*)[\s>/]", head)

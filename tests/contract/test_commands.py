@@ -118,8 +118,12 @@ def learned(programs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "run"
 
 
-WRITTEN_BY = {"yard-smooth.csv": ("course.md", "yard"), "my_file.py": ("controller.md", "my_file.py")}
-"""Files that Python blocks of a page write: the page under docs/howto, and a word that only those blocks have."""
+WRITTEN_BY = {
+    "yard-smooth.csv": ("howto/course.md", "yard"),
+    "my_file.py": ("howto/controller.md", "my_file.py"),
+    "yard.xodr": ("roads.md", "write_text"),
+}
+"""Files that Python blocks of a page write: the page under docs, and a word that only those blocks have."""
 
 
 def make(name: str, folder: Path, learned: Path) -> None:
@@ -139,9 +143,7 @@ def make(name: str, folder: Path, learned: Path) -> None:
         (folder / name).write_text(code.partition("\ndoe = ")[0], encoding="utf-8")
     elif name in WRITTEN_BY:
         page, word = WRITTEN_BY[name]
-        codes = [
-            code for language, code in blocks(ROOT / "docs" / "howto" / page) if language == "python" and word in code
-        ]
+        codes = [code for language, code in blocks(ROOT / "docs" / page) if language == "python" and word in code]
         environment = {**os.environ, "MPLBACKEND": "agg"}
         subprocess.run(
             [sys.executable, "-c", "\n".join(codes)], cwd=folder, env=environment, timeout=PATIENCE, check=True
