@@ -17,6 +17,7 @@ from steerkit.cli.drive import drive
 from steerkit.cli.export import export
 from steerkit.cli.identify import identify
 from steerkit.cli.learn import learn
+from steerkit.cli.log import log
 from steerkit.cli.options import Quiet, Seed
 from steerkit.cli.plot import plot
 from steerkit.cli.show import show
@@ -30,6 +31,8 @@ Examples
   steerkit drive stanley --course genesis     a controller on a course\n
   steerkit learn --minutes 2 --out runs/mine  a car learns; the run is kept\n
   steerkit show runs/mine                     its story, and its pictures\n
+  steerkit log lap.mcap                       what is in a log of any program
+
   steerkit drive runs/mine -q --json          its figures, for a program\n
 
 Exit codes: 0 done; 1 refused or failed on the way; 2 a mistake in what was asked, said in one line on stderr;
@@ -43,6 +46,7 @@ app = typer.Typer(
 )
 app.add_typer(car_app, name="car")
 app.add_typer(bench_app, name="bench")
+app.command()(log)
 app.command()(identify)
 app.command()(export)
 app.command()(learn)

@@ -10,11 +10,15 @@ from typing import Annotated, Any
 
 import typer
 
+from steerkit.cli.log import Columns, Dbc, Map, SteerRatio, column_map
+
 
 def identify(
-    log: Annotated[str, typer.Argument(help="A recording: see above; or `genesis`, `genesis-rfs`.")],
-    columns: Annotated[Path | None, typer.Option("--map", help="TOML file: which column is what, its unit.")] = None,
-    column: Annotated[list[str] | None, typer.Option(help="QUANTITY=COLUMN[:UNIT[:SCALE]]; repeatable.")] = None,
+    log: Annotated[list[str], typer.Argument(help="A recording, or its files; or `genesis`, `genesis-rfs`.")],
+    columns: Map = None,
+    column: Columns = None,
+    dbc: Dbc = None,
+    steer_ratio: SteerRatio = None,
     held_out: Annotated[str | None, typer.Option(help="Another drive of the same car, to predict.")] = None,
     base: Annotated[str, typer.Option(help="Car whose mass and geometry are given: name or FILE.toml.")] = "vw-passat",
     wheelbase: Annotated[float | None, typer.Option(help="Wheelbase, in m, if not the base's.")] = None,
@@ -32,8 +36,9 @@ def identify(
 ) -> None:
     """Estimate a car's steering ratio, offset, delay, lag and cornering stiffness from a recorded drive.
 
-    LOG is an .mcap of a car server, an .npz or .parquet of a Log, a MATLAB .mat, a .csv or .csv.gz. Columns of
-    other names or units are told by --map, a TOML file whose table `columns` has lines such as::
+    LOG is anything that `steerkit log` shows: CSV, MATLAB, npz, Parquet, MCAP, a ROS bag, MF4, a CAN log with --dbc;
+    several files, if they are of one clock. Columns of other names or units are told by --map, a TOML file whose table
+    `columns` has lines such as::
 
         delta_sw = { column = "angle", unit = "deg", scale = -1 }
 
@@ -51,18 +56,18 @@ def identify(
     to_pipe = not as_json and out is None  # then the vehicle file alone goes to standard output
     console = Console(stderr=to_pipe)
     console = console if console.is_terminal else Console(stderr=to_pipe, width=110)
-    table = {} if columns is None else ident.ColumnMap.load(columns).columns
-    given = ident.ColumnMap({**table, **ident.ColumnMap.parsed(column or ()).columns})
+    given = column_map(columns, column)
+    how: Any = {"dbc": dbc or (), "steer_ratio": steer_ratio, "dt": dt, "trusted": trust_units}
     car = vehicle(base)
     if wheelbase is not None or mass is not None:
         length, weight = wheelbase or float(car.wheelbase), mass or float(car.m)
         car = scaled(f"{car.name}-scaled", m=weight, wheelbase=length, steer_ratio=float(car.steer_ratio))
     with console.status("reading", spinner="line") if not quiet else _nothing() as status:
-        drive = ident.read_drive(log, given, dt=dt, trusted=trust_units)
-        other = ident.read_drive(held_out, given, dt=dt, trusted=trust_units) if held_out else None
+        drive = ident.read_drive(log, given, **how)
+        other = ident.read_drive(held_out, given, **how) if held_out else None
         if status:
             status.update(f"fitting {len(drive.v)} samples")
-        called = name or f"{Path(log).name.split('.')[0]}-car"
+        called = name or f"{Path(log[0]).name.split('.')[0]}-car"
         identified = ident.identify(drive, car, fixed=_fixed(fix or ()), name=called)
         if status and other:
             status.update("predicting the held-out drive")

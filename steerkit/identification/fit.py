@@ -77,6 +77,7 @@ def identify(
     Source: Ljung 1999, sections 7.2 (output error) and 9.4; White 1982 (sandwich).
     """
     base = base or vehicle("vw-passat")
+    require(drive.turns, drive.name, "it hardly turns: a drive straight on tells nothing of the car; add bends")
     table = _believed(base, known or {}, fixed or {}, drive)
     held = {n: p.mean for n, p in table.items() if p.deviation == 0.0}
     free = tuple(n for n in table if n not in held)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,18 +12,23 @@ from scipy.signal import savgol_filter
 
 from steerkit.errors import require
 from steerkit.logs.clock import PLACES
+from steerkit.simulation import Log
 from steerkit.units import RAD_PER_DEG
 
 Array = NDArray[np.floating[Any]]
 
 V_DRIVING = 3.0
 """From this speed on [m/s] a drive tells about the car; below, the models roll kinematically."""
+
 LEAST = 20.0
 """Least driving to identify from [s]."""
+TURNING = 3e-4
+"""Standard deviation of the curvature from which on a drive turns [1/m]."""
 SETTLE = 1.0
 """After a gap, and at the start, the model has this long to forget what it does not know [s]."""
 HEADING_WINDOW = 0.2
 """Length of the parabola whose slope is the yaw rate, where only the heading was recorded [s]."""
+_STRAIGHT = "it hardly turns: units and signs cannot be judged, and nothing can be identified; add bends"
 _FASTEST = {"delta_sw": 35.0, "v": 30.0, "r": 30.0, "psi": 10.0}
 """What no car changes faster than: 2000 deg/s of wheel [rad/s], 3 g [m/s^2], yaw [rad/s^2], heading [rad/s]."""
 PLAUSIBLE = (15.0, 120.0)
@@ -68,6 +73,19 @@ class Drive:
     def driving(self) -> NDArray[np.bool_]:
         """The samples that a model is fitted to: recorded, and 3 m/s or faster (n,)."""
         return self.measured & (self.v >= V_DRIVING)
+
+    @property
+    def turns(self) -> bool:
+        """Does it turn enough to tell of the car? Else not even units and signs can be judged."""
+        use = self.driving
+        return float(np.std(self.r[use] / self.v[use])) > TURNING
+
+    def to_log(self) -> Log:
+        """The drive as a Log: `save` writes it as .csv, .npz or .parquet, which `read_drive` reads again."""
+        signals = {"delta_sw": self.delta_sw, "v": self.v, "r": self.r}
+        signals |= {key: value for key, value in vars(self).items() if key in ("psi", "x", "y") and value is not None}
+        units = {"delta_sw": "rad", "v": "m/s", "r": "rad/s", "psi": "rad", "x": "m", "y": "m"}
+        return Log(self.t, signals, {key: units[key] for key in signals})
 
     @classmethod
     def of(
@@ -125,7 +143,7 @@ class Drive:
         require(seconds >= LEAST, name, f"only {seconds:.1f} s at {V_DRIVING:g} m/s or faster, expected {LEAST:g} s")
         if not trusted:
             _check_plausible(drive)
-        return drive
+        return drive if drive.turns else replace(drive, notes=(*drive.notes, _STRAIGHT))
 
 
 def _in_order(columns: dict[str, Array], name: str, remarks: list[str]) -> dict[str, Array]:
@@ -296,12 +314,8 @@ def _check_plausible(drive: Drive) -> None:
     """Does the wheel's angle over the curvature have the size of a car's?"""
     use = drive.driving
     kappa, angle = drive.r[use] / drive.v[use], drive.delta_sw[use]
-    spread = float(np.std(kappa))
-    require(
-        spread > 3e-4,
-        drive.name,
-        f"it hardly turns (curvature varies by {spread:.1e} 1/m): a drive straight on tells nothing; add bends",
-    )
+    if not drive.turns:
+        return
     correlation = float(np.corrcoef(kappa, angle)[0, 1]) if np.ptp(angle) > 0.0 else 0.0
     require(
         abs(correlation) > 0.7,

@@ -161,9 +161,9 @@ def is_time(name: str) -> bool:
 
 
 def _rank(quantity: str, channel: Channel) -> int | None:
-    if channel.means:
-        return -1 if channel.means == quantity else None
     place = _place(quantity, channel.name)
+    if channel.means:
+        place = -1 if channel.means == quantity else None
     if place is None or (channel.unit and not told_unit(quantity, channel)):
         return None
     own = words(channel.name) in _NAMES[quantity]
@@ -197,6 +197,6 @@ def told_unit(quantity: str, channel: Channel) -> str:
 
 def ended_unit(quantity: str, name: str) -> str:
     """The unit that a name ends in, if it is one of that quantity; else empty."""
-    lower = name.lower()
+    lower, units = name.lower(), UNITS[QUANTITIES[quantity]] if quantity in QUANTITIES else {}
     ends = [unit for ending, unit in _ENDINGS.items() if lower.endswith(f"_{ending}")]
-    return max((unit for unit in ends if unit in UNITS[QUANTITIES[quantity]]), key=len, default="")
+    return max((unit for unit in ends if unit in units), key=len, default="")

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from steerkit.errors import require
-from steerkit.logs import own, tables
+from steerkit.logs import can_frames, mdf, own, ros, tables
+from steerkit.logs.agreement import told_again, yaw_axis
 from steerkit.logs.channels import Channel, Options, Source, Table
 from steerkit.logs.clock import aligned, in_metres
 from steerkit.logs.columns import Column, ColumnMap
@@ -59,9 +60,9 @@ Files = str | Path | Iterable[str | Path]
 def read_log(files: Files, *, dbc: str | Path | Iterable[str | Path] = (), time: Column | None = None) -> RawLog:
     """Everything that is in one or more files of a log, as channels.
 
-    files: CSV, MATLAB, npz, Parquet, MCAP of a car server. dbc: what is in CAN frames. time: which column of a table
-    is the time (default: one of a well-known name). Raises ValueError, saying what to do, for a file that is not
-    there, broken, or of another kind.
+    files: see docs/logs.md. dbc: files, or names of the package opendbc, that say what is in CAN frames. time: which
+    column of a table is the time (default: one of a well-known name). Raises ValueError, saying what to do, for a
+    file that is not there, broken, or of another kind.
     """
     options = Options(dbc=tuple(str(one) for one in _many(dbc)))
     paths = [Path(file) for file in _many(files)]
@@ -71,9 +72,12 @@ def read_log(files: Files, *, dbc: str | Path | Iterable[str | Path] = (), time:
     names = [channel.name for _, channel in found]
     channels: dict[str, Channel] = {}
     for source, channel in found:
-        name = channel.name if names.count(channel.name) == 1 else f"{source.path.name}/{channel.name}"
-        require(name not in channels, str(source.path), f"two channels of one name: {name}")
-        channels[name] = replace(channel, name=name)
+        alone = names.count(channel.name) == 1 or len(sources) == 1
+        name = again = channel.name if alone else f"{source.path.name}/{channel.name}"
+        count = 2
+        while again in channels:
+            again, count = f"{name} #{count}", count + 1
+        channels[again] = replace(channel, name=again)
     return RawLog(name=", ".join(path.name for path in paths), channels=channels, sources=tuple(sources))
 
 
@@ -109,7 +113,11 @@ def drive_of(
     where = ", ".join(str(source.path) for source in log.sources)
     used = columns.with_guesses(log.channels, where=where)
     clock = columns.columns.get("t")
-    notes = [f"read {', '.join(([f't = {clock.name}'] if clock else []) + [used.told()])}", *log.notes]
+    notes = list[str]()
+    if "r" in used.columns and "r" not in columns.columns:
+        used = yaw_axis(used, log.channels, notes)
+    read = f"read {', '.join(([f't = {clock.name}'] if clock else []) + [used.told()])}"
+    notes = [read, *log.notes, *notes, *told_again(used, log.channels, where)]
     values = used.in_si({name: channel.values for name, channel in log.channels.items()}, where=where)
     times = {quantity: log.channels[column.name].t for quantity, column in used.columns.items()}
     if "delta" in values and "delta_sw" not in values:
@@ -131,19 +139,28 @@ def _many(files: Any) -> list[Any]:
 
 def _source(path: Path, options: Options) -> Source:
     kind = "".join(path.suffixes[-2:]).lower() if path.suffix.lower() == ".gz" else path.suffix.lower()
-    if kind not in _READERS:
+    if not (kind in _READERS or path.is_dir()):
         known = ", ".join((*_READERS, *_SHIPPED))
-        raise ValueError(f"{path}: a recording ends in one of, or is called, {known}")
+        raise ValueError(f"{path}: a recording ends in one of, is the folder of a ROS 2 bag, or is called, {known}")
     try:
-        with path.open("rb") as stream:
-            digest = hashlib.file_digest(stream, "sha256").hexdigest()
-        size = path.stat().st_size
+        digest, size = _digest(path)
     except OSError as error:
         raise ValueError(f"{path}: cannot be read ({error.strerror})") from error
     require(size, str(path), "the file is empty")
     notes: list[str] = []
-    found = _READERS[kind](path, options, notes)
+    found = (ros.read_ros if path.is_dir() else _READERS[kind])(path, options, notes)
     return Source(path=path, tables=tuple(found), notes=tuple(notes), digest=digest, size=size)
+
+
+def _digest(path: Path) -> tuple[str, int]:
+    """SHA-256 and bytes of a file, or of the files of a folder in the order of their names."""
+    parts = sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
+    digests = []
+    for part in parts:
+        with part.open("rb") as stream:
+            digests.append(hashlib.file_digest(stream, "sha256").hexdigest())
+    digest = digests[0] if len(parts) == 1 else hashlib.sha256("".join(digests).encode()).hexdigest()
+    return digest, sum(part.stat().st_size for part in parts)
 
 
 def _channels(source: Source, time: Column | None) -> Iterable[Channel]:
@@ -176,7 +193,9 @@ def _clock(table: Table, time: Column | None, where: str) -> str:
 
 
 def _mcap(path: Path, options: Options, notes: list[str]) -> list[Table]:
-    return own.read_own(path, options, notes)
+    with path.open("rb") as stream:
+        head = stream.read(64)
+    return (own.read_own if own.is_own(head) else ros.read_ros)(path, options, notes)
 
 
 _READERS: dict[str, Callable[[Path, Options, list[str]], list[Table]]] = {
@@ -186,4 +205,12 @@ _READERS: dict[str, Callable[[Path, Options, list[str]], list[Table]]] = {
     ".mat": tables.read_mat,
     ".csv": tables.read_csv,
     ".csv.gz": tables.read_csv_gz,
+    ".db3": ros.read_ros,
+    ".bag": ros.read_ros,
+    ".mf4": mdf.read_mf4,
+    ".blf": can_frames.read_blf,
+    ".asc": can_frames.read_asc,
+    ".asc.gz": can_frames.read_asc,
+    ".log": can_frames.read_candump,
+    ".log.gz": can_frames.read_candump,
 }

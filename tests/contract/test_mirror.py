@@ -19,6 +19,7 @@ from tests.support.places import ROOT
 UNIT = ROOT / "tests" / "unit"
 
 ELSEWHERE = {
+    "benchmarks.written_logs": "unit/logs/test_reading_formats.py",
     "steerkit": "contract/test_imports.py",
     "steerkit.__main__": "unit/cli/test_app_habits.py",
     "steerkit.analysis.period": "evals/test_analysis_closed_forms.py",
@@ -53,6 +54,8 @@ ELSEWHERE = {
     "steerkit.learning.report": "unit/cli/test_learn.py",
     "steerkit.learning.training_run": "unit/learning/test_experiment.py",
     "steerkit.logs.channels": "unit/logs/test_names.py",
+    "steerkit.logs.mdf": "unit/logs/test_reading_formats.py",
+    "steerkit.logs.pictures": "unit/logs/test_contents.py",
     "steerkit.logs.make_drives": "unit/identification/test_identification.py",
     "steerkit.logs.own": "unit/logs/test_reading.py",
     "steerkit.logs.tables": "unit/logs/test_reading.py",

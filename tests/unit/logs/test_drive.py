@@ -59,7 +59,6 @@ def test_yaw_rate_from_the_heading_alone(clean: dict[str, Any]) -> None:
         ({"t": 1e9}, "is t in ns"),
         ({"v": -1.0}, "reversing is not modelled"),
         ({"v": 0.1}, "only .* s at 3 m/s or faster"),
-        ({"r": 0.0}, "hardly turns"),
     ],
 )
 def test_confused_units_teach(change: dict[str, float], says: str, clean: dict[str, Any]) -> None:
@@ -148,3 +147,10 @@ def test_where_the_car_was_comes_along(clean: dict[str, Any]) -> None:
     np.testing.assert_allclose(drive.y[drive.t < 49.9], -drive.t[drive.t < 49.9], atol=1e-9)
     np.testing.assert_allclose(drive.psi, clean["psi"][: len(drive.psi)], atol=1e-9)
     assert Drive.of(**by_rate(clean)).x is None
+
+
+def test_a_drive_straight_on_is_one_but_nothing_is_identified_from_it(clean: dict[str, Any]) -> None:
+    straight = Drive.of(**(by_rate(clean) | {"r": 0.0 * clean["r"]}))
+    assert "hardly turns" in straight.notes[-1]
+    with pytest.raises(ValueError, match=r"hardly turns.*add bends"):
+        identify(straight, BASE)

@@ -93,7 +93,7 @@ def test_frames_that_were_spoilt_on_the_way_are_left_out(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("name", "content", "says"),
     [
-        ("a.xls", b"x", "a recording ends in one of, or is called, .mcap"),
+        ("a.xls", b"x", "a recording ends in one of, is the folder of a ROS 2 bag, or is called, .mcap"),
         ("a.csv", b"", "the file is empty"),
         ("a.csv", b"t,v\n", "no rows under a row of names"),
         ("a.csv", b"1,2\n3,4\n", "the first row holds numbers"),

@@ -1,0 +1,106 @@
+"""`steerkit log`: what is in a log of any program."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from steerkit.cli.options import Machine, Quiet
+
+Dbc = Annotated[
+    list[str] | None,
+    typer.Option(help="What is in CAN frames: FILE.dbc, or a name of the package opendbc; repeatable."),
+]
+Map = Annotated[Path | None, typer.Option("--map", help="TOML file: which column is what, its unit.")]
+Columns = Annotated[list[str] | None, typer.Option("--column", help="QUANTITY=COLUMN[:UNIT[:SCALE]]; repeatable.")]
+SteerRatio = Annotated[
+    float | None, typer.Option(help="The car's steering ratio, for logs of the road wheels' angle; default: 15.")
+]
+_PICTURES = (".png", ".pdf", ".svg")
+
+
+def log(
+    files: Annotated[list[str], typer.Argument(help="Files of one drive, on one clock; or the folder of a ROS 2 bag.")],
+    columns: Map = None,
+    column: Columns = None,
+    dbc: Dbc = None,
+    steer_ratio: SteerRatio = None,
+    plot: Annotated[Path | None, typer.Option(help="Picture to write (.png, .pdf, .svg).")] = None,
+    csv: Annotated[Path | None, typer.Option(help="Write the drive as a table too: t, delta_sw, v, r, ...")] = None,
+    quiet: Quiet = False,
+    as_json: Machine = False,
+) -> None:
+    """Show what is in a log: its channels with rates, gaps and ranges, what each is read as, and the drive they make.
+
+    Reads CSV, MATLAB, npz, Parquet, MCAP (a car server's, or ROS 2), ROS bags (.db3, .bag, a folder), MF4, and CAN logs
+    (candump .log, .asc, .blf) with --dbc.
+    """
+    from rich.console import Console
+
+    from steerkit.errors import require
+    from steerkit.logs.contents import contents
+    from steerkit.logs.reading import read_log
+
+    require(plot is None or plot.suffix in _PICTURES, f"--plot {plot}", "a picture ends in .png, .pdf or .svg")
+    require(csv is None or csv.suffix == ".csv", f"--csv {csv}", "a table ends in .csv")
+    given = column_map(columns, column)
+    console = Console(stderr=as_json, quiet=quiet and not as_json)
+    console = console if console.is_terminal else Console(stderr=as_json, width=130, quiet=quiet)
+    found = contents(read_log(files, dbc=dbc or (), time=given.columns.get("t")), given, steer_ratio=steer_ratio)
+    _report(console, found, files, dbc or [])
+    if plot is not None:
+        from steerkit.logs.pictures import picture
+
+        picture(found).savefig(plot)
+        console.print(f"picture: {plot}", soft_wrap=True)
+    if csv is not None:
+        require(found.drive is not None, f"--csv {csv}", f"there is no drive in it: {found.trouble}")
+        assert found.drive is not None
+        found.drive.to_log().save(csv)
+        console.print(f"table: {csv}", soft_wrap=True)
+    if as_json:
+        answer = {"channels": found.table(), "notes": list(found.notes), "trouble": found.trouble}
+        print(json.dumps(answer | {"seconds": float(found.drive.t[-1]) if found.drive else None}))
+
+
+def column_map(file: Path | None, words: list[str] | None) -> Any:
+    """What --map and --column say together."""
+    from steerkit.logs import ColumnMap
+
+    table = {} if file is None else ColumnMap.load(file).columns
+    return ColumnMap({**table, **ColumnMap.parsed(words or ()).columns})
+
+
+def _report(console: Any, found: Any, files: list[str], dbc: list[str]) -> None:
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table("channel", "unit", "samples", "rate", "from", "to", "gaps", "range", "read as", title=found.log.name)
+    for row in found.rows:
+        gaps = f"{row.gaps}, {row.longest:.3g} s" if row.gaps else "none"
+        spoilt = f", {row.invalid} no number" if row.invalid else ""
+        table.add_row(
+            escape(row.name),
+            escape(row.unit or "?"),
+            str(row.samples),
+            f"{row.rate:.4g} Hz",
+            f"{row.begin:.10g}",
+            f"{row.end:.10g}",
+            gaps,
+            f"{row.low:.4g} to {row.high:.4g}{spoilt}",
+            row.quantity,
+        )
+    console.print(table)
+    for note in found.notes:
+        console.print(escape(note), soft_wrap=True, highlight=False)
+    if found.drive is None:
+        console.print(f"no drive in it: {escape(found.trouble)}", soft_wrap=True, highlight=False)
+        return
+    drive = found.drive
+    console.print(f"a drive of {drive.t[-1]:.1f} s at {1.0 / drive.dt:.0f} Hz", highlight=False)
+    if drive.turns:
+        words = " ".join([*files, *(f"--dbc {one}" for one in dbc)])
+        console.print(f"next: steerkit identify {escape(words)} --out my-car.toml", soft_wrap=True, highlight=False)

@@ -1,0 +1,70 @@
+"""Reader of MDF 4 (ASAM), with the signals of recorded buses where there is a DBC."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from steerkit.errors import require
+from steerkit.logs.channels import Options, Table
+
+
+def read_mf4(path: Path, options: Options, notes: list[str]) -> list[Table]:
+    """The channels that are numbers, a table a channel group, with the file's units; needs asammdf."""
+    try:
+        from asammdf import MDF
+    except ImportError:
+        raise ValueError(f"{path}: MF4 needs asammdf: pip install 'steerkit-control[logs]'") from None
+    try:
+        with MDF(io.BytesIO(path.read_bytes())) as file:
+            tables = _tables(file, notes)
+            if options.dbc:
+                tables += _buses(file, options, notes)
+    except ValueError:
+        raise
+    except Exception as error:  # asammdf lets anything out when the bytes are not what it expects
+        raise ValueError(f"{path}: no MDF 4 file, or cut off ({type(error).__name__}: {error})") from error
+    held = "; its CAN frames need --dbc" if not options.dbc else ""
+    require(tables, str(path), f"no channels of numbers in it{held}")
+    return tables
+
+
+def _tables(file: Any, notes: list[str]) -> list[Table]:
+    tables, lost = [], 0
+    for g, group in enumerate(file.groups):
+        if getattr(group, "channel_group", None) is not None and group.channel_group.flags & 0x2:
+            continue  # frames of a bus, not signals
+        master = file.masters_db.get(g)
+        columns, units, t = dict[str, np.ndarray](), dict[str, str](), None
+        for c, channel in enumerate(group.channels):
+            if c == master:
+                continue
+            signal = file.get(group=g, index=c)
+            values = np.asarray(signal.samples)
+            if values.dtype.kind not in "fiub" or values.ndim != 1:
+                continue
+            if len(values) != len(signal.timestamps):
+                lost += 1
+                continue
+            numbers = values.astype(float)
+            if signal.invalidation_bits is not None:
+                numbers = np.where(np.asarray(signal.invalidation_bits), np.nan, numbers)
+            t = np.asarray(signal.timestamps, dtype=float) if t is None else t
+            columns[channel.name], units[channel.name] = numbers, signal.unit or ""
+        if t is not None:
+            tables.append(Table(columns=columns, units=units, t=t))
+    if lost:
+        notes.append(f"left out {lost} channels that have not as many values as times")
+    return tables
+
+
+def _buses(file: Any, options: Options, notes: list[str]) -> list[Table]:
+    """What a DBC says of the frames of recorded buses."""
+    from steerkit.logs.can_frames import database
+
+    databases = {"CAN": [(database(name), 0) for name in options.dbc]}
+    with file.extract_bus_logging(database_files=databases) as signals:
+        return _tables(signals, notes)

@@ -1,0 +1,204 @@
+"""Reader of ROS bags (SQLite, MCAP, ROS 1) without ROS: which messages are known, and what they tell."""
+
+from __future__ import annotations
+
+import operator
+from array import array
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from steerkit.errors import require
+from steerkit.logs.can_frames import Frames, Log, decoded
+from steerkit.logs.channels import Options, Table
+
+KNOWN: dict[str, dict[str, tuple[str, str]]] = {
+    "SteeringReport": {"steering_tire_angle": ("delta", "rad"), "steering_wheel_angle": ("delta_sw", "rad")},
+    "VelocityReport": {"longitudinal_velocity": ("v", "m/s"), "heading_rate": ("r", "rad/s")},
+    "Odometry": {
+        "pose.pose.position.x": ("x", "m"),
+        "pose.pose.position.y": ("y", "m"),
+        "pose.pose.orientation.yaw": ("psi", "rad"),
+        "twist.twist.linear.x": ("", "m/s"),
+        "twist.twist.angular.z": ("", "rad/s"),
+    },
+    "Imu": {"angular_velocity.z": ("", "rad/s")},
+    "NavSatFix": {"latitude": ("lat_deg", "deg"), "longitude": ("lon_deg", "deg")},
+    "TwistStamped": {"twist.linear.x": ("", "m/s"), "twist.angular.z": ("", "rad/s")},
+    "TwistWithCovarianceStamped": {"twist.twist.linear.x": ("", "m/s"), "twist.twist.angular.z": ("", "rad/s")},
+    "PoseStamped": {
+        "pose.position.x": ("x", "m"),
+        "pose.position.y": ("y", "m"),
+        "pose.orientation.yaw": ("psi", "rad"),
+    },
+    "PoseWithCovarianceStamped": {
+        "pose.pose.position.x": ("x", "m"),
+        "pose.pose.position.y": ("y", "m"),
+        "pose.pose.orientation.yaw": ("psi", "rad"),
+    },
+    "AckermannDriveStamped": {"drive.steering_angle": ("delta", "rad"), "drive.speed": ("", "m/s")},
+}
+"""Kind of message (of autoware_*, sensor_msgs, nav_msgs, geometry_msgs, ackermann_msgs, whatever the package) to what
+its fields are, and their units; no quantity: taken where nothing better tells it."""
+
+DEFINITIONS = {
+    "autoware_vehicle_msgs/msg/SteeringReport": "builtin_interfaces/Time stamp\nfloat32 steering_tire_angle\n",
+    "autoware_vehicle_msgs/msg/VelocityReport": (
+        "std_msgs/Header header\nfloat32 longitudinal_velocity\nfloat32 lateral_velocity\nfloat32 heading_rate\n"
+    ),
+    "can_msgs/msg/Frame": (
+        "std_msgs/Header header\nuint32 id\nbool is_rtr\nbool is_extended\nbool is_error\nuint8 dlc\nuint8[8] data\n"
+    ),
+    "ackermann_msgs/msg/AckermannDrive": (
+        "float32 steering_angle\nfloat32 steering_angle_velocity\nfloat32 speed\nfloat32 acceleration\nfloat32 jerk\n"
+    ),
+    "ackermann_msgs/msg/AckermannDriveStamped": "std_msgs/Header header\nackermann_msgs/AckermannDrive drive\n",
+}
+"""Messages that ROS itself does not have, for bags that do not bring their definitions (older SQLite ones)."""
+DEFINITIONS |= {
+    name.replace("autoware_vehicle_msgs", "autoware_auto_vehicle_msgs"): text
+    for name, text in DEFINITIONS.items()
+    if name.startswith("autoware_vehicle_msgs")
+}
+
+_HEAVY = ("Image", "CompressedImage", "PointCloud2", "LaserScan", "OccupancyGrid", "TFMessage", "MarkerArray", "Path")
+"""Kinds that hold no number over time that a drive could be made of."""
+_NEAR = 3600.0
+"""A stamp further than this from when the message was recorded is of another clock [s]."""
+
+
+@dataclass
+class _Topic:
+    """What was collected of one topic."""
+
+    kind: str
+    getters: dict[str, Callable[[Any], Any]]
+    received: array[float] = field(default_factory=lambda: array("d"))
+    stamped: array[float] = field(default_factory=lambda: array("d"))
+    numbers: dict[str, array[float]] = field(default_factory=dict)
+
+
+def read_ros(path: Path, options: Options, notes: list[str]) -> list[Table]:
+    """The numbers in a bag's messages: a folder with metadata.yaml, or one file of it (.mcap, .db3, .bag).
+
+    A topic is a table, on the clock of its stamps if it has such, else of when its messages were received.
+    """
+    try:
+        from rosbags.highlevel import AnyReader
+    except ImportError:
+        raise ValueError(f"{path}: ROS bags need rosbags: pip install 'steerkit-control[logs]'") from None
+    topics: dict[str, _Topic] = {}
+    frames: Log = {}
+    try:
+        with AnyReader([path], default_typestore=typestore()) as reader:
+            for topic, kind, t, message in _messages(reader, notes):
+                if kind == "Frame":
+                    _add_frame(frames, t, message)
+                else:
+                    _add(topics, topic, kind, t, message)
+    except Exception as error:  # rosbags' errors have no common base, and what it is built on has others
+        require(topics or frames, str(path), f"no ROS bag, or a broken one ({type(error).__name__}: {error})")
+        notes.append(f"cut off or broken: what comes before is used ({type(error).__name__}: {str(error)[:80]})")
+    tables = [_table(name, topic, notes) for name, topic in sorted(topics.items()) if topic.numbers]
+    if frames and (options.dbc or not tables):
+        tables += decoded(frames, path, options, notes)
+    elif frames:
+        notes.append(f"{sum(len(f.t) for f in frames.values())} CAN frames are not read: say what is in them, --dbc")
+    require(tables, str(path), f"no messages with numbers in it{'; ' + notes[-1] if notes else ''}")
+    return tables
+
+
+def typestore() -> Any:
+    """The messages of ROS 2 and those of DEFINITIONS, for rosbags."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.LATEST)
+    for name, text in DEFINITIONS.items():
+        store.register(get_types_from_msg(text, name))
+    return store
+
+
+def _messages(reader: Any, notes: list[str]) -> Iterator[tuple[str, str, float, Any]]:
+    """(topic, kind, when it was received [s], message); those that cannot be read are counted."""
+    wanted, unknown, bad = [], [], 0
+    for connection in reader.connections:
+        kind = connection.msgtype.rpartition("/")[2]
+        if connection.msgtype not in reader.typestore.fielddefs:
+            unknown.append(f"{connection.topic} ({connection.msgtype})")
+        elif kind not in _HEAVY:
+            wanted.append(connection)
+    if unknown:
+        notes.append(f"not read, as the bag does not say what is in them: {', '.join(unknown)}")
+    count = 0
+    if wanted:
+        for connection, stamp, raw in reader.messages(wanted):
+            count += 1
+            try:
+                message = reader.deserialize(raw, connection.msgtype)
+            except Exception:  # a message of the wrong length, or text that is none
+                bad += 1
+                continue
+            yield connection.topic, connection.msgtype.rpartition("/")[2], 1e-9 * stamp, message
+    told = sum(connection.msgcount for connection in wanted)
+    if bad:
+        notes.append(f"left out {bad} messages that cannot be read")
+    if count < told:
+        notes.append(f"{count} of {told} messages are there")
+
+
+def _add(topics: dict[str, _Topic], name: str, kind: str, t: float, message: Any) -> None:
+    if name not in topics:
+        getters: dict[str, Callable[[Any], Any]] = {path: operator.attrgetter(path) for path in _numbers(message)}
+        topics[name] = _Topic(kind, getters, numbers={path: array("d") for path in getters})
+    topic = topics[name]
+    topic.received.append(t)
+    topic.stamped.append(_stamp(message))
+    for path, getter in topic.getters.items():
+        topic.numbers[path].append(float(getter(message)))
+
+
+def _numbers(message: Any, before: str = "") -> Iterator[str]:
+    """Where numbers stand in a message: `pose.pose.position.x`; arrays and stamps are left out."""
+    for name in message.__dataclass_fields__:
+        value = getattr(message, name)
+        if hasattr(value, "__dataclass_fields__"):
+            if not name.endswith(("header", "stamp")):
+                yield from _numbers(value, f"{before}{name}.")
+        elif isinstance(value, int | float | np.number) and name != "__msgtype__":
+            yield f"{before}{name}"
+
+
+def _stamp(message: Any) -> float:
+    stamp = getattr(getattr(message, "header", message), "stamp", None)
+    return float("nan") if stamp is None else stamp.sec + 1e-9 * stamp.nanosec
+
+
+def _table(name: str, topic: _Topic, notes: list[str]) -> Table:
+    received, stamped = np.array(topic.received), np.array(topic.stamped)
+    trusted = bool(np.isfinite(stamped).all()) and float(np.abs(stamped - received).max()) < _NEAR
+    if not trusted and np.isfinite(stamped).all():
+        notes.append(f"{name}: its stamps are of another clock: taken as they were received")
+    columns = {path: np.array(values) for path, values in topic.numbers.items()}
+    for path in [path for path in columns if path.endswith("orientation.w")]:
+        base = path.removesuffix("w")
+        x, y, z, w = (columns[f"{base}{axis}"] for axis in "xyzw")
+        columns[f"{base.removesuffix('.')}.yaw"] = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    known = {path: told for path, told in KNOWN.get(topic.kind, {}).items() if path in columns}
+    return Table(
+        columns={f"{name}.{path}": values for path, values in columns.items()},
+        units={f"{name}.{path}": unit for path, (_, unit) in known.items()},
+        means={f"{name}.{path}": quantity for path, (quantity, _) in known.items() if quantity},
+        t=stamped if trusted else received,
+    )
+
+
+def _add_frame(frames: Log, t: float, message: Any) -> None:
+    if message.is_error or message.is_rtr:
+        return
+    known = frames.setdefault((int(message.id), bool(message.is_extended)), Frames())
+    stamp = _stamp(message)
+    known.t.append(stamp if abs(stamp - t) < _NEAR else t)
+    known.data.append(bytes(message.data[: message.dlc]))

@@ -1,0 +1,93 @@
+"""CAN logs: what the DBC says, to the last decimal; frames that were spoilt are left out."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.written_logs import DBC, driven, written
+from steerkit.logs import read_drive, read_log
+from tests.support.places import SUPPORT
+
+pytest.importorskip("can")
+pytest.importorskip("cantools")
+RAV4 = SUPPORT / "rav4"
+FILES = [RAV4 / name for name in ("can.log.gz", "steering.csv.gz", "speed.csv.gz", "gyro.csv.gz", "gnss.csv.gz")]
+MAKER = "toyota_nodsu_pt_generated"
+
+
+def test_a_real_car_by_the_makers_dbc_agrees_with_its_separate_sensors() -> None:
+    """25 s of a production car: its bus, the steering and speed that others read from it, a telephone's gyro, GNSS."""
+    pytest.importorskip("opendbc")
+    log = read_log(FILES, dbc=MAKER)
+    wheel, recorded = (
+        log.channels["STEER_ANGLE_SENSOR.STEER_ANGLE + STEER_FRACTION"],
+        log.channels["steering_wheel_deg"],
+    )
+    np.testing.assert_array_equal(wheel.t, recorded.t)
+    np.testing.assert_array_equal(wheel.values, recorded.values)
+    speed = log.channels["WHEEL_SPEEDS.mean"]
+    np.testing.assert_allclose(speed.values / 3.6, log.channels["speed_mps"].values, atol=5.1e-5)  # it has four digits
+    drive = read_drive(FILES, dbc=MAKER)
+    said = "\n".join(drive.notes)
+    assert "delta_sw is in steering_wheel_deg too, the same to the last bit" in said
+    assert "r is in gyro_z_radps too: 0.0" in said
+    assert drive.x is not None
+    assert drive.y is not None
+    known = np.isfinite(drive.x) & np.isfinite(drive.y)
+    way = float(np.sum(np.hypot(np.diff(drive.x[known]), np.diff(drive.y[known]))))
+    assert way == pytest.approx(float(np.sum(drive.v[known]) * drive.dt), rel=0.02)
+
+
+def test_a_telephone_in_any_position_tells_the_yaw_rate() -> None:
+    """Without the bus: the axis, and its sign, that goes with steering and speed."""
+    pytest.importorskip("opendbc")
+    drive, bus = read_drive(FILES[1:]), read_drive(FILES[:1], dbc=MAKER)
+    assert "r = -1 * gyro_z_radps [rad/s]" in drive.notes[0]
+    assert "r is the axis of the gyro that goes with speed times steering angle" in "\n".join(drive.notes)
+    smooth = [np.convolve(d.r, np.ones(50) / 50.0, "same")[200:-200] for d in (drive, bus)]
+    at = [d.t[200:-200] for d in (drive, bus)]
+    assert np.corrcoef(np.interp(at[1], at[0], smooth[0]), smooth[1])[0, 1] > 0.85
+
+
+def test_frames_that_do_not_hold_their_check_sum_are_left_out(tmp_path: Path) -> None:
+    file, how = written("candump", tmp_path, driven())
+    lines = file.read_text().splitlines()
+    spoilt = [line[:-17] + "7" + line[-16:] if k % 50 == 7 and "#0" in line else line for k, line in enumerate(lines)]
+    assert spoilt != lines
+    file.write_text("\n".join(spoilt))
+    drive = read_drive(file, **how)
+    assert any("check sum or length are wrong" in note for note in drive.notes)
+    np.testing.assert_allclose(drive.v[:490], driven()["v"][:490], atol=0.03)
+
+
+def test_lines_that_are_no_frames_are_left_out_and_what_comes_after_is_read(tmp_path: Path) -> None:
+    file, how = written("candump", tmp_path, driven())
+    lines = file.read_text().splitlines()
+    file.with_suffix(".log.gz").write_bytes(gzip.compress("\n".join([*lines[:30], "(1.0) can0", *lines[30:]]).encode()))
+    log = read_log(file.with_suffix(".log.gz"), **how)
+    assert log.notes == ("left out 1 lines that are no frames",)
+    assert len(log.channels["MOTION.YAW_RATE"].t) == 500
+
+
+@pytest.mark.parametrize(
+    ("dbc", "says"),
+    [
+        ("", r"identifiers \(0x25 \(500\), 0x26 \(500\)\); say what is in them with --dbc FILE.dbc"),
+        ("none.dbc", "cannot be read"),
+        ("toyota_nodsu_pt_generate", r"did you mean 'toyota_nodsu_pt_generated'"),
+        ("other.dbc", "none of its identifiers .* is in"),
+        ("broken.dbc", "no DBC"),
+    ],
+)
+def test_a_wrong_dbc_teaches(dbc: str, says: str, tmp_path: Path) -> None:
+    if dbc.startswith("toyota"):
+        pytest.importorskip("opendbc")
+    file, _ = written("candump", tmp_path, driven())
+    (tmp_path / "other.dbc").write_text(DBC.replace("BO_ 37", "BO_ 700").replace("BO_ 38", "BO_ 701"))
+    (tmp_path / "broken.dbc").write_text("BO_ 37 WHEEL 8 CAR\n")
+    with pytest.raises(ValueError, match=says):
+        read_log(file, dbc=[str(tmp_path / dbc) if dbc.endswith(".dbc") else dbc] if dbc else ())

@@ -1,0 +1,40 @@
+"""What is in a log is told: rates, gaps, ranges, what is read as what, and why there is no drive."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.written_logs import driven, written
+from steerkit.logs import ColumnMap, read_log
+from steerkit.logs.contents import contents
+from steerkit.logs.pictures import picture
+
+
+def test_rows_say_rate_gaps_and_range(tmp_path: Path) -> None:
+    columns = driven()
+    t = columns["t"]
+    columns = {name: values[(t < 5.0) | (t >= 8.0)].copy() for name, values in columns.items()}
+    columns["v"][17] = np.nan
+    file, _ = written("csv", tmp_path, columns)
+    found = contents(read_log(file))
+    rows = {row.name: row for row in found.rows}
+    assert (rows["v"].samples, rows["v"].invalid, rows["v"].gaps, rows["v"].quantity) == (440, 1, 1, "v")
+    assert rows["v"].rate == pytest.approx(20.0)
+    assert rows["v"].longest == pytest.approx(3.05)
+    assert (rows["r"].low, rows["r"].high) == (columns["r"].min(), columns["r"].max())
+    assert found.drive is not None
+    assert found.table()[0]["name"] == "delta_sw"
+    assert len(picture(found).axes) == 3
+
+
+def test_a_log_without_a_drive_says_why_and_what_could_be(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("t,yaw_rate,other\n" + "".join(f"{k},0,1\n" for k in range(50)))
+    found = contents(read_log(tmp_path / "a.csv"))
+    assert found.drive is None
+    assert "which column is delta_sw, v? Columns: yaw_rate, other" in found.trouble
+    assert {row.name: row.quantity for row in found.rows} == {"yaw_rate": "(r)", "other": ""}
+    assert len(picture(found).axes) == 2
+    assert "no column 'speed' for v" in contents(read_log(tmp_path / "a.csv"), ColumnMap.of({"v": "speed"})).trouble

@@ -1,0 +1,54 @@
+"""Every format, written by its own library, is read to the last bit, or to its resolution."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.written_logs import FORMATS, STEPS, driven, written
+from steerkit.logs import read_drive, read_log
+
+for package in ("rosbags", "asammdf", "can", "cantools", "pyarrow"):
+    pytest.importorskip(package)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_what_was_written_is_read(name: str, tmp_path: Path) -> None:
+    columns = driven()
+    file, how = written(name, tmp_path, columns)
+    log = read_log(file, **how)
+    kind = FORMATS[name]
+    drive = read_drive(file, steer_ratio=15.0, **how)
+    for quantity, step in STEPS.items():
+        if kind.exact:
+            np.testing.assert_array_equal(log.channels[quantity].values, columns[quantity])
+            np.testing.assert_array_equal(log.channels[quantity].t, columns["t"])
+        n = len(drive.v) - 1
+        low = max(abs(columns[quantity])) * 1e-6 if not kind.dbc else 0.51 * step  # float32, or half a step
+        between = kind.clock * 10.0  # how far a value goes in a step of the clock
+        np.testing.assert_allclose(getattr(drive, quantity)[:n], columns[quantity][:n], atol=low + between)
+    assert not any("broken" in note or "left out" in note for note in drive.notes)
+
+
+def test_reports_of_autoware_are_known_by_kind_and_keep_float32_to_the_last_bit(tmp_path: Path) -> None:
+    columns = driven()
+    for name in ("ros2 mcap", "ros2 sqlite"):
+        log = read_log(written(name, tmp_path, columns)[0])
+        steering = log.channels["/vehicle/status/steering_status.steering_tire_angle"]
+        assert (steering.means, steering.unit) == ("delta", "rad")
+        np.testing.assert_array_equal(steering.values, (columns["delta_sw"] / 15.0).astype(np.float32))
+        np.testing.assert_allclose(steering.t - steering.t[0], columns["t"], atol=1e-6)
+        assert read_drive(written(name, tmp_path, columns)[0]).notes[1].startswith("delta_sw = 15 * the road wheels'")
+
+
+def test_one_log_in_every_format_is_one_drive(tmp_path: Path) -> None:
+    """Those of CAN signals are bit for bit the same among themselves, whatever file the frames came in."""
+    drives = []
+    for name in ("candump", "asc", "blf", "ros2 frames"):
+        file, how = written(name, tmp_path, driven())
+        drives.append(read_log(file, **how).channels)
+    for one in drives[1:]:
+        for name in ("WHEEL.STEERING_WHEEL_ANGLE", "MOTION.VEHICLE_SPEED", "MOTION.YAW_RATE"):
+            np.testing.assert_array_equal(one[name].values, drives[0][name].values)

@@ -1,0 +1,118 @@
+"""ROS bags without ROS: what is in messages of several kinds, and what is not read is told."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from steerkit.logs import read_drive, read_log
+
+pytest.importorskip("rosbags")
+from rosbags.rosbag2 import StoragePlugin, Writer
+
+from steerkit.logs.ros import typestore
+
+BEGIN = 1_700_000_000_000_000_000
+
+
+class Bag:
+    """A bag that is being written, with the types of ROS and ours."""
+
+    def __init__(self, writer: Any):
+        self.writer, self.store = writer, typestore()
+        self.topics: dict[str, Any] = {}
+
+    def of(self, name: str, **values: Any) -> Any:
+        return self.store.types[name](**values)
+
+    def stamp(self, t: float, offset: float = 0.0) -> Any:
+        when = BEGIN + round((t + offset) * 1e9)
+        time = self.of("builtin_interfaces/msg/Time", sec=when // 10**9, nanosec=when % 10**9)
+        return self.of("std_msgs/msg/Header", stamp=time, frame_id="map")
+
+    def put(self, topic: str, t: float, message: Any) -> None:
+        if topic not in self.topics:
+            self.topics[topic] = self.writer.add_connection(topic, message.__msgtype__, typestore=self.store)
+        data = self.store.serialize_cdr(message, message.__msgtype__)
+        self.writer.write(self.topics[topic], BEGIN + round(t * 1e9), data)
+
+    def odometry(self, t: float, psi: float, v: float, r: float, *, off: float = 0.0) -> Any:
+        point = self.of("geometry_msgs/msg/Point", x=5.0 * t, y=-t, z=0.0)
+        turned = self.of("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=np.sin(psi / 2), w=np.cos(psi / 2))
+        pose = self.of("geometry_msgs/msg/Pose", position=point, orientation=turned)
+        linear = self.of("geometry_msgs/msg/Vector3", x=v, y=0.0, z=0.0)
+        angular = self.of("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=r)
+        twist = self.of("geometry_msgs/msg/Twist", linear=linear, angular=angular)
+        return self.of(
+            "nav_msgs/msg/Odometry",
+            header=self.stamp(t, off),
+            child_frame_id="base_link",
+            pose=self.of("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=np.zeros(36)),
+            twist=self.of("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
+        )
+
+
+@pytest.fixture
+def bag(tmp_path: Path) -> Bag:
+    writer = Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP)
+    writer.open()
+    return Bag(writer)
+
+
+def closed(bag: Bag) -> Path:
+    bag.writer.close()
+    return Path(bag.writer.path)
+
+
+def test_odometry_and_a_steering_command_of_ackermann_make_a_drive(bag: Bag) -> None:
+    """Angle and speed at 20 Hz, pose and twist at 50 Hz; a picture and a command are not taken for a measurement."""
+    for k in range(25 * 50):
+        t = k / 50.0
+        delta, v = 0.06 * np.sin(0.6 * t), 6.0 + np.sin(0.2 * t)
+        bag.put("/localization/kinematic_state", t, bag.odometry(t, 0.3 * np.sin(0.3 * t), v, v * delta / 2.9))
+        if k % 5 == 0:
+            for topic, angle in (("/ackermann", delta), ("/control/command/ackermann", -9.0)):
+                drive = bag.of(
+                    "ackermann_msgs/msg/AckermannDrive",
+                    steering_angle=angle,
+                    steering_angle_velocity=0.0,
+                    speed=v,
+                    acceleration=0.0,
+                    jerk=0.0,
+                )
+                stamped = bag.of("ackermann_msgs/msg/AckermannDriveStamped", header=bag.stamp(t), drive=drive)
+                bag.put(topic, t + 0.003, stamped)
+    file = closed(bag)
+    drive = read_drive(file, {"psi": "/localization/kinematic_state.pose.pose.orientation.yaw"}, trusted=True)
+    assert "delta = /ackermann.drive.steering_angle [rad]" in drive.notes[0]
+    assert "r = /localization/kinematic_state.twist.twist.angular.z [rad/s]" in drive.notes[0]
+    assert drive.x is not None
+    assert drive.psi is not None
+    np.testing.assert_allclose(drive.x - drive.x[0], 5.0 * drive.t, atol=1e-4)
+    np.testing.assert_allclose(drive.psi, 0.3 * np.sin(0.3 * drive.t), atol=1e-3)
+    np.testing.assert_allclose(drive.delta_sw, 15.0 * 0.06 * np.sin(0.6 * drive.t), atol=2e-3)
+
+
+def test_stamps_of_another_clock_are_not_taken(bag: Bag) -> None:
+    for k in range(100):
+        bag.put("/odom", 0.02 * k, bag.odometry(0.02 * k, 0.0, 5.0, 0.0, off=-1.0e8))
+    log = read_log(closed(bag))
+    assert log.notes == ("/odom: its stamps are of another clock: taken as they were received",)
+    t = log.channels["/odom.pose.pose.position.x"].t
+    np.testing.assert_allclose(t, 1e-9 * BEGIN + 0.02 * np.arange(100), atol=1e-6)
+
+
+def test_a_folder_without_its_description_and_what_is_no_bag_teach(bag: Bag, tmp_path: Path) -> None:
+    bag.put("/odom", 0.0, bag.odometry(0.0, 0.0, 5.0, 0.0))
+    folder = closed(bag)
+    (folder / "metadata.yaml").unlink()
+    with pytest.raises(ValueError, match="no ROS bag"):
+        read_log(folder)
+    (tmp_path / "a.db3").write_bytes(b"SQLite format 3\0 and nothing more")
+    with pytest.raises(ValueError, match=r"a\.db3: no ROS bag, or a broken one"):
+        read_log(tmp_path / "a.db3")
+    shutil.rmtree(folder)
