@@ -42,7 +42,9 @@ class Bag:
 
     def odometry(self, t: float, psi: float, v: float, r: float, *, off: float = 0.0) -> Any:
         point = self.of("geometry_msgs/msg/Point", x=5.0 * t, y=-t, z=0.0)
-        turned = self.of("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=np.sin(psi / 2), w=np.cos(psi / 2))
+        # heading psi, then rolled by 0.2 rad about the car's own axis: the heading stays psi
+        (s, c), (a, b) = (np.sin(psi / 2), np.cos(psi / 2)), (np.sin(0.1), np.cos(0.1))
+        turned = self.of("geometry_msgs/msg/Quaternion", x=c * a, y=s * a, z=s * b, w=c * b)
         pose = self.of("geometry_msgs/msg/Pose", position=point, orientation=turned)
         linear = self.of("geometry_msgs/msg/Vector3", x=v, y=0.0, z=0.0)
         angular = self.of("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=r)
