@@ -82,16 +82,16 @@ class ColumnMap:
 
         Raises ValueError when something that a drive needs is missing.
         """
-        columns = {quantity: _found(quantity, column, channels, where) for quantity, column in self.columns.items()}
+        given = {quantity: column for quantity, column in self.columns.items() if quantity != "t"}
+        columns = {quantity: _found(quantity, column, channels, where) for quantity, column in given.items()}
         for quantity in QUANTITIES:
             options = candidates(quantity, channels)
-            given = {"delta": "delta_sw", "delta_sw": "delta"}.get(quantity)
-            if quantity not in columns and given not in columns and options:
+            other = {"delta": "delta_sw", "delta_sw": "delta"}.get(quantity)
+            if quantity not in ("t", *columns) and other not in columns and options:
                 columns[quantity] = Column(options[0], told_unit(quantity, channels[options[0]]))
         for pair in (("x", "y"), ("lat_deg", "lon_deg")):
             if len(columns.keys() & set(pair)) == 1:
                 columns.pop(*(columns.keys() & set(pair)))
-        columns.pop("t", None)
         missing = [] if {"delta_sw", "delta"} & columns.keys() else ["delta_sw"]
         missing += [] if "v" in columns else ["v"]
         missing += [] if {"r", "psi"} & columns.keys() else ["r or psi"]

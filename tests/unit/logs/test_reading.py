@@ -171,3 +171,11 @@ def test_a_unit_that_is_none_of_the_quantity_teaches(clean: dict[str, Any], tmp_
         read_drive(tmp_path / "a.csv")
     with pytest.raises(ValueError, match="v is in 'rpm', and v may be in m/s, km/h"):
         read_drive(tmp_path / "a.csv", {"v": "v"})
+
+
+def test_the_time_is_the_column_that_is_named(clean: dict[str, Any], tmp_path: Path) -> None:
+    rows = zip(*(column.tolist() for column in (1e3 * clean["t"], *(clean[k] for k in ("delta_sw", "v", "r")))))
+    text = ["stamp,delta_sw,v,r", *(",".join(map(repr, row)) for row in rows)]
+    (tmp_path / "a.csv").write_text("\n".join(text))
+    drive = read_drive(tmp_path / "a.csv", {"t": {"column": "stamp", "unit": "ms"}})
+    np.testing.assert_allclose(drive.delta_sw, Drive.of(**by_rate(clean)).delta_sw, atol=1e-9)
