@@ -3,10 +3,11 @@
 `hard` sensors throughout, judged by the simulated truth.
 
 * Learners: each seed learns with the filter on the single track, on CommonRoad's multi-body car and on cars of the
-  fleet, and once more without it. A departure is a run in which |e| exceeds 0.5 m after the first second. GOOD is when
-  a net takes the wheel that drives a whole round as `study learning` asks, without the filter. interventions_pct:
-  samples of the last minute in which the learner's command was mixed with the backup's, of the worst run.
-  final_rms_x: RMS e of the final net's test drive over that of the one that learned without it, in the median.
+  fleet, the first seeds (--compare) once more without it. A departure is a run in which |e| exceeds 0.5 m after the
+  first second. GOOD is when a net takes the wheel that drives a whole round as `study learning` asks, without the
+  filter. interventions_pct: samples of the last minute in which the learner's command was mixed with the backup's, of
+  the worst run. final_rms_x: RMS e of the final net's test drive over that of the one that learned without it, in the
+  median.
 * Adversaries: full lock to either side, bang-bang at 20 Hz and slower, away from the path, an untrained net, commands
   by chance; tyres 30 % off, ratio 10 % off either way, 0.1 s of delay that nobody is told; 2 to 9 m/s. The filter is
   told that commands may be 0.1 s late.
@@ -14,20 +15,21 @@
   a driver who is smooth and wants to be 0.8 m beside the path, and against full lock.
 * Cost: time of a sample in the filter's own C, exported and called from Python, where its commands are corrected.
 
-    python -m benchmarks study safety [--seeds N] [--fleet N] [--minutes M] [--processes N] [--quick] [--json]
+    python -m benchmarks study safety [--parts PART ...] [--seeds N] [--compare N] [--jobs N] [--keep FILE] [--json]
+
+With --keep each run of a learner is kept as it ends; the same command goes on after a stop, or with more seeds.
 """
 
 from __future__ import annotations
 
 import argparse
 import ctypes
+import math
 import re
 import subprocess
 import tempfile
 import time
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, replace
-from multiprocessing import get_context
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -35,23 +37,20 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.run.fleet import first_good, of_fleet, of_kind
+from benchmarks.run.fleet import of_fleet, of_kind
+from benchmarks.run.safe_learning import Job, Learner, runs, summarise
 from steerkit import maths as m
 from steerkit.block import Block, In, Out, take_ports
 from steerkit.catalogue import make_safety
 from steerkit.controllers.safety_filter import SafetyFilter
 from steerkit.controllers.stanley import Stanley
 from steerkit.export.c import export_c
-from steerkit.learning.experiment import Experiment
-from steerkit.learning.settings import DEFAULT
-from steerkit.learning.training_run import Taken, train
-from steerkit.learning.trials import TrialDrive, drive_each
 from steerkit.metrics.signals import largest, rms
 from steerkit.native import compiler
 from steerkit.scenario import Scenario
 from steerkit.scenario.drive import assembled
 from steerkit.simulation import Log, simulate
-from steerkit.task import DT, STOP, TRIP
+from steerkit.task import DT, STOP
 
 KINDS = ("left", "right", "bang-bang", "slow bang-bang", "away", "untrained net", "chance")
 """What an adversary does."""
@@ -119,60 +118,6 @@ class Beside(Block):
 
     def _seen(self, u: Any) -> Any:
         return u._replace(e=u.e - self.by)
-
-
-@dataclass(frozen=True)
-class Learner:
-    """What one learning run came to; times in seconds of driving, None where it did not happen."""
-
-    car: str
-    seed: int
-    max_e: float
-    good: float | None
-    failures: int
-    interventions_pct: float
-    final_rms_e: float
-    final_rms_e_without: float
-    max_e_without: float
-    computing: float
-
-
-def one_run(job: tuple[Scenario, int, float]) -> Learner:
-    """Let one car learn with the filter, and once more without."""
-    scenario, seed, minutes = job
-
-    def run(safe: bool) -> tuple[Log, list[Taken], Any]:
-        setting = replace(DEFAULT, safe=safe)
-        trained = train(Experiment(setting=setting, scenario=scenario, minutes=minutes, seed=seed))
-        return trained.run.recorder.log(), trained.nets, trained
-
-    def judged(net: Taken) -> TrialDrive:
-        return drive_each(scenario, DEFAULT, [net.policy], seed=seed + 1000)[0]
-
-    def final(nets: list[Taken]) -> float:
-        summary = judged(nets[-1]).summary if nets else None
-        return summary.rms_e if summary else float("nan")
-
-    log, nets, trained = run(safe=True)
-    last = (log.t >= log.t[-1] - 60.0) & (log["supervisor.learning"] > 0.5)
-    free, free_nets, _ = run(safe=False)
-    return Learner(
-        car=scenario.name or scenario.plant,
-        seed=seed,
-        max_e=_furthest(log),
-        good=first_good(nets, judged),
-        failures=trained.run.counts.failures,
-        interventions_pct=100.0 * float(np.mean(log["safety.share"][last] > 0.0)),
-        final_rms_e=final(nets),
-        final_rms_e_without=final(free_nets),
-        max_e_without=_furthest(free),
-        computing=trained.computing,
-    )
-
-
-def _furthest(log: Log) -> float:
-    """Largest |e| after the first second [m]."""
-    return largest(log["path.e"][log.t > 1.0])
 
 
 def adversaries(seconds: float, kinds: tuple[str, ...], speeds: tuple[float, ...]) -> dict[str, Any]:
@@ -245,52 +190,63 @@ def _signal(field: str, names: list[str]) -> str:
     return next(name for name in names if name.replace(".", "_") == field)
 
 
+PARTS = ("adversaries", "chatter", "cost", "learners")
+"""What it measures; each can be left out."""
+
+
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Its own command line options; --quick is one seed that drives for seconds, and one adversary."""
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, metavar="PART", help=", ".join(PARTS))
     parser.add_argument("--seeds", type=int, default=5, help="seeds of each car")
     parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--compare", type=int, default=1, metavar="N", help="so many of them learn without it too")
     parser.add_argument("--fleet", type=int, default=3, metavar="N", help="cars of the fleet")
     parser.add_argument("--minutes", type=float, default=3.0, help="driving time of a run")
-    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--jobs", type=int, default=2, help="learning runs at once")
+    parser.add_argument("--keep", default="", metavar="FILE", help="keeps runs; those in it are not made again")
+    parser.add_argument("--at-most", type=float, default=math.inf, metavar="MINUTES", help="then no run is begun")
 
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
-    """Measure all parts and print them."""
-    console, quick = Console(width=150), options.quick
-    report = adversaries(4.0 if quick else 15.0, KINDS[:1] if quick else KINDS, SPEEDS[1:2] if quick else SPEEDS)
-    for kind, row in report["adversaries"].items():
-        console.print(f"{kind:16s} max |e|", "  ".join(f"{v}: {e:.3f} m" for v, e in row.items()))
-    report |= chatter(6.0 if quick else 20.0, (5.0,) if quick else (3.0, 5.0, 8.0))
-    report |= cost(2.0, horizon=0.35, hold=1, halvings=1) if quick else cost(100.0)
-    cars = [Scenario.under("hard", course="paper", name="single track")]
-    if not quick:
-        cars += [*of_kind("multi-body"), *of_fleet(options.fleet)]
-    seeds = range(options.first_seed, options.first_seed + (1 if quick else options.seeds))
-    jobs = [(car, seed, 0.1 if quick else options.minutes) for car in cars for seed in seeds]
-    with ProcessPoolExecutor(1 if quick else options.processes, mp_context=get_context("spawn")) as pool:
-        runs = list(pool.map(one_run, jobs))
-    table = Table(*[name.replace("_", " ") for name in asdict(runs[0])])
-    for run in runs:
-        table.add_row(*[f"{v:.3g}" if isinstance(v, float) else str(v) for v in asdict(run).values()])
-    console.print(table)
-    report |= summarise(runs) | {"outcomes": [asdict(run) for run in runs]}
+    """Measure the parts asked for and print them."""
+    console, quick, report = Console(width=150), options.quick, dict[str, Any]()
+    if "adversaries" in options.parts:
+        report |= adversaries(4.0 if quick else 15.0, KINDS[:1] if quick else KINDS, SPEEDS[1:2] if quick else SPEEDS)
+        for kind, row in report["adversaries"].items():
+            console.print(f"{kind:16s} max |e|", "  ".join(f"{v}: {e:.3f} m" for v, e in row.items()))
+    if "chatter" in options.parts:
+        report |= chatter(6.0 if quick else 20.0, (5.0,) if quick else (3.0, 5.0, 8.0))
+    if "cost" in options.parts:
+        report |= cost(2.0, horizon=0.35, hold=1, halvings=1) if quick else cost(100.0)
+    if "learners" in options.parts:
+        report |= learners(options, console)
     for key, value in report.items():
         if not isinstance(value, (dict, list)):
             console.print(f"{key:26s} {value:.4g}" if isinstance(value, float) else f"{key:26s} {value}")
     return report
 
 
-def summarise(runs: list[Learner]) -> dict[str, Any]:
-    """Counts, medians and worst cases over the runs; one that never got GOOD counts as infinite."""
-    good = np.array([np.inf if run.good is None else run.good for run in runs])
-    ratios = [run.final_rms_e / run.final_rms_e_without for run in runs]
-    return {
-        "runs": len(runs),
-        "departures": sum(run.max_e > TRIP for run in runs),
-        "departures_without": sum(run.max_e_without > TRIP for run in runs),
-        "max_e": max(run.max_e for run in runs),
-        "good_median_s": float(np.median(good)),
-        "good_worst_s": float(good.max()),
-        "interventions_pct": max(run.interventions_pct for run in runs),
-        "final_rms_x": float(np.nanmedian(ratios)) if np.isfinite(ratios).any() else float("nan"),
-    }
+def learners(options: argparse.Namespace, console: Console) -> dict[str, Any]:
+    """All runs of the learners, seed by seed through the cars, so that a study that is stopped has all of them."""
+    quick, cars = options.quick, [Scenario.under("hard", course="paper", name="single track")]
+    if not quick:
+        cars += [*of_kind("multi-body"), *of_fleet(options.fleet)]
+    seeds = range(options.first_seed, options.first_seed + (1 if quick else options.seeds))
+    jobs = [
+        Job(scenario=car, seed=seed, minutes=0.1 if quick else options.minutes, safe=safe)
+        for seed in seeds
+        for safe in ((True, False) if seed - options.first_seed < options.compare else (True,))
+        for car in cars
+    ]
+    keep, made, err = Path(options.keep) if options.keep else None, list[Learner](), Console(stderr=True)
+    for run in runs(jobs, processes=1 if quick else options.jobs, keep=keep, stop_after=60.0 * options.at_most):
+        made.append(run)
+        said = f"max |e| {run.max_e:.3f} m, GOOD after {run.good} s" if run.safe else f"without: {run.max_e:.3f} m"
+        err.print(f"{len(made)}/{len(jobs)} {run.car}, seed {run.seed}: {said}", soft_wrap=True)
+    table = Table(*[field.name.replace("_", " ") for field in fields(Learner)])
+    for run in made:
+        table.add_row(*[f"{v:.3g}" if isinstance(v, float) else str(v) for v in asdict(run).values()])
+    console.print(table)
+    if len(made) < len(jobs):
+        console.print(f"{len(jobs) - len(made)} of {len(jobs)} runs are left; the same command with --keep goes on")
+    return summarise(made) | {"outcomes": [asdict(run) for run in made]}

@@ -1,0 +1,199 @@
+"""Learners with the safety filter and without it: one run each, kept as it ends, so that a stopped study goes on.
+
+Part of the study `safety`. A departure is a run in which |e| exceeds 0.5 m after the first second. Departures are
+counted in runs with the filter; those without it are for comparison, and a few seeds of each car will do.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from dataclasses import asdict, dataclass, fields, replace
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.run.fleet import first_good
+from benchmarks.run.sources import source
+from steerkit.errors import require
+from steerkit.learning.experiment import Experiment
+from steerkit.learning.settings import DEFAULT
+from steerkit.learning.training_run import Taken, train
+from steerkit.learning.trials import TrialDrive, drive_each
+from steerkit.metrics.signals import largest
+from steerkit.scenario import Scenario
+from steerkit.task import TRIP
+
+
+@dataclass(frozen=True)
+class Job:
+    """A run to be made."""
+
+    scenario: Scenario
+    seed: int
+    minutes: float
+    safe: bool
+
+    @property
+    def key(self) -> tuple[str, int, float, bool]:
+        """What tells it from others."""
+        return self.scenario.name or self.scenario.plant, self.seed, self.minutes, self.safe
+
+
+@dataclass(frozen=True)
+class Learner:
+    """What one learning run came to; times in seconds of driving, None where it did not happen."""
+
+    car: str
+    seed: int
+    minutes: float
+    safe: bool
+    code: str
+    """A hash of the sources that it ran with."""
+    max_e: float
+    """Largest |e| after the first second [m]."""
+    good: float | None
+    """When the first GOOD net took the wheel; not looked for without the filter."""
+    failures: int
+    interventions_pct: float
+    """Samples of the last minute in which the learner's command was mixed with the backup's."""
+    final_rms_e: float
+    """Of the final net's test drive, which is without the filter; NaN: there is none."""
+    drive_s: float
+    """Computing time of the run, trainings included [s]."""
+    trainings_s: float
+    """That of the trainings."""
+    judging_s: float
+    """That of the nets' test drives."""
+
+    @property
+    def key(self) -> tuple[str, int, float, bool]:
+        """Which `Job` it is of."""
+        return self.car, self.seed, self.minutes, self.safe
+
+
+def one_run(job: Job) -> Learner:
+    """Let one car learn, with the filter or without."""
+    scenario, seed = job.scenario, job.seed
+    setting = replace(DEFAULT, safe=job.safe)
+    trained = train(Experiment(setting=setting, scenario=scenario, minutes=job.minutes, seed=seed))
+    log, nets = trained.run.recorder.log(), trained.nets
+
+    def judged(net: Taken) -> TrialDrive:
+        return drive_each(scenario, DEFAULT, [net.policy], seed=seed + 1000)[0]
+
+    began = time.perf_counter()
+    final = judged(nets[-1]).summary if nets else None
+    good = first_good(nets, judged) if job.safe else None
+    last = (log.t >= log.t[-1] - 60.0) & (log["supervisor.learning"] > 0.5)
+    share = log["safety.share"] if job.safe else np.zeros(len(log.t))
+    car, _, minutes, safe = job.key
+    return Learner(
+        car=car,
+        seed=seed,
+        minutes=minutes,
+        safe=safe,
+        code=source(),
+        max_e=largest(log["path.e"][log.t > 1.0]),
+        good=good,
+        failures=trained.run.counts.failures,
+        interventions_pct=100.0 * float(np.mean(share[last] > 0.0)) if last.any() else 100.0,
+        final_rms_e=final.rms_e if final else float("nan"),
+        drive_s=trained.computing,
+        trainings_s=trained.run.counts.train_seconds,
+        judging_s=time.perf_counter() - began,
+    )
+
+
+def stored(file: Path) -> list[Learner]:
+    """The runs in a file that `runs` kept, in the order in which they ended; none where there is no file.
+
+    A last line that a killed study left half written is no run. Raises ValueError for a file that holds anything else.
+    """
+    if not file.exists():
+        return []
+    *whole, _ = file.read_text(encoding="utf-8").split("\n")
+    names, rows = {field.name for field in fields(Learner)}, []
+    for number, line in enumerate(whole, start=1):
+        try:
+            row = json.loads(line)
+        except ValueError:
+            row = None
+        ours = isinstance(row, dict) and set(row) == names
+        require(ours, f"{file}, line {number}", f"{line[:40]!r}, expected a run of `study safety`, as it keeps them")
+        rows.append(Learner(**row))
+    return rows
+
+
+def runs(jobs: Sequence[Job], *, processes: int, keep: Path | None, stop_after: float) -> Iterator[Learner]:
+    """The runs of `jobs`: those that `keep` holds at once, then the others as they end, each kept as soon as it does.
+
+    stop_after [s]: after so long no other is begun. Raises ValueError for a file that holds no such runs.
+    """
+    done = {run.key: run for run in stored(keep)} if keep else {}
+    yield from [done[job.key] for job in jobs if job.key in done]
+    left = iter([job for job in jobs if job.key not in done])
+    end = time.monotonic() + stop_after
+    if keep:
+        _mend(keep)
+    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
+        going: set[Future[Learner]] = set()
+        while True:
+            while len(going) < processes and time.monotonic() < end and (job := next(left, None)) is not None:
+                going.add(pool.submit(one_run, job))
+            if not going:
+                return
+            ended, going = wait(going, return_when=FIRST_COMPLETED)
+            for future in ended:
+                run = future.result()
+                if keep:
+                    _append(keep, json.dumps(asdict(run)))
+                yield run
+
+
+def _mend(file: Path) -> None:
+    """Take away a last line that is half written; make the folder."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    if file.exists():
+        data = file.read_bytes()
+        os.truncate(file, data.rfind(b"\n") + 1)
+
+
+def _append(file: Path, line: str) -> None:
+    with file.open("a", encoding="utf-8") as out:
+        out.write(line + "\n")
+        out.flush()
+        os.fsync(out.fileno())
+
+
+def summarise(learners: Sequence[Learner]) -> dict[str, Any]:
+    """Counts, medians and worst cases over the runs; one that never got GOOD counts as infinite.
+
+    final_rms_x is over those that have a run without the filter of the same car and seed; NaN where none has.
+    """
+    safe = [run for run in learners if run.safe]
+    free = {run.key[:3]: run for run in learners if not run.safe}
+    good = np.array([np.inf if run.good is None else run.good for run in safe])
+    ratios = [run.final_rms_e / free[run.key[:3]].final_rms_e for run in safe if run.key[:3] in free]
+    own = np.array([run.interventions_pct for run in safe])
+    return {
+        "runs": len(safe),
+        "departures": sum(not run.max_e <= TRIP for run in safe),
+        "max_e": max((run.max_e for run in safe), default=float("nan")),
+        "runs_without": len(free),
+        "departures_without": sum(not run.max_e <= TRIP for run in free.values()),
+        "good_median_s": float(np.median(good)) if len(safe) else float("nan"),
+        "good_worst_s": float(good.max(initial=0.0)),
+        "interventions_pct": float(own.max(initial=0.0)),
+        "interventions_above_2_pct": int(np.sum(own > 2.0)),
+        "final_rms_x": float(np.nanmedian(ratios)) if np.isfinite(ratios).any() else float("nan"),
+        "seconds_a_run": float(np.mean([run.drive_s + run.judging_s for run in safe])) if safe else float("nan"),
+        "of_it_trainings": float(np.mean([run.trainings_s for run in safe])) if safe else float("nan"),
+        "of_it_judging": float(np.mean([run.judging_s for run in safe])) if safe else float("nan"),
+        "codes": len({run.code for run in learners}),
+    }
