@@ -10,6 +10,7 @@ from steerkit import maths as m
 from steerkit.block import Block, In, Out
 from steerkit.controllers.adaptive import Adaptive
 from steerkit.controllers.excited import Excited
+from steerkit.controllers.fail_safe import FailSafe
 from steerkit.controllers.offset_free import OffsetFree
 from steerkit.controllers.supervisor import Guarded, Supervisor
 from steerkit.controllers.target_shift import TargetShift
@@ -60,8 +61,9 @@ def steering_loop(
     and the wheel (none: the command is the angle); link: between the command and the actuator; column: between the
     actuator and the road wheels, and then it says what is measured of the wheel. sensors: what the controllers see of
     the car (none: the truth). safety: a `SafetyFilter` between whoever steers and the wheel; the doe goes on from what
-    it lets through. reference: where e is measured, m ahead of the centre of gravity (the front axle is l_f).
-    shift: what the learner and the supervisor take for e (none: the path's).
+    it lets through; where it fails, the recovery controller steers, if there is one (`FailSafe`). reference: where e is
+    measured, m ahead of the centre of gravity (the front axle is l_f). shift: what the learner and the supervisor take
+    for e (none: the path's).
 
     The blocks are named human, car, link, actuator, column, sensors, path, shift, controller, doe, recovery,
     foresight, supervisor, safety.
@@ -108,6 +110,7 @@ def steering_loop(
     reports = "applied" in _names(car.outputs)
     if recovery is not None:
         controller = _guarded(controller)
+        safety = _fail_safe(safety) if safety is not None else None
     if doe is not None and reports:
         doe = _corrected(doe)
     bench = _Bench(path)
@@ -159,7 +162,9 @@ def steering_loop(
     if safety is not None:
         bench.add("safety", safety)
         bench.wire(command, "delta_sw", safety, "command")
-        bench.control(safety, tracker, seen, steered, doe, wired=("command",))
+        if recovery is not None:
+            bench.wire(recovery, "delta_sw", safety, "recovery")
+        bench.control(safety, tracker, seen, steered, doe, wired=("command", "recovery"))
         command = safety
     if doe is not None:
         bench.wire(car if reports else command, "applied" if reports else "delta_sw", doe, "applied")
@@ -207,7 +212,7 @@ def controller_of(loop: Loop) -> Block:
 
 def bare(controller: Block) -> Block:
     """The law itself, without a guard or a trim around it: it says where it wants e measured, and how far it looks."""
-    wrappers = Adaptive | Excited | Guarded | OffsetFree | Trimmed
+    wrappers = Adaptive | Excited | FailSafe | Guarded | OffsetFree | Trimmed
     return bare(controller.block) if isinstance(controller, wrappers) else controller
 
 
@@ -227,6 +232,10 @@ def _supervisor(controller: Block, doe: Block | None) -> Supervisor:
 
 def _guarded(controller: Block) -> Guarded:
     return controller if isinstance(controller, Guarded) else Guarded(block=controller)
+
+
+def _fail_safe(safety: Block) -> FailSafe:
+    return safety if isinstance(safety, FailSafe) else FailSafe(block=safety)
 
 
 def _corrected(doe: Block) -> Block:

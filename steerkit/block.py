@@ -233,6 +233,14 @@ def take_ports(wrapper: Block, block: Block) -> None:
             object.__setattr__(wrapper, spec.size, getattr(block, spec.size))
 
 
+def without_port(block: Block, name: str) -> None:
+    """Take an input from one block object, whose parameters leave nothing for it to do."""
+    inputs = tuple(port for port in block.inputs if port.name != name)
+    object.__setattr__(block, "inputs", inputs)
+    object.__setattr__(block, "U", namedtuple("U", [p.name for p in inputs]))
+    object.__setattr__(block, "D", namedtuple("D", [p.name for p in inputs if p.direct]))
+
+
 def entries_of(block: Block) -> tuple[Callable[[Sequence[Any]], State], int]:
     """What makes a block's state from its entries, and how many these are: for those that keep others' among theirs."""
     like = block.init()

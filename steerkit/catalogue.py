@@ -12,6 +12,7 @@ from steerkit.controllers.adaptive import Adaptive
 from steerkit.controllers.delay import delayed_stanley
 from steerkit.controllers.estimators.single_track_filter import SingleTrackFilter
 from steerkit.controllers.estimators.steering_delay import YawDelay
+from steerkit.controllers.gate_model import BEHIND_GATE, GateModel
 from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.offset_free import OffsetFree
 from steerkit.controllers.pure_pursuit import PurePursuit
@@ -288,14 +289,16 @@ def make_recovery(name: str, belief: Belief) -> Block:
     return make_controller(name, belief)
 
 
-def make_safety(belief: Belief) -> SafetyFilter:
-    """The safety filter for what is believed of car and steering.
+def make_safety(belief: Belief, gate: GateModel | None = None) -> SafetyFilter:
+    """The safety filter for what is believed of car and steering, and for the gate behind it, if there is one.
 
+    A gate makes the wheel slow: it is looked further ahead then, and a command is held for less.
     Raises ValueError for a car that is steered by torque: its wheel is too slow for the time that is looked ahead.
     """
     told = f"slew = {belief.slew} [m/s^3], expected none: the filter is for cars whose steering takes an angle"
     require(belief.slew is None, "make_safety", told)
-    made = SafetyFilter.of(belief.vehicle, delay=belief.delay, lag=belief.lag)
+    behind: dict[str, Any] = {"gate": gate, **BEHIND_GATE} if gate else {}
+    made = SafetyFilter.of(belief.vehicle, delay=belief.delay, lag=belief.lag, **behind)
     law = replace(made.backup.block, rate_limit=belief.rate_limit)  # type: ignore[call-arg]
     return replace(made, backup=replace(made.backup, block=law, rate_limit=belief.rate_limit))
 

@@ -1,7 +1,7 @@
 """Drive the simulated car over a bus in real time, and say how punctual it was.
 
     python -m benchmarks study car_realtime --minutes 5 --json  # --quick: 3 s
-    python -m benchmarks study car_realtime --minutes 6 --controller learn  # from nothing
+    python -m benchmarks study car_realtime --minutes 6 --controller learn  # from nothing; --safe: with the filter
     python -m benchmarks study car_realtime --minutes 0.5 --compare --load 4  # SCHED_FIFO or not
 
 Three processes: the simulated car on an slcan port, the car server that owns the bus, and this one with the
@@ -19,6 +19,8 @@ import subprocess
 import sys
 import tempfile
 import threading
+from collections import deque
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -37,13 +39,24 @@ from steerkit.task import DT
 
 
 def drive(
-    controller: str, minutes: float, scale: float, folder: Path, listen: str = "", *, fifo: bool = False, busy: int = 0
+    controller: str,
+    minutes: float,
+    scale: float,
+    folder: Path,
+    listen: str = "",
+    *,
+    fifo: bool = False,
+    busy: int = 0,
+    safe: bool = False,
+    seed: int = 0,
 ) -> dict[str, Any]:
-    """One drive; its figures."""
+    """One drive; its figures. safe: a learner's safety filter. seed: of the learner's nets and the human's speed."""
     config = load("dbw-kit.toml")
     path = loops.course_of(config)
     socket, tape, log = str(folder / "socket"), folder / "drive.mcap", folder / "car.jsonl"
-    simulated, channel = processes.start_simulated("dbw-kit.toml", time_scale=scale, log=str(log), listen=listen)
+    simulated, channel = processes.start_simulated(
+        "dbw-kit.toml", time_scale=scale, log=str(log), listen=listen, options=("--seed", str(seed))
+    )
     with (folder / "server.log").open("w", encoding="utf-8") as text:
         server = processes.start_car_server(
             "dbw-kit.toml", socket, recording=str(tape), channel=channel, time_scale=scale, realtime=fifo, log=text
@@ -73,7 +86,8 @@ def drive(
             last = link.query()
             try:
                 if controller == "learn":
-                    learn(config, path, link, folder / "run", 60.0 * minutes, clock, watch, more)
+                    how: dict[str, Any] = {"safe": safe, "seed": seed}
+                    learn(config, path, link, folder / "run", 60.0 * minutes, clock, watch, more, **how)
                 else:
                     block = loops.controller_named(controller, config)
                     loops.drive(config, path, link, block, duration=60.0 * minutes, clock=clock, watch=watch)
@@ -188,25 +202,39 @@ def operate(socket: str, over: threading.Event, engagements: list[str]) -> None:
 
 
 def learn(
-    config: Any, path: Any, link: CarClient, place: Path, seconds: float, clock: Clock, watch: Any, more: dict[str, Any]
+    config: Any,
+    path: Any,
+    link: CarClient,
+    place: Path,
+    seconds: float,
+    clock: Clock,
+    watch: Any,
+    more: dict[str, Any],
+    *,
+    safe: bool,
+    seed: int,
 ) -> realtime.Run:
-    """A learning run from nothing; its counts go to `more`."""
-    from steerkit.learning.settings import setting
+    """A learning run from nothing; its counts go to `more`, those of the safety filter's of the last minute."""
+    from steerkit.learning.settings import DEFAULT
     from steerkit.on_car.learner import CarLearner
 
     link.wait(timeout=10.0)
     best = since = 0.0
     failures = 0
+    corrected: deque[bool] = deque(maxlen=round(60.0 / DT))
 
     def build(policy: Any, doe: Any) -> Any:
-        return loops.car_loop(config, path, link, policy, doe=doe)
+        return loops.car_loop(config, path, link, policy, doe=doe, safe=safe)
 
     vehicle = loops.belief_of(config).vehicle
-    with CarLearner(setting("default"), place, build, link, vehicle=vehicle) as learner:
+    how = replace(DEFAULT, safe=safe)
+    with CarLearner(how, place, build, link, vehicle=vehicle, seed=seed) as learner:
 
         def count(run: realtime.Run) -> bool:
             nonlocal best, since, failures
             watch(run)
+            if safe and run.sample["supervisor.learning"] > 0.5:
+                corrected.append(run.sample["safety.share"] > 0.0)
             if learner.story.counts.failures > failures or link.last is None or link.last.mode is not Mode.ENGAGED:
                 failures, since = learner.story.counts.failures, learner.story.counts.driven
             best = max(best, learner.story.counts.driven - since)
@@ -221,6 +249,8 @@ def learn(
             "longest_without_failure_m": best,
             "rounds_without_failure": best / path.length,
             "trainer_faults": list(learner.trainer.faults),
+            "filter_faults": dict(learner.filter_faults),
+            "interventions_pct": 100.0 * sum(corrected) / max(1, len(corrected)),
         }
         return run
 
@@ -233,6 +263,8 @@ def minutes(options: argparse.Namespace) -> float:
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Its own command line options; --quick drives 3 s."""
     parser.add_argument("--controller", default="stanley", help="stanley, mpc, learn, or a policy's place")
+    parser.add_argument("--safe", action="store_true", help="a safety filter before the gate, for `learn`")
+    parser.add_argument("--seed", type=int, default=0, help="of the learner's nets, and of the human's speed")
     parser.add_argument("--minutes", type=float, default=None, help="of each drive (default 5)")
     parser.add_argument("--time-scale", type=float, default=1.0, help="1 is real time")
     parser.add_argument("--listen", default="", help="127.0.0.1:0 for TCP instead of a pseudo-terminal")
@@ -254,6 +286,8 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
             options.listen,
             fifo=options.fifo,
             busy=options.load,
+            safe=options.safe,
+            seed=options.seed,
         )
     for name, value in row.items():
         print(f"{name:26s} {value:.4g}" if isinstance(value, float) else f"{name:26s} {value}")

@@ -13,6 +13,8 @@
   told that commands may be 0.1 s late.
 * Chatter: RMS of the correction's change from sample to sample, of the one-step filter over the multi-step one, against
   a driver who is smooth and wants to be 0.8 m beside the path, and against full lock.
+* Car: learners with the filter before the gate of the simulated car behind the bus, in three processes at true 20 Hz;
+  only with --parts car.
 * Cost: time of a sample in the filter's own C, exported and called from Python, where its commands are corrected.
 
     python -m benchmarks study safety [--parts PART ...] [--seeds N] [--compare N] [--jobs N] [--keep FILE] [--json]
@@ -50,7 +52,7 @@ from steerkit.native import compiler
 from steerkit.scenario import Scenario
 from steerkit.scenario.drive import assembled
 from steerkit.simulation import Log, simulate
-from steerkit.task import DT, STOP
+from steerkit.task import DT, STOP, TRIP
 
 KINDS = ("left", "right", "bang-bang", "slow bang-bang", "away", "untrained net", "chance")
 """What an adversary does."""
@@ -190,13 +192,14 @@ def _signal(field: str, names: list[str]) -> str:
     return next(name for name in names if name.replace(".", "_") == field)
 
 
-PARTS = ("adversaries", "chatter", "cost", "learners")
-"""What it measures; each can be left out."""
+PARTS = ("adversaries", "chatter", "cost", "learners", "car")
+"""What it measures; each can be left out, and the last has to be asked for: it takes real time, and the extra `car`."""
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Its own command line options; --quick is one seed that drives for seconds, and one adversary."""
-    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, metavar="PART", help=", ".join(PARTS))
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS[:-1], metavar="PART", help=", ".join(PARTS))
+    parser.add_argument("--drives", type=int, default=10, help="of the car")
     parser.add_argument("--seeds", type=int, default=5, help="seeds of each car")
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--compare", type=int, default=1, metavar="N", help="so many of them learn without it too")
@@ -220,10 +223,36 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         report |= cost(2.0, horizon=0.35, hold=1, halvings=1) if quick else cost(100.0)
     if "learners" in options.parts:
         report |= learners(options, console)
+    if "car" in options.parts:
+        report |= on_the_car(1 if quick else options.drives, 0.05 if quick else options.minutes, options.first_seed)
     for key, value in report.items():
         if not isinstance(value, (dict, list)):
             console.print(f"{key:26s} {value:.4g}" if isinstance(value, float) else f"{key:26s} {value}")
     return report
+
+
+def on_the_car(drives: int, minutes: float, first_seed: int) -> dict[str, Any]:
+    """Learners with the filter on the simulated car behind the bus, at true 20 Hz; |e| from when it is engaged."""
+    from benchmarks.studies.car_realtime import drive
+
+    rows = []
+    for seed in range(first_seed, first_seed + drives):
+        with tempfile.TemporaryDirectory() as folder:
+            rows.append(drive("learn", minutes, 1.0, Path(folder), safe=True, seed=seed))
+        said = ("max_e_m", "interventions_pct", "failures", "nets", "longest_step_ms", "misses", "faults", "lost")
+        print(f"drive {seed}:", ", ".join(f"{name} {rows[-1][name]}" for name in said), flush=True)
+    asked, same = (sum(row[name] for row in rows) for name in ("requests", "requests_replayed_exactly"))
+    return {
+        "car_drives": len(rows),
+        "car_departures": sum(not row["max_e_m"] <= TRIP for row in rows),
+        "car_max_e": max(row["max_e_m"] for row in rows),
+        "car_ended_early": sum(bool(row["lost"] or row["faults"]) for row in rows),
+        "car_filter_faults": sum(sum(row["filter_faults"].values()) for row in rows),
+        "car_interventions_pct": max(row["interventions_pct"] for row in rows),
+        "car_longest_step_ms": max(row["longest_step_ms"] for row in rows),
+        "car_requests_replayed_pct": 100.0 * same / max(1, asked),
+        "car_outcomes": rows,
+    }
 
 
 def learners(options: argparse.Namespace, console: Console) -> dict[str, Any]:

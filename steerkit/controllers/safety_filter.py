@@ -8,8 +8,9 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 from steerkit import maths as m
-from steerkit.block import Block, In, Out, State
+from steerkit.block import Block, In, Out, State, without_port
 from steerkit.controllers.delay import Motion, Predicted
+from steerkit.controllers.gate_model import GateModel
 from steerkit.controllers.limits import limited
 from steerkit.controllers.stanley import Stanley, StanleyState
 from steerkit.errors import require, require_within
@@ -92,6 +93,7 @@ class SafetyFilter(Block):
     v = In("m/s")
     r = In("rad/s")
     delta_sw_meas = In("rad")
+    applied = In("rad")
     delta_sw = Out("rad")
     correction = Out("rad")
     share = Out("1")
@@ -124,6 +126,8 @@ class SafetyFilter(Block):
     """Entries of the preview."""
     preview_dt: float = 0.1
     """Time between them [s]."""
+    gate: GateModel | None = None
+    """What comes between the filter and the wheel, if anything does; then `applied` says what it let through last."""
 
     def __post_init__(self) -> None:
         where = "SafetyFilter"
@@ -133,7 +137,7 @@ class SafetyFilter(Block):
         require(self.dt == self.backup.dt, where, f"dt = {self.dt} s, but the backup has {self.backup.dt} s")
         for name, unit, low, high in (
             ("bound", "m", 0.05, 100.0),
-            ("horizon", "s", self.hold * self.dt + 0.3, 10.0),
+            ("horizon", "s", self.hold * self.dt + max(0.3, self.gate.turning if self.gate else 0.0), 10.0),
             ("e_doubt", "m", 0.0, 10.0),
             ("psi_doubt", "rad", 0.0, 1.0),
             ("yaw_doubt", "rad/s", 0.0, 1.0),
@@ -148,6 +152,8 @@ class SafetyFilter(Block):
             require(
                 isinstance(value, int) and value >= least, where, f"{name} = {value!r}, expected a count >= {least}"
             )
+        if self.gate is None:
+            without_port(self, "applied")
 
     @classmethod
     def of(cls, vehicle: Vehicle, *, delay: float = 0.0, lag: float = 0.1, **settings: Any) -> SafetyFilter:
@@ -192,8 +198,8 @@ class SafetyFilter(Block):
 
     def output(self, t: Any, x: State, u: Any) -> Any:
         v, sound = m.maximum(u.v, 0.0), m.is_finite(u.command)
-        now = _Now(u.e, u.psi_e, u.r, u.delta_sw_meas, x[3], x[1], x[2], x[_KEPT:], tuple(u.preview))
-        within = self._within(u.command, x[-1], v, u.preview[0])
+        now = _Now(u.e, u.psi_e, u.r, u.delta_sw_meas, x[3], x[1], x[2], self._sent(x, u), tuple(u.preview))
+        within = self._within(u.command, x[-1], v, u.preview[0]) if self.gate is None else u.command
         reach = self._reach(now, v, within)
         safe = m.both(sound, reach <= self.bound)
         if safe is True:  # one car whose command is kept, as nearly all are: nothing else to be asked
@@ -219,11 +225,15 @@ class SafetyFilter(Block):
             x[1] + part * (u.r - x[0] - x[1]),
             x[2] + part * (u.r - x[2]),
             u.delta_sw_meas,
-            *x[_KEPT + 1 :],
+            *self._sent(x, u)[1:],
             y.delta_sw,
         )
         before = (*x[:_KEPT], *x[_KEPT + 1 :], x[-1])  # what is no number was not measured, or never left
         return tuple([m.where(m.is_finite(new), new + 0.0, old) for new, old in zip(after, before, strict=True)])
+
+    def _sent(self, x: State, u: Any) -> State:
+        """The commands on their way; of the last one a gate says what it made of it."""
+        return x[_KEPT:] if self.gate is None else (*x[_KEPT:-1], u.applied)
 
     def _within(self, command: Scalar, before: Scalar, v: Scalar, kappa: Scalar) -> Scalar:
         """The command within stop, wheel speed and lateral acceleration, as the backup's."""
@@ -293,6 +303,9 @@ class SafetyFilter(Block):
                     unaware = 2.0 * self.psi_doubt + push * dead
                     e_seen = car.e - 2.0 * self.e_doubt - v * unaware * dead
                     given = self._answer(Motion(e_seen, car.psi_e - unaware, car.r, car.wheel), v, kappa, before, given)
+                if self.gate is not None:
+                    early = self.gate.frame_dt if k == soonest else 0.0
+                    given = self.gate.pushed(given, commands[-1], v, dt, early)
                 commands.append(given)
             soon, late = self._wheel(soon, commands[k + latest - soonest]), self._wheel(late, commands[k])
             push = self.yaw_doubt + self.ratio_doubt * m.absolute(car.r - now.r_slow)

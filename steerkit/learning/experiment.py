@@ -201,17 +201,16 @@ class LearningRun:
             self._tell("second")
 
     def _action(self) -> float:
-        """What the learner did: where the filter changed it, the action that makes what was sent."""
-        changed = self.safe and self._value("safety.correction") != 0.0
-        if not changed or self.experiment.setting.teaches == "chosen":
-            return self._value("controller.action")
-        return self._element.action_for(self._value("safety.delta_sw"), self._value("doe.state"))
+        """What the learner did."""
+        action = self._value("controller.action")
+        if not self.safe:
+            return action
+        correction, sent, state = map(self._value, ("safety.correction", "safety.delta_sw", "doe.state"))
+        return self.story.taught(action, self._element, correction=correction, sent=sent, state=state)
 
     def _had_enough(self) -> bool:
         """Has the policy been corrected for as long as it may be?"""
-        if self.safe and self._value("safety.share") > 0.0:
-            self.counts.corrected += 1
-        return self.safe and self.counts.corrected * self.policy.dt >= self.experiment.setting.corrected_seconds
+        return self.safe and self.story.corrected(self._value("safety.share"))
 
     def _after_failure(self) -> None:
         story, setting = self.story, self.experiment.setting

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.doe import Dynamic
 from steerkit.learning.counts import Counts, Episode
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq import iterate as nfq
@@ -118,6 +119,21 @@ class Story:
         self.recorder.forget()
         self.counts.ended(t, failed=False)
         self.counts.recovery = None
+
+    def corrected(self, share: float) -> bool:
+        """The safety filter put so much of its backup [1] into the policy's command: was that once too often?"""
+        counts, setting = self.counts, self.setting
+        counts.corrected += share > 0.0
+        return counts.corrected * self.policy.dt >= setting.corrected_seconds
+
+    def taught(self, action: float, element: Dynamic, *, correction: float, sent: float, state: float) -> float:
+        """The action [rad] that a sample teaches: where the filter changed the angle, the one that makes what was sent.
+
+        action: the policy's. correction, sent [rad]: of the filter. state [rad]: of the output element.
+        """
+        if correction == 0.0 or self.setting.teaches == "chosen":
+            return action
+        return element.action_for(sent, state)
 
     def due(self) -> bool:
         """Is it time to train anew while driving on?"""

@@ -14,6 +14,7 @@ from steerkit.catalogue import OLD_ELEMENTS
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.supervisor import SupervisorState
 from steerkit.loop import Loop
+from steerkit.plants.real_car.processes.protocol import Filtered
 from steerkit.realtime import Run
 
 
@@ -62,7 +63,7 @@ class Follow:
         if lost:
             run.restart(self.resting.init())
         elif not self.engaged:
-            for name in ("controller", "recovery"):
+            for name in ("controller", "recovery", "safety"):
                 if name in run.loop.blocks:
                     run.x[run.loop.names.index(name)] = run.loop.settled(name, run.y)
         return lost
@@ -79,6 +80,12 @@ class Follow:
         run.loop = self.driving if self.engaged and self.trusted else self.resting
 
 
+def filtered_in(run: Run) -> Filtered:
+    """What the safety filter of a loop did in its last sample."""
+    asked = run.sample[run.loop.inputs_of("safety")["command"]]
+    return Filtered(asked, *[run.sample[f"safety.{name}"] for name in Filtered._fields[1:]])
+
+
 @dataclass(frozen=True, kw_only=True)
 class Steers:
     """Who makes a drive's requests, for its recording."""
@@ -93,6 +100,8 @@ class Steers:
     """Who catches the policy."""
     trusted: bool = True
     """False: its recovery controller has the wheel until the next net."""
+    safe: bool = False
+    """Is there a safety filter before the gate?"""
 
     @classmethod
     def by_policy(cls, file: Path, doe: str, **more: Any) -> Self:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import contextlib
 import json
 import math
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path as FilePath
@@ -23,6 +24,7 @@ from steerkit.assembly import with_controller
 from steerkit.block import Block
 from steerkit.catalogue import FITTING
 from steerkit.clock import Clock
+from steerkit.controllers.fail_safe import FAULTS
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.doe import Dynamic
 from steerkit.errors import require
@@ -34,7 +36,8 @@ from steerkit.learning.settings import Setting
 from steerkit.learning.story import Story, state_signals, untrained
 from steerkit.learning.trainer import Trainer
 from steerkit.loop import Loop
-from steerkit.on_car.follow import Follow, Steers
+from steerkit.on_car.follow import Follow, Steers, filtered_in
+from steerkit.plants.real_car.processes.protocol import Filtered
 from steerkit.realtime import Run, run
 from steerkit.vehicles import Vehicle
 
@@ -50,6 +53,10 @@ class Car(Protocol):
 
     def remark(self, text: str) -> None:
         """Say, for the recording, who steers from the next request on."""
+        ...
+
+    def tell(self, message: Filtered) -> None:
+        """Say, for the recording, what the safety filter did."""
         ...
 
 
@@ -83,8 +90,6 @@ class CarLearner:
         where = f"setting '{setting.name}' on a car"
         chance = f"exploration = {setting.exploration}, expected 0: no action at random on a real steering wheel"
         require(setting.exploration == 0.0, where, chance)
-        filtered = "safe = true, expected false: the filter does not know the gate's limits yet"
-        require(not setting.safe, where, filtered)
         after = f"after_failure = '{setting.after_failure}', expected 'recovery'; the others are for simulations"
         require(setting.after_failure == "recovery", where, after)
         self.setting, self.place, self.link, self.recovery = setting, place, link, recovery
@@ -117,7 +122,13 @@ class CarLearner:
             first=self.store.next_episode(),
             also=self.store.append,
         )
-        self._idle = build(replace(policy, ready_from=math.inf), setting.element(vehicle))
+        self._element = setting.element(vehicle)
+        self._idle = build(replace(policy, ready_from=math.inf), self._element)
+        self.filter_faults: Counter[str] = Counter()
+        """What went wrong in the safety filter, and how often."""
+        filtered = "safety" in self._idle.blocks
+        asked = f"safe = {setting.safe}, but build makes a loop with{'' if filtered else 'out'} a safety filter"
+        require(filtered == setting.safe, f"setting '{setting.name}' on a car", asked)
         self.follow = Follow(link=self.link, resting=self._idle, driving=self._with(policy))
         self._inputs = state_signals(setting, self._idle.inputs_of("controller"))
 
@@ -145,11 +156,12 @@ class CarLearner:
         state = {name: self._value(live, signal) for name, signal in self._inputs.items()}
         learning = engaged and self._value(live, "supervisor.learning") > 0.5
         fault = engaged and self._value(live, "supervisor.fault") > 0.5  # a NaN, or an exception in the policy
+        given_up = self.setting.safe and self._filtered(live, learning=learning, engaged=engaged)
         events = story.sample(
             live.k,
             t,
             list(state.values()),
-            self._value(live, "controller.action"),
+            self._action(live),
             learning=learning,
             failed=fault or (engaged and self._value(live, "supervisor.tripped") > 0.5),
             progress=self._value(live, "path.progress"),
@@ -159,19 +171,41 @@ class CarLearner:
             story.counts.recovery = None  # the human steers
         elif not learning:
             story.recovering(t, e=state["e"], e_dot=state["e_dot"])
-        if (events.ended and events.ended.failed) or (fault and story.trusted):
+        if given_up:
+            story.counts.ended(t, failed=True)
+        if given_up or (events.ended and events.ended.failed) or (fault and story.trusted):
             story.train(t, trusted=False)
         elif learning and story.due():
             story.train(t, trusted=True)
         result = story.take_over(t, e=state["e"], e_dot=state["e_dot"])
         taken = result is not None and result.number == story.net
         if taken:
+            story.counts.corrected = 0
             story.policy.save(self.net_file, durable=False)  # the next sample does not wait for the disk
             self.follow.exchange(live, self._with(story.policy))
         if taken or self.follow.trusted != story.trusted:
             self.follow.trusted = story.trusted
             self.tell()
         self.follow.choose(live)
+
+    def _action(self, live: Run) -> float:
+        """What the learner did."""
+        action = self._value(live, "controller.action")
+        if not self.setting.safe:
+            return action
+        correction, sent, state = (
+            self._value(live, f"{s}") for s in ("safety.correction", "safety.delta_sw", "doe.state")
+        )
+        return self.story.taught(action, self._element, correction=correction, sent=sent, state=state)
+
+    def _filtered(self, live: Run, *, learning: bool, engaged: bool) -> bool:
+        """Tell what the safety filter did; must the policy lose the wheel for it, or because the filter failed?"""
+        message = filtered_in(live)
+        self.link.tell(message)
+        broken = FAULTS.get(message.reason, "") if engaged else ""
+        if broken:
+            self.filter_faults[broken] += 1
+        return learning and (self.story.corrected(message.share) or bool(broken))
 
     def figures(self) -> dict[str, Any]:
         """The numbers of a run that a program would read."""
@@ -183,6 +217,7 @@ class CarLearner:
             "failures": counts.failures,
             "stuck": list(counts.stuck),
             "training_faults": list(self.trainer.faults),
+            "filter_faults": dict(self.filter_faults),
         }
 
     def status(self) -> str:
@@ -190,6 +225,7 @@ class CarLearner:
         story, counts = self.story, self.story.counts
         training = "training" if self.trainer.busy else "idle"
         fault = f", {story.faults[-1]}" if story.faults else ""
+        fault += "".join([f", {count} x {what}" for what, count in self.filter_faults.items()])
         if counts.recovery and counts.recovery.said:
             fault += f", {counts.recovery.said}"
         return (
@@ -204,8 +240,8 @@ class CarLearner:
 
     def tell(self) -> None:
         """Tell the recording who steers from here on."""
-        steers = Steers.by_policy(self.net_file, self.setting.doe, recovery=self.recovery, trusted=self.story.trusted)
-        self.link.remark(steers.text())
+        how: dict[str, Any] = {"recovery": self.recovery, "trusted": self.story.trusted, "safe": self.setting.safe}
+        self.link.remark(Steers.by_policy(self.net_file, self.setting.doe, **how).text())
 
     def _with(self, policy: NfqPolicy) -> Loop:
         return with_controller(self._idle, policy)

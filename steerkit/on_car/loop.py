@@ -10,10 +10,12 @@ from pathlib import Path as FilePath
 from steerkit import realtime
 from steerkit.assembly import steering_loop
 from steerkit.block import Block
-from steerkit.catalogue import CONTROLLERS, FITTING, Belief, make_controller, make_element, make_recovery
+from steerkit.catalogue import CONTROLLERS, FITTING, Belief, make_controller, make_element, make_recovery, make_safety
 from steerkit.clock import Clock
 from steerkit.controllers.excited import WAVES, excited
+from steerkit.controllers.fail_safe import FailSafe
 from steerkit.controllers.foresight import Foresight
+from steerkit.controllers.gate_model import GateModel
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.courses import course
 from steerkit.doe import Dynamic, Integrator
@@ -30,6 +32,8 @@ from steerkit.plants.real_car.processes.client import CarClient, CarLink, RealCa
 
 MPC_BUDGET = 0.03
 """A solution that took longer is not used [s]: the plan before is followed, then the fallback law."""
+SAFETY_BUDGET = 0.03
+"""An answer of the safety filter that took longer is not used [s]: the recovery controller's is."""
 LEARNED = FilePath("runs/car")
 """Where `steerkit learn --car` keeps its run unless told otherwise, and where `nfq` is looked for."""
 VALID = (
@@ -139,13 +143,19 @@ def car_loop(
     *,
     doe: Dynamic | None = None,
     recovery: str = FITTING,
+    safe: bool = False,
+    clock: Callable[[], float] | None = time.perf_counter,
 ) -> Loop:
     """The loop of the simulated runs with a `RealCar` in the plant's place: 20 Hz, e at the front axle.
 
     controller: a block that steers, or a policy, which gets `doe` (default: an Integrator), corrected by what the gate
     let through, and the recovery controller of that name, called in time for the gate to let it turn the wheel.
+    safe: put a `SafetyFilter` that knows the gate before it; where it fails, or takes longer than `SAFETY_BUDGET` by
+    `clock` (None: no time is taken), the recovery controller steers. Raises ValueError for safe with a controller that
+    is no policy.
     """
     learned = any(port.name == "action" for port in controller.outputs)
+    require(learned or not safe, "car_loop", "safe = True, expected a policy: the filter is for learned controllers")
     element = doe or Integrator()
     element = replace(element, limit=min(element.limit, belief_of(config).vehicle.delta_sw_max))
     return steering_loop(
@@ -156,6 +166,7 @@ def car_loop(
         doe=element if learned else None,
         recovery=recovery_named(recovery, config) if learned else None,
         foresight=foresight(config) if learned else None,
+        safety=safety(config, clock) if safe else None,
         reference=config.vehicle.l_f,
     )
 
@@ -165,6 +176,15 @@ def foresight(config: CarConfig) -> Foresight:
     limits = config.gate
     same = ("a_y_max", "jerk_max", "rate_max", "delta_sw_max", "v_floor", "quantum")
     return Foresight.of(config.vehicle, **{name: getattr(limits, name) for name in same})
+
+
+def safety(config: CarConfig, clock: Callable[[], float] | None = None) -> FailSafe:
+    """The safety filter before the gate of `config`."""
+    limits = config.gate
+    same = ("a_y_max", "jerk_max", "rate_max", "delta_sw_max", "v_floor", "steer_ratio", "wheelbase", "arm", "quantum")
+    model = GateModel(**{name: getattr(limits, name) for name in same})
+    budget = None if clock is None else SAFETY_BUDGET
+    return FailSafe(block=make_safety(belief_of(config), model), budget=budget, clock=clock)
 
 
 def drive(

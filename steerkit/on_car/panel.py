@@ -13,13 +13,14 @@ import select
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from types import TracebackType
 from typing import Any, Self
 
+from steerkit.controllers.fail_safe import said
 from steerkit.plants.real_car.decisions.modes import Mode, Order
 from steerkit.plants.real_car.processes.client import CarClient, CarLost
-from steerkit.plants.real_car.processes.protocol import Snapshot
+from steerkit.plants.real_car.processes.protocol import Filtered, Snapshot
 from steerkit.units import degrees_of
 
 PERIOD = 0.04
@@ -39,9 +40,9 @@ COLOURS = {
 class Panel:
     """Shows who has the wheel and why, and turns keys into orders; without a terminal it prints transitions only.
 
-    session: with `socket`, `timing`, `asked`, `learner_steers`, `watched`, and `ending`, which ends the drive: so does
-    a panel that breaks, as nobody could let go by key any more. live: draw. more: a line of text of somebody else, and
-    what it is about.
+    session: with `socket`, `timing`, `asked`, `learner_steers`, `filtered`, `corrections`, `watched`, and `ending`,
+    which ends the drive: so does a panel that breaks, as nobody could let go by key any more. live: draw. more: a line
+    of text of somebody else, and what it is about.
     """
 
     def __init__(
@@ -151,6 +152,8 @@ class Panel:
             )
         rows += [("warning" if s.mode is Mode.ENGAGED else "against", line) for line in against]
         rows += [("refused", said)] if said else []
+        if self.session.filtered is not None:
+            rows.append(("filter", filter_line(self.session.filtered, self.session.corrections)))
         if self.more:
             rows.append((self.about, self.more()))
         rows += self.session.watched.rows()
@@ -182,6 +185,13 @@ def _ring() -> None:
 def line_of(s: Snapshot) -> str:
     """A snapshot's state and cause in one line."""
     return f"{s.mode}: {s.text.splitlines()[0]}"
+
+
+def filter_line(last: Filtered, corrections: Collection[bool]) -> str:
+    """What the safety filter did last, and how often it changed a command in the last minute."""
+    share = f", {100.0 * last.share:.0f} % backup" if 0.0 < last.share < 1.0 else ""
+    often = f"; changed {100.0 * sum(corrections) / len(corrections):.1f} % of the last minute" if corrections else ""
+    return f"{said(last.reason)}{share}, reach {last.reach:.2f} m{often}"
 
 
 def _sent(s: Snapshot) -> str:

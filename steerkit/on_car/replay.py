@@ -14,15 +14,25 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from steerkit import realtime
+from steerkit.controllers.fail_safe import LATE
 from steerkit.loop import Loop
 from steerkit.on_car import loop as loops
 from steerkit.on_car.estimates import CarEstimators, message_of
-from steerkit.on_car.follow import Follow, Steers
+from steerkit.on_car.follow import Follow, Steers, filtered_in
 from steerkit.path import Path
 from steerkit.plants.real_car.decisions.modes import Mode
 from steerkit.plants.real_car.file.config import CarConfig
 from steerkit.plants.real_car.processes.client import CarLost, ReplayLink
-from steerkit.plants.real_car.processes.protocol import Estimates, Hello, Remark, Request, Snapshot, decode, encode
+from steerkit.plants.real_car.processes.protocol import (
+    Estimates,
+    Filtered,
+    Hello,
+    Remark,
+    Request,
+    Snapshot,
+    decode,
+    encode,
+)
 from steerkit.plants.real_car.recording import Recorded
 
 
@@ -41,6 +51,9 @@ class Drive:
     """The snapshot that each request was computed from; None where it is lost."""
     estimates: list[tuple[int, Estimates]] = field(default_factory=list)
     """What was said to be found of the car, each with the number of requests before it."""
+
+    filtered: list[Filtered] = field(default_factory=list)
+    """What the safety filter was said to have done, request by request."""
 
     @property
     def who(self) -> str:
@@ -69,6 +82,8 @@ def drives(recorded: Recorded) -> Iterator[Drive]:
                     drive.samples.append(last if last is not None and last.t == asked.basis else None)
                 case Estimates() as found if values["link"] == link:
                     drive.estimates.append((len(drive.requests), found))
+                case Filtered() as did if values["link"] == link:
+                    drive.filtered.append(did)
                 case Remark(text=text) if values["link"] == link:
                     drive.remarks.append((len(drive.snapshots), Steers.read(text)))
     if drive.requests:
@@ -91,11 +106,19 @@ class Nets:
 
     def __init__(self, config: CarConfig, path: Path, link: ReplayLink, run: str = ""):
         self.config, self.path, self.link, self.run = config, path, link, run
-        self._known: dict[tuple[str, str, str], Follow] = {}
+        self.late = False
+        """Is the safety filter late in this sample, as it was in the drive?"""
+        self._seconds = 0.0
+        self._known: dict[tuple[str, str, str, bool], Follow] = {}
+
+    def clock(self) -> float:
+        """The filter's clock, asked before and after its answer: no time passes between, or too much."""
+        self._seconds += 2.0 * loops.SAFETY_BUDGET if self.late else 0.0
+        return self._seconds
 
     def follow(self, steers: Steers) -> Follow:
         """How to follow a drive of that controller; raises ValueError when it is gone or no longer the same."""
-        key = steers.name, steers.sha256, steers.recovery
+        key = steers.name, steers.sha256, steers.recovery, steers.safe
         if key not in self._known:
             self._known[key] = Follow.of(self._loop(steers), self.link)
         return self._known[key]
@@ -114,14 +137,15 @@ class Nets:
         block: Any = controller.block
         if "budget" in {f.name for f in fields(block)}:  # how long it takes today is no part of what it answered then
             block = replace(block, clock=None, budget=None)
-        doe, recovery = controller.element, steers.recovery
-        return loops.car_loop(self.config, self.path, self.link, block, doe=doe, recovery=recovery)
+        how: dict[str, Any] = {"doe": controller.element, "recovery": steers.recovery, "safe": steers.safe}
+        return loops.car_loop(self.config, self.path, self.link, block, **how, clock=self.clock)
 
 
 def replayed_requests(drive: Drive, config: CarConfig, path: Path, *, controller: str = "", run: str = "") -> int:
     """How many of a drive's requests come out bit for bit the same when its controllers see the recorded snapshots.
 
-    A solution that came too late in the drive comes in time here: its request, and a few after it, then differ.
+    A solution that came too late in the drive comes in time here: its request, and a few after it, then differ. A
+    safety filter that was late is late here too, and what it is said to have done counts as part of its request.
     controller: name of another one to put in their place, throughout. run: see `Nets`. Raises ValueError when the
     recording does not tell who steered, or that controller is gone.
     """
@@ -134,10 +158,14 @@ def replayed_requests(drive: Drive, config: CarConfig, path: Path, *, controller
     now = nets.follow(remarks.pop(0)[1])
     follow = Follow(link=link, resting=now.resting, driving=now.driving)
     live = realtime.Run(follow.resting, follow.resting.init(), realtime.Timing(period=now.driving.dt))
+    did: list[Filtered] = []
     try:
         while True:
+            nets.late = len(did) < len(drive.filtered) and drive.filtered[len(did)].reason == LATE
             live.loop.advance(live.k, live.x, live.y)
             live.k += 1
+            if "safety" in live.loop.blocks:
+                did.append(filtered_in(live))
             follow.begin(live)
             while remarks and remarks[0][0] <= link.count:
                 steers = remarks.pop(0)[1]
@@ -146,7 +174,16 @@ def replayed_requests(drive: Drive, config: CarConfig, path: Path, *, controller
                     follow.exchange(live, driving)
             follow.choose(live)
     except CarLost:
-        return sum(a == b for a, b in zip(drive.requests, link.requests))
+        told = [] if controller else drive.filtered
+        return sum(
+            asked == again and (n >= len(told) or _same(told[n], did[n : n + 1]))
+            for n, (asked, again) in enumerate(zip(drive.requests, link.requests))
+        )
+
+
+def _same(told: Filtered, did: list[Filtered]) -> bool:
+    """As bytes: a NaN equals itself."""
+    return [encode(told)] == [encode(one) for one in did]
 
 
 def replayed_estimates(drive: Drive, config: CarConfig) -> tuple[CarEstimators, int]:

@@ -12,6 +12,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path as FilePath
@@ -28,14 +29,16 @@ from steerkit.loop import Loop
 from steerkit.on_car import loop as loops
 from steerkit.on_car import processes
 from steerkit.on_car.estimates import Watched
+from steerkit.on_car.follow import filtered_in
 from steerkit.on_car.processes import OF
 from steerkit.path import Path
 from steerkit.plants.real_car.decisions.modes import Order
 from steerkit.plants.real_car.file.config import CarConfig
 from steerkit.plants.real_car.file.reading import load
 from steerkit.plants.real_car.processes.client import CarClient, CarLost
-from steerkit.plants.real_car.processes.protocol import digest
+from steerkit.plants.real_car.processes.protocol import Filtered, digest
 from steerkit.realtime import Run, Timing, histogram_text, preferred
+from steerkit.task import DT
 
 
 def bus_of(channel: str) -> dict[str, Any] | None:
@@ -84,6 +87,12 @@ class Session:
         self.timing: Timing | None = None
         self.asked: float | None = None
         """The angle that the controller asked for last [rad]."""
+        self.safe = False
+        """Is there a safety filter before the gate?"""
+        self.filtered: Filtered | None = None
+        """What it did last."""
+        self.corrections: deque[bool] = deque(maxlen=round(60.0 / DT))
+        """In which samples of the last minute, engaged, it changed the command."""
         self.learner_steers: bool | None = None
         """Has the learner the wheel, or its recovery controller? None: there is no learner."""
         self.broken = ""
@@ -95,11 +104,16 @@ class Session:
         self.asked = run.sample[run.loop.inputs_of("car")["delta_sw_cmd"]]
         if "supervisor" in run.loop.blocks:
             self.learner_steers = run.sample["supervisor.learning"] > 0.5
+        if "safety" in run.loop.blocks:
+            self.filtered = filtered_in(run)
+            if run.sample["car.engaged"] > 0.5:
+                self.corrections.append(self.filtered.share > 0.0)
         return self.ending
 
     def build(self, policy: Block, doe: Dynamic) -> Loop:
         """The loop of a learner."""
-        return loops.car_loop(self.config, self.path, self.watched, policy, doe=doe, recovery=self.options.recovery)
+        how: dict[str, Any] = {"recovery": self.options.recovery, "safe": self.safe}
+        return loops.car_loop(self.config, self.path, self.watched, policy, doe=doe, **how)
 
     def panel(self, title: str, more: Any = None, about: str = "learning") -> Any:
         """The live panel; without a terminal, or when told to be quiet, one line for each transition.
@@ -252,6 +266,7 @@ def learn(options: Options, how: Setting, place: FilePath, *, minutes: float, se
         loops.check_allowed("element", how.doe, here.config)
         here.link.wait(timeout=10.0)
         vehicle = loops.belief_of(here.config).vehicle
+        here.safe = how.safe
         with CarLearner(
             how, place, here.build, here.link, seed=seed, recovery=options.recovery, vehicle=vehicle
         ) as learner:

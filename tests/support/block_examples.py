@@ -19,7 +19,9 @@ from steerkit.controllers.estimators.steering_delay import WheelDelay, YawDelay
 from steerkit.controllers.estimators.steering_wear import SteeringFriction, SteeringPlay
 from steerkit.controllers.estimators.vehicle_state import VehicleState
 from steerkit.controllers.excited import Excited
+from steerkit.controllers.fail_safe import FailSafe
 from steerkit.controllers.foresight import Foresight
+from steerkit.controllers.gate_model import GateModel
 from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.network_policy import Network, PolicyBlock
 from steerkit.controllers.nfq_policy import NfqPolicy
@@ -143,6 +145,8 @@ EXAMPLES = [
     Example(PurePursuit.of(PASSAT, OVAL)),
     Example(SafetyFilter.of(PASSAT, delay=0.05, horizon=0.35, hold=1, halvings=2)),
     Example(SafetyFilter.of(PASSAT, horizon=0.35, hold=1, halvings=1, bound=9.0)),
+    Example(SafetyFilter.of(PASSAT, horizon=0.35, hold=1, halvings=1, gate=GateModel(jerk_max=30.0))),
+    Example(FailSafe(block=SafetyFilter.of(PASSAT, horizon=0.35, hold=1, halvings=1)), blind=("command",)),
     Example(FromControl(system=control.ss([[0.5, 0.1], [0.0, 0.9]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.3]], 0.05))),
     Example(FromControl(system=control.nlsys(_pendulum, None, states=2, inputs=1, outputs=2), units={"u_0": "rad"})),
     Example(Tap(unit="rad")),

@@ -9,7 +9,16 @@ from hypothesis import strategies as st
 from steerkit.plants.real_car.decisions.modes import Order
 from steerkit.plants.real_car.file.config import CarConfig
 from steerkit.plants.real_car.file.reading import load
-from steerkit.plants.real_car.processes.protocol import ESTIMATES, Beat, Command, Estimates, Hello, Query, Request
+from steerkit.plants.real_car.processes.protocol import (
+    ESTIMATES,
+    Beat,
+    Command,
+    Estimates,
+    Filtered,
+    Hello,
+    Query,
+    Request,
+)
 
 
 @cache
@@ -23,5 +32,6 @@ messages = st.one_of(
     st.just(Query()),
     st.builds(Command, st.sampled_from(Order)),
     st.builds(Request, st.floats(), st.floats(), st.integers(0, 2**32 - 1)),
+    st.builds(Filtered, *[st.floats()] * 5),
     st.builds(Estimates, st.tuples(*[st.floats()] * (3 * len(ESTIMATES)))),
 )

@@ -108,7 +108,8 @@ def test_a_safety_filter_comes_between_whoever_steers_and_the_wheel() -> None:
     loop = learning_loop(recovery=Stanley.of(VW_PASSAT), safety=SafetyFilter.of(VW_PASSAT))
     ahead = {name: f"safety_path.{name}" for name in ("e", "psi_e", "preview")}
     heard = {"v": "sensors.v", "r": "sensors.r", "delta_sw_meas": "actuator.delta_sw"}
-    assert loop.inputs_of("safety") == {"command": "supervisor.delta_sw", **ahead, **heard}
+    caught = {"command": "supervisor.delta_sw", "recovery": "recovery.delta_sw"}
+    assert loop.inputs_of("safety") == {**caught, **ahead, **heard}
     assert loop.inputs_of("actuator") == {"delta_sw_cmd": "safety.delta_sw"}
     assert loop.inputs_of("doe")["applied"] == "safety.delta_sw"
     tracker: Any = loop.blocks["safety_path"]

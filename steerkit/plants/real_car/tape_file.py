@@ -41,6 +41,14 @@ TOPICS: dict[str, dict[str, Any]] = {
     "/refused": {"t": _NUMBER, "order": _TEXT, "why": _TEXT},
     "/recording": {"t": _NUMBER, "wrong": _TEXT},
     "/estimates": {"t": _NUMBER},
+    "/safety": {
+        "t": _NUMBER,
+        "command": _NUMBER,
+        "delta_sw": _NUMBER,
+        "share": _NUMBER,
+        "reach": _NUMBER,
+        "reason": _NUMBER,
+    },
 }
 """Topics with the properties of their messages. A topic's place is its number in the file: only ever add at the end."""
 NAME = "steerkit"

@@ -13,6 +13,7 @@ from steerkit import maths as m
 from steerkit.block import Block, In, Out, take_ports
 from steerkit.compiled import compile
 from steerkit.controllers.delay import Predicted, delayed_stanley
+from steerkit.controllers.gate_model import BEHIND_GATE, GateModel
 from steerkit.controllers.safety_filter import REASONS, SafetyFilter
 from steerkit.controllers.stanley import Stanley
 from steerkit.controllers.trimmed import Trimmed
@@ -31,8 +32,8 @@ HERE: dict[str, float] = dict(command=0.0, e=0.0, psi_e=0.0, v=6.0, r=0.0, delta
 
 def asked(block: SafetyFilter, *, kappa: float = 0.0, **values: float) -> Any:
     """The outputs of a filter that starts here, with the wheel where it is measured."""
-    u = {**HERE, "preview": (kappa,) * block.preview_points, **values}
-    ports = block.D(**u)
+    u = {**HERE, "applied": 0.0, "preview": (kappa,) * block.preview_points, **values}
+    ports = block.D(**{name: u[name] for name in block.D._fields})
     return block.output(0.0, block.settle(0.0, block.init(), ports), ports)
 
 
@@ -185,6 +186,35 @@ def test_a_backup_that_sees_nothing_is_no_angle(blind: str) -> None:
     assert np.isfinite(block.update(0.0, x, block.U(**u._asdict())._replace(**{blind: math.nan}), y)).all()
 
 
+def behind_gate(**limits: float) -> SafetyFilter:
+    return SafetyFilter.of(PASSAT, delay=0.05, gate=GateModel(**limits), **dict(BEHIND_GATE))  # type: ignore[arg-type]
+
+
+def test_only_behind_a_gate_it_hears_what_was_applied() -> None:
+    assert "applied" not in {port.name for port in SafetyFilter.of(PASSAT).inputs}
+    assert [port.name for port in behind_gate().inputs][-1] == "applied"
+
+
+def test_the_slower_the_gate_the_further_and_a_command_within_it_is_left_to_it() -> None:
+    turning = dict(command=2.0, delta_sw_meas=0.6, applied=0.6, e=0.05, v=8.0)
+    reaches = [asked(behind_gate(jerk_max=jerk), **turning).reach for jerk in (10.0, 6.0, 4.0)]
+    assert reaches[0] < reaches[1] < reaches[2]
+    y = asked(behind_gate(), command=STOP, applied=0.0)  # 9 rad, of which the gate makes 0.1 in this sample
+    assert (y.delta_sw, y.correction, y.reason) == (STOP, 0.0, 0.0)
+
+
+def test_what_the_gate_made_of_a_command_is_what_is_on_its_way() -> None:
+    block = behind_gate()
+    u: Any = block.U(**{**HERE, "preview": (0.0,) * block.preview_points, "command": STOP, "applied": 0.25})
+    x = block.settle(0.0, block.init(), u)
+    y = block.output(0.0, x, u)
+    after = block.update(0.0, x, u, y)
+    assert after[-2:] == (0.25, y.delta_sw)
+    heard = block.output(0.05, after, u)._asdict()
+    told = block.output(0.05, (*after[:-1], 9.0), u)._asdict()
+    assert heard == told, "the wish is replaced by what the gate says"
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Adversary(Block):
     """One that wants to leave: to one side, to and fro, away from where the path is, or by chance."""
@@ -262,6 +292,7 @@ def test_compiled_it_is_the_same(backend: Any) -> None:
         ({"preview_points": 1}, "preview_points = 1"),
         ({"e_doubt": -0.1}, "e_doubt"),
         ({"delay_doubt": math.nan}, "delay_doubt"),
+        ({"gate": GateModel(), "horizon": 1.59}, "horizon"),  # the hold, and 1.2 s from side to side
         ({"backup": Stanley.of(PASSAT)}, "backup of Stanley, expected Predicted around Stanley"),
         ({"backup": Predicted(block=Trimmed(block=Stanley.of(PASSAT)))}, "backup of Trimmed, expected"),
         ({"backup": delayed_stanley(PASSAT, delay=0.1, lag=0.1, dt=0.02)}, "dt = 0.05 s, but the backup has 0.02 s"),

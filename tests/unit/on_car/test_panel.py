@@ -9,10 +9,10 @@ from typing import Any, Self
 import pytest
 
 from steerkit.on_car import panel
-from steerkit.on_car.panel import Panel
+from steerkit.on_car.panel import Panel, filter_line
 from steerkit.plants.real_car.decisions.modes import Mode, Order
 from steerkit.plants.real_car.processes.client import CarLost
-from steerkit.plants.real_car.processes.protocol import Snapshot
+from steerkit.plants.real_car.processes.protocol import Filtered, Snapshot
 
 
 class Line:
@@ -78,3 +78,12 @@ def test_without_a_keyboard_a_real_car_hears_no_heartbeat(monkeypatch: pytest.Mo
     monkeypatch.setattr(panel.sys, "stdin", SimpleNamespace(isatty=lambda: False))
     line, _ = shown(monkeypatch, *[Mode.STANDBY] * 5, simulated=simulated)
     assert (line.beats > 0) is simulated
+
+
+def test_the_filters_line_says_what_it_did_and_how_often() -> None:
+    corrected = Filtered(0.3, 0.2, 0.25, 0.61, 2.0)
+    assert filter_line(corrected, [True, False, False, False]) == (
+        "corrected, 25 % backup, reach 0.61 m; changed 25.0 % of the last minute"
+    )
+    assert filter_line(Filtered(0.3, 0.3, 0.0, 0.2, 0.0), []) == "passed, reach 0.20 m"
+    assert filter_line(Filtered(0.3, 0.0, 1.0, 0.2, 6.0), [True]).startswith("recovery: the filter was late, reach")

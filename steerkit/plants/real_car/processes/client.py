@@ -100,9 +100,9 @@ class CarClient:
         """Say, for the recording, what steers from the next request on."""
         self._send(protocol.Remark(text))
 
-    def tell(self, estimates: protocol.Estimates) -> None:
-        """Say, for the recording and whoever looks on, what was found of the car."""
-        self._send(estimates)
+    def tell(self, message: protocol.Estimates | protocol.Filtered) -> None:
+        """Say, for the recording and whoever looks on, what was found of the car, or what the safety filter did."""
+        self._send(message)
 
     def beat(self) -> None:
         """Say that the operator's keys were just read; see `protocol.Beat`."""

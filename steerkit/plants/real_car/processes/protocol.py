@@ -68,6 +68,21 @@ class Estimates(NamedTuple):
         return dict(zip(names, self.numbers))
 
 
+class Filtered(NamedTuple):
+    """What the safety filter made of the command of the last request, for the recording; moves nothing."""
+
+    command: float
+    """What was asked of it [rad]."""
+    delta_sw: float
+    """What it let through [rad]."""
+    share: float
+    """How much of the backup is in that [1]."""
+    reach: float
+    """How far off the car could have got otherwise [m]."""
+    reason: float
+    """Why: the number of a line of `steerkit.controllers.safety_filter.REASONS`, or of a fault of the filter's."""
+
+
 class Snapshot(NamedTuple):
     """All that the car server knows: the car's outputs, then who has the wheel and why.
 
@@ -108,11 +123,12 @@ class Refused(NamedTuple):
     why: str
 
 
-Message = Hello | Query | Beat | Command | Request | Remark | Estimates | Snapshot | Refused
+Message = Hello | Query | Beat | Command | Request | Remark | Estimates | Filtered | Snapshot | Refused
 ESTIMATES = ("delay", "lag", "delay_lag", "steer_ratio", "understeer", "offset", "rate_zero", "friction", "play")
 """What is estimated in a drive, in this order; the units are those of the blocks."""
 _REQUEST = struct.Struct("<cddI")
 _ESTIMATES = struct.Struct(f"<c{3 * len(ESTIMATES)}d")
+_FILTERED = struct.Struct("<c5d")
 _NUMBERS = len(Snapshot._fields) - 2
 _SNAPSHOT = struct.Struct(f"<c{_NUMBERS}dB")
 MAX_PACKET = 4096
@@ -143,6 +159,8 @@ def encode(message: Message) -> bytes:
             return b"T" + text
         case Estimates():
             return _ESTIMATES.pack(b"F", *message.numbers)
+        case Filtered():
+            return _FILTERED.pack(b"C", *message)
         case Snapshot():
             numbers = message[:_NUMBERS]
             return _SNAPSHOT.pack(b"S", *numbers, _MODES.index(message.mode)) + message.text.encode()[:2000]
@@ -168,6 +186,8 @@ def decode(packet: bytes) -> Message:
                 return Remark(packet[1:].decode(errors="replace"))
             case b"F":
                 return Estimates(_ESTIMATES.unpack(packet)[1:])
+            case b"C":
+                return Filtered(*_FILTERED.unpack(packet)[1:])
             case b"S":
                 numbers = _SNAPSHOT.unpack_from(packet)[1:]
                 text = packet[_SNAPSHOT.size :].decode(errors="replace")

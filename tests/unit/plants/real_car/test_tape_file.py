@@ -249,5 +249,6 @@ def test_the_numbers_of_topics_are_for_good() -> None:
             "/refused",
             "/recording",
             "/estimates",
+            "/safety",
         ]
     )

@@ -17,6 +17,7 @@ from steerkit.plants.real_car.processes.protocol import (
     Beat,
     Command,
     Estimates,
+    Filtered,
     Hello,
     Refused,
     Request,
@@ -284,6 +285,19 @@ def test_estimates_are_the_controllers_and_for_the_recording_only() -> None:
     (reply,) = core.handle(told._replace(t=5.3, link=2))
     assert isinstance(reply, Reply)
     assert decode(reply.data) == Refused("Estimates is not for the car server")
+
+
+def test_what_the_filter_did_is_the_controllers_and_for_the_recording_only() -> None:
+    core = linked()
+    told = Packet(5.1, 1, encode(Filtered(0.3, 0.2, 0.5, 0.6, 2.0)))
+    (note,) = [out for out in core.handle(told) if isinstance(out, Note) and out.topic == "safety"]
+    did = {"command": 0.3, "delta_sw": 0.2, "share": 0.5, "reach": 0.6, "reason": 2.0}
+    assert note.values == {"t": 5.1, **did}
+    core.handle(Link(5.2, 2, True))
+    core.handle(Packet(5.2, 2, encode(Hello(False))))
+    (reply,) = core.handle(told._replace(t=5.3, link=2))
+    assert isinstance(reply, Reply)
+    assert decode(reply.data) == Refused("Filtered is not for the car server")
 
 
 def test_the_end_of_the_process_lets_go_first_and_says_why() -> None:

@@ -15,6 +15,7 @@ from steerkit.plants.real_car.processes.protocol import (
     Beat,
     Command,
     Estimates,
+    Filtered,
     Hello,
     Query,
     Request,
@@ -71,3 +72,11 @@ def test_estimates_are_named_in_their_order_and_come_back_bit_for_bit() -> None:
     assert [*named.values()] == [*numbers]
     with pytest.raises(ValueError, match="packet b'F'"):
         decode(encode(estimates)[:-1])
+
+
+def test_what_the_filter_did_comes_back_bit_for_bit_in_its_place() -> None:
+    did = Filtered(*[1.0 / (k + 3) for k in range(5)])
+    assert decode(encode(did)) == did
+    assert did._fields == ("command", "delta_sw", "share", "reach", "reason")
+    with pytest.raises(ValueError, match="packet b'C'"):
+        decode(encode(did)[:-1])

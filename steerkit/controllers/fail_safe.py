@@ -1,0 +1,113 @@
+"""A guard around a safety filter: where its answer is none, or comes late, the recovery controller steers."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections import namedtuple
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from steerkit import maths as m
+from steerkit.block import Block, In, Port, State, take_ports
+from steerkit.controllers.safety_filter import REASONS
+from steerkit.errors import require
+
+RAISED, LATE, NOTHING = (float(len(REASONS) + n) for n in range(3))
+"""What `reason` is when the recovery controller steers in the filter's place."""
+FAULTS = {
+    RAISED: "recovery: the filter raised an exception",
+    LATE: "recovery: the filter was late",
+    NOTHING: "recovery: the filter's answer is not finite",
+}
+"""In words."""
+
+
+def said(reason: float) -> str:
+    """What a value of the output `reason` means; for one that is none, that it is unknown."""
+    words = (*REASONS, *FAULTS.values())
+    return words[int(reason)] if reason in range(len(words)) else f"unknown reason {reason:g}"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FailSafe(Block):
+    """Wraps a `SafetyFilter` so that what goes wrong in it leaves the wheel to the recovery controller.
+
+        delta_sw = recovery    if the filter raises, takes longer than `budget`, or answers with what is no number
+                 = its answer  otherwise
+
+    `reason` then says which it was (see `FAULTS`), share is 1, correction recovery - command, and reach NaN where it is
+    not known. Each time goes to the logger `steerkit`, an exception with its traceback, but not while a loop is traced,
+    compiled or batched, where nothing can be late. The filter is asked anew in the next sample: it remembers what was
+    really sent, and stays as it was where remembering raises.
+
+    Inputs: those of `block`, and recovery [rad]. Outputs, state and sample time: those of `block`. A NaN in `recovery`
+    goes through, as there is no one left to ask; the gate before a bus refuses it. An exception while a loop is traced
+    goes through too. Raises ValueError for a block without the outputs of a filter, or a budget without a clock.
+    """
+
+    recovery = In("rad")
+
+    block: Block
+    """The filter."""
+    budget: float | None = None
+    """An answer that took longer is not used [s]; None: any may."""
+    clock: Callable[[], float] | None = None
+    """Seconds, for the budget."""
+
+    def __post_init__(self) -> None:
+        where, gives = "FailSafe", {port.name for port in self.block.outputs}
+        wanted = {"delta_sw", "correction", "share", "reach", "reason"}
+        require(gives == wanted, where, f"block with outputs {', '.join(sorted(gives))}, expected a SafetyFilter")
+        if self.budget is not None:
+            require(self.budget > 0.0, where, f"budget = {self.budget} [s], expected > 0, or None for no limit")
+            require(self.clock is not None, where, f"budget = {self.budget} [s] needs a clock")
+        own = type(self).recovery
+        take_ports(self, self.block)
+        inputs = (*self.block.inputs, own)
+        object.__setattr__(self, "inputs", inputs)
+        object.__setattr__(self, "U", namedtuple("U", [p.name for p in inputs]))
+        object.__setattr__(self, "D", namedtuple("D", [p.name for p in inputs if p.direct]))
+        object.__setattr__(self, "recovery", Port(self, own))
+
+    def init(self, batch: tuple[int, ...] = ()) -> State:
+        return self.block.init(batch)
+
+    def settle(self, t: float, x: State, u: Any) -> State:
+        return self.block.settle(t, x, self.block.D(*u[:-1]))
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        timed = self.budget is not None and self.clock is not None
+        began = self.clock() if timed and self.clock else 0.0
+        try:
+            y = self.block.output(t, x, self.block.D(*u[:-1]))
+        except Exception:
+            if m.is_symbol(t):
+                raise
+            logging.getLogger("steerkit").exception("safety filter at t = %s s: %s", t, FAULTS[RAISED])
+            return self._instead(u, RAISED, math.nan)
+        taken = self.clock() - began if timed and self.clock else 0.0
+        if self.budget is not None and taken > self.budget:
+            logging.getLogger("steerkit").error(
+                "safety filter at t = %s s: %s, %.1f ms of %.1f ms", t, FAULTS[LATE], 1e3 * taken, 1e3 * self.budget
+            )
+            return self._instead(u, LATE, y.reach)
+        sound = m.is_finite(y.delta_sw)
+        if sound is False:  # one car
+            logging.getLogger("steerkit").error("safety filter at t = %s s: %s", t, FAULTS[NOTHING])
+        other = self._instead(u, NOTHING, y.reach)
+        return self.Y(*[m.where(sound, value, instead) for value, instead in zip(y, other, strict=True)])
+
+    def _instead(self, u: Any, reason: float, reach: Any) -> Any:
+        values = {"delta_sw": u.recovery, "correction": u.recovery - u.command, "share": 1.0, "reach": reach}
+        return self.Y(**values, reason=reason)
+
+    def update(self, t: Any, x: Any, u: Any, y: Any) -> State:
+        try:
+            return self.block.update(t, x, self.block.U(*u[:-1]), y)
+        except Exception:
+            if m.is_symbol(t):
+                raise
+            logging.getLogger("steerkit").exception("safety filter at t = %s s: its state is as it was", t)
+            return x

@@ -1,0 +1,82 @@
+"""The real gate, frame by frame, never turns the wheel further to a side than the model says, nor back any slower."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from steerkit.controllers.gate_model import GateModel
+from steerkit.plants.real_car.decisions.gate import GateLimits, gate
+from steerkit.units import radians_of
+
+DT = 0.05
+
+
+def gated(command: float, before: float, speeds: tuple[float, float], frames: tuple[float, ...]) -> float:
+    """What the real gate has sent after frames so long."""
+    for dt in frames:
+        before = gate(GateLimits(), command, before, speeds, dt).delta_sw
+    return before
+
+
+def between(command: float, before: float, v: float, v_kit: float, first: float) -> list[float]:
+    """The model's rightmost after five samples, the gate's, and the model's leftmost; the first frame is due so long
+    after the last one [s]. The gate that goes to the side at which the model is slow may have its last frame late."""
+    model, right, left = GateModel(), before, before
+    for k in range(5):
+        early = model.frame_dt if k == 0 else 0.0
+        left = model.pushed(command, left, v, DT, early)
+        right = -model.pushed(-command, -right, v, DT, early)
+    frames = (first, *[0.02] * int((5 * DT - first) / 0.02 + 1e-9))
+    soon, late = (gated(command, before, (v, v_kit), (*frames, *more)) for more in ((), (0.02, 0.02)))
+    return [right, min(soon, late), soon, max(soon, late), left]
+
+
+angle = st.floats(-9.0, 9.0)
+
+
+@given(command=angle, before=angle, v=st.floats(0.5, 9.0), ahead=st.floats(-0.2, 0.2), first=st.floats(0.01, 0.03))
+def test_the_gate_lies_between_the_two(command: float, before: float, v: float, ahead: float, first: float) -> None:
+    before = round(before / radians_of(0.1)) * radians_of(0.1)
+    right, low, soon, high, left = between(command, before, v, v + ahead, first)
+    assert left + radians_of(0.11) >= (soon if soon > before else low)
+    assert right - radians_of(0.11) <= (soon if soon < before else high)
+
+
+def test_the_two_are_not_far_apart() -> None:
+    """At 6 m/s 5 m/s^3 turn the wheel by 1 rad in the five samples; the model's doubt is a fraction of that."""
+    right, _, real, _, left = between(9.0, 0.0, 6.0, 6.0, 0.02)
+    assert 0.5 < real < 1.5
+    assert left - right < 0.35
+
+
+def test_from_side_to_side_it_takes_the_time_that_the_bounds_say() -> None:
+    model = GateModel(v_doubt=0.0, quantum=0.0, arm=0.01)
+    bound = 15.6 * math.atan(2.71 * 3.0 / 36.0)
+    wheel, samples = -bound, 0
+    while wheel < 0.99 * bound and samples < 100:
+        wheel, samples = model.pushed(9.0, wheel, 6.0, DT), samples + 1
+    assert samples * DT == pytest.approx(model.turning, abs=0.1)
+
+
+def test_more_command_is_never_less_wheel() -> None:
+    rng, model = np.random.default_rng(0), GateModel()
+    for _ in range(200):
+        before, v, *two = (rng.uniform(-1.0, 1.0, 4) * (3.0, 4.0, 9.0, 9.0) + (0.0, 5.0, 0.0, 0.0)).tolist()
+        less, more = (model.pushed(command, before, v, DT) for command in sorted(two))
+        assert less <= more
+
+
+def test_a_nan_is_seen() -> None:
+    assert all(math.isnan(GateModel().pushed(*u, DT)) for u in ((0.1, math.nan, 5.0), (0.1, 0.0, math.nan)))
+
+
+@pytest.mark.parametrize("name", ["a_y_max", "jerk_max", "rate_max", "arm", "frame_dt", "v_doubt"])
+@pytest.mark.parametrize("value", [-1.0, math.nan, math.inf])
+def test_what_cannot_be_is_refused(name: str, value: float) -> None:
+    with pytest.raises(ValueError, match=name):
+        GateModel(**{name: value})
