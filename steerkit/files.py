@@ -55,6 +55,19 @@ def write_text(file: File, text: str, *, durable: bool = True) -> None:
         draft.write_text(text, encoding="utf-8")
 
 
+def append_line(file: File, line: str) -> None:
+    """Add a line to a text file (UTF-8), and wait until the disk has it; a last line that is half written goes first.
+
+    For records that are kept one by one while a program runs that may be killed. The file is made where there is none.
+    """
+    with FilePath(file).open("ab+") as out:
+        out.seek(0)
+        out.truncate(out.read().rfind(b"\n") + 1)
+        out.write(f"{line}\n".encode())
+        out.flush()
+        sync(out)
+
+
 _NO_TEXT = {
     b"PK\x03\x04": "a ZIP archive, such as a spreadsheet; export it as CSV",
     b"\x1f\x8b": "compressed by gzip; unpack it",

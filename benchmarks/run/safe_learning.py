@@ -7,7 +7,6 @@ counted in runs with the filter; those without it are for comparison, and a few 
 from __future__ import annotations
 
 import json
-import os
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -21,6 +20,7 @@ import numpy as np
 from benchmarks.run.fleet import first_good
 from benchmarks.run.sources import source
 from steerkit.errors import require
+from steerkit.files import append_line
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.settings import DEFAULT
 from steerkit.learning.training_run import Taken, train
@@ -140,7 +140,7 @@ def runs(jobs: Sequence[Job], *, processes: int, keep: Path | None, stop_after: 
     left = iter([job for job in jobs if job.key not in done])
     end = time.monotonic() + stop_after
     if keep:
-        _mend(keep)
+        keep.parent.mkdir(parents=True, exist_ok=True)
     with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
         going: set[Future[Learner]] = set()
         while True:
@@ -152,23 +152,8 @@ def runs(jobs: Sequence[Job], *, processes: int, keep: Path | None, stop_after: 
             for future in ended:
                 run = future.result()
                 if keep:
-                    _append(keep, json.dumps(asdict(run)))
+                    append_line(keep, json.dumps(asdict(run)))
                 yield run
-
-
-def _mend(file: Path) -> None:
-    """Take away a last line that is half written; make the folder."""
-    file.parent.mkdir(parents=True, exist_ok=True)
-    if file.exists():
-        data = file.read_bytes()
-        os.truncate(file, data.rfind(b"\n") + 1)
-
-
-def _append(file: Path, line: str) -> None:
-    with file.open("a", encoding="utf-8") as out:
-        out.write(line + "\n")
-        out.flush()
-        os.fsync(out.fileno())
 
 
 def summarise(learners: Sequence[Learner]) -> dict[str, Any]:

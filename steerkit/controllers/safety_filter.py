@@ -18,11 +18,18 @@ from steerkit.maths import Scalar
 from steerkit.task import TRIP
 from steerkit.vehicles import Vehicle, require_vehicle
 
-REASONS = ("passed", "wheel limits", "corrected", "backup: nothing else is safe", "backup: the command is not finite")
+REASONS = (
+    "passed",
+    "wheel limits",
+    "corrected",
+    "backup: nothing else is safe",
+    "backup: the command is not finite",
+    "plan: what was found safe goes on",
+)
 """What each value of the output `reason` means."""
 _ADAPT = 0.5
 """Time in which the yaw rate's slow part, and by how much the model has it wrong, are averaged [s]."""
-_KEPT = 4
+_KEPT = 6
 """Numbers in the state before the commands on their way."""
 
 
@@ -50,6 +57,8 @@ class SafetyFilter(Block):
         w        = command within wheel stop, wheel speed and a_y (see `limits`)
         delta_sw = w                          if reach(w) <= bound
                  = w + share (backup - w)     otherwise: the least share with reach <= bound, by `halvings`
+                 = the last of these, held    where there is none, and as long as that was to be held
+                 = backup                     afterwards
 
     A held command follows the bends: the path's own angle is added as it changes. Holding it for several samples is
     what keeps the corrections calm: they begin earlier, and have so long to act (multi-step filter); hold = 1 is the
@@ -66,21 +75,24 @@ class SafetyFilter(Block):
     without what pushed it while its command was on the way. `wrong` and r_slow are averages over 0.5 s.
 
     What holds by this: while the true car stays between the pushed ones, one that got a command with reach <= bound
-    has |e| <= bound for `horizon` from then on. For at each sample after it either another such command is sent, or the
-    backup's, and that the backup stays within the bound is what was found then. It stays between them if the doubts
-    bound its errors and a wheel further left keeps it further left. Beyond the horizon the roll-out's last drift is
-    counted on for `approach`: that a car which is coming back there stays is measured, not shown. Nothing here bounds a
-    path that bends beyond its preview faster than the wheel may turn, nor a car that slides.
+    has |e| <= bound for `horizon` from then on. For at each sample after it either another such command is sent, or
+    that one goes on being held and then the backup steers, and that this stays within the bound is what was found. It
+    stays between them if the doubts bound its errors and a wheel further left keeps it further left. Beyond the horizon
+    the roll-out's last drift is counted on for `approach`: that a car which is coming back there stays is measured, not
+    shown. Nothing here bounds a path that bends beyond its preview faster than the wheel may turn, nor a car that
+    slides.
 
     Why a roll-out, and no optimal plan: its cost is fixed (2 (1 + halvings) roll-outs), it has no branch and no solver
     that may fail, the same lines serve floats, batches and C, and what it promises is what steers if it has to.
 
     Inputs: command [rad]; e [m], psi_e [rad], preview [1/m] (kappa every preview_dt of driving) at `reference`;
-    v [m/s]; r [rad/s]; delta_sw_meas [rad]. Outputs: delta_sw [rad]; correction [rad], delta_sw - command; share [1],
-    0 for none, 1 for the backup alone; reach [m] of w; reason [1], the number of one of `REASONS`. State: r_model,
-    `wrong`, r_slow, the wheel one sample before, then commands on their way, oldest first. A command that is not finite
-    leaves the wheel to the backup; a NaN in what the backup sees gives NaN, which the gate before a bus refuses.
-    A negative v counts as 0. Raises ValueError for parameters out of range and for a backup that is not Stanley.
+    v [m/s]; r [rad/s]; delta_sw_meas [rad]; with a `gate` also applied [rad], what it let through last. Outputs:
+    delta_sw [rad]; correction [rad], delta_sw - command; share [1], 0 for none, 1 where nothing of w is left; reach [m]
+    of w; reason [1], the number of one of `REASONS`. State: r_model, `wrong`, r_slow, the wheel one sample before, the
+    command that was found safe last, less the path's own angle, and for how many samples it is to be held; then
+    commands on their way, oldest first. Where a command is not finite, or nothing is seen, the last plan goes on, then
+    the backup steers; a NaN in what that sees gives NaN, which the gate before a bus refuses. A negative v counts as 0.
+    Raises ValueError for parameters out of range and for a backup that is not Stanley.
 
     Source: Wabersich, Zeilinger 2018 and 2021 (predictive safety filter); Gurriet et al. 2020 (a backup rolled out);
     Pizarro Bejarano, Brunke, Schoellig 2023 (multi-step filters).
@@ -104,7 +116,7 @@ class SafetyFilter(Block):
     """Stanley, and the model that is rolled out: geometry, ratio, dead time and lag as they are told."""
     bound: float = TRIP
     """|e| that is not to be exceeded [m]."""
-    horizon: float = 0.9
+    horizon: float = 1.3
     """How far is looked ahead from when the command arrives [s]; at least 0.3 s longer than the hold."""
     hold: int = 8
     """Samples for which a command is taken to be held."""
@@ -122,7 +134,7 @@ class SafetyFilter(Block):
     """How much later than told commands may arrive [s]."""
     approach: float = 0.4
     """Time for which the drift at the end of a roll-out is counted on [s]."""
-    preview_points: int = 16
+    preview_points: int = 20
     """Entries of the preview."""
     preview_dt: float = 0.1
     """Time between them [s]."""
@@ -194,7 +206,7 @@ class SafetyFilter(Block):
 
     def settle(self, t: float, x: State, u: Any) -> State:
         wheel = u.delta_sw_meas + 0.0
-        return (u.r + 0.0, 0.0 * u.r, u.r + 0.0, *[wheel] * (1 + self._latest))
+        return (u.r + 0.0, 0.0 * u.r, u.r + 0.0, wheel, wheel, 0.0 * wheel, *[wheel] * self._latest)
 
     def output(self, t: Any, x: State, u: Any) -> Any:
         v, sound = m.maximum(u.v, 0.0), m.is_finite(u.command)
@@ -214,22 +226,32 @@ class SafetyFilter(Block):
             low, high = m.where(good, low, middle), m.where(good, middle, high)
             share = m.where(good, share - step, share)
         share = m.where(safe, 0.0, m.where(sound, share, 1.0))
-        delta_sw = m.where(safe, within, m.where(sound, high, own))
+        plan = m.both(share >= 1.0, x[5] > 0.5)
+        planned = m.clip(x[4] + self._bend(now.preview, v, self._soonest), -self._law.limit, self._law.limit)
+        delta_sw = m.where(safe, within, m.where(plan, planned, m.where(sound, high, own)))
         changed = m.where(share < 1.0, m.where(share > 0.0, 2.0, m.where(within == u.command, 0.0, 1.0)), 3.0)
-        return self.Y(delta_sw, delta_sw - u.command, share, reach, m.where(sound, changed, 4.0))
+        reason = m.where(plan, 5.0, m.where(sound, changed, 4.0))
+        return self.Y(delta_sw, delta_sw - u.command, share, reach, reason)
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
-        part = self.dt / _ADAPT
+        part, planned = self.dt / _ADAPT, y.share < 1.0
         after = (
             self.backup.yaw_rate(x[0], u.delta_sw_meas, u.v),
             x[1] + part * (u.r - x[0] - x[1]),
             x[2] + part * (u.r - x[2]),
             u.delta_sw_meas,
+            m.where(planned, y.delta_sw - self._bend(tuple(u.preview), m.maximum(u.v, 0.0), self._soonest), x[4]),
+            m.where(planned, self.hold - 1.0, m.where(y.reason < len(REASONS), m.maximum(x[5] - 1.0, 0.0), 0.0)),
             *self._sent(x, u)[1:],
             y.delta_sw,
         )
         before = (*x[:_KEPT], *x[_KEPT + 1 :], x[-1])  # what is no number was not measured, or never left
         return tuple([m.where(m.is_finite(new), new + 0.0, old) for new, old in zip(after, before, strict=True)])
+
+    def _bend(self, preview: tuple[Scalar, ...], v: Scalar, samples: int) -> Scalar:
+        """The path's own angle of the wheel [rad], so many samples ahead."""
+        per_kappa = self.backup.wheelbase + self.backup.understeer * v * v
+        return self.backup.steer_ratio * m.atan(per_kappa * self._kappa(preview, samples))
 
     def _sent(self, x: State, u: Any) -> State:
         """The commands on their way; of the last one a gate says what it made of it."""
@@ -288,17 +310,17 @@ class SafetyFilter(Block):
     def _left(self, now: _Now, v: Scalar, command: Scalar) -> Scalar:
         """The furthest to the left, of a car that is pushed there."""
         model, dt, soonest, latest = self.backup, self.dt, self._soonest, self._latest
-        per_kappa, dead = model.wheelbase + model.understeer * v * v, soonest * dt
+        dead = soonest * dt
         commands = list(now.commands)
         soon, late = now.wheel, m.maximum(now.wheel, now.wheel_before)
         car = Motion(now.e + self.e_doubt, now.psi_e + self.psi_doubt, now.r, late)
         push, before, furthest = self.yaw_doubt, late, -1e9
-        bend = m.atan(per_kappa * self._kappa(now.preview, soonest))
+        bend = self._bend(now.preview, v, soonest)
         for k in range(soonest + round(self.horizon / dt)):
             if k >= soonest:
                 kappa = self._kappa(now.preview, k)
                 if k < soonest + self.hold:
-                    given = command + model.steer_ratio * (m.atan(per_kappa * kappa) - bend)
+                    given = command + self._bend(now.preview, v, k) - bend
                 else:
                     unaware = 2.0 * self.psi_doubt + push * dead
                     e_seen = car.e - 2.0 * self.e_doubt - v * unaware * dead

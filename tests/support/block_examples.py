@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -11,7 +12,7 @@ import control
 import numpy as np
 
 from steerkit.analysis import FromControl, Tap
-from steerkit.block import Block
+from steerkit.block import Block, take_ports
 from steerkit.controllers.adaptive import Adaptive
 from steerkit.controllers.delay import Predicted, delayed_stanley
 from steerkit.controllers.estimators.single_track_filter import SingleTrackFilter
@@ -90,6 +91,26 @@ def _sensed(block: Any, i: int) -> Block:
     return dataclasses.replace(block, block=_seeded(block.block, i))
 
 
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Silent(Block):
+    """A filter that has no answer."""
+
+    block: Block
+
+    def __post_init__(self) -> None:
+        take_ports(self, self.block)
+
+    def init(self, batch: tuple[int, ...] = ()) -> Any:
+        return self.block.init(batch)
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        y = self.block.output(t, x, u)
+        return y._replace(delta_sw=y.delta_sw * math.nan)
+
+    def update(self, t: Any, x: Any, u: Any, y: Any) -> Any:
+        return self.block.update(t, x, u, y)
+
+
 def _pendulum(t: float, x: Any, u: Any, params: Any) -> Any:
     return [x[1], u[0] - 2.0 * x[1] - 3.0 * x[0] - 0.3 * x[0] * x[0]]
 
@@ -146,7 +167,9 @@ EXAMPLES = [
     Example(SafetyFilter.of(PASSAT, delay=0.05, horizon=0.35, hold=1, halvings=2)),
     Example(SafetyFilter.of(PASSAT, horizon=0.35, hold=1, halvings=1, bound=9.0)),
     Example(SafetyFilter.of(PASSAT, horizon=0.35, hold=1, halvings=1, gate=GateModel(jerk_max=30.0))),
-    Example(FailSafe(block=SafetyFilter.of(PASSAT, horizon=0.35, hold=1, halvings=1)), blind=("command",)),
+    Example(
+        FailSafe(block=Silent(block=SafetyFilter.of(PASSAT, horizon=0.35, hold=1, halvings=1))), blind=("command",)
+    ),
     Example(FromControl(system=control.ss([[0.5, 0.1], [0.0, 0.9]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.3]], 0.05))),
     Example(FromControl(system=control.nlsys(_pendulum, None, states=2, inputs=1, outputs=2), units={"u_0": "rad"})),
     Example(Tap(unit="rad")),

@@ -104,7 +104,7 @@ def test_it_goes_on_from_what_was_sent_and_stays_as_it_was_where_remembering_rai
 
 
 def test_every_reason_has_words() -> None:
-    assert [said(float(n)) for n in range(8)] == [*REASONS, *FAULTS.values()]
+    assert [said(float(n)) for n in range(9)] == [*REASONS, *FAULTS.values()]
     assert said(99.0) == "unknown reason 99"
     assert said(math.nan) == "unknown reason nan"
 

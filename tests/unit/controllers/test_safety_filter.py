@@ -301,3 +301,27 @@ def test_compiled_it_is_the_same(backend: Any) -> None:
 def test_what_cannot_be_is_refused(settings: dict[str, Any], told: str) -> None:
     with pytest.raises(ValueError, match=told):
         replace(SafetyFilter.of(PASSAT), **settings)
+
+
+def test_where_nothing_new_is_safe_the_plan_goes_on_and_then_the_backup_steers() -> None:
+    """The car is suddenly seen further off than any plan keeps it: the command that was safe is held for what is left
+    of its time, along the bend, and dropped at once where the recovery controller steered in between."""
+    block = SafetyFilter.of(PASSAT)
+    u: Any = block.U(**{**HERE, "preview": (0.01,) * block.preview_points, "command": 0.3, "r": 0.06})
+    x = block.settle(0.0, block.init(), u)
+    y = block.output(0.0, x, u)
+    assert y.share == 0.0
+    x = dropped = block.update(0.0, x, u, y)
+    lost = u._replace(e=0.45, psi_e=0.2, preview=(0.012,) * block.preview_points, command=9.0)
+    sent = []
+    for _ in range(block.hold + 1):
+        y = block.output(0.0, x, lost)
+        sent.append((REASONS[int(y.reason)], y.delta_sw))
+        x = block.update(0.0, x, lost, y)
+    per_kappa = block.backup.wheelbase + block.backup.understeer * u.v**2
+    turned = PASSAT.steer_ratio * (math.atan(0.012 * per_kappa) - math.atan(0.01 * per_kappa))
+    assert [why for why, _ in sent] == ["plan: what was found safe goes on"] * 7 + ["backup: nothing else is safe"] * 2
+    assert [angle for _, angle in sent[:7]] == pytest.approx([0.3 + turned] * 7)
+    assert sent[-1][1] < 0.0
+    recovered = y._replace(delta_sw=0.1, share=1.0, reason=float(len(REASONS)))
+    assert block.output(0.0, block.update(0.0, dropped, u, recovered), lost).reason == 3.0

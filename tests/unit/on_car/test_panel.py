@@ -86,4 +86,4 @@ def test_the_filters_line_says_what_it_did_and_how_often() -> None:
         "corrected, 25 % backup, reach 0.61 m; changed 25.0 % of the last minute"
     )
     assert filter_line(Filtered(0.3, 0.3, 0.0, 0.2, 0.0), []) == "passed, reach 0.20 m"
-    assert filter_line(Filtered(0.3, 0.0, 1.0, 0.2, 6.0), [True]).startswith("recovery: the filter was late, reach")
+    assert filter_line(Filtered(0.3, 0.0, 1.0, 0.2, 7.0), [True]).startswith("recovery: the filter was late, reach")
