@@ -11,6 +11,7 @@
 * Adversaries: full lock to either side, bang-bang at 20 Hz and slower, away from the path, an untrained net, commands
   by chance; tyres 30 % off, ratio 10 % off either way, 0.1 s of delay that nobody is told; 2 to 9 m/s. The filter is
   told that commands may be 0.1 s late.
+* Trained: a small net that is trained to leave the path, of the car with the ratio 10 % too direct, by random search.
 * Chatter: RMS of the correction's change from sample to sample, of the one-step filter over the multi-step one, against
   a driver who is smooth and wants to be 0.8 m beside the path, and against full lock.
 * Car: learners with the filter before the gate of the simulated car behind the bus, in three processes at true 20 Hz;
@@ -41,6 +42,7 @@ from rich.table import Table
 
 from benchmarks.run.fleet import of_fleet, of_kind
 from benchmarks.run.safe_learning import Job, Learner, runs, summarise
+from benchmarks.run.safety_adversary import NetAdversary, searched
 from steerkit import maths as m
 from steerkit.block import Block, In, Out, take_ports
 from steerkit.catalogue import make_safety
@@ -139,6 +141,24 @@ def adversaries(seconds: float, kinds: tuple[str, ...], speeds: tuple[float, ...
     return {"adversary_max_e": worst, "adversary_a_y_beyond": beyond, "adversaries": table}
 
 
+def trained(seconds: float, speeds: tuple[float, ...], population: int, generations: int) -> dict[str, Any]:
+    """Largest |e| of a net that is trained to leave the path at a speed, begun before the course's first bend."""
+    table = {}
+    for v in speeds:
+        changes: dict[str, Any] = dict(v_min=v, v_max=v, tyres=0.7, ratio=1.1, delay=LATE, told_delay=DT, start=40.0)
+        scenario = Scenario.under("hard", course="paper", **changes)
+        safety = replace(make_safety(scenario.belief()), delay_doubt=LATE)
+
+        def furthest(net: NetAdversary, scenario: Scenario = scenario, safety: SafetyFilter = safety) -> Any:
+            loop = assembled(scenario, net, safety=safety)
+            log = simulate(loop, seconds, batch=population, every=5, record=["path.e"])
+            return np.abs(log["path.e"]).max(axis=0)
+
+        _, best = searched(furthest, population=population, generations=generations)
+        table[f"{v:g} m/s"] = best
+    return {"trained_adversary_max_e": max(max(best) for best in table.values()), "trained_adversaries": table}
+
+
 def against(driver: Block, scenario: Scenario, seconds: float, late: float, **settings: Any) -> Log:
     """A drive of somebody with the filter, which is told that commands may be so late [s]."""
     safety = replace(make_safety(scenario.belief()), delay_doubt=late, **settings)
@@ -192,7 +212,7 @@ def _signal(field: str, names: list[str]) -> str:
     return next(name for name in names if name.replace(".", "_") == field)
 
 
-PARTS = ("adversaries", "chatter", "cost", "learners", "car")
+PARTS = ("adversaries", "trained", "chatter", "cost", "learners", "car")
 """What it measures; each can be left out, and the last has to be asked for: it takes real time, and the extra `car`."""
 
 
@@ -217,6 +237,10 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         report |= adversaries(4.0 if quick else 15.0, KINDS[:1] if quick else KINDS, SPEEDS[1:2] if quick else SPEEDS)
         for kind, row in report["adversaries"].items():
             console.print(f"{kind:16s} max |e|", "  ".join(f"{v}: {e:.3f} m" for v, e in row.items()))
+    if "trained" in options.parts:
+        report |= trained(0.5, (6.5,), 2, 1) if quick else trained(4.0, (5.0, 9.0), 48, 5)
+        for speed, best in report["trained_adversaries"].items():
+            console.print(f"net trained to leave, {speed}: max |e| by generation", ", ".join(f"{e:.3f}" for e in best))
     if "chatter" in options.parts:
         report |= chatter(6.0 if quick else 20.0, (5.0,) if quick else (3.0, 5.0, 8.0))
     if "cost" in options.parts:
