@@ -20,7 +20,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "Cars, humans, sensors": ("vehicle", "vehicles", "plants"),
     "Controllers": ("controllers", "doe"),
     "Learning": ("learning", "gym"),
-    "Analysis and metrics": ("analysis", "metrics", "identification"),
+    "Analysis and metrics": ("analysis", "metrics", "identification", "redrive"),
     "Logs in and out": ("logs",),
     "Compiled loops and export": ("compiled", "export"),
     "On a car": ("on_car", "realtime", "plants.real_car"),

@@ -20,6 +20,7 @@ from steerkit.cli.learn import learn
 from steerkit.cli.log import log
 from steerkit.cli.options import Quiet, Seed
 from steerkit.cli.plot import plot
+from steerkit.cli.redrive import redrive
 from steerkit.cli.show import show
 from steerkit.cli.vehicles import vehicles
 
@@ -51,6 +52,7 @@ app.command()(identify)
 app.command()(export)
 app.command()(learn)
 app.command()(drive)
+app.command()(redrive)
 app.command()(show)
 app.command()(plot)
 app.command()(courses)

@@ -30,7 +30,7 @@ def smoothed(points: Array, noise: float, *, closed: bool) -> tuple[Any, float, 
     sum d_i^2 <= sigma^2 (n - f) (1 + 2 sqrt(2/n)), what noise stays below in 39 of 40 cases: d_i how far p_i lies
     beside the curve, sigma = `noise`, and f = L/(3 mu^(1/6)), mu = lambda L/n, the degrees of freedom that the curve
     takes. c is a quintic B-spline, the penalty that of its coefficients' third differences, u the arc length, found by
-    repetition: noise along the way goes into u.
+    repetition from the points of the curve next to p_i: noise along the way goes into u.
 
     points: (n, 2) [m], distinct neighbours; closed: without the first one again. noise [m]: standard deviation across
     the way, > 0. Source: Eilers, Marx 1996 (the spline); Wahba 1983 (the degrees of freedom).
@@ -44,7 +44,7 @@ def smoothed(points: Array, noise: float, *, closed: bool) -> tuple[Any, float, 
     u = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(ring, axis=0).T))))
     along = np.gradient(ring, u, axis=0)[:n]
     for _ in range(3):
-        end = float(u[-1])
+        end = float(u.max())
         span = float(np.clip(max(np.median(np.diff(u)), 4.0 * noise), *_SPAN))
         cells = int(np.clip(math.ceil(end / span), 2 * _DEGREE, _MOST))
         h = end / cells
@@ -60,9 +60,15 @@ def smoothed(points: Array, noise: float, *, closed: bool) -> tuple[Any, float, 
         curve = BSpline(knots, np.vstack((c, c[:_DEGREE])) if closed else c, _DEGREE)
         fine = np.linspace(0.0, end, 20 * cells + 1)
         arc = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(curve(fine), axis=0).T))))
-        along = curve(u[:n], 1)
-        before, u = u, np.interp(u, fine, arc)
-    return curve, end, before[:n], shown
+        at = np.clip(u[:n], 0.0, end)
+        along = curve(at, 1)
+        foot = np.clip(at + ((points - curve(at)) * along).sum(axis=1) / (along**2).sum(axis=1), 0.0, end)
+        before, u = foot, np.interp(foot, fine, arc)
+        u = np.append(u - u[0], arc[-1]) if closed else u - u.min()
+        if closed:
+            u[:n] %= arc[-1]
+    begin, last = (0.0, end) if closed else (float(before.min()), float(before.max()))
+    return lambda z, order=0: curve(begin + z, order), last - begin, np.maximum.accumulate(before - begin), shown
 
 
 def _weighed(basis: Any, third: Any, points: Array, beside: Array, noise: float, end: float) -> tuple[Array, float]:

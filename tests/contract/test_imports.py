@@ -58,6 +58,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "logs": RUN | {"vehicles", "plants", "plots"},
     "identification": RUN | {"logs", "vehicles", "plants", "compiled", "plots"},
     "gym": RUN | PARTS | {"assembly", "catalogue", "compiled", "scenario", "learning"},
+    "redrive": RUN | PARTS | {"assembly", "catalogue", "compiled", "logs", "plots"},
     "export": RUN | PARTS | {"compiled", "scenario", "learning", "gym"},
     "on_car": RUN | PARTS | {"realtime", "assembly", "catalogue", "scenario", "learning"},
 }

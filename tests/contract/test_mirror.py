@@ -74,6 +74,8 @@ ELSEWHERE = {
     "steerkit.plants.real_car.frames.bus": "evals/test_car_processes.py",
     "steerkit.plants.real_car.processes.server": "evals/test_car_processes.py",
     "steerkit.scenario.drive": "unit/learning/test_trials.py",
+    "steerkit.redrive": "unit/redrive/test_again.py",
+    "steerkit.redrive.pictures": "unit/cli/test_redrive.py",
     "steerkit.roads": "unit/roads/test_reading.py",
     "steerkit.roads.opendrive": "unit/roads/opendrive/test_reading.py",
     "steerkit.task": "contract/test_once.py",

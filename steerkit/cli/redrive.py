@@ -1,0 +1,103 @@
+"""`steerkit redrive`: a recorded drive, driven again by another controller."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from steerkit.cli.options import Machine, Quiet
+
+_BOTH = {
+    "rms_wheel_speed_deg_s": "RMS wheel speed (deg/s)",
+    "max_wheel_deg": "largest wheel angle (deg)",
+    "max_a_y": "largest a_y (m/s^2)",
+    "max_jerk": "largest lateral jerk, over 0.5 s (m/s^3)",
+    "seconds_beyond_a_y": "a_y beyond 3 m/s^2 (s)",
+    "seconds_beyond_jerk": "jerk beyond 5 m/s^3 (s)",
+    "seconds_at_stop": "wheel at its stop (s)",
+}
+
+
+def redrive(
+    recording: Annotated[str, typer.Argument(help="As for `steerkit identify`; or `genesis`, `genesis-rfs`.")],
+    controller: Annotated[list[str] | None, typer.Option(help="Who drives it again; repeatable. Default: mpc.")] = None,
+    vehicle: Annotated[str, typer.Option(help="Vehicle file of the car; default: identified from the drive.")] = "",
+    columns: Annotated[Path | None, typer.Option("--map", help="TOML file: which column is what, its unit.")] = None,
+    column: Annotated[list[str] | None, typer.Option(help="QUANTITY=COLUMN[:UNIT[:SCALE]]; repeatable.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Picture to write (.png, .pdf, .svg), of one controller.")] = None,
+    quiet: Quiet = False,
+    as_json: Machine = False,
+) -> None:
+    """Drive a recorded drive again in simulation: where would a controller have steered otherwise, and by how much?
+
+    The same way (by dead reckoning from speed and yaw rate) at the same speed, on the car of --vehicle, or the one that
+    the drive itself tells. Compared where it was recorded at 3 m/s or faster, over 20 samples a second.
+    """
+    from rich.console import Console
+
+    from steerkit.logs import ColumnMap, read_drive
+    from steerkit.redrive import redrive as again
+
+    names = controller or ["mpc"]
+    if plot is not None and len(names) > 1:
+        raise ValueError(f"--plot {plot}: shows one controller, not {', '.join(names)}")
+    table = {} if columns is None else ColumnMap.load(columns).columns
+    drive = read_drive(recording, ColumnMap({**table, **ColumnMap.parsed(column or ()).columns}))
+    console = Console(stderr=as_json)
+    car, told = _car(vehicle, drive)
+    if not quiet:
+        for note in (*drive.notes, told):
+            console.print(note, markup=False, highlight=False, soft_wrap=True)
+    driven = [again(drive, name, car=car, progress=not quiet) for name in names]
+    if as_json:
+        print(json.dumps({"redriven": [one.figures() for one in driven], "car": told}))
+    else:
+        _report(console, driven)
+    if plot is not None:
+        from steerkit.redrive.pictures import compared
+
+        compared(driven[0]).savefig(plot)
+        console.print(f"picture: {plot}", soft_wrap=True)
+
+
+def _car(file: str, drive: Any) -> tuple[Any, str]:
+    from steerkit.redrive import Steered
+    from steerkit.vehicles import vehicle
+
+    if file:
+        from steerkit.plants.steering_actuator import steering_of
+
+        car = Steered.by(vehicle(file), steering_of(file) if file.endswith(".toml") else None)
+        return car, f"the car: {file}, delay {car.delay:.2f} s, lag {car.lag:.2f} s"
+    from steerkit.identification import identify
+
+    found = identify(drive)
+    car = Steered.continuous(found.vehicle, delay=found.delay, lag=found.lag, offset=found.offset)
+    return car, f"the car, as the drive tells: ratio {found.vehicle.steer_ratio:.2f}, lag {car.lag + car.delay:.2f} s"
+
+
+def _report(console: Any, driven: list[Any]) -> None:
+    from rich.table import Table
+
+    rows = [one.figures() for one in driven]
+    table = Table("", "as driven", *(row["controller"] for row in rows), title=f"{rows[0]['drive']}")
+    for key, text in _BOTH.items():
+        table.add_row(text, *(f"{value:.2f}" for value in (rows[0]["driven"][key], *(r["again"][key] for r in rows))))
+    for key, text in (
+        ("rms_differs_deg", "differs from the driven (deg RMS)"),
+        ("max_differs_deg", "at most (deg)"),
+        ("max_e", "beside the driven way at most (m)"),
+    ):
+        table.add_row(text, "", *(f"{row[key]:.2f}" for row in rows))
+    console.print(table)
+    places = Table(
+        "controller", "t (s)", "v (m/s)", "driven (deg)", "again (deg)", "differs (deg)", title="Most otherwise"
+    )
+    for row in rows:
+        for p in row["places"]:
+            numbers = (p["t"], p["v"], p["driven_deg"], p["again_deg"], p["differs_deg"])
+            places.add_row(row["controller"], *(f"{x:.1f}" for x in numbers))
+    console.print(places)

@@ -1,0 +1,32 @@
+"""`steerkit redrive`: a table, a picture, JSON."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from steerkit.cli.app import app
+
+
+def test_a_recorded_drive_is_driven_again(tmp_path: Path) -> None:
+    picture = tmp_path / "again.png"
+    words = ["redrive", "genesis-rfs", "--controller", "stanley", "--vehicle", "vw-passat", "--plot", str(picture)]
+    done = CliRunner().invoke(app, [*words, "--json"])
+    assert done.exit_code == 0, done.output
+    (figures,) = json.loads(done.stdout.strip().splitlines()[0])["redriven"]
+    assert figures["controller"] == "stanley"
+    assert figures["compared_seconds"] == pytest.approx(62.6, abs=1.0)
+    assert figures["max_e"] < 0.1
+    assert 3 <= len(figures["places"]) <= 5
+    assert picture.stat().st_size > 10_000
+
+
+def test_one_picture_shows_one_controller() -> None:
+    done = CliRunner().invoke(
+        app, ["redrive", "genesis", "--controller", "mpc", "--controller", "lqr", "--plot", "a.png"]
+    )
+    assert isinstance(done.exception, ValueError)
+    assert "shows one controller, not mpc, lqr" in str(done.exception)
