@@ -7,7 +7,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from steerkit.compiled.c_maths import MANY, ONE
 from steerkit.compiled.graph import BOOLEAN, FUNCTIONS, Graph
+from steerkit.compiled.schedule import scheduled
 from steerkit.compiled.trace import Tick, Trace
 from steerkit.maths import Table
 
@@ -35,87 +37,6 @@ typedef int mask;
 #define ABS(a) fabs(a)
 #define ROW(name, table, i) const double *const name = row##table(i)
 #define AT(name, column) name[column]
-"""
-
-_ONE = SCALAR_TYPES + "#define LANES 1\n"
-
-_MANY = """\
-#include <string.h>
-#define INLINE static inline __attribute__((always_inline))
-#if defined(__AVX512F__)
-#define LANES 8
-#define VECTOR(f, args) _ZGVeN8##args##_##f
-#elif defined(__AVX2__)
-#define LANES 4
-#define VECTOR(f, args) _ZGVdN4##args##_##f
-#else
-#define LANES 2
-#define VECTOR(f, args) _ZGVbN2##args##_##f
-#endif
-typedef double real __attribute__((vector_size(8 * LANES)));
-typedef long long mask __attribute__((vector_size(8 * LANES)));
-INLINE real number(double x) { real r; for (int i = 0; i < LANES; i++) r[i] = x; return r; }
-INLINE real select(mask c, real a, real b) { return (real)((c & (mask)a) | (~c & (mask)b)); }
-#define NUMBER(x) number(x)
-#define NOT(a) (~(a))
-#define SELECT(c, a, b) select(c, a, b)
-#define CALL1(f, a) lanes_##f(a)
-#define CALL2(f, a, b) lanes_##f(a, b)
-#define ABS(a) ((real)((mask)(a) & 0x7fffffffffffffffLL))
-#define ROW(name, table, i) const double *name[LANES]; for (int l = 0; l < LANES; l++) name[l] = row##table((i)[l])
-#define AT(name, column) gathered(name, column)
-INLINE real gathered(const double *const *row, int column)
-{ real r; for (int l = 0; l < LANES; l++) r[l] = row[l][column]; return r; }
-#define BY_LANE(f) INLINE real lanes_##f(real a) \\
-  { real r; for (int i = 0; i < LANES; i++) r[i] = f(a[i]); return r; }
-BY_LANE(floor)
-BY_LANE(sqrt)
-/* sin and cos inline, so that the pair shares its work and no call empties the registers: a = k pi/2 + r by Cody and
-   Waite's method, exact for |a| < 1e6 and within the rounding of a itself beyond; then fdlibm's polynomials in r */
-INLINE real reduced(real a, mask *quarter)
-{
-  const real t = a * 0.63661977236758134308 + 6755399441055744.0, k = t - 6755399441055744.0;
-  *quarter = (mask)t;
-  return ((a - k * 1.57079632673412561417e+00) - k * 6.07710050630396597660e-11) - k * 2.02226624879595063154e-21;
-}
-INLINE real sine(real r)
-{
-  const real z = r * r;
-  return r + z * r * (-1.66666666666666324348e-01 + z * (8.33333333332248946124e-03 + z * (-1.98412698298579493134e-04
-    + z * (2.75573137070700676789e-06 + z * (-2.50507602534068634195e-08 + z * 1.58969099521155010221e-10)))));
-}
-INLINE real cosine(real r)
-{
-  const real z = r * r, h = 0.5 * z, w = 1.0 - h;
-  return w + (((1.0 - w) - h) + z * z * (4.16666666666666019037e-02 + z * (-1.38888888888741095749e-03
-    + z * (2.48015872894767294178e-05 + z * (-2.75573143513906633035e-07 + z * (2.08757232129817482790e-09
-    + z * -1.13596475577881948265e-11))))));
-}
-INLINE real signed_by(real a, mask sign) { return (real)((mask)a ^ ((sign & 2) << 62)); }
-INLINE real lanes_sin(real a)
-{
-  mask q;
-  const real r = reduced(a, &q), s = sine(r), c = cosine(r);
-  return signed_by(select((q & 1) != 0, c, s), q);
-}
-INLINE real lanes_cos(real a)
-{
-  mask q;
-  const real r = reduced(a, &q), s = sine(r), c = cosine(r);
-  return signed_by(select((q & 1) != 0, s, c), q + 1);
-}
-#ifdef VECTOR_MATHS /* glibc's libmvec: within 4 units in the last place */
-#define BY_VECTOR(f) extern real VECTOR(f, v)(real); INLINE real lanes_##f(real a) { return VECTOR(f, v)(a); }
-BY_VECTOR(tan) BY_VECTOR(asin) BY_VECTOR(acos) BY_VECTOR(atan)
-BY_VECTOR(tanh) BY_VECTOR(exp) BY_VECTOR(log)
-extern real VECTOR(atan2, vv)(real, real);
-INLINE real lanes_atan2(real a, real b) { return VECTOR(atan2, vv)(a, b); }
-#else
-BY_LANE(tan) BY_LANE(asin) BY_LANE(acos) BY_LANE(atan)
-BY_LANE(tanh) BY_LANE(exp) BY_LANE(log)
-INLINE real lanes_atan2(real a, real b)
-{ real r; for (int i = 0; i < LANES; i++) r[i] = atan2(a[i], b[i]); return r; }
-#endif
 """
 
 _RUN_ONE = """\
@@ -205,13 +126,13 @@ def run_source(trace: Trace, recorded: Sequence[int], *, many: bool) -> str:
         cases=" ".join(cases),
         finals=" ".join(finals),
     )
-    parts = ["#include <math.h>\n", _MANY if many else _ONE, table_source(trace.tables), *ticks, run]
+    parts = ["#include <math.h>\n", MANY if many else ONE, table_source(trace.tables, lanes=many), *ticks, run]
     return "\n".join(parts)
 
 
 def lanes_source(tables: Sequence[Table]) -> str:
     """The head of a C file whose `real` is a vector of LANES cars' numbers: types, functions and these tables."""
-    return "\n".join(["#include <math.h>\n", _MANY, table_source(tables)])
+    return "\n".join(["#include <math.h>\n", MANY, table_source(tables, lanes=True)])
 
 
 def function_source(
@@ -224,15 +145,22 @@ def function_source(
     return "\n".join([f"static inline void {head}\n{{", *lines, *values, *stores, "}\n"])
 
 
-def table_source(tables: Sequence[Table]) -> str:
-    """Tables as static arrays, with one more row of NaN for an index that is in none of them."""
+def table_source(tables: Sequence[Table], *, lanes: bool = False) -> str:
+    """Tables as static arrays, with one more row of NaN for an index that is in none of them.
+
+    lanes: rows are filled up to whole vectors, for cars side by side.
+    """
     text = []
     for number, table in enumerate(tables):
         rows = np.vstack((table.rows, np.full(table.rows.shape[1], math.nan)))
+        if lanes:
+            rows = np.pad(rows, ((0, 0), (0, -rows.shape[1] % 8)))
         numbers = ",\n  ".join(", ".join(c_number(v) for v in row) for row in rows.tolist())
         text.append(f"static const double table{number}[{rows.size}] = {{\n  {numbers}\n}};\n")
         text.append(
-            f"static inline const double *row{number}(double i)\n"
+            f"enum {{ count{number} = {len(table)}, width{number} = {rows.shape[1]} }};\n"
+            if lanes
+            else f"static inline const double *row{number}(double i)\n"
             f"{{\n  return table{number} + (i >= 0.0 && i < {len(table)}.0 ? (int)i : {len(table)})"
             f" * {rows.shape[1]};\n}}\n"
         )
@@ -259,7 +187,7 @@ def statements(graph: Graph, roots: Sequence[int], source: object, tables: Seque
     lines: list[str] = []
     rows: set[tuple[int, int]] = set()
     assert callable(source)
-    for i in graph.order(roots):
+    for i in scheduled(graph, roots):
         op, *operands = graph.nodes[i]
         kind = "mask" if op in BOOLEAN else "real"
         if op == "row":

@@ -28,7 +28,7 @@ class NativeProgram:
     @functools.cached_property
     def one(self) -> ctypes.CDLL:
         """The library that runs one car."""
-        return native.load(run_source(self.trace, self.recorded, many=False))
+        return native.load(run_source(self.trace, self.recorded, many=False), fused=True)
 
     @functools.cached_property
     def many(self) -> ctypes.CDLL:
