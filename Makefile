@@ -1,6 +1,8 @@
 # Every target sets up .venv by itself; PYTHON chooses the interpreter (3.11 or newer).
 PYTHON ?= python3
 VENV := .venv
+USE := $(VENV)/use
+BENCH := $(VENV)/bench
 READY := $(VENV)/ready
 PEERS := $(VENV)/peers
 BIN := $(VENV)/bin
@@ -11,12 +13,12 @@ BIN := $(VENV)/bin
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
-setup: $(READY)  ## .venv with steerkit and all it needs
+setup: $(READY)  ## .venv with steerkit and all that its development needs
 
-demo: $(READY)  ## three cars learn to steer, are compared with Stanley; table and figures under runs/
+demo: $(USE)  ## three cars learn to steer, are compared with Stanley; table and figures under runs/
 	$(BIN)/steerkit demo
 
-bench: $(READY)  ## learned against analytic controllers, a selection of some minutes; report under runs/benchmarks/quick
+bench: $(BENCH)  ## learned against analytic controllers, a selection of some minutes; report under runs/benchmarks/quick
 	$(BIN)/python -m benchmarks run quick
 	$(BIN)/python -m benchmarks report runs/benchmarks/quick
 
@@ -53,9 +55,17 @@ clean:  ## remove .venv and caches (runs/ stays)
 	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache .hypothesis build dist site *.egg-info
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-# Set up again whenever a dependency may have changed.
-$(READY): pyproject.toml constraints.txt
+# Set up again whenever a dependency may have changed: what steerkit itself needs; the suites; all of the development.
+$(USE): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .
+	touch $@
+
+$(BENCH): $(USE)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[bench]'
+	touch $@
+
+$(READY): $(USE)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	touch $@
 

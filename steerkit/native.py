@@ -20,8 +20,7 @@ FLAGS = ("-O3", "-march=native", "-std=gnu99", "-fPIC", "-shared", "-fno-math-er
 EXACT = ("-ffp-contract=off",)
 """No fused multiply-add: every operation rounds as Python's does."""
 FUSED = ("-ffp-contract=fast",)
-"""Fused operations, each rounded once instead of twice: for vectors of cars, whose functions are libmvec's anyway, and
-for nets."""
+"""Fused operations, each rounded once instead of twice: for loops, whose sines are not libm's anyway, and for nets."""
 
 
 class NoCompilerError(RuntimeError):

@@ -49,9 +49,11 @@ class Path:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "h", self.length / len(self.table))
+        object.__setattr__(self, "_per_metre", len(self.table) / self.length)
         object.__setattr__(self, "_last", float(len(self.table) - 1))
 
     h: float = dataclasses.field(init=False, repr=False)
+    _per_metre: float = dataclasses.field(init=False, repr=False)
     _last: float = dataclasses.field(init=False, repr=False)
 
     # -- making one ---------------------------------------------------------------------------------------------
@@ -187,10 +189,9 @@ class Path:
 
     def frame(self, s: Scalar) -> tuple[Scalar, ...]:
         """(x, y, x', y', x'', y'') at `s` within [0, length]: one table row and two polynomials; any backend."""
-        h = self.h
-        i = m.minimum(m.floor(s / h), self._last)
+        i = m.minimum(m.floor(s * self._per_metre), self._last)  # at a knot either neighbour is as good
         a0, a1, a2, a3, a4, a5, b0, b1, b2, b3, b4, b5 = self.table(i)
-        w = s - (i + 0.5) * h
+        w = s - (i + 0.5) * self.h
         # Horner's scheme, for the value, the slope and half the second derivative at once
         p = a5 * w + a4
         q = a5 * w + p
@@ -220,6 +221,13 @@ class Path:
         """`s` [m] brought to the path: wrapped into [0, length] if closed, else clamped to it."""
         if self.closed:
             return s - self.length * m.floor(s / self.length)
+        return m.clip(s, 0.0, self.length)
+
+    def back(self, s: Scalar) -> Scalar:
+        """The same for an `s` [m] at most one length outside, without a division."""
+        if self.closed:
+            s = m.where(s < 0.0, s + self.length, s)
+            return m.where(s >= self.length, s - self.length, s)
         return m.clip(s, 0.0, self.length)
 
     def point(self, s: Any) -> Any:

@@ -39,13 +39,14 @@ class PathTracker(Block):
     outputs: s [m] in [0, length]; progress [m] since the start, not wrapped; e [m], + = left; e_dot [m/s];
     psi_e [rad] in [-pi, pi]; kappa [1/m] at s; r_e [rad/s]; preview [1/m], `preview_points` curvatures at
     s + j*v*preview_dt, j = 0, 1, ... state: s, progress [m] expected at the next sample.
-    valid: e up to the centre of the bend (kappa*e < 1), a sample's unforeseen motion below 2*window. A NaN in
-    the pose gives NaN in e, while s stays a place on the path.
+    valid: e up to the centre of the bend (kappa*e < 1), a sample's unforeseen motion below 2*window, its motion below
+    a round (the search then starts where it was). A NaN in the pose gives NaN in e, while s stays a place on the path.
     errors: ValueError for bad parameters and, in `settle`, for a pose that is not finite.
     source: Hoffmann et al. 2007 (e and psi_e of Stanley); Wang, Kearney, Atkinson 2002 (Newton on the foot point).
 
     path: the path. reference [m]: how far ahead of the centre of gravity e is measured (l_f: front axle).
-    window [m]: longest step of the search. preview_points, preview_dt [s]: the preview. dt [s]: sample time.
+    window [m]: longest step of the search, at most a round. preview_points, preview_dt [s]: the preview.
+    dt [s]: sample time.
     """
 
     x = In("m")
@@ -79,6 +80,8 @@ class PathTracker(Block):
         require(isinstance(self.path, Path), where, f"path is a {type(self.path).__name__}, expected a steerkit Path")
         require(bool(np.isfinite(self.reference).all()), where, f"reference {self.reference} [m], expected finite")
         require(0.0 < self.window < math.inf, where, f"window {self.window} [m], expected > 0")
+        fits = not self.path.closed or self.window <= self.path.length
+        require(fits, where, f"window {self.window} [m], expected at most a round of {self.path!r}")
         require(0.0 < self.dt < math.inf, where, f"dt {self.dt} [s], expected > 0")
         require(0.0 < self.preview_dt < math.inf, where, f"preview_dt {self.preview_dt} [s], expected > 0")
         count = self.preview_points
@@ -116,7 +119,7 @@ class PathTracker(Block):
         cos_psi, sin_psi = m.cos(u.psi), m.sin(u.psi)
         px, py = u.x + reference * cos_psi, u.y + reference * sin_psi
         first = self._step(x.s, px, py, path.frame(x.s))
-        s = path.inside(x.s + first)
+        s = path.back(x.s + first)
         frame = path.frame(s)
         second = self._step(s, px, py, frame)
         cx, cy, tx, ty, ddx, ddy = frame
@@ -127,7 +130,7 @@ class PathTracker(Block):
         ey = py - cy - second * (ty + half * ddy)
         tx = tx + second * ddx
         ty = ty + second * ddy
-        s = path.inside(s + second)
+        s = path.back(s + second)
         cos_e = tx * cos_psi + ty * sin_psi
         psi_e = m.atan2(tx * sin_psi - ty * cos_psi, cos_e)
         return self.Y(
@@ -144,8 +147,8 @@ class PathTracker(Block):
     def update(self, t: Any, x: Any, u: Any, y: Any) -> State:
         along = u.v * m.cos(y.psi_e + u.beta) - u.r * self.reference * m.sin(y.psi_e)
         ahead = self.dt * along / m.maximum(_LEAST_SLOPE, 1.0 - y.kappa * y.e)
-        ahead = self._on_path(y.s, m.where(m.is_finite(ahead), ahead, 0.0))
-        return self.X(self.path.inside(y.s + ahead), y.progress + ahead)
+        ahead = self._on_path(y.s, m.where(m.absolute(ahead) <= self.path.length, ahead, 0.0))
+        return self.X(self.path.back(y.s + ahead), y.progress + ahead)
 
     def _ahead(self, s: Scalar, v: Scalar) -> tuple[Scalar, ...]:
         stride = self.preview_dt * m.where(m.is_finite(v), v, 0.0)  # a broken speed shows in e_dot

@@ -10,6 +10,10 @@ counterpart.)
 
     python -m benchmarks study mpc_solve [--quick] [--json]
 
+`..._raw_qp_ms` is the time of the solver alone: HPIPM by CasADi's interface, called without a check on the numbers that
+the block has just filled in, in place; `..._x_raw_qp` the median of the block's time over that, sample by sample. What
+is above 1 are the prediction over the delay, the path ahead, the linearisation, the filling in and the check.
+
 do-mpc (extra `peers`) gets the nonlinear stage map, cost, limits and horizon of `NonlinearMPC`, with a warm start;
 `dompc_x` is its median over that of `NonlinearMPC` at the same samples. u0 is compared with ipopt's: of the linear
 MPC on its quadratic programme, of the nonlinear one on its nonlinear programme, one real-time iteration a sample and
@@ -50,7 +54,16 @@ PASSES = 5
 SAMPLES, TURN, KICK, KICK_EVERY = 500, 50, 0.8, 50
 CAR = NonlinearSingleTrack(vehicle=vehicle("vw-passat"), v0=5.0)
 MOTOR = SteeringActuator(delay=0.2, lag=0.1)
-NEEDED = {"ltv20_ms": 0.3, "ltv20_p99_ms": 1.0, "ltv40_ms": 0.6, "nmpc20_ms": 0.6, "nmpc40_ms": 1.0, "dompc_x": 15.0}
+NEEDED = {
+    "ltv20_ms": 0.3,
+    "ltv20_p99_ms": 1.0,
+    "ltv40_ms": 0.6,
+    "nmpc20_ms": 0.6,
+    "nmpc40_ms": 1.0,
+    "dompc_x": 15.0,
+    "ltv20_x_raw_qp": 1.3,
+    "nmpc20_x_raw_qp": 1.5,
+}
 
 Case = tuple[tuple[float, ...], Any]
 """A block state and its inputs."""
@@ -98,6 +111,23 @@ def timed(run: Callable[..., Any], *arguments: Any) -> tuple[float, Any]:
     start = time.thread_time_ns()
     answer = run(*arguments)
     return (time.thread_time_ns() - start) * 1e-6, answer
+
+
+def raw_qp(block: PredictiveSteering) -> Callable[[], Any]:
+    """The bare solver on the numbers in the block's programme: no check, and its answer goes elsewhere."""
+    qp = replace(block.qp)  # with a solver of its own, since one keeps its place in memory for each function around it
+    vars(qp)["data"] = block.qp.data
+    symbols = {name: qp._symbols[name] for name in qp.data}
+    answer = qp._conic(**symbols)
+    told = ["x", "lam_x", "lam_a"]
+    run = qp._bound(
+        casadi.Function("raw", list(symbols.values()), [answer[name] for name in told], list(symbols), told)
+    )
+
+    def solve(arrays: Any = qp) -> None:  # these have to live as long as it does
+        run()
+
+    return solve
 
 
 # ---- ipopt ----------------------------------------------------------------------------------------------------------
@@ -257,6 +287,8 @@ def measured(samples: int, peers: int) -> dict[str, Any]:
     }
     runs = {name: cases(block, rows) for name, block in blocks.items()}
     times: dict[str, list[float]] = {name: [] for name in blocks}
+    raw = {name: raw_qp(blocks[name]) for name in ("ltv20", "nmpc20")}
+    raw_times: dict[str, list[float]] = {name: [] for name in raw}
     unsolved = dict.fromkeys(blocks, 0)
     for first in progress(range(0, samples, TURN), "our solvers"):
         for name, block in blocks.items():
@@ -264,11 +296,17 @@ def measured(samples: int, peers: int) -> dict[str, Any]:
             passes = [[timed(block.output, 0.0, x, u) for x, u in turn] for _ in range(PASSES)]
             times[name] += [min(ms for ms, _ in sample) for sample in zip(*passes)]
             unsolved[name] += sum(y.status != 0.0 for _, y in passes[0])
+            for x, u in turn if name in raw else ():
+                block.output(0.0, x, u)
+                raw_times[name].append(min(timed(raw[name])[0] for _ in range(PASSES)))
     figures: dict[str, Any] = {}
     for name in blocks:
         figures[f"{name}_ms"] = statistics.median(times[name])
         figures[f"{name}_p99_ms"] = float(np.percentile(times[name], 99))
         figures[f"{name}_unsolved"] = unsolved[name]
+    for name, values in raw_times.items():
+        figures[f"{name}_raw_qp_ms"] = statistics.median(values)
+        figures[f"{name}_x_raw_qp"] = statistics.median(ours / theirs for ours, theirs in zip(times[name], values))
     if importlib.util.find_spec("do_mpc") is None:
         print("do-mpc is not installed, so nothing is compared: pip install 'steerkit-control[peers]'", file=sys.stderr)
         return figures

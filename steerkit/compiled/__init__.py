@@ -2,8 +2,7 @@
 
 A loop is run once on CasADi symbols (`trace`), which leaves a list of instructions a tick (`graph`); from that list
 the backends are generated: `python_code` (floats), `vm` (CasADi, also for gradients) and `native` (C, with `cache`).
-All give the trajectory of `simulate` to rounding: the Python code and the C for one car bit for bit where the
-machine's libm is Python's, the others to about 1e-13.
+All give the trajectory of `simulate` to rounding: the Python code bit for bit, the others to about 1e-13.
 """
 
 from __future__ import annotations

@@ -94,6 +94,20 @@ def test_floats_arrays_and_lists_agree(closed):
     assert np.allclose(path.point(path.length + 2.0), path.point(2.0 if closed else path.length))
 
 
+@pytest.mark.parametrize("closed", [False, True])
+def test_back_is_inside_for_whoever_is_less_than_a_length_outside(closed):
+    path = made_of(RING, closed=closed)
+    n = path.length
+    s = np.array([-n, -2.0, -1e-13, -1e-300, 0.0, 3.0, n - 1e-12, n, n + 1e-12, n + 2.0, 1.99 * n])
+    back = path.back(s)
+    assert ((back >= 0.0) & (back <= n)).all()
+    assert [path.back(float(each)) for each in s] == back.tolist()
+    apart = (back - path.inside(s)) / n
+    assert np.abs(apart - (np.round(apart) if closed else 0.0)).max() < 1e-12
+    assert np.isfinite(path.frame(back)).all()
+    assert math.isnan(path.back(math.nan))
+
+
 def test_samples_hold_both_ends():
     k = made_of(RING, closed=True).samples
     assert k.s.shape == k.psi.shape == k.kappa.shape == k.xy.shape[:1]

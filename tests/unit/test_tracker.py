@@ -209,12 +209,25 @@ def test_a_broken_pose_is_refused_at_the_start_and_shows_in_e_later(bad):
     assert all(map(math.isfinite, tracker.update(0.0, state, broken, y)))
 
 
+def test_more_than_a_round_in_a_sample_leaves_the_search_where_it_was():
+    """On a circle of 126 m, at kappa*e = 1, where the foot point runs away: 30 m/s count five times, 150 m/s too."""
+    circle = courses.circle(20.0)
+    tracker = PathTracker(path=circle, dt=1.0)
+    for v, moved in ((20.0, 100.0), (30.0, 0.0), (1e9, 0.0)):
+        u = inputs(tracker, pose_beside(circle, 3.0, 19.99, 0.0), v=v, beta=0.0, r=0.0)
+        y = tracker.output(0.0, tracker.X(3.0, 0.0), u)
+        after = tracker.update(0.0, tracker.X(3.0, 0.0), u, y)
+        assert 0.0 <= after.s <= circle.length
+        assert after.progress - y.progress == pytest.approx(moved, abs=1e-6)
+
+
 @pytest.mark.parametrize(
     ("field", "value", "message"),
     [
         ("path", "paper", r"path is a str, expected a steerkit Path"),
         ("reference", math.nan, r"reference nan \[m\], expected finite"),
         ("window", 0.0, r"window 0.0 \[m\], expected > 0"),
+        ("window", 900.0, r"window 900.0 \[m\], expected at most a round of Path\('paper', closed, 79"),
         ("dt", -0.05, r"dt -0.05 \[s\], expected > 0"),
         ("preview_points", -1, r"preview_points -1, expected a count >= 0"),
         ("preview_dt", 0.0, r"preview_dt 0.0 \[s\], expected > 0"),

@@ -39,7 +39,10 @@ KEYS = {
     "delay_robustness": {"laps", "stanley-delay", "stanley-delay, believes 0.2 s"},
     "gym_steps": {"conditions", "steps_per_cpu_second", "vector_steps_per_second", "x_sync_vector_env"},
     "learning": {"setting", "seeds", "good_share", "good_median", "final_rms_e_worst", "outcomes"},
-    "mpc_solve": {"ltv20_ms", "ltv20_p99_ms", "ltv40_ms", "nmpc20_ms", "nmpc40_ms", "ltv20_unsolved"},
+    "mpc_solve": {
+        *("ltv20_ms", "ltv20_p99_ms", "ltv40_ms", "nmpc20_ms", "nmpc40_ms", "ltv20_unsolved"),
+        *("ltv20_raw_qp_ms", "nmpc20_raw_qp_ms", "ltv20_x_raw_qp", "nmpc20_x_raw_qp"),
+    },
     "nfq_iteration": {"seconds", "seconds_torch", "vs_torch_rprop_x", "equal_work", "decision_numpy_us"},
     "recovery_map": {"stanley-delay", "mpc", "nonlinear-mpc"},
     "safety": {
@@ -49,7 +52,8 @@ KEYS = {
     "throughput": {
         *("interpreted_x", "simulate_x", "compiled_vm_x", "compiled_vm_uncollapsed_x", "compiled_c_x", "batch_x"),
         *("batch_linear_x", "steps_per_second", "base", "against", "largest_difference_m", "seconds_a_step_in_c"),
-        *("first_call_seconds", "scaling"),
+        *("first_call_seconds", "scaling", "tracker_ns", "tracker_in_loop_ns", "actuator_in_loop_ns", "c_step_ns"),
+        *("batch_car_steps_per_second", "batch_car_steps_per_second_x_one_function", "c_x_engine"),
     },
     "torque_steering": {"stanley-delay"},
     "tune_stanley": {"predicted", "plain"},
@@ -105,6 +109,7 @@ def sensible_calibration(figures: Any) -> None:
 def sensible_throughput(figures: Any) -> None:
     assert figures["largest_difference_m"] < 1e-11
     assert min(figures["steps_per_second"].values()) > 0.0
+    assert figures["tracker_ns"] > 0.0
     assert set(figures["against"]) == {f"python-control, {n}" for n in ("same diagram", "two systems", "one function")}
 
 
@@ -173,7 +178,9 @@ SENSIBLE = {
     "delay_robustness": sensible_laps,
     "gym_steps": sensible_rates,
     "learning": sensible_learning,
-    "mpc_solve": lambda f: (f["ltv20_ms"] > 0.0 and f["ltv20_unsolved"] == 0) or pytest.fail(f),
+    "mpc_solve": lambda f: (
+        (min(f["ltv20_x_raw_qp"], f["nmpc20_x_raw_qp"]) > 0.0 and f["ltv20_unsolved"] == 0) or pytest.fail(f)
+    ),
     "nfq_iteration": lambda f: f["equal_work"] or pytest.fail(f),
     "recovery_map": lambda f: f["stanley-delay"][1]["recovered"] == 1.0 or pytest.fail(f),
     "safety": sensible_safety,
