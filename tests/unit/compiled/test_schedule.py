@@ -42,7 +42,7 @@ def test_the_longest_way_to_the_end_begins() -> None:
     graph = Graph()
     products, quotients = chain(graph, 0, 3), chain(graph, 1, 3, op="div")
     order = [graph.nodes[i][0] for i in scheduled(graph, [products, quotients])]
-    assert [op for op in order if op != "in"][0] == "div"
+    assert next(op for op in order if op != "in") == "div"
     assert order[-1] == "div"
     assert order.index("mul") < len(order) - 1
 

@@ -1,4 +1,4 @@
-"""The study's loop under other engines: the equations that they get; and, where they are installed, what they answer."""
+"""The study's loop under other engines: the equations they get; and, where they are installed, what they answer."""
 
 from __future__ import annotations
 
