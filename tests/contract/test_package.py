@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 import tomllib
@@ -89,3 +90,17 @@ def test_the_hooks_are_the_tools_of_make_lint() -> None:
     entries = {hook["entry"].removeprefix(".venv/bin/").replace(" --force-exclude", "") for hook in hooks}
     lint = (ROOT / "Makefile").read_text(encoding="utf-8").split("\nlint:")[1].split("\n\n")[0]
     assert entries == {line.strip().removeprefix("$(BIN)/") for line in lint.splitlines()[1:]}
+
+
+def test_the_demo_installs_no_tools_of_development() -> None:
+    """`make demo` on a fresh machine: the package and what it needs; the tools come with what uses them."""
+    rules = (ROOT / "Makefile").read_text(encoding="utf-8")
+    needs = dict(re.findall(r"^([a-z-]+|\$\([A-Z]+\)): (.*?)(?:  ##.*)?$", rules, re.MULTILINE))
+    installed = dict(re.findall(r"^(\$\([A-Z]+\)): .*\n(?:\t.*\n)*?\t.* -e (\S+)$", rules, re.MULTILINE))
+    assert needs["demo"] == "$(USE)"
+    assert installed["$(USE)"] == "."
+    assert installed["$(BENCH)"] == "'.[bench]'"
+    assert {needs[target] for target in ("test", "lint", "docs", "slips", "setup")} == {"$(READY)"}
+    assert installed["$(READY)"] == "'.[dev]'"
+    assert needs["$(READY)"] == needs["$(BENCH)"] == "$(USE)"
+    assert needs["$(USE)"] == "pyproject.toml constraints.txt"
