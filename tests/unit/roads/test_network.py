@@ -19,7 +19,7 @@ def piece(group: str, a: tuple[float, float], b: tuple[float, float], *after: st
 def town(**changes: Piece) -> Map:
     """A block of four streets that is driven round, a longer way from a to c, and a street apart."""
     pieces = {
-        "a": piece("a", (0, 0), (40, 0), "b", "far"),
+        "a": piece("a", (0, 0), (40, 0), "far", "b"),
         "b": piece("b", (40, 0), (60, 10), "c"),
         "far": piece("far", (40, 0), (200, 0), "home"),
         "home": piece("home", (200, 0), (60, 10), "c"),
