@@ -27,7 +27,7 @@ from steerkit.errors import known
 _FILES = {file.stem: file for file in sorted(Path(__file__).parent.glob("*.py")) if file.stem != "__init__"}
 NAMES = tuple(_FILES)
 """All studies."""
-_EXTRA = {"car_calibration": "car", "car_kill": "car", "car_realtime": "car", "gym_steps": "gym"}
+_EXTRA = {"car_calibration": "car", "car_kill": "car", "car_realtime": "car", "gym_steps": "gym", "log_damage": "logs"}
 """Studies that need an extra of the package, and which."""
 
 

@@ -1,4 +1,4 @@
-"""The command `steerkit export`: what a learning run has made, for other programs."""
+"""The command `steerkit export`: learning runs, logs and cars, for other programs."""
 
 from __future__ import annotations
 
@@ -11,21 +11,54 @@ import typer
 
 
 def export(
-    run: Annotated[Path, typer.Argument(help="Directory of a learning run.")],
+    run: Annotated[Path, typer.Argument(help="Directory of a learning run; a log of any program; or a car, CAR.toml.")],
     onnx: Annotated[Path | None, typer.Option(help="File for the final policy as an ONNX model.")] = None,
     single: Annotated[bool, typer.Option(help="The ONNX model in float32 instead of float64.")] = False,
     minari: Annotated[
         str | None, typer.Option(help="Name for the transitions as a Minari data set, such as steerkit/paper-v0.")
     ] = None,
+    mcap: Annotated[
+        Path | None, typer.Option(help="A log, or a run's last drive, for Foxglove and PlotJuggler.")
+    ] = None,
+    ros2: Annotated[
+        Path | None, typer.Option(help="The same as a ROS 2 bag, .mcap: Autoware's reports, odometry.")
+    ] = None,
+    csv: Annotated[Path | None, typer.Option(help="The same as a table.")] = None,
+    steer_ratio: Annotated[
+        float, typer.Option(help="Of the car, for --ros2, which has the road wheels' angle.")
+    ] = 15.0,
+    layout: Annotated[
+        Path | None, typer.Option(help="The layout for --mcap: a .json for Foxglove, an .xml for PlotJuggler.")
+    ] = None,
+    commonroad: Annotated[Path | None, typer.Option(help="A car as a CommonRoad parameter set, .yaml.")] = None,
+    opendbc: Annotated[Path | None, typer.Option(help="A car as a row of opendbc, .json.")] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object as the last line.")] = False,
 ) -> None:
-    """Export a learning run: its final policy to ONNX, its transitions to a Minari data set."""
+    """Export a learning run (policy to ONNX, transitions to Minari), a log (MCAP, ROS 2, CSV), or a car (CommonRoad,
+    opendbc)."""
     from rich.console import Console
 
-    if onnx is None and minari is None:
-        raise ValueError("export: nothing to do; give --onnx FILE, --minari NAME, or both")
-    console, done = Console(quiet=quiet, soft_wrap=True), {}
+    wanted = (onnx, minari, mcap, ros2, csv, layout, commonroad, opendbc)
+    if all(one is None for one in wanted):
+        raise ValueError(
+            "export: nothing to do; give --onnx FILE or --minari NAME of a run, --mcap, --ros2, --csv or --layout FILE "
+            "of a log, --commonroad or --opendbc FILE of a car"
+        )
+    console, done = Console(quiet=quiet, soft_wrap=True), dict[str, Any]()
+    if commonroad is not None or opendbc is not None:
+        _car(run, commonroad, opendbc)
+        console.print(f"car: {', '.join(str(file) for file in (commonroad, opendbc) if file is not None)}")
+    if mcap is not None or ros2 is not None or csv is not None:
+        done |= _log(run, mcap, ros2, csv, steer_ratio)
+        console.print(f"log: {', '.join(str(file) for file in (mcap, ros2, csv) if file is not None)}")
+    if layout is not None:
+        from steerkit.logs.out import layout as write_layout
+
+        kinds = {".json": "foxglove", ".xml": "plotjuggler"}
+        if layout.suffix not in kinds:
+            raise ValueError(f"--layout {layout}: expected .json for Foxglove or .xml for PlotJuggler")
+        console.print(f"layout for {kinds[layout.suffix]}: {write_layout(kinds[layout.suffix], layout)}")
     if onnx is not None:
         done["onnx"] = _to_onnx(run, onnx, single)
         text = ", ".join(f"{name} {value:.2g}" for name, value in done["onnx"]["largest_difference"].items())
@@ -35,6 +68,44 @@ def export(
         console.print("transitions: {name}, {episodes} episodes, {steps} steps".format(**done["minari"]))
     if as_json:
         print(json.dumps(done))
+
+
+def _log(source: Path, mcap: Path | None, ros2: Path | None, csv: Path | None, ratio: float) -> dict[str, Any]:
+    from steerkit.learning import rundir
+    from steerkit.logs import read_drive
+    from steerkit.logs.out import to_mcap, to_ros2
+    from steerkit.simulation import Log
+
+    if (source / "run.json").exists():
+        record = rundir.drive_log(source)
+    elif source.suffix == ".npz":
+        record = Log.load(source)
+    else:
+        record = read_drive(source).to_log()
+    done: dict[str, Any] = {}
+    if mcap is not None:
+        done["mcap"] = to_mcap(record, mcap)
+    if ros2 is not None:
+        done["ros2"] = to_ros2(record, ros2, steer_ratio=ratio)
+    if csv is not None:
+        record.to_csv(csv)
+        done["csv"] = str(csv)
+    return done
+
+
+def _car(file: Path, yaml: Path | None, row: Path | None) -> None:
+    from steerkit.export import car as cars
+    from steerkit.files import write_text
+    from steerkit.vehicles import vehicle
+    from steerkit.vehicles.file import tables_of, text_of
+
+    car = vehicle(str(file))
+    if yaml is not None:
+        write_text(yaml, cars.commonroad(car))
+    if row is not None:
+        known = tables_of(text_of(file), str(file)).get("steering", {}) if file.suffix == ".toml" else {}
+        delay = known["delay"] + known["lag"] if {"delay", "lag"} <= known.keys() else None
+        write_text(row, json.dumps(cars.opendbc(car, delay=delay), indent=1) + "\n")
 
 
 def _to_onnx(run: Path, file: Path, single: bool) -> dict[str, Any]:

@@ -50,7 +50,8 @@ def log(
     console = Console(stderr=as_json, quiet=quiet and not as_json)
     console = console if console.is_terminal else Console(stderr=as_json, width=130, quiet=quiet)
     found = contents(read_log(files, dbc=dbc or (), time=given.columns.get("t")), given, steer_ratio=steer_ratio)
-    _report(console, found, files, dbc or [])
+    more = [f"--dbc {one}" for one in dbc or ()] + ([f"--steer-ratio {steer_ratio:g}"] if steer_ratio else [])
+    _report(console, found, [*files, *more])
     if plot is not None:
         from steerkit.logs.pictures import picture
 
@@ -74,7 +75,7 @@ def column_map(file: Path | None, words: list[str] | None) -> Any:
     return ColumnMap({**table, **ColumnMap.parsed(words or ()).columns})
 
 
-def _report(console: Any, found: Any, files: list[str], dbc: list[str]) -> None:
+def _report(console: Any, found: Any, said: list[str]) -> None:
     from rich.markup import escape
     from rich.table import Table
 
@@ -102,5 +103,6 @@ def _report(console: Any, found: Any, files: list[str], dbc: list[str]) -> None:
     drive = found.drive
     console.print(f"a drive of {drive.t[-1]:.1f} s at {1.0 / drive.dt:.0f} Hz", highlight=False)
     if drive.turns:
-        words = " ".join([*files, *(f"--dbc {one}" for one in dbc)])
-        console.print(f"next: steerkit identify {escape(words)} --out my-car.toml", soft_wrap=True, highlight=False)
+        console.print(
+            f"next: steerkit identify {escape(' '.join(said))} --out my-car.toml", soft_wrap=True, highlight=False
+        )

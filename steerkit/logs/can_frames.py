@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import gzip
 import io
+import math
 import re
+from array import array
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from decimal import Decimal
@@ -26,8 +28,22 @@ _FEW = 50
 class Frames:
     """The frames of one identifier."""
 
-    t: list[float] = field(default_factory=list)
-    data: list[bytes] = field(default_factory=list)
+    t: array[float] = field(default_factory=lambda: array("d"))
+    sizes: array[int] = field(default_factory=lambda: array("B"))
+    payload: bytearray = field(default_factory=bytearray)
+
+    def add(self, t: float, data: bytes) -> None:
+        """One more."""
+        self.t.append(t)
+        self.sizes.append(len(data))
+        self.payload += data
+
+    def data(self) -> Iterator[bytes]:
+        """What each of them holds."""
+        place = 0
+        for size in self.sizes:
+            yield bytes(self.payload[place : place + size])
+            place += size
 
 
 Log = dict[tuple[int, bool], Frames]
@@ -105,8 +121,7 @@ def collected(messages: Iterable[Any]) -> Log:
     for message in messages:
         if not (message.is_error_frame or message.is_remote_frame):
             frames = log.setdefault((message.arbitration_id, message.is_extended_id), Frames())
-            frames.t.append(message.timestamp)
-            frames.data.append(bytes(message.data))
+            frames.add(message.timestamp, bytes(message.data))
     return log
 
 
@@ -161,29 +176,25 @@ def _opendbc(name: str) -> str:
 
 def _table(message: Any, frames: Frames, notes: list[str]) -> Table | None:
     """One message's signals over time; frames that do not hold their check sum, or cannot be decoded, are left out."""
-    sound, rows, bad = _sound(message.frame_id, frames.data), list[dict[str, Any]](), 0
-    times = list[float]()
-    for t, data, good in zip(frames.t, frames.data, sound):
+    signals = {signal.name: signal for signal in message.signals}
+    sound, bad, times = _sound(message.frame_id, frames), 0, array("d")
+    columns_of: dict[str, array[float]] = {name: array("d") for name in signals}
+    for t, data, good in zip(frames.t, frames.data(), sound):
         try:
             values = message.decode(data, decode_choices=False) if good else None
         except Exception:  # cantools, bitstruct: a frame too short, a multiplexer of no meaning
             values = None
         if values is None:
             bad += 1
-        else:
-            rows.append(values)
-            times.append(t)
+            continue
+        times.append(t)
+        for name, column in columns_of.items():
+            column.append(float(values.get(name, math.nan)))
     if bad:
         notes.append(f"left out {bad} of {len(sound)} frames of {message.name}: check sum or length are wrong")
-    if not rows:
+    if not times:
         return None
-    names = list(dict.fromkeys(name for row in rows for name in row))
-    signals = {signal.name: signal for signal in message.signals}
-    numbers = {
-        name: _decimal(np.array([float(row.get(name, np.nan)) for row in rows]), signals[name])
-        for name in names
-        if isinstance(rows[0].get(name, 0.0), int | float)
-    }
+    numbers = {name: _decimal(np.array(column), signals[name]) for name, column in columns_of.items()}
     columns = {f"{message.name}.{name}": values for name, values in numbers.items()}
     units = {f"{message.name}.{name}": signals[name].unit or "" for name in numbers}
     table = Table(columns=columns, units=units, t=np.array(times))
@@ -213,9 +224,9 @@ def _with_sums(table: Table, message: Any) -> Table:
     return Table(columns=columns, units=units, means=means, t=table.t)
 
 
-def _sound(frame_id: int, data: list[bytes]) -> list[bool]:
+def _sound(frame_id: int, frames: Frames) -> list[bool]:
     """Which frames hold their check sum, where the message has one: a last byte that is the sum of the identifier, the
     length and all other bytes in nearly every frame."""
     start = sum(divmod(frame_id, 256))
-    held = [len(d) > 1 and (start + len(d) + sum(d[:-1])) % 256 == d[-1] for d in data]
-    return held if len(data) >= _FEW and sum(held) >= 0.9 * len(held) else [True] * len(held)
+    held = [len(d) > 1 and (start + len(d) + sum(d[:-1])) % 256 == d[-1] for d in frames.data()]
+    return held if len(held) >= _FEW and sum(held) >= 0.9 * len(held) else [True] * len(held)

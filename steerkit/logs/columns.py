@@ -105,10 +105,11 @@ class ColumnMap:
 
     def in_si(self, columns: Mapping[str, Any], *, where: str) -> dict[str, Any]:
         """The mapped columns as arrays in SI units."""
-        return {
-            quantity: _factor(quantity, column, where) * columns[column.name] + column.offset
-            for quantity, column in self.columns.items()
-        }
+        values = {}
+        for quantity, column in self.columns.items():
+            factor, number = _factor(quantity, column, where), columns[column.name]
+            values[quantity] = number if (factor, column.offset) == (1.0, 0.0) else factor * number + column.offset
+        return values
 
     def told(self) -> str:
         """The map in words, for notes: which column was read as what."""

@@ -200,8 +200,9 @@ def _without_lone(columns: dict[str, Array], remarks: list[str]) -> dict[str, Ar
     for key, fastest in _FASTEST.items():
         if key in columns:
             value = np.unwrap(columns[key]) if key == "psi" else columns[key]
-            there, back = np.diff(value)[:-1], np.diff(value)[1:]
-            usual = 20.0 * float(np.median(np.abs(np.diff(value))))
+            steps = np.diff(value)
+            there, back = steps[:-1], steps[1:]
+            usual = 20.0 * float(np.median(np.abs(steps)))
             least = np.minimum(np.abs(there), np.abs(back))
             lone = (there * back < 0.0) & (least > 4.0 * np.abs(there + back)) & (least > fastest * span + usual)
             if lone.any():

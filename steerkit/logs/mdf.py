@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import io
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -18,18 +21,30 @@ def read_mf4(path: Path, options: Options, notes: list[str]) -> list[Table]:
         from asammdf import MDF
     except ImportError:
         raise ValueError(f"{path}: MF4 needs asammdf: pip install 'steerkit-control[logs]'") from None
-    try:
-        with MDF(io.BytesIO(path.read_bytes())) as file:
-            tables = _tables(file, notes)
-            if options.dbc:
-                tables += _buses(file, options, notes)
-    except ValueError:
-        raise
-    except Exception as error:  # asammdf lets anything out when the bytes are not what it expects
-        raise ValueError(f"{path}: no MDF 4 file, or cut off ({type(error).__name__}: {error})") from error
+    trouble, tables = "", list[Table]()
+    with _silent():
+        try:
+            with MDF(io.BytesIO(path.read_bytes())) as file:
+                tables = _tables(file, notes)
+                if options.dbc:
+                    tables += _buses(file, options, notes)
+        except Exception as error:  # asammdf lets anything out when the bytes are not what it expects
+            trouble = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+    require(not trouble, str(path), f"no MDF 4 file, cut off, or spoilt ({trouble})")
     held = "; its CAN frames need --dbc" if not options.dbc else ""
     require(tables, str(path), f"no channels of numbers in it{held}")
     return tables
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """What asammdf prints of a spoilt file, and reports when a file that it could not open is forgotten."""
+    hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
+    try:
+        with redirect_stdout(io.StringIO()):
+            yield
+    finally:
+        sys.unraisablehook = hook
 
 
 def _tables(file: Any, notes: list[str]) -> list[Table]:

@@ -177,7 +177,8 @@ def _place(quantity: str, name: str) -> int | None:
     tails = [".".join(parts[k:]) for k in range(len(parts))]
     units = [ending for ending, unit in _ENDINGS.items() if unit in UNITS[QUANTITIES[quantity]]]
     for place, known in enumerate(_NAMES[quantity]):
-        if any(tail == known or tail in [f"{known}_{unit}" for unit in units] for tail in tails):
+        whole = tails if len(known) > 1 else tails[:1]  # a letter alone is the end of many names
+        if any(tail == known or tail in [f"{known}_{unit}" for unit in units] for tail in whole):
             return place
     return None
 

@@ -148,7 +148,12 @@ def _source(path: Path, options: Options) -> Source:
         raise ValueError(f"{path}: cannot be read ({error.strerror})") from error
     require(size, str(path), "the file is empty")
     notes: list[str] = []
-    found = (ros.read_ros if path.is_dir() else _READERS[kind])(path, options, notes)
+    try:
+        found = (ros.read_ros if path.is_dir() else _READERS[kind])(path, options, notes)
+    except ValueError:
+        raise
+    except Exception as error:  # of a library that did not expect these bytes
+        raise ValueError(f"{path}: broken, or not what its name says ({type(error).__name__}: {error})") from error
     return Source(path=path, tables=tuple(found), notes=tuple(notes), digest=digest, size=size)
 
 

@@ -200,5 +200,4 @@ def _add_frame(frames: Log, t: float, message: Any) -> None:
         return
     known = frames.setdefault((int(message.id), bool(message.is_extended)), Frames())
     stamp = _stamp(message)
-    known.t.append(stamp if abs(stamp - t) < _NEAR else t)
-    known.data.append(bytes(message.data[: message.dlc]))
+    known.add(stamp if abs(stamp - t) < _NEAR else t, bytes(message.data[: message.dlc]))

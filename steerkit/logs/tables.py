@@ -64,7 +64,21 @@ def _text(raw: bytes) -> str:
         return raw.decode("latin-1")
 
 
+def _ended(lines: Iterator[str], notes: list[str]) -> Iterator[str]:
+    """Without the last line, if nothing ends it: its last number may be cut short."""
+    before = None
+    for line in lines:
+        if before is not None:
+            yield before
+        before = line
+    if before is not None and before.endswith(("\n", "\r")):
+        yield before
+    elif before is not None:
+        notes.append("left out the last line, which no line end closes: it may be cut off")
+
+
 def _table(path: Path, lines: Iterator[str], notes: list[str]) -> Table:
+    lines = _ended(lines, notes)
     first = list(islice(lines, 2))
     require(len(first) == 2, str(path), "no rows under a row of names")
     head = first[0].rstrip("\r\n")
@@ -134,7 +148,11 @@ def read_mat(path: Path, options: Options, notes: list[str]) -> list[Table]:
     except Exception as error:  # scipy's reader lets anything out when the bytes are not what it expects
         raise ValueError(f"{path}: no MATLAB file, or cut off ({type(error).__name__}: {error})") from error
     arrays = {name: np.asarray(value) for name, value in data.items() if not name.startswith("__")}
-    numeric = {name: np.ravel(a).astype(float) for name, a in arrays.items() if a.dtype.kind in "fiub" and a.size > 1}
+    numeric = {
+        name: np.ravel(a).astype(float, copy=False)
+        for name, a in arrays.items()
+        if a.dtype.kind in "fiub" and a.size > 1
+    }
     require(numeric, str(path), f"no arrays of numbers in it; it holds {', '.join(arrays) or 'nothing'}")
     return one_length(numeric, path, notes)
 
@@ -158,7 +176,9 @@ def read_npz(path: Path, options: Options, notes: list[str]) -> list[Table]:
     if {"t", "units"} <= arrays.keys():
         log = Log.load(path)
         return [_one_car(path, log.columns(), {"t": "s", **log.units})]
-    numeric = {k: np.ravel(a).astype(float) for k, a in arrays.items() if a.dtype.kind in "fiub" and a.size > 1}
+    numeric = {
+        k: np.ravel(a).astype(float, copy=False) for k, a in arrays.items() if a.dtype.kind in "fiub" and a.size > 1
+    }
     require(numeric, str(path), f"no arrays of numbers in it; it holds {', '.join(arrays) or 'nothing'}")
     return one_length(numeric, path, notes)
 
@@ -175,7 +195,7 @@ def read_parquet(path: Path, options: Options, notes: list[str]) -> list[Table]:
         raise ValueError(f"{path}: no Parquet file, or cut off ({error}); its index is at the end") from error
     units = {f.name: (f.metadata or {}).get(b"unit", b"").decode("utf-8", "replace") for f in table.schema}
     columns = {name: table[name].to_numpy() for name in table.column_names}
-    numeric = {name: a.astype(float) for name, a in columns.items() if a.dtype.kind in "fiub"}
+    numeric = {name: a.astype(float, copy=False) for name, a in columns.items() if a.dtype.kind in "fiub"}
     require(numeric, str(path), f"no columns of numbers in it; it holds {', '.join(columns) or 'nothing'}")
     return [_one_car(path, numeric, units)]
 

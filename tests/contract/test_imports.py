@@ -86,7 +86,7 @@ AT_HOME = {
     "minari": {"export.minari"},
     "pythonfmu": {"export.fmu"},
     "fmpy": {"plants.fmu"},
-    "rosbags": {"logs.ros"},
+    "rosbags": {"logs.ros", "logs.ros_out"},
     "asammdf": {"logs.mdf"},
     "opendbc": {"logs.can_frames"},
     "gymnasium": {"gym", "export.minari"},

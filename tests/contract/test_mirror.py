@@ -55,6 +55,7 @@ ELSEWHERE = {
     "steerkit.learning.training_run": "unit/learning/test_experiment.py",
     "steerkit.logs.channels": "unit/logs/test_names.py",
     "steerkit.logs.mdf": "unit/logs/test_reading_formats.py",
+    "steerkit.logs.ros_out": "unit/logs/test_out.py",
     "steerkit.logs.pictures": "unit/logs/test_contents.py",
     "steerkit.logs.make_drives": "unit/identification/test_identification.py",
     "steerkit.logs.own": "unit/logs/test_reading.py",

@@ -45,6 +45,10 @@ def test_a_measurement_goes_before_a_wish_and_a_known_kind_before_a_name() -> No
     assert candidates("v", table(channel("/x.speed", means="r"))) == []
 
 
+def test_a_letter_alone_is_no_end_of_a_longer_name() -> None:
+    assert candidates("x", table(channel("/odom.orientation.x"), channel("x"))) == ["x"]
+
+
 def test_of_two_of_one_name_the_one_that_was_sampled_more_often_goes_first() -> None:
     slow, fast = channel("/a.yaw_rate", rate=10.0), channel("/b.yaw_rate", rate=50.0)
     assert candidates("r", table(slow, fast)) == [fast.name, slow.name]

@@ -22,6 +22,7 @@ def test_every_kind_of_file_gives_the_same_drive(clean: dict[str, Any], tmp_path
         f"{t:.3f};{degrees_of(-d):.6f};{3.6 * v:.6f};{r:.8f}".replace(".", ",")
         for t, d, v, r in zip(clean["t"], clean["delta_sw"], clean["v"], clean["r"])
     )
+    csv += "\n"
     (tmp_path / "a.csv").write_text(csv)
     (tmp_path / "a.csv.gz").write_bytes(gzip.compress(csv.encode()))
     savemat(tmp_path / "a.mat", {k: np.atleast_2d(v) for k, v in clean.items() if k != "psi"} | {"note": "hello"})
@@ -118,7 +119,7 @@ def test_files_cut_off_are_used_up_to_there(clean: dict[str, Any], tmp_path: Pat
     text = "\n".join(["t,delta_sw,v,r", *rows])
     (tmp_path / "a.csv").write_text(text[:-12])
     drive = read_drive(tmp_path / "a.csv")
-    assert "the last one: the file is cut off" in drive.notes[1]
+    assert "left out the last line, which no line end closes: it may be cut off" in drive.notes[1]
     packed = gzip.compress(text.encode())
     (tmp_path / "b.csv.gz").write_bytes(packed[: len(packed) // 2])
     assert any("cut off" in note for note in read_drive(tmp_path / "b.csv.gz").notes)
@@ -176,6 +177,6 @@ def test_a_unit_that_is_none_of_the_quantity_teaches(clean: dict[str, Any], tmp_
 def test_the_time_is_the_column_that_is_named(clean: dict[str, Any], tmp_path: Path) -> None:
     rows = zip(*(column.tolist() for column in (1e3 * clean["t"], *(clean[k] for k in ("delta_sw", "v", "r")))))
     text = ["stamp,delta_sw,v,r", *(",".join(map(repr, row)) for row in rows)]
-    (tmp_path / "a.csv").write_text("\n".join(text))
+    (tmp_path / "a.csv").write_text("\n".join([*text, ""]))
     drive = read_drive(tmp_path / "a.csv", {"t": {"column": "stamp", "unit": "ms"}})
     np.testing.assert_allclose(drive.delta_sw, Drive.of(**by_rate(clean)).delta_sw, atol=1e-9)
