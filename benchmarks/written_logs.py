@@ -216,7 +216,8 @@ FORMATS: dict[str, Format] = {
         suffix=".mcap", write=_bag("MCAP", frames=True), exact=False, sums=False, dbc=True, clock=1e-6
     ),
 }
-"""By name. rosbags writes MCAP without sums, mcap's own library with them. Not in it: a car server's recording, whose own tests break it at every byte."""
+"""By name. rosbags writes MCAP without sums, mcap's own library with them. Not in it: a car server's recording, which
+its own tests break at every byte."""
 
 
 def written(name: str, folder: Path, columns: Columns) -> tuple[Path, dict[str, Any]]:

@@ -41,13 +41,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """A row a format."""
     logging.disable(logging.CRITICAL)  # libraries report what they cannot read, hundreds of times
-    cuts, flips = (3, 8) if options.quick else (64, 200)
+    cuts, flips = (2, 3) if options.quick else (64, 200)
     figures: dict[str, Any] = {}
     print(f"{'format':22}{'cut off':>34}{'a bit turned':>46}{'worst':>8}{'slowest':>9}{'memory':>8}")
     try:
         for name in options.formats:
             row = damaged(name, cuts, flips)
-            row["memory_x"] = memory(name, 60.0 if options.quick else LONG)
+            row["memory_x"] = memory(name, 25.0 if options.quick else LONG)
             figures[name] = row
             cut, bit = (", ".join(f"{n} {what}" for what, n in row[part].items()) for part in ("cut", "bit"))
             print(

@@ -90,6 +90,8 @@ def read_ros(path: Path, options: Options, notes: list[str]) -> list[Table]:
         from rosbags.highlevel import AnyReader
     except ImportError:
         raise ValueError(f"{path}: ROS bags need rosbags: pip install 'steerkit-control[logs]'") from None
+    for file in [path] if path.is_file() else sorted(path.glob("*.db3")):
+        _check_size(file)
     topics: dict[str, _Topic] = {}
     frames: Log = {}
     try:
@@ -109,6 +111,16 @@ def read_ros(path: Path, options: Options, notes: list[str]) -> list[Table]:
         notes.append(f"{sum(len(f.t) for f in frames.values())} CAN frames are not read: say what is in them, --dbc")
     require(tables, str(path), f"no messages with numbers in it{'; ' + notes[-1] if notes else ''}")
     return tables
+
+
+def _check_size(file: Path) -> None:
+    """SQLite reads on where a file is cut off, as if there were zeros; its header says how long it was."""
+    with file.open("rb") as stream:
+        head = stream.read(100)
+    if head.startswith(b"SQLite format 3\0") and len(head) == 100:
+        page, pages = int.from_bytes(head[16:18], "big"), int.from_bytes(head[28:32], "big")
+        wanted, size = (65536 if page == 1 else page) * pages, file.stat().st_size
+        require(size == wanted, str(file), f"cut off, or not closed: {size} bytes, its header says {wanted}")
 
 
 def typestore() -> Any:

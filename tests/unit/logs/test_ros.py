@@ -118,3 +118,15 @@ def test_a_folder_without_its_description_and_what_is_no_bag_teach(bag: Bag, tmp
     with pytest.raises(ValueError, match=r"a\.db3: no ROS bag, or a broken one"):
         read_log(tmp_path / "a.db3")
     shutil.rmtree(folder)
+
+
+def test_a_database_that_is_cut_off_is_refused(tmp_path: Path) -> None:
+    """SQLite itself would read on, and give numbers that nobody wrote."""
+    from benchmarks.written_logs import driven, written
+
+    file, _ = written("ros2 sqlite", tmp_path, driven())
+    whole = file.read_bytes()
+    for size in (len(whole) - 1, len(whole) - 4096, len(whole) // 2):
+        file.write_bytes(whole[:size])
+        with pytest.raises(ValueError, match="cut off, or not closed"):
+            read_log(file)
