@@ -56,7 +56,7 @@ def test_both_in_one_command(
 
 def test_mistakes_are_named(run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     assert command(str(run), monkeypatch=monkeypatch) == 2
-    assert "give --onnx FILE, --minari NAME, or both" in capsys.readouterr().err
+    assert "give --onnx FILE or --minari NAME of a run" in capsys.readouterr().err
     assert command("/", "--onnx", "p.onnx", monkeypatch=monkeypatch) == 2
     assert "no run directory" in capsys.readouterr().err
 
