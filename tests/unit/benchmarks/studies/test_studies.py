@@ -44,7 +44,6 @@ KEYS = {
         *("ltv20_raw_qp_ms", "nmpc20_raw_qp_ms", "ltv20_x_raw_qp", "nmpc20_x_raw_qp"),
     },
     "log_damage": {"csv", "mf4", "ros2 mcap", "blf"},
-    "mpc_solve": {"ltv20_ms", "ltv20_p99_ms", "ltv40_ms", "nmpc20_ms", "nmpc40_ms", "ltv20_unsolved"},
     "nfq_iteration": {"seconds", "seconds_torch", "vs_torch_rprop_x", "equal_work", "decision_numpy_us"},
     "recovery_map": {"stanley-delay", "mpc", "nonlinear-mpc"},
     "safety": {
