@@ -24,6 +24,9 @@ Array = NDArray[np.float64]
 
 HELD = 0.0075
 """Actuator and car of 10 ms hold their inputs: what follows is that much later than their parameters say [s]."""
+_SHOWN = radians_of(3.0)
+_AGE, _AGE_DEVIATION = 0.05, 0.01
+"""What is told of how old v and r are, and how sure that is [s]."""
 _SIGNALS = {
     "delta_sw_cmd": "controller.delta_sw",
     "delta_sw_meas": "column.delta_sw_meas",
@@ -48,16 +51,18 @@ def drawn(number: int, seconds: float) -> Drive:
     """A production car on a course of its own at 5 to 9 m/s, under `hard` sensors.
 
     Beside what `fleet_scenario` draws (delay, lag, offset within 3 degrees, play up to 2): ratio and tyres 20 % less to
-    25 % more than the data sheet has, friction of 0.3 to 1 degree, a gyro whose zero is off by up to 0.005 rad/s.
+    25 % more than the data sheet has, friction of 0.3 to 1 degree, a gyro whose zero is off by up to 0.005 rad/s, and a
+    measured wheel that shows up to 3 degrees too little or too much.
     """
     rng = np.random.default_rng(number)
     ratio, tyres, friction, zero = rng.uniform([0.8, 0.8, 0.3, -0.005], [1.25, 1.25, 1.0, 0.005])
+    shown = float(np.random.default_rng((number, 1)).uniform(-_SHOWN, _SHOWN))
     scenario = fleet_scenario(number, v_min=5.0, v_max=9.0, ratio=ratio, tyres=tyres, friction_deg=friction)
     loop = assembled(scenario, controller("stanley-delay", scenario), seed=number)
     log = compile(loop, record=list(_SIGNALS.values()), every=round(DT / loop.dt)).run(seconds)
     signals = {name: np.array(log[signal]) for name, signal in _SIGNALS.items()}
     signals["r"] = signals["r"] + zero
-    signals["delta_sw_meas"] = radians_of(0.1) * np.round(signals["delta_sw_meas"] / radians_of(0.1))
+    signals["delta_sw_meas"] = radians_of(0.1) * np.round((signals["delta_sw_meas"] + shown) / radians_of(0.1))
     signals["active"] = active(len(log.t), rng)
     sum_of_both, car = scenario.delay + scenario.lag, scenario.true_vehicle
     truth = {
@@ -71,6 +76,9 @@ def drawn(number: int, seconds: float) -> Drive:
         "filter.offset": radians_of(scenario.offset_deg),
         "filter.rate_zero": zero,
         "filter.understeer": car.understeer_gradient,
+        "measured.ratio": ratio,
+        "measured.offset": -shown,
+        "measured.rate_zero": zero,
         "friction.friction": radians_of(friction),
         "play.play": radians_of(scenario.play_deg),
     }
@@ -101,6 +109,7 @@ def estimators(vehicle: Vehicle) -> dict[str, Block]:
         "wheel": WheelDelay(),
         "yaw": YawDelay(vehicle=vehicle),
         "filter": SingleTrackFilter(vehicle=vehicle),
+        "measured": SingleTrackFilter(vehicle=vehicle, held=False),
         "friction": SteeringFriction(),
         "play": SteeringPlay(vehicle=vehicle),
     }
@@ -109,14 +118,16 @@ def estimators(vehicle: Vehicle) -> dict[str, Block]:
 def fed(name: str, u: Mapping[str, Any], y: Mapping[str, Any]) -> dict[str, Any]:
     """The inputs of one estimator: from what is measured (u), and from the outputs of those before it (y).
 
-    Offsets and wear are looked for at all times; only who looks for the delay has to look away when overridden.
+    Offsets and wear are looked for at all times; only who looks for the delay has to look away when overridden. By the
+    measured wheel "measured" finds its offset and the ratio, and "play" the play; both are told the age of v and r.
     """
     if name in ("wheel", "yaw"):
         return dict(u)
     always = {**u, "active": 1.0 + 0.0 * u["v"]}
-    if name == "play":  # from the measured wheel to the yaw rate there is the age of what is seen, and no lag
-        age = np.maximum(y["yaw"].delay_lag - y["wheel"].delay_lag, 0.0)
-        return always | {"angle": u["delta_sw_meas"], "delay": age, "lag": 0.0 * age, "lag_deviation": 0.0 * age}
+    if name in ("play", "measured"):  # behind a measured wheel there is the age of what is seen, and no lag
+        none = 0.0 * u["v"]
+        way = {"delay": _AGE + none, "lag": none, "lag_deviation": none, "delay_deviation": _AGE_DEVIATION + none}
+        return always | {"angle": u["delta_sw_meas"], "delta_sw": u["delta_sw_meas"]} | way
     source = y["wheel"] if name == "friction" else y["yaw"]
     way = {"delay": source.delay, "lag": source.lag, "lag_deviation": source.lag_deviation}
     command = {"angle": u["delta_sw_cmd"], "delta_sw": u["delta_sw_cmd"]}

@@ -23,25 +23,30 @@ _TOGETHER = 1.0
 """For how long errors of the angle hang together [s]."""
 _OUTLIER = 3.0
 """Standard deviations beyond which a sample counts for less."""
-_N = 5
-_OFFSET, _DISTURBANCE = 2, 4
-_FILTERS = 15
-_BOUNDS = ((0.4, 2.5), (-0.02, 0.05), (-0.5, 0.5), (-0.1, 0.1), (-0.2, 0.2))
-"""Of gain, understeer gradient [rad s^2/m], offset [rad], gyro zero [rad/s], disturbance [rad]."""
+_GAP = radians_of(1.0)
+"""Half of the free play whose loop is a number of the filter [rad]."""
+_SOFT = 2e-4
+"""Deviation of the understeer gradient for tyres that give way in tight bends [rad s^2/m]."""
+_N = 6
+_OFFSET, _DISTURBANCE, _WORN = 2, 4, 5
+_FILTERS = 16
+_BOUNDS = ((0.4, 2.5), (-0.02, 0.05), (-0.5, 0.5), (-0.1, 0.1), (-0.2, 0.2), (-1.0, 4.0))
+"""Of gain, understeer gradient [rad s^2/m], offset [rad], gyro zero [rad/s], disturbance [rad], wear [1]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SingleTrackFilter(Block):
-    """An extended Kalman filter of a car's five numbers, for controllers that should not have to be told them.
+    """An extended Kalman filter of a car's numbers, for controllers that should not have to be told them.
 
     The car by its data sheet turns the angle delta_sw, behind `lag` and `delay`, into w: the angle that its yaw rate
     has got to (linear single track). What the gyro should then say, and what its numbers do in driving of dt, is
 
-        r = g v (w + offset + disturbance)/(n (L + K v^2)) + rate_zero + noise,  g = 1/ratio,
+        r = g v (w - worn h + offset + disturbance)/(n (L + K v^2)) + rate_zero + noise,  g = 1/ratio,
         disturbance' = f disturbance + noise,  P' = F P F + (1 - F^2) P_0,  F = diag(exp(-dt/memory), ..., f),
 
-    n, L of the data sheet. The variance of r's error is that of its noise, of free play and friction, and of a delay
-    that is not known yet, each as often as it is new: with c = `correlated`,
+    n, L of the data sheet; h = w - w behind a free play of 2 degrees, for what friction and play keep from the road
+    wheels looks like another ratio, and within a bend like an offset. The variance of r's error is that of its noise,
+    of what else wear does, and of a delay that is not known yet, each as often as it is new: with c = `correlated`,
 
         noise^2 c/dt + (g v/(n (L + K v^2)))^2 (wear^2 + (w' delay_deviation)^2) (1 s)/dt.
 
@@ -61,10 +66,10 @@ class SingleTrackFilter(Block):
     Outputs, of state only: ratio, ratio_deviation [1], understeer, understeer_deviation [rad s^2/m], offset,
     offset_deviation, disturbance, disturbance_deviation, total_offset, total_offset_deviation [rad], rate_zero,
     rate_zero_deviation [rad/s]; ratio_valid, understeer_valid, offset_valid, disturbance_valid, total_offset_valid,
-    rate_zero_valid [1]: the deviation is at most 3 %, half of the prior's, 0.25 degrees, half of its own, 0.35 degrees,
-    0.001 rad/s; r_model [rad/s], what it expects of this sample's gyro; missing [1]: 1 where one but psi was no number.
+    rate_zero_valid [1]: the deviation is at most 3 %, a quarter of the prior's, 0.25 degrees, half of its own, 0.35
+    degrees, 0.001 rad/s; r_model [rad/s], what it expects of this sample's gyro; missing [1], 1 if one but psi was.
     A sample teaches where these are finite, v is 3 m/s or more, and the angle has steered for delay + 4 lag + 0.3 s.
-    State: filters, a delay line, the five numbers, P's upper triangle. Raises ValueError for parameters out of range.
+    State: filters, a delay line, the six numbers, P's upper triangle. Raises ValueError for parameters out of range.
 
     Source: Gelb 1974, section 6.1 (extended Kalman filter); Rajamani 2012, section 3.3; Kulhavy, Zarrop 1993
     (forgetting towards a prior). openpilot's paramsd (comma.ai) and Autoware's steering offset estimator do this too.
@@ -113,16 +118,20 @@ class SingleTrackFilter(Block):
     """That of the disturbance, at all times [rad]."""
     disturbance_time: float = 2.0
     """For how long a disturbance lasts [s]."""
-    memory: float = 14400.0
+    worn: float = 0.5
+    """Share of a free play of 2 degrees that is expected between angle and road wheels, with friction's loop [1]."""
+    worn_prior: float = 0.5
+    """Its standard deviation [1]."""
+    memory: float = 50000.0
     """Time of driving after which what was learned counts for 1/e [s]."""
     noise: float = radians_of(0.2)
     """Standard deviation of the white noise on r [rad/s]."""
     psi_noise: float = radians_of(0.1)
     """Standard deviation of what is wrong with psi [rad], at both ends of a window."""
-    correlated: float = 0.2
+    correlated: float = 0.15
     """For how long the errors of r hang together [s], dt at least."""
-    wear: float = radians_of(0.4)
-    """Standard deviation of what free play and friction make of the angle [rad]."""
+    wear: float = radians_of(0.3)
+    """Standard deviation of what free play and friction make of the angle beyond that [rad]."""
     window: float = 40.0
     """Longest time over which headings are compared [s]; the first is an eighth of it, the next two."""
     longest: float = 1.0
@@ -143,6 +152,8 @@ class SingleTrackFilter(Block):
             ("rate_zero_prior", "rad/s", 1e-7, 0.1),
             ("disturbance_prior", "rad", 1e-7, 0.3),
             ("disturbance_time", "s", self.dt, 1e4),
+            ("worn", "1", 0.0, 2.0),
+            ("worn_prior", "1", 1e-4, 2.0),
             ("memory", "s", 1.0, 1e6),
             ("noise", "rad/s", 1e-6, 1.0),
             ("psi_noise", "rad", 1e-6, 1.0),
@@ -154,31 +165,32 @@ class SingleTrackFilter(Block):
 
     @property
     def _first(self) -> int:
-        """Where the five numbers begin in the state."""
+        """Where the six numbers begin in the state."""
         return _FILTERS + round(self.longest / self.dt) + 1
 
     @property
     def _variances(self) -> tuple[float, ...]:
         deviations = (self.ratio_prior, self.understeer_prior, self.offset_prior, self.rate_zero_prior)
-        return tuple(deviation**2 for deviation in (*deviations, self.disturbance_prior))
+        return tuple(deviation**2 for deviation in (*deviations, self.disturbance_prior, self.worn_prior))
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         zero, variances = m.filled(0.0, batch), self._variances
-        start = (1.0, self.vehicle.understeer_gradient, 0.0, 0.0, 0.0)
+        start = (1.0, self.vehicle.understeer_gradient, 0.0, 0.0, 0.0, self.worn)
         covariance = [[m.filled(variance, batch), *(zero,) * (_N - 1 - i)] for i, variance in enumerate(variances)]
         line = (zero,) * (self._first - _FILTERS)
-        held = (zero, m.filled(SLOWEST, batch), *(zero,) * (_FILTERS - 4), m.filled(self.window / 8.0, batch), zero)
+        first_window = m.filled(self.window / 8.0, batch)
+        held = (zero, m.filled(SLOWEST, batch), *(zero,) * (_FILTERS - 5), first_window, zero, zero)
         return (*held, *line, *[m.filled(value, batch) for value in start], *gauss.packed(covariance))
 
     def output(self, t: Any, x: State, u: Any) -> Any:
         numbers, p = x[self._first : self._first + _N], gauss.unpacked(x[self._first + _N :], _N)
-        g, understeer, offset, zero, disturbance = numbers
+        g, understeer, offset, zero, disturbance, _ = numbers
         variances = self._variances
         total = (_OFFSET, _DISTURBANCE)
         deviations = [m.sqrt(row[0]) for row in p]
         found = (
             (1.0 / g, deviations[0] / (g * g), 0.03),
-            (understeer, deviations[1], 0.5 * math.sqrt(variances[1])),
+            (understeer, m.sqrt(p[1][0] + _SOFT**2), 0.25 * math.sqrt(variances[1])),
             (offset, deviations[2], radians_of(0.25)),
             (zero, deviations[3], 0.001),
             (disturbance, deviations[4], 0.5 * math.sqrt(variances[4])),
@@ -189,13 +201,12 @@ class SingleTrackFilter(Block):
             for value, deviation, most in found
             for entry in (value, deviation, m.where(deviation <= most, 1.0, 0.0))
         ]
-        return self.Y(*flat, self._expected(numbers, x[4], x[1])[0], x[2])
+        return self.Y(*flat, self._expected(numbers, x[4], x[15], x[1])[0], x[2])
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
         p, dt = self.vehicle, self.dt
-        angle, v_before, _, since, w, beta, rate, stands, turned, clock, start, going, came, window, turning = x[
-            :_FILTERS
-        ]
+        angle, v_before, _, since, w, beta, rate, stands, turned, clock, start, going, came = x[:13]
+        window, turning, behind = x[13:_FILTERS]
         line, numbers = x[_FILTERS : self._first], x[self._first : self._first + _N]
         covariance = gauss.unpacked(x[self._first + _N :], _N)
         known, moves, turns, sure, steers = map(m.is_finite, (u.delta_sw, u.v, u.r, u.delay_deviation, u.active))
@@ -208,13 +219,14 @@ class SingleTrackFilter(Block):
         lag = m.where(told, m.clip(u.lag, 0.0, 2.0), 0.0)
         teaches = m.every(read, acts, since * dt > delay + 4.0 * lag + 0.3)
         r = m.where(turns, u.r, 0.0)
-        # the five numbers
+        # the six numbers
         keeps = [m.where(drives, math.exp(-dt / self.memory), 1.0)] * 4
         keeps.append(m.where(drives, math.exp(-dt / self.disturbance_time), 1.0))
-        numbers = (*numbers[:4], keeps[4] * numbers[4])
+        keeps.append(keeps[0])
+        numbers = (*numbers[:4], keeps[4] * numbers[4], numbers[5])
         fresh = {i: (1.0 - keep * keep) * variance for i, (keep, variance) in enumerate(zip(keeps, self._variances))}
         covariance = gauss.carried(covariance, (), keeps, fresh)
-        expected, slopes = self._expected(numbers, w, v)
+        expected, slopes = self._expected(numbers, w, behind, v)
         variance = self.noise**2 * self.correlated / dt
         late = turning * m.where(sure, u.delay_deviation, 0.0)
         uneven = slopes[2] * slopes[2] * (self.wear**2 + late * late) * (_TOGETHER / dt)
@@ -223,7 +235,7 @@ class SingleTrackFilter(Block):
         r = m.where(off > 4.0, expected, r)
         stands = m.where(m.both(moves, u.v < _STANDS), stands + dt, 0.0)
         stopped = m.both(turns, stands > _STANDING)
-        only_zero: Sequence[Scalar] = (0.0, 0.0, 0.0, 1.0, 0.0)
+        only_zero: Sequence[Scalar] = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0)
         numbers, covariance, _ = _corrected(numbers, covariance, only_zero, r - numbers[3], variance, stopped)
         # the heading against the gyro
         whole = m.both(turns, m.is_finite(u.psi))
@@ -262,19 +274,30 @@ class SingleTrackFilter(Block):
             arrives,
             window,
             turning,
+            w - m.clip(w - behind, -_GAP, _GAP),
         )
         return (*filters, *line, *numbers, *gauss.packed(covariance))
 
-    def _expected(self, numbers: State, w: Scalar, v: Scalar) -> tuple[Scalar, tuple[Scalar, ...]]:
-        """What the gyro should say [rad/s], and its derivatives with respect to the five numbers."""
+    def _expected(self, numbers: State, w: Scalar, behind: Scalar, v: Scalar) -> tuple[Scalar, tuple[Scalar, ...]]:
+        """What the gyro should say [rad/s], and its derivatives with respect to the six numbers.
+
+        behind: w behind the free play.
+        """
         p = self.vehicle
-        g, understeer, offset, zero, disturbance = numbers
+        g, understeer, offset, zero, disturbance, worn = numbers
         length = p.wheelbase + understeer * v * v
         per_angle = v / (p.steer_ratio * length)
-        angle = w + offset + disturbance
+        angle = w - worn * (w - behind) + offset + disturbance
         turn = per_angle * angle
         slope = g * per_angle
-        return g * turn + zero, (turn, -g * turn * v * v / length, slope, 1.0 + 0.0 * slope, slope)
+        return g * turn + zero, (
+            turn,
+            -g * turn * v * v / length,
+            slope,
+            1.0 + 0.0 * slope,
+            slope,
+            slope * (behind - w),
+        )
 
 
 def _corrected(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 from steerkit import maths as m
 from steerkit.block import Block, In, Out, State
@@ -28,7 +28,22 @@ _CUBIC = 0.06
 _TIMING = 0.003
 """Deviation of all delays for what happens between samples [s]."""
 _LEAST_GAIN = 0.3
-_FILTERS, _MOMENTS = 14, size(3)
+_FILTERS, _MOMENTS = 16, size(3)
+
+
+class _Followed(NamedTuple):
+    """What a command comes to a sample later."""
+
+    wheel: Scalar
+    """Behind the lag [rad]."""
+    behind: Scalar
+    """That, behind the free play [rad]."""
+    car: tuple[Scalar, Scalar]
+    """(beta, r) of the car's model under the one and the other."""
+    worn_car: tuple[Scalar, Scalar]
+    w: Scalar
+    """What the response should be [rad], and what of it the free play takes."""
+    h: Scalar
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -36,7 +51,8 @@ class DelayBank(Block):
     """Dead time and lag of what follows the steering commands, by least squares for a bank of dead times; abstract.
 
     With w the commands behind a lag L0 = prior_lag (and the car), s = dw/dL0 = -(w - w')/L0 where w' is w behind that
-    lag once more, and h = w - w behind a free play of 2 degrees, each candidate d = 0, dt, ... longest regresses
+    lag once more, and h what a free play of 2 degrees between motor and car takes of w, each candidate d = 0, dt, ...
+    longest regresses
 
         response(t) = a (w - worn h)(t - d) + b s(t - d) + c h(t - d) + constant
 
@@ -120,16 +136,17 @@ class DelayBank(Block):
         zero = m.filled(0.0, batch)
         return (*(zero,) * 6, m.filled(SLOWEST, batch), *(zero,) * (_FILTERS - 7 + self._count * (3 + _MOMENTS)))
 
-    def _follow(self, x: State, command: Scalar, v: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar]:
-        """The lagged command, (beta, r) of the car's model, and w, of the next sample."""
+    def _follow(self, x: State, command: Scalar, v: Scalar) -> _Followed:
+        """What the command comes to in the next sample."""
         keep = math.exp(-self.dt / self.prior_lag)
         wheel = keep * x[7] + (1.0 - keep) * command
-        return wheel, x[8], x[9], wheel
+        behind = wheel - m.clip(wheel - x[12], -_GAP, _GAP)
+        return _Followed(wheel, behind, (x[8], x[9]), (x[14], x[15]), wheel, wheel - behind)
 
     def _learn(self, x: State, u: Any, response: Scalar, weight: Scalar, v: Scalar, read: Scalar) -> State:
         """The next state. response [rad] and weight [1/rad^2] of this sample; read: were its inputs all finite?"""
         n = self._count
-        before, since, _, *sums, _, wheel, _, _, w, again, behind, power = x[:_FILTERS]
+        before, since, _, *sums, _, wheel, _, _, w, again, behind, power, _, _ = x[:_FILTERS]
         lines = [x[_FILTERS + i * n : _FILTERS + (i + 1) * n] for i in range(3)]
         known = m.is_finite(u.delta_sw_cmd)
         command = m.where(known, u.delta_sw_cmd, before)
@@ -148,17 +165,15 @@ class DelayBank(Block):
         )
         # filters and lines of the next sample
         speed = m.where(m.is_finite(v), m.maximum(v, SLOWEST), x[6])
-        wheel, beta, r, after = self._follow(x, command, speed)
+        wheel, behind, car, worn_car, after, h = self._follow(x, command, speed)
         keep = math.exp(-self.dt / self.prior_lag)
         share = self.prior_lag / self.dt * (1.0 - keep)  # exact for a w that is linear between samples
         again = keep * again + (share - keep) * w + (1.0 - share) * after
-        behind = after - m.clip(after - behind, -_GAP, _GAP)
-        h = after - behind
         fresh = (after - self.worn * h, h, (again - after) / self.prior_lag)
         since = m.where(acts, m.minimum(since + 1.0, 1e6), 0.0)
         missing = m.where(m.both(read, known), 0.0, 1.0)
         *sums, power = weighed
-        filters = (command, since, missing, *sums, speed, wheel, beta, r, after, again, behind, power)
+        filters = (command, since, missing, *sums, speed, wheel, *car, after, again, behind, power, *worn_car)
         pushed = [value for line, new in zip(lines, fresh) for value in (new, *line[:-1])]
         return (*filters, *pushed, *moments)
 
@@ -261,11 +276,12 @@ class YawDelay(DelayBank):
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
         read = m.every(*map(m.is_finite, (u.r, u.v, u.active)))
-        gain = steady_gain(self.vehicle, x[6])
+        gain = steady_gain(self.vehicle, m.where(m.is_finite(u.v), m.maximum(u.v, SLOWEST), x[6]))
         return self._learn(x, u, u.r / gain, gain * gain / self.noise**2, u.v, read)
 
-    def _follow(self, x: State, command: Scalar, v: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar]:
-        p, before = self.vehicle, x[7]
-        wheel = super()._follow(x, command, v)[0]
-        beta, r = yaw_step(p, x[8], x[9], 0.5 * (before + wheel) / p.steer_ratio, v, self.dt)
-        return wheel, beta, r, r / steady_gain(p, v)
+    def _follow(self, x: State, command: Scalar, v: Scalar) -> _Followed:
+        p, gain = self.vehicle, steady_gain(self.vehicle, v)
+        wheel, behind, car, worn_car, _, _ = super()._follow(x, command, v)
+        car = yaw_step(p, *car, 0.5 * (x[7] + wheel) / p.steer_ratio, v, self.dt)
+        worn_car = yaw_step(p, *worn_car, 0.5 * (x[12] + behind) / p.steer_ratio, v, self.dt)
+        return _Followed(wheel, behind, car, worn_car, car[1] / gain, (car[1] - worn_car[1]) / gain)

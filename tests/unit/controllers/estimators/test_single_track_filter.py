@@ -1,4 +1,4 @@
-"""The five numbers are found where driving tells them, within their intervals; else the priors stay."""
+"""The numbers are found where driving tells them, within their intervals; else the priors stay."""
 
 from __future__ import annotations
 
@@ -62,11 +62,26 @@ def test_the_understeer_gradient_is_found_at_speed() -> None:
 
 def test_on_a_straight_the_ratio_stays_and_the_offset_is_found() -> None:
     straight = radians_of(-3.0) + np.zeros(1200)
-    got = found(driven(BLOCK, sensed(drive() | answered(straight, delay=0.15, lag=0.2, offset=radians_of(3.0)))))
+    signals = sensed(drive() | answered(straight, delay=0.15, lag=0.2, offset=radians_of(3.0)))
+    got = found(driven(BLOCK, signals))
     assert got["ratio"].value == pytest.approx(1.0, abs=0.05)
     assert got["ratio"].valid == 0.0
     assert got["ratio"].deviation > 0.2
-    assert got["offset"].value == pytest.approx(radians_of(3.0), abs=radians_of(0.5))
+    assert got["offset"].low < radians_of(3.0) < got["offset"].high
+    assert got["offset"].value == pytest.approx(radians_of(3.0), abs=radians_of(0.7))  # play may hold the wheels aside
+    assert got["offset"].deviation > radians_of(0.3)
+    tight = found(driven(replace(BLOCK, worn=0.0, worn_prior=1e-4), signals))  # told that there is none
+    assert tight["offset"].value == pytest.approx(radians_of(3.0), abs=radians_of(0.3))
+    assert tight["offset"].deviation < radians_of(0.25)
+
+
+def test_free_play_is_not_taken_for_another_ratio() -> None:
+    """Gentle steering, of which friction and play keep a tenth."""
+    worn = dict(friction=radians_of(1.0), play=radians_of(2.0))
+    signals = sensed(drive() | answered(0.5 * steered(60.0), delay=0.15, lag=0.2, v=wandering(60.0, 5.0, 9.0), **worn))
+    knows, blind = (found(driven(block, signals))["ratio"] for block in (BLOCK, replace(BLOCK, worn_prior=1e-4)))
+    assert knows.low < 1.0 < knows.high
+    assert abs(knows.value - 1.0) < 0.5 * abs(blind.value - 1.0)
 
 
 def test_while_the_car_stands_the_gyro_tells_its_zero_and_all_else_stays() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -113,12 +114,41 @@ def test_parameters_out_of_range(wrong: dict[str, Any], message: str) -> None:
         SteeringFriction(**wrong)
 
 
-def test_a_lag_that_is_hardly_known_is_in_the_interval() -> None:
-    signals = worn(friction_deg=0.5)
-    sure, unsure = (
-        said(FRICTION, driven(FRICTION, signals | {"lag_deviation": np.full(len(signals["v"]), deviation)}))
-        for deviation in (0.0, 0.04)
-    )
+def test_a_lag_that_is_hardly_known_is_in_the_interval_until_another_is_found() -> None:
+    signals = worn(30.0, friction_deg=0.5)
+
+    def told(deviation: float, samples: int) -> Estimated:
+        given = signals | {"lag_deviation": np.full(len(signals["v"]), deviation)}
+        return said(FRICTION, driven(FRICTION, {name: values[:samples] for name, values in given.items()}))
+
+    sure, unsure = told(0.0, 200), told(0.04, 200)
     assert unsure.value == sure.value
     assert unsure.deviation == pytest.approx(np.hypot(sure.deviation, 0.04 * FRICTION.per_lag))
-    assert (sure.valid, unsure.valid) == (1.0, 0.0)
+    assert unsure.valid == 0.0
+    assert told(0.04, 600).valid == 1.0
+
+
+@pytest.mark.parametrize("longer", [-0.03, 0.05])
+def test_a_lag_that_is_told_wrong_is_not_taken_for_friction(longer: float) -> None:
+    signals = worn(120.0, friction_deg=0.7)
+    told = {"delay": signals["delay"] - longer, "lag": signals["lag"] + longer, "lag_deviation": 0.05 + signals["lag"]}
+    found = said(FRICTION, driven(FRICTION, signals | told))
+    assert found.low <= radians_of(0.7) <= found.high
+    assert found.value == pytest.approx(radians_of(0.7), rel=0.1)
+
+
+def test_another_delay_begins_anew_what_was_summed_with_the_one_before() -> None:
+    signals = worn(90.0, friction_deg=0.5)
+    late = signals["delay"] + np.where(np.arange(len(signals["v"])) < 600, 0.2, 0.0)
+    found = said(FRICTION, driven(FRICTION, signals | {"delay": late}))
+    assert found.value == pytest.approx(radians_of(0.5), rel=0.1)
+    assert found.low <= radians_of(0.5) <= found.high
+
+
+def test_play_is_found_where_speed_and_understeer_gradient_are_not_the_told_ones() -> None:
+    speeds = 7.5 + 2.5 * np.sin(0.15 * 0.05 * np.arange(4800))
+    soft = replace(PASSAT, c_f=0.75 * PASSAT.c_f, c_r=0.75 * PASSAT.c_r)
+    signals = answered(steered(240.0), delay=0.15, lag=0.2, v=speeds, play=radians_of(1.5), car=soft)
+    found = said(PLAY, driven(PLAY, behind_the_wheel(signals)))
+    assert found.low <= radians_of(1.5) <= found.high
+    assert found.value == pytest.approx(radians_of(1.5), rel=0.1)
