@@ -161,8 +161,11 @@ _CAUTION = 0.1
 """By how much it begins with more than it is told [s]: too much costs little for a while, with too little it swings."""
 
 
-_OFFSET_TIME = 6.0
-"""Within which an adaptive controller finds an offset [s]: it has no ratio to follow, and the slower, the calmer."""
+_OFFSET_TIMES = 5.0, 30.0
+"""Within which an adaptive controller finds an offset, first and later [s]: it has no ratio to follow."""
+_UNDERSTEER = 1e-4
+"""Deviation of the understeer gradient for an adaptive controller [rad s^2/m]: it knows the data sheet's, and is told
+the ratio that goes with it."""
 
 
 def _adaptive(make: Callable[[Belief], Block], *, hears: bool = False) -> Callable[[Belief], Block]:
@@ -174,7 +177,7 @@ def _adaptive(make: Callable[[Belief], Block], *, hears: bool = False) -> Callab
             blocks=tuple(make(replace(belief, delay=delay)) for delay in _DEAD_TIMES),
             delays=_DEAD_TIMES,
             delay=YawDelay(vehicle=car, prior_delay=prior, prior_lag=max(belief.lag, 0.01), enough=0.05),
-            steering=SingleTrackFilter(vehicle=car),
+            steering=SingleTrackFilter(vehicle=car, understeer_prior=_UNDERSTEER),
             prior_delay=min(prior + _CAUTION, _DEAD_TIMES[-1]),
             lag=belief.lag,
             limit=car.delta_sw_max,
@@ -186,7 +189,8 @@ def _adaptive(make: Callable[[Belief], Block], *, hears: bool = False) -> Callab
 
 def _adaptive_offset_free(make: Callable[[Belief], Block]) -> Callable[[Belief], Block]:
     """What makes a controller that adapts, with integral action, of those that `make` makes."""
-    return _adaptive(_offset_free(make, time=_OFFSET_TIME))
+    first, later = _OFFSET_TIMES
+    return _adaptive(_offset_free(make, time=first, time_late=later))
 
 
 CONTROLLERS: Mapping[str, Recipe] = MappingProxyType(

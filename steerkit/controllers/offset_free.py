@@ -14,6 +14,9 @@ from steerkit.task import STOP, TRIP
 from steerkit.units import radians_of
 from steerkit.vehicles import Vehicle, require_vehicle
 
+_SHARE = 0.5
+"""Of the time for which z has moved, in tau: what is left of a first error falls with its square [1]."""
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class OffsetFree(Block):
@@ -33,8 +36,9 @@ class OffsetFree(Block):
 
     z stands still while |e| > reach, below v_least, while the command is at its limit or as fast as may be, and where e
     or v is not finite. Ports, units and sample time are those of `block`, which goes on from its own angle. State: that
-    of `block`, then z [rad], the last e [m] and the last command [rad]. Valid where `block` by itself is stable.
-    Raises ValueError for parameters out of range and for a block without the inputs e and v and the output delta_sw.
+    of `block`, then z [rad], the time for which it has moved [s], the last e [m] and the last command [rad]. Valid
+    where `block` by itself is stable. Raises ValueError for parameters out of range and for a block without the inputs
+    e and v and the output delta_sw.
 
     Source: Astrom, Hagglund 2006, section 3.5 and ch. 6 (conditional integration, cancelled pole); Pannocchia, Rawlings
     2003 and Maeder, Borrelli, Morari 2009 (what a model of the disturbance gives an MPC).
@@ -48,6 +52,9 @@ class OffsetFree(Block):
     """T [s]; of the controllers of the catalogue 0.43 to 0.57 from 3 to 15 m/s, and the delay more."""
     time: Scalar = 3.0
     """tau [s]."""
+    time_late: Scalar = 0.0
+    """Up to which tau grows, to half of the time for which z has moved, as a constant comes to be known [s]; 0: not
+    at all."""
     most: Scalar = radians_of(60.0)
     """Largest |z| [rad]."""
     reach: Scalar = TRIP
@@ -70,6 +77,7 @@ class OffsetFree(Block):
             ("steer_ratio", "1", 1.0, 100.0),
             ("approach", "s", 0.05, 60.0),
             ("time", "s", 0.1, 1e4),
+            ("time_late", "s", 0.0, 1e4),
             ("most", "rad", 0.0, 30.0),
             ("reach", "m", 1e-3, 1e3),
             ("v_least", "m/s", 0.1, 100.0),
@@ -95,26 +103,27 @@ class OffsetFree(Block):
         return entries_of(self.block)[0]
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
-        return (*self.block.init(batch), *[m.filled(0.0, batch)] * 3)
+        return (*self.block.init(batch), *[m.filled(0.0, batch)] * 4)
 
     def settle(self, t: float, x: State, u: Any) -> State:
-        inner = self.block.settle(t, self._inner(x[:-3]), u)
+        inner = self.block.settle(t, self._inner(x[:-4]), u)
         angle = u.delta_sw_meas if "delta_sw_meas" in u._fields else 0.0 * u.e
-        return (*inner, x[-3], u.e + 0.0, angle + 0.0)
+        return (*inner, *x[-4:-2], u.e + 0.0, angle + 0.0)
 
     def output(self, t: Any, x: State, u: Any) -> Any:
-        y = self.block.output(t, self._inner(x[:-3]), u)
-        return y._replace(delta_sw=m.clip(y.delta_sw + x[-3], -self.limit, self.limit))
+        y = self.block.output(t, self._inner(x[:-4]), u)
+        return y._replace(delta_sw=m.clip(y.delta_sw + x[-4], -self.limit, self.limit))
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
-        z, e_before, before = x[-3:]
-        inner = self.block.update(t, self._inner(x[:-3]), u, y._replace(delta_sw=y.delta_sw - z))
+        z, clock, e_before, before = x[-4:]
+        inner = self.block.update(t, self._inner(x[:-4]), u, y._replace(delta_sw=y.delta_sw - z))
         v = m.maximum(u.v, self.v_least)
         beyond = self.dt * u.e + self.approach * (u.e - e_before)  # (e + T e') dt
-        change = -self.steer_ratio / (v * self.approach * self.time) * beyond
+        time = m.maximum(self.time, m.minimum(_SHARE * clock, self.time_late))
+        change = -self.steer_ratio / (v * self.approach * time) * beyond
         on_path = m.both(m.absolute(u.e) <= self.reach, u.v >= self.v_least)
         fastest = 0.99 * self.rate_limit * self.dt
         free = m.both(m.absolute(y.delta_sw) < self.limit, m.absolute(y.delta_sw - before) < fastest)
         moves = m.every(on_path, free, m.is_finite(change))
         z = m.clip(z + m.where(moves, change, 0.0), -self.most, self.most)
-        return (*inner, z, u.e + 0.0, y.delta_sw + 0.0)
+        return (*inner, z, clock + m.where(moves, self.dt, 0.0), u.e + 0.0, y.delta_sw + 0.0)
