@@ -182,6 +182,13 @@ SENSIBLE = {
     "mpc_solve": lambda f: (
         (min(f["ltv20_x_raw_qp"], f["nmpc20_x_raw_qp"]) > 0.0 and f["ltv20_unsolved"] == 0) or pytest.fail(f)
     ),
+    "log_damage": lambda f: (
+        (
+            all(sum(row[part].values()) > 1 for row in f.values() for part in ("cut", "bit"))
+            and not f["npz"]["bit"].get("untold")
+        )
+        or pytest.fail(f)
+    ),
     "nfq_iteration": lambda f: f["equal_work"] or pytest.fail(f),
     "recovery_map": lambda f: f["stanley-delay"][1]["recovered"] == 1.0 or pytest.fail(f),
     "safety": sensible_safety,
