@@ -31,6 +31,8 @@ LITERAL = {
     "steerkit.learning.rundir",
     "steerkit.on_car.learner",
     "steerkit.plants.real_car.decisions.modes.step",
+    "steerkit.redrive",
+    "steerkit.roads",
 }
 """Docstrings with a program, a list of files or a diagram, announced by `::`."""
 
