@@ -40,7 +40,7 @@ UNIT: dict[str, Any] = {
 
 def lap(name: str) -> dict[str, Array]:
     """The columns of a shipped lap in SI: t, delta_sw, v, psi (unwrapped), x, y, and r, NaN where none was recorded."""
-    place = files("steerkit.identification") / "drives" / LAPS[name][0]
+    place = files("steerkit.logs") / "drives" / LAPS[name][0]
     rows = [row for row in gzip.decompress(place.read_bytes()).decode().splitlines() if not row.startswith("#")]
     columns = dict(zip(rows[0].split(","), np.loadtxt(rows[1:], delimiter=",").T))
     nothing = np.full(len(columns["t"]), np.nan)

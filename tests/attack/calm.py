@@ -79,7 +79,7 @@ def lap(name: str) -> dict[str, np.ndarray]:
     The recorded speed and the shipped course tell where the car was when; heading, wheel and yaw rate are as recorded,
     where there was none (`genesis-rfs`) the heading's slope.
     """
-    file = files("steerkit.identification") / "drives" / f"{name.replace('-', '_')}.csv.gz"
+    file = files("steerkit.logs") / "drives" / f"{name.replace('-', '_')}.csv.gz"
     lines = [line for line in gzip.decompress(file.read_bytes()).decode().splitlines() if not line.startswith("#")]
     table = np.array([[float(number) for number in line.split(",")] for line in lines[1:]])
     known = dict(zip(lines[0].split(","), table.T))

@@ -58,7 +58,7 @@ def test_help_is_complete(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captur
 
 def test_the_examples_of_the_help_page_are_valid_commands() -> None:
     lines = [re.split("  +", line.strip())[0].split()[1:] for line in cli.EPILOG.splitlines() if "  steerkit" in line]
-    assert len(lines) == 6
+    assert len(lines) == 7
     for words in lines:
         parsed(words)
 
