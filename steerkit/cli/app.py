@@ -32,8 +32,7 @@ Examples
   steerkit drive stanley --course genesis     a controller on a course\n
   steerkit learn --minutes 2 --out runs/mine  a car learns; the run is kept\n
   steerkit show runs/mine                     its story, and its pictures\n
-  steerkit log lap.mcap                       what is in a log of any program
-
+  steerkit log lap.mcap                       what is in a log of any program\n
   steerkit drive runs/mine -q --json          its figures, for a program\n
 
 Exit codes: 0 done; 1 refused or failed on the way; 2 a mistake in what was asked, said in one line on stderr;
