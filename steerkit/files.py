@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import math
 import os
+import stat
 import threading
 import tomllib
 import zipfile
@@ -31,7 +32,7 @@ def whole(file: File, *, durable: bool = True) -> Iterator[FilePath]:
     folder is missing, and what the block raises, with a note that `file` is as it was.
     """
     target = FilePath(os.path.realpath(file))
-    require(target.is_file() or not target.exists(), f"{file}", "is a folder or a device, expected a file's name")
+    require(_is_file_or_nothing(target), f"{file}", "is a folder or a device, expected a file's name")
     if not target.parent.is_dir():
         raise FileNotFoundError(errno.ENOENT, "there is no such folder", str(target.parent))
     draft = target.with_name(f".{target.name}.{os.getpid()}-{threading.get_ident()}.tmp")
@@ -46,6 +47,14 @@ def whole(file: File, *, durable: bool = True) -> Iterator[FilePath]:
         raise
     finally:
         draft.unlink(missing_ok=True)
+
+
+def _is_file_or_nothing(target: FilePath) -> bool:
+    """Asked once: between two questions another thread may have made the file."""
+    try:
+        return stat.S_ISREG(target.stat().st_mode)
+    except (FileNotFoundError, NotADirectoryError):
+        return True
 
 
 def write_text(file: File, text: str, *, durable: bool = True) -> None:

@@ -93,20 +93,44 @@ def test_the_disk_has_it_before_the_old_one_goes_unless_the_thread_may_not_wait(
 
 
 def test_two_threads_that_write_one_file_leave_one_of_the_two(tmp_path: Path) -> None:
-    file, together = tmp_path / "a.npz", threading.Barrier(2)
+    together = threading.Barrier(2)
+    files_written = [tmp_path / f"{n}.npz" for n in range(40)]  # each is new to both: neither may take it for a folder
+    wrong: list[Exception] = []
 
     def write(number: int) -> None:
-        for _ in range(20):
-            together.wait(30.0)
-            write_npz(file, {"x": np.full(2000, number)}, durable=False)
+        try:
+            for file in files_written:
+                together.wait(30.0)
+                write_npz(file, {"x": np.full(2000, number)}, durable=False)
+        except Exception as error:
+            wrong.append(error)
+            together.abort()
 
     threads = [threading.Thread(target=write, args=(number,)) for number in (1, 2)]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    assert set(read_npz(file, "test")["x"]) in ({1}, {2})
-    assert names(tmp_path) == ["a.npz"]
+    assert not wrong, wrong
+    assert all(set(read_npz(file, "test")["x"]) in ({1}, {2}) for file in files_written)
+    assert names(tmp_path) == sorted(file.name for file in files_written)
+
+
+def test_a_file_that_another_thread_makes_just_then_is_no_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file, stat = tmp_path / "a", Path.stat
+
+    def made_after_the_first_look(self: Path, **options: Any) -> os.stat_result:
+        if self.name == "a" and not os.path.exists(file):
+            os.close(os.open(file, os.O_CREAT))
+            raise FileNotFoundError
+        return stat(self, **options)
+
+    monkeypatch.setattr(Path, "stat", made_after_the_first_look)
+    write_text(file, "mine")
+    monkeypatch.undo()
+    assert file.read_text() == "mine"
 
 
 def test_what_a_killed_process_left_is_written_over(tmp_path: Path) -> None:
