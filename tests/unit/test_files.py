@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -124,7 +125,7 @@ def test_a_file_that_another_thread_makes_just_then_is_no_folder(
     def made_after_the_first_look(self: Path, **options: Any) -> os.stat_result:
         if self.name == "a" and not os.path.exists(file):
             os.close(os.open(file, os.O_CREAT))
-            raise FileNotFoundError
+            raise FileNotFoundError(errno.ENOENT, "not there yet")
         return stat(self, **options)
 
     monkeypatch.setattr(Path, "stat", made_after_the_first_look)
