@@ -63,6 +63,13 @@ def test_from_side_to_side_it_takes_the_time_that_the_bounds_say() -> None:
     assert samples * DT == pytest.approx(model.turning, abs=0.1)
 
 
+def test_the_way_back_is_that_of_a_car_as_fast_as_the_gate_may_take_it_to_be() -> None:
+    doubting, sure = GateModel(v_doubt=0.5), GateModel(v_doubt=0.0)
+    assert doubting.pushed(-9.0, 0.0, 5.0, DT) == sure.pushed(-9.0, 0.0, 5.5, DT)
+    assert doubting.pushed(-9.0, 0.0, 5.0, DT) > sure.pushed(-9.0, 0.0, 5.0, DT)
+    assert doubting.pushed(9.0, 0.0, 5.0, DT) == sure.pushed(9.0, 0.0, 5.0, DT)
+
+
 def test_more_command_is_never_less_wheel() -> None:
     rng, model = np.random.default_rng(0), GateModel()
     for _ in range(200):
