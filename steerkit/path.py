@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from steerkit import maths as m
 from steerkit.files import read_text, write_text
 from steerkit.maths import Scalar, Table
-from steerkit.waypoints import check_gps, check_metres, checked, distances, place_deg, read_columns, ring
+from steerkit.waypoints import check_gps, check_metres, checked, place_deg, read_columns, ring, travelled
 
 Array = NDArray[np.float64]
 
@@ -81,7 +81,7 @@ class Path:
             )
         if closed:
             points = ring(points, where)
-        u = np.concatenate(([0.0], np.cumsum(distances(points))))
+        u = travelled(points)
         degree = min(_DEGREE, len(points) - 1)
         return cls._of_curve(_spline(u, points, degree, closed, smoothing), float(u[-1]), closed, spacing, name)
 

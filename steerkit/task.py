@@ -1,6 +1,6 @@
 """The numbers of the task, each named once: what must be kept, what the car may do, and how often it is asked.
 
-Source: Riedmiller, Montemerlo, Dahlkamp 2007, but for `A_Y_MAX`.
+Source: Riedmiller, Montemerlo, Dahlkamp 2007, but for `A_Y_MAX` and `JERK_MAX`.
 """
 
 from __future__ import annotations
@@ -21,3 +21,5 @@ DT = 0.05
 """Time between two decisions [s]: 20 Hz."""
 A_Y_MAX = 3.0
 """Lateral acceleration that a lane keeping system stays within [m/s^2]; ISO 11270:2014."""
+JERK_MAX = 5.0
+"""Its fastest change [m/s^3]; ISO 11270:2014."""

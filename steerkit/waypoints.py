@@ -57,6 +57,11 @@ def distances(points: Array) -> Array:
     return np.hypot(*np.diff(points, axis=0).T)
 
 
+def travelled(points: Array) -> Array:
+    """From the first point to each, along the points between, (n,)."""
+    return np.concatenate(([0.0], np.cumsum(distances(points))))
+
+
 def _few(indices: NDArray[np.intp]) -> str:
     return ", ".join(map(str, indices[:5])) + (f" and {len(indices) - 5} more" if len(indices) > 5 else "")
 

@@ -126,23 +126,25 @@ def run_source(trace: Trace, recorded: Sequence[int], *, many: bool) -> str:
         cases=" ".join(cases),
         finals=" ".join(finals),
     )
-    parts = ["#include <math.h>\n", MANY if many else ONE, table_source(trace.tables, lanes=many), *ticks, run]
-    return "\n".join(parts)
+    return "\n".join([_head(trace.tables, many=many), *ticks, run])
 
 
 def lanes_source(tables: Sequence[Table]) -> str:
     """The head of a C file whose `real` is a vector of LANES cars' numbers: types, functions and these tables."""
-    return "\n".join(["#include <math.h>\n", MANY, table_source(tables, lanes=True)])
+    return _head(tables, many=True)
+
+
+def _head(tables: Sequence[Table], *, many: bool) -> str:
+    return "\n".join(["#include <math.h>\n", MANY if many else ONE, table_source(tables, lanes=many)])
 
 
 def function_source(
     head: str, tick: Tick, names: Sequence[str], source: Callable[[int], str], tables: Sequence[Table]
 ) -> str:
     """A C function that writes the roots of a graph to `names`. source: the C text of an input."""
-    lines = statements(tick.graph, tick.roots, source, tables)
-    values = [f"  const real w{n} = v{i};" for n, i in enumerate(tick.roots)]  # all read before any is written
-    stores = [f"  {name} = w{n};" for n, name in enumerate(names)]
-    return "\n".join([f"static inline void {head}\n{{", *lines, *values, *stores, "}\n"])
+    return "\n".join(
+        [f"static inline void {head}\n{{", *_written(tick.graph, tick.roots, names, source, tables), "}\n"]
+    )
 
 
 def table_source(tables: Sequence[Table], *, lanes: bool = False) -> str:
@@ -177,16 +179,22 @@ def _body(trace: Trace, graph: Graph, roots: Sequence[int], names: Sequence[str]
         return f"s[{carried[slot - 1]}]" if slot <= slots else f"p[{slot - slots - 1}]"
 
     unused = "  (void)k; (void)s; (void)p;" + (" (void)y;\n" if "y[" in "".join(names[-1:]) or not names else "\n")
-    lines = statements(graph, roots, source, trace.tables)
+    return "\n".join([unused, *_written(graph, roots, names, source, trace.tables), ""])
+
+
+def _written(
+    graph: Graph, roots: Sequence[int], names: Sequence[str], source: Callable[[int], str], tables: Sequence[Table]
+) -> list[str]:
+    """The statements, and those that write the roots to `names`: all are read before any is written."""
     values = [f"  const real w{n} = v{i};" for n, i in enumerate(roots)]
-    return "\n".join([unused, *lines, *values, *[f"  {name} = w{n};" for n, name in enumerate(names)], ""])
+    stores = [f"  {name} = w{n};" for n, name in enumerate(names)]
+    return [*statements(graph, roots, source, tables), *values, *stores]
 
 
-def statements(graph: Graph, roots: Sequence[int], source: object, tables: Sequence[Table]) -> list[str]:
+def statements(graph: Graph, roots: Sequence[int], source: Callable[[int], str], tables: Sequence[Table]) -> list[str]:
     """One `const real v<node> = ...;` a node. source: the C text of an input slot."""
     lines: list[str] = []
     rows: set[tuple[int, int]] = set()
-    assert callable(source)
     for i in scheduled(graph, roots):
         op, *operands = graph.nodes[i]
         kind = "mask" if op in BOOLEAN else "real"

@@ -8,7 +8,7 @@ from typing import Any
 from steerkit import maths as m
 from steerkit.block import Block, In, Out
 from steerkit.errors import require
-from steerkit.task import A_Y_MAX, STOP
+from steerkit.task import A_Y_MAX, JERK_MAX, STOP
 from steerkit.units import radians_of
 from steerkit.vehicles import Vehicle
 
@@ -53,7 +53,7 @@ class Foresight(Block):
 
     a_y_max: float = A_Y_MAX
     """Largest lateral acceleration that the gate allows [m/s^2]."""
-    jerk_max: float = 5.0
+    jerk_max: float = JERK_MAX
     """Its fastest change [m/s^3]."""
     rate_max: float = radians_of(550.0)
     """Fastest steering wheel [rad/s]."""

@@ -9,7 +9,7 @@ from types import MappingProxyType
 from steerkit import maths as m
 from steerkit.errors import require_within
 from steerkit.maths import Scalar
-from steerkit.task import A_Y_MAX, STOP
+from steerkit.task import A_Y_MAX, JERK_MAX, STOP
 from steerkit.units import radians_of
 
 BEHIND_GATE: Mapping[str, float] = MappingProxyType({"hold": 4, "horizon": 2.0, "preview_points": 26})
@@ -38,7 +38,7 @@ class GateModel:
 
     a_y_max: float = A_Y_MAX
     """Largest lateral acceleration that the gate allows [m/s^2]."""
-    jerk_max: float = 5.0
+    jerk_max: float = JERK_MAX
     """Its fastest change [m/s^3]."""
     rate_max: float = radians_of(550.0)
     """Fastest steering wheel [rad/s]."""

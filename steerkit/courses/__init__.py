@@ -21,7 +21,7 @@ from steerkit.courses.manoeuvres import curvature_step, lane_change, slalom
 from steerkit.courses.shapes import bends, circle, figure_eight, paper, random_course, straight
 from steerkit.path import Array, Path
 from steerkit.units import radians_of
-from steerkit.waypoints import read_columns
+from steerkit.waypoints import distances, read_columns
 
 _T = TypeVar("_T")
 
@@ -88,7 +88,7 @@ def _meets_itself(text: str, name: str) -> bool:
         points = np.column_stack((columns["lon"], columns["lat"])) * metres
     else:
         return False  # from_text says what is wrong
-    steps = np.hypot(*np.diff(points, axis=0).T)
+    steps = distances(points)
     return len(points) > 2 and float(np.hypot(*(points[-1] - points[0]))) <= max(5.0, 3.0 * float(np.median(steps)))
 
 

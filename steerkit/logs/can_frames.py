@@ -17,6 +17,7 @@ import numpy as np
 
 from steerkit.errors import known, require
 from steerkit.logs.channels import Options, Table
+from steerkit.plants.real_car.frames.python_can import python_can
 
 _NEEDS = "CAN logs need python-can and cantools: pip install 'steerkit-control[logs]'"
 _CANDUMP = re.compile(r"\(\d+\.\d+\) +\S+ +[0-9A-Fa-f]+#(#?[0-9A-Fa-f]*|R\d*)( [RT])?\s*")
@@ -81,7 +82,7 @@ def read_blf(path: Path, options: Options, notes: list[str]) -> list[Table]:
 
 def _python_can(path: Path) -> Any:
     try:
-        import can
+        can = python_can()
         import cantools  # noqa: F401
     except ImportError:
         raise ValueError(f"{path}: {_NEEDS}") from None

@@ -20,7 +20,7 @@ from steerkit.plants.human import RecordedSpeed
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.simulation import Log, simulate
-from steerkit.task import A_Y_MAX, DT
+from steerkit.task import A_Y_MAX, DT, JERK_MAX
 from steerkit.units import degrees_of
 from steerkit.vehicles import Vehicle
 
@@ -34,8 +34,6 @@ _SLOW = 3.0
 """Below this speed wheels are turned for parking and standing: not compared [m/s]."""
 _APART = 10.0
 """Places where the two differ most lie so far apart [s]."""
-JERK_MAX = 5.0
-"""Largest lateral jerk of ISO 11270 [m/s^3]."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,6 +12,7 @@ from steerkit.errors import require
 from steerkit.files import write_text
 from steerkit.path import Path
 from steerkit.roads.smoothing import smoothed
+from steerkit.waypoints import distances, travelled
 
 Array = NDArray[np.float64]
 
@@ -52,8 +53,7 @@ class Line:
 
     def dense(self, step: float = DENSE) -> Line:
         """With points between the points, so that none is more than `step` [m] from the next."""
-        steps = np.hypot(*np.diff(self.xy, axis=0).T)
-        s = np.concatenate(([0.0], np.cumsum(steps)))
+        steps, s = distances(self.xy), travelled(self.xy)
         counts = np.ceil(steps / step).astype(int)
         at = np.concatenate([*(a + b / k * np.arange(k) for a, b, k in zip(s, steps, counts)), s[-1:]])
         xy = np.column_stack([np.interp(at, s, column) for column in self.xy.T])
@@ -119,7 +119,7 @@ def laid(
     line = distinct(line, name)
     if closed and math.dist(line.xy[0], line.xy[-1]) < SAME:
         line = line.part(slice(0, -1))
-    total = float(np.hypot(*np.diff(line.xy, axis=0).T).sum())
+    total = float(distances(line.xy).sum())
     require(SHORTEST <= total <= LONGEST, name, f"is {total:.1f} m long, expected {SHORTEST:g} to {LONGEST:g} m")
     if drawn:
         check_turns(line.xy, name)
@@ -133,7 +133,7 @@ def laid(
         fine = curve(np.linspace(0.0, end, count + 1)[: -1 if closed else None])
         remarks.append(f"smoothed by noise = {noise:g} m: the points lie {shown:.2g} m beside the curve (RMS)")
     else:
-        fine, u = line.xy, np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(line.xy, axis=0).T))))
+        fine, u = line.xy, travelled(line.xy)
         end = float(u[-1]) + (math.dist(line.xy[0], line.xy[-1]) if closed else 0.0)
     try:
         path = Path.from_waypoints(fine, closed=closed, name=name)
@@ -155,7 +155,7 @@ def distinct(line: Line, name: str) -> Line:
             f"{name}: point {bad[0]} is at {tuple(line.xy[bad[0]].tolist())} [m], expected numbers below 1e8"
         )
     kept, last = np.ones(len(line.xy), dtype=bool), line.xy[:1]
-    steps = np.hypot(*np.diff(line.xy, axis=0).T)
+    steps = distances(line.xy)
     if (steps < SAME).any():
         for k in range(1, len(line.xy)):
             kept[k] = math.dist(line.xy[k], last[0]) >= SAME

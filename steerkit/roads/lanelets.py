@@ -16,6 +16,7 @@ from steerkit.errors import require
 from steerkit.roads.course import Line
 from steerkit.roads.network import Map, Piece
 from steerkit.roads.xml_stream import Node, records
+from steerkit.waypoints import distances, travelled
 
 Array = NDArray[np.float64]
 
@@ -128,13 +129,13 @@ def _between(left: Array, right: Array, *, where: str, matched: bool) -> Array:
 
 
 def _shares(points: Array) -> Array:
-    s = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
+    s = travelled(points)
     require(s[-1] > 0.0, "lanelet", "a bound without length")
     return s / s[-1]
 
 
 def _length(xy: Array) -> float:
-    return float(np.hypot(*np.diff(xy, axis=0).T).sum())
+    return float(distances(xy).sum())
 
 
 class _Osm:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from steerkit.errors import require
 from steerkit.roads.course import Line, distinct
+from steerkit.waypoints import distances, travelled
 
 Array = NDArray[np.float64]
 
@@ -41,7 +42,7 @@ def cleaned(xy: Array, t: Array | None, v: Array | None, noise: float, where: st
     new = np.concatenate(([True], steps > 0.0))
     xy, t = xy[new], t[new]
     v = None if v is None else v[new]
-    moved, steps = np.hypot(*np.diff(xy, axis=0).T), np.diff(t)
+    moved, steps = distances(xy), np.diff(t)
     require(len(t) >= 4, where, f"{len(t)} points with times of their own, expected 4 or more")
     speed = (moved - min(6.0 * noise, 30.0)) / steps
     if speed.max() > _FASTEST:
@@ -70,7 +71,7 @@ def _check_jumps(xy: Array, where: str) -> None:
     """ValueError for a single point far from the way between its neighbours."""
     if len(xy) < 8:
         return
-    step = np.hypot(*np.diff(xy, axis=0).T)
+    step = distances(xy)
     usual = float(np.median(step))
     off = np.hypot(*(xy[1:-1] - 0.5 * (xy[:-2] + xy[2:])).T)
     direct = np.hypot(*(xy[2:] - xy[:-2]).T)
@@ -132,9 +133,9 @@ def rounds(line: Line, noise: float, which: int | None, where: str) -> tuple[Lin
 
 def _returns(xy: Array, noise: float) -> list[int]:
     """The points at which a track has come round to its beginning: the nearest of each visit, going the same way."""
-    steps = np.hypot(*np.diff(xy, axis=0).T)
+    steps = distances(xy)
     usual = float(np.median(steps))
-    s = np.concatenate(([0.0], np.cumsum(steps)))
+    s = travelled(xy)
     reach = max(5.0, 4.0 * noise, 1.5 * usual)
     ahead = min(int(np.searchsorted(s, max(10.0, 6.0 * noise))), len(xy) - 1)
     away = xy[ahead] - xy[0]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerkit.errors import require
+from steerkit.waypoints import travelled
 
 Array = NDArray[np.float64]
 
@@ -41,7 +42,7 @@ def smoothed(points: Array, noise: float, *, closed: bool) -> tuple[Any, float, 
     require(noise > 0.0, "smoothed", f"noise = {noise} [m], expected > 0")
     n = len(points)
     ring = np.vstack((points, points[:1])) if closed else points
-    u = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(ring, axis=0).T))))
+    u = travelled(ring)
     along = np.gradient(ring, u, axis=0)[:n]
     for _ in range(3):
         end = float(u.max())
@@ -59,7 +60,7 @@ def smoothed(points: Array, noise: float, *, closed: bool) -> tuple[Any, float, 
         c, shown = _weighed(basis, third, points, beside, noise, end)
         curve = BSpline(knots, np.vstack((c, c[:_DEGREE])) if closed else c, _DEGREE)
         fine = np.linspace(0.0, end, 20 * cells + 1)
-        arc = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(curve(fine), axis=0).T))))
+        arc = travelled(curve(fine))
         at = np.clip(u[:n], 0.0, end)
         along = curve(at, 1)
         foot = np.clip(at + ((points - curve(at)) * along).sum(axis=1) / (along**2).sum(axis=1), 0.0, end)

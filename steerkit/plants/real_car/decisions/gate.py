@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from steerkit.errors import require
-from steerkit.task import A_Y_MAX, STOP
+from steerkit.task import A_Y_MAX, JERK_MAX, STOP
 from steerkit.units import radians_of
 
 
@@ -22,7 +22,7 @@ class GateLimits:
     """Fastest change of delta_sw [rad/s]."""
     a_y_max: float = A_Y_MAX
     """|kappa| <= a_y_max/v^2 [m/s^2]."""
-    jerk_max: float = 5.0
+    jerk_max: float = JERK_MAX
     """|dkappa/dt| <= jerk_max/v^2 [m/s^2 per s]."""
     v_floor: float = 1.0
     """Slowest speed that the two bounds reckon with [m/s]."""
