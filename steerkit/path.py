@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path as File
 from typing import Any, Self
@@ -270,11 +271,16 @@ class Path:
 
     def to_csv(self, file: str | File) -> None:
         """Write s, x, y, psi, kappa at the knots; `from_csv` reads them back to the same curve (closed as before)."""
+        write_text(file, self.csv_text())
+
+    def csv_text(self, more: Mapping[str, Array] | None = None, units: str = "", comments: Sequence[str] = ()) -> str:
+        """What `to_csv` writes, with `more` columns at the knots, their `units`, and `comments` after the first."""
         k = self.samples
-        rows = np.column_stack((k.s, k.xy, k.psi, k.kappa))[: -1 if self.closed else None]
-        head = f"{self.name}: {'closed' if self.closed else 'open'} path, {self.length:.9g} m; m, rad, 1/m"
-        lines = [f"# {head}", "s,x,y,psi,kappa", *(",".join(f"{value:.9f}" for value in row) for row in rows)]
-        write_text(file, "\n".join([*lines, ""]))
+        columns = {"s": k.s, "x": k.xy[:, 0], "y": k.xy[:, 1], "psi": k.psi, "kappa": k.kappa, **(more or {})}
+        rows = np.column_stack([*columns.values()])[: -1 if self.closed else None]
+        head = f"{self.name}: {'closed' if self.closed else 'open'} path, {self.length:.9g} m; m, rad, 1/m{units}"
+        lines = [f"# {text}" for text in (head, *comments)] + [",".join(columns)]
+        return "\n".join([*lines, *(",".join(f"{value:.9f}" for value in row) for row in rows), ""])
 
     def require_closed(self, where: str) -> None:
         """Raise ValueError, in the name of `where`, on an open path."""

@@ -11,14 +11,8 @@ from numpy.typing import NDArray
 from steerkit.errors import require
 from steerkit.gym.task import Array, Draw, Task
 from steerkit.loop import LoopState
-from steerkit.scenario import END_MARGIN
 
 Backend = Literal["python", "c"]
-INFO = (
-    *("path.e", "path.s", "path.progress", "car.x", "car.y", "car.psi", "car.v", "car.a_y", "car.delta_sw"),
-    *("safety.correction", "safety.share"),
-)
-"""The true signals that `info` reports by their last names, where the loop has them."""
 
 
 class _Cars(Protocol):
@@ -47,19 +41,14 @@ class Drives:
 
     def __init__(self, task: Task, cars: int, backend: Backend):
         require(backend in ("python", "c"), "TrackSteering", f"backend {backend!r}; valid: python, c")
-        loop = task.loop
-        whole = round(task.dt / loop.dt) == loop.period
-        require(whole, "TrackSteering", f"sample times of {loop!r}, expected none longer than the agent's {task.dt} s")
+        task.require_period()
         self.task, self.n = task, cars
-        self._info = [name for name in INFO if name in loop.units]
-        self._names = [name.split(".")[1] for name in self._info]
-        signals = [*task.columns, *self._info]
+        self._names = [name.split(".")[1] for name in task.info]
+        signals = [*task.columns, *task.info]
         self._cars: _Cars = _Compiled(task, cars, signals) if backend == "c" else _Interpreted(task, cars, signals)
         self._signals = signals
         self._values = np.full((len(signals), cars), np.nan)
         self.steps = np.zeros(cars, dtype=int)
-        self._longest = round(task.duration / task.dt)
-        self._end = np.inf if task.path.closed else task.path.length - END_MARGIN
         self._cost = np.zeros(cars)
 
     @property
@@ -92,13 +81,13 @@ class Drives:
             )
         self.steps += 1
         self._cost, terminated = self.task.price(before, actions, self.s)
-        truncated = (self.steps >= self._longest) | (self.info("path.s") >= self._end)
+        truncated = (self.steps >= self.task.longest) | (self.info("path.s") >= self.task.end)
         reward = np.where(terminated, -self.task.failure, -self._cost)
         return Outcome(reward, terminated, truncated & ~terminated)
 
     def info(self, name: str) -> Array:
         """A true signal (N,)."""
-        return self._values[len(self.task.columns) + self._info.index(name)]
+        return self._values[len(self.task.columns) + self.task.info.index(name)]
 
     def infos(self) -> dict[str, Array]:
         """What an agent need not know but people want to, (N,) each: SI."""

@@ -13,10 +13,8 @@ from numpy.typing import NDArray
 
 from steerkit import native
 from steerkit.errors import require
-from steerkit.gym.drives import INFO
 from steerkit.gym.episode_code import Fleet, episode_code
 from steerkit.gym.task import Array, Draw, Task
-from steerkit.scenario import END_MARGIN
 
 _HOW = {AutoresetMode.NEXT_STEP: 0, AutoresetMode.SAME_STEP: 1, AutoresetMode.DISABLED: 2}
 _A_THREAD = 256  # cars for which a second thread is worth its start
@@ -52,13 +50,10 @@ class Episodes:
         threads: int | None = None,
         observation: NDArray[np.float32] | None = None,
     ):
-        loop = task.loop
-        whole = round(task.dt / loop.dt) == loop.period
-        require(whole, "TrackSteering", f"sample times of {loop!r}, expected none longer than the agent's {task.dt} s")
+        task.require_period()
         self.task, self.n, self._how = task, cars, ctypes.c_int(_HOW[mode])
-        info = [name for name in INFO if name in loop.units]
-        self._names = [name.split(".")[1] for name in info]
-        self._signals = [*task.columns, *info]
+        self._names = [name.split(".")[1] for name in task.info]
+        self._signals = [*task.columns, *task.info]
         code = episode_code(task, self._signals, "path.s")
         self._library = native.load(code.source, vector_maths=True)
         lanes = self._library.lanes()
@@ -67,7 +62,7 @@ class Episodes:
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         chosen = min(cores, cars // _A_THREAD) if threads is None else threads
         self._threads = ctypes.c_int(min(max(1, chosen), groups, _THREADS))
-        path, columns = task.path, len(task.columns)
+        columns, info = len(task.columns), len(task.info)
         self._arrays: dict[str, NDArray[Any]] = {
             "mid": np.array(task.description.mid, dtype=float),
             "half": np.array(task.description.half, dtype=float),
@@ -76,8 +71,8 @@ class Episodes:
             "signals": np.zeros((groups, len(self._signals), lanes)),
             "observation": np.zeros((cars, columns), np.float32) if observation is None else observation,
             "last_observation": np.zeros((cars, columns), np.float32),
-            "info": np.zeros((len(info), padded)),
-            "last_info": np.zeros((len(info) + 2, padded)),
+            "info": np.zeros((info, padded)),
+            "last_info": np.zeros((info + 2, padded)),
             **{name: np.zeros(padded) for name in ("reward", "cost")},
             "steps": np.zeros(padded, np.int64),
             **{name: np.zeros(padded, np.bool_) for name in ("terminated", "truncated")},
@@ -88,8 +83,8 @@ class Episodes:
         }
         self._fleet = Fleet(
             failure=task.failure,
-            longest=round(task.duration / task.dt),
-            end=np.inf if path.closed else path.length - END_MARGIN,
+            longest=task.longest,
+            end=task.end,
             far=task.last_start,
             start_e=task.start_e,
             start_psi_e=task.start_psi_e,

@@ -51,6 +51,11 @@ ACTIONS: dict[str, tuple[tuple[float, ...] | None, str]] = {
 COST_KINDS: dict[str, Any] = {cost.__name__: cost for cost in COSTS}
 BOUND = 10.0
 """Observations, scaled to about [-1, 1], are cut off here."""
+INFO = (
+    *("path.e", "path.s", "path.progress", "car.x", "car.y", "car.psi", "car.v", "car.a_y", "car.delta_sw"),
+    *("safety.correction", "safety.share"),
+)
+"""The true signals that `info` reports by their last names, where the loop has them."""
 LEAST_ROOM = 30.0
 """A car on an open course starts at least so far from where it ends [m]."""
 
@@ -249,6 +254,27 @@ class Task:
     def dt(self) -> float:
         """Time between two decisions [s]."""
         return self.loop.blocks["controller"].dt
+
+    def require_period(self) -> None:
+        """Raise ValueError unless the loop's period is the agent's sample time."""
+        whole = round(self.dt / self.loop.dt) == self.loop.period
+        expected = f"expected none longer than the agent's {self.dt} s"
+        require(whole, "TrackSteering", f"sample times of {self.loop!r}, {expected}")
+
+    @cached_property
+    def info(self) -> tuple[str, ...]:
+        """The true signals that `info` reports."""
+        return tuple([name for name in INFO if name in self.loop.units])
+
+    @property
+    def longest(self) -> int:
+        """Steps of the longest episode."""
+        return round(self.duration / self.dt)
+
+    @property
+    def end(self) -> float:
+        """The true s [m] from which on an episode is truncated."""
+        return math.inf if self.path.closed else self.path.length - END_MARGIN
 
     @cached_property
     def action_space(self) -> spaces.Space[Any]:

@@ -80,18 +80,10 @@ class Course:
 
     def text(self) -> str:
         """The course as the text of a CSV file: s, x, y, psi, kappa, and v, v_limit where there are any."""
-        k, path = self.path.samples, self.path
-        columns = {"s": k.s, "x": k.xy[:, 0], "y": k.xy[:, 1], "psi": k.psi, "kappa": k.kappa}
-        columns |= {name: a for name, a in (("v", self.v), ("v_limit", self.v_limit)) if a is not None}
-        rows = np.column_stack([*columns.values()])[: -1 if path.closed else None]
-        lines = [
-            f"# {path.name}: {'closed' if path.closed else 'open'} path, {path.length:.9g} m; m, rad, 1/m, m/s",
-            *([] if path.origin_deg is None else ["# origin {:.9f}, {:.9f} deg".format(*path.origin_deg)]),
-            *(f"# {' '.join(note.split())}" for note in self.notes),
-            ",".join(columns),
-        ]
-        lines += [",".join(f"{value:.9f}" for value in row) for row in rows]
-        return "\n".join([*lines, ""])
+        speeds = {name: a for name, a in (("v", self.v), ("v_limit", self.v_limit)) if a is not None}
+        origin = self.path.origin_deg
+        place = [] if origin is None else ["origin {:.9f}, {:.9f} deg".format(*origin)]
+        return self.path.csv_text(speeds, ", m/s", [*place, *(" ".join(note.split()) for note in self.notes)])
 
     def to_csv(self, file: str) -> None:
         """Write it; `--course FILE`, `steerkit.courses.course_of` and this package read it back."""

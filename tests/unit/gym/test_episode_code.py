@@ -9,14 +9,12 @@ import numpy as np
 import pytest
 
 from steerkit.compiled.trace import TraceError
-from steerkit.gym.drives import INFO
 from steerkit.gym.episode_code import episode_code
 from steerkit.gym.task import Task
 
 
 def code_of(task: Task) -> str:
-    info = [name for name in INFO if name in task.loop.units]
-    return episode_code(task, [*task.columns, *info], "path.s").source
+    return episode_code(task, [*task.columns, *task.info], "path.s").source
 
 
 @dataclass(frozen=True)
