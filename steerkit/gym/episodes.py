@@ -7,6 +7,7 @@ import os
 from collections.abc import Sequence
 from typing import Any
 
+import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
@@ -121,8 +122,10 @@ class Episodes:
     def step(self, actions: Array) -> None:
         """Drive all cars one sample with these actions [rad], and go on with the next episode where one has ended.
 
-        Raises FloatingPointError when a signal is no finite number any more.
+        Raises FloatingPointError when a signal is no finite number any more, ResetNeeded before the first start.
         """
+        if not self._generators:  # C would draw from nothing
+            raise gymnasium.error.ResetNeeded("step: no episode has begun; call reset()")
         self._arrays["action"][: self.n] = actions
         self._library.step(ctypes.byref(self._fleet), self._how, self._threads)
         if not np.isfinite(self._arrays["cost"][: self.n]).all() or not np.isfinite(self._arrays["info"]).all():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -47,6 +48,11 @@ def test_in_place_it_is_the_vector_environment() -> None:
     assert info["failures"] == failures / len(ended)
     assert numbers.tolist() == [*range(CARS)]
     assert masks.all()
+
+
+def test_before_the_first_reset_nothing_is_driven() -> None:
+    with pytest.raises(gymnasium.error.ResetNeeded, match="call reset"):
+        PufferSteering(4).step(np.full(4, 2))
 
 
 def test_a_buffer_of_another_shape_is_refused() -> None:
