@@ -200,6 +200,33 @@ def order(
 
 
 @app.command()
+def stream(
+    where: Annotated[str, typer.Argument(metavar="[HOST:]PORT", help="The loopback, unless a host is named.")] = "8765",
+    socket: Socket = "",
+    rate: Annotated[float, typer.Option(help="Samples a second.")] = 20.0,
+) -> None:
+    """Show a car live in Foxglove, from a second terminal, until Ctrl-C: a read-only WebSocket.
+
+    It asks the car server as the panel does, and gives no orders; nothing on the car waits for it.
+    """
+    from steerkit.logs.car_stream import follow
+    from steerkit.logs.stream import Server
+    from steerkit.on_car import processes
+    from steerkit.plants.real_car.processes.client import CarClient, CarLost
+
+    with CarClient(socket or processes.default_socket(), controller=False) as link:
+        server = Server(where)
+        print(f"live in Foxglove: open a connection to {server.address}; Ctrl-C ends it", flush=True)
+        try:
+            follow(link, server, rate=rate)
+        except CarLost as error:
+            print(error)
+        except KeyboardInterrupt:
+            print("ended; the car goes on without it")
+        server.end()
+
+
+@app.command()
 def tape(
     file: Annotated[FilePath, typer.Argument(help="A recording, .mcap.")],
     controller: Annotated[str, typer.Option(help="Replay through this one, instead of those who steered.")] = "",

@@ -10,13 +10,16 @@ import typer
 
 from steerkit.cli.options import (
     DriveOptions,
+    Stream,
     car_options,
     check_options,
     drive_options,
     driven_on,
+    given,
     in_simulation,
     on_car,
     scenario_of,
+    streamed,
 )
 
 _CONTROLLERS = (
@@ -40,6 +43,8 @@ def drive(
     rounds: Annotated[float | None, in_simulation("Rounds to drive; default: the scenario's, 1.")] = None,
     out: Annotated[Path | None, in_simulation("Directory for the log and the picture.")] = None,
     animate: Annotated[Path | None, in_simulation("Film of the drive to write: .gif, or .mp4 with ffmpeg.")] = None,
+    stream: Stream = "",
+    pace: Annotated[float, in_simulation("With --stream: times real time.")] = 1.0,
     minutes: Annotated[float, on_car("How many minutes; 0: until `q`.")] = 0.0,
 ) -> None:
     """Drive with any controller: a course in simulation, or with --car FILE a car, armed and engaged by keys.
@@ -53,6 +58,7 @@ def drive(
             "out": "say --recording FILE",
             "animate": "a recording holds the drive",
             "delay": "a car brings its own",
+            "pace": "a car has its own",
         },
         on_a_car_only=("minutes",),
     )
@@ -89,6 +95,8 @@ def drive(
         film_writer(animate)
     folder = out is None or out.is_dir() or not out.exists()
     require(folder, f"--out {out}", "is a file, expected a directory for log and picture")
+    require(stream or "pace" not in given(ctx), "drive --pace", "is for --stream PORT; say that too")
+    require(not (stream and len(asked) > 1), f"--stream {stream}", "shows one controller; name one")
     scenario = scenario_of(ctx)
     where = driven_on(scenario, options.conditions)
     asked = [_learned(where, options.seed) if one == "nfq" else one for one in asked]
@@ -104,7 +112,10 @@ def drive(
             print(json.dumps({"drives": rows}))
         return
     (name,) = asked
-    row = report.drive_and_draw(name, scenario, place, rounds=rounds, seed=options.seed, quiet=options.quiet)
+    with streamed(stream, pace=pace) as each:
+        row = report.drive_and_draw(
+            name, scenario, place, rounds=rounds, seed=options.seed, quiet=options.quiet, each=each
+        )
     if animate is not None:
         p, log = scenario.nominal, Log.load(place / "drive.npz")
         log.animate(

@@ -16,6 +16,7 @@ from steerkit.cli.options import (
     DriveOptions,
     Live,
     Port,
+    Stream,
     car_options,
     check_options,
     drive_options,
@@ -23,6 +24,7 @@ from steerkit.cli.options import (
     given,
     in_simulation,
     scenario_of,
+    streamed,
 )
 
 if TYPE_CHECKING:
@@ -58,6 +60,7 @@ def learn(
     ] = None,
     live: Live = False,
     port: Port = PORT,
+    stream: Stream = "",
     stay: Annotated[bool, typer.Option("--stay", help="Keep the page of --live until Ctrl-C.")] = False,
 ) -> None:
     """Let a car learn to steer a course from nothing, the recovery controller catching it."""
@@ -78,6 +81,7 @@ def learn(
         return
     from steerkit.errors import require
     from steerkit.learning import report
+    from steerkit.learning.experiment import SAFETY_SIGNALS, SIGNALS
     from steerkit.learning.live.server import beside
 
     experiment = _experiment(ctx, config, out)
@@ -86,12 +90,14 @@ def learn(
     report.console.stderr = options.as_json
     for option in ("port", "stay"):
         require(live or option not in given(ctx), f"learn --{option}", "is for the page of --live; say --live too")
+    signals = (*SIGNALS, *SAFETY_SIGNALS * experiment.setting.safe)
     with contextlib.ExitStack() as page:
+        each = page.enter_context(streamed(stream, signals=signals))
         where, server = page.enter_context(beside(place, port=port)) if live else ("", None)
         note = f"live page: {where}" if live else ""
         if live and not (report.console.is_terminal and not options.quiet):
             report.console.print(note, soft_wrap=True)
-        run = _learned(experiment, place, quiet=options.quiet, note=note)
+        run = _learned(experiment, place, quiet=options.quiet, note=note, each=each)
         report.show(place, quiet=options.quiet)
         if options.as_json:
             print(json.dumps(report.figures_of_merit(run)), flush=True)
@@ -101,11 +107,11 @@ def learn(
                 server.wait()
 
 
-def _learned(experiment: Experiment, place: Path, *, quiet: bool, note: str) -> LearningRun:
+def _learned(experiment: Experiment, place: Path, *, quiet: bool, note: str, each: Any) -> LearningRun:
     from steerkit.learning import report
 
     try:
-        return report.learn_with_progress(experiment, place, quiet=quiet, note=note)
+        return report.learn_with_progress(experiment, place, quiet=quiet, note=note, each=each)
     except KeyboardInterrupt:
         print(f"steerkit: interrupted; the same with --out {place} goes on from the last training", file=sys.stderr)
         raise

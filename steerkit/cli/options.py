@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
@@ -37,6 +38,14 @@ PORT = 8520
 Live = Annotated[
     bool,
     typer.Option("--live", help="Show it in a browser while it learns: a read-only page on this machine's loopback."),
+]
+Stream = Annotated[
+    str,
+    typer.Option(
+        metavar="[HOST:]PORT",
+        help="Show it live in Foxglove: a read-only WebSocket, on the loopback unless a host is named.",
+        rich_help_panel=SIMULATED,
+    ),
 ]
 Port = Annotated[int, typer.Option(help="Port of the page of --live; 0: any free one.", min=0, max=65535)]
 
@@ -145,6 +154,7 @@ _NOT_ON_A_CAR = {
     "live": "the panel shows it",
     "port": "the panel shows it",
     "stay": "the panel shows it",
+    "stream": "say `steerkit car stream` in a second terminal",
 }
 """Options of the simulation, and what a car has instead."""
 _ON_A_CAR_ONLY = ("recovery", "simulated", "socket", "recording", "channel", "time_scale", "realtime")
@@ -204,6 +214,24 @@ def _speeds(speed: str, v_max: float | None, base: Scenario) -> dict[str, Any]:
 def driven_on(scenario: Scenario, conditions: Conditions) -> str:
     """Course and conditions as a part of a directory's name."""
     return f"{scenario.course.removesuffix('.csv')}-{conditions.value}"
+
+
+@contextlib.contextmanager
+def streamed(where: str, *, pace: float = 0.0, signals: Sequence[str] | None = None) -> Iterator[Any]:
+    """What shows each sample live at `[HOST:]PORT`; None for "". pace: no faster than so many times real time."""
+    if not where:
+        yield None
+        return
+    from steerkit.learning.report import console
+    from steerkit.logs import stream
+
+    with stream.beside(where, signals) as (address, sender):
+        console.print(f"live in Foxglove: open a connection to {address}", soft_wrap=True)
+        yield stream.paced(sender, pace) if pace else sender
+    if sender.broken:
+        console.print(f"the stream at {address} ended before the drive did", soft_wrap=True, style="yellow")
+    elif sender.left_out:
+        console.print(f"the stream left out {sender.left_out} samples, it was too slow", soft_wrap=True)
 
 
 def check_options(

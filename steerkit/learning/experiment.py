@@ -22,7 +22,7 @@ from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.settings import Setting
 from steerkit.learning.story import Story, state_signals, untrained
 from steerkit.learning.trainer import SimulatedTrainer, Training
-from steerkit.loop import LoopState
+from steerkit.loop import LoopState, Sample
 from steerkit.scenario import END_MARGIN, Scenario
 from steerkit.scenario.drive import assembled
 from steerkit.simulation import Recorder
@@ -86,13 +86,15 @@ class LearningRun:
     """A learning run in progress in simulation: the loop, its state, and the learner's story.
 
     `learning.learn` drives it to its end; it can be stepped by hand too: `drive()` one control sample at a time.
-    `keep`, if set, is called after every sample with a training in it, to write a checkpoint. trainer: what makes
+    `keep`, if set, is called after every sample with a training in it, to write a checkpoint; `each` with every sample
+    that is recorded. trainer: what makes
     policies of transitions (default: NFQ, charged to the driving time).
     """
 
     def __init__(self, experiment: Experiment, watch: Watcher | None = None, trainer: Training | None = None):
         self.experiment, self.watch = experiment, watch
         self.keep: Callable[[LearningRun], None] | None = None
+        self.each: Callable[[Sample], None] | None = None
         scenario = experiment.scenario
         setting = experiment.setting.suited(scenario.belief())
         self.path = scenario.path()
@@ -166,6 +168,8 @@ class LearningRun:
         self._take_over()
         self.loop.advance(counts.k, self.x, self.y)
         self.recorder.add(counts.k, self.y)
+        if self.each is not None:
+            self.each(Sample(self.loop, self.t, self.y))
         learning = self._value("supervisor.learning") > 0.5
         events = story.sample(
             counts.k // self.ticks,

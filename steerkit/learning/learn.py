@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path as FilePath
 
@@ -9,10 +10,15 @@ from steerkit.errors import require
 from steerkit.learning import rundir
 from steerkit.learning.experiment import Experiment, LearningRun, Watcher
 from steerkit.learning.ownership import held, is_free
+from steerkit.loop import Sample
 
 
 def learn(
-    experiment: Experiment, directory: str | FilePath | None = None, *, watch: Watcher | None = None
+    experiment: Experiment,
+    directory: str | FilePath | None = None,
+    *,
+    watch: Watcher | None = None,
+    each: Callable[[Sample], None] | None = None,
 ) -> LearningRun:
     """Run an experiment to its end and return the run; with a `directory`, keep everything there.
 
@@ -20,7 +26,7 @@ def learn(
     same numbers as if it had never stopped. One that has come to its end learns on where `minutes`, `episodes` or
     `rounds` are more now, with the same numbers as if it had been so many from the start. watch: called with
     what has happened and the run: "failed", "trained", "lost" (a training that came to nothing), "round", "stuck", and
-    "second" after each second of driving.
+    "second" after each second of driving. each: called with every sample that is recorded, such as a live stream's.
     Raises ValueError when the directory holds something else, when another process learns in it, and for parts of
     your own that could not be found again when the run is read.
     """
@@ -29,7 +35,7 @@ def learn(
     )
     require(isinstance(experiment, Experiment), "learn", what)
     if directory is None:
-        return _driven(LearningRun(experiment, watch))
+        return _driven(LearningRun(experiment, watch), each)
     rundir.plain(experiment)
     place = FilePath(directory)
     made = f"{place} is a file, expected a directory for the run; choose another name"
@@ -46,10 +52,11 @@ def learn(
         else:
             run = LearningRun(experiment, watch)
             rundir.keep_in(run, place)
-        return _driven(run)
+        return _driven(run, each)
 
 
-def _driven(run: LearningRun) -> LearningRun:
+def _driven(run: LearningRun, each: Callable[[Sample], None] | None) -> LearningRun:
+    run.each = each
     while not run.done():
         run.drive()
     if run.keep is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path as FilePath
 from typing import Any
@@ -21,6 +21,7 @@ from steerkit.learning.curve import Curve
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.learn import learn
 from steerkit.learning.pictures import paper as figures
+from steerkit.loop import Sample
 from steerkit.metrics import of_log
 from steerkit.mistakes import in_one_line
 from steerkit.outside import fingerprint, is_outside
@@ -31,14 +32,21 @@ from steerkit.simulation import Log
 console = Console() if Console().is_terminal else Console(width=110)
 
 
-def learn_with_progress(experiment: Experiment, place: FilePath, *, quiet: bool = False, note: str = "") -> LearningRun:
+Each = Callable[[Sample], None]
+"""Called with every sample as it is driven."""
+
+
+def learn_with_progress(
+    experiment: Experiment, place: FilePath, *, quiet: bool = False, note: str = "", each: Each | None = None
+) -> LearningRun:
     """`learn`, with a moving picture on a terminal and a line for every fifth failure and every round elsewhere."""
     if quiet:
-        return learn(experiment, place)
+        return learn(experiment, place, each=each)
     if not console.is_terminal:
-        return learn(experiment, place, watch=progress.in_lines(lambda line: console.print(line, soft_wrap=True)))
+        lines = progress.in_lines(lambda line: console.print(line, soft_wrap=True))
+        return learn(experiment, place, watch=lines, each=each)
     with progress.on_terminal(experiment, console, note=note, before=_before(place)) as watch:
-        return learn(experiment, place, watch=watch)
+        return learn(experiment, place, watch=watch, each=each)
 
 
 def _before(place: FilePath) -> Curve | None:
@@ -105,10 +113,17 @@ def _final_drive(place: FilePath, run: LearningRun) -> Log:
 
 
 def drive_and_draw(
-    name: str, scenario: Scenario, place: FilePath, *, rounds: float | None, seed: int, quiet: bool = False
+    name: str,
+    scenario: Scenario,
+    place: FilePath,
+    *,
+    rounds: float | None,
+    seed: int,
+    quiet: bool = False,
+    each: Each | None = None,
 ) -> dict[str, Any]:
     """A test drive of a named controller or of a run's final policy, with table, log and picture in `place`."""
-    log = _driven(name, scenario, rounds=rounds, seed=seed, quiet=quiet)
+    log = _driven(name, scenario, rounds=rounds, seed=seed, quiet=quiet, each=each)
     place.mkdir(parents=True, exist_ok=True)
     log.save(place / "drive.npz")
     figures.round_driven(log, title=f"{name} on {scenario.course}").savefig(place / "drive.png")
@@ -144,15 +159,18 @@ def file_name(name: str) -> str:
     return FilePath(name).name.replace(":", "-")
 
 
-def _driven(name: str, scenario: Scenario, *, rounds: float | None, seed: int, quiet: bool) -> Log:
+def _driven(
+    name: str, scenario: Scenario, *, rounds: float | None, seed: int, quiet: bool, each: Each | None = None
+) -> Log:
     run = FilePath(name)
+    how: dict[str, Any] = {"rounds": rounds, "seed": seed, "progress": not quiet, "each": each}
     if name not in CONTROLLERS and run.is_dir():
         doe = rundir.experiment_of(run).setting.element(scenario.nominal)
         policy = rundir.final_policy(run)
-        return evaluate.drive(scenario, policy, doe=doe, rounds=rounds, seed=seed, progress=not quiet)
+        return evaluate.drive(scenario, policy, doe=doe, **how)
     steering = evaluate.controller(name, scenario)
     try:
-        return evaluate.drive(scenario, steering, rounds=rounds, seed=seed, progress=not quiet)
+        return evaluate.drive(scenario, steering, **how)
     except Exception as error:
         if not is_outside(name):
             raise

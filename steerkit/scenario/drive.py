@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import fields, replace
 from typing import Protocol
 
@@ -136,10 +137,12 @@ def drive(
     s: float | None = None,
     progress: bool = False,
     only_while_held: bool = False,
+    each: Callable[[Sample], None] | None = None,
 ) -> Log:
     """Drive the scenario's rounds of its course (or `rounds`) and return the log, 20 samples a second.
 
-    only_while_held: end at the first sample in which the recovery controller has the wheel.
+    only_while_held: end at the first sample in which the recovery controller has the wheel. each: called with every
+    sample of the log as it is driven, such as a live stream's.
     The run also ends after the time that the slowest human would need; then the last `path.progress` is short of
     `rounds` times the course.
     """
@@ -150,6 +153,8 @@ def drive(
     ticks = round(steering.dt / loop.dt)
 
     def over(sample: Sample) -> bool:
+        if each is not None:
+            each(sample)
         lost = only_while_held and sample["supervisor.learning"] < 0.5
         return lost or sample["path.progress"] >= length
 

@@ -87,6 +87,7 @@ AT_HOME = {
     "pythonfmu": {"export.fmu"},
     "fmpy": {"plants.fmu"},
     "rosbags": {"logs.ros", "logs.ros_out"},
+    "foxglove": {"logs.stream"},
     "asammdf": {"logs.mdf"},
     "opendbc": {"logs.can_frames"},
     "gymnasium": {"gym", "export.minari"},

@@ -67,7 +67,7 @@ def test_a_run_that_was_never_trained_says_so(
 def test_the_options_of_learning_are_heard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     heard: list[tuple[Experiment, Path]] = []
 
-    def learned(experiment: Experiment, place: Path, *, quiet: bool, note: str) -> None:
+    def learned(experiment: Experiment, place: Path, *, quiet: bool, note: str, each: Any) -> None:
         heard.append((experiment, place))
 
     monkeypatch.setattr(report, "learn_with_progress", learned)

@@ -134,6 +134,14 @@ def test_the_jump_back_to_the_start_of_an_open_course_is_no_transition() -> None
     assert run.counts.failures == 0
 
 
+def test_each_sample_is_told_as_it_is_recorded() -> None:
+    told: list[tuple[float, float]] = []
+    run = learn(replace(SHORT, minutes=0.05), each=lambda sample: told.append((sample.t, sample["path.e"])))
+    log = run.recorder.log()
+    assert told == list(zip(log.t.tolist(), log["path.e"].tolist(), strict=True))
+    assert len(told) == 60
+
+
 def test_minutes_are_minutes() -> None:
     run = LearningRun(replace(SHORT, minutes=0.5))
     run.counts.k = round(30.0 / run.loop.dt) - 1
