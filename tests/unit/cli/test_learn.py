@@ -60,14 +60,17 @@ def test_a_run_that_was_never_trained_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ("learn", "--course", "circle", "--minutes", "0.01", "--out", str(tmp_path / "run"), "-q")
-    assert run(*words, monkeypatch=monkeypatch) == 0
-    assert "a net that was never trained" in capsys.readouterr().out
+    assert run(*words, "--stream", "0", monkeypatch=monkeypatch) == 0
+    said = capsys.readouterr().out
+    assert "a net that was never trained" in said
+    assert "live in Foxglove: open a connection to ws://127.0.0.1:" in said
+    assert "left out" not in said
 
 
 def test_the_options_of_learning_are_heard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     heard: list[tuple[Experiment, Path]] = []
 
-    def learned(experiment: Experiment, place: Path, *, quiet: bool, note: str, each: Any) -> None:
+    def learned(experiment: Experiment, place: Path, *, quiet: bool, note: str, each: object) -> None:
         heard.append((experiment, place))
 
     monkeypatch.setattr(report, "learn_with_progress", learned)
