@@ -8,8 +8,12 @@ from __future__ import annotations
 import gc
 import os
 import signal
+from collections.abc import Iterator
 
+import pytest
 from hypothesis import Phase, settings
+
+from tests.support.warm_start import Warm
 
 settings.register_profile("steerkit", deadline=None, print_blob=True)
 settings.register_profile(
@@ -21,3 +25,10 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 gc.set_threshold(100_000, 50, 50)  # looking for garbage as often as usual takes a sixth of the tests' time
+
+
+@pytest.fixture(scope="session")
+def python() -> Iterator[tuple[str, ...]]:
+    """The command for `python` that starts at once: see tests/support/warm_start.py."""
+    with Warm() as warm:
+        yield warm.python

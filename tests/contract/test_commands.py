@@ -7,6 +7,7 @@ import contextlib
 import json
 import os
 import re
+import shlex
 import shutil
 import signal
 import subprocess
@@ -29,16 +30,18 @@ PATIENCE = 300.0
 
 
 @pytest.fixture(scope="session")
-def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def programs(python: tuple[str, ...], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with `python` and `steerkit`, which run this interpreter: what a virtual environment has."""
     folder = tmp_path_factory.mktemp("bin")
     entry = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["scripts"]["steerkit"]
     module, function = entry.split(":")
     guarded = f'if __name__ == "__main__":\n    {function}()\n'  # as pip writes it: a training process imports it again
-    (folder / "steerkit").write_text(f"#!{sys.executable}\nfrom {module} import {function}\n{guarded}")
-    (folder / "python").write_text(f'#!/bin/sh\nexec "{sys.executable}" "$@"\n')
-    for file in folder.iterdir():
-        file.chmod(0o755)
+    (folder / "entry").mkdir()
+    entry_point = folder / "entry" / "steerkit"
+    entry_point.write_text(f"from {module} import {function}\n{guarded}")
+    for name, words in {"python": python, "steerkit": (*python, str(entry_point))}.items():
+        (folder / name).write_text(f'#!/bin/sh\nexec {shlex.join(words)} "$@"\n')
+        (folder / name).chmod(0o755)
     return folder
 
 

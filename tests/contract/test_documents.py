@@ -34,9 +34,9 @@ def name_of(page: Path) -> str:
     return str(page.relative_to(ROOT))
 
 
-def python_in(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+def run_in(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "MPLBACKEND": "agg", "COLUMNS": "120"}
-    return subprocess.run([sys.executable, *words], cwd=folder, capture_output=True, text=True, env=environment)
+    return subprocess.run(words, cwd=folder, capture_output=True, text=True, env=environment)
 
 
 # the gallery's page is made of its scripts, which run below
@@ -44,10 +44,12 @@ CODE = [page for page in PAGES if page != GALLERY and any(language == "python" f
 
 
 @pytest.mark.parametrize("page", CODE, ids=name_of)
-def test_python_blocks_run_in_their_order_and_print_what_is_shown(page: Path, tmp_path: Path) -> None:
+def test_python_blocks_run_in_their_order_and_print_what_is_shown(
+    page: Path, python: tuple[str, ...], tmp_path: Path
+) -> None:
     """A `text` block right after a `python` block is its output."""
     fenced = blocks(page)
-    done = python_in(tmp_path, "-c", "\n".join(text for language, text in fenced if language == "python"))
+    done = run_in(tmp_path, *python, "-c", "\n".join(text for language, text in fenced if language == "python"))
     assert done.returncode == 0, done.stderr
     written = page.read_text(encoding="utf-8")
     between = BLOCK.split(written)[::3]
@@ -190,7 +192,7 @@ def test_the_search_finds_words_where_pages_are_opened_from_the_disk(tmp_path: P
         (tmp_path / "docs" / name).parent.mkdir(exist_ok=True)
         shutil.copy(ROOT / "docs" / name, tmp_path / "docs" / name)
     (tmp_path / "docs" / "index.md").write_text("# Animals\n\n## Striped\n\nA zebra.\n", encoding="utf-8")
-    done = python_in(tmp_path, "-m", "mkdocs", "build", "--quiet")
+    done = run_in(tmp_path, sys.executable, "-m", "mkdocs", "build", "--quiet")
     assert done.returncode == 0, done.stderr
     assert BROWSER is not None
     options = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--virtual-time-budget=8000")

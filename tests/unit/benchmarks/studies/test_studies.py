@@ -66,8 +66,8 @@ KEYS = {
 """What each prints, at least."""
 
 
-def called(*words: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "benchmarks", "study", *words]
+def called(python: tuple[str, ...], *words: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    command = [*python, "-m", "benchmarks", "study", *words]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300.0)
 
 
@@ -82,10 +82,12 @@ def test_the_list_says_what_each_measures_and_imports_none() -> None:
 
 
 @pytest.mark.parametrize("name", sorted(KEYS))
-def test_the_quick_form_runs_as_a_process_and_prints_its_figures_last(name: str, tmp_path: Path) -> None:
+def test_the_quick_form_runs_as_a_process_and_prints_its_figures_last(
+    name: str, python: tuple[str, ...], tmp_path: Path
+) -> None:
     if name == "gym_steps":
         pytest.importorskip("gymnasium")
-    done = called(name, "--quick", "--json", folder=tmp_path)
+    done = called(python, name, "--quick", "--json", folder=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
     figures = json.loads(done.stdout.splitlines()[-1], parse_constant=lambda word: pytest.fail(f"{word} is no JSON"))
     assert figures.keys() >= KEYS[name]
@@ -243,8 +245,8 @@ def test_work_that_is_not_equal_does_not_count() -> None:
         (["learning", "--setting", "defaul"], 2, "invalid choice: 'defaul'"),
     ],
 )
-def test_mistakes(words: list[str], code: int, message: str, tmp_path: Path) -> None:
-    done = called(*words, folder=tmp_path)
+def test_mistakes(words: list[str], code: int, message: str, python: tuple[str, ...], tmp_path: Path) -> None:
+    done = called(python, *words, folder=tmp_path)
     assert done.returncode == code
     assert message in done.stderr
     assert "Traceback" not in done.stderr

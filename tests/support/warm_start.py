@@ -1,0 +1,187 @@
+"""Programs that start at once: forked from an interpreter that has the packages of others imported already.
+
+Tests start some three hundred programs, and more than half of a short one's time goes into NumPy, SciPy, Matplotlib,
+CasADi and typer. `Warm` keeps one interpreter that has imported these, and nothing of ours; a program is a fork of it:
+a process with arguments, environment, folder, input and output of its own, that imports steerkit anew and ends with its
+own exit code. In place of `sys.executable` a test gives `Warm.python`, a small client that hands all of this over,
+waits, and passes on signals; if it is killed, so is the program. What must start cold (the time or the modules of a
+start, a terminal, another locale) goes on using `sys.executable`.
+
+    with Warm() as warm:
+        subprocess.run([*warm.python, "-m", "steerkit", "drive", "stanley"])
+"""
+
+from __future__ import annotations
+
+import array
+import atexit
+import contextlib
+import gc
+import importlib
+import json
+import os
+import runpy
+import select
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+PACKAGES = (
+    *("numpy", "scipy.linalg", "scipy.optimize", "scipy.interpolate", "scipy.integrate", "scipy.signal", "scipy.stats"),
+    *("matplotlib.figure", "matplotlib.pyplot", "matplotlib.backends.backend_agg", "casadi", "control", "typer"),
+    *("rich.console", "rich.table", "rich.progress", "pydantic", "cantools", "can", "sqlite3", "tomllib", "asyncio"),
+)
+"""What is imported beforehand; none of it starts a thread."""
+CLIENT = Path(__file__).with_name("warm_client.py")
+
+
+class Warm:
+    """The interpreter that programs are forked from, from `with` to its end."""
+
+    def __init__(self) -> None:
+        self._folder = tempfile.TemporaryDirectory(prefix="steerkit-warm-")
+        self._socket = Path(self._folder.name, "socket")
+        self.python = (sys.executable, "-IS", str(CLIENT), str(self._socket))
+        """The command that stands for `python`."""
+
+    def __enter__(self) -> Warm:
+        environment = {**os.environ, "OMP_NUM_THREADS": "1", "MPLBACKEND": "agg"}
+        environment.pop("PYTHONPATH", None)
+        words = [sys.executable, "-P", __file__, str(self._socket)]
+        self._process = subprocess.Popen(words, env=environment, stdin=subprocess.DEVNULL)
+        while not self._socket.exists():
+            if self._process.poll() is not None:
+                raise RuntimeError("the interpreter that programs are forked from did not start; it said why")
+            time.sleep(0.01)
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self._process.kill()
+        self._process.wait()
+        self._folder.cleanup()
+
+
+# ---- in the warm interpreter -----------------------------------------------------------------------------------------
+
+
+def serve(path: str) -> tuple[list[str], dict[str, str]]:
+    """Fork a program for each client; returns in the program only: its words after `python`, and its environment."""
+    for name in PACKAGES:
+        with contextlib.suppress(ImportError):  # an extra that is not installed
+            importlib.import_module(name)
+    gc.collect()
+    gc.freeze()  # a look for garbage in a program would copy the memory of all packages
+    server = socket.socket(socket.AF_UNIX)
+    server.bind(path + ".new")
+    server.listen(64)
+    os.rename(path + ".new", path)  # it is there when it listens
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+    while True:
+        client, _ = server.accept()
+        if os.fork():
+            client.close()
+            continue
+        server.close()
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+        asked, streams = _received(client)
+        program = os.fork()
+        if program == 0:
+            client.close()
+            return _become(asked, streams)
+        for stream in streams:
+            os.close(stream)
+        client.sendall(f"{program}\n".encode())
+        ended = os.pidfd_open(program)
+        ready, _, _ = select.select([client, ended], [], [])
+        if ended not in ready:  # the client is gone without a word: it was killed
+            os.kill(program, signal.SIGKILL)
+        _, status = os.waitpid(program, 0)
+        with contextlib.suppress(BrokenPipeError):
+            client.sendall(f"{os.waitstatus_to_exitcode(status)}\n".encode())
+        os._exit(0)
+
+
+def _received(client: socket.socket) -> tuple[Any, array.array[int]]:
+    """What a client asks for, and its three streams."""
+    size, ancillary, _, _ = client.recvmsg(8, socket.CMSG_SPACE(12))
+    streams = array.array("i")
+    for _, _, data in ancillary:
+        streams.frombytes(data)
+    text, length = b"", int.from_bytes(size, "big")
+    while len(text) < length:
+        text += client.recv(length - len(text))
+    return json.loads(text), streams
+
+
+def _become(asked: Any, streams: array.array[int]) -> tuple[list[str], dict[str, str]]:
+    """Take over streams, folder and signals of the client."""
+    for number, stream in enumerate(streams):
+        os.dup2(stream, number)
+        os.close(stream)
+    os.setsid()
+    os.chdir(asked["folder"])
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    return asked["words"], asked["environment"]
+
+
+def run(words: list[str], environment: dict[str, str]) -> None:
+    """What `python WORDS` does, in this process."""
+    os.environ.clear()
+    os.environ.update(environment)
+    time.tzset()
+    sys.dont_write_bytecode = bool(environment.get("PYTHONDONTWRITEBYTECODE"))
+    places = [os.path.abspath(part) for part in environment.get("PYTHONPATH", "").split(os.pathsep) if part]
+    kind, *rest = words
+    first = os.getcwd() if kind == "-m" else "" if kind == "-c" else os.path.dirname(os.path.realpath(kind))
+    sys.path[:0] = [first, *places]
+    importlib.invalidate_caches()
+    if kind == "-m":
+        sys.argv = rest
+        runpy.run_module(rest[0], run_name="__main__", alter_sys=True)
+    elif kind == "-c":
+        sys.argv = ["-c", *rest[1:]]
+        del sys.modules["__main__"].__file__
+        exec(compile(rest[0], "<string>", "exec"), {"__name__": "__main__", "__builtins__": __builtins__})
+    else:
+        sys.argv = words
+        runpy.run_path(kind, run_name="__main__")
+
+
+def end_after(words: list[str], environment: dict[str, str]) -> None:
+    """Run, and end as Python does, but for taking the imported packages apart, which takes longer than their import."""
+    code: Any = 0
+    try:
+        run(words, environment)
+    except SystemExit as stop:
+        code = stop.code
+        if code is None:
+            code = 0
+        elif not isinstance(code, int):
+            print(code, file=sys.stderr)
+            code = 1
+    except KeyboardInterrupt:
+        sys.excepthook(*sys.exc_info())
+        code = -signal.SIGINT
+    except BaseException:
+        sys.excepthook(*sys.exc_info())
+        code = 1
+    threading._shutdown()  # type: ignore[attr-defined]  # waits for threads, as the interpreter does
+    atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError):
+            stream.flush()
+    if code < 0:
+        signal.signal(-code, signal.SIG_DFL)
+        os.kill(os.getpid(), -code)
+    os._exit(code & 0xFF)
+
+
+if __name__ == "__main__":
+    end_after(*serve(sys.argv[1]))
