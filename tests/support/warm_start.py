@@ -99,7 +99,7 @@ def serve(path: str) -> tuple[list[str], dict[str, str]]:
             os.close(stream)
         client.sendall(f"{program}\n".encode())
         ended = os.pidfd_open(program)
-        ready, _, _ = select.select([client, ended], [], [])
+        ready, _, _ = select.select([client.fileno(), ended], [], [])
         if ended not in ready:  # the client is gone without a word: it was killed
             os.kill(program, signal.SIGKILL)
         _, status = os.waitpid(program, 0)
