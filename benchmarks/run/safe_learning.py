@@ -175,6 +175,7 @@ def summarise(learners: Sequence[Learner]) -> dict[str, Any]:
         "good_median_s": float(np.median(good)) if len(safe) else float("nan"),
         "good_worst_s": float(good.max(initial=0.0)),
         "interventions_pct": float(own.max(initial=0.0)),
+        "interventions_mean_pct": float(own.mean()) if len(safe) else float("nan"),
         "interventions_above_2_pct": int(np.sum(own > 2.0)),
         "final_rms_x": float(np.nanmedian(ratios)) if np.isfinite(ratios).any() else float("nan"),
         "seconds_a_run": float(np.mean([run.drive_s + run.judging_s for run in safe])) if safe else float("nan"),

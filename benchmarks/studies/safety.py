@@ -6,12 +6,14 @@
   fleet, the first seeds (--compare) once more without it. A departure is a run in which |e| exceeds 0.5 m after the
   first second. GOOD is when a net takes the wheel that drives a whole round as `study learning` asks, without the
   filter. interventions_pct: samples of the last minute in which the learner's command was mixed with the backup's, of
-  the worst run. final_rms_x: RMS e of the final net's test drive over that of the one that learned without it, in the
+  the worst run (interventions_mean_pct: over all). final_rms_x: RMS e of the final net's test drive over that of the one that learned without it, in the
   median.
 * Adversaries: full lock to either side, bang-bang at 20 Hz and slower, away from the path, an untrained net, commands
   by chance; tyres 30 % off, ratio 10 % off either way, 0.1 s of delay that nobody is told; 2 to 9 m/s. The filter is
   told that commands may be 0.1 s late.
 * Trained: a small net that is trained to leave the path, of the car with the ratio 10 % too direct, by random search.
+* Agents: DQN and SAC of Stable-Baselines3 (extra `peers`) on their first 600 steps, in the environment with `safe`, on
+  the adversaries' cars.
 * Chatter: RMS of the correction's change from sample to sample, of the one-step filter over the multi-step one, against
   a driver who is smooth and wants to be 0.8 m beside the path, and against full lock.
 * Car: learners with the filter before the gate of the simulated car behind the bus, in three processes at true 20 Hz;
@@ -43,6 +45,7 @@ from rich.table import Table
 from benchmarks.run.fleet import of_fleet, of_kind
 from benchmarks.run.safe_learning import Job, Learner, runs, summarise
 from benchmarks.run.safety_adversary import NetAdversary, searched
+from benchmarks.run.safety_agents import agents
 from steerkit import maths as m
 from steerkit.block import Block, In, Out, take_ports
 from steerkit.catalogue import make_safety
@@ -212,7 +215,7 @@ def _signal(field: str, names: list[str]) -> str:
     return next(name for name in names if name.replace(".", "_") == field)
 
 
-PARTS = ("adversaries", "trained", "chatter", "cost", "learners", "car")
+PARTS = ("adversaries", "trained", "agents", "chatter", "cost", "learners", "car")
 """What it measures; each can be left out, and the last has to be asked for: it takes real time, and the extra `car`."""
 
 
@@ -241,6 +244,11 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         report |= trained(0.5, (6.5,), 2, 1) if quick else trained(4.0, (5.0, 9.0), 48, 5)
         for speed, best in report["trained_adversaries"].items():
             console.print(f"net trained to leave, {speed}: max |e| by generation", ", ".join(f"{e:.3f}" for e in best))
+    if "agents" in options.parts:
+        off = dict(tyres=0.7, delay=LATE, told_delay=DT)
+        report |= agents(20, SPEEDS[1:2], LATE, off) if quick else agents(600, SPEEDS, LATE, off)
+        for kind, row in report.get("agents", {}).items():
+            console.print(f"{kind:16s} max |e|", "  ".join(f"{v}: {e:.3f} m" for v, e in row.items()))
     if "chatter" in options.parts:
         report |= chatter(6.0 if quick else 20.0, (5.0,) if quick else (3.0, 5.0, 8.0))
     if "cost" in options.parts:

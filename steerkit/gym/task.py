@@ -19,9 +19,10 @@ from steerkit import maths as m
 from steerkit.block import Block, Out, State
 from steerkit.catalogue import ELEMENTS, make_element, make_safety
 from steerkit.controllers.nfq_policy import IDOE_ACTIONS
+from steerkit.controllers.safety_filter import SafetyFilter
 from steerkit.controllers.state_description import StateDescription
 from steerkit.doe import Dynamic, HeldAngle, Integrator
-from steerkit.errors import require
+from steerkit.errors import known, require
 from steerkit.learning.costs import COSTS, BandCost, Cost, IdoeCost, SmoothCost, TanhCost
 from steerkit.learning.nfq.patterns import STANDARD
 from steerkit.loop import Loop, LoopState
@@ -130,9 +131,10 @@ class Task:
     """Largest |e| at the start [m], at the scenario's reference point."""
     start_psi_e: float = 0.02
     """Largest turn at the start [rad], away from the heading that keeps e as it is."""
-    safe: bool = False
+    safe: bool | Mapping[str, Any] = False
     """Is there a `SafetyFilter` between the agent and the wheel? It keeps |e| of the front axle within 0.5 m, whatever
-    the agent does. `info` holds `correction` [rad] and `share` [1] then: an agent that is corrected should be told."""
+    the agent does. `info` holds `correction` [rad] and `share` [1] then: an agent that is corrected should be told.
+    A mapping has fields of the filter that are not to be its own: `{"delay_doubt": 0.1}`."""
     description: StateDescription = STANDARD
     """The observation's columns and ranges: names of the tracker's or the sensors' outputs, or `doe`; column 0 is e."""
 
@@ -154,8 +156,8 @@ class Task:
             object.__setattr__(self, "actions", tuple(angles.tolist()))
             fits = len(angles) >= 2 and bool((np.abs(angles) < 20.0).all())
             require(fits, where, f"actions = {self.actions}, expected at least two angles [rad]")
-        known = isinstance(self.doe, Block) or self.doe is None or self.doe in ELEMENTS
-        require(known, where, f"doe {self.doe!r}; valid: {', '.join(ELEMENTS)}, or a block")
+        fits = isinstance(self.doe, Block) or self.doe is None or self.doe in ELEMENTS
+        require(fits, where, f"doe {self.doe!r}; valid: {', '.join(ELEMENTS)}, or a block")
         choices = f"smooth, paper, a Cost, or its fields with a kind: {', '.join(COST_KINDS)}"
         require(_is_cost(self.cost), where, f"cost {self.cost!r}; valid: {choices}")
         require(self.start in ("anywhere", "beginning"), where, f"start {self.start!r}; valid: anywhere, beginning")
@@ -172,7 +174,9 @@ class Task:
         require(self.scenario is None or plain, where, words)
         _ = self.place
         told = isinstance(self.place, Scenario)
-        require(told or not self.safe, where, "safe needs a Scenario, which says what is told of the car")
+        require(told or self.safe is False, where, "safe needs a Scenario, which says what is told of the car")
+        for name in self.safe if isinstance(self.safe, Mapping) else ():
+            known(name, [field.name for field in dataclasses.fields(SafetyFilter)], "field of safe")
 
     # ---- what is steered ------------------------------------------------------------------------------------
 
@@ -232,7 +236,8 @@ class Task:
     @cached_property
     def loop(self) -> Loop:
         """The loop with an `Agent` for a controller."""
-        safety = make_safety(self.place.belief()) if self.safe else None
+        fields = self.safe if isinstance(self.safe, Mapping) else {}
+        safety = None if self.safe is False else dataclasses.replace(make_safety(self.place.belief()), **fields)
         return assembled(self.place, Agent(dt=self.element.dt), doe=self.element, safety=safety)
 
     @cached_property

@@ -121,3 +121,6 @@ def test_safe_is_a_filter_behind_the_output_element() -> None:
     assert loop.inputs_of("safety")["command"] == "doe.delta_sw"
     assert loop.inputs_of("doe")["applied"] == "safety.delta_sw"
     assert "safety" not in Task().loop.names
+    assert Task(safe={"delay_doubt": 0.1}).loop.blocks["safety"].delay_doubt == 0.1  # type: ignore[attr-defined]
+    with pytest.raises(ValueError, match="delay_doubt"):
+        Task(safe={"delay": 0.1})

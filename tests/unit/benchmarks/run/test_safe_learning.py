@@ -117,6 +117,7 @@ def test_what_is_counted() -> None:
     assert (report["departures"], report["departures_without"]) == (2, 1)
     assert (report["good_median_s"], report["good_worst_s"]) == (5.0, math.inf)
     assert (report["interventions_pct"], report["interventions_above_2_pct"]) == (2.5, 1)
+    assert report["interventions_mean_pct"] == pytest.approx(3.5 / 3)
     assert report["final_rms_x"] == pytest.approx(1.1)
     assert (report["seconds_a_run"], report["of_it_trainings"], report["of_it_judging"]) == (12.0, 4.0, 2.0)
     assert report["codes"] == 1
