@@ -6,8 +6,8 @@
   fleet, the first seeds (--compare) once more without it. A departure is a run in which |e| exceeds 0.5 m after the
   first second. GOOD is when a net takes the wheel that drives a whole round as `study learning` asks, without the
   filter. interventions_pct: samples of the last minute in which the learner's command was mixed with the backup's, of
-  the worst run (interventions_mean_pct: over all). final_rms_x: RMS e of the final net's test drive over that of the one that learned without it, in the
-  median.
+  the worst run (interventions_mean_pct: over all). final_rms_x: RMS e of the final net's test drive over that of the
+  one that learned without it, in the median.
 * Adversaries: full lock to either side, bang-bang at 20 Hz and slower, away from the path, an untrained net, commands
   by chance; tyres 30 % off, ratio 10 % off either way, 0.1 s of delay that nobody is told; 2 to 9 m/s. The filter is
   told that commands may be 0.1 s late.
