@@ -42,7 +42,7 @@ class SingleTrackFilter(Block):
     has got to (linear single track). What the gyro should then say, and what its numbers do in driving of dt, is
 
         r = g v (w - worn h + offset + disturbance)/(n (L + K v^2)) + rate_zero + noise,  g = 1/ratio,
-        disturbance' = f disturbance + noise,  P' = F P F + (1 - F^2) P_0,  F = diag(exp(-dt/memory), ..., f),
+        disturbance' = f disturbance + noise,  P' = F P F + (1 - F^2) P_0,  F = diag(exp(-dt/time), ..., f),
 
     n, L of the data sheet; h = w - w behind a free play of 2 degrees, for what friction and play keep from the road
     wheels looks like another ratio, and within a bend like an offset. The variance of r's error is that of its noise,
@@ -123,7 +123,10 @@ class SingleTrackFilter(Block):
     worn_prior: float = 0.5
     """Its standard deviation [1]."""
     memory: float = 50000.0
-    """Time of driving after which what was learned counts for 1/e [s]."""
+    """Time of driving after which what was learned of ratio, understeer and wear counts for 1/e [s]."""
+    zero_memory: float = 500_000.0
+    """The same of the offset and the gyro's zero [s]: in an hour they may move by an eighth of their priors, 0.36
+    degrees and 0.034 deg/s."""
     noise: float = radians_of(0.2)
     """Standard deviation of the white noise on r [rad/s]."""
     psi_noise: float = radians_of(0.1)
@@ -155,6 +158,7 @@ class SingleTrackFilter(Block):
             ("worn", "1", 0.0, 2.0),
             ("worn_prior", "1", 1e-4, 2.0),
             ("memory", "s", 1.0, 1e6),
+            ("zero_memory", "s", 1.0, 1e6),
             ("noise", "rad/s", 1e-6, 1.0),
             ("psi_noise", "rad", 1e-6, 1.0),
             ("correlated", "s", self.dt, 10.0),
@@ -220,9 +224,8 @@ class SingleTrackFilter(Block):
         teaches = m.every(read, acts, since * dt > delay + 4.0 * lag + 0.3)
         r = m.where(turns, u.r, 0.0)
         # the six numbers
-        keeps = [m.where(drives, math.exp(-dt / self.memory), 1.0)] * 4
-        keeps.append(m.where(drives, math.exp(-dt / self.disturbance_time), 1.0))
-        keeps.append(keeps[0])
+        times = (self.memory, self.memory, self.zero_memory, self.zero_memory, self.disturbance_time, self.memory)
+        keeps = [m.where(drives, math.exp(-dt / time), 1.0) for time in times]
         numbers = (*numbers[:4], keeps[4] * numbers[4], numbers[5])
         fresh = {i: (1.0 - keep * keep) * variance for i, (keep, variance) in enumerate(zip(keeps, self._variances))}
         covariance = gauss.carried(covariance, (), keeps, fresh)
@@ -253,8 +256,11 @@ class SingleTrackFilter(Block):
         going = m.where(whole, 1.0, 0.0)
         # the angle on its way
         command = m.where(known, u.delta_sw, angle)
-        line, arrives = arrived(line, command, delay - (0.0 if self.held else dt), lag, dt)
-        beta, rate = yaw_step(p, beta, rate, 0.5 * (came + arrives) / p.steer_ratio, v, dt)
+        line, (corner, part, arrives) = arrived(
+            line, command, delay - (0.0 if self.held else dt), lag, dt, held=self.held
+        )
+        mean = 0.5 * (corner + part * came + (1.0 - part) * arrives)
+        beta, rate = yaw_step(p, beta, rate, mean / p.steer_ratio, v, dt)
         turning = (rate / steady_gain(p, v) - w) / dt
         w = rate / steady_gain(p, v)
         since = m.where(acts, m.minimum(since + 1.0, 1e6), 0.0)

@@ -21,11 +21,11 @@ _GAP = radians_of(1.0)
 """Half of the free play whose loop is a regressor [rad]."""
 _GAIN, _SHARE = 1.0 / 0.3**2, 1.0 / 0.5**2
 """Precisions of the gain, 1 +- 0.3, and of the share of that free play which the car has."""
-_NO_SINGLE_LAG = 0.014
+_NO_SINGLE_LAG = 0.01
 """Deviation of delay and of lag for what is no single lag, with their sum the same [s]."""
 _CUBIC = 0.06
 """Deviation of the sum over how far the lag is from the prior's: the regression knows two moments of the answer."""
-_TIMING = 0.003
+_TIMING = 0.0015
 """Deviation of all delays for what happens between samples [s]."""
 _LEAST_GAIN = 0.3
 _FILTERS, _MOMENTS = 16, size(3)

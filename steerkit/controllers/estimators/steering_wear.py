@@ -12,6 +12,7 @@ from typing import Any, ClassVar, NamedTuple
 from steerkit import maths as m
 from steerkit.block import Block, In, Out, State
 from steerkit.controllers.estimators.bank import Fit, Valley, Weighed, at, fits, learned, size, valley
+from steerkit.controllers.estimators.estimate import NORMAL_95
 from steerkit.controllers.estimators.way import arrived
 from steerkit.controllers.estimators.yaw_model import SLOWEST, steady_gain, yaw_step
 from steerkit.errors import require, require_within, whole_samples
@@ -27,13 +28,15 @@ _CANDIDATES = 9
 _MOMENTS = size(3)
 _SETTLED = 3.0
 """How long the commands have to have acted before they teach [s]: the operators have to get at an end of their gaps."""
-_SHARE, _LEAST = 0.1, radians_of(0.1)
-"""Valid: the deviation is at most this share of the gap, or this [rad]."""
+_SHARE, _SMALL = 0.1, radians_of(0.25)
+"""Valid: the interval reaches at most this share of the half width to either side, or ends below this [rad]."""
 _TRIED = 15.0
 """Driving that taught, after which a lag is judged by what it leaves over [s]."""
 _OFF, _STEP, _LEFT = 0.003, 0.05, 0.3
 """A lag is another one where it is off by so much at least [s]; the largest step [s]; what of it may still be wrong."""
-_CLOSE = 0.004
+_LATE_LEFT = radians_of(1.5)
+"""By how much a half width is off, for each second of a delay that was told wrong: b p_0' is not all it does [rad/s]."""
+_CLOSE = 0.0015
 """Deviation of a lag that was judged to be right [s]."""
 
 
@@ -80,12 +83,12 @@ class GapBank(Block):
     is regressed as in `DelayBank`, with priors a = 1 +- 0.3, b = 0 +- 0.1 s, c = 0 +- `beyond`, g = prior +-
     prior_deviation; z is what else may be wrong. The loop of a delay that is told wrong grows with the wheel's speed,
     that of a gap does not, which tells them apart. A parabola through the lowest cost and its neighbours gives g and
-    its variance; where more is left over than the noise explains, the deviation grows by that; and `per_lag` times the
-    lag's deviation is in it, as a lag that is taken for delay leaves a loop that hardly differs from a gap's. Without
-    steering to and fro the prior stays. Where the sum of delay and lag that is told moves by `anew`, all begins anew.
+    its variance; where more is left over than the noise explains, the deviation grows by that; 1.5 degrees/s of b are
+    in it, and `per_lag` times the lag's deviation, as a lag that is taken for delay leaves a loop that hardly differs
+    from a gap's. Without steering to and fro the prior stays. Where the sum of delay and lag that is told moves by `anew`, all begins anew.
 
-    A sample teaches where all is finite, v is 3 m/s or more, and `active` was 1 for 3 s. Valid: the deviation is at
-    most a tenth of the value, or 0.1 degrees, and half of the response's variance is explained.
+    A sample teaches where all is finite, v is 3 m/s or more, and `active` was 1 for 3 s. Valid: the 95 % interval is
+    within a tenth of the half width or ends below 0.25 degrees, and half of the response's variance is explained.
 
     Inputs: angle [rad]; delay, lag, lag_deviation [s]; v [m/s]; active [1]. State: filters, the angles on their way,
     the operators, the cars behind them, moments. Raises ValueError for parameters out of range. Source: as for
@@ -166,8 +169,8 @@ class GapBank(Block):
         """p_g [rad] of one candidate: its operator's angle and the state of its car."""
         return operator
 
-    def _driven(self, before: Scalar, after: Scalar, car: State, v: Scalar) -> State:
-        """The car of one candidate a sample later; before, after: its operator's angle [rad]."""
+    def _driven(self, mean: Scalar, car: State, v: Scalar) -> State:
+        """The car of one candidate a sample later; mean: its operator's angle meanwhile [rad]."""
         return car
 
     def _else(self, known: Known, answer: Scalar) -> Scalar:
@@ -223,10 +226,13 @@ class GapBank(Block):
         # the next sample's angle, and what the operators and the cars make of it
         angle = m.where(m.is_finite(u.angle), u.angle, known.held)
         speed = m.where(m.is_finite(u.v), m.maximum(u.v, SLOWEST), known.speed)
-        line, tap = arrived(line, angle, both - lag - (0.0 if self.held else dt), lag, dt)
+        delay = both - lag - (0.0 if self.held else dt)
+        line, (corner, part, tap) = arrived(line, angle, delay, lag, dt, held=self.held)
         gaps = [i * self._step for i in range(_CANDIDATES)]
-        ends = [tap - m.clip(tap - before, -gap, gap) for before, gap in zip(operators, gaps)]
-        cars = [self._driven(*one, speed) for one in zip(operators, ends, cars)]
+        turns = [corner - m.clip(corner - before, -gap, gap) for before, gap in zip(operators, gaps)]
+        ends = [tap - m.clip(tap - turn, -gap, gap) for turn, gap in zip(turns, gaps)]
+        means = [0.5 * (turn + part * before + (1.0 - part) * end) for before, turn, end in zip(operators, turns, ends)]
+        cars = [self._driven(*one, speed) for one in zip(means, cars)]
         unworn = self._answer(ends[0], cars[0], speed)
         rate = (unworn - known.unworn) / dt
         known = Known(
@@ -250,10 +256,12 @@ class GapBank(Block):
     def _found(self, x: State) -> tuple[Scalar, Scalar, Scalar]:
         """The half width [rad], its deviation [rad] and its validity."""
         known, (begin, end) = self._known(x), self._places[-1]
-        (best, excess, explained), _ = self._fitted(known.sums, x[begin:end])
+        (best, excess, explained), every = self._fitted(known.sums, x[begin:end])
         width, aside = best.place * self._step, self.per_lag * known.doubt
-        deviation = m.sqrt(excess * best.variance * self._step**2 + self.untold**2 + aside * aside)
-        precise = deviation <= m.maximum(_SHARE * width, _LEAST)
+        late = _LATE_LEFT * at(best.number, [fit.coefficients[1] for fit in every])
+        deviation = m.sqrt(excess * best.variance * self._step**2 + self.untold**2 + aside * aside + late * late)
+        reach = NORMAL_95 * deviation
+        precise = m.either(reach <= _SHARE * width, width + reach <= _SMALL)
         return width, deviation, m.where(m.both(precise, explained), 1.0, 0.0)
 
 
@@ -283,7 +291,7 @@ class SteeringFriction(GapBank):
 
     beyond: ClassVar[float] = 0.05
     anew: ClassVar[float] = 0.005
-    untold: ClassVar[float] = radians_of(0.03)
+    untold: ClassVar[float] = radians_of(0.012)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -332,14 +340,14 @@ class SteeringPlay(GapBank):
     vehicle: Vehicle
     """The car by its data sheet."""
     held: bool = False
-    correlated: float = 0.1
+    correlated: float = 0.07
     noise: float = radians_of(0.2)
     """Standard deviation of the white noise on r [rad/s]."""
 
     behind: ClassVar[int] = 2
     beyond: ClassVar[float] = 0.001
     anew: ClassVar[float] = 0.02
-    untold: ClassVar[float] = radians_of(0.05)
+    untold: ClassVar[float] = radians_of(0.03)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -357,9 +365,8 @@ class SteeringPlay(GapBank):
     def _answer(self, operator: Scalar, car: State, v: Scalar) -> Scalar:
         return car[1] / steady_gain(self.vehicle, v)
 
-    def _driven(self, before: Scalar, after: Scalar, car: State, v: Scalar) -> State:
-        beta, r = car
-        return yaw_step(self.vehicle, beta, r, 0.5 * (before + after) / self.vehicle.steer_ratio, v, self.dt)
+    def _driven(self, mean: Scalar, car: State, v: Scalar) -> State:
+        return yaw_step(self.vehicle, *car, mean / self.vehicle.steer_ratio, v, self.dt)
 
     def _else(self, known: Known, answer: Scalar) -> Scalar:
         return answer * known.speed * known.speed / self.vehicle.wheelbase

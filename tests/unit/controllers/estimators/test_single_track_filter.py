@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -125,6 +126,19 @@ def test_a_long_straight_moves_no_ratio_and_forgets_towards_the_prior() -> None:
     later = estimated(block.output(0.0, x, ()), "ratio")
     assert later.value == pytest.approx(first.value, abs=0.01)
     assert 5.0 * first.deviation < later.deviation < 1.1 * block.ratio_prior * later.value**2
+
+
+def test_zeros_stay_known_where_a_ratio_is_forgotten() -> None:
+    """A minute of driving with nothing to learn from: an offset is mechanical, a ratio goes with load and tyres."""
+    block = replace(BLOCK, memory=300.0)
+    x = driven(block, sensed(drive(60.0)))
+    blind = {name: values[-1:].repeat(1200) for name, values in sensed(drive(60.0)).items()}
+    before, after = found(x), found(driven(block, blind | {"r": np.full(1200, np.nan)}, x))
+    assert after["ratio"].deviation > 3.0 * before["ratio"].deviation
+    walk = math.sqrt(2.0 * 60.0 / block.zero_memory)  # of what the prior is, in a minute
+    for name, prior in (("offset", block.offset_prior), ("rate_zero", block.rate_zero_prior)):
+        widened = math.sqrt(after[name].deviation ** 2 - before[name].deviation ** 2)
+        assert widened == pytest.approx(walk * prior, rel=0.05)
 
 
 def test_gaps_and_outliers_do_no_harm() -> None:
