@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -56,6 +57,18 @@ def test_play_is_found_behind_the_wheel(degrees: float) -> None:
     assert found.low <= radians_of(degrees) <= found.high
     assert found.value == pytest.approx(radians_of(degrees), rel=0.1, abs=radians_of(0.25))
     assert found.deviation < radians_of(0.3)
+
+
+def test_play_is_found_at_changing_speeds_behind_other_tyres() -> None:
+    """What the play leaves goes through the car, and a softer front axle steers less the faster it is."""
+    t = 0.05 * np.arange(1600)
+    v = 12.0 + 6.0 * np.sin(0.2 * t)
+    command = 2.0 * np.minimum(1.0, 10.0 / v) ** 2 * steered(80.0)
+    soft = replace(PASSAT, c_f=0.75 * PASSAT.c_f)
+    signals = answered(command, delay=0.15, lag=0.2, v=v, play=radians_of(1.0), car=soft)
+    found = said(PLAY, driven(PLAY, behind_the_wheel(signals)))
+    assert found.low <= radians_of(1.0) <= found.high
+    assert found.value == pytest.approx(radians_of(1.0), abs=radians_of(0.2))
 
 
 @pytest.mark.parametrize("block", [FRICTION, PLAY], ids=["friction", "play"])
