@@ -36,9 +36,9 @@ class OffsetFree(Block):
 
     z stands still while |e| > reach, below v_least, while the command is at its limit or as fast as may be, and where e
     or v is not finite. Ports, units and sample time are those of `block`, which goes on from its own angle. State: that
-    of `block`, then z [rad], the time for which it has moved [s], the last e [m] and the last command [rad]. Valid
-    where `block` by itself is stable. Raises ValueError for parameters out of range and for a block without the inputs
-    e and v and the output delta_sw.
+    of `block`, then z [rad], the time for which it has moved [s], the mean of e + T e' [m], the last e [m] and the last
+    command [rad]. Valid where `block` by itself is stable. Raises ValueError for parameters out of range and for a
+    block without the inputs e and v and the output delta_sw.
 
     Source: Astrom, Hagglund 2006, section 3.5 and ch. 6 (conditional integration, cancelled pole); Pannocchia, Rawlings
     2003 and Maeder, Borrelli, Morari 2009 (what a model of the disturbance gives an MPC).
@@ -55,6 +55,9 @@ class OffsetFree(Block):
     time_late: Scalar = 0.0
     """Up to which tau grows, to half of the time for which z has moved, as a constant comes to be known [s]; 0: not
     at all."""
+    surprise: Scalar = 0.015
+    """Mean of e + T e' over `time`, each counted up to twice this, beyond which d is another one [m]: tau is `time`
+    again, and grows anew."""
     most: Scalar = radians_of(60.0)
     """Largest |z| [rad]."""
     reach: Scalar = TRIP
@@ -78,6 +81,7 @@ class OffsetFree(Block):
             ("approach", "s", 0.05, 60.0),
             ("time", "s", 0.1, 1e4),
             ("time_late", "s", 0.0, 1e4),
+            ("surprise", "m", 1e-4, 1e3),
             ("most", "rad", 0.0, 30.0),
             ("reach", "m", 1e-3, 1e3),
             ("v_least", "m/s", 0.1, 100.0),
@@ -103,20 +107,20 @@ class OffsetFree(Block):
         return entries_of(self.block)[0]
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
-        return (*self.block.init(batch), *[m.filled(0.0, batch)] * 4)
+        return (*self.block.init(batch), *[m.filled(0.0, batch)] * 5)
 
     def settle(self, t: float, x: State, u: Any) -> State:
-        inner = self.block.settle(t, self._inner(x[:-4]), u)
+        inner = self.block.settle(t, self._inner(x[:-5]), u)
         angle = u.delta_sw_meas if "delta_sw_meas" in u._fields else 0.0 * u.e
-        return (*inner, *x[-4:-2], u.e + 0.0, angle + 0.0)
+        return (*inner, *x[-5:-2], u.e + 0.0, angle + 0.0)
 
     def output(self, t: Any, x: State, u: Any) -> Any:
-        y = self.block.output(t, self._inner(x[:-4]), u)
-        return y._replace(delta_sw=m.clip(y.delta_sw + x[-4], -self.limit, self.limit))
+        y = self.block.output(t, self._inner(x[:-5]), u)
+        return y._replace(delta_sw=m.clip(y.delta_sw + x[-5], -self.limit, self.limit))
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
-        z, clock, e_before, before = x[-4:]
-        inner = self.block.update(t, self._inner(x[:-4]), u, y._replace(delta_sw=y.delta_sw - z))
+        z, clock, usual, e_before, before = x[-5:]
+        inner = self.block.update(t, self._inner(x[:-5]), u, y._replace(delta_sw=y.delta_sw - z))
         v = m.maximum(u.v, self.v_least)
         beyond = self.dt * u.e + self.approach * (u.e - e_before)  # (e + T e') dt
         time = m.maximum(self.time, m.minimum(_SHARE * clock, self.time_late))
@@ -126,4 +130,7 @@ class OffsetFree(Block):
         free = m.both(m.absolute(y.delta_sw) < self.limit, m.absolute(y.delta_sw - before) < fastest)
         moves = m.every(on_path, free, m.is_finite(change))
         z = m.clip(z + m.where(moves, change, 0.0), -self.most, self.most)
-        return (*inner, z, clock + m.where(moves, self.dt, 0.0), u.e + 0.0, y.delta_sw + 0.0)
+        counted = m.clip(beyond / self.dt, -2.0 * self.surprise, 2.0 * self.surprise)  # a tight bend is no constant
+        usual = usual + m.where(moves, self.dt / self.time * (counted - usual), 0.0)
+        clock = m.where(m.absolute(usual) > self.surprise, 0.0, clock + m.where(moves, self.dt, 0.0))
+        return (*inner, z, clock, usual, u.e + 0.0, y.delta_sw + 0.0)

@@ -108,22 +108,42 @@ def test_a_car_that_starts_beside_its_path_is_turned_past_it_by_no_more_than_2_c
 def z_after(block: OffsetFree, state: Any, **u: float) -> float:
     values = block.U(**HERE | u)
     y = block.output(0.0, state, block.D(**HERE | u))
-    return float(block.update(0.0, state, values, y)[-4])
+    return float(block.update(0.0, state, values, y)[-5])
 
 
 def test_a_constant_that_is_known_is_moved_less() -> None:
     """tau is `time` at first, then half of the time for which z has moved, at most `time_late`."""
     block = OffsetFree.around(Stanley.of(PASSAT), PASSAT, time=3.0, time_late=20.0)
-    inner = block.settle(0.0, block.init(), block.U(**HERE))[:-4]
+    inner = block.settle(0.0, block.init(), block.U(**HERE))[:-5]
 
     def moved(clock: float) -> float:
-        return z_after(block, (*inner, 0.0, clock, 0.01, 0.1))
+        return z_after(block, (*inner, 0.0, clock, 0.0, 0.01, 0.1))
 
     assert moved(5.0) == moved(0.0) != 0.0
     assert moved(24.0) == pytest.approx(moved(0.0) * 3.0 / 12.0)
     assert moved(1000.0) == pytest.approx(moved(0.0) * 3.0 / 20.0)
     settled = replace(block, time_late=0.0)
-    assert z_after(settled, (*inner, 0.0, 1000.0, 0.01, 0.1)) == moved(0.0)
+    assert z_after(settled, (*inner, 0.0, 1000.0, 0.0, 0.01, 0.1)) == moved(0.0)
+
+
+def after(block: OffsetFree, *pieces: tuple[float, float]) -> Any:
+    """The state after e [m] was measured for so long [s], each piece in turn, by a wheel that follows at once."""
+    x = block.settle(0.0, block.init(), block.U(**HERE | {"e": 0.0}))
+    for seconds, e in pieces:
+        for _ in range(round(seconds / block.dt)):
+            y = block.output(0.0, x, block.D(**HERE | {"e": e}))
+            x = block.update(0.0, x, block.U(**HERE | {"e": e}), y)
+    return x
+
+
+def test_a_constant_that_turns_out_to_be_another_one_is_found_as_fast_as_the_first() -> None:
+    """3 cm that stay for seconds are no noise, 10 cm in a short bend and 1 cm all the time are no reason."""
+    block = OffsetFree.around(Stanley.of(PASSAT), PASSAT, time=5.0, time_late=30.0)
+    assert after(block, (60.0, 0.0))[-4] == pytest.approx(60.0)
+    for e in (0.03, -0.03):
+        assert after(block, (60.0, 0.0), (4.0, e))[-4] == 0.0
+    assert after(block, (60.0, 0.0), (2.0, 0.1), (4.0, 0.0))[-4] > 60.0
+    assert after(block, (60.0, 0.01))[-4] == pytest.approx(60.0)
 
 
 def test_where_it_stands_still() -> None:
@@ -132,12 +152,12 @@ def test_where_it_stands_still() -> None:
     x = block.settle(0.0, block.init(), u)
     assert z_after(block, x) == pytest.approx(-block.steer_ratio / (6.0 * 0.5 * 3.0) * 0.05 * 0.01)
     assert z_after(block, x, e=-0.01) == pytest.approx(block.steer_ratio / 9.0 * (0.05 * 0.01 + 0.5 * 0.02))
-    stood = (*x[:-4], 0.2, 0.0, 0.01, 0.1)
+    stood = (*x[:-5], 0.2, 0.0, 0.0, 0.01, 0.1)
     for wrong in ({"e": 0.6}, {"e": -0.6}, {"v": 0.5}, {"v": -3.0}, {"e": math.nan}, {"v": math.nan}):
         assert z_after(block, stood, **wrong) == 0.2
     assert z_after(replace(block, limit=1e-3), stood) == 0.2
     assert z_after(replace(block, rate_limit=1e-3), stood) == 0.2
-    assert abs(z_after(replace(block, most=0.2), (*x[:-4], -0.2, 0.0, 0.01, -0.3))) == 0.2
+    assert abs(z_after(replace(block, most=0.2), (*x[:-5], -0.2, 0.0, 0.0, 0.01, -0.3))) == 0.2
 
 
 def test_a_gap_in_what_is_measured_is_forgotten() -> None:
@@ -147,14 +167,14 @@ def test_a_gap_in_what_is_measured_is_forgotten() -> None:
         y = block.output(0.0, x, block.D(**HERE | {"e": e}))
         x = block.update(0.0, x, block.U(**HERE | {"e": e}), y)
     assert all(map(math.isfinite, x))
-    assert x[-4] == pytest.approx(-2.0 * block.steer_ratio / 9.0 * 0.05 * 0.01)  # of the first sample and the last
-    assert x[-3] == pytest.approx(2.0 * block.dt)
+    assert x[-5] == pytest.approx(-2.0 * block.steer_ratio / 9.0 * 0.05 * 0.01)  # of the first sample and the last
+    assert x[-4] == pytest.approx(2.0 * block.dt)
 
 
 def test_the_wrapped_law_goes_on_from_its_own_angle() -> None:
     block = OffsetFree(block=Stanley.of(PASSAT))
     x = block.settle(0.0, block.init(), block.U(**HERE))
-    x = (*x[:-4], 0.1, *x[-3:])
+    x = (*x[:-5], 0.1, *x[-4:])
     y = block.output(0.0, x, block.D(**HERE))
     inner = block.block.output(0.0, block.block.init(), block.D(**HERE)).delta_sw
     assert y.delta_sw == pytest.approx(inner + 0.1)
