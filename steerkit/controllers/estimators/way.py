@@ -29,7 +29,7 @@ def arrived(
     line: the angle behind the lag, now and at the samples before, newest first; command: the angle of now. The lag [s]
     is exact where that is `held` for dt [s]; between samples then goes what arrives, too:
 
-        angle(t_k + s) = x_k + (x_(k+1) - x_k) (1 - exp(-s/lag))/(1 - exp(-dt/lag)),
+        angle(t + s) = x(t) + (x(t + dt) - x(t)) (1 - exp(-s/lag))/(1 - exp(-dt/lag)),  0 <= s <= dt,
 
     else in a line. The delay [s] is cut to the line's length. Each part of the way, up to the corner and from there to
     the end, has no extremum inside.
