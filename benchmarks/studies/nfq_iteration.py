@@ -1,7 +1,9 @@
 """The time of one NFQ iteration: targets and 300 Rprop epochs on 20,000 transitions, against torch.optim.Rprop.
 
 Both engines do the same work on one thread, in turns, in one run: the same transitions, the same start weights, the
-same targets. A figure counts only when both arrive at the same error (the equal-work gate).
+same targets. A figure counts only when both arrive at the same error (the equal-work gate). The times of an iteration
+grow with the transitions, to a million; `memory_x_data` is the most memory that the largest of them takes, the
+transitions themselves included, over that of the transitions (NumPy's arrays; the C code asks for none).
 
     python -m benchmarks study nfq_iteration [--quick] [--json]
 """
@@ -14,6 +16,7 @@ import os
 import platform
 import statistics
 import time
+import tracemalloc
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -155,13 +158,25 @@ def decision(batch: int = 0) -> float:
     return best / count / max(1, batch) * 1e6
 
 
+def memory(work: Callable[[], Any], record: Transitions) -> float:
+    """The most memory that the work takes beside the record, and the record, over the record."""
+    data = sum(part.nbytes for part in (record.s, record.a, record.s_next, record.episode))
+    tracemalloc.start()
+    try:
+        work()
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    return (data + peak) / data
+
+
 def figures(quick: bool) -> dict[str, Any]:
     """All figures, as one flat dictionary."""
     import torch
 
     torch.set_num_threads(1)
     rprop.engine_of("auto")  # compile first
-    n, sizes, repeats = (1_000, (250, 1_000), 1) if quick else (20_000, (2_000, 20_000, 200_000), 7)
+    n, sizes, repeats = (1_000, (250, 1_000), 1) if quick else (20_000, (2_000, 20_000, 200_000, 1_000_000), 7)
     record, nets, start = drives(n), fresh_nets(seed=1), new_net(seed=0)
     x = patterns(STANDARD, record.s, record.a, STANDARD.scale_of(IDOE_ACTIONS))
     y = targets(record, IDOE_ACTIONS, TanhCost(), nets=nets)
@@ -188,10 +203,13 @@ def figures(quick: bool) -> dict[str, Any]:
         "seconds_fit_torch": times["torch"],
         **equal_work(x, y, 3 if quick else 7),
     }
-    grown = in_turns({str(size): whole(drives(size)) for size in sizes}, 3)
+    records = {size: drives(size) for size in sizes}
+    grown = in_turns({str(size): whole(data) for size, data in records.items()}, 3)
+    most = records[sizes[-1]]
     each = [1e6 * grown[str(size)] / size for size in sizes]
     numbers |= {f"linear_seconds_{size}": grown[str(size)] for size in sizes}
     numbers |= {"linear_us_per_transition": each, "linear_worst_x": max(each) / min(each)}
+    numbers |= {"memory_x_data": memory(whole(most), most), "memory_transitions": len(most)}
     numbers |= {"decision_numpy_us": decision(), "decision_numpy_us_per_car_of_1000": decision(1000)}
     if importlib.util.find_spec("d3rlpy") is not None:
         numbers |= d3rlpy_iteration(record)
@@ -228,6 +246,9 @@ def table(numbers: dict[str, Any]) -> str:
     for name, value in numbers.items():
         if name.startswith("linear_seconds_"):
             lines.append(f"  {name.rsplit('_', 1)[1]:>8} transitions {value * 1e3:10.1f} ms")
+    lines.append(
+        f"most memory, {numbers['memory_transitions']} transitions: {numbers['memory_x_data']:.2f} times theirs"
+    )
     lines.append(
         f"one greedy decision, 3 nets, 5 actions: {numbers['decision_numpy_us']:.1f} us; "
         f"{numbers['decision_numpy_us_per_car_of_1000']:.2f} us a car in a batch of 1000"

@@ -44,7 +44,14 @@ KEYS = {
         *("ltv20_raw_qp_ms", "nmpc20_raw_qp_ms", "ltv20_x_raw_qp", "nmpc20_x_raw_qp"),
     },
     "log_damage": {"csv", "mf4", "ros2 mcap", "blf"},
-    "nfq_iteration": {"seconds", "seconds_torch", "vs_torch_rprop_x", "equal_work", "decision_numpy_us"},
+    "nfq_iteration": {
+        "seconds",
+        "seconds_torch",
+        "vs_torch_rprop_x",
+        "equal_work",
+        "memory_x_data",
+        "decision_numpy_us",
+    },
     "recovery_map": {"stanley-delay", "mpc", "nonlinear-mpc"},
     "safety": {
         *("departures", "runs", "good_median_s", "interventions_pct", "final_rms_x", "filter_p99_ms"),
