@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import math
+import threading
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -153,6 +154,21 @@ def is_finite(x: Scalar) -> Scalar:
     return absolute(x) <= 1e300
 
 
+def all_finite(values: Sequence[Scalar]) -> Scalar:
+    """True where all of two or more values are finite, as `is_finite` says."""
+    if {*map(type, values)} == {float}:
+        total = sum(values)  # a largest and a smallest may pass over a NaN, a sum does not
+        return total == total and min(values) >= -1e300 and max(values) <= 1e300
+    return every(*[is_finite(value) for value in values])
+
+
+def chosen(condition: Scalar, yes: Sequence[Scalar], no: Sequence[Scalar]) -> tuple[Scalar, ...]:
+    """All of `yes` where `condition` holds, else all of `no`."""
+    if condition is True or condition is False:
+        return tuple(yes) if condition else tuple(no)
+    return tuple([where(condition, a, b) for a, b in zip(yes, no, strict=True)])
+
+
 def wrap(angle: Scalar) -> Scalar:
     """`angle` [rad] brought to [-pi, pi)."""
     return angle - 2.0 * pi * floor((angle + pi) / (2.0 * pi))
@@ -195,6 +211,33 @@ class Table:
                 raise TypeError("Table: a symbolic index outside of a trace; use steerkit.compiled.compile")
             return Table.tracer(self, index)
         return tuple(self._columns[:, np.asarray(index, dtype=np.intp)])
+
+
+class Routine:
+    """Numbers to numbers by code of its own: a solver, say, which is neither arithmetic nor a table.
+
+    `routine(*values)` gives `size` numbers. call: on floats; native: the addresses of a C function
+    `void (void *self, const double *in, double *out)` and of its first argument, or TypeError where there is none.
+    Both have to give the same. Under symbolic tracing the results come from whoever traces, through `Routine.tracer`.
+    One call at a time: what computes a routine may keep its workspace.
+    """
+
+    tracer: Callable[[Routine, Sequence[Scalar]], Sequence[Scalar]] | None = None
+
+    def __init__(
+        self, *, name: str, size: int, call: Callable[..., Sequence[float]], native: Callable[[], tuple[int, int]]
+    ):
+        self.name, self.size, self.call, self.native = name, size, call, native
+        self.lock = threading.Lock()
+
+    def __call__(self, *values: Scalar) -> Sequence[Scalar]:
+        if {*map(type, values)} != {float} and any(map(is_symbol, values)):
+            if Routine.tracer is None:
+                where = "only loops compiled with backend 'c' or 'python' call it"
+                raise TypeError(f"{self.name} runs code of its own, which has no symbolic form: {where}")
+            return Routine.tracer(self, values)
+        with self.lock:
+            return self.call(*values)
 
 
 def rk4(rhs: Callable[[Sequence[Scalar]], Sequence[Scalar]], x: Sequence[Scalar], h: float) -> tuple[Scalar, ...]:

@@ -11,8 +11,9 @@ counterpart.)
     python -m benchmarks study mpc_solve [--quick] [--json]
 
 `..._raw_qp_ms` is the time of the solver alone: HPIPM by CasADi's interface, called without a check on the numbers that
-the block has just filled in, in place; `..._x_raw_qp` the median of the block's time over that, sample by sample. What
-is above 1 are the prediction over the delay, the path ahead, the linearisation, the filling in and the check.
+the block has just filled in, in place; `..._x_raw_qp` the median of the block's time over that, sample by sample. The
+block calls HPIPM without that interface, which is `..._direct_qp_ms`: what a sample takes beyond it
+(`..._x_direct_qp`) are prediction over the delay, path ahead, linearisation, filling in, check, and Python.
 
 do-mpc (extra `peers`) gets the nonlinear stage map, cost, limits and horizon of `NonlinearMPC`, with a warm start;
 `dompc_x` is its median over that of `NonlinearMPC` at the same samples. u0 is compared with ipopt's: of the linear
@@ -121,7 +122,7 @@ def raw_qp(block: PredictiveSteering) -> Callable[[], Any]:
     answer = qp._conic(**symbols)
     told = ["x", "lam_x", "lam_a"]
     run = qp._bound(
-        casadi.Function("raw", list(symbols.values()), [answer[name] for name in told], list(symbols), told)
+        casadi.Function("raw", list(symbols.values()), [answer[name] for name in told], list(symbols), told), in_c=False
     )
 
     def solve(arrays: Any = qp) -> None:  # these have to live as long as it does
@@ -287,7 +288,9 @@ def measured(samples: int, peers: int) -> dict[str, Any]:
     }
     runs = {name: cases(block, rows) for name, block in blocks.items()}
     times: dict[str, list[float]] = {name: [] for name in blocks}
-    raw = {name: raw_qp(blocks[name]) for name in ("ltv20", "nmpc20")}
+    raw: dict[str, Callable[[], Any]] = {}
+    for name in ("ltv20", "nmpc20"):
+        raw |= {name: raw_qp(blocks[name]), f"{name}_direct": blocks[name].qp.direct.solve}
     raw_times: dict[str, list[float]] = {name: [] for name in raw}
     unsolved = dict.fromkeys(blocks, 0)
     for first in progress(range(0, samples, TURN), "our solvers"):
@@ -298,15 +301,19 @@ def measured(samples: int, peers: int) -> dict[str, Any]:
             unsolved[name] += sum(y.status != 0.0 for _, y in passes[0])
             for x, u in turn if name in raw else ():
                 block.output(0.0, x, u)
-                raw_times[name].append(min(timed(raw[name])[0] for _ in range(PASSES)))
+                for bare in (name, f"{name}_direct"):
+                    raw_times[bare].append(min(timed(raw[bare])[0] for _ in range(PASSES)))
     figures: dict[str, Any] = {}
     for name in blocks:
         figures[f"{name}_ms"] = statistics.median(times[name])
         figures[f"{name}_p99_ms"] = float(np.percentile(times[name], 99))
         figures[f"{name}_unsolved"] = unsolved[name]
     for name, values in raw_times.items():
-        figures[f"{name}_raw_qp_ms"] = statistics.median(values)
-        figures[f"{name}_x_raw_qp"] = statistics.median(ours / theirs for ours, theirs in zip(times[name], values))
+        block_name, _, direct = name.partition("_")
+        kind = f"{direct or 'raw'}_qp"
+        figures[f"{block_name}_{kind}_ms"] = statistics.median(values)
+        ratios = [ours / theirs for ours, theirs in zip(times[block_name], values)]
+        figures[f"{block_name}_x_{kind}"] = statistics.median(ratios)
     if importlib.util.find_spec("do_mpc") is None:
         print("do-mpc is not installed, so nothing is compared: pip install 'steerkit-control[peers]'", file=sys.stderr)
         return figures

@@ -2,7 +2,8 @@
 
 A loop is run once on CasADi symbols (`trace`), which leaves a list of instructions a tick (`graph`); from that list
 the backends are generated: `python_code` (floats), `vm` (CasADi, also for gradients) and `native` (C, with `cache`).
-All give the trajectory of `simulate` to rounding: the Python code bit for bit, the others to about 1e-13.
+All give the trajectory of `simulate` to rounding: the Python code bit for bit, the others to about 1e-13. A block with
+a `steerkit.maths.Routine` (predictive steering's solver) runs in C, which calls the routine's address, and in Python.
 """
 
 from __future__ import annotations
@@ -87,7 +88,7 @@ class Compiled:
             raise NoCompilerError("compile: backend 'c' needs a C compiler: install gcc or set CC; or backend='vm'")
         start = time.perf_counter()
         self.loop, self.backend, self.every = loop, backend, every
-        self.trace: Trace = trace(loop, parameters=parameters)
+        self.trace: Trace = trace(loop, parameters=parameters, routines=backend != "vm")
         self.parameters = tuple(parameters)
         names = list(loop.units) if record is None else [r if isinstance(r, str) else loop.port_name(r) for r in record]
         for name in names:

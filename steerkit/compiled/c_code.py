@@ -40,7 +40,7 @@ typedef int mask;
 """
 
 _RUN_ONE = """\
-void run(long long k, long long stop, long long every, double *slots, const double *p, double *out)
+void run(long long k, long long stop, long long every, double *slots, const double *p, double *out, void **routines)
 {{
   real s[{carried}];
   long long wait = (every - k % every) % every;
@@ -53,7 +53,7 @@ void run(long long k, long long stop, long long every, double *slots, const doub
   }}
   for (int i = 0; i < {n}; i++) slots[i] = s[i];
 }}
-void finish(long long k, const double *slots, const double *p, double *out)
+void finish(long long k, const double *slots, const double *p, double *out, void **routines)
 {{
   switch (k % {period}) {{ {finals} }}
 }}
@@ -96,22 +96,28 @@ void finish(long long k, long long first, long long last, const double *slots, c
 
 
 def run_source(trace: Trace, recorded: Sequence[int], *, many: bool) -> str:
-    """A C file with `run` (ticks k to stop, every so many recorded) and `finish` (one tick, all slots)."""
+    """A C file with `run` (ticks k to stop, every so many recorded) and `finish` (one tick, all slots).
+
+    That of one car is handed its `routines`: of each the addresses of a function and of its first argument.
+    """
     carried, period = trace.carried, len(trace.ticks)
+    last, handed = ("", "") if many else (", void **routines", ", routines")
     ticks, cases, finals = [], [], []
     for phase, tick in enumerate(trace.ticks):
         lean = [tick.roots[slot] for slot in (*carried, *recorded)]
         names = [f"s[{i}]" for i in range(len(carried))] + [f"y[{i}]" for i in range(len(recorded))]
         body = _body(trace, tick.graph, lean, names)
-        ticks.append(f"static inline void tick{phase}(double k, real *s, const real *p, real *y)\n{{\n{body}}}\n")
+        ticks.append(f"static inline void tick{phase}(double k, real *s, const real *p, real *y{last})\n{{\n{body}}}\n")
         body = _body(trace, tick.graph, tick.roots, [f"out[{i}]" for i in range(len(tick.roots))])
-        ticks.append(f"static void last{phase}(double k, const real *s, const real *p, real *out)\n{{\n{body}}}\n")
+        ticks.append(
+            f"static void last{phase}(double k, const real *s, const real *p, real *out{last})\n{{\n{body}}}\n"
+        )
         label = "default" if phase == period - 1 else f"case {phase}"
-        cases.append(f"{label}: tick{phase}((double)k, s, p, y); break;")
+        cases.append(f"{label}: tick{phase}((double)k, s, p, y{handed}); break;")
         finals.append(
             f"{label}: last{phase}((double)k, s, p, out); break;"
             if many
-            else f"{label}: last{phase}((double)k, slots, p, out); break;"
+            else f"{label}: last{phase}((double)k, slots, p, out, routines); break;"
         )
     n, m, size = len(carried), len(recorded), len(trace.parameters)
     run = (_RUN_MANY if many else _RUN_ONE).format(
@@ -126,7 +132,8 @@ def run_source(trace: Trace, recorded: Sequence[int], *, many: bool) -> str:
         cases=" ".join(cases),
         finals=" ".join(finals),
     )
-    return "\n".join([_head(trace.tables, many=many), *ticks, run])
+    kind = [] if many else ["typedef void (*routine)(void *, const double *, double *);"]
+    return "\n".join([_head(trace.tables, many=many), *kind, *ticks, run])
 
 
 def lanes_source(tables: Sequence[Table]) -> str:
@@ -197,6 +204,12 @@ def statements(graph: Graph, roots: Sequence[int], source: Callable[[int], str],
     rows: set[tuple[int, int]] = set()
     for i in scheduled(graph, roots):
         op, *operands = graph.nodes[i]
+        if op == "call":
+            number, size, *arguments = operands
+            lines.append(f"  const double given{i}[] = {{{', '.join(f'v{j}' for j in arguments)}}};")
+            lines.append(f"  double told{i}[{size}];")
+            lines.append(f"  ((routine)routines[{2 * number}])(routines[{2 * number + 1}], given{i}, told{i});")
+            continue
         kind = "mask" if op in BOOLEAN else "real"
         if op == "row":
             table, index, column = operands
@@ -205,6 +218,8 @@ def statements(graph: Graph, roots: Sequence[int], source: Callable[[int], str],
                 rows.add((table, index))
                 lines.append(f"  ROW({name}, {table}, v{index});")
             text = f"AT({name}, {column})"
+        elif op == "result":
+            text = f"told{operands[0]}[{operands[1]}]"
         elif op == "const":
             text = f"NUMBER({c_number(float.fromhex(operands[0]))})"
         elif op == "in":

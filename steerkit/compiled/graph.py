@@ -5,12 +5,25 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi
 
 Node = tuple[Any, ...]
-"""`(op, *operands)`: operands are numbers of earlier nodes, except of const (its hex), in (its slot), row (table)."""
+"""`(op, *operands)`: operands are numbers of earlier nodes, except of const (its hex), in (slot), row (table number,
+index, column), call (routine number, how many numbers it gives, its arguments) and result (a call, column)."""
+
+
+class Question(NamedTuple):
+    """What a table or a routine was asked while tracing."""
+
+    kind: str
+    """row or call."""
+    number: int
+    arguments: tuple[Any, ...]
+    answers: list[Any]
+    """New symbols."""
+
 
 _UNARY = {
     casadi.OP_SQRT: "sqrt",
@@ -61,8 +74,9 @@ _FOLD_ONE: dict[str, Callable[[float], Any]] = {
 class Graph:
     """Instructions in an order in which they can be run; equal ones are stored once.
 
-    Operations: const, in (an input slot), row (table number, index, column), the arithmetic add sub mul div neg, the
-    functions of `steerkit.maths`, comparisons and logic (which give booleans) and select(condition, yes, no).
+    Operations: const, in (an input slot), row (of a table), call and result (of a routine), the arithmetic add sub mul
+    div neg, the functions of `steerkit.maths`, comparisons and logic (which give booleans) and
+    select(condition, yes, no).
     """
 
     def __init__(self) -> None:
@@ -83,11 +97,13 @@ class Graph:
         op, *operands = self.nodes[i]
         if op in ("const", "in"):
             return ()
-        return (operands[1],) if op == "row" else tuple(operands)
+        if op == "call":
+            return tuple(operands[2:])
+        return {"row": operands[1:2], "result": operands[:1]}.get(op) or tuple(operands)  # type: ignore[return-value]
 
     def add(self, op: str, *operands: Any) -> int:
         """The node of an operation; simplified only where IEEE arithmetic gives the same number."""
-        if op in ("in", "row"):
+        if op in ("in", "row", "call", "result"):
             return self._put((op, *operands))
         if op == "select":
             return self._select(*operands)
@@ -169,19 +185,22 @@ class Graph:
 
 
 def from_symbols(
-    expressions: Sequence[Any], inputs: Sequence[Any], lookups: Sequence[tuple[int, Any, Sequence[Any]]]
+    expressions: Sequence[Any], inputs: Sequence[Any], questions: Sequence[Question]
 ) -> tuple[Graph, list[int]]:
     """The graph of scalar SX `expressions` of SX symbols `inputs`, and the nodes of the expressions.
 
-    lookups: (table number, index expression, row symbols), each index made of inputs and earlier rows only.
+    questions: what was asked, each of inputs and earlier answers only.
     Raises NotImplementedError for an operation that `steerkit.maths` does not have.
     """
     graph = Graph()
     known: dict[int, int] = {x.element_hash(): graph.add("in", i) for i, x in enumerate(inputs)}
-    for table, index, row in lookups:
-        place = _convert(graph, index, known)
-        for column, symbol in enumerate(row):
-            known[symbol.element_hash()] = graph.add("row", table, place, column)
+    for kind, number, arguments, answers in questions:
+        values = [_convert(graph, casadi.SX(a), known) for a in arguments]
+        if kind == "call":
+            called = graph.add("call", number, len(answers), *map(graph.number, values))
+        for column, symbol in enumerate(answers):
+            node = ("result", called, column) if kind == "call" else ("row", number, values[0], column)
+            known[symbol.element_hash()] = graph.add(*node)
     return graph, [graph.number(_convert(graph, e, known)) for e in expressions]
 
 
@@ -280,6 +299,10 @@ def _multiplied_out(
             made[i] = new.add(op, *operands)
         elif op == "row":
             made[i] = new.add(op, operands[0], node(operands[1]), operands[2])
+        elif op == "call":
+            made[i] = new.add(op, *operands[:2], *[node(j) for j in operands[2:]])
+        elif op == "result":
+            made[i] = new.add(op, node(operands[0]), operands[1])
         else:
             made[i] = new.add(op, *[node(j) for j in operands])
         value = new.value(made[i])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import functools
 import itertools
@@ -14,7 +15,8 @@ import numpy as np
 
 from steerkit import native
 from steerkit.compiled.c_code import run_source
-from steerkit.compiled.trace import Trace
+from steerkit.compiled.trace import Trace, TraceError
+from steerkit.maths import Routine
 
 _LL = ctypes.c_longlong
 
@@ -24,6 +26,8 @@ class NativeProgram:
 
     def __init__(self, trace: Trace, recorded: Sequence[int], every: int):
         self.trace, self.recorded, self.every = trace, tuple(recorded), every
+        addresses = [address for routine in trace.routines for address in _native(routine)]
+        self._routines = (ctypes.c_void_p * max(1, len(addresses)))(*addresses)
 
     @functools.cached_property
     def one(self) -> ctypes.CDLL:
@@ -39,13 +43,23 @@ class NativeProgram:
         """Ticks k to stop - 1 of one car from all its slots: (rows recorded, all slots after the last tick)."""
         rows = np.empty((_kept(k, stop, self.every), len(self.recorded)))
         carried, end = slots[self.trace.carried], np.empty(len(slots))
-        self.one.run(_LL(k), _LL(stop - 1), _LL(self.every), _at(carried), _at(parameters), _at(rows))
-        self.one.finish(_LL(stop - 1), _at(carried), _at(parameters), _at(end))
+        with contextlib.ExitStack() as held:
+            for routine in self.trace.routines:
+                held.enter_context(routine.lock)
+            span = _LL(k), _LL(stop - 1), _LL(self.every)
+            self.one.run(*span, _at(carried), _at(parameters), _at(rows), self._routines)
+            self.one.finish(_LL(stop - 1), _at(carried), _at(parameters), _at(end), self._routines)
         self._record_last(stop - 1, rows, end)
         return rows, end
 
     def run_many(self, k: int, stop: int, slots: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The same for N cars: slots (S, N), parameters (P, N) to rows (T, R, N) and slots (S, N)."""
+        """The same for N cars: slots (S, N), parameters (P, N) to rows (T, R, N) and slots (S, N).
+
+        With a routine in the loop one after the other.
+        """
+        if self.trace.routines:
+            alone = [self.run(k, stop, np.array(s), np.array(p)) for s, p in zip(slots.T, parameters.T, strict=True)]
+            return np.stack([rows for rows, _ in alone], axis=-1), np.stack([end for _, end in alone], axis=-1)
         library, carried, every = self.many, self.trace.carried, self.every
         lanes, cars = library.lanes(), slots.shape[1]
         groups = -(-cars // lanes)
@@ -68,6 +82,13 @@ class NativeProgram:
     def _record_last(self, k: int, rows: np.ndarray, end: np.ndarray) -> None:
         if k % self.every == 0 and self.recorded:
             rows[-1] = end[list(self.recorded)]
+
+
+def _native(routine: Routine) -> tuple[int, int]:
+    try:
+        return routine.native()
+    except TypeError as error:
+        raise TraceError(f"{routine.name} cannot be called from C: {error}; or backend='python'") from error
 
 
 def _kept(k: int, stop: int, every: int) -> int:

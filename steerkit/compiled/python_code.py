@@ -32,6 +32,7 @@ class PythonProgram:
         self.trace = trace
         self.source = "\n".join([*_run(trace, recorded, every), *_finish(trace)])
         scope: dict[str, Any] = {f"table{i}": table._tuples for i, table in enumerate(trace.tables)}
+        scope |= {f"routine{i}": routine for i, routine in enumerate(trace.routines)}
         scope |= {name: getattr(math, name) for name in FUNCTIONS} | {"nan": math.nan, "inf": math.inf}
         exec(compile(self.source, "<steerkit compiled loop>", "exec"), scope)
         self.run: Callable[..., tuple[float, ...]] = scope["run"]
@@ -115,6 +116,12 @@ def _statements(graph: Graph, roots: Sequence[int], trace: Trace) -> tuple[list[
                 columns = "".join(f"{rows[table, index]}_{c}, " for c in range(width))
                 lines.append(f"{columns}= table{table}[int({text[index]})]")
             text[i], depth[i] = f"{rows[table, index]}_{column}", 0
+            continue
+        if op == "call":
+            lines.append(f"c{i} = routine{operands[0]}({', '.join([text[j] for j in operands[2:]])})")
+            continue
+        if op == "result":
+            text[i], depth[i] = f"c{operands[0]}[{operands[1]}]", 0
             continue
         expression = _expression(op, [text[j] for j in operands])
         depth[i] = 1 + max(depth[j] for j in operands)

@@ -13,9 +13,9 @@ from typing import Any
 import casadi
 import numpy as np
 
-from steerkit.compiled.graph import Graph, collapsed, from_symbols
+from steerkit.compiled.graph import Graph, Question, collapsed, from_symbols
 from steerkit.loop import Loop, LoopState
-from steerkit.maths import Table
+from steerkit.maths import Routine, Table
 
 _lock = threading.RLock()  # the tracer of `Table` and CasADi's options are global
 
@@ -85,6 +85,7 @@ class Trace:
     parameters: tuple[str, ...]
     ticks: tuple[Tick, ...]
     tables: tuple[Table, ...]
+    routines: tuple[Routine, ...] = ()
 
     @functools.cached_property
     def carried(self) -> list[int]:
@@ -115,12 +116,12 @@ class Trace:
     def instructions(self) -> int:
         """Operations in one period."""
         kinds = [tick.graph.nodes[i][0] for tick in self.ticks for i in tick.graph.order(tick.roots)]
-        return sum(kind not in ("const", "in", "row") for kind in kinds)
+        return sum(kind not in ("const", "in", "row", "result") for kind in kinds)
 
 
-def trace(loop: Loop, *, parameters: Sequence[str] = ()) -> Trace:
+def trace(loop: Loop, *, parameters: Sequence[str] = (), routines: bool = False) -> Trace:
     """The graphs of a loop. parameters: block fields (`"controller.k"`) to leave open, as inputs; a field that holds a
-    tuple of numbers (an NFQ policy's weights) is one input an entry.
+    tuple of numbers (an NFQ policy's weights) is one input an entry. routines: may blocks call a `Routine`?
 
     Raises TraceError naming the block that is not pure or cannot be run on symbols.
     """
@@ -138,8 +139,11 @@ def trace(loop: Loop, *, parameters: Sequence[str] = ()) -> Trace:
         symbols = [casadi.SX.sym(f"p{i}") for i in range(len(flat))]
         open_loop = with_parameters(loop, _regrouped(present, symbols))
         tables: dict[int, tuple[int, Table]] = {}
-        ticks = tuple(_tick(open_loop, phase, layout, symbols, tables) for phase in range(loop.period))
-    return Trace(loop, layout, tuple(flat), ticks, tuple(table for _, table in tables.values()))
+        called: dict[int, tuple[int, Routine]] = {}
+        allowed = called if routines else None
+        ticks = tuple(_tick(open_loop, phase, layout, symbols, tables, allowed) for phase in range(loop.period))
+    used = tuple(routine for _, routine in called.values())
+    return Trace(loop, layout, tuple(flat), ticks, tuple(table for _, table in tables.values()), used)
 
 
 def _some_state(loop: Loop) -> LoopState:
@@ -154,11 +158,11 @@ def _some_state(loop: Loop) -> LoopState:
         return loop.init(batch=cars.pop())
 
 
-def _tick(loop: Loop, phase: int, layout: Layout, symbols: list[Any], tables: Any) -> Tick:
+def _tick(loop: Loop, phase: int, layout: Layout, symbols: list[Any], tables: Any, routines: Any) -> Tick:
     k = casadi.SX.sym("k")
     slots = [casadi.SX.sym(f"s{i}") for i in range(len(layout))]
     x, y = layout.unpack(slots)
-    with recorded_lookups(tables) as lookups, exact_arithmetic():
+    with recorded_lookups(tables, routines) as lookups, exact_arithmetic():
         try:
             loop.run_phase(phase, k * loop.dt, x, y)
         except Exception as error:
@@ -197,21 +201,34 @@ def traced(
 
 
 @contextmanager
-def recorded_lookups(tables: dict[int, tuple[int, Table]]) -> Iterator[list[tuple[int, Any, list[Any]]]]:
-    """While open, a table asked with a symbol answers with new symbols and notes (table number, index, row)."""
-    lookups: list[tuple[int, Any, list[Any]]] = []
+def recorded_lookups(
+    tables: dict[int, tuple[int, Table]], routines: dict[int, tuple[int, Routine]] | None = None
+) -> Iterator[list[Question]]:
+    """While open, a table asked with a symbol answers with new symbols, and what it was asked is noted.
 
-    def tracer(table: Table, index: Any) -> list[Any]:
+    So does a routine, unless `routines` is None: then it refuses.
+    """
+    questions: list[Question] = []
+
+    def noted(kind: str, number: int, arguments: Sequence[Any], size: int) -> list[Any]:
+        answers = [casadi.SX.sym(f"{kind}{len(questions)}_{i}") for i in range(size)]
+        questions.append(Question(kind, number, tuple(arguments), answers))
+        return answers
+
+    def look_up(table: Table, index: Any) -> list[Any]:
         number, _ = tables.setdefault(id(table), (len(tables), table))
-        row = [casadi.SX.sym(f"row{len(lookups)}_{c}") for c in range(table.rows.shape[1])]
-        lookups.append((number, index, row))
-        return row
+        return noted("row", number, [index], table.rows.shape[1])
 
-    before, Table.tracer = Table.tracer, tracer
+    def call(routine: Routine, values: Sequence[Any]) -> list[Any]:
+        assert routines is not None
+        number, _ = routines.setdefault(id(routine), (len(routines), routine))
+        return noted("call", number, values, routine.size)
+
+    before, Table.tracer, Routine.tracer = (Table.tracer, Routine.tracer), look_up, None if routines is None else call
     try:
-        yield lookups
+        yield questions
     finally:
-        Table.tracer = before
+        Table.tracer, Routine.tracer = before
 
 
 @contextmanager

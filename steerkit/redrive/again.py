@@ -238,5 +238,5 @@ def _run(loop: Loop, seconds: float, progress: bool) -> Log:
     kept, ticks = ["path.e", "car.a_y", "actuator.delta_sw"], round(DT / loop.dt)
     try:
         return compile(loop, record=kept, every=ticks).run(seconds)
-    except (TraceError, NoCompilerError):  # a solver has no compiled form
+    except (TraceError, NoCompilerError):  # a block or a machine without C
         return simulate(loop, seconds, record=kept, every=ticks, progress=progress)

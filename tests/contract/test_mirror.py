@@ -31,11 +31,9 @@ ELSEWHERE = {
     # one program, run in every way that it can be
     "steerkit.compiled.c_code": "unit/compiled/test_compiled.py",
     "steerkit.compiled.fleet": "unit/gym/test_vector_env.py",
-    "steerkit.compiled.native_program": "unit/compiled/test_compiled.py",
     "steerkit.compiled.python_code": "unit/compiled/test_compiled.py",
     "steerkit.compiled.vm": "unit/compiled/test_compiled.py",
     # both MPCs are one table of cases
-    "steerkit.controllers.mpc.block": "unit/controllers/mpc/test_linear.py",
     "steerkit.controllers.mpc.nonlinear": "unit/controllers/mpc/test_linear.py",
     "steerkit.controllers.mpc.path_model": "evals/test_mpc_closed_forms.py",
     "steerkit.controllers.mpc.settings": "unit/controllers/mpc/test_linear.py",

@@ -11,6 +11,7 @@ import pytest
 from steerkit.controllers.mpc.block import PredictiveSteering
 from steerkit.controllers.mpc.linear import MPC
 from steerkit.controllers.mpc.nonlinear import NonlinearMPC
+from steerkit.controllers.mpc.programme import Programme, found
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.vehicles import vehicle
@@ -38,6 +39,17 @@ def driven(block: PredictiveSteering, samples: list[Any]) -> list[Any]:
         found.append(block.output(0.0, x, u))
         x = block.update(0.0, x, u, found[-1])
     return found
+
+
+def unsolved(monkeypatch: pytest.MonkeyPatch, **wrong: float) -> None:
+    """From now on programmes tell this `success` and `residual` instead of what is true."""
+    true = Programme.__call__
+
+    def told(programme: Programme, *values: float) -> Any:
+        values = true(programme, *values)
+        return (*found(values)._replace(**wrong)[:3], *values[3:])
+
+    monkeypatch.setattr(Programme, "__call__", told)
 
 
 def checked(block: PredictiveSteering, outputs: list[Any], last: float = 0.0) -> None:

@@ -64,3 +64,28 @@ def test_runge_kutta_is_the_exponential_to_fifth_order(rate: float, start: float
     (x,) = m.rk4(lambda x: (rate * x[0],), (start,), h)
     z = rate * h
     assert x == pytest.approx(start * (1.0 + z + z**2 / 2.0 + z**3 / 6.0 + z**4 / 24.0), rel=1e-13, abs=1e-15)
+
+
+@pytest.mark.parametrize("broken", [math.nan, math.inf, -math.inf, 2e300, -2e300])
+@pytest.mark.parametrize("place", [0, 1, 2])
+def test_all_are_finite_or_one_is_not(broken: float, place: int) -> None:
+    values = [-1e300, 0.0, 1e300]
+    assert [bool(found) for found in everywhere(lambda *v: m.all_finite(v), *values)] == [True] * 3
+    values[place] = broken
+    assert [bool(found) for found in everywhere(lambda *v: m.all_finite(v), *values)] == [False] * 3
+
+
+@pytest.mark.parametrize("condition", [True, False])
+def test_several_are_chosen_together(condition: bool) -> None:
+    def sums(a: Any, b: Any, c: Any, d: Any) -> Any:
+        first, second = m.chosen(a < b, (a, c), (b, d))
+        return first + 10.0 * second
+
+    assert everywhere(sums, 1.0, 2.0 * condition, 3.0, 4.0) == [31.0 if condition else 40.0] * 3
+
+
+def test_a_routine_is_called_on_floats_and_refuses_symbols_outside_of_a_trace() -> None:
+    routine = m.Routine(name="Twice", size=1, call=lambda a: (2.0 * a,), native=lambda: (0, 0))
+    assert routine(1.5) == (3.0,)
+    with pytest.raises(TypeError, match="Twice runs code of its own, which has no symbolic form"):
+        routine(casadi.SX.sym("x"))

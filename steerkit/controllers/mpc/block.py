@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any, NamedTuple, Self
 
@@ -14,8 +14,10 @@ import numpy as np
 from steerkit import maths as m
 from steerkit.block import Block, In, Out
 from steerkit.controllers.mpc.fallback import asked
-from steerkit.controllers.mpc.path_model import KAPPA_HIGH, V_HIGH, V_LOW, Array, Motion, PathModel, Rhs, Table
-from steerkit.controllers.mpc.qp import Answer, StageQp
+from steerkit.controllers.mpc.path_model import V_HIGH, V_LOW, Array, PathModel, Rhs
+from steerkit.controllers.mpc.preparation import Motion, Preparation
+from steerkit.controllers.mpc.programme import NOTHING, PREDICTION, SOLUTION, Programme, found
+from steerkit.controllers.mpc.qp import StageQp
 from steerkit.controllers.mpc.settings import check
 from steerkit.controllers.stanley import Stanley
 from steerkit.errors import require
@@ -61,8 +63,10 @@ class PredictiveSteering(Block):
     valid: v from 0.5 to 20 m/s (beyond, the model of the nearest is used), curvature up to 0.25/m. From e_reach on the
     path is taken to be that far away, whatever e is. A batch is solved car by car. Equal arguments give equal
     results, except for milliseconds (0 with clock=None) and for what a `budget` makes of them. A command replaced on
-    its way to the wheel (by another controller in charge) is not known here. It cannot be traced: it runs a solver.
-    errors: ValueError for bad parameters, and for a fallback with other ports than Stanley's.
+    its way to the wheel (by another controller in charge) is not known here. Of compiled loops those in C (with hpipm)
+    and generated Python run it, to the same commands, and milliseconds is 0 there; it has no symbolic form.
+    errors: ValueError for bad parameters, and for a fallback with other ports than Stanley's; TypeError when it is
+    compiled with a `budget`, since a compiled loop has no clock.
     source: Rawlings, Mayne, Diehl 2017, sections 1.3 and 2.5; Frison, Diehl 2020 (HPIPM); Hoffmann et al. 2007.
     """
 
@@ -229,19 +233,33 @@ class PredictiveSteering(Block):
         return np.array([*pieces, *stages, *[t + 0.5 * self.dt for t in stages[:-1]]])
 
     @cached_property
-    def _entries(self) -> Array:
-        return np.arange(float(self.preview_points))
+    def programme(self) -> Programme:
+        """From the state now to the rates that solve this sample's programme."""
+        preparation = Preparation(
+            model=self.model,
+            qp=self.qp,
+            motion=self._motion,
+            pieces=self.pieces,
+            first=self.delay - (self.pieces - 1) * self.dt,
+            times=self.times,
+            preview_points=self.preview_points,
+        )
+        return Programme(preparation, (self.q_e, self.q_psi, self.q_r, self.a_y_limit, self.a_y_room))
 
     @cached_property
-    def _predict(self) -> dict[int, Callable[..., Array]]:
-        """By substeps: (x (5,), commands, v, curvatures) -> x (5,) when the commands on their way have acted."""
-        n, first = self.pieces, self.delay - (self.pieces - 1) * self.dt
-        return {k: self.model.prediction(n, first, k) for k in self.model.all_substeps}
+    def _routine(self) -> m.Routine:
+        made = self.programme
+        return m.Routine(name=type(self).__name__, size=made.size, call=made, native=lambda: made.native)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Its fields: what is made of them once holds addresses, and a copy makes its own."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}
 
     def _warm_up(self) -> None:
         """Drives a sample straight on, so that tables and solver are made before they are needed."""
         state = self.X((0.0,) * max(self.pieces, 1), (0.0,) * self.horizon, 0.0)
-        self._solved(state, self.D(0.0, 0.0, 5.0, 0.0, 0.0, 0.0, (0.0,) * self.preview_points))
+        u = self.D(0.0, 0.0, 5.0, 0.0, 0.0, 0.0, (0.0,) * self.preview_points)
+        self._routine(*self._asked(state, u, SOLUTION))
 
     # ---- a sample -------------------------------------------------------------------------------------------
 
@@ -266,7 +284,9 @@ class PredictiveSteering(Block):
         if {*map(type, values)} == {float}:
             return self._one(x, u)
         if any(m.is_symbol(value) for value in values):
-            raise TypeError(f"{type(self).__name__} runs a solver, which has no symbolic form")
+            if self.budget is not None:
+                raise TypeError(f"budget = {self.budget} [s] needs a clock, which a compiled loop has not; valid: None")
+            return self._one(x, u)
         cars = np.broadcast_shapes((1,), *[np.shape(value) for value in values])[0]
         states, scalars, previews = (
             np.array([np.broadcast_to(value, cars) for value in values], dtype=float).T.tolist()
@@ -278,105 +298,77 @@ class PredictiveSteering(Block):
         *columns, plans = zip(*each)
         return self.Y(*[np.array(column) for column in columns], tuple(np.array(plans).T))
 
-    def _one(self, x: tuple[float, ...], u: Any) -> Any:
-        start = self.clock() if self.clock is not None else 0.0
+    def _one(self, x: tuple[Any, ...], u: Any) -> Any:
+        """The outputs for one car: of floats, or of symbols (then without a clock)."""
+        clock = self.clock if x[0].__class__ is float else None
+        start = clock() if clock is not None else 0.0
         n = max(self.pieces, 1)
         state = self.X(x[:n], x[n:-1], x[-1])
-        fault, iterations, residual, plan = NO_FAULT, 0.0, 0.0, state.plan
-        if not all(map(math.isfinite, (*u[:6], *u.preview))):
-            fault, residual = NOT_FINITE, math.nan
-        elif u.v < self.v_stop:
-            fault, plan = STANDING, (0.0,) * self.horizon
-        else:
-            answer = self._solved(state, u)
-            iterations, residual = answer.iterations, answer.residual
-            if not answer.success or not residual <= self.tolerance:
-                fault, residual = FAILED, residual if math.isfinite(residual) else _NOTHING
-            else:
-                plan = tuple(answer.x[self.qp.at_u].tolist())
-        elapsed = self.clock() - start if self.clock is not None else 0.0
-        if fault == NO_FAULT and self.budget is not None and elapsed > self.budget:
-            fault, plan = LATE, state.plan
-        command, status = self._command(state, u, fault, plan)
-        return self.Y(command, status, fault, iterations, 1e3 * elapsed, residual, plan)
+        known = m.all_finite((u.e, u.psi_e, u.v, u.r, *u.preview))
+        finite = m.both(known, m.all_finite((u.beta, u.delta_sw_meas)))
+        moving = u.v >= self.v_stop
+        wanted = m.where(m.both(finite, moving), SOLUTION, m.where(known, PREDICTION, NOTHING))
+        told = found(self._routine(*self._asked(state, u, wanted)))
+        solved = m.both(told.success > 0.0, told.residual <= self.tolerance)
+        fault = m.where(finite, m.where(moving, m.where(solved, NO_FAULT, FAILED), STANDING), NOT_FINITE)
+        elapsed = clock() - start if clock is not None else 0.0
+        if self.budget is not None:
+            fault = m.where(m.both(fault == NO_FAULT, elapsed > self.budget), LATE, fault)
+        plan = m.chosen(fault == STANDING, (0.0,) * self.horizon, state.plan)
+        plan = m.chosen(fault == NO_FAULT, told.rates, plan)
+        residual = m.where(m.is_finite(told.residual), told.residual, _NOTHING)
+        residual = m.where(finite, m.where(moving, residual, 0.0), math.nan)
+        command, status = self._command(state, u, fault, plan, told.ahead)
+        return self.Y(command, status, fault, told.iterations, 1e3 * elapsed, residual, plan)
 
-    def _command(self, state: X, u: Any, fault: float, plan: tuple[float, ...]) -> tuple[float, float]:
-        """The command and where it came from."""
-        last, step = state.commands[-1], self._fastest(u.v) * self.dt
-        if fault == STANDING:
-            return last, HELD
-        if fault == NO_FAULT or state.age < self.patience:
-            target, status = last + self.dt * plan[0], SOLVED if fault == NO_FAULT else PLAN
-        else:
-            target, status = self._fallback(state, u), FALLBACK
-        if not math.isfinite(target):
-            return last, HELD
-        return m.clip(m.clip(target, last - step, last + step), -self.limit, self.limit), status
-
-    def _fallback(self, state: X, u: Any) -> float:
-        """What the fallback commands [rad]; NaN if it cannot tell. A broken beta or wheel angle is done without."""
-        if not all(map(math.isfinite, (u.e, u.psi_e, u.v, u.r, *u.preview))):
-            return math.nan
-        beta, wheel = (
-            value if math.isfinite(value) else instead
-            for value, instead in ((u.beta, 0.0), (u.delta_sw_meas, state.commands[0]))
-        )
-        _, x, then = self._ahead(state, u._replace(beta=beta, delta_sw_meas=wheel))
-        return asked(self.fallback, self.reference, x, float(then[self.pieces, 6]), u.v)
-
-    def _ahead(self, state: X, u: Any) -> tuple[float, Array, Array]:
-        """v [m/s]; x (6,) when the commands on their way have acted; steady cornering and curvature at `times` (n, 7).
-
-        An entry of the preview is v*dt further along the path than that before, where the point that follows it gets
-        to at the pace of steady cornering.
-        """
-        n, by_axis = self.pieces, self.model.sway_is_speed
-        beta = m.clip(u.beta, -_BETA, _BETA)
+    def _asked(self, state: X, u: Any, wanted: Any) -> tuple[Any, ...]:
+        """What the programme is asked: a broken beta or wheel angle is done without."""
+        by_axis = self.model.sway_is_speed
+        beta = m.clip(m.where(m.is_finite(u.beta), u.beta, 0.0), -_BETA, _BETA)
+        wheel = m.where(m.is_finite(u.delta_sw_meas), u.delta_sw_meas, state.commands[0])
         cos_beta = m.cos(beta) if by_axis else 1.0
         v = m.clip(u.v * cos_beta, V_LOW, V_HIGH)
-        preview = np.minimum(np.maximum(u.preview, -KAPPA_HIGH), KAPPA_HIGH)
-        rows = self.model.steady(v, preview)
-        half = 0.5 * self.dt / (cos_beta * rows[:, 6])  # of the time from an entry to the next
-        rows[:, 6] = preview
-        at = np.interp(self.times, 2.0 * np.cumsum(half) - half - half[0], self._entries)
-        j = np.minimum(at.astype(np.intp), len(rows) - 2)
-        low = rows[j]
-        then = low + (at - j)[:, None] * (rows[j + 1] - low)
-        e, psi_e = m.clip(u.e, -self.e_reach, self.e_reach), m.clip(u.psi_e, -m.pi, m.pi)
-        wheel = m.clip(u.delta_sw_meas, -self.limit, self.limit)
-        measured = (e, psi_e, v * m.tan(beta) if by_axis else beta, m.clip(u.r, -_R, _R), wheel)
-        x = np.empty(6)
-        x[:5] = self._predict[self.model.substeps(v)](measured, state.commands, v, then[:n, 6])
-        x[5] = state.commands[-1]
-        return v, x, then
+        piece, part = self.model.place(v)
+        measured = (
+            m.clip(u.e, -self.e_reach, self.e_reach),
+            m.clip(u.psi_e, -m.pi, m.pi),
+            v * m.tan(beta) if by_axis else beta,
+            m.clip(u.r, -_R, _R),
+            m.clip(wheel, -self.limit, self.limit),
+        )
+        now = (v, part, cos_beta, self._fastest(v))
+        return (wanted, piece, *measured, *state.commands, *state.plan, *u.preview, *now)
 
-    def _solved(self, state: X, u: Any) -> Answer:
-        """This sample's programme, filled and solved."""
-        v, x0, then = self._ahead(state, u)
-        goal, between = then[self.pieces :][: self.horizon + 1, :6], then[self.pieces + self.horizon + 1 :]
-        table = self.model.at(v)
-        terminal = table[3]
-        d, at, soft = self.qp.data, self.qp.place, self._soft
-        a, b, gap, row, offset = self._motion(state, x0, v, between[:, 6], between[:, :6], table)
-        d["a"][at["a"]], d["a"][at["b"]] = a, b
-        d["lba"][at["gap"]] = d["uba"][at["gap"]] = gap
-        path = v * goal[soft, 3]
-        d["a"][at["rows"][:, 1]] = row
-        d["lba"][at["limit"][:, 1]] = np.minimum(-self.a_y_limit, path - self.a_y_room) - offset
-        d["uba"][at["limit"][:, 1]] = np.maximum(self.a_y_limit, path + self.a_y_room) - offset
-        if self.slew is not None:
-            d["ubx"][self.qp.at_u] = self._fastest(v)
-            d["lbx"][self.qp.at_u] = -self._fastest(v)
-        d["h"][at["p"]] = terminal
-        d["g"][at["x"][:-1]] = self._minus_q * goal[1:-1]
-        d["g"][at["x"][-1]] = -terminal @ goal[-1]
-        return self.qp.solve()
+    def _command(self, state: X, u: Any, fault: Any, plan: tuple[Any, ...], ahead: tuple[Any, ...]) -> tuple[Any, Any]:
+        """The command and where it came from; ahead: as a programme tells."""
+        last, step = state.commands[-1], self._fastest(u.v) * self.dt
+        good, planned = fault == NO_FAULT, m.either(fault == NO_FAULT, state.age < self.patience)
+        target = last + self.dt * plan[0]
+        if planned is not True:
+            target = m.where(planned, target, self._fallback(u, ahead))
+        status = m.where(good, SOLVED, m.where(planned, PLAN, FALLBACK))
+        turned = m.clip(m.clip(target, last - step, last + step), -self.limit, self.limit)
+        moves = m.both(fault != STANDING, m.is_finite(target))
+        return m.where(moves, turned, last), m.where(moves, status, HELD)
 
-    def _fastest(self, v: float) -> float:
+    def _fallback(self, u: Any, ahead: tuple[Any, ...]) -> Any:
+        """What the fallback commands [rad]; NaN if it cannot tell."""
+        known = m.all_finite((u.e, u.psi_e, u.v, u.r, *u.preview))
+        command = asked(self.fallback, self.reference, ahead[:6], ahead[6], m.where(known, u.v, 0.0))
+        return m.where(known, command, math.nan)
+
+    def _ahead(self, state: X, u: Any) -> tuple[float, Array, Array]:
+        """v [m/s]; x (6,) when the commands on their way have acted; steady bends and curvature at `times` (n, 7)."""
+        _, piece, *values = self._asked(state, u, PREDICTION)
+        self.programme.look(int(piece), values)
+        return values[-4], self.programme.ahead[:6].copy(), self.programme.then.copy()
+
+    def _fastest(self, v: Any) -> Any:
         """How fast a command may change [rad/s]; a car steered by torque is slow where little wheel does much."""
-        if self.slew is None or not math.isfinite(v):
+        if self.slew is None:
             return self.rate_limit
-        return min(self.rate_limit, self.slew * self.model.per_a_y(v))
+        fastest = self.slew * self.model.per_a_y(m.where(m.is_finite(v), v, 0.0))
+        return m.where(m.is_finite(v), m.minimum(fastest, self.rate_limit), self.rate_limit)
 
     @cached_property
     def _soft(self) -> Any:
@@ -385,15 +377,12 @@ class PredictiveSteering(Block):
         stages = [*range(1, near + 1), *range(near + self.soft_every, self.horizon, self.soft_every)]
         return np.array([k for k in stages if k < self.horizon], dtype=np.intp)
 
-    @cached_property
-    def _minus_q(self) -> Array:
-        return -np.diag(self.model.stage_cost[0])
+    def _motion(self, plan: Any, x0: Any, v: Any, choice: Any, kappa: Any, bends: Any, table: Any) -> Motion:
+        """The motion from x0 (6,) over stages of curvatures kappa (N,), as x_k+1 = A_k x_k + B_k rate_k - gap_k.
 
-    def _motion(self, state: X, x0: Array, v: float, kappa: Array, bends: Array, table: Table) -> Motion:
-        """The motion from x0 over stages of curvatures kappa (N,), as x_k+1 = A_k x_k + B_k rate_k - gap_k.
-
-        bends (N, 6): steady cornering at these curvatures; table: the model's at this speed. Returns A of the stages
-        1 to N-1 and B of all (or one for all); gap (N, 6), where gap_0 holds A_0 x0 too; and at the soft stages
-        a_y = row x + offset.
+        All are CasADi's symbols. plan (N,): the rates of the plan before; bends (6, N): steady cornering at these
+        curvatures; table: the model's at this speed; choice: the number of its substeps among `all_substeps`. Returns
+        A of the stages 1 to N-1 side by side, B of all (or one A and B for all); gap (6, N), where gap_0 holds A_0 x0
+        too; and at the soft stages a_y = row' x + offset, row (6, n) or one for all.
         """
         raise NotImplementedError

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 from steerkit.block import Block
-from steerkit.controllers.mpc.path_model import Array
 from steerkit.errors import require
 
 SEES = {"e", "psi_e", "kappa", "v", "r", "delta_sw_meas"}
@@ -18,12 +20,12 @@ def check_ports(fallback: Block, where: str) -> None:
     require(gives == ["delta_sw"], where, f"fallback with outputs {gives}, expected delta_sw only")
 
 
-def asked(fallback: Block, reference: float, x: Array, kappa: float, v: float) -> float:
+def asked(fallback: Block, reference: float, x: Sequence[Any], kappa: Any, v: Any) -> Any:
     """What the fallback commands [rad], as if its drive began in this sample.
 
     x (6,): the state of a stage, with e and psi_e at `reference` [m]; kappa [1/m] there; v [m/s].
     """
-    e, psi_e, _, r, wheel, _ = x.tolist()
+    e, psi_e, _, r, wheel, _ = x
     lead = getattr(fallback, "reference", reference) - reference
     seen = dict(
         e=e + lead * (psi_e - 0.5 * kappa * lead),
@@ -35,4 +37,4 @@ def asked(fallback: Block, reference: float, x: Array, kappa: float, v: float) -
     )
     inputs = fallback.D(**{name: seen[name] for name in fallback.D._fields})
     fresh = fallback.settle(0.0, fallback.init(), inputs)
-    return float(fallback.output(0.0, fresh, inputs).delta_sw)
+    return fallback.output(0.0, fresh, inputs).delta_sw

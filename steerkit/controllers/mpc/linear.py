@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from steerkit.controllers.mpc.block import PredictiveSteering
-from steerkit.controllers.mpc.path_model import Array, Motion, Table
+from steerkit.controllers.mpc.preparation import Motion
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -22,9 +22,9 @@ class MPC(PredictiveSteering):
     def output(self, t: Any, x: tuple[Any, ...], u: Any) -> Any:
         return self._steer(x, u)
 
-    def _motion(self, state: Any, x0: Array, v: float, kappa: Array, bends: Array, table: Table) -> Motion:
+    def _motion(self, plan: Any, x0: Any, v: Any, choice: Any, kappa: Any, bends: Any, table: Any) -> Motion:
         a, b, row, _ = table
-        gap = bends @ a.T - bends
-        gap[0] -= a @ x0
-        bend = bends[self._soft]
-        return a, b, gap, row, v * bend[:, 3] - bend @ row
+        gap = a @ bends - bends
+        gap[:, 0] -= a @ x0
+        bend = bends[:, list(self.qp.soft)]
+        return a, b, gap, row, (v * bend[3, :] - row.T @ bend).T

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
-import numpy as np
+import casadi
 
 from steerkit.controllers.mpc.block import PredictiveSteering
-from steerkit.controllers.mpc.path_model import NX, Array, Motion, Table, bound
+from steerkit.controllers.mpc.path_model import NX
+from steerkit.controllers.mpc.preparation import Motion, chosen
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -30,34 +29,10 @@ class NonlinearMPC(PredictiveSteering):
     def output(self, t: Any, x: tuple[Any, ...], u: Any) -> Any:
         return self._steer(x, u)
 
-    @cached_property
-    def _rollout(self) -> dict[int, tuple[dict[str, Array], Callable[[], None]]]:
-        """The plan driven and linearised: arrays to write (the first four) and read, and the call; by substeps."""
-        return {substeps: self._driver(substeps) for substeps in self.model.all_substeps}
-
-    def _driver(self, substeps: int) -> tuple[dict[str, Array], Callable[[], None]]:
-        n = self.horizon
-        arrays = {
-            "x0": np.zeros(NX),
-            "rate": np.zeros(n),
-            "v": np.zeros(n),
-            "kappa": np.zeros(n),
-            "x": np.zeros((n, NX)),
-            "a": np.zeros((n, NX, NX)),
-            "b": np.zeros((n, NX)),
-            "a_y": np.zeros(n),
-            "row": np.zeros((n, NX)),
-        }
-        flat = [array.reshape(-1) for array in arrays.values()]
-        return arrays, bound(self.model.linearised_step(substeps).mapaccum("rollout", n), flat[:4], flat[4:])
-
-    def _motion(self, state: Any, x0: Array, v: float, kappa: Array, bends: Array, table: Table) -> Motion:
-        driven, run = self._rollout[self.model.substeps(v)]
-        driven["x0"][:], driven["rate"][:], driven["v"][:], driven["kappa"][:] = x0, state.plan, v, kappa
-        run()
-        a, b, soft = driven["a"], driven["b"], self._soft
-        before = np.vstack((x0, driven["x"][:-1]))
-        gap = np.einsum("kij,kj->ki", a, before) + b * driven["rate"][:, None] - driven["x"]
-        gap[0] -= a[0] @ x0
-        row = driven["row"][soft]
-        return a[1:], b, gap, row, driven["a_y"][soft] - np.einsum("ki,ki->k", row, before[soft])
+    def _motion(self, plan: Any, x0: Any, v: Any, choice: Any, kappa: Any, bends: Any, table: Any) -> Motion:
+        n, soft = self.horizon, list(self.qp.soft)
+        each = [self.model.affine_step(count).mapaccum(f"driven{count}", n) for count in self.model.all_substeps]
+        driven = chosen("driven", each)(choice, x0, plan.T, casadi.repmat(v, 1, n), kappa.T)
+        _, a, b, gap, row, offset = driven
+        gap[:, 0] -= a[:, :NX] @ x0
+        return a[:, NX:], b, gap, row[:, soft], offset[soft].T

@@ -24,8 +24,6 @@ A plant's own, on floats and on symbols.
 """
 Table = tuple[Array, Array, Array, Array]
 """A, B, row of a_y and P at one speed."""
-Motion = tuple[Array, Array, Array, Array, Array]
-"""A, B, gaps, rows and offsets of a_y."""
 
 NX = 6
 """States of a stage: e, psi_e, sway, r, wheel angle, command."""
@@ -33,22 +31,13 @@ V_LOW, V_HIGH, V_STEP = 0.5, 20.0, 0.25
 """Speeds [m/s] between which the car is modelled, and how far apart the tabled ones are."""
 KAPPA_HIGH, KAPPA_STEP = 0.25, 0.005
 """Tabled curvatures [1/m]."""
+CURVES = 2 * round(KAPPA_HIGH / KAPPA_STEP) + 1
+"""How many curvatures are tabled."""
+_WIDTH = 2 * NX * NX + 2 * NX  # A, B, the row of a_y, P
+ROW = 4 * _WIDTH + 1
+"""Numbers of a speed in `by_speed`: cubic polynomials, and which of `all_substeps`."""
 _STEEPEST = 1.2  # rad: no wheel turns further, so steady cornering has no larger |psi_e|
 _LEAST_LAG = 1e-3  # s: a motor without lag follows this fast
-
-
-def bound(function: Any, inputs: Sequence[Array], outputs: Sequence[Array]) -> Callable[[], None]:
-    """A CasADi function that reads and writes these arrays whenever it is called: no copies, no conversions."""
-    buffer, call = function.buffer()
-    for i, array in enumerate(inputs):
-        buffer.set_arg(i, memoryview(array))  # type: ignore[arg-type]
-    for i, array in enumerate(outputs):
-        buffer.set_res(i, memoryview(array))  # type: ignore[arg-type]
-
-    def run(buffer: Any = buffer) -> None:  # the call needs its buffer alive
-        call()
-
-    return run
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,16 +86,14 @@ class PathModel:
         motion = casadi.vertcat(*self.motion([x[i] for i in range(4)], x[4], v, kappa)[:4])
         return casadi.Function("field", [x, v, kappa], [motion, casadi.jacobian(motion, x)])
 
-    def stepped(self, x: Any, command: Any, v: Any, kappa: Any, span: float, substeps: int) -> tuple[Any, Any]:
-        """(e, psi_e, sway, r, wheel) `span` [s] later, and its slope (5, 6) in these five and the command.
+    def stepped(self, x: Any, command: Any, v: Any, kappa: Any, h: Any, steps: int) -> tuple[Any, Any]:
+        """(e, psi_e, sway, r, wheel) some steps of `h` [s] later, and its slope (5, 6) in these five and the command.
 
-        Runge-Kutta for the car, `substeps` a period, the exact answer for the wheel; the slope by the chain rule
-        through the stages, which is as exact as CasADi's and takes half the operations.
+        Runge-Kutta for the car, the exact answer for the wheel; the slope by the chain rule through the stages, which
+        is as exact as CasADi's and takes half the operations.
         """
         z, wheel = x[:4], x[4]
         dz, dwheel, dcommand = casadi.SX.eye(6)[:4, :], casadi.SX.eye(6)[4, :], casadi.SX.eye(6)[5, :]
-        steps = max(1, math.ceil(substeps * span / self.dt - 1e-9))
-        h = span / steps
         decay = m.exp(-0.5 * h / max(self.lag, _LEAST_LAG))
         for _ in range(steps):
             middle, dmiddle = command + (wheel - command) * decay, dcommand + (dwheel - dcommand) * decay
@@ -129,28 +116,18 @@ class PathModel:
 
         The first acts for `first` [s], the others for dt; inputs: x (5,), commands, v, curvatures (pieces,).
         """
-        x, v = casadi.SX.sym("x", 5), casadi.SX.sym("v")
-        commands, kappa = casadi.SX.sym("c", pieces), casadi.SX.sym("k", pieces)
-        end = x
-        for i in range(pieces):
-            end = self.stepped(end, commands[i], v, kappa[i], self.dt if i else first, substeps)[0]
-        return casadi.Function("predict", [x, commands, v, kappa], [casadi.cse(end)])
-
-    def prediction(self, pieces: int, first: float, substeps: int) -> Callable[..., Array]:
-        """`predictor` on arrays: (x (5,), commands, v, curvatures) -> x (5,); that of no commands is a copy."""
-        if pieces == 0:
-            return lambda x, commands, v, kappa: np.array(x)
-        function = self.predictor(pieces, first, substeps)
-        inputs, end = (np.zeros(5), np.zeros(pieces), np.zeros(1), np.zeros(pieces)), np.zeros(5)
-        run = bound(function, inputs, [end])
-
-        def predict(*values: Any) -> Array:
-            for array, value in zip(inputs, values):
-                array[:] = value
-            run()
-            return end
-
-        return predict
+        x, command, v, kappa, h = (casadi.SX.sym(name, n) for name, n in zip("xcvkh", (5, 1, 1, 1, 1)))
+        after = casadi.cse(self.stepped(x, command, v, kappa, h, 1)[0])
+        single = casadi.Function("single", [x, command, v, kappa, h], [after])
+        spans = [self.dt if i else first for i in range(pieces)]
+        steps = [max(1, math.ceil(substeps * span / self.dt - 1e-9)) for span in spans]
+        each = np.repeat(np.arange(pieces), steps).tolist()
+        start, speed = casadi.MX.sym("x", 5), casadi.MX.sym("v")
+        commands, curves = casadi.MX.sym("c", pieces), casadi.MX.sym("k", pieces)
+        each_h = casadi.DM([[spans[i] / steps[i] for i in each]])
+        run = single.mapaccum(f"pieces{substeps}", len(each))
+        states = run(start, commands[each].T, casadi.repmat(speed, 1, len(each)), curves[each].T, each_h)
+        return casadi.Function(f"predict{substeps}", [start, commands, speed, curves], [states[:, -1]])
 
     def linearised_step(self, substeps: int) -> casadi.Function:
         """The stage map x+ = F(x, rate) of the six states and its slopes, and a_y at x with its slope.
@@ -160,7 +137,7 @@ class PathModel:
         x, u = casadi.SX.sym("x", NX), casadi.SX.sym("u")
         v, kappa = casadi.SX.sym("v"), casadi.SX.sym("k")
         command = x[5] + self.dt * u
-        after, slope = self.stepped(x[:5], command, v, kappa, self.dt, substeps)
+        after, slope = self.stepped(x[:5], command, v, kappa, self.dt / substeps, substeps)
         slope = casadi.vertcat(slope, casadi.SX.eye(6)[5, :])
         a_y = self.a_y([x[i] for i in range(4)], x[4], v)
         # transposed, so that a dense column-major result is read as rows
@@ -172,6 +149,18 @@ class PathModel:
             casadi.densify(casadi.jacobian(a_y, x)),
         ]
         return casadi.Function("step", [x, u, v, kappa], casadi.cse(results))
+
+    def affine_step(self, substeps: int) -> casadi.Function:
+        """`linearised_step` as x+ = A x + B rate - gap and a_y = row x + offset.
+
+        inputs: x (6,), rate, v, kappa; outputs: F (6,), A (6, 6), B (6,), gap (6,), row (6,), offset.
+        """
+        x, u = casadi.SX.sym("x", NX), casadi.SX.sym("u")
+        v, kappa = casadi.SX.sym("v"), casadi.SX.sym("k")
+        after, slope, b, a_y, row = self.linearised_step(substeps)(x, u, v, kappa)
+        gap = casadi.mtimes(slope.T, x) + b * u - after
+        results = [after, casadi.densify(slope.T), b, gap, row.T, a_y - casadi.mtimes(row, x)]
+        return casadi.Function("affine", [x, u, v, kappa], results)
 
     # ---- tables over speed ----------------------------------------------------------------------------------
 
@@ -203,7 +192,7 @@ class PathModel:
 
     def substeps(self, v: float) -> int:
         """Runge-Kutta steps that a period needs at speed v: a slow car's tyres answer faster."""
-        return self._substeps[self._place(v)[0]]
+        return self._substeps[int(self.place(v)[0])]
 
     def linear(self, v: float) -> tuple[Array, Array, Array]:
         """A (6, 6), B (6,), and the row of a_y (6,), about straight driving at v: the exact answer to held commands.
@@ -240,17 +229,30 @@ class PathModel:
             rows.append(np.concatenate([a.ravel(), b, row, self.riccati(a, b).ravel()]))
         return np.ascontiguousarray(CubicSpline(self.speeds, np.array(rows)).c.swapaxes(0, 1))
 
+    @cached_property
+    def by_speed(self) -> Array:
+        """(pieces, ROW): what `spline` reads, and the number of the piece's substeps among `all_substeps`."""
+        counts = [[float(self.all_substeps.index(n))] for n in self._substeps]
+        return np.hstack((self._schedule.reshape(len(counts), -1), counts))
+
+    def spline(self, row: Any, t: Any) -> tuple[Any, Any, Any, Any]:
+        """A (6, 6), B (6,), row of a_y (6,) and P (6, 6), at `t`, 0 to 1, of the speeds of a row of `by_speed`."""
+        t = t * V_STEP
+        powers = casadi.vertcat(t * t * t, t * t, t, 1.0)
+        at = casadi.reshape(row[: 4 * _WIDTH], _WIDTH, 4) @ powers
+        a, p = (casadi.reshape(part, NX, NX).T for part in (at[: NX * NX], at[-NX * NX :]))
+        return a, at[NX * NX : NX * NX + NX], at[NX * NX + NX : NX * NX + 2 * NX], p
+
     def at(self, v: float) -> Table:
         """A (6, 6), B (6,), row of a_y (6,) and P (6, 6) at speed v, from the table."""
-        i, t = self._place(v)
-        t *= V_STEP
-        row = np.array((t * t * t, t * t, t, 1.0)) @ self._schedule[i]
-        return row[:36].reshape(NX, NX), row[36:42], row[42:48], row[48:].reshape(NX, NX)
+        i, t = self.place(v)
+        a, b, row, p = (matrix.full() for matrix in self.spline(casadi.DM(self.by_speed[int(i)]), t))
+        return a, b[:, 0], row[:, 0], p
 
-    def _place(self, v: float) -> tuple[int, float]:
-        """The table's piece in which a speed lies, and where in it, 0 to 1."""
-        at = (min(max(v, V_LOW), V_HIGH) - V_LOW) / V_STEP
-        i = min(int(at), len(self.speeds) - 2)
+    def place(self, v: Any) -> tuple[Any, Any]:
+        """The tables' piece in which a speed lies, a whole number, and where in it, 0 to 1."""
+        at = (m.clip(v, V_LOW, V_HIGH) - V_LOW) / V_STEP
+        i = m.minimum(m.floor(at), len(self.speeds) - 2.0)
         return i, at - i
 
     @cached_property
@@ -282,16 +284,42 @@ class PathModel:
         psi_e, sway, r, wheel, pace = np.moveaxis(np.concatenate((right, left), axis=1), 2, 0)
         return np.stack((0.0 * psi_e, psi_e, sway, r, wheel, wheel, pace), axis=2)
 
-    def per_a_y(self, v: float) -> float:
+    @cached_property
+    def _wide(self) -> m.Table:
+        """The wheel in the widest tabled bend at two neighbouring speeds."""
+        wheel = self._steady[:, CURVES // 2 + 1, 4]
+        return m.Table(np.column_stack((wheel[:-1], wheel[1:])))
+
+    def per_a_y(self, v: Any) -> Any:
         """Steering-wheel angle a unit of lateral acceleration in steady wide bends at speed v [rad s^2/m]."""
-        v = min(max(v, V_LOW), V_HIGH)
-        return float(self.steady(v, np.array([KAPPA_STEP]))[0, 4] / (KAPPA_STEP * v * v))
+        v = m.clip(v, V_LOW, V_HIGH)
+        i, t = self.place(v)
+        low, high = self._wide(i)
+        return (low + t * (high - low)) / (KAPPA_STEP * v * v)
+
+    @cached_property
+    def cornering(self) -> Array:
+        """(speeds, CURVES * 7): the table behind `steady`, a row a speed."""
+        return np.ascontiguousarray(self._steady).reshape(len(self.speeds), -1)
 
     def steady(self, v: float, kappa: Array) -> Array:
         """(n, 7): the six states that hold curvatures kappa (n,) [1/m] at speed v for ever, e = 0; and s'/v."""
-        i, t = self._place(v)
-        table = self._steady[i] + t * (self._steady[i + 1] - self._steady[i])
-        at = np.minimum(np.maximum(kappa / KAPPA_STEP + 0.5 * (len(table) - 1), 0.0), len(table) - 1.001)
-        j = at.astype(np.intp)
-        low = table[j]
-        return low + (at - j)[:, None] * (table[j + 1] - low)
+        i, t = self.place(v)
+        two = casadi.DM(self.cornering[int(i) : int(i) + 2].reshape(-1))
+        return np.array(self.corners(two, t, casadi.DM(kappa))).T
+
+    def corners(self, two: Any, t: Any, kappa: Any) -> Any:
+        """(7, n): `steady`, at `t`, 0 to 1, between the speeds of two rows of `cornering`, one after the other."""
+        low, high = casadi.vertsplit(two, CURVES * 7)
+        at = casadi.fmin(casadi.fmax(kappa / KAPPA_STEP + CURVES // 2, 0.0), CURVES - 1.001)
+        return between(casadi.reshape(low + t * (high - low), 7, CURVES), at)
+
+
+def between(columns: Any, at: Any) -> Any:
+    """Columns of a matrix at places (n,) between them, linearly."""
+    height, width = columns.shape
+    j = casadi.fmin(casadi.floor(at), width - 2.0)
+    entries = casadi.repmat(casadi.DM(range(height)), 1, at.shape[0]) + height * casadi.repmat(j.T, height, 1)
+    flat = casadi.vec(columns)
+    low, high = (casadi.reshape(flat[casadi.vec(entries + more)], height, at.shape[0]) for more in (0, height))
+    return low + casadi.repmat((at - j).T, height, 1) * (high - low)

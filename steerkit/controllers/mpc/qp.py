@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -13,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from steerkit.controllers.mpc.path_model import Array, bound
+from steerkit.controllers.mpc import hpipm
+from steerkit.controllers.mpc.bound import Array, Bound
 
 SOLVERS = ("hpipm", "piqp", "qpoases")
 FAR = 1e4
@@ -147,13 +147,30 @@ class StageQp:
     @cached_property
     def data(self) -> dict[str, Array]:
         """The arrays of the programme: h, g, a, lba, uba, lbx, ubx; filled in place."""
-        z, rows = self.size
-        a, h, _ = self._places
-        zeros = {"h": h.nnz, "g": z, "a": a.nnz, "lba": rows, "uba": rows}
-        data = {name: np.zeros(n) for name, n in zeros.items()} | {"lbx": np.full(z, -FAR), "ubx": np.full(z, FAR)}
+        data = {name: self.numbers[first : first + n] for name, (first, n) in self._spans.items()}
+        data["lbx"][:], data["ubx"][:] = -FAR, FAR
         data["a"][self.place["eye"]] = -1.0
         data["a"][self.place["slack"]] = -1.0
         return data
+
+    @cached_property
+    def _spans(self) -> dict[str, tuple[int, int]]:
+        """Where in `numbers` each array of the programme begins, and its length."""
+        z, rows = self.size
+        a, h, _ = self._places
+        sizes = {"h": h.nnz, "g": z, "a": a.nnz, "lba": rows, "uba": rows, "lbx": z, "ubx": z}
+        ends = np.cumsum([0, *sizes.values()]).tolist()
+        return {name: (end, n) for end, (name, n) in zip(ends, sizes.items())}
+
+    @property
+    def first(self) -> dict[str, int]:
+        """Where in `numbers` each array of the programme begins."""
+        return {name: start for name, (start, _) in self._spans.items()}
+
+    @cached_property
+    def numbers(self) -> Array:
+        """The arrays in `data` one after the other, and a zero."""
+        return np.zeros(sum(n for _, n in self._spans.values()) + 1)
 
     @cached_property
     def _patterns(self) -> tuple[casadi.Sparsity, casadi.Sparsity]:
@@ -164,8 +181,20 @@ class StageQp:
 
     @cached_property
     def _out(self) -> dict[str, Array]:
+        z, _ = self.size
+        x, lam_x, lam_a = np.split(self.answer, [z, 2 * z])
+        return {"x": x, "lam_x": lam_x, "lam_a": lam_a, "residual": self.residual}
+
+    @cached_property
+    def residual(self) -> Array:
+        """The largest violation of the optimality conditions that `check` found (1,)."""
+        return np.zeros(1)
+
+    @cached_property
+    def answer(self) -> Array:
+        """x, lam_x, lam_a one after the other."""
         z, rows = self.size
-        return {"x": np.zeros(z), "lam_x": np.zeros(z), "lam_a": np.zeros(rows), "residual": np.zeros(1)}
+        return np.zeros(2 * z + rows)
 
     @cached_property
     def _conic(self) -> casadi.Function:
@@ -186,7 +215,7 @@ class StageQp:
         return casadi.conic("qp", self.solver, {"a": a, "h": h}, options)
 
     @cached_property
-    def _solve_and_check(self) -> Callable[[], None]:
+    def _solve_and_check(self) -> Bound:
         """x and its residual, from the arrays in `data`.
 
         The solver is wrapped, since HPIPM, called through a buffer of its own, keeps the vectors of its first call.
@@ -197,14 +226,16 @@ class StageQp:
         return self._bound(
             casadi.Function(
                 "solve", [v[name] for name in _DATA], [answer["x"], residual], list(_DATA), ["x", "residual"]
-            )
+            ),
+            in_c=False,
         )
 
     @cached_property
-    def _check(self) -> Callable[[], None]:
+    def check(self) -> Bound:
         """The residual of x, lam_x, lam_a in `_out`."""
         v = self._symbols
-        return self._bound(casadi.Function("check", list(v.values()), [self._residual(v)], list(v), ["residual"]))
+        check = casadi.Function("check", list(v.values()), [self._residual(v)], list(v), ["residual"])
+        return self._bound(check, in_c=True)
 
     @property
     def _symbols(self) -> dict[str, Any]:
@@ -223,16 +254,16 @@ class StageQp:
         for low, value, high, lam in ((v["lba"], held, v["uba"], v["lam_a"]), (v["lbx"], v["x"], v["ubx"], v["lam_x"])):
             above, below = value - high, low - value
             worst += [casadi.mmax(above), casadi.mmax(below)]
-            worst += [casadi.norm_inf(casadi.fmax(lam, 0.0) * above), casadi.norm_inf(casadi.fmin(lam, 0.0) * below)]
+            size = casadi.fabs(lam)  # lam + |lam| is twice the positive part; one of both parts is zero
+            worst += [casadi.norm_inf(0.5 * (lam + size) * above + 0.5 * (lam - size) * below)]
         total = casadi.sum1(stationary) + casadi.sum1(held)  # a maximum may pass over a NaN, a sum does not
         return casadi.if_else(casadi.fabs(total) < casadi.inf, casadi.mmax(casadi.vertcat(*worst)), casadi.inf)
 
-    def _bound(self, function: casadi.Function) -> Callable[[], None]:
+    def _bound(self, function: casadi.Function, *, in_c: bool) -> Bound:
         """A function on this object's arrays, by name."""
         arrays = self.data | self._out
-        return bound(
-            function, [arrays[name] for name in function.name_in()], [self._out[name] for name in function.name_out()]
-        )
+        inputs = [arrays[name] for name in function.name_in()]
+        return Bound(function, inputs, [self._out[name] for name in function.name_out()], in_c=in_c)
 
     def solve(self) -> Answer:
         """Solve the programme in `data` and check the answer.
@@ -244,12 +275,25 @@ class StageQp:
             return Answer(self._out["x"], 0.0, False, math.inf)
         if self.solver == "qpoases":
             iterations, success = self._condensed()
-            self._check()
+            self.check()
+        elif self.in_c:
+            iterations, success = self.direct.solve()
+            self.check()
         else:
             self._solve_and_check()
             said = self._conic.stats(self._memory)
             iterations, success = float(said.get("iter_count", -1)), bool(said["success"])
         return Answer(self._out["x"], iterations, success, float(self._out["residual"][0]))
+
+    @cached_property
+    def direct(self) -> hpipm.Hpipm:
+        """HPIPM without CasADi's interface around it, on `numbers` and `answer`."""
+        return hpipm.of(self)
+
+    @cached_property
+    def in_c(self) -> bool:
+        """Is the solver called from C, without CasADi's interface around it?"""
+        return self.solver == "hpipm" and hpipm.there()
 
     @cached_property
     def _memory(self) -> int:

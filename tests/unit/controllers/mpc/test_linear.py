@@ -13,20 +13,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from steerkit.assembly import placed, steering_loop
-from steerkit.compiled import compile
-from steerkit.compiled.trace import TraceError
 from steerkit.controllers.mpc import block as module
 from steerkit.controllers.mpc.block import FAILED, FALLBACK, PredictiveSteering
 from steerkit.controllers.mpc.linear import MPC
 from steerkit.controllers.mpc.nonlinear import NonlinearMPC
-from steerkit.controllers.mpc.qp import Answer, StageQp
 from steerkit.controllers.stanley import Stanley
 from steerkit.controllers.supervisor import Supervisor
 from steerkit.courses import course, straight
 from steerkit.plants.human import ConstantSpeed, RecordedSpeed
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.simulation import simulate
-from tests.support.predictive import CAR, KINDS, MOTOR, ZEROS, checked, controller, driven, inputs, kinds
+from tests.support.predictive import CAR, KINDS, MOTOR, ZEROS, checked, controller, driven, inputs, kinds, unsolved
 
 # ---- what comes in --------------------------------------------------------------------------------------------------
 
@@ -136,8 +133,7 @@ def said(block: PredictiveSteering, monkeypatch: pytest.MonkeyPatch, **wrong: An
     x = block.settle(0.0, block.init(), u)
     y = block.output(0.0, x, u)
     x = block.update(0.0, x, u, y)
-    true = StageQp.solve
-    monkeypatch.setattr(StageQp, "solve", lambda qp: true(qp)._replace(**wrong))
+    unsolved(monkeypatch, **wrong)
     after = block.output(0.0, x, u)
     assert after.plan == (*y.plan[1:], 0.0)
     assert after.delta_sw == pytest.approx(y.delta_sw + block.dt * y.plan[1], abs=1e-12)
@@ -145,7 +141,7 @@ def said(block: PredictiveSteering, monkeypatch: pytest.MonkeyPatch, **wrong: An
 
 
 def test_an_admitted_failure_is_answered_by_the_plan(monkeypatch: pytest.MonkeyPatch) -> None:
-    y = said(controller(), monkeypatch, success=False)
+    y = said(controller(), monkeypatch, success=0.0)
     assert (y.status, y.fault) == (1.0, 2.0)
 
 
@@ -175,13 +171,9 @@ def test_a_late_solution_is_not_used_and_the_fallback_comes_after_the_plan(late:
     assert (y.status, y.fault) == (1.0 if late <= block.patience else 2.0, 3.0)
 
 
-UNSOLVED = {"success": False, "residual": 1.0}
-
-
 def test_the_fallback_is_stanley(monkeypatch: pytest.MonkeyPatch) -> None:
     block = controller(delay=0.0)
-    true = StageQp.solve
-    monkeypatch.setattr(StageQp, "solve", lambda qp: true(qp)._replace(**UNSOLVED))
+    unsolved(monkeypatch, success=0.0, residual=1.0)
     u = inputs(block, e=0.05, psi_e=-0.02, r=0.05, kappa=0.02, delta_sw_meas=0.4)
     y = driven(block, [u])[0]
     stanley = Stanley.of(CAR.vehicle)
@@ -193,7 +185,7 @@ def test_the_fallback_is_stanley(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_the_fallback_is_asked_at_its_own_point(monkeypatch: pytest.MonkeyPatch) -> None:
     """A controller at the centre of gravity, on a circle as its own front axle is beside it."""
-    monkeypatch.setattr(StageQp, "solve", lambda qp: Answer(qp.data["g"], 0.0, False, 1.0))
+    unsolved(monkeypatch, success=0.0, residual=1.0)
     l_f, kappa = CAR.vehicle.l_f, 0.02
     at_front = inputs(controller(delay=0.0), e=0.1, psi_e=0.03, kappa=kappa)
     e = at_front.e - l_f * at_front.psi_e - 0.5 * kappa * l_f**2  # of second order in l_f
@@ -205,7 +197,7 @@ def test_the_fallback_is_asked_at_its_own_point(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_the_fallback_drives_home(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(StageQp, "solve", lambda qp: Answer(qp.data["g"], 0.0, False, 1.0))
+    unsolved(monkeypatch, success=0.0, residual=1.0)
     path, motor = course("paper"), SteeringActuator(delay=0.2, lag=0.1)
     loop = steering_loop(
         car=placed(CAR, path, s=20.0, e=0.8),
@@ -278,10 +270,12 @@ def test_the_fallback_turns_the_wheel_no_faster_than_the_motor(kind: Any, side: 
     n = max(block.pieces, 1)
     state = block.X((-6.0 * side,) * n, (0.0,) * block.horizon, float(block.patience))
     u = inputs(block, e=-1.5 * side, psi_e=-0.4 * side, delta_sw_meas=6.0 * side)
-    command, status = block._command(state, u, FAILED, state.plan)
+    _, there, then = block._ahead(state, u)
+    ahead = (*there.tolist(), float(then[block.pieces, 6]))
+    command, status = block._command(state, u, FAILED, state.plan, ahead)
     assert status == FALLBACK
     assert abs(command + 6.0 * side) <= block.rate_limit * block.dt + 1e-12
-    assert block._fallback(state, u) * side > -5.0, "it would jump"
+    assert block._fallback(u, ahead) * side > -5.0, "it would jump"
 
 
 def test_an_actuators_times_are_its_delay_its_lag_and_half_of_its_sample() -> None:
@@ -319,15 +313,6 @@ def test_the_state_and_outputs_are_python_floats() -> None:
     x = block.settle(0.0, block.init(), u)
     y = block.output(0.0, x, u)
     assert {type(value) for value in (*y[:-1], *y.plan, *block.update(0.0, x, u, y))} == {float}
-
-
-def test_it_cannot_be_compiled_and_says_who() -> None:
-    path = straight(50.0)
-    loop = steering_loop(
-        car=placed(CAR, path), path=path, human=ConstantSpeed(speed=5.0), actuator=MOTOR, controller=controller()
-    )
-    with pytest.raises(TraceError, match=r"controller \(MPC\).*runs a solver"):
-        compile(loop)
 
 
 def test_time_is_taken_unless_there_is_no_clock() -> None:

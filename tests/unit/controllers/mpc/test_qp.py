@@ -53,7 +53,7 @@ def test_the_check_sees_every_kind_of_wrong_answer() -> None:
         for key, array in clean.items():
             qp._out[key][:] = array
         qp._out[name][entry] = value
-        qp._check()
+        qp.check()
         return float(qp._out["residual"][0])
 
     right = clean["x"][0]
@@ -86,7 +86,7 @@ def test_the_check_is_the_same_to_both_sides(kind: str, side: float) -> None:
         qp.data["g"][0] = entries.pop("g", 0.0)
         for name, value in entries.items():
             qp._out[name][0] = value
-        qp._check()
+        qp.check()
         return float(qp._out["residual"][0])
 
     assert residual() == 0.0

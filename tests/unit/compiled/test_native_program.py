@@ -1,0 +1,149 @@
+"""Blocks that call code of their own: compiled loops call it too, and where they cannot, they say so."""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from steerkit import maths as m
+from steerkit import native
+from steerkit.block import Block, In, Out, State
+from steerkit.compiled import TraceError, compile
+from steerkit.compiled.fleet import Fleet
+from steerkit.compiled.trace import trace
+from steerkit.export.c import export_c
+from steerkit.loop import Loop
+from steerkit.simulation import simulate
+from tests.support.traced_blocks import Held, worst
+
+SOURCE = """
+void root(void *calls, const double *in, double *out)
+{
+  double x = 0.0;
+  int n = 0;
+  for (double step = 1.0; step * step > 1e-28; n++)
+  {
+    step = (x * x * x + x - in[0] * in[1]) / (3.0 * x * x + 1.0);
+    x -= step;
+  }
+  out[0] = x;
+  out[1] = n;
+  ++*(double *)calls;
+}
+"""
+TABLE = m.Table([[0.5 * i, 1.0 + i] for i in range(9)])
+
+
+def root(a: float, b: float) -> tuple[float, float]:
+    x, step, n = 0.0, 1.0, 0
+    while step * step > 1e-28:
+        step = (x * x * x + x - a * b) / (3.0 * x * x + 1.0)
+        x, n = x - step, n + 1
+    return x, float(n)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Rooted(Block):
+    """x with x^3 + x = (given + sum) factor; the steps that it took choose a row of a table, the next factor."""
+
+    given = In("1")
+    x = Out("1")
+    steps = Out("1")
+
+    @cached_property
+    def calls(self) -> np.ndarray:
+        return np.zeros(1)
+
+    @cached_property
+    def routine(self) -> m.Routine:
+        library = native.load(SOURCE)
+        address = ctypes.cast(library.root, ctypes.c_void_p).value or 0
+        return m.Routine(name="Rooted", size=2, call=root, native=lambda: (address, self.calls.ctypes.data))
+
+    def init(self, batch: tuple[int, ...] = ()) -> State:
+        return (m.filled(1.0, batch), m.filled(0.0, batch))
+
+    def output(self, t: Any, x: State, u: Any) -> Any:
+        if not m.is_symbol(x[0]) and np.ndim(x[0]):  # a batch, car by car
+            each = [self.output(t, (float(a), float(b)), self.D(float(g))) for a, b, g in zip(*x, u.given)]
+            return self.Y(*map(np.array, zip(*each)))
+        found, steps = self.routine(u.given + x[1], x[0])
+        row = TABLE(m.minimum(steps, 8.0))
+        again, _ = self.routine(row[1], found)
+        same, _ = self.routine(u.given + x[1], x[0])
+        return self.Y(again + 0.0 * same, steps)
+
+    def update(self, t: Any, x: State, u: Any, y: Any) -> State:
+        return (TABLE(m.minimum(y.steps, 8.0))[0], 0.5 * x[1] + y.x)
+
+
+def loop_of(value: float = 3.0) -> Loop:
+    held, rooted = Held(value=value), Rooted()
+    return Loop(blocks={"held": held, "rooted": rooted}, wires=[(held.v, rooted.given)])
+
+
+@pytest.mark.parametrize("collapse", [False, True])
+@pytest.mark.parametrize("backend", ["c", "python"])
+def test_a_routine_is_called_by_compiled_loops(backend: Any, collapse: bool) -> None:
+    loop = loop_of()
+    simulated, program = simulate(loop, 2.0), compile(loop, backend=backend, collapse=collapse)
+    assert np.ptp(simulated["rooted.x"]) > 0.1
+    assert np.ptp(simulated["rooted.steps"]) > 0.0
+    assert worst(program.run(2.0), simulated) <= 1e-13
+    rooted: Any = loop.blocks["rooted"]
+    assert rooted.calls[0] == (0.0 if backend == "python" else 80.0)  # the third call asks what the first did
+
+
+@pytest.mark.parametrize("backend", ["c", "python"])
+def test_cars_are_run_one_after_the_other(backend: Any) -> None:
+    loop = loop_of()
+    program = compile(loop, backend=backend, parameters=["held.value"])
+    values = np.array([1.0, 3.0, -2.0])
+    together = program.run(1.0, parameters={"held.value": values})
+    for car, value in enumerate(values):
+        alone = simulate(loop_of(float(value)), 1.0)
+        np.testing.assert_allclose(together["rooted.x"][:, car], alone["rooted.x"], atol=1e-13)
+        assert together.state.x[1][0][car] == pytest.approx(alone.state.x[1][0], abs=1e-13)
+
+
+def test_two_programs_of_one_routine_take_turns() -> None:
+    """A routine may keep its workspace: while somebody else calls it, a compiled loop waits."""
+    loop = loop_of()
+    program, rooted = compile(loop, backend="c"), loop.blocks["rooted"]
+    program.run(0.1)
+    done = threading.Event()
+    with rooted.routine.lock:  # type: ignore[attr-defined]
+        thread = threading.Thread(target=lambda: (program.run(0.1), done.set()), daemon=True)
+        thread.start()
+        assert not done.wait(0.2)
+    assert done.wait(30.0)
+
+
+def test_what_has_no_place_for_a_routine_says_so(tmp_path: Path) -> None:
+    loop = loop_of()
+    for attempt in (
+        lambda: compile(loop, backend="vm"),
+        lambda: trace(loop),
+        lambda: export_c(loop, tmp_path, blocks=("rooted",)),
+        lambda: Fleet(loop, 4),
+    ):
+        with pytest.raises(TraceError, match=r"\(Rooted\).*Rooted runs code of its own.*backend 'c' or 'python'"):
+            attempt()
+
+
+def test_one_without_a_c_function_can_be_python() -> None:
+    def none() -> tuple[int, int]:
+        raise TypeError("there is no C of it")
+
+    loop = loop_of()
+    vars(loop.blocks["rooted"])["routine"] = m.Routine(name="Rooted", size=2, call=root, native=none)
+    with pytest.raises(TraceError, match="Rooted cannot be called from C: there is no C of it; or backend='python'"):
+        compile(loop, backend="c").run(0.1)
+    compile(loop, backend="python").run(0.1)
