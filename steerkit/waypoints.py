@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import csv
 import math
+import re
+from array import array
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,31 +28,49 @@ def read_columns(text: str, where: str) -> dict[str, Array]:
             f"{where}: is XML (GPX?), expected CSV; write its positions under a header 'lat,lon', one a line, as "
             "lat and lon of every <trkpt> stand in a GPX file"
         )
-    lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip() and line.lstrip()[0] != "#"]
-    if len(lines) < 2:
-        raise ValueError(f"{where}: no rows, expected a header such as 'x,y' or 'lat,lon' and one point a line")
-    head = lines[0][1]
+    numbered = _Lines(text)
+    lines = iter(numbered)
+    first, head = (numbered.number, line) if (line := next(lines, "")) else (0, "")
     for sign, called in ((";", "semicolons"), ("\t", "tabs"), ("|", "bars")):
         if sign in head and "," not in head:
             raise ValueError(
-                f"{where}: line {lines[0][0]} is {head!r}: columns parted by {called}, expected commas, and points in "
+                f"{where}: line {first} is {head!r}: columns parted by {called}, expected commas, and points in "
                 "numbers (52.28, not 52,28)"
             )
-    names, *rows = ([cell.strip().lower() for cell in row] for row in csv.reader(line for _, line in lines))
-    if all(_is_number(name) for name in names):
-        raise ValueError(f"{where}: line {lines[0][0]} holds numbers, expected a header such as 'x,y' or 'lat,lon'")
-    for (k, line), row in zip(lines[1:], rows):
-        if len(row) != len(names) or not all(_is_number(cell) for cell in row):
-            raise ValueError(f"{where}: line {k} is {line!r}, expected {len(names)} numbers ({','.join(names)})")
-    return dict(zip(names, np.array(rows, dtype=float).T))
+    names = [cell.strip().lower() for cell in next(csv.reader([head]), [])]
+    if names and _numbers(names) is not None:
+        raise ValueError(f"{where}: line {first} holds numbers, expected a header such as 'x,y' or 'lat,lon'")
+    values = array("d")  # of a row of text at a time: all of it as text would take twenty times the file
+    for row in csv.reader(lines):
+        numbers = _numbers(row)
+        if numbers is None or len(numbers) != len(names):
+            what = f"line {numbered.number} is {numbered.line!r}, expected {len(names)} numbers ({','.join(names)})"
+            raise ValueError(f"{where}: {what}")
+        values.extend(numbers)
+    if not values:
+        raise ValueError(f"{where}: no rows, expected a header such as 'x,y' or 'lat,lon' and one point a line")
+    return dict(zip(names, np.frombuffer(values).reshape(-1, len(names)).T))
 
 
-def _is_number(cell: str) -> bool:
+class _Lines:
+    """The lines of a text that hold something and are no comment, one at a time; and which one it is."""
+
+    def __init__(self, text: str):
+        self.text, self.number, self.line = text, 0, ""
+
+    def __iter__(self) -> Iterator[str]:
+        for found in re.finditer(r"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+\Z", self.text):
+            self.number += 1
+            self.line = found[0].rstrip("\r\n")
+            if self.line.strip() and self.line.lstrip()[0] != "#":
+                yield self.line
+
+
+def _numbers(cells: list[str]) -> list[float] | None:
     try:
-        float(cell)
+        return [float(cell) for cell in cells]
     except ValueError:
-        return False
-    return True
+        return None
 
 
 def distances(points: Array) -> Array:

@@ -4,8 +4,8 @@ Every file holds the same drive, written by the format's own library. `refused`:
 drive, to the last bit; `noted`: another drive (shorter, rows left out), and a note says so; `shorter`: cut off where
 the format cannot tell, all that is there is right; `untold`: a number differs, and nothing says so. Formats without
 check sums cannot tell that a digit is another one: for them `worst` is by how much, in parts of what a car can reach in
-one step. `slowest_s` is the longest read, `memory_x` the most memory for a drive of 20 minutes, in sizes of the file,
-or of its numbers where they are packed smaller.
+one step. `slowest_s` is the longest read, `memory_x` the most memory for a drive of an hour (6 MB of numbers), in
+sizes of the file, or of its numbers where they are packed smaller.
 
     python -m benchmarks study log_damage [--formats csv mf4 ...] [--quick] [--json]
 """
@@ -27,7 +27,7 @@ import numpy as np
 from benchmarks.written_logs import FORMATS, driven, written
 from steerkit.logs import Drive, read_drive
 
-LONG = 1200.0
+LONG = 3600.0
 """Length of the file whose memory is measured [s]."""
 REACH = {"delta_sw": 35.0, "v": 30.0, "r": 30.0}
 """What no car changes faster than, by second, in SI: see `steerkit.logs.drive`."""

@@ -25,6 +25,19 @@ _FEW = 50
 """From this number of frames on, a sum that nearly all of a message hold is its check sum."""
 
 
+class Bounded(io.BufferedReader):
+    """A file of which a spoilt length cannot ask for more than there is."""
+
+    def __init__(self, path: Path):
+        super().__init__(io.FileIO(path))
+        self._length = path.stat().st_size
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """As many bytes, or what is left."""
+        left = max(0, self._length - self.tell())
+        return super().read(left if size is None or size < 0 else min(size, left))
+
+
 @dataclass
 class Frames:
     """The frames of one identifier."""
@@ -73,11 +86,13 @@ def read_asc(path: Path, options: Options, notes: list[str]) -> list[Table]:
 def read_blf(path: Path, options: Options, notes: list[str]) -> list[Table]:
     """Vector's binary form."""
     reader = _python_can(path).BLFReader
-    try:
-        messages = reader(io.BytesIO(path.read_bytes()))  # a spoilt length may not ask for more than there is
-    except Exception as error:  # struct's, and whatever a date may be
-        raise ValueError(f"{path}: no BLF file ({type(error).__name__}: {error})") from error
-    return decoded(collected(_messages(messages, notes)), path, options, notes)
+    with Bounded(path) as stream:
+        try:
+            messages = reader(stream)
+        except Exception as error:  # struct's, and whatever a date may be
+            raise ValueError(f"{path}: no BLF file ({type(error).__name__}: {error})") from error
+        log = collected(_messages(messages, notes))
+    return decoded(log, path, options, notes)
 
 
 def _python_can(path: Path) -> Any:
@@ -127,7 +142,8 @@ def collected(messages: Iterable[Any]) -> Log:
 
 
 def decoded(log: Log, path: Path, options: Options, notes: list[str]) -> list[Table]:
-    """The signals of the frames that the DBC knows, a table a message; what it does not know is told."""
+    """The signals of the frames that the DBC knows, a table a message, taken out of `log`; what it does not know is
+    told."""
     require(log, str(path), f"no CAN frames in it{'; ' + notes[-1] if notes else ''}")
     seen = ", ".join(f"0x{frame:X} ({len(frames.t)})" for (frame, _), frames in sorted(log.items())[:12])
     require(
@@ -138,8 +154,8 @@ def decoded(log: Log, path: Path, options: Options, notes: list[str]) -> list[Ta
     )
     messages = [m for one in options.dbc for m in database(one).messages]
     by_id = {(m.frame_id, m.is_extended_frame): m for m in messages}
-    tables = [_table(by_id[key], frames, notes) for key, frames in sorted(log.items()) if key in by_id]
     unknown = [f"0x{frame:X}" for frame, extended in sorted(log) if (frame, extended) not in by_id]
+    tables = [_table(by_id[key], log.pop(key), notes) for key in sorted(log) if key in by_id]
     require(tables, str(path), f"none of its identifiers ({seen}) is in {', '.join(options.dbc)}: of another car?")
     if unknown:
         some = ", ".join(unknown[:8]) + (", ..." if len(unknown) > 8 else "")
@@ -178,8 +194,9 @@ def _opendbc(name: str) -> str:
 def _table(message: Any, frames: Frames, notes: list[str]) -> Table | None:
     """One message's signals over time; frames that do not hold their check sum, or cannot be decoded, are left out."""
     signals = {signal.name: signal for signal in message.signals}
-    sound, bad, times = _sound(message.frame_id, frames), 0, array("d")
-    columns_of: dict[str, array[float]] = {name: array("d") for name in signals}
+    sound, count, bad = _sound(message.frame_id, frames), 0, 0
+    times = np.empty(len(sound))
+    numbers = {name: np.empty(len(sound)) for name in signals}
     for t, data, good in zip(frames.t, frames.data(), sound):
         try:
             values = message.decode(data, decode_choices=False) if good else None
@@ -188,24 +205,24 @@ def _table(message: Any, frames: Frames, notes: list[str]) -> Table | None:
         if values is None:
             bad += 1
             continue
-        times.append(t)
-        for name, column in columns_of.items():
-            column.append(float(values.get(name, math.nan)))
+        times[count] = t
+        for name, column in numbers.items():
+            column[count] = float(values.get(name, math.nan))
+        count += 1
     if bad:
         notes.append(f"left out {bad} of {len(sound)} frames of {message.name}: check sum or length are wrong")
-    if not times:
+    if not count:
         return None
-    numbers = {name: _decimal(np.array(column), signals[name]) for name, column in columns_of.items()}
-    columns = {f"{message.name}.{name}": values for name, values in numbers.items()}
+    columns = {f"{message.name}.{name}": _decimal(column[:count], signals[name]) for name, column in numbers.items()}
     units = {f"{message.name}.{name}": signals[name].unit or "" for name in numbers}
-    table = Table(columns=columns, units=units, t=np.array(times))
+    table = Table(columns=columns, units=units, t=times[:count])
     return _with_sums(table, message)
 
 
 def _decimal(values: np.ndarray, signal: Any) -> np.ndarray:
     """The nearest number to raw * scale + offset as decimals, as somebody would write it: 0.3, not 0.1 * 3."""
     digits = [-int(Decimal(repr(part)).as_tuple().exponent) for part in (signal.scale, signal.offset)]
-    return np.round(values, max(digits)) if 0 < max(digits) <= 9 else values
+    return np.round(values, max(digits), out=values) if 0 < max(digits) <= 9 else values
 
 
 def _with_sums(table: Table, message: Any) -> Table:
@@ -225,9 +242,9 @@ def _with_sums(table: Table, message: Any) -> Table:
     return Table(columns=columns, units=units, means=means, t=table.t)
 
 
-def _sound(frame_id: int, frames: Frames) -> list[bool]:
+def _sound(frame_id: int, frames: Frames) -> bytearray:
     """Which frames hold their check sum, where the message has one: a last byte that is the sum of the identifier, the
     length and all other bytes in nearly every frame."""
     start = sum(divmod(frame_id, 256))
-    held = [len(d) > 1 and (start + len(d) + sum(d[:-1])) % 256 == d[-1] for d in frames.data()]
-    return held if len(held) >= _FEW and sum(held) >= 0.9 * len(held) else [True] * len(held)
+    held = bytearray(len(d) > 1 and (start + len(d) + sum(d[:-1])) % 256 == d[-1] for d in frames.data())
+    return held if len(held) >= _FEW and sum(held) >= 0.9 * len(held) else bytearray(b"\1" * len(held))

@@ -114,16 +114,31 @@ class Drive:
         """
         given = {"t": t, "delta_sw": delta_sw, "v": v, "r": r, "psi": psi, "x": x, "y": y}
         columns = {key: np.asarray(value, dtype=float).ravel() for key, value in given.items() if value is not None}
+        return cls.made(columns, name=name, dt=dt, trusted=trusted, notes=notes, digest=digest)
+
+    @classmethod
+    def made(
+        cls,
+        columns: dict[str, Array],
+        *,
+        name: str,
+        dt: float | None = None,
+        trusted: bool = False,
+        notes: tuple[str, ...] = (),
+        digest: str = "",
+    ) -> Drive:
+        """`of` columns by name that are not needed any more: they are taken out of the dictionary one by one, so that
+        a long drive is not in memory twice."""
         remarks = list(notes)
-        columns = _without_lone(_in_order(columns, name, remarks), remarks)
-        step, gaps = _steps(columns["t"], name, remarks)
+        _without_lone(_in_order(columns, name, remarks), remarks)
+        step, gaps = _steps(t := columns["t"], name, remarks)
         if not trusted:
             _check_ranges(columns, name)
         if dt is None:
             dt = float(np.clip(round(step, 3), 0.01, 0.05))
         require(1e-3 <= dt <= 0.1, name, f"dt = {dt} s, expected 0.001 to 0.1")
         even = _resampled(columns, dt, step)
-        measured = _measured(columns["t"], gaps, even["t"])
+        measured = _measured(t, gaps, even["t"])
         rate, calibrated = _yaw_rate(even, measured, dt, name, remarks, trusted)
         drive = cls(
             name=name,
@@ -146,21 +161,29 @@ class Drive:
         return drive if drive.turns else replace(drive, notes=(*drive.notes, _STRAIGHT))
 
 
+def _keep(columns: dict[str, Array], rows: Any) -> None:
+    """Of each column those rows."""
+    for key in columns:
+        columns[key] = columns[key][rows]
+
+
 def _in_order(columns: dict[str, Array], name: str, remarks: list[str]) -> dict[str, Array]:
-    """Finite rows, rising in t."""
+    """Finite rows, rising in t; the same dictionary."""
     lengths = {key: len(value) for key, value in columns.items()}
     if len(set(lengths.values())) > 1:
         raise ValueError(f"{name}: columns of different lengths: {', '.join(f'{k} {n}' for k, n in lengths.items())}")
-    finite = np.all([np.isfinite(value) for key, value in columns.items() if key not in PLACES], axis=0)
+    finite = np.ones(len(columns["t"]), dtype=bool)
+    for key in columns.keys() - set(PLACES):
+        finite &= np.isfinite(columns[key])
     lost = int(np.sum(~finite))
     require(finite.sum() >= 100, name, f"{int(finite.sum())} whole rows of {len(finite)}, expected 100 or more")
     if lost:
         remarks.append(f"dropped {lost} of {len(finite)} rows that hold no number")
-        columns = {key: value[finite] for key, value in columns.items()}
+        _keep(columns, finite)
     stray = _stray(columns["t"])
     if stray.any():
         remarks.append(f"dropped {int(stray.sum())} rows whose time is far from that of the rows around them")
-        columns = {key: value[~stray] for key, value in columns.items()}
+        _keep(columns, ~stray)
     t = columns["t"]
     back = int(np.sum(np.diff(t) < 0.0))
     if back:
@@ -172,11 +195,11 @@ def _in_order(columns: dict[str, Array], name: str, remarks: list[str]) -> dict[
                 f"{name}: time runs back at row {row} (from {t[row - 1]:.6g} to {t[row]:.6g} s), and sorting would mix "
                 "two recordings: they lie one after the other in this file; split it there"
             )
-        columns = {key: value[order] for key, value in columns.items()}
+        _keep(columns, order)
         remarks.append(f"sorted by time: {back} times a row was earlier than the one before")
     new = np.concatenate(([True], np.diff(columns["t"]) > 0.0))
     if not new.all():
-        columns = {key: value[new] for key, value in columns.items()}
+        _keep(columns, new)
         remarks.append(f"dropped {int(np.sum(~new))} rows that repeat the time of the one before")
     return columns
 
@@ -191,24 +214,30 @@ def _stray(t: Array) -> NDArray[np.bool_]:
     return stray if stray.sum() <= 1 + 0.01 * len(t) else np.zeros_like(stray)
 
 
-def _without_lone(columns: dict[str, Array], remarks: list[str]) -> dict[str, Array]:
-    """Rows in which one value stands off from both neighbours by more than a car can change, and they agree: a spoilt
-    digit or bit, in a format that has no check sum."""
+def _without_lone(columns: dict[str, Array], remarks: list[str]) -> None:
+    """Takes out rows in which one value stands off from both neighbours by more than a car can change, and they agree:
+    a spoilt digit or bit, in a format that has no check sum."""
     t = columns["t"]
     bad = np.zeros(len(t), dtype=bool)
     span = np.minimum(np.diff(t)[:-1], np.diff(t)[1:])
     for key, fastest in _FASTEST.items():
         if key in columns:
-            value = np.unwrap(columns[key]) if key == "psi" else columns[key]
-            steps = np.diff(value)
-            there, back = steps[:-1], steps[1:]
-            usual = 20.0 * float(np.median(np.abs(steps)))
-            least = np.minimum(np.abs(there), np.abs(back))
-            lone = (there * back < 0.0) & (least > 4.0 * np.abs(there + back)) & (least > fastest * span + usual)
-            if lone.any():
-                bad[1:-1] |= lone
-                remarks.append(f"dropped {int(lone.sum())} rows of a lone {key} that no car reaches")
-    return {key: value[~bad] for key, value in columns.items()} if bad.any() else columns
+            lone = _lone(np.unwrap(columns[key]) if key == "psi" else columns[key], fastest * span)
+            if len(lone):
+                bad[lone] = True
+                remarks.append(f"dropped {len(lone)} rows of a lone {key} that no car reaches")
+    if bad.any():
+        _keep(columns, ~bad)
+
+
+def _lone(value: Array, reach: Array) -> NDArray[np.intp]:
+    """Rows that stand off from both neighbours, which agree, by more than `reach` and 20 usual steps."""
+    steps = np.diff(value)
+    size = np.abs(steps)
+    least = np.minimum(size[:-1], size[1:])
+    far = np.flatnonzero(least > reach + 20.0 * float(np.median(size)))
+    there, back = steps[far], steps[far + 1]
+    return far[(there * back < 0.0) & (least[far] > 4.0 * np.abs(there + back))] + 1
 
 
 def _steps(t: Array, name: str, remarks: list[str]) -> tuple[float, NDArray[np.intp]]:
@@ -258,23 +287,22 @@ def _check_ranges(columns: dict[str, Array], name: str) -> None:
 
 
 def _resampled(columns: dict[str, Array], dt: float, step: float) -> dict[str, Array]:
-    """All on t = 0, dt, 2 dt, ...: averaged first where the recording is finer, then linear."""
-    t = columns["t"] - columns["t"][0]
+    """All on t = 0, dt, 2 dt, ...: averaged first where the recording is finer, then linear. Empties `columns`."""
+    t = columns.pop("t")
+    t = t - t[0]
     clock = np.arange(int(t[-1] / dt + 1e-6) + 1) * dt
     width = round(dt / step)
     even: dict[str, Array] = {"t": clock}
-    for key, value in columns.items():
-        if key != "t":
-            value = np.unwrap(value) if key == "psi" else value
-            known = np.isfinite(value) if key in PLACES else np.ones(len(t), dtype=bool)
-            if not known.any():
-                continue
-            smooth = width >= 2 and known.all()
-            values = np.asarray(uniform_filter1d(value, width) if smooth else value, dtype=float)
-            even[key] = np.interp(clock, t[known], values[known])
-            if not known.all():
-                even[key][~np.interp(clock, t, known.astype(float)).astype(bool)] = np.nan
-    even["v"] = np.maximum(even["v"], 0.0)
+    for key in list(columns):
+        value = columns.pop(key)
+        value = np.unwrap(value) if key == "psi" else value
+        known = np.isfinite(value) if key in PLACES else np.ones(len(t), dtype=bool)
+        if known.all():
+            even[key] = np.interp(clock, t, uniform_filter1d(value, width) if width >= 2 else value)
+        elif known.any():
+            even[key] = np.interp(clock, t[known], value[known])
+            even[key][~np.interp(clock, t, known.astype(float)).astype(bool)] = np.nan
+    np.maximum(even["v"], 0.0, out=even["v"])
     return even
 
 
@@ -298,7 +326,7 @@ def _yaw_rate(
         return slope, True
     use = measured & (even["v"] >= V_DRIVING)
     require(use.sum() * dt >= LEAST, name, f"less than {LEAST:g} s at {V_DRIVING:g} m/s or faster")
-    gain = float(np.polyfit(slope[use], even["r"][use], 1)[0])
+    gain, _ = _line(slope[use], even["r"][use])
     if not trusted and not 0.8 < gain < 1.25:
         fault = "has the other sign than" if gain < 0.0 else f"is {gain:.3g} times"
         raise ValueError(
@@ -314,16 +342,14 @@ def _yaw_rate(
 def _check_plausible(drive: Drive) -> None:
     """Does the wheel's angle over the curvature have the size of a car's?"""
     use = drive.driving
-    kappa, angle = drive.r[use] / drive.v[use], drive.delta_sw[use]
     if not drive.turns:
         return
-    correlation = float(np.corrcoef(kappa, angle)[0, 1]) if np.ptp(angle) > 0.0 else 0.0
+    slope, correlation = _line(drive.r[use] / drive.v[use], drive.delta_sw[use])
     require(
         abs(correlation) > 0.7,
         drive.name,
         f"steering and curvature r/v go together by {correlation:.2f} only (1: fully); wrong columns or clocks?",
     )
-    slope = float(np.polyfit(kappa, angle, 1)[0])
     if PLAUSIBLE[0] <= slope <= PLAUSIBLE[1]:
         return
     causes: dict[str, float] = {
@@ -346,6 +372,13 @@ def _check_plausible(drive: Drive) -> None:
         f"{drive.name}: delta_sw/curvature is {slope:.4g} m, a road car has {PLAUSIBLE[0]:g} to {PLAUSIBLE[1]:g} m "
         f"(steering ratio times wheelbase){likely}. To go on as it is: --trust-units"
     )
+
+
+def _line(x: Array, y: Array) -> tuple[float, float]:
+    """Slope of y over x by least squares, and their correlation; 0 where one of them is constant."""
+    x, y = x - x.mean(), y - y.mean()
+    xx, yy, xy = float(x @ x), float(y @ y), float(x @ y)
+    return (xy / xx, xy / float(np.sqrt(xx * yy))) if min(xx, yy) > 0.0 else (0.0, 0.0)
 
 
 def moments(values: Any) -> tuple[float, float]:

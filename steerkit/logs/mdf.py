@@ -12,7 +12,11 @@ from typing import Any
 import numpy as np
 
 from steerkit.errors import require
+from steerkit.logs.can_frames import Bounded
 from steerkit.logs.channels import Options, Table
+
+_PIECE = 1 << 13
+"""Values that are read at a time."""
 
 
 def read_mf4(path: Path, options: Options, notes: list[str]) -> list[Table]:
@@ -24,7 +28,7 @@ def read_mf4(path: Path, options: Options, notes: list[str]) -> list[Table]:
     trouble, tables = "", list[Table]()
     with _silent():
         try:
-            with MDF(io.BytesIO(path.read_bytes())) as file:
+            with Bounded(path) as stream, MDF(stream) as file:
                 tables = _tables(file, notes)
                 if options.dbc:
                     tables += _buses(file, options, notes)
@@ -57,23 +61,39 @@ def _tables(file: Any, notes: list[str]) -> list[Table]:
         for c, channel in enumerate(group.channels):
             if c == master:
                 continue
-            signal = file.get(group=g, index=c)
-            values = np.asarray(signal.samples)
-            if values.dtype.kind not in "fiub" or values.ndim != 1:
+            read = _channel(file, g, c)
+            if read is None:
                 continue
-            if len(values) != len(signal.timestamps):
+            times, numbers, unit = read
+            if len(numbers) != len(times):
                 lost += 1
                 continue
-            numbers = values.astype(float)
-            if signal.invalidation_bits is not None:
-                numbers = np.where(np.asarray(signal.invalidation_bits), np.nan, numbers)
-            t = np.asarray(signal.timestamps, dtype=float) if t is None else t
-            columns[channel.name], units[channel.name] = numbers, signal.unit or ""
+            t = times if t is None else t
+            columns[channel.name], units[channel.name] = numbers, unit
         if t is not None:
             tables.append(Table(columns=columns, units=units, t=t))
     if lost:
         notes.append(f"left out {lost} channels that have not as many values as times")
     return tables
+
+
+def _channel(file: Any, group: int, index: int) -> tuple[np.ndarray, np.ndarray, str] | None:
+    """Times, values and unit of a channel, read piece by piece, as asammdf takes several times what it reads; None for
+    one that holds no numbers."""
+    times, parts, unit, place = list[np.ndarray](), list[np.ndarray](), "", 0
+    while True:
+        signal = file.get(group=group, index=index, record_offset=place, record_count=_PIECE)
+        values = np.asarray(signal.samples)
+        if values.dtype.kind not in "fiub" or values.ndim != 1:
+            return None
+        numbers = values.astype(float)
+        if signal.invalidation_bits is not None:
+            numbers[np.asarray(signal.invalidation_bits, dtype=bool)] = np.nan
+        times.append(np.array(signal.timestamps, dtype=float))
+        parts.append(numbers)
+        unit, place = signal.unit or "", place + _PIECE
+        if len(numbers) < _PIECE:
+            return np.concatenate(times), np.concatenate(parts), unit
 
 
 def _buses(file: Any, options: Options, notes: list[str]) -> list[Table]:

@@ -102,8 +102,8 @@ def read_drive(
         with as_file(files(__package__) / "drives" / _SHIPPED[paths[0]]) as place:
             return read_drive(place, columns, steer_ratio=steer_ratio, dt=dt, trusted=trusted)
     given = columns if isinstance(columns, ColumnMap) else ColumnMap.of(columns or {})
-    log = read_log(paths, dbc=dbc, time=given.columns.get("t"))
-    return drive_of(log, given, steer_ratio=steer_ratio, dt=dt, trusted=trusted)
+    time = given.columns.get("t")  # nothing here holds the log, so that `drive_of` can let go of it
+    return drive_of(read_log(paths, dbc=dbc, time=time), given, steer_ratio=steer_ratio, dt=dt, trusted=trusted)
 
 
 def drive_of(
@@ -120,6 +120,8 @@ def drive_of(
     notes = [read, *log.notes, *notes, *told_again(used, log.channels, where)]
     values = used.in_si({name: channel.values for name, channel in log.channels.items()}, where=where)
     times = {quantity: log.channels[column.name].t for quantity, column in used.columns.items()}
+    name, digest = Path(log.sources[0].path).name if len(log.sources) == 1 else log.name, log.digest
+    del log  # a long one may be larger than its drive
     if "delta" in values and "delta_sw" not in values:
         ratio = STEER_RATIO if steer_ratio is None else steer_ratio
         require(0.0 < ratio < 100.0, where, f"steer_ratio = {ratio:g}, expected more than 0, such as 15")
@@ -129,8 +131,7 @@ def drive_of(
     if {"lat_deg", "lon_deg"} <= values.keys():
         values, times = in_metres(values, times, notes)
     even = aligned(values, times, where, notes)
-    name = Path(log.sources[0].path).name if len(log.sources) == 1 else log.name
-    return Drive.of(**even, name=name, dt=dt, trusted=trusted, notes=tuple(notes), digest=log.digest)
+    return Drive.made(even, name=name, dt=dt, trusted=trusted, notes=tuple(notes), digest=digest)
 
 
 def _many(files: Any) -> list[Any]:

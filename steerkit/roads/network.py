@@ -17,7 +17,7 @@ _GAP, _TOLD, _KINK = 0.5, 0.05, 0.8
 _LISTED = 12
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, slots=True)
 class Piece:
     """A part of a road that is driven from one end to the other."""
 

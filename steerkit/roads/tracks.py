@@ -198,9 +198,10 @@ def csv(file: str) -> list[Track]:
         raise ValueError(f"{file}: cannot be read ({error.strerror})") from error
     flat = {"x", "y"} <= columns.keys()
     require(flat or {"lat", "lon"} <= columns.keys(), file, f"columns {', '.join(columns)}; valid: x, y or lat, lon")
-    track = Track("0", flat=flat)
-    track.a, track.b = (array("d", columns[key]) for key in (("x", "y") if flat else ("lat", "lon")))
     said = re.search(r"^#.*: (closed|open) path, ([\d.]+) m", text, re.MULTILINE)
+    del text
+    track = Track("0", flat=flat)
+    track.a, track.b = (array("d", columns[key].tobytes()) for key in (("x", "y") if flat else ("lat", "lon")))
     if said and flat:
         steps = np.hypot(np.diff(columns["x"]), np.diff(columns["y"]))
         gap = math.dist((track.a[0], track.b[0]), (track.a[-1], track.b[-1]))
@@ -209,11 +210,11 @@ def csv(file: str) -> list[Track]:
         require(
             abs(length - float(said[2])) < 0.5 + 2e-3 * length, file, f"{told}; write it again, or delete that line"
         )
-    nowhere = np.full(len(track.a), np.nan)
-    track.t, track.v = (array("d", columns.get(key, nowhere)) for key in ("t", "v"))
+    for key, column in (("t", track.t), ("v", track.v)):
+        column.frombytes(columns[key].tobytes() if key in columns else np.full(len(track.a), np.nan).tobytes())
     return [track]
 
 
 def numbers(track: Track) -> Iterator[Array]:
-    """Its four columns as arrays."""
-    return (np.array(column) for column in (track.a, track.b, track.t, track.v))
+    """Its four columns as arrays, in the same memory."""
+    return (np.frombuffer(column) for column in (track.a, track.b, track.t, track.v))

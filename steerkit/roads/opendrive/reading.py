@@ -47,7 +47,7 @@ _WIDEST = 15.0
 """A lane is no wider [m]."""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, slots=True)
 class Lane:
     """A lane within one section."""
 
@@ -65,7 +65,7 @@ class Lane:
     """standard, reversed or both."""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, slots=True)
 class Section:
     """A stretch of road with the same lanes."""
 
@@ -74,7 +74,7 @@ class Section:
     lanes: dict[int, Lane]
 
 
-@dataclass(eq=False, kw_only=True)
+@dataclass(eq=False, kw_only=True, slots=True)
 class Road:
     """A road: its reference line and what lies beside it."""
 

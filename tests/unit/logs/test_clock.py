@@ -56,3 +56,12 @@ def test_positions_become_metres_and_a_receiver_without_a_fix_is_nowhere() -> No
     np.testing.assert_allclose(values["y"][3], 6374e3 * np.radians(0.001), rtol=1e-3)
     assert times["x"] is t
     assert "x, y: east and north of 48.000000, 9.000000" in notes[0]
+
+
+def test_samples_that_came_out_of_order_are_put_in_order() -> None:
+    t = np.arange(0.0, 10.0, 0.05)
+    order = np.arange(len(t))
+    order[[40, 41]] = [41, 40]
+    slow, fast = np.arange(0.0, 10.0, 0.1), np.sin(t)
+    found = aligned({"r": fast[order], "v": slow.copy()}, {"r": t[order], "v": slow}, "a log", [])
+    np.testing.assert_array_equal(found["r"], fast[: len(found["t"])])

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.studies.log_damage import memory
 from benchmarks.written_logs import FORMATS, STEPS, driven, written
 from steerkit.logs import read_drive, read_log
 
@@ -52,3 +53,17 @@ def test_one_log_in_every_format_is_one_drive(tmp_path: Path) -> None:
     for one in drives[1:]:
         for name in ("WHEEL.STEERING_WHEEL_ANGLE", "MOTION.VEHICLE_SPEED", "MOTION.YAW_RATE"):
             np.testing.assert_array_equal(one[name].values, drives[0][name].values)
+
+
+def test_a_long_mf4_is_read_piece_by_piece_to_the_last_bit(tmp_path: Path) -> None:
+    columns = driven(500.0)
+    file, _ = written("mf4", tmp_path, columns)
+    (table,) = read_log(file).sources[0].tables
+    for name in ("delta_sw", "v", "r"):
+        np.testing.assert_array_equal(table.columns[name], columns[name])
+    np.testing.assert_array_equal(table.t, columns["t"])
+
+
+@pytest.mark.parametrize(("name", "most"), [("npz", 2.9), ("mf4, not compressed", 3.5)])
+def test_a_long_drive_takes_less_memory_than_four_times_its_numbers(name: str, most: float) -> None:
+    assert memory(name, 1200.0) < most
