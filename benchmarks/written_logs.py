@@ -148,6 +148,29 @@ def _bag(plugin: str, *, frames: bool = False) -> Callable[[Path, Columns], None
     return write
 
 
+def _summed(file: Path, columns: Columns) -> None:
+    """The bag as mcap's own library writes it: chunks under check sums."""
+    from mcap.reader import make_reader
+    from mcap.writer import Writer
+
+    _bag("MCAP")(file, columns)
+    whole = file.with_name("whole.mcap")
+    shutil.move(file, whole)
+    with whole.open("rb") as source, file.open("wb") as target:
+        writer = Writer(target, chunk_size=16_384)
+        writer.start(profile="ros2", library="mcap")
+        schemas, channels = dict[int, int](), dict[int, int]()
+        for schema, channel, message in make_reader(source).iter_messages():
+            assert schema is not None
+            if channel.id not in channels:
+                schemas.setdefault(schema.id, writer.register_schema(schema.name, schema.encoding, schema.data))
+                topic, kind = channel.topic, channel.message_encoding
+                channels[channel.id] = writer.register_channel(topic, kind, schemas[schema.id], channel.metadata)
+            writer.add_message(channels[channel.id], message.log_time, message.data, message.publish_time)
+        writer.finish()
+    whole.unlink()
+
+
 def _autoware(bag: Any, columns: Columns) -> None:
     """Reports of Autoware: the road wheels' angle is float32, as all of its numbers are."""
     from steerkit.logs.ros import typestore
@@ -211,13 +234,14 @@ FORMATS: dict[str, Format] = {
     "asc": Format(suffix=".asc", write=_can, exact=False, sums=False, dbc=True, clock=1e-6),
     "blf": Format(suffix=".blf", write=_can, exact=False, sums=False, dbc=True, clock=1e-6),
     "ros2 mcap": Format(suffix=".mcap", write=_bag("MCAP"), exact=False, sums=False, clock=1e-6),
+    "ros2 mcap with sums": Format(suffix=".mcap", write=_summed, exact=False, sums=True, clock=1e-6),
     "ros2 sqlite": Format(suffix=".db3", write=_bag("SQLITE3"), exact=False, sums=False, clock=1e-6),
     "ros2 frames": Format(
         suffix=".mcap", write=_bag("MCAP", frames=True), exact=False, sums=False, dbc=True, clock=1e-6
     ),
 }
-"""By name. rosbags writes MCAP without sums, mcap's own library with them. Not in it: a car server's recording, which
-its own tests break at every byte."""
+"""By name. rosbags writes MCAP without sums, mcap's own library with them for chunks. Not in it: a car server's
+recording, which its own tests break at every byte."""
 
 
 def written(name: str, folder: Path, columns: Columns) -> tuple[Path, dict[str, Any]]:

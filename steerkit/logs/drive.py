@@ -12,6 +12,7 @@ from scipy.signal import savgol_filter
 
 from steerkit.errors import require
 from steerkit.logs.clock import PLACES
+from steerkit.logs.spoilt import without_lone
 from steerkit.simulation import Log
 from steerkit.units import RAD_PER_DEG
 
@@ -29,8 +30,6 @@ SETTLE = 1.0
 HEADING_WINDOW = 0.2
 """Length of the parabola whose slope is the yaw rate, where only the heading was recorded [s]."""
 _STRAIGHT = "it hardly turns: units and signs cannot be judged, and nothing can be identified; add bends"
-_FASTEST = {"delta_sw": 35.0, "v": 30.0, "r": 30.0, "psi": 10.0}
-"""What no car changes faster than: 2000 deg/s of wheel [rad/s], 3 g [m/s^2], yaw [rad/s^2], heading [rad/s]."""
 PLAUSIBLE = (15.0, 120.0)
 """Steering-wheel angle over curvature, n (L + K v^2) [m], that a road car can have."""
 
@@ -130,7 +129,7 @@ class Drive:
         """`of` columns by name that are not needed any more: they are taken out of the dictionary one by one, so that
         a long drive is not in memory twice."""
         remarks = list(notes)
-        _without_lone(_in_order(columns, name, remarks), remarks)
+        without_lone(_in_order(columns, name, remarks), remarks)
         step, gaps = _steps(t := columns["t"], name, remarks)
         if not trusted:
             _check_ranges(columns, name)
@@ -212,32 +211,6 @@ def _stray(t: Array) -> NDArray[np.bool_]:
     off = np.maximum(np.maximum(at - np.maximum(before, after), np.minimum(before, after) - at), 0.0)
     stray[1:-1] = (before <= after) & (off > max(5.0 * step, 0.25))
     return stray if stray.sum() <= 1 + 0.01 * len(t) else np.zeros_like(stray)
-
-
-def _without_lone(columns: dict[str, Array], remarks: list[str]) -> None:
-    """Takes out rows in which one value stands off from both neighbours by more than a car can change, and they agree:
-    a spoilt digit or bit, in a format that has no check sum."""
-    t = columns["t"]
-    bad = np.zeros(len(t), dtype=bool)
-    span = np.minimum(np.diff(t)[:-1], np.diff(t)[1:])
-    for key, fastest in _FASTEST.items():
-        if key in columns:
-            lone = _lone(np.unwrap(columns[key]) if key == "psi" else columns[key], fastest * span)
-            if len(lone):
-                bad[lone] = True
-                remarks.append(f"dropped {len(lone)} rows of a lone {key} that no car reaches")
-    if bad.any():
-        _keep(columns, ~bad)
-
-
-def _lone(value: Array, reach: Array) -> NDArray[np.intp]:
-    """Rows that stand off from both neighbours, which agree, by more than `reach` and 20 usual steps."""
-    steps = np.diff(value)
-    size = np.abs(steps)
-    least = np.minimum(size[:-1], size[1:])
-    far = np.flatnonzero(least > reach + 20.0 * float(np.median(size)))
-    there, back = steps[far], steps[far + 1]
-    return far[(there * back < 0.0) & (least[far] > 4.0 * np.abs(there + back))] + 1
 
 
 def _steps(t: Array, name: str, remarks: list[str]) -> tuple[float, NDArray[np.intp]]:

@@ -14,6 +14,7 @@ import numpy as np
 from steerkit.errors import require
 from steerkit.logs.can_frames import Frames, Log, decoded
 from steerkit.logs.channels import Options, Table
+from steerkit.logs.mcap_rest import intact
 
 KNOWN: dict[str, dict[str, tuple[str, str]]] = {
     "SteeringReport": {"steering_tire_angle": ("delta", "rad"), "steering_wheel_angle": ("delta_sw", "rad")},
@@ -97,13 +98,18 @@ def read_ros(path: Path, options: Options, notes: list[str]) -> list[Table]:
     try:
         with AnyReader([path], default_typestore=typestore()) as reader:
             for topic, kind, t, message in _messages(reader, notes):
-                if kind == "Frame":
-                    _add_frame(frames, t, message)
-                else:
-                    _add(topics, topic, kind, t, message)
+                _take(topics, frames, topic, kind, t, message)
     except Exception as error:  # rosbags' errors have no common base, and what it is built on has others
+        parts = [path] if path.is_file() else sorted(path.glob("*.mcap"))
+        if all(part.suffix.lower() == ".mcap" for part in parts):
+            topics.clear()
+            frames.clear()
+            for part in parts:
+                for topic, kind, t, message in intact(part, _HEAVY, notes):
+                    _take(topics, frames, topic, kind, t, message)
+        else:
+            notes.append(f"cut off or broken: what comes before is used ({type(error).__name__}: {str(error)[:80]})")
         require(topics or frames, str(path), f"no ROS bag, or a broken one ({type(error).__name__}: {error})")
-        notes.append(f"cut off or broken: what comes before is used ({type(error).__name__}: {str(error)[:80]})")
     tables = [_table(name, topic, notes) for name, topic in sorted(topics.items()) if topic.numbers]
     if frames and (options.dbc or not tables):
         tables += decoded(frames, path, options, notes)
@@ -159,6 +165,13 @@ def _messages(reader: Any, notes: list[str]) -> Iterator[tuple[str, str, float, 
         notes.append(f"left out {bad} messages that cannot be read")
     if count < told:
         notes.append(f"{count} of {told} messages are there")
+
+
+def _take(topics: dict[str, _Topic], frames: Log, topic: str, kind: str, t: float, message: Any) -> None:
+    if kind == "Frame":
+        _add_frame(frames, t, message)
+    else:
+        _add(topics, topic, kind, t, message)
 
 
 def _add(topics: dict[str, _Topic], name: str, kind: str, t: float, message: Any) -> None:

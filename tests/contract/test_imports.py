@@ -86,7 +86,7 @@ AT_HOME = {
     "minari": {"export.minari"},
     "pythonfmu": {"export.fmu"},
     "fmpy": {"plants.fmu"},
-    "rosbags": {"logs.ros", "logs.ros_out"},
+    "rosbags": {"logs.ros", "logs.ros_out", "logs.mcap_rest"},
     "foxglove": {"logs.stream"},
     "asammdf": {"logs.mdf"},
     "opendbc": {"logs.can_frames"},
