@@ -45,7 +45,9 @@ def intact(file: Path, heavy: tuple[str, ...], notes: list[str]) -> Iterator[tup
             count += 1
             yield topic, kind, 1e-9 * record.log_time, message
     told = ", ".join(f"{number} times {what}" if number > 1 else what for what, number in trouble.items())
-    notes.append(f"cut off or broken ({told or 'its index'}): what is intact is used, {count} messages")
+    notes.append(
+        f"cut off or broken ({told or 'no index, or no metadata.yaml'}): what is intact is used, {count} messages"
+    )
 
 
 def _records(file: Path) -> Iterator[Any]:

@@ -19,7 +19,7 @@ from steerkit.logs.clock import aligned, in_metres
 from steerkit.logs.columns import Column, ColumnMap
 from steerkit.logs.drive import Drive
 from steerkit.logs.names import is_time
-from steerkit.logs.spoilt import told_odd
+from steerkit.logs.spoilt import ODD, told_odd
 
 _SHIPPED = {"genesis": "genesis.csv.gz", "genesis-rfs": "genesis_rfs.csv.gz"}
 
@@ -121,8 +121,7 @@ def drive_of(
     notes = [read, *log.notes, *notes, *told_again(used, log.channels, where)]
     values = used.in_si({name: channel.values for name, channel in log.channels.items()}, where=where)
     times = {quantity: log.channels[column.name].t for quantity, column in used.columns.items()}
-    for quantity in sorted(values.keys() & {"delta_sw", "delta", "v", "r"}):
-        notes += told_odd(quantity, times[quantity], values[quantity])
+    notes += told_odd({quantity: values[quantity] for quantity in ODD if quantity in values}, times)
     name, digest = Path(log.sources[0].path).name if len(log.sources) == 1 else log.name, log.digest
     del log  # a long one may be larger than its drive
     if "delta" in values and "delta_sw" not in values:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,8 @@ Array = NDArray[np.floating[Any]]
 
 FASTEST = {"delta_sw": 35.0, "v": 30.0, "r": 30.0, "psi": 10.0}
 """What no car changes faster than: 2000 deg/s of wheel [rad/s], 3 g [m/s^2], yaw [rad/s^2], heading [rad/s]."""
+ODD = ("delta_sw", "delta", "v", "r")
+"""Quantities of which such values are told; a heading and a place jump by themselves."""
 _ODD, _AROUND = 10.0, 8
 """A value is odd that lies so many times further beside its neighbours' middle than any of so many on both sides."""
 
@@ -35,26 +38,29 @@ def without_lone(columns: dict[str, Array], remarks: list[str]) -> None:
             columns[key] = columns[key][~bad]
 
 
-def told_odd(quantity: str, t: Array, values: Array) -> list[str]:
-    """Which samples of a channel stand off from all around them, in value or in time, in words, if any do.
+def told_odd(values: Mapping[str, Array], times: Mapping[str, Array]) -> list[str]:
+    """Which samples of each quantity stand off from all around them, in value or in time, in words, if any do.
 
-    t [s], values (n,) as they were read, before they are brought to another clock.
+    values, times: by quantity, (n,) each, in SI [s], as they were read, before they are brought to one clock.
     """
-    known = np.isfinite(t) & np.isfinite(values)
-    if not known.all():
-        t, values = t[known], values[known]
-    if len(values) <= 2 * _AROUND:
-        return []
-    steps = np.abs(np.diff(values))
-    resolution = float(np.min(steps, initial=np.inf, where=steps > 0.0))
-    told = []
-    for what, rows in (
-        (quantity, standing_off(values, 4.0 * resolution)),
-        (f"the time of {quantity}", standing_off(t, 0.2 * float(np.median(np.abs(np.diff(t)))))),
-    ):
-        if len(rows):
-            at = f"{t[rows[0]] - t[0]:.6g} s from its start"
-            told.append(f"{what} stands off from all around in {len(rows)} samples, the first {at}: spoilt?")
+    told, clocks = list[str](), list[Array]()
+    for quantity, numbers in values.items():
+        t = times[quantity]
+        known = np.isfinite(t) & np.isfinite(numbers)
+        if not known.all():
+            t, numbers = t[known], numbers[known]
+        if len(t) <= 2 * _AROUND:
+            continue
+        steps = np.abs(np.diff(numbers))
+        resolution = float(np.min(steps, initial=np.inf, where=steps > 0.0))
+        found = [(quantity, standing_off(numbers, 4.0 * resolution))]
+        if not any(times[quantity] is clock for clock in clocks):
+            clocks.append(times[quantity])
+            found.append((f"the time of {quantity}", standing_off(t, 0.5 * float(np.median(np.abs(np.diff(t)))))))
+        for what, rows in found:
+            if len(rows):
+                at = f"{t[rows[0]] - t[0]:.6g} s from its start"
+                told.append(f"{what} stands off from all around in {len(rows)} samples, the first {at}: spoilt?")
     return told
 
 

@@ -111,7 +111,11 @@ def test_stamps_of_another_clock_are_not_taken(bag: Bag) -> None:
 def test_a_folder_without_its_description_and_what_is_no_bag_teach(bag: Bag, tmp_path: Path) -> None:
     bag.put("/odom", 0.0, bag.odometry(0.0, 0.0, 5.0, 0.0))
     folder = closed(bag)
-    (folder / "metadata.yaml").unlink()
+    (folder / "metadata.yaml").unlink()  # as after a recorder that was killed
+    log = read_log(folder)
+    assert log.notes == ("cut off or broken (no index, or no metadata.yaml): what is intact is used, 1 messages",)
+    assert log.channels["/odom.twist.twist.linear.x"].values.tolist() == [5.0]
+    (folder / "bag.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(99))
     with pytest.raises(ValueError, match="no ROS bag"):
         read_log(folder)
     (tmp_path / "a.db3").write_bytes(b"SQLite format 3\0 and nothing more")
