@@ -28,6 +28,7 @@ def redrive(
     columns: Annotated[Path | None, typer.Option("--map", help="TOML file: which column is what, its unit.")] = None,
     column: Annotated[list[str] | None, typer.Option(help="QUANTITY=COLUMN[:UNIT[:SCALE]]; repeatable.")] = None,
     plot: Annotated[Path | None, typer.Option(help="Picture to write (.png, .pdf, .svg), of one controller.")] = None,
+    film: Annotated[Path | None, typer.Option(help="Film to write: .gif, or .mp4 with ffmpeg; the same.")] = None,
     quiet: Quiet = False,
     as_json: Machine = False,
 ) -> None:
@@ -42,8 +43,13 @@ def redrive(
     from steerkit.redrive import redrive as again
 
     names = controller or ["mpc"]
-    if plot is not None and len(names) > 1:
-        raise ValueError(f"--plot {plot}: shows one controller, not {', '.join(names)}")
+    for option, file in (("--plot", plot), ("--film", film)):
+        if file is not None and len(names) > 1:
+            raise ValueError(f"{option} {file}: shows one controller, not {', '.join(names)}")
+    if film is not None:  # before a long drive
+        from steerkit.plots.animation import film_writer
+
+        film_writer(film)
     table = {} if columns is None else ColumnMap.load(columns).columns
     drive = read_drive(recording, ColumnMap({**table, **ColumnMap.parsed(column or ()).columns}))
     console = Console(stderr=as_json)
@@ -61,6 +67,10 @@ def redrive(
 
         compared(driven[0]).savefig(plot)
         console.print(f"picture: {plot}", soft_wrap=True)
+    if film is not None:
+        from steerkit.redrive import pictures
+
+        console.print(f"film: {pictures.film(driven[0], film, progress=not quiet)}", soft_wrap=True)
 
 
 def _car(file: str, drive: Any) -> tuple[Any, str]:

@@ -34,6 +34,7 @@ _SLOW = 3.0
 """Below this speed wheels are turned for parking and standing: not compared [m/s]."""
 _APART = 10.0
 """Places where the two differ most lie so far apart [s]."""
+_KEPT = ("path.e", "actuator.delta_sw", *(f"car.{name}" for name in ("x", "y", "psi", "v", "a_y", "delta_sw")))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,6 +88,10 @@ class Redriven:
     """The recorded one: v times the yaw rate [m/s^2]."""
     compared: NDArray[np.bool_]
     """Recorded, and 3 m/s or faster."""
+    log: Log
+    """The simulation's signals."""
+    path: Path
+    """The way that was driven."""
 
     @property
     def differs(self) -> Array:
@@ -195,6 +200,8 @@ def redrive(drive: Drive, controller: str, *, car: Steered, progress: bool = Fal
         a_y=log["car.a_y"],
         a_y_driven=v * r,
         compared=measured & (v >= _SLOW) & (t >= 2.0),
+        log=log,
+        path=path,
     )
 
 
@@ -235,7 +242,7 @@ def _reference(controller: Any, vehicle: Vehicle) -> float:
 
 def _run(loop: Loop, seconds: float, progress: bool) -> Log:
     """Twenty samples a second; compiled where the controller can be."""
-    kept, ticks = ["path.e", "car.a_y", "actuator.delta_sw"], round(DT / loop.dt)
+    kept, ticks = list(_KEPT), round(DT / loop.dt)
     try:
         return compile(loop, record=kept, every=ticks).run(seconds)
     except (TraceError, NoCompilerError):  # a block or a machine without C

@@ -1,7 +1,8 @@
-"""The picture of a drive that was driven again."""
+"""The picture and the film of a drive that was driven again."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +13,9 @@ from steerkit.units import degrees_of
 
 if TYPE_CHECKING:
     from steerkit.redrive.again import Redriven
+
+_LASTS = 10.0
+"""A film [s]."""
 
 
 def compared(again: Redriven) -> Any:
@@ -35,3 +39,10 @@ def compared(again: Redriven) -> Any:
         a_y.set_ylabel("a_y [m/s^2]")
         a_y.set_xlabel("t [s]")
     return figure
+
+
+def film(again: Redriven, file: str | Path, *, progress: bool = False) -> Path:
+    """The controller's car on the way that was driven, with e beside it, as .gif or .mp4 of 10 s; see `Log.animate`."""
+    car, speed = again.car.vehicle, max(1.0, float(again.t[-1]) / _LASTS)
+    size = {"wheelbase": float(car.wheelbase), "l_f": float(car.l_f), "steer_ratio": float(car.steer_ratio)}
+    return again.log.animate(again.path, file, **size, speed=speed, fps=8.0, progress=progress)

@@ -25,8 +25,14 @@ def test_a_recorded_drive_is_driven_again(tmp_path: Path) -> None:
 
 
 def test_one_picture_shows_one_controller() -> None:
-    done = CliRunner().invoke(
-        app, ["redrive", "genesis", "--controller", "mpc", "--controller", "lqr", "--plot", "a.png"]
-    )
+    for option, file in (("--plot", "a.png"), ("--film", "a.gif")):
+        words = ["redrive", "genesis", "--controller", "mpc", "--controller", "lqr", option, file]
+        done = CliRunner().invoke(app, words)
+        assert isinstance(done.exception, ValueError)
+        assert f"{option} {file}: shows one controller, not mpc, lqr" in str(done.exception)
+
+
+def test_a_film_of_another_kind_is_refused_before_the_drive() -> None:
+    done = CliRunner().invoke(app, ["redrive", "no-such-file.csv", "--film", "a.avi"])
     assert isinstance(done.exception, ValueError)
-    assert "shows one controller, not mpc, lqr" in str(done.exception)
+    assert "a film ends in .gif or .mp4" in str(done.exception)
