@@ -121,9 +121,9 @@ def drive_of(
     notes = [read, *log.notes, *notes, *told_again(used, log.channels, where)]
     values = used.in_si({name: channel.values for name, channel in log.channels.items()}, where=where)
     times = {quantity: log.channels[column.name].t for quantity, column in used.columns.items()}
-    notes += told_odd({quantity: values[quantity] for quantity in ODD if quantity in values}, times)
     name, digest = Path(log.sources[0].path).name if len(log.sources) == 1 else log.name, log.digest
     del log  # a long one may be larger than its drive
+    notes += told_odd({quantity: values[quantity] for quantity in ODD if quantity in values}, times)
     if "delta" in values and "delta_sw" not in values:
         ratio = STEER_RATIO if steer_ratio is None else steer_ratio
         require(0.0 < ratio < 100.0, where, f"steer_ratio = {ratio:g}, expected more than 0, such as 15")
