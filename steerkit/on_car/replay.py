@@ -8,7 +8,7 @@ too, as long as its run directory keeps them.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path as FilePath
 from typing import Any
@@ -176,13 +176,13 @@ def replayed_requests(drive: Drive, config: CarConfig, path: Path, *, controller
     except CarLost:
         told = [] if controller else drive.filtered
         return sum(
-            asked == again and (n >= len(told) or _same(told[n], did[n : n + 1]))
+            _same(Request(*asked, 0), [Request(*again, 0)]) and (n >= len(told) or _same(told[n], did[n : n + 1]))
             for n, (asked, again) in enumerate(zip(drive.requests, link.requests))
         )
 
 
-def _same(told: Filtered, did: list[Filtered]) -> bool:
-    """As bytes: a NaN equals itself."""
+def _same(told: Request | Filtered, did: Sequence[Request | Filtered]) -> bool:
+    """As bytes: a NaN, which is asked for where the wheel's report is missing, equals itself."""
     return [encode(told)] == [encode(one) for one in did]
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -69,3 +71,13 @@ def test_a_net_that_has_changed_since_is_not_the_one_that_drove(tmp_path: Path) 
     (tmp_path / "net.npz").unlink()
     with pytest.raises(ValueError, match="is gone"):
         replays.Nets(CONFIG, COURSE, ReplayLink([])).follow(steers)
+
+
+def test_a_request_that_is_no_number_is_the_same_when_it_is_none_again() -> None:
+    """So it is where the wheel's report is stale: NaN is asked for, and the gate lets nothing through."""
+    there: dict[str, Any] = {"x": 10.0, "y": 0.0, "psi": 0.0, "v": 5.0, "beta": 0.0, "r": 0.0, "a_y": 0.0}
+    wheel = (0.1, 0.1, math.nan, math.nan, 0.1, 0.1)
+    seen = [protocol.Snapshot(0.05 * k, **there, delta_sw=angle) for k, angle in enumerate(wheel)]
+    drive = replays.Drive(snapshots=seen, requests=[(s.t, math.nan) for s in seen[1:]], first=2)
+    none_again = 3  # two without a report, and one more whose controller remembers none
+    assert replays.replayed_requests(drive, CONFIG, COURSE, controller="stanley") == none_again
