@@ -202,7 +202,10 @@ def beside(where: str, signals: Sequence[str] | None = None) -> Iterator[tuple[s
     """
     place_of(where)
     _check_installed()
-    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    try:
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    except OSError as error:
+        raise ValueError(f"stream: needs sockets that keep packets apart, as Linux has ({error.strerror})") from error
     with ours:
         ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4 * PACKET)
         with theirs:
