@@ -76,5 +76,5 @@ void programme(Programme *p, const double *in, double *out)
   solve(p->stages, out);
   run(p->check);
   out[2] = *p->residual;
-  for (long long i = 0; i < p->rates; i++) out[3 + p->ahead + i] = p->answer[p->rate[i]];
+  for (long long i = 0; isfinite(out[2]) && i < p->rates; i++) out[3 + p->ahead + i] = p->answer[p->rate[i]];
 }

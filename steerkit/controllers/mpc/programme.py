@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import struct
 from collections.abc import Callable, Sequence
 from functools import cached_property
@@ -49,8 +50,8 @@ class Found(NamedTuple):
 class Programme:
     """What is asked, the piece of the model's tables, and the inputs of `prepare` in; the fields of `Found` out.
 
-    NOTHING gives zeros; PREDICTION leaves out the solution. A programme with a gap that is not finite (whatever broke
-    in the motion shows there) is not solved.
+    NOTHING gives zeros; PREDICTION leaves out the solution. Rates with an infinite residual are zeros. A programme with
+    a gap that is not finite (whatever broke in the motion shows there) is not solved.
     """
 
     def __init__(self, preparation: Preparation, settings: Sequence[float]):
@@ -106,7 +107,7 @@ class Programme:
         if asked < SOLUTION:
             return (0.0, 0.0, 0.0, *self.ahead.tolist(), *[0.0] * len(self.rates))
         answer = self.solved()
-        rates = answer.x[self.rates].tolist()
+        rates = answer.x[self.rates].tolist() if math.isfinite(answer.residual) else [0.0] * len(self.rates)
         return (float(answer.success), answer.iterations, answer.residual, *self.ahead.tolist(), *rates)
 
     def look(self, piece: int, values: Sequence[float]) -> None:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pytest
 
 from steerkit.controllers.mpc import hpipm
+from steerkit.controllers.mpc.block import FAILED, FALLBACK, NO_FAULT, SOLVED
 from steerkit.controllers.mpc.qp import StageQp
 from tests.support.predictive import controller, driven, inputs, kinds
 
@@ -79,3 +82,14 @@ def test_a_programme_that_it_cannot_solve_is_no_success(kind: Any) -> None:
     assert not success
     assert iterations > 1.0
     assert qp.direct.solve()[1]
+
+
+def test_one_that_runs_out_of_iterations_is_no_success(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(hpipm._OPTIONS, "iter_max", 3)
+    block = replace(controller())
+    vars(block)["model"] = controller().model
+    states: list[dict[str, float]] = [{"e": 1e-4, "kappa": 0.0}, {"e": 0.9, "psi_e": 0.1}]
+    easy, hard = (driven(block, [inputs(block, **values)])[0] for values in states)
+    assert (easy.status, easy.fault) == (SOLVED, NO_FAULT)
+    assert (hard.status, hard.fault, hard.iterations) == (FALLBACK, FAILED, 3.0)
+    assert block.qp.direct.solve() == (3.0, False)

@@ -183,6 +183,18 @@ def test_the_fallback_is_stanley(monkeypatch: pytest.MonkeyPatch) -> None:
     assert y.delta_sw == pytest.approx(expected, abs=1e-9)
 
 
+def test_without_beta_the_fallback_is_asked_where_the_car_will_be(monkeypatch: pytest.MonkeyPatch) -> None:
+    block = controller()
+    u = inputs(block, e=0.02, kappa=0.0)
+    x = block.settle(0.0, block.init(), u)
+    broken = block.output(0.0, x, u._replace(beta=math.nan))
+    unsolved(monkeypatch, success=0.0)
+    failed = block.output(0.0, x, u)
+    assert (broken.status, failed.status) == (2.0, 2.0)
+    assert broken.delta_sw == pytest.approx(failed.delta_sw, abs=1e-12)
+    assert 0.05 < -broken.delta_sw < 0.4
+
+
 def test_the_fallback_is_asked_at_its_own_point(monkeypatch: pytest.MonkeyPatch) -> None:
     """A controller at the centre of gravity, on a circle as its own front axle is beside it."""
     unsolved(monkeypatch, success=0.0, residual=1.0)

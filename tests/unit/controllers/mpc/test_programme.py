@@ -60,7 +60,7 @@ def test_a_motion_that_is_not_finite_is_not_solved(kind: Any, in_c: bool) -> Non
     asked = list(question(block, SOLUTION, e=0.3))
     asked[2] = math.nan  # e
     told = found((block.programme if in_c else block.programme.by_parts)(*asked))
-    assert (told.success, told.residual) == (0.0, math.inf)
+    assert (told.success, told.iterations, told.residual, {*told.rates}) == (0.0, 0.0, math.inf, {0.0})
     again = found(block.programme(*question(block, SOLUTION, e=0.3)))
     assert again.success == 1.0
 
