@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import replace
 from typing import Any
@@ -104,14 +105,26 @@ def test_nothing_drifts_at_standstill() -> None:
     assert found["rate_zero"].value == pytest.approx(0.001, abs=1e-4), "a gyro that stands says its zero"
 
 
+@pytest.fixture(scope="module")
+def under_way(calibration: Made) -> tuple[CarEstimators, list[Snapshot], dict[str, Estimated]]:
+    """Estimators after 15 s, the samples of the next 15, and what they find in these."""
+    samples = samples_of(calibration)[:600]
+    estimators = CarEstimators(CONFIG)
+    for sample in samples[:300]:
+        estimators.sample(sample)
+    return estimators, samples[300:], fed(samples)
+
+
 @pytest.mark.parametrize("name", ["r", "v", "delta_sw", "psi", "command", "report_age"])
 @pytest.mark.parametrize("value", [NAN, math.inf, -math.inf, 1e300])
 def test_a_signal_that_is_no_number_for_a_while_teaches_nothing_and_harms_nothing(
-    calibration: Made, name: str, value: float
+    under_way: tuple[CarEstimators, list[Snapshot], dict[str, Estimated]], name: str, value: float
 ) -> None:
-    samples = samples_of(calibration)[:600]
-    broken = [s._replace(**{name: value}) if 300 <= k < 340 else s for k, s in enumerate(samples)]
-    found, whole = fed(broken), fed(samples)
+    before, samples, whole = under_way
+    estimators = copy.deepcopy(before)
+    for k, sample in enumerate(samples):
+        estimators.sample(sample._replace(**{name: value}) if k < 40 else sample)
+    found = estimators.found()
     assert all(math.isfinite(number) for q in found.values() for number in q)
     for quantity in ("steer_ratio", "delay_lag"):
         assert found[quantity].value == pytest.approx(whole[quantity].value, abs=3.0 * found[quantity].deviation + 0.02)
