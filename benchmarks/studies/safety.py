@@ -18,6 +18,8 @@
   a driver who is smooth and wants to be 0.8 m beside the path, and against full lock.
 * Car: learners with the filter before the gate of the simulated car behind the bus, in three processes at true 20 Hz;
   only with --parts car.
+* Narrowing: a driver who wants to be 0.42 m beside the path, with a doubt of the yaw rate that stays and one that
+  narrows while the model proves right.
 * Cost: time of a sample in the filter's own C, exported and called from Python, where its commands are corrected.
 
     python -m benchmarks study safety [--parts PART ...] [--seeds N] [--compare N] [--jobs N] [--keep FILE] [--json]
@@ -181,6 +183,21 @@ def chatter(seconds: float, speeds: tuple[float, ...]) -> dict[str, Any]:
     return {"chatter": rows, "chatter_x": min(one / many for one, many in rows.values())}
 
 
+def narrowing(seconds: float, speeds: tuple[float, ...]) -> dict[str, Any]:
+    """Samples corrected of a driver who wants to be 0.42 m beside the path [%], and largest |e|: the yaw rate's doubt
+    as it is, and where it narrows; from 10 s on."""
+    rows: dict[str, dict[str, float]] = {}
+    for v in speeds:
+        scenario = Scenario.under("hard", course="paper", v_min=v, v_max=v)
+        row = rows.setdefault(f"{v:g} m/s", {})
+        for name, least in (("constant", None), ("narrows", 0.003)):
+            driver = Beside(law=Stanley.of(scenario.nominal), by=0.42)
+            log = against(driver, scenario, seconds, SafetyFilter.delay_doubt, yaw_doubt_least=least)
+            row[f"{name}_pct"] = 100.0 * float(np.mean(log["safety.share"][log.t > 10.0] > 0.0))
+            row[f"{name}_max_e"] = largest(log["path.e"])
+    return {"narrowing": rows}
+
+
 def cost(seconds: float, **settings: Any) -> dict[str, Any]:
     """Time of a sample of the filter and its path tracker in exported C, the call from Python included [ms].
 
@@ -215,7 +232,7 @@ def _signal(field: str, names: list[str]) -> str:
     return next(name for name in names if name.replace(".", "_") == field)
 
 
-PARTS = ("adversaries", "trained", "agents", "chatter", "cost", "learners", "car")
+PARTS = ("adversaries", "trained", "agents", "chatter", "narrowing", "cost", "learners", "car")
 """What it measures; each can be left out, and the last has to be asked for: it takes real time, and the extra `car`."""
 
 
@@ -251,6 +268,10 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
             console.print(f"{kind:16s} max |e|", "  ".join(f"{v}: {e:.3f} m" for v, e in row.items()))
     if "chatter" in options.parts:
         report |= chatter(6.0 if quick else 20.0, (5.0,) if quick else (3.0, 5.0, 8.0))
+    if "narrowing" in options.parts:
+        report |= narrowing(12.0, (5.0,)) if quick else narrowing(40.0, (3.0, 5.0, 8.0))
+        for speed, row in report["narrowing"].items():
+            console.print(f"0.42 m beside, {speed}:", ", ".join(f"{name} {value:.3g}" for name, value in row.items()))
     if "cost" in options.parts:
         report |= cost(2.0, horizon=0.35, hold=1, halvings=1) if quick else cost(100.0)
     if "learners" in options.parts:

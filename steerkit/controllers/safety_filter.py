@@ -29,7 +29,9 @@ REASONS = (
 """What each value of the output `reason` means."""
 _ADAPT = 0.5
 """Time in which the yaw rate's slow part, and by how much the model has it wrong, are averaged [s]."""
-_KEPT = 6
+_WANDERS = 5.0
+"""Time over which it is found how far `wrong` goes from its own average [s]."""
+_KEPT = 8
 """Numbers in the state before the commands on their way."""
 
 
@@ -43,6 +45,7 @@ class _Now(NamedTuple):
     wheel_before: Scalar
     wrong: Scalar
     r_slow: Scalar
+    doubt: Scalar
     commands: tuple[Scalar, ...]
     preview: tuple[Scalar, ...]
 
@@ -74,6 +77,13 @@ class SafetyFilter(Block):
     delay_doubt and a sample later; and its backup sees it e_doubt and psi_doubt further right than it would be seen,
     without what pushed it while its command was on the way. `wrong` and r_slow are averages over 0.5 s.
 
+    With `yaw_doubt_least` the yaw rate's doubt is wide at first and narrow where the model proves right:
+
+        yaw_doubt_now = 3 sqrt(<(wrong - <wrong>)^2>),   between yaw_doubt_least and yaw_doubt, where it begins,
+
+    <.> averages over 5 s, but a mean square grows within 0.5 s: a car that stops answering as it did is doubted again
+    after about a second. What was found safe with a narrow doubt holds only while that doubt bounds the errors.
+
     What holds by this: while the true car stays between the pushed ones, one that got a command with reach <= bound
     has |e| <= bound for `horizon` from then on. For at each sample after it either another such command is sent, or
     that one goes on being held and then the backup steers, and that this stays within the bound is what was found. It
@@ -89,9 +99,10 @@ class SafetyFilter(Block):
     v [m/s]; r [rad/s]; delta_sw_meas [rad]; with a `gate` also applied [rad], what it let through last. Outputs:
     delta_sw [rad]; correction [rad], delta_sw - command; share [1], 0 for none, 1 where nothing of w is left; reach [m]
     of w; reason [1], the number of one of `REASONS`. State: r_model, `wrong`, r_slow, the wheel one sample before, the
-    command that was found safe last, less the path's own angle, and for how many samples it is to be held; then
-    commands on their way, oldest first. Where a command is not finite, or nothing is seen, the last plan goes on, then
-    the backup steers; a NaN in what that sees gives NaN, which the gate before a bus refuses. A negative v counts as 0.
+    command that was found safe last, less the path's own angle, for how many samples it is to be held, <wrong> and the
+    mean square of what is left of `wrong`; then commands on their way, oldest first. Where a command is not finite, or
+    nothing is seen, the last plan goes on, then the backup steers; a NaN in what that sees gives NaN, which the gate
+    before a bus refuses. A negative v counts as 0.
     Raises ValueError for parameters out of range and for a backup that is not Stanley.
 
     Source: Wabersich, Zeilinger 2018 and 2021 (predictive safety filter); Gurriet et al. 2020 (a backup rolled out);
@@ -128,6 +139,8 @@ class SafetyFilter(Block):
     """Largest error of psi_e as seen [rad]."""
     yaw_doubt: float = 0.01
     """Largest error of the yaw rate that is neither constant nor in proportion to its changes [rad/s]."""
+    yaw_doubt_least: float | None = None
+    """How far that may narrow while the model proves right [rad/s]; None: it stays as it is."""
     ratio_doubt: float = 0.1
     """Largest error of the yaw rate as a share of its change [1]: steering ratio, tyres."""
     delay_doubt: float = 0.05
@@ -153,6 +166,7 @@ class SafetyFilter(Block):
             ("e_doubt", "m", 0.0, 10.0),
             ("psi_doubt", "rad", 0.0, 1.0),
             ("yaw_doubt", "rad/s", 0.0, 1.0),
+            *([("yaw_doubt_least", "rad/s", 0.0, self.yaw_doubt)] if self.yaw_doubt_least is not None else []),
             ("ratio_doubt", "1", 0.0, 1.0),
             ("delay_doubt", "s", 0.0, 2.0),
             ("approach", "s", 0.0, 10.0),
@@ -202,15 +216,19 @@ class SafetyFilter(Block):
         return 1.0 - math.exp(-self.dt / lag) if lag > 0.0 else 1.0
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
-        return (m.filled(0.0, batch),) * (_KEPT + self._latest)
+        zero = m.filled(0.0, batch)
+        return (*[zero] * (_KEPT - 1), zero + (self.yaw_doubt / 3.0) ** 2, *[zero] * self._latest)
 
     def settle(self, t: float, x: State, u: Any) -> State:
         wheel = u.delta_sw_meas + 0.0
-        return (u.r + 0.0, 0.0 * u.r, u.r + 0.0, wheel, wheel, 0.0 * wheel, *[wheel] * self._latest)
+        none = 0.0 * wheel
+        first = (u.r + 0.0, 0.0 * u.r, u.r + 0.0, wheel, wheel, none, none, none + (self.yaw_doubt / 3.0) ** 2)
+        return (*first, *[wheel] * self._latest)
 
     def output(self, t: Any, x: State, u: Any) -> Any:
         v, sound = m.maximum(u.v, 0.0), m.is_finite(u.command)
-        now = _Now(u.e, u.psi_e, u.r, u.delta_sw_meas, x[3], x[1], x[2], self._sent(x, u), tuple(u.preview))
+        seen = (u.e, u.psi_e, u.r, u.delta_sw_meas, x[3], x[1], x[2])
+        now = _Now(*seen, self._yaw_doubt(x[7]), self._sent(x, u), tuple(u.preview))
         within = self._within(u.command, x[-1], v, u.preview[0]) if self.gate is None else u.command
         reach = self._reach(now, v, within)
         safe = m.both(sound, reach <= self.bound)
@@ -234,7 +252,8 @@ class SafetyFilter(Block):
         return self.Y(delta_sw, delta_sw - u.command, share, reach, reason)
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
-        part, planned = self.dt / _ADAPT, y.share < 1.0
+        part, slowly, planned = self.dt / _ADAPT, self.dt / _WANDERS, y.share < 1.0
+        left = (x[1] - x[6]) ** 2
         after = (
             self.backup.yaw_rate(x[0], u.delta_sw_meas, u.v),
             x[1] + part * (u.r - x[0] - x[1]),
@@ -242,11 +261,19 @@ class SafetyFilter(Block):
             u.delta_sw_meas,
             m.where(planned, y.delta_sw - self._bend(tuple(u.preview), m.maximum(u.v, 0.0), self._soonest), x[4]),
             m.where(planned, self.hold - 1.0, m.where(y.reason < len(REASONS), m.maximum(x[5] - 1.0, 0.0), 0.0)),
+            x[6] + slowly * (x[1] - x[6]),
+            x[7] + m.where(left > x[7], part, slowly) * (left - x[7]),
             *self._sent(x, u)[1:],
             y.delta_sw,
         )
         before = (*x[:_KEPT], *x[_KEPT + 1 :], x[-1])  # what is no number was not measured, or never left
         return tuple([m.where(m.is_finite(new), new + 0.0, old) for new, old in zip(after, before, strict=True)])
+
+    def _yaw_doubt(self, square: Scalar) -> Scalar:
+        """Of the yaw rate now [rad/s], from the mean square of what is left of `wrong`."""
+        if self.yaw_doubt_least is None:
+            return self.yaw_doubt
+        return m.clip(3.0 * m.sqrt(square), self.yaw_doubt_least, self.yaw_doubt)
 
     def _bend(self, preview: tuple[Scalar, ...], v: Scalar, samples: int) -> Scalar:
         """The path's own angle of the wheel [rad], so many samples ahead."""
@@ -304,7 +331,9 @@ class SafetyFilter(Block):
     def _reach(self, now: _Now, v: Scalar, command: Scalar) -> Scalar:
         """The furthest that the car may get to either side after a command [m]."""
         flipped = [-value for value in now[:7]]
-        mirrored = _Now._make((*flipped, tuple([-c for c in now.commands]), tuple([-k for k in now.preview])))
+        mirrored = _Now._make(
+            (*flipped, now.doubt, tuple([-c for c in now.commands]), tuple([-k for k in now.preview]))
+        )
         return m.maximum(self._left(now, v, command), self._left(mirrored, v, -command))
 
     def _left(self, now: _Now, v: Scalar, command: Scalar) -> Scalar:
@@ -314,7 +343,7 @@ class SafetyFilter(Block):
         commands = list(now.commands)
         soon, late = now.wheel, m.maximum(now.wheel, now.wheel_before)
         car = Motion(now.e + self.e_doubt, now.psi_e + self.psi_doubt, now.r, late)
-        push, before, furthest = self.yaw_doubt, late, -1e9
+        push, before, furthest = now.doubt, late, -1e9
         bend = self._bend(now.preview, v, soonest)
         for k in range(soonest + round(self.horizon / dt)):
             if k >= soonest:
@@ -330,7 +359,7 @@ class SafetyFilter(Block):
                     given = self.gate.pushed(given, commands[-1], v, dt, early)
                 commands.append(given)
             soon, late = self._wheel(soon, commands[k + latest - soonest]), self._wheel(late, commands[k])
-            push = self.yaw_doubt + self.ratio_doubt * m.absolute(car.r - now.r_slow)
+            push = now.doubt + self.ratio_doubt * m.absolute(car.r - now.r_slow)
             before, e_before = car.wheel, car.e
             turned = m.maximum(soon, late) - before
             car = model.moved(car, dt, turned, self._kappa(now.preview, k + 0.5), v, now.wrong + push)

@@ -14,7 +14,7 @@ from steerkit.block import Block, In, Out, take_ports
 from steerkit.compiled import compile
 from steerkit.controllers.delay import Predicted, delayed_stanley
 from steerkit.controllers.gate_model import BEHIND_GATE, GateModel
-from steerkit.controllers.safety_filter import REASONS, SafetyFilter
+from steerkit.controllers.safety_filter import _KEPT, REASONS, SafetyFilter
 from steerkit.controllers.stanley import Stanley
 from steerkit.controllers.trimmed import Trimmed
 from steerkit.loop import Loop
@@ -63,6 +63,38 @@ def test_a_car_that_runs_away_goes_on_for_dead_time_and_hold(delay: float) -> No
     block = SafetyFilter.of(PASSAT, delay=delay, bound=5.0, **SURE)
     least = e + v * math.sin(psi) * (delay + block.hold * block.dt)
     assert least < asked(block, e=e, psi_e=psi).reach < least + v * math.sin(psi) * 0.6
+
+
+def doubts(block: SafetyFilter, wrong: Any) -> list[float]:
+    """What is doubted of the yaw rate, told by `reach` of a car on its path, where the yaw rate is off by so much."""
+    u = {**HERE, "preview": (0.0,) * block.preview_points}
+    x, found = block.settle(0.0, block.init(), block.D(**{n: u[n] for n in block.D._fields})), []
+    for k in range(400):
+        now = u | {"r": wrong(0.05 * k)}
+        y = block.output(0.05 * k, x, block.D(**{name: now[name] for name in block.D._fields}))
+        x = block.update(0.05 * k, x, block.U(**{name: now[name] for name in block.U._fields}), y)
+        found.append(y.reach)
+    return found
+
+
+def test_the_yaw_rate_is_doubted_less_while_the_model_proves_right_and_at_once_when_it_does_not() -> None:
+    settings: dict[str, Any] = {**SURE, "yaw_doubt": 0.02, "bound": 5.0}
+    wide = SafetyFilter.of(PASSAT, **settings)
+    narrows = replace(wide, yaw_doubt_least=0.004)
+    least = asked(replace(wide, yaw_doubt=0.004)).reach
+    always, found = doubts(wide, lambda t: 0.0), doubts(narrows, lambda t: 0.0)
+    assert found[0] == always[0], "wide at first"
+    assert max(np.diff(found)) <= 0.0
+    assert found[-1] == pytest.approx(least), "a model that is right leaves what is doubted in any case"
+    assert len(set(always)) == 1
+    off = 0.01  # from 10 s on the car turns faster than it should
+    changed = doubts(narrows, lambda t: off * (t > 10.0)), doubts(wide, lambda t: off * (t > 10.0))
+    assert changed[0][200] < 0.8 * changed[1][200]
+    assert changed[0][230] == pytest.approx(changed[1][230]), "all of it again after 1.5 s"
+    constant = doubts(narrows, lambda t: 0.01), doubts(replace(wide, yaw_doubt=0.004), lambda t: 0.01)
+    assert constant[0][-1] < 1.1 * constant[1][-1], "an error that stays is known, not doubted"
+    with pytest.raises(ValueError, match="yaw_doubt_least"):
+        replace(wide, yaw_doubt_least=0.03)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -171,7 +203,7 @@ def test_what_was_sent_is_what_is_on_its_way() -> None:
     y = block.output(0.0, x, u)
     after = block.update(0.0, x, u, y)
     assert after[-1] == y.delta_sw != 0.0
-    assert after[4:-1] == x[5:]
+    assert after[_KEPT:-1] == x[_KEPT + 1 :]
     assert block.update(0.0, x, u, y._replace(delta_sw=math.nan))[-1] == x[-1]
 
 
