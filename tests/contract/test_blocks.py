@@ -9,6 +9,7 @@ import inspect
 import math
 import pkgutil
 import re
+import sys
 import textwrap
 from collections.abc import Callable, Iterator
 from itertools import pairwise
@@ -142,7 +143,8 @@ STARTS = {"VehicleState"}
 
 def test_every_block_of_the_package_is_in_the_table() -> None:
     missing = concrete_blocks() - {type(example.block) for example in EXAMPLES}
-    missing = {block for block in missing if block.__name__ not in ELSEWHERE}
+    written = {block for block in missing if hasattr(sys.modules[block.__module__], block.__name__)}  # not made by code
+    missing = {block for block in written if block.__name__ not in ELSEWHERE}
     assert not missing, f"add an Example for {', '.join(sorted(c.__qualname__ for c in missing))}"
 
 
