@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import math
 import os
 import stat
@@ -20,6 +21,19 @@ from numpy.typing import NDArray
 from steerkit.errors import require
 
 File = str | os.PathLike[str]
+
+
+class Bounded(io.BufferedReader):
+    """A file of which a spoilt length cannot ask for more than there is."""
+
+    def __init__(self, path: FilePath):
+        super().__init__(io.FileIO(path))
+        self._length = path.stat().st_size
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """As many bytes, or what is left."""
+        left = max(0, self._length - self.tell())
+        return super().read(left if size is None or size < 0 else min(size, left))
 
 
 @contextmanager

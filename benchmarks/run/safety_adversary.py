@@ -2,12 +2,13 @@
 
 Part of the study `safety`. The net sees what the filter sees, its own memory included, and commands any angle. Its
 fitness is the largest true |e| of a short drive, so that it learns what the filter lets through. Cross-entropy method:
-a population is drawn around a mean, the best of it make the next mean and spread.
+a population is drawn around a mean, the best of it make the next mean and spread. `by_speed` is the table of how far
+adversaries get, of any kind.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from steerkit import maths as m
 from steerkit.block import Block, In, Out, State
+from steerkit.scenario import Scenario
 from steerkit.task import STOP
 
 Array = NDArray[np.float64]
@@ -86,3 +88,22 @@ def searched(
         mean, spread = elite.mean(axis=1), elite.std(axis=1) + 0.05
         course.append(float(values[order[0]]))
     return NetAdversary(weights=tuple(map(float, best))), course
+
+
+def by_speed(
+    kinds: Iterable[str],
+    speeds: Iterable[float],
+    changes: Mapping[str, Any],
+    furthest: Callable[[str, Scenario], float],
+) -> tuple[float, dict[str, dict[str, float]]]:
+    """The largest |e| of all, and that of each kind at each speed, the worse of ratios 10 % off either way [m].
+
+    changes: other fields of the scenario, which is `hard` on the paper's course. furthest: the largest |e| of a drive.
+    """
+    table: dict[str, dict[str, float]] = {}
+    for kind in kinds:
+        row = table.setdefault(kind, {})
+        for v in speeds:
+            cars = [Scenario.under("hard", course="paper", v_min=v, v_max=v, ratio=r, **changes) for r in (0.9, 1.1)]
+            row[f"{v:g} m/s"] = max(furthest(kind, car) for car in cars)
+    return max(value for row in table.values() for value in row.values()), table

@@ -6,6 +6,7 @@ import importlib.util
 from collections.abc import Sequence
 from typing import Any
 
+from benchmarks.run.safety_adversary import by_speed
 from steerkit.scenario import Scenario
 
 AGENTS = {"DQN": "steerkit/TrackSteering-v0", "SAC": "steerkit/TrackSteeringContinuous-v0"}
@@ -53,15 +54,12 @@ def agents(steps: int, speeds: Sequence[float], late: float, changes: dict[str, 
     """
     if not installed():
         return {"agent_max_e": None, "agent_steps_corrected_pct": None}
-    table: dict[str, dict[str, float]] = {}
-    most = 0.0
-    for kind in AGENTS:
-        row = table.setdefault(kind, {})
-        for v in speeds:
-            for ratio in (0.9, 1.1):
-                scenario = Scenario.under("hard", course="paper", v_min=v, v_max=v, ratio=ratio, **changes)
-                e, share = furthest(kind, scenario, late, steps)
-                row[f"{v:g} m/s"] = max(row.get(f"{v:g} m/s", 0.0), e)
-                most = max(most, share)
-    worst = max(value for row in table.values() for value in row.values())
-    return {"agent_max_e": worst, "agent_steps_corrected_pct": 100.0 * most, "agents": table}
+    shares: list[float] = []
+
+    def driven(kind: str, scenario: Scenario) -> float:
+        e, share = furthest(kind, scenario, late, steps)
+        shares.append(share)
+        return e
+
+    worst, table = by_speed(AGENTS, speeds, changes, driven)
+    return {"agent_max_e": worst, "agent_steps_corrected_pct": 100.0 * max(shares), "agents": table}

@@ -26,11 +26,12 @@ import numpy as np
 
 from benchmarks.written_logs import FORMATS, driven, written
 from steerkit.logs import Drive, read_drive
+from steerkit.logs.spoilt import FASTEST
 
 LONG = 3600.0
 """Length of the file whose memory is measured [s]."""
-REACH = {"delta_sw": 35.0, "v": 30.0, "r": 30.0}
-"""What no car changes faster than, by second, in SI: see `steerkit.logs.drive`."""
+COMPARED = ("delta_sw", "v", "r")
+"""Quantities of a drive whose errors are told, in parts of what no car changes faster than."""
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -98,7 +99,7 @@ def _answer(file: Path, how: dict[str, Any], right: Drive) -> tuple[str, float]:
     except ValueError:
         return "refused", 0.0
     n = min(len(drive.v), len(right.v))
-    error = max(_beyond(getattr(drive, q)[:n], getattr(right, q)[:n], q, right.dt) for q in REACH)
+    error = max(_beyond(getattr(drive, q)[:n], getattr(right, q)[:n], q, right.dt) for q in COMPARED)
     if drive.notes != right.notes:
         return "noted", 0.0
     if error == 0.0:
@@ -109,7 +110,7 @@ def _answer(file: Path, how: dict[str, Any], right: Drive) -> tuple[str, float]:
 def _beyond(values: np.ndarray, right: np.ndarray, quantity: str, dt: float) -> float:
     """The largest difference, in parts of what a car can change in a step; rounding of the clock's grid is none."""
     difference = np.abs(values - right)
-    return float(difference[difference > 1e-7].max(initial=0.0) / (REACH[quantity] * dt))
+    return float(difference[difference > 1e-7].max(initial=0.0) / (FASTEST[quantity] * dt))
 
 
 def memory(name: str, seconds: float) -> float:

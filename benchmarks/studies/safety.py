@@ -46,7 +46,7 @@ from rich.table import Table
 
 from benchmarks.run.fleet import of_fleet, of_kind
 from benchmarks.run.safe_learning import Job, Learner, runs, summarise
-from benchmarks.run.safety_adversary import NetAdversary, searched
+from benchmarks.run.safety_adversary import NetAdversary, by_speed, searched
 from benchmarks.run.safety_agents import agents
 from steerkit import maths as m
 from steerkit.block import Block, In, Out, take_ports
@@ -67,6 +67,8 @@ SPEEDS = (2.0, 4.0, 6.5, 8.0, 9.0)
 """Of the adversaries' drives [m/s]."""
 LATE = 0.1
 """Delay that nobody is told [s]."""
+OFF: dict[str, Any] = dict(tyres=0.7, delay=LATE, told_delay=DT)
+"""What nobody is told of the adversaries' cars, beside their ratio."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -131,27 +133,23 @@ class Beside(Block):
 
 def adversaries(seconds: float, kinds: tuple[str, ...], speeds: tuple[float, ...]) -> dict[str, Any]:
     """Largest |e| of each adversary at each speed, the worse of both ratios; and what lateral acceleration it takes."""
-    table: dict[str, dict[str, float]] = {}
-    beyond = 0.0
-    for kind in kinds:
-        row = table.setdefault(kind, {})
-        for v in speeds:
-            for ratio in (0.9, 1.1):
-                changes: dict[str, Any] = dict(v_min=v, v_max=v, tyres=0.7, ratio=ratio, delay=LATE, told_delay=DT)
-                log = against(Adversary(kind=kind), Scenario.under("hard", course="paper", **changes), seconds, LATE)
-                row[f"{v:g} m/s"] = max(row.get(f"{v:g} m/s", 0.0), largest(log["path.e"]))
-                bends = v * v * np.abs(log["path.kappa"])
-                beyond = max(beyond, float((np.abs(log["car.a_y"]) - np.maximum(bends, 3.0)).max()))
-    worst = max(value for row in table.values() for value in row.values())
-    return {"adversary_max_e": worst, "adversary_a_y_beyond": beyond, "adversaries": table}
+    beyond = [0.0]
+
+    def driven(kind: str, scenario: Scenario) -> float:
+        log = against(Adversary(kind=kind), scenario, seconds, LATE)
+        bends = scenario.v_max**2 * np.abs(log["path.kappa"])
+        beyond.append(float((np.abs(log["car.a_y"]) - np.maximum(bends, 3.0)).max()))
+        return largest(log["path.e"])
+
+    worst, table = by_speed(kinds, speeds, OFF, driven)
+    return {"adversary_max_e": worst, "adversary_a_y_beyond": max(beyond), "adversaries": table}
 
 
 def trained(seconds: float, speeds: tuple[float, ...], population: int, generations: int) -> dict[str, Any]:
     """Largest |e| of a net that is trained to leave the path at a speed, begun before the course's first bend."""
     table = {}
     for v in speeds:
-        changes: dict[str, Any] = dict(v_min=v, v_max=v, tyres=0.7, ratio=1.1, delay=LATE, told_delay=DT, start=40.0)
-        scenario = Scenario.under("hard", course="paper", **changes)
+        scenario = Scenario.under("hard", course="paper", v_min=v, v_max=v, ratio=1.1, start=40.0, **OFF)
         safety = replace(make_safety(scenario.belief()), delay_doubt=LATE)
 
         def furthest(net: NetAdversary, scenario: Scenario = scenario, safety: SafetyFilter = safety) -> Any:
@@ -262,8 +260,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         for speed, best in report["trained_adversaries"].items():
             console.print(f"net trained to leave, {speed}: max |e| by generation", ", ".join(f"{e:.3f}" for e in best))
     if "agents" in options.parts:
-        off = dict(tyres=0.7, delay=LATE, told_delay=DT)
-        report |= agents(20, SPEEDS[1:2], LATE, off) if quick else agents(600, SPEEDS, LATE, off)
+        report |= agents(20, SPEEDS[1:2], LATE, OFF) if quick else agents(600, SPEEDS, LATE, OFF)
         for kind, row in report.get("agents", {}).items():
             console.print(f"{kind:16s} max |e|", "  ".join(f"{v}: {e:.3f} m" for v, e in row.items()))
     if "chatter" in options.parts:

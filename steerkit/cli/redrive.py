@@ -40,6 +40,7 @@ def redrive(
     from rich.console import Console
 
     from steerkit.logs import ColumnMap, read_drive
+    from steerkit.redrive import pictures
     from steerkit.redrive import redrive as again
 
     names = controller or ["mpc"]
@@ -63,13 +64,9 @@ def redrive(
     else:
         _report(console, driven)
     if plot is not None:
-        from steerkit.redrive.pictures import compared
-
-        compared(driven[0]).savefig(plot)
+        pictures.compared(driven[0]).savefig(plot)
         console.print(f"picture: {plot}", soft_wrap=True)
     if film is not None:
-        from steerkit.redrive import pictures
-
         console.print(f"film: {pictures.film(driven[0], film, progress=not quiet)}", soft_wrap=True)
 
 

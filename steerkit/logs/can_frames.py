@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from steerkit.errors import known, require
+from steerkit.files import Bounded
 from steerkit.logs.channels import Options, Table
 from steerkit.plants.real_car.frames.python_can import python_can
 
@@ -23,19 +24,6 @@ _NEEDS = "CAN logs need python-can and cantools: pip install 'steerkit-control[l
 _CANDUMP = re.compile(r"\(\d+\.\d+\) +\S+ +[0-9A-Fa-f]+#(#?[0-9A-Fa-f]*|R\d*)( [RT])?\s*")
 _FEW = 50
 """From this number of frames on, a sum that nearly all of a message hold is its check sum."""
-
-
-class Bounded(io.BufferedReader):
-    """A file of which a spoilt length cannot ask for more than there is."""
-
-    def __init__(self, path: Path):
-        super().__init__(io.FileIO(path))
-        self._length = path.stat().st_size
-
-    def read(self, size: int | None = -1, /) -> bytes:
-        """As many bytes, or what is left."""
-        left = max(0, self._length - self.tell())
-        return super().read(left if size is None or size < 0 else min(size, left))
 
 
 @dataclass

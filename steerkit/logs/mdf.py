@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from steerkit.errors import require
-from steerkit.logs.can_frames import Bounded
+from steerkit.files import Bounded
 from steerkit.logs.channels import Options, Table
 
 _PIECE = 1 << 13

@@ -250,3 +250,14 @@ def test_lines_are_added_and_half_a_line_goes(tmp_path: Path) -> None:
         stream.write("half of")
     files.append_line(file, "zwei ä")
     assert file.read_text(encoding="utf-8") == "one\nzwei ä\n"
+
+
+def test_a_bounded_file_gives_what_is_left_however_much_is_asked_for(tmp_path: Path) -> None:
+    file = tmp_path / "short"
+    file.write_bytes(b"0123456789")
+    with files.Bounded(file) as stream:
+        assert stream.read(4) == b"0123"
+        assert stream.read(2**60) == b"456789", "an allocation of that size would fail"
+        assert stream.read(1) == b""
+        stream.seek(8)
+        assert stream.read() == b"89"
