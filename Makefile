@@ -25,6 +25,8 @@ bench: $(BENCH)  ## learned against analytic controllers, a selection of some mi
 test test-all: export OMP_NUM_THREADS = 1
 # Tests start some hundred programs; without their bytecode each compiles the library anew, most of a second.
 test test-all: export PYTHONDONTWRITEBYTECODE =
+# They compile some sixty loops, which for a few seconds of driving takes longer than the driving.
+test test-all: export CC := $(CC) -O1
 test: $(READY)  ## all tests, on three processes: some wait for a car in real time
 	$(BIN)/python -m pytest -n 3
 

@@ -61,12 +61,13 @@ def load(source: str, *, fused: bool = False, vector_maths: bool = False) -> cty
     if tool is None:
         missing = f"CC = {os.environ['CC']} is not there" if os.environ.get("CC") else "neither gcc nor cc is there"
         raise NoCompilerError(f"no C compiler found ({missing}): install gcc (or clang), or set CC")
-    flags = (*tool[1:], *FLAGS, *(FUSED if fused or vector_maths else EXACT), *(["libmvec"] if vector_maths else []))
+    rounding = FUSED if fused or vector_maths else EXACT
+    flags = (*FLAGS, *tool[1:], *rounding, *(["libmvec"] if vector_maths else []))
     key = hashlib.sha256("\0".join((source, _machine(tool[0]), *flags)).encode()).hexdigest()[:32]
     library = directory() / f"{key}.so"
     try:
         if not library.exists():
-            _build(tool, source, library, FUSED if fused or vector_maths else EXACT, vector_maths=vector_maths)
+            _build(tool, source, library, rounding, vector_maths=vector_maths)
         return ctypes.CDLL(str(library))
     except OSError as error:
         raise NoCompilerError(f"cannot compile in {library.parent}, or load from it: {error}") from error
@@ -78,7 +79,8 @@ def _build(tool: tuple[str, ...], source: str, library: Path, rounding: tuple[st
         file.write_text(source, encoding="utf-8")
         tries = [["-DVECTOR_MATHS", "-Wl,--no-undefined", "-lmvec"], []] if vector_maths else [[]]
         for extra in tries:  # the second, lane by lane, is for machines without libmvec
-            command = [*tool, *FLAGS, *rounding, *extra[:1], str(file), "-o", str(made), *extra[1:], "-lm"]
+            options = [*FLAGS, *tool[1:], *rounding, *extra[:1]]  # those of $CC win over ours, but for the rounding
+            command = [tool[0], *options, str(file), "-o", str(made), *extra[1:], "-lm"]
             done = subprocess.run(command, capture_output=True, encoding="utf-8", errors="replace", check=False)
             if done.returncode == 0:
                 return

@@ -263,8 +263,12 @@ def check_finite(log: Log) -> None:
             first = int(bad.argmax()), name
     if first is not None:
         i, name = first
+        value = log[name][i]
+        lost = np.argwhere(~np.isfinite(value))
+        places = ", ".join("-".join(map(str, place)) for place in lost[:5].tolist()) + ", ..." * (len(lost) > 5)
+        of = f" for {len(lost)} of {value.size} ({places})" if value.ndim else ""
         raise NonFiniteError(
-            f"{name} [{log.units[name]}] is {log[name][i]} at t = {log.t[i]:g} s, first of all signals; "
+            f"{name} [{log.units[name]}] is {value[tuple(lost[0])]}{of} at t = {log.t[i]:g} s, first of all signals; "
             "the error's .log holds the run (allow_nonfinite=True returns it)",
             log,
         )

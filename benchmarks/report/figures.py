@@ -61,9 +61,10 @@ def looks(controllers: Sequence[str]) -> dict[str, Look]:
 
 
 def svg(figure: Figure, words: str) -> str:
-    """The figure as an <svg> element: colours as the page's variables, letters as letters, ids of its own.
+    """The figure as an <svg> element: colours and typeface of the page, letters as letters, ids of its own.
 
-    words: what it shows, for those who do not see it.
+    Coordinates have two decimals, a hundredth of a pixel: a page of a whole suite has some hundred figures, and this
+    halves it. words: what it shows, for those who do not see it.
     """
     import matplotlib as mpl
 
@@ -79,6 +80,10 @@ def svg(figure: Figure, words: str) -> str:
     text = re.sub(r"url\(#([^)]+)\)", rf"url(#{serial}-\1)", text)
     text = re.sub(r' xmlns:xlink="[^"]*"', "", text)
     text = re.sub(r"font: ([^;\"]*?)(\d[\d.]*px) [^;\"]*", r"font: \1\2 inherit; font-family: inherit", text)
+    text = re.sub(r"font-family: '[^;\"]*", "font-family: inherit", text)
+    text = re.sub(r" transform=\"rotate\(-?0 [^)]*\)\"", "", text)
+    text = re.sub(r"(\.\d\d)\d+", r"\1", text)
+    text = re.sub(r"\s*\n\s*", "\n", text)
     for colour, variable in (*_INK.items(), *((c, f"--c{i}") for i, c in enumerate(PALETTE))):
         text = re.sub(re.escape(colour), f"var({variable})", text, flags=re.I)
     text = re.sub(r"(<text[^>]*style=\")", r"\1fill: var(--ink); ", text)

@@ -9,13 +9,21 @@ COMMAND, REPORT, POSITION, MOTION, DYNAMICS = 0x64, 0x65, 0x120, 0x121, 0x122
 """Ids of the frames."""
 
 
+def _divided(byte: int) -> int:
+    """What is left of a byte, bit by bit."""
+    for _ in range(8):
+        byte = (byte << 1 ^ 0x2F) & 0xFF if byte & 0x80 else byte << 1
+    return byte
+
+
+_LEFT = [_divided(byte) for byte in range(256)]
+
+
 def crc8(data: bytes) -> int:
-    """AUTOSAR's CRC-8 of polynomial 0x2F, bit by bit."""
+    """AUTOSAR's CRC-8 of polynomial 0x2F."""
     crc = 0xFF
     for byte in data:
-        crc ^= byte
-        for _ in range(8):
-            crc = (crc << 1 ^ 0x2F) & 0xFF if crc & 0x80 else crc << 1
+        crc = _LEFT[crc ^ byte]
     return crc ^ 0xFF
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import re
 import stat
 from collections.abc import Iterator
 from pathlib import Path
@@ -37,7 +38,7 @@ def noting(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     tool = " ".join(native.compiler() or ())
     script.write_text(f'#!/bin/sh\necho "$@" >> "{notes}"\nexec {tool} "$@"\n')
     script.chmod(script.stat().st_mode | stat.S_IXUSR)
-    monkeypatch.setenv("CC", f"'{script}' -DOWN")
+    monkeypatch.setenv("CC", f"'{script}' -DOWN -O1 -ffp-contract=fast")
     return notes
 
 
@@ -71,7 +72,8 @@ def test_a_source_is_compiled_once_with_the_options_of_cc(
     compiled = [line for line in notes.read_text().splitlines() if "--version" not in line]
     assert len(compiled) == 1
     assert "-DOWN" in compiled[0]
-    assert "-ffp-contract=off" in compiled[0]
+    assert re.findall(r"-O\d", compiled[0]) == ["-O3", "-O1"], "the last one counts: that of $CC"
+    assert re.findall(r"-ffp-contract=\w+", compiled[0])[-1] == "-ffp-contract=off", "no rounding of its own"
     assert "-ffast-math" not in compiled[0]
     assert [file.suffix for file in cache.iterdir()] == [".so"], "what was on the way is gone"
 

@@ -13,7 +13,7 @@ import pytest
 
 from steerkit.block import Block, In, Out
 from steerkit.loop import Loop, Sample
-from steerkit.simulation import Log, NonFiniteError, joined, simulate
+from steerkit.simulation import Log, NonFiniteError, check_finite, joined, simulate
 from tests.support.parts import Count, Delay, Gain, Pair, Sum, Wave
 
 
@@ -173,8 +173,17 @@ def test_a_vector_that_becomes_nan_is_found() -> None:
     loop = Loop(
         blocks={"breaks": breaks, "pair": pair, "count": count}, wires=[(count.n, breaks.u), (breaks.y, pair.u)]
     )
-    with pytest.raises(NonFiniteError, match=r"pair.both \[m\] is \[nan nan\] at t = 0.5 s"):
+    with pytest.raises(NonFiniteError, match=r"pair.both \[m\] is nan for 2 of 2 \(0, 1\) at t = 0.5 s"):
         simulate(loop, 1.0, record=["pair.both"])
+
+
+def test_of_many_cars_the_first_that_became_nan_are_named_and_how_many_did() -> None:
+    lost = np.arange(1000) % 100 == 7
+    log = Log(np.array([0.0, 0.1]), {"car.e": np.stack([np.zeros(1000), np.where(lost, -np.inf, 0.0)])}, {"car.e": "m"})
+    with pytest.raises(NonFiniteError) as caught:
+        check_finite(log)
+    said = "car.e [m] is -inf for 10 of 1000 (7, 107, 207, 307, 407, ...) at t = 0.1 s, first of all signals"
+    assert str(caught.value).startswith(said)
 
 
 # ---- logs ---------------------------------------------------------------------------------------------------------
