@@ -82,7 +82,7 @@ def svg(figure: Figure, words: str) -> str:
     text = re.sub(r"font: ([^;\"]*?)(\d[\d.]*px) [^;\"]*", r"font: \1\2 inherit; font-family: inherit", text)
     text = re.sub(r"font-family: '[^;\"]*", "font-family: inherit", text)
     text = re.sub(r" transform=\"rotate\(-?0 [^)]*\)\"", "", text)
-    text = re.sub(r"(\.\d\d)\d+", r"\1", text)
+    text = re.sub(r"<[^>]*>", lambda tag: re.sub(r"(\.\d\d)\d+", r"\1", tag[0]), text)  # labels keep their digits
     text = re.sub(r"\s*\n\s*", "\n", text)
     for colour, variable in (*_INK.items(), *((c, f"--c{i}") for i, c in enumerate(PALETTE))):
         text = re.sub(re.escape(colour), f"var({variable})", text, flags=re.I)
