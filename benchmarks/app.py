@@ -94,8 +94,8 @@ def run(
 ) -> None:
     """Run suites; what has finished is kept at once, and the same command goes on after a stop."""
     _require_extra("joblib", "pandas", "pyarrow", *(["distributed"] if backend == "dask" else []))
-    from benchmarks.run.runner import WorkersDiedError
     from benchmarks.run.runner import run as carry_out
+    from benchmarks.run.spread import WorkersDiedError
     from benchmarks.suites import elsewhere, suite
     from steerkit.catalogue import make_controller
     from steerkit.scenario import Scenario
@@ -112,7 +112,7 @@ def run(
         print(f"stopped; finished cases are in {place}, and the same command goes on", file=sys.stderr)
         raise SystemExit(130) from None
     except WorkersDiedError as error:
-        raise ValueError(str(error)) from error
+        raise ValueError(f"{error}; finished cases are kept, and the same command goes on") from error
     console = _console()
     _leaderboard(results)
     done = [case for case in results.cases if case.status == "done"]

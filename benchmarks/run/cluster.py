@@ -18,10 +18,13 @@ CONTACT = 8.0
 """For a scheduler, and for workers, to answer [s]."""
 WORKERS = 60.0
 """For a first worker to come [s]."""
+_NAME = "steerkit-control"
+CURE = f"install {_NAME} {versions().get(_NAME, '')} with the extra bench there as here, and start it again"
+"""What to do about a machine that is not like this one."""
 _QUESTION = """
 try:
     from benchmarks.run.sources import source, versions
-    answer = {"source": source(), "versions": versions()}
+    answer = {"source": source(everything=True), "versions": versions()}
 except Exception as error:
     answer = {"error": f"{type(error).__name__}: {error}"}
 """
@@ -31,8 +34,8 @@ Answer = Mapping[str, Any]
 
 
 @contextmanager
-def dask_pool(address: str) -> Iterator[dict[str, Any]]:
-    """Arguments of `joblib.parallel_config` for the workers of the scheduler at `address`, while they are needed.
+def dask_client(address: str) -> Iterator[Any]:
+    """A `distributed.Client` of the scheduler at `address`, while it is needed.
 
     Raises ValueError, which says what to do, for a scheduler that does not answer or has no workers, for a scheduler or
     a worker that has not the package, its sources and its versions of this machine, and when workers die in vain.
@@ -46,9 +49,9 @@ def dask_pool(address: str) -> Iterator[dict[str, Any]]:
         ) from error
     with ThreadPoolExecutor(1) as thread:  # an event loop of its own, whatever runs in this thread
         thread.submit(asyncio.run, _survey(address)).result()
-    with Client(address, timeout=CONTACT):
+    with Client(address, timeout=CONTACT, set_as_default=False) as client:
         try:
-            yield {"backend": "dask"}
+            yield client
         except KilledWorker as error:
             raise ValueError(f"--address {address}: {error}; finished cases are kept") from error
         except ModuleNotFoundError as error:  # on a worker that came later
@@ -94,14 +97,13 @@ def _accept(who: str, answer: Answer, *, packages: bool = True) -> None:
 def _objection(who: str, answer: Answer, *, packages: bool = True) -> str:
     """Why `who` cannot work for this machine, and what to do; nothing if it can."""
     mine = versions()
-    name = "steerkit-control"
-    cure = f"install {name} {mine.get(name, '')} with the extra bench there as here, and start it again"
     if "error" in answer:
-        return f"{who} cannot import this package ({answer['error']}): {cure}"
+        return f"{who} cannot import this package ({answer['error']}): {CURE}"
     theirs = answer["versions"]
-    if answer["source"] != source() or theirs.get(name) != mine.get(name):
-        there, here = (f"{v.get(name)}, sources {s}" for v, s in ((theirs, answer["source"]), (mine, source())))
-        return f"{who} has another {name} ({there}) than this machine ({here}): {cure}"
+    if answer["source"] != source(everything=True) or theirs.get(_NAME) != mine.get(_NAME):
+        both = (theirs, answer["source"]), (mine, source(everything=True))
+        there, here = (f"{found.get(_NAME)}, sources {hashed}" for found, hashed in both)
+        return f"{who} has another {_NAME} ({there}) than this machine ({here}): {CURE}"
     other = [key for key in {**mine, **theirs} if mine.get(key) != theirs.get(key)] if packages else []
     if other:
         listed = ", ".join(f"{key} {theirs.get(key, 'missing')} instead of {mine.get(key, 'none')}" for key in other)

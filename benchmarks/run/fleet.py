@@ -10,9 +10,8 @@ nobody is told. A ratio is that of the learner's final net to the analytic contr
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
-from multiprocessing import get_context
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -20,6 +19,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.run.spread import Where, computing
 from benchmarks.scenarios import MULTI_BODY
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.settings import Setting
@@ -210,20 +210,21 @@ def summarise(outcomes: list[FleetOutcome]) -> dict[str, Any]:
 
 
 def fleet(
-    cars: Sequence[Scenario], seeds: Sequence[int], setting: Setting, minutes: float, processes: int
+    cars: Sequence[Scenario], seeds: Sequence[int], setting: Setting, minutes: float, where: Where
 ) -> dict[str, Any]:
-    """Run all cars with all seeds, a line each as it comes, then the table's last line."""
+    """Run all cars with all seeds, a line each as it comes, then the table in their order and its last line."""
     jobs = [(car, seed, setting, minutes) for car in cars for seed in seeds]
-    console, outcomes = Console(width=190), []
-    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
-        for outcome in pool.map(one_car, jobs):
-            outcomes.append(outcome)
+    console, by_number = Console(width=190), dict[int, FleetOutcome]()
+    say = partial(Console(stderr=True).print, soft_wrap=True, markup=False, highlight=False)
+    with computing(where) as those:
+        for number, outcome in those.done(one_car, jobs, say=say):
+            by_number[number] = outcome
             good = "never" if outcome.good is None else f"{outcome.good:.0f} s"
-            Console(stderr=True).print(
-                f"{len(outcomes)}/{len(jobs)} {outcome.name}, {outcome.car}: GOOD after {good}, {outcome.failures} "
-                f"failures, RMS e {outcome.rms_x_told_truth:.2f} x {outcome.best} told the truth",
-                soft_wrap=True,
+            say(
+                f"{len(by_number)}/{len(jobs)} {outcome.name}, {outcome.car}: GOOD after {good}, {outcome.failures} "
+                f"failures, RMS e {outcome.rms_x_told_truth:.2f} x {outcome.best} told the truth"
             )
+    outcomes = [by_number[number] for number in range(len(jobs))]
     shown = [name for name in asdict(outcomes[0]) if name not in ("best_on_data_sheet", "computing")]
     table = Table(*[name.replace("_", " ") for name in shown], title=f"{len(cars)} cars, {minutes:g} minutes")
     for outcome in outcomes:

@@ -19,6 +19,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path as FilePath
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 FORMAT = "steerkit benchmark 1"
+FOLDERS = ("nets", "curves", "trajectories", "cases")
+"""In this order the files of a case are written."""
 STATUSES = ("done", "error", "not installed")
 """`done`: it ran to its end, well or badly (`metric.held`); `error`: an exception, its text in `error`."""
 TRAJECTORY = {
@@ -194,7 +197,7 @@ class Store:
             plan["seeds"] = sorted({*old.get("seeds", ()), *plan["seeds"]})
         elif self.place.exists() and any(self.place.iterdir()):
             raise ValueError(f"{self.place} is not empty and holds no results; choose another directory with --out")
-        for folder in ("cases", "trajectories", "curves", "nets"):
+        for folder in FOLDERS:
             (self.place / folder).mkdir(parents=True, exist_ok=True)
         (self.place / "cases.parquet").unlink(missing_ok=True)  # until the new merge, the case files are the truth
         write_text(file, _json(plan, indent=1))
@@ -211,14 +214,24 @@ class Store:
         trajectory: Mapping[str, np.ndarray] | None = None,
         curve: Mapping[str, np.ndarray] | None = None,
         net: Callable[[FilePath], None] | None = None,
+        durable: bool = True,
     ) -> None:
-        """Write a finished case, its JSON last: a kill before that leaves it unfinished, after that finished."""
+        """Write a finished case, its JSON last: a kill before that leaves it unfinished, after that finished.
+
+        durable: wait for the disk, see `steerkit.files.whole`.
+        """
         for folder, arrays in (("trajectories", trajectory), ("curves", curve)):
             if arrays is not None:
-                write_npz(self.place / folder / f"{case.id}.npz", arrays, compressed=True)
+                write_npz(self.place / folder / f"{case.id}.npz", arrays, compressed=True, durable=durable)
         if net is not None:
             net(self.net_file(case.id))
-        write_text(self._case_file(case.id), _json(asdict(case)))
+        write_text(self._case_file(case.id), _json(asdict(case)), durable=durable)
+
+    def write(self, files: Mapping[str, bytes]) -> None:
+        """Write what `packed` made elsewhere, the case's JSON last."""
+        for name, data in files.items():
+            with whole(self.place / name) as draft:
+                draft.write_bytes(data)
 
     def net_file(self, case_id: str) -> FilePath:
         """Where a learner's last net is."""
@@ -235,6 +248,21 @@ class Store:
 
     def _case_file(self, case_id: str) -> FilePath:
         return self.place / "cases" / f"{case_id}.json"
+
+
+def packed(case: Case, **more: Any) -> dict[str, bytes]:
+    """The files of a finished case, by their names in a results directory, for `Store.write`; more: as `Store.keep`.
+
+    Compressing is most of what keeping a case costs: so done by the workers of a cluster, it does not hold up the one
+    machine that writes.
+    """
+    with TemporaryDirectory(prefix="steerkit-case-") as folder:
+        store = Store(folder)
+        for name in FOLDERS:
+            (store.place / name).mkdir()
+        store.keep(case, durable=False, **more)
+        files = [file for name in FOLDERS for file in (store.place / name).iterdir()]
+        return {file.relative_to(store.place).as_posix(): file.read_bytes() for file in files}
 
 
 def load_results(place: str | FilePath) -> Results:

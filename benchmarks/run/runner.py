@@ -4,32 +4,26 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 from typing import Any
 
-import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from benchmarks.entries import controller
-from benchmarks.run.cluster import dask_pool
 from benchmarks.run.drives import Policy, drive
-from benchmarks.run.provenance import digest, provenance, source
-from benchmarks.run.results import Case, Results, Store
+from benchmarks.run.provenance import digest, provenance
+from benchmarks.run.results import Case, Results, Store, packed
+from benchmarks.run.spread import Here, Where, computing
 from benchmarks.run.trainings import TRAININGS, learn
 from benchmarks.suites import Job, Suite, jobs
-from steerkit.controllers.network_policy import PolicyBlock
-from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.scenario import Scenario
 
-BACKENDS = ("loky", "dask")
-_PATIENCE = 3  # times that workers may die with no case finished in between
-
-
-class WorkersDiedError(RuntimeError):
-    """Worker processes die again and again."""
+_WRITERS = 4  # threads
+_WAITING = 64  # cases that may wait for the disk
 
 
 @dataclass(frozen=True)
@@ -40,25 +34,16 @@ class Work:
     scenario: Scenario | None
     timed_steps: int
     policy: Policy | None
-    source: str
     place: FilePath | None
-    """Where the worker itself keeps the case; None: it only hands it back (other machine, other disk)."""
+    """Where the worker itself keeps the case; None: it hands its files back (other machine, other disk)."""
 
 
 @dataclass(frozen=True)
 class Done:
-    """A finished case with what belongs to it."""
+    """A finished case, and its files where nobody has written them yet."""
 
     case: Case
-    trajectory: Mapping[str, np.ndarray] | None = None
-    curve: Mapping[str, np.ndarray] | None = None
-    net: NfqPolicy | PolicyBlock | None = None
-
-    def keep(self, store: Store) -> None:
-        """Write it."""
-        store.keep(
-            self.case, trajectory=self.trajectory, curve=self.curve, net=None if self.net is None else self.net.save
-        )
+    files: Mapping[str, bytes] | None = None
 
 
 def run(
@@ -74,22 +59,17 @@ def run(
 ) -> Results:
     """Carry out all cases that have not finished yet, and merge them.
 
-    workers: processes at once, -1: one a core (loky). backend: `loky`, processes of this machine, or `dask`, the
-    workers of the scheduler at `address`, which must have the same sources. Raises ValueError for a directory of
-    other results or a cluster that cannot do it (see `dask_pool`); WorkersDiedError when workers die again and again.
+    workers, backend, address: who computes, see `Where`. Raises ValueError for what does not go together there, for a
+    directory of other results, and for a cluster that cannot do it (see `dask_client`); WorkersDiedError when workers
+    die again and again.
     """
-    if backend not in BACKENDS:
-        raise ValueError(f"backend '{backend}' is not known; valid: {', '.join(BACKENDS)}")
-    if (backend == "dask") != (address is not None):
-        raise ValueError("--backend dask needs --address tcp://HOST:PORT of a scheduler, and only it takes one")
-    if workers == 0 or workers < -1:
-        raise ValueError(f"--jobs {workers}, expected a count >= 1, or -1 for one a core")
+    where = Where(backend, address, workers)
     planned = jobs(suites, seeds, only)
     scenarios = {scene.name: scene for one in suites for scene in one.scenarios}
     timed = {one.name: one.timed_steps for one in suites}
     alone = {one.name for one in suites if one.alone}
     with ExitStack() as stack:
-        pool = stack.enter_context(_pool(backend, address))
+        those = stack.enter_context(computing(where))
         store = Store(place)
         store.open(provenance(suites, planned, seeds))
         todo = [job for job in planned if not store.has(job.id)]
@@ -100,12 +80,10 @@ def run(
         )
         display = stack.enter_context(_progress(len(planned), len(planned) - len(todo), quiet))
         for number, phase in enumerate(phases):
-            one_by_one = number == 2
-            shared = None if backend == "dask" and not one_by_one else place
+            these = Here(1) if number == 2 else those
+            shared = place if isinstance(these, Here) else None
             work = [_work(job, scenarios, timed, store, shared) for job in phase]
-            for done in _all_done(work, {} if one_by_one else pool, 1 if one_by_one else workers, display.say):
-                if shared is None:
-                    done.keep(store)
+            for done in _kept((done for _, done in these.done(carry_out, work, say=display.say)), store):
                 display.finished(done.case)
     return store.merge()
 
@@ -123,16 +101,16 @@ def carry_out(work: Work) -> Done:
     )
     began = _cpu_seconds()
     missing = controller(job.controller).missing
+    more: dict[str, Any] = {}
     try:
-        if work.source != source():
-            raise RuntimeError(f"the worker's sources ({source()}) are not the run's ({work.source}): update them")
         if missing:
-            done = Done(Case(**said, status="not installed", error=missing))  # type: ignore[arg-type]
+            case = Case(**said, status="not installed", error=missing)  # type: ignore[arg-type]
         elif job.kind == "learn":
             one = controller(job.controller)
             learnt = learn(TRAININGS[one.training], one.setting, seed=job.seed, driven=work.scenario)
             case = Case(**said, metrics=learnt.metrics)  # type: ignore[arg-type]
-            done = Done(case, learnt.trajectory, learnt.curve, learnt.policy)
+            net = learnt.policy
+            more = dict(trajectory=learnt.trajectory, curve=learnt.curve, net=None if net is None else net.save)
         else:
             assert work.scenario is not None
             if work.policy is None and controller(job.controller).learns:
@@ -140,15 +118,30 @@ def carry_out(work: Work) -> Done:
             driven = drive(
                 work.scenario, job.controller, seed=job.seed, policy=work.policy, timed_steps=work.timed_steps
             )
-            done = Done(Case(**said, metrics=driven.metrics), driven.trajectory)  # type: ignore[arg-type]
+            case, more = Case(**said, metrics=driven.metrics), dict(trajectory=driven.trajectory)  # type: ignore[arg-type]
     except Exception as error:  # one bad case must not end a night's run; it is shown as an error
         text = (str(error).splitlines() or [""])[0]
-        done = Done(Case(**said, status="error", error=f"{type(error).__name__}: {text}"))  # type: ignore[arg-type]
-    done = replace(done, case=replace(done.case, cpu_seconds=_cpu_seconds() - began))
-    if work.place is not None:
-        done.keep(Store(work.place))
-        return Done(done.case)
-    return done
+        case, more = Case(**said, status="error", error=f"{type(error).__name__}: {text}"), {}  # type: ignore[arg-type]
+    case = replace(case, cpu_seconds=_cpu_seconds() - began)
+    if work.place is None:
+        return Done(case, packed(case, **more))
+    Store(work.place).keep(case, **more)
+    return Done(case)
+
+
+def _kept(coming: Iterator[Done], store: Store) -> Iterator[Done]:
+    """All that comes; what nobody has written yet is written beside that: waiting for the disk holds nobody up."""
+    with ThreadPoolExecutor(_WRITERS) as threads:  # whose end waits for what is being written, whatever happens
+        writing: set[Future[None]] = set()
+        for done in coming:
+            if done.files is not None:
+                writing.add(threads.submit(store.write, done.files))
+            written, writing = wait(writing, None if len(writing) >= _WAITING else 0.0, FIRST_COMPLETED)
+            for future in written:
+                future.result()
+            yield Done(done.case)
+        for future in writing:
+            future.result()
 
 
 def _cpu_seconds() -> float:
@@ -164,43 +157,7 @@ def _work(
     if job.kind == "drive" and one.learns:
         file = store.net_file(job.training)
         policy = Policy.load(file, one.setting) if file.exists() else None
-    return Work(job, scenarios.get(job.taught_on or job.scenario), timed.get(job.suite, 0), policy, source(), place)
-
-
-def _all_done(work: Sequence[Work], pool: Mapping[str, Any], workers: int, say: Any) -> Iterator[Done]:
-    """Every piece of work, in the order in which they finish; where workers die, the rest is begun again."""
-    import joblib
-    from joblib.externals.loky.process_executor import TerminatedWorkerError
-
-    left = {piece.job.id: piece for piece in work}
-    deaths = 0
-    while left:
-        before = len(left)
-        try:
-            with joblib.parallel_config(**pool) if pool else ExitStack():
-                parallel = joblib.Parallel(n_jobs=workers, return_as="generator_unordered", batch_size=1)
-                for done in parallel(joblib.delayed(carry_out)(piece) for piece in list(left.values())):
-                    yield done
-                    del left[done.case.id]
-        except TerminatedWorkerError:
-            deaths = 1 if len(left) < before else deaths + 1
-            if deaths >= _PATIENCE:
-                raise WorkersDiedError(
-                    f"workers died {deaths} times with no case finished (killed, or out of memory?); finished cases "
-                    f"are kept, and the same command goes on; left: {', '.join([*left][:5])}"
-                ) from None
-            say(f"a worker died; {len(left)} cases are begun again")
-
-
-@contextmanager
-def _pool(backend: str, address: str | None) -> Iterator[dict[str, Any]]:
-    """Arguments of `joblib.parallel_config` for the backend, with a client while it is needed."""
-    if backend == "loky":
-        yield {"backend": "loky", "inner_max_num_threads": 1}
-        return
-    assert address is not None
-    with dask_pool(address) as arguments:
-        yield arguments
+    return Work(job, scenarios.get(job.taught_on or job.scenario), timed.get(job.suite, 0), policy, place)
 
 
 class _Display:

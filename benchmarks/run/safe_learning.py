@@ -9,9 +9,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import asdict, dataclass, fields, replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +17,7 @@ import numpy as np
 
 from benchmarks.run.fleet import first_good
 from benchmarks.run.sources import source
+from benchmarks.run.spread import Workers
 from steerkit.errors import require
 from steerkit.files import append_line
 from steerkit.learning.experiment import Experiment
@@ -130,30 +129,22 @@ def stored(file: Path) -> list[Learner]:
     return rows
 
 
-def runs(jobs: Sequence[Job], *, processes: int, keep: Path | None, stop_after: float) -> Iterator[Learner]:
+def runs(jobs: Sequence[Job], *, those: Workers, keep: Path | None, stop_after: float) -> Iterator[Learner]:
     """The runs of `jobs`: those that `keep` holds at once, then the others as they end, each kept as soon as it does.
 
-    stop_after [s]: after so long no other is begun. Raises ValueError for a file that holds no such runs.
+    those: who computes. stop_after [s]: after so long no other is begun. Raises ValueError for a file that holds no
+    such runs.
     """
+    end = time.monotonic() + stop_after
     done = {run.key: run for run in stored(keep)} if keep else {}
     yield from [done[job.key] for job in jobs if job.key in done]
-    left = iter([job for job in jobs if job.key not in done])
-    end = time.monotonic() + stop_after
+    left = [job for job in jobs if job.key not in done]
     if keep:
         keep.parent.mkdir(parents=True, exist_ok=True)
-    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
-        going: set[Future[Learner]] = set()
-        while True:
-            while len(going) < processes and time.monotonic() < end and (job := next(left, None)) is not None:
-                going.add(pool.submit(one_run, job))
-            if not going:
-                return
-            ended, going = wait(going, return_when=FIRST_COMPLETED)
-            for future in ended:
-                run = future.result()
-                if keep:
-                    append_line(keep, json.dumps(asdict(run)))
-                yield run
+    for _, run in those.done(one_run, left, until=end):
+        if keep:
+            append_line(keep, json.dumps(asdict(run)))
+        yield run
 
 
 def summarise(learners: Sequence[Learner]) -> dict[str, Any]:

@@ -29,18 +29,21 @@ _NO_NUMBERS = ("__main__.py", "app.py", "rounds.py", "report/", "studies/", "run
 
 
 @lru_cache
-def source(root: Path = ROOT) -> str:
-    """A hash of every source file below `root`, where both packages are, that the suites' numbers may depend on."""
+def source(root: Path = ROOT, *, everything: bool = False) -> str:
+    """A hash of every source file below `root`, where both packages are, that the suites' numbers may depend on.
+
+    everything: of all files, for machines that work together, whatever they do.
+    """
     whole = hashlib.sha256()
-    for name, file in sorted(_files(root).items()):
+    for name, file in sorted(_files(root, everything).items()):
         whole.update(name.encode() + b"\0" + file.read_bytes())
     return whole.hexdigest()[:16]
 
 
-def _files(root: Path) -> dict[str, Path]:
+def _files(root: Path, everything: bool) -> dict[str, Path]:
     files = [*root.glob("steerkit/**/*"), *root.glob("benchmarks/**/*")]
     named = {file.relative_to(root).as_posix(): file for file in files if file.suffix in (".py", ".c", ".csv")}
-    without = tuple(f"benchmarks/{name}" for name in _NO_NUMBERS)
+    without = () if everything else tuple(f"benchmarks/{name}" for name in _NO_NUMBERS)
     return {name: file for name, file in named.items() if not name.startswith(without)}
 
 
@@ -54,3 +57,9 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return installed
+
+
+@lru_cache
+def identity() -> str:
+    """A short word that is the same where sources and versions are."""
+    return hashlib.sha256(repr((source(everything=True), sorted(versions().items()))).encode()).hexdigest()[:16]

@@ -29,6 +29,8 @@ NAMES = tuple(_FILES)
 """All studies."""
 _EXTRA = {"car_calibration": "car", "car_kill": "car", "car_realtime": "car", "gym_steps": "gym", "log_damage": "logs"}
 """Studies that need an extra of the package, and which."""
+_OF_MANY = {"joblib": "bench", "distributed": "bench"}
+"""Packages that several studies need, and the extra that brings them."""
 
 
 @cache
@@ -65,10 +67,11 @@ def carry_out(name: str, words: Sequence[str] = ()) -> dict[str, Any]:
         options = parser_of(name, study).parse_args(list(words))
         figures = _plain(study.measure(options))
     except ModuleNotFoundError as error:
-        if name not in _EXTRA:
+        extra = _OF_MANY.get(error.name or "") or _EXTRA.get(name)
+        if extra is None:
             raise
         what = f"study {name}: {error.name} is not installed"
-        raise ValueError(f"{what}: pip install 'steerkit-control[{_EXTRA[name]}]'") from error
+        raise ValueError(f"{what}: pip install 'steerkit-control[{extra}]'") from error
     if options.json:
         print(json.dumps(figures, allow_nan=False), flush=True)
     objection = study.objection(figures) if hasattr(study, "objection") else ""

@@ -10,15 +10,14 @@ model.
     python -m benchmarks study learning --setting default --seeds 10 --conditions hard [--quick] [--json]
 
 With --fleet N: N cars drawn from the fleet, each on a course of its own; with --cars KIND: cars with steering delays,
-at low or at high speed, one steered by torque, CommonRoad's multi-body car (`benchmarks.run.fleet`).
+at low or at high speed, one steered by torque, CommonRoad's multi-body car (`benchmarks.run.fleet`). With --backend
+dask --address tcp://HOST:PORT the workers of a cluster do it; the figures are the same.
 """
 
 from __future__ import annotations
 
 import argparse
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
-from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
@@ -26,6 +25,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from benchmarks.run import spread
 from benchmarks.run.fleet import KINDS, fleet, of_fleet, of_kind
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.settings import SETTINGS, changed, setting
@@ -155,11 +155,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--minutes", type=float, default=None, help="driving time of a run (default 11)")
     parser.add_argument("--episodes", type=int, default=1000, help="failures after which a run ends")
     parser.add_argument("--last", type=int, default=20, help="how many of the last nets are test-driven")
-    parser.add_argument("--processes", type=int, default=2)
+    spread.add_options(parser)
 
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Run the seeds, print the tables."""
+    where = spread.where(options)
     count = (1 if options.quick else 10) if options.seeds is None else options.seeds
     minutes = (0.5 if options.quick else 11.0) if options.minutes is None else options.minutes
     if options.fleet or options.cars:
@@ -168,7 +169,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         five = minutes if options.minutes is not None or options.quick else 5.0
         rounds = 0.05 if options.quick else 1.0
         cars = of_kind(options.cars, rounds=rounds) if options.cars else of_fleet(options.fleet, rounds)
-        return fleet(cars[:1] if options.quick else cars, seeds, how, five, options.processes)
+        return fleet(cars[:1] if options.quick else cars, seeds, how, five, where)
     scenario = replace(
         Scenario.under(options.conditions, course=options.course), plant=options.plant, reference=options.reference
     )
@@ -179,10 +180,11 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     chosen = changed(setting("default" if model_based else options.setting), options.changes)
     base = Experiment(setting=chosen, scenario=scenario, minutes=minutes, episodes=options.episodes)
     jobs = [(replace(base, seed=options.first_seed + n), options.last, model_based) for n in range(count)]
-    with ProcessPoolExecutor(options.processes, mp_context=get_context("spawn")) as pool:
-        outcomes = list(
-            track(pool.map(one_seed, jobs), total=len(jobs), description=options.setting, console=Console(stderr=True))
-        )
+    err = Console(stderr=True)
+    with spread.computing(where) as those:
+        done = those.done(one_seed, jobs, say=err.print)
+        every = dict(track(done, total=len(jobs), description=options.setting, console=err))
+    outcomes = [every[number] for number in range(len(jobs))]
     console = Console(width=170)
     names = list(asdict(outcomes[0]))
     title = f"{' '.join((options.setting, *options.changes))} on {options.course}, {options.conditions}"

@@ -24,7 +24,8 @@
 
     python -m benchmarks study safety [--parts PART ...] [--seeds N] [--compare N] [--jobs N] [--keep FILE] [--json]
 
-With --keep each run of a learner is kept as it ends; the same command goes on after a stop, or with more seeds.
+Learners run on the workers of a cluster with --backend dask --address tcp://HOST:PORT. With --keep each run of a
+learner is kept as it ends; the same command goes on after a stop, or with more seeds.
 """
 
 from __future__ import annotations
@@ -44,6 +45,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.run import spread
 from benchmarks.run.fleet import of_fleet, of_kind
 from benchmarks.run.safe_learning import Job, Learner, runs, summarise
 from benchmarks.run.safety_adversary import NetAdversary, by_speed, searched
@@ -243,13 +245,18 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--compare", type=int, default=1, metavar="N", help="so many of them learn without it too")
     parser.add_argument("--fleet", type=int, default=3, metavar="N", help="cars of the fleet")
     parser.add_argument("--minutes", type=float, default=3.0, help="driving time of a run")
-    parser.add_argument("--jobs", type=int, default=2, help="learning runs at once")
+    spread.add_options(parser)
     parser.add_argument("--keep", default="", metavar="FILE", help="keeps runs; those in it are not made again")
     parser.add_argument("--at-most", type=float, default=math.inf, metavar="MINUTES", help="then no run is begun")
 
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Measure the parts asked for and print them."""
+    with spread.computing(spread.where(options)) as those:  # a cluster is asked before anything is measured
+        return _measured(options, those)
+
+
+def _measured(options: argparse.Namespace, those: spread.Workers) -> dict[str, Any]:
     console, quick, report = Console(width=150), options.quick, dict[str, Any]()
     if "adversaries" in options.parts:
         report |= adversaries(4.0 if quick else 15.0, KINDS[:1] if quick else KINDS, SPEEDS[1:2] if quick else SPEEDS)
@@ -272,7 +279,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     if "cost" in options.parts:
         report |= cost(2.0, horizon=0.35, hold=1, halvings=1) if quick else cost(100.0)
     if "learners" in options.parts:
-        report |= learners(options, console)
+        report |= learners(options, those, console)
     if "car" in options.parts:
         report |= on_the_car(1 if quick else options.drives, 0.05 if quick else options.minutes, options.first_seed)
     for key, value in report.items():
@@ -305,7 +312,7 @@ def on_the_car(drives: int, minutes: float, first_seed: int) -> dict[str, Any]:
     }
 
 
-def learners(options: argparse.Namespace, console: Console) -> dict[str, Any]:
+def learners(options: argparse.Namespace, those: spread.Workers, console: Console) -> dict[str, Any]:
     """All runs of the learners, seed by seed through the cars, so that a study that is stopped has all of them."""
     quick, cars = options.quick, [Scenario.under("hard", course="paper", name="single track")]
     if not quick:
@@ -318,7 +325,7 @@ def learners(options: argparse.Namespace, console: Console) -> dict[str, Any]:
         for car in cars
     ]
     keep, made, err = Path(options.keep) if options.keep else None, list[Learner](), Console(stderr=True)
-    for run in runs(jobs, processes=1 if quick else options.jobs, keep=keep, stop_after=60.0 * options.at_most):
+    for run in runs(jobs, those=those, keep=keep, stop_after=60.0 * options.at_most):
         made.append(run)
         said = f"max |e| {run.max_e:.3f} m, GOOD after {run.good} s" if run.safe else f"without: {run.max_e:.3f} m"
         err.print(f"{len(made)}/{len(jobs)} {run.car}, seed {run.seed}: {said}", soft_wrap=True)

@@ -16,6 +16,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -34,11 +35,10 @@ Start = Callable[..., subprocess.Popen[str]]
 
 
 def lines() -> dict[str, str]:
-    """The documentation's lines: scheduler, worker, run."""
+    """The documentation's lines: scheduler, worker, run, study."""
     section = (ROOT / "docs" / "benchmarks.md").read_text(encoding="utf-8").split("## On a cluster")[1]
     (block,) = re.findall(r"^```\n(.*?)^```$", section, re.M | re.S)
-    scheduler, worker, run = block.splitlines()
-    return {"scheduler": scheduler, "worker": worker, "run": run}
+    return dict(zip(("scheduler", "worker", "run", "study"), block.splitlines(), strict=True))
 
 
 def words(line: str, port: int) -> list[str]:
@@ -110,14 +110,61 @@ def command(port: int, *more: str) -> list[str]:
     return [*words(line, port), "--only", "stanley", "--out", "results", *more]
 
 
-def test_a_cluster_as_documented_and_a_killed_worker(start: Start, port: int, tmp_path: Path) -> None:
-    """All cases are done, with the numbers of this machine, though one of two workers is killed on the way."""
-    ids = cluster(start, port, tmp_path, scheduler=[HOME], workers=[[HOME], [HOME]])
+SHORT = ("--quick", "--setting", "model-free", "--minutes", "0.1", "--seeds", "4", "--json")
+"""A study of four short runs."""
+
+
+def study_of(line: str, port: int) -> list[str]:
+    """The documentation's study, of seeds that are soon done instead of the fleet."""
+    return [*words(line.replace(" --fleet 243 ", " "), port), *SHORT]
+
+
+def figures_of(printed: str) -> Any:
+    """What a study printed last, without how long it took."""
+    figures = json.loads(printed.splitlines()[-1])
+    timing = ("computing", "longest_training")
+    rows = [{k: v for k, v in row.items() if not k.startswith(timing)} for row in figures.pop("outcomes")]
+    return {k: v for k, v in figures.items() if not k.startswith(timing)}, rows
+
+
+def test_a_cluster_as_documented_and_killed_workers(start: Start, port: int, tmp_path: Path) -> None:
+    """All is done, with the numbers of this machine, though first one and then another of three workers is killed."""
+    ids = cluster(start, port, tmp_path, scheduler=[HOME], workers=[[HOME]] * 3)
+    a_suite(start, port, tmp_path, ids[0])
+    a_study(start, port, tmp_path, ids[1])
+
+
+def a_study(start: Start, port: int, tmp_path: Path, victim: int) -> None:
+    """The same figures as on this machine, though a worker is killed when the study has begun."""
+    log = tmp_path / "scheduler.log"
+    connected = lambda: log.read_text().count("Receive client connection")  # noqa: E731
+    before = connected()
+    run = start("study", study_of(lines()["study"], port), environment(HOME))
+    until(lambda: connected() >= before + 2 or run.poll() is not None, "the one who asks, then the one who gives work")
+    time.sleep(0.5)
+    os.killpg(victim, signal.SIGKILL)
+    said = lambda: (tmp_path / "study.log").read_text()  # noqa: E731
+    assert run.wait(240.0) == 0, said()
+    here = subprocess.run(
+        [sys.executable, "-m", "benchmarks", "study", "learning", *SHORT, "--processes", "1"],
+        cwd=tmp_path,
+        env=environment(HOME),
+        capture_output=True,
+        text=True,
+        timeout=240.0,
+        check=True,
+    )
+    assert len(figures_of(said())[1]) == 4
+    assert figures_of(said()) == figures_of(here.stdout)
+
+
+def a_suite(start: Start, port: int, tmp_path: Path, victim: int) -> None:
+    """All cases are done, with the numbers of this machine, though a worker is killed on the way."""
     run = start("run", command(port, "--seeds", "8", "--json"), environment(HOME))
     finished = lambda: len(list(tmp_path.glob("results/cases/*.json")))  # noqa: E731
     until(lambda: finished() >= 2 or run.poll() is not None, "two cases")
     before = finished()
-    os.killpg(ids[0], signal.SIGKILL)
+    os.killpg(victim, signal.SIGKILL)
     said = lambda: (tmp_path / "run.log").read_text()  # noqa: E731
     assert run.wait(240.0) == 0, said()
     figures = json.loads(said().splitlines()[-1])

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from benchmarks.run import cluster
-from benchmarks.run.cluster import _ASK, _objection, dask_pool
+from benchmarks.run.cluster import _ASK, _objection, dask_client
 from benchmarks.run.sources import source, versions
 
 pytest.importorskip("distributed", reason="comes with the extra bench")
@@ -16,7 +16,7 @@ pytest.importorskip("distributed", reason="comes with the extra bench")
 
 def answer(**changes: str) -> dict[str, Any]:
     """Of a machine like this one, with other versions of some packages."""
-    return {"source": source(), "versions": versions() | changes}
+    return {"source": source(everything=True), "versions": versions() | changes}
 
 
 def test_a_machine_like_this_one_answers_so() -> None:
@@ -29,7 +29,7 @@ def test_other_sources_and_versions_cannot_work_for_this_machine() -> None:
     other = _objection("the worker w", answer() | {"source": "0" * 16})
     assert other.startswith("the worker w has another steerkit-control (")
     assert "sources 0000000000000000) than this machine (" in other
-    assert f"sources {source()}): install steerkit-control" in other
+    assert f"sources {source(everything=True)}): install steerkit-control" in other
     assert "has another steerkit-control (9.9, " in _objection("it", answer(**{"steerkit-control": "9.9"}))
 
 
@@ -59,11 +59,11 @@ def test_where_no_scheduler_answers_it_ends(listening: bool, monkeypatch: pytest
         address = "tcp://{}:{}".format(*server.getsockname())
         with (
             pytest.raises(ValueError, match=f"--address {address}: no Dask scheduler answers there"),
-            dask_pool(address),
+            dask_client(address),
         ):
-            pytest.fail("there is no pool")
+            pytest.fail("there is no client")
 
 
 def test_an_address_of_no_kind() -> None:
-    with pytest.raises(ValueError, match="unknown address scheme 'nowhere'"), dask_pool("nowhere://x"):
-        pytest.fail("there is no pool")
+    with pytest.raises(ValueError, match="unknown address scheme 'nowhere'"), dask_client("nowhere://x"):
+        pytest.fail("there is no client")

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import json
 import math
-from concurrent.futures import Future
+import time
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import pytest
 
-from benchmarks.run import safe_learning
-from benchmarks.run.safe_learning import Job, Learner, runs, stored, summarise
+from benchmarks.run.safe_learning import Job, Learner, one_run, runs, stored, summarise
 from steerkit.scenario import Scenario
 
 GOOD = Learner(
@@ -38,38 +38,30 @@ def jobs(*seeds: int, safe: bool = True) -> list[Job]:
 
 
 class Pool:
-    """Runs at once what it is given, and counts it."""
+    """Carries out at once what it is given, as `spread.Workers` do, and counts it."""
 
     made: list[int] = []
     killed_after = 99
 
-    def __init__(self, *words: Any, **more: Any):
-        """As many as it is asked for."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        """Nothing to end."""
-
-    def submit(self, work: Any, job: Job) -> Future[Learner]:
-        if len(self.made) >= self.killed_after:
-            raise KeyboardInterrupt
-        self.made.append(job.seed)
-        future: Future[Learner] = Future()
-        future.set_result(replace(GOOD, seed=job.seed, safe=job.safe))
-        return future
+    def done(self, function: Any, pieces: Sequence[Job], *, until: float) -> Iterator[tuple[int, Learner]]:
+        assert function is one_run
+        for number, job in enumerate(pieces):
+            if time.monotonic() >= until:
+                return
+            if len(self.made) >= self.killed_after:
+                raise KeyboardInterrupt
+            self.made.append(job.seed)
+            yield number, replace(GOOD, seed=job.seed, safe=job.safe)
 
 
 @pytest.fixture
 def pool(monkeypatch: pytest.MonkeyPatch) -> type[Pool]:
-    monkeypatch.setattr(safe_learning, "ProcessPoolExecutor", Pool)
     monkeypatch.setattr(Pool, "made", [])
     return Pool
 
 
 def made(keep: Path | None, *seeds: int, **more: Any) -> list[int]:
-    return [run.seed for run in runs(jobs(*seeds), processes=1, keep=keep, **({"stop_after": math.inf} | more))]
+    return [run.seed for run in runs(jobs(*seeds), those=Pool(), keep=keep, **({"stop_after": math.inf} | more))]
 
 
 def test_a_stopped_study_goes_on_where_it_was(
@@ -88,7 +80,7 @@ def test_a_stopped_study_goes_on_where_it_was(
     assert pool.made == [2, 3]
     assert [run.seed for run in stored(keep)] == [0, 1, 2, 3]
     assert made(keep, 3, 4) == [3, 4]
-    other = [run.safe for run in runs(jobs(4, safe=False), processes=1, keep=keep, stop_after=math.inf)]
+    other = [run.safe for run in runs(jobs(4, safe=False), those=Pool(), keep=keep, stop_after=math.inf)]
     assert other == [False]
     assert pool.made == [2, 3, 4, 4]
 

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.run.sources import source, versions
+from benchmarks.run import sources
+from benchmarks.run.sources import identity, source, versions
 
 MAKES_NUMBERS = (
     "steerkit/controllers/stanley.py",
@@ -60,6 +61,27 @@ def test_what_makes_numbers_changes_the_hash(tree: Path, name: str) -> None:
 @pytest.mark.parametrize("name", READS_ONLY)
 def test_what_only_reads_results_does_not(tree: Path, name: str) -> None:
     assert not changed(tree, name)
+
+
+@pytest.mark.parametrize("name", [*MAKES_NUMBERS, "benchmarks/studies/throughput.py"])
+def test_for_machines_that_work_together_every_source_counts(tree: Path, name: str) -> None:
+    before = source(tree, everything=True)
+    (tree / name).write_text("2\n", encoding="utf-8")
+    source.cache_clear()
+    assert source(tree, everything=True) != before
+
+
+def test_a_short_word_for_sources_and_versions(monkeypatch: pytest.MonkeyPatch) -> None:
+    words = set()
+    for hashed, numpy in (("a", "2.0"), ("b", "2.0"), ("a", "2.1")):
+        monkeypatch.setattr(sources, "source", lambda *, everything, hashed=hashed: f"{hashed}{everything}")
+        monkeypatch.setattr(sources, "versions", lambda numpy=numpy: {"numpy": numpy})
+        identity.cache_clear()
+        words.add(identity())
+    monkeypatch.undo()
+    identity.cache_clear()
+    assert len(words) == 3
+    assert identity() not in words
 
 
 def test_a_file_that_moves_changes_the_hash(tree: Path) -> None:

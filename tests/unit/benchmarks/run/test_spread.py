@@ -1,0 +1,155 @@
+"""Work that is spread: each piece once, whoever dies; no later than told; what does not go together is refused.
+
+Clusters of real processes are in tests/evals/test_cluster.py.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any, ClassVar
+
+import pytest
+
+from benchmarks.run import spread
+from benchmarks.run.sources import identity
+from benchmarks.run.spread import Cluster, Here, Where, computing, in_order
+
+
+def twice(piece: int) -> int:
+    return 2 * piece
+
+
+def slow(piece: float) -> float:
+    time.sleep(piece)
+    return time.monotonic()
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_every_piece_once_with_its_number(processes: int) -> None:
+    with computing(Where(processes=processes)) as those:
+        assert sorted(those.done(twice, [5, 7, 9])) == [(0, 10), (1, 14), (2, 18)]
+
+
+def test_results_in_the_order_of_their_pieces_as_soon_as_may_be() -> None:
+    coming: list[tuple[int, str]] = [(1, "b"), (0, "a"), (3, "d"), (2, "c")]
+    taken: list[int] = []
+
+    def done() -> Iterator[tuple[int, str]]:
+        for one in coming:
+            taken.append(one[0])
+            yield one
+
+    seen = [(result, len(taken)) for result in in_order(done())]
+    assert seen == [("a", 2), ("b", 2), ("c", 4), ("d", 4)]
+
+
+def test_workers_that_die_now_and_then_cost_nothing_as_long_as_pieces_finish(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A pool that finishes one piece and then loses its workers, again and again."""
+    import joblib
+    from joblib.externals.loky.process_executor import TerminatedWorkerError
+
+    class Dying:
+        def __init__(self, **how: Any):
+            assert how["n_jobs"] == 2
+
+        def __call__(self, tasks: Any) -> Any:
+            (function, words, named), *rest = tasks
+            yield function(*words, **named)
+            if rest:
+                raise TerminatedWorkerError("killed")
+
+    monkeypatch.setattr(joblib, "Parallel", Dying)
+    pieces, told = list(range(2 * spread._PATIENCE)), list[str]()
+    assert dict(Here(2).done(twice, pieces, say=told.append)) == {n: 2 * n for n in pieces}
+    assert told == [f"a worker died; {n} of {len(pieces)} are begun again" for n in reversed(pieces[1:])]
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_after_its_time_nothing_is_handed_out(processes: int) -> None:
+    end = time.monotonic() + 0.5
+    assert len(dict(Here(processes).done(slow, [0.2] * 40, until=end))) < 20
+    assert dict(Here(processes).done(slow, [0.2], until=end)) == {}
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--backend", "slurm"], "backend 'slurm' is not known; valid: loky, dask"),
+        (["--backend", "dask"], "--backend dask needs --address"),
+        (["--address", "tcp://127.0.0.1:1"], "--backend dask needs --address"),
+        (["--processes", "0"], "--jobs 0"),
+    ],
+)
+def test_what_does_not_go_together_is_refused(options: list[str], message: str) -> None:
+    parser = argparse.ArgumentParser()
+    spread.add_options(parser)
+    assert spread.where(parser.parse_args([])) == Where("loky", None, 2)
+    with pytest.raises(ValueError, match=message):
+        spread.where(parser.parse_args(options))
+
+
+@pytest.fixture(scope="module")
+def client() -> Iterator[Any]:
+    """Of a cluster of two workers in this process."""
+    distributed = pytest.importorskip("distributed", reason="comes with the extra bench")
+    with (
+        distributed.LocalCluster(
+            n_workers=2, processes=False, threads_per_worker=1, dashboard_address=":0", protocol="inproc://"
+        ) as local,
+        distributed.Client(local, set_as_default=False) as one,
+    ):
+        yield one
+
+
+class Busy:
+    """How many pieces are worked on at once, and how many were ever begun."""
+
+    now = most = begun = 0
+    lock: ClassVar[threading.Lock] = threading.Lock()
+
+
+def watched(piece: float) -> float:
+    with Busy.lock:
+        Busy.begun += 1
+        Busy.now += 1
+        Busy.most = max(Busy.most, Busy.now)
+    time.sleep(piece)
+    with Busy.lock:
+        Busy.now -= 1
+    return piece
+
+
+def test_a_cluster_does_every_piece_once_and_is_not_given_all_of_them(
+    client: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(spread, "_LEAST", 0)
+    monkeypatch.setattr(Busy, "begun", 0)
+    pieces = [0.01 * (n % 3) for n in range(12)]
+    done = Cluster(client).done(watched, pieces)
+    first = next(done)
+    time.sleep(0.3)
+    assert Busy.begun <= 5  # two threads, as many waiting, and one that took the place of the first
+    assert dict([first, *done]) == dict(enumerate(pieces))
+    assert (Busy.begun, Busy.most) == (12, 2)
+
+
+def test_a_cluster_begins_nothing_after_its_time(client: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Busy, "begun", 0)
+    done = dict(Cluster(client).done(watched, [0.3] * 20, until=time.monotonic() + 0.2))
+    assert done == {0: 0.3, 1: 0.3}
+    assert Busy.begun == 2
+
+
+def test_an_error_of_a_piece_ends_it(client: Any) -> None:
+    with pytest.raises(ValueError, match=r"math domain error|nonnegative"):
+        dict(Cluster(client).done(math.sqrt, [-1.0]))
+
+
+def test_a_worker_that_comes_later_with_other_sources_is_refused(client: Any) -> None:
+    assert spread._like_here(identity(), twice, 2) == 4
+    with pytest.raises(ValueError, match=r"a worker that came later \(.*\) has other sources .*: install"):
+        spread._like_here("0" * 16, twice, 2)
