@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from benchmarks.entries import controller
-from benchmarks.run.drives import Policy, drive
+from benchmarks.run.drives import Policy, drive, shape
 from benchmarks.run.provenance import digest, provenance
 from benchmarks.run.results import Case, Results, Store, packed
 from benchmarks.run.spread import Here, Where, computing
@@ -22,6 +22,8 @@ from benchmarks.run.trainings import TRAININGS, learn
 from benchmarks.suites import Job, Suite, jobs
 from steerkit.scenario import Scenario
 
+_BATCH = 8  # cases that are handed out together at most
+_BATCHES = 16  # batches a worker at least: the last ones are done side by side
 _WRITERS = 4  # threads
 _WAITING = 64  # cases that may wait for the disk
 
@@ -83,9 +85,16 @@ def run(
             these = Here(1) if number == 2 else those
             shared = place if isinstance(these, Here) else None
             work = [_work(job, scenarios, timed, store, shared) for job in phase]
-            for done in _kept((done for _, done in these.done(carry_out, work, say=display.say)), store):
+            batches = _together(work, these.count)
+            coming = (done for _, several in these.done(carry_out_all, batches, say=display.say) for done in several)
+            for done in _kept(coming, store):
                 display.finished(done.case)
     return store.merge()
+
+
+def carry_out_all(batch: Sequence[Work]) -> list[Done]:
+    """Cases one after the other, in whatever process."""
+    return [carry_out(work) for work in batch]
 
 
 def carry_out(work: Work) -> Done:
@@ -127,6 +136,26 @@ def carry_out(work: Work) -> Done:
         return Done(case, packed(case, **more))
     Store(work.place).keep(case, **more)
     return Done(case)
+
+
+def _together(work: Sequence[Work], workers: int) -> list[list[Work]]:
+    """What is handed out at once: drives that are compiled alike, so that few workers compile the same drive.
+
+    Where there are many workers for the cases there are, each is handed out alone.
+    """
+    most = min(_BATCH, len(work) // (_BATCHES * workers))
+    batches: list[list[Work]] = []
+    open_ones: dict[Any, list[Work]] = {}
+    for piece in work:
+        key = None
+        if piece.job.kind == "drive" and piece.policy is None and piece.scenario is not None:
+            key = (piece.job.controller, shape(controller(piece.job.controller).in_its_eyes(piece.scenario)))
+        batch = open_ones.get(key)
+        if key is None or batch is None or len(batch) >= most:
+            batch = open_ones[key] = []
+            batches.append(batch)
+        batch.append(piece)
+    return batches
 
 
 def _kept(coming: Iterator[Done], store: Store) -> Iterator[Done]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 import platform
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -58,6 +59,10 @@ class Where:
 
 class Workers(Protocol):
     """Those of this machine or of a cluster."""
+
+    @property
+    def count(self) -> int:
+        """How many pieces are worked on at once, as of now."""
 
     def done(
         self,
@@ -119,6 +124,11 @@ class Here:
 
     processes: int = -1
 
+    @property
+    def count(self) -> int:
+        """See `Workers`."""
+        return self.processes if self.processes > 0 else os.cpu_count() or 1
+
     def done(
         self,
         function: Callable[[Piece], Result],
@@ -171,6 +181,11 @@ class Cluster:
     def __init__(self, client: Any):
         self.client = client
 
+    @property
+    def count(self) -> int:
+        """See `Workers`."""
+        return sum(self.client.nthreads().values())
+
     def done(
         self,
         function: Callable[[Piece], Result],
@@ -190,7 +205,7 @@ class Cluster:
         def hand_out() -> None:
             nonlocal room, counted
             if time.monotonic() > counted + _COUNTED:  # workers come and go
-                threads, counted = sum(self.client.nthreads().values()), time.monotonic()
+                threads, counted = self.count, time.monotonic()
                 room = max(2 * threads, _LEAST) if until == math.inf else max(1, threads)
             while len(going) < room and time.monotonic() < until and (following := next(left, None)) is not None:
                 future = self.client.submit(_like_here, me, function, following[1], pure=False)

@@ -13,12 +13,14 @@ from typing import Any
 
 import pytest
 
+from benchmarks.entries import controller
 from benchmarks.run import runner, spread
 from benchmarks.run.compare import compare
+from benchmarks.run.drives import shape
 from benchmarks.run.results import Results, load_results
 from benchmarks.run.runner import carry_out, run
 from benchmarks.run.spread import WorkersDiedError
-from benchmarks.suites import jobs
+from benchmarks.suites import jobs, suite
 from tests.support.places import ROOT
 from tests.support.tiny_suite import TINY, same
 
@@ -178,3 +180,21 @@ def test_files_that_workers_hand_back_are_written_by_whoever_asked(reference: Re
     assert {name: values.tobytes() for name, values in one.items()} == {n: v.tobytes() for n, v in other.items()}
     with pytest.raises(FileNotFoundError, match="no such folder"):
         list(runner._kept(iter([done]), runner.Store(tmp_path / "nowhere")))
+
+
+def test_drives_that_are_compiled_alike_are_handed_out_together(tmp_path: Path) -> None:
+    """Few workers: up to eight cases of a form at once, and each case once; many: each case alone."""
+    one = suite("robustness")
+    scenes = {scene.name: scene for scene in one.scenarios}
+    planned = jobs([one], 1, ["lqr"])
+    work = [runner._work(job, scenes, {}, runner.Store(tmp_path), None) for job in planned]
+    batches = runner._together(work, 1)
+    assert sorted(piece.job.id for batch in batches for piece in batch) == sorted(job.id for job in planned)
+    seen = [{shape(controller("lqr").in_its_eyes(piece.scenario)) for piece in batch} for batch in batches]  # type: ignore[arg-type]
+    assert {len(forms) for forms in seen} == {1}
+    assert max(map(len, batches)) == 8
+    forms = set.union(*seen)
+    assert len(forms) <= len(batches) <= len(forms) + len(work) // 8
+    assert [len(batch) for batch in runner._together(work, 1000)] == [1] * len(work)
+    taught = [replace(piece, job=replace(piece.job, kind="learn")) for piece in work]
+    assert [len(batch) for batch in runner._together(taught, 1)] == [1] * len(work)

@@ -11,7 +11,7 @@ import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
@@ -57,6 +57,10 @@ KEYS = {
     "safety": {
         *("departures", "runs", "good_median_s", "interventions_pct", "final_rms_x", "filter_p99_ms"),
         *("adversary_max_e", "agent_max_e", "chatter_x"),
+    },
+    "scheduler": {
+        *("scheduler_tasks_per_second", "client_results_per_second", "scheduler_ms_per_task", "shortest_case_s"),
+        *("two_workers_x", "two_workers_free_x", "cpu_x", "idle_ms", "memory_kb_per_task"),
     },
     "throughput": {
         *("interpreted_x", "simulate_x", "compiled_vm_x", "compiled_vm_uncollapsed_x", "compiled_c_x", "batch_x"),
@@ -163,6 +167,18 @@ def sensible_safety(figures: Any) -> None:
     assert figures["filter_p99_ms"] is None or figures["filter_p99_ms"] > 0.0
 
 
+def sensible_scheduler(figures: Any) -> None:
+    """How fast depends on what else the machine does; processor time does less."""
+    assert (figures["tasks"], figures["cases"], figures["errors"]) == (100, 4, 0)
+    assert 50.0 < figures["result_kb"] < 200.0
+    assert 0.1 < figures["scheduler_ms_per_task"] < 100.0
+    assert 0.1 < figures["client_ms_per_result"] < 100.0
+    each = max(1.0 / figures["scheduler_tasks_per_second"], 1.0 / figures["client_results_per_second"])
+    assert figures["shortest_case_s"] == pytest.approx(1000.0 * each)
+    assert figures["two_workers_x"] > 0.0
+    assert 1.0 < figures["two_workers_free_x"] < 2.5
+
+
 def sensible_learning(figures: Any) -> None:
     assert (figures["seeds"], figures["minutes"], len(figures["outcomes"])) == (1, 0.5, 1)
     assert figures["outcomes"][0]["transitions"] > 100
@@ -202,6 +218,7 @@ SENSIBLE = {
     "nfq_iteration": lambda f: f["equal_work"] or pytest.fail(f),
     "recovery_map": lambda f: f["stanley-delay"][1]["recovered"] == 1.0 or pytest.fail(f),
     "safety": sensible_safety,
+    "scheduler": sensible_scheduler,
     "throughput": sensible_throughput,
     "torque_steering": lambda f: f["stanley-delay"][0]["held"] or pytest.fail(f),
     "tune_stanley": lambda f: 0.0 < f["predicted"]["chosen"]["rms_e_m"] < 0.1 or pytest.fail(f),
@@ -274,3 +291,13 @@ def test_every_study_that_the_documentation_calls_knows_its_options() -> None:
         words = [word for word in words if word not in ("...", "and", "so", "on")]
         options = parser.parse_args([word.replace("[", "").replace("]", "").rstrip(",;:") for word in words])
         assert isinstance(options, argparse.Namespace), page
+
+
+def test_what_several_studies_need_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    def measure(options: argparse.Namespace) -> dict[str, Any]:
+        raise ModuleNotFoundError("No module named 'joblib'", name="joblib")
+
+    study = SimpleNamespace(__doc__="None.", add_options=lambda parser: None, measure=measure)
+    monkeypatch.setattr(studies, "import_module", lambda name: study)
+    with pytest.raises(ValueError, match=r"study learning: joblib is not installed: pip install '.*\[bench\]'"):
+        studies.carry_out("learning")
