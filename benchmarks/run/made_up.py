@@ -46,6 +46,4 @@ def serve(address: str, count: int) -> None:
 
 def held(dask_scheduler: Any) -> tuple[int, float]:
     """On the scheduler: how many tasks it knows, and its memory [kB]."""
-    import psutil
-
-    return len(dask_scheduler.tasks), psutil.Process().memory_info().rss / 1e3
+    return len(dask_scheduler.tasks), dask_scheduler.proc.memory_info().rss / 1e3

@@ -1,7 +1,7 @@
 """Pieces of work on the processes of this machine or the workers of a cluster; suites and studies over seeds or cars.
 
     with computing(Where(backend="dask", address="tcp://HOST:8786")) as those:
-        for number, result in those.done(function, pieces):   # as they come; `in_order` for their own order
+        for number, result in those.done(function, pieces):   # as they come
             ...
 
 `function` is a module's, and takes one piece; both cross to other processes. What a killed worker had begun is begun
@@ -105,17 +105,6 @@ def computing(where: Where) -> Iterator[Workers]:
     assert where.address is not None
     with dask_client(where.address) as client:
         yield Cluster(client)
-
-
-def in_order(done: Iterator[tuple[int, Result]]) -> Iterator[Result]:
-    """Results in the order of their pieces, each as soon as all before it are there."""
-    early: dict[int, Result] = {}
-    following = 0
-    for number, result in done:
-        early[number] = result
-        while following in early:
-            yield early.pop(following)
-            following += 1
 
 
 @dataclass(frozen=True)

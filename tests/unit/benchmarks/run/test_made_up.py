@@ -21,9 +21,8 @@ def test_files_of_the_size_asked_for_after_the_time_asked_for() -> None:
 
 
 def test_what_a_scheduler_holds() -> None:
-    count, kilobytes = held(SimpleNamespace(tasks={"a": 1, "b": 2}))
-    assert count == 2
-    assert 1e3 < kilobytes < 1e8
+    process = SimpleNamespace(memory_info=lambda: SimpleNamespace(rss=123_000))
+    assert held(SimpleNamespace(tasks={"a": 1, "b": 2}, proc=process)) == (2, 123.0)
 
 
 def test_it_loads_none_of_what_cases_need() -> None:

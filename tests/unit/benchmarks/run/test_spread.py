@@ -16,7 +16,7 @@ import pytest
 
 from benchmarks.run import spread
 from benchmarks.run.sources import identity
-from benchmarks.run.spread import Cluster, Here, Where, computing, in_order
+from benchmarks.run.spread import Cluster, Here, Where, computing
 
 
 def twice(piece: int) -> int:
@@ -32,19 +32,6 @@ def slow(piece: float) -> float:
 def test_every_piece_once_with_its_number(processes: int) -> None:
     with computing(Where(processes=processes)) as those:
         assert sorted(those.done(twice, [5, 7, 9])) == [(0, 10), (1, 14), (2, 18)]
-
-
-def test_results_in_the_order_of_their_pieces_as_soon_as_may_be() -> None:
-    coming: list[tuple[int, str]] = [(1, "b"), (0, "a"), (3, "d"), (2, "c")]
-    taken: list[int] = []
-
-    def done() -> Iterator[tuple[int, str]]:
-        for one in coming:
-            taken.append(one[0])
-            yield one
-
-    seen = [(result, len(taken)) for result in in_order(done())]
-    assert seen == [("a", 2), ("b", 2), ("c", 4), ("d", 4)]
 
 
 def test_workers_that_die_now_and_then_cost_nothing_as_long_as_pieces_finish(monkeypatch: pytest.MonkeyPatch) -> None:
