@@ -82,7 +82,7 @@ class Loop:
             for i, (name, block) in enumerate(self.blocks.items())
             for j, out in enumerate(block.outputs)
         }
-        patterns = [tuple([phase % n == 0 for n in self.every]) for phase in range(self.period)]
+        patterns = [self.due(phase) for phase in range(self.period)]
         ticks = {due: self._wiring.tick(due) for due in set(patterns)}
         self._phases = [ticks[due] for due in patterns]
 
@@ -184,6 +184,10 @@ class Loop:
     def advance(self, k: int, x: list[State], y: list[Values]) -> None:
         """The tick k in place, on lists of states and outputs: what `step` and `simulate` stand on."""
         self._phases[k % self.period](k * self.dt, x, y)
+
+    def due(self, phase: int) -> tuple[bool, ...]:
+        """Which blocks compute in a tick k with k % period == phase."""
+        return tuple([phase % n == 0 for n in self.every])
 
     def run_phase(self, phase: int, t: Any, x: list[State], y: list[Values]) -> None:
         """A tick k with k % period == phase at time t, which may be a symbol: what `steerkit.compiled` traces."""

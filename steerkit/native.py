@@ -23,6 +23,15 @@ FUSED = ("-ffp-contract=fast",)
 """Fused operations, each rounded once instead of twice: for loops, whose sines are not libm's anyway, and for nets."""
 
 
+AS_PYTHON = (
+    *EXACT,
+    "-O0",  # straight-line code that is run once in 50 ms: what optimising would save, the compiler takes
+    "-ftrapping-math",
+    *[f"-fno-builtin-{name}" for name in ("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "tanh", "exp", "log")],
+)
+"""Numbers of Python's floats and of its `math`, and its exceptions as flags: no sine at compile time or in pairs."""
+
+
 class NoCompilerError(RuntimeError):
     """There is no C compiler, or it does not work."""
 
@@ -50,18 +59,18 @@ def directory() -> Path:
     return Path(tempfile.mkdtemp(prefix="steerkit-"))
 
 
-def load(source: str, *, fused: bool = False, vector_maths: bool = False) -> ctypes.CDLL:
+def load(source: str, *, fused: bool = False, vector_maths: bool = False, as_python: bool = False) -> ctypes.CDLL:
     """The library of a C file, compiled at the first call on this machine and found in the cache after that.
 
     fused: multiply-adds may be fused (quicker; rounded once instead of twice). vector_maths: for vectors of
-    cars; fused, and linked to glibc's libmvec where there is one. Raises NoCompilerError when there is no compiler, or
-    it refuses.
+    cars; fused, and linked to glibc's libmvec where there is one. as_python: see `AS_PYTHON`. Raises NoCompilerError
+    when there is no compiler, or it refuses.
     """
     tool = compiler()
     if tool is None:
         missing = f"CC = {os.environ['CC']} is not there" if os.environ.get("CC") else "neither gcc nor cc is there"
         raise NoCompilerError(f"no C compiler found ({missing}): install gcc (or clang), or set CC")
-    rounding = FUSED if fused or vector_maths else EXACT
+    rounding = FUSED if fused or vector_maths else AS_PYTHON if as_python else EXACT
     flags = (*FLAGS, *tool[1:], *rounding, *(["libmvec"] if vector_maths else []))
     key = hashlib.sha256("\0".join((source, _machine(tool[0]), *flags)).encode()).hexdigest()[:32]
     library = directory() / f"{key}.so"

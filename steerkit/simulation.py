@@ -235,7 +235,7 @@ def simulate(
     ticks = range(start.k, start.k + max(1, round(duration / loop.dt)))
     k = start.k
     try:
-        for k in _shown(ticks, progress):
+        for k in shown(ticks, progress):
             loop.advance(k, x, y)
             if k == start.k:
                 loop.check(start.x, x)
@@ -281,7 +281,8 @@ def _stack(values: list[Any]) -> np.ndarray:
     return np.array([np.broadcast_to(v, shape) for v in values], dtype=float)
 
 
-def _shown(ticks: range, progress: bool) -> Any:
+def shown(ticks: range, progress: bool) -> Any:
+    """The ticks, with a bar on the terminal if there is one and it is asked for."""
     if not progress or not sys.stderr.isatty():
         return ticks
     from rich.progress import track

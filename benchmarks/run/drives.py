@@ -19,12 +19,14 @@ from steerkit.catalogue import make_element
 from steerkit.compiled import Compiled, TraceError, compile
 from steerkit.compiled.trace import parameter
 from steerkit.controllers.network_policy import PolicyBlock
+from steerkit.controllers.nfq_native import kind_of
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.loop import Loop, Sample
 from steerkit.metrics import measures, step_times
 from steerkit.path import Path
 from steerkit.scenario import Scenario
-from steerkit.simulation import Log, simulate
+from steerkit.scenario.ahead import PolicyProgram, driven, program_of
+from steerkit.simulation import Log
 from steerkit.task import DT, TRIP
 from steerkit.tracker import PathTracker
 from steerkit.vehicles import Vehicle
@@ -44,6 +46,8 @@ SIGNALS = {
     "a_y": "car.a_y",
     "learning": "supervisor.learning",
 }
+_PROGRAMS = 16
+_LEARNED: dict[tuple[Any, ...], PolicyProgram | None] = {}
 _LEAST = 40  # samples: 2 s; less is no drive to measure
 _KEPT = 1500  # samples of a trajectory, about
 
@@ -92,7 +96,7 @@ def drive(
         steers, doe = policy.block, policy.element(scenario.nominal)
     loop = suite_loop(scenario, steers, doe=doe, seed=seed)
     inputs = loop.inputs_of("controller") if timed_steps else {}
-    log = _driven(scenario, form, path, loop, name, policy is not None, tuple(inputs.values()))
+    log = _driven(scenario, form, loop, name, policy, tuple(inputs.values()))
     metrics, trajectory = judged(log, scenario, path, loop)
     if timed_steps:
         metrics |= step_times(_timed(loop.blocks["controller"], log, inputs, timed_steps))
@@ -127,9 +131,9 @@ def judged(log: Log, scenario: Scenario, path: Path, loop: Loop) -> tuple[dict[s
 
 
 def _driven(
-    scenario: Scenario, form: Scenario, path: Path, loop: Loop, name: str, learned: bool, extra: tuple[str, ...]
+    scenario: Scenario, form: Scenario, loop: Loop, name: str, policy: Policy | None, extra: tuple[str, ...]
 ) -> Log:
-    seconds = scenario.seconds
+    seconds, learned = scenario.seconds, policy is not None
     record = tuple(dict.fromkeys([n for n in (*SIGNALS.values(), "path.progress") if n in loop.units] + [*extra]))
     program = None if learned else _program(form, name, record)
     if program is None:
@@ -139,9 +143,23 @@ def _driven(
             caught = learned and now["supervisor.learning"] < 0.5
             return caught or now["path.progress"] >= length or not abs(now["path.e"]) <= OFF_COURSE
 
-        return simulate(loop, seconds, record=record, every=_every(loop), allow_nonfinite=True, until=over)
+        in_c = None if policy is None else _learned_program(form, policy)
+        return driven(loop, seconds, until=over, program=in_c, record=record)
     values = {key: parameter(loop, key) for key in program.parameters}
     return program.run(seconds, state=loop.init(), parameters=values, allow_nonfinite=True)
+
+
+def _learned_program(form: Scenario, policy: Policy) -> PolicyProgram | None:
+    """The drive in C that all nets of a kind share, whatever is left open of the scenario; None: interpreted."""
+    if not isinstance(policy.block, NfqPolicy):
+        return None
+    key = form, policy.setting, kind_of(policy.block)
+    if key not in _LEARNED:
+        if len(_LEARNED) >= _PROGRAMS:
+            _LEARNED.pop(next(iter(_LEARNED)))
+        loop = suite_loop(form, policy.block, doe=policy.element(form.nominal))
+        _LEARNED[key] = program_of(loop, open_parameters(form))
+    return _LEARNED[key]
 
 
 @lru_cache(maxsize=16)

@@ -198,11 +198,17 @@ def _written(
     return [*statements(graph, roots, source, tables), *values, *stores]
 
 
-def statements(graph: Graph, roots: Sequence[int], source: Callable[[int], str], tables: Sequence[Table]) -> list[str]:
-    """One `const real v<node> = ...;` a node. source: the C text of an input slot."""
+def statements(
+    graph: Graph,
+    roots: Sequence[int],
+    source: Callable[[int], str],
+    tables: Sequence[Table],
+    order: Callable[[Graph, Sequence[int]], Sequence[int]] = scheduled,
+) -> list[str]:
+    """One `const real v<node> = ...;` a node, in that order. source: the C text of an input slot."""
     lines: list[str] = []
     rows: set[tuple[int, int]] = set()
-    for i in scheduled(graph, roots):
+    for i in order(graph, roots):
         op, *operands = graph.nodes[i]
         if op == "call":
             number, size, *arguments = operands

@@ -141,7 +141,11 @@ def trace(loop: Loop, *, parameters: Sequence[str] = (), routines: bool = False)
         tables: dict[int, tuple[int, Table]] = {}
         called: dict[int, tuple[int, Routine]] = {}
         allowed = called if routines else None
-        ticks = tuple(_tick(open_loop, phase, layout, symbols, tables, allowed) for phase in range(loop.period))
+        made: dict[tuple[bool, ...], Tick] = {}
+        for phase in range(loop.period):
+            if (due := loop.due(phase)) not in made:
+                made[due] = _tick(open_loop, phase, layout, symbols, tables, allowed)
+        ticks = tuple(made[loop.due(phase)] for phase in range(loop.period))
     used = tuple(routine for _, routine in called.values())
     return Trace(loop, layout, tuple(flat), ticks, tuple(table for _, table in tables.values()), used)
 

@@ -79,7 +79,7 @@ class Forecast:
     Source: Walsh, Nouri, Li, Littman 2009 (learning with constant delay by simulating the model over it); Smith 1957.
     """
 
-    samples: int = 0
+    samples: Any = 0
     """Dead time in samples: whole ones; what is left of one is in the numbers below."""
     now: Any = 0.0
     before: Any = 0.0
@@ -101,7 +101,7 @@ class Forecast:
 
     def __post_init__(self) -> None:
         whole = isinstance(self.samples, int) and 0 <= self.samples <= LONGEST
-        require(whole, "Forecast", f"samples = {self.samples!r}, expected 0 to {LONGEST}")
+        require(whole or m.is_symbol(self.samples), "Forecast", f"samples = {self.samples!r}, expected 0 to {LONGEST}")
         if not m.is_symbol(self.trust):
             require(0.0 < self.trust <= 1.0, "Forecast", f"trust = {self.trust}, expected 0 < trust <= 1")
 
@@ -120,10 +120,12 @@ class Forecast:
         v = m.maximum(u.v, SLOWEST)
         w, r_e = self._filtered(x, u, v)
         c = m.where(self.fast > 0.5, u.e_dot / v, w + u.psi_e)
-        motion = Motion(u.e, c, c - w, r_e)
-        for i in range(self.samples):
+        motion, angles = Motion(u.e, c, c - w, r_e), self._angles(x, u)
+        is_open = m.is_symbol(self.samples)
+        for i in range(LONGEST if is_open else self.samples):
             bend = v * (u.preview[i + 1] - u.preview[i])
-            motion = moved(self, motion, v, self._angles(x, u, self.samples - i), bend, self.dt)
+            after = moved(self, motion, v, angles[i + 3 : i : -1], bend, self.dt)
+            motion = Motion(*m.chosen(i < self.samples, after, motion)) if is_open else after
         e, c, psi_e, r_e = motion
         return e, v * c, u.v, psi_e, r_e, u.doe - self.straight
 
@@ -145,19 +147,23 @@ class Forecast:
         """w and r_e, filtered."""
         *_, w, r_e, v_before, kappa = x
         bend = v * u.preview[0] - v_before * kappa
-        foreseen = moved(self, Motion(0.0, w, 0.0, r_e), v_before, self._angles(x, u, self.samples + 1), bend, self.dt)
+        foreseen = moved(self, Motion(0.0, w, 0.0, r_e), v_before, self._angles(x, u)[2::-1], bend, self.dt)
         seen = turning(self, u.e_dot / v, u.psi_e, v, u.r_e + v * u.preview[0])
         w_next = foreseen.c - foreseen.psi_e
         known = m.is_finite(w_next + foreseen.r_e)  # else a NaN that was seen once would stay for good
         filtered = w_next + self.trust * (seen - w_next), foreseen.r_e + self.trust * (u.r_e - foreseen.r_e)
         return m.where(known, filtered[0], seen), m.where(known, filtered[1], u.r_e)
 
-    def _angles(self, x: State, u: Any, steps: int) -> tuple[Any, Any, Any]:
-        """The angle that begins to act `steps` samples before the next command's, and the two before it."""
+    def _angles(self, x: State, u: Any) -> Sequence[Any]:
+        """The wheel's angles on their way, oldest first: of them 1, 2, 3 act until the next sample, 2, 3, 4 then."""
         angles = (*x[:_REMEMBERED], u.doe)
-        at = len(angles) - steps
-        doe, before, earlier = (angles[at - i] - self.straight for i in range(3))
-        return doe, before, earlier
+        if not m.is_symbol(self.samples):
+            return [angle - self.straight for angle in angles[LONGEST - self.samples :]]
+        shown = list(angles[LONGEST:])
+        for samples in range(1, LONGEST + 1):
+            here, there = angles[LONGEST - samples :], self.samples == samples
+            shown = [m.where(there, a, b) for a, b in zip(here, shown)] + list(here[len(shown) :])
+        return [angle - self.straight for angle in shown]
 
 
 def nothing(batch: tuple[int, ...] = ()) -> State:

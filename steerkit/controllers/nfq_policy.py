@@ -6,6 +6,7 @@ import dataclasses
 import functools
 import math
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -235,21 +236,22 @@ class NfqPolicy(Policy):
         """The same in scalars, for tracing."""
         of_state, of_action, layers = self._folded
         z = [_dot(row, u) for row in of_state.tolist()]
-        best: Any = None
-        action: Any = self._order[0]
         values = []
-        for candidate, offsets in zip(self._order, of_action.T.tolist(), strict=True):
+        for offsets in of_action.T.tolist():
             h = [m.tanh(a + b) for a, b in zip(z, offsets, strict=True)]
             for w, d in layers:
                 h = [m.tanh(_dot(row, h) + c) for row, (c,) in zip(w.tolist(), d.tolist(), strict=True)]
-            q = 0.5 + 0.5 * _combined_symbols(h, self.combine)
-            values.append(q)
-            if best is None:
-                best = q
-                continue
+            values.append(0.5 + 0.5 * _combined_symbols(h, self.combine))
+        return self.least(values)
+
+    def least(self, values: Sequence[Any]) -> tuple[Any, Any]:
+        """The action of least value, and that value; values: symbols, those of the actions, gentlest first."""
+        best: Any = values[0]
+        action: Any = self._order[0]
+        for candidate, q in zip(self._order[1:], values[1:], strict=True):
             better = q < best
             best, action = m.where(better, q, best), m.where(better, candidate, action)
-        return (self._between(values, action) if self.continuous else action), best
+        return (self._between(list(values), action) if self.continuous else action), best
 
     def save(self, path: str | os.PathLike[str], *, durable: bool = True) -> None:
         """Write the policy to one small file (NumPy .npz, no pickle) that `load` gives back bit for bit.

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from numbers import Integral, Real
 from typing import Any
 
-from steerkit.assembly import with_controller
 from steerkit.block import Block
 from steerkit.catalogue import make_safety
 from steerkit.controllers.nfq_policy import NfqPolicy
@@ -22,8 +21,9 @@ from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.settings import Setting
 from steerkit.learning.story import Story, state_signals, untrained
 from steerkit.learning.trainer import SimulatedTrainer, Training
-from steerkit.loop import LoopState, Sample
+from steerkit.loop import Loop, LoopState, Sample
 from steerkit.scenario import END_MARGIN, Scenario
+from steerkit.scenario.ahead import WORTH_COMPILING, Backend, Driver
 from steerkit.scenario.drive import assembled
 from steerkit.simulation import Recorder
 
@@ -88,10 +88,18 @@ class LearningRun:
     `learning.learn` drives it to its end; it can be stepped by hand too: `drive()` one control sample at a time.
     `keep`, if set, is called after every sample with a training in it, to write a checkpoint; `each` with every sample
     that is recorded. trainer: what makes
-    policies of transitions (default: NFQ, charged to the driving time).
+    policies of transitions (default: NFQ, charged to the driving time). backend: see `steerkit.scenario.ahead.Driver`:
+    a long run drives in C, where that can be, and its numbers are the same.
     """
 
-    def __init__(self, experiment: Experiment, watch: Watcher | None = None, trainer: Training | None = None):
+    def __init__(
+        self,
+        experiment: Experiment,
+        watch: Watcher | None = None,
+        trainer: Training | None = None,
+        *,
+        backend: Backend = "auto",
+    ):
         self.experiment, self.watch = experiment, watch
         self.keep: Callable[[LearningRun], None] | None = None
         self.each: Callable[[Sample], None] | None = None
@@ -105,7 +113,7 @@ class LearningRun:
             trainer=trainer or SimulatedTrainer(seconds=setting.fit_seconds),
             round_length=scenario.round_length,
         )
-        self.loop = assembled(
+        loop = assembled(
             scenario,
             self._controller(),
             doe=setting.element(scenario.nominal),
@@ -114,9 +122,10 @@ class LearningRun:
             safety=make_safety(scenario.belief()) if setting.safe else None,
             seed=experiment.seed,
         )
-        start = self.loop.init()
-        self.x, self.y = list(start.x), list(start.y)
-        self.ticks = round(self.policy.dt / self.loop.dt)
+        self.driver = Driver(
+            loop, backend=backend, worth=WORTH_COMPILING * (10 if setting.safe else 1)
+        )  # a filter's loop is long
+        self.ticks = self.driver.ticks
         self._inputs = state_signals(setting, self.loop.inputs_of("controller"))
         self.safe = setting.safe
         self._element = setting.element(scenario.nominal)
@@ -143,6 +152,29 @@ class LearningRun:
         return self.story.policy.nets or ()
 
     @property
+    def loop(self) -> Loop:
+        """The loop, with the policy that steers."""
+        return self.driver.loop
+
+    @property
+    def x(self) -> list[Any]:
+        """The states of all blocks, to change between two samples."""
+        return self.driver.x
+
+    @x.setter
+    def x(self, x: list[Any]) -> None:
+        self.driver.x = x
+
+    @property
+    def y(self) -> list[Any]:
+        """The outputs of all blocks, to change between two samples."""
+        return self.driver.y
+
+    @y.setter
+    def y(self, y: list[Any]) -> None:
+        self.driver.y = y
+
+    @property
     def t(self) -> float:
         """Driving time [s]."""
         return self.counts.k * self.loop.dt
@@ -150,7 +182,7 @@ class LearningRun:
     @property
     def state(self) -> LoopState:
         """The loop's state at this moment."""
-        return LoopState(self.counts.k, tuple(self.x), tuple(self.y))
+        return self.driver.state(self.counts.k)
 
     def done(self) -> bool:
         """Has the experiment come to its end?"""
@@ -166,10 +198,11 @@ class LearningRun:
         story, counts, second = self.story, self.counts, int(self.t)
         trainings = counts.updates
         self._take_over()
-        self.loop.advance(counts.k, self.x, self.y)
-        self.recorder.add(counts.k, self.y)
+        self.driver.begin(counts.k)
+        outputs = self.driver.outputs
+        self.recorder.add(counts.k, outputs)
         if self.each is not None:
-            self.each(Sample(self.loop, self.t, self.y))
+            self.each(Sample(self.loop, self.t, outputs))
         learning = self._value("supervisor.learning") > 0.5
         events = story.sample(
             counts.k // self.ticks,
@@ -187,8 +220,7 @@ class LearningRun:
             e, e_dot = (self._value(self._inputs[name]) for name in ("e", "e_dot"))
             if story.recovering(self.t, e=e, e_dot=e_dot):
                 self._tell("stuck")
-        for k in range(counts.k + 1, counts.k + self.ticks):
-            self.loop.advance(k, self.x, self.y)
+        self.driver.end(counts.k)
         counts.k += self.ticks
         if events.ended:
             self._after_failure()
@@ -244,7 +276,7 @@ class LearningRun:
 
     def steer(self) -> None:
         """Put the story's policy into the loop, between two samples; the loop's state goes on."""
-        self.loop = with_controller(self.loop, self._controller())
+        self.driver.steer(self._controller())
         self.recorder.loop = self.loop
 
     def _controller(self) -> Block:
@@ -277,8 +309,7 @@ class LearningRun:
         return s
 
     def _value(self, signal: str) -> float:
-        i, j = self.loop.locate(signal)
-        return self.y[i][j]
+        return self.driver.value(signal)
 
     def _tell(self, what: str) -> None:
         if self.watch is not None:

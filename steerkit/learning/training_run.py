@@ -10,6 +10,7 @@ import numpy as np
 
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.rival import model_based as model_based_run
+from steerkit.scenario.ahead import Backend
 
 
 @dataclass(frozen=True)
@@ -35,8 +36,11 @@ class Trained:
     """Wall time of the run [s]."""
 
 
-def train(experiment: Experiment, *, model_based: bool = False) -> Trained:
-    """Run an experiment to its end. model_based: the rival, an optimal gain for the learned model, learns instead."""
+def train(experiment: Experiment, *, model_based: bool = False, backend: Backend = "auto") -> Trained:
+    """Run an experiment to its end. model_based: the rival, an optimal gain for the learned model, learns instead.
+
+    backend: as for `LearningRun`.
+    """
     nets: list[Taken] = []
     trainings: list[float] = [0.0]
 
@@ -45,7 +49,7 @@ def train(experiment: Experiment, *, model_based: bool = False) -> Trained:
             nets.append(Taken(run.t, run.counts.failures, len(run.transitions), run.policy))
 
     began = time.perf_counter()
-    run = (model_based_run if model_based else LearningRun)(experiment, watch)
+    run = model_based_run(experiment, watch) if model_based else LearningRun(experiment, watch, backend=backend)
     while not run.done():
         run.drive()
         if run.counts.train_seconds > trainings[-1]:

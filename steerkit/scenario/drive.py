@@ -14,8 +14,9 @@ from steerkit.controllers.supervisor import Supervisor
 from steerkit.controllers.target_shift import TargetShift
 from steerkit.loop import Loop
 from steerkit.path import Path
+from steerkit.scenario.ahead import PolicyProgram, driven
 from steerkit.scenario.scenario import Scenario
-from steerkit.simulation import Log, Sample, simulate
+from steerkit.simulation import Log, Sample
 from steerkit.task import TRIP
 
 
@@ -138,11 +139,13 @@ def drive(
     progress: bool = False,
     only_while_held: bool = False,
     each: Callable[[Sample], None] | None = None,
+    program: PolicyProgram | None = None,
 ) -> Log:
     """Drive the scenario's rounds of its course (or `rounds`) and return the log, 20 samples a second.
 
     only_while_held: end at the first sample in which the recovery controller has the wheel. each: called with every
-    sample of the log as it is driven, such as a live stream's.
+    sample of the log as it is driven, such as a live stream's. program: made for drives of policies like `steering`
+    in this scenario, with this doe; then it is driven in C, to the same numbers.
     The run also ends after the time that the slowest human would need; then the last `path.progress` is short of
     `rounds` times the course.
     """
@@ -150,7 +153,6 @@ def drive(
         scenario = replace(scenario, rounds=rounds)
     loop = drive_loop(scenario, steering, doe=doe, seed=seed, s=s)
     length = scenario.length
-    ticks = round(steering.dt / loop.dt)
 
     def over(sample: Sample) -> bool:
         if each is not None:
@@ -158,7 +160,7 @@ def drive(
         lost = only_while_held and sample["supervisor.learning"] < 0.5
         return lost or sample["path.progress"] >= length
 
-    return simulate(loop, scenario.seconds, every=ticks, until=over, allow_nonfinite=True, progress=progress)
+    return driven(loop, scenario.seconds, until=over, program=program, progress=progress)
 
 
 def held_all_along(log: Log, *, limit: float = TRIP) -> bool:
