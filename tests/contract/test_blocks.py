@@ -134,8 +134,8 @@ def documents(kind: type[Block]) -> str:
 
 
 ELSEWHERE = {"MPC", "NonlinearMPC", "RealCar", "FmuPlant", "OpenPolicy"}
-"""Blocks with a suite of their own: a solver's milliseconds differ, a bus is not pure, an FMU is somebody's file, an open
-policy is run on symbols only."""
+"""Blocks with a suite of their own: a solver's milliseconds differ, a bus is not pure, an FMU is somebody's file,
+an open policy is run on symbols only."""
 
 
 STARTS = {"VehicleState"}
