@@ -371,5 +371,15 @@ def _fit_all(starts: Sequence[Net], x: NDArray[np.float32], y: NDArray[np.float3
 
     if len(starts) == 1 or engine == "torch":  # PyTorch has threads of its own
         return [one(net) for net in starts]
-    with ThreadPoolExecutor(max_workers=min(2, os.cpu_count() or 1)) as pool:
+    with ThreadPoolExecutor(max_workers=threads()) as pool:
         return list(pool.map(one, starts))
+
+
+def threads() -> int:
+    """How many members train at once: two, or as many as this process has cores, or as OMP_NUM_THREADS allows.
+
+    Whoever runs several processes on a machine sets that variable for them, as joblib does; nets do not depend on it.
+    """
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    asked = os.environ.get("OMP_NUM_THREADS", "")
+    return max(1, min(2, cores, int(asked) if asked.isdigit() else cores))

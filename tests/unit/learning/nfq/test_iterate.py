@@ -236,3 +236,16 @@ def test_the_newest_updates_work_together_and_warm_starts_begin_with_the_newest(
     warm = FitSetting(keep=2, nets=2, epochs=0, init="warm")
     after = iterate(record, ACTIONS, BandCost(), warm, nets_before=nets)
     assert all(np.array_equal(flat(a), flat(b)) for a, b in zip(nets[2:], after[2:], strict=True))
+
+
+@pytest.mark.parametrize(
+    ("cores", "asked", "expected"), [(4, None, 2), (1, None, 1), (4, "1", 1), (4, "8", 2), (4, "0", 1), (4, "many", 2)]
+)
+def test_members_share_the_cores_that_the_process_has(
+    monkeypatch: pytest.MonkeyPatch, cores: int, asked: str | None, expected: int
+) -> None:
+    monkeypatch.setattr("os.sched_getaffinity", lambda _: set(range(cores)), raising=False)
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    if asked is not None:
+        monkeypatch.setenv("OMP_NUM_THREADS", asked)
+    assert nfq.threads() == expected
