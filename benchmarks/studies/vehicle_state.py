@@ -10,17 +10,21 @@
   mean, 1 if the deviations are right.
 * Outages: all but the wheel's angle is lost for 2 s, again and again; a position jumps by 0.3 m for 0.3 s.
 * The car is another than told: RMS e over that without the estimator (`unlike_x`).
+* Mistold: of `--mistold` cars nothing that estimator and controllers are told is true (`benchmarks.mistold_state`); RMS
+  e, wheel, error to the side and of the heading with `AdaptiveState`, over those with `VehicleState` and with none:
+  medians over the cars. `mistold_innovation_ok_pct`, `mistold_nis_mean`: as above, from half of the drive on.
 * Recorded laps: where is the car in half a second, if nobody turns the wheel until then, by the estimator or by dead
   reckoning (a circle at the yaw rate and along the heading measured last); the car is identified from the other lap.
 
-    python -m benchmarks study vehicle_state [--controllers NAME ...] [--learner MINUTES] [--quick] [--json]
+    python -m benchmarks study vehicle_state [--controllers NAME ...] [--learner MINUTES] [--mistold CARS] [--first N]
+        [--parts closed_loop mistold ...] [--quick] [--json]
 """
 
 from __future__ import annotations
 
 import argparse
 import time
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -28,6 +32,8 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from benchmarks.laps import half_second_ahead
+from benchmarks.mistold_state import KINDS
+from benchmarks.mistold_state import driven as driven_mistold
 from steerkit.compiled import Backend, compile
 from steerkit.controllers.estimators.vehicle_state import VehicleState
 from steerkit.learning.experiment import Experiment
@@ -51,6 +57,9 @@ UNLIKE: dict[str, dict[str, float]] = {
     "gusts of 0.5 m/s^2": {"gust": 0.5},
     "bank of 3 degrees": {"bank_deg": 3.0},
 }
+PARTS = ("closed_loop", "learner", "unlike", "mistold", "innovations", "outages", "laps", "cost")
+MISTOLD = ("stanley-adaptive", "mpc-adaptive")
+"""Who drives the cars of which all that is told is wrong."""
 BEGIN = 5.0
 """Seconds at the start of a drive that are not judged: the car comes from rest relative to the course."""
 OUTAGE, EVERY = 2.0, 12.0
@@ -62,23 +71,36 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Its own command line options; --quick drives one controller for seconds, without a learner."""
     parser.add_argument("--controllers", nargs="+", default=list(CONTROLLERS), metavar="NAME")
     parser.add_argument("--learner", type=float, default=3.0, metavar="MINUTES", help="0: without the learner")
+    parser.add_argument("--mistold", type=int, default=20, metavar="CARS", help="how many that are told wrong (20)")
+    parser.add_argument("--first", type=int, default=4000, help="number of the first of these (4000)")
+    parser.add_argument("--parts", nargs="+", default=list(PARTS), choices=PARTS, help="which parts (all)")
 
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
-    """Measure all parts and print them."""
-    quick = options.quick
+    """Measure all parts, or those asked for, and print them."""
+    quick, parts = options.quick, options.parts
     names = options.controllers[:1] if quick else options.controllers
-    report = closed_loop(names, DRIVES[:1] if quick else DRIVES, 0.03 if quick else 1.0)
-    if options.learner and not quick:
+    backend: Backend = "python" if quick else "c"
+    report: dict[str, Any] = {}
+    if "closed_loop" in parts:
+        report |= closed_loop(names, DRIVES[:1] if quick else DRIVES, 0.03 if quick else 1.0)
+    if "learner" in parts and options.learner and not quick:
         report["learner"] = learner(options.learner)
         for key in ("rms_x", "wheel_x", "wheel_noise_x"):
-            report[key]["learner"] = report["learner"][key]
-    report["unlike_x"] = {} if quick else unlike()
-    backend: Backend = "python" if quick else "c"
-    report |= innovations(2 if quick else 20, 8.0 if quick else 100.0, backend)
-    report |= outages(20.0 if quick else 120.0, backend)
-    report |= half_second_ahead(12.0 if quick else None)
-    report |= cost(1.0 if quick else 50.0, ("python",) if quick else ("python", "c"))
+            report.setdefault(key, {})["learner"] = report["learner"][key]
+    if "unlike" in parts:
+        report["unlike_x"] = {} if quick else unlike()
+    if "mistold" in parts and options.mistold:
+        cars, seconds = (1, 30.0) if quick else (options.mistold, 60.0)
+        report |= mistold(MISTOLD[:1] if quick else MISTOLD, options.first, cars, seconds)
+    if "innovations" in parts:
+        report |= innovations(2 if quick else 20, 8.0 if quick else 100.0, backend)
+    if "outages" in parts:
+        report |= outages(20.0 if quick else 120.0, backend)
+    if "laps" in parts:
+        report |= half_second_ahead(12.0 if quick else None)
+    if "cost" in parts:
+        report |= cost(1.0 if quick else 50.0, ("python",) if quick else ("python", "c"))
     return report
 
 
@@ -164,6 +186,46 @@ def unlike() -> dict[str, float]:
         found[what] = float(np.mean(ratios))
         print(f"unlike what is told, {what}: RMS e x {found[what]:.3f}", flush=True)
     return found
+
+
+def mistold(names: tuple[str, ...], first: int, cars: int, seconds: float) -> dict[str, Any]:
+    """Cars of which nothing that is told is true, with either estimator and without one."""
+    report: dict[str, Any] = {"mistold_cars": []}
+    print(
+        f"\n{'told wrong':18}{'car':>6}"
+        + "".join(f"{kind + ': e [m]':>23}  side [cm]  psi [deg]   nis" for kind in KINDS)
+    )
+    for name in names:
+        rows = []
+        for number in range(first, first + cars):
+            row = {kind: asdict(driven_mistold(name, number, kind, seconds)) for kind in KINDS}
+            rows.append(row)
+            report["mistold_cars"].append({"controller": name, "car": number, **row})
+            cells = [
+                f"{one['rms_e']:23.4f}{100.0 * one['rms_side']:11.2f}{degrees_of(one['rms_heading']):11.3f}"
+                f"{one['nis_mean']:6.2f}"
+                for one in row.values()
+            ]
+            print(f"{name:18}{number:6}{''.join(cells)}", flush=True)
+        for other, key in (("vehicle-state", "mistold_x"), ("none", "mistold_x_raw")):
+            found = {}
+            for what in ("rms_e", "rms_wheel_deg", "rms_side", "rms_heading", "max_e"):
+                ratios = [row["adaptive-state"][what] / row[other][what] for row in rows]
+                found[what] = {"median": float(np.median(ratios)), "worst": max(ratios)}
+            report.setdefault(key, {})[name] = found
+            said = ", ".join(f"{what} {x['median']:.2f} (worst {x['worst']:.2f})" for what, x in found.items())
+            print(f"{name}, told what is found over {other}: {said}")
+        for kind in KINDS[1:]:
+            shares = [0.93 <= row[kind]["nis_share"] <= 0.97 for row in rows]
+            figures = {
+                "mistold_innovation_ok_pct": 100.0 * float(np.mean(shares)),
+                "mistold_nis_mean": float(np.mean([row[kind]["nis_mean"] for row in rows])),
+                "mistold_max_e_m": max(row[kind]["max_e"] for row in rows),
+            }
+            print(f"{name}, {kind}: {figures}", flush=True)
+            for key, value in figures.items():
+                report.setdefault(key, {}).setdefault(name, {})[kind] = value
+    return report
 
 
 def recorded(course: str, seconds: float, cars: int, seed: int, backend: Backend) -> Log:

@@ -92,7 +92,10 @@ class DriveOptions:
         ),
     ] = Conditions.clean
     estimator: Annotated[
-        str, in_simulation("Between sensors and controllers: none, or vehicle-state, a filter that needs no sideslip.")
+        str,
+        in_simulation(
+            "Between sensors and controllers: none, vehicle-state (a filter), adaptive-state (which adapts)."
+        ),
     ] = "none"
     speed: Annotated[
         str,

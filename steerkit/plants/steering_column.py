@@ -26,8 +26,9 @@ class SteeringColumn(Block):
 
     input: delta_sw_in [rad], the motor's angle, as one of the steering wheel. outputs, in the same sample: delta_sw
     [rad], the angle that the road wheels have, times the ratio; delta_sw_meas [rad], of the steering wheel, what is
-    measured. state: delta_sw_meas, delta_sw one sample before. It starts in the middle of its gaps. A NaN stays NaN.
-    Parameters may be `(N,)` arrays in a batch. errors: ValueError for parameters out of range.
+    measured: `zero` more than there is. state: that less `zero`, and delta_sw, one sample before. It starts in the
+    middle of its gaps. A NaN stays NaN. Parameters may be `(N,)` arrays in a batch. errors: ValueError for parameters
+    out of range.
     source: Nordin, Gutman 2002 (backlash); Visintin 1994, ch. III (play operator; Coulomb friction with a spring is
     its stop); Pfeffer, Harrer, Johnston 2008 (friction and elasticity of steering).
     """
@@ -40,6 +41,8 @@ class SteeringColumn(Block):
     """Twist of the shaft that the friction holds, to either side [rad]."""
     play: Scalar = 0.0
     """Free play, from end to end [rad]."""
+    zero: Scalar = 0.0
+    """What the sensor at the steering wheel shows while that is straight [rad]."""
     dt: float = 0.01
 
     def __post_init__(self) -> None:
@@ -47,6 +50,7 @@ class SteeringColumn(Block):
         require_within(where, "dt", self.dt, "s", 1e-6, 1.0)
         require_within(where, "friction", self.friction, "rad", 0.0, 1.0, "radians: radians_of(1)")
         require_within(where, "play", self.play, "rad", 0.0, 1.0, "radians: radians_of(2)")
+        require_within(where, "zero", self.zero, "rad", -1.0, 1.0, "radians: radians_of(3)")
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         return (m.filled(0.0, batch),) * 2
@@ -56,10 +60,10 @@ class SteeringColumn(Block):
 
     def output(self, t: Any, x: State, u: Any) -> Any:
         wheel = _follows(u.delta_sw_in, x[0], self.friction)
-        return self.Y(_follows(wheel, x[1], 0.5 * self.play), wheel)
+        return self.Y(_follows(wheel, x[1], 0.5 * self.play), wheel + self.zero)
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
-        return (y.delta_sw_meas, y.delta_sw)
+        return (_follows(u.delta_sw_in, x[0], self.friction), y.delta_sw)
 
 
 def _follows(front: Scalar, behind: Scalar, gap: Scalar) -> Scalar:

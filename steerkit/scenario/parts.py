@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from steerkit.block import Block
+from steerkit.controllers.estimators.adaptive_state import AdaptiveState
+from steerkit.controllers.estimators.single_track_filter import SingleTrackFilter
 from steerkit.controllers.estimators.vehicle_state import VehicleState
 from steerkit.courses import course, course_of, lane_change, random_course
 from steerkit.errors import require
@@ -72,19 +74,23 @@ def actuator_of(scenario: Scenario) -> Block:
 
 def column_of(scenario: Scenario) -> SteeringColumn | None:
     """Friction and free play between motor and road wheels; None if there are none."""
-    if (scenario.friction_deg, scenario.play_deg) == (0.0, 0.0):
+    if (scenario.friction_deg, scenario.play_deg, scenario.wheel_zero_deg) == (0.0, 0.0, 0.0):
         return None
-    return SteeringColumn(friction=radians_of(scenario.friction_deg), play=radians_of(scenario.play_deg))
+    return SteeringColumn(
+        friction=radians_of(scenario.friction_deg),
+        play=radians_of(scenario.play_deg),
+        zero=radians_of(scenario.wheel_zero_deg),
+    )
 
 
 def sensors_of(scenario: Scenario, seed: int) -> Block | None:
     """What the controllers see; None for the truth."""
-    noise, latency = scenario.noise, scenario.latency
+    noise, latency, zero = scenario.noise, scenario.latency, radians_of(scenario.gyro_zero_deg)
     if scenario.sensing == "real":
         poor = PoorSensors.real(scenario.nominal, seed).scaled(noise)
-        return replace(poor, block=replace(poor.block, latency=latency))
+        return replace(poor, block=replace(poor.block, r_bias=zero, latency=latency))
     sideslip = scenario.sensing == "hard"
-    if noise == 0.0 and latency == 0.0 and sideslip and scenario.estimator == "none":
+    if (noise, latency, zero) == (0.0, 0.0, 0.0) and sideslip and scenario.estimator == "none":
         return None
     full = Sensors.hard(seed)
     hard = replace(
@@ -92,19 +98,20 @@ def sensors_of(scenario: Scenario, seed: int) -> Block | None:
         position_drift=noise * full.position_drift,
         psi_drift=noise * full.psi_drift,
         r_noise=noise * full.r_noise,
+        r_bias=zero,
         latency=latency,
     )
     return hard if sideslip else PoorSensors(block=hard, rear=scenario.nominal.l_r)
 
 
-def estimator_of(scenario: Scenario) -> VehicleState | None:
+def estimator_of(scenario: Scenario) -> VehicleState | AdaptiveState | None:
     """What stands between sensors and controllers; it is told the sensors' data sheet and the nominal car."""
     if scenario.estimator == "none":
         return None
     sensors: Any = sensors_of(scenario, 0)
     poor = isinstance(sensors, PoorSensors)
     sheet: Sensors = sensors.block if poor else sensors
-    return VehicleState.of(
+    block = VehicleState.of(
         NonlinearSingleTrack(vehicle=scenario.nominal),
         horizon=scenario.latency + DT,
         position_drift=math.hypot(sheet.position_drift, sensors.jump if poor else 0.0),
@@ -114,6 +121,9 @@ def estimator_of(scenario: Scenario) -> VehicleState | None:
         r_noise=sheet.r_noise,
         heading_drift=sensors.heading_drift if poor else 0.0,
     )
+    if scenario.estimator == "vehicle-state":
+        return block
+    return AdaptiveState(block=block, steering=SingleTrackFilter(vehicle=scenario.nominal, held=False))
 
 
 def drawn_course(name: str) -> tuple[int, float, float] | None:

@@ -49,7 +49,7 @@ END_MARGIN = 5.0
 SPEEDS = ("wander", "recorded", "limit")
 REFERENCES = ("front", "cg", "own")
 SENSING = ("hard", "no sideslip", "real")
-ESTIMATORS = ("none", "vehicle-state")
+ESTIMATORS = ("none", "vehicle-state", "adaptive-state")
 STEERING = ("angle", "torque")
 TOLD = ("data sheet", "truth")
 _HARD: dict[str, Any] = {"noise": 1.0, "latency": 0.05, "lag": 0.15}
@@ -76,6 +76,8 @@ _RANGES = (  # field, unit, least, largest
     ("dead_band_deg", "deg", 0.0, 20.0),
     ("quantum_deg", "deg", 0.0, 20.0),
     ("delay_jitter", "s", 0.0, 0.5),
+    ("wheel_zero_deg", "deg", -20.0, 20.0),
+    ("gyro_zero_deg", "deg/s", -5.0, 5.0),
     ("tyres", "1", 0.1, 10.0),
     ("friction", "1", 0.1, 10.0),
     ("ratio", "1", 0.1, 10.0),
@@ -161,6 +163,10 @@ class Scenario:
     """Change of a command that the motor leaves [deg]."""
     quantum_deg: float = 0.0
     """Resolution of a command [deg]."""
+    wheel_zero_deg: float = 0.0
+    """What the steering wheel's sensor shows while that is straight [deg]; controllers and estimators see it."""
+    gyro_zero_deg: float = 0.0
+    """What the gyro shows while the car does not turn [deg/s]."""
     delay_jitter: float = 0.0
     """Longest time that a command takes beyond `delay` [s], each its own, a multiple of 0.01."""
     tyres: float = 1.0
@@ -182,7 +188,8 @@ class Scenario:
     (`PoorSensors.real`), which have no sideslip and up to 20 ms of jitter even without noise."""
     estimator: str = "none"
     """What stands between sensors and controllers: `none`, or `vehicle-state`, an estimator that is told the sensors'
-    data sheet and the nominal car, needs no sideslip and predicts to now (`VehicleState`)."""
+    data sheet and the nominal car, needs no sideslip and predicts to now (`VehicleState`); or `adaptive-state`, the
+    same told ratio, understeer and zeros as they are found (`AdaptiveState`)."""
     latency: float = 0.0
     """Age of what the controllers see [s], a multiple of 0.05."""
     told: str = "data sheet"

@@ -15,6 +15,7 @@ from steerkit.analysis import FromControl, Tap
 from steerkit.block import Block, take_ports
 from steerkit.controllers.adaptive import Adaptive
 from steerkit.controllers.delay import Predicted, delayed_stanley
+from steerkit.controllers.estimators.adaptive_state import AdaptiveState
 from steerkit.controllers.estimators.single_track_filter import SingleTrackFilter
 from steerkit.controllers.estimators.steering_delay import WheelDelay, YawDelay
 from steerkit.controllers.estimators.steering_wear import SteeringFriction, SteeringPlay
@@ -209,6 +210,12 @@ EXAMPLES = [
     Example(PoorSensors.real(PASSAT, seed=3), single=_sensed, blind=("beta_in",)),
     Example(VehicleState.of(NonlinearSingleTrack(vehicle=PASSAT))),
     Example(VehicleState.of(LinearSingleTrack(vehicle=PASSAT), horizon=0.0)),
+    Example(
+        AdaptiveState(
+            block=VehicleState.of(NonlinearSingleTrack(vehicle=PASSAT)),
+            steering=SingleTrackFilter(vehicle=PASSAT, held=False, longest=0.2),
+        )
+    ),
     Example(Sensors.hard(seed=3), single=_seeded),
     Example(Human(seed=3), single=_seeded),
     Example(ConstantSpeed()),

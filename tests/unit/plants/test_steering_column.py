@@ -73,6 +73,13 @@ def test_off_it_is_not_there(motor: list[float]) -> None:
     assert (outputs(SteeringColumn(), motor) == np.array(motor)[:, None]).all()
 
 
+def test_a_sensors_zero_is_shown_and_moves_nothing() -> None:
+    motor = [0.0, 1.0, 0.9, 0.5, 0.7]
+    right, off = (outputs(SteeringColumn(friction=0.1, play=0.2, zero=zero), motor) for zero in (0.0, 0.05))
+    assert (off[:, 0] == right[:, 0]).all()
+    assert off[:, 1] == pytest.approx(right[:, 1] + 0.05, abs=1e-15)
+
+
 def test_it_starts_in_the_middle_where_it_stands() -> None:
     road, wheel = outputs(SteeringColumn(friction=0.1, play=0.2), [0.7, 0.75, 0.65]).T
     assert (wheel.tolist(), road.tolist()) == ([0.7] * 3, [0.7] * 3)
@@ -82,3 +89,8 @@ def test_it_starts_in_the_middle_where_it_stands() -> None:
 def test_parameters_out_of_range(field: str, value: float) -> None:
     with pytest.raises(ValueError, match=rf"SteeringColumn: {field} = {value} \[rad\], expected 0 to 1"):
         SteeringColumn(**{field: value})
+
+
+def test_a_zero_that_no_sensor_has() -> None:
+    with pytest.raises(ValueError, match=r"SteeringColumn: zero = 3.0 \[rad\], expected -1 to 1"):
+        SteeringColumn(zero=3.0)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from steerkit.controllers.estimators.adaptive_state import AdaptiveState
 from steerkit.controllers.estimators.vehicle_state import VehicleState
 from steerkit.plants.poor_sensors import PoorSensors
 from steerkit.plants.sensors import Sensors
@@ -85,8 +87,38 @@ def test_an_estimator_is_told_the_data_sheet_and_stands_between_sensors_and_cont
     assert loop.inputs_of("controller_path")["x"] == "estimator.x"
     clean = replace(Scenario(), estimator="vehicle-state")
     assert isinstance(clean.sensors(0), Sensors)
-    with pytest.raises(ValueError, match="estimator 'kalman'; valid: none, vehicle-state"):
+    with pytest.raises(ValueError, match="estimator 'kalman'; valid: none, vehicle-state, adaptive-state"):
         Scenario(estimator="kalman")
+
+
+def test_one_that_is_told_what_is_found_is_the_same_inside() -> None:
+    adapts = Scenario.under("real", estimator="adaptive-state", noise=2.0, delay=0.1)
+    block, plain = adapts.estimator_block(), replace(adapts, estimator="vehicle-state").estimator_block()
+    assert isinstance(block, AdaptiveState)
+    assert isinstance(plain, VehicleState)
+    for name in ("horizon", "steer_ratio", "position_drift", "r_noise", "heading_drift"):
+        assert getattr(block.block, name) == getattr(plain, name)
+    assert block.steering.vehicle == adapts.nominal
+    assert adapts.belief().delay == pytest.approx(0.1)
+    loop = assembled(adapts, controller("mpc", adapts), seed=3)
+    assert loop.inputs_of("estimator")["motion_age_in"] == "sensors.age"
+    assert loop.inputs_of("controller")["r"] == "estimator.r"
+
+
+def test_sensors_show_their_zeros() -> None:
+    off = Scenario.under("hard", wheel_zero_deg=3.0, gyro_zero_deg=-0.2)
+    column = off.column()
+    assert isinstance(column, SteeringColumn)
+    assert (column.zero, column.play) == (radians_of(3.0), 0.0)
+    assert replace(off, wheel_zero_deg=0.0).column() is None
+    for sensing, clean in (("hard", 0.0), ("no sideslip", 1.0), ("real", 1.0)):
+        sensors: Any = replace(off, sensing=sensing, noise=clean, latency=0.0).sensors(1)
+        assert getattr(sensors, "block", sensors).r_bias == radians_of(-0.2)
+    loop = assembled(off, controller("mpc", off), seed=3)
+    assert loop.inputs_of("controller")["delta_sw_meas"] == "column.delta_sw_meas"
+    assert loop.inputs_of("car")["delta_sw_cmd"] == "column.delta_sw"
+    with pytest.raises(ValueError, match=r"gyro_zero_deg = 6.0 \[deg/s\]"):
+        Scenario(gyro_zero_deg=6.0)
 
 
 def test_a_car_with_all_of_it_is_driven_worse_but_driven() -> None:
