@@ -72,6 +72,7 @@ KEYS = {
     "tune_stanley": {"predicted", "plain"},
     "vehicle_state": {
         *("rms_x", "wheel_x", "wheel_noise_x", "innovation_ok_pct", "nis_mean", "side_coverage_pct", "unlike_x"),
+        *("mistold_x", "mistold_x_raw", "mistold_innovation_ok_pct", "mistold_nis_mean", "mistold_max_e_m"),
         *("outage_coverage_pct", "outage_said_pct", "jump_said_pct", "lap_half_second_x", "cost_python_us"),
     },
 }
