@@ -59,41 +59,44 @@ def directory() -> Path:
     return Path(tempfile.mkdtemp(prefix="steerkit-"))
 
 
-def load(source: str, *, fused: bool = False, vector_maths: bool = False, as_python: bool = False) -> ctypes.CDLL:
+def load(
+    source: str, *, fused: bool = False, vector_maths: bool = False, as_python: bool = False, in_full: bool = False
+) -> ctypes.CDLL:
     """The library of a C file, compiled at the first call on this machine and found in the cache after that.
 
     fused: multiply-adds may be fused (quicker; rounded once instead of twice). vector_maths: for vectors of
-    cars; fused, and linked to glibc's libmvec where there is one. as_python: see `AS_PYTHON`. Raises NoCompilerError
-    when there is no compiler, or it refuses.
+    cars; fused, and linked to glibc's libmvec where there is one. as_python: see `AS_PYTHON`. in_full:
+    optimised in full whatever $CC asks for, for what computes for minutes. Raises NoCompilerError when there is no
+    compiler, or it refuses.
     """
     tool = compiler()
     if tool is None:
         missing = f"CC = {os.environ['CC']} is not there" if os.environ.get("CC") else "neither gcc nor cc is there"
         raise NoCompilerError(f"no C compiler found ({missing}): install gcc (or clang), or set CC")
     rounding = FUSED if fused or vector_maths else AS_PYTHON if as_python else EXACT
-    flags = (*FLAGS, *tool[1:], *rounding, *(["libmvec"] if vector_maths else []))
+    options = (*FLAGS, *tool[1:], *FLAGS[:in_full], *rounding)  # those of $CC win over ours, but for the rounding
+    flags = (*options, *(["libmvec"] if vector_maths else []))
     key = hashlib.sha256("\0".join((source, _machine(tool[0]), *flags)).encode()).hexdigest()[:32]
     library = directory() / f"{key}.so"
     try:
         if not library.exists():
-            _build(tool, source, library, rounding, vector_maths=vector_maths)
+            _build(tool[0], options, source, library, vector_maths=vector_maths)
         return ctypes.CDLL(str(library))
     except OSError as error:
         raise NoCompilerError(f"cannot compile in {library.parent}, or load from it: {error}") from error
 
 
-def _build(tool: tuple[str, ...], source: str, library: Path, rounding: tuple[str, ...], *, vector_maths: bool) -> None:
+def _build(tool: str, options: tuple[str, ...], source: str, library: Path, *, vector_maths: bool) -> None:
     with tempfile.TemporaryDirectory(dir=library.parent) as folder, whole(library) as made:
         file = Path(folder, "source.c")
         file.write_text(source, encoding="utf-8")
         tries = [["-DVECTOR_MATHS", "-Wl,--no-undefined", "-lmvec"], []] if vector_maths else [[]]
         for extra in tries:  # the second, lane by lane, is for machines without libmvec
-            options = [*FLAGS, *tool[1:], *rounding, *extra[:1]]  # those of $CC win over ours, but for the rounding
-            command = [tool[0], *options, str(file), "-o", str(made), *extra[1:], "-lm"]
+            command = [tool, *options, *extra[:1], str(file), "-o", str(made), *extra[1:], "-lm"]
             done = subprocess.run(command, capture_output=True, encoding="utf-8", errors="replace", check=False)
             if done.returncode == 0:
                 return
-        raise NoCompilerError(f"{' '.join(tool)} refused the generated code: {done.stderr.strip()[:500]}")
+        raise NoCompilerError(f"{tool} refused the generated code: {done.stderr.strip()[:500]}")
 
 
 @functools.cache
