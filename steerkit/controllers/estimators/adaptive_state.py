@@ -51,10 +51,10 @@ class AdaptiveState(Block):
         angle = (delta_sw_meas + offset)/g (L + K v^2)/(L + K' v^2),   rate = r_in - rate_zero
 
     as delta_sw_meas and r_in: the angle at which a car as in the data sheet, L, K, turns as fast as this one. What is
-    told starts with the data sheet (g = 1, K' = K, 0, 0) and moves towards an estimate, no faster than so much a second,
-    only while that is valid and within its bounds; else it stays. What is left of the zeros `block` finds itself. A
-    dead time is not told: the wheel's angle is measured, behind the steering's delay and lag; the age of what is
-    measured is said with it.
+    told starts with the data sheet (g = 1, K' = K, 0, 0) and moves towards an estimate, no faster than so much a
+    second, only while that is valid and within its bounds; else it stays. What is left of the zeros `block` finds
+    itself. A dead time is not told: the wheel's angle is measured, behind the steering's delay and lag; the age of
+    what is measured is said with it.
 
     Ports and sample time are those of `block`; outputs besides: ratio [1], understeer [rad s^2/m], as told; gyro_zero
     and wheel_offset are what is told with what `block` finds. State: that of `block`, of `steering`, the motion of a
