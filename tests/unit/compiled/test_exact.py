@@ -101,6 +101,30 @@ def test_it_stops_before_a_sample_in_which_python_might_raise(fault: dict[str, f
         rows_of(loop, 0, 1, 2, loop.init())
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Inverse(Block):
+    """At most five, which an infinity would be as well."""
+
+    value = Out("1", direct=())
+    divisor: float = 3.0
+    dt: float = 0.01
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        return self.Y(m.minimum(5.0, 1.0 / self.divisor))
+
+
+def test_an_infinity_that_shows_nowhere_stops_it_where_python_does_not_divide() -> None:
+    program = ExactProgram(Loop(blocks={"one": Inverse()}, wires=[]), ticks=1, parameters=["one.divisor"])
+    state = program.trace.layout
+    for divisor, done in ((0.1, 10), (0.0, 0)):
+        loop = Loop(blocks={"one": Inverse(divisor=divisor or 1.0)}, wires=[])
+        slots = np.array(state.pack(loop.init().x, loop.init().y))
+        first, _ = program.run(0, 10, slots, np.array([divisor]))
+        assert len(first) == done
+    with pytest.raises(ZeroDivisionError):
+        Inverse(divisor=0.0).output(0.0, (), ())
+
+
 def test_a_number_that_overflows_stops_it_too_and_the_samples_before_are_there() -> None:
     loop = Loop(blocks={"fast": Walk(gain=2.0)}, wires=[])
     program = ExactProgram(loop, ticks=1, parameters=["fast.gain"])

@@ -6,7 +6,9 @@ import math
 import signal
 import subprocess
 import sys
+import threading
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -180,6 +182,27 @@ def test_files_that_workers_hand_back_are_written_by_whoever_asked(reference: Re
     assert {name: values.tobytes() for name, values in one.items()} == {n: v.tobytes() for n, v in other.items()}
     with pytest.raises(FileNotFoundError, match="no such folder"):
         list(runner._kept(iter([done]), runner.Store(tmp_path / "nowhere")))
+
+
+def test_one_case_that_cannot_be_written_is_told_while_others_can(
+    reference: Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store, case, failed = runner.Store(tmp_path), reference.cases[0], threading.Event()
+
+    def write(files: object) -> None:
+        failed.set()
+        raise OSError("no space left on device")
+
+    def coming() -> Iterator[runner.Done]:
+        yield runner.Done(case, {"cases/one.json": b""})
+        failed.wait(10.0)
+        for _ in range(3):
+            time.sleep(0.05)
+            yield runner.Done(case)
+
+    monkeypatch.setattr(store, "write", write)
+    with pytest.raises(OSError, match="no space left"):
+        list(runner._kept(coming(), store))
 
 
 def test_drives_that_are_compiled_alike_are_handed_out_together(tmp_path: Path) -> None:
