@@ -170,14 +170,14 @@ def sensible_safety(figures: Any) -> None:
 
 def sensible_scheduler(figures: Any) -> None:
     """How fast depends on what else the machine does; processor time does less."""
-    assert (figures["tasks"], figures["cases"], figures["errors"]) == (100, 4, 0)
+    assert (figures["tasks"], figures["cases"], figures["errors"]) == (40, 4, 0)
     assert 50.0 < figures["result_kb"] < 200.0
     assert 0.1 < figures["scheduler_ms_per_task"] < 100.0
     assert 0.1 < figures["client_ms_per_result"] < 100.0
     each = max(1.0 / figures["scheduler_tasks_per_second"], 1.0 / figures["client_results_per_second"])
     assert figures["shortest_case_s"] == pytest.approx(1000.0 * each)
     assert figures["two_workers_x"] > 0.0
-    assert 1.0 < figures["two_workers_free_x"] < 2.5
+    assert 0.8 < figures["two_workers_free_x"] < 3.0
 
 
 def sensible_learning(figures: Any) -> None:
