@@ -19,7 +19,7 @@ from steerkit.catalogue import make_element
 from steerkit.compiled import Compiled, TraceError, compile
 from steerkit.compiled.trace import parameter
 from steerkit.controllers.network_policy import PolicyBlock
-from steerkit.controllers.nfq_native import kind_of
+from steerkit.controllers.nfq_native import Kind
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.loop import Loop, Sample
 from steerkit.metrics import measures, step_times
@@ -46,8 +46,6 @@ SIGNALS = {
     "a_y": "car.a_y",
     "learning": "supervisor.learning",
 }
-_PROGRAMS = 16
-_LEARNED: dict[tuple[Any, ...], PolicyProgram | None] = {}
 _LEAST = 40  # samples: 2 s; less is no drive to measure
 _KEPT = 1500  # samples of a trajectory, about
 
@@ -143,23 +141,18 @@ def _driven(
             caught = learned and now["supervisor.learning"] < 0.5
             return caught or now["path.progress"] >= length or not abs(now["path.e"]) <= OFF_COURSE
 
-        in_c = None if policy is None else _learned_program(form, policy)
+        net = policy.block if policy is not None and isinstance(policy.block, NfqPolicy) else None
+        in_c = None if policy is None or net is None else _learned_program(form, policy.setting, Kind(net))
         return driven(loop, seconds, until=over, program=in_c, record=record)
     values = {key: parameter(loop, key) for key in program.parameters}
     return program.run(seconds, state=loop.init(), parameters=values, allow_nonfinite=True)
 
 
-def _learned_program(form: Scenario, policy: Policy) -> PolicyProgram | None:
+@lru_cache(maxsize=16)
+def _learned_program(form: Scenario, setting: str, kind: Kind) -> PolicyProgram | None:
     """The drive in C that all nets of a kind share, whatever is left open of the scenario; None: interpreted."""
-    if not isinstance(policy.block, NfqPolicy):
-        return None
-    key = form, policy.setting, kind_of(policy.block)
-    if key not in _LEARNED:
-        if len(_LEARNED) >= _PROGRAMS:
-            _LEARNED.pop(next(iter(_LEARNED)))
-        loop = suite_loop(form, policy.block, doe=policy.element(form.nominal))
-        _LEARNED[key] = program_of(loop, open_parameters(form))
-    return _LEARNED[key]
+    policy = Policy(kind.policy, setting)
+    return program_of(suite_loop(form, policy.block, doe=policy.element(form.nominal)), open_parameters(form))
 
 
 @lru_cache(maxsize=16)

@@ -266,16 +266,20 @@ def numbers_of(policy: NfqPolicy) -> tuple[float, ...]:
     return (policy.ready_from, float(policy.forecast is not None), float(about.samples), *map(float, about.numbers))
 
 
-def kind_of(policy: NfqPolicy) -> tuple[Any, ...]:
-    """What a program for an `OpenPolicy` depends on: equal for policies that one program serves."""
-    return (
-        policy.actions,
-        repr(policy.description),
-        policy.continuous,
-        policy.preview_points,
-        policy.preview_dt,
-        policy.dt,
-    )
+class Kind:
+    """What a program for an `OpenPolicy` depends on, as the key of a cache: equal for policies that one serves."""
+
+    def __init__(self, policy: NfqPolicy):
+        self.policy = policy
+        """One of them."""
+        reading = policy.preview_points, policy.preview_dt, policy.dt
+        self._key = policy.actions, repr(policy.description), policy.continuous, *reading
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Kind) and self._key == other._key
 
 
 def _refused(*_: Any) -> Any:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from steerkit.controllers.nfq_native import kind_of
+from steerkit.controllers.nfq_native import Kind
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.learning.settings import Setting
 from steerkit.metrics import GOOD, Summary, of_log
@@ -53,7 +53,7 @@ def drive_each(scenario: Scenario, setting: Setting, policies: Sequence[Any], *,
 
 def _drive_one(scenario: Scenario, setting: Setting, policy: Any, seed: int, *, compiled: bool) -> TrialDrive:
     doe = setting.element(scenario.nominal)
-    program = _program(scenario, setting, _Kind(policy)) if compiled and isinstance(policy, NfqPolicy) else None
+    program = _program(scenario, setting, Kind(policy)) if compiled and isinstance(policy, NfqPolicy) else None
     log = evaluate.drive(scenario, policy, doe=doe, seed=seed, rounds=1.0, only_while_held=True, program=program)
     return _judged(log, scenario.round_length)
 
@@ -76,20 +76,7 @@ def _first(flags: np.ndarray) -> int:
     return int(flags.argmax()) if flags.any() else len(flags)
 
 
-class _Kind:
-    """A policy as a cache key: what its compiled loop depends on."""
-
-    def __init__(self, policy: NfqPolicy):
-        self.policy, self.key = policy, kind_of(policy)
-
-    def __hash__(self) -> int:
-        return hash(self.key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Kind) and self.key == other.key
-
-
 @lru_cache(maxsize=8)
-def _program(scenario: Scenario, setting: Setting, kind: _Kind) -> PolicyProgram | None:
+def _program(scenario: Scenario, setting: Setting, kind: Kind) -> PolicyProgram | None:
     """None: interpreted."""
     return program_of(evaluate.drive_loop(scenario, kind.policy, doe=setting.element(scenario.nominal)))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from steerkit.assembly import with_controller
 from steerkit.block import Block
-from steerkit.controllers.nfq_native import NativeNets, NotTheSameError, OpenPolicy, kind_of, numbers_of
+from steerkit.controllers.nfq_native import Kind, NativeNets, NotTheSameError, OpenPolicy, numbers_of
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.supervisor import Guarded
 from steerkit.loop import Loop, LoopState, Sample
@@ -48,7 +48,7 @@ class PolicyProgram:
         from steerkit.compiled.exact import ExactProgram
 
         policy = policy_of(loop)
-        self.kind, self._open = kind_of(policy), tuple(parameters)
+        self.kind, self._open = Kind(policy), tuple(parameters)
         guard = "block." if isinstance(loop.blocks["controller"], Guarded) else ""
         try:
             self._exact = ExactProgram(
@@ -73,7 +73,7 @@ class PolicyProgram:
         from steerkit.compiled.trace import parameter
 
         policy = policy_of(loop)
-        if kind_of(policy) != self.kind:
+        if Kind(policy) != self.kind:
             raise Refused("the policy is of another kind than the one that was compiled")
         fields = [float(parameter(loop, name)) for name in self._open]
         return Steering(NativeNets(policy), np.array([*fields, *numbers_of(policy)]))
@@ -141,7 +141,8 @@ class Driver:
         self.in_c = 0
         """Samples driven in C."""
         self.why_interpreted = ""
-        self._program, self._building = program, None if program is None else _done()
+        self._program = program
+        self._building: _Building | None = None
         self._steering: Steering | None = None
         self._trusted = False
         self._samples = 0
@@ -243,8 +244,7 @@ class Driver:
         if self.why_interpreted or (self._program is None and not self._make_in_time()):
             return False
         assert self._program is not None
-        assert self._building is not None
-        if self._building.is_alive():
+        if self._building is not None and self._building.is_alive():
             return False
         try:
             if self._steering is None:
@@ -297,7 +297,8 @@ class Driver:
             self._building.start()
 
     def _join(self) -> None:
-        assert self._building is not None
+        if self._building is None:
+            return  # a program that was handed over
         self._building.join()
         if self._building.error is not None:
             raise self._building.error
@@ -341,24 +342,16 @@ def driven(
 class _Building(threading.Thread):
     """The compiler at work while the run goes on."""
 
-    def __init__(self, program: PolicyProgram | None):
+    def __init__(self, program: PolicyProgram):
         super().__init__(name="steerkit compiler")
-        self.program, self.error = program, None
-
-    error: NoCompilerError | None
+        self.program = program
+        self.error: NoCompilerError | None = None
 
     def run(self) -> None:
         try:
-            if self.program is not None:
-                self.program.build()
+            self.program.build()
         except NoCompilerError as error:
             self.error = error
-
-
-def _done() -> _Building:
-    thread = _Building(None)
-    thread.start()
-    return thread
 
 
 def policy_of(loop: Loop) -> NfqPolicy:

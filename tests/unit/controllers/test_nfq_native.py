@@ -12,7 +12,7 @@ import pytest
 
 from steerkit.controllers import nfq_native
 from steerkit.controllers.forecast import LONGEST, PREVIEW, Forecast
-from steerkit.controllers.nfq_native import NativeNets, NotTheSameError, OpenPolicy, kind_of, numbers_of
+from steerkit.controllers.nfq_native import Kind, NativeNets, NotTheSameError, OpenPolicy, numbers_of
 from steerkit.controllers.nfq_policy import BANG_BANG_ACTIONS, COMBINATIONS, NfqPolicy
 from steerkit.controllers.state_description import StateDescription
 from steerkit.native import compiler
@@ -61,7 +61,7 @@ def test_numpy_with_another_layout_is_found_out() -> None:
 
 def test_what_differs_is_open_and_what_does_not_is_the_kind() -> None:
     one = policy()
-    assert kind_of(one) == kind_of(policy((5,), 2, ready_from=3.0))
+    assert Kind(one) == Kind(policy((5,), 2, ready_from=3.0))
     for other in (
         policy(actions=BANG_BANG_ACTIONS),
         policy(continuous=True),
@@ -69,7 +69,7 @@ def test_what_differs_is_open_and_what_does_not_is_the_kind() -> None:
         policy(dt=0.1),
         policy(description=replace(StateDescription(), scaled_from=8.0)),
     ):
-        assert kind_of(one) != kind_of(other)
+        assert Kind(one) != Kind(other)
     told = policy(preview_points=PREVIEW, forecast=Forecast(samples=3, now=0.4), ready_from=2.0)
     assert numbers_of(told)[:4] == (2.0, 1.0, 3.0, 0.4)
     assert numbers_of(policy(preview_points=PREVIEW))[:3] == (0.0, 0.0, 0.0)
