@@ -84,10 +84,10 @@ def run(
         for number, phase in enumerate(phases):
             these = Here(1) if number == 2 else those
             shared = place if isinstance(these, Here) else None
-            work = [_work(job, scenarios, timed, store, shared) for job in phase]
-            batches = _together(work, these.count)
+            work = [work_of(job, scenarios, timed, store, shared) for job in phase]
+            batches = together(work, these.count)
             coming = (done for _, several in these.done(carry_out_all, batches, say=display.say) for done in several)
-            for done in _kept(coming, store):
+            for done in kept(coming, store):
                 display.finished(done.case)
     return store.merge()
 
@@ -138,7 +138,7 @@ def carry_out(work: Work) -> Done:
     return Done(case)
 
 
-def _together(work: Sequence[Work], workers: int) -> list[list[Work]]:
+def together(work: Sequence[Work], workers: int) -> list[list[Work]]:
     """What is handed out at once: drives that are compiled alike, so that few workers compile the same drive.
 
     Where there are many workers for the cases there are, each is handed out alone.
@@ -158,7 +158,7 @@ def _together(work: Sequence[Work], workers: int) -> list[list[Work]]:
     return batches
 
 
-def _kept(coming: Iterator[Done], store: Store) -> Iterator[Done]:
+def kept(coming: Iterator[Done], store: Store) -> Iterator[Done]:
     """All that comes; what nobody has written yet is written beside that: waiting for the disk holds nobody up."""
     with ThreadPoolExecutor(_WRITERS) as threads:  # whose end waits for what is being written, whatever happens
         writing: set[Future[None]] = set()
@@ -179,9 +179,11 @@ def _cpu_seconds() -> float:
     return times.user + times.system + times.children_user + times.children_system
 
 
-def _work(
+def work_of(
     job: Job, scenarios: Mapping[str, Scenario], timed: Mapping[str, int], store: Store, place: FilePath | None
 ) -> Work:
+    """A case as it is handed out, with the net of its training where there is one. place: where its files are written
+    by whoever carries it out; None: handed back."""
     one, policy = controller(job.controller), None
     if job.kind == "drive" and one.learns:
         file = store.net_file(job.training)

@@ -130,7 +130,7 @@ def cases(count: int) -> list[Work]:
     """The first so many cases of `robustness` with LQR, as the runner hands them to a cluster."""
     one = suite("robustness")
     every, scenes = jobs([one], 1, ["lqr"]), {scene.name: scene for scene in one.scenarios}
-    return [runner._work(job, scenes, {}, Store("none-is-read"), None) for job in every[:count]]
+    return [runner.work_of(job, scenes, {}, Store("none-is-read"), None) for job in every[:count]]
 
 
 def with_made_up_work(address: str, work: Work, tasks: int, count: int) -> dict[str, Any]:
@@ -143,7 +143,7 @@ def with_made_up_work(address: str, work: Work, tasks: int, count: int) -> dict[
 
         def written(some: Sequence[MadeUp]) -> None:
             coming = (Done(done.case, files) for _, files in Cluster(client).done(made_up, some))
-            for _ in runner._kept(coming, store):
+            for _ in runner.kept(coming, store):
                 pass
 
         def spent() -> dict[str, float]:
@@ -202,8 +202,8 @@ def with_workers(address: str, work: Sequence[Work], count: int) -> tuple[float,
     with results() as store, workers(address, *[alone] * count, count=count) as client:
         client.run(timed, work[0])  # each: whatever is done once
         cpu = time.process_time() + client.run_on_scheduler(time.process_time)
-        batches, begun = runner._together(work, count), time.perf_counter()
-        for _ in runner._kept(noted(Cluster(client).done(timed_all, batches)), store):
+        batches, begun = runner.together(work, count), time.perf_counter()
+        for _ in runner.kept(noted(Cluster(client).done(timed_all, batches)), store):
             pass
         wall = time.perf_counter() - begun
         cpu = time.process_time() + client.run_on_scheduler(time.process_time) - cpu

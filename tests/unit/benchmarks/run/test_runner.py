@@ -87,25 +87,25 @@ class Bomb:
 def test_a_killed_worker_costs_nothing_but_time(
     reference: Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    fuse, place, whole = tmp_path / "fuse", tmp_path / "worker", runner._work
+    fuse, place, whole = tmp_path / "fuse", tmp_path / "worker", runner.work_of
 
     def armed(job: Any, *rest: Any) -> Any:
         work = whole(job, *rest)
         return replace(work, policy=Bomb(fuse)) if job.seed == 1 and job.controller == "stanley" else work
 
-    monkeypatch.setattr(runner, "_work", armed)
+    monkeypatch.setattr(runner, "work_of", armed)
     results = run([TINY], place, workers=2, quiet=True)
     assert fuse.exists()
     named = [case for case in results.cases if case.status != "done"]
     assert [case.error for case in named] == ["AttributeError: 'int' object has no attribute 'block'"]
-    monkeypatch.setattr(runner, "_work", whole)
+    monkeypatch.setattr(runner, "work_of", whole)
     same(run([TINY], place, workers=1, quiet=True), reference)  # the case that went wrong is tried again
 
 
 def test_workers_that_always_die_end_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fuses = [tmp_path / f"fuse{n}" for n in range(9)]
-    whole = runner._work
-    monkeypatch.setattr(runner, "_work", lambda *all_: replace(whole(*all_), policy=Bomb(*fuses)))
+    whole = runner.work_of
+    monkeypatch.setattr(runner, "work_of", lambda *all_: replace(whole(*all_), policy=Bomb(*fuses)))
     monkeypatch.setattr(spread, "_PATIENCE", 2)
     with pytest.raises(WorkersDiedError, match=r"workers died 2 times with nothing finished .*; 6 of 6 are left"):
         run([TINY], tmp_path / "dead", workers=2, quiet=True)
@@ -127,12 +127,12 @@ def test_bad_options(tmp_path: Path, options: dict[str, Any], message: str) -> N
 
 def test_what_goes_wrong_in_a_case_is_its_result(tmp_path: Path) -> None:
     job = jobs([TINY])[0]
-    work = runner._work(job, {}, {}, runner.Store(tmp_path), None)
+    work = runner.work_of(job, {}, {}, runner.Store(tmp_path), None)
     lost = carry_out(work)
     assert (lost.case.status, lost.case.error.split(":")[0]) == ("error", "AssertionError")
     learner = replace(job, controller="nfq-idoe")
     scenario = {TINY.scenarios[0].name: TINY.scenarios[0]}
-    untaught = carry_out(runner._work(learner, scenario, {}, runner.Store(tmp_path), None))
+    untaught = carry_out(runner.work_of(learner, scenario, {}, runner.Store(tmp_path), None))
     assert untaught.case.error == "RuntimeError: its training training--train-clean--nfq-idoe--s0 did not finish"
 
 
@@ -166,12 +166,12 @@ def test_files_that_workers_hand_back_are_written_by_whoever_asked(reference: Re
     store = runner.Store(tmp_path / "results")
     store.open(reference.provenance)
     scenario = {one.name: one for one in TINY.scenarios}
-    done = carry_out(runner._work(jobs([TINY])[0], scenario, {}, store, None))
+    done = carry_out(runner.work_of(jobs([TINY])[0], scenario, {}, store, None))
     case = done.case
     assert set(done.files or ()) == {f"trajectories/{case.id}.npz", f"cases/{case.id}.json"}
     assert list(done.files or ())[-1] == f"cases/{case.id}.json"
     assert not store.has(case.id)
-    kept = list(runner._kept(iter([done, runner.Done(replace(case, seed=7))]), store))
+    kept = list(runner.kept(iter([done, runner.Done(replace(case, seed=7))]), store))
     assert [(one.case.seed, one.files) for one in kept] == [(case.seed, None), (7, None)]
     (mine,) = load_results(store.place).cases
     (theirs,) = [one for one in reference.cases if one.id == case.id]
@@ -181,7 +181,7 @@ def test_files_that_workers_hand_back_are_written_by_whoever_asked(reference: Re
     assert other is not None
     assert {name: values.tobytes() for name, values in one.items()} == {n: v.tobytes() for n, v in other.items()}
     with pytest.raises(FileNotFoundError, match="no such folder"):
-        list(runner._kept(iter([done]), runner.Store(tmp_path / "nowhere")))
+        list(runner.kept(iter([done]), runner.Store(tmp_path / "nowhere")))
 
 
 def test_one_case_that_cannot_be_written_is_told_while_others_can(
@@ -202,7 +202,7 @@ def test_one_case_that_cannot_be_written_is_told_while_others_can(
 
     monkeypatch.setattr(store, "write", write)
     with pytest.raises(OSError, match="no space left"):
-        list(runner._kept(coming(), store))
+        list(runner.kept(coming(), store))
 
 
 def test_drives_that_are_compiled_alike_are_handed_out_together(tmp_path: Path) -> None:
@@ -210,14 +210,14 @@ def test_drives_that_are_compiled_alike_are_handed_out_together(tmp_path: Path) 
     one = suite("robustness")
     scenes = {scene.name: scene for scene in one.scenarios}
     planned = jobs([one], 1, ["lqr"])
-    work = [runner._work(job, scenes, {}, runner.Store(tmp_path), None) for job in planned]
-    batches = runner._together(work, 1)
+    work = [runner.work_of(job, scenes, {}, runner.Store(tmp_path), None) for job in planned]
+    batches = runner.together(work, 1)
     assert sorted(piece.job.id for batch in batches for piece in batch) == sorted(job.id for job in planned)
     seen = [{shape(controller("lqr").in_its_eyes(piece.scenario)) for piece in batch} for batch in batches]  # type: ignore[arg-type]
     assert {len(forms) for forms in seen} == {1}
     assert max(map(len, batches)) == 8
     forms = set.union(*seen)
     assert len(forms) <= len(batches) <= len(forms) + len(work) // 8
-    assert [len(batch) for batch in runner._together(work, 1000)] == [1] * len(work)
+    assert [len(batch) for batch in runner.together(work, 1000)] == [1] * len(work)
     taught = [replace(piece, job=replace(piece.job, kind="learn")) for piece in work]
-    assert [len(batch) for batch in runner._together(taught, 1)] == [1] * len(work)
+    assert [len(batch) for batch in runner.together(taught, 1)] == [1] * len(work)
