@@ -231,6 +231,15 @@ def test_a_study_is_run_in_its_quick_form() -> None:
                 )
 
 
+def test_a_suite_is_run_in_a_part() -> None:
+    """As it stands, a suite drives for minutes or hours; the golden one is made to take seconds."""
+    for page in PAGES:
+        for step in story(page):
+            if "benchmarks run" in step.run and "--backend dask" not in step.run:
+                part = " run golden" in step.run or ("--only" in step.run and "--seeds 1" in step.run)
+                assert part, f"{page.name}: {step.run}: tests/support/shell_lines.toml"
+
+
 def test_a_learning_run_is_a_short_one() -> None:
     """As it stands, `steerkit learn` drives for eleven minutes, a minute's computing."""
     for page in PAGES:
