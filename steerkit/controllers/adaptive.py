@@ -7,7 +7,7 @@ from collections import namedtuple
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 from steerkit import maths as m
 from steerkit.block import Block, In, Out, Port, State, entries_of, take_ports
@@ -16,6 +16,15 @@ from steerkit.controllers.estimators.steering_delay import YawDelay
 from steerkit.errors import require, require_within
 from steerkit.maths import Scalar
 from steerkit.task import STOP
+
+
+class Told(NamedTuple):
+    """What the controllers that adapt are told of their car."""
+
+    delay: Scalar
+    """Dead time [s]."""
+    ratio: Scalar
+    """Steering ratio over the data sheet's [1]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -38,10 +47,11 @@ class Adaptive(Block):
 
     Ports and sample time are those of `blocks`, the inputs v and r among them; the preview is the longest. One that
     `hears` has an input more, doe [rad]: the angle that was asked for a sample before, whoever did. State: those
-    of `blocks`, of `delay` and `steering`, then d [s] and g [1]. Only the two controllers that are mixed are
-    asked in a drive of one car. NaN in v, r or doe teaches nothing. Raises ValueError for parameters out of range, and
-    for controllers with other ports. Source: Astrom, Wittenmark 1995, sections 1.4 (gain scheduling) and 3.1 (certainty
-    equivalence: estimates are used as if they were the truth).
+    of `blocks`, of `delay` and `steering`, then whether it rests [1], d [s] and g [1]. Only the two controllers that
+    are mixed are asked in a drive of one car. NaN in v, r or doe teaches nothing, nor does a sample in which it rests:
+    see `rested`. Raises ValueError for parameters out of range, and for controllers with other ports. Source: Astrom,
+    Wittenmark 1995, sections 1.4 (gain scheduling) and 3.1 (certainty equivalence: estimates are used as if they were
+    the truth).
     """
 
     blocks: tuple[Block, ...]
@@ -119,7 +129,19 @@ class Adaptive(Block):
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         inner = [value for block in (*self.blocks, self.delay, self.steering) for value in block.init(batch)]
-        return (*inner, *[m.filled(value, batch) for value in (self.prior_delay, 1.0)])
+        return (*inner, *[m.filled(value, batch) for value in (0.0, self.prior_delay, 1.0)])
+
+    def told(self, x: State) -> Told:
+        """What is told in state `x`."""
+        return Told(*x[-2:])
+
+    def rested(self, x: State, settled: State) -> State:
+        """The state `settled` with what `x` has found and tells, for one whose commands nobody followed since.
+
+        Somebody else steered: the next sample teaches nothing, nor do those after it until its commands have acted.
+        """
+        first = self._parts[len(self.blocks)][1]
+        return (*settled[:first], *x[first:-3], 1.0, *x[-2:])
 
     def settle(self, t: float, x: State, u: Any) -> State:
         states = self._states(x)
@@ -131,7 +153,7 @@ class Adaptive(Block):
         return (*settled, *x[len(settled) :])
 
     def output(self, t: Any, x: State, u: Any) -> Any:
-        delay, ratio = x[-2:]
+        delay, ratio = self.told(x)
         place = (delay - self.delays[0]) / (self.delays[1] - self.delays[0])
         states, asked, nearest = self._states(x), 0.0, None
         for i, block in enumerate(self.blocks):
@@ -145,7 +167,7 @@ class Adaptive(Block):
         return nearest._replace(delta_sw=command)  # type: ignore[union-attr]
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
-        delay, ratio = x[-2:]
+        rests, delay, ratio = x[-3:]
         states = self._states(x)
         own = y._replace(delta_sw=y.delta_sw / ratio)
         after = [
@@ -154,7 +176,7 @@ class Adaptive(Block):
         ]
         found, known = self.delay.output(t, states[-2], ()), self.steering.output(t, states[-1], ())
         sent = u.doe if self.hears else y.delta_sw
-        after.append(self.delay.update(t, states[-2], self.delay.U(sent, 1.0, u.r, u.v), found))
+        after.append(self.delay.update(t, states[-2], self.delay.U(sent, 1.0 - rests, u.r, u.v), found))
         car = self.steering.vehicle
         n = ratio * car.steer_ratio
         steep = m.tan(sent / n)
@@ -162,7 +184,7 @@ class Adaptive(Block):
         bent = n * steep / m.sqrt(1.0 + lever * lever)
         dead, late = found.delay_lag - self.lag, self.dt if self.hears else 0.0
         step = m.absolute(bent - states[-1][0])  # the filter's state begins with the angle of a sample before
-        followed = m.where(step <= self.delay.rate_limit * self.dt, 1.0, 0.0)
+        followed = m.where(m.both(step <= self.delay.rate_limit * self.dt, rests < 0.5), 1.0, 0.0)
         watched = self.steering.U(bent, u.v, u.r, math.nan, dead, self.lag, found.delay_lag_deviation, followed)
         after.append(self.steering.update(t, states[-1], watched, known))
         bounds = self.delays[0], self.delays[-1]
@@ -170,7 +192,7 @@ class Adaptive(Block):
             self._told(delay, dead + late, found.delay_lag_valid, self.delay_rate, bounds),
             self._told(ratio, known.ratio, known.ratio_valid, self.ratio_rate, (self.ratio_least, self.ratio_most)),
         )
-        return (*[value for state in after for value in state], *told)
+        return (*[value for state in after for value in state], 0.0 * rests, *told)
 
     def _told(self, before: Scalar, value: Scalar, valid: Scalar, rate: float, bounds: tuple[float, float]) -> Scalar:
         """What is told a sample later."""

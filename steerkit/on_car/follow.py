@@ -11,10 +11,12 @@ from typing import Any, Protocol, Self
 
 from steerkit.assembly import controller_of, with_controller
 from steerkit.catalogue import OLD_ELEMENTS
+from steerkit.controllers.adaptive import Adaptive
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.supervisor import SupervisorState
 from steerkit.loop import Loop
-from steerkit.plants.real_car.processes.protocol import Filtered
+from steerkit.on_car.estimates import EVERY
+from steerkit.plants.real_car.processes.protocol import Adapted, Filtered
 from steerkit.realtime import Run
 
 
@@ -33,7 +35,8 @@ class Follow:
 
     A pose that comes back after a pause makes the loop begin anew, so that it looks for its place on the path. While
     the human has the wheel, controllers settle on the wheel as it is, again and again: whoever engages finds no memory
-    of commands that nobody obeyed. Depends on nothing but the snapshots, so that a recorded drive can be replayed.
+    of commands that nobody obeyed. One that adapts keeps what it has found of the car, and learns nothing then. Depends
+    on nothing but the snapshots, so that a recorded drive can be replayed.
     """
 
     link: Seen
@@ -60,12 +63,15 @@ class Follow:
         self.engaged = str(snapshot.mode) == "ENGAGED"
         lost = snapshot.places != self.places and self.places >= 0.0 and not self.engaged
         self.places = snapshot.places
-        if lost:
-            run.restart(self.resting.init())
-        elif not self.engaged:
+        if lost or not self.engaged:
+            before = run.x
+            if lost:
+                run.restart(self.resting.init())
             for name in ("controller", "recovery", "safety"):
                 if name in run.loop.blocks:
-                    run.x[run.loop.names.index(name)] = run.loop.settled(name, run.y)
+                    k, block = run.loop.names.index(name), run.loop.blocks[name]
+                    settled = run.loop.settled(name, run.y)
+                    run.x[k] = block.rested(before[k], settled) if isinstance(block, Adaptive) else settled
         return lost
 
     def exchange(self, run: Run, driving: Loop) -> None:
@@ -78,6 +84,20 @@ class Follow:
     def choose(self, run: Run) -> None:
         """The loop of the next sample."""
         run.loop = self.driving if self.engaged and self.trusted else self.resting
+
+
+def adapted_in(run: Run) -> Adapted | None:
+    """What the controller of a loop is told of its car, or else its recovery controller; None where neither adapts."""
+    for name in ("controller", "recovery"):
+        block = run.loop.blocks.get(name)
+        if isinstance(block, Adaptive):
+            return Adapted(*block.told(run.x[run.loop.names.index(name)]))
+    return None
+
+
+def adapted_now(run: Run) -> Adapted | None:
+    """The same as often as it goes into a recording: once a second."""
+    return adapted_in(run) if run.k % EVERY == 0 else None
 
 
 def filtered_in(run: Run) -> Filtered:

@@ -36,8 +36,8 @@ from steerkit.learning.settings import Setting
 from steerkit.learning.story import Story, state_signals, untrained
 from steerkit.learning.trainer import Trainer
 from steerkit.loop import Loop
-from steerkit.on_car.follow import Follow, Steers, filtered_in
-from steerkit.plants.real_car.processes.protocol import Filtered
+from steerkit.on_car.follow import Follow, Steers, adapted_now, filtered_in
+from steerkit.plants.real_car.processes.protocol import Adapted, Filtered
 from steerkit.realtime import Run, run
 from steerkit.vehicles import Vehicle
 
@@ -55,7 +55,7 @@ class Car(Protocol):
         """Say, for the recording, who steers from the next request on."""
         ...
 
-    def tell(self, message: Filtered) -> None:
+    def tell(self, message: Adapted | Filtered) -> None:
         """Say, for the recording, what the safety filter did."""
         ...
 
@@ -187,6 +187,8 @@ class CarLearner:
             self.follow.trusted = story.trusted
             self.tell()
         self.follow.choose(live)
+        if adapted := adapted_now(live):
+            self.link.tell(adapted)
 
     def _action(self, live: Run) -> float:
         """What the learner did."""

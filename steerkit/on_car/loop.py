@@ -23,7 +23,7 @@ from steerkit.errors import require
 from steerkit.learning import rundir
 from steerkit.loop import Loop
 from steerkit.on_car import learner as on_car
-from steerkit.on_car.follow import Follow, Steers
+from steerkit.on_car.follow import Follow, Steers, adapted_now
 from steerkit.outside import is_outside
 from steerkit.path import Path
 from steerkit.plants.human import ConstantSpeed
@@ -82,15 +82,21 @@ class Controller:
     """A learned policy's dynamic output element."""
 
 
-def controller_named(name: str, config: CarConfig) -> Controller:
-    """A controller by name, or a learned policy by its place; raises ValueError with the valid ones."""
+def controller_named(name: str, config: CarConfig, *, in_time: bool = False) -> Controller:
+    """A controller by name, or a learned policy by its place; raises ValueError with the valid ones.
+
+    in_time: whatever it solves is in time, however long it takes; for replays.
+    """
     check_allowed("controller", name, config)
+    belief = belief_of(config)
+    if in_time:
+        belief = replace(belief, budget=None, clock=None)
     base, plus, wave = name.partition("+")
     if plus and base in CONTROLLERS:
-        block = excited(make_controller(base, belief_of(config)), wave, config.vehicle)
+        block = excited(make_controller(base, belief), wave, config.vehicle)
         return Controller(block=block, steers=Steers(name=name))
     if name in CONTROLLERS or is_outside(name):
-        return Controller(block=make_controller(name, belief_of(config)), steers=Steers(name=name))
+        return Controller(block=make_controller(name, belief), steers=Steers(name=name))
     place = LEARNED if name == "nfq" else FilePath(name)
     if place.is_dir():
         nets = [f for f in sorted(place.glob("nets/net-*.npz")) if f.stem != "net-0000"]
@@ -212,6 +218,8 @@ def drive(
     def step(run: realtime.Run) -> bool:
         follow.begin(run)
         follow.choose(run)
+        if adapted := adapted_now(run):
+            link.tell(adapted)
         return bool(watch and watch(run))
 
     link.remark(replace(controller.steers, recovery=recovery).text())

@@ -20,7 +20,7 @@ from typing import Any, Self
 from steerkit.controllers.fail_safe import said
 from steerkit.plants.real_car.decisions.modes import Mode, Order
 from steerkit.plants.real_car.processes.client import CarClient, CarLost
-from steerkit.plants.real_car.processes.protocol import Filtered, Snapshot
+from steerkit.plants.real_car.processes.protocol import Adapted, Filtered, Snapshot
 from steerkit.units import degrees_of
 
 PERIOD = 0.04
@@ -40,9 +40,9 @@ COLOURS = {
 class Panel:
     """Shows who has the wheel and why, and turns keys into orders; without a terminal it prints transitions only.
 
-    session: with `socket`, `timing`, `asked`, `learner_steers`, `filtered`, `corrections`, `watched`, and `ending`,
-    which ends the drive: so does a panel that breaks, as nobody could let go by key any more. live: draw. more: a line
-    of text of somebody else, and what it is about.
+    session: with `socket`, `timing`, `asked`, `learner_steers`, `adapted`, `filtered`, `corrections`, `watched`, and
+    `ending`, which ends the drive: so does a panel that breaks, as nobody could let go by key any more. live: draw.
+    more: a line of text of somebody else, and what it is about.
     """
 
     def __init__(
@@ -152,6 +152,8 @@ class Panel:
             )
         rows += [("warning" if s.mode is Mode.ENGAGED else "against", line) for line in against]
         rows += [("refused", said)] if said else []
+        if self.session.adapted is not None:
+            rows.append(("told", adapted_line(self.session.adapted)))
         if self.session.filtered is not None:
             rows.append(("filter", filter_line(self.session.filtered, self.session.corrections)))
         if self.more:
@@ -185,6 +187,11 @@ def _ring() -> None:
 def line_of(s: Snapshot) -> str:
     """A snapshot's state and cause in one line."""
     return f"{s.mode}: {s.text.splitlines()[0]}"
+
+
+def adapted_line(told: Adapted) -> str:
+    """What a controller that adapts is told of the car."""
+    return f"dead time {told.delay:.3f} s, steering ratio {told.ratio:.3f} times the data sheet's"
 
 
 def filter_line(last: Filtered, corrections: Collection[bool]) -> str:

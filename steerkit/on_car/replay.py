@@ -8,8 +8,8 @@ too, as long as its run directory keeps them.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -18,12 +18,13 @@ from steerkit.controllers.fail_safe import LATE
 from steerkit.loop import Loop
 from steerkit.on_car import loop as loops
 from steerkit.on_car.estimates import CarEstimators, message_of
-from steerkit.on_car.follow import Follow, Steers, filtered_in
+from steerkit.on_car.follow import Follow, Steers, adapted_now, filtered_in
 from steerkit.path import Path
 from steerkit.plants.real_car.decisions.modes import Mode
 from steerkit.plants.real_car.file.config import CarConfig
 from steerkit.plants.real_car.processes.client import CarLost, ReplayLink
 from steerkit.plants.real_car.processes.protocol import (
+    Adapted,
     Estimates,
     Filtered,
     Hello,
@@ -52,6 +53,8 @@ class Drive:
     estimates: list[tuple[int, Estimates]] = field(default_factory=list)
     """What was said to be found of the car, each with the number of requests before it."""
 
+    adapted: dict[int, Adapted] = field(default_factory=dict)
+    """What a controller was told of the car, by the number of requests before it."""
     filtered: list[Filtered] = field(default_factory=list)
     """What the safety filter was said to have done, request by request."""
 
@@ -82,6 +85,8 @@ def drives(recorded: Recorded) -> Iterator[Drive]:
                     drive.samples.append(last if last is not None and last.t == asked.basis else None)
                 case Estimates() as found if values["link"] == link:
                     drive.estimates.append((len(drive.requests), found))
+                case Adapted() as told if values["link"] == link:
+                    drive.adapted[len(drive.requests)] = told
                 case Filtered() as did if values["link"] == link:
                     drive.filtered.append(did)
                 case Remark(text=text) if values["link"] == link:
@@ -125,7 +130,7 @@ class Nets:
 
     def _loop(self, steers: Steers) -> Loop:
         if not steers.sha256:
-            controller = loops.controller_named(steers.name, self.config)
+            controller = loops.controller_named(steers.name, self.config, in_time=True)
         else:
             file = FilePath(steers.name)
             file = FilePath(self.run) / "nets" / file.name if self.run else file
@@ -134,18 +139,16 @@ class Nets:
             if hashlib.sha256(file.read_bytes()).hexdigest() != steers.sha256:
                 raise ValueError(f"{file} is not the net that drove: its SHA-256 differs from the recorded one")
             controller = loops.policy_in(file, steers.doe, self.config)
-        block: Any = controller.block
-        if "budget" in {f.name for f in fields(block)}:  # how long it takes today is no part of what it answered then
-            block = replace(block, clock=None, budget=None)
         how: dict[str, Any] = {"doe": controller.element, "recovery": steers.recovery, "safe": steers.safe}
-        return loops.car_loop(self.config, self.path, self.link, block, **how, clock=self.clock)
+        return loops.car_loop(self.config, self.path, self.link, controller.block, **how, clock=self.clock)
 
 
 def replayed_requests(drive: Drive, config: CarConfig, path: Path, *, controller: str = "", run: str = "") -> int:
     """How many of a drive's requests come out bit for bit the same when its controllers see the recorded snapshots.
 
     A solution that came too late in the drive comes in time here: its request, and a few after it, then differ. A
-    safety filter that was late is late here too, and what it is said to have done counts as part of its request.
+    safety filter that was late is late here too. What it is said to have done counts as part of its request, and so
+    does what a controller that adapts is said to have been told of the car.
     controller: name of another one to put in their place, throughout. run: see `Nets`. Raises ValueError when the
     recording does not tell who steered, or that controller is gone.
     """
@@ -158,7 +161,7 @@ def replayed_requests(drive: Drive, config: CarConfig, path: Path, *, controller
     now = nets.follow(remarks.pop(0)[1])
     follow = Follow(link=link, resting=now.resting, driving=now.driving)
     live = realtime.Run(follow.resting, follow.resting.init(), realtime.Timing(period=now.driving.dt))
-    did: list[Filtered] = []
+    did, told = list[Filtered](), dict[int, Adapted]()
     try:
         while True:
             nets.late = len(did) < len(drive.filtered) and drive.filtered[len(did)].reason == LATE
@@ -173,17 +176,27 @@ def replayed_requests(drive: Drive, config: CarConfig, path: Path, *, controller
                 if driving is not follow.driving:
                     follow.exchange(live, driving)
             follow.choose(live)
+            if adapted := adapted_now(live):
+                told[len(link.requests)] = adapted
     except CarLost:
-        told = [] if controller else drive.filtered
-        return sum(
-            _same(Request(*asked, 0), [Request(*again, 0)]) and (n >= len(told) or _same(told[n], did[n : n + 1]))
-            for n, (asked, again) in enumerate(zip(drive.requests, link.requests))
-        )
+        if controller:
+            recorded, again = _said(drive.requests, (), {}), _said(link.requests, (), {})
+        else:
+            recorded = _said(drive.requests, drive.filtered, drive.adapted)
+            again = _said(link.requests, did, {n: told[n] for n in drive.adapted if n in told})
+        return sum(one == other for one, other in zip(recorded, again))
 
 
-def _same(told: Request | Filtered, did: Sequence[Request | Filtered]) -> bool:
-    """As bytes: a NaN, which is asked for where the wheel's report is missing, equals itself."""
-    return [encode(told)] == [encode(one) for one in did]
+def _said(
+    requests: Sequence[tuple[float, float]], filtered: Sequence[Filtered], adapted: Mapping[int, Adapted]
+) -> list[list[bytes]]:
+    """What was said with each request, as bytes: a NaN, asked for where a report is missing, equals itself."""
+    said = [[encode(Request(*asked, 0))] for asked in requests]
+    for packets, did in zip(said, filtered):
+        packets.append(encode(did))
+    for number, told in adapted.items():
+        said[number - 1].append(encode(told))
+    return said
 
 
 def replayed_estimates(drive: Drive, config: CarConfig) -> tuple[CarEstimators, int]:

@@ -29,14 +29,14 @@ from steerkit.loop import Loop
 from steerkit.on_car import loop as loops
 from steerkit.on_car import processes
 from steerkit.on_car.estimates import Watched
-from steerkit.on_car.follow import filtered_in
+from steerkit.on_car.follow import adapted_in, filtered_in
 from steerkit.on_car.processes import OF
 from steerkit.path import Path
 from steerkit.plants.real_car.decisions.modes import Order
 from steerkit.plants.real_car.file.config import CarConfig
 from steerkit.plants.real_car.file.reading import load
 from steerkit.plants.real_car.processes.client import CarClient, CarLost
-from steerkit.plants.real_car.processes.protocol import Filtered, digest
+from steerkit.plants.real_car.processes.protocol import Adapted, Filtered, digest
 from steerkit.realtime import Run, Timing, histogram_text, preferred
 from steerkit.task import DT
 
@@ -89,6 +89,8 @@ class Session:
         """The angle that the controller asked for last [rad]."""
         self.safe = False
         """Is there a safety filter before the gate?"""
+        self.adapted: Adapted | None = None
+        """What a controller that adapts is told of the car."""
         self.filtered: Filtered | None = None
         """What it did last."""
         self.corrections: deque[bool] = deque(maxlen=round(60.0 / DT))
@@ -102,6 +104,7 @@ class Session:
         """Called after every step."""
         self.timing = run.timing
         self.asked = run.sample[run.loop.inputs_of("car")["delta_sw_cmd"]]
+        self.adapted = adapted_in(run)
         if "supervisor" in run.loop.blocks:
             self.learner_steers = run.sample["supervisor.learning"] > 0.5
         if "safety" in run.loop.blocks:

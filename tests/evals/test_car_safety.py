@@ -143,7 +143,6 @@ def safe_world(monkeypatch: pytest.MonkeyPatch, clock: Clock) -> None:
         return loops.car_loop(self.config, self.path, self, controller, doe=doe, safe=doe is not None, clock=clock)
 
     monkeypatch.setattr(World, "build", build)
-    monkeypatch.setattr(World, "tell", World.packet, raising=False)
     monkeypatch.setattr("tests.evals.test_car_learning.TINY", SAFE)
 
 

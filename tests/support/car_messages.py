@@ -11,6 +11,7 @@ from steerkit.plants.real_car.file.config import CarConfig
 from steerkit.plants.real_car.file.reading import load
 from steerkit.plants.real_car.processes.protocol import (
     ESTIMATES,
+    Adapted,
     Beat,
     Command,
     Estimates,
@@ -32,6 +33,7 @@ messages = st.one_of(
     st.just(Query()),
     st.builds(Command, st.sampled_from(Order)),
     st.builds(Request, st.floats(), st.floats(), st.integers(0, 2**32 - 1)),
+    st.builds(Adapted, *[st.floats()] * 2),
     st.builds(Filtered, *[st.floats()] * 5),
     st.builds(Estimates, st.tuples(*[st.floats()] * (3 * len(ESTIMATES)))),
 )

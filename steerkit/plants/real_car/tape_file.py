@@ -49,6 +49,7 @@ TOPICS: dict[str, dict[str, Any]] = {
         "reach": _NUMBER,
         "reason": _NUMBER,
     },
+    "/adapted": {"t": _NUMBER, "delay": _NUMBER, "ratio": _NUMBER},
 }
 """Topics with the properties of their messages. A topic's place is its number in the file: only ever add at the end."""
 NAME = "steerkit"

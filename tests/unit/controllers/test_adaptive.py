@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from steerkit.controllers.adaptive import Adaptive
+from steerkit.controllers.adaptive import Adaptive, Told
 from steerkit.controllers.estimators.single_track_filter import SingleTrackFilter
 from steerkit.controllers.estimators.steering_delay import YawDelay
 from steerkit.controllers.pure_pursuit import PurePursuit
@@ -112,6 +112,40 @@ def test_one_that_hears_learns_of_what_others_steered_and_counts_the_sample_that
         told.append(x[-2])
     assert told[0] == pytest.approx(0.15, abs=0.04)
     assert told[1] == pytest.approx(told[0] + 0.05, abs=1e-9)
+
+
+def test_while_it_rests_it_keeps_what_it_found_and_learns_nothing_of_commands_that_nobody_followed() -> None:
+    block = adaptive(delay_rate=0.0, ratio_rate=0.0)
+    first = block._parts[len(block.blocks)][1]
+
+    def driven(x: Any, samples: range, *, rests: bool) -> Any:
+        for k in samples:
+            u = block.U(**HERE | {"r": 0.1 * math.sin(0.2 * k)})
+            x = block.update(0.05 * k, x, u, block.Y(math.sin(0.2 * k + (3.0 if rests else 1.0))))
+            if rests:
+                fresh = block.settle(0.0, block.init(), block.U(**HERE))
+                x = block.rested(x, fresh)
+                assert x[:first] == fresh[:first], "the controllers begin anew"
+        return x
+
+    x = driven(block.settle(0.0, block.init(), block.U(**HERE)), range(80), rests=False)
+    x = (*x[:-2], 0.07, 1.1)
+    assert block.told(x) == Told(delay=0.07, ratio=1.1)
+    after = driven(driven(x, range(80, 81), rests=True), range(81, 300), rests=True)
+
+    def said(x: Any) -> list[float]:
+        states = block._states(x)
+        ratio = block.steering.output(0.0, states[-1], ()).ratio
+        return [*block.told(x), block.delay.output(0.0, states[-2], ()).delay_lag, ratio]
+
+    assert said(after)[2:] != said(block.init())[2:], "it had learned"
+    once = block.rested(x, block.settle(0.0, block.init(), block.U(**HERE)))
+    assert said(after) == pytest.approx(said(once), abs=1e-12)
+    again = driven(after, range(300, 303), rests=False)
+    assert again[-3] == 0.0
+    assert said(again)[2:] == pytest.approx(said(once)[2:], abs=1e-12), "its commands have not acted yet"
+    long = driven(after, range(300, 400), rests=False)
+    assert said(long)[2:] != pytest.approx(said(once)[2:], abs=1e-6), "now they have"
 
 
 def test_commands_faster_than_a_wheel_can_turn_teach_nothing_of_the_ratio() -> None:

@@ -38,6 +38,19 @@ def test_foresight_reckons_with_every_limit_of_the_gate() -> None:
     assert {name: getattr(seen, name) for name in shared} == {name: getattr(gate, name) for name in shared}
 
 
+@pytest.mark.parametrize("name", ["mpc", "mpc-adaptive"])
+def test_a_solver_has_its_budget_on_the_road_and_all_the_time_it_needs_in_a_replay(name: str) -> None:
+    def solvers(block: Any) -> list[Any]:
+        if hasattr(block, "budget"):
+            return [block]
+        return [solver for inner in getattr(block, "blocks", None) or (block.block,) for solver in solvers(inner)]
+
+    for in_time, budget in ((False, loops.MPC_BUDGET), (True, None)):
+        found = solvers(loops.controller_named(name, CONFIG, in_time=in_time).block)
+        assert {solver.budget for solver in found} == {budget}
+        assert all((solver.clock is None) is in_time for solver in found)
+
+
 def test_e_is_measured_at_the_front_axle() -> None:
     loop = loops.car_loop(CONFIG, COURSE, ReplayLink([]), Stanley.of(CONFIG.vehicle))
     tracker: Any = loop.blocks["path"]

@@ -9,10 +9,10 @@ from typing import Any, Self
 import pytest
 
 from steerkit.on_car import panel
-from steerkit.on_car.panel import Panel, filter_line
+from steerkit.on_car.panel import Panel, adapted_line, filter_line
 from steerkit.plants.real_car.decisions.modes import Mode, Order
 from steerkit.plants.real_car.processes.client import CarLost
-from steerkit.plants.real_car.processes.protocol import Filtered, Snapshot
+from steerkit.plants.real_car.processes.protocol import Adapted, Filtered, Snapshot
 
 
 class Line:
@@ -78,6 +78,10 @@ def test_without_a_keyboard_a_real_car_hears_no_heartbeat(monkeypatch: pytest.Mo
     monkeypatch.setattr(panel.sys, "stdin", SimpleNamespace(isatty=lambda: False))
     line, _ = shown(monkeypatch, *[Mode.STANDBY] * 5, simulated=simulated)
     assert (line.beats > 0) is simulated
+
+
+def test_the_line_of_what_a_controller_that_adapts_is_told() -> None:
+    assert adapted_line(Adapted(0.2144, 1.0831)) == "dead time 0.214 s, steering ratio 1.083 times the data sheet's"
 
 
 def test_the_filters_line_says_what_it_did_and_how_often() -> None:

@@ -202,6 +202,8 @@ class Core:
                 out.append(Note("steers", {"t": t, "what": message.text}))
             case protocol.Estimates() if self._links.get(event.link):
                 out.append(Note("estimates", {"t": t, **message.named()}))
+            case protocol.Adapted() if self._links.get(event.link):
+                out.append(Note("adapted", {"t": t, **message._asdict()}))
             case protocol.Filtered() if self._links.get(event.link):
                 out.append(Note("safety", {"t": t, **message._asdict()}))
             case _:

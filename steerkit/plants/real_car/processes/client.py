@@ -100,8 +100,8 @@ class CarClient:
         """Say, for the recording, what steers from the next request on."""
         self._send(protocol.Remark(text))
 
-    def tell(self, message: protocol.Estimates | protocol.Filtered) -> None:
-        """Say, for the recording and whoever looks on, what was found of the car, or what the safety filter did."""
+    def tell(self, message: protocol.Estimates | protocol.Adapted | protocol.Filtered) -> None:
+        """Say, for the recording, what was found of the car, what a controller is told, what the safety filter did."""
         self._send(message)
 
     def beat(self) -> None:

@@ -11,6 +11,7 @@ from steerkit.path import Path
 from steerkit.plants.real_car.decisions.modes import Mode, Order
 
 VERSION = 3
+"""Another one where a message changes; one more is none: recordings of before are still read."""
 NO_COURSE = bytes(8)
 """Of a client that does not say which course it means."""
 _MODES, _ORDERS = tuple(Mode), tuple(Order)
@@ -68,6 +69,15 @@ class Estimates(NamedTuple):
         return dict(zip(names, self.numbers))
 
 
+class Adapted(NamedTuple):
+    """What a controller that adapts is told of its car, for the recording; moves nothing."""
+
+    delay: float
+    """Dead time [s]."""
+    ratio: float
+    """Steering ratio over the data sheet's [1]."""
+
+
 class Filtered(NamedTuple):
     """What the safety filter made of the command of the last request, for the recording; moves nothing."""
 
@@ -123,11 +133,12 @@ class Refused(NamedTuple):
     why: str
 
 
-Message = Hello | Query | Beat | Command | Request | Remark | Estimates | Filtered | Snapshot | Refused
+Message = Hello | Query | Beat | Command | Request | Remark | Estimates | Adapted | Filtered | Snapshot | Refused
 ESTIMATES = ("delay", "lag", "delay_lag", "steer_ratio", "understeer", "offset", "rate_zero", "friction", "play")
 """What is estimated in a drive, in this order; the units are those of the blocks."""
 _REQUEST = struct.Struct("<cddI")
 _ESTIMATES = struct.Struct(f"<c{3 * len(ESTIMATES)}d")
+_ADAPTED = struct.Struct("<c2d")
 _FILTERED = struct.Struct("<c5d")
 _NUMBERS = len(Snapshot._fields) - 2
 _SNAPSHOT = struct.Struct(f"<c{_NUMBERS}dB")
@@ -159,6 +170,8 @@ def encode(message: Message) -> bytes:
             return b"T" + text
         case Estimates():
             return _ESTIMATES.pack(b"F", *message.numbers)
+        case Adapted():
+            return _ADAPTED.pack(b"A", *message)
         case Filtered():
             return _FILTERED.pack(b"C", *message)
         case Snapshot():
@@ -186,6 +199,8 @@ def decode(packet: bytes) -> Message:
                 return Remark(packet[1:].decode(errors="replace"))
             case b"F":
                 return Estimates(_ESTIMATES.unpack(packet)[1:])
+            case b"A":
+                return Adapted(*_ADAPTED.unpack(packet)[1:])
             case b"C":
                 return Filtered(*_FILTERED.unpack(packet)[1:])
             case b"S":

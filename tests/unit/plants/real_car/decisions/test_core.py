@@ -14,6 +14,7 @@ from steerkit.plants.real_car.decisions.core import Core, End, Frame, Link, Note
 from steerkit.plants.real_car.decisions.modes import Machine, Mode, Order
 from steerkit.plants.real_car.processes.protocol import (
     ESTIMATES,
+    Adapted,
     Beat,
     Command,
     Estimates,
@@ -285,6 +286,18 @@ def test_estimates_are_the_controllers_and_for_the_recording_only() -> None:
     (reply,) = core.handle(told._replace(t=5.3, link=2))
     assert isinstance(reply, Reply)
     assert decode(reply.data) == Refused("Estimates is not for the car server")
+
+
+def test_what_a_controller_that_adapts_is_told_is_the_controllers_and_for_the_recording_only() -> None:
+    core = linked()
+    told = Packet(5.1, 1, encode(Adapted(0.21, 1.08)))
+    (note,) = [out for out in core.handle(told) if isinstance(out, Note) and out.topic == "adapted"]
+    assert note.values == {"t": 5.1, "delay": 0.21, "ratio": 1.08}
+    core.handle(Link(5.2, 2, True))
+    core.handle(Packet(5.2, 2, encode(Hello(False))))
+    (reply,) = core.handle(told._replace(t=5.3, link=2))
+    assert isinstance(reply, Reply)
+    assert decode(reply.data) == Refused("Adapted is not for the car server")
 
 
 def test_what_the_filter_did_is_the_controllers_and_for_the_recording_only() -> None:

@@ -1,0 +1,95 @@
+"""Controllers that adapt, on the car: what they are told outlasts whoever takes the wheel, is recorded, and replays."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from steerkit.block import Block
+from steerkit.catalogue import make_controller
+from steerkit.loop import Loop
+from steerkit.on_car import loop as loops
+from steerkit.on_car import replay as replays
+from steerkit.on_car.follow import Steers, adapted_in
+from steerkit.plants.real_car import recording as tapes
+from steerkit.plants.real_car.decisions.modes import Mode, Order
+from steerkit.plants.real_car.processes.protocol import Adapted
+from steerkit.plants.real_car.simulated import Fault
+from tests.evals.test_car_learning import learned
+from tests.support.car_world import World, setup
+
+NAME = "stanley-adaptive"
+DELAY = 0.25
+"""Of the steering, and nobody is told [s]."""
+
+
+def recorded_world(folder: Path, **how: Any) -> World:
+    config, _ = setup()
+    metadata = {f"file:{name}": text for name, text in config.texts.items()}
+    controller = make_controller(NAME, loops.belief_of(config))
+    world = World(controller=controller, tape=tapes.Recording(folder / "drive.mcap", metadata), **how)
+    world.remark(Steers(name=NAME).text())
+    return world
+
+
+def told(world: World) -> Adapted:
+    adapted = adapted_in(world.run)
+    assert adapted is not None
+    return adapted
+
+
+def test_what_it_found_outlasts_an_override_and_a_lost_pose_and_the_drive_replays_bit_for_bit(tmp_path: Path) -> None:
+    world = recorded_world(tmp_path, delay=DELAY, s=20.0)
+    prior = told(world)
+    world.bring_to(Mode.ENGAGED)
+    world.until(25.0)
+    assert world.mode is Mode.ENGAGED, world.modes[-1]
+    found = told(world)
+    assert found.delay > prior.delay + 0.05, "it has found the delay"
+    world.car.faults.append(Fault(kind="override", target="report", start=world.t, length=0.1))
+    world.until(world.t + 0.2)
+    assert world.mode is Mode.OVERRIDE
+    kept = told(world)
+    world.until(world.t + 3.0)
+    assert told(world) == kept, "the human steers, and teaches nothing of what commands do"
+    places = world.last.places  # type: ignore[union-attr]
+    world.car.faults.append(Fault(kind="drop", target="pose", start=world.t, length=2.0))
+    world.until(world.t + 3.0)
+    assert world.last.places > places, "the pose was away"  # type: ignore[union-attr]
+    assert told(world) == kept
+    world.order(Order.ACKNOWLEDGE)
+    world.until(world.t + 0.5)
+    world.order(Order.ENGAGE)
+    world.until(world.t + 3.0)
+    assert world.mode is Mode.ENGAGED, world.modes[-1]
+    world.check_bus()
+    assert world.tape is not None
+    world.tape.close()
+    recording = tapes.read(tmp_path / "drive.mcap")
+    (drive,) = replays.drives(recording)
+    notes = recording.of("/adapted")
+    assert [Adapted(n["delay"], n["ratio"]) for n in notes] == [*drive.adapted.values()]
+    assert len(notes) > 30, "one a second"
+    config, path = setup()
+    assert replays.replayed_requests(drive, config, path) == len(drive.requests) > 600
+    last = [*drive.adapted][-1]
+    drive.adapted[last] = drive.adapted[last]._replace(ratio=drive.adapted[last].ratio + 1e-15)
+    assert replays.replayed_requests(drive, config, path) == len(drive.requests) - 1
+    assert replays.replayed_requests(drive, config, path, controller="stanley") < len(drive.requests)
+
+
+def test_what_the_recovery_controller_of_a_learner_is_told_is_recorded_too_and_replays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def build(self: World, controller: Block, doe: Any) -> Loop:
+        return loops.car_loop(self.config, self.path, self, controller, doe=doe, recovery="adapting")
+
+    monkeypatch.setattr(World, "build", build)
+    learned(tmp_path, monkeypatch, 3.0, recovery="adapting")
+    (drive,) = [d for d in replays.drives(tapes.read(tmp_path / "drive.mcap")) if d.remarks]
+    assert {s.recovery for _, s in drive.remarks} == {"adapting"}
+    assert len(drive.adapted) >= 3
+    config, path = setup()
+    assert replays.replayed_requests(drive, config, path) == len(drive.requests)
