@@ -52,6 +52,7 @@ def test_what_it_found_outlasts_an_override_and_a_lost_pose_and_the_drive_replay
     world.until(world.t + 0.2)
     assert world.mode is Mode.OVERRIDE
     kept = told(world)
+    assert kept == pytest.approx(found, rel=0.02)
     world.until(world.t + 3.0)
     assert told(world) == kept, "the human steers, and teaches nothing of what commands do"
     places = world.last.places  # type: ignore[union-attr]
