@@ -161,7 +161,7 @@ def one_that_adapts(seed: int, rng: np.random.Generator) -> Loop:
     adaptive = Adaptive(
         blocks=tuple(OffsetFree.around(delayed_stanley(CAR, delay=d, lag=0.1), CAR, delay=d) for d in delays),
         delays=delays,
-        delay=YawDelay(vehicle=CAR, prior_delay=prior, prior_lag=0.1),
+        delay=YawDelay(vehicle=CAR, prior_delay=prior, prior_lag=0.1, longest=0.2),
         steering=SingleTrackFilter(vehicle=CAR),
         prior_delay=prior,
     )

@@ -32,7 +32,11 @@ def test_offset_and_gain() -> None:
     )
 
 
-@pytest.mark.parametrize("name", [name for name in CONTROLLERS if name not in ("mpc", "nonlinear-mpc")])
+SLOW = ("mpc", "nonlinear-mpc", "lqr-adaptive", "mpc-adaptive")
+"""They are trimmed as the others are, and drive three times for half a minute of computing."""
+
+
+@pytest.mark.parametrize("name", [name for name in CONTROLLERS if name not in SLOW])
 def test_who_is_told_of_the_offset_drives_as_if_there_were_none(name: str) -> None:
     off = replace(STEADY, offset_deg=5.0)
     without, untold, told = (
