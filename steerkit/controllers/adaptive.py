@@ -139,9 +139,11 @@ class Adaptive(Block):
         """The state `settled` with what `x` has found and tells, for one whose commands nobody followed since.
 
         Somebody else steered: the next sample teaches nothing, nor do those after it until its commands have acted.
+        What is no number is not kept: then it begins anew. For one car.
         """
         first = self._parts[len(self.blocks)][1]
-        return (*settled[:first], *x[first:-3], 1.0, *x[-2:])
+        kept = x[first:] if all(map(math.isfinite, x[first:])) else settled[first:]
+        return (*settled[:first], *kept[:-3], 1.0, *kept[-2:])
 
     def settle(self, t: float, x: State, u: Any) -> State:
         states = self._states(x)

@@ -43,8 +43,11 @@ def told(world: World) -> Adapted:
 def test_what_it_found_outlasts_an_override_and_a_lost_pose_and_the_drive_replays_bit_for_bit(tmp_path: Path) -> None:
     world = recorded_world(tmp_path, delay=DELAY, s=20.0)
     prior = told(world)
-    world.bring_to(Mode.ENGAGED)
-    world.until(25.0)
+    world.bring_to(Mode.READY)
+    world.until(2.0)
+    assert told(world) == prior, "the human drives"
+    world.order(Order.ENGAGE)
+    world.until(27.0)
     assert world.mode is Mode.ENGAGED, world.modes[-1]
     found = told(world)
     assert found.delay > prior.delay + 0.05, "it has found the delay"

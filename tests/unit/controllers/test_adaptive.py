@@ -144,6 +144,10 @@ def test_while_it_rests_it_keeps_what_it_found_and_learns_nothing_of_commands_th
     again = driven(after, range(300, 303), rests=False)
     assert again[-3] == 0.0
     assert said(again)[2:] == pytest.approx(said(once)[2:], abs=1e-12), "its commands have not acted yet"
+    spoilt = list(x)
+    spoilt[first + 20] = math.nan
+    fresh = block.settle(0.0, block.init(), block.U(**HERE))
+    assert block.rested(tuple(spoilt), fresh) == (*fresh[:-3], 1.0, *fresh[-2:]), "an end to what would never end"
     long = driven(after, range(300, 400), rests=False)
     assert said(long)[2:] != pytest.approx(said(once)[2:], abs=1e-6), "now they have"
 
