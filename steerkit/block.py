@@ -92,9 +92,11 @@ class Block:
     * `output(t, x, u)`: the outputs `y` at time t [s]; `u` holds the direct inputs only;
     * `update(t, x, u, y)`: the state one sample time later; `u` holds all inputs;
     * `settle(t, x, u)` (optional): called once, before the first sample, with the first direct inputs; returns the
-      state to start from (a path tracker finds its place here).
+      state to start from (a path tracker finds its place here);
+    * `rested(x, settled)` (optional): called after each sample in which somebody else steered a real car; returns the
+      state to go on from, `settled` with what of `x` is to be kept (what was found of the car).
 
-    `u` and `y` are named tuples: `u.rate`, `self.Y(delta_sw=...)`. All four are pure: equal arguments give equal
+    `u` and `y` are named tuples: `u.rate`, `self.Y(delta_sw=...)`. All of them are pure: equal arguments give equal
     results, nothing is kept in the object. Equations use `steerkit.maths`, so that they serve floats, batches and
     CasADi symbols. A block whose `pure` is False (a real car) can be simulated step by step but not traced or
     batched.
@@ -149,6 +151,10 @@ class Block:
     def settle(self, t: float, x: Any, u: Any) -> State:
         """The state to start from, given the first direct inputs."""
         return x
+
+    def rested(self, x: Any, settled: Any) -> State:
+        """The state to go on from while somebody else steers: `settled` anew, with what of `x` is to be kept."""
+        return settled
 
     def output(self, t: Any, x: Any, u: Any) -> Any:
         """The outputs at time t."""

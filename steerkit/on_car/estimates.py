@@ -14,7 +14,7 @@ from steerkit.controllers.estimators.steering_wear import SteeringFriction, Stee
 from steerkit.plants.real_car.decisions.modes import Mode
 from steerkit.plants.real_car.file.config import CarConfig
 from steerkit.plants.real_car.processes.client import CarLink
-from steerkit.plants.real_car.processes.protocol import ESTIMATES, Estimates, Snapshot
+from steerkit.plants.real_car.processes.protocol import ESTIMATES, Adapted, Estimates, Snapshot
 from steerkit.task import DT
 from steerkit.units import degrees_of
 from steerkit.vehicles.file import tables_of
@@ -185,10 +185,10 @@ class Watched:
     """A line to a car whose every sample goes through the estimators, once the request that it led to is sent.
 
     link: the line. config: the car; `before`: what an earlier drive found of it, in the vehicle file that it names.
-    tell: takes what was found, once a second.
+    tell: takes what was found, once a second, and what a controller that adapts is told.
     """
 
-    def __init__(self, link: CarLink, config: CarConfig, tell: Callable[[Estimates], None]):
+    def __init__(self, link: CarLink, config: CarConfig, tell: Callable[[Estimates | Adapted], None]):
         self.link, self.tell = link, tell
         self.estimators, self.before = CarEstimators(config), earlier(config)
         self.found: dict[str, Estimated] = {}

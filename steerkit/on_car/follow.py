@@ -28,6 +28,10 @@ class Seen(Protocol):
         """The last snapshot."""
         ...
 
+    def tell(self, message: Adapted) -> None:
+        """Say, for the recording, what a controller is told of the car."""
+        ...
+
 
 @dataclass(kw_only=True)
 class Follow:
@@ -69,9 +73,8 @@ class Follow:
                 run.restart(self.resting.init())
             for name in ("controller", "recovery", "safety"):
                 if name in run.loop.blocks:
-                    k, block = run.loop.names.index(name), run.loop.blocks[name]
-                    settled = run.loop.settled(name, run.y)
-                    run.x[k] = block.rested(before[k], settled) if isinstance(block, Adaptive) else settled
+                    k, settled = run.loop.names.index(name), run.loop.settled(name, run.y)
+                    run.x[k] = run.loop.blocks[name].rested(before[k], settled)
         return lost
 
     def exchange(self, run: Run, driving: Loop) -> None:
@@ -82,8 +85,10 @@ class Follow:
             run.x[k] = SupervisorState(run.x[k][0], 0.0)
 
     def choose(self, run: Run) -> None:
-        """The loop of the next sample."""
+        """The loop of the next sample; once a second what its controller is told of the car goes to the recording."""
         run.loop = self.driving if self.engaged and self.trusted else self.resting
+        if run.k % EVERY == 0 and (adapted := adapted_in(run)):
+            self.link.tell(adapted)
 
 
 def adapted_in(run: Run) -> Adapted | None:
@@ -93,11 +98,6 @@ def adapted_in(run: Run) -> Adapted | None:
         if isinstance(block, Adaptive):
             return Adapted(*block.told(run.x[run.loop.names.index(name)]))
     return None
-
-
-def adapted_now(run: Run) -> Adapted | None:
-    """The same as often as it goes into a recording: once a second."""
-    return adapted_in(run) if run.k % EVERY == 0 else None
 
 
 def filtered_in(run: Run) -> Filtered:

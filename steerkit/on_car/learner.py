@@ -36,7 +36,7 @@ from steerkit.learning.settings import Setting
 from steerkit.learning.story import Story, state_signals, untrained
 from steerkit.learning.trainer import Trainer
 from steerkit.loop import Loop
-from steerkit.on_car.follow import Follow, Steers, adapted_now, filtered_in
+from steerkit.on_car.follow import Follow, Steers, filtered_in
 from steerkit.plants.real_car.processes.protocol import Adapted, Filtered
 from steerkit.realtime import Run, run
 from steerkit.vehicles import Vehicle
@@ -56,7 +56,7 @@ class Car(Protocol):
         ...
 
     def tell(self, message: Adapted | Filtered) -> None:
-        """Say, for the recording, what the safety filter did."""
+        """Say, for the recording, what a controller is told of the car, or what the safety filter did."""
         ...
 
 
@@ -187,8 +187,6 @@ class CarLearner:
             self.follow.trusted = story.trusted
             self.tell()
         self.follow.choose(live)
-        if adapted := adapted_now(live):
-            self.link.tell(adapted)
 
     def _action(self, live: Run) -> float:
         """What the learner did."""

@@ -23,7 +23,7 @@ from steerkit.errors import require
 from steerkit.learning import rundir
 from steerkit.loop import Loop
 from steerkit.on_car import learner as on_car
-from steerkit.on_car.follow import Follow, Steers, adapted_now
+from steerkit.on_car.follow import Follow, Steers
 from steerkit.outside import is_outside
 from steerkit.path import Path
 from steerkit.plants.human import ConstantSpeed
@@ -218,8 +218,6 @@ def drive(
     def step(run: realtime.Run) -> bool:
         follow.begin(run)
         follow.choose(run)
-        if adapted := adapted_now(run):
-            link.tell(adapted)
         return bool(watch and watch(run))
 
     link.remark(replace(controller.steers, recovery=recovery).text())

@@ -18,7 +18,7 @@ from steerkit.controllers.fail_safe import LATE
 from steerkit.loop import Loop
 from steerkit.on_car import loop as loops
 from steerkit.on_car.estimates import CarEstimators, message_of
-from steerkit.on_car.follow import Follow, Steers, adapted_now, filtered_in
+from steerkit.on_car.follow import Follow, Steers, filtered_in
 from steerkit.path import Path
 from steerkit.plants.real_car.decisions.modes import Mode
 from steerkit.plants.real_car.file.config import CarConfig
@@ -161,7 +161,7 @@ def replayed_requests(drive: Drive, config: CarConfig, path: Path, *, controller
     now = nets.follow(remarks.pop(0)[1])
     follow = Follow(link=link, resting=now.resting, driving=now.driving)
     live = realtime.Run(follow.resting, follow.resting.init(), realtime.Timing(period=now.driving.dt))
-    did, told = list[Filtered](), dict[int, Adapted]()
+    did: list[Filtered] = []
     try:
         while True:
             nets.late = len(did) < len(drive.filtered) and drive.filtered[len(did)].reason == LATE
@@ -176,14 +176,10 @@ def replayed_requests(drive: Drive, config: CarConfig, path: Path, *, controller
                 if driving is not follow.driving:
                     follow.exchange(live, driving)
             follow.choose(live)
-            if adapted := adapted_now(live):
-                told[len(link.requests)] = adapted
     except CarLost:
-        if controller:
-            recorded, again = _said(drive.requests, (), {}), _said(link.requests, (), {})
-        else:
-            recorded = _said(drive.requests, drive.filtered, drive.adapted)
-            again = _said(link.requests, did, {n: told[n] for n in drive.adapted if n in told})
+        filtered, adapted = ([], {}) if controller else (drive.filtered, drive.adapted)
+        recorded = _said(drive.requests, filtered, adapted)
+        again = _said(link.requests, did[: len(filtered)], {n: link.adapted[n] for n in adapted if n in link.adapted})
         return sum(one == other for one, other in zip(recorded, again))
 
 

@@ -26,10 +26,10 @@ DELAY = 0.25
 
 
 def recorded_world(folder: Path, **how: Any) -> World:
-    config, _ = setup()
-    metadata = {f"file:{name}": text for name, text in config.texts.items()}
+    config, path = setup()
     controller = make_controller(NAME, loops.belief_of(config))
-    world = World(controller=controller, tape=tapes.Recording(folder / "drive.mcap", metadata), **how)
+    tape = tapes.Recording(folder / "drive.mcap", tapes.described(config, path))
+    world = World(controller=controller, tape=tape, **how)
     world.remark(Steers(name=NAME).text())
     return world
 

@@ -15,7 +15,7 @@ from steerkit.doe import Dynamic
 from steerkit.loop import Loop
 from steerkit.on_car import loop as loops
 from steerkit.on_car import processes
-from steerkit.on_car.follow import Follow, adapted_now
+from steerkit.on_car.follow import Follow
 from steerkit.path import Path
 from steerkit.plants.real_car.decisions.core import Core, Event, Frame, Link, Note, Packet, Reply, Send, Tick
 from steerkit.plants.real_car.decisions.modes import Mode, Order
@@ -107,8 +107,6 @@ class World:
         """After every control sample."""
         self.follow.begin(run)
         self.follow.choose(run)
-        if adapted := adapted_now(run):
-            self.packet(adapted)
 
     # time
     def until(self, end: float) -> None:

@@ -32,11 +32,7 @@ def test_offset_and_gain() -> None:
     )
 
 
-SLOW = ("mpc", "nonlinear-mpc", "lqr-adaptive", "mpc-adaptive")
-"""They are trimmed as the others are, and drive three times for half a minute of computing."""
-
-
-@pytest.mark.parametrize("name", [name for name in CONTROLLERS if name not in SLOW])
+@pytest.mark.parametrize("name", [name for name in CONTROLLERS if name not in ("mpc", "nonlinear-mpc")])
 def test_who_is_told_of_the_offset_drives_as_if_there_were_none(name: str) -> None:
     off = replace(STEADY, offset_deg=5.0)
     without, untold, told = (

@@ -159,6 +159,8 @@ class ReplayLink:
         self.last: Snapshot | None = None
         self.requests: list[tuple[float, float]] = []
         """(basis, delta_sw) asked for."""
+        self.adapted: dict[int, protocol.Adapted] = {}
+        """What a controller was told of the car, by the number of requests before it."""
 
     def query(self) -> Snapshot:
         """The next recorded snapshot; raises CarLost at the recording's end."""
@@ -172,6 +174,10 @@ class ReplayLink:
         """Keep what was asked for."""
         assert self.last is not None
         self.requests.append((self.last.t, delta_sw))
+
+    def tell(self, message: protocol.Adapted) -> None:
+        """Keep what a controller was told."""
+        self.adapted[len(self.requests)] = message
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -250,5 +250,6 @@ def test_the_numbers_of_topics_are_for_good() -> None:
             "/recording",
             "/estimates",
             "/safety",
+            "/adapted",
         ]
     )
