@@ -18,6 +18,7 @@ from steerkit.loop import Loop
 from steerkit.on_car.estimates import EVERY
 from steerkit.plants.real_car.processes.protocol import Adapted, Filtered
 from steerkit.realtime import Run
+from steerkit.task import TRIP
 
 
 class Seen(Protocol):
@@ -39,8 +40,9 @@ class Follow:
 
     A pose that comes back after a pause makes the loop begin anew, so that it looks for its place on the path. While
     the human has the wheel, controllers settle on the wheel as it is, again and again: whoever engages finds no memory
-    of commands that nobody obeyed. One that adapts keeps what it has found of the car, and learns nothing then. Depends
-    on nothing but the snapshots, so that a recorded drive can be replayed.
+    of commands that nobody obeyed. One that adapts keeps what it has found of the car, and learns nothing then; but
+    after a FAULT, or a drive with more than 0.5 m beside the path, that may be what was wrong, and it begins anew.
+    Depends on nothing but the snapshots, so that a recorded drive can be replayed.
     """
 
     link: Seen
@@ -52,6 +54,8 @@ class Follow:
     engaged: bool = False
     """Was it engaged in the last sample?"""
     places: float = -1.0
+    doubted: bool = False
+    """Was the car off its path while engaged, or is there a fault, so that nothing found of it is to be believed?"""
 
     @classmethod
     def of(cls, loop: Loop, link: Seen) -> Self:
@@ -64,17 +68,21 @@ class Follow:
     def begin(self, run: Run) -> bool:
         """Take note of who has the wheel; True when the loop began anew."""
         snapshot = self.link.last
-        self.engaged = str(snapshot.mode) == "ENGAGED"
+        mode = str(snapshot.mode)
+        self.engaged = mode == "ENGAGED"
+        if mode == "FAULT" or (self.engaged and not abs(snapshot.e) <= TRIP):
+            self.doubted = True
         lost = snapshot.places != self.places and self.places >= 0.0 and not self.engaged
         self.places = snapshot.places
         if lost or not self.engaged:
-            before = run.x
+            before = None if self.doubted else run.x
+            self.doubted = False
             if lost:
                 run.restart(self.resting.init())
             for name in ("controller", "recovery", "safety"):
                 if name in run.loop.blocks:
                     k, settled = run.loop.names.index(name), run.loop.settled(name, run.y)
-                    run.x[k] = run.loop.blocks[name].rested(before[k], settled)
+                    run.x[k] = run.loop.blocks[name].rested(before[k], settled) if before else settled
         return lost
 
     def exchange(self, run: Run, driving: Loop) -> None:

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
 from steerkit.block import Block
+from steerkit.catalogue import make_controller
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.settings import setting
+from steerkit.on_car import loop as loops
 from steerkit.on_car.follow import Follow, Steers
 from steerkit.plants.real_car.decisions.modes import Mode, Order
-from tests.support.car_world import World
+from tests.support.car_world import World, setup
 
 
 def policy() -> NfqPolicy:
@@ -91,6 +95,38 @@ def test_a_pose_that_comes_back_makes_the_loop_begin_anew_once_but_never_while_e
     assert follow.begin(world.run) is anew
     assert (world.run.k == 0) is anew
     assert not follow.begin(world.run), "once"
+
+
+@pytest.mark.parametrize(
+    ("e", "then", "kept"),
+    [
+        (0.5, Mode.OVERRIDE, True),
+        (-0.5, Mode.STANDBY, True),
+        (0.51, Mode.OVERRIDE, False),
+        (-0.51, Mode.OVERRIDE, False),
+        (math.nan, Mode.OVERRIDE, False),
+        (0.0, Mode.FAULT, False),
+    ],
+)
+def test_what_was_found_of_a_car_that_got_off_its_path_or_into_a_fault_is_not_believed(
+    e: float, then: Mode, kept: bool
+) -> None:
+    adaptive: Any = make_controller("stanley-adaptive", loops.belief_of(setup()[0]))
+    world = world_of(adaptive)
+    world.until(0.3)
+    line, number = Line(world), world.run.loop.names.index("controller")
+    follow = Follow.of(world.run.loop, line)
+    world.run.x[number] = (*world.run.x[number][:-2], 0.31, 1.2)
+    for mode, now in ((Mode.ENGAGED, e), (Mode.ENGAGED, 0.0), (then, 0.0), (Mode.READY, 0.0)):
+        line.last = line.last._replace(mode=mode, e=now)
+        follow.begin(world.run)
+    anew = adaptive.told(adaptive.init())
+    assert adaptive.told(world.run.x[number]) == ((0.31, 1.2) if kept else anew)
+    world.run.x[number] = (*world.run.x[number][:-2], 0.31, 1.2)
+    for mode in (Mode.ENGAGED, Mode.READY):
+        line.last = line.last._replace(mode=mode)
+        follow.begin(world.run)
+    assert adaptive.told(world.run.x[number]) == (0.31, 1.2), "the next drive is another one"
 
 
 def test_what_rests_is_the_same_loop_but_for_the_net() -> None:
