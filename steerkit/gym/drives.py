@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerkit.errors import require
-from steerkit.gym.task import Array, Draw, Task
+from steerkit.gym.starts import Draw
+from steerkit.gym.task import Array, Task
 from steerkit.loop import LoopState
 
 Backend = Literal["python", "c"]
@@ -58,7 +59,7 @@ class Drives:
 
     def start(self, cars: NDArray[np.intp], draws: Sequence[Draw]) -> None:
         """Put the cars of these numbers where they were drawn."""
-        start = self.task.starts(draws)
+        start = self.task.starts.states(draws)
         self._cars.put(cars, start)
         first = self.task.loop.sample(start)
         for row, name in enumerate(self._signals):

@@ -46,7 +46,7 @@ class TrackSteering(gymnasium.Env[NDArray[np.float32], Any]):
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Start an episode; options s [m], e [m], psi_e [rad] say where."""
         super().reset(seed=seed)
-        self._drives.start(_CAR, [self.task.draw(self.np_random, options)])
+        self._drives.start(_CAR, [self.task.starts.draw(self.np_random, options)])
         self._over = False
         info = self._info()
         if self._painter:

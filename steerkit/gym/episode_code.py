@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 
 from steerkit.compiled.c_code import function_source, lanes_source
 from steerkit.compiled.trace import Tick, Trace, trace, traced
-from steerkit.gym.task import BOUND, Task, reseeded
+from steerkit.gym.starts import reseeded
+from steerkit.gym.task import BOUND, Task
 from steerkit.maths import Table
 from steerkit.random import OpenSeed, RandomState
 
@@ -271,7 +272,7 @@ def _begin(
             return streams[stream]
 
         drawn = [reseeded(block, OpenSeed(states)).init() for block in task.loop.blocks.values()]
-        first = task.started(s, e, psi_e, drawn)
+        first = task.starts.state(s, e, psi_e, drawn)
         values = graphs.layout.pack(first.x, first.y)
         return [values[slot] for slot in slots]
 

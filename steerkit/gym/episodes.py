@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from steerkit import native
 from steerkit.errors import require
 from steerkit.gym.episode_code import Fleet, episode_code
-from steerkit.gym.task import Array, Draw, Task
+from steerkit.gym.starts import Draw
+from steerkit.gym.task import Array, Task
 
 _HOW = {AutoresetMode.NEXT_STEP: 0, AutoresetMode.SAME_STEP: 1, AutoresetMode.DISABLED: 2}
 _A_THREAD = 256  # cars for which a second thread is worth its start
@@ -86,7 +87,7 @@ class Episodes:
             failure=task.failure,
             longest=task.longest,
             end=task.end,
-            far=task.last_start,
+            far=task.starts.last,
             start_e=task.start_e,
             start_psi_e=task.start_psi_e,
             cars=cars,

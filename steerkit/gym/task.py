@@ -2,43 +2,34 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path as FilePath
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from steerkit import maths as m
 from steerkit.block import Block, Out, State
 from steerkit.catalogue import ELEMENTS, make_element, make_safety
 from steerkit.controllers.nfq_policy import IDOE_ACTIONS
 from steerkit.controllers.safety_filter import SafetyFilter
 from steerkit.controllers.state_description import StateDescription
-from steerkit.doe import Dynamic, HeldAngle, Integrator
+from steerkit.doe import Integrator
 from steerkit.errors import known, require
+from steerkit.gym.starts import Starts
 from steerkit.learning.costs import COSTS, BandCost, Cost, IdoeCost, SmoothCost, TanhCost
 from steerkit.learning.nfq.patterns import STANDARD
-from steerkit.loop import Loop, LoopState
-from steerkit.maths import Scalar
+from steerkit.loop import Loop
 from steerkit.path import Path
-from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
-from steerkit.plants.pushed import GUST_STATES, Pushed
-from steerkit.plants.single_track import SingleTrackState
-from steerkit.plants.steering_actuator import SteeringActuator
-from steerkit.plants.torque_steering import TorqueSteering
-from steerkit.random import OpenSeed
 from steerkit.scenario import END_MARGIN, Scenario
 from steerkit.scenario.drive import assembled
 from steerkit.scenario.file import read_scenario
 from steerkit.task import STOP, STOP_DEG, TRIP
-from steerkit.tracker import PathTracker
 from steerkit.units import radians_of
 
 Array = NDArray[np.float64]
@@ -57,8 +48,6 @@ INFO = (
     *("safety.correction", "safety.share"),
 )
 """The true signals that `info` reports by their last names, where the loop has them."""
-LEAST_ROOM = 30.0
-"""A car on an open course starts at least so far from where it ends [m]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -75,15 +64,6 @@ class Agent(Block):
 
     def output(self, t: Any, x: State, u: Any) -> Any:
         return self.Y(x[0])
-
-
-class Draw(NamedTuple):
-    """Where an episode starts, and with which human and noise."""
-
-    seed: int
-    s: float
-    e: float
-    psi_e: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -318,110 +298,21 @@ class Task:
         mid, half = self._ranges
         return np.minimum(np.maximum((s - mid) / half, -BOUND), BOUND).astype(np.float32)
 
-    # ---- where it starts ------------------------------------------------------------------------------------
-
     @cached_property
-    def last_start(self) -> float:
-        """The largest s at which an episode starts [m]."""
-        return self.path.length if self.path.closed else max(0.0, self.path.length - END_MARGIN - LEAST_ROOM)
-
-    def draw(self, rng: np.random.Generator, options: Mapping[str, Any] | None = None) -> Draw:
-        """The start of an episode; `options` s [m], e [m], psi_e [rad] stand for what is drawn otherwise."""
-        given = dict(options or {})
-        unknown = [name for name in given if name not in ("s", "e", "psi_e")]
-        require(not unknown, "TrackSteering.reset", f"option {unknown[:1]} is not known; valid: s, e, psi_e")
-        seed = int(rng.integers(2**31))
-        s, e, psi_e = rng.random() * self.last_start, rng.uniform(-self.start_e, self.start_e), rng.uniform(-1.0, 1.0)
-        chosen = {"s": 0.0 if self.start == "beginning" else s, "e": e, "psi_e": self.start_psi_e * psi_e} | given
-        drawn = Draw(seed, *(float(chosen[name]) for name in ("s", "e", "psi_e")))
-        fits = 0.0 <= drawn.s <= self.path.length and abs(drawn.e) < self.limit and abs(drawn.psi_e) < 1.6
-        require(fits, "TrackSteering.reset", f"{drawn}, expected s on the course, |e| < limit, |psi_e| < 1.6 rad")
-        return drawn
-
-    def starts(self, draws: Sequence[Draw]) -> LoopState:
-        """The loop's state of len(draws) cars, settled."""
-        s, e, psi_e = np.array([draw[1:] for draw in draws]).T
-        return self.started(s, e, psi_e, [self._drawn(block, draws) for block in self.loop.blocks.values()])
-
-    def started(self, s: Scalar, e: Scalar, psi_e: Scalar, drawn: Sequence[State]) -> LoopState:
-        """The loop's state, settled, of cars e [m] left of the path at s [m], turned by psi_e [rad]: arrays or symbols.
-
-        drawn: the state of each block at its start, with the random numbers of its seed.
-        """
-        loop, batch = self.loop, np.shape(s) if isinstance(s, np.ndarray) else ()
-        x = dict(zip(loop.names, drawn))
-        for name, block in loop.blocks.items():
-            if isinstance(block, PathTracker):
-                x[name] = block.X(s, 0.0 * s)
-        px, py, dx, dy, ddx, ddy = self.path.frame(self.path.inside(s))
-        psi, kappa = m.atan2(dy, dx), dx * ddy - dy * ddx
-        px, py = px - e * m.sin(psi), py + e * m.cos(psi)
-        gusts = x["car"][-GUST_STATES:] if isinstance(loop.blocks["car"], Pushed) else ()
-        start = self._car_at(px, py, psi + psi_e, batch)
-        x["car"] = (*start, *gusts) if gusts else start
-        first = loop.init(x=[*x.values()])
-        if not isinstance(start, SingleTrackState):
-            return first
-        car = self._car
-        v, c = loop.sample(first)["human.v"] + 0.0 * s, car.vehicle
-        r = v * kappa
-        beta = (c.l_r - c.m * v**2 * c.l_f / (c.c_r * c.wheelbase)) * kappa
-        wheel = c.steer_ratio * (c.wheelbase + c.understeer_gradient * v**2) * kappa
-        wheel = m.clip(wheel, -c.delta_sw_max, c.delta_sw_max)
-        drift = m.atan2(v * m.sin(beta) + r * self.place.ahead, v * m.cos(beta))
-        at = self._car_at(px, py, psi + (psi_e - drift), batch)
-        sway = v * m.sin(beta) if isinstance(car, NonlinearSingleTrack) else beta
-        start = at._replace(sway=sway, r=r, v=v, delta_sw=wheel)
-        x["car"] = (*start, *gusts) if gusts else start
-        if isinstance(loop.blocks["doe"], Dynamic):
-            x["doe"] = HeldAngle(wheel)
-        motor = loop.blocks.get("actuator")
-        if isinstance(motor, SteeringActuator):
-            x["actuator"] = (wheel, 0.0 * s, *[wheel] * (len(x["actuator"]) - 2))
-        elif isinstance(motor, TorqueSteering):
-            x["actuator"] = motor.holding(wheel, v)
-        return loop.init(x=[*x.values()])
-
-    @property
-    def _car(self) -> Any:
-        """The car itself, without what pushes it."""
-        car = self.loop.blocks["car"]
-        return car.block if isinstance(car, Pushed) else car
-
-    def _car_at(self, x: Scalar, y: Scalar, psi: Scalar, batch: tuple[int, ...]) -> Any:
-        """The car's state with its reference point at x, y [m] and this heading [rad]."""
-        x, y = x - self.place.ahead * m.cos(psi), y - self.place.ahead * m.sin(psi)
-        car = self._car
-        state = car.init(batch)
-        if isinstance(state, SingleTrackState):
-            return state._replace(x=x, y=y, psi=psi)
-        return dataclasses.replace(car, x0=x, y0=y, psi0=psi).init(batch)
-
-    def _drawn(self, block: Block, draws: Sequence[Draw]) -> Any:
-        """The block's state at the start of these cars, with their seeds if it draws random numbers."""
-        if reseeded(block, 0) is block:
-            return block.init((len(draws),))
-        states = [reseeded(block, draw.seed).init() for draw in draws]
-        columns = [np.array(column) for column in zip(*states)]
-        return type(states[0])(*columns) if hasattr(states[0], "_fields") else tuple(columns)
+    def starts(self) -> Starts:
+        """Where and in which state its episodes start."""
+        return Starts(
+            place=self.place,
+            loop=self.loop,
+            path=self.path,
+            limit=self.limit,
+            beginning=self.start == "beginning",
+            e=self.start_e,
+            psi_e=self.start_psi_e,
+        )
 
 
 def _is_cost(cost: Any) -> bool:
     if isinstance(cost, str):
         return cost in ("smooth", "paper")
     return cost.get("kind") in COST_KINDS if isinstance(cost, Mapping) else callable(cost)
-
-
-def reseeded(block: Any, seed: int | OpenSeed) -> Any:
-    """The block with its field `seed`, or that of a block inside it, exchanged; itself if there is none."""
-    changed: dict[str, Any] = {}
-    for name, value in vars(block).items():
-        if name == "seed":
-            changed["seed"] = seed
-        elif isinstance(value, Block) and (inner := reseeded(value, seed)) is not value:
-            changed[name] = inner
-    if not changed:
-        return block
-    new = copy.copy(block)  # not dataclasses.replace: its checks take most of the time of a start
-    vars(new).update(changed)
-    return new

@@ -161,7 +161,7 @@ class TrackSteeringVector(VectorEnv[NDArray[np.float32], Any, NDArray[Any]]):
 
     def _start(self, mask: Flags, options: dict[str, Any]) -> None:
         cars, generators = np.flatnonzero(mask), self._generators()
-        self._drives.start(cars, [self.task.draw(generators[i][0], options) for i in cars])
+        self._drives.start(cars, [self.task.starts.draw(generators[i][0], options) for i in cars])
         self._over = self._over & ~mask
         if self._painters:
             infos = self._infos(mask)

@@ -47,7 +47,8 @@ def test_a_policy_block_steers_as_its_policy_did_in_the_environment() -> None:
         actuator=scenario.actuator(),
         reference=scenario.ahead,
     )
-    start = dict(zip(task.loop.names, task.starts([task.draw(np.random.default_rng(4))]).x)) | {"controller": ()}
+    first = task.starts.states([task.starts.draw(np.random.default_rng(4))])
+    start = dict(zip(task.loop.names, first.x)) | {"controller": ()}
     floats = [
         type(x)(*[float(v[0]) for v in x]) if hasattr(x, "_fields") else tuple(float(v[0]) for v in x)
         for x in (start[name] for name in loop.names)

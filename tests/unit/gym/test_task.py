@@ -1,4 +1,4 @@
-"""What is steered, with which actions, from where: options, starts, rewards, ends."""
+"""What is steered, with which actions: options, rewards, ends."""
 
 from __future__ import annotations
 
@@ -11,26 +11,12 @@ import pytest
 from steerkit.controllers.nfq_policy import IDOE_ACTIONS
 from steerkit.controllers.state_description import StateDescription
 from steerkit.gym import Task, TrackSteering
-from steerkit.gym.task import LEAST_ROOM, Draw
 from steerkit.learning.costs import IdoeCost
-from steerkit.scenario import END_MARGIN, Scenario
+from steerkit.scenario import Scenario
 from steerkit.units import radians_of
-from tests.support.steady_world import SteadyWorld
 
 ID = "steerkit/TrackSteering-v0"
-
-
 HOLD = IDOE_ACTIONS.index(0.0)
-
-
-def test_a_car_starts_in_the_steady_state_of_its_bend() -> None:
-    for plant in ("linear", "nonlinear"):
-        env = gymnasium.make(ID, scenario=SteadyWorld(course="circle", plant=plant), start_e=0.0, start_psi_e=0.0)
-        env.reset(seed=2)
-        infos = [env.step(HOLD)[4] for _ in range(40)]
-        assert max(abs(info["e"]) for info in infos) < 0.02  # 12 m of bend with the wheel held
-        kappa = env.unwrapped.task.path.kappa(0.0)  # type: ignore[attr-defined]
-        assert infos[0]["a_y"] == pytest.approx(6.0**2 * kappa, rel=0.02)
 
 
 def test_the_reward_is_minus_the_cost_and_failure_ends_the_episode() -> None:
@@ -85,17 +71,6 @@ def test_mistakes_in_options_are_named_with_the_valid_ones(options: dict[str, An
         TrackSteering(**options)
 
 
-def test_on_an_open_course_a_car_starts_with_room_before_its_end() -> None:
-    task, rng = Task(course="straight"), np.random.default_rng(0)
-    starts = np.array([task.draw(rng).s for _ in range(2000)])
-    end = task.path.length - END_MARGIN - LEAST_ROOM
-    assert 0.0 <= starts.min() < 0.01 * end
-    assert 0.99 * end < starts.max() <= end
-    closed = Task(course="circle")
-    around = np.array([closed.draw(rng).s for _ in range(2000)])
-    assert around.max() > 0.99 * closed.path.length
-
-
 @pytest.mark.parametrize(
     ("options", "largest"), [({}, radians_of(25.0)), ({"doe": "plain"}, radians_of(520.0)), ({"largest": 0.3}, 0.3)]
 )
@@ -104,16 +79,6 @@ def test_a_continuous_action_means_its_share_of_the_largest_angle(options: dict[
     for share in (-1.0, -0.5, 0.0, 0.25, 1.0):
         assert task.angle(np.array([share]), (1,)) == pytest.approx([share * largest])
     np.testing.assert_allclose(task.angle(np.array([[0.5], [-1.0]]), (2, 1)), [0.5 * largest, -largest])
-
-
-def test_each_episode_has_the_human_and_the_noise_of_its_seed() -> None:
-    task = Task(conditions="hard")
-    draws = [Draw(seed=seed, s=10.0, e=0.0, psi_e=0.0) for seed in (1, 2, 1)]
-    states = dict(zip(task.loop.names, task.starts(draws).x, strict=True))
-    for name in ("human", "sensors"):
-        numbers = np.array([np.broadcast_to(column, 3) for column in states[name]], dtype=float)
-        np.testing.assert_array_equal(numbers[:, 0], numbers[:, 2])
-        assert (numbers[:, 0] != numbers[:, 1]).any(), name
 
 
 def test_safe_is_a_filter_behind_the_output_element() -> None:

@@ -1,0 +1,161 @@
+"""Where an episode starts, and in which state: drawn, on the course, and settled in its bend."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from steerkit import maths as m
+from steerkit.block import Block, State
+from steerkit.doe import Dynamic, HeldAngle
+from steerkit.errors import require
+from steerkit.loop import Loop, LoopState
+from steerkit.maths import Scalar
+from steerkit.path import Path
+from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.pushed import GUST_STATES, Pushed
+from steerkit.plants.single_track import SingleTrackState
+from steerkit.plants.steering_actuator import SteeringActuator
+from steerkit.plants.torque_steering import TorqueSteering
+from steerkit.random import OpenSeed
+from steerkit.scenario import END_MARGIN
+from steerkit.tracker import PathTracker
+
+LEAST_ROOM = 30.0
+"""A car on an open course starts at least so far from where it ends [m]."""
+
+
+class Draw(NamedTuple):
+    """Where an episode starts, and with which human and noise."""
+
+    seed: int
+    s: float
+    e: float
+    psi_e: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Starts:
+    """The starts of a task's episodes: where on the course, how far and how much turned off it, with which seed.
+
+    A single-track car starts in the steady state of the bend it is in: sideslip, yaw rate, wheel and motor settled.
+    """
+
+    place: Any
+    """The scenario, or what stands for it (`Task.place`)."""
+    loop: Loop
+    path: Path
+    limit: float
+    """|e| [m] beyond which an episode has failed: none starts there."""
+    beginning: bool
+    """At the beginning of the course, or anywhere?"""
+    e: float
+    """Largest |e| that is drawn [m]."""
+    psi_e: float
+    """Largest turn that is drawn [rad]."""
+
+    @cached_property
+    def last(self) -> float:
+        """The largest s at which an episode starts [m]."""
+        return self.path.length if self.path.closed else max(0.0, self.path.length - END_MARGIN - LEAST_ROOM)
+
+    def draw(self, rng: np.random.Generator, options: Mapping[str, Any] | None = None) -> Draw:
+        """The start of an episode; `options` s [m], e [m], psi_e [rad] stand for what is drawn otherwise."""
+        given = dict(options or {})
+        unknown = [name for name in given if name not in ("s", "e", "psi_e")]
+        require(not unknown, "TrackSteering.reset", f"option {unknown[:1]} is not known; valid: s, e, psi_e")
+        seed = int(rng.integers(2**31))
+        s, e, psi_e = rng.random() * self.last, rng.uniform(-self.e, self.e), rng.uniform(-1.0, 1.0)
+        chosen = {"s": 0.0 if self.beginning else s, "e": e, "psi_e": self.psi_e * psi_e} | given
+        drawn = Draw(seed, *(float(chosen[name]) for name in ("s", "e", "psi_e")))
+        fits = 0.0 <= drawn.s <= self.path.length and abs(drawn.e) < self.limit and abs(drawn.psi_e) < 1.6
+        require(fits, "TrackSteering.reset", f"{drawn}, expected s on the course, |e| < limit, |psi_e| < 1.6 rad")
+        return drawn
+
+    def states(self, draws: Sequence[Draw]) -> LoopState:
+        """The loop's state of len(draws) cars, settled."""
+        s, e, psi_e = np.array([draw[1:] for draw in draws]).T
+        return self.state(s, e, psi_e, [self._drawn(block, draws) for block in self.loop.blocks.values()])
+
+    def state(self, s: Scalar, e: Scalar, psi_e: Scalar, drawn: Sequence[State]) -> LoopState:
+        """The loop's state, settled, of cars e [m] left of the path at s [m], turned by psi_e [rad]: arrays or symbols.
+
+        drawn: the state of each block at its start, with the random numbers of its seed.
+        """
+        loop, batch = self.loop, np.shape(s) if isinstance(s, np.ndarray) else ()
+        x = dict(zip(loop.names, drawn))
+        for name, block in loop.blocks.items():
+            if isinstance(block, PathTracker):
+                x[name] = block.X(s, 0.0 * s)
+        px, py, dx, dy, ddx, ddy = self.path.frame(self.path.inside(s))
+        psi, kappa = m.atan2(dy, dx), dx * ddy - dy * ddx
+        px, py = px - e * m.sin(psi), py + e * m.cos(psi)
+        gusts = x["car"][-GUST_STATES:] if isinstance(loop.blocks["car"], Pushed) else ()
+        start = self._car_at(px, py, psi + psi_e, batch)
+        x["car"] = (*start, *gusts) if gusts else start
+        first = loop.init(x=[*x.values()])
+        if not isinstance(start, SingleTrackState):
+            return first
+        car = self._car
+        v, c = loop.sample(first)["human.v"] + 0.0 * s, car.vehicle
+        r = v * kappa
+        beta = (c.l_r - c.m * v**2 * c.l_f / (c.c_r * c.wheelbase)) * kappa
+        wheel = c.steer_ratio * (c.wheelbase + c.understeer_gradient * v**2) * kappa
+        wheel = m.clip(wheel, -c.delta_sw_max, c.delta_sw_max)
+        drift = m.atan2(v * m.sin(beta) + r * self.place.ahead, v * m.cos(beta))
+        at = self._car_at(px, py, psi + (psi_e - drift), batch)
+        sway = v * m.sin(beta) if isinstance(car, NonlinearSingleTrack) else beta
+        start = at._replace(sway=sway, r=r, v=v, delta_sw=wheel)
+        x["car"] = (*start, *gusts) if gusts else start
+        if isinstance(loop.blocks["doe"], Dynamic):
+            x["doe"] = HeldAngle(wheel)
+        motor = loop.blocks.get("actuator")
+        if isinstance(motor, SteeringActuator):
+            x["actuator"] = (wheel, 0.0 * s, *[wheel] * (len(x["actuator"]) - 2))
+        elif isinstance(motor, TorqueSteering):
+            x["actuator"] = motor.holding(wheel, v)
+        return loop.init(x=[*x.values()])
+
+    @property
+    def _car(self) -> Any:
+        """The car itself, without what pushes it."""
+        car = self.loop.blocks["car"]
+        return car.block if isinstance(car, Pushed) else car
+
+    def _car_at(self, x: Scalar, y: Scalar, psi: Scalar, batch: tuple[int, ...]) -> Any:
+        """The car's state with its reference point at x, y [m] and this heading [rad]."""
+        x, y = x - self.place.ahead * m.cos(psi), y - self.place.ahead * m.sin(psi)
+        car = self._car
+        state = car.init(batch)
+        if isinstance(state, SingleTrackState):
+            return state._replace(x=x, y=y, psi=psi)
+        return dataclasses.replace(car, x0=x, y0=y, psi0=psi).init(batch)
+
+    def _drawn(self, block: Block, draws: Sequence[Draw]) -> Any:
+        """The block's state at the start of these cars, with their seeds if it draws random numbers."""
+        if reseeded(block, 0) is block:
+            return block.init((len(draws),))
+        states = [reseeded(block, draw.seed).init() for draw in draws]
+        columns = [np.array(column) for column in zip(*states)]
+        return type(states[0])(*columns) if hasattr(states[0], "_fields") else tuple(columns)
+
+
+def reseeded(block: Any, seed: int | OpenSeed) -> Any:
+    """The block with its field `seed`, or that of a block inside it, exchanged; itself if there is none."""
+    changed: dict[str, Any] = {}
+    for name, value in vars(block).items():
+        if name == "seed":
+            changed["seed"] = seed
+        elif isinstance(value, Block) and (inner := reseeded(value, seed)) is not value:
+            changed[name] = inner
+    if not changed:
+        return block
+    new = copy.copy(block)  # not dataclasses.replace: its checks take most of the time of a start
+    vars(new).update(changed)
+    return new
