@@ -50,6 +50,31 @@ class Held(Block):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
+class Oscillator(Block):
+    """x'' = -v x: at a held v its step is a matrix."""
+
+    v = In("1", direct=False)
+    x = Out("1", direct=())
+
+    def init(self, batch: tuple[int, ...] = ()) -> State:
+        return (m.filled(1.0, batch), m.filled(0.0, batch))
+
+    def output(self, t: Any, x: State, u: Any) -> Any:
+        return self.Y(x[0])
+
+    def update(self, t: Any, x: State, u: Any, y: Any) -> State:
+        for _ in range(20):
+            x = m.rk4(lambda z: (z[1], -u.v * z[0]), x, self.dt / 20)
+        return tuple(x)
+
+
+def oscillating_loop() -> Loop:
+    """An oscillator of two radians a second."""
+    held, oscillator = Held(value=4.0), Oscillator()
+    return Loop(blocks={"held": held, "oscillator": oscillator}, wires=[(held.v, oscillator.v)])
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Mixed(Block):
     """Everything that equations may hold: time, tables, choices, functions, a vector port, random numbers."""
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,19 +10,12 @@ import pytest
 
 from steerkit.cli import app as cli
 from steerkit.learning import rundir
-from steerkit.learning.experiment import Experiment
-from steerkit.learning.learn import learn
-from steerkit.learning.nfq.iterate import FitSetting
-from steerkit.learning.settings import PAPER
-from steerkit.scenario import Scenario
+from tests.support.short_run import published_on_a_circle
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    place = tmp_path_factory.mktemp("run")
-    setting = replace(PAPER, fit=FitSetting(epochs=20))
-    learn(Experiment(setting=setting, scenario=Scenario(course="circle"), minutes=0.3, seed=2), place)
-    return place
+    return published_on_a_circle(tmp_path_factory.mktemp("run"))
 
 
 @pytest.fixture(autouse=True)

@@ -11,12 +11,12 @@ import pytest
 
 from steerkit import maths as m
 from steerkit import native
-from steerkit.block import Block, In, Out, State
+from steerkit.block import Block, Out, State
 from steerkit.compiled import compile
 from steerkit.loop import Loop
 from steerkit.maths import Table
 from steerkit.simulation import simulate
-from tests.support.traced_blocks import Held, mixed_loop, worst
+from tests.support.traced_blocks import mixed_loop, oscillating_loop, worst
 
 pytestmark = pytest.mark.skipif(native.compiler() is None, reason="needs a C compiler")
 
@@ -72,29 +72,9 @@ def test_many_cars_go_on_from_any_tick_with_any_decimation(every: int) -> None:
     assert worst(second, simulate(loop, 0.7, state=reference.state, every=every, record=record)) <= 1e-13
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Oscillator(Block):
-    """x'' = -v x: at a held v its step is a matrix."""
-
-    v = In("1", direct=False)
-    x = Out("1", direct=())
-
-    def init(self, batch: tuple[int, ...] = ()) -> State:
-        return (m.filled(1.0, batch), m.filled(0.0, batch))
-
-    def output(self, t: Any, x: State, u: Any) -> Any:
-        return self.Y(x[0])
-
-    def update(self, t: Any, x: State, u: Any, y: Any) -> State:
-        for _ in range(20):
-            x = m.rk4(lambda z: (z[1], -u.v * z[0]), x, self.dt / 20)
-        return tuple(x)
-
-
 def test_cars_with_several_held_values_each_keep_their_own() -> None:
     """Collapsed for one value, cars of another one would all swing alike."""
-    held, oscillator = Held(value=4.0), Oscillator()
-    loop = Loop(blocks={"held": held, "oscillator": oscillator}, wires=[(held.v, oscillator.v)])
+    loop = oscillating_loop()
     program = compile(loop, backend="c", collapse=True)
     values = np.array([4.0, 9.0, 1.0])
     start = loop.with_block_state(loop.init(batch=3), "held", (values,))

@@ -3,41 +3,29 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pytest
 
-from steerkit import maths as m
-from steerkit.block import Block, In, Out, State
 from steerkit.compiled import TraceError, compile
 from steerkit.compiled.trace import trace
 from steerkit.loop import Loop
 from steerkit.maths import Table
 from steerkit.simulation import simulate
-from tests.support.traced_blocks import Branching, Decay, Derived, Hardware, Held, decay_loop, mixed_loop, worst
+from tests.support.traced_blocks import (
+    Branching,
+    Decay,
+    Derived,
+    Hardware,
+    decay_loop,
+    mixed_loop,
+    oscillating_loop,
+    worst,
+)
 
 
 def test_linear_substeps_collapse_to_one_step_matrix() -> None:
-    @dataclass(frozen=True, eq=False, kw_only=True)
-    class Oscillator(Block):
-        v = In("1", direct=False)
-        x = Out("1", direct=())
-
-        def init(self, batch: tuple[int, ...] = ()) -> State:
-            return (m.filled(1.0, batch), m.filled(0.0, batch))
-
-        def output(self, t: Any, x: State, u: Any) -> Any:
-            return self.Y(x[0])
-
-        def update(self, t: Any, x: State, u: Any, y: Any) -> State:
-            for _ in range(20):
-                x = m.rk4(lambda z: (z[1], -u.v * z[0]), x, self.dt / 20)
-            return tuple(x)
-
-    held, oscillator = Held(value=4.0), Oscillator()
-    loop = Loop(blocks={"held": held, "oscillator": oscillator}, wires=[(held.v, oscillator.v)])
+    loop = oscillating_loop()
     whole = trace(loop)
     assert whole.instructions > 300
     assert whole.with_held((4.0,) * len(whole.held)).instructions <= 6  # two rows of two products and a sum
