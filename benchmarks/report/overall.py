@@ -129,7 +129,7 @@ def _sentence(learned: str, held: int, drives: int, matches: dict[str, list[Matc
     said = [f"{learned} kept to the course in {share}."]
     rows = [m for row in matches.values() for m in row if m.metric == "rms_e"]
     if not rows:
-        return f"{said[0]} There is no scenario that it and an analytic controller both held."
+        return f"{said[0]} There is no scenario that it and an analytic controller both held with every seed."
     rival = max(rows, key=lambda m: m.ratio.value)
     usual = next((m for m in rows if m.analytic == OPPONENT), rival)
     texts = [f"{times(usual.ratio.value)} that of {usual.analytic}"]

@@ -82,8 +82,10 @@ def test_a_scenario_that_one_of_them_lost_is_left_out_and_said(tmp_path: Path) -
     assert {match.scenarios for match in glance.matches["stanley"]} == {1}
     assert glance.sentence.startswith("net kept to the course in 11 of 12 drives.")
     never = tuple(("net", name, seed) for name in ("easy", "hard") for seed in range(6))
-    text = headline(made(tmp_path / "b", 6, lost=never, net=1.0, stanley=2.0))
-    assert text.endswith("There is no scenario that it and an analytic controller both held.")
+    lost = made(tmp_path / "b", 6, lost=never, net=1.0, stanley=2.0)
+    assert headline(lost).endswith("There is no scenario that it and an analytic controller both held with every seed.")
+    assert '<table class="glance">' in html(results)
+    assert '<table class="glance">' not in html(lost)
 
 
 def test_the_best_learned_controller_is_the_headline_and_nobody_is_without_two_kinds(tmp_path: Path) -> None:
