@@ -59,6 +59,7 @@ def simulate(
     v_min: Annotated[float, typer.Option(help="Slowest speed (m/s).")] = 4.0,
     v_max: Annotated[float, typer.Option(help="Fastest speed (m/s).")] = 6.0,
     log: Annotated[str, typer.Option(help="File for every command heard, as JSON lines.")] = "",
+    parent: Annotated[int, typer.Option(hidden=True, help="Process that starts it, and with which it ends.")] = 0,
 ) -> None:
     """A simulated car behind the same DBC on a bus of its own; faults come as lines on standard input.
 
@@ -92,7 +93,7 @@ def simulate(
         stream = stack.enter_context(open(log, "w", encoding="utf-8")) if log else None
         stack.callback(port.close)
         with contextlib.suppress(KeyboardInterrupt):
-            processes.serve_simulated(car, port, clock, log=stream, faults=sys.stdin)
+            processes.serve_simulated(car, port, clock, log=stream, faults=sys.stdin, parent=parent)
 
 
 @app.command()

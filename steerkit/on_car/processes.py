@@ -92,8 +92,11 @@ def start_simulated(
     options: Sequence[str] = (),
     wait: float = 15.0,
 ) -> tuple[subprocess.Popen[str], str]:
-    """Start a simulated car; returns its process, which takes faults on its standard input, and its channel."""
-    words = ["simulate", "--config", config, "--time-scale", str(time_scale), *options]
+    """Start a simulated car; returns its process, which takes faults on its standard input, and its channel.
+
+    It ends with this program, however that ends.
+    """
+    words = ["simulate", "--config", config, "--time-scale", str(time_scale), "--parent", str(os.getpid()), *options]
     words += ["--log", log] if log else []
     words += ["--listen", listen] if listen else []
     process = start(*words, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
@@ -118,16 +121,18 @@ def serve_simulated(
     log: TextIO | None = None,
     faults: TextIO | None = None,
     duration: float = float("inf"),
+    parent: int = 0,
 ) -> None:
     """Run a simulated car in real time on a port; it writes every command it hears to `log`, as JSON lines.
 
     faults: lines such as `drop pose 0.5` (kind, target, length [s], amount), each acting from when it is read.
+    parent: number of the process with which it ends; 0: with none.
     """
     if faults:
         os.set_blocking(faults.fileno(), False)
     end = clock.now() + duration
     reported = 0.0
-    while clock.now() < end:
+    while clock.now() < end and parent in (0, os.getppid()):
         for frame_id, data in port.wait(clock.wall(car.next - clock.now())):
             t = clock.now()
             car.receive(t, frame_id, data)

@@ -291,3 +291,24 @@ def test_a_second_process_on_the_same_adapter_is_refused_and_the_first_does_not_
         for process in (server, simulated):
             process.terminate()
             process.wait(20.0)
+
+
+def test_a_simulated_car_ends_with_the_program_that_started_it_however_that_ends() -> None:
+    start = f"from steerkit.on_car.processes import start_simulated as it; print(it({CONFIG!r})[0].pid, flush=True)"
+    with subprocess.Popen(
+        [sys.executable, "-c", f"{start}; input()"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as starter:
+        assert starter.stdout is not None
+        number = int(starter.stdout.readline())
+        assert state_of(number) not in ("", "Z")
+        starter.kill()
+    end = time.monotonic() + 30.0
+    while state_of(number) not in ("", "Z") and time.monotonic() < end:
+        time.sleep(0.05)
+    assert state_of(number) in ("", "Z")
+
+
+def state_of(process: int) -> str:
+    """The first letter of what `ps` says of it: Z, where nobody has asked for its end yet; empty: it is gone."""
+    done = subprocess.run(["ps", "-o", "stat=", "-p", str(process)], capture_output=True, text=True, check=False)
+    return done.stdout.strip()[:1]
