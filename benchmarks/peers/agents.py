@@ -85,18 +85,11 @@ def d3rlpy_nfq(
     import d3rlpy
 
     d = setting.description()
-    cost, terminal = setting.cost(record.s, record.a, record.s_next)
-    last = np.append(np.diff(record.episode) != 0, True)
-    actions = np.abs(record.a[:, None] - np.array(setting.actions)).argmin(axis=1)
     with _one_thread(), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         d3rlpy.seed(seed)
         data = d3rlpy.dataset.MDPDataset(
-            observations=np.clip((record.s - d.mid) / d.half, -BOUND, BOUND).astype(np.float32),
-            actions=actions[:, None],
-            rewards=np.where(terminal, -TOLD_OF_FAILURE, -cost).astype(np.float32),
-            terminals=(terminal & last).astype(np.float32),
-            timeouts=(last & ~terminal).astype(np.float32),
+            **offline(record, setting),
             action_space=d3rlpy.constants.ActionSpace.DISCRETE,
             action_size=len(setting.actions),
         )
@@ -115,6 +108,25 @@ def d3rlpy_nfq(
             rows.append(_row(judge(block), check, len(record) * block.dt, len(record)))
     assert block is not None
     return block, dict(zip(CURVE, np.array(rows).T, strict=True))
+
+
+def offline(record: Transitions, setting: Setting) -> dict[str, np.ndarray]:
+    """A record as d3rlpy wants it: the columns that a net sees, scaled, numbers of actions, rewards, ends.
+
+    What a learner records beyond these columns (the path's curvature, for its car model) no agent is told.
+    """
+    d = setting.description()
+    seen = [record.names.index(name) for name in d.names]
+    s, s_next = record.s[:, seen], record.s_next[:, seen]
+    cost, terminal = setting.cost(s, record.a, s_next)
+    last = np.append(np.diff(record.episode) != 0, True)
+    return {
+        "observations": np.clip((s - d.mid) / d.half, -BOUND, BOUND).astype(np.float32),
+        "actions": np.abs(record.a[:, None] - np.array(setting.actions)).argmin(axis=1)[:, None],
+        "rewards": np.where(terminal, -TOLD_OF_FAILURE, -cost).astype(np.float32),
+        "terminals": (terminal & last).astype(np.float32),
+        "timeouts": (last & ~terminal).astype(np.float32),
+    }
 
 
 def _row(figures: dict[str, float], check: int, t: float, transitions: int) -> list[float]:
