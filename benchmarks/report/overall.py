@@ -125,7 +125,8 @@ def _hardest(matches: dict[str, list[Match]], default: float) -> float:
 
 
 def _sentence(learned: str, held: int, drives: int, matches: dict[str, list[Match]]) -> str:
-    share = f"all {drives} drives" if held == drives else f"{held} of {drives} drives"
+    every = "its one drive" if drives == 1 else f"all {drives} drives"
+    share = every if held == drives else f"{held} of {drives} drives"
     said = [f"{learned} kept to the course in {share}."]
     rows = [m for row in matches.values() for m in row if m.metric == "rms_e"]
     if not rows:

@@ -95,14 +95,9 @@ def tiles(results: Results) -> list[tuple[str, str, str]]:
             f"{len(results.missing)} missing, {len(results.cases) - len(drives)} without a result",
         )
     ]
-    seeds = {c.seed for c in drives}
-    rows.append(
-        (
-            str(len(parts.controllers(drives))),
-            "controllers",
-            f"{len({c.scenario for c in drives})} scenarios, {len(seeds)} seeds",
-        )
-    )
+    places, seeds = len({c.scenario for c in drives}), len({c.seed for c in drives})
+    extent = f"{places} scenario{'s' if places != 1 else ''}, {seeds} seed{'s' if seeds != 1 else ''}"
+    rows.append((str(len(parts.controllers(drives))), "controllers", extent))
     measured = [c for c in drives if "held" in c.metrics]
     if measured:
         held = float(np.mean([c.metrics["held"] > 0.5 for c in measured]))

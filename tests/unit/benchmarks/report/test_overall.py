@@ -76,6 +76,12 @@ def test_with_few_seeds_nothing_is_certain(tmp_path: Path) -> None:
         assert 'class="won"' not in html(results)
 
 
+def test_one_drive_is_told_as_one(tmp_path: Path) -> None:
+    results = made(tmp_path / "a", 1, net=1.0, stanley=2.0)
+    single = Results(results.place, results.provenance, tuple(c for c in results.cases if c.scenario == "easy"))
+    assert headline(single).startswith("net kept to the course in its one drive.")
+
+
 def test_a_scenario_that_one_of_them_lost_is_left_out_and_said(tmp_path: Path) -> None:
     results = made(tmp_path / "a", 6, lost=(("net", "hard", 3),), net=1.0, stanley=2.0)
     (glance,) = glances(results)
