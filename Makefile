@@ -27,14 +27,15 @@ test test-all: export OMP_NUM_THREADS = 1
 test test-all: export PYTHONDONTWRITEBYTECODE =
 # They compile some sixty loops, which for a few seconds of driving takes longer than the driving.
 test test-all: export CC := $(CC) -O1
+# Who has done his share takes over from the others: a long test at the end holds nobody up.
 test: $(READY)  ## all tests, on three processes: some wait for a car in real time
-	$(BIN)/python -m pytest -n 3
+	$(BIN)/python -m pytest -n 3 --dist worksteal
 
 BROWSER := $(firstword $(shell command -v chromium chromium-browser google-chrome chrome))
 
 test-all: $(PEERS)  ## all tests, with do-mpc, Stable-Baselines3, d3rlpy and a browser too; names what is still skipped
 	@echo "browser: $(or $(BROWSER),none; five tests need one: apt-get install chromium)"
-	$(BIN)/python -m pytest -n 3 -rs
+	$(BIN)/python -m pytest -n 3 --dist worksteal -rs
 
 SLIPS ?=
 slips: $(READY)  ## put mistakes into copies of the code, one at a time: does a test notice? SLIPS="--only TEXT"
