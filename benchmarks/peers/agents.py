@@ -89,7 +89,7 @@ def d3rlpy_nfq(
         warnings.simplefilter("ignore")
         d3rlpy.seed(seed)
         data = d3rlpy.dataset.MDPDataset(
-            **offline(record, setting),
+            **dataset_of(record, setting),
             action_space=d3rlpy.constants.ActionSpace.DISCRETE,
             action_size=len(setting.actions),
         )
@@ -110,7 +110,7 @@ def d3rlpy_nfq(
     return block, dict(zip(CURVE, np.array(rows).T, strict=True))
 
 
-def offline(record: Transitions, setting: Setting) -> dict[str, np.ndarray]:
+def dataset_of(record: Transitions, setting: Setting) -> dict[str, np.ndarray]:
     """A record as d3rlpy wants it: the columns that a net sees, scaled, numbers of actions, rewards, ends.
 
     What a learner records beyond these columns (the path's curvature, for its car model) no agent is told.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.report.parts import METRICS, Drives, paired_means
+from benchmarks.report.parts import METRICS, Drives, counted, paired_means
 from benchmarks.run.results import Case, Results
 from steerkit.metrics import Interval, paired
 
@@ -139,7 +139,7 @@ def _sentence(learned: str, held: int, drives: int, matches: dict[str, list[Matc
     said.append(f"Its distance from the path was {' and '.join(texts)}.")
     seeds = max(m.ratio.n for m in rows)
     if seeds < ENOUGH:
-        said.append(f"No difference is certain with {seeds} seed{'s' if seeds > 1 else ''}; {ENOUGH} are needed.")
+        said.append(f"No difference is certain with {counted(seeds, 'seed')}; {ENOUGH} are needed.")
         return " ".join(said)
     groups = {
         "certainly nearer to the path than": [m.analytic for m in rows if m.decided < 0],

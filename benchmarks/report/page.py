@@ -63,6 +63,7 @@ def html(results: Results) -> str:
         "shown": parts.number,
         "named": _named,
         "unit": parts.unit,
+        "counted": parts.counted,
         "condition": conditions.condition,
     }
     template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
@@ -96,7 +97,7 @@ def tiles(results: Results) -> list[tuple[str, str, str]]:
         )
     ]
     places, seeds = len({c.scenario for c in drives}), len({c.seed for c in drives})
-    extent = f"{places} scenario{'s' if places != 1 else ''}, {seeds} seed{'s' if seeds != 1 else ''}"
+    extent = f"{parts.counted(places, 'scenario')}, {parts.counted(seeds, 'seed')}"
     rows.append((str(len(parts.controllers(drives))), "controllers", extent))
     measured = [c for c in drives if "held" in c.metrics]
     if measured:

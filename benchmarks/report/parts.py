@@ -95,6 +95,11 @@ def number(value: float, digits: int = 3) -> str:
     return f"{value:,.{max(0, digits - 1 - size)}f}" if -5 < size < 9 else f"{value:.{digits - 1}e}"
 
 
+def counted(n: int, word: str) -> str:
+    """So many of them: "1 seed", "3 seeds"."""
+    return f"{n} {word}{'s' if n != 1 else ''}"
+
+
 def unit(m: Metric) -> str:
     """The metric's unit as people write it; nothing for a pure number."""
     return "" if m.unit == "1" else m.unit.replace("^2", "²").replace("^3", "³").replace("us", "µs")

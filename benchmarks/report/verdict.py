@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.report.overall import ENOUGH, JUDGED, OPPONENT, SIGNIFICANT, headline
+from benchmarks.report.parts import counted
 from benchmarks.run.results import Case, Results
 from steerkit.metrics import Paired, metric, paired, share
 
@@ -91,8 +92,7 @@ def verdict(results: Results, *, suite: str | None = None) -> str:
     seeds = max(len({case.seed for case in _drives(results, suite) if case.controller == name}) for name in learned)
     if seeds < ENOUGH:
         lines += [
-            f"**{seeds} seed{'s' if seeds != 1 else ''}: with fewer than {ENOUGH} nothing is certain; "
-            "the ratios are all there is.**",
+            f"**{counted(seeds, 'seed')}: with fewer than {ENOUGH} nothing is certain; the ratios are all there is.**",
             "",
         ]
     lines += [headline(results, suite=suite), ""]

@@ -8,8 +8,9 @@ from typing import Any, NamedTuple
 
 from steerkit.compiled.c_code import function_source, lanes_source
 from steerkit.compiled.trace import Tick, Trace, trace, traced
+from steerkit.controllers.network_policy import BOUND
 from steerkit.gym.starts import reseeded
-from steerkit.gym.task import BOUND, Task
+from steerkit.gym.task import Task
 from steerkit.maths import Table
 from steerkit.random import OpenSeed, RandomState
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from steerkit.block import Block, Out, State
 from steerkit.catalogue import ELEMENTS, make_element, make_safety
+from steerkit.controllers.network_policy import BOUND
 from steerkit.controllers.nfq_policy import IDOE_ACTIONS
 from steerkit.controllers.safety_filter import SafetyFilter
 from steerkit.controllers.state_description import StateDescription
@@ -41,8 +42,6 @@ ACTIONS: dict[str, tuple[tuple[float, ...] | None, str]] = {
 }
 """Action sets by name: their angles [rad], and the dynamic output element they are made for."""
 COST_KINDS: dict[str, Any] = {cost.__name__: cost for cost in COSTS}
-BOUND = 10.0
-"""Observations, scaled to about [-1, 1], are cut off here."""
 INFO = (
     *("path.e", "path.s", "path.progress", "car.x", "car.y", "car.psi", "car.v", "car.a_y", "car.delta_sw"),
     *("safety.correction", "safety.share"),

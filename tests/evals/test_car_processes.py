@@ -30,6 +30,7 @@ from steerkit.plants.real_car.file.reading import load
 from steerkit.plants.real_car.frames.bus import BusPort, open_bus
 from steerkit.plants.real_car.processes.client import CarClient, CarLost
 from steerkit.plants.real_car.processes.server import CarServer
+from tests.support.programs import alive
 
 CONFIG = "dbw-kit.toml"
 
@@ -300,17 +301,11 @@ def test_a_simulated_car_ends_with_the_program_that_started_it_however_that_ends
     ) as starter:
         assert starter.stdout is not None
         number = int(starter.stdout.readline())
-        assert state_of(number) not in ("", "Z")
+        assert alive(number)
         starter.kill()
     end = time.monotonic() + 30.0
-    while state_of(number) not in ("", "Z") and time.monotonic() < end:
+    while alive(number) and time.monotonic() < end:
         time.sleep(0.05)
-    if state_of(number) not in ("", "Z"):
+    if alive(number):
         os.kill(number, signal.SIGKILL)
         pytest.fail("the simulated car stayed behind")
-
-
-def state_of(process: int) -> str:
-    """The first letter of what `ps` says of it: Z, where nobody has asked for its end yet; empty: it is gone."""
-    done = subprocess.run(["ps", "-o", "stat=", "-p", str(process)], capture_output=True, text=True, check=False)
-    return done.stdout.strip()[:1]

@@ -23,6 +23,7 @@ from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.nfq.iterate import FitSetting
 from steerkit.learning.trainer import Job, Nets, Result, SimulatedTrainer, Trainer
+from tests.support.programs import alive
 
 ACTIONS = (-0.1, 0.0, 0.1)
 FIT = FitSetting(epochs=10, nets=2)
@@ -317,10 +318,3 @@ if __name__ == "__main__":
     os.kill(parent.pid, signal.SIGKILL)
     parent.wait()
     until(lambda: not alive(child))
-
-
-def alive(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rsplit(")")[1].split()[0] != "Z"
-    except OSError:
-        return False

@@ -69,7 +69,7 @@ def driven(rows: int) -> Transitions:
 
 def test_a_record_is_handed_on_as_a_net_sees_it_with_its_ends() -> None:
     record, about = driven(300), DEFAULT.description()
-    data = peers.offline(record, DEFAULT)
+    data = peers.dataset_of(record, DEFAULT)
     scaled = (record.s[:, :6] - about.mid) / about.half
     np.testing.assert_allclose(data["observations"], np.clip(scaled, -10.0, 10.0), atol=1e-6)
     assert (np.array(DEFAULT.actions)[data["actions"][:, 0]] == record.a).all()
@@ -83,7 +83,7 @@ def test_a_record_is_handed_on_as_a_net_sees_it_with_its_ends() -> None:
 def test_a_record_of_a_learner_has_what_is_handed_on() -> None:
     """The names are the learner's own: a record that a test has made up may be unlike it."""
     run = train(replace(SHORT, setting=DEFAULT, minutes=0.05)).run
-    assert peers.offline(run.transitions, DEFAULT)["observations"].shape == (len(run.transitions), 6)
+    assert peers.dataset_of(run.transitions, DEFAULT)["observations"].shape == (len(run.transitions), 6)
 
 
 def test_d3rlpy_learns_from_a_record() -> None:
