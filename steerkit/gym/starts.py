@@ -14,7 +14,7 @@ import numpy as np
 from steerkit import maths as m
 from steerkit.block import Block, State
 from steerkit.doe import Dynamic, HeldAngle
-from steerkit.errors import require
+from steerkit.errors import require, require_within
 from steerkit.loop import Loop, LoopState
 from steerkit.maths import Scalar
 from steerkit.path import Path
@@ -68,8 +68,12 @@ class Starts:
     def draw(self, rng: np.random.Generator, options: Mapping[str, Any] | None = None) -> Draw:
         """The start of an episode; `options` s [m], e [m], psi_e [rad] stand for what is drawn otherwise."""
         given = dict(options or {})
-        unknown = [name for name in given if name not in ("s", "e", "psi_e")]
+        valid = {"s": ("m", 0.0, self.path.length), "e": ("m", -self.limit, self.limit), "psi_e": ("rad", -1.6, 1.6)}
+        unknown = [name for name in given if name not in valid]
         require(not unknown, "TrackSteering.reset", f"option {unknown[:1]} is not known; valid: s, e, psi_e")
+        for name, value in given.items():
+            require_within("TrackSteering.reset", name, value, *valid[name])
+            require(np.ndim(value) == 0, "TrackSteering.reset", f"{name} = {value!r}, expected one number")
         seed = int(rng.integers(2**31))
         s, e, psi_e = rng.random() * self.last, rng.uniform(-self.e, self.e), rng.uniform(-1.0, 1.0)
         chosen = {"s": 0.0 if self.beginning else s, "e": e, "psi_e": self.psi_e * psi_e} | given

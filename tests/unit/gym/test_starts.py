@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import gymnasium
 import numpy as np
 import pytest
@@ -35,6 +38,15 @@ def test_on_an_open_course_a_car_starts_with_room_before_its_end() -> None:
     closed = Task(course="circle")
     around = np.array([closed.starts.draw(rng).s for _ in range(2000)])
     assert around.max() > 0.99 * closed.path.length
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"s": math.nan}, {"e": "left"}, {"s": None}, {"psi_e": math.inf}, {"e": [0.1, 0.2]}, {"s": 1e9}, {"s": True}],
+)
+def test_a_start_that_is_no_number_on_the_course_is_named(options: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=f"TrackSteering.reset.*{next(iter(options))}.*expected"):
+        Task(course="genesis").starts.draw(np.random.default_rng(0), options)
 
 
 def test_each_episode_has_the_human_and_the_noise_of_its_seed() -> None:
