@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from steerkit import maths as m
 from steerkit.block import Block, In, Out, State
 from steerkit.controllers.limits import limited, slewed
+from steerkit.controllers.riccati import cost_to_go
 from steerkit.errors import require
 from steerkit.maths import Scalar, Table
 from steerkit.task import DT, STOP
@@ -107,15 +108,12 @@ class LqrDesign:
         g sums all that follow, as if the curvature stayed: e = 0 in any steady bend, for the model.
         Source: Anderson, Moore 1990, ch. 3; preview: Tomizuka 1975.
         """
-        import control
-
         a, b, d = self.model(v)
         out = np.zeros((2, len(b)))
         out[0, 0] = 1.0 / self.e_size
         out[1, 1:4] = np.array((v, v, self.reference)) / self.e_dot_size
         weight = self.step_size**-2
-        _, p, _ = control.dlqr(a, b[:, None], out.T @ out, [[weight]])
-        p = np.asarray(p)
+        p = cost_to_go(a, b, out.T @ out, weight)
         share = b / (weight + b @ p @ b)
         k = share @ p @ a
         closed, term = (a - np.outer(b, k)).T, p @ d

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import casadi
@@ -15,6 +15,7 @@ from scipy.interpolate import CubicSpline
 from scipy.linalg import expm
 
 from steerkit import maths as m
+from steerkit.controllers.riccati import cost_to_go
 
 Array = NDArray[np.float64]
 Rhs = Callable[[Sequence[Any], Any, Any], Sequence[Any]]
@@ -29,6 +30,8 @@ NX = 6
 """States of a stage: e, psi_e, sway, r, wheel angle, command."""
 V_LOW, V_HIGH, V_STEP = 0.5, 20.0, 0.25
 """Speeds [m/s] between which the car is modelled, and how far apart the tabled ones are."""
+SPEEDS = np.arange(V_LOW, V_HIGH + 0.5 * V_STEP, V_STEP)
+"""The tabled speeds [m/s]."""
 KAPPA_HIGH, KAPPA_STEP = 0.25, 0.005
 """Tabled curvatures [1/m]."""
 CURVES = 2 * round(KAPPA_HIGH / KAPPA_STEP) + 1
@@ -165,11 +168,6 @@ class PathModel:
     # ---- tables over speed ----------------------------------------------------------------------------------
 
     @cached_property
-    def speeds(self) -> Array:
-        """The tabled speeds [m/s]."""
-        return np.arange(V_LOW, V_HIGH + 0.5 * V_STEP, V_STEP)
-
-    @cached_property
     def _slopes(self) -> casadi.Function:
         """d(e, psi_e, sway, r)'/d(e, psi_e, sway, r, wheel) (4, 5) and d a_y (1, 5) in straight driving at speed v."""
         x, v = casadi.SX.sym("x", 5), casadi.SX.sym("v")
@@ -181,7 +179,7 @@ class PathModel:
     @cached_property
     def _substeps(self) -> list[int]:
         """Runge-Kutta steps a period between the tabled speeds; h times the fastest rate: 2.3 (unstable from 2.785)."""
-        rates = np.array([np.abs(np.linalg.eigvals(self._slopes(v)[0].full()[:, :4])).max() for v in self.speeds])
+        rates = np.array([np.abs(np.linalg.eigvals(self._slopes(v)[0].full()[:, :4])).max() for v in SPEEDS])
         needed = np.maximum(np.ceil(self.dt * rates / 2.3), 2.0).astype(int)
         return np.maximum(needed[1:], needed[:-1]).tolist()
 
@@ -214,20 +212,18 @@ class PathModel:
         return np.diag([q_e, q_psi, 0.0, q_r, 0.0, 0.0]), q_rate
 
     def riccati(self, a: Array, b: Array) -> Array:
-        """P of x' P x, the cost from here to infinity without limits: python-control's `dlqr`."""
-        import control
-
+        """P of x' P x, the cost from here to infinity without limits."""
         q, r = self.stage_cost
-        return np.array(control.dlqr(a, b[:, None], q, np.array([[r]]))[1])
+        return cost_to_go(a, b, q, r)
 
     @cached_property
     def _schedule(self) -> Array:
         """Spline coefficients over speed, (pieces, 4, 84), highest power first, of A, B, the row of a_y, and P."""
         rows = []
-        for v in self.speeds:
+        for v in SPEEDS:
             a, b, row = self.linear(float(v))
             rows.append(np.concatenate([a.ravel(), b, row, self.riccati(a, b).ravel()]))
-        return np.ascontiguousarray(CubicSpline(self.speeds, np.array(rows)).c.swapaxes(0, 1))
+        return np.ascontiguousarray(CubicSpline(SPEEDS, np.array(rows)).c.swapaxes(0, 1))
 
     @cached_property
     def by_speed(self) -> Array:
@@ -252,37 +248,19 @@ class PathModel:
     def place(self, v: Any) -> tuple[Any, Any]:
         """The tables' piece in which a speed lies, a whole number, and where in it, 0 to 1."""
         at = (m.clip(v, V_LOW, V_HIGH) - V_LOW) / V_STEP
-        i = m.minimum(m.floor(at), len(self.speeds) - 2.0)
+        i = m.minimum(m.floor(at), len(SPEEDS) - 2.0)
         return i, at - i
 
     @cached_property
     def _steady(self) -> Array:
-        """(speeds, curvatures from -0.25/m up, 7): steady cornering, by Newton's method from straight; see `steady`.
-
-        Where the tyres cannot hold a curvature, the row is that of the largest which they can.
-        """
+        """(speeds, curvatures from -0.25/m up, 7): steady cornering; see `steady`."""
         w = casadi.SX.sym("w", 4)
         v, kappa = casadi.SX.sym("v"), casadi.SX.sym("k")
         *motion, along = self.motion([casadi.SX(0.0), w[0], w[1], w[2]], w[3], v, kappa)
         residual = casadi.vertcat(*motion)
         after = w - casadi.solve(casadi.jacobian(residual, w), residual)
         newton = casadi.Function("newton", [w, v, kappa], [after, casadi.mmax(casadi.fabs(residual)), along / v])
-        newton, all_speeds = newton.map(len(self.speeds)), self.speeds[None, :]
-        rows, good = [np.zeros((len(self.speeds), 5))], np.ones(len(self.speeds), dtype=bool)
-        rows[0][:, 4] = 1.0
-        for kappa_i in np.arange(KAPPA_STEP, KAPPA_HIGH + 0.5 * KAPPA_STEP, KAPPA_STEP):
-            guess = 2.0 * rows[-1] - rows[-2] if len(rows) > 1 else rows[-1]
-            for _ in range(8):
-                solution, error, pace = newton(guess[:, :4].T, all_speeds, np.full_like(all_speeds, kappa_i))
-                guess = np.vstack((solution.full(), pace.full())).T
-            with np.errstate(invalid="ignore"):
-                more = np.abs(guess[:, 3]) > np.abs(rows[-1][:, 3])  # not past the tyres' best
-                good = good & more & (error.full()[0] < 1e-8) & (np.abs(guess[:, 0]) < _STEEPEST)
-            rows.append(np.where(good[:, None], guess, rows[-1]))
-        left = np.array(rows).swapaxes(0, 1)
-        right = left[:, :0:-1] * (-1.0, -1.0, -1.0, -1.0, 1.0)
-        psi_e, sway, r, wheel, pace = np.moveaxis(np.concatenate((right, left), axis=1), 2, 0)
-        return np.stack((0.0 * psi_e, psi_e, sway, r, wheel, wheel, pace), axis=2)
+        return _steady_cornering(newton.serialize())
 
     @cached_property
     def _wide(self) -> m.Table:
@@ -300,7 +278,7 @@ class PathModel:
     @cached_property
     def cornering(self) -> Array:
         """(speeds, CURVES * 7): the table behind `steady`, a row a speed."""
-        return np.ascontiguousarray(self._steady).reshape(len(self.speeds), -1)
+        return np.ascontiguousarray(self._steady).reshape(len(SPEEDS), -1)
 
     def steady(self, v: float, kappa: Array) -> Array:
         """(n, 7): the six states that hold curvatures kappa (n,) [1/m] at speed v for ever, e = 0; and s'/v."""
@@ -313,6 +291,34 @@ class PathModel:
         low, high = casadi.vertsplit(two, CURVES * 7)
         at = casadi.fmin(casadi.fmax(kappa / KAPPA_STEP + CURVES // 2, 0.0), CURVES - 1.001)
         return between(casadi.reshape(low + t * (high - low), 7, CURVES), at)
+
+
+@lru_cache(maxsize=64)
+def _steady_cornering(newton: str) -> Array:
+    """Steady cornering at all tabled speeds and curvatures by Newton's method from straight, for `PathModel._steady`.
+
+    newton: CasADi's text of the step (psi_e, sway, r, wheel), v, kappa -> the next four, |residual|, s'/v; the text,
+    so that cars which move alike share a table, whoever made them. Where the tyres cannot hold a curvature, the row is
+    that of the largest which they can.
+    """
+    step, all_speeds = casadi.Function.deserialize(newton).map(len(SPEEDS)), SPEEDS[None, :]
+    rows, good = [np.zeros((len(SPEEDS), 5))], np.ones(len(SPEEDS), dtype=bool)
+    rows[0][:, 4] = 1.0
+    for kappa_i in np.arange(KAPPA_STEP, KAPPA_HIGH + 0.5 * KAPPA_STEP, KAPPA_STEP):
+        guess = 2.0 * rows[-1] - rows[-2] if len(rows) > 1 else rows[-1]
+        for _ in range(8):
+            solution, error, pace = step(guess[:, :4].T, all_speeds, np.full_like(all_speeds, kappa_i))
+            guess = np.vstack((solution.full(), pace.full())).T
+        with np.errstate(invalid="ignore"):
+            more = np.abs(guess[:, 3]) > np.abs(rows[-1][:, 3])  # not past the tyres' best
+            good = good & more & (error.full()[0] < 1e-8) & (np.abs(guess[:, 0]) < _STEEPEST)
+        rows.append(np.where(good[:, None], guess, rows[-1]))
+    left = np.array(rows).swapaxes(0, 1)
+    right = left[:, :0:-1] * (-1.0, -1.0, -1.0, -1.0, 1.0)
+    psi_e, sway, r, wheel, pace = np.moveaxis(np.concatenate((right, left), axis=1), 2, 0)
+    table = np.stack((0.0 * psi_e, psi_e, sway, r, wheel, wheel, pace), axis=2)
+    table.flags.writeable = False
+    return table
 
 
 def between(columns: Any, at: Any) -> Any:

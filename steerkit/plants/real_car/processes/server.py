@@ -110,7 +110,8 @@ class CarServer:
             os.write(self._wake, b"!")
 
     def close(self) -> None:
-        """Free bus, socket and file."""
+        """Free bus, socket and file, and end the bus's thread."""
+        self.stopping = True
         self._server.close()
         with contextlib.suppress(FileNotFoundError):
             os.unlink(self._socket_path)

@@ -8,7 +8,7 @@ import casadi
 import numpy as np
 import pytest
 
-from steerkit.controllers.mpc.path_model import CURVES, KAPPA_STEP
+from steerkit.controllers.mpc.path_model import CURVES, KAPPA_STEP, SPEEDS
 from steerkit.controllers.mpc.preparation import chosen
 from steerkit.controllers.mpc.programme import SOLUTION
 from tests.support.predictive import controller, inputs, kinds
@@ -72,7 +72,7 @@ def test_steady_cornering_between_tabled_curvatures_is_linear() -> None:
     model = controller().model
     i, t = model.place(5.1)
     middle = CURVES // 2
-    table = model.cornering.reshape(len(model.speeds), CURVES, 7)
+    table = model.cornering.reshape(len(SPEEDS), CURVES, 7)
     between = (1.0 - t) * table[int(i)] + t * table[int(i) + 1]
     for place in (0.0, 0.25, 3.5, -7.75):
         low = int(np.floor(middle + place))

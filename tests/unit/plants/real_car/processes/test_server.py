@@ -6,6 +6,7 @@ import contextlib
 import os
 import signal
 import socket
+import threading
 import time
 import tty
 from collections.abc import Callable, Iterator
@@ -60,6 +61,18 @@ def test_a_file_where_the_socket_should_be_is_left_alone(tmp_path: Path) -> None
     with pytest.raises(OSError, match="is a file, not a socket; it stays as it is: choose another --socket"):
         made(file)
     assert file.read_text() == "a thesis"
+
+
+def test_closed_it_leaves_no_thread_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However it ended: whoever made one and never ran it goes on without it."""
+    before = set(threading.enumerate())
+    running = driving(tmp_path, monkeypatch, Bus())
+    started = set(threading.enumerate()) - before
+    assert {thread.name for thread in started} >= {"bus"}
+    running.close()
+    for thread in started:
+        thread.join(10.0)
+        assert not thread.is_alive(), thread.name
 
 
 def test_a_second_car_server_is_refused_and_one_that_was_killed_makes_room(
