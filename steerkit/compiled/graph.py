@@ -205,22 +205,25 @@ def from_symbols(
 
 
 def _convert(graph: Graph, root: Any, known: dict[int, int]) -> int:
-    stack = [root]
+    """The node of an expression; known: nodes by their expressions' hashes, which are asked for once each: they cost."""
+    first = root.element_hash()
+    stack: list[tuple[Any, int, list[tuple[Any, int]] | None]] = [(root, first, None)]
     while stack:
-        e = stack[-1]
-        key = e.element_hash()
-        if key not in known:
-            if e.is_constant():
+        e, key, parts = stack.pop()
+        if key in known:
+            continue
+        if parts is None:
+            parts = [(p, p.element_hash()) for p in map(e.dep, range(e.n_dep()))]
+            if not parts and e.is_constant():
                 known[key] = graph.const(float(e))
-            else:
-                parts = [e.dep(i) for i in range(e.n_dep())]
-                waiting = [p for p in parts if p.element_hash() not in known]
-                if waiting:
-                    stack.extend(waiting)
-                    continue
-                known[key] = _operation(graph, e, [known[p.element_hash()] for p in parts])
-        stack.pop()
-    return known[root.element_hash()]
+                continue
+            waiting = [(p, part, None) for p, part in parts if part not in known]
+            if waiting:
+                stack.append((e, key, parts))
+                stack.extend(waiting)
+                continue
+        known[key] = _operation(graph, e, [known[part] for _, part in parts])
+    return known[first]
 
 
 def _operation(graph: Graph, e: Any, parts: list[int]) -> int:
