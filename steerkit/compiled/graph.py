@@ -205,7 +205,7 @@ def from_symbols(
 
 
 def _convert(graph: Graph, root: Any, known: dict[int, int]) -> int:
-    """The node of an expression; known: nodes by their expressions' hashes, which are asked for once each: they cost."""
+    """The node of an expression; known: nodes by their expressions' hashes, each asked for once: they cost."""
     first = root.element_hash()
     stack: list[tuple[Any, int, list[tuple[Any, int]] | None]] = [(root, first, None)]
     while stack:

@@ -19,7 +19,7 @@ def cost_to_go(a: Array, b: Array, q: Array, r: float) -> Array:
     """P (n, n) of x' P x, the sum of x' Q x + r u^2 from now on with the best feedback and without limits.
 
     P = Q + A' P A - A' P B (r + B' P B)^-1 B' P A  of  x+ = A x + B u,  a (n, n), b (n,), q (n, n), r > 0.
-    Raises what python-control's `dlqr` raises for a system that no feedback makes stable.
+    Raises LinAlgError or ValueError for a system that no feedback makes stable.
     Source: Anderson, Moore 1990, ch. 2.
     """
     parts = [np.ascontiguousarray(part, dtype=float) for part in (a, b, q)]
@@ -28,9 +28,9 @@ def cost_to_go(a: Array, b: Array, q: Array, r: float) -> Array:
 
 @lru_cache(maxsize=4096)
 def _solution(a: bytes, b: bytes, q: bytes, r: float) -> bytes:
-    import control
+    from scipy.linalg import solve_discrete_are
 
     column: Any = np.frombuffer(b)[:, None]
     n = len(column)
-    _, p, _ = control.dlqr(np.frombuffer(a).reshape(n, n), column, np.frombuffer(q).reshape(n, n), np.array([[r]]))
+    p = solve_discrete_are(np.frombuffer(a).reshape(n, n), column, np.frombuffer(q).reshape(n, n), np.array([[r]]))
     return np.ascontiguousarray(p, dtype=float).tobytes()

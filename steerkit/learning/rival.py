@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from steerkit import maths as m
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.policy import Policy
+from steerkit.controllers.riccati import cost_to_go
 from steerkit.errors import require
 from steerkit.learning.experiment import Experiment, LearningRun, Watcher
 from steerkit.learning.nfq.model import CarModel
@@ -71,8 +72,6 @@ class ModelPolicy(Policy):
 
     def _gain(self, v: float) -> NDArray[np.float64]:
         """K at the speed v (5,)."""
-        from scipy.linalg import LinAlgError, solve_discrete_are
-
         o, dt = self.model, self.model.dt
         p, b = np.array([0.0, 0.0, 0.0, 1.0, -o.earlier]), o.now  # turn of the wheels: p @ z + b*a
         r_e, c, e = np.eye(5)[[2, 1, 0]]
@@ -81,13 +80,13 @@ class ModelPolicy(Policy):
         a_c, b_c = c + p + turn, b + turn_b
         total = o.now + o.before + o.earlier
         a_matrix = np.array([e + 0.5 * dt * v * (c + a_c), a_c, r_e + yaw, np.eye(5)[3] - o.back * p, np.zeros(5)])
-        b_matrix = np.array([[0.5 * dt * v * b_c], [b_c], [yaw_b], [total - o.back * b], [1.0]])
+        column = np.array([0.5 * dt * v * b_c, b_c, yaw_b, total - o.back * b, 1.0])
         cost = np.diag([self.e_unit**-2, 0.0, self.r_unit**-2, 0.0, 0.0])
-        effort = np.array([[self.a_unit**-2]])
         try:
-            x = solve_discrete_are(a_matrix, b_matrix, cost, effort)
-        except (LinAlgError, ValueError) as why:
+            x = cost_to_go(a_matrix, column, cost, self.a_unit**-2)
+        except (np.linalg.LinAlgError, ValueError) as why:
             raise ValueError(f"ModelPolicy: the model cannot be steered at {v} m/s ({why}): {o}") from why
+        b_matrix, effort = column[:, None], np.array([[self.a_unit**-2]])
         return np.linalg.solve(effort + b_matrix.T @ x @ b_matrix, b_matrix.T @ x @ a_matrix)[0]
 
     def init(self, batch: tuple[int, ...] = ()) -> BeforeState:

@@ -76,7 +76,7 @@ WHEN_USED = {"block": {"plots"}, "loop": {"plots", "analysis"}, "simulation": {"
 AT_HOME = {
     "torch": {"learning.nfq"},
     "casadi": {"compiled", "maths", "analysis", "controllers.mpc"},
-    "control": {"analysis", "controllers.riccati"},
+    "control": {"analysis"},
     "matplotlib": {"plots", "learning.pictures"},
     "pandas": {"simulation"},
     "pyarrow": {"simulation", "learning.data", "logs.tables", "export.minari"},
