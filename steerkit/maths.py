@@ -105,6 +105,9 @@ def maximum(a: Scalar, b: Scalar) -> Scalar:
 
 def clip(x: Scalar, low: Scalar, high: Scalar) -> Scalar:
     """`x` limited to [low, high]; NaN stays NaN, so that a limiter never hides a broken signal."""
+    if x.__class__ is float and low.__class__ is float and high.__class__ is float:
+        x = low if low > x else x
+        return high if high < x else x
     return minimum(maximum(x, low), high)
 
 
@@ -140,6 +143,8 @@ def every(*conditions: Scalar) -> Scalar:
 
 def either(a: Scalar, b: Scalar) -> Scalar:
     """Logical or."""
+    if a.__class__ is bool and b.__class__ is bool:
+        return a or b
     if is_symbol(a) or is_symbol(b):
         import casadi
 
