@@ -18,9 +18,10 @@ Array = NDArray[np.float64]
 def cost_to_go(a: Array, b: Array, q: Array, r: float) -> Array:
     """P (n, n) of x' P x, the sum of x' Q x + r u^2 from now on with the best feedback and without limits.
 
-    P = Q + A' P A - A' P B (r + B' P B)^-1 B' P A  of  x+ = A x + B u,  a (n, n), b (n,), q (n, n), r > 0.
-    Raises LinAlgError or ValueError for a system that no feedback makes stable.
-    Source: Anderson, Moore 1990, ch. 2.
+    x+ = A x + B u,  P = Q + A' P A - A' P B (r + B' P B)^-1 B' P A
+
+    a (n, n), b (n,), q (n, n), r > 0: the matrices A, B, Q and r. Raises LinAlgError or ValueError for a system that no
+    feedback makes stable. Source: Anderson, Moore 1990, ch. 2.
     """
     parts = [np.ascontiguousarray(part, dtype=float) for part in (a, b, q)]
     return np.frombuffer(_solution(*[part.tobytes() for part in parts], float(r))).reshape(parts[0].shape).copy()
