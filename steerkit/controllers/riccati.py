@@ -27,7 +27,7 @@ def cost_to_go(a: Array, b: Array, q: Array, r: float) -> Array:
     return np.frombuffer(_solution(*[part.tobytes() for part in parts], float(r))).reshape(parts[0].shape).copy()
 
 
-@lru_cache(maxsize=4096)
+@lru_cache(maxsize=2048)
 def _solution(a: bytes, b: bytes, q: bytes, r: float) -> bytes:
     from scipy.linalg import solve_discrete_are
 
