@@ -53,10 +53,13 @@ void run(long long k, long long stop, long long every, double *slots, const doub
   }}
   for (int i = 0; i < {n}; i++) slots[i] = s[i];
 }}
+"""
+
+_FINISH_ONE = """\
 void finish(long long k, const double *slots, const double *p, double *out, void **routines)
-{{
-  switch (k % {period}) {{ {finals} }}
-}}
+{
+  last((double)k, slots, p, out, routines);
+}
 """
 
 _RUN_MANY = """\
@@ -82,13 +85,18 @@ void run(long long k0, long long stop, long long every, long long first, long lo
     for (int i = 0; i < {n}; i++) store(slots + (group * {n} + i) * LANES, s[i]);
   }}
 }}
-void finish(long long k, long long first, long long last, const double *slots, const double *parameters, double *all)
+"""
+
+_FINISH_MANY = """\
+static real load(const double *a) {{ real r; memcpy(&r, a, sizeof r); return r; }}
+static void store(double *a, real r) {{ memcpy(a, &r, sizeof r); }}
+void finish(long long k, long long first, long long end, const double *slots, const double *parameters, double *all)
 {{
-  for (long long group = first; group < last; group++) {{
+  for (long long group = first; group < end; group++) {{
     real s[{carried}], p[{parameters}], out[{slots}];
     for (int i = 0; i < {n}; i++) s[i] = load(slots + (group * {n} + i) * LANES);
     for (int i = 0; i < {np}; i++) p[i] = load(parameters + (group * {np} + i) * LANES);
-    switch (k % {period}) {{ {finals} }}
+    last((double)k, s, p, out);
     for (int i = 0; i < {slots}; i++) store(all + (group * {slots} + i) * LANES, out[i]);
   }}
 }}
@@ -96,44 +104,45 @@ void finish(long long k, long long first, long long last, const double *slots, c
 
 
 def run_source(trace: Trace, recorded: Sequence[int], *, many: bool) -> str:
-    """A C file with `run` (ticks k to stop, every so many recorded) and `finish` (one tick, all slots).
+    """A C file with `run`: ticks k to stop, every so many recorded.
 
     That of one car is handed its `routines`: of each the addresses of a function and of its first argument.
     """
-    carried, period = trace.carried, len(trace.ticks)
-    last, handed = ("", "") if many else (", void **routines", ", routines")
-    ticks, cases, finals = [], [], []
-    for phase, tick in enumerate(trace.ticks):
-        lean = [tick.roots[slot] for slot in (*carried, *recorded)]
-        names = [f"s[{i}]" for i in range(len(carried))] + [f"y[{i}]" for i in range(len(recorded))]
-        body = _body(trace, tick.graph, lean, names)
-        ticks.append(f"static inline void tick{phase}(double k, real *s, const real *p, real *y{last})\n{{\n{body}}}\n")
-        body = _body(trace, tick.graph, tick.roots, [f"out[{i}]" for i in range(len(tick.roots))])
-        ticks.append(
-            f"static void last{phase}(double k, const real *s, const real *p, real *out{last})\n{{\n{body}}}\n"
-        )
-        label = "default" if phase == period - 1 else f"case {phase}"
-        cases.append(f"{label}: tick{phase}((double)k, s, p, y{handed}); break;")
-        finals.append(
-            f"{label}: last{phase}((double)k, s, p, out); break;"
-            if many
-            else f"{label}: last{phase}((double)k, slots, p, out, routines); break;"
-        )
-    n, m, size = len(carried), len(recorded), len(trace.parameters)
-    run = (_RUN_MANY if many else _RUN_ONE).format(
-        carried=max(1, n),
-        recorded=max(1, m),
-        parameters=max(1, size),
-        n=n,
-        m=m,
-        np=size,
-        period=period,
-        slots=len(trace.layout),
-        cases=" ".join(cases),
-        finals=" ".join(finals),
-    )
-    kind = [] if many else ["typedef void (*routine)(void *, const double *, double *);"]
-    return "\n".join([_head(trace.tables, many=many), *kind, *ticks, run])
+    carried, handed = trace.carried, "" if many else ", routines"
+    names = [f"s[{i}]" for i in range(len(carried))] + [f"y[{i}]" for i in range(len(recorded))]
+    ticks, cases = [], []
+    for number, (tick, phases) in enumerate(trace.kinds):
+        body = _body(trace, tick.graph, [tick.roots[slot] for slot in (*carried, *recorded)], names)
+        given = f"double k, real *s, const real *p, real *y{_ROUTINES[many]}"
+        ticks.append(f"static inline void tick{number}({given})\n{{\n{body}}}\n")
+        others = number < len(trace.kinds) - 1
+        labels = " ".join([f"case {phase}:" for phase in phases]) if others else "default:"
+        cases.append(f"{labels} tick{number}((double)k, s, p, y{handed}); break;")
+    sizes = _sizes(trace) | {"recorded": max(1, len(recorded)), "m": len(recorded)}
+    run = (_RUN_MANY if many else _RUN_ONE).format(**sizes, period=len(trace.ticks), cases=" ".join(cases))
+    return "\n".join([_head(trace.tables, many=many), *_KINDS[many], *ticks, run])
+
+
+def finish_source(trace: Trace, number: int, *, many: bool) -> str:
+    """A C file with `finish`: a tick of that of `trace.kinds`, which gives all slots.
+
+    A run ends with one. It stands alone as a tick that computes everything takes as long to compile as one that runs.
+    """
+    tick, _ = trace.kinds[number]
+    body = _body(trace, tick.graph, tick.roots, [f"out[{i}]" for i in range(len(tick.roots))])
+    given = f"double k, const real *s, const real *p, real *out{_ROUTINES[many]}"
+    last = f"static inline void last({given})\n{{\n{body}}}\n"
+    finish = _FINISH_MANY.format(**_sizes(trace)) if many else _FINISH_ONE
+    return "\n".join([_head(trace.tables, many=many), *_KINDS[many], last, finish])
+
+
+_ROUTINES = {True: "", False: ", void **routines"}
+_KINDS: dict[bool, list[str]] = {True: [], False: ["typedef void (*routine)(void *, const double *, double *);"]}
+
+
+def _sizes(trace: Trace) -> dict[str, int]:
+    n, size = len(trace.carried), len(trace.parameters)
+    return dict(carried=max(1, n), parameters=max(1, size), n=n, np=size, slots=len(trace.layout))
 
 
 def lanes_source(tables: Sequence[Table]) -> str:

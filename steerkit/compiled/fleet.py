@@ -33,7 +33,8 @@ class Fleet:
         self.loop, self.cars = loop, cars
         self.trace: Trace = trace(loop)
         self.trace.require_timeless("Fleet")
-        self._library = NativeProgram(self.trace, (), 1).many
+        program = NativeProgram(self.trace, (), 1)
+        self._library, self._last = program.many, program.finish(0, many=True)
         self.lanes: int = self._library.lanes()
         self._groups = -(-cars // self.lanes)
         self._carried = np.array(self.trace.carried)
@@ -76,5 +77,5 @@ class Fleet:
 
     def look(self) -> Array:
         """All slots (S, N) after the first tick of the next period, which is not taken: its outputs are as of now."""
-        self._library.finish(*self._finish)
+        self._last(*self._finish)
         return self._all.transpose(1, 0, 2).reshape(len(self.trace.layout), -1)[:, : self.cars]

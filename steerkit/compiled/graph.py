@@ -94,12 +94,15 @@ class Graph:
 
     def operands(self, i: int) -> tuple[int, ...]:
         """The nodes that node i needs."""
-        op, *operands = self.nodes[i]
+        node = self.nodes[i]
+        op = node[0]
         if op in ("const", "in"):
             return ()
         if op == "call":
-            return tuple(operands[2:])
-        return {"row": operands[1:2], "result": operands[:1]}.get(op) or tuple(operands)  # type: ignore[return-value]
+            return node[3:]
+        if op == "row":
+            return node[2:3]
+        return node[1:2] if op == "result" else node[1:]
 
     def add(self, op: str, *operands: Any) -> int:
         """The node of an operation; simplified only where IEEE arithmetic gives the same number."""
@@ -143,8 +146,8 @@ class Graph:
             stack = [root]
             while stack:
                 i = stack[-1]
-                waiting = [j for j in self.operands(i) if j not in done]
-                if i not in done and waiting:
+                waiting = [j for j in self.operands(i) if j not in done] if i not in done else None
+                if waiting:
                     stack.extend(reversed(waiting))
                 else:
                     done[stack.pop()] = None

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from steerkit import native
-from steerkit.compiled.c_code import run_source
+from steerkit.compiled.c_code import finish_source, run_source
 from steerkit.compiled.trace import Trace, TraceError
 from steerkit.maths import Routine
 
@@ -22,7 +22,7 @@ _LL = ctypes.c_longlong
 
 
 class NativeProgram:
-    """C of a loop. The library for one car and the one for many are each made at their first use."""
+    """C of a loop: a library for one car or many, and one for each kind of tick to end with, made when first used."""
 
     def __init__(self, trace: Trace, recorded: Sequence[int], every: int):
         self.trace, self.recorded, self.every = trace, tuple(recorded), every
@@ -39,6 +39,15 @@ class NativeProgram:
         """The library that runs cars in groups of `many.lanes()`."""
         return native.load(run_source(self.trace, self.recorded, many=True), vector_maths=True)
 
+    def finish(self, k: int, *, many: bool = False) -> Any:
+        """The C function that takes the tick k and gives all slots."""
+        return self._finish(self.trace.kind(k), many).finish
+
+    @functools.cache  # noqa: B019 (lives as long as the program)
+    def _finish(self, number: int, many: bool) -> ctypes.CDLL:
+        source = finish_source(self.trace, number, many=many)
+        return native.load(source, vector_maths=True) if many else native.load(source, fused=True)
+
     def run(self, k: int, stop: int, slots: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Ticks k to stop - 1 of one car from all its slots: (rows recorded, all slots after the last tick)."""
         rows = np.empty((_kept(k, stop, self.every), len(self.recorded)))
@@ -48,7 +57,7 @@ class NativeProgram:
                 held.enter_context(routine.lock)
             span = _LL(k), _LL(stop - 1), _LL(self.every)
             self.one.run(*span, _at(carried), _at(parameters), _at(rows), self._routines)
-            self.one.finish(_LL(stop - 1), _at(carried), _at(parameters), _at(end), self._routines)
+            self.finish(stop - 1)(_LL(stop - 1), _at(carried), _at(parameters), _at(end), self._routines)
         self._record_last(stop - 1, rows, end)
         return rows, end
 
@@ -60,7 +69,8 @@ class NativeProgram:
         if self.trace.routines:
             alone = [self.run(k, stop, np.array(s), np.array(p)) for s, p in zip(slots.T, parameters.T, strict=True)]
             return np.stack([rows for rows, _ in alone], axis=-1), np.stack([end for _, end in alone], axis=-1)
-        library, carried, every = self.many, self.trace.carried, self.every
+        library, finish = self.many, self.finish(stop - 1, many=True)
+        carried, every = self.trace.carried, self.every
         lanes, cars = library.lanes(), slots.shape[1]
         groups = -(-cars // lanes)
         padded = groups * lanes
@@ -71,7 +81,7 @@ class NativeProgram:
         def work(first: int, last: int) -> None:
             span = _LL(first), _LL(last)
             library.run(_LL(k), _LL(stop - 1), _LL(every), *span, _LL(padded), _at(state), _at(fixed), _at(rows))
-            library.finish(_LL(stop - 1), *span, _at(state), _at(fixed), _at(end))
+            finish(_LL(stop - 1), *span, _at(state), _at(fixed), _at(end))
 
         _share(work, groups)
         all_slots = end.transpose(1, 0, 2).reshape(len(slots), padded)[:, :cars]

@@ -40,20 +40,18 @@ class PythonProgram:
 
 
 def _run(trace: Trace, recorded: Sequence[int], every: int) -> list[str]:
-    carried, period = trace.carried, len(trace.ticks)
+    carried = trace.carried
     state = "".join(f"s{slot}, " for slot in carried)
     lines = ["def run(k, stop, slots, parameters, rows):"]
-    used = [name for name in sorted(FUNCTIONS - {"floor"}) if any(name in _ops(t.graph) for t in trace.ticks)]
+    used = [name for name in sorted(FUNCTIONS - {"floor"}) if any(name in _ops(t.graph) for t, _ in trace.kinds)]
     lines += [f"    {name}_ = {name}" for name in used]
     lines += [f"    s{slot} = slots[{slot}]" for slot in carried]
     lines += [f"    p{i} = parameters[{i}]" for i in range(len(trace.parameters))]
     lines += ["    append = rows.append", "    try:", "        for k in range(k, stop):"]
-    if period > 1:
-        lines.append(f"            phase = k % {period}")
-    for phase, tick in enumerate(trace.ticks):
+    for number, (tick, _) in enumerate(trace.kinds):
         pad = " " * 12
-        if period > 1:
-            lines.append(f"{pad}{'if' if phase == 0 else 'elif'} phase == {phase}:")
+        if len(trace.kinds) > 1:
+            lines.append(f"{pad}{_condition(trace, number)}:")
             pad += "    "
         roots = [tick.roots[slot] for slot in (*carried, *recorded)]
         code, names = _statements(tick.graph, roots, trace)
@@ -80,11 +78,22 @@ def _finish(trace: Trace) -> list[str]:
     lines += [f"    {name}_ = {name}" for name in sorted(FUNCTIONS - {"floor"})]
     lines += [f"    s{slot} = slots[{slot}]" for slot in trace.carried]
     lines += [f"    p{i} = parameters[{i}]" for i in range(len(trace.parameters))]
-    for phase, tick in enumerate(trace.ticks):
+    for number, (tick, _) in enumerate(trace.kinds):
         code, names = _statements(tick.graph, tick.roots, trace)
-        lines.append(f"    if k % {len(trace.ticks)} == {phase}:")
-        lines += [f"        {line}" for line in [*code, f"return [{', '.join(names)}]"]]
+        pad = " " * 4
+        if len(trace.kinds) > 1:
+            lines.append(f"{pad}{_condition(trace, number)}:")
+            pad += "    "
+        lines += [pad + line for line in [*code, f"return [{', '.join(names)}]"]]
     return lines
+
+
+def _condition(trace: Trace, number: int) -> str:
+    """What holds in the phases of a kind of tick, beginning with if, elif or else: one of several kinds."""
+    if number == len(trace.kinds) - 1:
+        return "else"
+    phases = [f"k % {len(trace.ticks)} == {phase}" for phase in trace.kinds[number][1]]
+    return f"{'elif' if number else 'if'} {' or '.join(phases)}"
 
 
 def _ops(graph: Graph) -> set[str]:

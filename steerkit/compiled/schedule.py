@@ -41,14 +41,16 @@ def scheduled(graph: Graph, roots: Sequence[int]) -> list[int]:
     longest way to the end comes next.
     """
     order = graph.order(roots)
+    needs = {i: set(graph.operands(i)) for i in order}
     users: dict[int, list[int]] = {i: [] for i in order}
-    for i in order:
-        for j in set(graph.operands(i)):
+    for i, operands in needs.items():
+        for j in operands:
             users[j].append(i)
+    cost = {i: _cost(graph, i) for i in order}
     way: dict[int, float] = {}
     for i in reversed(order):
-        way[i] = _cost(graph, i)[0] + max((way[j] for j in users[i]), default=0.0)
-    waiting = {i: len(set(graph.operands(i))) for i in order}
+        way[i] = cost[i][0] + max([way[j] for j in users[i]], default=0.0)
+    waiting = {i: len(operands) for i, operands in needs.items()}
     there = dict.fromkeys(order, 0.0)
     ready = [(-way[i], i) for i in order if not waiting[i]]  # operands are there by now: by the way that is left
     heapq.heapify(ready)
@@ -63,7 +65,7 @@ def scheduled(graph: Graph, roots: Sequence[int]) -> list[int]:
             heapq.heappush(ready, (-way[i], i))
         _, i = heapq.heappop(ready)
         done.append(i)
-        latency, issue = _cost(graph, i)
+        latency, issue = cost[i]
         for j in users[i]:
             there[j] = max(there[j], now + latency)
             waiting[j] -= 1

@@ -88,26 +88,40 @@ class Trace:
     routines: tuple[Routine, ...] = ()
 
     @functools.cached_property
+    def kinds(self) -> list[tuple[Tick, list[int]]]:
+        """The ticks that differ, each with its phases: the same blocks are due in all of them."""
+        phases: dict[int, list[int]] = {}
+        for phase, tick in enumerate(self.ticks):
+            phases.setdefault(id(tick), []).append(phase)
+        return [(self.ticks[own[0]], own) for own in phases.values()]
+
+    def kind(self, k: int) -> int:
+        """Which of `kinds` the tick k is."""
+        phase = k % len(self.ticks)
+        return next(number for number, (_, phases) in enumerate(self.kinds) if phase in phases)
+
+    @functools.cached_property
     def carried(self) -> list[int]:
         """The slots whose old values any tick reads, so that they go from tick to tick."""
-        nodes = [tick.graph.nodes[i] for tick in self.ticks for i in tick.graph.order(tick.roots)]
+        nodes = [tick.graph.nodes[i] for tick, _ in self.kinds for i in tick.graph.order(tick.roots)]
         return sorted({slot - 1 for op, slot, *_ in nodes if op == "in" and 0 < slot <= len(self.layout)})
 
     @functools.cached_property
     def held(self) -> list[int]:
         """The slots that no tick changes: a constant speed, say."""
         slots = range(len(self.layout))
-        return [s for s in slots if all(tick.graph.nodes[tick.roots[s]] == ("in", s + 1) for tick in self.ticks)]
+        return [s for s in slots if all(tick.graph.nodes[tick.roots[s]] == ("in", s + 1) for tick, _ in self.kinds)]
 
     def with_held(self, values: Sequence[float]) -> Trace:
         """The trace for starts at which the held slots have these values, which are now constants; see `collapsed`."""
         fixed = {slot + 1: value for slot, value in zip(self.held, values)}
-        programs = [collapsed(tick.graph, tick.roots, fixed) for tick in self.ticks]
-        return dataclasses.replace(self, ticks=tuple(Tick(graph, tuple(roots)) for graph, roots in programs))
+        programs = [collapsed(tick.graph, tick.roots, fixed) for tick, _ in self.kinds]
+        made = [Tick(graph, tuple(roots)) for graph, roots in programs]
+        return dataclasses.replace(self, ticks=tuple(made[self.kind(phase)] for phase in range(len(self.ticks))))
 
     def require_timeless(self, where: str) -> None:
         """Raise ValueError if a block depends on the time t, which cars that start anew one by one do not share."""
-        nodes = [tick.graph.nodes[i] for tick in self.ticks for i in tick.graph.order(tick.roots)]
+        nodes = [tick.graph.nodes[i] for tick, _ in self.kinds for i in tick.graph.order(tick.roots)]
         if any(op == "in" and operands[0] == 0 for op, *operands in nodes):
             what = "depends on the time t, which cars that start anew one by one do not share; valid: backend python"
             raise ValueError(f"{where}: a block of {self.loop!r} {what}")
@@ -115,8 +129,12 @@ class Trace:
     @property
     def instructions(self) -> int:
         """Operations in one period."""
-        kinds = [tick.graph.nodes[i][0] for tick in self.ticks for i in tick.graph.order(tick.roots)]
-        return sum(kind not in ("const", "in", "row", "result") for kind in kinds)
+        free = ("const", "in", "row", "result")
+        counts = [
+            len(phases) * sum(tick.graph.nodes[i][0] not in free for i in tick.graph.order(tick.roots))
+            for tick, phases in self.kinds
+        ]
+        return sum(counts)
 
 
 def trace(loop: Loop, *, parameters: Sequence[str] = (), routines: bool = False) -> Trace:

@@ -30,15 +30,17 @@ class VmProgram:
     @functools.cached_property
     def phases(self) -> list[Any]:
         """One function (z) -> (z', recorded) a phase."""
-        return [
-            self._tick(phase, [*self.trace.carried, *self.recorded], split=True)
-            for phase in range(len(self.trace.ticks))
-        ]
+        kinds = range(len(self.trace.kinds))
+        made = [self._tick(kind, [*self.trace.carried, *self.recorded], split=True) for kind in kinds]
+        return [made[self.trace.kind(phase)] for phase in range(len(self.trace.ticks))]
 
-    @functools.cache  # noqa: B019 (lives as long as the program)
     def finish(self, phase: int) -> Any:
         """The function (z) -> (all slots) of one phase."""
-        return self._tick(phase, range(len(self.trace.layout)), split=False)
+        return self._finish(self.trace.kind(phase))
+
+    @functools.cache  # noqa: B019 (lives as long as the program)
+    def _finish(self, kind: int) -> Any:
+        return self._tick(kind, range(len(self.trace.layout)), split=False)
 
     @functools.cached_property
     def period(self) -> Any:
@@ -71,8 +73,8 @@ class VmProgram:
             yield k, np.asarray(rows).reshape(-1, order="F").reshape(ticks, m) if m else np.empty((ticks, 0))
             k += ticks
 
-    def _tick(self, phase: int, wanted: Sequence[int], *, split: bool) -> Any:
-        trace, tick = self.trace, self.trace.ticks[phase]
+    def _tick(self, kind: int, wanted: Sequence[int], *, split: bool) -> Any:
+        trace, (tick, _) = self.trace, self.trace.kinds[kind]
         slots, carried = len(trace.layout), trace.carried
         entry_of = {0: 0} | {slot + 1: i + 1 for i, slot in enumerate(carried)}
         entry_of |= {slots + 1 + i: len(carried) + 1 + i for i in range(len(trace.parameters))}
@@ -81,10 +83,10 @@ class VmProgram:
         with exact_arithmetic():
             values = self._staged(tick.graph, roots, z, entry_of)
         if not split:
-            return casadi.Function(f"finish{phase}", [z], [values])
+            return casadi.Function(f"finish{kind}", [z], [values])
         n = len(carried)
         end = casadi.vertcat(z[0] + 1.0, values[:n], z[n + 1 :])
-        return casadi.Function(f"phase{phase}", [z], [end, values[n:]])
+        return casadi.Function(f"tick{kind}", [z], [end, values[n:]])
 
     def _staged(self, graph: Graph, roots: Sequence[int], z: Any, entry_of: dict[int, int]) -> Any:
         """MX of the roots' values."""

@@ -221,7 +221,7 @@ class _Part:
         """The text of <name>.c."""
         state, inputs, slots = self.state, list(self.inputs), len(self.trace.layout)
         ticks = []
-        for phase, tick in enumerate(self.trace.ticks):
+        for number, (tick, _) in enumerate(self.trace.kinds):
 
             def text(slot: int) -> str:
                 if slot == 0:
@@ -233,16 +233,13 @@ class _Part:
             names = [*(f"s->{field}" for field in state.values()), *(f"y->{field}" for field, _, _ in self.results)]
             body = statements(tick.graph, roots, text, self.trace.tables)
             ends = [f"  {place} = v{i};" for place, i in zip(names, roots)]
-            ticks.append(
-                f"static void tick{phase}({name}_state *s, const {name}_inputs *u, {name}_outputs *y)\n{{\n  (void)u;\n"
-                + "\n".join([*body, *ends])
-                + "\n}\n"
-            )
+            given = f"{name}_state *s, const {name}_inputs *u, {name}_outputs *y"
+            code = "\n".join([*body, *ends])
+            ticks.append(f"static void tick{number}({given})\n{{\n  (void)u;\n{code}\n}}\n")
         assert slots == len(self.start)
         period = len(self.trace.ticks)
-        cases = "\n".join(
-            f"    {f'case {i}u' if i < period - 1 else 'default'}: tick{i}(s, u, y); break;" for i in range(period)
-        )
+        labels = [" ".join(f"case {phase}u:" for phase in phases) for _, phases in self.trace.kinds[:-1]]
+        cases = "\n".join(f"    {label} tick{i}(s, u, y); break;" for i, label in enumerate([*labels, "default:"]))
         values = [f"  s->{field} = {c_number(float(self.start[slot]))};" for slot, field in state.items()]
         macros = "\n".join(line for line in SCALAR_TYPES.splitlines())
         return "\n".join(
