@@ -239,46 +239,45 @@ class Core:
 
     def facts(self, t: float) -> Facts:
         """All that is known at time t [s]."""
-        while self.senses.errors and self.senses.errors[0][0] <= t - 1.0:
-            self.senses.errors.popleft()
+        v, senses, request, config = self.senses.values, self.senses, self._request, self.config
+        while senses.errors and senses.errors[0][0] <= t - 1.0:
+            senses.errors.popleft()
         while self._misses and self._misses[0][0] <= t - 1.0:
             self._misses.popleft()
         while self._late and self._late[0][0] <= t - 1.0:
             self._late.popleft()
-        v, request, config = self.senses.values, self._request, self.config
-        engaged = self.machine.mode is Mode.ENGAGED
-        since, enabled_since = self.machine.since, self.senses.enabled_since
+        engaged, since, enabled_since = self.machine.mode is Mode.ENGAGED, self.machine.since, senses.enabled_since
         return Facts(
             connected=True in self._links.values(),
             listen_only=config.listen_only,
-            report_age=self.senses.age(t, config.report_frames),
-            pose_age=self.senses.age(t, config.pose_frames) + self.senses.delay,
+            report_age=senses.age(t, config.report_frames),
+            pose_age=senses.age(t, config.pose_frames) + senses.delay,
             request_age=t - request.basis + EPS if request else math.inf,
             request=request.delta_sw if request else math.nan,
             delta_sw=v.get("delta_sw", math.nan),
             v=v.get("v", math.nan),
             v_kit=v.get("v_kit", math.nan),
-            e=self.senses.e,
-            psi_e=self.senses.psi_e,
+            e=senses.e,
+            psi_e=senses.psi_e,
             quality=v.get("quality", math.inf),
-            torque_reports=self.senses.torque_reports,
+            torque_reports=senses.torque_reports,
             override=v.get("override", 0.0) != 0.0,
             enabled=v.get("enabled", 0.0) != 0.0,
-            kit_faults=tuple(f.removeprefix("fault:") for f in config.fault_flags if v.get(f, 0.0) != 0.0),
+            kit_faults=tuple([f.removeprefix("fault:") for f in config.fault_flags if v.get(f, 0.0) != 0.0]),
             timeout=v.get("timeout", 0.0) != 0.0,
-            integrity_errors=len(self.senses.errors),
-            integrity=self.senses.errors[-1][1] if self.senses.errors else "",
-            misses=sum(n for _, n in self._misses),
-            lateness=max((late for _, late in self._late), default=0.0),
-            echo_age=t - max(self.senses.echo_ok, since) + EPS if engaged else 0.0,
-            follow_age=t - max(self.senses.follow_ok, since) + EPS if engaged else 0.0,
-            e_growth=self.senses.e_growth(since) if engaged else 0.0,
-            still_for=t - max(self.senses.moving, since) if engaged else 0.0,
-            remaining=self.senses.remaining,
+            integrity_errors=len(senses.errors),
+            integrity=senses.errors[-1][1] if senses.errors else "",
+            misses=sum([n for _, n in self._misses]),
+            lateness=max([late for _, late in self._late], default=0.0),
+            echo_age=t - max(senses.echo_ok, since) + EPS if engaged else 0.0,
+            follow_age=t - max(senses.follow_ok, since) + EPS if engaged else 0.0,
+            e_growth=senses.e_growth(since) if engaged else 0.0,
+            still_for=t - max(senses.moving, since) if engaged else 0.0,
+            remaining=senses.remaining,
             heartbeat_age=t - max(self._beats.values(), default=-math.inf) + EPS,
             brake=v.get("brake", 0.0) != 0.0,
             accelerator=v.get("accelerator", 0.0) != 0.0,
-            foreign=self.senses.foreign[1] if t - self.senses.foreign[0] < FOREIGN else "",
+            foreign=senses.foreign[1] if t - senses.foreign[0] < FOREIGN else "",
             foreign_enable=0.0 if engaged or enabled_since is None else t - max(enabled_since, since),
             recording=self._unrecorded if config.keep_recording else "",
         )
@@ -296,8 +295,7 @@ class Core:
 
     def obstacles(self) -> list[str]:
         """What stands against engaging now."""
-        checks = states.HUMAN + states.ALWAYS + states.ENGAGING
-        return states.broken(self.config.states, self.facts(self.t), checks)
+        return states.broken(self.config.states, self.facts(self.t), states.READYING)
 
     def _decide(self, t: float, order: Order | None, out: list[Output]) -> None:
         before = self.machine
@@ -359,15 +357,17 @@ class Core:
         if self.machine.mode is Mode.ENGAGED:
             limits, config = self.config.states, self.config
             pause = config.gate.dt_min if self._new_request else RESEND
-            moments = [self._last_frame + pause]
-            moments.append(min(self.senses.arrived[i] for i in config.report_frames) + limits.report_age)
-            moments.append(
-                min(self.senses.arrived[i] for i in config.pose_frames) + limits.pose_age - self.senses.delay
-            )
+            moments = [
+                self._last_frame + pause,
+                self.senses.oldest(config.report_frames) + limits.report_age,
+                self.senses.oldest(config.pose_frames) + limits.pose_age - self.senses.delay,
+                max(self._beats.values(), default=t) + limits.heartbeat,
+            ]
             if self._request:
                 moments.append(self._request.basis + limits.request_lost)
-            moments.append(max(self._beats.values(), default=t) + limits.heartbeat)
-            wake = min([wake, *(w for w in moments if w > t)])
+            for moment in moments:
+                if t < moment < wake:
+                    wake = moment
         elif self._neutral:
             wake = min(wake, self._last_frame + self._pause)
         return max(wake, t + 1e-4)  # never spin

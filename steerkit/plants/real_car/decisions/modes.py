@@ -335,9 +335,23 @@ ENGAGING: tuple[Check, ...] = (
 """What must hold to engage, only."""
 
 
+READYING = HUMAN + ALWAYS + ENGAGING
+"""What must hold to engage."""
+KEEPING = ALWAYS + DRIVING
+"""What ends driving as a fault."""
+
+
 def broken(limits: StateLimits, facts: Facts, checks: tuple[Check, ...]) -> list[str]:
     """The checks that do not hold, each as `name: why`."""
     return [f"{name}: {says(limits, facts)}" for name, fails, says in checks if fails(limits, facts)]
+
+
+def first_broken(limits: StateLimits, facts: Facts, checks: tuple[Check, ...]) -> str:
+    """The first of them, as `broken` says it; "" where all hold."""
+    for name, fails, says in checks:
+        if fails(limits, facts):
+            return f"{name}: {says(limits, facts)}"
+    return ""
 
 
 def warnings(limits: StateLimits, facts: Facts) -> list[str]:
@@ -368,24 +382,24 @@ def step(limits: StateLimits, state: Machine, facts: Facts, t: float, order: Ord
         case Mode.OFF:
             return to(Mode.STANDBY, "operator: arm") if order is Order.ARM else state
         case Mode.STANDBY:
-            against = broken(limits, facts, HUMAN + ALWAYS + ENGAGING)
+            against = first_broken(limits, facts, READYING)
             return to(Mode.READY, "all checks hold") if not against else state
         case Mode.READY:
-            against = broken(limits, facts, HUMAN + ALWAYS + ENGAGING)
+            against = first_broken(limits, facts, READYING)
             if against:
-                return to(Mode.STANDBY, against[0])
+                return to(Mode.STANDBY, against)
             return to(Mode.ENGAGED, "operator: engage") if order is Order.ENGAGE else state
         case Mode.ENGAGED:
             if order is Order.DISENGAGE:
                 return to(Mode.STANDBY, "operator: disengage")
             facts = facts._replace(engaged_for=t - state.since)
-            human = broken(limits, facts, HUMAN)
+            human = first_broken(limits, facts, HUMAN)
             if human:
-                return to(Mode.OVERRIDE, human[0])
-            faults = broken(limits, facts, ALWAYS + DRIVING)
-            if faults:
-                return to(Mode.FAULT, faults[0])
-            over = broken(limits, facts, ENDING)
-            return to(Mode.STANDBY, over[0]) if over else state
+                return to(Mode.OVERRIDE, human)
+            fault = first_broken(limits, facts, KEEPING)
+            if fault:
+                return to(Mode.FAULT, fault)
+            over = first_broken(limits, facts, ENDING)
+            return to(Mode.STANDBY, over) if over else state
         case _:
             return to(Mode.STANDBY, "operator: acknowledge") if order is Order.ACKNOWLEDGE else state

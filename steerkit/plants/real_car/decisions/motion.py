@@ -84,7 +84,10 @@ class Sample(NamedTuple):
     """Measured heading, unwrapped, less the yaw rate's [rad]."""
     wheel: float
     """The yaw rate's heading less the wheel's [rad]."""
-    reckoned: Reckoned
+    turned: float
+    """|psi|' added up [rad]."""
+    turned_wheel: float
+    """The same of the wheel."""
 
 
 class Motion:
@@ -119,7 +122,7 @@ class Motion:
             self._at, self._psi = Reckoned(t, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), psi
         else:
             old, dt = self._at, max(0.0, t - self._at.t)
-            x, y, turn, turn_wheel = (0.5 * dt * (a + b) for a, b in zip(self._rates, rates))
+            x, y, turn, turn_wheel = [0.5 * dt * (a + b) for a, b in zip(self._rates, rates)]
             self._at = Reckoned(
                 max(t, old.t),
                 old.x + x,
@@ -144,27 +147,31 @@ class Motion:
         along += (left_x - last_x) * cos + (left_y - last_y) * sin
         across += (left_y - last_y) * cos - (left_x - last_x) * sin
         self._last = (left_x, left_y, along, across)
-        here = Sample(t, along, across, self._psi - at.psi, at.psi - at.psi_wheel, at)
+        here = Sample(t, along, across, self._psi - at.psi, at.psi - at.psi_wheel, at.turned, at.turned_wheel)
         while self._kept and self._kept[0].t < t - HORIZON:
             self._kept.popleft()
-        v = math.hypot(self._rates[0], self._rates[1])
-        what = next((text for sample in self._kept if (text := self._against(sample, here, v))), "")
+        what = self._against(here)
         if not self._kept or t - self._kept[-1].t >= SPACING:
             self._kept.append(here)
         return what
 
-    def _against(self, then: Sample, here: Sample, v: float) -> str:
-        limits, span = self.limits, here.t - then.t
-        along, across, way = here.along - then.along, here.across - then.across, v * span
-        if not abs(along) <= limits.pose_jump + READ_LATE * v + limits.motion_along * way:
-            return f"the position is {along:+.2f} m along from where {span:.2f} s at {v:.1f} m/s lead"
-        if not abs(across) <= limits.pose_jump + limits.motion_across * way:
-            return f"the position drifted by {across:+.2f} m across the heading in {span:.2f} s"
-        psi, turned = here.psi - then.psi, here.reckoned.turned - then.reckoned.turned
-        if not abs(psi) <= limits.heading_slack + limits.heading_rate * span + 0.05 * turned:
-            return f"the heading is {degrees_of(psi):+.1f} deg from where the yaw rate of {span:.2f} s leads"
-        wheel = here.wheel - then.wheel
-        turned = max(turned, here.reckoned.turned_wheel - then.reckoned.turned_wheel)
-        if not abs(wheel) <= limits.wheel_slack + limits.wheel_rate * span + limits.wheel_share * turned:
-            return f"the car turned by {degrees_of(wheel):+.1f} deg more than its wheel says in {span:.2f} s"
+    def _against(self, here: Sample) -> str:
+        """What the oldest of the kept samples that contradicts this one says, or ""; one loop, as it runs the most."""
+        limits, v = self.limits, math.hypot(self._rates[0], self._rates[1])
+        t_now, along_now, across_now, psi_now, wheel_now, turned_now, turned_wheel_now = here
+        for t, along_then, across_then, psi_then, wheel_then, turned_then, turned_wheel_then in self._kept:
+            span = t_now - t
+            along, across, way = along_now - along_then, across_now - across_then, v * span
+            if not abs(along) <= limits.pose_jump + READ_LATE * v + limits.motion_along * way:
+                return f"the position is {along:+.2f} m along from where {span:.2f} s at {v:.1f} m/s lead"
+            if not abs(across) <= limits.pose_jump + limits.motion_across * way:
+                return f"the position drifted by {across:+.2f} m across the heading in {span:.2f} s"
+            psi, turned = psi_now - psi_then, turned_now - turned_then
+            if not abs(psi) <= limits.heading_slack + limits.heading_rate * span + 0.05 * turned:
+                return f"the heading is {degrees_of(psi):+.1f} deg from where the yaw rate of {span:.2f} s leads"
+            wheel, turned_wheel = wheel_now - wheel_then, turned_wheel_now - turned_wheel_then
+            if turned_wheel > turned:
+                turned = turned_wheel
+            if not abs(wheel) <= limits.wheel_slack + limits.wheel_rate * span + limits.wheel_share * turned:
+                return f"the car turned by {degrees_of(wheel):+.1f} deg more than its wheel says in {span:.2f} s"
         return ""

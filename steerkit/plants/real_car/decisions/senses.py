@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 from steerkit.path import Path
@@ -84,7 +85,7 @@ class Senses:
         }
         self._times: dict[int, deque[float]] = {i: deque(maxlen=1000) for i in self._readers}
         self.foreign: tuple[float, str] = (-math.inf, "")
-        self._errors_of_path: deque[tuple[float, float]] = deque()
+        self._errors_of_path: deque[tuple[float, float]] = deque()  # (t, |e|), each the least from then on
         self._growth = (-math.inf, math.inf, 0.0)
         self.moving = -math.inf
         self.enabled_since: float | None = None
@@ -126,9 +127,10 @@ class Senses:
         self._check_rate(t, reader)
         checked = reader.read(data, self._counter[frame_id])
         self._counter[frame_id] = checked.counter
-        missing = [name for name, value in checked.values.items() if not math.isfinite(value)]
+        missing = not all(map(math.isfinite, checked.values.values()))
         if checked.error or missing:
-            self.error(t, checked.error or f"{reader.name}: {', '.join(missing)} not available")
+            absent = ", ".join([name for name, value in checked.values.items() if not math.isfinite(value)])
+            self.error(t, checked.error or f"{reader.name}: {absent} not available")
             return
         arrived = min(arrived, t)
         if frame_id in self._punctual and checked.counter is not None:
@@ -154,7 +156,7 @@ class Senses:
         if "r" in values:
             self._reckon(arrived)
         if "stamp" in values:
-            self._track_delay(t, arrived, values["stamp"], reader.mappings["stamp"].gain, gap)
+            self._track_delay(t, arrived, values["stamp"], gap)
         if "torque" in values:  # a weak one takes a third off: reports of another sender in between do not hide a hand
             strong = abs(values["torque"]) > self.config.states.torque_max
             self.torque_reports = self.torque_reports + 1.0 if strong else max(0.0, self.torque_reports - 1.0 / 3.0)
@@ -165,7 +167,7 @@ class Senses:
             self.enabled_since = since if values["enabled"] else None
         if "delta_sw" in values:
             self._check_wheel(arrived, sent)
-        if {"x", "psi"} & values.keys():
+        if "x" in values or "psi" in values:
             self._locate(gap)
 
     def error(self, t: float, text: str, weight: int = 1) -> None:
@@ -204,7 +206,7 @@ class Senses:
     def _reckon(self, arrived: float) -> None:
         """Add the way since the last speed, heading and yaw rate to what dead reckoning has."""
         known = self.values
-        if not {"psi", "v", "r"} <= known.keys():
+        if not ("psi" in known and "v" in known and "r" in known):
             return
         wheel = known.get("delta_sw", math.nan)  # without one, the yaw rate is not compared with it
         self._motion.moves(arrived, psi=known["psi"], v=known["v"], r=known["r"], beta=self.beta, delta_sw=wheel)
@@ -218,17 +220,23 @@ class Senses:
         l_r = float(self.config.vehicle.l_r)
         return math.atan2(known.get("r", math.nan) * l_r, max(known.get("v", math.nan), 1.0))
 
-    def _track_delay(self, t: float, arrived: float, stamp: float, gain: float, gap: float) -> None:
+    @cached_property
+    def _stamp_wrap(self) -> float:
+        """Where the time stamp begins anew [s]."""
+        mapping = self.config.quantities["stamp"]
+        message = next(r.message for r in self.config.readers if r.name == mapping.frame)
+        length, gain = message.get_signal_by_name(mapping.signal).length, mapping.gain
+        return gain * float(1 << length)
+
+    def _track_delay(self, t: float, arrived: float, stamp: float, gap: float) -> None:
         """How much later than the quickest so far the pose comes; its clock is only known up to a constant."""
-        length = self._readers_signal_length("stamp")
-        wrap = gain * float(1 << length)
         offset = arrived - stamp
         if self._stamp is None or gap > 1.0:
             self._stamp = (offset, 0.0, arrived)
             self._stamped = arrived
             self._quickest.clear()
         first, least, when = self._stamp
-        now = math.remainder(offset - first, wrap)
+        now = math.remainder(offset - first, self._stamp_wrap)
         if now < least - AHEAD:  # not believed, so that it is forgotten when it comes back
             self.error(t, f"the time stamp is {least - now:.2f} s ahead", self.config.states.integrity_errors)
             return
@@ -243,13 +251,10 @@ class Senses:
         self._stamp = (first, least, arrived)
         self.delay = now - least
 
-    def _readers_signal_length(self, quantity: str) -> int:
-        mapping = self.config.quantities[quantity]
-        message = next(r.message for r in self.config.readers if r.name == mapping.frame)
-        return int(message.get_signal_by_name(mapping.signal).length)
-
     def _check_wheel(self, arrived: float, sent: Sequence[tuple[float, float]]) -> None:
         """Does the kit report one of the commands sent lately, and does the wheel follow them?"""
+        if not sent:
+            return
         close, echo = 1.5 * self.config.writer.quantum, self.values.get("echo")
         superseded = arrived
         for t, delta_sw in reversed(sent):
@@ -257,39 +262,47 @@ class Senses:
                 self.echo_ok = max(self.echo_ok, superseded)
                 break
             superseded = t
-        late = [delta_sw for t, delta_sw in sent if t >= arrived - FOLLOW] or [delta_sw for _, delta_sw in sent][-1:]
+        late = [delta_sw for t, delta_sw in sent if t >= arrived - FOLLOW] or [sent[-1][1]]
         slack = self.config.states.follow_angle
-        if late and min(late) - slack <= self.values["delta_sw"] <= max(late) + slack:
+        if min(late) - slack <= self.values["delta_sw"] <= max(late) + slack:
             self.follow_ok = arrived
 
     def _locate(self, gap: float) -> None:
         v = self.values
-        if not {"x", "y", "psi", "v", "r"} <= v.keys():
+        if not ("x" in v and "y" in v and "psi" in v and "v" in v and "r" in v):
             return
         if gap > self.config.states.pose_age:
             self._place = None
-        u = self._tracker.U(x=v["x"], y=v["y"], psi=v["psi"], v=v["v"], beta=0.0, r=v["r"])
+        tracker, errors, arrived = self._tracker, self._errors_of_path, self.arrived[self._pose_frame]
+        u = tracker.U(x=v["x"], y=v["y"], psi=v["psi"], v=v["v"], beta=0.0, r=v["r"])
         if self._place is None:
-            self._place, self.places = self._tracker.settle(0.0, self._tracker.init(), u), self.places + 1
-        y = self._tracker.output(0.0, self._place, u)
-        self._place = self._tracker.X(y.s, y.progress)
+            self._place, self.places = tracker.settle(0.0, tracker.init(), u), self.places + 1
+        y = tracker.output(0.0, self._place, u)
+        self._place = tracker.X(y.s, y.progress)
         self.e, self.psi_e = y.e, y.psi_e
-        self.remaining = math.inf if self._tracker.path.closed else self._tracker.path.length - y.s
-        self._errors_of_path.append((self.arrived[self._pose_frame], abs(y.e)))
-        while self._errors_of_path[0][0] < self._errors_of_path[-1][0] - 1.0:
-            self._errors_of_path.popleft()
+        self.remaining = math.inf if tracker.path.closed else tracker.path.length - y.s
+        error = abs(y.e)
+        while errors and errors[-1][1] >= error:  # a smaller one that is newer stays longer
+            errors.pop()
+        errors.append((arrived, error))
+        while errors[0][0] < arrived - 1.0:
+            errors.popleft()
 
     def e_growth(self, since: float) -> float:
         """By how much |e| has grown within the last second, counted from `since` [s] at the earliest [m]."""
         errors = self._errors_of_path
         if errors and self._growth[:2] != (errors[-1][0], since):  # asked at every event, new with every pose
-            late = [e for t, e in errors if t >= since]
-            self._growth = (errors[-1][0], since, late[-1] - min(late) if late else 0.0)
+            least = next((e for t, e in errors if t >= since), errors[-1][1])
+            self._growth = (errors[-1][0], since, errors[-1][1] - least)
         return self._growth[2]
 
     def age(self, t: float, frames: frozenset[int]) -> float:
         """Age of the oldest of some frames [s]."""
-        return t - min(self.arrived[i] for i in frames) + EPS
+        return t - self.oldest(frames) + EPS
+
+    def oldest(self, frames: frozenset[int]) -> float:
+        """When the frame of some that has not come for longest came last [s]."""
+        return min([self.arrived[i] for i in frames])
 
     def forget_delay(self) -> None:
         """Take the next time stamp for an undelayed one, and the next frame of each kind for one in time."""
