@@ -257,9 +257,10 @@ class SimulatedCar:
         return values
 
     def _fault(self, kind: str, t: float, target: str = "") -> Fault | None:
-        return next(
-            (f for f in self.faults if f.kind == kind and f.target in (target or f.target) and f.active(t)), None
-        )
+        for fault in self.faults:
+            if fault.kind == kind and fault.target in (target or fault.target) and fault.active(t):
+                return fault
+        return None
 
     def _send(self) -> None:
         values, t = self._values(), self.t

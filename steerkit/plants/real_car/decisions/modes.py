@@ -392,7 +392,8 @@ def step(limits: StateLimits, state: Machine, facts: Facts, t: float, order: Ord
         case Mode.ENGAGED:
             if order is Order.DISENGAGE:
                 return to(Mode.STANDBY, "operator: disengage")
-            facts = facts._replace(engaged_for=t - state.since)
+            if not facts.enabled:  # only then it matters for how long
+                facts = facts._replace(engaged_for=t - state.since)
             human = first_broken(limits, facts, HUMAN)
             if human:
                 return to(Mode.OVERRIDE, human)

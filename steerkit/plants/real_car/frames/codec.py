@@ -68,7 +68,7 @@ class Mapping:
     sign: float = 1.0
     offset: float = 0.0
 
-    @property
+    @cached_property
     def gain(self) -> float:
         """SI units of ours in one physical unit of the signal."""
         return self.sign * self.scale * UNIT_FACTORS[self.unit]
@@ -113,6 +113,7 @@ class FrameReader:
         self.kind = "x" if message.is_extended_frame else ""
         self.period = period
         self._ranges = {s.name: signal_range(s) for s in message.signals}
+        self._needed = {m.signal for m in mappings.values()} | ({protection.counter} if protection.counter else set())
         self._crc_byte = message.get_signal_by_name(protection.crc).start // 8 if protection.crc else None
         self.modulus = 1 << message.get_signal_by_name(protection.counter).length if protection.counter else 0
         """The counter's; 0 without one."""
@@ -129,10 +130,9 @@ class FrameReader:
             raw = self.message.decode(data, decode_choices=False)
         except Exception as error:  # a multiplexer code of no signal, for one; what cantools raises is not ours to list
             return Checked({}, counter, f"{self.name}: cannot be decoded ({type(error).__name__}: {error})")
-        absent = [
-            s for s in (*(m.signal for m in self.mappings.values()), self.protection.counter) if s and s not in raw
-        ]
-        if absent:
+        if not self._needed <= raw.keys():
+            named = (*(m.signal for m in self.mappings.values()), self.protection.counter)
+            absent = [s for s in named if s and s not in raw]
             return Checked({}, counter, f"{self.name}: without {', '.join(absent)}")
         if self.protection.counter:
             new = int(raw[self.protection.counter])
@@ -181,12 +181,12 @@ class CommandWriter:
     crc: str = ""
     fixed: tuple[tuple[str, float], ...] = ()
 
-    @property
+    @cached_property
     def frame_id(self) -> int:
         """The id of the command."""
         return int(self.message.frame_id)
 
-    @property
+    @cached_property
     def extended(self) -> bool:
         """Has the id 29 bits?"""
         return bool(self.message.is_extended_frame)
@@ -255,6 +255,6 @@ class SignalEncoder:
         signal = self._signals[mapping.signal]
         if not math.isfinite(value):
             return -(1 << (signal.length - 1)) if signal.is_signed else (1 << signal.length) - 1
-        low, high = signal_range(signal)
+        low, high = self.reader._ranges[mapping.signal]
         physical = max(low, min(high, (value - mapping.offset) / mapping.gain))
         return round((physical - signal.offset) / signal.scale)
