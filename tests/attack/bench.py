@@ -89,8 +89,7 @@ class OwnClient:
         x, y = snapshot["x"] + FRONT * math.cos(psi), snapshot["y"] + FRONT * math.sin(psi)
         if not math.isfinite(x + y + snapshot["v"] + snapshot["r"]):
             return None
-        _, e, heading = self.course.at(x, y)
-        near, _, _ = self.course.at(x, y)
+        near, e, heading = self.course.at(x, y)
         psi_e = math.remainder(psi - heading, 2.0 * math.pi)
         return stanley(e, psi_e, snapshot["v"], snapshot["r"], float(self.course.kappa[near]))
 

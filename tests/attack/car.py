@@ -10,6 +10,8 @@ import numpy as np
 MASS, INERTIA, FRONT, REAR, RATIO = 1639.0, 2824.0, 1.2195, 1.4905, 15.6
 STIFF_FRONT, STIFF_REAR, GRIP = 197e3, 255e3, 0.9
 LENGTH = FRONT + REAR
+NEAR = 120
+"""So many points of the course to either side of the last nearest one are looked at."""
 
 
 class Course:
@@ -27,6 +29,8 @@ class Course:
         self.x = np.concatenate([[0.0], np.cumsum(np.cos(middle) * step)[:-1]])
         self.y = np.concatenate([[0.0], np.cumsum(np.sin(middle) * step)[:-1]])
         self.step, self.closed, self.length = step, closed, step * len(kappa)
+        beyond = "wrap" if closed else "edge"
+        self._x, self._y = np.pad(self.x, NEAR, beyond), np.pad(self.y, NEAR, beyond)
 
     def csv(self) -> str:
         """Waypoints a metre apart."""
@@ -38,13 +42,13 @@ class Course:
         """(nearest point, e [m] + = left, heading of the course [rad])."""
         n = len(self.x)
         if near is None:
-            some = np.arange(n)
+            i = int(np.argmin((self.x - x) ** 2 + (self.y - y) ** 2))
         else:
-            some = np.arange(near - 120, near + 121)
-            some = some % n if self.closed else np.clip(some, 0, n - 1)
-        i = int(some[np.argmin((self.x[some] - x) ** 2 + (self.y[some] - y) ** 2)])
+            some = slice(near, near + 2 * NEAR + 1)
+            i = near - NEAR + int(np.argmin((self._x[some] - x) ** 2 + (self._y[some] - y) ** 2))
+            i = i % n if self.closed else min(max(i, 0), n - 1)
         psi = float(self.psi[i])
-        return i, -(x - self.x[i]) * math.sin(psi) + (y - self.y[i]) * math.cos(psi), psi
+        return i, -(x - float(self.x[i])) * math.sin(psi) + (y - float(self.y[i])) * math.cos(psi), psi
 
 
 def stadium() -> Course:
