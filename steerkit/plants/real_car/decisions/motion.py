@@ -106,6 +106,7 @@ class Motion:
         self._psi = 0.0
         self._last: tuple[float, float, float, float] | None = None
         self._kept: deque[Sample] = deque()
+        self._least = self._most = Sample(*[math.nan] * 7)  # of each quantity, of those that are or were kept
 
     def forget(self) -> None:
         """Begin anew, after a pause without poses."""
@@ -150,14 +151,34 @@ class Motion:
         here = Sample(t, along, across, self._psi - at.psi, at.psi - at.psi_wheel, at.turned, at.turned_wheel)
         while self._kept and self._kept[0].t < t - HORIZON:
             self._kept.popleft()
-        what = self._against(here)
+        v = math.hypot(self._rates[0], self._rates[1])
+        what = "" if self._agrees(here, v) else self._against(here, v)
         if not self._kept or t - self._kept[-1].t >= SPACING:
             self._kept.append(here)
+            columns = [*zip(*self._kept)]
+            self._least, self._most = Sample(*map(min, columns)), Sample(*map(max, columns))
         return what
 
-    def _against(self, here: Sample) -> str:
-        """What the oldest of the kept samples that contradicts this one says, or ""; one loop, as it runs the most."""
-        limits, v = self.limits, math.hypot(self._rates[0], self._rates[1])
+    def _agrees(self, here: Sample, v: float) -> bool:
+        """Does it lie within what is borne at T = 0 of all that is kept? Then none contradicts it, as limits only grow
+        with T: said without a look at each, and most are said so."""
+        limits, least, most = self.limits, self._least, self._most
+        along = limits.pose_jump + READ_LATE * v
+        return (
+            here.t >= most.t
+            and here.along - least.along <= along
+            and most.along - here.along <= along
+            and here.across - least.across <= limits.pose_jump
+            and most.across - here.across <= limits.pose_jump
+            and here.psi - least.psi <= limits.heading_slack
+            and most.psi - here.psi <= limits.heading_slack
+            and here.wheel - least.wheel <= limits.wheel_slack
+            and most.wheel - here.wheel <= limits.wheel_slack
+        )
+
+    def _against(self, here: Sample, v: float) -> str:
+        """What the oldest of the kept samples that contradicts this one says, or ""."""
+        limits = self.limits
         t_now, along_now, across_now, psi_now, wheel_now, turned_now, turned_wheel_now = here
         for t, along_then, across_then, psi_then, wheel_then, turned_then, turned_wheel_then in self._kept:
             span = t_now - t
