@@ -268,7 +268,7 @@ class Core:
             integrity_errors=len(senses.errors),
             integrity=senses.errors[-1][1] if senses.errors else "",
             misses=sum([n for _, n in self._misses]),
-            lateness=max([late for _, late in self._late], default=0.0),
+            lateness=max([late for _, late in self._late]) if self._late else 0.0,
             echo_age=t - max(senses.echo_ok, since) + EPS if engaged else 0.0,
             follow_age=t - max(senses.follow_ok, since) + EPS if engaged else 0.0,
             e_growth=senses.e_growth(since) if engaged else 0.0,

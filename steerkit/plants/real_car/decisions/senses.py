@@ -302,7 +302,7 @@ class Senses:
 
     def oldest(self, frames: frozenset[int]) -> float:
         """When the frame of some that has not come for longest came last [s]."""
-        return min([self.arrived[i] for i in frames])
+        return min(map(self.arrived.__getitem__, frames))
 
     def forget_delay(self) -> None:
         """Take the next time stamp for an undelayed one, and the next frame of each kind for one in time."""
