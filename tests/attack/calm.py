@@ -169,9 +169,11 @@ class Playback:
         self.packet(2, bytes([ord("H"), 0, 3]))
         self.packet(2, wire.ORDERS["ARM"])
         end = min(until, float(self.rows["t"][-1]))
-        for k in range(1, round(end / 0.01)):
-            self.t = 0.01 * k
-            now = {name: float(np.interp(self.t, self.rows["t"], column)) for name, column in self.rows.items()}
+        count = range(1, round(end / 0.01))
+        times = 0.01 * np.array(count)
+        seen = [np.interp(times, self.rows["t"], column).tolist() for column in self.rows.values()]
+        for k, *numbers in zip(count, *seen):
+            self.t, now = 0.01 * k, dict(zip(self.rows, numbers))
             self.frames(now, k)
             if k % 5 == 1:
                 request: Any = now["delta_sw"]
