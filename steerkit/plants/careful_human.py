@@ -74,9 +74,10 @@ def ceiling(path: Path, a_y_max: float, a_x_max: float, limit: Array | None = No
     n = max(2, round(path.length))
     ds = path.length / n
     kappa = np.abs(path.kappa(np.linspace(0.0, path.length, n, endpoint=False)))
-    v2 = a_y_max / np.maximum(kappa, 1e-4)
+    bound = a_y_max / np.maximum(kappa, 1e-4)
     if limit is not None:
-        v2 = np.minimum(v2, limit * limit)
+        bound = np.minimum(bound, limit * limit)
+    v2: list[float] = bound.tolist()  # an array is slow entry by entry
     gain = 2.0 * a_x_max * ds
     rounds = 2 if path.closed else 1  # the second carries a ceiling across the start
     for _ in range(rounds):
