@@ -35,7 +35,7 @@ import numpy as np
 from benchmarks.calibration import drawn, estimated, estimators
 from benchmarks.calibration_loop import driven, mistold
 from steerkit.block import Block, Out
-from steerkit.compiled import Backend, compile
+from steerkit.compiled import Backend, Compiled, compile
 from steerkit.controllers.estimators.estimate import estimated as quantity
 from steerkit.controllers.estimators.single_track_filter import SingleTrackFilter
 from steerkit.controllers.estimators.steering_delay import WheelDelay
@@ -250,8 +250,7 @@ def cost(options: argparse.Namespace) -> dict[str, Any]:
             wires.append((getattr(source, given), getattr(block, port.name)))
     samples = 400 if options.quick else 20_000
 
-    def a_sample(loop: Loop, backend: Backend, n: int) -> float:
-        program = compile(loop, backend=backend)  # all is recorded: what nobody asks for is not computed
+    def a_sample(program: Compiled, n: int) -> float:
         program.run(1.0)
         begun = time.perf_counter()
         program.run(n * DT)
@@ -268,11 +267,13 @@ def cost(options: argparse.Namespace) -> dict[str, Any]:
     print()
     rounds: tuple[tuple[Backend, int], ...] = (("c", samples), ("python", samples // 10))
     for backend, n in rounds:
+        # all is recorded: what nobody asks for is not computed
+        without, whole, stepping = (compile(loop, backend=backend) for loop in (alone, with_all, plant))
         turns = []
         for _ in range(3):
-            base = a_sample(alone, backend, n)
-            all_of_them = a_sample(with_all, backend, n) - base
-            turns.append((all_of_them, all_of_them / (a_sample(plant, backend, n) - base)))
+            base = a_sample(without, n)
+            all_of_them = a_sample(whole, n) - base
+            turns.append((all_of_them, all_of_them / (a_sample(stepping, n) - base)))
         us, x = (statistics.median(turn[i] for turn in turns) for i in range(2))
         report |= {f"cost_{backend}_us": us, f"cost_{backend}_in_car_steps": x}
         print(f"All estimators, {backend}: {us:.1f} us a sample, as much as {x:.1f} steps of the nonlinear car")
