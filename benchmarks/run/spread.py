@@ -78,14 +78,14 @@ class Workers(Protocol):
         """
 
 
-def add_options(parser: argparse.ArgumentParser, *, processes: int = 2) -> None:
-    """Where to compute, on a study's command line; processes: how many unless told."""
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Where to compute, on a study's command line."""
     parser.add_argument(
         "--processes",
         "--jobs",
         type=int,
-        default=processes,
-        help=f"processes at once (default {processes}; -1: a core each)",
+        default=None,
+        help="processes at once (default 2, with --quick this one alone; -1: a core each)",
     )
     parser.add_argument("--backend", default="loky", help="loky: processes here; dask: the workers of a cluster")
     parser.add_argument("--address", default=None, help="of the Dask scheduler, tcp://HOST:PORT")
@@ -93,7 +93,8 @@ def add_options(parser: argparse.ArgumentParser, *, processes: int = 2) -> None:
 
 def where(options: argparse.Namespace) -> Where:
     """What `add_options` added. Raises ValueError as `Where`."""
-    return Where(options.backend, options.address, options.processes)
+    usual = 1 if options.quick else 2  # another process takes longer to start than a quick form has to do
+    return Where(options.backend, options.address, usual if options.processes is None else options.processes)
 
 
 @contextmanager
@@ -137,8 +138,9 @@ class Here:
             before = len(left)
             try:
                 with joblib.parallel_config(backend="loky", inner_max_num_threads=1):
+                    hands = min(joblib.effective_n_jobs(self.processes), len(pieces))  # one more would start in vain
                     parallel = joblib.Parallel(
-                        n_jobs=self.processes, return_as="generator_unordered", batch_size=1, pre_dispatch=ahead
+                        n_jobs=hands, return_as="generator_unordered", batch_size=1, pre_dispatch=ahead
                     )
                     given = (
                         joblib.delayed(_numbered)(function, number, piece)

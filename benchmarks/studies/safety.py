@@ -271,9 +271,9 @@ def _measured(options: argparse.Namespace, those: spread.Workers) -> dict[str, A
         for kind, row in report.get("agents", {}).items():
             console.print(f"{kind:16s} max |e|", "  ".join(f"{v}: {e:.3f} m" for v, e in row.items()))
     if "chatter" in options.parts:
-        report |= chatter(6.0 if quick else 20.0, (5.0,) if quick else (3.0, 5.0, 8.0))
+        report |= chatter(4.0 if quick else 20.0, (5.0,) if quick else (3.0, 5.0, 8.0))
     if "narrowing" in options.parts:
-        report |= narrowing(12.0, (5.0,)) if quick else narrowing(40.0, (3.0, 5.0, 8.0))
+        report |= narrowing(10.5, (5.0,)) if quick else narrowing(40.0, (3.0, 5.0, 8.0))
         for speed, row in report["narrowing"].items():
             console.print(f"0.42 m beside, {speed}:", ", ".join(f"{name} {value:.3g}" for name, value in row.items()))
     if "cost" in options.parts:

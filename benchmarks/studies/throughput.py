@@ -270,7 +270,7 @@ def tracked_poses(samples: int, *, tracker: bool) -> Loop:
     return Loop(blocks={"poses": poses, "path": seen}, wires=wires)
 
 
-def block_costs() -> dict[str, float]:
+def block_costs(turns: int) -> dict[str, float]:
     """CPU seconds a step in C: the loop, without the tracker or the actuator, poses with a tracker and without."""
     steps = 4000
     loops = {
@@ -285,7 +285,7 @@ def block_costs() -> dict[str, float]:
     for name, loop in loops.items():
         c = compile(loop, backend="c", record=["poses.x" if name == "poses" else "path.e"])
         runs.append((name, c, loop.init()))
-    for turn in range(41):
+    for turn in range(turns + 1):
         for name, c, start in runs:
             begin = time.thread_time()  # one car runs in one thread, and others on the core only ever add
             c.run(steps * DT, state=start)
@@ -328,7 +328,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     warnings.filterwarnings("ignore", message="Unused output")
     loop = closed_loop()
     agreement = require_equal_runs(loop)
-    rates = measured(contestants(loop, options.quick), 5 if options.quick else 15)
+    rates = measured(contestants(loop, options.quick), 2 if options.quick else 15)
     against = {base: ratios_to(rates, base) for base in (DIAGRAM, TWO, ONE)}
     ratios = against[DIAGRAM]
     print(f"\n20 Hz control steps a second, {os.cpu_count()} cores; all ways agree to {agreement:.0e} m\n")
@@ -352,7 +352,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         "against": against,
         "largest_difference_m": agreement,
     }
-    costs, calls, sizes = block_costs(), first_calls(), scaling(loop, options.quick)
+    costs, calls, sizes = block_costs(4 if options.quick else 40), first_calls(), scaling(loop, options.quick)
     result |= {
         "c_step_ns": 1e9 * costs["all"],
         "tracker_ns": 1e9 * (costs["poses and tracker"] - costs["poses"]),

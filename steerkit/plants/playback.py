@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -39,20 +39,15 @@ class Playback(Block):
     dt: float = 0.01
 
     def __post_init__(self) -> None:
-        where, n = "Playback", len(self.angles)
-        require(
-            n == len(self.speeds) >= 2, where, f"{n} angles, {len(self.speeds)} speeds, expected equally many, >= 2"
-        )
-        require_within(where, "angles", np.asarray(self.angles), "rad", -100.0, 100.0)
-        require_within(where, "speeds", np.asarray(self.speeds), "m/s", 0.0, 100.0)
+        where = "Playback"
+        _recorded(self.angles, self.speeds)
         require_within(where, "delay", self.delay, "s", -10.0, 10.0)
         require_within(where, "dt", self.dt, "s", 1e-6, 1.0)
 
     @cached_property
     def _table(self) -> Table:
         """A row from each sample to the next: angle, its rise, speed, its rise."""
-        angle, speed = np.array(self.angles), np.array(self.speeds)
-        return Table(np.column_stack((angle[:-1], np.diff(angle), speed[:-1], np.diff(speed))))
+        return _recorded(self.angles, self.speeds)
 
     def output(self, t: Any, x: Any, u: Any) -> Any:
         i, part = self._place(t - self.delay)
@@ -66,3 +61,14 @@ class Playback(Block):
         z = m.clip(t / self.dt + 1e-9, 0.0, float(len(self._table)))
         i = m.minimum(m.floor(z), float(len(self._table)) - 1.0)
         return i, z - i
+
+
+@lru_cache(maxsize=4)
+def _recorded(angles: tuple[float, ...], speeds: tuple[float, ...]) -> Table:
+    """The table of a recording, checked; one for all delays that it is played back with."""
+    where, n = "Playback", len(angles)
+    require(n == len(speeds) >= 2, where, f"{n} angles, {len(speeds)} speeds, expected equally many, >= 2")
+    angle, speed = np.array(angles), np.array(speeds)
+    require_within(where, "angles", angle, "rad", -100.0, 100.0)
+    require_within(where, "speeds", speed, "m/s", 0.0, 100.0)
+    return Table(np.column_stack((angle[:-1], np.diff(angle), speed[:-1], np.diff(speed))))

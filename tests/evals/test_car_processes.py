@@ -252,17 +252,19 @@ def test_a_drive_whose_recording_failed_ends_with_exit_code_2(tmp_path: Path, wo
     assert tapes.read(tmp_path / "drive.mcap").lost
 
 
-def test_a_recording_that_is_being_written_is_refused_and_its_process_named(tmp_path: Path) -> None:
-    words = [sys.executable, "-m", "steerkit", "drive", "stanley", "--car", CONFIG, "--simulated", "--quiet"]
+def test_a_recording_that_is_being_written_is_refused_and_its_process_named(
+    tmp_path: Path, python: tuple[str, ...]
+) -> None:
+    words = ["-m", "steerkit", "drive", "stanley", "--car", CONFIG, "--simulated", "--quiet"]
     words += ["--recording", "drive.mcap"]
     log = tmp_path / "drive.log"
-    with subprocess.Popen(words, cwd=tmp_path, stdout=subprocess.DEVNULL, text=True) as first:
+    with subprocess.Popen([sys.executable, *words], cwd=tmp_path, stdout=subprocess.DEVNULL, text=True) as first:
         try:
             for tape_there in (False, True):  # before its car server has made the file, and after
                 while not (tmp_path / "drive.mcap" if tape_there else log).exists() or not log.read_text():
                     assert first.poll() is None
                     time.sleep(0.01)
-                second = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, timeout=180.0)
+                second = subprocess.run([*python, *words], cwd=tmp_path, capture_output=True, text=True, timeout=180.0)
                 assert second.returncode == 2
                 assert "drive.mcap" in second.stderr
             assert log.read_text().startswith(f"session: process {first.pid} (__main__.py drive stanley --car ")

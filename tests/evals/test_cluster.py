@@ -21,6 +21,7 @@ from typing import Any
 import pytest
 
 import benchmarks
+from benchmarks import studies
 from benchmarks.run.compare import compare
 from benchmarks.run.results import load_results
 from benchmarks.run.runner import run as carry_out
@@ -88,20 +89,25 @@ def until(holds: Callable[[], bool], what: str, *, seconds: float = 240.0) -> No
         time.sleep(0.05)
 
 
-def cluster(start: Start, port: int, folder: Path, *, scheduler: list[Path], workers: list[list[Path]]) -> list[int]:
-    """Start a scheduler and workers, each with its own packages, and wait for them; returns the workers' ids."""
+def begin(start: Start, port: int, folder: Path, packages: list[Path]) -> None:
+    """Start a scheduler with its packages, and wait for it."""
     options = ["--host", "127.0.0.1", "--port", str(port), "--no-dashboard"]
-    start("scheduler", words(lines()["scheduler"], port) + options, environment(*scheduler))
+    start("scheduler", words(lines()["scheduler"], port) + options, environment(*packages))
     log = folder / "scheduler.log"
     until(lambda: "Scheduler at" in log.read_text(), "a scheduler")
-    options = ["--nworkers", "1", "--nthreads", "1", "--no-dashboard"]
-    ids = []
-    for number, packages in enumerate(workers):
-        worker = words(lines()["worker"], port) + options
-        ids.append(start(f"worker{number}", worker, environment(*packages)).pid)
-    registered = "Register worker"
-    until(lambda: log.read_text().count(registered) >= len(workers), f"{len(workers)} workers")
-    return ids
+
+
+def worker(start: Start, port: int, number: int, packages: list[Path], *, nanny: bool) -> int:
+    """Start a worker with its packages; returns its id."""
+    options = ["--nworkers", "1", "--nthreads", "1", "--no-dashboard", *([] if nanny else ["--no-nanny"])]
+    line = words(lines()["worker"], port) + options
+    return start(f"worker{number}", line, environment(*packages)).pid
+
+
+def until_registered(folder: Path, count: int) -> None:
+    """Wait until so many workers in all have told the scheduler of themselves."""
+    log = folder / "scheduler.log"
+    until(lambda: log.read_text().count("Register worker") >= count, f"{count} workers")
 
 
 def command(port: int, *more: str) -> list[str]:
@@ -129,7 +135,10 @@ def figures_of(printed: str) -> Any:
 
 def test_a_cluster_as_documented_and_killed_workers(start: Start, port: int, tmp_path: Path) -> None:
     """All is done, with the numbers of this machine, though first one and then another of three workers is killed."""
-    ids = cluster(start, port, tmp_path, scheduler=[HOME], workers=[[HOME]] * 3)
+    begin(start, port, tmp_path, [HOME])
+    # those that are killed are without a nanny, another process that would be killed with them
+    ids = [worker(start, port, n, [HOME], nanny=n == 2) for n in range(3)]
+    until_registered(tmp_path, 3)
     a_suite(start, port, tmp_path, ids[0])
     a_study(start, port, tmp_path, ids[1])
 
@@ -145,17 +154,9 @@ def a_study(start: Start, port: int, tmp_path: Path, victim: int) -> None:
     os.killpg(victim, signal.SIGKILL)
     said = lambda: (tmp_path / "study.log").read_text()  # noqa: E731
     assert run.wait(240.0) == 0, said()
-    here = subprocess.run(
-        [sys.executable, "-m", "benchmarks", "study", "learning", *SHORT, "--processes", "1"],
-        cwd=tmp_path,
-        env=environment(HOME),
-        capture_output=True,
-        text=True,
-        timeout=240.0,
-        check=True,
-    )
+    here = json.dumps(studies.carry_out("learning", [*SHORT, "--processes", "1"]))
     assert len(figures_of(said())[1]) == 4
-    assert figures_of(said()) == figures_of(here.stdout)
+    assert figures_of(said()) == figures_of(here)
 
 
 def a_suite(start: Start, port: int, tmp_path: Path, victim: int) -> None:
@@ -200,28 +201,37 @@ def another(tmp_path: Path) -> Path:
     return tmp_path / "another"
 
 
-@pytest.mark.parametrize(
-    ("who", "has", "message"),
-    [
-        ("scheduler", "nothing", r"the scheduler cannot import this package \(ModuleNotFoundError: .*\): install"),
-        ("worker", "nothing", r"the worker tcp://.* cannot import this package \(ModuleNotFoundError: .*\): install"),
-        ("worker", "another", r"the worker tcp://.* has another steerkit-control \(.*\) than this .* \(.*\): install"),
-    ],
-)
-def test_who_cannot_work_for_this_machine_is_told_in_seconds(
-    who: str, has: str, message: str, start: Start, port: int, tmp_path: Path, request: pytest.FixtureRequest
-) -> None:
-    other = [request.getfixturevalue(has), HOME]
-    if who == "scheduler":
-        cluster(start, port, tmp_path, scheduler=other, workers=[])
-    else:
-        cluster(start, port, tmp_path, scheduler=[HOME], workers=[other])
+def refused(port: int, folder: Path, message: str) -> None:
+    """A run ends within seconds, with nothing but this message."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
-    words = command(port)
-    done = subprocess.run(words, cwd=tmp_path, env=environment(HOME), capture_output=True, text=True, timeout=240.0)
+    done = subprocess.run(
+        command(port), cwd=folder, env=environment(HOME), capture_output=True, text=True, timeout=240.0
+    )
     assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before < 10.0  # computing: a busy machine is slower
     assert done.returncode == 2, done.stderr
     assert re.search(message, done.stderr), done.stderr
     assert done.stderr.count("\n") == 1, done.stderr
     assert f"--address tcp://127.0.0.1:{port}" in done.stderr
-    assert not (tmp_path / "results").exists()
+    assert not (folder / "results").exists()
+
+
+def test_a_scheduler_that_cannot_work_for_this_machine_is_told_in_seconds(
+    start: Start, port: int, tmp_path: Path, nothing: Path
+) -> None:
+    begin(start, port, tmp_path, [nothing, HOME])
+    refused(port, tmp_path, r"the scheduler cannot import this package \(ModuleNotFoundError: .*\): install")
+
+
+def test_a_worker_that_cannot_work_for_this_machine_is_told_in_seconds(
+    start: Start, port: int, tmp_path: Path, nothing: Path, another: Path
+) -> None:
+    """One that lacks the packages and then, at the same scheduler, one that has others."""
+    begin(start, port, tmp_path, [HOME])
+    without = worker(start, port, 0, [nothing, HOME], nanny=False)
+    until_registered(tmp_path, 1)
+    refused(port, tmp_path, r"the worker tcp://.* cannot import this package \(ModuleNotFoundError: .*\): install")
+    os.killpg(without, signal.SIGKILL)
+    until(lambda: "Remove worker" in (tmp_path / "scheduler.log").read_text(), "the scheduler misses it")
+    worker(start, port, 1, [another, HOME], nanny=False)
+    until_registered(tmp_path, 2)
+    refused(port, tmp_path, r"the worker tcp://.* has another steerkit-control \(.*\) than this .* \(.*\): install")

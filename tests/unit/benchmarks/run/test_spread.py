@@ -34,6 +34,22 @@ def test_every_piece_once_with_its_number(processes: int) -> None:
         assert sorted(those.done(twice, [5, 7, 9])) == [(0, 10), (1, 14), (2, 18)]
 
 
+def test_no_more_processes_than_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+    import joblib
+
+    asked: list[int] = []
+    whole = joblib.Parallel
+
+    def parallel(n_jobs: int, **how: Any) -> Any:
+        asked.append(n_jobs)
+        return whole(n_jobs=1, **how)
+
+    monkeypatch.setattr(joblib, "Parallel", parallel)
+    for pieces in ([5], [5, 7], [5, 7, 9]):
+        assert len(list(Here(2).done(twice, pieces))) == len(pieces)
+    assert asked == [1, 2, 2]
+
+
 def test_workers_that_die_now_and_then_cost_nothing_as_long_as_pieces_finish(monkeypatch: pytest.MonkeyPatch) -> None:
     """A pool that finishes one piece and then loses its workers, again and again."""
     import joblib
@@ -73,8 +89,11 @@ def test_after_its_time_nothing_is_handed_out(processes: int) -> None:
 )
 def test_what_does_not_go_together_is_refused(options: list[str], message: str) -> None:
     parser = argparse.ArgumentParser()
+    parser.add_argument("--quick", action="store_true")
     spread.add_options(parser)
     assert spread.where(parser.parse_args([])) == Where("loky", None, 2)
+    assert spread.where(parser.parse_args(["--quick"])) == Where("loky", None, 1)
+    assert spread.where(parser.parse_args(["--quick", "--processes", "2"])) == Where("loky", None, 2)
     with pytest.raises(ValueError, match=message):
         spread.where(parser.parse_args(options))
 

@@ -110,7 +110,7 @@ def test_the_quick_form_runs_as_a_process_and_prints_its_figures_last(
 
 
 def sensible_calibration(figures: Any) -> None:
-    """Four drives of half a minute say little of how well it works, all of whether."""
+    """Four drives of 20 s say little of how well it works, all of whether."""
     assert figures["drives"] == 4
     assert figures["lagd_error_ms"] < 10.0
     assert figures["table"]["delay + lag, wheel"]["median"] < 10.0
