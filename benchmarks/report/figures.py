@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from steerkit.plots.style import COLOURS, PALETTE, new_figure, style
+from steerkit.plots.style import COLOURS, PALETTE, new_figure, save, style
 from steerkit.task import GOAL, TRIP
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def svg(figure: Figure, words: str) -> str:
     serial = f"f{next(_SERIAL)}"
     buffer = io.StringIO()
     with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "steerkit"}):
-        figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+        save(figure, buffer, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
     text = buffer.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.S)
@@ -115,7 +115,7 @@ def dots(
     with style():
         height, left = 0.42 + 0.24 * len(values), 0.16 + 0.073 * max(map(len, values))
         figure, axes = new(height)
-        figure.set_layout_engine("none")  # known margins: solving for them takes as long as drawing
+        figure.set_layout_engine(None)  # known margins: solving for them takes as long as drawing
         axes.set_position((left / WIDTH, 0.3 / height, 1.0 - (left + 0.16) / WIDTH, 1.0 - 0.36 / height))
         rng = np.random.default_rng(0)
         finite = np.concatenate([v[np.isfinite(v)] for v in values.values()] or [np.zeros(0)])

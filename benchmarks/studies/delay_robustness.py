@@ -146,7 +146,7 @@ def picture(report: dict[str, list[dict[str, Any]]], file: str) -> None:
     from matplotlib.colors import LogNorm
     from matplotlib.figure import Figure
 
-    from steerkit.plots.style import COLOURS, style
+    from steerkit.plots.style import COLOURS, save, style
 
     across = min(3, len(report))
     down = -(-len(report) // across)
@@ -186,7 +186,7 @@ def picture(report: dict[str, list[dict[str, Any]]], file: str) -> None:
             fontweight="bold",
             color=COLOURS["ink"],
         )
-    figure.savefig(file, dpi=120)
+    save(figure, file, dpi=120)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

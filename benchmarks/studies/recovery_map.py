@@ -133,7 +133,7 @@ def picture(results: dict[str, tuple[int, dict[str, Any]]], file: str) -> None:
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch
 
-    from steerkit.plots.style import COLOURS, style
+    from steerkit.plots.style import COLOURS, save, style
 
     kinds = {"not back": "#c8574b", "back, but beyond 3 m/s² or 550 deg/s": "#ecc25c", "back within both": "#9ccba8"}
     reach = (-FARTHEST, FARTHEST, -degrees_of(STEEPEST), degrees_of(STEEPEST))
@@ -168,7 +168,7 @@ def picture(results: dict[str, tuple[int, dict[str, Any]]], file: str) -> None:
         figure.suptitle(title, x=0.01, ha="left", fontsize=10.5, fontweight="bold", color=COLOURS["ink"])
         patches = [Patch(color=colour, label=label) for label, colour in reversed(kinds.items())]
         figure.legend(handles=patches, loc="outside lower left", ncols=3)
-    figure.savefig(file, dpi=120)
+    save(figure, file, dpi=120)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

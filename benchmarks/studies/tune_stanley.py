@@ -100,7 +100,7 @@ def tuned(quick: bool) -> tuple[Any, dict[str, Result]]:
 
 def picture(grid: Any, results: dict[str, Result], file: str) -> None:
     """Worst wheel speed over worst RMS e: a dot a choice of gains, the band near the best, a star the choice."""
-    from steerkit.plots.style import COLOURS, PALETTE, new_figure, style
+    from steerkit.plots.style import COLOURS, PALETTE, new_figure, save, style
 
     delays = {"predicted": (TOLD[0], TOLD[-1] + OFF[-1]), "plain": (PLAIN[0], PLAIN[-1])}
     with style():
@@ -114,7 +114,7 @@ def picture(grid: Any, results: dict[str, Result], file: str) -> None:
             panel.plot(e[i], rate[i], "*", ms=13, mec=COLOURS["ink"], color=colour, label=f"chosen: {gains}")
         panel.set(xlim=(0.04, 0.2), ylim=(0.0, 200.0), xlabel="worst RMS e [m]", ylabel="worst RMS wheel speed [deg/s]")
         panel.legend(loc="upper right")
-    figure.savefig(file, dpi=120)
+    save(figure, file, dpi=120)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

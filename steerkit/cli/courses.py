@@ -87,8 +87,9 @@ def _of_file(file: str, to: Path | None, plot: Path | None, vehicle: str, as_jso
         made.to_csv(str(to))
     if plot is not None:
         from steerkit.plots.course import plot_course
+        from steerkit.plots.style import save
 
-        plot_course(made.path).savefig(plot)
+        save(plot_course(made.path), plot)
     row = _row(made)
     if as_json:
         print(json.dumps({**row, "notes": made.notes, "written": [str(f) for f in (to, plot) if f is not None]}))

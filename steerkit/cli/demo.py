@@ -17,6 +17,7 @@ from steerkit.learning.learn import learn
 from steerkit.learning.pictures import paper as figures
 from steerkit.learning.report import comparison, console, figures_of_merit
 from steerkit.learning.settings import BANG_BANG, DEFAULT
+from steerkit.plots.style import save
 from steerkit.scenario import Scenario
 from steerkit.scenario import drive as evaluate
 from steerkit.simulation import Log
@@ -74,7 +75,7 @@ def run(out: FilePath, *, seed: int = 0, quiet: bool = False) -> None:
         title = f"{part.name}: final net and Stanley"
         pictures[f"round-{_slug(part.name)}.png"] = figures.round_driven(part.learned, part.stanley, title=title)
     for name, figure in pictures.items():
-        figure.savefig(out / name)
+        save(figure, out / name)
     if not quiet:
         console.print(f"pictures: {', '.join(pictures)} in {out}", soft_wrap=True)
 

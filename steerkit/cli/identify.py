@@ -80,7 +80,9 @@ def identify(
     elif not as_json:
         print(identified.text(command=command, held_out=prediction), end="")
     if plot is not None:
-        identified.plot(prediction).savefig(plot)
+        from steerkit.plots.style import save
+
+        save(identified.plot(prediction), plot)
         console.print(f"picture: {plot}", soft_wrap=True)
     if as_json:
         print(json.dumps(figures(identified, prediction)))

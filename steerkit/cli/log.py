@@ -54,8 +54,9 @@ def log(
     _report(console, found, [*files, *more])
     if plot is not None:
         from steerkit.logs.pictures import picture
+        from steerkit.plots.style import save
 
-        picture(found).savefig(plot)
+        save(picture(found), plot)
         console.print(f"picture: {plot}", soft_wrap=True)
     if csv is not None:
         require(found.drive is not None, f"--csv {csv}", f"there is no drive in it: {found.trouble}")

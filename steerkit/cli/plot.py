@@ -25,6 +25,7 @@ def plot(
     from steerkit.errors import require
     from steerkit.learning import rundir
     from steerkit.plots.notebook import telling
+    from steerkit.plots.style import save
     from steerkit.simulation import Log
 
     picture = out or (log / "signals.png" if log.is_dir() else log.with_name(f"{log.stem}-signals.png"))
@@ -32,7 +33,7 @@ def plot(
     tables = table is None or table.suffix in (".csv", ".parquet")
     require(tables, f"--table {table}", "expected a name that ends in .csv or .parquet")
     record = rundir.drive_log(log) if log.is_dir() else Log.load(log)
-    record.plot(*(signals or telling(record))).savefig(picture)
+    save(record.plot(*(signals or telling(record))), picture)
     if table is not None:
         record.save(table)
     if not quiet:

@@ -64,7 +64,9 @@ def redrive(
     else:
         _report(console, driven)
     if plot is not None:
-        pictures.compared(driven[0]).savefig(plot)
+        from steerkit.plots.style import save
+
+        save(pictures.compared(driven[0]), plot)
         console.print(f"picture: {plot}", soft_wrap=True)
     if film is not None:
         console.print(f"film: {pictures.film(driven[0], film, progress=not quiet)}", soft_wrap=True)

@@ -25,6 +25,7 @@ from steerkit.loop import Sample
 from steerkit.metrics import of_log
 from steerkit.mistakes import in_one_line
 from steerkit.outside import fingerprint, is_outside
+from steerkit.plots.style import save
 from steerkit.scenario import Scenario
 from steerkit.scenario import drive as evaluate
 from steerkit.simulation import Log
@@ -96,10 +97,9 @@ def show(place: FilePath, *, quiet: bool = False) -> dict[str, Any]:
     console.print(comparison(f"one round of {scenario.course}, {net}", logs))
     drive = rundir.drive_log(place, until=run.t)
     name = run.experiment.setting.name
-    figures.learning(drive, title=f"{name} on {scenario.course}: from the first second").savefig(place / "learning.png")
-    figures.round_driven(logs["learned"], logs["stanley"], title=f"{name} on {scenario.course}: final net").savefig(
-        place / "round.png"
-    )
+    save(figures.learning(drive, title=f"{name} on {scenario.course}: from the first second"), place / "learning.png")
+    title = f"{name} on {scenario.course}: final net"
+    save(figures.round_driven(logs["learned"], logs["stanley"], title=title), place / "round.png")
     if not quiet:
         console.print(f"pictures: {place}/learning.png, {place}/round.png", soft_wrap=True)
     return merit | {"drives": [_row(name, log) for name, log in logs.items()]}
@@ -126,7 +126,7 @@ def drive_and_draw(
     log = _driven(name, scenario, rounds=rounds, seed=seed, quiet=quiet, each=each)
     place.mkdir(parents=True, exist_ok=True)
     log.save(place / "drive.npz")
-    figures.round_driven(log, title=f"{name} on {scenario.course}").savefig(place / "drive.png")
+    save(figures.round_driven(log, title=f"{name} on {scenario.course}"), place / "drive.png")
     _note(place, described([name], scenario, rounds=rounds, seed=seed))
     console.print(comparison(f"{rounds or scenario.rounds:g} round(s) of {scenario.course}", {name: log}))
     if not quiet:
@@ -146,7 +146,7 @@ def drive_and_compare(
     require(len(set(files.values())) == len(files), "drive", f"two of {', '.join(names)} would have one log's name")
     for name, log in logs.items():
         log.save(files[name])
-    figures.rounds_driven(logs, title=f"on {scenario.course}").savefig(place / "drive.png")
+    save(figures.rounds_driven(logs, title=f"on {scenario.course}"), place / "drive.png")
     _note(place, described(names, scenario, rounds=rounds, seed=seed))
     console.print(comparison(f"{rounds or scenario.rounds:g} round(s) of {scenario.course}", logs))
     if not quiet:

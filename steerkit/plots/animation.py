@@ -133,7 +133,7 @@ class _Scene:
         self.words = view.text(0.01, 0.98, "", transform=view.transAxes, va="top", color=COLOURS["ink"], zorder=9)
         self._draw_strip()
         self.figure.draw_without_rendering()
-        self.figure.set_layout_engine("none")  # laid out once: the picture must not jump, and is drawn faster
+        self.figure.set_layout_engine(None)  # laid out once: the picture must not jump, and "none" would draw it twice
 
     def _look(self, now: dict[str, float]) -> None:
         self.view.set_xlim(now["x"] - self.window, now["x"] + self.window)

@@ -78,6 +78,20 @@ def style() -> Any:
     return mpl.rc_context(_STYLE | {"axes.prop_cycle": cycler(color=PALETTE)})
 
 
+def save(figure: Figure, file: Any, **options: Any) -> None:
+    """Write a figure laid out once; `figure.savefig` lays it out and draws it twice, which takes twice as long."""
+    engine, dpi = figure.get_layout_engine(), figure.dpi
+    try:
+        if engine is not None:
+            figure.dpi = options.get("dpi", dpi)
+            engine.execute(figure)
+            figure.dpi = dpi
+            figure.set_layout_engine(None)
+        figure.savefig(file, **options)
+    finally:
+        figure.set_layout_engine(engine)
+
+
 def new_figure(
     rows: int = 1, *, title: str = "", map_beside: bool = False, width: float = 9.0, height: float | None = None
 ) -> tuple[Figure, tuple[Axes, ...]]:

@@ -53,7 +53,7 @@ PAPER = course("paper")
 SECONDS = 3.0
 CARS = 5
 needs_compiler = pytest.mark.skipif(native.compiler() is None, reason="C needs a compiler")
-few = settings(max_examples=3, suppress_health_check=list(HealthCheck), derandomize=True)
+few = settings(max_examples=2, suppress_health_check=list(HealthCheck), derandomize=True)
 
 
 def driven(human: Block, plant: type[Any], rng: np.random.Generator, *, dt: float, **parts: Any) -> Loop:

@@ -23,7 +23,7 @@ from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.pictures.policy import policy_map, q_slices, styled
 from steerkit.path import Path
-from steerkit.plots.style import COLOURS, PALETTE, new_figure
+from steerkit.plots.style import COLOURS, PALETTE, new_figure, save
 from steerkit.simulation import Log
 from steerkit.task import GOAL, TRIP
 from steerkit.units import degrees_of
@@ -300,7 +300,7 @@ def draw_all(
     files = []
     for name, draw in figures.items():
         files.append(folder / f"{name}.png")
-        draw().savefig(files[-1])
+        save(draw(), files[-1])
     return files
 
 
