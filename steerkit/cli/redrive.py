@@ -29,6 +29,7 @@ def redrive(
     column: Annotated[list[str] | None, typer.Option(help="QUANTITY=COLUMN[:UNIT[:SCALE]]; repeatable.")] = None,
     plot: Annotated[Path | None, typer.Option(help="Picture to write (.png, .pdf, .svg), of one controller.")] = None,
     film: Annotated[Path | None, typer.Option(help="Film to write: .gif, or .mp4 with ffmpeg; the same.")] = None,
+    film_lasts: Annotated[float, typer.Option(help="Length of the film in s, 1 to 120.")] = 10.0,
     quiet: Quiet = False,
     as_json: Machine = False,
 ) -> None:
@@ -39,6 +40,7 @@ def redrive(
     """
     from rich.console import Console
 
+    from steerkit.errors import require
     from steerkit.logs import ColumnMap, read_drive
     from steerkit.redrive import pictures
     from steerkit.redrive import redrive as again
@@ -48,6 +50,7 @@ def redrive(
         if file is not None and len(names) > 1:
             raise ValueError(f"{option} {file}: shows one controller, not {', '.join(names)}")
     if film is not None:  # before a long drive
+        require(1.0 <= film_lasts <= 120.0, "--film-lasts", f"{film_lasts:g} [s], expected 1 to 120")
         from steerkit.plots.animation import film_writer
 
         film_writer(film)
@@ -69,7 +72,7 @@ def redrive(
         save(pictures.compared(driven[0]), plot)
         console.print(f"picture: {plot}", soft_wrap=True)
     if film is not None:
-        console.print(f"film: {pictures.film(driven[0], film, progress=not quiet)}", soft_wrap=True)
+        console.print(f"film: {pictures.film(driven[0], film, lasts=film_lasts, progress=not quiet)}", soft_wrap=True)
 
 
 def _car(file: str, drive: Any) -> tuple[Any, str]:

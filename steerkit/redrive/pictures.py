@@ -14,9 +14,6 @@ from steerkit.units import degrees_of
 if TYPE_CHECKING:
     from steerkit.redrive.again import Redriven
 
-_LASTS = 10.0
-"""A film [s]."""
-
 
 def compared(again: Redriven) -> Any:
     """Both angles over time, their difference with the places where it is largest, and a_y within its limit."""
@@ -41,8 +38,11 @@ def compared(again: Redriven) -> Any:
     return figure
 
 
-def film(again: Redriven, file: str | Path, *, progress: bool = False) -> Path:
-    """The controller's car on the way that was driven, with e beside it, as .gif or .mp4 of 10 s; see `Log.animate`."""
-    car, speed = again.car.vehicle, max(1.0, float(again.t[-1]) / _LASTS)
+def film(again: Redriven, file: str | Path, *, lasts: float = 10.0, progress: bool = False) -> Path:
+    """The controller's car on the way that was driven, with e beside it, as .gif or .mp4; see `Log.animate`.
+
+    lasts [s]: the film, or less where the drive took less.
+    """
+    car, speed = again.car.vehicle, max(1.0, float(again.t[-1]) / lasts)
     size = {"wheelbase": float(car.wheelbase), "l_f": float(car.l_f), "steer_ratio": float(car.steer_ratio)}
     return again.log.animate(again.path, file, **size, speed=speed, fps=8.0, progress=progress)

@@ -36,3 +36,15 @@ def test_a_film_of_another_kind_is_refused_before_the_drive() -> None:
     done = CliRunner().invoke(app, ["redrive", "no-such-file.csv", "--film", "a.avi"])
     assert isinstance(done.exception, ValueError)
     assert "a film ends in .gif or .mp4" in str(done.exception)
+
+
+def test_a_film_lasts_as_long_as_asked_and_a_length_that_makes_no_film_is_refused(tmp_path: Path) -> None:
+    from PIL import Image
+
+    words = ["redrive", "genesis-rfs", "--controller", "stanley", "--vehicle", "vw-passat", "--quiet"]
+    done = CliRunner().invoke(app, [*words, "--film", str(tmp_path / "a.gif"), "--film-lasts", "1"])
+    assert done.exit_code == 0, done.output
+    with Image.open(tmp_path / "a.gif") as film:
+        assert film.n_frames in (8, 9)  # 8 a second, and that at the end
+    done = CliRunner().invoke(app, [*words, "--film", str(tmp_path / "b.gif"), "--film-lasts", "0"])
+    assert "--film-lasts: 0 [s], expected 1 to 120" in str(done.exception)
