@@ -40,14 +40,14 @@ class Playback(Block):
 
     def __post_init__(self) -> None:
         where = "Playback"
-        _recorded(self.angles, self.speeds)
+        _ = self._table
         require_within(where, "delay", self.delay, "s", -10.0, 10.0)
         require_within(where, "dt", self.dt, "s", 1e-6, 1.0)
 
     @cached_property
     def _table(self) -> Table:
         """A row from each sample to the next: angle, its rise, speed, its rise."""
-        return _recorded(self.angles, self.speeds)
+        return _recorded(tuple(self.angles), tuple(self.speeds))
 
     def output(self, t: Any, x: Any, u: Any) -> Any:
         i, part = self._place(t - self.delay)

@@ -24,3 +24,9 @@ def test_it_is_the_record_between_its_samples_and_holds_its_ends(delay: float) -
 def test_a_record_has_as_many_angles_as_speeds() -> None:
     with pytest.raises(ValueError, match="5 angles, 4 speeds"):
         Playback(angles=ANGLES, speeds=SPEEDS[:-1])
+
+
+def test_a_record_given_as_lists_or_arrays_is_the_same() -> None:
+    plain, (angles, speeds) = Playback(angles=ANGLES, speeds=SPEEDS), (list(ANGLES), np.array(SPEEDS))
+    other = Playback(angles=angles, speeds=speeds)  # type: ignore[arg-type]
+    assert other.output(0.012, (), ()) == plain.output(0.012, (), ())
