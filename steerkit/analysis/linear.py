@@ -153,13 +153,10 @@ def margins(system: Any, *, points: int = 4000) -> Margins:
     top = math.pi / system.dt if discrete else 1e4
     grid = np.geomspace(1e-4 * (top if discrete else 1.0), top * (1.0 - 1e-9), points)
 
-    def at_frequency(w: Any) -> Any:
-        return np.exp(1j * w * system.dt) if discrete else 1j * w
-
     def answer(w: Any) -> Any:
-        return system(at_frequency(w))
+        return system(np.exp(1j * w * system.dt) if discrete else 1j * w)
 
-    values = _answers(system, at_frequency(grid))
+    values = np.asarray(answer(grid))
 
     def crossings(number: Callable[[Any], Any]) -> list[float]:
         along = number(values)
@@ -178,23 +175,6 @@ def margins(system: Any, *, points: int = 4000) -> Margins:
     gain, at = min((f for f in factors if f[0] > 1.0), default=(math.inf, math.nan))
     below = max((f for f, _ in factors if f < 1.0), default=0.0)
     return Margins(gain, below, phase, min(delays, default=math.inf), crossing, at)
-
-
-def _answers(system: Any, z: Array) -> Array:
-    """A single-input, single-output system's complex answers (n,) at z (n,), many at once: python-control solves its
-    linear equations one by one, which takes ten times as long."""
-    import control
-
-    if not isinstance(system, control.StateSpace) or system.nstates == 0:
-        return np.asarray(system(z))
-    unit, found = np.eye(system.nstates), []
-    for some in np.array_split(z, math.ceil(len(z) / 256)):
-        try:
-            states = np.linalg.solve(some[:, None, None] * unit - system.A, np.asarray(system.B)[None])
-        except np.linalg.LinAlgError:  # a pole is among them
-            return np.asarray(system(z))
-        found.append((system.C @ states + system.D)[:, 0, 0])
-    return np.concatenate(found)
 
 
 @dataclass(frozen=True)
