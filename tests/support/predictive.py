@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -26,6 +27,14 @@ ZEROS = {"e": 0.0, "psi_e": 0.0, "v": 5.0, "beta": 0.0, "r": 0.0, "delta_sw_meas
 @cache
 def controller(kind: type[PredictiveSteering] = MPC, **fields: Any) -> PredictiveSteering:
     return kind.of(CAR, MOTOR, **({"clock": None, "horizon": 10} | fields))
+
+
+def own(kind: type[PredictiveSteering] = MPC, **fields: Any) -> PredictiveSteering:
+    """One that nobody shares, as a test needs that writes into its programme; only the model is that of all others."""
+    shared = controller(kind, **fields)
+    block = replace(shared)
+    vars(block)["model"] = shared.model
+    return block
 
 
 def inputs(block: PredictiveSteering, *, kappa: float = 0.01, **values: float) -> Any:

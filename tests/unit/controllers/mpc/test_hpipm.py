@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,11 +10,11 @@ import pytest
 from steerkit.controllers.mpc import hpipm
 from steerkit.controllers.mpc.block import FAILED, FALLBACK, NO_FAULT, SOLVED
 from steerkit.controllers.mpc.qp import StageQp
-from tests.support.predictive import controller, driven, inputs, kinds
+from tests.support.predictive import driven, inputs, kinds, own
 
 
 def filled(kind: Any, **values: float) -> StageQp:
-    block = controller(kind)
+    block = own(kind)
     driven(block, [inputs(block, **values)])
     return block.qp
 
@@ -86,8 +85,7 @@ def test_a_programme_that_it_cannot_solve_is_no_success(kind: Any) -> None:
 
 def test_one_that_runs_out_of_iterations_is_no_success(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(hpipm._OPTIONS, "iter_max", 3)
-    block = replace(controller())
-    vars(block)["model"] = controller().model
+    block = own()
     states: list[dict[str, float]] = [{"e": 1e-4, "kappa": 0.0}, {"e": 0.9, "psi_e": 0.1}]
     easy, hard = (driven(block, [inputs(block, **values)])[0] for values in states)
     assert (easy.status, easy.fault) == (SOLVED, NO_FAULT)

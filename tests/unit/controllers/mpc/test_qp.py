@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from steerkit.controllers.mpc.qp import SOLVERS
-from tests.support.predictive import controller, driven, inputs, kinds
+from tests.support.predictive import controller, driven, inputs, kinds, own
 
 
 def problems() -> Iterator[dict[str, float]]:
@@ -36,14 +36,13 @@ def test_a_solution_owes_nothing_to_those_before_it(kind: Any, solver: str) -> N
     """CasADi's HPIPM, bound to buffers of its own, went on answering the first problem."""
     used = controller(kind, solver=solver)
     for values in problems():
-        fresh = replace(used)
-        vars(fresh)["model"] = used.model  # its tables are not what is tested, and take a while
+        fresh = own(kind, solver=solver)
         u = inputs(used, **values)
         np.testing.assert_allclose(driven(used, [u])[0].plan, driven(fresh, [u])[0].plan, atol=1e-7)
 
 
 def test_the_check_sees_every_kind_of_wrong_answer() -> None:
-    block = controller()
+    block = own()
     driven(block, [inputs(block, e=0.7, psi_e=-0.1)])
     qp = block.qp
     qp._condensed()
@@ -71,9 +70,7 @@ def test_the_check_sees_every_kind_of_wrong_answer() -> None:
 @pytest.mark.parametrize("kind", ["x", "a"])
 def test_the_check_is_the_same_to_both_sides(kind: str, side: float) -> None:
     """A programme at rest at z = 0, all bounds 1 away: each condition is broken alone, upwards or downwards."""
-    block = controller()
-    block._warm_up()
-    qp = block.qp
+    qp = own().qp
     for name in ("h", "g", "a"):
         qp.data[name][:] = 0.0
     for name in ("lba", "lbx"):
@@ -119,12 +116,10 @@ def test_limits_are_soft_in_e_and_a_y_and_hard_in_rate_and_angle() -> None:
 
 
 def test_a_programme_that_is_not_finite_is_no_solution() -> None:
-    block = controller()
+    block = own()
     driven(block, [inputs(block)])
-    saved = {name: array.copy() for name, array in block.qp.data.items()}
-    block.qp.data["lba"][0] = math.nan
-    answer = block.qp.solve()
+    qp = block.qp
+    qp.data["lba"][0] = math.nan
+    answer = qp.solve()
     assert not answer.success
     assert answer.residual == math.inf
-    for name, array in saved.items():
-        block.qp.data[name][:] = array
