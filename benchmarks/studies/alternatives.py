@@ -274,19 +274,14 @@ def _improved(torch: Any, actor: Net, critics: Sequence[Net], x: NDArray[np.floa
             y = torch.sigmoid(torch.nn.functional.linear(y, w, b))
         return y
 
-    # torch.optim.Rprop's steps, bit by bit; to make an optimizer of its own PyTorch first loads its compiler
-    steps, before = ([torch.full_like(p, value) for p in weights] for value in (0.01, 0.0))
+    rule = torch.optim.Rprop(weights, lr=0.01, step_sizes=(1e-6, 1.0))
     for _ in range(epochs // 5):
+        rule.zero_grad()
         action = through(weights, states) - through(weights, mirrored)
         seen = torch.cat([states, action], dim=1)
         cost = torch.stack([through(net, seen) for net in fixed]).mean()
-        slopes = torch.autograd.grad(cost, weights)
-        with torch.no_grad():
-            for p, step, last, slope in zip(weights, steps, before, slopes, strict=True):
-                turn = slope * last
-                step.mul_(torch.where(turn > 0.0, 1.2, torch.where(turn < 0.0, 0.5, 1.0))).clamp_(1e-6, 1.0)
-                last.copy_(torch.where(turn < 0.0, 0.0, slope))
-                p.addcmul_(last.sign(), step, value=-1.0)
+        cost.backward()
+        rule.step()
     return tuple(p.detach().numpy().copy() for p in weights)
 
 

@@ -156,7 +156,7 @@ def laps(options: argparse.Namespace) -> dict[str, Any]:
     recorded = {name: read_drive(name) for name in shipped_drives()}
     report = {}
     print("\nRecorded laps, parameters from the other: yaw rate ahead of the gyro")
-    for name, drive in list(recorded.items())[: 1 if options.quick else None]:
+    for name, drive in recorded.items():
         (other,) = (identify(lap) for key, lap in recorded.items() if key != name)
         slow = dict(ratio_prior=0.02, understeer_prior=2e-4, offset_prior=0.02, disturbance_prior=1e-7)
         block = SingleTrackFilter(vehicle=other.vehicle, dt=drive.dt, held=False, **slow)
@@ -290,7 +290,7 @@ PARTS: dict[str, Callable[[argparse.Namespace], dict[str, Any]]] = {
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Its own command line options; --quick: four drives of 20 s, one lap, one car in closed loop."""
+    """Its own command line options; --quick: four drives of 20 s, one car in closed loop."""
     parser.add_argument("--drives", type=int, default=200, help="how many (200)")
     parser.add_argument("--cars", type=int, default=40, help="how many in closed loop (40)")
     parser.add_argument(

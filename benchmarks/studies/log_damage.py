@@ -42,7 +42,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """A row a format."""
     logging.disable(logging.CRITICAL)  # libraries report what they cannot read, hundreds of times
-    cuts, flips = (2, 2) if options.quick else (64, 200)
+    cuts, flips = (2, 3) if options.quick else (64, 200)
     figures: dict[str, Any] = {}
     print(f"{'format':22}{'cut off':>34}{'a bit turned':>46}{'worst':>8}{'slowest':>9}{'memory':>8}")
     try:

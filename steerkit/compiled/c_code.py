@@ -39,6 +39,8 @@ typedef int mask;
 #define AT(name, column) name[column]
 """
 
+_ROUTINE = "typedef void (*routine)(void *, const double *, double *);"
+
 _RUN_ONE = """\
 void run(long long k, long long stop, long long every, double *slots, const double *p, double *out, void **routines)
 {{
@@ -57,15 +59,18 @@ void run(long long k, long long stop, long long every, double *slots, const doub
 
 _FINISH_ONE = """\
 void finish(long long k, const double *slots, const double *p, double *out, void **routines)
-{
+{{
   last((double)k, slots, p, out, routines);
-}
+}}
+"""
+
+_LOAD_AND_STORE = """\
+static real load(const double *a) { real r; memcpy(&r, a, sizeof r); return r; }
+static void store(double *a, real r) { memcpy(a, &r, sizeof r); }
 """
 
 _RUN_MANY = """\
 int lanes(void) {{ return LANES; }}
-static real load(const double *a) {{ real r; memcpy(&r, a, sizeof r); return r; }}
-static void store(double *a, real r) {{ memcpy(a, &r, sizeof r); }}
 /* slots, parameters, all: one block of [count][LANES] a group; out: [rows][recorded][cars] */
 void run(long long k0, long long stop, long long every, long long first, long long last, long long cars,
          double *slots, const double *parameters, double *out)
@@ -88,8 +93,6 @@ void run(long long k0, long long stop, long long every, long long first, long lo
 """
 
 _FINISH_MANY = """\
-static real load(const double *a) {{ real r; memcpy(&r, a, sizeof r); return r; }}
-static void store(double *a, real r) {{ memcpy(a, &r, sizeof r); }}
 void finish(long long k, long long first, long long end, const double *slots, const double *parameters, double *all)
 {{
   for (long long group = first; group < end; group++) {{
@@ -108,19 +111,19 @@ def run_source(trace: Trace, recorded: Sequence[int], *, many: bool) -> str:
 
     That of one car is handed its `routines`: of each the addresses of a function and of its first argument.
     """
-    carried, handed = trace.carried, "" if many else ", routines"
+    carried = trace.carried
+    last, handed = ("", "") if many else (", void **routines", ", routines")
     names = [f"s[{i}]" for i in range(len(carried))] + [f"y[{i}]" for i in range(len(recorded))]
-    ticks, cases = [], []
-    for number, (tick, phases) in enumerate(trace.kinds):
+    ticks = []
+    for number, (tick, _) in enumerate(trace.kinds):
         body = _body(trace, tick.graph, [tick.roots[slot] for slot in (*carried, *recorded)], names)
-        given = f"double k, real *s, const real *p, real *y{_ROUTINES[many]}"
-        ticks.append(f"static inline void tick{number}({given})\n{{\n{body}}}\n")
-        others = number < len(trace.kinds) - 1
-        labels = " ".join([f"case {phase}:" for phase in phases]) if others else "default:"
-        cases.append(f"{labels} tick{number}((double)k, s, p, y{handed}); break;")
+        ticks.append(
+            f"static inline void tick{number}(double k, real *s, const real *p, real *y{last})\n{{\n{body}}}\n"
+        )
+    cases = [f"{label} tick{i}((double)k, s, p, y{handed}); break;" for i, label in enumerate(phase_labels(trace))]
     sizes = _sizes(trace) | {"recorded": max(1, len(recorded)), "m": len(recorded)}
     run = (_RUN_MANY if many else _RUN_ONE).format(**sizes, period=len(trace.ticks), cases=" ".join(cases))
-    return "\n".join([_head(trace.tables, many=many), *_KINDS[many], *ticks, run])
+    return "\n".join([_head(trace.tables, many=many), _LOAD_AND_STORE if many else _ROUTINE, *ticks, run])
 
 
 def finish_source(trace: Trace, number: int, *, many: bool) -> str:
@@ -130,14 +133,16 @@ def finish_source(trace: Trace, number: int, *, many: bool) -> str:
     """
     tick, _ = trace.kinds[number]
     body = _body(trace, tick.graph, tick.roots, [f"out[{i}]" for i in range(len(tick.roots))])
-    given = f"double k, const real *s, const real *p, real *out{_ROUTINES[many]}"
+    given = "double k, const real *s, const real *p, real *out" + ("" if many else ", void **routines")
     last = f"static inline void last({given})\n{{\n{body}}}\n"
-    finish = _FINISH_MANY.format(**_sizes(trace)) if many else _FINISH_ONE
-    return "\n".join([_head(trace.tables, many=many), *_KINDS[many], last, finish])
+    finish = (_FINISH_MANY if many else _FINISH_ONE).format(**_sizes(trace))
+    return "\n".join([_head(trace.tables, many=many), _LOAD_AND_STORE if many else _ROUTINE, last, finish])
 
 
-_ROUTINES = {True: "", False: ", void **routines"}
-_KINDS: dict[bool, list[str]] = {True: [], False: ["typedef void (*routine)(void *, const double *, double *);"]}
+def phase_labels(trace: Trace, suffix: str = "") -> list[str]:
+    """Of each of `trace.kinds` its labels in a `switch` over the phase. suffix: of the numbers."""
+    own = [" ".join([f"case {phase}{suffix}:" for phase in phases]) for _, phases in trace.kinds[:-1]]
+    return [*own, "default:"]
 
 
 def _sizes(trace: Trace) -> dict[str, int]:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerkit import native
-from steerkit.compiled.c_code import SCALAR_TYPES, statements
+from steerkit.compiled.c_code import SCALAR_TYPES, phase_labels, statements
 from steerkit.compiled.graph import Graph
 from steerkit.compiled.trace import Tick, Trace, trace
 from steerkit.loop import Loop
@@ -107,19 +107,14 @@ class ExactProgram:
 
 
 def _source(trace: Trace, ticks: int) -> str:
-    bodies: dict[int, str] = {}
-    for tick in trace.ticks:  # phases in which the same blocks are due are one tick
-        if id(tick) not in bodies:
-            bodies[id(tick)] = _body(trace, tick)
     told = "const double *p, const table *tables, void **routines"
     functions = [
-        f"static void tick{i}(double k, double *s, {told})\n{{\n{b}\n}}\n" for i, b in enumerate(bodies.values())
+        f"static void tick{number}(double k, double *s, {told})\n{{\n{_body(trace, tick)}\n}}\n"
+        for number, (tick, _) in enumerate(trace.kinds)
     ]
-    numbers = {key: number for number, key in enumerate(bodies)}
-    labels = [f"case {phase}" for phase in range(len(trace.ticks) - 1)] + ["default"]
     cases = [
-        f"{label}: tick{numbers[id(tick)]}((double)k, s, p, tables, routines); break;"
-        for label, tick in zip(labels, trace.ticks, strict=True)
+        f"{label} tick{number}((double)k, s, p, tables, routines); break;"
+        for number, label in enumerate(phase_labels(trace))
     ]
     run = _SAMPLES.format(ticks=ticks, period=len(trace.ticks), slots=len(trace.layout), cases=" ".join(cases))
     return "\n".join([_HEAD, SCALAR_TYPES, _OWN, *functions, run])

@@ -32,12 +32,12 @@ class NativeProgram:
     @functools.cached_property
     def one(self) -> ctypes.CDLL:
         """The library that runs one car."""
-        return native.load(run_source(self.trace, self.recorded, many=False), fused=True)
+        return _load(run_source(self.trace, self.recorded, many=False), many=False)
 
     @functools.cached_property
     def many(self) -> ctypes.CDLL:
         """The library that runs cars in groups of `many.lanes()`."""
-        return native.load(run_source(self.trace, self.recorded, many=True), vector_maths=True)
+        return _load(run_source(self.trace, self.recorded, many=True), many=True)
 
     def finish(self, k: int, *, many: bool = False) -> Any:
         """The C function that takes the tick k and gives all slots."""
@@ -45,8 +45,7 @@ class NativeProgram:
 
     @functools.cache  # noqa: B019 (lives as long as the program)
     def _finish(self, number: int, many: bool) -> ctypes.CDLL:
-        source = finish_source(self.trace, number, many=many)
-        return native.load(source, vector_maths=True) if many else native.load(source, fused=True)
+        return _load(finish_source(self.trace, number, many=many), many=many)
 
     def run(self, k: int, stop: int, slots: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Ticks k to stop - 1 of one car from all its slots: (rows recorded, all slots after the last tick)."""
@@ -92,6 +91,10 @@ class NativeProgram:
     def _record_last(self, k: int, rows: np.ndarray, end: np.ndarray) -> None:
         if k % self.every == 0 and self.recorded:
             rows[-1] = end[list(self.recorded)]
+
+
+def _load(source: str, *, many: bool) -> ctypes.CDLL:
+    return native.load(source, fused=True, vector_maths=many)
 
 
 def _native(routine: Routine) -> tuple[int, int]:

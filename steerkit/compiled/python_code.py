@@ -92,8 +92,7 @@ def _condition(trace: Trace, number: int) -> str:
     """What holds in the phases of a kind of tick, beginning with if, elif or else: one of several kinds."""
     if number == len(trace.kinds) - 1:
         return "else"
-    phases = [f"k % {len(trace.ticks)} == {phase}" for phase in trace.kinds[number][1]]
-    return f"{'elif' if number else 'if'} {' or '.join(phases)}"
+    return f"{'elif' if number else 'if'} k % {len(trace.ticks)} in {tuple(trace.kinds[number][1])}"
 
 
 def _ops(graph: Graph) -> set[str]:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from steerkit.block import Block, Out, State
-from steerkit.compiled.c_code import SCALAR_TYPES, c_number, statements, table_source
+from steerkit.compiled.c_code import SCALAR_TYPES, c_number, phase_labels, statements, table_source
 from steerkit.compiled.trace import Trace, TraceError, trace
 from steerkit.loop import Loop, LoopState, Wire
 from steerkit.maths import filled
@@ -238,8 +238,8 @@ class _Part:
             ticks.append(f"static void tick{number}({given})\n{{\n  (void)u;\n{code}\n}}\n")
         assert slots == len(self.start)
         period = len(self.trace.ticks)
-        labels = [" ".join(f"case {phase}u:" for phase in phases) for _, phases in self.trace.kinds[:-1]]
-        cases = "\n".join(f"    {label} tick{i}(s, u, y); break;" for i, label in enumerate([*labels, "default:"]))
+        labels = phase_labels(self.trace, "u")
+        cases = "\n".join(f"    {label} tick{i}(s, u, y); break;" for i, label in enumerate(labels))
         values = [f"  s->{field} = {c_number(float(self.start[slot]))};" for slot, field in state.items()]
         macros = "\n".join(line for line in SCALAR_TYPES.splitlines())
         return "\n".join(

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from steerkit.plots.style import save
+
 if TYPE_CHECKING:
     from steerkit.block import Block
     from steerkit.simulation import Log
@@ -66,7 +68,7 @@ def telling(log: Log) -> list[str]:
 def png(figure: Any, dpi: int = 110) -> bytes:
     """A matplotlib figure as the bytes of a PNG file."""
     stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=dpi)
+    save(figure, stream, format="png", dpi=dpi)
     return stream.getvalue()
 
 

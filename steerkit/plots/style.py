@@ -83,12 +83,12 @@ def save(figure: Figure, file: Any, **options: Any) -> None:
     engine, dpi = figure.get_layout_engine(), figure.dpi
     try:
         if engine is not None:
-            figure.dpi = options.get("dpi", dpi)
+            figure.dpi = options.get("dpi", dpi)  # letters are as wide as they will be
             engine.execute(figure)
-            figure.dpi = dpi
             figure.set_layout_engine(None)
         figure.savefig(file, **options)
     finally:
+        figure.dpi = dpi
         figure.set_layout_engine(engine)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
@@ -343,15 +343,18 @@ KEEPING = ALWAYS + DRIVING
 
 def broken(limits: StateLimits, facts: Facts, checks: tuple[Check, ...]) -> list[str]:
     """The checks that do not hold, each as `name: why`."""
-    return [f"{name}: {says(limits, facts)}" for name, fails, says in checks if fails(limits, facts)]
+    return [*_broken(limits, facts, checks)]
 
 
 def first_broken(limits: StateLimits, facts: Facts, checks: tuple[Check, ...]) -> str:
     """The first of them, as `broken` says it; "" where all hold."""
+    return next(_broken(limits, facts, checks), "")
+
+
+def _broken(limits: StateLimits, facts: Facts, checks: tuple[Check, ...]) -> Iterator[str]:
     for name, fails, says in checks:
         if fails(limits, facts):
-            return f"{name}: {says(limits, facts)}"
-    return ""
+            yield f"{name}: {says(limits, facts)}"
 
 
 def warnings(limits: StateLimits, facts: Facts) -> list[str]:

@@ -150,10 +150,8 @@ class Thorough(Motion):
 
 @given(seed=st.integers(0, 10**6), size=st.floats(0.0, 3.0))
 def test_what_agrees_at_a_glance_agrees_with_each_kept_pose(seed: int, size: float) -> None:
-    dice, motions = (
-        random.Random(seed),
-        [cls(LIMITS, wheelbase=LENGTH, steer_ratio=RATIO) for cls in (Motion, Thorough)],
-    )
+    dice = random.Random(seed)
+    motions = [kind(LIMITS, wheelbase=LENGTH, steer_ratio=RATIO) for kind in (Motion, Thorough)]
     off = [0.0, 0.0, 0.0, 0.0]
     for k in range(600):
         t = k * DT - (0.08 if dice.random() < 0.05 else 0.0)  # a time stamp goes back now and then
