@@ -143,6 +143,8 @@ class Block:
         cls.U = namedtuple("U", [p.name for p in cls.inputs])  # type: ignore[misc]
         cls.D = namedtuple("D", [p.name for p in cls.inputs if p.direct])  # type: ignore[misc]
         cls.Y = namedtuple("Y", [p.name for p in cls.outputs])  # type: ignore[misc]
+        for port in cls.outputs:
+            _check_direct(cls, port)
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         """The state at t = 0."""
@@ -226,6 +228,18 @@ def _check_forgetful(cls: type) -> None:
                 f"{cls.__name__}.{name} is a {type(value).__name__} of the class, which all its objects would share; "
                 f"expected a tuple, or a field: `{name}: tuple[float, ...] = ()`"
             )
+
+
+def _check_direct(cls: type[Block], port: Out) -> None:
+    """Raise TypeError where `direct` holds something else than the class's own input ports."""
+    own = [spec.name for spec in cls.inputs]
+    given: Any = port.direct
+    if given is None or (isinstance(given, tuple) and all(isinstance(spec, In) and spec.name in own for spec in given)):
+        return
+    raise TypeError(
+        f"{cls.__name__}.{port.name}: direct = {given!r}, expected a tuple of the class's own In ports, not their "
+        f"names: direct=({own[0] + ',' if own else ''}) (inputs: {', '.join(own) or 'none'})"
+    )
 
 
 def take_ports(wrapper: Block, block: Block) -> None:

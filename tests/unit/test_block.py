@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import pickle
 from dataclasses import dataclass, replace
+from typing import Any
 
 import pytest
 
@@ -35,6 +36,17 @@ def test_output_sees_the_direct_inputs_and_update_all() -> None:
 def test_a_port_has_a_unit_of_the_si(kind: type, unit: str) -> None:
     with pytest.raises(ValueError, match=f"unit {unit!r} is not known; SI and radians only"):
         kind(unit)
+
+
+FOREIGN = In("m")
+
+
+@pytest.mark.parametrize("direct", [("now",), "now", FOREIGN, (FOREIGN,), [FOREIGN]])
+def test_direct_names_own_inputs(direct: Any) -> None:
+    """By their objects: a name was met as an AttributeError deep in the wiring."""
+    parts = {"now": In("m"), "y": Out("m", direct=direct)}
+    with pytest.raises(TypeError, match=r"^Own\.y: direct = .*own In ports.*: direct=\(now,\) \(inputs: now\)$"):
+        type("Own", (Block,), parts)
 
 
 def test_a_block_is_printed_in_a_few_lines_however_many_numbers_it_holds() -> None:
