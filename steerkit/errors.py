@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+_PLAIN = (float, int)
+
 
 class WiringError(ValueError):
     """A loop that cannot run as it is wired; raised when the loop is built."""
@@ -34,11 +36,17 @@ def known(name: str, names: Iterable[str], where: str, *, also: str = "") -> str
 
 def require_within(where: str, name: str, value: Any, unit: str, low: Any, high: Any, hint: str = "") -> None:
     """Raise a teaching ValueError unless low <= value <= high, for a number or for every entry of an array."""
-    numbers = np.asarray(value)
-    require(numbers.dtype.kind in "iuf", where, f"{name} = {value!r}, expected a number [{unit}]")
-    ok = bool(((low <= numbers) & (numbers <= high)).all())
+    if type(value) in _PLAIN and type(low) in _PLAIN and type(high) in _PLAIN:
+        if low <= value <= high:
+            return
+    else:
+        numbers = np.asarray(value)
+        if numbers.dtype.kind not in "iuf":
+            raise ValueError(f"{where}: {name} = {value!r}, expected a number [{unit}]")
+        if ((low <= numbers) & (numbers <= high)).all():
+            return
     expected = f"{np.min(low):.6g} to {np.max(high):.6g}"
-    require(ok, where, f"{name} = {value} [{unit}], expected {expected}{'; ' if hint else ''}{hint}")
+    raise ValueError(f"{where}: {name} = {value} [{unit}], expected {expected}{'; ' if hint else ''}{hint}")
 
 
 def whole_samples(where: str, name: str, value: Any, dt: float) -> int:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from steerkit.compiled.c_maths import MANY, ONE
 from steerkit.compiled.graph import BOOLEAN, FUNCTIONS, Graph
@@ -178,8 +179,7 @@ def table_source(tables: Sequence[Table], *, lanes: bool = False) -> str:
         rows = np.vstack((table.rows, np.full(table.rows.shape[1], math.nan)))
         if lanes:
             rows = np.pad(rows, ((0, 0), (0, -rows.shape[1] % 8)))
-        numbers = ",\n  ".join(", ".join(c_number(v) for v in row) for row in rows.tolist())
-        text.append(f"static const double table{number}[{rows.size}] = {{\n  {numbers}\n}};\n")
+        text.append(f"static const double table{number}[{rows.size}] = {{\n  {_numbers(rows)}\n}};\n")
         text.append(
             f"enum {{ count{number} = {len(table)}, width{number} = {rows.shape[1]} }};\n"
             if lanes
@@ -188,6 +188,12 @@ def table_source(tables: Sequence[Table], *, lanes: bool = False) -> str:
             f" * {rows.shape[1]};\n}}\n"
         )
     return "".join(text)
+
+
+def _numbers(rows: NDArray[np.float64]) -> str:
+    """All the digits, a line a row; Python writes them as C reads them, but for two names."""
+    text = ",\n  ".join([repr(row)[1:-1] for row in rows.tolist()])
+    return text.replace("nan", "NAN").replace("inf", "INFINITY")
 
 
 def _body(trace: Trace, graph: Graph, roots: Sequence[int], names: Sequence[str]) -> str:

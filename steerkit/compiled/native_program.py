@@ -39,6 +39,11 @@ class NativeProgram:
         """The library that runs cars in groups of `many.lanes()`."""
         return _load(run_source(self.trace, self.recorded, many=True), many=True)
 
+    @functools.cached_property
+    def _effort(self) -> float:
+        """Instructions of a tick."""
+        return self.trace.instructions / len(self.trace.ticks)
+
     def finish(self, k: int, *, many: bool = False) -> Any:
         """The C function that takes the tick k and gives all slots."""
         return self._finish(self.trace.kind(k), many).finish
@@ -82,7 +87,7 @@ class NativeProgram:
             library.run(_LL(k), _LL(stop - 1), _LL(every), *span, _LL(padded), _at(state), _at(fixed), _at(rows))
             finish(_LL(stop - 1), *span, _at(state), _at(fixed), _at(end))
 
-        _share(work, groups)
+        _share(work, groups, (stop - k) * groups * self._effort)
         all_slots = end.transpose(1, 0, 2).reshape(len(slots), padded)[:, :cars]
         rows = rows[:, :, :cars]
         self._record_last(stop - 1, rows, all_slots)
@@ -95,6 +100,10 @@ class NativeProgram:
 
 def _load(source: str, *, many: bool) -> ctypes.CDLL:
     return native.load(source, fused=True, vector_maths=many)
+
+
+_ENOUGH = 2e6
+"""Vector instructions, about two milliseconds, from which on the start of threads is worth its time."""
 
 
 def _native(routine: Routine) -> tuple[int, int]:
@@ -118,10 +127,13 @@ def _grouped(rows: np.ndarray, lanes: int, groups: int) -> np.ndarray:
     return np.ascontiguousarray(padded.reshape(len(rows), groups, lanes).transpose(1, 0, 2))
 
 
-def _share(work: Callable[[int, int], None], groups: int) -> None:
-    """Call work(first, last) on parts of the groups, one thread a core; ctypes lets go of the interpreter lock."""
+def _share(work: Callable[[int, int], None], groups: int, instructions: float) -> None:
+    """Call work(first, last) on parts of the groups, one thread a core where there is enough to do.
+
+    ctypes lets go of the interpreter lock.
+    """
     cores = min(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, groups)
-    if cores == 1:
+    if cores == 1 or instructions < _ENOUGH:
         work(0, groups)
         return
     parts = np.linspace(0, groups, 4 * cores + 1 if groups >= 8 * cores else cores + 1).astype(int).tolist()

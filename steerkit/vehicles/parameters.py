@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from steerkit.errors import require, require_within
+from steerkit.errors import require_within
 from steerkit.maths import Scalar
 from steerkit.task import STOP
 
@@ -84,5 +84,6 @@ class Vehicle:
 
 def require_vehicle(vehicle: object, where: str) -> None:
     """Raise ValueError, in the name of `where`, unless this is a `Vehicle`: a name is none yet."""
-    what = f"vehicle = {vehicle!r:.60}, expected a Vehicle; by name or from a file: vehicle('vw-passat')"
-    require(isinstance(vehicle, Vehicle), where, what)
+    if not isinstance(vehicle, Vehicle):
+        what = f"vehicle = {vehicle!r:.60}, expected a Vehicle; by name or from a file: vehicle('vw-passat')"
+        raise ValueError(f"{where}: {what}")

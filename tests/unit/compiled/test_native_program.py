@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -15,13 +16,13 @@ import pytest
 from steerkit import maths as m
 from steerkit import native
 from steerkit.block import Block, In, Out, State
-from steerkit.compiled import TraceError, compile
+from steerkit.compiled import TraceError, compile, native_program
 from steerkit.compiled.fleet import Fleet
 from steerkit.compiled.trace import trace
 from steerkit.export.c import export_c
 from steerkit.loop import Loop
 from steerkit.simulation import simulate
-from tests.support.traced_blocks import Held, worst
+from tests.support.traced_blocks import Held, mixed_loop, worst
 
 SOURCE = """
 void root(void *calls, const double *in, double *out)
@@ -147,3 +148,22 @@ def test_one_without_a_c_function_can_be_python() -> None:
     with pytest.raises(TraceError, match="Rooted cannot be called from C: there is no C of it; or backend='python'"):
         compile(loop, backend="c").run(0.1)
     compile(loop, backend="python").run(0.1)
+
+
+@pytest.mark.parametrize("cars", [17, 70, 200])
+def test_threads_share_all_cars_among_them(cars: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A part a core, or four; to the last bit what one thread drives."""
+    program = compile(mixed_loop(0.05), backend="c")
+    monkeypatch.setattr(native_program.os, "sched_getaffinity", lambda _: range(3), raising=False)
+    pools: list[int] = []
+    monkeypatch.setattr(native_program, "ThreadPoolExecutor", lambda n: pools.append(n) or ThreadPoolExecutor(n))
+    alone = program.run(2.0, batch=cars)
+    assert not pools, "too little to do for threads"
+    monkeypatch.setattr(native_program, "_ENOUGH", 0.0)
+    shared = program.run(2.0, batch=cars)
+    assert pools == [3]
+    assert np.ptp(alone["mixed.noise"][5]) > 0.1
+    for name in alone:
+        np.testing.assert_array_equal(shared[name], alone[name], err_msg=name)
+    for ours, theirs in zip(shared.state.x, alone.state.x, strict=True):
+        np.testing.assert_array_equal(np.array(ours), np.array(theirs))

@@ -36,7 +36,8 @@ def test_offset_and_gain() -> None:
 def test_who_is_told_of_the_offset_drives_as_if_there_were_none(name: str) -> None:
     off = replace(STEADY, offset_deg=5.0)
     without, untold, told = (
-        drive(scenario, controller(name, scenario))["path.e"] for scenario in (STEADY, off, replace(off, told="truth"))
+        drive(scenario, controller(name, scenario), rounds=0.5)["path.e"]
+        for scenario in (STEADY, off, replace(off, told="truth"))
     )
     settled = slice(100, None)  # it starts straight, which with an offset is not where it stands
     apart = [float(np.sqrt(np.mean((e - without)[settled] ** 2))) for e in (untold, told)]

@@ -107,8 +107,8 @@ def test_nothing_drifts_at_standstill() -> None:
 
 @pytest.fixture(scope="module")
 def under_way(calibration: Made) -> tuple[CarEstimators, list[Snapshot], dict[str, Estimated]]:
-    """Estimators after 15 s, the samples of the next 15, and what they find in these."""
-    samples = samples_of(calibration)[:600]
+    """Estimators after 15 s, the samples of the next 6, and what they find in these."""
+    samples = samples_of(calibration)[:420]
     estimators = CarEstimators(CONFIG)
     for sample in samples[:300]:
         estimators.sample(sample)
