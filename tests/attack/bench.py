@@ -338,7 +338,7 @@ class Drive:
         self.packet(2, bytes([ord("H"), 0, 3]))
         self.order("ARM")
         end = self.onset + self.attack.seconds
-        while self.t < end:
+        while self.t < end or self.t - 0.6 < self.ended() < math.inf:  # what it lets go with is seen whole
             self.step()
             if self.mode == "READY" and 0.8 < self.t < self.onset - 1.0:
                 self.order("ENGAGE")
