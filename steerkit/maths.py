@@ -21,9 +21,17 @@ Scalar = Any
 pi = math.pi
 
 
+_NUMBERS = (float, np.ndarray)
+_SYMBOLS: dict[type, bool] = {}
+"""Of each type met: is it one of CasADi's?"""
+
+
 def is_symbol(x: Scalar) -> bool:
     """Is `x` a CasADi symbol or expression? Asked without importing CasADi."""
-    return type(x).__module__.startswith("casadi")
+    kind = type(x)
+    if kind not in _SYMBOLS:
+        _SYMBOLS[kind] = kind.__module__.startswith("casadi")
+    return _SYMBOLS[kind]
 
 
 def _unary(name: str, of_float: Callable[[float], float]) -> Callable[[Scalar], Scalar]:
@@ -80,6 +88,8 @@ def where(condition: Scalar, yes: Scalar, no: Scalar) -> Scalar:
     """`yes` where `condition` holds, else `no`; both are computed."""
     if condition is True or condition is False:
         return yes if condition else no
+    if condition.__class__ is np.ndarray and yes.__class__ in _NUMBERS and no.__class__ in _NUMBERS and condition.ndim:
+        return np.where(condition, yes, no)
     if is_symbol(condition) or is_symbol(yes) or is_symbol(no):
         import casadi
 

@@ -27,6 +27,25 @@ def everywhere(function: Any, *arguments: float) -> list[float]:
     ]
 
 
+ONE_CAR = [float, np.float64, np.array]
+BATCH = [*ONE_CAR, lambda value: np.array([value, value])]
+
+
+@pytest.mark.parametrize("condition", [True, np.True_, np.array(True)])
+@pytest.mark.parametrize("kind", ONE_CAR)
+def test_of_one_cars_numbers_one_is_chosen_as_it_is(condition: Any, kind: Any) -> None:
+    yes = kind(1.0)
+    assert m.where(condition, yes, 2.0) is yes
+    assert m.where(m.both(condition, np.array(False)), 2.0, yes) is yes
+
+
+@pytest.mark.parametrize("yes", BATCH)
+@pytest.mark.parametrize("no", BATCH)
+def test_for_a_batch_each_car_has_its_own(yes: Any, no: Any) -> None:
+    np.testing.assert_array_equal(m.where(np.array([True, False]), yes(1.0), no(2.0)), [1.0, 2.0])
+    np.testing.assert_array_equal(m.maximum(np.array([1.0, math.nan]), no(0.5)), [1.0, math.nan])
+
+
 @pytest.mark.parametrize("x", VALUES)
 def test_signs_and_wrapped_angles(x: float) -> None:
     assert everywhere(m.sign, x) == [np.sign(x)] * 3
