@@ -117,11 +117,11 @@ def test_cars_are_run_one_after_the_other(backend: Any) -> None:
 def test_two_programs_of_one_routine_take_turns() -> None:
     """A routine may keep its workspace: while somebody else calls it, a compiled loop waits."""
     loop = loop_of()
-    program, rooted = compile(loop, backend="c"), loop.blocks["rooted"]
+    program, rooted, start = compile(loop, backend="c"), loop.blocks["rooted"], loop.init()
     program.run(0.1)
     done = threading.Event()
     with rooted.routine.lock:  # type: ignore[attr-defined]
-        thread = threading.Thread(target=lambda: (program.run(0.1), done.set()), daemon=True)
+        thread = threading.Thread(target=lambda: (program.run(0.1, state=start), done.set()), daemon=True)
         thread.start()
         assert not done.wait(0.2)
     assert done.wait(30.0)
