@@ -146,8 +146,8 @@ class Loop:
         outputs are needed before it can settle, and settling changes them, all settle once more; raises WiringError
         when that comes to no end.
         """
-        if batch is not None and batch < 1:
-            raise ValueError(f"Loop.init: batch = {batch}, expected a number of cars >= 1, or None for one car")
+        if batch is not None and not (isinstance(batch, int | np.integer) and batch >= 1):
+            raise ValueError(f"Loop.init: batch = {batch!r}, expected a number of cars >= 1, or None for one car")
         if batch is not None:
             for name, block in self.blocks.items():
                 if not block.pure:

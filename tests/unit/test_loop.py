@@ -335,3 +335,7 @@ def test_what_is_not_pure_is_stepped_but_not_batched(car: Block) -> None:
 def test_a_batch_has_cars() -> None:
     with pytest.raises(ValueError, match="batch = 0, expected a number of cars >= 1"):
         chain().init(batch=0)
+    for wrong in (2.5, "3", float("nan")):
+        with pytest.raises(ValueError, match=f"batch = {wrong!r}, expected a number of cars >= 1"):
+            chain().init(batch=wrong)  # type: ignore[arg-type]
+    assert len(chain().init(batch=np.int64(2)).x[0][0]) == 2  # type: ignore[arg-type]
