@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from tests.support.house import tree
 from tests.support.places import ROOT
 
 TESTS = sorted((ROOT / "tests").rglob("*.py"))
@@ -16,7 +17,7 @@ TESTS = sorted((ROOT / "tests").rglob("*.py"))
 
 def gives(file: Path, keyword: str) -> bool:
     """Does any call in a file give that keyword?"""
-    calls = (node for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))) if isinstance(node, ast.Call))
+    calls = (node for node in ast.walk(tree(file)) if isinstance(node, ast.Call))
     return any(given.arg == keyword for call in calls for given in call.keywords)
 
 
@@ -53,7 +54,7 @@ def in_the_machines_encoding(tree: ast.AST) -> Iterator[str]:
 
 @pytest.mark.skipif(not CODE, reason="runs on the sources; here steerkit is installed")
 def test_text_is_utf_8_whatever_the_machine_is_set_to() -> None:
-    calls = {file: [*in_the_machines_encoding(ast.parse(file.read_text("utf-8")))] for file in CODE}
+    calls = {file: [*in_the_machines_encoding(tree(file))] for file in CODE}
     assert not [f"{file.relative_to(ROOT)}: {call}" for file, found in calls.items() for call in found]
 
 

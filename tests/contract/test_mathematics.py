@@ -14,6 +14,7 @@ from types import ModuleType
 import pytest
 
 from tests.support.browser import BROWSER, FRAME, FRAME_JS, shown
+from tests.support.house import tree
 from tests.support.places import ROOT
 
 TELLS = """<script>addEventListener('load', () => parent.postMessage(JSON.stringify({
@@ -55,7 +56,7 @@ def written() -> Iterator[tuple[str, str]]:
     """Dotted name and docstring of all modules, classes and functions of the package."""
     for file in sorted((ROOT / "steerkit").rglob("*.py")):
         module = ".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        for node in ast.walk(tree(file)):
             if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)) and (text := ast.get_docstring(node)):
                 yield f"{module}.{node.name}" if not isinstance(node, ast.Module) else module, text
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.house import modules
+from tests.support.house import modules, tree
 from tests.support.mutate import mirror
 from tests.support.places import ROOT
 
@@ -98,7 +98,7 @@ def holds_something(file: Path) -> bool:
         passed_on = isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__"
         return isinstance(node, (ast.FunctionDef, ast.ClassDef, ast.Assign, ast.AnnAssign)) and not passed_on
 
-    return any(map(counts, ast.parse(file.read_text(encoding="utf-8")).body))
+    return any(map(counts, tree(file).body))
 
 
 def mirror_of(file: Path, root: Path = ROOT, unit: Path = UNIT) -> Path:

@@ -5,9 +5,12 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
+
+from tests.support.house import parsed
 
 ROOT = Path(__file__).parents[2]
 
@@ -27,6 +30,7 @@ ONCE: dict[str, tuple[str, str | None]] = {
 FOLDERS = ("steerkit", "benchmarks")
 
 
+@cache
 def sources() -> dict[str, str]:
     """The lines of code of every module by its path; comments are left out."""
     files = (file for folder in FOLDERS for file in sorted((ROOT / folder).rglob("*.py")))
@@ -86,15 +90,16 @@ def numbers_in(value: ast.expr) -> list[float]:
 
 def second_homes(name: str, text: str) -> list[str]:
     """Where the task's numbers are written once more in a module; 520 (degrees) and a bound on |e| under any name."""
-    tree = ast.parse(text)
+    tree = parsed(text)
     found = []
     for target, value in written(tree):
         number = NUMBERS.get(target.rpartition(".")[2].lower())
         if number is not None and number in numbers_in(value):
             found.append(f"{name}:{value.lineno} {target} = {ast.unparse(value)}")
     for node in ast.walk(tree):
-        if isinstance(node, ast.Compare) and re.search(r"abs(olute)?\(.*\be\b", ast.unparse(node.left)):
-            found += [f"{name}:{node.lineno} {ast.unparse(node)}" for part in node.comparators if numbers_in(part)]
+        numbers = isinstance(node, ast.Compare) and [part for part in node.comparators if numbers_in(part)]
+        if numbers and re.search(r"abs(olute)?\(.*\be\b", ast.unparse(node.left)):
+            found += [f"{name}:{node.lineno} {ast.unparse(node)}"] * len(numbers)
     constants = [node for node in ast.walk(tree) if isinstance(node, ast.Constant)]
     return found + [f"{name}:{node.lineno} {node.value}" for node in constants if node.value == 520]
 

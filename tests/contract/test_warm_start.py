@@ -12,16 +12,16 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.places import ROOT
+
 Words = tuple[str, ...]
 SAYS = (
     "import json, os, sys; print(json.dumps([sys.argv[1:], os.getcwd(), os.environ.get('WORD'), sys.stdin.read(),"
-    " [name for name in sys.modules if name.split('.')[0] in ('steerkit', 'benchmarks', 'tests')]]))"
+    " [name for name in sys.modules if name.split('.')[0] == 'tests']]))"
 )
 
 
-def test_words_folder_environment_and_input_are_its_own_and_nothing_of_ours_is_there_yet(
-    python: Words, tmp_path: Path
-) -> None:
+def test_words_folder_environment_and_input_are_its_own(python: Words, tmp_path: Path) -> None:
     told = [
         subprocess.run(
             [*start, "-c", SAYS, "a b", "ü"],
@@ -86,3 +86,28 @@ def test_a_module_and_a_file_are_found_as_by_python(python: Words, tmp_path: Pat
         )
         assert (warm.stdout, warm.stderr) == (cold.stdout, cold.stderr)
         assert warm.stdout.startswith("__main__ beside")
+
+
+def test_another_steerkit_on_the_search_path_is_the_one_that_is_imported(python: Words, tmp_path: Path) -> None:
+    (tmp_path / "steerkit").mkdir()
+    (tmp_path / "steerkit" / "__init__.py").write_text("name = 'another'\n")
+    code = "import sys; print('steerkit' in sys.modules); import steerkit; print(steerkit.name, steerkit.__file__);"
+    code += "print([name for name in sys.modules if name.startswith('steerkit.')])"
+    done = subprocess.run(
+        [*python, "-c", code],
+        cwd="/",
+        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.splitlines() == ["False", f"another {tmp_path / 'steerkit' / '__init__.py'}", "[]"]
+
+
+def test_this_checkout_s_modules_are_there_already_and_run_as_programs_without_a_warning(python: Words) -> None:
+    code = "import sys; print('steerkit.learning.learn' in sys.modules)"
+    words = (("-c", code), ("-m", "steerkit.learning.learn"))
+    here = {**os.environ, "PYTHONPATH": str(ROOT)}
+    first, second = (subprocess.run([*python, *w], env=here, capture_output=True, text=True, check=True) for w in words)
+    assert (first.stdout, first.stderr) == ("True\n", "")
+    assert (second.stdout, second.stderr) == ("", "")

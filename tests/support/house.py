@@ -9,6 +9,7 @@ import ast
 import sys
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping
+from functools import cache
 from pathlib import Path
 
 from tests.support.places import ROOT
@@ -20,8 +21,24 @@ def modules(root: Path, package: str) -> dict[str, Path]:
     return {".".join(f.relative_to(root).with_suffix("").parts).removesuffix(".__init__"): f for f in files}
 
 
-def imported(file: Path) -> Iterator[tuple[str, bool]]:
+@cache
+def parsed(text: str) -> ast.Module:
+    """The syntax tree of a module's text, for looking only: a dozen tests look at all modules."""
+    return ast.parse(text)
+
+
+def tree(file: Path) -> ast.Module:
+    """The syntax tree of a file, for looking only."""
+    return parsed(file.read_text(encoding="utf-8"))
+
+
+def imported(file: Path) -> tuple[tuple[str, bool], ...]:
     """(what is imported, is it at the top of the file); what only type checkers see is left out."""
+    return _imported(file, file.read_text(encoding="utf-8"))
+
+
+@cache
+def _imported(file: Path, text: str) -> tuple[tuple[str, bool], ...]:
 
     def walk(node: ast.AST, top: bool) -> Iterator[tuple[str, bool]]:
         for child in ast.iter_child_nodes(node):
@@ -35,7 +52,7 @@ def imported(file: Path) -> Iterator[tuple[str, bool]]:
             inside = isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda))
             yield from walk(child, top and not inside)
 
-    return walk(ast.parse(file.read_text(encoding="utf-8")), True)
+    return tuple(walk(parsed(text), True))
 
 
 def graph(files: Mapping[str, Path]) -> dict[str, set[str]]:

@@ -1,11 +1,12 @@
-"""Programs that start at once: forked from an interpreter that has the packages of others imported already.
+"""Programs that start at once: forked from an interpreter that has imported what they need already.
 
-Tests start some three hundred programs, and more than half of a short one's time goes into NumPy, SciPy, Matplotlib,
-CasADi and typer. `Warm` keeps one interpreter that has imported these, and nothing of ours; a program is a fork of it:
-a process with arguments, environment, folder, input and output of its own, that imports steerkit anew and ends with its
-own exit code. In place of `sys.executable` a test gives `Warm.python`, a small client that hands all of this over,
-waits, and passes on signals; if it is killed, so is the program. What must start cold (the time or the modules of a
-start, a terminal, another locale) goes on using `sys.executable`.
+Tests start some three hundred programs, and most of a short one's time goes into NumPy, SciPy, Matplotlib, CasADi,
+typer, and the classes of steerkit. `Warm` keeps one interpreter that has imported these; a program is a fork of it: a
+process with arguments, environment, folder, input and output of its own, that ends with its own exit code. If its
+search path leads to another steerkit than this checkout's, it imports that one. In place of `sys.executable` a test
+gives `Warm.python`, a small client that hands all of this over, waits, and passes on signals; if it is killed, so is
+the program. What must start cold (the time or the modules of a start, a terminal, another locale) goes on using
+`sys.executable`.
 
     with Warm() as warm:
         subprocess.run([*warm.python, "-m", "steerkit", "drive", "stanley"])
@@ -18,6 +19,7 @@ import atexit
 import contextlib
 import gc
 import importlib
+import importlib.machinery
 import json
 import os
 import runpy
@@ -38,6 +40,8 @@ PACKAGES = (
     *("rich.console", "rich.table", "rich.progress", "pydantic", "cantools", "can", "sqlite3", "tomllib", "asyncio"),
 )
 """What is imported beforehand; none of it starts a thread."""
+OURS = ("steerkit.learning.learn", "steerkit.learning.trainer", "steerkit.on_car.session", "benchmarks.run.runner")
+"""Modules of this checkout, with all that they import; none of it asks environment, folder or terminal on import."""
 CLIENT = Path(__file__).with_name("warm_client.py")
 
 
@@ -72,9 +76,12 @@ class Warm:
 
 def serve(path: str) -> tuple[list[str], dict[str, str]]:
     """Fork a program for each client; returns in the program only: its words after `python`, and its environment."""
-    for name in PACKAGES:
+    root = str(Path(__file__).parents[2])
+    sys.path.insert(0, root)
+    for name in (*PACKAGES, *OURS):
         with contextlib.suppress(ImportError):  # an extra that is not installed
             importlib.import_module(name)
+    sys.path.remove(root)
     gc.collect()
     gc.freeze()  # a look for garbage in a program would copy the memory of all packages
     server = socket.socket(socket.AF_UNIX)
@@ -142,7 +149,13 @@ def run(words: list[str], environment: dict[str, str]) -> None:
     first = os.getcwd() if kind == "-m" else "" if kind == "-c" else os.path.dirname(os.path.realpath(kind))
     sys.path[:0] = [first, *places]
     importlib.invalidate_caches()
+    for package in {name.partition(".")[0] for name in OURS}:
+        found = importlib.machinery.PathFinder.find_spec(package, sys.path)
+        if package in sys.modules and (found is None or found.origin != sys.modules[package].__file__):
+            for name in [name for name in sys.modules if name.partition(".")[0] == package]:
+                del sys.modules[name]
     if kind == "-m":
+        sys.modules.pop(rest[0], None)
         sys.argv = rest
         runpy.run_module(rest[0], run_name="__main__", alter_sys=True)
     elif kind == "-c":
