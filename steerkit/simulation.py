@@ -46,9 +46,16 @@ class Log(Mapping[str, np.ndarray]):
         units: dict[str, str],
         *,
         loop: Loop | None = None,
-        state: LoopState | None = None,
+        state: LoopState | Callable[[], LoopState] | None = None,
     ):
-        self.t, self.signals, self.units, self.loop, self.state = t, signals, units, loop, state
+        self.t, self.signals, self.units, self.loop, self._state = t, signals, units, loop, state
+
+    @property
+    def state(self) -> LoopState | None:
+        """The loop's state after the last tick, to go on from; that of a compiled run is made when it is asked for."""
+        if callable(self._state):
+            self._state = self._state()
+        return self._state
 
     def __getitem__(self, key: Signal) -> np.ndarray:
         if isinstance(key, Port):

@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 
 from steerkit.compiled.gradient import Cost, gradient
-from steerkit.compiled.native_program import NativeProgram
+from steerkit.compiled.native_program import NativeProgram, Slots
 from steerkit.compiled.python_code import PythonProgram
 from steerkit.compiled.trace import Trace, TraceError, flattened, parameter, trace, with_parameters
 from steerkit.compiled.vm import VmProgram
@@ -143,7 +143,11 @@ class Compiled:
         """One tick of one car, as `Loop.step`."""
         slots = [float(v) for v in self.trace.layout.pack(state.x, state.y)]
         fixed = [float(v) for v in self._values(parameters or {}).values()]
-        _, end = self._one(state.k, state.k + 1, slots, fixed)
+        program = self._program(slots)
+        if isinstance(program, NativeProgram):
+            end = program.tick(state.k, np.array(slots), np.array(fixed))
+        else:
+            end = self._one(state.k, state.k + 1, slots, fixed)[1]()
         after = self._state(state.k + 1, end)
         return after, Sample(self.loop, state.k * self.loop.dt, after.y)
 
@@ -162,8 +166,8 @@ class Compiled:
             present[name] = tuple(value) if isinstance(old, tuple) else value
         return flattened(present)
 
-    def _one(self, k: int, stop: int, slots: list[float], parameters: list[float]) -> tuple[Any, Any]:
-        """(rows, all slots after the last tick) of one car."""
+    def _one(self, k: int, stop: int, slots: list[float], parameters: list[float]) -> tuple[Any, Slots]:
+        """(rows, how to get all slots after the last tick) of one car."""
         program = self._program(slots)
         if isinstance(program, NativeProgram):
             return program.run(k, stop, np.array(slots), np.array(parameters))
@@ -175,20 +179,20 @@ class Compiled:
             last = program.finish(stop - 1, slots, parameters)
             if (stop - 1) % self.every == 0:
                 kept.append(tuple([last[slot] for slot in self._slots]))
-            return np.array(kept, dtype=float).reshape(len(kept), len(self._slots)), last
+            return np.array(kept, dtype=float).reshape(len(kept), len(self._slots)), lambda: last
         z = np.array([float(k), *[slots[slot] for slot in program.trace.carried], *parameters])
         parts = [part[-first % self.every :: self.every] for first, part in program.run(k, stop - 1, z)]
         end = np.asarray(program.finish((stop - 1) % self.loop.period)(z)).ravel()
         if (stop - 1) % self.every == 0:
             parts.append(end[None, self._slots])
-        return np.concatenate(parts) if parts else np.empty((0, len(self._slots))), end
+        return np.concatenate(parts) if parts else np.empty((0, len(self._slots))), lambda: end
 
-    def _many(self, k: int, stop: int, slots: np.ndarray, parameters: np.ndarray) -> tuple[Any, Any]:
+    def _many(self, k: int, stop: int, slots: np.ndarray, parameters: np.ndarray) -> tuple[Any, Slots]:
         program = self._program(slots)
         if isinstance(program, NativeProgram):
             return program.run_many(k, stop, slots, parameters)
         cars = [self._one(k, stop, s.tolist(), p.tolist()) for s, p in zip(slots.T, parameters.T)]
-        return np.stack([rows for rows, _ in cars], axis=-1), np.stack([end for _, end in cars], axis=-1)
+        return np.stack([rows for rows, _ in cars], axis=-1), lambda: np.stack([end() for _, end in cars], axis=-1)
 
     def _program(self, slots: Any) -> Any:
         """The program for a start; one of its own for each of the first few sets of held values that pay for it."""
@@ -222,7 +226,7 @@ class Compiled:
         x, y = self.trace.layout.unpack(values)
         return LoopState(k, tuple(x), tuple(y))
 
-    def _log(self, k: int, stop: int, rows: np.ndarray, end: Any) -> Log:
+    def _log(self, k: int, stop: int, rows: np.ndarray, end: Slots) -> Log:
         signals, column = {}, 0
         for name in self.record:
             _, size = self.trace.layout.signals[name]
@@ -232,7 +236,7 @@ class Compiled:
             column += width
         ticks = np.arange(k + -k % self.every, stop, self.every, dtype=float)
         units = {name: self.loop.units[name] for name in self.record}
-        return Log(ticks * self.loop.dt, signals, units, loop=self.loop, state=self._state(stop, end))
+        return Log(ticks * self.loop.dt, signals, units, loop=self.loop, state=lambda: self._state(stop, end()))
 
 
 def _cars(values: Mapping[str, Any], batch: int | None) -> int | None:

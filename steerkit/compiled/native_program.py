@@ -19,6 +19,8 @@ from steerkit.compiled.trace import Trace, TraceError
 from steerkit.maths import Routine
 
 _LL = ctypes.c_longlong
+Slots = Callable[[], Any]
+"""All slots after a run, (S,) or (S, N), computed when they are asked for."""
 
 
 class NativeProgram:
@@ -32,12 +34,12 @@ class NativeProgram:
     @functools.cached_property
     def one(self) -> ctypes.CDLL:
         """The library that runs one car."""
-        return _load(run_source(self.trace, self.recorded, many=False), many=False)
+        return native.load(run_source(self.trace, self.recorded, many=False), fused=True)
 
     @functools.cached_property
     def many(self) -> ctypes.CDLL:
         """The library that runs cars in groups of `many.lanes()`."""
-        return _load(run_source(self.trace, self.recorded, many=True), many=True)
+        return native.load(run_source(self.trace, self.recorded, many=True), fused=True, vector_maths=True)
 
     @functools.cached_property
     def _effort(self) -> float:
@@ -50,56 +52,92 @@ class NativeProgram:
 
     @functools.cache  # noqa: B019 (lives as long as the program)
     def _finish(self, number: int, many: bool) -> ctypes.CDLL:
-        return _load(finish_source(self.trace, number, many=many), many=many)
+        source = finish_source(self.trace, number, many=many)
+        return native.load(source, fused=True, vector_maths=many, in_haste=not many)
 
-    def run(self, k: int, stop: int, slots: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Ticks k to stop - 1 of one car from all its slots: (rows recorded, all slots after the last tick)."""
+    def tick(self, k: int, slots: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+        """All slots of one car after the tick k."""
+        with self._held():
+            return self._finished(k, slots[self.trace.carried], parameters)
+
+    def run(self, k: int, stop: int, slots: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, Slots]:
+        """Ticks k to stop - 1 of one car from all its slots: rows recorded, and how to get all slots after the last.
+
+        Those are computed when they are asked for: the code for them is as long again as the run's. A solver must not
+        be asked twice, so with a routine in the loop they are the last tick.
+        """
         rows = np.empty((_kept(k, stop, self.every), len(self.recorded)))
-        carried, end = slots[self.trace.carried], np.empty(len(slots))
+        state, last = slots[self.trace.carried], stop - 1
+        with self._held():
+            self._run_one(k, last, state, parameters, rows)
+            before = state.copy()
+            if self.trace.routines:
+                end = self._finished(last, before, parameters)
+                if last % self.every == 0 and self.recorded:
+                    rows[-1] = end[list(self.recorded)]
+                return rows, lambda: end
+            self._run_one(last, stop, state, parameters, rows[_kept(k, last, self.every) :])
+        return rows, lambda: self._as_run(self._finished(last, before, parameters), last, state, rows)
+
+    def _run_one(self, k: int, stop: int, state: np.ndarray, parameters: np.ndarray, rows: np.ndarray) -> None:
+        if k < stop:
+            self.one.run(_LL(k), _LL(stop), _LL(self.every), _at(state), _at(parameters), _at(rows), self._routines)
+
+    def _finished(self, k: int, state: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+        end = np.empty(len(self.trace.layout))
+        self.finish(k)(_LL(k), _at(state), _at(parameters), _at(end), self._routines)
+        return end
+
+    def _as_run(self, end: np.ndarray, last: int, state: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """All slots as the run has rounded them, where it kept them: going on from there is going on."""
+        end[self.trace.carried] = state
+        if last % self.every == 0 and self.recorded:
+            end[list(self.recorded)] = rows[-1]
+        return end
+
+    def _held(self) -> contextlib.ExitStack:
+        """The locks of all routines, for `with`."""
         with contextlib.ExitStack() as held:
             for routine in self.trace.routines:
                 held.enter_context(routine.lock)
-            span = _LL(k), _LL(stop - 1), _LL(self.every)
-            self.one.run(*span, _at(carried), _at(parameters), _at(rows), self._routines)
-            self.finish(stop - 1)(_LL(stop - 1), _at(carried), _at(parameters), _at(end), self._routines)
-        self._record_last(stop - 1, rows, end)
-        return rows, end
+            return held.pop_all()
 
-    def run_many(self, k: int, stop: int, slots: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The same for N cars: slots (S, N), parameters (P, N) to rows (T, R, N) and slots (S, N).
+    def run_many(self, k: int, stop: int, slots: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, Slots]:
+        """The same for N cars: slots (S, N), parameters (P, N) to rows (T, R, N), and how to get slots (S, N).
 
         With a routine in the loop one after the other.
         """
         if self.trace.routines:
             alone = [self.run(k, stop, np.array(s), np.array(p)) for s, p in zip(slots.T, parameters.T, strict=True)]
-            return np.stack([rows for rows, _ in alone], axis=-1), np.stack([end for _, end in alone], axis=-1)
-        library, finish = self.many, self.finish(stop - 1, many=True)
-        carried, every = self.trace.carried, self.every
-        lanes, cars = library.lanes(), slots.shape[1]
+            return np.stack([rows for rows, _ in alone], axis=-1), lambda: np.stack(
+                [end() for _, end in alone], axis=-1
+            )
+        library, every, last, cars = self.many, self.every, stop - 1, slots.shape[1]
+        lanes = library.lanes()
         groups = -(-cars // lanes)
         padded = groups * lanes
-        state, fixed = _grouped(slots[carried], lanes, groups), _grouped(parameters, lanes, groups)
+        state, fixed = _grouped(slots[self.trace.carried], lanes, groups), _grouped(parameters, lanes, groups)
         rows = np.empty((_kept(k, stop, every), len(self.recorded), padded))
-        end = np.empty((groups, len(slots), lanes))
 
-        def work(first: int, last: int) -> None:
-            span = _LL(first), _LL(last)
-            library.run(_LL(k), _LL(stop - 1), _LL(every), *span, _LL(padded), _at(state), _at(fixed), _at(rows))
-            finish(_LL(stop - 1), *span, _at(state), _at(fixed), _at(end))
+        before = np.empty_like(state)
+
+        def work(first: int, past: int) -> None:
+            def go(k: int, stop: int, rows: np.ndarray) -> None:
+                span = _LL(k), _LL(stop), _LL(every), _LL(first), _LL(past)
+                library.run(*span, _LL(padded), _at(state), _at(fixed), _at(rows))
+
+            go(k, last, rows)
+            before[first:past] = state[first:past]
+            go(last, stop, rows[_kept(k, last, every) :])
 
         _share(work, groups, (stop - k) * groups * self._effort)
-        all_slots = end.transpose(1, 0, 2).reshape(len(slots), padded)[:, :cars]
-        rows = rows[:, :, :cars]
-        self._record_last(stop - 1, rows, all_slots)
-        return rows, all_slots
 
-    def _record_last(self, k: int, rows: np.ndarray, end: np.ndarray) -> None:
-        if k % self.every == 0 and self.recorded:
-            rows[-1] = end[list(self.recorded)]
+        def end() -> np.ndarray:
+            slots = np.empty((groups, len(self.trace.layout), lanes))
+            self.finish(last, many=True)(_LL(last), _LL(0), _LL(groups), _at(before), _at(fixed), _at(slots))
+            return self._as_run(_apart(slots)[:, :cars], last, _apart(state)[:, :cars], rows[..., :cars])
 
-
-def _load(source: str, *, many: bool) -> ctypes.CDLL:
-    return native.load(source, fused=True, vector_maths=many)
+        return rows[:, :, :cars], end
 
 
 _ENOUGH = 2e6
@@ -125,6 +163,11 @@ def _grouped(rows: np.ndarray, lanes: int, groups: int) -> np.ndarray:
     """(n, N) as (groups, n, lanes), the last car repeated to fill the last group."""
     padded = np.pad(rows, ((0, 0), (0, groups * lanes - rows.shape[1])), mode="edge")
     return np.ascontiguousarray(padded.reshape(len(rows), groups, lanes).transpose(1, 0, 2))
+
+
+def _apart(groups: np.ndarray) -> np.ndarray:
+    """(groups, n, lanes) as (n, cars), the inverse of `_grouped` with its padding."""
+    return groups.transpose(1, 0, 2).reshape(groups.shape[1], -1)
 
 
 def _share(work: Callable[[int, int], None], groups: int, instructions: float) -> None:

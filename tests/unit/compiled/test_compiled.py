@@ -124,7 +124,8 @@ def test_without_a_compiler_the_vm_runs_and_says_so(monkeypatch: pytest.MonkeyPa
 def test_a_second_process_finds_the_library_in_the_cache(tmp_path: Path) -> None:
     code = (
         "from steerkit.compiled import compile\nfrom tests.support.traced_blocks import decay_loop\n"
-        "c = compile(decay_loop(a=0.75), backend='c'); print(c.run(1.0)['decay.x'][-1])"
+        "c = compile(decay_loop(a=0.75), backend='c')\n"
+        "log = c.run(1.0); print(log['decay.x'][-1], log.state.y)"
     )
     environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
     root = ROOT

@@ -16,7 +16,7 @@ import pytest
 from steerkit import maths as m
 from steerkit import native
 from steerkit.block import Block, In, Out, State
-from steerkit.compiled import TraceError, compile, native_program
+from steerkit.compiled import Compiled, TraceError, compile, native_program
 from steerkit.compiled.fleet import Fleet
 from steerkit.compiled.trace import trace
 from steerkit.export.c import export_c
@@ -167,3 +167,51 @@ def test_threads_share_all_cars_among_them(cars: int, monkeypatch: pytest.Monkey
         np.testing.assert_array_equal(shared[name], alone[name], err_msg=name)
     for ours, theirs in zip(shared.state.x, alone.state.x, strict=True):
         np.testing.assert_array_equal(np.array(ours), np.array(theirs))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Logistic(Block):
+    """x(k+1) = a x - a x^2, chaotic: a bit that is rounded another way is a different number thirty steps later."""
+
+    x, rest = Out("1", direct=()), Out("1", direct=())
+    a: float = 3.9
+    dt: float = 0.05
+
+    def init(self, batch: tuple[int, ...] = ()) -> State:
+        return (m.filled(0.3, batch),)
+
+    def output(self, t: Any, x: State, u: Any) -> Any:
+        return self.Y(x[0], 1.0 - x[0] * x[0])
+
+    def update(self, t: Any, x: State, u: Any, y: Any) -> State:
+        return (self.a * x[0] - self.a * x[0] * x[0],)
+
+
+def chaos() -> Compiled:
+    """The program of a loop in which every rounding shows."""
+    return compile(Loop(blocks={"logistic": Logistic()}, wires=[]), backend="c")
+
+
+@pytest.mark.parametrize("batch", [None, 5])
+def test_a_run_that_goes_on_has_the_bits_of_one_that_never_stopped(batch: int | None) -> None:
+    """The state comes from code of its own; what is carried in it is as the run has rounded it."""
+    program = chaos()
+    whole = program.run(6.0, batch=batch)
+    for first in map(float, np.arange(0.05, 2.0, 0.05)):
+        start = program.run(first, batch=batch)
+        rest = program.run(6.0 - first, state=start.state)
+        for name in whole:
+            np.testing.assert_array_equal(np.concatenate([start[name], rest[name]]), whole[name], err_msg=name)
+
+
+def test_the_state_after_a_run_is_made_when_it_is_asked_for_and_is_the_last_row(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    load, loads = native.load, list[str]()
+    monkeypatch.setattr(native, "load", lambda *a, **k: loads.append(a[0]) or load(*a, **k))
+    program = chaos()
+    for ticks in range(1, 40):
+        log = program.run(0.05 * ticks)
+        assert len(loads) == (1 if ticks == 1 else 2)
+        assert log.state.y == ((log["logistic.x"][-1], log["logistic.rest"][-1]),)
+        assert len(loads) == 2
