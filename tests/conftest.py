@@ -1,19 +1,21 @@
 """For all tests: properties have no deadline, as a machine may be busy, and print what they failed on.
 
-An interrupt ends the programs that tests start, though a shell has what runs in the background ignore it.
+An interrupt ends the programs that tests start, though a shell has what runs in the background ignore it. With `-n`,
+one interpreter imports what tests need, and the processes that share the tests and the programs are forks of it.
 """
 
 from __future__ import annotations
 
 import gc
 import os
+import shlex
 import signal
 from collections.abc import Iterator
 
 import pytest
 from hypothesis import Phase, settings
 
-from tests.support.warm_start import Warm
+from tests.support.warm_start import Warm, command
 
 settings.register_profile("steerkit", deadline=None, print_blob=True)
 settings.register_profile(
@@ -27,8 +29,27 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
 gc.set_threshold(100_000, 50, 50)  # looking for garbage as often as usual takes a sixth of the tests' time
 
 
+WARM = "STEERKIT_TESTS_WARM"
+"""Environment: the socket of the interpreter that programs are forked from, where several processes share it."""
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """In the process that hands out the tests: those that take them start warm, and share the interpreter."""
+    tx = session.config.getoption("tx", None)
+    if tx and {*tx} == {"popen"}:
+        warm = Warm()
+        warm.__enter__()
+        session.config.add_cleanup(lambda: warm.__exit__())
+        os.environ[WARM] = str(warm.socket)
+        session.config.option.tx = [f"popen//python={shlex.join(warm.python)}"] * len(tx)
+
+
 @pytest.fixture(scope="session")
 def python() -> Iterator[tuple[str, ...]]:
     """The command for `python` that starts at once: see tests/support/warm_start.py."""
+    if WARM in os.environ:
+        yield command(os.environ[WARM])
+        return
     with Warm() as warm:
         yield warm.python

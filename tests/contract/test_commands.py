@@ -31,7 +31,10 @@ PATIENCE = 300.0
 
 @pytest.fixture(scope="session")
 def programs(python: tuple[str, ...], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with `python` and `steerkit`, which run this interpreter: what a virtual environment has."""
+    """A folder with `python` and `steerkit`, which run this interpreter: what a virtual environment has.
+
+    `cold-steerkit` is a child of the shell that starts it, for what asks which shell that is.
+    """
     folder = tmp_path_factory.mktemp("bin")
     entry = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["scripts"]["steerkit"]
     module, function = entry.split(":")
@@ -39,7 +42,9 @@ def programs(python: tuple[str, ...], tmp_path_factory: pytest.TempPathFactory) 
     (folder / "entry").mkdir()
     entry_point = folder / "entry" / "steerkit"
     entry_point.write_text(f"from {module} import {function}\n{guarded}")
-    for name, words in {"python": python, "steerkit": (*python, str(entry_point))}.items():
+    all_words = {"python": python, "steerkit": (*python, str(entry_point))}
+    all_words["cold-steerkit"] = (sys.executable, str(entry_point))
+    for name, words in all_words.items():
         (folder / name).write_text(f'#!/bin/sh\nexec {shlex.join(words)} "$@"\n')
         (folder / name).chmod(0o755)
     return folder

@@ -6,7 +6,7 @@ process with arguments, environment, folder, input and output of its own, that e
 search path leads to another steerkit than this checkout's, it imports that one. In place of `sys.executable` a test
 gives `Warm.python`, a small client that hands all of this over, waits, and passes on signals; if it is killed, so is
 the program. What must start cold (the time or the modules of a start, a terminal, another locale) goes on using
-`sys.executable`.
+`sys.executable`. The processes among which pytest-xdist shares the tests are such programs too (tests/conftest.py).
 
     with Warm() as warm:
         subprocess.run([*warm.python, "-m", "steerkit", "drive", "stanley"])
@@ -19,7 +19,6 @@ import atexit
 import contextlib
 import gc
 import importlib
-import importlib.machinery
 import json
 import os
 import runpy
@@ -36,13 +35,26 @@ from typing import Any
 
 PACKAGES = (
     *("numpy", "scipy.linalg", "scipy.optimize", "scipy.interpolate", "scipy.integrate", "scipy.signal", "scipy.stats"),
-    *("matplotlib.figure", "matplotlib.pyplot", "matplotlib.backends.backend_agg", "casadi", "control", "typer"),
-    *("rich.console", "rich.table", "rich.progress", "pydantic", "cantools", "can", "sqlite3", "tomllib", "asyncio"),
+    *("matplotlib.figure", "matplotlib.pyplot", "matplotlib.backends.backend_agg", "PIL.PngImagePlugin"),
+    *("PIL.GifImagePlugin", "PIL.JpegImagePlugin", "PIL.BmpImagePlugin", "PIL.PpmImagePlugin", "casadi", "control"),
+    *("typer", "typer._adapters", "rich.console", "rich.table", "rich.progress", "rich._emoji_codes", "pydantic.main"),
+    *("cantools", "can", "mcap.reader", "mcap.writer", "sqlite3", "tomllib", "asyncio", "http.server", "psutil"),
+    *("multiprocessing.resource_tracker", "multiprocessing.shared_memory", "joblib", "pandas", "torch"),
 )
-"""What is imported beforehand; none of it starts a thread."""
-OURS = ("steerkit.learning.learn", "steerkit.learning.trainer", "steerkit.on_car.session", "benchmarks.run.runner")
+"""What is imported beforehand; none of it starts a thread, but for one of pyarrow's allocator, which knows of forks."""
+OURS = (
+    *("steerkit.cli.app", "steerkit.learning.learn", "steerkit.learning.progress", "steerkit.learning.trainer"),
+    *("steerkit.learning.pictures.paper", "steerkit.learning.pictures.policy", "steerkit.learning.live.server"),
+    *("steerkit.controllers.mpc.linear", "steerkit.plots.log", "steerkit.on_car.session", "steerkit.on_car.replay"),
+    *("steerkit.logs.reading", "steerkit.identification", "benchmarks.app", "benchmarks.run.runner"),
+)
 """Modules of this checkout, with all that they import; none of it asks environment, folder or terminal on import."""
 CLIENT = Path(__file__).with_name("warm_client.py")
+
+
+def command(socket: str) -> tuple[str, ...]:
+    """What stands for `python`, of the interpreter behind that socket."""
+    return (sys.executable, "-IS", str(CLIENT), socket)
 
 
 class Warm:
@@ -50,16 +62,15 @@ class Warm:
 
     def __init__(self) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="steerkit-warm-")
-        self._socket = Path(self._folder.name, "socket")
-        self.python = (sys.executable, "-IS", str(CLIENT), str(self._socket))
-        """The command that stands for `python`."""
+        self.socket = Path(self._folder.name, "socket")
+        self.python = command(str(self.socket))
 
     def __enter__(self) -> Warm:
         environment = {**os.environ, "OMP_NUM_THREADS": "1", "MPLBACKEND": "agg"}
         environment.pop("PYTHONPATH", None)
-        words = [sys.executable, "-P", __file__, str(self._socket)]
+        words = [sys.executable, "-P", __file__, str(self.socket)]
         self._process = subprocess.Popen(words, env=environment, stdin=subprocess.DEVNULL)
-        while not self._socket.exists():
+        while not self.socket.exists():
             if self._process.poll() is not None:
                 raise RuntimeError("the interpreter that programs are forked from did not start; it said why")
             time.sleep(0.01)
@@ -89,30 +100,35 @@ def serve(path: str) -> tuple[list[str], dict[str, str]]:
     server.listen(64)
     os.rename(path + ".new", path)  # it is there when it listens
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+    clients: dict[int, tuple[socket.socket, int]] = {}
+    """By the descriptor of its program's process: who waits for it, and the process."""
     while True:
-        client, _ = server.accept()
-        if os.fork():
+        waiting = {client.fileno(): ended for ended, (client, _) in clients.items()}
+        ready, _, _ = select.select([server.fileno(), *clients, *waiting], [], [])
+        for ended in {waiting.get(number, number) for number in ready} - {server.fileno()}:
+            client, program = clients.pop(ended)
+            if ended not in ready:  # the client is gone without a word: it was killed
+                os.kill(program, signal.SIGKILL)
+            _, status = os.waitpid(program, 0)
+            with contextlib.suppress(OSError):
+                client.sendall(f"{os.waitstatus_to_exitcode(status)}\n".encode())
             client.close()
-            continue
-        server.close()
-        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-        asked, streams = _received(client)
-        program = os.fork()
-        if program == 0:
-            client.close()
-            return _become(asked, streams)
-        for stream in streams:
-            os.close(stream)
-        client.sendall(f"{program}\n".encode())
-        ended = os.pidfd_open(program)
-        ready, _, _ = select.select([client.fileno(), ended], [], [])
-        if ended not in ready:  # the client is gone without a word: it was killed
-            os.kill(program, signal.SIGKILL)
-        _, status = os.waitpid(program, 0)
-        with contextlib.suppress(BrokenPipeError):
-            client.sendall(f"{os.waitstatus_to_exitcode(status)}\n".encode())
-        os._exit(0)
+            os.close(ended)
+        if server.fileno() in ready:
+            client, _ = server.accept()
+            asked, streams = _received(client)
+            program = os.fork()
+            if program == 0:
+                for one in (server, client, *(other for other, _ in clients.values())):
+                    one.close()
+                for ended in clients:
+                    os.close(ended)
+                return _become(asked, streams)
+            for stream in streams:
+                os.close(stream)
+            clients[os.pidfd_open(program)] = client, program
+            with contextlib.suppress(OSError):
+                client.sendall(f"{program}\n".encode())
 
 
 def _received(client: socket.socket) -> tuple[Any, array.array[int]]:
@@ -145,17 +161,19 @@ def run(words: list[str], environment: dict[str, str]) -> None:
     time.tzset()
     sys.dont_write_bytecode = bool(environment.get("PYTHONDONTWRITEBYTECODE"))
     places = [os.path.abspath(part) for part in environment.get("PYTHONPATH", "").split(os.pathsep) if part]
-    kind, *rest = words
+    kind, *rest = words[words[0] == "-u" :]
     first = os.getcwd() if kind == "-m" else "" if kind == "-c" else os.path.dirname(os.path.realpath(kind))
     sys.path[:0] = [first, *places]
     importlib.invalidate_caches()
     for package in {name.partition(".")[0] for name in OURS}:
-        found = importlib.machinery.PathFinder.find_spec(package, sys.path)
+        specs = (finder.find_spec(package, None) for finder in sys.meta_path)
+        found = next(filter(None, specs), None)
         if package in sys.modules and (found is None or found.origin != sys.modules[package].__file__):
             for name in [name for name in sys.modules if name.partition(".")[0] == package]:
                 del sys.modules[name]
     if kind == "-m":
-        sys.modules.pop(rest[0], None)
+        if not hasattr(sys.modules.get(rest[0]), "__path__"):  # of a package it is `__main__` that runs
+            sys.modules.pop(rest[0], None)
         sys.argv = rest
         runpy.run_module(rest[0], run_name="__main__", alter_sys=True)
     elif kind == "-c":
