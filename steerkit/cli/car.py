@@ -32,9 +32,9 @@ def check(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead, in SI units.")] = False,
 ) -> None:
     """Check a configuration and print what would be read and written, and every limit."""
-    from steerkit.on_car import session as sessions
+    from steerkit.on_car import configured
 
-    loaded, path = sessions.loaded(config)
+    loaded, path = configured.loaded(config)
     if as_json:
         print(json.dumps({**loaded.facts(), "course": path.name, "length": path.length, "closed": path.closed}))
         return
@@ -69,14 +69,13 @@ def simulate(
     from dataclasses import replace
 
     from steerkit.clock import Clock
-    from steerkit.on_car import processes
-    from steerkit.on_car import session as sessions
+    from steerkit.on_car import configured, processes
     from steerkit.plants.real_car.frames.bus import BusPort
     from steerkit.plants.real_car.frames.slcan_port import SlcanPort
     from steerkit.units import radians_of
 
-    loaded, path = sessions.loaded(config, "-")
-    arguments = sessions.bus_of(channel)
+    loaded, path = configured.loaded(config, "-")
+    arguments = configured.bus_of(channel)
     if arguments and arguments["interface"] == "slcan":
         raise ValueError(
             f"--channel {channel!r} of a simulated car: expected INTERFACE:CHANNEL, as socketcan:vcan0; "
@@ -108,13 +107,12 @@ def server(
 ) -> None:
     """The process that owns the bus. `steerkit drive --car` and `learn --car` start one where there is none."""
     from steerkit.clock import Clock
-    from steerkit.on_car import processes
-    from steerkit.on_car import session as sessions
+    from steerkit.on_car import configured, processes
     from steerkit.plants.real_car.processes.server import CarServer
     from steerkit.plants.real_car.recording import Recording, described
 
     logging.basicConfig(format="%(asctime)s %(name)s %(message)s", level=logging.INFO, stream=sys.stdout)
-    loaded, path = sessions.loaded(config, channel)
+    loaded, path = configured.loaded(config, channel)
     if loaded.keep_recording and not recording:
         raise ValueError(f"{config}: keep_recording = true, but nothing is recorded; give --recording FILE.mcap")
     tape = Recording(recording, described(loaded, path, time_scale)) if recording else None
@@ -240,8 +238,7 @@ def tape(
     One that is damaged or cut short is repaired into a new file and stays as it is itself. One that is still being
     written is only looked into. Exit code: 0; 1 when messages are missing, 2 when a replay lacks something.
     """
-    from steerkit.on_car import estimates
-    from steerkit.on_car import loop as loops
+    from steerkit.on_car import configured, estimates
     from steerkit.on_car import replay as replays
     from steerkit.plants.real_car import recording as tapes
     from steerkit.plants.real_car.decisions.core import Core
@@ -263,7 +260,7 @@ def tape(
     for v in recorded.of("/state"):
         print(f"  {v['t']:.3f} s  {v['from']} -> {v['to']}: {v['cause']}")
     config = tapes.config_of(recorded)
-    path = loops.course_of(config)
+    path = configured.course_of(config)
     for difference in tapes.differences(recorded, config, path):
         print(f"not as it was then: {difference}")
     if any(gap.missing for gap in recorded.gaps):

@@ -17,12 +17,12 @@ from steerkit.controllers.fail_safe import FailSafe
 from steerkit.controllers.foresight import Foresight
 from steerkit.controllers.gate_model import GateModel
 from steerkit.controllers.nfq_policy import NfqPolicy
-from steerkit.courses import course
 from steerkit.doe import Dynamic, Integrator
 from steerkit.errors import require
 from steerkit.learning import rundir
 from steerkit.loop import Loop
 from steerkit.on_car import learner as on_car
+from steerkit.on_car.configured import course_of
 from steerkit.on_car.follow import Follow, Steers
 from steerkit.outside import is_outside
 from steerkit.path import Path
@@ -41,16 +41,6 @@ VALID = (
     f"nfq (the newest net in {LEARNED}), a learning run's directory, a policy's .npz file, "
     "my_file.py:make if the car's file allows it"
 )
-
-
-def course_of(config: CarConfig) -> Path:
-    """The path that a configuration names; raises ValueError, saying where, for a name that is not known."""
-    if "name" not in config.course:
-        return config.course["path"]
-    try:
-        return course(config.course["name"])
-    except ValueError as error:
-        raise ValueError(f"{config.file}: [course] name: {error}") from error
 
 
 def belief_of(config: CarConfig) -> Belief:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -28,33 +27,15 @@ from steerkit.learning.settings import Setting
 from steerkit.loop import Loop
 from steerkit.on_car import loop as loops
 from steerkit.on_car import processes
+from steerkit.on_car.configured import loaded
 from steerkit.on_car.estimates import Watched
 from steerkit.on_car.follow import adapted_in, filtered_in
 from steerkit.on_car.processes import OF
-from steerkit.path import Path
 from steerkit.plants.real_car.decisions.modes import Order
-from steerkit.plants.real_car.file.config import CarConfig
-from steerkit.plants.real_car.file.reading import load
 from steerkit.plants.real_car.processes.client import CarClient, CarLost
 from steerkit.plants.real_car.processes.protocol import Adapted, Filtered, digest
 from steerkit.realtime import Run, Timing, histogram_text, preferred
 from steerkit.task import DT
-
-
-def bus_of(channel: str) -> dict[str, Any] | None:
-    """The arguments of `can.Bus` for `INTERFACE:CHANNEL`, or for a serial device or socket:// of slcan; None for ""."""
-    if not channel:
-        return None
-    other = re.fullmatch(r"([a-z_0-9]+):(?!//)(.+)", channel)
-    if other:
-        return {"interface": other[1], "channel": other[2]}
-    return {"interface": "slcan", "channel": channel, "bitrate": 500000, "sleep_after_open": 0.0}
-
-
-def loaded(config: str, channel: str = "") -> tuple[CarConfig, Path]:
-    """A configuration, on another bus if `channel` says so, and its course."""
-    loaded_config = load(config, bus=bus_of(channel))
-    return loaded_config, loops.course_of(loaded_config)
 
 
 @dataclass(frozen=True, kw_only=True)

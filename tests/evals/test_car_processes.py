@@ -18,8 +18,8 @@ from typing import Any
 import pytest
 
 from steerkit.clock import Clock
+from steerkit.on_car import configured, processes
 from steerkit.on_car import loop as loops
-from steerkit.on_car import processes
 from steerkit.on_car import replay as replays
 from steerkit.on_car import session as sessions
 from steerkit.plants.real_car import recording as tapes
@@ -51,7 +51,7 @@ def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[dict[str, 
 def drive(bench: dict[str, Any], seconds: float, name: str = "stanley") -> tuple[Mode, int]:
     """Engage, and drive with a controller; the mode at the end, and how many steps were engaged."""
     config = load(CONFIG)
-    path = loops.course_of(config)
+    path = configured.course_of(config)
     engaged = 0
     with (
         processes.attended(bench["socket"]),
@@ -89,7 +89,7 @@ def test_drive_record_replay_and_an_orderly_end(bench: dict[str, Any], name: str
     recorded = tapes.read(bench["tape"])
     assert recorded.whole
     config = tapes.config_of(recorded)
-    path = loops.course_of(config)
+    path = configured.course_of(config)
     frames, same = tapes.replayed_exactly(recorded, Core(config, path))
     assert frames == same > 0
     (driven,) = replays.drives(recorded)
@@ -140,9 +140,9 @@ def test_another_interface_of_python_can(tmp_path: Path) -> None:
 
     At a fifth of real time, as the threads share one interpreter.
     """
-    bus = sessions.bus_of("virtual:steerkit test")
+    bus = configured.bus_of("virtual:steerkit test")
     assert bus is not None
-    config, (_, path) = load(CONFIG, bus=bus), sessions.loaded(CONFIG)
+    config, (_, path) = load(CONFIG, bus=bus), configured.loaded(CONFIG)
     port, clock, socket = BusPort(bus), Clock(scale=0.2), str(tmp_path / "socket")
     car = processes.simulated_car(config, path, t0=clock.now())
     server = CarServer(

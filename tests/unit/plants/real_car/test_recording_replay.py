@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from steerkit.on_car.loop import course_of
+from steerkit.on_car.configured import course_of
 from steerkit.plants.real_car import recording as tapes
 from steerkit.plants.real_car import tape_file
 from steerkit.plants.real_car.file.config import shipped
