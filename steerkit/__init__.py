@@ -5,11 +5,12 @@ The names below are loaded when they are first used, so that `import steerkit` s
 
 from __future__ import annotations
 
+from functools import cache
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    __version__: str
     from steerkit.analysis import linearise
     from steerkit.assembly import placed, steering_loop
     from steerkit.block import Block, In, Out
@@ -132,16 +133,24 @@ __all__ = [
     "vehicle",
 ]
 
-try:
-    __version__ = version("steerkit-control")
-except PackageNotFoundError:  # run from a source tree that was never installed
-    __version__ = "0+unknown"
-
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return _version()
     if name not in _HOME:
         raise AttributeError(f"module 'steerkit' has no attribute '{name}'; it offers: {', '.join(__all__)}")
     return getattr(import_module(f"steerkit.{_HOME[name]}"), name)
+
+
+@cache
+def _version() -> str:
+    """Of the installed package; asked for when it is wanted, as looking it up takes longer than all else here."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("steerkit-control")
+    except PackageNotFoundError:  # run from a source tree that was never installed
+        return "0+unknown"
 
 
 def __dir__() -> list[str]:

@@ -29,6 +29,13 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
 gc.set_threshold(100_000, 50, 50)  # looking for garbage as often as usual takes a sixth of the tests' time
 
 
+@pytest.hookimpl(trylast=True)
+def pytest_collection_finish() -> None:
+    """What is there before the first test is looked at for garbage no more: loops in real time look before they run."""
+    gc.collect()
+    gc.freeze()
+
+
 WARM = "STEERKIT_TESTS_WARM"
 """Environment: the socket of the interpreter that programs are forked from, where several processes share it."""
 

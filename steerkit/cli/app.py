@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from steerkit import __version__
+import steerkit
 from steerkit.cli.bench import app as bench_app
 from steerkit.cli.car import app as car_app
 from steerkit.cli.courses import courses
@@ -60,7 +60,7 @@ app.command()(vehicles)
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        print(f"steerkit {__version__}")
+        print(f"steerkit {steerkit.__version__}")
         raise typer.Exit
 
 
