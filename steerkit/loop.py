@@ -48,6 +48,9 @@ class Sample(Mapping[str, Any]):
         i, j = self._loop.locate(key)
         return self.y[i][j]
 
+    def __contains__(self, key: object) -> bool:  # not by what `locate` raises, which looks for the nearest name
+        return key in self._loop.units if isinstance(key, str) else super().__contains__(key)
+
     def __iter__(self) -> Iterator[str]:
         return iter(self._loop.units)
 

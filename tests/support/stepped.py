@@ -1,5 +1,7 @@
 """Blocks stepped sample by sample, by hand and through symbols."""
 
+from functools import cache
+
 import casadi
 import numpy as np
 
@@ -10,16 +12,38 @@ def run(block, inputs, x=None):
     ys = []
     for k, values in enumerate(inputs):
         u = block.U(*values)
+        x = _settled(block, x, values) if k == 0 else x
         d = block.D(*[getattr(u, name) for name in block.D._fields])
-        x = block.settle(0.0, x, d) if k == 0 else x
         y = block.output(k * block.dt, x, d)
         x = block.update(k * block.dt, x, u, y)
         ys.append(y)
     return ys, x
 
 
+def run_fast(block, inputs):
+    """Outputs at each sample, an array (T, n), then the last state: as `run` to rounding, for long tapes.
+
+    In CasADi's machine; not for a block that asks for the time.
+    """
+    start = _settled(block, block.init(), inputs[0])
+    xs, ys = sample(block).mapaccum(len(inputs))(casadi.DM(start), casadi.DM(np.array(inputs, dtype=float).T))
+    return np.array(ys).T, np.array(xs[:, -1]).ravel()
+
+
 def traced(block, steps, update_inputs):
     """Outputs and states of `block` through a CasADi function of one sample; inputs as in `run`."""
+    step = sample(block)
+    values = _settled(block, block.init(), update_inputs[0])
+    ys = []
+    for k in range(steps):
+        values, y = step(casadi.DM(values), casadi.DM(update_inputs[k] or [0.0]))
+        ys.append(np.array(y).ravel())
+    return ys, np.array(values).ravel()
+
+
+@cache
+def sample(block):
+    """The next state and the outputs, of a state and inputs, as a CasADi function."""
     start = block.init()
     x, u = casadi.SX.sym("x", len(start)), casadi.SX.sym("u", max(1, len(block.U._fields)))
     state = casadi.vertsplit(x)
@@ -27,12 +51,11 @@ def traced(block, steps, update_inputs):
     inputs = block.U(*casadi.vertsplit(u)[: len(block.U._fields)])
     direct = block.D(*[getattr(inputs, name) for name in block.D._fields])
     y = block.output(0.0, state, direct)
-    sample = casadi.Function(
-        "sample", [x, u], [casadi.vertcat(*y), casadi.vertcat(*block.update(0.0, state, inputs, y))]
-    )
-    values = block.settle(0.0, start, block.D(*update_inputs[0][: len(block.D._fields)]))
-    ys = []
-    for k in range(steps):
-        y, values = sample(casadi.DM(values), casadi.DM(update_inputs[k] or [0.0]))
-        ys.append(np.array(y).ravel())
-    return ys, np.array(values).ravel()
+    after = block.update(0.0, state, inputs, y)
+    return casadi.Function("sample", [x, u], [casadi.vertcat(*after), casadi.vertcat(*y)])
+
+
+def _settled(block, x, values):
+    """The state `x` once the inputs `values` are there."""
+    u = block.U(*values)
+    return block.settle(0.0, x, block.D(*[getattr(u, name) for name in block.D._fields]))

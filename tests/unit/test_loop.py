@@ -275,6 +275,10 @@ def test_signals_are_found_by_name_and_by_port() -> None:
     assert loop.port_name(gain.y) == "gain.y"
     assert loop.locate("gain.y") == loop.locate(gain.y) == (1, 0)
     assert loop.units["gain.y"] == "m"
+    sample = loop.sample(loop.init())
+    assert "gain.y" in sample
+    assert gain.y in sample
+    assert not any(key in sample for key in ("gain.z", "gain", Count().n))
     assert repr(count.n) == "Count.n [m]"
     assert repr(loop) == "Loop(count, gain, total, late; 3 wires; dt = 0.05 s)"
     with pytest.raises(KeyError, match=r"no signal 'gain.z'; did you mean 'gain.y'"):

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from steerkit.compiled import compile
 from steerkit.controllers.adaptive import Adaptive, Told
 from steerkit.controllers.estimators.single_track_filter import SingleTrackFilter
 from steerkit.controllers.estimators.steering_delay import YawDelay
@@ -18,7 +19,7 @@ from steerkit.courses import circle
 from steerkit.learning.settings import setting as named
 from steerkit.learning.story import untrained
 from steerkit.scenario import Scenario
-from steerkit.scenario.drive import assembled, controller, drive
+from steerkit.scenario.drive import assembled, controller, drive_loop
 from steerkit.simulation import simulate
 from steerkit.vehicles import vehicle
 from tests.support.steered_car import answered, steered
@@ -177,8 +178,12 @@ def test_as_a_recovery_it_catches_a_car_whose_delay_nobody_knows() -> None:
 
 
 def rms(name: str, scenario: Scenario) -> tuple[float, float]:
-    """RMS e from 30 s on, and the largest |e| from 1 s on [m]."""
-    e = drive(scenario, controller(name, scenario))["path.e"]
+    """RMS e from 30 s to the end of the round, and the largest |e| from 1 s on [m]."""
+    loop = drive_loop(scenario, controller(name, scenario))
+    log = compile(loop, backend="vm", every=5, record=("path.e", "path.progress")).run(scenario.seconds)
+    over = log["path.progress"] >= scenario.length
+    assert over.any()
+    e = log["path.e"][: over.argmax() + 1]
     return float(np.sqrt(np.mean(e[600:] ** 2))), float(np.abs(e[20:]).max())
 
 

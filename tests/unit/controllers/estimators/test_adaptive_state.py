@@ -22,6 +22,7 @@ from steerkit.scenario.drive import controller, drive_loop
 from steerkit.simulation import Log, simulate
 from steerkit.units import radians_of
 from steerkit.vehicles import VW_PASSAT
+from tests.support.stepped import run_fast
 
 PLAIN = VehicleState.of(NonlinearSingleTrack(vehicle=VW_PASSAT))
 STEERING = SingleTrackFilter(vehicle=VW_PASSAT, held=False)
@@ -31,6 +32,9 @@ WRONG: dict[str, float] = {"ratio": 1.25, "wheel_zero_deg": 3.0, "gyro_zero_deg"
 
 def adaptive(**settings: Any) -> AdaptiveState:
     return AdaptiveState(**{"block": PLAIN, "steering": STEERING} | settings)
+
+
+ADAPTIVE = adaptive()
 
 
 def measured(block: Any, u: Any) -> Any:
@@ -118,22 +122,21 @@ def test_nothing_is_told_at_a_standstill_nor_of_what_is_no_number(wrong: dict[st
 @pytest.mark.parametrize("late", [0.0, 0.05, 0.1])
 def test_ratio_and_zeros_are_found_however_old_the_motion_is(late: float) -> None:
     """A car with a ratio 20 % longer: its wheel turns 1.2 times as far; and both sensors are off."""
-    block, car = adaptive(), replace(NonlinearSingleTrack(vehicle=VW_PASSAT), v0=7.0)
+    block, car = ADAPTIVE, replace(NonlinearSingleTrack(vehicle=VW_PASSAT), v0=7.0)
     z: Any = car.init()
     tape: list[Any] = []
-    x: Any = None
+    rows: list[Any] = []
     for k in range(900):
         now = car.output(0.0, z, None)
         tape.append(now)
         old = tape[max(k - round(late / 0.05), 0)]
         age = min(late, 0.05 * k)
-        u = block.U(old.x, old.y, old.psi, age, old.v, old.r + 0.004, age, 1.2 * now.delta_sw - 0.03)
-        x = block.settle(0.0, block.init(), measured(block, u)) if x is None else x
-        y = block.output(0.0, x, measured(block, u))
-        x = block.update(0.0, x, u, y)
+        rows.append(block.U(old.x, old.y, old.psi, age, old.v, old.r + 0.004, age, 1.2 * now.delta_sw - 0.03))
         for n in range(5):
             t = 0.05 * k + 0.01 * n
             z = car.update(t, z, car.U(1.2 * math.sin(0.9 * t) + 0.8 * math.sin(0.23 * t + 1.0), 7.0), now)
+    ys, x = run_fast(block, rows)
+    y = block.Y(*ys[-1])
     assert y.ratio == pytest.approx(1.2, rel=0.01)
     assert y.wheel_offset == pytest.approx(0.03, abs=radians_of(0.2))
     assert y.gyro_zero == pytest.approx(0.004, abs=3e-4)
@@ -147,7 +150,9 @@ def behind(estimator: str) -> Log:
     scenario = Scenario.under(
         "hard", sensing="no sideslip", estimator=estimator, course="random-2110", v_min=6.0, reference="own", **WRONG
     )
-    return simulate(drive_loop(scenario, controller("stanley-adaptive", scenario), seed=4), 60.0, every=5)
+    loop = drive_loop(scenario, controller("stanley-adaptive", scenario), seed=4)
+    record = ["car.psi", "path.e", *[name for name in loop.units if name.startswith("estimator.")]]
+    return compile(loop, backend="python", every=5, record=record).run(60.0)
 
 
 def late(log: Log, signal: str) -> np.ndarray:

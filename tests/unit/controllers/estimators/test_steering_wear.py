@@ -11,7 +11,7 @@ import pytest
 from steerkit.controllers.estimators.estimate import Estimated, estimated
 from steerkit.controllers.estimators.steering_wear import GapBank, SteeringFriction, SteeringPlay
 from steerkit.units import radians_of
-from tests.support.steered_car import PASSAT, Signals, answered, driven, gaps, steered
+from tests.support.steered_car import PASSAT, Signals, answered, driven_fast, gaps, steered
 
 FRICTION, PLAY = SteeringFriction(), SteeringPlay(vehicle=PASSAT)
 
@@ -37,7 +37,7 @@ def said(block: GapBank, x: Any) -> Estimated:
 
 @pytest.mark.parametrize("degrees", [0.0, 0.4, 1.0, 1.5])
 def test_friction_is_found_within_a_tenth(degrees: float) -> None:
-    found = said(FRICTION, driven(FRICTION, worn(120.0, friction_deg=degrees)))
+    found = said(FRICTION, driven_fast(FRICTION, worn(120.0, friction_deg=degrees)))
     assert found.valid == 1.0
     assert found.low <= radians_of(degrees) <= found.high
     assert found.value == pytest.approx(radians_of(degrees), rel=0.025, abs=radians_of(0.005))
@@ -46,14 +46,14 @@ def test_friction_is_found_within_a_tenth(degrees: float) -> None:
 @pytest.mark.parametrize("late", [-0.03, 0.03])
 def test_a_delay_that_is_told_wrong_is_not_taken_for_friction(late: float) -> None:
     signals = worn(friction_deg=0.5)
-    found = said(FRICTION, driven(FRICTION, signals | {"delay": signals["delay"] + late}))
+    found = said(FRICTION, driven_fast(FRICTION, signals | {"delay": signals["delay"] + late}))
     assert found.value == pytest.approx(radians_of(0.5), abs=radians_of(0.1))
     assert found.low <= radians_of(0.5) <= found.high
 
 
 @pytest.mark.parametrize("degrees", [0.0, 1.0, 2.5])
 def test_play_is_found_behind_the_wheel(degrees: float) -> None:
-    found = said(PLAY, driven(PLAY, behind_the_wheel(worn(240.0, friction_deg=0.5, play_deg=degrees))))
+    found = said(PLAY, driven_fast(PLAY, behind_the_wheel(worn(240.0, friction_deg=0.5, play_deg=degrees))))
     assert found.low <= radians_of(degrees) <= found.high
     assert found.value == pytest.approx(radians_of(degrees), rel=0.1, abs=radians_of(0.25))
     assert found.deviation < radians_of(0.3)
@@ -66,7 +66,7 @@ def test_play_is_found_at_changing_speeds_behind_other_tyres() -> None:
     command = 2.0 * np.minimum(1.0, 10.0 / v) ** 2 * steered(80.0)
     soft = replace(PASSAT, c_f=0.75 * PASSAT.c_f)
     signals = answered(command, delay=0.15, lag=0.2, v=v, play=radians_of(1.0), car=soft)
-    found = said(PLAY, driven(PLAY, behind_the_wheel(signals)))
+    found = said(PLAY, driven_fast(PLAY, behind_the_wheel(signals)))
     assert found.low <= radians_of(1.0) <= found.high
     assert found.value == pytest.approx(radians_of(1.0), abs=radians_of(0.2))
 
@@ -74,7 +74,7 @@ def test_play_is_found_at_changing_speeds_behind_other_tyres() -> None:
 @pytest.mark.parametrize("block", [FRICTION, PLAY], ids=["friction", "play"])
 def test_on_a_straight_the_prior_stays(block: GapBank) -> None:
     signals = answered(np.zeros(1200), delay=0.15, lag=0.2)
-    found = said(block, driven(block, behind_the_wheel(signals)))
+    found = said(block, driven_fast(block, behind_the_wheel(signals)))
     ends = 2.0 if block is PLAY else 1.0
     assert found.valid == 0.0
     assert found.value == pytest.approx(ends * block.prior, abs=radians_of(0.05))
@@ -82,9 +82,9 @@ def test_on_a_straight_the_prior_stays(block: GapBank) -> None:
 
 
 def test_at_a_standstill_nothing_changes() -> None:
-    x = driven(FRICTION, worn(friction_deg=0.5))
+    x = driven_fast(FRICTION, worn(friction_deg=0.5))
     stands = {port.name: np.zeros(4000) for port in FRICTION.inputs} | {"active": np.ones(4000)}
-    assert said(FRICTION, driven(FRICTION, stands, x)) == said(FRICTION, x)
+    assert said(FRICTION, driven_fast(FRICTION, stands, x)) == said(FRICTION, x)
 
 
 @pytest.mark.parametrize("what", ["override", "nan"])
@@ -97,7 +97,7 @@ def test_overrides_and_gaps_teach_nothing(what: str) -> None:
     else:
         for name in ("delta_sw_meas", "v"):
             signals[name] = np.where(mask, np.nan, signals[name])
-    found = said(FRICTION, driven(FRICTION, signals))
+    found = said(FRICTION, driven_fast(FRICTION, signals))
     assert found.valid == 1.0
     assert found.value == pytest.approx(radians_of(0.5), rel=0.1)
 
@@ -131,7 +131,7 @@ def test_a_lag_that_is_hardly_known_is_in_the_interval_until_another_is_found() 
 
     def told(deviation: float, samples: int) -> Estimated:
         given = signals | {"lag_deviation": np.full(len(signals["v"]), deviation)}
-        return said(FRICTION, driven(FRICTION, {name: values[:samples] for name, values in given.items()}))
+        return said(FRICTION, driven_fast(FRICTION, {name: values[:samples] for name, values in given.items()}))
 
     sure, unsure = told(0.0, 200), told(0.04, 200)
     assert unsure.value == sure.value
@@ -144,17 +144,17 @@ def test_a_lag_that_is_hardly_known_is_in_the_interval_until_another_is_found() 
 def test_a_lag_that_is_told_wrong_is_not_taken_for_friction(longer: float) -> None:
     signals = worn(120.0, friction_deg=0.7)
     told = {"delay": signals["delay"] - longer, "lag": signals["lag"] + longer, "lag_deviation": 0.05 + signals["lag"]}
-    found = said(FRICTION, driven(FRICTION, signals | told))
+    found = said(FRICTION, driven_fast(FRICTION, signals | told))
     assert found.low <= radians_of(0.7) <= found.high
     assert found.value == pytest.approx(radians_of(0.7), rel=0.1)
 
 
 def test_another_delay_begins_anew_what_was_summed_with_the_one_before() -> None:
     signals = worn(30.0, friction_deg=0.3)
-    x = driven(FRICTION, signals)
+    x = driven_fast(FRICTION, signals)
     told = {name: values[-1:] for name, values in signals.items()}
     slightly, much = (
-        said(FRICTION, driven(FRICTION, told | {"delay": told["delay"] + more}, x)) for more in (0.002, 0.1)
+        said(FRICTION, driven_fast(FRICTION, told | {"delay": told["delay"] + more}, x)) for more in (0.002, 0.1)
     )
     assert slightly.value == pytest.approx(radians_of(0.3), rel=0.1)
     assert much.value == pytest.approx(FRICTION.prior)
@@ -163,7 +163,7 @@ def test_another_delay_begins_anew_what_was_summed_with_the_one_before() -> None
 
 def test_a_width_that_is_known_by_a_fifth_only_is_not_valid() -> None:
     """Of a twist of 0.2 degrees that friction holds the interval is narrow, but not within a tenth of it."""
-    found = said(FRICTION, driven(FRICTION, worn(friction_deg=0.25)))
+    found = said(FRICTION, driven_fast(FRICTION, worn(friction_deg=0.25)))
     assert 0.1 * found.value < found.high - found.value < 0.25 * found.value
     assert found.high > radians_of(0.25)
     assert found.valid == 0.0
@@ -174,6 +174,6 @@ def test_an_angle_that_turns_between_samples_is_followed_to_where_it_turned() ->
     t = 0.05 * np.arange(1200)
     command = radians_of(60.0) * (np.abs(t % 1.0 - 0.5) - 0.25) + radians_of(5.0) * np.sin(t)
     signals = answered(command, delay=0.12, lag=0.1, friction=radians_of(0.6))
-    found = said(FRICTION, driven(FRICTION, signals | {"angle": command}))
+    found = said(FRICTION, driven_fast(FRICTION, signals | {"angle": command}))
     assert found.value == pytest.approx(radians_of(0.6), rel=0.02)
     assert found.low <= radians_of(0.6) <= found.high

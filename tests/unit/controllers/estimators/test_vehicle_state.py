@@ -23,7 +23,7 @@ from steerkit.scenario.drive import controller, drive, drive_loop
 from steerkit.simulation import simulate
 from steerkit.units import radians_of
 from steerkit.vehicles import VW_PASSAT
-from tests.support.stepped import run
+from tests.support.stepped import run, run_fast
 
 DT = 0.05
 NAN = math.nan
@@ -83,8 +83,7 @@ def driven(
 
 
 def outputs(block: VehicleState, rows: list[list[float]]) -> dict[str, np.ndarray]:
-    ys, _ = run(block, [tuple(row) for row in rows])
-    return dict(zip(NAMES, np.array(ys).T))
+    return dict(zip(NAMES, run_fast(block, rows)[0].T))
 
 
 def errors(tape: Tape, y: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
@@ -342,6 +341,19 @@ def test_controllers_behind_it_hold_the_path_better_without_a_measured_sideslip(
         log = drive(scenario, controller("stanley", scenario), seed=9)
         e.append(rms(log["path.e"][100:]))
     assert e[1] < 0.95 * e[0]
+
+
+def test_what_is_judged_here_is_what_the_estimator_says_sample_by_sample() -> None:
+    """Of a tape with jumps, and with a wheel, a pose and all the rest missing for a while."""
+    rows = driven(5).rows()[:400]
+    for k in (*range(60, 65), *range(350, 400)):
+        rows[k][0] += 0.3
+    for start, end, lost in ((100, 130, slice(7, 8)), (180, 220, slice(0, 4)), (220, 260, slice(0, 7))):
+        for row in rows[start:end]:
+            row[lost] = [NAN] * len(row[lost])
+    (ys, x), (fast, last) = run(FILTER, rows), run_fast(FILTER, rows)
+    assert fast == pytest.approx(np.array(ys), rel=1e-6, abs=1e-9)
+    assert last == pytest.approx(np.array(x), rel=1e-6, abs=1e-9, nan_ok=True)
 
 
 def test_it_compiles_to_the_same_numbers() -> None:
