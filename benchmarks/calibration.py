@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerkit.block import Block
-from steerkit.compiled import compile
+from steerkit.compiled import Backend, compile
 from steerkit.controllers.estimators.single_track_filter import SingleTrackFilter
 from steerkit.controllers.estimators.steering_delay import WheelDelay, YawDelay
 from steerkit.controllers.estimators.steering_wear import SteeringFriction, SteeringPlay
@@ -47,7 +47,7 @@ class Drive:
     """Of every quantity that an estimator has."""
 
 
-def drawn(number: int, seconds: float) -> Drive:
+def drawn(number: int, seconds: float, backend: Backend = "auto") -> Drive:
     """A production car on a course of its own at 5 to 9 m/s, under `hard` sensors.
 
     Beside what `fleet_scenario` draws (delay, lag, offset within 3 degrees, play up to 2): ratio and tyres 20 % less to
@@ -59,7 +59,7 @@ def drawn(number: int, seconds: float) -> Drive:
     shown = float(np.random.default_rng((number, 1)).uniform(-_SHOWN, _SHOWN))
     scenario = fleet_scenario(number, v_min=5.0, v_max=9.0, ratio=ratio, tyres=tyres, friction_deg=friction)
     loop = assembled(scenario, controller("stanley-delay", scenario), seed=number)
-    log = compile(loop, record=list(_SIGNALS.values()), every=round(DT / loop.dt)).run(seconds)
+    log = compile(loop, backend=backend, record=list(_SIGNALS.values()), every=round(DT / loop.dt)).run(seconds)
     signals = {name: np.array(log[signal]) for name, signal in _SIGNALS.items()}
     signals["r"] = signals["r"] + zero
     signals["delta_sw_meas"] = radians_of(0.1) * np.round((signals["delta_sw_meas"] + shown) / radians_of(0.1))

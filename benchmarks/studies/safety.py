@@ -183,9 +183,9 @@ def chatter(seconds: float, speeds: tuple[float, ...]) -> dict[str, Any]:
     return {"chatter": rows, "chatter_x": min(one / many for one, many in rows.values())}
 
 
-def narrowing(seconds: float, speeds: tuple[float, ...]) -> dict[str, Any]:
+def narrowing(seconds: float, speeds: tuple[float, ...], begin: float = 10.0) -> dict[str, Any]:
     """Samples corrected of a driver who wants to be 0.42 m beside the path [%], and largest |e|: the yaw rate's doubt
-    as it is, and where it narrows; from 10 s on."""
+    as it is, and where it narrows; samples from `begin` on [s]."""
     rows: dict[str, dict[str, float]] = {}
     for v in speeds:
         scenario = Scenario.under("hard", course="paper", v_min=v, v_max=v)
@@ -193,7 +193,7 @@ def narrowing(seconds: float, speeds: tuple[float, ...]) -> dict[str, Any]:
         for name, least in (("constant", None), ("narrows", 0.003)):
             driver = Beside(law=Stanley.of(scenario.nominal), by=0.42)
             log = against(driver, scenario, seconds, SafetyFilter.delay_doubt, yaw_doubt_least=least)
-            row[f"{name}_pct"] = 100.0 * float(np.mean(log["safety.share"][log.t > 10.0] > 0.0))
+            row[f"{name}_pct"] = 100.0 * float(np.mean(log["safety.share"][log.t > begin] > 0.0))
             row[f"{name}_max_e"] = largest(log["path.e"])
     return {"narrowing": rows}
 
@@ -259,7 +259,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
 def _measured(options: argparse.Namespace, those: spread.Workers) -> dict[str, Any]:
     console, quick, report = Console(width=150), options.quick, dict[str, Any]()
     if "adversaries" in options.parts:
-        report |= adversaries(4.0 if quick else 15.0, KINDS[:1] if quick else KINDS, SPEEDS[1:2] if quick else SPEEDS)
+        report |= adversaries(3.0 if quick else 15.0, KINDS[:1] if quick else KINDS, SPEEDS[1:2] if quick else SPEEDS)
         for kind, row in report["adversaries"].items():
             console.print(f"{kind:16s} max |e|", "  ".join(f"{v}: {e:.3f} m" for v, e in row.items()))
     if "trained" in options.parts:
@@ -271,9 +271,9 @@ def _measured(options: argparse.Namespace, those: spread.Workers) -> dict[str, A
         for kind, row in report.get("agents", {}).items():
             console.print(f"{kind:16s} max |e|", "  ".join(f"{v}: {e:.3f} m" for v, e in row.items()))
     if "chatter" in options.parts:
-        report |= chatter(4.0 if quick else 20.0, (5.0,) if quick else (3.0, 5.0, 8.0))
+        report |= chatter(3.0 if quick else 20.0, (5.0,) if quick else (3.0, 5.0, 8.0))
     if "narrowing" in options.parts:
-        report |= narrowing(10.5, (5.0,)) if quick else narrowing(40.0, (3.0, 5.0, 8.0))
+        report |= narrowing(4.5, (5.0,), 3.0) if quick else narrowing(40.0, (3.0, 5.0, 8.0))
         for speed, row in report["narrowing"].items():
             console.print(f"0.42 m beside, {speed}:", ", ".join(f"{name} {value:.3g}" for name, value in row.items()))
     if "cost" in options.parts:

@@ -201,7 +201,7 @@ def require_equal_runs(loop: Loop) -> float:
     reference = simulate(loop, 100 * DT, state=start)["path.e"]
     runs = [python_control.run(make(loop, start), 100) for make in (python_control.two_systems, python_control.diagram)]
     runs += [
-        compile(loop, backend=b, collapse=c).run(100 * DT, state=start)["path.e"]
+        compile(loop, backend=b, record=["path.e"], collapse=c).run(100 * DT, state=start)["path.e"]
         for b in BACKENDS
         for c in (False, True)
     ]
@@ -328,7 +328,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     warnings.filterwarnings("ignore", message="Unused output")
     loop = closed_loop()
     agreement = require_equal_runs(loop)
-    rates = measured(contestants(loop, options.quick), 2 if options.quick else 15)
+    rates = measured(contestants(loop, options.quick), 1 if options.quick else 15)
     against = {base: ratios_to(rates, base) for base in (DIAGRAM, TWO, ONE)}
     ratios = against[DIAGRAM]
     print(f"\n20 Hz control steps a second, {os.cpu_count()} cores; all ways agree to {agreement:.0e} m\n")

@@ -79,7 +79,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Measure all parts, or those asked for, and print them."""
     quick, parts = options.quick, options.parts
-    names = options.controllers[:1] if quick else options.controllers
+    names = options.controllers[-1:] if quick else options.controllers
     backend: Backend = "python" if quick else "c"
     report: dict[str, Any] = {}
     if "closed_loop" in parts:
@@ -91,7 +91,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     if "unlike" in parts:
         report["unlike_x"] = {} if quick else unlike()
     if "mistold" in parts and options.mistold:
-        cars, seconds = (1, 10.0) if quick else (options.mistold, 60.0)
+        cars, seconds = (1, 7.0) if quick else (options.mistold, 60.0)
         report |= mistold(MISTOLD[:1] if quick else MISTOLD, options.first, cars, seconds)
     if "innovations" in parts:
         report |= innovations(2 if quick else 20, 8.0 if quick else 100.0, backend)
