@@ -77,7 +77,8 @@ class NativeProgram:
                     rows[-1] = end[list(self.recorded)]
                 return rows, lambda: end
             self._run_one(last, stop, state, parameters, rows[_kept(k, last, self.every) :])
-        return rows, lambda: self._as_run(self._finished(last, before, parameters), last, state, rows)
+        row = rows[-1:].copy()  # who has the rows may write into them
+        return rows, lambda: self._as_run(self._finished(last, before, parameters), last, state, row)
 
     def _run_one(self, k: int, stop: int, state: np.ndarray, parameters: np.ndarray, rows: np.ndarray) -> None:
         if k < stop:
@@ -88,11 +89,14 @@ class NativeProgram:
         self.finish(k)(_LL(k), _at(state), _at(parameters), _at(end), self._routines)
         return end
 
-    def _as_run(self, end: np.ndarray, last: int, state: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """All slots as the run has rounded them, where it kept them: going on from there is going on."""
+    def _as_run(self, end: np.ndarray, last: int, state: np.ndarray, row: np.ndarray) -> np.ndarray:
+        """All slots as the run has rounded them, where it kept them: going on from there is going on.
+
+        state: what it carries; row: what it recorded last, none or one.
+        """
         end[self.trace.carried] = state
         if last % self.every == 0 and self.recorded:
-            end[list(self.recorded)] = rows[-1]
+            end[list(self.recorded)] = row[0]
         return end
 
     def _held(self) -> contextlib.ExitStack:
@@ -131,13 +135,15 @@ class NativeProgram:
             go(last, stop, rows[_kept(k, last, every) :])
 
         _share(work, groups, (stop - k) * groups * self._effort)
+        rows = rows[..., :cars]
+        row = rows[-1:].copy()
 
         def end() -> np.ndarray:
             slots = np.empty((groups, len(self.trace.layout), lanes))
             self.finish(last, many=True)(_LL(last), _LL(0), _LL(groups), _at(before), _at(fixed), _at(slots))
-            return self._as_run(_apart(slots)[:, :cars], last, _apart(state)[:, :cars], rows[..., :cars])
+            return self._as_run(_apart(slots)[:, :cars], last, _apart(state)[:, :cars], row)
 
-        return rows[:, :, :cars], end
+        return rows, end
 
 
 _ENOUGH = 2e6

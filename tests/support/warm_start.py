@@ -100,11 +100,14 @@ def serve(path: str) -> tuple[list[str], dict[str, str]]:
     server.listen(64)
     os.rename(path + ".new", path)  # it is there when it listens
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = os.getppid()
     clients: dict[int, tuple[socket.socket, int]] = {}
     """By the descriptor of its program's process: who waits for it, and the process."""
     while True:
         waiting = {client.fileno(): ended for ended, (client, _) in clients.items()}
-        ready, _, _ = select.select([server.fileno(), *clients, *waiting], [], [])
+        ready, _, _ = select.select([server.fileno(), *clients, *waiting], [], [], 5.0)
+        if os.getppid() != parent and not clients:  # whoever started it was killed
+            os._exit(0)
         for ended in {waiting.get(number, number) for number in ready} - {server.fileno()}:
             client, program = clients.pop(ended)
             if ended not in ready:  # the client is gone without a word: it was killed

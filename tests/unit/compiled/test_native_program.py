@@ -215,3 +215,12 @@ def test_the_state_after_a_run_is_made_when_it_is_asked_for_and_is_the_last_row(
         assert len(loads) == (1 if ticks == 1 else 2)
         assert log.state.y == ((log["logistic.x"][-1], log["logistic.rest"][-1]),)
         assert len(loads) == 2
+
+
+@pytest.mark.parametrize("batch", [None, 5])
+def test_who_writes_into_a_log_does_not_change_the_state_after_it(batch: int | None) -> None:
+    program = chaos()
+    untouched, scaled = program.run(1.0, batch=batch), program.run(1.0, batch=batch)
+    for name in scaled:
+        scaled[name][...] *= 3.6
+    np.testing.assert_array_equal(np.array(scaled.state.y), np.array(untouched.state.y))
