@@ -36,6 +36,12 @@ class LoopState:
     y: tuple[Values, ...]
 
 
+def require_batch(where: str, batch: int | None) -> None:
+    """Raise ValueError unless `batch` is a number of cars, or None for one car."""
+    if batch is not None and not (isinstance(batch, int | np.integer) and batch >= 1):
+        raise ValueError(f"{where}: batch = {batch!r}, expected a number of cars >= 1, or None for one car")
+
+
 class Sample(Mapping[str, Any]):
     """The outputs of all blocks at one tick: `sample["car.v"]` or `sample[car.v]`."""
 
@@ -149,8 +155,7 @@ class Loop:
         outputs are needed before it can settle, and settling changes them, all settle once more; raises WiringError
         when that comes to no end.
         """
-        if batch is not None and not (isinstance(batch, int | np.integer) and batch >= 1):
-            raise ValueError(f"Loop.init: batch = {batch!r}, expected a number of cars >= 1, or None for one car")
+        require_batch("Loop.init", batch)
         if batch is not None:
             for name, block in self.blocks.items():
                 if not block.pure:

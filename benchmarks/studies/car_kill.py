@@ -32,6 +32,7 @@ from steerkit.learning.data.store import TransitionStore
 from steerkit.learning.settings import setting
 from steerkit.on_car import loop as loops
 from steerkit.on_car import processes
+from steerkit.on_car.configured import course_of
 from steerkit.on_car.learner import RUN, CarLearner
 from steerkit.plants.real_car import recording as tapes
 from steerkit.plants.real_car.decisions.core import Core
@@ -46,7 +47,7 @@ CONFIG = "dbw-kit.toml"
 def controller(folder: Path) -> None:
     """The process that is the controller: it learns, and says now and then what is safely on disk."""
     config = load(CONFIG)
-    path = loops.course_of(config)
+    path = course_of(config)
     with CarClient(str(folder / "socket")) as link:
         link.wait(timeout=10.0)
         built = lambda policy, doe: loops.car_loop(config, path, link, policy, doe=doe)  # noqa: E731
@@ -164,7 +165,7 @@ class Bench:
         try:
             recorded = tapes.read(copy)
             config = tapes.config_of(recorded)
-            frames, same = tapes.replayed_exactly(recorded, Core(config, loops.course_of(config)))
+            frames, same = tapes.replayed_exactly(recorded, Core(config, course_of(config)))
             whole = tapes.read(tapes.repair(copy, overwrite=True)[1]).sound
         except ValueError as error:
             return {"ok_recording": False, "why": str(error)}

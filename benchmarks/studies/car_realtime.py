@@ -30,6 +30,7 @@ from steerkit.clock import Clock
 from steerkit.on_car import loop as loops
 from steerkit.on_car import processes
 from steerkit.on_car import replay as replays
+from steerkit.on_car.configured import course_of
 from steerkit.plants.real_car import recording as tapes
 from steerkit.plants.real_car.decisions.core import Core
 from steerkit.plants.real_car.decisions.modes import Mode
@@ -52,7 +53,7 @@ def drive(
 ) -> dict[str, Any]:
     """One drive; its figures. safe: a learner's safety filter. seed: of the learner's nets and the human's speed."""
     config = load("dbw-kit.toml")
-    path = loops.course_of(config)
+    path = course_of(config)
     socket, tape, log = str(folder / "socket"), folder / "drive.mcap", folder / "car.jsonl"
     simulated, channel = processes.start_simulated(
         "dbw-kit.toml", time_scale=scale, log=str(log), listen=listen, options=("--seed", str(seed))

@@ -21,7 +21,7 @@ from steerkit.compiled.native_program import NativeProgram, Slots
 from steerkit.compiled.python_code import PythonProgram
 from steerkit.compiled.trace import Trace, TraceError, flattened, parameter, trace, with_parameters
 from steerkit.compiled.vm import VmProgram
-from steerkit.loop import Loop, LoopState, Sample
+from steerkit.loop import Loop, LoopState, Sample, require_batch
 from steerkit.native import NoCompilerError, compiler
 from steerkit.simulation import Log, Signal, check_finite
 
@@ -117,6 +117,7 @@ class Compiled:
         """
         if not (math.isfinite(duration) and duration > 0.0):
             raise ValueError(f"run: duration = {duration} s, expected a finite number > 0")
+        require_batch("run", batch)
         begin = time.perf_counter()
         values = self._values(parameters or {})
         cars = _cars(values, batch)

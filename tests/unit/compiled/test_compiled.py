@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 import warnings
@@ -148,3 +149,11 @@ def test_first_call_cost_is_told() -> None:
         c.run(1.0)
     assert c.first_call_seconds is not None
     assert c.first_call_seconds >= c.trace_seconds > 0.0
+
+
+@pytest.mark.parametrize("batch", [0, -1, 2.5, "3"])
+def test_a_batch_that_is_no_number_of_cars_is_told_wherever_the_run_begins(batch: Any) -> None:
+    c = compile(decay_loop(), backend="python")
+    for state in (None, c.run(1.0).state):
+        with pytest.raises(ValueError, match=re.escape(f"run: batch = {batch!r}, expected a number of cars >= 1")):
+            c.run(1.0, batch=batch, state=state)
