@@ -25,8 +25,8 @@ bench: $(BENCH)  ## learned against analytic controllers, a selection of some mi
 test test-all: export OMP_NUM_THREADS = 1
 # Tests start some hundred programs; without their bytecode each compiles the library anew, most of a second.
 test test-all: export PYTHONDONTWRITEBYTECODE =
-# They compile some sixty loops, which for a few seconds of driving takes longer than the driving.
-test test-all: export CC := $(CC) -O1
+# They compile some two hundred loops; for a few seconds of driving, to optimise them takes longer than the driving.
+test test-all: export CC := $(CC) -O0
 # Who has done his share takes over from the others: a long test at the end holds nobody up.
 test: $(READY)  ## all tests, on three processes: some wait for a car in real time
 	$(BIN)/python -m pytest -n 3 --dist worksteal

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import errno
+import functools
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -85,10 +86,16 @@ def demo(
     story.run(out, seed=seed, quiet=quiet)
 
 
+@functools.cache
+def command() -> Any:
+    """The commands as click has them; to put them together takes longer than many a command."""
+    return typer.main.get_command(app)
+
+
 def main() -> None:
     """Run the command line; a mistake of the user's is one line on stderr and exit code 2."""
     try:
-        app()
+        command()()
     except (ValueError, KeyError, OSError) as error:
         print(f"steerkit: {told(error)}", file=sys.stderr)
         full = isinstance(error, OSError) and error.errno in _NO_ROOM

@@ -20,9 +20,10 @@ import numpy as np
 import pytest
 
 from tests.support.browser import BROWSER
+from tests.support.compilers import optimising
 from tests.support.house import modules
 from tests.support.places import ROOT
-from tests.support.shell_lines import BLOCK, PAGES, blocks, lines_of
+from tests.support.shell_lines import BLOCK, FITTED, PAGES, blocks, lines_of
 
 GALLERY = ROOT / "docs" / "gallery.md"
 
@@ -45,9 +46,11 @@ CODE = [page for page in PAGES if page != GALLERY and any(language == "python" f
 
 @pytest.mark.parametrize("page", CODE, ids=name_of)
 def test_python_blocks_run_in_their_order_and_print_what_is_shown(
-    page: Path, python: tuple[str, ...], tmp_path: Path
+    page: Path, python: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A `text` block right after a `python` block is its output."""
+    if page.stem in FITTED:
+        monkeypatch.setenv("CC", optimising())
     fenced = blocks(page)
     done = run_in(tmp_path, *python, "-c", "\n".join(text for language, text in fenced if language == "python"))
     assert done.returncode == 0, done.stderr

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence
-from typing import Any
 
 import pytest
 import typer
@@ -14,7 +13,7 @@ from steerkit.cli import app as cli
 
 def parsed(words: Sequence[str]) -> None:
     """Parse `steerkit WORDS` as the command line does; raises its usage error. `--help` asks for no arguments."""
-    command: Any = typer.main.get_command(cli.app)
+    command = cli.command()
     rest = list(words)
     while hasattr(command, "commands") and rest != ["--help"]:
         name, *rest = rest

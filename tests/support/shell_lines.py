@@ -12,6 +12,8 @@ from tests.support.places import ROOT, SUPPORT
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("**/*.md"))]
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.M | re.S)
+FITTED = ("identification", "logs")
+"""Pages whose programs fit models to recordings, which takes longer than to optimise what drives them."""
 TABLE = SUPPORT / "shell_lines.toml"
 STUDIES = tuple(sorted({file.stem for file in (ROOT / "benchmarks" / "studies").glob("*.py")} - {"__init__"}))
 EXAMPLES = tuple(sorted(file.name for file in (ROOT / "examples").glob("*.py")))

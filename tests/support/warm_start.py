@@ -30,6 +30,7 @@ import sys
 import tempfile
 import threading
 import time
+import weakref
 from pathlib import Path
 from typing import Any
 
@@ -92,9 +93,12 @@ def serve(path: str) -> tuple[list[str], dict[str, str]]:
     for name in (*PACKAGES, *OURS):
         with contextlib.suppress(ImportError):  # an extra that is not installed
             importlib.import_module(name)
+    sys.modules["steerkit.cli.app"].command()
     sys.path.remove(root)
     gc.collect()
     gc.freeze()  # a look for garbage in a program would copy the memory of all packages
+    for end in list(weakref.finalize._registry):  # type: ignore[attr-defined]
+        end.atexit = False  # as would torch, which unregisters its operators one by one at the end
     server = socket.socket(socket.AF_UNIX)
     server.bind(path + ".new")
     server.listen(64)

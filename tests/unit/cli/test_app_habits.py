@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import typer
 from rich import markup
 
 import steerkit
@@ -53,7 +52,7 @@ def test_help_is_complete(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captur
         for below, inner in getattr(command, "commands", {}).items():
             all_of(inner, f"{name} {below}")
 
-    all_of(typer.main.get_command(cli.app), "steerkit")
+    all_of(cli.command(), "steerkit")
 
 
 def test_the_examples_of_the_help_page_are_valid_commands() -> None:

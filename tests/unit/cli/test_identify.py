@@ -12,6 +12,7 @@ from scipy.io import savemat
 from steerkit.cli import app as cli
 from steerkit.units import degrees_of
 from steerkit.vehicles import vehicle
+from tests.support.compilers import optimising
 from tests.support.recorded_cars import BASE, driven, noisy
 
 
@@ -25,6 +26,7 @@ def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
 
 
 def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setenv("CC", optimising())
     columns = noisy(driven(), 0)
     savemat(
         tmp_path / "lap.mat",

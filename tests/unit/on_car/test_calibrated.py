@@ -30,9 +30,22 @@ def after(before: dict[str, Estimated] | None = None, **found: tuple[float, floa
     return Calibrated(config=CONFIG, found=PRIOR | said, before=before or {}, log="d.mcap", digest="0")
 
 
-def test_the_file_is_a_car_and_its_steering(calibration: Made, tmp_path: Path) -> None:
+@pytest.fixture(scope="session")
+def told(calibration: Made) -> Calibrated:
+    """What the recording of that drive tells, which takes seconds to work out."""
+    return calibrated.of_recording(calibration.tape)
+
+
+@pytest.fixture
+def tape(calibration: Made, told: Calibrated, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """That recording, of which is known already what it tells."""
+    monkeypatch.setattr(calibrated, "of_recording", {calibration.tape: told}.__getitem__)
+    return calibration.tape
+
+
+def test_the_file_is_a_car_and_its_steering(calibration: Made, tape: Path, tmp_path: Path) -> None:
     out = tmp_path / "mine.toml"
-    figures = calibrated.from_recording(calibration.tape, out)
+    figures = calibrated.from_recording(tape, out)
     car = vehicle(str(out))
     assert car.steer_ratio == pytest.approx(RATIO * CONFIG.vehicle.steer_ratio, rel=0.03)
     assert car == replace(CONFIG.vehicle, name="vw-passat-calibrated", steer_ratio=car.steer_ratio)
@@ -53,14 +66,14 @@ def test_the_file_is_a_car_and_its_steering(calibration: Made, tmp_path: Path) -
 
 
 def test_a_second_drive_keeps_what_it_does_not_tell_and_says_what_has_changed(
-    calibration: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tape: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "mine.toml"
     row = {"unit": "1", "told_by": "drive"}
     earlier = {"understeer": {"value": 0.002, "low": 0.0015, "high": 0.0025, **row}}
     earlier["steer_ratio"] = {"value": 15.0, "low": 14.9, "high": 15.1, **row}
     out.write_text(calibrated.vehicle_text(CONFIG.vehicle, estimates=earlier), encoding="utf-8")
-    figures = calibrated.from_recording(calibration.tape, out)
+    figures = calibrated.from_recording(tape, out)
     (said,) = figures["changes"]
     assert said.startswith("changed since the last calibration: steering ratio 15.00 [14.90, 15.10] then, 17.")
     assert said in capsys.readouterr().out
@@ -68,7 +81,7 @@ def test_a_second_drive_keeps_what_it_does_not_tell_and_says_what_has_changed(
     assert data["estimates"]["understeer"]["value"] == 0.002
     assert data["estimates"]["understeer"]["told_by"] == "an earlier drive"
     assert data["provenance"]["changes"] == [said]
-    again = calibrated.from_recording(calibration.tape, out)
+    again = calibrated.from_recording(tape, out)
     assert again["changes"] == []
     assert tomllib.loads(out.read_text(encoding="utf-8"))["estimates"]["understeer"]["told_by"] == "an earlier drive"
 
@@ -102,15 +115,15 @@ def test_dead_time_and_lag_are_told_as_a_pair() -> None:
 
 
 def test_a_disk_that_is_full_leaves_the_old_file_and_names_the_recording(
-    calibration: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tape: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(calibrated, "write_text", full)
     with pytest.raises(OSError, match="No space") as error:
-        calibrated.from_recording(calibration.tape, tmp_path / "mine.toml", say=False)
-    assert f"--from {calibration.tape}" in error.value.__notes__[0]
+        calibrated.from_recording(tape, tmp_path / "mine.toml", say=False)
+    assert f"--from {tape}" in error.value.__notes__[0]
 
 
 @pytest.mark.parametrize(
@@ -130,8 +143,8 @@ def test_nothing_but_a_vehicle_file_is_written_over(tmp_path: Path, name: str, t
         calibrated.check_place(tmp_path / name)
 
 
-def test_every_estimate_has_a_place(calibration: Made) -> None:
-    assert [*calibrated.of_recording(calibration.tape).found] == [*ESTIMATES]
+def test_every_estimate_has_a_place(told: Calibrated) -> None:
+    assert [*told.found] == [*ESTIMATES]
 
 
 def test_from_the_command_line_as_json(

@@ -1,0 +1,26 @@
+"""How C code is compiled: `make test` has it compiled quickly, as most of it is run for less time than that takes."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from steerkit import native
+
+
+def optimising() -> str:
+    """$CC with which loops are optimised all the same: for what computes for longer, or is to be seen optimised."""
+    words = shlex.split(os.environ.get("CC", "")) or [*(native.compiler() or ["cc"])]
+    return shlex.join([*words, "-O1"])
+
+
+@contextmanager
+def optimised() -> Iterator[None]:
+    """With that compiler."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CC", optimising())
+        yield
