@@ -15,7 +15,7 @@ from collections.abc import Iterator
 import pytest
 from hypothesis import Phase, settings
 
-from tests.support.warm_start import Warm, command
+from tests.support.warm_start import SELDOM, Warm, command
 
 settings.register_profile("steerkit", deadline=None, print_blob=True)
 settings.register_profile(
@@ -26,7 +26,7 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "steerkit"))
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-gc.set_threshold(100_000, 50, 50)  # looking for garbage as often as usual takes a sixth of the tests' time
+gc.set_threshold(*SELDOM)
 
 
 @pytest.hookimpl(trylast=True)

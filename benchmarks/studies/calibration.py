@@ -54,18 +54,14 @@ TIMES = (5.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 90.0, 119.0)
 
 def lagd(options: argparse.Namespace) -> dict[str, Any]:
     """The worst error of a sine that comes back late."""
-    errors = []
-    for samples in range(3, 10):
-        for frequency in (0.1, 0.2, 0.5):
-            block = WheelDelay(prior_lag=0.03, prior_lag_deviation=0.02)  # told that there is next to no lag
-            x = block.init()
-            for k in range(600):
-                now, late = (radians_of(30.0) * np.sin(2.0 * np.pi * frequency * DT * i) for i in (k, k - samples))
-                u = dict(delta_sw_cmd=float(now), delta_sw_meas=float(late), v=20.0, active=1.0)
-                x = block.update(k * DT, x, block.U(**u), None)
-            # the sine is not held for a sample, as a command is: it comes half of one early
-            errors.append(block.output(0.0, x, ()).delay_lag - (samples - 0.5) * DT)
-    worst = 1e3 * float(np.abs(errors).max())
+    samples, frequency = (grid.ravel() for grid in np.meshgrid(np.arange(3, 10), (0.1, 0.2, 0.5)))
+    block = WheelDelay(prior_lag=0.03, prior_lag_deviation=0.02)  # told that there is next to no lag
+    x = block.init(samples.shape)
+    for k in range(600):
+        now, late = (radians_of(30.0) * np.sin(2.0 * np.pi * frequency * DT * i) for i in (k, k - samples))
+        x = block.update(k * DT, x, block.U(delta_sw_cmd=now, delta_sw_meas=late, v=20.0, active=1.0), None)
+    # the sine is not held for a sample, as a command is: it comes half of one early
+    worst = 1e3 * float(np.abs(block.output(0.0, x, ()).delay_lag - (samples - 0.5) * DT).max())
     print(f"\nA sine, 3 to 9 samples late: delay + lag within {worst:.1f} ms")
     return {"lagd_error_ms": worst}
 

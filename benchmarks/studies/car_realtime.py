@@ -56,7 +56,7 @@ def drive(
     path = course_of(config)
     socket, tape, log = str(folder / "socket"), folder / "drive.mcap", folder / "car.jsonl"
     simulated, channel = processes.start_simulated(
-        "dbw-kit.toml", time_scale=scale, log=str(log), listen=listen, options=("--seed", str(seed))
+        "dbw-kit.toml", time_scale=scale, log=str(log), listen=listen, seed=seed
     )
     with (folder / "server.log").open("w", encoding="utf-8") as text:
         server = processes.start_car_server(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import logging
 import sys
 from pathlib import Path as FilePath
 from typing import Annotated, Any
@@ -59,40 +58,18 @@ def simulate(
     v_min: Annotated[float, typer.Option(help="Slowest speed (m/s).")] = 4.0,
     v_max: Annotated[float, typer.Option(help="Fastest speed (m/s).")] = 6.0,
     log: Annotated[str, typer.Option(help="File for every command heard, as JSON lines.")] = "",
-    parent: Annotated[int, typer.Option(hidden=True, help="Process that starts it, and with which it ends.")] = 0,
 ) -> None:
     """A simulated car behind the same DBC on a bus of its own; faults come as lines on standard input.
 
     A line is KIND, `pose` or `report`, and if wanted LENGTH and AMOUNT, such as `drop pose 0.5`; an unknown one prints
     the kinds.
     """
-    from dataclasses import replace
-
-    from steerkit.clock import Clock
-    from steerkit.on_car import configured, processes
-    from steerkit.plants.real_car.frames.bus import BusPort
-    from steerkit.plants.real_car.frames.slcan_port import SlcanPort
+    from steerkit.on_car import serving
     from steerkit.units import radians_of
 
-    loaded, path = configured.loaded(config, "-")
-    arguments = configured.bus_of(channel)
-    if arguments and arguments["interface"] == "slcan":
-        raise ValueError(
-            f"--channel {channel!r} of a simulated car: expected INTERFACE:CHANNEL, as socketcan:vcan0; "
-            "leave it out for an slcan port of its own"
-        )
-    clock = Clock(scale=time_scale)
-    port = BusPort(arguments) if arguments else SlcanPort(listen)
-    known = loaded.vehicle
-    untold: dict[str, Any] = {"delay": delay, "lag": lag, "offset": radians_of(offset_deg)}
-    untold |= {"vehicle": replace(known, steer_ratio=ratio * known.steer_ratio)}
-    car = processes.simulated_car(loaded, path, seed=seed, v_min=v_min, v_max=v_max, t0=clock.now(), **untold)
-    print(f"channel {port.channel}", flush=True)
-    with contextlib.ExitStack() as stack:
-        stream = stack.enter_context(open(log, "w", encoding="utf-8")) if log else None
-        stack.callback(port.close)
-        with contextlib.suppress(KeyboardInterrupt):
-            processes.serve_simulated(car, port, clock, log=stream, faults=sys.stdin, parent=parent)
+    bus: dict[str, Any] = {"listen": listen, "channel": channel, "time_scale": time_scale, "log": log}
+    car: dict[str, Any] = {"ratio": ratio, "delay": delay, "lag": lag, "offset": radians_of(offset_deg)}
+    raise typer.Exit(serving.simulate(config, **bus, **car, seed=seed, v_min=v_min, v_max=v_max))
 
 
 @app.command()
@@ -106,25 +83,10 @@ def server(
     realtime: Annotated[bool, typer.Option(help="Run under SCHED_FIFO; needs the right to.")] = False,
 ) -> None:
     """The process that owns the bus. `steerkit drive --car` and `learn --car` start one where there is none."""
-    from steerkit.clock import Clock
-    from steerkit.on_car import configured, processes
-    from steerkit.plants.real_car.processes.server import CarServer
-    from steerkit.plants.real_car.recording import Recording, described
+    from steerkit.on_car import serving
 
-    logging.basicConfig(format="%(asctime)s %(name)s %(message)s", level=logging.INFO, stream=sys.stdout)
-    loaded, path = configured.loaded(config, channel)
-    if loaded.keep_recording and not recording:
-        raise ValueError(f"{config}: keep_recording = true, but nothing is recorded; give --recording FILE.mcap")
-    tape = Recording(recording, described(loaded, path, time_scale)) if recording else None
-    with contextlib.closing(tape) if tape else contextlib.nullcontext():
-        if realtime:
-            from steerkit.realtime import preferred
-
-            logging.info(preferred(threads=True))  # the bus's thread too, but not the recording's
-        clock = Clock(scale=time_scale)
-        CarServer(loaded, path, socket or processes.default_socket(), recording=tape, clock=clock, linger=linger).run()
-    if tape and tape.failed:
-        raise typer.Exit(1)
+    told: dict[str, Any] = {"socket": socket, "recording": recording, "channel": channel, "time_scale": time_scale}
+    raise typer.Exit(serving.server(config, **told, linger=linger, realtime=realtime))
 
 
 @app.command()
@@ -282,16 +244,3 @@ def tape(
         for line in estimates.report(estimators.found(), estimates.earlier(config)):
             print(f"  {line}")
     raise typer.Exit(2 if lacking else 1 if recorded.lost else 0)
-
-
-def main() -> None:
-    """Run `steerkit car` alone; a mistake of the user's, or a car that is gone, is one line and exit code 2."""
-    try:
-        app()
-    except (ValueError, KeyError, OSError) as error:
-        print(f"steerkit car: {error.args[0] if isinstance(error, KeyError) else error}", file=sys.stderr)
-        raise SystemExit(2) from None
-
-
-if __name__ == "__main__":
-    main()

@@ -10,7 +10,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path as FilePath
 from typing import Any, TextIO
 
@@ -39,9 +39,9 @@ def default_socket() -> str:
     return str(FilePath(folder) / f"steerkit-car-{os.getuid()}")
 
 
-def start(*words: str, **popen: Any) -> subprocess.Popen[str]:
-    """Start `steerkit car WORDS` as a process of its own, out of the terminal's reach (Ctrl-C is not for it)."""
-    command = [sys.executable, "-m", "steerkit.cli.car", *words]
+def start(name: str, told: Mapping[str, Any], **popen: Any) -> subprocess.Popen[str]:
+    """Start one of `steerkit.on_car.serving` as a process, out of the terminal's reach (Ctrl-C is not for it)."""
+    command = [sys.executable, "-m", "steerkit.on_car.serving", name, json.dumps(told)]
     return subprocess.Popen(command, encoding="utf-8", start_new_session=True, **popen)
 
 
@@ -57,11 +57,8 @@ def start_car_server(
     wait: float = 15.0,
 ) -> subprocess.Popen[str]:
     """Start the process that owns the bus, and wait until it answers; raises CarLost when it does not."""
-    options = ["--config", config, "--socket", socket_path, "--time-scale", str(time_scale)]
-    options += ["--recording", recording] if recording else []
-    options += ["--channel", channel] if channel else []
-    options += ["--realtime"] if realtime else []
-    process = start("server", *options, stdout=log, stderr=log)
+    told = {"config": config, "socket": socket_path, "recording": recording, "channel": channel}
+    process = start("server", {**told, "time_scale": time_scale, "realtime": realtime}, stdout=log, stderr=log)
     end = time.monotonic() + wait
     while time.monotonic() < end and process.poll() is None:
         try:
@@ -83,23 +80,13 @@ def last_line(log: str) -> str:
     return f"{said} (log: {log})"
 
 
-def start_simulated(
-    config: str,
-    *,
-    time_scale: float = 1.0,
-    log: str = "",
-    listen: str = "",
-    options: Sequence[str] = (),
-    wait: float = 15.0,
-) -> tuple[subprocess.Popen[str], str]:
+def start_simulated(config: str, **told: Any) -> tuple[subprocess.Popen[str], str]:
     """Start a simulated car; returns its process, which takes faults on its standard input, and its channel.
 
-    It ends with this program, however that ends.
+    told: what `serving.simulate` takes. It ends with this program, however that ends.
     """
-    words = ["simulate", "--config", config, "--time-scale", str(time_scale), "--parent", str(os.getpid()), *options]
-    words += ["--log", log] if log else []
-    words += ["--listen", listen] if listen else []
-    process = start(*words, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    told |= {"config": config, "parent": os.getpid()}
+    process = start("simulate", told, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     assert process.stdout is not None
     line = process.stdout.readline()
     if not line.startswith("channel "):

@@ -203,8 +203,8 @@ def test_a_full_disk_is_told_and_the_exit_code_says_so(tmp_path: Path, keep: boo
     socket, tape, log = str(tmp_path / "socket"), tmp_path / "drive.mcap", tmp_path / "server.log"
     with log.open("w") as stream:
         server = processes.start(
-            *("server", "--config", str(tmp_path / "car.toml"), "--channel", "virtual:x", "--recording", str(tape)),
-            *("--socket", socket),
+            "server",
+            {"config": str(tmp_path / "car.toml"), "channel": "virtual:x", "recording": str(tape), "socket": socket},
             stdout=stream,
             stderr=stream,
             preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, resource.RLIM_INFINITY)),

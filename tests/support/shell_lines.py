@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 import tomllib
 from collections.abc import Iterator
@@ -29,6 +30,7 @@ def blocks(page: Path) -> list[tuple[str, str]]:
     return BLOCK.findall(page.read_text(encoding="utf-8"))
 
 
+@functools.cache
 def lines_of(page: Path) -> list[str]:
     """The commands on a page: each line of a block without a language or marked `sh`, then those in running text."""
     fenced = [
@@ -68,6 +70,7 @@ def step(shown: str, **changes: object) -> Step:
     return Step(**{"shown": shown, "run": shown, **fields})  # type: ignore[arg-type]
 
 
+@functools.cache
 def table() -> tuple[dict[str, Step], dict[str, str]]:
     """(line -> how it is run, line -> why it is not run), as tests/support/shell_lines.toml says."""
     text = tomllib.loads(TABLE.read_text(encoding="utf-8"))

@@ -50,6 +50,8 @@ OURS = (
     *("steerkit.logs.reading", "steerkit.identification", "benchmarks.app", "benchmarks.run.runner"),
 )
 """Modules of this checkout, with all that they import; none of it asks environment, folder or terminal on import."""
+SELDOM = (100_000, 50, 50)
+"""How many new objects it takes for a look for garbage: as often as usual, it takes a sixth of the tests' time."""
 CLIENT = Path(__file__).with_name("warm_client.py")
 
 
@@ -97,6 +99,7 @@ def serve(path: str) -> tuple[list[str], dict[str, str]]:
     sys.path.remove(root)
     gc.collect()
     gc.freeze()  # a look for garbage in a program would copy the memory of all packages
+    gc.set_threshold(*SELDOM)
     for end in list(weakref.finalize._registry):  # type: ignore[attr-defined]
         end.atexit = False  # as would torch, which unregisters its operators one by one at the end
     server = socket.socket(socket.AF_UNIX)

@@ -8,21 +8,16 @@ from pathlib import Path
 
 import pytest
 
-from steerkit.cli import car as car_cli
 from steerkit.plants.real_car import recording as tapes
 from steerkit.plants.real_car.file.config import shipped
 from steerkit.plants.real_car.processes.server import CarServer
 from steerkit.plants.real_car.tape_file import contents
+from tests.support import command_lines
 from tests.support.tapes import LINES, flipped, small
 
 
 def run(*words: str, monkeypatch: pytest.MonkeyPatch) -> int:
-    monkeypatch.setattr("sys.argv", ["steerkit car", *words])
-    try:
-        car_cli.main()
-    except SystemExit as stop:
-        return int(stop.code or 0)
-    return 0
+    return command_lines.run("car", *words, monkeypatch=monkeypatch)
 
 
 def test_check_prints_what_is_read_and_written(
