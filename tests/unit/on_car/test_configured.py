@@ -1,10 +1,7 @@
-"""What a process of a car begins with: its file, its course, its bus; and nothing of the learner."""
+"""What a process of a car begins with: its file, its course, its bus."""
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -44,16 +41,3 @@ def test_a_course_that_nobody_knows_is_told_with_its_place(tmp_path: Path) -> No
     config.write_text(text.replace(f'name = "{load(KIT).course["name"]}"', 'name = "papre"'), encoding="utf-8")
     with pytest.raises(ValueError, match=r"car.toml: \[course\] name: .*papre"):
         loaded(str(config))
-
-
-@pytest.mark.parametrize("command", ["server", "simulate"])
-def test_a_process_of_the_car_imports_no_learner(command: str) -> None:
-    """Nor a command line: it is up sooner, and what is not there cannot fail. The bus is refused, after all imports."""
-    words = [command, json.dumps({"config": KIT, "channel": "nowhere:x"})]
-    code = f"import sys\nfrom steerkit.on_car.serving import main\ntry: main({words!r})\n"
-    code += "except BaseException as error: print(error, file=sys.stderr)\nprint(*sorted(sys.modules))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60.0)
-    names = done.stdout.splitlines()[-1].split()
-    assert {"steerkit.on_car.configured", "can"} <= {*names}, done.stderr
-    others = ("steerkit.learning", "steerkit.scenario", "steerkit.roads", "steerkit.cli", "typer", "pydantic", "rich")
-    assert [n for n in names if n.startswith(others)] == []
