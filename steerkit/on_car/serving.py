@@ -1,10 +1,7 @@
 """What runs in the processes of a car: the car server that owns its bus, and a simulated car behind the same DBC.
 
-`steerkit car server` and `steerkit car simulate` are these for people. `processes.start` runs them as
-
-    python -m steerkit.on_car.serving server '{"config": "dbw-kit.toml", "socket": "/run/car"}'
-
-without a command line's packages, and so they are up a third sooner.
+`steerkit car server` and `steerkit car simulate` are these for people. Programs start them as `python -m
+steerkit.on_car.serving server JSON`, without a command line's packages, and so they are up a third sooner.
 """
 
 from __future__ import annotations
