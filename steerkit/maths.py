@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import math
+import sys
 import threading
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -22,16 +23,22 @@ pi = math.pi
 
 
 _NUMBERS = (float, np.ndarray)
-_SYMBOLS: dict[type, bool] = {}
-"""Of each type met: is it one of CasADi's?"""
+_FUNCTIONS: dict[type, Any] = {}
+"""For each type met: what computes with it, None if it is no symbol."""
+
+
+def _functions(x: Scalar) -> Any:
+    """What has the functions for `x`: its type's own `functions`, or CasADi; None if it is no symbol of CasADi."""
+    kind = type(x)
+    if kind not in _FUNCTIONS:
+        of_casadi = kind.__module__.startswith("casadi")
+        _FUNCTIONS[kind] = getattr(kind, "functions", sys.modules["casadi"] if of_casadi else None)
+    return _FUNCTIONS[kind]
 
 
 def is_symbol(x: Scalar) -> bool:
     """Is `x` a CasADi symbol or expression? Asked without importing CasADi."""
-    kind = type(x)
-    if kind not in _SYMBOLS:
-        _SYMBOLS[kind] = kind.__module__.startswith("casadi")
-    return _SYMBOLS[kind]
+    return _functions(x) is not None
 
 
 def _unary(name: str, of_float: Callable[[float], float]) -> Callable[[Scalar], Scalar]:
@@ -40,10 +47,8 @@ def _unary(name: str, of_float: Callable[[float], float]) -> Callable[[Scalar], 
     def function(x: Scalar) -> Scalar:
         if x.__class__ is float:
             return of_float(x)
-        if is_symbol(x):
-            import casadi
-
-            return getattr(casadi, name)(x)
+        if (functions := _functions(x)) is not None:
+            return getattr(functions, name)(x)
         return of_array(x)
 
     function.__name__ = function.__qualname__ = name
@@ -66,10 +71,8 @@ def atan2(y: Scalar, x: Scalar) -> Scalar:
     """Angle of the vector (x, y) [rad], in [-pi, pi]."""
     if x.__class__ is float and y.__class__ is float:
         return math.atan2(y, x)
-    if is_symbol(x) or is_symbol(y):
-        import casadi
-
-        return casadi.atan2(y, x)
+    if (functions := _functions(x) or _functions(y)) is not None:
+        return functions.atan2(y, x)
     return np.arctan2(y, x)
 
 
@@ -77,10 +80,8 @@ def absolute(x: Scalar) -> Scalar:
     """|x|."""
     if x.__class__ is float:
         return abs(x)
-    if is_symbol(x):
-        import casadi
-
-        return casadi.fabs(x)
+    if (functions := _functions(x)) is not None:
+        return functions.fabs(x)
     return abs(x)
 
 
@@ -90,10 +91,8 @@ def where(condition: Scalar, yes: Scalar, no: Scalar) -> Scalar:
         return yes if condition else no
     if condition.__class__ is np.ndarray and yes.__class__ in _NUMBERS and no.__class__ in _NUMBERS and condition.ndim:
         return np.where(condition, yes, no)
-    if is_symbol(condition) or is_symbol(yes) or is_symbol(no):
-        import casadi
-
-        return casadi.if_else(condition, yes, no)
+    if (functions := _functions(condition) or _functions(yes) or _functions(no)) is not None:
+        return functions.if_else(condition, yes, no)
     if np.ndim(condition) == 0 and np.ndim(yes) == 0 and np.ndim(no) == 0:
         return yes if condition else no
     return np.where(condition, yes, no)
@@ -139,10 +138,8 @@ def both(a: Scalar, b: Scalar) -> Scalar:
     """Logical and."""
     if a.__class__ is bool and b.__class__ is bool:
         return a and b
-    if is_symbol(a) or is_symbol(b):
-        import casadi
-
-        return casadi.logic_and(a, b)
+    if (functions := _functions(a) or _functions(b)) is not None:
+        return functions.logic_and(a, b)
     return a & b
 
 
@@ -155,10 +152,8 @@ def either(a: Scalar, b: Scalar) -> Scalar:
     """Logical or."""
     if a.__class__ is bool and b.__class__ is bool:
         return a or b
-    if is_symbol(a) or is_symbol(b):
-        import casadi
-
-        return casadi.logic_or(a, b)
+    if (functions := _functions(a) or _functions(b)) is not None:
+        return functions.logic_or(a, b)
     return a | b
 
 

@@ -198,7 +198,7 @@ def from_symbols(
     graph = Graph()
     known: dict[int, int] = {x.element_hash(): graph.add("in", i) for i, x in enumerate(inputs)}
     for kind, number, arguments, answers in questions:
-        values = [_convert(graph, casadi.SX(a), known) for a in arguments]
+        values = [_convert(graph, a if isinstance(a, casadi.SX) else casadi.SX(a), known) for a in arguments]
         if kind == "call":
             called = graph.add("call", number, len(answers), *map(graph.number, values))
         for column, symbol in enumerate(answers):

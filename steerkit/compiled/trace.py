@@ -14,6 +14,7 @@ import casadi
 import numpy as np
 
 from steerkit.compiled.graph import Graph, Question, collapsed, from_symbols
+from steerkit.compiled.symbols import Symbol, symbol
 from steerkit.loop import Loop, LoopState
 from steerkit.maths import Routine, Table
 
@@ -154,7 +155,7 @@ def trace(loop: Loop, *, parameters: Sequence[str] = (), routines: bool = False)
     with _lock:
         present = {name: parameter(loop, name) for name in parameters}
         flat = flattened(present)
-        symbols = [casadi.SX.sym(f"p{i}") for i in range(len(flat))]
+        symbols = [symbol(f"p{i}") for i in range(len(flat))]
         open_loop = with_parameters(loop, _regrouped(present, symbols))
         tables: dict[int, tuple[int, Table]] = {}
         called: dict[int, tuple[int, Routine]] = {}
@@ -181,8 +182,8 @@ def _some_state(loop: Loop) -> LoopState:
 
 
 def _tick(loop: Loop, phase: int, layout: Layout, symbols: list[Any], tables: Any, routines: Any) -> Tick:
-    k = casadi.SX.sym("k")
-    slots = [casadi.SX.sym(f"s{i}") for i in range(len(layout))]
+    k = symbol("k")
+    slots = [symbol(f"s{i}") for i in range(len(layout))]
     x, y = layout.unpack(slots)
     with recorded_lookups(tables, routines) as lookups, exact_arithmetic():
         try:
@@ -200,22 +201,22 @@ def _tick(loop: Loop, phase: int, layout: Layout, symbols: list[Any], tables: An
 def traced(
     what: str, function: Callable[[Callable[[], Any]], Sequence[Any]], tables: dict[int, tuple[int, Table]]
 ) -> Tick:
-    """The graph of a function that is no loop: its values are the roots, and its inputs what `symbol()` gave it.
+    """The graph of a function that is no loop: its values are the roots, and its inputs what `new()` gave it.
 
-    function: is called once with `symbol`, which makes the next input, and gives its values. tables: by id, with their
+    function: is called once with `new`, which makes the next input, and gives its values. tables: by id, with their
     numbers; those that it looks into are added. Raises TraceError, beginning with `what`, if it cannot be run on
     symbols.
     """
     inputs: list[Any] = []
 
-    def symbol() -> Any:
-        inputs.append(casadi.SX.sym(f"i{len(inputs)}"))
+    def new() -> Any:
+        inputs.append(symbol(f"i{len(inputs)}"))
         return inputs[-1]
 
     with _lock, recorded_lookups(tables) as lookups, exact_arithmetic(), warnings.catch_warnings():
         warnings.simplefilter("ignore", FutureWarning)  # CasADi's, of a NumPy function that will not take its symbols
         try:
-            values = [_scalar(what, value) for value in function(symbol)]
+            values = [_scalar(what, value) for value in function(new)]
             graph, roots = from_symbols(values, inputs, lookups)
         except Exception as error:
             raise TraceError(f"{what} cannot be run on symbols: {type(error).__name__}: {error}") from error
@@ -233,7 +234,7 @@ def recorded_lookups(
     questions: list[Question] = []
 
     def noted(kind: str, number: int, arguments: Sequence[Any], size: int) -> list[Any]:
-        answers = [casadi.SX.sym(f"{kind}{len(questions)}_{i}") for i in range(size)]
+        answers = [symbol(f"{kind}{len(questions)}_{i}") for i in range(size)]
         questions.append(Question(kind, number, tuple(arguments), answers))
         return answers
 
@@ -265,15 +266,17 @@ def exact_arithmetic() -> Iterator[None]:
 
 
 def _scalar(name: str, value: Any) -> Any:
+    if type(value) is Symbol:
+        return value
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value.item()
     try:
-        symbol = casadi.SX(value)
+        expression = casadi.SX(value)
     except NotImplementedError:
-        symbol = None
-    if symbol is None or symbol.shape != (1, 1):
+        expression = None
+    if expression is None or expression.shape != (1, 1):
         raise TraceError(f"{name} is {value!r} when computed on symbols, expected one number; see steerkit.maths")
-    return casadi.densify(symbol)
+    return casadi.densify(expression)
 
 
 def _blame(loop: Loop, error: Exception) -> str:

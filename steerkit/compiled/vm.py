@@ -9,6 +9,7 @@ from typing import Any
 import casadi
 import numpy as np
 
+from steerkit.compiled import symbols
 from steerkit.compiled.graph import Graph
 from steerkit.compiled.trace import Trace, exact_arithmetic
 from steerkit.maths import Table
@@ -95,27 +96,29 @@ class VmProgram:
         for i in order:
             stage[i] = max((stage[j] for j in graph.operands(i)), default=0) + (graph.nodes[i][0] == "row")
         last = max(stage[i] for i in roots)
-        symbols: dict[int, Any] = {}
+        found: dict[int, Any] = {}
         inputs = [casadi.SX.sym("z", len(entry_of))]  # of the stage functions, which take all that came before
+        entries = symbols.numbers(inputs[0])
         arguments = [z]
         indices: dict[tuple[int, int], Any] = {}
         for now in range(last + 1):
-            looked_up: dict[tuple[int, int], Any] = {}
+            looked_up: dict[tuple[int, int], list[Any]] = {}
             for i in (i for i in order if stage[i] == now):
                 op, *operands = graph.nodes[i]
                 if op == "row":
                     table, index, column = operands
                     if (table, index) not in looked_up:
-                        row = looked_up[table, index] = casadi.SX.sym("row", self.tables[table].size1_out(0))
+                        row = casadi.SX.sym("row", self.tables[table].size1_out(0))
+                        looked_up[table, index] = symbols.numbers(row)
                         inputs.append(row)
                         arguments.append(self.tables[table](indices[table, index]))
-                    symbols[i] = looked_up[table, index][column]
+                    found[i] = looked_up[table, index][column]
                 elif op == "in":
-                    symbols[i] = inputs[0][entry_of[operands[0]]]
+                    found[i] = entries[entry_of[operands[0]]]
                 elif op == "const":
-                    symbols[i] = casadi.SX(float.fromhex(operands[0]))
+                    found[i] = symbols.constant(float.fromhex(operands[0]))
                 else:
-                    symbols[i] = _CALLS[op](*[symbols[j] for j in operands])
+                    found[i] = _CALLS[op](*[found[j] for j in operands])
             if now == last:
                 break
             later = [i for i in order if stage[i] > now]
@@ -125,7 +128,7 @@ class VmProgram:
             crossing = [
                 i for i in order if stage[i] == now and i in used and graph.nodes[i][0] not in ("const", "in", "row")
             ]
-            outputs = [casadi.vertcat(*[symbols[i] for i in crossing]), *[symbols[i] for _, i in lookups]]
+            outputs = [casadi.vertcat(*[found[i] for i in crossing]), *[found[i] for _, i in lookups]]
             function = casadi.Function(f"stage{now}", inputs, outputs)
             results = function.call(arguments)
             indices = dict(zip(lookups, results[1:]))
@@ -133,8 +136,8 @@ class VmProgram:
                 known = casadi.SX.sym("c", len(crossing))
                 inputs.append(known)
                 arguments.append(results[0])
-                symbols |= {i: known[n] for n, i in enumerate(crossing)}
-        function = casadi.Function("stage", inputs, [casadi.vertcat(*[symbols[i] for i in roots])])
+                found |= dict(zip(crossing, symbols.numbers(known)))
+        function = casadi.Function("stage", inputs, [casadi.vertcat(*[found[i] for i in roots])])
         return function.call(arguments)[0]
 
 
@@ -155,21 +158,21 @@ _CALLS: dict[str, Callable[..., Any]] = {
     "le": lambda a, b: a <= b,
     "eq": lambda a, b: a == b,
     "ne": lambda a, b: a != b,
-    "and": casadi.logic_and,
-    "or": casadi.logic_or,
-    "not": casadi.logic_not,
-    "select": casadi.if_else,
-    "abs": casadi.fabs,
-    "sqrt": casadi.sqrt,
-    "sin": casadi.sin,
-    "cos": casadi.cos,
-    "tan": casadi.tan,
-    "asin": casadi.asin,
-    "acos": casadi.acos,
-    "atan": casadi.atan,
-    "tanh": casadi.tanh,
-    "exp": casadi.exp,
-    "log": casadi.log,
-    "floor": casadi.floor,
-    "atan2": casadi.atan2,
+    "and": symbols.logic_and,
+    "or": symbols.logic_or,
+    "not": symbols.logic_not,
+    "select": symbols.if_else,
+    "abs": symbols.fabs,
+    "sqrt": symbols.sqrt,
+    "sin": symbols.sin,
+    "cos": symbols.cos,
+    "tan": symbols.tan,
+    "asin": symbols.asin,
+    "acos": symbols.acos,
+    "atan": symbols.atan,
+    "tanh": symbols.tanh,
+    "exp": symbols.exp,
+    "log": symbols.log,
+    "floor": symbols.floor,
+    "atan2": symbols.atan2,
 }

@@ -5,7 +5,6 @@ from functools import cache
 import casadi
 import numpy as np
 
-
 _AT_ONCE = 2000  # CasADi takes longer for each sample, the more there are
 
 
