@@ -75,11 +75,14 @@ def test_maths_finds_them() -> None:
 
     def equations(x: Any, y: Any) -> list[Any]:
         z = m.where(m.both(x > 0.0, m.either(y < 1.0, x == y)), m.sin(x) + m.atan2(y, x), m.clip(x, -1.0, y))
-        return [z, m.wrap(z), m.absolute(z), m.sqrt(z), m.tan(z), m.exp(-z), m.maximum(z, y), m.sign(z), m.tanh(z)]
+        return [z, m.wrap(z), m.absolute(z), m.sqrt(z * z), m.tan(z), m.exp(-z), m.maximum(z, y), m.sign(z), m.tanh(z)]
 
     for made, expected in zip(equations(a, b), equations(*plain), strict=True):
         assert type(made) is Symbol
         assert casadi.is_equal(made, expected, 50)
+    function = casadi.Function("f", [a, b], equations(a, b))
+    for x, y in ((1.3, 0.7), (-0.4, 2.0), (0.5, 0.5)):
+        np.testing.assert_allclose([float(v) for v in function(x, y)], equations(x, y), rtol=1e-14, atol=1e-14)
     assert m.is_symbol(a)
     assert m.is_symbol(A)
     assert not m.is_symbol(1.0)
@@ -90,6 +93,7 @@ def test_with_anything_else_it_is_left_to_casadi() -> None:
     row = casadi.SX.sym("v", 1, 3)
     for act in (operator.add, operator.sub, operator.mul, operator.truediv, operator.lt):
         assert casadi.is_equal(act(a, row), act(A, row), 20)
+        assert type(act(a, row)) is type(act(row, a)) is casadi.SX, "several numbers are no symbol"
         assert casadi.is_equal(act(row, a), act(row, A), 20)
         assert casadi.is_equal(act(a, B), act(A, B), 20)
         assert casadi.is_equal(act(B, a), act(B, A), 20)
