@@ -135,7 +135,7 @@ WRITTEN_BY = {
 """Files that Python blocks of a page write: the page under docs, and a word that only those blocks have."""
 
 
-def make(name: str, folder: Path, learned: Path) -> None:
+def make(name: str, folder: Path, learned: Path, python: tuple[str, ...]) -> None:
     """Make a file that a line needs."""
     if name in ("runs/default-paper-clean-seed3", "runs/mine", "runs/car", "my-run"):
         shutil.copytree(learned, folder / name)
@@ -154,9 +154,7 @@ def make(name: str, folder: Path, learned: Path) -> None:
         page, word = WRITTEN_BY[name]
         codes = [code for language, code in blocks(ROOT / "docs" / page) if language == "python" and word in code]
         environment = {**os.environ, "MPLBACKEND": "agg"}
-        subprocess.run(
-            [sys.executable, "-c", "\n".join(codes)], cwd=folder, env=environment, timeout=PATIENCE, check=True
-        )
+        subprocess.run([*python, "-c", "\n".join(codes)], cwd=folder, env=environment, timeout=PATIENCE, check=True)
     elif name in ("tests", "examples"):
         (folder / name).symlink_to(ROOT / name)
     else:
@@ -218,7 +216,7 @@ def test_the_shell_lines_of_a_page_run_in_their_order(page: Path, shell: Shell, 
     for step in story(page):
         for name in step.needs:
             if not (shell.folder / name).exists():
-                make(name, shell.folder, request.getfixturevalue("learned"))
+                make(name, shell.folder, request.getfixturevalue("learned"), request.getfixturevalue("python"))
         faults.append(carried_out(step, shell))
     assert not any(faults), "\n\n".join(filter(None, faults))
 
@@ -281,7 +279,7 @@ def test_a_line_that_fails_would_be_found(shell: Shell) -> None:
 def test_an_example_has_a_quick_form(script: str, shell: Shell) -> None:
     if script in OTHER_PACKAGES:
         pytest.importorskip(OTHER_PACKAGES[script])
-    make("examples", shell.folder, Path())
+    make("examples", shell.folder, Path(), ())
     assert carried_out(Step(shown="", run=EXAMPLE.format(script), prints="."), shell) == ""
 
 

@@ -280,9 +280,12 @@ def test_silent_readers_are_sent_away_so_that_others_are_answered(
 # ---- beside a run ---------------------------------------------------------------------------------------------------
 
 
-def learning(tmp_path: Path, out: str, *more: str) -> subprocess.Popen[str]:
+COLD = (sys.executable,)
+
+
+def learning(python: tuple[str, ...], tmp_path: Path, out: str, *more: str) -> subprocess.Popen[str]:
     (tmp_path / "my.toml").write_text(CONFIG)
-    words = [sys.executable, "-m", "steerkit", "learn", "--config", "my.toml", "--out", out, "--quiet", *more]
+    words = [*python, "-m", "steerkit", "learn", "--config", "my.toml", "--out", out, "--quiet", *more]
     return subprocess.Popen(words, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
@@ -315,8 +318,10 @@ def gone(port: int) -> None:
         time.sleep(0.05)
 
 
-def test_a_run_with_the_page_and_the_worst_of_readers_is_bit_for_bit_the_run_without(tmp_path: Path) -> None:
-    process = learning(tmp_path, "watched", "--live", "--port", "0")
+def test_a_run_with_the_page_and_the_worst_of_readers_is_bit_for_bit_the_run_without(
+    python: tuple[str, ...], tmp_path: Path
+) -> None:
+    process = learning(python, tmp_path, "watched", "--live", "--port", "0")
     port = port_of(process)
     hanging = [socket.create_connection(("127.0.0.1", port)) for _ in range(4)]
     for link in hanging:
@@ -335,7 +340,7 @@ def test_a_run_with_the_page_and_the_worst_of_readers_is_bit_for_bit_the_run_wit
         link.close()
     gone(port)  # the server has ended with the run
     assert seen
-    alone = learning(tmp_path, "alone")
+    alone = learning(python, tmp_path, "alone")
     assert alone.wait(SLOW) == 0
     assert product(tmp_path / "watched") == product(tmp_path / "alone")
     assert "one round of circle" in output
@@ -343,7 +348,7 @@ def test_a_run_with_the_page_and_the_worst_of_readers_is_bit_for_bit_the_run_wit
 
 def test_killed_the_one_or_the_other(tmp_path: Path) -> None:
     """The learner's end is the page's; the page's end is nothing to the learner."""
-    process = learning(tmp_path, "killed", "--live", "--port", "0", "--minutes", "600")
+    process = learning(COLD, tmp_path, "killed", "--live", "--port", "0", "--minutes", "600")
     port = port_of(process)
     assert answer(port).status == 200
     times: list[float] = []
@@ -359,7 +364,7 @@ def test_killed_the_one_or_the_other(tmp_path: Path) -> None:
     process.kill()
     process.communicate(timeout=SLOW)
     gone(port)
-    process = learning(tmp_path, "run", "--live", "--port", "0", "--minutes", "0.3")
+    process = learning(COLD, tmp_path, "run", "--live", "--port", "0", "--minutes", "0.3")
     port = port_of(process)
     (server,) = (int(pid) for pid in os.listdir("/proc") if pid.isdigit() and _parent(pid) == process.pid)
     os.kill(server, signal.SIGKILL)
@@ -376,10 +381,10 @@ def _parent(pid: str) -> int:
         return -1
 
 
-def test_a_port_that_is_taken_is_told_before_the_first_second(tmp_path: Path) -> None:
+def test_a_port_that_is_taken_is_told_before_the_first_second(python: tuple[str, ...], tmp_path: Path) -> None:
     with listening(0) as it:
         port = str(it.getsockname()[1])
-        process = learning(tmp_path, "run", "--live", "--port", port)
+        process = learning(python, tmp_path, "run", "--live", "--port", port)
         _, errors = process.communicate(timeout=SLOW)
     assert process.returncode == 2
     assert errors.startswith(f"steerkit: --port {port}: another program listens at 127.0.0.1:{port}; choose another")
@@ -387,12 +392,12 @@ def test_a_port_that_is_taken_is_told_before_the_first_second(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("command", ["show", "learn"])
-def test_a_page_that_stays_ends_with_ctrl_c(command: str, kept: Path, tmp_path: Path) -> None:
+def test_a_page_that_stays_ends_with_ctrl_c(command: str, python: tuple[str, ...], kept: Path, tmp_path: Path) -> None:
     if command == "show":
-        words = [sys.executable, "-m", "steerkit", "show", str(kept), "--live", "--port", "0"]
+        words = [*python, "-m", "steerkit", "show", str(kept), "--live", "--port", "0"]
         process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     else:
-        process = learning(tmp_path, "run", "--live", "--port", "0", "--stay", "--minutes", "0.1")
+        process = learning(python, tmp_path, "run", "--live", "--port", "0", "--stay", "--minutes", "0.1")
     port = port_of(process)
     if command == "learn":
         assert process.stdout is not None
