@@ -9,6 +9,8 @@ from typing import Any, NamedTuple
 
 import casadi
 
+from steerkit.compiled.symbols import Symbol
+
 Node = tuple[Any, ...]
 """`(op, *operands)`: operands are numbers of earlier nodes, except of const (its hex), in (slot), row (table number,
 index, column), call (routine number, how many numbers it gives, its arguments) and result (a call, column)."""
@@ -196,7 +198,7 @@ def from_symbols(
     Raises NotImplementedError for an operation that `steerkit.maths` does not have.
     """
     graph = Graph()
-    known: dict[int, int] = {x.element_hash(): graph.add("in", i) for i, x in enumerate(inputs)}
+    known: dict[Any, int] = {x.element_hash(): graph.add("in", i) for i, x in enumerate(inputs)}
     for kind, number, arguments, answers in questions:
         values = [_convert(graph, a if isinstance(a, casadi.SX) else casadi.SX(a), known) for a in arguments]
         if kind == "call":
@@ -207,16 +209,20 @@ def from_symbols(
     return graph, [graph.number(_convert(graph, e, known)) for e in expressions]
 
 
-def _convert(graph: Graph, root: Any, known: dict[int, int]) -> int:
-    """The node of an expression; known: nodes by their expressions' hashes, each asked for once: they cost."""
-    first = root.element_hash()
-    stack: list[tuple[Any, int, list[tuple[Any, int]] | None]] = [(root, first, None)]
+def _convert(graph: Graph, root: Any, known: dict[Any, int]) -> int:
+    """The node of an expression; known: nodes by what `_key` has for their expressions, asked for once: it costs."""
+    first = _key(root)
+    stack: list[tuple[Any, Any, list[tuple[Any, Any]] | None]] = [(root, first, None)]
     while stack:
         e, key, parts = stack.pop()
         if key in known:
             continue
         if parts is None:
-            parts = [(p, p.element_hash()) for p in map(e.dep, range(e.n_dep()))]
+            if type(e) is not Symbol and not isinstance(e, casadi.SX):
+                known[key] = graph.const(e)
+                continue
+            operands = getattr(e, "made_of", ())[1:] or [e.dep(i) for i in range(e.n_dep())]
+            parts = [(p, _key(p)) for p in operands]
             if not parts and e.is_constant():
                 known[key] = graph.const(float(e))
                 continue
@@ -229,8 +235,15 @@ def _convert(graph: Graph, root: Any, known: dict[int, int]) -> int:
     return known[first]
 
 
+def _key(e: Any) -> Any:
+    """What an expression is known by: CasADi's hash; what knows its operands, itself; a number, its digits."""
+    if type(e) is Symbol and e.made_of:
+        return "made", id(e)
+    return e.element_hash() if isinstance(e, casadi.SX) else float(e).hex()
+
+
 def _operation(graph: Graph, e: Any, parts: list[int]) -> int:
-    op = e.op()
+    op = e.made_of[0] if type(e) is Symbol and e.made_of else e.op()
     for names in (_UNARY, _BINARY, _COMPARE, _LOGIC):
         if op in names:
             return graph.add(names[op], *parts)

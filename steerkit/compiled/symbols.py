@@ -20,6 +20,8 @@ class Symbol(casadi.SX):
     """One number, as an expression."""
 
     functions = sys.modules[__name__]
+    made_of: tuple[Any, ...] = ()
+    """Operation and operands, to be read without asking CasADi; nothing for a new symbol, or a number."""
     __hash__ = casadi.SX.__hash__
 
 
@@ -47,15 +49,20 @@ def _marked(expression: Any) -> Symbol:
     return expression
 
 
+def _of(op: int, *operands: Any) -> Symbol:
+    made: Any = _binary(op, *operands) if len(operands) == 2 else _unary(op, *operands)
+    made.__class__ = Symbol
+    made.made_of = (op, *operands)
+    return made
+
+
 def _operator(name: str, op: int, *, swapped: bool = False) -> Callable[[Symbol, Any], Any]:
     otherwise = getattr(casadi.SX, name)
 
     def operator(self: Symbol, other: Any) -> Any:
         if type(other) not in _QUICK:
             return otherwise(self, other)
-        made = _binary(op, other, self) if swapped else _binary(op, self, other)
-        made.__class__ = Symbol
-        return made
+        return _of(op, other, self) if swapped else _of(op, self, other)
 
     return operator
 
@@ -71,14 +78,14 @@ for _name, _op in (("gt", casadi.OP_LT), ("ge", casadi.OP_LE)):
 
 def _function(op: int) -> Callable[[Symbol], Symbol]:
     def function(x: Symbol) -> Symbol:
-        return _marked(_unary(op, x))
+        return _of(op, x)
 
     return function
 
 
 def _of_two(op: int, otherwise: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
     def function(a: Any, b: Any) -> Any:
-        return _marked(_binary(op, a, b)) if type(a) in _QUICK and type(b) in _QUICK else otherwise(a, b)
+        return _of(op, a, b) if type(a) in _QUICK and type(b) in _QUICK else otherwise(a, b)
 
     return function
 
@@ -99,5 +106,5 @@ def if_else(condition: Any, yes: Any, no: Any) -> Any:
     """As CasADi writes it: (condition ? yes : 0) + (not condition ? no : 0)."""
     if type(condition) is not Symbol or type(yes) not in _QUICK or type(no) not in _QUICK:
         return casadi.if_else(condition, yes, no)
-    first = _binary(casadi.OP_IF_ELSE_ZERO, condition, yes)
-    return _marked(_binary(casadi.OP_ADD, first, _binary(casadi.OP_IF_ELSE_ZERO, _unary(casadi.OP_NOT, condition), no)))
+    first, otherwise = _of(casadi.OP_IF_ELSE_ZERO, condition, yes), _of(casadi.OP_NOT, condition)
+    return _of(casadi.OP_ADD, first, _of(casadi.OP_IF_ELSE_ZERO, otherwise, no))

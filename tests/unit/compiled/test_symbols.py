@@ -13,7 +13,9 @@ import pytest
 
 from steerkit import maths as m
 from steerkit.compiled import symbols
+from steerkit.compiled.graph import from_symbols
 from steerkit.compiled.symbols import Symbol, constant, numbers, symbol
+from steerkit.compiled.trace import exact_arithmetic
 
 OPERATORS = [getattr(operator, name) for name in ("add", "sub", "mul", "truediv", "lt", "le", "gt", "ge", "eq", "ne")]
 OF_ONE = ("sin", "cos", "tan", "asin", "acos", "atan", "tanh", "exp", "log", "sqrt", "floor", "fabs", "logic_not")
@@ -70,13 +72,13 @@ def test_a_choice_is_written_as_casadi_does() -> None:
         require_same(symbols.if_else, casadi.if_else, *parts)
 
 
+def equations(x: Any, y: Any) -> list[Any]:
+    z = m.where(m.both(x > 0.0, m.either(y < 1.0, x == y)), m.sin(x) + m.atan2(y, x), m.clip(x, -1.0, y))
+    return [z, m.wrap(z), m.absolute(z), m.sqrt(z * z), m.tan(z), m.exp(-z), m.maximum(z, y), m.sign(z), m.tanh(z)]
+
+
 def test_maths_finds_them() -> None:
     (a, b), plain = quick(A, B), (A, B)
-
-    def equations(x: Any, y: Any) -> list[Any]:
-        z = m.where(m.both(x > 0.0, m.either(y < 1.0, x == y)), m.sin(x) + m.atan2(y, x), m.clip(x, -1.0, y))
-        return [z, m.wrap(z), m.absolute(z), m.sqrt(z * z), m.tan(z), m.exp(-z), m.maximum(z, y), m.sign(z), m.tanh(z)]
-
     for made, expected in zip(equations(a, b), equations(*plain), strict=True):
         assert type(made) is Symbol
         assert casadi.is_equal(made, expected, 50)
@@ -113,3 +115,21 @@ def test_they_are_numbers_of_an_expression_and_keys_of_a_dictionary() -> None:
     assert [type(entry) for entry in numbers(casadi.SX.sym("v", 3))] == [Symbol] * 3
     assert {x: 1}[x] == 1
     assert float(y) == 2.5
+
+
+def test_a_graph_of_them_is_that_of_casadi_s_expressions() -> None:
+    a, b = quick(A, B)
+    with exact_arithmetic():
+        graphs = [from_symbols(equations(x, y), [x, y], []) for x, y in ((a, b), (A, B))]
+    (graph, roots), (theirs, expected) = graphs
+    assert (graph.nodes, roots) == (theirs.nodes, expected)
+
+
+def test_a_negative_zero_stays_one() -> None:
+    """CasADi's own number would be a positive one; the interpreted loop has the negative."""
+    (a,) = quick(A)
+    with exact_arithmetic():
+        graph, (root,) = from_symbols([m.where(a > 0.0, a, -0.0)], [a], [])
+    op, _, yes, no = graph.nodes[root]
+    assert (op, graph.nodes[yes]) == ("select", ("in", 0))
+    assert graph.nodes[no] == ("const", (-0.0).hex())
