@@ -110,8 +110,10 @@ class PathTracker(Block):
         cars = len(pose[0])
         groups = [slice(k, k + _CARS_AT_ONCE) for k in range(0, cars, _CARS_AT_ONCE)]
         s = np.concatenate([self._nearest(*(a[group] for a in pose)) for group in groups])
-        for _ in range(20):  # three do, unless the car is near the centre of a bend
-            s = self.path.inside(s + self._step(s, pose[0], pose[1], self.path.frame(s)))
+        for _ in range(20):  # four or five do, unless the car is near the centre of a bend
+            before, s = s, self.path.inside(s + self._step(s, pose[0], pose[1], self.path.frame(s)))
+            if (s == before).all():  # and would stay there
+                break
         return self.X(s, np.zeros(cars)) if any(map(np.ndim, (px, py, u.psi))) else self.X(float(s[0]), 0.0)
 
     def output(self, t: Any, x: Any, u: Any) -> Any:
