@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import casadi
 
-from steerkit.compiled.symbols import Symbol
+from steerkit.compiled.symbols import CHOICE, Symbol
 
 Node = tuple[Any, ...]
 """`(op, *operands)`: operands are numbers of earlier nodes, except of const (its hex), in (slot), row (table number,
@@ -244,6 +244,8 @@ def _key(e: Any) -> Any:
 
 def _operation(graph: Graph, e: Any, parts: list[int]) -> int:
     op = e.made_of[0] if type(e) is Symbol and e.made_of else e.op()
+    if op == CHOICE:
+        return graph.add(CHOICE, *parts)
     for names in (_UNARY, _BINARY, _COMPARE, _LOGIC):
         if op in names:
             return graph.add(names[op], *parts)

@@ -25,7 +25,9 @@ class Symbol(casadi.SX):
     __hash__ = casadi.SX.__hash__
 
 
-_QUICK = frozenset({Symbol, float, int, np.float64})
+_QUICK = frozenset({Symbol, float, int, bool, np.float64})
+CHOICE = "select"
+"""In place of an operation of CasADi's, in `Symbol.made_of`: condition, yes and no follow."""
 _unary, _binary = casadi.SX.unary, casadi.SX.binary
 
 
@@ -103,8 +105,10 @@ logic_or = _of_two(casadi.OP_OR, casadi.logic_or)
 
 
 def if_else(condition: Any, yes: Any, no: Any) -> Any:
-    """As CasADi writes it: (condition ? yes : 0) + (not condition ? no : 0)."""
+    """As CasADi writes it, (condition ? yes : 0) + (not condition ? no : 0); read as what it is, a choice."""
     if type(condition) is not Symbol or type(yes) not in _QUICK or type(no) not in _QUICK:
         return casadi.if_else(condition, yes, no)
-    first, otherwise = _of(casadi.OP_IF_ELSE_ZERO, condition, yes), _of(casadi.OP_NOT, condition)
-    return _of(casadi.OP_ADD, first, _of(casadi.OP_IF_ELSE_ZERO, otherwise, no))
+    first, otherwise = _binary(casadi.OP_IF_ELSE_ZERO, condition, yes), _unary(casadi.OP_NOT, condition)
+    made = _marked(_binary(casadi.OP_ADD, first, _binary(casadi.OP_IF_ELSE_ZERO, otherwise, no)))
+    made.made_of = (CHOICE, condition, yes, no)
+    return made
