@@ -10,6 +10,8 @@ import gc
 import os
 import shlex
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 
 import pytest
@@ -45,6 +47,9 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     """In the process that hands out the tests: those that take them start warm, and share the interpreter."""
     tx = session.config.getoption("tx", None)
     if tx and {*tx} == {"popen"}:
+        # meanwhile on the other core: what all of them would compile at once, in full
+        kernel = "from steerkit.learning.nfq import kernel; kernel.library()"
+        subprocess.Popen([sys.executable, "-c", kernel], stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         warm = Warm()
         warm.__enter__()
         session.config.add_cleanup(lambda: warm.__exit__())
