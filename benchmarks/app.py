@@ -302,5 +302,7 @@ def main() -> None:
     try:
         app()
     except (ValueError, KeyError, OSError) as error:
-        print(f"benchmarks: {error.args[0] if isinstance(error, KeyError) else error}", file=sys.stderr)
+        from steerkit.errors import in_one_line
+
+        print(f"benchmarks: {in_one_line(error)}", file=sys.stderr)
         raise SystemExit(2) from None

@@ -61,3 +61,13 @@ def whole_samples(where: str, name: str, value: Any, dt: float) -> int:
     ok = abs(value - n * dt) <= 1e-9
     require(ok, where, f"{name} = {value} [s], expected a multiple of dt = {dt:g} s; valid: {nearest}, or a finer dt")
     return n
+
+
+def in_one_line(error: Exception) -> str:
+    """An error in one line: what, where, and the notes that it was given on its way."""
+    text = str(error.args[0] if isinstance(error, KeyError) else error)
+    if isinstance(error, OSError) and error.strerror:
+        name = f"{error.filename}: " if error.filename is not None else ""
+        text = f"{name}{error.strerror}"
+    notes = getattr(error, "__notes__", ()) if isinstance(error, OSError) else ()
+    return " ".join("; ".join([text, *notes]).split("\n"))

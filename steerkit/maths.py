@@ -28,11 +28,11 @@ _FUNCTIONS: dict[type, Any] = {}
 
 
 def _functions(x: Scalar) -> Any:
-    """What has the functions for `x`: its type's own `functions`, or CasADi; None if it is no symbol of CasADi."""
+    """What has the functions for `x`: CasADi, or what a kind of its symbols names as `functions`; None for a number."""
     kind = type(x)
     if kind not in _FUNCTIONS:
-        of_casadi = kind.__module__.startswith("casadi")
-        _FUNCTIONS[kind] = getattr(kind, "functions", sys.modules["casadi"] if of_casadi else None)
+        of_casadi = any(base.__module__.startswith("casadi") for base in kind.__mro__)
+        _FUNCTIONS[kind] = getattr(kind, "functions", sys.modules["casadi"]) if of_casadi else None
     return _FUNCTIONS[kind]
 
 

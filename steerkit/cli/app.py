@@ -97,22 +97,14 @@ def main() -> None:
     try:
         command()()
     except (ValueError, KeyError, OSError) as error:
-        print(f"steerkit: {told(error)}", file=sys.stderr)
+        from steerkit.errors import in_one_line
+
+        print(f"steerkit: {in_one_line(error)}", file=sys.stderr)
         full = isinstance(error, OSError) and error.errno in _NO_ROOM
         raise SystemExit(1 if full else 2) from None
 
 
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-
-
-def told(error: Exception) -> str:
-    """An error in one line: what, where, and the notes that it was given on its way."""
-    text = str(error.args[0] if isinstance(error, KeyError) else error)
-    if isinstance(error, OSError) and error.strerror:
-        name = f"{error.filename}: " if error.filename is not None else ""
-        text = f"{name}{error.strerror}"
-    notes = getattr(error, "__notes__", ()) if isinstance(error, OSError) else ()
-    return " ".join("; ".join([text, *notes]).split("\n"))
 
 
 if __name__ == "__main__":

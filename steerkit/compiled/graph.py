@@ -200,7 +200,7 @@ def from_symbols(
     graph = Graph()
     known: dict[Any, int] = {x.element_hash(): graph.add("in", i) for i, x in enumerate(inputs)}
     for kind, number, arguments, answers in questions:
-        values = [_convert(graph, a if isinstance(a, casadi.SX) else casadi.SX(a), known) for a in arguments]
+        values = [_convert(graph, a, known) for a in arguments]
         if kind == "call":
             called = graph.add("call", number, len(answers), *map(graph.number, values))
         for column, symbol in enumerate(answers):
@@ -218,12 +218,8 @@ def _convert(graph: Graph, root: Any, known: dict[Any, int]) -> int:
         if key in known:
             continue
         if parts is None:
-            if type(e) is not Symbol and not isinstance(e, casadi.SX):
-                known[key] = graph.const(e)
-                continue
-            operands = getattr(e, "made_of", ())[1:] or [e.dep(i) for i in range(e.n_dep())]
-            parts = [(p, _key(p)) for p in operands]
-            if not parts and e.is_constant():
+            parts = [(p, _key(p)) for p in _operands(e)]
+            if not parts and not (isinstance(e, casadi.SX) and e.is_symbolic()):
                 known[key] = graph.const(float(e))
                 continue
             waiting = [(p, part, None) for p, part in parts if part not in known]
@@ -237,13 +233,25 @@ def _convert(graph: Graph, root: Any, known: dict[Any, int]) -> int:
 
 def _key(e: Any) -> Any:
     """What an expression is known by: CasADi's hash; what knows its operands, itself; a number, its digits."""
-    if type(e) is Symbol and e.made_of:
+    if _made_of(e):
         return "made", id(e)
     return e.element_hash() if isinstance(e, casadi.SX) else float(e).hex()
 
 
+def _made_of(e: Any) -> tuple[Any, ...]:
+    """Operation and operands, where the expression knows them itself."""
+    return e.made_of if type(e) is Symbol else ()
+
+
+def _operands(e: Any) -> Sequence[Any]:
+    """What an expression is computed from; nothing for a symbol that is new, or a number."""
+    if not isinstance(e, casadi.SX):
+        return ()
+    return _made_of(e)[1:] or [e.dep(i) for i in range(e.n_dep())]
+
+
 def _operation(graph: Graph, e: Any, parts: list[int]) -> int:
-    op = e.made_of[0] if type(e) is Symbol and e.made_of else e.op()
+    op = _made_of(e)[0] if _made_of(e) else e.op()
     if op == CHOICE:
         return graph.add(CHOICE, *parts)
     for names in (_UNARY, _BINARY, _COMPARE, _LOGIC):

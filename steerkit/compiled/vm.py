@@ -10,7 +10,7 @@ import casadi
 import numpy as np
 
 from steerkit.compiled import symbols
-from steerkit.compiled.graph import Graph
+from steerkit.compiled.graph import FUNCTIONS, Graph
 from steerkit.compiled.trace import Trace, exact_arithmetic
 from steerkit.maths import Table
 
@@ -163,16 +163,5 @@ _CALLS: dict[str, Callable[..., Any]] = {
     "not": symbols.logic_not,
     "select": symbols.if_else,
     "abs": symbols.fabs,
-    "sqrt": symbols.sqrt,
-    "sin": symbols.sin,
-    "cos": symbols.cos,
-    "tan": symbols.tan,
-    "asin": symbols.asin,
-    "acos": symbols.acos,
-    "atan": symbols.atan,
-    "tanh": symbols.tanh,
-    "exp": symbols.exp,
-    "log": symbols.log,
-    "floor": symbols.floor,
-    "atan2": symbols.atan2,
+    **{name: getattr(symbols, name) for name in FUNCTIONS},
 }

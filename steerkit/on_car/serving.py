@@ -15,6 +15,7 @@ from dataclasses import replace
 from typing import Any
 
 from steerkit.clock import Clock
+from steerkit.errors import in_one_line
 from steerkit.on_car import configured, processes
 
 
@@ -58,19 +59,14 @@ def simulate(
     channel: str = "",
     time_scale: float = 1.0,
     ratio: float = 1.0,
-    delay: float = 0.0,
-    lag: float = 0.1,
-    offset: float = 0.0,
-    seed: int = 0,
-    v_min: float = 4.0,
-    v_max: float = 6.0,
     log: str = "",
     parent: int = 0,
+    **car: Any,
 ) -> int:
     """A simulated car on a bus of its own, which takes faults on standard input; its exit code.
 
-    ratio: the true steering ratio over that of the data sheet. delay, lag [s]; offset [rad]; v_min, v_max [m/s].
-    parent: number of the process with which it ends; 0: with none. Raises ValueError for a channel of slcan.
+    ratio: the true steering ratio over that of the data sheet. car: what else `SimulatedCar` takes. parent: number of
+    the process with which it ends; 0: with none. Raises ValueError for a channel of slcan.
     """
     from steerkit.plants.real_car.frames.bus import BusPort
     from steerkit.plants.real_car.frames.slcan_port import SlcanPort
@@ -84,16 +80,14 @@ def simulate(
         )
     clock = Clock(scale=time_scale)
     port = BusPort(arguments) if arguments else SlcanPort(listen)
-    known = loaded.vehicle
-    untold: dict[str, Any] = {"delay": delay, "lag": lag, "offset": offset}
-    untold |= {"vehicle": replace(known, steer_ratio=ratio * known.steer_ratio)}
-    car = processes.simulated_car(loaded, path, seed=seed, v_min=v_min, v_max=v_max, t0=clock.now(), **untold)
+    true = replace(loaded.vehicle, steer_ratio=ratio * loaded.vehicle.steer_ratio)
+    simulated = processes.simulated_car(loaded, path, vehicle=true, t0=clock.now(), **car)
     print(f"channel {port.channel}", flush=True)
     with contextlib.ExitStack() as stack:
         stream = stack.enter_context(open(log, "w", encoding="utf-8")) if log else None
         stack.callback(port.close)
         with contextlib.suppress(KeyboardInterrupt):
-            processes.serve_simulated(car, port, clock, log=stream, faults=sys.stdin, parent=parent)
+            processes.serve_simulated(simulated, port, clock, log=stream, faults=sys.stdin, parent=parent)
     return 0
 
 
@@ -104,7 +98,7 @@ def main(words: Sequence[str]) -> int:
     try:
         return runs[name](**json.loads(told))
     except (ValueError, KeyError, OSError) as error:
-        print(f"steerkit car: {error.args[0] if isinstance(error, KeyError) else error}", file=sys.stderr)
+        print(f"steerkit car: {in_one_line(error)}", file=sys.stderr)
         return 2
 
 

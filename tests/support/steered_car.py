@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache
 from typing import Any
 
-import casadi
 import numpy as np
 
 from steerkit.block import Block
@@ -15,6 +13,7 @@ from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.plants.steering_column import SteeringColumn
 from steerkit.units import radians_of
 from steerkit.vehicles import Vehicle, vehicle
+from tests.support.stepped import from_there
 
 PASSAT = vehicle("vw-passat")
 HELD = 0.005
@@ -75,17 +74,8 @@ def driven(block: Block, signals: Signals, x: Any = None) -> Any:
 
 def driven_fast(block: Block, signals: Signals, x: Any = None) -> Any:
     """The same state to rounding, in CasADi's machine: for long signals."""
-    rows = casadi.DM(np.array([signals[port.name] for port in block.inputs], dtype=float))
-    after = _updated(block).fold(rows.shape[1])(casadi.DM(block.init() if x is None else x), rows)
-    return tuple(np.array(after).ravel().tolist())
-
-
-@cache
-def _updated(block: Block) -> casadi.Function:
-    """The next state, of a state and inputs."""
-    x, u = casadi.SX.sym("x", len(block.init())), casadi.SX.sym("u", len(block.inputs))
-    after = block.update(0.0, tuple(casadi.vertsplit(x)), block.U(*casadi.vertsplit(u)), None)
-    return casadi.Function("updated", [x, u], [casadi.vertcat(*after)])
+    rows = np.array([signals[port.name] for port in block.inputs]).T
+    return tuple(from_there(block, block.init() if x is None else x, rows)[1].tolist())
 
 
 def gaps(n: int) -> np.ndarray:

@@ -29,7 +29,12 @@ def run_fast(block, inputs):
 
     In CasADi's machine; not for a block that asks for the time.
     """
-    x, step = casadi.DM(_settled(block, block.init(), inputs[0])), sample(block)
+    return from_there(block, _settled(block, block.init(), inputs[0]), inputs)
+
+
+def from_there(block, x, inputs):
+    """The same from a state on."""
+    x, step = casadi.DM(x), sample(block)
     rows, found = np.array(inputs, dtype=float), []
     for part in np.split(rows, range(_AT_ONCE, len(rows), _AT_ONCE)):
         xs, ys = step.mapaccum(len(part))(x, casadi.DM(part.T))

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from steerkit.cli import app as cli
 from steerkit.learning import rundir
+from tests.support import command_lines
 from tests.support.short_run import published_on_a_circle
 
 
@@ -25,12 +25,7 @@ def sets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def command(*words: str, monkeypatch: pytest.MonkeyPatch) -> int:
-    monkeypatch.setattr("sys.argv", ["steerkit", "export", *words])
-    try:
-        cli.main()
-    except SystemExit as stop:
-        return int(stop.code or 0)
-    return 0
+    return command_lines.run("export", *words, monkeypatch=monkeypatch)
 
 
 def test_both_in_one_command(

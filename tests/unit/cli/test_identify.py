@@ -9,20 +9,15 @@ from typing import Any
 import pytest
 from scipy.io import savemat
 
-from steerkit.cli import app as cli
 from steerkit.units import degrees_of
 from steerkit.vehicles import vehicle
+from tests.support import command_lines
 from tests.support.compilers import optimising
 from tests.support.recorded_cars import BASE, driven, noisy
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
-    monkeypatch.setattr("sys.argv", ["steerkit", "identify", *words])
-    try:
-        cli.main()
-    except SystemExit as stop:
-        return int(stop.code or 0)
-    return 0
+    return command_lines.run("identify", *words, monkeypatch=monkeypatch)
 
 
 def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

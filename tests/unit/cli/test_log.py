@@ -9,17 +9,12 @@ import numpy as np
 import pytest
 
 from benchmarks.written_logs import driven, written
-from steerkit.cli import app as cli
 from steerkit.logs import read_drive
+from tests.support import command_lines
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
-    monkeypatch.setattr("sys.argv", ["steerkit", "log", *words])
-    try:
-        cli.main()
-    except SystemExit as stop:
-        return int(stop.code or 0)
-    return 0
+    return command_lines.run("log", *words, monkeypatch=monkeypatch)
 
 
 def test_a_log_is_shown_drawn_and_written_as_a_table(
