@@ -97,8 +97,8 @@ def run(
     from benchmarks.run.runner import run as carry_out
     from benchmarks.run.spread import WorkersDiedError
     from benchmarks.suites import elsewhere, suite
-    from steerkit.catalogue import make_controller
     from steerkit.scenario import Scenario
+    from steerkit.scenario.catalogue import make_controller
 
     chosen = [elsewhere(suite(name), course=course, vehicle=vehicle, controllers=controllers or ()) for name in suites]
     for name in controllers or ():
@@ -302,7 +302,7 @@ def main() -> None:
     try:
         app()
     except (ValueError, KeyError, OSError) as error:
-        from steerkit.errors import in_one_line
+        from steerkit._support.errors import in_one_line
 
         print(f"benchmarks: {in_one_line(error)}", file=sys.stderr)
         raise SystemExit(2) from None

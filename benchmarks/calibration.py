@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit.block import Block
 from steerkit.compiled import Backend, compile
-from steerkit.controllers.estimators.single_track_filter import SingleTrackFilter
-from steerkit.controllers.estimators.steering_delay import WheelDelay, YawDelay
-from steerkit.controllers.estimators.steering_wear import SteeringFriction, SteeringPlay
+from steerkit.diagram.block import Block
+from steerkit.diagram.units import radians_of
+from steerkit.estimators.single_track_filter import SingleTrackFilter
+from steerkit.estimators.steering_delay import WheelDelay, YawDelay
+from steerkit.estimators.steering_wear import SteeringFriction, SteeringPlay
 from steerkit.scenario import Scenario, fleet_scenario
 from steerkit.scenario.drive import assembled, controller
 from steerkit.task import DT
-from steerkit.units import radians_of
 from steerkit.vehicles import Vehicle
 
 Array = NDArray[np.float64]

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from steerkit.diagram.simulation import simulate
+from steerkit.diagram.units import degrees_of
 from steerkit.metrics.signals import largest, rates, rms
 from steerkit.scenario import Scenario, fleet_scenario
 from steerkit.scenario.drive import controller, drive_loop
-from steerkit.simulation import simulate
 from steerkit.task import DT
-from steerkit.units import degrees_of
 
 DELAY_OFF, OFFSET_OFF_DEG, RATIOS = 0.2, 3.0, (0.8, 1.25)
 """How wrong what is told is: dead time [s] and offset [degrees], to either side; true ratio over the data sheet's."""

@@ -7,12 +7,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 
-from steerkit import catalogue
-from steerkit.block import Block
-from steerkit.catalogue import OWN, make_controller
-from steerkit.outside import fingerprint, is_outside
+from steerkit._support.plugins import fingerprint, is_outside
+from steerkit.diagram.block import Block
 from steerkit.plants.linear_single_track import LinearSingleTrack
-from steerkit.scenario import Scenario
+from steerkit.scenario import Scenario, catalogue
+from steerkit.scenario.catalogue import OWN, make_controller
 
 Make = Callable[[Scenario], Block]
 TOLD_TRUTH = "-told-truth"
@@ -209,7 +208,7 @@ CONTROLLERS: Mapping[str, Controller] = {c.name: c for c in _TABLE}
 
 
 def controller(name: str) -> Controller:
-    """The controller of that name, or one of a user's own, such as `my_file.py:make` (`steerkit.catalogue.OWN`).
+    """The controller of that name, or a user's own, such as `my_file.py:make` (`steerkit.scenario.catalogue.OWN`).
 
     Raises ValueError with the nearest and the valid names, and for a file or module that is not there.
     """

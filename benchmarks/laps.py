@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit.controllers.estimators.vehicle_state import VehicleState
+from steerkit.diagram.units import radians_of
+from steerkit.estimators.vehicle_state import VehicleState
 from steerkit.identification import identify, read_drive
 from steerkit.metrics.signals import rms
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.task import DT
-from steerkit.units import radians_of
 from steerkit.vehicles import vehicle
 
 Array = NDArray[np.float64]

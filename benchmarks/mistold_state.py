@@ -8,12 +8,12 @@ import numpy as np
 from scipy.stats import chi2
 
 from benchmarks.calibration_loop import OFFSET_OFF_DEG, mistold
+from steerkit.diagram.simulation import simulate
+from steerkit.diagram.units import degrees_of
 from steerkit.metrics.signals import rates, rms
 from steerkit.scenario import Scenario
 from steerkit.scenario.drive import controller, drive_loop
-from steerkit.simulation import simulate
 from steerkit.task import DT
-from steerkit.units import degrees_of
 
 KINDS = ("none", "vehicle-state", "adaptive-state")
 """What stands between sensors and controllers."""

@@ -7,16 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from steerkit.assembly import placed
-from steerkit.block import Block
-from steerkit.catalogue import Belief
 from steerkit.compiled import compile
-from steerkit.courses import course
-from steerkit.loop import Loop
+from steerkit.diagram.block import Block
+from steerkit.diagram.loop import Loop
+from steerkit.diagram.simulation import Log, simulate
+from steerkit.paths.courses import course
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario import Scenario
+from steerkit.scenario.assembly import placed
+from steerkit.scenario.catalogue import Belief
 from steerkit.scenario.drive import assembled
-from steerkit.simulation import Log, simulate
 from steerkit.vehicles import vehicle
 
 CAR = vehicle("vw-passat")

@@ -7,11 +7,11 @@ from dataclasses import asdict, replace
 from functools import lru_cache, partial
 from typing import Any
 
-from steerkit.block import Block
-from steerkit.catalogue import PLANTS
-from steerkit.courses import random_course
-from steerkit.loop import Loop
+from steerkit.diagram.block import Block
+from steerkit.diagram.loop import Loop
+from steerkit.paths.courses import random_course
 from steerkit.scenario import END_MARGIN, Scenario
+from steerkit.scenario.catalogue import PLANTS
 from steerkit.scenario.drive import drive_loop
 from steerkit.scenario.fleet import fleet_scenario, straightest
 

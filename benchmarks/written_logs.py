@@ -11,8 +11,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from steerkit.simulation import Log
-from steerkit.units import degrees_of, radians_of
+from steerkit.diagram.simulation import Log
+from steerkit.diagram.units import degrees_of, radians_of
 
 DBC = """\
 VERSION ""

@@ -22,10 +22,10 @@ from typing import Any
 import gymnasium
 
 from steerkit.controllers.stanley import Stanley
+from steerkit.diagram.simulation import Log
 from steerkit.gym import PolicyBlock, Task, from_stable_baselines
 from steerkit.metrics import of_log
 from steerkit.scenario.drive import drive, held_all_along
-from steerkit.simulation import Log
 
 FAILURE = 4.0  # above what staying anywhere may cost a learner who looks 1/(1 - 0.98) = 50 samples ahead: 0.05 a sample
 AGENTS: dict[str, dict[str, Any]] = {

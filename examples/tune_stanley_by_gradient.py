@@ -18,14 +18,14 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from steerkit.assembly import placed, steering_loop
 from steerkit.compiled import compile, gradient
 from steerkit.controllers.stanley import Stanley
-from steerkit.courses import course
-from steerkit.loop import Loop
+from steerkit.diagram.loop import Loop
+from steerkit.paths.courses import course
 from steerkit.plants.human import ConstantSpeed
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator
+from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import vehicle
 
 GAINS = {"controller.k": (0.3, 8.0), "controller.k_d_yaw": (0.0, 0.6), "controller.k_d_steer": (0.0, 0.9)}

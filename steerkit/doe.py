@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from steerkit import maths as m
-from steerkit.block import Block, In, Out
-from steerkit.errors import require
+from steerkit._support.errors import require
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, In, Out
 from steerkit.task import STOP
 
 

@@ -5,7 +5,7 @@ Source: Riedmiller, Montemerlo, Dahlkamp 2007, but for `A_Y_MAX` and `JERK_MAX`.
 
 from __future__ import annotations
 
-from steerkit.units import radians_of
+from steerkit.diagram.units import radians_of
 
 TRIP = 0.5
 """|e| that must not be exceeded [m]: beyond it a learner loses the wheel and a drive is not held."""

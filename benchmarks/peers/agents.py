@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 
 from benchmarks.run.results import CURVE
-from steerkit.block import Block, In, Out, State
 from steerkit.controllers.network_policy import BOUND, Network, PolicyBlock
+from steerkit.diagram.block import Block, In, Out, State
+from steerkit.diagram.maths import Scalar
+from steerkit.diagram.units import radians_of
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.settings import Setting
-from steerkit.maths import Scalar
 from steerkit.task import DT, STOP
-from steerkit.units import radians_of
 
 TOLD_OF_FAILURE = 4.0
 """What a failure costs an agent that discounts by 0.98: above 0.05 a sample for ever, or failing would pay."""

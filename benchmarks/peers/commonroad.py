@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from steerkit.block import State
-from steerkit.errors import require
+from steerkit._support.errors import require
+from steerkit.diagram.block import State
 from steerkit.plants.car import Car
 from steerkit.vehicles import BMW_320I, FORD_ESCORT, Vehicle
 

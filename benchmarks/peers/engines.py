@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from steerkit.block import Block
 from steerkit.compiled.graph import FUNCTIONS, Graph
 from steerkit.compiled.trace import Trace, trace
-from steerkit.loop import Loop, LoopState
+from steerkit.diagram.block import Block
+from steerkit.diagram.loop import Loop, LoopState
 
 Run = Callable[[int], np.ndarray]
 """Steps to cross-track errors (steps,) [m]."""

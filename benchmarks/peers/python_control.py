@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from steerkit.block import Block
-from steerkit.loop import Loop, LoopState
+from steerkit.diagram.block import Block
+from steerkit.diagram.loop import Loop, LoopState
 
 Made = tuple[Any, list[float]]
 """A system of python-control, and its start state."""

@@ -14,21 +14,21 @@ from benchmarks.entries import controller
 from benchmarks.peers.agents import SETTINGS
 from benchmarks.run.results import TRAJECTORY
 from benchmarks.scenarios import open_parameters, shape, suite_loop
-from steerkit.block import Block
-from steerkit.catalogue import make_element
 from steerkit.compiled import Compiled, TraceError, compile
 from steerkit.compiled.trace import parameter
 from steerkit.controllers.network_policy import PolicyBlock
 from steerkit.controllers.nfq_native import Kind
 from steerkit.controllers.nfq_policy import NfqPolicy
-from steerkit.loop import Loop, Sample
+from steerkit.diagram.block import Block
+from steerkit.diagram.loop import Loop, Sample
+from steerkit.diagram.simulation import Log
 from steerkit.metrics import measures, step_times
-from steerkit.path import Path
+from steerkit.paths.path import Path
+from steerkit.paths.tracker import PathTracker
 from steerkit.scenario import Scenario
 from steerkit.scenario.ahead import PolicyProgram, driven, program_of
-from steerkit.simulation import Log
+from steerkit.scenario.catalogue import make_element
 from steerkit.task import DT, TRIP
-from steerkit.tracker import PathTracker
 from steerkit.vehicles import Vehicle
 
 OFF_COURSE = 3.0

@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 from benchmarks.run.compare import Change, same
 from benchmarks.run.results import Results
 from benchmarks.suites import suite
-from steerkit.files import write_text
+from steerkit._support.files import write_text
 
 _PLACE = FilePath("tests", "golden", "benchmarks.json")
 TOLERANCES = {"rel": 1e-6, "abs": 1e-8}

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from steerkit.files import read_npz, whole, write_npz, write_text
+from steerkit._support.files import read_npz, whole, write_npz, write_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -218,7 +218,7 @@ class Store:
     ) -> None:
         """Write a finished case, its JSON last: a kill before that leaves it unfinished, after that finished.
 
-        durable: wait for the disk, see `steerkit.files.whole`.
+        durable: wait for the disk, see `steerkit._support.files.whole`.
         """
         for folder, arrays in (("trajectories", trajectory), ("curves", curve)):
             if arrays is not None:

@@ -18,8 +18,8 @@ import numpy as np
 from benchmarks.run.fleet import first_good
 from benchmarks.run.sources import source
 from benchmarks.run.spread import Workers
-from steerkit.errors import require
-from steerkit.files import append_line
+from steerkit._support.errors import require
+from steerkit._support.files import append_line
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.settings import DEFAULT
 from steerkit.learning.training_run import Taken, train

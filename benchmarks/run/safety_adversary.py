@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit import maths as m
-from steerkit.block import Block, In, Out, State
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, In, Out, State
 from steerkit.scenario import Scenario
 from steerkit.task import STOP
 

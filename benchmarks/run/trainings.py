@@ -12,9 +12,9 @@ import numpy as np
 from benchmarks.peers.agents import SETTINGS, d3rlpy_nfq, stable_baselines
 from benchmarks.run.drives import Policy, drive
 from benchmarks.run.results import CURVE, TRAJECTORY
+from steerkit._support.errors import require
 from steerkit.controllers.network_policy import PolicyBlock
 from steerkit.controllers.nfq_policy import NfqPolicy
-from steerkit.errors import require
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.offline import offline
 from steerkit.learning.settings import Setting, setting

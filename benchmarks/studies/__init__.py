@@ -22,7 +22,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from steerkit.errors import known
+from steerkit._support.errors import known
 
 _FILES = {file.stem: file for file in sorted(Path(__file__).parent.glob("*.py")) if file.stem != "__init__"}
 NAMES = tuple(_FILES)

@@ -27,13 +27,13 @@ from rich.progress import track
 from rich.table import Table
 
 from benchmarks.run.fleet import of_kind
-from steerkit import maths as m
-from steerkit.block import In, State
 from steerkit.controllers import forecast as ahead
 from steerkit.controllers.forecast import Forecast, Motion, moved
 from steerkit.controllers.nfq_policy import Net, NfqPolicy
 from steerkit.controllers.policy import ACTION, COLUMNS, DOE, E_DOT, PSI_E, R_E, E, Policy, V
 from steerkit.controllers.state_description import StateDescription
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import In, State
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.nfq.dead_time import Process, process_of

@@ -34,17 +34,17 @@ import numpy as np
 
 from benchmarks.calibration import drawn, estimated, estimators
 from benchmarks.calibration_loop import driven, mistold
-from steerkit.block import Block, Out
 from steerkit.compiled import Backend, Compiled, compile
-from steerkit.controllers.estimators.estimate import estimated as quantity
-from steerkit.controllers.estimators.single_track_filter import SingleTrackFilter
-from steerkit.controllers.estimators.steering_delay import WheelDelay
+from steerkit.diagram.block import Block, Out
+from steerkit.diagram.loop import Loop
+from steerkit.diagram.maths import sin
+from steerkit.diagram.units import degrees_of, radians_of
+from steerkit.estimators.estimate import estimated as quantity
+from steerkit.estimators.single_track_filter import SingleTrackFilter
+from steerkit.estimators.steering_delay import WheelDelay
 from steerkit.identification import identify, read_drive, shipped_drives
-from steerkit.loop import Loop
-from steerkit.maths import sin
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.task import DT
-from steerkit.units import degrees_of, radians_of
 from steerkit.vehicles import vehicle
 
 CLOSE = 0.010

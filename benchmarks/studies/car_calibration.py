@@ -19,16 +19,15 @@ from typing import Any
 import numpy as np
 from scipy.signal import lfilter
 
-from steerkit import realtime
-from steerkit.courses import course
-from steerkit.on_car import processes
-from steerkit.on_car.calibration import Guided
-from steerkit.on_car.estimates import Watched
-from steerkit.plants.real_car.decisions.core import Core, Frame, Link, Packet, Reply, Send, Tick
-from steerkit.plants.real_car.decisions.modes import Mode, Order
-from steerkit.plants.real_car.file.reading import load
-from steerkit.plants.real_car.processes import protocol
-from steerkit.units import degrees_of, radians_of
+from steerkit.car import processes, protocol
+from steerkit.car.calibration import Guided
+from steerkit.car.config.reading import load
+from steerkit.car.core import Core, Frame, Link, Packet, Reply, Send, Tick
+from steerkit.car.estimates import Watched
+from steerkit.car.state_machine import Mode, Order
+from steerkit.diagram import realtime
+from steerkit.diagram.units import degrees_of, radians_of
+from steerkit.paths.courses import course
 
 Timed = Sequence[tuple[float, float]]
 """Times [s] and angles [rad]."""

@@ -26,18 +26,18 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from steerkit.clock import Clock
-from steerkit.files import write_text
+from steerkit._support.clock import Clock
+from steerkit._support.files import write_text
+from steerkit.car import loop as loops
+from steerkit.car import processes
+from steerkit.car import recording as tapes
+from steerkit.car.client import CarClient, CarLost
+from steerkit.car.config.reading import load
+from steerkit.car.configured import course_of
+from steerkit.car.core import Core
+from steerkit.car.learner import RUN, CarLearner
 from steerkit.learning.data.store import TransitionStore
 from steerkit.learning.settings import setting
-from steerkit.on_car import loop as loops
-from steerkit.on_car import processes
-from steerkit.on_car.configured import course_of
-from steerkit.on_car.learner import RUN, CarLearner
-from steerkit.plants.real_car import recording as tapes
-from steerkit.plants.real_car.decisions.core import Core
-from steerkit.plants.real_car.file.reading import load
-from steerkit.plants.real_car.processes.client import CarClient, CarLost
 
 LIMIT = 0.1
 """The bus has to be silent or neutral so soon after a kill [s]."""

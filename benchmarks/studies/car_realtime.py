@@ -25,17 +25,17 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from steerkit import realtime
-from steerkit.clock import Clock
-from steerkit.on_car import loop as loops
-from steerkit.on_car import processes
-from steerkit.on_car import replay as replays
-from steerkit.on_car.configured import course_of
-from steerkit.plants.real_car import recording as tapes
-from steerkit.plants.real_car.decisions.core import Core
-from steerkit.plants.real_car.decisions.modes import Mode
-from steerkit.plants.real_car.file.reading import load
-from steerkit.plants.real_car.processes.client import CarClient, CarLost
+from steerkit._support.clock import Clock
+from steerkit.car import loop as loops
+from steerkit.car import processes
+from steerkit.car import recording as tapes
+from steerkit.car import replay as replays
+from steerkit.car.client import CarClient, CarLost
+from steerkit.car.config.reading import load
+from steerkit.car.configured import course_of
+from steerkit.car.core import Core
+from steerkit.car.state_machine import Mode
+from steerkit.diagram import realtime
 from steerkit.task import DT
 
 
@@ -216,8 +216,8 @@ def learn(
     seed: int,
 ) -> realtime.Run:
     """A learning run from nothing; its counts go to `more`, those of the safety filter's of the last minute."""
+    from steerkit.car.learner import CarLearner
     from steerkit.learning.settings import DEFAULT
-    from steerkit.on_car.learner import CarLearner
 
     link.wait(timeout=10.0)
     best = since = 0.0

@@ -26,12 +26,12 @@ from rich.console import Console
 from rich.progress import track
 
 from benchmarks.rounds import CAR, belief, drive_loop, driven, interpreted, on_course, rms, worst
-from steerkit.block import Block
-from steerkit.catalogue import make_controller
 from steerkit.compiled.trace import with_parameters
-from steerkit.courses import course
+from steerkit.diagram.block import Block
+from steerkit.diagram.units import degrees_of, radians_of
+from steerkit.paths.courses import course
+from steerkit.scenario.catalogue import make_controller
 from steerkit.task import TRIP
-from steerkit.units import degrees_of, radians_of
 
 DELAYS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3)
 BELIEVED = 0.2

@@ -21,7 +21,7 @@ import gymnasium
 import numpy as np
 
 import steerkit.gym  # noqa: F401
-from steerkit import native
+from steerkit._support import native
 from steerkit.gym import PufferSteering
 from steerkit.scenario import CONDITIONS
 

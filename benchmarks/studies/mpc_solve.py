@@ -39,16 +39,16 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from steerkit.assembly import placed, steering_loop
 from steerkit.controllers.mpc.block import PredictiveSteering
 from steerkit.controllers.mpc.linear import MPC
 from steerkit.controllers.mpc.nonlinear import NonlinearMPC
-from steerkit.courses import course
+from steerkit.paths.courses import course
 from steerkit.plants.careful_human import CarefulHuman
 from steerkit.plants.human import Human
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.sensors import Sensors
 from steerkit.plants.steering_actuator import SteeringActuator
+from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import vehicle
 
 PASSES = 5

@@ -21,18 +21,18 @@ from rich.console import Console
 from rich.progress import track
 
 from benchmarks.rounds import CAR, LAG, belief, reference_of
-from steerkit.assembly import placed, steering_loop
-from steerkit.block import Block
-from steerkit.catalogue import make_controller
 from steerkit.compiled import compile
-from steerkit.courses import straight
-from steerkit.loop import Loop
+from steerkit.diagram.block import Block
+from steerkit.diagram.loop import Loop
+from steerkit.diagram.simulation import Log, simulate
+from steerkit.diagram.units import degrees_of, radians_of
+from steerkit.paths.courses import straight
 from steerkit.plants.human import ConstantSpeed
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator
-from steerkit.simulation import Log, simulate
+from steerkit.scenario.assembly import placed, steering_loop
+from steerkit.scenario.catalogue import make_controller
 from steerkit.task import A_Y_MAX, DT, RELEASE
-from steerkit.units import degrees_of, radians_of
 
 DELAY = 0.2
 SPEEDS = (2.0, 4.0, 6.0, 9.0)

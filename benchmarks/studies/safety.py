@@ -50,17 +50,17 @@ from benchmarks.run.fleet import of_fleet, of_kind
 from benchmarks.run.safe_learning import Job, Learner, runs, summarise
 from benchmarks.run.safety_adversary import NetAdversary, by_speed, searched
 from benchmarks.run.safety_agents import agents
-from steerkit import maths as m
-from steerkit.block import Block, In, Out, take_ports
-from steerkit.catalogue import make_safety
+from steerkit._support.native import compiler
 from steerkit.controllers.safety_filter import SafetyFilter
 from steerkit.controllers.stanley import Stanley
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, In, Out, take_ports
+from steerkit.diagram.simulation import Log, simulate
 from steerkit.export.c import export_c
 from steerkit.metrics.signals import largest, rms
-from steerkit.native import compiler
 from steerkit.scenario import Scenario
+from steerkit.scenario.catalogue import make_safety
 from steerkit.scenario.drive import assembled
-from steerkit.simulation import Log, simulate
 from steerkit.task import DT, STOP, TRIP
 
 KINDS = ("left", "right", "bang-bang", "slow bang-bang", "away", "untrained net", "chance")

@@ -37,20 +37,20 @@ from typing import Any
 import numpy as np
 
 from benchmarks.peers import engines, python_control
-from steerkit import maths as m
-from steerkit.assembly import placed
-from steerkit.block import Block, In, Out
 from steerkit.compiled import Backend, compile
 from steerkit.controllers.stanley import Stanley
-from steerkit.courses import course
-from steerkit.loop import Loop, Wire
-from steerkit.maths import Table
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, In, Out
+from steerkit.diagram.loop import Loop, Wire
+from steerkit.diagram.maths import Table
+from steerkit.diagram.simulation import simulate
+from steerkit.paths.courses import course
+from steerkit.paths.tracker import PathTracker
 from steerkit.plants.human import ConstantSpeed
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator
-from steerkit.simulation import simulate
+from steerkit.scenario.assembly import placed
 from steerkit.task import DT
-from steerkit.tracker import PathTracker
 from steerkit.vehicles import vehicle
 
 BACKENDS: tuple[Backend, ...] = ("python", "vm", "c")

@@ -17,12 +17,12 @@ from typing import Any
 
 import numpy as np
 
-from steerkit.assembly import placed
+from steerkit.diagram.simulation import Log, simulate
+from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.metrics.signals import rates
 from steerkit.scenario import Scenario
+from steerkit.scenario.assembly import placed
 from steerkit.scenario.drive import assembled, controller
-from steerkit.simulation import Log, simulate
-from steerkit.units import degrees_of, radians_of
 
 SCENARIO = Scenario(name="torque", steering="torque", delay=0.35, lag=0.0, a_y_human=1.5)
 CONTROLLERS = ("stanley-delay", "lqr", "mpc", "nonlinear-mpc", "stanley")

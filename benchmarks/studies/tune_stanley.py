@@ -23,11 +23,11 @@ import numpy as np
 from rich.progress import Progress
 
 from benchmarks.rounds import CAR, LAG, drive_loop, driven, rms
-from steerkit.block import Block
 from steerkit.controllers.delay import Predicted
 from steerkit.controllers.stanley import Stanley
-from steerkit.courses import course
-from steerkit.units import degrees_of
+from steerkit.diagram.block import Block
+from steerkit.diagram.units import degrees_of
+from steerkit.paths.courses import course
 
 GAINS = {"k": (1.5, 2.0, 2.5, 3.0, 4.0), "k_d_yaw": (0.0, 0.05, 0.1, 0.15), "k_d_steer": (0.0, 0.1, 0.2, 0.3, 0.5)}
 CARS = [(1.0, 1.0), *itertools.product((0.7, 1.3), (0.9, 1.1))]

@@ -35,7 +35,9 @@ from benchmarks.laps import half_second_ahead
 from benchmarks.mistold_state import KINDS
 from benchmarks.mistold_state import driven as driven_mistold
 from steerkit.compiled import Backend, compile
-from steerkit.controllers.estimators.vehicle_state import VehicleState
+from steerkit.diagram.simulation import Log
+from steerkit.diagram.units import degrees_of
+from steerkit.estimators.vehicle_state import VehicleState
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.settings import setting
 from steerkit.learning.training_run import train
@@ -43,9 +45,7 @@ from steerkit.learning.trials import drive_each
 from steerkit.metrics.signals import rates, rms
 from steerkit.scenario import Scenario
 from steerkit.scenario.drive import controller, drive, drive_loop
-from steerkit.simulation import Log
 from steerkit.task import DT
-from steerkit.units import degrees_of
 
 Array = NDArray[np.float64]
 CONTROLLERS = ("mpc", "stanley", "lqr")

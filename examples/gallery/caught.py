@@ -11,7 +11,7 @@ from steerkit import Block, Integrator, NonlinearSingleTrack, Out, Stanley, Stee
 from steerkit import course, placed, simulate, steering_loop, vehicle
 from steerkit.learning.pictures.paper import learning
 from steerkit.plants.human import ConstantSpeed
-from steerkit.units import radians_of
+from steerkit.diagram.units import radians_of
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -4,7 +4,7 @@ LQR, MPC and pure pursuit are told the delay, Stanley is not; the learner has fo
 """
 
 from steerkit import Experiment, learn
-from steerkit.catalogue import make_controller
+from steerkit.scenario.catalogue import make_controller
 from steerkit.scenario.drive import drive
 from steerkit.scenario import Scenario
 from steerkit.metrics import of_log

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 from steerkit import PlainAngle, Integrator, LowPass
 from steerkit.plots.style import COLOURS, new_figure
-from steerkit.units import degrees_of, radians_of
+from steerkit.diagram.units import degrees_of, radians_of
 
 ACTIONS_DEG = [*[60] * 4, *[10] * 6, *[0] * 10, *[-10] * 8, *[-60] * 6, *[0] * 12, *[60, -60] * 6, *[10] * 4, *[0] * 8]
 figure, panels = new_figure(rows=2, title="One sequence of actions, three output elements")

@@ -9,7 +9,7 @@ from typing import Any
 from steerkit import Block, LinearSingleTrack, Loop, NonlinearSingleTrack, Out, simulate, vehicle
 from steerkit.plants.human import ConstantSpeed
 from steerkit.plots.style import COLOURS, new_figure
-from steerkit.units import degrees_of
+from steerkit.diagram.units import degrees_of
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from steerkit._support.errors import require
 from steerkit.analysis.period import Array, Period, signal_name
 from steerkit.analysis.systems import port_names
-from steerkit.errors import require
 
 if TYPE_CHECKING:
-    from steerkit.loop import Loop, LoopState
-    from steerkit.simulation import Signal
+    from steerkit.diagram.loop import Loop, LoopState
+    from steerkit.diagram.simulation import Signal
 
 _TINY = 1e-8  # an entry smaller than this joins nothing
 _SAME = 1e-5  # largest change of the model from one period to the next that still is time-invariant

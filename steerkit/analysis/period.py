@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit import maths as m
-from steerkit.block import Block, In, Out, Port, State
-from steerkit.errors import require
+from steerkit._support.errors import require
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, In, Out, Port, State
 
 if TYPE_CHECKING:
-    from steerkit.loop import Loop, LoopState
-    from steerkit.simulation import Signal
+    from steerkit.diagram.loop import Loop, LoopState
+    from steerkit.diagram.simulation import Signal
 
 Array = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, ParamSpec
 import numpy as np
 
 from steerkit.analysis.linear import Point, UnstableError, margins, step_response
+from steerkit.diagram.units import degrees_of
 from steerkit.plots.style import COLOURS, PALETTE, new_figure, style
-from steerkit.units import degrees_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from steerkit import maths as m
+from steerkit._support.errors import require
 from steerkit.analysis.period import Array, Period, signal_name, wear
-from steerkit.block import Block, In, Out, State
-from steerkit.errors import require
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, In, Out, State
 
 if TYPE_CHECKING:
-    from steerkit.loop import Loop, LoopState
-    from steerkit.simulation import Signal
+    from steerkit.diagram.loop import Loop, LoopState
+    from steerkit.diagram.simulation import Signal
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

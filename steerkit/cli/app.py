@@ -97,7 +97,7 @@ def main() -> None:
     try:
         command()()
     except (ValueError, KeyError, OSError) as error:
-        from steerkit.errors import in_one_line
+        from steerkit._support.errors import in_one_line
 
         print(f"steerkit: {in_one_line(error)}", file=sys.stderr)
         full = isinstance(error, OSError) and error.errno in _NO_ROOM

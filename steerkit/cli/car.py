@@ -31,7 +31,7 @@ def check(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead, in SI units.")] = False,
 ) -> None:
     """Check a configuration and print what would be read and written, and every limit."""
-    from steerkit.on_car import configured
+    from steerkit.car import configured
 
     loaded, path = configured.loaded(config)
     if as_json:
@@ -64,8 +64,8 @@ def simulate(
     A line is KIND, `pose` or `report`, and if wanted LENGTH and AMOUNT, such as `drop pose 0.5`; an unknown one prints
     the kinds.
     """
-    from steerkit.on_car import serving
-    from steerkit.units import radians_of
+    from steerkit.car import serving
+    from steerkit.diagram.units import radians_of
 
     bus: dict[str, Any] = {"listen": listen, "channel": channel, "time_scale": time_scale, "log": log}
     car: dict[str, Any] = {"ratio": ratio, "delay": delay, "lag": lag, "offset": radians_of(offset_deg)}
@@ -83,7 +83,7 @@ def server(
     realtime: Annotated[bool, typer.Option(help="Run under SCHED_FIFO; needs the right to.")] = False,
 ) -> None:
     """The process that owns the bus. `steerkit drive --car` and `learn --car` start one where there is none."""
-    from steerkit.on_car import serving
+    from steerkit.car import serving
 
     told: dict[str, Any] = {"socket": socket, "recording": recording, "channel": channel, "time_scale": time_scale}
     raise typer.Exit(serving.server(config, **told, linger=linger, realtime=realtime))
@@ -112,8 +112,8 @@ def calibrate(
     The car follows its course while the wheel swings slowly, then steps to and fro, then is left to the bends. Engage
     by `e`, let go by space, as in any drive. Exit code: 0; 1 when the drive told nothing.
     """
-    from steerkit.on_car import calibrated, calibration
-    from steerkit.on_car.session import Options
+    from steerkit.car import calibrated, calibration
+    from steerkit.car.session import Options
 
     place = out or FilePath(f"{FilePath(config).stem}-calibrated.toml")
     with contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext():
@@ -145,9 +145,9 @@ def order(
     word: Annotated[str, typer.Argument(help="ARM, ENGAGE, DISENGAGE, ACKNOWLEDGE or OFF.")], socket: Socket = ""
 ) -> None:
     """Give the car server an order from a second terminal, whatever the controller is doing."""
-    from steerkit.on_car import processes
-    from steerkit.plants.real_car.decisions.modes import Order
-    from steerkit.plants.real_car.processes.client import CarClient
+    from steerkit.car import processes
+    from steerkit.car.client import CarClient
+    from steerkit.car.state_machine import Order
 
     if word.upper() not in list(Order):
         raise ValueError(f"order {word!r} is not known; valid: {', '.join(Order)}")
@@ -170,10 +170,10 @@ def stream(
 
     It asks the car server as the panel does, and gives no orders; nothing on the car waits for it.
     """
+    from steerkit.car import processes
+    from steerkit.car.client import CarClient, CarLost
     from steerkit.logs.car_stream import follow
     from steerkit.logs.stream import Server
-    from steerkit.on_car import processes
-    from steerkit.plants.real_car.processes.client import CarClient, CarLost
 
     with CarClient(socket or processes.default_socket(), controller=False) as link:
         server = Server(where)
@@ -200,10 +200,10 @@ def tape(
     One that is damaged or cut short is repaired into a new file and stays as it is itself. One that is still being
     written is only looked into. Exit code: 0; 1 when messages are missing, 2 when a replay lacks something.
     """
-    from steerkit.on_car import configured, estimates
-    from steerkit.on_car import replay as replays
-    from steerkit.plants.real_car import recording as tapes
-    from steerkit.plants.real_car.decisions.core import Core
+    from steerkit.car import configured, estimates
+    from steerkit.car import recording as tapes
+    from steerkit.car import replay as replays
+    from steerkit.car.core import Core
 
     recorded = tapes.read(file)
     print(recorded.kept())

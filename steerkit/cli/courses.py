@@ -11,7 +11,7 @@ import typer
 from steerkit.cli.options import Machine
 
 if TYPE_CHECKING:
-    from steerkit.roads import Course, Map
+    from steerkit.paths.importers import Course, Map
 
 ALSO = {
     "random-7": "a random course by its seed: 500 m, radii of 10 m and more",
@@ -51,7 +51,7 @@ def courses(
     from rich.console import Console
     from rich.table import Table
 
-    from steerkit.courses import course, names
+    from steerkit.paths.courses import course, names
 
     rows: list[dict[str, Any]] = []
     for name in names():
@@ -71,8 +71,8 @@ def courses(
 
 
 def _of_file(file: str, to: Path | None, plot: Path | None, vehicle: str, as_json: bool) -> None:
-    from steerkit import roads
     from steerkit import vehicle as car
+    from steerkit.paths import importers as roads
 
     found = roads.contents(file)
     address = roads.Address.parsed(file)

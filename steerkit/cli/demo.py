@@ -11,6 +11,7 @@ from pathlib import Path as FilePath
 from rich.markup import escape
 from rich.table import Table
 
+from steerkit.diagram.simulation import Log
 from steerkit.learning import progress, rundir
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.learn import learn
@@ -20,7 +21,6 @@ from steerkit.learning.settings import BANG_BANG, DEFAULT
 from steerkit.plots.style import save
 from steerkit.scenario import Scenario
 from steerkit.scenario import drive as evaluate
-from steerkit.simulation import Log
 
 
 @dataclass(frozen=True)

@@ -70,8 +70,8 @@ def drive(
     if options.car:
         if len(asked) > 1:
             raise ValueError(f"drive: {len(asked)} controllers ({', '.join(asked)}), expected one on a car")
-        from steerkit.on_car import loop as loops
-        from steerkit.on_car import session as car_session
+        from steerkit.car import loop as loops
+        from steerkit.car import session as car_session
 
         if not name:
             raise ValueError(f"drive: with which controller? valid: {loops.VALID}")
@@ -79,10 +79,10 @@ def drive(
         if options.as_json:
             print(json.dumps(figures))
         return
-    from steerkit.catalogue import CONTROLLERS
-    from steerkit.errors import require
+    from steerkit._support.errors import require
+    from steerkit.diagram.simulation import Log
     from steerkit.learning import report
-    from steerkit.simulation import Log
+    from steerkit.scenario.catalogue import CONTROLLERS
 
     if not name:
         valid = ", ".join(CONTROLLERS)

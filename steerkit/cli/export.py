@@ -71,10 +71,10 @@ def export(
 
 
 def _log(source: Path, mcap: Path | None, ros2: Path | None, csv: Path | None, ratio: float) -> dict[str, Any]:
+    from steerkit.diagram.simulation import Log
     from steerkit.learning import rundir
     from steerkit.logs import read_drive
     from steerkit.logs.out import to_mcap, to_ros2
-    from steerkit.simulation import Log
 
     if (source / "run.json").exists():
         record = rundir.drive_log(source)
@@ -94,8 +94,8 @@ def _log(source: Path, mcap: Path | None, ros2: Path | None, csv: Path | None, r
 
 
 def _car(file: Path, yaml: Path | None, row: Path | None) -> None:
+    from steerkit._support.files import write_text
     from steerkit.export import car as cars
-    from steerkit.files import write_text
     from steerkit.vehicles import vehicle
     from steerkit.vehicles.file import tables_of, text_of
 

@@ -66,10 +66,10 @@ def learn(
     """Let a car learn to steer a course from nothing, the recovery controller catching it."""
     check_options(ctx)
     if options.car:
+        from steerkit.car import loop as loops
+        from steerkit.car import session as car_session
         from steerkit.learning.settings import changed
         from steerkit.learning.settings import setting as named
-        from steerkit.on_car import loop as loops
-        from steerkit.on_car import session as car_session
 
         place = out or loops.LEARNED
         chosen = changed(named(setting), changes or ())
@@ -79,7 +79,7 @@ def learn(
         if options.as_json:
             print(json.dumps(figures))
         return
-    from steerkit.errors import require
+    from steerkit._support.errors import require
     from steerkit.learning import report
     from steerkit.learning.experiment import SAFETY_SIGNALS, SIGNALS
     from steerkit.learning.live.server import beside
@@ -122,7 +122,7 @@ def _learned(experiment: Experiment, place: Path, *, quiet: bool, note: str, eac
 
 def _experiment(ctx: typer.Context, config: Path | None, out: Path | None) -> Experiment:
     """The experiment of the run in `out`, of the file, or of the defaults, changed by the options that are given."""
-    from steerkit.files import read_toml
+    from steerkit._support.files import read_toml
     from steerkit.learning import rundir
     from steerkit.learning.experiment import Experiment
     from steerkit.learning.settings import changed

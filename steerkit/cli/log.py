@@ -40,7 +40,7 @@ def log(
     """
     from rich.console import Console
 
-    from steerkit.errors import require
+    from steerkit._support.errors import require
     from steerkit.logs.contents import contents
     from steerkit.logs.reading import read_log
 

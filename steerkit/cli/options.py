@@ -197,7 +197,7 @@ _UNDISTURBED = {"noise": 0.0, "latency": 0.0, "sensing": "hard"}
 
 def _speeds(speed: str, v_max: float | None, base: Scenario) -> dict[str, Any]:
     """The fields of a scenario that --speed and --v-max mean."""
-    from steerkit.errors import require
+    from steerkit._support.errors import require
     from steerkit.scenario.parts import profile_of
 
     try:
@@ -252,8 +252,8 @@ def check_options(
 
 
 def car_options(ctx: typer.Context) -> Any:
-    """The options of a session on a car, `steerkit.on_car.session.Options`."""
-    from steerkit.on_car.session import Options
+    """The options of a session on a car, `steerkit.car.session.Options`."""
+    from steerkit.car.session import Options
 
     p = ctx.params
     return Options(config=p["car"], **{n: p[n] for n in (*_ON_A_CAR_ONLY, "quiet")})

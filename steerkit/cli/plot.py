@@ -22,11 +22,11 @@ def plot(
     quiet: Quiet = False,
 ) -> None:
     """Plot signals of a log over time; --table writes it for other programs."""
-    from steerkit.errors import require
+    from steerkit._support.errors import require
+    from steerkit.diagram.simulation import Log
     from steerkit.learning import rundir
     from steerkit.plots.notebook import telling
     from steerkit.plots.style import save
-    from steerkit.simulation import Log
 
     picture = out or (log / "signals.png" if log.is_dir() else log.with_name(f"{log.stem}-signals.png"))
     require(picture.suffix in PICTURES, f"--out {picture}", f"expected a name that ends in {', '.join(PICTURES)}")

@@ -40,10 +40,10 @@ def redrive(
     """
     from rich.console import Console
 
-    from steerkit.errors import require
+    from steerkit._support.errors import require
     from steerkit.logs import ColumnMap, read_drive
-    from steerkit.redrive import pictures
-    from steerkit.redrive import redrive as again
+    from steerkit.logs import resimulate_pictures as pictures
+    from steerkit.logs.resimulate import redrive as again
 
     names = controller or ["mpc"]
     for option, file in (("--plot", plot), ("--film", film)):
@@ -76,7 +76,7 @@ def redrive(
 
 
 def _car(file: str, drive: Any) -> tuple[Any, str]:
-    from steerkit.redrive import Steered
+    from steerkit.logs.resimulate import Steered
     from steerkit.vehicles import vehicle
 
     if file:

@@ -28,7 +28,7 @@ def show(
     as_json: Machine = False,
 ) -> None:
     """Show a learning run: counts, episodes, learned against Stanley, and its pictures; several as one table."""
-    from steerkit.errors import require
+    from steerkit._support.errors import require
     from steerkit.learning import report
 
     report.console.stderr = as_json

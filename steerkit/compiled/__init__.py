@@ -3,7 +3,7 @@
 A loop is run once on CasADi symbols (`trace`), which leaves a list of instructions a tick (`graph`); from that list
 the backends are generated: `python_code` (floats), `vm` (CasADi, also for gradients) and `native` (C, with `cache`).
 All give the trajectory of `simulate` to rounding: the Python code bit for bit, the others to about 1e-13. A block with
-a `steerkit.maths.Routine` (predictive steering's solver) runs in C, which calls the routine's address, and in Python.
+a `steerkit.diagram.maths.Routine` (a solver, for example) runs in C, which calls the routine's address, and in Python.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from typing import Any, Literal
 
 import numpy as np
 
+from steerkit._support.native import NoCompilerError, compiler
 from steerkit.compiled.gradient import Cost, gradient
 from steerkit.compiled.native_program import NativeProgram, Slots
 from steerkit.compiled.python_code import PythonProgram
 from steerkit.compiled.trace import Trace, TraceError, flattened, parameter, trace, with_parameters
 from steerkit.compiled.vm import VmProgram
-from steerkit.loop import Loop, LoopState, Sample, require_batch
-from steerkit.native import NoCompilerError, compiler
-from steerkit.simulation import Log, Signal, check_finite
+from steerkit.diagram.loop import Loop, LoopState, Sample, require_batch
+from steerkit.diagram.simulation import Log, Signal, check_finite
 
 __all__ = ["Compiled", "Cost", "NoCompilerError", "TraceError", "compile", "gradient"]
 

@@ -12,7 +12,7 @@ from steerkit.compiled.c_maths import MANY, ONE
 from steerkit.compiled.graph import BOOLEAN, FUNCTIONS, Graph
 from steerkit.compiled.schedule import scheduled
 from steerkit.compiled.trace import Tick, Trace
-from steerkit.maths import Table
+from steerkit.diagram.maths import Table
 
 _INFIX = {
     "add": "+",

@@ -10,11 +10,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit import native
+from steerkit._support import native
 from steerkit.compiled.c_code import SCALAR_TYPES, phase_labels, statements
 from steerkit.compiled.graph import Graph
 from steerkit.compiled.trace import Tick, Trace, trace
-from steerkit.loop import Loop
+from steerkit.diagram.loop import Loop
 
 Array = NDArray[np.float64]
 _LL = ctypes.c_longlong

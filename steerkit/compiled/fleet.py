@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from steerkit.compiled.native_program import NativeProgram
 from steerkit.compiled.trace import Trace, trace
-from steerkit.loop import Loop
+from steerkit.diagram.loop import Loop
 
 Array = NDArray[np.float64]
 _LL = ctypes.c_longlong

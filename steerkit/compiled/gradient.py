@@ -11,7 +11,7 @@ import numpy as np
 
 from steerkit.compiled.trace import Layout, trace
 from steerkit.compiled.vm import VmProgram
-from steerkit.loop import Loop, LoopState, Sample
+from steerkit.diagram.loop import Loop, LoopState, Sample
 
 Cost = Callable[[Sequence[float]], tuple[float, np.ndarray]]
 
@@ -31,7 +31,7 @@ def gradient(
     dJ/dp by forward sensitivities S of the loop's state z, one column a parameter, next to the run itself and in the
     same pass.
 
-    cost: of one sample, in `steerkit.maths`: `lambda y: y["path.e"] ** 2`. parameters: block fields, such as
+    cost: of one sample, in `steerkit.diagram.maths`: `lambda y: y["path.e"] ** 2`. parameters: block fields, such as
     "controller.k". state: where to start, the same for all values (default: `loop.init()`). The gradient is that of
     the branch taken: at a limit or a table's knot it is one-sided. Raises TraceError as `compile` does.
     """

@@ -77,7 +77,7 @@ class Graph:
     """Instructions in an order in which they can be run; equal ones are stored once.
 
     Operations: const, in (an input slot), row (of a table), call and result (of a routine), the arithmetic add sub mul
-    div neg, the functions of `steerkit.maths`, comparisons and logic (which give booleans) and
+    div neg, the functions of `steerkit.diagram.maths`, comparisons and logic (which give booleans) and
     select(condition, yes, no).
     """
 
@@ -195,7 +195,7 @@ def from_symbols(
     """The graph of scalar SX `expressions` of SX symbols `inputs`, and the nodes of the expressions.
 
     questions: what was asked, each of inputs and earlier answers only.
-    Raises NotImplementedError for an operation that `steerkit.maths` does not have.
+    Raises NotImplementedError for an operation that `steerkit.diagram.maths` does not have.
     """
     graph = Graph()
     known: dict[Any, int] = {x.element_hash(): graph.add("in", i) for i, x in enumerate(inputs)}
@@ -272,7 +272,7 @@ def _operation(graph: Graph, e: Any, parts: list[int]) -> int:
         return graph.add("select", graph.add("lt", *([b, a] if op == casadi.OP_FMIN else [a, b])), b, a)
     if op == casadi.OP_PARAMETER:
         raise NotImplementedError(f"the symbol {e.name()} is no input of the loop; was it kept from another trace?")
-    raise NotImplementedError(f"an operation that steerkit.maths does not have, in {str(e)[:60]}")
+    raise NotImplementedError(f"an operation that steerkit.diagram.maths does not have, in {str(e)[:60]}")
 
 
 def collapsed(graph: Graph, roots: Sequence[int], fixed: Mapping[int, float]) -> tuple[Graph, list[int]]:

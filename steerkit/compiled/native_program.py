@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from steerkit import native
+from steerkit._support import native
 from steerkit.compiled.c_code import finish_source, run_source
 from steerkit.compiled.trace import Trace, TraceError
-from steerkit.maths import Routine
+from steerkit.diagram.maths import Routine
 
 _LL = ctypes.c_longlong
 Slots = Callable[[], Any]

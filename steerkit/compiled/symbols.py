@@ -2,7 +2,7 @@
 
 CasADi's operators look for the one that is meant among those of its three types, each time, which takes 12 us. A
 `Symbol` is one number of the type SX and goes to SX's own at once, 1.7 us; the expressions are the same. The functions
-below are called as CasADi's own and do the same for `steerkit.maths`, which finds them as `Symbol.functions`. With
+below are called as CasADi's are, for `steerkit.diagram.maths`, which finds them as `Symbol.functions`. With
 anything but symbols and plain numbers all of them leave it to CasADi.
 """
 

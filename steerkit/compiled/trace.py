@@ -15,8 +15,8 @@ import numpy as np
 
 from steerkit.compiled.graph import Graph, Question, collapsed, from_symbols
 from steerkit.compiled.symbols import Symbol, symbol
-from steerkit.loop import Loop, LoopState
-from steerkit.maths import Routine, Table
+from steerkit.diagram.loop import Loop, LoopState
+from steerkit.diagram.maths import Routine, Table
 
 _lock = threading.RLock()  # the tracer of `Table` and CasADi's options are global
 
@@ -275,7 +275,9 @@ def _scalar(name: str, value: Any) -> Any:
     except NotImplementedError:
         expression = None
     if expression is None or expression.shape != (1, 1):
-        raise TraceError(f"{name} is {value!r} when computed on symbols, expected one number; see steerkit.maths")
+        raise TraceError(
+            f"{name} is {value!r} when computed on symbols, expected one number; see steerkit.diagram.maths"
+        )
     return casadi.densify(expression)
 
 
@@ -293,7 +295,7 @@ def _blame(loop: Loop, error: Exception) -> str:
     culprit = "a block" if blamed is None else f"{names[id(blamed)]} ({type(blamed).__name__})"
     return (
         f"{culprit} cannot be run on symbols: {type(error).__name__}: {error} (at {line}); write its equations with "
-        "steerkit.maths and arithmetic only (m.where instead of `if`, no numpy calls, parameters that are numbers), "
+        "steerkit.diagram.maths and arithmetic (m.where instead of `if`, no numpy calls, parameters that are numbers), "
         "or run the loop with simulate; per-car parameters are named in compile(parameters=...)"
     )
 

@@ -12,7 +12,7 @@ import numpy as np
 from steerkit.compiled import symbols
 from steerkit.compiled.graph import FUNCTIONS, Graph
 from steerkit.compiled.trace import Trace, exact_arithmetic
-from steerkit.maths import Table
+from steerkit.diagram.maths import Table
 
 _LONGEST = 10  # runs are made of mapaccums of 2^0 .. 2^10 periods, so that memory is bounded
 

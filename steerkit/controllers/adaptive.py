@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
-from steerkit import maths as m
-from steerkit.block import Block, In, Out, Port, State, entries_of, take_ports
-from steerkit.controllers.estimators.single_track_filter import SingleTrackFilter
-from steerkit.controllers.estimators.steering_delay import YawDelay
-from steerkit.errors import require, require_within
-from steerkit.maths import Scalar
+from steerkit._support.errors import require, require_within
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, In, Out, Port, State, entries_of, take_ports
+from steerkit.diagram.maths import Scalar
+from steerkit.estimators.single_track_filter import SingleTrackFilter
+from steerkit.estimators.steering_delay import YawDelay
 from steerkit.task import STOP
 
 

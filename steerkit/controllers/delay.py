@@ -10,14 +10,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit import maths as m
-from steerkit.block import Block, In, Out, State, entries_of
+from steerkit._support.errors import require
 from steerkit.controllers.limits import slewed
 from steerkit.controllers.stanley import Stanley
-from steerkit.errors import require
-from steerkit.maths import Scalar
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, In, Out, State, entries_of
+from steerkit.diagram.maths import Scalar
+from steerkit.diagram.units import radians_of
 from steerkit.task import DT
-from steerkit.units import radians_of
 from steerkit.vehicles import Vehicle, require_vehicle
 
 Array = NDArray[np.float64]

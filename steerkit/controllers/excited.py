@@ -9,11 +9,11 @@ from math import pi
 from types import MappingProxyType
 from typing import Any
 
-from steerkit import maths as m
-from steerkit.block import Block, State, entries_of, take_ports
+from steerkit._support.errors import known, require, require_within
 from steerkit.controllers.adaptive import Adaptive
-from steerkit.errors import known, require, require_within
-from steerkit.maths import Scalar
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, State, entries_of, take_ports
+from steerkit.diagram.maths import Scalar
 from steerkit.vehicles import Vehicle, require_vehicle
 
 

@@ -9,10 +9,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from steerkit import maths as m
-from steerkit.block import Block, In, Port, State, take_ports
+from steerkit._support.errors import require
 from steerkit.controllers.safety_filter import REASONS
-from steerkit.errors import require
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, In, Port, State, take_ports
 
 RAISED, LATE, NOTHING = (float(len(REASONS) + n) for n in range(3))
 """What `reason` is when the recovery controller steers in the filter's place."""

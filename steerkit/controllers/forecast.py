@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import astuple, dataclass, fields
 from typing import Any, NamedTuple
 
-from steerkit import maths as m
-from steerkit.block import State
-from steerkit.errors import require
+from steerkit._support.errors import require
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import State
 from steerkit.task import DT
 
 LONGEST = 12

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from steerkit import maths as m
-from steerkit.block import Block, In, Out
-from steerkit.errors import require
+from steerkit._support.errors import require
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, In, Out
+from steerkit.diagram.units import radians_of
 from steerkit.task import A_Y_MAX, JERK_MAX, STOP
-from steerkit.units import radians_of
 from steerkit.vehicles import Vehicle
 
 

@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from steerkit import maths as m
-from steerkit.errors import require_within
-from steerkit.maths import Scalar
+from steerkit._support.errors import require_within
+from steerkit.diagram import maths as m
+from steerkit.diagram.maths import Scalar
+from steerkit.diagram.units import radians_of
 from steerkit.task import A_Y_MAX, JERK_MAX, STOP
-from steerkit.units import radians_of
 
 BEHIND_GATE: Mapping[str, float] = MappingProxyType({"hold": 4, "horizon": 2.0, "preview_points": 26})
 """How far a safety filter looks ahead where a gate makes the wheel slow: at 3 m/s^2 and 5 m/s^3 it takes 1.2 s from one

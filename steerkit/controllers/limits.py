@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from steerkit import maths as m
-from steerkit.maths import Scalar
+from steerkit.diagram import maths as m
+from steerkit.diagram.maths import Scalar
 
 _SLOWEST = 0.5
 """Speed [m/s] below which the bounds no longer widen: they are far beyond the stops there."""

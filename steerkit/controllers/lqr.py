@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit import maths as m
-from steerkit.block import Block, In, Out, State
+from steerkit._support.errors import require
 from steerkit.controllers.limits import limited, slewed
 from steerkit.controllers.riccati import cost_to_go
-from steerkit.errors import require
-from steerkit.maths import Scalar, Table
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, In, Out, State
+from steerkit.diagram.maths import Scalar, Table
+from steerkit.diagram.units import radians_of
 from steerkit.task import DT, STOP
-from steerkit.units import radians_of
 from steerkit.vehicles import Vehicle, require_vehicle
 
 Array = NDArray[np.float64]

@@ -10,13 +10,13 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit import maths as m
-from steerkit.block import Block, In, Out, State
+from steerkit._support.errors import require
+from steerkit._support.files import read_arrays, write_arrays
 from steerkit.controllers.policy import COLUMNS, LARGEST_POLICY
 from steerkit.controllers.state_description import StateDescription
-from steerkit.errors import require
-from steerkit.files import read_arrays, write_arrays
-from steerkit.units import radians_of
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, In, Out, State
+from steerkit.diagram.units import radians_of
 
 Array = NDArray[np.float64]
 BOUND = 10.0

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from steerkit import maths as m
-from steerkit import native
-from steerkit.block import In, State
+from steerkit._support import native
+from steerkit._support.errors import require
 from steerkit.controllers.forecast import Forecast
 from steerkit.controllers.nfq_policy import NfqPolicy, without_preview
 from steerkit.controllers.policy import COLUMNS, Policy
-from steerkit.errors import require
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import In, State
 
 _SIZE = ctypes.c_ssize_t  # NumPy's npy_intp
 _AT = ctypes.c_void_p

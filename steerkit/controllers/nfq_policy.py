@@ -13,16 +13,16 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit import maths as m
-from steerkit.block import In, State
+from steerkit._support.errors import require
+from steerkit._support.files import read_arrays, write_arrays
 from steerkit.controllers import forecast as ahead
 from steerkit.controllers.forecast import Forecast
 from steerkit.controllers.policy import ACTION, COLUMNS, LARGEST_POLICY, Policy
 from steerkit.controllers.state_description import StateDescription
-from steerkit.errors import require
-from steerkit.files import read_arrays, write_arrays
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import In, State
+from steerkit.diagram.units import radians_of
 from steerkit.task import DT, STOP
-from steerkit.units import radians_of
 
 Combine = Literal["mean", "max", "disagreement"]
 COMBINATIONS: dict[str, str] = {
@@ -256,7 +256,7 @@ class NfqPolicy(Policy):
     def save(self, path: str | os.PathLike[str], *, durable: bool = True) -> None:
         """Write the policy to one small file (NumPy .npz, no pickle) that `load` gives back bit for bit.
 
-        durable: wait for the disk; False for a thread that may not (`steerkit.files.whole`).
+        durable: wait for the disk; False for a thread that may not (`steerkit._support.files.whole`).
         """
         d = self.description
         write_arrays(

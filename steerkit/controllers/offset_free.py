@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from steerkit import maths as m
-from steerkit.block import Block, State, entries_of, take_ports
-from steerkit.errors import require, require_within
-from steerkit.maths import Scalar
+from steerkit._support.errors import require, require_within
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, State, entries_of, take_ports
+from steerkit.diagram.maths import Scalar
+from steerkit.diagram.units import radians_of
 from steerkit.task import STOP, TRIP
-from steerkit.units import radians_of
 from steerkit.vehicles import Vehicle, require_vehicle
 
 _SHARE = 0.5

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from steerkit.block import Block, In, Out
+from steerkit.diagram.block import Block, In, Out
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

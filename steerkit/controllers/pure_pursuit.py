@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from steerkit import maths as m
-from steerkit.block import Block, In, Out
-from steerkit.errors import require
-from steerkit.maths import Scalar
-from steerkit.path import Path
+from steerkit._support.errors import require
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, In, Out
+from steerkit.diagram.maths import Scalar
+from steerkit.paths.path import Path
 from steerkit.task import DT, STOP
 from steerkit.vehicles import Vehicle, require_vehicle
 

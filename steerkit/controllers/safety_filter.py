@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
-from steerkit import maths as m
-from steerkit.block import Block, In, Out, State, without_port
+from steerkit._support.errors import require, require_within
 from steerkit.controllers.delay import Motion, Predicted
 from steerkit.controllers.gate_model import GateModel
 from steerkit.controllers.limits import limited
 from steerkit.controllers.stanley import Stanley, StanleyState
-from steerkit.errors import require, require_within
-from steerkit.maths import Scalar
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, In, Out, State, without_port
+from steerkit.diagram.maths import Scalar
 from steerkit.task import TRIP
 from steerkit.vehicles import Vehicle, require_vehicle
 

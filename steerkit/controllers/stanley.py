@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-from steerkit import maths as m
-from steerkit.block import Block, In, Out
+from steerkit._support.errors import require
 from steerkit.controllers.limits import approach_angle, limited, slewed
-from steerkit.errors import require
-from steerkit.maths import Scalar
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, In, Out
+from steerkit.diagram.maths import Scalar
+from steerkit.diagram.units import radians_of
 from steerkit.task import DT, STOP
-from steerkit.units import radians_of
 from steerkit.vehicles import Vehicle, require_vehicle
 
 _NO_LIMIT = 1e3

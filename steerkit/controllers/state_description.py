@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from steerkit import maths as m
+from steerkit._support.errors import require
 from steerkit.controllers.policy import COLUMNS
-from steerkit.errors import require
+from steerkit.diagram import maths as m
 from steerkit.task import STOP
 
 

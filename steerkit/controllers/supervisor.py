@@ -7,9 +7,9 @@ import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from steerkit import maths as m
-from steerkit.block import Block, In, Out, Port, State, take_ports
-from steerkit.errors import require
+from steerkit._support.errors import require
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, In, Out, Port, State, take_ports
 from steerkit.task import RELEASE, STOP, TRIP
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from steerkit.block import Block, State, take_ports
-from steerkit.errors import require
+from steerkit._support.errors import require
+from steerkit.diagram.block import Block, State, take_ports
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

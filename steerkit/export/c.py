@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from steerkit.block import Block, Out, State
 from steerkit.compiled.c_code import SCALAR_TYPES, c_number, phase_labels, statements, table_source
 from steerkit.compiled.trace import Trace, TraceError, trace
-from steerkit.loop import Loop, LoopState, Wire
-from steerkit.maths import filled
-from steerkit.simulation import simulate
+from steerkit.diagram.block import Block, Out, State
+from steerkit.diagram.loop import Loop, LoopState, Wire
+from steerkit.diagram.maths import filled
+from steerkit.diagram.simulation import simulate
 
 _ROWS = 200  # of the recorded log in the test program
 _TYPICAL = {"rad": 0.5, "rad/s": 0.3, "m": 0.6, "m/s": 8.0, "1/m": 0.05, "1": 1.0}  # of made-up inputs, by unit

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from steerkit.errors import require
+from steerkit._support.errors import require
 from steerkit.vehicles import Vehicle
 from steerkit.vehicles.parameters import G
 

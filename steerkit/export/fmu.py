@@ -14,12 +14,12 @@ from pathlib import Path
 
 import numpy as np
 
+from steerkit._support.errors import require
 from steerkit.compiled.graph import FUNCTIONS
 from steerkit.compiled.python_code import PythonProgram
 from steerkit.compiled.trace import Trace, flattened, parameter, trace
-from steerkit.errors import require
-from steerkit.loop import Loop
-from steerkit.simulation import Signal
+from steerkit.diagram.loop import Loop
+from steerkit.diagram.simulation import Signal
 
 _SLAVE = '''
 

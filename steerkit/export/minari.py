@@ -11,7 +11,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from steerkit.errors import require
+from steerkit._support.errors import require
 from steerkit.gym.task import Task
 from steerkit.learning.data.transitions import Transitions
 

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from steerkit._support.errors import require
 from steerkit.controllers.network_policy import BOUND, Network, PolicyBlock
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.policy import ACTION, COLUMNS, UNITS
 from steerkit.controllers.state_description import StateDescription
-from steerkit.errors import require
 
 Array = NDArray[np.float64]
 OPSET = 17

@@ -8,10 +8,10 @@ from typing import Any, Literal, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit.errors import require
+from steerkit._support.errors import require
+from steerkit.diagram.loop import LoopState
 from steerkit.gym.starts import Draw
 from steerkit.gym.task import Array, Task
-from steerkit.loop import LoopState
 
 Backend = Literal["python", "c"]
 

@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit.errors import require
+from steerkit._support.errors import require
 from steerkit.gym.drives import Backend, Drives
 from steerkit.gym.frames import Painter
 from steerkit.gym.task import Task

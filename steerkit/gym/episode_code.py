@@ -6,13 +6,13 @@ import ctypes
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+from steerkit._support.random import OpenSeed, RandomState
 from steerkit.compiled.c_code import function_source, lanes_source
 from steerkit.compiled.trace import Tick, Trace, trace, traced
 from steerkit.controllers.network_policy import BOUND
+from steerkit.diagram.maths import Table
 from steerkit.gym.starts import reseeded
 from steerkit.gym.task import Task
-from steerkit.maths import Table
-from steerkit.random import OpenSeed, RandomState
 
 _AT = ctypes.c_void_p
 _NUMBER = ctypes.c_double
@@ -61,7 +61,7 @@ static uint64_t mixed(uint64_t z)
   z = (z ^ (z >> 27)) * 0x94D049BB133111EBu;
   return z ^ (z >> 31);
 }}
-/* one of `streams` of a seed, as steerkit.random.seed_state */
+/* one of `streams` of a seed, as steerkit._support.random.seed_state */
 static void seeded(uint64_t seed, uint64_t stream, real *states, int lane)
 {{
   uint64_t z = mixed(seed) ^ mixed(stream + 0x5EED);

@@ -12,8 +12,8 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from steerkit import native
-from steerkit.errors import require
+from steerkit._support import native
+from steerkit._support.errors import require
 from steerkit.gym.episode_code import Fleet, episode_code
 from steerkit.gym.starts import Draw
 from steerkit.gym.task import Array, Task

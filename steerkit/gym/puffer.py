@@ -10,7 +10,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from steerkit.errors import require
+from steerkit._support.errors import require
 from steerkit.gym.episodes import Episodes
 from steerkit.gym.task import Task
 

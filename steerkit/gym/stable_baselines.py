@@ -6,8 +6,8 @@ from typing import Any
 
 from gymnasium import spaces
 
+from steerkit._support.errors import require
 from steerkit.controllers.network_policy import Network, PolicyBlock
-from steerkit.errors import require
 from steerkit.gym.task import Task
 
 

@@ -11,21 +11,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from steerkit import maths as m
-from steerkit.block import Block, State
+from steerkit._support.errors import require, require_within
+from steerkit._support.random import OpenSeed
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, State
+from steerkit.diagram.loop import Loop, LoopState
+from steerkit.diagram.maths import Scalar
 from steerkit.doe import Dynamic, HeldAngle
-from steerkit.errors import require, require_within
-from steerkit.loop import Loop, LoopState
-from steerkit.maths import Scalar
-from steerkit.path import Path
+from steerkit.paths.path import Path
+from steerkit.paths.tracker import PathTracker
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.pushed import GUST_STATES, Pushed
 from steerkit.plants.single_track import SingleTrackState
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.plants.torque_steering import TorqueSteering
-from steerkit.random import OpenSeed
 from steerkit.scenario import END_MARGIN
-from steerkit.tracker import PathTracker
 
 LEAST_ROOM = 30.0
 """A car on an open course starts at least so far from where it ends [m]."""

@@ -14,24 +14,24 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from steerkit.block import Block, Out, State
-from steerkit.catalogue import ELEMENTS, make_element, make_safety
+from steerkit._support.errors import known, require
 from steerkit.controllers.network_policy import BOUND
 from steerkit.controllers.nfq_policy import IDOE_ACTIONS
 from steerkit.controllers.safety_filter import SafetyFilter
 from steerkit.controllers.state_description import StateDescription
+from steerkit.diagram.block import Block, Out, State
+from steerkit.diagram.loop import Loop
+from steerkit.diagram.units import radians_of
 from steerkit.doe import Integrator
-from steerkit.errors import known, require
 from steerkit.gym.starts import Starts
 from steerkit.learning.costs import COSTS, BandCost, Cost, IdoeCost, SmoothCost, TanhCost
 from steerkit.learning.nfq.patterns import STANDARD
-from steerkit.loop import Loop
-from steerkit.path import Path
+from steerkit.paths.path import Path
 from steerkit.scenario import END_MARGIN, Scenario
+from steerkit.scenario.catalogue import ELEMENTS, make_element, make_safety
 from steerkit.scenario.drive import assembled
 from steerkit.scenario.file import read_scenario
 from steerkit.task import STOP, STOP_DEG, TRIP
-from steerkit.units import radians_of
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from steerkit.errors import require
+from steerkit._support.errors import require
 from steerkit.gym.drives import Backend, Drives
 from steerkit.gym.episodes import Episodes
 from steerkit.gym.frames import Painter

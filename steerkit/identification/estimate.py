@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from steerkit.errors import require
-from steerkit.files import write_text
+from steerkit._support.errors import require
+from steerkit._support.files import write_text
 from steerkit.identification.model import Simulator, stiffnesses
 from steerkit.logs.drive import Array, Drive, moments
 from steerkit.vehicles import Vehicle

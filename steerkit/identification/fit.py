@@ -11,7 +11,7 @@ import numpy as np
 from scipy import stats
 from scipy.optimize import least_squares
 
-from steerkit.errors import require
+from steerkit._support.errors import require
 from steerkit.identification.estimate import Estimate, Identified, car_of, predict
 from steerkit.identification.model import Simulator, stiffnesses
 from steerkit.logs.drive import Array, Drive, moments

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from steerkit.compiled import Compiled, compile
+from steerkit.diagram.loop import Loop
+from steerkit.diagram.maths import Scalar
 from steerkit.logs.drive import Array, Drive
-from steerkit.loop import Loop
-from steerkit.maths import Scalar
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.playback import Playback
 from steerkit.plants.steering_actuator import SteeringActuator

@@ -13,9 +13,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit import maths as m
+from steerkit._support.errors import require
 from steerkit.controllers.policy import DOE, R_E, E, V
-from steerkit.errors import require
+from steerkit.diagram import maths as m
 from steerkit.task import DT, GOAL, TRIP
 
 Costs = tuple[NDArray[np.float64], NDArray[np.bool_]]

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from steerkit.errors import require
+from steerkit._support.errors import require
 from steerkit.learning.counts import Counts
 from steerkit.task import DT
 

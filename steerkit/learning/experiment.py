@@ -8,12 +8,13 @@ from dataclasses import dataclass, field
 from numbers import Integral, Real
 from typing import Any
 
-from steerkit.block import Block
-from steerkit.catalogue import make_safety
+from steerkit._support.errors import require
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.supervisor import SupervisorState
 from steerkit.controllers.target_shift import TargetShift
-from steerkit.errors import require
+from steerkit.diagram.block import Block
+from steerkit.diagram.loop import Loop, LoopState, Sample
+from steerkit.diagram.simulation import Recorder
 from steerkit.learning.counts import Counts
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.exploration import Exploring
@@ -21,11 +22,10 @@ from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.settings import Setting
 from steerkit.learning.story import Story, state_signals, untrained
 from steerkit.learning.trainer import SimulatedTrainer, Training
-from steerkit.loop import Loop, LoopState, Sample
 from steerkit.scenario import END_MARGIN, Scenario
 from steerkit.scenario.ahead import WORTH_COMPILING, Backend, Driver
+from steerkit.scenario.catalogue import make_safety
 from steerkit.scenario.drive import assembled
-from steerkit.simulation import Recorder
 
 SIGNALS = (
     "path.e",

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from steerkit import maths as m
-from steerkit.block import In, State
+from steerkit._support.errors import require
+from steerkit._support.random import seed_state, uniform
 from steerkit.controllers.nfq_policy import NfqPolicy, without_preview
 from steerkit.controllers.policy import Policy
-from steerkit.errors import require
-from steerkit.random import seed_state, uniform
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import In, State
 
 _STREAM = 3  # of `seed_state`: exploration's
 _RANDOM = len(seed_state(0))
@@ -24,7 +24,7 @@ class Exploring(Policy):
 
     Inputs, as for the policy: e [m], e_dot [m/s], v [m/s], psi_e [rad], r_e [rad/s], doe [rad], preview [1/m]. Outputs:
     action [rad]; q [1], the greedy action's; ready [1]. A NaN action stays NaN.
-    State: six numbers of the generator (`steerkit.random`), from `seed`; then the policy's.
+    State: six numbers of the generator (`steerkit._support.random`), from `seed`; then the policy's.
     Raises ValueError unless 0 <= share <= 1.
     Source: Watkins 1989 (epsilon-greedy exploration).
     """

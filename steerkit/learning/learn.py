@@ -6,11 +6,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path as FilePath
 
-from steerkit.errors import require
+from steerkit._support.errors import require
+from steerkit.diagram.loop import Sample
 from steerkit.learning import rundir
 from steerkit.learning.experiment import Experiment, LearningRun, Watcher
 from steerkit.learning.ownership import held, is_free
-from steerkit.loop import Sample
 
 
 def learn(

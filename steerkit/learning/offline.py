@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
+from steerkit._support.errors import require
 from steerkit.controllers.nfq_policy import NfqPolicy
-from steerkit.errors import require
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq.update import Learned, update
 from steerkit.learning.settings import Setting

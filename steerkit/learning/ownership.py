@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path as FilePath
 
-from steerkit.files import write_text
+from steerkit._support.files import write_text
 
 LOCK, HOLDER = ".lock", ".learner"
 """The lock, which ends with its process, however that ends; and a line that says whose it is."""

@@ -13,22 +13,22 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from steerkit.catalogue import CONTROLLERS
-from steerkit.errors import require
-from steerkit.files import write_text
+from steerkit._support.errors import require
+from steerkit._support.files import write_text
+from steerkit._support.plugins import fingerprint, is_outside
+from steerkit.diagram.diagnostics import in_one_line
+from steerkit.diagram.loop import Sample
+from steerkit.diagram.simulation import Log
 from steerkit.learning import progress, rundir
 from steerkit.learning.curve import Curve
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.learn import learn
 from steerkit.learning.pictures import paper as figures
-from steerkit.loop import Sample
 from steerkit.metrics import of_log
-from steerkit.mistakes import in_one_line
-from steerkit.outside import fingerprint, is_outside
 from steerkit.plots.style import save
 from steerkit.scenario import Scenario
 from steerkit.scenario import drive as evaluate
-from steerkit.simulation import Log
+from steerkit.scenario.catalogue import CONTROLLERS
 
 console = Console() if Console().is_terminal else Console(width=110)
 

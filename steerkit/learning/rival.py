@@ -12,11 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit import maths as m
+from steerkit._support.errors import require
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.policy import Policy
 from steerkit.controllers.riccati import cost_to_go
-from steerkit.errors import require
+from steerkit.diagram import maths as m
 from steerkit.learning.experiment import Experiment, LearningRun, Watcher
 from steerkit.learning.nfq.model import CarModel
 from steerkit.learning.story import untrained

@@ -16,10 +16,11 @@ from functools import partial
 from pathlib import Path as FilePath
 from typing import Any
 
-from steerkit.catalogue import OLD_ELEMENTS
+from steerkit._support.errors import require
+from steerkit._support.files import write_text
+from steerkit._support.plugins import imported, is_outside, name_of
 from steerkit.controllers.nfq_policy import NfqPolicy
-from steerkit.errors import require
-from steerkit.files import write_text
+from steerkit.diagram.simulation import Log, joined
 from steerkit.learning import costs
 from steerkit.learning.counts import Counts, Episode, Recovery
 from steerkit.learning.data.transitions import Transitions
@@ -29,10 +30,9 @@ from steerkit.learning.nfq.update import Learned
 from steerkit.learning.recorder import Before
 from steerkit.learning.settings import Setting
 from steerkit.learning.trainer import SimulatedTrainer
-from steerkit.outside import imported, is_outside, name_of
 from steerkit.scenario import Scenario
+from steerkit.scenario.catalogue import OLD_ELEMENTS
 from steerkit.scenario.file import of_table
-from steerkit.simulation import Log, joined
 
 FORMAT = "steerkit run 2"
 

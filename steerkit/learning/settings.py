@@ -8,14 +8,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any
 
-from steerkit.catalogue import Belief, element_kind, make_element
+from steerkit._support.errors import require
 from steerkit.controllers.state_description import StateDescription
+from steerkit.diagram.units import radians_of
 from steerkit.doe import Dynamic
-from steerkit.errors import require
 from steerkit.learning.costs import BandCost, Cost, IdoeCost, SmoothCost, TanhCost
 from steerkit.learning.nfq.iterate import FitSetting
+from steerkit.scenario.catalogue import Belief, element_kind, make_element
 from steerkit.task import DT, STOP_DEG
-from steerkit.units import radians_of
 from steerkit.vehicles import Vehicle
 
 AFTER_FAILURE = ("recovery", "reset", "shift")
@@ -32,7 +32,7 @@ class Setting:
     """The actions [deg]: steps a sample for the integrator, angles for `plain` and `low-pass`."""
     doe: str = "integrator"
     """Dynamic output element: `integrator`, `low-pass` or `plain`; or one of your own, `my_file.py:Class`: see
-    `steerkit.catalogue.make_element`."""
+    `steerkit.scenario.catalogue.make_element`."""
     cost: Cost = field(default_factory=lambda: TanhCost(goal=0.15, action_cost=0.025))
     """Cost of a transition: see `steerkit.learning.costs`."""
     # Measured model-free (8 seeds, clean, 2.5 min): one iteration every 10 to 30 m beats two every 60 m (GOOD after 47

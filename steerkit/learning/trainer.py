@@ -25,10 +25,10 @@ from pathlib import Path as FilePath
 from types import TracebackType
 from typing import Any, NamedTuple, Protocol, Self
 
+from steerkit._support.errors import require
 from steerkit.controllers.forecast import Forecast
 from steerkit.controllers.policy import COLUMNS
 from steerkit.controllers.state_description import StateDescription
-from steerkit.errors import require
 from steerkit.learning.costs import Cost
 from steerkit.learning.data.store import TransitionStore
 from steerkit.learning.data.transitions import Transitions

@@ -11,12 +11,12 @@ import numpy as np
 
 from steerkit.controllers.nfq_native import Kind
 from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.diagram.simulation import Log
 from steerkit.learning.settings import Setting
 from steerkit.metrics import GOOD, Summary, of_log
 from steerkit.scenario import Scenario
 from steerkit.scenario import drive as evaluate
 from steerkit.scenario.ahead import PolicyProgram, program_of
-from steerkit.simulation import Log
 from steerkit.task import DT, TRIP
 
 SIGNALS = ("path.e", "path.progress", "car.delta_sw", "car.a_y", "supervisor.learning")

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from steerkit.errors import require
+from steerkit._support.errors import require
 from steerkit.logs.channels import Array, Channel
 from steerkit.logs.columns import Column, ColumnMap
 from steerkit.logs.names import candidates, told_unit

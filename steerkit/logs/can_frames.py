@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from steerkit.errors import known, require
-from steerkit.files import Bounded
+from steerkit._support.errors import known, require
+from steerkit._support.files import Bounded
+from steerkit.car.frames.python_can import python_can
 from steerkit.logs.channels import Options, Table
-from steerkit.plants.real_car.frames.python_can import python_can
 
 _NEEDS = "CAN logs need python-can and cantools: pip install 'steerkit-control[logs]'"
 _CANDUMP = re.compile(r"\(\d+\.\d+\) +\S+ +[0-9A-Fa-f]+#(#?[0-9A-Fa-f]*|R\d*)( [RT])?\s*")

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from steerkit.clock import Clock
-from steerkit.errors import require
+from steerkit._support.clock import Clock
+from steerkit._support.errors import require
+from steerkit.car.client import CarClient
+from steerkit.car.protocol import Snapshot
 from steerkit.logs.stream import Server
-from steerkit.plants.real_car.processes.client import CarClient
-from steerkit.plants.real_car.processes.protocol import Snapshot
 
 _NAMES = {name: f"car.{name}" for name in Snapshot._fields if name not in ("t", "mode", "text")}
 _NAMES |= {"e": "path.e", "psi_e": "path.psi_e", "command": "gate.delta_sw"}

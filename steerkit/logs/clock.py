@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from steerkit.errors import require
+from steerkit._support.errors import require
 from steerkit.logs.channels import Array
 
 PAUSE = 0.25

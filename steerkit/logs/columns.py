@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from steerkit.errors import require
-from steerkit.files import read_toml
+from steerkit._support.errors import require
+from steerkit._support.files import read_toml
 from steerkit.logs.channels import Channel
 from steerkit.logs.names import QUANTITIES, UNITS, candidates, ended_unit, told_unit
 

@@ -10,11 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import savgol_filter
 
-from steerkit.errors import require
+from steerkit._support.errors import require
+from steerkit.diagram.simulation import Log
+from steerkit.diagram.units import RAD_PER_DEG
 from steerkit.logs.clock import PLACES
 from steerkit.logs.spoilt import without_lone
-from steerkit.simulation import Log
-from steerkit.units import RAD_PER_DEG
 
 Array = NDArray[np.floating[Any]]
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from steerkit.units import degrees_of
+from steerkit.diagram.units import degrees_of
 
 RATIO = 15.87
 HEADER = """\

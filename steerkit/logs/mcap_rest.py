@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from steerkit.files import Bounded
+from steerkit._support.files import Bounded
 
 
 def intact(file: Path, heavy: tuple[str, ...], notes: list[str]) -> Iterator[tuple[str, str, float, Any]]:

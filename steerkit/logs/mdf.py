@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from steerkit.errors import require
-from steerkit.files import Bounded
+from steerkit._support.errors import require
+from steerkit._support.files import Bounded
 from steerkit.logs.channels import Options, Table
 
 _PIECE = 1 << 13

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
+from steerkit.diagram.units import RAD_PER_DEG
 from steerkit.logs.channels import Channel
-from steerkit.units import RAD_PER_DEG
 
 QUANTITIES = {
     "t": "s",

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from steerkit.errors import require
-from steerkit.files import whole, write_text
+from steerkit._support.errors import require
+from steerkit._support.files import whole, write_text
+from steerkit.diagram.simulation import Log
 from steerkit.logs import messages
 from steerkit.logs.drive import Drive
-from steerkit.simulation import Log
 
 LAYOUTS = {"foxglove": "foxglove.json", "plotjuggler": "plotjuggler.xml"}
 """The layouts that ship: where the car is, e, the wheel, the states."""
@@ -25,7 +25,7 @@ BEGIN = 1_700_000_000_000_000_000
 
 def layout(program: str, file: str | Path) -> Path:
     """Write the layout for a program, `foxglove` or `plotjuggler`, to a file; returns it."""
-    from steerkit.errors import known
+    from steerkit._support.errors import known
 
     text = (files(__package__) / "layouts" / LAYOUTS[known(program, LAYOUTS, "layout")]).read_text(encoding="utf-8")
     write_text(file, text)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from steerkit.errors import require
+from steerkit._support.errors import require
 from steerkit.logs.channels import Options, Table
 
 _KNOWN = {
@@ -30,7 +30,7 @@ def is_own(head: bytes) -> bool:
 def read_own(path: Path, options: Options, notes: list[str]) -> list[Table]:
     """What the car's frames say of steering wheel, speed, yaw rate, heading and place, each on its own clock."""
     try:
-        from steerkit.plants.real_car import recording
+        from steerkit.car import recording
     except ImportError:
         raise ValueError(f"{path}: MCAP needs the car's packages: pip install 'steerkit-control[car]'") from None
     recorded = recording.read(path)

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from steerkit.diagram.units import degrees_of
 from steerkit.logs.contents import Contents
 from steerkit.logs.drive import Drive
 from steerkit.plots.style import COLOURS, new_figure, style
-from steerkit.units import degrees_of
 
 MOST = 8
 """Channels that are drawn where there is no drive."""

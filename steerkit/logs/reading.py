@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from steerkit.errors import require
+from steerkit._support.errors import require
 from steerkit.logs import can_frames, mdf, own, ros, tables
 from steerkit.logs.agreement import told_again, yaw_axis
 from steerkit.logs.channels import Channel, Options, Source, Table

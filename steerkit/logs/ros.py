@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from steerkit.errors import require
+from steerkit._support.errors import require
 from steerkit.logs.can_frames import Frames, Log, decoded
 from steerkit.logs.channels import Options, Table
 from steerkit.logs.mcap_rest import intact

@@ -23,9 +23,9 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from steerkit.errors import require
+from steerkit._support.errors import require
+from steerkit.diagram.loop import Sample
 from steerkit.logs import messages
-from steerkit.loop import Sample
 
 HOST = "127.0.0.1"
 PATIENCE = 15.0

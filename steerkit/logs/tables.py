@@ -13,7 +13,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from steerkit.errors import require
+from steerkit._support.errors import require
 from steerkit.logs.channels import Options, Table
 
 Columns = dict[str, np.ndarray]
@@ -169,8 +169,8 @@ def one_length(columns: Columns, path: Path, notes: list[str]) -> list[Table]:
 
 def read_npz(path: Path, options: Options, notes: list[str]) -> list[Table]:
     """A Log that was saved, or arrays of one length by name."""
-    from steerkit.files import read_npz as arrays_of
-    from steerkit.simulation import Log
+    from steerkit._support.files import read_npz as arrays_of
+    from steerkit.diagram.simulation import Log
 
     arrays = arrays_of(path, "read_drive")
     if {"t", "units"} <= arrays.keys():

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from steerkit.diagram.simulation import Log, Signal
+from steerkit.diagram.units import degrees_of
 from steerkit.metrics.comfort import lateral_jerk, r79_acceleration, r79_jerk, weighted_acceleration
 from steerkit.metrics.signals import largest, magnitude_at, rates, rms, share_within, time_over
 from steerkit.metrics.steering import accelerations, reversal_rate
-from steerkit.simulation import Log, Signal
 from steerkit.task import GOAL
-from steerkit.units import degrees_of
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from steerkit.diagram.units import degrees_of
 from steerkit.metrics.signals import Array, samples, step
-from steerkit.units import degrees_of
 
 
 def accelerations(t: ArrayLike, signal: ArrayLike) -> Array:

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from steerkit import maths as m
-from steerkit.block import Block, In, Out, State
-from steerkit.errors import require
-from steerkit.maths import Table
-from steerkit.path import Array, Path
+from steerkit._support.errors import require
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, In, Out, State
+from steerkit.diagram.maths import Table
+from steerkit.paths.path import Array, Path
 from steerkit.plants.human import Human
 from steerkit.task import A_Y_MAX
 

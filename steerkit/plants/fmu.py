@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from steerkit import maths as m
-from steerkit.block import State
-from steerkit.errors import require, require_within
-from steerkit.maths import Scalar
+from steerkit._support.errors import require, require_within
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import State
+from steerkit.diagram.maths import Scalar
 from steerkit.plants.car import Car
 
 _NEEDED = ("delta_sw_cmd", "v_cmd", "x", "y", "psi", "beta", "r", "a_y")

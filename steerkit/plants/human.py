@@ -10,11 +10,11 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from steerkit import maths as m
-from steerkit.block import Block, In, Out, State
-from steerkit.errors import require, require_within
-from steerkit.maths import Scalar, Table
-from steerkit.random import normals, seed_state
+from steerkit._support.errors import require, require_within
+from steerkit._support.random import normals, seed_state
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, In, Out, State
+from steerkit.diagram.maths import Scalar, Table
 from steerkit.task import DT
 
 _STREAM = 1  # of `seed_state`: the humans'

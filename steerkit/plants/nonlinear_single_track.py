@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from steerkit import maths as m
-from steerkit.maths import Scalar
+from steerkit.diagram import maths as m
+from steerkit.diagram.maths import Scalar
 from steerkit.plants.single_track import TAU_KINEMATIC, V_KINEMATIC, SingleTrack, SingleTrackState, dynamic_share
 from steerkit.vehicles import G
 

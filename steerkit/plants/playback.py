@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from steerkit import maths as m
-from steerkit.block import Block, Out
-from steerkit.errors import require, require_within
-from steerkit.maths import Scalar, Table
+from steerkit._support.errors import require, require_within
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, Out
+from steerkit.diagram.maths import Scalar, Table
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

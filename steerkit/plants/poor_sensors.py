@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Self
 
-from steerkit import maths as m
-from steerkit.block import Block, In, Out, State
-from steerkit.errors import require, require_within, whole_samples
-from steerkit.maths import Scalar
+from steerkit._support.errors import require, require_within, whole_samples
+from steerkit._support.random import normals, seed_state, uniform
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, In, Out, State
+from steerkit.diagram.maths import Scalar
+from steerkit.diagram.units import radians_of
 from steerkit.plants.sensors import Sensors
-from steerkit.random import normals, seed_state, uniform
 from steerkit.task import DT
-from steerkit.units import radians_of
 from steerkit.vehicles import Vehicle
 
 _STREAM = 13  # of `seed_state`: what goes wrong

@@ -9,13 +9,13 @@ from typing import Any, Self
 
 import numpy as np
 
-from steerkit import maths as m
-from steerkit.block import Block, In, Out, State
-from steerkit.errors import require_within, whole_samples
-from steerkit.maths import Scalar
-from steerkit.random import RandomState, normals, seed_state
+from steerkit._support.errors import require_within, whole_samples
+from steerkit._support.random import RandomState, normals, seed_state
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, In, Out, State
+from steerkit.diagram.maths import Scalar
+from steerkit.diagram.units import radians_of
 from steerkit.task import DT
-from steerkit.units import radians_of
 
 _STREAM = 2  # of `seed_state`: the sensors'
 _CHANNELS = (("x", "m"), ("y", "m"), ("psi", "rad"), ("v", "m/s"), ("beta", "rad"), ("r", "rad/s"))

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from steerkit import maths as m
-from steerkit.errors import require, require_within
-from steerkit.maths import Scalar
+from steerkit._support.errors import require, require_within
+from steerkit.diagram import maths as m
+from steerkit.diagram.maths import Scalar
 from steerkit.plants.car import Car
 from steerkit.vehicles import Vehicle, require_vehicle
 

@@ -8,12 +8,12 @@ from functools import cached_property
 from pathlib import Path as FilePath
 from typing import Any
 
-from steerkit import maths as m
-from steerkit.block import Block, In, Out, State
-from steerkit.errors import require, require_within, whole_samples
-from steerkit.maths import Scalar
+from steerkit._support.errors import require, require_within, whole_samples
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, In, Out, State
+from steerkit.diagram.maths import Scalar
+from steerkit.diagram.units import radians_of
 from steerkit.task import STOP
-from steerkit.units import radians_of
 from steerkit.vehicles.file import table_of, text_of
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from steerkit import maths as m
-from steerkit.block import Block, In, Out, State
-from steerkit.errors import require, require_within, whole_samples
-from steerkit.maths import Scalar
-from steerkit.random import seed_state, uniform
+from steerkit._support.errors import require, require_within, whole_samples
+from steerkit._support.random import seed_state, uniform
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, In, Out, State
+from steerkit.diagram.maths import Scalar
 from steerkit.task import DT
 
 _STREAM = 12  # of `seed_state`: the link's delays

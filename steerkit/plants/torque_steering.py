@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from steerkit import maths as m
-from steerkit.block import Block, In, Out, State
-from steerkit.errors import require_within, whole_samples
-from steerkit.maths import Scalar
+from steerkit._support.errors import require_within, whole_samples
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, In, Out, State
+from steerkit.diagram.maths import Scalar
+from steerkit.diagram.units import radians_of
 from steerkit.task import STOP
-from steerkit.units import radians_of
 from steerkit.vehicles import Vehicle
 
 _SLOWEST = 1.0  # m/s: below, the wheel turns as at this speed

@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from steerkit.errors import require
+from steerkit._support.errors import require
+from steerkit.diagram.units import degrees_of
 from steerkit.plots.style import COLOURS, style
 from steerkit.task import GOAL, TRIP
-from steerkit.units import degrees_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from steerkit.path import Path
-    from steerkit.simulation import Log
+    from steerkit.diagram.simulation import Log
+    from steerkit.paths.path import Path
 
 LENGTH, WIDTH = 1.75, 0.66
 """Length and width of a car, in wheelbases: a VW Passat has 4.77 m and 1.82 m at 2.71 m."""

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from steerkit.loop import Loop
+    from steerkit.diagram.loop import Loop
 
 HEAD = 2.3
 CHARACTER = 0.36

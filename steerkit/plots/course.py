@@ -11,7 +11,7 @@ from steerkit.plots.style import COLOURS, new_figure, style
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from steerkit.path import Path
+    from steerkit.paths.path import Path
 
 
 def plot_course(path: Path, *, title: str | None = None) -> Figure:

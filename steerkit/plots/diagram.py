@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from steerkit.loop import Loop
+    from steerkit.diagram.loop import Loop
 
 
 def plot_diagram(loop: Loop) -> Figure:

@@ -13,7 +13,7 @@ from steerkit.plots.style import PALETTE, new_figure
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from steerkit.simulation import Log, Signal
+    from steerkit.diagram.simulation import Log, Signal
 
 
 def plot_log(log: Log, signals: Sequence[Signal] | None = None, *, ax: Any = None) -> Figure:

@@ -14,8 +14,8 @@ import numpy as np
 from steerkit.plots.style import save
 
 if TYPE_CHECKING:
-    from steerkit.block import Block
-    from steerkit.simulation import Log
+    from steerkit.diagram.block import Block
+    from steerkit.diagram.simulation import Log
 
 _SHOWN = ("e", "delta_sw", "v", "a_y", "psi_e", "r")  # outputs worth a panel, best first
 _PANELS = 4

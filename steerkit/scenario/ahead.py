@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit.assembly import with_controller
-from steerkit.block import Block
+from steerkit._support.native import NoCompilerError, compiler
 from steerkit.controllers.nfq_native import Kind, NativeNets, NotTheSameError, OpenPolicy, numbers_of
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.supervisor import Guarded
-from steerkit.loop import Loop, LoopState, Sample
-from steerkit.native import NoCompilerError, compiler
-from steerkit.simulation import Log, Recorder, Signal, shown, simulate
+from steerkit.diagram.block import Block
+from steerkit.diagram.loop import Loop, LoopState, Sample
+from steerkit.diagram.simulation import Log, Recorder, Signal, shown, simulate
+from steerkit.scenario.assembly import with_controller
 
 if TYPE_CHECKING:
     from steerkit.compiled.trace import Layout

@@ -7,16 +7,16 @@ from collections.abc import Callable
 from dataclasses import fields, replace
 from typing import Protocol
 
-from steerkit.assembly import bare, steering_loop
-from steerkit.block import Block
-from steerkit.catalogue import make_controller
 from steerkit.controllers.supervisor import Supervisor
 from steerkit.controllers.target_shift import TargetShift
-from steerkit.loop import Loop
-from steerkit.path import Path
+from steerkit.diagram.block import Block
+from steerkit.diagram.loop import Loop
+from steerkit.diagram.simulation import Log, Sample
+from steerkit.paths.path import Path
 from steerkit.scenario.ahead import PolicyProgram, driven
+from steerkit.scenario.assembly import bare, steering_loop
+from steerkit.scenario.catalogue import make_controller
 from steerkit.scenario.scenario import Scenario
-from steerkit.simulation import Log, Sample
 from steerkit.task import TRIP
 
 
@@ -110,7 +110,7 @@ def _reference(place: Place, controller: Block) -> float:
 
 
 def controller(name: str, scenario: Scenario) -> Block:
-    """The controller of that name for that scenario, or one of your own: see `steerkit.catalogue.make_controller`.
+    """The controller of that name for that scenario, or your own: `steerkit.scenario.catalogue.make_controller`.
 
     Raises ValueError with the valid names.
     """

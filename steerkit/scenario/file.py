@@ -9,9 +9,9 @@ from dataclasses import fields
 from pathlib import Path as FilePath
 from typing import Any
 
-from steerkit.errors import require
-from steerkit.files import read_toml
-from steerkit.roads.address import is_road
+from steerkit._support.errors import require
+from steerkit._support.files import read_toml
+from steerkit.paths.importers.address import is_road
 from steerkit.scenario.scenario import CONDITIONS, Scenario
 
 FORMAT = "steerkit scenario 1"

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from steerkit.courses import random_course
-from steerkit.path import Path
-from steerkit.random import seed_state, uniform
+from steerkit._support.random import seed_state, uniform
+from steerkit.paths.courses import random_course
+from steerkit.paths.path import Path
 from steerkit.scenario.scenario import Scenario
 from steerkit.vehicles import drawn_car
 

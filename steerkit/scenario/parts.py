@@ -9,14 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from steerkit.block import Block
-from steerkit.controllers.estimators.adaptive_state import AdaptiveState
-from steerkit.controllers.estimators.single_track_filter import SingleTrackFilter
-from steerkit.controllers.estimators.vehicle_state import VehicleState
-from steerkit.courses import course, course_of, lane_change, random_course
-from steerkit.errors import require
-from steerkit.files import read_text
-from steerkit.path import Array, Path
+from steerkit._support.errors import require
+from steerkit._support.files import read_text
+from steerkit.diagram.block import Block
+from steerkit.diagram.units import radians_of
+from steerkit.estimators.adaptive_state import AdaptiveState
+from steerkit.estimators.single_track_filter import SingleTrackFilter
+from steerkit.estimators.vehicle_state import VehicleState
+from steerkit.paths.courses import course, course_of, lane_change, random_course
+from steerkit.paths.path import Array, Path
+from steerkit.paths.waypoints import read_columns
 from steerkit.plants.careful_human import CarefulHuman, ceiling
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.poor_sensors import PoorSensors
@@ -26,9 +28,7 @@ from steerkit.plants.steering_column import SteeringColumn
 from steerkit.plants.steering_link import SteeringLink
 from steerkit.plants.torque_steering import TorqueSteering
 from steerkit.task import DT
-from steerkit.units import radians_of
 from steerkit.vehicles import Vehicle, vehicle_of
-from steerkit.waypoints import read_columns
 
 if TYPE_CHECKING:
     from steerkit.scenario.scenario import Scenario

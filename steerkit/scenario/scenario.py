@@ -12,21 +12,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit.assembly import placed
-from steerkit.block import Block
-from steerkit.catalogue import FITTING, RECOVERIES, Belief, make_recovery, plant_kind
-from steerkit.courses import names, recorded_speed
-from steerkit.errors import known, require, require_within
-from steerkit.files import read_text
-from steerkit.path import Path
+from steerkit._support.errors import known, require, require_within
+from steerkit._support.files import read_text
+from steerkit.diagram.block import Block
+from steerkit.diagram.units import degrees_of, radians_of
+from steerkit.paths.courses import names, recorded_speed
+from steerkit.paths.importers.address import KINDS, Address, is_road
+from steerkit.paths.importers.course import check_bends
+from steerkit.paths.importers.reading import read_course
+from steerkit.paths.path import Path
 from steerkit.plants.careful_human import CarefulHuman
 from steerkit.plants.human import Human, SpeedProfile
 from steerkit.plants.pushed import Pushed
 from steerkit.plants.single_track import SingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator, steering_in
-from steerkit.roads.address import KINDS, Address, is_road
-from steerkit.roads.course import check_bends
-from steerkit.roads.reading import read_course
+from steerkit.scenario.assembly import placed
+from steerkit.scenario.catalogue import FITTING, RECOVERIES, Belief, make_recovery, plant_kind
 from steerkit.scenario.parts import (
     actuator_of,
     car_of,
@@ -40,7 +41,6 @@ from steerkit.scenario.parts import (
     sensors_of,
 )
 from steerkit.task import A_Y_MAX
-from steerkit.units import degrees_of, radians_of
 from steerkit.vehicles import G, Vehicle, vehicle
 from steerkit.vehicles.file import tables_of
 
@@ -107,18 +107,18 @@ class Scenario:
     name: str = "scenario"
     """What it is called in results and errors."""
     course: str = "paper"
-    """Name of a course (`steerkit.courses`); `random-7` and the like, a random course by its seed (500 m, radii of 10 m
-    and more), `sweeping-7` one with wide bends (2 km, 100 m and more); or a file: CSV with the columns x, y [m] or lat,
-    lon [degrees], or any that `steerkit.roads.read_course` reads, such as `town.xodr#road=1,lane=-1`, which is kept as
-    such a CSV. ISO lane changes are as long as v_max asks."""
+    """Name of a course (`steerkit.paths.courses`); `random-7` and the like, a random course by its seed (500 m, radii of
+    10 m and more), `sweeping-7` one with wide bends (2 km, 100 m and more); or a file: CSV with the columns x, y [m] or
+    lat, lon [degrees], or any that `steerkit.paths.importers.read_course` reads, such as
+    `town.xodr#road=1,lane=-1`, which is kept as such a CSV. ISO lane changes are as long as v_max asks."""
     closed: bool | None = None
-    """Is a course from a file closed? None: as the file says, or as it looks (`steerkit.courses.course_of`)."""
+    """Is a course from a file closed? None: as the file says, or as it looks (`steerkit.paths.courses.course_of`)."""
     vehicle: str = "vw-passat"
     """Name of a car (`steerkit.vehicles`); `fleet-17` and the like, a production car by its seed, of which the steering
     delay is not taken (`fleet_scenario` does); or a vehicle file, `my-car.toml`. Its table [steering] is not read here:
     `Scenario.under` does, and so do the command line and the environments."""
     plant: str = "nonlinear"
-    """`nonlinear` or `linear` single track; or `package.module:Class`, see `steerkit.catalogue.plant_kind`."""
+    """`nonlinear` or `linear` single track; or `package.module:Class`, see `steerkit.scenario.catalogue.plant_kind`."""
     reference: str = "front"
     """Where e is judged, and measured for a learner: at the `front` axle (as Stanley does), at the centre of gravity,
     `cg`, or at the controller's `own` point (the front axle for one that has none)."""

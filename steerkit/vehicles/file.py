@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from steerkit.errors import require
-from steerkit.files import read_text
+from steerkit._support.errors import require
+from steerkit._support.files import read_text
 from steerkit.vehicles.parameters import Vehicle
 
 FORMAT = "steerkit vehicle 1"

@@ -10,7 +10,7 @@ from functools import cache
 from importlib.resources import files
 from types import MappingProxyType
 
-from steerkit.random import seed_state, uniform
+from steerkit._support.random import seed_state, uniform
 from steerkit.vehicles.parameters import Vehicle
 
 MU = 0.9

@@ -6,8 +6,8 @@ import dataclasses
 
 import numpy as np
 
-from steerkit.errors import require_within
-from steerkit.maths import Scalar
+from steerkit._support.errors import require_within
+from steerkit.diagram.maths import Scalar
 from steerkit.task import STOP
 
 G = 9.81

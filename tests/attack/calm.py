@@ -20,10 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from steerkit.courses import course
-from steerkit.plants.real_car.decisions.core import Core, Event, Frame, Link, Note, Packet, Reply, Send, Tick
-from steerkit.plants.real_car.file.config import CarConfig
-from steerkit.plants.real_car.file.reading import load
+from steerkit.car.config.config import CarConfig
+from steerkit.car.config.reading import load
+from steerkit.car.core import Core, Event, Frame, Link, Note, Packet, Reply, Send, Tick
+from steerkit.paths.courses import course
 from steerkit.vehicles import VW_PASSAT
 from steerkit.vehicles.file import vehicle_text
 from tests.attack import wire

@@ -8,10 +8,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from steerkit import realtime
-from steerkit.on_car import loop as loops
-from steerkit.on_car.follow import Follow
-from steerkit.plants.real_car.processes import protocol
+from steerkit.car import loop as loops
+from steerkit.car import protocol
+from steerkit.car.follow import Follow
+from steerkit.diagram import realtime
 from tests.attack.bench import Attack, Drive, configuration
 from tests.attack.car import centred
 

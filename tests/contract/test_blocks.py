@@ -19,11 +19,12 @@ import numpy as np
 import pytest
 
 import steerkit
-from steerkit import maths as m
-from steerkit.block import Block, In, Out
 from steerkit.controllers.stanley import Stanley
 from steerkit.controllers.supervisor import Supervisor
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, In, Out
 from steerkit.doe import Integrator, LowPass
+from steerkit.paths.tracker import PathTracker
 from steerkit.plants.human import ConstantSpeed
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
@@ -32,7 +33,6 @@ from steerkit.plants.sensors import Sensors
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.plants.steering_column import SteeringColumn
 from steerkit.plants.steering_link import SteeringLink
-from steerkit.tracker import PathTracker
 from tests.support.block_examples import EXAMPLES, OVAL, PASSAT, Example
 
 blocks = pytest.mark.parametrize("example", EXAMPLES, ids=str)

@@ -140,9 +140,9 @@ def make(name: str, folder: Path, learned: Path, python: tuple[str, ...]) -> Non
     if name in ("runs/default-paper-clean-seed3", "runs/mine", "runs/car", "my-run"):
         shutil.copytree(learned, folder / name)
     elif name == "my-car.toml":  # "copy the shipped dbw-kit.toml"
-        from steerkit.plants import real_car
+        from steerkit import car as real_car
 
-        shutil.copy(Path(real_car.__path__[0]) / "configs" / "dbw-kit.toml", folder / name)
+        shutil.copy(Path(real_car.__path__[0]) / "config" / "dbw-kit.toml", folder / name)
     elif name == "my_controller.py":  # "save this as my_controller.py"
         codes = [text for language, text in blocks(ROOT / "docs" / "tutorial.md") if language == "python"]
         (folder / name).write_text(next(code for code in codes if "A controller of my own" in code), encoding="utf-8")

@@ -197,7 +197,7 @@ def test_every_module_has_its_page_of_the_reference(
     assert packages <= modules(ROOT, "steerkit").keys()
     monkeypatch.setattr(site, "GROUPS", {"Blocks and loops": site.GROUPS["Blocks and loops"]})
     site.modules()
-    assert any("steerkit.errors is on no page of the reference" in message for message in caplog.messages)
+    assert any("steerkit._support.errors is on no page of the reference" in message for message in caplog.messages)
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium or Chrome is installed, so the search was not tried in one")

@@ -30,10 +30,10 @@ LITERAL = {
     "steerkit.logs",
     "steerkit.learning.pictures.film",
     "steerkit.learning.rundir",
-    "steerkit.on_car.learner",
-    "steerkit.plants.real_car.decisions.modes.step",
-    "steerkit.redrive",
-    "steerkit.roads",
+    "steerkit.car.learner",
+    "steerkit.car.state_machine.step",
+    "steerkit.logs.resimulate",
+    "steerkit.paths.importers",
 }
 """Docstrings with a program, a list of files or a diagram, announced by `::`."""
 

@@ -14,7 +14,7 @@ from tests.support.house import parsed
 
 ROOT = Path(__file__).parents[2]
 
-FILES = "steerkit/files.py"
+FILES = "steerkit/_support/files.py"
 ONCE: dict[str, tuple[str, str | None]] = {
     "an atomic write": (r"\bos\.(replace|rename)\b|\b(draft|part|temporary)\.(replace|rename)\(", FILES),
     "a wait for the disk": (r"\bfsync\b", FILES),

@@ -43,7 +43,7 @@ def test_the_wheel_holds_every_file_of_the_package_and_nothing_else(wheel: Path)
     }
     inside = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
     assert inside == here
-    assert {"steerkit/py.typed", "steerkit/courses/genesis.csv", "benchmarks/report/report.html.j2"} <= inside
+    assert {"steerkit/py.typed", "steerkit/paths/courses/genesis.csv", "benchmarks/report/report.html.j2"} <= inside
 
 
 @sources

@@ -18,23 +18,23 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from steerkit import native
-from steerkit.assembly import placed, steering_loop
-from steerkit.block import Block
+from steerkit._support import native
 from steerkit.compiled import compile
 from steerkit.controllers.adaptive import Adaptive
 from steerkit.controllers.delay import delayed_stanley
-from steerkit.controllers.estimators.single_track_filter import SingleTrackFilter
-from steerkit.controllers.estimators.steering_delay import YawDelay
 from steerkit.controllers.forecast import PREVIEW, Forecast
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.offset_free import OffsetFree
 from steerkit.controllers.stanley import Stanley
 from steerkit.controllers.trimmed import Trimmed
-from steerkit.courses import course, figure_eight
+from steerkit.diagram.block import Block
+from steerkit.diagram.loop import Loop
+from steerkit.diagram.simulation import Log, simulate
 from steerkit.doe import Integrator, LowPass
+from steerkit.estimators.single_track_filter import SingleTrackFilter
+from steerkit.estimators.steering_delay import YawDelay
 from steerkit.export.c import export_c
-from steerkit.loop import Loop
+from steerkit.paths.courses import course, figure_eight
 from steerkit.plants.careful_human import CarefulHuman
 from steerkit.plants.human import ConstantSpeed, Human, RecordedSpeed, SpeedProfile
 from steerkit.plants.linear_single_track import LinearSingleTrack
@@ -45,7 +45,7 @@ from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.plants.steering_column import SteeringColumn
 from steerkit.plants.steering_link import SteeringLink
 from steerkit.plants.torque_steering import TorqueSteering
-from steerkit.simulation import Log, simulate
+from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import vehicle
 from tests.support.compilers import optimising
 

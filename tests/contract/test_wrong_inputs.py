@@ -17,10 +17,10 @@ import numpy as np
 import pytest
 
 import steerkit
-from steerkit import maths as m
-from steerkit.block import Block
 from steerkit.compiled.trace import TraceError
-from steerkit.loop import Loop
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block
+from steerkit.diagram.loop import Loop
 from steerkit.plants.human import ConstantSpeed
 from steerkit.scenario import Scenario
 from tests.support.command_lines import run

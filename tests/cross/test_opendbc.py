@@ -21,8 +21,8 @@ pytest.importorskip("opendbc")
 from opendbc.car import lateral
 from opendbc.car.vehicle_model import VehicleModel, calc_slip_factor
 
-from steerkit.plants.real_car.decisions.gate import GateLimits, gate
-from steerkit.plants.real_car.file.reading import load
+from steerkit.car.config.reading import load
+from steerkit.car.gate import GateLimits, gate
 from tests.support.opendbc_judge import Judge, judge
 
 BANK = 9.81 * 0.06

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from steerkit import maths as m
 from steerkit.analysis import UnstableError, break_at, margins
-from steerkit.block import Block, In, Out
-from steerkit.loop import Loop
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, In, Out
+from steerkit.diagram.loop import Loop
 
 DT = 0.05
 

@@ -7,16 +7,16 @@ from typing import Any
 
 import pytest
 
-from steerkit.block import Block
-from steerkit.catalogue import make_controller
-from steerkit.loop import Loop
-from steerkit.on_car import loop as loops
-from steerkit.on_car import replay as replays
-from steerkit.on_car.follow import Steers, adapted_in
-from steerkit.plants.real_car import recording as tapes
-from steerkit.plants.real_car.decisions.modes import Mode, Order
-from steerkit.plants.real_car.processes.protocol import Adapted
-from steerkit.plants.real_car.simulated import Fault
+from steerkit.car import loop as loops
+from steerkit.car import recording as tapes
+from steerkit.car import replay as replays
+from steerkit.car.follow import Steers, adapted_in
+from steerkit.car.protocol import Adapted
+from steerkit.car.simulated import Fault
+from steerkit.car.state_machine import Mode, Order
+from steerkit.diagram.block import Block
+from steerkit.diagram.loop import Loop
+from steerkit.scenario.catalogue import make_controller
 from tests.evals.test_car_learning import learned
 from tests.support.car_world import World, setup
 

@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 import pytest
 
-from steerkit.plants.real_car.decisions.core import Core, Link, Note
-from steerkit.plants.real_car.decisions.modes import Mode, Order
-from steerkit.plants.real_car.simulated import Fault
-from steerkit.units import degrees_of
+from steerkit.car.core import Core, Link, Note
+from steerkit.car.simulated import Fault
+from steerkit.car.state_machine import Mode, Order
+from steerkit.diagram.units import degrees_of
 from tests.support.car_world import World, setup
 
 

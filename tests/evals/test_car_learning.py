@@ -11,19 +11,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from steerkit import files, realtime
+from steerkit._support import files
+from steerkit.car import learner as on_car
+from steerkit.car import loop as loops
+from steerkit.car import recording as tapes
+from steerkit.car import replay as replays
+from steerkit.car.follow import Steers
+from steerkit.car.state_machine import Mode, Order
 from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.diagram import realtime
 from steerkit.learning.counts import Recovery
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.nfq.iterate import FitSetting
 from steerkit.learning.settings import Setting, changed, setting
 from steerkit.learning.trainer import Job, Result, SimulatedTrainer
-from steerkit.on_car import learner as on_car
-from steerkit.on_car import loop as loops
-from steerkit.on_car import replay as replays
-from steerkit.on_car.follow import Steers
-from steerkit.plants.real_car import recording as tapes
-from steerkit.plants.real_car.decisions.modes import Mode, Order
 from steerkit.task import STOP
 from tests.support.car_world import World, setup
 

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from steerkit.catalogue import CONTROLLERS
+from steerkit.car import loop as loops
+from steerkit.car import recording as tapes
+from steerkit.car import replay as replays
+from steerkit.car.follow import Steers
+from steerkit.car.state_machine import Mode, Order
 from steerkit.controllers.mpc.block import FALLBACK, LATE, PLAN, SOLVED
 from steerkit.controllers.stanley import Stanley
-from steerkit.on_car import loop as loops
-from steerkit.on_car import replay as replays
-from steerkit.on_car.follow import Steers
-from steerkit.plants.real_car import recording as tapes
-from steerkit.plants.real_car.decisions.modes import Mode, Order
+from steerkit.scenario.catalogue import CONTROLLERS
 from tests.support.car_world import World, setup
 
 

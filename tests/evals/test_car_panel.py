@@ -17,9 +17,9 @@ from pathlib import Path
 
 import pytest
 
-from steerkit.plants.real_car import recording as tapes
-from steerkit.plants.real_car.decisions.modes import Mode
-from steerkit.plants.real_car.processes.client import CarClient
+from steerkit.car import recording as tapes
+from steerkit.car.client import CarClient
+from steerkit.car.state_machine import Mode
 
 WAIT = 60.0
 """Longest wait for anything [s]; the machine may be busy."""

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from steerkit.plants.real_car.decisions.modes import Mode, Order
-from steerkit.plants.real_car.file.config import CarConfig, shipped
-from steerkit.plants.real_car.file.reading import load
-from steerkit.plants.real_car.simulated import Fault
+from steerkit.car.config.config import CarConfig, shipped
+from steerkit.car.config.reading import load
+from steerkit.car.simulated import Fault
+from steerkit.car.state_machine import Mode, Order
 from tests.support.car_world import World
 
 PEDALS = 0x70

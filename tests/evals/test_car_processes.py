@@ -17,19 +17,19 @@ from typing import Any
 
 import pytest
 
-from steerkit.clock import Clock
-from steerkit.on_car import configured, processes
-from steerkit.on_car import loop as loops
-from steerkit.on_car import replay as replays
-from steerkit.on_car import session as sessions
-from steerkit.plants.real_car import recording as tapes
-from steerkit.plants.real_car.decisions.core import Core
-from steerkit.plants.real_car.decisions.modes import Mode, Order
-from steerkit.plants.real_car.file.config import shipped
-from steerkit.plants.real_car.file.reading import load
-from steerkit.plants.real_car.frames.bus import BusPort, open_bus
-from steerkit.plants.real_car.processes.client import CarClient, CarLost
-from steerkit.plants.real_car.processes.server import CarServer
+from steerkit._support.clock import Clock
+from steerkit.car import configured, processes
+from steerkit.car import loop as loops
+from steerkit.car import recording as tapes
+from steerkit.car import replay as replays
+from steerkit.car import session as sessions
+from steerkit.car.client import CarClient, CarLost
+from steerkit.car.config.config import shipped
+from steerkit.car.config.reading import load
+from steerkit.car.core import Core
+from steerkit.car.frames.bus import BusPort, open_bus
+from steerkit.car.server import CarServer
+from steerkit.car.state_machine import Mode, Order
 from tests.support.programs import alive
 
 CONFIG = "dbw-kit.toml"
@@ -297,7 +297,7 @@ def test_a_second_process_on_the_same_adapter_is_refused_and_the_first_does_not_
 
 
 def test_a_simulated_car_ends_with_the_program_that_started_it_however_that_ends() -> None:
-    start = f"from steerkit.on_car.processes import start_simulated as it; print(it({CONFIG!r})[0].pid, flush=True)"
+    start = f"from steerkit.car.processes import start_simulated as it; print(it({CONFIG!r})[0].pid, flush=True)"
     with subprocess.Popen(
         [sys.executable, "-c", f"{start}; input()"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     ) as starter:

@@ -11,20 +11,20 @@ from typing import Any
 
 import pytest
 
-from steerkit.assembly import steering_loop
-from steerkit.block import Block, In, Out, take_ports
+from steerkit.car import learner as on_car
+from steerkit.car import loop as loops
+from steerkit.car import recording as tapes
+from steerkit.car import replay as replays
+from steerkit.car.client import RealCar
+from steerkit.car.state_machine import Mode
 from steerkit.controllers import fail_safe
 from steerkit.controllers.fail_safe import LATE, RAISED
 from steerkit.controllers.safety_filter import SafetyFilter
 from steerkit.controllers.stanley import Stanley
-from steerkit.loop import Loop
-from steerkit.on_car import learner as on_car
-from steerkit.on_car import loop as loops
-from steerkit.on_car import replay as replays
+from steerkit.diagram.block import Block, In, Out, take_ports
+from steerkit.diagram.loop import Loop
 from steerkit.plants.human import ConstantSpeed
-from steerkit.plants.real_car import recording as tapes
-from steerkit.plants.real_car.decisions.modes import Mode
-from steerkit.plants.real_car.processes.client import RealCar
+from steerkit.scenario.assembly import steering_loop
 from steerkit.task import STOP
 from tests.evals.test_car_learning import TINY, learned
 from tests.support.car_world import World, setup
@@ -207,7 +207,7 @@ def test_only_policies_get_it() -> None:
 def test_a_policy_whose_filter_failed_loses_the_wheel(
     reason: float, learning: bool, engaged: bool, lost: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("steerkit.on_car.learner.filtered_in", lambda live: SimpleNamespace(reason=reason, share=0.0))
+    monkeypatch.setattr("steerkit.car.learner.filtered_in", lambda live: SimpleNamespace(reason=reason, share=0.0))
     told: list[Any] = []
     car = SimpleNamespace(
         link=SimpleNamespace(tell=told.append),

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from steerkit.diagram.simulation import Log
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.learn import learn
 from steerkit.learning.settings import BANG_BANG, DEFAULT, Setting
 from steerkit.metrics import of_log
 from steerkit.scenario import Scenario
 from steerkit.scenario import drive as evaluate
-from steerkit.simulation import Log
 
 SCENARIO = Scenario()
 

@@ -10,20 +10,20 @@ import control
 import numpy as np
 import pytest
 
-from steerkit import maths as m
-from steerkit.assembly import placed, steering_loop
 from steerkit.controllers.mpc.block import PredictiveSteering
 from steerkit.controllers.mpc.linear import MPC
 from steerkit.controllers.mpc.nonlinear import NonlinearMPC
 from steerkit.controllers.mpc.path_model import NX, PathModel
-from steerkit.courses import circle, course
+from steerkit.diagram import maths as m
+from steerkit.diagram.simulation import simulate
 from steerkit.metrics import largest, rms
+from steerkit.paths.courses import circle, course
 from steerkit.plants.careful_human import CarefulHuman
 from steerkit.plants.human import Human
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator
-from steerkit.simulation import simulate
+from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import vehicle
 
 PASSAT = vehicle("vw-passat")

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from steerkit import courses
-from steerkit.path import Path
-from steerkit.tracker import PathTracker
+from steerkit.paths import courses
+from steerkit.paths.path import Path
+from steerkit.paths.tracker import PathTracker
 
 EXACT = 1e-8
 

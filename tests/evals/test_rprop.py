@@ -7,11 +7,11 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
+from steerkit._support.native import NoCompilerError
 from steerkit.learning.nfq import kernel as rprop_c
 from steerkit.learning.nfq import rprop
 from steerkit.learning.nfq.network import flat, forward, new_net, shaped, sizes_of
 from steerkit.learning.nfq.rprop import Rprop, fit, predict
-from steerkit.native import NoCompilerError
 
 LAYOUTS = [(7, 10, 10, 1), (3, 1), (2, 4, 1), (5, 11, 3, 7, 1), (1, 6, 8, 1)]
 

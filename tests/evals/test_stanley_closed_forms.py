@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from steerkit.assembly import placed, steering_loop
 from steerkit.controllers.stanley import Stanley
-from steerkit.courses import circle, straight
-from steerkit.path import Path
+from steerkit.diagram.simulation import Log, simulate
+from steerkit.paths.courses import circle, straight
+from steerkit.paths.path import Path
 from steerkit.plants.human import ConstantSpeed
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
-from steerkit.simulation import Log, simulate
+from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import vehicle
 
 PASSAT = vehicle("vw-passat")

@@ -12,14 +12,8 @@ import control
 import numpy as np
 
 from steerkit.analysis import FromControl, Tap
-from steerkit.block import Block, take_ports
 from steerkit.controllers.adaptive import Adaptive
 from steerkit.controllers.delay import Predicted, delayed_stanley
-from steerkit.controllers.estimators.adaptive_state import AdaptiveState
-from steerkit.controllers.estimators.single_track_filter import SingleTrackFilter
-from steerkit.controllers.estimators.steering_delay import WheelDelay, YawDelay
-from steerkit.controllers.estimators.steering_wear import SteeringFriction, SteeringPlay
-from steerkit.controllers.estimators.vehicle_state import VehicleState
 from steerkit.controllers.excited import Excited
 from steerkit.controllers.fail_safe import FailSafe
 from steerkit.controllers.foresight import Foresight
@@ -34,12 +28,20 @@ from steerkit.controllers.stanley import Stanley
 from steerkit.controllers.supervisor import Guarded, Supervisor, SupervisorState
 from steerkit.controllers.target_shift import TargetShift
 from steerkit.controllers.trimmed import Trimmed
+from steerkit.diagram.block import Block, take_ports
+from steerkit.diagram.units import radians_of
 from steerkit.doe import Corrected, Integrator, LowPass, PlainAngle
+from steerkit.estimators.adaptive_state import AdaptiveState
+from steerkit.estimators.single_track_filter import SingleTrackFilter
+from steerkit.estimators.steering_delay import WheelDelay, YawDelay
+from steerkit.estimators.steering_wear import SteeringFriction, SteeringPlay
+from steerkit.estimators.vehicle_state import VehicleState
 from steerkit.gym.task import Agent
 from steerkit.learning.exploration import Exploring
 from steerkit.learning.nfq.model import CarModel
 from steerkit.learning.rival import ModelPolicy
-from steerkit.path import Path
+from steerkit.paths.path import Path
+from steerkit.paths.tracker import PathTracker
 from steerkit.plants.careful_human import CarefulHuman
 from steerkit.plants.human import ConstantSpeed, Human, RecordedSpeed, SpeedProfile
 from steerkit.plants.linear_single_track import LinearSingleTrack
@@ -52,8 +54,6 @@ from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.plants.steering_column import SteeringColumn
 from steerkit.plants.steering_link import SteeringLink
 from steerkit.plants.torque_steering import TorqueSteering
-from steerkit.tracker import PathTracker
-from steerkit.units import radians_of
 from steerkit.vehicles import vehicle
 
 PASSAT = vehicle("vw-passat")

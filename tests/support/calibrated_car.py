@@ -8,15 +8,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from benchmarks.studies.car_calibration import lateness
-from steerkit import realtime
-from steerkit.courses import course
-from steerkit.on_car.calibration import Guided
-from steerkit.on_car.estimates import Watched
-from steerkit.plants.real_car import recording as tapes
-from steerkit.plants.real_car.decisions.modes import Order
-from steerkit.plants.real_car.file.config import CarConfig
-from steerkit.plants.real_car.processes.protocol import Snapshot
-from steerkit.units import radians_of
+from steerkit.car import recording as tapes
+from steerkit.car.calibration import Guided
+from steerkit.car.config.config import CarConfig
+from steerkit.car.estimates import Watched
+from steerkit.car.protocol import Snapshot
+from steerkit.car.state_machine import Order
+from steerkit.diagram import realtime
+from steerkit.diagram.units import radians_of
+from steerkit.paths.courses import course
 from tests.support.car_world import World, setup
 
 _TEXTS = setup()[0].texts

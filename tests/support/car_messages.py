@@ -6,20 +6,10 @@ from functools import cache
 
 from hypothesis import strategies as st
 
-from steerkit.plants.real_car.decisions.modes import Order
-from steerkit.plants.real_car.file.config import CarConfig
-from steerkit.plants.real_car.file.reading import load
-from steerkit.plants.real_car.processes.protocol import (
-    ESTIMATES,
-    Adapted,
-    Beat,
-    Command,
-    Estimates,
-    Filtered,
-    Hello,
-    Query,
-    Request,
-)
+from steerkit.car.config.config import CarConfig
+from steerkit.car.config.reading import load
+from steerkit.car.protocol import ESTIMATES, Adapted, Beat, Command, Estimates, Filtered, Hello, Query, Request
+from steerkit.car.state_machine import Order
 
 
 @cache

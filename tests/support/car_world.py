@@ -7,23 +7,22 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any, NamedTuple
 
-from steerkit import realtime
-from steerkit.block import Block
+from steerkit.car import loop as loops
+from steerkit.car import processes, protocol
+from steerkit.car.config.config import CarConfig
+from steerkit.car.config.reading import load
+from steerkit.car.core import Core, Event, Frame, Link, Note, Packet, Reply, Send, Tick
+from steerkit.car.follow import Follow
+from steerkit.car.recording import Recording
+from steerkit.car.simulated import Fault
+from steerkit.car.state_machine import Mode, Order
 from steerkit.controllers.stanley import Stanley
-from steerkit.courses import course
+from steerkit.diagram import realtime
+from steerkit.diagram.block import Block
+from steerkit.diagram.loop import Loop
 from steerkit.doe import Dynamic
-from steerkit.loop import Loop
-from steerkit.on_car import loop as loops
-from steerkit.on_car import processes
-from steerkit.on_car.follow import Follow
-from steerkit.path import Path
-from steerkit.plants.real_car.decisions.core import Core, Event, Frame, Link, Note, Packet, Reply, Send, Tick
-from steerkit.plants.real_car.decisions.modes import Mode, Order
-from steerkit.plants.real_car.file.config import CarConfig
-from steerkit.plants.real_car.file.reading import load
-from steerkit.plants.real_car.processes import protocol
-from steerkit.plants.real_car.recording import Recording
-from steerkit.plants.real_car.simulated import Fault
+from steerkit.paths.courses import course
+from steerkit.paths.path import Path
 
 BEND = 147.0
 """Arc length just before a bend of the course [m]: there the wheel has to move."""

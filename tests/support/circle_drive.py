@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from steerkit.courses import circle
+from steerkit.paths.courses import circle
 from steerkit.vehicles import vehicle
 
 PATH, PASSAT = circle(), vehicle("vw-passat")

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from steerkit import native
+from steerkit._support import native
 
 
 def optimising() -> str:

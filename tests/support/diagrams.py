@@ -6,16 +6,16 @@ from typing import Any
 
 import pytest
 
-from steerkit.assembly import placed, steering_loop
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.stanley import Stanley
-from steerkit.courses import circle
+from steerkit.diagram.loop import Loop
 from steerkit.doe import Integrator
-from steerkit.loop import Loop
+from steerkit.paths.courses import circle
 from steerkit.plants.human import Human
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.sensors import Sensors
 from steerkit.plants.steering_actuator import SteeringActuator
+from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import vehicle
 from tests.support.parts import Angle, Count, Delay, Gain, Pair, Sum, Wave
 

@@ -4,7 +4,7 @@ A slip is a small mistake that somebody could make: a wrong sign, a check forgot
 tests/support/slips/*.toml:
 
     [[slip]]
-    file = "steerkit/units.py"     # where, from the root of the checkout
+    file = "steerkit/diagram/units.py"     # where, from the root of the checkout
     before = "1609.344"            # what stands there, exactly once
     after = "1852.0"               # what stands there with the slip
     why = "a nautical mile"        # what is wrong with it, in plain words

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from steerkit import native
+from steerkit._support import native
 
 SOURCE = """
 #include <math.h>

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from steerkit import maths as m
-from steerkit.courses import circle
+from steerkit.diagram import maths as m
 from steerkit.doe import Dynamic
 from steerkit.learning.costs import TanhCost
 from steerkit.learning.settings import Setting
-from steerkit.path import Path
+from steerkit.paths.courses import circle
+from steerkit.paths.path import Path
 from steerkit.scenario import Scenario
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from steerkit import maths as m
-from steerkit.block import Block, In, Out
-from steerkit.loop import Loop
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, In, Out
+from steerkit.diagram.loop import Loop
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from steerkit import simulate
-from steerkit.loop import Loop
+from steerkit.diagram.loop import Loop
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.playback import Playback
 from steerkit.plants.steering_actuator import SteeringActuator

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.run.results import Case, Results, Store
-from steerkit.courses import course
 from steerkit.metrics import measures
+from steerkit.paths.courses import course
 
 CONTROLLERS = {"stanley": 1.0, "pure-pursuit": 3.0, "nfq-idoe": 1.6}
 """Name and how wide it swings."""

@@ -13,7 +13,7 @@ import numpy as np
 import pymap3d
 from scenariogeneration import xodr
 
-from steerkit.path import Path
+from steerkit.paths.path import Path
 
 CENTRE = (52.28, 8.02)
 """Where the tracks are [degrees]."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from steerkit.block import Block
+from steerkit.diagram.block import Block
 from steerkit.plants.human import ConstantSpeed
 from steerkit.scenario import Scenario
 

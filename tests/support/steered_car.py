@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from steerkit.block import Block
+from steerkit.diagram.block import Block
+from steerkit.diagram.units import radians_of
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.plants.steering_column import SteeringColumn
-from steerkit.units import radians_of
 from steerkit.vehicles import Vehicle, vehicle
 from tests.support.stepped import from_there
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from steerkit.block import Block
+from steerkit.diagram.block import Block
 
 
 def straight_on(car: Block, seconds: float, delta_sw: float = 0.0, v: float = 7.0) -> tuple[list, list]:

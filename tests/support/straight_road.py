@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from steerkit.assembly import placed, steering_loop
 from steerkit.controllers.delay import delayed_stanley
-from steerkit.courses import straight
-from steerkit.loop import Loop
+from steerkit.diagram.loop import Loop
+from steerkit.paths.courses import straight
 from steerkit.plants.human import ConstantSpeed
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator
+from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import vehicle
 
 PASSAT = vehicle("vw-passat")

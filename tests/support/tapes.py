@@ -11,11 +11,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from steerkit.plants.real_car import recording as tapes
-from steerkit.plants.real_car.decisions.core import Taping
-from steerkit.plants.real_car.decisions.modes import Mode
-from steerkit.plants.real_car.processes.protocol import VERSION
-from steerkit.plants.real_car.tape_file import Contents, TapeFile, contents
+from steerkit.car import recording as tapes
+from steerkit.car.core import Taping
+from steerkit.car.protocol import VERSION
+from steerkit.car.recording_file import Contents, TapeFile, contents
+from steerkit.car.state_machine import Mode
 from tests.support.car_world import World, setup
 
 LINES = 24

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from steerkit import maths as m
-from steerkit.block import Block, In, Out, State
-from steerkit.loop import Loop
-from steerkit.maths import Table
-from steerkit.random import normals, seed_state
+from steerkit._support.random import normals, seed_state
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, In, Out, State
+from steerkit.diagram.loop import Loop
+from steerkit.diagram.maths import Table
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -46,7 +46,7 @@ PACKAGES = (
 OURS = (
     *("steerkit.cli.app", "steerkit.learning.learn", "steerkit.learning.progress", "steerkit.learning.trainer"),
     *("steerkit.learning.pictures.paper", "steerkit.learning.pictures.policy", "steerkit.learning.live.server"),
-    *("steerkit.controllers.mpc.linear", "steerkit.plots.log", "steerkit.on_car.session", "steerkit.on_car.replay"),
+    *("steerkit.controllers.mpc.linear", "steerkit.plots.log", "steerkit.car.session", "steerkit.car.replay"),
     *("steerkit.logs.reading", "steerkit.identification", "benchmarks.app", "benchmarks.run.runner"),
 )
 """Modules of this checkout, with all that they import; none of it asks environment, folder or terminal on import."""

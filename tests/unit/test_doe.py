@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from steerkit.block import Block
+from steerkit.diagram.block import Block
+from steerkit.diagram.loop import Loop
+from steerkit.diagram.simulation import Log, simulate
+from steerkit.diagram.units import radians_of
 from steerkit.doe import Corrected, HeldAngle, Integrator, LowPass, PlainAngle
-from steerkit.loop import Loop
-from steerkit.simulation import Log, simulate
-from steerkit.units import radians_of
 from tests.support.parts import Script
 
 angles = st.floats(-12.0, 12.0)

@@ -11,8 +11,7 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from steerkit import maths as m
-from steerkit.block import Block, In, Out
+from steerkit._support.errors import require
 from steerkit.controllers.mpc.fallback import asked
 from steerkit.controllers.mpc.path_model import V_HIGH, V_LOW, Array, PathModel, Rhs
 from steerkit.controllers.mpc.preparation import Motion, Preparation
@@ -20,9 +19,10 @@ from steerkit.controllers.mpc.programme import NOTHING, PREDICTION, SOLUTION, Pr
 from steerkit.controllers.mpc.qp import StageQp
 from steerkit.controllers.mpc.settings import check
 from steerkit.controllers.stanley import Stanley
-from steerkit.errors import require
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, In, Out
+from steerkit.diagram.units import radians_of
 from steerkit.task import DT, STOP, TRIP
-from steerkit.units import radians_of
 
 SOLVED, PLAN, FALLBACK, HELD = 0.0, 1.0, 2.0, 3.0
 """Where a command came from: this sample's solution, an earlier one's plan, the fallback law, the command before."""

@@ -10,7 +10,7 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit import native
+from steerkit._support import native
 
 Array = NDArray[np.float64]
 _P = ctypes.c_void_p

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from steerkit.block import Block
-from steerkit.errors import require
+from steerkit._support.errors import require
+from steerkit.diagram.block import Block
 
 SEES = {"e", "psi_e", "kappa", "v", "r", "delta_sw_meas"}
 """Inputs that it may have."""

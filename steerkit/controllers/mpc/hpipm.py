@@ -12,7 +12,7 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit import native
+from steerkit._support import native
 
 if TYPE_CHECKING:
     from steerkit.controllers.mpc.qp import StageQp

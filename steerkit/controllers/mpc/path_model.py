@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.linalg import expm
 
-from steerkit import maths as m
 from steerkit.controllers.riccati import cost_to_go
+from steerkit.diagram import maths as m
 
 Array = NDArray[np.float64]
 Rhs = Callable[[Sequence[Any], Any, Any], Sequence[Any]]

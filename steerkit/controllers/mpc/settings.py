@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from steerkit._support.errors import require
 from steerkit.controllers.mpc.fallback import check_ports
 from steerkit.controllers.mpc.qp import SOLVERS
-from steerkit.errors import require
 
 if TYPE_CHECKING:
     from steerkit.controllers.mpc.block import PredictiveSteering

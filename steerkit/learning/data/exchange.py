@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from steerkit.errors import require
+from steerkit._support.errors import require
 from steerkit.learning.data.store import TransitionStore
 from steerkit.learning.data.store_file import (
     SCHEMA,

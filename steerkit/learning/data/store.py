@@ -22,7 +22,7 @@ from typing import Self
 
 import numpy as np
 
-from steerkit.errors import require
+from steerkit._support.errors import require
 from steerkit.learning.data.store_file import (
     Path,
     Row,

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from steerkit._support.errors import require
+from steerkit._support.files import read_arrays, write_arrays
 from steerkit.controllers.state_description import StateDescription
-from steerkit.errors import require
-from steerkit.files import read_arrays, write_arrays
 
 
 class Transitions:

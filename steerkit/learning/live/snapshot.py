@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.diagram.simulation import Log
+from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.learning import rundir
 from steerkit.learning.counts import Episode
 from steerkit.learning.curve import Curve
@@ -19,10 +21,8 @@ from steerkit.learning.experiment import Experiment
 from steerkit.learning.ownership import learner
 from steerkit.learning.pictures.policy import course_angle, states
 from steerkit.learning.progress import LAST
-from steerkit.path import Path
-from steerkit.simulation import Log
+from steerkit.paths.path import Path
 from steerkit.task import DT, GOAL, RELEASE, TRIP
-from steerkit.units import degrees_of, radians_of
 
 POINTS = 600
 """Points of a curve or of the path, at most: as many as a page has room for."""

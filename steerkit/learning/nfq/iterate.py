@@ -11,11 +11,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from steerkit._support.errors import require
 from steerkit.controllers.forecast import LONGEST, PREVIEW
 from steerkit.controllers.nfq_policy import COMBINATIONS, Combine, combined
 from steerkit.controllers.policy import ACTION, DOE, E, V
 from steerkit.controllers.state_description import StateDescription
-from steerkit.errors import require
 from steerkit.learning.costs import Cost
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq.model import CarModel, Imagined, imagine

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit import native
+from steerkit._support import native
 
 SOURCE = Path(__file__).with_name("kernel.c")
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from steerkit._support.errors import require
 from steerkit.controllers.forecast import ANSWER, LENGTH, SLOWEST, Motion, moved
 from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, R_E, E, V
 from steerkit.controllers.state_description import StateDescription
-from steerkit.errors import require
 from steerkit.learning.data.transitions import Transitions
 from steerkit.task import DT
 

@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from steerkit._support.errors import require
 from steerkit.controllers.nfq_policy import Net, check_net
-from steerkit.errors import require
 
 __all__ = ["Net", "check_net", "flat", "forward", "new_net", "shaped", "sizes_of"]
 

@@ -10,10 +10,10 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit.errors import require
+from steerkit._support.errors import require
+from steerkit._support.native import NoCompilerError
 from steerkit.learning.nfq import kernel as rprop_c
 from steerkit.learning.nfq.network import Net, check_net, flat, forward, shaped, sizes_of
-from steerkit.native import NoCompilerError
 
 Engine = Literal["auto", "c", "torch"]
 """auto: C where a compiler is found, else PyTorch (with a warning, once)."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from steerkit._support.errors import require
 from steerkit.controllers.forecast import Forecast
 from steerkit.controllers.state_description import StateDescription
-from steerkit.errors import require
 from steerkit.learning.costs import Cost
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq.dead_time import process_of

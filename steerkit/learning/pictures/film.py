@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit.errors import require
+from steerkit._support.errors import require
 from steerkit.learning import rundir
 from steerkit.learning.pictures.run import Record
 from steerkit.plots.animation import CarShape, draw_path

@@ -9,10 +9,10 @@ from typing import Any, ParamSpec
 
 import numpy as np
 
+from steerkit.diagram.simulation import Log
+from steerkit.diagram.units import degrees_of
 from steerkit.plots.style import COLOURS, PALETTE, new_figure, style
-from steerkit.simulation import Log
 from steerkit.task import GOAL, TRIP
-from steerkit.units import degrees_of
 
 P = ParamSpec("P")
 

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any, ParamSpec
 import numpy as np
 from numpy.typing import NDArray
 
+from steerkit._support.errors import require
 from steerkit.controllers.nfq_policy import NfqPolicy, combined
-from steerkit.errors import require
+from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq.patterns import patterns
 from steerkit.learning.nfq.rprop import predict
 from steerkit.plots.style import COLOURS, new_figure, style
 from steerkit.scenario import Scenario
 from steerkit.task import TRIP
-from steerkit.units import degrees_of, radians_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -14,19 +14,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from steerkit._support.errors import require
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.policy import V
-from steerkit.errors import require
+from steerkit.diagram.simulation import Log
+from steerkit.diagram.units import degrees_of
 from steerkit.learning import rundir
 from steerkit.learning.counts import Episode
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.pictures.policy import policy_map, q_slices, styled
-from steerkit.path import Path
+from steerkit.paths.path import Path
 from steerkit.plots.style import COLOURS, PALETTE, new_figure, save
-from steerkit.simulation import Log
 from steerkit.task import GOAL, TRIP
-from steerkit.units import degrees_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -18,15 +18,15 @@ from steerkit.analysis import (
     step_response,
     to_control,
 )
-from steerkit.assembly import placed, steering_loop
 from steerkit.controllers.stanley import Stanley
-from steerkit.courses import circle
-from steerkit.loop import Loop
+from steerkit.diagram.loop import Loop
+from steerkit.diagram.simulation import simulate
+from steerkit.paths.courses import circle
 from steerkit.plants.human import ConstantSpeed, Human
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.sensors import Sensors
 from steerkit.plants.steering_actuator import SteeringActuator
-from steerkit.simulation import simulate
+from steerkit.scenario.assembly import placed, steering_loop
 from tests.support.straight_road import PASSAT, steered
 
 PLANT = control.ss([[0.9, 0.1], [0.0, 0.7]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]], 0.05, inputs=["u"], outputs=["y"])

@@ -8,13 +8,13 @@ import control
 import numpy as np
 import pytest
 
-from steerkit import maths as m
 from steerkit.analysis import FromControl, to_control
-from steerkit.assembly import placed
 from steerkit.compiled import compile
-from steerkit.loop import Loop
+from steerkit.diagram import maths as m
+from steerkit.diagram.loop import Loop
+from steerkit.diagram.simulation import simulate
 from steerkit.plants.linear_single_track import LinearSingleTrack
-from steerkit.simulation import simulate
+from steerkit.scenario.assembly import placed
 from tests.support.parts import Gain
 from tests.support.straight_road import PASSAT, ROAD, steered
 from tests.support.traced_blocks import mixed_loop

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks import laps
-from steerkit.controllers.estimators.vehicle_state import VehicleState
+from steerkit.estimators.vehicle_state import VehicleState
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.vehicles import VW_PASSAT
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from benchmarks.rounds import CAR, LAG, belief, drive_loop, driven, interpreted, on_course, reference_of, rms, worst
-from steerkit.catalogue import make_controller
-from steerkit.simulation import Log
+from steerkit.diagram.simulation import Log
+from steerkit.scenario.catalogue import make_controller
 
 
 def log_of(e: list[list[float]], progress: list[list[float]]) -> Log:

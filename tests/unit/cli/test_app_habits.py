@@ -15,8 +15,8 @@ from rich import markup
 
 import steerkit
 from steerkit.cli import app as cli
-from steerkit.courses import names
-from steerkit.units import radians_of
+from steerkit.diagram.units import radians_of
+from steerkit.paths.courses import names
 from steerkit.vehicles import VEHICLES, fleet
 from tests.support.command_lines import parsed, run
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from steerkit.plants.real_car import recording as tapes
-from steerkit.plants.real_car.file.config import shipped
-from steerkit.plants.real_car.processes.server import CarServer
-from steerkit.plants.real_car.tape_file import contents
+from steerkit.car import recording as tapes
+from steerkit.car.config.config import shipped
+from steerkit.car.recording_file import contents
+from steerkit.car.server import CarServer
 from tests.support import command_lines
 from tests.support.tapes import LINES, flipped, small
 
@@ -65,9 +65,9 @@ def test_check_knows_the_courses(
 
 
 def test_a_controller_that_is_not_known_names_the_valid_ones(tmp_path: Path) -> None:
-    from steerkit.on_car.loop import controller_named
-    from steerkit.on_car.processes import fault_of
-    from steerkit.plants.real_car.file.reading import load
+    from steerkit.car.config.reading import load
+    from steerkit.car.loop import controller_named
+    from steerkit.car.processes import fault_of
 
     with pytest.raises(ValueError, match=r"valid: stanley, .*nfq \(the newest net in runs/car\), a learning run's"):
         controller_named("stanly", load("dbw-kit.toml"))

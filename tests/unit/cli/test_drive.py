@@ -11,16 +11,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from steerkit.catalogue import CONTROLLERS
 from steerkit.cli import demo
 from steerkit.cli import drive as command
+from steerkit.diagram.simulation import simulate
 from steerkit.learning import report
 from steerkit.learning.counts import Counts
 from steerkit.learning.experiment import Experiment
 from steerkit.scenario import Scenario
 from steerkit.scenario import drive as evaluate
+from steerkit.scenario.catalogue import CONTROLLERS
 from steerkit.scenario.file import write_scenario
-from steerkit.simulation import simulate
 from steerkit.vehicles import VEHICLES
 from steerkit.vehicles.file import vehicle_text
 from tests.support.command_lines import run

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from scipy.io import savemat
 
-from steerkit.units import degrees_of
+from steerkit.diagram.units import degrees_of
 from steerkit.vehicles import vehicle
 from tests.support import command_lines
 from tests.support.compilers import optimising

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from steerkit.loop import Loop
-from steerkit.simulation import Log, simulate
+from steerkit.diagram.loop import Loop
+from steerkit.diagram.simulation import Log, simulate
 from tests.support.command_lines import run
 from tests.support.parts import Count
 

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from steerkit import maths as m
-from steerkit import native
-from steerkit.block import Block, Out, State
+from steerkit._support import native
 from steerkit.compiled import compile
-from steerkit.loop import Loop
-from steerkit.maths import Table
-from steerkit.simulation import simulate
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, Out, State
+from steerkit.diagram.loop import Loop
+from steerkit.diagram.maths import Table
+from steerkit.diagram.simulation import simulate
 from tests.support.traced_blocks import mixed_loop, oscillating_loop, worst
 
 pytestmark = pytest.mark.skipif(native.compiler() is None, reason="needs a C compiler")

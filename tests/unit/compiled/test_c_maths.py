@@ -9,10 +9,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from steerkit import native
+from steerkit._support import native
 from steerkit.compiled.c_code import table_source
 from steerkit.compiled.c_maths import MANY, ONE
-from steerkit.maths import Table
+from steerkit.diagram.maths import Table
 
 pytestmark = pytest.mark.skipif(native.compiler() is None, reason="needs a C compiler")
 NAMES = ("sin", "cos", "tan", "atan", "asin", "acos", "tanh", "exp", "log", "sqrt", "floor")

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from steerkit import compiled, native
+from steerkit import compiled
+from steerkit._support import native
 from steerkit.compiled import compile
-from steerkit.simulation import NonFiniteError, simulate
+from steerkit.diagram.simulation import NonFiniteError, simulate
 from tests.support.places import ROOT
 from tests.support.traced_blocks import decay_loop, mixed_loop, worst
 

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from steerkit import maths as m
-from steerkit.block import Block, Out
+from steerkit._support.native import compiler
 from steerkit.compiled.exact import ExactProgram
-from steerkit.loop import Loop
-from steerkit.maths import Table
-from steerkit.native import compiler
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, Out
+from steerkit.diagram.loop import Loop
+from steerkit.diagram.maths import Table
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from steerkit.compiled import gradient
-from steerkit.simulation import simulate
+from steerkit.diagram.simulation import simulate
 from tests.support.traced_blocks import decay_loop, mixed_loop
 
 

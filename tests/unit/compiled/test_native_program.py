@@ -13,15 +13,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from steerkit import maths as m
-from steerkit import native
-from steerkit.block import Block, In, Out, State
+from steerkit._support import native
 from steerkit.compiled import Compiled, TraceError, compile, native_program
 from steerkit.compiled.fleet import Fleet
 from steerkit.compiled.trace import trace
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, In, Out, State
+from steerkit.diagram.loop import Loop
+from steerkit.diagram.simulation import simulate
 from steerkit.export.c import export_c
-from steerkit.loop import Loop
-from steerkit.simulation import simulate
 from tests.support.traced_blocks import Held, mixed_loop, worst
 
 SOURCE = """

@@ -11,11 +11,11 @@ import casadi
 import numpy as np
 import pytest
 
-from steerkit import maths as m
 from steerkit.compiled import symbols
 from steerkit.compiled.graph import Graph, from_symbols
 from steerkit.compiled.symbols import Symbol, constant, numbers, symbol
 from steerkit.compiled.trace import exact_arithmetic
+from steerkit.diagram import maths as m
 
 OPERATORS = [getattr(operator, name) for name in ("add", "sub", "mul", "truediv", "lt", "le", "gt", "ge", "eq", "ne")]
 OF_ONE = ("sin", "cos", "tan", "asin", "acos", "atan", "tanh", "exp", "log", "sqrt", "floor", "fabs", "logic_not")

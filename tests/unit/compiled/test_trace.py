@@ -9,9 +9,9 @@ import pytest
 
 from steerkit.compiled import TraceError, compile
 from steerkit.compiled.trace import trace
-from steerkit.loop import Loop
-from steerkit.maths import Table
-from steerkit.simulation import simulate
+from steerkit.diagram.loop import Loop
+from steerkit.diagram.maths import Table
+from steerkit.diagram.simulation import simulate
 from tests.support.traced_blocks import (
     Branching,
     Decay,

@@ -11,16 +11,16 @@ import pytest
 
 from steerkit.compiled import compile
 from steerkit.controllers.adaptive import Adaptive, Told
-from steerkit.controllers.estimators.single_track_filter import SingleTrackFilter
-from steerkit.controllers.estimators.steering_delay import YawDelay
 from steerkit.controllers.pure_pursuit import PurePursuit
 from steerkit.controllers.stanley import Stanley
-from steerkit.courses import circle
+from steerkit.diagram.simulation import simulate
+from steerkit.estimators.single_track_filter import SingleTrackFilter
+from steerkit.estimators.steering_delay import YawDelay
 from steerkit.learning.settings import setting as named
 from steerkit.learning.story import untrained
+from steerkit.paths.courses import circle
 from steerkit.scenario import Scenario
 from steerkit.scenario.drive import assembled, controller, drive_loop
-from steerkit.simulation import simulate
 from steerkit.vehicles import vehicle
 from tests.support.steered_car import answered, steered
 

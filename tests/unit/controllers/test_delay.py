@@ -11,21 +11,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from steerkit.assembly import placed, steering_loop
-from steerkit.block import Block, In, Out, State
 from steerkit.compiled import compile
 from steerkit.controllers.delay import Predicted, delayed_stanley, identified
 from steerkit.controllers.limits import slewed
 from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.stanley import Stanley
-from steerkit.courses import circle, course, straight
+from steerkit.diagram.block import Block, In, Out, State
+from steerkit.diagram.simulation import simulate
 from steerkit.doe import PlainAngle
+from steerkit.paths.courses import circle, course, straight
 from steerkit.plants.careful_human import CarefulHuman
 from steerkit.plants.human import ConstantSpeed, Human
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator
-from steerkit.simulation import simulate
+from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import vehicle
 
 PASSAT = vehicle("vw-passat")

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from steerkit.catalogue import Belief, make_controller
 from steerkit.controllers.adaptive import Adaptive
 from steerkit.controllers.excited import WAVES, Excited, excited
 from steerkit.controllers.stanley import Stanley
-from steerkit.courses import course
+from steerkit.diagram.units import radians_of
 from steerkit.doe import Integrator
+from steerkit.paths.courses import course
 from steerkit.plants.human import ConstantSpeed
-from steerkit.units import radians_of
+from steerkit.scenario.catalogue import Belief, make_controller
 from steerkit.vehicles import vehicle
 
 PASSAT = vehicle("vw-passat")

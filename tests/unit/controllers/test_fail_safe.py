@@ -12,12 +12,12 @@ import casadi
 import numpy as np
 import pytest
 
-from steerkit.assembly import bare
-from steerkit.block import Block, take_ports
 from steerkit.controllers.fail_safe import FAULTS, LATE, NOTHING, RAISED, FailSafe, said
 from steerkit.controllers.safety_filter import REASONS, SafetyFilter
 from steerkit.controllers.stanley import Stanley
 from steerkit.controllers.supervisor import Guarded
+from steerkit.diagram.block import Block, take_ports
+from steerkit.scenario.assembly import bare
 from steerkit.vehicles import vehicle
 
 PASSAT = vehicle("vw-passat")

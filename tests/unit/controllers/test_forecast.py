@@ -11,9 +11,9 @@ import casadi
 import numpy as np
 import pytest
 
+from steerkit._support.files import read_arrays, write_arrays
 from steerkit.controllers.forecast import LENGTH, LONGEST, PREVIEW, Forecast, Motion, moved, nothing
 from steerkit.controllers.nfq_policy import NfqPolicy
-from steerkit.files import read_arrays, write_arrays
 from steerkit.learning.nfq.iterate import mirror_image
 from steerkit.learning.nfq.network import new_net
 from steerkit.learning.nfq.patterns import STANDARD

@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from steerkit.assembly import steering_loop
+from steerkit._support.errors import WiringError
+from steerkit.car.gate import GateLimits, gate
 from steerkit.controllers.foresight import Foresight
 from steerkit.controllers.stanley import Stanley
-from steerkit.courses import course
-from steerkit.errors import WiringError
+from steerkit.diagram.units import radians_of
+from steerkit.paths.courses import course
 from steerkit.plants.human import ConstantSpeed
 from steerkit.plants.linear_single_track import LinearSingleTrack
-from steerkit.plants.real_car.decisions.gate import GateLimits, gate
-from steerkit.units import radians_of
+from steerkit.scenario.assembly import steering_loop
 from steerkit.vehicles import vehicle
 
 RATIO, LENGTH = 15.6, 2.71

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from steerkit.car.gate import GateLimits, gate
 from steerkit.controllers.gate_model import GateModel
-from steerkit.plants.real_car.decisions.gate import GateLimits, gate
-from steerkit.units import radians_of
+from steerkit.diagram.units import radians_of
 
 DT = 0.05
 

@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from steerkit.assembly import placed, steering_loop
 from steerkit.compiled import compile
 from steerkit.controllers.lqr import Lqr, LqrDesign
-from steerkit.courses import circle, straight
-from steerkit.path import Path
+from steerkit.diagram.simulation import Log, simulate
+from steerkit.paths.courses import circle, straight
+from steerkit.paths.path import Path
 from steerkit.plants.human import ConstantSpeed
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario import Scenario
-from steerkit.simulation import Log, simulate
+from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import vehicle
 
 PASSAT = vehicle("vw-passat")

@@ -8,16 +8,16 @@ import gymnasium
 import numpy as np
 import pytest
 
-from steerkit.assembly import steering_loop
 from steerkit.compiled import TraceError, compile
 from steerkit.controllers.nfq_policy import IDOE_ACTIONS
 from steerkit.controllers.state_description import StateDescription
+from steerkit.diagram.simulation import simulate
+from steerkit.diagram.units import radians_of
 from steerkit.doe import Integrator
 from steerkit.gym import Network, PolicyBlock, Task
 from steerkit.scenario import Scenario
+from steerkit.scenario.assembly import steering_loop
 from steerkit.scenario.drive import drive_loop
-from steerkit.simulation import simulate
-from steerkit.units import radians_of
 from tests.support.steady_world import SteadyWorld
 
 CONTINUOUS = "steerkit/TrackSteeringContinuous-v0"

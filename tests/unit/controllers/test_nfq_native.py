@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from steerkit._support.native import compiler
 from steerkit.controllers import nfq_native
 from steerkit.controllers.forecast import LONGEST, PREVIEW, Forecast
 from steerkit.controllers.nfq_native import Kind, NativeNets, NotTheSameError, OpenPolicy, numbers_of
 from steerkit.controllers.nfq_policy import BANG_BANG_ACTIONS, COMBINATIONS, NfqPolicy
 from steerkit.controllers.state_description import StateDescription
-from steerkit.native import compiler
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 

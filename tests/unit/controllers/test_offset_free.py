@@ -11,18 +11,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from steerkit.assembly import placed, steering_loop
-from steerkit.catalogue import make_controller
 from steerkit.controllers.offset_free import OffsetFree
 from steerkit.controllers.stanley import Stanley
-from steerkit.courses import straight
+from steerkit.diagram.simulation import simulate
+from steerkit.diagram.units import radians_of
 from steerkit.doe import Integrator
+from steerkit.paths.courses import straight
 from steerkit.plants.human import ConstantSpeed
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.scenario import Scenario
+from steerkit.scenario.assembly import placed, steering_loop
+from steerkit.scenario.catalogue import make_controller
 from steerkit.scenario.drive import controller, drive
-from steerkit.simulation import simulate
-from steerkit.units import radians_of
 from steerkit.vehicles import vehicle
 
 PASSAT = vehicle("vw-passat")

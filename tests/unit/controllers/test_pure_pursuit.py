@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from steerkit.assembly import placed, steering_loop
 from steerkit.controllers.pure_pursuit import PurePursuit
-from steerkit.courses import circle, straight
+from steerkit.diagram.simulation import simulate
+from steerkit.paths.courses import circle, straight
 from steerkit.plants.human import ConstantSpeed
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator
-from steerkit.simulation import simulate
+from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import vehicle
 
 PASSAT = vehicle("vw-passat")

@@ -10,18 +10,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from steerkit import maths as m
-from steerkit.block import Block, In, Out, take_ports
 from steerkit.compiled import compile
 from steerkit.controllers.delay import Predicted, delayed_stanley
 from steerkit.controllers.gate_model import BEHIND_GATE, GateModel
 from steerkit.controllers.safety_filter import _KEPT, REASONS, SafetyFilter
 from steerkit.controllers.stanley import Stanley
 from steerkit.controllers.trimmed import Trimmed
-from steerkit.loop import Loop
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, In, Out, take_ports
+from steerkit.diagram.loop import Loop
+from steerkit.diagram.simulation import Log, simulate
 from steerkit.scenario import Scenario
 from steerkit.scenario.drive import assembled
-from steerkit.simulation import Log, simulate
 from steerkit.task import STOP
 from steerkit.vehicles import vehicle
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from steerkit.controllers.stanley import Stanley, StanleyState
-from steerkit.units import degrees_of, radians_of
+from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.vehicles import vehicle
 
 PASSAT = vehicle("vw-passat")

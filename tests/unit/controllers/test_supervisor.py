@@ -12,12 +12,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from steerkit.block import Block, In, Out
 from steerkit.controllers.supervisor import Guarded, Supervisor, SupervisorState
+from steerkit.diagram.block import Block, In, Out
+from steerkit.diagram.loop import Loop
+from steerkit.diagram.simulation import Log, simulate
+from steerkit.diagram.units import radians_of
 from steerkit.doe import Integrator, LowPass
-from steerkit.loop import Loop
-from steerkit.simulation import Log, simulate
-from steerkit.units import radians_of
 from tests.support.parts import Script
 
 ON = [1.0]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from steerkit.controllers.target_shift import TargetShift
-from steerkit.loop import Loop
-from steerkit.simulation import simulate
+from steerkit.diagram.loop import Loop
+from steerkit.diagram.simulation import simulate
 from tests.support.parts import Script
 
 

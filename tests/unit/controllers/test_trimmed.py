@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from steerkit.catalogue import CONTROLLERS
 from steerkit.controllers.stanley import Stanley
 from steerkit.controllers.trimmed import Trimmed
+from steerkit.diagram.units import radians_of
 from steerkit.doe import Integrator
 from steerkit.plants.human import ConstantSpeed
 from steerkit.scenario import Scenario
+from steerkit.scenario.catalogue import CONTROLLERS
 from steerkit.scenario.drive import controller, drive
-from steerkit.units import radians_of
 from steerkit.vehicles import vehicle
 
 PASSAT = vehicle("vw-passat")

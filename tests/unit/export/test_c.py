@@ -10,20 +10,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from steerkit.assembly import placed, steering_loop
-from steerkit.block import Block
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.stanley import Stanley
 from steerkit.controllers.supervisor import Supervisor
-from steerkit.courses import circle
+from steerkit.diagram.block import Block
+from steerkit.diagram.loop import Loop
+from steerkit.diagram.simulation import simulate
 from steerkit.doe import Integrator, LowPass, PlainAngle
 from steerkit.export.c import export_c
-from steerkit.loop import Loop
+from steerkit.paths.courses import circle
 from steerkit.plants.human import ConstantSpeed
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.sensors import Sensors
 from steerkit.plants.steering_actuator import SteeringActuator
-from steerkit.simulation import simulate
+from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import vehicle
 
 CAR = vehicle("vw-passat")

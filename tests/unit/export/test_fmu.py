@@ -13,16 +13,16 @@ from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import FMU2Slave
 from fmpy.validation import validate_fmu
 
-from steerkit.assembly import placed, steering_loop
-from steerkit.block import Block
 from steerkit.controllers.stanley import Stanley
-from steerkit.courses import course
+from steerkit.diagram.block import Block
+from steerkit.diagram.loop import Loop
+from steerkit.diagram.simulation import simulate
 from steerkit.export.fmu import export_fmu
-from steerkit.loop import Loop
+from steerkit.paths.courses import course
 from steerkit.plants.human import Human, RecordedSpeed
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator
-from steerkit.simulation import simulate
+from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import vehicle
 
 CAR = vehicle("vw-passat")

@@ -9,12 +9,12 @@ import gymnasium
 import numpy as np
 import pytest
 
-from steerkit import native
-from steerkit.block import Block
+from steerkit._support import native
 from steerkit.controllers.nfq_policy import IDOE_ACTIONS
+from steerkit.diagram.block import Block
+from steerkit.diagram.simulation import simulate
 from steerkit.gym import TrackSteering
 from steerkit.gym.task import Agent
-from steerkit.simulation import simulate
 from tests.support.steady_world import SteadyWorld
 
 ID = "steerkit/TrackSteering-v0"

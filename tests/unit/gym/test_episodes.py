@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
-from steerkit import native
+from steerkit._support import native
 from steerkit.gym import TrackSteeringVector
 from steerkit.gym.episodes import Episodes
 from steerkit.gym.task import Task

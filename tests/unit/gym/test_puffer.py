@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from steerkit import native
+from steerkit._support import native
 from steerkit.gym import PufferSteering, TrackSteeringVector
 
 pytestmark = pytest.mark.skipif(native.compiler() is None, reason="C needs a compiler")

@@ -10,10 +10,10 @@ import pytest
 
 from steerkit.controllers.nfq_policy import IDOE_ACTIONS
 from steerkit.controllers.state_description import StateDescription
+from steerkit.diagram.units import radians_of
 from steerkit.gym import Task, TrackSteering
 from steerkit.learning.costs import IdoeCost
 from steerkit.scenario import Scenario
-from steerkit.units import radians_of
 
 ID = "steerkit/TrackSteering-v0"
 HOLD = IDOE_ACTIONS.index(0.0)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
-from steerkit import native
-from steerkit.block import Block
+from steerkit._support import native
+from steerkit.diagram.block import Block
 from steerkit.gym import TrackSteeringVector
 from steerkit.plants.human import RecordedSpeed
 from steerkit.scenario import Scenario

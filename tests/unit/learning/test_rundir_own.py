@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from steerkit._support.plugins import imported
 from steerkit.learning import report, rundir
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.learn import learn
 from steerkit.learning.settings import PAPER, Setting
-from steerkit.outside import imported
 from steerkit.scenario import Scenario
 from tests.support import own_parts
 from tests.support.own_parts import Dear, Geared, Patient, Yard
@@ -61,7 +61,7 @@ def test_a_part_in_a_file_is_kept_by_the_files_name(tmp_path: Path, monkeypatch:
         rundir.from_plain(data, "test")
 
 
-@pytest.mark.parametrize("kind", ["os:system", "pathlib:Path", "steerkit.path:Path", "dataclasses:dataclass"])
+@pytest.mark.parametrize("kind", ["os:system", "pathlib:Path", "steerkit.paths.path:Path", "dataclasses:dataclass"])
 def test_nothing_but_a_part_of_an_experiment_is_made(kind: str) -> None:
     data = rundir.plain(Experiment())
     data["scenario"] = {"kind": kind}

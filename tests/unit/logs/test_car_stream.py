@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 
+from steerkit.car.client import CarLost, ReplayLink
+from steerkit.car.protocol import Snapshot
+from steerkit.car.state_machine import Mode
 from steerkit.logs import messages
 from steerkit.logs.car_stream import follow
-from steerkit.plants.real_car.decisions.modes import Mode
-from steerkit.plants.real_car.processes.client import CarLost, ReplayLink
-from steerkit.plants.real_car.processes.protocol import Snapshot
 
 
 class Shown:

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from steerkit.diagram.units import degrees_of
 from steerkit.identification import Drive, identify
 from steerkit.identification.estimate import Identified
-from steerkit.units import degrees_of
 from tests.support.recorded_cars import BASE, DT, by_rate, noisy
 
 

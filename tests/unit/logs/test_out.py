@@ -13,10 +13,10 @@ import pytest
 
 from benchmarks.written_logs import driven
 from steerkit import LinearSingleTrack, Stanley, course, placed, simulate, steering_loop, vehicle
+from steerkit.diagram.simulation import Log
 from steerkit.logs import Drive, read_drive
 from steerkit.logs.out import BEGIN, layout, signals_of, to_mcap, to_ros2
 from steerkit.plants.human import ConstantSpeed
-from steerkit.simulation import Log
 
 pytest.importorskip("mcap")
 

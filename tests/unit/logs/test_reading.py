@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
+from steerkit.diagram.simulation import Log
+from steerkit.diagram.units import degrees_of
 from steerkit.identification import Drive, read_drive
-from steerkit.simulation import Log
-from steerkit.units import degrees_of
 from tests.support.recorded_cars import by_rate, driven
 
 
@@ -41,10 +41,10 @@ def test_every_kind_of_file_gives_the_same_drive(clean: dict[str, Any], tmp_path
 def taped(file: Path, columns: dict[str, Any], *, spoilt: int = 0) -> None:
     """Frames of the shipped configuration, written as the car server writes them; every `spoilt`-th has a bit
     that turned over on the way."""
-    from steerkit.plants.real_car import recording
-    from steerkit.plants.real_car.decisions.core import Frame
-    from steerkit.plants.real_car.file.reading import load
-    from steerkit.plants.real_car.frames.codec import SignalEncoder
+    from steerkit.car import recording
+    from steerkit.car.config.reading import load
+    from steerkit.car.core import Frame
+    from steerkit.car.frames.codec import SignalEncoder
 
     car = load("dbw-kit.toml")
     tape = recording.Recording(file, {f"file:{name}": text for name, text in car.texts.items()})

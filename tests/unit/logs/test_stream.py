@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 from steerkit import LinearSingleTrack, Loop, Stanley, course, placed, simulate, steering_loop, vehicle
+from steerkit.diagram.loop import Sample
 from steerkit.logs import stream
 from steerkit.logs.out import to_mcap
-from steerkit.loop import Sample
 from steerkit.plants.human import ConstantSpeed
 from tests.support.command_lines import run
 

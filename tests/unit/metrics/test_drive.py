@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from steerkit import metrics
+from steerkit.diagram.simulation import Log
+from steerkit.diagram.units import radians_of
 from steerkit.metrics import GOOD, Summary
-from steerkit.simulation import Log
-from steerkit.units import radians_of
 from tests.support.sines import T, sine
 
 SINE = np.sin(2.0 * np.pi * 0.2 * T)  # 20 whole periods

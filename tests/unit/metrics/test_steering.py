@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from steerkit import metrics
-from steerkit.units import radians_of
+from steerkit.diagram.units import radians_of
 from tests.support.sines import T, sine
 
 

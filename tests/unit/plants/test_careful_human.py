@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from steerkit.courses import circle, course
-from steerkit.path import Path
+from steerkit.paths.courses import circle, course
+from steerkit.paths.path import Path
 from steerkit.plants.careful_human import CarefulHuman
 from steerkit.plants.human import Human
 

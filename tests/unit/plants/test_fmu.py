@@ -10,17 +10,17 @@ import fmpy
 import numpy as np
 import pytest
 
-from steerkit import native
-from steerkit.assembly import placed, steering_loop
+from steerkit._support import native
 from steerkit.compiled import TraceError, compile
 from steerkit.controllers.stanley import Stanley
-from steerkit.courses import course
+from steerkit.diagram.loop import Loop
+from steerkit.diagram.simulation import simulate
 from steerkit.export.fmu import export_fmu
-from steerkit.loop import Loop
+from steerkit.paths.courses import course
 from steerkit.plants.fmu import FmuPlant
 from steerkit.plants.human import ConstantSpeed
 from steerkit.plants.linear_single_track import LinearSingleTrack
-from steerkit.simulation import simulate
+from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import vehicle
 from tests.support.places import SUPPORT
 

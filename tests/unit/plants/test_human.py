@@ -7,7 +7,7 @@ import casadi
 import numpy as np
 import pytest
 
-from steerkit.maths import Table
+from steerkit.diagram.maths import Table
 from steerkit.plants.human import ConstantSpeed, Human, RecordedSpeed, SpeedProfile
 from tests.support.stepped import run
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from steerkit.diagram.units import radians_of
 from steerkit.plants.poor_sensors import PoorSensors
 from steerkit.plants.sensors import Sensors
-from steerkit.units import radians_of
 from steerkit.vehicles import VW_PASSAT
 from tests.support.stepped import run, run_fast
 

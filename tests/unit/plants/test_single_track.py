@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from steerkit.diagram.units import radians_of
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
-from steerkit.units import radians_of
 from steerkit.vehicles import VW_PASSAT
 from tests.support.stepped import run
 

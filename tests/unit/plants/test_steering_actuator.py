@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from steerkit.diagram.units import radians_of
 from steerkit.plants.steering_actuator import SteeringActuator, steering_of
-from steerkit.units import radians_of
 from steerkit.vehicles import VW_PASSAT
 from steerkit.vehicles.file import vehicle_text
 from tests.support.stepped import run

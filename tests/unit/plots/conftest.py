@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from steerkit import Stanley, placed, simulate, steering_loop
+from steerkit.diagram.simulation import Log
 from steerkit.plants.human import ConstantSpeed
 from steerkit.plants.linear_single_track import LinearSingleTrack
-from steerkit.simulation import Log
 from tests.support.circle_drive import PASSAT, PATH
 
 

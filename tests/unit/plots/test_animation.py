@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from steerkit.diagram.simulation import Log
 from steerkit.plots.animation import LENGTH, _moved, _Run, _Scene, animate
-from steerkit.simulation import Log
 from tests.support.circle_drive import PASSAT, PATH
 from tests.support.command_lines import run
 

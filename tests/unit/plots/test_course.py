@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from steerkit.courses import circle
+from steerkit.paths.courses import circle
 from steerkit.plots.course import plot_course
 
 

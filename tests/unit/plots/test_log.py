@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from steerkit.diagram.simulation import Log, simulate
 from steerkit.plots.log import plot_log
 from steerkit.plots.style import new_figure
-from steerkit.simulation import Log, simulate
 from tests.support.diagrams import small
 
 

@@ -8,11 +8,11 @@ import sys
 import numpy as np
 
 from steerkit import simulate, vehicle
-from steerkit.block import Block
+from steerkit.diagram.block import Block
+from steerkit.diagram.simulation import Log
 from steerkit.doe import Integrator
 from steerkit.plants.human import RecordedSpeed
 from steerkit.plants.linear_single_track import LinearSingleTrack
-from steerkit.simulation import Log
 from tests.support.circle_drive import PASSAT
 
 PNG = b"\x89PNG"

@@ -9,22 +9,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-from steerkit import maths as m
-from steerkit.assembly import with_controller
-from steerkit.block import Block, In, Out
+from steerkit._support.native import compiler
 from steerkit.compiled import exact
 from steerkit.controllers import nfq_native
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.supervisor import Guarded
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, In, Out
+from steerkit.diagram.loop import Loop
+from steerkit.diagram.simulation import simulate
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.settings import DEFAULT, SETTINGS, Setting
 from steerkit.learning.story import untrained
-from steerkit.loop import Loop
-from steerkit.native import compiler
 from steerkit.scenario import Scenario, ahead
 from steerkit.scenario.ahead import Driver, PolicyProgram, Refused, driven, program_of
+from steerkit.scenario.assembly import with_controller
 from steerkit.scenario.drive import drive_loop
-from steerkit.simulation import simulate
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from steerkit.diagram.simulation import Log
 from steerkit.learning.settings import DEFAULT
 from steerkit.learning.story import untrained
 from steerkit.scenario import Scenario
 from steerkit.scenario.drive import controller, drive, drive_loop, held_all_along
-from steerkit.simulation import Log
 
 
 def log_of(e: Any, learning: Any = None) -> Log:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from steerkit.courses import random_course
+from steerkit.paths.courses import random_course
 from steerkit.scenario import CONDITIONS, fleet_scenario
 from steerkit.scenario.fleet import LAG, OFFSET_DEG, PLAY_DEG
 from steerkit.vehicles import drawn_car, fleet

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from steerkit.controllers.estimators.adaptive_state import AdaptiveState
-from steerkit.controllers.estimators.vehicle_state import VehicleState
+from steerkit.diagram.units import degrees_of, radians_of
+from steerkit.estimators.adaptive_state import AdaptiveState
+from steerkit.estimators.vehicle_state import VehicleState
 from steerkit.plants.poor_sensors import PoorSensors
 from steerkit.plants.sensors import Sensors
 from steerkit.plants.steering_column import SteeringColumn
@@ -18,7 +19,6 @@ from steerkit.plants.torque_steering import TorqueSteering
 from steerkit.scenario import Scenario
 from steerkit.scenario.drive import assembled, controller, drive
 from steerkit.scenario.parts import drawn_course
-from steerkit.units import degrees_of, radians_of
 
 PLAIN = Scenario()
 STANLEY = controller("stanley", PLAIN)

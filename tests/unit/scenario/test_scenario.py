@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from steerkit.courses import course
+from steerkit.diagram.units import radians_of
+from steerkit.paths.courses import course
 from steerkit.plants.pushed import Pushed
 from steerkit.scenario import END_MARGIN, Scenario
-from steerkit.units import radians_of
 from steerkit.vehicles import G, vehicle
 from steerkit.vehicles.file import vehicle_text
 from tests.support.yard import yard

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from steerkit.units import radians_of
+from steerkit.diagram.units import radians_of
 from steerkit.vehicles import VW_PASSAT, G, Vehicle
 
 

@@ -10,7 +10,7 @@ import pytest
 from benchmarks.peers import engines
 from benchmarks.studies.throughput import DT, closed_loop
 from steerkit.compiled.graph import FUNCTIONS
-from steerkit.simulation import simulate
+from steerkit.diagram.simulation import simulate
 
 STEPS = 40
 

@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.peers import python_control
 from benchmarks.studies.throughput import DT, closed_loop
-from steerkit.simulation import simulate
+from steerkit.diagram.simulation import simulate
 
 pytestmark = pytest.mark.filterwarnings("ignore:Unused output")
 

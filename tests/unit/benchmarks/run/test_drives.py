@@ -18,8 +18,8 @@ from steerkit.controllers.network_policy import PolicyBlock
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.pure_pursuit import PurePursuit
 from steerkit.controllers.stanley import Stanley
+from steerkit.diagram.simulation import Log
 from steerkit.scenario import Scenario
-from steerkit.simulation import Log
 from steerkit.vehicles import vehicle
 
 SCENARIO = scene(name="straight", course="straight")
@@ -35,7 +35,7 @@ PASSAT = vehicle("vw-passat")
 
 
 def test_compiled_with_open_parameters_is_the_interpreted_drive() -> None:
-    from steerkit.simulation import simulate
+    from steerkit.diagram.simulation import simulate
 
     scenario = replace(STEP, tyres=0.8, offset_deg=1.0, wind=0.2, gust=0.1, noise=1.0, latency=0.05)
     block = controller("stanley").make(scenario)  # type: ignore[misc]

@@ -14,7 +14,7 @@ from benchmarks.run.sources import identity, source, versions
 MAKES_NUMBERS = (
     "steerkit/controllers/stanley.py",
     "steerkit/learning/nfq/kernel.c",
-    "steerkit/courses/genesis.csv",
+    "steerkit/paths/courses/genesis.csv",
     "benchmarks/scenarios.py",
     "benchmarks/entries.py",
     "benchmarks/suites.py",

@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks import rounds
 from benchmarks.studies import delay_robustness, learning, recovery_map, throughput, tune_stanley
-from steerkit.simulation import Log
+from steerkit.diagram.simulation import Log
 from steerkit.task import DT
 
 NAN = math.nan

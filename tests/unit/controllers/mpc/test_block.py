@@ -12,18 +12,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from steerkit import maths as m
-from steerkit.assembly import placed, steering_loop
-from steerkit.block import Block, In, Out
 from steerkit.compiled import compile
 from steerkit.compiled.trace import TraceError
 from steerkit.controllers.mpc.block import PredictiveSteering
 from steerkit.controllers.mpc.linear import MPC
 from steerkit.controllers.mpc.nonlinear import NonlinearMPC
-from steerkit.courses import circle
-from steerkit.loop import Loop
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, In, Out
+from steerkit.diagram.loop import Loop
+from steerkit.diagram.simulation import simulate
+from steerkit.paths.courses import circle
 from steerkit.plants.human import ConstantSpeed, RecordedSpeed
-from steerkit.simulation import simulate
+from steerkit.scenario.assembly import placed, steering_loop
 from tests.support.predictive import CAR, MOTOR, controller, driven, inputs
 
 STEADY = ConstantSpeed(speed=6.0)

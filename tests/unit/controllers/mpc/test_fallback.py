@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from steerkit.assembly import placed
-from steerkit.block import Block, In, Out
 from steerkit.controllers.mpc.fallback import asked
-from steerkit.courses import circle
+from steerkit.diagram.block import Block, In, Out
+from steerkit.paths.courses import circle
+from steerkit.paths.tracker import PathTracker
 from steerkit.plants.linear_single_track import LinearSingleTrack
-from steerkit.tracker import PathTracker
+from steerkit.scenario.assembly import placed
 from steerkit.vehicles import VW_PASSAT
 
 

@@ -12,17 +12,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from steerkit.assembly import placed, steering_loop
 from steerkit.controllers.mpc import block as module
 from steerkit.controllers.mpc.block import FAILED, FALLBACK, PredictiveSteering
 from steerkit.controllers.mpc.linear import MPC
 from steerkit.controllers.mpc.nonlinear import NonlinearMPC
 from steerkit.controllers.stanley import Stanley
 from steerkit.controllers.supervisor import Supervisor
-from steerkit.courses import course, straight
+from steerkit.diagram.simulation import simulate
+from steerkit.paths.courses import course, straight
 from steerkit.plants.human import ConstantSpeed, RecordedSpeed
 from steerkit.plants.steering_actuator import SteeringActuator
-from steerkit.simulation import simulate
+from steerkit.scenario.assembly import placed, steering_loop
 from tests.support.predictive import CAR, KINDS, MOTOR, ZEROS, checked, controller, driven, inputs, kinds, unsolved
 
 # ---- what comes in --------------------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from steerkit import native
+from steerkit._support import native
 from steerkit.controllers.mpc.block import PredictiveSteering
 from steerkit.controllers.mpc.programme import NOTHING, PREDICTION, SOLUTION, found
 from tests.support.predictive import controller, driven, inputs, kinds

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from steerkit.diagram.units import degrees_of
 from steerkit.learning import rundir
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.learn import learn
@@ -21,7 +22,6 @@ from steerkit.learning.live.snapshot import GRID, Reader
 from steerkit.learning.settings import BANG_BANG, changed
 from steerkit.scenario import Scenario
 from steerkit.task import TRIP
-from steerkit.units import degrees_of
 from tests.support.short_run import SHORT
 
 

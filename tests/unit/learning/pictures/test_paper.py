@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from steerkit.diagram.simulation import Log
 from steerkit.learning.pictures.paper import first_round, learning, round_driven, rounds_driven
-from steerkit.simulation import Log
 
 
 def drive(width: float = 120.0, depth: float = 40.0, seconds: float = 660.0) -> Log:

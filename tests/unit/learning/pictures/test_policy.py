@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.learning.pictures.policy import course_angle, policy_map, q_slices, q_values, states
 from steerkit.learning.pictures.run import Record
 from steerkit.scenario import Scenario
-from steerkit.units import degrees_of, radians_of
 
 
 @pytest.mark.parametrize("combine", ["mean", "max", "disagreement"])

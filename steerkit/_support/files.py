@@ -1,0 +1,202 @@
+"""Files that are written whole or not at all, and arrays in NumPy's .npz files; for all that outlives the program."""
+
+from __future__ import annotations
+
+import errno
+import io
+import math
+import os
+import stat
+import threading
+import tomllib
+import zipfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path as FilePath
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerkit._support.errors import require
+
+File = str | os.PathLike[str]
+
+
+class Bounded(io.BufferedReader):
+    """A file of which a spoilt length cannot ask for more than there is."""
+
+    def __init__(self, path: FilePath):
+        super().__init__(io.FileIO(path))
+        self._length = path.stat().st_size
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """As many bytes, or what is left."""
+        left = max(0, self._length - self.tell())
+        return super().read(left if size is None or size < 0 else min(size, left))
+
+
+@contextmanager
+def whole(file: File, *, durable: bool = True) -> Iterator[FilePath]:
+    """A name beside `file` to write to; where the `with` block ends well, that becomes `file`, else all is as before.
+
+    For whatever must not be found half written: after an error, a full disk or a kill, `file` is the old one or the new
+    one. durable: wait until the disk has it, so that this also holds when the power is cut; False for a thread that may
+    not wait. A link is followed. Raises ValueError where `file` is a folder or a device, FileNotFoundError where its
+    folder is missing, and what the block raises, with a note that `file` is as it was.
+    """
+    target = FilePath(os.path.realpath(file))
+    require(_is_file_or_nothing(target), f"{file}", "is a folder or a device, expected a file's name")
+    if not target.parent.is_dir():
+        raise FileNotFoundError(errno.ENOENT, "there is no such folder", str(target.parent))
+    draft = target.with_name(f".{target.name}.{os.getpid()}-{threading.get_ident()}.tmp")
+    draft.unlink(missing_ok=True)  # of an earlier process of this number, killed
+    try:
+        yield draft
+        if durable:
+            _flush(draft)
+        os.replace(draft, target)
+    except BaseException as error:
+        error.add_note(f"{file} was not written; what was there before is unchanged")
+        raise
+    finally:
+        draft.unlink(missing_ok=True)
+
+
+def _is_file_or_nothing(target: FilePath) -> bool:
+    """Asked once: between two questions another thread may have made the file."""
+    try:
+        return stat.S_ISREG(target.stat().st_mode)
+    except (FileNotFoundError, NotADirectoryError):
+        return True
+
+
+def write_text(file: File, text: str, *, durable: bool = True) -> None:
+    """Write a text file (UTF-8), whole or not at all: see `whole`."""
+    with whole(file, durable=durable) as draft:
+        draft.write_text(text, encoding="utf-8")
+
+
+def append_line(file: File, line: str) -> None:
+    """Add a line to a text file (UTF-8), and wait until the disk has it; a last line that is half written goes first.
+
+    For records that are kept one by one while a program runs that may be killed. The file is made where there is none.
+    """
+    with FilePath(file).open("ab+") as out:
+        out.seek(0)
+        out.truncate(out.read().rfind(b"\n") + 1)
+        out.write(f"{line}\n".encode())
+        out.flush()
+        sync(out)
+
+
+_NO_TEXT = {
+    b"PK\x03\x04": "a ZIP archive, such as a spreadsheet; export it as CSV",
+    b"\x1f\x8b": "compressed by gzip; unpack it",
+    b"\xff\xfe": "UTF-16 text; save it as UTF-8",
+    b"\xfe\xff": "UTF-16 text; save it as UTF-8",
+    b"\x89PNG": "a picture",
+    b"%PDF": "a PDF",
+}
+"""How files begin that are often taken for text."""
+
+
+def read_text(file: File, where: str) -> str:
+    """The text of a file in UTF-8, without the byte-order mark that some programs put before it.
+
+    Raises ValueError, in the name of `where`, for what is no such text, saying what it looks like; OSError as it is.
+    """
+    data = FilePath(file).read_bytes()
+    known = next((what for start, what in _NO_TEXT.items() if data.startswith(start)), "")
+    what = known or ("binary" if b"\0" in data else "")
+    require(not what, where, f"{file} is {what}, expected text in UTF-8" if not known else f"{file} is {known}")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        what = f"{file}, line {line}: byte {data[error.start]:#x} is not UTF-8 (Latin-1?); save the file as UTF-8"
+        raise ValueError(f"{where}: {what}") from error
+
+
+def read_toml(file: File, where: str) -> dict[str, Any]:
+    """What a TOML file holds; raises ValueError, in the name of `where`, for one that cannot be read or is no TOML."""
+    try:
+        return tomllib.loads(read_text(file, where))
+    except OSError as error:
+        raise ValueError(f"{where}: cannot be read ({error.strerror}), expected a TOML file") from error
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"{where}: not TOML ({error})") from error
+
+
+def write_npz(file: File, arrays: Mapping[str, Any], *, compressed: bool = False, durable: bool = True) -> None:
+    """Write arrays by name to an .npz file without pickle, whole or not at all: see `whole`."""
+    for name, values in arrays.items():
+        require(not np.asarray(values).dtype.hasobject, f"{file}", f"{name} holds objects, expected numbers or text")
+    save = np.savez_compressed if compressed else np.savez
+    with whole(file, durable=durable) as draft, draft.open("wb") as stream:  # given a name, savez would append .npz
+        save(stream, **arrays)
+
+
+LARGEST = 1 << 32
+"""Bytes that the arrays of a file may take in memory, unless told otherwise."""
+
+
+def read_npz(file: File, where: str, *, largest: int = LARGEST) -> dict[str, NDArray[Any]]:
+    """The arrays of an .npz file by name; nothing in it is ever executed.
+
+    largest: bytes that they may take in memory; a small file may ask for a lot. Raises ValueError, in the name of
+    `where`, for any other file, one that is cut short, one that holds objects and one that is too large;
+    FileNotFoundError, IsADirectoryError and PermissionError as they are.
+    """
+    try:
+        with FilePath(file).open("rb") as stream, np.lib.npyio.NpzFile(stream, allow_pickle=False) as data:
+            assert data.zip is not None
+            _check_sizes(data.zip, largest)
+            return {key: data[key] for key in data.files}
+    except (FileNotFoundError, IsADirectoryError, PermissionError):
+        raise
+    except Exception as error:  # zipfile, zlib and NumPy's parser of headers let many kinds out
+        raise ValueError(f"{where}: {file} is no NumPy .npz file, or a broken one ({error})") from error
+
+
+def _check_sizes(archive: zipfile.ZipFile, largest: int) -> None:
+    """Raise ValueError where the arrays' headers ask for more memory than is allowed, or than their data has."""
+    total = 0
+    for member in archive.infolist():
+        with archive.open(member) as stream:
+            version = np.lib.format.read_magic(stream)
+            read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+            shape, _, dtype = read(stream)
+        size = math.prod(shape) * dtype.itemsize
+        if size > member.file_size:
+            raise ValueError(f"{member.filename} says that it has {size} bytes, and has {member.file_size}")
+        total += size
+    if total > largest:
+        raise ValueError(f"its arrays take {total / 1e6:.0f} MB, expected at most {largest / 1e6:.0f} MB")
+
+
+def write_arrays(file: File, kind: str, arrays: Mapping[str, Any], *, durable: bool = True) -> None:
+    """`write_npz`, with the kind of thing that the arrays are, such as `policy`, written beside them."""
+    write_npz(file, {"format": f"steerkit {kind} 1", **arrays}, durable=durable)
+
+
+def read_arrays(file: File, kind: str, *, largest: int = LARGEST) -> dict[str, NDArray[Any]]:
+    """The arrays that `write_arrays` wrote; raises ValueError for another kind of thing, else as `read_npz`."""
+    try:
+        arrays = read_npz(file, kind, largest=largest)
+    except ValueError as why:
+        hint = f"it is cut short or not a steerkit {kind} file; write it again with save()"
+        raise ValueError(f"{file}: cannot be read ({why.__cause__}); {hint}") from why
+    kept = str(arrays.get("format", "an .npz of another program"))
+    require(kept == f"steerkit {kind} 1", str(file), f"holds '{kept}', expected 'steerkit {kind} 1'")
+    return arrays
+
+
+def sync(stream: IO[bytes]) -> None:
+    """Wait until the disk has what was written to an open file, as far as the operating system has it."""
+    os.fsync(stream.fileno())
+
+
+def _flush(file: FilePath) -> None:
+    with file.open("rb") as stream:
+        sync(stream)

@@ -1,0 +1,284 @@
+"""What a car tells of itself in a drive: the estimators behind every drive's line to the car server."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+from steerkit.car.client import CarLink
+from steerkit.car.config.config import CarConfig
+from steerkit.car.protocol import ESTIMATES, Adapted, Estimates, Snapshot
+from steerkit.car.state_machine import Mode
+from steerkit.diagram.block import Block
+from steerkit.diagram.units import degrees_of
+from steerkit.estimators.estimate import NORMAL_95, Estimated, estimated
+from steerkit.estimators.single_track_filter import SingleTrackFilter
+from steerkit.estimators.steering_delay import WheelDelay
+from steerkit.estimators.steering_wear import SteeringFriction, SteeringPlay
+from steerkit.task import DT
+from steerkit.vehicles.file import tables_of
+
+EVERY = 20
+"""Samples from one message of estimates to the next."""
+_RAGGED = 0.4
+"""A sample that comes later or earlier by more than this share of the period begins anew [1]."""
+_MOST = {"v": 150.0, "r": 10.0, "psi": 1e3, "delta_sw": 100.0, "command": 100.0, "report_age": 1.0}
+"""What no car exceeds, in SI: such a reading is none."""
+_ARITHMETIC = (ArithmeticError, ValueError)
+"""What floats raise: a division by 0, an overflow, the root of a negative number. None of it may end a drive."""
+_LAGS = {"short lag": 0.08, "middle lag": 0.16, "long lag": 0.32}
+"""Priors of the lag [s]: each block finds lags from half of its own to 1.4 times that."""
+_UPPER = 1.3
+"""A lag that is longer than so many times the prior is the next block's [1]."""
+_OTHERS = ("filter", "friction", "play")
+_SPREAD = 0.004
+"""Deviation of when a command acts, which the gate spreads over the frames of its sample [s]."""
+_MOTION_UNKNOWN = 0.01
+"""Deviation of the time between what is measured of wheel and of motion [s]."""
+
+
+class Quantity(NamedTuple):
+    """How a quantity is called, its unit, and how people are told it."""
+
+    text: str
+    si: str
+    unit: str
+    factor: float
+    digits: int
+
+
+_DEG = degrees_of(1.0)
+QUANTITIES = {
+    "delay": Quantity("dead time", "s", "s", 1.0, 3),
+    "lag": Quantity("lag", "s", "s", 1.0, 3),
+    "delay_lag": Quantity("dead time and lag", "s", "s", 1.0, 3),
+    "steer_ratio": Quantity("steering ratio", "1", "", 1.0, 2),
+    "understeer": Quantity("understeer gradient", "rad s^2/m", "rad s^2/m", 1.0, 4),
+    "offset": Quantity("offset of the wheel", "rad", "deg", _DEG, 2),
+    "rate_zero": Quantity("zero of the gyro", "rad/s", "deg/s", _DEG, 3),
+    "friction": Quantity("friction", "rad", "deg", _DEG, 2),
+    "play": Quantity("free play", "rad", "deg", _DEG, 2),
+}
+"""By the names of `protocol.ESTIMATES`."""
+DROVE, EARLIER = "drive", "an earlier drive"
+"""Who may have told what stands in a vehicle file."""
+
+
+class CarEstimators:
+    """The estimators for a car that says how its wheel stands; fed with what its car server says, sample by sample.
+
+    Dead time and lag are those from the sample that a command was computed from to the wheel: the age of the wheel's
+    report is taken off, the time that controller and car server take is in them. They and friction are learned while
+    the car is ENGAGED, the others whoever steers. What is late or lost makes them wait, and nothing that a sample
+    holds raises: an error of arithmetic makes them begin anew, and `faults` counts it.
+    """
+
+    def __init__(self, config: CarConfig):
+        self.config = config
+        car = config.vehicle
+        delay = min(config.delay, WheelDelay.longest)
+        self.blocks: dict[str, Block] = {
+            **{name: WheelDelay(prior_delay=delay, prior_lag=lag) for name, lag in _LAGS.items()},
+            "filter": SingleTrackFilter(vehicle=car, held=False),
+            "friction": SteeringFriction(),
+            "play": SteeringPlay(vehicle=car, held=False),
+        }
+        self.faults = 0
+        self._begin()
+
+    def _begin(self) -> None:
+        self.x: dict[str, Any] = {name: block.init() for name, block in self.blocks.items()}
+        self._before: Snapshot | None = None
+        self._ages, self._engaged = 0.0, 0
+
+    def sample(self, now: Snapshot) -> None:
+        """Take note of the next sample, 50 ms after the one before."""
+        readings: Any = {name: _read(getattr(now, name), most) for name, most in _MOST.items()}
+        now = now._replace(**readings)
+        before, self._before = self._before, now
+        if before is None:
+            return
+        try:
+            self._update(before, now)
+        except _ARITHMETIC:
+            self._fail()
+
+    def _fail(self) -> None:
+        self.faults += 1
+        self._begin()
+
+    def _update(self, before: Snapshot, now: Snapshot) -> None:
+        """A sample is complete with the next one: that says which command acted from it on."""
+        even = abs(now.t - before.t - DT) <= _RAGGED * DT
+        engaged = even and before.mode is Mode.ENGAGED and now.mode is Mode.ENGAGED
+        if engaged and math.isfinite(before.report_age):
+            self._ages, self._engaged = self._ages + before.report_age, self._engaged + 1
+        steers = 1.0 if engaged else 0.0
+        command = now.command if engaged else math.nan
+        wheel = now.delta_sw if even else math.nan
+        said = self._wheel()
+        psi = before.psi if even else math.nan
+        motion = {"v": before.v, "r": before.r, "psi": psi, "delay_deviation": _MOTION_UNKNOWN, "active": 1.0}
+        way = {"delay": DT, "lag": 0.0, "lag_deviation": 0.0}  # the wheel comes a sample after the motion
+        for name in _LAGS:
+            self._feed(name, delta_sw_cmd=command, delta_sw_meas=before.delta_sw, v=before.v, active=steers)
+        self._feed("filter", delta_sw=wheel, **motion, **way)
+        self._feed("play", angle=wheel, **motion, **way)
+        self._feed(
+            "friction",
+            angle=command,
+            delta_sw_meas=before.delta_sw,
+            delay=said.delay,
+            lag=said.lag,
+            lag_deviation=said.lag_deviation,
+            v=before.v,
+            active=steers,
+        )
+
+    def _feed(self, name: str, **given: float) -> None:
+        block = self.blocks[name]
+        u = block.U(*[given[port.name] for port in block.inputs])
+        self.x[name] = block.update(0.0, self.x[name], u, ())
+
+    def _wheel(self) -> Any:
+        """What is said of dead time and lag: by the block with the shortest prior whose lag is not at its upper end."""
+        for name, prior in _LAGS.items():
+            said: Any = self.blocks[name].output(0.0, self.x[name], ())
+            if said.lag < _UPPER * prior:
+                break
+        return said
+
+    def found(self) -> dict[str, Estimated]:
+        """All quantities of `protocol.ESTIMATES`: SI and radians."""
+        try:
+            return self._found()
+        except _ARITHMETIC:
+            self._fail()
+            return self._found()
+
+    def _found(self) -> dict[str, Estimated]:
+        y: dict[str, Any] = {name: self.blocks[name].output(0.0, self.x[name], ()) for name in _OTHERS}
+        y["wheel"] = self._wheel()
+        age = self._ages / self._engaged if self._engaged else 0.0
+        n = self.config.vehicle.steer_ratio
+        share = estimated(y["filter"], "ratio")
+        every = {
+            "lag": estimated(y["wheel"], "lag"),
+            "steer_ratio": Estimated(n * share.value, n * share.deviation, share.valid),
+            "friction": estimated(y["friction"], "friction"),
+            "play": estimated(y["play"], "play"),
+        }
+        for name in ("delay", "delay_lag"):
+            late = estimated(y["wheel"], name)
+            every[name] = Estimated(late.value - age, math.hypot(late.deviation, _SPREAD), late.valid)
+        for name in ("understeer", "offset", "rate_zero"):
+            every[name] = estimated(y["filter"], name)
+        return {name: every[name] for name in ESTIMATES}
+
+
+def _read(value: float, most: float) -> float:
+    return value if abs(value) <= most else math.nan
+
+
+class Watched:
+    """A line to a car whose every sample goes through the estimators, once the request that it led to is sent.
+
+    link: the line. config: the car; `before`: what an earlier drive found of it, in the vehicle file that it names.
+    tell: takes what was found, once a second, and what a controller that adapts is told.
+    """
+
+    def __init__(self, link: CarLink, config: CarConfig, tell: Callable[[Estimates | Adapted], None]):
+        self.link, self.tell = link, tell
+        self.estimators, self.before = CarEstimators(config), earlier(config)
+        self.found: dict[str, Estimated] = {}
+        """What was told last."""
+        self._count = 0
+
+    @property
+    def last(self) -> Snapshot | None:
+        """The last snapshot of the line."""
+        return self.link.last
+
+    def query(self) -> Snapshot:
+        """What the car server knows now."""
+        return self.link.query()
+
+    def request(self, delta_sw: float) -> None:
+        """Ask for an angle [rad], then take note of the sample."""
+        self.link.request(delta_sw)
+        assert self.link.last is not None
+        self.estimators.sample(self.link.last)
+        self._count += 1
+        if self._count % EVERY == 0:
+            self.found = self.estimators.found()
+            self.tell(message_of(self.found))
+
+    def report(self) -> list[str]:
+        """What is known, and what has changed since an earlier drive, a line each."""
+        anew = f"the estimators began anew {self.estimators.faults} times: errors of arithmetic"
+        return [*report(self.found, self.before), *([anew] if self.estimators.faults else [])]
+
+    def rows(self) -> list[tuple[str, str]]:
+        """The same in few rows, for a screen: what is known with its interval, what is not by its name."""
+        known = [told(name, *q[:2]) for name, q in self.found.items() if q.valid > 0.5]
+        rest = [QUANTITIES[name].text for name, q in self.found.items() if not q.valid > 0.5]
+        rows = [("found", " · ".join(known)), ("not yet", ", ".join(rest))]
+        return [row for row in rows if row[1]] + [("", line) for line in self.report()[len(self.found) :]]
+
+
+def message_of(found: Mapping[str, Estimated]) -> Estimates:
+    """What was found, for the recording."""
+    return Estimates(tuple(float(number) for name in ESTIMATES for number in found[name]))
+
+
+def report(found: Mapping[str, Estimated], before: Mapping[str, Estimated]) -> list[str]:
+    """What is known, and what is another than an earlier drive found, a line each."""
+    return [*lines(found), *changes(before, found)]
+
+
+def lines(found: Mapping[str, Estimated]) -> list[str]:
+    """What is known, and what not yet, a line each."""
+    return [f"{told(name, *q[:2])}{'' if q.valid > 0.5 else ', not known yet'}" for name, q in found.items()]
+
+
+def told(name: str, value: float, deviation: float) -> str:
+    """A quantity with its 95 % interval, in words: `steering ratio 15.71 [15.42, 16.00]`."""
+    text, _, unit, factor, digits = QUANTITIES[name]
+    ends = Estimated(value, deviation, 1.0)
+    numbers = [f"{factor * number:.{digits}f}" for number in (value, ends.low, ends.high)]
+    return f"{text} {numbers[0]} [{numbers[1]}, {numbers[2]}]{f' {unit}' if unit else ''}"
+
+
+def earlier(config: CarConfig) -> dict[str, Estimated]:
+    """What an earlier drive found, by the vehicle file that a car's file names; nothing without one."""
+    return known_in(config.texts[config.vehicle_file]) if config.vehicle_file else {}
+
+
+def known_in(text: str, where: str = "vehicle file") -> dict[str, Estimated]:
+    """The estimates in the text of a vehicle file that a drive told; raises ValueError for what is no such file."""
+    rows = tables_of(text, where).get("estimates", {})
+    found = {}
+    for name, row in rows.items() if isinstance(rows, dict) else ():
+        numbers = [row.get(key) for key in ("value", "low", "high")] if isinstance(row, dict) else []
+        drove = name in QUANTITIES and isinstance(row, dict) and row.get("told_by") in (DROVE, EARLIER)
+        if drove and all(isinstance(number, float) and math.isfinite(number) for number in numbers):
+            found[name] = Estimated(row["value"], (row["high"] - row["low"]) / (2.0 * NORMAL_95), 1.0)
+    return found
+
+
+def changes(before: Mapping[str, Estimated], found: Mapping[str, Estimated]) -> list[str]:
+    """What is another than an earlier drive found, in words: two 95 % intervals and chance do not explain it.
+
+    Told is |difference| > 1.96 sqrt(deviation^2 + deviation before^2) of what is valid in both.
+    """
+    said = []
+    for name, old in before.items():
+        new = found.get(name)
+        if new is None or new.valid < 0.5:
+            continue
+        apart = abs(new.value - old.value) / max(math.hypot(new.deviation, old.deviation), 1e-12)
+        if apart > NORMAL_95:
+            was, now = told(name, *old[:2]), told(name, *new[:2]).removeprefix(QUANTITIES[name].text)
+            said.append(f"changed since the last calibration: {was} then,{now} now")
+    return said

@@ -1,0 +1,123 @@
+"""The gate: the last thing a command passes before the bus. One pure function, total over all floats."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from steerkit._support.errors import require
+from steerkit.diagram.units import radians_of
+from steerkit.task import A_Y_MAX, JERK_MAX, STOP
+
+
+@dataclass(frozen=True, kw_only=True)
+class GateLimits:
+    """What may be sent to the steering wheel; each limit is a bound that no request moves."""
+
+    delta_sw_max: float = STOP
+    """Largest |delta_sw| [rad]."""
+    rate_max: float = radians_of(550.0)
+    """Fastest change of delta_sw [rad/s]."""
+    a_y_max: float = A_Y_MAX
+    """|kappa| <= a_y_max/v^2 [m/s^2]."""
+    jerk_max: float = JERK_MAX
+    """|dkappa/dt| <= jerk_max/v^2 [m/s^2 per s]."""
+    v_floor: float = 1.0
+    """Slowest speed that the two bounds reckon with [m/s]."""
+    v_max: float = 12.0
+    """Speed assumed when one of the sources is no number [m/s]."""
+    steer_ratio: float = 15.6
+    """Steering-wheel angle over road-wheel angle [1]."""
+    wheelbase: float = 2.71
+    """L [m]; kappa = tan(delta_sw/steer_ratio)/L, which an understeering car does not reach: pessimistic."""
+    arm: float = 1.49
+    """Centre of gravity to rear axle [m]: while kappa grows the centre is swung aside, which adds to a_y."""
+    quantum: float = radians_of(0.1)
+    """Resolution of the angle on the bus [rad]."""
+    dt_min: float = 0.01
+    """Shortest time between two frames [s]: the cap on the message rate."""
+    dt_max: float = 0.06
+    """Longest time that a change may be spread over [s]: a pause earns no jump."""
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            value = getattr(self, name)
+            require(0.0 < value < math.inf, "GateLimits", f"{name} = {value}, expected a finite number > 0")
+        ok = self.delta_sw_max / self.steer_ratio < 1.4 and self.dt_min <= self.dt_max and self.v_floor <= self.v_max
+        require(ok, "GateLimits", "expected delta_sw_max/steer_ratio < 1.4 rad, dt_min <= dt_max, v_floor <= v_max")
+
+
+class Verdict(NamedTuple):
+    """What the gate answers."""
+
+    send: bool
+    """May a frame go out?"""
+    delta_sw: float
+    """The angle to send [rad], a whole number of quanta; meaningless unless `send`."""
+    why: str
+    """Why it was refused, or which limit changed it; empty: passed as it is."""
+
+
+def gate(limits: GateLimits, request: float, last: float, speeds: Sequence[float], dt: float) -> Verdict:
+    """The command that may be sent, given the request, the command before it, and what is known of the speed.
+
+    v      = max |speeds|, at least v_floor; v_max if one of them is no number, or none is known
+    target = sat(request) to |delta_sw| <= delta_sw_max and |kappa| <= a_y_max/v^2
+    out    = sat(target) to last +- rate_max*dt and kappa(last) +- jerk_max/v^2*dt,  dt at most dt_max,
+             and, where |kappa| grows, to |v^2 kappa + v arm dkappa/dt| <= a_y_max, a_y of the centre of gravity, or
+             by one quantum
+    sent   = out, rounded towards `last` to a whole number of quanta
+
+    Where the bounds on kappa and on its change contradict each other (the speed has jumped), the change is bounded
+    and goes towards the bound on kappa. Refuses when the request, `last` or dt is no finite number, `last` is out of
+    range, or dt is below dt_min.
+
+    request, last [rad]; speeds [m/s]; dt [s] since the last frame. Any floats are valid. Raises nothing.
+    Source: ISO 11270:2014 (3 m/s^2, 5 m/s^3); the curvature-speed bounds of production lane keeping.
+    """
+    if not math.isfinite(request):
+        return Verdict(False, 0.0, "request is no finite number")
+    if not (math.isfinite(last) and abs(last) <= limits.delta_sw_max + limits.quantum):
+        return Verdict(False, 0.0, "last command is out of range")
+    if not (math.isfinite(dt) and dt >= limits.dt_min):
+        return Verdict(False, 0.0, "too soon after the last frame")
+    q, ratio, length = limits.quantum, limits.steer_ratio, limits.wheelbase
+    n_max = math.floor(limits.delta_sw_max / q + 1e-9)
+    n_last = max(-n_max, min(n_max, round(last / q)))
+    last = n_last * q
+    v = pessimistic(limits, speeds)
+    dt = min(dt, limits.dt_max)
+
+    bound = min(limits.delta_sw_max, ratio * math.atan(length * limits.a_y_max / (v * v)))
+    target = max(-bound, min(bound, request))
+    kappa, turn = math.tan(last / ratio) / length, limits.jerk_max / (v * v) * dt
+    step = limits.rate_max * dt
+    sway, kappa_max = limits.arm / (v * dt), limits.a_y_max / (v * v)
+    right, left = ((sway * kappa + side * kappa_max) / (1.0 + sway) for side in (-1.0, 1.0))
+    low = max(last - step, ratio * math.atan(length * (kappa - turn)))
+    high = min(last + step, ratio * math.atan(length * (kappa + turn)))
+    low = max(low, min(last - q, ratio * math.atan(length * right)))
+    high = min(high, max(last + q, ratio * math.atan(length * left)))
+    out = max(low, min(high, target))
+
+    z = (out - last) / q
+    n = max(-n_max, min(n_max, n_last + math.trunc(z + math.copysign(1e-6, z))))
+    changed = [
+        text
+        for text, hit in (
+            ("delta_sw limit", abs(request) > limits.delta_sw_max),
+            ("a_y limit", bound < abs(request) <= limits.delta_sw_max),
+            ("rate limit", out != target),
+        )
+        if hit
+    ]
+    return Verdict(True, n * q, ", ".join(changed))
+
+
+def pessimistic(limits: GateLimits, speeds: Sequence[float]) -> float:
+    """The speed that the bounds are taken at [m/s]: the fastest that may be true."""
+    if not speeds or not all(map(math.isfinite, speeds)):
+        return max([limits.v_max, *(abs(v) for v in speeds if math.isfinite(v))])
+    return max(limits.v_floor, *map(abs, speeds))

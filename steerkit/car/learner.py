@@ -1,0 +1,290 @@
+"""The experiment on a real car: transitions while engaged, training in the background, Stanley in between.
+
+The story is that of a run in simulation (`steerkit.learning.story`); what a car's human decides (when to engage, how
+far to drive) is not repeatable, so there is no checkpoint of the loop. The run directory holds::
+
+    car.json            the setting
+    transitions.db      the transition store
+    nets/net-NNNN.npz   the policy after update NNNN (0: the untrained net); never changed, as recordings refer to them
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path as FilePath
+from types import TracebackType
+from typing import Any, Protocol, Self
+
+from steerkit._support.clock import Clock
+from steerkit._support.errors import require
+from steerkit._support.files import write_text
+from steerkit.car.follow import Follow, Steers, filtered_in
+from steerkit.car.protocol import Adapted, Filtered
+from steerkit.controllers.fail_safe import FAULTS
+from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.diagram.block import Block
+from steerkit.diagram.loop import Loop
+from steerkit.diagram.realtime import Run, run
+from steerkit.doe import Dynamic
+from steerkit.learning import rundir
+from steerkit.learning.data.store import TransitionStore
+from steerkit.learning.ownership import held, is_free
+from steerkit.learning.settings import Setting
+from steerkit.learning.story import Story, state_signals, untrained
+from steerkit.learning.trainer import Trainer
+from steerkit.scenario.assembly import with_controller
+from steerkit.scenario.catalogue import FITTING
+from steerkit.vehicles import Vehicle
+
+RUN = "car"
+FORMAT = "steerkit car run 1"
+
+
+class Car(Protocol):
+    """What the learner needs of the line to the car server: see `CarClient`."""
+
+    last: Any
+    misses: int
+
+    def remark(self, text: str) -> None:
+        """Say, for the recording, who steers from the next request on."""
+        ...
+
+    def tell(self, message: Adapted | Filtered) -> None:
+        """Say, for the recording, what a controller is told of the car, or what the safety filter did."""
+        ...
+
+
+class CarLearner:
+    """A learning run on a real car, behind `link`: `run` it, in a `with`.
+
+    setting: how. place: run directory; a run there is continued with all its transitions and its newest net.
+    build: makes the loop of a policy and an output element (`steerkit.car.loop.car_loop`). seed: of the nets.
+    recovery: the name of the controller that catches it there, for the recording. vehicle: what controllers are told of
+    the car (`steerkit.car.loop.belief_of`), at whose stops the output element ends; None: 520 degrees.
+
+    While the car is ENGAGED and the policy has the wheel, every sample is recorded. When the recovery controller has
+    to take it (the car leaves the path; the policy answers NaN, or raises), or `retrain_every_m` are driven, a process
+    of its own trains on what is committed; driving goes on, and the new nets are taken over between two samples; the
+    recording is told each time. Raises ValueError for a directory that holds something else, or a run with another
+    setting, while another process learns there, and for a setting that is for simulations only: actions drawn at
+    random, a car put back by hand, a target that leaves the path.
+    """
+
+    def __init__(
+        self,
+        setting: Setting,
+        place: FilePath,
+        build: Callable[[Block, Dynamic], Loop],
+        link: Car,
+        *,
+        seed: int = 0,
+        recovery: str = FITTING,
+        vehicle: Vehicle | None = None,
+    ):
+        where = f"setting '{setting.name}' on a car"
+        chance = f"exploration = {setting.exploration}, expected 0: no action at random on a real steering wheel"
+        require(setting.exploration == 0.0, where, chance)
+        after = f"after_failure = '{setting.after_failure}', expected 'recovery'; the others are for simulations"
+        require(setting.after_failure == "recovery", where, after)
+        self.setting, self.place, self.link, self.recovery = setting, place, link, recovery
+        what = f"{place} is not empty and holds no run of a car (no car.json); choose a new directory"
+        require(not place.exists() or is_free(place) or (place / "car.json").exists(), where, what)
+        place.mkdir(parents=True, exist_ok=True)
+        with contextlib.ExitStack() as until_closed:
+            until_closed.enter_context(held(place))
+            self._begin(build, seed, vehicle)
+            self._open = until_closed.pop_all()
+
+    def _begin(self, build: Callable[[Block, Dynamic], Loop], seed: int, vehicle: Vehicle | None) -> None:
+        setting, place = self.setting, self.place
+        _claim(place, setting)
+        names = setting.recorded()
+        self.store = TransitionStore(place / "transitions.db", run=RUN, names=names)
+        saved = sorted((place / "nets").glob("net-*.npz"))
+        net = int(saved[-1].stem.split("-")[1]) if saved else 0
+        policy = NfqPolicy.load(saved[-1]) if saved else untrained(setting, seed)
+        if not saved:
+            policy.save(place / "nets" / "net-0000.npz")
+        self.trainer = Trainer(nets=policy.nets or () if net else ())
+        self.story = Story(
+            setting=setting,
+            seed=seed,
+            policy=policy,
+            net=net,
+            trainer=self.trainer,
+            transitions=self.store.transitions(RUN),
+            first=self.store.next_episode(),
+            also=self.store.append,
+        )
+        self._element = setting.element(vehicle)
+        self._idle = build(replace(policy, ready_from=math.inf), self._element)
+        self.filter_faults: Counter[str] = Counter()
+        """What went wrong in the safety filter, and how often."""
+        filtered = "safety" in self._idle.blocks
+        asked = f"safe = {setting.safe}, but build makes a loop with{'' if filtered else 'out'} a safety filter"
+        require(filtered == setting.safe, f"setting '{setting.name}' on a car", asked)
+        self.follow = Follow(link=self.link, resting=self._idle, driving=self._with(policy))
+        self._inputs = state_signals(setting, self._idle.inputs_of("controller"))
+
+    def run(self, duration: float, *, clock: Clock | None = None, watch: Callable[[Run], bool] | None = None) -> Run:
+        """Drive and learn for `duration` [s]; the human engages when it is time."""
+
+        def follow(live: Run) -> bool:
+            self.step(live)
+            return bool(watch and watch(live))
+
+        self.tell()
+
+        def late(live: Run) -> None:
+            self.link.misses = live.timing.misses
+            self.story.recorder.forget()  # the next sample is not one period later
+
+        return run(self._idle, duration, timer=clock, watch=follow, on_miss=late)
+
+    def step(self, live: Run) -> None:
+        """After every control sample."""
+        story = self.story
+        if self.follow.begin(live):
+            story.recorder.forget()
+        engaged, t = self.follow.engaged, live.k * self._idle.dt
+        state = {name: self._value(live, signal) for name, signal in self._inputs.items()}
+        learning = engaged and self._value(live, "supervisor.learning") > 0.5
+        fault = engaged and self._value(live, "supervisor.fault") > 0.5  # a NaN, or an exception in the policy
+        given_up = self.setting.safe and self._filtered(live, learning=learning, engaged=engaged)
+        events = story.sample(
+            live.k,
+            t,
+            list(state.values()),
+            self._action(live),
+            learning=learning,
+            failed=fault or (engaged and self._value(live, "supervisor.tripped") > 0.5),
+            progress=self._value(live, "path.progress"),
+            e=self._value(live, "path.e"),
+        )
+        if not engaged:
+            story.counts.recovery = None  # the human steers
+        elif not learning:
+            story.recovering(t, e=state["e"], e_dot=state["e_dot"])
+        if given_up:
+            story.counts.ended(t, failed=True)
+        if given_up or (events.ended and events.ended.failed) or (fault and story.trusted):
+            story.train(t, trusted=False)
+        elif learning and story.due():
+            story.train(t, trusted=True)
+        result = story.take_over(t, e=state["e"], e_dot=state["e_dot"])
+        taken = result is not None and result.number == story.net
+        if taken:
+            story.counts.corrected = 0
+            story.policy.save(self.net_file, durable=False)  # the next sample does not wait for the disk
+            self.follow.exchange(live, self._with(story.policy))
+        if taken or self.follow.trusted != story.trusted:
+            self.follow.trusted = story.trusted
+            self.tell()
+        self.follow.choose(live)
+
+    def _action(self, live: Run) -> float:
+        """What the learner did."""
+        action = self._value(live, "controller.action")
+        if not self.setting.safe:
+            return action
+        correction, sent, state = (
+            self._value(live, f"{s}") for s in ("safety.correction", "safety.delta_sw", "doe.state")
+        )
+        return self.story.taught(action, self._element, correction=correction, sent=sent, state=state)
+
+    def _filtered(self, live: Run, *, learning: bool, engaged: bool) -> bool:
+        """Tell what the safety filter did; must the policy lose the wheel for it, or because the filter failed?"""
+        message = filtered_in(live)
+        self.link.tell(message)
+        broken = FAULTS.get(message.reason, "") if engaged else ""
+        if broken:
+            self.filter_faults[broken] += 1
+        return learning and (self.story.corrected(message.share) or bool(broken))
+
+    def figures(self) -> dict[str, Any]:
+        """The numbers of a run that a program would read."""
+        counts = self.story.counts
+        return {
+            "updates": counts.updates,
+            "transitions": len(self.story.transitions),
+            "driven_by_learner_m": counts.driven,
+            "failures": counts.failures,
+            "stuck": list(counts.stuck),
+            "training_faults": list(self.trainer.faults),
+            "filter_faults": dict(self.filter_faults),
+        }
+
+    def status(self) -> str:
+        """One line for the panel."""
+        story, counts = self.story, self.story.counts
+        training = "training" if self.trainer.busy else "idle"
+        fault = f", {story.faults[-1]}" if story.faults else ""
+        fault += "".join([f", {count} x {what}" for what, count in self.filter_faults.items()])
+        if counts.recovery and counts.recovery.said:
+            fault += f", {counts.recovery.said}"
+        return (
+            f"net {counts.updates}, {len(story.transitions)} transitions, {counts.driven:.0f} m by the learner, "
+            f"{counts.failures} failures, trainer {training}{fault}"
+        )
+
+    @property
+    def net_file(self) -> FilePath:
+        """The file of the newest net that has taken over."""
+        return self.place / "nets" / f"net-{self.story.net:04d}.npz"
+
+    def tell(self) -> None:
+        """Tell the recording who steers from here on."""
+        how: dict[str, Any] = {"recovery": self.recovery, "trusted": self.story.trusted, "safe": self.setting.safe}
+        self.link.remark(Steers.by_policy(self.net_file, self.setting.doe, **how).text())
+
+    def _with(self, policy: NfqPolicy) -> Loop:
+        return with_controller(self._idle, policy)
+
+    def _value(self, live: Run, signal: str) -> float:
+        i, j = self._idle.locate(signal)
+        return live.y[i][j]
+
+    def close(self) -> None:
+        """End the training process and write what is left."""
+        self.trainer.close()
+        self.store.close()
+        self._open.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+
+def _claim(place: FilePath, setting: Setting) -> None:
+    """Make `place` a run directory of this setting, or see that it is one."""
+    file = place / "car.json"
+    if file.exists():
+        other = setting_of(place)
+        if rundir.plain(other) != rundir.plain(setting):
+            raise ValueError(
+                f"{place} was learned with the setting '{other.name}', which differs from '{setting.name}'; continue "
+                f"it with --setting {other.name}, or choose a new directory"
+            )
+    (place / "nets").mkdir(parents=True, exist_ok=True)
+    if not file.exists():
+        write_text(file, json.dumps({"format": FORMAT, "setting": rundir.plain(setting)}, indent=1))
+
+
+def setting_of(place: FilePath) -> Setting:
+    """How a run on a car learns; raises ValueError for a directory that holds none."""
+    file = place / "car.json"
+    try:
+        data = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{file}: no run of a car ({error}); make one with `steerkit learn --car FILE`") from error
+    if not isinstance(data, dict) or data.get("format") != FORMAT:
+        raise ValueError(f"{file}: not of the format {FORMAT!r}")
+    return rundir.from_plain(data["setting"], str(file), Setting)

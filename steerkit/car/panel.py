@@ -1,0 +1,247 @@
+"""The live panel of a drive, and its keys: on a line of its own to the car server, should the controller hang.
+
+Keys are read, the picture is drawn and the heartbeat is sent by one thread: a terminal that takes no more text, or is
+gone, stops the heartbeat, and 300 ms later the car is the human's again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import select
+import sys
+import threading
+import time
+from collections.abc import Callable, Collection
+from types import TracebackType
+from typing import Any, Self
+
+from steerkit.car.client import CarClient, CarLost
+from steerkit.car.protocol import Adapted, Filtered, Snapshot
+from steerkit.car.state_machine import Mode, Order
+from steerkit.controllers.fail_safe import said
+from steerkit.diagram.units import degrees_of
+
+PERIOD = 0.04
+"""Longest wait for a key [s]: a heartbeat follows each."""
+KEYS = {" ": Order.DISENGAGE, "e": Order.ENGAGE, "a": Order.ACKNOWLEDGE, "r": Order.ARM, "o": Order.OFF}
+HELP = "space let go · e engage · a acknowledge · r arm · o off · q quit"
+COLOURS = {
+    Mode.OFF: "white",
+    Mode.STANDBY: "yellow",
+    Mode.READY: "cyan",
+    Mode.ENGAGED: "green",
+    Mode.OVERRIDE: "magenta",
+    Mode.FAULT: "red",
+}
+
+
+class Panel:
+    """Shows who has the wheel and why, and turns keys into orders; without a terminal it prints transitions only.
+
+    session: with `socket`, `timing`, `asked`, `learner_steers`, `adapted`, `filtered`, `corrections`, `watched`, and
+    `ending`, which ends the drive: so does a panel that breaks, as nobody could let go by key any more. live: draw.
+    more: a line of text of somebody else, and what it is about.
+    """
+
+    def __init__(
+        self, session: Any, title: str, *, live: bool, more: Callable[[], str] | None = None, about: str = "learning"
+    ):
+        self.session, self.title, self.live, self.more, self.about = session, title, live, more, about
+        self._thread = threading.Thread(target=self._run, name="panel", daemon=True)
+        self._over = self._engaged = False
+        self._attended = sys.stdin.isatty() or session.options.simulated
+        self._lost: CarLost | None = None
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self._over = True
+        self._thread.join(5.0)
+        if self._lost and error is None:
+            raise self._lost
+
+    def _run(self) -> None:
+        try:
+            with CarClient(self.session.socket, controller=False, timeout=2.0) as link:
+                try:
+                    self._serve(link)
+                finally:  # in order, before the heartbeat goes with the line
+                    with contextlib.suppress(CarLost):
+                        link.order(Order.DISENGAGE)
+                    if self._engaged:  # whatever ended it; the car server may be gone
+                        _ring()
+        except CarLost as error:
+            self._lost = error
+        finally:
+            self.session.ending = True
+
+    def _serve(self, link: CarClient) -> None:
+        link.order(Order.ARM)
+        last: Snapshot | None = None
+        said, drawn = "", -math.inf
+        period = PERIOD / self.session.options.time_scale
+        if not self.live and sys.stdin.isatty():
+            print(f"keys: {HELP}", flush=True)
+        with _keys() as read, self._screen() as show:
+            while not self._over:
+                key = read(period)
+                if key is None:  # the terminal is gone
+                    link.order(Order.DISENGAGE)
+                    self.session.ending = True
+                    return
+                if key == "q":
+                    link.order(Order.DISENGAGE)
+                    self.session.ending = True
+                elif key in KEYS:
+                    said = ""
+                    link.order(KEYS[key])
+                elif key and self._engaged:  # whoever hits another key wants something; the wheel is the safe answer
+                    link.order(Order.DISENGAGE)
+                if self._attended:
+                    link.beat()
+                snapshot = link.query()
+                before, self._engaged = self._engaged, snapshot.mode is Mode.ENGAGED
+                if before and not self._engaged:
+                    _ring()
+                if link.refused:
+                    said = link.refused[-1]
+                    link.refused.clear()
+                if not self.live and (last is None or snapshot.mode is not last.mode):
+                    print(line_of(snapshot), flush=True)
+                if snapshot.mode is not (last and last.mode) or time.monotonic() - drawn > 0.12:
+                    show(snapshot, said)
+                    drawn = time.monotonic()
+                last = snapshot
+        if self.live and last is not None:
+            print(line_of(last), flush=True)
+
+    @contextlib.contextmanager
+    def _screen(self) -> Any:
+        if not self.live:
+            yield lambda snapshot, said: None
+            return
+        from rich.live import Live
+
+        with Live(auto_refresh=False, transient=True) as live:
+            yield lambda snapshot, said: live.update(self._picture(snapshot, said), refresh=True)
+
+    def _picture(self, s: Snapshot, said: str) -> Any:
+        from rich.panel import Panel as Box
+        from rich.table import Table
+        from rich.text import Text
+
+        cause, *against = s.text.split("\n")
+        table = Table.grid(padding=(0, 2))
+        timing = self.session.timing
+        rows: list[tuple[str, Any]] = [
+            ("state", Text(f"{s.mode}", style=f"bold {COLOURS[s.mode]}")),
+            ("cause", cause),
+            ("e, psi_e", f"{s.e:+.3f} m   {degrees_of(s.psi_e):+.1f} deg"),
+            ("wheel", f"{degrees_of(s.delta_sw):+.1f} deg, sent {_sent(s)}, asked for {self._asked()}{self._who(s)}"),
+            ("speed", f"{s.v:.2f} m/s, kit {s.v_kit:.2f} m/s   torque {s.torque:+.1f} N m"),
+            ("ages", f"pose {_ms(s.pose_age)}, report {_ms(s.report_age)}, request {_ms(s.request_age)}"),
+            ("errors", f"{s.errors:.0f}   frames sent {s.frames_sent:.0f}"),
+        ]
+        if timing is not None and timing.steps:
+            rows.append(
+                ("steps", f"{timing.steps}, misses {timing.misses}, p99 {1e3 * timing.jitter(0.99):.2f} ms late")
+            )
+        rows += [("warning" if s.mode is Mode.ENGAGED else "against", line) for line in against]
+        rows += [("refused", said)] if said else []
+        if self.session.adapted is not None:
+            rows.append(("told", adapted_line(self.session.adapted)))
+        if self.session.filtered is not None:
+            rows.append(("filter", filter_line(self.session.filtered, self.session.corrections)))
+        if self.more:
+            rows.append((self.about, self.more()))
+        rows += self.session.watched.rows()
+        for name, value in rows:
+            table.add_row(name, value)
+        keys = HELP if sys.stdin.isatty() else "no keyboard here: nobody could let go, a real car stays with the human"
+        return Box(table, title=f"steerkit car: {self.title}", subtitle=keys)
+
+    def _asked(self) -> str:
+        asked = self.session.asked
+        return "nothing yet" if asked is None else f"{degrees_of(asked):+.1f} deg"
+
+    def _who(self, s: Snapshot) -> str:
+        learner = self.session.learner_steers
+        if learner is None or s.mode is not Mode.ENGAGED:
+            return ""
+        return " by the learner" if learner else " by the recovery controller"
+
+
+def _ring() -> None:
+    """The terminal's bell, past whatever draws on it, which takes such characters out."""
+    for stream in (sys.stdout, sys.stderr, sys.stdin):
+        if stream.isatty():
+            with contextlib.suppress(OSError):  # of a terminal that is gone
+                os.write(stream.fileno(), b"\a")
+            return
+
+
+def line_of(s: Snapshot) -> str:
+    """A snapshot's state and cause in one line."""
+    return f"{s.mode}: {s.text.splitlines()[0]}"
+
+
+def adapted_line(told: Adapted) -> str:
+    """What a controller that adapts is told of the car."""
+    return f"dead time {told.delay:.3f} s, steering ratio {told.ratio:.3f} times the data sheet's"
+
+
+def filter_line(last: Filtered, corrections: Collection[bool]) -> str:
+    """What the safety filter did last, and how often it changed a command in the last minute."""
+    share = f", {100.0 * last.share:.0f} % backup" if 0.0 < last.share < 1.0 else ""
+    often = f"; changed {100.0 * sum(corrections) / len(corrections):.1f} % of the last minute" if corrections else ""
+    return f"{said(last.reason)}{share}, reach {last.reach:.2f} m{often}"
+
+
+def _sent(s: Snapshot) -> str:
+    return f"{degrees_of(s.command):+.1f} deg" if s.mode is Mode.ENGAGED else "nothing"
+
+
+def _ms(age: float) -> str:
+    return f"{1e3 * age:.0f} ms" if age < 100.0 else "never"
+
+
+@contextlib.contextmanager
+def _keys() -> Any:
+    """A function that waits for a key for some seconds and returns it, "" for none, None when the terminal is gone."""
+    if not sys.stdin.isatty():
+
+        def wait(seconds: float) -> str:
+            time.sleep(seconds)
+            return ""
+
+        yield wait
+        return
+    import termios
+    import tty
+
+    fd = sys.stdin.fileno()
+    before = termios.tcgetattr(fd)
+    tty.setcbreak(fd)
+    plain = termios.tcgetattr(fd)
+    plain[0] &= ~(termios.IXON | termios.IXOFF)  # Ctrl-S is a key like others here, and does not stop the screen
+    termios.tcsetattr(fd, termios.TCSADRAIN, plain)
+
+    def read(seconds: float) -> str | None:
+        ready, _, _ = select.select([fd], [], [], seconds)
+        if not ready:
+            return ""
+        try:
+            data = os.read(fd, 1)
+        except OSError:
+            return None
+        return data.decode(errors="replace") if data else None
+
+    try:
+        yield read
+    finally:
+        with contextlib.suppress(termios.error):  # of a terminal that is gone
+            termios.tcsetattr(fd, termios.TCSANOW, before)

@@ -1,0 +1,205 @@
+"""The processes of a car: the car server, a simulated car, and how they are started."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path as FilePath
+from typing import Any, TextIO
+
+from steerkit._support.clock import Clock
+from steerkit.car.client import CarClient, CarLost
+from steerkit.car.config.config import CarConfig
+from steerkit.car.frames.bus import Port
+from steerkit.car.simulated import Fault, SimulatedCar
+from steerkit.car.state_machine import Mode, Order
+from steerkit.controllers.stanley import Stanley
+from steerkit.paths.path import Path
+
+OF = "session: "
+"""How the first line of a car server's log begins, which says whose session it is."""
+
+
+def default_socket() -> str:
+    """Where clients look for the car server unless told otherwise."""
+    folder = os.environ.get("XDG_RUNTIME_DIR")
+    if not folder:  # a folder of our own: anybody may put a socket into the common one
+        own = FilePath(tempfile.gettempdir()) / f"steerkit-{os.getuid()}"
+        own.mkdir(mode=0o700, exist_ok=True)
+        if own.is_symlink() or own.stat().st_uid != os.getuid() or own.stat().st_mode & 0o077:
+            raise OSError(f"{own}: not a folder of this user's alone; remove it, or give --socket")
+        folder = str(own)
+    return str(FilePath(folder) / f"steerkit-car-{os.getuid()}")
+
+
+def start(name: str, told: Mapping[str, Any], **popen: Any) -> subprocess.Popen[str]:
+    """Start one of `steerkit.car.serving` as a process, out of the terminal's reach (Ctrl-C is not for it)."""
+    command = [sys.executable, "-m", "steerkit.car.serving", name, json.dumps(told)]
+    return subprocess.Popen(command, encoding="utf-8", start_new_session=True, **popen)
+
+
+def start_car_server(
+    config: str,
+    socket_path: str,
+    *,
+    recording: str = "",
+    channel: str = "",
+    time_scale: float = 1.0,
+    realtime: bool = False,
+    log: TextIO | None = None,
+    wait: float = 15.0,
+) -> subprocess.Popen[str]:
+    """Start the process that owns the bus, and wait until it answers; raises CarLost when it does not."""
+    told = {"config": config, "socket": socket_path, "recording": recording, "channel": channel}
+    process = start("server", {**told, "time_scale": time_scale, "realtime": realtime}, stdout=log, stderr=log)
+    end = time.monotonic() + wait
+    while time.monotonic() < end and process.poll() is None:
+        try:
+            CarClient(socket_path, controller=False).close()
+            return process
+        except CarLost:
+            time.sleep(0.05)
+    process.terminate()
+    said = last_line(log.name) if log else ""
+    raise CarLost(f"the car server did not come up: {said or f'no answer within {wait:g} s'}")
+
+
+def last_line(log: str) -> str:
+    """What a process said last in its log, and where that is; "" without one."""
+    if not os.path.isfile(log):
+        return ""
+    lines = FilePath(log).read_text(encoding="utf-8", errors="replace").split("\n")
+    said = next((line for line in reversed(lines) if line and not line.startswith(OF)), "it said nothing")
+    return f"{said} (log: {log})"
+
+
+def start_simulated(config: str, **told: Any) -> tuple[subprocess.Popen[str], str]:
+    """Start a simulated car; returns its process, which takes faults on its standard input, and its channel.
+
+    told: what `serving.simulate` takes. It ends with this program, however that ends.
+    """
+    told |= {"config": config, "parent": os.getpid()}
+    process = start("simulate", told, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    line = process.stdout.readline()
+    if not line.startswith("channel "):
+        process.terminate()
+        raise CarLost(f"the simulated car did not come up: {line!r}")
+    return process, line.split()[1]
+
+
+def simulated_car(config: CarConfig, path: Path, **options: Any) -> SimulatedCar:
+    """The simulated car of a configuration, with Stanley as the human at its wheel."""
+    return SimulatedCar(config, path, Stanley.of(config.vehicle), **options)
+
+
+def serve_simulated(
+    car: SimulatedCar,
+    port: Port,
+    clock: Clock,
+    *,
+    log: TextIO | None = None,
+    faults: TextIO | None = None,
+    duration: float = float("inf"),
+    parent: int = 0,
+) -> None:
+    """Run a simulated car in real time on a port; it writes every command it hears to `log`, as JSON lines.
+
+    faults: lines such as `drop pose 0.5` (kind, target, length [s], amount), each acting from when it is read.
+    parent: number of the process with which it ends; 0: with none.
+    """
+    if faults:
+        os.set_blocking(faults.fileno(), False)
+    end = clock.now() + duration
+    reported = 0.0
+    while clock.now() < end and parent in (0, os.getppid()):
+        for frame_id, data in port.wait(clock.wall(car.next - clock.now())):
+            t = clock.now()
+            car.receive(t, frame_id, data)
+            if log and frame_id == car.config.writer.frame_id:
+                angle, enable, _ = car.config.writer.read(data)
+                log.write(f'{{"t": {t!r}, "data": "{data.hex()}", "enable": {int(enable)}, "angle": {angle!r}}}\n')
+        now = clock.now()
+        if now - car.t > 1.0:  # the machine stood still; so did the car
+            car.t = now - 0.01
+        for _, frame_id, data in car.advance(now):
+            port.send(frame_id, data)
+        if now - reported > 0.25:
+            reported = now
+            for line in faults.readlines() if faults else ():
+                try:
+                    car.faults.append(fault_of(line, now))
+                except ValueError as error:
+                    print(error, flush=True)
+            if log:
+                state = {
+                    "t": now,
+                    "s": car.on_path.s,
+                    "progress": car.on_path.progress,
+                    "e": car.on_path.e,
+                    "v": car.now.v,
+                    "enabled": car.enabled,
+                    "timeout": car.timeout,
+                }
+                log.write(json.dumps(state) + "\n")
+                log.flush()
+
+
+def fault_of(line: str, start: float) -> Fault:
+    """The fault in a line such as `drop pose 0.5` or `delay pose 2 0.2`: kind, target, length [s], amount."""
+    kind, target, *numbers = line.split()
+    length, amount = (*map(float, numbers), *(float("inf"), 0.0)[len(numbers) :])
+    return Fault(kind=kind, target=target, start=start, length=length, amount=amount)
+
+
+@contextlib.contextmanager
+def attended(socket_path: str, *, time_scale: float = 1.0) -> Iterator[None]:
+    """Says, as an operator's panel does, that keys are read; for simulated cars only, where nobody has to let go.
+
+    A car server that ends is waited for: another may come.
+    """
+    over = threading.Event()
+
+    def beat() -> None:
+        while not over.wait(0.05):
+            with contextlib.suppress(CarLost), CarClient(socket_path, controller=False) as link:
+                while not over.wait(0.05 / time_scale):
+                    link.beat()
+
+    thread = threading.Thread(target=beat, name="operator", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join(5.0)
+
+
+def engage(socket_path: str, *, timeout: float = 20.0) -> None:
+    """Arm, acknowledge and engage as an operator would, waiting for READY; for tests and simulated cars."""
+    with CarClient(socket_path, controller=False) as operator:
+        end = time.monotonic() + timeout
+        while True:
+            operator.beat()
+            snapshot = operator.query()
+            match snapshot.mode:
+                case Mode.ENGAGED:
+                    return
+                case Mode.OFF:
+                    operator.order(Order.ARM)
+                case Mode.FAULT | Mode.OVERRIDE:
+                    operator.order(Order.ACKNOWLEDGE)
+                case Mode.READY:
+                    operator.order(Order.ENGAGE)
+                case Mode.STANDBY if "kit " in snapshot.text:  # it has a fault latched
+                    operator.order(Order.ACKNOWLEDGE)
+            if time.monotonic() > end:
+                raise CarLost(f"not engaged within {timeout:g} s: {snapshot.mode}: {snapshot.text}")
+            time.sleep(0.05)

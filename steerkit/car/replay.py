@@ -1,0 +1,201 @@
+"""Recorded drives through their controllers again: are the requests the same, bit for bit?
+
+The car server records what it is told about who steers: a controller by name, or a learner's net by its file and
+SHA-256, from which request on, and whether it was trusted. So a drive whose nets changed on the way can be replayed
+too, as long as its run directory keeps them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path as FilePath
+from typing import Any
+
+from steerkit.car import loop as loops
+from steerkit.car.client import CarLost, ReplayLink
+from steerkit.car.config.config import CarConfig
+from steerkit.car.estimates import CarEstimators, message_of
+from steerkit.car.follow import Follow, Steers, filtered_in
+from steerkit.car.protocol import Adapted, Estimates, Filtered, Hello, Remark, Request, Snapshot, decode, encode
+from steerkit.car.recording import Recorded
+from steerkit.car.state_machine import Mode
+from steerkit.controllers.fail_safe import LATE
+from steerkit.diagram import realtime
+from steerkit.diagram.loop import Loop
+from steerkit.paths.path import Path
+
+
+@dataclass
+class Drive:
+    """What one controller saw and asked for."""
+
+    snapshots: list[Snapshot] = field(default_factory=list)
+    requests: list[tuple[float, float]] = field(default_factory=list)
+    """(basis, delta_sw)."""
+    remarks: list[tuple[int, Steers]] = field(default_factory=list)
+    """Who steers, each with the number of snapshots before it."""
+    first: int = 0
+    """Snapshots before the first request."""
+    samples: list[Snapshot | None] = field(default_factory=list)
+    """The snapshot that each request was computed from; None where it is lost."""
+    estimates: list[tuple[int, Estimates]] = field(default_factory=list)
+    """What was said to be found of the car, each with the number of requests before it."""
+
+    adapted: dict[int, Adapted] = field(default_factory=dict)
+    """What a controller was told of the car, by the number of requests before it."""
+    filtered: list[Filtered] = field(default_factory=list)
+    """What the safety filter was said to have done, request by request."""
+
+    @property
+    def who(self) -> str:
+        """Who steered, in short."""
+        names = list(dict.fromkeys(FilePath(s.name).name for _, s in self.remarks))
+        return names[0] if len(names) == 1 else f"{names[0]} to {names[-1]}" if names else "unknown"
+
+
+def drives(recorded: Recorded) -> Iterator[Drive]:
+    """The drives of a recording, one for each controller that was connected and asked for anything."""
+    drive, link = Drive(), -1
+    for topic, values in recorded.messages:
+        if topic == "/car":
+            known = {k: v for k, v in values.items() if k in Snapshot._fields}
+            drive.snapshots.append(Snapshot(**{**known, "mode": Mode(values["mode"])}))
+        elif topic == "/client" and "data" in values:
+            match decode_or_none(values["data"]):
+                case Hello(controller=True):
+                    if drive.requests:
+                        yield drive
+                    drive, link = Drive(), values["link"]
+                case Request() as asked if values["link"] == link:
+                    drive.first = drive.first or len(drive.snapshots)
+                    drive.requests.append((asked.basis, asked.delta_sw))
+                    last = drive.snapshots[-1] if drive.snapshots else None
+                    drive.samples.append(last if last is not None and last.t == asked.basis else None)
+                case Estimates() as found if values["link"] == link:
+                    drive.estimates.append((len(drive.requests), found))
+                case Adapted() as told if values["link"] == link:
+                    drive.adapted[len(drive.requests)] = told
+                case Filtered() as did if values["link"] == link:
+                    drive.filtered.append(did)
+                case Remark(text=text) if values["link"] == link:
+                    drive.remarks.append((len(drive.snapshots), Steers.read(text)))
+    if drive.requests:
+        yield drive
+
+
+def decode_or_none(data: str) -> object:
+    """The message in a recorded packet; None for one that the car server refused as unknown."""
+    try:
+        return decode(bytes.fromhex(data))
+    except ValueError:
+        return None
+
+
+class Nets:
+    """The loops of those who steered, each made once.
+
+    run: directory of the learning run, should it have moved since; "" takes the recorded one.
+    """
+
+    def __init__(self, config: CarConfig, path: Path, link: ReplayLink, run: str = ""):
+        self.config, self.path, self.link, self.run = config, path, link, run
+        self.late = False
+        """Is the safety filter late in this sample, as it was in the drive?"""
+        self._seconds = 0.0
+        self._known: dict[tuple[str, str, str, bool], Follow] = {}
+
+    def clock(self) -> float:
+        """The filter's clock, asked before and after its answer: no time passes between, or too much."""
+        self._seconds += 2.0 * loops.SAFETY_BUDGET if self.late else 0.0
+        return self._seconds
+
+    def follow(self, steers: Steers) -> Follow:
+        """How to follow a drive of that controller; raises ValueError when it is gone or no longer the same."""
+        key = steers.name, steers.sha256, steers.recovery, steers.safe
+        if key not in self._known:
+            self._known[key] = Follow.of(self._loop(steers), self.link)
+        return self._known[key]
+
+    def _loop(self, steers: Steers) -> Loop:
+        if not steers.sha256:
+            controller = loops.controller_named(steers.name, self.config, in_time=True)
+        else:
+            file = FilePath(steers.name)
+            file = FilePath(self.run) / "nets" / file.name if self.run else file
+            if not file.is_file():
+                raise ValueError(f"{file}: the net that drove is gone; name its run's directory with --run")
+            if hashlib.sha256(file.read_bytes()).hexdigest() != steers.sha256:
+                raise ValueError(f"{file} is not the net that drove: its SHA-256 differs from the recorded one")
+            controller = loops.policy_in(file, steers.doe, self.config)
+        how: dict[str, Any] = {"doe": controller.element, "recovery": steers.recovery, "safe": steers.safe}
+        return loops.car_loop(self.config, self.path, self.link, controller.block, **how, clock=self.clock)
+
+
+def replayed_requests(drive: Drive, config: CarConfig, path: Path, *, controller: str = "", run: str = "") -> int:
+    """How many of a drive's requests come out bit for bit the same when its controllers see the recorded snapshots.
+
+    A solution that came too late in the drive comes in time here: its request, and a few after it, then differ. A
+    safety filter that was late is late here too. What it is said to have done counts as part of its request, and so
+    does what a controller that adapts is said to have been told of the car.
+    controller: name of another one to put in their place, throughout. run: see `Nets`. Raises ValueError when the
+    recording does not tell who steered, or that controller is gone.
+    """
+    begin = max(0, drive.first - 2)  # the last snapshot before that of the first request began the loop
+    link = ReplayLink(drive.snapshots[begin:])
+    nets = Nets(config, path, link, run)
+    remarks = [(0, Steers(name=controller))] if controller else [(n - begin, s) for n, s in drive.remarks]
+    if not remarks:
+        raise ValueError("the recording does not tell who steered; name it with --controller")
+    now = nets.follow(remarks.pop(0)[1])
+    follow = Follow(link=link, resting=now.resting, driving=now.driving)
+    live = realtime.Run(follow.resting, follow.resting.init(), realtime.Timing(period=now.driving.dt))
+    did: list[Filtered] = []
+    try:
+        while True:
+            nets.late = len(did) < len(drive.filtered) and drive.filtered[len(did)].reason == LATE
+            live.loop.advance(live.k, live.x, live.y)
+            live.k += 1
+            if "safety" in live.loop.blocks:
+                did.append(filtered_in(live))
+            follow.begin(live)
+            while remarks and remarks[0][0] <= link.count:
+                steers = remarks.pop(0)[1]
+                follow.trusted, driving = steers.trusted, nets.follow(steers).driving
+                if driving is not follow.driving:
+                    follow.exchange(live, driving)
+            follow.choose(live)
+    except CarLost:
+        filtered, adapted = ([], {}) if controller else (drive.filtered, drive.adapted)
+        recorded = _said(drive.requests, filtered, adapted)
+        again = _said(link.requests, did[: len(filtered)], {n: link.adapted[n] for n in adapted if n in link.adapted})
+        return sum(one == other for one, other in zip(recorded, again))
+
+
+def _said(
+    requests: Sequence[tuple[float, float]], filtered: Sequence[Filtered], adapted: Mapping[int, Adapted]
+) -> list[list[bytes]]:
+    """What was said with each request, as bytes: a NaN, asked for where a report is missing, equals itself."""
+    said = [[encode(Request(*asked, 0))] for asked in requests]
+    for packets, did in zip(said, filtered):
+        packets.append(encode(did))
+    for number, told in adapted.items():
+        said[number - 1].append(encode(told))
+    return said
+
+
+def replayed_estimates(drive: Drive, config: CarConfig) -> tuple[CarEstimators, int]:
+    """The estimators as they were at a drive's end, and how many of the recorded estimates they say bit for bit again.
+
+    It depends on what was measured and commanded alone, not on who steered.
+    """
+    estimators, said, same = CarEstimators(config), iter(drive.estimates), 0
+    count, recorded = next(said, (0, None))
+    for k, sample in enumerate(drive.samples, start=1):
+        if sample is not None:
+            estimators.sample(sample)
+        while recorded is not None and count == k:
+            same += encode(message_of(estimators.found())) == encode(recorded)  # as bytes: a NaN equals itself
+            count, recorded = next(said, (0, None))
+    return estimators, same

@@ -1,0 +1,279 @@
+"""A session with a car: the processes it needs, its panel, and a drive or a learning run in it."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path as FilePath
+from typing import Any, TextIO
+
+from steerkit._support.clock import Clock
+from steerkit._support.errors import known
+from steerkit.car import loop as loops
+from steerkit.car import processes
+from steerkit.car.client import CarClient, CarLost
+from steerkit.car.configured import loaded
+from steerkit.car.estimates import Watched
+from steerkit.car.follow import adapted_in, filtered_in
+from steerkit.car.processes import OF
+from steerkit.car.protocol import Adapted, Filtered, digest
+from steerkit.car.state_machine import Order
+from steerkit.diagram.block import Block
+from steerkit.diagram.loop import Loop
+from steerkit.diagram.realtime import Run, Timing, histogram_text, preferred
+from steerkit.doe import Dynamic
+from steerkit.learning.ownership import this_process
+from steerkit.learning.settings import Setting
+from steerkit.scenario.catalogue import FITTING, RECOVERIES
+from steerkit.task import DT
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """What the command line says about a session."""
+
+    config: str
+    simulated: bool = False
+    """Start a simulated car, and a car server for it alone."""
+    socket: str = ""
+    recording: str = ""
+    channel: str = ""
+    time_scale: float = 1.0
+    realtime: bool = False
+    recovery: str = FITTING
+    quiet: bool = False
+
+
+class Session:
+    """What a drive and a learning run on a car share: the line to the car server, the clock, and the wish to end."""
+
+    def __init__(self, options: Options, socket: str, channel: str):
+        self.options, self.socket, self.recording = options, socket, options.recording
+        self.config, self.path = loaded(options.config, channel)
+        self.clock = Clock(scale=options.time_scale)
+        self.ending = False
+        self.link: Any = None
+        self.watched: Any = None
+        """The link with the estimators behind it, `steerkit.car.estimates.Watched`."""
+        self.timing: Timing | None = None
+        self.asked: float | None = None
+        """The angle that the controller asked for last [rad]."""
+        self.safe = False
+        """Is there a safety filter before the gate?"""
+        self.adapted: Adapted | None = None
+        """What a controller that adapts is told of the car."""
+        self.filtered: Filtered | None = None
+        """What it did last."""
+        self.corrections: deque[bool] = deque(maxlen=round(60.0 / DT))
+        """In which samples of the last minute, engaged, it changed the command."""
+        self.learner_steers: bool | None = None
+        """Has the learner the wheel, or its recovery controller? None: there is no learner."""
+        self.broken = ""
+        """What the car server ended with, if that was no good end."""
+
+    def watch(self, run: Run) -> bool:
+        """Called after every step."""
+        self.timing = run.timing
+        self.asked = run.sample[run.loop.inputs_of("car")["delta_sw_cmd"]]
+        self.adapted = adapted_in(run)
+        if "supervisor" in run.loop.blocks:
+            self.learner_steers = run.sample["supervisor.learning"] > 0.5
+        if "safety" in run.loop.blocks:
+            self.filtered = filtered_in(run)
+            if run.sample["car.engaged"] > 0.5:
+                self.corrections.append(self.filtered.share > 0.0)
+        return self.ending
+
+    def build(self, policy: Block, doe: Dynamic) -> Loop:
+        """The loop of a learner."""
+        how: dict[str, Any] = {"recovery": self.options.recovery, "safe": self.safe}
+        return loops.car_loop(self.config, self.path, self.watched, policy, doe=doe, **how)
+
+    def panel(self, title: str, more: Any = None, about: str = "learning") -> Any:
+        """The live panel; without a terminal, or when told to be quiet, one line for each transition.
+
+        more: a line of text of somebody else, called `about`.
+        """
+        from steerkit.car.panel import Panel
+
+        return Panel(self, title, live=self.live, more=more, about=about)
+
+    @property
+    def live(self) -> bool:
+        """Is the panel drawn?"""
+        terminal = sys.stdout.isatty() and os.environ.get("TERM", "dumb") != "dumb"
+        return terminal and not self.options.quiet
+
+
+@contextlib.contextmanager
+def session(options: Options) -> Iterator[Session]:
+    """A session: with the car server that is there, or else one of its own; both end in order."""
+    if options.time_scale != 1.0 and not (options.simulated or options.channel):
+        raise ValueError(f"--time-scale {options.time_scale:g}: a real car has real time; use --simulated")
+    if options.simulated and options.channel:
+        raise ValueError("--simulated starts a car on a channel of its own; leave --channel out")
+    known(options.recovery, RECOVERIES, "--recovery")
+    channel, started = options.channel, list[subprocess.Popen[str]]()
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(_ended_in_order())
+        try:
+            socket = options.socket or processes.default_socket()
+            if options.simulated:  # never through a car server that may have a real car at its other end
+                socket = options.socket or stack.enter_context(tempfile.TemporaryDirectory()) + "/car"
+                process, channel = processes.start_simulated(options.config, time_scale=options.time_scale)
+                started.append(process)
+            here = Session(options, socket, channel)
+            if options.simulated or not os.path.exists(socket) or not _answers(socket):
+                text = stack.enter_context(_claimed(tape := _tape(options.recording)))
+                here.recording, log = str(tape), text.name
+                server = processes.start_car_server(
+                    options.config,
+                    socket,
+                    recording=here.recording,
+                    channel=channel,
+                    time_scale=options.time_scale,
+                    realtime=options.realtime,
+                    log=text,
+                )
+                started.insert(0, server)
+            else:
+                print(f"the car server at {socket} is used as it runs, with its own configuration and recording")
+            here.link = stack.enter_context(CarClient(socket, course=digest(here.path)))
+            here.watched = Watched(here.link, here.config, here.link.tell)
+            if options.realtime:
+                print(preferred())
+            try:
+                yield here
+            finally:
+                with contextlib.suppress(CarLost):
+                    here.link.order(Order.DISENGAGE)  # an end in order, or Ctrl-C, is no fault
+        finally:
+            for process in started:  # the server first
+                process.terminate()
+                process.wait(20.0)  # it may have to write the end of its recording
+        if here.recording and started[0].returncode == 1:
+            here.broken = f"the car server ended badly: {processes.last_line(log)}"
+
+
+@contextlib.contextmanager
+def _ended_in_order() -> Iterator[None]:
+    """SIGTERM ends a drive as Ctrl-C does; and Ctrl-C does so too where the parent had SIGINT ignored.
+
+    That is what a shell does to what it runs in the background; whoever sits at the keyboard can still press it.
+    Without a keyboard an ignored SIGINT stays ignored, as `nohup` asks. Only the main thread hears signals.
+    """
+
+    def interrupt(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    numbers = [signal.SIGTERM, *([signal.SIGINT] if sys.stdin.isatty() else [])]
+    before = {number: signal.signal(number, interrupt) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _answers(socket: str) -> bool:
+    try:
+        CarClient(socket, controller=False).close()
+    except CarLost:
+        return False
+    return True
+
+
+def _tape(recording: str) -> FilePath:
+    """A new file to record to; its folder is made."""
+    tape = FilePath(recording or f"runs/car-{time.strftime('%Y%m%d-%H%M%S')}.mcap")
+    if tape.exists():
+        raise ValueError(f"--recording {tape} exists already, and recordings are not overwritten; choose another name")
+    tape.parent.mkdir(parents=True, exist_ok=True)
+    return tape
+
+
+@contextlib.contextmanager
+def _claimed(tape: FilePath) -> Iterator[TextIO]:
+    """The car server's log beside a new recording, open to write to; its first line says whose both are.
+
+    Raises ValueError while another session has that name, naming its process. The lock on the log is shared with the
+    car server that writes to it, and ends with the last of them, however they end.
+    """
+    with tape.with_suffix(".log").open("a+", encoding="utf-8") as log:
+        try:
+            fcntl.flock(log, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as why:
+            log.seek(0)
+            whose = log.readline().strip().removeprefix(OF) or "another process"
+            raise ValueError(f"--recording {tape} is being written by {whose}; choose another name") from why
+        log.truncate(0)
+        print(f"{OF}{this_process()}", file=log, flush=True)
+        yield log
+
+
+def drive(options: Options, name: str, *, minutes: float) -> dict[str, Any]:
+    """`steerkit drive --car`: drive with a controller for so long (0: until `q`); returns its figures."""
+    controller = loops.controller_named(name, loaded(options.config)[0])  # mistakes first, processes then
+    with session(options) as here, here.panel(name):
+        run = loops.drive(
+            here.config,
+            here.path,
+            here.link,
+            controller,
+            recovery=options.recovery,
+            duration=60.0 * minutes or float("inf"),
+            clock=here.clock,
+            watch=here.watch,
+            line=here.watched,
+        )
+    return told(here, run)
+
+
+def learn(options: Options, how: Setting, place: FilePath, *, minutes: float, seed: int) -> dict[str, Any]:
+    """`steerkit learn --car`: learn to steer on it for so long (0: until `q`); returns its figures."""
+    from steerkit.car.learner import CarLearner
+
+    with session(options) as here:
+        loops.check_allowed("element", how.doe, here.config)
+        here.link.wait(timeout=10.0)
+        vehicle = loops.belief_of(here.config).vehicle
+        here.safe = how.safe
+        with CarLearner(
+            how, place, here.build, here.link, seed=seed, recovery=options.recovery, vehicle=vehicle
+        ) as learner:
+            with here.panel(f"learning, {how.name}", learner.status):
+                run = learner.run(60.0 * minutes or float("inf"), clock=here.clock, watch=here.watch)
+            print(learner.status())
+            merit = learner.figures()
+    print(
+        f"policies and transitions in {place}; drive with them: steerkit drive --car {options.config} --controller "
+        f"{'nfq' if place == loops.LEARNED else place}"
+    )
+    return told(here, run) | merit
+
+
+def told(here: Session, run: Run) -> dict[str, Any]:
+    """The figures of a session that has ended, printed too; raises OSError if its car server ended badly."""
+    figures = run.timing.summary()
+    if not here.options.quiet:
+        print(histogram_text(run.timing))
+    print(", ".join(f"{k} {v:.3g}" for k, v in figures.items()))
+    if not here.options.quiet:
+        print("\n".join(here.watched.report()))
+    print(f"recording {here.recording}" if here.recording else "recorded by the car server that was there")
+    if here.broken:
+        raise OSError(here.broken)
+    return {**figures, "recording": here.recording}

@@ -1,0 +1,297 @@
+"""A car to test against: the nonlinear plant behind the same DBC, with its kit, its human, and faults on demand."""
+
+from __future__ import annotations
+
+import heapq
+import math
+import random
+from collections import deque
+from dataclasses import dataclass
+from typing import Any
+
+from steerkit.car.config.config import CarConfig
+from steerkit.car.frames.codec import SignalEncoder
+from steerkit.diagram.block import Block
+from steerkit.paths.path import Path
+from steerkit.paths.tracker import PathTracker
+from steerkit.plants.careful_human import CarefulHuman
+from steerkit.plants.human import Human
+from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.steering_actuator import SteeringActuator
+from steerkit.vehicles import Vehicle
+
+STEP = 0.01
+"""Step of the plant, and period of the pose [s] where the configuration gives none; the kit's is twice as long."""
+WATCHDOG = 0.1
+"""Silence after which the kit lets go of the wheel [s]."""
+HUMAN_EVERY = 5
+HANDS = 0.1
+"""Lag of the human's hands at the wheel [s]."""
+FAULTS = {
+    "drop": "its frames stay away",
+    "delay": "its frames come `amount` [s] late",
+    "freeze": "its last frame is repeated, counter and all",
+    "stuck": "its values stand still, counter and CRC go on",
+    "corrupt": "a bit of each frame is turned over",
+    "counter": "its counter jumps",
+    "nan": "its values are the code for `not available`",
+    "jump": "the position is `amount` [m] off (pose)",
+    "quality": "the quality is 0 (pose)",
+    "speed": "the speed is `amount` [m/s] off",
+    "override": "the human takes the wheel: the kit reports an override (report)",
+    "torque": "the human's hand: a torque of `amount` [N m] (report)",
+    "brake": "the human's foot on the brake, of a kit that tells (report)",
+    "accelerator": "the same on the accelerator (report)",
+    "kit_fault": "the kit reports a power fault (report)",
+    "timeout": "the kit reports that its watchdog ran out (report)",
+    "disabled": "the kit says that it is not enabled (report)",
+    "deaf": "the kit does as if no command came (report)",
+    "loose": "the motor no longer turns the wheel (report)",
+}
+"""What can go wrong on demand, with the frames of `target` ("pose" or "report")."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fault:
+    """Something that goes wrong from `start` [s] for `length` [s]."""
+
+    kind: str
+    target: str
+    start: float
+    length: float = math.inf
+    amount: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.kind not in FAULTS or self.target not in ("pose", "report"):
+            raise ValueError(f"Fault: {self.kind!r} of {self.target!r}; valid: {', '.join(FAULTS)}; of pose, report")
+
+    def active(self, t: float) -> bool:
+        """Does it act at time t [s]?"""
+        return self.start <= t < self.start + self.length
+
+
+class SimulatedCar:
+    """Car, kit, sensors and human; `advance` it in time, `receive` what the bus brings.
+
+    config: the same as the car server's: the frames it reads are sent, the one it writes is understood. path: where the
+    human drives. human: a controller block such as Stanley, the human at the wheel while the kit is off. v_min, v_max
+    [m/s]: the human's speeds, less in bends (a_y_max [m/s^2]). s [m], e [m]: where it starts. t0 [s]: when.
+
+    What nobody is told of: vehicle, the car that it is (default: the configuration's); lag and delay [s] from a command
+    to the wheel, which the human's hands do not have; offset [rad], which the road wheels see and the wheel's sensor
+    does not; rate_zero [rad/s], of its gyro.
+    """
+
+    def __init__(
+        self,
+        config: CarConfig,
+        path: Path,
+        human: Block,
+        *,
+        v_min: float = 4.0,
+        v_max: float = 6.0,
+        a_y_max: float = 2.3,
+        seed: int = 0,
+        s: float = 0.0,
+        e: float = 0.0,
+        t0: float = 0.0,
+        vehicle: Vehicle | None = None,
+        lag: float = 0.1,
+        delay: float = 0.0,
+        offset: float = 0.0,
+        rate_zero: float = 0.0,
+    ):
+        self.config, self.human, self.faults = config, human, list[Fault]()
+        self.t, self.k = t0, 0
+        self.tracker = PathTracker(path=path, reference=config.vehicle.l_f, dt=STEP)
+        speed = Human(v_min=v_min, v_max=v_max, seed=seed, dt=STEP)
+        self.pedals = CarefulHuman(path=path, human=speed, a_y_max=a_y_max, dt=STEP)
+        self.hands, self.motor = SteeringActuator(lag=HANDS, dt=STEP), SteeringActuator(lag=lag, dt=STEP)
+        self.delay, self.offset, self.rate_zero, self.turned = delay, offset, rate_zero, 0.0
+        (x, y), psi = path.point(s), path.psi(s)
+        pose: dict[str, Any] = {
+            "x0": float(x) - e * math.sin(psi),
+            "y0": float(y) + e * math.cos(psi),
+            "psi0": float(psi),
+        }
+        self.plant = NonlinearSingleTrack(vehicle=vehicle or config.vehicle, v0=v_min, dt=STEP, **pose)
+        self.x: dict[str, Any] = {"plant": self.plant.init(), "motor": self.motor.init(), "pedals": self.pedals.init()}
+        self.now = self.plant.output(0.0, self.x["plant"], ())
+        seen = self._seen()
+        place = self.tracker.settle(0.0, self.tracker.init(), seen)
+        self.x |= {"tracker": place, "human": human.init()}
+        self.on_path = self.tracker.output(0.0, place, seen)
+        self.steered = self._reached = 0.0
+        # the kit
+        self.enabled = self.timeout = self.overridden = False
+        self.command, self.heard = 0.0, -math.inf
+        self.commands = 0
+        self._coming: deque[tuple[float, float]] = deque()  # commands that have not got to the motor yet
+        # what is on its way to the bus: (when, order, id, data)
+        self._waiting: list[tuple[float, int, int, bytes]] = []
+        self._encoders = [SignalEncoder(reader) for reader in config.readers]
+        self._count = dict.fromkeys((e.reader.frame_id for e in self._encoders), 0)
+        self._last: dict[int, bytes] = {}
+        self._stuck: dict[int, dict[str, float]] = {}
+        self._dice, self._order = random.Random(seed), 0
+
+    # ---- the bus --------------------------------------------------------------------------------------------
+
+    def receive(self, t: float, frame_id: int, data: bytes) -> None:
+        """A frame from the bus at time t [s]."""
+        writer = self.config.writer
+        if frame_id != writer.frame_id or self._fault("deaf", t):
+            return
+        angle, enable, clear = writer.read(data)
+        self.commands += 1
+        self.heard = t
+        if clear or not enable:
+            self.overridden = False
+        if clear:
+            self.timeout = False
+        ok = enable and not (self.timeout or self.overridden or self._fault("kit_fault", t))
+        if ok:
+            self.command = angle
+            if not self.enabled:  # it goes on from the wheel as it is
+                self._coming.clear()
+                self._reached = self.turned if self.delay else angle
+            self._coming.append((t + self.delay, angle))
+        self.enabled = ok
+
+    def advance(self, t: float) -> list[tuple[float, int, bytes]]:
+        """The frames (when, id, data) that the car sends until time t [s]."""
+        while self.t + STEP <= t + 1e-9:
+            self._step()
+        due = []
+        while self._waiting and self._waiting[0][0] <= t + 1e-9:
+            when, _, frame_id, data = heapq.heappop(self._waiting)
+            due.append((when, frame_id, data))
+        return due
+
+    @property
+    def next(self) -> float:
+        """When the next frame may come [s]."""
+        return min(self.t + STEP, self._waiting[0][0]) if self._waiting else self.t + STEP
+
+    # ---- the car --------------------------------------------------------------------------------------------
+
+    def _seen(self) -> Any:
+        y = self.now
+        return self.tracker.U(x=y.x, y=y.y, psi=y.psi, v=y.v, beta=y.beta, r=y.r)
+
+    def _step(self) -> None:
+        """One step of car, human and kit, then the frames of its end."""
+        t, x = self.t, self.x
+        seen = self._seen()
+        place = self.tracker.output(t, x["tracker"], seen)
+        v = self.pedals.output(t, x["pedals"], self.pedals.U(s=place.s)).v
+        motor = self.motor.output(t, x["motor"], ())
+        if self.k % HUMAN_EVERY == 0:
+            known = {**place._asdict(), **self.now._asdict(), "delta_sw_meas": motor.delta_sw}
+            u = self.human.U(*[known[name] for name in self.human.U._fields])
+            y = self.human.output(t, x["human"], u)
+            self.steered, x["human"] = y.delta_sw, self.human.update(t, x["human"], u, y)
+        if self._fault("override", t):
+            self.overridden = True
+        if self.enabled and t - self.heard >= WATCHDOG:
+            self.timeout = True
+        if self.timeout or self.overridden or self._fault("kit_fault", t):
+            self.enabled = False
+        while self._coming and self._coming[0][0] <= t + 1e-9:
+            self._reached = self._coming.popleft()[1]
+        target = self._reached if self.enabled else self.steered
+        if self.enabled and self._fault("loose", t):
+            target = motor.delta_sw
+        x["tracker"] = self.tracker.update(t, x["tracker"], seen, place)
+        x["pedals"] = self.pedals.update(t, x["pedals"], self.pedals.U(s=place.s), ())
+        turns = self.motor if self.enabled else self.hands
+        x["motor"] = turns.update(t, x["motor"], turns.U(delta_sw_cmd=target), motor)
+        self.turned = self.motor.output(t, x["motor"], ()).delta_sw
+        x["plant"] = self.plant.update(t, x["plant"], self.plant.U(delta_sw_cmd=self.turned + self.offset, v_cmd=v), ())
+        self.k += 1
+        self.t += STEP
+        self.now = self.plant.output(self.t, x["plant"], ())
+        self.on_path = place
+        self._send()
+
+    def _values(self) -> dict[str, float]:
+        y, t = self.now, self.t
+        wrapped = math.remainder(y.psi, 2.0 * math.pi)
+        values = {
+            "delta_sw": self.turned,
+            "v_kit": y.v,
+            "torque": 0.2,
+            "echo": self.command if self.enabled else self.turned,
+            "enabled": float(self.enabled),
+            "override": float(self.overridden),
+            "timeout": float(self.timeout),
+            "brake": float(self._fault("brake", t) is not None),
+            "accelerator": float(self._fault("accelerator", t) is not None),
+            "x": y.x,
+            "y": y.y,
+            "psi": wrapped,
+            "v": y.v,
+            "r": y.r + self.rate_zero,
+            "beta": y.beta,
+            "a_y": y.a_y,
+            "quality": 4.0,
+        }
+        if "stamp" in self.config.quantities:
+            values["stamp"] = round(t * 1e3) % 65536 * 1e-3
+        if self._fault("kit_fault", t):
+            values[self.config.fault_flags[0]] = 1.0
+        for kind, quantity, value in (("timeout", "timeout", 1.0), ("disabled", "enabled", 0.0)):
+            if self._fault(kind, t):
+                values[quantity] = value
+        torque, jump, quality = self._fault("torque", t), self._fault("jump", t), self._fault("quality", t)
+        if torque:
+            values["torque"] = torque.amount or 5.0
+        if jump:
+            values["x"] += jump.amount or 3.0
+        if quality:
+            values["quality"] = 0.0
+        for target, quantity in (("pose", "v"), ("report", "v_kit")):
+            speed = self._fault("speed", t, target)
+            if speed:
+                values[quantity] += speed.amount or 3.0
+        return values
+
+    def _fault(self, kind: str, t: float, target: str = "") -> Fault | None:
+        for fault in self.faults:
+            if fault.kind == kind and fault.target in (target or fault.target) and fault.active(t):
+                return fault
+        return None
+
+    def _send(self) -> None:
+        values, t = self._values(), self.t
+        for encoder in self._encoders:
+            frame_id = encoder.reader.frame_id
+            pose = frame_id in self.config.pose_frames
+            period = encoder.reader.period or (STEP if pose else 2.0 * STEP)
+            due, before = (math.floor(k * STEP / period + 1e-6) for k in (self.k, self.k - 1))
+            for _ in range(due - before):
+                self._send_one(encoder, values, t, "pose" if pose else "report")
+
+    def _send_one(self, encoder: SignalEncoder, values: dict[str, float], t: float, target: str) -> None:
+        frame_id = encoder.reader.frame_id
+        if self._fault("stuck", t, target):
+            values = self._stuck.setdefault(frame_id, values)
+        else:
+            self._stuck.pop(frame_id, None)
+        if self._fault("nan", t, target):
+            flags = ("enabled", "override", "timeout", "brake", "accelerator", *self.config.fault_flags)
+            values = {q: v if q in flags else math.nan for q, v in values.items()}
+        self._count[frame_id] += 6 if self._fault("counter", t, target) else 1
+        data = encoder.write(values, count=self._count[frame_id])
+        if self._fault("freeze", t, target):
+            data = self._last.get(frame_id, data)
+        self._last[frame_id] = data
+        if self._fault("corrupt", t, target):
+            broken = bytearray(data)
+            broken[self._dice.randrange(len(data))] ^= 1 << self._dice.randrange(8)
+            data = bytes(broken)
+        if self._fault("drop", t, target):
+            return
+        delay = self._fault("delay", t, target)
+        self._order += 1
+        heapq.heappush(self._waiting, (t + (delay.amount or 0.2 if delay else 0.0), self._order, frame_id, data))

@@ -1,0 +1,409 @@
+"""Who has the wheel, as a pure function of the state before, what is known, and the time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import NamedTuple
+
+from steerkit._support.errors import require
+from steerkit.diagram.units import degrees_of, radians_of
+from steerkit.task import STOP
+
+
+class Mode(StrEnum):
+    """The six states. Only ENGAGED moves the wheel."""
+
+    OFF = "OFF"
+    """Nothing is sent, nothing is judged."""
+    STANDBY = "STANDBY"
+    """Listening; something stands against engaging."""
+    READY = "READY"
+    """Listening; the next engage order is obeyed."""
+    ENGAGED = "ENGAGED"
+    """Gated commands go to the kit."""
+    OVERRIDE = "OVERRIDE"
+    """The human took the wheel; latched until acknowledged."""
+    FAULT = "FAULT"
+    """Something was wrong while engaged; latched until acknowledged."""
+
+
+class Order(StrEnum):
+    """What the operator may ask for; each is an edge, obeyed once."""
+
+    ARM = "ARM"
+    ENGAGE = "ENGAGE"
+    DISENGAGE = "DISENGAGE"
+    ACKNOWLEDGE = "ACKNOWLEDGE"
+    OFF = "OFF"
+
+
+@dataclass(frozen=True, kw_only=True)
+class StateLimits:
+    """When the car may be engaged, and what ends it. Ages count from the frame's arrival."""
+
+    report_age: float = 0.1
+    """Oldest report of the kit [s]."""
+    pose_age: float = 0.15
+    """Oldest pose [s]."""
+    request_age: float = 0.075
+    """Oldest request that is still sent [s]."""
+    request_lost: float = 0.15
+    """Age of a request from which the controller counts as lost [s]."""
+    e_max: float = 2.0
+    """|e| that ends driving [m]."""
+    v_max: float = 10.0
+    """Speed that ends driving [m/s]."""
+    v_mismatch: float = 1.0
+    """Largest difference between the two speeds [m/s]."""
+    torque_max: float = 2.5
+    """The human's torque at the wheel that counts as a touch [N m]."""
+    torque_reports: int = 3
+    """Reports in a row with such a torque that count as an override."""
+    integrity_errors: int = 2
+    """CRC, counter and value errors within a second that end driving."""
+    misses: int = 3
+    """Missed deadlines of the controller within a second that end driving."""
+    lateness: float = 0.05
+    """Largest delay of the car server itself [s]."""
+    quality: float = 1.0
+    """Least quality of the pose [1]."""
+    echo_age: float = 0.12
+    """How old the command may be that the kit reports [s]."""
+    follow_angle: float = radians_of(40.0)
+    """Largest |command - measured| while driving [rad] ..."""
+    follow_time: float = 0.3
+    """... for so long [s]."""
+    enable_time: float = 0.3
+    """How long the kit may take to report that it is enabled [s]."""
+    e_engage: float = 0.5
+    """Largest |e| to engage at [m]."""
+    psi_e_engage: float = radians_of(15.0)
+    """Largest |psi_e| to engage at [rad]."""
+    delta_engage: float = radians_of(20.0)
+    """Largest |request - measured| to engage at [rad]."""
+    v_engage_min: float = 0.5
+    """Slowest speed to engage at [m/s]."""
+    v_engage_max: float = 9.0
+    """Fastest speed to engage at [m/s]."""
+    delta_sw_max: float = STOP
+    """Largest |request| [rad]; more is a broken controller."""
+    psi_e_max: float = radians_of(45.0)
+    """|psi_e| that ends driving [rad]."""
+    e_growth: float = 1.5
+    """Largest growth of |e| within a second while driving [m]."""
+    v_reverse: float = 0.15
+    """Speed backwards that ends driving [m/s]."""
+    v_still: float = 0.2
+    """Speed below which the car stands [m/s] ..."""
+    still_time: float = 1.0
+    """... and after so long driving ends, without a fault [s]."""
+    heartbeat: float = 0.3
+    """How long an operator's panel may be silent [s]."""
+    end_margin: float = 5.0
+    """How far before the end of an open course driving ends [m]."""
+    end_warning: float = 5.0
+    """How long before that the operator is warned [s]."""
+    foreign_enable: float = 0.3
+    """How long the kit may be enabled while we are not [s]."""
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            value = getattr(self, name)
+            require(0.0 < value < math.inf, "StateLimits", f"{name} = {value}, expected a finite number > 0")
+        ok = self.request_age < self.request_lost and self.v_engage_min < self.v_engage_max <= self.v_max
+        require(ok, "StateLimits", "expected request_age < request_lost and v_engage_min < v_engage_max <= v_max")
+
+
+class Facts(NamedTuple):
+    """What is known at one moment. SI; ages are `inf` for what never came, values NaN."""
+
+    connected: bool = False
+    """Is there a controller?"""
+    listen_only: bool = False
+    report_age: float = math.inf
+    pose_age: float = math.inf
+    request_age: float = math.inf
+    request: float = math.nan
+    delta_sw: float = math.nan
+    v: float = math.nan
+    """Speed of the pose."""
+    v_kit: float = math.nan
+    """Speed of the kit's report."""
+    e: float = math.nan
+    psi_e: float = math.nan
+    quality: float = 0.0
+    torque_reports: float = 0.0
+    """Reports with more than `torque_max`, less a third of those since with less."""
+    override: bool = False
+    enabled: bool = False
+    kit_faults: tuple[str, ...] = ()
+    """Names of the fault flags that the kit has set."""
+    timeout: bool = False
+    """The kit's command watchdog has run out."""
+    integrity_errors: int = 0
+    """CRC, counter and value errors within the last second."""
+    integrity: str = ""
+    """The last of them."""
+    misses: int = 0
+    """Missed deadlines of the controller within the last second."""
+    lateness: float = 0.0
+    """How late the car server itself was, at most, within the last second."""
+    echo_age: float = 0.0
+    """For how long the command that the kit reports has been superseded."""
+    follow_age: float = 0.0
+    """How long |command - measured| has been beyond `follow_angle`."""
+    engaged_for: float = 0.0
+    e_growth: float = 0.0
+    """By how much |e| has grown within the last second [m]."""
+    still_for: float = 0.0
+    """How long the car has stood [s]."""
+    remaining: float = math.inf
+    """Way to the end of an open course [m]."""
+    heartbeat_age: float = math.inf
+    """Time since an operator's panel last read its keys [s]."""
+    brake: bool = False
+    accelerator: bool = False
+    foreign: str = ""
+    """Who else sends what only we, or only the kit, may send."""
+    foreign_enable: float = 0.0
+    """How long the kit has been enabled while we were not [s]."""
+    recording: str = ""
+    """What is wrong with a recording that has to be made."""
+
+
+class Machine(NamedTuple):
+    """The state: mode, why it was entered, and when [s]."""
+
+    mode: Mode = Mode.OFF
+    cause: str = "start"
+    since: float = 0.0
+
+
+Check = tuple[str, Callable[[StateLimits, Facts], bool], Callable[[StateLimits, Facts], str]]
+"""A name, is it broken, and what to say. Comparisons are written so that a NaN is broken."""
+
+
+def _ms(age: float) -> str:
+    return f"{1e3 * age:.0f} ms" if math.isfinite(age) else "never came"
+
+
+HUMAN: tuple[Check, ...] = (
+    ("override", lambda li, f: f.override, lambda li, f: "the kit reports an override"),
+    (
+        "torque",
+        lambda li, f: f.torque_reports >= li.torque_reports,
+        lambda li, f: f"human torque above {li.torque_max:g} N m in {f.torque_reports:.0f} reports",
+    ),
+    ("brake", lambda li, f: f.brake, lambda li, f: "the human brakes"),
+    ("accelerator", lambda li, f: f.accelerator, lambda li, f: "the human accelerates"),
+)
+"""The human wants the wheel."""
+
+ALWAYS: tuple[Check, ...] = (
+    ("controller gone", lambda li, f: not f.connected, lambda li, f: "no controller is connected"),
+    ("report stale", lambda li, f: not f.report_age < li.report_age, lambda li, f: f"report {_ms(f.report_age)}"),
+    ("pose stale", lambda li, f: not f.pose_age < li.pose_age, lambda li, f: f"pose {_ms(f.pose_age)}"),
+    (
+        "integrity",
+        lambda li, f: f.integrity_errors >= li.integrity_errors,
+        lambda li, f: f"{f.integrity_errors} errors within 1 s, last: {f.integrity}",
+    ),
+    ("kit fault", lambda li, f: bool(f.kit_faults), lambda li, f: f"the kit reports {', '.join(f.kit_faults)}"),
+    ("kit timeout", lambda li, f: f.timeout, lambda li, f: "the kit's command watchdog ran out"),
+    (
+        "pose quality",
+        lambda li, f: not f.quality >= li.quality,
+        lambda li, f: f"quality {f.quality:g} < {li.quality:g}",
+    ),
+    (
+        "speed mismatch",
+        lambda li, f: not abs(f.v - f.v_kit) <= li.v_mismatch,
+        lambda li, f: f"pose {f.v:.2f} m/s, kit {f.v_kit:.2f} m/s",
+    ),
+    ("too fast", lambda li, f: not max(abs(f.v), abs(f.v_kit)) <= li.v_max, lambda li, f: f"{f.v:.2f} m/s"),
+    ("off the path", lambda li, f: not abs(f.e) <= li.e_max, lambda li, f: f"e = {f.e:.2f} m, limit {li.e_max:g} m"),
+    (
+        "request invalid",
+        lambda li, f: math.isfinite(f.request_age) and not abs(f.request) <= li.delta_sw_max * (1.0 + 1e-9),
+        lambda li, f: f"the controller asks for {degrees_of(f.request):.1f} deg",
+    ),
+    (
+        "missed deadlines",
+        lambda li, f: f.misses >= li.misses,
+        lambda li, f: f"{f.misses} missed deadlines of the controller within 1 s",
+    ),
+    ("server late", lambda li, f: not f.lateness < li.lateness, lambda li, f: f"own delay {_ms(f.lateness)}"),
+    (
+        "operator silent",
+        lambda li, f: not f.heartbeat_age < li.heartbeat,
+        lambda li, f: f"no panel has read its keys since {_ms(f.heartbeat_age)}; open one on a terminal",
+    ),
+    (
+        "reversing",
+        lambda li, f: not (f.v >= -li.v_reverse and f.v_kit >= -li.v_reverse),
+        lambda li, f: f"{min(f.v, f.v_kit):.2f} m/s",
+    ),
+    ("foreign sender", lambda li, f: bool(f.foreign), lambda li, f: f.foreign),
+    ("recording", lambda li, f: bool(f.recording), lambda li, f: f.recording),
+)
+"""What must hold to engage, and at all times while engaged."""
+
+DRIVING: tuple[Check, ...] = (
+    (
+        "controller silent",
+        lambda li, f: not f.request_age < li.request_lost,
+        lambda li, f: f"last request {_ms(f.request_age)} ago",
+    ),
+    (
+        "kit not enabled",
+        lambda li, f: not f.enabled and f.engaged_for >= li.enable_time,
+        lambda li, f: "the kit does not report that it is enabled",
+    ),
+    ("command echo", lambda li, f: not f.echo_age < li.echo_age, lambda li, f: f"that of {_ms(f.echo_age)} ago"),
+    (
+        "wheel does not follow",
+        lambda li, f: not f.follow_age < li.follow_time,
+        lambda li, f: f"off by more than {degrees_of(li.follow_angle):.0f} deg for {_ms(f.follow_age)}",
+    ),
+    (
+        "across the path",
+        lambda li, f: not abs(f.psi_e) <= li.psi_e_max,
+        lambda li, f: f"psi_e = {degrees_of(f.psi_e):.0f} deg, limit {degrees_of(li.psi_e_max):.0f} deg",
+    ),
+    (
+        "leaving the path",
+        lambda li, f: not f.e_growth <= li.e_growth,
+        lambda li, f: f"|e| grew by {f.e_growth:.2f} m within 1 s, limit {li.e_growth:g} m",
+    ),
+)
+"""What must hold while engaged."""
+
+ENDING: tuple[Check, ...] = (
+    (
+        "end of the course",
+        lambda li, f: not f.remaining > li.end_margin,
+        lambda li, f: f"{f.remaining:.1f} m before its end",
+    ),
+    (
+        "standstill",
+        lambda li, f: not f.still_for < li.still_time,
+        lambda li, f: f"below {li.v_still:g} m/s for {f.still_for:.1f} s",
+    ),
+)
+"""What ends driving although nothing is wrong."""
+
+FOREIGN_ENABLE: Check = (
+    "foreign enable",
+    lambda li, f: not f.foreign_enable < li.foreign_enable,
+    lambda li, f: f"the kit has been enabled for {_ms(f.foreign_enable)}, and not by us",
+)
+"""Whoever has the wheel, it is neither the human nor we: told in every state but ENGAGED."""
+
+ENGAGING: tuple[Check, ...] = (
+    ("listen only", lambda li, f: f.listen_only, lambda li, f: "the car server was started to listen only"),
+    (
+        "request stale",
+        lambda li, f: not f.request_age < li.request_age,
+        lambda li, f: f"last request {_ms(f.request_age)} ago",
+    ),
+    (
+        "command differs",
+        lambda li, f: not abs(f.request - f.delta_sw) <= li.delta_engage,
+        lambda li, f: f"asks for {degrees_of(f.request):.0f} deg at {degrees_of(f.delta_sw):.0f} deg",
+    ),
+    ("e", lambda li, f: not abs(f.e) <= li.e_engage, lambda li, f: f"e = {f.e:.2f} m, limit {li.e_engage:g} m"),
+    (
+        "psi_e",
+        lambda li, f: not abs(f.psi_e) <= li.psi_e_engage,
+        lambda li, f: f"psi_e = {degrees_of(f.psi_e):.0f} deg, limit {degrees_of(li.psi_e_engage):.0f} deg",
+    ),
+    (
+        "speed",
+        lambda li, f: not li.v_engage_min <= f.v <= li.v_engage_max,
+        lambda li, f: f"v = {f.v:.2f} m/s, expected {li.v_engage_min:g} to {li.v_engage_max:g}",
+    ),
+    (
+        "end of the course",
+        lambda li, f: not f.remaining > li.end_margin + li.end_warning * max(f.v, 0.0),
+        lambda li, f: f"{f.remaining:.1f} m before its end",
+    ),
+    FOREIGN_ENABLE,
+)
+"""What must hold to engage, only."""
+
+
+READYING = HUMAN + ALWAYS + ENGAGING
+"""What must hold to engage."""
+KEEPING = ALWAYS + DRIVING
+"""What ends driving as a fault."""
+
+
+def broken(limits: StateLimits, facts: Facts, checks: tuple[Check, ...]) -> list[str]:
+    """The checks that do not hold, each as `name: why`."""
+    return [*_broken(limits, facts, checks)]
+
+
+def first_broken(limits: StateLimits, facts: Facts, checks: tuple[Check, ...]) -> str:
+    """The first of them, as `broken` says it; "" where all hold."""
+    return next(_broken(limits, facts, checks), "")
+
+
+def _broken(limits: StateLimits, facts: Facts, checks: tuple[Check, ...]) -> Iterator[str]:
+    for name, fails, says in checks:
+        if fails(limits, facts):
+            yield f"{name}: {says(limits, facts)}"
+
+
+def warnings(limits: StateLimits, facts: Facts) -> list[str]:
+    """What the operator should know while engaged, before it ends driving."""
+    ahead = facts.remaining - limits.end_margin
+    return [f"the course ends in {ahead:.0f} m"] if ahead < limits.end_warning * max(facts.v, 0.0) else []
+
+
+def step(limits: StateLimits, state: Machine, facts: Facts, t: float, order: Order | None = None) -> Machine:
+    """The state after looking at `facts` at time t [s], with at most one order of the operator::
+
+        OFF      -ARM->          STANDBY
+        STANDBY  -all is well->  READY;  READY -anything is not-> STANDBY
+        READY    -ENGAGE->       ENGAGED, in no other way
+        ENGAGED  -human->        OVERRIDE;  -any fault-> FAULT;  -DISENGAGE, end of the course, standstill-> STANDBY
+        OVERRIDE, FAULT -ACKNOWLEDGE-> STANDBY, in no other way
+        any      -OFF->          OFF
+
+    Pure: equal arguments give equal results. Raises nothing.
+    """
+
+    def to(mode: Mode, cause: str) -> Machine:
+        return Machine(mode, cause, t)
+
+    if order is Order.OFF:
+        return state if state.mode is Mode.OFF else to(Mode.OFF, "operator: off")
+    match state.mode:
+        case Mode.OFF:
+            return to(Mode.STANDBY, "operator: arm") if order is Order.ARM else state
+        case Mode.STANDBY:
+            against = first_broken(limits, facts, READYING)
+            return to(Mode.READY, "all checks hold") if not against else state
+        case Mode.READY:
+            against = first_broken(limits, facts, READYING)
+            if against:
+                return to(Mode.STANDBY, against)
+            return to(Mode.ENGAGED, "operator: engage") if order is Order.ENGAGE else state
+        case Mode.ENGAGED:
+            if order is Order.DISENGAGE:
+                return to(Mode.STANDBY, "operator: disengage")
+            if not facts.enabled:  # only then it matters for how long
+                facts = facts._replace(engaged_for=t - state.since)
+            human = first_broken(limits, facts, HUMAN)
+            if human:
+                return to(Mode.OVERRIDE, human)
+            fault = first_broken(limits, facts, KEEPING)
+            if fault:
+                return to(Mode.FAULT, fault)
+            over = first_broken(limits, facts, ENDING)
+            return to(Mode.STANDBY, over) if over else state
+        case _:
+            return to(Mode.STANDBY, "operator: acknowledge") if order is Order.ACKNOWLEDGE else state

@@ -1,0 +1,273 @@
+"""Blocks: small immutable objects with typed ports and two pure functions over explicit state."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+from collections import namedtuple
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, overload
+
+import numpy as np
+
+from steerkit.diagram.units import UNITS
+from steerkit.task import DT
+
+_CHANGEABLE = (list, dict, set, bytearray, np.ndarray)
+
+State = tuple[Any, ...]
+"""A block's state: a flat tuple (often a NamedTuple) of scalars: floats, `(N,)` arrays or symbols."""
+
+
+class In:
+    """An input port: a class attribute of a block.
+
+    unit: one of `steerkit.diagram.units.UNITS`. direct: does `output` see it? `update` always does. size: None for a
+    scalar, else the number of entries, or the name of the block's field that holds it.
+    """
+
+    kind = "input"
+
+    def __init__(self, unit: str, *, direct: bool = True, size: int | str | None = None):
+        self.unit, self.direct, self.size, self.name = _known_unit(unit), direct, size, ""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    @overload
+    def __get__(self, block: Port | None, owner: type) -> Self: ...
+    @overload
+    def __get__(self, block: Block, owner: type) -> Port: ...
+    def __get__(self, block: Block | Port | None, owner: type) -> Self | Port:
+        return Port(block, self) if isinstance(block, Block) else self
+
+
+class Out:
+    """An output port: a class attribute of a block.
+
+    unit: as for `In`. direct: the inputs that it depends on in the same sample, as a tuple of the class's `In`
+    ports; None (the safe default) means all of the block's direct inputs, `()` means state only.
+    """
+
+    kind = "output"
+
+    def __init__(self, unit: str, *, direct: tuple[In, ...] | None = None, size: int | str | None = None):
+        self.unit, self.direct, self.size, self.name = _known_unit(unit), direct, size, ""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    @overload
+    def __get__(self, block: Port | None, owner: type) -> Self: ...
+    @overload
+    def __get__(self, block: Block, owner: type) -> Port: ...
+    def __get__(self, block: Block | Port | None, owner: type) -> Self | Port:
+        return Port(block, self) if isinstance(block, Block) else self
+
+
+class Port(NamedTuple):
+    """A port of one block object: what a wire joins, and a key of a `Log`."""
+
+    block: Block
+    spec: In | Out
+
+    @property
+    def size(self) -> int | None:
+        """Entries of a vector port, None for a scalar."""
+        size = self.spec.size
+        return getattr(self.block, size) if isinstance(size, str) else size
+
+    def __repr__(self) -> str:
+        return f"{type(self.block).__name__}.{self.spec.name} [{self.spec.unit}]"
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Block:
+    """Abstract base of every part of a loop: parameters in fields, ports as class attributes, state outside.
+
+    A subclass is a frozen keyword-only dataclass with `In` and `Out` attributes, a field `dt` [s] (its sample
+    time) and
+
+    * `init(batch)`: the state at t = 0: a flat tuple of scalars, each a float, or an `(N,)` array for `batch=(N,)`;
+    * `output(t, x, u)`: the outputs `y` at time t [s]; `u` holds the direct inputs only;
+    * `update(t, x, u, y)`: the state one sample time later; `u` holds all inputs;
+    * `settle(t, x, u)` (optional): called once, before the first sample, with the first direct inputs; returns the
+      state to start from (a path tracker finds its place here);
+    * `rested(x, settled)` (optional): called after each sample in which somebody else steered a real car; returns the
+      state to go on from, `settled` with what of `x` is to be kept (what was found of the car).
+
+    `u` and `y` are named tuples: `u.rate`, `self.Y(delta_sw=...)`. All of them are pure: equal arguments give equal
+    results, the object keeps nothing. Equations use `steerkit.diagram.maths`, so that they serve floats, batches and
+    CasADi symbols. A block whose `pure` is False (a real car) can be simulated step by step but not traced or
+    batched.
+
+    Raises TypeError for a class that could remember: with an `__init__` of its own or a list, dictionary, set or array
+    as a class attribute, when the class is made; without `@dataclass(frozen=True, ...)`, when its first object is.
+    """
+
+    dt: float = DT
+
+    inputs: ClassVar[tuple[In, ...]] = ()
+    outputs: ClassVar[tuple[Out, ...]] = ()
+    pure: ClassVar[bool] = True
+    U: ClassVar[type[Any]]
+    """Named tuple of all inputs, in the order declared."""
+    D: ClassVar[type[Any]]
+    """Named tuple of the direct inputs."""
+    Y: ClassVar[type[Any]]
+    """Named tuple of the outputs."""
+
+    def __new__(cls, *args: Any, **kwargs: Any) -> Self:
+        parameters = vars(cls).get("__dataclass_params__")  # the decorator comes after __init_subclass__
+        if parameters is None or not parameters.frozen:
+            raise TypeError(f"{cls.__name__} is no frozen dataclass, and could keep state in itself; {_DECORATE}")
+        valid = [field.name for field in dataclasses.fields(cls) if field.init]
+        if args:
+            what = f"{len(args)} argument{'s' * (len(args) > 1)} without a name, expected parameters by name"
+            raise TypeError(f"{cls.__name__}: {what}: {', '.join(valid)}")
+        for name in kwargs:
+            if name not in valid:
+                near = difflib.get_close_matches(name, valid, n=1)
+                hint = f"; did you mean '{near[0]}'?" if near else ""
+                raise TypeError(f"{cls.__name__} has no parameter '{name}'{hint} (parameters: {', '.join(valid)})")
+        return super().__new__(cls)
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        _check_forgetful(cls)
+        if "__repr__" not in vars(cls):
+            cls.__repr__ = Block.__repr__  # type: ignore[method-assign]  # the decorator leaves it alone then
+        ports = {name: port for base in reversed(cls.__mro__) for name, port in vars(base).items()}
+        cls.inputs = tuple(p for p in ports.values() if isinstance(p, In))
+        cls.outputs = tuple(p for p in ports.values() if isinstance(p, Out))
+        cls.U = namedtuple("U", [p.name for p in cls.inputs])  # type: ignore[misc]
+        cls.D = namedtuple("D", [p.name for p in cls.inputs if p.direct])  # type: ignore[misc]
+        cls.Y = namedtuple("Y", [p.name for p in cls.outputs])  # type: ignore[misc]
+        for port in cls.outputs:
+            _check_direct(cls, port)
+
+    def init(self, batch: tuple[int, ...] = ()) -> State:
+        """The state at t = 0."""
+        return ()
+
+    def settle(self, t: float, x: Any, u: Any) -> State:
+        """The state to start from, given the first direct inputs."""
+        return x
+
+    def rested(self, x: Any, settled: Any) -> State:
+        """The state to go on from while somebody else steers: `settled` anew, with what of `x` is to be kept."""
+        return settled
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        """The outputs at time t."""
+        raise NotImplementedError(f"{type(self).__name__}.output is not defined")
+
+    def update(self, t: Any, x: Any, u: Any, y: Any) -> State:
+        """The state one sample time after t."""
+        return x
+
+    def __repr__(self) -> str:
+        """Its parameters in a line or two, however many numbers they hold."""
+        values = (
+            f"{field.name}={_brief(getattr(self, field.name))}" for field in dataclasses.fields(self) if field.repr
+        )
+        return f"{type(self).__name__}({', '.join(values)})"
+
+    def _repr_html_(self) -> str:
+        """Parameters and ports as tables, for a notebook."""
+        from steerkit.plots.notebook import block_html
+
+        return block_html(self)
+
+    if not TYPE_CHECKING:  # a checker should see unknown names as errors
+
+        def __getattr__(self, name: str) -> Any:
+            if name.startswith("__"):
+                raise AttributeError(name)
+            ports = [p.name for p in (*self.inputs, *self.outputs)]
+            fields = [f.name for f in dataclasses.fields(self)]
+            near = difflib.get_close_matches(name, ports + fields, n=1)
+            hint = f"; did you mean '{near[0]}'?" if near else ""
+            raise AttributeError(
+                f"{type(self).__name__} has no port or parameter '{name}'{hint} "
+                f"(inputs: {', '.join(p.name for p in self.inputs) or 'none'}; "
+                f"outputs: {', '.join(p.name for p in self.outputs) or 'none'})"
+            )
+
+
+_SHOWN = 8
+"""Entries of a tuple that are printed."""
+
+
+def _brief(value: Any, *, inside: bool = False) -> str:
+    """A parameter as it is printed: arrays by their shape, long tuples by their first entries."""
+    if isinstance(value, np.ndarray) and value.size > _SHOWN:
+        return f"<array {value.shape}>"
+    if type(value) is not tuple or not value:
+        return repr(value)
+    if inside and not all(isinstance(entry, float | int | str) for entry in value):
+        return f"<{len(value)} entries>"
+    shown = [_brief(entry, inside=True) for entry in value[:_SHOWN]]
+    more = [f"... {len(value)} in all"] if len(value) > _SHOWN else [""] * (len(value) == 1)
+    return f"({', '.join([*shown, *more]).strip()})"
+
+
+_DECORATE = "write @dataclass(frozen=True, eq=False, kw_only=True) above the class; what changes goes into its state"
+
+
+def _check_forgetful(cls: type) -> None:
+    """Raise TypeError for a class whose objects would remember, as far as it can be known before it is decorated."""
+    if "__init__" in vars(cls):
+        raise TypeError(
+            f"{cls.__name__}.__init__: a block's parameters are fields, such as `gain: float = 2.0`, and checked in "
+            f"__post_init__; {_DECORATE}"
+        )
+    for name, value in vars(cls).items():
+        if isinstance(value, _CHANGEABLE) and not name.startswith("__"):
+            raise TypeError(
+                f"{cls.__name__}.{name} is a {type(value).__name__} of the class, which all its objects would share; "
+                f"expected a tuple, or a field: `{name}: tuple[float, ...] = ()`"
+            )
+
+
+def _check_direct(cls: type[Block], port: Out) -> None:
+    """Raise TypeError where `direct` holds something else than the class's own input ports."""
+    own = [spec.name for spec in cls.inputs]
+    given: Any = port.direct
+    if given is None or (isinstance(given, tuple) and all(isinstance(spec, In) and spec.name in own for spec in given)):
+        return
+    raise TypeError(
+        f"{cls.__name__}.{port.name}: direct = {given!r}, expected a tuple of the class's own In ports, not their "
+        f"names: direct=({own[0] + ',' if own else ''}) (inputs: {', '.join(own) or 'none'})"
+    )
+
+
+def take_ports(wrapper: Block, block: Block) -> None:
+    """Give one wrapper object the ports of the block inside it, its sample time, and whether it is pure."""
+    for name in ("inputs", "outputs", "U", "D", "Y", "dt", "pure"):
+        object.__setattr__(wrapper, name, getattr(block, name))
+    ports: tuple[In | Out, ...] = (*block.inputs, *block.outputs)
+    for spec in ports:
+        object.__setattr__(wrapper, spec.name, Port(wrapper, spec))
+        if isinstance(spec.size, str):
+            object.__setattr__(wrapper, spec.size, getattr(block, spec.size))
+
+
+def without_port(block: Block, name: str) -> None:
+    """Take an input from one block object, whose parameters leave nothing for it to do."""
+    inputs = tuple(port for port in block.inputs if port.name != name)
+    object.__setattr__(block, "inputs", inputs)
+    object.__setattr__(block, "U", namedtuple("U", [p.name for p in inputs]))
+    object.__setattr__(block, "D", namedtuple("D", [p.name for p in inputs if p.direct]))
+
+
+def entries_of(block: Block) -> tuple[Callable[[Sequence[Any]], State], int]:
+    """What makes a block's state from its entries, and how many these are: for those that keep others' among theirs."""
+    like = block.init()
+    return getattr(type(like), "_make", tuple), len(like)
+
+
+def _known_unit(unit: str) -> str:
+    if unit not in UNITS:
+        raise ValueError(f"port: unit {unit!r} is not known; SI and radians only, one of {', '.join(sorted(UNITS))}")
+    return unit

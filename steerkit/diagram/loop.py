@@ -1,0 +1,353 @@
+"""Loops: named blocks and wires, checked when they are built, then stepped."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path as FilePath
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from steerkit._support.errors import WiringError
+from steerkit._support.files import read_npz, write_npz
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, Port, State
+from steerkit.diagram.diagnostics import check_outputs, check_state, explained
+from steerkit.diagram.wiring import Call, Place, Wire, Wiring, base_step, nearest
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Values = tuple[Any, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class LoopState:
+    """All that a loop remembers: the tick, every block's state, every block's last outputs (held by slow blocks).
+
+    Immutable, so a copy is the object itself; `Loop.save_state` and `Loop.load_state` keep it bit for bit.
+    """
+
+    k: int
+    x: tuple[State, ...]
+    y: tuple[Values, ...]
+
+
+def require_batch(where: str, batch: int | None) -> None:
+    """Raise ValueError unless `batch` is a number of cars, or None for one car."""
+    if batch is not None and not (isinstance(batch, int | np.integer) and batch >= 1):
+        raise ValueError(f"{where}: batch = {batch!r}, expected a number of cars >= 1, or None for one car")
+
+
+class Sample(Mapping[str, Any]):
+    """The outputs of all blocks at one tick: `sample["car.v"]` or `sample[car.v]`."""
+
+    __slots__ = ("_loop", "t", "y")
+
+    def __init__(self, loop: Loop, t: float, y: Sequence[Values]):
+        self._loop, self.t, self.y = loop, t, y
+
+    def __getitem__(self, key: str | Port) -> Any:
+        i, j = self._loop.locate(key)
+        return self.y[i][j]
+
+    def __contains__(self, key: object) -> bool:  # not by what `locate` raises, which looks for the nearest name
+        return key in self._loop.units if isinstance(key, str) else super().__contains__(key)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._loop.units)
+
+    def __len__(self) -> int:
+        return len(self._loop.units)
+
+
+class Loop:
+    """A diagram of blocks: built once, checked whole, run many ways.
+
+    blocks: the blocks by name, in the order wanted for display. wires: pairs of ports, `(car.v, stanley.v)`: source
+    first. dt: base sample time [s]; by default the smallest of the blocks'. Every block's dt must be a whole
+    multiple of it.
+
+    At tick k, t = k*dt: every block that is due computes its outputs, in an order in which each direct input is
+    known before it is needed; then every due block computes its next state from all its inputs at the same t. The
+    outputs of a slow block are held between its samples.
+
+    Raises WiringError, naming both ends and their units, for: two different units or sizes on a wire, an input that
+    is not driven or has two sources, a wire that is no pair of an output and an input, a block that is not in the
+    loop or is in it twice, a chain of direct inputs that bites its own tail, sample times that do not divide.
+    """
+
+    def __init__(self, *, blocks: Mapping[str, Block], wires: Sequence[Wire], dt: float | None = None):
+        self._wiring = Wiring(blocks, wires)
+        self.blocks, self.names, self.wires = dict(blocks), self._wiring.names, self._wiring.wires
+        self.dt, self.every = base_step(self.blocks, dt)
+        self.period = math.lcm(*self.every)
+        self.units = {f"{name}.{out.name}": out.unit for name, block in self.blocks.items() for out in block.outputs}
+        self._where = {
+            f"{name}.{out.name}": (i, j)
+            for i, (name, block) in enumerate(self.blocks.items())
+            for j, out in enumerate(block.outputs)
+        }
+        patterns = [self.due(phase) for phase in range(self.period)]
+        ticks = {due: self._wiring.tick(due) for due in set(patterns)}
+        self._phases = [ticks[due] for due in patterns]
+
+    # ---- asking ---------------------------------------------------------------------------------------------
+
+    def port_name(self, port: Port) -> str:
+        """`"car.v"` for `car.v`; raises KeyError when the block is not in this loop."""
+        return self._wiring.port_name(port)
+
+    def locate(self, key: str | Port) -> tuple[int, int]:
+        """(number of the block, number of its output) of a signal: `y[i][j]` is its value.
+
+        Raises KeyError with the nearest name.
+        """
+        name = key if isinstance(key, str) else self.port_name(key)
+        if name not in self._where:
+            raise KeyError(f"no signal '{name}'{nearest(name, self._where)}; signals: {', '.join(self._where)}")
+        return self._where[name]
+
+    def inputs_of(self, name: str) -> dict[str, str]:
+        """The signal that drives each input of a block, in the block's order: `{"e": "path.e", ...}`."""
+        i, block = self._number(name), self.blocks[name]
+        return {port.name: self._signal(self._wiring.source[i, port.name]) for port in block.inputs}
+
+    @property
+    def order(self) -> tuple[str, ...]:
+        """The blocks in the order in which all of their direct inputs are known within a tick."""
+        return tuple(self.names[call.block] for call in self._wiring.calls if call.final)
+
+    def sample(self, state: LoopState) -> Sample:
+        """The outputs that a state holds: those of the tick before it, or of the first one in a state of `init`."""
+        return Sample(self, max(0, state.k - 1) * self.dt, state.y)
+
+    def __repr__(self) -> str:
+        return f"Loop({', '.join(self.names)}; {len(self.wires)} wires; dt = {self.dt:g} s)"
+
+    def plot(self) -> Figure:
+        """The diagram as a matplotlib figure: blocks, ports, units, wires, rates."""
+        from steerkit.plots.diagram import plot_diagram
+
+        return plot_diagram(self)
+
+    def _repr_png_(self) -> bytes:
+        """The diagram, for a notebook."""
+        from steerkit.plots.notebook import png
+
+        return png(self.plot())
+
+    def break_at(self, signal: str | Port, *, at: LoopState | None = None) -> Any:
+        """The open loop at a scalar signal, as a discrete `control.StateSpace`; see `steerkit.analysis.break_at`."""
+        from steerkit.analysis import break_at
+
+        return break_at(self, signal, at=at)
+
+    # ---- running --------------------------------------------------------------------------------------------
+
+    def init(self, *, batch: int | None = None, x: Sequence[State] | None = None) -> LoopState:
+        """The state at t = 0, of one car or of `batch` cars; each block settles on its first inputs.
+
+        x: the blocks' states to settle from, in the order of the blocks, instead of their own `init`. Where a block's
+        outputs are needed before it can settle, and settling changes them, all settle once more; raises WiringError
+        when that comes to no end.
+        """
+        require_batch("Loop.init", batch)
+        if batch is not None:
+            for name, block in self.blocks.items():
+                if not block.pure:
+                    raise TypeError(f"{name} ({type(block).__name__}) is not pure: it cannot be batched, only stepped")
+        shape = () if batch is None else (batch,)
+        try:
+            return self._started(shape, x)[0]
+        except Exception as error:
+            if (teaching := explained(error, self.blocks)) is not None:
+                raise teaching from error
+            raise
+
+    def settled(self, name: str, y: Sequence[Values]) -> State:
+        """The state of a block as it would start if `y` (the outputs of all blocks, of one car) were the first sample.
+
+        For a block that begins anew in a loop that goes on: `x[i] = loop.settled("controller", y)`.
+        """
+        i, block = self._number(name), self.blocks[name]
+        sources = [self._wiring.source[i, port.name] for port in block.inputs if port.direct]
+        return block.settle(0.0, block.init(), block.D(*[y[a][b] for a, b in sources]))
+
+    def step(self, state: LoopState) -> tuple[LoopState, Sample]:
+        """One tick: the outputs at t = state.k*dt and the state one base step later."""
+        x, y = list(state.x), list(state.y)
+        t = state.k * self.dt
+        self.advance(state.k, x, y)
+        return LoopState(state.k + 1, tuple(x), tuple(y)), Sample(self, t, y)
+
+    def check(self, before: Sequence[State], x: Sequence[State]) -> None:
+        """Raise WiringError where a block's `update` made something else than a state like the one `before`."""
+        for (name, block), old, new in zip(self.blocks.items(), before, x):
+            check_state(name, block, new, "update", like=old)
+
+    def advance(self, k: int, x: list[State], y: list[Values]) -> None:
+        """The tick k in place, on lists of states and outputs: what `step` and `simulate` stand on."""
+        self._phases[k % self.period](k * self.dt, x, y)
+
+    def due(self, phase: int) -> tuple[bool, ...]:
+        """Which blocks compute in a tick k with k % period == phase."""
+        return tuple([phase % n == 0 for n in self.every])
+
+    def run_phase(self, phase: int, t: Any, x: list[State], y: list[Values]) -> None:
+        """A tick k with k % period == phase at time t, which may be a symbol: what `steerkit.compiled` traces."""
+        self._phases[phase](t, x, y)
+
+    def with_block(self, name: str, block: Block) -> Loop:
+        """The same loop with one block replaced by another that has the same ports; states carry over."""
+        old = self.blocks[self.names[self._number(name)]]
+
+        def moved(port: Port) -> Port:
+            return getattr(block, port.spec.name) if port.block is old else port
+
+        return Loop(
+            blocks={n: block if n == name else b for n, b in self.blocks.items()},
+            wires=[(moved(a), moved(b)) for a, b in self.wires],
+            dt=self.dt,
+        )
+
+    def with_inserted(self, parts: Mapping[str, tuple[str, Block]]) -> Loop:
+        """The same loop with blocks put into its wires: `{"car.v": ("noise", block)}`, behind car.v for all its users.
+
+        Each block has one input and one output, of the signal's unit; the new blocks come last.
+        """
+        blocks, wires = dict(self.blocks), list(self.wires)
+        for signal, (name, block) in parts.items():
+            i, j = self.locate(signal)
+            source = self._wiring.blocks[i]
+            spec = source.outputs[j]
+            before, behind = Port(block, block.inputs[0]), Port(block, block.outputs[0])
+            wires = [(behind, b) if a.block is source and a.spec.name == spec.name else (a, b) for a, b in wires]
+            wires.append((Port(source, spec), before))
+            blocks[name] = block
+        return Loop(blocks=blocks, wires=wires, dt=self.dt)
+
+    def block_state(self, state: LoopState, name: str) -> State:
+        """The state of one block inside a loop state."""
+        return state.x[self._number(name)]
+
+    def with_block_state(self, state: LoopState, name: str, x: State) -> LoopState:
+        """`state` with one block's state replaced."""
+        i = self._number(name)
+        return dataclasses.replace(state, x=(*state.x[:i], x, *state.x[i + 1 :]))
+
+    def save_state(self, state: LoopState, file: str | FilePath) -> None:
+        """Write a loop state to a NumPy .npz file, bit for bit."""
+        arrays = {"k": np.array(state.k)}
+        for name, block, x, y in zip(self.names, self._wiring.blocks, state.x, state.y):
+            arrays[f"x.{name}"] = _packed(x)
+            arrays |= {f"y.{name}.{out.name}": _packed(value) for out, value in zip(block.outputs, y)}
+        write_npz(file, arrays)
+
+    def load_state(self, file: str | FilePath) -> LoopState:
+        """Read what `save_state` wrote for a loop of the same blocks; raises ValueError for any other file."""
+        stored = read_npz(file, "load_state")
+        signals = [f"y.{name}" for name in self.units]
+        known = {"k", *(f"x.{name}" for name in self.names), *signals}
+        for verb, keys in (("lacks", known - stored.keys()), ("holds", stored.keys() - known)):
+            if keys:
+                raise ValueError(f"load_state: {file} {verb} {min(keys)}; it is no state of {self!r}")
+        x, y = [], []
+        for name, block in self.blocks.items():
+            template, values = block.init(), stored[f"x.{name}"]
+            if len(values) != len(template):
+                raise ValueError(f"load_state: {name} has {len(template)} states, {file} has {len(values)}")
+            x.append(_like(template, values))
+            ports = [(stored[f"y.{name}.{out.name}"], out.size is not None) for out in block.outputs]
+            y.append(block.Y(*[_unpacked(value, vector=vector) for value, vector in ports]))
+        return LoopState(int(stored["k"]), tuple(x), tuple(y))
+
+    # ---- inside ---------------------------------------------------------------------------------------------
+
+    def _number(self, name: str) -> int:
+        if name not in self.blocks:
+            raise KeyError(f"no block '{name}'{nearest(name, self.names)}; blocks: {', '.join(self.names)}")
+        return self.names.index(name)
+
+    def _signal(self, place: Place) -> str:
+        i, j = place
+        return f"{self.names[i]}.{self._wiring.blocks[i].outputs[j].name}"
+
+    @functools.cached_property
+    def _rounds(self) -> int:
+        """How often all blocks settle until nothing changes any more."""
+        return self._started((), None)[1]
+
+    def _started(self, shape: tuple[int, ...], x: Sequence[State] | None) -> tuple[LoopState, int]:
+        """The settled state, and how often all blocks had to settle."""
+        start = [block.init(shape) for block in self._wiring.blocks] if x is None else list(x)
+        cars = shape if x is None else None  # states that are given say themselves of how many cars they are
+        for (name, block), state in zip(self.blocks.items(), start):
+            check_state(name, block, state, "init", cars)
+        settled = start
+        if any(m.is_symbol(number) for state in start for number in state):  # whether they changed cannot be asked
+            for _ in range(self._rounds):
+                settled, y, _ = self._settle_all(start, settled, cars)
+            return LoopState(0, tuple(settled), tuple(y)), self._rounds
+        for rounds in range(1, len(start) + 2):
+            settled, y, changed = self._settle_all(start, settled, cars)
+            if not changed:
+                return LoopState(0, tuple(settled), tuple(y)), rounds
+        raise WiringError(
+            f"{changed} is needed before its block can settle, and is another one after it has, however often all "
+            "blocks settle; make it independent of what `settle` finds"
+        )
+
+    def _settle_all(
+        self, start: list[State], before: list[State], shape: tuple[int, ...] | None
+    ) -> tuple[list[State], list[Values], str]:
+        """All blocks settled from their states `start`, their outputs, and the first output, by name, that was handed
+        on as of the states `before` and is another one now."""
+        x, y, early = list(start), list[Any]([None] * len(start)), dict[Place, Any]()
+        for call in self._wiring.calls:
+            i, block, name = call.block, self._wiring.blocks[call.block], self.names[call.block]
+            u = block.D(*[math.nan if s is None else y[s[0]][s[1]] for s in call.sources])
+            if call.final:
+                x[i] = block.settle(0.0, x[i], u)
+                check_state(name, block, x[i], "settle", shape, like=start[i])
+            y[i] = block.output(0.0, x[i] if call.final else before[i], u)
+            check_outputs(name, block, y[i], shape)
+            self._check_independence(call, y[i], u)
+            early |= {(i, j): y[i][j] for j in call.early}
+        changed = [(i, j) for (i, j), value in early.items() if not m.is_symbol(y[i][j]) and not _same(value, y[i][j])]
+        return x, y, self._signal(changed[0]) if changed else ""
+
+    def _check_independence(self, call: Call, y: Any, u: Any) -> None:
+        name, block = self.names[call.block], self._wiring.blocks[call.block]
+        unknown = {field for field, s in zip(u._fields, call.sources) if s is None}
+        for out, value in zip(block.outputs, y):
+            independent = out.direct is not None and not unknown & {p.name for p in out.direct}
+            if unknown and independent and not m.is_symbol(value) and np.isnan(np.asarray(value, dtype=float)).any():
+                raise WiringError(
+                    f"{name}.{out.name} is declared independent of {', '.join(sorted(unknown))}, but is NaN without it"
+                )
+
+
+def _same(a: Any, b: Any) -> bool:
+    """Are two outputs equal, NaN to NaN, one number standing for all cars?"""
+    first, second = np.broadcast_arrays(np.asarray(a, dtype=float), np.asarray(b, dtype=float))
+    return bool(np.array_equal(first, second, equal_nan=True))
+
+
+def _packed(values: Any) -> np.ndarray:
+    """Scalars as one array; those that are the same for all cars of a batch are repeated."""
+    return np.array(np.broadcast_arrays(*values) if isinstance(values, tuple) and values else values, dtype=float)
+
+
+def _unpacked(value: np.ndarray, *, vector: bool) -> Any:
+    if vector:
+        return tuple(_unpacked(v, vector=False) for v in value)
+    return float(value) if value.ndim == 0 else np.array(value)
+
+
+def _like(template: State, values: Any) -> State:
+    scalars = [_unpacked(v, vector=False) for v in values]
+    return type(template)(*scalars) if hasattr(template, "_fields") else tuple(scalars)

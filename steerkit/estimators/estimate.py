@@ -1,0 +1,53 @@
+"""What an estimator says of a quantity: a value, how well it is known, and whether it is to be used."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from steerkit._support.errors import known
+from steerkit.diagram.block import Block
+from steerkit.diagram.maths import Scalar
+
+NORMAL_95 = 1.96
+"""Standard deviations to either side that hold 95 % of a normal distribution."""
+
+
+class Estimated(NamedTuple):
+    """A quantity as an estimator has it, for whoever acts on it or shows it; read with `estimated`.
+
+    The 95 % interval is value -+ 1.96 deviation, of a normal distribution. Each field is a float, an `(N,)` array for a
+    batch of cars, or a symbol.
+    """
+
+    value: Scalar
+    """The best value [the quantity's unit]; the prior's until something was learned."""
+    deviation: Scalar
+    """Its standard deviation [the same], the prior's until something was learned."""
+    valid: Scalar
+    """1 where the value is known well enough to act on, else 0 [1]."""
+
+    @property
+    def low(self) -> Scalar:
+        """Lower end of the 95 % interval."""
+        return self.value - NORMAL_95 * self.deviation
+
+    @property
+    def high(self) -> Scalar:
+        """Upper end of the 95 % interval."""
+        return self.value + NORMAL_95 * self.deviation
+
+
+def quantities(block: Block) -> tuple[str, ...]:
+    """What a block estimates: the names of its outputs that come with `NAME_deviation` and `NAME_valid`."""
+    outputs = {port.name for port in block.outputs}
+    return tuple(port.name for port in block.outputs if {f"{port.name}_deviation", f"{port.name}_valid"} <= outputs)
+
+
+def estimated(y: Any, name: str) -> Estimated:
+    """One quantity out of a block's outputs `y`: its ports `name`, `name_deviation` and `name_valid`.
+
+    Raises ValueError for a name that is no estimate, with those that are.
+    """
+    names = [field for field in y._fields if f"{field}_deviation" in y._fields and f"{field}_valid" in y._fields]
+    known(name, names, "estimate")
+    return Estimated(getattr(y, name), getattr(y, f"{name}_deviation"), getattr(y, f"{name}_valid"))

@@ -1,0 +1,249 @@
+"""The loop that drives a recorded drive again, and what is different then."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerkit._support.errors import require
+from steerkit.compiled import NoCompilerError, TraceError, compile
+from steerkit.diagram.loop import Loop
+from steerkit.diagram.simulation import Log, simulate
+from steerkit.diagram.units import degrees_of
+from steerkit.logs import Drive
+from steerkit.paths.path import Path
+from steerkit.plants.human import RecordedSpeed
+from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.steering_actuator import SteeringActuator
+from steerkit.scenario.assembly import bare, steering_loop
+from steerkit.scenario.catalogue import Belief, make_controller
+from steerkit.task import A_Y_MAX, DT, JERK_MAX
+from steerkit.vehicles import Vehicle
+
+Array = NDArray[np.floating[Any]]
+
+_SPACING = 2.0
+"""The driven way has a point so often [m]."""
+_SMOOTH = 0.5
+"""Yaw rate is averaged over so long, without delay, before a way is made of it [s]."""
+_SLOW = 3.0
+"""Below this speed wheels are turned for parking and standing: not compared [m/s]."""
+_APART = 10.0
+"""Places where the two differ most lie so far apart [s]."""
+_KEPT = ("path.e", "actuator.delta_sw", *(f"car.{name}" for name in ("x", "y", "psi", "v", "a_y", "delta_sw")))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Steered:
+    """A car and its steering, as `identify` finds them: the car that drives again."""
+
+    vehicle: Vehicle
+    delay: float = 0.0
+    """Pure delay from a command to the road wheels [s], a multiple of 0.01."""
+    lag: float = 0.1
+    """First-order lag after it [s]."""
+    offset: float = 0.0
+    """What must be added to a recorded angle [rad]."""
+
+    @classmethod
+    def by(cls, car: Vehicle, motor: SteeringActuator | None = None) -> Steered:
+        """A car with the steering of its vehicle file (`steering_of`), or with the defaults."""
+        if motor is None:
+            return cls(vehicle=car)
+        return cls(vehicle=car, delay=float(motor.delay), lag=float(motor.lag), offset=float(motor.offset))
+
+    @classmethod
+    def continuous(cls, car: Vehicle, *, delay: float, lag: float, offset: float) -> Steered:
+        """A car with delay and lag of continuous time, as identified: their sum is kept, less a sample's 0.01 s."""
+        rest = delay - SteeringActuator.dt
+        samples = max(0, math.floor(rest / SteeringActuator.dt + 1e-6))
+        whole = round(samples * SteeringActuator.dt, 6)
+        return cls(vehicle=car, delay=whole, lag=max(0.0, lag + rest - whole), offset=offset)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Redriven:
+    """A recorded drive beside its simulation with another controller, at the same times (n,)."""
+
+    name: str
+    controller: str
+    car: Steered
+    t: Array
+    """From the beginning [s]."""
+    v: Array
+    """Speed, as recorded [m/s]."""
+    driven: Array
+    """Steering-wheel angle as recorded, its zero corrected [rad]."""
+    again: Array
+    """Steering-wheel angle of the controller [rad]."""
+    e: Array
+    """How far the simulated car is beside the way that was driven [m]."""
+    a_y: Array
+    """Its lateral acceleration [m/s^2]."""
+    a_y_driven: Array
+    """The recorded one: v times the yaw rate [m/s^2]."""
+    compared: NDArray[np.bool_]
+    """Recorded, and 3 m/s or faster."""
+    log: Log
+    """The simulation's signals."""
+    path: Path
+    """The way that was driven."""
+
+    @property
+    def differs(self) -> Array:
+        """By how much the controller steers further to the left [rad]; NaN where it is not compared."""
+        return np.where(self.compared, self.again - self.driven, np.nan)
+
+    def places(self, count: int = 5) -> list[dict[str, float]]:
+        """Where the two differ most: time, speed, both angles [deg], their difference; the largest first."""
+        left = np.abs(self.differs)
+        found = list[dict[str, float]]()
+        while len(found) < count and np.isfinite(left).any():
+            k = int(np.nanargmax(left))
+            found.append(
+                {
+                    "t": float(self.t[k]),
+                    "v": float(self.v[k]),
+                    "driven_deg": degrees_of(float(self.driven[k])),
+                    "again_deg": degrees_of(float(self.again[k])),
+                    "differs_deg": degrees_of(float(self.differs[k])),
+                    "e": float(self.e[k]),
+                }
+            )
+            left[np.abs(self.t - self.t[k]) < _APART] = np.nan
+        return found
+
+    def figures(self) -> dict[str, Any]:
+        """What a table shows: wheel speed, a_y and jerk of both, how long beyond their limits; and the difference."""
+        use = self.compared
+        differs = self.differs[use]
+        dt = float(self.t[1] - self.t[0])
+        answer: dict[str, Any] = {
+            "drive": self.name,
+            "controller": self.controller,
+            "seconds": len(self.t) * dt,
+            "compared_seconds": float(use.sum()) * dt,
+            "rms_differs_deg": degrees_of(float(np.sqrt(np.mean(differs**2)))),
+            "max_differs_deg": degrees_of(float(np.abs(differs).max())),
+            "mean_differs_deg": degrees_of(float(differs.mean())),
+            "rms_e": float(np.sqrt(np.mean(self.e[use] ** 2))),
+            "max_e": float(np.abs(self.e[use]).max()),
+            "places": self.places(),
+        }
+        for who, wheel, a_y in (("driven", self.driven, self.a_y_driven), ("again", self.again, self.a_y)):
+            answer[who] = _within(wheel, a_y, use, dt, float(self.car.vehicle.delta_sw_max))
+        return answer
+
+
+def _within(wheel: Array, a_y: Array, use: NDArray[np.bool_], dt: float, stop: float) -> dict[str, float]:
+    """Of one who steers: how fast, how hard, and how long beyond the limits."""
+    half = max(1, round(0.5 / dt))
+    mean = np.convolve(a_y, np.ones(half) / half, mode="same")  # ISO 11270: over 0.5 s
+    jerk = np.gradient(mean, dt)
+    return {
+        "rms_wheel_speed_deg_s": degrees_of(float(np.sqrt(np.mean(np.gradient(wheel, dt)[use] ** 2)))),
+        "max_wheel_deg": degrees_of(float(np.abs(wheel[use]).max())),
+        "max_a_y": float(np.abs(a_y[use]).max()),
+        "max_jerk": float(np.abs(jerk[use]).max()),
+        "seconds_beyond_a_y": float((np.abs(a_y[use]) > A_Y_MAX).sum()) * dt,
+        "seconds_beyond_jerk": float((np.abs(jerk[use]) > JERK_MAX).sum()) * dt,
+        "seconds_at_stop": float((np.abs(wheel[use]) > 0.99 * stop).sum()) * dt,
+    }
+
+
+def redrive(drive: Drive, controller: str, *, car: Steered, progress: bool = False) -> Redriven:
+    """Drive a recorded drive again: the same way at the same speed, steered by a controller of the catalogue.
+
+    The way is that of the point of the car where the controller looks at e, by dead reckoning from speed and heading
+    (or yaw rate, averaged over 0.5 s), so that e = 0 is what was driven. The car is `NonlinearSingleTrack` behind
+    `SteeringActuator`; the controller is told both. The same drive, car and controller give the same bits.
+
+    controller: as for `steerkit.scenario.catalogue.make_controller`. progress: print it. Raises ValueError for a
+    drive without enough of a way in it and for an unknown controller.
+    """
+    metres = float(np.sum(drive.v) * drive.dt)
+    require(metres >= 20.0, drive.name, f"goes {metres:.1f} m, expected 20 m or more to drive again")
+    straight = Path.from_waypoints([(0.0, 0.0), (100.0, 0.0)], closed=False)
+    vehicle = car.vehicle
+    ahead = _reference(make_controller(controller, _belief(car, straight)), vehicle)
+    path = way(drive, ahead=float(vehicle.l_r) + ahead)
+    steering = make_controller(controller, _belief(car, path))
+    speeds = np.interp(np.arange(0.0, drive.t[-1] + DT, DT), drive.t, drive.v)
+    plant = NonlinearSingleTrack(vehicle=vehicle, v0=max(float(speeds[0]), 0.1), x0=float(vehicle.l_r))
+    actuator = SteeringActuator(delay=car.delay, lag=car.lag, rate_limit=Belief.rate_limit, limit=vehicle.delta_sw_max)
+    loop = steering_loop(
+        car=plant,
+        path=path,
+        human=RecordedSpeed(speeds=tuple(speeds.tolist()), spacing=DT),
+        controller=steering,
+        actuator=actuator,
+        reference=ahead,
+    )
+    log = _run(loop, float(drive.t[-1]), progress)
+    t = log.t
+    driven = np.interp(t, drive.t, drive.delta_sw) + car.offset
+    r, v = np.interp(t, drive.t, drive.r), np.interp(t, drive.t, drive.v)
+    measured = np.interp(t, drive.t, drive.measured.astype(float)) > 0.99
+    return Redriven(
+        name=drive.name,
+        controller=controller,
+        car=car,
+        t=t,
+        v=v,
+        driven=driven,
+        again=log["actuator.delta_sw"],
+        e=log["path.e"],
+        a_y=log["car.a_y"],
+        a_y_driven=v * r,
+        compared=measured & (v >= _SLOW) & (t >= 2.0),
+        log=log,
+        path=path,
+    )
+
+
+def way(drive: Drive, *, ahead: float = 0.0) -> Path:
+    """The way of the point `ahead` [m] of a drive's rear axle, by dead reckoning from the origin along +x.
+
+    It begins and ends with a straight: of 10 m, for a car whose centre is behind that point, and of 50 m to look at.
+    """
+    dt = drive.dt
+    width = max(1, 2 * round(0.5 * _SMOOTH / dt) + 1)
+    rate = np.convolve(np.pad(drive.r, width // 2, mode="edge"), np.ones(width) / width, mode="valid")
+    psi = np.concatenate(([0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * dt)))
+    v = 0.5 * (drive.v[1:] + drive.v[:-1])
+    middle = 0.5 * (psi[1:] + psi[:-1])
+    x = np.concatenate(([0.0], np.cumsum(v * np.cos(middle) * dt))) + ahead * np.cos(psi)
+    y = np.concatenate(([0.0], np.cumsum(v * np.sin(middle) * dt))) + ahead * np.sin(psi)
+    s = np.concatenate(([0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))))
+    moved = np.concatenate(([True], np.diff(s) > 1e-6))
+    at = np.linspace(0.0, s[-1], max(4, math.ceil(s[-1] / _SPACING)) + 1)
+    xy = np.column_stack([np.interp(at, s[moved], column[moved]) for column in (x, y)])
+    end = xy[-1] + 50.0 * (xy[-1] - xy[-2]) / math.dist(xy[-1], xy[-2])  # a controller looks ahead of the last sample
+    more = np.linspace(xy[-1], end, math.ceil(50.0 / _SPACING) + 1)[1:]
+    before = xy[0] - np.outer(np.arange(5, 0, -1) * _SPACING, (1.0, 0.0))
+    return Path.from_waypoints(np.vstack((before, xy, more)), closed=False, spacing=_SPACING, name=drive.name)
+
+
+def _belief(car: Steered, path: Path) -> Belief:
+    return Belief(vehicle=car.vehicle, path=path, delay=car.delay, lag=car.lag, hold=SteeringActuator.dt)
+
+
+def _reference(controller: Any, vehicle: Vehicle) -> float:
+    """Where a controller looks at e [m ahead of the centre of gravity]: its own point, else the front axle."""
+    law = bare(controller)
+    if "reference" in {field.name for field in fields(law)}:
+        return float(law.reference)  # type: ignore[attr-defined]
+    return float(vehicle.l_f)
+
+
+def _run(loop: Loop, seconds: float, progress: bool) -> Log:
+    """Twenty samples a second; compiled where the controller can be."""
+    kept, ticks = list(_KEPT), round(DT / loop.dt)
+    try:
+        return compile(loop, record=kept, every=ticks).run(seconds)
+    except (TraceError, NoCompilerError):  # a block or a machine without C
+        return simulate(loop, seconds, record=kept, every=ticks, progress=progress)

@@ -1,0 +1,134 @@
+"""Built-in courses by name, courses from files, and courses by formula.
+
+`course(name)` gives one of `names()`, `course_of(text, name)` one from a CSV file; `circle`, `straight`,
+`figure_eight`, `random_course`, `bends`, `lane_change`, `slalom` and `curvature_step` make others.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache, partial
+from importlib.resources import files
+from typing import TypeVar
+
+import numpy as np
+
+from steerkit.diagram.units import radians_of
+from steerkit.paths.courses.kept import kept
+from steerkit.paths.courses.manoeuvres import curvature_step, lane_change, slalom
+from steerkit.paths.courses.shapes import bends, circle, figure_eight, paper, random_course, straight
+from steerkit.paths.path import Array, Path
+from steerkit.paths.waypoints import distances, read_columns
+
+_T = TypeVar("_T")
+
+__all__ = [
+    "bends",
+    "circle",
+    "course",
+    "course_of",
+    "curvature_step",
+    "figure_eight",
+    "lane_change",
+    "names",
+    "random_course",
+    "recorded_speed",
+    "slalom",
+    "straight",
+]
+
+
+def names() -> tuple[str, ...]:
+    """The names that `course` knows."""
+    return tuple(_COURSES)
+
+
+@cache
+def course(name: str) -> Path:
+    """The built-in course called `name`; made once, since paths are immutable.
+
+    * paper: closed, 795 m, like the course of the NFQ steering experiments (`shapes.paper`);
+    * genesis: a recorded real lap, 3.7 km, bends down to 24 m, open: it ends 102 m short of its start;
+    * genesis-rfs: a shorter drive, 477 m with one right bend down to 18 m, open;
+    * iso3888-1, iso3888-2: lane changes for 9 m/s and 3 m/s^2 (`manoeuvres.lane_change`), open;
+    * calibration: a figure of eight, 100 m by 35 m, bends down to 17 m, for `steerkit car calibrate`;
+    * circle, straight, figure-eight, slalom, curvature-step: the formulas with their default sizes.
+
+    Raises ValueError for another name, with the nearest one.
+    """
+    return kept(name, _known(name, _COURSES))
+
+
+def course_of(text: str, name: str, *, closed: bool | None = None) -> Path:
+    """The course in the text of a CSV file (see `Path.from_csv`), called `name`.
+
+    closed: None means as the file says, if `Path.to_csv` wrote it; else closed if its ends are no farther apart than
+    5 m or three of its steps. Raises ValueError for a broken file, naming it, and for one that is cut short.
+    """
+    said = re.search(r"^#.*: (closed|open) path, ([\d.]+) m", text, re.MULTILINE)
+    if closed is None:
+        closed = said[1] == "closed" if said else _meets_itself(text, name)
+    path = Path.from_text(text, closed=closed, name=name.removesuffix(".csv"), where=name)
+    if said and closed == (said[1] == "closed") and abs(path.length - float(said[2])) > 0.05 + 1e-4 * path.length:
+        what = f"its first line says {said[2]} m, its points make {path.length:.1f} m: cut short, or changed by hand"
+        raise ValueError(f"{name}: {what}; write it again, or delete that line")
+    place = re.search(r"^# origin (-?[\d.]+), (-?[\d.]+) deg$", text, re.MULTILINE)
+    return replace(path, origin_deg=(float(place[1]), float(place[2]))) if place else path
+
+
+def _meets_itself(text: str, name: str) -> bool:
+    columns = read_columns(text, name)
+    if {"x", "y"} <= columns.keys():
+        points = np.column_stack((columns["x"], columns["y"]))
+    elif {"lat", "lon"} <= columns.keys():
+        metres = 111_320.0 * np.array([np.cos(radians_of(columns["lat"][0])), 1.0])  # a degree of lon and lat [m]
+        points = np.column_stack((columns["lon"], columns["lat"])) * metres
+    else:
+        return False  # from_text says what is wrong
+    steps = distances(points)
+    return len(points) > 2 and float(np.hypot(*(points[-1] - points[0]))) <= max(5.0, 3.0 * float(np.median(steps)))
+
+
+def recorded_speed(name: str) -> tuple[Array, Array]:
+    """The speed that was driven on a recorded course: s (n,) [m] along `course(name)` and v (n,) [m/s].
+
+    Raises ValueError unless it is one of the recorded courses.
+    """
+    v = _columns(_known(name, _RECORDED))["v"]
+    return np.linspace(0.0, course(name).length, len(v)), v  # the rows are evenly spaced
+
+
+def _recorded(name: str) -> Path:
+    columns = _columns(_RECORDED[name])
+    xy = [*zip(columns["x"], columns["y"])]
+    return Path.from_waypoints(xy, closed=False, name=name)
+
+
+def _columns(file: str) -> dict[str, Array]:
+    return read_columns((files(__name__) / file).read_text(encoding="utf-8"), file)
+
+
+def _known(name: str, table: dict[str, _T]) -> _T:
+    if name not in table:
+        near = difflib.get_close_matches(name, table, n=1, cutoff=0.4)
+        hint = f"; did you mean '{near[0]}'?" if near else ""
+        raise ValueError(f"course: {name!r} is not known{hint} (valid: {', '.join(table)})")
+    return table[name]
+
+
+_RECORDED = {"genesis": "genesis.csv", "genesis-rfs": "genesis_rfs.csv"}
+_COURSES: dict[str, Callable[[], Path]] = {
+    "paper": paper,
+    **{name: partial(_recorded, name) for name in _RECORDED},
+    "circle": circle,
+    "straight": straight,
+    "figure-eight": figure_eight,
+    "calibration": partial(figure_eight, 100.0, name="calibration"),
+    "iso3888-1": partial(lane_change, 1),
+    "iso3888-2": partial(lane_change, 2),
+    "slalom": slalom,
+    "curvature-step": curvature_step,
+}

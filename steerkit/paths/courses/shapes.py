@@ -1,0 +1,160 @@
+"""Courses by formula: circle, straight, figure of eight, rounds of bends, random rounds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steerkit._support.errors import require
+from steerkit.diagram.units import radians_of
+from steerkit.paths.path import Path
+
+Bend = tuple[float, float, float, float]
+"""Straight before the bend [m], turn [degrees, + = left], tightest radius [m], length of its ramps [m]."""
+
+_PAPER: tuple[Bend, ...] = (
+    (67.3, 90.0, 16.0, 16.0),
+    (37.4, 90.0, 10.0, 14.0),
+    (23.7, -180.0, 8.0, 14.0),
+    (67.3, 180.0, 5.9, 14.0),
+    (17.7, -60.0, 20.0, 18.0),
+    (23.3, 120.0, 18.0, 18.0),
+    (1.4, -70.0, 24.0, 20.0),
+    (19.4, 100.0, 14.0, 16.0),
+    (11.6, -60.0, 15.0, 14.0),
+    (2.5, 60.0, 15.0, 14.0),
+    (20.6, 90.0, 20.0, 18.0),
+    (67.3, 0.0, 1.0, 0.0),
+)
+
+
+def paper() -> Path:
+    """A closed course like that of the NFQ steering experiments: 795 m, seven left and four right bends.
+
+    The tightest (5.9 m) asks 385 degrees of steering wheel of a VW Passat (wheelbase 2.71 m, ratio 15.6) before any
+    slip; at 4 m/s there, a_y = 2.7 m/s^2. About 130 s a round at 4 to 7.5 m/s. Stretches stay 12.9 m apart.
+    Source: designed to the figures that the experiment states; its true map is not published.
+    """
+    return bends(_PAPER, spacing=0.5, name="paper")
+
+
+def circle(radius: float = 30.0, *, name: str = "circle") -> Path:
+    """A circle of `radius` [m] from the origin along +x, turning left: centre (0, radius), kappa = 1/radius."""
+    require(0.0 < radius < math.inf, f"circle '{name}'", f"radius {radius} [m], expected > 0")
+    angle = np.linspace(0.0, 2.0 * math.pi, 240, endpoint=False)
+    xy = radius * np.column_stack((np.sin(angle), 1.0 - np.cos(angle)))
+    return Path.from_waypoints(xy, closed=True, spacing=min(1.0, radius / 10.0), name=name)
+
+
+def straight(length: float = 500.0, *, name: str = "straight") -> Path:
+    """An open straight of `length` [m] from the origin along +x."""
+    require(0.1 <= length < math.inf, f"straight '{name}'", f"length {length} [m], expected >= 0.1")
+    return Path.from_waypoints([(0.0, 0.0), (length, 0.0)], closed=False, name=name)
+
+
+def figure_eight(size: float = 60.0, *, name: str = "figure-eight") -> Path:
+    """A closed figure of eight, `size` [m] from tip to tip, from its right tip: Bernoulli's lemniscate.
+
+    With a = size/2: x = a cos t/(1 + sin^2 t), y = x sin t; |kappa| = 3*sqrt(x^2 + y^2)/a^2 <= 6/size, zero where it
+    crosses itself at a right angle; length 2.622*size.
+    """
+    require(0.0 < size < math.inf, f"figure_eight '{name}'", f"size {size} [m], expected > 0")
+    t = np.linspace(0.0, 2.0 * math.pi, 400, endpoint=False)
+    x = 0.5 * size * np.cos(t) / (1.0 + np.sin(t) ** 2)
+    xy = np.column_stack((x, x * np.sin(t)))
+    return Path.from_waypoints(xy, closed=True, spacing=min(0.5, size / 100.0), name=name)
+
+
+def random_course(seed: int, *, length: float = 500.0, max_kappa: float = 0.1, name: str = "") -> Path:
+    """A random closed smooth course with left and right bends, driven left round, that never meets itself.
+
+    In polar form radius ~ 1 + a sum_k c_k cos(k phi + phi_k), k = 2..7, c_k ~ normal/sqrt(k), scaled to `length`; a is
+    the largest for which |kappa| <= max_kappa and radius >= 0.25 everywhere.
+
+    seed: equal seeds give equal courses. length [m]: exact to 1e-4. max_kappa [1/m]: bound of |kappa|.
+    Raises ValueError unless length*max_kappa >= 8: a circle already needs 2 pi.
+    """
+    where = f"random_course {seed}"
+    require(
+        math.isfinite(length * max_kappa) and length > 0.0 and length * max_kappa >= 8.0,
+        where,
+        f"length {length} [m] * max_kappa {max_kappa} [1/m], expected length > 0 and a product >= 8",
+    )
+    rng = np.random.default_rng(seed)
+    k = np.arange(2, 8)[:, None]
+    weight, phase = rng.standard_normal(k.shape) / np.sqrt(k), rng.uniform(0.0, 2.0 * math.pi, k.shape)
+    phi = np.linspace(0.0, 2.0 * math.pi, max(720, math.ceil(4.0 * length * max_kappa)), endpoint=False)
+    terms = weight * np.exp(1j * (k * phi + phase))
+    wave, slope, bend = terms.real.sum(0), -(k * terms.imag).sum(0), -(k * k * terms.real).sum(0)  # and d/dphi
+
+    def tightness(a: float) -> float:
+        """Largest |kappa| for total length 1; infinite where the course comes too near the middle."""
+        r, r1, r2 = 1.0 + a * wave, a * slope, a * bend
+        speed = np.hypot(r, r1)
+        if float(r.min()) < 0.25:
+            return math.inf
+        return float((np.abs(r * r + 2.0 * r1 * r1 - r * r2) / speed**3).max() * speed.mean() * 2.0 * math.pi)
+
+    low, high = 0.0, 4.0
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if tightness(middle) <= 0.99 * length * max_kappa else (low, middle)
+    r = 1.0 + low * wave
+    xy = np.column_stack((r * np.cos(phi), r * np.sin(phi)))
+    around = np.hypot(r, low * slope).mean() * 2.0 * math.pi  # exact to rounding: a smooth periodic integrand
+    spacing = min(1.0, 0.08 / max_kappa)
+    return Path.from_waypoints(xy * length / around, closed=True, spacing=spacing, name=name or f"random-{seed}")
+
+
+def bends(plan: Sequence[Bend], *, spacing: float = 1.0, name: str = "bends") -> Path:
+    """A closed course of straights and bends from the origin along +x; curvature ramps up and down twice smoothly.
+
+    In a ramp kappa = (10 z^3 - 15 z^4 + 6 z^5)/radius, z = distance/ramp. The straights are changed as little as
+    possible (least squares) for the ends to meet.
+
+    plan: one `Bend` each. Raises ValueError when the turns do not sum to +-360 degrees, a ramp is longer than its
+    bend allows, or a straight would have to be negative.
+    """
+    where = f"bends '{name}'"
+    total = sum(turn_deg for _, turn_deg, *_ in plan)
+    require(abs(abs(total) - 360.0) < 1e-9, where, f"turns sum to {total:g} degrees, expected 360 or -360")
+    headings, pieces, psi = [], [], 0.0
+    for k, (_, turn_deg, radius, ramp) in enumerate(plan):
+        turn = radians_of(turn_deg)
+        require(
+            0.0 <= ramp <= abs(turn) * radius or turn == 0.0,
+            where,
+            f"bend {k}: ramp {ramp} [m], expected at most radius*turn = {abs(turn) * radius:.3g} m",
+        )
+        headings.append(psi)
+        pieces.append(_bend(psi, turn, radius, ramp))
+        psi += turn
+    along = np.column_stack((np.cos(headings), np.sin(headings)))
+    straights = np.array([straight for straight, *_ in plan])
+    gap = straights @ along + sum(piece[-1] for piece in pieces)
+    straights = straights - along @ np.linalg.solve(along.T @ along, gap)
+    lengths = np.round(straights, 1).tolist()
+    require(bool((straights >= 0.0).all()), where, f"to close, straights become {lengths} [m], expected all >= 0")
+    points, at = [], np.zeros(2)
+    for piece, direction, straight in zip(pieces, along, straights):
+        steps = np.linspace(0.0, straight, math.ceil(straight) + 1)[:-1]
+        points += [at + steps[:, None] * direction, at + straight * direction + piece[:-1]]
+        at = at + straight * direction + piece[-1]
+    return Path.from_waypoints(np.vstack(points), closed=True, spacing=spacing, name=name)
+
+
+def _bend(psi: float, turn: float, radius: float, ramp: float) -> NDArray[np.float64]:
+    """Points of a bend from the origin, about 0.5 m apart, both ends included; just the origin if it turns by 0."""
+    if turn == 0.0:
+        return np.zeros((1, 2))
+    from scipy.integrate import cumulative_simpson
+
+    length = abs(turn) * radius + ramp
+    s = np.linspace(0.0, length, 10 * math.ceil(2.0 * length) + 1)
+    z = np.clip(np.minimum(s, length - s) / ramp, 0.0, 1.0) if ramp > 0.0 else np.ones_like(s)
+    kappa = math.copysign(1.0 / radius, turn) * z**3 * (10.0 - 15.0 * z + 6.0 * z**2)
+    heading = psi + cumulative_simpson(kappa, x=s, initial=0.0)
+    return cumulative_simpson(np.stack((np.cos(heading), np.sin(heading))), x=s, initial=0.0).T[::10]

@@ -1,0 +1,16 @@
+"""Courses from files: CSV, GPX, GeoJSON, OpenDRIVE, CommonRoad, OSM and Lanelet2::
+
+yard = read_course("lap.gpx#noise=1")            # .path, .v, .v_limit, .notes
+town = read_course("town.xodr#road=1,lane=-1,to=5")
+print(contents("town.xodr").listed())            # what there is to choose from
+town.to_csv("town.csv")                          # a course like any other
+"""
+
+from __future__ import annotations
+
+from steerkit.paths.importers.address import Address, is_road
+from steerkit.paths.importers.course import TIGHTEST, Course, Line
+from steerkit.paths.importers.network import Map, Piece
+from steerkit.paths.importers.reading import contents, read_course
+
+__all__ = ["TIGHTEST", "Address", "Course", "Line", "Map", "Piece", "contents", "is_road", "read_course"]

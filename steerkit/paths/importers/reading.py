@@ -1,0 +1,174 @@
+"""From an address to a course: the reader of each kind of file, what is chosen in it, and how it is smoothed."""
+
+from __future__ import annotations
+
+import hashlib
+from functools import partial
+from pathlib import Path as FilePath
+
+import numpy as np
+
+from steerkit._support.errors import require
+from steerkit.paths.importers import lanelets, tracks
+from steerkit.paths.importers.address import KINDS, Address
+from steerkit.paths.importers.course import TIGHTEST, Course, Line, laid
+from steerkit.paths.importers.network import Map, Piece
+from steerkit.paths.importers.opendrive.reading import opendrive
+from steerkit.paths.importers.recorded import cleaned, rounds
+from steerkit.paths.importers.xml_stream import root_of
+from steerkit.paths.path import Array
+from steerkit.paths.waypoints import check_gps, check_metres
+
+_RECORDED = 1.0
+"""Noise of what a receiver recorded unless somebody knows better: a phone's, outdoors [m]."""
+_DRAWN = 0.1
+"""The same of a line that somebody drew [m]."""
+
+
+def contents(file: str) -> Map:
+    """All that can be driven in a map's or track's file (what stands after a `#` is passed over).
+
+    Raises ValueError for a file that cannot be read, is damaged, or of no known kind.
+    """
+    address = Address.parsed(file.partition("#")[0])
+    ending = FilePath(address.file).suffix.lower()
+    try:
+        if ending == ".xodr":
+            return opendrive(address.file)
+        if ending in (".osm", ".xml"):
+            root = root_of(address.file)
+            readers = {"commonRoad": lanelets.commonroad, "osm": lanelets.osm, "OpenDRIVE": opendrive}
+            what = f"its first element is <{root}>, expected one of {', '.join(f'<{name}>' for name in readers)}"
+            require(root in readers, address.file, what)
+            return readers[root](address.file)
+        readers_of_tracks = {".gpx": tracks.gpx, ".csv": tracks.csv}
+        found = readers_of_tracks.get(ending, tracks.geojson)(address.file)
+    except MemoryError:
+        raise ValueError(f"{address.file}: asks for more memory than there is: damaged?") from None
+    kind = "feature" if ending in (".geojson", ".json") else "track"
+    require(found, address.file, f"holds no {kind} of two points or more")
+    drawn = found[0].drawn and all(track.drawn for track in found)
+    pieces = {track.name: _piece(track) for track in found}
+    return Map(kind=kind, pieces=pieces, noise=_DRAWN if drawn else _RECORDED, drawn=drawn)
+
+
+def read_course(address: str, *, tightest: float = TIGHTEST, closed: bool | None = None) -> Course:
+    """The course at an address, `FILE` or `FILE#KEY=VALUE,KEY=VALUE`: its path, the speeds along it, what was done.
+
+    Keys of every format: noise [m], closed=yes or no, reverse=yes; of CSV: lap; GPX: track, lap; GeoJSON: feature, lap;
+    OpenDRIVE: road, lane, to; CommonRoad and Lanelet2: lanelet, to; OSM: way, to. `to` names the road, lanelet or way
+    to which the shortest route leads, along lanes that are connected; the one where it begins: once round.
+
+    tightest [m]: least radius of the car. closed: as the address's, which goes before. Raises ValueError, with the
+    choices, for a file with more than one road or track of which none is chosen; with the reason, for what cannot be
+    driven: gaps, kinks, bends below `tightest`, lanes that are not connected; and for damaged files.
+    """
+    where = Address.parsed(address)
+    found = contents(where.file)
+    line, closed_route, told = chosen(found, where, closed)
+    kind = KINDS[FilePath(where.file).suffix.lower()]
+    first = f"read {FilePath(where.file).name} ({kind}), sha256 {_digest(where.file)}: {told[0]}"
+    noise = _noise(found, where)
+    assumed = f"noise = {noise:g} m is assumed; FILE#noise=... says otherwise"
+    recorded = found.kind in ("track", "feature") and not _track(found, where).drawn
+    return laid(
+        line.backwards() if where.reverse else line,
+        name=where.name,
+        noise=noise,
+        closed=closed_route,
+        drawn=not recorded and found.drawn,
+        tightest=tightest,
+        notes=(first, *told[1:], *found.notes, *([assumed] if where.noise is None else [])),
+        origin_deg=_origin(found, where),
+        hint="; recorded too coarsely for its bends? record more often, or drive them slower" if recorded else "",
+    )
+
+
+def chosen(found: Map, where: Address, closed: bool | None = None) -> tuple[Line, bool, list[str]]:
+    """The line that an address means, before it is smoothed; is it closed; and what to say of it."""
+    choice = dict(where.choice)
+    lap = _lap(choice.pop("lap", None), where.file)
+    line, round_, told = found.route(choice, where.file)
+    notes = [*told]
+    wanted = closed if where.closed is None else where.closed
+    if found.kind in ("track", "feature"):
+        line, more = _recorded(_track(found, where), _noise(found, where), where.file)
+        notes += more
+        if wanted is not False:
+            line, round_, cut = rounds(line, _noise(found, where), lap, where.file)
+            notes += cut
+    return line, (round_ or _meets(line.xy)) if wanted is None else wanted, notes
+
+
+def _track(found: Map, where: Address) -> tracks.Track:
+    name = where.choice.get(found.kind) or next(iter(found.pieces))
+    track: tracks.Track = found.pieces[name].line.args[0]  # type: ignore[attr-defined]
+    return track
+
+
+def _noise(found: Map, where: Address) -> float:
+    if where.noise is not None:
+        return where.noise
+    if found.kind in ("track", "feature"):
+        return _DRAWN if _track(found, where).drawn else _RECORDED
+    return found.noise
+
+
+def _origin(found: Map, where: Address) -> tuple[float, float] | None:
+    if found.kind not in ("track", "feature"):
+        return found.origin_deg
+    track = _track(found, where)
+    return None if track.flat else (track.a[0], track.b[0])
+
+
+def _piece(track: tracks.Track) -> Piece:
+    return Piece(
+        group=track.name, length=_rough_length(track), line=partial(_places, track), about="drawn" * track.drawn
+    )
+
+
+def _places(track: tracks.Track) -> Line:
+    return Line(xy=np.column_stack((track.a, track.b)))
+
+
+def _rough_length(track: tracks.Track) -> float:
+    a, b, _, _ = tracks.numbers(track)
+    if track.flat:
+        return float(np.hypot(np.diff(a), np.diff(b)).sum())
+    east = np.cos(np.deg2rad(np.clip(a[1:], -90.0, 90.0))) * np.diff(b)
+    return float(111_320.0 * np.hypot(np.diff(a), east).sum())
+
+
+def _recorded(track: tracks.Track, noise: float, where: str) -> tuple[Line, list[str]]:
+    """A track in metres, without what was recorded at rest; and what was done."""
+    a, b, t, v = tracks.numbers(track)
+    if track.flat:
+        xy: Array = np.column_stack((a, b))
+        check_metres(xy, where)
+    else:
+        import pymap3d
+
+        check_gps(a, b, where)
+        east, north, _ = pymap3d.geodetic2enu(a, b, 0.0, a[0], b[0], 0.0)
+        xy = np.column_stack((east, north))
+    if track.drawn:
+        return Line(xy=xy), []
+    line, told = cleaned(xy, t if np.isfinite(t).all() else None, v, noise, where)
+    return line, [*told]
+
+
+def _meets(xy: Array) -> bool:
+    """Does a line end where it began, going the same way?"""
+    ends = np.array([xy[1] - xy[0], xy[-1] - xy[-2]])
+    meets = float(np.hypot(*(xy[-1] - xy[0]))) < 1.0 and len(xy) > 6
+    return meets and float(ends[0] @ ends[1]) > 0.0
+
+
+def _lap(text: str | None, where: str) -> int | None:
+    require(text is None or text.isdigit(), f"'{where}'", f"lap = {text}, expected 1, 2 ...")
+    return None if text is None else int(text)
+
+
+def _digest(file: str) -> str:
+    with FilePath(file).open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()[:16]

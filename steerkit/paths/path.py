@@ -1,0 +1,344 @@
+"""Paths: smooth plane curves by arc length, from waypoints, files or GPS, looked up at the cost of one table row."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from pathlib import Path as File
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from steerkit._support.files import read_text, write_text
+from steerkit.diagram import maths as m
+from steerkit.diagram.maths import Scalar, Table
+from steerkit.paths.waypoints import check_gps, check_metres, checked, place_deg, read_columns, ring, travelled
+
+Array = NDArray[np.float64]
+
+_DEGREE = 5  # curvature and its first two derivatives are continuous
+_FEWEST_SEGMENTS = 12  # a periodic quintic needs some
+_OFF = 0.01  # largest distance between the waypoints' spline and the path, in segments
+_UNEVEN = 1e-3  # largest | |c'| - 1 | that still deserves the name arc length
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Path:
+    """A plane curve c(s) = (x(s), y(s)) by arc length s, with continuous curvature; immutable.
+
+    On each of n segments of equal length h = length/n, x and y are quintics about the segment's middle:
+    x(s) = sum_k a_k w^k, w = s - (i + 1/2) h, i = floor(s/h). The quintics join with four continuous derivatives and
+    |c'(s)| = 1 (to better than 1e-6 on the built-in courses), so that with t = c'
+
+        psi = atan2(y', x') [rad],  kappa = x' y'' - y' x'' [1/m], + = left.
+
+    Make one by `from_waypoints`, `from_csv` or `from_gps`, not by the constructor.
+
+    table: n rows of a_0..a_5 of x, then of y. length [m]. closed: s wraps at `length`; an open path ends at 0 and at
+    `length`. name: for messages and plots. Source: de Boor 1978, ch. IX and XIII (spline interpolation by knots).
+    """
+
+    table: Table
+    length: float
+    closed: bool
+    name: str = "path"
+    origin_deg: tuple[float, float] | None = None
+    """Latitude and longitude of x = y = 0 [degrees], of a path from GPS."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "h", self.length / len(self.table))
+        object.__setattr__(self, "_per_metre", len(self.table) / self.length)
+        object.__setattr__(self, "_last", float(len(self.table) - 1))
+
+    h: float = dataclasses.field(init=False, repr=False)
+    _per_metre: float = dataclasses.field(init=False, repr=False)
+    _last: float = dataclasses.field(init=False, repr=False)
+
+    # -- making one ---------------------------------------------------------------------------------------------
+
+    @classmethod
+    def from_waypoints(
+        cls, xy: ArrayLike, *, closed: bool, smoothing: float = 0.0, spacing: float = 1.0, name: str = "path"
+    ) -> Self:
+        """The smooth path through (or, with `smoothing`, near) waypoints in their order.
+
+        A quintic spline over the chord length, interpolating or with sum |c(u_i) - p_i|^2 <= n*smoothing^2
+        (Dierckx 1982, periodic if closed), is sampled evenly in arc length and interpolated there.
+
+        xy: (n, 2) [m], n >= 2 open, n >= 6 closed; the first point may be repeated at the end of a closed path.
+        smoothing [m]: RMS distance that the path may keep from the waypoints; 0 for exact points, about the
+        position noise for recorded ones. spacing [m]: longest segment; a few to the tightest radius is enough.
+        Raises ValueError: wrong shape, too few, non-finite or repeated points, degrees instead of metres, ends that
+        do not meet although closed, a curve that folds back, or detail too fine for `spacing`.
+        """
+        where = f"Path '{name}'"
+        points = checked(np.asarray(xy, dtype=float), where)
+        if not (math.isfinite(smoothing) and smoothing >= 0.0 and math.isfinite(spacing) and spacing > 0.0):
+            raise ValueError(
+                f"{where}: smoothing {smoothing} [m], spacing {spacing} [m], expected smoothing >= 0 and spacing > 0"
+            )
+        if closed:
+            points = ring(points, where)
+        u = travelled(points)
+        degree = min(_DEGREE, len(points) - 1)
+        return cls._of_curve(_spline(u, points, degree, closed, smoothing), float(u[-1]), closed, spacing, name)
+
+    @classmethod
+    def from_gps(
+        cls,
+        lat_deg: ArrayLike,
+        lon_deg: ArrayLike,
+        *,
+        closed: bool,
+        smoothing: float = 0.1,
+        spacing: float = 1.0,
+        name: str = "path",
+    ) -> Self:
+        """The path along WGS84 positions, in metres east (x) and north (y) of the first one.
+
+        The local tangent plane (ENU) keeps distances to 1e-6 over a few kilometres, which UTM does not.
+
+        lat_deg, lon_deg: (n,) [degrees]. The rest as `from_waypoints`, whose errors it raises, and ValueError for
+        positions that are out of range, swapped or in radians.
+        """
+        lat, lon = np.asarray(lat_deg, dtype=float), np.asarray(lon_deg, dtype=float)
+        check_gps(lat, lon, f"Path '{name}'")
+        import pymap3d
+
+        east, north, _ = pymap3d.geodetic2enu(lat, lon, 0.0, lat[0], lon[0], 0.0)
+        xy = np.column_stack((east, north))
+        path = cls.from_waypoints(xy, closed=closed, smoothing=smoothing, spacing=spacing, name=name)
+        return dataclasses.replace(path, origin_deg=(float(lat[0]), float(lon[0])))
+
+    @classmethod
+    def from_csv(
+        cls, file: str | File, *, closed: bool, smoothing: float | None = None, spacing: float = 1.0, name: str = ""
+    ) -> Self:
+        """The path in a CSV file whose header names x and y [m], or lat and lon [degrees]; `#` starts a comment.
+
+        Other columns are ignored. smoothing [m]: by default 0 for x, y and 0.1 for lat, lon. name: by default the
+        file's. Raises ValueError for a missing column or a cell that is no number, and as `from_waypoints`.
+        """
+        text = read_text(file, "Path.from_csv")
+        return cls.from_text(
+            text, closed=closed, smoothing=smoothing, spacing=spacing, name=name or File(file).stem, where=f"{file}"
+        )
+
+    @classmethod
+    def from_text(
+        cls,
+        text: str,
+        *,
+        closed: bool,
+        smoothing: float | None = None,
+        spacing: float = 1.0,
+        name: str = "",
+        where: str = "the course",
+    ) -> Self:
+        """The path in the text of a CSV file, as `from_csv`; `where` is what errors call it."""
+        columns = read_columns(text, where)
+        if {"x", "y"} <= columns.keys():
+            xy = np.column_stack((columns["x"], columns["y"]))
+            check_metres(checked(xy, where), where)
+            return cls.from_waypoints(xy, closed=closed, smoothing=smoothing or 0.0, spacing=spacing, name=name)
+        if {"lat", "lon"} <= columns.keys():
+            wide = 0.1 if smoothing is None else smoothing
+            lat, lon = columns["lat"], columns["lon"]
+            return cls.from_gps(lat, lon, closed=closed, smoothing=wide, spacing=spacing, name=name)
+        raise ValueError(f"{where}: columns {', '.join(columns)}; valid: x, y [m] or lat, lon [degrees]")
+
+    @classmethod
+    def _of_curve(cls, curve: Any, end: float, closed: bool, spacing: float, name: str) -> Self:
+        """The path along `curve(u)`, 0 <= u <= end: resampled until its parameter is the arc length."""
+        for _ in range(4):
+            curve, end, n = _even(curve, end, closed, spacing, f"Path '{name}'")
+        h = end / n
+        uneven = float(np.abs(np.hypot(*curve((np.arange(8 * n) + 0.5) * h / 8.0, 1).T) - 1.0).max())
+        if uneven > _UNEVEN:
+            raise ValueError(
+                f"Path '{name}': arc length is uneven by {uneven:.2g}, expected at most {_UNEVEN:g}: a bend is too "
+                f"tight for spacing {h:.3g} [m]; give a smaller spacing, or smoothing > 0 for noisy points"
+            )
+        middle = (np.arange(n) + 0.5) * h
+        rows = np.stack([curve(middle, k) / math.factorial(k) for k in range(_DEGREE + 1)])  # (k, n, xy)
+        return cls(table=Table(rows.transpose(1, 2, 0).reshape(n, -1)), length=end, closed=closed, name=name)
+
+    def reversed(self) -> Path:
+        """The same curve driven the other way; what was left is right."""
+        flip = np.tile([1.0, -1.0], _DEGREE + 1)  # w -> -w
+        return dataclasses.replace(self, table=Table(self.table.rows[::-1] * flip))
+
+    def started_at(self, s: float) -> Path:
+        """The path with s = 0 at the present `s` [m]: a closed path turned, an open one with its beginning cut off.
+
+        Raises ValueError unless 0 <= s <= length (open: leaving at least a metre).
+        """
+        longest = self.length if self.closed else self.length - 1.0
+        if not 0.0 <= s <= longest:
+            raise ValueError(f"{self!r}: started_at s = {s} [m], expected 0 <= s <= {longest:g}")
+        left = self.length if self.closed else self.length - s
+        n = max(_FEWEST_SEGMENTS, math.ceil(left / self.h - 1e-9))
+        u = np.linspace(0.0, left, n + 1)
+        curve = _spline(u, self.point(s + u), _DEGREE, self.closed)
+        path = self._of_curve(curve, left, self.closed, left / n * (1.0 + 1e-9), self.name)
+        return dataclasses.replace(path, origin_deg=self.origin_deg)
+
+    # -- evaluating ---------------------------------------------------------------------------------------------
+
+    def frame(self, s: Scalar) -> tuple[Scalar, ...]:
+        """(x, y, x', y', x'', y'') at `s` within [0, length]: one table row and two polynomials; any backend."""
+        i = m.minimum(m.floor(s * self._per_metre), self._last)  # at a knot either neighbour is as good
+        a0, a1, a2, a3, a4, a5, b0, b1, b2, b3, b4, b5 = self.table(i)
+        w = s - (i + 0.5) * self.h
+        # Horner's scheme, for the value, the slope and half the second derivative at once
+        p = a5 * w + a4
+        q = a5 * w + p
+        r = a5 * w + q
+        p = p * w + a3
+        q = q * w + p
+        r = r * w + q
+        p = p * w + a2
+        q = q * w + p
+        ddx = 2.0 * (r * w + q)
+        p = p * w + a1
+        dx = q * w + p
+        x = p * w + a0
+        p = b5 * w + b4
+        q = b5 * w + p
+        r = b5 * w + q
+        p = p * w + b3
+        q = q * w + p
+        r = r * w + q
+        p = p * w + b2
+        q = q * w + p
+        ddy = 2.0 * (r * w + q)
+        p = p * w + b1
+        return x, p * w + b0, dx, q * w + p, ddx, ddy
+
+    def inside(self, s: Scalar) -> Scalar:
+        """`s` [m] brought to the path: wrapped into [0, length] if closed, else clamped to it."""
+        if self.closed:
+            return s - self.length * m.floor(s / self.length)
+        return m.clip(s, 0.0, self.length)
+
+    def back(self, s: Scalar) -> Scalar:
+        """The same for an `s` [m] at most one length outside, without a division."""
+        if self.closed:
+            s = m.where(s < 0.0, s + self.length, s)
+            return m.where(s >= self.length, s - self.length, s)
+        return m.clip(s, 0.0, self.length)
+
+    def point(self, s: Any) -> Any:
+        """Position [m] at s [m] (wrapped or clamped): (2,) for a float, (n, 2) for an array."""
+        x, y, *_ = self.frame(self.inside(_number(s)))
+        return np.stack((x, y), axis=-1)
+
+    def psi(self, s: Any) -> Any:
+        """Heading [rad] in [-pi, pi] at s [m] (wrapped or clamped)."""
+        _, _, dx, dy, *_ = self.frame(self.inside(_number(s)))
+        return m.atan2(dy, dx)
+
+    def kappa(self, s: Any) -> Any:
+        """Curvature [1/m], + = left, at s [m] (wrapped or clamped); floats, arrays or symbols."""
+        _, _, dx, dy, ddx, ddy = self.frame(self.inside(_number(s)))
+        return dx * ddy - dy * ddx
+
+    # -- as arrays ----------------------------------------------------------------------------------------------
+
+    @cached_property
+    def samples(self) -> Path.Samples:
+        """The path at its knots: `s`, `xy`, `psi` (unwrapped), `kappa`, each with n + 1 entries, both ends in."""
+        s = np.linspace(0.0, self.length, len(self.table) + 1)
+        x, y, dx, dy, ddx, ddy = self.frame(s)
+        psi = np.unwrap(np.arctan2(dy, dx))
+        return Path.Samples(s=s, xy=np.column_stack((x, y)), psi=psi, kappa=dx * ddy - dy * ddx)
+
+    @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+    class Samples:
+        """A path as arrays: s (n,) [m], xy (n, 2) [m], psi (n,) [rad], kappa (n,) [1/m]; read-only."""
+
+        s: Array
+        xy: Array
+        psi: Array
+        kappa: Array
+
+        def __post_init__(self) -> None:
+            for array in vars(self).values():
+                array.flags.writeable = False
+
+    def to_csv(self, file: str | File) -> None:
+        """Write s, x, y, psi, kappa at the knots; `from_csv` reads them back to the same curve (closed as before)."""
+        write_text(file, self.csv_text())
+
+    def csv_text(self, more: Mapping[str, Array] | None = None, units: str = "", comments: Sequence[str] = ()) -> str:
+        """What `to_csv` writes, with `more` columns at the knots, their `units`, and `comments` after the first."""
+        k = self.samples
+        columns = {"s": k.s, "x": k.xy[:, 0], "y": k.xy[:, 1], "psi": k.psi, "kappa": k.kappa, **(more or {})}
+        rows = np.column_stack([*columns.values()])[: -1 if self.closed else None]
+        head = f"{self.name}: {'closed' if self.closed else 'open'} path, {self.length:.9g} m; m, rad, 1/m{units}"
+        lines = [f"# {text}" for text in (head, *comments)] + [",".join(columns)]
+        return "\n".join([*lines, *(",".join(f"{value:.9f}" for value in row) for row in rows), ""])
+
+    def require_closed(self, where: str) -> None:
+        """Raise ValueError, in the name of `where`, on an open path."""
+        if not self.closed:
+            gap = math.dist(self.point(0.0), self.point(self.length))
+            raise ValueError(
+                f"{where}: {self!r} is open (its ends are {gap:.1f} m apart), expected a closed path; valid: a path "
+                f"made with closed=True, or a run that ends before s = {self.length:.0f} m"
+            )
+
+    def __repr__(self) -> str:
+        at = f", at {place_deg(*self.origin_deg)}" if self.origin_deg else ""
+        return f"Path('{self.name}', {'closed' if self.closed else 'open'}, {self.length:.1f} m{at})"
+
+
+def _number(s: Any) -> Any:
+    """Lists as arrays and whole numbers as floats; floats, arrays and symbols as they are."""
+    if isinstance(s, int | np.number):
+        return float(s)
+    return np.asarray(s, dtype=float) if isinstance(s, list | tuple) else s
+
+
+def _spline(u: Array, points: Array, degree: int, closed: bool, smoothing: float = 0.0) -> Any:
+    """Spline c(u) of odd degree (or one polynomial), through the points or near them."""
+    from scipy import interpolate
+
+    if smoothing > 0.0 and len(points) > 3:
+        odd = degree - 1 + degree % 2
+        (t, c, k), _ = interpolate.splprep(points.T, u=u, s=len(points) * smoothing**2, k=odd, per=closed)
+        return interpolate.BSpline(t, np.asarray(c).T, k)
+    return interpolate.make_interp_spline(u, points, k=degree, bc_type="periodic" if closed else None)
+
+
+def _even(curve: Any, end: float, closed: bool, spacing: float, where: str) -> tuple[Any, float, int]:
+    """The curve interpolated at n + 1 points even in its arc length, which becomes its parameter; its length; n."""
+    from scipy.interpolate import CubicHermiteSpline
+
+    cells = max(8 * _FEWEST_SEGMENTS, math.ceil(8.0 * end / spacing))
+    u, cell = np.linspace(0.0, end, cells + 1, retstep=True)
+    nodes, weights = np.polynomial.legendre.leggauss(4)
+    inner = u[:-1, None] + 0.5 * cell * (1.0 + nodes)
+    speed = np.hypot(*np.moveaxis(curve(inner, 1), -1, 0))
+    if float(speed.min()) < 1e-2:
+        x, y = curve(inner.flat[int(speed.argmin())])
+        raise ValueError(f"{where}: folds back on itself near ({x:.2f}, {y:.2f}) [m]; check the order of the waypoints")
+    s = np.concatenate(([0.0], np.cumsum(0.5 * cell * speed @ weights)))
+    length = float(s[-1])
+    n = max(_FEWEST_SEGMENTS, math.ceil(length / spacing - 1e-9))
+    knots = np.linspace(0.0, length, n + 1)
+    points = curve(np.clip(CubicHermiteSpline(s, u, 1.0 / np.hypot(*curve(u, 1).T))(knots), 0.0, end))
+    if closed:
+        points[-1] = points[0]
+    even = _spline(knots, points, _DEGREE, closed)
+    off = np.hypot(*(even(s) - curve(u)).T)
+    if float(off.max()) > _OFF * length / n:
+        x, y = curve(u[off.argmax()])
+        raise ValueError(
+            f"{where}: has detail near ({x:.2f}, {y:.2f}) [m] too fine for spacing {length / n:.3g} [m] "
+            f"({off.max():.2g} m are lost); give a smaller spacing, or smoothing > 0 for noisy points"
+        )
+    return even, length, n

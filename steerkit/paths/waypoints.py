@@ -1,0 +1,181 @@
+"""Waypoints: read from the text of a CSV file, and checked before a path is laid along them."""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from array import array
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_FEWEST_CLOSED = 6
+
+
+def read_columns(text: str, where: str) -> dict[str, Array]:
+    """The columns of CSV text by the names in its header; lines that start with `#` are comments.
+
+    Raises ValueError for an empty file, a ragged row or a cell that is no number, with its line.
+    """
+    if text.lstrip().startswith("<"):
+        raise ValueError(
+            f"{where}: is XML (GPX?), expected CSV; write its positions under a header 'lat,lon', one a line, as "
+            "lat and lon of every <trkpt> stand in a GPX file"
+        )
+    numbered = _Lines(text)
+    lines = iter(numbered)
+    first, head = (numbered.number, line) if (line := next(lines, "")) else (0, "")
+    for sign, called in ((";", "semicolons"), ("\t", "tabs"), ("|", "bars")):
+        if sign in head and "," not in head:
+            raise ValueError(
+                f"{where}: line {first} is {head!r}: columns parted by {called}, expected commas, and points in "
+                "numbers (52.28, not 52,28)"
+            )
+    names = [cell.strip().lower() for cell in next(csv.reader([head]), [])]
+    if names and _numbers(names) is not None:
+        raise ValueError(f"{where}: line {first} holds numbers, expected a header such as 'x,y' or 'lat,lon'")
+    values = array("d")  # of a row of text at a time: all of it as text would take twenty times the file
+    for row in csv.reader(lines):
+        numbers = _numbers(row)
+        if numbers is None or len(numbers) != len(names):
+            what = f"line {numbered.number} is {numbered.line!r}, expected {len(names)} numbers ({','.join(names)})"
+            raise ValueError(f"{where}: {what}")
+        values.extend(numbers)
+    if not values:
+        raise ValueError(f"{where}: no rows, expected a header such as 'x,y' or 'lat,lon' and one point a line")
+    return dict(zip(names, np.frombuffer(values).reshape(-1, len(names)).T))
+
+
+class _Lines:
+    """The lines of a text that hold something and are no comment, one at a time; and which one it is."""
+
+    def __init__(self, text: str):
+        self.text, self.number, self.line = text, 0, ""
+
+    def __iter__(self) -> Iterator[str]:
+        for found in re.finditer(r"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+\Z", self.text):
+            self.number += 1
+            self.line = found[0].rstrip("\r\n")
+            if self.line.strip() and self.line.lstrip()[0] != "#":
+                yield self.line
+
+
+def _numbers(cells: list[str]) -> list[float] | None:
+    try:
+        return [float(cell) for cell in cells]
+    except ValueError:
+        return None
+
+
+def distances(points: Array) -> Array:
+    """From each point to the next, (n - 1,)."""
+    return np.hypot(*np.diff(points, axis=0).T)
+
+
+def travelled(points: Array) -> Array:
+    """From the first point to each, along the points between, (n,)."""
+    return np.concatenate(([0.0], np.cumsum(distances(points))))
+
+
+def _few(indices: NDArray[np.intp]) -> str:
+    return ", ".join(map(str, indices[:5])) + (f" and {len(indices) - 5} more" if len(indices) > 5 else "")
+
+
+def checked(points: Array, where: str) -> Array:
+    """The waypoints (n, 2) [m]; ValueError, in the name of `where`, for such as no path leads along."""
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise ValueError(f"{where}: waypoints of shape {points.shape}, expected (n, 2): one row (x, y) [m] a point")
+    if len(points) < 2:
+        raise ValueError(f"{where}: {len(points)} waypoints, expected at least 2 (open) or {_FEWEST_CLOSED} (closed)")
+    broken = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if broken.size:
+        at = tuple(points[broken[0]].tolist())
+        raise ValueError(f"{where}: waypoint {_few(broken)} not finite (the first is {at}) [m], expected numbers")
+    if float(np.ptp(points, axis=0).max()) < 0.1:
+        raise ValueError(
+            f"{where}: all waypoints within {np.ptp(points, axis=0).max():.3g} m, expected metres; "
+            "for latitudes and longitudes in degrees use Path.from_gps"
+        )
+    same = np.flatnonzero(distances(points) < 1e-9) + 1
+    if same.size:
+        raise ValueError(
+            f"{where}: waypoint {_few(same)} repeats the one before it (a car at rest?), expected distinct points; "
+            "keep xy[np.r_[True, np.hypot(*np.diff(xy, axis=0).T) > 0.05]]"
+        )
+    return points
+
+
+def ring(points: Array, where: str) -> Array:
+    """The points with the first repeated at the end, once the ends are known to meet; else ValueError."""
+    steps, gap = distances(points), math.dist(points[0], points[-1])
+    if gap < 1e-3 * float(np.median(steps)):
+        points, steps = points[:-1], steps[:-1]
+        gap = math.dist(points[0], points[-1])
+    if len(points) < _FEWEST_CLOSED:
+        raise ValueError(f"{where}: {len(points)} distinct waypoints, expected at least {_FEWEST_CLOSED} when closed")
+    if gap > 3.0 * float(steps.max()):
+        raise ValueError(
+            f"{where}: closed, but its ends are {gap:.3g} m apart where neighbours are at most {steps.max():.3g} m; "
+            "use closed=False, or add waypoints that bridge the gap"
+        )
+    back = points[0] - points[-1]
+    ends = np.array([points[-1] - points[-2], points[1] - points[0]])
+    if (ends @ back < -0.5 * np.hypot(*ends.T) * gap).all():
+        near = len(points) // 2 + int(np.argmin(np.hypot(*(points[len(points) // 2 :] - points[0]).T)))
+        raise ValueError(
+            f"{where}: closed, but its end overlaps its start by {gap:.3g} m; cut it to the first {near} waypoints, "
+            "where it comes back to its start"
+        )
+    return np.vstack((points, points[:1]))
+
+
+def check_gps(lat: Array, lon: Array, where: str) -> None:
+    """ValueError, in the name of `where`, unless these are positions in degrees."""
+    if lat.ndim != 1 or lat.shape != lon.shape or not lat.size:
+        raise ValueError(f"{where}: lat of shape {lat.shape}, lon of shape {lon.shape}, expected both (n,)")
+    broken = np.flatnonzero(~(np.isfinite(lat) & np.isfinite(lon)))
+    if broken.size:
+        raise ValueError(f"{where}: position {_few(broken)} not finite [degrees], expected numbers")
+    wrong = np.flatnonzero((np.abs(lat) > 90.0) | (np.abs(lon) > 180.0))
+    if wrong.size:
+        k = wrong[0]
+        swapped = "; swapped?" if np.abs(lat).max() <= 180.0 and np.abs(lon).max() <= 90.0 else ""
+        raise ValueError(
+            f"{where}: position {k}: lat {lat[k]:g}, lon {lon[k]:g} [degrees], expected -90..90 and -180..180{swapped}"
+        )
+    if np.abs(lat).max() <= math.pi / 2.0 and np.abs(lon).max() <= math.pi:  # open sea, if they were degrees
+        raise ValueError(f"{where}: lat {lat[0]:g}, lon {lon[0]:g} look like radians, expected degrees")
+
+
+def place_deg(lat_deg: float, lon_deg: float) -> str:
+    """A position as people write it: `52.28000 N, 8.02000 E`."""
+    north, east = "N" if lat_deg >= 0.0 else "S", "E" if lon_deg >= 0.0 else "W"
+    return f"{abs(lat_deg):.5f} {north}, {abs(lon_deg):.5f} {east}"
+
+
+_MANY, _FAR, _WIDE, _SMALL = 10, 100.0, 5000.0, 5.0
+"""From so many points on they may lie so far apart [m] at most; a road that turns round has a bend tighter than this
+radius [m]; a course is so large [m] at least."""
+
+
+def check_metres(xy: Array, where: str) -> None:
+    """ValueError, in the name of `where`, for a log whose numbers are millimetres or kilometres rather than metres."""
+    if len(xy) < 2:
+        return
+    size = float(np.ptp(xy, axis=0).max())
+    if size < _SMALL:
+        raise ValueError(f"{where}: all of it within {size:.3g} m, expected metres; kilometres? multiply x, y by 1000")
+    steps = distances(xy)
+    step = float(np.median(steps))
+    if len(xy) >= _MANY and step > _FAR:
+        what = f"its points are {step:.0f} m apart (median), expected at most {_FAR:.0f} m"
+        raise ValueError(f"{where}: {what}; millimetres? divide x, y by 1000")
+    bends = np.abs(np.diff(np.unwrap(np.arctan2(*np.diff(xy, axis=0).T[::-1]))))
+    tightest = float((bends / (0.5 * (steps[1:] + steps[:-1]))).max(initial=0.0))
+    if bends.sum() > np.pi and tightest < 1.0 / _WIDE:
+        what = f"it turns by {bends.sum():.1f} rad without a bend tighter than {1.0 / max(tightest, 1e-9):.0f} m"
+        raise ValueError(f"{where}: {what}, expected metres; millimetres? divide x, y by 1000")

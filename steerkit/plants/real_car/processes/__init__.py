@@ -1,1 +1,0 @@
-"""The car server, its clients, and what they say to each other."""

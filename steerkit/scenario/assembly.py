@@ -1,0 +1,336 @@
+"""The usual steering loop, wired in one call; everything it does can be done by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import fields, replace
+from typing import Any, TypeVar
+
+from steerkit._support.errors import WiringError
+from steerkit.controllers.adaptive import Adaptive
+from steerkit.controllers.excited import Excited
+from steerkit.controllers.fail_safe import FailSafe
+from steerkit.controllers.offset_free import OffsetFree
+from steerkit.controllers.supervisor import Guarded, Supervisor
+from steerkit.controllers.target_shift import TargetShift
+from steerkit.controllers.trimmed import Trimmed
+from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, In, Out
+from steerkit.diagram.diagnostics import require_block
+from steerkit.diagram.loop import Loop, Wire
+from steerkit.doe import Corrected, Dynamic
+from steerkit.paths.path import Path
+from steerkit.paths.tracker import PathTracker
+
+Car = TypeVar("Car", bound=Block)
+Part = TypeVar("Part", bound=Block)
+
+
+def placed(car: Car, path: Path, *, s: float = 0.0, e: float = 0.0, psi_e: float = 0.0) -> Car:
+    """`car` with its start pose on `path`: at arc length s [m], e [m] to the left, turned by psi_e [rad]."""
+    x, y = path.point(s)
+    psi = path.psi(s)
+    return replace(car, x0=x - e * m.sin(psi), y0=y + e * m.cos(psi), psi0=psi + psi_e)  # type: ignore[call-arg]
+
+
+def steering_loop(
+    *,
+    car: Block,
+    path: Path,
+    human: Block,
+    controller: Block,
+    doe: Block | None = None,
+    recovery: Block | None = None,
+    supervisor: Supervisor | None = None,
+    foresight: Block | None = None,
+    safety: Block | None = None,
+    link: Block | None = None,
+    actuator: Block | None = None,
+    column: Block | None = None,
+    sensors: Block | None = None,
+    estimator: Block | None = None,
+    reference: float = 0.0,
+    shift: TargetShift | None = None,
+) -> Loop:
+    """The standard wires between a car on a path, its human and its steering controllers.
+
+    controller: steers by itself (an output `delta_sw`), or picks actions (an output `action`) that `doe` turns into
+    an angle. recovery: an analytic controller that steers while the learner is off, through `supervisor` (default:
+    0.5 m and 0.1 m, and the doe's stops), which judges |e|, or the `distance` of `foresight`; the controller is
+    then `Guarded`, so that an exception in it is a fault that the supervisor answers. actuator: between the command
+    and the wheel (none: the command is the angle); link: between the command and the actuator; column: between the
+    actuator and the road wheels, and then it says what is measured of the wheel. sensors: what the controllers see of
+    the car (none: the truth). safety: a `SafetyFilter` between whoever steers and the wheel; the doe goes on from what
+    it lets through; where it fails, the recovery controller steers, if there is one (`FailSafe`). reference: where e is
+    measured, m ahead of the centre of gravity (the front axle is l_f). shift: what the learner and the supervisor take
+    for e (none: the path's).
+
+    The blocks are named human, car, link, actuator, column, sensors, path, shift, controller, doe, recovery,
+    foresight, supervisor, safety.
+    `path` tracks the **true** reference point, for logs and metrics; with sensors, `seen` tracks the measured one; a
+    controller that wants e elsewhere (its field `reference`) or a preview gets a tracker of its own. A car with an
+    output `applied` (a real one) says which angle it was told in the end; the doe is then `Corrected` by it.
+    A controller's inputs are joined by name: e, e_dot, psi_e, kappa, r_e, s, progress, preview (its tracker), x, y,
+    psi, v, beta, r, a_y (sensors or car), delta_sw_meas (column, actuator or car), doe (the DOE's state).
+
+    Raises WiringError when a part is missing or an input has a name not listed here.
+    """
+    _check_parts(
+        {"car": car, "human": human, "controller": controller},
+        {
+            "doe": doe,
+            "recovery": recovery,
+            "supervisor": supervisor,
+            "foresight": foresight,
+            "safety": safety,
+            "link": link,
+            "actuator": actuator,
+            "column": column,
+            "sensors": sensors,
+            "estimator": estimator,
+            "shift": shift,
+        },
+    )
+    learns = "action" in _names(controller.outputs)
+    if learns == (doe is None):
+        kind = type(controller).__name__
+        raise WiringError(
+            f"{kind} picks actions and needs a doe such as Integrator()"
+            if learns
+            else f"{kind} steers by itself (it has no output 'action'); leave doe out"
+        )
+    if supervisor is not None and recovery is None:
+        raise WiringError("a supervisor without a recovery controller; give recovery, such as Stanley.of(vehicle)")
+    if foresight is not None and shift is not None:
+        raise WiringError("foresight judges e of the path, shift another; give one of them")
+    if foresight is not None and recovery is None:
+        raise WiringError("foresight without a recovery controller; give recovery, such as Stanley.of(vehicle)")
+    if recovery is not None and "ready" not in _names(controller.outputs):
+        raise WiringError(f"{type(controller).__name__} has no output 'ready', which the supervisor needs to know")
+    reports = "applied" in _names(car.outputs)
+    if recovery is not None:
+        controller = _guarded(controller)
+        safety = _fail_safe(safety) if safety is not None else None
+    if doe is not None and reports:
+        doe = _corrected(doe)
+    bench = _Bench(path)
+    bench.add("human", human)
+    bench.add("car", car)
+    parts = (("link", link), ("actuator", actuator), ("column", column))
+    chain = [bench.add(name, part) for name, part in parts if part is not None]
+    steered = chain[-1] if chain else car
+    truth = bench.add("path", PathTracker(path=path, reference=reference, dt=controller.dt))
+    bench.join(truth, car)
+    bench.join(human, truth)
+    seen: Block = car
+    tracker = truth
+    if sensors is not None:
+        seen = bench.add("sensors", sensors)
+        bench.join(sensors, car)
+    if estimator is not None:
+        bench.estimate(estimator, seen, steered)
+        seen = estimator
+    if seen is not car:
+        tracker = bench.add("seen", PathTracker(path=path, reference=reference, dt=controller.dt))
+        bench.join(tracker, seen)
+    if shift is not None:
+        if recovery is None:
+            raise WiringError("a shift without a recovery controller; give recovery, such as Stanley.of(vehicle)")
+        bench.add("shift", shift)
+        bench.wire(tracker, "e", shift, "e_path")
+        bench.wire(tracker, "e_dot", shift, "e_dot_path")
+    bench.add("controller", controller)
+    bench.control(controller, tracker, seen, steered, doe, shift)
+    command = controller
+    if doe is not None:
+        command = bench.add("doe", doe)
+        bench.wire(controller, "action", doe, "action")
+    if recovery is not None:
+        bench.add("recovery", recovery)
+        bench.control(recovery, tracker, seen, steered, doe)
+        judge = bench.add("supervisor", supervisor or _supervisor(controller, doe))
+        if foresight is None:
+            bench.wire(shift or tracker, "e", judge, "e")
+        else:
+            bench.add("foresight", foresight)
+            bench.control(foresight, tracker, seen, steered, doe)
+            bench.wire(foresight, "distance", judge, "e")
+        bench.wire(controller, "ready", judge, "ready")
+        bench.wire(command, "delta_sw", judge, "learner")
+        bench.wire(recovery, "delta_sw", judge, "recovery")
+        command = judge
+    if safety is not None:
+        bench.add("safety", safety)
+        bench.wire(command, "delta_sw", safety, "command")
+        if recovery is not None:
+            bench.wire(recovery, "delta_sw", safety, "recovery")
+        bench.control(safety, tracker, seen, steered, doe, wired=("command", "recovery"))
+        command = safety
+    if doe is not None:
+        bench.wire(car if reports else command, "applied" if reports else "delta_sw", doe, "applied")
+    for part in chain:
+        into = next(name for name in ("delta_sw_cmd", "delta_sw_in") if name in _names(part.inputs))
+        bench.wire(command, "delta_sw", part, into)
+        if "v" in _names(part.inputs):
+            bench.wire(car, "v", part, "v")
+        command = part
+    bench.wire(command, "delta_sw", car, "delta_sw_cmd")
+    bench.wire(human, "v", car, "v_cmd")
+    return Loop(blocks=bench.blocks, wires=bench.wires)
+
+
+_EXAMPLES = {
+    "car": "NonlinearSingleTrack(vehicle=vehicle('vw-passat'))",
+    "human": "Human(), or ConstantSpeed(speed=5.0) of steerkit.plants.human",
+    "controller": "Stanley.of(vehicle('vw-passat')); by name: steerkit.scenario.catalogue.make_controller",
+    "doe": "Integrator()",
+    "recovery": "Stanley.of(vehicle('vw-passat'))",
+    "supervisor": "Supervisor()",
+    "foresight": "Foresight(...)",
+    "safety": "SafetyFilter.of(vehicle('vw-passat'))",
+    "link": "SteeringLink()",
+    "actuator": "SteeringActuator(lag=0.12)",
+    "column": "SteeringColumn(play=0.02)",
+    "sensors": "Sensors.hard(0)",
+    "estimator": "VehicleState.of(NonlinearSingleTrack(vehicle=vehicle('vw-passat')))",
+    "shift": "TargetShift()",
+}
+"""What would do for a part of the loop."""
+
+
+def _check_parts(needed: Mapping[str, Any], possible: Mapping[str, Any]) -> None:
+    given = {role: part for role, part in possible.items() if part is not None}
+    for role, part in {**needed, **given}.items():
+        require_block(part, "steering_loop", role, _EXAMPLES[role])
+
+
+def controller_of(loop: Loop) -> Block:
+    """The controller that `steering_loop` was given, without the guard around it."""
+    block = loop.blocks["controller"]
+    return block.block if isinstance(block, Guarded) else block
+
+
+def bare(controller: Block) -> Block:
+    """The law itself, without a guard or a trim around it: it says where it wants e measured, and how far it looks."""
+    wrappers = Adaptive | Excited | FailSafe | Guarded | OffsetFree | Trimmed
+    return bare(controller.block) if isinstance(controller, wrappers) else controller
+
+
+def with_controller(loop: Loop, controller: Block) -> Loop:
+    """A steering loop with another controller of the same ports in place of its own, guarded if that was; to exchange
+    a policy while the loop's state goes on."""
+    guarded = isinstance(loop.blocks["controller"], Guarded)
+    return loop.with_block("controller", _guarded(controller) if guarded else controller)
+
+
+def _supervisor(controller: Block, doe: Block | None) -> Supervisor:
+    """One that takes an angle for a fault that the learner's output element cannot mean."""
+    element = doe.element if isinstance(doe, Corrected) else doe
+    limit: Any = element.limit if isinstance(element, Dynamic) else Supervisor.limit
+    return Supervisor(dt=controller.dt, limit=limit)
+
+
+def _guarded(controller: Block) -> Guarded:
+    return controller if isinstance(controller, Guarded) else Guarded(block=controller)
+
+
+def _fail_safe(safety: Block) -> FailSafe:
+    return safety if isinstance(safety, FailSafe) else FailSafe(block=safety)
+
+
+def _corrected(doe: Block) -> Block:
+    """A doe that goes on from the angle that the car reports."""
+    if doe.inputs and all(port.direct for port in doe.inputs if port.name == "applied"):
+        return doe
+    if not isinstance(doe, Dynamic):
+        raise WiringError(
+            f"{type(doe).__name__} remembers the angle that it asked for, and this car reports another (its output "
+            "'applied'); make it a Dynamic, or its input 'applied' direct, as Corrected does"
+        )
+    return Corrected(element=doe)
+
+
+class _Bench:
+    """Blocks and wires while they are being put together."""
+
+    def __init__(self, path: Path):
+        self.path = path
+        self.blocks: dict[str, Block] = {}
+        self.wires: list[Wire] = []
+
+    def add(self, name: str, block: Part) -> Part:
+        self.blocks[name] = block
+        return block
+
+    def wire(self, source: Block, out: str, sink: Block, into: str) -> None:
+        self.wires.append((getattr(source, out), getattr(sink, into)))
+
+    def join(self, sink: Block, source: Block) -> None:
+        """Wires all inputs of `sink` that have the name of an output of `source`, or that name and `_in`."""
+        for name in _names(sink.inputs):
+            if name.removesuffix("_in") in _names(source.outputs):
+                self.wire(source, name.removesuffix("_in"), sink, name)
+
+    def estimate(self, block: Block, seen: Block, steered: Block) -> None:
+        """Wires what is measured to an estimator; truth, or sensors that do not say their age, has none."""
+        self.add("estimator", block)
+        self.join(block, seen)
+        if "motion_age_in" in _names(block.inputs) and "motion_age" not in _names(seen.outputs):
+            self.wire(seen, "age", block, "motion_age_in")
+        self.hear(block, "delta_sw_meas", steered)
+
+    def hear(self, block: Block, name: str, steered: Block) -> None:
+        """Wires the measured angle of the steering wheel."""
+        self.wire(steered, name if name in _names(steered.outputs) else "delta_sw", block, name)
+
+    def control(
+        self,
+        block: Block,
+        tracker: PathTracker,
+        seen: Block,
+        steered: Block,
+        doe: Block | None,
+        shift: TargetShift | None = None,
+        wired: Collection[str] = (),
+    ) -> None:
+        """Wires a controller's inputs by name, through a tracker at its own reference point if it asks for one.
+
+        wired: those that have a source already.
+        """
+        asks: Any = bare(block)
+        reference = getattr(asks, "reference", tracker.reference)
+        points = getattr(asks, "preview_points", 0)
+        if reference != tracker.reference or points:
+            role = next(name for name, b in self.blocks.items() if b is block)
+            preview = {"preview_points": points, "preview_dt": asks.preview_dt} if points else {}
+            tracker = self.add(f"{role}_path", PathTracker(path=self.path, reference=reference, dt=block.dt, **preview))
+            self.join(tracker, seen)
+        for name in _names(block.inputs):
+            if name in wired:
+                continue
+            if name == "delta_sw_meas":
+                self.hear(block, name, steered)
+            elif name == "doe":
+                if doe is None:
+                    raise WiringError(f"{type(block).__name__}.doe: there is no doe in this loop")
+                self.wire(doe, "state", block, name)
+            elif shift is not None and name in ("e", "e_dot"):
+                self.wire(shift, name, block, name)
+            elif name in _names(tracker.outputs):
+                self.wire(tracker, name, block, name)
+            elif name in _names(seen.outputs):
+                self.wire(seen, name, block, name)
+            else:
+                known = [*_names(tracker.outputs), *_names(seen.outputs), "delta_sw_meas", "doe"]
+                raise WiringError(
+                    f"{type(block).__name__}.{name}: no signal of that name; known: {', '.join(known)}; "
+                    "wire the loop by hand for others"
+                )
+
+
+def _names(ports: Iterable[In | Out]) -> list[str]:
+    return [port.name for port in ports]
+
+
+def _fields(block: Block) -> set[str]:
+    return {field.name for field in fields(block)}

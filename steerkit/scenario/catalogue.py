@@ -1,0 +1,330 @@
+"""Every controller, output element and plant by name, and the one recipe by which each is made, whoever asks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, dataclass, fields, replace
+from types import MappingProxyType
+from typing import Any
+
+from steerkit._support.errors import known, require
+from steerkit._support.plugins import imported, is_outside
+from steerkit.controllers.adaptive import Adaptive
+from steerkit.controllers.delay import delayed_stanley
+from steerkit.controllers.gate_model import BEHIND_GATE, GateModel
+from steerkit.controllers.lqr import Lqr
+from steerkit.controllers.offset_free import OffsetFree
+from steerkit.controllers.pure_pursuit import PurePursuit
+from steerkit.controllers.safety_filter import SafetyFilter
+from steerkit.controllers.stanley import Stanley
+from steerkit.controllers.trimmed import Trimmed
+from steerkit.diagram.block import Block
+from steerkit.diagram.diagnostics import in_one_line
+from steerkit.diagram.units import radians_of
+from steerkit.doe import Dynamic, Integrator, LowPass, PlainAngle
+from steerkit.estimators.single_track_filter import SingleTrackFilter
+from steerkit.estimators.steering_delay import YawDelay
+from steerkit.paths.path import Path
+from steerkit.plants.car import Car
+from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.single_track import SingleTrack
+from steerkit.vehicles import Vehicle
+
+
+@dataclass(frozen=True, kw_only=True)
+class Belief:
+    """What a controller is told of the car, the course and the steering when it is made; the truth may be another.
+
+    `Scenario.belief` and `CarConfig` give one; by hand: `Belief(vehicle=vehicle("vw-passat"), path=course("paper"))`.
+    Raises ValueError for a time or a rate out of range.
+    """
+
+    vehicle: Vehicle
+    """The car; its `delta_sw_max` is the largest angle that a controller asks for."""
+    path: Path
+    """The course."""
+    delay: float = 0.0
+    """Pure delay from a command to what is seen of it [s]: the steering's, and the age of what the controller sees."""
+    lag: float = 0.1
+    """First-order time constant of the steering [s]."""
+    hold: float = 0.0
+    """For how long a sampled actuator holds its angle [s], if `delay` does not count that yet. A simulated one: its dt;
+    a car: 0, as its delay is measured from command to wheel, everything in between included. Half of it acts as more
+    delay, which only the predictive controllers make use of: the others are tuned to samples of 50 ms without it."""
+    rate_limit: float = radians_of(550.0)
+    """Fastest steering wheel [rad/s]."""
+    slew: float | None = None
+    """Fastest change of the lateral acceleration of a car that is steered by torque [m/s^3]; None: by angle."""
+    a_y_limit: float | None = None
+    """Its largest lateral acceleration [m/s^2]; None: by angle."""
+    offset: float = 0.0
+    """Known offset of the angle that the steering reaches [rad]: commands are given less by it."""
+    gain: float = 1.0
+    """Known gain of the steering, angle reached over angle commanded [1]: commands are divided by it."""
+    budget: float | None = None
+    """Time within which a predictive controller has to answer [s]; None: any, so that a drive can be repeated."""
+    clock: Callable[[], float] | None = None
+    """Seconds, for the budget; None: no time is taken."""
+
+    def __post_init__(self) -> None:
+        for name, unit, largest in (("delay", "s", 2.0), ("lag", "s", 10.0), ("hold", "s", 1.0)):
+            value = getattr(self, name)
+            require(0.0 <= value <= largest, "Belief", f"{name} = {value} [{unit}], expected 0 to {largest:g}")
+        for name, unit in (("slew", "m/s^3"), ("a_y_limit", "m/s^2")):
+            value = getattr(self, name)
+            require(value is None or value > 0.0, "Belief", f"{name} = {value} [{unit}], expected > 0, or None")
+        require(abs(self.offset) <= 3.0, "Belief", f"offset = {self.offset} [rad], expected -3 to 3")
+        require(0.1 <= self.gain <= 10.0, "Belief", f"gain = {self.gain} [1], expected 0.1 to 10")
+        require(self.rate_limit > 0.0, "Belief", f"rate_limit = {self.rate_limit} [rad/s], expected > 0")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recipe:
+    """How a controller of the table is made."""
+
+    about: str
+    """One line for lists and reports."""
+    make: Callable[[Belief], Block]
+    """Makes the block."""
+    catches: bool = False
+    """May it take over from a learned controller, from any state of the car?"""
+
+
+def _stanley(belief: Belief) -> Block:
+    law = Stanley.of(belief.vehicle)
+    return replace(law, rate_limit=belief.rate_limit, slew=belief.slew, a_y_limit=belief.a_y_limit)
+
+
+def _textbook(belief: Belief) -> Block:
+    return Stanley.textbook(belief.vehicle)
+
+
+def _delayed(belief: Belief) -> Block:
+    told: dict[str, Any] = dict(delay=belief.delay, lag=belief.lag, slew=belief.slew, a_y_limit=belief.a_y_limit)
+    block = delayed_stanley(belief.vehicle, **told)
+    law = replace(block.block, rate_limit=belief.rate_limit)  # type: ignore[call-arg]
+    return replace(block, block=law, rate_limit=belief.rate_limit)
+
+
+def _lqr(belief: Belief) -> Block:
+    car = belief.vehicle
+    told: dict[str, Any] = dict(delay=belief.delay, lag=belief.lag, slew=belief.slew, a_y_limit=belief.a_y_limit)
+    block = Lqr.of(car, LinearSingleTrack(vehicle=car).matrices, **told)
+    return replace(block, rate_limit=belief.rate_limit)
+
+
+def _pure_pursuit(belief: Belief) -> Block:
+    return PurePursuit.of(belief.vehicle, belief.path, delay=belief.delay)
+
+
+def _linear_mpc(belief: Belief) -> Block:
+    from steerkit.controllers.mpc.linear import MPC  # here, as it loads CasADi
+
+    return _predictive(MPC, belief)
+
+
+def _nonlinear_mpc(belief: Belief) -> Block:
+    from steerkit.controllers.mpc.nonlinear import NonlinearMPC
+
+    return _predictive(NonlinearMPC, belief)
+
+
+_Q_RATE_OF_TORQUE = 4e-3
+"""Weight of the command's rate for a car steered by torque: at that of the others, a gain 25 % off makes it swing."""
+
+
+def _predictive(kind: Any, belief: Belief) -> Block:
+    car = belief.vehicle
+    return kind.of(
+        NonlinearSingleTrack(vehicle=car),
+        delay=belief.delay + 0.5 * belief.hold,
+        lag=belief.lag,
+        rate_limit=min(belief.rate_limit, kind.rate_limit),  # its own leaves the motor room to follow
+        slew=belief.slew,
+        **({} if belief.slew is None else {"q_rate": _Q_RATE_OF_TORQUE}),
+        **({} if belief.a_y_limit is None else {"a_y_limit": min(belief.a_y_limit, kind.a_y_limit)}),
+        fallback=_stanley(belief),
+        budget=belief.budget,
+        clock=belief.clock,
+    )
+
+
+def _offset_free(make: Callable[[Belief], Block], **settings: float) -> Callable[[Belief], Block]:
+    """What makes a controller with integral action around the one that `make` makes."""
+    return lambda belief: OffsetFree.around(make(belief), belief.vehicle, delay=belief.delay, **settings)
+
+
+_DEAD_TIMES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
+"""Dead times for which an adaptive controller is made [s]."""
+_CAUTION = 0.1
+"""By how much it begins with more than it is told [s]: too much costs little for a while, with too little it swings."""
+
+
+_OFFSET_TIMES = 5.0, 30.0
+"""Within which an adaptive controller finds an offset, first and later [s]: it has no ratio to follow."""
+_UNDERSTEER = 1e-4
+"""Deviation of the understeer gradient for an adaptive controller [rad s^2/m]: it knows the data sheet's, and is told
+the ratio that goes with it."""
+
+
+def _adaptive(make: Callable[[Belief], Block], *, hears: bool = False) -> Callable[[Belief], Block]:
+    """What makes a controller that adapts, of those that `make` makes."""
+
+    def made(belief: Belief) -> Block:
+        car, prior = belief.vehicle, min(belief.delay, _DEAD_TIMES[-1])
+        return Adaptive(
+            blocks=tuple(make(replace(belief, delay=delay)) for delay in _DEAD_TIMES),
+            delays=_DEAD_TIMES,
+            delay=YawDelay(vehicle=car, prior_delay=prior, prior_lag=max(belief.lag, 0.01), enough=0.05),
+            steering=SingleTrackFilter(vehicle=car, understeer_prior=_UNDERSTEER),
+            prior_delay=min(prior + _CAUTION, _DEAD_TIMES[-1]),
+            lag=belief.lag,
+            limit=car.delta_sw_max,
+            hears=hears,
+        )
+
+    return made
+
+
+def _adaptive_offset_free(make: Callable[[Belief], Block]) -> Callable[[Belief], Block]:
+    """What makes a controller that adapts, with integral action, of those that `make` makes."""
+    first, later = _OFFSET_TIMES
+    return _adaptive(_offset_free(make, time=first, time_late=later))
+
+
+CONTROLLERS: Mapping[str, Recipe] = MappingProxyType(
+    {
+        "stanley": Recipe(about="Stanley, all terms of eq. 9", make=_stanley, catches=True),
+        "stanley-textbook": Recipe(about="Stanley, heading and cross-track terms only", make=_textbook),
+        "stanley-delay": Recipe(about="Stanley behind a predictor of delay and lag", make=_delayed, catches=True),
+        "pure-pursuit": Recipe(about="pure pursuit, no model", make=_pure_pursuit),
+        "lqr": Recipe(about="LQR with delay states and curvature preview", make=_lqr),
+        "mpc": Recipe(about="linear MPC over 1 s, limits and delay known", make=_linear_mpc),
+        "nonlinear-mpc": Recipe(about="nonlinear MPC, real-time iteration", make=_nonlinear_mpc),
+        "stanley-offset-free": Recipe(about="stanley-delay with integral action", make=_offset_free(_delayed)),
+        "lqr-offset-free": Recipe(about="LQR with integral action", make=_offset_free(_lqr)),
+        "mpc-offset-free": Recipe(about="linear MPC with integral action", make=_offset_free(_linear_mpc)),
+        "stanley-adaptive": Recipe(about="stanley-offset-free that adapts", make=_adaptive_offset_free(_delayed)),
+        "lqr-adaptive": Recipe(about="lqr-offset-free that adapts", make=_adaptive_offset_free(_lqr)),
+        "mpc-adaptive": Recipe(about="mpc-offset-free that adapts", make=_adaptive_offset_free(_linear_mpc)),
+    }
+)
+"""The analytic controllers: they steer by themselves and learn nothing."""
+OWN = "my_file.py:make, package.module:make"
+"""What may stand for a controller's name besides: see `make_controller`."""
+FITTING = "fitting"
+"""The recovery controller that fits the car: `stanley-delay` where a dead time or a slew is told, else `stanley`."""
+ADAPTING = "adapting"
+"""The recovery controller that need not be told dead time and ratio: it finds them while it or the learner steers."""
+RECOVERIES = (FITTING, ADAPTING, *(name for name, recipe in CONTROLLERS.items() if recipe.catches))
+"""Names of those that may catch a learned controller."""
+ELEMENTS: Mapping[str, type[Dynamic]] = MappingProxyType(
+    {"integrator": Integrator, "low-pass": LowPass, "plain": PlainAngle}
+)
+"""The dynamic output elements."""
+OLD_ELEMENTS: Mapping[str, str] = MappingProxyType({"direct": "plain"})
+"""Names of elements in files written before they were renamed, and what they are called now."""
+PLANTS: Mapping[str, type[SingleTrack]] = MappingProxyType(
+    {"nonlinear": NonlinearSingleTrack, "linear": LinearSingleTrack}
+)
+"""The simulated cars."""
+
+
+def make_controller(name: str, belief: Belief) -> Block:
+    """The controller of that name, made for what is believed of car, course and steering.
+
+    name: one of `CONTROLLERS`; or `my_file.py:make`, `package.module:make`, where make(belief) returns a block of your
+    own that steers by itself. Raises ValueError for an unknown name, with the valid ones, and for a `make` that fails
+    or returns something else.
+    """
+    if is_outside(name):
+        return _own(name, belief)
+    return _trimmed(CONTROLLERS[known(name, CONTROLLERS, "controller", also=OWN)].make(belief), belief)
+
+
+def _trimmed(block: Block, belief: Belief) -> Block:
+    trimmed = (belief.offset, belief.gain) != (0.0, 1.0)
+    return Trimmed(block=block, offset=belief.offset, gain=belief.gain) if trimmed else block
+
+
+def _own(name: str, belief: Belief) -> Block:
+    make, where = imported(name, "controller"), f"controller '{name}'"
+    require(
+        callable(make), where, f"of type {type(make).__name__}, expected a function of a Belief that returns a Block"
+    )
+    try:
+        block = make(belief)
+    except Exception as error:
+        raise ValueError(f"{where} failed: {in_one_line(error)}") from error
+    expected = "expected a Block with an output delta_sw [rad]"
+    require(isinstance(block, Block), where, f"returned {_called(block)}, {expected}")
+    outputs = {port.name: port.unit for port in block.outputs}
+    given = ", ".join(f"{port} [{unit}]" for port, unit in outputs.items()) or "none"
+    require(outputs.get("delta_sw") == "rad", where, f"{type(block).__name__} has the outputs {given}, {expected}")
+    return block
+
+
+def _called(thing: object) -> str:
+    return f"the class {thing.__name__}" if isinstance(thing, type) else f"{thing!r:.60}"
+
+
+def plant_kind(name: str) -> type[Block]:
+    """The class of a simulated car: one of `PLANTS`, or `package.module:Class` for another.
+
+    Another needs the ports of `steerkit.plants.car.Car` and the parameters vehicle, x0, y0, psi0 and v0; it may refuse
+    vehicles that it has no model of. Raises ValueError for an unknown name and for a class that is no such car.
+    """
+    if not is_outside(name):
+        return PLANTS[known(name, PLANTS, "plant", also="package.module:Class")]
+    kind, where = imported(name, "plant"), f"plant '{name}'"
+    require(isinstance(kind, type) and issubclass(kind, Car), where, f"{_called(kind)}, expected a subclass of Car")
+    lacks = {"vehicle", "x0", "y0", "psi0", "v0"} - {field.name for field in fields(kind)}
+    require(not lacks, where, f"{kind.__name__} has no parameter {', '.join(sorted(lacks))}")
+    return kind
+
+
+def make_recovery(name: str, belief: Belief) -> Block:
+    """The controller that catches a learned one: any of `RECOVERIES`. Raises ValueError with the valid names."""
+    if known(name, RECOVERIES, "recovery") == ADAPTING:
+        return _trimmed(_adaptive(_delayed, hears=True)(belief), belief)
+    if name == FITTING:
+        name = "stanley" if belief.delay == 0.0 and belief.slew is None else "stanley-delay"
+    return make_controller(name, belief)
+
+
+def make_safety(belief: Belief, gate: GateModel | None = None) -> SafetyFilter:
+    """The safety filter for what is believed of car and steering, and for the gate behind it, if there is one.
+
+    A gate makes the wheel slow: it is looked further ahead then, and a command is held for less.
+    Raises ValueError for a car that is steered by torque: its wheel is too slow for the time that is looked ahead.
+    """
+    told = f"slew = {belief.slew} [m/s^3], expected none: the filter is for cars whose steering takes an angle"
+    require(belief.slew is None, "make_safety", told)
+    behind: dict[str, Any] = {"gate": gate, **BEHIND_GATE} if gate else {}
+    made = SafetyFilter.of(belief.vehicle, delay=belief.delay, lag=belief.lag, **behind)
+    law = replace(made.backup.block, rate_limit=belief.rate_limit)  # type: ignore[call-arg]
+    return replace(made, backup=replace(made.backup, block=law, rate_limit=belief.rate_limit))
+
+
+def make_element(name: str, vehicle: Vehicle | None = None) -> Dynamic:
+    """The dynamic output element of that name (see `ELEMENTS`), within the steering wheel's stops of `vehicle`.
+
+    name: or `my_file.py:Class`, `package.module:Class`, a subclass of `Dynamic` of your own, which is made with its
+    default parameters. Without a vehicle the stops are at 520 degrees. Raises ValueError for an unknown name, with the
+    valid ones, and for a class that is no such element.
+    """
+    kind = element_kind(name)
+    return kind() if vehicle is None else kind(limit=vehicle.delta_sw_max)
+
+
+def element_kind(name: str) -> type[Dynamic]:
+    """The class of an output element: see `make_element`."""
+    if not is_outside(name):
+        return ELEMENTS[known(name, ELEMENTS, "element", also="my_file.py:Class")]
+    kind, where = imported(name, "element"), f"element '{name}'"
+    fits = isinstance(kind, type) and issubclass(kind, Dynamic) and kind is not Dynamic
+    require(fits, where, f"{_called(kind)}, expected a subclass of Dynamic (steerkit.doe)")
+    asks = [f.name for f in fields(kind) if f.init and f.default is MISSING and f.default_factory is MISSING]
+    require(not asks, where, f"{kind.__name__} has no default for {', '.join(asks)}, expected one for every parameter")
+    return kind

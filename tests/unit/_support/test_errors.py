@@ -1,0 +1,80 @@
+"""Errors teach: a hint for a mistyped name, what is valid, and bounds that hold for every car of a batch."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+
+from steerkit._support.errors import known, require, require_within, whole_samples
+
+NAMES = ("stanley", "pure-pursuit", "lqr")
+
+
+def test_a_known_name_is_itself_and_another_is_answered_with_the_nearest_and_all() -> None:
+    assert known("lqr", NAMES, "controller") == "lqr"
+    valid = "valid: stanley, pure-pursuit, lqr"
+    hint = re.escape(f"controller 'stanly' is not known (did you mean 'stanley'?); {valid}, FILE.py:NAME")
+    with pytest.raises(ValueError, match=f"^{hint}$"):
+        known("stanly", NAMES, "controller", also="FILE.py:NAME")
+    with pytest.raises(ValueError, match=f"^controller 'x' is not known; {valid}$"):
+        known("x", NAMES, "controller")
+
+
+@pytest.mark.parametrize("fine", [True, np.True_, np.array([True, True])])
+def test_what_holds_passes(fine: Any) -> None:
+    require(fine, "Block", "never said")
+
+
+@pytest.mark.parametrize("wrong", [False, np.False_, np.array([True, False])])
+def test_what_does_not_hold_for_one_car_is_an_error(wrong: Any) -> None:
+    with pytest.raises(ValueError, match=r"^Block: k = 0 \[1\], expected > 0$"):
+        require(wrong, "Block", "k = 0 [1], expected > 0")
+
+
+@pytest.mark.parametrize("value", [1.0, 2.0, 1, np.array([1.0, 1.5])])
+def test_bounds_are_inside(value: Any) -> None:
+    require_within("Block", "k", value, "1", 1.0, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        (0.999, r"^Block: k = 0\.999 \[m\], expected 1 to 2; a hint$"),
+        (2.001, r"^Block: k = 2\.001 \[m\], expected 1 to 2; a hint$"),
+        (math.nan, r"^Block: k = nan \[m\], expected 1 to 2"),
+        (np.array([1.0, 3.0]), r"^Block: k = \[1\. 3\.\] \[m\], expected 1 to 2"),
+        ("1.5", r"^Block: k = '1\.5', expected a number \[m\]$"),
+        (None, r"^Block: k = None, expected a number \[m\]$"),
+        (True, r"^Block: k = True, expected a number \[m\]$"),
+    ],
+)
+def test_what_is_out_of_bounds_or_no_number_is_an_error(value: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        require_within("Block", "k", value, "m", 1.0, 2.0, hint="a hint")
+
+
+@pytest.mark.parametrize(
+    ("delay", "dt", "samples"), [(0.0, 0.01, 0), (0.05, 0.01, 5), (0.3, 0.1, 3), (10.0, 0.01, 1000)]
+)
+def test_a_delay_is_a_number_of_samples(delay: float, dt: float, samples: int) -> None:
+    assert whole_samples("Block", "delay", delay, dt) == samples
+
+
+@pytest.mark.parametrize(
+    ("delay", "message"),
+    [
+        (0.024, r"delay = 0\.024 \[s\], expected a multiple of dt = 0\.01 s; valid: 0\.02 or 0\.03, or a finer dt"),
+        (0.026, r"valid: 0\.03 or 0\.02, or a finer dt"),
+        (0.004, r"valid: 0 or 0\.01"),
+        (-0.01, "expected 0 to 10"),
+        (10.01, "expected 0 to 10"),
+        (np.array([0.01, 0.02]), r"delay \[s\] has shape \(2,\), expected one number for all cars"),
+    ],
+)
+def test_a_delay_between_two_samples_is_an_error(delay: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        whole_samples("Block", "delay", delay, 0.01)

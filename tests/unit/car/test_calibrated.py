@@ -1,0 +1,165 @@
+"""The vehicle file of a drive: what was found, what was not, what was known before, and what has changed."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from steerkit.car import calibrated
+from steerkit.car import recording as tapes
+from steerkit.car.calibrated import Calibrated, NothingLearned
+from steerkit.car.estimates import CarEstimators, known_in
+from steerkit.car.protocol import ESTIMATES
+from steerkit.estimators.estimate import Estimated
+from steerkit.plants.steering_actuator import steering_of
+from steerkit.vehicles import vehicle
+from tests.support.calibrated_car import CONFIG, DELAY, LAG, PATH, RATIO, Made
+from tests.support.command_lines import run
+from tests.support.tapes import small
+
+PRIOR = CarEstimators(CONFIG).found()
+
+
+def after(before: dict[str, Estimated] | None = None, **found: tuple[float, float, float]) -> Calibrated:
+    said = {name: Estimated(*numbers) for name, numbers in found.items()}
+    return Calibrated(config=CONFIG, found=PRIOR | said, before=before or {}, log="d.mcap", digest="0")
+
+
+@pytest.fixture(scope="session")
+def told(calibration: Made) -> Calibrated:
+    """What the recording of that drive tells, which takes seconds to work out."""
+    return calibrated.of_recording(calibration.tape)
+
+
+@pytest.fixture
+def tape(calibration: Made, told: Calibrated, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """That recording, of which is known already what it tells."""
+    monkeypatch.setattr(calibrated, "of_recording", {calibration.tape: told}.__getitem__)
+    return calibration.tape
+
+
+def test_the_file_is_a_car_and_its_steering(calibration: Made, tape: Path, tmp_path: Path) -> None:
+    out = tmp_path / "mine.toml"
+    figures = calibrated.from_recording(tape, out)
+    car = vehicle(str(out))
+    assert car.steer_ratio == pytest.approx(RATIO * CONFIG.vehicle.steer_ratio, rel=0.03)
+    assert car == replace(CONFIG.vehicle, name="vw-passat-calibrated", steer_ratio=car.steer_ratio)
+    motor = steering_of(out)
+    assert motor.delay + float(motor.lag) + motor.dt == pytest.approx(DELAY + LAG, abs=0.04)
+    data = tomllib.loads(out.read_text(encoding="utf-8"))
+    assert data["provenance"]["log"] == "drive.mcap"
+    assert len(data["provenance"]["sha256"]) == 64
+    assert data["estimates"]["steer_ratio"]["told_by"] == "drive"
+    assert data["estimates"]["steer_ratio"]["low"] < car.steer_ratio < data["estimates"]["steer_ratio"]["high"]
+    sheet = {"value": CONFIG.vehicle.understeer_gradient, "unit": "rad s^2/m", "told_by": "data sheet"}
+    assert data["estimates"]["understeer"] == sheet
+    assert "understeer" in data["provenance"]["notes"][-1]
+    assert figures["estimates"]["understeer"]["valid"] is False
+    assert known_in(out.read_text(encoding="utf-8")).keys() == {
+        name for name, q in calibration.world.watched.found.items() if q.valid > 0.5
+    }
+
+
+def test_a_second_drive_keeps_what_it_does_not_tell_and_says_what_has_changed(
+    tape: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "mine.toml"
+    row = {"unit": "1", "told_by": "drive"}
+    earlier = {"understeer": {"value": 0.002, "low": 0.0015, "high": 0.0025, **row}}
+    earlier["steer_ratio"] = {"value": 15.0, "low": 14.9, "high": 15.1, **row}
+    out.write_text(calibrated.vehicle_text(CONFIG.vehicle, estimates=earlier), encoding="utf-8")
+    figures = calibrated.from_recording(tape, out)
+    (said,) = figures["changes"]
+    assert said.startswith("changed since the last calibration: steering ratio 15.00 [14.90, 15.10] then, 17.")
+    assert said in capsys.readouterr().out
+    data = tomllib.loads(out.read_text(encoding="utf-8"))
+    assert data["estimates"]["understeer"]["value"] == 0.002
+    assert data["estimates"]["understeer"]["told_by"] == "an earlier drive"
+    assert data["provenance"]["changes"] == [said]
+    again = calibrated.from_recording(tape, out)
+    assert again["changes"] == []
+    assert tomllib.loads(out.read_text(encoding="utf-8"))["estimates"]["understeer"]["told_by"] == "an earlier drive"
+
+
+def test_a_drive_that_told_nothing_writes_nothing(tmp_path: Path) -> None:
+    out = tmp_path / "mine.toml"
+    tapes.Recording(tmp_path / "t.mcap", tapes.described(CONFIG, PATH)).close()
+    with pytest.raises(ValueError, match="nobody drove"):
+        calibrated.from_recording(tmp_path / "t.mcap", out)
+    assert not out.exists()
+    (tmp_path / "t.mcap").write_bytes(small())
+    row = {"value": 15.0, "low": 14.9, "high": 15.1, "unit": "1", "told_by": "drive"}
+    out.write_text(calibrated.vehicle_text(CONFIG.vehicle, estimates={"steer_ratio": row}), encoding="utf-8")
+    before = out.read_bytes()
+    with pytest.raises(NothingLearned, match="nothing was learned, no vehicle file is written"):
+        calibrated.from_recording(tmp_path / "t.mcap", out)
+    assert out.read_bytes() == before
+    assert after().learned == 0
+    assert after({"lag": Estimated(0.3, 0.01, 1.0)}).learned == 0
+    assert issubclass(NothingLearned, ValueError)
+
+
+def test_dead_time_and_lag_are_told_as_a_pair() -> None:
+    sheet = {"delay": CONFIG.delay, "lag": CONFIG.lag, "offset": 0.0}
+    assert after().steering == sheet
+    pair = after(delay=(0.2, 0.1, 0.0), lag=(0.13, 0.1, 0.0), delay_lag=(0.33, 0.004, 1.0), offset=(0.02, 0.001, 1.0))
+    assert pair.steering == {"delay": 0.2, "lag": 0.13, "offset": 0.02}
+    assert after(delay=(-0.01, 0.1, 0.0), delay_lag=(0.1, 0.004, 1.0)).steering["delay"] == 0.0
+    assert after(delay=(0.2, 0.1, 0.0), offset=(0.02, 0.1, 0.0)).steering == sheet
+    assert after({"offset": Estimated(0.03, 0.001, 1.0)}).steering == sheet | {"offset": 0.03}
+
+
+def test_a_disk_that_is_full_leaves_the_old_file_and_names_the_recording(
+    tape: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(calibrated, "write_text", full)
+    with pytest.raises(OSError, match="No space") as error:
+        calibrated.from_recording(tape, tmp_path / "mine.toml", say=False)
+    assert f"--from {tape}" in error.value.__notes__[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "says"),
+    [
+        ("mine.txt", None, "a vehicle file ends in .toml"),
+        ("none/mine.toml", None, "there is no folder"),
+        ("mine.toml", "colour = 1", "format = None, expected"),
+        ("mine.toml", "[", "not TOML"),
+        ("mine.toml", 'format = "steerkit car 1"', "format = 'steerkit car 1', expected"),
+    ],
+)
+def test_nothing_but_a_vehicle_file_is_written_over(tmp_path: Path, name: str, text: str | None, says: str) -> None:
+    if text is not None:
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    with pytest.raises(ValueError, match=says):
+        calibrated.check_place(tmp_path / name)
+
+
+def test_every_estimate_has_a_place(told: Calibrated) -> None:
+    assert [*told.found] == [*ESTIMATES]
+
+
+def test_from_the_command_line_as_json(
+    calibration: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "mine.toml"
+    assert (
+        run("car", "calibrate", "--from", str(calibration.tape), "--out", str(out), "--json", monkeypatch=monkeypatch)
+        == 0
+    )
+    told = json.loads(capsys.readouterr().out)
+    assert (told["vehicle_file"], out.is_file()) == (str(out), True)
+    assert told["estimates"]["steer_ratio"]["valid"] is True
+    assert run("car", "tape", str(calibration.tape), monkeypatch=monkeypatch) == 0
+    printed = capsys.readouterr().out
+    estimates, same = re.search(r"estimates: (\d+) of (\d+) the same", printed).groups()  # type: ignore[union-attr]
+    assert estimates == same != "0"
+    assert "  steering ratio 17." in printed

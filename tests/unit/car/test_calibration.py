@@ -1,0 +1,126 @@
+"""The guided drive: what it does to the car, who may end it, and what its recording tells again."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from steerkit.car import recording as tapes
+from steerkit.car import replay as replays
+from steerkit.car.calibration import SHARES, SLOWEST
+from steerkit.car.simulated import Fault
+from steerkit.car.state_machine import Mode, Order
+from tests.support.calibrated_car import PATH, CalibratedWorld, Made
+
+
+def test_all_waves_are_driven_within_the_gates_limits_and_near_the_course(calibration: Made) -> None:
+    world = calibration.world
+    assert world.over
+    assert world.mode is Mode.ENGAGED
+    world.check_bus()
+    driven = [s for s in world.seen if s.mode is Mode.ENGAGED]
+    assert len(driven) == pytest.approx(0.75 * 60.0 * 20.0, abs=5)
+    assert max(abs(s.e) for s in driven) < 0.6
+    assert max(abs(s.a_y) for s in driven) < 3.0
+
+
+def test_its_recording_says_which_wave_was_on_top_and_replays_bit_for_bit(calibration: Made) -> None:
+    recorded = tapes.read(calibration.tape)
+    config = tapes.config_of(recorded)
+    (drive,) = replays.drives(recorded)
+    assert [steers.name for _, steers in drive.remarks] == [f"stanley+{wave}" for wave in SHARES]
+    same = replays.replayed_requests(drive, config, PATH)
+    assert same == len(drive.requests) > 900
+
+
+def test_the_estimates_are_recorded_once_a_second_and_come_out_bit_for_bit_again(calibration: Made) -> None:
+    recorded = tapes.read(calibration.tape)
+    (drive,) = replays.drives(recorded)
+    estimators, same = replays.replayed_estimates(drive, tapes.config_of(recorded))
+    told = recorded.of("/estimates")
+    assert same == len(drive.estimates) == len(told) > 40
+    assert estimators.found() == calibration.world.watched.estimators.found()
+    last = calibration.world.watched.found
+    assert {name: told[-1][name] for name in last} == {name: q.value for name, q in last.items()}
+    assert {told[-1][f"{name}_valid"] for name in last} == {0.0, 1.0}
+
+
+def test_a_changed_sample_is_noticed_by_the_replay(calibration: Made) -> None:
+    recorded = tapes.read(calibration.tape)
+    (drive,) = replays.drives(recorded)
+    one = drive.samples[400]
+    assert one is not None
+    drive.samples[400] = one._replace(r=one.r + 1e-9)
+    _, same = replays.replayed_estimates(drive, tapes.config_of(recorded))
+    assert 0 < same < len(drive.estimates)
+
+
+def test_the_clock_stands_while_the_human_has_the_wheel_and_the_wave_goes_on_later() -> None:
+    world = CalibratedWorld(minutes=0.4)
+    guided: Any = world.guided
+    world.until(world.t + 1.0)
+    assert guided.driven == 0.0
+    assert "until you engage" in guided.status()
+    world.order(Order.ARM)
+    world.until(world.t + 0.2)
+    world.order(Order.ENGAGE)
+    world.until(world.t + 3.0)
+    driven = guided.driven
+    assert driven == pytest.approx(3.0, abs=0.1)
+    assert guided.status().startswith("sine, the wheel swings slowly: 3 s of driving left, then steps")
+    world.car.faults.append(Fault(kind="override", target="report", start=world.t, length=0.1))
+    world.until(world.t + 1.0)
+    assert world.mode is Mode.OVERRIDE
+    assert guided.driven == pytest.approx(driven, abs=0.1)
+    world.order(Order.ACKNOWLEDGE)
+    world.until(world.t + 0.2)
+    assert world.mode is Mode.READY, "nothing engages by itself"
+    world.order(Order.ENGAGE)
+    world.until(world.t + 1.0)
+    assert guided.wave == "sine"
+    assert guided.driven == pytest.approx(4.0, abs=0.2)
+    world.check_bus()
+
+
+def test_below_3_metres_a_second_the_clock_stands_and_says_so() -> None:
+    world = CalibratedWorld(minutes=0.4, v=(2.5, 2.6))
+    guided: Any = world.guided
+    world.order(Order.ARM)
+    world.until(world.t + 0.2)
+    world.order(Order.ENGAGE)
+    world.until(world.t + 1.0)
+    assert world.mode is Mode.ENGAGED
+    assert guided.driven == 0.0
+    assert f"below {SLOWEST:g} m/s" in guided.status()
+
+
+def test_the_operator_is_warned_before_the_end(calibration: Made) -> None:
+    world = CalibratedWorld(minutes=0.1)
+    guided: Any = world.guided
+    world.order(Order.ARM)
+    world.until(world.t + 0.2)
+    world.order(Order.ENGAGE)
+    said = []
+    while not world.over:
+        world.until(world.t + 0.05)
+        said.append(guided.status())
+    assert any("HANDS ON THE WHEEL" in text for text in said)
+    assert said[-1] == "all is driven: take the wheel"
+    assert not any("HANDS" in text for text in said if text.startswith(("sine", "steps")))
+
+
+@pytest.mark.parametrize(
+    ("more", "says"),
+    [
+        ({"minutes": 0.0}, "minutes = 0, expected 0.1 to 60"),
+        ({"minutes": float("nan")}, "minutes = nan, expected 0.1 to 60"),
+        ({"base": "stanly"}, "did you mean 'stanley'"),
+        ({"base": "nfq"}, "calibrate: controller"),
+    ],
+)
+def test_what_cannot_be_driven_is_refused(more: dict[str, Any], says: str) -> None:
+    from steerkit.car.calibration import check
+
+    with pytest.raises(ValueError, match=says):
+        check(**({"base": "stanley", "minutes": 4.0} | more))

@@ -1,0 +1,44 @@
+"""The car's block says that it is one car."""
+
+from __future__ import annotations
+
+import pytest
+
+from steerkit.car.client import CarLost, RealCar, ReplayLink
+from steerkit.car.protocol import Snapshot
+from steerkit.car.state_machine import Mode
+
+
+def test_a_car_that_is_traced_or_batched_says_so() -> None:
+    import casadi
+
+    car = RealCar(link=ReplayLink([]))
+    with pytest.raises(TypeError, match="one car"):
+        car.init((3,))
+    with pytest.raises(TypeError, match="cannot be traced"):
+        car.output(casadi.SX.sym("t"), (), ())
+    assert not car.pure
+
+
+NUMBERS = {"x": 1.0, "y": 2.0, "psi": 3.0, "v": 4.0, "beta": 5.0, "r": 6.0, "a_y": 7.0, "delta_sw": 8.0}
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_each_port_holds_what_its_name_says_and_only_engaged_is_engaged(mode: Mode) -> None:
+    car = RealCar(link=ReplayLink([Snapshot(0.5, **NUMBERS, command=9.0, mode=mode)]))
+    y = car.output(0.0, car.init(), ())
+    assert {name: getattr(y, name) for name in NUMBERS} == NUMBERS
+    assert y.engaged == (1.0 if mode is Mode.ENGAGED else 0.0)
+    assert y.applied == (9.0 if mode is Mode.ENGAGED else 8.0), "what turns the wheel: the gate, or a hand"
+
+
+def test_a_request_goes_out_with_the_time_of_what_it_was_computed_from() -> None:
+    link = ReplayLink([Snapshot(0.5), Snapshot(0.55)])
+    car = RealCar(link=link)
+    for angle in (0.1, 0.2):
+        y = car.output(0.0, (), ())
+        car.update(0.0, (), car.U(delta_sw_cmd=angle, v_cmd=5.0), y)
+    assert link.requests == [(0.5, 0.1), (0.55, 0.2)]
+    assert link.count == 2
+    with pytest.raises(CarLost, match="ended"):
+        link.query()

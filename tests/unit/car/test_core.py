@@ -1,0 +1,371 @@
+"""The core against noise."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from steerkit.car.core import Core, End, Frame, Link, Note, Packet, Reply, Send, Tick
+from steerkit.car.protocol import (
+    ESTIMATES,
+    Adapted,
+    Beat,
+    Command,
+    Estimates,
+    Filtered,
+    Hello,
+    Refused,
+    Request,
+    Snapshot,
+    decode,
+    encode,
+)
+from steerkit.car.simulated import Fault
+from steerkit.car.state_machine import Machine, Mode, Order
+from steerkit.paths.courses import course
+from tests.support.car_messages import config, messages
+from tests.support.car_world import World
+
+ids = st.sampled_from([0x64, 0x65, 0x120, 0x121, 0x122, 0x130, 0x7FF])
+
+
+pauses = st.floats(0.0, 0.3)
+
+
+happenings = st.one_of(
+    st.tuples(st.just("frame"), pauses, ids, st.binary(max_size=8)),
+    st.tuples(st.just("packet"), pauses, st.integers(1, 2), messages.map(encode) | st.binary(max_size=40)),
+    st.tuples(st.just("link"), pauses, st.integers(1, 2), st.booleans()),
+    st.tuples(st.just("tick"), pauses, st.none(), st.none()),
+)
+
+
+@settings(max_examples=150)
+@given(story=st.lists(happenings, max_size=60), engaged=st.booleans())
+def test_noise_raises_nothing_and_moves_nothing(story: list[Any], engaged: bool) -> None:
+    core, t = Core(config(), course("paper")), 5.0
+    core.handle(Link(t, 1, True))
+    core.handle(Packet(t, 1, encode(Hello(True))))
+    if engaged:  # put there by force: it must get out by itself
+        core.senses.values |= {"v": 5.0, "v_kit": 5.0, "delta_sw": 0.0}
+        core.machine = Machine(Mode.ENGAGED, "force", t)
+    for kind, pause, where, what in story:
+        t += pause
+        match kind:
+            case "frame":
+                out = core.handle(Frame(t, t, where, what))
+            case "packet":
+                out = core.handle(Packet(t, where, what))
+            case "link":
+                out = core.handle(Link(t, where, what))
+            case _:
+                out = core.handle(Tick(t))
+        for sent in out:
+            if isinstance(sent, Send):
+                angle, enable, _ = config().writer.read(sent.data)
+                assert not enable  # without a pose it can never be engaged for as much as one frame
+                assert abs(angle) <= config().gate.delta_sw_max + 1e-9
+            if isinstance(sent, Reply):
+                assert isinstance(decode(sent.data), (Snapshot, Refused))
+        assert core.machine.mode is not Mode.ENGAGED or not story
+        assert core.wake > core.t
+        assert math.isfinite(core.wake)
+
+
+def test_time_never_goes_back() -> None:
+    core = Core(config(), course("paper"))
+    core.handle(Tick(10.0))
+    core.handle(Tick(9.0))
+    assert core.t == 10.0
+
+
+def wheel_rate(world: World) -> float:
+    """The largest step of the wheel that one shortest pause allows [rad], and one quantum."""
+    return world.config.gate.rate_max * world.config.gate.dt_min + world.config.gate.quantum
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("again", [False, True])
+def test_the_gate_starts_from_the_wheel_as_it_is_and_a_pause_earns_nothing(side: float, again: bool) -> None:
+    world = World()
+    world.bring_to(Mode.ENGAGED if again else Mode.READY)
+    if again:
+        world.order(Order.DISENGAGE)
+        world.until(world.t + 0.5)
+    assert world.mode is Mode.READY
+    world.tampered = lambda basis, delta_sw: (basis, world.core.senses.values["delta_sw"] + 0.3 * side)
+    world.until(world.t + 0.06)
+    sent, measured = len(world.sent), world.core.senses.values["delta_sw"]
+    world.order(Order.ENGAGE)
+    world.until(world.t + 0.03)
+    assert world.mode is Mode.ENGAGED
+    first = world.sent[sent].delta_sw
+    assert (first - measured) * side + world.config.gate.quantum > 0.0
+    assert abs(first - measured) <= wheel_rate(world)
+
+
+@pytest.mark.parametrize("target", ["pose", "report"])
+def test_the_gate_reckons_with_the_faster_of_two_speeds(target: str) -> None:
+    """Curvature may change by 5/v^2 a second [1/(m s)]; one of the speeds says 5.9 m/s, the other 5 m/s."""
+    world = World(v=(5.0, 5.0), s=20.0)
+    world.car.faults.append(Fault(kind="speed", target=target, start=0.0, amount=0.9))
+    world.bring_to(Mode.ENGAGED)
+    gate = world.config.gate
+    world.tampered = lambda basis, delta_sw: (basis, 8.0)
+    sent, began = len(world.sent), world.t
+    world.until(began + 0.3)
+    assert world.mode is Mode.ENGAGED
+    kappa = [math.tan(s.delta_sw / gate.steer_ratio) / gate.wheelbase for s in world.sent[sent - 1 :]]
+    took = world.sent[-1].t - world.sent[sent - 1].t
+    fastest = gate.jerk_max / 5.9**2 * took
+    assert 0.7 * fastest < kappa[-1] - kappa[0] <= 1.01 * fastest
+
+
+def test_five_neutral_frames_follow_and_then_silence() -> None:
+    world = World()
+    world.bring_to(Mode.ENGAGED)
+    world.order(Order.DISENGAGE)
+    ended = world.t
+    world.until(ended + 2.0)
+    tail = [s for s in world.sent if not s.enable]
+    assert len(tail) == 5
+    assert [s.t - tail[0].t for s in tail] == pytest.approx([0.0, 0.02, 0.04, 0.06, 0.08], abs=1e-6)
+    assert tail[0].t <= ended + world.config.gate.dt_min + 1e-6
+    assert {s.delta_sw for s in tail} == {[s for s in world.sent if s.enable][-1].delta_sw}
+
+
+def alerts(world: World, since: float) -> list[bool]:
+    """The ALERT bit of each frame sent from then on, as the kit's DBC has it: bit 22."""
+    sent = [
+        out.data for event, outputs in world.events for out in outputs if isinstance(out, Send) and event.t >= since
+    ]
+    return [bool(data[2] >> 6 & 1) for data in sent]
+
+
+@pytest.mark.parametrize("how", ["space bar", "off", "override", "torque", "quality", "end"])
+def test_at_every_takeover_the_kit_is_asked_to_alert_the_human(how: str) -> None:
+    """In all five frames that let go; never while it steers, nor in a frame that clears its faults."""
+    world = World()
+    world.bring_to(Mode.ENGAGED)
+    assert not any(alerts(world, 0.0))
+    ended = world.t
+    match how:
+        case "space bar" | "off":
+            world.order(Order.DISENGAGE if how == "space bar" else Order.OFF)
+        case "end":
+            world.handle(End(world.t, "the car server was stopped"))
+        case _:
+            target = "pose" if how == "quality" else "report"
+            world.car.faults.append(Fault(kind=how, target=target, start=world.t, length=0.2))
+    world.until(ended + 0.1)
+    ended = next(t for t, mode, _ in world.modes if t >= ended and mode is not Mode.ENGAGED)
+    world.until(ended + 0.6)
+    assert world.mode is not Mode.ENGAGED
+    assert alerts(world, ended) == [True] * 5
+    if world.mode in (Mode.OVERRIDE, Mode.FAULT):
+        world.order(Order.ACKNOWLEDGE)
+        world.until(world.t + 0.2)
+        assert alerts(world, ended) == [True] * 5 + [False]
+
+
+def test_the_kit_is_told_to_clear_its_faults_once() -> None:
+    world = World()
+    world.car.timeout = True
+    world.order(Order.ARM)
+    world.until(0.3)
+    world.order(Order.ACKNOWLEDGE)
+    world.until(0.6)
+    world.order(Order.ENGAGE)
+    world.until(1.0)
+    assert world.mode is Mode.ENGAGED
+    frames = [out.data for _, outputs in world.events for out in outputs if isinstance(out, Send)]
+    clears = [world.config.writer.read(data)[2] for data in frames]
+    assert len(clears) > 10
+    assert clears == [True] + [False] * (len(clears) - 1)
+
+
+def linked() -> Core:
+    core = Core(config(), course("paper"))
+    core.handle(Link(5.0, 1, True))
+    core.handle(Packet(5.0, 1, encode(Hello(True))))
+    return core
+
+
+def refusals(core: Core, t: float, link: int, message: Any) -> list[str]:
+    answers = [decode(out.data) for out in core.handle(Packet(t, link, encode(message))) if isinstance(out, Reply)]
+    return [answer.why for answer in answers if isinstance(answer, Refused)]
+
+
+@pytest.mark.parametrize("basis", [math.nan, math.inf, 5.2])
+def test_a_request_is_based_on_the_past(basis: float) -> None:
+    core = linked()
+    assert "future" in refusals(core, 5.1, 1, Request(basis, 0.0, 0))[0]
+    assert core.facts(5.1).request_age == math.inf
+    assert refusals(core, 5.1, 1, Request(5.1, 0.0, 0)) == []
+
+
+def test_missed_deadlines_count_from_the_first_request_and_each() -> None:
+    core = linked()
+    core.handle(Packet(5.1, 1, encode(Request(5.1, 0.0, 70))))
+    assert core.facts(5.1).misses == 0
+    core.handle(Packet(5.2, 1, encode(Request(5.2, 0.0, 72))))
+    core.handle(Packet(5.3, 1, encode(Request(5.3, 0.0, 75))))
+    assert core.facts(5.3).misses == 5
+    assert core.facts(6.25).misses == 3
+    assert core.facts(6.35).misses == 0
+
+
+def test_the_request_goes_with_its_controller_and_there_is_one() -> None:
+    core = linked()
+    core.handle(Packet(5.1, 1, encode(Request(5.1, 0.25, 0))))
+    core.handle(Link(5.1, 2, True))
+    assert "a controller already" in refusals(core, 5.1, 2, Hello(True))[0]
+    assert "say hello first" in refusals(core, 5.1, 2, Request(5.1, 1.0, 0))[0]
+    assert refusals(core, 5.1, 2, Hello(False)) == []
+    assert "only the controller" in refusals(core, 5.1, 2, Request(5.1, 1.0, 0))[0]
+    assert core.facts(5.1).request == 0.25
+    core.handle(Link(5.1, 2, False))
+    assert core.facts(5.1).request == 0.25
+    core.handle(Link(5.1, 1, False))
+    facts = core.facts(5.1)
+    assert (facts.connected, facts.request_age) == (False, math.inf)
+    core.handle(Link(5.2, 3, True))
+    assert refusals(core, 5.2, 3, Hello(True)) == []
+
+
+def test_errors_count_for_a_second() -> None:
+    core = linked()
+    core.senses.error(6.0, "one")
+    core.senses.error(6.5, "two")
+    assert [core.facts(t).integrity_errors for t in (6.5, 6.99, 7.01, 7.49, 7.51)] == [2, 2, 1, 1, 0]
+
+
+def test_arming_takes_the_next_time_stamp_for_an_undelayed_one() -> None:
+    core = linked()
+    core.senses.delay = 0.05
+    core.handle(Packet(5.1, 1, encode(Command(Order.ARM))))
+    assert core.senses.delay == 0.0
+    core.senses.delay = 0.05
+    core.handle(Packet(5.2, 1, encode(Command(Order.OFF))))
+    assert core.senses.delay == 0.05
+
+
+@pytest.mark.parametrize(("v", "r"), [(5.0, 0.3), (8.0, -0.2)])
+def test_without_a_sensor_beta_is_that_of_a_car_that_rolls(v: float, r: float) -> None:
+    """Without slip the rear axle moves along the car, so the centre of gravity has v_y = r*l_r."""
+    core = linked()
+    core.senses.values |= {"v": v, "r": r}
+    rear = v * math.sin(core.snapshot(5.0).beta) / math.cos(core.snapshot(5.0).beta) - r * config().vehicle.l_r
+    assert rear == pytest.approx(0.0, abs=1e-9)
+    assert core.snapshot(5.0).a_y == v * r
+
+
+def test_only_an_operator_s_heartbeat_counts_and_it_goes_with_the_operator() -> None:
+    core = linked()
+    core.handle(Packet(5.1, 1, encode(Beat())))  # the controller's panel may hang while the controller steers on
+    assert core.facts(5.1).heartbeat_age == math.inf
+    core.handle(Link(5.1, 2, True))
+    core.handle(Packet(5.1, 2, encode(Hello(False))))
+    core.handle(Packet(5.2, 2, encode(Beat())))
+    assert core.facts(5.3).heartbeat_age == pytest.approx(0.1)
+    core.handle(Link(5.3, 2, False))  # gone: nothing more comes, and the last one ages
+    assert core.facts(5.5).heartbeat_age == pytest.approx(0.3)
+
+
+def test_estimates_are_the_controllers_and_for_the_recording_only() -> None:
+    core = linked()
+    told = Packet(5.1, 1, encode(Estimates(tuple(map(float, range(3 * len(ESTIMATES)))))))
+    (note,) = [out for out in core.handle(told) if isinstance(out, Note) and out.topic == "estimates"]
+    assert [*note.values.values()] == [5.1, *range(3 * len(ESTIMATES))]
+    core.handle(Link(5.2, 2, True))
+    core.handle(Packet(5.2, 2, encode(Hello(False))))
+    (reply,) = core.handle(told._replace(t=5.3, link=2))
+    assert isinstance(reply, Reply)
+    assert decode(reply.data) == Refused("Estimates is not for the car server")
+
+
+def test_what_a_controller_that_adapts_is_told_is_the_controllers_and_for_the_recording_only() -> None:
+    core = linked()
+    told = Packet(5.1, 1, encode(Adapted(0.21, 1.08)))
+    (note,) = [out for out in core.handle(told) if isinstance(out, Note) and out.topic == "adapted"]
+    assert note.values == {"t": 5.1, "delay": 0.21, "ratio": 1.08}
+    core.handle(Link(5.2, 2, True))
+    core.handle(Packet(5.2, 2, encode(Hello(False))))
+    (reply,) = core.handle(told._replace(t=5.3, link=2))
+    assert isinstance(reply, Reply)
+    assert decode(reply.data) == Refused("Adapted is not for the car server")
+
+
+def test_what_the_filter_did_is_the_controllers_and_for_the_recording_only() -> None:
+    core = linked()
+    told = Packet(5.1, 1, encode(Filtered(0.3, 0.2, 0.5, 0.6, 2.0)))
+    (note,) = [out for out in core.handle(told) if isinstance(out, Note) and out.topic == "safety"]
+    did = {"command": 0.3, "delta_sw": 0.2, "share": 0.5, "reach": 0.6, "reason": 2.0}
+    assert note.values == {"t": 5.1, **did}
+    core.handle(Link(5.2, 2, True))
+    core.handle(Packet(5.2, 2, encode(Hello(False))))
+    (reply,) = core.handle(told._replace(t=5.3, link=2))
+    assert isinstance(reply, Reply)
+    assert decode(reply.data) == Refused("Filtered is not for the car server")
+
+
+def test_the_end_of_the_process_lets_go_first_and_says_why() -> None:
+    world = World()
+    world.bring_to(Mode.ENGAGED)
+    sent = len(world.sent)
+    world.handle(End(world.t, "the bus is lost"))
+    world.until(world.t + 0.3)
+    assert world.modes[-1][1:] == (Mode.OFF, "the bus is lost")
+    assert [s.enable for s in world.sent[sent:]] == [False] * 5
+
+
+def test_a_controller_on_another_course_is_refused() -> None:
+    core = linked()
+    core.handle(Link(5.1, 2, True))
+    core.handle(Link(5.1, 1, False))
+    assert "another course" in refusals(core, 5.2, 2, Hello(True, course=b"elsewher"))[0]
+    assert refusals(core, 5.2, 2, Hello(True)) == []
+
+
+def test_a_foreign_sender_of_the_command_is_told() -> None:
+    core = linked()
+    core.handle(Frame(5.1, 5.1, config().writer.frame_id, bytes(8)))
+    assert "somebody else sends STEERING_CMD" in core.facts(5.2).foreign
+    assert core.facts(6.2).foreign == ""
+    core.handle(Frame(7.0, 7.0, config().writer.frame_id, bytes(8), "x"))  # of 29 bits: another one
+    assert core.facts(7.0).foreign == ""
+    core.handle(Frame(8.0, 8.0, config().writer.frame_id, bytes(8), "fd"))
+    assert "somebody else" in core.facts(8.0).foreign
+
+
+@pytest.mark.parametrize("mode", [m for m in Mode if m is not Mode.ENGAGED])
+def test_a_kit_that_stays_enabled_is_told_whatever_the_state(mode: Mode) -> None:
+    world = World()
+    world.bring_to(mode)
+    assert "not by us" not in world.query().text
+    world.car.commands, world.car.enabled = 0, True  # by somebody else, who goes on telling it
+    advance = world.car.advance
+
+    def kept(t: float) -> list[tuple[float, int, bytes]]:
+        world.car.enabled, world.car.heard = True, world.car.t
+        return advance(t)
+
+    world.car.advance = kept  # type: ignore[method-assign]
+    world.car.faults.clear()
+    world.car.overridden = False
+    world.until(world.t + 0.5)
+    assert "the kit has been enabled for" in world.query().text
+    assert world.mode is (Mode.STANDBY if mode is Mode.READY else mode)
+
+
+def test_the_kit_enabled_by_somebody_else_is_told_after_a_while() -> None:
+    world = World()
+    world.order(Order.ARM)
+    world.until(0.5)
+    assert world.mode is Mode.READY
+    world.core.senses.values["enabled"], world.core.senses.enabled_since = 1.0, world.t
+    assert world.core.facts(world.t + 0.2).foreign_enable == pytest.approx(0.2)

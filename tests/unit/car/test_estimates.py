@@ -1,0 +1,249 @@
+"""What a car tells of itself in any drive: true, within its intervals, and never at the cost of the drive."""
+
+from __future__ import annotations
+
+import copy
+import math
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from steerkit.car import estimates, protocol
+from steerkit.car.estimates import CarEstimators, Watched, changes, known_in, told
+from steerkit.car.protocol import ESTIMATES, Snapshot
+from steerkit.car.state_machine import Mode
+from steerkit.diagram.units import radians_of
+from steerkit.estimators.estimate import Estimated
+from steerkit.vehicles.file import vehicle_text
+from tests.support.calibrated_car import CONFIG, DELAY, LAG, OFFSET, RATE_ZERO, RATIO, Made
+
+NAN = math.nan
+
+
+def fed(samples: list[Snapshot]) -> dict[str, Estimated]:
+    estimators = CarEstimators(CONFIG)
+    for sample in samples:
+        estimators.sample(sample)
+    return estimators.found()
+
+
+def samples_of(made: Made) -> list[Snapshot]:
+    return made.world.seen
+
+
+def test_the_truth_that_nobody_told_is_in_the_intervals(calibration: Made) -> None:
+    found = calibration.world.watched.found
+    late = calibration.world.late()
+    assert 0.005 < late < 0.035, "the car server's share"
+    truth = {
+        "delay_lag": DELAY + LAG + late,
+        "delay": DELAY + late,
+        "lag": LAG,
+        "steer_ratio": RATIO * CONFIG.vehicle.steer_ratio,
+        "understeer": CONFIG.vehicle.understeer_gradient,
+        "offset": OFFSET,
+        "rate_zero": RATE_ZERO,
+        "friction": 0.0,
+        "play": 0.0,
+    }
+    assert list(found) == list(ESTIMATES)
+    outside = {
+        name: (found[name], true) for name, true in truth.items() if not found[name].low <= true <= found[name].high
+    }
+    assert not outside
+    known = {name for name, q in found.items() if q.valid > 0.5}
+    assert {"delay", "lag", "delay_lag", "steer_ratio", "rate_zero"} <= known
+    assert "understeer" not in known, "nothing below 15 m/s tells it"
+    assert found["delay_lag"].high - found["delay_lag"].low < 0.03
+    assert found["lag"].value == pytest.approx(LAG, abs=0.02), "half of it again would be beyond one prior's reach"
+    assert found["steer_ratio"].high - found["steer_ratio"].low < 1.2
+
+
+def test_a_samples_motion_goes_with_the_next_ones_wheel_and_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The command that acted from it on is known with the next; the filter takes the wheel a sample late (`held`)."""
+    got: dict[str, dict[str, float]] = {}
+    monkeypatch.setattr(CarEstimators, "_feed", lambda of, name, **given: got.update({name: given}))
+    one = Snapshot(t=1.0, v=5.0, r=0.1, psi=0.2, delta_sw=0.3, command=0.4, report_age=0.01, mode=Mode.ENGAGED)
+    two = Snapshot(t=1.05, v=6.0, r=0.5, psi=0.6, delta_sw=0.7, command=0.8, report_age=0.0, mode=Mode.ENGAGED)
+    estimators = CarEstimators(CONFIG)
+    estimators.sample(one)
+    estimators.sample(two)
+    for name, angle in (("filter", "delta_sw"), ("play", "angle")):
+        motion = {key: got[name][key] for key in ("v", "r", "psi", angle, "delay", "lag")}
+        assert motion == {"v": 5.0, "r": 0.1, "psi": 0.2, angle: 0.7, "delay": 0.05, "lag": 0.0}
+    for name, command in (("short lag", "delta_sw_cmd"), ("long lag", "delta_sw_cmd"), ("friction", "angle")):
+        assert (got[name][command], got[name]["delta_sw_meas"], got[name]["active"]) == (0.8, 0.3, 1.0)
+    estimators.sample(two._replace(t=1.15))
+    assert math.isnan(got["filter"]["delta_sw"])
+    assert math.isnan(got["filter"]["psi"])
+    assert math.isnan(got["short lag"]["delta_sw_cmd"])
+    assert got["short lag"]["active"] == 0.0
+
+
+def test_who_drives_by_hand_tells_the_ratio_but_no_delay(calibration: Made) -> None:
+    by_hand = [s._replace(mode=Mode.STANDBY) for s in samples_of(calibration)]
+    found = fed(by_hand)
+    assert found["steer_ratio"].valid == 1.0
+    assert found["steer_ratio"].low < RATIO * CONFIG.vehicle.steer_ratio < found["steer_ratio"].high
+    prior = fed([])
+    for name in ("delay", "lag", "delay_lag", "friction"):
+        assert (found[name].value, found[name].valid) == (prior[name].value, 0.0)
+
+
+def test_nothing_drifts_at_standstill() -> None:
+    still = [
+        Snapshot(t=0.05 * k, v=0.0, r=0.001, psi=0.3, delta_sw=0.2, command=0.2, report_age=0.01) for k in range(2000)
+    ]
+    found, prior = fed([s._replace(mode=Mode.ENGAGED) for s in still]), fed([])
+    for name in set(ESTIMATES) - {"rate_zero", "delay", "delay_lag"}:
+        assert found[name].value == prior[name].value, name
+        assert found[name].deviation >= prior[name].deviation, name
+    assert found["delay_lag"].value == pytest.approx(prior["delay_lag"].value - 0.01)  # the report's age
+    assert not any(found[name].valid for name in ESTIMATES if name != "rate_zero")
+    assert found["rate_zero"].value == pytest.approx(0.001, abs=1e-4), "a gyro that stands says its zero"
+
+
+@pytest.fixture(scope="module")
+def under_way(calibration: Made) -> tuple[CarEstimators, list[Snapshot], dict[str, Estimated]]:
+    """Estimators after 15 s, the samples of the next 6, and what they find in these."""
+    samples = samples_of(calibration)[:420]
+    estimators = CarEstimators(CONFIG)
+    for sample in samples[:300]:
+        estimators.sample(sample)
+    return estimators, samples[300:], fed(samples)
+
+
+@pytest.mark.parametrize("name", ["r", "v", "delta_sw", "psi", "command", "report_age"])
+@pytest.mark.parametrize("value", [NAN, math.inf, -math.inf, 1e300])
+def test_a_signal_that_is_no_number_for_a_while_teaches_nothing_and_harms_nothing(
+    under_way: tuple[CarEstimators, list[Snapshot], dict[str, Estimated]], name: str, value: float
+) -> None:
+    before, samples, whole = under_way
+    estimators = copy.deepcopy(before)
+    for k, sample in enumerate(samples):
+        estimators.sample(sample._replace(**{name: value}) if k < 40 else sample)
+    found = estimators.found()
+    assert all(math.isfinite(number) for q in found.values() for number in q)
+    for quantity in ("steer_ratio", "delay_lag"):
+        assert found[quantity].value == pytest.approx(whole[quantity].value, abs=3.0 * found[quantity].deviation + 0.02)
+
+
+def test_samples_that_come_late_or_are_lost_are_waited_out(calibration: Made) -> None:
+    """Without that, what is 0.2 s older than it is taken for would be delay, and heading that nobody measured."""
+    samples = samples_of(calibration)
+    found = fed([s for k, s in enumerate(samples) if k % 97 not in (1, 2, 3)])
+    late = calibration.world.late()
+    assert found["delay_lag"].low < DELAY + LAG + late < found["delay_lag"].high
+    assert found["rate_zero"].low < RATE_ZERO < found["rate_zero"].high
+
+
+def test_a_frozen_gyro_is_not_believed_to_be_a_car(calibration: Made) -> None:
+    samples = samples_of(calibration)
+    found = fed([s._replace(r=samples[0].r, psi=samples[0].psi) for s in samples])
+    assert found["delay_lag"].valid == 1.0, "the wheel goes on telling"
+    assert not (found["steer_ratio"].valid > 0.5 and found["steer_ratio"].high < 2.0 * CONFIG.vehicle.steer_ratio)
+
+
+def test_an_error_of_arithmetic_begins_anew_and_is_counted(calibration: Made, monkeypatch: pytest.MonkeyPatch) -> None:
+    estimators = CarEstimators(CONFIG)
+    samples = samples_of(calibration)
+    for sample in samples[:200]:
+        estimators.sample(sample)
+    whole = type(estimators.blocks["play"]).update
+
+    def divides(*_: Any) -> Any:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(type(estimators.blocks["play"]), "update", divides)
+    estimators.sample(samples[200])
+    monkeypatch.setattr(type(estimators.blocks["play"]), "update", whole)
+    assert estimators.faults == 1
+    assert estimators.found() == CarEstimators(CONFIG).found()
+    for sample in samples[201:300]:
+        estimators.sample(sample)
+    estimators.x["filter"] = tuple(-1.0 for _ in estimators.x["filter"])  # no covariance: its roots do not exist
+    assert estimators.found() == CarEstimators(CONFIG).found()
+    assert estimators.faults == 2
+
+
+def test_a_screen_has_few_rows(calibration: Made) -> None:
+    watched = Watched(calibration.world, CONFIG, print)
+    assert watched.rows() == []
+    watched.found = {name: Estimated(0.1, 0.01, float(name == "lag")) for name in ESTIMATES}
+    watched.before, watched.estimators.faults = {"lag": Estimated(0.3, 0.01, 1.0)}, 2
+    found, rest, *more = watched.rows()
+    assert found == ("found", "lag 0.100 [0.080, 0.120] s")
+    assert rest[0] == "not yet"
+    assert rest[1].startswith("dead time, dead time and lag, steering ratio")
+    assert [text.split(":")[0] for _, text in more] == [
+        "changed since the last calibration",
+        "the estimators began anew 2 times",
+    ]
+    assert len(watched.report()) == len(ESTIMATES) + 2
+
+
+def test_the_request_goes_out_before_anything_is_computed() -> None:
+    order: list[Any] = []
+
+    class Line:
+        last = Snapshot(t=0.0)
+
+        def query(self) -> Snapshot:
+            return self.last
+
+        def request(self, delta_sw: float) -> None:
+            order.append(delta_sw)
+
+    watched = Watched(Line(), CONFIG, order.append)
+    watched.estimators.sample = lambda now: order.append("estimated")  # type: ignore[method-assign]
+    for k in range(estimates.EVERY):
+        watched.request(0.1 * k)
+    assert order[:2] == [0.0, "estimated"]
+    assert isinstance(order[-1], protocol.Estimates)
+    assert sum(isinstance(one, protocol.Estimates) for one in order) == 1
+    assert watched.query() is Line.last
+
+
+# ---- since the last drive ----------------------------------------------------------------------------------------
+
+
+def known(value: float, deviation: float, valid: float = 1.0) -> dict[str, Estimated]:
+    return {"steer_ratio": Estimated(value, deviation, valid)}
+
+
+def test_a_change_is_told_in_words_and_chance_is_none() -> None:
+    (said,) = changes(known(15.6, 0.1), known(17.2, 0.1))
+    assert said == (
+        "changed since the last calibration: steering ratio 15.60 [15.40, 15.80] then, 17.20 [17.00, 17.40] now"
+    )
+    assert changes(known(15.6, 0.1), known(15.85, 0.1)) == []
+    assert len(changes(known(15.6, 0.1), known(15.9, 0.1))) == 1
+    assert changes(known(15.6, 0.1), known(17.2, 0.1, valid=0.0)) == []
+    assert changes({}, known(17.2, 0.1)) == []
+    assert told("offset", radians_of(1.5), 0.0) == "offset of the wheel 1.50 [1.50, 1.50] deg"
+
+
+def test_only_what_a_drive_told_counts_as_known() -> None:
+    rows: dict[str, Any] = {
+        "steer_ratio": {"value": 17.0, "low": 16.8, "high": 17.2, "unit": "1", "told_by": "drive"},
+        "offset": {"value": 0.0, "unit": "rad", "told_by": "data sheet"},
+        "lag": {"value": 0.1, "low": 0.05, "high": 0.15, "unit": "s", "told_by": "log"},
+        "delay": {"value": 0.1, "low": NAN, "high": 0.15, "unit": "s", "told_by": "drive"},
+        "colour": {"value": 0.1, "low": 0.0, "high": 0.15, "unit": "s", "told_by": "drive"},
+    }
+    found = known_in(vehicle_text(CONFIG.vehicle, estimates=rows))
+    assert list(found) == ["steer_ratio"]
+    assert (found["steer_ratio"].low, found["steer_ratio"].high) == pytest.approx((16.8, 17.2))
+    assert known_in('format = "steerkit vehicle 1"\nestimates = 3') == {}
+    assert known_in('format = "steerkit vehicle 1"\n[estimates]\nlag = 3') == {}
+    with pytest.raises(ValueError, match="mine: not TOML"):
+        known_in("[", "mine")
+
+
+def test_a_car_whose_file_was_calibrated_is_compared_in_every_drive() -> None:
+    row = {"value": 17.0, "low": 16.8, "high": 17.2, "unit": "1", "told_by": "drive"}
+    text = vehicle_text(CONFIG.vehicle, estimates={"steer_ratio": row})
+    config = replace(CONFIG, vehicle_file="mine.toml", texts={**CONFIG.texts, "mine.toml": text})
+    assert estimates.earlier(config)["steer_ratio"].value == 17.0
+    assert estimates.earlier(CONFIG) == {}

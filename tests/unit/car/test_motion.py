@@ -1,0 +1,163 @@
+"""Dead reckoning against the pose: closed forms of what is noticed and when, and that a sound car is never accused."""
+
+from __future__ import annotations
+
+import math
+import random
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from steerkit.car.motion import HORIZON, READ_LATE, Motion, MotionLimits, Sample
+from steerkit.diagram.units import radians_of
+
+LENGTH, RATIO, DT = 2.71, 15.6, 0.01
+LIMITS = MotionLimits()
+
+
+def drive(
+    seconds: float,
+    *,
+    v: float = 5.0,
+    kappa: float = 0.0,
+    drift: tuple[float, float] = (0.0, 0.0),
+    psi_rate: float = 0.0,
+    r_gain: float = 1.0,
+    wheel_off: float = 0.0,
+    late: float = 0.0,
+    beta: float = 0.0,
+    since: float = 0.0,
+) -> tuple[float, str]:
+    """(when it was noticed [s], what was said) of a car on a circle; its pose drifts (along, across) after `since`."""
+    motion, psi, x, y = Motion(LIMITS, wheelbase=LENGTH, steer_ratio=RATIO), 0.3, 1.0, 2.0
+    for k in range(round(seconds / DT)):
+        t = k * DT + (late if k % 37 == 36 else 0.0)
+        r = v * kappa
+        delta_sw = RATIO * math.atan(LENGTH * kappa) + wheel_off
+        seen = psi + psi_rate * k * DT
+        motion.moves(t, psi=math.remainder(seen, math.tau), v=v, r=r_gain * r, beta=beta, delta_sw=delta_sw)
+        what = motion.pose(t, x, y)
+        if what:
+            return k * DT, what
+        middle = psi + beta + 0.5 * r * DT
+        along, across = drift if k * DT >= since else (0.0, 0.0)
+        x += DT * ((v + along) * math.cos(middle) - across * math.sin(middle))
+        y += DT * ((v + along) * math.sin(middle) + across * math.cos(middle))
+        psi += r * DT
+    return math.inf, ""
+
+
+@given(v=st.floats(-1.0, 12.0), kappa=st.floats(-0.08, 0.08))
+def test_a_sound_car_is_not_accused(v: float, kappa: float) -> None:
+    assert drive(6.0, v=v, kappa=kappa) == (math.inf, "")
+
+
+@pytest.mark.parametrize("kappa", [0.0, 0.05, -0.05])
+def test_nor_is_one_whose_frames_are_read_late_now_and_then(kappa: float) -> None:
+    assert drive(6.0, v=7.0, kappa=kappa, late=0.05) == (math.inf, "")
+
+
+@pytest.mark.parametrize("kappa", [0.0, 0.04])
+@pytest.mark.parametrize("rate", [0.2, -0.5, 1.0, -2.0])
+def test_a_drift_across_is_noticed_when_it_exceeds_what_a_heading_may_be_off(rate: float, kappa: float) -> None:
+    """|rate| T = pose_jump + motion_across v T; a sample is kept every 50 ms, so up to that much later."""
+    v = 5.0
+    expected = LIMITS.pose_jump / (abs(rate) - LIMITS.motion_across * v)
+    when, what = drive(6.0, v=v, kappa=kappa, drift=(0.0, rate))
+    assert expected <= when <= expected + 0.1
+    assert "across the heading" in what
+
+
+@pytest.mark.parametrize("rate", [1.0, -1.0, -5.0])
+def test_a_drift_along_is_noticed_when_it_exceeds_what_the_speed_may_be_off(rate: float) -> None:
+    v = 5.0
+    expected = (LIMITS.pose_jump + READ_LATE * v) / (abs(rate) - LIMITS.motion_along * v)
+    when, what = drive(6.0, v=v, drift=(rate, 0.0))
+    assert expected <= when <= expected + 0.1
+    assert "along from where" in what
+
+
+def test_a_drift_within_the_heading_s_error_goes_unseen_and_moves_the_car_as_slowly_as_promised() -> None:
+    slowest = LIMITS.motion_across * 5.0 + LIMITS.pose_jump / HORIZON
+    assert drive(20.0, drift=(0.0, 0.95 * slowest))[0] == math.inf
+    assert drive(20.0, drift=(0.0, 1.1 * slowest))[0] < math.inf
+
+
+@pytest.mark.parametrize("rate_deg", [2.0, -10.0, 60.0])
+def test_a_heading_that_leaves_the_yaw_rate_is_noticed(rate_deg: float) -> None:
+    rate = radians_of(rate_deg)
+    expected = LIMITS.heading_slack / (abs(rate) - LIMITS.heading_rate)
+    when, what = drive(6.0, v=0.0, psi_rate=rate)
+    assert expected <= when <= expected + 0.1
+    assert "the heading is" in what
+
+
+@pytest.mark.parametrize("gain", [-1.0, 0.0, 0.5, 1.6])
+def test_a_wrong_yaw_rate_is_noticed_in_a_bend(gain: float) -> None:
+    assert drive(6.0, kappa=0.05, r_gain=gain)[0] < 1.0
+
+
+def test_a_wheel_that_the_car_does_not_obey_is_noticed() -> None:
+    when, what = drive(6.0, wheel_off=radians_of(100.0))
+    assert when < 1.0
+    assert "than its wheel says" in what
+    assert drive(6.0, v=2.0, wheel_off=radians_of(20.0))[0] == math.inf  # an offset that a kit may have
+
+
+def test_after_a_pause_it_begins_anew() -> None:
+    motion = Motion(LIMITS, wheelbase=LENGTH, steer_ratio=RATIO)
+    motion.moves(0.0, psi=0.0, v=5.0, r=0.0, beta=0.0, delta_sw=0.0)
+    assert motion.pose(0.0, 0.0, 0.0) == ""
+    motion.forget()
+    motion.moves(9.0, psi=1.0, v=5.0, r=0.0, beta=0.0, delta_sw=0.0)
+    assert motion.pose(9.0, 70.0, 3.0) == ""
+
+
+@pytest.mark.parametrize("field", ["pose_jump", "motion_across", "heading_slack", "wheel_share"])
+@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf])
+def test_limits_are_checked(field: str, value: float) -> None:
+    with pytest.raises(ValueError, match=field):
+        MotionLimits(**{field: value})
+
+
+@pytest.mark.parametrize("beta", [0.03, -0.03])
+@pytest.mark.parametrize("kappa", [0.0, 0.04])
+def test_a_car_that_slides_moves_where_its_sideslip_says(beta: float, kappa: float) -> None:
+    assert drive(6.0, beta=beta, kappa=kappa) == (math.inf, "")
+
+
+def test_a_drift_is_noticed_as_soon_whenever_it_begins() -> None:
+    """Windows overlap and never start anew, not even when the oldest sample is dropped."""
+    took = [drive(9.0, drift=(0.0, 0.2), since=since)[0] - since for since in (0.0, 1.0, 3.0, 3.5, 4.5)]
+    assert max(took) <= min(took) + 0.1
+
+
+def test_a_position_may_come_a_tenth_of_a_second_before_the_speed_of_its_moment() -> None:
+    motion, v = Motion(LIMITS, wheelbase=LENGTH, steer_ratio=RATIO), 12.0
+    for k in range(100):
+        motion.moves(k * DT, psi=0.0, v=v, r=0.0, beta=0.0, delta_sw=0.0)
+        assert motion.pose(k * DT, v * k * DT, 0.0) == ""
+    assert motion.pose(1.09, v * 1.09, 0.0) == ""
+
+
+class Thorough(Motion):
+    """Looks at each kept pose, however well the new one agrees."""
+
+    def _agrees(self, here: Sample, v: float) -> bool:
+        return False
+
+
+@given(seed=st.integers(0, 10**6), size=st.floats(0.0, 3.0))
+def test_what_agrees_at_a_glance_agrees_with_each_kept_pose(seed: int, size: float) -> None:
+    dice = random.Random(seed)
+    motions = [kind(LIMITS, wheelbase=LENGTH, steer_ratio=RATIO) for kind in (Motion, Thorough)]
+    off = [0.0, 0.0, 0.0, 0.0]
+    for k in range(600):
+        t = k * DT - (0.08 if dice.random() < 0.05 else 0.0)  # a time stamp goes back now and then
+        off = [a + size * dice.gauss(0.0, s) for a, s in zip(off, (0.03, 0.01, 0.002, 0.02))]
+        said = set()
+        for motion in motions:
+            motion.moves(t, psi=off[2], v=5.0, r=0.2 * math.sin(t), beta=0.0, delta_sw=off[3])
+            said.add(motion.pose(t, 5.0 * t + off[0], off[1]))
+        assert len(said) == 1

@@ -1,0 +1,93 @@
+"""The panel without a terminal: when it rings, and whether anybody could let go by key."""
+
+from __future__ import annotations
+
+import time
+from types import SimpleNamespace
+from typing import Any, Self
+
+import pytest
+
+from steerkit.car import panel
+from steerkit.car.client import CarLost
+from steerkit.car.panel import Panel, adapted_line, filter_line
+from steerkit.car.protocol import Adapted, Filtered, Snapshot
+from steerkit.car.state_machine import Mode, Order
+
+
+class Line:
+    """A line to a car server that goes through some states, and then stays or is lost."""
+
+    def __init__(self, modes: list[Mode], lost: bool):
+        self.modes, self.lost, self.refused = modes, lost, list[str]()
+        self.beats, self.orders = 0, list[Order]()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Nothing to close."""
+
+    def beat(self) -> None:
+        self.beats += 1
+
+    def order(self, order: Order) -> None:
+        self.orders.append(order)
+
+    def query(self) -> Snapshot:
+        if len(self.modes) == 1 and self.lost:
+            raise CarLost("the car server has ended")
+        return Snapshot(t=0.0, mode=self.modes.pop(0) if len(self.modes) > 1 else self.modes[0], text="why")
+
+
+def shown(
+    monkeypatch: pytest.MonkeyPatch, *modes: Mode, lost: bool = False, simulated: bool = True
+) -> tuple[Line, int]:
+    """A panel over these states; its line, and how often it rang."""
+    line, rings = Line(list(modes), lost), list[int]()
+    monkeypatch.setattr(panel, "CarClient", lambda *words, **more: line)
+    monkeypatch.setattr(panel, "_ring", lambda: rings.append(1))
+    options = SimpleNamespace(simulated=simulated, time_scale=100.0)
+    session: Any = SimpleNamespace(socket="", options=options, ending=False, timing=None)
+    end = time.monotonic() + 60.0
+    try:
+        with Panel(session, "a drive", live=False):
+            while not session.ending and (len(line.modes) > 1 or lost):
+                assert time.monotonic() < end
+                time.sleep(0.001)
+    except CarLost:
+        assert lost
+    assert session.ending
+    assert line.orders[-1] is Order.DISENGAGE
+    return line, len(rings)
+
+
+@pytest.mark.parametrize("after", [Mode.STANDBY, Mode.READY, Mode.OVERRIDE, Mode.FAULT, Mode.OFF])
+def test_it_rings_at_every_takeover_and_else_not(monkeypatch: pytest.MonkeyPatch, after: Mode) -> None:
+    assert shown(monkeypatch, Mode.OFF, Mode.STANDBY, Mode.READY, Mode.ENGAGED, Mode.ENGAGED, after, after)[1] == 1
+    assert shown(monkeypatch, Mode.READY, after, after)[1] == 0
+
+
+def test_it_rings_when_the_car_server_is_lost_while_it_steers(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert shown(monkeypatch, Mode.READY, Mode.ENGAGED, Mode.ENGAGED, lost=True)[1] == 1
+    assert shown(monkeypatch, Mode.READY, Mode.STANDBY, Mode.STANDBY, lost=True)[1] == 0
+
+
+@pytest.mark.parametrize("simulated", [False, True])
+def test_without_a_keyboard_a_real_car_hears_no_heartbeat(monkeypatch: pytest.MonkeyPatch, simulated: bool) -> None:
+    monkeypatch.setattr(panel.sys, "stdin", SimpleNamespace(isatty=lambda: False))
+    line, _ = shown(monkeypatch, *[Mode.STANDBY] * 5, simulated=simulated)
+    assert (line.beats > 0) is simulated
+
+
+def test_the_line_of_what_a_controller_that_adapts_is_told() -> None:
+    assert adapted_line(Adapted(0.2144, 1.0831)) == "dead time 0.214 s, steering ratio 1.083 times the data sheet's"
+
+
+def test_the_filters_line_says_what_it_did_and_how_often() -> None:
+    corrected = Filtered(0.3, 0.2, 0.25, 0.61, 2.0)
+    assert filter_line(corrected, [True, False, False, False]) == (
+        "corrected, 25 % backup, reach 0.61 m; changed 25.0 % of the last minute"
+    )
+    assert filter_line(Filtered(0.3, 0.3, 0.0, 0.2, 0.0), []) == "passed, reach 0.20 m"
+    assert filter_line(Filtered(0.3, 0.0, 1.0, 0.2, 7.0), [True]).startswith("recovery: the filter was late, reach")

@@ -1,0 +1,83 @@
+"""Recorded drives: taken apart by controller, and replayed with the very net that drove."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from steerkit.car import protocol
+from steerkit.car import replay as replays
+from steerkit.car.client import ReplayLink
+from steerkit.car.follow import Steers
+from steerkit.car.recording import Message, Recorded
+from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.learning.nfq import iterate as nfq
+from steerkit.learning.settings import setting
+from tests.support.car_world import setup
+
+CONFIG, COURSE = setup()
+
+
+def client(link: int, message: protocol.Message) -> Message:
+    return Message("/client", {"t": 0.0, "link": link, "data": protocol.encode(message).hex()})
+
+
+def car(t: float) -> Message:
+    return Message("/car", {**protocol.Snapshot(t)._asdict(), "mode": "READY"})
+
+
+def test_a_drive_is_what_one_controller_saw_and_asked_for() -> None:
+    stanley, mpc = Steers(name="stanley"), Steers(name="mpc")
+    messages = [
+        client(1, protocol.Hello(True)),
+        client(2, protocol.Hello(False)),
+        client(1, protocol.Remark(stanley.text())),
+        car(0.1),
+        car(0.15),
+        client(1, protocol.Request(0.15, 0.5, 0)),
+        client(2, protocol.Request(0.15, 9.0, 0)),  # refused: it is no controller
+        car(0.2),
+        client(1, protocol.Request(0.2, 0.6, 0)),
+        Message("/client", {"t": 0.0, "link": 1, "data": "ff00"}),
+        client(3, protocol.Hello(True)),
+        client(3, protocol.Remark(mpc.text())),
+        car(0.3),
+        client(3, protocol.Request(0.3, 0.7, 0)),
+    ]
+    first, second = replays.drives(Recorded({}, messages, [], 0, False))
+    assert first.requests == [(0.15, 0.5), (0.2, 0.6)]
+    assert [s.t for s in first.snapshots] == [0.1, 0.15, 0.2]
+    assert (first.first, first.remarks, first.who) == (2, [(0, stanley)], "stanley")
+    assert (second.requests, second.first, second.who) == ([(0.3, 0.7)], 1, "mpc")
+
+
+def test_a_net_that_has_changed_since_is_not_the_one_that_drove(tmp_path: Path) -> None:
+    how = setting("default")
+
+    def write(seed: int) -> None:
+        nets = nfq.fresh_nets(how.fit, how.description(), seed=seed)
+        NfqPolicy(nets=nets, actions=how.actions, description=how.description()).save(tmp_path / "net.npz")
+
+    write(1)
+    steers = Steers.by_policy(tmp_path / "net.npz", how.doe)
+    known = replays.Nets(CONFIG, COURSE, ReplayLink([]))
+    assert known.follow(steers) is known.follow(steers)
+    write(2)
+    with pytest.raises(ValueError, match="is not the net that drove"):
+        replays.Nets(CONFIG, COURSE, ReplayLink([])).follow(steers)
+    (tmp_path / "net.npz").unlink()
+    with pytest.raises(ValueError, match="is gone"):
+        replays.Nets(CONFIG, COURSE, ReplayLink([])).follow(steers)
+
+
+def test_a_request_that_is_no_number_is_the_same_when_it_is_none_again() -> None:
+    """So it is where the wheel's report is stale: NaN is asked for, and the gate lets nothing through."""
+    there: dict[str, Any] = {"x": 10.0, "y": 0.0, "psi": 0.0, "v": 5.0, "beta": 0.0, "r": 0.0, "a_y": 0.0}
+    wheel = (0.1, 0.1, math.nan, math.nan, 0.1, 0.1)
+    seen = [protocol.Snapshot(0.05 * k, **there, delta_sw=angle) for k, angle in enumerate(wheel)]
+    drive = replays.Drive(snapshots=seen, requests=[(s.t, math.nan) for s in seen[1:]], first=2)
+    none_again = 3  # two without a report, and one more whose controller remembers none
+    assert replays.replayed_requests(drive, CONFIG, COURSE, controller="stanley") == none_again

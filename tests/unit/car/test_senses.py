@@ -1,0 +1,314 @@
+"""What the frames say: values, ages, and what is wrong although each frame is well."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import pytest
+
+from steerkit.car.config.config import CarConfig
+from steerkit.car.config.reading import load
+from steerkit.car.frames.codec import SignalEncoder
+from steerkit.car.senses import BEHIND, BEHIND_TIME, Punctuality, Senses
+from steerkit.diagram.units import radians_of
+from steerkit.paths.courses import course, straight
+from steerkit.paths.path import Path
+
+LINE = straight(length=400.0)
+POSE = {"x": 10.0, "y": 0.0, "psi": 0.0, "v": 5.0, "r": 0.0, "beta": 0.0, "a_y": 0.0, "quality": 4.0}
+REPORT = {"delta_sw": 0.0, "v_kit": 5.0, "torque": 0.2, "echo": 0.0, "enabled": 1.0}
+
+
+@cache
+def config() -> CarConfig:
+    return load("dbw-kit.toml")
+
+
+class Bench:
+    """Senses, and the frames of a car for them."""
+
+    def __init__(self, path: Path = LINE) -> None:
+        self.senses = Senses(config(), path)
+        self.encoders = {reader.name: SignalEncoder(reader) for reader in config().readers}
+        self.counts = dict.fromkeys(self.encoders, 0)
+
+    def send(
+        self,
+        name: str,
+        t: float,
+        arrived: float | None = None,
+        sent: tuple[tuple[float, float], ...] = (),
+        **values: float,
+    ) -> None:
+        """One frame, with all values but these as usual."""
+        self.counts[name] += 1
+        data = self.encoders[name].write(POSE | REPORT | values, count=self.counts[name])
+        frame_id = self.encoders[name].reader.frame_id
+        self.senses.frame(t, t if arrived is None else arrived, frame_id, data, sent)
+
+    def pose(self, t: float, **values: float) -> None:
+        """The three frames of a pose."""
+        for name in ("POSE_MOTION", "POSE_DYNAMICS", "POSE_POSITION"):
+            self.send(name, t, **values)
+
+
+def test_a_value_that_is_not_available_is_an_error_and_changes_nothing() -> None:
+    bench = Bench()
+    bench.send("STEERING_REPORT", 1.0, delta_sw=0.3)
+    before = dict(bench.senses.values)
+    bench.send("STEERING_REPORT", 1.02, delta_sw=math.nan, v_kit=7.0)
+    assert bench.senses.values == before
+    assert "delta_sw not available" in bench.senses.errors[-1][1]
+    assert bench.senses.age(1.02, config().report_frames) == pytest.approx(0.02)
+
+
+def test_strong_reports_make_a_hand_on_the_wheel_and_each_weak_one_takes_a_third_off() -> None:
+    """So that the weak reports of another sender between them do not hide a hand."""
+    bench, seen = Bench(), []
+    for k, torque in enumerate((5.0, -5.0, 0.5, 5.0, 2.4, 2.6)):  # the limit is 2.5 N m, to either side
+        bench.send("STEERING_REPORT", 1.0 + 0.02 * k, torque=torque)
+        seen.append(bench.senses.torque_reports)
+    assert seen == pytest.approx([1.0, 2.0, 5 / 3, 8 / 3, 7 / 3, 10 / 3])
+    for k in range(20):
+        bench.send("STEERING_REPORT", 1.2 + 0.02 * k)
+    assert bench.senses.torque_reports == 0.0
+
+
+@pytest.mark.parametrize("turned", [1.5, -1.5])
+def test_one_jump_of_the_wheel_is_enough_to_end_driving(turned: float) -> None:
+    bench = Bench()
+    bench.send("STEERING_REPORT", 1.0)
+    bench.send("STEERING_REPORT", 1.02, delta_sw=0.4 * math.copysign(1.0, turned))  # 20 rad/s: a quick hand
+    assert not bench.senses.errors
+    bench.send("STEERING_REPORT", 1.04, delta_sw=turned)
+    assert len(bench.senses.errors) >= config().states.integrity_errors
+    assert "the wheel jumped by" in bench.senses.errors[-1][1]
+    assert bench.senses.error_count == 1
+
+
+@pytest.mark.parametrize(("t", "arrived", "age"), [(1.08, 1.0, 0.08), (1.0, 1.5, 0.0)])
+def test_the_age_counts_from_the_arrival_and_never_from_the_future(t: float, arrived: float, age: float) -> None:
+    bench = Bench()
+    bench.send("STEERING_REPORT", t, arrived)
+    assert bench.senses.age(t, config().report_frames) == pytest.approx(age, abs=1e-6)
+
+
+def test_the_oldest_frame_of_a_pose_tells_its_age() -> None:
+    bench = Bench()
+    assert bench.senses.age(1.0, config().pose_frames) == math.inf
+    bench.pose(1.0)
+    bench.send("POSE_MOTION", 1.1)
+    bench.send("POSE_POSITION", 1.1, x=10.5)
+    assert bench.senses.age(1.1, config().pose_frames) == pytest.approx(0.1, abs=1e-6)
+
+
+@pytest.mark.parametrize(("share", "well"), [(1.0, True), (0.0, False), (2.0, False), (-1.0, False)])
+def test_a_position_moves_with_the_speed(share: float, well: bool) -> None:
+    """At `share` of 10 m/s over 0.4 s; backwards is wrong when the speed says forwards."""
+    bench = Bench()
+    for k in range(41):
+        bench.pose(1.0 + 0.01 * k, x=10.0 + share * 0.1 * k, v=10.0, v_kit=10.0)
+    assert (not bench.senses.errors) is well
+    if not well:
+        assert "m along from where" in bench.senses.errors[0][1]
+
+
+def test_a_position_that_jumps_is_enough_to_end_driving() -> None:
+    bench = Bench()
+    bench.pose(1.0)
+    bench.pose(1.01, x=10.05)
+    assert not bench.senses.errors
+    bench.pose(1.02, x=10.8)
+    assert len(bench.senses.errors) >= config().states.integrity_errors
+
+
+def test_the_delay_of_the_pose_is_told_from_the_quickest_so_far() -> None:
+    """Its clock differs from ours by a constant that nobody knows; the first pose is 30 ms late, then one is not."""
+    for offset in (0.0, 12.345, 64.1):  # the last wraps on the way: 16 bits of milliseconds
+        bench, delays = Bench(), []
+        for k, late in enumerate((0.03, 0.0, 0.05, 0.0)):
+            measured = 1.0 + 0.3 * k
+            stamp = (measured + offset) % 65.536
+            bench.send("POSE_DYNAMICS", measured + late, stamp=stamp)
+            delays.append(bench.senses.delay)
+        assert delays == pytest.approx([0.0, 0.0, 0.05, 0.0], abs=2e-3)
+    bench.senses.forget_delay()
+    assert bench.senses.delay == 0.0
+
+
+def test_a_command_is_echoed_until_a_newer_one_should_be() -> None:
+    """An echo of the command of 1.00 s is good until 1.02 s, when the next was sent."""
+    sent = ((1.0, 0.1), (1.02, 0.2), (1.04, 0.3))
+    for echo, good_until in ((0.3, 1.06), (0.2, 1.04), (0.1, 1.02), (0.5, 0.0)):
+        bench = Bench()
+        bench.send("STEERING_REPORT", 1.06, sent=sent, echo=echo)
+        assert bench.senses.echo_ok == pytest.approx(good_until)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_the_wheel_is_where_the_commands_of_the_last_third_of_a_second_sent_it(side: float) -> None:
+    far = 1.2 * config().states.follow_angle * side
+    bench = Bench()
+    for t, sent, good_until in (
+        (1.0, ((0.9, far), (0.98, 0.0)), 1.0),  # it is there
+        (1.1, ((0.9, 0.0), (1.08, far)), 1.1),  # it was told to leave just now
+        (1.5, ((0.9, 0.0), (1.2, far), (1.48, far)), 1.1),  # it was told so 0.3 s ago, and before that long ago
+        (1.6, ((1.3, far), (1.58, -far)), 1.6),  # on the way from one side to the other
+    ):
+        bench.send("STEERING_REPORT", t, sent=sent)
+        assert bench.senses.follow_ok == good_until
+
+
+def test_after_a_gap_the_place_on_the_path_is_looked_for_again() -> None:
+    path = course("paper")
+    bench = Bench(path)
+    for t, s, e in ((1.0, 20.0, 0.2), (31.0, 300.0, -0.3), (61.0, 150.0, 0.1)):
+        (x, y), psi = path.point(s), float(path.psi(s))
+        axle = {"x": x - e * math.sin(psi), "y": y + e * math.cos(psi)}
+        lead = config().vehicle.l_f
+        bench.pose(
+            t, x=axle["x"] - lead * math.cos(psi), y=axle["y"] - lead * math.sin(psi), psi=math.remainder(psi, math.tau)
+        )
+        assert bench.senses.e == pytest.approx(e, abs=2e-3)
+        before = bench.senses.places
+    bench.pose(61.01, x=bench.senses.values["x"], y=bench.senses.values["y"], psi=bench.senses.values["psi"])
+    assert bench.senses.places == before > 2, "only after a gap"
+
+
+def test_e_is_that_of_the_front_axle() -> None:
+    bench = Bench()
+    psi = radians_of(10.0)
+    bench.pose(1.0, y=0.1, psi=psi)
+    assert bench.senses.e == pytest.approx(0.1 + config().vehicle.l_f * math.sin(psi), abs=1e-3)
+    assert bench.senses.psi_e == pytest.approx(psi, abs=1e-3)
+
+
+def test_a_frame_of_another_kind_with_the_number_of_a_report_is_none() -> None:
+    bench = Bench()
+    bench.send("STEERING_REPORT", 1.0, delta_sw=0.1)
+    data = bench.encoders["STEERING_REPORT"].write(POSE | REPORT | {"delta_sw": 0.2})
+    for kind in ("x", "fd"):
+        bench.senses.frame(1.02, 1.02, 0x65, data, (), kind)
+    assert bench.senses.values["delta_sw"] == pytest.approx(0.1, abs=1e-3)
+    assert bench.senses.age(1.05, config().report_frames) == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize(("period", "foreign"), [(0.02, False), (0.01, True)])
+def test_too_many_reports_have_a_second_sender(period: float, foreign: bool) -> None:
+    bench = Bench()
+    for k in range(round(1.0 / period)):
+        bench.send("STEERING_REPORT", 1.0 + period * k)
+    assert ("STEERING_REPORT comes" in bench.senses.foreign[1]) is foreign
+
+
+def test_what_the_adapter_could_not_read_is_counted_not_obeyed() -> None:
+    bench = Bench()
+    bench.senses.frame(1.0, 1.0, -1, b"T0", (), "bad")
+    assert "no frame" in bench.senses.errors[-1][1]
+
+
+def stamped(clock: float, seconds: float = 8.0, jump: float = 0.0) -> Senses:
+    """Poses every 10 ms whose clock runs `clock` times as fast, and jumps after half of the time."""
+    bench = Bench()
+    for k in range(round(seconds / 0.01)):
+        t = 1.0 + 0.01 * k
+        bench.send("POSE_DYNAMICS", t, stamp=(clock * t + (jump if 2.0 * t > seconds else 0.0)) % 65.536)
+    return bench.senses
+
+
+def test_time_stamps_that_run_fast_or_jump_ahead_are_noticed() -> None:
+    assert not stamped(1.0001).errors
+    assert "run ahead" in stamped(1.02).errors[-1][1]
+    assert "5.00 s ahead" in stamped(1.0, jump=5.0).errors[-1][1]
+    assert stamped(1.0, jump=5.0).delay == pytest.approx(0.0, abs=2e-3)  # and is forgotten when it is back
+    assert stamped(1.0, jump=-1.0).delay == pytest.approx(1.0, abs=1e-2)
+
+
+def queued(share: float, *, seconds: float = 12.0, lost: int = 0, halt: float = 0.0) -> list[tuple[float, str]]:
+    """Errors of frames of 100 Hz that come later by `share` of the time, stamps and all: (when, what).
+
+    In the middle, so many frames are lost, and so long nothing comes; what was sent meanwhile then comes at once.
+    """
+    bench, middle = Bench(), round(50.0 * seconds)
+    for k in range(round(100.0 * seconds)):
+        t = 1.0 + 0.01 * k * (1.0 + share)
+        if middle <= k < middle + lost:
+            bench.counts["POSE_DYNAMICS"] += 1
+            continue
+        late = max(0.0, 1.0 + 0.01 * middle + halt - t) if k >= middle else 0.0
+        bench.send("POSE_DYNAMICS", t + late, stamp=t % 65.536)
+    return list(bench.senses.errors)
+
+
+def test_frames_that_come_later_and_later_are_noticed_whatever_their_stamps_say() -> None:
+    """A queue that fills up on the way, with stamps to match: their counter tells."""
+    errors = queued(0.02, seconds=9.0)
+    when, what = errors[0]
+    assert 1.0 + BEHIND / 0.02 + BEHIND_TIME < when < 1.0 + BEHIND / 0.018 + BEHIND_TIME
+    assert "POSE_DYNAMICS comes 129 ms later than its counter says" in what
+    assert len(errors) > config().states.integrity_errors
+    assert queued(0.005, seconds=40.0)
+    for share in (0.0, 1e-3, -1e-3, -0.02):  # the sender's quartz is no better; too quick is none of this
+        assert queued(share, seconds=40.0) == []
+
+
+@pytest.mark.parametrize("lost", [3, 15, 16, 17, 40])
+def test_lost_frames_are_no_delay(lost: int) -> None:
+    """The counter has 4 bits; more than three at a time are an error of their own, once."""
+    errors = [what for _, what in queued(0.0, lost=lost)]
+    assert len(errors) <= 1
+    assert all("counter" in what and "later" not in what for what in errors)
+
+
+@pytest.mark.parametrize(("modulus", "lost"), [(8, 7), (8, 8), (8, 12), (16, 12), (256, 13)])
+def test_lost_frames_are_counted_beyond_a_turn_of_the_counter(modulus: int, lost: int) -> None:
+    """A counter of three bits turns within 80 ms; again and again so many frames are lost, none of them is late."""
+    frames, late = Punctuality(0.01, modulus, 0.15), 0.0
+    for k in range(3000):
+        if k % 50 >= lost:
+            late = max(late, frames.behind(1.0 + 0.01 * k, k % modulus))
+    assert late == 0.0
+
+
+def test_a_sender_that_pauses_without_counting_is_not_late() -> None:
+    """After each pause it begins anew; no number of turns of its counter would explain them."""
+    frames, t, late = Punctuality(0.01, 16, 0.15), 1.0, 0.0
+    for k in range(1000):
+        t += 0.24 if k % 100 == 99 else 0.01
+        late = max(late, frames.behind(t, k % 16))
+    assert late == 0.0
+
+
+@pytest.mark.parametrize("halt", [0.05, 0.11, 0.4])
+def test_a_computer_that_reads_late_is_no_delay(halt: float) -> None:
+    assert [what for _, what in queued(0.0, halt=halt) if "later" in what] == []
+
+
+def test_a_delay_that_stays_is_forgotten_with_an_order_only() -> None:
+    bench = Bench()
+    for k in range(400):
+        bench.send("POSE_MOTION", 1.0 + 0.01 * k + 0.065 * (k > 100) + 0.065 * (k > 101))
+    errors = len(bench.senses.errors)
+    assert errors > 100
+    bench.senses.forget_delay()
+    for k in range(400, 600):
+        bench.send("POSE_MOTION", 1.13 + 0.01 * k)
+    assert len(bench.senses.errors) == errors
+
+
+def test_how_much_e_has_grown_within_a_second() -> None:
+    bench = Bench()
+    for k in range(151):
+        bench.pose(1.0 + 0.01 * k, y=0.01 * k)
+    assert bench.senses.e_growth(0.0) == pytest.approx(1.0, abs=0.02)
+    assert bench.senses.e_growth(2.3) == pytest.approx(0.2, abs=0.02)
+
+
+def test_how_far_it_is_to_the_end_of_an_open_course() -> None:
+    bench = Bench()
+    bench.pose(1.0, x=350.0)
+    assert bench.senses.remaining == pytest.approx(50.0 - config().vehicle.l_f, abs=0.1)
+    closed = Bench(course("paper"))
+    closed.pose(1.0)
+    assert closed.senses.remaining == math.inf

@@ -1,0 +1,64 @@
+"""Ports: what a block class makes of its declarations."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from dataclasses import dataclass, replace
+from typing import Any
+
+import pytest
+
+from steerkit.diagram.block import Block, In, Out
+from steerkit.learning.settings import DEFAULT
+from steerkit.learning.story import untrained
+from steerkit.plants.human import SpeedProfile
+from tests.support.parts import Gain
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Mixed(Block):
+    """Two inputs, one of them direct."""
+
+    now = In("m")
+    later = In("rad", direct=False)
+    y = Out("m")
+
+
+def test_output_sees_the_direct_inputs_and_update_all() -> None:
+    assert Mixed.D._fields == ("now",)
+    assert Mixed.U._fields == ("now", "later")
+    assert Mixed.Y._fields == ("y",)
+
+
+@pytest.mark.parametrize("kind", [In, Out])
+@pytest.mark.parametrize("unit", ["deg", "km/h", "", "M"])
+def test_a_port_has_a_unit_of_the_si(kind: type, unit: str) -> None:
+    with pytest.raises(ValueError, match=f"unit {unit!r} is not known; SI and radians only"):
+        kind(unit)
+
+
+FOREIGN = In("m")
+
+
+@pytest.mark.parametrize("direct", [("now",), "now", FOREIGN, (FOREIGN,), [FOREIGN]])
+def test_direct_names_own_inputs(direct: Any) -> None:
+    """By their objects: a name was met as an AttributeError deep in the wiring."""
+    parts = {"now": In("m"), "y": Out("m", direct=direct)}
+    with pytest.raises(TypeError, match=r"^Own\.y: direct = .*own In ports.*: direct=\(now,\) \(inputs: now\)$"):
+        type("Own", (Block,), parts)
+
+
+def test_a_block_is_printed_in_a_few_lines_however_many_numbers_it_holds() -> None:
+    for printed in (repr(untrained(DEFAULT, 0)), repr(SpeedProfile(speeds=(5.0,) * 4000, spacing=1.0))):
+        assert len(printed) < 900
+    assert repr(Mixed(dt=0.1)) == "Mixed(dt=0.1)"
+    assert "speeds=(5.0, 5.0, 5.0, 5.0, 5.0, 5.0, 5.0, 5.0, ... 4000 in all)" in printed
+
+
+def test_a_parameter_is_named_and_known() -> None:
+    with pytest.raises(TypeError, match=r"^Gain has no parameter 'gain'; did you mean|^Gain has no parameter 'gain' "):
+        Gain(gain=2.0)  # type: ignore[call-arg]
+    with pytest.raises(TypeError, match=r"^Gain: 2 arguments without a name, expected parameters by name: dt, k$"):
+        Gain(1.0, 2.0)  # type: ignore[misc]
+    assert copy.copy(Gain(k=3.0)).k == pickle.loads(pickle.dumps(Gain(k=3.0))).k == replace(Gain(), k=3.0).k

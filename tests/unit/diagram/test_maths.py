@@ -1,0 +1,110 @@
+"""One formula for floats, arrays and symbols."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import casadi
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from steerkit.diagram import maths as m
+
+VALUES = (-7.0, -math.pi, -1.0, -0.25, 0.0, 0.25, 1.0, math.pi, 7.0, 1e6)
+
+
+def everywhere(function: Any, *arguments: float) -> list[float]:
+    """The answer for floats, for arrays and for symbols."""
+    symbols = [casadi.SX.sym("x") for _ in arguments]
+    traced = casadi.Function("f", symbols, [function(*symbols)])
+    return [
+        float(function(*arguments)),
+        float(function(*[np.array([a, a]) for a in arguments])[1]),
+        float(traced(*arguments)),
+    ]
+
+
+ONE_CAR = [float, np.float64, np.array]
+BATCH = [*ONE_CAR, lambda value: np.array([value, value])]
+
+
+@pytest.mark.parametrize("condition", [True, np.True_, np.array(True)])
+@pytest.mark.parametrize("kind", ONE_CAR)
+def test_of_one_cars_numbers_one_is_chosen_as_it_is(condition: Any, kind: Any) -> None:
+    yes = kind(1.0)
+    assert m.where(condition, yes, 2.0) is yes
+    assert m.where(m.both(condition, np.array(False)), 2.0, yes) is yes
+
+
+@pytest.mark.parametrize("yes", BATCH)
+@pytest.mark.parametrize("no", BATCH)
+def test_for_a_batch_each_car_has_its_own(yes: Any, no: Any) -> None:
+    np.testing.assert_array_equal(m.where(np.array([True, False]), yes(1.0), no(2.0)), [1.0, 2.0])
+    np.testing.assert_array_equal(m.maximum(np.array([1.0, math.nan]), no(0.5)), [1.0, math.nan])
+
+
+@pytest.mark.parametrize("x", VALUES)
+def test_signs_and_wrapped_angles(x: float) -> None:
+    assert everywhere(m.sign, x) == [np.sign(x)] * 3
+    for angle in everywhere(m.wrap, x):
+        assert -math.pi <= angle < math.pi + 1e-9
+        assert math.remainder(angle - x, math.tau) == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("a", [0.0, 1.0])
+@pytest.mark.parametrize("b", [0.0, 1.0])
+def test_both_and_either(a: float, b: float) -> None:
+    def as_number(how: Any) -> Any:
+        return lambda x, y: m.where(how(x > 0.5, y > 0.5), 1.0, 0.0)
+
+    assert everywhere(as_number(m.both), a, b) == [a * b] * 3
+    assert everywhere(as_number(m.either), a, b) == [max(a, b)] * 3
+
+
+@pytest.mark.parametrize(("x", "answer"), [(-3.0, -1.0), (0.5, 0.5), (3.0, 2.0), (math.nan, math.nan)])
+def test_a_limiter_keeps_a_nan(x: float, answer: float) -> None:
+    assert everywhere(lambda value: m.clip(value, -1.0, 2.0), x) == pytest.approx([answer] * 3, nan_ok=True)
+
+
+@pytest.mark.parametrize(
+    ("x", "answer"), [(1e12, 1.0), (-1e299, 1.0), (math.inf, 0.0), (-math.inf, 0.0), (math.nan, 0.0)]
+)
+def test_what_is_finite(x: float, answer: float) -> None:
+    assert everywhere(lambda value: m.where(m.is_finite(value), 1.0, 0.0), x) == [float(math.isfinite(x))] * 3
+
+
+@given(rate=st.floats(-2.0, 2.0), start=st.floats(-5.0, 5.0))
+def test_runge_kutta_is_the_exponential_to_fifth_order(rate: float, start: float) -> None:
+    """One step for x' = rate x is the Taylor polynomial of fourth degree; a second state that turns with it."""
+    h = 0.1
+    (x,) = m.rk4(lambda x: (rate * x[0],), (start,), h)
+    z = rate * h
+    assert x == pytest.approx(start * (1.0 + z + z**2 / 2.0 + z**3 / 6.0 + z**4 / 24.0), rel=1e-13, abs=1e-15)
+
+
+@pytest.mark.parametrize("broken", [math.nan, math.inf, -math.inf, 2e300, -2e300])
+@pytest.mark.parametrize("place", [0, 1, 2])
+def test_all_are_finite_or_one_is_not(broken: float, place: int) -> None:
+    values = [-1e300, 0.0, 1e300]
+    assert [bool(found) for found in everywhere(lambda *v: m.all_finite(v), *values)] == [True] * 3
+    values[place] = broken
+    assert [bool(found) for found in everywhere(lambda *v: m.all_finite(v), *values)] == [False] * 3
+
+
+@pytest.mark.parametrize("condition", [True, False])
+def test_several_are_chosen_together(condition: bool) -> None:
+    def sums(a: Any, b: Any, c: Any, d: Any) -> Any:
+        first, second = m.chosen(a < b, (a, c), (b, d))
+        return first + 10.0 * second
+
+    assert everywhere(sums, 1.0, 2.0 * condition, 3.0, 4.0) == [31.0 if condition else 40.0] * 3
+
+
+def test_a_routine_is_called_on_floats_and_refuses_symbols_outside_of_a_trace() -> None:
+    routine = m.Routine(name="Twice", size=1, call=lambda a: (2.0 * a,), native=lambda: (0, 0))
+    assert routine(1.5) == (3.0,)
+    with pytest.raises(TypeError, match="Twice runs code of its own, which has no symbolic form"):
+        routine(casadi.SX.sym("x"))

@@ -1,0 +1,215 @@
+"""The runner, on a clock that the test moves: no drift, misses counted and acted on, slots left out."""
+
+from __future__ import annotations
+
+import gc
+import math
+import os
+import resource
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+
+from steerkit._support.clock import Clock
+from steerkit.diagram.block import Block, Out
+from steerkit.diagram.loop import Loop
+from steerkit.diagram.realtime import BIN, Run, Timing, histogram_text, prefer, preferred, run
+
+
+@dataclass
+class Hand:
+    """A clock that stands still until somebody waits or works."""
+
+    t: float = 1000.0
+    late: dict[int, float] = field(default_factory=dict)
+    """How much later than asked the n-th wait returns."""
+    waits: list[float] = field(default_factory=list)
+
+    def now(self) -> float:
+        return self.t
+
+    def sleep_until(self, t: float) -> None:
+        self.waits.append(t)
+        self.t = max(self.t, t + self.late.get(len(self.waits) - 1, 0.0))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Worker(Block):
+    """Counts, and takes its time."""
+
+    n = Out("1", direct=())
+    work: dict[int, float] = field(default_factory=dict)
+    clock: Hand = field(default_factory=Hand)
+    dt: float = 0.05
+
+    def init(self, batch: tuple[int, ...] = ()) -> Any:
+        return (0.0,)
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        return self.Y(x[0])
+
+    def update(self, t: Any, x: Any, u: Any, y: Any) -> Any:
+        self.clock.t += self.work.get(int(x[0]), 0.001)
+        return (x[0] + 1.0,)
+
+
+Late = dict[int, float] | None
+
+
+def go(work: Late = None, late: Late = None, seconds: float = 1.0, **options: Any) -> Any:
+    clock = Hand(late=late or {})
+    worker = Worker(work=work or {}, clock=clock)
+    return run(Loop(blocks={"worker": worker}, wires=[]), seconds, timer=clock, **options), clock
+
+
+def test_every_step_is_due_at_start_plus_k_dt() -> None:
+    live, clock = go({k: 0.01 + 0.001 * (k % 7) for k in range(200)}, {k: 0.0005 * (k % 3) for k in range(200)}, 10.0)
+    assert live.timing.steps == 200
+    assert live.timing.misses == 0
+    assert clock.waits == pytest.approx([1000.0 + 0.05 * k for k in range(200)], abs=1e-9)
+
+
+def test_a_late_step_misses_its_deadline_and_the_next_comes_at_once() -> None:
+    live, clock = go({3: 0.06})
+    assert live.timing.misses == 1
+    assert clock.waits == pytest.approx([1000.0 + 0.05 * k for k in range(20)], abs=1e-9)
+    assert live.timing.worst == pytest.approx(0.01)
+
+
+def test_slots_that_have_passed_are_left_out_and_the_rhythm_stays() -> None:
+    live, clock = go({3: 0.17})
+    assert live.timing.misses == 3
+    assert live.timing.steps == 18
+    assert clock.waits == pytest.approx([1000.0 + 0.05 * k for k in (0, 1, 2, 3, *range(6, 20))], abs=1e-9)
+    assert live.k == 18
+
+
+def test_a_system_that_wakes_us_too_late_is_a_miss_too() -> None:
+    live, _ = go(late={4: 0.055})
+    assert live.timing.misses == 1
+    assert live.timing.worst == pytest.approx(0.055)
+
+
+def test_misses_are_told_at_once_and_may_end_the_run() -> None:
+    told: list[tuple[int, int]] = []
+
+    def on_miss(live: Run) -> bool:
+        told.append((live.k, live.timing.misses_of_last_second))
+        return live.timing.misses_of_last_second >= 3
+
+    live, _ = go({3: 0.06, 6: 0.06, 9: 0.06, 12: 0.06}, on_miss=on_miss)
+    assert told == [(4, 1), (7, 2), (10, 3)]
+    assert live.k == 10
+
+
+def test_misses_are_forgotten_after_a_second() -> None:
+    live, _ = go({3: 0.06, 30: 0.06}, seconds=3.0)
+    assert live.timing.misses == 2
+    assert live.timing.misses_of_last_second == 0
+
+
+def test_the_watcher_ends_the_run_and_may_start_the_loop_again() -> None:
+    def watch(live: Run) -> bool:
+        if live.k == 5 and live.timing.steps < 10:
+            live.restart(live.loop.init())
+        return live.timing.steps == 12
+
+    live, _ = go(watch=watch)
+    assert live.timing.steps == 12
+    assert live.k == 7
+
+
+def test_an_exception_says_when_and_garbage_is_collected_again() -> None:
+    def watch(live: Run) -> bool:
+        assert not gc.isenabled()
+        return False
+
+    @dataclass(frozen=True, eq=False, kw_only=True)
+    class Broken(Worker):
+        def output(self, t: Any, x: Any, u: Any) -> Any:
+            if x[0] == 7.0:
+                raise RuntimeError("gone")
+            return self.Y(x[0])
+
+    clock = Hand()
+    with pytest.raises(RuntimeError) as caught:
+        run(Loop(blocks={"worker": Broken(clock=clock)}, wires=[]), 1.0, timer=clock, watch=watch)
+    assert "in tick 7" in caught.value.__notes__[0]
+    assert gc.isenabled()
+
+
+def test_jitter_comes_from_the_histogram() -> None:
+    timing = Timing(period=0.05)
+    for k in range(1000):
+        timing.started(1e-4 if k < 985 else 5e-3)
+    assert timing.jitter(0.5) == pytest.approx(1e-4, abs=1.01 * BIN)
+    assert timing.jitter(0.99) == pytest.approx(5e-3, abs=1.01 * BIN)
+    assert math.isnan(Timing(period=0.05).jitter(0.5))
+    assert timing.jitter(0.5) >= 1e-4 - 1e-12, "half of them stayed below it"
+    assert timing.jitter(0.99) >= 5e-3 - 1e-12
+    text = histogram_text(timing)
+    assert sum(int(line.split("ms")[-1].replace("and more", "").split()[0]) for line in text.splitlines()) == 1000
+    assert timing.summary()["steps"] == 1000
+
+
+@pytest.mark.parametrize("duration", [0.0, -1.0, math.nan])
+def test_bad_durations(duration: float) -> None:
+    with pytest.raises(ValueError, match="duration"):
+        go(seconds=duration)
+
+
+@pytest.mark.parametrize("scale", [0.0, -1.0, math.nan, 101.0])
+def test_bad_scales(scale: float) -> None:
+    with pytest.raises(ValueError, match="scale"):
+        Clock(scale=scale)
+
+
+def test_a_scaled_clock_runs_faster() -> None:
+    slow, fast = Clock(), Clock(scale=50.0)
+    a, b = slow.now(), fast.now()
+    fast.sleep_until(b + 1.0)
+    assert fast.now() >= b + 1.0
+    assert slow.now() - a >= 0.02 - 1e-6
+    assert fast.wall(1.0) == 0.02
+    assert fast.wall(-1.0) == 0.0
+
+
+# ---- SCHED_FIFO ---------------------------------------------------------------------------------------------------
+
+
+def test_a_machine_that_refuses_sched_fifo_is_told_apart_and_the_run_goes_on() -> None:
+    """For real: a child without any rights asks for it."""
+    reading, writing = os.pipe()
+    child = os.fork()
+    if child == 0:
+        try:
+            resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
+            if os.geteuid() == 0:
+                os.setuid(65534)
+            said = preferred()
+            try:
+                prefer()
+            except PermissionError as error:
+                said += f"|{error}"
+            live, _ = go({}, seconds=0.5)
+            os.write(writing, f"{said}|{live.timing.steps}".encode())
+        finally:
+            os._exit(0)
+    os.close(writing)
+    os.waitpid(child, 0)
+    said, raised, steps = os.read(reading, 4096).decode().split("|")
+    os.close(reading)
+    assert raised.startswith("SCHED_FIFO 50: not permitted; run as root, or")
+    assert said == f"{raised}; going on without: expect late steps when the machine is busy"
+    assert steps == "10"
+
+
+def test_where_it_is_granted_threads_and_children_do_not_have_it_unless_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[int, int]] = []
+    monkeypatch.setattr(
+        os, "sched_setscheduler", lambda pid, policy, param: asked.append((policy, param.sched_priority))
+    )
+    assert preferred(priority=7) == "SCHED_FIFO 7: granted"
+    prefer(priority=8, threads=True)
+    assert asked == [(os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, 7), (os.SCHED_FIFO, 8)]

@@ -1,0 +1,205 @@
+"""What is found of a car is told to the vehicle-state estimator: while valid, slowly, within bounds; and then it knows
+where a car is whose data sheet is wrong."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from steerkit.compiled import compile
+from steerkit.diagram.simulation import Log, simulate
+from steerkit.diagram.units import radians_of
+from steerkit.estimators.adaptive_state import AdaptiveState
+from steerkit.estimators.single_track_filter import SingleTrackFilter
+from steerkit.estimators.vehicle_state import VehicleState
+from steerkit.metrics.signals import rms
+from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.scenario import Scenario
+from steerkit.scenario.drive import controller, drive_loop
+from steerkit.vehicles import VW_PASSAT
+from tests.support.stepped import run_fast
+
+PLAIN = VehicleState.of(NonlinearSingleTrack(vehicle=VW_PASSAT))
+STEERING = SingleTrackFilter(vehicle=VW_PASSAT, held=False)
+HERE = dict(x_in=1.0, y_in=2.0, psi_in=0.1, age_in=0.05, v_in=6.0, r_in=0.1, motion_age_in=0.05, delta_sw_meas=0.4)
+WRONG: dict[str, float] = {"ratio": 1.25, "wheel_zero_deg": 3.0, "gyro_zero_deg": 0.2, "delay": 0.2, "told_delay": 0.2}
+
+
+def adaptive(**settings: Any) -> AdaptiveState:
+    return AdaptiveState(**{"block": PLAIN, "steering": STEERING} | settings)
+
+
+ADAPTIVE = adaptive()
+
+
+def measured(block: Any, u: Any) -> Any:
+    """What of the inputs acts at once."""
+    return block.D(*[getattr(u, name) for name in block.D._fields])
+
+
+def told(block: AdaptiveState, x: Any, ratio: float, understeer: float, offset: float, rate_zero: float) -> Any:
+    return (*x[:-4], ratio, understeer, offset, rate_zero)
+
+
+def test_the_estimator_inside_is_given_the_wheel_of_the_data_sheets_car_and_a_gyro_without_its_zero() -> None:
+    block = adaptive(ratio_rate=0.0, understeer_rate=0.0, offset_rate=0.0, rate_zero_rate=0.0)
+    u = block.U(**HERE)
+    x = told(block, block.init(), 1.25, 0.006, 0.05, 0.01)
+    k, length, square = VW_PASSAT.understeer_gradient, VW_PASSAT.wheelbase, 36.0
+    wheel = (0.4 + 0.05) / 1.25 * (length + k * square) / (length + 0.006 * square)
+    seen = PLAIN.U(**HERE | {"delta_sw_meas": wheel, "r_in": 0.1 - 0.01})
+    x = block.settle(0.0, x, measured(block, u))
+    state = PLAIN.settle(0.0, PLAIN.init(), measured(PLAIN, seen))
+    for _ in range(30):
+        y, inside = block.output(0.0, x, u), PLAIN.output(0.0, state, seen)
+        assert (y.x, y.r, y.nis) == pytest.approx((inside.x, inside.r, inside.nis), rel=1e-9)
+        assert y.gyro_zero == pytest.approx(inside.gyro_zero + 0.01)
+        assert y.wheel_offset == pytest.approx(1.25 * inside.wheel_offset + 0.05)
+        assert (y.ratio, y.understeer) == (1.25, 0.006)
+        x, state = block.update(0.0, x, u, y), PLAIN.update(0.0, state, seen, inside)
+    assert abs(inside.wheel_offset) > 1e-3  # it has found that wheel and gyro do not go together
+
+
+def test_the_motion_goes_to_the_filter_a_sample_later_with_the_wheel_of_then() -> None:
+    block = adaptive()
+    x, own = block.settle(0.0, block.init(), measured(block, block.U(**HERE))), STEERING.init()
+    first, end = block._parts
+    before = (math.nan,) * 4
+    for k in range(20):
+        u = block.U(**HERE | {"r_in": 0.1 * math.sin(0.2 * k), "delta_sw_meas": math.sin(0.2 * k + 0.3)})
+        x = block.update(0.0, x, u, None)
+        v, r, psi, age = before
+        own = STEERING.update(0.0, own, STEERING.U(u.delta_sw_meas, v, r, psi, age + 0.05, 0.0, 0.01, 1.0), None)
+        before = (u.v_in, u.r_in, u.psi_in, u.motion_age_in)
+        assert x[first:end] == own
+
+
+def test_the_wheel_is_bent_by_the_last_speed_that_was_heard() -> None:
+    block = adaptive()
+    x = told(block, block.settle(0.0, block.init(), measured(block, block.U(**HERE))), 1.0, 0.01, 0.0, 0.0)
+    last = len(x) - 5  # before what is told
+    for v, expected in ((5.0, 5.0), (math.nan, 5.0)):
+        u = block.U(**HERE | {"v_in": v})
+        y = block.output(0.0, x, measured(block, u))
+        x = block.update(0.0, x, u, y)
+        assert x[last] == expected
+    x = told(block, x, 1.0, 0.01, 0.0, 0.0)
+    k, length = VW_PASSAT.understeer_gradient, VW_PASSAT.wheelbase
+    bent = (length + k * 25.0) / (length + 0.01 * 25.0)
+    y = block.output(0.0, x, measured(block, u))
+    assert y.r == pytest.approx(
+        PLAIN.output(0.0, block._split(x)[0], PLAIN.U(**HERE | {"delta_sw_meas": bent * 0.4})).r
+    )
+    assert y.r != block.output(0.0, told(block, x, 1.0, VW_PASSAT.understeer_gradient, 0.0, 0.0), block.U(**HERE)).r
+
+
+def test_what_is_told_moves_while_it_is_valid_no_faster_than_stated_and_within_bounds() -> None:
+    block = adaptive()
+    assert block._moved(1.0, 1.3, 1.0, 0.1, 0.6, 1.6) == pytest.approx(1.005)
+    assert block._moved(1.598, 1.9, 1.0, 0.1, 0.6, 1.6) == pytest.approx(1.6)
+    assert block._moved(1.0, 0.999, 1.0, 0.1, 0.6, 1.6) == pytest.approx(0.999)
+    for value, valid in ((1.3, 0.0), (math.nan, 1.0)):
+        assert block._moved(1.0, value, valid, 0.1, 0.6, 1.6) == 1.0
+
+
+@pytest.mark.parametrize("wrong", [{"v_in": 0.0}, {"v_in": math.nan}, {"r_in": math.nan}, {"delta_sw_meas": math.nan}])
+def test_nothing_is_told_at_a_standstill_nor_of_what_is_no_number(wrong: dict[str, float]) -> None:
+    block = adaptive()
+    u = block.U(**HERE | wrong)
+    x = block.settle(0.0, block.init(), measured(block, block.U(**HERE)))
+    for k in range(300):
+        swing = {} if "delta_sw_meas" in wrong else {"delta_sw_meas": math.sin(0.2 * k)}
+        gyro = {} if "r_in" in wrong else {"r_in": 0.1 * math.sin(0.2 * k) if u.v_in != 0.0 else 0.0}
+        x = block.update(0.0, x, u._replace(**swing, **gyro), None)
+    assert x[-4:-1] == (1.0, VW_PASSAT.understeer_gradient, 0.0)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.05, 0.1])
+def test_ratio_and_zeros_are_found_however_old_the_motion_is(late: float) -> None:
+    """A car with a ratio 20 % longer: its wheel turns 1.2 times as far; and both sensors are off."""
+    block, car = ADAPTIVE, replace(NonlinearSingleTrack(vehicle=VW_PASSAT), v0=7.0)
+    z: Any = car.init()
+    tape: list[Any] = []
+    rows: list[Any] = []
+    for k in range(900):
+        now = car.output(0.0, z, None)
+        tape.append(now)
+        old = tape[max(k - round(late / 0.05), 0)]
+        age = min(late, 0.05 * k)
+        rows.append(block.U(old.x, old.y, old.psi, age, old.v, old.r + 0.004, age, 1.2 * now.delta_sw - 0.03))
+        for n in range(5):
+            t = 0.05 * k + 0.01 * n
+            z = car.update(t, z, car.U(1.2 * math.sin(0.9 * t) + 0.8 * math.sin(0.23 * t + 1.0), 7.0), now)
+    ys, x = run_fast(block, rows)
+    y = block.Y(*ys[-1])
+    assert y.ratio == pytest.approx(1.2, rel=0.01)
+    assert y.wheel_offset == pytest.approx(0.03, abs=radians_of(0.2))
+    assert y.gyro_zero == pytest.approx(0.004, abs=3e-4)
+    assert x[-2] == pytest.approx(0.03, abs=radians_of(0.4))  # by what is told, not by what is found behind it
+    assert x[-1] == pytest.approx(0.004, abs=1e-3)
+
+
+@lru_cache(maxsize=2)
+def behind(estimator: str) -> Log:
+    """Stanley that adapts, behind an estimator that is told a wrong ratio, wheel and gyro, on a course of bends."""
+    scenario = Scenario.under(
+        "hard", sensing="no sideslip", estimator=estimator, course="random-2110", v_min=6.0, reference="own", **WRONG
+    )
+    loop = drive_loop(scenario, controller("stanley-adaptive", scenario), seed=4)
+    record = ["car.psi", "path.e", *[name for name in loop.units if name.startswith("estimator.")]]
+    return compile(loop, backend="python", every=5, record=record).run(60.0)
+
+
+def late(log: Log, signal: str) -> np.ndarray:
+    return np.array(log[signal][log.t > 30.0])
+
+
+def test_in_a_car_whose_data_sheet_is_wrong_it_knows_better_where_the_car_is_and_controllers_hold_the_path() -> None:
+    plain, adapts = behind("vehicle-state"), behind("adaptive-state")
+    heading = [
+        rms(np.angle(np.exp(1j * (late(log, "estimator.psi") - late(log, "car.psi"))))) for log in (plain, adapts)
+    ]
+    assert heading[1] < 0.9 * heading[0]
+    assert rms(late(adapts, "path.e")) < 0.8 * rms(late(plain, "path.e"))
+    assert late(adapts, "estimator.ratio")[-1] == pytest.approx(1.25, rel=0.02)
+    assert late(adapts, "estimator.doubt").mean() < 0.3 * late(plain, "estimator.doubt").mean()
+    means = [late(log, "estimator.nis").sum() / late(log, "estimator.nis_count").sum() for log in (plain, adapts)]
+    assert abs(means[1] - 1.0) < 0.1
+
+
+def test_in_a_car_as_on_its_data_sheet_it_is_as_good_as_the_one_inside() -> None:
+    sides = []
+    for estimator in ("vehicle-state", "adaptive-state"):
+        scenario = Scenario.under("hard", sensing="no sideslip", estimator=estimator, course="random-2110")
+        log = simulate(drive_loop(scenario, controller("stanley", scenario), seed=4), 40.0, every=5)
+        sides.append(rms(np.hypot(log["estimator.x"] - log["car.x"], log["estimator.y"] - log["car.y"])))
+    assert sides[1] < 1.05 * sides[0]
+
+
+def test_it_compiles_to_the_same_numbers() -> None:
+    scenario = Scenario.under("real", estimator="adaptive-state", **WRONG)
+    loop = drive_loop(scenario, controller("stanley", scenario), seed=2)
+    log, plain = compile(loop, backend="python", every=5).run(4.0), simulate(loop, 4.0, every=5)
+    for name in ("estimator.x", "estimator.psi", "estimator.gyro_zero", "estimator.ratio"):
+        assert log[name] == pytest.approx(plain[name], rel=1e-9, abs=1e-9), name
+
+
+@pytest.mark.parametrize(
+    ("settings", "says"),
+    [
+        ({"steering": replace(STEERING, dt=0.1)}, r"block.dt = 0.05, steering.dt = 0.1 \[s\], expected the same"),
+        ({"steering": replace(STEERING, held=True)}, "steering.held = True, expected False"),
+        ({"ratio_least": 1.2}, "AdaptiveState: ratio_least = 1.2"),
+        ({"ratio_most": 0.9}, "AdaptiveState: ratio_most = 0.9"),
+        ({"offset_rate": -1.0}, "AdaptiveState: offset_rate = -1"),
+        ({"rate_zero_most": 1.0}, "AdaptiveState: rate_zero_most = 1"),
+    ],
+)
+def test_what_it_is_not_made_for(settings: dict[str, Any], says: str) -> None:
+    with pytest.raises(ValueError, match=says):
+        adaptive(**settings)

@@ -1,0 +1,223 @@
+"""The numbers are found where driving tells them, within their intervals; else the priors stay."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from steerkit.diagram.units import radians_of
+from steerkit.estimators.estimate import Estimated, estimated, quantities
+from steerkit.estimators.single_track_filter import SingleTrackFilter
+from tests.support.steered_car import PASSAT, Signals, answered, driven_fast, gaps, steered
+
+BLOCK = SingleTrackFilter(vehicle=PASSAT)
+OTHER = replace(PASSAT, steer_ratio=1.2 * PASSAT.steer_ratio)
+
+
+def found(x: Any) -> dict[str, Estimated]:
+    y = BLOCK.output(0.0, x, ())
+    return {name: estimated(y, name) for name in quantities(BLOCK)}
+
+
+def sensed(signals: Signals, zero: float = 0.0, seed: int = 0) -> Signals:
+    """With the noise of hard sensors, and a gyro whose zero is wrong [rad/s]."""
+    rng, n = np.random.default_rng(seed), len(signals["r"])
+    r = signals["r"] + zero + rng.normal(0.0, BLOCK.noise, n)
+    return signals | {"r": r, "psi": signals["psi"] + rng.normal(0.0, BLOCK.psi_noise, n)}
+
+
+def wandering(seconds: float, low: float, high: float) -> np.ndarray:
+    t = np.arange(round(seconds / 0.05)) * 0.05
+    return np.asarray(0.5 * (low + high) + 0.5 * (high - low) * np.sin(0.2 * t))
+
+
+def drive(seconds: float = 60.0, **car: Any) -> Signals:
+    given: dict[str, Any] = dict(delay=0.15, lag=0.2, v=wandering(seconds, 5.0, 9.0), offset=radians_of(3.0), car=OTHER)
+    return answered(steered(seconds), **(given | car))
+
+
+def test_ratio_offset_and_zero_are_found_within_a_minute() -> None:
+    got = found(driven_fast(BLOCK, sensed(drive(), zero=0.004)))
+    truth = {"ratio": 1.2, "offset": radians_of(3.0), "rate_zero": 0.004, "total_offset": radians_of(3.0)}
+    for name, value in truth.items():
+        assert got[name].valid == 1.0
+        assert got[name].low <= value <= got[name].high
+    assert got["ratio"].value == pytest.approx(1.2, rel=0.02)
+    assert got["offset"].value == pytest.approx(radians_of(3.0), abs=radians_of(0.3))
+    assert got["understeer"].valid == got["disturbance"].valid == 0.0  # too slow, no bank: nobody can know
+
+
+def test_the_understeer_gradient_is_found_at_speed() -> None:
+    soft = replace(PASSAT, c_r=0.8 * PASSAT.c_r)
+    speeds = wandering(90.0, 10.0, 35.0)
+    command = steered(90.0) * (10.0 / speeds) ** 2
+    got = found(driven_fast(BLOCK, sensed(answered(command, delay=0.15, lag=0.2, v=speeds, car=soft))))
+    assert soft.understeer_gradient < PASSAT.understeer_gradient - 5e-4
+    assert got["understeer"].valid == 1.0
+    assert got["understeer"].low <= soft.understeer_gradient <= got["understeer"].high
+
+
+def test_on_a_straight_the_ratio_stays_and_the_offset_is_found() -> None:
+    straight = radians_of(-3.0) + np.zeros(1200)
+    signals = sensed(drive() | answered(straight, delay=0.15, lag=0.2, offset=radians_of(3.0)))
+    got = found(driven_fast(BLOCK, signals))
+    assert got["ratio"].value == pytest.approx(1.0, abs=0.05)
+    assert got["ratio"].valid == 0.0
+    assert got["ratio"].deviation > 0.2
+    assert got["offset"].low < radians_of(3.0) < got["offset"].high
+    assert got["offset"].value == pytest.approx(radians_of(3.0), abs=radians_of(0.7))  # play may hold the wheels aside
+    assert got["offset"].deviation > radians_of(0.3)
+    tight = found(driven_fast(replace(BLOCK, worn=0.0, worn_prior=1e-4), signals))  # told that there is none
+    assert tight["offset"].value == pytest.approx(radians_of(3.0), abs=radians_of(0.3))
+    assert tight["offset"].deviation < radians_of(0.25)
+
+
+def test_free_play_is_not_taken_for_another_ratio() -> None:
+    """Gentle steering, of which friction and play keep a tenth."""
+    worn = dict(friction=radians_of(1.0), play=radians_of(2.0))
+    signals = sensed(drive() | answered(0.5 * steered(60.0), delay=0.15, lag=0.2, v=wandering(60.0, 5.0, 9.0), **worn))
+    knows, blind = (found(driven_fast(block, signals))["ratio"] for block in (BLOCK, replace(BLOCK, worn_prior=1e-4)))
+    assert knows.low < 1.0 < knows.high
+    assert abs(knows.value - 1.0) < 0.5 * abs(blind.value - 1.0)
+
+
+def test_while_the_car_stands_the_gyro_tells_its_zero_and_all_else_stays() -> None:
+    stands = {port.name: np.zeros(2000) for port in BLOCK.inputs} | {"psi": np.full(2000, np.nan)}
+    got = found(driven_fast(BLOCK, sensed(stands, zero=-0.003)))
+    assert got["rate_zero"].value == pytest.approx(-0.003, abs=5e-4)
+    assert got["rate_zero"].valid == 1.0
+    before = found(BLOCK.init())
+    for name in ("ratio", "understeer", "offset", "disturbance"):
+        assert got[name] == before[name]
+        assert got[name].valid == 0.0
+
+
+def test_bends_leave_nothing_in_the_gyros_zero() -> None:
+    """Which the heading tells: by the trapezoidal rule, as a car in a bend turns by a degree from sample to sample."""
+    t = 0.05 * np.arange(1200)
+    r, psi = 0.4 * np.sin(0.11 * t) + 0.004, 0.4 / 0.11 * (1.0 - np.cos(0.11 * t))
+    block, nan = replace(BLOCK, psi_noise=1e-4, noise=1e-4), float("nan")
+    x = block.init()
+    for k in range(len(t)):
+        u = block.U(0.0, 6.0, float(r[k]), float(psi[k]), nan, nan, nan, 0.0)
+        x = block.update(0.0, x, u, ())
+        if k > 110:  # the first window is over
+            assert block.output(0.0, x, ()).rate_zero == pytest.approx(0.004, abs=1e-4)
+
+
+def test_what_was_learned_outlasts_a_stop_to_the_last_digit() -> None:
+    x = driven_fast(BLOCK, sensed(drive()))
+    stands = {port.name: np.zeros(400) for port in BLOCK.inputs} | {"r": np.full(400, np.nan)}
+    after = found(driven_fast(BLOCK, stands, x))
+    assert after == found(x)
+
+
+def test_a_long_straight_moves_no_ratio_and_forgets_towards_the_prior() -> None:
+    block = replace(BLOCK, memory=30.0)
+    command = np.concatenate((steered(60.0), radians_of(-3.0) + np.zeros(1200)))
+    signals = answered(command, delay=0.15, lag=0.2, offset=radians_of(3.0), car=OTHER)
+    x = driven_fast(block, {name: values[:1200] for name, values in signals.items()})
+    first = estimated(block.output(0.0, x, ()), "ratio")
+    x = driven_fast(block, {name: values[1200:] for name, values in signals.items()}, x)
+    later = estimated(block.output(0.0, x, ()), "ratio")
+    assert later.value == pytest.approx(first.value, abs=0.01)
+    assert 5.0 * first.deviation < later.deviation < 1.1 * block.ratio_prior * later.value**2
+
+
+def test_zeros_stay_known_where_a_ratio_is_forgotten() -> None:
+    """A minute of driving with nothing to learn from: an offset is mechanical, a ratio goes with load and tyres."""
+    block = replace(BLOCK, memory=300.0)
+    x = driven_fast(block, sensed(drive(60.0)))
+    blind = {name: values[-1:].repeat(1200) for name, values in sensed(drive(60.0)).items()}
+    before, after = found(x), found(driven_fast(block, blind | {"r": np.full(1200, np.nan)}, x))
+    assert after["ratio"].deviation > 3.0 * before["ratio"].deviation
+    walk = math.sqrt(2.0 * 60.0 / block.zero_memory)  # of what the prior is, in a minute
+    for name, prior in (("offset", block.offset_prior), ("rate_zero", block.rate_zero_prior)):
+        widened = math.sqrt(after[name].deviation ** 2 - before[name].deviation ** 2)
+        assert widened == pytest.approx(walk * prior, rel=0.05)
+
+
+def test_gaps_and_outliers_do_no_harm() -> None:
+    signals = sensed(drive(90.0), zero=0.004)
+    mask, few = gaps(len(signals["r"])), np.arange(len(signals["r"])) % 97 == 0
+    for name in ("r", "psi"):
+        signals[name] = np.where(mask, np.nan, signals[name])
+    signals["r"] = np.where(few, 5.0, signals["r"])
+    signals["delta_sw"] = np.where(np.roll(few, 7), np.nan, signals["delta_sw"])
+    got = found(driven_fast(BLOCK, signals))
+    assert got["ratio"].value == pytest.approx(1.2, rel=0.03)
+    assert got["offset"].value == pytest.approx(radians_of(3.0), abs=radians_of(0.5))
+
+
+def test_the_angle_of_a_driver_who_overrides_is_not_taken_for_the_cars() -> None:
+    signals = sensed(drive(90.0))
+    mask = gaps(len(signals["r"]))
+    signals["delta_sw"] = np.where(mask, -signals["delta_sw"], signals["delta_sw"])
+    got = found(driven_fast(BLOCK, signals | {"active": np.where(mask, 0.0, 1.0)}))
+    assert got["ratio"].value == pytest.approx(1.2, rel=0.02)
+    assert got["offset"].value == pytest.approx(radians_of(3.0), abs=radians_of(0.3))
+
+
+def test_while_the_delay_is_hardly_known_fast_turns_count_for_less() -> None:
+    """Told 0.15 s too little, and how sure that is: the interval still holds the ratio."""
+    signals = sensed(drive(20.0, delay=0.3)) | {"delay": np.full(400, 0.15)}
+    sure, unsure = (
+        found(driven_fast(BLOCK, signals | {"delay_deviation": np.full(400, d)}))["ratio"] for d in (0.0, 0.1)
+    )
+    assert unsure.deviation > 1.2 * sure.deviation
+    assert unsure.low <= 1.2 <= unsure.high
+
+
+def test_without_heading_at_one_speed_offset_and_gyro_zero_are_not_told_apart() -> None:
+    signals = sensed(drive(v=8.0), zero=0.004) | {"psi": np.full(1200, np.nan)}
+    got = found(driven_fast(BLOCK, signals))
+    assert got["offset"].valid == got["rate_zero"].valid == 0.0
+    assert got["offset"].low <= radians_of(3.0) <= got["offset"].high
+    assert got["ratio"].valid == 1.0  # which is another matter
+
+
+def test_a_bank_is_an_offset_for_as_long_as_it_lasts() -> None:
+    block = replace(BLOCK, disturbance_prior=radians_of(1.0), disturbance_time=5.0)
+    calm, banked = drive(90.0), drive(5.0, offset=radians_of(4.0))
+    x = driven_fast(block, calm)
+    y, z = (block.output(0.0, state, ()) for state in (x, driven_fast(block, banked, x)))
+    assert z.total_offset - y.total_offset == pytest.approx(radians_of(1.0), abs=radians_of(0.3))
+    assert z.disturbance - y.disturbance > 3.0 * (z.offset - y.offset)
+
+
+def test_what_it_expects_of_the_gyro_comes_before_the_sample() -> None:
+    signals, x = drive(), driven_fast(BLOCK, drive())
+    errors = []
+    for k in range(400, 800):
+        errors.append(BLOCK.output(0.0, x, ()).r_model - signals["r"][k])
+        u = BLOCK.U(*[float(signals[port.name][k]) for port in BLOCK.inputs])
+        x = BLOCK.update(0.0, x, u, None)
+    assert float(np.sqrt(np.mean(np.square(errors[40:])))) < 0.002
+
+
+@pytest.mark.parametrize("name", ["delta_sw", "v", "r", "delay", "lag", "delay_deviation", "active"])
+def test_a_sample_that_cannot_be_read_is_told(name: str) -> None:
+    u = dict(delta_sw=0.1, v=8.0, r=0.01, psi=0.0, delay=0.1, lag=0.1, delay_deviation=0.0, active=1.0)
+
+    def told(u: dict[str, float]) -> Any:
+        return BLOCK.output(0.0, BLOCK.update(0.0, BLOCK.init(), BLOCK.U(**u), None), ()).missing
+
+    assert [told(u), told(u | {name: float("nan")}), told(u | {name: float("-inf")})] == [0.0, 1.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (dict(vehicle="vw-passat"), "expected a Vehicle"),
+        (dict(longest=0.52), r"longest = 0.52 \[s\], expected a multiple of dt"),
+        (dict(ratio_prior=2.0), r"ratio_prior = 2.0 \[1\], expected 0.0001 to 0.5"),
+        (dict(window=0.0), r"window = 0.0 \[s\]"),
+    ],
+)
+def test_parameters_out_of_range(wrong: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        SingleTrackFilter(**({"vehicle": PASSAT} | wrong))

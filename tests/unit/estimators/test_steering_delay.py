@@ -1,0 +1,157 @@
+"""Dead time and lag are found from commands and answers, within their intervals, and only where there is something."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from steerkit.diagram.units import radians_of
+from steerkit.estimators.estimate import Estimated, estimated, quantities
+from steerkit.estimators.steering_delay import DelayBank, WheelDelay, YawDelay
+from tests.support.steered_car import HELD, PASSAT, answered, driven, gaps, steered
+
+WHEEL, YAW = WheelDelay(), YawDelay(vehicle=PASSAT)
+
+
+def said(block: DelayBank, x: Any, name: str = "delay_lag") -> Estimated:
+    return estimated(block.output(0.0, x, ()), name)
+
+
+@pytest.mark.parametrize("samples", range(3, 10))
+@pytest.mark.parametrize("frequency", [0.1, 0.5])
+def test_a_sine_some_samples_late_without_noise(samples: int, frequency: float) -> None:
+    """As openpilot tests its own. Such samples are not held, so the answer comes half of one early."""
+
+    def sine(k: np.ndarray) -> np.ndarray:
+        return np.asarray(radians_of(30.0) * np.sin(2.0 * np.pi * frequency * 0.05 * k))
+
+    block, k = WheelDelay(prior_lag=0.03, prior_lag_deviation=0.02), np.arange(500)
+    signals = {
+        "delta_sw_cmd": sine(k),
+        "delta_sw_meas": sine(k - samples),
+        "v": 20.0 + 0.0 * k,
+        "active": 1.0 + 0.0 * k,
+    }
+    found = said(block, driven(block, signals))
+    assert found.valid == 1.0
+    assert found.value == pytest.approx(0.05 * samples - 0.025, abs=0.01)
+
+
+@pytest.mark.parametrize(("delay", "lag"), [(0.0, 0.2), (0.07, 0.1), (0.22, 0.28), (0.5, 0.15)])
+def test_the_wheel_tells_delay_and_lag(delay: float, lag: float) -> None:
+    x = driven(WHEEL, answered(steered(40.0), delay=delay, lag=lag))
+    for name, truth, most in (("delay_lag", delay + lag, 0.012), ("delay", delay, 0.04), ("lag", lag, 0.04)):
+        found = said(WHEEL, x, name)
+        assert found.valid == 1.0 or (name != "delay_lag" and lag == 0.1)  # half the prior's lag is told apart badly
+        assert found.low <= truth <= found.high
+        assert found.value == pytest.approx(truth, abs=most)
+
+
+@pytest.mark.parametrize("v", [5.0, 20.0])
+def test_the_yaw_rate_tells_them_with_its_own_age(v: float) -> None:
+    signals = answered(steered(40.0), delay=0.12, lag=0.25, v=v)
+    noise = np.random.default_rng(3).normal(0.0, YAW.noise, len(signals["r"]))
+    late = np.concatenate((np.zeros(2), signals["r"][:-2])) + noise + 0.01  # 0.1 s old, and its zero is wrong
+    found = said(YAW, driven(YAW, signals | {"r": late}))
+    assert found.valid == 1.0
+    assert found.value == pytest.approx(0.12 + 0.25 + 0.1 + HELD, abs=0.01)
+    assert found.low <= 0.47 + HELD <= found.high
+
+
+def test_a_wrong_ratio_and_offset_do_no_harm_to_the_yaw_rates_delay() -> None:
+    right = answered(steered(40.0), delay=0.12, lag=0.25)
+    wrong = right | {"delta_sw_cmd": 1.25 * right["delta_sw_cmd"] + radians_of(4.0)}
+    values = [said(YAW, driven(YAW, signals)).value for signals in (right, wrong)]
+    assert values[0] == pytest.approx(values[1], abs=0.004)
+
+
+@pytest.mark.parametrize("block", [WHEEL, YAW], ids=["wheel", "yaw"])
+def test_without_excitation_the_prior_stays_and_is_not_valid(block: DelayBank) -> None:
+    straight = answered(np.zeros(600), delay=0.3, lag=0.1)
+    noisy = {
+        name: straight[name] + np.random.default_rng(0).normal(0.0, d, 600)
+        for name, d in (("r", YAW.noise), ("delta_sw_meas", WHEEL.noise))
+    }
+    for signals in (straight, straight | noisy):
+        y = block.output(0.0, driven(block, signals), ())
+        assert [estimated(y, name).valid for name in quantities(block)] == [0.0, 0.0, 0.0]
+        assert y.delay == pytest.approx(block.prior_delay, abs=0.03)
+        assert y.lag == pytest.approx(block.prior_lag, abs=0.005)
+        assert y.delay_deviation == pytest.approx(block.prior_delay_deviation, rel=0.1)
+        assert y.lag_deviation == pytest.approx(block.prior_lag_deviation, rel=0.1)
+
+
+def test_at_a_standstill_nothing_is_forgotten() -> None:
+    x = driven(WHEEL, answered(steered(30.0), delay=0.12, lag=0.2))
+    before = WHEEL.output(0.0, x, ())
+    stands = {name: np.zeros(4000) for name in ("delta_sw_cmd", "delta_sw_meas", "v")} | {"active": np.ones(4000)}
+    assert WHEEL.output(0.0, driven(WHEEL, stands, x), ()) == before
+
+
+@pytest.mark.parametrize("what", ["override", "nan"])
+def test_what_others_do_to_the_wheel_and_lost_samples_teach_nothing(what: str) -> None:
+    """Whoever overrides turns the wheel as he likes, here exactly against the command."""
+    signals = answered(steered(60.0), delay=0.2, lag=0.2)
+    mask = gaps(len(signals["v"]))
+    if what == "override":
+        signals["active"] = np.where(mask, 0.0, 1.0)
+        signals["delta_sw_meas"] = np.where(mask, -signals["delta_sw_cmd"], signals["delta_sw_meas"])
+    else:
+        for name in ("delta_sw_meas", "v"):
+            signals[name] = np.where(mask, np.nan, signals[name])
+    x = driven(WHEEL, signals)
+    found = said(WHEEL, x)
+    assert found.valid == 1.0
+    assert found.value == pytest.approx(0.4, abs=0.006)
+
+
+@pytest.mark.parametrize("name", ["delta_sw_cmd", "delta_sw_meas", "v", "active"])
+def test_a_sample_that_cannot_be_read_is_told(name: str) -> None:
+    u = dict(delta_sw_cmd=0.1, active=1.0, delta_sw_meas=0.1, v=8.0)
+
+    def told(u: dict[str, float]) -> Any:
+        return WHEEL.output(0.0, WHEEL.update(0.0, WHEEL.init(), WHEEL.U(**u), None), ()).missing
+
+    assert [told(u), told(u | {name: float("nan")}), told(u | {name: float("inf")})] == [0.0, 1.0, 1.0]
+
+
+@pytest.mark.parametrize("bound", ["limit", "rate_limit"])
+def test_commands_that_the_motor_cannot_follow_are_left_out(bound: str) -> None:
+    """In two of 20 seconds a command of ten times the angle, or one that jumps to and fro: the motor stays calm."""
+    calm = steered(120.0)
+    signals, k = answered(calm, delay=0.1, lag=0.2), np.arange(len(calm))
+    wild = 10.0 * np.abs(calm) + radians_of(80.0) if bound == "limit" else calm + radians_of(50.0) * (-1.0) ** k
+    signals["delta_sw_cmd"] = np.where(k % 400 < 40, wild, calm)
+    told = WheelDelay(limit=radians_of(75.0)) if bound == "limit" else WheelDelay(rate_limit=radians_of(300.0))
+    found, untold = (said(block, driven(block, signals)) for block in (told, WheelDelay(limit=20.0, rate_limit=100.0)))
+    assert found.value == pytest.approx(0.3, abs=0.006)
+    assert untold.deviation > 1.5 * found.deviation
+
+
+def test_what_is_old_is_forgotten_within_the_memory() -> None:
+    block = WheelDelay(memory=20.0)
+    x = driven(block, answered(steered(60.0), delay=0.1, lag=0.2))
+    x = driven(block, answered(steered(100.0, seed=1), delay=0.25, lag=0.2), x)
+    assert said(block, x).value == pytest.approx(0.45, abs=0.01)
+
+
+def test_an_answer_that_the_commands_do_not_explain_is_not_valid() -> None:
+    signals = answered(steered(40.0), delay=0.1, lag=0.2)
+    found = said(WHEEL, driven(WHEEL, signals | {"delta_sw_meas": steered(40.0, seed=7)}))
+    assert found.valid == 0.0
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (dict(longest=0.52), r"WheelDelay: longest = 0.52 \[s\], expected a multiple of dt"),
+        (dict(prior_delay=0.9), r"prior_delay = 0.9 \[s\], expected 0 to 0.75"),
+        (dict(correlated=0.01), r"correlated = 0.01 \[s\], expected 0.05 to 10; at least dt"),
+        (dict(noise=-0.1), r"noise = -0.1 \[rad\]"),
+    ],
+)
+def test_parameters_out_of_range(wrong: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        WheelDelay(**wrong)

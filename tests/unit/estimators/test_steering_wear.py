@@ -1,0 +1,179 @@
+"""Friction and free play are found from the loops that they leave, and are not taken for delay."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from steerkit.diagram.units import radians_of
+from steerkit.estimators.estimate import Estimated, estimated
+from steerkit.estimators.steering_wear import GapBank, SteeringFriction, SteeringPlay
+from tests.support.steered_car import PASSAT, Signals, answered, driven_fast, gaps, steered
+
+FRICTION, PLAY = SteeringFriction(), SteeringPlay(vehicle=PASSAT)
+
+
+def worn(seconds: float = 60.0, *, friction_deg: float = 0.0, play_deg: float = 0.0, v: float = 8.0) -> Signals:
+    signals = answered(
+        steered(seconds), delay=0.15, lag=0.2, v=v, friction=radians_of(friction_deg), play=radians_of(play_deg)
+    )
+    return signals | {"angle": signals["delta_sw_cmd"]}
+
+
+def behind_the_wheel(signals: Signals) -> Signals:
+    """What `SteeringPlay` is fed: the measured wheel, a yaw rate with noise, 50 ms old."""
+    late = np.concatenate((signals["r"][:1], signals["r"][:-1]))
+    r = late + np.random.default_rng(1).normal(0.0, PLAY.noise, len(late))
+    ones = np.ones(len(late))
+    return signals | {"angle": signals["delta_sw_meas"], "delay": 0.055 * ones, "lag": 0.0 * ones, "r": r}
+
+
+def said(block: GapBank, x: Any) -> Estimated:
+    return estimated(block.output(0.0, x, ()), block.outputs[0].name)
+
+
+@pytest.mark.parametrize("degrees", [0.0, 0.4, 1.0, 1.5])
+def test_friction_is_found_within_a_tenth(degrees: float) -> None:
+    found = said(FRICTION, driven_fast(FRICTION, worn(120.0, friction_deg=degrees)))
+    assert found.valid == 1.0
+    assert found.low <= radians_of(degrees) <= found.high
+    assert found.value == pytest.approx(radians_of(degrees), rel=0.025, abs=radians_of(0.005))
+
+
+@pytest.mark.parametrize("late", [-0.03, 0.03])
+def test_a_delay_that_is_told_wrong_is_not_taken_for_friction(late: float) -> None:
+    signals = worn(friction_deg=0.5)
+    found = said(FRICTION, driven_fast(FRICTION, signals | {"delay": signals["delay"] + late}))
+    assert found.value == pytest.approx(radians_of(0.5), abs=radians_of(0.1))
+    assert found.low <= radians_of(0.5) <= found.high
+
+
+@pytest.mark.parametrize("degrees", [0.0, 1.0, 2.5])
+def test_play_is_found_behind_the_wheel(degrees: float) -> None:
+    found = said(PLAY, driven_fast(PLAY, behind_the_wheel(worn(240.0, friction_deg=0.5, play_deg=degrees))))
+    assert found.low <= radians_of(degrees) <= found.high
+    assert found.value == pytest.approx(radians_of(degrees), rel=0.1, abs=radians_of(0.25))
+    assert found.deviation < radians_of(0.3)
+
+
+def test_play_is_found_at_changing_speeds_behind_other_tyres() -> None:
+    """What the play leaves goes through the car, and a softer front axle steers less the faster it is."""
+    t = 0.05 * np.arange(1600)
+    v = 12.0 + 6.0 * np.sin(0.2 * t)
+    command = 2.0 * np.minimum(1.0, 10.0 / v) ** 2 * steered(80.0)
+    soft = replace(PASSAT, c_f=0.75 * PASSAT.c_f)
+    signals = answered(command, delay=0.15, lag=0.2, v=v, play=radians_of(1.0), car=soft)
+    found = said(PLAY, driven_fast(PLAY, behind_the_wheel(signals)))
+    assert found.low <= radians_of(1.0) <= found.high
+    assert found.value == pytest.approx(radians_of(1.0), abs=radians_of(0.2))
+
+
+@pytest.mark.parametrize("block", [FRICTION, PLAY], ids=["friction", "play"])
+def test_on_a_straight_the_prior_stays(block: GapBank) -> None:
+    signals = answered(np.zeros(1200), delay=0.15, lag=0.2)
+    found = said(block, driven_fast(block, behind_the_wheel(signals)))
+    ends = 2.0 if block is PLAY else 1.0
+    assert found.valid == 0.0
+    assert found.value == pytest.approx(ends * block.prior, abs=radians_of(0.05))
+    assert found.deviation == pytest.approx(ends * block.prior_deviation, rel=0.05)
+
+
+def test_at_a_standstill_nothing_changes() -> None:
+    x = driven_fast(FRICTION, worn(friction_deg=0.5))
+    stands = {port.name: np.zeros(4000) for port in FRICTION.inputs} | {"active": np.ones(4000)}
+    assert said(FRICTION, driven_fast(FRICTION, stands, x)) == said(FRICTION, x)
+
+
+@pytest.mark.parametrize("what", ["override", "nan"])
+def test_overrides_and_gaps_teach_nothing(what: str) -> None:
+    signals = worn(120.0, friction_deg=0.5)
+    mask = gaps(len(signals["v"]))
+    if what == "override":
+        signals["active"] = np.where(mask, 0.0, 1.0)
+        signals["delta_sw_meas"] = np.where(mask, -signals["angle"], signals["delta_sw_meas"])
+    else:
+        for name in ("delta_sw_meas", "v"):
+            signals[name] = np.where(mask, np.nan, signals[name])
+    found = said(FRICTION, driven_fast(FRICTION, signals))
+    assert found.valid == 1.0
+    assert found.value == pytest.approx(radians_of(0.5), rel=0.1)
+
+
+@pytest.mark.parametrize("block", [FRICTION, PLAY], ids=["friction", "play"])
+def test_a_sample_that_cannot_be_read_is_told(block: GapBank) -> None:
+    u = {port.name: 0.1 for port in block.inputs}
+
+    def told(u: dict[str, float]) -> Any:
+        return block.output(0.0, block.update(0.0, block.init(), block.U(**u), None), ())[-1]
+
+    assert told(u) == 0.0
+    assert [told(u | {port.name: float("nan")}) for port in block.inputs] == [1.0] * len(block.inputs)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (dict(prior=0.1), r"SteeringFriction: prior = 0.1 \[rad\], expected 0 to 0.0279253; 0 to widest"),
+        (dict(longest=0.52), r"longest = 0.52 \[s\], expected a multiple of dt"),
+        (dict(noise=0.0), r"noise = 0.0 \[rad\]"),
+    ],
+)
+def test_parameters_out_of_range(wrong: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        SteeringFriction(**wrong)
+
+
+def test_a_lag_that_is_hardly_known_is_in_the_interval_until_another_is_found() -> None:
+    signals = worn(30.0, friction_deg=0.5)
+
+    def told(deviation: float, samples: int) -> Estimated:
+        given = signals | {"lag_deviation": np.full(len(signals["v"]), deviation)}
+        return said(FRICTION, driven_fast(FRICTION, {name: values[:samples] for name, values in given.items()}))
+
+    sure, unsure = told(0.0, 200), told(0.04, 200)
+    assert unsure.value == sure.value
+    assert unsure.deviation == pytest.approx(np.hypot(sure.deviation, 0.04 * FRICTION.per_lag))
+    assert unsure.valid == 0.0
+    assert told(0.04, 600).valid == 1.0
+
+
+@pytest.mark.parametrize("longer", [-0.03, 0.05])
+def test_a_lag_that_is_told_wrong_is_not_taken_for_friction(longer: float) -> None:
+    signals = worn(120.0, friction_deg=0.7)
+    told = {"delay": signals["delay"] - longer, "lag": signals["lag"] + longer, "lag_deviation": 0.05 + signals["lag"]}
+    found = said(FRICTION, driven_fast(FRICTION, signals | told))
+    assert found.low <= radians_of(0.7) <= found.high
+    assert found.value == pytest.approx(radians_of(0.7), rel=0.1)
+
+
+def test_another_delay_begins_anew_what_was_summed_with_the_one_before() -> None:
+    signals = worn(30.0, friction_deg=0.3)
+    x = driven_fast(FRICTION, signals)
+    told = {name: values[-1:] for name, values in signals.items()}
+    slightly, much = (
+        said(FRICTION, driven_fast(FRICTION, told | {"delay": told["delay"] + more}, x)) for more in (0.002, 0.1)
+    )
+    assert slightly.value == pytest.approx(radians_of(0.3), rel=0.1)
+    assert much.value == pytest.approx(FRICTION.prior)
+    assert much.deviation > 0.9 * FRICTION.prior_deviation
+
+
+def test_a_width_that_is_known_by_a_fifth_only_is_not_valid() -> None:
+    """Of a twist of 0.2 degrees that friction holds the interval is narrow, but not within a tenth of it."""
+    found = said(FRICTION, driven_fast(FRICTION, worn(friction_deg=0.25)))
+    assert 0.1 * found.value < found.high - found.value < 0.25 * found.value
+    assert found.high > radians_of(0.25)
+    assert found.valid == 0.0
+
+
+def test_an_angle_that_turns_between_samples_is_followed_to_where_it_turned() -> None:
+    """Behind a dead time of 2.4 samples the wheel turns where no sample is."""
+    t = 0.05 * np.arange(1200)
+    command = radians_of(60.0) * (np.abs(t % 1.0 - 0.5) - 0.25) + radians_of(5.0) * np.sin(t)
+    signals = answered(command, delay=0.12, lag=0.1, friction=radians_of(0.6))
+    found = said(FRICTION, driven_fast(FRICTION, signals | {"angle": command}))
+    assert found.value == pytest.approx(radians_of(0.6), rel=0.02)
+    assert found.low <= radians_of(0.6) <= found.high

@@ -1,0 +1,177 @@
+"""OpenDRIVE maps: lanes beside a reference line, links, junctions, both hands, and what is told and not used."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from pathlib import Path as FilePath
+
+import numpy as np
+import pytest
+
+from steerkit.paths.importers import Line, contents, read_course
+from steerkit.paths.importers.opendrive.reading import read
+from tests.support import road_files
+
+STRAIGHT = '<geometry s="0" x="0" y="0" hdg="0" length="100"><line/></geometry>'
+ARC = '<geometry s="0" x="0" y="0" hdg="0" length="60"><arc curvature="0.02"/></geometry>'
+
+
+def lane(number: int, a: float = 3.0, *, b: float = 0.0, kind: str = "driving", more: str = "", links: str = "") -> str:
+    width = f'<width sOffset="0" a="{a}" b="{b}" c="0" d="0"/>'
+    return f'<lane id="{number}" type="{kind}"><link>{links}</link>{width}{more}</lane>'
+
+
+def section(s: float, *, left: str = "", right: str = "") -> str:
+    centre = '<center><lane id="0" type="none"/></center>'
+    return f'<laneSection s="{s}"><left>{left}</left>{centre}<right>{right}</right></laneSection>'
+
+
+def centre(file: FilePath, road: str, number: int) -> Line:
+    pieces = [p for p in contents(str(file)).pieces.values() if (p.group, p.lane) == (road, str(number))]
+    (piece,) = pieces
+    return piece.line()
+
+
+@pytest.mark.parametrize("name", road_files.ROADS)
+def test_roads_of_the_formats_writer_join_up(name: str, tmp_path: FilePath) -> None:
+    """The writer has reckoned where each piece begins: ours end there."""
+    file = road_files.opendrive(road_files.ROADS[name](), tmp_path / "road.xodr")
+    roads, _, _, _ = read(str(file))
+    shapes = roads["1"].shapes
+    assert len(shapes) == len(road_files.ROADS[name]())
+    for before, after in pairwise(shapes):
+        x, y, psi = (a[0] for a in before.at(np.array([before.length])))
+        assert math.hypot(x - after.x0, y - after.y0) < 1e-6
+        assert abs(math.remainder(psi - after.psi0, 2.0 * math.pi)) < 1e-6
+
+
+@pytest.mark.parametrize("name", road_files.ROADS)
+def test_reference_lines_are_a_peers(name: str, tmp_path: FilePath) -> None:
+    network = pytest.importorskip("pyxodr.road_objects.network", reason="the extra `peers` is not installed")
+    file = road_files.opendrive(road_files.ROADS[name](), tmp_path / "road.xodr")
+    roads, _, _, _ = read(str(file))
+    (theirs,) = network.RoadNetwork(str(file), resolution=0.1).get_roads()
+    s = np.linspace(0.0, roads["1"].length, 20_001)
+    x, y, _ = roads["1"].reference(s)
+    for there in np.asarray(theirs.reference_line)[::9, :2]:
+        assert np.hypot(x - there[0], y - there[1]).min() < 0.01
+
+
+def test_lanes_lie_beside_the_line_and_run_as_traffic_does(tmp_path: FilePath) -> None:
+    lanes = section(0.0, left=lane(1, 3.0) + lane(2, 2.0), right=lane(-1, 3.5) + lane(-2, 4.0))
+    file = road_files.by_hand(tmp_path / "a.xodr", ARC, length=60.0, lanes=lanes)
+    for number, radius in ((1, 48.5), (2, 46.0), (-1, 51.75), (-2, 55.5)):
+        line = centre(file, "1", number)
+        assert np.abs(np.hypot(line.xy[:, 0], line.xy[:, 1] - 50.0) - radius).max() < 1e-9
+        forward = line.xy[-1, 0] > line.xy[0, 0]
+        assert forward == (number < 0), "on the right is driven along the line"
+
+
+def test_in_left_hand_traffic_it_is_the_other_way_round(tmp_path: FilePath) -> None:
+    file = road_files.by_hand(tmp_path / "a.xodr", STRAIGHT, length=100.0, rule="LHT")
+    left, right = centre(file, "1", 1), centre(file, "1", -1)
+    assert left.xy[0].tolist() == [0.0, 1.75]
+    assert left.xy[-1].tolist() == [100.0, 1.75]
+    assert right.xy[0].tolist() == [100.0, -1.75]
+
+
+def test_offset_and_widths_that_change(tmp_path: FilePath) -> None:
+    offset = '<laneOffset s="0" a="0.5" b="0" c="0" d="0"/><laneOffset s="40" a="0.5" b="0.02" c="0" d="0"/>'
+    lanes = offset + section(0.0, right=lane(-1, 3.0, b=0.01) + lane(-2, 2.0))
+    file = road_files.by_hand(tmp_path / "a.xodr", STRAIGHT, length=100.0, lanes=lanes)
+    x, y = centre(file, "1", -2).xy.T
+    exact = 0.5 + 0.02 * np.maximum(x - 40.0, 0.0) - (3.0 + 0.01 * x) - 1.0
+    assert np.abs(y - exact).max() < 1e-9
+
+
+def test_borders_instead_of_widths(tmp_path: FilePath) -> None:
+    border = '<lane id="{}" type="driving"><border sOffset="0" a="{}" b="0" c="0" d="0"/></lane>'
+    lanes = section(0.0, right=border.format(-1, -3.0) + border.format(-2, -5.0))
+    file = road_files.by_hand(tmp_path / "a.xodr", STRAIGHT, length=100.0, lanes=lanes)
+    assert centre(file, "1", -2).xy[:, 1] == pytest.approx(-4.0, abs=1e-12)
+
+
+def test_a_lane_goes_on_through_sections_under_another_number(tmp_path: FilePath) -> None:
+    to = '<successor id="-2"/>'
+    lanes = section(0.0, right=lane(-1, 3.0, links=to)) + section(
+        50.0, right=lane(-1, 0.0, b=0.06) + lane(-2, 3.0, links='<predecessor id="-1"/>')
+    )
+    file = road_files.by_hand(tmp_path / "a.xodr", STRAIGHT, length=100.0, lanes=lanes)
+    made = read_course(f"{file}#road=1,lane=-1,noise=0")
+    assert made.path.length == pytest.approx(100.0, abs=0.2)
+    assert made.path.point(25.0)[1] == pytest.approx(-1.5, abs=0.02)
+    assert made.path.point(made.path.length)[1] == pytest.approx(-4.5, abs=0.02)
+
+
+def test_speeds_of_road_and_lane(tmp_path: FilePath) -> None:
+    road = '<type s="0" type="town"><speed max="50" unit="km/h"/></type>'
+    road += '<type s="60" type="rural"><speed max="no limit"/></type>'
+    lanes = section(0.0, right=lane(-1, more='<speed sOffset="20" max="5" unit="m/s"/>') + lane(-2))
+    file = road_files.by_hand(tmp_path / "a.xodr", STRAIGHT, length=100.0, lanes=lanes, more=road)
+    limit = centre(file, "1", -1).v_limit
+    assert limit is not None
+    assert (limit[0], limit[-1]) == (pytest.approx(50.0 / 3.6), 5.0)
+    limit = centre(file, "1", -2).v_limit
+    assert limit is not None
+    assert limit[100] == pytest.approx(50.0 / 3.6)
+    assert math.isnan(limit[-1])
+
+
+def test_elevation_and_superelevation_are_told_and_not_used(tmp_path: FilePath) -> None:
+    flat = road_files.by_hand(tmp_path / "flat.xodr", ARC, length=60.0)
+    hill = '<elevationProfile><elevation s="0" a="10" b="0.05" c="0" d="0"/></elevationProfile>'
+    bank = '<lateralProfile><superelevation s="0" a="0.04" b="0" c="0" d="0"/></lateralProfile>'
+    steep = road_files.by_hand(tmp_path / "steep.xodr", ARC, length=60.0, more=hill + bank)
+    assert np.array_equal(centre(flat, "1", -1).xy, centre(steep, "1", -1).xy)
+    assert contents(str(flat)).notes == ()
+    assert contents(str(steep)).notes == ("elevation: told, not used", "superelevation: told, not used")
+
+
+def test_routes_through_a_junction(tmp_path: FilePath) -> None:
+    file = road_files.junction(tmp_path / "town.xodr")
+    made = read_course(f"{file}#road=1,lane=-1,to=2")
+    assert made.path.length == pytest.approx(60.0 + 26.3 + 60.0, abs=0.2)
+    assert "road 1, 100, 2" in made.notes[0]
+    assert made.v_limit is not None
+    inside = np.isnan(made.v_limit)
+    assert np.allclose(made.v_limit[~inside], 50.0 / 3.6)
+    assert 20 < inside.sum() < 32, "nobody says how fast the junction's own road is"
+    assert abs(made.path.samples.kappa).max() < 1.0 / 14.0
+    with pytest.raises(ValueError, match=r"no route leads to road 1: not connected; what can be reached: 1, 100, 102"):
+        read_course(f"{file}#road=1,lane=-1,to=1")
+    with pytest.raises(ValueError, match=r"road 9; there is road 1"):
+        read_course(f"{file}#road=9")
+    with pytest.raises(ValueError, match=r"which lane of road 1.*: 1, -1"):
+        read_course(f"{file}#road=1")
+    with pytest.raises(
+        ValueError, match=r"which road\? choose one, FILE#road=...: road 1 \(lane 1, -1, 60 m\); road 2"
+    ):
+        read_course(str(file))
+
+
+@pytest.mark.parametrize(
+    ("geometry", "length", "message"),
+    [
+        (STRAIGHT, 150.0, "its geometry is 100.000 m long, the road 150.000 m"),
+        (STRAIGHT + STRAIGHT.replace('s="0" x="0"', 's="100" x="101"'), 200.0, "torn by 1.00 m at s = 100.0 m"),
+        (
+            STRAIGHT + STRAIGHT.replace('s="0" x="0" y="0" hdg="0"', 's="100" x="100" y="0" hdg="0.2"'),
+            200.0,
+            "kink of 0.20",
+        ),
+        (STRAIGHT.replace("<line/>", "<curve/>"), 100.0, "holds curve; known: line, arc, spiral"),
+        (STRAIGHT.replace('length="100"', 'length="1e"'), 100.0, "length: is '1e', expected a number"),
+    ],
+)
+def test_what_contradicts_itself_is_refused(geometry: str, length: float, message: str, tmp_path: FilePath) -> None:
+    with pytest.raises(ValueError, match=message):
+        contents(str(road_files.by_hand(tmp_path / "a.xodr", geometry, length=length)))
+
+
+def test_lanes_that_cannot_be_driven_are_no_choice(tmp_path: FilePath) -> None:
+    lanes = section(0.0, right=lane(-1) + lane(-2, kind="sidewalk"))
+    file = road_files.by_hand(tmp_path / "a.xodr", STRAIGHT, length=100.0, lanes=lanes)
+    with pytest.raises(ValueError, match="has no lane -2 to drive on; lanes: -1"):
+        read_course(f"{file}#road=1,lane=-2")
+    assert read_course(str(file)).path.length == pytest.approx(100.0, abs=1e-3)

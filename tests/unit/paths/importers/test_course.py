@@ -1,0 +1,99 @@
+"""From a line to a course: what is smoothed, what cannot be driven, and the file that keeps it."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path as FilePath
+from typing import Any
+
+import numpy as np
+import pytest
+
+from steerkit.paths.courses import course, course_of
+from steerkit.paths.importers import Line, read_course
+from steerkit.paths.importers.course import laid
+
+BENT = np.array([(0.0, 0.0), (40.0, 0.0), (60.0, 20.0), (60.0, 60.0)])
+
+
+def made(xy: Any, **changes: Any) -> Any:
+    given = dict(name="yard", noise=0.1, closed=False, drawn=True)
+    return laid(Line(xy=np.asarray(xy, dtype=float), **changes.pop("speeds", {})), **(given | changes))
+
+
+def test_a_drawn_line_is_followed_between_its_points() -> None:
+    one = made(BENT, noise=0.5)
+    k = one.path.samples
+    off = [min(_off(p, a, b) for a, b in pairwise(BENT)) for p in k.xy]
+    assert max(off) < 2.0
+    assert 0.3 < np.sqrt(np.mean(np.square(off))) < 0.6
+    assert np.abs(k.kappa).max() < 1.0 / 6.0
+    assert any("smoothed by noise = 0.5 m" in note for note in one.notes)
+
+
+def _off(p: np.ndarray, a: np.ndarray, b: np.ndarray) -> float:
+    share = np.clip((p - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
+    return float(np.hypot(*(p - a - share * (b - a))))
+
+
+@pytest.mark.parametrize(
+    ("xy", "changes", "message"),
+    [
+        (
+            [(0, 0), (50, 0), (50, 30)],
+            dict(noise=0.2),
+            r"bends to a radius of .* m at s = .*; the car's wheel does 4.1 m; if",
+        ),
+        ([(0, 0), (50, 0), (5, 1)], {}, r"turns by 3.1 rad at one point, \(50.0, 0.0\) \[m\]: a kink"),
+        ([(0, 0), (3, 0)], {}, "is 3.0 m long, expected 10 to 200000"),
+        ([(0, 0), (np.nan, 0), (50, 0)], {}, r"point 1 is at \(nan, 0.0\) \[m\]"),
+        ([(0, 0), (1e12, 0), (50, 0)], {}, "expected numbers below 1e8"),
+        ([(0, 0), (0, 0.001)], {}, "1 distinct points, expected 2 or more"),
+        ([(0, 0), (20, 0), (20, 1), (0, 1), (0, 2), (20, 2)], dict(noise=0.0), "yard: cannot be driven|radius of"),
+    ],
+)
+def test_what_cannot_be_driven_is_refused_with_the_reason(xy: Any, changes: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        made(xy, **changes)
+
+
+def test_a_wheel_that_does_more_drives_more() -> None:
+    k = np.abs(made(BENT, noise=0.5, tightest=1.0).path.samples.kappa).max()
+    with pytest.raises(ValueError, match="the car's wheel does"):
+        made(BENT, noise=0.5, tightest=1.01 / k)
+    made(BENT, noise=0.5, tightest=0.99 / k)
+
+
+def test_speeds_stay_where_they_were() -> None:
+    limit = np.array([10.0, 10.0, 5.0, 5.0])
+    one = made(BENT, noise=0.5, speeds=dict(v_limit=limit))
+    s = one.path.samples.s
+    assert one.v is None
+    assert (one.v_limit[s < 66.0] == 10.0).all()
+    assert (one.v_limit[s > 69.0] == 5.0).all()
+
+
+def test_a_course_comes_back_from_its_file(tmp_path: FilePath) -> None:
+    built_in = course("paper")
+    xy = built_in.point(np.arange(0.0, built_in.length, 1.0))
+    v = np.linspace(4.0, 6.0, len(xy))
+    one = laid(
+        Line(xy=xy, v=v), name="p", noise=0.02, closed=True, drawn=False, origin_deg=(52.28, 8.02), notes=("a\nb",)
+    )
+    assert one.path.closed
+    again = course_of(one.text(), "p.csv")
+    assert (again.closed, again.origin_deg) == (True, (52.28, 8.02))
+    assert again.length == pytest.approx(one.path.length, abs=1e-4)
+    at = np.linspace(0.0, one.path.length, 500)
+    assert np.hypot(*(again.point(at) - one.path.point(at)).T).max() < 1e-3
+    assert np.abs(again.kappa(at) - one.path.kappa(at)).max() < 2e-3
+    one.to_csv(str(tmp_path / "p.csv"))
+    third = read_course(str(tmp_path / "p.csv") + "#noise=0")
+    assert third.path.length == pytest.approx(one.path.length, abs=1e-3)
+
+
+def test_a_course_that_is_cut_short_is_noticed() -> None:
+    lines = made(BENT, noise=0.5).text().splitlines()
+    course_of("\n".join(lines), "yard.csv")
+    with pytest.raises(ValueError, match=r"yard.csv: its first line says .* m, its points make .*: cut short"):
+        course_of("\n".join(lines[:-3]), "yard.csv")

@@ -1,0 +1,219 @@
+"""Path: how it is made, what it refuses, what it gives; the built-in courses."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from steerkit.paths import courses
+from steerkit.paths.path import Path
+
+ANGLE = np.linspace(0.0, 2.0 * math.pi, 60, endpoint=False)
+RING = 30.0 * np.column_stack((np.cos(ANGLE), np.sin(ANGLE)))
+LINE = np.column_stack((np.arange(0.0, 50.0, 5.0), np.zeros(10)))
+WIGGLY = np.column_stack((np.arange(0.0, 50.0, 0.25), 0.05 * (-1.0) ** np.arange(200)))
+
+
+def made_of(xy, closed=False, **options):
+    return Path.from_waypoints(xy, closed=closed, name="lap", **options)
+
+
+def with_entry(points, index, value):
+    points = points.copy()
+    points[index] = value
+    return points
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: made_of(np.zeros((3, 4))), r"shape \(3, 4\), expected \(n, 2\)"),
+        (lambda: made_of(RING.T, closed=True), r"shape \(2, 60\)"),
+        (lambda: made_of([(0.0, 0.0)]), r"1 waypoints, expected at least 2"),
+        (lambda: made_of(RING[::12], closed=True), r"5 distinct waypoints, expected at least 6 when closed"),
+        (lambda: made_of(with_entry(LINE, 3, math.nan)), r"waypoint 3 not finite"),
+        (lambda: made_of(np.repeat(LINE, [1, 1, 3] + [1] * 7, axis=0)), r"waypoint 3, 4 repeats the one before"),
+        (lambda: made_of(LINE * 1e-5), r"within 0.00045 m, expected metres; .*from_gps"),
+        (lambda: made_of(LINE, smoothing=-1.0), r"smoothing -1.0 \[m\]"),
+        (lambda: made_of(LINE, spacing=0.0), r"spacing 0.0 \[m\]"),
+        (lambda: made_of(RING[:40], closed=True), r"ends are 53.5 m apart where neighbours are at most 3.14 m"),
+        (lambda: made_of(np.vstack((RING, RING[:4])), closed=True), r"overlaps its start .*the first 60 waypoints"),
+        (lambda: made_of([(0, 0), (10, 0), (20, 0), (10, 0.01), (0, 0.01)]), r"folds back|too fine for spacing"),
+        (lambda: made_of(WIGGLY), r"detail near .* too fine for spacing 0.997 .*smoothing > 0 for noisy points"),
+    ],
+)
+def test_what_is_wrong_with_waypoints_is_said(make, message):
+    with pytest.raises(ValueError, match=message) as error:
+        make()
+    assert "Path 'lap'" in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("lat", "lon", "message"),
+    [
+        ([52.0, 52.001], [10.0], r"lat of shape \(2,\), lon of shape \(1,\)"),
+        ([52.0, math.inf], [10.0, 10.001], r"position 1 not finite"),
+        ([-122.3, -122.31], [37.9, 37.91], r"position 0: lat -122.3, lon 37.9 .*swapped\?"),
+        ([95.0, 95.1], [200.0, 200.1], r"expected -90..90 and -180..180$"),
+        ([0.9076, 0.9077], [0.1745, 0.1746], r"look like radians"),
+    ],
+)
+def test_what_is_wrong_with_gps_positions_is_said(lat, lon, message):
+    with pytest.raises(ValueError, match=message):
+        Path.from_gps(lat, lon, closed=False)
+
+
+def test_a_closed_path_may_repeat_its_first_point():
+    again = made_of(np.vstack((RING, RING[:1])), closed=True)
+    assert np.array_equal(again.table.rows, made_of(RING, closed=True).table.rows)
+
+
+def test_an_interpolated_path_goes_through_its_waypoints():
+    path = made_of(RING, closed=True)
+    nearest = np.hypot(*(path.point(np.linspace(0.0, path.length, 20_000))[:, None] - RING).transpose(2, 0, 1)).min(0)
+    assert nearest.max() < 6e-3  # half the step of the search
+
+
+def test_a_path_is_immutable():
+    path = made_of(LINE)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        path.length = 3.0
+    with pytest.raises(ValueError, match="read-only"):
+        path.samples.xy[0] = 1.0
+
+
+@pytest.mark.parametrize("closed", [False, True])
+def test_floats_arrays_and_lists_agree(closed):
+    path = made_of(RING, closed=closed)
+    s = [-3.0, 0.0, 1.7, path.length, path.length + 2.0]
+    for function in (path.point, path.psi, path.kappa):
+        assert np.array_equal(function(s), function(np.array(s)))
+        assert np.allclose(function(s), [function(each) for each in s], atol=1e-13)
+    assert type(path.kappa(1.0)) is float
+    assert np.allclose(path.point(path.length + 2.0), path.point(2.0 if closed else path.length))
+
+
+@pytest.mark.parametrize("closed", [False, True])
+def test_back_is_inside_for_whoever_is_less_than_a_length_outside(closed):
+    path = made_of(RING, closed=closed)
+    n = path.length
+    s = np.array([-n, -2.0, -1e-13, -1e-300, 0.0, 3.0, n - 1e-12, n, n + 1e-12, n + 2.0, 1.99 * n])
+    back = path.back(s)
+    assert ((back >= 0.0) & (back <= n)).all()
+    assert [path.back(float(each)) for each in s] == back.tolist()
+    apart = (back - path.inside(s)) / n
+    assert np.abs(apart - (np.round(apart) if closed else 0.0)).max() < 1e-12
+    assert np.isfinite(path.frame(back)).all()
+    assert math.isnan(path.back(math.nan))
+
+
+def test_samples_hold_both_ends():
+    k = made_of(RING, closed=True).samples
+    assert k.s.shape == k.psi.shape == k.kappa.shape == k.xy.shape[:1]
+    assert np.allclose(k.xy[0], k.xy[-1], atol=1e-9)
+    assert k.psi[-1] - k.psi[0] == pytest.approx(2.0 * math.pi)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_samples_of_a_circle_turn_to_its_side(side):
+    path = courses.circle(20.0) if side > 0.0 else courses.circle(20.0).reversed()
+    knots = path.samples
+    assert knots.kappa == pytest.approx(np.full(len(knots.s), side / 20.0), rel=1e-5)
+    assert knots.psi - knots.psi[0] == pytest.approx(side * knots.s / 20.0, abs=1e-6)
+    assert path.kappa(knots.s) == pytest.approx(knots.kappa, rel=1e-12)
+
+
+@pytest.mark.parametrize("name", ["paper", "genesis-rfs"])
+def test_reversed_is_the_same_curve_the_other_way(name):
+    path = courses.course(name)
+    back, s = path.reversed(), np.linspace(1.0, path.length - 1.0, 777)
+    assert np.allclose(back.point(path.length - s), path.point(s), atol=1e-9)
+    assert np.allclose(back.kappa(path.length - s), -path.kappa(s), atol=1e-7)
+    assert np.allclose(np.cos(back.psi(path.length - s) - path.psi(s)), -1.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("name", "left"), [("paper", 0.0), ("genesis-rfs", 123.4)])
+def test_started_at_moves_the_start(name, left):
+    path = courses.course(name)
+    later = path.started_at(123.4)
+    s = np.linspace(0.0, path.length - 123.4, 500)
+    assert (later.closed, later.length) == (path.closed, pytest.approx(path.length - left, abs=1e-4))
+    assert np.allclose(later.point(s), path.point(123.4 + s), atol=1e-4)
+    assert np.allclose(later.kappa(s), path.kappa(123.4 + s), atol=1e-4)
+    with pytest.raises(ValueError, match=r"started_at s = -1.0 \[m\], expected 0 <= s"):
+        path.started_at(-1.0)
+
+
+@pytest.mark.parametrize("name", ["paper", "genesis-rfs"])
+def test_a_csv_file_gives_the_path_back(name, tmp_path):
+    path = courses.course(name)
+    path.to_csv(tmp_path / "course.csv")
+    again = Path.from_csv(tmp_path / "course.csv", closed=path.closed, spacing=path.h * 1.001)
+    assert (again.name, again.length) == ("course", pytest.approx(path.length, abs=1e-5))
+    s = np.linspace(0.0, path.length - 1e-3, 3000)
+    assert np.allclose(again.point(s), path.point(s), atol=1e-5)
+    assert np.allclose(again.kappa(s), path.kappa(s), atol=1e-5)
+
+
+def test_a_csv_file_may_hold_latitudes(tmp_path):
+    file = tmp_path / "drive.csv"
+    rows = [f"{52.0 + 1e-4 * k},{10.0},{k}" for k in range(20)]
+    file.write_text("\n".join(["# by hand", "lat, lon, t", *rows]))
+    path = Path.from_csv(file, closed=False, smoothing=0.0)
+    assert path.length == pytest.approx(19 * 11.1266, abs=0.01)  # 1e-4 degrees of the meridian at 52 N
+    assert path.psi(50.0) == pytest.approx(math.pi / 2.0, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "no rows, expected a header"),
+        ("0,0\n1,1\n2,2\n", "line 1 holds numbers, expected a header"),
+        ("a,b\n1,2\n3,4\n", r"columns a, b; valid: x, y \[m\] or lat, lon \[degrees\]"),
+        ("# c\nx,y\n1,2\n3,oops\n", r"line 4 is '3,oops', expected 2 numbers \(x,y\)"),
+        ("x,y\n1,2,3\n", r"line 2 is '1,2,3', expected 2 numbers"),
+    ],
+)
+def test_what_is_wrong_with_a_csv_file_is_said(text, message, tmp_path):
+    (tmp_path / "course.csv").write_text(text)
+    with pytest.raises(ValueError, match=message):
+        Path.from_csv(tmp_path / "course.csv", closed=False)
+
+
+def test_require_closed():
+    made_of(RING, closed=True).require_closed("experiment")
+    with pytest.raises(ValueError, match=r"experiment: Path\('lap', open, 45.0 m\) is open .*45.0 m.*closed=True"):
+        made_of(LINE).require_closed("experiment")
+
+
+def test_an_unknown_course_names_the_nearest():
+    with pytest.raises(ValueError, match=r"'genesys' is not known; did you mean 'genesis'.*valid: paper, genesis"):
+        courses.course("genesys")
+    with pytest.raises(ValueError, match=r"'paper' is not known.*valid: genesis, genesis-rfs"):
+        courses.recorded_speed("paper")
+
+
+@pytest.mark.parametrize(("name", "seconds"), [("genesis", 361.15), ("genesis-rfs", 67.02)])
+def test_the_recorded_speed_takes_as_long_as_the_recording(name, seconds):
+    s, v = courses.recorded_speed(name)
+    assert not courses.course(name).closed
+    assert s[-1] == courses.course(name).length
+    assert v.min() > 0.3
+    assert seconds - 4.0 < np.trapezoid(1.0 / v, s) < seconds  # without the rest at its end
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: courses.circle(-1.0), r"radius -1.0 \[m\], expected > 0"),
+        (lambda: courses.straight(0.0), r"length 0.0 \[m\]"),
+        (lambda: courses.figure_eight(math.nan), r"size nan \[m\]"),
+        (lambda: courses.random_course(1, length=50.0, max_kappa=0.1), r"expected length > 0 and a product >= 8"),
+        (lambda: courses.bends([(10.0, 90.0, 9.0, 1.0)]), r"turns sum to 90 degrees"),
+        (lambda: courses.bends([(9.0, 360.0, 2.0, 13.0)]), r"bend 0: ramp 13.0 \[m\], expected at most .* 12.6 m"),
+    ],
+)
+def test_what_is_wrong_with_a_shape_is_said(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()

@@ -1,0 +1,238 @@
+"""PathTracker: one formula for floats, batches and symbols; finding the place, keeping it, losing it."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from steerkit.diagram.maths import Table
+from steerkit.paths import courses
+from steerkit.paths.tracker import PathTracker
+
+PAPER = courses.course("paper")
+
+
+def pose_beside(path, s, e, psi_e):
+    (x, y), psi = path.point(s), path.psi(s)
+    return x - e * math.sin(psi), y + e * math.cos(psi), psi + psi_e
+
+
+def inputs(tracker, pose, v=5.0, beta=0.02, r=0.1):
+    return tracker.D(*(float(a) for a in pose), v, beta, r)
+
+
+@given(s=st.floats(0.0, 795.0), e=st.floats(-3.0, 3.0), psi_e=st.floats(-1.0, 1.0))
+def test_the_place_is_found_wherever_the_car_starts(s, e, psi_e):
+    tracker = PathTracker(path=PAPER)
+    u = inputs(tracker, pose_beside(PAPER, s, e, psi_e))
+    state = tracker.settle(0.0, tracker.init(), u)
+    y = tracker.output(0.0, state, u)
+    assert math.remainder(y.s - s, PAPER.length) == pytest.approx(0.0, abs=1e-6)
+    assert 0.0 <= y.s <= PAPER.length
+    assert (y.e, y.psi_e) == (pytest.approx(e, abs=1e-7), pytest.approx(psi_e, abs=1e-6))
+    assert y.progress == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("s", [2.622 * 60.0 / 4.0, 2.622 * 60.0 * 3.0 / 4.0])
+def test_at_a_crossing_the_heading_decides(s):
+    path = courses.figure_eight(60.0)
+    tracker = PathTracker(path=path)
+    state = tracker.settle(0.0, tracker.init(), inputs(tracker, pose_beside(path, s, 0.1, 0.3)))
+    assert state.s == pytest.approx(s, abs=0.01)
+
+
+@pytest.mark.parametrize("along", [-0.6, -0.2, 0.0, 0.3, 0.7])
+@pytest.mark.parametrize("e", [-0.5, 0.0, 0.5])
+@pytest.mark.parametrize("s", [2.622 * 60.0 / 4.0, 2.622 * 60.0 * 3.0 / 4.0])
+def test_about_a_crossing_the_strand_that_the_car_follows_is_found_even_if_the_other_is_nearer(s, e, along):
+    path = courses.figure_eight(60.0)
+    tracker = PathTracker(path=path)
+    u = inputs(tracker, pose_beside(path, s + along, e, 0.0))
+    y = tracker.output(0.0, tracker.settle(0.0, tracker.init(), u), u)
+    assert (y.s, y.e, y.psi_e) == pytest.approx((s + along, e, 0.0), abs=0.01)
+
+
+@pytest.mark.parametrize("e", [-4.0, 0.0, 8.0])
+def test_beside_a_bend_the_next_place_is_foreseen_by_the_angle_about_its_centre(e):
+    """On a circle of 20 m a car e inside drives v dt/(20 - e) of an angle, and so 20 times that along the path."""
+    path = courses.circle(20.0)
+    tracker = PathTracker(path=path, dt=0.05)
+    x, y, psi = pose_beside(path, 30.0, e, 0.0)
+    u = tracker.U(float(x), float(y), float(psi), 6.0, 0.0, 6.0 / (20.0 - e))
+    state = tracker.settle(0.0, tracker.init(), tracker.D(*u))
+    after = tracker.update(0.0, state, u, tracker.output(0.0, state, tracker.D(*u)))
+    assert after.s - 30.0 == pytest.approx(20.0 * 6.0 * 0.05 / (20.0 - e), rel=1e-3)
+    assert after.progress == pytest.approx(after.s - 30.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("off", [-0.9, -0.3, 0.6])
+@pytest.mark.parametrize("e", [-3.0, 5.0])
+def test_progress_is_all_of_the_way_that_s_has_made(e, off):
+    """Also where the place was expected elsewhere, so that both steps of the search have to go some way."""
+    path = courses.circle(20.0)
+    tracker = PathTracker(path=path)
+    u = inputs(tracker, pose_beside(path, 30.0, e, 0.0))
+    y = tracker.output(0.0, tracker.X(30.0 + off, 7.0), u)
+    assert y.progress - 7.0 == pytest.approx(y.s - (30.0 + off), abs=1e-12)
+    assert y.s == pytest.approx(30.0, abs=0.02)
+
+
+def test_beyond_the_end_of_an_open_path_neither_s_nor_progress_goes_on():
+    path = courses.straight(50.0)
+    tracker = PathTracker(path=path, dt=0.05)
+    u = inputs(tracker, (45.0, 0.3, 0.0), beta=0.0, r=0.0)
+    state = tracker.settle(0.0, tracker.init(), u)
+    for k in range(60):
+        now = tracker.U(45.0 + 0.25 * k, 0.3, 0.0, 5.0, 0.0, 0.0)
+        y = tracker.output(0.0, state, tracker.D(*now))
+        assert y.s == pytest.approx(min(50.0, now.x), abs=1e-9)
+        assert y.progress == pytest.approx(min(5.0, now.x - 45.0), abs=1e-9)
+        assert y.e == pytest.approx(0.3)
+        state = tracker.update(0.0, state, now, y)
+
+
+def test_floats_stay_floats():
+    tracker = PathTracker(path=PAPER, preview_points=2)
+    u = inputs(tracker, (1.0, 0.2, 0.1))
+    state = tracker.settle(0.0, tracker.init(), u)
+    y = tracker.output(0.0, state, u)
+    later = tracker.update(0.0, state, u, y)
+    assert {type(a) for a in (*state, *y[:7], *y.preview, *later)} == {float}
+
+
+@pytest.mark.parametrize("path", [PAPER, courses.course("genesis-rfs")], ids=["closed", "open"])
+def test_a_batch_equals_its_cars_one_by_one(path):
+    rng = np.random.default_rng(1)
+    n = 300  # more than one group of the search
+    s, e, psi_e = rng.uniform(-2.0, path.length + 2.0, n), rng.uniform(-2.0, 2.0, n), rng.uniform(-0.5, 0.5, n)
+    reference = rng.uniform(0.0, 2.0, n)
+    poses = np.array([pose_beside(path, *row) for row in zip(s, e, psi_e)])
+    many = PathTracker(path=path, reference=reference, preview_points=3)
+    u = many.D(*poses.T, np.linspace(0.0, 9.0, n), np.full(n, 0.02), np.full(n, 0.1))
+    state = many.settle(0.0, many.init((n,)), u)
+    y = many.output(0.0, state, u)
+    later = many.update(0.0, state, u, y)
+    again = many.output(0.05, later, u)
+    for k in range(0, n, 7):
+        one = PathTracker(path=path, reference=float(reference[k]), preview_points=3)
+        u1 = one.D(*(float(a[k]) for a in u))
+        x1 = one.settle(0.0, one.init(), u1)
+        y1 = one.output(0.0, x1, u1)
+        z1 = one.output(0.05, one.update(0.0, x1, u1, y1), u1)
+        for batch, single in ((y, y1), (again, z1)):
+            assert np.allclose([a[k] for a in (*batch[:7], *batch.preview)], [*single[:7], *single.preview], atol=1e-9)
+
+
+def test_symbols_give_the_same_numbers(monkeypatch):
+    casadi = pytest.importorskip("casadi")
+
+    def rows(table, index):  # what a tracer does, for a short table
+        columns = [casadi.SX(0.0)] * table.rows.shape[1]
+        for k, row in enumerate(table.rows):
+            columns = [casadi.if_else(index == k, float(a), c) for a, c in zip(row, columns)]
+        return columns
+
+    monkeypatch.setattr(Table, "tracer", staticmethod(rows))
+    for path in (courses.circle(8.0), courses.straight(20.0)):
+        tracker = PathTracker(path=path, reference=1.0, preview_points=2)
+        symbols = [casadi.SX.sym(name) for name in ("s", "progress", *tracker.D._fields)]
+        x, u = tracker.X(*symbols[:2]), tracker.D(*symbols[2:])
+        y = tracker.output(0.0, x, u)
+        traced = casadi.Function("f", symbols, [*y[:7], *y.preview, *tracker.update(0.0, x, u, y)])
+        for s, place in ((3.0, 3.2), (19.95, 20.4), (0.0, -0.3)):
+            values = tracker.X(s, 7.0), inputs(tracker, pose_beside(path, place, 0.4, 0.2))
+            y = tracker.output(0.0, *values)
+            plain = [*y[:7], *y.preview, *tracker.update(0.0, *values, y)]
+            assert np.allclose([float(a) for a in traced(*values[0], *values[1])], plain, atol=1e-12)
+
+
+@settings(max_examples=30)
+@given(start=st.floats(0.0, 188.0), v=st.floats(-5.0, 9.0))
+def test_round_after_round_s_wraps_and_progress_does_not(start, v):
+    path = courses.circle(30.0)
+    tracker, s, state = PathTracker(path=path), start, None
+    for k in range(900):
+        u = tracker.D(30.0 * math.sin(s / 30.0), 30.0 - 30.0 * math.cos(s / 30.0), s / 30.0, v, 0.0, v / 30.0)
+        state = tracker.settle(0.0, tracker.init(), u) if state is None else state
+        y = tracker.output(k * 0.05, state, u)
+        state = tracker.update(k * 0.05, state, u, y)
+        assert 0.0 <= y.s <= path.length
+        s += 0.05 * v
+    assert y.progress == pytest.approx(v * 0.05 * 899, abs=1e-6)
+    assert math.remainder(y.s - (s - 0.05 * v), path.length) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_car_at_rest_stays_where_it_is():
+    tracker = PathTracker(path=PAPER, reference=1.2)
+    u = inputs(tracker, pose_beside(PAPER, 100.0, 0.5, 0.3), v=0.0, r=0.0)
+    state = first = tracker.settle(0.0, tracker.init(), u)
+    for k in range(100):
+        state = tracker.update(k * 0.05, state, u, tracker.output(k * 0.05, state, u))
+    assert state == pytest.approx(first, abs=1e-9)
+
+
+def test_after_a_jump_of_the_measured_position_the_place_is_found_again():
+    tracker = PathTracker(path=PAPER)
+    state = tracker.settle(0.0, tracker.init(), inputs(tracker, pose_beside(PAPER, 80.0, 0.0, 0.0)))
+    u = inputs(tracker, pose_beside(PAPER, 84.0, 0.7, 0.0), v=0.0, r=0.0)
+    for k in range(4):
+        y = tracker.output(k * 0.05, state, u)
+        state = tracker.update(k * 0.05, state, u, y)
+        assert abs(y.progress) <= 2.0 * (k + 1) + 1e-9  # two steps of a window a sample
+    assert (y.s, y.e) == (pytest.approx(84.0, abs=1e-6), pytest.approx(0.7, abs=1e-6))
+
+
+def test_the_preview_is_the_curvature_ahead_at_the_present_speed():
+    tracker = PathTracker(path=PAPER, preview_points=4, preview_dt=0.5)
+    u = inputs(tracker, pose_beside(PAPER, 60.0, 0.2, 0.0), v=8.0)
+    y = tracker.output(0.0, tracker.settle(0.0, tracker.init(), u), u)
+    assert y.preview == pytest.approx([PAPER.kappa(60.0 + 4.0 * j) for j in range(4)], abs=1e-8)
+    assert y.preview[0] == pytest.approx(y.kappa, abs=1e-9)
+    assert tracker.preview.size == 4
+    assert PathTracker(path=PAPER).output(0.0, PathTracker.X(60.0, 0.0), u).preview == ()
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_a_broken_pose_is_refused_at_the_start_and_shows_in_e_later(bad):
+    tracker = PathTracker(path=PAPER, preview_points=2)
+    good, broken = inputs(tracker, (1.0, 0.2, 0.0)), inputs(tracker, (1.0, bad, 0.0), v=bad)
+    with pytest.raises(ValueError, match=r"PathTracker: pose .* of car 0 at the start, expected finite numbers"):
+        tracker.settle(0.0, tracker.init(), broken)
+    with pytest.raises(ValueError, match=r"of car 1, 2 at the start"):
+        tracker.settle(0.0, tracker.init((3,)), tracker.D(np.zeros(3), np.array([0.0, bad, bad]), *[np.zeros(3)] * 4))
+    state = tracker.settle(0.0, tracker.init(), good)
+    y = tracker.output(0.0, state, broken)
+    assert not math.isfinite(y.e)
+    assert math.isfinite(y.s)
+    assert all(map(math.isfinite, tracker.update(0.0, state, broken, y)))
+
+
+def test_more_than_a_round_in_a_sample_leaves_the_search_where_it_was():
+    """On a circle of 126 m, at kappa*e = 1, where the foot point runs away: 30 m/s count five times, 150 m/s too."""
+    circle = courses.circle(20.0)
+    tracker = PathTracker(path=circle, dt=1.0)
+    for v, moved in ((20.0, 100.0), (30.0, 0.0), (1e9, 0.0)):
+        u = inputs(tracker, pose_beside(circle, 3.0, 19.99, 0.0), v=v, beta=0.0, r=0.0)
+        y = tracker.output(0.0, tracker.X(3.0, 0.0), u)
+        after = tracker.update(0.0, tracker.X(3.0, 0.0), u, y)
+        assert 0.0 <= after.s <= circle.length
+        assert after.progress - y.progress == pytest.approx(moved, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("path", "paper", r"path is a str, expected a steerkit Path"),
+        ("reference", math.nan, r"reference nan \[m\], expected finite"),
+        ("window", 0.0, r"window 0.0 \[m\], expected > 0"),
+        ("window", 900.0, r"window 900.0 \[m\], expected at most a round of Path\('paper', closed, 79"),
+        ("dt", -0.05, r"dt -0.05 \[s\], expected > 0"),
+        ("preview_points", -1, r"preview_points -1, expected a count >= 0"),
+        ("preview_dt", 0.0, r"preview_dt 0.0 \[s\], expected > 0"),
+    ],
+)
+def test_wrong_parameters_are_refused(field, value, message):
+    with pytest.raises(ValueError, match=message):
+        PathTracker(**{"path": PAPER, field: value})

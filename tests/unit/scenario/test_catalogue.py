@@ -1,0 +1,209 @@
+"""The catalogue: one recipe a controller, and what it is told is what it gets."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmarks.entries import controller as entry
+from steerkit.car.config.config import shipped
+from steerkit.car.config.reading import load
+from steerkit.car.loop import belief_of, controller_named
+from steerkit.controllers.adaptive import Adaptive
+from steerkit.controllers.delay import Predicted
+from steerkit.controllers.stanley import Stanley
+from steerkit.diagram.block import Block
+from steerkit.diagram.units import radians_of
+from steerkit.paths.courses import course
+from steerkit.scenario import Scenario
+from steerkit.scenario.catalogue import (
+    CONTROLLERS,
+    ELEMENTS,
+    RECOVERIES,
+    Belief,
+    make_controller,
+    make_element,
+    make_recovery,
+    make_safety,
+)
+from steerkit.vehicles import vehicle
+from tests.support.own_controller import own_controller
+
+BELIEF = Belief(vehicle=vehicle("vw-passat"), path=course("circle"), delay=0.1, lag=0.12)
+NARROW = replace(BELIEF, vehicle=replace(BELIEF.vehicle, delta_sw_max=radians_of(300.0)), rate_limit=radians_of(200.0))
+
+
+def limits(block: Any, name: str) -> list[float]:
+    """The limit of that name of a block and of those inside it."""
+    inner = [getattr(block, part) for part in ("block", "fallback") if isinstance(getattr(block, part, None), Block)]
+    here = [float(getattr(block, name))] if hasattr(block, name) else []
+    return here + [value for one in inner for value in limits(one, name)]
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_every_controller_keeps_to_the_car_and_the_motor_that_it_is_told(name: str) -> None:
+    block = make_controller(name, NARROW)
+    assert limits(block, "limit")
+    assert set(limits(block, "limit")) == {radians_of(300.0)}
+    if name != "stanley-textbook":  # which has no limits but the stop
+        assert set(limits(block, "rate_limit")) <= {radians_of(200.0)}
+    assert set(limits(make_controller(name, BELIEF), "limit")) == {radians_of(520.0)}
+
+
+@pytest.mark.parametrize("name", ["stanley-delay", "mpc", "nonlinear-mpc"])
+def test_who_reckons_with_the_steering_is_told_its_delay_and_lag(name: str) -> None:
+    block: Any = make_controller(name, BELIEF)
+    assert (block.delay, block.lag) == (0.1, 0.12)
+
+
+def test_the_others_are_made_for_the_delay() -> None:
+    waiting = {delay: len(make_controller("lqr", replace(BELIEF, delay=delay)).init()) for delay in (0.05, 0.1, 0.3)}
+    assert waiting == {0.05: 1, 0.1: 2, 0.3: 6}
+    look = make_controller("pure-pursuit", BELIEF).look_time  # type: ignore[attr-defined]
+    assert look > make_controller("pure-pursuit", replace(BELIEF, delay=0.0)).look_time  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("name", ["mpc", "nonlinear-mpc"])
+def test_an_mpc_leaves_the_motor_room_to_follow(name: str) -> None:
+    block: Any = make_controller(name, BELIEF)
+    assert block.rate_limit == type(block).rate_limit < BELIEF.rate_limit
+
+
+@pytest.mark.parametrize("name", ELEMENTS)
+def test_an_element_ends_at_the_stops(name: str) -> None:
+    doe = make_element(name, NARROW.vehicle)
+    assert doe.output(0.0, doe.init(), doe.D(action=9.0)).delta_sw <= radians_of(300.0)
+    assert make_element(name).limit == radians_of(520.0)
+
+
+def test_a_safety_filter_is_told_what_the_others_are() -> None:
+    filter = make_safety(replace(NARROW, delay=0.15, lag=0.07, rate_limit=3.0))
+    model: Any = filter.backup
+    assert (model.delay, model.lag, model.rate_limit, model.block.rate_limit) == (0.15, 0.07, 3.0, 3.0)
+    assert (model.block.limit, model.steer_ratio) == (radians_of(300.0), NARROW.vehicle.steer_ratio)
+
+
+def test_half_of_what_the_actuator_holds_is_delay_to_the_mpc_alone() -> None:
+    held = replace(BELIEF, hold=0.01)
+    assert make_controller("mpc", held).delay == pytest.approx(0.105)  # type: ignore[attr-defined]
+    assert make_controller("mpc", BELIEF).delay == 0.1  # type: ignore[attr-defined]
+    assert make_controller("stanley-delay", held).delay == 0.1  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_whoever_asks_gets_the_same_controller_but_for_hold_and_budget(name: str) -> None:
+    config = replace(load("dbw-kit.toml"), delay=0.1, lag=0.12)
+    scenario = Scenario(name="x", delay=0.1, lag=0.12)
+    car, bench = controller_named(name, config).block, entry(name).make(scenario)  # type: ignore[misc]
+    assert unhurried(parameters(car)) == unhurried(parameters(bench))
+    belief = belief_of(config)
+    assert (belief.hold, belief.delay, belief.rate_limit) == (0.0, 0.1, radians_of(550.0))
+
+
+def unhurried(numbers: dict[str, Any]) -> dict[str, Any]:
+    """Without what hold and budget make different: of a predictive controller, wherever it is."""
+    own = {"delay", "budget", "preview_points"} if "horizon" in numbers else set()
+    return {
+        key: unhurried(value) if isinstance(value, dict) else value for key, value in numbers.items() if key not in own
+    }
+
+
+def parameters(block: Any) -> dict[str, Any]:
+    """The numbers and words in a block and in those inside it."""
+    own = {key: value for key, value in vars(block).items() if isinstance(value, int | float | str)}
+    inner = {key: parameters(value) for key, value in vars(block).items() if isinstance(value, Block)}
+    return own | inner
+
+
+def test_a_gate_that_is_narrower_than_the_car_is_what_counts_on_it() -> None:
+    config = load("dbw-kit.toml")
+    config = replace(config, gate=replace(config.gate, delta_sw_max=radians_of(400.0), rate_max=radians_of(300.0)))
+    belief = belief_of(config)
+    assert (belief.vehicle.delta_sw_max, belief.rate_limit) == (radians_of(400.0), radians_of(300.0))
+
+
+@pytest.mark.parametrize(
+    ("ask", "message"),
+    [
+        (lambda: make_controller("stanly", BELIEF), r"controller 'stanly' is not known \(did you mean 'stanley'\?\)"),
+        (lambda: make_safety(replace(BELIEF, slew=5.0)), "slew = 5.0 .*expected none: the filter is for cars whose"),
+        (
+            lambda: make_recovery("lqr", BELIEF),
+            "recovery 'lqr' is not known.*; valid: fitting, adapting, stanley, stanley-delay",
+        ),
+        (lambda: make_element("integral"), "did you mean 'integrator'"),
+        (lambda: replace(BELIEF, lag=-1.0), r"lag = -1.0 \[s\], expected 0 to 10"),
+        (lambda: replace(BELIEF, delay=3.0), r"delay = 3.0 \[s\], expected 0 to 2"),
+        (lambda: replace(BELIEF, rate_limit=0.0), "rate_limit = 0.0"),
+    ],
+)
+def test_what_cannot_be_made_says_what_can(ask: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        ask()
+
+
+def test_only_controllers_that_catch_from_anywhere_are_recoveries() -> None:
+    assert RECOVERIES == ("fitting", "adapting", "stanley", "stanley-delay")
+
+
+def test_the_adapting_recovery_hears_what_others_steer_and_winds_up_nothing_meanwhile() -> None:
+    block = make_recovery("adapting", replace(BELIEF, delay=0.15))
+    assert isinstance(block, Adaptive)
+    assert block.hears
+    assert all(isinstance(one, Predicted) for one in block.blocks)
+
+
+def test_the_fitting_recovery_knows_of_dead_time_and_slew_where_there_is_some() -> None:
+    assert isinstance(make_recovery("fitting", replace(BELIEF, delay=0.0)), Stanley)
+    late = make_recovery("fitting", replace(BELIEF, delay=0.15))
+    assert isinstance(late, Predicted)
+    assert late.delay == 0.15
+    by_torque = make_recovery("fitting", replace(BELIEF, delay=0.0, slew=5.0, a_y_limit=3.0))
+    assert isinstance(by_torque, Predicted)
+    assert (by_torque.slew, by_torque.block.share) == (5.0, 0.3)  # type: ignore[attr-defined]
+
+
+# ---- a user's own -----------------------------------------------------------------------------------------------
+
+
+def test_a_controller_of_ones_own_is_told_what_the_others_are(tmp_path: Path) -> None:
+    name = own_controller(tmp_path)
+    block = make_controller(name, replace(BELIEF, vehicle=vehicle("bmw-320i")))
+    assert (block.steer_ratio, block.reference) == (16.0, vehicle("bmw-320i").l_f)  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("thing", "message"),
+    [
+        ("nothing", "returned None, expected a Block with an output delta_sw"),
+        ("kind", "returned the class Mine, expected a Block"),
+        ("unlucky", "failed: AttributeError: 'Belief' object has no attribute 'colour'"),
+        ("element", r"PathTracker has the outputs s \[m\].*expected a Block with an output delta_sw \[rad\]"),
+        ("number", "of type int, expected a function of a Belief"),
+        ("mak", "has no 'mak'; it has dataclass, Block"),
+    ],
+)
+def test_what_is_no_controller_is_said_in_one_line(thing: str, message: str, tmp_path: Path) -> None:
+    name = own_controller(tmp_path).replace(":make", f":{thing}")
+    with pytest.raises(ValueError, match=message) as refused:
+        make_controller(name, BELIEF)
+    assert "\n" not in str(refused.value)
+    assert str(refused.value).startswith(f"controller '{name}'")
+
+
+def test_a_car_refuses_what_its_file_does_not_allow(tmp_path: Path) -> None:
+    name, config = own_controller(tmp_path), load("dbw-kit.toml")
+    with pytest.raises(ValueError, match=r"not allowed; .*\[controllers\] allow = .*; allowed are: none"):
+        controller_named(name, config)
+    assert controller_named(name, replace(config, controllers=(name,))).steers.name == name
+    with pytest.raises(ValueError, match="not allowed"):
+        controller_named(name.replace(":make", ":nothing"), replace(config, controllers=(name,)))
+    text = shipped("dbw-kit.toml").read_text()
+    (tmp_path / "car.toml").write_text(f'{text}\n[controllers]\nallow = ["my_file.py:make"]\n')
+    assert load(tmp_path / "car.toml").controllers == ("my_file.py:make",)
+    (tmp_path / "car.toml").write_text(f'{text}\n[controllers]\nallow = ["stanley"]\n')
+    with pytest.raises(ValueError, match=r"\[controllers\] allow: 'stanley', expected names such as 'my_file.py:make'"):
+        load(tmp_path / "car.toml")
