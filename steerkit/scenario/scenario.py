@@ -108,8 +108,8 @@ class Scenario:
     """What it is called in results and errors."""
     course: str = "paper"
     """Name of a course (`steerkit.paths.courses`); `random-7` and the like, a random course by its seed (500 m, radii
-    of 10 m and more), `sweeping-7` one with wide bends (2 km, 100 m and more); or a file: CSV with the columns x, y [m] or
-    lat, lon [degrees], or any that `steerkit.paths.importers.read_course` reads, such as
+    of 10 m and more), `sweeping-7` one with wide bends (2 km, 100 m and more); or a file: CSV with the columns x, y [m]
+    or lat, lon [degrees], or any that `steerkit.paths.importers.read_course` reads, such as
     `town.xodr#road=1,lane=-1`, which is kept as such a CSV. ISO lane changes are as long as v_max asks."""
     closed: bool | None = None
     """Is a course from a file closed? None: as the file says, or as it looks (`steerkit.paths.courses.course_of`)."""
