@@ -102,7 +102,7 @@ def run(
 
     chosen = [elsewhere(suite(name), course=course, vehicle=vehicle, controllers=controllers or ()) for name in suites]
     for name in controllers or ():
-        make_controller(name, Scenario().belief())  # what is wrong with it is said before anything is driven
+        make_controller(name, Scenario().design_model())  # what is wrong with it is said before anything is driven
     place = out or Path("runs") / "benchmarks" / "+".join(suites)
     try:
         results = carry_out(

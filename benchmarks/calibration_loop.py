@@ -40,8 +40,8 @@ def mistold(number: int) -> tuple[Scenario, Scenario]:
     true = fleet_scenario(number, ratio=ratio, offset_deg=side * OFFSET_OFF_DEG, told="truth")
     if less:
         true = replace(true, delay=max(true.delay, DELAY_OFF))
-    dead = true.told_dead_time + (-DELAY_OFF if less else DELAY_OFF)
-    return replace(true, told="data sheet", told_delay=round(dead, 3)), true
+    dead = true.believed_dead_time + (-DELAY_OFF if less else DELAY_OFF)
+    return replace(true, told="data sheet", believed_delay=round(dead, 3)), true
 
 
 def driven(name: str, scenario: Scenario, *, seed: int, seconds: float) -> Outcome:

@@ -14,7 +14,7 @@ from steerkit.scenario import Scenario, catalogue
 from steerkit.scenario.catalogue import OWN, make_controller
 
 Make = Callable[[Scenario], Block]
-TOLD_TRUTH = "-told-truth"
+ORACLE = "-oracle"
 """What the name of a controller ends with that is told the truth, whatever the scenario tells."""
 TELLABLE = ("stanley-delay", "lqr", "mpc")
 """Analytic controllers that make use of all that the truth tells."""
@@ -57,12 +57,16 @@ class Controller:
 
     def in_its_eyes(self, scenario: Scenario) -> Scenario:
         """The scenario with what this controller is told of it."""
-        return replace(scenario, told="truth", told_delay=None, told_lag=None) if self.told == "truth" else scenario
+        return (
+            replace(scenario, told="truth", believed_delay=None, believed_lag=None)
+            if self.told == "truth"
+            else scenario
+        )
 
 
 def _catalogued(name: str) -> Make:
     """What makes the library's controller of that name for a scenario."""
-    return lambda scenario: make_controller(name, scenario.belief())
+    return lambda scenario: make_controller(name, scenario.design_model())
 
 
 def _do_mpc(scenario: Scenario) -> Block:
@@ -73,7 +77,7 @@ def _do_mpc(scenario: Scenario) -> Block:
         matrices=LinearSingleTrack(vehicle=car).matrices,
         steer_ratio=car.steer_ratio,
         reference=float(car.l_f),
-        lag=scenario.belief().lag,
+        lag=scenario.design_model().lag,
     )
 
 
@@ -84,7 +88,7 @@ _TABLE = (
     ),
     *(
         Controller(
-            name=f"{name}{TOLD_TRUTH}",
+            name=f"{name}{ORACLE}",
             kind="analytic",
             about=f"{name}, told the car and its steering as they are",
             make=_catalogued(name),

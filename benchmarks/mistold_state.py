@@ -50,12 +50,12 @@ def unlike(number: int, estimator: str) -> Scenario:
     wrong, _ = mistold(number)
     tyres, zero = np.random.default_rng((number, 7)).uniform(_LEAST, _MOST)
     side = 1.0 - 2.0 * (number >> 3 & 1)
-    assert wrong.told_delay is not None
-    told = wrong.told_delay - (0.0 if estimator == "none" else wrong.latency)  # behind one, nothing is late
+    assert wrong.believed_delay is not None
+    told = wrong.believed_delay - (0.0 if estimator == "none" else wrong.latency)  # behind one, nothing is late
     return replace(
         wrong,
         estimator=estimator,
-        told_delay=round(max(told, 0.0), 3),
+        believed_delay=round(max(told, 0.0), 3),
         sensing="no sideslip",
         reference="own",
         tyres=float(tyres),

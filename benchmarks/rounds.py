@@ -15,7 +15,7 @@ from steerkit.paths.courses import course
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario import Scenario
 from steerkit.scenario.assembly import placed
-from steerkit.scenario.catalogue import Belief
+from steerkit.scenario.catalogue import DesignModel
 from steerkit.scenario.drive import assembled
 from steerkit.vehicles import vehicle
 
@@ -81,6 +81,6 @@ def rms(log: Log, signal: str, length: float) -> Any:
     return np.sqrt(np.where(within, log[signal], 0.0).__pow__(2).sum(axis=0) / np.maximum(within.sum(axis=0), 1))
 
 
-def belief(*, delay: float, name: str = "paper") -> Belief:
+def design_model(*, delay: float, name: str = "paper") -> DesignModel:
     """What controllers are told: this car, the course of that name, the steering's delay [s] and lag."""
-    return Belief(vehicle=CAR, path=course(name), delay=delay, lag=LAG, hold=SteeringActuator.dt)
+    return DesignModel(vehicle=CAR, path=course(name), delay=delay, lag=LAG, hold=SteeringActuator.dt)

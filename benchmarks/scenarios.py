@@ -33,7 +33,7 @@ OPEN = {
 """Fields that a compiled drive leaves open, so that one program serves many scenarios, and what they are in a loop."""
 
 
-_SHEET: dict[str, Any] = dict(recovery="stanley-delay", told="data sheet", told_delay=0.0, told_lag=0.0)
+_SHEET: dict[str, Any] = dict(recovery="stanley-delay", told="data sheet", believed_delay=0.0, believed_lag=0.0)
 _ADAPT_COURSE = "random-2000"
 FLEET = (0, 10, 1, 9)
 """Cars of the fleet in `unlike_the_data_sheet`: the first with 0.1, 0.12, 0.15 and 0.2 s of steering delay."""
@@ -82,8 +82,8 @@ def shape(scenario: Scenario) -> Scenario:
         return replace(scenario, name="shape")
     plain: dict[str, Any] = dict(
         name="shape",
-        told_delay=scenario.told_dead_time,
-        told_lag=scenario.lag if scenario.told_lag is None else scenario.told_lag,
+        believed_delay=scenario.believed_dead_time,
+        believed_lag=scenario.lag if scenario.believed_lag is None else scenario.believed_lag,
         tyres=1.0,
         friction=1.0,
         ratio=1.0,
@@ -111,4 +111,4 @@ def _open_speeds(scenario: Scenario) -> dict[str, str]:
     """The human's speeds, unless the course's own length or a record hangs on them."""
     if scenario.speed == "recorded" or scenario.course.startswith("iso3888-"):
         return {}
-    return {"v_min": "human.human.v_min", "v_max": "human.human.v_max"}
+    return {"v_min": "driver.driver.v_min", "v_max": "driver.driver.v_max"}

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path as FilePath
 
-from benchmarks.entries import TELLABLE, TOLD_TRUTH, controller
+from benchmarks.entries import ORACLE, TELLABLE, controller
 from benchmarks.run.results import case_id
 from benchmarks.run.trainings import TRAININGS
 from benchmarks.scenarios import MULTI_BODY, scene, unlike_the_data_sheet
@@ -96,10 +96,10 @@ def _grid(kind: str, first: tuple[str, Sequence[float]], second: tuple[str, Sequ
         if "v_max" in values:
             values["v_min"] = values["v_max"]
         label = "-".join(f"{key}{value:g}" for key, value in ((first[0], a), (second[0], b)))
-        yield scene(name=f"{kind}-{label}", told_delay=0.0, told_lag=0.12, **values)  # type: ignore[arg-type]
+        yield scene(name=f"{kind}-{label}", believed_delay=0.0, believed_lag=0.12, **values)  # type: ignore[arg-type]
 
 
-_ADAPT = ("stanley", *TELLABLE, *(name + TOLD_TRUTH for name in TELLABLE), "nfq-same-car-1", "nfq-same-car-5")
+_ADAPT = ("stanley", *TELLABLE, *(name + ORACLE for name in TELLABLE), "nfq-same-car-1", "nfq-same-car-5")
 
 
 @cache

@@ -22,8 +22,8 @@ from steerkit.compiled import compile, gradient
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.loop import Loop
 from steerkit.paths.courses import course
-from steerkit.plants.human import ConstantSpeed
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import vehicle
@@ -38,7 +38,7 @@ def lap_loop(s: float) -> Loop:
     return steering_loop(
         car=placed(NonlinearSingleTrack(vehicle=car, dt=0.05, substeps=5, v0=SPEED), path, s=s),
         path=path,
-        human=ConstantSpeed(speed=SPEED),
+        driver=ConstantSpeed(speed=SPEED),
         controller=Stanley.of(car),
         actuator=SteeringActuator(delay=0.2, dt=0.05),
     )

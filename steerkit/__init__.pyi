@@ -3,7 +3,7 @@
 from ._support.errors import WiringError as WiringError
 from .analysis import linearise as linearise
 from .compiled import compile as compile
-from .controllers.delay import Predicted as Predicted
+from .controllers.delay import DelayPredictor as DelayPredictor
 from .controllers.delay import delayed_stanley as delayed_stanley
 from .controllers.lqr import Lqr as Lqr
 from .controllers.mpc.linear import MPC as MPC
@@ -12,7 +12,7 @@ from .controllers.nfq_policy import NfqPolicy as NfqPolicy
 from .controllers.pure_pursuit import PurePursuit as PurePursuit
 from .controllers.safety_filter import SafetyFilter as SafetyFilter
 from .controllers.stanley import Stanley as Stanley
-from .controllers.supervisor import Guarded as Guarded
+from .controllers.supervisor import ExceptionGuard as ExceptionGuard
 from .controllers.supervisor import Supervisor as Supervisor
 from .diagram.block import Block as Block
 from .diagram.block import In as In
@@ -30,11 +30,11 @@ from .learning.report import comparison as comparison
 from .paths.courses import course as course
 from .paths.path import Path as Path
 from .paths.tracker import PathTracker as PathTracker
-from .plants.human import ConstantSpeed as ConstantSpeed
-from .plants.human import Human as Human
 from .plants.linear_single_track import LinearSingleTrack as LinearSingleTrack
 from .plants.nonlinear_single_track import NonlinearSingleTrack as NonlinearSingleTrack
 from .plants.sensors import Sensors as Sensors
+from .plants.speed_driver import ConstantSpeed as ConstantSpeed
+from .plants.speed_driver import SpeedDriver as SpeedDriver
 from .plants.steering_actuator import SteeringActuator as SteeringActuator
 from .scenario import Scenario as Scenario
 from .scenario.assembly import placed as placed

@@ -71,7 +71,7 @@ def two_systems(loop: Loop, start: LoopState) -> Made:
     car, motor, seen, stanley = (loop.blocks[n] for n in ("car", "actuator", "path", "controller"))
     x_car, x_motor, x_seen, x_stanley = (loop.block_state(start, n) for n in ("car", "actuator", "path", "controller"))
     n_car, n_seen = len(x_car), len(x_seen)
-    speed = loop.blocks["human"].speed  # type: ignore[attr-defined]
+    speed = loop.blocks["driver"].speed  # type: ignore[attr-defined]
     signals = ["x", "y", "psi", "v", "beta", "r", "meas"]
 
     def move(t: float, x: Any, u: Any, params: Any) -> Any:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.entries import TOLD_TRUTH
+from benchmarks.entries import ORACLE
 from benchmarks.report import figures
 from benchmarks.report.conditions import UNITS
 from benchmarks.report.learning import Band, learning
@@ -121,11 +121,7 @@ def _rms_e(cases: Sequence[Case]) -> float:
 def _levels(results: Results, drives: Sequence[Case]) -> tuple[Level, ...]:
     entries = results.provenance["controllers"]
     return tuple(
-        Level(
-            name.removesuffix(TOLD_TRUTH),
-            name.endswith(TOLD_TRUTH),
-            _rms_e([d for d in drives if d.controller == name]),
-        )
+        Level(name.removesuffix(ORACLE), name.endswith(ORACLE), _rms_e([d for d in drives if d.controller == name]))
         for name in controllers(drives)
         if entries.get(name, {}).get("kind") == "analytic"
     )

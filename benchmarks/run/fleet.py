@@ -29,7 +29,7 @@ from steerkit.metrics import Summary, of_log
 from steerkit.scenario import Scenario, drive
 from steerkit.scenario.fleet import fleet_scenario, straightest
 
-TOLD_TRUTH = ("stanley-delay", "lqr", "mpc")
+ORACLE = ("stanley-delay", "lqr", "mpc")
 """Analytic controllers that can be told of a delay."""
 TOLD_DATA_SHEET = ("stanley", "lqr", "mpc")
 """Those that a data sheet is enough for."""
@@ -111,9 +111,9 @@ class FleetOutcome:
     wheel_rate_deg: float
     jerk_rms: float
     best: str
-    rms_x_told_truth: float
-    wheel_x_told_truth: float
-    jerk_x_told_truth: float
+    rms_x_oracle: float
+    wheel_x_oracle: float
+    jerk_x_oracle: float
     best_on_data_sheet: str
     rms_x_data_sheet: float
     computing: float
@@ -133,10 +133,10 @@ def one_car(job: tuple[Scenario, int, Setting, float]) -> FleetOutcome:
     final = judged(nets[-1]) if nets else None
     summary = final.summary if final else None
     nan = float("nan")
-    best, truth = _best(replace(scenario, told="truth"), TOLD_TRUTH, test)
+    best, truth = _best(replace(scenario, told="truth"), ORACLE, test)
     by_torque = scenario.steering == "torque"  # whose dead time and slew its makers know
-    on_paper = scenario if by_torque else replace(scenario, told_delay=0.0, told_lag=0.0)
-    on_sheet, sheet = _best(on_paper, TOLD_TRUTH if by_torque else TOLD_DATA_SHEET, test)
+    on_paper = scenario if by_torque else replace(scenario, believed_delay=0.0, believed_lag=0.0)
+    on_sheet, sheet = _best(on_paper, ORACLE if by_torque else TOLD_DATA_SHEET, test)
     forecast = nets[-1].policy.forecast if nets else None
     mine = (summary.rms_e, summary.rms_wheel_rate_deg, summary.rms_jerk) if summary else (nan,) * 3
     return FleetOutcome(
@@ -159,9 +159,9 @@ def one_car(job: tuple[Scenario, int, Setting, float]) -> FleetOutcome:
         wheel_rate_deg=mine[1],
         jerk_rms=mine[2],
         best=best,
-        rms_x_told_truth=mine[0] / truth.rms_e,
-        wheel_x_told_truth=mine[1] / truth.rms_wheel_rate_deg,
-        jerk_x_told_truth=mine[2] / truth.rms_jerk,
+        rms_x_oracle=mine[0] / truth.rms_e,
+        wheel_x_oracle=mine[1] / truth.rms_wheel_rate_deg,
+        jerk_x_oracle=mine[2] / truth.rms_jerk,
         best_on_data_sheet=on_sheet,
         rms_x_data_sheet=mine[0] / sheet.rms_e,
         computing=trained.computing,
@@ -191,7 +191,7 @@ def summarise(outcomes: list[FleetOutcome]) -> dict[str, Any]:
     times = [np.inf if o.good is None else o.good for o in outcomes]
     ratios = {
         name: [np.nan_to_num(getattr(o, name), nan=np.inf) if o.held else np.inf for o in outcomes]
-        for name in ("rms_x_told_truth", "wheel_x_told_truth", "jerk_x_told_truth", "rms_x_data_sheet")
+        for name in ("rms_x_oracle", "wheel_x_oracle", "jerk_x_oracle", "rms_x_data_sheet")
     }
     return {
         "cars": len(outcomes),
@@ -203,7 +203,7 @@ def summarise(outcomes: list[FleetOutcome]) -> dict[str, Any]:
         "departure_worst_m": float(np.max([o.departure for o in outcomes])),
         "held_share": float(np.mean([o.held for o in outcomes])),
         **{name: finite(np.median(values)) for name, values in ratios.items()},
-        "worst_rms_x_told_truth": finite(np.max(ratios["rms_x_told_truth"])),
+        "worst_rms_x_oracle": finite(np.max(ratios["rms_x_oracle"])),
         "stuck": int(sum(o.stuck for o in outcomes)),
         "computing_median_s": float(np.median([o.computing for o in outcomes])),
     }
@@ -222,7 +222,7 @@ def fleet(
             good = "never" if outcome.good is None else f"{outcome.good:.0f} s"
             say(
                 f"{len(by_number)}/{len(jobs)} {outcome.name}, {outcome.car}: GOOD after {good}, {outcome.failures} "
-                f"failures, RMS e {outcome.rms_x_told_truth:.2f} x {outcome.best} told the truth"
+                f"failures, RMS e {outcome.rms_x_oracle:.2f} x {outcome.best} told the truth"
             )
     outcomes = [by_number[number] for number in range(len(jobs))]
     shown = [name for name in asdict(outcomes[0]) if name not in ("best_on_data_sheet", "computing")]

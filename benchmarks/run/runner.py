@@ -197,7 +197,7 @@ class _Display:
     def __init__(self, bar: Progress, total: int, before: int, quiet: bool):
         self.bar, self.total, self.quiet = bar, total, quiet
         self.count, self.errors = before, 0
-        self.task = bar.add_task("cases", total=total, completed=before, story="")
+        self.task = bar.add_task("cases", total=total, completed=before, progress="")
 
     def finished(self, case: Case) -> None:
         """One more case."""
@@ -205,11 +205,11 @@ class _Display:
         if case.status == "error":
             self.errors += 1
             self.say(f"{case.id}: {case.error}")
-        story = f"{case.scenario} {case.controller} {case.seed}" + (f", {self.errors} errors" if self.errors else "")
-        self.bar.update(self.task, completed=self.count, story=story)
+        progress = f"{case.scenario} {case.controller} {case.seed}" + (f", {self.errors} errors" if self.errors else "")
+        self.bar.update(self.task, completed=self.count, progress=progress)
         tenth = max(1, self.total // 10)
         if not self.bar.console.is_terminal and (self.count % tenth == 0 or self.count == self.total):
-            self.say(f"{self.count} of {self.total} cases: {story}")
+            self.say(f"{self.count} of {self.total} cases: {progress}")
 
     def say(self, text: str) -> None:
         """A line, unless quiet."""

@@ -56,7 +56,7 @@ class Training:
             return self.scenario
         require(driven is not None, f"training '{self.name}'", "it is one for each scenario, and none was given")
         assert driven is not None
-        return replace(driven, told_delay=None, told_lag=None)
+        return replace(driven, believed_delay=None, believed_lag=None)
 
 
 _ALL = (

@@ -27,8 +27,8 @@ from rich.progress import track
 from rich.table import Table
 
 from benchmarks.run.fleet import of_kind
-from steerkit.controllers import forecast as ahead
-from steerkit.controllers.forecast import Forecast, Motion, moved
+from steerkit.controllers import delay_compensator as ahead
+from steerkit.controllers.delay_compensator import DelayCompensator, Motion, moved
 from steerkit.controllers.nfq_policy import Net, NfqPolicy
 from steerkit.controllers.policy import ACTION, COLUMNS, DOE, E_DOT, PSI_E, R_E, E, Policy, V
 from steerkit.controllers.state_description import StateDescription
@@ -111,7 +111,7 @@ class Actor(Policy):
     description: StateDescription
     reach: float
     """Largest action [rad]."""
-    forecast: Forecast
+    forecast: DelayCompensator
     preview_points: int = ahead.PREVIEW
     preview_dt: float = DT
 

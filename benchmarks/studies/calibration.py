@@ -12,7 +12,7 @@ Every estimator is fed what the others estimate, not the truth. Errors are 90 % 
 `offset_error_deg` and `ratio_error_pct` are with a measured wheel, `delay_yaw_error_ms`, `offset_command_error_deg` and
 `ratio_command_error_pct` by the commands and the yaw rate alone. `delay_seconds`: from when on 90 % of the drives are
 within 10 ms. `coverage_pct`: how often a 95 % interval holds the truth, over all drives and quantities, after 60 s.
-`adaptive_x_told_truth`, `adaptive_worst_x`: RMS e from 30 s on over that of `mpc` told the truth, median and worst of
+`adaptive_x_oracle`, `adaptive_worst_x`: RMS e from 30 s on over that of `mpc` told the truth, median and worst of
 the cars; `adaptive_wheel_x`, `adaptive_wheel_worst_x`: of the wheel's RMS speed; `adaptive_x_unadapted_worst`: of RMS e
 over the better one of `mpc` and `mpc-offset-free`, told the same; `adaptive_max_e_m`: largest |e| from the first second
 on in any car.
@@ -195,7 +195,7 @@ def closed_loop(options: argparse.Namespace) -> dict[str, Any]:
             "unadapted": asdict(fixed),
         }
         rows.append(row)
-        late = wrong.told_dead_time - true.told_dead_time
+        late = wrong.believed_dead_time - true.believed_dead_time
         print(
             f"{number:6}{late:+7.1f}{true.ratio:7.2f}{true.offset_deg:+8.1f}{truth.rms_e:10.4f}{truth.max_e:6.2f}"
             f"{adapts.rms_e:10.4f}{adapts.max_e:6.2f}{adapts.rms_wheel_deg:6.0f}{fixed.rms_e:12.4f}{fixed.max_e:6.2f}"
@@ -204,7 +204,7 @@ def closed_loop(options: argparse.Namespace) -> dict[str, Any]:
         )
     x, wheel = ([row[key] for row in rows] for key in ("x", "wheel_x"))
     report = {
-        "adaptive_x_told_truth": statistics.median(x),
+        "adaptive_x_oracle": statistics.median(x),
         "adaptive_worst_x": max(x),
         "adaptive_wheel_x": statistics.median(wheel),
         "adaptive_wheel_worst_x": max(wheel),

@@ -51,16 +51,16 @@ def controller(folder: Path) -> None:
     with CarClient(str(folder / "socket")) as link:
         link.wait(timeout=10.0)
         built = lambda policy, doe: loops.car_loop(config, path, link, policy, doe=doe)  # noqa: E731
-        vehicle = loops.belief_of(config).vehicle
+        vehicle = loops.design_model_of(config).vehicle
         with CarLearner(setting("default"), folder / "run", built, link, vehicle=vehicle) as learner:
-            began = len(learner.story.transitions)
+            began = len(learner.learner_state.transitions)
 
             def watch(run: Any) -> bool:
                 if run.timing.steps % 5 == 1:
                     state = {
                         "began": began,
                         "committed": began + learner.store.committed,
-                        "net": learner.story.net,  # not one that is still in training: a kill takes that along
+                        "net": learner.learner_state.net,  # not one that is still in training: a kill takes that along
                         "trainer": learner.trainer.pid,
                         "mode": str(link.last.mode) if link.last else "",
                         "faults": len(learner.trainer.faults),

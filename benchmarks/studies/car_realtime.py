@@ -227,7 +227,7 @@ def learn(
     def build(policy: Any, doe: Any) -> Any:
         return loops.car_loop(config, path, link, policy, doe=doe, safe=safe)
 
-    vehicle = loops.belief_of(config).vehicle
+    vehicle = loops.design_model_of(config).vehicle
     how = replace(DEFAULT, safe=safe)
     with CarLearner(how, place, build, link, vehicle=vehicle, seed=seed) as learner:
 
@@ -236,17 +236,21 @@ def learn(
             watch(run)
             if safe and run.sample["supervisor.learning"] > 0.5:
                 corrected.append(run.sample["safety.share"] > 0.0)
-            if learner.story.counts.failures > failures or link.last is None or link.last.mode is not Mode.ENGAGED:
-                failures, since = learner.story.counts.failures, learner.story.counts.driven
-            best = max(best, learner.story.counts.driven - since)
+            if (
+                learner.learner_state.counts.failures > failures
+                or link.last is None
+                or link.last.mode is not Mode.ENGAGED
+            ):
+                failures, since = learner.learner_state.counts.failures, learner.learner_state.counts.driven
+            best = max(best, learner.learner_state.counts.driven - since)
             return False
 
         run = learner.run(seconds, clock=clock, watch=count)
         more |= {
-            "nets": learner.story.counts.updates,
-            "transitions": len(learner.story.transitions),
-            "failures": learner.story.counts.failures,
-            "by_learner_m": learner.story.counts.driven,
+            "nets": learner.learner_state.counts.updates,
+            "transitions": len(learner.learner_state.transitions),
+            "failures": learner.learner_state.counts.failures,
+            "by_learner_m": learner.learner_state.counts.driven,
             "longest_without_failure_m": best,
             "rounds_without_failure": best / path.length,
             "trainer_faults": list(learner.trainer.faults),

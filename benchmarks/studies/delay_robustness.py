@@ -25,7 +25,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from benchmarks.rounds import CAR, belief, drive_loop, driven, interpreted, on_course, rms, worst
+from benchmarks.rounds import CAR, design_model, drive_loop, driven, interpreted, on_course, rms, worst
 from steerkit.compiled.trace import with_parameters
 from steerkit.diagram.block import Block
 from steerkit.diagram.units import degrees_of, radians_of
@@ -58,8 +58,8 @@ def largest(name: str, controller: Block, delay: float, cars: Any) -> Any:
         "car.vehicle.c_r": cars[:, 0] * CAR.c_r,
         "car.vehicle.steer_ratio": cars[:, 1] * CAR.steer_ratio,
         "actuator.offset": radians_of(cars[:, 2]),
-        "human.human.v_min": cars[:, 3],
-        "human.human.v_max": cars[:, 3],
+        "driver.driver.v_min": cars[:, 3],
+        "driver.driver.v_max": cars[:, 3],
     }
     seconds = 1.05 * path.length / SPEEDS[0]  # faster cars slow down for bends, too
     if name != "mpc":
@@ -91,7 +91,7 @@ def laps(names: Sequence[str]) -> dict[str, dict[str, dict[str, float]]]:
     for name, where in itertools.product(names, ("paper", "genesis")):
         path = course(where)
         length = path.length - (0.0 if path.closed else 2.0)
-        loop = drive_loop(make_controller(name, belief(delay=0.2, name=where)), name=where, delay=0.2)
+        loop = drive_loop(make_controller(name, design_model(delay=0.2, name=where)), name=where, delay=0.2)
         log = (interpreted if name == "mpc" else driven)(loop, 1.05 * path.length / 4.0)
         row = {
             "rms_e_m": rms(log, "path.e", length),
@@ -113,7 +113,7 @@ def boundary(name: str, believes: float | None, delays: Sequence[float], cars: A
     """A row a delay: worst |e| by kind and by speed, the share of cars held, the slowest that is not; printed too."""
     label, rows = labelled(name, believes), []
     for delay in delays:
-        controller = make_controller(name, belief(delay=delay if believes is None else believes))
+        controller = make_controller(name, design_model(delay=delay if believes is None else believes))
         e = largest(name, controller, delay, cars)
         kinds, held = by_kind(cars, e), float(np.mean(e <= TRIP))
         failing = cars[e > TRIP, 3]

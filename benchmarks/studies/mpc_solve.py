@@ -43,10 +43,10 @@ from steerkit.controllers.mpc.block import PredictiveSteering
 from steerkit.controllers.mpc.linear import MPC
 from steerkit.controllers.mpc.nonlinear import NonlinearMPC
 from steerkit.paths.courses import course
-from steerkit.plants.careful_human import CarefulHuman
-from steerkit.plants.human import Human
+from steerkit.plants.curve_speed_driver import CurveSpeedDriver
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.sensors import Sensors
+from steerkit.plants.speed_driver import SpeedDriver
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import vehicle
@@ -77,7 +77,7 @@ def recorded(samples: int, *, horizon: int = 40) -> list[list[float]]:
     loop = steering_loop(
         car=placed(CAR, path, s=1.0),
         path=path,
-        human=CarefulHuman(path=path, human=Human(seed=1)),
+        driver=CurveSpeedDriver(path=path, driver=SpeedDriver(seed=1)),
         controller=mpc,
         actuator=MOTOR,
         sensors=Sensors(seed=1),

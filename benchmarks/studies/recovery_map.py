@@ -20,15 +20,15 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from benchmarks.rounds import CAR, LAG, belief, reference_of
+from benchmarks.rounds import CAR, LAG, design_model, reference_of
 from steerkit.compiled import compile
 from steerkit.diagram.block import Block
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import Log, simulate
 from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.paths.courses import straight
-from steerkit.plants.human import ConstantSpeed
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.scenario.catalogue import make_controller
@@ -54,7 +54,7 @@ def start_loop(controller: Block) -> Loop:
     return steering_loop(
         car=car,
         path=ROAD,
-        human=ConstantSpeed(speed=5.0),
+        driver=ConstantSpeed(speed=5.0),
         controller=controller,
         actuator=actuator,
         reference=reference,
@@ -66,20 +66,20 @@ def starts(sides: int, reference: float) -> dict[str, Any]:
     e = np.linspace(-FARTHEST, FARTHEST, sides)
     psi = np.linspace(-STEEPEST, STEEPEST, sides)
     v, e, psi = (a.ravel() for a in np.meshgrid(SPEEDS, e, psi, indexing="ij"))
-    return {"car.y0": e - reference * np.sin(psi), "car.psi0": psi, "car.v0": v, "human.speed": v}
+    return {"car.y0": e - reference * np.sin(psi), "car.psi0": psi, "car.v0": v, "driver.speed": v}
 
 
 def driven(controller: Block, values: dict[str, Any], seconds: float = SECONDS) -> Log:
     """All cars' logs, 20 samples a second; car by car where the controller cannot be traced."""
     loop = start_loop(controller)
-    if type(controller).__name__ in ("Stanley", "Predicted"):
+    if type(controller).__name__ in ("Stanley", "DelayPredictor"):
         run = compile(loop, record=RECORD, every=5, parameters=list(values))
         return run.run(seconds, parameters=values, allow_nonfinite=True)
     logs = []
     for i in track(range(len(values["car.y0"])), description="start states", console=Console(stderr=True)):
         one = {name: float(column[i]) for name, column in values.items()}
         car = replace(loop.blocks["car"], y0=one["car.y0"], psi0=one["car.psi0"], v0=one["car.v0"])  # type: ignore[call-arg]
-        alone = loop.with_block("car", car).with_block("human", ConstantSpeed(speed=one["human.speed"]))
+        alone = loop.with_block("car", car).with_block("driver", ConstantSpeed(speed=one["driver.speed"]))
         logs.append(simulate(alone, seconds, record=RECORD, every=5, allow_nonfinite=True))
     signals = {name: np.stack([log[name] for log in logs], axis=-1) for name in RECORD}
     return Log(logs[0].t, signals, logs[0].units)
@@ -185,7 +185,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     report: dict[str, Any] = {}
     results: dict[str, tuple[int, dict[str, Any]]] = {}
     for name in options.controllers:
-        controller = make_controller(name, belief(delay=DELAY))
+        controller = make_controller(name, design_model(delay=DELAY))
         sides = (1 if options.quick else 9) if name.endswith("mpc") else (5 if options.quick else 25)
         values = starts(sides, reference_of(controller))
         seconds = QUICK_SECONDS if options.quick and name.endswith("mpc") else SECONDS

@@ -69,7 +69,7 @@ SPEEDS = (2.0, 4.0, 6.5, 8.0, 9.0)
 """Of the adversaries' drives [m/s]."""
 LATE = 0.1
 """Delay that nobody is told [s]."""
-OFF: dict[str, Any] = dict(tyres=0.7, delay=LATE, told_delay=DT)
+OFF: dict[str, Any] = dict(tyres=0.7, delay=LATE, believed_delay=DT)
 """What nobody is told of the adversaries' cars, beside their ratio."""
 
 
@@ -152,7 +152,7 @@ def trained(seconds: float, speeds: tuple[float, ...], population: int, generati
     table = {}
     for v in speeds:
         scenario = Scenario.under("hard", course="paper", v_min=v, v_max=v, ratio=1.1, start=40.0, **OFF)
-        safety = replace(make_safety(scenario.belief()), delay_doubt=LATE)
+        safety = replace(make_safety(scenario.design_model()), delay_doubt=LATE)
 
         def furthest(net: NetAdversary, scenario: Scenario = scenario, safety: SafetyFilter = safety) -> Any:
             loop = assembled(scenario, net, safety=safety)
@@ -166,7 +166,7 @@ def trained(seconds: float, speeds: tuple[float, ...], population: int, generati
 
 def against(driver: Block, scenario: Scenario, seconds: float, late: float, **settings: Any) -> Log:
     """A drive of somebody with the filter, which is told that commands may be so late [s]."""
-    safety = replace(make_safety(scenario.belief()), delay_doubt=late, **settings)
+    safety = replace(make_safety(scenario.design_model()), delay_doubt=late, **settings)
     return simulate(assembled(scenario, driver, safety=safety), seconds, every=5)
 
 
@@ -207,7 +207,7 @@ def cost(seconds: float, **settings: Any) -> dict[str, Any]:
     if tool is None:
         return {"filter_p99_ms": None, "filter_median_ms": None}
     scenario = Scenario.under("hard", course="paper")
-    loop = assembled(scenario, Adversary(), safety=replace(make_safety(scenario.belief()), **settings))
+    loop = assembled(scenario, Adversary(), safety=replace(make_safety(scenario.design_model()), **settings))
     log = simulate(loop, seconds, every=5)
     with tempfile.TemporaryDirectory() as folder:
         export_c(loop, folder, blocks=("safety_path", "safety"), name="filter")

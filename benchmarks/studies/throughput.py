@@ -46,8 +46,8 @@ from steerkit.diagram.maths import Table
 from steerkit.diagram.simulation import simulate
 from steerkit.paths.courses import course
 from steerkit.paths.tracker import PathTracker
-from steerkit.plants.human import ConstantSpeed
 from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario.assembly import placed
 from steerkit.task import DT
@@ -117,7 +117,7 @@ def closed_loop(*, tracker: bool = True, actuator: bool = True) -> Loop:
     path = course("paper")
     car = LinearSingleTrack(vehicle=CAR, dt=DT, substeps=5, v0=SPEED, y0=0.2)
     car = placed(car, path, s=1.0, e=0.2) if tracker else car
-    stanley, human = Stanley.of(CAR, dt=DT), ConstantSpeed(speed=SPEED, dt=DT)
+    stanley, driver = Stanley.of(CAR, dt=DT), ConstantSpeed(speed=SPEED, dt=DT)
     seen: Any = PathTracker(path=path, reference=stanley.reference, dt=DT) if tracker else Zigzag(dt=DT)
     motor = SteeringActuator(dt=DT)
     wires: list[Wire] = [(getattr(car, p.name), getattr(seen, p.name)) for p in seen.inputs]
@@ -127,9 +127,9 @@ def closed_loop(*, tracker: bool = True, actuator: bool = True) -> Loop:
         (seen.kappa, stanley.kappa),
         (car.v, stanley.v),
         (car.r, stanley.r),
-        (human.v, car.v_cmd),
+        (driver.v, car.v_cmd),
     ]
-    blocks: dict[str, Block] = {"human": human, "car": car, "path": seen, "controller": stanley}
+    blocks: dict[str, Block] = {"driver": driver, "car": car, "path": seen, "controller": stanley}
     if actuator:
         blocks["actuator"] = motor
         wires += [

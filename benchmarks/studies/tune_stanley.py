@@ -1,8 +1,8 @@
 """Stanley's gains, by a procedure that anyone can repeat: a grid, many cars, the worst case counts.
 
 Every car drives one round of the 795 m course (nonlinear single track, 0.1 s steering lag, a human at 4 to 9 m/s who
-slows to 3 m/s^2 in bends), starting 0.5 m off. The controller is `Predicted` around `Stanley`, told a delay of 0, 0.1,
-0.2 or 0.3 s; the true delay is that, or 0.05 s less or more. Each is driven with the right car and with tyres and
+slows to 3 m/s^2 in bends), starting 0.5 m off. The controller is `DelayPredictor` around `Stanley`, told a delay of 0,
+0.1, 0.2 or 0.3 s; the true delay is that, or 0.05 s less or more. Each is driven with the right car and with tyres and
 steering ratio off in the four ways that +-30 % and +-10 % allow together.
 
 The choice: of all gains whose worst RMS e is within 20 % of the best, those with the least worst wheel speed (RMS).
@@ -23,7 +23,7 @@ import numpy as np
 from rich.progress import Progress
 
 from benchmarks.rounds import CAR, LAG, drive_loop, driven, rms
-from steerkit.controllers.delay import Predicted
+from steerkit.controllers.delay import DelayPredictor
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.block import Block
 from steerkit.diagram.units import degrees_of
@@ -91,7 +91,7 @@ def tuned(quick: bool) -> tuple[Any, dict[str, Result]]:
 
         results = []
         for believed, delays in around.items():
-            controller = Predicted.around(stanley, CAR, delay=believed, lag=LAG)
+            controller = DelayPredictor.around(stanley, CAR, delay=believed, lag=LAG)
             results.append(judged(controller, "controller.block", delays, grid, cars, done))
         plain = judged(stanley, "controller", list(plainly), grid, cars, done)
     predicted = Result(np.max([r.e for r in results], axis=0), np.max([r.rate for r in results], axis=0))

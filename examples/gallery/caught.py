@@ -10,7 +10,7 @@ from typing import Any
 from steerkit import Block, Integrator, NonlinearSingleTrack, Out, Stanley, SteeringActuator
 from steerkit import course, placed, simulate, steering_loop, vehicle
 from steerkit.learning.pictures.paper import learning
-from steerkit.plants.human import ConstantSpeed
+from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.diagram.units import radians_of
 
 
@@ -29,7 +29,7 @@ path, passat = course("circle"), vehicle("vw-passat")
 loop = steering_loop(
     car=placed(NonlinearSingleTrack(vehicle=passat, v0=5.0), path),
     path=path,
-    human=ConstantSpeed(speed=5.0),
+    driver=ConstantSpeed(speed=5.0),
     controller=Drunk(),
     doe=Integrator(),
     recovery=Stanley.of(passat),

@@ -3,12 +3,12 @@
 The course is a recorded drive of 3.7 km, the car a nonlinear single track; the first two minutes of it.
 """
 
-from steerkit import Human, NonlinearSingleTrack, Stanley, SteeringActuator
+from steerkit import SpeedDriver, NonlinearSingleTrack, Stanley, SteeringActuator
 from steerkit import course, placed, simulate, steering_loop, vehicle
 
-path, passat, human, motor = course("genesis"), vehicle("vw-passat"), Human(seed=1), SteeringActuator()
+path, passat, driver, motor = course("genesis"), vehicle("vw-passat"), SpeedDriver(seed=1), SteeringActuator()
 car, stanley = placed(NonlinearSingleTrack(vehicle=passat, v0=5.0), path), Stanley.of(passat)
-loop = steering_loop(car=car, path=path, human=human, actuator=motor, controller=stanley, reference=passat.l_f)
+loop = steering_loop(car=car, path=path, driver=driver, actuator=motor, controller=stanley, reference=passat.l_f)
 log = simulate(loop, 120.0, every=5)
 log.plot("path.e", "car.v", "car.delta_sw", "car.a_y").savefig("five_lines.png")
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from steerkit import NonlinearSingleTrack, Stanley, SteeringActuator, course, placed, simulate, steering_loop, vehicle
-from steerkit.plants.human import ConstantSpeed
+from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.plots.style import COLOURS, new_figure
 
 gains = np.geomspace(0.3, 12.0, 100)
@@ -20,7 +20,7 @@ for label, damping, colour in (("with damping", 1.0, "learned"), ("without", 0.0
     loop = steering_loop(
         car=placed(NonlinearSingleTrack(vehicle=passat, v0=6.0, dt=0.05, substeps=5), path),
         path=path,
-        human=ConstantSpeed(speed=6.0),
+        driver=ConstantSpeed(speed=6.0),
         controller=stanley,
         actuator=SteeringActuator(delay=0.2, dt=0.05),
         reference=passat.l_f,

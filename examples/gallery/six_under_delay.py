@@ -13,7 +13,7 @@ from steerkit.plots.style import PALETTE, new_figure, style
 scenario = Scenario(course="paper", delay=0.15)
 run = learn(Experiment(scenario=scenario, minutes=1 / 3, seed=1))
 names = ("stanley", "stanley-textbook", "pure-pursuit", "lqr", "mpc")
-logs = {name: drive(scenario, make_controller(name, scenario.belief()), rounds=0.43) for name in names}
+logs = {name: drive(scenario, make_controller(name, scenario.design_model()), rounds=0.43) for name in names}
 logs["learned"] = drive(scenario, run.policy, doe=run.experiment.setting.element(scenario.nominal), rounds=0.43)
 
 figure, (above, below) = new_figure(rows=2, title="Six controllers, 0.15 s delay and 0.12 s lag", height=5.5)

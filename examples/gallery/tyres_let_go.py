@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from steerkit import Block, LinearSingleTrack, Loop, NonlinearSingleTrack, Out, simulate, vehicle
-from steerkit.plants.human import ConstantSpeed
+from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.plots.style import COLOURS, new_figure
 from steerkit.diagram.units import degrees_of
 
@@ -30,11 +30,11 @@ cars = {
 }
 figure, (axes,) = new_figure(title="Lateral acceleration over the steering wheel, 12 m/s")
 for (name, car), colour in zip(cars.items(), ("muted", "learned", "analytic"), strict=True):
-    wheel, human = SlowTurn(), ConstantSpeed(speed=12.0)
+    wheel, driver = SlowTurn(), ConstantSpeed(speed=12.0)
     log = simulate(
         Loop(
-            blocks={"wheel": wheel, "human": human, "car": car},
-            wires=[(wheel.delta_sw, car.delta_sw_cmd), (human.v, car.v_cmd)],
+            blocks={"wheel": wheel, "driver": driver, "car": car},
+            wires=[(wheel.delta_sw, car.delta_sw_cmd), (driver.v, car.v_cmd)],
         ),
         40.0,
     )

@@ -3,7 +3,7 @@
 Ports with units, sample rates, and which inputs break a loop of wires (hollow). A wire between two units is an error.
 """
 
-from steerkit import Human, NonlinearSingleTrack, Sensors, Stanley, SteeringActuator, WiringError
+from steerkit import SpeedDriver, NonlinearSingleTrack, Sensors, Stanley, SteeringActuator, WiringError
 from steerkit import course, placed, steering_loop, vehicle
 
 path, passat = course("paper"), vehicle("vw-passat")
@@ -12,7 +12,7 @@ stanley = Stanley.of(passat)
 loop = steering_loop(
     car=car,
     path=path,
-    human=Human(seed=1),
+    driver=SpeedDriver(seed=1),
     actuator=SteeringActuator(lag=0.12),
     sensors=Sensors.hard(seed=1),
     controller=stanley,

@@ -66,14 +66,14 @@ def load(
     vector_maths: bool = False,
     as_python: bool = False,
     in_full: bool = False,
-    in_haste: bool = False,
+    unoptimised: bool = False,
 ) -> ctypes.CDLL:
     """The library of a C file, compiled at the first call on this machine and found in the cache after that.
 
     fused: multiply-adds may be fused (quicker; rounded once instead of twice). vector_maths: for vectors of
     cars; fused, and linked to glibc's libmvec where there is one. as_python: see `AS_PYTHON`. in_full:
-    optimised in full whatever $CC asks for, for what computes for minutes. in_haste: not optimised at all, for what is
-    run once. Raises NoCompilerError when there is no compiler, or it refuses.
+    optimised in full whatever $CC asks for, for what computes for minutes. unoptimised: not optimised at all, for what
+    is run once. Raises NoCompilerError when there is no compiler, or it refuses.
     """
     tool = compiler()
     if tool is None:
@@ -81,7 +81,7 @@ def load(
         raise NoCompilerError(f"no C compiler found ({missing}): install gcc (or clang), or set CC")
     rounding = FUSED if fused or vector_maths else AS_PYTHON if as_python else EXACT
     # those of $CC win over ours, but for the rounding
-    options = (*FLAGS, *tool[1:], *FLAGS[:in_full], *(["-O0"] if in_haste else []), *rounding)
+    options = (*FLAGS, *tool[1:], *FLAGS[:in_full], *(["-O0"] if unoptimised else []), *rounding)
     flags = (*options, *(["libmvec"] if vector_maths else []))
     key = hashlib.sha256("\0".join((source, _machine(tool[0]), *flags)).encode()).hexdigest()[:32]
     library = directory() / f"{key}.so"

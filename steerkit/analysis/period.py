@@ -38,7 +38,7 @@ class Tap(Block):
     def __post_init__(self) -> None:
         u, y = In(self.unit, direct=not self.cut), Out(self.unit, direct=() if self.cut else None)
         u.name, y.name = "u", "y"
-        wear(self, (u,), (y,))
+        copy_ports(self, (u,), (y,))
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         return (m.filled(0.0, batch),)
@@ -97,7 +97,7 @@ class Period:
         return slope[:n, :n], slope[:n, n:], slope[n:, :n], slope[n:, n:]
 
 
-def wear(block: Block, inputs: tuple[In, ...], outputs: tuple[Out, ...]) -> None:
+def copy_ports(block: Block, inputs: tuple[In, ...], outputs: tuple[Out, ...]) -> None:
     """Gives one block object ports of its own."""
     kinds = {
         "inputs": inputs,

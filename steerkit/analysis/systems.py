@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from steerkit._support.errors import require
-from steerkit.analysis.period import Array, Period, signal_name, wear
+from steerkit.analysis.period import Array, Period, copy_ports, signal_name
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State
 
@@ -64,7 +64,7 @@ class FromControl(Block):
         ports: list[In | Out] = [*ins, *outs]
         for port, name in zip(ports, names):
             port.name = name
-        wear(self, tuple(ins), tuple(outs))
+        copy_ports(self, tuple(ins), tuple(outs))
 
     @cached_property
     def _discrete(self) -> bool:

@@ -82,7 +82,7 @@ class Follow:
             for name in ("controller", "recovery", "safety"):
                 if name in run.loop.blocks:
                     k, settled = run.loop.names.index(name), run.loop.settled(name, run.y)
-                    run.x[k] = run.loop.blocks[name].rested(before[k], settled) if before else settled
+                    run.x[k] = run.loop.blocks[name].on_standby(before[k], settled) if before else settled
         return lost
 
     def exchange(self, run: Run, driving: Loop) -> None:

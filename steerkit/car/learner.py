@@ -1,7 +1,7 @@
 """The experiment on a real car: transitions while engaged, training in the background, Stanley in between.
 
-The story is that of a run in simulation (`steerkit.learning.story`); what a car's human decides (when to engage, how
-far to drive) is not repeatable, so there is no checkpoint of the loop. The run directory holds::
+The story is that of a run in simulation (`steerkit.learning.learner_state`); what a car's human decides (when to
+engage, how far to drive) is not repeatable, so there is no checkpoint of the loop. The run directory holds::
 
     car.json            the setting
     transitions.db      the transition store
@@ -33,12 +33,12 @@ from steerkit.diagram.realtime import Run, run
 from steerkit.doe import Dynamic
 from steerkit.learning import rundir
 from steerkit.learning.data.store import TransitionStore
+from steerkit.learning.learner_state import LearnerState, state_signals, untrained
 from steerkit.learning.ownership import held, is_free
 from steerkit.learning.settings import Setting
-from steerkit.learning.story import Story, state_signals, untrained
 from steerkit.learning.trainer import Trainer
 from steerkit.scenario.assembly import with_controller
-from steerkit.scenario.catalogue import FITTING
+from steerkit.scenario.catalogue import AUTO
 from steerkit.vehicles import Vehicle
 
 RUN = "car"
@@ -66,7 +66,7 @@ class CarLearner:
     setting: how. place: run directory; a run there is continued with all its transitions and its newest net.
     build: makes the loop of a policy and an output element (`steerkit.car.loop.car_loop`). seed: of the nets.
     recovery: the name of the controller that catches it there, for the recording. vehicle: what controllers are told of
-    the car (`steerkit.car.loop.belief_of`), at whose stops the output element ends; None: 520 degrees.
+    the car (`steerkit.car.loop.design_model_of`), at whose stops the output element ends; None: 520 degrees.
 
     While the car is ENGAGED and the policy has the wheel, every sample is recorded. When the recovery controller has
     to take it (the car leaves the path; the policy answers NaN, or raises), or `retrain_every_m` are driven, a process
@@ -84,7 +84,7 @@ class CarLearner:
         link: Car,
         *,
         seed: int = 0,
-        recovery: str = FITTING,
+        recovery: str = AUTO,
         vehicle: Vehicle | None = None,
     ):
         where = f"setting '{setting.name}' on a car"
@@ -112,7 +112,7 @@ class CarLearner:
         if not saved:
             policy.save(place / "nets" / "net-0000.npz")
         self.trainer = Trainer(nets=policy.nets or () if net else ())
-        self.story = Story(
+        self.learner_state = LearnerState(
             setting=setting,
             seed=seed,
             policy=policy,
@@ -143,21 +143,21 @@ class CarLearner:
 
         def late(live: Run) -> None:
             self.link.misses = live.timing.misses
-            self.story.recorder.forget()  # the next sample is not one period later
+            self.learner_state.recorder.forget()  # the next sample is not one period later
 
         return run(self._idle, duration, timer=clock, watch=follow, on_miss=late)
 
     def step(self, live: Run) -> None:
         """After every control sample."""
-        story = self.story
+        learner_state = self.learner_state
         if self.follow.begin(live):
-            story.recorder.forget()
+            learner_state.recorder.forget()
         engaged, t = self.follow.engaged, live.k * self._idle.dt
         state = {name: self._value(live, signal) for name, signal in self._inputs.items()}
         learning = engaged and self._value(live, "supervisor.learning") > 0.5
         fault = engaged and self._value(live, "supervisor.fault") > 0.5  # a NaN, or an exception in the policy
         given_up = self.setting.safe and self._filtered(live, learning=learning, engaged=engaged)
-        events = story.sample(
+        events = learner_state.sample(
             live.k,
             t,
             list(state.values()),
@@ -168,23 +168,23 @@ class CarLearner:
             e=self._value(live, "path.e"),
         )
         if not engaged:
-            story.counts.recovery = None  # the human steers
+            learner_state.counts.recovery = None  # the human steers
         elif not learning:
-            story.recovering(t, e=state["e"], e_dot=state["e_dot"])
+            learner_state.recovering(t, e=state["e"], e_dot=state["e_dot"])
         if given_up:
-            story.counts.ended(t, failed=True)
-        if given_up or (events.ended and events.ended.failed) or (fault and story.trusted):
-            story.train(t, trusted=False)
-        elif learning and story.due():
-            story.train(t, trusted=True)
-        result = story.take_over(t, e=state["e"], e_dot=state["e_dot"])
-        taken = result is not None and result.number == story.net
+            learner_state.counts.ended(t, failed=True)
+        if given_up or (events.ended and events.ended.failed) or (fault and learner_state.trusted):
+            learner_state.train(t, trusted=False)
+        elif learning and learner_state.due():
+            learner_state.train(t, trusted=True)
+        result = learner_state.take_over(t, e=state["e"], e_dot=state["e_dot"])
+        taken = result is not None and result.number == learner_state.net
         if taken:
-            story.counts.corrected = 0
-            story.policy.save(self.net_file, durable=False)  # the next sample does not wait for the disk
-            self.follow.exchange(live, self._with(story.policy))
-        if taken or self.follow.trusted != story.trusted:
-            self.follow.trusted = story.trusted
+            learner_state.counts.corrected = 0
+            learner_state.policy.save(self.net_file, durable=False)  # the next sample does not wait for the disk
+            self.follow.exchange(live, self._with(learner_state.policy))
+        if taken or self.follow.trusted != learner_state.trusted:
+            self.follow.trusted = learner_state.trusted
             self.tell()
         self.follow.choose(live)
 
@@ -196,7 +196,7 @@ class CarLearner:
         correction, sent, state = (
             self._value(live, f"{s}") for s in ("safety.correction", "safety.delta_sw", "doe.state")
         )
-        return self.story.taught(action, self._element, correction=correction, sent=sent, state=state)
+        return self.learner_state.taught(action, self._element, correction=correction, sent=sent, state=state)
 
     def _filtered(self, live: Run, *, learning: bool, engaged: bool) -> bool:
         """Tell what the safety filter did; must the policy lose the wheel for it, or because the filter failed?"""
@@ -205,14 +205,14 @@ class CarLearner:
         broken = FAULTS.get(message.reason, "") if engaged else ""
         if broken:
             self.filter_faults[broken] += 1
-        return learning and (self.story.corrected(message.share) or bool(broken))
+        return learning and (self.learner_state.corrected(message.share) or bool(broken))
 
     def figures(self) -> dict[str, Any]:
         """The numbers of a run that a program would read."""
-        counts = self.story.counts
+        counts = self.learner_state.counts
         return {
             "updates": counts.updates,
-            "transitions": len(self.story.transitions),
+            "transitions": len(self.learner_state.transitions),
             "driven_by_learner_m": counts.driven,
             "failures": counts.failures,
             "stuck": list(counts.stuck),
@@ -222,25 +222,29 @@ class CarLearner:
 
     def status(self) -> str:
         """One line for the panel."""
-        story, counts = self.story, self.story.counts
+        learner_state, counts = self.learner_state, self.learner_state.counts
         training = "training" if self.trainer.busy else "idle"
-        fault = f", {story.faults[-1]}" if story.faults else ""
+        fault = f", {learner_state.faults[-1]}" if learner_state.faults else ""
         fault += "".join([f", {count} x {what}" for what, count in self.filter_faults.items()])
         if counts.recovery and counts.recovery.said:
             fault += f", {counts.recovery.said}"
         return (
-            f"net {counts.updates}, {len(story.transitions)} transitions, {counts.driven:.0f} m by the learner, "
-            f"{counts.failures} failures, trainer {training}{fault}"
+            f"net {counts.updates}, {len(learner_state.transitions)} transitions, "
+            f"{counts.driven:.0f} m by the learner, {counts.failures} failures, trainer {training}{fault}"
         )
 
     @property
     def net_file(self) -> FilePath:
         """The file of the newest net that has taken over."""
-        return self.place / "nets" / f"net-{self.story.net:04d}.npz"
+        return self.place / "nets" / f"net-{self.learner_state.net:04d}.npz"
 
     def tell(self) -> None:
         """Tell the recording who steers from here on."""
-        how: dict[str, Any] = {"recovery": self.recovery, "trusted": self.story.trusted, "safe": self.setting.safe}
+        how: dict[str, Any] = {
+            "recovery": self.recovery,
+            "trusted": self.learner_state.trusted,
+            "safe": self.setting.safe,
+        }
         self.link.remark(Steers.by_policy(self.net_file, self.setting.doe, **how).text())
 
     def _with(self, policy: NfqPolicy) -> Loop:

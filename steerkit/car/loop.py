@@ -15,23 +15,23 @@ from steerkit.car.client import CarClient, CarLink, RealCar
 from steerkit.car.config.config import CarConfig
 from steerkit.car.configured import course_of
 from steerkit.car.follow import Follow, Steers
-from steerkit.controllers.excited import WAVES, excited
+from steerkit.controllers.excursion_predictor import ExcursionPredictor
 from steerkit.controllers.fail_safe import FailSafe
-from steerkit.controllers.foresight import Foresight
 from steerkit.controllers.gate_model import GateModel
 from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.controllers.with_excitation import WAVES, with_excitation
 from steerkit.diagram import realtime
 from steerkit.diagram.block import Block
 from steerkit.diagram.loop import Loop
 from steerkit.doe import Dynamic, Integrator
 from steerkit.learning import rundir
 from steerkit.paths.path import Path
-from steerkit.plants.human import ConstantSpeed
+from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.scenario.assembly import steering_loop
 from steerkit.scenario.catalogue import (
+    AUTO,
     CONTROLLERS,
-    FITTING,
-    Belief,
+    DesignModel,
     make_controller,
     make_element,
     make_recovery,
@@ -51,18 +51,18 @@ VALID = (
 )
 
 
-def belief_of(config: CarConfig) -> Belief:
+def design_model_of(config: CarConfig) -> DesignModel:
     """What controllers are told of a car: its vehicle, its course, the delay and lag of its kit, the gate's limits.
 
     The delay is that from command to wheel, as it was measured: nothing is added to it.
     """
     stop = min(float(config.vehicle.delta_sw_max), config.gate.delta_sw_max)
-    return Belief(
+    return DesignModel(
         vehicle=replace(config.vehicle, delta_sw_max=stop),
         path=course_of(config),
         delay=config.delay,
         lag=config.lag,
-        rate_limit=min(Belief.rate_limit, config.gate.rate_max),
+        rate_limit=min(DesignModel.rate_limit, config.gate.rate_max),
         budget=MPC_BUDGET,
         clock=time.perf_counter,
     )
@@ -86,15 +86,15 @@ def controller_named(name: str, config: CarConfig, *, in_time: bool = False) -> 
     in_time: whatever it solves is in time, however long it takes; for replays.
     """
     check_allowed("controller", name, config)
-    belief = belief_of(config)
+    design_model = design_model_of(config)
     if in_time:
-        belief = replace(belief, budget=None, clock=None)
+        design_model = replace(design_model, budget=None, clock=None)
     base, plus, wave = name.partition("+")
     if plus and base in CONTROLLERS:
-        block = excited(make_controller(base, belief), wave, config.vehicle)
+        block = with_excitation(make_controller(base, design_model), wave, config.vehicle)
         return Controller(block=block, steers=Steers(name=name))
     if name in CONTROLLERS or is_outside(name):
-        return Controller(block=make_controller(name, belief), steers=Steers(name=name))
+        return Controller(block=make_controller(name, design_model), steers=Steers(name=name))
     place = LEARNED if name == "nfq" else FilePath(name)
     if place.is_dir():
         nets = [f for f in sorted(place.glob("nets/net-*.npz")) if f.stem != "net-0000"]
@@ -118,7 +118,7 @@ def check_allowed(what: str, name: str, config: CarConfig) -> None:
 def policy_in(file: FilePath, doe: str, config: CarConfig) -> Controller:
     """The learned policy in `file`, with the output element of that name."""
     check_allowed("element", doe, config)
-    element = make_element(doe, belief_of(config).vehicle)
+    element = make_element(doe, design_model_of(config).vehicle)
     return Controller(block=NfqPolicy.load(file), steers=Steers.by_policy(file, doe), element=element)
 
 
@@ -136,7 +136,7 @@ def element_of(place: FilePath) -> str:
 
 def recovery_named(name: str, config: CarConfig) -> Block:
     """The controller that catches a learned one; raises ValueError with the valid names."""
-    return make_recovery(name, belief_of(config))
+    return make_recovery(name, design_model_of(config))
 
 
 def car_loop(
@@ -146,7 +146,7 @@ def car_loop(
     controller: Block,
     *,
     doe: Dynamic | None = None,
-    recovery: str = FITTING,
+    recovery: str = AUTO,
     safe: bool = False,
     clock: Callable[[], float] | None = time.perf_counter,
 ) -> Loop:
@@ -161,11 +161,11 @@ def car_loop(
     learned = any(port.name == "action" for port in controller.outputs)
     require(learned or not safe, "car_loop", "safe = True, expected a policy: the filter is for learned controllers")
     element = doe or Integrator()
-    element = replace(element, limit=min(element.limit, belief_of(config).vehicle.delta_sw_max))
+    element = replace(element, limit=min(element.limit, design_model_of(config).vehicle.delta_sw_max))
     return steering_loop(
         car=RealCar(link=link),
         path=path,
-        human=ConstantSpeed(speed=0.0),  # the human in the car keeps the speed; nobody reads this
+        driver=ConstantSpeed(speed=0.0),  # the human in the car keeps the speed; nobody reads this
         controller=controller,
         doe=element if learned else None,
         recovery=recovery_named(recovery, config) if learned else None,
@@ -175,11 +175,11 @@ def car_loop(
     )
 
 
-def foresight(config: CarConfig) -> Foresight:
+def foresight(config: CarConfig) -> ExcursionPredictor:
     """How far the car will get behind the gate of `config`."""
     limits = config.gate
     same = ("a_y_max", "jerk_max", "rate_max", "delta_sw_max", "v_floor", "quantum")
-    return Foresight.of(config.vehicle, **{name: getattr(limits, name) for name in same})
+    return ExcursionPredictor.of(config.vehicle, **{name: getattr(limits, name) for name in same})
 
 
 def safety(config: CarConfig, clock: Callable[[], float] | None = None) -> FailSafe:
@@ -188,7 +188,7 @@ def safety(config: CarConfig, clock: Callable[[], float] | None = None) -> FailS
     same = ("a_y_max", "jerk_max", "rate_max", "delta_sw_max", "v_floor", "steer_ratio", "wheelbase", "arm", "quantum")
     model = GateModel(**{name: getattr(limits, name) for name in same})
     budget = None if clock is None else SAFETY_BUDGET
-    return FailSafe(block=make_safety(belief_of(config), model), budget=budget, clock=clock)
+    return FailSafe(block=make_safety(design_model_of(config), model), budget=budget, clock=clock)
 
 
 def drive(
@@ -197,7 +197,7 @@ def drive(
     link: CarClient,
     controller: Controller,
     *,
-    recovery: str = FITTING,
+    recovery: str = AUTO,
     duration: float = float("inf"),
     clock: Clock | None = None,
     watch: Callable[[realtime.Run], bool | None] | None = None,

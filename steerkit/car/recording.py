@@ -1,7 +1,7 @@
 """Everything that the car server received, decided and sent, in a file that survives a kill, and read again.
 
 Topics: /can/rx /client /tick /recording /end (what the core was given), /can/tx (what it sent), /state /command /steers
-/car /refused (why). How they lie in the file, and what protects them there: `tape_file`.
+/car /refused (why). How they lie in the file, and what protects them there: `recording_file`.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from steerkit.car import protocol
 from steerkit.car.config.config import CarConfig
 from steerkit.car.config.reading import Reading
 from steerkit.car.core import Core, End, Event, Frame, Link, Note, Output, Packet, Send, Taping, Tick
-from steerkit.car.recording_file import Contents, Gap, TapeFile, contents, gaps_in, in_use, what_is_wrong
+from steerkit.car.recording_file import Contents, Gap, RecordingFile, contents, gaps_in, in_use, what_is_wrong
 from steerkit.paths.path import Path
 
 FLUSH = 0.2
@@ -52,7 +52,7 @@ class Recording:
     def __init__(self, file: str | os.PathLike[str], description: dict[str, str]):
         self.file = File(file)
         self._broken = ""
-        self._tape = TapeFile(self.file, {**description, "protocol": str(protocol.VERSION), **_versions()})
+        self._tape = RecordingFile(self.file, {**description, "protocol": str(protocol.VERSION), **_versions()})
         self._alive = time.monotonic()
         self._epoch = time.time_ns()
         self._begun: float | None = None
@@ -331,7 +331,7 @@ def repair(
     if place.exists() and not overwrite:
         raise FileExistsError(f"{place}: exists already; it is overwritten only with --overwrite")
     with whole(place) as draft, ExitStack() as stack:
-        tape = TapeFile(draft, {**recorded.metadata, "repaired": json.dumps(recorded.lost)})
+        tape = RecordingFile(draft, {**recorded.metadata, "repaired": json.dumps(recorded.lost)})
         stack.callback(tape.abandon)
         for chunk in parts.chunks:
             for line in chunk.lines:

@@ -103,7 +103,7 @@ class Contents(NamedTuple):
     """How many messages its index tells of; None without an intact index."""
 
 
-class TapeFile:
+class RecordingFile:
     """A new file to write messages to; nobody else can repair it as long as it is open.
 
     description: texts about what is in it. Raises FileExistsError, and OSError from everything.

@@ -34,7 +34,7 @@ from steerkit.diagram.realtime import Run, Timing, histogram_text, preferred
 from steerkit.doe import Dynamic
 from steerkit.learning.ownership import this_process
 from steerkit.learning.settings import Setting
-from steerkit.scenario.catalogue import FITTING, RECOVERIES
+from steerkit.scenario.catalogue import AUTO, RECOVERIES
 from steerkit.task import DT
 
 
@@ -50,7 +50,7 @@ class Options:
     channel: str = ""
     time_scale: float = 1.0
     realtime: bool = False
-    recovery: str = FITTING
+    recovery: str = AUTO
     quiet: bool = False
 
 
@@ -249,7 +249,7 @@ def learn(options: Options, how: Setting, place: FilePath, *, minutes: float, se
     with session(options) as here:
         loops.check_allowed("element", how.doe, here.config)
         here.link.wait(timeout=10.0)
-        vehicle = loops.belief_of(here.config).vehicle
+        vehicle = loops.design_model_of(here.config).vehicle
         here.safe = how.safe
         with CarLearner(
             how, place, here.build, here.link, seed=seed, recovery=options.recovery, vehicle=vehicle

@@ -14,9 +14,9 @@ from steerkit.car.frames.codec import SignalEncoder
 from steerkit.diagram.block import Block
 from steerkit.paths.path import Path
 from steerkit.paths.tracker import PathTracker
-from steerkit.plants.careful_human import CarefulHuman
-from steerkit.plants.human import Human
+from steerkit.plants.curve_speed_driver import CurveSpeedDriver
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.speed_driver import SpeedDriver
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.vehicles import Vehicle
 
@@ -86,7 +86,7 @@ class SimulatedCar:
         self,
         config: CarConfig,
         path: Path,
-        human: Block,
+        driver: Block,
         *,
         v_min: float = 4.0,
         v_max: float = 6.0,
@@ -101,11 +101,11 @@ class SimulatedCar:
         offset: float = 0.0,
         rate_zero: float = 0.0,
     ):
-        self.config, self.human, self.faults = config, human, list[Fault]()
+        self.config, self.driver, self.faults = config, driver, list[Fault]()
         self.t, self.k = t0, 0
         self.tracker = PathTracker(path=path, reference=config.vehicle.l_f, dt=STEP)
-        speed = Human(v_min=v_min, v_max=v_max, seed=seed, dt=STEP)
-        self.pedals = CarefulHuman(path=path, human=speed, a_y_max=a_y_max, dt=STEP)
+        speed = SpeedDriver(v_min=v_min, v_max=v_max, seed=seed, dt=STEP)
+        self.pedals = CurveSpeedDriver(path=path, driver=speed, a_y_max=a_y_max, dt=STEP)
         self.hands, self.motor = SteeringActuator(lag=HANDS, dt=STEP), SteeringActuator(lag=lag, dt=STEP)
         self.delay, self.offset, self.rate_zero, self.turned = delay, offset, rate_zero, 0.0
         (x, y), psi = path.point(s), path.psi(s)
@@ -119,7 +119,7 @@ class SimulatedCar:
         self.now = self.plant.output(0.0, self.x["plant"], ())
         seen = self._seen()
         place = self.tracker.settle(0.0, self.tracker.init(), seen)
-        self.x |= {"tracker": place, "human": human.init()}
+        self.x |= {"tracker": place, "driver": driver.init()}
         self.on_path = self.tracker.output(0.0, place, seen)
         self.steered = self._reached = 0.0
         # the kit
@@ -188,9 +188,9 @@ class SimulatedCar:
         motor = self.motor.output(t, x["motor"], ())
         if self.k % HUMAN_EVERY == 0:
             known = {**place._asdict(), **self.now._asdict(), "delta_sw_meas": motor.delta_sw}
-            u = self.human.U(*[known[name] for name in self.human.U._fields])
-            y = self.human.output(t, x["human"], u)
-            self.steered, x["human"] = y.delta_sw, self.human.update(t, x["human"], u, y)
+            u = self.driver.U(*[known[name] for name in self.driver.U._fields])
+            y = self.driver.output(t, x["driver"], u)
+            self.steered, x["driver"] = y.delta_sw, self.driver.update(t, x["driver"], u, y)
         if self._fault("override", t):
             self.overridden = True
         if self.enabled and t - self.heard >= WATCHDOG:

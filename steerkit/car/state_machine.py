@@ -397,9 +397,9 @@ def step(limits: StateLimits, state: Machine, facts: Facts, t: float, order: Ord
                 return to(Mode.STANDBY, "operator: disengage")
             if not facts.enabled:  # only then it matters for how long
                 facts = facts._replace(engaged_for=t - state.since)
-            human = first_broken(limits, facts, HUMAN)
-            if human:
-                return to(Mode.OVERRIDE, human)
+            driver = first_broken(limits, facts, HUMAN)
+            if driver:
+                return to(Mode.OVERRIDE, driver)
             fault = first_broken(limits, facts, KEEPING)
             if fault:
                 return to(Mode.FAULT, fault)

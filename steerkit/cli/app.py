@@ -21,7 +21,7 @@ from steerkit.cli.learn import learn
 from steerkit.cli.log import log
 from steerkit.cli.options import Quiet, Seed
 from steerkit.cli.plot import plot
-from steerkit.cli.redrive import redrive
+from steerkit.cli.resimulate import resimulate
 from steerkit.cli.show import show
 from steerkit.cli.vehicles import vehicles
 
@@ -52,7 +52,7 @@ app.command()(identify)
 app.command()(export)
 app.command()(learn)
 app.command()(drive)
-app.command()(redrive)
+app.command()(resimulate)
 app.command()(show)
 app.command()(plot)
 app.command()(courses)
@@ -81,9 +81,9 @@ def demo(
     quiet: Quiet = False,
 ) -> None:
     """Learn on the 800 m course and on a real recorded lap; compare with Stanley; redraw the paper's figures."""
-    from steerkit.cli import demo as story
+    from steerkit.cli import demo as learner_state
 
-    story.run(out, seed=seed, quiet=quiet)
+    learner_state.run(out, seed=seed, quiet=quiet)
 
 
 @functools.cache

@@ -96,7 +96,7 @@ def _part(job: tuple[str, Experiment, FilePath, int, float | None]) -> Part:
     scenario = experiment.scenario
     doe = experiment.setting.element(scenario.nominal)
     learned = evaluate.drive(scenario, rundir.final_policy(place), doe=doe, seed=seed)
-    stanley = evaluate.drive(scenario, scenario.catcher(), seed=seed)
+    stanley = evaluate.drive(scenario, scenario.recovery_controller(), seed=seed)
     return Part(name, figures_of_merit(run), *(Log(g.t, g.signals, g.units) for g in (learned, stanley)))
 
 

@@ -108,7 +108,7 @@ class DriveOptions:
         Path | None, in_simulation("TOML file of a scenario; options given besides change it.", "--scenario")
     ] = None
     recovery: Annotated[str, on_car("Who catches a learner: stanley, stanley-delay, adapting, or what is fitting.")] = (
-        "fitting"
+        "auto"
     )
     simulated: Annotated[bool, on_car("A simulated car on a bus, started for it.", "--simulated")] = False
     socket: Annotated[str, on_car(SOCKET)] = ""

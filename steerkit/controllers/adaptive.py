@@ -135,7 +135,7 @@ class Adaptive(Block):
         """What is told in state `x`."""
         return Told(*x[-2:])
 
-    def rested(self, x: State, settled: State) -> State:
+    def on_standby(self, x: State, settled: State) -> State:
         """The state `settled` with what `x` has found and tells, for one whose commands nobody followed since.
 
         Somebody else steered: the next sample teaches nothing, nor do those after it until its commands have acted.

@@ -50,7 +50,7 @@ class Motion(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Predicted(Block):
+class DelayPredictor(Block):
     """Wraps a controller so that it sees e, psi_e, r and the wheel as they will be when its command has arrived.
 
     The state is carried `delay + lag` ahead under the commands on their way (the last one is held after `delay`):
@@ -121,7 +121,7 @@ class Predicted(Block):
     """Time between them [s]."""
 
     def __post_init__(self) -> None:
-        where, have = "Predicted", {p.name for p in self.inputs} - {"preview"} | {"kappa"}
+        where, have = "DelayPredictor", {p.name for p in self.inputs} - {"preview"} | {"kappa"}
         asks = {p.name for p in self.block.inputs}
         kind = type(self.block).__name__
         require(
@@ -149,12 +149,12 @@ class Predicted(Block):
         lag: float,
         slew: float | None = None,
         a_y_limit: float | None = None,
-    ) -> Predicted:
+    ) -> DelayPredictor:
         """`block` told of a steering delay and lag [s], with geometry, tyres and ratio of a `Vehicle`.
 
         slew [m/s^3], a_y_limit [m/s^2]: of a car that is steered by torque; None: without.
         """
-        require_vehicle(vehicle, "Predicted.around")
+        require_vehicle(vehicle, "DelayPredictor.around")
         L = vehicle.wheelbase
         bound = cls.a_y_limit if a_y_limit is None else a_y_limit
         back = 0.0 if slew is None else 2.0 * bound / slew
@@ -338,7 +338,7 @@ def delayed_stanley(
     slew: float | None = None,
     a_y_limit: float | None = None,
     dt: float = DT,
-) -> Predicted:
+) -> DelayPredictor:
     """Stanley for a steering delay and lag [s], 0 to 0.3 s and about 0.1 s: predicted, with gains tuned for that.
 
     The gains are what `python -m benchmarks study tune_stanley` chose: with the prediction, damping only costs.
@@ -346,7 +346,7 @@ def delayed_stanley(
     """
     gains: dict[str, float] = dict(k=3.0, k_d_yaw=0.0, k_d_steer=0.0, share=1.0 if slew is None else _SHARE_OF_TORQUE)
     stanley = replace(Stanley.of(vehicle, dt=dt), slew=slew, a_y_limit=a_y_limit, **gains)
-    return Predicted.around(stanley, vehicle, delay=delay, lag=lag, slew=slew, a_y_limit=a_y_limit)
+    return DelayPredictor.around(stanley, vehicle, delay=delay, lag=lag, slew=slew, a_y_limit=a_y_limit)
 
 
 class Steering(NamedTuple):
@@ -357,7 +357,7 @@ class Steering(NamedTuple):
     rms: float
 
 
-def identified(t: Array, command: Array, wheel: Array, *, longest: float = 0.5) -> Steering:
+def fit_delay_lag(t: Array, command: Array, wheel: Array, *, longest: float = 0.5) -> Steering:
     """Delay and lag of the steering from a log of commands and measured wheel angles.
 
     Least squares over wheel(t + dt) = wheel(t) + f (g command(t - delay) + o - wheel(t)) for delays 0, dt, ..., and

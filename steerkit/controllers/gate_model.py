@@ -33,7 +33,8 @@ class GateModel:
 
     The shares are those of frames that are infinitely short, and as long as a sample: those of the gate lie between. A
     last frame that is not due yet is left to whoever takes commands to be late. NaN in any input gives NaN.
-    Raises ValueError for values out of range. Source: the bounds are the gate's; Foresight's equation for the way back.
+    Raises ValueError for values out of range. Source: the bounds are the gate's; ExcursionPredictor's equation for the
+    way back.
     """
 
     a_y_max: float = A_Y_MAX

@@ -12,7 +12,7 @@ import numpy as np
 
 from steerkit._support import native
 from steerkit._support.errors import require
-from steerkit.controllers.forecast import Forecast
+from steerkit.controllers.delay_compensator import DelayCompensator
 from steerkit.controllers.nfq_policy import NfqPolicy, without_preview
 from steerkit.controllers.policy import COLUMNS, Policy
 from steerkit.diagram import maths as m
@@ -252,9 +252,9 @@ class OpenPolicy(Policy):
         return self.Y(m.where(sound, share * action, nan), q, m.where(t >= ready_from, 1.0, 0.0))
 
     @functools.cached_property
-    def _forecast(self) -> Forecast:
+    def _forecast(self) -> DelayCompensator:
         _, _, samples, *numbers = self.numbers
-        return Forecast(samples=samples).with_numbers(numbers)
+        return DelayCompensator(samples=samples).with_numbers(numbers)
 
 
 def numbers_of(policy: NfqPolicy) -> tuple[float, ...]:
@@ -262,7 +262,7 @@ def numbers_of(policy: NfqPolicy) -> tuple[float, ...]:
 
     Without a forecast its numbers are those of the car that stands, by which `NfqPolicy` remembers until it has one.
     """
-    about = policy.forecast or Forecast()
+    about = policy.forecast or DelayCompensator()
     return (policy.ready_from, float(policy.forecast is not None), float(about.samples), *map(float, about.numbers))
 
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from steerkit._support.errors import require
 from steerkit._support.files import read_arrays, write_arrays
-from steerkit.controllers import forecast as ahead
-from steerkit.controllers.forecast import Forecast
+from steerkit.controllers import delay_compensator as ahead
+from steerkit.controllers.delay_compensator import DelayCompensator
 from steerkit.controllers.policy import ACTION, COLUMNS, LARGEST_POLICY, Policy
 from steerkit.controllers.state_description import StateDescription
 from steerkit.diagram import maths as m
@@ -80,7 +80,7 @@ class NfqPolicy(Policy):
     """`forecast.PREVIEW` for a policy that has a forecast, or may get one while it drives; else 0."""
     preview_dt: float = DT
     """Time between two curvatures of the preview [s]."""
-    forecast: Forecast | None = None
+    forecast: DelayCompensator | None = None
     """The car's dead time and how it answers the wheel; None: commands act at once."""
     weights: tuple[Any, ...] = ()
     """All weights of `nets`, then the forecast's numbers, as one flat tuple; `nets` and `forecast` then say only how
@@ -198,9 +198,9 @@ class NfqPolicy(Policy):
         return self.Y(action=m.where(sound, share * action, nan), q=q, ready=ready)
 
     @functools.cached_property
-    def _forecast(self) -> Forecast:
+    def _forecast(self) -> DelayCompensator:
         """The forecast, with its numbers from `weights` where they are given; without one: of a car that stands."""
-        plain = self.forecast or Forecast()
+        plain = self.forecast or DelayCompensator()
         n = len(plain.numbers)
         return plain.with_numbers(self.weights[-n:]) if self.forecast and self.weights else plain
 
@@ -314,15 +314,15 @@ class NfqPolicy(Policy):
             raise ValueError(f"{path}: the policy in it does not hold together: {why}") from why
 
 
-def _forecast_in(f: Any) -> Forecast | None:
+def _forecast_in(f: Any) -> DelayCompensator | None:
     """The forecast of a policy's file, if it holds one."""
     if "dead_samples" not in f:
         return None
     numbers = f["forecast"].tolist()
     told = "numbers of a fast car as an earlier version told them, which this one cannot drive: learn it again"
     require(len(numbers) != 9 or numbers[-1] == 0.0, "forecast", told)
-    numbers += Forecast().numbers[len(numbers) :]  # of before there were fast cars
-    found = Forecast(samples=int(f["dead_samples"]), dt=float(f["dt"])).with_numbers(numbers)
+    numbers += DelayCompensator().numbers[len(numbers) :]  # of before there were fast cars
+    found = DelayCompensator(samples=int(f["dead_samples"]), dt=float(f["dt"])).with_numbers(numbers)
     for name in (*ahead.ANSWER, "straight"):  # some 0.01, 0.2 and 0.4; others would steer straight on in silence
         require(
             abs(getattr(found, name)) <= 10.0, "forecast", f"{name} = {getattr(found, name):g}, expected within +-10"

@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 from steerkit._support.errors import require, require_within
-from steerkit.controllers.delay import Motion, Predicted
+from steerkit.controllers.delay import DelayPredictor, Motion
 from steerkit.controllers.gate_model import GateModel
 from steerkit.controllers.limits import limited
 from steerkit.controllers.stanley import Stanley, StanleyState
@@ -123,7 +123,7 @@ class SafetyFilter(Block):
     reach = Out("m")
     reason = Out("1")
 
-    backup: Predicted
+    backup: DelayPredictor
     """Stanley, and the model that is rolled out: geometry, ratio, dead time and lag as they are told."""
     bound: float = TRIP
     """|e| that is not to be exceeded [m]."""
@@ -156,9 +156,9 @@ class SafetyFilter(Block):
 
     def __post_init__(self) -> None:
         where = "SafetyFilter"
-        kind = type(self.backup.block if isinstance(self.backup, Predicted) else self.backup).__name__
-        law = isinstance(self.backup, Predicted) and isinstance(self.backup.block, Stanley)
-        require(law, where, f"backup of {kind}, expected Predicted around Stanley, such as SafetyFilter.of makes")
+        kind = type(self.backup.block if isinstance(self.backup, DelayPredictor) else self.backup).__name__
+        law = isinstance(self.backup, DelayPredictor) and isinstance(self.backup.block, Stanley)
+        require(law, where, f"backup of {kind}, expected DelayPredictor around Stanley, such as SafetyFilter.of makes")
         require(self.dt == self.backup.dt, where, f"dt = {self.dt} s, but the backup has {self.backup.dt} s")
         for name, unit, low, high in (
             ("bound", "m", 0.05, 100.0),
@@ -188,7 +188,7 @@ class SafetyFilter(Block):
         settings: any other fields.
         """
         require_vehicle(vehicle, "SafetyFilter.of")
-        return cls(backup=Predicted.around(Stanley.of(vehicle), vehicle, delay=delay, lag=lag), **settings)
+        return cls(backup=DelayPredictor.around(Stanley.of(vehicle), vehicle, delay=delay, lag=lag), **settings)
 
     @property
     def reference(self) -> Scalar:

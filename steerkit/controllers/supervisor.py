@@ -29,8 +29,8 @@ class Supervisor(Block):
         learning = ready and not fault and |e| <  release   otherwise
         delta_sw = learner if learning, else recovery
 
-    So a fault is a command that is NaN or out of range, and a `ready` that is NaN, as that of a `Guarded` block is
-    after an exception.
+    So a fault is a command that is NaN or out of range, and a `ready` that is NaN, as that of a `ExceptionGuard` block
+    is after an exception.
 
     Inputs: e [m] as measured; learner, recovery [rad], both commands; ready [1], is there a policy to trust.
     Outputs: delta_sw [rad]; learning [1]; tripped [1], 1 in the one sample in which the learner lost the wheel by
@@ -83,7 +83,7 @@ class Supervisor(Block):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Guarded(Block):
+class ExceptionGuard(Block):
     """Wraps a block so that an exception in it becomes NaN on all its outputs, which a `Supervisor` answers.
 
     Ports, units, state and sample time are those of `block`. The exception is logged, with its traceback, on the

@@ -154,7 +154,7 @@ class Block:
         """The state to start from, given the first direct inputs."""
         return x
 
-    def rested(self, x: Any, settled: Any) -> State:
+    def on_standby(self, x: Any, settled: Any) -> State:
         """The state to go on from while somebody else steers: `settled` anew, with what of `x` is to be kept."""
         return settled
 

@@ -58,7 +58,7 @@ def size(regressors: int) -> int:
     return 2 * regressors + regressors * (regressors + 1) // 2
 
 
-def taught(moments: State, x: Sequence[Scalar], dy: Scalar, keep: Scalar, gain: Scalar, weight: Scalar) -> State:
+def rls_update(moments: State, x: Sequence[Scalar], dy: Scalar, keep: Scalar, gain: Scalar, weight: Scalar) -> State:
     """A candidate's moments after one more sample.
 
     m' = m + gain (x - m),  C' = keep C + weight (1 - gain) (x - m)(x - m)^T,  the same with y:
@@ -103,11 +103,11 @@ def learned(
     after: list[Scalar] = []
     if _plain(moments[0], rows[0][0], dy, weight):
         regressors: Any = np.array(rows).T
-        table = taught(_columns(moments, size(len(rows[0]))), regressors, dy, keeps, gain, weight)
+        table = rls_update(_columns(moments, size(len(rows[0]))), regressors, dy, keeps, gain, weight)
         after = np.array(table).T.ravel().tolist()
     else:
         for candidate, row in zip(_split(moments, len(rows[0])), rows):
-            after += taught(candidate, row, dy, keeps, gain, weight)
+            after += rls_update(candidate, row, dy, keeps, gain, weight)
     count = keeps * sums.count + m.where(teaches, share, 0.0)
     power = keeps * sums.power + weight * (1.0 - gain) * dy * dy
     return Weighed(total, count, sums.mean + gain * dy, power), after

@@ -35,7 +35,7 @@ def covariance(p: Covariance, one: Sequence[int], other: Sequence[int]) -> Scala
     return sum([p[min(i, j)][abs(i - j)] for i in one for j in other])
 
 
-def carried(p: Covariance, rows: Sequence[Row], kept: Sequence[Scalar], noise: Row) -> Covariance:
+def predict_covariance(p: Covariance, rows: Sequence[Row], kept: Sequence[Scalar], noise: Row) -> Covariance:
     """F P F' + Q, with F made of `rows`, and below them of a diagonal, `kept`; Q is diagonal, its entries `noise`.
 
     rows, kept: together n. source: Gelb 1974, table 4.2-1.

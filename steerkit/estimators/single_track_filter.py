@@ -228,7 +228,7 @@ class SingleTrackFilter(Block):
         keeps = [m.where(drives, math.exp(-dt / time), 1.0) for time in times]
         numbers = (*numbers[:4], keeps[4] * numbers[4], numbers[5])
         fresh = {i: (1.0 - keep * keep) * variance for i, (keep, variance) in enumerate(zip(keeps, self._variances))}
-        covariance = gauss.carried(covariance, (), keeps, fresh)
+        covariance = gauss.predict_covariance(covariance, (), keeps, fresh)
         expected, slopes = self._expected(numbers, w, behind, v)
         variance = self.noise**2 * self.correlated / dt
         late = turning * m.where(sure, u.delay_deviation, 0.0)

@@ -15,7 +15,7 @@ from steerkit.diagram.maths import Scalar
 from steerkit.diagram.units import radians_of
 from steerkit.estimators.arrivals import ANY_ANGLE, SIZE, Wheel, sorted_in, turned_on
 from steerkit.estimators.correction import GYRO, HEADING, NEVER, PSI, SWAY, WHEEL, A, Correction, Memory, R, V, X, Y
-from steerkit.estimators.gauss import Row, carried, packed, unpacked
+from steerkit.estimators.gauss import Row, packed, predict_covariance, unpacked
 from steerkit.estimators.motion import Answer, Rhs, answer, course, moved
 from steerkit.task import DT
 
@@ -303,7 +303,7 @@ class VehicleState(Block):
         rows = self._rows(before, after, linear)
         noise = self._noise(v, linear, wheel, memory)
         kept = [f for f, _ in self._wanders]
-        p = carried(unpacked(entries, _N), rows, kept, noise)
+        p = predict_covariance(unpacked(entries, _N), rows, kept, noise)
         mean = (
             *after,
             mean[V] + self.dt * mean[A],

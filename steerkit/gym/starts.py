@@ -20,8 +20,8 @@ from steerkit.diagram.maths import Scalar
 from steerkit.doe import Dynamic, HeldAngle
 from steerkit.paths.path import Path
 from steerkit.paths.tracker import PathTracker
+from steerkit.plants.disturbed_plant import GUST_STATES, DisturbedPlant
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
-from steerkit.plants.pushed import GUST_STATES, Pushed
 from steerkit.plants.single_track import SingleTrackState
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.plants.torque_steering import TorqueSteering
@@ -100,14 +100,14 @@ class Starts:
         px, py, dx, dy, ddx, ddy = self.path.frame(self.path.inside(s))
         psi, kappa = m.atan2(dy, dx), dx * ddy - dy * ddx
         px, py = px - e * m.sin(psi), py + e * m.cos(psi)
-        gusts = x["car"][-GUST_STATES:] if isinstance(loop.blocks["car"], Pushed) else ()
+        gusts = x["car"][-GUST_STATES:] if isinstance(loop.blocks["car"], DisturbedPlant) else ()
         start = self._car_at(px, py, psi + psi_e, batch)
         x["car"] = (*start, *gusts) if gusts else start
         first = loop.init(x=[*x.values()])
         if not isinstance(start, SingleTrackState):
             return first
         car = self._car
-        v, c = loop.sample(first)["human.v"] + 0.0 * s, car.vehicle
+        v, c = loop.sample(first)["driver.v"] + 0.0 * s, car.vehicle
         r = v * kappa
         beta = (c.l_r - c.m * v**2 * c.l_f / (c.c_r * c.wheelbase)) * kappa
         wheel = c.steer_ratio * (c.wheelbase + c.understeer_gradient * v**2) * kappa
@@ -130,7 +130,7 @@ class Starts:
     def _car(self) -> Any:
         """The car itself, without what pushes it."""
         car = self.loop.blocks["car"]
-        return car.block if isinstance(car, Pushed) else car
+        return car.block if isinstance(car, DisturbedPlant) else car
 
     def _car_at(self, x: Scalar, y: Scalar, psi: Scalar, batch: tuple[int, ...]) -> Any:
         """The car's state with its reference point at x, y [m] and this heading [rad]."""

@@ -216,7 +216,7 @@ class Task:
     def loop(self) -> Loop:
         """The loop with an `Agent` for a controller."""
         fields = self.safe if isinstance(self.safe, Mapping) else {}
-        safety = None if self.safe is False else dataclasses.replace(make_safety(self.place.belief()), **fields)
+        safety = None if self.safe is False else dataclasses.replace(make_safety(self.place.design_model()), **fields)
         return assembled(self.place, Agent(dt=self.element.dt), doe=self.element, safety=safety)
 
     @cached_property

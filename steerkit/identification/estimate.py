@@ -47,7 +47,7 @@ class Prediction:
 
     drive: Drive
     r: Array
-    """Predicted yaw rate (n,) [rad/s]."""
+    """DelayPredictor yaw rate (n,) [rad/s]."""
     rms: float
     """Root mean square of measured minus predicted, all recorded samples [rad/s]."""
     rms_driving: float

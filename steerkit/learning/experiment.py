@@ -18,9 +18,9 @@ from steerkit.diagram.simulation import Recorder
 from steerkit.learning.counts import Counts
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.exploration import Exploring
+from steerkit.learning.learner_state import LearnerState, state_signals, untrained
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.settings import Setting
-from steerkit.learning.story import Story, state_signals, untrained
 from steerkit.learning.trainer import SimulatedTrainer, Training
 from steerkit.scenario import END_MARGIN, Scenario
 from steerkit.scenario.ahead import WORTH_COMPILING, Backend, Driver
@@ -104,9 +104,9 @@ class LearningRun:
         self.keep: Callable[[LearningRun], None] | None = None
         self.each: Callable[[Sample], None] | None = None
         scenario = experiment.scenario
-        setting = experiment.setting.suited(scenario.belief())
+        setting = experiment.setting.suited(scenario.design_model())
         self.path = scenario.path()
-        self.story = Story(
+        self.learner_state = LearnerState(
             setting=setting,
             seed=experiment.seed,
             policy=untrained(setting, experiment.seed),
@@ -117,9 +117,9 @@ class LearningRun:
             scenario,
             self._controller(),
             doe=setting.element(scenario.nominal),
-            recovery=scenario.catcher(),
+            recovery=scenario.recovery_controller(),
             shift=TargetShift() if setting.after_failure == "shift" else None,
-            safety=make_safety(scenario.belief()) if setting.safe else None,
+            safety=make_safety(scenario.design_model()) if setting.safe else None,
             seed=experiment.seed,
         )
         self.driver = Driver(
@@ -134,22 +134,22 @@ class LearningRun:
     @property
     def counts(self) -> Counts:
         """What has happened so far."""
-        return self.story.counts
+        return self.learner_state.counts
 
     @property
     def transitions(self) -> Transitions:
         """All that was recorded so far."""
-        return self.story.transitions
+        return self.learner_state.transitions
 
     @property
     def policy(self) -> Any:
         """The policy in the loop: the newest one that has taken over."""
-        return self.story.steering
+        return self.learner_state.steering
 
     @property
     def nets(self) -> nfq.Nets:
         """The nets of that policy."""
-        return self.story.policy.nets or ()
+        return self.learner_state.policy.nets or ()
 
     @property
     def loop(self) -> Loop:
@@ -195,7 +195,7 @@ class LearningRun:
 
     def drive(self) -> None:
         """One control sample: drive, record what the learner did, and train when it failed or when it is time."""
-        story, counts, second = self.story, self.counts, int(self.t)
+        learner_state, counts, second = self.learner_state, self.counts, int(self.t)
         trainings = counts.updates
         self._take_over()
         self.driver.begin(counts.k)
@@ -204,7 +204,7 @@ class LearningRun:
         if self.each is not None:
             self.each(Sample(self.loop, self.t, outputs))
         learning = self._value("supervisor.learning") > 0.5
-        events = story.sample(
+        events = learner_state.sample(
             counts.k // self.ticks,
             self.t,
             self._state(),
@@ -218,17 +218,19 @@ class LearningRun:
             self._tell("round")
         if not learning:
             e, e_dot = (self._value(self._inputs[name]) for name in ("e", "e_dot"))
-            if story.recovering(self.t, e=e, e_dot=e_dot):
+            if learner_state.recovering(self.t, e=e, e_dot=e_dot):
                 self._tell("stuck")
         self.driver.end(counts.k)
         counts.k += self.ticks
         if events.ended:
             self._after_failure()
         elif learning and self._had_enough():
-            story.trusted = False  # the recovery controller has the wheel from the next sample on, and that trains
+            learner_state.trusted = (
+                False  # the recovery controller has the wheel from the next sample on, and that trains
+            )
             self.steer()
-        elif learning and story.due():
-            story.train(self.t, trusted=True)
+        elif learning and learner_state.due():
+            learner_state.train(self.t, trusted=True)
         if not self.path.closed and self._value("path.s") > self.path.length - END_MARGIN:
             self._put_back(self.experiment.scenario.start)  # the end of an open course
         if counts.updates > trainings and self.keep is not None:
@@ -242,19 +244,19 @@ class LearningRun:
         if not self.safe:
             return action
         correction, sent, state = map(self._value, ("safety.correction", "safety.delta_sw", "doe.state"))
-        return self.story.taught(action, self._element, correction=correction, sent=sent, state=state)
+        return self.learner_state.taught(action, self._element, correction=correction, sent=sent, state=state)
 
     def _had_enough(self) -> bool:
         """Has the policy been corrected for as long as it may be?"""
-        return self.safe and self.story.corrected(self._value("safety.share"))
+        return self.safe and self.learner_state.corrected(self._value("safety.share"))
 
     def _after_failure(self) -> None:
-        story, setting = self.story, self.experiment.setting
+        learner_state, setting = self.learner_state, self.experiment.setting
         if setting.after_failure != "shift":
-            story.train(self.t, trusted=False)
+            learner_state.train(self.t, trusted=False)
             self.steer()
-        elif not story.trainer.busy:
-            story.train(self.t, trusted=True)
+        elif not learner_state.trainer.busy:
+            learner_state.train(self.t, trusted=True)
         self._tell("failed")
         if setting.after_failure == "reset":
             self._put_back(self._value("path.s"))
@@ -262,10 +264,10 @@ class LearningRun:
 
     def _take_over(self) -> None:
         e, e_dot = (self._value(self._inputs[name]) for name in ("e", "e_dot"))
-        result = self.story.take_over(self.t, e=e, e_dot=e_dot)
+        result = self.learner_state.take_over(self.t, e=e, e_dot=e_dot)
         if result is None:
             return
-        taken = self.story.net == result.number
+        taken = self.learner_state.net == result.number
         if taken:
             self.counts.corrected = 0
             self.steer()
@@ -295,11 +297,11 @@ class LearningRun:
 
     def _put_back(self, s: float) -> None:
         """The car stands on the path at s [m] again, with the human's mood unchanged."""
-        loop, human = self.loop, self.loop.block_state(self.state, "human")
+        loop, driver = self.loop, self.loop.block_state(self.state, "driver")
         start = loop.with_block("car", self.experiment.scenario.car(self.path, s=s, seed=self.experiment.seed)).init()
-        start = loop.with_block_state(start, "human", human)
+        start = loop.with_block_state(start, "driver", driver)
         self.x, self.y = list(start.x), list(start.y)
-        self.story.carried(self.t)
+        self.learner_state.carried(self.t)
 
     def _state(self) -> tuple[float, ...]:
         s = tuple([self._value(signal) for signal in self._inputs.values()])

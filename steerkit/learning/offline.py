@@ -8,9 +8,9 @@ from dataclasses import replace
 from steerkit._support.errors import require
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.learning.data.transitions import Transitions
+from steerkit.learning.learner_state import untrained
 from steerkit.learning.nfq.update import Learned, update
 from steerkit.learning.settings import Setting
-from steerkit.learning.story import untrained
 
 
 def offline(record: Transitions, setting: Setting, updates: int, *, seed: int = 0) -> Iterator[NfqPolicy]:

@@ -38,7 +38,7 @@ def spoken(seconds: float) -> str:
     return f"{minutes} min {whole % 60} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
 
 
-def story(run: LearningRun) -> str:
+def learner_state(run: LearningRun) -> str:
     """A run in one line."""
     episode = run.counts.episodes[-1] if run.counts.episodes else None
     held = (episode.ended or run.t) - episode.began if episode else 0.0
@@ -55,9 +55,9 @@ def in_lines(say: Callable[[str], None]) -> Watcher:
         if what == "stuck":
             say(run.counts.stuck[-1])
         if what == "round":
-            say(f"{'first learned round' if run.counts.rounds == 1 else 'round'}: {story(run)}")
+            say(f"{'first learned round' if run.counts.rounds == 1 else 'round'}: {learner_state(run)}")
         if what == "failed" and run.counts.failures % 5 == 0:
-            say(f"failed: {story(run)}")
+            say(f"failed: {learner_state(run)}")
 
     return watch
 

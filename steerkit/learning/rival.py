@@ -18,8 +18,8 @@ from steerkit.controllers.policy import Policy
 from steerkit.controllers.riccati import cost_to_go
 from steerkit.diagram import maths as m
 from steerkit.learning.experiment import Experiment, LearningRun, Watcher
+from steerkit.learning.learner_state import untrained
 from steerkit.learning.nfq.model import CarModel
-from steerkit.learning.story import untrained
 from steerkit.learning.trainer import Job, Pending, Result
 
 FASTEST = 15

@@ -110,12 +110,12 @@ def keep_in(run: LearningRun, place: FilePath) -> None:
 def save(run: LearningRun, place: FilePath) -> None:
     """Write a checkpoint; a kill at any moment leaves this one or the one before, whole."""
     number = len(list(place.glob("drive/*.npz")))
-    pending, before = run.story.trainer.pending, run.story.recorder.before
+    pending, before = run.learner_state.trainer.pending, run.learner_state.recorder.before
     (place / "nets").mkdir(exist_ok=True)
     (place / "drive").mkdir(exist_ok=True)
     run.loop.save_state(run.state, place / f"state-{number}.npz")
     run.transitions.save(place / f"transitions-{number}.npz")
-    policy = run.story.policy
+    policy = run.learner_state.policy
     nets, forecast = pending[2] if pending else (run.nets, policy.forecast)
     net = replace(policy, nets=nets, forecast=forecast, ready_from=0.0)
     net.save(net_file(place, run.counts.updates))
@@ -128,7 +128,7 @@ def save(run: LearningRun, place: FilePath) -> None:
         "checkpoint": number,
         "counts": asdict(run.counts),
         "pending": pending[0] if pending else None,
-        "trusted": run.story.trusted,
+        "trusted": run.learner_state.trusted,
         "before": None if before is None else (before.s, before.action),
     }
     write_text(place / "run.json", json.dumps(document, indent=1))
@@ -180,29 +180,29 @@ def resumed(place: FilePath, *, watch: Watcher | None = None) -> LearningRun:
 def _load(place: FilePath, data: dict[str, Any]) -> LearningRun:
     number = data["checkpoint"]
     run = LearningRun(from_plain(data["experiment"], "run.json"))
-    story, counts = run.story, data["counts"]
+    learner_state, counts = run.learner_state, data["counts"]
     lasting = counts.get("recovery")
     again = {
         "episodes": [Episode(**e) for e in counts["episodes"]],
         "recovery": Recovery(**lasting) if lasting else None,
     }
-    story.counts = Counts(**{**counts, **again})
+    learner_state.counts = Counts(**{**counts, **again})
     state = run.loop.load_state(_existing(place / f"state-{number}.npz"))
     run.x, run.y = list(state.x), list(state.y)
-    story.transitions = Transitions.load(_existing(place / f"transitions-{number}.npz"))
-    story.policy = NfqPolicy.load(_existing(steering_file(place, number)))
-    story.trusted = data["trusted"]
+    learner_state.transitions = Transitions.load(_existing(place / f"transitions-{number}.npz"))
+    learner_state.policy = NfqPolicy.load(_existing(steering_file(place, number)))
+    learner_state.trusted = data["trusted"]
     run.steer()
-    pending, updates = None, story.counts.updates
+    pending, updates = None, learner_state.counts.updates
     if data["pending"] is not None:
         newest = NfqPolicy.load(_existing(net_file(place, updates)))
         pending = (data["pending"], updates, Learned(newest.nets or (), newest.forecast))
-    story.trainer = SimulatedTrainer(
+    learner_state.trainer = SimulatedTrainer(
         seconds=run.experiment.setting.fit_seconds, nets=run.nets if updates else (), pending=pending
     )
     if data["before"] is not None:  # of the last sample that was driven
         s, action = data["before"]
-        story.recorder.before = Before(story.counts.k // run.ticks - 1, tuple(s), action)
+        learner_state.recorder.before = Before(learner_state.counts.k // run.ticks - 1, tuple(s), action)
     return run
 
 

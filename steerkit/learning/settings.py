@@ -14,7 +14,7 @@ from steerkit.diagram.units import radians_of
 from steerkit.doe import Dynamic
 from steerkit.learning.costs import BandCost, Cost, IdoeCost, SmoothCost, TanhCost
 from steerkit.learning.nfq.iterate import FitSetting
-from steerkit.scenario.catalogue import Belief, element_kind, make_element
+from steerkit.scenario.catalogue import DesignModel, element_kind, make_element
 from steerkit.task import DT, STOP_DEG
 from steerkit.vehicles import Vehicle
 
@@ -121,16 +121,16 @@ class Setting:
         """The dynamic output element, within the stops of `vehicle`'s steering wheel (None: 520 degrees)."""
         return make_element(self.doe, vehicle)
 
-    def suited(self, belief: Belief) -> Setting:
+    def suited(self, design_model: DesignModel) -> Setting:
         """This setting for that car: where torque steers it, no action asks for more than its slew lets happen.
 
         The largest action turns the wheel by a/x^2 in a sample (`StateDescription.scaled`), and the slew lets it turn
         by steer_ratio L slew dt/v^2 and more: `scaled_from` is at most sqrt(steer_ratio L slew dt/a).
         """
-        if belief.slew is None or not math.isfinite(self.scaled_from):
+        if design_model.slew is None or not math.isfinite(self.scaled_from):
             return self
-        car = belief.vehicle
-        latest = math.sqrt(car.steer_ratio * car.wheelbase * belief.slew * DT / max(map(abs, self.actions)))
+        car = design_model.vehicle
+        latest = math.sqrt(car.steer_ratio * car.wheelbase * design_model.slew * DT / max(map(abs, self.actions)))
         return replace(self, scaled_from=min(self.scaled_from, latest))
 
     def recorded(self) -> tuple[str, ...]:

@@ -26,7 +26,7 @@ from types import TracebackType
 from typing import Any, NamedTuple, Protocol, Self
 
 from steerkit._support.errors import require
-from steerkit.controllers.forecast import Forecast
+from steerkit.controllers.delay_compensator import DelayCompensator
 from steerkit.controllers.policy import COLUMNS
 from steerkit.controllers.state_description import StateDescription
 from steerkit.learning.costs import Cost
@@ -87,7 +87,7 @@ class Result(NamedTuple):
     """What went wrong; with nets: what went wrong before they were made all the same."""
     policy: Any = None
     """The new policy, of a trainer that makes another one than nets."""
-    forecast: Forecast | None = None
+    forecast: DelayCompensator | None = None
     """What goes with the nets: see `Learned`."""
 
 

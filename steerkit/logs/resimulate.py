@@ -16,11 +16,11 @@ from steerkit.diagram.simulation import Log, simulate
 from steerkit.diagram.units import degrees_of
 from steerkit.logs import Drive
 from steerkit.paths.path import Path
-from steerkit.plants.human import RecordedSpeed
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.speed_driver import RecordedSpeed
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario.assembly import bare, steering_loop
-from steerkit.scenario.catalogue import Belief, make_controller
+from steerkit.scenario.catalogue import DesignModel, make_controller
 from steerkit.task import A_Y_MAX, DT, JERK_MAX
 from steerkit.vehicles import Vehicle
 
@@ -66,7 +66,7 @@ class Steered:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Redriven:
+class Resimulated:
     """A recorded drive beside its simulation with another controller, at the same times (n,)."""
 
     name: str
@@ -155,7 +155,7 @@ def _within(wheel: Array, a_y: Array, use: NDArray[np.bool_], dt: float, stop: f
     }
 
 
-def redrive(drive: Drive, controller: str, *, car: Steered, progress: bool = False) -> Redriven:
+def resimulate(drive: Drive, controller: str, *, car: Steered, progress: bool = False) -> Resimulated:
     """Drive a recorded drive again: the same way at the same speed, steered by a controller of the catalogue.
 
     The way is that of the point of the car where the controller looks at e, by dead reckoning from speed and heading
@@ -174,11 +174,13 @@ def redrive(drive: Drive, controller: str, *, car: Steered, progress: bool = Fal
     steering = make_controller(controller, _belief(car, path))
     speeds = np.interp(np.arange(0.0, drive.t[-1] + DT, DT), drive.t, drive.v)
     plant = NonlinearSingleTrack(vehicle=vehicle, v0=max(float(speeds[0]), 0.1), x0=float(vehicle.l_r))
-    actuator = SteeringActuator(delay=car.delay, lag=car.lag, rate_limit=Belief.rate_limit, limit=vehicle.delta_sw_max)
+    actuator = SteeringActuator(
+        delay=car.delay, lag=car.lag, rate_limit=DesignModel.rate_limit, limit=vehicle.delta_sw_max
+    )
     loop = steering_loop(
         car=plant,
         path=path,
-        human=RecordedSpeed(speeds=tuple(speeds.tolist()), spacing=DT),
+        driver=RecordedSpeed(speeds=tuple(speeds.tolist()), spacing=DT),
         controller=steering,
         actuator=actuator,
         reference=ahead,
@@ -188,7 +190,7 @@ def redrive(drive: Drive, controller: str, *, car: Steered, progress: bool = Fal
     driven = np.interp(t, drive.t, drive.delta_sw) + car.offset
     r, v = np.interp(t, drive.t, drive.r), np.interp(t, drive.t, drive.v)
     measured = np.interp(t, drive.t, drive.measured.astype(float)) > 0.99
-    return Redriven(
+    return Resimulated(
         name=drive.name,
         controller=controller,
         car=car,
@@ -228,8 +230,8 @@ def way(drive: Drive, *, ahead: float = 0.0) -> Path:
     return Path.from_waypoints(np.vstack((before, xy, more)), closed=False, spacing=_SPACING, name=drive.name)
 
 
-def _belief(car: Steered, path: Path) -> Belief:
-    return Belief(vehicle=car.vehicle, path=path, delay=car.delay, lag=car.lag, hold=SteeringActuator.dt)
+def _belief(car: Steered, path: Path) -> DesignModel:
+    return DesignModel(vehicle=car.vehicle, path=path, delay=car.delay, lag=car.lag, hold=SteeringActuator.dt)
 
 
 def _reference(controller: Any, vehicle: Vehicle) -> float:

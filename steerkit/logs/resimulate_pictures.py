@@ -12,10 +12,10 @@ from steerkit.plots.style import COLOURS, new_figure, style
 from steerkit.task import A_Y_MAX
 
 if TYPE_CHECKING:
-    from steerkit.logs.resimulate import Redriven
+    from steerkit.logs.resimulate import Resimulated
 
 
-def compared(again: Redriven) -> Any:
+def compared(again: Resimulated) -> Any:
     """Both angles over time, their difference with the places where it is largest, and a_y within its limit."""
     t = again.t
     with style():
@@ -38,7 +38,7 @@ def compared(again: Redriven) -> Any:
     return figure
 
 
-def film(again: Redriven, file: str | Path, *, lasts: float = 10.0, progress: bool = False) -> Path:
+def film(again: Resimulated, file: str | Path, *, lasts: float = 10.0, progress: bool = False) -> Path:
     """The controller's car on the way that was driven, with e beside it, as .gif or .mp4; see `Log.animate`.
 
     lasts [s]: the film, or less where the drive took less.

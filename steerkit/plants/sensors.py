@@ -101,8 +101,8 @@ class Sensors(Block):
 
     @classmethod
     def real(cls, seed: int = 0, *, dt: float = DT) -> Self:
-        """As `hard`, and what a car in series has: a speed from its wheels with 0.05 m/s of noise. `PoorSensors.real`
-        adds what goes wrong on the way, and has no sideslip."""
+        """As `hard`, and what a car in series has: a speed from its wheels with 0.05 m/s of noise.
+        `DegradedSensors.real` adds what goes wrong on the way, and has no sideslip."""
         full = cls.hard(seed, dt=dt)
         return dataclasses.replace(full, v_noise=0.05)
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from steerkit._support.native import NoCompilerError, compiler
 from steerkit.controllers.nfq_native import Kind, NativeNets, NotTheSameError, OpenPolicy, numbers_of
 from steerkit.controllers.nfq_policy import NfqPolicy
-from steerkit.controllers.supervisor import Guarded
+from steerkit.controllers.supervisor import ExceptionGuard
 from steerkit.diagram.block import Block
 from steerkit.diagram.loop import Loop, LoopState, Sample
 from steerkit.diagram.simulation import Log, Recorder, Signal, shown, simulate
@@ -49,7 +49,7 @@ class PolicyProgram:
 
         policy = policy_of(loop)
         self.kind, self._open = Kind(policy), tuple(parameters)
-        guard = "block." if isinstance(loop.blocks["controller"], Guarded) else ""
+        guard = "block." if isinstance(loop.blocks["controller"], ExceptionGuard) else ""
         try:
             self._exact = ExactProgram(
                 with_controller(loop, OpenPolicy.of(policy)),
@@ -357,7 +357,7 @@ class _Building(threading.Thread):
 def policy_of(loop: Loop) -> NfqPolicy:
     """The policy that steers a loop; raises Refused for another controller."""
     controller = loop.blocks["controller"]
-    policy = controller.block if isinstance(controller, Guarded) else controller
+    policy = controller.block if isinstance(controller, ExceptionGuard) else controller
     if not isinstance(policy, NfqPolicy) or not policy.nets:
         raise Refused(f"a {type(policy).__name__} steers, and no NfqPolicy with nets")
     return policy

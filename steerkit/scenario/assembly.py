@@ -8,12 +8,12 @@ from typing import Any, TypeVar
 
 from steerkit._support.errors import WiringError
 from steerkit.controllers.adaptive import Adaptive
-from steerkit.controllers.excited import Excited
+from steerkit.controllers.command_compensation import CommandCompensation
 from steerkit.controllers.fail_safe import FailSafe
 from steerkit.controllers.offset_free import OffsetFree
-from steerkit.controllers.supervisor import Guarded, Supervisor
+from steerkit.controllers.supervisor import ExceptionGuard, Supervisor
 from steerkit.controllers.target_shift import TargetShift
-from steerkit.controllers.trimmed import Trimmed
+from steerkit.controllers.with_excitation import WithExcitation
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.diagnostics import require_block
@@ -37,7 +37,7 @@ def steering_loop(
     *,
     car: Block,
     path: Path,
-    human: Block,
+    driver: Block,
     controller: Block,
     doe: Block | None = None,
     recovery: Block | None = None,
@@ -57,7 +57,8 @@ def steering_loop(
     controller: steers by itself (an output `delta_sw`), or picks actions (an output `action`) that `doe` turns into
     an angle. recovery: an analytic controller that steers while the learner is off, through `supervisor` (default:
     0.5 m and 0.1 m, and the doe's stops), which judges |e|, or the `distance` of `foresight`; the controller is
-    then `Guarded`, so that an exception in it is a fault that the supervisor answers. actuator: between the command
+    then `ExceptionGuard`, so that an exception in it is a fault that the supervisor answers. actuator: between the
+    command
     and the wheel (none: the command is the angle); link: between the command and the actuator; column: between the
     actuator and the road wheels, and then it says what is measured of the wheel. sensors: what the controllers see of
     the car (none: the truth). safety: a `SafetyFilter` between whoever steers and the wheel; the doe goes on from what
@@ -76,7 +77,7 @@ def steering_loop(
     Raises WiringError when a part is missing or an input has a name not listed here.
     """
     _check_parts(
-        {"car": car, "human": human, "controller": controller},
+        {"car": car, "driver": driver, "controller": controller},
         {
             "doe": doe,
             "recovery": recovery,
@@ -114,14 +115,14 @@ def steering_loop(
     if doe is not None and reports:
         doe = _corrected(doe)
     bench = _Bench(path)
-    bench.add("human", human)
+    bench.add("driver", driver)
     bench.add("car", car)
     parts = (("link", link), ("actuator", actuator), ("column", column))
     chain = [bench.add(name, part) for name, part in parts if part is not None]
     steered = chain[-1] if chain else car
     truth = bench.add("path", PathTracker(path=path, reference=reference, dt=controller.dt))
     bench.join(truth, car)
-    bench.join(human, truth)
+    bench.join(driver, truth)
     seen: Block = car
     tracker = truth
     if sensors is not None:
@@ -175,18 +176,18 @@ def steering_loop(
             bench.wire(car, "v", part, "v")
         command = part
     bench.wire(command, "delta_sw", car, "delta_sw_cmd")
-    bench.wire(human, "v", car, "v_cmd")
+    bench.wire(driver, "v", car, "v_cmd")
     return Loop(blocks=bench.blocks, wires=bench.wires)
 
 
 _EXAMPLES = {
     "car": "NonlinearSingleTrack(vehicle=vehicle('vw-passat'))",
-    "human": "Human(), or ConstantSpeed(speed=5.0) of steerkit.plants.human",
+    "driver": "SpeedDriver(), or ConstantSpeed(speed=5.0) of steerkit.plants.speed_driver",
     "controller": "Stanley.of(vehicle('vw-passat')); by name: steerkit.scenario.catalogue.make_controller",
     "doe": "Integrator()",
     "recovery": "Stanley.of(vehicle('vw-passat'))",
     "supervisor": "Supervisor()",
-    "foresight": "Foresight(...)",
+    "foresight": "ExcursionPredictor(...)",
     "safety": "SafetyFilter.of(vehicle('vw-passat'))",
     "link": "SteeringLink()",
     "actuator": "SteeringActuator(lag=0.12)",
@@ -207,19 +208,19 @@ def _check_parts(needed: Mapping[str, Any], possible: Mapping[str, Any]) -> None
 def controller_of(loop: Loop) -> Block:
     """The controller that `steering_loop` was given, without the guard around it."""
     block = loop.blocks["controller"]
-    return block.block if isinstance(block, Guarded) else block
+    return block.block if isinstance(block, ExceptionGuard) else block
 
 
 def bare(controller: Block) -> Block:
     """The law itself, without a guard or a trim around it: it says where it wants e measured, and how far it looks."""
-    wrappers = Adaptive | Excited | FailSafe | Guarded | OffsetFree | Trimmed
+    wrappers = Adaptive | WithExcitation | FailSafe | ExceptionGuard | OffsetFree | CommandCompensation
     return bare(controller.block) if isinstance(controller, wrappers) else controller
 
 
 def with_controller(loop: Loop, controller: Block) -> Loop:
     """A steering loop with another controller of the same ports in place of its own, guarded if that was; to exchange
     a policy while the loop's state goes on."""
-    guarded = isinstance(loop.blocks["controller"], Guarded)
+    guarded = isinstance(loop.blocks["controller"], ExceptionGuard)
     return loop.with_block("controller", _guarded(controller) if guarded else controller)
 
 
@@ -230,8 +231,8 @@ def _supervisor(controller: Block, doe: Block | None) -> Supervisor:
     return Supervisor(dt=controller.dt, limit=limit)
 
 
-def _guarded(controller: Block) -> Guarded:
-    return controller if isinstance(controller, Guarded) else Guarded(block=controller)
+def _guarded(controller: Block) -> ExceptionGuard:
+    return controller if isinstance(controller, ExceptionGuard) else ExceptionGuard(block=controller)
 
 
 def _fail_safe(safety: Block) -> FailSafe:

@@ -10,6 +10,7 @@ from typing import Any
 from steerkit._support.errors import known, require
 from steerkit._support.plugins import imported, is_outside
 from steerkit.controllers.adaptive import Adaptive
+from steerkit.controllers.command_compensation import CommandCompensation
 from steerkit.controllers.delay import delayed_stanley
 from steerkit.controllers.gate_model import BEHIND_GATE, GateModel
 from steerkit.controllers.lqr import Lqr
@@ -17,7 +18,6 @@ from steerkit.controllers.offset_free import OffsetFree
 from steerkit.controllers.pure_pursuit import PurePursuit
 from steerkit.controllers.safety_filter import SafetyFilter
 from steerkit.controllers.stanley import Stanley
-from steerkit.controllers.trimmed import Trimmed
 from steerkit.diagram.block import Block
 from steerkit.diagram.diagnostics import in_one_line
 from steerkit.diagram.units import radians_of
@@ -33,10 +33,11 @@ from steerkit.vehicles import Vehicle
 
 
 @dataclass(frozen=True, kw_only=True)
-class Belief:
+class DesignModel:
     """What a controller is told of the car, the course and the steering when it is made; the truth may be another.
 
-    `Scenario.belief` and `CarConfig` give one; by hand: `Belief(vehicle=vehicle("vw-passat"), path=course("paper"))`.
+    `Scenario.design_model` and `CarConfig` give one; by hand:
+    `DesignModel(vehicle=vehicle("vw-passat"), path=course("paper"))`.
     Raises ValueError for a time or a rate out of range.
     """
 
@@ -70,89 +71,95 @@ class Belief:
     def __post_init__(self) -> None:
         for name, unit, largest in (("delay", "s", 2.0), ("lag", "s", 10.0), ("hold", "s", 1.0)):
             value = getattr(self, name)
-            require(0.0 <= value <= largest, "Belief", f"{name} = {value} [{unit}], expected 0 to {largest:g}")
+            require(0.0 <= value <= largest, "DesignModel", f"{name} = {value} [{unit}], expected 0 to {largest:g}")
         for name, unit in (("slew", "m/s^3"), ("a_y_limit", "m/s^2")):
             value = getattr(self, name)
-            require(value is None or value > 0.0, "Belief", f"{name} = {value} [{unit}], expected > 0, or None")
-        require(abs(self.offset) <= 3.0, "Belief", f"offset = {self.offset} [rad], expected -3 to 3")
-        require(0.1 <= self.gain <= 10.0, "Belief", f"gain = {self.gain} [1], expected 0.1 to 10")
-        require(self.rate_limit > 0.0, "Belief", f"rate_limit = {self.rate_limit} [rad/s], expected > 0")
+            require(value is None or value > 0.0, "DesignModel", f"{name} = {value} [{unit}], expected > 0, or None")
+        require(abs(self.offset) <= 3.0, "DesignModel", f"offset = {self.offset} [rad], expected -3 to 3")
+        require(0.1 <= self.gain <= 10.0, "DesignModel", f"gain = {self.gain} [1], expected 0.1 to 10")
+        require(self.rate_limit > 0.0, "DesignModel", f"rate_limit = {self.rate_limit} [rad/s], expected > 0")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recipe:
+class ControllerSpec:
     """How a controller of the table is made."""
 
     about: str
     """One line for lists and reports."""
-    make: Callable[[Belief], Block]
+    make: Callable[[DesignModel], Block]
     """Makes the block."""
-    catches: bool = False
+    can_recover: bool = False
     """May it take over from a learned controller, from any state of the car?"""
 
 
-def _stanley(belief: Belief) -> Block:
-    law = Stanley.of(belief.vehicle)
-    return replace(law, rate_limit=belief.rate_limit, slew=belief.slew, a_y_limit=belief.a_y_limit)
+def _stanley(design_model: DesignModel) -> Block:
+    law = Stanley.of(design_model.vehicle)
+    return replace(law, rate_limit=design_model.rate_limit, slew=design_model.slew, a_y_limit=design_model.a_y_limit)
 
 
-def _textbook(belief: Belief) -> Block:
-    return Stanley.textbook(belief.vehicle)
+def _textbook(design_model: DesignModel) -> Block:
+    return Stanley.textbook(design_model.vehicle)
 
 
-def _delayed(belief: Belief) -> Block:
-    told: dict[str, Any] = dict(delay=belief.delay, lag=belief.lag, slew=belief.slew, a_y_limit=belief.a_y_limit)
-    block = delayed_stanley(belief.vehicle, **told)
-    law = replace(block.block, rate_limit=belief.rate_limit)  # type: ignore[call-arg]
-    return replace(block, block=law, rate_limit=belief.rate_limit)
+def _delayed(design_model: DesignModel) -> Block:
+    told: dict[str, Any] = dict(
+        delay=design_model.delay, lag=design_model.lag, slew=design_model.slew, a_y_limit=design_model.a_y_limit
+    )
+    block = delayed_stanley(design_model.vehicle, **told)
+    law = replace(block.block, rate_limit=design_model.rate_limit)  # type: ignore[call-arg]
+    return replace(block, block=law, rate_limit=design_model.rate_limit)
 
 
-def _lqr(belief: Belief) -> Block:
-    car = belief.vehicle
-    told: dict[str, Any] = dict(delay=belief.delay, lag=belief.lag, slew=belief.slew, a_y_limit=belief.a_y_limit)
+def _lqr(design_model: DesignModel) -> Block:
+    car = design_model.vehicle
+    told: dict[str, Any] = dict(
+        delay=design_model.delay, lag=design_model.lag, slew=design_model.slew, a_y_limit=design_model.a_y_limit
+    )
     block = Lqr.of(car, LinearSingleTrack(vehicle=car).matrices, **told)
-    return replace(block, rate_limit=belief.rate_limit)
+    return replace(block, rate_limit=design_model.rate_limit)
 
 
-def _pure_pursuit(belief: Belief) -> Block:
-    return PurePursuit.of(belief.vehicle, belief.path, delay=belief.delay)
+def _pure_pursuit(design_model: DesignModel) -> Block:
+    return PurePursuit.of(design_model.vehicle, design_model.path, delay=design_model.delay)
 
 
-def _linear_mpc(belief: Belief) -> Block:
+def _linear_mpc(design_model: DesignModel) -> Block:
     from steerkit.controllers.mpc.linear import MPC  # here, as it loads CasADi
 
-    return _predictive(MPC, belief)
+    return _predictive(MPC, design_model)
 
 
-def _nonlinear_mpc(belief: Belief) -> Block:
+def _nonlinear_mpc(design_model: DesignModel) -> Block:
     from steerkit.controllers.mpc.nonlinear import NonlinearMPC
 
-    return _predictive(NonlinearMPC, belief)
+    return _predictive(NonlinearMPC, design_model)
 
 
 _Q_RATE_OF_TORQUE = 4e-3
 """Weight of the command's rate for a car steered by torque: at that of the others, a gain 25 % off makes it swing."""
 
 
-def _predictive(kind: Any, belief: Belief) -> Block:
-    car = belief.vehicle
+def _predictive(kind: Any, design_model: DesignModel) -> Block:
+    car = design_model.vehicle
     return kind.of(
         NonlinearSingleTrack(vehicle=car),
-        delay=belief.delay + 0.5 * belief.hold,
-        lag=belief.lag,
-        rate_limit=min(belief.rate_limit, kind.rate_limit),  # its own leaves the motor room to follow
-        slew=belief.slew,
-        **({} if belief.slew is None else {"q_rate": _Q_RATE_OF_TORQUE}),
-        **({} if belief.a_y_limit is None else {"a_y_limit": min(belief.a_y_limit, kind.a_y_limit)}),
-        fallback=_stanley(belief),
-        budget=belief.budget,
-        clock=belief.clock,
+        delay=design_model.delay + 0.5 * design_model.hold,
+        lag=design_model.lag,
+        rate_limit=min(design_model.rate_limit, kind.rate_limit),  # its own leaves the motor room to follow
+        slew=design_model.slew,
+        **({} if design_model.slew is None else {"q_rate": _Q_RATE_OF_TORQUE}),
+        **({} if design_model.a_y_limit is None else {"a_y_limit": min(design_model.a_y_limit, kind.a_y_limit)}),
+        fallback=_stanley(design_model),
+        budget=design_model.budget,
+        clock=design_model.clock,
     )
 
 
-def _offset_free(make: Callable[[Belief], Block], **settings: float) -> Callable[[Belief], Block]:
+def _offset_free(make: Callable[[DesignModel], Block], **settings: float) -> Callable[[DesignModel], Block]:
     """What makes a controller with integral action around the one that `make` makes."""
-    return lambda belief: OffsetFree.around(make(belief), belief.vehicle, delay=belief.delay, **settings)
+    return lambda design_model: OffsetFree.around(
+        make(design_model), design_model.vehicle, delay=design_model.delay, **settings
+    )
 
 
 _DEAD_TIMES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
@@ -168,18 +175,18 @@ _UNDERSTEER = 1e-4
 the ratio that goes with it."""
 
 
-def _adaptive(make: Callable[[Belief], Block], *, hears: bool = False) -> Callable[[Belief], Block]:
+def _adaptive(make: Callable[[DesignModel], Block], *, hears: bool = False) -> Callable[[DesignModel], Block]:
     """What makes a controller that adapts, of those that `make` makes."""
 
-    def made(belief: Belief) -> Block:
-        car, prior = belief.vehicle, min(belief.delay, _DEAD_TIMES[-1])
+    def made(design_model: DesignModel) -> Block:
+        car, prior = design_model.vehicle, min(design_model.delay, _DEAD_TIMES[-1])
         return Adaptive(
-            blocks=tuple(make(replace(belief, delay=delay)) for delay in _DEAD_TIMES),
+            blocks=tuple(make(replace(design_model, delay=delay)) for delay in _DEAD_TIMES),
             delays=_DEAD_TIMES,
-            delay=YawDelay(vehicle=car, prior_delay=prior, prior_lag=max(belief.lag, 0.01), enough=0.05),
+            delay=YawDelay(vehicle=car, prior_delay=prior, prior_lag=max(design_model.lag, 0.01), enough=0.05),
             steering=SingleTrackFilter(vehicle=car, understeer_prior=_UNDERSTEER),
             prior_delay=min(prior + _CAUTION, _DEAD_TIMES[-1]),
-            lag=belief.lag,
+            lag=design_model.lag,
             limit=car.delta_sw_max,
             hears=hears,
         )
@@ -187,37 +194,41 @@ def _adaptive(make: Callable[[Belief], Block], *, hears: bool = False) -> Callab
     return made
 
 
-def _adaptive_offset_free(make: Callable[[Belief], Block]) -> Callable[[Belief], Block]:
+def _adaptive_offset_free(make: Callable[[DesignModel], Block]) -> Callable[[DesignModel], Block]:
     """What makes a controller that adapts, with integral action, of those that `make` makes."""
     first, later = _OFFSET_TIMES
     return _adaptive(_offset_free(make, time=first, time_late=later))
 
 
-CONTROLLERS: Mapping[str, Recipe] = MappingProxyType(
+CONTROLLERS: Mapping[str, ControllerSpec] = MappingProxyType(
     {
-        "stanley": Recipe(about="Stanley, all terms of eq. 9", make=_stanley, catches=True),
-        "stanley-textbook": Recipe(about="Stanley, heading and cross-track terms only", make=_textbook),
-        "stanley-delay": Recipe(about="Stanley behind a predictor of delay and lag", make=_delayed, catches=True),
-        "pure-pursuit": Recipe(about="pure pursuit, no model", make=_pure_pursuit),
-        "lqr": Recipe(about="LQR with delay states and curvature preview", make=_lqr),
-        "mpc": Recipe(about="linear MPC over 1 s, limits and delay known", make=_linear_mpc),
-        "nonlinear-mpc": Recipe(about="nonlinear MPC, real-time iteration", make=_nonlinear_mpc),
-        "stanley-offset-free": Recipe(about="stanley-delay with integral action", make=_offset_free(_delayed)),
-        "lqr-offset-free": Recipe(about="LQR with integral action", make=_offset_free(_lqr)),
-        "mpc-offset-free": Recipe(about="linear MPC with integral action", make=_offset_free(_linear_mpc)),
-        "stanley-adaptive": Recipe(about="stanley-offset-free that adapts", make=_adaptive_offset_free(_delayed)),
-        "lqr-adaptive": Recipe(about="lqr-offset-free that adapts", make=_adaptive_offset_free(_lqr)),
-        "mpc-adaptive": Recipe(about="mpc-offset-free that adapts", make=_adaptive_offset_free(_linear_mpc)),
+        "stanley": ControllerSpec(about="Stanley, all terms of eq. 9", make=_stanley, can_recover=True),
+        "stanley-textbook": ControllerSpec(about="Stanley, heading and cross-track terms only", make=_textbook),
+        "stanley-delay": ControllerSpec(
+            about="Stanley behind a predictor of delay and lag", make=_delayed, can_recover=True
+        ),
+        "pure-pursuit": ControllerSpec(about="pure pursuit, no model", make=_pure_pursuit),
+        "lqr": ControllerSpec(about="LQR with delay states and curvature preview", make=_lqr),
+        "mpc": ControllerSpec(about="linear MPC over 1 s, limits and delay known", make=_linear_mpc),
+        "nonlinear-mpc": ControllerSpec(about="nonlinear MPC, real-time iteration", make=_nonlinear_mpc),
+        "stanley-offset-free": ControllerSpec(about="stanley-delay with integral action", make=_offset_free(_delayed)),
+        "lqr-offset-free": ControllerSpec(about="LQR with integral action", make=_offset_free(_lqr)),
+        "mpc-offset-free": ControllerSpec(about="linear MPC with integral action", make=_offset_free(_linear_mpc)),
+        "stanley-adaptive": ControllerSpec(
+            about="stanley-offset-free that adapts", make=_adaptive_offset_free(_delayed)
+        ),
+        "lqr-adaptive": ControllerSpec(about="lqr-offset-free that adapts", make=_adaptive_offset_free(_lqr)),
+        "mpc-adaptive": ControllerSpec(about="mpc-offset-free that adapts", make=_adaptive_offset_free(_linear_mpc)),
     }
 )
 """The analytic controllers: they steer by themselves and learn nothing."""
 OWN = "my_file.py:make, package.module:make"
 """What may stand for a controller's name besides: see `make_controller`."""
-FITTING = "fitting"
+AUTO = "auto"
 """The recovery controller that fits the car: `stanley-delay` where a dead time or a slew is told, else `stanley`."""
-ADAPTING = "adapting"
+ADAPTIVE = "adaptive"
 """The recovery controller that need not be told dead time and ratio: it finds them while it or the learner steers."""
-RECOVERIES = (FITTING, ADAPTING, *(name for name, recipe in CONTROLLERS.items() if recipe.catches))
+RECOVERIES = (AUTO, ADAPTIVE, *(name for name, recipe in CONTROLLERS.items() if recipe.can_recover))
 """Names of those that may catch a learned controller."""
 ELEMENTS: Mapping[str, type[Dynamic]] = MappingProxyType(
     {"integrator": Integrator, "low-pass": LowPass, "plain": PlainAngle}
@@ -231,7 +242,7 @@ PLANTS: Mapping[str, type[SingleTrack]] = MappingProxyType(
 """The simulated cars."""
 
 
-def make_controller(name: str, belief: Belief) -> Block:
+def make_controller(name: str, design_model: DesignModel) -> Block:
     """The controller of that name, made for what is believed of car, course and steering.
 
     name: one of `CONTROLLERS`; or `my_file.py:make`, `package.module:make`, where make(belief) returns a block of your
@@ -239,22 +250,24 @@ def make_controller(name: str, belief: Belief) -> Block:
     or returns something else.
     """
     if is_outside(name):
-        return _own(name, belief)
-    return _trimmed(CONTROLLERS[known(name, CONTROLLERS, "controller", also=OWN)].make(belief), belief)
+        return _own(name, design_model)
+    return _trimmed(CONTROLLERS[known(name, CONTROLLERS, "controller", also=OWN)].make(design_model), design_model)
 
 
-def _trimmed(block: Block, belief: Belief) -> Block:
-    trimmed = (belief.offset, belief.gain) != (0.0, 1.0)
-    return Trimmed(block=block, offset=belief.offset, gain=belief.gain) if trimmed else block
+def _trimmed(block: Block, design_model: DesignModel) -> Block:
+    trimmed = (design_model.offset, design_model.gain) != (0.0, 1.0)
+    return CommandCompensation(block=block, offset=design_model.offset, gain=design_model.gain) if trimmed else block
 
 
-def _own(name: str, belief: Belief) -> Block:
+def _own(name: str, design_model: DesignModel) -> Block:
     make, where = imported(name, "controller"), f"controller '{name}'"
     require(
-        callable(make), where, f"of type {type(make).__name__}, expected a function of a Belief that returns a Block"
+        callable(make),
+        where,
+        f"of type {type(make).__name__}, expected a function of a DesignModel that returns a Block",
     )
     try:
-        block = make(belief)
+        block = make(design_model)
     except Exception as error:
         raise ValueError(f"{where} failed: {in_one_line(error)}") from error
     expected = "expected a Block with an output delta_sw [rad]"
@@ -284,27 +297,27 @@ def plant_kind(name: str) -> type[Block]:
     return kind
 
 
-def make_recovery(name: str, belief: Belief) -> Block:
+def make_recovery(name: str, design_model: DesignModel) -> Block:
     """The controller that catches a learned one: any of `RECOVERIES`. Raises ValueError with the valid names."""
-    if known(name, RECOVERIES, "recovery") == ADAPTING:
-        return _trimmed(_adaptive(_delayed, hears=True)(belief), belief)
-    if name == FITTING:
-        name = "stanley" if belief.delay == 0.0 and belief.slew is None else "stanley-delay"
-    return make_controller(name, belief)
+    if known(name, RECOVERIES, "recovery") == ADAPTIVE:
+        return _trimmed(_adaptive(_delayed, hears=True)(design_model), design_model)
+    if name == AUTO:
+        name = "stanley" if design_model.delay == 0.0 and design_model.slew is None else "stanley-delay"
+    return make_controller(name, design_model)
 
 
-def make_safety(belief: Belief, gate: GateModel | None = None) -> SafetyFilter:
+def make_safety(design_model: DesignModel, gate: GateModel | None = None) -> SafetyFilter:
     """The safety filter for what is believed of car and steering, and for the gate behind it, if there is one.
 
     A gate makes the wheel slow: it is looked further ahead then, and a command is held for less.
     Raises ValueError for a car that is steered by torque: its wheel is too slow for the time that is looked ahead.
     """
-    told = f"slew = {belief.slew} [m/s^3], expected none: the filter is for cars whose steering takes an angle"
-    require(belief.slew is None, "make_safety", told)
+    told = f"slew = {design_model.slew} [m/s^3], expected none: the filter is for cars whose steering takes an angle"
+    require(design_model.slew is None, "make_safety", told)
     behind: dict[str, Any] = {"gate": gate, **BEHIND_GATE} if gate else {}
-    made = SafetyFilter.of(belief.vehicle, delay=belief.delay, lag=belief.lag, **behind)
-    law = replace(made.backup.block, rate_limit=belief.rate_limit)  # type: ignore[call-arg]
-    return replace(made, backup=replace(made.backup, block=law, rate_limit=belief.rate_limit))
+    made = SafetyFilter.of(design_model.vehicle, delay=design_model.delay, lag=design_model.lag, **behind)
+    law = replace(made.backup.block, rate_limit=design_model.rate_limit)  # type: ignore[call-arg]
+    return replace(made, backup=replace(made.backup, block=law, rate_limit=design_model.rate_limit))
 
 
 def make_element(name: str, vehicle: Vehicle | None = None) -> Dynamic:

@@ -36,7 +36,7 @@ class Place(Protocol):
         """The plant, on the path at arc length s [m]."""
         ...
 
-    def human(self, seed: int) -> Block:
+    def driver(self, seed: int) -> Block:
         """Who sets the speed."""
         ...
 
@@ -86,7 +86,7 @@ def assembled(
     return steering_loop(
         car=place.car(path, s=s, seed=seed),
         path=path,
-        human=place.human(seed),
+        driver=place.driver(seed),
         controller=controller,
         doe=doe,
         recovery=recovery,
@@ -114,7 +114,7 @@ def controller(name: str, scenario: Scenario) -> Block:
 
     Raises ValueError with the valid names.
     """
-    return make_controller(name, scenario.belief(clock=time.perf_counter))
+    return make_controller(name, scenario.design_model(clock=time.perf_counter))
 
 
 def drive_loop(
@@ -125,7 +125,7 @@ def drive_loop(
         return assembled(scenario, steering, doe=doe, seed=seed, s=s)
     if "ready_from" in {field.name for field in fields(steering)}:
         steering = replace(steering, ready_from=0.0)  # type: ignore[call-arg]
-    return assembled(scenario, steering, doe=doe, recovery=scenario.catcher(), seed=seed, s=s)
+    return assembled(scenario, steering, doe=doe, recovery=scenario.recovery_controller(), seed=seed, s=s)
 
 
 def drive(

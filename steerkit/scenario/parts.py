@@ -19,9 +19,9 @@ from steerkit.estimators.vehicle_state import VehicleState
 from steerkit.paths.courses import course, course_of, lane_change, random_course
 from steerkit.paths.path import Array, Path
 from steerkit.paths.waypoints import read_columns
-from steerkit.plants.careful_human import CarefulHuman, ceiling
+from steerkit.plants.curve_speed_driver import CurveSpeedDriver, ceiling
+from steerkit.plants.degraded_sensors import DegradedSensors
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
-from steerkit.plants.poor_sensors import PoorSensors
 from steerkit.plants.sensors import Sensors
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.plants.steering_column import SteeringColumn
@@ -87,7 +87,7 @@ def sensors_of(scenario: Scenario, seed: int) -> Block | None:
     """What the controllers see; None for the truth."""
     noise, latency, zero = scenario.noise, scenario.latency, radians_of(scenario.gyro_zero_deg)
     if scenario.sensing == "real":
-        poor = PoorSensors.real(scenario.nominal, seed).scaled(noise)
+        poor = DegradedSensors.real(scenario.nominal, seed).scaled(noise)
         return replace(poor, block=replace(poor.block, r_bias=zero, latency=latency))
     sideslip = scenario.sensing == "hard"
     if (noise, latency, zero) == (0.0, 0.0, 0.0) and sideslip and scenario.estimator == "none":
@@ -101,7 +101,7 @@ def sensors_of(scenario: Scenario, seed: int) -> Block | None:
         r_bias=zero,
         latency=latency,
     )
-    return hard if sideslip else PoorSensors(block=hard, rear=scenario.nominal.l_r)
+    return hard if sideslip else DegradedSensors(block=hard, rear=scenario.nominal.l_r)
 
 
 def estimator_of(scenario: Scenario) -> VehicleState | AdaptiveState | None:
@@ -109,7 +109,7 @@ def estimator_of(scenario: Scenario) -> VehicleState | AdaptiveState | None:
     if scenario.estimator == "none":
         return None
     sensors: Any = sensors_of(scenario, 0)
-    poor = isinstance(sensors, PoorSensors)
+    poor = isinstance(sensors, DegradedSensors)
     sheet: Sensors = sensors.block if poor else sensors
     block = VehicleState.of(
         NonlinearSingleTrack(vehicle=scenario.nominal),
@@ -173,7 +173,7 @@ def profile_in(text: str, name: str) -> tuple[Array, Array]:
 def carried_speed(scenario: Scenario, text: str) -> tuple[Array, Array]:
     """s [m] and v [m/s] of a course's file that carries speeds: as it was driven, or as fast as is allowed.
 
-    `limit`: v_limit, v_max where nothing is said, and slower for bends, as a `CarefulHuman` is.
+    `limit`: v_limit, v_max where nothing is said, and slower for bends, as a `CurveSpeedDriver` is.
     """
     path, columns = scenario.path(), read_columns(text, scenario.course)
     key = {"recorded": "v", "limit": "v_limit"}[scenario.speed]
@@ -190,7 +190,7 @@ def carried_speed(scenario: Scenario, text: str) -> tuple[Array, Array]:
     at = np.linspace(0.0, path.length, n + 1)
     allowed = v[np.clip(np.searchsorted(s, at[:-1] + 1e-6, side="right") - 1, 0, len(s) - 1)]
     allowed = np.clip(np.where(np.isfinite(allowed), allowed, scenario.v_max), scenario.v_min, scenario.v_max)
-    fastest = ceiling(path, scenario.a_y_human, CarefulHuman.a_x_max, allowed)
+    fastest = ceiling(path, scenario.a_y_human, CurveSpeedDriver.a_x_max, allowed)
     return at, np.append(fastest, fastest[0] if path.closed else fastest[-1])
 
 

@@ -21,13 +21,13 @@ from steerkit.paths.importers.address import KINDS, Address, is_road
 from steerkit.paths.importers.course import check_bends
 from steerkit.paths.importers.reading import read_course
 from steerkit.paths.path import Path
-from steerkit.plants.careful_human import CarefulHuman
-from steerkit.plants.human import Human, SpeedProfile
-from steerkit.plants.pushed import Pushed
+from steerkit.plants.curve_speed_driver import CurveSpeedDriver
+from steerkit.plants.disturbed_plant import DisturbedPlant
 from steerkit.plants.single_track import SingleTrack
+from steerkit.plants.speed_driver import SpeedDriver, SpeedProfile
 from steerkit.plants.steering_actuator import SteeringActuator, steering_in
 from steerkit.scenario.assembly import placed
-from steerkit.scenario.catalogue import FITTING, RECOVERIES, Belief, make_recovery, plant_kind
+from steerkit.scenario.catalogue import AUTO, RECOVERIES, DesignModel, make_recovery, plant_kind
 from steerkit.scenario.parts import (
     actuator_of,
     car_of,
@@ -57,7 +57,8 @@ CONDITIONS: Mapping[str, dict[str, Any]] = MappingProxyType(
     {"clean": {}, "hard": _HARD, "real": _HARD | {"sensing": "real"}}
 )
 """Named disturbances: fields of a scenario. `hard` is 1 cm of noise, 50 ms of sensor delay, a slower motor; `real` is
-that with a noisy speed, no sideslip, late and lost samples, jumps and a heading that wanders (`PoorSensors.real`)."""
+that with a noisy speed, no sideslip, late and lost samples, jumps and a heading that wanders
+(`DegradedSensors.real`)."""
 _RANGES = (  # field, unit, least, largest
     ("v_min", "m/s", 0.2, 40.0),
     ("v_max", "m/s", 0.2, 40.0),
@@ -86,8 +87,8 @@ _RANGES = (  # field, unit, least, largest
     ("bank_deg", "deg", -45.0, 45.0),
     ("noise", "1", 0.0, 1000.0),
     ("latency", "s", 0.0, 2.0),
-    ("told_delay", "s", 0.0, 2.0),
-    ("told_lag", "s", 0.0, 10.0),
+    ("believed_delay", "s", 0.0, 2.0),
+    ("believed_lag", "s", 0.0, 10.0),
 )
 _TIGHTEST = 0.5  # m: no course from a map is tighter; what the scenario's car can do is judged besides
 _SLOWEST = 4.0  # m/s: the careful human's speed in the tightest bend of all courses, 5.9 m
@@ -98,7 +99,8 @@ _TIME_TO_SPARE = 10.0  # s
 class Scenario:
     """A drive to be made: where, how fast, with which car, and what is wrong with it; for learning, tests and suites.
 
-    Controllers know the nominal car, and the steering's delay and lag unless `told_delay`, `told_lag` say otherwise.
+    Controllers know the nominal car, and the steering's delay and lag unless `believed_delay`, `believed_lag` say
+    otherwise.
     A course or a car from a file is read when the scenario is made and kept in `files`, so that a scenario that was
     stored, sent to another machine or carried to another folder stays what it was. Raises ValueError for whatever
     cannot be driven, naming the field, its unit and what is valid.
@@ -122,9 +124,9 @@ class Scenario:
     reference: str = "front"
     """Where e is judged, and measured for a learner: at the `front` axle (as Stanley does), at the centre of gravity,
     `cg`, or at the controller's `own` point (the front axle for one that has none)."""
-    recovery: str = FITTING
-    """Who catches a learned controller: `stanley`, `stanley-delay`, or `fitting`: of both the one for what is told; or
-    `adapting`: `stanley-delay` that finds dead time and ratio by itself (`Adaptive`)."""
+    recovery: str = AUTO
+    """Who catches a learned controller: `stanley`, `stanley-delay`, or `auto`: of both the one for what is told; or
+    `adaptive`: `stanley-delay` that finds dead time and ratio by itself (`Adaptive`)."""
     speed: str = "wander"
     """`wander`: a human between v_min and v_max, slower in bends (3 m/s^2); `recorded`: as driven on a recorded
     course; `limit`: as fast as a course from a map allows, slower in bends; or a CSV file with the columns s [m] along
@@ -185,7 +187,7 @@ class Scenario:
     """Pose and rate noise: 1 is 1 cm and 0.1 deg of drift and 0.2 deg/s of white noise (`Sensors.hard`)."""
     sensing: str = "hard"
     """Which errors `noise` scales: those of `hard` sensors, with or with `no sideslip`, or of `real` ones
-    (`PoorSensors.real`), which have no sideslip and up to 20 ms of jitter even without noise."""
+    (`DegradedSensors.real`), which have no sideslip and up to 20 ms of jitter even without noise."""
     estimator: str = "none"
     """What stands between sensors and controllers: `none`, or `vehicle-state`, an estimator that is told the sensors'
     data sheet and the nominal car, needs no sideslip and predicts to now (`VehicleState`); or `adaptive-state`, the
@@ -195,9 +197,9 @@ class Scenario:
     told: str = "data sheet"
     """What controllers are told of the car: the nominal one, as its `data sheet` has it; or the `truth`: tyres,
     friction and ratio, and the steering's offset and gain."""
-    told_delay: float | None = None
+    believed_delay: float | None = None
     """What controllers that ask are told of the delay, latency included [s]; None: the truth."""
-    told_lag: float | None = None
+    believed_lag: float | None = None
     """The same of the lag [s]."""
     files: tuple[tuple[str, str], ...] = ()
     """Name and text of every file that course and vehicle name; filled in when the scenario is made."""
@@ -207,7 +209,7 @@ class Scenario:
         require(isinstance(self.name, str) and "--" not in self.name, where, "the name holds '--', which parts names")
         for name, unit, least, largest in _RANGES:
             value = getattr(self, name)
-            if value is None and name.startswith("told_"):
+            if value is None and name.startswith("believed_"):
                 continue
             number = isinstance(value, int | float) and not isinstance(value, bool)
             require(number, where, f"{name} = {value!r}, expected a number [{unit}]")
@@ -226,7 +228,7 @@ class Scenario:
             ("told", TOLD),
         ):
             require(getattr(self, name) in valid, where, f"{name} {getattr(self, name)!r}; valid: {', '.join(valid)}")
-        dead = self.told_dead_time
+        dead = self.believed_dead_time
         require(dead <= 2.0, where, f"delay and latency add up to {dead:g} [s], expected at most 2")
         self._keep_files(where)
         try:
@@ -278,7 +280,7 @@ class Scenario:
         pushes = isinstance(car, SingleTrack) or not self.pushed
         require(pushes, "wind, gust, bank_deg", f"only single-track cars are pushed, not '{self.plant}'")
         _ = self.link(), self.actuator(), self.column(), self.sensors(0), self.estimator_block()
-        _ = Human(v_min=self.v_min, v_max=self.v_max)
+        _ = SpeedDriver(v_min=self.v_min, v_max=self.v_max)
 
     @classmethod
     def under(cls, conditions: str = "clean", **changes: Any) -> Scenario:
@@ -345,14 +347,14 @@ class Scenario:
         return 0.0 if self.reference == "cg" else float(self.nominal.l_f)
 
     @property
-    def told_dead_time(self) -> float:
+    def believed_dead_time(self) -> float:
         """Delay of the steering and age of what is seen, as controllers are told [s]; the mean of what varies.
 
         Behind an estimator nothing that is seen is old.
         """
         age = self.latency if self.estimator == "none" else 0.0
         dead = self.delay + age + 0.5 * self.delay_jitter
-        return dead if self.told_delay is None else self.told_delay
+        return dead if self.believed_delay is None else self.believed_delay
 
     def path(self) -> Path:
         """The course's path."""
@@ -388,18 +390,18 @@ class Scenario:
             return math.ceil(self.rounds * float(np.trapezoid(pace, s)) + _TIME_TO_SPARE)
         return math.ceil(self.length / min(self.v_min, _SLOWEST) + _TIME_TO_SPARE)
 
-    def belief(self, *, clock: Callable[[], float] | None = None) -> Belief:
+    def design_model(self, *, clock: Callable[[], float] | None = None) -> DesignModel:
         """What controllers are told: the nominal car or the true one, as `told` says, and the steering's delay and lag.
 
         clock: seconds, for the times that predictive controllers show; None: no time is taken.
         """
         truth = self.told == "truth"
         torque, gain = self.steering == "torque", self.gain if truth else 1.0
-        return Belief(
+        return DesignModel(
             vehicle=self.true_vehicle if truth else self.nominal,
             path=self.path(),
-            delay=self.told_dead_time,
-            lag=self.lag if self.told_lag is None else self.told_lag,
+            delay=self.believed_dead_time,
+            lag=self.lag if self.believed_lag is None else self.believed_lag,
             hold=SteeringActuator.dt,
             rate_limit=radians_of(self.rate_limit_deg),
             slew=gain * self.slew if torque else None,
@@ -418,16 +420,16 @@ class Scenario:
         if not self.pushed:
             return car
         bank = G * math.sin(radians_of(self.bank_deg))
-        return Pushed(block=car, wind=self.wind, gust=self.gust, bank=bank, seed=seed)
+        return DisturbedPlant(block=car, wind=self.wind, gust=self.gust, bank=bank, seed=seed)
 
-    def human(self, seed: int) -> Block:
+    def driver(self, seed: int) -> Block:
         """The human who sets the speed, and slows down for bends."""
         if self.speed != "wander":
             s, v = self._profile()
             v, closed = np.clip(v, self.v_min, self.v_max), self.path().closed
             return SpeedProfile.from_samples(s, v, spacing=2.0, repeat=closed)
-        human = Human(v_min=self.v_min, v_max=self.v_max, seed=seed)
-        return CarefulHuman(path=self.path(), human=human, a_y_max=self.a_y_human)
+        driver = SpeedDriver(v_min=self.v_min, v_max=self.v_max, seed=seed)
+        return CurveSpeedDriver(path=self.path(), driver=driver, a_y_max=self.a_y_human)
 
     def link(self, seed: int = 0) -> Block | None:
         """The way of a command to the motor; None if it is perfect. `seed` is that of its delays."""
@@ -449,6 +451,6 @@ class Scenario:
         """What makes of that where the car is; None if controllers see the sensors themselves."""
         return estimator_of(self)
 
-    def catcher(self) -> Block:
+    def recovery_controller(self) -> Block:
         """The analytic controller that catches a learned one."""
-        return make_recovery(self.recovery, self.belief())
+        return make_recovery(self.recovery, self.design_model())

@@ -134,7 +134,7 @@ class Drive:
     speed: float = 5.0
     seed: int = 0
     client: Steerer | None = None
-    human: Callable[[float, float, float, float, float], float] = stanley
+    driver: Callable[[float, float, float, float, float], float] = stanley
     """Who steers while the product does not; as it may only be engaged where both want the same angle."""
     lead: float = 0.0
     """How much earlier on a closed course the product is engaged [m]: on the straight before the bend, if need be."""
@@ -320,7 +320,7 @@ class Drive:
         if self.kit_enabled and self.t - self.heard >= WATCHDOG:
             self.kit_timeout, self.kit_enabled = True, False
         e, psi_e, kappa = car.error()
-        target = self.command if self.kit_enabled else self.human(e, psi_e, car.v, car.r, kappa)
+        target = self.command if self.kit_enabled else self.driver(e, psi_e, car.v, car.r, kappa)
         if since is not None and attack.motor:
             target = attack.motor(self, target, since)
         speed = self.speed

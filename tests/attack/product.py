@@ -96,4 +96,4 @@ def driven_by(name: str, attack: Attack, *, speed: float, seed: int = 0) -> Driv
     attack = replace(attack, excess_max=BEYOND.get((name, attack.name), attack.excess_max))
     lead = 45.0 if name == "pure-pursuit" else 0.0
     client = ProductClient(name, attack.course)
-    return Drive(attack, speed=speed, seed=seed, client=client, human=centred, lead=lead).run()
+    return Drive(attack, speed=speed, seed=seed, client=client, driver=centred, lead=lead).run()

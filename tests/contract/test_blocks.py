@@ -25,11 +25,11 @@ from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out
 from steerkit.doe import Integrator, LowPass
 from steerkit.paths.tracker import PathTracker
-from steerkit.plants.human import ConstantSpeed
+from steerkit.plants.degraded_sensors import DegradedSensors
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
-from steerkit.plants.poor_sensors import PoorSensors
 from steerkit.plants.sensors import Sensors
+from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.plants.steering_column import SteeringColumn
 from steerkit.plants.steering_link import SteeringLink
@@ -261,7 +261,7 @@ def test_a_batch_is_its_cars_one_by_one(example: Example) -> None:
         (SteeringActuator(), "lag", (0.0, 0.1, 0.3)),
         (SteeringColumn(friction=0.1), "play", (0.0, 0.1, 0.3)),
         (SteeringLink(dead_band=0.1), "quantum", (0.0, 0.1, 0.3)),
-        (PoorSensors(block=Sensors()), "rear", (1.0, 1.1, 1.3)),
+        (DegradedSensors(block=Sensors()), "rear", (1.0, 1.1, 1.3)),
         (NonlinearSingleTrack(vehicle=PASSAT), "v0", (4.0, 5.0, 9.0)),
         (LinearSingleTrack(vehicle=PASSAT), "psi0", (-1.0, 0.0, 2.0)),
         (ConstantSpeed(), "speed", (4.0, 5.0, 6.0)),

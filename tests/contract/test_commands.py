@@ -22,7 +22,7 @@ import pytest
 
 from tests.support.compilers import optimising
 from tests.support.places import ROOT
-from tests.support.shell_lines import EXAMPLE, EXAMPLES, FITTED, PAGES, Step, blocks, lines_of, story, table
+from tests.support.shell_lines import EXAMPLE, EXAMPLES, FITTED, PAGES, Step, blocks, learner_state, lines_of, table
 
 OTHER_PACKAGES = {"train_with_stable_baselines3.py": "stable_baselines3"}
 """What an example needs beyond the extra `dev`."""
@@ -207,13 +207,13 @@ def started(step: Step, line: str, shell: Shell) -> str:
 
 
 @pytest.mark.parametrize(
-    "page", [page for page in PAGES if any(story(page))], ids=lambda page: str(page.relative_to(ROOT))
+    "page", [page for page in PAGES if any(learner_state(page))], ids=lambda page: str(page.relative_to(ROOT))
 )
 def test_the_shell_lines_of_a_page_run_in_their_order(page: Path, shell: Shell, request: pytest.FixtureRequest) -> None:
     if page.stem in FITTED:
         shell.environment["CC"] = optimising()
     faults = []
-    for step in story(page):
+    for step in learner_state(page):
         for name in step.needs:
             if not (shell.folder / name).exists():
                 make(name, shell.folder, request.getfixturevalue("learned"), request.getfixturevalue("python"))
@@ -230,7 +230,7 @@ def test_the_table_names_only_lines_that_a_page_shows() -> None:
 def test_a_study_is_run_in_its_quick_form() -> None:
     """As it stands, a study measures for minutes or hours."""
     for page in PAGES:
-        for step in story(page):
+        for step in learner_state(page):
             if "benchmarks study" in step.run:
                 assert "--quick" in step.run or step.run.endswith("--list"), (
                     f"{step.run}: tests/support/shell_lines.toml"
@@ -240,7 +240,7 @@ def test_a_study_is_run_in_its_quick_form() -> None:
 def test_a_suite_is_run_in_a_part() -> None:
     """As it stands, a suite drives for minutes or hours; the golden one is made to take seconds."""
     for page in PAGES:
-        for step in story(page):
+        for step in learner_state(page):
             if "benchmarks run" in step.run and "--backend dask" not in step.run:
                 part = " run golden" in step.run or ("--only" in step.run and "--seeds 1" in step.run)
                 assert part, f"{page.name}: {step.run}: tests/support/shell_lines.toml"
@@ -249,7 +249,7 @@ def test_a_suite_is_run_in_a_part() -> None:
 def test_a_learning_run_is_a_short_one() -> None:
     """As it stands, `steerkit learn` drives for eleven minutes, a minute's computing."""
     for page in PAGES:
-        for step in story(page):
+        for step in learner_state(page):
             if "steerkit learn" in step.run and "--help" not in step.run:
                 minutes = re.search(r"--minutes \+?([0-9.]+)", step.run)
                 assert minutes, f"{page.name}: {step.run}: tests/support/shell_lines.toml"

@@ -149,7 +149,7 @@ def test_building_and_driving_a_loop_loads_nothing_heavy() -> None:
     code = """
 from steerkit import Integrator, LinearSingleTrack, NfqPolicy, Stanley
 from steerkit import course, placed, simulate, steering_loop, vehicle
-from steerkit.plants.human import ConstantSpeed
+from steerkit.plants.speed_driver import ConstantSpeed
 path, passat = course("paper"), vehicle("vw-passat")
 loop = steering_loop(car=placed(LinearSingleTrack(vehicle=passat, v0=5.0), path), path=path,
                      human=ConstantSpeed(speed=5.0), controller=NfqPolicy(), doe=Integrator(),

@@ -21,12 +21,12 @@ from hypothesis import strategies as st
 from steerkit._support import native
 from steerkit.compiled import compile
 from steerkit.controllers.adaptive import Adaptive
+from steerkit.controllers.command_compensation import CommandCompensation
 from steerkit.controllers.delay import delayed_stanley
-from steerkit.controllers.forecast import PREVIEW, Forecast
+from steerkit.controllers.delay_compensator import PREVIEW, DelayCompensator
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.offset_free import OffsetFree
 from steerkit.controllers.stanley import Stanley
-from steerkit.controllers.trimmed import Trimmed
 from steerkit.diagram.block import Block
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import Log, simulate
@@ -35,12 +35,12 @@ from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.steering_delay import YawDelay
 from steerkit.export.c import export_c
 from steerkit.paths.courses import course, figure_eight
-from steerkit.plants.careful_human import CarefulHuman
-from steerkit.plants.human import ConstantSpeed, Human, RecordedSpeed, SpeedProfile
+from steerkit.plants.curve_speed_driver import CurveSpeedDriver
+from steerkit.plants.degraded_sensors import DegradedSensors
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
-from steerkit.plants.poor_sensors import PoorSensors
 from steerkit.plants.sensors import Sensors
+from steerkit.plants.speed_driver import ConstantSpeed, RecordedSpeed, SpeedDriver, SpeedProfile
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.plants.steering_column import SteeringColumn
 from steerkit.plants.steering_link import SteeringLink
@@ -57,13 +57,13 @@ needs_compiler = pytest.mark.skipif(native.compiler() is None, reason="C needs a
 few = settings(max_examples=2, suppress_health_check=list(HealthCheck), derandomize=True)
 
 
-def driven(human: Block, plant: type[Any], rng: np.random.Generator, *, dt: float, **parts: Any) -> Loop:
+def driven(driver: Block, plant: type[Any], rng: np.random.Generator, *, dt: float, **parts: Any) -> Loop:
     path = figure_eight() if rng.random() < 0.3 else PAPER
     s, e, psi_e = rng.uniform(0.0, path.length), rng.uniform(-0.4, 0.4), rng.uniform(-0.1, 0.1)
     substeps = 5 if dt > 0.01 else 1
     car = placed(plant(vehicle=CAR, dt=dt, substeps=substeps, v0=5.0), path, s=s, e=e, psi_e=psi_e)
     stanley = {"recovery" if "doe" in parts else "controller": Stanley.of(CAR)}
-    return steering_loop(car=car, path=path, human=human, **stanley, **parts)
+    return steering_loop(car=car, path=path, driver=driver, **stanley, **parts)
 
 
 def policy(rng: np.random.Generator) -> NfqPolicy:
@@ -72,13 +72,13 @@ def policy(rng: np.random.Generator) -> NfqPolicy:
 
 
 def linear_at_constant_speed(seed: int, rng: np.random.Generator) -> Loop:
-    human = ConstantSpeed(speed=rng.uniform(0.5, 9.0))
-    return driven(human, LinearSingleTrack, rng, dt=0.05, actuator=SteeringActuator(delay=0.1, dt=0.05))
+    driver = ConstantSpeed(speed=rng.uniform(0.5, 9.0))
+    return driven(driver, LinearSingleTrack, rng, dt=0.05, actuator=SteeringActuator(delay=0.1, dt=0.05))
 
 
 def linear_with_a_human(seed: int, rng: np.random.Generator) -> Loop:
     return driven(
-        Human(v_min=0.0, v_max=9.0, seed=seed),
+        SpeedDriver(v_min=0.0, v_max=9.0, seed=seed),
         LinearSingleTrack,
         rng,
         dt=0.01,
@@ -88,23 +88,23 @@ def linear_with_a_human(seed: int, rng: np.random.Generator) -> Loop:
 
 
 def nonlinear_with_a_record(seed: int, rng: np.random.Generator) -> Loop:
-    human = RecordedSpeed(speeds=tuple(rng.uniform(4.0, 7.5, 9)), spacing=0.5)
-    return driven(human, NonlinearSingleTrack, rng, dt=0.05)
+    driver = RecordedSpeed(speeds=tuple(rng.uniform(4.0, 7.5, 9)), spacing=0.5)
+    return driven(driver, NonlinearSingleTrack, rng, dt=0.05)
 
 
 def nonlinear_with_a_profile(seed: int, rng: np.random.Generator) -> Loop:
-    human = SpeedProfile(speeds=tuple(rng.uniform(4.0, 7.5, 400)), spacing=2.0, repeat=True)
-    return driven(human, NonlinearSingleTrack, rng, dt=0.01, actuator=SteeringActuator())
+    driver = SpeedProfile(speeds=tuple(rng.uniform(4.0, 7.5, 400)), spacing=2.0, repeat=True)
+    return driven(driver, NonlinearSingleTrack, rng, dt=0.01, actuator=SteeringActuator())
 
 
 def learner_with_recovery(seed: int, rng: np.random.Generator) -> Loop:
-    human = CarefulHuman(path=PAPER, human=Human(seed=seed))
+    driver = CurveSpeedDriver(path=PAPER, driver=SpeedDriver(seed=seed))
     doe = Integrator() if seed % 2 else LowPass()
     car = placed(NonlinearSingleTrack(vehicle=CAR, v0=5.0), PAPER, s=rng.uniform(0.0, PAPER.length), e=0.05)
     return steering_loop(
         car=car,
         path=PAPER,
-        human=human,
+        driver=driver,
         controller=policy(rng),
         doe=doe,
         sensors=Sensors.hard(seed),
@@ -116,12 +116,12 @@ def learner_with_recovery(seed: int, rng: np.random.Generator) -> Loop:
 def learner_that_forecasts(seed: int, rng: np.random.Generator) -> Loop:
     car = placed(NonlinearSingleTrack(vehicle=CAR, v0=5.0), PAPER, s=rng.uniform(0.0, PAPER.length), e=0.05)
     answer = {"now": 0.006, "before": 0.005, "earlier": 0.002, "back": 0.2, "slip": 4e-4, "yaw": 0.38}
-    ahead = Forecast(samples=int(rng.integers(0, 9)), trust=0.25, straight=0.02, **answer)
+    ahead = DelayCompensator(samples=int(rng.integers(0, 9)), trust=0.25, straight=0.02, **answer)
     nets = tuple(tuple(4.0 * p for p in net) for net in policy(rng).nets or ())  # flatter ones magnify rounding
     return steering_loop(
         car=car,
         path=PAPER,
-        human=CarefulHuman(path=PAPER, human=Human(seed=seed)),
+        driver=CurveSpeedDriver(path=PAPER, driver=SpeedDriver(seed=seed)),
         controller=replace(policy(rng), nets=nets, preview_points=PREVIEW, forecast=ahead, continuous=True),
         doe=Integrator(),
         sensors=Sensors.hard(seed),
@@ -132,14 +132,14 @@ def learner_that_forecasts(seed: int, rng: np.random.Generator) -> Loop:
 
 def worn_steering_and_poor_sensors(seed: int, rng: np.random.Generator) -> Loop:
     return driven(
-        Human(seed=seed),
+        SpeedDriver(seed=seed),
         NonlinearSingleTrack,
         rng,
         dt=0.01,
         link=SteeringLink(quantum=rng.uniform(0.001, 0.01), dead_band=0.012, jitter=0.04, seed=seed),
         actuator=SteeringActuator(delay=0.05),
         column=SteeringColumn(friction=0.01, play=0.03),
-        sensors=PoorSensors.real(CAR, seed).scaled(3.0),
+        sensors=DegradedSensors.real(CAR, seed).scaled(3.0),
     )
 
 
@@ -149,8 +149,8 @@ def steered_by_torque(seed: int, rng: np.random.Generator) -> Loop:
     return steering_loop(
         car=placed(NonlinearSingleTrack(vehicle=CAR, v0=5.0), PAPER, s=rng.uniform(0.0, PAPER.length), e=0.5),
         path=PAPER,
-        human=Human(seed=seed),
-        controller=OffsetFree(block=Trimmed(block=stanley, offset=0.02, gain=1.1)),
+        driver=SpeedDriver(seed=seed),
+        controller=OffsetFree(block=CommandCompensation(block=stanley, offset=0.02, gain=1.1)),
         link=SteeringLink(quantum=0.01),
         actuator=motor,
         column=SteeringColumn(play=0.03),
@@ -169,7 +169,7 @@ def one_that_adapts(seed: int, rng: np.random.Generator) -> Loop:
     return steering_loop(
         car=placed(NonlinearSingleTrack(vehicle=CAR, v0=5.0), PAPER, s=rng.uniform(0.0, PAPER.length), e=0.2),
         path=PAPER,
-        human=Human(seed=seed),
+        driver=SpeedDriver(seed=seed),
         controller=adaptive,
         actuator=SteeringActuator(lag=0.1),
     )
@@ -250,7 +250,7 @@ def test_a_linear_car_collapsed_to_its_step_matrix(seed: int) -> None:
 @pytest.mark.parametrize("make", [linear_with_a_human, learner_with_recovery], ids=lambda make: make.__name__)
 def test_exported_controllers_give_the_recorded_commands(make: Callable[..., Loop], tmp_path: Path) -> None:
     loop = make(1, np.random.default_rng(1))
-    blocks = [n for n in loop.names if n not in ("human", "car", "actuator", "sensors", "path", "seen")]
+    blocks = [n for n in loop.names if n not in ("driver", "car", "actuator", "sensors", "path", "seen")]
     export_c(loop, tmp_path, blocks=blocks)
     program = tmp_path / "replay"
     sources = [tmp_path / "controller.c", tmp_path / "controller_test.c"]

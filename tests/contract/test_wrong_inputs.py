@@ -21,7 +21,7 @@ from steerkit.compiled.trace import TraceError
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block
 from steerkit.diagram.loop import Loop
-from steerkit.plants.human import ConstantSpeed
+from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.scenario import Scenario
 from tests.support.command_lines import run
 from tests.support.places import SUPPORT
@@ -37,7 +37,7 @@ HUMAN = ConstantSpeed(speed=5.0)
 
 def loop_of(controller: Block) -> Loop:
     """A car on a circle."""
-    return steerkit.steering_loop(car=CAR, path=PATH, human=HUMAN, controller=controller)
+    return steerkit.steering_loop(car=CAR, path=PATH, driver=HUMAN, controller=controller)
 
 
 NAMES: dict[str, Any] = {
@@ -51,7 +51,7 @@ NAMES: dict[str, Any] = {
     "passat": PASSAT,
     "path": PATH,
     "car": CAR,
-    "human": HUMAN,
+    "driver": HUMAN,
     "loop_of": loop_of,
     "__name__": "wrong",
 }

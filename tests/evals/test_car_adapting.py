@@ -27,7 +27,7 @@ DELAY = 0.25
 
 def recorded_world(folder: Path, **how: Any) -> World:
     config, path = setup()
-    controller = make_controller(NAME, loops.belief_of(config))
+    controller = make_controller(NAME, loops.design_model_of(config))
     tape = tapes.Recording(folder / "drive.mcap", tapes.described(config, path))
     world = World(controller=controller, tape=tape, **how)
     world.remark(Steers(name=NAME).text())
@@ -88,12 +88,12 @@ def test_what_the_recovery_controller_of_a_learner_is_told_is_recorded_too_and_r
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def build(self: World, controller: Block, doe: Any) -> Loop:
-        return loops.car_loop(self.config, self.path, self, controller, doe=doe, recovery="adapting")
+        return loops.car_loop(self.config, self.path, self, controller, doe=doe, recovery="adaptive")
 
     monkeypatch.setattr(World, "build", build)
-    learned(tmp_path, monkeypatch, 3.0, recovery="adapting")
+    learned(tmp_path, monkeypatch, 3.0, recovery="adaptive")
     (drive,) = [d for d in replays.drives(tapes.read(tmp_path / "drive.mcap")) if d.remarks]
-    assert {s.recovery for _, s in drive.remarks} == {"adapting"}
+    assert {s.recovery for _, s in drive.remarks} == {"adaptive"}
     assert len(drive.adapted) >= 3
     config, path = setup()
     assert replays.replayed_requests(drive, config, path) == len(drive.requests)

@@ -139,7 +139,7 @@ def test_a_learning_run_replays_bit_for_bit_with_the_nets_taken_over_on_the_way(
 ) -> None:
     learner = learned(tmp_path, monkeypatch, 8.0)
     nets = sorted(f.name for f in (tmp_path / "run" / "nets").iterdir())
-    assert learner.story.counts.failures >= 1
+    assert learner.learner_state.counts.failures >= 1
     assert len(nets) >= 3  # the untrained one, and those taken over
     recorded = tapes.read(tmp_path / "drive.mcap")
     drives = [d for d in replays.drives(recorded) if d.remarks]
@@ -172,8 +172,8 @@ def test_a_run_is_continued_with_its_own_setting_only(tmp_path: Path, monkeypatc
     first = learned(tmp_path, monkeypatch, 3.0)
     (tmp_path / "drive.mcap").unlink()
     again = learned(tmp_path, monkeypatch, 0.5)
-    assert again.story.counts.updates >= first.story.counts.updates > 0
-    assert len(again.story.transitions) > len(first.story.transitions)
+    assert again.learner_state.counts.updates >= first.learner_state.counts.updates > 0
+    assert len(again.learner_state.transitions) > len(first.learner_state.transitions)
     assert on_car.setting_of(tmp_path / "run") == TINY
     assert loops.element_of(tmp_path / "run") == "integrator"
     world = World()
@@ -196,11 +196,11 @@ def test_one_process_at_a_time_learns_on_a_car_in_a_directory(tmp_path: Path) ->
         ):
             on_car.CarLearner(TINY, tmp_path / "run", world.build, world)
         assert {file: file.read_bytes() for file in before} == before
-        learner.store.append([0.0] * len(learner.story.names), 0.0, [0.0] * len(learner.story.names), 1)
+        learner.store.append([0.0] * len(learner.learner_state.names), 0.0, [0.0] * len(learner.learner_state.names), 1)
     with pytest.raises(ValueError, match="differs from 'default'"):
         on_car.CarLearner(setting("default"), tmp_path / "run", world.build, world)
     with on_car.CarLearner(TINY, tmp_path / "run", world.build, world) as again:  # a refused one holds nothing
-        assert len(again.story.transitions) == 1
+        assert len(again.learner_state.transitions) == 1
 
 
 def test_the_output_element_ends_at_the_stops_of_the_cars_wheel(tmp_path: Path) -> None:
@@ -246,10 +246,10 @@ def test_a_net_that_failed_does_not_steer_until_a_newer_one_has_taken_over_and_n
     def watched(learner: on_car.CarLearner, live: Any) -> None:
         learning = live.sample["supervisor.learning"] > 0.5
         step(learner, live)
-        story = learner.story
-        assert (live.loop is learner.follow.driving) is (story.trusted and learner.follow.engaged)
-        assert (story.counts.recovery is not None) is (learner.follow.engaged and not learning)
-        steps.append((learning, story.trusted, story.net, story.counts.driven))
+        learner_state = learner.learner_state
+        assert (live.loop is learner.follow.driving) is (learner_state.trusted and learner.follow.engaged)
+        assert (learner_state.counts.recovery is not None) is (learner.follow.engaged and not learning)
+        steps.append((learning, learner_state.trusted, learner_state.net, learner_state.counts.driven))
 
     here = threading.current_thread()  # the recording has a thread of its own, which may wait
 
@@ -261,8 +261,8 @@ def test_a_net_that_failed_does_not_steer_until_a_newer_one_has_taken_over_and_n
     starting = files.os.fsync
     monkeypatch.setattr(files.os, "fsync", fsync)
     learner = learned(tmp_path, monkeypatch, 8.0)
-    story = learner.story
-    assert story.counts.failures == sum(episode.failed for episode in story.counts.episodes) >= 1
+    learner_state = learner.learner_state
+    assert learner_state.counts.failures == sum(episode.failed for episode in learner_state.counts.episodes) >= 1
     for before, now, after in zip(steps, steps[1:], steps[2:]):
         if not now[1]:
             assert not after[0]  # not trusted: it has not the wheel in the next sample
@@ -271,20 +271,20 @@ def test_a_net_that_failed_does_not_steer_until_a_newer_one_has_taken_over_and_n
     assert {trusted for _, trusted, _, _ in steps} == {True, False}
     assert steps[-1][2] >= 2
     # transitions: each of an episode's samples but its first one completes one, and they follow each other
-    record = story.transitions
+    record = learner_state.transitions
     assert len(record) == len(learner.store.transitions("car"))
     same = record.episode[1:] == record.episode[:-1]
     np.testing.assert_array_equal(record.s[1:][same], record.s_next[:-1][same])
-    assert sum(learning for learning, *_ in steps) - len(record) <= len(story.counts.episodes)
+    assert sum(learning for learning, *_ in steps) - len(record) <= len(learner_state.counts.episodes)
 
 
 def test_the_human_s_taking_the_wheel_is_no_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     learner = learned(tmp_path, monkeypatch, 0.15)  # too short for it to fail
-    first = learner.story.counts.episodes[0]
+    first = learner.learner_state.counts.episodes[0]
     assert first.ended is not None
     assert not first.failed
-    record = learner.story.transitions
-    assert len(set(record.episode)) == len(learner.story.counts.episodes) >= 1
+    record = learner.learner_state.transitions
+    assert len(set(record.episode)) == len(learner.learner_state.counts.episodes) >= 1
 
 
 def test_the_human_s_taking_the_wheel_ends_a_recovery(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -292,7 +292,7 @@ def test_the_human_s_taking_the_wheel_ends_a_recovery(tmp_path: Path, monkeypatc
     step = on_car.CarLearner.step
 
     def watched(learner: on_car.CarLearner, live: Any) -> None:
-        counts = learner.story.counts
+        counts = learner.learner_state.counts
         counts.recovery = counts.recovery or Recovery(began=0.0)
         step(learner, live)
         if not learner.follow.engaged:
@@ -307,7 +307,7 @@ def test_the_human_s_taking_the_wheel_ends_a_recovery(tmp_path: Path, monkeypatc
 def test_a_late_step_is_no_transition(tmp_path: Path) -> None:
     world = World()
     with on_car.CarLearner(TINY, tmp_path / "run", world.build, world) as learner:
-        learner.story.recorder.sample(0, (0.0,) * 6, 0.0, learning=True, episode=0)
+        learner.learner_state.recorder.sample(0, (0.0,) * 6, 0.0, learning=True, episode=0)
         seen: list[Any] = []
 
         def run(loop: Any, duration: float, *, timer: Any, watch: Any, on_miss: Any) -> Any:
@@ -319,7 +319,7 @@ def test_a_late_step_is_no_transition(tmp_path: Path) -> None:
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(on_car, "run", run)
             learner.run(1.0)
-        assert learner.story.recorder.before is None
+        assert learner.learner_state.recorder.before is None
         assert world.misses == 3
 
 
@@ -334,7 +334,7 @@ def test_a_policy_that_breaks_has_failed_and_a_newer_one_takes_over(
     output, step = NfqPolicy.output, on_car.CarLearner.step
 
     def breaks(policy: NfqPolicy, t: Any, x: Any, u: Any) -> Any:
-        if not broken and seen and seen[-1][1] and len(learners[0].story.transitions) > 5:
+        if not broken and seen and seen[-1][1] and len(learners[0].learner_state.transitions) > 5:
             broken.append(policy.nets[0][0])  # type: ignore[index]
         if broken and policy.nets and policy.nets[0][0] is broken[0]:
             if how == "raises":
@@ -347,7 +347,7 @@ def test_a_policy_that_breaks_has_failed_and_a_newer_one_takes_over(
         flags = (live.sample[f"supervisor.{name}"] > 0.5 for name in ("learning", "fault"))
         step(learner, live)
         learning, fault = flags
-        seen.append((learner.story.net, learning, fault, learner.story.trusted))
+        seen.append((learner.learner_state.net, learning, fault, learner.learner_state.trusted))
 
     monkeypatch.setattr(NfqPolicy, "output", breaks)
     monkeypatch.setattr(on_car.CarLearner, "step", watched)
@@ -357,6 +357,6 @@ def test_a_policy_that_breaks_has_failed_and_a_newer_one_takes_over(
     assert seen[at - 1][1]  # it had the wheel,
     assert seen[at][1] is False  # lost it in that very sample,
     assert seen[at][3] is False  # is not trusted any more,
-    assert any(episode.failed and episode.net == net for episode in learner.story.counts.episodes)
+    assert any(episode.failed and episode.net == net for episode in learner.learner_state.counts.episodes)
     newer = [row for row in seen[at:] if row[0] > net]
     assert any(learning and not fault for _, learning, fault, _ in newer)

@@ -23,7 +23,7 @@ from steerkit.controllers.safety_filter import SafetyFilter
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.block import Block, In, Out, take_ports
 from steerkit.diagram.loop import Loop
-from steerkit.plants.human import ConstantSpeed
+from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.scenario.assembly import steering_loop
 from steerkit.task import STOP
 from tests.evals.test_car_learning import TINY, learned
@@ -52,7 +52,7 @@ class Filtered(World):
         return steering_loop(
             car=RealCar(link=self),
             path=self.path,
-            human=ConstantSpeed(speed=0.0),
+            driver=ConstantSpeed(speed=0.0),
             controller=controller,
             safety=loops.safety(self.config).block,
             reference=self.config.vehicle.l_f,
@@ -176,7 +176,7 @@ def test_a_filtered_learner_stays_on_the_path_and_replays_bit_for_bit_correction
     faults = [drive.first + n for n, did in enumerate(drive.filtered) if did.reason in fail_safe.FAULTS]
     lost = [n for n, steers in drive.remarks if not steers.trusted]
     assert any(0 <= n - fault <= 2 for n in lost for fault in faults), "one cost the policy the wheel"
-    assert learner.story.counts.failures == len(lost) >= 2
+    assert learner.learner_state.counts.failures == len(lost) >= 2
     config, path = setup()
     assert replays.replayed_requests(drive, config, path) == len(drive.requests)
     drive.filtered[20] = drive.filtered[20]._replace(reach=drive.filtered[20].reach + 1e-15)
@@ -212,7 +212,7 @@ def test_a_policy_whose_filter_failed_loses_the_wheel(
     car = SimpleNamespace(
         link=SimpleNamespace(tell=told.append),
         filter_faults=Counter(),
-        story=SimpleNamespace(corrected=lambda share: False),
+        learner_state=SimpleNamespace(corrected=lambda share: False),
     )
     asked: Any = on_car.CarLearner._filtered
     assert asked(car, None, learning=learning, engaged=engaged) is lost

@@ -18,10 +18,10 @@ from steerkit.diagram import maths as m
 from steerkit.diagram.simulation import simulate
 from steerkit.metrics import largest, rms
 from steerkit.paths.courses import circle, course
-from steerkit.plants.careful_human import CarefulHuman
-from steerkit.plants.human import Human
+from steerkit.plants.curve_speed_driver import CurveSpeedDriver
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.speed_driver import SpeedDriver
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import vehicle
@@ -200,11 +200,11 @@ def test_the_tables_over_speed_are_the_exact_matrices() -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_round_trip_of_bends_under_delay_stays_within_centimetres(kind: type[PredictiveSteering]) -> None:
     path, motor = course("paper"), SteeringActuator(delay=0.2, lag=0.1)
-    human = CarefulHuman(path=path, human=Human(seed=1))
+    driver = CurveSpeedDriver(path=path, driver=SpeedDriver(seed=1))
     loop = steering_loop(
         car=placed(NONLINEAR, path, s=180.0),
         path=path,
-        human=human,
+        driver=driver,
         actuator=motor,
         controller=kind.of(NONLINEAR, motor),
         reference=PASSAT.l_f,
@@ -219,11 +219,11 @@ def test_a_round_trip_of_bends_under_delay_stays_within_centimetres(kind: type[P
 
 def test_a_circle_is_driven_without_a_steady_error() -> None:
     path, motor = circle(20.0), SteeringActuator(delay=0.1, lag=0.1)
-    human = CarefulHuman(path=path, human=Human(v_min=6.0, v_max=6.0))
+    driver = CurveSpeedDriver(path=path, driver=SpeedDriver(v_min=6.0, v_max=6.0))
     loop = steering_loop(
         car=placed(NONLINEAR, path),
         path=path,
-        human=human,
+        driver=driver,
         actuator=motor,
         controller=MPC.of(NONLINEAR, motor),
         reference=PASSAT.l_f,

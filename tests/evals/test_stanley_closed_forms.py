@@ -13,9 +13,9 @@ from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.simulation import Log, simulate
 from steerkit.paths.courses import circle, straight
 from steerkit.paths.path import Path
-from steerkit.plants.human import ConstantSpeed
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import vehicle
 
@@ -26,7 +26,7 @@ RADIUS = 40.0
 def driven(plant: Any, stanley: Stanley, path: Path, v: float, seconds: float, **start: float) -> Log:
     """A car steered by Stanley without actuator; `controller_path` follows the front axle."""
     car = placed(plant(vehicle=PASSAT, v0=v), path, **start)
-    loop = steering_loop(car=car, path=path, human=ConstantSpeed(speed=v), controller=stanley)
+    loop = steering_loop(car=car, path=path, driver=ConstantSpeed(speed=v), controller=stanley)
     front = next(
         name
         for name, block in loop.blocks.items()

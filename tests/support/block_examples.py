@@ -13,10 +13,10 @@ import numpy as np
 
 from steerkit.analysis import FromControl, Tap
 from steerkit.controllers.adaptive import Adaptive
-from steerkit.controllers.delay import Predicted, delayed_stanley
-from steerkit.controllers.excited import Excited
+from steerkit.controllers.command_compensation import CommandCompensation
+from steerkit.controllers.delay import DelayPredictor, delayed_stanley
+from steerkit.controllers.excursion_predictor import ExcursionPredictor
 from steerkit.controllers.fail_safe import FailSafe
-from steerkit.controllers.foresight import Foresight
 from steerkit.controllers.gate_model import GateModel
 from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.network_policy import Network, PolicyBlock
@@ -25,9 +25,9 @@ from steerkit.controllers.offset_free import OffsetFree
 from steerkit.controllers.pure_pursuit import PurePursuit
 from steerkit.controllers.safety_filter import SafetyFilter
 from steerkit.controllers.stanley import Stanley
-from steerkit.controllers.supervisor import Guarded, Supervisor, SupervisorState
+from steerkit.controllers.supervisor import ExceptionGuard, Supervisor, SupervisorState
 from steerkit.controllers.target_shift import TargetShift
-from steerkit.controllers.trimmed import Trimmed
+from steerkit.controllers.with_excitation import WithExcitation
 from steerkit.diagram.block import Block, take_ports
 from steerkit.diagram.units import radians_of
 from steerkit.doe import Corrected, Integrator, LowPass, PlainAngle
@@ -42,14 +42,14 @@ from steerkit.learning.nfq.model import CarModel
 from steerkit.learning.rival import ModelPolicy
 from steerkit.paths.path import Path
 from steerkit.paths.tracker import PathTracker
-from steerkit.plants.careful_human import CarefulHuman
-from steerkit.plants.human import ConstantSpeed, Human, RecordedSpeed, SpeedProfile
+from steerkit.plants.curve_speed_driver import CurveSpeedDriver
+from steerkit.plants.degraded_sensors import DegradedSensors
+from steerkit.plants.disturbed_plant import DisturbedPlant
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.playback import Playback
-from steerkit.plants.poor_sensors import PoorSensors
-from steerkit.plants.pushed import Pushed
 from steerkit.plants.sensors import Sensors
+from steerkit.plants.speed_driver import ConstantSpeed, RecordedSpeed, SpeedDriver, SpeedProfile
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.plants.steering_column import SteeringColumn
 from steerkit.plants.steering_link import SteeringLink
@@ -117,7 +117,7 @@ def _pendulum(t: float, x: Any, u: Any, params: Any) -> Any:
 
 
 def _careful(block: Any, i: int) -> Block:
-    return dataclasses.replace(block, human=_seeded(block.human, i))
+    return dataclasses.replace(block, driver=_seeded(block.driver, i))
 
 
 CAR_MODEL = CarModel(
@@ -134,17 +134,17 @@ EXAMPLES = [
     Example(SingleTrackFilter(vehicle=PASSAT), blind=("psi",)),
     Example(Corrected()),
     Example(Corrected(element=LowPass())),
-    Example(Foresight()),
+    Example(ExcursionPredictor()),
     Example(Stanley.of(PASSAT)),
     Example(Stanley.textbook(PASSAT)),
     Example(delayed_stanley(PASSAT, delay=0.13, lag=0.1)),
-    Example(Predicted(block=Stanley.of(PASSAT), delay=0.0, lag=0.0)),
+    Example(DelayPredictor(block=Stanley.of(PASSAT), delay=0.0, lag=0.0)),
     Example(Lqr.of(PASSAT, LinearSingleTrack(vehicle=PASSAT).matrices, delay=0.2, preview_points=5, v_step=3.0)),
     Example(dataclasses.replace(Stanley.of(PASSAT), slew=5.0, a_y_limit=3.0)),
     Example(delayed_stanley(PASSAT, delay=0.13, lag=0.1, slew=20.0, a_y_limit=3.0)),
     Example(Lqr.of(PASSAT, LinearSingleTrack(vehicle=PASSAT).matrices, preview_points=5, v_step=3.0, slew=5.0)),
-    Example(Trimmed(block=Stanley.of(PASSAT), offset=0.05, gain=1.1)),
-    Example(Excited(block=Stanley.of(PASSAT), vehicle=PASSAT, amplitude=0.6, steepness=2.0)),
+    Example(CommandCompensation(block=Stanley.of(PASSAT), offset=0.05, gain=1.1)),
+    Example(WithExcitation(block=Stanley.of(PASSAT), vehicle=PASSAT, amplitude=0.6, steepness=2.0)),
     Example(
         Adaptive(
             blocks=(Stanley.of(PASSAT), dataclasses.replace(Stanley.of(PASSAT), k=4.0)),
@@ -177,8 +177,8 @@ EXAMPLES = [
     Example(Tap(unit="rad", cut=True), blind=("u",)),
     Example(Supervisor(), blind=("e", "ready")),
     Example(Supervisor(), state=SupervisorState(1.0, 0.0), blind=("recovery",)),
-    Example(Guarded(block=Integrator())),
-    Example(Guarded(block=PathTracker(path=OVAL, preview_points=2))),
+    Example(ExceptionGuard(block=Integrator())),
+    Example(ExceptionGuard(block=PathTracker(path=OVAL, preview_points=2))),
     Example(NfqPolicy(nets=NETS)),
     Example(NfqPolicy(nets=NETS, combine="max", ready_from=0.1)),
     Example(NfqPolicy(nets=NETS, combine="disagreement")),
@@ -192,8 +192,10 @@ EXAMPLES = [
     Example(PathTracker(path=OVAL, reference=1.2, preview_points=3)),
     Example(LinearSingleTrack(vehicle=PASSAT, v0=5.0)),
     Example(NonlinearSingleTrack(vehicle=PASSAT, v0=5.0)),
-    Example(Pushed(block=NonlinearSingleTrack(vehicle=PASSAT, v0=5.0), wind=0.3, gust=0.2, seed=3), single=_seeded),
-    Example(Pushed(block=LinearSingleTrack(vehicle=PASSAT, v0=5.0), bank=0.2), single=_seeded),
+    Example(
+        DisturbedPlant(block=NonlinearSingleTrack(vehicle=PASSAT, v0=5.0), wind=0.3, gust=0.2, seed=3), single=_seeded
+    ),
+    Example(DisturbedPlant(block=LinearSingleTrack(vehicle=PASSAT, v0=5.0), bank=0.2), single=_seeded),
     Example(SteeringActuator(lag=0.1)),
     Example(SteeringActuator(lag=0.0, delay=0.03, gain=1.05, offset=0.02)),
     Example(TorqueSteering(delay=0.03)),
@@ -203,11 +205,11 @@ EXAMPLES = [
     Example(SteeringLink()),
     Example(SteeringLink(quantum=0.01, dead_band=0.02, jitter=0.03, every=0.02, seed=3), single=_seeded),
     Example(Sensors(), single=_seeded),
-    Example(PoorSensors(block=Sensors(seed=3)), single=_sensed),
+    Example(DegradedSensors(block=Sensors(seed=3)), single=_sensed),
     Example(
-        PoorSensors(block=Sensors.hard(seed=3), age_jitter=0.05, lost=0.3, jump=0.1, jump_time=0.1), single=_sensed
+        DegradedSensors(block=Sensors.hard(seed=3), age_jitter=0.05, lost=0.3, jump=0.1, jump_time=0.1), single=_sensed
     ),
-    Example(PoorSensors.real(PASSAT, seed=3), single=_sensed, blind=("beta_in",)),
+    Example(DegradedSensors.real(PASSAT, seed=3), single=_sensed, blind=("beta_in",)),
     Example(VehicleState.of(NonlinearSingleTrack(vehicle=PASSAT))),
     Example(VehicleState.of(LinearSingleTrack(vehicle=PASSAT), horizon=0.0)),
     Example(
@@ -217,10 +219,10 @@ EXAMPLES = [
         )
     ),
     Example(Sensors.hard(seed=3), single=_seeded),
-    Example(Human(seed=3), single=_seeded),
+    Example(SpeedDriver(seed=3), single=_seeded),
     Example(ConstantSpeed()),
     Example(RecordedSpeed(speeds=(4.0, 5.0, 7.0, 6.0), spacing=0.1)),
     Example(Playback(angles=(0.0, 0.5, 0.4, -0.2), speeds=(4.0, 5.0, 7.0, 6.0), delay=0.013)),
     Example(SpeedProfile(speeds=(4.0, 5.0, 7.0, 4.0), spacing=0.5, repeat=True)),
-    Example(CarefulHuman(path=OVAL, human=Human(seed=3)), single=_careful),
+    Example(CurveSpeedDriver(path=OVAL, driver=SpeedDriver(seed=3)), single=_careful),
 ]

@@ -11,9 +11,9 @@ from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.loop import Loop
 from steerkit.doe import Integrator
 from steerkit.paths.courses import circle
-from steerkit.plants.human import Human
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.sensors import Sensors
+from steerkit.plants.speed_driver import SpeedDriver
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import vehicle
@@ -32,7 +32,7 @@ def learning(sensors: Any = None) -> Loop:
     return steering_loop(
         car=placed(LinearSingleTrack(vehicle=PASSAT, v0=5.0), circle()),
         path=circle(),
-        human=Human(),
+        driver=SpeedDriver(),
         controller=NfqPolicy(),
         doe=Integrator(),
         recovery=Stanley.of(PASSAT),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from steerkit.diagram.block import Block
-from steerkit.plants.human import ConstantSpeed
+from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.scenario import Scenario
 
 
@@ -13,5 +13,5 @@ from steerkit.scenario import Scenario
 class SteadyWorld(Scenario):
     """A human of 6 m/s."""
 
-    def human(self, seed: int) -> Block:
+    def driver(self, seed: int) -> Block:
         return ConstantSpeed(speed=6.0)

@@ -14,7 +14,7 @@ from typing import Any
 from steerkit.car import recording as tapes
 from steerkit.car.core import Taping
 from steerkit.car.protocol import VERSION
-from steerkit.car.recording_file import Contents, TapeFile, contents
+from steerkit.car.recording_file import Contents, RecordingFile, contents
 from steerkit.car.state_machine import Mode
 from tests.support.car_world import World, setup
 
@@ -49,7 +49,7 @@ def brief() -> bytes:
 
 def chunked(found: Contents, file: Path, description: dict[str, str] | None = None, count: int | None = None) -> Path:
     """The same messages in a new file, LINES to a chunk."""
-    tape = TapeFile(file, found.description or {} if description is None else description)
+    tape = RecordingFile(file, found.description or {} if description is None else description)
     lines = [line for chunk in found.chunks for line in chunk.lines][:count]
     for k, line in enumerate(lines, 1):
         tape.add(line.topic, line.when, line.data)

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit.controllers.forecast import ANSWER, LONGEST, Forecast
+from steerkit.controllers.delay_compensator import ANSWER, LONGEST, DelayCompensator
 from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, R_E, V
 from steerkit.controllers.state_description import StateDescription
 from steerkit.learning.data.transitions import Transitions
@@ -45,7 +45,7 @@ OFFSET = 8.0
 """How much more evidence than CENTRED's samples a fast car's offset needs: its angles are small, and what steering by
 torque leaves unexplained can look like one. With 30, a real one of 2 degrees is hardly seen."""
 TRUST = 0.25
-"""Share of what is seen in the filtered values (see `Forecast.trust`)."""
+"""Share of what is seen in the filtered values (see `DelayCompensator.trust`)."""
 
 
 Array = NDArray[np.float64]
@@ -58,7 +58,7 @@ class Process(NamedTuple):
     """Aligned transitions of the columns that a net sees, with doe counted from the angle of going straight on."""
     model: CarModel
     """The car of that record."""
-    forecast: Forecast
+    forecast: DelayCompensator
 
 
 def process_of(record: Transitions, description: StateDescription, longest: float, dt: float = DT) -> Process:
@@ -82,7 +82,7 @@ def process_of(record: Transitions, description: StateDescription, longest: floa
     part = known[best]
     model = refined(models[best], part)
     numbers = {name: getattr(model, name) for name in (*ANSWER, "straight")}
-    forecast = Forecast(samples=best, trust=TRUST, dt=dt, **numbers)
+    forecast = DelayCompensator(samples=best, trust=TRUST, dt=dt, **numbers)
     s, s_next = part.s[:, : len(COLUMNS)].copy(), part.s_next[:, : len(COLUMNS)].copy()
     s[:, DOE] -= model.straight
     s_next[:, DOE] -= model.straight

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerkit._support.errors import require
-from steerkit.controllers.forecast import LONGEST, PREVIEW
+from steerkit.controllers.delay_compensator import LONGEST, PREVIEW
 from steerkit.controllers.nfq_policy import COMBINATIONS, Combine, combined
 from steerkit.controllers.policy import ACTION, DOE, E, V
 from steerkit.controllers.state_description import StateDescription

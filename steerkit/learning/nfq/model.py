@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerkit._support.errors import require
-from steerkit.controllers.forecast import ANSWER, LENGTH, SLOWEST, Motion, moved
+from steerkit.controllers.delay_compensator import ANSWER, LENGTH, SLOWEST, Motion, moved
 from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, R_E, E, V
 from steerkit.controllers.state_description import StateDescription
 from steerkit.learning.data.transitions import Transitions
@@ -44,7 +44,8 @@ class CarModel:
 
         doe' = sat(held*doe + pushed*a),   v' = v
 
-    for the dynamic output element and the human; e', c', psi_e' and r_e' by `steerkit.controllers.forecast.moved`,
+    for the dynamic output element and the human; e', c', psi_e' and r_e' by
+    `steerkit.controllers.delay_compensator.moved`,
     in which nothing changes when doe is turned by x and psi_e by -x*ratio, where `ratio` is the learned steering
     ratio's inverse. Bends ahead, humans and noise are in `residuals`. Seven numbers, found by least squares from about
     20 transitions on; two more where the path's curvature was recorded: `straight`, and how the tyres' slip grows with

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from steerkit._support.errors import require
-from steerkit.controllers.forecast import Forecast
+from steerkit.controllers.delay_compensator import DelayCompensator
 from steerkit.controllers.state_description import StateDescription
 from steerkit.learning.costs import Cost
 from steerkit.learning.data.transitions import Transitions
@@ -18,7 +18,7 @@ class Learned(NamedTuple):
     """What an update of the Q-function gives a policy."""
 
     nets: Nets = ()
-    forecast: Forecast | None = None
+    forecast: DelayCompensator | None = None
     """Of a setting with `dead_time`."""
 
 

@@ -22,9 +22,9 @@ from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import simulate
 from steerkit.paths.courses import circle
-from steerkit.plants.human import ConstantSpeed, Human
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.sensors import Sensors
+from steerkit.plants.speed_driver import ConstantSpeed, SpeedDriver
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario.assembly import placed, steering_loop
 from tests.support.straight_road import PASSAT, steered
@@ -105,9 +105,9 @@ def test_prediction_gives_stanley_back_its_delay_margin() -> None:
 
 def test_what_does_not_matter_is_left_out() -> None:
     """Noise generators, the human's mood and the way driven are no part of the loop."""
-    loop = steered(human=Human(v_min=6.0, v_max=6.0), sensors=Sensors(psi_bias=0.0))
+    loop = steered(driver=SpeedDriver(v_min=6.0, v_max=6.0), sensors=Sensors(psi_bias=0.0))
     labels = break_at(loop, "controller.delta_sw").state_labels
-    assert not [name for name in labels if name.startswith(("human", "sensors", "path"))]
+    assert not [name for name in labels if name.startswith(("driver", "sensors", "path"))]
     assert {"car_y", "car_psi", "car_r", "car_sway"} <= set(labels)
 
 
@@ -115,7 +115,7 @@ def test_in_a_bend_it_says_that_the_pose_turns() -> None:
     path = circle(30.0)
     car = placed(LinearSingleTrack(vehicle=PASSAT, v0=5.0), path)
     loop = steering_loop(
-        car=car, path=path, human=ConstantSpeed(speed=5.0), controller=Stanley.of(PASSAT), reference=PASSAT.l_f
+        car=car, path=path, driver=ConstantSpeed(speed=5.0), controller=Stanley.of(PASSAT), reference=PASSAT.l_f
     )
     steady = simulate(loop, 20.0).state
     with pytest.raises(NotTimeInvariantError, match="start on a straight path at a constant speed"):

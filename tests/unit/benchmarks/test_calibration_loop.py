@@ -13,13 +13,18 @@ def test_eight_cars_in_a_row_are_wrong_by_the_same_with_all_signs() -> None:
     signs = set()
     for number in range(3000, 3008):
         wrong, true = mistold(number)
-        late = wrong.told_dead_time - true.told_dead_time
+        late = wrong.believed_dead_time - true.believed_dead_time
         assert (abs(late), abs(true.offset_deg)) == pytest.approx((0.2, 3.0))
         assert true.ratio in (0.8, 1.25)
-        assert wrong.belief().delay >= 0.0
-        assert (wrong.belief().offset, true.belief().offset) == (0.0, pytest.approx(true.offset_deg * 0.0174532925))
-        assert wrong.belief().vehicle.steer_ratio * true.ratio == pytest.approx(true.belief().vehicle.steer_ratio)
-        assert replace(wrong, told="truth", told_delay=None) == true
+        assert wrong.design_model().delay >= 0.0
+        assert (wrong.design_model().offset, true.design_model().offset) == (
+            0.0,
+            pytest.approx(true.offset_deg * 0.0174532925),
+        )
+        assert wrong.design_model().vehicle.steer_ratio * true.ratio == pytest.approx(
+            true.design_model().vehicle.steer_ratio
+        )
+        assert replace(wrong, told="truth", believed_delay=None) == true
         signs.add((late > 0.0, true.offset_deg > 0.0, true.ratio > 1.0))
     assert len(signs) == 8
 

@@ -22,8 +22,8 @@ def test_one_who_is_learned_is_taught_before_it_drives_and_no_other() -> None:
 
 
 def test_one_that_is_told_the_truth_knows_what_the_scenario_hides() -> None:
-    hidden = replace(STEP, ratio=1.25, offset_deg=2.0, delay=0.2, lag=0.3, told_delay=0.0, told_lag=0.0)
-    seen = controller("lqr-told-truth").in_its_eyes(hidden).belief()
+    hidden = replace(STEP, ratio=1.25, offset_deg=2.0, delay=0.2, lag=0.3, believed_delay=0.0, believed_lag=0.0)
+    seen = controller("lqr-oracle").in_its_eyes(hidden).design_model()
     assert (seen.delay, seen.lag, seen.offset) == (0.2, 0.3, pytest.approx(np.deg2rad(2.0)))
     assert seen.vehicle.steer_ratio == pytest.approx(1.25 * STEP.nominal.steer_ratio)
     assert controller("lqr").in_its_eyes(hidden) == hidden

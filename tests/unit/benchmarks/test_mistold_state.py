@@ -15,8 +15,8 @@ def test_cars_are_wrong_by_what_is_said_and_behind_an_estimator_nothing_is_late(
     for number in (3004, 3008):
         raw, behind = unlike(number, "none"), unlike(number, "adaptive-state")
         wrong, true = mistold(number)
-        assert (raw.told_delay, behind.estimator) == (wrong.told_delay, "adaptive-state")
-        assert behind.told_dead_time == pytest.approx(max(raw.told_dead_time - raw.latency, 0.0))
+        assert (raw.believed_delay, behind.estimator) == (wrong.believed_delay, "adaptive-state")
+        assert behind.believed_dead_time == pytest.approx(max(raw.believed_dead_time - raw.latency, 0.0))
         assert (raw.ratio, raw.offset_deg) == (true.ratio, true.offset_deg)
         assert 0.8 <= raw.tyres <= 1.25
         assert abs(raw.gyro_zero_deg) <= 0.3

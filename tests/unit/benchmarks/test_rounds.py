@@ -5,7 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.rounds import CAR, LAG, belief, drive_loop, driven, interpreted, on_course, reference_of, rms, worst
+from benchmarks.rounds import (
+    CAR,
+    LAG,
+    design_model,
+    drive_loop,
+    driven,
+    interpreted,
+    on_course,
+    reference_of,
+    rms,
+    worst,
+)
 from steerkit.diagram.simulation import Log
 from steerkit.scenario.catalogue import make_controller
 
@@ -30,7 +41,7 @@ def test_a_round_that_was_not_finished_is_infinitely_bad() -> None:
 
 
 def test_controllers_are_told_this_car_and_judged_where_they_measure() -> None:
-    told = belief(delay=0.2)
+    told = design_model(delay=0.2)
     assert (told.vehicle, told.delay, told.lag) == (CAR, 0.2, LAG)
     stanley = make_controller("stanley", told)
     assert reference_of(stanley) == pytest.approx(CAR.l_f)
@@ -38,7 +49,7 @@ def test_controllers_are_told_this_car_and_judged_where_they_measure() -> None:
 
 
 def test_many_cars_at_once_are_driven_as_one_after_the_other() -> None:
-    stanley = make_controller("stanley", belief(delay=0.0))
+    stanley = make_controller("stanley", design_model(delay=0.0))
     loop = drive_loop(stanley, e=0.3, v_max=6.0)
     gains = np.array([stanley.k, 1.0])  # type: ignore[attr-defined]; each car has a human of its own
     many = driven(loop, 5.0, {"controller.k": gains})

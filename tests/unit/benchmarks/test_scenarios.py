@@ -25,20 +25,20 @@ def test_an_open_course_is_driven_from_5_m_on_and_judged_where_the_controller_st
 
 def test_scenarios_that_differ_in_what_is_open_share_a_shape() -> None:
     other = replace(STEP, name="other", tyres=0.8, ratio=1.1, offset_deg=3.0, lag=0.3, v_min=5.0, v_max=6.0)
-    told = replace(other, told_lag=STEP.lag)  # what a controller is told is built into it
+    told = replace(other, believed_lag=STEP.lag)  # what a controller is told is built into it
     assert shape(told) == shape(STEP) != shape(other)
     assert shape(replace(STEP, wind=0.1)) != shape(STEP)
-    for case in (other, told, replace(STEP, latency=0.05), replace(STEP, told_delay=0.3, told_lag=0.05)):
-        believed, meant = shape(case).belief(), case.belief()
+    for case in (other, told, replace(STEP, latency=0.05), replace(STEP, believed_delay=0.3, believed_lag=0.05)):
+        believed, meant = shape(case).design_model(), case.design_model()
         assert (believed.delay, believed.lag) == (meant.delay, meant.lag)
     assert "car.block.vehicle.c_f" in open_parameters(replace(STEP, wind=0.1))
-    assert "human.human.v_min" not in open_parameters(replace(STEP, course="iso3888-1"))
+    assert "driver.driver.v_min" not in open_parameters(replace(STEP, course="iso3888-1"))
     assert open_parameters(replace(STEP, plant=MULTI_BODY, vehicle="bmw-320i")) == ()
 
 
 def test_what_a_controller_that_knows_the_truth_knows_is_not_left_out_of_the_shape() -> None:
     known = replace(STEP, told="truth", ratio=1.25, tyres=0.6, offset_deg=2.0)
-    assert shape(known).belief() == known.belief()
+    assert shape(known).design_model() == known.design_model()
     assert shape(known) != shape(replace(known, ratio=1.2))
 
 
@@ -47,7 +47,7 @@ def test_cars_unlike_their_data_sheet_begin_where_their_scenario_says_and_tell_n
     delays = [one.delay for one in cars if one.name.startswith("fleet-")]
     assert delays == [0.1, 0.12, 0.15, 0.2]
     for one in cars:
-        believed = one.belief()
+        believed = one.design_model()
         assert (believed.delay, believed.lag, believed.vehicle) == (0.0, 0.0, one.nominal)
     slow = cars[0]
     loop = suite_loop(slow, controller("stanley").make(slow))  # type: ignore[misc]

@@ -95,14 +95,14 @@ def test_on_cars_unlike_their_data_sheet_a_learner_is_trained_for_each_and_quick
         job.id for job in trained
     }
     monkeypatch.setitem(TRAININGS, "same-car-1", replace(TRAININGS["same-car-1"], minutes=0.3))
-    quick = replace(suite("adapt-quick"), controllers=("lqr", "lqr-told-truth", "nfq-same-car-1"))
+    quick = replace(suite("adapt-quick"), controllers=("lqr", "lqr-oracle", "nfq-same-car-1"))
     (car,) = quick.scenarios
     results = run([quick], tmp_path / "results", workers=1, quiet=True)
     assert [case.status for case in results.cases] == ["done"] * 4
     rms_e = {case.controller: case.metrics["rms_e"] for case in results.cases if case.kind == "drive"}
-    assert rms_e["lqr-told-truth"] < 0.5 * rms_e["lqr"], "it knows the ratio and the tyres"
+    assert rms_e["lqr-oracle"] < 0.5 * rms_e["lqr"], "it knows the ratio and the tyres"
     training = f"train-same-car-1-on-{car.name}"
-    assert results.protocol[training] | {"told_delay": 0.0, "told_lag": 0.0} == (
+    assert results.protocol[training] | {"believed_delay": 0.0, "believed_lag": 0.0} == (
         results.protocol[car.name] | {k: v for k, v in results.protocol[training].items() if k not in facts(car)}
     )
     times = [file.stat().st_mtime_ns for file in (tmp_path / "results" / "cases").glob("*.json")]

@@ -45,15 +45,15 @@ happenings = st.one_of(
 
 
 @settings(max_examples=150)
-@given(story=st.lists(happenings, max_size=60), engaged=st.booleans())
-def test_noise_raises_nothing_and_moves_nothing(story: list[Any], engaged: bool) -> None:
+@given(learner_state=st.lists(happenings, max_size=60), engaged=st.booleans())
+def test_noise_raises_nothing_and_moves_nothing(learner_state: list[Any], engaged: bool) -> None:
     core, t = Core(config(), course("paper")), 5.0
     core.handle(Link(t, 1, True))
     core.handle(Packet(t, 1, encode(Hello(True))))
     if engaged:  # put there by force: it must get out by itself
         core.senses.values |= {"v": 5.0, "v_kit": 5.0, "delta_sw": 0.0}
         core.machine = Machine(Mode.ENGAGED, "force", t)
-    for kind, pause, where, what in story:
+    for kind, pause, where, what in learner_state:
         t += pause
         match kind:
             case "frame":
@@ -71,7 +71,7 @@ def test_noise_raises_nothing_and_moves_nothing(story: list[Any], engaged: bool)
                 assert abs(angle) <= config().gate.delta_sw_max + 1e-9
             if isinstance(sent, Reply):
                 assert isinstance(decode(sent.data), (Snapshot, Refused))
-        assert core.machine.mode is not Mode.ENGAGED or not story
+        assert core.machine.mode is not Mode.ENGAGED or not learner_state
         assert core.wake > core.t
         assert math.isfinite(core.wake)
 

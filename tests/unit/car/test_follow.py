@@ -111,7 +111,7 @@ def test_a_pose_that_comes_back_makes_the_loop_begin_anew_once_but_never_while_e
 def test_what_was_found_of_a_car_that_got_off_its_path_or_into_a_fault_is_not_believed(
     e: float, then: Mode, kept: bool
 ) -> None:
-    adaptive: Any = make_controller("stanley-adaptive", loops.belief_of(setup()[0]))
+    adaptive: Any = make_controller("stanley-adaptive", loops.design_model_of(setup()[0]))
     world = world_of(adaptive)
     world.until(0.3)
     line, number = Line(world), world.run.loop.names.index("controller")

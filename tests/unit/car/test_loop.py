@@ -22,12 +22,12 @@ CONFIG, COURSE = setup()
 
 def test_controllers_are_told_the_kits_delay_and_lag_and_the_lower_of_two_stops() -> None:
     config = replace(CONFIG, delay=0.07, lag=0.31, gate=replace(CONFIG.gate, delta_sw_max=5.0, rate_max=3.0))
-    belief = loops.belief_of(config)
-    assert (belief.delay, belief.lag) == (0.07, 0.31)
-    assert belief.rate_limit == 3.0
-    assert belief.vehicle.delta_sw_max == 5.0
+    design_model = loops.design_model_of(config)
+    assert (design_model.delay, design_model.lag) == (0.07, 0.31)
+    assert design_model.rate_limit == 3.0
+    assert design_model.vehicle.delta_sw_max == 5.0
     car = replace(config.vehicle, delta_sw_max=4.0)
-    assert loops.belief_of(replace(config, vehicle=car)).vehicle.delta_sw_max == 4.0
+    assert loops.design_model_of(replace(config, vehicle=car)).vehicle.delta_sw_max == 4.0
 
 
 def test_foresight_reckons_with_every_limit_of_the_gate() -> None:

@@ -14,7 +14,7 @@ from mcap.writer import IndexType, Writer
 
 from steerkit.car import protocol
 from steerkit.car import recording as tapes
-from steerkit.car import recording_file as tape_file
+from steerkit.car import recording_file as recording_file
 from steerkit.car.core import Core, End, Frame, Link, Note, Packet, Send, Taping, Tick
 from steerkit.car.state_machine import Mode
 from tests.support.car_world import World, setup
@@ -66,7 +66,7 @@ def test_numbers_of_a_recording_come_back_bit_for_bit(tmp_path: Path) -> None:
     read = tapes.read(tmp_path / "t.mcap").of("/command")
     assert [struct.pack("<d", v["request"]) for v in read] == [struct.pack("<d", value) for value in odd]
     assert all(math.isnan(v["sent"]) for v in read)
-    found = tape_file.contents((tmp_path / "t.mcap").read_bytes())
+    found = recording_file.contents((tmp_path / "t.mcap").read_bytes())
     for line in (line for chunk in found.chunks for line in chunk.lines):  # JSON as other tools read it, too
         json.loads(line.data, parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
 
@@ -131,7 +131,7 @@ def test_recordings_of_before_say_which_protocol_they_have(tmp_path: Path, versi
 
 
 def test_a_recording_of_a_later_protocol_is_refused_with_its_number_and_version(tmp_path: Path) -> None:
-    chunked(tape_file.contents(small()), tmp_path / "t.mcap", {"protocol": "9", "steerkit-control": "7.0"})
+    chunked(recording_file.contents(small()), tmp_path / "t.mcap", {"protocol": "9", "steerkit-control": "7.0"})
     with pytest.raises(ValueError, match=rf"of protocol 9, this is {protocol.VERSION}; .* that made it, 7\.0"):
         tapes.read(tmp_path / "t.mcap")
 
@@ -140,7 +140,7 @@ def test_a_recording_of_a_later_protocol_is_refused_with_its_number_and_version(
 
 
 def places_to_cut() -> list[int]:
-    found, rng = tape_file.contents(small()), random.Random(1)
+    found, rng = recording_file.contents(small()), random.Random(1)
     ends = [chunk.end for chunk in found.chunks]
     borders = [end + k for end in (*ends, ends[-1] + 13) for k in (-1, 0, 1)]  # 13 bytes end the data
     some = (rng.randrange(len(small())) for _ in range(100))
@@ -148,7 +148,7 @@ def places_to_cut() -> list[int]:
 
 
 def test_a_recording_cut_anywhere_opens_with_all_chunks_that_came_before(tmp_path: Path) -> None:
-    found, every = tape_file.contents(small()), list(map(repr, tapes._read_bytes(small())[0].messages))
+    found, every = recording_file.contents(small()), list(map(repr, tapes._read_bytes(small())[0].messages))
     first = found.chunks[0].begin
     ended = 0
     for length in places_to_cut():
@@ -194,7 +194,7 @@ def test_a_thousand_flipped_bits_lose_no_more_than_their_chunk_and_are_told() ->
 
 
 def test_what_is_missing_is_told_in_messages_bytes_and_seconds(drive: Path) -> None:
-    chunks = tape_file.contents(small()).chunks
+    chunks = recording_file.contents(small()).chunks
     drive.write_bytes(flipped(small(), 8 * (chunks[3].begin + 200)))
     recorded = tapes.read(drive)
     count, size, gone = len(recorded.messages), len(small()), chunks[3].end - chunks[3].begin
@@ -220,7 +220,7 @@ def test_what_is_missing_is_told_in_messages_bytes_and_seconds(drive: Path) -> N
 
 
 def test_a_repair_writes_a_new_file_and_keeps_all_behind_the_damage(drive: Path) -> None:
-    chunks = tape_file.contents(small()).chunks
+    chunks = recording_file.contents(small()).chunks
     hurt = flipped(flipped(small(), 8 * (chunks[3].begin + 200)), 8 * (chunks[6].begin + 1))[: chunks[-1].end]
     drive.write_bytes(hurt)
     left, place = tapes.repair(drive)
@@ -234,16 +234,16 @@ def test_a_repair_writes_a_new_file_and_keeps_all_behind_the_damage(drive: Path)
     assert again.lost == left.lost
     assert len(again.lost) == 3
     assert {k: v for k, v in again.metadata.items() if k != "repaired"} == left.metadata
-    lines = [line for chunk in tape_file.contents(place.read_bytes()).chunks for line in chunk.lines]
+    lines = [line for chunk in recording_file.contents(place.read_bytes()).chunks for line in chunk.lines]
     assert {line[:4] for line in lines} <= {line[:4] for chunk in chunks for line in chunk.lines}
-    assert len(tape_file.contents(place.read_bytes()).chunks) == len(chunks) - 2
+    assert len(recording_file.contents(place.read_bytes()).chunks) == len(chunks) - 2
 
 
 def test_a_repaired_recording_that_is_damaged_again_tells_of_both(drive: Path) -> None:
-    chunks = tape_file.contents(small()).chunks
+    chunks = recording_file.contents(small()).chunks
     drive.write_bytes(flipped(small(), 8 * (chunks[3].begin + 200)))
     _, place = tapes.repair(drive)
-    chunks = tape_file.contents(place.read_bytes()).chunks
+    chunks = recording_file.contents(place.read_bytes()).chunks
     place.write_bytes(flipped(place.read_bytes(), 8 * (chunks[-1].begin + 200)))
     again = tapes.read(place)
     assert not again.sound

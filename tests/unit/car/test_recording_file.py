@@ -54,7 +54,7 @@ def test_other_programs_read_it_and_agree_with_its_sums() -> None:
 
 
 def test_what_was_flushed_is_read_by_other_programs_from_a_file_without_end(tmp_path: Path) -> None:
-    tape = files.TapeFile(tmp_path / "t.mcap", {"a": "b"})
+    tape = files.RecordingFile(tmp_path / "t.mcap", {"a": "b"})
     tape.add("/tick", 5, b'{"t":1.0}')
     tape.flush()
     tape.add("/tick", 6, b'{"t":2.0}')
@@ -218,7 +218,7 @@ def test_lengths_that_lie_cost_neither_memory_nor_a_second_look_at_everything(mo
 
 
 def test_a_long_message_closes_its_chunk(tmp_path: Path) -> None:
-    tape = files.TapeFile(tmp_path / "t.mcap", {})
+    tape = files.RecordingFile(tmp_path / "t.mcap", {})
     for k in range(3):
         tape.add("/tick", k, json.dumps({"t": k, "x": "x" * files.CHUNK}).encode())
     tape.close()
@@ -226,7 +226,7 @@ def test_a_long_message_closes_its_chunk(tmp_path: Path) -> None:
 
 
 def test_a_topic_of_another_version_is_kept(tmp_path: Path) -> None:
-    tape = files.TapeFile(tmp_path / "t.mcap", {})
+    tape = files.RecordingFile(tmp_path / "t.mcap", {})
     tape.add("/new", 1, b'{"t":1.0}')
     tape.close()
     (chunk,) = files.contents((tmp_path / "t.mcap").read_bytes()).chunks

@@ -10,7 +10,7 @@ import pytest
 
 from steerkit.car import protocol
 from steerkit.car import recording as tapes
-from steerkit.car import recording_file as tape_file
+from steerkit.car import recording_file as recording_file
 from steerkit.car.config.config import shipped
 from steerkit.car.config.reading import load
 from steerkit.car.configured import course_of
@@ -85,7 +85,7 @@ def test_a_recording_from_when_the_table_was_called_driver_is_read(tmp_path: Pat
 
 
 def test_a_recording_without_description_says_that_there_is_no_replay(tmp_path: Path) -> None:
-    first = tape_file.contents(small()).chunks[0].begin
+    first = recording_file.contents(small()).chunks[0].begin
     (tmp_path / "t.mcap").write_bytes(small()[:8] + bytes(first - 8) + small()[first:])
     recorded = tapes.read(tmp_path / "t.mcap")
     assert len(recorded.messages) == len(tapes._read_bytes(small())[0].messages)

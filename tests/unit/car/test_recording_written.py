@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from steerkit.car import recording as tapes
-from steerkit.car import recording_file as tape_file
+from steerkit.car import recording_file as recording_file
 from steerkit.car.core import Note, Tick
 from tests.support.tapes import LINES, flipped, full_disk, small, until
 
@@ -33,7 +33,7 @@ def test_a_recording_in_use_is_looked_into_but_not_repaired(tmp_path: Path) -> N
 
 
 def test_damage_in_a_recording_in_use_is_told_but_not_its_end_that_is_yet_to_come(drive: Path) -> None:
-    chunks = tape_file.contents(small()).chunks
+    chunks = recording_file.contents(small()).chunks
     drive.write_bytes(flipped(small(), 8 * (chunks[1].begin + 200))[: chunks[4].end])
     with drive.open("rb") as stream:
         fcntl.flock(stream, fcntl.LOCK_EX)
@@ -64,7 +64,7 @@ def test_an_event_and_what_came_of_it_reach_the_operating_system_together(
         tape.event(Tick(float(k)), [Note("state", {"t": float(k)}), Note("command", {"t": float(k)})])
     until(lambda: tape._queue.empty())
     tape.close()
-    chunks = tape_file.contents((tmp_path / "t.mcap").read_bytes()).chunks
+    chunks = recording_file.contents((tmp_path / "t.mcap").read_bytes()).chunks
     assert len(chunks) > 10
     assert {len(chunk.lines) % 3 for chunk in chunks} == {0}
 

@@ -214,7 +214,7 @@ def test_a_speed_profile_is_driven_round_after_round(tmp_path: Path) -> None:
     length = scenario.path().length
     assert log["path.progress"][-1] >= 1.5 * length
     expected = np.interp(log["path.progress"] % length, [0.0, 60.0, 120.0, length], [5.0, 8.0, 5.0, 5.0])
-    np.testing.assert_allclose(log["human.v"], expected, atol=0.15)
+    np.testing.assert_allclose(log["driver.v"], expected, atol=0.15)
 
 
 def test_a_vehicle_beside_a_scenarios_file_brings_its_steering(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,8 +16,8 @@ from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.simulation import simulate
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.steering_delay import YawDelay
+from steerkit.learning.learner_state import untrained
 from steerkit.learning.settings import setting as named
-from steerkit.learning.story import untrained
 from steerkit.paths.courses import circle
 from steerkit.scenario import Scenario
 from steerkit.scenario.drive import assembled, controller, drive_loop
@@ -125,7 +125,7 @@ def test_while_it_rests_it_keeps_what_it_found_and_learns_nothing_of_commands_th
             x = block.update(0.05 * k, x, u, block.Y(math.sin(0.2 * k + (3.0 if rests else 1.0))))
             if rests:
                 fresh = block.settle(0.0, block.init(), block.U(**HERE))
-                x = block.rested(x, fresh)
+                x = block.on_standby(x, fresh)
                 assert x[:first] == fresh[:first], "the controllers begin anew"
         return x
 
@@ -140,7 +140,7 @@ def test_while_it_rests_it_keeps_what_it_found_and_learns_nothing_of_commands_th
         return [*block.told(x), block.delay.output(0.0, states[-2], ()).delay_lag, ratio]
 
     assert said(after)[2:] != said(block.init())[2:], "it had learned"
-    once = block.rested(x, block.settle(0.0, block.init(), block.U(**HERE)))
+    once = block.on_standby(x, block.settle(0.0, block.init(), block.U(**HERE)))
     assert said(after) == pytest.approx(said(once), abs=1e-12)
     again = driven(after, range(300, 303), rests=False)
     assert again[-3] == 0.0
@@ -148,7 +148,7 @@ def test_while_it_rests_it_keeps_what_it_found_and_learns_nothing_of_commands_th
     spoilt = list(x)
     spoilt[first + 20] = math.nan
     fresh = block.settle(0.0, block.init(), block.U(**HERE))
-    assert block.rested(tuple(spoilt), fresh) == (*fresh[:-3], 1.0, *fresh[-2:]), "an end to what would never end"
+    assert block.on_standby(tuple(spoilt), fresh) == (*fresh[:-3], 1.0, *fresh[-2:]), "an end to what would never end"
     long = driven(after, range(300, 400), rests=False)
     assert said(long)[2:] != pytest.approx(said(once)[2:], abs=1e-6), "now they have"
 
@@ -164,17 +164,17 @@ def test_commands_faster_than_a_wheel_can_turn_teach_nothing_of_the_ratio() -> N
 
 def caught(recovery: str) -> float:
     """Largest |e| from 10 to 15 s on [m], where only the recovery steers, told nothing of 0.35 s of delay."""
-    place = Scenario.under("hard", delay=0.35, lag=0.28, told_delay=0.0, recovery=recovery)
+    place = Scenario.under("hard", delay=0.35, lag=0.28, believed_delay=0.0, recovery=recovery)
     setting = named("default")
     never = replace(untrained(setting, 0), ready_from=math.inf)
-    loop = assembled(place, never, doe=setting.element(place.nominal), recovery=place.catcher())
+    loop = assembled(place, never, doe=setting.element(place.nominal), recovery=place.recovery_controller())
     e = simulate(loop, 15.0, every=round(0.05 / loop.dt), allow_nonfinite=True)["path.e"]
     return float(np.abs(e[200:]).max())
 
 
 def test_as_a_recovery_it_catches_a_car_whose_delay_nobody_knows() -> None:
-    assert caught("adapting") < 0.15
-    assert caught("fitting") > 1.0
+    assert caught("adaptive") < 0.15
+    assert caught("auto") > 1.0
 
 
 def rms(name: str, scenario: Scenario) -> tuple[float, float]:
@@ -187,10 +187,10 @@ def rms(name: str, scenario: Scenario) -> tuple[float, float]:
     return float(np.sqrt(np.mean(e[600:] ** 2))), float(np.abs(e[20:]).max())
 
 
-@pytest.mark.parametrize("wrong", [{"ratio": 1.25}, {"offset_deg": 3.0}, {"delay": 0.2, "told_delay": 0.0}])
+@pytest.mark.parametrize("wrong", [{"ratio": 1.25}, {"offset_deg": 3.0}, {"delay": 0.2, "believed_delay": 0.0}])
 def test_it_drives_nearly_as_well_as_one_that_is_told_the_truth(wrong: dict[str, float]) -> None:
     off: Any = Scenario(**wrong)  # type: ignore[arg-type]
-    truth = rms("stanley-delay", replace(off, told="truth", told_delay=None))[0]
+    truth = rms("stanley-delay", replace(off, told="truth", believed_delay=None))[0]
     plain, adapts = rms("stanley-delay", off), rms("stanley-adaptive", off)
     assert adapts[0] < plain[0]
     assert adapts[0] < max(1.3 * truth, 0.008)

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from steerkit.compiled import compile
-from steerkit.controllers.delay import Predicted, delayed_stanley, identified
+from steerkit.controllers.delay import DelayPredictor, delayed_stanley, fit_delay_lag
 from steerkit.controllers.limits import slewed
 from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.stanley import Stanley
@@ -20,10 +20,10 @@ from steerkit.diagram.block import Block, In, Out, State
 from steerkit.diagram.simulation import simulate
 from steerkit.doe import PlainAngle
 from steerkit.paths.courses import circle, course, straight
-from steerkit.plants.careful_human import CarefulHuman
-from steerkit.plants.human import ConstantSpeed, Human
+from steerkit.plants.curve_speed_driver import CurveSpeedDriver
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.speed_driver import ConstantSpeed, SpeedDriver
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import vehicle
@@ -32,13 +32,13 @@ PASSAT = vehicle("vw-passat")
 AT_REST: dict[str, Any] = {"e": 0.0, "psi_e": 0.0, "v": 6.0, "r": 0.0, "delta_sw_meas": 0.0}
 
 
-def ahead(block: Predicted, commands: tuple[float, ...], **u: Any) -> dict[str, Any]:
+def ahead(block: DelayPredictor, commands: tuple[float, ...], **u: Any) -> dict[str, Any]:
     signals = {"preview": (0.0,) * block.preview_points} | AT_REST | u
     return block.predict(signals["r"], commands, block.D(**signals))
 
 
-def around(delay: float, lag: float, **changes: Any) -> Predicted:
-    return replace(Predicted.around(Stanley.of(PASSAT), PASSAT, delay=delay, lag=lag), **changes)
+def around(delay: float, lag: float, **changes: Any) -> DelayPredictor:
+    return replace(DelayPredictor.around(Stanley.of(PASSAT), PASSAT, delay=delay, lag=lag), **changes)
 
 
 def test_without_delay_and_lag_it_is_the_block_itself() -> None:
@@ -121,7 +121,7 @@ def test_a_steady_bend_stays_one(v: float) -> None:
         car=car,
         path=path,
         controller=block,
-        human=ConstantSpeed(speed=v),
+        driver=ConstantSpeed(speed=v),
         actuator=SteeringActuator(delay=0.2),
         reference=PASSAT.l_f,
     )
@@ -143,7 +143,7 @@ def test_the_prediction_comes_true(delay: float) -> None:
     loop = steering_loop(
         car=car,
         path=path,
-        human=ConstantSpeed(speed=5.0),
+        driver=ConstantSpeed(speed=5.0),
         controller=block,
         actuator=SteeringActuator(delay=delay, lag=lag),
         reference=PASSAT.l_f,
@@ -181,7 +181,7 @@ def test_a_delayed_car_is_steered_as_if_it_were_not() -> None:
         loop = steering_loop(
             car=car,
             path=path,
-            human=ConstantSpeed(speed=9.0),
+            driver=ConstantSpeed(speed=9.0),
             controller=controller,
             actuator=SteeringActuator(delay=0.3, lag=0.1),
             reference=PASSAT.l_f,
@@ -290,13 +290,13 @@ def test_broken_commands_and_signals_pass() -> None:
 def test_it_wraps_only_what_it_can_serve() -> None:
     lqr = Lqr.of(PASSAT, LinearSingleTrack(vehicle=PASSAT).matrices, v_step=5.0, preview_points=2)
     with pytest.raises(ValueError, match="Lqr needs "):
-        Predicted(block=lqr)
+        DelayPredictor(block=lqr)
     with pytest.raises(ValueError, match=r"PlainAngle needs action, applied"):
-        Predicted(block=PlainAngle())
+        DelayPredictor(block=PlainAngle())
     with pytest.raises(ValueError, match=r"lag = -1.0"):
         around(0.1, -1.0)
     with pytest.raises(ValueError, match=r"dt = 0.01 s, but the wrapped block has 0.05 s"):
-        Predicted(block=Stanley.of(PASSAT), dt=0.01)
+        DelayPredictor(block=Stanley.of(PASSAT), dt=0.01)
 
 
 @settings(max_examples=25)
@@ -311,10 +311,10 @@ def test_delay_and_lag_are_read_from_a_log(delay: int, lag: float, gain: float, 
             commands.append(float(rng.normal()) * 0.3)
             wheel.append(x[0])
         x = motor.update(0.0, x, motor.U(commands[-1]), None)
-    found = identified(0.05 * np.arange(len(commands)), np.array(commands), np.array(wheel))
+    found = fit_delay_lag(0.05 * np.arange(len(commands)), np.array(commands), np.array(wheel))
     assert found.delay == pytest.approx(0.01 * delay, abs=1e-6)
     assert found.lag == pytest.approx(lag, abs=1e-6)
-    noisy = identified(
+    noisy = fit_delay_lag(
         0.05 * np.arange(len(commands)), np.array(commands), np.array(wheel) + rng.normal(0.0, 0.003, len(wheel))
     )
     assert noisy.delay == pytest.approx(0.01 * delay, abs=0.02)
@@ -324,24 +324,24 @@ def test_delay_and_lag_are_read_from_a_log(delay: int, lag: float, gain: float, 
 def test_a_log_that_tells_nothing_is_refused() -> None:
     t = 0.05 * np.arange(200)
     with pytest.raises(ValueError, match="was not moved"):
-        identified(t, np.zeros(200), np.zeros(200))
+        fit_delay_lag(t, np.zeros(200), np.zeros(200))
     with pytest.raises(ValueError, match="even steps"):
-        identified(t**2, np.sin(t), np.sin(t))
+        fit_delay_lag(t**2, np.sin(t), np.sin(t))
     with pytest.raises(ValueError, match="NaN"):
-        identified(t, np.sin(t), np.sin(t) * np.nan)
+        fit_delay_lag(t, np.sin(t), np.sin(t) * np.nan)
     with pytest.raises(ValueError, match="expected more than"):
-        identified(t[:20], np.sin(t)[:20], np.sin(t)[:20])
+        fit_delay_lag(t[:20], np.sin(t)[:20], np.sin(t)[:20])
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.2])
 def test_a_round_of_the_course_stays_within_a_tenth_of_a_metre(delay: float) -> None:
     """Nonlinear car, 0.1 s lag; the careful human would drive 9 m/s. Tyres and ratio off: still within 0.3 m."""
     path = course("paper")
-    human = CarefulHuman(path=path, human=Human(v_min=9.0, v_max=9.0))
+    driver = CurveSpeedDriver(path=path, driver=SpeedDriver(v_min=9.0, v_max=9.0))
     loop = steering_loop(
         car=placed(NonlinearSingleTrack(vehicle=PASSAT, v0=5.0), path),
         path=path,
-        human=human,
+        driver=driver,
         controller=delayed_stanley(PASSAT, delay=delay, lag=0.1),
         actuator=SteeringActuator(delay=delay, lag=0.1),
         reference=PASSAT.l_f,
@@ -365,12 +365,12 @@ def test_from_three_metres_and_45_degrees_it_comes_back_within_its_limits() -> N
     loop = steering_loop(
         car=car,
         path=path,
-        human=ConstantSpeed(speed=5.0),
+        driver=ConstantSpeed(speed=5.0),
         reference=PASSAT.l_f,
         controller=delayed_stanley(PASSAT, delay=0.2, lag=0.1),
         actuator=SteeringActuator(delay=0.2, lag=0.1),
     )
-    start = {"car.y0": e - PASSAT.l_f * np.sin(psi), "car.psi0": psi, "car.v0": v, "human.speed": v}
+    start = {"car.y0": e - PASSAT.l_f * np.sin(psi), "car.psi0": psi, "car.v0": v, "driver.speed": v}
     record = ["path.e", "car.a_y", "controller.delta_sw"]
     log = compile(loop, backend="vm", record=record, every=5, parameters=list(start)).run(15.0, parameters=start)
     assert np.abs(log["path.e"][-100:]).max() < 0.1

@@ -15,7 +15,7 @@ import pytest
 from steerkit.controllers.fail_safe import FAULTS, LATE, NOTHING, RAISED, FailSafe, said
 from steerkit.controllers.safety_filter import REASONS, SafetyFilter
 from steerkit.controllers.stanley import Stanley
-from steerkit.controllers.supervisor import Guarded
+from steerkit.controllers.supervisor import ExceptionGuard
 from steerkit.diagram.block import Block, take_ports
 from steerkit.scenario.assembly import bare
 from steerkit.vehicles import vehicle
@@ -135,7 +135,7 @@ def test_what_raises_while_a_loop_is_traced_goes_through() -> None:
     ("settings", "told"),
     [
         ({"block": Stanley.of(PASSAT)}, "block with outputs delta_sw, expected a SafetyFilter"),
-        ({"block": Guarded(block=Stanley.of(PASSAT))}, "expected a SafetyFilter"),
+        ({"block": ExceptionGuard(block=Stanley.of(PASSAT))}, "expected a SafetyFilter"),
         ({"budget": 0.0, "clock": lambda: 0.0}, "budget = 0.0"),
         ({"budget": 0.03}, "needs a clock"),
     ],

@@ -14,9 +14,9 @@ from steerkit.controllers.lqr import Lqr, LqrDesign
 from steerkit.diagram.simulation import Log, simulate
 from steerkit.paths.courses import circle, straight
 from steerkit.paths.path import Path
-from steerkit.plants.human import ConstantSpeed
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario import Scenario
 from steerkit.scenario.assembly import placed, steering_loop
@@ -37,7 +37,7 @@ def driven(
     loop = steering_loop(
         car=car,
         path=path,
-        human=ConstantSpeed(speed=v),
+        driver=ConstantSpeed(speed=v),
         controller=Lqr.of(PASSAT, MATRICES, delay=delay, v_step=1.0),
         actuator=SteeringActuator(delay=delay, lag=0.1),
         reference=PASSAT.l_f,
@@ -192,7 +192,7 @@ def test_it_compiles() -> None:
     loop = steering_loop(
         car=placed(LinearSingleTrack(vehicle=PASSAT, v0=5.0), path),
         path=path,
-        human=ConstantSpeed(speed=5.0),
+        driver=ConstantSpeed(speed=5.0),
         controller=Lqr.of(PASSAT, MATRICES, v_step=3.0, preview_points=4),
         actuator=SteeringActuator(),
         reference=PASSAT.l_f,

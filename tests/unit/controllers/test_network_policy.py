@@ -41,7 +41,7 @@ def test_a_policy_block_steers_as_its_policy_did_in_the_environment() -> None:
     loop = steering_loop(
         car=scenario.car(task.path),
         path=task.path,
-        human=scenario.human(0),
+        driver=scenario.driver(0),
         controller=block,
         doe=Integrator(),
         actuator=scenario.actuator(),

@@ -12,7 +12,7 @@ import pytest
 
 from steerkit._support.native import compiler
 from steerkit.controllers import nfq_native
-from steerkit.controllers.forecast import LONGEST, PREVIEW, Forecast
+from steerkit.controllers.delay_compensator import LONGEST, PREVIEW, DelayCompensator
 from steerkit.controllers.nfq_native import Kind, NativeNets, NotTheSameError, OpenPolicy, numbers_of
 from steerkit.controllers.nfq_policy import BANG_BANG_ACTIONS, COMBINATIONS, NfqPolicy
 from steerkit.controllers.state_description import StateDescription
@@ -70,7 +70,7 @@ def test_what_differs_is_open_and_what_does_not_is_the_kind() -> None:
         policy(description=replace(StateDescription(), scaled_from=8.0)),
     ):
         assert Kind(one) != Kind(other)
-    told = policy(preview_points=PREVIEW, forecast=Forecast(samples=3, now=0.4), ready_from=2.0)
+    told = policy(preview_points=PREVIEW, forecast=DelayCompensator(samples=3, now=0.4), ready_from=2.0)
     assert numbers_of(told)[:4] == (2.0, 1.0, 3.0, 0.4)
     assert numbers_of(policy(preview_points=PREVIEW))[:3] == (0.0, 0.0, 0.0)
 
@@ -83,7 +83,7 @@ def test_an_open_policy_is_the_policy_at_every_dead_time(samples: int | None) ->
     from steerkit.compiled.graph import from_symbols
     from steerkit.compiled.trace import exact_arithmetic, recorded_lookups
 
-    car = Forecast(
+    car = DelayCompensator(
         now=0.02, before=0.03, earlier=0.01, back=0.3, slip=0.001, yaw=0.4, straight=0.05, trust=0.3, loss=0.002
     )
     told = None if samples is None else replace(car, samples=samples)

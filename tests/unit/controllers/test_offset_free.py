@@ -17,8 +17,8 @@ from steerkit.diagram.simulation import simulate
 from steerkit.diagram.units import radians_of
 from steerkit.doe import Integrator
 from steerkit.paths.courses import straight
-from steerkit.plants.human import ConstantSpeed
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.scenario import Scenario
 from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.scenario.catalogue import make_controller
@@ -82,7 +82,7 @@ def driven(block: Any, e: float) -> np.ndarray:
     """e at the front axle of a car that starts so far beside a straight, at 6 m/s."""
     path = straight(200.0)
     car = placed(NonlinearSingleTrack(vehicle=PASSAT, v0=6.0), path, s=5.0, e=e)
-    loop = steering_loop(car=car, path=path, human=ConstantSpeed(speed=6.0), controller=block, reference=PASSAT.l_f)
+    loop = steering_loop(car=car, path=path, driver=ConstantSpeed(speed=6.0), controller=block, reference=PASSAT.l_f)
     return np.asarray(simulate(loop, 12.0)["path.e"])
 
 
@@ -99,7 +99,7 @@ def test_the_disturbance_is_found_within_the_time_that_is_stated() -> None:
 @pytest.mark.parametrize("start", [0.45, 3.0])
 @pytest.mark.parametrize("name", ["stanley", "lqr", "mpc"])
 def test_a_car_that_starts_beside_its_path_is_turned_past_it_by_no_more_than_2_cm(name: str, start: float) -> None:
-    bare = make_controller("stanley-delay" if name == "stanley" else name, replace(STRAIGHT, lag=0.0).belief())
+    bare = make_controller("stanley-delay" if name == "stanley" else name, replace(STRAIGHT, lag=0.0).design_model())
     e, before = driven(OffsetFree.around(bare, PASSAT), start), driven(bare, start)
     assert abs(e[-1]) < 0.01
     assert e.min() > min(before.min(), 0.0) - 0.02

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from steerkit.controllers.pure_pursuit import PurePursuit
 from steerkit.diagram.simulation import simulate
 from steerkit.paths.courses import circle, straight
-from steerkit.plants.human import ConstantSpeed
 from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import vehicle
@@ -63,7 +63,7 @@ def test_it_joins_the_path_with_its_rear_axle() -> None:
     car = placed(LinearSingleTrack(vehicle=PASSAT, v0=5.0), path, e=0.5)
     pursuit = PurePursuit.of(PASSAT, path)
     loop = steering_loop(
-        car=car, path=path, human=ConstantSpeed(speed=5.0), controller=pursuit, reference=pursuit.reference
+        car=car, path=path, driver=ConstantSpeed(speed=5.0), controller=pursuit, reference=pursuit.reference
     )
     assert abs(simulate(loop, 8.0)["path.e"][-1]) < 0.03  # tyre slip is not in its geometry
 
@@ -76,7 +76,7 @@ def test_told_of_a_delay_it_looks_farther_and_does_not_swing() -> None:
         loop = steering_loop(
             car=car,
             path=path,
-            human=ConstantSpeed(speed=6.0),
+            driver=ConstantSpeed(speed=6.0),
             controller=pursuit,
             actuator=SteeringActuator(delay=0.2, lag=0.1),
             reference=pursuit.reference,

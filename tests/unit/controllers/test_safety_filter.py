@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from steerkit.compiled import compile
-from steerkit.controllers.delay import Predicted, delayed_stanley
+from steerkit.controllers.command_compensation import CommandCompensation
+from steerkit.controllers.delay import DelayPredictor, delayed_stanley
 from steerkit.controllers.gate_model import BEHIND_GATE, GateModel
 from steerkit.controllers.safety_filter import _KEPT, REASONS, SafetyFilter
 from steerkit.controllers.stanley import Stanley
-from steerkit.controllers.trimmed import Trimmed
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, take_ports
 from steerkit.diagram.loop import Loop
@@ -266,12 +266,12 @@ class Adversary(Block):
 
 
 def driven(kind: str, scenario: Scenario, *, seconds: float = 8.0, **settings: Any) -> Log:
-    belief = scenario.belief()
-    block = SafetyFilter.of(belief.vehicle, delay=belief.delay, lag=belief.lag, **settings)
+    design_model = scenario.design_model()
+    block = SafetyFilter.of(design_model.vehicle, delay=design_model.delay, lag=design_model.lag, **settings)
     return simulate(assembled(scenario, Adversary(kind=kind), safety=block), seconds, every=5)
 
 
-WORST = Scenario.under("hard", course="paper", tyres=0.7, delay=0.1, told_delay=0.05)
+WORST = Scenario.under("hard", course="paper", tyres=0.7, delay=0.1, believed_delay=0.05)
 
 
 @pytest.mark.parametrize(("kind", "v", "ratio"), [("left", 6.5, 0.9), ("right", 4.0, 1.1), ("bang-bang", 5.0, 1.1)])
@@ -312,7 +312,7 @@ def test_several_steps_correct_more_calmly_than_one() -> None:
 def small() -> tuple[Loop, Log]:
     """A loop with a filter that looks ahead a short way, which is translated quickly, and what it does in 4 s."""
     scenario = Scenario.under("hard", course="paper")
-    block = SafetyFilter.of(scenario.belief().vehicle, delay=0.05, horizon=0.35, hold=1, halvings=1)
+    block = SafetyFilter.of(scenario.design_model().vehicle, delay=0.05, horizon=0.35, hold=1, halvings=1)
     loop = assembled(scenario, Adversary(kind="away"), safety=block)
     return loop, simulate(loop, 4.0, every=5)
 
@@ -338,8 +338,11 @@ def test_compiled_it_is_the_same(backend: Any) -> None:
         ({"e_doubt": -0.1}, "e_doubt"),
         ({"delay_doubt": math.nan}, "delay_doubt"),
         ({"gate": GateModel(), "horizon": 1.59}, "horizon"),  # the hold, and 1.2 s from side to side
-        ({"backup": Stanley.of(PASSAT)}, "backup of Stanley, expected Predicted around Stanley"),
-        ({"backup": Predicted(block=Trimmed(block=Stanley.of(PASSAT)))}, "backup of Trimmed, expected"),
+        ({"backup": Stanley.of(PASSAT)}, "backup of Stanley, expected DelayPredictor around Stanley"),
+        (
+            {"backup": DelayPredictor(block=CommandCompensation(block=Stanley.of(PASSAT)))},
+            "backup of CommandCompensation, expected",
+        ),
         ({"backup": delayed_stanley(PASSAT, delay=0.1, lag=0.1, dt=0.02)}, "dt = 0.05 s, but the backup has 0.02 s"),
     ],
 )

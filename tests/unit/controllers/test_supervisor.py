@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from steerkit.controllers.supervisor import Guarded, Supervisor, SupervisorState
+from steerkit.controllers.supervisor import ExceptionGuard, Supervisor, SupervisorState
 from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import Log, simulate
@@ -204,7 +204,7 @@ class Fragile(Block):
 
 
 def guarded(where: str) -> tuple[Loop, Log]:
-    learner, supervisor = Guarded(block=Fragile(where=where)), Supervisor()
+    learner, supervisor = ExceptionGuard(block=Fragile(where=where)), Supervisor()
     e, recovery, ready = Script(values=(0.0,)), Script(values=(3.0,)), Script(values=(1.0,))
     loop = Loop(
         blocks={"e": e, "recovery": recovery, "ready": ready, "learner": learner, "supervisor": supervisor},
@@ -240,7 +240,7 @@ def test_an_exception_in_update_leaves_the_state_as_it_was(caplog: pytest.LogCap
 
 def test_a_guard_is_like_the_block_that_it_guards() -> None:
     fragile = Fragile(dt=0.02)
-    guard = Guarded(block=fragile)
+    guard = ExceptionGuard(block=fragile)
     assert guard.dt == 0.02
     assert [p.name for p in guard.inputs] == ["u"]
     assert guard.delta_sw.spec is fragile.delta_sw.spec

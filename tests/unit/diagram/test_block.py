@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from steerkit.diagram.block import Block, In, Out
+from steerkit.learning.learner_state import untrained
 from steerkit.learning.settings import DEFAULT
-from steerkit.learning.story import untrained
-from steerkit.plants.human import SpeedProfile
+from steerkit.plants.speed_driver import SpeedProfile
 from tests.support.parts import Gain
 
 

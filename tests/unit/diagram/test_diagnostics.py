@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from steerkit._support.errors import WiringError
-from steerkit.controllers.supervisor import Guarded
+from steerkit.controllers.supervisor import ExceptionGuard
 from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.diagnostics import check_outputs, check_state, explained, in_one_line, place_of
 from steerkit.diagram.loop import Loop
@@ -65,7 +65,7 @@ def test_a_block_is_named_as_the_loop_names_it() -> None:
     gain = Gain(k="two")
     with pytest.raises(TypeError) as error:
         gain.output(0.0, (), gain.D(1.0))
-    assert place_of(error.value, {"controller": Guarded(block=gain)}) is None  # the guard was not asked
+    assert place_of(error.value, {"controller": ExceptionGuard(block=gain)}) is None  # the guard was not asked
     place = place_of(error.value, {"controller": gain})
     assert place is not None
     assert place.text == "controller.output (Gain)"

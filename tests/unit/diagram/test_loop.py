@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from steerkit._support.errors import WiringError
-from steerkit.controllers.supervisor import Guarded
+from steerkit.controllers.supervisor import ExceptionGuard
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.loop import Loop
@@ -328,7 +328,7 @@ class Hardware(Count):
     pure: ClassVar[bool] = False
 
 
-@pytest.mark.parametrize("car", [Hardware(), Guarded(block=Hardware())])
+@pytest.mark.parametrize("car", [Hardware(), ExceptionGuard(block=Hardware())])
 def test_what_is_not_pure_is_stepped_but_not_batched(car: Block) -> None:
     loop = Loop(blocks={"car": car}, wires=[])
     assert simulate(loop, 0.1)["car.n"].tolist() == [0.0, 1.0]

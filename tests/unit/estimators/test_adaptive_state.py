@@ -27,7 +27,13 @@ from tests.support.stepped import run_fast
 PLAIN = VehicleState.of(NonlinearSingleTrack(vehicle=VW_PASSAT))
 STEERING = SingleTrackFilter(vehicle=VW_PASSAT, held=False)
 HERE = dict(x_in=1.0, y_in=2.0, psi_in=0.1, age_in=0.05, v_in=6.0, r_in=0.1, motion_age_in=0.05, delta_sw_meas=0.4)
-WRONG: dict[str, float] = {"ratio": 1.25, "wheel_zero_deg": 3.0, "gyro_zero_deg": 0.2, "delay": 0.2, "told_delay": 0.2}
+WRONG: dict[str, float] = {
+    "ratio": 1.25,
+    "wheel_zero_deg": 3.0,
+    "gyro_zero_deg": 0.2,
+    "delay": 0.2,
+    "believed_delay": 0.2,
+}
 
 
 def adaptive(**settings: Any) -> AdaptiveState:

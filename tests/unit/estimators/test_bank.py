@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from steerkit.estimators.bank import Weighed, at, fits, fitted, learned, lowest, size, taught
+from steerkit.estimators.bank import Weighed, at, fits, fitted, learned, lowest, rls_update, size
 
 
 def test_recursive_moments_with_forgetting_are_the_weighted_ones() -> None:
@@ -17,7 +17,7 @@ def test_recursive_moments_with_forgetting_are_the_weighted_ones() -> None:
     for row, value, w in zip(x.tolist(), y.tolist(), weight.tolist()):
         total = keep * total + w
         gain = w / total
-        moments = taught(moments, row, value - mean, keep, gain, w)
+        moments = rls_update(moments, row, value - mean, keep, gain, w)
         mean += gain * (value - mean)
     fit = fitted(moments, precision, prior)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from steerkit.estimators.gauss import carried, corrected, covariance, line, packed, unpacked, widened
+from steerkit.estimators.gauss import corrected, covariance, line, packed, predict_covariance, unpacked, widened
 
 N, MOVING = 5, 3
 rng = np.random.default_rng(3)
@@ -33,7 +33,7 @@ def test_it_is_carried_by_sparse_rows_above_a_diagonal() -> None:
     f = np.diag([0.0, 0.0, 0.0, 0.9, 0.5])
     for i, row in enumerate(rows):
         f[i, list(row)] = list(row.values())
-    after = carried(unpacked(UPPER, N), rows, [0.9, 0.5], {1: 0.4, 4: 0.2})
+    after = predict_covariance(unpacked(UPPER, N), rows, [0.9, 0.5], {1: 0.4, 4: 0.2})
     assert whole(packed(after)) == pytest.approx(f @ P @ f.T + np.diag([0.0, 0.4, 0.0, 0.0, 0.2]))
 
 

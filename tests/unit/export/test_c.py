@@ -19,9 +19,9 @@ from steerkit.diagram.simulation import simulate
 from steerkit.doe import Integrator, LowPass, PlainAngle
 from steerkit.export.c import export_c
 from steerkit.paths.courses import circle
-from steerkit.plants.human import ConstantSpeed
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.sensors import Sensors
+from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import vehicle
@@ -44,7 +44,7 @@ def learner_loop() -> Loop:
     return steering_loop(
         car=car,
         path=path,
-        human=ConstantSpeed(speed=6.0),
+        driver=ConstantSpeed(speed=6.0),
         controller=policy(),
         doe=Integrator(),
         recovery=Stanley.of(CAR),

@@ -19,23 +19,23 @@ from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import simulate
 from steerkit.export.fmu import export_fmu
 from steerkit.paths.courses import course
-from steerkit.plants.human import Human, RecordedSpeed
 from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.speed_driver import RecordedSpeed, SpeedDriver
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import vehicle
 
 CAR = vehicle("vw-passat")
-HUMAN, RECORDED = Human(seed=4), RecordedSpeed(speeds=(4.0, 6.0, 5.0, 7.0, 4.5), spacing=0.6)
+HUMAN, RECORDED = SpeedDriver(seed=4), RecordedSpeed(speeds=(4.0, 6.0, 5.0, 7.0, 4.5), spacing=0.6)
 OUTPUTS = ("path.e", "car.x", "car.v", "car.delta_sw", "controller.delta_sw")
 
 
-def loop(k: float = 2.5, human: Block = HUMAN) -> Loop:
+def loop(k: float = 2.5, driver: Block = HUMAN) -> Loop:
     path = course("paper")
     return steering_loop(
         car=placed(LinearSingleTrack(vehicle=CAR, v0=5.0), path, s=20.0, e=0.3),
         path=path,
-        human=human,
+        driver=driver,
         controller=replace(Stanley.of(CAR), k=k),
         actuator=SteeringActuator(delay=0.03),
     )
@@ -60,14 +60,17 @@ def test_it_gives_the_numbers_of_simulate(fmu: Path, k: float) -> None:
 @pytest.fixture(scope="module")
 def timed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return export_fmu(
-        loop(human=RECORDED), tmp_path_factory.mktemp("fmu") / "Timed.fmu", outputs=OUTPUTS, parameters=["controller.k"]
+        loop(driver=RECORDED),
+        tmp_path_factory.mktemp("fmu") / "Timed.fmu",
+        outputs=OUTPUTS,
+        parameters=["controller.k"],
     )
 
 
 def test_it_knows_the_time(timed: Path) -> None:
     """A human who repeats a record over time: the FMU goes through it as `simulate` does."""
     result = fmpy.simulate_fmu(str(timed), stop_time=3.0, output_interval=0.05)
-    log = simulate(loop(human=RECORDED), 3.01, every=5)
+    log = simulate(loop(driver=RECORDED), 3.01, every=5)
     assert np.ptp(log["car.v"]) > 1.0
     for name in OUTPUTS:
         np.testing.assert_allclose(result[name], log[name], rtol=0, atol=1e-12)
@@ -99,7 +102,7 @@ def test_a_state_that_is_restored_brings_its_time_and_its_parameters_back(timed:
     assert slave.getReal(gain) == [2.5]
     slave.doStep(0.7, 0.8)
     assert slave.getReal(outputs) == first
-    log = simulate(loop(human=RECORDED), 1.51)
+    log = simulate(loop(driver=RECORDED), 1.51)
     np.testing.assert_allclose(first, [log[name][-1] for name in OUTPUTS], rtol=0, atol=1e-12)
     slave.freeFMUstate(state)
     slave.terminate()

@@ -53,7 +53,7 @@ def test_each_episode_has_the_human_and_the_noise_of_its_seed() -> None:
     task = Task(conditions="hard")
     draws = [Draw(seed=seed, s=10.0, e=0.0, psi_e=0.0) for seed in (1, 2, 1)]
     states = dict(zip(task.loop.names, task.starts.states(draws).x, strict=True))
-    for name in ("human", "sensors"):
+    for name in ("driver", "sensors"):
         numbers = np.array([np.broadcast_to(column, 3) for column in states[name]], dtype=float)
         np.testing.assert_array_equal(numbers[:, 0], numbers[:, 2])
         assert (numbers[:, 0] != numbers[:, 1]).any(), name

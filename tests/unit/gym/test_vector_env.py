@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 from steerkit._support import native
 from steerkit.diagram.block import Block
 from steerkit.gym import TrackSteeringVector
-from steerkit.plants.human import RecordedSpeed
+from steerkit.plants.speed_driver import RecordedSpeed
 from steerkit.scenario import Scenario
 
 ID = "steerkit/TrackSteering-v0"
@@ -93,7 +93,7 @@ def test_the_three_ways_to_go_on_after_an_end() -> None:
 @needs_compiler
 def test_a_loop_that_asks_for_the_time_is_not_compiled_for_many() -> None:
     class Recorded(Scenario):
-        def human(self, seed: int) -> Block:
+        def driver(self, seed: int) -> Block:
             return RecordedSpeed(speeds=(4.0, 6.0, 5.0), spacing=1.0)
 
     with pytest.raises(ValueError, match="depends on the time t"):

@@ -112,8 +112,10 @@ def test_the_jump_back_to_the_start_of_an_open_course_is_no_transition() -> None
     """A wheel left alone on a straight: carried back again and again, never caught."""
     scenario = Scenario(course="straight", v_min=4.0, v_max=7.5)
     run = LearningRun(Experiment(setting=replace(SHORT.setting, retrain_every_m=0.0), scenario=scenario, minutes=0.5))
-    nets = tuple(tuple(np.zeros_like(part) for part in net) for net in run.story.policy.nets)
-    run.story.policy = replace(run.story.policy, nets=nets)  # all actions are worth the same: the gentlest wins
+    nets = tuple(tuple(np.zeros_like(part) for part in net) for net in run.learner_state.policy.nets)
+    run.learner_state.policy = replace(
+        run.learner_state.policy, nets=nets
+    )  # all actions are worth the same: the gentlest wins
     run.steer()
     run._put_back(run.path.length - 60.0)
     for _ in range(100):
@@ -191,7 +193,7 @@ def test_what_a_corrected_sample_teaches_is_what_was_done() -> None:
 def test_the_next_policy_begins_uncorrected() -> None:
     setting = replace(SHORT.setting, safe=True)
     run = LearningRun(Experiment(setting=setting, scenario=Scenario.under("hard"), minutes=1.0, seed=0))
-    while run.story.net == 0:
+    while run.learner_state.net == 0:
         before = run.counts.corrected
         run.drive()
     assert (before, run.counts.corrected) == (10, 0)

@@ -114,7 +114,7 @@ def test_the_curve_of_a_run_that_goes_on_begins_at_its_beginning(kept: Path) -> 
     steers = next(line for line in drawn(picture, 80) if line.startswith(" steers"))
     assert 35 <= len(steers) - 7 <= 36  # half of the minutes are driven
     longer = LearningRun(run.experiment)
-    longer.story.counts = run.counts
+    longer.learner_state.counts = run.counts
     picture.see(longer)
     assert picture.curve.t == pytest.approx(run.t)
     assert report._before(kept / "nowhere") is None

@@ -16,7 +16,7 @@ from steerkit import LinearSingleTrack, Stanley, course, placed, simulate, steer
 from steerkit.diagram.simulation import Log
 from steerkit.logs import Drive, read_drive
 from steerkit.logs.out import BEGIN, layout, signals_of, to_mcap, to_ros2
-from steerkit.plants.human import ConstantSpeed
+from steerkit.plants.speed_driver import ConstantSpeed
 
 pytest.importorskip("mcap")
 
@@ -35,8 +35,8 @@ def messages(file: Path) -> dict[str, list[tuple[int, Any]]]:
 def run() -> Log:
     path, passat = course("circle"), vehicle("vw-passat")
     car = placed(LinearSingleTrack(vehicle=passat, v0=5.0), path)
-    human, stanley = ConstantSpeed(speed=5.0), Stanley.of(passat)
-    return simulate(steering_loop(car=car, path=path, human=human, controller=stanley), 3.0)
+    driver, stanley = ConstantSpeed(speed=5.0), Stanley.of(passat)
+    return simulate(steering_loop(car=car, path=path, driver=driver, controller=stanley), 3.0)
 
 
 def test_a_simulated_run_is_read_back_bit_for_bit(run: Log, tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from steerkit import LinearSingleTrack, Loop, Stanley, course, placed, simulate,
 from steerkit.diagram.loop import Sample
 from steerkit.logs import stream
 from steerkit.logs.out import to_mcap
-from steerkit.plants.human import ConstantSpeed
+from steerkit.plants.speed_driver import ConstantSpeed
 from tests.support.command_lines import run
 
 pytest.importorskip("foxglove")
@@ -29,7 +29,7 @@ pytest.importorskip("websockets")
 def loop() -> Loop:
     path, passat = course("circle"), vehicle("vw-passat")
     car = placed(LinearSingleTrack(vehicle=passat, v0=5.0), path)
-    return steering_loop(car=car, path=path, human=ConstantSpeed(speed=5.0), controller=Stanley.of(passat))
+    return steering_loop(car=car, path=path, driver=ConstantSpeed(speed=5.0), controller=Stanley.of(passat))
 
 
 def seen_by(each: Callable[[Sample], None]) -> Callable[[Sample], bool]:

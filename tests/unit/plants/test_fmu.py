@@ -18,8 +18,8 @@ from steerkit.diagram.simulation import simulate
 from steerkit.export.fmu import export_fmu
 from steerkit.paths.courses import course
 from steerkit.plants.fmu import FmuPlant
-from steerkit.plants.human import ConstantSpeed
 from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import vehicle
 from tests.support.places import SUPPORT
@@ -92,7 +92,7 @@ def loop(car: FmuPlant | LinearSingleTrack) -> Loop:
     return steering_loop(
         car=placed(car, PATH, s=30.0, e=0.3, psi_e=0.05),
         path=PATH,
-        human=ConstantSpeed(speed=6.0),  # other than before the first sample
+        driver=ConstantSpeed(speed=6.0),  # other than before the first sample
         controller=Stanley.of(CAR),
     )
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from steerkit.plants.human import ConstantSpeed, Human
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.sensors import Sensors
+from steerkit.plants.speed_driver import ConstantSpeed, SpeedDriver
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.vehicles import VW_PASSAT
 from tests.support.stepped import run, traced
@@ -15,7 +15,7 @@ BLOCKS = {
     "linear": (LinearSingleTrack(vehicle=VW_PASSAT, v0=4.0), 2),
     "nonlinear": (NonlinearSingleTrack(vehicle=VW_PASSAT, v0=4.0, substeps=2), 2),
     "actuator": (SteeringActuator(delay=0.05, gain=1.1, offset=0.1), 1),
-    "human": (Human(seed=4), 0),
+    "driver": (SpeedDriver(seed=4), 0),
     "constant": (ConstantSpeed(), 0),
     "sensors": (Sensors.hard(3), 6),
 }

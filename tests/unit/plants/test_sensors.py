@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from steerkit.plants.human import Human
 from steerkit.plants.sensors import Sensors
+from steerkit.plants.speed_driver import SpeedDriver
 from tests.support.stepped import run
 
 TRUTH = (10.0, -3.0, 0.4, 6.0, 0.02, 0.3)
@@ -67,7 +67,7 @@ def test_sensors_of_a_batch_are_the_single_ones():
 
 
 def test_sensors_and_human_of_one_seed_are_unrelated():
-    assert Sensors.hard(1).init()[9:15] != Human(seed=1).init()[2:]
+    assert Sensors.hard(1).init()[9:15] != SpeedDriver(seed=1).init()[2:]
 
 
 @pytest.mark.parametrize(

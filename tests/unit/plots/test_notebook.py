@@ -11,8 +11,8 @@ from steerkit import simulate, vehicle
 from steerkit.diagram.block import Block
 from steerkit.diagram.simulation import Log
 from steerkit.doe import Integrator
-from steerkit.plants.human import RecordedSpeed
 from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.speed_driver import RecordedSpeed
 from tests.support.circle_drive import PASSAT
 
 PNG = b"\x89PNG"
@@ -27,8 +27,8 @@ def test_a_block_shows_its_parameters_and_ports() -> None:
 
 
 def test_long_and_odd_parameters_are_cut_and_escaped() -> None:
-    human = RecordedSpeed(speeds=tuple(np.linspace(1.0, 2.0, 500).tolist()), spacing=0.1)
-    assert "500 entries" in human._repr_html_()
+    driver = RecordedSpeed(speeds=tuple(np.linspace(1.0, 2.0, 500).tolist()), spacing=0.1)
+    assert "500 entries" in driver._repr_html_()
     html = LinearSingleTrack(vehicle=vehicle("vw-passat"))._repr_html_()
     assert "..." in html  # the vehicle
     named = LinearSingleTrack(vehicle=type(PASSAT)(**{**vars(PASSAT), "name": "<script>"}))._repr_html_()

@@ -13,14 +13,14 @@ from steerkit._support.native import compiler
 from steerkit.compiled import exact
 from steerkit.controllers import nfq_native
 from steerkit.controllers.nfq_policy import NfqPolicy
-from steerkit.controllers.supervisor import Guarded
+from steerkit.controllers.supervisor import ExceptionGuard
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import simulate
 from steerkit.learning.experiment import Experiment, LearningRun
+from steerkit.learning.learner_state import untrained
 from steerkit.learning.settings import DEFAULT, SETTINGS, Setting
-from steerkit.learning.story import untrained
 from steerkit.scenario import Scenario, ahead
 from steerkit.scenario.ahead import Driver, PolicyProgram, Refused, driven, program_of
 from steerkit.scenario.assembly import with_controller
@@ -63,7 +63,7 @@ CASES = {
     "moved target": (quick(SETTINGS["paper"], after_failure="shift"), Scenario()),
     "put back": (quick(SETTINGS["model-free"], after_failure="reset", reset_seconds=3.0), Scenario()),
     "open course": (quick(DEFAULT), Scenario(course="straight", start=450.0)),
-    "dead time": (quick(DEFAULT), Scenario(delay=0.2, told_delay=0.2)),
+    "dead time": (quick(DEFAULT), Scenario(delay=0.2, believed_delay=0.2)),
 }
 
 
@@ -257,7 +257,7 @@ def test_exploration_and_solvers_are_interpreted() -> None:
     with pytest.raises(Refused, match="Exploring"):
         PolicyProgram(run.loop)
     controller = loop_of().blocks["controller"]
-    assert isinstance(controller, Guarded)
+    assert isinstance(controller, ExceptionGuard)
 
 
 @pytest.mark.parametrize("seconds", [3.0, 2.98])

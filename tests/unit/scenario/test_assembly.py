@@ -10,14 +10,14 @@ import pytest
 
 from steerkit._support.errors import WiringError
 from steerkit.controllers.delay import delayed_stanley
-from steerkit.controllers.foresight import Foresight
+from steerkit.controllers.excursion_predictor import ExcursionPredictor
 from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.mpc.linear import MPC
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.pure_pursuit import PurePursuit
 from steerkit.controllers.safety_filter import SafetyFilter
 from steerkit.controllers.stanley import Stanley
-from steerkit.controllers.supervisor import Guarded, Supervisor
+from steerkit.controllers.supervisor import ExceptionGuard, Supervisor
 from steerkit.controllers.target_shift import TargetShift
 from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.loop import Loop
@@ -25,10 +25,10 @@ from steerkit.diagram.simulation import simulate
 from steerkit.doe import Corrected, Integrator, LowPass
 from steerkit.paths.courses import circle, course
 from steerkit.paths.tracker import PathTracker
-from steerkit.plants.human import ConstantSpeed
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.sensors import Sensors
+from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario.assembly import controller_of, placed, steering_loop, with_controller
 from steerkit.vehicles import VW_PASSAT
@@ -38,21 +38,21 @@ ROUND = circle(30.0)
 
 def parts() -> dict:
     car = placed(NonlinearSingleTrack(vehicle=VW_PASSAT, v0=5.0), ROUND)
-    return dict(car=car, path=ROUND, human=ConstantSpeed(speed=5.0), controller=Stanley.of(VW_PASSAT))
+    return dict(car=car, path=ROUND, driver=ConstantSpeed(speed=5.0), controller=Stanley.of(VW_PASSAT))
 
 
 def test_it_is_the_same_loop_as_one_wired_by_hand() -> None:
     p = parts()
     ready = steering_loop(**p, actuator=SteeringActuator(), reference=VW_PASSAT.l_f)
-    car, human, stanley = placed(p["car"], ROUND), ConstantSpeed(speed=5.0), Stanley.of(VW_PASSAT)
+    car, driver, stanley = placed(p["car"], ROUND), ConstantSpeed(speed=5.0), Stanley.of(VW_PASSAT)
     motor = SteeringActuator()
     path = PathTracker(path=ROUND, reference=VW_PASSAT.l_f)
     wires = [(getattr(car, n), getattr(path, n)) for n in ("x", "y", "psi", "v", "beta", "r")]
     wires += [(path.e, stanley.e), (path.psi_e, stanley.psi_e), (path.kappa, stanley.kappa)]
     wires += [(car.v, stanley.v), (car.r, stanley.r), (motor.delta_sw, stanley.delta_sw_meas)]
-    wires += [(stanley.delta_sw, motor.delta_sw_cmd), (motor.delta_sw, car.delta_sw_cmd), (human.v, car.v_cmd)]
+    wires += [(stanley.delta_sw, motor.delta_sw_cmd), (motor.delta_sw, car.delta_sw_cmd), (driver.v, car.v_cmd)]
     by_hand = Loop(
-        blocks={"human": human, "car": car, "actuator": motor, "path": path, "controller": stanley}, wires=wires
+        blocks={"driver": driver, "car": car, "actuator": motor, "path": path, "controller": stanley}, wires=wires
     )
     a, b = simulate(ready, 3.0), simulate(by_hand, 3.0)
     assert set(a) == set(b)
@@ -85,7 +85,7 @@ def test_every_wire_of_a_learner_with_all_its_parts() -> None:
     loop = learning_loop(recovery=Stanley.of(VW_PASSAT))
     net = {"e": "seen.e", "e_dot": "seen.e_dot", "v": "sensors.v", "psi_e": "seen.psi_e", "r_e": "seen.r_e"}
     wired = {
-        "car": {"delta_sw_cmd": "actuator.delta_sw", "v_cmd": "human.v"},
+        "car": {"delta_sw_cmd": "actuator.delta_sw", "v_cmd": "driver.v"},
         "actuator": {"delta_sw_cmd": "supervisor.delta_sw"},
         "sensors": {f"{name}_in": signal for name, signal in TRUE.items()},
         "path": TRUE,
@@ -101,7 +101,7 @@ def test_every_wire_of_a_learner_with_all_its_parts() -> None:
             "ready": "controller.ready",
         },
     }
-    assert {name: loop.inputs_of(name) for name in loop.names if name != "human"} == wired
+    assert {name: loop.inputs_of(name) for name in loop.names if name != "driver"} == wired
 
 
 def test_a_safety_filter_comes_between_whoever_steers_and_the_wheel() -> None:
@@ -122,7 +122,7 @@ def test_a_shifted_target_and_foresight_come_between() -> None:
     assert {loop.inputs_of("controller")["e"], loop.inputs_of("supervisor")["e"]} == {"shift.e"}
     assert loop.inputs_of("controller")["e_dot"] == "shift.e_dot"
     assert loop.inputs_of("recovery") == STANLEY, "it sees the path itself"
-    loop = learning_loop(recovery=Stanley.of(VW_PASSAT), foresight=Foresight())
+    loop = learning_loop(recovery=Stanley.of(VW_PASSAT), foresight=ExcursionPredictor())
     assert loop.inputs_of("supervisor")["e"] == "foresight.distance"
     assert loop.inputs_of("foresight")["doe"] == "doe.state"
 
@@ -178,12 +178,12 @@ def test_a_controller_is_exchanged_as_it_was_put_in() -> None:
     policy, better = Failing(), Failing()
     p = parts() | {"doe": Integrator()}
     caught = steering_loop(**{**p, "controller": policy}, recovery=Stanley.of(VW_PASSAT))
-    guarded = steering_loop(**{**p, "controller": Guarded(block=policy)}, recovery=Stanley.of(VW_PASSAT))
+    guarded = steering_loop(**{**p, "controller": ExceptionGuard(block=policy)}, recovery=Stanley.of(VW_PASSAT))
     alone = steering_loop(**{**p, "controller": policy})
     for loop, guard in ((caught, True), (guarded, True), (alone, False)):
         assert controller_of(loop) is policy
         assert controller_of(with_controller(loop, better)) is better
-        assert isinstance(with_controller(loop, better).blocks["controller"], Guarded) == guard
+        assert isinstance(with_controller(loop, better).blocks["controller"], ExceptionGuard) == guard
 
 
 NARROW = replace(VW_PASSAT, delta_sw_max=4.0)
@@ -213,9 +213,12 @@ def test_the_recipes_take_the_stop_of_the_vehicle() -> None:
     ]
     assert [block.limit for block in made] == [4.0] * len(made)
     assert MPC.of(plant, SteeringActuator(limit=3.0)).limit == 3.0
-    foresight = Foresight.of(NARROW, jerk_max=4.0)
+    foresight = ExcursionPredictor.of(NARROW, jerk_max=4.0)
     assert (foresight.delta_sw_max, foresight.wheelbase, foresight.jerk_max) == (4.0, NARROW.wheelbase, 4.0)
-    assert (foresight.steer_ratio, Foresight.of(NARROW, delta_sw_max=3.0).delta_sw_max) == (NARROW.steer_ratio, 3.0)
+    assert (foresight.steer_ratio, ExcursionPredictor.of(NARROW, delta_sw_max=3.0).delta_sw_max) == (
+        NARROW.steer_ratio,
+        3.0,
+    )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

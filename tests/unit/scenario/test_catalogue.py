@@ -11,9 +11,9 @@ import pytest
 from benchmarks.entries import controller as entry
 from steerkit.car.config.config import shipped
 from steerkit.car.config.reading import load
-from steerkit.car.loop import belief_of, controller_named
+from steerkit.car.loop import controller_named, design_model_of
 from steerkit.controllers.adaptive import Adaptive
-from steerkit.controllers.delay import Predicted
+from steerkit.controllers.delay import DelayPredictor
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.block import Block
 from steerkit.diagram.units import radians_of
@@ -23,7 +23,7 @@ from steerkit.scenario.catalogue import (
     CONTROLLERS,
     ELEMENTS,
     RECOVERIES,
-    Belief,
+    DesignModel,
     make_controller,
     make_element,
     make_recovery,
@@ -32,7 +32,7 @@ from steerkit.scenario.catalogue import (
 from steerkit.vehicles import vehicle
 from tests.support.own_controller import own_controller
 
-BELIEF = Belief(vehicle=vehicle("vw-passat"), path=course("circle"), delay=0.1, lag=0.12)
+BELIEF = DesignModel(vehicle=vehicle("vw-passat"), path=course("circle"), delay=0.1, lag=0.12)
 NARROW = replace(BELIEF, vehicle=replace(BELIEF.vehicle, delta_sw_max=radians_of(300.0)), rate_limit=radians_of(200.0))
 
 
@@ -99,8 +99,8 @@ def test_whoever_asks_gets_the_same_controller_but_for_hold_and_budget(name: str
     scenario = Scenario(name="x", delay=0.1, lag=0.12)
     car, bench = controller_named(name, config).block, entry(name).make(scenario)  # type: ignore[misc]
     assert unhurried(parameters(car)) == unhurried(parameters(bench))
-    belief = belief_of(config)
-    assert (belief.hold, belief.delay, belief.rate_limit) == (0.0, 0.1, radians_of(550.0))
+    design_model = design_model_of(config)
+    assert (design_model.hold, design_model.delay, design_model.rate_limit) == (0.0, 0.1, radians_of(550.0))
 
 
 def unhurried(numbers: dict[str, Any]) -> dict[str, Any]:
@@ -121,8 +121,8 @@ def parameters(block: Any) -> dict[str, Any]:
 def test_a_gate_that_is_narrower_than_the_car_is_what_counts_on_it() -> None:
     config = load("dbw-kit.toml")
     config = replace(config, gate=replace(config.gate, delta_sw_max=radians_of(400.0), rate_max=radians_of(300.0)))
-    belief = belief_of(config)
-    assert (belief.vehicle.delta_sw_max, belief.rate_limit) == (radians_of(400.0), radians_of(300.0))
+    design_model = design_model_of(config)
+    assert (design_model.vehicle.delta_sw_max, design_model.rate_limit) == (radians_of(400.0), radians_of(300.0))
 
 
 @pytest.mark.parametrize(
@@ -146,23 +146,23 @@ def test_what_cannot_be_made_says_what_can(ask: Any, message: str) -> None:
 
 
 def test_only_controllers_that_catch_from_anywhere_are_recoveries() -> None:
-    assert RECOVERIES == ("fitting", "adapting", "stanley", "stanley-delay")
+    assert RECOVERIES == ("auto", "adaptive", "stanley", "stanley-delay")
 
 
 def test_the_adapting_recovery_hears_what_others_steer_and_winds_up_nothing_meanwhile() -> None:
-    block = make_recovery("adapting", replace(BELIEF, delay=0.15))
+    block = make_recovery("adaptive", replace(BELIEF, delay=0.15))
     assert isinstance(block, Adaptive)
     assert block.hears
-    assert all(isinstance(one, Predicted) for one in block.blocks)
+    assert all(isinstance(one, DelayPredictor) for one in block.blocks)
 
 
 def test_the_fitting_recovery_knows_of_dead_time_and_slew_where_there_is_some() -> None:
-    assert isinstance(make_recovery("fitting", replace(BELIEF, delay=0.0)), Stanley)
-    late = make_recovery("fitting", replace(BELIEF, delay=0.15))
-    assert isinstance(late, Predicted)
+    assert isinstance(make_recovery("auto", replace(BELIEF, delay=0.0)), Stanley)
+    late = make_recovery("auto", replace(BELIEF, delay=0.15))
+    assert isinstance(late, DelayPredictor)
     assert late.delay == 0.15
-    by_torque = make_recovery("fitting", replace(BELIEF, delay=0.0, slew=5.0, a_y_limit=3.0))
-    assert isinstance(by_torque, Predicted)
+    by_torque = make_recovery("auto", replace(BELIEF, delay=0.0, slew=5.0, a_y_limit=3.0))
+    assert isinstance(by_torque, DelayPredictor)
     assert (by_torque.slew, by_torque.block.share) == (5.0, 0.3)  # type: ignore[attr-defined]
 
 
@@ -180,9 +180,9 @@ def test_a_controller_of_ones_own_is_told_what_the_others_are(tmp_path: Path) ->
     [
         ("nothing", "returned None, expected a Block with an output delta_sw"),
         ("kind", "returned the class Mine, expected a Block"),
-        ("unlucky", "failed: AttributeError: 'Belief' object has no attribute 'colour'"),
+        ("unlucky", "failed: AttributeError: 'DesignModel' object has no attribute 'colour'"),
         ("element", r"PathTracker has the outputs s \[m\].*expected a Block with an output delta_sw \[rad\]"),
-        ("number", "of type int, expected a function of a Belief"),
+        ("number", "of type int, expected a function of a DesignModel"),
         ("mak", "has no 'mak'; it has dataclass, Block"),
     ],
 )

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from steerkit.diagram.simulation import Log
+from steerkit.learning.learner_state import untrained
 from steerkit.learning.settings import DEFAULT
-from steerkit.learning.story import untrained
 from steerkit.scenario import Scenario
 from steerkit.scenario.drive import controller, drive, drive_loop, held_all_along
 

@@ -22,7 +22,11 @@ HEAD = 'format = "steerkit scenario 1"\n'
 def test_a_scenario_comes_back_with_its_files(tmp_path: FilePath, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "car.toml").write_text(vehicle_text(vehicle("bmw-320i")))
     scenario = Scenario(
-        name='a "yard"\n', course=str(yard(tmp_path)), vehicle=str(tmp_path / "car.toml"), closed=False, told_lag=0.2
+        name='a "yard"\n',
+        course=str(yard(tmp_path)),
+        vehicle=str(tmp_path / "car.toml"),
+        closed=False,
+        believed_lag=0.2,
     )
     write_scenario(scenario, tmp_path / "scenario.toml")
     (tmp_path / "yard.csv").unlink()
@@ -43,7 +47,7 @@ def test_every_character_comes_back(tmp_path: FilePath) -> None:
     v_min=st.floats(0.2, 7.0),
     offset_deg=st.floats(-90.0, 90.0),
     gust=st.floats(0.0, 20.0),
-    told_delay=st.none() | st.floats(0.0, 2.0),
+    believed_delay=st.none() | st.floats(0.0, 2.0),
 )
 def test_every_number_comes_back_bit_for_bit(tmp_path_factory: pytest.TempPathFactory, **values: Any) -> None:
     scenario = Scenario(**values)

@@ -11,7 +11,7 @@ import pytest
 from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.estimators.adaptive_state import AdaptiveState
 from steerkit.estimators.vehicle_state import VehicleState
-from steerkit.plants.poor_sensors import PoorSensors
+from steerkit.plants.degraded_sensors import DegradedSensors
 from steerkit.plants.sensors import Sensors
 from steerkit.plants.steering_column import SteeringColumn
 from steerkit.plants.steering_link import SteeringLink
@@ -49,7 +49,7 @@ def test_fields_become_blocks() -> None:
 
 
 def test_controllers_are_told_the_mean_of_a_delay_that_varies() -> None:
-    assert Scenario(delay=0.1, latency=0.05, delay_jitter=0.04).belief().delay == pytest.approx(0.17)
+    assert Scenario(delay=0.1, latency=0.05, delay_jitter=0.04).design_model().delay == pytest.approx(0.17)
 
 
 def test_real_sensors() -> None:
@@ -57,10 +57,10 @@ def test_real_sensors() -> None:
     assert replace(real, sensing="hard") == hard
     assert isinstance(hard.sensors(3), Sensors)
     sensors = real.sensors(3)
-    assert isinstance(sensors, PoorSensors)
+    assert isinstance(sensors, DegradedSensors)
     assert (sensors.block.seed, sensors.block.latency, sensors.rear) == (3, 0.05, real.nominal.l_r)
     twice = replace(real, noise=2.0, latency=0.1).sensors(3)
-    assert isinstance(twice, PoorSensors)
+    assert isinstance(twice, DegradedSensors)
     assert (twice.block.v_noise, twice.block.latency, twice.jump) == (0.1, 0.1, 0.04)
     assert replace(real, noise=0.0, v_min=5.0, v_max=5.0).random
     with pytest.raises(ValueError, match="sensing 'perfect'; valid: hard, no sideslip, real"):
@@ -71,11 +71,11 @@ def test_an_estimator_is_told_the_data_sheet_and_stands_between_sensors_and_cont
     hard = Scenario.under("hard", sensing="no sideslip", estimator="vehicle-state", noise=2.0, delay=0.1)
     block, sensors = hard.estimator_block(), hard.sensors(3)
     assert isinstance(block, VehicleState)
-    assert isinstance(sensors, PoorSensors)
+    assert isinstance(sensors, DegradedSensors)
     assert (block.position_drift, block.psi_drift, block.heading_drift) == (0.02, radians_of(0.2), 0.0)
     assert (block.horizon, sensors.rear, sensors.block.seed) == (pytest.approx(0.1), hard.nominal.l_r, 3)
-    assert hard.belief().delay == pytest.approx(0.1)
-    assert replace(hard, estimator="none").belief().delay == pytest.approx(0.15)
+    assert hard.design_model().delay == pytest.approx(0.1)
+    assert replace(hard, estimator="none").design_model().delay == pytest.approx(0.15)
     assert replace(hard, estimator="none").estimator_block() is None
     real = Scenario.under("real", estimator="vehicle-state").estimator_block()
     assert isinstance(real, VehicleState)
@@ -99,7 +99,7 @@ def test_one_that_is_told_what_is_found_is_the_same_inside() -> None:
     for name in ("horizon", "steer_ratio", "position_drift", "r_noise", "heading_drift"):
         assert getattr(block.block, name) == getattr(plain, name)
     assert block.steering.vehicle == adapts.nominal
-    assert adapts.belief().delay == pytest.approx(0.1)
+    assert adapts.design_model().delay == pytest.approx(0.1)
     loop = assembled(adapts, controller("mpc", adapts), seed=3)
     assert loop.inputs_of("estimator")["motion_age_in"] == "sensors.age"
     assert loop.inputs_of("controller")["r"] == "estimator.r"
@@ -138,9 +138,9 @@ def test_a_car_with_all_of_it_is_driven_worse_but_driven() -> None:
 
 def test_what_is_told_of_the_car() -> None:
     wrong = Scenario(tyres=0.7, ratio=1.2, friction=0.8, offset_deg=2.0, gain=0.8)
-    told = wrong.belief()
+    told = wrong.design_model()
     assert (told.vehicle, told.offset, told.gain) == (wrong.nominal, 0.0, 1.0)
-    truth = replace(wrong, told="truth").belief()
+    truth = replace(wrong, told="truth").design_model()
     assert (truth.vehicle, truth.offset, truth.gain) == (wrong.true_vehicle, radians_of(2.0), 1.0)
     assert (truth.delay, truth.lag, truth.slew, truth.a_y_limit) == (told.delay, told.lag, None, None)
     with pytest.raises(ValueError, match="told 'all'; valid: data sheet, truth"):
@@ -154,7 +154,7 @@ def test_steering_by_torque() -> None:
     assert isinstance(motor, TorqueSteering)
     assert (motor.delay, motor.lag, motor.slew, motor.a_y_limit, motor.gain) == (0.35, 0.0, 4.0, 2.5, 0.8)
     assert (motor.steer_ratio, motor.offset) == (scenario.nominal.steer_ratio, radians_of(1.0))
-    told, truth = scenario.belief(), replace(scenario, told="truth").belief()
+    told, truth = scenario.design_model(), replace(scenario, told="truth").design_model()
     assert (told.slew, told.a_y_limit, told.gain) == (4.0, 2.5, 1.0)
     assert (truth.slew, truth.a_y_limit, truth.gain) == (pytest.approx(3.2), 2.0, 0.8)
     loop = assembled(scenario, controller("stanley-delay", scenario))
@@ -177,4 +177,4 @@ def test_sweeping_courses_have_bends_of_100_m_and_more() -> None:
 
 def test_a_human_slows_down_as_told() -> None:
     log = drive(Scenario(course="circle", v_min=20.0, v_max=20.0, a_y_human=1.5, rounds=0.1), STANLEY)
-    assert log["human.v"] == pytest.approx(np.full(len(log.t), np.sqrt(1.5 * 30.0)), rel=0.01)
+    assert log["driver.v"] == pytest.approx(np.full(len(log.t), np.sqrt(1.5 * 30.0)), rel=0.01)

@@ -14,7 +14,7 @@ import pytest
 
 from steerkit.diagram.units import radians_of
 from steerkit.paths.courses import course
-from steerkit.plants.pushed import Pushed
+from steerkit.plants.disturbed_plant import DisturbedPlant
 from steerkit.scenario import END_MARGIN, Scenario
 from steerkit.vehicles import G, vehicle
 from steerkit.vehicles.file import vehicle_text
@@ -72,14 +72,14 @@ def test_what_cannot_be_driven_is_refused_when_it_is_made(changes: dict[str, Any
 
 
 def test_what_is_wrong_with_the_car_is_not_told() -> None:
-    scenario = Scenario(tyres=0.7, friction=0.5, ratio=1.1, delay=0.2, told_delay=0.0)
+    scenario = Scenario(tyres=0.7, friction=0.5, ratio=1.1, delay=0.2, believed_delay=0.0)
     true = scenario.true_vehicle
     assert (true.c_f, true.mu, true.steer_ratio) == (0.7 * PASSAT.c_f, 0.5 * PASSAT.mu, 1.1 * PASSAT.steer_ratio)
     assert scenario.nominal == PASSAT
-    assert (scenario.belief().vehicle, scenario.belief().delay) == (PASSAT, 0.0)
-    late = Scenario(delay=0.2, latency=0.05, lag=0.3).belief()
+    assert (scenario.design_model().vehicle, scenario.design_model().delay) == (PASSAT, 0.0)
+    late = Scenario(delay=0.2, latency=0.05, lag=0.3).design_model()
     assert (late.delay, late.lag, late.hold, late.rate_limit) == (0.25, 0.3, 0.01, radians_of(550.0))
-    assert Scenario(lag=0.3, told_lag=0.1).belief().lag == 0.1
+    assert Scenario(lag=0.3, believed_lag=0.1).design_model().lag == 0.1
 
 
 def test_a_controller_without_a_point_of_its_own_is_judged_where_the_scenario_says() -> None:
@@ -118,10 +118,10 @@ def test_all_noises_grow_together() -> None:
 def test_bank_and_wind_push_the_car() -> None:
     banked = Scenario(bank_deg=2.0, wind=0.3, gust=0.1)
     car = banked.car(banked.path(), seed=4)
-    assert isinstance(car, Pushed)
+    assert isinstance(car, DisturbedPlant)
     assert car.bank == pytest.approx(G * math.sin(radians_of(2.0)))
     assert (car.wind, car.gust, car.seed) == (0.3, 0.1, 4)
-    assert not isinstance(Scenario().car(course("paper")), Pushed)
+    assert not isinstance(Scenario().car(course("paper")), DisturbedPlant)
 
 
 def test_hard_conditions_are_noise_latency_and_lag() -> None:
@@ -139,7 +139,7 @@ def test_the_stops_of_the_car_are_those_of_its_motor_and_its_controllers(tmp_pat
     (tmp_path / "narrow.toml").write_text(vehicle_text(replace(PASSAT, delta_sw_max=radians_of(300.0))))
     scenario = Scenario(vehicle=str(tmp_path / "narrow.toml"))
     assert scenario.actuator().limit == radians_of(300.0)
-    assert scenario.catcher().limit == radians_of(300.0)  # type: ignore[attr-defined]
+    assert scenario.recovery_controller().limit == radians_of(300.0)  # type: ignore[attr-defined]
 
 
 # ---- files ------------------------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from benchmarks.run.results import Case, Results, Store
 CAR = "passat-ratio"
 LEARNED = {30: math.nan, 60: 0.2, 90: 0.04, 120: 0.02}
 """RMS e of the net that took the wheel after so many seconds [m]; NaN: it did not hold."""
-ANALYTIC = {"lqr": 0.05, "mpc": math.nan, "lqr-told-truth": 0.03, "mpc-told-truth": 0.01}
+ANALYTIC = {"lqr": 0.05, "mpc": math.nan, "lqr-oracle": 0.03, "mpc-oracle": 0.01}
 """RMS e [m]; NaN: not held."""
 
 

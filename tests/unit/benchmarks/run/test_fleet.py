@@ -32,9 +32,9 @@ GOOD = FleetOutcome(
     wheel_rate_deg=40.0,
     jerk_rms=0.4,
     best="mpc",
-    rms_x_told_truth=0.9,
-    wheel_x_told_truth=1.0,
-    jerk_x_told_truth=1.1,
+    rms_x_oracle=0.9,
+    wheel_x_oracle=1.0,
+    jerk_x_oracle=1.1,
     best_on_data_sheet="stanley",
     rms_x_data_sheet=0.3,
     computing=20.0,
@@ -42,14 +42,14 @@ GOOD = FleetOutcome(
 
 
 def test_medians_and_worst_cases_count_a_car_that_never_got_there_as_infinite() -> None:
-    slow, lost = replace(GOOD, good=30.0, rms_x_told_truth=1.2, failures=3), replace(GOOD, good=None, held=False)
+    slow, lost = replace(GOOD, good=30.0, rms_x_oracle=1.2, failures=3), replace(GOOD, good=None, held=False)
     two = summarise([GOOD, slow])
     assert (two["good_share"], two["good_median_s"], two["good_worst_s"]) == (1.0, 20.0, 30.0)
-    assert (two["rms_x_told_truth"], two["worst_rms_x_told_truth"]) == pytest.approx((1.05, 1.2))
+    assert (two["rms_x_oracle"], two["worst_rms_x_oracle"]) == pytest.approx((1.05, 1.2))
     three = summarise([GOOD, slow, lost])
     assert (three["good_share"], three["held_share"]) == pytest.approx((2 / 3, 2 / 3))
-    assert (three["good_worst_s"], three["worst_rms_x_told_truth"]) == (None, None)
-    assert (three["rms_x_told_truth"], three["failures_worst"]) == (1.2, 3)
+    assert (three["good_worst_s"], three["worst_rms_x_oracle"]) == (None, None)
+    assert (three["rms_x_oracle"], three["failures_worst"]) == (1.2, 3)
     far = summarise([GOOD, replace(GOOD, departure=7.0)])
     assert (far["departure_median_m"], far["departure_worst_m"]) == (4.5, 7.0)
 
@@ -66,7 +66,7 @@ def test_the_first_good_net_counts_from_when_it_took_the_wheel() -> None:
 
 
 def test_a_car_that_hardly_learned_is_told_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fleet, "TOLD_TRUTH", ("stanley-delay",))
+    monkeypatch.setattr(fleet, "ORACLE", ("stanley-delay",))
     monkeypatch.setattr(fleet, "TOLD_DATA_SHEET", ("stanley",))
     (*_, car) = of_fleet(4, rounds=0.1)
     outcome = one_car((car, 0, setting("model-free"), 0.05))
@@ -84,6 +84,6 @@ def test_every_kind_of_car_starts_where_it_is_straight_and_can_be_told_the_truth
         for car in cars:
             assert car.rounds == 0.5
             assert abs(car.path().kappa(car.start)) < 0.01
-            assert replace(car, told="truth").belief().gain == car.gain
+            assert replace(car, told="truth").design_model().gain == car.gain
     assert [car.delay for car in of_kind("delays")] == list(fleet.DELAYS)
     assert {car.gain for car in of_kind("torque")} == {0.75, 1.25}

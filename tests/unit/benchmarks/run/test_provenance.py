@@ -26,7 +26,7 @@ def digest(job: Job = JOB, scenario: Scenario | None = SCENARIO, timed_steps: in
         lambda: digest(replace(JOB, seed=2)),
         lambda: digest(replace(JOB, controller="pure-pursuit")),
         lambda: digest(scenario=replace(SCENARIO, delay=0.1)),
-        lambda: digest(scenario=replace(SCENARIO, told_delay=0.1)),
+        lambda: digest(scenario=replace(SCENARIO, believed_delay=0.1)),
         lambda: digest(scenario=None),
         lambda: digest(timed_steps=5),
     ],

@@ -17,7 +17,7 @@ from benchmarks.studies.alternatives import (
     waiting_record,
     with_waiting,
 )
-from steerkit.controllers.forecast import PREVIEW, Forecast
+from steerkit.controllers.delay_compensator import PREVIEW, DelayCompensator
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E
 from steerkit.learning.data.transitions import Transitions
@@ -90,7 +90,7 @@ def test_an_actor_is_the_same_in_the_mirror_and_sees_the_forecast_state() -> Non
     s = np.array([list(SEEN.values())])
     assert acted(net, s, PLAIN) == pytest.approx(-acted(net, s * np.array(PLAIN.mirror_signs), PLAIN), abs=1e-7)
     numbers: dict[str, Any] = {name: getattr(MODEL, name) for name in ("now", "before", "earlier", "back", "yaw")}
-    forecast = Forecast(samples=4, **numbers)
+    forecast = DelayCompensator(samples=4, **numbers)
     actor = Actor(nets=(net,), description=PLAIN, reach=0.4, forecast=forecast)
     greedy = NfqPolicy(description=PLAIN, preview_points=PREVIEW, forecast=forecast)
     u = actor.D(**SEEN, preview=(0.0,) * PREVIEW)

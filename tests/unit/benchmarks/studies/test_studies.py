@@ -32,7 +32,7 @@ KEYS = {
             "ratio_error_pct",
         ),
         *("friction_error_pct", "play_error_pct", "coverage_pct", "lap_rms_rad_s", "cost_c_us", "cost_python_us"),
-        *("adaptive_x_told_truth", "adaptive_worst_x", "adaptive_x_unadapted_worst", "adaptive_max_e_m"),
+        *("adaptive_x_oracle", "adaptive_worst_x", "adaptive_x_unadapted_worst", "adaptive_max_e_m"),
     },
     "car_calibration": {"rows", "faults", "worst_e_m", "coverage_pct", "steer_ratio_error", "delay_lag_valid_pct"},
     "car_kill": {"kills", "controller", "server", "trainer"},

@@ -70,7 +70,7 @@ def test_starts_are_offset_at_the_reference_point() -> None:
     starts = recovery_map.starts(3, reference=1.5)
     e = starts["car.y0"] + 1.5 * np.sin(starts["car.psi0"])
     assert sorted({round(float(x), 9) for x in e}) == [-3.0, 0.0, 3.0]
-    assert (starts["car.v0"] == starts["human.speed"]).all()
+    assert (starts["car.v0"] == starts["driver.speed"]).all()
     assert len(e) == 9 * len(recovery_map.SPEEDS)
 
 

@@ -22,19 +22,19 @@ from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import simulate
 from steerkit.paths.courses import circle
-from steerkit.plants.human import ConstantSpeed, RecordedSpeed
+from steerkit.plants.speed_driver import ConstantSpeed, RecordedSpeed
 from steerkit.scenario.assembly import placed, steering_loop
 from tests.support.predictive import CAR, MOTOR, controller, driven, inputs
 
 STEADY = ConstantSpeed(speed=6.0)
 
 
-def loop_of(block: PredictiveSteering, human: Any = STEADY) -> Any:
+def loop_of(block: PredictiveSteering, driver: Any = STEADY) -> Any:
     path = circle(30.0)
     return steering_loop(
         car=placed(CAR, path, e=0.4),
         path=path,
-        human=human,
+        driver=driver,
         actuator=MOTOR,
         controller=block,
         reference=CAR.vehicle.l_f,
@@ -45,7 +45,7 @@ STOPS = RecordedSpeed(speeds=(5.0, 0.0, 0.0, 5.0, 5.0), spacing=1.0)
 
 
 @pytest.mark.parametrize(
-    ("kind", "backend", "human", "fields", "told"),
+    ("kind", "backend", "driver", "fields", "told"),
     [
         (MPC, "c", STOPS, {}, {0.0, 3.0}),
         (NonlinearMPC, "c", STEADY, {}, {0.0}),
@@ -55,10 +55,10 @@ STOPS = RecordedSpeed(speeds=(5.0, 0.0, 0.0, 5.0, 5.0), spacing=1.0)
     ],
 )
 def test_a_compiled_loop_is_the_simulated_one(
-    kind: Any, backend: Any, human: Any, fields: dict[str, Any], told: set[float]
+    kind: Any, backend: Any, driver: Any, fields: dict[str, Any], told: set[float]
 ) -> None:
     """Also while it stands still, and when no solution passes the check."""
-    loop = loop_of(controller(kind, **fields), human)
+    loop = loop_of(controller(kind, **fields), driver)
     simulated, compiled = simulate(loop, 3.0), compile(loop, backend=backend).run(3.0)
     for name, tolerance in {"status": 0.0, "fault": 0.0, "delta_sw": 1e-9, "plan": 1e-9}.items():
         name = f"controller.{name}"

@@ -20,7 +20,7 @@ from steerkit.controllers.stanley import Stanley
 from steerkit.controllers.supervisor import Supervisor
 from steerkit.diagram.simulation import simulate
 from steerkit.paths.courses import course, straight
-from steerkit.plants.human import ConstantSpeed, RecordedSpeed
+from steerkit.plants.speed_driver import ConstantSpeed, RecordedSpeed
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario.assembly import placed, steering_loop
 from tests.support.predictive import CAR, KINDS, MOTOR, ZEROS, checked, controller, driven, inputs, kinds, unsolved
@@ -114,7 +114,7 @@ def test_the_path_ends_before_the_preview_does(kind: Any) -> None:
     loop = steering_loop(
         car=placed(CAR, path, e=0.3),
         path=path,
-        human=ConstantSpeed(speed=5.0),
+        driver=ConstantSpeed(speed=5.0),
         actuator=MOTOR,
         controller=controller(kind),
     )
@@ -214,7 +214,7 @@ def test_the_fallback_drives_home(monkeypatch: pytest.MonkeyPatch) -> None:
     loop = steering_loop(
         car=placed(CAR, path, s=20.0, e=0.8),
         path=path,
-        human=ConstantSpeed(speed=5.0),
+        driver=ConstantSpeed(speed=5.0),
         actuator=motor,
         controller=MPC.of(CAR, motor),
         reference=CAR.vehicle.l_f,
@@ -230,7 +230,7 @@ def test_a_run_can_be_repeated_bit_for_bit(kind: Any) -> None:
     loop = steering_loop(
         car=placed(CAR, path, e=0.8),
         path=path,
-        human=ConstantSpeed(speed=6.0),
+        driver=ConstantSpeed(speed=6.0),
         actuator=MOTOR,
         controller=kind.of(CAR, MOTOR),
     )
@@ -246,7 +246,7 @@ def test_a_start_far_off_and_askew_is_recovered(kind: Any, e: float, psi_e_deg: 
     loop = steering_loop(
         car=placed(CAR, path, e=e, psi_e=math.radians(psi_e_deg)),
         path=path,
-        human=ConstantSpeed(speed=6.0),
+        driver=ConstantSpeed(speed=6.0),
         actuator=MOTOR,
         controller=kind.of(CAR, MOTOR),
         reference=CAR.vehicle.l_f,
@@ -259,11 +259,11 @@ def test_a_start_far_off_and_askew_is_recovered(kind: Any, e: float, psi_e_deg: 
 @kinds
 def test_a_car_starts_from_standstill_and_stops_again(kind: Any) -> None:
     path = straight(60.0)
-    human = RecordedSpeed(speeds=(0.0, 0.0, 3.0, 3.0, 0.0, 0.0), spacing=2.0)
+    driver = RecordedSpeed(speeds=(0.0, 0.0, 3.0, 3.0, 0.0, 0.0), spacing=2.0)
     loop = steering_loop(
         car=placed(CAR, path, e=0.3),
         path=path,
-        human=human,
+        driver=driver,
         actuator=MOTOR,
         controller=kind.of(CAR, MOTOR),
         reference=CAR.vehicle.l_f,

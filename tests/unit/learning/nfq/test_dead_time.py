@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from steerkit.controllers.forecast import LENGTH
+from steerkit.controllers.delay_compensator import LENGTH
 from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, V
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq.dead_time import aligned, process_of

@@ -45,8 +45,8 @@ def test_a_gap_is_refused_with_what_to_record() -> None:
     keep = (t < 10.0) | (t > 20.0)
     with pytest.raises(ValueError, match=r"a gap of 13 s and 50 m after point 9 .9 s .*: .* record that stretch again"):
         cleaned(xy[keep], t[keep] + (t[keep] > 20.0), None, 0.5, "lap")
-    rested = t + 600.0 * (t > 10.0)  # ten minutes without a word, but not a metre further
-    cleaned(xy, rested, None, 0.5, "lap")
+    on_standby = t + 600.0 * (t > 10.0)  # ten minutes without a word, but not a metre further
+    cleaned(xy, on_standby, None, 0.5, "lap")
 
 
 @pytest.mark.parametrize(("by", "message"), [((900.0, 0.0), "a wrong position"), ((0.0, 80.0), "a wrong position")])

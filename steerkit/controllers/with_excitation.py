@@ -18,7 +18,7 @@ from steerkit.vehicles import Vehicle, require_vehicle
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Excited(Block):
+class WithExcitation(Block):
     """Wraps a steering controller and swings its angle about what it asks for, so that estimators see what they need.
 
         delta_sw = delta_sw of `block` + w,   w = n (L + K v^2)/v^2 a,   sat to -+most,
@@ -56,7 +56,7 @@ class Excited(Block):
     """Of this wave, among those of a drive."""
 
     def __post_init__(self) -> None:
-        where = "Excited"
+        where = "WithExcitation"
         asks, gives = ({port.name for port in ports} for ports in (self.block.inputs, self.block.outputs))
         kind = type(self.block).__name__
         require({"v", "r"} <= asks, where, f"{kind} with inputs {sorted(asks)}, expected v and r among them")
@@ -120,9 +120,9 @@ WAVES: Mapping[str, Mapping[str, float]] = MappingProxyType(
 """The waves of a calibration by name; in `bends` the course alone moves the wheel."""
 
 
-def excited(controller: Block, wave: str, vehicle: Vehicle) -> Block:
+def with_excitation(controller: Block, wave: str, vehicle: Vehicle) -> Block:
     """`controller` with one of `WAVES` on top; one that adapts gets it inside. Raises ValueError for another name."""
     known(wave, WAVES, "wave")
     if isinstance(controller, Adaptive):
-        return replace(controller, blocks=tuple(excited(block, wave, vehicle) for block in controller.blocks))
-    return Excited(block=controller, vehicle=vehicle, number=float([*WAVES].index(wave)), **WAVES[wave])
+        return replace(controller, blocks=tuple(with_excitation(block, wave, vehicle) for block in controller.blocks))
+    return WithExcitation(block=controller, vehicle=vehicle, number=float([*WAVES].index(wave)), **WAVES[wave])

@@ -9,22 +9,22 @@ import numpy as np
 import pytest
 
 from steerkit.controllers.adaptive import Adaptive
-from steerkit.controllers.excited import WAVES, Excited, excited
 from steerkit.controllers.stanley import Stanley
+from steerkit.controllers.with_excitation import WAVES, WithExcitation, with_excitation
 from steerkit.diagram.units import radians_of
 from steerkit.doe import Integrator
 from steerkit.paths.courses import course
-from steerkit.plants.human import ConstantSpeed
-from steerkit.scenario.catalogue import Belief, make_controller
+from steerkit.plants.speed_driver import ConstantSpeed
+from steerkit.scenario.catalogue import DesignModel, make_controller
 from steerkit.vehicles import vehicle
 
 PASSAT = vehicle("vw-passat")
 STANLEY = Stanley.of(PASSAT)
-BELIEF = Belief(vehicle=PASSAT, path=course("paper"))
+BELIEF = DesignModel(vehicle=PASSAT, path=course("paper"))
 U: dict[str, Any] = dict(e=0.0, psi_e=0.0, kappa=0.0, v=5.0, r=0.0, delta_sw_meas=0.0)
 
 
-def angles(block: Excited, samples: int, **changes: float) -> list[float]:
+def angles(block: WithExcitation, samples: int, **changes: float) -> list[float]:
     """What it asks for, of a car that stands still on its path."""
     u = U | changes
     x, out = block.init(), []
@@ -36,7 +36,7 @@ def angles(block: Excited, samples: int, **changes: float) -> list[float]:
 
 
 def test_a_sine_whose_acceleration_is_the_amplitude_at_any_speed() -> None:
-    block = Excited(block=STANLEY, vehicle=PASSAT, amplitude=0.5, frequency=0.25, most=3.0)
+    block = WithExcitation(block=STANLEY, vehicle=PASSAT, amplitude=0.5, frequency=0.25, most=3.0)
     for v in (4.0, 8.0):
         per_a_y = PASSAT.steer_ratio * (PASSAT.wheelbase + PASSAT.understeer_gradient * v * v) / v**2
         expected = [0.5 * per_a_y * math.sin(0.5 * math.pi * 0.05 * k) for k in range(100)]
@@ -44,19 +44,19 @@ def test_a_sine_whose_acceleration_is_the_amplitude_at_any_speed() -> None:
 
 
 def test_steps_are_flat_and_the_angle_is_bounded() -> None:
-    steps = angles(Excited(block=STANLEY, vehicle=PASSAT, frequency=0.25, steepness=50.0, most=0.3), 80)
+    steps = angles(WithExcitation(block=STANLEY, vehicle=PASSAT, frequency=0.25, steepness=50.0, most=0.3), 80)
     assert steps[5:35] == pytest.approx([0.3] * 30)
     assert steps[45:75] == pytest.approx([-0.3] * 30)
 
 
 def test_in_a_bend_it_never_leads_beyond_what_is_allowed() -> None:
-    block = Excited(block=STANLEY, vehicle=PASSAT, amplitude=0.5, a_y_most=2.0, frequency=0.25, most=3.0)
+    block = WithExcitation(block=STANLEY, vehicle=PASSAT, amplitude=0.5, a_y_most=2.0, frequency=0.25, most=3.0)
     free = np.array(angles(block, 80))
     left = np.array(angles(block, 80, r=1.8 / 5.0)) - angles(
-        Excited(block=STANLEY, vehicle=PASSAT, amplitude=0.0), 80, r=1.8 / 5.0
+        WithExcitation(block=STANLEY, vehicle=PASSAT, amplitude=0.0), 80, r=1.8 / 5.0
     )
     beyond = np.array(angles(block, 80, r=2.5 / 5.0)) - angles(
-        Excited(block=STANLEY, vehicle=PASSAT, amplitude=0.0), 80, r=2.5 / 5.0
+        WithExcitation(block=STANLEY, vehicle=PASSAT, amplitude=0.0), 80, r=2.5 / 5.0
     )
     assert left.max() == pytest.approx(0.4 * free.max())
     assert left.min() == pytest.approx(free.min())
@@ -66,11 +66,11 @@ def test_in_a_bend_it_never_leads_beyond_what_is_allowed() -> None:
 
 @pytest.mark.parametrize("changes", [{"v": 1.9}, {"v": 0.0}, {"v": -3.0}])
 def test_slow_cars_are_left_alone(changes: dict[str, float]) -> None:
-    assert angles(Excited(block=STANLEY, vehicle=PASSAT), 60, **changes) == [0.0] * 60
+    assert angles(WithExcitation(block=STANLEY, vehicle=PASSAT), 60, **changes) == [0.0] * 60
 
 
 def test_no_number_for_the_yaw_rate_or_the_speed_gives_no_wave() -> None:
-    block = Excited(block=STANLEY, vehicle=PASSAT)
+    block = WithExcitation(block=STANLEY, vehicle=PASSAT)
     for name in ("v", "r"):
         for value in (math.nan, math.inf, -math.inf):
             u = block.U(**(U | {name: value}))
@@ -79,7 +79,7 @@ def test_no_number_for_the_yaw_rate_or_the_speed_gives_no_wave() -> None:
 
 def test_the_controller_goes_on_from_its_own_angle() -> None:
     """Else its limit of the rate would start from the wave, and the wave would add up."""
-    block = Excited(block=STANLEY, vehicle=PASSAT, amplitude=0.6, frequency=0.3)
+    block = WithExcitation(block=STANLEY, vehicle=PASSAT, amplitude=0.6, frequency=0.3)
     x = block.init()
     for k in range(40):
         y = block.output(0.05 * k, x, block.D(**U))
@@ -89,7 +89,7 @@ def test_the_controller_goes_on_from_its_own_angle() -> None:
 
 
 def test_another_wave_begins_at_its_beginning_while_the_state_goes_on() -> None:
-    one, two = (Excited(block=STANLEY, vehicle=PASSAT, number=number, frequency=0.5) for number in (0.0, 1.0))
+    one, two = (WithExcitation(block=STANLEY, vehicle=PASSAT, number=number, frequency=0.5) for number in (0.0, 1.0))
     x = one.init()
     for k in range(13):
         x = one.update(0.0, x, one.U(**U), one.output(0.05 * k, x, one.D(**U)))
@@ -101,9 +101,9 @@ def test_another_wave_begins_at_its_beginning_while_the_state_goes_on() -> None:
 
 
 def test_a_controller_that_adapts_watches_the_whole_angle(monkeypatch: pytest.MonkeyPatch) -> None:
-    block = excited(make_controller("stanley-adaptive", BELIEF), "sine", PASSAT)
+    block = with_excitation(make_controller("stanley-adaptive", BELIEF), "sine", PASSAT)
     assert isinstance(block, Adaptive)
-    assert all(isinstance(inner, Excited) for inner in block.blocks)
+    assert all(isinstance(inner, WithExcitation) for inner in block.blocks)
     level = (0.0,) * block.preview_points  # type: ignore[attr-defined]
     seen = {port.name: level if port.name == "preview" else U.get(port.name, 0.0) for port in block.inputs}
     watched: list[float] = []
@@ -115,22 +115,22 @@ def test_a_controller_that_adapts_watches_the_whole_angle(monkeypatch: pytest.Mo
     for _ in range(31):
         y = block.output(0.0, x, block.D(*[seen[name] for name in block.D._fields]))
         x = block.update(0.0, x, block.U(*[seen[name] for name in block.U._fields]), y)
-    whole = Excited(block=STANLEY, vehicle=PASSAT, **WAVES["sine"])
+    whole = WithExcitation(block=STANLEY, vehicle=PASSAT, **WAVES["sine"])
     assert watched == pytest.approx(angles(whole, 31), abs=1e-9)
 
 
 def test_the_waves_have_names_and_numbers_of_their_own() -> None:
-    blocks: list[Any] = [excited(STANLEY, wave, PASSAT) for wave in WAVES]
+    blocks: list[Any] = [with_excitation(STANLEY, wave, PASSAT) for wave in WAVES]
     assert [block.number for block in blocks] == [0.0, 1.0, 2.0]
     assert angles(blocks[2], 50) == [0.0] * 50
     with pytest.raises(ValueError, match=r"wave 'sinus' is not known .*'sine'.*; valid: sine, steps, bends"):
-        excited(STANLEY, "sinus", PASSAT)
+        with_excitation(STANLEY, "sinus", PASSAT)
 
 
 def test_what_it_is_not_made_for() -> None:
     with pytest.raises(ValueError, match=r"amplitude = 4.0 \[m/s\^2\], expected 0 to 3"):
-        Excited(block=STANLEY, vehicle=PASSAT, amplitude=4.0)
+        WithExcitation(block=STANLEY, vehicle=PASSAT, amplitude=4.0)
     with pytest.raises(ValueError, match="expected v and r among them"):
-        Excited(block=Integrator(), vehicle=PASSAT)
+        WithExcitation(block=Integrator(), vehicle=PASSAT)
     with pytest.raises(ValueError, match="expected v and r among them"):
-        Excited(block=ConstantSpeed(), vehicle=PASSAT)
+        WithExcitation(block=ConstantSpeed(), vehicle=PASSAT)

@@ -10,7 +10,7 @@ from steerkit.diagram.block import Block, State, take_ports
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Trimmed(Block):
+class CommandCompensation(Block):
     """Wraps a controller so that it need not know of an offset or a gain of the steering, for comparing what is told.
 
         delta_sw = (delta_sw of `block` - offset)/gain
@@ -30,9 +30,9 @@ class Trimmed(Block):
     """Angle reached over angle commanded [1]."""
 
     def __post_init__(self) -> None:
-        require(self.gain > 0.0, "Trimmed", f"gain = {self.gain} [1], expected > 0")
+        require(self.gain > 0.0, "CommandCompensation", f"gain = {self.gain} [1], expected > 0")
         gives = [port.name for port in self.block.outputs]
-        require("delta_sw" in gives, "Trimmed", f"block with outputs {gives}, expected delta_sw among them")
+        require("delta_sw" in gives, "CommandCompensation", f"block with outputs {gives}, expected delta_sw among them")
         take_ports(self, self.block)
 
     def init(self, batch: tuple[int, ...] = ()) -> State:

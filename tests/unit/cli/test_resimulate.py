@@ -1,4 +1,4 @@
-"""`steerkit redrive`: a table, a picture, JSON."""
+"""`steerkit resimulate`: a table, a picture, JSON."""
 
 from __future__ import annotations
 

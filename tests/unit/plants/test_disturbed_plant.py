@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from steerkit.plants.disturbed_plant import DisturbedPlant
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
-from steerkit.plants.pushed import Pushed
 from steerkit.plants.single_track import SingleTrack
 from steerkit.vehicles import VW_PASSAT, vehicle
 from tests.support.straight_on import straight_on
@@ -24,7 +24,7 @@ def test_a_bank_turns_the_car_as_its_steady_state_says(kind) -> None:
     """Steady, wheels straight: m v r = F_f + F_r + m a and l_f F_f = l_r F_r, linear in (beta, r)."""
     a, v, p = 0.3, 7.0, PASSAT
     inner = kind(vehicle=p, v0=v)
-    _, ys = straight_on(Pushed(block=inner, bank=a), 6.0, v=v)
+    _, ys = straight_on(DisturbedPlant(block=inner, bank=a), 6.0, v=v)
     matrix = np.array(
         [
             [-(p.c_f + p.c_r), (p.c_r * p.l_r - p.c_f * p.l_f) / v - p.m * v],
@@ -39,15 +39,15 @@ def test_a_bank_turns_the_car_as_its_steady_state_says(kind) -> None:
 
 def test_no_push_is_the_car_itself_and_gusts_follow_their_seed() -> None:
     inner = NonlinearSingleTrack(vehicle=PASSAT, v0=7.0)
-    (*x, _, _, _, _, _, _, _), _ = straight_on(Pushed(block=inner), 1.0, 0.5)
+    (*x, _, _, _, _, _, _, _), _ = straight_on(DisturbedPlant(block=inner), 1.0, 0.5)
     assert x == straight_on(inner, 1.0, 0.5)[0]
-    gusty = Pushed(block=inner, gust=0.2, seed=1)
+    gusty = DisturbedPlant(block=inner, gust=0.2, seed=1)
     assert straight_on(gusty, 2.0)[0] == straight_on(gusty, 2.0)[0] != straight_on(replace(gusty, seed=2), 2.0)[0]
-    _, ys = straight_on(Pushed(block=inner, gust=0.2, gust_time=0.05), 60.0)
+    _, ys = straight_on(DisturbedPlant(block=inner, gust=0.2, gust_time=0.05), 60.0)
     pushes = np.diff([y.r for y in ys])
     assert abs(np.mean(pushes)) < 0.1 * np.std(pushes)
     with pytest.raises(ValueError, match="gust = -1"):
-        Pushed(block=inner, gust=-1.0)
+        DisturbedPlant(block=inner, gust=-1.0)
 
 
 CAR = VW_PASSAT
@@ -55,7 +55,7 @@ CAR = VW_PASSAT
 V = 7.0
 
 
-def at_rest_in_it(car: Pushed, seconds: float = 4.0) -> Any:
+def at_rest_in_it(car: DisturbedPlant, seconds: float = 4.0) -> Any:
     """The outputs after some time with the wheel straight."""
     x = car.init()
     for k in range(round(seconds / car.dt)):
@@ -69,7 +69,7 @@ def at_rest_in_it(car: Pushed, seconds: float = 4.0) -> Any:
 )
 def test_the_steady_drift_is_that_of_forces_and_moments(kind: type[SingleTrack], push: dict[str, float]) -> None:
     """m v r = F_f + F_r + m (wind + bank),  0 = l_f F_f - l_r F_r + m wind arm: the bank has no lever."""
-    car = Pushed(block=kind(vehicle=CAR, v0=V, dt=0.002), dt=0.002, **push)  # little is left of the splitting
+    car = DisturbedPlant(block=kind(vehicle=CAR, v0=V, dt=0.002), dt=0.002, **push)  # little is left of the splitting
     y = at_rest_in_it(car)
     sides = [
         [-(CAR.c_f + CAR.c_r), (CAR.c_r * CAR.l_r - CAR.c_f * CAR.l_f) / V - CAR.m * V],
@@ -82,7 +82,7 @@ def test_the_steady_drift_is_that_of_forces_and_moments(kind: type[SingleTrack],
 
 def test_gusts_have_the_stated_deviation_and_correlation() -> None:
     n, seconds = 4000, 0.5
-    car = Pushed(block=LinearSingleTrack(vehicle=CAR, v0=V), gust=0.2, gust_time=1.0, seed=3)
+    car = DisturbedPlant(block=LinearSingleTrack(vehicle=CAR, v0=V), gust=0.2, gust_time=1.0, seed=3)
     x = car.init((n,))
     first = car._wind(x)
     for k in range(round(seconds / car.dt)):

@@ -21,7 +21,7 @@ GUST_STATES = 7
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Pushed(Car):
+class DisturbedPlant(Car):
     """A single-track car that crosswind and the bank of the road push aside.
 
     a_w(t) = wind + gust g(t),  g(t + dt) = f g(t) + sqrt(1 - f^2) n,  f = exp(-dt/gust_time),  n standard normal;
@@ -52,9 +52,9 @@ class Pushed(Car):
     dt: float = 0.01
 
     def __post_init__(self) -> None:
-        require(self.dt == self.block.dt, "Pushed", f"dt = {self.dt} s, but its car has {self.block.dt} s")
-        require(self.gust >= 0.0, "Pushed", f"gust = {self.gust} [m/s^2], expected >= 0")
-        require(self.gust_time >= self.dt, "Pushed", f"gust_time = {self.gust_time} [s], expected >= dt")
+        require(self.dt == self.block.dt, "DisturbedPlant", f"dt = {self.dt} s, but its car has {self.block.dt} s")
+        require(self.gust >= 0.0, "DisturbedPlant", f"gust = {self.gust} [m/s^2], expected >= 0")
+        require(self.gust_time >= self.dt, "DisturbedPlant", f"gust_time = {self.gust_time} [s], expected >= dt")
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         g, _, random = normals(seed_state(self.seed, batch, stream=_STREAM))

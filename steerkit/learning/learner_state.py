@@ -50,7 +50,7 @@ class Events(NamedTuple):
     """Was a round complete in it?"""
 
 
-class Story:
+class LearnerState:
     """What a learner has seen and done, when it trains, and who may steer; whoever drives it asks after each sample.
 
     setting: how it learns. seed: of the nets. policy: to begin with, and `net` its number. trainer: makes new policies

@@ -8,47 +8,47 @@ import numpy as np
 import pytest
 
 from steerkit.diagram.maths import Table
-from steerkit.plants.human import ConstantSpeed, Human, RecordedSpeed, SpeedProfile
+from steerkit.plants.speed_driver import ConstantSpeed, RecordedSpeed, SpeedDriver, SpeedProfile
 from tests.support.stepped import run
 
 
-def speeds(human, steps, batch=()):
-    x, v = human.init(batch), []
+def speeds(driver, steps, batch=()):
+    x, v = driver.init(batch), []
     for k in range(steps):
-        y = human.output(k * human.dt, x, human.D())
-        x = human.update(k * human.dt, x, human.U(), y)
+        y = driver.output(k * driver.dt, x, driver.D())
+        x = driver.update(k * driver.dt, x, driver.U(), y)
         v.append(y.v)
     return np.array(v)
 
 
 def test_human_wanders_smoothly_over_the_whole_range():
-    human = Human(seed=1)
-    v = speeds(human, 1200, (64,))
+    driver = SpeedDriver(seed=1)
+    v = speeds(driver, 1200, (64,))
     assert 4.0 < v.min() < 4.2
     assert 7.3 < v.max() < 7.5
     assert v.mean() == pytest.approx(5.75, abs=0.1)
-    pace = np.diff(v, axis=0) / human.dt
+    pace = np.diff(v, axis=0) / driver.dt
     assert 0.1 < pace.std() < 0.4
     assert np.abs(pace).max() < 2.5
     assert np.abs(np.diff(pace, axis=0)).max() < 0.5  # the pace itself does not jump
 
 
 def test_human_is_stationary_from_the_start():
-    x = Human(seed=9).init((20_000,))
+    x = SpeedDriver(seed=9).init((20_000,))
     z, g = np.array(x[:2])
     moments = [np.cov(z, g)]
-    human = Human(seed=9)
+    driver = SpeedDriver(seed=9)
     for _ in range(100):
-        x = human.update(0.0, x, None, None)
+        x = driver.update(0.0, x, None, None)
     moments.append(np.cov(np.array(x[:2])))
     assert moments[0] == pytest.approx(moments[1], abs=0.04)
     assert moments[0][0, 0] == pytest.approx(1.0, abs=0.03)
 
 
 def test_human_of_a_batch_is_the_single_ones():
-    batch = speeds(Human(seed=5), 100, (3,))
+    batch = speeds(SpeedDriver(seed=5), 100, (3,))
     for i in range(3):
-        assert batch[:, i] == pytest.approx(speeds(Human(seed=5 + i), 100), rel=1e-12)
+        assert batch[:, i] == pytest.approx(speeds(SpeedDriver(seed=5 + i), 100), rel=1e-12)
     assert not np.allclose(batch[:, 0], batch[:, 1])
 
 
@@ -58,11 +58,11 @@ def test_constant_speed():
 
 
 def test_recorded_human():
-    human = RecordedSpeed(speeds=(4.0, 6.0, 5.0), spacing=0.1)
-    assert speeds(human, 7) == pytest.approx([4.0, 5.0, 6.0, 5.5, 5.0, 5.0, 5.0])
-    again = replace(human, repeat=True, start=0.1)
+    driver = RecordedSpeed(speeds=(4.0, 6.0, 5.0), spacing=0.1)
+    assert speeds(driver, 7) == pytest.approx([4.0, 5.0, 6.0, 5.5, 5.0, 5.0, 5.0])
+    again = replace(driver, repeat=True, start=0.1)
     assert speeds(again, 4) == pytest.approx([6.0, 5.5, 4.0, 5.0])
-    assert speeds(replace(human, start=np.array([-1.0, 0.05])), 2, (2,)) == pytest.approx(np.array([[4, 5], [4, 6]]))
+    assert speeds(replace(driver, start=np.array([-1.0, 0.05])), 2, (2,)) == pytest.approx(np.array([[4, 5], [4, 6]]))
 
 
 def test_speed_profile_over_progress():
@@ -91,9 +91,12 @@ def test_speed_profile_is_traced_through_a_table(monkeypatch):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Human(v_min=8.0, v_max=7.0), r"Human: v_max = 7.0 \[m/s\], expected 8 to 60; at least v_min"),
-        (lambda: Human(foot_time=0.01), r"foot_time = 0.01 \[s\]"),
-        (lambda: Human(seed=-1), "seed = -1, expected a whole number"),
+        (
+            lambda: SpeedDriver(v_min=8.0, v_max=7.0),
+            r"SpeedDriver: v_max = 7.0 \[m/s\], expected 8 to 60; at least v_min",
+        ),
+        (lambda: SpeedDriver(foot_time=0.01), r"foot_time = 0.01 \[s\]"),
+        (lambda: SpeedDriver(seed=-1), "seed = -1, expected a whole number"),
         (lambda: ConstantSpeed(speed=-5.0), r"speed = -5.0 \[m/s\]"),
         (lambda: RecordedSpeed(speeds=(4.0,), spacing=1.0), "two numbers or more"),
         (lambda: RecordedSpeed(speeds=(4.0, math.nan), spacing=1.0), r"speeds = .* \[m/s\]"),

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 
 from steerkit._support.errors import WiringError
 from steerkit.car.gate import GateLimits, gate
-from steerkit.controllers.foresight import Foresight
+from steerkit.controllers.excursion_predictor import ExcursionPredictor
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.units import radians_of
 from steerkit.paths.courses import course
-from steerkit.plants.human import ConstantSpeed
 from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.scenario.assembly import steering_loop
 from steerkit.vehicles import vehicle
 
@@ -24,7 +24,7 @@ RATIO, LENGTH = 15.6, 2.71
 
 
 def reach(e: float, psi_e: float, kappa: float, v: float, doe: float, **limits: float) -> float:
-    block = Foresight(**limits)
+    block = ExcursionPredictor(**limits)
     return float(block.output(0.0, (), block.D(e, psi_e, kappa, v, doe)).reach)
 
 
@@ -69,7 +69,7 @@ def test_it_is_the_same_in_the_mirror_and_never_nearer_than_now(
     far = reach(e, psi_e, kappa, v, doe)
     assert far >= abs(e)
     assert far == reach(-e, -psi_e, -kappa, v, -doe)
-    block = Foresight()
+    block = ExcursionPredictor()
     assert block.output(0.0, (), block.D(e, psi_e, kappa, v, doe)).distance == max(abs(e), block.weight * far)
 
 
@@ -121,7 +121,7 @@ def test_a_wheel_beyond_the_bound_comes_back_no_faster_than_the_gate_lets_it() -
 def test_a_nan_is_not_hidden(broken: int) -> None:
     values = [0.1, 0.1, 0.01, 5.0, 1.0]
     values[broken] = math.nan
-    block = Foresight()
+    block = ExcursionPredictor()
     y = block.output(0.0, (), block.D(*values))
     assert math.isnan(y.distance)
 
@@ -131,8 +131,8 @@ def test_a_nan_is_not_hidden(broken: int) -> None:
     [("a_y_max", 0.0), ("horizon", -1.0), ("hold", -0.1), ("quantum", -0.1), ("frame_dt", 0.0), ("weight", math.nan)],
 )
 def test_bad_limits(name: str, value: float) -> None:
-    with pytest.raises(ValueError, match=f"Foresight: {name} = "):
-        Foresight(**{name: value})
+    with pytest.raises(ValueError, match=f"ExcursionPredictor: {name} = "):
+        ExcursionPredictor(**{name: value})
 
 
 def test_foresight_needs_somebody_to_call() -> None:
@@ -141,7 +141,7 @@ def test_foresight_needs_somebody_to_call() -> None:
         steering_loop(
             car=LinearSingleTrack(vehicle=passat, v0=5.0),
             path=course("paper"),
-            human=ConstantSpeed(speed=5.0),
+            driver=ConstantSpeed(speed=5.0),
             controller=Stanley.of(passat),
-            foresight=Foresight(),
+            foresight=ExcursionPredictor(),
         )

@@ -7,15 +7,15 @@ import pytest
 
 from steerkit.paths.courses import circle, course
 from steerkit.paths.path import Path
-from steerkit.plants.careful_human import CarefulHuman
-from steerkit.plants.human import Human
+from steerkit.plants.curve_speed_driver import CurveSpeedDriver
+from steerkit.plants.speed_driver import SpeedDriver
 
 
 def test_a_careful_human_keeps_both_accelerations() -> None:
     path = course("paper")
-    human = CarefulHuman(path=path, human=Human(v_min=7.5, v_max=7.5))
+    driver = CurveSpeedDriver(path=path, driver=SpeedDriver(v_min=7.5, v_max=7.5))
     s = np.linspace(0.0, path.length, 8000)
-    v = human.output(0.0, human.init((len(s),)), human.D(s)).v
+    v = driver.output(0.0, driver.init((len(s),)), driver.D(s)).v
     assert (v**2 * np.abs(path.kappa(s))).max() < 3.1
     assert np.abs(np.diff(v**2) / (2.0 * np.diff(s))).max() < 1.6
     assert v.max() > 6.9
@@ -24,18 +24,18 @@ def test_a_careful_human_keeps_both_accelerations() -> None:
 
 def test_a_careful_human_on_an_open_course_does_not_brake_for_its_own_start() -> None:
     path = course("genesis-rfs")
-    human = CarefulHuman(path=path, human=Human(v_min=7.0, v_max=7.5), a_y_max=3.0)
+    driver = CurveSpeedDriver(path=path, driver=SpeedDriver(v_min=7.0, v_max=7.5), a_y_max=3.0)
     bend = float(path.samples.s[np.abs(path.samples.kappa).argmax()])
-    fast, slow = (human.output(0.0, human.init(), human.D(s)).v for s in (path.length, bend))
+    fast, slow = (driver.output(0.0, driver.init(), driver.D(s)).v for s in (path.length, bend))
     assert fast > 7.0 > 6.95
     assert slow < 7.5
     with pytest.raises(ValueError, match="a_y_max"):
-        CarefulHuman(path=path, human=Human(), a_y_max=0.0)
+        CurveSpeedDriver(path=path, driver=SpeedDriver(), a_y_max=0.0)
 
 
 def speeds(path: Path, s: np.ndarray, fastest: float = 30.0) -> np.ndarray:
-    human = CarefulHuman(path=path, human=Human(v_min=fastest, v_max=fastest))
-    return human.output(0.0, human.init((len(s),)), human.D(s)).v
+    driver = CurveSpeedDriver(path=path, driver=SpeedDriver(v_min=fastest, v_max=fastest))
+    return driver.output(0.0, driver.init((len(s),)), driver.D(s)).v
 
 
 def test_a_circle_is_driven_at_the_comfortable_acceleration() -> None:

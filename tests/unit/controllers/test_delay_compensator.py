@@ -12,19 +12,19 @@ import numpy as np
 import pytest
 
 from steerkit._support.files import read_arrays, write_arrays
-from steerkit.controllers.forecast import LENGTH, LONGEST, PREVIEW, Forecast, Motion, moved, nothing
+from steerkit.controllers.delay_compensator import LENGTH, LONGEST, PREVIEW, DelayCompensator, Motion, moved, nothing
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.learning.nfq.iterate import mirror_image
 from steerkit.learning.nfq.network import new_net
 from steerkit.learning.nfq.patterns import STANDARD
 from steerkit.task import DT
 
-CAR = Forecast(samples=5, now=0.004, before=0.005, earlier=0.003, back=0.2, slip=4e-4, yaw=0.38, straight=0.05)
+CAR = DelayCompensator(samples=5, now=0.004, before=0.005, earlier=0.003, back=0.2, slip=4e-4, yaw=0.38, straight=0.05)
 FAST = replace(CAR, slip=0.0, loss=1.2e-3, yaw=1.0 / LENGTH, nose=0.9, tail=2e-3, fast=1.0)
 STATE = ("e", "e_dot", "v", "psi_e", "r_e", "doe")
 
 
-def driven(car: Forecast, n: int = 80, seed: int = 0) -> tuple[list[Any], list[Motion]]:
+def driven(car: DelayCompensator, n: int = 80, seed: int = 0) -> tuple[list[Any], list[Motion]]:
     """What is seen of a car of these numbers at n samples, and its motion; steered at random through its dead time."""
     rng, speed = np.random.default_rng(seed), 5.0
     doe = np.concatenate((np.zeros(20), 0.2 * np.cumsum(rng.normal(size=n + 20))))  # doe[k + 20]: known at sample k
@@ -49,7 +49,7 @@ def driven(car: Forecast, n: int = 80, seed: int = 0) -> tuple[list[Any], list[M
 @pytest.mark.parametrize("samples", [0, 1, 5, LONGEST])
 @pytest.mark.parametrize("trust", [1.0, 0.25])
 @pytest.mark.parametrize("kind", [CAR, FAST], ids=["slow", "fast"])
-def test_the_forecast_is_where_the_car_will_be(kind: Forecast, samples: int, trust: float) -> None:
+def test_the_forecast_is_where_the_car_will_be(kind: DelayCompensator, samples: int, trust: float) -> None:
     car = replace(kind, samples=samples, trust=trust)
     seen, motions = driven(car)
     x = car.at_first(seen[0])
@@ -90,7 +90,7 @@ def test_noise_is_filtered_and_a_nan_is_forgotten() -> None:
 
 
 @pytest.mark.parametrize("kind", [CAR, FAST], ids=["slow", "fast"])
-def test_the_same_in_batches_and_symbols(kind: Forecast) -> None:
+def test_the_same_in_batches_and_symbols(kind: DelayCompensator) -> None:
     policy = NfqPolicy(nets=(new_net(seed=1),), preview_points=PREVIEW, forecast=kind, continuous=True)
     rng = np.random.default_rng(2)
     values, kappa = rng.normal(0.0, 0.1, (6, 50)), rng.normal(0.0, 0.02, (PREVIEW, 50))
@@ -150,12 +150,12 @@ def test_a_net_and_its_mirror_image_steer_a_car_that_is_the_same_in_the_mirror()
 def test_numbers_out_of_range_are_refused() -> None:
     for wrong in (-1, LONGEST + 1, 2.0):
         with pytest.raises(ValueError, match="samples"):
-            Forecast(samples=wrong)  # type: ignore[arg-type]
+            DelayCompensator(samples=wrong)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="trust"):
-        Forecast(trust=0.0)
+        DelayCompensator(trust=0.0)
     with pytest.raises(ValueError, match="preview_points"):
-        NfqPolicy(forecast=Forecast())
-    assert Forecast().dt == DT
+        NfqPolicy(forecast=DelayCompensator())
+    assert DelayCompensator().dt == DT
 
 
 def test_a_policy_of_before_there_were_fast_cars_drives_as_it_did_and_one_of_another_fast_car_is_refused(

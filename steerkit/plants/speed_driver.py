@@ -22,7 +22,7 @@ _FASTEST = 60.0  # m/s
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Human(Block):
+class SpeedDriver(Block):
     """A human who wanders between two speeds, with a bounded and continuous pace.
 
     z(t + dt) = f z(t) + sqrt(1 - f^2) n,  f = exp(-dt/wander_time),  n standard normal   (Ornstein-Uhlenbeck)
@@ -53,7 +53,7 @@ class Human(Block):
     dt: float = DT
 
     def __post_init__(self) -> None:
-        where = "Human"
+        where = "SpeedDriver"
         require_within(where, "v_min", self.v_min, "m/s", 0.0, _FASTEST)
         require_within(where, "v_max", self.v_max, "m/s", self.v_min, _FASTEST, "at least v_min")
         require_within(where, "dt", self.dt, "s", 1e-6, 1.0)

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from steerkit.learning.data.transitions import Transitions
+from steerkit.learning.learner_state import LearnerState, untrained
 from steerkit.learning.nfq.iterate import FitSetting
 from steerkit.learning.settings import DEFAULT
-from steerkit.learning.story import Story, untrained
 from steerkit.learning.trainer import Job, Pending, Result
 
 HOW = replace(DEFAULT, fit=FitSetting(nets=1), retrain_every_m=5.0, calm=0.3)
@@ -53,20 +53,20 @@ class Told:
     def __init__(self, **options: Any):
         self.trainer, self.number, self.progress = InHand(), 0, 0.0
         given: dict[str, Any] = {"setting": HOW, "seed": 2, "policy": untrained(HOW, 2), "trainer": self.trainer}
-        self.story = Story(**given | options)
+        self.learner_state = LearnerState(**given | options)
 
     def drive(self, samples: int, *, learning: bool = True, failed: bool = False) -> Any:
         for _ in range(samples):
             self.number += 1
             self.progress += 1.0
             s = (0.01 * self.number, 0.0, 5.0, 0.0, 0.0, 0.0)
-            events = self.story.sample(
+            events = self.learner_state.sample(
                 self.number, 0.05 * self.number, s, 0.1, learning=learning, failed=failed, progress=self.progress, e=0.2
             )
         return events
 
     def take_over(self, e: float = 0.0, e_dot: float = 0.0) -> Result | None:
-        return self.story.take_over(0.0, e=e, e_dot=e_dot)
+        return self.learner_state.take_over(0.0, e=e, e_dot=e_dot)
 
 
 def test_what_is_recorded_goes_to_both_places_under_the_episode_s_number() -> None:
@@ -76,7 +76,7 @@ def test_what_is_recorded_goes_to_both_places_under_the_episode_s_number() -> No
     assert told.drive(1, learning=False, failed=True).ended.failed
     told.drive(2, learning=False)
     told.drive(2)
-    record = told.story.transitions
+    record = told.learner_state.transitions
     assert record.episode.tolist() == [4, 4, 4, 5] == [row[3] for row in also]
     assert record.s.tolist() == [list(row[0]) for row in also]
     assert record.s_next[:, 0].tolist() == [0.02, 0.03, 0.04, 0.08]
@@ -87,62 +87,62 @@ def test_it_goes_on_with_what_was_recorded_before() -> None:
     before.append((0.0,) * 6, 0.0, (0.0,) * 6, 0)
     told = Told(transitions=before, net=7)
     told.drive(2)
-    told.story.train(0.0, trusted=True)
+    told.learner_state.train(0.0, trusted=True)
     assert len(told.trainer.jobs[0].transitions) == 2  # type: ignore[arg-type]
     assert told.trainer.jobs[0].number == 8
-    assert told.story.counts.episodes[0].net == 7
+    assert told.learner_state.counts.episodes[0].net == 7
 
 
 def test_a_job_is_the_setting_s_and_its_seed_its_own() -> None:
     told = Told()
     told.drive(2)
     for _ in range(2):
-        told.story.train(0.0, trusted=True)
+        told.learner_state.train(0.0, trusted=True)
     job, after = told.trainer.jobs
     assert (job.actions, job.cost, job.fit, job.description) == (HOW.actions, HOW.cost, HOW.fit, HOW.description())
-    assert job.transitions is told.story.transitions
+    assert job.transitions is told.learner_state.transitions
     assert [(j.number, j.seed) for j in (job, after)] == [(1, 200_007), (2, 200_008)]
 
 
 def test_while_it_drives_it_is_trained_every_so_many_metres_and_one_training_at_a_time() -> None:
     told = Told()
     told.drive(5)
-    assert not told.story.due()  # four metres
+    assert not told.learner_state.due()  # four metres
     told.drive(1)
-    assert told.story.due()
-    told.story.train(0.0, trusted=True)
+    assert told.learner_state.due()
+    told.learner_state.train(0.0, trusted=True)
     told.drive(6)
-    assert not told.story.due()  # busy
+    assert not told.learner_state.due()  # busy
     told.trainer.done()
     told.take_over()
-    assert told.story.due()
-    told.story.train(0.0, trusted=True)
+    assert told.learner_state.due()
+    told.learner_state.train(0.0, trusted=True)
     told.trainer.busy = False
-    assert not told.story.due()  # no metre since
-    told.story.setting = replace(HOW, retrain_every_m=0.0)
+    assert not told.learner_state.due()  # no metre since
+    told.learner_state.setting = replace(HOW, retrain_every_m=0.0)
     told.drive(100)
-    assert not told.story.due()  # at failures only
+    assert not told.learner_state.due()  # at failures only
 
 
 def test_a_policy_that_failed_keeps_its_hands_off_until_a_newer_one_takes_over() -> None:
     told = Told()
-    first = told.story.policy
-    assert told.story.steering is first
+    first = told.learner_state.policy
+    assert told.learner_state.steering is first
     told.drive(2)
-    told.story.train(0.0, trusted=False)
-    assert not told.story.trusted
-    assert told.story.steering.ready_from == math.inf
-    told.story.train(0.0, trusted=True)  # a training asked for by another reason does not bring it back
-    assert not told.story.trusted
+    told.learner_state.train(0.0, trusted=False)
+    assert not told.learner_state.trusted
+    assert told.learner_state.steering.ready_from == math.inf
+    told.learner_state.train(0.0, trusted=True)  # a training asked for by another reason does not bring it back
+    assert not told.learner_state.trusted
     assert told.take_over() is None
-    assert not told.story.trusted
+    assert not told.learner_state.trusted
     told.trainer.done()
     assert told.take_over() is not None
-    assert told.story.trusted
-    assert told.story.net == 2
-    assert told.story.steering.ready_from == 0.0
-    np.testing.assert_array_equal(told.story.steering.nets[0][0], BETTER[0][0])  # type: ignore[index]
-    assert told.story.counts.train_seconds == 1.5
+    assert told.learner_state.trusted
+    assert told.learner_state.net == 2
+    assert told.learner_state.steering.ready_from == 0.0
+    np.testing.assert_array_equal(told.learner_state.steering.nets[0][0], BETTER[0][0])  # type: ignore[index]
+    assert told.learner_state.counts.train_seconds == 1.5
 
 
 @pytest.mark.parametrize(
@@ -164,82 +164,82 @@ def test_after_a_failure_a_new_policy_waits_until_the_car_is_calm(
 ) -> None:
     told = Told(setting=replace(HOW, calm=calm))
     told.drive(2)
-    told.story.train(0.0, trusted=False)
+    told.learner_state.train(0.0, trusted=False)
     told.trainer.done()
     told.take_over(e, e_dot)
-    assert told.story.trusted is taken
+    assert told.learner_state.trusted is taken
     if not taken:  # it is not lost
         told.take_over()
-        assert told.story.trusted
+        assert told.learner_state.trusted
 
 
 def test_while_the_policy_drives_well_the_next_one_need_not_wait() -> None:
     told = Told()
     told.drive(2)
-    told.story.train(0.0, trusted=True)
+    told.learner_state.train(0.0, trusted=True)
     told.trainer.done()
     told.take_over(e=0.4, e_dot=1.0)
-    assert told.story.net == 1
+    assert told.learner_state.net == 1
 
 
 def test_a_training_that_came_to_nothing_is_repeated_where_nobody_else_would_drive() -> None:
     told = Told()
     told.drive(2)
-    told.story.train(0.0, trusted=False)
+    told.learner_state.train(0.0, trusted=False)
     told.trainer.done(nets=None, fault="killed")
     assert told.take_over() == (1, None, 1.5, "killed", None, None)
     assert [job.number for job in told.trainer.jobs] == [1, 2]
-    assert not told.story.trusted
-    assert told.story.faults == ["killed"]
+    assert not told.learner_state.trusted
+    assert told.learner_state.faults == ["killed"]
     told.trainer.done(fault="restarted")
     told.take_over()
-    assert told.story.trusted
-    assert told.story.faults == ["killed", "restarted"]
+    assert told.learner_state.trusted
+    assert told.learner_state.faults == ["killed", "restarted"]
 
 
 def test_else_the_next_training_comes_when_it_is_due() -> None:
     told = Told()
     told.drive(2)
-    told.story.train(0.0, trusted=True)
+    told.learner_state.train(0.0, trusted=True)
     told.trainer.done(nets=None, fault="killed")
     told.take_over()
     assert len(told.trainer.jobs) == 1
-    assert told.story.trusted
-    assert told.story.net == 0
+    assert told.learner_state.trusted
+    assert told.learner_state.net == 0
     told.drive(5)
-    assert told.story.due()
+    assert told.learner_state.due()
 
 
 def test_without_a_transition_there_is_nothing_to_train_on() -> None:
     told = Told()
-    told.story.train(0.0, trusted=False)
+    told.learner_state.train(0.0, trusted=False)
     assert told.trainer.jobs == []
-    assert told.story.counts.updates == 0
-    assert not told.story.trusted
+    assert told.learner_state.counts.updates == 0
+    assert not told.learner_state.trusted
 
 
 def test_a_car_that_was_carried_elsewhere_ends_the_episode_and_makes_no_transition() -> None:
     told = Told()
     told.drive(3)
-    told.story.carried(1.0)
+    told.learner_state.carried(1.0)
     told.drive(2)
-    first, second = told.story.counts.episodes
+    first, second = told.learner_state.counts.episodes
     assert (first.ended, first.failed, second.ended) == (1.0, False, None)
-    assert told.story.transitions.episode.tolist() == [1, 1, 2]
-    assert told.story.counts.driven == 3.0
+    assert told.learner_state.transitions.episode.tolist() == [1, 1, 2]
+    assert told.learner_state.counts.driven == 3.0
 
 
 def test_a_recovery_ends_where_the_car_is_carried_elsewhere() -> None:
     """A reset costs as much driving time as recovery may take before it says why it does not hand over."""
-    story = Told().story
-    assert story.recovering(1.0, e=1.0, e_dot=0.0) is None
-    story.carried(1.0)
-    assert story.recovering(21.5, e=1.0, e_dot=0.0) is None
-    line = story.recovering(41.5, e=1.0, e_dot=0.0)
+    learner_state = Told().learner_state
+    assert learner_state.recovering(1.0, e=1.0, e_dot=0.0) is None
+    learner_state.carried(1.0)
+    assert learner_state.recovering(21.5, e=1.0, e_dot=0.0) is None
+    line = learner_state.recovering(41.5, e=1.0, e_dot=0.0)
     assert line is not None
-    assert story.counts.recovery is not None
-    assert story.counts.recovery.said == line
-    assert story.counts.stuck == [line]
+    assert learner_state.counts.recovery is not None
+    assert learner_state.counts.recovery.said == line
+    assert learner_state.counts.stuck == [line]
 
 
 def test_rounds_are_told_of() -> None:
@@ -252,13 +252,13 @@ def test_rounds_are_told_of() -> None:
 def test_a_trainer_may_make_a_policy_of_another_kind() -> None:
     told = Told()
     told.drive(2)
-    told.story.train(0.0, trusted=False)
+    told.learner_state.train(0.0, trusted=False)
     other = replace(untrained(HOW, 5), ready_from=3.0)
     told.trainer.done(nets=None, policy=other)
     told.take_over()
-    assert told.story.trusted
-    np.testing.assert_array_equal(told.story.policy.nets[0][0], other.nets[0][0])  # type: ignore[index]
-    assert told.story.policy.ready_from == 0.0
+    assert told.learner_state.trusted
+    np.testing.assert_array_equal(told.learner_state.policy.nets[0][0], other.nets[0][0])  # type: ignore[index]
+    assert told.learner_state.policy.ready_from == 0.0
 
 
 def test_the_untrained_policy_is_the_seed_s() -> None:

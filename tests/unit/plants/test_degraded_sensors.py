@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from steerkit.diagram.units import radians_of
-from steerkit.plants.poor_sensors import PoorSensors
+from steerkit.plants.degraded_sensors import DegradedSensors
 from steerkit.plants.sensors import Sensors
 from steerkit.vehicles import VW_PASSAT
 from tests.support.stepped import run, run_fast
@@ -14,12 +14,12 @@ from tests.support.stepped import run, run_fast
 MANY = 20_000
 
 
-def seen(sensors: PoorSensors, truth: np.ndarray) -> np.ndarray:
+def seen(sensors: DegradedSensors, truth: np.ndarray) -> np.ndarray:
     """What is seen of x, y, psi, v, beta, r; a row a sample."""
     return stamped(sensors, truth)[:, :6]
 
 
-def stamped(sensors: PoorSensors, truth: np.ndarray) -> np.ndarray:
+def stamped(sensors: DegradedSensors, truth: np.ndarray) -> np.ndarray:
     """The same with the age that its stamp says."""
     if len(truth) > 1000:
         return run_fast(sensors, truth)[0]
@@ -30,7 +30,7 @@ def standing(samples: int) -> np.ndarray:
     return np.tile([1.0, 2.0, 0.3, 5.0, 0.01, 0.2], (samples, 1))
 
 
-def moving(samples: int, sensors: PoorSensors, v: float = 10.0) -> np.ndarray:
+def moving(samples: int, sensors: DegradedSensors, v: float = 10.0) -> np.ndarray:
     truth = standing(samples)
     truth[:, 0] = v * sensors.dt * np.arange(samples)
     return truth
@@ -40,17 +40,17 @@ def test_off_it_is_the_sensors() -> None:
     inner = Sensors.hard(seed=4)
     truth = np.random.default_rng(0).normal(size=(50, 6))
     plain = np.array(run(inner, [tuple(row) for row in truth.tolist()])[0])
-    assert (stamped(PoorSensors(block=inner), truth) == plain).all()
+    assert (stamped(DegradedSensors(block=inner), truth) == plain).all()
 
 
 def test_many_samples_at_once_are_the_same() -> None:
-    sensors = PoorSensors.real(VW_PASSAT, seed=7).scaled(3.0)
+    sensors = DegradedSensors.real(VW_PASSAT, seed=7).scaled(3.0)
     truth = moving(1001, sensors)
     assert stamped(sensors, truth)[:1000] == pytest.approx(stamped(sensors, truth[:1000]), rel=1e-12, abs=1e-12)
 
 
 def test_age_is_uniform_up_to_the_jitter() -> None:
-    sensors = PoorSensors(block=Sensors(seed=4), age_jitter=0.03)
+    sensors = DegradedSensors(block=Sensors(seed=4), age_jitter=0.03)
     truth = moving(MANY, sensors)
     age = (truth[:, 0] - seen(sensors, truth)[:, 0])[1:] / 10.0
     assert age.min() >= -1e-9
@@ -62,7 +62,7 @@ def test_age_is_uniform_up_to_the_jitter() -> None:
 
 def test_the_stamp_tells_the_age_of_what_is_seen() -> None:
     """Also of a sample that is held, as the next were lost, and of the latency."""
-    sensors = PoorSensors(block=Sensors(seed=4, latency=0.1), age_jitter=0.03, lost=0.3)
+    sensors = DegradedSensors(block=Sensors(seed=4, latency=0.1), age_jitter=0.03, lost=0.3)
     truth = moving(2000, sensors)
     found = stamped(sensors, truth)[20:]
     assert found[:, 6] == pytest.approx((truth[20:, 0] - found[:, 0]) / 10.0, abs=1e-9)
@@ -70,7 +70,7 @@ def test_the_stamp_tells_the_age_of_what_is_seen() -> None:
 
 
 def test_a_lost_sample_is_the_one_before_and_as_many_are_lost_as_said() -> None:
-    sensors = PoorSensors(block=Sensors(seed=4), lost=0.2)
+    sensors = DegradedSensors(block=Sensors(seed=4), lost=0.2)
     truth = np.cumsum(np.ones((MANY, 6)), axis=0)
     found = seen(sensors, truth)
     held = (found[1:] == found[:-1]).all(axis=1)
@@ -79,7 +79,7 @@ def test_a_lost_sample_is_the_one_before_and_as_many_are_lost_as_said() -> None:
 
 
 def test_a_position_jumps_as_often_and_as_far_as_said() -> None:
-    sensors = PoorSensors(block=Sensors(seed=4), jump=0.1, jump_time=0.5)
+    sensors = DegradedSensors(block=Sensors(seed=4), jump=0.1, jump_time=0.5)
     error = seen(sensors, standing(MANY))[:, :2] - (1.0, 2.0)
     jumps = np.diff(error[:, 0]) != 0.0
     assert (jumps == (np.diff(error[:, 1]) != 0.0)).all()
@@ -90,7 +90,7 @@ def test_a_position_jumps_as_often_and_as_far_as_said() -> None:
 
 
 def test_the_heading_wanders_slowly() -> None:
-    sensors = PoorSensors(block=Sensors(seed=4), heading_drift=radians_of(0.2), heading_time=2.0)
+    sensors = DegradedSensors(block=Sensors(seed=4), heading_drift=radians_of(0.2), heading_time=2.0)
     error = seen(sensors, standing(5 * MANY))[:, 2] - 0.3
     assert error.std() == pytest.approx(radians_of(0.2), rel=0.1)
     lag = round(2.0 / sensors.dt)
@@ -105,14 +105,14 @@ def test_sideslip_is_that_of_a_rear_axle_that_does_not_slide() -> None:
     r = v * kappa
     slip = p.m * p.l_f * v * r / (p.c_r * p.wheelbase)
     truth = np.tile([0.0, 0.0, 0.0, v, p.l_r * kappa - slip, r], (3, 1))
-    found = seen(PoorSensors(block=Sensors(), rear=p.l_r), truth)[:, 4]
+    found = seen(DegradedSensors(block=Sensors(), rear=p.l_r), truth)[:, 4]
     assert found - truth[:, 4] == pytest.approx([slip] * 3, rel=1e-12)
     assert slip > radians_of(0.4)  # worth knowing
-    assert seen(PoorSensors(block=Sensors(), rear=p.l_r), truth * 0.0)[:, 4] == pytest.approx([0.0] * 3)
+    assert seen(DegradedSensors(block=Sensors(), rear=p.l_r), truth * 0.0)[:, 4] == pytest.approx([0.0] * 3)
 
 
 def test_the_real_ones() -> None:
-    sensors = PoorSensors.real(VW_PASSAT, seed=7)
+    sensors = DegradedSensors.real(VW_PASSAT, seed=7)
     assert (sensors.block.v_noise, sensors.block.latency, sensors.rear) == (0.05, 0.05, VW_PASSAT.l_r)
     assert sensors.block.psi_drift == Sensors.hard().psi_drift
     found = seen(sensors, standing(2000))
@@ -138,4 +138,4 @@ def test_the_real_ones() -> None:
 )
 def test_parameters_out_of_range(field: str, value: float, says: str) -> None:
     with pytest.raises(ValueError, match=says):
-        PoorSensors(**{"block": Sensors(), field: value})
+        DegradedSensors(**{"block": Sensors(), field: value})

@@ -22,7 +22,7 @@ _SLOWEST = 1.0  # m/s, for the estimate of sideslip
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class PoorSensors(Block):
+class DegradedSensors(Block):
     """Sensors as a car in series has them, for judging controllers by what they will really see.
 
     With g' standard normal, new each sample, and measured(t) what the wrapped sensors make of the truth a dt ago,
@@ -80,7 +80,7 @@ class PoorSensors(Block):
     dt: float = DT
 
     def __post_init__(self) -> None:
-        where = "PoorSensors"
+        where = "DegradedSensors"
         require(self.dt == self.block.dt, where, f"dt = {self.dt} s, but its sensors have {self.block.dt} s")
         for name, unit, low, high, hint in (
             ("age_jitter", "s", 0.0, self.dt, "at most dt"),
@@ -161,7 +161,7 @@ class PoorSensors(Block):
     @cached_property
     def _waiting(self) -> int:
         """Samples on their way, whose shares have to be remembered for their stamps."""
-        return whole_samples("PoorSensors", "latency", self.block.latency, self.dt)
+        return whole_samples("DegradedSensors", "latency", self.block.latency, self.dt)
 
     def _faulty(self, measured: State, x: State) -> State:
         """What is seen of a sample that arrives, and its age, in this state."""

@@ -1,4 +1,4 @@
-"""`steerkit redrive`: a recorded drive, driven again by another controller."""
+"""`steerkit resimulate`: a recorded drive, driven again by another controller."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _BOTH = {
 }
 
 
-def redrive(
+def resimulate(
     recording: Annotated[str, typer.Argument(help="As for `steerkit identify`; or `genesis`, `genesis-rfs`.")],
     controller: Annotated[list[str] | None, typer.Option(help="Who drives it again; repeatable. Default: mpc.")] = None,
     vehicle: Annotated[str, typer.Option(help="Vehicle file of the car; default: identified from the drive.")] = "",
@@ -43,7 +43,7 @@ def redrive(
     from steerkit._support.errors import require
     from steerkit.logs import ColumnMap, read_drive
     from steerkit.logs import resimulate_pictures as pictures
-    from steerkit.logs.resimulate import redrive as again
+    from steerkit.logs.resimulate import resimulate as again
 
     names = controller or ["mpc"]
     for option, file in (("--plot", plot), ("--film", film)):

@@ -14,7 +14,7 @@ from steerkit.vehicles import Vehicle
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Foresight(Block):
+class ExcursionPredictor(Block):
     """What a `Supervisor` should judge instead of |e| where a gate lets the wheel turn only so fast.
 
     At 6 m/s a gate of 3 m/s^2 and 5 m/s^3 needs 1.2 s from lock to lock; who waits for |e| = 0.5 m is 2 m off before
@@ -92,12 +92,12 @@ class Foresight(Block):
             "horizon",
             "weight",
         ):
-            require(getattr(self, name) > 0.0, "Foresight", f"{name} = {getattr(self, name)}, expected > 0")
-        require(self.hold >= 0.0, "Foresight", f"hold = {self.hold} s, expected >= 0")
-        require(self.quantum >= 0.0, "Foresight", f"quantum = {self.quantum} rad, expected >= 0")
+            require(getattr(self, name) > 0.0, "ExcursionPredictor", f"{name} = {getattr(self, name)}, expected > 0")
+        require(self.hold >= 0.0, "ExcursionPredictor", f"hold = {self.hold} s, expected >= 0")
+        require(self.quantum >= 0.0, "ExcursionPredictor", f"quantum = {self.quantum} rad, expected >= 0")
 
     @classmethod
-    def of(cls, vehicle: Vehicle, **settings: float) -> Foresight:
+    def of(cls, vehicle: Vehicle, **settings: float) -> ExcursionPredictor:
         """For the geometry, ratio and stop of a `Vehicle`; settings: any fields, such as the gate's limits."""
         known: dict[str, Any] = dict(
             steer_ratio=vehicle.steer_ratio,

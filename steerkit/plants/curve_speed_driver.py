@@ -13,12 +13,12 @@ from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State
 from steerkit.diagram.maths import Table
 from steerkit.paths.path import Array, Path
-from steerkit.plants.human import Human
+from steerkit.plants.speed_driver import SpeedDriver
 from steerkit.task import A_Y_MAX
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class CarefulHuman(Block):
+class CurveSpeedDriver(Block):
     """Wraps a human so that bends are taken at no more than a comfortable lateral acceleration.
 
     v = min(v of `human`, ceiling(s)),  ceiling(s)^2 <= a_y_max/|kappa(s')| + 2 a_x_max |s - s'|  for every s',
@@ -35,7 +35,7 @@ class CarefulHuman(Block):
 
     path: Path
     """The course."""
-    human: Human
+    driver: SpeedDriver
     """Who sets the speed where there is no bend."""
     a_y_max: float = A_Y_MAX
     """Largest lateral acceleration in a bend [m/s^2]."""
@@ -43,8 +43,12 @@ class CarefulHuman(Block):
     """Largest acceleration and braking for it [m/s^2]."""
 
     def __post_init__(self) -> None:
-        require(self.a_y_max > 0.0 and self.a_x_max > 0.0, "CarefulHuman", "a_y_max and a_x_max, expected > 0 m/s^2")
-        require(self.dt == self.human.dt, "CarefulHuman", f"dt = {self.dt} s, but its human has {self.human.dt} s")
+        require(
+            self.a_y_max > 0.0 and self.a_x_max > 0.0, "CurveSpeedDriver", "a_y_max and a_x_max, expected > 0 m/s^2"
+        )
+        require(
+            self.dt == self.driver.dt, "CurveSpeedDriver", f"dt = {self.dt} s, but its human has {self.driver.dt} s"
+        )
 
     @cached_property
     def _ceiling(self) -> Table:
@@ -53,21 +57,21 @@ class CarefulHuman(Block):
         return Table(np.column_stack((v, np.roll(v, -1) - v if self.path.closed else np.append(np.diff(v), 0.0))))
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
-        return self.human.init(batch)
+        return self.driver.init(batch)
 
     def output(self, t: Any, x: State, u: Any) -> Any:
         rows = float(len(self._ceiling))
         z = m.clip(u.s * (rows / self.path.length), 0.0, rows)
         i = m.minimum(m.where(m.is_finite(z), m.floor(z), 0.0), rows - 1.0)
         start, rise = self._ceiling(i)
-        return self.Y(m.minimum(start + (z - i) * rise, self.human.output(t, x, ())[0]))  # a NaN in s stays NaN
+        return self.Y(m.minimum(start + (z - i) * rise, self.driver.output(t, x, ())[0]))  # a NaN in s stays NaN
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
-        return self.human.update(t, x, (), ())
+        return self.driver.update(t, x, (), ())
 
 
 def ceiling(path: Path, a_y_max: float, a_x_max: float, limit: Array | None = None) -> Array:
-    """Fastest speed [m/s] about every metre of a path, (n,) at s = k length/n, as in `CarefulHuman`.
+    """Fastest speed [m/s] about every metre of a path, (n,) at s = k length/n, as in `CurveSpeedDriver`.
 
     a_y_max, a_x_max [m/s^2]; limit: speed that is allowed there besides (n,) [m/s].
     """

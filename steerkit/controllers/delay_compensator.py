@@ -66,7 +66,7 @@ def moved(car: Any, x: Motion, v: Any, doe: Sequence[Any], bend: Any = 0.0, dt: 
 
 
 @dataclass(frozen=True, kw_only=True)
-class Forecast:
+class DelayCompensator:
     """A car's dead time and its answer to the wheel, learned; carries what is seen to where the next command acts.
 
     The state s(k) that is seen is what the angles until `samples` samples before have made of the car. The angles on
@@ -101,19 +101,23 @@ class Forecast:
 
     def __post_init__(self) -> None:
         whole = isinstance(self.samples, int) and 0 <= self.samples <= LONGEST
-        require(whole or m.is_symbol(self.samples), "Forecast", f"samples = {self.samples!r}, expected 0 to {LONGEST}")
+        require(
+            whole or m.is_symbol(self.samples),
+            "DelayCompensator",
+            f"samples = {self.samples!r}, expected 0 to {LONGEST}",
+        )
         if not m.is_symbol(self.trust):
-            require(0.0 < self.trust <= 1.0, "Forecast", f"trust = {self.trust}, expected 0 < trust <= 1")
+            require(0.0 < self.trust <= 1.0, "DelayCompensator", f"trust = {self.trust}, expected 0 < trust <= 1")
 
     @property
     def numbers(self) -> tuple[Any, ...]:
         """All but `samples` and `dt`, in order: what differs between cars of the same dead time."""
         return astuple(self)[1:-1]
 
-    def with_numbers(self, numbers: Sequence[Any]) -> Forecast:
+    def with_numbers(self, numbers: Sequence[Any]) -> DelayCompensator:
         """The same dead time with other `numbers`."""
         names = [field.name for field in fields(self)][1:-1]
-        return Forecast(samples=self.samples, dt=self.dt, **dict(zip(names, numbers, strict=True)))
+        return DelayCompensator(samples=self.samples, dt=self.dt, **dict(zip(names, numbers, strict=True)))
 
     def ahead(self, x: State, u: Any) -> tuple[Any, ...]:
         """The policy's six inputs (e, e_dot, v, psi_e, r_e, doe) when its command acts; x, u: see `remember`."""

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from steerkit.controllers.command_compensation import CommandCompensation
 from steerkit.controllers.stanley import Stanley
-from steerkit.controllers.trimmed import Trimmed
 from steerkit.diagram.units import radians_of
 from steerkit.doe import Integrator
-from steerkit.plants.human import ConstantSpeed
+from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.scenario import Scenario
 from steerkit.scenario.catalogue import CONTROLLERS
 from steerkit.scenario.drive import controller, drive
@@ -22,7 +22,7 @@ STEADY = Scenario(course="slalom", v_min=6.0, v_max=6.0)
 
 
 def test_offset_and_gain() -> None:
-    block = Trimmed(block=Stanley.of(PASSAT), offset=0.1, gain=1.25)
+    block = CommandCompensation(block=Stanley.of(PASSAT), offset=0.1, gain=1.25)
     u = dict(e=0.2, psi_e=0.01, kappa=0.0, v=6.0, r=0.0, delta_sw_meas=0.0)
     inner = block.block.output(0.0, block.init(), block.D(**u)).delta_sw
     y = block.output(0.0, block.init(), block.D(**u))
@@ -46,9 +46,9 @@ def test_who_is_told_of_the_offset_drives_as_if_there_were_none(name: str) -> No
 
 def test_what_it_is_not_made_for() -> None:
     with pytest.raises(ValueError, match=r"gain = 0.0 \[1\], expected > 0"):
-        Trimmed(block=Stanley.of(PASSAT), gain=0.0)
+        CommandCompensation(block=Stanley.of(PASSAT), gain=0.0)
     with pytest.raises(ValueError, match="expected delta_sw among them"):
-        Trimmed(block=ConstantSpeed())
-    assert Trimmed(block=Integrator()).delta_sw.spec.unit == "rad"
-    assert Trimmed(block=Stanley.of(PASSAT)).dt == 0.05
-    assert radians_of(5.0) == Scenario(offset_deg=5.0, told="truth").belief().offset
+        CommandCompensation(block=ConstantSpeed())
+    assert CommandCompensation(block=Integrator()).delta_sw.spec.unit == "rad"
+    assert CommandCompensation(block=Stanley.of(PASSAT)).dt == 0.05
+    assert radians_of(5.0) == Scenario(offset_deg=5.0, told="truth").design_model().offset
