@@ -32,7 +32,6 @@ LITERAL = {
     "steerkit.learning.rundir",
     "steerkit.car.learner",
     "steerkit.car.state_machine.step",
-    "steerkit.logs.resimulate",
     "steerkit.paths.importers",
 }
 """Docstrings with a program, a list of files or a diagram, announced by `::`."""

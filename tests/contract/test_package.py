@@ -16,7 +16,7 @@ from benchmarks.run.sources import source
 from tests.support.places import ROOT
 
 PACKAGES = ("steerkit", "benchmarks")
-OTHERS = ("courses/LICENSE.genesis", "logs/drives/LICENSE.genesis", "vehicles/LICENSE.opendbc")
+OTHERS = ("paths/courses/LICENSE.genesis", "logs/drives/LICENSE.genesis", "vehicles/LICENSE.opendbc")
 """Licences of what others recorded or wrote."""
 sources = pytest.mark.skipif(not (ROOT / "steerkit").is_dir(), reason="runs on the sources; here steerkit is installed")
 

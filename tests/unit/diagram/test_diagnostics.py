@@ -48,7 +48,7 @@ def test_the_block_and_its_line_are_found_at_the_start_and_later(late: float) ->
     assert place is not None
     assert (place.block, place.method, place.called) == (loop.blocks["fragile"], "output", False)
     line = half.__code__.co_firstlineno + 1
-    assert (place.text, place.line) == ("fragile.output (Fragile)", f"line {line} of test_mistakes.py")
+    assert (place.text, place.line) == ("fragile.output (Fragile)", f"line {line} of test_diagnostics.py")
     assert f"in {place.text}, {place.line}" in error.__notes__
     assert in_one_line(error).startswith("ZeroDivisionError: float division by zero; ")
 
