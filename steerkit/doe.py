@@ -1,4 +1,4 @@
-"""Dynamic output elements: they turn a few coarse actions into smooth steering (Riedmiller et al. 2007).
+"""Dynamic output elements (DOE), which turn a few coarse actions into smooth steering (Riedmiller et al. 2007).
 
 A DOE has a state, and that state has to be an input of whoever picks the actions, or the process is not Markov:
 every DOE shows it as `state`. At a hand-over it must go on from the angle really steered, which it is told as
@@ -23,7 +23,7 @@ class HeldAngle(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Dynamic(Block):
+class OutputElement(Block):
     """Ports and state that all dynamic output elements share; abstract.
 
     Inputs: action [rad]; applied [rad], the angle commanded in the end (after supervisor and limits).
@@ -58,12 +58,12 @@ class Dynamic(Block):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Integrator(Dynamic):
+class Integrator(OutputElement):
     """The integrating DOE: each action is a step of the steering wheel.
 
     delta_sw(t) = sat(applied(t - dt) + action(t)),  sat to +-limit.
 
-    Inputs, outputs, state: see `Dynamic`. A NaN action gives a NaN angle (never a silent zero). Raises ValueError
+    Inputs, outputs, state: see `OutputElement`. A NaN action gives a NaN angle (never a silent zero). Raises ValueError
     for dt or limit out of range. Source: Riedmiller, Montemerlo, Dahlkamp 2007, section on the dynamic output
     element (there: delta(t) = delta(t-1) + action).
     """
@@ -76,13 +76,13 @@ class Integrator(Dynamic):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class LowPass(Dynamic):
+class LowPass(OutputElement):
     """The low-pass DOE: each action is an angle that the steering wheel approaches exponentially.
 
     delta_sw(t) = sat(applied(t - dt) + (1 - exp(-dt/tau)) * (action(t) - applied(t - dt))),  tau > 0 [s].
 
     The exact discretisation of tau*delta' = action - delta under an action held for dt. Inputs, outputs, state: see
-    `Dynamic`. Raises ValueError for dt, limit or tau out of range. Source: Riedmiller et al. 2007 (low-pass DOE).
+    `OutputElement`. Raises ValueError for dt, limit or tau out of range. Source: Riedmiller et al. 2007 (low-pass DOE).
     """
 
     tau: m.Scalar = 0.3
@@ -105,10 +105,10 @@ class LowPass(Dynamic):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class PlainAngle(Dynamic):
+class PlainAngle(OutputElement):
     """No dynamics: the action is the angle, delta_sw(t) = sat(action(t)); the paper's bang-bang controller.
 
-    Inputs, outputs, state: see `Dynamic`; the state still says which angle was steered last.
+    Inputs, outputs, state: see `OutputElement`; the state still says which angle was steered last.
     """
 
     def output(self, t: Any, x: HeldAngle, u: Any) -> Any:
@@ -135,7 +135,7 @@ class Corrected(Block):
     delta_sw = Out("rad")
     state = Out("rad", direct=(applied,))
 
-    element: Dynamic = Integrator()
+    element: OutputElement = Integrator()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "dt", self.element.dt)

@@ -1,6 +1,6 @@
 """Linear analysis of loops with python-control: linearise, break open, margins; and systems to and from it::
 
-    L = loop.break_at("controller.delta_sw")        # a control.StateSpace; closed loop = control.feedback(L)
+    L = break_at(loop, "controller.delta_sw")       # a control.StateSpace; closed loop = control.feedback(L)
     print(margins(L), L.poles());  plot_bode({"Stanley": L})
 
 A loop with several sample times is taken over its whole period, after which all blocks sample together again: one step

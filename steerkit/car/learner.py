@@ -30,7 +30,7 @@ from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.diagram.block import Block
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.realtime import Run, run
-from steerkit.doe import Dynamic
+from steerkit.doe import OutputElement
 from steerkit.learning import rundir
 from steerkit.learning.data.store import TransitionStore
 from steerkit.learning.learner_state import LearnerState, state_signals, untrained
@@ -80,7 +80,7 @@ class CarLearner:
         self,
         setting: Setting,
         place: FilePath,
-        build: Callable[[Block, Dynamic], Loop],
+        build: Callable[[Block, OutputElement], Loop],
         link: Car,
         *,
         seed: int = 0,
@@ -101,7 +101,7 @@ class CarLearner:
             self._begin(build, seed, vehicle)
             self._open = until_closed.pop_all()
 
-    def _begin(self, build: Callable[[Block, Dynamic], Loop], seed: int, vehicle: Vehicle | None) -> None:
+    def _begin(self, build: Callable[[Block, OutputElement], Loop], seed: int, vehicle: Vehicle | None) -> None:
         setting, place = self.setting, self.place
         _claim(place, setting)
         names = setting.recorded()

@@ -23,7 +23,7 @@ from steerkit.controllers.with_excitation import WAVES, with_excitation
 from steerkit.diagram import realtime
 from steerkit.diagram.block import Block
 from steerkit.diagram.loop import Loop
-from steerkit.doe import Dynamic, Integrator
+from steerkit.doe import Integrator, OutputElement
 from steerkit.learning import rundir
 from steerkit.paths.path import Path
 from steerkit.plants.speed_driver import ConstantSpeed
@@ -76,7 +76,7 @@ class Controller:
     """It steers by itself, or picks the actions of `element`."""
     steers: Steers
     """What to tell the recording."""
-    element: Dynamic | None = None
+    element: OutputElement | None = None
     """A learned policy's dynamic output element."""
 
 
@@ -145,7 +145,7 @@ def car_loop(
     link: CarLink,
     controller: Block,
     *,
-    doe: Dynamic | None = None,
+    doe: OutputElement | None = None,
     recovery: str = AUTO,
     safe: bool = False,
     clock: Callable[[], float] | None = time.perf_counter,

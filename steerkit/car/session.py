@@ -31,7 +31,7 @@ from steerkit.car.state_machine import Order
 from steerkit.diagram.block import Block
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.realtime import Run, Timing, histogram_text, preferred
-from steerkit.doe import Dynamic
+from steerkit.doe import OutputElement
 from steerkit.learning.ownership import this_process
 from steerkit.learning.settings import Setting
 from steerkit.scenario.catalogue import AUTO, RECOVERIES
@@ -94,7 +94,7 @@ class Session:
                 self.corrections.append(self.filtered.share > 0.0)
         return self.ending
 
-    def build(self, policy: Block, doe: Dynamic) -> Loop:
+    def build(self, policy: Block, doe: OutputElement) -> Loop:
         """The loop of a learner."""
         how: dict[str, Any] = {"recovery": self.options.recovery, "safe": self.safe}
         return loops.car_loop(self.config, self.path, self.watched, policy, doe=doe, **how)

@@ -140,12 +140,6 @@ class Loop:
 
         return png(self.plot())
 
-    def break_at(self, signal: str | Port, *, at: LoopState | None = None) -> Any:
-        """The open loop at a scalar signal, as a discrete `control.StateSpace`; see `steerkit.analysis.break_at`."""
-        from steerkit.analysis import break_at
-
-        return break_at(self, signal, at=at)
-
     # ---- running --------------------------------------------------------------------------------------------
 
     def init(self, *, batch: int | None = None, x: Sequence[State] | None = None) -> LoopState:

@@ -17,7 +17,7 @@ from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, State
 from steerkit.diagram.loop import Loop, LoopState
 from steerkit.diagram.maths import Scalar
-from steerkit.doe import Dynamic, HeldAngle
+from steerkit.doe import HeldAngle, OutputElement
 from steerkit.paths.path import Path
 from steerkit.paths.tracker import PathTracker
 from steerkit.plants.disturbed_plant import GUST_STATES, DisturbedPlant
@@ -117,7 +117,7 @@ class Starts:
         sway = v * m.sin(beta) if isinstance(car, NonlinearSingleTrack) else beta
         start = at._replace(sway=sway, r=r, v=v, delta_sw=wheel)
         x["car"] = (*start, *gusts) if gusts else start
-        if isinstance(loop.blocks["doe"], Dynamic):
+        if isinstance(loop.blocks["doe"], OutputElement):
             x["doe"] = HeldAngle(wheel)
         motor = loop.blocks.get("actuator")
         if isinstance(motor, SteeringActuator):

@@ -90,7 +90,7 @@ class Task:
     actions: str | Sequence[float] = "i-doe"
     """`i-doe` (the paper's steps), `bang-bang` (+-520 degrees at once), `continuous`, or angles [rad] of your own."""
     doe: str | Block | None = None
-    """Dynamic output element: `integrator`, `low-pass`, `plain` or a block; by default the action set's own."""
+    """Output element: `integrator`, `low-pass`, `plain` or a block; by default the action set's own."""
     largest: float | None = None
     """The angle [rad] that a continuous action of 1 means. By default 25 degrees a sample (500 degrees/s) with the
     integrator, else 520 degrees."""

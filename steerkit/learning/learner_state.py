@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from steerkit.controllers.nfq_policy import NfqPolicy
-from steerkit.doe import Dynamic
+from steerkit.doe import OutputElement
 from steerkit.learning.counts import Counts, Episode
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq import iterate as nfq
@@ -126,7 +126,7 @@ class LearnerState:
         counts.corrected += share > 0.0
         return counts.corrected * self.policy.dt >= setting.corrected_seconds
 
-    def taught(self, action: float, element: Dynamic, *, correction: float, sent: float, state: float) -> float:
+    def taught(self, action: float, element: OutputElement, *, correction: float, sent: float, state: float) -> float:
         """The action [rad] that a sample teaches: where the filter changed the angle, the one that makes what was sent.
 
         action: the policy's. correction, sent [rad]: of the filter. state [rad]: of the output element.

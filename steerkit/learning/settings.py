@@ -11,7 +11,7 @@ from typing import Any
 from steerkit._support.errors import require
 from steerkit.controllers.state_description import StateDescription
 from steerkit.diagram.units import radians_of
-from steerkit.doe import Dynamic
+from steerkit.doe import OutputElement
 from steerkit.learning.costs import BandCost, Cost, IdoeCost, SmoothCost, TanhCost
 from steerkit.learning.nfq.iterate import FitSetting
 from steerkit.scenario.catalogue import DesignModel, element_kind, make_element
@@ -31,7 +31,7 @@ class Setting:
     actions_deg: tuple[float, ...] = (-25.0, -10.0, -3.0, 0.0, 3.0, 10.0, 25.0)
     """The actions [deg]: steps a sample for the integrator, angles for `plain` and `low-pass`."""
     doe: str = "integrator"
-    """Dynamic output element: `integrator`, `low-pass` or `plain`; or one of your own, `my_file.py:Class`: see
+    """Output element: `integrator`, `low-pass` or `plain`; or one of your own, `my_file.py:Class`: see
     `steerkit.scenario.catalogue.make_element`."""
     cost: Cost = field(default_factory=lambda: TanhCost(goal=0.15, action_cost=0.025))
     """Cost of a transition: see `steerkit.learning.costs`."""
@@ -100,10 +100,9 @@ class Setting:
         require(self.teaches in TEACHES, "Setting", f"teaches = {self.teaches!r}; valid: {', '.join(TEACHES)}")
         caught = f"after_failure = {self.after_failure!r} with safe, expected recovery"
         require(not self.safe or self.after_failure == "recovery", "Setting", caught)
-        tells = element_kind(self.doe).action_for is not Dynamic.action_for
-        silent = (
-            f"doe = {self.doe!r} with safe, expected an element with a method action_for (see steerkit.doe.Dynamic)"
-        )
+        tells = element_kind(self.doe).action_for is not OutputElement.action_for
+        expected = "expected an element with a method action_for (see steerkit.doe.OutputElement)"
+        silent = f"doe = {self.doe!r} with safe, {expected}"
         require(tells or not self.safe or self.teaches == "chosen", "Setting", silent)
         require(self.reset_seconds >= 0.0, "Setting", f"reset_seconds = {self.reset_seconds} s, expected >= 0")
         require(self.calm > 0.0, "Setting", f"calm = {self.calm} m/s, expected > 0")
@@ -117,7 +116,7 @@ class Setting:
         """The actions [rad]."""
         return tuple(radians_of(a) for a in self.actions_deg)
 
-    def element(self, vehicle: Vehicle | None = None) -> Dynamic:
+    def element(self, vehicle: Vehicle | None = None) -> OutputElement:
         """The dynamic output element, within the stops of `vehicle`'s steering wheel (None: 520 degrees)."""
         return make_element(self.doe, vehicle)
 

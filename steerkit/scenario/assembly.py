@@ -18,7 +18,7 @@ from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.diagnostics import require_block
 from steerkit.diagram.loop import Loop, Wire
-from steerkit.doe import Corrected, Dynamic
+from steerkit.doe import Corrected, OutputElement
 from steerkit.paths.path import Path
 from steerkit.paths.tracker import PathTracker
 
@@ -227,7 +227,7 @@ def with_controller(loop: Loop, controller: Block) -> Loop:
 def _supervisor(controller: Block, doe: Block | None) -> Supervisor:
     """One that takes an angle for a fault that the learner's output element cannot mean."""
     element = doe.element if isinstance(doe, Corrected) else doe
-    limit: Any = element.limit if isinstance(element, Dynamic) else Supervisor.limit
+    limit: Any = element.limit if isinstance(element, OutputElement) else Supervisor.limit
     return Supervisor(dt=controller.dt, limit=limit)
 
 
@@ -243,10 +243,10 @@ def _corrected(doe: Block) -> Block:
     """A doe that goes on from the angle that the car reports."""
     if doe.inputs and all(port.direct for port in doe.inputs if port.name == "applied"):
         return doe
-    if not isinstance(doe, Dynamic):
+    if not isinstance(doe, OutputElement):
         raise WiringError(
             f"{type(doe).__name__} remembers the angle that it asked for, and this car reports another (its output "
-            "'applied'); make it a Dynamic, or its input 'applied' direct, as Corrected does"
+            "'applied'); make it a OutputElement, or its input 'applied' direct, as Corrected does"
         )
     return Corrected(element=doe)
 

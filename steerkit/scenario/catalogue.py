@@ -21,7 +21,7 @@ from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.block import Block
 from steerkit.diagram.diagnostics import in_one_line
 from steerkit.diagram.units import radians_of
-from steerkit.doe import Dynamic, Integrator, LowPass, PlainAngle
+from steerkit.doe import Integrator, LowPass, OutputElement, PlainAngle
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.steering_delay import YawDelay
 from steerkit.paths.path import Path
@@ -230,7 +230,7 @@ ADAPTIVE = "adaptive"
 """The recovery controller that need not be told dead time and ratio: it finds them while it or the learner steers."""
 RECOVERIES = (AUTO, ADAPTIVE, *(name for name, recipe in CONTROLLERS.items() if recipe.can_recover))
 """Names of those that may catch a learned controller."""
-ELEMENTS: Mapping[str, type[Dynamic]] = MappingProxyType(
+ELEMENTS: Mapping[str, type[OutputElement]] = MappingProxyType(
     {"integrator": Integrator, "low-pass": LowPass, "plain": PlainAngle}
 )
 """The dynamic output elements."""
@@ -320,24 +320,24 @@ def make_safety(design_model: DesignModel, gate: GateModel | None = None) -> Saf
     return replace(made, backup=replace(made.backup, block=law, rate_limit=design_model.rate_limit))
 
 
-def make_element(name: str, vehicle: Vehicle | None = None) -> Dynamic:
+def make_element(name: str, vehicle: Vehicle | None = None) -> OutputElement:
     """The dynamic output element of that name (see `ELEMENTS`), within the steering wheel's stops of `vehicle`.
 
-    name: or `my_file.py:Class`, `package.module:Class`, a subclass of `Dynamic` of your own, which is made with its
-    default parameters. Without a vehicle the stops are at 520 degrees. Raises ValueError for an unknown name, with the
+    name: or `my_file.py:Class`, `package.module:Class`, a subclass of `OutputElement` of your own, which is made with
+    its default parameters. Without a vehicle the stops are at 520 degrees. Raises ValueError for an unknown name, with the
     valid ones, and for a class that is no such element.
     """
     kind = element_kind(name)
     return kind() if vehicle is None else kind(limit=vehicle.delta_sw_max)
 
 
-def element_kind(name: str) -> type[Dynamic]:
+def element_kind(name: str) -> type[OutputElement]:
     """The class of an output element: see `make_element`."""
     if not is_outside(name):
         return ELEMENTS[known(name, ELEMENTS, "element", also="my_file.py:Class")]
     kind, where = imported(name, "element"), f"element '{name}'"
-    fits = isinstance(kind, type) and issubclass(kind, Dynamic) and kind is not Dynamic
-    require(fits, where, f"{_called(kind)}, expected a subclass of Dynamic (steerkit.doe)")
+    fits = isinstance(kind, type) and issubclass(kind, OutputElement) and kind is not OutputElement
+    require(fits, where, f"{_called(kind)}, expected a subclass of OutputElement (steerkit.doe)")
     asks = [f.name for f in fields(kind) if f.init and f.default is MISSING and f.default_factory is MISSING]
     require(not asks, where, f"{kind.__name__} has no default for {', '.join(asks)}, expected one for every parameter")
     return kind

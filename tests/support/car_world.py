@@ -20,7 +20,7 @@ from steerkit.controllers.stanley import Stanley
 from steerkit.diagram import realtime
 from steerkit.diagram.block import Block
 from steerkit.diagram.loop import Loop
-from steerkit.doe import Dynamic
+from steerkit.doe import OutputElement
 from steerkit.paths.courses import course
 from steerkit.paths.path import Path
 
@@ -50,7 +50,7 @@ class World:
         v: tuple[float, float] = (5.0, 5.5),
         seed: int = 0,
         controller: Block | None = None,
-        doe: Dynamic | None = None,
+        doe: OutputElement | None = None,
         tape: Recording | None = None,
         config: CarConfig | None = None,
         path: Path | None = None,
@@ -80,7 +80,7 @@ class World:
         self.run = realtime.Run(self.follow.resting, self.follow.resting.init(), realtime.Timing(period=loop.dt))
         self.due = 0.05
 
-    def build(self, controller: Block, doe: Dynamic | None) -> Loop:
+    def build(self, controller: Block, doe: OutputElement | None) -> Loop:
         """The loop of a controller, or of a policy."""
         return loops.car_loop(self.config, self.path, self, controller, doe=doe)
 

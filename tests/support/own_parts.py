@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from steerkit.diagram import maths as m
-from steerkit.doe import Dynamic
+from steerkit.doe import OutputElement
 from steerkit.learning.costs import TanhCost
 from steerkit.learning.settings import Setting
 from steerkit.paths.courses import circle
@@ -39,7 +39,7 @@ class Dear(TanhCost):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Geared(Dynamic):
+class Geared(OutputElement):
     """Steps that grow with the angle: delta_sw(t) = sat(z + action (1 + |z|/soft)), z = applied(t - dt)."""
 
     soft: float = 2.0

@@ -1,4 +1,4 @@
-"""Dynamic output elements: their step responses, their limits, and that they go on from what was really steered."""
+"""Output elements: their step responses, their limits, and that they go on from what was really steered."""
 
 from __future__ import annotations
 

@@ -60,11 +60,11 @@ def test_broken_open_it_is_the_series_and_closes_again() -> None:
         np.testing.assert_allclose(closed, np.sort_complex(control.feedback(PLANT, -FILTER).poles()), atol=1e-8)
 
 
-def test_a_loop_breaks_itself_and_linearises_whole() -> None:
-    """`loop.break_at(signal)`; without inputs and outputs `linearise(loop, at)` is from all signals to all."""
+def test_a_signal_may_be_a_port_and_a_loop_linearises_whole() -> None:
+    """Without inputs and outputs `linearise(loop, at)` is from all signals to all."""
     loop = hand_built()
     at = simulate(loop, 1.0).state
-    assert loop.break_at(loop.blocks["law"].y).A.tolist() == break_at(loop, "law.y").A.tolist()
+    assert break_at(loop, loop.blocks["law"].y).A.tolist() == break_at(loop, "law.y").A.tolist()
     whole = linearise(loop, at)
     assert (whole.input_labels, whole.output_labels) == (["plant_y", "law_y"],) * 2
     expected = control.feedback(PLANT, -FILTER)

@@ -73,8 +73,8 @@ def test_nothing_but_a_part_of_an_experiment_is_made(kind: str) -> None:
     ("name", "says"),
     [
         ("geared", "element 'geared' is not known; valid: integrator, low-pass, plain, my_file.py:Class"),
-        ("steerkit.doe:Dynamic", "the class Dynamic, expected a subclass of Dynamic"),
-        ("steerkit.doe:Corrected", "the class Corrected, expected a subclass of Dynamic"),
+        ("steerkit.doe:OutputElement", "the class OutputElement, expected a subclass of OutputElement"),
+        ("steerkit.doe:Corrected", "the class Corrected, expected a subclass of OutputElement"),
         ("mine.py:Geared", "element 'mine.py:Geared': mine.py cannot be read"),
     ],
 )
