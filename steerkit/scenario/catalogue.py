@@ -324,8 +324,8 @@ def make_element(name: str, vehicle: Vehicle | None = None) -> OutputElement:
     """The dynamic output element of that name (see `ELEMENTS`), within the steering wheel's stops of `vehicle`.
 
     name: or `my_file.py:Class`, `package.module:Class`, a subclass of `OutputElement` of your own, which is made with
-    its default parameters. Without a vehicle the stops are at 520 degrees. Raises ValueError for an unknown name, with the
-    valid ones, and for a class that is no such element.
+    its default parameters. Without a vehicle the stops are at 520 degrees. Raises ValueError for an unknown name, with
+    the valid ones, and for a class that is no such element.
     """
     kind = element_kind(name)
     return kind() if vehicle is None else kind(limit=vehicle.delta_sw_max)

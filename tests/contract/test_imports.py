@@ -47,7 +47,7 @@ GROUND = ("steerkit.diagram.maths", "steerkit.diagram.units")
 """Arithmetic and units: everything may import them, and they import nothing of ours but each other."""
 PROGRAMS = ("__main__", "cli")
 """Programs over the library: they may import all of it."""
-WHEN_USED = {"diagram": {"plots", "analysis"}}
+WHEN_USED = {"diagram": {"plots"}}
 """More that a floor may import inside a function: how a block, a loop or a log is shown."""
 AT_HOME = {
     "torch": {"learning.nfq"},
@@ -152,7 +152,7 @@ from steerkit import course, placed, simulate, steering_loop, vehicle
 from steerkit.plants.speed_driver import ConstantSpeed
 path, passat = course("paper"), vehicle("vw-passat")
 loop = steering_loop(car=placed(LinearSingleTrack(vehicle=passat, v0=5.0), path), path=path,
-                     human=ConstantSpeed(speed=5.0), controller=NfqPolicy(), doe=Integrator(),
+                     driver=ConstantSpeed(speed=5.0), controller=NfqPolicy(), doe=Integrator(),
                      recovery=Stanley.of(passat))
 simulate(loop, 1.0)
 """
@@ -167,5 +167,5 @@ def test_every_public_name_is_there() -> None:
     for name in steerkit.__all__:
         assert getattr(steerkit, name) is not None
     assert set(steerkit.__all__) <= set(dir(steerkit))
-    with pytest.raises(AttributeError, match=r"module 'steerkit' has no attribute 'loop_'; it offers: MPC, Block, "):
+    with pytest.raises(AttributeError, match=r"module 'steerkit' has no attribute 'loop_'; it offers: Block, ConstantSpeed, "):
         _ = steerkit.loop_
