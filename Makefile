@@ -8,7 +8,7 @@ PEERS := $(VENV)/peers
 BIN := $(VENV)/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo bench test test-all slips lint docs dist clean
+.PHONY: help setup demo bench test test-all mutants lint docs dist clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -37,9 +37,9 @@ test-all: $(PEERS)  ## all tests, with do-mpc, Stable-Baselines3, d3rlpy and a b
 	@echo "browser: $(or $(BROWSER),none; five tests need one: apt-get install chromium)"
 	$(BIN)/python -m pytest -n 3 --dist worksteal -rs
 
-SLIPS ?=
-slips: $(READY)  ## put mistakes into copies of the code, one at a time: does a test notice? SLIPS="--only TEXT"
-	$(BIN)/python -m tests.support.mutate --jobs 2 $(SLIPS)
+MUTANTS ?=
+mutants: $(READY)  ## change the code at random, in copies: does a test notice? MUTANTS="--all --count 200 --seed 1"
+	$(BIN)/python -m tests.support.mutants $(MUTANTS)
 
 lint: $(READY)  ## style, format and types
 	$(BIN)/ruff check

@@ -21,8 +21,8 @@ from tests.support.warm_start import SELDOM, Warm, command
 
 settings.register_profile("steerkit", deadline=None, print_blob=True)
 settings.register_profile(
-    "slips", settings.get_profile("steerkit"), phases=[Phase.explicit, Phase.generate]
-)  # for tests.support.mutate: that a test fails is enough, on the smallest example or another
+    "mutants", settings.get_profile("steerkit"), phases=[Phase.explicit, Phase.generate]
+)  # for tests.support.mutants: that a test fails is enough, on the smallest example or another
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "steerkit"))
 
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:

@@ -12,8 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.house import modules, tree
-from tests.support.mutate import mirror
+from tests.support.house import mirror, modules, tree
 from tests.support.places import ROOT
 
 UNIT = ROOT / "tests" / "unit"

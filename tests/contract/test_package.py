@@ -100,7 +100,7 @@ def test_the_demo_installs_no_tools_of_development() -> None:
     assert needs["demo"] == "$(USE)"
     assert installed["$(USE)"] == "."
     assert installed["$(BENCH)"] == "'.[bench]'"
-    assert {needs[target] for target in ("test", "lint", "docs", "slips", "setup")} == {"$(READY)"}
+    assert {needs[target] for target in ("test", "lint", "docs", "mutants", "setup")} == {"$(READY)"}
     assert installed["$(READY)"] == "'.[dev]'"
     assert needs["$(READY)"] == needs["$(BENCH)"] == "$(USE)"
     assert needs["$(USE)"] == "pyproject.toml constraints.txt"

@@ -55,11 +55,13 @@ def _imported(file: Path, text: str) -> tuple[tuple[str, bool], ...]:
     return tuple(walk(parsed(text), True))
 
 
-def graph(files: Mapping[str, Path]) -> dict[str, set[str]]:
-    """Which module imports which of the same packages, at its top or inside a function."""
+def graph(files: Mapping[str, Path], public: Mapping[str, str] | None = None) -> dict[str, set[str]]:
+    """Which module imports which of the same packages, at its top or inside a function. public: names that a package
+    passes on, and the module that each stands in."""
     edges: dict[str, set[str]] = {name: set() for name in files}
     for name, file in files.items():
         for target, _ in imported(file):
+            target = (public or {}).get(target, target)
             module = target if target in files else target.rpartition(".")[0]
             if module in files and module != name:
                 edges[name].add(module)
@@ -81,6 +83,17 @@ def cycles(edges: Mapping[str, set[str]]) -> list[list[str]]:
     far = {name: reach(name) for name in edges}
     groups = {frozenset(b for b in far[a] if a in far[b]) for a in edges if a in far[a]}
     return sorted(sorted(group) for group in groups)
+
+
+def mirror(file: str) -> str:
+    """The test that a file's name leads to: steerkit/a/b.py has tests/unit/a/test_b.py, benchmarks/b.py has
+    tests/unit/benchmarks/test_b.py, and a package's own __init__.py has the test named like the package."""
+    path = Path(file)
+    parts = path.parts[1:] if path.parts[0] == "steerkit" else path.parts
+    folder, name = parts[:-1], path.stem
+    if name == "__init__":
+        name = folder[-1] if folder else "steerkit"
+    return str(Path("tests/unit", *folder, f"test_{name.strip('_')}.py"))
 
 
 def package_of(module: str, depth: int = 2) -> str:
