@@ -11,7 +11,7 @@ from typing import Any
 
 from steerkit._support.errors import require
 from steerkit._support.files import read_toml
-from steerkit.paths.importers.address import is_road
+from steerkit.paths.importers.reading import is_road
 from steerkit.scenario.scenario import CONDITIONS, Scenario
 
 FORMAT = "steerkit scenario 1"

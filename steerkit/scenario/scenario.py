@@ -17,9 +17,8 @@ from steerkit._support.files import read_text
 from steerkit.diagram.block import Block
 from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.paths.courses import names, recorded_speed
-from steerkit.paths.importers.address import KINDS, Address, is_road
 from steerkit.paths.importers.course import check_bends
-from steerkit.paths.importers.reading import read_course
+from steerkit.paths.importers.reading import KINDS, Address, is_road, read_course
 from steerkit.paths.path import Path
 from steerkit.plants.curve_speed_driver import CurveSpeedDriver
 from steerkit.plants.disturbed_plant import DisturbedPlant

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from steerkit._support import native
-from steerkit.paths.courses.kept import kept
+from steerkit.paths.courses import kept
 from steerkit.paths.courses.shapes import circle, straight
 from steerkit.paths.path import Path
 
@@ -57,7 +57,7 @@ def test_a_broken_file_is_made_anew(folder: File, spoil: Callable[[File], None])
 
 def test_changed_code_makes_it_anew(folder: File, monkeypatch: pytest.MonkeyPatch) -> None:
     kept("circle", circle)
-    monkeypatch.setattr(importlib.import_module("steerkit.paths.courses.kept"), "_state", lambda: "another")
+    monkeypatch.setattr(importlib.import_module("steerkit.paths.courses"), "_state", lambda: "another")
     with pytest.raises(AssertionError, match="made anew"):
         kept("circle", never)
 

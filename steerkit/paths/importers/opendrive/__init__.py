@@ -1,1 +1,0 @@
-"""OpenDRIVE maps: reference lines by their closed forms, lanes beside them, routes through them."""
