@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.mutants import Copies, Mutant, drawn, mutants, covering
+from tests.support.mutants import Copies, Mutant, covering, drawn, mutants
 from tests.support.places import ROOT
 
 UNITS = "steerkit/diagram/units.py"
