@@ -4,8 +4,7 @@ Driving time counts everything: the learner's driving, recovery, and waiting for
 setting's `fit_seconds`, which the measured cost must not exceed: `longest_training` is measured). A net is GOOD when
 it drives a whole round with max |e| < 0.25 m, RMS e < 0.10 m and 0.5 s-averaged lateral jerk < 5 m/s^3. Every net is
 test-driven after the run, off the clock, and counts from the moment it took the wheel in the run; the final net is the
-last one, not the best. `model-based` is the rival: the same experiment, steered by an optimal gain for the learned
-model.
+last one, not the best.
 
     python -m benchmarks study learning --setting default --seeds 10 --conditions hard [--quick] [--json]
 
@@ -58,13 +57,11 @@ class Outcome:
     computing: float
 
 
-def one_seed(job: tuple[Experiment, int, bool]) -> Outcome:
+def one_seed(job: tuple[Experiment, int]) -> Outcome:
     """Run one seed, then test-drive its nets: the first GOOD one, the last ones, the final one."""
-    experiment, last, model_based = job
-    trained = train(experiment, model_based=model_based)
+    experiment, last = job
+    trained = train(experiment)
     run, nets = trained.run, trained.nets
-    if model_based:  # these drive one by one, which takes long
-        nets = [*nets[:5], *nets[5:][-last:]]
     policies = [net.policy for net in nets]
     drives = drive_each(experiment.scenario, experiment.setting, policies, seed=experiment.seed + 1000)
     first = next((i for i, drive in enumerate(drives) if drive.good), None)
@@ -131,7 +128,7 @@ def summarise(outcomes: list[Outcome], within: float) -> dict[str, Any]:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Its own command line options; --quick is one seed that drives for half a minute."""
-    parser.add_argument("--setting", default="default", choices=[*sorted(SETTINGS), "model-based"])
+    parser.add_argument("--setting", default="default", choices=sorted(SETTINGS))
     parser.add_argument(
         "--with",
         dest="changes",
@@ -176,10 +173,9 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     if options.v_max is not None:
         scenario = replace(scenario, v_max=options.v_max)
     scenario = replace(scenario, speed=options.speed)
-    model_based = options.setting == "model-based"  # actions, rhythm and charged time are the default's
-    chosen = changed(setting("default" if model_based else options.setting), options.changes)
+    chosen = changed(setting(options.setting), options.changes)
     base = Experiment(setting=chosen, scenario=scenario, minutes=minutes, episodes=options.episodes)
-    jobs = [(replace(base, seed=options.first_seed + n), options.last, model_based) for n in range(count)]
+    jobs = [(replace(base, seed=options.first_seed + n), options.last) for n in range(count)]
     err = Console(stderr=True)
     with spread.computing(where) as those:
         done = those.done(one_seed, jobs, say=err.print)

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from steerkit.learning.experiment import Experiment, LearningRun
-from steerkit.learning.rival import model_based as model_based_run
 from steerkit.scenario.ahead import Backend
 
 
@@ -36,11 +35,8 @@ class Trained:
     """Wall time of the run [s]."""
 
 
-def train(experiment: Experiment, *, model_based: bool = False, backend: Backend = "auto") -> Trained:
-    """Run an experiment to its end. model_based: the rival, an optimal gain for the learned model, learns instead.
-
-    backend: as for `LearningRun`.
-    """
+def train(experiment: Experiment, *, backend: Backend = "auto") -> Trained:
+    """Run an experiment to its end. backend: as for `LearningRun`."""
     nets: list[Taken] = []
     trainings: list[float] = [0.0]
 
@@ -49,7 +45,7 @@ def train(experiment: Experiment, *, model_based: bool = False, backend: Backend
             nets.append(Taken(run.t, run.counts.failures, len(run.transitions), run.policy))
 
     began = time.perf_counter()
-    run = model_based_run(experiment, watch) if model_based else LearningRun(experiment, watch, backend=backend)
+    run = LearningRun(experiment, watch, backend=backend)
     while not run.done():
         run.drive()
         if run.counts.train_seconds > trainings[-1]:

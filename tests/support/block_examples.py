@@ -29,7 +29,6 @@ from steerkit.controllers.supervisor import ExceptionGuard, Supervisor, Supervis
 from steerkit.controllers.target_shift import TargetShift
 from steerkit.controllers.with_excitation import WithExcitation
 from steerkit.diagram.block import Block, take_ports
-from steerkit.diagram.units import radians_of
 from steerkit.doe import Corrected, Integrator, LowPass, PlainAngle
 from steerkit.estimators.adaptive_state import AdaptiveState
 from steerkit.estimators.single_track_filter import SingleTrackFilter
@@ -38,8 +37,6 @@ from steerkit.estimators.steering_wear import SteeringFriction, SteeringPlay
 from steerkit.estimators.vehicle_state import VehicleState
 from steerkit.gym.task import Agent
 from steerkit.learning.exploration import Exploring
-from steerkit.learning.nfq.model import CarModel
-from steerkit.learning.rival import ModelPolicy
 from steerkit.paths.path import Path
 from steerkit.paths.tracker import PathTracker
 from steerkit.plants.curve_speed_driver import CurveSpeedDriver
@@ -120,9 +117,6 @@ def _careful(block: Any, i: int) -> Block:
     return dataclasses.replace(block, driver=_seeded(block.driver, i))
 
 
-CAR_MODEL = CarModel(
-    held=1.0, pushed=1.0, now=0.01, before=0.006, earlier=0.004, back=0.32, yaw=0.35, limit=radians_of(520.0)
-)
 EXAMPLES = [
     Example(Integrator()),
     Example(LowPass()),
@@ -187,7 +181,6 @@ EXAMPLES = [
     Example(PolicyBlock(policy=Network(layers=LAYERS), actions=(-0.1, 0.0, 0.1))),
     Example(PolicyBlock(policy=Network(layers=(LAYERS[0], (LAYERS[1][0][:1], LAYERS[1][1][:1])), head="tanh"))),
     Example(Agent()),
-    Example(ModelPolicy(model=CAR_MODEL)),
     Example(PathTracker(path=OVAL)),
     Example(PathTracker(path=OVAL, reference=1.2, preview_points=3)),
     Example(LinearSingleTrack(vehicle=PASSAT, v0=5.0)),

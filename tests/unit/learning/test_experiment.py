@@ -13,7 +13,7 @@ from steerkit.controllers.policy import DOE, PSI_E, E
 from steerkit.learning import rundir
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.learn import learn
-from steerkit.learning.rival import model_based
+from steerkit.learning.settings import DEFAULT
 from steerkit.scenario import Scenario
 from tests.support.short_run import SHORT
 
@@ -79,7 +79,9 @@ def test_with_a_shift_the_target_comes_to_the_car_and_the_learner_drives_on(tmp_
 
 
 def test_on_an_open_course_the_way_back_to_the_start_is_no_transition_and_no_failure() -> None:
-    run = model_based(Experiment(scenario=Scenario(course="slalom"), minutes=0.6, seed=3))  # it drives well at once
+    fit = replace(DEFAULT.fit, epochs=100, imagined=1000, iterations=1)
+    setting = replace(DEFAULT, fit=fit, retrain_every_m=20.0, fit_seconds=0.5)
+    run = LearningRun(Experiment(setting=setting, scenario=Scenario(course="slalom"), minutes=0.8, seed=3))
     path, carried = run.loop.names.index("path"), 0
     while not run.done():
         before, lasting = run.y[path], run.counts.episode

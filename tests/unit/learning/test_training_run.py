@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import pairwise
 
-from steerkit.learning.rival import ModelPolicy
 from steerkit.learning.training_run import train
 from tests.support.short_run import SHORT
 
@@ -23,9 +22,3 @@ def test_every_net_that_took_the_wheel_is_kept_in_its_order() -> None:
     assert len({id(net.policy) for net in nets}) == len(nets)
     assert nets[-1].transitions <= len(run.transitions)
     assert 0.0 < trained.longest_training <= run.counts.train_seconds <= trained.computing
-
-
-def test_the_rival_learns_in_the_same_way() -> None:
-    trained = train(replace(SHORT, minutes=0.3), model_based=True)
-    assert len(trained.nets) >= 1
-    assert all(isinstance(net.policy, ModelPolicy) for net in trained.nets)

@@ -1,4 +1,4 @@
-"""The learned model of the car: what it finds, its symmetries, what is imagined with it, and the rival that uses it."""
+"""The learned model of the car: what it finds, its symmetries, and what is imagined with it."""
 
 from __future__ import annotations
 
