@@ -17,17 +17,16 @@ from benchmarks.scenarios import open_parameters, shape, suite_loop
 from steerkit.compiled import Compiled, TraceError, compile
 from steerkit.compiled.trace import parameter
 from steerkit.controllers.network_policy import PolicyBlock
-from steerkit.controllers.nfq_native import Kind
-from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.controllers.nfq_policy import Kind, NfqPolicy
 from steerkit.diagram.block import Block
 from steerkit.diagram.loop import Loop, Sample
-from steerkit.diagram.simulation import Log
+from steerkit.diagram.simulation import Log, simulate
 from steerkit.metrics import measures, step_times
 from steerkit.paths.path import Path
 from steerkit.paths.tracker import PathTracker
 from steerkit.scenario import Scenario
-from steerkit.scenario.ahead import PolicyProgram, driven, program_of
 from steerkit.scenario.catalogue import make_element
+from steerkit.scenario.drive import PolicyDrives, policy_drives
 from steerkit.task import DT, TRIP
 from steerkit.vehicles import Vehicle
 
@@ -141,18 +140,21 @@ def _driven(
             caught = learned and now["supervisor.learning"] < 0.5
             return caught or now["path.progress"] >= length or not abs(now["path.e"]) <= OFF_COURSE
 
-        net = policy.block if policy is not None and isinstance(policy.block, NfqPolicy) else None
-        in_c = None if policy is None or net is None else _learned_program(form, policy.setting, Kind(net))
-        return driven(loop, seconds, until=over, program=in_c, record=record)
+        if policy is not None and isinstance(policy.block, NfqPolicy):
+            drives = _policy_drives(form, policy.setting, Kind(policy.block), record)
+            if drives is not None:
+                return drives.run(loop, seconds)
+        return simulate(loop, seconds, record=record, every=_every(loop), until=over, allow_nonfinite=True)
     values = {key: parameter(loop, key) for key in program.parameters}
     return program.run(seconds, state=loop.init(), parameters=values, allow_nonfinite=True)
 
 
 @lru_cache(maxsize=16)
-def _learned_program(form: Scenario, setting: str, kind: Kind) -> PolicyProgram | None:
-    """The drive in C that all nets of a kind share, whatever is left open of the scenario; None: interpreted."""
+def _policy_drives(form: Scenario, setting: str, kind: Kind, record: tuple[str, ...]) -> PolicyDrives | None:
+    """The compiled drives that all nets of a kind share, whatever is left open of the scenario; None: interpreted."""
     policy = Policy(kind.policy, setting)
-    return program_of(suite_loop(form, policy.block, doe=policy.element(form.nominal)), open_parameters(form))
+    loop = suite_loop(form, policy.block, doe=policy.element(form.nominal))
+    return policy_drives(loop, record, open_parameters(form))
 
 
 @lru_cache(maxsize=16)

@@ -23,15 +23,6 @@ FUSED = ("-ffp-contract=fast",)
 """Fused operations, each rounded once instead of twice: for loops, whose sines are not libm's anyway, and for nets."""
 
 
-AS_PYTHON = (
-    *EXACT,
-    "-O0",  # straight-line code that is run once in 50 ms: what optimising would save, the compiler takes
-    "-ftrapping-math",
-    *[f"-fno-builtin-{name}" for name in ("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "tanh", "exp", "log")],
-)
-"""Numbers of Python's floats and of its `math`, and its exceptions as flags: no sine at compile time or in pairs."""
-
-
 class NoCompilerError(RuntimeError):
     """There is no C compiler, or it does not work."""
 
@@ -60,18 +51,12 @@ def directory() -> Path:
 
 
 def load(
-    source: str,
-    *,
-    fused: bool = False,
-    vector_maths: bool = False,
-    as_python: bool = False,
-    in_full: bool = False,
-    unoptimised: bool = False,
+    source: str, *, fused: bool = False, vector_maths: bool = False, in_full: bool = False, unoptimised: bool = False
 ) -> ctypes.CDLL:
     """The library of a C file, compiled at the first call on this machine and found in the cache after that.
 
     fused: multiply-adds may be fused (quicker; rounded once instead of twice). vector_maths: for vectors of
-    cars; fused, and linked to glibc's libmvec where there is one. as_python: see `AS_PYTHON`. in_full:
+    cars; fused, and linked to glibc's libmvec where there is one.  in_full:
     optimised in full whatever $CC asks for, for what computes for minutes. unoptimised: not optimised at all, for what
     is run once. Raises NoCompilerError when there is no compiler, or it refuses.
     """
@@ -79,7 +64,7 @@ def load(
     if tool is None:
         missing = f"CC = {os.environ['CC']} is not there" if os.environ.get("CC") else "neither gcc nor cc is there"
         raise NoCompilerError(f"no C compiler found ({missing}): install gcc (or clang), or set CC")
-    rounding = FUSED if fused or vector_maths else AS_PYTHON if as_python else EXACT
+    rounding = FUSED if fused or vector_maths else EXACT
     # those of $CC win over ours, but for the rounding
     options = (*FLAGS, *tool[1:], *FLAGS[:in_full], *(["-O0"] if unoptimised else []), *rounding)
     flags = (*options, *(["libmvec"] if vector_maths else []))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import math
 import os
@@ -82,9 +81,6 @@ class NfqPolicy(Policy):
     """Time between two curvatures of the preview [s]."""
     forecast: DelayCompensator | None = None
     """The car's dead time and how it answers the wheel; None: commands act at once."""
-    weights: tuple[Any, ...] = ()
-    """All weights of `nets`, then the forecast's numbers, as one flat tuple; `nets` and `forecast` then say only how
-    many: `with_weights` makes it, for a compiled loop that leaves them open (a batch of cars with a policy each)."""
 
     def __post_init__(self) -> None:
         where = "NfqPolicy"
@@ -103,33 +99,11 @@ class NfqPolicy(Policy):
             check_net(net, n + 1, where)
             same = [p.shape for p in net] == [p.shape for p in self.nets[0]]  # type: ignore[index]
             require(same, where, "nets of different layouts, expected one layout for the whole ensemble")
-        n_weights = sum(np.size(p) for net in self.nets or () for p in net)
-        n_weights += len(self.forecast.numbers) if self.forecast else 0
-        fits = len(self.weights) in (0, n_weights)
-        require(fits, where, f"weights holds {len(self.weights)} numbers, expected {n_weights}: of nets and forecast")
         points = f"preview_points = {self.preview_points}; valid: 0, or {ahead.PREVIEW}, which a forecast needs"
         valid = self.preview_points == ahead.PREVIEW or (self.preview_points == 0 and self.forecast is None)
         require(valid, where, points)
         if not self.preview_points:
             without_preview(self)
-
-    def with_weights(self) -> NfqPolicy:
-        """The same policy with its weights in the field `weights`, for `compile(parameters=["....weights"])`."""
-        return dataclasses.replace(self, weights=self.flat_weights())
-
-    def flat_weights(self) -> tuple[float, ...]:
-        """All weights and the forecast's numbers, in the order that `weights` wants."""
-        weights = tuple(float(w) for net in self.nets or () for p in net for w in p.ravel())
-        return weights + tuple(map(float, self.forecast.numbers if self.forecast else ()))
-
-    def _parameters(self) -> list[list[NDArray[Any]]]:
-        """W, b, W, b, ... of each net, from `weights` (numbers or symbols) where they are given."""
-        nets = [[np.asarray(p, dtype=np.float64) for p in net] for net in self.nets or ()]
-        if not self.weights:
-            return nets
-        rest = iter(self.weights)  # the forecast's numbers are left over
-        kind = object if any(map(m.is_symbol, self.weights)) else np.float64
-        return [[np.array([next(rest) for _ in range(p.size)], dtype=kind).reshape(p.shape) for p in n] for n in nets]
 
     @functools.cached_property
     def _order(self) -> tuple[float, ...]:
@@ -143,7 +117,7 @@ class NfqPolicy(Policy):
         With sigmoid = (1 + tanh(z/2))/2, the halves move into the next layer's weights: A = W/4 and
         d = (b + W 1 / 2)/2; the first layer is A = W/2 of the scaled state, plus one column of offsets an action.
         """
-        nets = self._parameters()
+        nets = [[np.asarray(p, dtype=np.float64) for p in net] for net in self.nets or ()]
         mid, half, scale = self.description.mid, self.description.half, self.description.scale_of(self.actions)
         first = 0.5 * np.concatenate([net[0] for net in nets])
         of_state = first[:, :ACTION] / half
@@ -180,12 +154,12 @@ class NfqPolicy(Policy):
         ready, nan = m.where(t >= self.ready_from, 1.0, 0.0), float("nan")
         sound = m.is_finite(s[0] + s[1] + s[2] + s[3] + s[4] + s[5])  # tanh would hide an infinity
         if all(value.__class__ is float for value in s):
-            column = self._values(np.array(s if sound else [nan] * len(s))[:, None]).tolist()
+            column = self.values(*(s if sound else [nan] * len(s)))
             q = min(column)
             action = self._order[column.index(q)]
             if self.continuous:
                 action = self._between(column, action)
-        elif any(map(m.is_symbol, (*s, *self.weights))):
+        elif any(map(m.is_symbol, s)):
             action, q = self._symbolic(s)
             q = m.where(sound, q, nan)
         else:
@@ -197,12 +171,10 @@ class NfqPolicy(Policy):
             ready = ready + np.zeros(states.shape[1:])
         return self.Y(action=m.where(sound, share * action, nan), q=q, ready=ready)
 
-    @functools.cached_property
+    @property
     def _forecast(self) -> DelayCompensator:
-        """The forecast, with its numbers from `weights` where they are given; without one: of a car that stands."""
-        plain = self.forecast or DelayCompensator()
-        n = len(plain.numbers)
-        return plain.with_numbers(self.weights[-n:]) if self.forecast and self.weights else plain
+        """The forecast; without one: of a car that stands."""
+        return self.forecast or _STANDS
 
     @functools.cached_property
     def _neighbours(self) -> tuple[tuple[int, int, int], ...]:
@@ -231,6 +203,10 @@ class NfqPolicy(Policy):
         for w, d in layers:
             h = np.tanh(w @ h + d)
         return 0.5 + 0.5 * combined(h, self.combine)
+
+    def values(self, *s: float) -> list[float]:
+        """q of every action, the gentlest first, for one state as the nets see it."""
+        return self._values(np.array(s)[:, None]).tolist()
 
     def _symbolic(self, u: Any) -> tuple[Any, Any]:
         """The same in scalars, for tracing."""
@@ -312,6 +288,94 @@ class NfqPolicy(Policy):
             )
         except (ValueError, TypeError, KeyError) as why:
             raise ValueError(f"{path}: the policy in it does not hold together: {why}") from why
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class OpenPolicy(Policy):
+    """Stands for all `NfqPolicy`s of a kind in a loop that is compiled once: its nets are called, its numbers are open.
+
+    Equations, ports and state are those of `NfqPolicy`. Policies of a kind are equal by `Kind`; nets may be of any
+    layout. Source: see there.
+    """
+
+    preview = In("1/m", size="preview_points")
+
+    policy: NfqPolicy
+    """One of the kind."""
+    nets: m.Routine
+    """The state as the nets see it to the value of each action, the gentlest first."""
+    numbers: tuple[Any, ...] = ()
+    """What differs between policies of a kind besides their nets: `numbers_of`."""
+
+    def __post_init__(self) -> None:
+        if not self.preview_points:
+            without_preview(self)
+
+    @property
+    def preview_points(self) -> int:
+        """As the policy's."""
+        return self.policy.preview_points
+
+    @property
+    def preview_dt(self) -> float:
+        """As the policy's [s]."""
+        return self.policy.preview_dt
+
+    def init(self, batch: tuple[int, ...] = ()) -> State:
+        return self.policy.init(batch)
+
+    def settle(self, t: float, x: State, u: Any) -> State:
+        return self.policy.settle(t, x, u)
+
+    def update(self, t: Any, x: State, u: Any, y: Any) -> State:
+        return self._forecast.remember(x, u) if self.preview_points else ()
+
+    def output(self, t: Any, x: State, u: Any) -> Any:
+        """As that of `NfqPolicy`, on symbols."""
+        if not m.is_symbol(t):  # a loop asks for its outputs once before it is traced
+            return self.policy.output(t, x, u)
+        ready_from, foresees, *_ = self.numbers
+        s: tuple[Any, ...] = tuple(u[:_INPUTS])
+        if self.preview_points:
+            s = m.chosen(foresees > 0.5, self._forecast.ahead(x, u), s)
+        nan, share, about = float("nan"), 1.0, self.policy.description
+        if about.scaled_from < math.inf:
+            excess, s = about.excess(u.v), about.scaled(s)
+            share = 1.0 / (excess * excess)
+        sound = m.is_finite(s[0] + s[1] + s[2] + s[3] + s[4] + s[5])
+        action, q = self.policy.least(self.nets(*[m.where(sound, value, nan) for value in s]))
+        return self.Y(m.where(sound, share * action, nan), q, m.where(t >= ready_from, 1.0, 0.0))
+
+    @functools.cached_property
+    def _forecast(self) -> DelayCompensator:
+        _, _, samples, *numbers = self.numbers
+        return DelayCompensator(samples=samples).with_numbers(numbers)
+
+
+def numbers_of(policy: NfqPolicy) -> tuple[float, ...]:
+    """The `numbers` of an `OpenPolicy` for this one: `ready_from`, and all of the forecast; that of a car that stands
+    where it has none."""
+    about = policy._forecast
+    return (policy.ready_from, float(policy.forecast is not None), float(about.samples), *map(float, about.numbers))
+
+
+class Kind:
+    """What a loop compiled for an `OpenPolicy` depends on, as the key of a cache: equal for all policies it serves."""
+
+    def __init__(self, policy: NfqPolicy):
+        self.policy = policy
+        """One of them."""
+        reading = policy.preview_points, policy.preview_dt, policy.dt
+        self._key = policy.actions, repr(policy.description), policy.continuous, *reading
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Kind) and self._key == other._key
+
+
+_STANDS = DelayCompensator()
 
 
 def _forecast_in(f: Any) -> DelayCompensator | None:

@@ -13,7 +13,7 @@ from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.supervisor import SupervisorState
 from steerkit.controllers.target_shift import TargetShift
 from steerkit.diagram.block import Block
-from steerkit.diagram.loop import Loop, LoopState, Sample
+from steerkit.diagram.loop import LoopState, Sample
 from steerkit.diagram.simulation import Recorder
 from steerkit.learning.counts import Counts
 from steerkit.learning.data.transitions import Transitions
@@ -23,7 +23,7 @@ from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.settings import Setting
 from steerkit.learning.trainer import SimulatedTrainer, Training
 from steerkit.scenario import END_MARGIN, Scenario
-from steerkit.scenario.ahead import WORTH_COMPILING, Backend, Driver
+from steerkit.scenario.assembly import with_controller
 from steerkit.scenario.catalogue import make_safety
 from steerkit.scenario.drive import assembled
 
@@ -87,19 +87,11 @@ class LearningRun:
 
     `learning.learn` drives it to its end; it can be stepped by hand too: `drive()` one control sample at a time.
     `keep`, if set, is called after every sample with a training in it, to write a checkpoint; `each` with every sample
-    that is recorded. trainer: what makes
-    policies of transitions (default: NFQ, charged to the driving time). backend: see `steerkit.scenario.ahead.Driver`:
-    a long run drives in C, where that can be, and its numbers are the same.
+    that is recorded. `x` and `y`, the states and outputs of all blocks, may be changed between two samples. trainer:
+    what makes policies of transitions (default: NFQ, charged to the driving time).
     """
 
-    def __init__(
-        self,
-        experiment: Experiment,
-        watch: Watcher | None = None,
-        trainer: Training | None = None,
-        *,
-        backend: Backend = "auto",
-    ):
+    def __init__(self, experiment: Experiment, watch: Watcher | None = None, trainer: Training | None = None):
         self.experiment, self.watch = experiment, watch
         self.keep: Callable[[LearningRun], None] | None = None
         self.each: Callable[[Sample], None] | None = None
@@ -113,7 +105,7 @@ class LearningRun:
             trainer=trainer or SimulatedTrainer(seconds=setting.fit_seconds),
             round_length=scenario.round_length,
         )
-        loop = assembled(
+        self.loop = assembled(
             scenario,
             self._controller(),
             doe=setting.element(scenario.nominal),
@@ -122,10 +114,9 @@ class LearningRun:
             safety=make_safety(scenario.design_model()) if setting.safe else None,
             seed=experiment.seed,
         )
-        self.driver = Driver(
-            loop, backend=backend, worth=WORTH_COMPILING * (10 if setting.safe else 1)
-        )  # a filter's loop is long
-        self.ticks = self.driver.ticks
+        start = self.loop.init()
+        self.x, self.y = list[Any](start.x), list[Any](start.y)
+        self.ticks = round(self.policy.dt / self.loop.dt)
         self._inputs = state_signals(setting, self.loop.inputs_of("controller"))
         self.safe = setting.safe
         self._element = setting.element(scenario.nominal)
@@ -152,29 +143,6 @@ class LearningRun:
         return self.learner_state.policy.nets or ()
 
     @property
-    def loop(self) -> Loop:
-        """The loop, with the policy that steers."""
-        return self.driver.loop
-
-    @property
-    def x(self) -> list[Any]:
-        """The states of all blocks, to change between two samples."""
-        return self.driver.x
-
-    @x.setter
-    def x(self, x: list[Any]) -> None:
-        self.driver.x = x
-
-    @property
-    def y(self) -> list[Any]:
-        """The outputs of all blocks, to change between two samples."""
-        return self.driver.y
-
-    @y.setter
-    def y(self, y: list[Any]) -> None:
-        self.driver.y = y
-
-    @property
     def t(self) -> float:
         """Driving time [s]."""
         return self.counts.k * self.loop.dt
@@ -182,7 +150,7 @@ class LearningRun:
     @property
     def state(self) -> LoopState:
         """The loop's state at this moment."""
-        return self.driver.state(self.counts.k)
+        return LoopState(self.counts.k, tuple(self.x), tuple(self.y))
 
     def done(self) -> bool:
         """Has the experiment come to its end?"""
@@ -198,11 +166,10 @@ class LearningRun:
         learner_state, counts, second = self.learner_state, self.counts, int(self.t)
         trainings = counts.updates
         self._take_over()
-        self.driver.begin(counts.k)
-        outputs = self.driver.outputs
-        self.recorder.add(counts.k, outputs)
+        self.loop.advance(counts.k, self.x, self.y)
+        self.recorder.add(counts.k, self.y)
         if self.each is not None:
-            self.each(Sample(self.loop, self.t, outputs))
+            self.each(Sample(self.loop, self.t, self.y))
         learning = self._value("supervisor.learning") > 0.5
         events = learner_state.sample(
             counts.k // self.ticks,
@@ -220,7 +187,8 @@ class LearningRun:
             e, e_dot = (self._value(self._inputs[name]) for name in ("e", "e_dot"))
             if learner_state.recovering(self.t, e=e, e_dot=e_dot):
                 self._tell("stuck")
-        self.driver.end(counts.k)
+        for k in range(counts.k + 1, counts.k + self.ticks):
+            self.loop.advance(k, self.x, self.y)
         counts.k += self.ticks
         if events.ended:
             self._after_failure()
@@ -278,8 +246,7 @@ class LearningRun:
 
     def steer(self) -> None:
         """Put the story's policy into the loop, between two samples; the loop's state goes on."""
-        self.driver.steer(self._controller())
-        self.recorder.loop = self.loop
+        self.recorder.loop = self.loop = with_controller(self.loop, self._controller())
 
     def _controller(self) -> Block:
         share, policy = self.experiment.setting.exploration, self.policy
@@ -297,7 +264,7 @@ class LearningRun:
 
     def _put_back(self, s: float) -> None:
         """The car stands on the path at s [m] again, with the human's mood unchanged."""
-        loop, driver = self.loop, self.loop.block_state(self.state, "driver")
+        loop, driver = self.loop, self.x[self.loop.names.index("driver")]
         start = loop.with_block("car", self.experiment.scenario.car(self.path, s=s, seed=self.experiment.seed)).init()
         start = loop.with_block_state(start, "driver", driver)
         self.x, self.y = list(start.x), list(start.y)
@@ -311,7 +278,8 @@ class LearningRun:
         return s
 
     def _value(self, signal: str) -> float:
-        return self.driver.value(signal)
+        i, j = self.loop.locate(signal)
+        return self.y[i][j]
 
     def _tell(self, what: str) -> None:
         if self.watch is not None:

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from steerkit.learning.experiment import Experiment, LearningRun
-from steerkit.scenario.ahead import Backend
 
 
 @dataclass(frozen=True)
@@ -35,8 +34,8 @@ class Trained:
     """Wall time of the run [s]."""
 
 
-def train(experiment: Experiment, *, backend: Backend = "auto") -> Trained:
-    """Run an experiment to its end. backend: as for `LearningRun`."""
+def train(experiment: Experiment) -> Trained:
+    """Run an experiment to its end."""
     nets: list[Taken] = []
     trainings: list[float] = [0.0]
 
@@ -45,7 +44,7 @@ def train(experiment: Experiment, *, backend: Backend = "auto") -> Trained:
             nets.append(Taken(run.t, run.counts.failures, len(run.transitions), run.policy))
 
     began = time.perf_counter()
-    run = LearningRun(experiment, watch, backend=backend)
+    run = LearningRun(experiment, watch)
     while not run.done():
         run.drive()
         if run.counts.train_seconds > trainings[-1]:

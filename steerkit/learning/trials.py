@@ -9,19 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from steerkit.controllers.nfq_native import Kind
-from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.controllers.nfq_policy import Kind, NfqPolicy
 from steerkit.diagram.simulation import Log
 from steerkit.learning.settings import Setting
 from steerkit.metrics import GOOD, Summary, of_log
 from steerkit.scenario import Scenario
 from steerkit.scenario import drive as evaluate
-from steerkit.scenario.ahead import PolicyProgram, program_of
-from steerkit.task import DT, TRIP
+from steerkit.task import TRIP
 
 SIGNALS = ("path.e", "path.progress", "car.delta_sw", "car.a_y", "supervisor.learning")
-WORTH_COMPILING = 1000
-"""Samples from which on compiling a loop for them takes less time than interpreting them."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -44,17 +40,20 @@ class TrialDrive:
 def drive_each(scenario: Scenario, setting: Setting, policies: Sequence[Any], *, seed: int = 0) -> list[TrialDrive]:
     """Let each policy drive one round, all with the same human and sensors (`seed`).
 
-    Nets of a kind share one program in C, where there is enough to drive, to the numbers of the interpreted drive;
-    policies that are no nets are interpreted, which takes a second or two each.
+    Nets of a kind share one compiled loop, to the numbers of the interpreted drive; policies that are no nets, or that
+    drive in a loop that cannot be compiled, are interpreted, which takes a second or two each.
     """
-    long = len(policies) * scenario.round_length / scenario.v_max >= WORTH_COMPILING * DT
-    return [_drive_one(scenario, setting, policy, seed, compiled=long) for policy in policies]
+    return [_drive_one(scenario, setting, policy, seed) for policy in policies]
 
 
-def _drive_one(scenario: Scenario, setting: Setting, policy: Any, seed: int, *, compiled: bool) -> TrialDrive:
+def _drive_one(scenario: Scenario, setting: Setting, policy: Any, seed: int, *, compiled: bool = True) -> TrialDrive:
     doe = setting.element(scenario.nominal)
-    program = _program(scenario, setting, Kind(policy)) if compiled and isinstance(policy, NfqPolicy) else None
-    log = evaluate.drive(scenario, policy, doe=doe, seed=seed, rounds=1.0, only_while_held=True, program=program)
+    drives = _drives(scenario, setting, Kind(policy)) if compiled and isinstance(policy, NfqPolicy) else None
+    if drives is None:
+        log = evaluate.drive(scenario, policy, doe=doe, seed=seed, rounds=1.0, only_while_held=True)
+    else:
+        one_round = dataclasses.replace(scenario, rounds=1.0)
+        log = drives.run(evaluate.drive_loop(one_round, policy, doe=doe, seed=seed), one_round.seconds)
     return _judged(log, scenario.round_length)
 
 
@@ -77,6 +76,7 @@ def _first(flags: np.ndarray) -> int:
 
 
 @lru_cache(maxsize=8)
-def _program(scenario: Scenario, setting: Setting, kind: Kind) -> PolicyProgram | None:
-    """None: interpreted."""
-    return program_of(evaluate.drive_loop(scenario, kind.policy, doe=setting.element(scenario.nominal)))
+def _drives(scenario: Scenario, setting: Setting, kind: Kind) -> evaluate.PolicyDrives | None:
+    """The compiled drives that all nets of a kind share; None: interpreted."""
+    loop = evaluate.drive_loop(scenario, kind.policy, doe=setting.element(scenario.nominal))
+    return evaluate.policy_drives(loop, SIGNALS)

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from typing import Protocol
 
-from steerkit.controllers.supervisor import Supervisor
+from steerkit._support.errors import require
+from steerkit.controllers.nfq_policy import NfqPolicy, OpenPolicy, numbers_of
+from steerkit.controllers.supervisor import ExceptionGuard, Supervisor
 from steerkit.controllers.target_shift import TargetShift
+from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block
 from steerkit.diagram.loop import Loop
-from steerkit.diagram.simulation import Log, Sample
+from steerkit.diagram.simulation import Log, Sample, simulate
 from steerkit.paths.path import Path
-from steerkit.scenario.ahead import PolicyProgram, driven
-from steerkit.scenario.assembly import bare, steering_loop
+from steerkit.scenario.assembly import bare, controller_of, steering_loop, with_controller
 from steerkit.scenario.catalogue import make_controller
 from steerkit.scenario.scenario import Scenario
 from steerkit.task import TRIP
@@ -139,15 +141,12 @@ def drive(
     progress: bool = False,
     only_while_held: bool = False,
     each: Callable[[Sample], None] | None = None,
-    program: PolicyProgram | None = None,
 ) -> Log:
     """Drive the scenario's rounds of its course (or `rounds`) and return the log, 20 samples a second.
 
     only_while_held: end at the first sample in which the recovery controller has the wheel. each: called with every
-    sample of the log as it is driven, such as a live stream's. program: made for drives of policies like `steering`
-    in this scenario, with this doe; then it is driven in C, to the same numbers.
-    The run also ends after the time that the slowest human would need; then the last `path.progress` is short of
-    `rounds` times the course.
+    sample of the log as it is driven, such as a live stream's. The run also ends after the time that the slowest
+    driver would need; then the last `path.progress` is short of `rounds` times the course.
     """
     if rounds is not None:
         scenario = replace(scenario, rounds=rounds)
@@ -160,7 +159,67 @@ def drive(
         lost = only_while_held and sample["supervisor.learning"] < 0.5
         return lost or sample["path.progress"] >= length
 
-    return driven(loop, scenario.seconds, until=over, program=program, progress=progress)
+    every = round(steering.dt / loop.dt)
+    return simulate(loop, scenario.seconds, every=every, until=over, allow_nonfinite=True, progress=progress)
+
+
+class PolicyDrives:
+    """Drives of learned policies of one kind in one kind of loop, which is compiled once for all of them.
+
+    loop: one of the drives, with an `NfqPolicy` as its controller. record: signals to keep, one sample of the
+    controller each. parameters: block fields that differ between the drives besides the policy, such as
+    "car.vehicle.m". The numbers are those of `simulate`, to the last bit. Raises TraceError for a loop with a block
+    that cannot be compiled.
+    """
+
+    def __init__(self, loop: Loop, record: Sequence[str], parameters: Sequence[str] = ()):
+        from steerkit.compiled import compile
+
+        self._policy = _policy_of(loop)
+        self._open = tuple(parameters)
+        nets = m.Routine(
+            name="nets", size=len(self._policy.actions), call=lambda *s: self._policy.values(*s), native=_no_native
+        )
+        stands = OpenPolicy(policy=self._policy, nets=nets, numbers=numbers_of(self._policy), dt=self._policy.dt)
+        guarded = isinstance(loop.blocks["controller"], ExceptionGuard)
+        self._numbers = "controller.block.numbers" if guarded else "controller.numbers"
+        self._compiled = compile(
+            with_controller(loop, stands),
+            backend="python",
+            record=record,
+            every=round(self._policy.dt / loop.dt),
+            parameters=[*self._open, self._numbers],
+        )
+
+    def run(self, loop: Loop, seconds: float) -> Log:
+        """The drive of the policy in `loop`, a loop like the one this was made for, for so many seconds."""
+        from steerkit.compiled.trace import parameter
+
+        self._policy = _policy_of(loop)
+        values = {name: parameter(loop, name) for name in self._open}
+        values[self._numbers] = numbers_of(self._policy)
+        return self._compiled.run(seconds, state=loop.init(), parameters=values, allow_nonfinite=True)
+
+
+def policy_drives(loop: Loop, record: Sequence[str], parameters: Sequence[str] = ()) -> PolicyDrives | None:
+    """`PolicyDrives`, or None where a block of the loop cannot be compiled, and drives are interpreted."""
+    from steerkit.compiled import TraceError
+
+    try:
+        return PolicyDrives(loop, record, parameters)
+    except TraceError:
+        return None
+
+
+def _policy_of(loop: Loop) -> NfqPolicy:
+    policy = controller_of(loop)
+    kind = type(policy).__name__
+    require(isinstance(policy, NfqPolicy), "PolicyDrives", f"the controller is a {kind}, expected an NfqPolicy")
+    return policy  # type: ignore[return-value]
+
+
+def _no_native() -> tuple[int, int]:
+    raise TypeError("nets are called in Python")
 
 
 def held_all_along(log: Log, *, limit: float = TRIP) -> bool:

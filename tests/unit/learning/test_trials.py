@@ -57,29 +57,20 @@ def test_compiled_and_interpreted_they_are_the_same_whatever_the_layout() -> Non
         replace(policy(8), nets=policy(8).nets + policy(7).nets, ready_from=99.0),
     ]
     policies = [policy(1), *more, policy(2)]
-    trials._program.cache_clear()
+    trials._drives.cache_clear()
     compiled = [trials._drive_one(WORLD, SETTING, one, 3, compiled=True) for one in policies]
-    assert trials._program.cache_info().misses == 1
+    assert trials._drives.cache_info().misses == 1
     assert compiled == [trials._drive_one(WORLD, SETTING, one, 3, compiled=False) for one in policies]
     assert len({drive.rounds for drive in compiled}) > 1
     assert drive_each(WORLD, SETTING, []) == []
 
 
-def test_policies_that_differ_in_more_than_their_nets_have_programs_of_their_own() -> None:
-    trials._program.cache_clear()
+def test_policies_that_differ_in_more_than_their_nets_have_loops_of_their_own() -> None:
+    trials._drives.cache_clear()
     other = policy(0, BANG_BANG.actions)
     drives = [trials._drive_one(WORLD, SETTING, one, 3, compiled=True) for one in (policy(0), other)]
-    assert trials._program.cache_info().misses == 2
+    assert trials._drives.cache_info().misses == 2
     assert drives[1] == trials._drive_one(WORLD, SETTING, other, 3, compiled=False)
-
-
-def test_little_to_drive_is_not_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[int] = []
-    monkeypatch.setattr(trials, "_program", lambda *_: asked.append(1))
-    drive_each(Scenario(course="circle"), SETTING, [policy(1)])
-    assert not asked
-    drive_each(Scenario(course="paper"), SETTING, [policy(1)])
-    assert asked
 
 
 def test_good_is_held_and_within_all_bounds() -> None:
