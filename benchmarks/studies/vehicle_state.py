@@ -11,7 +11,7 @@
 * Outages: all but the wheel's angle is lost for 2 s, again and again; a position jumps by 0.3 m for 0.3 s.
 * The car is another than told: RMS e over that without the estimator (`unlike_x`).
 * Mistold: of `--mistold` cars nothing that estimator and controllers are told is true (`benchmarks.mistold_state`); RMS
-  e, wheel, error to the side and of the heading with `AdaptiveState`, over those with `VehicleState` and with none:
+  e, wheel, error to the side and of the heading with `steering` found, over those without and with no estimator:
   medians over the cars. `mistold_innovation_ok_pct`, `mistold_nis_mean`: as above, from half of the drive on.
 * Recorded laps: where is the car in half a second, if nobody turns the wheel until then, by the estimator or by dead
   reckoning (a circle at the yaw rate and along the heading measured last); the car is identified from the other lap.

@@ -12,7 +12,7 @@ from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State
 from steerkit.diagram.maths import Scalar
 from steerkit.diagram.units import radians_of
-from steerkit.estimators import gauss
+from steerkit.estimators import kalman
 from steerkit.estimators.way import arrived
 from steerkit.estimators.yaw_model import SLOWEST, steady_gain, yaw_step
 from steerkit.vehicles import Vehicle, require_vehicle
@@ -184,10 +184,10 @@ class SingleTrackFilter(Block):
         line = (zero,) * (self._first - _FILTERS)
         first_window = m.filled(self.window / 8.0, batch)
         held = (zero, m.filled(SLOWEST, batch), *(zero,) * (_FILTERS - 5), first_window, zero, zero)
-        return (*held, *line, *[m.filled(value, batch) for value in start], *gauss.packed(covariance))
+        return (*held, *line, *[m.filled(value, batch) for value in start], *kalman.packed(covariance))
 
     def output(self, t: Any, x: State, u: Any) -> Any:
-        numbers, p = x[self._first : self._first + _N], gauss.unpacked(x[self._first + _N :], _N)
+        numbers, p = x[self._first : self._first + _N], kalman.unpacked(x[self._first + _N :], _N)
         g, understeer, offset, zero, disturbance, _ = numbers
         variances = self._variances
         total = (_OFFSET, _DISTURBANCE)
@@ -198,7 +198,7 @@ class SingleTrackFilter(Block):
             (offset, deviations[2], radians_of(0.25)),
             (zero, deviations[3], 0.001),
             (disturbance, deviations[4], 0.5 * math.sqrt(variances[4])),
-            (offset + disturbance, m.sqrt(m.maximum(gauss.covariance(p, total, total), 0.0)), radians_of(0.35)),
+            (offset + disturbance, m.sqrt(m.maximum(kalman.covariance(p, total, total), 0.0)), radians_of(0.35)),
         )
         flat = [
             entry
@@ -212,7 +212,7 @@ class SingleTrackFilter(Block):
         angle, v_before, _, since, w, beta, rate, stands, turned, clock, start, going, came = x[:13]
         window, turning, behind = x[13:_FILTERS]
         line, numbers = x[_FILTERS : self._first], x[self._first : self._first + _N]
-        covariance = gauss.unpacked(x[self._first + _N :], _N)
+        covariance = kalman.unpacked(x[self._first + _N :], _N)
         known, moves, turns, sure, steers = map(m.is_finite, (u.delta_sw, u.v, u.r, u.delay_deviation, u.active))
         told = m.both(m.is_finite(u.delay), m.is_finite(u.lag))
         read = m.every(known, moves, turns, told, sure, steers)
@@ -228,7 +228,7 @@ class SingleTrackFilter(Block):
         keeps = [m.where(drives, math.exp(-dt / time), 1.0) for time in times]
         numbers = (*numbers[:4], keeps[4] * numbers[4], numbers[5])
         fresh = {i: (1.0 - keep * keep) * variance for i, (keep, variance) in enumerate(zip(keeps, self._variances))}
-        covariance = gauss.predict_covariance(covariance, (), keeps, fresh)
+        covariance = kalman.predict_covariance(covariance, (), keeps, fresh)
         expected, slopes = self._expected(numbers, w, behind, v)
         variance = self.noise**2 * self.correlated / dt
         late = turning * m.where(sure, u.delay_deviation, 0.0)
@@ -282,7 +282,7 @@ class SingleTrackFilter(Block):
             turning,
             w - m.clip(w - behind, -_GAP, _GAP),
         )
-        return (*filters, *line, *numbers, *gauss.packed(covariance))
+        return (*filters, *line, *numbers, *kalman.packed(covariance))
 
     def _expected(self, numbers: State, w: Scalar, behind: Scalar, v: Scalar) -> tuple[Scalar, tuple[Scalar, ...]]:
         """What the gyro should say [rad/s], and its derivatives with respect to the six numbers.
@@ -307,15 +307,15 @@ class SingleTrackFilter(Block):
 
 
 def _corrected(
-    numbers: State, p: gauss.Covariance, slopes: Sequence[Scalar], error: Scalar, variance: Scalar, applies: Scalar
-) -> tuple[State, gauss.Covariance, Scalar]:
+    numbers: State, p: kalman.Covariance, slopes: Sequence[Scalar], error: Scalar, variance: Scalar, applies: Scalar
+) -> tuple[State, kalman.Covariance, Scalar]:
     """Numbers and covariance after one measurement, where it `applies`; Huber's weight for one that is far off.
 
     And its squared error over that of 3 deviations.
     """
-    share = [sum([entry * slope for entry, slope in zip(gauss.line(p, i), slopes)]) for i in range(_N)]
+    share = [sum([entry * slope for entry, slope in zip(kalman.line(p, i), slopes)]) for i in range(_N)]
     of_model = sum([slope * value for slope, value in zip(slopes, share)])
     off = error * error / (_OUTLIER * _OUTLIER * (of_model + variance))
     weight = m.where(applies, 1.0 / (of_model + variance * m.maximum(off, 1.0)), 0.0)
-    moved, p = gauss.drawn(numbers, p, share, weight, error)
+    moved, p = kalman.drawn(numbers, p, share, weight, error)
     return tuple([m.clip(number, low, high) for number, (low, high) in zip(moved, _BOUNDS)]), p, off

@@ -3,22 +3,40 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any
+from itertools import accumulate
+from typing import Any, NamedTuple
 
 from steerkit._support.errors import require, require_within, whole_samples
 from steerkit.diagram import maths as m
-from steerkit.diagram.block import Block, In, Out, State
+from steerkit.diagram.block import Block, In, Out, State, entries_of
 from steerkit.diagram.maths import Scalar
 from steerkit.diagram.units import radians_of
-from steerkit.estimators.arrivals import ANY_ANGLE, SIZE, Wheel, sorted_in, turned_on
-from steerkit.estimators.correction import GYRO, HEADING, NEVER, PSI, SWAY, WHEEL, A, Correction, Memory, R, V, X, Y
-from steerkit.estimators.gauss import Row, packed, predict_covariance, unpacked
-from steerkit.estimators.motion import Answer, Rhs, answer, course, moved
+from steerkit.estimators.kalman import (
+    Covariance,
+    Row,
+    corrected,
+    covariance,
+    packed,
+    predict_covariance,
+    unpacked,
+    widened,
+)
+from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.task import DT
 
+X, Y, PSI, SWAY, R, V, A, D_X, D_Y, D_PSI, HEADING, GYRO, WHEEL = range(13)
+"""The estimated numbers, in the order of the state: the motion with the acceleration, then errors of sensors."""
+NEVER = 1e9
+"""s: `unseen` of a car of which no position has come yet."""
+_LEAST = 1e-10
+"""Least variance of a measurement, in SI units: 0.01 mm or mm/s, 0.01 mrad or mrad/s."""
+_ABSURD = 1e7
+"""Metres, radians and the like by which a measurement is no measurement."""
+_X_SUM, _Y_SUM = (X, D_X), (Y, D_Y)
+"""What a measured position is the sum of."""
 _N = 13
 _ENTRIES = _N * (_N + 1) // 2
 _UNKNOWN = (10.0, 10.0, 0.5, 0.5, 0.5, 5.0)
@@ -27,12 +45,239 @@ _UNHEARD = 2.0
 """How fast it may turn while its angle is not heard [rad/s]."""
 
 
+# ---- measurements by their age
+
+
+class Measured(NamedTuple):
+    """What was measured within half a sample of a time, NaN where nothing was."""
+
+    x: Scalar
+    y: Scalar
+    psi: Scalar
+    lead: Scalar
+    """How much older than that time the pose is [s], negative where it is newer."""
+    v: Scalar
+    r: Scalar
+
+
+ANY_ANGLE = 1e3
+"""Larger angles of the steering wheel [rad] are none."""
+SIZE = len(Measured._fields)
+
+
+def sorted_in(buffer: State, pose: State, age: Scalar, motion: State, motion_age: Scalar, dt: float) -> list[Measured]:
+    """What was measured now, a sample ago, and so on, with what has come in this sample; the oldest is due.
+
+    buffer: the numbers of all but the newest and the last before this sample. pose: x, y, psi, of this age [s]; motion:
+    v, r, of that age. What is older than the buffer, from the future, of no age or NaN is not put in; what comes twice
+    for one sample replaces what came first.
+    """
+    slots = [Measured(*(math.nan,) * SIZE)]
+    slots += [Measured._make(buffer[k : k + SIZE]) for k in range(0, len(buffer), SIZE)]
+    found = m.is_finite(pose[0] + pose[1])
+    pose_slot, motion_slot = m.floor(age / dt + 0.5), m.floor(motion_age / dt + 0.5)
+    filled = []
+    for k, old in enumerate(slots):
+        place, now = m.both(pose_slot == k, found), motion_slot == k
+        new_pose = [m.where(place, new, before) for new, before in zip((*pose, age - k * dt), old)]
+        new_motion = [m.where(m.both(now, m.is_finite(new)), new, before) for new, before in zip(motion, old[4:])]
+        filled.append(Measured(*new_pose, *new_motion))
+    return filled
+
+
+class Wheel(NamedTuple):
+    """The steering wheel in a sample: its angle before and after [rad], its zero, and what is known of it."""
+
+    before: Scalar
+    after: Scalar
+    zero: Scalar
+    held: Scalar
+    """Was the angle after it not heard? 0 or 1."""
+    unsure: Scalar
+    """Was either not? 0 or 1."""
+
+
+def turned_on(before: Scalar, held: Scalar, zero: Scalar, heard: Scalar) -> Wheel:
+    """The wheel in a sample after which its angle is heard, or NaN.
+
+    While it is not, its angle is held, and what it turns goes into the zero. Once it is heard again, angle and zero add
+    up to what they did, so that the zero is what it was.
+    """
+    there = m.absolute(heard) < ANY_ANGLE
+    after = m.where(there, heard, before)
+    back = m.both(there, held > 0.5)
+    missing = m.where(there, 0.0, 1.0)
+    start, zero = m.where(back, after, before), m.where(back, zero + before - after, zero)
+    return Wheel(start, after, zero, missing, m.where(back, 1.0, missing))
+
+
+# ---- the motion of a sample
+
+Rhs = Callable[[Sequence[Scalar], Scalar, Scalar], Sequence[Scalar]]
+"""(x', y', psi', sway', r') = rhs((x, y, psi, sway, r), delta, v): a plant's own, on floats, batches and symbols."""
+_GAMMA = 1.0 - math.sqrt(0.5)
+_DOUBLED = 2
+"""How often a step of h/4 is doubled."""
+_APART = 1e-4
+"""By how much a state is moved to see what the rates owe to it [m/s, rad, rad/s]."""
+
+
+class Answer(NamedTuple):
+    """What one sample of length h makes of rates, and of differences, about one state of the car."""
+
+    rate: Sequence[Scalar]
+    """(x', y', psi', sway', r') there."""
+    reach: tuple[Scalar, ...]
+    """h phi(h J), rows of (sway, r): how far (sway', r') carries them."""
+    keeps: tuple[Scalar, ...]
+    """exp(h J), rows of (sway, r): what is left of a difference in them."""
+    aside: tuple[Scalar, Scalar]
+    """What sway does to (x', y')."""
+    turned: tuple[Scalar, Scalar]
+    """What the road wheels' angle does to (sway, r) within the sample [per rad]."""
+    driven: tuple[Scalar, ...]
+    """What the speed does within the sample to x, y, sway, r [per m/s]."""
+
+
+def answer(rhs: Rhs, x: Sequence[Scalar], delta: Scalar, v: Scalar, h: float) -> Answer:
+    """The car's answer about x = (x, y, psi, sway, r), road-wheel angle delta [rad] and speed v [m/s].
+
+    J = d(sway', r')/d(sway, r) and its like are differences of `rhs`. With g = 1 - sqrt(1/2) and M = (I - g k J)^-1,
+
+        reach(k) = k M^2 (I - g^2 k J) ~ k phi(k J),  keeps(k) = I + reach(k) J ~ exp(k J),
+        reach(2 k) = (I + keeps(k)) reach(k),  keeps(2 k) = keeps(k)^2,
+
+    from k = h/4, rational and L-stable, for at walking pace sway and r settle within a fraction of a sample, where
+    explicit steps blow up. source: Hairer, Wanner 1996, section IV.7 (Rosenbrock methods); Hochbruck, Ostermann 2010
+    (phi); Moler, Van Loan 2003 (doubling).
+    """
+    px, py, psi, sway, r = x
+    rate = rhs(x, delta, v)
+    by_sway, by_r = rhs((px, py, psi, sway + _APART, r), delta, v), rhs((px, py, psi, sway, r + _APART), delta, v)
+    by_delta, by_v = rhs(x, delta + _APART, v), rhs(x, delta, v + _APART)
+    j11, j12 = (by_sway[3] - rate[3]) / _APART, (by_r[3] - rate[3]) / _APART
+    j21, j22 = (by_sway[4] - rate[4]) / _APART, (by_r[4] - rate[4]) / _APART
+    jacobian = (j11, j12, j21, j22)
+    k = h / 2**_DOUBLED
+    m11, m12, m21, m22 = 1.0 - _GAMMA * k * j11, -_GAMMA * k * j12, -_GAMMA * k * j21, 1.0 - _GAMMA * k * j22
+    det = m11 * m22 - m12 * m21
+    inverse = (m22 / det, -m12 / det, -m21 / det, m11 / det)
+    q = _GAMMA * _GAMMA * k
+    reach = _product(_product(inverse, inverse), (k * (1.0 - q * j11), -k * q * j12, -k * q * j21, k * (1.0 - q * j22)))
+    keeps = _with_one(_product(reach, jacobian))
+    for _ in range(_DOUBLED):
+        reach, keeps = _product(_with_one(keeps), reach), _product(keeps, keeps)
+    a, b, c, d = reach
+    b1, b2 = (by_delta[3] - rate[3]) / _APART, (by_delta[4] - rate[4]) / _APART
+    v1, v2, v3, v4 = ((by_v[i] - rate[i]) / _APART for i in (0, 1, 3, 4))
+    return Answer(
+        rate,
+        reach,
+        keeps,
+        ((by_sway[0] - rate[0]) / _APART, (by_sway[1] - rate[1]) / _APART),
+        (a * b1 + b * b2, c * b1 + d * b2),
+        (h * v1, h * v2, a * v3 + b * v4, c * v3 + d * v4),
+    )
+
+
+def _product(one: Sequence[Scalar], other: Sequence[Scalar]) -> tuple[Scalar, ...]:
+    """That of two (2, 2) matrices, each by its rows."""
+    a, b, c, d = one
+    e, f, g, h = other
+    return a * e + b * g, a * f + b * h, c * e + d * g, c * f + d * h
+
+
+def _with_one(matrix: Sequence[Scalar]) -> tuple[Scalar, ...]:
+    """I + a (2, 2) matrix."""
+    a, b, c, d = matrix
+    return 1.0 + a, b, c, 1.0 + d
+
+
+def moved(
+    rhs: Rhs, x: Sequence[Scalar], delta: Scalar, v: Scalar, h: float, rate: Sequence[Scalar], reach: Sequence[Scalar]
+) -> tuple[Scalar, ...]:
+    """x = (x, y, psi, sway, r) a sample later: (sway, r) by their rate and reach, the pose by the midpoint between.
+
+    rate: `rhs` at x. reach: of an `Answer` there, or at a state a few samples before.
+    """
+    px, py, psi, sway, r = x
+    sway_after = sway + reach[0] * rate[3] + reach[1] * rate[4]
+    r_after = r + reach[2] * rate[3] + reach[3] * rate[4]
+    turn = 0.5 * h * (r + r_after)
+    middle = rhs((px, py, psi + 0.5 * turn, 0.5 * (sway + sway_after), 0.5 * (r + r_after)), delta, v)
+    return px + h * middle[0], py + h * middle[1], psi + turn, sway_after, r_after
+
+
+def course(rhs: Rhs, sway: Scalar, r: Scalar, delta: Scalar, v: Scalar) -> tuple[Scalar, Scalar]:
+    """Speed of the centre of gravity [m/s] and sideslip [rad] of a car with this sway, whatever `rhs` calls sway."""
+    ahead, aside, *_ = rhs((0.0 * v, 0.0 * v, 0.0 * v, sway, r), delta, v)
+    return m.sqrt(ahead * ahead + aside * aside), m.atan2(aside, ahead)
+
+
+# ---- the filter
+
+
+class Memory(NamedTuple):
+    """What the filter has to know of earlier measurements."""
+
+    unseen: Scalar
+    """Time since the last position that was used [s]."""
+    position: Scalar
+    """For how long positions have been rejected [s]; then speeds, yaw rates, headings."""
+    speed: Scalar
+    gyro: Scalar
+    heading: Scalar
+    turning: Scalar
+    """The gyro's innovation over its deviation, averaged over `doubt_time` [1]; then the heading's, and to the side."""
+    turned: Scalar
+    aside: Scalar
+    wheel: Scalar
+    """The steering wheel's angle at the filter's time [rad]; held where none was heard."""
+    held: Scalar
+    """Is it?"""
+    rejected: Scalar
+    """Was a measurement of the last sample rejected?"""
+    missing: Scalar
+    """Was one of them, or the wheel's angle, not there?"""
+    nis: Scalar
+    """Sum of its squared normalised innovations [1]."""
+    nis_count: Scalar
+    """How many there were [1]."""
+
+
+class Followed(NamedTuple):
+    """With `steering`: the motion that was measured a sample before, and the car's numbers in use."""
+
+    v: Scalar
+    r: Scalar
+    psi: Scalar
+    age: Scalar
+    speed: Scalar
+    """The last v that was a number [m/s], which counts for the sample after it."""
+    ratio: Scalar
+    understeer: Scalar
+    offset: Scalar
+    rate_zero: Scalar
+
+
+FOLLOWED = {
+    "ratio": (0.6, 1.6, 0.1),
+    "understeer": (-0.02, 0.02, 5e-4),
+    "offset": (-radians_of(10.0), radians_of(10.0), radians_of(1.0)),
+    "rate_zero": (-radians_of(1.0), radians_of(1.0), radians_of(0.1)),
+}
+"""Least and most of what is used of a car's numbers, and how fast they change [a second]: ratio over the data sheet's
+[1], understeer gradient [rad s^2/m], offset [rad], the gyro's zero [rad/s]."""
+_AGE_UNKNOWN = 0.01
+"""Standard deviation of the time between what is measured of the wheel and of the motion [s]."""
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class VehicleState(Block):
-    """An extended Kalman filter of pose, sideslip and yaw rate, which predicts to now and says how well it knows them.
+    """An extended Kalman filter of pose, sideslip and yaw rate, predicted to now, with their deviations.
 
-    Put it between poor sensors and any controller: noise, latency, gaps and jumps stay here, and sideslip need not be
-    measured. The state is x, y, psi, sway, r of `rhs` (a plant's own equations), v and its derivative a, and the errors
+    Use it between poor sensors and any controller: it takes noise, latency, gaps and jumps, and needs no measured
+    sideslip. The state is x, y, psi, sway, r of `rhs` (a plant's own equations), v and its derivative a, and the errors
     of the sensors, each a Gauss-Markov process with the deviation and time of its data sheet:
 
     x_in = x + d_x,  y_in = y + d_y,  psi_in = psi + d_psi + heading_bias,  r_in = r + gyro_zero,  v_in = speed,
@@ -42,19 +287,28 @@ class VehicleState(Block):
     v is taken as the mean over the sample before, as pulses of wheels give it. The model's noise: r is off by
     kappa_error v, the sideslip by beta_error, and the wheel by wheel_error times every turn of it.
 
-    *Late measurements.* The filter stands `horizon` + dt behind now. Measurements are put, by their age, into a buffer
-    of samples; one comes out of it each time, is moved to the sample's time along the car's course, and filtered. So
-    order and lateness up to `horizon` do not matter, a stamp that comes twice is one, and nothing is computed twice,
-    as filtering again from each stamp would; what is later still counts as missing. From there the model goes on to
-    now under the wheel's angles, which are not late. A measurement newer than the horizon waits for its turn, which
-    costs little where errors last for seconds.
+    *Late measurements.* The filter's time is `horizon` + dt before now. Measurements are put, by their age, into a
+    buffer of samples; one comes out of it each time, is moved to the sample's time along the car's course, and
+    filtered. So order and lateness up to `horizon` do not matter, a stamp that comes twice counts once, and nothing is
+    filtered again; what is later counts as missing. From there the model predicts to now under the wheel's angles,
+    which are not late.
 
     *Jumps.* A measurement further off than `gate` deviations is rejected. If it stays so for `patience`, it is
-    believed: motion and sensor are then each as uncertain as the jump is large. *Outages* are ridden out with the
-    model and whatever still arrives, under deviations that grow. *Doubt.* If innovations to the side, of the heading or
-    of the gyro keep one sign (their mean over `doubt_time` beyond sqrt(doubt_from) deviations of it), the car is not as
-    the model says: a ratio, tyres, wind. Noise of wheel and sideslip is then raised by doubt_wheel and doubt_beta,
-    squared, times the excess, so that the sensors are trusted more.
+    accepted: motion and sensor are then each as uncertain as the jump is large. *Outages* are bridged by the model and
+    whatever still arrives, under deviations that grow. *Doubt.* If innovations to the side, of the heading or of the
+    gyro keep one sign (their mean over `doubt_time` beyond sqrt(doubt_from) deviations of it), the car is not as
+    modelled: a ratio, tyres, wind. Noise of wheel and sideslip is then raised by doubt_wheel and doubt_beta, squared,
+    times the excess, so that the sensors are trusted more.
+
+    *A car that is not as on its data sheet.* With `steering`, a filter of the measured wheel and the gyro, the ratio
+    (as a multiple g of the data sheet's), the understeer gradient K', the offset and the gyro's zero are used as they
+    are found:
+
+        angle = (delta_sw_meas + offset)/g (L + K v^2)/(L + K' v^2),   rate = r_in - rate_zero
+
+    take the place of delta_sw_meas and r_in: the angle at which the car of the data sheet, L, K, turns as fast. What is
+    used starts with the data sheet (g = 1, K' = K, 0, 0) and follows an estimate while that is valid, no faster and no
+    further than `FOLLOWED` says; else it stays. Remaining zeros are in gyro_zero and wheel_offset.
 
     inputs: x_in, y_in [m], psi_in [rad] (any turn) of the centre of gravity, and their age_in [s]; v_in [m/s] and r_in
     [rad/s], and their motion_age_in [s]; NaN where nothing came. delta_sw_meas [rad], now; NaN: as before.
@@ -65,13 +319,15 @@ class VehicleState(Block):
     gyro_zero_deviation, heading_bias_deviation, wheel_offset_deviation, and gyro_zero_valid, heading_bias_valid,
     wheel_offset_valid [1]: is the deviation at most half of what it was before anything was measured; nis, nis_count
     [1]: sum and number of the last sample's normalised innovations squared of position, heading and gyro, of mean 1
-    each if the deviations are right.
+    each if the deviations are right; ratio [1], over the data sheet's, and understeer_change [rad s^2/m], K' - K, in
+    use: 1 and 0 without `steering`.
     All but nis follow from the state and the wheel. state: 13 means, 91 covariances (upper triangle), the wheel's last
-    angles, the buffer, `Memory`.
+    angles, the buffer, `Memory`; with `steering` its state and `Followed`.
     valid: forward driving; a v below 0 counts as 0. At standstill nothing drifts, for rhs then says that nothing turns.
-    In a batch parameters may be `(N,)` arrays. errors: ValueError for parameters out of range.
+    In a batch parameters may be `(N,)` arrays. errors: ValueError for parameters out of range, for a `steering` that is
+    made for commands or has another sample time.
     source: Gelb 1974, ch. 4 and 6; Bar-Shalom, Li, Kirubarajan 2001, sections 5.4 (normalised innovations) and 11.6
-    (adaptive noise).
+    (adaptive noise); Astrom, Wittenmark 1995, section 3.1 (certainty equivalence); Rajamani 2012, section 3.3.
     """
 
     x_in = In("m")
@@ -108,6 +364,8 @@ class VehicleState(Block):
     wheel_offset_valid = Out("1", direct=())
     nis = Out("1", direct=())
     nis_count = Out("1", direct=())
+    ratio = Out("1", direct=())
+    understeer_change = Out("rad s^2/m", direct=())
 
     rhs: Rhs
     """The car's motion: a plant's `rhs`."""
@@ -163,6 +421,8 @@ class VehicleState(Block):
     """For how long measurements are rejected before they are believed [s]."""
     outage_after: float = 0.3
     """From which time without a position on it is an outage [s]."""
+    steering: SingleTrackFilter | None = None
+    """Finds ratio, understeer gradient and zeros from the measured wheel (held=False); None: the car is as modelled."""
     dt: float = DT
 
     @classmethod
@@ -185,6 +445,11 @@ class VehicleState(Block):
                 require_within(where, name, value, "1" if name in ("gate", "doubt_from") else "s", self.dt, 1e5)
             elif name.endswith(("_noise", "_drift", "_error")) or name in ("acceleration", "doubt_wheel", "doubt_beta"):
                 require_within(where, name, value, "SI", 0.0, 10.0, "a standard deviation")
+        if self.steering is not None:
+            dts = self.dt, self.steering.dt
+            require(dts[0] == dts[1], where, f"dt = {dts[0]}, steering.dt = {dts[1]} [s], expected the same")
+            held = "steering.held = True, expected False: the wheel's angle is measured"
+            require(not self.steering.held, where, held)
 
     # ---- what follows from the parameters ---------------------------------------------------------------------
 
@@ -194,7 +459,14 @@ class VehicleState(Block):
         return 1 + whole_samples("VehicleState", "horizon", self.horizon, self.dt)
 
     @cached_property
-    def _wanders(self) -> tuple[tuple[float, Scalar], ...]:
+    def _ends(self) -> tuple[int, ...]:
+        """Where in the state the means end, the covariances, the wheel's angles, the buffer, the memory, `steering`."""
+        last = self._behind - 1
+        lengths = (_N, _ENTRIES, last, SIZE * last, len(Memory._fields))
+        return (*accumulate(lengths), sum(lengths) + (entries_of(self.steering)[1] if self.steering else 0))
+
+    @cached_property
+    def _processes(self) -> tuple[tuple[float, Scalar], ...]:
         """f and deviation of a and of the six errors of sensors."""
         slow = (self.drift_time, self.position_drift)
         processes = (
@@ -209,10 +481,6 @@ class VehicleState(Block):
         return tuple([(math.exp(-self.dt / time), deviation) for time, deviation in processes])
 
     @cached_property
-    def _correction(self) -> Correction:
-        return Correction(**{field.name: getattr(self, field.name) for field in fields(Correction)})
-
-    @cached_property
     def _sideways(self) -> bool:
         """Is sway v_y [m/s]? Else it is beta [rad]; asked of rhs."""
         return bool(self.rhs((0.0, 0.0, 0.0, 0.01, 0.0), 0.0, 5.0)[1] < 0.03)
@@ -221,32 +489,42 @@ class VehicleState(Block):
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         zero, nan = m.filled(0.0, batch), m.filled(math.nan, batch)
-        deviations = (*_UNKNOWN, *[deviation for _, deviation in self._wanders])
+        deviations = (*_UNKNOWN, *[deviation for _, deviation in self._processes])
         p = [[m.filled(d * d, batch), *(zero,) * (_N - 1 - i)] for i, d in enumerate(deviations)]
         memory = (m.filled(NEVER, batch), *(zero,) * (len(Memory._fields) - 1))
-        buffer = (nan,) * (SIZE * (self._behind - 1))
-        return (*(zero,) * _N, *packed(p), *(zero,) * (self._behind - 1), *buffer, *memory)
+        last = self._behind - 1
+        own = (*(zero,) * _N, *packed(p), *(zero,) * last, *(nan,) * (SIZE * last), *memory)
+        if self.steering is None:
+            return own
+        sheet = (zero, 1.0 + zero, self.steering.vehicle.understeer_gradient + zero, zero, zero)
+        return (*own, *self.steering.init(batch), *(nan,) * 4, *sheet)
+
+    def _parts(self, x: State) -> tuple[State, State, State, State, Memory]:
+        """Means, covariances, the wheel's angles since the filter's time, the buffer, and the memory of a state."""
+        a, b, c, d, e, _ = self._ends
+        return x[:a], x[a:b], x[b:c], x[c:d], Memory._make(x[d:e])
 
     def settle(self, t: float, x: State, u: Any) -> State:
-        """The car as first measured, carried back to the filter's time; what was not measured counts as 0."""
+        """The car as first measured, moved back to the filter's time; what was not measured counts as 0."""
+        given, u = u, self._as_modelled(x, u)
         x_in, y_in, psi, age, v, r, wheel = (m.where(m.is_finite(value), value, 0.0) for value in u)
         back = self._behind * self.dt - age
         way, middle = back * m.maximum(v, 0.0), psi - 0.5 * back * r
         start = (x_in - way * m.cos(middle), y_in - way * m.sin(middle), psi - back * r, 0.0 * v, r, v)
-        n, ends = _N + _ENTRIES, len(x) - len(Memory._fields)
-        unseen = m.where(m.is_finite(u.x_in + u.y_in), 0.0 * v, x[ends])
-        held = m.where(m.absolute(u.delta_sw_meas) < ANY_ANGLE, 0.0, 1.0)
-        memory = Memory._make(x[ends:])._replace(unseen=unseen, wheel=wheel, held=held)
-        wheels = (wheel,) * (self._behind - 1)
-        return (*start, *x[len(start) : n], *wheels, *x[n + len(wheels) : ends], *memory)
-
-    def _parts(self, x: State) -> tuple[State, State, State, State, Memory]:
-        """Means, covariances, the wheel's angles since the filter's time, the buffer, and the rest of a state."""
-        n, ends = _N + _ENTRIES, len(x) - len(Memory._fields)
-        buffer = n + self._behind - 1
-        return x[:_N], x[_N:n], x[n:buffer], x[buffer:ends], Memory._make(x[ends:])
+        mean, entries, wheels, buffer, memory = self._parts(x)
+        memory = memory._replace(
+            unseen=m.where(m.is_finite(u.x_in + u.y_in), 0.0 * v, memory.unseen),
+            wheel=wheel,
+            held=m.where(m.absolute(u.delta_sw_meas) < ANY_ANGLE, 0.0, 1.0),
+        )
+        own = (*start, *mean[len(start) :], *entries, *(wheel,) * len(wheels), *buffer, *memory)
+        if self.steering is None:
+            return own
+        speed = m.where(m.is_finite(given.v_in), given.v_in, 0.0)
+        return (*own, *x[len(own) : self._ends[-1]], *self._followed(x)._replace(speed=speed))
 
     def output(self, t: Any, x: State, u: Any) -> Any:
+        u = self._as_modelled(x, u)
         mean, entries, wheels, _, memory = self._parts(x)
         motion, reach = mean[:V], ()
         v = delta = 0.0
@@ -270,10 +548,16 @@ class VehicleState(Block):
         side = s * s * xx - 2.0 * s * c * xy + c * c * yy + turned
         deviation = [m.sqrt(m.maximum(variance, 0.0)) for variance in (side, *[row[0] for row in p])]
         psi_d, sway_d, r_d = deviation[1 + PSI], deviation[1 + SWAY], deviation[1 + R]
-        told: list[Scalar] = []
-        for i in (GYRO, HEADING, WHEEL):
-            valid = m.where(deviation[1 + i] <= 0.5 * self._wanders[i - A][1], 1.0, 0.0)
-            told += [mean[i], deviation[1 + i], valid]
+        values: list[Scalar] = [mean[i] for i in (GYRO, HEADING, WHEEL)]
+        numbers: tuple[Scalar, Scalar] = (1.0, 0.0)
+        if self.steering is not None:
+            used = self._followed(x)
+            values = [values[0] + used.rate_zero, values[1], used.ratio * values[2] + used.offset]
+            numbers = used.ratio, used.understeer - self.steering.vehicle.understeer_gradient
+        zeros: list[Scalar] = []
+        for i, value in zip((GYRO, HEADING, WHEEL), values):
+            valid = m.where(deviation[1 + i] <= 0.5 * self._processes[i - A][1], 1.0, 0.0)
+            zeros += [value, deviation[1 + i], valid]
         return self.Y(
             *shown,
             deviation[0],
@@ -284,12 +568,14 @@ class VehicleState(Block):
             memory.rejected,
             memory.missing,
             self._excess(memory),
-            *told,
+            *zeros,
             memory.nis,
             memory.nis_count,
+            *numbers,
         )
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
+        given, u = u, self._as_modelled(x, u)
         mean, entries, wheels, buffer, memory = self._parts(x)
         pose, motion = (u.x_in, u.y_in, u.psi_in), (u.v_in, u.r_in)
         *waiting, due = sorted_in(buffer, pose, u.age_in, motion, u.motion_age_in, self.dt)
@@ -302,19 +588,54 @@ class VehicleState(Block):
         after = moved(self.rhs, before, delta, v, self.dt, linear.rate, linear.reach)
         rows = self._rows(before, after, linear)
         noise = self._noise(v, linear, wheel, memory)
-        kept = [f for f, _ in self._wanders]
+        kept = [f for f, _ in self._processes]
         p = predict_covariance(unpacked(entries, _N), rows, kept, noise)
         mean = (
             *after,
             mean[V] + self.dt * mean[A],
             *[f * value for f, value in zip(kept, (*mean[A:WHEEL], wheel.zero))],
         )
-        corrected_mean, p, memory = self._correction.measured(self.rhs, mean, p, due, memory, delta)
+        corrected_mean, p, memory = self._corrected(mean, p, due, memory, delta)
         whole = m.both(m.absolute(u.delta_sw_meas) < ANY_ANGLE, m.is_finite(due.x + due.y + due.psi + due.v + due.r))
         memory = memory._replace(wheel=wheel.after, held=wheel.held, missing=m.where(whole, 0.0, 1.0))
-        return (*corrected_mean, *packed(p), *wheels[1:], *[value for arrived in waiting for value in arrived], *memory)
+        slots = [value for one in waiting for value in one]
+        own = (*corrected_mean, *packed(p), *wheels[1:], *slots, *memory)
+        return own if self.steering is None else (*own, *self._follow(self.steering, t, x, given))
 
-    # ---- its parts --------------------------------------------------------------------------------------------
+    # ---- a car that is not as on its data sheet ---------------------------------------------------------------
+
+    def _followed(self, x: State) -> Followed:
+        return Followed._make(x[self._ends[-1] :])
+
+    def _as_modelled(self, x: State, u: Any) -> Any:
+        """The inputs with the wheel of the data sheet's car that turns as this one does, and the gyro without zero."""
+        if self.steering is None:
+            return u
+        used, car = self._followed(x), self.steering.vehicle
+        square = used.speed * used.speed
+        bent = (car.wheelbase + car.understeer_gradient * square) / (car.wheelbase + used.understeer * square)
+        wheel = bent * (u.delta_sw_meas + used.offset) / used.ratio
+        return u._replace(delta_sw_meas=wheel, r_in=u.r_in - used.rate_zero)
+
+    def _follow(self, steering: SingleTrackFilter, t: Any, x: State, u: Any) -> State:
+        """The state of `steering` and what is used of it, a sample later."""
+        state, before = x[self._ends[-2] : self._ends[-1]], self._followed(x)
+        found = steering.output(t, state, ())
+        # the motion of a sample before, with the wheel of this one: then it is late by a sample at least
+        late = before.age + self.dt
+        watched = steering.U(u.delta_sw_meas, before.v, before.r, before.psi, late, 0.0, _AGE_UNKNOWN, 1.0)
+        valid = {name: getattr(found, f"{name}_valid") for name in FOLLOWED}
+        valid["understeer"] = found.ratio_valid  # at one speed they are known together
+        used = {}
+        for name, (low, high, rate) in FOLLOWED.items():
+            value, now, most = getattr(found, name), getattr(before, name), rate * self.dt
+            step = m.clip(m.clip(value, low, high) - now, -most, most)
+            used[name] = now + m.where(m.both(valid[name] > 0.5, m.is_finite(value)), step, 0.0)
+        speed = m.where(m.is_finite(u.v_in), u.v_in, before.speed)
+        followed = Followed(u.v_in, u.r_in, u.psi_in, u.motion_age_in, speed, **used)
+        return (*steering.update(t, state, watched, found), *followed)
+
+    # ---- prediction -------------------------------------------------------------------------------------------
 
     def _rows(self, before: Sequence[Scalar], after: Sequence[Scalar], linear: Answer) -> list[Row]:
         """How x, y, psi, sway, r, v after a sample depend on all before it, sparse."""
@@ -341,7 +662,7 @@ class VehicleState(Block):
             SWAY: sideways * (self.beta_error**2 * fresh_sway + excess * self.doubt_beta**2),
             R: (1.0 + excess) * fresh_r * self.kappa_error**2 * v * v,
         }
-        for i, (kept, deviation) in enumerate(self._wanders, A):
+        for i, (kept, deviation) in enumerate(self._processes, A):
             noise[i] = (1.0 - kept * kept) * deviation * deviation
         turned = wheel.after - wheel.before
         unheard = wheel.unsure * (_UNHEARD * self.dt) ** 2
@@ -356,3 +677,73 @@ class VehicleState(Block):
         squares = [mean * mean for mean in (memory.aside, memory.turned, memory.turning)]
         largest = m.maximum(squares[0], m.maximum(squares[1], squares[2]))
         return m.clip(largest / (self.doubt_from * usual) - 1.0, 0.0, 100.0)
+
+    # ---- correction -------------------------------------------------------------------------------------------
+
+    def _corrected(
+        self, mean: Sequence[Scalar], p: Covariance, due: Measured, memory: Memory, delta: Scalar
+    ) -> tuple[Sequence[Scalar], Covariance, Memory]:
+        """Means and covariances after what was measured at their time, and what is to be remembered of it."""
+        speed, _ = course(self.rhs, mean[SWAY], mean[R], delta, mean[V])
+        nis = count = rejected = 0.0
+        waits, means = [], []
+        # speed, yaw rate and heading, one by one, each against what is known after those before it
+        for k, (states, doubted, deviation) in enumerate(
+            (
+                ((V,), (V,), self.v_noise),
+                ((R, GYRO), (R, GYRO), self.r_noise),
+                ((PSI, D_PSI, HEADING), (PSI, HEADING), self.psi_noise),
+            )
+        ):
+            known = sum([mean[i] for i in states])
+            missed = (due.v - speed, due.r - known, m.wrap(due.psi + due.lead * mean[R] - known))[k]
+            noise = deviation**2 + _LEAST
+            square = missed * missed / (covariance(p, states, states) + noise)
+            here = m.absolute(missed) < _ABSURD
+            used, lasted, wait = self._judged(square, here, memory[2 + k])
+            p = widened(p, {i: m.where(lasted, missed * missed, 0.0) for i in doubted})
+            mean, p = corrected(mean, p, states, missed, noise, used)
+            rejected = m.where(m.both(here, wait > 0.0), 1.0, rejected)
+            waits.append(wait)
+            if k > 0:
+                means.append(self._mean_of(memory[4 + k], m.sign(missed) * m.sqrt(square), here))
+                nis, count = nis + m.where(here, square, 0.0), count + m.where(here, 1.0, 0.0)
+        # the position, as a whole
+        way_x, way_y, *_ = self.rhs((*mean[:PSI], mean[PSI] - 0.5 * due.lead * mean[R], *mean[SWAY:V]), delta, mean[V])
+        x, y = due.x + due.lead * way_x, due.y + due.lead * way_y
+        noise, never = self.position_noise**2 + _LEAST, memory.unseen >= NEVER
+        missed_x, missed_y = x - mean[X] - mean[D_X], y - mean[Y] - mean[D_Y]
+        xx, yy = covariance(p, _X_SUM, _X_SUM) + noise, covariance(p, _Y_SUM, _Y_SUM) + noise
+        xy = covariance(p, _X_SUM, _Y_SUM)
+        distance = yy * missed_x * missed_x - 2.0 * xy * missed_x * missed_y + xx * missed_y * missed_y
+        distance = distance / (xx * yy - xy * xy)
+        here = m.both(m.absolute(missed_x) < _ABSURD, m.absolute(missed_y) < _ABSURD)
+        used, lasted, wait = self._judged(0.5 * distance, here, m.where(never, 2.0 * self.patience, memory.position))
+        more_x, more_y = (m.where(lasted, missed * missed, 0.0) for missed in (missed_x, missed_y))
+        moved_on = m.where(never, 0.0, 1.0)
+        p = widened(p, {X: more_x, Y: more_y, D_X: moved_on * more_x, D_Y: moved_on * more_y})
+        c, s = m.cos(mean[PSI]), m.sin(mean[PSI])
+        across = m.sqrt(m.maximum(c * c * yy - 2.0 * s * c * xy + s * s * xx, _LEAST))
+        means.append(self._mean_of(memory.aside, (c * missed_y - s * missed_x) / across, here))
+        nis, count = nis + m.where(here, distance, 0.0), count + m.where(here, 2.0, 0.0)
+        rejected = m.where(m.both(here, wait > 0.0), 1.0, rejected)
+        mean, p = corrected(mean, p, _X_SUM, missed_x, noise, used)
+        mean, p = corrected(mean, p, _Y_SUM, y - mean[Y] - mean[D_Y], noise, used)
+        unseen = m.where(used, 0.0, memory.unseen + self.dt)
+        return (
+            mean,
+            p,
+            Memory._make((unseen, wait, *waits, *means, memory.wheel, memory.held, rejected, 0.0, nis, count)),
+        )
+
+    def _judged(self, square: Scalar, here: Scalar, wait: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+        """Is a measurement used; is it, as it has been off for long; and for how long it is now."""
+        near = square <= self.gate * self.gate
+        wait = m.where(here, m.where(near, 0.0, wait + self.dt), wait)
+        lasted = m.both(here, wait > self.patience)
+        return m.both(here, m.either(near, lasted)), lasted, m.where(lasted, 0.0, wait)
+
+    def _mean_of(self, slow: Scalar, missed: Scalar, here: Scalar) -> Scalar:
+        """The running mean of innovations over their deviation, each within the gate."""
+        step = self.dt / self.doubt_time * (m.clip(missed, -self.gate, self.gate) - slow)
+        return m.where(here, slow + step, slow)

@@ -13,7 +13,6 @@ from steerkit._support.errors import require
 from steerkit._support.files import read_text
 from steerkit.diagram.block import Block
 from steerkit.diagram.units import radians_of
-from steerkit.estimators.adaptive_state import AdaptiveState
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.vehicle_state import VehicleState
 from steerkit.paths.courses import course, course_of, lane_change, random_course
@@ -104,14 +103,15 @@ def sensors_of(scenario: Scenario, seed: int) -> Block | None:
     return hard if sideslip else DegradedSensors(block=hard, rear=scenario.nominal.l_r)
 
 
-def estimator_of(scenario: Scenario) -> VehicleState | AdaptiveState | None:
-    """What stands between sensors and controllers; it is told the sensors' data sheet and the nominal car."""
+def estimator_of(scenario: Scenario) -> VehicleState | None:
+    """What stands between sensors and controllers; it is given the sensors' data sheet and the nominal car."""
     if scenario.estimator == "none":
         return None
     sensors: Any = sensors_of(scenario, 0)
     poor = isinstance(sensors, DegradedSensors)
     sheet: Sensors = sensors.block if poor else sensors
-    block = VehicleState.of(
+    adapts = scenario.estimator == "adaptive-state"
+    return VehicleState.of(
         NonlinearSingleTrack(vehicle=scenario.nominal),
         horizon=scenario.latency + DT,
         position_drift=math.hypot(sheet.position_drift, sensors.jump if poor else 0.0),
@@ -120,10 +120,8 @@ def estimator_of(scenario: Scenario) -> VehicleState | AdaptiveState | None:
         v_noise=sheet.v_noise,
         r_noise=sheet.r_noise,
         heading_drift=sensors.heading_drift if poor else 0.0,
+        steering=SingleTrackFilter(vehicle=scenario.nominal, held=False) if adapts else None,
     )
-    if scenario.estimator == "vehicle-state":
-        return block
-    return AdaptiveState(block=block, steering=SingleTrackFilter(vehicle=scenario.nominal, held=False))
 
 
 def drawn_course(name: str) -> tuple[int, float, float] | None:

@@ -188,9 +188,9 @@ class Scenario:
     """Which errors `noise` scales: those of `hard` sensors, with or with `no sideslip`, or of `real` ones
     (`DegradedSensors.real`), which have no sideslip and up to 20 ms of jitter even without noise."""
     estimator: str = "none"
-    """What stands between sensors and controllers: `none`, or `vehicle-state`, an estimator that is told the sensors'
+    """What stands between sensors and controllers: `none`, or `vehicle-state`, an estimator that is given the sensors'
     data sheet and the nominal car, needs no sideslip and predicts to now (`VehicleState`); or `adaptive-state`, the
-    same told ratio, understeer and zeros as they are found (`AdaptiveState`)."""
+    same with ratio, understeer and zeros as they are found (its `steering`)."""
     latency: float = 0.0
     """Age of what the controllers see [s], a multiple of 0.05."""
     told: str = "data sheet"

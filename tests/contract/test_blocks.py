@@ -138,7 +138,7 @@ ELSEWHERE = {"MPC", "NonlinearMPC", "RealCar", "FmuPlant", "OpenPolicy"}
 an open policy is run on symbols only."""
 
 
-STARTS = {"VehicleState", "AdaptiveState-VehicleState"}
+STARTS = {"VehicleState"}
 """Blocks with direct inputs that only say where to start from: no output sees them."""
 
 

@@ -30,7 +30,6 @@ from steerkit.controllers.target_shift import TargetShift
 from steerkit.controllers.with_excitation import WithExcitation
 from steerkit.diagram.block import Block, take_ports
 from steerkit.doe import Corrected, Integrator, LowPass, PlainAngle
-from steerkit.estimators.adaptive_state import AdaptiveState
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.steering_delay import WheelDelay, YawDelay
 from steerkit.estimators.steering_wear import SteeringFriction, SteeringPlay
@@ -206,9 +205,8 @@ EXAMPLES = [
     Example(VehicleState.of(NonlinearSingleTrack(vehicle=PASSAT))),
     Example(VehicleState.of(LinearSingleTrack(vehicle=PASSAT), horizon=0.0)),
     Example(
-        AdaptiveState(
-            block=VehicleState.of(NonlinearSingleTrack(vehicle=PASSAT)),
-            steering=SingleTrackFilter(vehicle=PASSAT, held=False, longest=0.2),
+        VehicleState.of(
+            NonlinearSingleTrack(vehicle=PASSAT), steering=SingleTrackFilter(vehicle=PASSAT, held=False, longest=0.2)
         )
     ),
     Example(Sensors.hard(seed=3), single=_seeded),

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from steerkit.diagram.units import degrees_of, radians_of
-from steerkit.estimators.adaptive_state import AdaptiveState
 from steerkit.estimators.vehicle_state import VehicleState
 from steerkit.plants.degraded_sensors import DegradedSensors
 from steerkit.plants.sensors import Sensors
@@ -91,14 +90,16 @@ def test_an_estimator_is_told_the_data_sheet_and_stands_between_sensors_and_cont
         Scenario(estimator="kalman")
 
 
-def test_one_that_is_told_what_is_found_is_the_same_inside() -> None:
+def test_one_that_adapts_has_the_same_numbers_and_a_filter_of_the_steering() -> None:
     adapts = Scenario.under("real", estimator="adaptive-state", noise=2.0, delay=0.1)
     block, plain = adapts.estimator_block(), replace(adapts, estimator="vehicle-state").estimator_block()
-    assert isinstance(block, AdaptiveState)
+    assert isinstance(block, VehicleState)
     assert isinstance(plain, VehicleState)
     for name in ("horizon", "steer_ratio", "position_drift", "r_noise", "heading_drift"):
-        assert getattr(block.block, name) == getattr(plain, name)
+        assert getattr(block, name) == getattr(plain, name)
+    assert block.steering is not None
     assert block.steering.vehicle == adapts.nominal
+    assert plain.steering is None
     assert adapts.design_model().delay == pytest.approx(0.1)
     loop = assembled(adapts, controller("mpc", adapts), seed=3)
     assert loop.inputs_of("estimator")["motion_age_in"] == "sensors.age"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from steerkit.estimators.gauss import corrected, covariance, line, packed, predict_covariance, unpacked, widened
+from steerkit.estimators.kalman import corrected, covariance, line, packed, predict_covariance, unpacked, widened
 
 N, MOVING = 5, 3
 rng = np.random.default_rng(3)

@@ -1,4 +1,4 @@
-"""What is found of a car is told to the vehicle-state estimator: while valid, slowly, within bounds; and then it knows
+"""With `steering`, the estimator follows ratio and zeros as they are found, slowly, within bounds; then it knows
 where a car is whose data sheet is wrong."""
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ import pytest
 from steerkit.compiled import compile
 from steerkit.diagram.simulation import Log, simulate
 from steerkit.diagram.units import radians_of
-from steerkit.estimators.adaptive_state import AdaptiveState
+from steerkit.estimators import vehicle_state
 from steerkit.estimators.single_track_filter import SingleTrackFilter
-from steerkit.estimators.vehicle_state import VehicleState
+from steerkit.estimators.vehicle_state import FOLLOWED, Followed, VehicleState
 from steerkit.metrics.signals import rms
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.scenario import Scenario
@@ -36,11 +36,8 @@ WRONG: dict[str, float] = {
 }
 
 
-def adaptive(**settings: Any) -> AdaptiveState:
-    return AdaptiveState(**{"block": PLAIN, "steering": STEERING} | settings)
-
-
-ADAPTIVE = adaptive()
+ADAPTIVE = replace(PLAIN, steering=STEERING)
+FIRST, END = ADAPTIVE._ends[-2:]
 
 
 def measured(block: Any, u: Any) -> Any:
@@ -48,33 +45,37 @@ def measured(block: Any, u: Any) -> Any:
     return block.D(*[getattr(u, name) for name in block.D._fields])
 
 
-def told(block: AdaptiveState, x: Any, ratio: float, understeer: float, offset: float, rate_zero: float) -> Any:
-    return (*x[:-4], ratio, understeer, offset, rate_zero)
+def using(x: Any, **numbers: float) -> Any:
+    """A state in which these numbers are in use."""
+    return (*x[:END], *Followed._make(x[END:])._replace(**numbers))
 
 
-def test_the_estimator_inside_is_given_the_wheel_of_the_data_sheets_car_and_a_gyro_without_its_zero() -> None:
-    block = adaptive(ratio_rate=0.0, understeer_rate=0.0, offset_rate=0.0, rate_zero_rate=0.0)
+def test_the_wheel_is_that_of_the_data_sheets_car_and_the_gyro_is_without_its_zero(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(vehicle_state, "FOLLOWED", {name: (*ends, 0.0) for name, (*ends, _) in FOLLOWED.items()})
+    block = ADAPTIVE
     u = block.U(**HERE)
-    x = told(block, block.init(), 1.25, 0.006, 0.05, 0.01)
+    x = using(block.init(), ratio=1.25, understeer=0.006, offset=0.05, rate_zero=0.01, speed=6.0)
     k, length, square = VW_PASSAT.understeer_gradient, VW_PASSAT.wheelbase, 36.0
     wheel = (0.4 + 0.05) / 1.25 * (length + k * square) / (length + 0.006 * square)
     seen = PLAIN.U(**HERE | {"delta_sw_meas": wheel, "r_in": 0.1 - 0.01})
     x = block.settle(0.0, x, measured(block, u))
     state = PLAIN.settle(0.0, PLAIN.init(), measured(PLAIN, seen))
     for _ in range(30):
-        y, inside = block.output(0.0, x, u), PLAIN.output(0.0, state, seen)
-        assert (y.x, y.r, y.nis) == pytest.approx((inside.x, inside.r, inside.nis), rel=1e-9)
-        assert y.gyro_zero == pytest.approx(inside.gyro_zero + 0.01)
-        assert y.wheel_offset == pytest.approx(1.25 * inside.wheel_offset + 0.05)
-        assert (y.ratio, y.understeer) == (1.25, 0.006)
-        x, state = block.update(0.0, x, u, y), PLAIN.update(0.0, state, seen, inside)
-    assert abs(inside.wheel_offset) > 1e-3  # it has found that wheel and gyro do not go together
+        y, plain = block.output(0.0, x, u), PLAIN.output(0.0, state, seen)
+        assert (y.x, y.r, y.nis) == pytest.approx((plain.x, plain.r, plain.nis), rel=1e-9)
+        assert y.gyro_zero == pytest.approx(plain.gyro_zero + 0.01)
+        assert y.wheel_offset == pytest.approx(1.25 * plain.wheel_offset + 0.05)
+        assert (y.ratio, y.understeer_change) == (1.25, pytest.approx(0.006 - k))
+        assert (plain.ratio, plain.understeer_change) == (1.0, 0.0)
+        x, state = block.update(0.0, x, u, y), PLAIN.update(0.0, state, seen, plain)
+    assert abs(plain.wheel_offset) > 1e-3  # it has found that wheel and gyro do not go together
 
 
 def test_the_motion_goes_to_the_filter_a_sample_later_with_the_wheel_of_then() -> None:
-    block = adaptive()
+    block = ADAPTIVE
     x, own = block.settle(0.0, block.init(), measured(block, block.U(**HERE))), STEERING.init()
-    first, end = block._parts
     before = (math.nan,) * 4
     for k in range(20):
         u = block.U(**HERE | {"r_in": 0.1 * math.sin(0.2 * k), "delta_sw_meas": math.sin(0.2 * k + 0.3)})
@@ -82,40 +83,48 @@ def test_the_motion_goes_to_the_filter_a_sample_later_with_the_wheel_of_then() -
         v, r, psi, age = before
         own = STEERING.update(0.0, own, STEERING.U(u.delta_sw_meas, v, r, psi, age + 0.05, 0.0, 0.01, 1.0), None)
         before = (u.v_in, u.r_in, u.psi_in, u.motion_age_in)
-        assert x[first:end] == own
+        assert x[FIRST:END] == own
 
 
-def test_the_wheel_is_bent_by_the_last_speed_that_was_heard() -> None:
-    block = adaptive()
-    x = told(block, block.settle(0.0, block.init(), measured(block, block.U(**HERE))), 1.0, 0.01, 0.0, 0.0)
-    last = len(x) - 5  # before what is told
+def test_the_wheel_is_that_of_the_last_speed_that_was_measured() -> None:
+    block = ADAPTIVE
+    x = using(block.settle(0.0, block.init(), measured(block, block.U(**HERE))), understeer=0.01)
     for v, expected in ((5.0, 5.0), (math.nan, 5.0)):
         u = block.U(**HERE | {"v_in": v})
-        y = block.output(0.0, x, measured(block, u))
-        x = block.update(0.0, x, u, y)
-        assert x[last] == expected
-    x = told(block, x, 1.0, 0.01, 0.0, 0.0)
+        x = block.update(0.0, x, u, block.output(0.0, x, measured(block, u)))
+        assert block._followed(x).speed == expected
+    x = using(x, understeer=0.01)
     k, length = VW_PASSAT.understeer_gradient, VW_PASSAT.wheelbase
     bent = (length + k * 25.0) / (length + 0.01 * 25.0)
     y = block.output(0.0, x, measured(block, u))
-    assert y.r == pytest.approx(
-        PLAIN.output(0.0, block._split(x)[0], PLAIN.U(**HERE | {"delta_sw_meas": bent * 0.4})).r
-    )
-    assert y.r != block.output(0.0, told(block, x, 1.0, VW_PASSAT.understeer_gradient, 0.0, 0.0), block.U(**HERE)).r
+    assert y.r == pytest.approx(PLAIN.output(0.0, x[:FIRST], PLAIN.U(**HERE | {"delta_sw_meas": bent * 0.4})).r)
+    assert y.r != block.output(0.0, using(x, understeer=k), block.U(**HERE)).r
 
 
-def test_what_is_told_moves_while_it_is_valid_no_faster_than_stated_and_within_bounds() -> None:
-    block = adaptive()
-    assert block._moved(1.0, 1.3, 1.0, 0.1, 0.6, 1.6) == pytest.approx(1.005)
-    assert block._moved(1.598, 1.9, 1.0, 0.1, 0.6, 1.6) == pytest.approx(1.6)
-    assert block._moved(1.0, 0.999, 1.0, 0.1, 0.6, 1.6) == pytest.approx(0.999)
-    for value, valid in ((1.3, 0.0), (math.nan, 1.0)):
-        assert block._moved(1.0, value, valid, 0.1, 0.6, 1.6) == 1.0
+@pytest.mark.parametrize(
+    ("before", "value", "valid", "after"),
+    [
+        (1.0, 1.3, 1.0, 1.005),
+        (1.598, 1.9, 1.0, 1.6),
+        (1.0, 0.999, 1.0, 0.999),
+        (1.0, 1.3, 0.0, 1.0),
+        (1.0, math.nan, 1.0, 1.0),
+        (0.602, 0.1, 1.0, 0.6),
+    ],
+)
+def test_what_is_used_follows_a_valid_estimate_no_faster_than_stated_and_within_bounds(
+    monkeypatch: pytest.MonkeyPatch, before: float, value: float, valid: float, after: float
+) -> None:
+    found = STEERING.output(0.0, STEERING.init(), ())._replace(ratio=value, ratio_valid=valid)
+    monkeypatch.setattr(SingleTrackFilter, "output", lambda *_: found)
+    u = ADAPTIVE.U(**HERE)
+    x = ADAPTIVE.update(0.0, using(ADAPTIVE.init(), ratio=before), u, None)
+    assert ADAPTIVE._followed(x).ratio == pytest.approx(after)
 
 
 @pytest.mark.parametrize("wrong", [{"v_in": 0.0}, {"v_in": math.nan}, {"r_in": math.nan}, {"delta_sw_meas": math.nan}])
-def test_nothing_is_told_at_a_standstill_nor_of_what_is_no_number(wrong: dict[str, float]) -> None:
-    block = adaptive()
+def test_nothing_is_followed_at_a_standstill_nor_what_is_no_number(wrong: dict[str, float]) -> None:
+    block = ADAPTIVE
     u = block.U(**HERE | wrong)
     x = block.settle(0.0, block.init(), measured(block, block.U(**HERE)))
     for k in range(300):
@@ -146,13 +155,13 @@ def test_ratio_and_zeros_are_found_however_old_the_motion_is(late: float) -> Non
     assert y.ratio == pytest.approx(1.2, rel=0.01)
     assert y.wheel_offset == pytest.approx(0.03, abs=radians_of(0.2))
     assert y.gyro_zero == pytest.approx(0.004, abs=3e-4)
-    assert x[-2] == pytest.approx(0.03, abs=radians_of(0.4))  # by what is told, not by what is found behind it
+    assert x[-2] == pytest.approx(0.03, abs=radians_of(0.4))  # by what is used, not by what is found behind it
     assert x[-1] == pytest.approx(0.004, abs=1e-3)
 
 
 @lru_cache(maxsize=2)
 def behind(estimator: str) -> Log:
-    """Stanley that adapts, behind an estimator that is told a wrong ratio, wheel and gyro, on a course of bends."""
+    """Stanley that adapts, behind an estimator with a wrong ratio, wheel and gyro, on a course of bends."""
     scenario = Scenario.under(
         "hard", sensing="no sideslip", estimator=estimator, course="random-2110", v_min=6.0, reference="own", **WRONG
     )
@@ -198,14 +207,10 @@ def test_it_compiles_to_the_same_numbers() -> None:
 @pytest.mark.parametrize(
     ("settings", "says"),
     [
-        ({"steering": replace(STEERING, dt=0.1)}, r"block.dt = 0.05, steering.dt = 0.1 \[s\], expected the same"),
-        ({"steering": replace(STEERING, held=True)}, "steering.held = True, expected False"),
-        ({"ratio_least": 1.2}, "AdaptiveState: ratio_least = 1.2"),
-        ({"ratio_most": 0.9}, "AdaptiveState: ratio_most = 0.9"),
-        ({"offset_rate": -1.0}, "AdaptiveState: offset_rate = -1"),
-        ({"rate_zero_most": 1.0}, "AdaptiveState: rate_zero_most = 1"),
+        ({"dt": 0.1}, r"dt = 0.05, steering.dt = 0.1 \[s\], expected the same"),
+        ({"held": True}, "steering.held = True, expected False"),
     ],
 )
 def test_what_it_is_not_made_for(settings: dict[str, Any], says: str) -> None:
     with pytest.raises(ValueError, match=says):
-        adaptive(**settings)
+        replace(PLAIN, steering=replace(STEERING, **settings))

@@ -1,0 +1,273 @@
+"""The parts of the vehicle-state estimator: measurements by their age, a stiff step of the car, and the correction."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from steerkit.diagram.maths import rk4
+from steerkit.estimators.kalman import Covariance
+from steerkit.estimators.vehicle_state import (
+    D_X,
+    GYRO,
+    HEADING,
+    NEVER,
+    PSI,
+    SIZE,
+    Measured,
+    Memory,
+    R,
+    V,
+    VehicleState,
+    X,
+    answer,
+    course,
+    moved,
+    sorted_in,
+    turned_on,
+)
+from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.single_track import SingleTrack
+from steerkit.vehicles import VW_PASSAT
+
+NAN = math.nan
+
+
+def put(buffer: tuple[float, ...], x: float, age: float, r: float = NAN, motion_age: float = NAN) -> list[Measured]:
+    return sorted_in(buffer, (x, 2.0, 0.3), age, (5.0, r), motion_age, 0.05)
+
+
+def kept(slots: list[Measured]) -> tuple[float, ...]:
+    """The buffer of the next sample."""
+    return tuple(value for slot in slots[:-1] for value in slot)
+
+
+EMPTY = (NAN,) * (2 * SIZE)
+
+
+@pytest.mark.parametrize(("age", "slot", "lead"), [(0.0, 0, 0.0), (0.02, 0, 0.02), (0.06, 1, 0.01), (0.09, 2, -0.01)])
+def test_each_in_its_sample(age: float, slot: int, lead: float) -> None:
+    slots = put(EMPTY, 1.0, age)
+    assert [math.isfinite(one.x) for one in slots] == [k == slot for k in range(3)]
+    assert slots[slot].lead == pytest.approx(lead)
+    assert math.isnan(slots[slot].r)
+
+
+@pytest.mark.parametrize("age", [0.13, 3.0, -0.03, NAN, math.inf])
+def test_too_late_from_the_future_or_of_no_age(age: float) -> None:
+    assert not any(math.isfinite(one.x) for one in put(EMPTY, 1.0, age))
+
+
+def test_order_does_not_matter() -> None:
+    first = put(kept(put(EMPTY, 1.0, 0.0)), 2.0, 0.0)
+    late = put(kept(put(EMPTY, NAN, NAN)), 2.0, 0.0)
+    late = put(kept(late), 1.0, 0.1)
+    assert put(kept(first), NAN, NAN)[1:] == [first[0], first[1]]
+    assert late[2].x == 1.0
+    assert late[1].x == 2.0
+
+
+def test_pose_and_motion_have_their_own_ages() -> None:
+    slots = put(EMPTY, 1.0, 0.1, r=0.2, motion_age=0.0)
+    assert (slots[2].x, slots[0].r, slots[0].v) == (1.0, 0.2, 5.0)
+    assert math.isnan(slots[0].x)
+    assert math.isnan(slots[2].r)
+
+
+def test_what_is_nan_replaces_nothing() -> None:
+    buffer = kept(put(EMPTY, 1.0, 0.0, r=0.2, motion_age=0.0))
+    again = put(buffer, NAN, 0.05, r=NAN, motion_age=0.05)
+    assert (again[1].x, again[1].r) == (1.0, 0.2)
+
+
+def test_what_a_wheel_turns_unheard_is_not_left_in_its_zero() -> None:
+    heard = turned_on(1.0, 0.0, 0.1, 1.2)
+    assert (heard.before, heard.after, heard.zero, heard.held, heard.unsure) == (1.0, 1.2, 0.1, 0.0, 0.0)
+    for nonsense in (NAN, math.inf, 1e9):
+        lost = turned_on(1.0, 0.0, 0.1, nonsense)
+        assert (lost.before, lost.after, lost.zero, lost.held, lost.unsure) == (1.0, 1.0, 0.1, 1.0, 1.0)
+    back = turned_on(1.0, 1.0, 0.7, 1.6)  # the filter has found that it turned by 0.6 in the meantime
+    assert (back.before, back.after, back.held, back.unsure) == (1.6, 1.6, 0.0, 1.0)
+    assert back.zero == pytest.approx(0.1)
+
+
+# ---- the motion of a sample
+
+H = 0.05
+plants = pytest.mark.parametrize(
+    "plant", [NonlinearSingleTrack(vehicle=VW_PASSAT), LinearSingleTrack(vehicle=VW_PASSAT)]
+)
+
+
+def finely(plant: SingleTrack, x: tuple[float, ...], delta: float, v: float, h: float = H) -> tuple[float, ...]:
+    for _ in range(500):
+        x = rk4(lambda now: plant.rhs(now, delta, v), x, h / 500)
+    return x
+
+
+def step(plant: SingleTrack, x: tuple[float, ...], delta: float, v: float) -> np.ndarray:
+    linear = answer(plant.rhs, x, delta, v, H)
+    return np.array(moved(plant.rhs, x, delta, v, H, linear.rate, linear.reach))
+
+
+@plants
+@pytest.mark.parametrize("v", [2.0, 4.0, 7.0, 15.0, 30.0])
+def test_a_step_is_that_of_many_small_ones(plant: SingleTrack, v: float) -> None:
+    """After a turn of the wheel by a degree of the road wheels, the yaw rate and the pose on the way."""
+    delta = min(0.3, 2.0 * (2.7 + 0.003 * v * v) / v**2)  # about 2 m/s^2
+    x = finely(plant, (0.0, 0.0, 0.4, 0.0, 0.0), delta, v, 2.0)
+    found, exact = step(plant, x, delta + 0.0175, v), np.array(finely(plant, x, delta + 0.0175, v))
+    change = abs(exact[3:] - x[3:])
+    assert (abs(found - exact)[3:] <= 0.1 * change + 1e-6).all()
+    assert abs(found - exact)[:2].max() < 1e-3
+    assert abs(found - exact)[2] < 3e-4
+
+
+@plants
+@pytest.mark.parametrize("v", [0.0, 0.3, 1.5])
+def test_at_walking_pace_it_settles_and_does_not_blow_up(plant: SingleTrack, v: float) -> None:
+    x = np.array((0.0, 0.0, 0.0, 0.3, 1.0))
+    for _ in range(40):
+        x = step(plant, tuple(x.tolist()), 0.2, v)
+    assert x[4] == pytest.approx(finely(plant, (0.0, 0.0, 0.0, 0.0, 0.0), 0.2, v, 2.0)[4], abs=1e-4)
+    assert np.isfinite(x).all()
+
+
+@plants
+def test_what_it_depends_on(plant: SingleTrack) -> None:
+    x, delta, v = (0.0, 0.0, 0.4, *finely(plant, (0.0, 0.0, 0.4, 0.0, 0.0), 0.1, 6.0, 2.0)[3:]), 0.1, 6.0
+    linear = answer(plant.rhs, x, delta, v, H)
+    small = 1e-3
+
+    def by(i: int) -> np.ndarray:
+        other = tuple(value + small * (i == j) for j, value in enumerate(x))
+        return (np.array(finely(plant, other, delta, v)) - np.array(finely(plant, x, delta, v))) / small
+
+    assert [linear.keeps[0], linear.keeps[2]] == pytest.approx(by(3)[3:], abs=0.01)
+    assert [linear.keeps[1], linear.keeps[3]] == pytest.approx(by(4)[3:], abs=0.01)
+    turned = (np.array(finely(plant, x, delta + small, v)) - np.array(finely(plant, x, delta, v))) / small
+    assert linear.turned == pytest.approx(turned[3:], rel=0.02)
+    driven = (np.array(finely(plant, x, delta, v + small)) - np.array(finely(plant, x, delta, v))) / small
+    assert linear.driven[:2] == pytest.approx(driven[:2], abs=2e-3)
+    assert linear.driven[2:] == pytest.approx(driven[3:], abs=5e-3)
+
+
+@plants
+def test_speed_and_sideslip(plant: SingleTrack) -> None:
+    x = finely(plant, (0.0, 0.0, 0.0, 0.0, 0.0), 0.15, 5.0, 2.0)
+    dx, dy = np.array(finely(plant, x, 0.15, 5.0, 1e-3)[:2]) - x[:2]
+    speed, beta = course(plant.rhs, x[3], x[4], 0.15, 5.0)
+    assert speed == pytest.approx(np.hypot(dx, dy) / 1e-3, rel=1e-4)
+    assert beta == pytest.approx(np.arctan2(dy, dx) - x[2], abs=1e-3)
+    assert course(plant.rhs, 0.0, 0.0, 0.1, 0.0) == (0.0, 0.0)
+
+
+# ---- correction
+
+RHS = NonlinearSingleTrack(vehicle=VW_PASSAT).rhs
+FILTER = VehicleState(
+    rhs=RHS, position_noise=0.01, psi_noise=0.001, v_noise=0.05, r_noise=0.003, gate=4.0, patience=0.2, doubt_time=0.5
+)
+MEAN = tuple(5.0 if i == V else 0.0 for i in range(13))
+NOTHING = Measured(NAN, NAN, NAN, NAN, NAN, NAN)
+
+
+def known(deviation: float = 0.01) -> Covariance:
+    return [[deviation**2, *[0.0] * (12 - i)] for i in range(13)]
+
+
+def after(
+    due: Measured, memory: Memory | None = None, p: Covariance | None = None
+) -> tuple[tuple[float, ...], Covariance, Memory]:
+    mean, wider, kept = FILTER._corrected(MEAN, p or known(), due, memory or Memory(*[0.0] * 14), 0.0)
+    return tuple(mean), wider, kept
+
+
+def test_nothing_measured_changes_nothing_but_the_time() -> None:
+    mean, p, memory = after(NOTHING)
+    assert mean == MEAN
+    assert p == known()
+    assert memory.unseen == pytest.approx(0.05)
+    assert (memory.nis, memory.nis_count, memory.rejected) == (0.0, 0.0, 0.0)
+
+
+def test_a_position_is_shared_between_car_and_sensor_by_what_is_known_of_them() -> None:
+    p = known()
+    p[D_X][0] = 0.02**2
+    mean, _, memory = after(NOTHING._replace(x=0.03, y=0.0, lead=0.0), p=p)
+    assert mean[D_X] == pytest.approx(4.0 * mean[X])
+    assert mean[X] == pytest.approx(0.03 * 1e-4 / (1e-4 + 4e-4 + 1e-4), rel=1e-3)
+    assert (memory.unseen, memory.nis_count) == (0.0, 2.0)
+    assert memory.nis == pytest.approx(0.03**2 / 6e-4, rel=1e-3)
+
+
+def test_an_older_pose_is_moved_along_the_course() -> None:
+    mean, _, memory = after(NOTHING._replace(x=-0.02, y=0.0, lead=0.004))
+    assert mean[X] == pytest.approx(0.0, abs=1e-9)
+    assert memory.rejected == 0.0
+
+
+def test_each_measurement_is_judged_by_what_is_known_after_those_before() -> None:
+    """The speed settles what the yaw rate is taken against, if they go together."""
+    p = known(0.1)
+    p[R][0], p[GYRO][0] = 0.1**2, 0.0
+    p[R][V - R] = 0.999 * 0.1**2
+    mean, _, memory = after(NOTHING._replace(v=5.1, r=0.1), p=p)
+    assert memory.nis < 4.0
+    assert mean[R] == pytest.approx(0.1, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("channel", "states"), [("x", (X, D_X)), ("psi", (PSI, HEADING)), ("r", (R, GYRO)), ("v", (V,))]
+)
+def test_a_jump_is_rejected_until_it_has_lasted(channel: str, states: tuple[int, ...]) -> None:
+    before = dict(zip(["x", "y", "psi", "v", "r"], (0.0, 0.0, 0.0, 5.0, 0.0)))
+    far: Any = Measured(**(before | {channel: before[channel] + 1.0}), lead=0.0)
+    memory = Memory(*[0.0] * 14)
+    for _ in range(4):
+        mean, p, memory = after(far, memory)
+        assert memory.rejected == 1.0
+        assert sum(mean[i] - MEAN[i] for i in states) == pytest.approx(0.0, abs=1e-9)
+    mean, p, memory = after(far, memory)
+    assert memory.rejected == 0.0
+    assert sum(mean[i] - MEAN[i] for i in states) == pytest.approx(1.0, abs=0.05)
+    assert p[states[0]][0] > (0.4 if len(states) == 2 else 0.001)
+
+
+def test_one_that_comes_back_in_time_is_forgotten() -> None:
+    far, near = (NOTHING._replace(x=x, y=0.0, lead=0.0) for x in (1.0, 0.0))
+    memory = Memory(*[0.0] * 14)
+    for due in (far, far, far, near, far, far, far):
+        _, _, memory = after(due, memory)
+    assert memory.position == pytest.approx(0.15)
+    assert memory.rejected == 1.0
+
+
+def test_the_first_position_is_believed_wherever_it_is() -> None:
+    never = Memory(*[0.0] * 14)._replace(unseen=NEVER)
+    mean, _, memory = after(NOTHING._replace(x=5e4, y=-3e3, lead=0.0), never)
+    assert mean[X] == pytest.approx(5e4, rel=1e-6)
+    assert abs(mean[D_X]) < 0.1
+    assert (memory.unseen, memory.rejected) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("value", [NAN, math.inf, -math.inf])
+def test_nonsense_is_nothing(value: float) -> None:
+    mean, p, memory = after(Measured(value, value, value, 0.0, value, value))
+    assert mean == MEAN
+    assert p == known()
+    assert memory.rejected == 0.0
+
+
+def test_innovations_of_one_sign_add_up() -> None:
+    memory = Memory(*[0.0] * 14)
+    due = NOTHING._replace(x=0.0, y=0.03, psi=0.0, lead=0.0, v=5.0, r=-0.005)
+    for _ in range(40):
+        _, _, memory = after(due, memory)
+    assert memory.aside == pytest.approx(0.03 / math.sqrt(3e-4), rel=0.05)
+    assert memory.turning < -0.1
+    assert memory.turned == pytest.approx(0.0, abs=0.1)
