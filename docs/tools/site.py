@@ -13,18 +13,23 @@ from pymdownx.arithmatex import arithmatex_fenced_format
 
 ROOT = Path(__file__).parents[2]
 GROUPS: dict[str, tuple[str, ...]] = {
-    "Blocks and loops": ("block", "mistakes", "wiring", "loop", "simulation", "assembly", "catalogue", "scenario"),
-    "Base": ("maths", "units", "random", "clock", "errors", "files", "native", "outside", "task"),
+    "Blocks and loops": ("diagram",),
+    "Compiled loops": ("compiled",),
+    "Analysis": ("analysis",),
+    "Paths and courses": ("paths",),
+    "Vehicles and plants": ("vehicles", "plants", "doe"),
+    "Estimators": ("estimators",),
+    "Controllers": ("controllers",),
+    "Scenarios": ("scenario", "task"),
+    "Metrics": ("metrics",),
     "Pictures": ("plots",),
-    "Paths and courses": ("path", "tracker", "courses", "roads", "waypoints", "land"),
-    "Cars, humans, sensors": ("vehicle", "vehicles", "plants"),
-    "Controllers": ("controllers", "doe"),
-    "Learning": ("learning", "gym"),
-    "Analysis and metrics": ("analysis", "metrics", "identification", "redrive"),
-    "Logs in and out": ("logs",),
-    "Compiled loops and export": ("compiled", "export"),
-    "On a car": ("on_car", "realtime", "plants.real_car"),
+    "Learning": ("learning",),
+    "Gymnasium": ("gym",),
+    "Logs and identification": ("logs", "identification"),
+    "Export": ("export",),
+    "Real car": ("car",),
     "Command line": ("cli",),
+    "Support": ("_support",),
 }
 """Pages of the reference, by modules and packages of steerkit; a longer name goes before a shorter."""
 FOREIGN = re.compile(r"""<(?:script|link|img|iframe)\b[^>]*?(?:src|href)=["']?(?:https?:)?//[^"'\s>]+""")

@@ -188,7 +188,7 @@ def stream(
 
 
 @app.command()
-def tape(
+def replay(
     file: Annotated[FilePath, typer.Argument(help="A recording, .mcap.")],
     controller: Annotated[str, typer.Option(help="Replay through this one, instead of those who steered.")] = "",
     run: Annotated[str, typer.Option(help="Directory of the learning run, if it has moved.")] = "",

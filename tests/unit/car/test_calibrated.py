@@ -158,7 +158,7 @@ def test_from_the_command_line_as_json(
     told = json.loads(capsys.readouterr().out)
     assert (told["vehicle_file"], out.is_file()) == (str(out), True)
     assert told["estimates"]["steer_ratio"]["valid"] is True
-    assert run("car", "tape", str(calibration.tape), monkeypatch=monkeypatch) == 0
+    assert run("car", "replay", str(calibration.tape), monkeypatch=monkeypatch) == 0
     printed = capsys.readouterr().out
     estimates, same = re.search(r"estimates: (\d+) of (\d+) the same", printed).groups()  # type: ignore[union-attr]
     assert estimates == same != "0"

@@ -35,7 +35,7 @@ def test_check_prints_what_is_read_and_written(
         (("check", "mine.toml"), "shipped: dbw-kit.toml"),
         (("order", "GO"), "valid: ARM, ENGAGE, DISENGAGE, ACKNOWLEDGE, OFF"),
         (("order", "ENGAGE", "--socket", "/nowhere/socket"), "no car server answers there"),
-        (("tape", "/dev/null"), "no recording of steerkit"),
+        (("replay", "/dev/null"), "no recording of steerkit"),
         (("simulate", "--listen", "0.0.0.0:0"), "only 127.0.0.1"),
         (("simulate", "--ratio", "9"), "steer_ratio = 140.4 [1], expected 1 to 50"),
         (("calibrate", "mine.toml"), "shipped: dbw-kit.toml"),
@@ -84,7 +84,7 @@ def test_a_recording_that_is_whole_replays_with_exit_code_0(
 ) -> None:
     file = tmp_path / "drive.mcap"
     file.write_bytes(small())
-    assert run("tape", str(file), "--controller", "stanley", monkeypatch=monkeypatch) == 0
+    assert run("replay", str(file), "--controller", "stanley", monkeypatch=monkeypatch) == 0
     printed = capsys.readouterr().out
     count = len(tapes.read(file).messages)
     assert printed.startswith(f"{count} of {count} messages, ")
@@ -93,7 +93,7 @@ def test_a_recording_that_is_whole_replays_with_exit_code_0(
     assert frames == same != "0"
     assert "stanley: " in printed
     assert [f.name for f in tmp_path.iterdir()] == ["drive.mcap"]
-    assert run("tape", str(file), monkeypatch=monkeypatch) == 2
+    assert run("replay", str(file), monkeypatch=monkeypatch) == 2
     assert "cannot be replayed: the recording does not tell who steered" in capsys.readouterr().out
 
 
@@ -103,7 +103,7 @@ def test_a_damaged_recording_is_repaired_into_a_new_file_with_exit_code_1(
     file, words = tmp_path / "drive.mcap", ("--controller", "stanley")
     hurt = flipped(small(), 8 * (contents(small()).chunks[-2].begin + 300))
     file.write_bytes(hurt)
-    assert run("tape", str(file), *words, monkeypatch=monkeypatch) == 1
+    assert run("replay", str(file), *words, monkeypatch=monkeypatch) == 1
     printed = capsys.readouterr().out
     assert f"{LINES} messages are missing between" in printed
     assert f"drive.repaired.mcap; {file} is as it was" in printed
@@ -111,11 +111,11 @@ def test_a_damaged_recording_is_repaired_into_a_new_file_with_exit_code_1(
     assert file.read_bytes() == hurt
     repaired = tmp_path / "drive.repaired.mcap"
     repaired.write_bytes(b"mine")
-    assert run("tape", str(file), *words, monkeypatch=monkeypatch) == 1
+    assert run("replay", str(file), *words, monkeypatch=monkeypatch) == 1
     assert "not repaired: " in capsys.readouterr().out
     assert repaired.read_bytes() == b"mine"
-    assert run("tape", str(file), *words, "--overwrite", monkeypatch=monkeypatch) == 1
-    assert run("tape", str(repaired), *words, monkeypatch=monkeypatch) == 1  # what was missing before still is
+    assert run("replay", str(file), *words, "--overwrite", monkeypatch=monkeypatch) == 1
+    assert run("replay", str(repaired), *words, monkeypatch=monkeypatch) == 1  # what was missing before still is
     assert f"{LINES} messages are missing between" in capsys.readouterr().out
     assert sorted(f.name for f in tmp_path.iterdir()) == ["drive.mcap", "drive.repaired.mcap"]
 
@@ -126,7 +126,7 @@ def test_a_recording_with_nothing_but_a_damaged_index_has_lost_nothing(
     file = tmp_path / "drive.mcap"
     file.write_bytes(small()[:-3])
     out = tmp_path / "new.mcap"
-    assert run("tape", str(file), "--controller", "stanley", "--out", str(out), monkeypatch=monkeypatch) == 0
+    assert run("replay", str(file), "--controller", "stanley", "--out", str(out), monkeypatch=monkeypatch) == 0
     assert "no message is missing" in capsys.readouterr().out
     assert tapes.read(out).whole
 
@@ -138,9 +138,9 @@ def test_a_recording_in_use_is_only_looked_into(
     file.write_bytes(small()[:-3])
     with file.open("rb") as stream:
         fcntl.flock(stream, fcntl.LOCK_EX)
-        assert run("tape", str(file), "--controller", "stanley", monkeypatch=monkeypatch) == 0
+        assert run("replay", str(file), "--controller", "stanley", monkeypatch=monkeypatch) == 0
         assert "being written by a car server: this is what is there so far" in capsys.readouterr().out
-        assert run("tape", str(file), "--out", str(tmp_path / "new.mcap"), monkeypatch=monkeypatch) == 2
+        assert run("replay", str(file), "--out", str(tmp_path / "new.mcap"), monkeypatch=monkeypatch) == 2
         assert "repair it when that has ended" in capsys.readouterr().err
     assert [f.name for f in tmp_path.iterdir()] == ["drive.mcap"]
 
