@@ -1,7 +1,7 @@
 """Dynamic output elements (DOE), which turn a few coarse actions into smooth steering (Riedmiller et al. 2007).
 
-A DOE has a state, and that state has to be an input of whoever picks the actions, or the process is not Markov:
-every DOE shows it as `state`. At a hand-over it must go on from the angle really steered, which it is told as
+A DOE has a state, and that state has to be an input of the policy, or the process is not Markov:
+every DOE shows it as `state`. At a hand-over it must continue from the angle really steered, its input
 `applied`; then the first step after any hand-over is one DOE step and no jump.
 """
 
@@ -120,9 +120,9 @@ class PlainAngle(OutputElement):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Corrected(Block):
-    """A DOE on a car that says what it was really told: it goes on from that angle, not from the one it asked for.
+    """A DOE on a car that reports the applied command: it continues from that angle, not from its own request.
 
-    Behind a gate a DOE that remembers its own wish winds up, and its `state` is no longer the car's. `element`'s
+    Behind a gate a DOE that remembers its own request winds up, and its `state` is no longer the car's. `element`'s
     equation holds, with applied(t - dt) as reported at t.
 
     Inputs: action [rad]; applied [rad], direct: the angle commanded last, as the car reports it at this sample.

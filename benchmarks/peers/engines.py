@@ -168,14 +168,14 @@ def installed(package: str) -> bool:
 def _equations(loop: Loop, start: LoopState) -> tuple[Trace, list[float]]:
     told = trace(loop)
     slots = told.layout.pack(start.x, start.y)
-    return told, [float(slots[slot]) for slot in told.carried]
+    return told, [float(slots[slot]) for slot in told.persistent]
 
 
 def _made(told: Trace, names: dict[str, Any]) -> Callable[..., Any]:
     """tick(k, s, tables) -> (s after, error), in straight lines, with these functions."""
     (tick,) = told.ticks
-    roots = [tick.roots[slot] for slot in (*told.carried, *told.layout.slots_of(SIGNAL))]
-    place = {slot + 1: f"s[{i}]" for i, slot in enumerate(told.carried)} | {0: "k"}
+    roots = [tick.roots[slot] for slot in (*told.persistent, *told.layout.slots_of(SIGNAL))]
+    place = {slot + 1: f"s[{i}]" for i, slot in enumerate(told.persistent)} | {0: "k"}
     lines = [f"    v{i} = {_text(tick.graph, i, place)}" for i in tick.graph.order(roots)]
     after = "".join(f"v{i}, " for i in roots[:-1])
     scope = dict(names)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 class Clock:
     """The machine's monotonic clock [s], `scale` times as fast (1 on a car; more to let a test be done sooner).
 
-    All processes read the same clock, so that an age can be told across them. With scale = 4 every limit, period and
+    All processes read the same clock, so that ages are comparable across them. With scale = 4 every limit, period and
     watchdog lasts a quarter as long, and the computer's own delays weigh four times as much.
     Raises ValueError unless scale is in (0, 100].
     """

@@ -138,7 +138,7 @@ def write_npz(file: File, arrays: Mapping[str, Any], *, compressed: bool = False
 
 
 LARGEST = 1 << 32
-"""Bytes that the arrays of a file may take in memory, unless told otherwise."""
+"""Bytes that the arrays of a file may take in memory, by default."""
 
 
 def read_npz(file: File, where: str, *, largest: int = LARGEST) -> dict[str, NDArray[Any]]:

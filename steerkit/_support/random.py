@@ -43,7 +43,7 @@ def seed_state(seed: int | OpenSeed, batch: tuple[int, ...] = (), *, stream: int
     """The generator's state for a seed: car i of a batch gets seed + i, and so draws what a single run with it does.
 
     seed, stream: whole numbers >= 0, seed below 2^63. Different streams of one seed are unrelated: blocks of
-    different kinds use different streams, so that human and sensors of seed 1 are not the same noise. Returns six
+    different kinds use different streams, so that driver and sensors of seed 1 do not share their noise. Returns six
     floats, or `(N,)` arrays for `batch=(N,)`. The numbers are six outputs of SplitMix64 (Steele, Lea, Flood 2014).
     Raises ValueError for a seed or stream that is no such number.
     """

@@ -45,10 +45,10 @@ def linearise(
 
     in deviations from the run from `at` on (default: `loop.init()`).
 
-    inputs: signals that u is added to, behind their block and before all who use them, held over a period.
+    inputs: signals that u is added to, behind their block and before all their users, held over a period.
     outputs: signals, as they are at the period's start. Both default to all scalar signals. cut: those inputs at which
     the loop is opened: u takes the signal's place, with one entry for each of the block's samples in a period, as y
-    has for such a signal. States that no input reaches or no output shows (a human's mood) are left out.
+    has for such a signal. States that no input reaches or no output shows (the driver model's noise) are left out.
 
     Slopes are central differences of the loop's own step, good to about 1e-9 where it is smooth; at a limiter's kink
     they are the mean of both sides. Raises NotTimeInvariantError when the next period has other matrices (drive

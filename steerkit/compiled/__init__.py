@@ -174,14 +174,14 @@ class Compiled:
             return program.run(k, stop, np.array(slots), np.array(parameters))
         if isinstance(program, PythonProgram):
             kept: list[tuple[float, ...]] = []
-            carried = program.run(k, stop - 1, slots, parameters, kept)
-            for slot, value in zip(program.trace.carried, carried):
+            persistent = program.run(k, stop - 1, slots, parameters, kept)
+            for slot, value in zip(program.trace.persistent, persistent):
                 slots[slot] = value
             last = program.finish(stop - 1, slots, parameters)
             if (stop - 1) % self.every == 0:
                 kept.append(tuple([last[slot] for slot in self._slots]))
             return np.array(kept, dtype=float).reshape(len(kept), len(self._slots)), lambda: last
-        z = np.array([float(k), *[slots[slot] for slot in program.trace.carried], *parameters])
+        z = np.array([float(k), *[slots[slot] for slot in program.trace.persistent], *parameters])
         parts = [part[-first % self.every :: self.every] for first, part in program.run(k, stop - 1, z)]
         end = np.asarray(program.finish((stop - 1) % self.loop.period)(z)).ravel()
         if (stop - 1) % self.every == 0:

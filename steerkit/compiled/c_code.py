@@ -44,7 +44,7 @@ _ROUTINE = "typedef void (*routine)(void *, const double *, double *);"
 _RUN_ONE = """\
 void run(long long k, long long stop, long long every, double *slots, const double *p, double *out, void **routines)
 {{
-  real s[{carried}];
+  real s[{persistent}];
   long long wait = (every - k % every) % every;
   for (int i = 0; i < {n}; i++) s[i] = slots[i];
   for (; k < stop; k++) {{
@@ -76,7 +76,7 @@ void run(long long k0, long long stop, long long every, long long first, long lo
          double *slots, const double *parameters, double *out)
 {{
   for (long long group = first; group < last; group++) {{
-    real s[{carried}], p[{parameters}];
+    real s[{persistent}], p[{parameters}];
     long long wait = (every - k0 % every) % every;
     double *to = out + group * LANES;
     for (int i = 0; i < {n}; i++) s[i] = load(slots + (group * {n} + i) * LANES);
@@ -96,7 +96,7 @@ _FINISH_MANY = """\
 void finish(long long k, long long first, long long end, const double *slots, const double *parameters, double *all)
 {{
   for (long long group = first; group < end; group++) {{
-    real s[{carried}], p[{parameters}], out[{slots}];
+    real s[{persistent}], p[{parameters}], out[{slots}];
     for (int i = 0; i < {n}; i++) s[i] = load(slots + (group * {n} + i) * LANES);
     for (int i = 0; i < {np}; i++) p[i] = load(parameters + (group * {np} + i) * LANES);
     last((double)k, s, p, out);
@@ -183,12 +183,12 @@ def run_source(trace: Trace, recorded: Sequence[int], *, many: bool) -> str:
 
     That of one car is handed its `routines`: of each the addresses of a function and of its first argument.
     """
-    carried = trace.carried
+    persistent = trace.persistent
     last, handed = ("", "") if many else (", void **routines", ", routines")
-    names = [f"s[{i}]" for i in range(len(carried))] + [f"y[{i}]" for i in range(len(recorded))]
+    names = [f"s[{i}]" for i in range(len(persistent))] + [f"y[{i}]" for i in range(len(recorded))]
     ticks = []
     for number, (tick, _) in enumerate(trace.kinds):
-        body = _body(trace, tick.graph, [tick.roots[slot] for slot in (*carried, *recorded)], names)
+        body = _body(trace, tick.graph, [tick.roots[slot] for slot in (*persistent, *recorded)], names)
         ticks.append(
             f"static inline void tick{number}(double k, real *s, const real *p, real *y{last})\n{{\n{body}}}\n"
         )
@@ -218,8 +218,8 @@ def phase_labels(trace: Trace, suffix: str = "") -> list[str]:
 
 
 def _sizes(trace: Trace) -> dict[str, int]:
-    n, size = len(trace.carried), len(trace.parameters)
-    return dict(carried=max(1, n), parameters=max(1, size), n=n, np=size, slots=len(trace.layout))
+    n, size = len(trace.persistent), len(trace.parameters)
+    return dict(persistent=max(1, n), parameters=max(1, size), n=n, np=size, slots=len(trace.layout))
 
 
 def lanes_source(tables: Sequence[Table]) -> str:
@@ -268,13 +268,13 @@ def _numbers(rows: NDArray[np.float64]) -> str:
 
 
 def _body(trace: Trace, graph: Graph, roots: Sequence[int], names: Sequence[str]) -> str:
-    carried = {slot: i for i, slot in enumerate(trace.carried)}
+    persistent = {slot: i for i, slot in enumerate(trace.persistent)}
     slots = len(trace.layout)
 
     def source(slot: int) -> str:
         if slot == 0:
             return "NUMBER(k)"
-        return f"s[{carried[slot - 1]}]" if slot <= slots else f"p[{slot - slots - 1}]"
+        return f"s[{persistent[slot - 1]}]" if slot <= slots else f"p[{slot - slots - 1}]"
 
     unused = "  (void)k; (void)s; (void)p;" + (" (void)y;\n" if "y[" in "".join(names[-1:]) or not names else "\n")
     return "\n".join([unused, *_written(graph, roots, names, source, trace.tables), ""])
@@ -304,8 +304,8 @@ def statements(
         if op == "call":
             number, size, *arguments = operands
             lines.append(f"  const double given{i}[] = {{{', '.join(f'v{j}' for j in arguments)}}};")
-            lines.append(f"  double told{i}[{size}];")
-            lines.append(f"  ((routine)routines[{2 * number}])(routines[{2 * number + 1}], given{i}, told{i});")
+            lines.append(f"  double answers{i}[{size}];")
+            lines.append(f"  ((routine)routines[{2 * number}])(routines[{2 * number + 1}], given{i}, answers{i});")
             continue
         kind = "mask" if op in BOOLEAN else "real"
         if op == "row":
@@ -316,7 +316,7 @@ def statements(
                 lines.append(f"  ROW({name}, {table}, v{index});")
             text = f"AT({name}, {column})"
         elif op == "result":
-            text = f"told{operands[0]}[{operands[1]}]"
+            text = f"answers{operands[0]}[{operands[1]}]"
         elif op == "const":
             text = f"NUMBER({c_number(float.fromhex(operands[0]))})"
         elif op == "in":

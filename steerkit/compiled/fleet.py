@@ -20,8 +20,8 @@ _LL = ctypes.c_longlong
 class Fleet:
     """N cars of a loop, advanced in place by whole periods of it; one thread, no records.
 
-    Where `Compiled.run` runs long and returns a log, a fleet is for who decides between any two samples (a learner
-    outside): `set` writes a number into every car's state, `advance` runs one period, `look` computes the outputs of
+    Where `Compiled.run` runs long and returns a log, a fleet is for a caller that decides between samples (an external
+    learner): `set` writes a number into every car's state, `advance` runs one period, `look` computes the outputs of
     the tick that comes next without taking it, `put` starts single cars anew. The loop's time stands still at t = 0,
     as cars that start anew at different moments share no clock.
 
@@ -37,8 +37,8 @@ class Fleet:
         self._library, self._last = program.many, program.finish(0, many=True)
         self.lanes: int = self._library.lanes()
         self._groups = -(-cars // self.lanes)
-        self._carried = np.array(self.trace.carried)
-        self._state = np.zeros((self._groups, len(self._carried), self.lanes))
+        self._persistent = np.array(self.trace.persistent)
+        self._state = np.zeros((self._groups, len(self._persistent), self.lanes))
         self._all = np.empty((self._groups, len(self.trace.layout), self.lanes))
         none = np.zeros((self._groups, 1, self.lanes))
         self._arrays = self._state, none, self._all  # kept, as C is given their addresses
@@ -59,7 +59,9 @@ class Fleet:
     def put(self, cars: NDArray[np.intp], x: Sequence[Any], y: Sequence[Any]) -> None:
         """Start the cars of these numbers from states and outputs whose entries are numbers or (len(cars),) arrays."""
         packed = self.trace.layout.pack(x, y)
-        rows = np.array([np.broadcast_to(np.asarray(packed[slot], dtype=float), cars.shape) for slot in self._carried])
+        rows = np.array(
+            [np.broadcast_to(np.asarray(packed[slot], dtype=float), cars.shape) for slot in self._persistent]
+        )
         if cars[-1] == self.cars - 1:  # the lanes that no car has follow the last one
             spare = np.arange(self.cars, self._groups * self.lanes)
             cars, rows = np.append(cars, spare), np.append(rows, np.repeat(rows[:, -1:], len(spare), axis=1), axis=1)
@@ -69,7 +71,7 @@ class Fleet:
         """Write `values` (N,) into a slot of the state."""
         row = np.full(self._groups * self.lanes, values[-1])
         row[: self.cars] = values
-        self._state[:, np.searchsorted(self._carried, slot)] = row.reshape(self._groups, self.lanes)
+        self._state[:, np.searchsorted(self._persistent, slot)] = row.reshape(self._groups, self.lanes)
 
     def advance(self) -> None:
         """Run one period of the loop."""

@@ -56,7 +56,7 @@ def gradient(
     periods = max(1, round(duration / (loop.dt * loop.period)))
     parts = [step.mapaccum(f"run{i}", 2**i, 4) for i in range(periods.bit_length()) if periods >> i & 1]
     slots = graphs.layout.pack(start.x, start.y)
-    head = [float(start.k), *[float(slots[slot]) for slot in graphs.carried]]
+    head = [float(start.k), *[float(slots[slot]) for slot in graphs.persistent]]
     seed = np.vstack((np.zeros((n - m, m)), np.eye(m)))
 
     def evaluate(values: Sequence[float]) -> tuple[float, np.ndarray]:

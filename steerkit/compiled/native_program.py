@@ -59,7 +59,7 @@ class NativeProgram:
     def tick(self, k: int, slots: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """All slots of one car after the tick k."""
         with self._held():
-            return self._finished(k, slots[self.trace.carried], parameters)
+            return self._finished(k, slots[self.trace.persistent], parameters)
 
     def run(self, k: int, stop: int, slots: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, Slots]:
         """Ticks k to stop - 1 of one car from all its slots: rows recorded, and how to get all slots after the last.
@@ -68,7 +68,7 @@ class NativeProgram:
         be asked twice, so with a routine in the loop they are the last tick.
         """
         rows = np.empty((_kept(k, stop, self.every), len(self.recorded)))
-        state, last = slots[self.trace.carried], stop - 1
+        state, last = slots[self.trace.persistent], stop - 1
         with self._held():
             self._run_one(k, last, state, parameters, rows)
             before = state.copy()
@@ -78,7 +78,7 @@ class NativeProgram:
                     rows[-1] = end[list(self.recorded)]
                 return rows, lambda: end
             self._run_one(last, stop, state, parameters, rows[_kept(k, last, self.every) :])
-        row = rows[-1:].copy()  # who has the rows may write into them
+        row = rows[-1:].copy()  # the caller may write into the rows
         return rows, lambda: self._as_run(self._finished(last, before, parameters, unoptimised=True), last, state, row)
 
     def _run_one(self, k: int, stop: int, state: np.ndarray, parameters: np.ndarray, rows: np.ndarray) -> None:
@@ -95,7 +95,7 @@ class NativeProgram:
 
         state: what it carries; row: what it recorded last, none or one.
         """
-        end[self.trace.carried] = state
+        end[self.trace.persistent] = state
         if last % self.every == 0 and self.recorded:
             end[list(self.recorded)] = row[0]
         return end
@@ -121,7 +121,7 @@ class NativeProgram:
         lanes = library.lanes()
         groups = -(-cars // lanes)
         padded = groups * lanes
-        state, fixed = _grouped(slots[self.trace.carried], lanes, groups), _grouped(parameters, lanes, groups)
+        state, fixed = _grouped(slots[self.trace.persistent], lanes, groups), _grouped(parameters, lanes, groups)
         rows = np.empty((_kept(k, stop, every), len(self.recorded), padded))
 
         before = np.empty_like(state)

@@ -40,12 +40,12 @@ class PythonProgram:
 
 
 def _run(trace: Trace, recorded: Sequence[int], every: int) -> list[str]:
-    carried = trace.carried
-    state = "".join(f"s{slot}, " for slot in carried)
+    persistent = trace.persistent
+    state = "".join(f"s{slot}, " for slot in persistent)
     lines = ["def run(k, stop, slots, parameters, rows):"]
     used = [name for name in sorted(FUNCTIONS - {"floor"}) if any(name in _ops(t.graph) for t, _ in trace.kinds)]
     lines += [f"    {name}_ = {name}" for name in used]
-    lines += [f"    s{slot} = slots[{slot}]" for slot in carried]
+    lines += [f"    s{slot} = slots[{slot}]" for slot in persistent]
     lines += [f"    p{i} = parameters[{i}]" for i in range(len(trace.parameters))]
     lines += ["    append = rows.append", "    try:", "        for k in range(k, stop):"]
     for number, (tick, _) in enumerate(trace.kinds):
@@ -53,13 +53,13 @@ def _run(trace: Trace, recorded: Sequence[int], every: int) -> list[str]:
         if len(trace.kinds) > 1:
             lines.append(f"{pad}{_condition(trace, number)}:")
             pad += "    "
-        roots = [tick.roots[slot] for slot in (*carried, *recorded)]
+        roots = [tick.roots[slot] for slot in (*persistent, *recorded)]
         code, names = _statements(tick.graph, roots, trace)
         lines += [pad + line for line in code]
         if recorded:
-            row = "".join(f"{name}, " for name in names[len(carried) :])
+            row = "".join(f"{name}, " for name in names[len(persistent) :])
             lines.append(f"{pad}{'' if every == 1 else f'if not k % {every}: '}append(({row}))")
-        moved = [(f"s{slot}", name) for slot, name in zip(carried, names) if name != f"s{slot}"]
+        moved = [(f"s{slot}", name) for slot, name in zip(persistent, names) if name != f"s{slot}"]
         if moved:
             lines.append(f"{pad}{', '.join(a for a, _ in moved)} = {', '.join(b for _, b in moved)}")
         elif not code and not recorded:
@@ -76,7 +76,7 @@ def _run(trace: Trace, recorded: Sequence[int], every: int) -> list[str]:
 def _finish(trace: Trace) -> list[str]:
     lines = ["def finish(k, slots, parameters):"]
     lines += [f"    {name}_ = {name}" for name in sorted(FUNCTIONS - {"floor"})]
-    lines += [f"    s{slot} = slots[{slot}]" for slot in trace.carried]
+    lines += [f"    s{slot} = slots[{slot}]" for slot in trace.persistent]
     lines += [f"    p{i} = parameters[{i}]" for i in range(len(trace.parameters))]
     for number, (tick, _) in enumerate(trace.kinds):
         code, names = _statements(tick.graph, tick.roots, trace)

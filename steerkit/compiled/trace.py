@@ -102,7 +102,7 @@ class Trace:
         return next(number for number, (_, phases) in enumerate(self.kinds) if phase in phases)
 
     @functools.cached_property
-    def carried(self) -> list[int]:
+    def persistent(self) -> list[int]:
         """The slots whose old values any tick reads, so that they go from tick to tick."""
         nodes = [tick.graph.nodes[i] for tick, _ in self.kinds for i in tick.graph.order(tick.roots)]
         return sorted({slot - 1 for op, slot, *_ in nodes if op == "in" and 0 < slot <= len(self.layout)})

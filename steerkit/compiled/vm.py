@@ -18,7 +18,7 @@ _LONGEST = 10  # runs are made of mapaccums of 2^0 .. 2^10 periods, so that memo
 
 
 class VmProgram:
-    """CasADi functions of a loop. `phase(i)` and `period()` map (z,) to (z', recorded), z = [k, carried, parameters].
+    """CasADi functions of a loop. `phase(i)`, `period()` map (z,) to (z', recorded), z = [k, persistent, parameters].
 
     Table rows depend on indices that depend on earlier rows, so a tick is a chain of stages of plain instructions
     (SX functions), with look-ups between them (MX).
@@ -32,7 +32,7 @@ class VmProgram:
     def phases(self) -> list[Any]:
         """One function (z) -> (z', recorded) a phase."""
         kinds = range(len(self.trace.kinds))
-        made = [self._tick(kind, [*self.trace.carried, *self.recorded], split=True) for kind in kinds]
+        made = [self._tick(kind, [*self.trace.persistent, *self.recorded], split=True) for kind in kinds]
         return [made[self.trace.kind(phase)] for phase in range(len(self.trace.ticks))]
 
     def finish(self, phase: int) -> Any:
@@ -76,16 +76,16 @@ class VmProgram:
 
     def _tick(self, kind: int, wanted: Sequence[int], *, split: bool) -> Any:
         trace, (tick, _) = self.trace, self.trace.kinds[kind]
-        slots, carried = len(trace.layout), trace.carried
-        entry_of = {0: 0} | {slot + 1: i + 1 for i, slot in enumerate(carried)}
-        entry_of |= {slots + 1 + i: len(carried) + 1 + i for i in range(len(trace.parameters))}
+        slots, persistent = len(trace.layout), trace.persistent
+        entry_of = {0: 0} | {slot + 1: i + 1 for i, slot in enumerate(persistent)}
+        entry_of |= {slots + 1 + i: len(persistent) + 1 + i for i in range(len(trace.parameters))}
         roots = [tick.roots[slot] for slot in wanted]
         z = casadi.MX.sym("z", len(entry_of))
         with exact_arithmetic():
             values = self._staged(tick.graph, roots, z, entry_of)
         if not split:
             return casadi.Function(f"finish{kind}", [z], [values])
-        n = len(carried)
+        n = len(persistent)
         end = casadi.vertcat(z[0] + 1.0, values[:n], z[n + 1 :])
         return casadi.Function(f"tick{kind}", [z], [end, values[n:]])
 

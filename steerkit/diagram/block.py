@@ -93,8 +93,8 @@ class Block:
     * `update(t, x, u, y)`: the state one sample time later; `u` holds all inputs;
     * `settle(t, x, u)` (optional): called once, before the first sample, with the first direct inputs; returns the
       state to start from (a path tracker finds its place here);
-    * `rested(x, settled)` (optional): called after each sample in which somebody else steered a real car; returns the
-      state to go on from, `settled` with what of `x` is to be kept (what was found of the car).
+    * `on_standby(x, settled)` (optional): called after each sample in which another controller or the driver steered
+      a real car; returns the state to continue from, `settled` with what of `x` is to be kept (estimates of the car).
 
     `u` and `y` are named tuples: `u.rate`, `self.Y(delta_sw=...)`. All of them are pure: equal arguments give equal
     results, the object keeps nothing. Equations use `steerkit.diagram.maths`, so that they serve floats, batches and
@@ -155,7 +155,7 @@ class Block:
         return x
 
     def on_standby(self, x: Any, settled: Any) -> State:
-        """The state to go on from while somebody else steers: `settled` anew, with what of `x` is to be kept."""
+        """The state while another controller or the driver steers: `settled` anew, with what of `x` is to be kept."""
         return settled
 
     def output(self, t: Any, x: Any, u: Any) -> Any:

@@ -1,4 +1,4 @@
-"""What is wrong in the code of a block, said in terms of blocks; for whatever runs a block that somebody wrote.
+"""Errors in a user's block, stated in terms of blocks and ports; used by everything that runs blocks.
 
 NumPy and Python speak of arrays, truth values and subscripts. A loop knows more: which block it asked, for what, and
 what a block should have answered.
@@ -107,7 +107,7 @@ def _answer(block: Block) -> str:
 
 
 def in_one_line(error: BaseException) -> str:
-    """What somebody's own code raised, with the notes that say where."""
+    """An exception of user code in one line, with the notes that say where."""
     text = " ".join(str(error).split())
     kind = "" if isinstance(error, WiringError) else f"{type(error).__name__}: "
     return "; ".join([f"{kind}{text}", *getattr(error, "__notes__", ())])

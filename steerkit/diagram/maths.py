@@ -189,7 +189,7 @@ class Table:
 
     `table(i)` gives the row `i` (i is a float holding a whole number, an array of them, or a symbol) as a tuple of
     scalars. A path's spline coefficients and a recorded speed profile are tables. Under symbolic tracing the rows
-    come from whoever traces (`steerkit.compiled`), through `Table.tracer`.
+    come from the tracer (`steerkit.compiled`), through `Table.tracer`.
 
     rows: (n, m) array. Raises ValueError when it is not two-dimensional or holds a non-finite number.
     """
@@ -228,7 +228,7 @@ class Routine:
 
     `routine(*values)` gives `size` numbers. call: on floats; native: the addresses of a C function
     `void (void *self, const double *in, double *out)` and of its first argument, or TypeError where there is none.
-    Both have to give the same. Under symbolic tracing the results come from whoever traces, through `Routine.tracer`.
+    Both have to give the same. Under symbolic tracing the results come from the tracer, through `Routine.tracer`.
     One call at a time: what computes a routine may keep its workspace.
     """
 

@@ -173,8 +173,10 @@ class _Part:
         """Slots that go from sample to sample, with their C names."""
         layout, n = self.trace.layout, len(self.inputs)
         first = min(slot for slot, _ in layout.signals.values())
-        kind = {slot: "held" if slot >= first else "x" for slot in self.trace.carried}
-        return {slot: f"{kind[slot]}_{_c_name(layout.names[slot])}_{slot}" for slot in self.trace.carried if slot >= n}
+        kind = {slot: "held" if slot >= first else "x" for slot in self.trace.persistent}
+        return {
+            slot: f"{kind[slot]}_{_c_name(layout.names[slot])}_{slot}" for slot in self.trace.persistent if slot >= n
+        }
 
     @property
     def results(self) -> list[tuple[str, int, str]]:

@@ -213,7 +213,7 @@ def episode_code(task: Task, signals: Sequence[str], place: str) -> EpisodeCode:
     graphs = trace(task.loop)
     graphs.require_timeless("TrackSteering")
     tables = {id(table): (i, table) for i, table in enumerate(graphs.tables)}
-    carried, columns = graphs.carried, len(task.columns)
+    carried, columns = graphs.persistent, len(task.columns)
     rows = [graphs.layout.slots_of(name)[0] for name in signals]
     begin, streams = _begin(task, graphs, [*carried, *rows], tables)
     judge = traced("the cost", lambda symbol: _judged(task, symbol, columns), tables)

@@ -16,7 +16,7 @@ from steerkit.paths.path import Path
 from steerkit.task import DT
 
 _LEAST_SLOPE = 0.2  # floor of 1 - kappa*e: keeps a step downhill even beyond the centre of a bend
-_STEPS_OF_SYMBOLS = 6  # three do within a metre or two of the place that is told
+_STEPS_OF_SYMBOLS = 6  # three do within a metre or two of the given place
 _CARS_AT_ONCE = 256  # of a batch, when looking over the whole path
 
 

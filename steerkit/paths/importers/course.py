@@ -37,7 +37,7 @@ class Line:
     xy: Array
     """(n, 2) [m]."""
     v: Array | None = None
-    """Speed that was driven there (n,) [m/s]; None: nobody says."""
+    """Speed that was driven there (n,) [m/s]; None: unknown."""
     v_limit: Array | None = None
     """Speed that is allowed there (n,) [m/s], NaN where nothing is said."""
 

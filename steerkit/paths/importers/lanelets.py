@@ -106,8 +106,8 @@ def _limit_of_sign(sign: Node) -> dict[str, float]:
 
 
 def _limited(xy: Array, signs: Mapping[str, float], refs: list[str], limit: float) -> Line:
-    told = [signs[ref] for ref in refs if ref in signs] + [limit] * math.isfinite(limit)
-    return Line(xy=xy, v_limit=np.full(len(xy), min(told)) if told else None)
+    limits = [signs[ref] for ref in refs if ref in signs] + [limit] * math.isfinite(limit)
+    return Line(xy=xy, v_limit=np.full(len(xy), min(limits)) if limits else None)
 
 
 def _between(left: Array, right: Array, *, where: str, matched: bool) -> Array:

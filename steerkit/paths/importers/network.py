@@ -97,9 +97,9 @@ class Map:
             names = names[:-1] if closed else self._followed(names)
         line, notes = self._joined(names, closed, where)
         passed = list(dict.fromkeys(self.pieces[n].group for n in names))
-        told = [f"{self.kind} {', '.join(passed[:20])}{' ...' if len(passed) > 20 else ''}"]
-        told += [f"lane {self.pieces[first].lane} at its beginning"] * bool(self.pieces[first].lane)
-        return line, closed, (", ".join(told), *notes)
+        summary = [f"{self.kind} {', '.join(passed[:20])}{' ...' if len(passed) > 20 else ''}"]
+        summary += [f"lane {self.pieces[first].lane} at its beginning"] * bool(self.pieces[first].lane)
+        return line, closed, (", ".join(summary), *notes)
 
     def _asked(self, choice: Mapping[str, str], where: str) -> tuple[str, str]:
         for key in choice:

@@ -166,11 +166,11 @@ def opendrive(file: str) -> Map:
     """The lanes of an OpenDRIVE map: their centres beside the reference line, linked through roads and junctions.
 
     Read: line, arc, spiral, poly3, paramPoly3 (both pRange), lane offset, lane sections, widths or borders, links,
-    junctions, speeds, left-hand traffic (rule), reversed lanes. Told and not used: elevation, superelevation, shape,
-    geoReference. Raises ValueError for a map that is damaged, torn or contradicts itself.
+    junctions, speeds, left-hand traffic (rule), reversed lanes. Reported and not used: elevation, superelevation,
+    shape, geoReference. Raises ValueError for a map that is damaged, torn or contradicts itself.
     Source: ASAM OpenDRIVE 1.4 to 1.8.
     """
-    roads, junctions, seen, told = read(file)
+    roads, junctions, seen, remarks = read(file)
     require(seen, file, "is no OpenDRIVE file: its first element is no <OpenDRIVE>")
     require(roads, file, "holds no roads with lanes")
     pieces: dict[str, Piece] = {}
@@ -189,7 +189,7 @@ def opendrive(file: str) -> Map:
                     about=lane.kind,
                 )
     require(pieces, file, "holds no lanes to drive on")
-    return Map(kind="road", pieces=pieces, noise=0.02, drawn=False, notes=tuple(told))
+    return Map(kind="road", pieces=pieces, noise=0.02, drawn=False, notes=tuple(remarks))
 
 
 Links = dict[tuple[str, str, int], list[tuple[str, str, int]]]
@@ -197,7 +197,7 @@ Links = dict[tuple[str, str, int], list[tuple[str, str, int]]]
 
 
 def read(file: str) -> tuple[dict[str, Road], Links, bool, list[str]]:
-    """Roads by name, the links of junctions, whether it is OpenDRIVE at all, and what is told of it."""
+    """Roads by name, the links of junctions, whether it is OpenDRIVE at all, and what the reader notes about it."""
     roads: dict[str, Road] = {}
     junctions: Links = {}
     seen, tells = False, dict[str, int]()
@@ -215,8 +215,10 @@ def read(file: str) -> tuple[dict[str, Road], Links, bool, list[str]]:
         else:
             for connection in record.all("connection"):
                 _connect(record.get("id"), connection, junctions)
-    told = [f"{what}{f' (in {count} roads)' if count > 1 else ''}: told, not used" for what, count in tells.items()]
-    return roads, junctions, seen, told
+    remarks = [
+        f"{what}{f' (in {count} roads)' if count > 1 else ''}: read but not used" for what, count in tells.items()
+    ]
+    return roads, junctions, seen, remarks
 
 
 def _connect(junction: str, connection: Node, links: Links) -> None:
@@ -307,7 +309,7 @@ def _cubics(nodes: list[Node], key: str = "sOffset") -> Cubics:
 
 
 def _checked(shapes: list[Shape], length: float, where: str) -> list[str]:
-    """What is to be said of a reference line; ValueError where its pieces do not meet or it is not as long as told."""
+    """Remarks on a reference line; ValueError where its pieces do not meet or its length is not the stated one."""
     notes = []
     total = sum(shape.length for shape in shapes)
     fits = abs(total - length) <= 0.01 + 1e-3 * length

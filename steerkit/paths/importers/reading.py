@@ -21,9 +21,9 @@ from steerkit.paths.path import Array
 from steerkit.paths.waypoints import check_gps, check_metres
 
 _RECORDED = 1.0
-"""Noise of what a receiver recorded unless somebody knows better: a phone's, outdoors [m]."""
+"""Noise of what a receiver recorded unless stated otherwise: a phone's, outdoors [m]."""
 _DRAWN = 0.1
-"""The same of a line that somebody drew [m]."""
+"""The same of a drawn line [m]."""
 
 
 def contents(file: str) -> Map:
@@ -66,9 +66,9 @@ def read_course(address: str, *, tightest: float = TIGHTEST, closed: bool | None
     """
     where = Address.parsed(address)
     found = contents(where.file)
-    line, closed_route, told = chosen(found, where, closed)
+    line, closed_route, remarks = chosen(found, where, closed)
     kind = KINDS[FilePath(where.file).suffix.lower()]
-    first = f"read {FilePath(where.file).name} ({kind}), sha256 {_digest(where.file)}: {told[0]}"
+    first = f"read {FilePath(where.file).name} ({kind}), sha256 {_digest(where.file)}: {remarks[0]}"
     noise = _noise(found, where)
     assumed = f"noise = {noise:g} m is assumed; FILE#noise=... says otherwise"
     recorded = found.kind in ("track", "feature") and not _track(found, where).drawn
@@ -79,7 +79,7 @@ def read_course(address: str, *, tightest: float = TIGHTEST, closed: bool | None
         closed=closed_route,
         drawn=not recorded and found.drawn,
         tightest=tightest,
-        notes=(first, *told[1:], *found.notes, *([assumed] if where.noise is None else [])),
+        notes=(first, *remarks[1:], *found.notes, *([assumed] if where.noise is None else [])),
         origin_deg=_origin(found, where),
         hint="; recorded too coarsely for its bends? record more often, or drive them slower" if recorded else "",
     )
@@ -89,8 +89,8 @@ def chosen(found: Map, where: Address, closed: bool | None = None) -> tuple[Line
     """The line that an address means, before it is smoothed; is it closed; and what to say of it."""
     choice = dict(where.choice)
     lap = _lap(choice.pop("lap", None), where.file)
-    line, round_, told = found.route(choice, where.file)
-    notes = [*told]
+    line, round_, remarks = found.route(choice, where.file)
+    notes = [*remarks]
     wanted = closed if where.closed is None else where.closed
     if found.kind in ("track", "feature"):
         line, more = _recorded(_track(found, where), _noise(found, where), where.file)
@@ -154,8 +154,8 @@ def _recorded(track: tracks.Track, noise: float, where: str) -> tuple[Line, list
         xy = np.column_stack((east, north))
     if track.drawn:
         return Line(xy=xy), []
-    line, told = cleaned(xy, t if np.isfinite(t).all() else None, v, noise, where)
-    return line, [*told]
+    line, remarks = cleaned(xy, t if np.isfinite(t).all() else None, v, noise, where)
+    return line, [*remarks]
 
 
 def _meets(xy: Array) -> bool:

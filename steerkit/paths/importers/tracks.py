@@ -29,7 +29,7 @@ class Track:
         self.a, self.b = array("d"), array("d")
         """Latitude and longitude, or x and y where `flat`."""
         self.t, self.v = array("d"), array("d")
-        """NaN where nobody says."""
+        """NaN where the file has none."""
 
     def add(self, a: float, b: float, t: float = math.nan, v: float = math.nan) -> None:
         """One more position."""
@@ -208,9 +208,11 @@ def csv(file: str) -> list[Track]:
         steps = np.hypot(np.diff(columns["x"]), np.diff(columns["y"]))
         gap = math.dist((track.a[0], track.b[0]), (track.a[-1], track.b[-1]))
         length = float(steps.sum()) + (min(gap, 1.5 * float(np.median(steps))) if said[1] == "closed" else 0.0)
-        told = f"its first line says {said[2]} m, its points make {length:.1f} m: cut short, or changed by hand"
+        found_text = f"its first line says {said[2]} m, its points make {length:.1f} m: cut short, or changed by hand"
         require(
-            abs(length - float(said[2])) < 0.5 + 2e-3 * length, file, f"{told}; write it again, or delete that line"
+            abs(length - float(said[2])) < 0.5 + 2e-3 * length,
+            file,
+            f"{found_text}; write it again, or delete that line",
         )
     for key, column in (("t", track.t), ("v", track.v)):
         column.frombytes(columns[key].tobytes() if key in columns else np.full(len(track.a), np.nan).tobytes())
@@ -336,8 +338,8 @@ def rounds(line: Line, noise: float, which: int | None, where: str) -> tuple[Lin
     require(1 <= number <= found, where, f"lap {number}, but it has {found or 'no'} whole rounds")
     part = line.part(slice(begins[number - 1], begins[number]))
     left = len(line.xy) - len(part.xy)
-    told = f"round {number} of {found}: points {begins[number - 1]} to {begins[number] - 1}, {left} others left out"
-    return part, True, (told,) if left else ()
+    remark = f"round {number} of {found}: points {begins[number - 1]} to {begins[number] - 1}, {left} others left out"
+    return part, True, (remark,) if left else ()
 
 
 def _returns(xy: Array, noise: float) -> list[int]:

@@ -129,7 +129,7 @@ def test_elevation_and_superelevation_are_told_and_not_used(tmp_path: FilePath) 
     steep = road_files.by_hand(tmp_path / "steep.xodr", ARC, length=60.0, more=hill + bank)
     assert np.array_equal(centre(flat, "1", -1).xy, centre(steep, "1", -1).xy)
     assert contents(str(flat)).notes == ()
-    assert contents(str(steep)).notes == ("elevation: told, not used", "superelevation: told, not used")
+    assert contents(str(steep)).notes == ("elevation: read but not used", "superelevation: read but not used")
 
 
 def test_routes_through_a_junction(tmp_path: FilePath) -> None:
