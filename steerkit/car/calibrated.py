@@ -48,7 +48,7 @@ class Calibrated:
     @property
     def learned(self) -> int:
         """How many quantities this drive has told."""
-        return sum(told_by == DROVE for _, told_by in self.known.values())
+        return sum(source == DROVE for _, source in self.known.values())
 
     @property
     def steering(self) -> dict[str, float]:
@@ -76,10 +76,10 @@ class Calibrated:
         for name in ESTIMATES:
             unit = QUANTITIES[name].si
             if name in known:
-                q, told_by = known[name]
-                rows[name] = {"value": q.value, "low": q.low, "high": q.high, "unit": unit, "told_by": told_by}
+                q, source = known[name]
+                rows[name] = {"value": q.value, "low": q.low, "high": q.high, "unit": unit, "source": source}
             elif name in sheet:
-                rows[name] = {"value": sheet[name], "unit": unit, "told_by": DATA_SHEET}
+                rows[name] = {"value": sheet[name], "unit": unit, "source": DATA_SHEET}
         untold = [name for name in ESTIMATES if name not in known]
         notes = [f"{', '.join(untold)}: not told by this drive"] if untold else []
         provenance = {

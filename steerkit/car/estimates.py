@@ -261,7 +261,7 @@ def known_in(text: str, where: str = "vehicle file") -> dict[str, Estimated]:
     found = {}
     for name, row in rows.items() if isinstance(rows, dict) else ():
         numbers = [row.get(key) for key in ("value", "low", "high")] if isinstance(row, dict) else []
-        drove = name in QUANTITIES and isinstance(row, dict) and row.get("told_by") in (DROVE, EARLIER)
+        drove = name in QUANTITIES and isinstance(row, dict) and row.get("source") in (DROVE, EARLIER)
         if drove and all(isinstance(number, float) and math.isfinite(number) for number in numbers):
             found[name] = Estimated(row["value"], (row["high"] - row["low"]) / (2.0 * NORMAL_95), 1.0)
     return found

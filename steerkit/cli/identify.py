@@ -93,7 +93,7 @@ def figures(identified: Any, prediction: Any) -> dict[str, Any]:
     answer: dict[str, Any] = {
         "vehicle": identified.vehicle.name,
         "estimates": {
-            e.name: {"value": e.value, "low": e.low, "high": e.high, "unit": e.unit, "told_by": e.told_by}
+            e.name: {"value": e.value, "low": e.low, "high": e.high, "unit": e.unit, "source": e.source}
             for e in identified.estimates
         },
         "correlation_time": identified.correlation_time,
@@ -122,7 +122,7 @@ def _report(console: Any, identified: Any, prediction: Any, *, quiet: bool) -> N
                 console.print(f"{part.drive.name}: {escape(note)}", soft_wrap=True, highlight=False)
     table = Table("parameter", "value", "95 % interval", "unit", "told by", "", title=f"{identified.vehicle.name}")
     for e in identified.estimates:
-        table.add_row(e.name, f"{e.value:.4g}", escape(f"[{e.low:.4g}, {e.high:.4g}]"), e.unit, e.told_by, e.note)
+        table.add_row(e.name, f"{e.value:.4g}", escape(f"[{e.low:.4g}, {e.high:.4g}]"), e.unit, e.source, e.note)
     console.print(table)
     fits = Table("yaw rate of", "RMS \\[rad/s]", "from 3 m/s on", "mean", "wheel's zero found anew")
     for part in (identified.fit, *([prediction] if prediction else ())):

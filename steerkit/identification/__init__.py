@@ -7,8 +7,9 @@ found.save("my-car.toml")            # vehicle("my-car.toml") is the car
 
 from __future__ import annotations
 
-from steerkit.identification.estimate import Estimate, Identified, Prediction
+from steerkit.identification.delay import SteeringResponse, fit_delay_lag
 from steerkit.identification.fit import identify
+from steerkit.identification.identified import Estimate, Identified, Prediction
 from steerkit.logs import Column, ColumnMap, Drive, read_drive, shipped_drives
 
 __all__ = [
@@ -18,6 +19,8 @@ __all__ = [
     "Estimate",
     "Identified",
     "Prediction",
+    "SteeringResponse",
+    "fit_delay_lag",
     "identify",
     "read_drive",
     "shipped_drives",

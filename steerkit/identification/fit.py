@@ -12,8 +12,7 @@ from scipy import stats
 from scipy.optimize import least_squares
 
 from steerkit._support.errors import require
-from steerkit.identification.estimate import Estimate, Identified, car_of, predict
-from steerkit.identification.model import Simulator, stiffnesses
+from steerkit.identification.identified import Estimate, Identified, Simulator, car_of, predict, stiffnesses
 from steerkit.logs.drive import Array, Drive, moments
 from steerkit.vehicles import Vehicle, vehicle
 
@@ -283,7 +282,7 @@ def _notes(
         f"yaw rate tells the ratio times the wheelbase and stiffness over mass; wheelbase {base.wheelbase:g} m, mass "
         f"{base.m:g} kg and the rest of {base.name} are given"
     ]
-    unseen = [e for e in estimates if e.told_by == "prior"]
+    unseen = [e for e in estimates if e.source == "prior"]
     if unseen:
         use = drive.driving
         a_y = float(np.abs(drive.v * drive.r)[use].max())

@@ -39,7 +39,6 @@ ELSEWHERE = {
     "steerkit.controllers.policy": "unit/controllers/test_nfq_policy.py",
     "steerkit.paths.courses.make_courses": "evals/test_path_closed_forms.py",
     "steerkit.gym.drives": "unit/gym/test_vector_env.py",
-    "steerkit.identification.pictures": "unit/cli/test_identify.py",
     "steerkit.learning.learn": "unit/learning/test_experiment.py",
     "steerkit.learning.nfq.kernel": "evals/test_rprop.py",
     "steerkit.learning.nfq.network": "evals/test_rprop.py",

@@ -54,9 +54,9 @@ def test_the_file_is_a_car_and_its_steering(calibration: Made, tape: Path, tmp_p
     data = tomllib.loads(out.read_text(encoding="utf-8"))
     assert data["provenance"]["log"] == "drive.mcap"
     assert len(data["provenance"]["sha256"]) == 64
-    assert data["estimates"]["steer_ratio"]["told_by"] == "drive"
+    assert data["estimates"]["steer_ratio"]["source"] == "drive"
     assert data["estimates"]["steer_ratio"]["low"] < car.steer_ratio < data["estimates"]["steer_ratio"]["high"]
-    sheet = {"value": CONFIG.vehicle.understeer_gradient, "unit": "rad s^2/m", "told_by": "data sheet"}
+    sheet = {"value": CONFIG.vehicle.understeer_gradient, "unit": "rad s^2/m", "source": "data sheet"}
     assert data["estimates"]["understeer"] == sheet
     assert "understeer" in data["provenance"]["notes"][-1]
     assert figures["estimates"]["understeer"]["valid"] is False
@@ -69,7 +69,7 @@ def test_a_second_drive_keeps_what_it_does_not_tell_and_says_what_has_changed(
     tape: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "mine.toml"
-    row = {"unit": "1", "told_by": "drive"}
+    row = {"unit": "1", "source": "drive"}
     earlier = {"understeer": {"value": 0.002, "low": 0.0015, "high": 0.0025, **row}}
     earlier["steer_ratio"] = {"value": 15.0, "low": 14.9, "high": 15.1, **row}
     out.write_text(calibrated.vehicle_text(CONFIG.vehicle, estimates=earlier), encoding="utf-8")
@@ -79,11 +79,11 @@ def test_a_second_drive_keeps_what_it_does_not_tell_and_says_what_has_changed(
     assert said in capsys.readouterr().out
     data = tomllib.loads(out.read_text(encoding="utf-8"))
     assert data["estimates"]["understeer"]["value"] == 0.002
-    assert data["estimates"]["understeer"]["told_by"] == "an earlier drive"
+    assert data["estimates"]["understeer"]["source"] == "an earlier drive"
     assert data["provenance"]["changes"] == [said]
     again = calibrated.from_recording(tape, out)
     assert again["changes"] == []
-    assert tomllib.loads(out.read_text(encoding="utf-8"))["estimates"]["understeer"]["told_by"] == "an earlier drive"
+    assert tomllib.loads(out.read_text(encoding="utf-8"))["estimates"]["understeer"]["source"] == "an earlier drive"
 
 
 def test_a_drive_that_told_nothing_writes_nothing(tmp_path: Path) -> None:
@@ -93,7 +93,7 @@ def test_a_drive_that_told_nothing_writes_nothing(tmp_path: Path) -> None:
         calibrated.from_recording(tmp_path / "t.mcap", out)
     assert not out.exists()
     (tmp_path / "t.mcap").write_bytes(small())
-    row = {"value": 15.0, "low": 14.9, "high": 15.1, "unit": "1", "told_by": "drive"}
+    row = {"value": 15.0, "low": 14.9, "high": 15.1, "unit": "1", "source": "drive"}
     out.write_text(calibrated.vehicle_text(CONFIG.vehicle, estimates={"steer_ratio": row}), encoding="utf-8")
     before = out.read_bytes()
     with pytest.raises(NothingLearned, match="nothing was learned, no vehicle file is written"):

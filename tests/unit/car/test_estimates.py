@@ -226,11 +226,11 @@ def test_a_change_is_told_in_words_and_chance_is_none() -> None:
 
 def test_only_what_a_drive_told_counts_as_known() -> None:
     rows: dict[str, Any] = {
-        "steer_ratio": {"value": 17.0, "low": 16.8, "high": 17.2, "unit": "1", "told_by": "drive"},
-        "offset": {"value": 0.0, "unit": "rad", "told_by": "data sheet"},
-        "lag": {"value": 0.1, "low": 0.05, "high": 0.15, "unit": "s", "told_by": "log"},
-        "delay": {"value": 0.1, "low": NAN, "high": 0.15, "unit": "s", "told_by": "drive"},
-        "colour": {"value": 0.1, "low": 0.0, "high": 0.15, "unit": "s", "told_by": "drive"},
+        "steer_ratio": {"value": 17.0, "low": 16.8, "high": 17.2, "unit": "1", "source": "drive"},
+        "offset": {"value": 0.0, "unit": "rad", "source": "data sheet"},
+        "lag": {"value": 0.1, "low": 0.05, "high": 0.15, "unit": "s", "source": "log"},
+        "delay": {"value": 0.1, "low": NAN, "high": 0.15, "unit": "s", "source": "drive"},
+        "colour": {"value": 0.1, "low": 0.0, "high": 0.15, "unit": "s", "source": "drive"},
     }
     found = known_in(vehicle_text(CONFIG.vehicle, estimates=rows))
     assert list(found) == ["steer_ratio"]
@@ -242,7 +242,7 @@ def test_only_what_a_drive_told_counts_as_known() -> None:
 
 
 def test_a_car_whose_file_was_calibrated_is_compared_in_every_drive() -> None:
-    row = {"value": 17.0, "low": 16.8, "high": 17.2, "unit": "1", "told_by": "drive"}
+    row = {"value": 17.0, "low": 16.8, "high": 17.2, "unit": "1", "source": "drive"}
     text = vehicle_text(CONFIG.vehicle, estimates={"steer_ratio": row})
     config = replace(CONFIG, vehicle_file="mine.toml", texts={**CONFIG.texts, "mine.toml": text})
     assert estimates.earlier(config)["steer_ratio"].value == 17.0

@@ -8,11 +8,11 @@ from typing import Any, final
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from steerkit.compiled import compile
-from steerkit.controllers.delay import DelayPredictor, delayed_stanley, fit_delay_lag
+from steerkit.controllers.delay import DelayPredictor, delayed_stanley
 from steerkit.controllers.limits import slewed
 from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.stanley import Stanley
@@ -297,40 +297,6 @@ def test_it_wraps_only_what_it_can_serve() -> None:
         around(0.1, -1.0)
     with pytest.raises(ValueError, match=r"dt = 0.01 s, but the wrapped block has 0.05 s"):
         DelayPredictor(block=Stanley.of(PASSAT), dt=0.01)
-
-
-@settings(max_examples=25)
-@given(delay=st.integers(0, 30), lag=st.floats(0.03, 0.3), gain=st.floats(0.8, 1.2), offset=st.floats(-0.1, 0.1))
-def test_delay_and_lag_are_read_from_a_log(delay: int, lag: float, gain: float, offset: float) -> None:
-    """Any delay, also between samples, whatever ratio and offset the wheel has: exact without noise."""
-    motor = SteeringActuator(delay=0.01 * delay, lag=lag, gain=gain, offset=offset, rate_limit=100.0)
-    rng, x = np.random.default_rng(0), motor.init()
-    commands, wheel = [], []
-    for k in range(1500):
-        if k % 5 == 0:
-            commands.append(float(rng.normal()) * 0.3)
-            wheel.append(x[0])
-        x = motor.update(0.0, x, motor.U(commands[-1]), None)
-    found = fit_delay_lag(0.05 * np.arange(len(commands)), np.array(commands), np.array(wheel))
-    assert found.delay == pytest.approx(0.01 * delay, abs=1e-6)
-    assert found.lag == pytest.approx(lag, abs=1e-6)
-    noisy = fit_delay_lag(
-        0.05 * np.arange(len(commands)), np.array(commands), np.array(wheel) + rng.normal(0.0, 0.003, len(wheel))
-    )
-    assert noisy.delay == pytest.approx(0.01 * delay, abs=0.02)
-    assert noisy.lag == pytest.approx(lag, abs=0.05)
-
-
-def test_a_log_that_tells_nothing_is_refused() -> None:
-    t = 0.05 * np.arange(200)
-    with pytest.raises(ValueError, match="was not moved"):
-        fit_delay_lag(t, np.zeros(200), np.zeros(200))
-    with pytest.raises(ValueError, match="even steps"):
-        fit_delay_lag(t**2, np.sin(t), np.sin(t))
-    with pytest.raises(ValueError, match="NaN"):
-        fit_delay_lag(t, np.sin(t), np.sin(t) * np.nan)
-    with pytest.raises(ValueError, match="expected more than"):
-        fit_delay_lag(t[:20], np.sin(t)[:20], np.sin(t)[:20])
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.2])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from steerkit.identification import Drive, identify
-from steerkit.identification.model import Simulator
+from steerkit.identification.identified import Simulator
 from tests.support.recorded_cars import BASE, DT, TRUTH, by_rate, driven, noisy
 
 
@@ -53,8 +53,8 @@ def test_white_intervals_are_those_of_the_textbook(clean: dict[str, Any]) -> Non
 def test_slow_driving_tells_the_ratio_but_not_the_tyres() -> None:
     slow = driven(seconds=60.0, v_low=3.5, v_high=5.0)
     answer = identify(Drive.of(**by_rate(noisy(slow, 1))), BASE)
-    assert answer["ratio_wheelbase"].told_by == "log"
-    assert {answer[n].told_by for n in ("c_f", "c_r")} == {"prior"}
+    assert answer["ratio_wheelbase"].source == "log"
+    assert {answer[n].source for n in ("c_f", "c_r")} == {"prior"}
     assert any("c_f" in note and "hardly tells" in note for note in answer.notes)
     for name in ("c_f", "c_r"):
         assert answer[name].low < TRUTH[name] < answer[name].high
@@ -72,7 +72,7 @@ def test_the_wheelbase_only_scales_the_ratio(clean: dict[str, Any]) -> None:
 def test_fixed_and_known(clean: dict[str, Any]) -> None:
     drive = Drive.of(**noisy(clean, 0))
     answer = identify(drive, BASE, fixed={"lag": 0.09}, known={"steer_ratio": (14.0, 0.1)})
-    assert answer["lag"].told_by == "given"
+    assert answer["lag"].source == "given"
     assert answer["lag"].low == answer["lag"].high == 0.09
     assert abs(answer["delay"].value - 0.07) < 0.01
     with pytest.raises(ValueError, match="'ratio' is no parameter; valid: steer_ratio, offset"):

@@ -9,7 +9,7 @@ import pytest
 
 from steerkit.diagram.units import degrees_of
 from steerkit.identification import Drive, identify
-from steerkit.identification.estimate import Identified
+from steerkit.identification.identified import Identified
 from tests.support.recorded_cars import BASE, DT, by_rate, noisy
 
 

@@ -9,13 +9,12 @@ import pytest
 
 from steerkit.controllers.stanley import Stanley
 from steerkit.identification import Drive
-from steerkit.identification.estimate import Identified, predict
-from steerkit.identification.model import Simulator
+from steerkit.identification.identified import Identified, Simulator, predict, stiffnesses
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.steering_actuator import steering_of
 from steerkit.vehicles import vehicle
-from tests.support.recorded_cars import driven
+from tests.support.recorded_cars import BASE, driven
 
 
 def test_held_out_drive(found: Identified) -> None:
@@ -47,13 +46,7 @@ def test_the_vehicle_file_comes_back_and_drives(found: Identified, tmp_path: Pat
         assert block.vehicle.c_f == found.vehicle.c_f
     assert Stanley.of(vehicle(str(file)))
     text = file.read_text()
-    for words in (
-        "[provenance]",
-        'log = "lap"',
-        "held_out_rms",
-        'told_by = "log"',
-        'command = "steerkit identify lap"',
-    ):
+    for words in ("[provenance]", 'log = "lap"', "held_out_rms", 'source = "log"', 'command = "steerkit identify lap"'):
         assert words in text
     with pytest.raises(ValueError, match=r"a vehicle file ends in \.toml"):
         found.save(tmp_path / "car.json")
@@ -64,3 +57,8 @@ def test_a_vehicle_file_serves_a_scenario(found: Identified, tmp_path: Path) -> 
 
     found.save(tmp_path / "car.toml")
     assert Scenario(vehicle=str(tmp_path / "car.toml")).nominal == found.vehicle
+
+
+def test_stiffnesses_and_gradient_are_the_vehicles_own() -> None:
+    c_f, c_r = stiffnesses(BASE, 0.007, 0.004)
+    assert replace(BASE, c_f=c_f, c_r=c_r).understeer_gradient == pytest.approx(0.003, rel=1e-12)
