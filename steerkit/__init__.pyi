@@ -26,7 +26,6 @@ from .doe import LowPass as LowPass
 from .doe import PlainAngle as PlainAngle
 from .learning.experiment import Experiment as Experiment
 from .learning.learn import learn as learn
-from .learning.report import comparison as comparison
 from .paths.courses import course as course
 from .paths.path import Path as Path
 from .paths.tracker import PathTracker as PathTracker
@@ -39,6 +38,7 @@ from .plants.steering_actuator import SteeringActuator as SteeringActuator
 from .scenario import Scenario as Scenario
 from .scenario.assembly import placed as placed
 from .scenario.assembly import steering_loop as steering_loop
+from .scenario.drive import comparison as comparison
 from .scenario.drive import drive as drive
 from .vehicles import Vehicle as Vehicle
 from .vehicles import vehicle as vehicle

@@ -9,7 +9,7 @@ from typing import Any
 
 from steerkit import Block, Integrator, NonlinearSingleTrack, Out, Stanley, SteeringActuator
 from steerkit import course, placed, simulate, steering_loop, vehicle
-from steerkit.learning.pictures.paper import learning
+from steerkit.plots.drive import learning
 from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.diagram.units import radians_of
 

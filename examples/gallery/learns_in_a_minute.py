@@ -5,7 +5,7 @@ Every second counts: recovery, waiting and training are in it. The picture shows
 
 from steerkit import Experiment, learn
 from steerkit.scenario.drive import drive
-from steerkit.learning.pictures.paper import learning
+from steerkit.plots.drive import learning
 from steerkit.scenario import Scenario
 from steerkit.metrics import of_log
 

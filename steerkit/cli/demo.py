@@ -11,13 +11,14 @@ from pathlib import Path as FilePath
 from rich.markup import escape
 from rich.table import Table
 
+from steerkit._support.console import console
 from steerkit.diagram.simulation import Log
 from steerkit.learning import progress, rundir
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.learn import learn
-from steerkit.learning.pictures import paper as figures
-from steerkit.learning.report import comparison, console, figures_of_merit
+from steerkit.learning.report import figures_of_merit
 from steerkit.learning.settings import BANG_BANG, DEFAULT
+from steerkit.plots import drive as figures
 from steerkit.plots.style import save
 from steerkit.scenario import Scenario
 from steerkit.scenario import drive as evaluate
@@ -57,7 +58,7 @@ def run(out: FilePath, *, seed: int = 0, quiet: bool = False) -> None:
         parts = list(pool.map(_part, jobs))
     console.print(_milestones(parts))
     for part in parts:
-        console.print(comparison(part.name, {"learned": part.learned, "Stanley": part.stanley}))
+        console.print(evaluate.comparison(part.name, {"learned": part.learned, "Stanley": part.stanley}))
     idoe, bang, _ = parts
     place = out / _slug(idoe.name)
     log, counts = rundir.drive_log(place), rundir.document(place)["counts"]

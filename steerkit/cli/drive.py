@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -21,6 +23,11 @@ from steerkit.cli.options import (
     scenario_of,
     streamed,
 )
+
+if TYPE_CHECKING:
+    from steerkit.diagram.loop import Sample
+    from steerkit.diagram.simulation import Log
+    from steerkit.scenario import Scenario
 
 _CONTROLLERS = (
     "stanley, stanley-textbook, stanley-delay, lqr, pure-pursuit, mpc, nonlinear-mpc, "
@@ -79,9 +86,9 @@ def drive(
         if options.as_json:
             print(json.dumps(figures))
         return
+    from steerkit._support.console import console
     from steerkit._support.errors import require
     from steerkit.diagram.simulation import Log
-    from steerkit.learning import report
     from steerkit.scenario.catalogue import CONTROLLERS
 
     if not name:
@@ -101,21 +108,13 @@ def drive(
     where = driven_on(scenario, options.conditions)
     asked = [_learned(where, options.seed) if one == "nfq" else one for one in asked]
     require(len(set(asked)) == len(asked), "drive", f"a controller stands twice in {', '.join(asked)}")
-    who = "+".join(map(report.file_name, asked))
-    what = report.described(asked, scenario, rounds=rounds, seed=options.seed)
-    place = out or report.place_of_its_own(Path("runs") / f"drive-{who}-{where}-seed{options.seed}", what)
-    report.console.stderr = options.as_json
-    if len(asked) > 1:
-        require(animate is None, "--animate", "films one controller; name one")
-        rows = report.drive_and_compare(asked, scenario, place, rounds=rounds, seed=options.seed, quiet=options.quiet)
-        if options.as_json:
-            print(json.dumps({"drives": rows}))
-        return
-    (name,) = asked
+    who = "+".join(map(_file_name, asked))
+    what = _described(asked, scenario, rounds=rounds, seed=options.seed)
+    place = out or _place_of_its_own(Path("runs") / f"drive-{who}-{where}-seed{options.seed}", what)
+    console.stderr = options.as_json
+    require(len(asked) == 1 or animate is None, "--animate", "films one controller; name one")
     with streamed(stream, pace=pace) as each:
-        row = report.drive_and_draw(
-            name, scenario, place, rounds=rounds, seed=options.seed, quiet=options.quiet, each=each
-        )
+        rows = driven(asked, scenario, place, rounds=rounds, seed=options.seed, quiet=options.quiet, each=each)
     if animate is not None:
         p, log = scenario.nominal, Log.load(place / "drive.npz")
         log.animate(
@@ -127,7 +126,112 @@ def drive(
             progress=not options.quiet,
         )
     if options.as_json:
-        print(json.dumps(row))
+        print(json.dumps(rows[0] if len(asked) == 1 else {"drives": rows}))
+
+
+def driven(
+    names: Sequence[str],
+    scenario: Scenario,
+    place: Path,
+    *,
+    rounds: float | None,
+    seed: int,
+    quiet: bool = False,
+    each: Callable[[Sample], None] | None = None,
+) -> list[dict[str, Any]]:
+    """Test drives of named controllers, or of runs' final policies: one table, one picture, a log of each in `place`.
+
+    Returns a row for each, as `--json` prints it.
+    """
+    from steerkit._support.console import console
+    from steerkit._support.errors import require
+    from steerkit._support.files import write_text
+    from steerkit.plots.drive import round_driven, rounds_driven
+    from steerkit.plots.style import save
+    from steerkit.scenario.drive import comparison, row_of
+
+    one = len(names) == 1
+    files = {name: place / ("drive.npz" if one else f"{_file_name(name)}.npz") for name in names}
+    require(len(set(files.values())) == len(files), "drive", f"two of {', '.join(names)} would have one log's name")
+    logs = {name: _drive(name, scenario, rounds=rounds, seed=seed, progress=not quiet, each=each) for name in names}
+    place.mkdir(parents=True, exist_ok=True)
+    for name, log in logs.items():
+        log.save(files[name])
+    if one:
+        picture = round_driven(logs[names[0]], title=f"{names[0]} on {scenario.course}")
+    else:
+        picture = rounds_driven(logs, title=f"on {scenario.course}")
+    save(picture, place / "drive.png")
+    write_text(place / NOTE, json.dumps(_described(names, scenario, rounds=rounds, seed=seed), indent=1))
+    console.print(comparison(f"{rounds or scenario.rounds:g} round(s) of {scenario.course}", logs))
+    if not quiet:
+        if one and scenario.path().origin_deg:
+            console.print(f"course: {scenario.path()!r}", soft_wrap=True)
+        kept = ", ".join(map(str, files.values()))
+        console.print(f"{'log' if one else 'logs'}: {kept}; picture: {place}/drive.png", soft_wrap=True)
+    return [row_of(name, log) for name, log in logs.items()]
+
+
+def _drive(name: str, scenario: Scenario, **how: Any) -> Log:
+    from steerkit._support.plugins import is_outside
+    from steerkit.diagram.diagnostics import in_one_line
+    from steerkit.scenario import drive as evaluate
+
+    if _is_run(name):
+        from steerkit.learning import rundir
+
+        doe = rundir.experiment_of(Path(name)).setting.element(scenario.nominal)
+        return evaluate.drive(scenario, rundir.final_policy(Path(name)), doe=doe, **how)
+    steering = evaluate.controller(name, scenario)
+    try:
+        return evaluate.drive(scenario, steering, **how)
+    except Exception as error:
+        if not is_outside(name):
+            raise
+        raise ValueError(f"controller '{name}' failed: {in_one_line(error)}") from error
+
+
+NOTE = "drive.json"
+"""The file beside a drive's log that says what was driven."""
+
+
+def _is_run(name: str) -> bool:
+    from steerkit.scenario.catalogue import CONTROLLERS
+
+    return name not in CONTROLLERS and Path(name).is_dir()
+
+
+def _file_name(name: str) -> str:
+    """A controller's name, or that of a run's directory, as a part of a file's name."""
+    return Path(name).name.replace(":", "-")
+
+
+def _described(names: Sequence[str], scenario: Scenario, *, rounds: float | None, seed: int) -> dict[str, Any]:
+    """What tells one test drive from another: who drives, where and how; as JSON has it."""
+    from steerkit._support.plugins import fingerprint, is_outside
+
+    def version(name: str) -> Any:
+        if is_outside(name):
+            return fingerprint(name, "controller")
+        if not _is_run(name):
+            return None
+        from steerkit.learning import rundir
+
+        return rundir.document(Path(name))["counts"]["updates"]
+
+    what = {"controllers": {name: version(name) for name in names}, "scenario": asdict(scenario)}
+    return dict(json.loads(json.dumps({**what, "rounds": rounds, "seed": seed}, default=str)))
+
+
+def _place_of_its_own(place: Path, what: dict[str, Any]) -> Path:
+    """`place`, or `place`-2 and so on where that holds another drive: none is written over by a different one."""
+    number = 1
+    while True:
+        chosen = place if number == 1 else place.with_name(f"{place.name}-{number}")
+        note = chosen / NOTE
+        if not chosen.exists() or (note.is_file() and json.loads(note.read_text(encoding="utf-8")) == what):
+            return chosen
+        number += 1
 
 
 def _learned(where: str, seed: int) -> str:

@@ -79,6 +79,7 @@ def learn(
         if options.as_json:
             print(json.dumps(figures))
         return
+    from steerkit._support.console import console
     from steerkit._support.errors import require
     from steerkit.learning import report
     from steerkit.learning.experiment import SAFETY_SIGNALS, SIGNALS
@@ -87,7 +88,7 @@ def learn(
     experiment = _experiment(ctx, config, out)
     name = "-".join((experiment.setting.name, *(changes or ())))
     place = out or Path("runs") / f"{name}-{driven_on(experiment.scenario, options.conditions)}-seed{experiment.seed}"
-    report.console.stderr = options.as_json
+    console.stderr = options.as_json
     for option in ("port", "stay"):
         require(live or option not in given(ctx), f"learn --{option}", "is for the page of --live; say --live too")
     signals = (*SIGNALS, *SAFETY_SIGNALS * experiment.setting.safe)
@@ -95,14 +96,14 @@ def learn(
         each = page.enter_context(streamed(stream, signals=signals))
         where, server = page.enter_context(beside(place, port=port)) if live else ("", None)
         note = f"live page: {where}" if live else ""
-        if live and not (report.console.is_terminal and not options.quiet):
-            report.console.print(note, soft_wrap=True)
+        if live and not (console.is_terminal and not options.quiet):
+            console.print(note, soft_wrap=True)
         run = _learned(experiment, place, quiet=options.quiet, note=note, each=each)
         report.show(place, quiet=options.quiet)
         if options.as_json:
             print(json.dumps(report.figures_of_merit(run)), flush=True)
         if server is not None and stay:
-            report.console.print(f"{note} stays until Ctrl-C", soft_wrap=True)
+            console.print(f"{note} stays until Ctrl-C", soft_wrap=True)
             with contextlib.suppress(KeyboardInterrupt):
                 server.wait()
 

@@ -225,7 +225,7 @@ def streamed(where: str, *, pace: float = 0.0, signals: Sequence[str] | None = N
     if not where:
         yield None
         return
-    from steerkit.learning.report import console
+    from steerkit._support.console import console
     from steerkit.logs import stream
 
     with stream.beside(where, signals) as (address, sender):

@@ -28,10 +28,11 @@ def show(
     as_json: Machine = False,
 ) -> None:
     """Show a learning run: counts, episodes, learned against Stanley, and its pictures; several as one table."""
+    from steerkit._support.console import console
     from steerkit._support.errors import require
     from steerkit.learning import report
 
-    report.console.stderr = as_json
+    console.stderr = as_json
     require(live or "port" not in given(ctx), "show --port", "is that of the page of --live; say --live too")
     if live:
         require(len(runs) == 1, "show --live", f"takes one run, not {len(runs)}; start it once for each, with a --port")
@@ -50,20 +51,21 @@ def show(
     if film is not None:  # before what takes longer, as its name may be refused
         from steerkit.learning.pictures.film import film_of
 
-        report.console.print(f"film: {film_of(run, film, lasts=film_lasts)}", soft_wrap=True)
+        console.print(f"film: {film_of(run, film, lasts=film_lasts)}", soft_wrap=True)
     figures = report.show(run, quiet=quiet)
     if diagnostics:
         from steerkit.learning.pictures.run import draw_all
 
         drawn = draw_all(run, against=against or ())
-        report.console.print(f"diagnostics: {', '.join(map(str, drawn))}", soft_wrap=True)
+        console.print(f"diagnostics: {', '.join(map(str, drawn))}", soft_wrap=True)
     if as_json:
         print(json.dumps(figures))
 
 
 def _show_live(run: Path, port: int, *, as_json: bool) -> None:
     """The page of a run, which may be being learned by another process, until Ctrl-C."""
-    from steerkit.learning import report, rundir
+    from steerkit._support.console import console
+    from steerkit.learning import rundir
     from steerkit.learning.live.server import address, listening, serve
 
     rundir.document(run)  # a directory that holds none is a mistake, here
@@ -71,5 +73,5 @@ def _show_live(run: Path, port: int, *, as_json: bool) -> None:
         where = address(it)
         if as_json:
             print(json.dumps({"url": where}), flush=True)
-        report.console.print(f"live page: {where} until Ctrl-C", soft_wrap=True)
+        console.print(f"live page: {where} until Ctrl-C", soft_wrap=True)
         serve(it, run)

@@ -6,12 +6,15 @@ opens a window; `figure.savefig(...)`, or show them in a notebook.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import functools
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, ParamSpec
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+P = ParamSpec("P")
 PALETTE = (
     "#1f6fa8",
     "#d2691e",
@@ -76,6 +79,17 @@ def style() -> Any:
     from cycler import cycler
 
     return mpl.rc_context(_STYLE | {"axes.prop_cycle": cycler(color=PALETTE)})
+
+
+def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+    """`draw` in the style of this file."""
+
+    @functools.wraps(draw)
+    def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
+        with style():
+            return draw(*args, **kwargs)
+
+    return drawn
 
 
 def save(figure: Figure, file: Any, **options: Any) -> None:

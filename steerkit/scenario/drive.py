@@ -1,11 +1,14 @@
-"""The loop of a drive, assembled in one place, and test drives over whole rounds, for metrics and pictures."""
+"""The loop of a drive, assembled in one place; test drives over whole rounds, and their table."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import fields, replace
-from typing import Protocol
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, fields, replace
+from typing import Any, Protocol
+
+from rich.markup import escape
+from rich.table import Table
 
 from steerkit._support.errors import require
 from steerkit.controllers.nfq_policy import NfqPolicy, OpenPolicy, numbers_of
@@ -15,6 +18,7 @@ from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import Log, Sample, simulate
+from steerkit.metrics import of_log
 from steerkit.paths.path import Path
 from steerkit.scenario.assembly import bare, controller_of, steering_loop, with_controller
 from steerkit.scenario.catalogue import make_controller
@@ -163,6 +167,44 @@ def drive(
     return simulate(loop, scenario.seconds, every=every, until=over, allow_nonfinite=True, progress=progress)
 
 
+def held_all_along(log: Log, *, limit: float = TRIP) -> bool:
+    """Did the controller stay within |e| <= limit [m] and, if learned, keep the wheel from the first sample on?"""
+    on_course = bool((abs(log["path.e"]) <= limit).all())
+    return on_course and ("supervisor.learning" not in log or bool((log["supervisor.learning"] > 0.5).all()))
+
+
+# ---- its table ----------------------------------------------------------------------------------------------------
+
+
+def row_of(name: str, log: Log) -> dict[str, Any]:
+    """A drive's figures, for a program: who drove, was it held, and `steerkit.metrics.Summary`."""
+    return {"controller": name, "held": held_all_along(log), **asdict(of_log(log))}
+
+
+_COLUMNS = {
+    "RMS e\n[m]": "{rms_e:.3f}",
+    "max e\n[m]": "{max_e:.3f}",
+    "RMS wheel\nrate\n[deg/s]": "{rms_wheel_rate_deg:.0f}",
+    "max a_y\n[m/s²]": "{max_a_y:.2f}",
+    "|e| <\n0.05 m\n[%]": "{percent_within_5cm:.1f}",
+    "max jerk\n[m/s³]": "{max_jerk:.1f}",
+}
+
+
+def comparison(title: str, logs: Mapping[str, Log]) -> Table:
+    """A table with one row a drive."""
+    table = Table(*map(escape, ("controller", "held", *_COLUMNS)), title=title)
+    table.columns[0].overflow = "fold"
+    for name, log in logs.items():
+        row = row_of(name, log)
+        row["percent_within_5cm"] = 100.0 * row["share_within_5cm"]
+        table.add_row(name, "yes" if row["held"] else "no", *(text.format(**row) for text in _COLUMNS.values()))
+    return table
+
+
+# ---- compiled, for learned policies ----------------------------------------------------------------------------------
+
+
 class PolicyDrives:
     """Drives of learned policies of one kind in one kind of loop, which is compiled once for all of them.
 
@@ -220,9 +262,3 @@ def _policy_of(loop: Loop) -> NfqPolicy:
 
 def _no_native() -> tuple[int, int]:
     raise TypeError("nets are called in Python")
-
-
-def held_all_along(log: Log, *, limit: float = TRIP) -> bool:
-    """Did the controller stay within |e| <= limit [m] and, if learned, keep the wheel from the first sample on?"""
-    on_course = bool((abs(log["path.e"]) <= limit).all())
-    return on_course and ("supervisor.learning" not in log or bool((log["supervisor.learning"] > 0.5).all()))

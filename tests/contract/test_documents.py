@@ -28,7 +28,7 @@ from tests.support.shell_lines import BLOCK, FITTED, PAGES, blocks, lines_of
 GALLERY = ROOT / "docs" / "gallery.md"
 
 ROW = re.compile(r"^\| .* \| (?:yes|no) \| .*\|$", re.M)
-"""Of `steerkit.learning.report.comparison`; a learner's row differs from machine to machine."""
+"""Of `steerkit.scenario.drive.comparison`; a learner's row differs from machine to machine."""
 
 
 def name_of(page: Path) -> str:

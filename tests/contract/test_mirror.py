@@ -20,6 +20,7 @@ UNIT = ROOT / "tests" / "unit"
 ELSEWHERE = {
     "benchmarks.written_logs": "unit/logs/test_reading_formats.py",
     "steerkit": "contract/test_imports.py",
+    "steerkit._support.console": "unit/cli/test_drive.py",
     "steerkit.__main__": "unit/cli/test_app_habits.py",
     "steerkit.analysis.period": "evals/test_analysis_closed_forms.py",
     "steerkit.cli.courses": "unit/cli/test_app_habits.py",
@@ -44,7 +45,6 @@ ELSEWHERE = {
     "steerkit.learning.nfq.network": "evals/test_rprop.py",
     "steerkit.learning.nfq.rprop": "evals/test_rprop.py",
     "steerkit.learning.nfq.update": "unit/learning/nfq/test_dead_time.py",
-    "steerkit.learning.pictures.paper": "unit/learning/pictures/test_run.py",
     "steerkit.learning.report": "unit/cli/test_learn.py",
     "steerkit.learning.training_run": "unit/learning/test_experiment.py",
     "steerkit.logs.channels": "unit/logs/test_names.py",

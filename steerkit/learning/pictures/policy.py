@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import wraps
-from typing import TYPE_CHECKING, Any, ParamSpec
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +14,7 @@ from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq.patterns import patterns
 from steerkit.learning.nfq.rprop import predict
-from steerkit.plots.style import COLOURS, new_figure, style
+from steerkit.plots.style import COLOURS, new_figure, styled
 from steerkit.scenario import Scenario
 from steerkit.task import TRIP
 
@@ -32,20 +31,7 @@ LABELS = {
 }
 SPANS = {"e": 0.5, "e_dot": 1.0, "psi_e": radians_of(15.0), "r_e": radians_of(20.0), "doe": radians_of(300.0)}
 """Half-widths of the slices [SI]."""
-"""Half-width of the map in e [m]."""
 Array = NDArray[np.float64]
-P = ParamSpec("P")
-
-
-def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
-    """`draw` in the style of `steerkit.plots.style`."""
-
-    @wraps(draw)
-    def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
-        with style():
-            return draw(*args, **kwargs)
-
-    return drawn
 
 
 def q_values(policy: NfqPolicy, s: Array) -> Array:

@@ -23,16 +23,15 @@ from steerkit.learning import rundir
 from steerkit.learning.counts import Episode
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.experiment import Experiment
-from steerkit.learning.pictures.policy import policy_map, q_slices, styled
+from steerkit.learning.pictures.policy import policy_map, q_slices
 from steerkit.paths.path import Path
-from steerkit.plots.style import COLOURS, PALETTE, new_figure, save
+from steerkit.plots.style import COLOURS, PALETTE, new_figure, save, styled
 from steerkit.task import GOAL, TRIP
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-"""Goal band and failure limit of |e| [m]."""
 WINDOW = 5.0
 """Time over which RMS e is taken in a learning curve [s]."""
 Array = NDArray[np.float64]

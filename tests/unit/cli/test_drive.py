@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from steerkit._support.console import console
 from steerkit.cli import demo
 from steerkit.cli import drive as command
 from steerkit.diagram.simulation import simulate
@@ -74,15 +75,15 @@ def test_every_analytic_controller_drives_with_delay(name: str) -> None:
 def test_the_options_of_a_drive_are_heard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     heard: dict[str, Any] = {}
 
-    def driven(name: str, scenario: Scenario, place: Path, **options: Any) -> dict[str, Any]:
-        heard.update(name=name, scenario=scenario, place=place, **options)
-        return {}
+    def driven(names: list[str], scenario: Scenario, place: Path, **options: Any) -> list[Any]:
+        heard.update(names=names, scenario=scenario, place=place, **options)
+        return []
 
-    monkeypatch.setattr(report, "drive_and_draw", driven)
+    monkeypatch.setattr(command, "driven", driven)
     where = ("--course", "circle", "--conditions", "hard", "--delay", "0.07")
     words = ("drive", "lqr", *where, "--rounds", "2.5", "--seed", "7", "-q", "--out")
     assert run(*words, str(tmp_path), monkeypatch=monkeypatch) == 0
-    assert (heard["name"], heard["rounds"], heard["seed"], heard["quiet"]) == ("lqr", 2.5, 7, True)
+    assert (heard["names"], heard["rounds"], heard["seed"], heard["quiet"]) == (["lqr"], 2.5, 7, True)
     assert heard["place"] == tmp_path
     hard = Scenario.under("hard", course="circle")
     assert (heard["scenario"].course, heard["scenario"].delay, heard["scenario"].lag) == ("circle", 0.07, hard.lag)
@@ -116,7 +117,7 @@ def test_the_output_element_of_a_learned_drive_ends_at_the_cars_stops(
     monkeypatch.setattr(demo, "learn", lambda *words, **options: run)
     for test_drive in (
         lambda: report.show(tmp_path),
-        lambda: report.drive_and_draw(str(tmp_path), scenario, tmp_path, rounds=None, seed=0),
+        lambda: command.driven([str(tmp_path)], scenario, tmp_path, rounds=None, seed=0),
         lambda: demo._part(("a", run.experiment, tmp_path, 0, None)),
     ):
         with pytest.raises(Seen):
@@ -127,7 +128,7 @@ def test_the_output_element_of_a_learned_drive_ends_at_the_cars_stops(
 def test_with_json_only_json_is_on_standard_output(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(report.console, "stderr", False)
+    monkeypatch.setattr(console, "stderr", False)
     words = ["drive", "stanley", "--course", "circle", "--rounds", "0.1", "--json", "--out"]
     assert run(*words, str(tmp_path), monkeypatch=monkeypatch) == 0
     out, err = capsys.readouterr()
@@ -195,7 +196,7 @@ def test_speeds(
     for name, text in (("v", "s,v\n0,5\n60,11\n120,5\n"), ("x", "x,v\n0,5\n"), ("far", "s,v\n0,5\n999,5\n")):
         Path(f"{name}.csv").write_text(text)
     heard: list[Scenario] = []
-    monkeypatch.setattr(report, "drive_and_draw", lambda name, scenario, place, **options: heard.append(scenario) or {})
+    monkeypatch.setattr(command, "driven", lambda names, scenario, place, **options: heard.append(scenario) or [])
     course = () if "--course" in words else ("--course", "circle")
     code = run("drive", "stanley", *course, *words, "-q", monkeypatch=monkeypatch)
     if isinstance(expected, str):
@@ -222,7 +223,7 @@ def test_a_vehicle_beside_a_scenarios_file_brings_its_steering(tmp_path: Path, m
     (tmp_path / "car.toml").write_text(text)
     write_scenario(Scenario(course="circle", wind=0.2), tmp_path / "mine.toml")
     heard: list[Scenario] = []
-    monkeypatch.setattr(report, "drive_and_draw", lambda name, world, place, **options: heard.append(world) or {})
+    monkeypatch.setattr(command, "driven", lambda names, world, place, **options: heard.append(world) or [])
     words = ("drive", "stanley", "--scenario", str(tmp_path / "mine.toml"), "--vehicle", str(tmp_path / "car.toml"))
     told = Scenario.under("clean", vehicle=str(tmp_path / "car.toml"))
     assert told.delay > 0.0

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from steerkit._support.plugins import imported
-from steerkit.learning import report, rundir
+from steerkit.cli.drive import driven
+from steerkit.learning import rundir
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.learn import learn
 from steerkit.learning.settings import PAPER, Setting
@@ -32,9 +33,7 @@ def test_own_place_setting_cost_and_element_are_kept_and_found_again(tmp_path: P
     assert run.path.length == pytest.approx(2.0 * 3.14159 * 30.0, rel=1e-4)
     assert isinstance(run.loop.blocks["doe"], Geared)
     assert learn(experiment, tmp_path / "run").t == run.t  # it resumes
-    row = report.drive_and_draw(
-        str(tmp_path / "run"), experiment.scenario, tmp_path / "drive", rounds=0.1, seed=0, quiet=True
-    )
+    (row,) = driven([str(tmp_path / "run")], experiment.scenario, tmp_path / "drive", rounds=0.1, seed=0, quiet=True)
     assert row["controller"] == str(tmp_path / "run")
 
 

@@ -78,7 +78,7 @@ def test_what_cannot_be_filmed_is_not_driven(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("matplotlib.animation.FFMpegWriter.isAvailable", classmethod(lambda cls: False))
-    monkeypatch.setattr("steerkit.learning.report.drive_and_draw", lambda *_, **__: pytest.fail("it drove"))
+    monkeypatch.setattr("steerkit.cli.drive.driven", lambda *_, **__: pytest.fail("it drove"))
     film, place = tmp_path / "run.mp4", tmp_path / "d"
     words = ("drive", "stanley", "--rounds", "0.04", "--out", str(place), "--animate", str(film))
     assert run(*words, monkeypatch=monkeypatch) == 2

@@ -1,34 +1,20 @@
-"""The pictures of learning: the paper's four figures and a round driven, as matplotlib figures."""
+"""Pictures of a drive, as matplotlib figures: a round on the map, cross-track error over time, who steered."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from functools import wraps
+from collections.abc import Mapping
 from itertools import cycle
-from typing import Any, ParamSpec
+from typing import Any
 
 import numpy as np
 
 from steerkit.diagram.simulation import Log
 from steerkit.diagram.units import degrees_of
-from steerkit.plots.style import COLOURS, PALETTE, new_figure, style
+from steerkit.plots.style import COLOURS, PALETTE, new_figure, styled
 from steerkit.task import GOAL, TRIP
 
-P = ParamSpec("P")
 
-
-def _styled(draw: Callable[P, Any]) -> Callable[P, Any]:
-    """`draw` in the style of `steerkit.plots.style`."""
-
-    @wraps(draw)
-    def drawn(*args: P.args, **kwargs: P.kwargs) -> Any:
-        with style():
-            return draw(*args, **kwargs)
-
-    return drawn
-
-
-@_styled
+@styled
 def trace(log: Log, *, title: str, seconds: float = 100.0) -> Any:
     """Cross-track error and steering wheel over the first `seconds` (the paper's figures 3 and 4)."""
     figure, (top, low) = new_figure(rows=2, title=title)
@@ -44,7 +30,7 @@ def trace(log: Log, *, title: str, seconds: float = 100.0) -> Any:
     return figure
 
 
-@_styled
+@styled
 def learning(log: Log, *, title: str, seconds: float | None = None) -> Any:
     """Cross-track error from the first second on, shaded where the recovery controller steers (figure 5).
 
@@ -78,7 +64,7 @@ def learning(log: Log, *, title: str, seconds: float | None = None) -> Any:
     return figure
 
 
-@_styled
+@styled
 def first_round(log: Log, *, began: float | None, done: float | None, title: str) -> Any:
     """The learner's first complete round: where it drove, and its cross-track error (figure 6)."""
     if began is None or done is None:
@@ -99,7 +85,7 @@ def _with_map(log: Log, title: str) -> tuple[Any, tuple[Any, ...]]:
     return figure, axes
 
 
-@_styled
+@styled
 def round_driven(log: Log, other: Log | None = None, *, title: str) -> Any:
     """The course coloured by |e|, with cross-track error, steering wheel and lateral acceleration beside it."""
     figure, axes = _with_map(log, title)
@@ -122,7 +108,7 @@ def round_driven(log: Log, other: Log | None = None, *, title: str) -> Any:
     return figure
 
 
-@_styled
+@styled
 def rounds_driven(logs: Mapping[str, Log], *, title: str) -> Any:
     """Several drives over the same course in one picture: where they went, cross-track error, wheel, acceleration."""
     figure, axes = _with_map(next(iter(logs.values())), title)

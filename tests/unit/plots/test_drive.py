@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from steerkit.diagram.simulation import Log
-from steerkit.learning.pictures.paper import first_round, learning, round_driven, rounds_driven
+from steerkit.plots.drive import first_round, learning, round_driven, rounds_driven
 
 
 def drive(width: float = 120.0, depth: float = 40.0, seconds: float = 660.0) -> Log:
