@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from steerkit._support.files import read_npz, whole, write_npz, write_text
+from steerkit._support.files import atomic_write, read_npz, write_npz, write_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -230,7 +230,7 @@ class Store:
     def write(self, files: Mapping[str, bytes]) -> None:
         """Write what `packed` made elsewhere, the case's JSON last."""
         for name, data in files.items():
-            with whole(self.place / name) as draft:
+            with atomic_write(self.place / name) as draft:
                 draft.write_bytes(data)
 
     def net_file(self, case_id: str) -> FilePath:
@@ -242,7 +242,7 @@ class Store:
         provenance = read_provenance(self.place)
         cases = _from_files(self.place, provenance)
         results = Results(self.place, provenance, cases)
-        with whole(self.place / "cases.parquet") as draft:
+        with atomic_write(self.place / "cases.parquet") as draft:
             results.table().to_parquet(draft, index=False)
         return results
 

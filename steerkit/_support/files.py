@@ -37,7 +37,7 @@ class Bounded(io.BufferedReader):
 
 
 @contextmanager
-def whole(file: File, *, durable: bool = True) -> Iterator[FilePath]:
+def atomic_write(file: File, *, durable: bool = True) -> Iterator[FilePath]:
     """A name beside `file` to write to; where the `with` block ends well, that becomes `file`, else all is as before.
 
     For whatever must not be found half written: after an error, a full disk or a kill, `file` is the old one or the new
@@ -72,8 +72,8 @@ def _is_file_or_nothing(target: FilePath) -> bool:
 
 
 def write_text(file: File, text: str, *, durable: bool = True) -> None:
-    """Write a text file (UTF-8), whole or not at all: see `whole`."""
-    with whole(file, durable=durable) as draft:
+    """Write a text file (UTF-8), whole or not at all: see `atomic_write`."""
+    with atomic_write(file, durable=durable) as draft:
         draft.write_text(text, encoding="utf-8")
 
 
@@ -129,11 +129,14 @@ def read_toml(file: File, where: str) -> dict[str, Any]:
 
 
 def write_npz(file: File, arrays: Mapping[str, Any], *, compressed: bool = False, durable: bool = True) -> None:
-    """Write arrays by name to an .npz file without pickle, whole or not at all: see `whole`."""
+    """Write arrays by name to an .npz file without pickle, whole or not at all: see `atomic_write`."""
     for name, values in arrays.items():
         require(not np.asarray(values).dtype.hasobject, f"{file}", f"{name} holds objects, expected numbers or text")
     save = np.savez_compressed if compressed else np.savez
-    with whole(file, durable=durable) as draft, draft.open("wb") as stream:  # given a name, savez would append .npz
+    with (
+        atomic_write(file, durable=durable) as draft,
+        draft.open("wb") as stream,
+    ):  # given a name, savez would append .npz
         save(stream, **arrays)
 
 

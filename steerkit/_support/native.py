@@ -13,7 +13,7 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from steerkit._support.files import whole
+from steerkit._support.files import atomic_write
 
 FLAGS = ("-O3", "-march=native", "-std=gnu99", "-fPIC", "-shared", "-fno-math-errno", "-fno-trapping-math", "-w")
 """None of these changes a result; -ffast-math is not among them."""
@@ -50,15 +50,12 @@ def directory() -> Path:
     return Path(tempfile.mkdtemp(prefix="steerkit-"))
 
 
-def load(
-    source: str, *, fused: bool = False, vector_maths: bool = False, in_full: bool = False, unoptimised: bool = False
-) -> ctypes.CDLL:
+def load(source: str, *, fused: bool = False, vector_maths: bool = False, optimise: bool | None = None) -> ctypes.CDLL:
     """The library of a C file, compiled at the first call on this machine and found in the cache after that.
 
     fused: multiply-adds may be fused (quicker; rounded once instead of twice). vector_maths: for vectors of
-    cars; fused, and linked to glibc's libmvec where there is one.  in_full:
-    optimised in full whatever $CC asks for, for what computes for minutes. unoptimised: not optimised at all, for what
-    is run once. Raises NoCompilerError when there is no compiler, or it refuses.
+    cars; fused, and linked to glibc's libmvec where there is one. optimise: True, in full whatever $CC asks for, for
+    code that runs for minutes; False, not at all, for code that runs once; None, as $CC says. Raises NoCompilerError when there is no compiler, or it refuses.
     """
     tool = compiler()
     if tool is None:
@@ -66,7 +63,7 @@ def load(
         raise NoCompilerError(f"no C compiler found ({missing}): install gcc (or clang), or set CC")
     rounding = FUSED if fused or vector_maths else EXACT
     # those of $CC win over ours, but for the rounding
-    options = (*FLAGS, *tool[1:], *FLAGS[:in_full], *(["-O0"] if unoptimised else []), *rounding)
+    options = (*FLAGS, *tool[1:], *{True: FLAGS[:1], False: ("-O0",), None: ()}[optimise], *rounding)
     flags = (*options, *(["libmvec"] if vector_maths else []))
     key = hashlib.sha256("\0".join((source, _machine(tool[0]), *flags)).encode()).hexdigest()[:32]
     library = directory() / f"{key}.so"
@@ -79,7 +76,7 @@ def load(
 
 
 def _build(tool: str, options: tuple[str, ...], source: str, library: Path, *, vector_maths: bool) -> None:
-    with tempfile.TemporaryDirectory(dir=library.parent) as folder, whole(library) as made:
+    with tempfile.TemporaryDirectory(dir=library.parent) as folder, atomic_write(library) as made:
         file = Path(folder, "source.c")
         file.write_text(source, encoding="utf-8")
         tries = [["-DVECTOR_MATHS", "-Wl,--no-undefined", "-lmvec"], []] if vector_maths else [[]]

@@ -23,7 +23,7 @@ from pathlib import Path as File
 from typing import Any, NamedTuple
 
 from steerkit._support.errors import require
-from steerkit._support.files import whole
+from steerkit._support.files import atomic_write
 from steerkit.car import protocol
 from steerkit.car.config.config import CarConfig
 from steerkit.car.config.reading import Reading
@@ -330,7 +330,7 @@ def repair(
         raise ValueError(f"{place}: is the recording itself, which a repair never changes; choose another name")
     if place.exists() and not overwrite:
         raise FileExistsError(f"{place}: exists already; it is overwritten only with --overwrite")
-    with whole(place) as draft, ExitStack() as stack:
+    with atomic_write(place) as draft, ExitStack() as stack:
         tape = RecordingFile(draft, {**recorded.metadata, "repaired": json.dumps(recorded.lost)})
         stack.callback(tape.abandon)
         for chunk in parts.chunks:

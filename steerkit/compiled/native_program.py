@@ -46,15 +46,15 @@ class NativeProgram:
         """Instructions of a tick."""
         return self.trace.instructions / len(self.trace.ticks)
 
-    def finish(self, k: int, *, many: bool = False, unoptimised: bool = False) -> Any:
-        """The C function that takes the tick k and gives all slots; unoptimised: not optimised, as it is called
+    def finish(self, k: int, *, many: bool = False, optimise: bool | None = None) -> Any:
+        """The C function that takes the tick k and gives all slots; optimise: False where it is called
         once."""
-        return self._finish(self.trace.kind(k), many, unoptimised).finish
+        return self._finish(self.trace.kind(k), many, optimise).finish
 
     @functools.cache  # noqa: B019 (lives as long as the program)
-    def _finish(self, number: int, many: bool, unoptimised: bool) -> ctypes.CDLL:
+    def _finish(self, number: int, many: bool, optimise: bool | None) -> ctypes.CDLL:
         source = finish_source(self.trace, number, many=many)
-        return native.load(source, fused=True, vector_maths=many, unoptimised=unoptimised)
+        return native.load(source, fused=True, vector_maths=many, optimise=optimise)
 
     def tick(self, k: int, slots: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """All slots of one car after the tick k."""
@@ -79,15 +79,17 @@ class NativeProgram:
                 return rows, lambda: end
             self._run_one(last, stop, state, parameters, rows[_kept(k, last, self.every) :])
         row = rows[-1:].copy()  # the caller may write into the rows
-        return rows, lambda: self._as_run(self._finished(last, before, parameters, unoptimised=True), last, state, row)
+        return rows, lambda: self._as_run(self._finished(last, before, parameters, optimise=False), last, state, row)
 
     def _run_one(self, k: int, stop: int, state: np.ndarray, parameters: np.ndarray, rows: np.ndarray) -> None:
         if k < stop:
             self.one.run(_LL(k), _LL(stop), _LL(self.every), _at(state), _at(parameters), _at(rows), self._routines)
 
-    def _finished(self, k: int, state: np.ndarray, parameters: np.ndarray, *, unoptimised: bool = False) -> np.ndarray:
+    def _finished(
+        self, k: int, state: np.ndarray, parameters: np.ndarray, *, optimise: bool | None = None
+    ) -> np.ndarray:
         end = np.empty(len(self.trace.layout))
-        self.finish(k, unoptimised=unoptimised)(_LL(k), _at(state), _at(parameters), _at(end), self._routines)
+        self.finish(k, optimise=optimise)(_LL(k), _at(state), _at(parameters), _at(end), self._routines)
         return end
 
     def _as_run(self, end: np.ndarray, last: int, state: np.ndarray, row: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from steerkit._support.errors import require
-from steerkit._support.files import read_npz, whole, write_npz, write_text
+from steerkit._support.files import atomic_write, read_npz, write_npz, write_text
 from steerkit.diagram.block import Port
 from steerkit.diagram.diagnostics import explained
 from steerkit.diagram.loop import Loop, LoopState, Sample
@@ -106,7 +106,7 @@ class Log(Mapping[str, np.ndarray]):
             pa.field(name, pa.from_numpy_dtype(a.dtype), metadata={"unit": units[name.split("[")[0]]})
             for name, a in columns.items()
         ]
-        with whole(file) as draft:
+        with atomic_write(file) as draft:
             pq.write_table(pa.table(list(columns.values()), schema=pa.schema(fields)), draft)
 
     def to_csv(self, file: str | FilePath) -> None:

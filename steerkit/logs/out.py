@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from steerkit._support.errors import require
-from steerkit._support.files import whole, write_text
+from steerkit._support.files import atomic_write, write_text
 from steerkit.diagram.simulation import Log
 from steerkit.logs import messages
 from steerkit.logs.drive import Drive
@@ -52,7 +52,7 @@ def to_mcap(log: Log | Drive, file: str | Path) -> dict[str, int]:
     topics = messages.by_topic(signals_of(record))
     car = topics.get("/car", {})
     scene = [messages.POSE, messages.DRIVEN] if {"x", "y"} <= car.keys() else []
-    with whole(file) as draft, draft.open("wb") as stream:
+    with atomic_write(file) as draft, draft.open("wb") as stream:
         writer = Writer(stream)
         writer.start(profile="", library="exported by steerkit-control")
         channels = {topic: _channel(writer, topic) for topic in scene}
@@ -100,5 +100,5 @@ def to_ros2(drive: Log | Drive, file: str | Path, *, steer_ratio: float) -> dict
         name.rpartition("/")[2]: shown[name] for name in (*needed, "/car/x", "/car/y", "/car/psi") if name in shown
     }
     named["delta"] = named.pop("delta_sw") / steer_ratio
-    with whole(file) as draft:
+    with atomic_write(file) as draft:
         return write_bag(draft, record.t, named, BEGIN)

@@ -282,15 +282,6 @@ class Path:
         lines = [f"# {text}" for text in (head, *comments)] + [",".join(columns)]
         return "\n".join([*lines, *(",".join(f"{value:.9f}" for value in row) for row in rows), ""])
 
-    def require_closed(self, where: str) -> None:
-        """Raise ValueError, in the name of `where`, on an open path."""
-        if not self.closed:
-            gap = math.dist(self.point(0.0), self.point(self.length))
-            raise ValueError(
-                f"{where}: {self!r} is open (its ends are {gap:.1f} m apart), expected a closed path; valid: a path "
-                f"made with closed=True, or a run that ends before s = {self.length:.0f} m"
-            )
-
     def __repr__(self) -> str:
         at = f", at {place_deg(*self.origin_deg)}" if self.origin_deg else ""
         return f"Path('{self.name}', {'closed' if self.closed else 'open'}, {self.length:.1f} m{at})"

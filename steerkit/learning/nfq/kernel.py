@@ -18,7 +18,7 @@ SOURCE = Path(__file__).with_name("kernel.c")
 @functools.cache
 def library() -> ctypes.CDLL:
     """The compiled kernel; raises NoCompilerError without a working C compiler."""
-    return native.load(SOURCE.read_text(encoding="utf-8"), fused=True, in_full=True)
+    return native.load(SOURCE.read_text(encoding="utf-8"), fused=True, optimise=True)
 
 
 def fit(

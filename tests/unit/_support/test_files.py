@@ -15,11 +15,11 @@ import pytest
 
 from steerkit._support import files
 from steerkit._support.files import (
+    atomic_write,
     read_arrays,
     read_npz,
     read_text,
     read_toml,
-    whole,
     write_arrays,
     write_npz,
     write_text,
@@ -33,7 +33,7 @@ def names(folder: Path) -> list[str]:
 def test_a_file_is_there_when_the_block_has_ended_well_and_not_before(tmp_path: Path) -> None:
     file = tmp_path / "a.txt"
     file.write_text("old")
-    with whole(file) as draft:
+    with atomic_write(file) as draft:
         draft.write_text("new")
         assert file.read_text() == "old"
         assert draft.parent == tmp_path  # on the same disk, or it could not be renamed at once
@@ -47,7 +47,7 @@ def test_after_any_error_the_old_file_is_there_and_nothing_else(tmp_path: Path, 
     file.write_text("old")
 
     def fail() -> None:
-        with whole(file) as draft:
+        with atomic_write(file) as draft:
             draft.write_text("half")
             raise error
 
@@ -144,11 +144,11 @@ def test_a_file_that_another_thread_makes_just_then_is_no_folder(
 
 
 def test_what_a_killed_process_left_is_written_over(tmp_path: Path) -> None:
-    with whole(tmp_path / "a") as draft:
+    with atomic_write(tmp_path / "a") as draft:
         left = draft
         draft.write_text("a")
     left.write_text("half")
-    with whole(tmp_path / "a") as draft:
+    with atomic_write(tmp_path / "a") as draft:
         assert draft == left
         assert not draft.exists()
         draft.write_text("b")

@@ -76,7 +76,7 @@ def test_a_source_is_compiled_once_with_the_options_of_cc(
     assert re.findall(r"-ffp-contract=\w+", compiled[0])[-1] == "-ffp-contract=off", "no rounding of its own"
     assert "-ffast-math" not in compiled[0]
     assert [file.suffix for file in cache.iterdir()] == [".so"], "what was on the way is gone"
-    native.load(SUM, in_full=True)
+    native.load(SUM, optimise=True)
     last = notes.read_text().splitlines()[-1]
     assert re.findall(r"-O\d|-ffp-contract=\w+", last)[-2:] == ["-O3", "-ffp-contract=off"], "what computes for minutes"
 

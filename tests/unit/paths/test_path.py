@@ -181,12 +181,6 @@ def test_what_is_wrong_with_a_csv_file_is_said(text, message, tmp_path):
         Path.from_csv(tmp_path / "course.csv", closed=False)
 
 
-def test_require_closed():
-    made_of(RING, closed=True).require_closed("experiment")
-    with pytest.raises(ValueError, match=r"experiment: Path\('lap', open, 45.0 m\) is open .*45.0 m.*closed=True"):
-        made_of(LINE).require_closed("experiment")
-
-
 def test_an_unknown_course_names_the_nearest():
     with pytest.raises(ValueError, match=r"'genesys' is not known; did you mean 'genesis'.*valid: paper, genesis"):
         courses.course("genesys")
