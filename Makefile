@@ -8,7 +8,7 @@ PEERS := $(VENV)/peers
 BIN := $(VENV)/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo bench test test-all mutants lint docs dist clean
+.PHONY: help setup demo bench reports test test-all mutants lint docs dist clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -22,6 +22,13 @@ bench: $(BENCH)  ## learned against analytic controllers, a selection of some mi
 	$(BIN)/python -m benchmarks run quick
 	$(BIN)/python -m benchmarks report runs/benchmarks/quick
 
+reports: $(PEERS)  ## every suite in full, some three hours of computing; pages under runs/reports
+	for suites in "paper tracking learning-curve" robustness adapt generalise peers; do \
+		$(BIN)/python -m benchmarks run $$suites --out runs/reports/$${suites%% *} && \
+		$(BIN)/python -m benchmarks report runs/reports/$${suites%% *} || exit 1; done
+	$(BIN)/python -m benchmarks run compute --jobs 1 --out runs/reports/compute
+	$(BIN)/python -m benchmarks report runs/reports/compute
+
 test test-all: export OMP_NUM_THREADS = 1
 # Tests start some hundred programs; without their bytecode each compiles the library anew, most of a second.
 test test-all: export PYTHONDONTWRITEBYTECODE =
@@ -33,7 +40,7 @@ test: $(READY)  ## all tests, on three processes: some wait for a car in real ti
 
 BROWSER := $(firstword $(shell command -v chromium chromium-browser google-chrome chrome))
 
-test-all: $(PEERS)  ## all tests, with do-mpc, Stable-Baselines3, d3rlpy and a browser too; names what is still skipped
+test-all: $(PEERS)  ## all tests, with do-mpc, Stable-Baselines3 and a browser too; names what is still skipped
 	@echo "browser: $(or $(BROWSER),none; five tests need one: apt-get install chromium)"
 	$(BIN)/python -m pytest -n 3 --dist worksteal -rs
 
@@ -72,9 +79,6 @@ $(READY): $(USE)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	touch $@
 
-# d3rlpy 2.8 asks for a gymnasium that is older than ours, hence --no-deps; docs/benchmarks.md says more.
 $(PEERS): $(READY)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev,peers]'
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps 'd3rlpy==2.8.*' dataclasses-json h5py structlog \
-		tqdm gym typing-inspect marshmallow scikit-learn narwhals threadpoolctl
 	touch $@

@@ -52,8 +52,7 @@ class Controller:
         if not self.needs or find_spec(self.needs) is not None:
             return ""
         name = self.needs.replace("_", "-")
-        extra = "docs/benchmarks.md says how" if name == "d3rlpy" else "pip install 'steerkit-control[peers]'"
-        return f"{name} is not installed: {extra}"
+        return f"{name} is not installed: pip install 'steerkit-control[peers]'"
 
     def in_its_eyes(self, scenario: Scenario) -> Scenario:
         """The scenario with what this controller is told of it."""
@@ -189,14 +188,6 @@ _TABLE = (
         setting="sb3-sac",
         training="agent",
         needs="stable_baselines3",
-    ),
-    Controller(
-        name="d3rlpy-nfq",
-        kind="peer",
-        about="NFQ of d3rlpy, offline on 4 minutes that nfq-idoe drove",
-        setting="d3rlpy-nfq",
-        training="record",
-        needs="d3rlpy",
     ),
     Controller(
         name="do-mpc",

@@ -175,13 +175,13 @@ def _learning_curve() -> Suite:
 def _peers() -> Suite:
     return Suite(
         name="peers",
-        about="controllers that nobody here wrote: agents of Stable-Baselines3 and d3rlpy, do-mpc, CommonRoad's car",
+        about="controllers that nobody here wrote: agents of Stable-Baselines3, do-mpc, CommonRoad's car",
         scenarios=tuple(
             s
             for s in _tracking_scenarios()
             if s.name in ("paper-round", "iso3888-1-9", "slalom-9", "curvature-step-7", "slalom-multi-body")
         ),
-        controllers=("stanley", "mpc", "nfq-idoe", "sb3-dqn", "sb3-sac", "d3rlpy-nfq", "do-mpc"),
+        controllers=("stanley", "mpc", "nfq-idoe", "sb3-dqn", "sb3-sac", "do-mpc"),
         seeds=3,
     )
 

@@ -1,4 +1,4 @@
-"""Peers that nobody here wrote, in the same drives: Stable-Baselines3's agents, d3rlpy's NFQ, do-mpc's MPC."""
+"""Peers that nobody here wrote, in the same drives: Stable-Baselines3's agents and do-mpc's MPC."""
 
 from __future__ import annotations
 
@@ -12,19 +12,17 @@ from typing import Any
 import numpy as np
 
 from benchmarks.run.results import CURVE
-from steerkit.controllers.network_policy import BOUND, Network, PolicyBlock
+from steerkit.controllers.network_policy import PolicyBlock
 from steerkit.diagram.block import Block, In, Out, State
 from steerkit.diagram.maths import Scalar
 from steerkit.diagram.units import radians_of
-from steerkit.learning.data.transitions import Transitions
-from steerkit.learning.settings import Setting
 from steerkit.task import DT, STOP
 
-TOLD_OF_FAILURE = 4.0
+FAILURE_COST = 4.0
 """What a failure costs an agent that discounts by 0.98: above 0.05 a sample for ever, or failing would pay."""
 _CHECKS = 10  # test drives along a training
 _NET = [64, 64]
-SETTINGS = {"sb3-dqn": "DQN", "sb3-sac": "SAC", "d3rlpy-nfq": "NFQ"}
+SETTINGS = {"sb3-dqn": "DQN", "sb3-sac": "SAC"}
 """What controllers name as their setting, and the agent it means."""
 AGENTS: dict[str, tuple[str, dict[str, Any]]] = {
     "DQN": (
@@ -38,9 +36,8 @@ AGENTS: dict[str, tuple[str, dict[str, Any]]] = {
         },
     ),
     "SAC": ("steerkit/TrackSteeringContinuous-v0", {"train_freq": 4, "gradient_steps": 2}),
-    "NFQ": ("", {"learning_rate": 5e-4, "batch_size": 128, "gamma": 0.98}),
 }
-"""Environment (none: it learns from a record) and settings of each agent that are not the library's own."""
+"""Environment and settings of each agent that are not the library's own."""
 _COMMON = {"learning_rate": 5e-4, "buffer_size": 100_000, "learning_starts": 300, "batch_size": 128, "gamma": 0.98}
 
 Judge = Callable[[PolicyBlock], dict[str, float]]
@@ -61,7 +58,7 @@ def stable_baselines(name: str, *, steps: int, seed: int, judge: Judge) -> tuple
 
     environment, own = AGENTS[name]
     with _one_thread():
-        env = gymnasium.make(environment, course="paper", failure=TOLD_OF_FAILURE)
+        env = gymnasium.make(environment, course="paper", failure=FAILURE_COST)
         task = env.unwrapped.task  # type: ignore[attr-defined]
         agent = getattr(stable_baselines3, name)
         model = agent("MlpPolicy", env, seed=seed, device="cpu", policy_kwargs={"net_arch": _NET}, **_COMMON, **own)
@@ -72,61 +69,6 @@ def stable_baselines(name: str, *, steps: int, seed: int, judge: Judge) -> tuple
             rows.append(_row(judge(block), check, model.num_timesteps * task.dt, model.num_timesteps))
     assert block is not None
     return block, dict(zip(CURVE, np.array(rows).T, strict=True))
-
-
-def d3rlpy_nfq(
-    record: Transitions, setting: Setting, *, steps: int, seed: int, judge: Judge
-) -> tuple[PolicyBlock, dict[str, np.ndarray]]:
-    """d3rlpy's NFQ (a target net renewed at every gradient step) on recorded transitions, and its learning curve.
-
-    record: what our own learner drove; setting: its actions, cost and ranges. steps: gradient steps. Reward = -cost,
-    -4 where |e| was lost.
-    """
-    import d3rlpy
-
-    d = setting.description()
-    with _one_thread(), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        d3rlpy.seed(seed)
-        data = d3rlpy.dataset.MDPDataset(
-            **dataset_of(record, setting),
-            action_space=d3rlpy.constants.ActionSpace.DISCRETE,
-            action_size=len(setting.actions),
-        )
-        encoder = d3rlpy.models.encoders.VectorEncoderFactory(_NET)
-        nfq = d3rlpy.algos.NFQConfig(encoder_factory=encoder, **AGENTS["NFQ"][1]).create(device="cpu:0")
-        nfq.build_with_dataset(data)
-        quiet = d3rlpy.logging.NoopAdapterFactory()
-        rows, block = [], None
-        for check in range(_CHECKS):
-            count = steps // _CHECKS
-            nfq.fit(data, n_steps=count, n_steps_per_epoch=count, logger_adapter=quiet, show_progress=False)
-            layers = [m for m in nfq.impl.modules.q_funcs[0].modules() if type(m).__name__ == "Linear"]
-            weights = [tuple(p.detach().double().numpy().copy() for p in (m.weight, m.bias)) for m in layers]
-            net = Network(layers=tuple(weights), activation="relu", head="argmax")
-            block = PolicyBlock(policy=net, actions=setting.actions, description=d)
-            rows.append(_row(judge(block), check, len(record) * block.dt, len(record)))
-    assert block is not None
-    return block, dict(zip(CURVE, np.array(rows).T, strict=True))
-
-
-def dataset_of(record: Transitions, setting: Setting) -> dict[str, np.ndarray]:
-    """A record as d3rlpy wants it: the columns that a net sees, scaled, numbers of actions, rewards, ends.
-
-    What a learner records beyond these columns (the path's curvature, for its car model) no agent is told.
-    """
-    d = setting.description()
-    seen = [record.names.index(name) for name in d.names]
-    s, s_next = record.s[:, seen], record.s_next[:, seen]
-    cost, terminal = setting.cost(s, record.a, s_next)
-    last = np.append(np.diff(record.episode) != 0, True)
-    return {
-        "observations": np.clip((s - d.mid) / d.half, -BOUND, BOUND).astype(np.float32),
-        "actions": np.abs(record.a[:, None] - np.array(setting.actions)).argmin(axis=1)[:, None],
-        "rewards": np.where(terminal, -TOLD_OF_FAILURE, -cost).astype(np.float32),
-        "terminals": (terminal & last).astype(np.float32),
-        "timeouts": (last & ~terminal).astype(np.float32),
-    }
 
 
 def _row(figures: dict[str, float], check: int, t: float, transitions: int) -> list[float]:

@@ -226,7 +226,7 @@ def _progress(total: int, before: int, quiet: bool) -> Iterator[_Display]:
         MofNCompleteColumn(),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
-        TextColumn("{task.fields[story]}"),
+        TextColumn("{task.fields[progress]}"),
     )
     with Progress(*columns, console=console, disable=quiet or not console.is_terminal) as bar:
         display = _Display(bar, total, before, quiet)

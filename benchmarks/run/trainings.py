@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.peers.agents import SETTINGS, d3rlpy_nfq, stable_baselines
+from benchmarks.peers.agents import SETTINGS, stable_baselines
 from benchmarks.run.drives import Policy, drive
 from benchmarks.run.results import CURVE, TRAJECTORY
 from steerkit._support.errors import require
@@ -44,7 +44,7 @@ class Training:
     episode_metres: float = 0.0
     """Distance after which an episode ends too, and is trained on [m]; 0: as the learner's setting has it."""
     offline_iterations: int = 0
-    """Trainings on the recorded transitions after the driving; for d3rlpy, gradient steps."""
+    """Trainings on the recorded transitions after the driving."""
 
     def at(self, driven: Scenario | None) -> Scenario:
         """Where it learns: its own scenario, or the one `driven` afterwards.
@@ -69,7 +69,6 @@ _ALL = (
     Training(name="episodes-120", minutes=60.0, episode_metres=200.0),  # else a good episode never ends
     Training(name="offline", minutes=2.0, offline_iterations=20),
     Training(name="agent", minutes=30.0),
-    Training(name="record", minutes=4.0, offline_iterations=20_000),
     Training(name="same-car-1", scenario=None, minutes=1.0),
     Training(name="same-car-5", scenario=None, minutes=5.0),
 )
@@ -112,20 +111,14 @@ def learn(training: Training, setting_name: str, *, seed: int, driven: Scenario 
 
 
 def _agent(training: Training, setting_name: str, seed: int) -> Learnt:
-    """An agent of Stable-Baselines3 on the 800 m course, or d3rlpy's NFQ on what our learner drove there."""
+    """An agent of Stable-Baselines3 on the 800 m course."""
     place = Scenario(name="check")
 
     def judge(block: PolicyBlock) -> dict[str, float]:
         return drive(place, setting_name, seed=seed + 1000, policy=Policy(block, setting_name)).metrics
 
-    if SETTINGS[setting_name] == "NFQ":
-        how = setting("default")
-        driven = train(Experiment(setting=how, scenario=training.at(None), minutes=training.minutes, seed=seed)).run
-        steps = training.offline_iterations
-        block, curve = d3rlpy_nfq(driven.transitions, how, steps=steps, seed=seed, judge=judge)
-    else:
-        steps = round(60.0 * training.minutes / DT)
-        block, curve = stable_baselines(SETTINGS[setting_name], steps=steps, seed=seed, judge=judge)
+    steps = round(60.0 * training.minutes / DT)
+    block, curve = stable_baselines(SETTINGS[setting_name], steps=steps, seed=seed, judge=judge)
     within = {name: curve[name] < getattr(GOOD, name) for name in ("rms_e", "max_e", "max_jerk")}
     good = np.flatnonzero((curve["held"] > 0.5) & np.logical_and.reduce([*within.values()]))
     metrics = {

@@ -11,7 +11,6 @@ transitions themselves included, over that of the transitions (NumPy's arrays; t
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import os
 import platform
 import statistics
@@ -103,50 +102,6 @@ def equal_work(x: np.ndarray, y: np.ndarray, starts: int) -> dict[str, Any]:
     return numbers
 
 
-def d3rlpy_iteration(record: Transitions, steps: int = 5) -> dict[str, float]:
-    """d3rlpy's NFQ with full batches and PyTorch's Rprop: CPU time of 300 updates, from a few [s].
-
-    Through its own `fit`, which gathers the batch anew for each update, and with the batch gathered once. Its network
-    has one output an action and another cost function: the work is alike, not equal, so no error is compared.
-    """
-    import d3rlpy
-    import torch
-    from d3rlpy.logging import NoopAdapterFactory
-    from d3rlpy.optimizers.optimizers import OptimizerFactory
-
-    class Rprop(OptimizerFactory):
-        def create_optimizer(self, named_modules: Any, lr: float) -> Any:
-            return torch.optim.Rprop([p for _, module in named_modules for p in module.parameters()], lr=0.1)
-
-        @staticmethod
-        def get_type() -> str:
-            return "rprop"
-
-    _, action = np.unique(record.a, return_inverse=True)
-    ends = np.append(record.episode[1:] != record.episode[:-1], True).astype(np.float32)
-    cost, _ = TanhCost()(record.s, record.a, record.s_next)
-    data = d3rlpy.dataset.MDPDataset(
-        record.s.astype(np.float32),
-        action[:, None],
-        -cost.astype(np.float32),
-        ends,
-        action_space=d3rlpy.ActionSpace.DISCRETE,
-    )
-    encoder = d3rlpy.models.VectorEncoderFactory([10, 10], activation="tanh")
-    learner = d3rlpy.algos.NFQConfig(
-        batch_size=len(record), gamma=0.95, optim_factory=Rprop(), encoder_factory=encoder
-    ).create(device="cpu:0")
-    began = time.process_time()
-    learner.fit(data, n_steps=steps, n_steps_per_epoch=steps, logger_adapter=NoopAdapterFactory(), show_progress=False)
-    own = time.process_time() - began
-    batch = data.sample_transition_batch(len(record))
-    began = time.process_time()
-    for _ in range(4 * steps):
-        learner.update(batch)
-    reused = time.process_time() - began
-    return {"seconds_d3rlpy": 300.0 * own / steps, "seconds_d3rlpy_reused": 300.0 * reused / (4 * steps)}
-
-
 def decision(batch: int = 0) -> float:
     """Time of one greedy decision of three nets over five actions [us]; of a batch, per car."""
     policy = NfqPolicy(nets=fresh_nets(FitSetting(nets=3)))
@@ -211,8 +166,6 @@ def figures(quick: bool) -> dict[str, Any]:
     numbers |= {"linear_us_per_transition": each, "linear_worst_x": max(each) / min(each)}
     numbers |= {"memory_x_data": memory(whole(most), most), "memory_transitions": len(most)}
     numbers |= {"decision_numpy_us": decision(), "decision_numpy_us_per_car_of_1000": decision(1000)}
-    if importlib.util.find_spec("d3rlpy") is not None:
-        numbers |= d3rlpy_iteration(record)
     versions = {"torch": torch.__version__, "numpy": np.__version__, "python": platform.python_version()}
     return numbers | {"versions": versions, "machine": platform.machine(), "cores": os.cpu_count()}
 
@@ -227,13 +180,6 @@ def table(numbers: dict[str, Any]) -> str:
         f"  {'steerkit (C)':24}{ours:10.1f} ms   of it the fit {numbers['seconds_fit'] * 1e3:.1f} ms",
         f"  {'torch.optim.Rprop':24}{torch:10.1f} ms   {numbers['vs_torch_rprop_x']:.1f} times as long",
     ]
-    if "seconds_d3rlpy" in numbers:
-        for name, key in (("d3rlpy, its fit()", "seconds_d3rlpy"), ("d3rlpy, batch reused", "seconds_d3rlpy_reused")):
-            lines.append(
-                f"  {name:24}{numbers[key] * 1e3:10.1f} ms   {numbers[key] / numbers['seconds']:.1f} times as long"
-            )
-    else:
-        lines.append("  d3rlpy                  not installed: it is in the extra `peers`")
     for epoch in (10, 300):
         low, high = numbers[f"error_ratio_{epoch}_span"]
         lines.append(

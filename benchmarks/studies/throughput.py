@@ -9,8 +9,7 @@ floats), wired three ways; all runs start alike and their cross-track errors are
 Contestants take turns, and a ratio is the median of the ratios within one turn, so that a busy machine hurts all
 alike. The ratios of the JSON are to python-control with the same diagram: a system for each block, a connection for
 each wire. The table and `against` have them also to python-control wired as two systems (plant and controller), and as
-one function that leaves no wiring to it at all. Numba and jaxonomy get the loop as one function, Drake the diagram;
-each is a row where it is installed (extra `peers`), and its absence is told.
+one function that leaves no wiring to it at all.
 
 `c_step_ns`: CPU time of a step of one car in C. `tracker_ns`: that of the path tracker, in a loop with nothing but a
 table of poses before it, less the loop of the poses alone. There each search waits for the one before.
@@ -36,7 +35,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.peers import engines, python_control
+from benchmarks.peers import python_control
 from steerkit.compiled import Backend, compile
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram import maths as m
@@ -57,7 +56,6 @@ BACKENDS: tuple[Backend, ...] = ("python", "vm", "c")
 SPEED, CARS = 6.0, 1000
 CAR = vehicle("vw-passat")
 DIAGRAM, TWO, ONE = (f"python-control, {how}" for how in ("same diagram", "two systems", "one function"))
-GET_PEERS = "pip install 'steerkit-control[peers]'"
 MANY = f"C, {CARS} cars"
 NEEDED = {
     "interpreted_x": 5,
@@ -184,12 +182,6 @@ def contestants(loop: Loop, quick: bool) -> list[Contestant]:
         ready = compile(loop, backend="c", record=["path.e"], every=20, collapse=collapse)
         size = 250 * scale
         ways.append(Contestant(name, size * CARS, lambda c=ready, s=size: c.run(s * DT, state=many)))  # type: ignore[misc]
-    for name, (package, engine, n) in engines.ENGINES.items():
-        if engines.installed(package):
-            run, n = engine(loop, start), n * scale
-            ways.append(Contestant(name, n, lambda run=run, n=n: run(n)))  # type: ignore[misc]
-        else:
-            print(f"{package} is not installed, so there is no row '{name}': {GET_PEERS}", file=sys.stderr)
     for way in ways:
         way.run()
     return ways
@@ -205,7 +197,6 @@ def require_equal_runs(loop: Loop) -> float:
         for b in BACKENDS
         for c in (False, True)
     ]
-    runs += [make(loop, start)(100) for package, make, _ in engines.ENGINES.values() if engines.installed(package)]
     worst = max(float(np.abs(run - reference).max()) for run in runs)
     if not worst < 1e-11:
         raise SystemExit(f"the ways disagree by {worst:.2e} m: nothing to compare")
@@ -346,7 +337,6 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         "batch_linear_x": ratios[f"{MANY}, collapsed"],
         "batch_car_steps_per_second": statistics.median(rates[MANY]),
         "batch_car_steps_per_second_x_one_function": against[ONE][MANY],
-        "c_x_engine": {name: ratios["C"] / ratios[name] for name in engines.ENGINES if name in ratios},
         "steps_per_second": {name: statistics.median(values) for name, values in rates.items()},
         "base": DIAGRAM,
         "against": against,

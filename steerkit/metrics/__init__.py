@@ -1,6 +1,5 @@
 """How well a car was steered and what learning it cost, in numbers with sources; `table.TABLE` lists them all."""
 
-from steerkit.metrics.autoware import Accumulated, control_evaluator, goal_deviation
 from steerkit.metrics.comfort import (
     JERK_WINDOW,
     lateral_jerk,
@@ -20,7 +19,6 @@ __all__ = [
     "GOOD",
     "JERK_WINDOW",
     "TABLE",
-    "Accumulated",
     "Criterion",
     "Interval",
     "Learned",
@@ -28,8 +26,6 @@ __all__ = [
     "Paired",
     "Summary",
     "accelerations",
-    "control_evaluator",
-    "goal_deviation",
     "interval",
     "largest",
     "lateral_jerk",

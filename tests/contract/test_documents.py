@@ -139,26 +139,6 @@ def test_links_lead_somewhere(page: Path) -> None:
         assert (page.parent / target).exists(), target
 
 
-REPORTS = sorted((ROOT / "docs" / "reports").glob("*"))
-
-
-@pytest.mark.parametrize("report", REPORTS, ids=name_of)
-def test_a_report_that_is_kept_stands_beside_its_command_is_whole_and_asks_nothing_of_the_network(report: Path) -> None:
-    row = next(
-        line
-        for line in (ROOT / "docs" / "benchmarks.md").read_text(encoding="utf-8").splitlines()
-        if report.name in line
-    )
-    page = report.read_text(encoding="utf-8")
-    (cases,) = re.findall(r"\| ([\d,]+) \|", row)
-    assert f"<b>{cases}</b>" in page
-    assert "0 missing, 0 without a result" in page
-    assert f"python -m benchmarks run {report.stem}" in row
-    assert f"python -m benchmarks run {report.stem}" in page
-    assert set(re.findall(r"https?://[^\"'\s)]+", page)) <= {"http://www.w3.org/2000/svg"}
-    assert report.stat().st_size < 4e6
-
-
 def tool(name: str) -> Any:
     """A module under docs/tools."""
     spec = importlib.util.spec_from_file_location(name, ROOT / "docs" / "tools" / f"{name}.py")

@@ -18,7 +18,6 @@ from tests.support.places import ROOT
 UNIT = ROOT / "tests" / "unit"
 
 ELSEWHERE = {
-    "benchmarks.written_logs": "unit/logs/test_reading_formats.py",
     "steerkit": "contract/test_imports.py",
     "steerkit._support.console": "unit/cli/test_drive.py",
     "steerkit.__main__": "unit/cli/test_app_habits.py",

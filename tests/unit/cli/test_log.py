@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.written_logs import driven, written
 from steerkit.logs import read_drive
 from tests.support import command_lines
+from tests.support.written_logs import driven, written
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:

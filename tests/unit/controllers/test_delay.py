@@ -323,7 +323,7 @@ def test_a_round_of_the_course_stays_within_a_tenth_of_a_metre(delay: float) -> 
 
 
 def test_from_three_metres_and_45_degrees_it_comes_back_within_its_limits() -> None:
-    """|a_y| <= 3 m/s^2 and the wheel's speed, with 0.2 s delay: the study recovery_map has all start states."""
+    """|a_y| <= 3 m/s^2 and the wheel's speed, with 0.2 s delay."""
     grid = np.meshgrid([2.0, 4.0, 6.0, 9.0], [-3.0, 0.0, 3.0], np.radians([-45.0, 20.0, 45.0]))
     v, e, psi = (axis.ravel() for axis in grid)
     path = straight(400.0)

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.written_logs import DBC, driven, written
 from steerkit.logs import read_drive, read_log
 from tests.support.places import SUPPORT
+from tests.support.written_logs import DBC, driven, written
 
 pytest.importorskip("can")
 pytest.importorskip("cantools")

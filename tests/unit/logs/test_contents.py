@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.written_logs import driven, written
 from steerkit.logs import ColumnMap, read_log
 from steerkit.logs.contents import contents
 from steerkit.logs.pictures import picture
+from tests.support.written_logs import driven, written
 
 
 def test_rows_say_rate_gaps_and_range(tmp_path: Path) -> None:

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.written_logs import driven, written
 from steerkit.logs import Drive, read_drive
+from tests.support.written_logs import driven, written
 
 pytest.importorskip("mcap")
 pytest.importorskip("rosbags")

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.written_logs import driven
 from steerkit import LinearSingleTrack, Stanley, course, placed, simulate, steering_loop, vehicle
 from steerkit.diagram.simulation import Log
 from steerkit.logs import Drive, read_drive
 from steerkit.logs.out import BEGIN, layout, signals_of, to_mcap, to_ros2
 from steerkit.plants.speed_driver import ConstantSpeed
+from tests.support.written_logs import driven
 
 pytest.importorskip("mcap")
 

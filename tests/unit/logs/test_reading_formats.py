@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import tempfile
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from benchmarks.studies.log_damage import memory
-from benchmarks.written_logs import FORMATS, STEPS, driven, written
 from steerkit.logs import read_drive, read_log
+from tests.support.written_logs import FORMATS, STEPS, driven, written
 
 for package in ("rosbags", "asammdf", "can", "cantools", "pyarrow"):
     pytest.importorskip(package)
@@ -62,6 +63,22 @@ def test_a_long_mf4_is_read_piece_by_piece_to_the_last_bit(tmp_path: Path) -> No
     for name in ("delta_sw", "v", "r"):
         np.testing.assert_array_equal(table.columns[name], columns[name])
     np.testing.assert_array_equal(table.t, columns["t"])
+
+
+def memory(name: str, seconds: float) -> float:
+    """The most memory that reading takes, in sizes of the file."""
+    with tempfile.TemporaryDirectory() as folder:
+        small, how = written(name, Path(folder), driven())
+        read_drive(small, **how)  # what is loaded and kept once does not count
+        (Path(folder) / "long").mkdir()
+        file, how = written(name, Path(folder) / "long", driven(seconds, rate=50.0))
+        tracemalloc.start()
+        try:
+            read_drive(file, **how)
+            packed = 4 * 8 * round(seconds * 50.0)
+            return tracemalloc.get_traced_memory()[1] / max(file.stat().st_size, packed)
+        finally:
+            tracemalloc.stop()
 
 
 @pytest.mark.parametrize(("name", "most"), [("npz", 2.9), ("mf4, not compressed", 3.5)])

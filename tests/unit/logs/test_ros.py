@@ -126,7 +126,7 @@ def test_a_folder_without_its_description_and_what_is_no_bag_teach(bag: Bag, tmp
 
 def test_a_database_that_is_cut_off_is_refused(tmp_path: Path) -> None:
     """SQLite itself would read on, and give numbers that nobody wrote."""
-    from benchmarks.written_logs import driven, written
+    from tests.support.written_logs import driven, written
 
     file, _ = written("ros2 sqlite", tmp_path, driven())
     whole = file.read_bytes()

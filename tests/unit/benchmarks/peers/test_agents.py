@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,12 +11,7 @@ from benchmarks.entries import controller
 from benchmarks.peers import agents as peers
 from benchmarks.run.drives import drive
 from benchmarks.scenarios import scene
-from steerkit.controllers.policy import COLUMNS
-from steerkit.learning.data.transitions import Transitions
-from steerkit.learning.settings import DEFAULT
-from steerkit.learning.training_run import train
 from steerkit.vehicles import vehicle
-from tests.support.short_run import SHORT
 
 STEP = scene(name="step", course="curvature-step", v_min=7.0, v_max=7.0)
 
@@ -56,46 +50,3 @@ def test_an_agent_learns_the_same_again_and_its_net_drives() -> None:
     assert (first == again).all()
     driven = drive(STEP, "sb3-dqn", policy=Policy(one[0], "sb3-dqn"))
     assert 0.0 < driven.metrics["rounds"] <= 1.0
-
-
-def driven(rows: int) -> Transitions:
-    """A record as a learner leaves it, with the path's curvature beside what nets see."""
-    rng = np.random.default_rng(0)
-    record = Transitions((*COLUMNS, "kappa"))
-    s = rng.normal(size=(rows + 1, 7)) * 0.1
-    record.extend(s[:-1], rng.choice(DEFAULT.actions, rows), s[1:], np.arange(rows) // 100)
-    return record
-
-
-def test_a_record_is_handed_on_as_a_net_sees_it_with_its_ends() -> None:
-    record, about = driven(300), DEFAULT.description()
-    data = peers.dataset_of(record, DEFAULT)
-    scaled = (record.s[:, :6] - about.mid) / about.half
-    np.testing.assert_allclose(data["observations"], np.clip(scaled, -10.0, 10.0), atol=1e-6)
-    assert (np.array(DEFAULT.actions)[data["actions"][:, 0]] == record.a).all()
-    ends = data["terminals"] + data["timeouts"]
-    assert np.flatnonzero(ends).tolist() == [99, 199, 299]
-    lost = np.abs(record.s_next[:, 0]) > 0.5
-    assert (data["rewards"][lost] == -peers.TOLD_OF_FAILURE).all()
-    assert (data["rewards"][~lost] > -1.0).all()
-
-
-def test_a_record_of_a_learner_has_what_is_handed_on() -> None:
-    """The names are the learner's own: a record that a test has made up may be unlike it."""
-    run = train(replace(SHORT, setting=DEFAULT, minutes=0.05)).run
-    assert peers.dataset_of(run.transitions, DEFAULT)["observations"].shape == (len(run.transitions), 6)
-
-
-def test_d3rlpy_learns_from_a_record() -> None:
-    pytest.importorskip("d3rlpy")
-    asked = []
-    block, curve = peers.d3rlpy_nfq(
-        driven(300),
-        DEFAULT,
-        steps=50,
-        seed=0,
-        judge=lambda b: asked.append(b) or {"held": 0.0},  # type: ignore[func-returns-value]
-    )
-    assert len(asked) == 10
-    assert set(block.policy(np.random.default_rng(1).normal(size=(50, 6)))) <= set(range(7))  # type: ignore[attr-defined]
-    assert (curve["transitions"] == 300.0).all()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks import rounds
-from benchmarks.studies import delay_robustness, learning, recovery_map, throughput, tune_stanley
+from benchmarks.studies import learning, throughput, tune_stanley
 from steerkit.diagram.simulation import Log
 from steerkit.task import DT
 
@@ -41,45 +41,6 @@ def test_the_worst_error_is_that_of_a_whole_first_round(progress: list[float], e
 def test_the_root_mean_square_is_that_of_the_first_round() -> None:
     drive = log(path__progress=[0, 5, 10, 4], path__e=[3.0, 4.0, 100.0, 100.0])
     assert rounds.rms(drive, "path.e", 10.0) == pytest.approx(math.sqrt(12.5))
-
-
-@pytest.mark.parametrize(
-    ("e", "seconds"),
-    [
-        ([0.01, 0.02, 0.01, 0.0], 0.0),
-        ([1.0, 0.5, 0.01, 0.0], 2 * DT),
-        ([1.0, 0.01, -0.5, 0.0], 3 * DT),  # back for a moment is not back
-        ([1.0, 0.01, 0.01, 0.1], math.inf),  # and at the limit is not within it
-        ([1.0, 0.01, NAN, 0.0], 3 * DT),
-        ([1.0, 0.01, NAN, NAN], math.inf),
-    ],
-)
-def test_a_car_is_back_when_it_stays(e: list[float], seconds: float) -> None:
-    columns = dict.fromkeys(("car__a_y", "actuator__rate", "controller__delta_sw"), [[0.0]] * len(e))
-    assert recovery_map.judged(log(path__e=[[x] for x in e], **columns))["seconds"] == pytest.approx([seconds])
-
-
-def test_all_limits_count() -> None:
-    fine = {"a_y": np.array([2.9]), "rate": np.array([1.0]), "command_rate": np.array([1.0])}
-    assert recovery_map.within_limits(fine).all()
-    for name, beyond in (("a_y", 3.1), ("rate", 9.7), ("command_rate", 9.7)):
-        assert not recovery_map.within_limits({**fine, name: np.array([beyond])}).any(), name
-
-
-def test_starts_are_offset_at_the_reference_point() -> None:
-    starts = recovery_map.starts(3, reference=1.5)
-    e = starts["car.y0"] + 1.5 * np.sin(starts["car.psi0"])
-    assert sorted({round(float(x), 9) for x in e}) == [-3.0, 0.0, 3.0]
-    assert (starts["car.v0"] == starts["driver.speed"]).all()
-    assert len(e) == 9 * len(recovery_map.SPEEDS)
-
-
-def test_one_thing_off_is_not_two() -> None:
-    cars = np.array(
-        [[1, 1, 0, 4], [0.7, 1, 0, 4], [1, 0.9, 0, 4], [1, 1, 3, 4], [0.7, 0.9, 0, 4], [0.7, 0.9, 3, 4]], dtype=float
-    )
-    e = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
-    assert delay_robustness.by_kind(cars, e) == {"nothing": 0.1, "tyres": 0.2, "ratio": 0.3, "offset": 0.4, "all": 0.6}
 
 
 def test_gains_are_chosen_among_those_near_the_best() -> None:
