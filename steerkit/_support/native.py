@@ -55,7 +55,8 @@ def load(source: str, *, fused: bool = False, vector_maths: bool = False, optimi
 
     fused: multiply-adds may be fused (quicker; rounded once instead of twice). vector_maths: for vectors of
     cars; fused, and linked to glibc's libmvec where there is one. optimise: True, in full whatever $CC asks for, for
-    code that runs for minutes; False, not at all, for code that runs once; None, as $CC says. Raises NoCompilerError when there is no compiler, or it refuses.
+    code that runs for minutes; False, not at all, for code that runs once; None, as $CC says. Raises NoCompilerError
+    when there is no compiler, or it refuses.
     """
     tool = compiler()
     if tool is None:

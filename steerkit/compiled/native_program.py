@@ -47,8 +47,7 @@ class NativeProgram:
         return self.trace.instructions / len(self.trace.ticks)
 
     def finish(self, k: int, *, many: bool = False, optimise: bool | None = None) -> Any:
-        """The C function that takes the tick k and gives all slots; optimise: False where it is called
-        once."""
+        """The C function that takes the tick k and gives all slots; optimise: False where it runs once."""
         return self._finish(self.trace.kind(k), many, optimise).finish
 
     @functools.cache  # noqa: B019 (lives as long as the program)
