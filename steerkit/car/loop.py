@@ -17,7 +17,6 @@ from steerkit.car.configured import course_of
 from steerkit.car.follow import Follow, Steers
 from steerkit.controllers.excursion_predictor import ExcursionPredictor
 from steerkit.controllers.fail_safe import FailSafe
-from steerkit.controllers.gate_model import GateModel
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.with_excitation import WAVES, with_excitation
 from steerkit.diagram import realtime
@@ -37,6 +36,7 @@ from steerkit.scenario.catalogue import (
     make_recovery,
     make_safety,
 )
+from steerkit.vehicles.rollout import GateModel
 
 MPC_BUDGET = 0.03
 """A solution that took longer is not used [s]: the plan before is followed, then the fallback law."""
@@ -175,20 +175,22 @@ def car_loop(
     )
 
 
+def gate_model(config: CarConfig, **settings: float) -> GateModel:
+    """What is known of the gate of `config` when one looks ahead; settings: other fields of `GateModel`."""
+    limits = config.gate
+    same = ("a_y_max", "jerk_max", "rate_max", "delta_sw_max", "v_floor", "steer_ratio", "wheelbase", "arm", "quantum")
+    return GateModel(**{name: getattr(limits, name) for name in same} | settings)
+
+
 def foresight(config: CarConfig) -> ExcursionPredictor:
     """How far the car will get behind the gate of `config`."""
-    limits = config.gate
-    same = ("a_y_max", "jerk_max", "rate_max", "delta_sw_max", "v_floor", "quantum")
-    return ExcursionPredictor.of(config.vehicle, **{name: getattr(limits, name) for name in same})
+    return ExcursionPredictor(gate=gate_model(config, v_doubt=0.0))
 
 
 def safety(config: CarConfig, clock: Callable[[], float] | None = None) -> FailSafe:
     """The safety filter before the gate of `config`."""
-    limits = config.gate
-    same = ("a_y_max", "jerk_max", "rate_max", "delta_sw_max", "v_floor", "steer_ratio", "wheelbase", "arm", "quantum")
-    model = GateModel(**{name: getattr(limits, name) for name in same})
     budget = None if clock is None else SAFETY_BUDGET
-    return FailSafe(block=make_safety(design_model_of(config), model), budget=budget, clock=clock)
+    return FailSafe(block=make_safety(design_model_of(config), gate_model(config)), budget=budget, clock=clock)
 
 
 def drive(

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from steerkit.diagram import maths as m
 from steerkit.diagram.maths import Scalar
-
-_SLOWEST = 0.5
-"""Speed [m/s] below which the bounds no longer widen: they are far beyond the stops there."""
+from steerkit.vehicles.rollout import SLOWEST
 
 
 def approach_angle(e: Scalar, v: Scalar, a_y: Scalar) -> Scalar:
@@ -15,21 +13,7 @@ def approach_angle(e: Scalar, v: Scalar, a_y: Scalar) -> Scalar:
     sqrt(2 a_y |e|)/v, from e = R (1 - cos(angle)) with R = v^2/a_y and a small angle; 1 cm is added to |e| for the
     derivative at 0 to be finite.
     """
-    return m.sqrt(2.0 * a_y * (m.absolute(e) + 0.01)) / m.maximum(v, _SLOWEST)
-
-
-def slewed(
-    rate_limit: Scalar, slew: Scalar | None, v: Scalar, *, wheelbase: Scalar, understeer: Scalar, steer_ratio: Scalar
-) -> Scalar:
-    """Fastest wheel [rad/s] within rate_limit that a car steered by torque follows; None: its slew is not known.
-
-    Steady cornering needs delta = (L/v^2 + K) a_y, so a_y that changes by slew [m/s^3] turns the wheel by
-    steer_ratio (L/v^2 + K) slew.
-    """
-    if slew is None:
-        return rate_limit
-    v = m.maximum(v, _SLOWEST)
-    return m.minimum(rate_limit, slew * steer_ratio * (wheelbase / (v * v) + understeer))
+    return m.sqrt(2.0 * a_y * (m.absolute(e) + 0.01)) / m.maximum(v, SLOWEST)
 
 
 def limited(
@@ -53,7 +37,7 @@ def limited(
     a sample takes at most the share 1 - exp(-v dt/l_r) of what is left to L a_y/v^2 + K a_y.
     A NaN command stays NaN; one in `before` limits nothing, so that a broken sample does not break the next.
     """
-    v = m.maximum(v, _SLOWEST)
+    v = m.maximum(v, SLOWEST)
     curve, slip = wheelbase * a_y / (v * v), understeer * a_y
     share, room = 1.0 - m.exp(-v * dt / l_r), steer_ratio * (curve + slip)
     up = m.minimum(rate_limit * dt, share * (room - before))

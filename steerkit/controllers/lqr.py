@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerkit._support.errors import require
-from steerkit.controllers.limits import limited, slewed
+from steerkit.controllers.limits import limited
 from steerkit.controllers.riccati import cost_to_go
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State
@@ -19,6 +19,7 @@ from steerkit.diagram.maths import Scalar, Table
 from steerkit.diagram.units import radians_of
 from steerkit.task import DT, STOP
 from steerkit.vehicles import Vehicle, require_vehicle
+from steerkit.vehicles.rollout import slewed
 
 Array = NDArray[np.float64]
 Matrices = Callable[[float], tuple[Any, Any]]

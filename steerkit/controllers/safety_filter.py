@@ -1,15 +1,16 @@
-"""A safety filter between whoever steers and the wheel: it changes only commands that could end beside the path."""
+"""A safety filter between a controller and the wheel: it changes only commands that could end beside the path."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from steerkit._support.errors import require, require_within
-from steerkit.controllers.delay import DelayPredictor, Motion
-from steerkit.controllers.gate_model import GateModel
+from steerkit.controllers.delay import DelayPredictor
 from steerkit.controllers.limits import limited
 from steerkit.controllers.stanley import Stanley, StanleyState
 from steerkit.diagram import maths as m
@@ -17,6 +18,7 @@ from steerkit.diagram.block import Block, In, Out, State, without_port
 from steerkit.diagram.maths import Scalar
 from steerkit.task import TRIP
 from steerkit.vehicles import Vehicle, require_vehicle
+from steerkit.vehicles.rollout import GateModel, Motion, Rollout
 
 REASONS = (
     "passed",
@@ -27,6 +29,9 @@ REASONS = (
     "plan: what was found safe goes on",
 )
 """What each value of the output `reason` means."""
+BEHIND_GATE: Mapping[str, float] = MappingProxyType({"hold": 4, "horizon": 2.0, "preview_points": 26})
+"""How far a safety filter looks ahead where a gate makes the wheel slow: at 3 m/s^2 and 5 m/s^3 it takes 1.2 s from one
+side to the other. A command is held for less: in 0.4 s the gate turns the wheel by 2 m/s^2, and as long back."""
 _ADAPT = 0.5
 """Time in which the yaw rate's slow part, and by how much the model has it wrong, are averaged [s]."""
 _WANDERS = 5.0
@@ -36,18 +41,20 @@ _KEPT = 8
 
 
 class _Now(NamedTuple):
-    """What a roll-out starts from; seen in the mirror for the right side."""
+    """What a roll-out starts from; mirrored for the right side."""
 
-    e: Scalar
-    psi_e: Scalar
-    r: Scalar
-    wheel: Scalar
+    motion: Motion
     wheel_before: Scalar
     wrong: Scalar
     r_slow: Scalar
     doubt: Scalar
     commands: tuple[Scalar, ...]
     preview: tuple[Scalar, ...]
+
+    def mirrored(self) -> _Now:
+        """The same, seen in the mirror."""
+        sides = Motion._make([-value for value in self.motion]), -self.wheel_before, -self.wrong, -self.r_slow
+        return _Now(*sides, self.doubt, tuple([-c for c in self.commands]), tuple([-kappa for kappa in self.preview]))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -182,13 +189,23 @@ class SafetyFilter(Block):
             without_port(self, "applied")
 
     @classmethod
-    def of(cls, vehicle: Vehicle, *, delay: float = 0.0, lag: float = 0.1, **settings: Any) -> SafetyFilter:
-        """For a `Vehicle`, with the delay and lag that are told of its steering [s].
+    def of(
+        cls,
+        vehicle: Vehicle,
+        *,
+        delay: float = 0.0,
+        lag: float = 0.1,
+        rate_limit: float = Rollout.rate_limit,
+        **settings: Any,
+    ) -> SafetyFilter:
+        """For a `Vehicle`, with the believed delay [s], lag [s] and rate limit [rad/s] of its steering.
 
         settings: any other fields.
         """
         require_vehicle(vehicle, "SafetyFilter.of")
-        return cls(backup=DelayPredictor.around(Stanley.of(vehicle), vehicle, delay=delay, lag=lag), **settings)
+        law = replace(Stanley.of(vehicle), rate_limit=rate_limit)
+        steering = dict(delay=delay, lag=lag, rate_limit=rate_limit)
+        return cls(backup=DelayPredictor.around(law, vehicle, **steering), **settings)
 
     @property
     def reference(self) -> Scalar:
@@ -202,18 +219,17 @@ class SafetyFilter(Block):
     @cached_property
     def _soonest(self) -> int:
         """Samples after which a command acts at the soonest."""
-        return math.floor(self.backup.delay / self.dt + 1e-9)
+        return math.floor(self.backup.model.delay / self.dt + 1e-9)
 
     @cached_property
     def _latest(self) -> int:
         """Samples after which it acts at the latest."""
-        return math.floor((self.backup.delay + self.delay_doubt) / self.dt + 1e-9) + 1
+        return math.floor((self.backup.model.delay + self.delay_doubt) / self.dt + 1e-9) + 1
 
     @cached_property
-    def _follow(self) -> float:
-        """Share of the way to its command that the wheel goes in a sample."""
-        lag = self.backup.lag
-        return 1.0 - math.exp(-self.dt / lag) if lag > 0.0 else 1.0
+    def _model(self) -> Rollout:
+        """The backup's model, with the preview that this block is given."""
+        return replace(self.backup.model, preview_dt=self.preview_dt)
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         zero = m.filled(0.0, batch)
@@ -227,8 +243,8 @@ class SafetyFilter(Block):
 
     def output(self, t: Any, x: State, u: Any) -> Any:
         v, sound = m.maximum(u.v, 0.0), m.is_finite(u.command)
-        seen = (u.e, u.psi_e, u.r, u.delta_sw_meas, x[3], x[1], x[2])
-        now = _Now(*seen, self._yaw_doubt(x[7]), self._sent(x, u), tuple(u.preview))
+        motion = Motion(u.e, u.psi_e, u.r, u.delta_sw_meas)
+        now = _Now(motion, x[3], x[1], x[2], self._yaw_doubt(x[7]), self._sent(x, u), tuple(u.preview))
         within = self._within(u.command, x[-1], v, u.preview[0]) if self.gate is None else u.command
         reach = self._reach(now, v, within)
         safe = m.both(sound, reach <= self.bound)
@@ -255,7 +271,7 @@ class SafetyFilter(Block):
         part, slowly, planned = self.dt / _ADAPT, self.dt / _WANDERS, y.share < 1.0
         left = (x[1] - x[6]) ** 2
         after = (
-            self.backup.yaw_rate(x[0], u.delta_sw_meas, u.v),
+            self._model.yaw_rate_after(x[0], u.delta_sw_meas, m.maximum(u.v, 0.0)),
             x[1] + part * (u.r - x[0] - x[1]),
             x[2] + part * (u.r - x[2]),
             u.delta_sw_meas,
@@ -277,8 +293,7 @@ class SafetyFilter(Block):
 
     def _bend(self, preview: tuple[Scalar, ...], v: Scalar, samples: int) -> Scalar:
         """The path's own angle of the wheel [rad], so many samples ahead."""
-        per_kappa = self.backup.wheelbase + self.backup.understeer * v * v
-        return self.backup.steer_ratio * m.atan(per_kappa * self._kappa(preview, samples))
+        return self._model.steady_wheel(self._model.kappa(preview, samples * self.dt), v)
 
     def _sent(self, x: State, u: Any) -> State:
         """The commands on their way; of the last one a gate says what it made of it."""
@@ -301,18 +316,6 @@ class SafetyFilter(Block):
             dt=self.dt,
         )
 
-    def _wheel(self, wheel: Scalar, command: Scalar) -> Scalar:
-        """The wheel a sample later."""
-        step = self.backup.rate_limit * self.dt
-        return wheel + m.clip(self._follow * (command - wheel), -step, step)
-
-    def _kappa(self, preview: tuple[Scalar, ...], samples: float) -> Scalar:
-        """The path's curvature so many samples ahead; beyond the preview, its last."""
-        place = samples * self.dt / self.preview_dt
-        entry = min(int(place + 1e-9), self.preview_points - 2)
-        share = min(place - entry, 1.0)
-        return preview[entry] + share * (preview[entry + 1] - preview[entry])
-
     def _answer(self, seen: Motion, v: Scalar, kappa: Scalar, wheel_before: Scalar, command: Scalar) -> Scalar:
         """The backup's command [rad] after another, for what it sees."""
         law = self._law
@@ -320,49 +323,49 @@ class SafetyFilter(Block):
         return law.output(0.0, StanleyState(wheel_before / law.steer_ratio, command), u).delta_sw
 
     def _own(self, now: _Now, v: Scalar) -> Scalar:
-        """The backup's command now: that of the state in which it will arrive, as told."""
-        motion, before = Motion(now.e, now.psi_e, now.r, now.wheel), now.wheel_before
+        """The backup's command now: that of the state in which it will arrive, as believed."""
+        model, motion, before, fastest = self._model, now.motion, now.wheel_before, self._model.fastest(v)
         for k in range(self._soonest):
-            wheel, before = self._wheel(motion.wheel, now.commands[k - self._soonest]), motion.wheel
-            kappa = self._kappa(now.preview, k + 0.5)
-            motion = self.backup.moved(motion, self.dt, wheel - motion.wheel, kappa, v, now.wrong)
-        return self._answer(motion, v, self._kappa(now.preview, self._soonest), before, now.commands[-1])
+            turned, before = self._turned(motion.wheel, now.commands[k - self._soonest], fastest), motion.wheel
+            motion = model.moved(motion, self.dt, turned, model.kappa(now.preview, (k + 0.5) * self.dt), v, now.wrong)
+        return self._answer(motion, v, model.kappa(now.preview, self._soonest * self.dt), before, now.commands[-1])
+
+    def _turned(self, wheel: Scalar, command: Scalar, fastest: Scalar) -> Scalar:
+        """By how much the wheel turns in a sample [rad]."""
+        return self._model.turned(wheel, command, self.dt, fastest)
 
     def _reach(self, now: _Now, v: Scalar, command: Scalar) -> Scalar:
         """The furthest that the car may get to either side after a command [m]."""
-        flipped = [-value for value in now[:7]]
-        mirrored = _Now._make(
-            (*flipped, now.doubt, tuple([-c for c in now.commands]), tuple([-k for k in now.preview]))
-        )
-        return m.maximum(self._left(now, v, command), self._left(mirrored, v, -command))
+        return m.maximum(self._left(now, v, command), self._left(now.mirrored(), v, -command))
 
     def _left(self, now: _Now, v: Scalar, command: Scalar) -> Scalar:
         """The furthest to the left, of a car that is pushed there."""
-        model, dt, soonest, latest = self.backup, self.dt, self._soonest, self._latest
-        dead = soonest * dt
+        model, dt, soonest, latest = self._model, self.dt, self._soonest, self._latest
+        dead, fastest = soonest * dt, self._model.fastest(v)
         commands = list(now.commands)
-        soon, late = now.wheel, m.maximum(now.wheel, now.wheel_before)
-        car = Motion(now.e + self.e_doubt, now.psi_e + self.psi_doubt, now.r, late)
+        soon, late = now.motion.wheel, m.maximum(now.motion.wheel, now.wheel_before)
+        car = Motion(now.motion.e + self.e_doubt, now.motion.psi_e + self.psi_doubt, now.motion.r, late)
         push, before, furthest = now.doubt, late, -1e9
         bend = self._bend(now.preview, v, soonest)
         for k in range(soonest + round(self.horizon / dt)):
             if k >= soonest:
-                kappa = self._kappa(now.preview, k)
                 if k < soonest + self.hold:
                     given = command + self._bend(now.preview, v, k) - bend
                 else:
                     unaware = 2.0 * self.psi_doubt + push * dead
                     e_seen = car.e - 2.0 * self.e_doubt - v * unaware * dead
-                    given = self._answer(Motion(e_seen, car.psi_e - unaware, car.r, car.wheel), v, kappa, before, given)
+                    seen = Motion(e_seen, car.psi_e - unaware, car.r, car.wheel)
+                    given = self._answer(seen, v, model.kappa(now.preview, k * dt), before, given)
                 if self.gate is not None:
                     early = self.gate.frame_dt if k == soonest else 0.0
                     given = self.gate.pushed(given, commands[-1], v, dt, early)
                 commands.append(given)
-            soon, late = self._wheel(soon, commands[k + latest - soonest]), self._wheel(late, commands[k])
+            soon = soon + self._turned(soon, commands[k + latest - soonest], fastest)
+            late = late + self._turned(late, commands[k], fastest)
             push = now.doubt + self.ratio_doubt * m.absolute(car.r - now.r_slow)
             before, e_before = car.wheel, car.e
             turned = m.maximum(soon, late) - before
-            car = model.moved(car, dt, turned, self._kappa(now.preview, k + 0.5), v, now.wrong + push)
+            car = model.moved(car, dt, turned, model.kappa(now.preview, (k + 0.5) * dt), v, now.wrong + push)
             if k >= soonest:  # until then nothing that is commanded now makes a difference
                 furthest = m.maximum(car.e, furthest)
         return m.maximum(car.e + self.approach * (car.e - e_before) / dt, furthest)

@@ -6,13 +6,14 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from steerkit._support.errors import require
-from steerkit.controllers.limits import approach_angle, limited, slewed
+from steerkit.controllers.limits import approach_angle, limited
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.maths import Scalar
 from steerkit.diagram.units import radians_of
 from steerkit.task import DT, STOP
 from steerkit.vehicles import Vehicle, require_vehicle
+from steerkit.vehicles.rollout import slewed
 
 _NO_LIMIT = 1e3
 """m/s^2 or rad/s: more than any car can do."""

@@ -12,11 +12,10 @@ from steerkit._support.plugins import imported, is_outside
 from steerkit.controllers.adaptive import Adaptive
 from steerkit.controllers.command_compensation import CommandCompensation
 from steerkit.controllers.delay import delayed_stanley
-from steerkit.controllers.gate_model import BEHIND_GATE, GateModel
 from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.offset_free import OffsetFree
 from steerkit.controllers.pure_pursuit import PurePursuit
-from steerkit.controllers.safety_filter import SafetyFilter
+from steerkit.controllers.safety_filter import BEHIND_GATE, SafetyFilter
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.block import Block
 from steerkit.diagram.diagnostics import in_one_line
@@ -30,6 +29,7 @@ from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.single_track import SingleTrack
 from steerkit.vehicles import Vehicle
+from steerkit.vehicles.rollout import GateModel
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,12 +102,8 @@ def _textbook(design_model: DesignModel) -> Block:
 
 
 def _delayed(design_model: DesignModel) -> Block:
-    told: dict[str, Any] = dict(
-        delay=design_model.delay, lag=design_model.lag, slew=design_model.slew, a_y_limit=design_model.a_y_limit
-    )
-    block = delayed_stanley(design_model.vehicle, **told)
-    law = replace(block.block, rate_limit=design_model.rate_limit)  # type: ignore[call-arg]
-    return replace(block, block=law, rate_limit=design_model.rate_limit)
+    steering = ("delay", "lag", "rate_limit", "slew", "a_y_limit")
+    return delayed_stanley(design_model.vehicle, **{name: getattr(design_model, name) for name in steering})
 
 
 def _lqr(design_model: DesignModel) -> Block:
@@ -312,12 +308,11 @@ def make_safety(design_model: DesignModel, gate: GateModel | None = None) -> Saf
     A gate makes the wheel slow: it is looked further ahead then, and a command is held for less.
     Raises ValueError for a car that is steered by torque: its wheel is too slow for the time that is looked ahead.
     """
-    told = f"slew = {design_model.slew} [m/s^3], expected none: the filter is for cars whose steering takes an angle"
-    require(design_model.slew is None, "make_safety", told)
+    slew = f"slew = {design_model.slew} [m/s^3], expected none: the filter is for cars whose steering takes an angle"
+    require(design_model.slew is None, "make_safety", slew)
     behind: dict[str, Any] = {"gate": gate, **BEHIND_GATE} if gate else {}
-    made = SafetyFilter.of(design_model.vehicle, delay=design_model.delay, lag=design_model.lag, **behind)
-    law = replace(made.backup.block, rate_limit=design_model.rate_limit)  # type: ignore[call-arg]
-    return replace(made, backup=replace(made.backup, block=law, rate_limit=design_model.rate_limit))
+    steering = dict(delay=design_model.delay, lag=design_model.lag, rate_limit=design_model.rate_limit)
+    return SafetyFilter.of(design_model.vehicle, **steering, **behind)
 
 
 def make_element(name: str, vehicle: Vehicle | None = None) -> OutputElement:

@@ -111,7 +111,7 @@ def assembled(
 def _reference(place: Place, controller: Block) -> float:
     """Where e is judged [m ahead of the centre of gravity]."""
     law = bare(controller)
-    own = getattr(place, "reference", "") == "own" and "reference" in {field.name for field in fields(law)}
+    own = getattr(place, "reference", "") == "own" and hasattr(law, "reference")
     return float(law.reference) if own else place.ahead  # type: ignore[attr-defined]
 
 

@@ -17,7 +17,6 @@ from steerkit.controllers.command_compensation import CommandCompensation
 from steerkit.controllers.delay import DelayPredictor, delayed_stanley
 from steerkit.controllers.excursion_predictor import ExcursionPredictor
 from steerkit.controllers.fail_safe import FailSafe
-from steerkit.controllers.gate_model import GateModel
 from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.network_policy import Network, PolicyBlock
 from steerkit.controllers.nfq_policy import NfqPolicy
@@ -51,6 +50,7 @@ from steerkit.plants.steering_column import SteeringColumn
 from steerkit.plants.steering_link import SteeringLink
 from steerkit.plants.torque_steering import TorqueSteering
 from steerkit.vehicles import vehicle
+from steerkit.vehicles.rollout import GateModel
 
 PASSAT = vehicle("vw-passat")
 _round = np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False)
@@ -131,7 +131,7 @@ EXAMPLES = [
     Example(Stanley.of(PASSAT)),
     Example(Stanley.textbook(PASSAT)),
     Example(delayed_stanley(PASSAT, delay=0.13, lag=0.1)),
-    Example(DelayPredictor(block=Stanley.of(PASSAT), delay=0.0, lag=0.0)),
+    Example(DelayPredictor(block=Stanley.of(PASSAT))),
     Example(Lqr.of(PASSAT, LinearSingleTrack(vehicle=PASSAT).matrices, delay=0.2, preview_points=5, v_step=3.0)),
     Example(dataclasses.replace(Stanley.of(PASSAT), slew=5.0, a_y_limit=3.0)),
     Example(delayed_stanley(PASSAT, delay=0.13, lag=0.1, slew=20.0, a_y_limit=3.0)),

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 from steerkit.compiled import compile
 from steerkit.controllers.delay import DelayPredictor, delayed_stanley
-from steerkit.controllers.limits import slewed
 from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.block import Block, In, Out, State
@@ -27,6 +26,7 @@ from steerkit.plants.speed_driver import ConstantSpeed, SpeedDriver
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import vehicle
+from steerkit.vehicles.rollout import yaw_gain
 
 PASSAT = vehicle("vw-passat")
 AT_REST: dict[str, Any] = {"e": 0.0, "psi_e": 0.0, "v": 6.0, "r": 0.0, "delta_sw_meas": 0.0}
@@ -38,7 +38,13 @@ def ahead(block: DelayPredictor, commands: tuple[float, ...], **u: Any) -> dict[
 
 
 def around(delay: float, lag: float, **changes: Any) -> DelayPredictor:
-    return replace(DelayPredictor.around(Stanley.of(PASSAT), PASSAT, delay=delay, lag=lag), **changes)
+    made = DelayPredictor.around(Stanley.of(PASSAT), PASSAT, delay=delay, lag=lag)
+    own = {name: changes.pop(name) for name in ("block", "preview_points") if name in changes}
+    return replace(made, model=replace(made.model, **changes), **own)
+
+
+def without_slew(block: DelayPredictor) -> DelayPredictor:
+    return replace(block, model=replace(block.model, slew=None))
 
 
 def test_without_delay_and_lag_it_is_the_block_itself() -> None:
@@ -73,8 +79,7 @@ def test_what_the_model_has_wrong_of_the_yaw_rate_it_has_wrong_all_the_way(wrong
 def test_a_steady_bend_of_a_car_with_another_ratio_stays_one(share: float) -> None:
     """The model thinks the wheel turns the car at r; the car turns at `share` times that, and will go on to."""
     block, v, wheel = around(0.2, 0.1), 6.0, 1.5
-    steady, _ = block._yaw(v)
-    r_model = steady * math.tan(wheel / block.steer_ratio)
+    r_model = yaw_gain(v, block.model.wheelbase, block.model.understeer) * math.tan(wheel / block.model.steer_ratio)
     u = AT_REST | {"r": share * r_model, "delta_sw_meas": wheel, "preview": (0.0,) * block.preview_points}
     assert block.predict(r_model, (wheel,) * 4, block.D(**u))["r"] == pytest.approx(share * r_model)
 
@@ -84,7 +89,7 @@ def test_a_turn_off_a_straight_path_is_an_arc(r: float) -> None:
     """At a steady r, with the front axle `lever` ahead of the point that rolls: e = v/r (1 - cos rT) + lever sin rT."""
     block, v, time = around(0.2, 0.1, rear_slip=0.0), 6.0, 0.3
     found = block.predict(0.0, (0.0,) * 4, block.D(**AT_REST | {"r": r, "preview": (0.0,) * block.preview_points}))
-    lever = block.reference + block.l_r
+    lever = block.reference + block.model.l_r
     assert found["e"] == pytest.approx(v / r * (1.0 - math.cos(r * time)) + lever * math.sin(r * time), abs=1e-3)
 
 
@@ -102,7 +107,7 @@ def test_the_predicted_wheel_is_no_faster_than_the_motor(delay: float) -> None:
     """Full lock asked for, and no lag: after the delay the wheel has turned by rate_limit*delay."""
     block = around(delay, 0.0)
     n = max(1, math.ceil(delay / 0.05 - 1e-9))
-    assert ahead(block, (9.0,) * n)["delta_sw_meas"] == pytest.approx(block.rate_limit * delay)
+    assert ahead(block, (9.0,) * n)["delta_sw_meas"] == pytest.approx(block.model.rate_limit * delay)
 
 
 def test_straight_driving_off_the_path_is_a_triangle() -> None:
@@ -199,9 +204,9 @@ def test_a_slow_wheel_is_carried_on_until_it_is_straight(a_y: float) -> None:
     v, slew, tau = 15.0, 5.0, 0.15
     bare = dict(wheelbase=2.7, understeer=0.0, reference=-1.5, l_r=1.5, rear_slip=0.0, yaw_time=tau / v)
     block = around(0.1, 0.0, slew=slew, preview_points=40, **bare)
-    wheel = block.steer_ratio * math.atan(2.7 * a_y / v**2)
+    wheel = block.model.steer_ratio * math.atan(2.7 * a_y / v**2)
     u = dict(v=v, r=a_y / v, delta_sw_meas=wheel, preview=(0.0,) * 40)
-    found, still = (ahead(one, (wheel, wheel), **u) for one in (block, replace(block, slew=None)))
+    found, still = (ahead(one, (wheel, wheel), **u) for one in (block, without_slew(block)))
     lasts, s = abs(a_y) / slew, math.copysign(slew / v, a_y)
     faded = 1.0 - math.exp(-lasts / tau)
     psi = a_y / v * lasts - s * lasts**2 / 2.0 + s * tau * (lasts - tau * faded)
@@ -215,9 +220,9 @@ def test_a_slow_wheel_is_carried_on_until_it_is_straight(a_y: float) -> None:
 def test_a_slow_wheel_at_the_paths_angle_costs_no_time() -> None:
     v, kappa = 15.0, 0.01
     block = around(0.1, 0.05, slew=5.0, a_y_limit=3.0, preview_points=40)
-    wheel = block.steer_ratio * math.atan((block.wheelbase + block.understeer * v * v) * kappa)
+    wheel = block.model.steer_ratio * math.atan((block.model.wheelbase + block.model.understeer * v * v) * kappa)
     u = dict(e=0.1, psi_e=0.02, v=v, r=v * kappa, delta_sw_meas=wheel, preview=(*(kappa,) * 6, *(0.0,) * 34))
-    slow, quick = (ahead(one, (wheel,) * 2, **u) for one in (block, replace(block, slew=None)))
+    slow, quick = (ahead(one, (wheel,) * 2, **u) for one in (block, without_slew(block)))
     assert slow == pytest.approx(quick, abs=1e-9)
 
 
@@ -231,7 +236,7 @@ def test_a_steering_with_another_gain_is_predicted_as_it_is() -> None:
     n = len(block.block.init())
     assert x[n + 2 : n + 4] == pytest.approx((command, 0.25 * command), rel=1e-3)
     assert len(x) == n + 4 + 2
-    quick = replace(block, slew=None)
+    quick = without_slew(block)
     assert len(quick.init()) == n + 1 + 2
 
 
@@ -252,14 +257,14 @@ def test_a_slow_wheel_has_been_on_its_way_all_the_sample() -> None:
     model, so its prediction is what comes."""
     v, dt, last, fine = 12.0, 0.05, 19, 200
     block = around(dt, 0.0, block=YawRateSeen(), slew=5.0, preview_points=40)
-    car = dict(wheelbase=block.wheelbase, understeer=block.understeer, steer_ratio=block.steer_ratio)
-    rate = slewed(block.rate_limit, 5.0, v, **car)
-    per_kappa, fade = block.wheelbase + block.understeer * v * v, 1.0 / (block.yaw_time * v)
+    model = block.model
+    rate = model.fastest(v)
+    per_kappa, fade = model.wheelbase + model.understeer * v * v, 1.0 / (model.yaw_time * v)
     x: Any = None
     r = 0.0
     for k in range(last + 1):
         wheel = rate * dt * max(0, k - 1)  # a command of the first sample turns it from the second on
-        kappa = math.tan(wheel / block.steer_ratio) / per_kappa
+        kappa = math.tan(wheel / model.steer_ratio) / per_kappa
         u = AT_REST | {"v": v, "r": r, "delta_sw_meas": wheel, "preview": (kappa,) * 40}
         x = block.settle(0.0, block.init(), block.D(**u)) if x is None else x
         if k == last:
@@ -269,7 +274,7 @@ def test_a_slow_wheel_has_been_on_its_way_all_the_sample() -> None:
         x = block.update(0.0, x, block.U(**u), block.Y(2.0 if k < last - 1 else rate * dt * (last - 1)))
         for i in range(fine):
             turned = wheel + (rate * dt * (i + 0.5) / fine if k > 0 else 0.0)
-            r += dt / fine * fade * (v * math.tan(turned / block.steer_ratio) / per_kappa - r)
+            r += dt / fine * fade * (v * math.tan(turned / model.steer_ratio) / per_kappa - r)
 
 
 def test_broken_commands_and_signals_pass() -> None:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from steerkit.controllers.limits import approach_angle, limited, slewed
+from steerkit.controllers.limits import approach_angle, limited
 
 CAR: dict[str, Any] = dict(
     wheelbase=2.71, l_r=1.49, understeer=0.002, steer_ratio=15.6, rate_limit=9.6, limit=9.07, dt=0.05
@@ -60,13 +60,3 @@ def test_a_command_held_ends_in_the_steady_curve_and_never_feels_more(v: float, 
 def test_a_nan_stays_and_one_before_limits_nothing() -> None:
     assert math.isnan(limited(math.nan, 0.0, 5.0, 2.0, **CAR))
     assert limited(0.1, math.nan, 5.0, 2.0, **CAR) == 0.1
-
-
-def test_a_slew_is_how_fast_the_angle_of_a_steady_bend_may_change() -> None:
-    """delta = L a_y/v^2 + K a_y: at 20 m/s, where the tyres' share is a quarter of all."""
-    car = {name: CAR[name] for name in ("wheelbase", "understeer", "steer_ratio")}
-    steady = [15.6 * (2.71 * a_y / 20.0**2 + 0.002 * a_y) for a_y in (1.0, 1.0 + 5.0 * 0.05)]
-    assert slewed(9.6, 5.0, 20.0, **car) == pytest.approx((steady[1] - steady[0]) / 0.05)
-    assert slewed(0.1, 5.0, 20.0, **car) == 0.1
-    assert slewed(9.6, None, 20.0, **car) == 9.6
-    assert slewed(9.6, 5.0, 0.0, **car) == 9.6

@@ -13,8 +13,7 @@ import pytest
 from steerkit.compiled import compile
 from steerkit.controllers.command_compensation import CommandCompensation
 from steerkit.controllers.delay import DelayPredictor, delayed_stanley
-from steerkit.controllers.gate_model import BEHIND_GATE, GateModel
-from steerkit.controllers.safety_filter import _KEPT, REASONS, SafetyFilter
+from steerkit.controllers.safety_filter import _KEPT, BEHIND_GATE, REASONS, SafetyFilter
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, take_ports
@@ -24,6 +23,7 @@ from steerkit.scenario import Scenario
 from steerkit.scenario.drive import assembled
 from steerkit.task import STOP
 from steerkit.vehicles import vehicle
+from steerkit.vehicles.rollout import GateModel
 
 PASSAT = vehicle("vw-passat")
 SURE: dict[str, float] = dict(e_doubt=0.0, psi_doubt=0.0, yaw_doubt=0.0, ratio_doubt=0.0, delay_doubt=0.0)
@@ -177,7 +177,7 @@ def test_the_wheels_limits_hold_for_whoever_commands() -> None:
     block = SafetyFilter.of(PASSAT)
     y = asked(block, command=STOP)
     assert REASONS[int(y.reason)] in ("wheel limits", "corrected")
-    assert abs(y.delta_sw) <= block.backup.rate_limit * block.dt + 1e-12
+    assert abs(y.delta_sw) <= block.backup.model.rate_limit * block.dt + 1e-12
     assert REASONS[int(asked(block, command=0.6, v=2.0).reason)] == "wheel limits"
     turned = asked(replace(block, bound=5.0), command=STOP, delta_sw_meas=2.0, v=9.0)
     steady = 9.0**2 * math.tan(turned.delta_sw / PASSAT.steer_ratio) / PASSAT.wheelbase
@@ -366,7 +366,7 @@ def test_where_nothing_new_is_safe_the_plan_goes_on_and_then_the_backup_steers()
         y = block.output(0.0, x, lost)
         sent.append((REASONS[int(y.reason)], y.delta_sw))
         x = block.update(0.0, x, lost, y)
-    per_kappa = block.backup.wheelbase + block.backup.understeer * u.v**2
+    per_kappa = block.backup.model.wheelbase + block.backup.model.understeer * u.v**2
     turned = PASSAT.steer_ratio * (math.atan(0.012 * per_kappa) - math.atan(0.01 * per_kappa))
     assert [why for why, _ in sent] == ["plan: what was found safe goes on"] * 7 + ["backup: nothing else is safe"] * 2
     assert [angle for _, angle in sent[:7]] == pytest.approx([0.3 + turned] * 7)

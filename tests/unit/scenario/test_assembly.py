@@ -213,12 +213,6 @@ def test_the_recipes_take_the_stop_of_the_vehicle() -> None:
     ]
     assert [block.limit for block in made] == [4.0] * len(made)
     assert MPC.of(plant, SteeringActuator(limit=3.0)).limit == 3.0
-    foresight = ExcursionPredictor.of(NARROW, jerk_max=4.0)
-    assert (foresight.delta_sw_max, foresight.wheelbase, foresight.jerk_max) == (4.0, NARROW.wheelbase, 4.0)
-    assert (foresight.steer_ratio, ExcursionPredictor.of(NARROW, delta_sw_max=3.0).delta_sw_max) == (
-        NARROW.steer_ratio,
-        3.0,
-    )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

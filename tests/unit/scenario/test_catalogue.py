@@ -56,7 +56,8 @@ def test_every_controller_keeps_to_the_car_and_the_motor_that_it_is_told(name: s
 @pytest.mark.parametrize("name", ["stanley-delay", "mpc", "nonlinear-mpc"])
 def test_who_reckons_with_the_steering_is_told_its_delay_and_lag(name: str) -> None:
     block: Any = make_controller(name, BELIEF)
-    assert (block.delay, block.lag) == (0.1, 0.12)
+    steering = block.model if name == "stanley-delay" else block
+    assert (steering.delay, steering.lag) == (0.1, 0.12)
 
 
 def test_the_others_are_made_for_the_delay() -> None:
@@ -81,16 +82,16 @@ def test_an_element_ends_at_the_stops(name: str) -> None:
 
 def test_a_safety_filter_is_told_what_the_others_are() -> None:
     filter = make_safety(replace(NARROW, delay=0.15, lag=0.07, rate_limit=3.0))
-    model: Any = filter.backup
-    assert (model.delay, model.lag, model.rate_limit, model.block.rate_limit) == (0.15, 0.07, 3.0, 3.0)
-    assert (model.block.limit, model.steer_ratio) == (radians_of(300.0), NARROW.vehicle.steer_ratio)
+    model, law = filter.backup.model, filter.backup.block
+    assert (model.delay, model.lag, model.rate_limit, law.rate_limit) == (0.15, 0.07, 3.0, 3.0)
+    assert (law.limit, model.steer_ratio) == (radians_of(300.0), NARROW.vehicle.steer_ratio)
 
 
 def test_half_of_what_the_actuator_holds_is_delay_to_the_mpc_alone() -> None:
     held = replace(BELIEF, hold=0.01)
     assert make_controller("mpc", held).delay == pytest.approx(0.105)  # type: ignore[attr-defined]
     assert make_controller("mpc", BELIEF).delay == 0.1  # type: ignore[attr-defined]
-    assert make_controller("stanley-delay", held).delay == 0.1  # type: ignore[attr-defined]
+    assert make_controller("stanley-delay", held).model.delay == 0.1  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("name", CONTROLLERS)
@@ -160,10 +161,10 @@ def test_the_fitting_recovery_knows_of_dead_time_and_slew_where_there_is_some() 
     assert isinstance(make_recovery("auto", replace(BELIEF, delay=0.0)), Stanley)
     late = make_recovery("auto", replace(BELIEF, delay=0.15))
     assert isinstance(late, DelayPredictor)
-    assert late.delay == 0.15
+    assert late.model.delay == 0.15
     by_torque = make_recovery("auto", replace(BELIEF, delay=0.0, slew=5.0, a_y_limit=3.0))
     assert isinstance(by_torque, DelayPredictor)
-    assert (by_torque.slew, by_torque.block.share) == (5.0, 0.3)  # type: ignore[attr-defined]
+    assert (by_torque.model.slew, by_torque.block.share) == (5.0, 0.3)  # type: ignore[attr-defined]
 
 
 # ---- a user's own -----------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""The real gate, frame by frame, never turns the wheel further to a side than the model says, nor back any slower."""
+"""The roll-out: closed forms; and the real gate, frame by frame, never turns the wheel further than its model says."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from steerkit.car.gate import GateLimits, gate
-from steerkit.controllers.gate_model import GateModel
 from steerkit.diagram.units import radians_of
+from steerkit.vehicles.rollout import GateModel, slewed
 
 DT = 0.05
 
@@ -87,3 +87,13 @@ def test_a_nan_is_seen() -> None:
 def test_what_cannot_be_is_refused(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=name):
         GateModel(**{name: value})
+
+
+def test_a_slew_is_how_fast_the_angle_of_a_steady_bend_may_change() -> None:
+    """delta = L a_y/v^2 + K a_y: at 20 m/s, where the tyres' share is a quarter of all."""
+    car = dict(wheelbase=2.71, understeer=0.002, steer_ratio=15.6)
+    steady = [15.6 * (2.71 * a_y / 20.0**2 + 0.002 * a_y) for a_y in (1.0, 1.0 + 5.0 * 0.05)]
+    assert slewed(9.6, 5.0, 20.0, **car) == pytest.approx((steady[1] - steady[0]) / 0.05)
+    assert slewed(0.1, 5.0, 20.0, **car) == 0.1
+    assert slewed(9.6, None, 20.0, **car) == 9.6
+    assert slewed(9.6, 5.0, 0.0, **car) == 9.6
