@@ -1,41 +1,52 @@
-"""The guided drive that ends in a vehicle file: one wave after the other on top of a controller."""
+"""The guided drive that ends in a vehicle file: its waves on top of a controller, and the file of what was found."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path as FilePath
 from typing import Any
 
 from steerkit._support.errors import known, require
-from steerkit.car import calibrated
+from steerkit._support.files import write_text
 from steerkit.car import loop as loops
+from steerkit.car import recording as tapes
+from steerkit.car import replay as replays
 from steerkit.car import session as sessions
 from steerkit.car.client import CarClient
 from steerkit.car.config.config import CarConfig
-from steerkit.car.estimates import Watched
+from steerkit.car.estimates import DROVE, EARLIER, QUANTITIES, Watched, changes, earlier, known_in, lines
 from steerkit.car.follow import Follow
+from steerkit.car.protocol import ESTIMATES
 from steerkit.car.state_machine import Mode
 from steerkit.diagram import realtime
+from steerkit.estimators.estimate import Estimated
 from steerkit.paths.path import Path
 from steerkit.scenario.catalogue import CONTROLLERS
 from steerkit.task import DT
+from steerkit.vehicles.file import text_of, vehicle_text
 
 SHARES = {"sine": 0.25, "steps": 0.25, "bends": 0.5}
 """Of the driving time, by wave, in this order."""
 SLOWEST = 3.0
 """Speed from which on time counts, as estimators learn nothing below [m/s]."""
 WARNING = 5.0
-"""How long before its end the operator is told that the drive ends [s]."""
+"""How long before its end the operator is warned [s]."""
 _ABOUT = {"sine": "the wheel swings slowly", "steps": "it steps to and fro", "bends": "the course alone moves it"}
+DATA_SHEET = "data sheet"
+"""Source of what no drive has found."""
+NAMED = "-calibrated"
+"""End of the name of a car that was calibrated."""
 
 
 @dataclass(kw_only=True)
 class Guided:
     """Which wave is on top while a car is calibrated: each for its share of the time that the car is driven engaged.
 
-    Whoever takes the wheel stops the clock; the wave begins anew when the car is engaged again. Everything else is an
-    ordinary drive: gate, checks, watchdogs and keys are those of any controller. Raises ValueError for minutes out of
-    range and a controller that is not known.
+    A driver who takes the wheel stops the clock; the wave begins anew when the car is engaged again. All else is as in
+    an ordinary drive: gate, checks, watchdogs and keys. Raises ValueError for minutes out of range and a controller
+    that is not known.
     """
 
     config: CarConfig
@@ -58,7 +69,7 @@ class Guided:
         check(self.base, self.minutes)
         first = loops.controller_named(f"{self.base}+{self.wave}", self.config)
         self.follow = Follow.of(self._loop(first), self.line)
-        self._tell(first)
+        self._announce(first)
 
     @property
     def wave(self) -> str:
@@ -81,14 +92,14 @@ class Guided:
                 return True
             controller = loops.controller_named(f"{self.base}+{self.wave}", self.config)
             self.follow.exchange(run, self._loop(controller))
-            self._tell(controller)
+            self._announce(controller)
         self.follow.choose(run)
         return False
 
     def _loop(self, controller: loops.Controller) -> Any:
         return loops.car_loop(self.config, self.path, self.line, controller.block)
 
-    def _tell(self, controller: loops.Controller) -> None:
+    def _announce(self, controller: loops.Controller) -> None:
         self.link.remark(controller.steers.text())
         if self.say:
             print(self.status(), flush=True)
@@ -113,6 +124,129 @@ def check(base: str, minutes: float) -> None:
     known(base, CONTROLLERS, "calibrate: controller")
 
 
+@dataclass(frozen=True, kw_only=True)
+class Calibrated:
+    """What is known of a car after a drive."""
+
+    config: CarConfig
+    found: Mapping[str, Estimated]
+    """By the names of `protocol.ESTIMATES`."""
+    before: Mapping[str, Estimated]
+    """What an earlier drive found: kept where this one did not find it."""
+    log: str
+    digest: str
+    """SHA-256 of the recording."""
+    notes: tuple[str, ...] = ()
+
+    @property
+    def known(self) -> dict[str, tuple[Estimated, str]]:
+        """Each quantity that a drive has found, and which one."""
+        rows = {name: (self.before[name], EARLIER) for name in ESTIMATES if name in self.before}
+        rows |= {name: (self.found[name], DROVE) for name in ESTIMATES if self.found[name].valid > 0.5}
+        return {name: rows[name] for name in ESTIMATES if name in rows}
+
+    @property
+    def learned(self) -> int:
+        """How many quantities this drive has found."""
+        return sum(source == DROVE for _, source in self.known.values())
+
+    @property
+    def steering(self) -> dict[str, float]:
+        """Dead time, lag [s] and offset [rad]: dead time and lag as a pair, whose sum is known best."""
+        known, times = self.known, {"delay": self.config.delay, "lag": self.config.lag}
+        if self.found["delay_lag"].valid > 0.5:
+            times = {name: self.found[name].value for name in times}
+        else:
+            times = {name: known[name][0].value if name in known else value for name, value in times.items()}
+        offset = known["offset"][0].value if "offset" in known else 0.0
+        return {name: max(value, 0.0) for name, value in times.items()} | {"offset": offset}
+
+    @property
+    def changes(self) -> list[str]:
+        """What is another than the earlier drive found."""
+        return changes(self.before, self.found)
+
+    def text(self) -> str:
+        """The vehicle file: `vehicle(file)` reads its car, `steering_of(file)` its steering."""
+        car, known = self.config.vehicle, self.known
+        ratio = known["steer_ratio"][0].value if "steer_ratio" in known else car.steer_ratio
+        sheet = {"delay": self.config.delay, "lag": self.config.lag, "offset": 0.0, "rate_zero": 0.0}
+        sheet |= {"steer_ratio": float(car.steer_ratio), "understeer": float(car.understeer_gradient)}
+        rows: dict[str, dict[str, Any]] = {}
+        for name in ESTIMATES:
+            unit = QUANTITIES[name].si
+            if name in known:
+                q, source = known[name]
+                rows[name] = {"value": q.value, "low": q.low, "high": q.high, "unit": unit, "source": source}
+            elif name in sheet:
+                rows[name] = {"value": sheet[name], "unit": unit, "source": DATA_SHEET}
+        unknown = [name for name in ESTIMATES if name not in known]
+        notes = [f"{', '.join(unknown)}: not found by this drive"] if unknown else []
+        provenance = {
+            "log": self.log,
+            "sha256": self.digest,
+            "base": f"{car.name}: m, i_z, l_f, l_r, c_f, c_r, mu are given, not found",
+            "notes": [*self.notes, *notes],
+            "changes": self.changes,
+        }
+        named = replace(car, name=f"{car.name.removesuffix(NAMED)}{NAMED}", steer_ratio=ratio)
+        return vehicle_text(named, steering=self.steering, estimates=rows, provenance=provenance)
+
+
+class NothingLearned(ValueError):
+    """A drive in which nothing was found: too slow, too straight, or never engaged."""
+
+
+def check_place(out: FilePath) -> None:
+    """Raise ValueError unless a vehicle file can be written there: a new one, or in the place of one."""
+    require(out.suffix == ".toml", f"--out {out}", "a vehicle file ends in .toml")
+    require(out.absolute().parent.is_dir(), f"--out {out}", f"there is no folder {out.absolute().parent}")
+    if out.exists():
+        known_in(text_of(out), f"--out {out}")
+
+
+def of_recording(recording: FilePath) -> Calibrated:
+    """What is found in the longest drive of a recording; raises ValueError when there is none."""
+    recorded = tapes.read(recording)
+    config = tapes.config_of(recorded)
+    drives = list(replays.drives(recorded))
+    require(bool(drives), f"{recording}", "nobody drove: there is no request in it")
+    drive = max(drives, key=lambda drive: len(drive.requests))
+    estimators, _ = replays.replayed_estimates(drive, config)
+    lost = () if recorded.whole else (f"the recording is damaged or cut short: {recorded.kept()}",)
+    digest = hashlib.sha256(recording.read_bytes()).hexdigest()
+    found = estimators.found()
+    return Calibrated(config=config, found=found, before=earlier(config), log=recording.name, digest=digest, notes=lost)
+
+
+def from_recording(recording: FilePath, out: FilePath, *, say: bool = True) -> dict[str, Any]:
+    """Write the vehicle file that a recording makes, and say what is known and what has changed; returns the same.
+
+    A file that is there already is the earlier drive: what this one does not find is kept. Raises NothingLearned, and
+    writes nothing, when this drive has found nothing.
+    """
+    made = of_recording(recording)
+    if out.exists():
+        made = replace(made, before=known_in(text_of(out), f"{out}"))
+    if say:
+        print("\n".join([*lines(made.found), *made.changes]))
+    if not made.learned:
+        needed = "the wheel has to move to and fro while the car is ENGAGED and drives 3 m/s or faster"
+        raise NothingLearned(f"{recording}: nothing was learned, no vehicle file is written; {needed}")
+    try:
+        write_text(out, made.text())
+    except OSError as error:
+        error.add_note(f"the drive is in {recording}: steerkit car calibrate --from {recording} --out FILE")
+        raise
+    print(f'{made.learned} of {len(ESTIMATES)} quantities in {out}; to drive with it: [vehicle] name = "{out.name}"')
+    times = ", ".join(f"{name} = {value:.3f}" for name, value in made.steering.items() if name != "offset")
+    print(f"and for controllers that predict: [kit] {times}")
+    rows = {
+        name: {"value": q.value, "low": q.low, "high": q.high, "valid": q.valid > 0.5} for name, q in made.found.items()
+    }
+    return {"vehicle_file": str(out), "estimates": rows, "changes": made.changes}
+
+
 def calibrate(options: sessions.Options, out: FilePath, *, base: str, minutes: float) -> dict[str, Any]:
     """`steerkit car calibrate`: drive, then write the vehicle file `out`; returns figures and estimates.
 
@@ -120,7 +254,7 @@ def calibrate(options: sessions.Options, out: FilePath, *, base: str, minutes: f
     anything starts, for an `out` that is no vehicle file and for what `Guided` refuses.
     """
     check(base, minutes)
-    calibrated.check_place(out)
+    check_place(out)
     with sessions.session(options) as here:
         here.link.wait(timeout=10.0)
         guided = Guided(
@@ -143,4 +277,4 @@ def calibrate(options: sessions.Options, out: FilePath, *, base: str, minutes: f
     if not here.recording:
         print(f"when the car server that was there has ended: steerkit car calibrate --from RECORDING --out {out}")
         return figures
-    return figures | calibrated.from_recording(FilePath(here.recording), out, say=not options.quiet)
+    return figures | from_recording(FilePath(here.recording), out, say=not options.quiet)

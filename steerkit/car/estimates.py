@@ -1,4 +1,4 @@
-"""What a car tells of itself in a drive: the estimators behind every drive's line to the car server."""
+"""The estimators that run in every drive of a car, behind its line to the car server, and their results in words."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _MOTION_UNKNOWN = 0.01
 
 
 class Quantity(NamedTuple):
-    """How a quantity is called, its unit, and how people are told it."""
+    """How a quantity is called, its unit, and how it is printed."""
 
     text: str
     si: str
@@ -62,11 +62,11 @@ QUANTITIES = {
 }
 """By the names of `protocol.ESTIMATES`."""
 DROVE, EARLIER = "drive", "an earlier drive"
-"""Who may have told what stands in a vehicle file."""
+"""Sources of an estimate in a vehicle file."""
 
 
 class CarEstimators:
-    """The estimators for a car that says how its wheel stands; fed with what its car server says, sample by sample.
+    """The estimators for a car that measures its steering wheel; fed with its car server's snapshots, one a sample.
 
     Dead time and lag are those from the sample that a command was computed from to the wheel: the age of the wheel's
     report is taken off, the time that controller and car server take is in them. They and friction are learned while
@@ -109,7 +109,7 @@ class CarEstimators:
         self._begin()
 
     def _update(self, before: Snapshot, now: Snapshot) -> None:
-        """A sample is complete with the next one: that says which command acted from it on."""
+        """A sample is complete with the next one, which holds the command that acted from it on."""
         even = abs(now.t - before.t - DT) <= _RAGGED * DT
         engaged = even and before.mode is Mode.ENGAGED and now.mode is Mode.ENGAGED
         if engaged and math.isfinite(before.report_age):
@@ -142,7 +142,7 @@ class CarEstimators:
         self.x[name] = block.update(0.0, self.x[name], u, ())
 
     def _wheel(self) -> Any:
-        """What is said of dead time and lag: by the block with the shortest prior whose lag is not at its upper end."""
+        """Dead time and lag, of the block with the shortest prior whose lag is not at its upper end."""
         for name, prior in _LAGS.items():
             said: Any = self.blocks[name].output(0.0, self.x[name], ())
             if said.lag < _UPPER * prior:
@@ -185,14 +185,14 @@ class Watched:
     """A line to a car whose every sample goes through the estimators, once the request that it led to is sent.
 
     link: the line. config: the car; `before`: what an earlier drive found of it, in the vehicle file that it names.
-    tell: takes what was found, once a second, and what a controller that adapts is told.
+    tell: takes what was found, once a second, and what a controller that adapts uses.
     """
 
     def __init__(self, link: CarLink, config: CarConfig, tell: Callable[[Estimates | Adapted], None]):
         self.link, self.tell = link, tell
         self.estimators, self.before = CarEstimators(config), earlier(config)
         self.found: dict[str, Estimated] = {}
-        """What was told last."""
+        """What was sent last."""
         self._count = 0
 
     @property
@@ -201,7 +201,7 @@ class Watched:
         return self.link.last
 
     def query(self) -> Snapshot:
-        """What the car server knows now."""
+        """The car server's snapshot of now."""
         return self.link.query()
 
     def request(self, delta_sw: float) -> None:
@@ -216,12 +216,12 @@ class Watched:
 
     def report(self) -> list[str]:
         """What is known, and what has changed since an earlier drive, a line each."""
-        anew = f"the estimators began anew {self.estimators.faults} times: errors of arithmetic"
+        anew = f"the estimators were reset {self.estimators.faults} times: errors of arithmetic"
         return [*report(self.found, self.before), *([anew] if self.estimators.faults else [])]
 
     def rows(self) -> list[tuple[str, str]]:
         """The same in few rows, for a screen: what is known with its interval, what is not by its name."""
-        known = [told(name, *q[:2]) for name, q in self.found.items() if q.valid > 0.5]
+        known = [in_words(name, *q[:2]) for name, q in self.found.items() if q.valid > 0.5]
         rest = [QUANTITIES[name].text for name, q in self.found.items() if not q.valid > 0.5]
         rows = [("found", " · ".join(known)), ("not yet", ", ".join(rest))]
         return [row for row in rows if row[1]] + [("", line) for line in self.report()[len(self.found) :]]
@@ -239,10 +239,10 @@ def report(found: Mapping[str, Estimated], before: Mapping[str, Estimated]) -> l
 
 def lines(found: Mapping[str, Estimated]) -> list[str]:
     """What is known, and what not yet, a line each."""
-    return [f"{told(name, *q[:2])}{'' if q.valid > 0.5 else ', not known yet'}" for name, q in found.items()]
+    return [f"{in_words(name, *q[:2])}{'' if q.valid > 0.5 else ', not known yet'}" for name, q in found.items()]
 
 
-def told(name: str, value: float, deviation: float) -> str:
+def in_words(name: str, value: float, deviation: float) -> str:
     """A quantity with its 95 % interval, in words: `steering ratio 15.71 [15.42, 16.00]`."""
     text, _, unit, factor, digits = QUANTITIES[name]
     ends = Estimated(value, deviation, 1.0)
@@ -256,7 +256,7 @@ def earlier(config: CarConfig) -> dict[str, Estimated]:
 
 
 def known_in(text: str, where: str = "vehicle file") -> dict[str, Estimated]:
-    """The estimates in the text of a vehicle file that a drive told; raises ValueError for what is no such file."""
+    """The estimates in a vehicle file's text that a drive found; raises ValueError for what is no such file."""
     rows = tables_of(text, where).get("estimates", {})
     found = {}
     for name, row in rows.items() if isinstance(rows, dict) else ():
@@ -270,7 +270,7 @@ def known_in(text: str, where: str = "vehicle file") -> dict[str, Estimated]:
 def changes(before: Mapping[str, Estimated], found: Mapping[str, Estimated]) -> list[str]:
     """What is another than an earlier drive found, in words: two 95 % intervals and chance do not explain it.
 
-    Told is |difference| > 1.96 sqrt(deviation^2 + deviation before^2) of what is valid in both.
+    That is |difference| > 1.96 sqrt(deviation^2 + deviation before^2), valid in both.
     """
     said = []
     for name, old in before.items():
@@ -279,6 +279,6 @@ def changes(before: Mapping[str, Estimated], found: Mapping[str, Estimated]) -> 
             continue
         apart = abs(new.value - old.value) / max(math.hypot(new.deviation, old.deviation), 1e-12)
         if apart > NORMAL_95:
-            was, now = told(name, *old[:2]), told(name, *new[:2]).removeprefix(QUANTITIES[name].text)
+            was, now = in_words(name, *old[:2]), in_words(name, *new[:2]).removeprefix(QUANTITIES[name].text)
             said.append(f"changed since the last calibration: {was} then,{now} now")
     return said

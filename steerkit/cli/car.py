@@ -107,20 +107,20 @@ def calibrate(
     quiet: Quiet = False,
     as_json: Machine = False,
 ) -> None:
-    """A guided drive that ends in a vehicle file: delay, lag, ratio, offset and wear of the steering, with intervals.
+    """A guided drive that ends in a vehicle file: delay, lag, ratio, offset, friction and play, with intervals.
 
     The car follows its course while the wheel swings slowly, then steps to and fro, then is left to the bends. Engage
-    by `e`, let go by space, as in any drive. Exit code: 0; 1 when the drive told nothing.
+    by `e`, let go by space, as in any drive. Exit code: 0; 1 when nothing was found.
     """
-    from steerkit.car import calibrated, calibration
+    from steerkit.car import calibration
     from steerkit.car.session import Options
 
     place = out or FilePath(f"{FilePath(config).stem}-calibrated.toml")
     with contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext():
         try:
             if source is not None:
-                calibrated.check_place(place)
-                figures = calibrated.from_recording(source, place, say=not quiet)
+                calibration.check_place(place)
+                figures = calibration.from_recording(source, place, say=not quiet)
             else:
                 options = Options(
                     config=config,
@@ -133,7 +133,7 @@ def calibrate(
                     quiet=quiet,
                 )
                 figures = calibration.calibrate(options, place, base=controller, minutes=minutes)
-        except calibrated.NothingLearned as error:
+        except calibration.NothingLearned as error:
             print(error, file=sys.stderr)
             raise typer.Exit(1) from None
     if as_json:

@@ -1,4 +1,4 @@
-"""What a car tells of itself in any drive: true, within its intervals, and never at the cost of the drive."""
+"""What is found of a car in any drive: true, within its intervals, and never at the cost of the drive."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from steerkit.car import estimates, protocol
-from steerkit.car.estimates import CarEstimators, Watched, changes, known_in, told
+from steerkit.car.estimates import CarEstimators, Watched, changes, in_words, known_in
 from steerkit.car.protocol import ESTIMATES, Snapshot
 from steerkit.car.state_machine import Mode
 from steerkit.diagram.units import radians_of
@@ -32,7 +32,7 @@ def samples_of(made: Made) -> list[Snapshot]:
     return made.world.seen
 
 
-def test_the_truth_that_nobody_told_is_in_the_intervals(calibration: Made) -> None:
+def test_the_truth_is_in_the_intervals(calibration: Made) -> None:
     found = calibration.world.watched.found
     late = calibration.world.late()
     assert 0.005 < late < 0.035, "the car server's share"
@@ -54,7 +54,7 @@ def test_the_truth_that_nobody_told_is_in_the_intervals(calibration: Made) -> No
     assert not outside
     known = {name for name, q in found.items() if q.valid > 0.5}
     assert {"delay", "lag", "delay_lag", "steer_ratio", "rate_zero"} <= known
-    assert "understeer" not in known, "nothing below 15 m/s tells it"
+    assert "understeer" not in known, "it cannot be found below 15 m/s"
     assert found["delay_lag"].high - found["delay_lag"].low < 0.03
     assert found["lag"].value == pytest.approx(LAG, abs=0.02), "half of it again would be beyond one prior's reach"
     assert found["steer_ratio"].high - found["steer_ratio"].low < 1.2
@@ -81,7 +81,7 @@ def test_a_samples_motion_goes_with_the_next_ones_wheel_and_command(monkeypatch:
     assert got["short lag"]["active"] == 0.0
 
 
-def test_who_drives_by_hand_tells_the_ratio_but_no_delay(calibration: Made) -> None:
+def test_driving_by_hand_shows_the_ratio_but_no_delay(calibration: Made) -> None:
     by_hand = [s._replace(mode=Mode.STANDBY) for s in samples_of(calibration)]
     found = fed(by_hand)
     assert found["steer_ratio"].valid == 1.0
@@ -116,7 +116,7 @@ def under_way(calibration: Made) -> tuple[CarEstimators, list[Snapshot], dict[st
 
 @pytest.mark.parametrize("name", ["r", "v", "delta_sw", "psi", "command", "report_age"])
 @pytest.mark.parametrize("value", [NAN, math.inf, -math.inf, 1e300])
-def test_a_signal_that_is_no_number_for_a_while_teaches_nothing_and_harms_nothing(
+def test_a_signal_that_is_no_number_for_a_while_is_not_used_and_harms_nothing(
     under_way: tuple[CarEstimators, list[Snapshot], dict[str, Estimated]], name: str, value: float
 ) -> None:
     before, samples, whole = under_way
@@ -141,11 +141,13 @@ def test_samples_that_come_late_or_are_lost_are_waited_out(calibration: Made) ->
 def test_a_frozen_gyro_is_not_believed_to_be_a_car(calibration: Made) -> None:
     samples = samples_of(calibration)
     found = fed([s._replace(r=samples[0].r, psi=samples[0].psi) for s in samples])
-    assert found["delay_lag"].valid == 1.0, "the wheel goes on telling"
+    assert found["delay_lag"].valid == 1.0, "the wheel goes on being measured"
     assert not (found["steer_ratio"].valid > 0.5 and found["steer_ratio"].high < 2.0 * CONFIG.vehicle.steer_ratio)
 
 
-def test_an_error_of_arithmetic_begins_anew_and_is_counted(calibration: Made, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_of_arithmetic_resets_the_estimators_and_is_counted(
+    calibration: Made, monkeypatch: pytest.MonkeyPatch
+) -> None:
     estimators = CarEstimators(CONFIG)
     samples = samples_of(calibration)
     for sample in samples[:200]:
@@ -178,7 +180,7 @@ def test_a_screen_has_few_rows(calibration: Made) -> None:
     assert rest[1].startswith("dead time, dead time and lag, steering ratio")
     assert [text.split(":")[0] for _, text in more] == [
         "changed since the last calibration",
-        "the estimators began anew 2 times",
+        "the estimators were reset 2 times",
     ]
     assert len(watched.report()) == len(ESTIMATES) + 2
 
@@ -212,7 +214,7 @@ def known(value: float, deviation: float, valid: float = 1.0) -> dict[str, Estim
     return {"steer_ratio": Estimated(value, deviation, valid)}
 
 
-def test_a_change_is_told_in_words_and_chance_is_none() -> None:
+def test_a_change_is_put_in_words_and_chance_is_none() -> None:
     (said,) = changes(known(15.6, 0.1), known(17.2, 0.1))
     assert said == (
         "changed since the last calibration: steering ratio 15.60 [15.40, 15.80] then, 17.20 [17.00, 17.40] now"
@@ -221,10 +223,10 @@ def test_a_change_is_told_in_words_and_chance_is_none() -> None:
     assert len(changes(known(15.6, 0.1), known(15.9, 0.1))) == 1
     assert changes(known(15.6, 0.1), known(17.2, 0.1, valid=0.0)) == []
     assert changes({}, known(17.2, 0.1)) == []
-    assert told("offset", radians_of(1.5), 0.0) == "offset of the wheel 1.50 [1.50, 1.50] deg"
+    assert in_words("offset", radians_of(1.5), 0.0) == "offset of the wheel 1.50 [1.50, 1.50] deg"
 
 
-def test_only_what_a_drive_told_counts_as_known() -> None:
+def test_only_what_a_drive_found_counts_as_known() -> None:
     rows: dict[str, Any] = {
         "steer_ratio": {"value": 17.0, "low": 16.8, "high": 17.2, "unit": "1", "source": "drive"},
         "offset": {"value": 0.0, "unit": "rad", "source": "data sheet"},

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from steerkit.car import calibrated
+from steerkit.car import calibration as module
 from steerkit.car import recording as tapes
-from steerkit.car.calibrated import Calibrated, NothingLearned
+from steerkit.car.calibration import Calibrated, NothingLearned
 from steerkit.car.estimates import CarEstimators, known_in
 from steerkit.car.protocol import ESTIMATES
 from steerkit.estimators.estimate import Estimated
@@ -31,21 +31,21 @@ def after(before: dict[str, Estimated] | None = None, **found: tuple[float, floa
 
 
 @pytest.fixture(scope="session")
-def told(calibration: Made) -> Calibrated:
-    """What the recording of that drive tells, which takes seconds to work out."""
-    return calibrated.of_recording(calibration.tape)
+def made(calibration: Made) -> Calibrated:
+    """What is found in the recording of that drive, which takes seconds to work out."""
+    return module.of_recording(calibration.tape)
 
 
 @pytest.fixture
-def tape(calibration: Made, told: Calibrated, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """That recording, of which is known already what it tells."""
-    monkeypatch.setattr(calibrated, "of_recording", {calibration.tape: told}.__getitem__)
+def tape(calibration: Made, made: Calibrated, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """That recording, of which is known already what is found in it."""
+    monkeypatch.setattr(module, "of_recording", {calibration.tape: made}.__getitem__)
     return calibration.tape
 
 
 def test_the_file_is_a_car_and_its_steering(calibration: Made, tape: Path, tmp_path: Path) -> None:
     out = tmp_path / "mine.toml"
-    figures = calibrated.from_recording(tape, out)
+    figures = module.from_recording(tape, out)
     car = vehicle(str(out))
     assert car.steer_ratio == pytest.approx(RATIO * CONFIG.vehicle.steer_ratio, rel=0.03)
     assert car == replace(CONFIG.vehicle, name="vw-passat-calibrated", steer_ratio=car.steer_ratio)
@@ -65,15 +65,15 @@ def test_the_file_is_a_car_and_its_steering(calibration: Made, tape: Path, tmp_p
     }
 
 
-def test_a_second_drive_keeps_what_it_does_not_tell_and_says_what_has_changed(
+def test_a_second_drive_keeps_what_it_does_not_find_and_reports_what_has_changed(
     tape: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "mine.toml"
     row = {"unit": "1", "source": "drive"}
     earlier = {"understeer": {"value": 0.002, "low": 0.0015, "high": 0.0025, **row}}
     earlier["steer_ratio"] = {"value": 15.0, "low": 14.9, "high": 15.1, **row}
-    out.write_text(calibrated.vehicle_text(CONFIG.vehicle, estimates=earlier), encoding="utf-8")
-    figures = calibrated.from_recording(tape, out)
+    out.write_text(module.vehicle_text(CONFIG.vehicle, estimates=earlier), encoding="utf-8")
+    figures = module.from_recording(tape, out)
     (said,) = figures["changes"]
     assert said.startswith("changed since the last calibration: steering ratio 15.00 [14.90, 15.10] then, 17.")
     assert said in capsys.readouterr().out
@@ -81,30 +81,30 @@ def test_a_second_drive_keeps_what_it_does_not_tell_and_says_what_has_changed(
     assert data["estimates"]["understeer"]["value"] == 0.002
     assert data["estimates"]["understeer"]["source"] == "an earlier drive"
     assert data["provenance"]["changes"] == [said]
-    again = calibrated.from_recording(tape, out)
+    again = module.from_recording(tape, out)
     assert again["changes"] == []
     assert tomllib.loads(out.read_text(encoding="utf-8"))["estimates"]["understeer"]["source"] == "an earlier drive"
 
 
-def test_a_drive_that_told_nothing_writes_nothing(tmp_path: Path) -> None:
+def test_a_drive_that_finds_nothing_writes_nothing(tmp_path: Path) -> None:
     out = tmp_path / "mine.toml"
     tapes.Recording(tmp_path / "t.mcap", tapes.described(CONFIG, PATH)).close()
     with pytest.raises(ValueError, match="nobody drove"):
-        calibrated.from_recording(tmp_path / "t.mcap", out)
+        module.from_recording(tmp_path / "t.mcap", out)
     assert not out.exists()
     (tmp_path / "t.mcap").write_bytes(small())
     row = {"value": 15.0, "low": 14.9, "high": 15.1, "unit": "1", "source": "drive"}
-    out.write_text(calibrated.vehicle_text(CONFIG.vehicle, estimates={"steer_ratio": row}), encoding="utf-8")
+    out.write_text(module.vehicle_text(CONFIG.vehicle, estimates={"steer_ratio": row}), encoding="utf-8")
     before = out.read_bytes()
     with pytest.raises(NothingLearned, match="nothing was learned, no vehicle file is written"):
-        calibrated.from_recording(tmp_path / "t.mcap", out)
+        module.from_recording(tmp_path / "t.mcap", out)
     assert out.read_bytes() == before
     assert after().learned == 0
     assert after({"lag": Estimated(0.3, 0.01, 1.0)}).learned == 0
     assert issubclass(NothingLearned, ValueError)
 
 
-def test_dead_time_and_lag_are_told_as_a_pair() -> None:
+def test_dead_time_and_lag_are_given_as_a_pair() -> None:
     sheet = {"delay": CONFIG.delay, "lag": CONFIG.lag, "offset": 0.0}
     assert after().steering == sheet
     pair = after(delay=(0.2, 0.1, 0.0), lag=(0.13, 0.1, 0.0), delay_lag=(0.33, 0.004, 1.0), offset=(0.02, 0.001, 1.0))
@@ -120,9 +120,9 @@ def test_a_disk_that_is_full_leaves_the_old_file_and_names_the_recording(
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(calibrated, "write_text", full)
+    monkeypatch.setattr(module, "write_text", full)
     with pytest.raises(OSError, match="No space") as error:
-        calibrated.from_recording(tape, tmp_path / "mine.toml", say=False)
+        module.from_recording(tape, tmp_path / "mine.toml", say=False)
     assert f"--from {tape}" in error.value.__notes__[0]
 
 
@@ -140,11 +140,11 @@ def test_nothing_but_a_vehicle_file_is_written_over(tmp_path: Path, name: str, t
     if text is not None:
         (tmp_path / name).write_text(text, encoding="utf-8")
     with pytest.raises(ValueError, match=says):
-        calibrated.check_place(tmp_path / name)
+        module.check_place(tmp_path / name)
 
 
-def test_every_estimate_has_a_place(told: Calibrated) -> None:
-    assert [*told.found] == [*ESTIMATES]
+def test_every_estimate_has_a_place(made: Calibrated) -> None:
+    assert [*made.found] == [*ESTIMATES]
 
 
 def test_from_the_command_line_as_json(
