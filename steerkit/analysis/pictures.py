@@ -3,34 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from functools import wraps
-from typing import TYPE_CHECKING, Any, ParamSpec
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from steerkit.analysis.linear import Point, UnstableError, margins, step_response
 from steerkit.diagram.units import degrees_of
-from steerkit.plots.style import COLOURS, PALETTE, new_figure, style
+from steerkit.plots.style import COLOURS, PALETTE, new_figure, styled
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-P = ParamSpec("P")
 
-
-def _styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
-    """`draw` in the style of `steerkit.plots.style`."""
-
-    @wraps(draw)
-    def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
-        with style():
-            return draw(*args, **kwargs)
-
-    return drawn
-
-
-@_styled
+@styled
 def plot_bode(loops: Mapping[str, Any], *, title: str = "", points: int = 1000) -> Figure:
     """Gain and phase of open loops over frequency, by name; dots where |L| = 1, margins in the legend.
 
@@ -46,7 +32,7 @@ def plot_bode(loops: Mapping[str, Any], *, title: str = "", points: int = 1000) 
         angle -= 2.0 * math.pi * math.ceil((angle[0] - 0.1) / (2.0 * math.pi))  # starts in (-360, 0] degrees
         try:
             margin = margins(system)
-            label = f"{name}: {_told(margin.gain, margin.phase, margin.delay)}"
+            label = f"{name}: {_legend(margin.gain, margin.phase, margin.delay)}"
             at = margin.gain_crossing
         except UnstableError:
             label, at = f"{name}: closed loop unstable", math.nan
@@ -65,7 +51,7 @@ def plot_bode(loops: Mapping[str, Any], *, title: str = "", points: int = 1000) 
     return figure
 
 
-@_styled
+@styled
 def plot_over(points: Mapping[str, Sequence[Point]], *, xlabel: str = "v [m/s]", title: str = "") -> Figure:
     """Phase margin, delay margin and the largest closed-loop pole over what was varied: a line a name.
 
@@ -94,7 +80,7 @@ def plot_over(points: Mapping[str, Sequence[Point]], *, xlabel: str = "v [m/s]",
     return figure
 
 
-@_styled
+@styled
 def plot_steps(systems: Mapping[str, Any], seconds: float, *, ylabel: str = "", title: str = "") -> Figure:
     """Step responses of single-input, single-output systems over t, by name, such as those of several speeds."""
     figure, (panel,) = new_figure(1, title=title)
@@ -107,7 +93,7 @@ def plot_steps(systems: Mapping[str, Any], seconds: float, *, ylabel: str = "", 
     return figure
 
 
-def _told(gain: float, phase: float, delay: float) -> str:
+def _legend(gain: float, phase: float, delay: float) -> str:
     """Margins for a legend."""
     parts = [("gain", f"{gain:.2f}", gain), ("phase", f"{degrees_of(phase):.0f}°", phase)]
     parts.append(("delay", f"{delay:.2f} s", delay))
