@@ -32,7 +32,7 @@ Examples
   steerkit vehicles toyota                    with which cars\n
   steerkit drive stanley --course genesis     a controller on a course\n
   steerkit learn --minutes 2 --out runs/mine  a car learns; the run is kept\n
-  steerkit show runs/mine                     its story, and its pictures\n
+  steerkit show runs/mine                     what it came to, and its pictures\n
   steerkit log lap.mcap                       what is in a log of any program\n
   steerkit drive runs/mine -q --json          its figures, for a program\n
 

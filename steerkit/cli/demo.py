@@ -13,10 +13,10 @@ from rich.table import Table
 
 from steerkit._support.console import console
 from steerkit.diagram.simulation import Log
-from steerkit.learning import progress, rundir
+from steerkit.learning import rundir
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.learn import learn
-from steerkit.learning.report import figures_of_merit
+from steerkit.learning.report import figures_of_merit, in_lines
 from steerkit.learning.settings import BANG_BANG, DEFAULT
 from steerkit.plots import drive as figures
 from steerkit.plots.style import save
@@ -91,7 +91,7 @@ def _part(job: tuple[str, Experiment, FilePath, int, float | None]) -> Part:
 
     experiment = replace(experiment, seed=seed)
     say("begins to learn")
-    run = learn(experiment, place, watch=progress.in_lines(say))
+    run = learn(experiment, place, watch=in_lines(say))
     counts = run.counts
     say(f"has learned: rounds {counts.rounds}, failures {counts.failures}; drives a round, and Stanley beside it")
     scenario = experiment.scenario

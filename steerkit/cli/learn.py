@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import sys
 from dataclasses import replace
@@ -12,10 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from steerkit.cli.options import (
-    PORT,
     DriveOptions,
-    Live,
-    Port,
     Stream,
     car_options,
     check_options,
@@ -58,10 +54,10 @@ def learn(
     config: Annotated[
         Path | None, in_simulation("TOML file with an experiment; options given besides change it.")
     ] = None,
-    live: Live = False,
-    port: Port = PORT,
+    live: Annotated[
+        bool, in_simulation("Write learning curves into the run directory while it learns: tensorboard --logdir RUN.")
+    ] = False,
     stream: Stream = "",
-    stay: Annotated[bool, typer.Option("--stay", help="Keep the page of --live until Ctrl-C.")] = False,
 ) -> None:
     """Let a car learn to steer a course from nothing, the recovery controller catching it."""
     check_options(ctx)
@@ -80,39 +76,28 @@ def learn(
             print(json.dumps(figures))
         return
     from steerkit._support.console import console
-    from steerkit._support.errors import require
     from steerkit.learning import report
     from steerkit.learning.experiment import SAFETY_SIGNALS, SIGNALS
-    from steerkit.learning.live.server import beside
 
     experiment = _experiment(ctx, config, out)
     name = "-".join((experiment.setting.name, *(changes or ())))
     place = out or Path("runs") / f"{name}-{driven_on(experiment.scenario, options.conditions)}-seed{experiment.seed}"
     console.stderr = options.as_json
-    for option in ("port", "stay"):
-        require(live or option not in given(ctx), f"learn --{option}", "is for the page of --live; say --live too")
     signals = (*SIGNALS, *SAFETY_SIGNALS * experiment.setting.safe)
-    with contextlib.ExitStack() as page:
-        each = page.enter_context(streamed(stream, signals=signals))
-        where, server = page.enter_context(beside(place, port=port)) if live else ("", None)
-        note = f"live page: {where}" if live else ""
-        if live and not (console.is_terminal and not options.quiet):
-            console.print(note, soft_wrap=True)
-        run = _learned(experiment, place, quiet=options.quiet, note=note, each=each)
+    with streamed(stream, signals=signals) as each:
+        if live:
+            console.print(f"live: tensorboard --logdir {place}", soft_wrap=True)
+        run = _learned(experiment, place, quiet=options.quiet, live=live, each=each)
         report.show(place, quiet=options.quiet)
-        if options.as_json:
-            print(json.dumps(report.figures_of_merit(run)), flush=True)
-        if server is not None and stay:
-            console.print(f"{note} stays until Ctrl-C", soft_wrap=True)
-            with contextlib.suppress(KeyboardInterrupt):
-                server.wait()
+    if options.as_json:
+        print(json.dumps(report.figures_of_merit(run)), flush=True)
 
 
-def _learned(experiment: Experiment, place: Path, *, quiet: bool, note: str, each: Any) -> LearningRun:
+def _learned(experiment: Experiment, place: Path, *, quiet: bool, live: bool, each: Any) -> LearningRun:
     from steerkit.learning import report
 
     try:
-        return report.learn_with_progress(experiment, place, quiet=quiet, note=note, each=each)
+        return report.learn_with_progress(experiment, place, quiet=quiet, live=live, each=each)
     except KeyboardInterrupt:
         print(f"steerkit: interrupted; the same with --out {place} goes on from the last training", file=sys.stderr)
         raise

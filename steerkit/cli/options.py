@@ -33,12 +33,6 @@ Seed = Annotated[int, typer.Option(help="Seed of human and sensors, and of a lea
 Machine = Annotated[bool, typer.Option("--json", help="Print one JSON object, and all that is for people on stderr.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print results only, no progress.")]
 
-PORT = 8520
-"""Of the live page, unless told otherwise."""
-Live = Annotated[
-    bool,
-    typer.Option("--live", help="Show it in a browser while it learns: a read-only page on this machine's loopback."),
-]
 Stream = Annotated[
     str,
     typer.Option(
@@ -47,7 +41,6 @@ Stream = Annotated[
         rich_help_panel=SIMULATED,
     ),
 ]
-Port = Annotated[int, typer.Option(help="Port of the page of --live; 0: any free one.", min=0, max=65535)]
 
 
 def in_simulation(text: str, *names: str) -> Any:
@@ -155,8 +148,6 @@ _NOT_ON_A_CAR = {
     "rounds": "say --minutes, or end with `q`",
     "config": "an experiment is a simulation; choose --setting",
     "live": "the panel shows it",
-    "port": "the panel shows it",
-    "stay": "the panel shows it",
     "stream": "say `steerkit car stream` in a second terminal",
 }
 """Options of the simulation, and what a car has instead."""

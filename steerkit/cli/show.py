@@ -1,4 +1,4 @@
-"""The command `steerkit show`: a learning run's story, or several runs as one table."""
+"""The command `steerkit show`: what came of a learning run, or several runs as one table."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ from typing import Annotated
 
 import typer
 
-from steerkit.cli.options import PORT, Live, Machine, Port, Quiet, given
+from steerkit.cli.options import Machine, Quiet
 
 
 def show(
-    ctx: typer.Context,
     runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Directories of learning runs.")],
     diagnostics: Annotated[
         bool, typer.Option(help="Draw what the net believes, and where and when it failed.")
@@ -22,8 +21,6 @@ def show(
         Path | None, typer.Option(help="Film of the run to write, from its first second on (.gif).")
     ] = None,
     film_lasts: Annotated[float, typer.Option(help="Length of the film in s, 2 to 120.")] = 20.0,
-    live: Live = False,
-    port: Port = PORT,
     quiet: Quiet = False,
     as_json: Machine = False,
 ) -> None:
@@ -33,13 +30,6 @@ def show(
     from steerkit.learning import report
 
     console.stderr = as_json
-    require(live or "port" not in given(ctx), "show --port", "is that of the page of --live; say --live too")
-    if live:
-        require(len(runs) == 1, "show --live", f"takes one run, not {len(runs)}; start it once for each, with a --port")
-        pictures = diagnostics or film is not None
-        require(not pictures, "show --live", "serves a page; leave out --diagnostics and --film, or --live")
-        _show_live(runs[0], port, as_json=as_json)
-        return
     if len(runs) > 1:
         require(not diagnostics, "show --diagnostics", "takes one run; the others go with --against")
         require(film is None, "show --film", "takes one run")
@@ -60,18 +50,3 @@ def show(
         console.print(f"diagnostics: {', '.join(map(str, drawn))}", soft_wrap=True)
     if as_json:
         print(json.dumps(figures))
-
-
-def _show_live(run: Path, port: int, *, as_json: bool) -> None:
-    """The page of a run, which may be being learned by another process, until Ctrl-C."""
-    from steerkit._support.console import console
-    from steerkit.learning import rundir
-    from steerkit.learning.live.server import address, listening, serve
-
-    rundir.document(run)  # a directory that holds none is a mistake, here
-    with listening(port) as it:
-        where = address(it)
-        if as_json:
-            print(json.dumps({"url": where}), flush=True)
-        console.print(f"live page: {where} until Ctrl-C", soft_wrap=True)
-        serve(it, run)

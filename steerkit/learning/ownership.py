@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import shlex
 import sys
 import time
@@ -52,23 +51,6 @@ def holder(place: FilePath) -> str:
         return (place / HOLDER).read_text(encoding="utf-8")
     except OSError:
         return "another process"
-
-
-def learner(place: FilePath) -> str | None:
-    """Who learns in a run's directory now, in one line; None: nobody."""
-    if not (place / HOLDER).exists():
-        return None
-    told = holder(place)
-    number = re.match(r"process (\d+)", told)
-    if number is None:
-        return None
-    try:
-        os.kill(int(number[1]), 0)
-    except ProcessLookupError:  # it was killed
-        return None
-    except PermissionError:  # it is somebody else's
-        pass
-    return told
 
 
 def is_free(place: FilePath) -> bool:

@@ -1,51 +1,182 @@
-"""What a run looks like to a person: it learns before your eyes; tables; pictures in its directory."""
+"""What a person sees of a run: a bar, lines, TensorBoard's curves while it learns; tables and pictures after it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import contextlib
+import math
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from importlib.util import find_spec
 from pathlib import Path as FilePath
 from typing import Any
 
-import numpy as np
+from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Column, Table
 
 from steerkit._support.console import console
+from steerkit._support.errors import require
 from steerkit.diagram.loop import Sample
 from steerkit.diagram.simulation import Log
-from steerkit.learning import progress, rundir
-from steerkit.learning.curve import Curve
-from steerkit.learning.experiment import Experiment, LearningRun
+from steerkit.learning import rundir
+from steerkit.learning.experiment import Experiment, LearningRun, Watcher
 from steerkit.learning.learn import learn
 from steerkit.plots.drive import learning, round_driven
 from steerkit.plots.style import save
 from steerkit.scenario import drive as evaluate
 
-Each = Callable[[Sample], None]
-"""Called with every sample as it is driven."""
+LAST = 10.0
+"""Driving time over which the RMS e of the moment is taken [s]."""
+
+
+# ---- while it learns -------------------------------------------------------------------------------------------------
 
 
 def learn_with_progress(
-    experiment: Experiment, place: FilePath, *, quiet: bool = False, note: str = "", each: Each | None = None
+    experiment: Experiment,
+    place: FilePath,
+    *,
+    quiet: bool = False,
+    live: bool = False,
+    each: Callable[[Sample], None] | None = None,
 ) -> LearningRun:
-    """`learn`, with a moving picture on a terminal and a line for every fifth failure and every round elsewhere."""
-    if quiet:
-        return learn(experiment, place, each=each)
-    if not console.is_terminal:
-        lines = progress.in_lines(lambda line: console.print(line, soft_wrap=True))
-        return learn(experiment, place, watch=lines, each=each)
-    with progress.on_terminal(experiment, console, note=note, before=_before(place)) as watch:
+    """`learn`, with a bar on a terminal and a line for every fifth failure and every round elsewhere.
+
+    live: write learning curves for TensorBoard too, into the run's directory. Raises ValueError where its package is
+    missing.
+    """
+    with contextlib.ExitStack() as stack:
+        watchers: list[Watcher] = []
+        if live:
+            watchers.append(stack.enter_context(in_tensorboard(place)))
+        if not quiet and console.is_terminal:
+            watchers.append(stack.enter_context(on_terminal(experiment, console)))
+        elif not quiet:
+            watchers.append(in_lines(lambda line: console.print(line, soft_wrap=True)))
+
+        def watch(what: str, run: LearningRun) -> None:
+            for watcher in watchers:
+                watcher(what, run)
+
         return learn(experiment, place, watch=watch, each=each)
 
 
-def _before(place: FilePath) -> Curve | None:
-    """What the run in a directory has done so far, if there is one that can be read; `learn` says why it cannot."""
+class Lately:
+    """The learner's RMS e and its share of the time in the last LAST seconds driven; `see` the run each second."""
+
+    def __init__(self) -> None:
+        self._totals: deque[tuple[float, int, float]] = deque()
+
+    def see(self, run: LearningRun) -> None:
+        """Take up what the run has counted since."""
+        episodes = run.counts.episodes
+        self._totals.append((run.t, sum(one.samples for one in episodes), sum(one.sum_e2 for one in episodes)))
+        while len(self._totals) > 2 and self._totals[1][0] <= run.t - LAST:
+            self._totals.popleft()
+        self._period = run.ticks * run.loop.dt
+
+    def figures(self) -> tuple[float, float]:
+        """RMS e while the learner steered [m], NaN where it did not; share of the time in which it did [1]."""
+        (t0, samples0, sum0), (t1, samples1, sum1) = self._totals[0], self._totals[-1]
+        samples = samples1 - samples0
+        rms = math.sqrt(max(0.0, sum1 - sum0) / samples) if samples else math.nan
+        return rms, samples * self._period / (t1 - t0) if t1 > t0 else math.nan
+
+
+@contextlib.contextmanager
+def in_tensorboard(place: FilePath) -> Iterator[Watcher]:
+    """Learning curves as TensorBoard event files in `place`, a point a second of driving (the step, in seconds).
+
+    A run that goes on continues its curves. Raises ValueError where the package tensorboard is missing.
+    """
+    there = find_spec("tensorboard") is not None
+    require(there, "learn --live", "needs the package tensorboard: pip install 'steerkit-control[live]'")
+    from torch.utils.tensorboard import SummaryWriter
+
+    lately, writers = Lately(), list[Any]()
+
+    def watch(what: str, run: LearningRun) -> None:
+        if what != "second":
+            return
+        if not writers:  # what was driven after the last checkpoint of an interrupted run is driven again
+            writers.append(SummaryWriter(str(place), purge_step=int(run.t)))
+        lately.see(run)
+        rms_e, share = lately.figures()
+        counts = run.counts
+        curves = {
+            "rms_e [m]": rms_e,
+            "learner steers [share of the time]": share,
+            "failures": counts.failures,
+            "rounds": counts.rounds,
+            "trainings": counts.updates,
+            "transitions": len(run.transitions),
+        }
+        for name, value in curves.items():
+            if math.isfinite(value):
+                writers[0].add_scalar(name, value, int(run.t))
+        writers[0].flush()
+
     try:
-        log, counts = rundir.drive_log(place), rundir.document(place)["counts"]
-    except (ValueError, OSError):
-        return None
-    failed = np.array([one["ended"] for one in counts["episodes"] if one["failed"]], dtype=float)
-    return Curve.of_drive(log.t, log["supervisor.learning"] > 0.5, log["path.e"], failed)
+        yield watch
+    finally:
+        for writer in writers:
+            writer.close()
+
+
+@contextlib.contextmanager
+def on_terminal(experiment: Experiment, console: Console) -> Iterator[Watcher]:
+    """A bar of the driving time with who steers, how well, the counts, and the computing time to go."""
+    lately = Lately()
+    words = TextColumn("{task.description}", table_column=Column())
+    bar = Progress(words, BarColumn(16), TimeRemainingColumn(), console=console)
+    task = bar.add_task("begins", total=60.0 * experiment.minutes, start=False)
+
+    def watch(what: str, run: LearningRun) -> None:
+        if what == "stuck":
+            bar.console.print(run.counts.stuck[-1], soft_wrap=True, style="yellow")
+        if what == "second":
+            lately.see(run)
+            if not bar.tasks[0].started:  # at its first second, that of a run that goes on too
+                bar.reset(task, completed=int(run.t))
+            bar.update(task, completed=run.t, description=in_words(run, lately.figures()[0]))
+
+    with bar:
+        yield watch
+
+
+def in_words(run: LearningRun, rms_e: float) -> str:
+    """A run at this moment in one line. rms_e: over the last LAST seconds [m]."""
+    counts = run.counts
+    who = "learner" if counts.episode is not None else "recovery"
+    error = "" if math.isnan(rms_e) else f", RMS e {rms_e:.3f} m"
+    done = f"failures {counts.failures}, rounds {counts.rounds}, trainings {counts.updates}"
+    return f"{run.t / 60.0:.1f} of {run.experiment.minutes:g} min: {who} steers{error}; {done}"
+
+
+def in_lines(say: Callable[[str], None]) -> Watcher:
+    """A line for every round, every fifth failure, and whenever the recovery controller does not get to hand over."""
+
+    def line(run: LearningRun) -> str:
+        episode = run.counts.episodes[-1] if run.counts.episodes else None
+        held = (episode.ended or run.t) - episode.began if episode else 0.0
+        return (
+            f"episode {len(run.counts.episodes)}, {run.t / 60:.1f} min driven, held {held:.0f} s, "
+            f"RMS e {episode.rms_e if episode else 0:.3f} m, {len(run.transitions)} transitions"
+        )
+
+    def watch(what: str, run: LearningRun) -> None:
+        if what == "stuck":
+            say(run.counts.stuck[-1])
+        if what == "round":
+            say(f"{'first learned round' if run.counts.rounds == 1 else 'round'}: {line(run)}")
+        if what == "failed" and run.counts.failures % 5 == 0:
+            say(f"failed: {line(run)}")
+
+    return watch
+
+
+# ---- afterwards ------------------------------------------------------------------------------------------------------
 
 
 def figures_of_merit(run: LearningRun) -> dict[str, Any]:

@@ -50,7 +50,7 @@ PROGRAMS = ("__main__", "cli")
 WHEN_USED = {"diagram": {"plots"}}
 """More that a floor may import inside a function: how a block, a loop or a log is shown."""
 AT_HOME = {
-    "torch": {"learning.nfq"},
+    "torch": {"learning.nfq", "learning.report"},
     "casadi": {"compiled", "diagram.maths", "analysis", "controllers.mpc"},
     "control": {"analysis"},
     "matplotlib": {"plots", "learning.pictures"},

@@ -44,7 +44,6 @@ ELSEWHERE = {
     "steerkit.learning.nfq.network": "evals/test_rprop.py",
     "steerkit.learning.nfq.rprop": "evals/test_rprop.py",
     "steerkit.learning.nfq.update": "unit/learning/nfq/test_dead_time.py",
-    "steerkit.learning.report": "unit/cli/test_learn.py",
     "steerkit.learning.training_run": "unit/learning/test_experiment.py",
     "steerkit.logs.channels": "unit/logs/test_names.py",
     "steerkit.logs.mdf": "unit/logs/test_reading_formats.py",

@@ -44,8 +44,8 @@ PACKAGES = (
 )
 """What is imported beforehand; none of it starts a thread, but for one of pyarrow's allocator, which knows of forks."""
 OURS = (
-    *("steerkit.cli.app", "steerkit.learning.learn", "steerkit.learning.progress", "steerkit.learning.trainer"),
-    *("steerkit.plots.drive", "steerkit.learning.pictures.policy", "steerkit.learning.live.server"),
+    *("steerkit.cli.app", "steerkit.learning.learn", "steerkit.learning.report", "steerkit.learning.trainer"),
+    *("steerkit.plots.drive", "steerkit.learning.pictures.policy"),
     *("steerkit.controllers.mpc.linear", "steerkit.plots.log", "steerkit.car.session", "steerkit.car.replay"),
     *("steerkit.logs.reading", "steerkit.identification", "benchmarks.app", "benchmarks.run.runner"),
 )

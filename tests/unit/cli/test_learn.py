@@ -70,7 +70,7 @@ def test_a_run_that_was_never_trained_says_so(
 def test_the_options_of_learning_are_heard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     heard: list[tuple[Experiment, Path]] = []
 
-    def learned(experiment: Experiment, place: Path, *, quiet: bool, note: str, each: object) -> None:
+    def learned(experiment: Experiment, place: Path, *, quiet: bool, live: bool, each: object) -> None:
         heard.append((experiment, place))
 
     monkeypatch.setattr(report, "learn_with_progress", learned)

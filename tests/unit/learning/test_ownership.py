@@ -15,7 +15,7 @@ from steerkit.learning import ownership, rundir
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.learn import learn
 from steerkit.learning.nfq.iterate import FitSetting
-from steerkit.learning.ownership import HOLDER, held, holder, learner
+from steerkit.learning.ownership import held, holder
 from steerkit.learning.settings import MODEL_FREE, changed
 from steerkit.scenario import Scenario
 from tests.support.places import ROOT
@@ -111,19 +111,3 @@ def test_a_checkpoint_taken_away_while_it_is_read_is_no_fault(tmp_path: Path, mo
     (tmp_path / f"state-{tries[1]}.npz").unlink()
     with pytest.raises(ValueError, match=r"is not whole: state-\d+.npz is missing"):
         rundir.load(tmp_path)
-
-
-def test_who_learns_is_named_while_it_lives(tmp_path: Path) -> None:
-    assert learner(tmp_path) is None
-    with held(tmp_path):
-        assert str(learner(tmp_path)).startswith(f"process {os.getpid()} (")
-    assert learner(tmp_path) is None
-    gone = subprocess.Popen([sys.executable, "-c", ""])
-    gone.wait()
-    for text, who in (
-        (f"process {gone.pid} (killed) since", None),
-        ("process 1 (init)", "process 1 (init)"),
-        ("?", None),
-    ):
-        (tmp_path / HOLDER).write_text(text)
-        assert learner(tmp_path) == who
