@@ -6,8 +6,8 @@ from .compiled import compile as compile
 from .controllers.delay import DelayPredictor as DelayPredictor
 from .controllers.delay import delayed_stanley as delayed_stanley
 from .controllers.lqr import Lqr as Lqr
-from .controllers.mpc.linear import MPC as MPC
-from .controllers.mpc.nonlinear import NonlinearMPC as NonlinearMPC
+from .controllers.mpc.block import MPC as MPC
+from .controllers.mpc.block import NonlinearMPC as NonlinearMPC
 from .controllers.nfq_policy import NfqPolicy as NfqPolicy
 from .controllers.pure_pursuit import PurePursuit as PurePursuit
 from .controllers.safety_filter import SafetyFilter as SafetyFilter

@@ -11,9 +11,8 @@ counterpart.)
     python -m benchmarks study mpc_solve [--quick] [--json]
 
 `..._raw_qp_ms` is the time of the solver alone: HPIPM by CasADi's interface, called without a check on the numbers that
-the block has just filled in, in place; `..._x_raw_qp` the median of the block's time over that, sample by sample. The
-block calls HPIPM without that interface, which is `..._direct_qp_ms`: what a sample takes beyond it
-(`..._x_direct_qp`) are prediction over the delay, path ahead, linearisation, filling in, check, and Python.
+the block has just filled in, in place; `..._x_raw_qp` the median of the block's time over that, sample by sample: what
+a sample takes beyond it are prediction over the delay, path ahead, linearisation, check, and Python.
 
 do-mpc (extra `peers`) gets the nonlinear stage map, cost, limits and horizon of `NonlinearMPC`, with a warm start;
 `dompc_x` is its median over that of `NonlinearMPC` at the same samples. u0 is compared with ipopt's: of the linear
@@ -39,9 +38,9 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from steerkit.controllers.mpc.block import PredictiveSteering
-from steerkit.controllers.mpc.linear import MPC
-from steerkit.controllers.mpc.nonlinear import NonlinearMPC
+from steerkit.controllers.mpc.block import MPC, NonlinearMPC, PredictiveSteering
+from steerkit.controllers.mpc.programme import in_place
+from steerkit.controllers.mpc.qp import DATA
 from steerkit.paths.courses import course
 from steerkit.plants.curve_speed_driver import CurveSpeedDriver
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
@@ -52,19 +51,11 @@ from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import vehicle
 
 PASSES = 5
+SUBSTEPS = 2  # as many as the block's model takes at these speeds
 SAMPLES, TURN, KICK, KICK_EVERY = 500, 50, 0.8, 50
 CAR = NonlinearSingleTrack(vehicle=vehicle("vw-passat"), v0=5.0)
 MOTOR = SteeringActuator(delay=0.2, lag=0.1)
-NEEDED = {
-    "ltv20_ms": 0.3,
-    "ltv20_p99_ms": 1.0,
-    "ltv40_ms": 0.6,
-    "nmpc20_ms": 0.6,
-    "nmpc40_ms": 1.0,
-    "dompc_x": 15.0,
-    "ltv20_x_raw_qp": 1.3,
-    "nmpc20_x_raw_qp": 1.5,
-}
+NEEDED = {"ltv20_ms": 0.3, "ltv20_p99_ms": 1.0, "ltv40_ms": 0.6, "nmpc20_ms": 0.6, "nmpc40_ms": 1.0, "dompc_x": 15.0}
 
 Case = tuple[tuple[float, ...], Any]
 """A block state and its inputs."""
@@ -114,21 +105,14 @@ def timed(run: Callable[..., Any], *arguments: Any) -> tuple[float, Any]:
     return (time.thread_time_ns() - start) * 1e-6, answer
 
 
-def raw_qp(block: PredictiveSteering) -> Callable[[], Any]:
+def raw_qp(block: PredictiveSteering) -> Callable[[], None]:
     """The bare solver on the numbers in the block's programme: no check, and its answer goes elsewhere."""
     qp = replace(block.qp)  # with a solver of its own, since one keeps its place in memory for each function around it
-    vars(qp)["data"] = block.qp.data
-    symbols = {name: qp._symbols[name] for name in qp.data}
-    answer = qp._conic(**symbols)
-    told = ["x", "lam_x", "lam_a"]
-    run = qp._bound(
-        casadi.Function("raw", list(symbols.values()), [answer[name] for name in told], list(symbols), told), in_c=False
-    )
-
-    def solve(arrays: Any = qp) -> None:  # these have to live as long as it does
-        run()
-
-    return solve
+    symbols = {name: casadi.MX.sym(name, qp.statement.data.sparsity_out(name)) for name in DATA}
+    answer = qp.solver(**symbols)
+    parts = [answer[name] for name in ("x", "lam_x", "lam_a")]  # CasADi's interface needs all three to be asked for
+    function = casadi.Function("raw", list(symbols.values()), [casadi.vertcat(*parts)], list(symbols), ["raw"])
+    return in_place(function, block.programme.found | {"raw": np.zeros(function.nnz_out(0))})
 
 
 # ---- ipopt ----------------------------------------------------------------------------------------------------------
@@ -136,15 +120,14 @@ def raw_qp(block: PredictiveSteering) -> Callable[[], Any]:
 
 def ipopt_qp(block: PredictiveSteering) -> float:
     """The rate that ipopt finds for the quadratic programme that was last filled in [rad/s]."""
-    qp = block.qp
-    a, h = qp._patterns
-    d = qp.data
-    z = casadi.MX.sym("z", qp.size[0])
-    cost = 0.5 * casadi.bilin(casadi.DM(h, d["h"]), z, z) + casadi.dot(d["g"], z)
+    data, found = block.qp.statement.data, block.programme.found
+    d = {name: casadi.DM(data.sparsity_out(name), found[name]) for name in DATA}
+    z = casadi.MX.sym("z", d["g"].shape[0])
+    cost = 0.5 * casadi.bilin(d["h"], z, z) + casadi.dot(d["g"], z)
     options: Any = {"ipopt": {"print_level": 0, "tol": 1e-10, "sb": "yes"}, "print_time": False}
-    problem: Any = {"x": z, "f": cost, "g": casadi.mtimes(casadi.DM(a, d["a"]), z)}
+    problem: Any = {"x": z, "f": cost, "g": d["a"] @ z}
     solver = casadi.nlpsol("nlp", "ipopt", problem, options)
-    answer = solver(lbx=d["lbx"], ubx=d["ubx"], lbg=d["lba"], ubg=d["uba"], x0=qp._out["x"])
+    answer = solver(lbx=d["lbx"], ubx=d["ubx"], lbg=d["lba"], ubg=d["uba"], x0=found["z"])
     return float(answer["x"][0])
 
 
@@ -276,21 +259,13 @@ def measured(samples: int, peers: int) -> dict[str, Any]:
     """All figures; peers: samples for do-mpc and ipopt."""
     rows = recorded(samples)
     blocks: dict[str, PredictiveSteering] = {
-        f"{name}{n}{'' if solver == 'hpipm' else '_' + solver}": kind.of(CAR, MOTOR, horizon=n, solver=solver)
-        for name, kind, n, solver in (
-            ("ltv", MPC, 20, "hpipm"),
-            ("ltv", MPC, 40, "hpipm"),
-            ("nmpc", NonlinearMPC, 20, "hpipm"),
-            ("nmpc", NonlinearMPC, 40, "hpipm"),
-            ("ltv", MPC, 20, "piqp"),
-            ("ltv", MPC, 20, "qpoases"),
-        )
+        f"{name}{n}": kind.of(CAR, MOTOR, horizon=n)
+        for name, kind in (("ltv", MPC), ("nmpc", NonlinearMPC))
+        for n in (20, 40)
     }
     runs = {name: cases(block, rows) for name, block in blocks.items()}
     times: dict[str, list[float]] = {name: [] for name in blocks}
-    raw: dict[str, Callable[[], Any]] = {}
-    for name in ("ltv20", "nmpc20"):
-        raw |= {name: raw_qp(blocks[name]), f"{name}_direct": blocks[name].qp.direct.solve}
+    raw = {name: raw_qp(blocks[name]) for name in ("ltv20", "nmpc20")}
     raw_times: dict[str, list[float]] = {name: [] for name in raw}
     unsolved = dict.fromkeys(blocks, 0)
     for first in progress(range(0, samples, TURN), "our solvers"):
@@ -301,19 +276,15 @@ def measured(samples: int, peers: int) -> dict[str, Any]:
             unsolved[name] += sum(y.status != 0.0 for _, y in passes[0])
             for x, u in turn if name in raw else ():
                 block.output(0.0, x, u)
-                for bare in (name, f"{name}_direct"):
-                    raw_times[bare].append(min(timed(raw[bare])[0] for _ in range(PASSES)))
+                raw_times[name].append(min(timed(raw[name])[0] for _ in range(PASSES)))
     figures: dict[str, Any] = {}
     for name in blocks:
         figures[f"{name}_ms"] = statistics.median(times[name])
         figures[f"{name}_p99_ms"] = float(np.percentile(times[name], 99))
         figures[f"{name}_unsolved"] = unsolved[name]
     for name, values in raw_times.items():
-        block_name, _, direct = name.partition("_")
-        kind = f"{direct or 'raw'}_qp"
-        figures[f"{block_name}_{kind}_ms"] = statistics.median(values)
-        ratios = [ours / theirs for ours, theirs in zip(times[block_name], values)]
-        figures[f"{block_name}_x_{kind}"] = statistics.median(ratios)
+        figures[f"{name}_raw_qp_ms"] = statistics.median(values)
+        figures[f"{name}_x_raw_qp"] = statistics.median([ours / theirs for ours, theirs in zip(times[name], values)])
     if importlib.util.find_spec("do_mpc") is None:
         print("do-mpc is not installed, so nothing is compared: pip install 'steerkit-control[peers]'", file=sys.stderr)
         return figures
@@ -329,14 +300,13 @@ def against_peers(blocks: dict[str, PredictiveSteering], runs: dict[str, list[Ca
         linear.append(abs(blocks["ltv20"].output(0.0, x, u).plan[0] - ipopt_qp(blocks["ltv20"])))
     block = replace(blocks["nmpc20"], soft_every=1)  # do-mpc has its limits at every stage
     assert isinstance(block, NonlinearMPC)
-    programmes = {n: Nonlinear(block, n) for n in block.model.all_substeps}
-    contestants = {n: (programme.ipopt(), *programme.dompc()) for n, programme in programmes.items()}
+    programme = Nonlinear(block, SUBSTEPS)
+    ipopt, dompc, now = programme.ipopt(), *programme.dompc()
     once, converged, other, lived = list[float](), list[float](), list[float](), list[bool]()
     ours_ms, their_ms, ipopt_ms = list[float](), list[float](), list[float]()
     for k in progress(chosen, "do-mpc and ipopt"):
         x, u = runs["nmpc20"][k]
-        values = programmes[block.model.all_substeps[0]].values(x, u)
-        ipopt, dompc, now = contestants[block.model.substeps(values["v"])]
+        values = programme.values(x, u)
         block.output(0.0, x, u)
         ms, y = timed(block.output, 0.0, x, u)
         ours_ms.append(ms)
@@ -375,7 +345,7 @@ def against_peers(blocks: dict[str, PredictiveSteering], runs: dict[str, list[Ca
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """What libraries write to the standard output (qpOASES its licence) goes to the error output."""
+    """What libraries (do-mpc's ipopt) write to the standard output goes to the error output."""
     kept = os.dup(1)
     os.dup2(2, 1)
     try:

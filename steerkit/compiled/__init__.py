@@ -3,7 +3,7 @@
 A loop is run once on CasADi symbols (`trace`), which leaves a list of instructions a tick (`graph`); from that list
 the backends are generated: `python_code` (floats), `vm` (CasADi, also for gradients) and `native` (C, with `cache`).
 All give the trajectory of `simulate` to rounding: the Python code bit for bit, the others to about 1e-13. A block with
-a `steerkit.diagram.maths.Routine` (a solver, for example) runs in C, which calls the routine's address, and in Python.
+a `steerkit.diagram.maths.Routine` (a solver, for example) runs in C, which calls its Python function, and in Python.
 """
 
 from __future__ import annotations

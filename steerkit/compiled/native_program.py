@@ -6,8 +6,9 @@ import contextlib
 import ctypes
 import functools
 import itertools
+import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -15,10 +16,11 @@ import numpy as np
 
 from steerkit._support import native
 from steerkit.compiled.c_code import finish_source, run_source
-from steerkit.compiled.trace import Trace, TraceError
+from steerkit.compiled.trace import Trace
 from steerkit.diagram.maths import Routine
 
 _LL = ctypes.c_longlong
+_CALLBACK = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.POINTER(ctypes.c_double), ctypes.c_void_p)
 Slots = Callable[[], Any]
 """All slots after a run, (S,) or (S, N), computed when they are asked for."""
 
@@ -28,8 +30,28 @@ class NativeProgram:
 
     def __init__(self, trace: Trace, recorded: Sequence[int], every: int):
         self.trace, self.recorded, self.every = trace, tuple(recorded), every
-        addresses = [address for routine in trace.routines for address in _native(routine)]
+        calls = [node for tick, _ in trace.kinds for node in tick.graph.nodes if node[0] == "call"]
+        inputs = {number: len(arguments) for _, number, _, *arguments in calls}
+        self._errors: list[Exception] = []
+        self._callbacks = [self._callback(routine, inputs[i]) for i, routine in enumerate(trace.routines)]
+        addresses = [
+            address for each in self._callbacks for address in (ctypes.cast(each, ctypes.c_void_p).value, None)
+        ]
         self._routines = (ctypes.c_void_p * max(1, len(addresses)))(*addresses)
+
+    def _callback(self, routine: Routine, inputs: int) -> Any:
+        """The routine as a C function `void (void *unused, const double *given, double *result)`."""
+        size = routine.size
+
+        def call(_: Any, given: Any, result: int) -> None:
+            try:
+                values: list[Any] = list(routine.call(*given[:inputs]))
+            except Exception as error:  # it cannot pass through C: `_held` raises it after the run
+                self._errors.append(error)
+                values = [math.nan] * size
+            (ctypes.c_double * size).from_address(result)[:] = values
+
+        return _CALLBACK(call)
 
     @functools.cached_property
     def one(self) -> ctypes.CDLL:
@@ -101,12 +123,16 @@ class NativeProgram:
             end[list(self.recorded)] = row[0]
         return end
 
-    def _held(self) -> contextlib.ExitStack:
-        """The locks of all routines, for `with`."""
+    @contextlib.contextmanager
+    def _held(self) -> Iterator[None]:
+        """With the locks of all routines; raises the first error of one of them."""
         with contextlib.ExitStack() as held:
             for routine in self.trace.routines:
                 held.enter_context(routine.lock)
-            return held.pop_all()
+            self._errors.clear()
+            yield
+            if self._errors:
+                raise self._errors[0]
 
     def run_many(self, k: int, stop: int, slots: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, Slots]:
         """The same for N cars: slots (S, N), parameters (P, N) to rows (T, R, N), and how to get slots (S, N).
@@ -150,13 +176,6 @@ class NativeProgram:
 
 _ENOUGH = 2e6
 """Vector instructions, about two milliseconds, from which on the start of threads is worth its time."""
-
-
-def _native(routine: Routine) -> tuple[int, int]:
-    try:
-        return routine.native()
-    except TypeError as error:
-        raise TraceError(f"{routine.name} cannot be called from C: {error}; or backend='python'") from error
 
 
 def _kept(k: int, stop: int, every: int) -> int:

@@ -226,18 +226,15 @@ class Table:
 class Routine:
     """Numbers to numbers by code of its own: a solver, say, which is neither arithmetic nor a table.
 
-    `routine(*values)` gives `size` numbers. call: on floats; native: the addresses of a C function
-    `void (void *self, const double *in, double *out)` and of its first argument, or TypeError where there is none.
-    Both have to give the same. Under symbolic tracing the results come from the tracer, through `Routine.tracer`.
+    `routine(*values)` gives `size` numbers. call: on floats; compiled loops call it too, those in C as well. Under
+    symbolic tracing the results come from the tracer, through `Routine.tracer`.
     One call at a time: what computes a routine may keep its workspace.
     """
 
     tracer: Callable[[Routine, Sequence[Scalar]], Sequence[Scalar]] | None = None
 
-    def __init__(
-        self, *, name: str, size: int, call: Callable[..., Sequence[float]], native: Callable[[], tuple[int, int]]
-    ):
-        self.name, self.size, self.call, self.native = name, size, call, native
+    def __init__(self, *, name: str, size: int, call: Callable[..., Sequence[float]]):
+        self.name, self.size, self.call = name, size, call
         self.lock = threading.Lock()
 
     def __call__(self, *values: Scalar) -> Sequence[Scalar]:

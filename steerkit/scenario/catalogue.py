@@ -120,13 +120,13 @@ def _pure_pursuit(design_model: DesignModel) -> Block:
 
 
 def _linear_mpc(design_model: DesignModel) -> Block:
-    from steerkit.controllers.mpc.linear import MPC  # here, as it loads CasADi
+    from steerkit.controllers.mpc.block import MPC  # here, as it loads CasADi
 
     return _predictive(MPC, design_model)
 
 
 def _nonlinear_mpc(design_model: DesignModel) -> Block:
-    from steerkit.controllers.mpc.nonlinear import NonlinearMPC
+    from steerkit.controllers.mpc.block import NonlinearMPC
 
     return _predictive(NonlinearMPC, design_model)
 

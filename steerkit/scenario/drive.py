@@ -219,9 +219,7 @@ class PolicyDrives:
 
         self._policy = _policy_of(loop)
         self._open = tuple(parameters)
-        nets = m.Routine(
-            name="nets", size=len(self._policy.actions), call=lambda *s: self._policy.values(*s), native=_no_native
-        )
+        nets = m.Routine(name="nets", size=len(self._policy.actions), call=lambda *s: self._policy.values(*s))
         stands = OpenPolicy(policy=self._policy, nets=nets, numbers=numbers_of(self._policy), dt=self._policy.dt)
         guarded = isinstance(loop.blocks["controller"], ExceptionGuard)
         self._numbers = "controller.block.numbers" if guarded else "controller.numbers"
@@ -258,7 +256,3 @@ def _policy_of(loop: Loop) -> NfqPolicy:
     kind = type(policy).__name__
     require(isinstance(policy, NfqPolicy), "PolicyDrives", f"the controller is a {kind}, expected an NfqPolicy")
     return policy  # type: ignore[return-value]
-
-
-def _no_native() -> tuple[int, int]:
-    raise TypeError("nets are called in Python")

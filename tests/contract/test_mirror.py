@@ -33,9 +33,7 @@ ELSEWHERE = {
     "steerkit.compiled.python_code": "unit/compiled/test_compiled.py",
     "steerkit.compiled.vm": "unit/compiled/test_compiled.py",
     # both MPCs are one table of cases
-    "steerkit.controllers.mpc.nonlinear": "unit/controllers/mpc/test_linear.py",
     "steerkit.controllers.mpc.path_model": "evals/test_mpc_closed_forms.py",
-    "steerkit.controllers.mpc.settings": "unit/controllers/mpc/test_linear.py",
     "steerkit.controllers.policy": "unit/controllers/test_nfq_policy.py",
     "steerkit.paths.courses.make_courses": "evals/test_path_closed_forms.py",
     "steerkit.gym.drives": "unit/gym/test_vector_env.py",

@@ -9,10 +9,8 @@ from typing import Any
 
 import pytest
 
-from steerkit.controllers.mpc.block import PredictiveSteering
-from steerkit.controllers.mpc.linear import MPC
-from steerkit.controllers.mpc.nonlinear import NonlinearMPC
-from steerkit.controllers.mpc.programme import Programme, found
+from steerkit.controllers.mpc.block import MPC, NonlinearMPC, PredictiveSteering
+from steerkit.controllers.mpc.programme import Answer, Programme
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.vehicles import vehicle
@@ -51,14 +49,14 @@ def driven(block: PredictiveSteering, samples: list[Any]) -> list[Any]:
 
 
 def unsolved(monkeypatch: pytest.MonkeyPatch, **wrong: float) -> None:
-    """From now on programmes tell this `success` and `residual` instead of what is true."""
+    """From now on programmes report this `success` and `residual` instead of the true ones."""
     true = Programme.__call__
 
-    def told(programme: Programme, *values: float) -> Any:
+    def reported(programme: Programme, *values: float) -> Any:
         values = true(programme, *values)
-        return (*found(values)._replace(**wrong)[:3], *values[3:])
+        return (*Answer.of(values)._replace(**wrong)[:3], *values[3:])
 
-    monkeypatch.setattr(Programme, "__call__", told)
+    monkeypatch.setattr(Programme, "__call__", reported)
 
 
 def checked(block: PredictiveSteering, outputs: list[Any], last: float = 0.0) -> None:

@@ -46,7 +46,7 @@ PACKAGES = (
 OURS = (
     *("steerkit.cli.app", "steerkit.learning.learn", "steerkit.learning.report", "steerkit.learning.trainer"),
     *("steerkit.plots.drive", "steerkit.learning.pictures.policy"),
-    *("steerkit.controllers.mpc.linear", "steerkit.plots.log", "steerkit.car.session", "steerkit.car.replay"),
+    *("steerkit.controllers.mpc.block", "steerkit.plots.log", "steerkit.car.session", "steerkit.car.replay"),
     *("steerkit.logs.reading", "steerkit.identification", "benchmarks.app", "benchmarks.run.runner"),
 )
 """Modules of this checkout, with all that they import; none of it asks environment, folder or terminal on import."""

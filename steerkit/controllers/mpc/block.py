@@ -1,4 +1,4 @@
-"""Model predictive steering: what its kinds share."""
+"""Model predictive steering, with a linear and with the nonlinear motion of the car."""
 
 from __future__ import annotations
 
@@ -9,15 +9,13 @@ from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any, NamedTuple, Self
 
+import casadi
 import numpy as np
 
 from steerkit._support.errors import require
-from steerkit.controllers.mpc.fallback import asked
-from steerkit.controllers.mpc.path_model import V_HIGH, V_LOW, Array, PathModel, Rhs
-from steerkit.controllers.mpc.preparation import Motion, Preparation
-from steerkit.controllers.mpc.programme import NOTHING, PREDICTION, SOLUTION, Programme, found
+from steerkit.controllers.mpc.path_model import NX, V_HIGH, V_LOW, Array, PathModel, Rhs
+from steerkit.controllers.mpc.programme import NOTHING, PREDICTION, SOLUTION, Answer, Motion, Programme, chosen
 from steerkit.controllers.mpc.qp import StageQp
-from steerkit.controllers.mpc.settings import check
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out
@@ -31,6 +29,7 @@ NO_FAULT, NOT_FINITE, FAILED, LATE, STANDING = 0.0, 1.0, 2.0, 3.0, 4.0
 _NOTHING = 1e9  # residual of a solution that is not finite
 _BETA, _R = 0.8, 5.0  # rad and rad/s: no sensor that works has more to say
 _PACE = 1.15  # in tight bends the front axle is that much faster than the centre of gravity
+_FALLBACK_INPUTS = {"e", "psi_e", "kappa", "v", "r", "delta_sw_meas"}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -63,8 +62,8 @@ class PredictiveSteering(Block):
     valid: v from 0.5 to 20 m/s (beyond, the model of the nearest is used), curvature up to 0.25/m. From e_reach on the
     path is taken to be that far away, whatever e is. A batch is solved car by car. Equal arguments give equal
     results, except for milliseconds (0 with clock=None) and for what a `budget` makes of them. A command replaced on
-    its way to the wheel (by another controller in charge) is not known here. Of compiled loops those in C (with hpipm)
-    and generated Python run it, to the same commands, and milliseconds is 0 there; it has no symbolic form.
+    its way to the wheel (by another controller in charge) is not known here. Of compiled loops those in C and
+    in generated Python run it, to the same commands, and milliseconds is 0 there; it has no symbolic form.
     errors: ValueError for bad parameters, and for a fallback with other ports than Stanley's; TypeError when it is
     compiled with a `budget`, since a compiled loop has no clock.
     source: Rawlings, Mayne, Diehl 2017, sections 1.3 and 2.5; Frison, Diehl 2020 (HPIPM); Hoffmann et al. 2007.
@@ -90,7 +89,7 @@ class PredictiveSteering(Block):
     steer_ratio: float
     """Steering-wheel angle over road-wheel angle [1]."""
     fallback: Block
-    """Who steers when there is no plan: inputs among e, psi_e, kappa, v, r, delta_sw_meas, output delta_sw."""
+    """The law that steers when there is no plan: inputs among e, psi_e, kappa, v, r, delta_sw_meas, output delta_sw."""
     reference: float = 0.0
     """Where e, psi_e and the preview are measured: metres ahead of the centre of gravity."""
     delay: float = 0.0
@@ -130,8 +129,6 @@ class PredictiveSteering(Block):
     """The soft limits are asked for at the first so many samples, ..."""
     soft_every: int = 4
     """... and from there on at every so many: what is far is planned anew before it comes."""
-    solver: str = "hpipm"
-    """hpipm, piqp, or qpoases (condensed; for short horizons)."""
     tolerance: float = 1e-5
     """Largest residual of the optimality conditions that is let through."""
     budget: float | None = None
@@ -155,9 +152,35 @@ class PredictiveSteering(Block):
         age: float
 
     def __post_init__(self) -> None:
-        check(self)
+        self._check()
         object.__setattr__(self, "preview_points", math.ceil(_PACE * (self.pieces + self.horizon)) + 1)
         object.__setattr__(self, "preview_dt", self.dt)
+
+    def _check(self) -> None:
+        """Raise ValueError for the first setting that is out of its range."""
+        where = type(self).__name__
+        require(callable(self.rhs), where, f"rhs = {self.rhs!r}, expected a function, such as a plant's rhs")
+        for name in ("horizon", "soft_first", "soft_every", "patience"):
+            value = getattr(self, name)
+            require(isinstance(value, int) and value >= 1, where, f"{name} = {value!r}, expected a whole number >= 1")
+        require(self.horizon >= 2, where, f"horizon = {self.horizon}, expected at least 2 samples")
+        units = {"dt": "s", "steer_ratio": "1", "q_e": "1/m^2", "q_rate": "s^2", "limit": "rad", "rate_limit": "rad/s"}
+        units |= {"e_limit": "m", "e_reach": "m", "a_y_limit": "m/s^2", "tolerance": "1", "v_stop": "m/s"}
+        for name, unit in units.items():
+            require(getattr(self, name) > 0.0, where, f"{name} = {getattr(self, name)} [{unit}], expected > 0")
+        for name in ("delay", "lag", "q_psi", "q_r", "q_e_limit", "q_a_y_limit", "a_y_room"):
+            value = getattr(self, name)
+            require(0.0 <= value < 1e6, where, f"{name} = {value}, expected >= 0 and finite")
+        require(self.delay <= 2.0, where, f"delay = {self.delay} [s], expected at most 2 s")
+        require(-5.0 <= self.reference <= 5.0, where, f"reference = {self.reference} [m], expected -5 to 5")
+        require(self.slew is None or self.slew > 0.0, where, f"slew = {self.slew} [m/s^3], expected > 0, or None")
+        if self.budget is not None:
+            require(self.budget > 0.0, where, f"budget = {self.budget} [s], expected > 0, or None for no limit")
+            require(self.clock is not None, where, f"budget = {self.budget} [s] needs a clock")
+        inputs, outputs = {p.name for p in self.fallback.inputs}, [p.name for p in self.fallback.outputs]
+        more = f"{', '.join(sorted(inputs - _FALLBACK_INPUTS))}; valid: {', '.join(sorted(_FALLBACK_INPUTS))}"
+        require(inputs <= _FALLBACK_INPUTS, where, f"fallback {type(self.fallback).__name__} needs {more}")
+        require(outputs == ["delta_sw"], where, f"fallback with outputs {outputs}, expected delta_sw only")
 
     @classmethod
     def of(cls, car: Any, actuator: Any = None, **settings: Any) -> Self:
@@ -210,19 +233,18 @@ class PredictiveSteering(Block):
 
     @cached_property
     def qp(self) -> StageQp:
-        """The programme, with all that stays the same filled in."""
-        soft = tuple(self._soft.tolist())
-        qp = StageQp(horizon=self.horizon, nx=6, solver=self.solver, soft=soft)
-        d, at = qp.data, qp.place
-        d["h"][at["q"]] = np.diag(self.model.stage_cost[0])
-        d["h"][at["r"]] = self.q_rate
-        d["h"][at["r_slack"]] = (self.q_e_limit, self.q_a_y_limit)
-        for name, sign in (("lbx", -1.0), ("ubx", 1.0)):
-            d[name][qp.at_u] = sign * self.rate_limit
-            d[name][at["x"][:, 5]] = sign * self.limit
-        d["a"][at["rows"][:, 0, 0]] = 1.0
-        d["lba"][at["limit"][:, 0]], d["uba"][at["limit"][:, 0]] = -self.e_limit, self.e_limit
-        return qp
+        """The quadratic programme of a sample."""
+        near = self.soft_first
+        stages = [*range(1, near + 1), *range(near + self.soft_every, self.horizon, self.soft_every)]
+        return StageQp(
+            horizon=self.horizon,
+            soft=tuple(k for k in stages if k < self.horizon),
+            q=(self.q_e, self.q_psi, 0.0, self.q_r, 0.0, 0.0),
+            q_rate=self.q_rate,
+            q_slack=(self.q_e_limit, self.q_a_y_limit),
+            limit=self.limit,
+            e_limit=self.e_limit,
+        )
 
     @cached_property
     def times(self) -> Array:
@@ -235,7 +257,7 @@ class PredictiveSteering(Block):
     @cached_property
     def programme(self) -> Programme:
         """From the state now to the rates that solve this sample's programme."""
-        preparation = Preparation(
+        return Programme(
             model=self.model,
             qp=self.qp,
             motion=self._motion,
@@ -243,16 +265,17 @@ class PredictiveSteering(Block):
             first=self.delay - (self.pieces - 1) * self.dt,
             times=self.times,
             preview_points=self.preview_points,
+            a_y_limit=self.a_y_limit,
+            a_y_room=self.a_y_room,
         )
-        return Programme(preparation, (self.q_e, self.q_psi, self.q_r, self.a_y_limit, self.a_y_room))
 
     @cached_property
     def _routine(self) -> m.Routine:
-        made = self.programme
-        return m.Routine(name=type(self).__name__, size=made.size, call=made, native=lambda: made.native)
+        programme = self.programme
+        return m.Routine(name=type(self).__name__, size=programme.size, call=programme)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Its fields: what is made of them once holds addresses, and a copy makes its own."""
+        """Its fields: what is made of them once holds a solver and its memory, and a copy makes its own."""
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
     def _warm_up(self) -> None:
@@ -308,18 +331,18 @@ class PredictiveSteering(Block):
         finite = m.both(known, m.all_finite((u.beta, u.delta_sw_meas)))
         moving = u.v >= self.v_stop
         wanted = m.where(m.both(finite, moving), SOLUTION, m.where(known, PREDICTION, NOTHING))
-        told = found(self._routine(*self._asked(state, u, wanted)))
-        solved = m.both(told.success > 0.0, told.residual <= self.tolerance)
+        answer = Answer.of(self._routine(*self._asked(state, u, wanted)))
+        solved = m.both(answer.success > 0.0, answer.residual <= self.tolerance)
         fault = m.where(finite, m.where(moving, m.where(solved, NO_FAULT, FAILED), STANDING), NOT_FINITE)
         elapsed = clock() - start if clock is not None else 0.0
         if self.budget is not None:
             fault = m.where(m.both(fault == NO_FAULT, elapsed > self.budget), LATE, fault)
         plan = m.chosen(fault == STANDING, (0.0,) * self.horizon, state.plan)
-        plan = m.chosen(fault == NO_FAULT, told.rates, plan)
-        residual = m.where(m.is_finite(told.residual), told.residual, _NOTHING)
+        plan = m.chosen(fault == NO_FAULT, answer.rates, plan)
+        residual = m.where(m.is_finite(answer.residual), answer.residual, _NOTHING)
         residual = m.where(finite, m.where(moving, residual, 0.0), math.nan)
-        command, status = self._command(state, u, fault, plan, told.ahead)
-        return self.Y(command, status, fault, told.iterations, 1e3 * elapsed, residual, plan)
+        command, status = self._command(state, u, fault, plan, answer.ahead)
+        return self.Y(command, status, fault, answer.iterations, 1e3 * elapsed, residual, plan)
 
     def _asked(self, state: X, u: Any, wanted: Any) -> tuple[Any, ...]:
         """What the programme is asked: a broken beta or wheel angle is done without."""
@@ -328,7 +351,6 @@ class PredictiveSteering(Block):
         wheel = m.where(m.is_finite(u.delta_sw_meas), u.delta_sw_meas, state.commands[0])
         cos_beta = m.cos(beta) if by_axis else 1.0
         v = m.clip(u.v * cos_beta, V_LOW, V_HIGH)
-        piece, part = self.model.place(v)
         measured = (
             m.clip(u.e, -self.e_reach, self.e_reach),
             m.clip(u.psi_e, -m.pi, m.pi),
@@ -336,8 +358,7 @@ class PredictiveSteering(Block):
             m.clip(u.r, -_R, _R),
             m.clip(wheel, -self.limit, self.limit),
         )
-        now = (v, part, cos_beta, self._fastest(v))
-        return (wanted, piece, *measured, *state.commands, *state.plan, *u.preview, *now)
+        return (wanted, *measured, *state.commands, *state.plan, *u.preview, v, cos_beta, self._fastest(v))
 
     def _command(self, state: X, u: Any, fault: Any, plan: tuple[Any, ...], ahead: tuple[Any, ...]) -> tuple[Any, Any]:
         """The command and where it came from; ahead: as a programme tells."""
@@ -352,16 +373,31 @@ class PredictiveSteering(Block):
         return m.where(moves, turned, last), m.where(moves, status, HELD)
 
     def _fallback(self, u: Any, ahead: tuple[Any, ...]) -> Any:
-        """What the fallback commands [rad]; NaN if it cannot tell."""
+        """What the fallback commands [rad], as if its drive began in this sample; NaN if it cannot tell.
+
+        ahead: the state of a stage, with e and psi_e at `reference`, and the curvature [1/m] there.
+        """
         known = m.all_finite((u.e, u.psi_e, u.v, u.r, *u.preview))
-        command = asked(self.fallback, self.reference, ahead[:6], ahead[6], m.where(known, u.v, 0.0))
-        return m.where(known, command, math.nan)
+        e, psi_e, _, r, wheel, _, kappa = ahead
+        lead = getattr(self.fallback, "reference", self.reference) - self.reference
+        seen = dict(
+            e=e + lead * (psi_e - 0.5 * kappa * lead),
+            psi_e=psi_e - kappa * lead,
+            kappa=kappa,
+            v=m.where(known, u.v, 0.0),
+            r=r,
+            delta_sw_meas=wheel,
+        )
+        inputs = self.fallback.D(**{name: seen[name] for name in self.fallback.D._fields})
+        fresh = self.fallback.settle(0.0, self.fallback.init(), inputs)
+        return m.where(known, self.fallback.output(0.0, fresh, inputs).delta_sw, math.nan)
 
     def _ahead(self, state: X, u: Any) -> tuple[float, Array, Array]:
         """v [m/s]; x (6,) when the commands on their way have acted; steady bends and curvature at `times` (n, 7)."""
-        _, piece, *values = self._asked(state, u, PREDICTION)
-        self.programme.look(int(piece), values)
-        return values[-4], self.programme.ahead[:6].copy(), self.programme.then.copy()
+        values = self._asked(state, u, PREDICTION)
+        self.programme(*values)
+        found = self.programme.found
+        return values[-3], found["ahead"][:NX].copy(), found["then"].reshape(-1, 7).copy()
 
     def _fastest(self, v: Any) -> Any:
         """How fast a command may change [rad/s]; a car steered by torque is slow where little wheel does much."""
@@ -370,19 +406,60 @@ class PredictiveSteering(Block):
         fastest = self.slew * self.model.per_a_y(m.where(m.is_finite(v), v, 0.0))
         return m.where(m.is_finite(v), m.minimum(fastest, self.rate_limit), self.rate_limit)
 
-    @cached_property
-    def _soft(self) -> Any:
-        """The stages at which the soft limits are asked for."""
-        near = self.soft_first
-        stages = [*range(1, near + 1), *range(near + self.soft_every, self.horizon, self.soft_every)]
-        return np.array([k for k in stages if k < self.horizon], dtype=np.intp)
-
-    def _motion(self, plan: Any, x0: Any, v: Any, choice: Any, kappa: Any, bends: Any, table: Any) -> Motion:
+    def _motion(self, plan: Any, x0: Any, v: Any, substeps: Any, kappa: Any, bends: Any, table: Any) -> Motion:
         """The motion from x0 (6,) over stages of curvatures kappa (N,), as x_k+1 = A_k x_k + B_k rate_k - gap_k.
 
         All are CasADi's symbols. plan (N,): the rates of the plan before; bends (6, N): steady cornering at these
-        curvatures; table: the model's at this speed; choice: the number of its substeps among `all_substeps`. Returns
-        A of the stages 1 to N-1 side by side, B of all (or one A and B for all); gap (6, N), where gap_0 holds A_0 x0
-        too; and at the soft stages a_y = row' x + offset, row (6, n) or one for all.
+        curvatures; table: the model's at this speed; substeps: which of the model's `all_substeps`. Returns A of the
+        stages 1 to N-1 side by side, B of all; gap (6, N), where gap_0 holds A_0 x0 too; and at the soft stages
+        a_y = row' x + offset, rows (6, n).
         """
         raise NotImplementedError
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MPC(PredictiveSteering):
+    """Model predictive steering with a motion that is linear about steady cornering, and varies with speed:
+
+        x_{k+1} - x_ss(kappa_k) = A(v) (x_k - x_ss(kappa_k)) + B(v) rate_k,
+
+    A, B the exact answer of `rhs`, linearised about straight driving, to a command held for dt; x_ss from the
+    nonlinear `rhs`. So it is one convex programme a sample, and exact in steady bends. See `PredictiveSteering`.
+    """
+
+    def output(self, t: Any, x: tuple[Any, ...], u: Any) -> Any:
+        return self._steer(x, u)
+
+    def _motion(self, plan: Any, x0: Any, v: Any, substeps: Any, kappa: Any, bends: Any, table: Any) -> Motion:
+        n, soft = self.horizon, list(self.qp.soft)
+        a, b, row, _ = table
+        gap = a @ bends - bends
+        gap[:, 0] -= a @ x0
+        offset = (v * bends[3, soft] - row.T @ bends[:, soft]).T
+        return casadi.repmat(a, 1, n - 1), casadi.repmat(b, 1, n), gap, casadi.repmat(row, 1, len(soft)), offset
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class NonlinearMPC(PredictiveSteering):
+    """Model predictive steering with the nonlinear motion, by one Gauss-Newton step a sample (real-time iteration).
+
+    Prepare: the last plan, moved on by a sample, is driven from the predicted state with x_{k+1} = F(x_k, rate_k), F
+    the nonlinear `rhs` by Runge-Kutta, and F and a_y are linearised along it. Feed back: one convex programme,
+
+        x_{k+1} = F(xp_k, p_k) + A_k (x_k - xp_k) + B_k (rate_k - p_k),
+
+    whose solution is the next plan; from sample to sample the plans converge. Both steps are taken within the
+    sample: prepared with its own speed and preview, and together short against dt. See `PredictiveSteering`.
+    source: Diehl, Bock, Schloeder 2005; Gros et al. 2020.
+    """
+
+    def output(self, t: Any, x: tuple[Any, ...], u: Any) -> Any:
+        return self._steer(x, u)
+
+    def _motion(self, plan: Any, x0: Any, v: Any, substeps: Any, kappa: Any, bends: Any, table: Any) -> Motion:
+        n, soft = self.horizon, list(self.qp.soft)
+        each = [self.model.affine_step(count).mapaccum(f"driven{count}", n) for count in self.model.all_substeps]
+        driven = chosen("driven", each)(substeps, x0, plan.T, casadi.repmat(v, 1, n), kappa.T)
+        _, a, b, gap, row, offset = driven
+        gap[:, 0] -= a[:, :NX] @ x0
+        return a[:, NX:], b, gap, row[:, soft], offset[soft].T

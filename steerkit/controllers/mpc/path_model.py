@@ -11,7 +11,6 @@ from typing import Any
 import casadi
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 from scipy.linalg import expm
 
 from steerkit.controllers.riccati import cost_to_go
@@ -36,9 +35,6 @@ KAPPA_HIGH, KAPPA_STEP = 0.25, 0.005
 """Tabled curvatures [1/m]."""
 CURVES = 2 * round(KAPPA_HIGH / KAPPA_STEP) + 1
 """How many curvatures are tabled."""
-_WIDTH = 2 * NX * NX + 2 * NX  # A, B, the row of a_y, P
-ROW = 4 * _WIDTH + 1
-"""Numbers of a speed in `by_speed`: cubic polynomials, and which of `all_substeps`."""
 _STEEPEST = 1.2  # rad: no wheel turns further, so steady cornering has no larger |psi_e|
 _LEAST_LAG = 1e-3  # s: a motor without lag follows this fast
 
@@ -185,12 +181,13 @@ class PathModel:
 
     @property
     def all_substeps(self) -> list[int]:
-        """What `substeps` may answer."""
+        """The numbers of steps that some speed needs."""
         return sorted(set(self._substeps))
 
-    def substeps(self, v: float) -> int:
-        """Runge-Kutta steps that a period needs at speed v: a slow car's tyres answer faster."""
-        return self._substeps[int(self.place(v)[0])]
+    def which_substeps(self, v: Any) -> Any:
+        """Which of `all_substeps` a period needs at speed v, a symbol: a slow car's tyres answer faster."""
+        which = casadi.MX([self.all_substeps.index(n) for n in self._substeps])
+        return which[casadi.fmin(casadi.floor((_within(v) - V_LOW) / V_STEP), len(SPEEDS) - 2.0)]
 
     def linear(self, v: float) -> tuple[Array, Array, Array]:
         """A (6, 6), B (6,), and the row of a_y (6,), about straight driving at v: the exact answer to held commands.
@@ -217,39 +214,23 @@ class PathModel:
         return cost_to_go(a, b, q, r)
 
     @cached_property
-    def _schedule(self) -> Array:
-        """Spline coefficients over speed, (pieces, 4, 84), highest power first, of A, B, the row of a_y, and P."""
-        rows = []
+    def _schedule(self) -> casadi.Function:
+        """A, B, the row of a_y, and P, by rows (84,), of v: a cubic spline between the tabled speeds."""
+        values = []
         for v in SPEEDS:
             a, b, row = self.linear(float(v))
-            rows.append(np.concatenate([a.ravel(), b, row, self.riccati(a, b).ravel()]))
-        return np.ascontiguousarray(CubicSpline(SPEEDS, np.array(rows)).c.swapaxes(0, 1))
+            values.append(np.concatenate([a.ravel(), b, row, self.riccati(a, b).ravel()]))
+        return casadi.interpolant("schedule", "bspline", [SPEEDS.tolist()], np.ravel(values).tolist())
 
-    @cached_property
-    def by_speed(self) -> Array:
-        """(pieces, ROW): what `spline` reads, and the number of the piece's substeps among `all_substeps`."""
-        counts = [[float(self.all_substeps.index(n))] for n in self._substeps]
-        return np.hstack((self._schedule.reshape(len(counts), -1), counts))
-
-    def spline(self, row: Any, t: Any) -> tuple[Any, Any, Any, Any]:
-        """A (6, 6), B (6,), row of a_y (6,) and P (6, 6), at `t`, 0 to 1, of the speeds of a row of `by_speed`."""
-        t = t * V_STEP
-        powers = casadi.vertcat(t * t * t, t * t, t, 1.0)
-        at = casadi.reshape(row[: 4 * _WIDTH], _WIDTH, 4) @ powers
-        a, p = (casadi.reshape(part, NX, NX).T for part in (at[: NX * NX], at[-NX * NX :]))
-        return a, at[NX * NX : NX * NX + NX], at[NX * NX + NX : NX * NX + 2 * NX], p
+    def schedule(self, v: Any) -> tuple[Any, Any, Any, Any]:
+        """A (6, 6), B (6,), row of a_y (6,) and P (6, 6) at a speed, a number or a symbol."""
+        a, b, row, p = casadi.vertsplit(self._schedule(_within(v)), np.cumsum([0, NX * NX, NX, NX, NX * NX]).tolist())
+        return casadi.reshape(a, NX, NX).T, b, row, casadi.reshape(p, NX, NX).T
 
     def at(self, v: float) -> Table:
-        """A (6, 6), B (6,), row of a_y (6,) and P (6, 6) at speed v, from the table."""
-        i, t = self.place(v)
-        a, b, row, p = (matrix.full() for matrix in self.spline(casadi.DM(self.by_speed[int(i)]), t))
+        """`schedule` as arrays."""
+        a, b, row, p = (matrix.full() for matrix in self.schedule(casadi.DM(v)))
         return a, b[:, 0], row[:, 0], p
-
-    def place(self, v: Any) -> tuple[Any, Any]:
-        """The tables' piece in which a speed lies, a whole number, and where in it, 0 to 1."""
-        at = (m.clip(v, V_LOW, V_HIGH) - V_LOW) / V_STEP
-        i = m.minimum(m.floor(at), len(SPEEDS) - 2.0)
-        return i, at - i
 
     @cached_property
     def _steady(self) -> Array:
@@ -271,26 +252,27 @@ class PathModel:
     def per_a_y(self, v: Any) -> Any:
         """Steering-wheel angle a unit of lateral acceleration in steady wide bends at speed v [rad s^2/m]."""
         v = m.clip(v, V_LOW, V_HIGH)
-        i, t = self.place(v)
+        at = (v - V_LOW) / V_STEP
+        i = m.minimum(m.floor(at), len(SPEEDS) - 2.0)
         low, high = self._wide(i)
-        return (low + t * (high - low)) / (KAPPA_STEP * v * v)
+        return (low + (at - i) * (high - low)) / (KAPPA_STEP * v * v)
 
     @cached_property
-    def cornering(self) -> Array:
-        """(speeds, CURVES * 7): the table behind `steady`, a row a speed."""
-        return np.ascontiguousarray(self._steady).reshape(len(SPEEDS), -1)
+    def _corners(self) -> casadi.Function:
+        """Steady cornering (7,) of (v, kappa), linear between the tabled speeds and curvatures."""
+        grid = [SPEEDS.tolist(), np.linspace(-KAPPA_HIGH, KAPPA_HIGH, CURVES).tolist()]
+        values = self._steady.swapaxes(0, 1).ravel().tolist()
+        return casadi.interpolant("corners", "linear", grid, values, {"lookup_mode": ["exact", "exact"]})
+
+    def cornering(self, v: Any, kappa: Any) -> Any:
+        """(7, n): the six states that hold curvatures kappa (n,) [1/m] at speed v for ever, e = 0; and s'/v."""
+        n = kappa.shape[0]
+        at = casadi.vertcat(casadi.repmat(_within(v), 1, n), casadi.fmin(casadi.fmax(kappa, -KAPPA_HIGH), KAPPA_HIGH).T)
+        return self._corners.map(n)(at)
 
     def steady(self, v: float, kappa: Array) -> Array:
-        """(n, 7): the six states that hold curvatures kappa (n,) [1/m] at speed v for ever, e = 0; and s'/v."""
-        i, t = self.place(v)
-        two = casadi.DM(self.cornering[int(i) : int(i) + 2].reshape(-1))
-        return np.array(self.corners(two, t, casadi.DM(kappa))).T
-
-    def corners(self, two: Any, t: Any, kappa: Any) -> Any:
-        """(7, n): `steady`, at `t`, 0 to 1, between the speeds of two rows of `cornering`, one after the other."""
-        low, high = casadi.vertsplit(two, CURVES * 7)
-        at = casadi.fmin(casadi.fmax(kappa / KAPPA_STEP + CURVES // 2, 0.0), CURVES - 1.001)
-        return between(casadi.reshape(low + t * (high - low), 7, CURVES), at)
+        """`cornering` as an array (n, 7)."""
+        return np.array(self.cornering(casadi.DM(v), casadi.DM(kappa))).T
 
 
 @lru_cache(maxsize=64)
@@ -321,11 +303,6 @@ def _steady_cornering(newton: str) -> Array:
     return table
 
 
-def between(columns: Any, at: Any) -> Any:
-    """Columns of a matrix at places (n,) between them, linearly."""
-    height, width = columns.shape
-    j = casadi.fmin(casadi.floor(at), width - 2.0)
-    entries = casadi.repmat(casadi.DM(range(height)), 1, at.shape[0]) + height * casadi.repmat(j.T, height, 1)
-    flat = casadi.vec(columns)
-    low, high = (casadi.reshape(flat[casadi.vec(entries + more)], height, at.shape[0]) for more in (0, height))
-    return low + casadi.repmat((at - j).T, height, 1) * (high - low)
+def _within(v: Any) -> Any:
+    """A speed among the tabled ones."""
+    return casadi.fmin(casadi.fmax(v, V_LOW), V_HIGH)

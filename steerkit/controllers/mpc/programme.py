@@ -1,44 +1,32 @@
-"""A sample's programme, from the state now to the rates that solve it: by parts in Python, or in one call of C."""
+"""A sample of predictive steering on numbers: prediction over the delay, path ahead, motion, programme, solution."""
 
 from __future__ import annotations
 
-import ctypes
 import math
 import struct
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
+import casadi
 import numpy as np
-from numpy.typing import NDArray
 
-from steerkit.controllers.mpc import hpipm
-from steerkit.controllers.mpc.bound import Bound
-from steerkit.controllers.mpc.preparation import Preparation
-from steerkit.controllers.mpc.qp import Answer
+from steerkit.controllers.mpc.path_model import KAPPA_HIGH, Array, PathModel
+from steerkit.controllers.mpc.qp import DATA, StageQp
 
-_P, _LL = ctypes.c_void_p, ctypes.c_longlong
 NOTHING, PREDICTION, SOLUTION = 0.0, 1.0, 2.0
 """What is asked of a programme."""
 _AHEAD = 7
+Motion = tuple[Any, Any, Any, Any, Any]
+"""A, B, gaps, rows and offsets of a_y: CasADi's symbols."""
 
 
-class _Programme(ctypes.Structure):
-    """As in programme.c."""
-
-    _fields_ = [
-        *[(name, _P) for name in ("stages", "prepare", "check", "by_speed", "cornering")],
-        *[(name, _LL) for name in ("row", "corners", "row_arg", "corners_arg")],
-        *[(name, _LL) for name in ("given", "fresh", "gaps", "ahead", "rates")],
-        *[(name, _P) for name in ("where", "from_", "gap", "rate", "inputs", "data")],
-        *[(name, _P) for name in ("prepared", "found", "answer", "residual")],
-    ]
-
-
-class Found(NamedTuple):
-    """What a programme tells."""
+class Answer(NamedTuple):
+    """What a programme answers, as numbers or as symbols."""
 
     success: Any
+    """1 if the solver reports success."""
     iterations: Any
     residual: Any
     """The largest violation of the optimality conditions; infinite if anything is not finite."""
@@ -46,137 +34,158 @@ class Found(NamedTuple):
     """The six states when the commands on their way have acted, and the curvature of the path there [1/m]."""
     rates: tuple[Any, ...]
 
+    @classmethod
+    def of(cls, values: Sequence[Any]) -> Answer:
+        """From the numbers that a programme returns."""
+        success, iterations, residual, *rest = values
+        return cls(success, iterations, residual, tuple(rest[:_AHEAD]), tuple(rest[_AHEAD:]))
 
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Programme:
-    """What is asked, the piece of the model's tables, and the inputs of `prepare` in; the fields of `Found` out.
+    """What is asked and the measured numbers in, those of an `Answer` out; it works on arrays in place.
 
-    NOTHING gives zeros; PREDICTION leaves out the solution. Rates with an infinite residual are zeros. A programme with
-    a gap that is not finite (whatever broke in the motion shows there) is not solved.
+    NOTHING gives zeros; PREDICTION leaves out the solution. The numbers: x (5,), the state now; `commands` on their
+    way; `plan`, the rates of the plan before; `preview`; v; the cosine of beta; the largest rate.
+
+    motion: as `PredictiveSteering._motion`. pieces: how many commands are on their way; first: for how long the oldest
+    still acts [s]. times: when a curvature is wanted [s]: in the middle of each piece, at the stages, between them.
+    a_y_limit, a_y_room: as in `PredictiveSteering`.
     """
 
-    def __init__(self, preparation: Preparation, settings: Sequence[float]):
-        self.preparation, self.qp, model = preparation, preparation.qp, preparation.model
-        sizes = preparation.sizes
-        self.given = sum(n for name, n in sizes.items() if name not in ("spline", "steady", "settings"))
-        self.inputs, self.ahead = np.zeros(self.given), np.zeros(_AHEAD)
-        self.then = np.zeros((len(preparation.times), 7))
-        self.fresh = np.zeros(preparation.prepare.size1_out(2))
-        self.rates = self.qp.at_u.astype(np.int64)
-        self.gaps = (self.qp.first["lba"] + self.qp.place["gap"]).ravel().astype(np.int64)
-        self._tables = {"spline": model.by_speed, "steady": model.cornering}
-        self._settings = np.array(settings, dtype=float)
-        arrays, at = [], 0
-        for name, n in sizes.items():
-            if name == "settings":
-                arrays.append(self._settings)
-            elif name in self._tables:
-                arrays.append(self._tables[name].reshape(-1)[:n])
-            else:
-                arrays.append(self.inputs[at : at + n])
-                at += n
-        self._spline, self._steady = list(sizes).index("spline"), list(sizes).index("steady")
-        self._prepare = Bound(preparation.prepare, arrays, [self.ahead, self.then.reshape(-1), self.fresh])
-
-    def __call__(self, *values: float) -> Sequence[float]:
-        """On floats: in one call of C where that can be."""
-        if not self.qp.in_c:
-            return self.by_parts(*values)
-        return self._call(*values)
+    model: PathModel
+    qp: StageQp
+    motion: Callable[..., Motion]
+    pieces: int
+    first: float
+    times: Array
+    preview_points: int
+    a_y_limit: float
+    a_y_room: float
 
     @cached_property
-    def _call(self) -> Callable[..., Sequence[float]]:
-        function, itself = self.native
-        run = ctypes.CFUNCTYPE(None, _P, _P, _P)(function)
-        given, told = np.zeros(2 + self.given), np.zeros(self.size)
-        write = struct.Struct(f"{len(given)}d").pack_into
-        arguments = _P(itself), _P(given.ctypes.data), _P(told.ctypes.data)
+    def prepare(self) -> casadi.Function:
+        """The numbers as one vector -> ahead (7,); then (7, n): steady cornering and curvature at `times`; `DATA`."""
+        n, horizon, soft = self.pieces, self.qp.horizon, list(self.qp.soft)
+        sizes = (5, max(n, 1), horizon, self.preview_points, 1, 1, 1)
+        given = casadi.MX.sym("given", sum(sizes))
+        now, commands, plan, preview, v, cos_beta, fastest = casadi.vertsplit(given, np.cumsum([0, *sizes]).tolist())
+        then = self._then(preview, v, cos_beta)
+        goal, between = then[:6, n : n + horizon + 1], then[:, n + horizon + 1 :]
+        substeps = self.model.which_substeps(v)
+        x = now
+        if n:
+            each = [self.model.predictor(n, self.first, count) for count in self.model.all_substeps]
+            x = chosen("predicted", each)(substeps, now, commands, v, then[6, :n].T)
+        x = casadi.vertcat(x, commands[-1])
+        table = self.model.schedule(v)
+        a, b, gap, row, offset = self.motion(plan, x, v, substeps, between[6, :].T, between[:6, :], table)
+        path = v * goal[3, soft].T  # the a_y that the path needs
+        low = casadi.fmin(-self.a_y_limit, path - self.a_y_room) - offset
+        high = casadi.fmax(self.a_y_limit, path + self.a_y_room) - offset
+        q, p = casadi.diag(casadi.DM(list(self.qp.q))), table[3]
+        slope = casadi.horzcat(-q @ goal[:, 1:-1], -p @ goal[:, -1])
+        data = self.qp.statement.data(a, b, gap, slope, row, low, high, p, fastest)
+        ahead = casadi.vertcat(x, then[6, n])
+        return casadi.Function(
+            "prepare", [given], [ahead, casadi.densify(then), *data], ["given"], ["ahead", "then", *DATA]
+        )
 
-        def call(*values: float) -> Sequence[float]:
-            write(given, 0, *values)  # type: ignore[arg-type]
-            run(*arguments)
-            return told.tolist()
+    def _then(self, preview: Any, v: Any, cos_beta: Any) -> Any:
+        """Steady cornering and curvature at `times` (7, n).
 
-        return call
+        An entry of the preview is v*dt further along the path than that before, where the point that follows it gets
+        to at the pace of steady cornering.
+        """
+        preview = casadi.fmin(casadi.fmax(preview, -KAPPA_HIGH), KAPPA_HIGH)
+        half = (
+            0.5 * self.model.dt / (cos_beta * self.model.cornering(v, preview)[6, :].T)
+        )  # of the time to the next entry
+        knots = 2.0 * casadi.cumsum(half) - half - half[0]
+        times = casadi.MX(casadi.DM(self.times))
+        j = casadi.low(knots, times)
+        part = casadi.fmin(casadi.fmax((times - knots[j]) / (knots[j + 1] - knots[j]), 0.0), 1.0)
+        kappa = preview[j] + part * (preview[j + 1] - preview[j])
+        return casadi.vertcat(self.model.cornering(v, kappa)[:6, :], kappa.T)
 
-    def by_parts(self, *values: float) -> Sequence[float]:
-        """The same step by step, for any solver."""
-        asked, piece = values[:2]
-        if not asked > 0.0:
-            return (0.0,) * (3 + _AHEAD + len(self.rates))
-        self.look(int(piece), values[2:])
-        if asked < SOLUTION:
-            return (0.0, 0.0, 0.0, *self.ahead.tolist(), *[0.0] * len(self.rates))
-        answer = self.solved()
-        rates = answer.x[self.rates].tolist() if math.isfinite(answer.residual) else [0.0] * len(self.rates)
-        return (float(answer.success), answer.iterations, answer.residual, *self.ahead.tolist(), *rates)
+    # ---- on arrays --------------------------------------------------------------------------------------------------
 
-    def look(self, piece: int, values: Sequence[float]) -> None:
-        """Compute `ahead`, `then` and `fresh`."""
-        self._prepare.point(self._spline, self._tables["spline"][piece])
-        self._prepare.point(self._steady, self._tables["steady"][piece : piece + 2].reshape(-1))
-        self.inputs[:] = values
-        self._prepare()
+    @cached_property
+    def given(self) -> Array:
+        """The numbers that `prepare` reads."""
+        return np.zeros(self.prepare.nnz_in(0))
 
-    def solved(self) -> Answer:
-        """Fill the programme with what `look` found, and solve it."""
-        where, place = self.preparation.where
-        self.qp.numbers[where] = self.fresh[place]
-        return self.qp.solve()
+    @cached_property
+    def found(self) -> dict[str, Array]:
+        """What `prepare` and the solver found, by name."""
+        functions = (self.prepare, self.qp.solve)
+        return {name: np.zeros(f.nnz_out(name)) for f in functions for name in f.name_out()}
+
+    @cached_property
+    def _prepare(self) -> Callable[[], None]:
+        return in_place(self.prepare, self.found | {"given": self.given})
+
+    @cached_property
+    def _solve(self) -> Callable[[], None]:
+        return in_place(self.qp.solve, self.found)
+
+    @cached_property
+    def _write(self) -> Callable[..., None]:
+        return struct.Struct(f"{len(self.given)}d").pack_into
 
     @property
     def size(self) -> int:
-        """How many numbers it tells."""
-        return 3 + _AHEAD + len(self.rates)
+        """How many numbers it answers."""
+        return 3 + _AHEAD + self.qp.horizon
+
+    def __call__(self, asked: float, *values: float) -> Sequence[float]:
+        """A programme that is not finite (whatever broke in the motion shows in a gap) is not solved."""
+        if not asked > 0.0:
+            return (0.0,) * self.size
+        self._write(self.given, 0, *values)
+        self._prepare()
+        ahead, rates = self.found["ahead"].tolist(), [0.0] * self.qp.horizon
+        if asked < SOLUTION:
+            return (0.0, 0.0, 0.0, *ahead, *rates)
+        if not math.isfinite(float(self.found["lba"].sum())):  # CasADi would raise an error
+            return (0.0, 0.0, math.inf, *ahead, *rates)
+        self._solve()
+        residual = float(self.found["residual"][0])
+        report = self.qp.solver.stats(self._memory)
+        if math.isfinite(residual):
+            rates = self.found["z"][self.qp.statement.rates].tolist()
+        return (float(report["success"]), float(report["iter_count"]), residual, *ahead, *rates)
 
     @cached_property
-    def native(self) -> tuple[int, int]:
-        """Addresses of a C function `void (void *self, const double *in, double *out)` and of its first argument.
-
-        Raises TypeError for a solver that C does not call.
-        """
-        qp = self.qp
-        if not qp.in_c:
-            raise TypeError(f"solver {qp.solver!r} is not called from C here; valid: hpipm, of the casadi wheel")
-        prepare, check = self._prepare.c, qp.check.c
-        assert prepare is not None, "without a compiler the solver is not called from C either"
-        assert check is not None
-        where, place = self.preparation.where
-        self._struct = _Programme(
-            stages=ctypes.addressof(qp.direct.stages),
-            prepare=ctypes.addressof(prepare),
-            check=ctypes.addressof(check),
-            by_speed=_at(self._tables["spline"]),
-            cornering=_at(self._tables["steady"]),
-            row=self._tables["spline"].shape[1],
-            corners=self._tables["steady"].shape[1],
-            row_arg=self._spline,
-            corners_arg=self._steady,
-            given=self.given,
-            fresh=len(where),
-            gaps=len(self.gaps),
-            ahead=_AHEAD,
-            rates=len(self.rates),
-            where=_at(where),
-            from_=_at(place),
-            gap=_at(self.gaps),
-            rate=_at(self.rates),
-            inputs=_at(self.inputs),
-            data=_at(qp.numbers),
-            prepared=_at(self.ahead),
-            found=_at(self.fresh),
-            answer=_at(qp.answer),
-            residual=_at(qp.residual),
-        )
-        function = ctypes.cast(hpipm.kernel().programme, _P).value
-        assert function is not None
-        return function, ctypes.addressof(self._struct)
+    def _memory(self) -> int:
+        """Number of the solver's memory that the wrapping function uses; asked after its first call."""
+        for number in range(8):
+            try:
+                self.qp.solver.stats(number)
+            except RuntimeError:
+                continue
+            return number
+        raise RuntimeError("Programme: HPIPM gives no statistics, so its success is not known")
 
 
-def _at(array: NDArray[Any]) -> int:
-    return array.ctypes.data
+def in_place(function: casadi.Function, arrays: dict[str, Array]) -> Callable[[], None]:
+    """The function, from the arrays of its inputs' names to those of its outputs' names, without copies."""
+    buffer: Any
+    buffer, call = function.buffer()
+    for i, name in enumerate(function.name_in()):
+        buffer.set_arg(i, memoryview(arrays[name]))  # type: ignore[arg-type]
+    for i, name in enumerate(function.name_out()):
+        buffer.set_res(i, memoryview(arrays[name]))  # type: ignore[arg-type]
+
+    def run(_kept: Any = (buffer, arrays)) -> None:  # CasADi holds addresses only
+        call()
+
+    return run
 
 
-def found(values: Sequence[Any]) -> Found:
-    """The numbers that a programme tells, by name."""
-    success, iterations, residual, *rest = values
-    return Found(success, iterations, residual, tuple(rest[:_AHEAD]), tuple(rest[_AHEAD:]))
+def chosen(name: str, functions: list[casadi.Function]) -> casadi.Function:
+    """The function whose number is the first argument, of the others."""
+    if len(functions) == 1:
+        inputs = [casadi.MX.sym("choice"), *functions[0].mx_in()]
+        return casadi.Function(name, inputs, functions[0].call(inputs[1:]))
+    return casadi.Function.conditional(name, functions[:-1], functions[-1])

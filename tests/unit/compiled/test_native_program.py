@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -24,21 +23,6 @@ from steerkit.diagram.simulation import simulate
 from steerkit.export.c import export_c
 from tests.support.traced_blocks import Held, mixed_loop, worst
 
-SOURCE = """
-void root(void *calls, const double *in, double *out)
-{
-  double x = 0.0;
-  int n = 0;
-  for (double step = 1.0; step * step > 1e-28; n++)
-  {
-    step = (x * x * x + x - in[0] * in[1]) / (3.0 * x * x + 1.0);
-    x -= step;
-  }
-  out[0] = x;
-  out[1] = n;
-  ++*(double *)calls;
-}
-"""
 TABLE = m.Table([[0.5 * i, 1.0 + i] for i in range(9)])
 
 
@@ -64,9 +48,11 @@ class Rooted(Block):
 
     @cached_property
     def routine(self) -> m.Routine:
-        library = native.load(SOURCE)
-        address = ctypes.cast(library.root, ctypes.c_void_p).value or 0
-        return m.Routine(name="Rooted", size=2, call=root, native=lambda: (address, self.calls.ctypes.data))
+        return m.Routine(name="Rooted", size=2, call=self.root)
+
+    def root(self, a: float, b: float) -> tuple[float, float]:
+        self.calls[0] += 1.0
+        return root(a, b)
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         return (m.filled(1.0, batch), m.filled(0.0, batch))
@@ -97,9 +83,10 @@ def test_a_routine_is_called_by_compiled_loops(backend: Any, collapse: bool) -> 
     simulated, program = simulate(loop, 2.0), compile(loop, backend=backend, collapse=collapse)
     assert np.ptp(simulated["rooted.x"]) > 0.1
     assert np.ptp(simulated["rooted.steps"]) > 0.0
-    assert worst(program.run(2.0), simulated) <= 1e-13
-    rooted: Any = loop.blocks["rooted"]
-    assert rooted.calls[0] == (0.0 if backend == "python" else 80.0)  # the third call asks what the first did
+    rooted, start = vars(loop.blocks["rooted"]), loop.init()
+    rooted["calls"][0] = 0.0
+    assert worst(program.run(2.0, state=start), simulated) <= 1e-13
+    assert rooted["calls"][0] == 80.0  # the third call asks what the first did
 
 
 @pytest.mark.parametrize("backend", ["c", "python"])
@@ -139,15 +126,16 @@ def test_what_has_no_place_for_a_routine_says_so(tmp_path: Path) -> None:
             attempt()
 
 
-def test_one_without_a_c_function_can_be_python() -> None:
-    def none() -> tuple[int, int]:
-        raise TypeError("there is no C of it")
-
+@pytest.mark.parametrize("backend", ["c", "python"])
+def test_an_error_of_a_routine_is_raised_and_the_next_run_is_not_harmed(backend: Any) -> None:
     loop = loop_of()
-    vars(loop.blocks["rooted"])["routine"] = m.Routine(name="Rooted", size=2, call=root, native=none)
-    with pytest.raises(TraceError, match="Rooted cannot be called from C: there is no C of it; or backend='python'"):
-        compile(loop, backend="c").run(0.1)
-    compile(loop, backend="python").run(0.1)
+    program, rooted, start = compile(loop, backend=backend), vars(loop.blocks["rooted"]), loop.init()
+    expected = program.run(1.0, state=start)["rooted.x"]
+    call, rooted["routine"].call = rooted["routine"].call, lambda a, b: 1.0 / 0.0
+    with pytest.raises(ZeroDivisionError):
+        program.run(1.0, state=start)
+    rooted["routine"].call = call
+    np.testing.assert_array_equal(program.run(1.0, state=start)["rooted.x"], expected)
 
 
 @pytest.mark.parametrize("cars", [17, 70, 200])

@@ -104,7 +104,7 @@ def test_several_are_chosen_together(condition: bool) -> None:
 
 
 def test_a_routine_is_called_on_floats_and_refuses_symbols_outside_of_a_trace() -> None:
-    routine = m.Routine(name="Twice", size=1, call=lambda a: (2.0 * a,), native=lambda: (0, 0))
+    routine = m.Routine(name="Twice", size=1, call=lambda a: (2.0 * a,))
     assert routine(1.5) == (3.0,)
     with pytest.raises(TypeError, match="Twice runs code of its own, which has no symbolic form"):
         routine(casadi.SX.sym("x"))

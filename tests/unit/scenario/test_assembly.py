@@ -12,7 +12,7 @@ from steerkit._support.errors import WiringError
 from steerkit.controllers.delay import delayed_stanley
 from steerkit.controllers.excursion_predictor import ExcursionPredictor
 from steerkit.controllers.lqr import Lqr
-from steerkit.controllers.mpc.linear import MPC
+from steerkit.controllers.mpc.block import MPC
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.pure_pursuit import PurePursuit
 from steerkit.controllers.safety_filter import SafetyFilter

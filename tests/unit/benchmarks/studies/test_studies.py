@@ -41,7 +41,6 @@ KEYS = {
     "mpc_solve": {
         *("ltv20_ms", "ltv20_p99_ms", "ltv40_ms", "nmpc20_ms", "nmpc40_ms", "ltv20_unsolved"),
         *("ltv20_raw_qp_ms", "nmpc20_raw_qp_ms", "ltv20_x_raw_qp", "nmpc20_x_raw_qp"),
-        *("ltv20_direct_qp_ms", "nmpc20_direct_qp_ms", "ltv20_x_direct_qp", "nmpc20_x_direct_qp"),
     },
     "nfq_iteration": {
         "seconds",

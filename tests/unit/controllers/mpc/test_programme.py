@@ -1,25 +1,20 @@
-"""A sample's programme gives the same by parts, in one call of C, and without a compiler."""
+"""A sample's programme: what is asked is done and no more, and the path ahead is read where the car will be."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Any
 
+import casadi
 import numpy as np
 import pytest
 
-from steerkit._support import native
 from steerkit.controllers.mpc.block import PredictiveSteering
-from steerkit.controllers.mpc.programme import NOTHING, PREDICTION, SOLUTION, found
-from tests.support.predictive import controller, driven, inputs, kinds
+from steerkit.controllers.mpc.path_model import CURVES, KAPPA_STEP, SPEEDS
+from steerkit.controllers.mpc.programme import NOTHING, PREDICTION, SOLUTION, Answer, chosen
+from tests.support.predictive import controller, inputs, kinds
 
-CASES: list[dict[str, float]] = [
-    {"e": 0.02},
-    {"e": 0.7, "psi_e": -0.1, "r": 0.2, "beta": 0.03, "kappa": -0.02},
-    {"e": -0.4, "v": 0.6, "delta_sw_meas": 1.0, "kappa": 0.2},
-    {"e": 0.1, "v": 30.0, "kappa": 0.4},
-]
+STATE = {"e": 0.3, "psi_e": -0.05, "r": 0.1, "v": 6.0, "kappa": 0.03}
 
 
 def question(block: PredictiveSteering, wanted: float, **values: float) -> Any:
@@ -28,63 +23,91 @@ def question(block: PredictiveSteering, wanted: float, **values: float) -> Any:
 
 
 @kinds
-@pytest.mark.parametrize("values", CASES)
-def test_by_parts_and_in_one_call_of_c(kind: Any, values: dict[str, float]) -> None:
+def test_what_is_not_wanted_is_not_done(kind: Any) -> None:
     block = controller(kind)
-    for wanted in (SOLUTION, PREDICTION, NOTHING):
-        asked = question(block, wanted, **values)
-        np.testing.assert_array_equal(block.programme(*asked), block.programme.by_parts(*asked))
-
-
-@kinds
-@pytest.mark.parametrize("in_c", [True, False])
-def test_what_is_not_wanted_is_not_done(kind: Any, in_c: bool) -> None:
-    block = controller(kind)
-    run = block.programme if in_c else block.programme.by_parts
     asked = question(block, SOLUTION, e=0.3)
-    whole, prediction = found(run(*asked)), found(run(PREDICTION, *asked[1:]))
+    whole, prediction = (Answer.of(block.programme(wanted, *asked[1:])) for wanted in (SOLUTION, PREDICTION))
     assert whole.success == 1.0
     assert whole.iterations >= 1.0
     assert whole.residual <= block.tolerance
     assert prediction.ahead == whole.ahead
     assert {*prediction[:3], *prediction.rates} == {0.0}
-    nothing = run(NOTHING, *[math.nan] * (len(asked) - 1))
+    nothing = block.programme(NOTHING, *[math.nan] * (len(asked) - 1))
     assert {*nothing} == {0.0}
     assert len(nothing) == block.programme.size
 
 
 @kinds
-@pytest.mark.parametrize("in_c", [True, False])
-def test_a_motion_that_is_not_finite_is_not_solved(kind: Any, in_c: bool) -> None:
+def test_a_motion_that_is_not_finite_is_not_solved(kind: Any) -> None:
     block = controller(kind)
     asked = list(question(block, SOLUTION, e=0.3))
-    asked[2] = math.nan  # e
-    told = found((block.programme if in_c else block.programme.by_parts)(*asked))
-    assert (told.success, told.iterations, told.residual, {*told.rates}) == (0.0, 0.0, math.inf, {0.0})
-    again = found(block.programme(*question(block, SOLUTION, e=0.3)))
-    assert again.success == 1.0
+    asked[1] = math.nan  # e
+    answer = Answer.of(block.programme(*asked))
+    assert (answer.success, answer.iterations, answer.residual, {*answer.rates}) == (0.0, 0.0, math.inf, {0.0})
+    assert Answer.of(block.programme(*question(block, SOLUTION, e=0.3))).success == 1.0
 
 
 @kinds
-def test_without_a_compiler_commands_are_the_same_to_the_solvers_tolerance(
-    kind: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """CasADi's virtual machine prepares the same numbers, and its interface to HPIPM stands around the solver."""
+def test_the_motion_is_that_of_the_model(kind: Any) -> None:
+    """The states of a solution are those that the stage map gives: exactly, where it is linear."""
     block = controller(kind)
-    bare = replace(block)
-    vars(bare)["model"] = block.model  # its tables are not what is tested, and take a while
-    samples = [inputs(block, **values) for values in (*CASES, *reversed(CASES))]
-    with monkeypatch.context() as without:
-        without.setattr(native, "compiler", lambda: None)
-        slow = driven(bare, samples)
-        assert not bare.qp.in_c
-    quick = driven(block, samples)
-    assert [y.status for y in slow] == [y.status for y in quick] == [0.0] * len(samples)
-    np.testing.assert_allclose([y.delta_sw for y in slow], [y.delta_sw for y in quick], atol=2e-4)
-    with pytest.raises(TypeError, match="solver 'hpipm' is not called from C here"):
-        _ = bare.programme.native
-    for values in CASES:
-        asked = question(block, SOLUTION, **values)
-        for one in (block, bare):
-            one.programme.look(int(asked[1]), asked[2:])
-        np.testing.assert_allclose(bare.programme.fresh, block.programme.fresh, rtol=1e-9, atol=1e-9)
+    state = block.X((0.5,) * block.pieces, (0.0,) * block.horizon, 0.0)
+    x = state.plan
+    for _ in range(6):  # a nonlinear plan converges
+        asked = block._asked(state._replace(plan=x), inputs(block, **STATE), SOLUTION)
+        x = Answer.of(block.programme(*asked)).rates
+    found = block.programme.found
+    stages = np.append(found["ahead"][:6], found["z"][block.qp.statement.states]).reshape(-1, 6)
+    between = found["then"].reshape(-1, 7)[block.pieces + block.horizon + 1 :]
+    a, b, _, _ = block.model.at(6.0)
+    step = block.model.linearised_step(2)
+    for k in range(block.horizon):
+        if kind.__name__ == "MPC":
+            after = between[k, :6] + a @ (stages[k] - between[k, :6]) + b * x[k]
+        else:
+            after = step(stages[k], x[k], asked[-3], between[k, 6])[0].full().ravel()
+        np.testing.assert_allclose(stages[k + 1], after, atol=1e-6)
+    assert np.abs(stages[:, 0]).max() > 0.1
+
+
+def test_the_path_ahead_is_read_where_the_pace_of_its_bends_gets_to() -> None:
+    """Against NumPy's interpolation, on a path that winds ever tighter."""
+    block = controller()
+    preview = 0.1 * np.linspace(0.0, 1.0, block.preview_points) ** 2
+    u = inputs(block, v=4.2)._replace(preview=tuple(preview.tolist()))
+    v, _, then = block._ahead(block.X((0.0,) * block.pieces, (0.0,) * block.horizon, 0.0), u)
+    half = 0.5 * block.dt / block.model.steady(v, preview)[:, 6]
+    knots = 2.0 * np.cumsum(half) - half - half[0]
+    np.testing.assert_allclose(then[:, 6], np.interp(block.times, knots, preview), atol=1e-12)
+    np.testing.assert_allclose(then[:, :6], block.model.steady(v, then[:, 6])[:, :6], atol=1e-12)
+    assert np.ptp(np.diff(knots)) > 1e-4
+
+
+def test_steady_cornering_between_tabled_speeds_and_curvatures_is_linear() -> None:
+    model = controller().model
+    i, t = np.divmod(5.1 - SPEEDS[0], SPEEDS[1] - SPEEDS[0])
+    t /= SPEEDS[1] - SPEEDS[0]
+    low, high = (model.steady(float(v), KAPPA_STEP * (np.arange(CURVES) - CURVES // 2)) for v in SPEEDS[int(i) :][:2])
+    for place in (0.0, 0.25, 3.5, -7.75, CURVES):
+        at = np.clip(place + CURVES // 2, 0, CURVES - 1)
+        expected = [np.interp(at, np.arange(CURVES), (1.0 - t) * a + t * b) for a, b in zip(low.T, high.T)]
+        np.testing.assert_allclose(model.steady(5.1, np.array([place * KAPPA_STEP]))[0], expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("v", [0.5, 0.74, 3.0, 20.0, 30.0])
+def test_a_slow_car_is_driven_in_more_steps(v: float) -> None:
+    """So many that Runge-Kutta's method is stable for the fastest of the car's rates (2.785)."""
+    model = controller().model
+    x = casadi.MX.sym("v")
+    steps = model.all_substeps[int(casadi.Function("which", [x], [model.which_substeps(x)])(v))]
+    rates = np.linalg.eigvals(model._slopes(min(v, 20.0))[0].full()[:, :4])
+    assert steps >= 2
+    assert np.abs(rates).max() * model.dt / steps <= 2.3 + 1e-9
+    assert steps == 2 or np.abs(rates).max() * model.dt / (steps - 1) > 2.3 * (1.0 - 0.5 / v)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_one_function_of_several_is_chosen(count: int) -> None:
+    x = casadi.SX.sym("x")
+    choice = chosen("choice", [casadi.Function(f"f{i}", [x], [x + 10.0 * i]) for i in range(count)])
+    assert [float(choice(i, 1.0)) for i in range(count)] == [1.0 + 10.0 * i for i in range(count)]
