@@ -11,7 +11,7 @@ import numpy as np
 
 from steerkit._support.errors import require
 from steerkit.diagram.block import State
-from steerkit.plants.car import Car
+from steerkit.plants.single_track import Car
 from steerkit.vehicles import BMW_320I, FORD_ESCORT, Vehicle
 
 CARS = (BMW_320I, FORD_ESCORT)

@@ -42,10 +42,9 @@ from steerkit.controllers.mpc.block import MPC, NonlinearMPC, PredictiveSteering
 from steerkit.controllers.mpc.programme import in_place
 from steerkit.controllers.mpc.qp import DATA
 from steerkit.paths.courses import course
-from steerkit.plants.curve_speed_driver import CurveSpeedDriver
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.sensors import Sensors
-from steerkit.plants.speed_driver import SpeedDriver
+from steerkit.plants.speed_driver import CurveSpeedDriver, SpeedDriver
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import vehicle

@@ -17,7 +17,7 @@ from steerkit.car.protocol import Snapshot
 from steerkit.car.state_machine import Mode, Order
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Out
-from steerkit.plants.car import Car
+from steerkit.plants.single_track import Car
 
 
 class CarLost(ConnectionError):

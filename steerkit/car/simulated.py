@@ -14,9 +14,8 @@ from steerkit.car.frames.codec import SignalEncoder
 from steerkit.diagram.block import Block
 from steerkit.paths.path import Path
 from steerkit.paths.tracker import PathTracker
-from steerkit.plants.curve_speed_driver import CurveSpeedDriver
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
-from steerkit.plants.speed_driver import SpeedDriver
+from steerkit.plants.speed_driver import CurveSpeedDriver, SpeedDriver
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.vehicles import Vehicle
 

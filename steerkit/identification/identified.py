@@ -16,7 +16,7 @@ from steerkit.diagram.loop import Loop
 from steerkit.diagram.maths import Scalar
 from steerkit.logs.drive import Array, Drive, moments
 from steerkit.plants.linear_single_track import LinearSingleTrack
-from steerkit.plants.playback import Playback
+from steerkit.plants.speed_driver import Playback
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.plots.style import COLOURS, PALETTE, new_figure, style
 from steerkit.vehicles import Vehicle

@@ -17,7 +17,7 @@ from steerkit._support.errors import require, require_within
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import State
 from steerkit.diagram.maths import Scalar
-from steerkit.plants.car import Car
+from steerkit.plants.single_track import Car
 
 _NEEDED = ("delta_sw_cmd", "v_cmd", "x", "y", "psi", "beta", "r", "a_y")
 

@@ -1,4 +1,4 @@
-"""What the single-track plants share: ports, start, integration and how they roll at walking pace."""
+"""The ports that every car has, and what the single tracks share: start, integration, rolling at walking pace."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 
 from steerkit._support.errors import require, require_within
 from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.maths import Scalar
-from steerkit.plants.car import Car
 from steerkit.vehicles import Vehicle, require_vehicle
 
 V_KINEMATIC = 1.0
@@ -20,6 +20,27 @@ V_DYNAMIC = 3.0
 """From this speed [m/s] on, its model is exactly the dynamic one."""
 TAU_KINEMATIC = 0.05
 """Time constant [s] with which a slow car takes on kinematic rolling."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Car(Block):
+    """A car, driven by steering-wheel angle and speed; abstract.
+
+    inputs: delta_sw_cmd [rad], the angle at the steering wheel; v_cmd [m/s], the speed that the driver keeps. Both act
+    from their sample to the next. outputs, of state only: x, y [m] of the centre of gravity; psi [rad], any turn;
+    v [m/s], its speed; beta [rad]; r [rad/s]; a_y [m/s^2]; delta_sw [rad].
+    """
+
+    delta_sw_cmd = In("rad", direct=False)
+    v_cmd = In("m/s", direct=False)
+    x = Out("m", direct=())
+    y = Out("m", direct=())
+    psi = Out("rad", direct=())
+    v = Out("m/s", direct=())
+    beta = Out("rad", direct=())
+    r = Out("rad/s", direct=())
+    a_y = Out("m/s^2", direct=())
+    delta_sw = Out("rad", direct=())
 
 
 class SingleTrackState(NamedTuple):
@@ -47,7 +68,7 @@ class SingleTrack(Car):
         w = smoothstep((v - 1)/(3 - 1)),   0 below 1 m/s, and 1, the model exactly, from 3 m/s on
 
     inputs: delta_sw_cmd [rad], the angle at the steering wheel, after the actuator; it stops at the vehicle's
-    delta_sw_max; v_cmd [m/s], the speed that the human keeps. Both act from their sample to the next.
+    delta_sw_max; v_cmd [m/s], the speed that the driver keeps. Both act from their sample to the next.
     outputs, of state only: x, y [m] of the centre of gravity; psi [rad], any turn; v [m/s], its speed; beta [rad];
     r [rad/s]; a_y [m/s^2]; delta_sw [rad]. v, a_y and delta_sw belong to the inputs last applied: where these jump,
     they are limits from the left.

@@ -1,10 +1,10 @@
-"""The human at the pedals, who sets the speed: wandering, recorded, or steady."""
+"""Drivers who set the speed: wandering, steady, recorded, careful in bends; and a recorded drive played back."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, Self
 
 import numpy as np
@@ -15,25 +15,26 @@ from steerkit._support.random import normals, seed_state
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State
 from steerkit.diagram.maths import Scalar, Table
-from steerkit.task import DT
+from steerkit.paths.path import Array, Path
+from steerkit.task import A_Y_MAX, DT
 
-_STREAM = 1  # of `seed_state`: the humans'
+_STREAM = 1  # of `seed_state`: the drivers'
 _FASTEST = 60.0  # m/s
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SpeedDriver(Block):
-    """A human who wanders between two speeds, with a bounded and continuous pace.
+    """A driver whose speed wanders between two bounds, continuously and with bounded acceleration.
 
     z(t + dt) = f z(t) + sqrt(1 - f^2) n,  f = exp(-dt/wander_time),  n standard normal   (Ornstein-Uhlenbeck)
-    g(t + dt) = a g(t) + (1 - a) z(t),  a = exp(-dt/foot_time)                            (the foot lags behind)
+    g(t + dt) = a g(t) + (1 - a) z(t),  a = exp(-dt/foot_time)                            (the pedal's lag)
     v = (v_min + v_max)/2 + (v_max - v_min)/2 tanh(g/s),  s^2 = the stationary variance of g,
 
     so that v never leaves [v_min, v_max], and |v'| is typically (v_max - v_min)/(2 sqrt(wander_time*foot_time)),
     0.4 m/s^2 by default.
 
     no inputs. output, of state only: v [m/s]. state: z, g, the random generator's six numbers; it starts anywhere in
-    the stationary distribution. In a batch, car i draws as a human of seed + i does; v_min and v_max may be `(N,)`
+    the stationary distribution. In a batch, car i draws as a driver of seed + i does; v_min and v_max may be `(N,)`
     arrays. errors: ValueError for parameters out of range. source: Uhlenbeck, Ornstein 1930; Gillespie 1996 (exact
     discretisation).
     """
@@ -45,9 +46,9 @@ class SpeedDriver(Block):
     v_max: Scalar = 7.5
     """Fastest speed [m/s]."""
     wander_time: float = 10.0
-    """Correlation time of the speed that the human has in mind [s]."""
+    """Correlation time of the intended speed [s]."""
     foot_time: float = 2.0
-    """Time constant of the foot [s]."""
+    """Time constant of the pedal [s]."""
     seed: int = 0
     """Seed of the random numbers."""
     dt: float = DT
@@ -87,7 +88,7 @@ class SpeedDriver(Block):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ConstantSpeed(Block):
-    """A human who keeps one speed: v = speed.
+    """A driver who keeps one speed: v = speed.
 
     no inputs. output, and state: v [m/s]. errors: ValueError for a speed out of range.
     """
@@ -95,7 +96,7 @@ class ConstantSpeed(Block):
     v = Out("m/s", direct=())
 
     speed: Scalar = 5.0
-    """The speed [m/s]; an `(N,)` array for a batch of different humans."""
+    """The speed [m/s]; an `(N,)` array for a batch of different drivers."""
     dt: float = DT
 
     def __post_init__(self) -> None:
@@ -107,6 +108,19 @@ class ConstantSpeed(Block):
 
     def output(self, t: Any, x: State, u: Any) -> Any:
         return self.Y(x[0])
+
+
+def _rising(*columns: Array | tuple[float, ...]) -> Table:
+    """A row from each sample to the next: of each column its value and its rise; see `_between`."""
+    samples = [np.asarray(column, dtype=float) for column in columns]
+    return Table(np.column_stack([part for column in samples for part in (column[:-1], np.diff(column))]))
+
+
+def _between(table: Table, z: Scalar, column: int = 0) -> Scalar:
+    """A column of what `_rising` tabled, linear between samples, at the place z >= 0; a NaN z gives NaN."""
+    i = m.clip(m.where(m.is_finite(z), m.floor(z), 0.0), 0.0, float(len(table)) - 1.0)
+    row = table(i)
+    return row[2 * column] + (z - i) * row[2 * column + 1]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -130,7 +144,7 @@ class _Profile(Block):
 
     @classmethod
     def from_samples(cls, at: ArrayLike, speeds: ArrayLike, *, spacing: float = 0.1, repeat: bool = False) -> Self:
-        """The human of an unevenly spaced record: `speeds` [m/s] at rising `at`, made even every `spacing` or less.
+        """The driver of an unevenly spaced record: `speeds` [m/s] at rising `at`, made even every `spacing` or less.
 
         `at` counts from its first entry. Raises ValueError for different lengths or an `at` that does not rise.
         """
@@ -143,21 +157,17 @@ class _Profile(Block):
 
     @cached_property
     def _table(self) -> Table:
-        return Table(np.column_stack((self.speeds[:-1], np.diff(self.speeds))))
+        return _rising(self.speeds)
 
     def _speed(self, p: Scalar) -> Scalar:
         """v at p; a NaN p gives NaN."""
-        n = float(len(self._table))
-        z = p / self.spacing
-        z = z - n * m.floor(z / n) if self.repeat else m.clip(z, 0.0, n)
-        i = m.clip(m.where(m.is_finite(z), m.floor(z), 0.0), 0.0, n - 1.0)
-        start, rise = self._table(i)
-        return start + (z - i) * rise
+        n, z = float(len(self._table)), p / self.spacing
+        return _between(self._table, z - n * m.floor(z / n) if self.repeat else m.clip(z, 0.0, n))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RecordedSpeed(_Profile):
-    """A human who repeats a record of speed over time: v(t + start), linear between samples every `spacing` [s].
+    """A driver who repeats a record of speed over time: v(t + start), linear between samples every `spacing` [s].
 
     no inputs. output: v [m/s]. state: start [s]. Before the first and after the last sample their speeds hold, or
     with `repeat` the record begins again. errors: ValueError for speeds, spacing, start or dt out of range.
@@ -181,7 +191,7 @@ class RecordedSpeed(_Profile):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SpeedProfile(_Profile):
-    """A human who knows the course: speed over progress, v(p), linear between samples every `spacing` [m].
+    """A driver with a speed for each place of the course: v(p), linear between samples every `spacing` [m].
 
     input: progress [m] along the path (a `PathTracker`'s). output: v [m/s]. no state. Beyond the ends the speeds
     hold, or with `repeat` the profile begins again, for rounds: `spacing*(len(speeds) - 1)` should be the course's
@@ -193,3 +203,123 @@ class SpeedProfile(_Profile):
 
     def output(self, t: Any, x: Any, u: Any) -> Any:
         return self.Y(self._speed(u.progress))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CurveSpeedDriver(Block):
+    """Wraps a driver so that bends are taken at no more than a comfortable lateral acceleration.
+
+    v = min(v of `driver`, ceiling(s)),  ceiling(s)^2 <= a_y_max/|kappa(s')| + 2 a_x_max |s - s'|  for every s',
+
+    so that braking for a bend and leaving it both cost at most a_x_max. The ceiling is tabled every metre.
+
+    Input: s [m] along `path` (a `PathTracker`'s). Output: v [m/s]. State: that of `driver`. Valid for s on the path.
+    Raises ValueError unless a_y_max and a_x_max are positive. Source: the curvature-speed bound |kappa| <= a_y/v^2
+    of ISO 11270:2014 (a_y at most 3 m/s^2), with the forward and backward pass of Kapania et al. 2016.
+    """
+
+    s = In("m")
+    v = Out("m/s")
+
+    path: Path
+    """The course."""
+    driver: SpeedDriver
+    """The driver who sets the speed where there is no bend."""
+    a_y_max: float = A_Y_MAX
+    """Largest lateral acceleration in a bend [m/s^2]."""
+    a_x_max: float = 1.5
+    """Largest acceleration and braking for it [m/s^2]."""
+
+    def __post_init__(self) -> None:
+        where, dt = "CurveSpeedDriver", self.driver.dt
+        require(self.a_y_max > 0.0 and self.a_x_max > 0.0, where, "a_y_max and a_x_max, expected > 0 m/s^2")
+        require(self.dt == dt, where, f"dt = {self.dt} s, but its driver has {dt} s")
+
+    @cached_property
+    def _ceiling(self) -> Table:
+        v = ceiling(self.path, self.a_y_max, self.a_x_max)
+        return _rising(np.append(v, v[0] if self.path.closed else v[-1]))
+
+    def init(self, batch: tuple[int, ...] = ()) -> State:
+        return self.driver.init(batch)
+
+    def output(self, t: Any, x: State, u: Any) -> Any:
+        rows = float(len(self._ceiling))
+        most = _between(self._ceiling, m.clip(u.s * (rows / self.path.length), 0.0, rows))
+        return self.Y(m.minimum(most, self.driver.output(t, x, ())[0]))  # a NaN in s stays NaN
+
+    def update(self, t: Any, x: State, u: Any, y: Any) -> State:
+        return self.driver.update(t, x, (), ())
+
+
+def ceiling(path: Path, a_y_max: float, a_x_max: float, limit: Array | None = None) -> Array:
+    """Fastest speed [m/s] about every metre of a path, (n,) at s = k length/n, as in `CurveSpeedDriver`.
+
+    a_y_max, a_x_max [m/s^2]; limit: speed that is allowed there besides (n,) [m/s].
+    """
+    n = max(2, round(path.length))
+    ds = path.length / n
+    kappa = np.abs(path.kappa(np.linspace(0.0, path.length, n, endpoint=False)))
+    bound = a_y_max / np.maximum(kappa, 1e-4)
+    if limit is not None:
+        bound = np.minimum(bound, limit * limit)
+    v2: list[float] = bound.tolist()  # an array is slow entry by entry
+    gain = 2.0 * a_x_max * ds
+    rounds = 2 if path.closed else 1  # the second carries a ceiling across the start
+    for _ in range(rounds):
+        for i in range(0 if path.closed else 1, n):  # leaving a bend
+            v2[i] = min(v2[i], v2[i - 1] + gain)
+        for i in range(n - 1 if path.closed else n - 2, -1, -1):  # braking for one
+            v2[i] = min(v2[i], v2[(i + 1) % n] + gain)
+    return np.asarray(np.sqrt(v2))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Playback(Block):
+    """A recorded drive: steering-wheel angle and speed every dt, linear in between; the angle `delay` later.
+
+    delta_sw(t) = angle(t - delay),  v(t) = speed(t).
+
+    Before the first and after the last sample their values hold.
+
+    no inputs. outputs: delta_sw [rad], v [m/s]. no state. delay need not be a multiple of dt, and may be negative (the
+    record is known ahead); it may be an `(N,)` array for a batch. errors: ValueError for samples that are not finite
+    or not equally many, delay or dt out of range.
+    """
+
+    delta_sw = Out("rad", direct=())
+    v = Out("m/s", direct=())
+
+    angles: tuple[float, ...]
+    """Steering-wheel angles [rad] at t = 0, dt, 2 dt, ..."""
+    speeds: tuple[float, ...]
+    """Speeds [m/s] at the same times."""
+    delay: Scalar = 0.0
+    """How much later the angle acts [s]; below 0: earlier."""
+    dt: float = 0.01
+
+    def __post_init__(self) -> None:
+        _ = self._table
+        require_within("Playback", "delay", self.delay, "s", -10.0, 10.0)
+        require_within("Playback", "dt", self.dt, "s", 1e-6, 1.0)
+
+    @cached_property
+    def _table(self) -> Table:
+        return _recorded(tuple(self.angles), tuple(self.speeds))
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        return self.Y(self._at(t - self.delay, 0), self._at(t, 1))
+
+    def _at(self, t: Scalar, column: int) -> Scalar:
+        """A column of the record at time t [s]."""
+        return _between(self._table, m.clip(t / self.dt + 1e-9, 0.0, float(len(self._table))), column)
+
+
+@lru_cache(maxsize=4)
+def _recorded(angles: tuple[float, ...], speeds: tuple[float, ...]) -> Table:
+    """The table of a recording, checked; one for all delays that it is played back with."""
+    where, n = "Playback", len(angles)
+    require(n == len(speeds) >= 2, where, f"{n} angles, {len(speeds)} speeds, expected equally many, >= 2")
+    require_within(where, "angles", np.array(angles), "rad", -100.0, 100.0)
+    require_within(where, "speeds", np.array(speeds), "m/s", 0.0, 100.0)
+    return _rising(angles, speeds)

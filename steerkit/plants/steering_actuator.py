@@ -1,20 +1,21 @@
-"""The motor at the steering wheel."""
+"""The steering between controller and road wheels: the way of a command, the motor, a worn column."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path as FilePath
 from typing import Any
 
 from steerkit._support.errors import require, require_within, whole_samples
+from steerkit._support.random import seed_state, uniform
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State
 from steerkit.diagram.maths import Scalar
 from steerkit.diagram.units import radians_of
-from steerkit.task import STOP
+from steerkit.task import DT, STOP
 from steerkit.vehicles.file import table_of, text_of
+from steerkit.vehicles.rollout import lag_share, lag_step
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -63,11 +64,6 @@ class SteeringActuator(Block):
         require_within(where, "offset", self.offset, "rad", -3.0, 3.0, "radians: radians_of(5)")
         whole_samples(where, "delay", self.delay, self.dt)
 
-    @cached_property
-    def _follow(self) -> Scalar:
-        """Share of the way to the target that the lag leaves to one sample: 1 - exp(-dt/lag)."""
-        return 1.0 - m.exp(-self.dt / m.maximum(self.lag, 1e-9 * self.dt))
-
     def init(self, batch: tuple[int, ...] = ()) -> State:
         return (m.filled(0.0, batch),) * (2 + whole_samples("SteeringActuator", "delay", self.delay, self.dt))
 
@@ -78,8 +74,7 @@ class SteeringActuator(Block):
         delta_sw, _, *pending = x
         pending.append(u.delta_sw_cmd)
         target = m.clip(self.gain * pending[0] + self.offset, -self.limit, self.limit)
-        largest_step = self.rate_limit * self.dt
-        step = m.clip(self._follow * (target - delta_sw), -largest_step, largest_step)
+        step = lag_step(target - delta_sw, lag_share(self.dt, self.lag), self.rate_limit * self.dt)
         return (delta_sw + step, step / self.dt, *pending[1:])
 
 
@@ -104,3 +99,154 @@ def steering_in(text: str, where: str, *, dt: float = 0.01, **others: Any) -> St
     samples = max(0, math.floor(delay / dt + 1e-6))
     lag = max(0.0, numbers["lag"] + delay - samples * dt)
     return SteeringActuator(delay=samples * dt, lag=lag, offset=numbers["offset"], dt=dt, **others)
+
+
+_STREAM = 12  # of `seed_state`: the link's delays
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SteeringLink(Block):
+    """The way of a steering command to the motor, for a loop in which this way is not perfect.
+
+    sent(t) = quantum floor(delta_sw_cmd(t)/quantum + 1/2),
+    arrived(t) = sent(t - a(t)),  a(t + dt) = min(a(t) + dt, d),  d new every `every` seconds, uniform in 0 ... jitter,
+    delta_sw(t) = arrived(t)  where it is more than dead_band from delta_sw(t - dt), else delta_sw(t - dt):
+
+    the bus carries whole quanta; each command takes a time of its own, and none overtakes another; the motor's
+    controller leaves a change that is smaller than its dead band. By default all is off: delta_sw = delta_sw_cmd.
+
+    input: delta_sw_cmd [rad]. output: delta_sw [rad], what the motor is told, in the same sample. state: delta_sw one
+    sample before; with jitter also a and d in samples, the samples since d was drawn, the generator's six numbers and
+    the jitter/dt commands before this one, oldest first. A NaN arrives as NaN. In a batch, car i draws as a link of
+    seed + i does; quantum and dead_band may be `(N,)` arrays. errors: ValueError for parameters out of range, or a
+    jitter or an `every` that is no multiple of dt.
+    source: Widrow, Kollar 2008 (quantiser); Nilsson 1998, ch. 3 (random delays in control loops, new each sample);
+    Miskowicz 2006 (send on delta).
+    """
+
+    delta_sw_cmd = In("rad")
+    delta_sw = Out("rad")
+
+    quantum: Scalar = 0.0
+    """Resolution of a command [rad]; 0: exact."""
+    dead_band: Scalar = 0.0
+    """Change of a command that the motor's controller leaves [rad]."""
+    jitter: float = 0.0
+    """Longest time that a command takes beyond the shortest [s], a multiple of dt."""
+    every: float = DT
+    """Time between two commands, each of which takes a time of its own [s], a multiple of dt."""
+    seed: int = 0
+    """Seed of the random delays."""
+    dt: float = 0.01
+
+    def __post_init__(self) -> None:
+        where = "SteeringLink"
+        require_within(where, "dt", self.dt, "s", 1e-6, 1.0)
+        require_within(where, "quantum", self.quantum, "rad", 0.0, 1.0, "radians: radians_of(0.1)")
+        require_within(where, "dead_band", self.dead_band, "rad", 0.0, 1.0, "radians: radians_of(0.5)")
+        whole_samples(where, "jitter", self.jitter, self.dt)
+        require(
+            whole_samples(where, "every", self.every, self.dt) >= 1, where, f"every = {self.every} [s], expected > 0"
+        )
+        seed_state(self.seed)
+
+    @property
+    def _longest(self) -> int:
+        return round(self.jitter / self.dt)
+
+    def init(self, batch: tuple[int, ...] = ()) -> State:
+        zero = m.filled(0.0, batch)
+        if not self._longest:
+            return (zero,)
+        drawn, random = self._drawn(seed_state(self.seed, batch, stream=_STREAM))
+        return (zero, drawn, drawn, zero, *random, *(zero,) * self._longest)
+
+    def settle(self, t: float, x: State, u: Any) -> State:
+        """As if the first command had been given for long."""
+        sent = self._sent(u.delta_sw_cmd)
+        return (sent, *x[1:10], *(sent,) * self._longest)
+
+    def output(self, t: Any, x: State, u: Any) -> Any:
+        arrived = self._sent(u.delta_sw_cmd)
+        for samples in range(1, self._longest + 1):
+            arrived = m.where(x[1] > samples - 0.5, x[-samples], arrived)
+        return self.Y(m.where(m.absolute(arrived - x[0]) <= self.dead_band, x[0], arrived))
+
+    def update(self, t: Any, x: State, u: Any, y: Any) -> State:
+        if not self._longest:
+            return (y.delta_sw,)
+        _, age, drawn, since, *random = x[:10]
+        fresh, random = self._drawn(tuple(random))
+        due = since + 1.5 > self.every / self.dt
+        drawn = m.where(due, fresh, drawn)
+        since = m.where(due, 0.0, since + 1.0)
+        return (y.delta_sw, m.minimum(age + 1.0, drawn), drawn, since, *random, *x[11:], self._sent(u.delta_sw_cmd))
+
+    def _sent(self, command: Scalar) -> Scalar:
+        rounded = self.quantum * m.floor(command / m.maximum(self.quantum, 1e-9) + 0.5)
+        return m.where(self.quantum > 0.0, rounded, command)
+
+    def _drawn(self, random: Any) -> tuple[Scalar, Any]:
+        """A delay in samples, 0 to the longest, all equally likely."""
+        u, random = uniform(random)
+        return m.floor(u * (self._longest + 1.0)), random
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SteeringColumn(Block):
+    """A worn steering between motor and road wheels: Coulomb friction behind an elastic shaft, then free play.
+
+    delta_sw_meas(t) = motor(t) - clip(motor(t) - delta_sw_meas(t - dt), -friction, friction),
+    delta_sw(t) = delta_sw_meas(t) - clip(delta_sw_meas(t) - delta_sw(t - dt), -play/2, play/2).
+
+    Both are play operators: what is behind stays until what is in front has used up the gap, and then follows at its
+    end. Between motor and steering wheel the gap is the twist at which the shaft's torque overcomes the friction,
+    T_f/c, to either side; so a full to and fro of the motor leaves a loop of the width 2*friction, and the sensor at
+    the steering wheel sees it. Between steering wheel and road wheels it is the free play, half to either side, a loop
+    of the width `play`, which no sensor sees. Neither adds a delay. By default both are off.
+
+    input: delta_sw_in [rad], the motor's angle, as one of the steering wheel. outputs, in the same sample: delta_sw
+    [rad], the angle that the road wheels have, times the ratio; delta_sw_meas [rad], of the steering wheel, what is
+    measured: `zero` more than there is. state: that less `zero`, and delta_sw, one sample before. It starts in the
+    middle of its gaps. A NaN stays NaN. Parameters may be `(N,)` arrays in a batch. errors: ValueError for parameters
+    out of range.
+    source: Nordin, Gutman 2002 (backlash); Visintin 1994, ch. III (play operator; Coulomb friction with a spring is
+    its stop); Pfeffer, Harrer, Johnston 2008 (friction and elasticity of steering).
+    """
+
+    delta_sw_in = In("rad")
+    delta_sw = Out("rad")
+    delta_sw_meas = Out("rad")
+
+    friction: Scalar = 0.0
+    """Twist of the shaft that the friction holds, to either side [rad]."""
+    play: Scalar = 0.0
+    """Free play, from end to end [rad]."""
+    zero: Scalar = 0.0
+    """What the sensor at the steering wheel shows while that is straight [rad]."""
+    dt: float = 0.01
+
+    def __post_init__(self) -> None:
+        where = "SteeringColumn"
+        require_within(where, "dt", self.dt, "s", 1e-6, 1.0)
+        require_within(where, "friction", self.friction, "rad", 0.0, 1.0, "radians: radians_of(1)")
+        require_within(where, "play", self.play, "rad", 0.0, 1.0, "radians: radians_of(2)")
+        require_within(where, "zero", self.zero, "rad", -1.0, 1.0, "radians: radians_of(3)")
+
+    def init(self, batch: tuple[int, ...] = ()) -> State:
+        return (m.filled(0.0, batch),) * 2
+
+    def settle(self, t: float, x: State, u: Any) -> State:
+        return (u.delta_sw_in + 0.0, u.delta_sw_in + 0.0)
+
+    def output(self, t: Any, x: State, u: Any) -> Any:
+        wheel = _follows(u.delta_sw_in, x[0], self.friction)
+        return self.Y(_follows(wheel, x[1], 0.5 * self.play), wheel + self.zero)
+
+    def update(self, t: Any, x: State, u: Any, y: Any) -> State:
+        return (_follows(u.delta_sw_in, x[0], self.friction), y.delta_sw)
+
+
+def _follows(front: Scalar, behind: Scalar, gap: Scalar) -> Scalar:
+    """The play operator: where what was `behind` is now, with a gap to either side of `front`."""
+    return front - m.clip(front - behind, -gap, gap)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 from steerkit._support.errors import require_within, whole_samples
@@ -13,6 +12,7 @@ from steerkit.diagram.maths import Scalar
 from steerkit.diagram.units import radians_of
 from steerkit.task import STOP
 from steerkit.vehicles import Vehicle
+from steerkit.vehicles.rollout import lag_share, lag_step
 
 _SLOWEST = 1.0  # m/s: below, the wheel turns as at this speed
 
@@ -99,11 +99,6 @@ class TorqueSteering(Block):
             require_within(where, name, getattr(self, name), unit, low, high)
         whole_samples(where, "delay", self.delay, self.dt)
 
-    @cached_property
-    def _follow(self) -> Scalar:
-        """Share of the way that the lag leaves to one sample."""
-        return 1.0 - m.exp(-self.dt / m.maximum(self.lag, 1e-9 * self.dt))
-
     def init(self, batch: tuple[int, ...] = ()) -> State:
         return (m.filled(0.0, batch),) * (3 + whole_samples("TorqueSteering", "delay", self.delay, self.dt))
 
@@ -121,10 +116,9 @@ class TorqueSteering(Block):
         per_a = self._per_a(u.v)
         pending.append(m.tan(m.clip(u.delta_sw_cmd, -self.limit, self.limit) / self.steer_ratio) / per_a)
         wanted = m.clip(pending[0], -self.a_y_limit, self.a_y_limit)
-        a = a + m.clip(self._follow * (wanted - a), -self.slew * self.dt, self.slew * self.dt)
+        a = a + lag_step(wanted - a, lag_share(self.dt, self.lag), self.slew * self.dt)
         target = self.steer_ratio * m.atan(per_a * self.gain * a) + self.offset
-        largest_step = self.rate_limit * self.dt
-        step = m.clip(m.clip(target, -self.limit, self.limit) - delta_sw, -largest_step, largest_step)
+        step = lag_step(m.clip(target, -self.limit, self.limit) - delta_sw, 1.0, self.rate_limit * self.dt)
         return (delta_sw + step, step / self.dt, a, *pending[1:])
 
     def _per_a(self, v: Scalar) -> Scalar:

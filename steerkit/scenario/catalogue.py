@@ -24,10 +24,9 @@ from steerkit.doe import Integrator, LowPass, OutputElement, PlainAngle
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.steering_delay import YawDelay
 from steerkit.paths.path import Path
-from steerkit.plants.car import Car
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
-from steerkit.plants.single_track import SingleTrack
+from steerkit.plants.single_track import Car, SingleTrack
 from steerkit.vehicles import Vehicle
 from steerkit.vehicles.rollout import GateModel
 
@@ -281,8 +280,8 @@ def _called(thing: object) -> str:
 def plant_kind(name: str) -> type[Block]:
     """The class of a simulated car: one of `PLANTS`, or `package.module:Class` for another.
 
-    Another needs the ports of `steerkit.plants.car.Car` and the parameters vehicle, x0, y0, psi0 and v0; it may refuse
-    vehicles that it has no model of. Raises ValueError for an unknown name and for a class that is no such car.
+    Another needs the ports of `steerkit.plants.single_track.Car` and the parameters vehicle, x0, y0, psi0 and v0; it
+    may refuse vehicles that it has no model of. Raises ValueError for an unknown name and for a class that is none.
     """
     if not is_outside(name):
         return PLANTS[known(name, PLANTS, "plant", also="package.module:Class")]

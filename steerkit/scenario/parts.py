@@ -18,13 +18,10 @@ from steerkit.estimators.vehicle_state import VehicleState
 from steerkit.paths.courses import course, course_of, lane_change, random_course
 from steerkit.paths.path import Array, Path
 from steerkit.paths.waypoints import read_columns
-from steerkit.plants.curve_speed_driver import CurveSpeedDriver, ceiling
-from steerkit.plants.degraded_sensors import DegradedSensors
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
-from steerkit.plants.sensors import Sensors
-from steerkit.plants.steering_actuator import SteeringActuator
-from steerkit.plants.steering_column import SteeringColumn
-from steerkit.plants.steering_link import SteeringLink
+from steerkit.plants.sensors import DegradedSensors, Sensors
+from steerkit.plants.speed_driver import CurveSpeedDriver, ceiling
+from steerkit.plants.steering_actuator import SteeringActuator, SteeringColumn, SteeringLink
 from steerkit.plants.torque_steering import TorqueSteering
 from steerkit.task import DT
 from steerkit.vehicles import Vehicle, vehicle_of

@@ -20,10 +20,9 @@ from steerkit.paths.courses import names, recorded_speed
 from steerkit.paths.importers.course import check_bends
 from steerkit.paths.importers.reading import KINDS, Address, is_road, read_course
 from steerkit.paths.path import Path
-from steerkit.plants.curve_speed_driver import CurveSpeedDriver
 from steerkit.plants.disturbed_plant import DisturbedPlant
 from steerkit.plants.single_track import SingleTrack
-from steerkit.plants.speed_driver import SpeedDriver, SpeedProfile
+from steerkit.plants.speed_driver import CurveSpeedDriver, SpeedDriver, SpeedProfile
 from steerkit.plants.steering_actuator import SteeringActuator, steering_in
 from steerkit.scenario.assembly import placed
 from steerkit.scenario.catalogue import AUTO, RECOVERIES, DesignModel, make_recovery, plant_kind

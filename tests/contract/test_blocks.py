@@ -25,14 +25,11 @@ from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out
 from steerkit.doe import Integrator, LowPass
 from steerkit.paths.tracker import PathTracker
-from steerkit.plants.degraded_sensors import DegradedSensors
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
-from steerkit.plants.sensors import Sensors
+from steerkit.plants.sensors import DegradedSensors, Sensors
 from steerkit.plants.speed_driver import ConstantSpeed
-from steerkit.plants.steering_actuator import SteeringActuator
-from steerkit.plants.steering_column import SteeringColumn
-from steerkit.plants.steering_link import SteeringLink
+from steerkit.plants.steering_actuator import SteeringActuator, SteeringColumn, SteeringLink
 from tests.support.block_examples import EXAMPLES, OVAL, PASSAT, Example
 
 blocks = pytest.mark.parametrize("example", EXAMPLES, ids=str)

@@ -56,7 +56,6 @@ ELSEWHERE = {
     "steerkit.car.processes": "evals/test_car_processes.py",
     "steerkit.car.session": "evals/test_car_processes.py",
     # both cars are one table of cases
-    "steerkit.plants.car": "unit/plants/test_single_track.py",
     "steerkit.plants.linear_single_track": "unit/plants/test_single_track.py",
     "steerkit.plants.nonlinear_single_track": "unit/plants/test_single_track.py",
     "steerkit.car.config.reading": "unit/car/config/test_config.py",

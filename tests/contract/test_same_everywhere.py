@@ -35,15 +35,11 @@ from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.steering_delay import YawDelay
 from steerkit.export.c import export_c
 from steerkit.paths.courses import course, figure_eight
-from steerkit.plants.curve_speed_driver import CurveSpeedDriver
-from steerkit.plants.degraded_sensors import DegradedSensors
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
-from steerkit.plants.sensors import Sensors
-from steerkit.plants.speed_driver import ConstantSpeed, RecordedSpeed, SpeedDriver, SpeedProfile
-from steerkit.plants.steering_actuator import SteeringActuator
-from steerkit.plants.steering_column import SteeringColumn
-from steerkit.plants.steering_link import SteeringLink
+from steerkit.plants.sensors import DegradedSensors, Sensors
+from steerkit.plants.speed_driver import ConstantSpeed, CurveSpeedDriver, RecordedSpeed, SpeedDriver, SpeedProfile
+from steerkit.plants.steering_actuator import SteeringActuator, SteeringColumn, SteeringLink
 from steerkit.plants.torque_steering import TorqueSteering
 from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import vehicle

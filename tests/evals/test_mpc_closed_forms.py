@@ -16,10 +16,9 @@ from steerkit.diagram import maths as m
 from steerkit.diagram.simulation import simulate
 from steerkit.metrics import largest, rms
 from steerkit.paths.courses import circle, course
-from steerkit.plants.curve_speed_driver import CurveSpeedDriver
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
-from steerkit.plants.speed_driver import SpeedDriver
+from steerkit.plants.speed_driver import CurveSpeedDriver, SpeedDriver
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import vehicle

@@ -37,17 +37,19 @@ from steerkit.gym.task import Agent
 from steerkit.learning.exploration import Exploring
 from steerkit.paths.path import Path
 from steerkit.paths.tracker import PathTracker
-from steerkit.plants.curve_speed_driver import CurveSpeedDriver
-from steerkit.plants.degraded_sensors import DegradedSensors
 from steerkit.plants.disturbed_plant import DisturbedPlant
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
-from steerkit.plants.playback import Playback
-from steerkit.plants.sensors import Sensors
-from steerkit.plants.speed_driver import ConstantSpeed, RecordedSpeed, SpeedDriver, SpeedProfile
-from steerkit.plants.steering_actuator import SteeringActuator
-from steerkit.plants.steering_column import SteeringColumn
-from steerkit.plants.steering_link import SteeringLink
+from steerkit.plants.sensors import DegradedSensors, Sensors
+from steerkit.plants.speed_driver import (
+    ConstantSpeed,
+    CurveSpeedDriver,
+    Playback,
+    RecordedSpeed,
+    SpeedDriver,
+    SpeedProfile,
+)
+from steerkit.plants.steering_actuator import SteeringActuator, SteeringColumn, SteeringLink
 from steerkit.plants.torque_steering import TorqueSteering
 from steerkit.vehicles import vehicle
 from steerkit.vehicles.rollout import GateModel

@@ -10,7 +10,7 @@ import numpy as np
 from steerkit import simulate
 from steerkit.diagram.loop import Loop
 from steerkit.plants.linear_single_track import LinearSingleTrack
-from steerkit.plants.playback import Playback
+from steerkit.plants.speed_driver import Playback
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.vehicles import Vehicle, vehicle
 

@@ -10,8 +10,7 @@ import numpy as np
 from steerkit.diagram.block import Block
 from steerkit.diagram.units import radians_of
 from steerkit.plants.linear_single_track import LinearSingleTrack
-from steerkit.plants.steering_actuator import SteeringActuator
-from steerkit.plants.steering_column import SteeringColumn
+from steerkit.plants.steering_actuator import SteeringActuator, SteeringColumn
 from steerkit.vehicles import Vehicle, vehicle
 from tests.support.stepped import from_there
 

@@ -19,10 +19,9 @@ from steerkit.diagram.block import Block, In, Out, State
 from steerkit.diagram.simulation import simulate
 from steerkit.doe import PlainAngle
 from steerkit.paths.courses import circle, course, straight
-from steerkit.plants.curve_speed_driver import CurveSpeedDriver
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
-from steerkit.plants.speed_driver import ConstantSpeed, SpeedDriver
+from steerkit.plants.speed_driver import ConstantSpeed, CurveSpeedDriver, SpeedDriver
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import vehicle

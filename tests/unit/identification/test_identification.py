@@ -12,7 +12,7 @@ from steerkit.diagram.loop import Loop
 from steerkit.identification import identify, read_drive, shipped_drives
 from steerkit.identification.identified import Identified
 from steerkit.plants.linear_single_track import LinearSingleTrack
-from steerkit.plants.playback import Playback
+from steerkit.plants.speed_driver import Playback
 from steerkit.plants.steering_actuator import steering_of
 from steerkit.vehicles import vehicle
 from tests.support.recorded_cars import BASE, DT, driven

@@ -1,13 +1,17 @@
 """Sensors: latency, bias, noise and drift have the stated sizes."""
 
+from __future__ import annotations
+
 import math
 
 import numpy as np
 import pytest
 
-from steerkit.plants.sensors import Sensors
+from steerkit.diagram.units import radians_of
+from steerkit.plants.sensors import DegradedSensors, Sensors
 from steerkit.plants.speed_driver import SpeedDriver
-from tests.support.stepped import run
+from steerkit.vehicles import VW_PASSAT
+from tests.support.stepped import run, run_fast
 
 TRUTH = (10.0, -3.0, 0.4, 6.0, 0.02, 0.3)
 
@@ -66,7 +70,7 @@ def test_sensors_of_a_batch_are_the_single_ones():
         assert all(value.__class__ is float for value in alone)
 
 
-def test_sensors_and_human_of_one_seed_are_unrelated():
+def test_sensors_and_driver_of_one_seed_are_unrelated():
     assert Sensors.hard(1).init()[9:15] != SpeedDriver(seed=1).init()[2:]
 
 
@@ -84,3 +88,133 @@ def test_sensors_and_human_of_one_seed_are_unrelated():
 def test_teaching_errors_of_sensors(change, message):
     with pytest.raises(ValueError, match=message):
         Sensors(**change)
+
+
+MANY = 20_000
+
+
+def seen(sensors: DegradedSensors, truth: np.ndarray) -> np.ndarray:
+    """What is seen of x, y, psi, v, beta, r; a row a sample."""
+    return stamped(sensors, truth)[:, :6]
+
+
+def stamped(sensors: DegradedSensors, truth: np.ndarray) -> np.ndarray:
+    """The same with the age that its stamp says."""
+    if len(truth) > 1000:
+        return run_fast(sensors, truth)[0]
+    return np.array(run(sensors, [tuple(row) for row in truth.tolist()])[0])
+
+
+def standing(samples: int) -> np.ndarray:
+    return np.tile([1.0, 2.0, 0.3, 5.0, 0.01, 0.2], (samples, 1))
+
+
+def moving(samples: int, sensors: DegradedSensors, v: float = 10.0) -> np.ndarray:
+    truth = standing(samples)
+    truth[:, 0] = v * sensors.dt * np.arange(samples)
+    return truth
+
+
+def test_off_it_is_the_sensors() -> None:
+    inner = Sensors.hard(seed=4)
+    truth = np.random.default_rng(0).normal(size=(50, 6))
+    plain = np.array(run(inner, [tuple(row) for row in truth.tolist()])[0])
+    assert (stamped(DegradedSensors(block=inner), truth) == plain).all()
+
+
+def test_many_samples_at_once_are_the_same() -> None:
+    sensors = DegradedSensors.real(VW_PASSAT, seed=7).scaled(3.0)
+    truth = moving(1001, sensors)
+    assert stamped(sensors, truth)[:1000] == pytest.approx(stamped(sensors, truth[:1000]), rel=1e-12, abs=1e-12)
+
+
+def test_age_is_uniform_up_to_the_jitter() -> None:
+    sensors = DegradedSensors(block=Sensors(seed=4), age_jitter=0.03)
+    truth = moving(MANY, sensors)
+    age = (truth[:, 0] - seen(sensors, truth)[:, 0])[1:] / 10.0
+    assert age.min() >= -1e-9
+    assert age.max() <= 0.03 + 1e-9
+    assert age.mean() == pytest.approx(0.015, rel=0.02)
+    assert age.std() == pytest.approx(0.03 / np.sqrt(12.0), rel=0.02)
+    assert abs(np.corrcoef(age[1:], age[:-1])[0, 1]) < 4.0 / np.sqrt(MANY)
+
+
+def test_the_stamp_tells_the_age_of_what_is_seen() -> None:
+    """Also of a sample that is held, as the next were lost, and of the latency."""
+    sensors = DegradedSensors(block=Sensors(seed=4, latency=0.1), age_jitter=0.03, lost=0.3)
+    truth = moving(2000, sensors)
+    found = stamped(sensors, truth)[20:]
+    assert found[:, 6] == pytest.approx((truth[20:, 0] - found[:, 0]) / 10.0, abs=1e-9)
+    assert found[:, 6].max() > 0.2
+
+
+def test_a_lost_sample_is_the_one_before_and_as_many_are_lost_as_said() -> None:
+    sensors = DegradedSensors(block=Sensors(seed=4), lost=0.2)
+    truth = np.cumsum(np.ones((MANY, 6)), axis=0)
+    found = seen(sensors, truth)
+    held = (found[1:] == found[:-1]).all(axis=1)
+    assert held.mean() == pytest.approx(0.2, abs=4.0 * np.sqrt(0.16 / MANY))
+    assert (found[1:][~held] == truth[1:][~held]).all()
+
+
+def test_a_position_jumps_as_often_and_as_far_as_said() -> None:
+    sensors = DegradedSensors(block=Sensors(seed=4), jump=0.1, jump_time=0.5)
+    error = seen(sensors, standing(MANY))[:, :2] - (1.0, 2.0)
+    jumps = np.diff(error[:, 0]) != 0.0
+    assert (jumps == (np.diff(error[:, 1]) != 0.0)).all()
+    assert jumps.mean() == pytest.approx(sensors.dt / 0.5, rel=0.1)
+    offsets = error[1:][jumps]
+    assert offsets.std(axis=0) == pytest.approx([0.1, 0.1], rel=0.1)
+    assert abs(np.corrcoef(offsets.T)[0, 1]) < 0.1
+
+
+def test_the_heading_wanders_slowly() -> None:
+    sensors = DegradedSensors(block=Sensors(seed=4), heading_drift=radians_of(0.2), heading_time=2.0)
+    error = seen(sensors, standing(5 * MANY))[:, 2] - 0.3
+    assert error.std() == pytest.approx(radians_of(0.2), rel=0.1)
+    lag = round(2.0 / sensors.dt)
+    assert np.corrcoef(error[lag:], error[:-lag])[0, 1] == pytest.approx(np.exp(-1.0), abs=0.08)
+    others = seen(sensors, standing(100)) - standing(100)
+    assert (others[:, [0, 1, 3, 4, 5]] == 0.0).all()
+
+
+def test_sideslip_is_that_of_a_rear_axle_that_does_not_slide() -> None:
+    """On a steady circle a car's own is less by the rear slip angle, m l_f v r/(c_r L)."""
+    p, v, kappa = VW_PASSAT, 7.0, 0.05
+    r = v * kappa
+    slip = p.m * p.l_f * v * r / (p.c_r * p.wheelbase)
+    truth = np.tile([0.0, 0.0, 0.0, v, p.l_r * kappa - slip, r], (3, 1))
+    found = seen(DegradedSensors(block=Sensors(), rear=p.l_r), truth)[:, 4]
+    assert found - truth[:, 4] == pytest.approx([slip] * 3, rel=1e-12)
+    assert slip > radians_of(0.4)  # worth knowing
+    assert seen(DegradedSensors(block=Sensors(), rear=p.l_r), truth * 0.0)[:, 4] == pytest.approx([0.0] * 3)
+
+
+def test_the_real_ones() -> None:
+    sensors = DegradedSensors.real(VW_PASSAT, seed=7)
+    assert (sensors.block.v_noise, sensors.block.latency, sensors.rear) == (0.05, 0.05, VW_PASSAT.l_r)
+    assert sensors.block.psi_drift == Sensors.hard().psi_drift
+    found = seen(sensors, standing(2000))
+    assert found[:, 3].std() == pytest.approx(0.05, rel=0.1)
+    assert found[:, 4] == pytest.approx(VW_PASSAT.l_r * found[:, 5] / found[:, 3])
+    silent = sensors.scaled(0.0)
+    assert seen(silent, standing(50))[:, [0, 1, 2, 3, 5]] == pytest.approx(standing(50)[:, [0, 1, 2, 3, 5]])
+    louder = sensors.scaled(3.0)
+    assert (louder.block.v_noise, louder.lost, louder.jump) == (pytest.approx(0.15), pytest.approx(0.03), 0.06)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "says"),
+    [
+        ("age_jitter", 0.06, "at most dt"),
+        ("lost", 1.0, "a share"),
+        ("jump", -1.0, "jump = -1.0"),
+        ("jump_time", 0.01, "at least dt"),
+        ("heading_drift", 2.0, "radians_of"),
+        ("rear", -1.0, "rear = -1.0"),
+        ("dt", 0.01, "its sensors have 0.05 s"),
+    ],
+)
+def test_parameters_out_of_range(field: str, value: float, says: str) -> None:
+    with pytest.raises(ValueError, match=says):
+        DegradedSensors(**{"block": Sensors(), field: value})

@@ -1,4 +1,6 @@
-"""The human sets the speed: statistics, seeds, recorded speeds, profiles over the path."""
+"""Drivers set the speed: statistics, seeds, records, profiles over the path, bends; a recorded drive comes back."""
+
+from __future__ import annotations
 
 import math
 from dataclasses import replace
@@ -8,7 +10,16 @@ import numpy as np
 import pytest
 
 from steerkit.diagram.maths import Table
-from steerkit.plants.speed_driver import ConstantSpeed, RecordedSpeed, SpeedDriver, SpeedProfile
+from steerkit.paths.courses import circle, course
+from steerkit.paths.path import Path
+from steerkit.plants.speed_driver import (
+    ConstantSpeed,
+    CurveSpeedDriver,
+    Playback,
+    RecordedSpeed,
+    SpeedDriver,
+    SpeedProfile,
+)
 from tests.support.stepped import run
 
 
@@ -21,7 +32,7 @@ def speeds(driver, steps, batch=()):
     return np.array(v)
 
 
-def test_human_wanders_smoothly_over_the_whole_range():
+def test_the_speed_wanders_smoothly_over_the_whole_range():
     driver = SpeedDriver(seed=1)
     v = speeds(driver, 1200, (64,))
     assert 4.0 < v.min() < 4.2
@@ -33,7 +44,7 @@ def test_human_wanders_smoothly_over_the_whole_range():
     assert np.abs(np.diff(pace, axis=0)).max() < 0.5  # the pace itself does not jump
 
 
-def test_human_is_stationary_from_the_start():
+def test_it_is_stationary_from_the_start():
     x = SpeedDriver(seed=9).init((20_000,))
     z, g = np.array(x[:2])
     moments = [np.cov(z, g)]
@@ -45,7 +56,7 @@ def test_human_is_stationary_from_the_start():
     assert moments[0][0, 0] == pytest.approx(1.0, abs=0.03)
 
 
-def test_human_of_a_batch_is_the_single_ones():
+def test_drivers_of_a_batch_are_the_single_ones():
     batch = speeds(SpeedDriver(seed=5), 100, (3,))
     for i in range(3):
         assert batch[:, i] == pytest.approx(speeds(SpeedDriver(seed=5 + i), 100), rel=1e-12)
@@ -57,7 +68,7 @@ def test_constant_speed():
     assert speeds(ConstantSpeed(speed=np.array([4.0, 5.0])), 2, (2,)).tolist() == [[4.0, 5.0]] * 2
 
 
-def test_recorded_human():
+def test_recorded_speed():
     driver = RecordedSpeed(speeds=(4.0, 6.0, 5.0), spacing=0.1)
     assert speeds(driver, 7) == pytest.approx([4.0, 5.0, 6.0, 5.5, 5.0, 5.0, 5.0])
     again = replace(driver, repeat=True, start=0.1)
@@ -104,6 +115,78 @@ def test_speed_profile_is_traced_through_a_table(monkeypatch):
         (lambda: SpeedProfile.from_samples([0.0, 0.0], [4.0, 5.0]), "at rising strictly"),
     ],
 )
-def test_teaching_errors_of_humans(make, message):
+def test_teaching_errors(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+def test_a_careful_driver_keeps_both_accelerations() -> None:
+    path = course("paper")
+    driver = CurveSpeedDriver(path=path, driver=SpeedDriver(v_min=7.5, v_max=7.5))
+    s = np.linspace(0.0, path.length, 8000)
+    v = driver.output(0.0, driver.init((len(s),)), driver.D(s)).v
+    assert (v**2 * np.abs(path.kappa(s))).max() < 3.1
+    assert np.abs(np.diff(v**2) / (2.0 * np.diff(s))).max() < 1.6
+    assert v.max() > 6.9
+    assert v.min() == pytest.approx(np.sqrt(3.0 / np.abs(path.samples.kappa).max()), rel=0.02)
+
+
+def test_a_careful_driver_on_an_open_course_does_not_brake_for_its_own_start() -> None:
+    path = course("genesis-rfs")
+    driver = CurveSpeedDriver(path=path, driver=SpeedDriver(v_min=7.0, v_max=7.5), a_y_max=3.0)
+    bend = float(path.samples.s[np.abs(path.samples.kappa).argmax()])
+    fast, slow = (driver.output(0.0, driver.init(), driver.D(s)).v for s in (path.length, bend))
+    assert fast > 7.0 > 6.95
+    assert slow < 7.5
+    with pytest.raises(ValueError, match="a_y_max"):
+        CurveSpeedDriver(path=path, driver=SpeedDriver(), a_y_max=0.0)
+
+
+def careful(path: Path, s: np.ndarray, fastest: float = 30.0) -> np.ndarray:
+    driver = CurveSpeedDriver(path=path, driver=SpeedDriver(v_min=fastest, v_max=fastest))
+    return driver.output(0.0, driver.init((len(s),)), driver.D(s)).v
+
+
+def test_a_circle_is_driven_at_the_comfortable_acceleration() -> None:
+    assert careful(circle(20.0), np.array([0.0, 33.0, 100.0])) == pytest.approx(np.sqrt(3.0 * 20.0), rel=1e-3)
+
+
+def test_braking_and_speeding_up_take_all_of_what_they_may() -> None:
+    """Straights that are long enough for both: on the way there v^2 changes by 2*1.5 m/s^2 a metre, and not more."""
+    path = course("paper")
+    s = np.linspace(0.0, path.length, 8001)
+    slope = np.diff(careful(path, s) ** 2) / np.diff(s)
+    for steepest in (slope.max(), -slope.min()):  # v is linear between the metres, so v^2 nearly is
+        assert steepest == pytest.approx(2.0 * 1.5, rel=0.03)
+
+
+@pytest.mark.parametrize("start", [50.0, 190.0, 333.0, 610.0])
+def test_where_a_closed_course_begins_does_not_matter(start: float) -> None:
+    path = course("paper")
+    s = np.linspace(0.0, path.length, 400, endpoint=False)
+    np.testing.assert_allclose(careful(path.started_at(start), (s - start) % path.length), careful(path, s), atol=0.15)
+
+
+ANGLES = (0.0, 0.1, 0.4, -0.2, -0.3)
+SPEEDS = (4.0, 5.0, 5.5, 5.0, 6.0)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.02, 0.013, -0.007])
+def test_it_is_the_record_between_its_samples_and_holds_its_ends(delay: float) -> None:
+    drive = Playback(angles=ANGLES, speeds=SPEEDS, delay=delay, dt=0.01)
+    at = 0.01 * np.arange(len(ANGLES))
+    for t in np.arange(-3.0, 10.0, 0.25) * 0.01:
+        y = drive.output(float(t), (), ())
+        assert y.delta_sw == pytest.approx(np.interp(t - delay, at, ANGLES), abs=1e-6)
+        assert y.v == pytest.approx(np.interp(t, at, SPEEDS), abs=1e-6)
+
+
+def test_a_record_has_as_many_angles_as_speeds() -> None:
+    with pytest.raises(ValueError, match="5 angles, 4 speeds"):
+        Playback(angles=ANGLES, speeds=SPEEDS[:-1])
+
+
+def test_a_record_given_as_lists_or_arrays_is_the_same() -> None:
+    plain, (angles, speeds) = Playback(angles=ANGLES, speeds=SPEEDS), (list(ANGLES), np.array(SPEEDS))
+    other = Playback(angles=angles, speeds=speeds)  # type: ignore[arg-type]
+    assert other.output(0.012, (), ()) == plain.output(0.012, (), ())

@@ -1,7 +1,10 @@
-"""The steering actuator: lag, delay, rate limit and stops are exact."""
+"""The steering: lag, delay, rate limit and stops are exact; a link's quanta and delays; the loops of a worn column."""
+
+from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from steerkit.diagram.units import radians_of
-from steerkit.plants.steering_actuator import SteeringActuator, steering_of
+from steerkit.plants.steering_actuator import SteeringActuator, SteeringColumn, SteeringLink, steering_of
 from steerkit.vehicles import VW_PASSAT
 from steerkit.vehicles.file import vehicle_text
 from tests.support.stepped import run
@@ -65,24 +68,37 @@ def test_batch_of_different_actuators():
     assert y.delta_sw == pytest.approx(expected, rel=1e-12)
 
 
+NEITHER = r"delay = 0.025 \[s\], expected a multiple of dt = 0.01 s; valid: 0.02 or 0.03, or a finer"
+
+
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("kind", "field", "value", "message"),
     [
-        (
-            dict(delay=0.025),
-            r"delay = 0.025 \[s\], expected a multiple of dt = 0.01 s; valid: 0.02 or 0.03, or a finer",
-        ),
-        (dict(delay=-0.01), r"delay = -0.01 \[s\]"),
-        (dict(delay=np.array([0.01, 0.02])), "delay .* expected one number for all cars"),
-        (dict(limit=520.0), r"limit = 520.0 \[rad\].*radians_of\(520\)"),
-        (dict(rate_limit=550.0), r"rate_limit = 550.0 \[rad/s\].*radians_of\(550\)"),
-        (dict(lag=-0.1), r"lag = -0.1 \[s\]"),
-        (dict(gain=0.0), "gain = 0.0"),
+        (SteeringActuator, "delay", 0.025, NEITHER),
+        (SteeringActuator, "delay", -0.01, r"delay = -0.01 \[s\]"),
+        (SteeringActuator, "delay", np.array([0.01, 0.02]), "delay .* expected one number for all cars"),
+        (SteeringActuator, "limit", 520.0, r"limit = 520.0 \[rad\].*radians_of\(520\)"),
+        (SteeringActuator, "rate_limit", 550.0, r"rate_limit = 550.0 \[rad/s\].*radians_of\(550\)"),
+        (SteeringActuator, "lag", -0.1, r"lag = -0.1 \[s\]"),
+        (SteeringActuator, "gain", 0.0, "gain = 0.0"),
+        (SteeringLink, "jitter", 0.015, "jitter .*multiple of dt"),
+        (SteeringLink, "quantum", -1.0, "quantum .*expected 0 to 1"),
+        (SteeringLink, "dead_band", 3.0, "dead_band .*expected 0 to 1"),
+        (SteeringLink, "every", 0.0, "every = 0.0"),
+        (SteeringColumn, "friction", -0.1, r"friction = -0.1 \[rad\], expected 0 to 1"),
+        (SteeringColumn, "play", 2.0, r"play = 2.0 \[rad\], expected 0 to 1"),
+        (SteeringColumn, "play", math.nan, r"play = nan \[rad\], expected 0 to 1"),
+        (SteeringColumn, "zero", 3.0, r"zero = 3.0 \[rad\], expected -1 to 1"),
     ],
 )
-def test_teaching_errors_of_actuator(change, message):
-    with pytest.raises(ValueError, match=f"SteeringActuator: {message}"):
-        SteeringActuator(**change)
+def test_teaching_errors(kind: Any, field: str, value: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=f"{kind.__name__}: {message}"):
+        kind(**{field: value})
+
+
+def test_a_seed_is_a_whole_number() -> None:
+    with pytest.raises(ValueError, match="seed = -1"):
+        SteeringLink(seed=-1)
 
 
 @pytest.mark.parametrize("offset", [-0.3, 0.0, 0.3])
@@ -109,3 +125,145 @@ def test_a_files_delay_and_lag_keep_their_sum_less_a_sample(
     assert motor.delay == pytest.approx(0.01 * samples)
     assert motor.lag == pytest.approx(rest)
     assert motor.offset == 0.02
+
+
+commands = st.lists(st.floats(-9.0, 9.0), min_size=1, max_size=50)
+
+
+def sent(link: SteeringLink, given: list[float]) -> np.ndarray:
+    return np.array([y.delta_sw for y in run(link, [(command,) for command in given])[0]])
+
+
+@given(given=commands, quantum=st.sampled_from([0.001, 0.1, 0.7]))
+def test_a_command_is_rounded_to_the_nearest_quantum(given: list[float], quantum: float) -> None:
+    out = sent(SteeringLink(quantum=quantum), given)
+    assert (abs(out - given) <= 0.5 * quantum * (1.0 + 1e-9)).all()
+    np.testing.assert_allclose(out / quantum, np.round(out / quantum), atol=1e-6)
+
+
+@given(given=commands, dead_band=st.floats(0.0, 0.9))
+def test_what_is_kept_is_within_the_dead_band_and_what_is_new_is_the_command(given, dead_band) -> None:
+    out = sent(SteeringLink(dead_band=dead_band), given)
+    assert (abs(out - given) <= dead_band).all()
+    changed = np.flatnonzero(np.diff(out)) + 1
+    assert (out[changed] == np.array(given)[changed]).all()
+    assert (abs(np.diff(out))[changed - 1] > dead_band).all()
+
+
+def test_a_slow_ramp_becomes_steps_of_the_dead_band() -> None:
+    out = sent(SteeringLink(dead_band=0.125), (np.arange(1024) / 1024).tolist())
+    steps = np.diff(out)[np.diff(out) > 0.0]
+    assert steps == pytest.approx([0.125 + 1 / 1024] * 7, abs=1e-15)
+
+
+@pytest.mark.parametrize("block", [SteeringLink(), SteeringColumn()])
+@given(given=commands)
+def test_off_it_is_not_there(block: SteeringLink | SteeringColumn, given: list[float]) -> None:
+    assert [set(y) for y in run(block, [(command,) for command in given])[0]] == [{command} for command in given]
+
+
+def arrivals(link: SteeringLink, count: int) -> np.ndarray:
+    """How many samples after it was given each of `count` commands arrives: command k is k, given for `every`."""
+    hold = round(link.every / link.dt)
+    out = sent(link, np.repeat(np.arange(count, dtype=float), hold).tolist())
+    assert (np.diff(out) >= 0.0).all(), "a command overtook another"
+    return np.array([np.argmax(out >= k) - k * hold for k in range(1, count - 10)])
+
+
+def test_each_command_takes_a_time_of_its_own() -> None:
+    """Uniform over 0 to 4 samples where that is less than the time between commands."""
+    found = np.bincount(arrivals(SteeringLink(jitter=0.04, seed=5), 2000), minlength=5)
+    assert len(found) == 5
+    assert found == pytest.approx([398] * 5, abs=4.0 * np.sqrt(400))
+
+
+def test_none_is_overtaken_where_the_jitter_is_longer_than_the_time_between_commands() -> None:
+    late = arrivals(SteeringLink(jitter=0.1, every=0.02, seed=5), 2000)
+    assert late.min() == 0
+    assert late.max() > 2  # later than the next command was given
+    assert late.max() <= 10
+
+
+def test_seeds_draw_other_delays_and_a_batch_those_of_its_cars() -> None:
+    one, other = (arrivals(SteeringLink(jitter=0.04, seed=seed), 50) for seed in (5, 6))
+    assert (one != other).any()
+    link = SteeringLink(jitter=0.04, seed=5)
+    given = np.repeat(np.arange(50.0), 5)
+    together = np.array([y.delta_sw for y in run(link, [(np.full(2, g),) for g in given], x=link.init((2,)))[0]])
+    for car in (0, 1):
+        assert (together[:, car] == sent(SteeringLink(jitter=0.04, seed=5 + car), given.tolist())).all()
+
+
+def test_the_state_grows_only_with_jitter() -> None:
+    assert len(SteeringLink(quantum=0.1, dead_band=0.1).init()) == 1
+    assert len(SteeringLink(jitter=0.03).init()) == 10 + 3
+
+
+angles = st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=40)
+gaps = st.floats(0.0, 0.5)
+
+
+def outputs(column: SteeringColumn, motor: list[float]) -> np.ndarray:
+    """delta_sw and delta_sw_meas, a row a sample."""
+    return np.array(run(column, [(angle,) for angle in motor])[0])
+
+
+def width(front: np.ndarray, behind: np.ndarray, at: float) -> float:
+    """How far apart a loop's two branches are at one height of `behind`, along `front`; the second round of it."""
+    half = len(front) // 2
+    front, behind = front[half:], behind[half:]
+    rising = np.diff(behind, prepend=behind[0]) > 0.0
+    falling = np.diff(behind, prepend=behind[0]) < 0.0
+    up = np.interp(at, behind[rising], front[rising])
+    down = np.interp(at, behind[falling][::-1], front[falling][::-1])
+    return float(up - down)
+
+
+@pytest.mark.parametrize("at", [-0.4, 0.0, 0.5])
+def test_a_loop_is_as_wide_as_twice_the_friction_and_once_the_play(at: float) -> None:
+    friction, play = 0.05, 0.08
+    fall = np.linspace(1.0, -1.0, 401)
+    there = np.concatenate((np.linspace(0.0, 1.0, 201), fall[1:], -fall[1:]))
+    motor = np.concatenate((there, there[201:]))
+    road, wheel = outputs(SteeringColumn(friction=friction, play=play), motor.tolist()).T
+    second = motor[600:], road[600:], wheel[600:]
+    turns = [np.concatenate([signal[:400][::-1][::-1], signal[400:801]]) for signal in second]
+    motor, road, wheel = (np.concatenate((turn, turn)) for turn in turns)
+    assert width(motor, wheel, at) == pytest.approx(2.0 * friction, abs=1e-12)
+    assert width(wheel, road, at) == pytest.approx(play, abs=1e-12)
+    assert width(motor, road, at) == pytest.approx(2.0 * friction + play, abs=1e-12)
+
+
+def test_a_reversal_is_answered_after_the_gaps_and_in_the_same_sample() -> None:
+    road, wheel = outputs(SteeringColumn(friction=0.1, play=0.2), [0.0, 1.0, 0.9, 0.81, 0.7, 0.61, 0.5]).T
+    assert wheel == pytest.approx([0.0, 0.9, 0.9, 0.9, 0.8, 0.71, 0.6])
+    assert road == pytest.approx([0.0, 0.8, 0.8, 0.8, 0.8, 0.8, 0.7])
+
+
+@given(motor=angles, friction=gaps, play=gaps)
+def test_nothing_leaves_its_gap_and_what_is_held_stays(motor: list[float], friction: float, play: float) -> None:
+    column = SteeringColumn(friction=friction, play=play)
+    road, wheel = outputs(column, motor).T
+    assert (abs(wheel - motor) <= friction + 1e-12).all()
+    assert (abs(road - wheel) <= 0.5 * play + 1e-12).all()
+    twice = outputs(column, [angle for angle in motor for _ in range(3)])
+    np.testing.assert_allclose(twice[::3], np.column_stack((road, wheel)), atol=1e-12)  # how fast does not matter
+    np.testing.assert_allclose(twice[2::3], twice[::3], atol=1e-12)
+
+
+@given(motor=angles, friction=gaps, play=gaps)
+def test_left_and_right_are_the_same(motor: list[float], friction: float, play: float) -> None:
+    column = SteeringColumn(friction=friction, play=play)
+    np.testing.assert_array_equal(outputs(column, [-angle for angle in motor]), -outputs(column, motor))
+
+
+def test_a_sensors_zero_is_shown_and_moves_nothing() -> None:
+    motor = [0.0, 1.0, 0.9, 0.5, 0.7]
+    right, off = (outputs(SteeringColumn(friction=0.1, play=0.2, zero=zero), motor) for zero in (0.0, 0.05))
+    assert (off[:, 0] == right[:, 0]).all()
+    assert off[:, 1] == pytest.approx(right[:, 1] + 0.05, abs=1e-15)
+
+
+def test_it_starts_in_the_middle_where_it_stands() -> None:
+    road, wheel = outputs(SteeringColumn(friction=0.1, play=0.2), [0.7, 0.75, 0.65]).T
+    assert (wheel.tolist(), road.tolist()) == ([0.7] * 3, [0.7] * 3)

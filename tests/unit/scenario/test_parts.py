@@ -10,10 +10,8 @@ import pytest
 
 from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.estimators.vehicle_state import VehicleState
-from steerkit.plants.degraded_sensors import DegradedSensors
-from steerkit.plants.sensors import Sensors
-from steerkit.plants.steering_column import SteeringColumn
-from steerkit.plants.steering_link import SteeringLink
+from steerkit.plants.sensors import DegradedSensors, Sensors
+from steerkit.plants.steering_actuator import SteeringColumn, SteeringLink
 from steerkit.plants.torque_steering import TorqueSteering
 from steerkit.scenario import Scenario
 from steerkit.scenario.drive import assembled, controller, drive
