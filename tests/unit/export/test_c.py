@@ -163,7 +163,7 @@ def test_the_code_needs_nothing_but_math_h(tmp_path: Path) -> None:
 
 
 def test_bad_requests_name_the_choices(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"which blocks .*human, car"):
+    with pytest.raises(ValueError, match=r"which blocks .*driver, car"):
         export_c(learner_loop(), tmp_path)
     with pytest.raises(ValueError, match="no block 'controler'"):
         export_c(learner_loop(), tmp_path, blocks=("controler",))
