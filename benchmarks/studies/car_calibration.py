@@ -21,7 +21,7 @@ from scipy.signal import lfilter
 
 from steerkit.car import processes, protocol
 from steerkit.car.calibration import Guided
-from steerkit.car.config.reading import load
+from steerkit.car.config import load
 from steerkit.car.core import Core, Frame, Link, Packet, Reply, Send, Tick
 from steerkit.car.estimates import Watched
 from steerkit.car.state_machine import Mode, Order

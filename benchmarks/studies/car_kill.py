@@ -32,8 +32,7 @@ from steerkit.car import loop as loops
 from steerkit.car import processes
 from steerkit.car import recording as tapes
 from steerkit.car.client import CarClient, CarLost
-from steerkit.car.config.reading import load
-from steerkit.car.configured import course_of
+from steerkit.car.config import course_of, load
 from steerkit.car.core import Core
 from steerkit.car.learner import RUN, CarLearner
 from steerkit.learning.data.store import TransitionStore

@@ -15,9 +15,9 @@ from steerkit.car import recording as tapes
 from steerkit.car import replay as replays
 from steerkit.car import session as sessions
 from steerkit.car.client import CarClient
-from steerkit.car.config.config import CarConfig
+from steerkit.car.config import CarConfig
 from steerkit.car.estimates import DROVE, EARLIER, QUANTITIES, Watched, changes, earlier, known_in, lines
-from steerkit.car.follow import Follow
+from steerkit.car.loop import Follow
 from steerkit.car.protocol import ESTIMATES
 from steerkit.car.state_machine import Mode
 from steerkit.diagram import realtime

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from steerkit.car import protocol
 from steerkit.car import state_machine as states
-from steerkit.car.config.config import CarConfig
+from steerkit.car.config import CarConfig
 from steerkit.car.gate import gate
 from steerkit.car.senses import EPS, Senses
 from steerkit.car.state_machine import Facts, Machine, Mode, Order

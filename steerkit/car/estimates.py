@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from steerkit.car.client import CarLink
-from steerkit.car.config.config import CarConfig
+from steerkit.car.config import CarConfig
 from steerkit.car.protocol import ESTIMATES, Adapted, Estimates, Snapshot
 from steerkit.car.state_machine import Mode
 from steerkit.diagram.block import Block

@@ -23,7 +23,7 @@ from typing import Any, Protocol, Self
 from steerkit._support.clock import Clock
 from steerkit._support.errors import require
 from steerkit._support.files import write_text
-from steerkit.car.follow import Follow, Steers, filtered_in
+from steerkit.car.loop import RUN_FORMAT, Follow, Steers, filtered_in, setting_of
 from steerkit.car.protocol import Adapted, Filtered
 from steerkit.controllers.fail_safe import FAULTS
 from steerkit.controllers.nfq_policy import NfqPolicy
@@ -42,7 +42,6 @@ from steerkit.scenario.catalogue import AUTO
 from steerkit.vehicles import Vehicle
 
 RUN = "car"
-FORMAT = "steerkit car run 1"
 
 
 class Car(Protocol):
@@ -279,16 +278,4 @@ def _claim(place: FilePath, setting: Setting) -> None:
             )
     (place / "nets").mkdir(parents=True, exist_ok=True)
     if not file.exists():
-        write_text(file, json.dumps({"format": FORMAT, "setting": rundir.plain(setting)}, indent=1))
-
-
-def setting_of(place: FilePath) -> Setting:
-    """How a run on a car learns; raises ValueError for a directory that holds none."""
-    file = place / "car.json"
-    try:
-        data = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise ValueError(f"{file}: no run of a car ({error}); make one with `steerkit learn --car FILE`") from error
-    if not isinstance(data, dict) or data.get("format") != FORMAT:
-        raise ValueError(f"{file}: not of the format {FORMAT!r}")
-    return rundir.from_plain(data["setting"], str(file), Setting)
+        write_text(file, json.dumps({"format": RUN_FORMAT, "setting": rundir.plain(setting)}, indent=1))

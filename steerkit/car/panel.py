@@ -17,6 +17,8 @@ from collections.abc import Callable, Collection
 from types import TracebackType
 from typing import Any, Self
 
+from steerkit._support.clock import Clock
+from steerkit._support.errors import require
 from steerkit.car.client import CarClient, CarLost
 from steerkit.car.protocol import Adapted, Filtered, Snapshot
 from steerkit.car.state_machine import Mode, Order
@@ -35,6 +37,11 @@ COLOURS = {
     Mode.OVERRIDE: "magenta",
     Mode.FAULT: "red",
 }
+SHOWN = {name: f"car.{name}" for name in Snapshot._fields if name not in ("t", "mode", "text")}
+SHOWN |= {"e": "path.e", "psi_e": "path.psi_e", "command": "gate.delta_sw"}
+"""What a snapshot holds, and its name among a drive's signals."""
+LONGEST_RATE = 200.0
+"""The most samples a second that the car server may be asked for."""
 
 
 class Panel:
@@ -245,3 +252,22 @@ def _keys() -> Any:
     finally:
         with contextlib.suppress(termios.error):  # of a terminal that is gone
             termios.tcsetattr(fd, termios.TCSANOW, before)
+
+
+def stream(link: CarClient, server: Any, *, rate: float = 20.0) -> None:
+    """Show a car's snapshots in Foxglove until the car server ends (CarLost): a car, seen live from a second terminal.
+
+    The car waits for nothing of this: it answers a query as it does the panel's, and no order is ever given.
+    link: to the car server, with `controller=False`. server: `steerkit.logs.foxglove.Server`. rate: of queries [1/s].
+    """
+    valid = f"rate = {rate} 1/s, expected more than 0, up to {LONGEST_RATE:g}"
+    require(0.0 < rate <= LONGEST_RATE, "car stream", valid)
+    server.begin(list(SHOWN.values()))
+    clock, last = Clock(), -math.inf
+    while True:
+        began, now = clock.now(), link.query()
+        if now.t > last:
+            server.show(now.t, [float(getattr(now, name)) for name in SHOWN])
+            server.tell("/state", {"mode": str(now.mode), "text": now.text}, now.t)
+            last = now.t
+        clock.sleep_until(began + 1.0 / rate)

@@ -1,26 +1,36 @@
-"""The processes of a car: the car server, a simulated car, and how they are started."""
+"""The processes of a car: the car server that owns its bus, and a simulated car behind the same DBC.
+
+`steerkit car server` and `steerkit car simulate` are these for people. Programs start them as `python -m
+steerkit.car.processes server JSON`, without the command line's packages, and so they are up a third sooner.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import json
+import logging
 import os
 import subprocess
 import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path as FilePath
 from typing import Any, TextIO
 
 from steerkit._support.clock import Clock
+from steerkit._support.errors import in_one_line
 from steerkit.car.client import CarClient, CarLost
-from steerkit.car.config.config import CarConfig
-from steerkit.car.frames.bus import Port
+from steerkit.car.config import CarConfig, bus_of, loaded
+from steerkit.car.ports import BusPort, Port, SlcanPort
+from steerkit.car.recording import Recording, described
+from steerkit.car.server import CarServer
 from steerkit.car.simulated import Fault, SimulatedCar
 from steerkit.car.state_machine import Mode, Order
 from steerkit.controllers.stanley import Stanley
+from steerkit.diagram.realtime import preferred
 from steerkit.paths.path import Path
 
 OF = "session: "
@@ -40,8 +50,8 @@ def default_socket() -> str:
 
 
 def start(name: str, told: Mapping[str, Any], **popen: Any) -> subprocess.Popen[str]:
-    """Start one of `steerkit.car.serving` as a process, out of the terminal's reach (Ctrl-C is not for it)."""
-    command = [sys.executable, "-m", "steerkit.car.serving", name, json.dumps(told)]
+    """Start one of `steerkit.car.processes` as a process, out of the terminal's reach (Ctrl-C is not for it)."""
+    command = [sys.executable, "-m", "steerkit.car.processes", name, json.dumps(told)]
     return subprocess.Popen(command, encoding="utf-8", start_new_session=True, **popen)
 
 
@@ -83,7 +93,7 @@ def last_line(log: str) -> str:
 def start_simulated(config: str, **told: Any) -> tuple[subprocess.Popen[str], str]:
     """Start a simulated car; returns its process, which takes faults on its standard input, and its channel.
 
-    told: what `serving.simulate` takes. It ends with this program, however that ends.
+    told: what `simulate` takes. It ends with this program, however that ends.
     """
     told |= {"config": config, "parent": os.getpid()}
     process = start("simulate", told, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
@@ -203,3 +213,82 @@ def engage(socket_path: str, *, timeout: float = 20.0) -> None:
             if time.monotonic() > end:
                 raise CarLost(f"not engaged within {timeout:g} s: {snapshot.mode}: {snapshot.text}")
             time.sleep(0.05)
+
+
+def server(
+    config: str,
+    *,
+    socket: str = "",
+    recording: str = "",
+    channel: str = "",
+    time_scale: float = 1.0,
+    linger: float = 60.0,
+    realtime: bool = False,
+) -> int:
+    """The process that owns the bus, until nobody has been there for `linger` [s]; its exit code: 1 if the recording
+    is not whole.
+
+    Raises ValueError for a configuration that wants a recording where none is made.
+    """
+    logging.basicConfig(format="%(asctime)s %(name)s %(message)s", level=logging.INFO, stream=sys.stdout)
+    car, path = loaded(config, channel)
+    if car.keep_recording and not recording:
+        raise ValueError(f"{config}: keep_recording = true, but nothing is recorded; give --recording FILE.mcap")
+    tape = Recording(recording, described(car, path, time_scale)) if recording else None
+    with contextlib.closing(tape) if tape else contextlib.nullcontext():
+        if realtime:
+            logging.info(preferred(threads=True))  # the bus's thread too, but not the recording's
+        clock = Clock(scale=time_scale)
+        CarServer(car, path, socket or default_socket(), recording=tape, clock=clock, linger=linger).run()
+    return 1 if tape and tape.failed else 0
+
+
+def simulate(
+    config: str,
+    *,
+    listen: str = "",
+    channel: str = "",
+    time_scale: float = 1.0,
+    ratio: float = 1.0,
+    log: str = "",
+    parent: int = 0,
+    **car: Any,
+) -> int:
+    """A simulated car on a bus of its own, which takes faults on standard input; its exit code.
+
+    ratio: the true steering ratio over that of the data sheet. car: what else `SimulatedCar` takes. parent: number of
+    the process with which it ends; 0: with none. Raises ValueError for a channel of slcan.
+    """
+    as_told, path = loaded(config, "-")
+    arguments = bus_of(channel)
+    if arguments and arguments["interface"] == "slcan":
+        raise ValueError(
+            f"--channel {channel!r} of a simulated car: expected INTERFACE:CHANNEL, as socketcan:vcan0; "
+            "leave it out for an slcan port of its own"
+        )
+    clock = Clock(scale=time_scale)
+    port = BusPort(arguments) if arguments else SlcanPort(listen)
+    true = replace(as_told.vehicle, steer_ratio=ratio * as_told.vehicle.steer_ratio)
+    simulated = simulated_car(as_told, path, vehicle=true, t0=clock.now(), **car)
+    print(f"channel {port.channel}", flush=True)
+    with contextlib.ExitStack() as stack:
+        stream = stack.enter_context(open(log, "w", encoding="utf-8")) if log else None
+        stack.callback(port.close)
+        with contextlib.suppress(KeyboardInterrupt):
+            serve_simulated(simulated, port, clock, log=stream, faults=sys.stdin, parent=parent)
+    return 0
+
+
+def main(words: Sequence[str]) -> int:
+    """Run one of the two with what it is told in JSON; a mistake in that is one line and exit code 2."""
+    name, told = words
+    runs: dict[str, Callable[..., int]] = {"server": server, "simulate": simulate}
+    try:
+        return runs[name](**json.loads(told))
+    except (ValueError, KeyError, OSError) as error:
+        print(f"steerkit car: {in_one_line(error)}", file=sys.stderr)
+        return 2
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))

@@ -15,9 +15,9 @@ from typing import Any
 
 from steerkit.car import loop as loops
 from steerkit.car.client import CarLost, ReplayLink
-from steerkit.car.config.config import CarConfig
+from steerkit.car.config import CarConfig
 from steerkit.car.estimates import CarEstimators, message_of
-from steerkit.car.follow import Follow, Steers, filtered_in
+from steerkit.car.loop import Follow, Steers, filtered_in
 from steerkit.car.protocol import Adapted, Estimates, Filtered, Hello, Remark, Request, Snapshot, decode, encode
 from steerkit.car.recording import Recorded
 from steerkit.car.state_machine import Mode

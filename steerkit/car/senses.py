@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
-from steerkit.car.config.config import CarConfig
-from steerkit.car.frames.codec import FrameReader
+from steerkit.car.config import CarConfig
+from steerkit.car.frames import FrameReader
 from steerkit.car.motion import Motion
 from steerkit.diagram.units import degrees_of
 from steerkit.paths.path import Path

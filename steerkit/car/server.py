@@ -19,10 +19,9 @@ from typing import Any
 
 from steerkit._support.clock import Clock
 from steerkit.car import protocol
-from steerkit.car.config.config import CarConfig
+from steerkit.car.config import CarConfig
 from steerkit.car.core import Core, End, Event, Frame, Link, Note, Packet, Reply, Send, Taping, Tick
-from steerkit.car.frames.bus import open_bus
-from steerkit.car.frames.python_can import python_can
+from steerkit.car.ports import open_bus, python_can
 from steerkit.car.recording import Recording
 from steerkit.paths.path import Path
 

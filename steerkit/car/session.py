@@ -22,9 +22,9 @@ from steerkit._support.errors import known
 from steerkit.car import loop as loops
 from steerkit.car import processes
 from steerkit.car.client import CarClient, CarLost
-from steerkit.car.configured import loaded
+from steerkit.car.config import loaded
 from steerkit.car.estimates import Watched
-from steerkit.car.follow import adapted_in, filtered_in
+from steerkit.car.loop import adapted_in, filtered_in
 from steerkit.car.processes import OF
 from steerkit.car.protocol import Adapted, Filtered, digest
 from steerkit.car.state_machine import Order

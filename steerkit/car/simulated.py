@@ -9,8 +9,8 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
-from steerkit.car.config.config import CarConfig
-from steerkit.car.frames.codec import SignalEncoder
+from steerkit.car.config import CarConfig
+from steerkit.car.frames import SignalEncoder
 from steerkit.diagram.block import Block
 from steerkit.paths.path import Path
 from steerkit.paths.tracker import PathTracker

@@ -31,13 +31,13 @@ def check(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead, in SI units.")] = False,
 ) -> None:
     """Check a configuration and print what would be read and written, and every limit."""
-    from steerkit.car import configured
+    from steerkit.car.config import loaded
 
-    loaded, path = configured.loaded(config)
+    car, path = loaded(config)
     if as_json:
-        print(json.dumps({**loaded.facts(), "course": path.name, "length": path.length, "closed": path.closed}))
+        print(json.dumps({**car.facts(), "course": path.name, "length": path.length, "closed": path.closed}))
         return
-    print("\n".join(loaded.summary()))
+    print("\n".join(car.summary()))
     print(f"path     {path.name}, {path.length:.0f} m, {'closed' if path.closed else 'open'}")
     print(f"{config}: no mistakes found")
 
@@ -64,12 +64,12 @@ def simulate(
     A line is KIND, `pose` or `report`, and if wanted LENGTH and AMOUNT, such as `drop pose 0.5`; an unknown one prints
     the kinds.
     """
-    from steerkit.car import serving
+    from steerkit.car import processes
     from steerkit.diagram.units import radians_of
 
     bus: dict[str, Any] = {"listen": listen, "channel": channel, "time_scale": time_scale, "log": log}
     car: dict[str, Any] = {"ratio": ratio, "delay": delay, "lag": lag, "offset": radians_of(offset_deg)}
-    raise typer.Exit(serving.simulate(config, **bus, **car, seed=seed, v_min=v_min, v_max=v_max))
+    raise typer.Exit(processes.simulate(config, **bus, **car, seed=seed, v_min=v_min, v_max=v_max))
 
 
 @app.command()
@@ -83,10 +83,10 @@ def server(
     realtime: Annotated[bool, typer.Option(help="Run under SCHED_FIFO; needs the right to.")] = False,
 ) -> None:
     """The process that owns the bus. `steerkit drive --car` and `learn --car` start one where there is none."""
-    from steerkit.car import serving
+    from steerkit.car import processes
 
     told: dict[str, Any] = {"socket": socket, "recording": recording, "channel": channel, "time_scale": time_scale}
-    raise typer.Exit(serving.server(config, **told, linger=linger, realtime=realtime))
+    raise typer.Exit(processes.server(config, **told, linger=linger, realtime=realtime))
 
 
 @app.command()
@@ -172,14 +172,14 @@ def stream(
     """
     from steerkit.car import processes
     from steerkit.car.client import CarClient, CarLost
-    from steerkit.logs.car_stream import follow
-    from steerkit.logs.stream import Server
+    from steerkit.car.panel import stream as show
+    from steerkit.logs.foxglove import Server
 
     with CarClient(socket or processes.default_socket(), controller=False) as link:
         server = Server(where)
         print(f"live in Foxglove: open a connection to {server.address}; Ctrl-C ends it", flush=True)
         try:
-            follow(link, server, rate=rate)
+            show(link, server, rate=rate)
         except CarLost as error:
             print(error)
         except KeyboardInterrupt:
@@ -200,9 +200,10 @@ def replay(
     One that is damaged or cut short is repaired into a new file and stays as it is itself. One that is still being
     written is only looked into. Exit code: 0; 1 when messages are missing, 2 when a replay lacks something.
     """
-    from steerkit.car import configured, estimates
+    from steerkit.car import estimates
     from steerkit.car import recording as tapes
     from steerkit.car import replay as replays
+    from steerkit.car.config import course_of
     from steerkit.car.core import Core
 
     recorded = tapes.read(file)
@@ -222,7 +223,7 @@ def replay(
     for v in recorded.of("/state"):
         print(f"  {v['t']:.3f} s  {v['from']} -> {v['to']}: {v['cause']}")
     config = tapes.config_of(recorded)
-    path = configured.course_of(config)
+    path = course_of(config)
     for difference in tapes.differences(recorded, config, path):
         print(f"not as it was then: {difference}")
     if any(gap.missing for gap in recorded.gaps):

@@ -20,13 +20,7 @@ def export(
     mcap: Annotated[
         Path | None, typer.Option(help="A log, or a run's last drive, for Foxglove and PlotJuggler.")
     ] = None,
-    ros2: Annotated[
-        Path | None, typer.Option(help="The same as a ROS 2 bag, .mcap: Autoware's reports, odometry.")
-    ] = None,
     csv: Annotated[Path | None, typer.Option(help="The same as a table.")] = None,
-    steer_ratio: Annotated[
-        float, typer.Option(help="Of the car, for --ros2, which has the road wheels' angle.")
-    ] = 15.0,
     layout: Annotated[
         Path | None, typer.Option(help="The layout for --mcap: a .json for Foxglove, an .xml for PlotJuggler.")
     ] = None,
@@ -35,25 +29,25 @@ def export(
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object as the last line.")] = False,
 ) -> None:
-    """Export a learning run (policy to ONNX, transitions to Minari), a log (MCAP, ROS 2, CSV), or a car (CommonRoad,
+    """Export a learning run (policy to ONNX, transitions to Minari), a log (MCAP, CSV), or a car (CommonRoad,
     opendbc)."""
     from rich.console import Console
 
-    wanted = (onnx, minari, mcap, ros2, csv, layout, commonroad, opendbc)
+    wanted = (onnx, minari, mcap, csv, layout, commonroad, opendbc)
     if all(one is None for one in wanted):
         raise ValueError(
-            "export: nothing to do; give --onnx FILE or --minari NAME of a run, --mcap, --ros2, --csv or --layout FILE "
+            "export: nothing to do; give --onnx FILE or --minari NAME of a run, --mcap, --csv or --layout FILE "
             "of a log, --commonroad or --opendbc FILE of a car"
         )
     console, done = Console(quiet=quiet, soft_wrap=True), dict[str, Any]()
     if commonroad is not None or opendbc is not None:
         _car(run, commonroad, opendbc)
         console.print(f"car: {', '.join(str(file) for file in (commonroad, opendbc) if file is not None)}")
-    if mcap is not None or ros2 is not None or csv is not None:
-        done |= _log(run, mcap, ros2, csv, steer_ratio)
-        console.print(f"log: {', '.join(str(file) for file in (mcap, ros2, csv) if file is not None)}")
+    if mcap is not None or csv is not None:
+        done |= _log(run, mcap, csv)
+        console.print(f"log: {', '.join(str(file) for file in (mcap, csv) if file is not None)}")
     if layout is not None:
-        from steerkit.logs.out import layout as write_layout
+        from steerkit.logs.foxglove import layout as write_layout
 
         kinds = {".json": "foxglove", ".xml": "plotjuggler"}
         if layout.suffix not in kinds:
@@ -70,11 +64,11 @@ def export(
         print(json.dumps(done))
 
 
-def _log(source: Path, mcap: Path | None, ros2: Path | None, csv: Path | None, ratio: float) -> dict[str, Any]:
+def _log(source: Path, mcap: Path | None, csv: Path | None) -> dict[str, Any]:
     from steerkit.diagram.simulation import Log
     from steerkit.learning import rundir
     from steerkit.logs import read_drive
-    from steerkit.logs.out import to_mcap, to_ros2
+    from steerkit.logs.foxglove import to_mcap
 
     if (source / "run.json").exists():
         record = rundir.drive_log(source)
@@ -85,8 +79,6 @@ def _log(source: Path, mcap: Path | None, ros2: Path | None, csv: Path | None, r
     done: dict[str, Any] = {}
     if mcap is not None:
         done["mcap"] = to_mcap(record, mcap)
-    if ros2 is not None:
-        done["ros2"] = to_ros2(record, ros2, steer_ratio=ratio)
     if csv is not None:
         record.to_csv(csv)
         done["csv"] = str(csv)

@@ -53,7 +53,7 @@ def log(
     more = [f"--dbc {one}" for one in dbc or ()] + ([f"--steer-ratio {steer_ratio:g}"] if steer_ratio else [])
     _report(console, found, [*files, *more])
     if plot is not None:
-        from steerkit.logs.pictures import picture
+        from steerkit.logs.contents import picture
         from steerkit.plots.style import save
 
         save(picture(found), plot)

@@ -217,15 +217,18 @@ def streamed(where: str, *, pace: float = 0.0, signals: Sequence[str] | None = N
         yield None
         return
     from steerkit._support.console import console
-    from steerkit.logs import stream
+    from steerkit.logs.foxglove import Server, paced
 
-    with stream.beside(where, signals) as (address, sender):
-        console.print(f"live in Foxglove: open a connection to {address}", soft_wrap=True)
-        yield stream.paced(sender, pace) if pace else sender
-    if sender.broken:
-        console.print(f"the stream at {address} ended before the drive did", soft_wrap=True, style="yellow")
-    elif sender.left_out:
-        console.print(f"the stream left out {sender.left_out} samples, it was too slow", soft_wrap=True)
+    server = Server(where)
+    console.print(f"live in Foxglove: open a connection to {server.address}", soft_wrap=True)
+
+    def each(sample: Any) -> None:
+        server.sample(sample, signals)
+
+    try:
+        yield paced(each, pace) if pace else each
+    finally:
+        server.end()
 
 
 def check_options(

@@ -42,8 +42,7 @@ def resimulate(
 
     from steerkit._support.errors import require
     from steerkit.logs import ColumnMap, read_drive
-    from steerkit.logs import resimulate_pictures as pictures
-    from steerkit.logs.resimulate import resimulate as again
+    from steerkit.logs import resimulate as again
 
     names = controller or ["mpc"]
     for option, file in (("--plot", plot), ("--film", film)):
@@ -61,7 +60,7 @@ def resimulate(
     if not quiet:
         for note in (*drive.notes, told):
             console.print(note, markup=False, highlight=False, soft_wrap=True)
-    driven = [again(drive, name, car=car, progress=not quiet) for name in names]
+    driven = [again.resimulate(drive, name, car=car, progress=not quiet) for name in names]
     if as_json:
         print(json.dumps({"redriven": [one.figures() for one in driven], "car": told}))
     else:
@@ -69,10 +68,10 @@ def resimulate(
     if plot is not None:
         from steerkit.plots.style import save
 
-        save(pictures.compared(driven[0]), plot)
+        save(again.compared(driven[0]), plot)
         console.print(f"picture: {plot}", soft_wrap=True)
     if film is not None:
-        console.print(f"film: {pictures.film(driven[0], film, lasts=film_lasts, progress=not quiet)}", soft_wrap=True)
+        console.print(f"film: {again.film(driven[0], film, lasts=film_lasts, progress=not quiet)}", soft_wrap=True)
 
 
 def _car(file: str, drive: Any) -> tuple[Any, str]:

@@ -17,7 +17,7 @@ import numpy as np
 
 from steerkit._support.errors import known, require
 from steerkit._support.files import Bounded
-from steerkit.car.frames.python_can import python_can
+from steerkit.car.ports import python_can
 from steerkit.logs.channels import Options, Table
 
 _NEEDS = "CAN logs need python-can and cantools: pip install 'steerkit-control[logs]'"

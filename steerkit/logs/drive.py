@@ -1,22 +1,178 @@
-"""A recorded drive on one clock: what is repaired is said, what cannot be is refused."""
+"""A recorded drive on one clock: what is repaired is reported, what cannot be is refused."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
 from scipy.signal import savgol_filter
 
 from steerkit._support.errors import require
 from steerkit.diagram.simulation import Log
 from steerkit.diagram.units import RAD_PER_DEG
-from steerkit.logs.clock import PLACES
-from steerkit.logs.spoilt import without_lone
+from steerkit.logs.channels import Array
 
-Array = NDArray[np.floating[Any]]
+PAUSE = 0.25
+"""From this time on without a sample [s], or five of its usual steps, a channel pauses."""
+PLACES = ("x", "y")
+"""Quantities that a drive can be without: where they are not known they are NaN, and no row is lost for them."""
+
+
+def aligned(values: dict[str, Array], times: dict[str, Array], where: str, notes: list[str]) -> dict[str, Array]:
+    """The quantities (n,) over one `t` [s]; NaN where one was not sampled while others were.
+
+    values, times: by quantity, each of its own length; taken out of the dictionaries. Linear between samples; a note
+    says the rates. Raises ValueError for clocks that do not overlap.
+    """
+    first = next(iter(times.values()))
+    if all(t is first for t in times.values()):
+        times.clear()
+        return {"t": first} | {quantity: values.pop(quantity) for quantity in list(values)}
+    series = {quantity: _sorted(times.pop(quantity), values.pop(quantity)) for quantity in list(values)}
+    for quantity, (t, _) in series.items():
+        require(len(t) >= 2, where, f"{quantity} has {len(t)} samples that are numbers, expected more")
+    spans = ", ".join(f"{quantity} {t[0]:.6g} to {t[-1]:.6g}" for quantity, (t, _) in series.items())
+    needed = [q for q in series if q not in PLACES]
+    begin, end = (max(series[q][0][0] for q in needed), min(series[q][0][-1] for q in needed))
+    require(end - begin > 1.0, where, f"the clocks do not overlap: {spans} [s]; files of one drive, of one clock?")
+    clock = series[max(needed, key=lambda q: len(series[q][0]))][0]
+    clock = clock[np.searchsorted(clock, begin) : np.searchsorted(clock, end, side="right")]
+    rates = ", ".join(f"{q} {_rate(t):.4g}" for q, (t, _) in series.items())
+    notes.append(f"one clock of {_rate(clock):.4g} Hz for channels of {rates} Hz")
+    return {"t": clock, **{quantity: _on(clock, *series.pop(quantity), quantity) for quantity in list(series)}}
+
+
+def in_metres(
+    values: dict[str, Array], times: dict[str, Array], notes: list[str]
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Latitude and longitude as x (east) and y (north) of the first fix [m], unless there are x and y."""
+    lat, lon = values.pop("lat_deg"), values.pop("lon_deg")
+    at = times.pop("lat_deg")
+    times.pop("lon_deg")
+    known = np.isfinite(lat) & np.isfinite(lon) & (np.abs(lat) <= 90.0) & (np.abs(lon) <= 180.0)
+    known &= (lat != 0.0) | (lon != 0.0)  # what a receiver without a fix says
+    if "x" in values or not known.any():
+        return values, times
+    import pymap3d
+
+    first = int(np.argmax(known))
+    east, north, _ = pymap3d.geodetic2enu(lat, lon, 0.0, lat[first], lon[first], 0.0)
+    notes.append(f"x, y: east and north of {lat[first]:.6f}, {lon[first]:.6f} [degrees]")
+    values |= {"x": np.where(known, east, np.nan), "y": np.where(known, north, np.nan)}
+    return values, times | {"x": at, "y": at}
+
+
+def _sorted(t: Array, values: Array) -> tuple[Array, Array]:
+    good = np.isfinite(t) & np.isfinite(values)
+    if good.all() and (np.diff(t) > 0.0).all():
+        return t, values  # as nearly always: no copies
+    order = np.argsort(t[good], kind="stable")
+    t, values = t[good][order], values[good][order]
+    new = np.concatenate(([True], np.diff(t) > 0.0)) if len(t) else np.zeros(0, dtype=bool)
+    return t[new], values[new]
+
+
+def _rate(t: Array) -> float:
+    return 1.0 / float(np.median(np.diff(t)))
+
+
+def _on(clock: Array, t: Array, values: Array, quantity: str) -> Array:
+    """Linear between samples; NaN outside of them and in pauses."""
+    values = np.unwrap(values) if quantity == "psi" else values
+    on = np.asarray(np.interp(clock, t, values), dtype=float)
+    steps = np.diff(t)
+    pause = max(PAUSE, 5.0 * float(np.median(steps)))
+    if t[0] <= clock[0] and clock[-1] <= t[-1] and not (steps > pause).any():
+        return on
+    behind = np.clip(np.searchsorted(t, clock, side="left"), 1, len(t) - 1)
+    lost = (t[behind] - t[behind - 1] > pause) & (clock > t[behind - 1]) & (clock < t[behind])
+    return np.where(lost | (clock < t[0]) | (clock > t[-1]), np.nan, on)
+
+
+FASTEST = {"delta_sw": 35.0, "v": 30.0, "r": 30.0, "psi": 10.0}
+"""What no car changes faster than: 2000 deg/s of wheel [rad/s], 3 g [m/s^2], yaw [rad/s^2], heading [rad/s]."""
+ODD = ("delta_sw", "delta", "v", "r")
+"""Quantities of which such values are told; a heading and a place jump by themselves."""
+_ODD, _AROUND = 10.0, 8
+"""A value is odd that lies so many times further beside its neighbours' middle than any of so many on both sides."""
+
+
+def without_lone(columns: dict[str, Array], remarks: list[str]) -> None:
+    """Takes out rows in which one value stands off from both neighbours by more than a car can change, and they agree.
+
+    columns: (n,) each, `t` [s] among them, in SI.
+    """
+    t = columns["t"]
+    bad = np.zeros(len(t), dtype=bool)
+    span = np.minimum(np.diff(t)[:-1], np.diff(t)[1:])
+    for key, fastest in FASTEST.items():
+        if key in columns:
+            rows = lone(np.unwrap(columns[key]) if key == "psi" else columns[key], fastest * span)
+            if len(rows):
+                bad[rows] = True
+                remarks.append(f"dropped {len(rows)} rows of a lone {key} that no car reaches")
+    if bad.any():
+        for key in columns:
+            columns[key] = columns[key][~bad]
+
+
+def told_odd(values: Mapping[str, Array], times: Mapping[str, Array]) -> list[str]:
+    """Which samples of each quantity stand off from all around them, in value or in time, in words, if any do.
+
+    values, times: by quantity, (n,) each, in SI [s], as they were read, before they are brought to one clock.
+    """
+    told, clocks = list[str](), list[Array]()
+    for quantity, numbers in values.items():
+        t = times[quantity]
+        known = np.isfinite(t) & np.isfinite(numbers)
+        if not known.all():
+            t, numbers = t[known], numbers[known]
+        if len(t) <= 2 * _AROUND:
+            continue
+        steps = np.abs(np.diff(numbers))
+        resolution = float(np.min(steps, initial=np.inf, where=steps > 0.0))
+        found = [(quantity, standing_off(numbers, 4.0 * resolution))]
+        if not any(times[quantity] is clock for clock in clocks):
+            clocks.append(times[quantity])
+            found.append((f"the time of {quantity}", standing_off(t, 0.5 * float(np.median(np.abs(np.diff(t)))))))
+        for what, rows in found:
+            if len(rows):
+                at = f"{t[rows[0]] - t[0]:.6g} s from its start"
+                told.append(f"{what} stands off from all around in {len(rows)} samples, the first {at}: spoilt?")
+    return told
+
+
+def lone(value: Array, reach: Array) -> NDArray[np.intp]:
+    """Rows that stand off from both neighbours, which agree, by more than `reach` and 20 usual steps."""
+    steps = np.diff(value)
+    size = np.abs(steps)
+    least = np.minimum(size[:-1], size[1:])
+    far = np.flatnonzero(least > reach + 20.0 * float(np.median(size)))
+    there, back = steps[far], steps[far + 1]
+    return far[(there * back < 0.0) & (least[far] > 4.0 * np.abs(there + back))] + 1
+
+
+def standing_off(values: Array, least: float) -> NDArray[np.intp]:
+    """Rows whose value alone lies beside the middle of its neighbours, by more than `least` and ten times as far as any
+    other near it: of a signal with noise or in steps, hardly any."""
+    beside = values[:-2] + values[2:]
+    beside *= -0.5
+    beside += values[1:-1]
+    np.abs(beside, out=beside)
+    ahead = maximum_filter1d(beside, _AROUND, origin=-(_AROUND // 2), mode="constant")  # of a row and those after it
+    # a spoilt value moves its neighbours' middles too, by half: those next to it do not count
+    near = np.zeros_like(beside)
+    near[:-2] = ahead[2:]
+    np.maximum(near[_AROUND + 1 :], ahead[: -_AROUND - 1], out=near[_AROUND + 1 :])
+    near *= _ODD
+    np.maximum(near[1:], 1.5 * beside[:-1], out=near[1:])
+    np.maximum(near[:-1], 1.5 * beside[1:], out=near[:-1])
+    return np.flatnonzero(beside > np.maximum(near, least)) + 1
+
 
 V_DRIVING = 3.0
 """From this speed on [m/s] a drive tells about the car; below, the models roll kinematically."""

@@ -16,8 +16,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Protocol
 
-from steerkit.car.config.config import CarConfig
-from steerkit.car.config.reading import load
+from steerkit.car.config import CarConfig, load
 from steerkit.car.core import Core, Event, Frame, Link, Note, Packet, Reply, Send, Tick
 from tests.attack import wire
 from tests.attack.car import FRONT, Car, Course, road, stadium, stanley

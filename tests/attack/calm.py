@@ -20,8 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from steerkit.car.config.config import CarConfig
-from steerkit.car.config.reading import load
+from steerkit.car.config import CarConfig, load
 from steerkit.car.core import Core, Event, Frame, Link, Note, Packet, Reply, Send, Tick
 from steerkit.paths.courses import course
 from steerkit.vehicles import VW_PASSAT

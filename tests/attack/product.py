@@ -10,7 +10,7 @@ from typing import Any
 
 from steerkit.car import loop as loops
 from steerkit.car import protocol
-from steerkit.car.follow import Follow
+from steerkit.car.loop import Follow
 from steerkit.diagram import realtime
 from tests.attack.bench import Attack, Drive, configuration
 from tests.attack.car import centred

@@ -21,7 +21,7 @@ pytest.importorskip("opendbc")
 from opendbc.car import lateral
 from opendbc.car.vehicle_model import VehicleModel, calc_slip_factor
 
-from steerkit.car.config.reading import load
+from steerkit.car.config import load
 from steerkit.car.gate import GateLimits, gate
 from tests.support.opendbc_judge import Judge, judge
 

@@ -10,7 +10,7 @@ import pytest
 from steerkit.car import loop as loops
 from steerkit.car import recording as tapes
 from steerkit.car import replay as replays
-from steerkit.car.follow import Steers, adapted_in
+from steerkit.car.loop import Steers, adapted_in
 from steerkit.car.protocol import Adapted
 from steerkit.car.simulated import Fault
 from steerkit.car.state_machine import Mode, Order

@@ -16,7 +16,7 @@ from steerkit.car import learner as on_car
 from steerkit.car import loop as loops
 from steerkit.car import recording as tapes
 from steerkit.car import replay as replays
-from steerkit.car.follow import Steers
+from steerkit.car.loop import Steers
 from steerkit.car.state_machine import Mode, Order
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.diagram import realtime

@@ -12,7 +12,7 @@ import pytest
 from steerkit.car import loop as loops
 from steerkit.car import recording as tapes
 from steerkit.car import replay as replays
-from steerkit.car.follow import Steers
+from steerkit.car.loop import Steers
 from steerkit.car.state_machine import Mode, Order
 from steerkit.controllers.mpc.block import FALLBACK, LATE, PLAN, SOLVED
 from steerkit.controllers.stanley import Stanley

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from steerkit.car.config.config import CarConfig, shipped
-from steerkit.car.config.reading import load
+from steerkit.car.config import CarConfig, load, shipped
 from steerkit.car.simulated import Fault
 from steerkit.car.state_machine import Mode, Order
 from tests.support.car_world import World

@@ -24,10 +24,9 @@ from steerkit.car import recording as tapes
 from steerkit.car import replay as replays
 from steerkit.car import session as sessions
 from steerkit.car.client import CarClient, CarLost
-from steerkit.car.config.config import shipped
-from steerkit.car.config.reading import load
+from steerkit.car.config import load, shipped
 from steerkit.car.core import Core
-from steerkit.car.frames.bus import BusPort, open_bus
+from steerkit.car.ports import BusPort, open_bus
 from steerkit.car.server import CarServer
 from steerkit.car.state_machine import Mode, Order
 from tests.support.programs import alive

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from benchmarks.studies.car_calibration import lateness
 from steerkit.car import recording as tapes
 from steerkit.car.calibration import Guided
-from steerkit.car.config.config import CarConfig
+from steerkit.car.config import CarConfig
 from steerkit.car.estimates import Watched
 from steerkit.car.protocol import Snapshot
 from steerkit.car.state_machine import Order

@@ -6,8 +6,7 @@ from functools import cache
 
 from hypothesis import strategies as st
 
-from steerkit.car.config.config import CarConfig
-from steerkit.car.config.reading import load
+from steerkit.car.config import CarConfig, load
 from steerkit.car.protocol import ESTIMATES, Adapted, Beat, Command, Estimates, Filtered, Hello, Query, Request
 from steerkit.car.state_machine import Order
 

@@ -9,10 +9,9 @@ from typing import Any, NamedTuple
 
 from steerkit.car import loop as loops
 from steerkit.car import processes, protocol
-from steerkit.car.config.config import CarConfig
-from steerkit.car.config.reading import load
+from steerkit.car.config import CarConfig, load
 from steerkit.car.core import Core, Event, Frame, Link, Note, Packet, Reply, Send, Tick
-from steerkit.car.follow import Follow
+from steerkit.car.loop import Follow
 from steerkit.car.recording import Recording
 from steerkit.car.simulated import Fault
 from steerkit.car.state_machine import Mode, Order

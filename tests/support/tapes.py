@@ -14,7 +14,7 @@ from typing import Any
 from steerkit.car import recording as tapes
 from steerkit.car.core import Taping
 from steerkit.car.protocol import VERSION
-from steerkit.car.recording_file import Contents, RecordingFile, contents
+from steerkit.car.recording import Contents, RecordingFile, contents
 from steerkit.car.state_machine import Mode
 from tests.support.car_world import World, setup
 

@@ -13,8 +13,8 @@ import pytest
 from mcap.writer import IndexType, Writer
 
 from steerkit.car import protocol
+from steerkit.car import recording as recording_file
 from steerkit.car import recording as tapes
-from steerkit.car import recording_file as recording_file
 from steerkit.car.core import Core, End, Frame, Link, Note, Packet, Send, Taping, Tick
 from steerkit.car.state_machine import Mode
 from tests.support.car_world import World, setup

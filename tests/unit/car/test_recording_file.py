@@ -20,7 +20,7 @@ from mcap.reader import make_reader
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
 
-from steerkit.car import recording_file as files
+from steerkit.car import recording as files
 from tests.support.tapes import LINES, brief, flipped, small
 
 HEADER = 8 + 9 + 12 + 12

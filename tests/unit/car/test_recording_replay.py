@@ -9,11 +9,9 @@ from pathlib import Path
 import pytest
 
 from steerkit.car import protocol
+from steerkit.car import recording as recording_file
 from steerkit.car import recording as tapes
-from steerkit.car import recording_file as recording_file
-from steerkit.car.config.config import shipped
-from steerkit.car.config.reading import load
-from steerkit.car.configured import course_of
+from steerkit.car.config import course_of, load, shipped
 from steerkit.vehicles import vehicle
 from steerkit.vehicles.file import vehicle_text
 from tests.support.car_world import setup

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from steerkit.car import recording as recording_file
 from steerkit.car import recording as tapes
-from steerkit.car import recording_file as recording_file
 from steerkit.car.core import Note, Tick
 from tests.support.tapes import LINES, flipped, full_disk, small, until
 

@@ -11,7 +11,7 @@ import pytest
 from steerkit.car import protocol
 from steerkit.car import replay as replays
 from steerkit.car.client import ReplayLink
-from steerkit.car.follow import Steers
+from steerkit.car.loop import Steers
 from steerkit.car.recording import Message, Recorded
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.learning.nfq import iterate as nfq

@@ -7,9 +7,8 @@ from functools import cache
 
 import pytest
 
-from steerkit.car.config.config import CarConfig
-from steerkit.car.config.reading import load
-from steerkit.car.frames.codec import SignalEncoder
+from steerkit.car.config import CarConfig, load
+from steerkit.car.frames import SignalEncoder
 from steerkit.car.senses import BEHIND, BEHIND_TIME, Punctuality, Senses
 from steerkit.diagram.units import radians_of
 from steerkit.paths.courses import course, straight

@@ -21,7 +21,7 @@ from steerkit.car import client as clients
 from steerkit.car import protocol, server
 from steerkit.car import recording as tapes
 from steerkit.car.client import CarClient, CarLost
-from steerkit.car.config.reading import load
+from steerkit.car.config import load
 from steerkit.car.recording import Recording
 from steerkit.car.server import CarServer
 from steerkit.car.state_machine import Machine, Mode

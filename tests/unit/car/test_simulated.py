@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from steerkit.car import processes
-from steerkit.car.config.config import shipped
-from steerkit.car.config.reading import load
+from steerkit.car.config import load, shipped
 from steerkit.car.core import Frame
 from steerkit.car.simulated import WATCHDOG, Fault, SimulatedCar
 from steerkit.car.state_machine import Mode

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from steerkit.car import recording as tapes
-from steerkit.car.config.config import shipped
-from steerkit.car.recording_file import contents
+from steerkit.car.config import shipped
+from steerkit.car.recording import contents
 from steerkit.car.server import CarServer
 from tests.support import command_lines
 from tests.support.tapes import LINES, flipped, small
@@ -65,7 +65,7 @@ def test_check_knows_the_courses(
 
 
 def test_a_controller_that_is_not_known_names_the_valid_ones(tmp_path: Path) -> None:
-    from steerkit.car.config.reading import load
+    from steerkit.car.config import load
     from steerkit.car.loop import controller_named
     from steerkit.car.processes import fault_of
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from steerkit.logs import ColumnMap, read_log
-from steerkit.logs.contents import contents
-from steerkit.logs.pictures import picture
+from steerkit.logs.contents import contents, picture
 from tests.support.written_logs import driven, written
 
 

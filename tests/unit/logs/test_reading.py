@@ -42,9 +42,9 @@ def taped(file: Path, columns: dict[str, Any], *, spoilt: int = 0) -> None:
     """Frames of the shipped configuration, written as the car server writes them; every `spoilt`-th has a bit
     that turned over on the way."""
     from steerkit.car import recording
-    from steerkit.car.config.reading import load
+    from steerkit.car.config import load
     from steerkit.car.core import Frame
-    from steerkit.car.frames.codec import SignalEncoder
+    from steerkit.car.frames import SignalEncoder
 
     car = load("dbw-kit.toml")
     tape = recording.Recording(file, {f"file:{name}": text for name, text in car.texts.items()})

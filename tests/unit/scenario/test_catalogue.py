@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 
 from benchmarks.entries import controller as entry
-from steerkit.car.config.config import shipped
-from steerkit.car.config.reading import load
+from steerkit.car.config import load, shipped
 from steerkit.car.loop import controller_named, design_model_of
 from steerkit.controllers.adaptive import Adaptive
 from steerkit.controllers.delay import DelayPredictor

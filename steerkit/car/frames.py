@@ -1,0 +1,260 @@
+"""Frames and quantities: what a DBC says, in SI, with counters and check sums handled."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+from steerkit.diagram.units import radians_of
+
+UNIT_FACTORS = {
+    "": 1.0,
+    "1": 1.0,
+    "deg": radians_of(1.0),
+    "rad": 1.0,
+    "deg/s": radians_of(1.0),
+    "rad/s": 1.0,
+    "m": 1.0,
+    "cm": 0.01,
+    "mm": 0.001,
+    "m/s": 1.0,
+    "km/h": 1.0 / 3.6,
+    "mph": 0.44704,
+    "m/s^2": 1.0,
+    "m/s2": 1.0,
+    "g": 9.80665,
+    "Nm": 1.0,
+    "N m": 1.0,
+    "s": 1.0,
+    "ms": 0.001,
+    "us": 1e-6,
+}
+"""Units that a signal may be in, and what one of them is in SI."""
+
+
+def _crc_table(polynomial: int) -> tuple[int, ...]:
+    rows = []
+    for byte in range(256):
+        for _ in range(8):
+            byte = ((byte << 1) ^ polynomial) & 0xFF if byte & 0x80 else byte << 1
+        rows.append(byte)
+    return tuple(rows)
+
+
+_TABLE = _crc_table(0x2F)
+
+
+def crc8_2f(data: bytes) -> int:
+    """CRC-8 with polynomial 0x2F, start 0xFF, final XOR 0xFF; of b"123456789" it is 0xDF.
+
+    Source: AUTOSAR, Specification of CRC Routines, Crc_CalculateCRC8H2F.
+    """
+    crc = 0xFF
+    for byte in data:
+        crc = _TABLE[crc ^ byte]
+    return crc ^ 0xFF
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mapping:
+    """One quantity of ours as one signal of a frame: value = sign*scale*factor(unit)*physical + offset."""
+
+    frame: str
+    signal: str
+    unit: str = ""
+    scale: float = 1.0
+    sign: float = 1.0
+    offset: float = 0.0
+
+    @cached_property
+    def gain(self) -> float:
+        """SI units of ours in one physical unit of the signal."""
+        return self.sign * self.scale * UNIT_FACTORS[self.unit]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Protection:
+    """How a frame is protected: names of its counter and its CRC signal, empty for none."""
+
+    counter: str = ""
+    crc: str = ""
+
+
+MAX_JUMP = 3
+"""Counter steps a frame may skip and still count as the next; more is an error (AUTOSAR E2E: MaxDeltaCounter)."""
+
+
+class Checked(NamedTuple):
+    """A received frame, looked at."""
+
+    values: dict[str, float]
+    """Quantities in SI; NaN where the signal is out of its DBC's range (such as the code 0x8000). Empty on error."""
+    counter: int | None
+    """The counter to compare the next frame's with."""
+    error: str
+    """What was wrong; empty for a good frame."""
+
+
+class FrameReader:
+    """Reads one kind of frame.
+
+    message: of a cantools database. mappings: quantity by name. protection: counter and CRC. period: time between two
+    such frames [s], 0: not known; more frequent ones have a second sender, those that come later than their counter
+    says queue up on the way. The CRC lies in a byte of its own; it covers the other bytes in their order, then the id's
+    low and high byte.
+    """
+
+    def __init__(self, message: Any, mappings: dict[str, Mapping], protection: Protection, period: float = 0.0):
+        self.message, self.mappings, self.protection = message, mappings, protection
+        self.name: str = message.name
+        self.frame_id: int = message.frame_id
+        self.kind = "x" if message.is_extended_frame else ""
+        self.period = period
+        self._ranges = {s.name: signal_range(s) for s in message.signals}
+        self._needed = {m.signal for m in mappings.values()} | ({protection.counter} if protection.counter else set())
+        self._crc_byte = message.get_signal_by_name(protection.crc).start // 8 if protection.crc else None
+        self.modulus = 1 << message.get_signal_by_name(protection.counter).length if protection.counter else 0
+        """The counter's; 0 without one."""
+
+    def read(self, data: bytes, counter: int | None) -> Checked:
+        """`data` checked against the last good frame's counter (None: there was none). Raises nothing."""
+        if len(data) != self.message.length:
+            return Checked({}, counter, f"{self.name}: {len(data)} bytes, expected {self.message.length}")
+        if self._crc_byte is not None:
+            expected = frame_crc(data, self._crc_byte, self.frame_id)
+            if data[self._crc_byte] != expected:
+                return Checked({}, counter, f"{self.name}: CRC 0x{data[self._crc_byte]:02X}, expected 0x{expected:02X}")
+        try:
+            raw = self.message.decode(data, decode_choices=False)
+        except Exception as error:  # a multiplexer code of no signal, for one; what cantools raises is not ours to list
+            return Checked({}, counter, f"{self.name}: cannot be decoded ({type(error).__name__}: {error})")
+        if not self._needed <= raw.keys():
+            named = (*(m.signal for m in self.mappings.values()), self.protection.counter)
+            absent = [s for s in named if s and s not in raw]
+            return Checked({}, counter, f"{self.name}: without {', '.join(absent)}")
+        if self.protection.counter:
+            new = int(raw[self.protection.counter])
+            jump = 1 if counter is None else (new - counter) % self.modulus
+            if not 1 <= jump <= MAX_JUMP:
+                return Checked({}, new, f"{self.name}: counter {new} after {counter}")
+            counter = new
+        values = {}
+        for quantity, mapping in self.mappings.items():
+            low, high = self._ranges[mapping.signal]
+            physical = float(raw[mapping.signal])
+            values[quantity] = physical * mapping.gain + mapping.offset if low <= physical <= high else math.nan
+        return Checked(values, counter, "")
+
+
+def frame_crc(data: bytes, crc_byte: int, frame_id: int) -> int:
+    """The CRC of a frame whose byte `crc_byte` holds it."""
+    return crc8_2f(data[:crc_byte] + data[crc_byte + 1 :] + bytes((frame_id & 0xFF, frame_id >> 8 & 0xFF)))
+
+
+def signal_range(signal: Any) -> tuple[float, float]:
+    """Lowest and highest valid physical value: the DBC's, else all codes but a signed signal's most negative one."""
+    slack = 1e-6 * abs(signal.scale)
+    if signal.minimum is not None and signal.maximum is not None and signal.minimum < signal.maximum:
+        return float(signal.minimum) - slack, float(signal.maximum) + slack
+    n = signal.length
+    codes = (-(2 ** (n - 1)) + 1, 2 ** (n - 1) - 1) if signal.is_signed else (0, 2**n - 1)
+    ends = sorted(code * signal.scale + signal.offset for code in codes)
+    return ends[0] - slack, ends[1] + slack
+
+
+@dataclass(frozen=True)
+class CommandWriter:
+    """Writes the steering command.
+
+    message: of a cantools database. angle: where delta_sw goes. enable, clear, alert, counter, crc: names of signals,
+    empty for none. fixed: raw values of others.
+    """
+
+    message: Any
+    angle: Mapping
+    enable: str
+    clear: str = ""
+    alert: str = ""
+    counter: str = ""
+    crc: str = ""
+    fixed: tuple[tuple[str, float], ...] = ()
+
+    @cached_property
+    def frame_id(self) -> int:
+        """The id of the command."""
+        return int(self.message.frame_id)
+
+    @cached_property
+    def extended(self) -> bool:
+        """Has the id 29 bits?"""
+        return bool(self.message.is_extended_frame)
+
+    @cached_property
+    def quantum(self) -> float:
+        """The angle's resolution on the bus [rad]."""
+        return abs(self.message.get_signal_by_name(self.angle.signal).scale * self.angle.gain)
+
+    def write(
+        self, delta_sw: float, *, enable: bool, clear: bool = False, alert: bool = False, count: int = 0
+    ) -> bytes:
+        """The frame for delta_sw [rad], a whole number of quanta. alert: ask the kit to warn the human."""
+        return self._bytes(delta_sw, {self.enable: enable, self.clear: clear, self.alert: alert}, count)
+
+    def _bytes(self, delta_sw: float, flags: dict[str, bool], count: int) -> bytes:
+        """The frame with those flags up that it has a signal for. Raises ValueError for a value it cannot hold."""
+        signal = self.message.get_signal_by_name(self.angle.signal)
+        code = round(((delta_sw - self.angle.offset) / self.angle.gain - signal.offset) / signal.scale)
+        raw: dict[str, float] = {s.name: 0 for s in self.message.signals}
+        raw |= dict(self.fixed) | {self.angle.signal: code}
+        raw |= {name: int(up) for name, up in flags.items() if name}
+        if self.counter:
+            raw[self.counter] = count % (1 << self.message.get_signal_by_name(self.counter).length)
+        low, high = signal_range(signal)
+        if not low <= code * signal.scale + signal.offset <= high:
+            raise ValueError(f"{self.message.name}.{signal.name}: code {code} is beyond the DBC's range")
+        data = bytearray(self.message.encode(raw, scaling=False, strict=True))
+        if self.crc:
+            place = self.message.get_signal_by_name(self.crc).start // 8
+            data[place] = frame_crc(bytes(data), place, self.frame_id)
+        return bytes(data)
+
+    def read(self, data: bytes) -> tuple[float, bool, bool]:
+        """delta_sw [rad], enable and clear of a command frame: what the kit makes of it."""
+        raw = self.message.decode(data, decode_choices=False)
+        clear = bool(raw[self.clear]) if self.clear else False
+        return raw[self.angle.signal] * self.angle.gain + self.angle.offset, bool(raw[self.enable]), clear
+
+
+class SignalEncoder:
+    """The other direction of `FrameReader`: quantities into a frame, as the simulated car sends them."""
+
+    def __init__(self, reader: FrameReader):
+        self.reader = reader
+        self._signals = {s.name: s for s in reader.message.signals}
+
+    def write(self, values: dict[str, float], *, count: int = 0, raw: dict[str, int] | None = None) -> bytes:
+        """The frame with these quantities [SI], saturated to the DBC's range; a NaN becomes the code 0x80.. .
+
+        count: its counter. raw: codes of signals that no quantity maps to.
+        """
+        codes: dict[str, float] = {name: (raw or {}).get(name, 0) for name in self._signals}
+        for quantity, mapping in self.reader.mappings.items():
+            if quantity in values:
+                codes[mapping.signal] = self._code(values[quantity], mapping)
+        protection = self.reader.protection
+        if protection.counter:
+            codes[protection.counter] = count % self.reader.modulus
+        data = bytearray(self.reader.message.encode(codes, scaling=False, strict=False))
+        if self.reader._crc_byte is not None:
+            data[self.reader._crc_byte] = frame_crc(bytes(data), self.reader._crc_byte, self.reader.frame_id)
+        return bytes(data)
+
+    def _code(self, value: float, mapping: Mapping) -> int:
+        signal = self._signals[mapping.signal]
+        if not math.isfinite(value):
+            return -(1 << (signal.length - 1)) if signal.is_signed else (1 << signal.length) - 1
+        low, high = self.reader._ranges[mapping.signal]
+        physical = max(low, min(high, (value - mapping.offset) / mapping.gain))
+        return round((physical - signal.offset) / signal.scale)

@@ -1,0 +1,187 @@
+"""Ports of a CAN bus: python-can's, the simulated car's end of one, and the other end of an slcan line."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import socket
+import sys
+import tty
+from types import ModuleType
+from typing import Any, Protocol
+
+
+def python_can() -> ModuleType:
+    """The module `can`, without its support of MF4 files.
+
+    python-can imports asammdf where that is installed, and with it pandas and SymPy: more than a second, for files that
+    nobody on a car asks it for. Call it before cantools is imported too, which imports `can`. Raises ImportError where
+    python-can is not installed.
+    """
+    modules: dict[str, Any] = sys.modules
+    absent = "can" not in modules and "asammdf" not in modules
+    if absent:
+        modules["asammdf"] = None  # as if it were not installed
+    try:
+        import can
+    finally:
+        if absent:
+            del modules["asammdf"]
+    return can
+
+
+def open_bus(arguments: dict[str, Any]) -> Any:
+    """`can.Bus` of these arguments; raises OSError, naming them, when it cannot be opened."""
+    can = python_can()
+    try:
+        return can.Bus(**arguments)
+    except Exception as error:  # the interfaces' own libraries raise whatever they like, a NameError included
+        where = ", ".join(f"{k} = {v!r}" for k, v in arguments.items())
+        raise OSError(
+            f"bus {where}: cannot be opened ({error}); is the adapter there and free, its interface installed?"
+        ) from error
+
+
+class Port(Protocol):
+    """What a simulated car asks of its end of a bus."""
+
+    channel: str
+
+    def wait(self, timeout: float) -> list[tuple[int, bytes]]:
+        """The frames (id, data) that came in, after at most `timeout` [s] without any."""
+        ...
+
+    def send(self, frame_id: int, data: bytes) -> None:
+        """A frame to whoever listens."""
+        ...
+
+    def close(self) -> None:
+        """Free the port."""
+        ...
+
+
+class BusPort:
+    """A simulated car's port on a bus that the computer has already: kernel CAN, UDP multicast, ...
+
+    arguments: of `can.Bus`. channel: what `--channel` of the car server wants. Raises OSError.
+    """
+
+    def __init__(self, arguments: dict[str, Any]):
+        self._bus = open_bus(arguments)
+        self.channel = f"{arguments['interface']}:{arguments['channel']}"
+
+    def wait(self, timeout: float) -> list[tuple[int, bytes]]:
+        """The frames (id, data) that came in, after at most `timeout` [s] without any."""
+        frames: list[tuple[int, bytes]] = []
+        pause = max(0.0, timeout)
+        while (message := self._bus.recv(pause)) is not None and len(frames) < 100:
+            frames.append((message.arbitration_id, bytes(message.data)))
+            pause = 0.0
+        return frames
+
+    def send(self, frame_id: int, data: bytes) -> None:
+        """A frame to the bus; a full one drops it."""
+        can = python_can()
+        with contextlib.suppress(can.CanOperationError):
+            self._bus.send(can.Message(arbitration_id=frame_id, data=data, is_extended_id=False))
+
+    def close(self) -> None:
+        """Free the bus."""
+        self._bus.shutdown()
+
+
+class SlcanPort:
+    """Serves one slcan client at a time: text frames `tIIILDD..` and a carriage return (Lawicel CAN232 manual).
+
+    listen: "" for a pseudo-terminal, whose name is `channel`; "127.0.0.1:0" for TCP (`channel` is then a pyserial
+    address such as socket://127.0.0.1:34567). What a client does not read in time is dropped, as an adapter does.
+    """
+
+    def __init__(self, listen: str = ""):
+        self._text = b""
+        self._server: socket.socket | None = None
+        self._client: socket.socket | None = None
+        self._pty: tuple[int, int] | None = None
+        if listen:
+            host, port = listen.rsplit(":", 1)
+            if host not in ("127.0.0.1", "localhost"):
+                raise ValueError(f"slcan port {listen!r}: only 127.0.0.1; a simulated car has no business on a network")
+            self._server = socket.create_server((host, int(port)))
+            self._server.setblocking(False)
+            self.channel = f"socket://127.0.0.1:{self._server.getsockname()[1]}"
+        else:
+            master, slave = os.openpty()  # the slave stays open here, so that clients may come and go
+            tty.setraw(slave)
+            os.set_blocking(master, False)
+            self._pty = master, slave
+            self.channel = os.ttyname(slave)
+
+    def bus(self) -> dict[str, Any]:
+        """The arguments of `can.Bus` for a client."""
+        return {"interface": "slcan", "channel": self.channel, "bitrate": 500000, "sleep_after_open": 0.0}
+
+    def wait(self, timeout: float) -> list[tuple[int, bytes]]:
+        """The frames (id, data) that clients sent, after at most `timeout` [s] without any."""
+        watched: list[Any] = [self._pty[0]] if self._pty else [self._server]
+        if self._client:
+            watched.append(self._client)
+        ready, _, _ = select.select(watched, [], [], max(0.0, timeout))
+        for source in ready:
+            if source is self._server:
+                self._accept()
+            else:
+                self._text += self._read()
+        *lines, self._text = self._text.split(b"\r")
+        return [frame for line in lines if (frame := _frame(line))]
+
+    def send(self, frame_id: int, data: bytes) -> None:
+        """A frame to the client, if there is one and it has room."""
+        line = b"t%03X%d%s\r" % (frame_id, len(data), data.hex().upper().encode())
+        with contextlib.suppress(BlockingIOError, BrokenPipeError, ConnectionResetError, OSError):
+            if self._pty:
+                os.write(self._pty[0], line)
+            elif self._client:
+                self._client.send(line)
+
+    def close(self) -> None:
+        """Free the port."""
+        for end in (self._server, self._client):
+            if end:
+                end.close()
+        for fd in self._pty or ():
+            os.close(fd)
+
+    def _accept(self) -> None:
+        assert self._server is not None
+        if self._client:
+            self._client.close()
+        self._client, _ = self._server.accept()
+        self._client.setblocking(False)
+        self._client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._text = b""
+
+    def _read(self) -> bytes:
+        try:
+            if self._pty:
+                return os.read(self._pty[0], 65536)
+            assert self._client is not None
+            text = self._client.recv(65536)
+        except (BlockingIOError, ConnectionResetError):
+            text = b""
+        if not text and self._client:
+            self._client.close()
+            self._client, self._text = None, b""
+        return text
+
+
+def _frame(line: bytes) -> tuple[int, bytes] | None:
+    """A standard data frame; None for the adapter commands (open, close, bit rate) and for anything else."""
+    try:
+        if line[:1] == b"t":
+            length = int(line[4:5])
+            data = bytes.fromhex(line[5:].decode())
+            return (int(line[1:4], 16), data) if len(data) == length else None
+    except ValueError:
+        pass
+    return None

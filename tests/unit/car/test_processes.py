@@ -1,0 +1,71 @@
+"""The processes of a car: what they import, what they are told by a program and by the command line, how they end."""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+import sys
+from typing import Any
+
+import pytest
+
+from steerkit.car import processes
+from tests.support.command_lines import run
+
+KIT = "dbw-kit.toml"
+
+
+@pytest.mark.parametrize("command", ["server", "simulate"])
+def test_a_process_of_the_car_imports_no_learner(command: str) -> None:
+    """Nor a command line: it is up sooner, and what is not there cannot fail. The bus is refused, after all imports."""
+    words = [command, json.dumps({"config": KIT, "channel": "nowhere:x"})]
+    code = f"import sys\nfrom steerkit.car.processes import main\ntry: main({words!r})\n"
+    code += "except BaseException as error: print(error, file=sys.stderr)\nprint(*sorted(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60.0)
+    names = done.stdout.splitlines()[-1].split()
+    assert {"steerkit.car.config", "can"} <= {*names}, done.stderr
+    others = (
+        "steerkit.learning",
+        "steerkit.scenario",
+        "steerkit.paths.importers",
+        "steerkit.cli",
+        "typer",
+        "pydantic",
+        "rich",
+    )
+    assert [n for n in names if n.startswith(others)] == []
+
+
+@pytest.mark.parametrize(
+    ("told", "says"),
+    [
+        ({"config": "mine.toml"}, "steerkit car: mine.toml: no such file"),
+        ({"config": KIT, "channel": "nowhere:x"}, "bus interface = 'nowhere'"),
+    ],
+)
+def test_a_mistake_is_one_line_and_exit_code_2(
+    told: dict[str, Any], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert processes.main(["server", json.dumps(told)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert says in line
+
+
+def test_the_command_line_tells_the_same_in_si(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[dict[str, Any]] = []
+
+    def ends_with(code: int) -> Any:
+        return lambda config, **told: asked.append({"config": config, **told}) or code
+
+    monkeypatch.setattr(processes, "simulate", ends_with(0))
+    monkeypatch.setattr(processes, "server", ends_with(1))
+    car = {"listen": "127.0.0.1:7", "channel": "virtual:x", "time_scale": 2.0, "ratio": 1.1, "delay": 0.2, "lag": 0.15}
+    car |= {"seed": 3, "v_min": 4.5, "v_max": 5.5, "log": "heard.jsonl"}
+    words = [f"--{name.replace('_', '-')}={value}" for name, value in car.items()]
+    assert run("car", "simulate", *words, "--offset-deg=90", monkeypatch=monkeypatch) == 0
+    assert asked.pop() == {"config": KIT, "offset": pytest.approx(math.pi / 2.0), **car}
+    bus = {"socket": "here", "recording": "drive.mcap", "channel": "virtual:x", "time_scale": 2.0, "linger": 5.0}
+    words = [f"--{name}={value}" for name, value in bus.items() if name != "time_scale"]
+    assert run("car", "server", *words, "--time-scale=2", "--realtime", monkeypatch=monkeypatch) == 1
+    assert asked.pop() == {"config": KIT, "realtime": True, **bus}
