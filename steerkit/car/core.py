@@ -295,7 +295,7 @@ class Core:
 
     def obstacles(self) -> list[str]:
         """What stands against engaging now."""
-        return states.broken(self.config.states, self.facts(self.t), states.READYING)
+        return [*states.readying(self.config.states, self.facts(self.t))]
 
     def _decide(self, t: float, order: Order | None, out: list[Output]) -> None:
         before = self.machine
@@ -383,7 +383,7 @@ class Core:
             case Mode.ENGAGED:
                 against = states.warnings(self.config.states, f)
             case _:
-                against = states.broken(self.config.states, f, (states.FOREIGN_ENABLE,))
+                against = [*states.foreign_enable(self.config.states, f)]
         if self._unrecorded and not f.recording:  # else it stands among the obstacles already
             against = [*against, f"not recorded: {self._unrecorded}"]
         return protocol.Snapshot(

@@ -1,9 +1,9 @@
-"""Who has the wheel, as a pure function of the state before, what is known, and the time."""
+"""Who steers, as a pure function of the state before, what is known, and the time."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
@@ -182,179 +182,124 @@ class Machine(NamedTuple):
     since: float = 0.0
 
 
-Check = tuple[str, Callable[[StateLimits, Facts], bool], Callable[[StateLimits, Facts], str]]
-"""A name, is it broken, and what to say. Comparisons are written so that a NaN is broken."""
+# Each of the checks yields what does not hold, as `name: why`. Comparisons are written so that a NaN is broken.
 
 
 def _ms(age: float) -> str:
     return f"{1e3 * age:.0f} ms" if math.isfinite(age) else "never came"
 
 
-HUMAN: tuple[Check, ...] = (
-    ("override", lambda li, f: f.override, lambda li, f: "the kit reports an override"),
-    (
-        "torque",
-        lambda li, f: f.torque_reports >= li.torque_reports,
-        lambda li, f: f"human torque above {li.torque_max:g} N m in {f.torque_reports:.0f} reports",
-    ),
-    ("brake", lambda li, f: f.brake, lambda li, f: "the human brakes"),
-    ("accelerator", lambda li, f: f.accelerator, lambda li, f: "the human accelerates"),
-)
-"""The human wants the wheel."""
-
-ALWAYS: tuple[Check, ...] = (
-    ("controller gone", lambda li, f: not f.connected, lambda li, f: "no controller is connected"),
-    ("report stale", lambda li, f: not f.report_age < li.report_age, lambda li, f: f"report {_ms(f.report_age)}"),
-    ("pose stale", lambda li, f: not f.pose_age < li.pose_age, lambda li, f: f"pose {_ms(f.pose_age)}"),
-    (
-        "integrity",
-        lambda li, f: f.integrity_errors >= li.integrity_errors,
-        lambda li, f: f"{f.integrity_errors} errors within 1 s, last: {f.integrity}",
-    ),
-    ("kit fault", lambda li, f: bool(f.kit_faults), lambda li, f: f"the kit reports {', '.join(f.kit_faults)}"),
-    ("kit timeout", lambda li, f: f.timeout, lambda li, f: "the kit's command watchdog ran out"),
-    (
-        "pose quality",
-        lambda li, f: not f.quality >= li.quality,
-        lambda li, f: f"quality {f.quality:g} < {li.quality:g}",
-    ),
-    (
-        "speed mismatch",
-        lambda li, f: not abs(f.v - f.v_kit) <= li.v_mismatch,
-        lambda li, f: f"pose {f.v:.2f} m/s, kit {f.v_kit:.2f} m/s",
-    ),
-    ("too fast", lambda li, f: not max(abs(f.v), abs(f.v_kit)) <= li.v_max, lambda li, f: f"{f.v:.2f} m/s"),
-    ("off the path", lambda li, f: not abs(f.e) <= li.e_max, lambda li, f: f"e = {f.e:.2f} m, limit {li.e_max:g} m"),
-    (
-        "request invalid",
-        lambda li, f: math.isfinite(f.request_age) and not abs(f.request) <= li.delta_sw_max * (1.0 + 1e-9),
-        lambda li, f: f"the controller asks for {degrees_of(f.request):.1f} deg",
-    ),
-    (
-        "missed deadlines",
-        lambda li, f: f.misses >= li.misses,
-        lambda li, f: f"{f.misses} missed deadlines of the controller within 1 s",
-    ),
-    ("server late", lambda li, f: not f.lateness < li.lateness, lambda li, f: f"own delay {_ms(f.lateness)}"),
-    (
-        "operator silent",
-        lambda li, f: not f.heartbeat_age < li.heartbeat,
-        lambda li, f: f"no panel has read its keys since {_ms(f.heartbeat_age)}; open one on a terminal",
-    ),
-    (
-        "reversing",
-        lambda li, f: not (f.v >= -li.v_reverse and f.v_kit >= -li.v_reverse),
-        lambda li, f: f"{min(f.v, f.v_kit):.2f} m/s",
-    ),
-    ("foreign sender", lambda li, f: bool(f.foreign), lambda li, f: f.foreign),
-    ("recording", lambda li, f: bool(f.recording), lambda li, f: f.recording),
-)
-"""What must hold to engage, and at all times while engaged."""
-
-DRIVING: tuple[Check, ...] = (
-    (
-        "controller silent",
-        lambda li, f: not f.request_age < li.request_lost,
-        lambda li, f: f"last request {_ms(f.request_age)} ago",
-    ),
-    (
-        "kit not enabled",
-        lambda li, f: not f.enabled and f.engaged_for >= li.enable_time,
-        lambda li, f: "the kit does not report that it is enabled",
-    ),
-    ("command echo", lambda li, f: not f.echo_age < li.echo_age, lambda li, f: f"that of {_ms(f.echo_age)} ago"),
-    (
-        "wheel does not follow",
-        lambda li, f: not f.follow_age < li.follow_time,
-        lambda li, f: f"off by more than {degrees_of(li.follow_angle):.0f} deg for {_ms(f.follow_age)}",
-    ),
-    (
-        "across the path",
-        lambda li, f: not abs(f.psi_e) <= li.psi_e_max,
-        lambda li, f: f"psi_e = {degrees_of(f.psi_e):.0f} deg, limit {degrees_of(li.psi_e_max):.0f} deg",
-    ),
-    (
-        "leaving the path",
-        lambda li, f: not f.e_growth <= li.e_growth,
-        lambda li, f: f"|e| grew by {f.e_growth:.2f} m within 1 s, limit {li.e_growth:g} m",
-    ),
-)
-"""What must hold while engaged."""
-
-ENDING: tuple[Check, ...] = (
-    (
-        "end of the course",
-        lambda li, f: not f.remaining > li.end_margin,
-        lambda li, f: f"{f.remaining:.1f} m before its end",
-    ),
-    (
-        "standstill",
-        lambda li, f: not f.still_for < li.still_time,
-        lambda li, f: f"below {li.v_still:g} m/s for {f.still_for:.1f} s",
-    ),
-)
-"""What ends driving although nothing is wrong."""
-
-FOREIGN_ENABLE: Check = (
-    "foreign enable",
-    lambda li, f: not f.foreign_enable < li.foreign_enable,
-    lambda li, f: f"the kit has been enabled for {_ms(f.foreign_enable)}, and not by us",
-)
-"""Whoever has the wheel, it is neither the human nor we: told in every state but ENGAGED."""
-
-ENGAGING: tuple[Check, ...] = (
-    ("listen only", lambda li, f: f.listen_only, lambda li, f: "the car server was started to listen only"),
-    (
-        "request stale",
-        lambda li, f: not f.request_age < li.request_age,
-        lambda li, f: f"last request {_ms(f.request_age)} ago",
-    ),
-    (
-        "command differs",
-        lambda li, f: not abs(f.request - f.delta_sw) <= li.delta_engage,
-        lambda li, f: f"asks for {degrees_of(f.request):.0f} deg at {degrees_of(f.delta_sw):.0f} deg",
-    ),
-    ("e", lambda li, f: not abs(f.e) <= li.e_engage, lambda li, f: f"e = {f.e:.2f} m, limit {li.e_engage:g} m"),
-    (
-        "psi_e",
-        lambda li, f: not abs(f.psi_e) <= li.psi_e_engage,
-        lambda li, f: f"psi_e = {degrees_of(f.psi_e):.0f} deg, limit {degrees_of(li.psi_e_engage):.0f} deg",
-    ),
-    (
-        "speed",
-        lambda li, f: not li.v_engage_min <= f.v <= li.v_engage_max,
-        lambda li, f: f"v = {f.v:.2f} m/s, expected {li.v_engage_min:g} to {li.v_engage_max:g}",
-    ),
-    (
-        "end of the course",
-        lambda li, f: not f.remaining > li.end_margin + li.end_warning * max(f.v, 0.0),
-        lambda li, f: f"{f.remaining:.1f} m before its end",
-    ),
-    FOREIGN_ENABLE,
-)
-"""What must hold to engage, only."""
+def human(li: StateLimits, f: Facts) -> Iterator[str]:
+    """The human wants the wheel."""
+    if f.override:
+        yield "override: the kit reports an override"
+    if f.torque_reports >= li.torque_reports:
+        yield f"torque: human torque above {li.torque_max:g} N m in {f.torque_reports:.0f} reports"
+    if f.brake:
+        yield "brake: the human brakes"
+    if f.accelerator:
+        yield "accelerator: the human accelerates"
 
 
-READYING = HUMAN + ALWAYS + ENGAGING
-"""What must hold to engage."""
-KEEPING = ALWAYS + DRIVING
-"""What ends driving as a fault."""
+def always(li: StateLimits, f: Facts) -> Iterator[str]:
+    """What must hold to engage, and at all times while engaged."""
+    if not f.connected:
+        yield "controller gone: no controller is connected"
+    if not f.report_age < li.report_age:
+        yield f"report stale: report {_ms(f.report_age)}"
+    if not f.pose_age < li.pose_age:
+        yield f"pose stale: pose {_ms(f.pose_age)}"
+    if f.integrity_errors >= li.integrity_errors:
+        yield f"integrity: {f.integrity_errors} errors within 1 s, last: {f.integrity}"
+    if f.kit_faults:
+        yield f"kit fault: the kit reports {', '.join(f.kit_faults)}"
+    if f.timeout:
+        yield "kit timeout: the kit's command watchdog ran out"
+    if not f.quality >= li.quality:
+        yield f"pose quality: quality {f.quality:g} < {li.quality:g}"
+    if not abs(f.v - f.v_kit) <= li.v_mismatch:
+        yield f"speed mismatch: pose {f.v:.2f} m/s, kit {f.v_kit:.2f} m/s"
+    if not max(abs(f.v), abs(f.v_kit)) <= li.v_max:
+        yield f"too fast: {f.v:.2f} m/s"
+    if not abs(f.e) <= li.e_max:
+        yield f"off the path: e = {f.e:.2f} m, limit {li.e_max:g} m"
+    if math.isfinite(f.request_age) and not abs(f.request) <= li.delta_sw_max * (1.0 + 1e-9):
+        yield f"request invalid: the controller asks for {degrees_of(f.request):.1f} deg"
+    if f.misses >= li.misses:
+        yield f"missed deadlines: {f.misses} missed deadlines of the controller within 1 s"
+    if not f.lateness < li.lateness:
+        yield f"server late: own delay {_ms(f.lateness)}"
+    if not f.heartbeat_age < li.heartbeat:
+        yield f"operator silent: no panel has read its keys since {_ms(f.heartbeat_age)}; open one on a terminal"
+    if not (f.v >= -li.v_reverse and f.v_kit >= -li.v_reverse):
+        yield f"reversing: {min(f.v, f.v_kit):.2f} m/s"
+    if f.foreign:
+        yield f"foreign sender: {f.foreign}"
+    if f.recording:
+        yield f"recording: {f.recording}"
 
 
-def broken(limits: StateLimits, facts: Facts, checks: tuple[Check, ...]) -> list[str]:
-    """The checks that do not hold, each as `name: why`."""
-    return [*_broken(limits, facts, checks)]
+def driving(li: StateLimits, f: Facts) -> Iterator[str]:
+    """What must hold while engaged."""
+    if not f.request_age < li.request_lost:
+        yield f"controller silent: last request {_ms(f.request_age)} ago"
+    if not f.enabled and f.engaged_for >= li.enable_time:
+        yield "kit not enabled: the kit does not report that it is enabled"
+    if not f.echo_age < li.echo_age:
+        yield f"command echo: that of {_ms(f.echo_age)} ago"
+    if not f.follow_age < li.follow_time:
+        off = f"off by more than {degrees_of(li.follow_angle):.0f} deg for {_ms(f.follow_age)}"
+        yield f"wheel does not follow: {off}"
+    if not abs(f.psi_e) <= li.psi_e_max:
+        yield f"across the path: psi_e = {degrees_of(f.psi_e):.0f} deg, limit {degrees_of(li.psi_e_max):.0f} deg"
+    if not f.e_growth <= li.e_growth:
+        yield f"leaving the path: |e| grew by {f.e_growth:.2f} m within 1 s, limit {li.e_growth:g} m"
 
 
-def first_broken(limits: StateLimits, facts: Facts, checks: tuple[Check, ...]) -> str:
-    """The first of them, as `broken` says it; "" where all hold."""
-    return next(_broken(limits, facts, checks), "")
+def ending(li: StateLimits, f: Facts) -> Iterator[str]:
+    """What ends driving although nothing is wrong."""
+    if not f.remaining > li.end_margin:
+        yield f"end of the course: {f.remaining:.1f} m before its end"
+    if not f.still_for < li.still_time:
+        yield f"standstill: below {li.v_still:g} m/s for {f.still_for:.1f} s"
 
 
-def _broken(limits: StateLimits, facts: Facts, checks: tuple[Check, ...]) -> Iterator[str]:
-    for name, fails, says in checks:
-        if fails(limits, facts):
-            yield f"{name}: {says(limits, facts)}"
+def foreign_enable(li: StateLimits, f: Facts) -> Iterator[str]:
+    """Neither the human nor this server steers: reported in every state but ENGAGED."""
+    if not f.foreign_enable < li.foreign_enable:
+        yield f"foreign enable: the kit has been enabled for {_ms(f.foreign_enable)}, and not by us"
+
+
+def engaging(li: StateLimits, f: Facts) -> Iterator[str]:
+    """What must hold to engage, only."""
+    if f.listen_only:
+        yield "listen only: the car server was started to listen only"
+    if not f.request_age < li.request_age:
+        yield f"request stale: last request {_ms(f.request_age)} ago"
+    if not abs(f.request - f.delta_sw) <= li.delta_engage:
+        yield f"command differs: asks for {degrees_of(f.request):.0f} deg at {degrees_of(f.delta_sw):.0f} deg"
+    if not abs(f.e) <= li.e_engage:
+        yield f"e: e = {f.e:.2f} m, limit {li.e_engage:g} m"
+    if not abs(f.psi_e) <= li.psi_e_engage:
+        yield f"psi_e: psi_e = {degrees_of(f.psi_e):.0f} deg, limit {degrees_of(li.psi_e_engage):.0f} deg"
+    if not li.v_engage_min <= f.v <= li.v_engage_max:
+        yield f"speed: v = {f.v:.2f} m/s, expected {li.v_engage_min:g} to {li.v_engage_max:g}"
+    if not f.remaining > li.end_margin + li.end_warning * max(f.v, 0.0):
+        yield f"end of the course: {f.remaining:.1f} m before its end"
+    yield from foreign_enable(li, f)
+
+
+def readying(li: StateLimits, f: Facts) -> Iterator[str]:
+    """What stands against engaging."""
+    yield from human(li, f)
+    yield from always(li, f)
+    yield from engaging(li, f)
+
+
+def faults(li: StateLimits, f: Facts) -> Iterator[str]:
+    """What ends driving as a fault."""
+    yield from always(li, f)
+    yield from driving(li, f)
 
 
 def warnings(limits: StateLimits, facts: Facts) -> list[str]:
@@ -385,10 +330,10 @@ def step(limits: StateLimits, state: Machine, facts: Facts, t: float, order: Ord
         case Mode.OFF:
             return to(Mode.STANDBY, "operator: arm") if order is Order.ARM else state
         case Mode.STANDBY:
-            against = first_broken(limits, facts, READYING)
+            against = next(readying(limits, facts), "")
             return to(Mode.READY, "all checks hold") if not against else state
         case Mode.READY:
-            against = first_broken(limits, facts, READYING)
+            against = next(readying(limits, facts), "")
             if against:
                 return to(Mode.STANDBY, against)
             return to(Mode.ENGAGED, "operator: engage") if order is Order.ENGAGE else state
@@ -397,13 +342,13 @@ def step(limits: StateLimits, state: Machine, facts: Facts, t: float, order: Ord
                 return to(Mode.STANDBY, "operator: disengage")
             if not facts.enabled:  # only then it matters for how long
                 facts = facts._replace(engaged_for=t - state.since)
-            driver = first_broken(limits, facts, HUMAN)
-            if driver:
-                return to(Mode.OVERRIDE, driver)
-            fault = first_broken(limits, facts, KEEPING)
+            taken = next(human(limits, facts), "")
+            if taken:
+                return to(Mode.OVERRIDE, taken)
+            fault = next(faults(limits, facts), "")
             if fault:
                 return to(Mode.FAULT, fault)
-            over = first_broken(limits, facts, ENDING)
+            over = next(ending(limits, facts), "")
             return to(Mode.STANDBY, over) if over else state
         case _:
             return to(Mode.STANDBY, "operator: acknowledge") if order is Order.ACKNOWLEDGE else state
