@@ -24,32 +24,41 @@ from steerkit.car.gate import GateLimits
 from steerkit.car.motion import MotionLimits
 from steerkit.car.ports import python_can
 from steerkit.car.state_machine import StateLimits
-from steerkit.diagram.units import degrees_of, radians_of
+from steerkit.diagram.units import FACTORS, degrees_of, radians_of
 from steerkit.paths.courses import course
 from steerkit.paths.path import Path
 from steerkit.task import STOP_DEG
 from steerkit.vehicles import Vehicle, vehicle
 
 FORMAT = "steerkit car 1"
+TABLES = [
+    "format",
+    "bus",
+    "files",
+    "course",
+    "vehicle",
+    "kit",
+    "read",
+    "protect",
+    "write",
+    "server",
+    "limits",
+    "controllers",
+]
 REPORT = ("delta_sw", "v_kit", "torque", "echo", "enabled", "override", "timeout", "brake", "accelerator")
 POSE = ("x", "y", "lat", "lon", "psi", "v", "r", "beta", "a_y", "quality", "stamp")
 NEEDED = ("delta_sw", "v_kit", "torque", "enabled", "override", "psi", "v", "r")
-DIMENSION = {
-    "delta_sw": "rad",
-    "echo": "rad",
-    "psi": "rad",
-    "beta": "rad",
-    "lat": "rad",
-    "lon": "rad",
-    "v": "m/s",
-    "v_kit": "m/s",
-    "x": "m",
-    "y": "m",
-    "r": "rad/s",
-    "torque": "N m",
-    "a_y": "m/s^2",
-    "stamp": "s",
+_OF_UNIT = {
+    "rad": "delta_sw echo psi beta lat lon",
+    "m/s": "v v_kit",
+    "m": "x y",
+    "rad/s": "r",
+    "N m": "torque",
+    "m/s^2": "a_y",
+    "s": "stamp",
 }
+DIMENSION = {name: unit for unit, names in _OF_UNIT.items() for name in names.split()}
+"""Quantity to SI unit; the others are flags and pure numbers."""
 ANGLES = {
     *("delta_sw_max", "rate_max", "follow_angle", "psi_e_engage", "psi_e_max", "delta_engage"),
     *("motion_across", "heading_slack", "heading_rate", "wheel_slack", "wheel_rate"),
@@ -57,15 +66,6 @@ ANGLES = {
 """Limits that the file gives in degrees, as `..._deg`."""
 DERIVED = {"steer_ratio", "wheelbase", "arm", "quantum"}
 """Fields of the gate's limits that follow from the car and the DBC."""
-KINDS = {
-    "rad": ("deg", "rad"),
-    "m": ("m", "cm", "mm"),
-    "m/s": ("m/s", "km/h", "mph"),
-    "rad/s": ("deg/s", "rad/s"),
-    "N m": ("Nm", "N m"),
-    "m/s^2": ("m/s^2", "m/s2", "g"),
-    "s": ("s", "ms", "us"),
-}
 
 
 class ConfigError(ValueError):
@@ -229,26 +229,26 @@ BOUNDS: dict[str, tuple[float, float]] = {
 
 
 TELLING = {
-    "delta_sw": ("ANGLE", "SWA", "STEERING_ANGLE"),
-    "echo": ("CMD", "SCMD", "COMMAND"),
-    "v_kit": ("VEH_VEL", "VEHICLE_SPEED"),
-    "torque": ("TORQUE", "TRQ"),
-    "enabled": ("ENABLED",),
-    "override": ("OVERRIDE", "OVR"),
-    "timeout": ("TMOUT", "TIMEOUT"),
-    "brake": ("BRAKE", "BRAKE_PRESSED"),
-    "accelerator": ("ACCELERATOR", "GAS", "THROTTLE"),
-    "x": ("X", "EAST", "POS_X"),
-    "y": ("Y", "NORTH", "POS_Y"),
-    "lat": ("LAT", "LATITUDE"),
-    "lon": ("LON", "LONGITUDE"),
-    "psi": ("PSI", "HEADING", "YAW"),
-    "v": ("V", "SPEED", "VELOCITY"),
-    "r": ("R", "YAW_RATE", "YAWRATE"),
-    "beta": ("BETA", "SIDESLIP"),
-    "a_y": ("A_Y", "AY", "LAT_ACC"),
-    "quality": ("QUALITY", "FIX"),
-    "stamp": ("STAMP", "TIME", "TIMESTAMP"),
+    "delta_sw": "ANGLE SWA STEERING_ANGLE",
+    "echo": "CMD SCMD COMMAND",
+    "v_kit": "VEH_VEL VEHICLE_SPEED",
+    "torque": "TORQUE TRQ",
+    "enabled": "ENABLED",
+    "override": "OVERRIDE OVR",
+    "timeout": "TMOUT TIMEOUT",
+    "brake": "BRAKE BRAKE_PRESSED",
+    "accelerator": "ACCELERATOR GAS THROTTLE",
+    "x": "X EAST POS_X",
+    "y": "Y NORTH POS_Y",
+    "lat": "LAT LATITUDE",
+    "lon": "LON LONGITUDE",
+    "psi": "PSI HEADING YAW",
+    "v": "V SPEED VELOCITY",
+    "r": "R YAW_RATE YAWRATE",
+    "beta": "BETA SIDESLIP",
+    "a_y": "A_Y AY LAT_ACC",
+    "quality": "QUALITY FIX",
+    "stamp": "STAMP TIME TIMESTAMP",
 }
 """Names of signals that say which quantity they are: one that bears another's is taken for a swap."""
 DANGEROUS = re.compile(r"IGN|CAL|TEST|DIAG|QUIET|BYPASS|OVERRIDE|DISABLE", re.I)
@@ -279,7 +279,7 @@ def _signals(config: CarConfig) -> Iterator[str]:
             if guards.count(name) > 1 or (reader.name, name) in homes:
                 each = "expected a signal each for counter, CRC and what is read"
                 yield f"[protect] {reader.name}: {name} has two parts, {each}"
-    own = {name: quantity for quantity, names in TELLING.items() for name in names}
+    own = {name: quantity for quantity, names in TELLING.items() for name in names.split()}
     for quantity, mapping in config.quantities.items():
         other = own.get(mapping.signal.upper(), quantity)
         if quantity in TELLING and other != quantity:
@@ -410,78 +410,195 @@ def _reach(config: CarConfig, mapping: Mapping) -> tuple[float, float]:
     return ends[0], ends[1]
 
 
-class Tables:
-    """The tables of a file, `data`, and the mistakes found in them so far."""
+def load(file: str | File, *, bus: dict[str, Any] | None = None) -> CarConfig:
+    """The configuration in a TOML file, or the shipped one of that name.
 
-    def __init__(self, data: dict[str, Any]):
-        self.data = data
+    bus: arguments of `can.Bus` that replace the file's (the simulated car's port). Raises ConfigError with all
+    mistakes, each naming the key, what stands there and what is valid.
+    """
+    path = File(file) if File(file).exists() else shipped(str(file))
+    try:
+        text = path.read_text(encoding="utf-8")
+        data = tomllib.loads(text)
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read as TOML ({error})") from error
+    for name in ("can", "cantools"):
+        if importlib.util.find_spec(name) is None:
+            raise ConfigError(f"{path}: a car needs the package {name}: pip install 'steerkit-control[car]'")
+
+    return Reading(path, text, data).config(bus)
+
+
+class Reading:
+    """One pass over the tables of a car's file; mistakes are collected."""
+
+    def __init__(self, path: File, text: str, data: dict[str, Any]):
+        self.path, self.data = path, data
         self.mistakes: list[str] = []
+        self.texts = {"config.toml": text}
+        self.vehicle_file = ""
 
-    def wrong(self, what: str) -> None:
-        self.mistakes.append(what)
+    def config(self, bus: dict[str, Any] | None) -> CarConfig:
+        self.known("", self.data, TABLES)
+        if self.data.get("format") != FORMAT:
+            raise ConfigError(
+                f"{self.path}: format = {self.data.get('format')!r}, expected {FORMAT!r} in the first line"
+            )
+        database = self.database()
+        car = self.car()
+        readers, origin, flags = self.reading(database)
+        writer = self.writing(database)
+        gate, states, motion = self.limits(car, writer)
+        course, server = self.course(), self.table("server", ("listen_only", "keep_recording"))
+        lag, delay = self.kit()
+        controllers = self.controllers()
+        listen, keep = (self.entry("server", server, key, bool, False) for key in ("listen_only", "keep_recording"))
+        arguments = self.bus() if bus is None else bus
+        if self.mistakes:
+            raise ConfigError("\n".join(f"{self.path}: {m}" for m in self.mistakes))
+        assert writer is not None
+        ids = {r.frame_id: set(r.mappings) for r in readers}
+        config = CarConfig(
+            file=str(self.path),
+            bus=arguments,
+            course=course,
+            vehicle=car,
+            readers=tuple(readers),
+            report_frames=frozenset(i for i, names in ids.items() if names & {*REPORT, *flags}),
+            pose_frames=frozenset(i for i, names in ids.items() if names & set(POSE)),
+            fault_flags=flags,
+            origin_deg=origin,
+            writer=writer,
+            gate=gate,
+            states=states,
+            motion=motion,
+            listen_only=listen,
+            keep_recording=keep,
+            vehicle_file=self.vehicle_file,
+            texts=self.texts,
+            lag=lag,
+            delay=delay,
+            controllers=controllers,
+        )
+        mistakes = audit(config)
+        if mistakes:
+            raise ConfigError("\n".join(f"{self.path}: {m}" for m in mistakes))
+        return config
 
-    def known(self, where: str, table: dict[str, Any], valid: Iterable[str]) -> None:
-        valid = list(valid)
-        for key in table:
-            if key not in valid:
-                near = difflib.get_close_matches(key, valid, n=1)
-                hint = f"; did you mean '{near[0]}'?" if near else ""
-                self.wrong(f"{f'[{where}] ' if where else ''}{key}: not known{hint} (valid: {', '.join(valid)})")
+    def bus(self) -> dict[str, Any]:
+        table = self.table("bus", ("interface", "channel", "bitrate", "options"))
+        interface = self.entry("bus", table, "interface", str)
+        if interface:
+            known = sorted(python_can().interfaces.BACKENDS)
+            self.one_of(interface, known, f"[bus] interface = {interface!r}: python-can has none of that name")
+        channel = table.get("channel")
+        if not isinstance(channel, (str, int)) or isinstance(channel, bool):
+            self.wrong(f"[bus] channel = {channel!r}, expected a name such as '/dev/ttyACM0' or 'can0', or a number")
+        options = self.entry("bus", table, "options", dict, {})
+        bitrate = {"bitrate": self.entry("bus", table, "bitrate", int)} if "bitrate" in table else {}
+        return {"interface": interface, "channel": channel, **bitrate, **options}
 
-    def table(
-        self, name: str, valid: Iterable[str] | None = None, inside: dict[str, Any] | None = None
-    ) -> dict[str, Any]:
-        table = (self.data if inside is None else inside).get(name.split(".")[-1], {})
-        if not isinstance(table, dict):
-            self.wrong(f"{name} = {table!r}, expected a table [{name}]")
-            return {}
-        if valid is not None:
-            self.known(name, table, valid)
-        return table
+    def controllers(self) -> tuple[str, ...]:
+        names = self.entry("controllers", self.table("controllers", ("allow",)), "allow", list, [])
+        for name in names:
+            if not (isinstance(name, str) and is_outside(name)):
+                self.wrong(f"[controllers] allow: {name!r}, expected names such as 'my_file.py:make'")
+        return tuple(map(str, names))
 
-    def entry(self, where: str, table: dict[str, Any], key: str, kind: type, default: Any = None) -> Any:
-        value = table.get(key, default)
-        if value is None:
-            self.wrong(f"[{where}] {key}: missing, expected {_kind(kind)}")
-            return kind()
-        numeric = kind is float and isinstance(value, int) and not isinstance(value, bool)
-        if not (isinstance(value, kind) or numeric) or (kind in (int, float) and isinstance(value, bool)):
-            self.wrong(f"[{where}] {key} = {value!r}, expected {_kind(kind)}")
-            return kind()
-        return float(value) if kind is float else value
+    def kit(self) -> tuple[float, float]:
+        table = self.table("kit", ("lag", "delay"))
+        values = [self.entry("kit", table, key, float, default) for key, default in (("lag", 0.1), ("delay", 0.0))]
+        for key, value in zip(("lag", "delay"), values):
+            if not 0.0 <= value <= 1.0:
+                self.wrong(f"[kit] {key} = {value:g} s, expected 0 to 1 s")
+        return values[0], values[1]
 
+    def database(self) -> Any:
+        python_can()
+        import cantools
 
-def _kind(kind: type) -> str:
-    return {
-        str: "a text",
-        int: "a whole number",
-        float: "a number",
-        bool: "true or false",
-        list: "a list",
-        dict: "a table",
-    }[kind]
+        table = self.table("files", ("dbc",))
+        names = self.entry("files", table, "dbc", list)
+        database = cantools.database.Database(strict=True)
+        for name in names:
+            try:
+                beside = self.path.parent / str(name)
+                text = (beside if beside.is_file() else shipped(str(name))).read_text(encoding="cp1252")
+                database.add_dbc_string(text)
+                self.texts[str(name)] = text
+            except (ConfigError, cantools.database.Error, OSError, ValueError) as error:
+                self.wrong(f"[files] dbc: {name}: {error}")
+        return database
 
+    def car(self) -> Vehicle:
+        table = self.table("vehicle", ("name",))
+        name = self.entry("vehicle", table, "name", str)
+        try:
+            if not name.endswith(".toml"):
+                return vehicle(name)
+            place = self.path.parent / name
+            car = vehicle(str(place))
+            self.texts[name] = place.read_text(encoding="utf-8")
+            self.vehicle_file = name
+            return car
+        except ValueError as error:
+            self.wrong(f"[vehicle] name: {error}")
+            return vehicle("vw-passat")
 
-class Signals(Tables):
-    """The tables read, protect and write, checked against the DBC files."""
+    def course(self) -> dict[str, Any]:
+        table = self.table("course", ("name", "file", "closed"))
+        if ("name" in table) == ("file" in table):
+            self.wrong("[course]: give either name, such as 'paper', or file, a CSV with the columns x and y")
+        if "file" in table:
+            place = self.path.parent / str(table["file"])
+            if not place.is_file():
+                self.wrong(f"[course] file = {table['file']!r}: there is no {place}")
+                return {}
+            self.texts[str(table["file"])] = place.read_text(encoding="utf-8")
+            try:
+                path = Path.from_csv(place, closed=self.entry("course", table, "closed", bool))
+            except ValueError as error:
+                self.wrong(f"[course] file: {error}")
+                return {}
+            return {"file": str(table["file"]), "path": path}
+        return {"name": self.entry("course", table, "name", str)}
+
+    def limits(self, car: Vehicle, writer: CommandWriter | None) -> tuple[GateLimits, StateLimits, MotionLimits]:
+        kinds = (GateLimits, StateLimits, MotionLimits)
+        valid = {f.name: f for kind in kinds for f in fields(kind) if f.name not in DERIVED}
+        keys = {f"{name}_deg" if name in ANGLES else name: name for name in valid}
+        table = self.table("limits", keys)
+        values: dict[str, Any] = {}
+        for key, name in keys.items():
+            if key in table:
+                value = self.entry("limits", table, key, int if valid[name].type == "int" else float)
+                low, high = BOUNDS[key]
+                if not low <= value <= high:
+                    self.wrong(f"[limits] {key} = {value:g}, expected {low:g} to {high:g}")
+                else:
+                    values[name] = radians_of(value) if name in ANGLES else value
+        derived = {"steer_ratio": car.steer_ratio, "wheelbase": car.wheelbase, "arm": car.l_r}
+        if writer is not None:
+            derived["quantum"] = writer.quantum
+
+        def made(kind: Any, **more: Any) -> Any:
+            try:
+                return kind(**{f.name: values[f.name] for f in fields(kind) if f.name in values}, **more)
+            except ValueError as error:
+                self.wrong(f"[limits]: {error}")
+                return kind()
+
+        return made(GateLimits, **derived), made(StateLimits), made(MotionLimits)
 
     def message(self, database: Any, where: str, name: Any) -> Any:
         names = [m.name for m in database.messages]
-        if name not in names:
-            near = difflib.get_close_matches(str(name), names, n=1)
-            hint = f"; did you mean '{near[0]}'?" if near else ""
-            self.wrong(f"[{where}] frame = {name!r}: not in the DBC files{hint} (valid: {', '.join(names) or 'none'})")
-            return None
-        return database.get_message_by_name(name)
+        there = self.one_of(name, names, f"[{where}] frame = {name!r}: not in the DBC files")
+        return database.get_message_by_name(name) if there else None
 
     def signal(self, message: Any, where: str, name: Any) -> Any:
         names = [s.name for s in message.signals]
-        if name not in names:
-            near = difflib.get_close_matches(str(name), names, n=1)
-            hint = f"; did you mean '{near[0]}'?" if near else ""
-            self.wrong(f"[{where}]: {message.name} has no signal {name!r}{hint} (valid: {', '.join(names)})")
-            return None
-        return message.get_signal_by_name(name)
+        there = self.one_of(name, names, f"[{where}]: {message.name} has no signal {name!r}")
+        return message.get_signal_by_name(name) if there else None
 
     def mapping(self, where: str, quantity: str, message: Any, table: dict[str, Any]) -> Mapping | None:
         signal = self.signal(message, where, table.get("signal"))
@@ -490,7 +607,7 @@ class Signals(Tables):
         unit = self.entry(where, table, "unit", str, signal.unit or "")
         scale, sign = (self.entry(where, table, key, float, 1.0) for key in ("scale", "sign"))
         offset = self.entry(where, table, "offset", float, 0.0)
-        valid = KINDS.get(DIMENSION.get(quantity, ""), ("", "1"))
+        valid = [*FACTORS.get(DIMENSION.get(quantity, ""), ("", "1"))]
         if unit not in valid:
             self.wrong(f"[{where}] unit = {unit!r} for {quantity}, expected one of {', '.join(map(repr, valid))}")
             return None
@@ -620,205 +737,54 @@ class Signals(Tables):
             return None
         return CommandWriter(message, mapping, **names, fixed=tuple(fixed.items()))
 
+    def wrong(self, what: str) -> None:
+        self.mistakes.append(what)
 
-def load(file: str | File, *, bus: dict[str, Any] | None = None) -> CarConfig:
-    """The configuration in a TOML file, or the shipped one of that name.
-
-    bus: arguments of `can.Bus` that replace the file's (the simulated car's port). Raises ConfigError with all
-    mistakes, each naming the key, what stands there and what is valid.
-    """
-    path = File(file) if File(file).exists() else shipped(str(file))
-    try:
-        text = path.read_text(encoding="utf-8")
-        data = tomllib.loads(text)
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read as TOML ({error})") from error
-    for name in ("can", "cantools"):
-        if importlib.util.find_spec(name) is None:
-            raise ConfigError(f"{path}: a car needs the package {name}: pip install 'steerkit-control[car]'")
-
-    return Reading(path, text, data).config(bus)
-
-
-class Reading(Signals):
-    """One pass over a file's tables, collecting mistakes."""
-
-    def __init__(self, path: File, text: str, data: dict[str, Any]):
-        super().__init__(data)
-        self.path = path
-        self.texts = {"config.toml": text}
-        self.vehicle_file = ""
-
-    def config(self, bus: dict[str, Any] | None) -> CarConfig:
-        tables = (
-            "format",
-            "bus",
-            "files",
-            "course",
-            "vehicle",
-            "kit",
-            "read",
-            "protect",
-            "write",
-            "server",
-            "limits",
-            "controllers",
-        )
-        self.known("", self.data, tables)
-        if self.data.get("format") != FORMAT:
-            raise ConfigError(
-                f"{self.path}: format = {self.data.get('format')!r}, expected {FORMAT!r} in the first line"
-            )
-        database = self.database()
-        car = self.car()
-        readers, origin, flags = self.reading(database)
-        writer = self.writing(database)
-        gate, states, motion = self.limits(car, writer)
-        course, server = self.course(), self.table("server", ("listen_only", "keep_recording"))
-        lag, delay = self.kit()
-        controllers = self.controllers()
-        listen, keep = (self.entry("server", server, key, bool, False) for key in ("listen_only", "keep_recording"))
-        arguments = self.bus() if bus is None else bus
-        if self.mistakes:
-            raise ConfigError("\n".join(f"{self.path}: {m}" for m in self.mistakes))
-        assert writer is not None
-        ids = {r.frame_id: set(r.mappings) for r in readers}
-        config = CarConfig(
-            file=str(self.path),
-            bus=arguments,
-            course=course,
-            vehicle=car,
-            readers=tuple(readers),
-            report_frames=frozenset(i for i, names in ids.items() if names & {*REPORT, *flags}),
-            pose_frames=frozenset(i for i, names in ids.items() if names & set(POSE)),
-            fault_flags=flags,
-            origin_deg=origin,
-            writer=writer,
-            gate=gate,
-            states=states,
-            motion=motion,
-            listen_only=listen,
-            keep_recording=keep,
-            vehicle_file=self.vehicle_file,
-            texts=self.texts,
-            lag=lag,
-            delay=delay,
-            controllers=controllers,
-        )
-        mistakes = audit(config)
-        if mistakes:
-            raise ConfigError("\n".join(f"{self.path}: {m}" for m in mistakes))
-        return config
-
-    def bus(self) -> dict[str, Any]:
-        table = self.table("bus", ("interface", "channel", "bitrate", "options"))
-        interface = self.entry("bus", table, "interface", str)
-        BACKENDS = python_can().interfaces.BACKENDS
-        if interface and interface not in BACKENDS:
-            near = difflib.get_close_matches(interface, BACKENDS, n=1)
+    def one_of(self, name: Any, valid: Iterable[str], says: str) -> bool:
+        """Is the name one of these? If not, that is a mistake: what `says` says, with the nearest and all that are."""
+        valid = list(valid)
+        near = difflib.get_close_matches(str(name), valid, n=1)
+        if name not in valid:
             hint = f"; did you mean '{near[0]}'?" if near else ""
-            self.wrong(
-                f"[bus] interface = {interface!r}: python-can has none of that name{hint} "
-                f"(valid: {', '.join(sorted(BACKENDS))})"
-            )
-        channel = table.get("channel")
-        if not isinstance(channel, (str, int)) or isinstance(channel, bool):
-            self.wrong(f"[bus] channel = {channel!r}, expected a name such as '/dev/ttyACM0' or 'can0', or a number")
-        options = self.entry("bus", table, "options", dict, {})
-        bitrate = {"bitrate": self.entry("bus", table, "bitrate", int)} if "bitrate" in table else {}
-        return {"interface": interface, "channel": channel, **bitrate, **options}
+            self.wrong(f"{says}{hint} (valid: {', '.join(valid) or 'none'})")
+        return name in valid
 
-    def controllers(self) -> tuple[str, ...]:
-        names = self.entry("controllers", self.table("controllers", ("allow",)), "allow", list, [])
-        for name in names:
-            if not (isinstance(name, str) and is_outside(name)):
-                self.wrong(f"[controllers] allow: {name!r}, expected names such as 'my_file.py:make'")
-        return tuple(map(str, names))
+    def known(self, where: str, table: dict[str, Any], valid: Iterable[str]) -> None:
+        valid = list(valid)
+        for key in table:
+            self.one_of(key, valid, f"{f'[{where}] ' if where else ''}{key}: not known")
 
-    def kit(self) -> tuple[float, float]:
-        table = self.table("kit", ("lag", "delay"))
-        values = [self.entry("kit", table, key, float, default) for key, default in (("lag", 0.1), ("delay", 0.0))]
-        for key, value in zip(("lag", "delay"), values):
-            if not 0.0 <= value <= 1.0:
-                self.wrong(f"[kit] {key} = {value:g} s, expected 0 to 1 s")
-        return values[0], values[1]
+    def table(
+        self, name: str, valid: Iterable[str] | None = None, inside: dict[str, Any] | None = None
+    ) -> dict[str, Any]:
+        table = (self.data if inside is None else inside).get(name.split(".")[-1], {})
+        if not isinstance(table, dict):
+            self.wrong(f"{name} = {table!r}, expected a table [{name}]")
+            return {}
+        if valid is not None:
+            self.known(name, table, valid)
+        return table
 
-    def database(self) -> Any:
-        python_can()
-        import cantools
+    def entry(self, where: str, table: dict[str, Any], key: str, kind: type, default: Any = None) -> Any:
+        value = table.get(key, default)
+        if value is None:
+            self.wrong(f"[{where}] {key}: missing, expected {_KINDS[kind]}")
+            return kind()
+        numeric = kind is float and isinstance(value, int) and not isinstance(value, bool)
+        if not (isinstance(value, kind) or numeric) or (kind in (int, float) and isinstance(value, bool)):
+            self.wrong(f"[{where}] {key} = {value!r}, expected {_KINDS[kind]}")
+            return kind()
+        return float(value) if kind is float else value
 
-        table = self.table("files", ("dbc",))
-        names = self.entry("files", table, "dbc", list)
-        database = cantools.database.Database(strict=True)
-        for name in names:
-            try:
-                beside = self.path.parent / str(name)
-                text = (beside if beside.is_file() else shipped(str(name))).read_text(encoding="cp1252")
-                database.add_dbc_string(text)
-                self.texts[str(name)] = text
-            except (ConfigError, cantools.database.Error, OSError, ValueError) as error:
-                self.wrong(f"[files] dbc: {name}: {error}")
-        return database
 
-    def car(self) -> Vehicle:
-        table = self.table("vehicle", ("name",))
-        name = self.entry("vehicle", table, "name", str)
-        try:
-            if not name.endswith(".toml"):
-                return vehicle(name)
-            place = self.path.parent / name
-            car = vehicle(str(place))
-            self.texts[name] = place.read_text(encoding="utf-8")
-            self.vehicle_file = name
-            return car
-        except ValueError as error:
-            self.wrong(f"[vehicle] name: {error}")
-            return vehicle("vw-passat")
-
-    def course(self) -> dict[str, Any]:
-        table = self.table("course", ("name", "file", "closed"))
-        if ("name" in table) == ("file" in table):
-            self.wrong("[course]: give either name, such as 'paper', or file, a CSV with the columns x and y")
-        if "file" in table:
-            place = self.path.parent / str(table["file"])
-            if not place.is_file():
-                self.wrong(f"[course] file = {table['file']!r}: there is no {place}")
-                return {}
-            self.texts[str(table["file"])] = place.read_text(encoding="utf-8")
-            try:
-                path = Path.from_csv(place, closed=self.entry("course", table, "closed", bool))
-            except ValueError as error:
-                self.wrong(f"[course] file: {error}")
-                return {}
-            return {"file": str(table["file"]), "path": path}
-        return {"name": self.entry("course", table, "name", str)}
-
-    def limits(self, car: Vehicle, writer: CommandWriter | None) -> tuple[GateLimits, StateLimits, MotionLimits]:
-        kinds = (GateLimits, StateLimits, MotionLimits)
-        valid = {f.name: f for kind in kinds for f in fields(kind) if f.name not in DERIVED}
-        keys = {f"{name}_deg" if name in ANGLES else name: name for name in valid}
-        table = self.table("limits", keys)
-        values: dict[str, Any] = {}
-        for key, name in keys.items():
-            if key in table:
-                value = self.entry("limits", table, key, int if valid[name].type == "int" else float)
-                low, high = BOUNDS[key]
-                if not low <= value <= high:
-                    self.wrong(f"[limits] {key} = {value:g}, expected {low:g} to {high:g}")
-                else:
-                    values[name] = radians_of(value) if name in ANGLES else value
-        derived = {"steer_ratio": car.steer_ratio, "wheelbase": car.wheelbase, "arm": car.l_r}
-        if writer is not None:
-            derived["quantum"] = writer.quantum
-
-        def made(kind: Any, **more: Any) -> Any:
-            try:
-                return kind(**{f.name: values[f.name] for f in fields(kind) if f.name in values}, **more)
-            except ValueError as error:
-                self.wrong(f"[limits]: {error}")
-                return kind()
-
-        return made(GateLimits, **derived), made(StateLimits), made(MotionLimits)
+_KINDS = {
+    str: "a text",
+    int: "a whole number",
+    float: "a number",
+    bool: "true or false",
+    list: "a list",
+    dict: "a table",
+}
 
 
 def loaded(config: str, channel: str = "") -> tuple[CarConfig, Path]:

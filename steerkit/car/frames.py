@@ -7,30 +7,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
-from steerkit.diagram.units import radians_of
+from steerkit.diagram.units import FACTORS
 
-UNIT_FACTORS = {
-    "": 1.0,
-    "1": 1.0,
-    "deg": radians_of(1.0),
-    "rad": 1.0,
-    "deg/s": radians_of(1.0),
-    "rad/s": 1.0,
-    "m": 1.0,
-    "cm": 0.01,
-    "mm": 0.001,
-    "m/s": 1.0,
-    "km/h": 1.0 / 3.6,
-    "mph": 0.44704,
-    "m/s^2": 1.0,
-    "m/s2": 1.0,
-    "g": 9.80665,
-    "Nm": 1.0,
-    "N m": 1.0,
-    "s": 1.0,
-    "ms": 0.001,
-    "us": 1e-6,
-}
+UNIT_FACTORS = {"": 1.0, "1": 1.0, **{unit: one for units in FACTORS.values() for unit, one in units.items()}}
 """Units that a signal may be in, and what one of them is in SI."""
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from steerkit._support.errors import require
 from steerkit._support.files import read_toml
-from steerkit.diagram.units import RAD_PER_DEG
+from steerkit.diagram.units import FACTORS, RAD_PER_DEG
 
 Array = NDArray[np.floating[Any]]
 
@@ -93,121 +93,56 @@ QUANTITIES = {
 """What a drive is made of: time, steering-wheel angle (or delta, the road wheels'), speed, yaw rate, heading (one of r
 and psi, or both), and where it was, if the log tells."""
 
-UNITS: dict[str, dict[str, float]] = {
-    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
-    "rad": {"rad": 1.0, "deg": RAD_PER_DEG},
-    "m/s": {"m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704, "kn": 1852.0 / 3600.0},
-    "rad/s": {"rad/s": 1.0, "deg/s": RAD_PER_DEG, "mrad/s": 1e-3},
-    "m": {"m": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3},
-    "deg": {"deg": 1.0, "rad": 1.0 / RAD_PER_DEG},
-}
+UNITS: dict[str, dict[str, float]] = {**FACTORS, "deg": {"deg": 1.0, "rad": 1.0 / RAD_PER_DEG}}
 """SI unit (degrees for a place on Earth) to the units that a column may have, and what one of them is in it."""
 
-_ENDINGS = {
-    "deg": "deg",
-    "deg_s": "deg/s",
-    "degs": "deg/s",
-    "dps": "deg/s",
-    "kmh": "km/h",
-    "kph": "km/h",
-    "mph": "mph",
+_ENDINGS_OF = {
+    "s": "s sec",
     "ms": "ms",
     "us": "us",
     "ns": "ns",
-    "s": "s",
-    "sec": "s",
-    "mps": "m/s",
-    "m_s": "m/s",
-    "rad": "rad",
-    "rad_s": "rad/s",
-    "radps": "rad/s",
-    "rads": "rad/s",
     "m": "m",
+    "m/s": "mps m_s",
+    "km/h": "kmh kph",
+    "mph": "mph",
+    "deg": "deg",
+    "deg/s": "deg_s degs dps",
+    "rad": "rad",
+    "rad/s": "rad_s radps rads",
 }
+_ENDINGS = {ending: unit for unit, endings in _ENDINGS_OF.items() for ending in endings.split()}
 """How a name may end, and the unit that it then says."""
 
-_SPELT = {
-    "°": "deg",
-    "degree": "deg",
-    "degrees": "deg",
-    "grad": "deg",
-    "radian": "rad",
-    "radians": "rad",
-    "°/s": "deg/s",
-    "deg/sec": "deg/s",
-    "degrees/s": "deg/s",
-    "deg/second": "deg/s",
-    "rad/sec": "rad/s",
-    "radps": "rad/s",
-    "kph": "km/h",
-    "kmh": "km/h",
-    "km/hr": "km/h",
-    "mps": "m/s",
-    "m/sec": "m/s",
-    "meter": "m",
-    "metre": "m",
-    "sec": "s",
-    "seconds": "s",
+_SPELLINGS = {
+    "deg": ("°", "degree", "degrees", "grad"),
+    "rad": ("radian", "radians"),
+    "deg/s": ("°/s", "deg/sec", "degrees/s", "deg/second"),
+    "rad/s": ("rad/sec", "radps"),
+    "km/h": ("kph", "kmh", "km/hr"),
+    "m/s": ("mps", "m/sec"),
+    "m": ("meter", "metre"),
+    "s": ("sec", "seconds"),
 }
+_SPELT = {spelling: unit for unit, spellings in _SPELLINGS.items() for spelling in spellings}
 """Units as files spell them."""
 
-_NAMES: dict[str, tuple[str, ...]] = {
-    "t": ("t", "time", "timestamp", "timestamps", "stamp", "time_stamp", "elapsed_time", "log_time", "t_abs"),
-    "delta_sw": (
-        "delta_sw",
-        "supervisor.delta_sw",
-        "doe.delta_sw",
-        "controller.delta_sw",
-        "actuator.delta_sw",
-        "car.delta_sw",
-        "steering_wheel_angle",
-        "steering_wheel",
-        "steer_wheel_angle",
-        "steering_angle",
-        "steer_angle",
-        "sw_angle",
-        "str_ang",
-        "lws_angle",
-        "sas_angle",
-    ),
-    "delta": ("delta", "steering_tire_angle", "steering_tyre_angle", "road_wheel_angle", "tire_angle", "df"),
-    "v": (
-        "v",
-        "sensors.v",
-        "car.v",
-        "wheel_speeds.mean",
-        "vehicle_speed",
-        "longitudinal_velocity",
-        "veh_spd",
-        "v_ego",
-        "speed",
-        "velocity",
-        "v_x",
-        "vx",
-        "linear.x",
-    ),
-    "r": (
-        "r",
-        "wz",
-        "yaw_rate",
-        "sensors.r",
-        "car.r",
-        "yawrate",
-        "heading_rate",
-        "psi_dot",
-        "yaw_dot",
-        "w_z",
-        "omega_z",
-        "gyro_z",
-        "angular.z",
-        "angular_velocity.z",
-    ),
-    "psi": ("psi", "sensors.psi", "car.psi", "orientation.yaw"),
-    "x": ("x", "car.x", "position.x", "pos_x", "position_x"),
-    "y": ("y", "car.y", "position.y", "pos_y", "position_y"),
-    "lat_deg": ("lat", "latitude", "gps_lat", "gps_latitude"),
-    "lon_deg": ("lon", "lng", "longitude", "gps_lon", "gps_longitude"),
+_KNOWN_AS = {
+    "t": "t time timestamp timestamps stamp time_stamp elapsed_time log_time t_abs",
+    "delta_sw": "delta_sw supervisor.delta_sw doe.delta_sw controller.delta_sw actuator.delta_sw car.delta_sw "
+    "steering_wheel_angle steering_wheel steer_wheel_angle steering_angle steer_angle sw_angle str_ang lws_angle "
+    "sas_angle",
+    "delta": "delta steering_tire_angle steering_tyre_angle road_wheel_angle tire_angle df",
+    "v": "v sensors.v car.v wheel_speeds.mean vehicle_speed longitudinal_velocity veh_spd v_ego speed velocity v_x vx "
+    "linear.x",
+    "r": "r wz yaw_rate sensors.r car.r yawrate heading_rate psi_dot yaw_dot w_z omega_z gyro_z angular.z "
+    "angular_velocity.z",
+    "psi": "psi sensors.psi car.psi orientation.yaw",
+    "x": "x car.x position.x pos_x position_x",
+    "y": "y car.y position.y pos_y position_y",
+    "lat_deg": "lat latitude gps_lat gps_latitude",
+    "lon_deg": "lon lng longitude gps_lon gps_longitude",
 }
+_NAMES = {quantity: tuple(names.split()) for quantity, names in _KNOWN_AS.items()}
 """Names that need no map, best first; those with a dot are the end of a longer one, or steerkit's own signals, the
 command before the angle. Capitals, blanks and dashes do not count, nor does a unit at the end."""
 
