@@ -31,20 +31,7 @@ from steerkit.task import STOP_DEG
 from steerkit.vehicles import Vehicle, vehicle
 
 FORMAT = "steerkit car 1"
-TABLES = [
-    "format",
-    "bus",
-    "files",
-    "course",
-    "vehicle",
-    "kit",
-    "read",
-    "protect",
-    "write",
-    "server",
-    "limits",
-    "controllers",
-]
+TABLES = ("format", "bus", "files", "course", "vehicle", "kit", "read", "protect", "write", "server", "limits")
 REPORT = ("delta_sw", "v_kit", "torque", "echo", "enabled", "override", "timeout", "brake", "accelerator")
 POSE = ("x", "y", "lat", "lon", "psi", "v", "r", "beta", "a_y", "quality", "stamp")
 NEEDED = ("delta_sw", "v_kit", "torque", "enabled", "override", "psi", "v", "r")
@@ -439,7 +426,7 @@ class Reading:
         self.vehicle_file = ""
 
     def config(self, bus: dict[str, Any] | None) -> CarConfig:
-        self.known("", self.data, TABLES)
+        self.known("", self.data, (*TABLES, "controllers"))
         if self.data.get("format") != FORMAT:
             raise ConfigError(
                 f"{self.path}: format = {self.data.get('format')!r}, expected {FORMAT!r} in the first line"

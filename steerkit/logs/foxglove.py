@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from steerkit._support.errors import known, require
-from steerkit._support.files import whole, write_text
+from steerkit._support.files import atomic_write, write_text
 from steerkit.diagram.loop import Sample
 from steerkit.diagram.simulation import Log
 from steerkit.logs.drive import Drive
@@ -149,7 +149,7 @@ def to_mcap(log: Log | Drive, file: str | Path) -> dict[str, int]:
     topics = by_topic(signals_of(record))
     car = topics.get("/car", {})
     scene = [POSE, DRIVEN] if {"x", "y"} <= car.keys() else []
-    with whole(file) as draft, draft.open("wb") as stream:
+    with atomic_write(file) as draft, draft.open("wb") as stream:
         writer = Writer(stream)
         writer.start(profile="", library="exported by steerkit-control")
         channels = {topic: _channel(writer, topic) for topic in scene}

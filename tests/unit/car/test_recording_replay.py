@@ -71,17 +71,6 @@ def test_a_recording_that_lacks_a_file_says_which(tmp_path: Path, name: str) -> 
         tapes.config_of(tapes.read(tmp_path / "t.mcap"))
 
 
-@pytest.mark.parametrize("listen", [False, True])
-def test_a_recording_from_when_the_table_was_called_driver_is_read(tmp_path: Path, listen: bool) -> None:
-    config = load("dbw-kit.toml")
-    description = tapes.described(config, course_of(config))
-    text = description["file:config.toml"].replace("[server]", "[driver]")
-    text = text.replace("listen_only = false", f"listen_only = {str(listen).lower()}")
-    assert "[driver]" in text
-    tapes.Recording(tmp_path / "t.mcap", description | {"file:config.toml": text}).close()
-    assert tapes.config_of(tapes.read(tmp_path / "t.mcap")).listen_only is listen
-
-
 def test_a_recording_without_description_says_that_there_is_no_replay(tmp_path: Path) -> None:
     first = recording_file.contents(small()).chunks[0].begin
     (tmp_path / "t.mcap").write_bytes(small()[:8] + bytes(first - 8) + small()[first:])

@@ -17,7 +17,6 @@ from steerkit.diagram.simulation import Log
 from steerkit.logs import foxglove
 from steerkit.logs.foxglove import BEGIN, layout, signals_of, to_mcap
 from steerkit.plants.speed_driver import ConstantSpeed
-from tests.support.written_logs import driven
 
 pytest.importorskip("mcap")
 
