@@ -77,7 +77,7 @@ class Checked(NamedTuple):
 
 
 class FrameReader:
-    """Reads one kind of frame.
+    """Reads one kind of frame, and writes it for a simulated car.
 
     message: of a cantools database. mappings: quantity by name. protection: counter and CRC. period: time between two
     such frames [s], 0: not known; more frequent ones have a second sender, those that come later than their counter
@@ -126,10 +126,37 @@ class FrameReader:
             values[quantity] = physical * mapping.gain + mapping.offset if low <= physical <= high else math.nan
         return Checked(values, counter, "")
 
+    def write(self, values: dict[str, float], *, count: int = 0, raw: dict[str, int] | None = None) -> bytes:
+        """The frame with these quantities [SI], saturated to the DBC's range, as the simulated car sends it.
+
+        A NaN becomes the code 0x80.. . count: its counter. raw: codes of signals that no quantity maps to.
+        """
+        codes: dict[str, float] = {signal.name: (raw or {}).get(signal.name, 0) for signal in self.message.signals}
+        for quantity, mapping in self.mappings.items():
+            if quantity in values:
+                codes[mapping.signal] = self._code(values[quantity], mapping)
+        if self.protection.counter:
+            codes[self.protection.counter] = count % self.modulus
+        data = self.message.encode(codes, scaling=False, strict=False)
+        return data if self._crc_byte is None else with_crc(data, self._crc_byte, self.frame_id)
+
+    def _code(self, value: float, mapping: Mapping) -> int:
+        signal = self.message.get_signal_by_name(mapping.signal)
+        if not math.isfinite(value):
+            return -(1 << (signal.length - 1)) if signal.is_signed else (1 << signal.length) - 1
+        low, high = self._ranges[mapping.signal]
+        physical = max(low, min(high, (value - mapping.offset) / mapping.gain))
+        return round((physical - signal.offset) / signal.scale)
+
 
 def frame_crc(data: bytes, crc_byte: int, frame_id: int) -> int:
     """The CRC of a frame whose byte `crc_byte` holds it."""
     return crc8_2f(data[:crc_byte] + data[crc_byte + 1 :] + bytes((frame_id & 0xFF, frame_id >> 8 & 0xFF)))
+
+
+def with_crc(data: bytes, crc_byte: int, frame_id: int) -> bytes:
+    """The frame with its CRC in that byte."""
+    return data[:crc_byte] + bytes((frame_crc(data, crc_byte, frame_id),)) + data[crc_byte + 1 :]
 
 
 def signal_range(signal: Any) -> tuple[float, float]:
@@ -178,11 +205,11 @@ class CommandWriter:
     def write(
         self, delta_sw: float, *, enable: bool, clear: bool = False, alert: bool = False, count: int = 0
     ) -> bytes:
-        """The frame for delta_sw [rad], a whole number of quanta. alert: ask the kit to warn the human."""
-        return self._bytes(delta_sw, {self.enable: enable, self.clear: clear, self.alert: alert}, count)
+        """The frame for delta_sw [rad], a whole number of quanta. alert: ask the kit to warn the human.
 
-    def _bytes(self, delta_sw: float, flags: dict[str, bool], count: int) -> bytes:
-        """The frame with those flags up that it has a signal for. Raises ValueError for a value it cannot hold."""
+        Flags that the frame has no signal for are left out. Raises ValueError for an angle that it cannot hold.
+        """
+        flags = {self.enable: enable, self.clear: clear, self.alert: alert}
         signal = self.message.get_signal_by_name(self.angle.signal)
         code = round(((delta_sw - self.angle.offset) / self.angle.gain - signal.offset) / signal.scale)
         raw: dict[str, float] = {s.name: 0 for s in self.message.signals}
@@ -193,47 +220,13 @@ class CommandWriter:
         low, high = signal_range(signal)
         if not low <= code * signal.scale + signal.offset <= high:
             raise ValueError(f"{self.message.name}.{signal.name}: code {code} is beyond the DBC's range")
-        data = bytearray(self.message.encode(raw, scaling=False, strict=True))
-        if self.crc:
-            place = self.message.get_signal_by_name(self.crc).start // 8
-            data[place] = frame_crc(bytes(data), place, self.frame_id)
-        return bytes(data)
+        data = bytes(self.message.encode(raw, scaling=False, strict=True))
+        if not self.crc:
+            return data
+        return with_crc(data, self.message.get_signal_by_name(self.crc).start // 8, self.frame_id)
 
     def read(self, data: bytes) -> tuple[float, bool, bool]:
         """delta_sw [rad], enable and clear of a command frame: what the kit makes of it."""
         raw = self.message.decode(data, decode_choices=False)
         clear = bool(raw[self.clear]) if self.clear else False
         return raw[self.angle.signal] * self.angle.gain + self.angle.offset, bool(raw[self.enable]), clear
-
-
-class SignalEncoder:
-    """The other direction of `FrameReader`: quantities into a frame, as the simulated car sends them."""
-
-    def __init__(self, reader: FrameReader):
-        self.reader = reader
-        self._signals = {s.name: s for s in reader.message.signals}
-
-    def write(self, values: dict[str, float], *, count: int = 0, raw: dict[str, int] | None = None) -> bytes:
-        """The frame with these quantities [SI], saturated to the DBC's range; a NaN becomes the code 0x80.. .
-
-        count: its counter. raw: codes of signals that no quantity maps to.
-        """
-        codes: dict[str, float] = {name: (raw or {}).get(name, 0) for name in self._signals}
-        for quantity, mapping in self.reader.mappings.items():
-            if quantity in values:
-                codes[mapping.signal] = self._code(values[quantity], mapping)
-        protection = self.reader.protection
-        if protection.counter:
-            codes[protection.counter] = count % self.reader.modulus
-        data = bytearray(self.reader.message.encode(codes, scaling=False, strict=False))
-        if self.reader._crc_byte is not None:
-            data[self.reader._crc_byte] = frame_crc(bytes(data), self.reader._crc_byte, self.reader.frame_id)
-        return bytes(data)
-
-    def _code(self, value: float, mapping: Mapping) -> int:
-        signal = self._signals[mapping.signal]
-        if not math.isfinite(value):
-            return -(1 << (signal.length - 1)) if signal.is_signed else (1 << signal.length) - 1
-        low, high = self.reader._ranges[mapping.signal]
-        physical = max(low, min(high, (value - mapping.offset) / mapping.gain))
-        return round((physical - signal.offset) / signal.scale)

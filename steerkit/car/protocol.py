@@ -5,13 +5,13 @@ from __future__ import annotations
 import hashlib
 import math
 import struct
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from steerkit.car.state_machine import Mode, Order
 from steerkit.paths.path import Path
 
 VERSION = 3
-"""Another one where a message changes; one more is none: recordings of before are still read."""
+"""Another one where a message changes."""
 NO_COURSE = bytes(8)
 """Of a client that does not say which course it means."""
 _MODES, _ORDERS = tuple(Mode), tuple(Order)
@@ -136,12 +136,18 @@ class Refused(NamedTuple):
 Message = Hello | Query | Beat | Command | Request | Remark | Estimates | Adapted | Filtered | Snapshot | Refused
 ESTIMATES = ("delay", "lag", "delay_lag", "steer_ratio", "understeer", "offset", "rate_zero", "friction", "play")
 """What is estimated in a drive, in this order; the units are those of the blocks."""
-_REQUEST = struct.Struct("<cddI")
-_ESTIMATES = struct.Struct(f"<c{3 * len(ESTIMATES)}d")
-_ADAPTED = struct.Struct("<c2d")
-_FILTERED = struct.Struct("<c5d")
 _NUMBERS = len(Snapshot._fields) - 2
 _SNAPSHOT = struct.Struct(f"<c{_NUMBERS}dB")
+_LAYOUTS: dict[bytes, tuple[Any, struct.Struct]] = {
+    b"Q": (Query, struct.Struct("<c")),
+    b"B": (Beat, struct.Struct("<c")),
+    b"R": (Request, struct.Struct("<cddI")),
+    b"F": (Estimates, struct.Struct(f"<c{3 * len(ESTIMATES)}d")),
+    b"A": (Adapted, struct.Struct("<c2d")),
+    b"C": (Filtered, struct.Struct("<c5d")),
+}
+"""Messages that are numbers: the byte that a packet begins with, the message, and how its fields lie."""
+_LETTERS = {kind: letter for letter, (kind, _) in _LAYOUTS.items()}
 MAX_PACKET = 4096
 
 
@@ -155,30 +161,21 @@ def encode(message: Message) -> bytes:
     match message:
         case Hello():
             return b"H" + bytes((message.controller, message.version)) + message.course
-        case Query():
-            return b"Q"
-        case Beat():
-            return b"B"
         case Command():
             return b"O" + bytes((_ORDERS.index(message.order),))
-        case Request():
-            return _REQUEST.pack(b"R", *message)
         case Remark():
             text = message.text.encode()
             if len(text) >= MAX_PACKET:
                 raise ValueError(f"remark of {len(text)} bytes, expected less than {MAX_PACKET}")
             return b"T" + text
-        case Estimates():
-            return _ESTIMATES.pack(b"F", *message.numbers)
-        case Adapted():
-            return _ADAPTED.pack(b"A", *message)
-        case Filtered():
-            return _FILTERED.pack(b"C", *message)
         case Snapshot():
             numbers = message[:_NUMBERS]
             return _SNAPSHOT.pack(b"S", *numbers, _MODES.index(message.mode)) + message.text.encode()[:2000]
         case Refused():
             return b"E" + message.why.encode()[:2000]
+    letter = _LETTERS[type(message)]
+    numbers = message.numbers if isinstance(message, Estimates) else message
+    return _LAYOUTS[letter][1].pack(letter, *numbers)
 
 
 def decode(packet: bytes) -> Message:
@@ -187,28 +184,21 @@ def decode(packet: bytes) -> Message:
         match packet[:1]:
             case b"H" if len(packet) >= 3:  # of any version, so that an old one is told that it is old
                 return Hello(bool(packet[1]), packet[2], packet[3:11].ljust(8, b"\0"))
-            case b"Q" if len(packet) == 1:
-                return Query()
-            case b"B" if len(packet) == 1:
-                return Beat()
             case b"O" if len(packet) == 2:
                 return Command(_ORDERS[packet[1]])
-            case b"R":
-                return Request(*_REQUEST.unpack(packet)[1:])
             case b"T":
                 return Remark(packet[1:].decode(errors="replace"))
-            case b"F":
-                return Estimates(_ESTIMATES.unpack(packet)[1:])
-            case b"A":
-                return Adapted(*_ADAPTED.unpack(packet)[1:])
-            case b"C":
-                return Filtered(*_FILTERED.unpack(packet)[1:])
             case b"S":
                 numbers = _SNAPSHOT.unpack_from(packet)[1:]
                 text = packet[_SNAPSHOT.size :].decode(errors="replace")
                 return Snapshot._make((*numbers[:-1], _MODES[numbers[-1]], text))
             case b"E":
                 return Refused(packet[1:].decode(errors="replace"))
+            case letter if letter in _LAYOUTS:
+                kind, layout = _LAYOUTS[letter]
+                numbers = layout.unpack(packet)[1:]
+                message: Message = kind(numbers) if kind is Estimates else kind(*numbers)
+                return message
     except (struct.error, IndexError) as error:
         raise ValueError(f"packet {packet[:1]!r} of {len(packet)} bytes: {error}") from error
     raise ValueError(f"packet {packet[:1]!r} of {len(packet)} bytes is not known")

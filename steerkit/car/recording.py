@@ -44,32 +44,29 @@ from steerkit.car.core import Core, End, Event, Frame, Link, Note, Output, Packe
 from steerkit.paths.path import Path
 
 _log = logging.getLogger("steerkit.car")
-_NUMBER = {"type": ["number", "string"]}  # a NaN or an infinity is written as a text
-_TEXT = {"type": "string"}
-TOPICS: dict[str, dict[str, Any]] = {
-    "/can/rx": {"t": _NUMBER, "arrived": _NUMBER, "id": {"type": "integer"}, "data": _TEXT, "kind": _TEXT},
-    "/can/tx": {"t": _NUMBER, "id": {"type": "integer"}, "data": _TEXT},
-    "/client": {"t": _NUMBER, "link": {"type": "integer"}, "data": _TEXT, "up": {"type": "boolean"}},
-    "/tick": {"t": _NUMBER},
-    "/end": {"t": _NUMBER, "cause": _TEXT},
-    "/state": {"t": _NUMBER, "from": _TEXT, "to": _TEXT, "cause": _TEXT},
-    "/command": {"t": _NUMBER, "request": _NUMBER, "sent": _NUMBER, "why": _TEXT},
-    "/steers": {"t": _NUMBER, "what": _TEXT},
-    "/car": {"t": _NUMBER, "mode": _TEXT},
-    "/refused": {"t": _NUMBER, "order": _TEXT, "why": _TEXT},
-    "/recording": {"t": _NUMBER, "wrong": _TEXT},
-    "/estimates": {"t": _NUMBER},
-    "/safety": {
-        "t": _NUMBER,
-        "command": _NUMBER,
-        "delta_sw": _NUMBER,
-        "share": _NUMBER,
-        "reach": _NUMBER,
-        "reason": _NUMBER,
-    },
-    "/adapted": {"t": _NUMBER, "delay": _NUMBER, "ratio": _NUMBER},
+_KINDS: dict[str, dict[str, Any]] = {
+    "number": {"type": ["number", "string"]},  # a NaN or an infinity is written as a text
+    "id": {"type": "integer"},
+    "text": {"type": "string"},
+    "flag": {"type": "boolean"},
 }
-"""Topics with the properties of their messages. A topic's place is its number in the file: only ever add at the end."""
+TOPICS = {
+    "/can/rx": {"t": "number", "arrived": "number", "id": "id", "data": "text", "kind": "text"},
+    "/can/tx": {"t": "number", "id": "id", "data": "text"},
+    "/client": {"t": "number", "link": "id", "data": "text", "up": "flag"},
+    "/tick": {"t": "number"},
+    "/end": {"t": "number", "cause": "text"},
+    "/state": {"t": "number", "from": "text", "to": "text", "cause": "text"},
+    "/command": {"t": "number", "request": "number", "sent": "number", "why": "text"},
+    "/steers": {"t": "number", "what": "text"},
+    "/car": {"t": "number", "mode": "text"},
+    "/refused": {"t": "number", "order": "text", "why": "text"},
+    "/recording": {"t": "number", "wrong": "text"},
+    "/estimates": {"t": "number"},
+    "/safety": dict.fromkeys(("t", *protocol.Filtered._fields), "number"),
+    "/adapted": dict.fromkeys(("t", *protocol.Adapted._fields), "number"),
+}
+"""Topics with the kinds of their messages' fields. A topic's place is its number in the file: only add at the end."""
 NAME = "steerkit"
 """Profile and library in the file's header, and the name of its description."""
 SUM = "crc32"
@@ -147,13 +144,14 @@ class RecordingFile:
             self._writer.start(profile=NAME, library=NAME)
             for _ in range(2):
                 self._writer.add_metadata(NAME, {**description, SUM: _sum(description)})
-            self._channels = {topic: self._channel(topic, properties) for topic, properties in TOPICS.items()}
+            self._channels = {topic: self._channel(topic, fields) for topic, fields in TOPICS.items()}
             self.sync()
         except BaseException:
             self.abandon()
             raise
 
-    def _channel(self, topic: str, properties: dict[str, Any]) -> int:
+    def _channel(self, topic: str, fields: dict[str, str]) -> int:
+        properties = {name: _KINDS[kind] for name, kind in fields.items()}
         schema = json.dumps({"type": "object", "properties": properties}).encode()
         number = self._writer.register_schema(topic.strip("/"), "jsonschema", schema)
         return self._writer.register_channel(topic, "json", number)
@@ -354,29 +352,6 @@ def _header() -> bytes:
 
 def _sum(texts: dict[str, str]) -> str:
     return f"{zlib.crc32(json.dumps(texts, sort_keys=True).encode()):08x}"
-
-
-def what_is_wrong(data: bytes) -> str:
-    """Why a file in which nothing is intact cannot be read."""
-    from mcap.data_stream import ReadDataStream
-    from mcap.exceptions import McapError
-    from mcap.records import Header, Metadata
-
-    nothing = "no recording of steerkit, or cut off before it began"
-    if (_MAGIC + _header()).startswith(data):
-        return nothing
-    try:
-        stream = ReadDataStream(BytesIO(data[17:]))
-        if data[:8] != _MAGIC or Header.read(stream).library != NAME:
-            return "an MCAP file of another program, not a recording of steerkit" if data[:8] == _MAGIC else nothing
-        stream.read(9)
-        old = Metadata.read(stream)
-    except (McapError, struct.error, ValueError):
-        return nothing
-    if old.name != NAME or SUM in old.metadata:
-        return nothing
-    hello = re.search(rb'"data":"480[01]([0-9a-f]{2})', data)  # a client's first packet tells the version
-    return f"a recording of protocol {int(hello[1], 16) if hello else '1 or 2'}; replay it with the steerkit of then"
 
 
 class Gap(NamedTuple):
@@ -665,7 +640,9 @@ def _read(file: str | os.PathLike[str]) -> tuple[Recorded, Contents]:
 def _read_bytes(data: bytes, used: bool = False) -> tuple[Recorded, Contents]:
     parts = contents(data)
     if parts.description is None and not parts.chunks:
-        raise ValueError(what_is_wrong(data))
+        if data[:8] == _MAGIC and not (_MAGIC + _header()).startswith(data[: 8 + len(_header())]):
+            raise ValueError("an MCAP file of another program, not a recording of steerkit")
+        raise ValueError("no recording of steerkit, or cut off before it began")
     metadata, wanted = parts.description or {}, str(protocol.VERSION)
     if metadata.get("protocol", wanted) != wanted:
         raise ValueError(

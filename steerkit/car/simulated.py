@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from steerkit.car.config import CarConfig
-from steerkit.car.frames import SignalEncoder
+from steerkit.car.frames import FrameReader
 from steerkit.diagram.block import Block
 from steerkit.paths.path import Path
 from steerkit.paths.tracker import PathTracker
@@ -128,8 +128,7 @@ class SimulatedCar:
         self._coming: deque[tuple[float, float]] = deque()  # commands that have not got to the motor yet
         # what is on its way to the bus: (when, order, id, data)
         self._waiting: list[tuple[float, int, int, bytes]] = []
-        self._encoders = [SignalEncoder(reader) for reader in config.readers]
-        self._count = dict.fromkeys((e.reader.frame_id for e in self._encoders), 0)
+        self._count = dict.fromkeys((reader.frame_id for reader in config.readers), 0)
         self._last: dict[int, bytes] = {}
         self._stuck: dict[int, dict[str, float]] = {}
         self._dice, self._order = random.Random(seed), 0
@@ -263,16 +262,16 @@ class SimulatedCar:
 
     def _send(self) -> None:
         values, t = self._values(), self.t
-        for encoder in self._encoders:
-            frame_id = encoder.reader.frame_id
+        for reader in self.config.readers:
+            frame_id = reader.frame_id
             pose = frame_id in self.config.pose_frames
-            period = encoder.reader.period or (STEP if pose else 2.0 * STEP)
+            period = reader.period or (STEP if pose else 2.0 * STEP)
             due, before = (math.floor(k * STEP / period + 1e-6) for k in (self.k, self.k - 1))
             for _ in range(due - before):
-                self._send_one(encoder, values, t, "pose" if pose else "report")
+                self._send_one(reader, values, t, "pose" if pose else "report")
 
-    def _send_one(self, encoder: SignalEncoder, values: dict[str, float], t: float, target: str) -> None:
-        frame_id = encoder.reader.frame_id
+    def _send_one(self, reader: FrameReader, values: dict[str, float], t: float, target: str) -> None:
+        frame_id = reader.frame_id
         if self._fault("stuck", t, target):
             values = self._stuck.setdefault(frame_id, values)
         else:
@@ -281,7 +280,7 @@ class SimulatedCar:
             flags = ("enabled", "override", "timeout", "brake", "accelerator", *self.config.fault_flags)
             values = {q: v if q in flags else math.nan for q, v in values.items()}
         self._count[frame_id] += 6 if self._fault("counter", t, target) else 1
-        data = encoder.write(values, count=self._count[frame_id])
+        data = reader.write(values, count=self._count[frame_id])
         if self._fault("freeze", t, target):
             data = self._last.get(frame_id, data)
         self._last[frame_id] = data

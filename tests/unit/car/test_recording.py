@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from mcap.writer import IndexType, Writer
+from mcap.writer import Writer
 
 from steerkit.car import protocol
 from steerkit.car import recording as recording_file
@@ -113,21 +113,6 @@ def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:
         writer.finish()
     with pytest.raises(ValueError, match="an MCAP file of another program"):
         tapes.read(tmp_path / "y.mcap")
-
-
-@pytest.mark.parametrize(("version", "says"), [(1, "protocol 1;"), (2, "protocol 2;"), (None, "protocol 1 or 2;")])
-def test_recordings_of_before_say_which_protocol_they_have(tmp_path: Path, version: int | None, says: str) -> None:
-    with (tmp_path / "old.mcap").open("wb") as stream:
-        writer = Writer(stream, use_chunking=False, index_types=IndexType.NONE)
-        writer.start(profile="steerkit", library="steerkit")
-        writer.add_metadata("steerkit", {"file:config.toml": "x"})
-        number = writer.register_channel("/client", "json", writer.register_schema("client", "jsonschema", b"{}"))
-        if version:
-            hello = {"t": 1.0, "link": 1, "data": protocol.encode(protocol.Hello(True, version)).hex()}
-            writer.add_message(number, 1, json.dumps(hello, separators=(",", ":")).encode(), 1)
-        writer.finish()
-    with pytest.raises(ValueError, match=rf"old\.mcap: a recording of {says} replay it with the steerkit of then"):
-        tapes.read(tmp_path / "old.mcap")
 
 
 def test_a_recording_of_a_later_protocol_is_refused_with_its_number_and_version(tmp_path: Path) -> None:

@@ -8,7 +8,6 @@ from functools import cache
 import pytest
 
 from steerkit.car.config import CarConfig, load
-from steerkit.car.frames import SignalEncoder
 from steerkit.car.senses import BEHIND, BEHIND_TIME, Punctuality, Senses
 from steerkit.diagram.units import radians_of
 from steerkit.paths.courses import course, straight
@@ -29,7 +28,7 @@ class Bench:
 
     def __init__(self, path: Path = LINE) -> None:
         self.senses = Senses(config(), path)
-        self.encoders = {reader.name: SignalEncoder(reader) for reader in config().readers}
+        self.encoders = {reader.name: reader for reader in config().readers}
         self.counts = dict.fromkeys(self.encoders, 0)
 
     def send(
@@ -43,7 +42,7 @@ class Bench:
         """One frame, with all values but these as usual."""
         self.counts[name] += 1
         data = self.encoders[name].write(POSE | REPORT | values, count=self.counts[name])
-        frame_id = self.encoders[name].reader.frame_id
+        frame_id = self.encoders[name].frame_id
         self.senses.frame(t, t if arrived is None else arrived, frame_id, data, sent)
 
     def pose(self, t: float, **values: float) -> None:

@@ -44,21 +44,20 @@ def taped(file: Path, columns: dict[str, Any], *, spoilt: int = 0) -> None:
     from steerkit.car import recording
     from steerkit.car.config import load
     from steerkit.car.core import Frame
-    from steerkit.car.frames import SignalEncoder
 
     car = load("dbw-kit.toml")
     tape = recording.Recording(file, {f"file:{name}": text for name, text in car.texts.items()})
-    writers = [SignalEncoder(reader) for reader in car.readers]
+    writers = car.readers
     for k in range(len(columns["t"])):
         t = 100.0 + columns["t"][k]
         values = {name: float(columns[name][k]) for name in ("delta_sw", "v", "r")}
         values |= {"psi": float((columns["psi"][k] + np.pi) % (2.0 * np.pi) - np.pi)}
         for writer in writers:
-            full = {name: values.get(name, 0.0) for name in writer.reader.mappings}
+            full = {name: values.get(name, 0.0) for name in writer.mappings}
             data = writer.write(full, count=k)
-            if spoilt and k % spoilt == spoilt - 1 and writer.reader.protection.crc:
+            if spoilt and k % spoilt == spoilt - 1 and writer.protection.crc:
                 data = bytes([data[0], data[1] ^ 0x10, *data[2:]])
-            tape.event(Frame(t, t, writer.reader.frame_id, data), [])
+            tape.event(Frame(t, t, writer.frame_id, data), [])
     tape.close()
 
 
