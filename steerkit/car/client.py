@@ -25,7 +25,7 @@ class CarLost(ConnectionError):
 
 
 class CarLink(Protocol):
-    """What `RealCar` asks of a line to a car: of a `CarClient`, or of a `ReplayLink`."""
+    """What a loop asks of a line to a car: of a `CarClient`, or of a `ReplayLink`."""
 
     @property
     def last(self) -> Snapshot | None:
@@ -38,6 +38,10 @@ class CarLink(Protocol):
 
     def request(self, delta_sw: float) -> None:
         """Ask for an angle [rad], computed from the last snapshot."""
+        ...
+
+    def tell(self, message: protocol.Adapted) -> None:
+        """Say, for the recording, what a controller believes of the car."""
         ...
 
 

@@ -18,13 +18,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path as FilePath
 from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 from steerkit._support.clock import Clock
 from steerkit._support.errors import require
 from steerkit._support.files import write_text
+from steerkit.car.client import CarClient
 from steerkit.car.loop import RUN_FORMAT, Follow, Steers, filtered_in, setting_of
-from steerkit.car.protocol import Adapted, Filtered
 from steerkit.controllers.fail_safe import FAULTS
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.diagram.block import Block
@@ -42,21 +42,6 @@ from steerkit.scenario.catalogue import AUTO
 from steerkit.vehicles import Vehicle
 
 RUN = "car"
-
-
-class Car(Protocol):
-    """What the learner needs of the line to the car server: see `CarClient`."""
-
-    last: Any
-    misses: int
-
-    def remark(self, text: str) -> None:
-        """Say, for the recording, who steers from the next request on."""
-        ...
-
-    def tell(self, message: Adapted | Filtered) -> None:
-        """Say, for the recording, what a controller is told of the car, or what the safety filter did."""
-        ...
 
 
 class CarLearner:
@@ -80,7 +65,7 @@ class CarLearner:
         setting: Setting,
         place: FilePath,
         build: Callable[[Block, OutputElement], Loop],
-        link: Car,
+        link: CarClient,
         *,
         seed: int = 0,
         recovery: str = AUTO,

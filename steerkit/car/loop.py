@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 from steerkit._support.clock import Clock
 from steerkit._support.errors import require
@@ -47,19 +47,6 @@ from steerkit.task import TRIP
 from steerkit.vehicles.rollout import GateModel
 
 
-class Seen(Protocol):
-    """What `Follow` needs of a line to a car."""
-
-    @property
-    def last(self) -> Any:
-        """The last snapshot."""
-        ...
-
-    def tell(self, message: Adapted) -> None:
-        """Say, for the recording, what a controller is told of the car."""
-        ...
-
-
 @dataclass(kw_only=True)
 class Follow:
     """The choice of a loop while a car is driven: ask `begin` and then `choose` after every sample.
@@ -71,7 +58,7 @@ class Follow:
     Depends on nothing but the snapshots, so that a recorded drive can be replayed.
     """
 
-    link: Seen
+    link: CarLink
     resting: Loop
     """The loop while not engaged, or while nobody trusts the policy: its recovery controller steers."""
     driving: Loop
@@ -84,7 +71,7 @@ class Follow:
     """Was the car off its path while engaged, or is there a fault, so that nothing found of it is to be believed?"""
 
     @classmethod
-    def of(cls, loop: Loop, link: Seen) -> Self:
+    def of(cls, loop: Loop, link: CarLink) -> Self:
         """For a loop of `steerkit.car.loop.car_loop`."""
         resting, policy = loop, controller_of(loop)
         if isinstance(policy, NfqPolicy):
@@ -94,6 +81,7 @@ class Follow:
     def begin(self, run: Run) -> bool:
         """Take note of who has the wheel; True when the loop began anew."""
         snapshot = self.link.last
+        assert snapshot is not None
         mode = str(snapshot.mode)
         self.engaged = mode == "ENGAGED"
         if mode == "FAULT" or (self.engaged and not abs(snapshot.e) <= TRIP):
