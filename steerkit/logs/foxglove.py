@@ -129,56 +129,6 @@ def layout(program: str, file: str | Path) -> Path:
     return Path(file)
 
 
-def signals_of(log: Log) -> dict[str, np.ndarray]:
-    """What a layout shows, by its name there: `/car/x`, `/wheel/delta_sw`, `/path/e`, ... from the signals of a loop or
-    of a drive, the first that is there; the rest under their own names."""
-    columns = {name: values for name, values in log.columns().items() if name != "t"}
-    require(not any("[" in name and name.startswith("car.") for name in columns), "export", "a batch of cars; save one")
-    return {name: columns[source] for name, source in shown_as(columns).items()}
-
-
-def to_mcap(log: Log | Drive, file: str | Path) -> dict[str, int]:
-    """Write a log as MCAP with a topic a group (`/car`, `/path`, `/wheel`, `/signals/...`) in JSON, and `/scene/pose`,
-    `/scene/driven` for Foxglove's 3D panel; returns messages by topic.
-
-    Numbers come back bit for bit; one that is none is null. Raises ValueError for a batch of cars.
-    """
-    from mcap.writer import Writer
-
-    record = log.to_log() if isinstance(log, Drive) else log
-    topics = by_topic(signals_of(record))
-    car = topics.get("/car", {})
-    scene = [POSE, DRIVEN] if {"x", "y"} <= car.keys() else []
-    with atomic_write(file) as draft, draft.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start(profile="", library="exported by steerkit-control")
-        channels = {topic: _channel(writer, topic) for topic in scene}
-        channels |= {topic: _channel(writer, topic, fields) for topic, fields in topics.items()}
-        for k, t in enumerate(record.t.tolist()):
-            when = BEGIN + round(t * 1e9)
-            for topic, fields in topics.items():
-                _add(writer, channels[topic], when, {name: number(all_[k]) for name, all_ in fields.items()})
-            if scene:
-                psi = car["psi"][k] if "psi" in car else None
-                _add(writer, channels[POSE], when, pose(car["x"][k], car["y"][k], psi, when))
-        if scene:
-            points = np.column_stack((car["x"], car["y"]))
-            points = points[np.isfinite(points).all(axis=1)]
-            _add(writer, channels[DRIVEN], BEGIN, way(points.tolist(), BEGIN))
-        writer.finish()
-    return dict.fromkeys([*topics, *scene[:1]], len(record.t))
-
-
-def _channel(writer: Any, topic: str, fields: Iterable[str] = ()) -> int:
-    name, properties = schema(topic, fields)
-    number = writer.register_schema(name=name, encoding="jsonschema", data=json.dumps(properties).encode())
-    return int(writer.register_channel(topic=topic, message_encoding="json", schema_id=number))
-
-
-def _add(writer: Any, channel: int, when: int, values: dict[str, Any]) -> None:
-    writer.add_message(channel_id=channel, log_time=when, publish_time=when, data=packed(values))
-
-
 HOST = "127.0.0.1"
 FLUSH = 0.3
 """For how long clients may take the last messages [s]; the server then ends, whether they have or not."""
@@ -195,35 +145,24 @@ def place_of(where: str) -> tuple[str, int]:
     return address or HOST, int(port)
 
 
-class Server:
-    """Serves signals to Foxglove from this process: `begin` with their names, then `show` each sample.
+class Topics:
+    """Signals as topics of Foxglove's SDK, for whatever listens to its context: `begin` with their names, then `show`.
 
-    where: `[HOST:]PORT`. Raises ValueError for a port that is taken, and where foxglove-sdk is missing.
+    start: when t = 0 is, since 1970 [ns]; None: the first sample is stamped with the time of day. every: how often the
+    way driven is shown [s of computing]. Raises ValueError where foxglove-sdk is missing.
     """
 
-    def __init__(self, where: str):
-        host, port = place_of(where)
+    def __init__(self, *, start: int | None = None, every: float = EVERY):
         installed = find_spec("foxglove") is not None
-        require(installed, "stream", "needs the package foxglove-sdk: pip install 'steerkit-control[logs]'")
+        require(installed, "Foxglove", "needs the package foxglove-sdk: pip install 'steerkit-control[logs]'")
         import foxglove
 
         foxglove.set_log_level(logging.CRITICAL)  # who dials a wrong number is no news on a terminal
         self._context = foxglove.Context()
-        try:
-            server = foxglove.start_server(
-                name="steerkit", host=host, port=port, capabilities=[], context=self._context
-            )
-        except (RuntimeError, OverflowError) as error:
-            raise ValueError(
-                f"stream at {where}: {str(error).removeprefix('FoxgloveError: ')}; choose another port, or 0 for any"
-            ) from error
-        self.address = f"ws://{f'[{host}]' if ':' in host else host}:{server.port}"
-        self._server = server
+        self._start, self._every, self._shown_way = start, every, 0.0
         self._channels: dict[str, Any] = {}
         self._topics: dict[str, dict[str, int]] = {}
-        self._begin: int | None = None
         self._points: list[tuple[float, float]] = []
-        self._shown_way = -math.inf
 
     def begin(self, names: Sequence[str]) -> None:
         """The signals that come, in their order; the layouts' names are made of theirs."""
@@ -237,10 +176,8 @@ class Server:
                 self._open(topic, *schema(topic, ()))
 
     def show(self, t: float, values: Sequence[float]) -> None:
-        """One sample, at t [s]; the first is stamped with the time of day. Never waits for who looks."""
-        if self._begin is None:
-            self._begin = time.time_ns() - round(t * 1e9)
-        when = self._begin + round(t * 1e9)
+        """One sample, at t [s]. Never waits for who looks."""
+        when = self._when(t)
         for topic, fields in self._topics.items():
             if self._channels[topic].has_sinks():
                 self._log(topic, {name: number(values[k]) for name, k in fields.items()}, when)
@@ -248,11 +185,16 @@ class Server:
             self._show_scene(values, when)
 
     def tell(self, topic: str, words: Mapping[str, str], t: float) -> None:
-        """Words on a topic of their own, at t [s]; after `show`."""
+        """Words on a topic of their own, at t [s]."""
         if topic not in self._channels:
             properties = {name: {"type": "string"} for name in words}
             self._open(topic, topic.strip("/"), {"type": "object", "properties": properties})
-        self._log(topic, words, (self._begin or 0) + round(t * 1e9))
+        self._log(topic, words, self._when(t))
+
+    def _when(self, t: float) -> int:
+        if self._start is None:
+            self._start = time.time_ns() - round(t * 1e9)
+        return self._start + round(t * 1e9)
 
     def sample(self, sample: Sample, signals: Sequence[str] | None = None) -> None:
         """One sample of a loop, of these signals (default: all); vectors number by number, `name[0]`, `name[1]`, ..."""
@@ -261,19 +203,11 @@ class Server:
             value = sample[name]
             numbers = np.ravel(np.asarray(value, dtype=float)).tolist()
             values += numbers
-            if self._begin is None:
+            if not self._topics:
                 names += [name] if np.ndim(value) == 0 else [f"{name}[{k}]" for k in range(len(numbers))]
         if names:
             self.begin(names)
         self.show(sample.t, values)
-
-    def end(self) -> None:
-        """Stop serving; clients have a moment for the last messages."""
-        time.sleep(FLUSH)
-        # the library's own end waits for clients that read nothing, for a minute
-        stop = threading.Thread(target=self._server.stop, daemon=True)
-        stop.start()
-        stop.join(FLUSH)
 
     def _show_scene(self, values: Sequence[float], when: int) -> None:
         car = self._topics["/car"]
@@ -284,9 +218,13 @@ class Server:
         self._points.append((x, y))
         if len(self._points) > 2 * MOST:
             self._points = self._points[::2]
-        if time.monotonic() - self._shown_way >= EVERY and self._channels[DRIVEN].has_sinks():
+        if time.monotonic() - self._shown_way >= self._every and self._channels[DRIVEN].has_sinks():
             self._shown_way = time.monotonic()
-            self._log(DRIVEN, way(self._points, when), when)
+            self.show_way(when)
+
+    def show_way(self, when: int) -> None:
+        """The way that was driven so far, stamped `when` since 1970 [ns]."""
+        self._log(DRIVEN, way(self._points, when), when)
 
     def _open(self, topic: str, name: str, schema: dict[str, Any]) -> None:
         from foxglove import Channel, Schema
@@ -298,6 +236,56 @@ class Server:
         channel = self._channels[topic]
         if channel.has_sinks():
             channel.log(packed(values), log_time=when)
+
+
+class Server(Topics):
+    """Serves signals to Foxglove from this process, over a WebSocket.
+
+    where: `[HOST:]PORT`. Raises ValueError for a port that is taken, and where foxglove-sdk is missing.
+    """
+
+    def __init__(self, where: str):
+        host, port = place_of(where)
+        super().__init__()
+        from foxglove import start_server
+
+        try:
+            self._server = start_server(name="steerkit", host=host, port=port, capabilities=[], context=self._context)
+        except (RuntimeError, OverflowError) as error:
+            raise ValueError(
+                f"stream at {where}: {str(error).removeprefix('FoxgloveError: ')}; choose another port, or 0 for any"
+            ) from error
+        self.address = f"ws://{f'[{host}]' if ':' in host else host}:{self._server.port}"
+
+    def end(self) -> None:
+        """Stop serving; clients have a moment for the last messages."""
+        time.sleep(FLUSH)
+        # the library's own end waits for clients that read nothing, for a minute
+        stop = threading.Thread(target=self._server.stop, daemon=True)
+        stop.start()
+        stop.join(FLUSH)
+
+
+def to_mcap(log: Log | Drive, file: str | Path) -> dict[str, int]:
+    """Write a log as MCAP with a topic a group (`/car`, `/path`, `/wheel`, `/signals/...`) in JSON, and `/scene/pose`,
+    `/scene/driven` for Foxglove's 3D panel; returns messages by topic.
+
+    Numbers come back bit for bit; one that is none is null. Raises ValueError for a batch of cars, and where
+    foxglove-sdk is missing.
+    """
+    record = log.to_log() if isinstance(log, Drive) else log
+    columns = {name: values for name, values in record.columns().items() if name != "t"}
+    require(not any("[" in name and name.startswith("car.") for name in columns), "export", "a batch of cars; save one")
+    topics = Topics(start=BEGIN, every=math.inf)
+    from foxglove import open_mcap
+
+    with atomic_write(file) as draft, open_mcap(draft, allow_overwrite=True, context=topics._context):
+        topics.begin(list(columns))
+        for t, *row in zip(record.t.tolist(), *(values.tolist() for values in columns.values())):
+            topics.show(t, row)
+        if topics._points:
+            topics.show_way(BEGIN)
+    return dict.fromkeys([topic for topic in topics._channels if topic != DRIVEN], len(record.t))
 
 
 def paced(each: Callable[[Sample], None], pace: float) -> Callable[[Sample], None]:

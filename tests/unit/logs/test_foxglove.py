@@ -15,10 +15,11 @@ import pytest
 from steerkit import LinearSingleTrack, Stanley, course, placed, simulate, steering_loop, vehicle
 from steerkit.diagram.simulation import Log
 from steerkit.logs import foxglove
-from steerkit.logs.foxglove import BEGIN, layout, signals_of, to_mcap
+from steerkit.logs.foxglove import BEGIN, layout, shown_as, to_mcap
 from steerkit.plants.speed_driver import ConstantSpeed
 
 pytest.importorskip("mcap")
+pytest.importorskip("foxglove")
 
 
 def messages(file: Path) -> dict[str, list[tuple[int, Any]]]:
@@ -57,7 +58,7 @@ def test_a_simulated_run_is_read_back_bit_for_bit(run: Log, tmp_path: Path) -> N
 
 
 def test_the_layouts_show_what_is_there(run: Log, tmp_path: Path) -> None:
-    shown = signals_of(run)
+    shown = shown_as(run.columns())
     text = layout("foxglove", tmp_path / "l.json").read_text()
     paths = set(re.findall(r'"value": "(/[^"]+)"', text))
     assert paths
