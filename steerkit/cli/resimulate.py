@@ -62,7 +62,7 @@ def resimulate(
             console.print(note, markup=False, highlight=False, soft_wrap=True)
     driven = [again.resimulate(drive, name, car=car, progress=not quiet) for name in names]
     if as_json:
-        print(json.dumps({"redriven": [one.figures() for one in driven], "car": told}))
+        print(json.dumps({"resimulated": [one.figures() for one in driven], "car": told}))
     else:
         _report(console, driven)
     if plot is not None:
