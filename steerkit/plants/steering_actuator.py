@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -64,6 +65,10 @@ class SteeringActuator(Block):
         require_within(where, "offset", self.offset, "rad", -3.0, 3.0, "radians: radians_of(5)")
         whole_samples(where, "delay", self.delay, self.dt)
 
+    @cached_property
+    def _follow(self) -> Scalar:
+        return lag_share(self.dt, self.lag)
+
     def init(self, batch: tuple[int, ...] = ()) -> State:
         return (m.filled(0.0, batch),) * (2 + whole_samples("SteeringActuator", "delay", self.delay, self.dt))
 
@@ -74,7 +79,7 @@ class SteeringActuator(Block):
         delta_sw, _, *pending = x
         pending.append(u.delta_sw_cmd)
         target = m.clip(self.gain * pending[0] + self.offset, -self.limit, self.limit)
-        step = lag_step(target - delta_sw, lag_share(self.dt, self.lag), self.rate_limit * self.dt)
+        step = lag_step(target - delta_sw, self._follow, self.rate_limit * self.dt)
         return (delta_sw + step, step / self.dt, *pending[1:])
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from steerkit._support.errors import require_within, whole_samples
@@ -99,6 +100,10 @@ class TorqueSteering(Block):
             require_within(where, name, getattr(self, name), unit, low, high)
         whole_samples(where, "delay", self.delay, self.dt)
 
+    @cached_property
+    def _follow(self) -> Scalar:
+        return lag_share(self.dt, self.lag)
+
     def init(self, batch: tuple[int, ...] = ()) -> State:
         return (m.filled(0.0, batch),) * (3 + whole_samples("TorqueSteering", "delay", self.delay, self.dt))
 
@@ -116,7 +121,7 @@ class TorqueSteering(Block):
         per_a = self._per_a(u.v)
         pending.append(m.tan(m.clip(u.delta_sw_cmd, -self.limit, self.limit) / self.steer_ratio) / per_a)
         wanted = m.clip(pending[0], -self.a_y_limit, self.a_y_limit)
-        a = a + lag_step(wanted - a, lag_share(self.dt, self.lag), self.slew * self.dt)
+        a = a + lag_step(wanted - a, self._follow, self.slew * self.dt)
         target = self.steer_ratio * m.atan(per_a * self.gain * a) + self.offset
         step = lag_step(m.clip(target, -self.limit, self.limit) - delta_sw, 1.0, self.rate_limit * self.dt)
         return (delta_sw + step, step / self.dt, a, *pending[1:])

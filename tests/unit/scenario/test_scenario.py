@@ -32,7 +32,7 @@ PASSAT = vehicle("vw-passat")
         ({"vehicle": "vw-pasat"}, "did you mean 'vw-passat'"),
         ({"vehicle": "no.toml"}, "vehicle no.toml cannot be read"),
         ({"plant": "bicycle"}, "plant 'bicycle' is not known; valid: nonlinear, linear, package.module:Class"),
-        ({"plant": "steerkit.plants.single_track:Cat"}, "steerkit.plants.car has no 'Cat'"),
+        ({"plant": "steerkit.plants.single_track:Cat"}, "steerkit.plants.single_track has no 'Cat'"),
         ({"plant": "steerkit.doe:Integrator"}, "expected a subclass of Car"),
         ({"speed": "fast"}, "speed 'fast'; valid: wander, recorded"),
         ({"speed": "recorded"}, "'paper' is not known.*genesis"),
