@@ -15,20 +15,29 @@ from __future__ import annotations
 
 import argparse
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from rich.progress import Progress
 
-from benchmarks.rounds import CAR, LAG, drive_loop, driven, rms
+from steerkit.compiled import compile
 from steerkit.controllers.delay import DelayPredictor
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.block import Block
+from steerkit.diagram.loop import Loop
+from steerkit.diagram.simulation import Log
 from steerkit.diagram.units import degrees_of
 from steerkit.paths.courses import course
+from steerkit.scenario import Scenario
+from steerkit.scenario.assembly import placed
+from steerkit.scenario.drive import assembled
+from steerkit.vehicles import vehicle
 
+CAR = vehicle("vw-passat")
+LAG = 0.1
+"""Time constant of the steering in all drives [s]."""
 GAINS = {"k": (1.5, 2.0, 2.5, 3.0, 4.0), "k_d_yaw": (0.0, 0.05, 0.1, 0.15), "k_d_steer": (0.0, 0.1, 0.2, 0.3, 0.5)}
 CARS = [(1.0, 1.0), *itertools.product((0.7, 1.3), (0.9, 1.1))]
 """Tyre stiffness and steering ratio, times the nominal."""
@@ -38,6 +47,29 @@ PLAIN = (0.0, 0.1, 0.2)
 """Delays of Stanley without prediction [s]."""
 SECONDS = 200.0
 NEAR_BEST = 1.2
+
+
+def drive_loop(controller: Block, *, delay: float = 0.0, e: float = 0.0) -> Loop:
+    """A nonlinear car on a course, whose human slows to 3 m/s^2 for bends; e [m] is judged where the controller has it.
+
+    At 9 m/s the course's hairpin (5.9 m) would be 13.7 m/s^2, more than tyres can do: hence the careful human.
+    """
+    scenario = Scenario(name="study", delay=delay, lag=LAG, v_min=4.0, v_max=9.0, reference="own")
+    loop = assembled(scenario, controller)
+    return loop.with_block("car", placed(scenario.car(scenario.path()), scenario.path(), e=e))
+
+
+def driven(loop: Loop, seconds: float, parameters: Mapping[str, Any]) -> Log:
+    """A log of the course's samples (20 a second), of as many cars as `parameters` have entries; (T, N) signals."""
+    record = ["path.e", "path.progress", "actuator.rate"]
+    run = compile(loop, record=record, every=5, parameters=list(parameters))
+    return run.run(seconds, parameters=parameters, allow_nonfinite=True)
+
+
+def rms(log: Log, signal: str, length: float) -> Any:
+    """Root mean square of a signal over the first round, (N,)."""
+    within = np.maximum.accumulate(log["path.progress"]) < length
+    return np.sqrt(np.where(within, log[signal], 0.0).__pow__(2).sum(axis=0) / np.maximum(within.sum(axis=0), 1))
 
 
 @dataclass

@@ -1,4 +1,4 @@
-"""What the vehicle-state estimator is worth: closed loop, its deviations, outages and jumps, recorded laps, cost.
+"""What the vehicle-state estimator is worth: closed loop, its deviations, outages and jumps, cost.
 
 `hard` sensors without measured sideslip, seeds and courses that nothing was tuned on, judged by the simulated truth.
 
@@ -9,39 +9,32 @@
   gyro: four a sample) are within the 95 % bound of chi-squared is 93 to 97 %: `innovation_ok_pct`. nis_mean is their
   mean, 1 if the deviations are right.
 * Outages: all but the wheel's angle is lost for 2 s, again and again; a position jumps by 0.3 m for 0.3 s.
-* The car is another than told: RMS e over that without the estimator (`unlike_x`).
-* Mistold: of `--mistold` cars nothing that estimator and controllers are told is true (`benchmarks.mistold_state`); RMS
-  e, wheel, error to the side and of the heading with `steering` found, over those without and with no estimator:
-  medians over the cars. `mistold_innovation_ok_pct`, `mistold_nis_mean`: as above, from half of the drive on.
-* Recorded laps: where is the car in half a second, if nobody turns the wheel until then, by the estimator or by dead
-  reckoning (a circle at the yaw rate and along the heading measured last); the car is identified from the other lap.
+* Wrong belief: --cars cars about which estimator and controllers believe nothing that is true
+  (`benchmarks.wrong_belief`); RMS e, wheel, error to the side and of the heading with `steering` found, over those
+  without and with no estimator: medians over the cars. `wrong_belief_innovation_ok_pct`, `wrong_belief_nis_mean`: as
+  above, from half of the drive on.
 
-    python -m benchmarks study vehicle_state [--controllers NAME ...] [--learner MINUTES] [--mistold CARS] [--first N]
-        [--parts closed_loop mistold ...] [--quick] [--json]
+    python -m benchmarks study vehicle_state [--controllers NAME ...] [--cars CARS] [--first N]
+        [--parts closed_loop wrong_belief ...] [--quick] [--json]
 """
 
 from __future__ import annotations
 
 import argparse
 import time
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from benchmarks.laps import half_second_ahead
-from benchmarks.mistold_state import KINDS
-from benchmarks.mistold_state import driven as driven_mistold
+from benchmarks.wrong_belief import driven
+from benchmarks.wrong_belief import unlike as unlike_car
 from steerkit.compiled import Backend, compile
 from steerkit.diagram.simulation import Log
 from steerkit.diagram.units import degrees_of
 from steerkit.estimators.vehicle_state import VehicleState
-from steerkit.learning.experiment import Experiment
-from steerkit.learning.settings import setting
-from steerkit.learning.training_run import train
-from steerkit.learning.trials import drive_each
 from steerkit.metrics.signals import rates, rms
 from steerkit.scenario import Scenario
 from steerkit.scenario.drive import controller, drive, drive_loop
@@ -51,15 +44,11 @@ Array = NDArray[np.float64]
 CONTROLLERS = ("mpc", "stanley", "lqr")
 DRIVES = (("paper", 101), ("random-2101", 102), ("random-2102", 103), ("genesis-rfs", 104), ("sweeping-2103", 105))
 """Course and seed of each drive."""
-UNLIKE: dict[str, dict[str, float]] = {
-    "ratio 1.25, tyres 0.6": {"ratio": 1.25, "tyres": 0.6},
-    "ratio 0.9": {"ratio": 0.9},
-    "gusts of 0.5 m/s^2": {"gust": 0.5},
-    "bank of 3 degrees": {"bank_deg": 3.0},
-}
-PARTS = ("closed_loop", "learner", "unlike", "mistold", "innovations", "outages", "laps", "cost")
-MISTOLD = ("stanley-adaptive", "mpc-adaptive")
-"""Who drives the cars of which all that is told is wrong."""
+PARTS = ("closed_loop", "wrong_belief", "innovations", "outages", "cost")
+KINDS = ("none", "vehicle-state", "adaptive-state")
+"""What stands between sensors and controllers."""
+ADAPTIVE = ("stanley-adaptive", "mpc-adaptive")
+"""Controllers of the cars about which every belief is wrong."""
 BEGIN = 5.0
 """Seconds at the start of a drive that are not judged: the car comes from rest relative to the course."""
 OUTAGE, EVERY = 2.0, 12.0
@@ -68,10 +57,9 @@ _INPUTS = ("x", "y", "psi", "age", "v", "r", "age")
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Its own command line options; --quick drives one controller for seconds, without a learner."""
+    """Its own command line options; --quick drives one controller for seconds."""
     parser.add_argument("--controllers", nargs="+", default=list(CONTROLLERS), metavar="NAME")
-    parser.add_argument("--learner", type=float, default=3.0, metavar="MINUTES", help="0: without the learner")
-    parser.add_argument("--mistold", type=int, default=20, metavar="CARS", help="how many that are told wrong (20)")
+    parser.add_argument("--cars", type=int, default=20, help="how many with wrong beliefs (20)")
     parser.add_argument("--first", type=int, default=4000, help="number of the first of these (4000)")
     parser.add_argument("--parts", nargs="+", default=list(PARTS), choices=PARTS, help="which parts (all)")
 
@@ -84,21 +72,13 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     report: dict[str, Any] = {}
     if "closed_loop" in parts:
         report |= closed_loop(names, DRIVES[:1] if quick else DRIVES, 0.03 if quick else 1.0)
-    if "learner" in parts and options.learner and not quick:
-        report["learner"] = learner(options.learner)
-        for key in ("rms_x", "wheel_x", "wheel_noise_x"):
-            report.setdefault(key, {})["learner"] = report["learner"][key]
-    if "unlike" in parts:
-        report["unlike_x"] = {} if quick else unlike()
-    if "mistold" in parts and options.mistold:
-        cars, seconds = (1, 7.0) if quick else (options.mistold, 60.0)
-        report |= mistold(MISTOLD[:1] if quick else MISTOLD, options.first, cars, seconds)
+    if "wrong_belief" in parts:
+        cars, seconds = (1, 7.0) if quick else (options.cars, 60.0)
+        report |= wrong_belief(ADAPTIVE[:1] if quick else ADAPTIVE, options.first, cars, seconds)
     if "innovations" in parts:
         report |= innovations(2 if quick else 20, 8.0 if quick else 100.0, backend)
     if "outages" in parts:
         report |= outages(20.0 if quick else 120.0, backend)
-    if "laps" in parts:
-        report |= half_second_ahead(12.0 if quick else None)
     if "cost" in parts:
         report |= cost(1.0 if quick else 50.0, ("python",) if quick else ("python", "c"))
     return report
@@ -155,72 +135,39 @@ def _ratios(e: dict[str, float], wheel: dict[str, float]) -> dict[str, float]:
     }
 
 
-def learner(minutes: float, seed: int = 161) -> dict[str, Any]:
-    """A car that learns for so long with either, and its final net on another seed."""
-    e, wheel = {}, {}
-    for kind in ("none", "vehicle-state", "truth"):
-        scenario = replace(scene(kind, "paper"), reference="front")
-        experiment = Experiment(setting=setting("default"), scenario=scenario, minutes=minutes, seed=seed)
-        nets = train(experiment).nets
-        final = (
-            drive_each(scenario, experiment.setting, [nets[-1].policy], seed=seed + 1000)[0].summary if nets else None
-        )
-        e[kind] = final.rms_e if final else float("nan")
-        wheel[kind] = final.rms_wheel_rate_deg if final else float("nan")
-    row = _ratios(e, wheel)
-    print(f"learner, {minutes:g} minutes: RMS e {e} m, wheel {wheel} deg/s, x {row['rms_x']:.3f}, {row['wheel_x']:.3f}")
-    return {"e": e, "wheel": wheel, **row}
-
-
-def unlike() -> dict[str, float]:
-    """Stanley in cars that are not as the estimator is told."""
-    found = {}
-    for what, changes in UNLIKE.items():
-        ratios = []
-        for course, seed in DRIVES[1::3]:
-            pair = []
-            for kind in ("none", "vehicle-state"):
-                scenario = scene(kind, course, **changes)
-                pair.append(judged(drive(scenario, controller("stanley", scenario), seed=seed))[0])
-            ratios.append(pair[1] / pair[0])
-        found[what] = float(np.mean(ratios))
-        print(f"unlike what is told, {what}: RMS e x {found[what]:.3f}", flush=True)
-    return found
-
-
-def mistold(names: tuple[str, ...], first: int, cars: int, seconds: float) -> dict[str, Any]:
-    """Cars of which nothing that is told is true, with either estimator and without one."""
-    report: dict[str, Any] = {"mistold_cars": []}
+def wrong_belief(names: tuple[str, ...], first: int, cars: int, seconds: float) -> dict[str, Any]:
+    """Cars about which every belief is wrong, with either estimator and without one."""
+    report: dict[str, Any] = {"wrong_belief_cars": []}
     print(
-        f"\n{'told wrong':18}{'car':>6}"
+        f"\n{'wrong belief':18}{'car':>6}"
         + "".join(f"{kind + ': e [m]':>23}  side [cm]  psi [deg]   nis" for kind in KINDS)
     )
     for name in names:
         rows = []
         for number in range(first, first + cars):
-            row = {kind: asdict(driven_mistold(name, number, kind, seconds)) for kind in KINDS}
+            row = {kind: asdict(driven(name, unlike_car(number, kind), seed=number, seconds=seconds)) for kind in KINDS}
             rows.append(row)
-            report["mistold_cars"].append({"controller": name, "car": number, **row})
+            report["wrong_belief_cars"].append({"controller": name, "car": number, **row})
             cells = [
                 f"{one['rms_e']:23.4f}{100.0 * one['rms_side']:11.2f}{degrees_of(one['rms_heading']):11.3f}"
                 f"{one['nis_mean']:6.2f}"
                 for one in row.values()
             ]
             print(f"{name:18}{number:6}{''.join(cells)}", flush=True)
-        for other, key in (("vehicle-state", "mistold_x"), ("none", "mistold_x_raw")):
+        for other, key in (("vehicle-state", "wrong_belief_x"), ("none", "wrong_belief_x_raw")):
             found = {}
             for what in ("rms_e", "rms_wheel_deg", "rms_side", "rms_heading", "max_e"):
                 ratios = [row["adaptive-state"][what] / row[other][what] for row in rows]
                 found[what] = {"median": float(np.median(ratios)), "worst": max(ratios)}
             report.setdefault(key, {})[name] = found
             said = ", ".join(f"{what} {x['median']:.2f} (worst {x['worst']:.2f})" for what, x in found.items())
-            print(f"{name}, told what is found over {other}: {said}")
+            print(f"{name}, with what is found over {other}: {said}")
         for kind in KINDS[1:]:
             shares = [0.93 <= row[kind]["nis_share"] <= 0.97 for row in rows]
             figures = {
-                "mistold_innovation_ok_pct": 100.0 * float(np.mean(shares)),
-                "mistold_nis_mean": float(np.mean([row[kind]["nis_mean"] for row in rows])),
-                "mistold_max_e_m": max(row[kind]["max_e"] for row in rows),
+                "wrong_belief_innovation_ok_pct": 100.0 * float(np.mean(shares)),
+                "wrong_belief_nis_mean": float(np.mean([row[kind]["nis_mean"] for row in rows])),
+                "wrong_belief_max_e_m": max(row[kind]["max_e"] for row in rows),
             }
             print(f"{name}, {kind}: {figures}", flush=True)
             for key, value in figures.items():

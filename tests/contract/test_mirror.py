@@ -57,8 +57,6 @@ ELSEWHERE = {
     "steerkit.vehicles": "unit/vehicles/test_named.py",
     "steerkit.paths.waypoints": "unit/paths/test_path.py",
     "benchmarks.peers.python_control": "unit/benchmarks/studies/test_studies.py",
-    "benchmarks.calibration": "unit/benchmarks/studies/test_studies.py",
-    "benchmarks.rounds": "unit/benchmarks/studies/test_studies.py",
     "benchmarks.report.figures": "unit/benchmarks/report/test_page.py",
     "benchmarks.report.paper": "unit/benchmarks/report/test_page.py",
     "benchmarks.run.provenance": "unit/benchmarks/run/test_results.py",

@@ -61,9 +61,15 @@ KEYS = {
     },
     "tune_stanley": {"predicted", "plain"},
     "vehicle_state": {
-        *("rms_x", "wheel_x", "wheel_noise_x", "innovation_ok_pct", "nis_mean", "side_coverage_pct", "unlike_x"),
-        *("mistold_x", "mistold_x_raw", "mistold_innovation_ok_pct", "mistold_nis_mean", "mistold_max_e_m"),
-        *("outage_coverage_pct", "outage_said_pct", "jump_said_pct", "lap_half_second_x", "cost_python_us"),
+        *("rms_x", "wheel_x", "wheel_noise_x", "innovation_ok_pct", "nis_mean", "side_coverage_pct"),
+        *(
+            "wrong_belief_x",
+            "wrong_belief_x_raw",
+            "wrong_belief_innovation_ok_pct",
+            "wrong_belief_nis_mean",
+            "wrong_belief_max_e_m",
+        ),
+        *("outage_coverage_pct", "outage_said_pct", "jump_said_pct", "cost_python_us"),
     },
 }
 """What each prints, at least."""

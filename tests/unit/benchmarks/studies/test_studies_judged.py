@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks import rounds
 from benchmarks.studies import learning, throughput, tune_stanley
 from steerkit.diagram.simulation import Log
 from steerkit.task import DT
@@ -23,24 +22,9 @@ def log(**signals: Any) -> Log:
     return Log(DT * np.arange(samples), columns, dict.fromkeys(columns, ""))
 
 
-@pytest.mark.parametrize(
-    ("progress", "e", "worst"),
-    [
-        ([0, 5, 10, 15], [0.1, -0.3, 0.2, 0.9], 0.3),  # what comes after the round does not count
-        ([0, 5, 10, 9], [0.1, -0.3, 0.2, 0.9], 0.3),  # nor where the car rolls back behind the end
-        ([0, 5, 9, 9.5], [0.1, 0.3, 0.2, 0.1], math.inf),  # not finished
-        ([0, 5, 10, 15], [0.1, NAN, 0.2, 0.1], math.inf),
-    ],
-)
-def test_the_worst_error_is_that_of_a_whole_first_round(progress: list[float], e: list[float], worst: float) -> None:
-    drive = log(path__progress=progress, path__e=e)
-    assert rounds.worst(drive, 10.0) == worst
-    assert rounds.worst(log(path__progress=[[p] for p in progress], path__e=[[x] for x in e]), 10.0) == [worst]
-
-
 def test_the_root_mean_square_is_that_of_the_first_round() -> None:
     drive = log(path__progress=[0, 5, 10, 4], path__e=[3.0, 4.0, 100.0, 100.0])
-    assert rounds.rms(drive, "path.e", 10.0) == pytest.approx(math.sqrt(12.5))
+    assert tune_stanley.rms(drive, "path.e", 10.0) == pytest.approx(math.sqrt(12.5))
 
 
 def test_gains_are_chosen_among_those_near_the_best() -> None:
