@@ -6,8 +6,7 @@ import difflib
 
 from steerkit.vehicles.file import read_vehicle, vehicle_of
 from steerkit.vehicles.fleet import FleetCar, drawn_car, drawn_number, fleet
-from steerkit.vehicles.named import BMW_320I, FORD_ESCORT, VEHICLES, VW_PASSAT, scaled
-from steerkit.vehicles.parameters import G, Vehicle, require_vehicle
+from steerkit.vehicles.parameters import BMW_320I, FORD_ESCORT, VEHICLES, VW_PASSAT, G, Vehicle, require_vehicle, scaled
 
 __all__ = [
     "BMW_320I",

@@ -54,7 +54,7 @@ ELSEWHERE = {
     "steerkit.scenario.drive": "unit/learning/test_trials.py",
     "steerkit.paths.importers": "unit/paths/importers/test_reading.py",
     "steerkit.task": "contract/test_once.py",
-    "steerkit.vehicles": "unit/vehicles/test_named.py",
+    "steerkit.vehicles": "unit/vehicles/test_parameters.py",
     "steerkit.paths.waypoints": "unit/paths/test_path.py",
     "benchmarks.peers.python_control": "unit/benchmarks/studies/test_studies.py",
     "benchmarks.report.figures": "unit/benchmarks/report/test_page.py",
