@@ -48,7 +48,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     tx = session.config.getoption("tx", None)
     if tx and {*tx} == {"popen"}:
         # meanwhile on the other core: what all of them would compile at once, in full
-        kernel = "from steerkit.learning.nfq import kernel; kernel.library()"
+        kernel = "from steerkit.learning.nfq.rprop import library; library()"
         subprocess.Popen([sys.executable, "-c", kernel], stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         warm = Warm()
         warm.__enter__()

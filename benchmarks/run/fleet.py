@@ -23,8 +23,7 @@ from benchmarks.run.spread import Where, computing
 from benchmarks.scenarios import MULTI_BODY
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.settings import Setting
-from steerkit.learning.training_run import Taken, train
-from steerkit.learning.trials import TrialDrive, drive_each
+from steerkit.learning.trials import Taken, TrialDrive, drive_each, train
 from steerkit.metrics import Summary, of_log
 from steerkit.scenario import Scenario, drive
 from steerkit.scenario.fleet import fleet_scenario, straightest

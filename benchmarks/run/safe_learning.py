@@ -22,8 +22,7 @@ from steerkit._support.errors import require
 from steerkit._support.files import append_line
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.settings import DEFAULT
-from steerkit.learning.training_run import Taken, train
-from steerkit.learning.trials import TrialDrive, drive_each
+from steerkit.learning.trials import Taken, TrialDrive, drive_each, train
 from steerkit.metrics.signals import largest
 from steerkit.scenario import Scenario
 from steerkit.task import TRIP

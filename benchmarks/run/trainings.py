@@ -16,10 +16,9 @@ from steerkit._support.errors import require
 from steerkit.controllers.network_policy import PolicyBlock
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.learning.experiment import Experiment, LearningRun
-from steerkit.learning.offline import offline
+from steerkit.learning.learn import offline
 from steerkit.learning.settings import Setting, setting
-from steerkit.learning.training_run import Taken, train
-from steerkit.learning.trials import TrialDrive, drive_each
+from steerkit.learning.trials import Taken, TrialDrive, drive_each, train
 from steerkit.metrics import GOOD, Learned
 from steerkit.scenario import Scenario
 from steerkit.task import DT

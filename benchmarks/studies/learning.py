@@ -28,8 +28,7 @@ from benchmarks.run import spread
 from benchmarks.run.fleet import KINDS, fleet, of_fleet, of_kind
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.settings import SETTINGS, changed, setting
-from steerkit.learning.training_run import train
-from steerkit.learning.trials import drive_each
+from steerkit.learning.trials import drive_each, train
 from steerkit.scenario import Scenario
 
 

@@ -26,9 +26,8 @@ from steerkit.controllers.policy import COLUMNS, DOE
 from steerkit.learning.costs import TanhCost
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq import rprop
-from steerkit.learning.nfq.iterate import FitSetting, fresh_nets, iterate, targets
-from steerkit.learning.nfq.network import new_net
-from steerkit.learning.nfq.patterns import STANDARD, patterns
+from steerkit.learning.nfq.iterate import STANDARD, FitSetting, fresh_nets, iterate, patterns, targets
+from steerkit.learning.nfq.rprop import new_net
 from steerkit.task import DT, TRIP
 
 TOLERANCE = {10: 1e-4, 300: 0.1}

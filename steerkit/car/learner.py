@@ -34,7 +34,7 @@ from steerkit.doe import OutputElement
 from steerkit.learning import rundir
 from steerkit.learning.data.store import TransitionStore
 from steerkit.learning.learner_state import LearnerState, state_signals, untrained
-from steerkit.learning.ownership import held, is_free
+from steerkit.learning.rundir import held, is_free
 from steerkit.learning.settings import Setting
 from steerkit.learning.trainer import Trainer
 from steerkit.scenario.assembly import with_controller

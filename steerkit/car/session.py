@@ -32,7 +32,7 @@ from steerkit.diagram.block import Block
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.realtime import Run, Timing, histogram_text, preferred
 from steerkit.doe import OutputElement
-from steerkit.learning.ownership import this_process
+from steerkit.learning.rundir import this_process
 from steerkit.learning.settings import Setting
 from steerkit.scenario.catalogue import AUTO, RECOVERIES
 from steerkit.task import DT

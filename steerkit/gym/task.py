@@ -25,7 +25,7 @@ from steerkit.diagram.units import radians_of
 from steerkit.doe import Integrator
 from steerkit.gym.starts import Starts
 from steerkit.learning.costs import COSTS, BandCost, Cost, IdoeCost, SmoothCost, TanhCost
-from steerkit.learning.nfq.patterns import STANDARD
+from steerkit.learning.nfq.iterate import STANDARD
 from steerkit.paths.path import Path
 from steerkit.scenario import END_MARGIN, Scenario
 from steerkit.scenario.catalogue import ELEMENTS, make_element, make_safety

@@ -15,10 +15,9 @@ from steerkit.controllers.target_shift import TargetShift
 from steerkit.diagram.block import Block
 from steerkit.diagram.loop import LoopState, Sample
 from steerkit.diagram.simulation import Recorder
-from steerkit.learning.counts import Counts
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.exploration import Exploring
-from steerkit.learning.learner_state import LearnerState, state_signals, untrained
+from steerkit.learning.learner_state import Counts, LearnerState, state_signals, untrained
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.settings import Setting
 from steerkit.learning.trainer import SimulatedTrainer, Training

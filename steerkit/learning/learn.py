@@ -1,16 +1,21 @@
-"""Run a learning experiment to its end, and keep it."""
+"""Run a learning experiment to its end, and keep it; or learn from a record, without driving."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path as FilePath
 
 from steerkit._support.errors import require
+from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.diagram.loop import Sample
 from steerkit.learning import rundir
+from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.experiment import Experiment, LearningRun, Watcher
-from steerkit.learning.ownership import held, is_free
+from steerkit.learning.learner_state import untrained
+from steerkit.learning.nfq.iterate import Learned, update
+from steerkit.learning.rundir import held, is_free
+from steerkit.learning.settings import Setting
 
 
 def learn(
@@ -84,3 +89,20 @@ def _check_same(kept: Experiment, asked: Experiment, place: FilePath) -> None:
 
 def _later(end: float) -> float:
     return end or float("inf")  # rounds = 0: never
+
+
+def offline(record: Transitions, setting: Setting, updates: int, *, seed: int = 0) -> Iterator[NfqPolicy]:
+    """The policies after each of `updates` updates on the same recorded transitions.
+
+    record: of one run or of several, whatever steered. Policies are ready to drive, or to `save`. The same numbers for
+    the same arguments. Raises ValueError as `nfq.iterate` does, or for updates < 1.
+    """
+    require(updates >= 1, "offline", f"updates = {updates}, expected >= 1")
+    policy = untrained(setting, seed)
+    description = setting.description()
+    learned = Learned()
+    for number in range(updates):
+        learned = update(
+            record, setting.actions, setting.cost, setting.fit, description, learned, seed=seed * 100_003 + number
+        )
+        yield replace(policy, nets=learned.nets, forecast=learned.forecast)

@@ -11,6 +11,12 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import shlex
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, fields, is_dataclass, replace
 from functools import partial
 from pathlib import Path as FilePath
@@ -22,17 +28,61 @@ from steerkit._support.plugins import imported, is_outside, name_of
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.diagram.simulation import Log, joined
 from steerkit.learning import costs
-from steerkit.learning.counts import Counts, Episode, Recovery
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.experiment import Experiment, LearningRun, Watcher
-from steerkit.learning.nfq.iterate import FitSetting
-from steerkit.learning.nfq.update import Learned
-from steerkit.learning.recorder import Before
+from steerkit.learning.learner_state import Before, Counts, Episode, Recovery
+from steerkit.learning.nfq.iterate import FitSetting, Learned
 from steerkit.learning.settings import Setting
 from steerkit.learning.trainer import SimulatedTrainer
 from steerkit.scenario import Scenario
 from steerkit.scenario.catalogue import OLD_ELEMENTS
 from steerkit.scenario.file import of_table
+
+LOCK, HOLDER = ".lock", ".learner"
+"""The lock, which ends with its process, however that ends; and a line that says whose it is."""
+
+
+@contextmanager
+def held(place: FilePath) -> Iterator[None]:
+    """Hold a run's directory for learning in it; reading needs no such thing.
+
+    place: an existing directory. Raises ValueError, naming the process, while another one learns there; a process that
+    was killed holds nothing.
+    """
+    from filelock import FileLock, Timeout
+
+    lock = FileLock(place / LOCK, timeout=0)
+    try:
+        lock.acquire()
+    except Timeout as why:
+        what = f"{place} is being learned by {holder(place)}"
+        raise ValueError(f"learn: {what}; wait for its end, stop it, or choose another directory") from why
+    try:
+        write_text(place / HOLDER, this_process(), durable=False)
+        yield
+    finally:
+        (place / HOLDER).unlink(missing_ok=True)
+        lock.release()
+
+
+def this_process() -> str:
+    """The line that says whose something is: "process 4711 (steerkit learn) since 2026-11-22 09:00:00"."""
+    command = shlex.join([FilePath(sys.argv[0]).name, *sys.argv[1:]])
+    return f"process {os.getpid()} ({command}) since {time.strftime('%Y-%m-%d %H:%M:%S')}"
+
+
+def holder(place: FilePath) -> str:
+    """Who holds a directory, or held it last when it was killed."""
+    try:
+        return (place / HOLDER).read_text(encoding="utf-8")
+    except OSError:
+        return "another process"
+
+
+def is_free(place: FilePath) -> bool:
+    """Is there nothing in a directory but what `held` leaves there?"""
+    return all(file.name in (LOCK, HOLDER) for file in place.iterdir())
+
 
 FORMAT = "steerkit run 2"
 
@@ -167,7 +217,7 @@ def load(place: FilePath) -> LearningRun:
 
 
 def resumed(place: FilePath, *, watch: Watcher | None = None) -> LearningRun:
-    """The run, to go on with and to be kept where it is; only for who has `ownership.held` its directory."""
+    """The run, to go on with and to be kept where it is; only for who has `held` its directory."""
     data = document(place)
     run = _load(place, data)
     run.watch, run.keep = watch, partial(save, place=place)

@@ -32,9 +32,7 @@ from steerkit.controllers.state_description import StateDescription
 from steerkit.learning.costs import Cost
 from steerkit.learning.data.store import TransitionStore
 from steerkit.learning.data.transitions import Transitions
-from steerkit.learning.nfq.iterate import FitSetting, Nets
-from steerkit.learning.nfq.patterns import STANDARD
-from steerkit.learning.nfq.update import Learned, update
+from steerkit.learning.nfq.iterate import STANDARD, FitSetting, Learned, Nets, update
 
 Pending = tuple[float, int, Learned]
 """Driving time at which an unfinished job is done [s], its number, what it gives the policy."""

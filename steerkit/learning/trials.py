@@ -1,9 +1,11 @@
-"""Test drives of many policies, in compiled code that they share: for judging every net of a run."""
+"""What studies and suites judge of learning: a whole run with every net that took the wheel, and their test drives."""
 
 from __future__ import annotations
 
 import dataclasses
+import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -11,11 +13,54 @@ import numpy as np
 
 from steerkit.controllers.nfq_policy import Kind, NfqPolicy
 from steerkit.diagram.simulation import Log
+from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.settings import Setting
 from steerkit.metrics import GOOD, Summary, of_log
 from steerkit.scenario import Scenario
 from steerkit.scenario import drive as evaluate
 from steerkit.task import TRIP
+
+
+@dataclass(frozen=True)
+class Taken:
+    """A net, and what had happened when it took the wheel."""
+
+    t: float
+    """Driving time [s]."""
+    failures: int
+    transitions: int
+    policy: Any
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A learning run that has ended, and every net that took the wheel in it."""
+
+    run: LearningRun
+    nets: list[Taken]
+    longest_training: float
+    """Computing time of the longest training [s]."""
+    computing: float
+    """Wall time of the run [s]."""
+
+
+def train(experiment: Experiment) -> Trained:
+    """Run an experiment to its end."""
+    nets: list[Taken] = []
+    trainings: list[float] = [0.0]
+
+    def watch(what: str, run: LearningRun) -> None:
+        if what == "trained":
+            nets.append(Taken(run.t, run.counts.failures, len(run.transitions), run.policy))
+
+    began = time.perf_counter()
+    run = LearningRun(experiment, watch)
+    while not run.done():
+        run.drive()
+        if run.counts.train_seconds > trainings[-1]:
+            trainings.append(run.counts.train_seconds)
+    return Trained(run, nets, float(np.diff(trainings).max(initial=0.0)), time.perf_counter() - began)
+
 
 SIGNALS = ("path.e", "path.progress", "car.delta_sw", "car.a_y", "supervisor.learning")
 

@@ -55,7 +55,7 @@ AT_HOME = {
     "control": {"analysis"},
     "matplotlib": {"plots", "learning.pictures"},
     "pandas": {"diagram.simulation"},
-    "pyarrow": {"diagram.simulation", "learning.data", "logs.tables", "export.minari"},
+    "pyarrow": {"diagram.simulation", "logs.tables", "export.minari"},
     "typer": {"cli"},
     "onnx": {"export.onnx"},
     "onnxruntime": {"export.onnx"},

@@ -37,12 +37,7 @@ ELSEWHERE = {
     "steerkit.controllers.policy": "unit/controllers/test_nfq_policy.py",
     "steerkit.paths.courses.make_courses": "evals/test_path_closed_forms.py",
     "steerkit.gym.drives": "unit/gym/test_vector_env.py",
-    "steerkit.learning.learn": "unit/learning/test_experiment.py",
-    "steerkit.learning.nfq.kernel": "evals/test_rprop.py",
-    "steerkit.learning.nfq.network": "evals/test_rprop.py",
     "steerkit.learning.nfq.rprop": "evals/test_rprop.py",
-    "steerkit.learning.nfq.update": "unit/learning/nfq/test_dead_time.py",
-    "steerkit.learning.training_run": "unit/learning/test_experiment.py",
     "steerkit.logs.tables": "unit/logs/test_reading_formats.py",
     "steerkit.logs.contents": "unit/logs/test_contents.py",
     # the programs on the car, in a world of processes and simulated hardware
@@ -51,7 +46,6 @@ ELSEWHERE = {
     # both cars are one table of cases
     "steerkit.plants.linear_single_track": "unit/plants/test_single_track.py",
     "steerkit.plants.nonlinear_single_track": "unit/plants/test_single_track.py",
-    "steerkit.scenario.drive": "unit/learning/test_trials.py",
     "steerkit.paths.importers": "unit/paths/importers/test_reading.py",
     "steerkit.task": "contract/test_once.py",
     "steerkit.vehicles": "unit/vehicles/test_parameters.py",

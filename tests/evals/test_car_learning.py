@@ -20,7 +20,7 @@ from steerkit.car.loop import Steers
 from steerkit.car.state_machine import Mode, Order
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.diagram import realtime
-from steerkit.learning.counts import Recovery
+from steerkit.learning.learner_state import Recovery
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.nfq.iterate import FitSetting
 from steerkit.learning.settings import Setting, changed, setting

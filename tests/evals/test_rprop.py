@@ -8,17 +8,15 @@ import numpy as np
 import pytest
 
 from steerkit._support.native import NoCompilerError
-from steerkit.learning.nfq import kernel as rprop_c
 from steerkit.learning.nfq import rprop
-from steerkit.learning.nfq.network import flat, forward, new_net, shaped, sizes_of
-from steerkit.learning.nfq.rprop import Rprop, fit, predict
+from steerkit.learning.nfq.rprop import Rprop, fit, flat, forward, new_net, predict, shaped, sizes_of
 
 LAYOUTS = [(7, 10, 10, 1), (3, 1), (2, 4, 1), (5, 11, 3, 7, 1), (1, 6, 8, 1)]
 
 
 def _has_c() -> bool:
     try:
-        rprop_c.library()
+        rprop.library()
     except NoCompilerError:
         return False
     return True
@@ -54,7 +52,7 @@ def test_gradient_equals_autograd(sizes: tuple[int, ...], n: int) -> None:
 
     net = new_net(sizes, seed=n)
     x, y = data(sizes, n)
-    grad, error = rprop_c.gradient(flat(net), sizes, x, y)
+    grad, error = rprop.c_gradient(flat(net), sizes, x, y)
     parameters = [torch.tensor(p, dtype=torch.float64, requires_grad=True) for p in net]
     out = torch.from_numpy(x).double()
     for w, b in zip(parameters[::2], parameters[1::2], strict=True):
@@ -178,7 +176,7 @@ def test_wrong_shapes_are_refused() -> None:
 
 
 def test_without_a_compiler_torch_takes_over_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    rprop_c.library.cache_clear()
+    rprop.library.cache_clear()
     rprop._auto.cache_clear()
     monkeypatch.setenv("CC", "/nowhere/cc")
     try:
@@ -187,5 +185,5 @@ def test_without_a_compiler_torch_takes_over_and_says_so(monkeypatch: pytest.Mon
         with pytest.raises(NoCompilerError):
             rprop.fit(new_net(), *data((7, 10, 10, 1), 5), epochs=1, engine="c")
     finally:
-        rprop_c.library.cache_clear()
+        rprop.library.cache_clear()
         rprop._auto.cache_clear()

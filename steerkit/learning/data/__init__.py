@@ -1,1 +1,1 @@
-"""What a car experienced: transitions in memory, on disk, and to and from other programs."""
+"""What a car experienced: transitions in memory and on disk."""

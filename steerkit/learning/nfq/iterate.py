@@ -2,27 +2,61 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from steerkit._support.errors import require
-from steerkit.controllers.delay_compensator import LONGEST, PREVIEW
+from steerkit.controllers.delay_compensator import LONGEST, PREVIEW, DelayCompensator
 from steerkit.controllers.nfq_policy import COMBINATIONS, Combine, combined
 from steerkit.controllers.policy import ACTION, DOE, E, V
 from steerkit.controllers.state_description import StateDescription
 from steerkit.learning.costs import Cost
 from steerkit.learning.data.transitions import Transitions
+from steerkit.learning.nfq.dead_time import process_of
 from steerkit.learning.nfq.model import CarModel, Imagined, imagine
-from steerkit.learning.nfq.network import Net, new_net, sizes_of
-from steerkit.learning.nfq.patterns import STANDARD, goal_patterns, mirror_patterns, patterns
-from steerkit.learning.nfq.rprop import Engine, Fit, engine_of, fit, predict
+from steerkit.learning.nfq.rprop import Engine, Fit, Net, engine_of, fit, new_net, predict, sizes_of
 from steerkit.task import DT
+
+STANDARD = StateDescription()
+"""The six inputs of the steering task, in their usual ranges."""
+
+
+def patterns(
+    description: StateDescription, s: NDArray[np.float64], a: NDArray[np.float64], scale: float
+) -> NDArray[np.float32]:
+    """Net inputs (n, columns + 1) of states s (n, columns) and actions a (n,) [rad]; scale [rad] becomes 1."""
+    if description.scaled_from < math.inf:
+        s, a = np.column_stack(description.scaled(tuple(s.T))), a * description.excess(s[:, V]) ** 2
+    x = np.empty((len(s), s.shape[1] + 1), dtype=np.float32)
+    x[:, :ACTION] = (s - description.mid) / description.half
+    x[:, ACTION] = a / scale
+    return x
+
+
+def mirror_patterns(description: StateDescription, x: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The same patterns seen in the mirror: a change of signs, as ranges are centred wherever the sign is -1."""
+    return x * np.array([*description.mirror_signs, -1.0], dtype=np.float32)
+
+
+def goal_patterns(
+    description: StateDescription, actions: Sequence[float], count: int, rng: np.random.Generator
+) -> NDArray[np.float32]:
+    """`count` hint-to-goal patterns: states drawn evenly from the goal region, with the action that stays in it.
+
+    That action is 0 where the set has it (an integrating output element holds its angle), else any one of the set.
+    """
+    scale = description.scale_of(tuple(actions))
+    x = rng.uniform(-1.0, 1.0, (count, len(description.names) + 1)) * np.array([*description.goal, 0.0])
+    x[:, ACTION] = 0.0 if 0.0 in actions else rng.choice(np.array(actions), count) / scale
+    return x.astype(np.float32)
+
 
 Nets = tuple[Net, ...]
 Progress = Callable[[int, Sequence[float]], None]
@@ -383,3 +417,33 @@ def threads() -> int:
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     asked = os.environ.get("OMP_NUM_THREADS", "")
     return max(1, min(2, cores, int(asked) if asked.isdigit() else cores))
+
+
+class Learned(NamedTuple):
+    """What an update of the Q-function gives a policy."""
+
+    nets: Nets = ()
+    forecast: DelayCompensator | None = None
+    """Of a setting with `dead_time`."""
+
+
+NOTHING = Learned()
+"""Before the first update."""
+
+
+def update(
+    transitions: Transitions,
+    actions: Sequence[float],
+    cost: Cost,
+    setting: FitSetting,
+    description: StateDescription,
+    before: Learned = NOTHING,
+    seed: int = 0,
+) -> Learned:
+    """One update: `iterate`, and before it the search for the dead time, where the setting has it; see there."""
+    if not setting.dead_time:
+        return Learned(iterate(transitions, actions, cost, setting, description, before.nets, seed))
+    require(len(transitions) > 0, "nfq.update", "no transitions, expected at least one")
+    process = process_of(transitions, description, setting.dead_time)
+    nets = iterate(process.record, actions, cost, setting, description, before.nets, seed, model=process.model)
+    return Learned(nets, process.forecast)

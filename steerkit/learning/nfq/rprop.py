@@ -1,19 +1,122 @@
-"""Full-batch Rprop for the Q-network: a reference engine on PyTorch, and a fast one in C."""
+"""The Q-network as plain arrays, and its training by full-batch Rprop: in C, or by the reference engine on PyTorch."""
 
 from __future__ import annotations
 
+import ctypes
 import functools
 import warnings
+from collections.abc import Sequence
 from dataclasses import astuple, dataclass
-from typing import Literal, NamedTuple
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from steerkit._support import native
 from steerkit._support.errors import require
 from steerkit._support.native import NoCompilerError
-from steerkit.learning.nfq import kernel as rprop_c
-from steerkit.learning.nfq.network import Net, check_net, flat, forward, shaped, sizes_of
+from steerkit.controllers.nfq_policy import Net, check_net
+
+
+def new_net(sizes: Sequence[int] = (7, 10, 10, 1), seed: int | Sequence[int] = 0) -> Net:
+    """A net with every weight and offset drawn evenly from [-0.5, 0.5] (float32; the same for the same seed).
+
+    sizes: units a layer, the inputs first. Raises ValueError for fewer than two layers or a size below 1.
+    """
+    require(len(sizes) >= 2 and min(sizes) >= 1, "new_net", f"sizes = {tuple(sizes)}, expected two or more, each >= 1")
+    count = sum((i + 1) * o for i, o in pairwise(sizes))
+    return shaped(np.random.default_rng(seed).uniform(-0.5, 0.5, count).astype(np.float32), sizes)
+
+
+def sizes_of(net: Net) -> tuple[int, ...]:
+    """Units a layer, the inputs first."""
+    return (net[0].shape[1], *(w.shape[0] for w in net[::2]))
+
+
+def flat(net: Net) -> NDArray[np.float32]:
+    """All weights in one float32 vector: W row by row, then b, a layer after the other."""
+    return np.concatenate([p.ravel() for p in net]).astype(np.float32, copy=False)
+
+
+def shaped(weights: NDArray[np.float32], sizes: Sequence[int]) -> Net:
+    """The net whose `flat` is `weights` (a copy)."""
+    net: list[NDArray[np.float32]] = []
+    at = 0
+    for i, o in pairwise(sizes):
+        net += [weights[at : at + i * o].reshape(o, i).copy(), weights[at + i * o : at + (i + 1) * o].copy()]
+        at += (i + 1) * o
+    return tuple(net)
+
+
+def forward(net: Net, x: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Outputs (n,) for inputs x (n, n_in): y <- (1 + tanh((W y + b)/2))/2, layer by layer, in NumPy."""
+    y = x.T
+    for w, b in zip(net[::2], net[1::2]):
+        y = 0.5 + 0.5 * np.tanh(0.5 * (w @ y + b[:, None]))
+    return y[0]
+
+
+SOURCE = Path(__file__).with_name("kernel.c")
+
+
+@functools.cache
+def library() -> ctypes.CDLL:
+    """The fast engine `kernel.c`, compiled for this machine at first use and kept in the user's cache.
+
+    Raises NoCompilerError without a working C compiler.
+    """
+    return native.load(SOURCE.read_text(encoding="utf-8"), fused=True, optimise=True)
+
+
+def c_fit(
+    weights: NDArray[np.float32],
+    sizes: tuple[int, ...],
+    x: NDArray[np.float32],
+    target: NDArray[np.float32],
+    epochs: int,
+    rule: tuple[float, ...],
+) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    """Flat weights after `epochs` of Rprop, and the mean squared errors (epochs + 1,). The GIL is released."""
+    w, errors = np.array(weights, dtype=np.float32), np.zeros(epochs + 1)
+    rates = np.array(rule, dtype=np.float32)
+    data = (_f32(x), _f32(target))
+    _call("steerkit_rprop", sizes, w, len(x), *data, ctypes.c_int(epochs), rates, errors)
+    return w, errors
+
+
+def c_predict(weights: NDArray[np.float32], sizes: tuple[int, ...], x: NDArray[np.float32]) -> NDArray[np.float32]:
+    """`predict` in C: outputs (n,) for the inputs x (n, n_in)."""
+    q = np.empty(len(x), dtype=np.float32)
+    _call("steerkit_predict", sizes, _f32(weights), len(x), _f32(x), q)
+    return q
+
+
+def c_gradient(
+    weights: NDArray[np.float32], sizes: tuple[int, ...], x: NDArray[np.float32], target: NDArray[np.float32]
+) -> tuple[NDArray[np.float64], float]:
+    """dE/dw (flat) and E = mean (q - target)^2."""
+    grad, error = np.zeros(len(weights)), np.zeros(1)
+    _call("steerkit_gradient", sizes, _f32(weights), len(x), _f32(x), _f32(target), grad, error)
+    return grad, float(error[0])
+
+
+def _call(name: str, sizes: tuple[int, ...], weights: NDArray[np.float32], n: int, *rest: object) -> None:
+    layout = np.array(sizes, dtype=np.int32)
+    head = (ctypes.c_int(len(sizes) - 1), _pointer(layout), _pointer(weights), ctypes.c_long(n))
+    tail = [_pointer(arg) if isinstance(arg, np.ndarray) else arg for arg in rest]
+    if getattr(library(), name)(*head, *tail):
+        raise MemoryError(f"{name}: no room for {n} patterns")
+
+
+def _pointer(array: NDArray[Any]) -> ctypes.c_void_p:
+    return ctypes.c_void_p(array.ctypes.data)
+
+
+def _f32(array: NDArray[Any]) -> NDArray[np.float32]:
+    return np.ascontiguousarray(array, dtype=np.float32)
+
 
 Engine = Literal["auto", "c", "torch"]
 """auto: C where a compiler is found, else PyTorch (with a warning, once)."""
@@ -66,7 +169,7 @@ def engine_of(engine: Engine = "auto") -> Literal["c", "torch"]:
 @functools.cache
 def _auto() -> Literal["c", "torch"]:
     try:
-        rprop_c.library()
+        library()
     except NoCompilerError as why:
         warnings.warn(f"training runs on PyTorch, many times slower than in C: {why}", RuntimeWarning, stacklevel=4)
         return "torch"
@@ -98,7 +201,7 @@ def fit(
         require(bool(np.isfinite(data).all()), "rprop.fit", f"{name} holds a NaN or infinity, expected finite numbers")
     sizes = sizes_of(net)
     if engine_of(engine) == "c":
-        weights, errors = rprop_c.fit(flat(net), sizes, x, target, epochs, astuple(rule))
+        weights, errors = c_fit(flat(net), sizes, x, target, epochs, astuple(rule))
         trained = shaped(weights, sizes)
     else:
         trained, errors = _torch_fit(net, x, target, epochs, rule)
@@ -110,7 +213,7 @@ def predict(net: Net, x: NDArray[np.float32], *, engine: Engine = "auto") -> NDA
     """The net's outputs (n,) for x (n, n_in); NumPy stands in where there is no C."""
     check_net(net, x.shape[1] if x.ndim == 2 else -1, "rprop.predict")
     if engine_of(engine) == "c":
-        return rprop_c.predict(flat(net), sizes_of(net), x)
+        return c_predict(flat(net), sizes_of(net), x)
     return forward(net, np.asarray(x, dtype=np.float32)).astype(np.float32, copy=False)
 
 

@@ -12,7 +12,7 @@ from steerkit._support.errors import require
 from steerkit.controllers.nfq_policy import NfqPolicy, combined
 from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.learning.data.transitions import Transitions
-from steerkit.learning.nfq.patterns import patterns
+from steerkit.learning.nfq.iterate import patterns
 from steerkit.learning.nfq.rprop import predict
 from steerkit.plots.style import COLOURS, new_figure, styled
 from steerkit.scenario import Scenario

@@ -20,9 +20,9 @@ from steerkit.controllers.policy import V
 from steerkit.diagram.simulation import Log
 from steerkit.diagram.units import degrees_of
 from steerkit.learning import rundir
-from steerkit.learning.counts import Episode
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.experiment import Experiment
+from steerkit.learning.learner_state import Episode
 from steerkit.learning.pictures.policy import policy_map, q_slices
 from steerkit.paths.path import Path
 from steerkit.plots.style import COLOURS, PALETTE, new_figure, save, styled

@@ -16,8 +16,8 @@ from steerkit.cli import demo
 from steerkit.cli import drive as command
 from steerkit.diagram.simulation import simulate
 from steerkit.learning import report
-from steerkit.learning.counts import Counts
 from steerkit.learning.experiment import Experiment
+from steerkit.learning.learner_state import Counts
 from steerkit.scenario import Scenario
 from steerkit.scenario import drive as evaluate
 from steerkit.scenario.catalogue import CONTROLLERS

@@ -14,9 +14,8 @@ import pytest
 from steerkit._support.files import read_arrays, write_arrays
 from steerkit.controllers.delay_compensator import LENGTH, LONGEST, PREVIEW, DelayCompensator, Motion, moved, nothing
 from steerkit.controllers.nfq_policy import NfqPolicy
-from steerkit.learning.nfq.iterate import mirror_image
-from steerkit.learning.nfq.network import new_net
-from steerkit.learning.nfq.patterns import STANDARD
+from steerkit.learning.nfq.iterate import STANDARD, mirror_image
+from steerkit.learning.nfq.rprop import new_net
 from steerkit.task import DT
 
 CAR = DelayCompensator(samples=5, now=0.004, before=0.005, earlier=0.003, back=0.2, slip=4e-4, yaw=0.38, straight=0.05)

@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from steerkit.controllers.nfq_policy import BANG_BANG_ACTIONS, IDOE_ACTIONS, NfqPolicy, combined
 from steerkit.controllers.state_description import StateDescription
 from steerkit.diagram.units import degrees_of
-from steerkit.learning.nfq.network import Net, forward, new_net
-from steerkit.learning.nfq.patterns import STANDARD, patterns
+from steerkit.learning.nfq.iterate import STANDARD, patterns
+from steerkit.learning.nfq.rprop import Net, forward, new_net
 
 NETS = tuple(tuple(3.0 * p for p in new_net(seed=k)) for k in range(3))
 POLICIES = [

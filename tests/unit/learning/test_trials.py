@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -14,10 +15,11 @@ from steerkit.learning import trials
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.nfq.iterate import FitSetting
 from steerkit.learning.settings import BANG_BANG, DEFAULT
-from steerkit.learning.trials import TrialDrive, drive_each
+from steerkit.learning.trials import TrialDrive, drive_each, train
 from steerkit.metrics import of_log
 from steerkit.scenario import Scenario
 from steerkit.scenario import drive as evaluate
+from tests.support.short_run import SHORT
 
 WORLD = Scenario(course="circle")
 SETTING = replace(DEFAULT, fit=FitSetting(nets=2, hidden=(5,)))
@@ -79,3 +81,18 @@ def test_good_is_held_and_within_all_bounds() -> None:
     assert not TrialDrive(rounds=1.0, held=False, summary=summary).good
     assert not TrialDrive(rounds=1.0, held=True, summary=None).good
     assert not TrialDrive(rounds=1.0, held=True, summary=replace(summary, rms_e=0.11)).good
+
+
+def test_every_net_that_took_the_wheel_is_kept_in_its_order() -> None:
+    trained = train(replace(SHORT, minutes=0.4))
+    nets, run = trained.nets, trained.run
+    assert run.t >= 0.4 * 60.0
+    assert len(nets) >= 2
+    assert nets[-1].policy is run.policy
+    for earlier, later in pairwise(nets):
+        assert earlier.t < later.t
+        assert earlier.transitions <= later.transitions
+        assert earlier.failures <= later.failures
+    assert len({id(net.policy) for net in nets}) == len(nets)
+    assert nets[-1].transitions <= len(run.transitions)
+    assert 0.0 < trained.longest_training <= run.counts.train_seconds <= trained.computing

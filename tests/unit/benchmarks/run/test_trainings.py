@@ -12,7 +12,7 @@ import pytest
 
 from benchmarks.run import trainings
 from benchmarks.run.results import CURVE, EPISODES, TRAJECTORY
-from steerkit.learning.counts import Counts, Episode
+from steerkit.learning.learner_state import Counts, Episode
 from steerkit.learning.trials import TrialDrive
 from steerkit.metrics import GOOD, Summary
 from steerkit.scenario import Scenario

@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from steerkit.learning.data.exchange import merge
-from steerkit.learning.data.store import StoreError, TransitionStore
-from steerkit.learning.data.store_file import connect, transaction
+from steerkit.learning.data.store import StoreError, TransitionStore, connect, merge, transaction
 from steerkit.learning.data.transitions import Transitions
 from tests.support.stores import drive, kept, same
 

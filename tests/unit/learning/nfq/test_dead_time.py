@@ -11,9 +11,8 @@ from steerkit.controllers.delay_compensator import LENGTH
 from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, V
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq.dead_time import aligned, process_of
-from steerkit.learning.nfq.iterate import FitSetting
+from steerkit.learning.nfq.iterate import FitSetting, Learned, update
 from steerkit.learning.nfq.model import CarModel, told_by_yaw_rate
-from steerkit.learning.nfq.update import Learned, update
 from steerkit.learning.settings import DEFAULT
 from tests.support.modelled_car import ACTIONS
 

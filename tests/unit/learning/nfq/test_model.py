@@ -16,9 +16,8 @@ from steerkit.learning.costs import TanhCost
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.nfq import iterate as nfq
-from steerkit.learning.nfq.iterate import FitSetting, imagined_cost, imagined_targets, staying
+from steerkit.learning.nfq.iterate import STANDARD, FitSetting, imagined_cost, imagined_targets, staying
 from steerkit.learning.nfq.model import CarModel, earlier_doe, follow, imagine
-from steerkit.learning.nfq.patterns import STANDARD
 from steerkit.learning.settings import DEFAULT
 from tests.support.modelled_car import ACTIONS, CAR, driven
 

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from steerkit.learning.counts import Counts
+from steerkit.learning.learner_state import Counts
 
 
 def driven(counts: Counts, *progress: float, t: float = 0.0, round_length: float = math.inf) -> list[bool]:

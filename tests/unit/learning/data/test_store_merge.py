@@ -1,4 +1,4 @@
-"""Stores to Parquet and back, and merged."""
+"""Stores merged into one."""
 
 from __future__ import annotations
 
@@ -9,45 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from steerkit.learning.data.exchange import from_parquet, merge, to_parquet
-from steerkit.learning.data.store import StoreError, TransitionStore
-from tests.support.stores import AWKWARD, drive, kept, same
-
-
-def test_parquet_and_back_bit_for_bit(tmp_path: Path) -> None:
-    record = drive(50)
-    record.append(AWKWARD, -0.0, AWKWARD, 99)
-    path = kept(kept(tmp_path / "t.db", record), drive(20, seed=1), run="second")
-    to_parquet(TransitionStore(path), tmp_path / "t.parquet")
-    back = from_parquet(tmp_path / "t.parquet", tmp_path / "back.db")
-    assert back.runs() == {"a": 51, "second": 20}
-    assert same(back.transitions("a"), record)
-    assert same(back.transitions(), TransitionStore(path).transitions())
-    assert merge(path, [back.path]) == {"a": 51, "second": 20}  # they are known to be the same runs
-    import pyarrow.parquet as pq
-
-    assert pq.read_table(tmp_path / "t.parquet").column_names[:4] == ["run", "episode", "s.e", "s.e_dot"]
-    with pytest.raises(ValueError, match="exists; make a new store"):
-        from_parquet(tmp_path / "t.parquet", path)
-
-
-def test_foreign_and_truncated_parquet_is_refused(tmp_path: Path) -> None:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    to_parquet(TransitionStore(kept(tmp_path / "t.db", drive(50))), tmp_path / "t.parquet")
-    (tmp_path / "short.parquet").write_bytes((tmp_path / "t.parquet").read_bytes()[:-40])
-    pq.write_table(pa.table({"title": ["hey"]}), tmp_path / "songs.parquet")
-    for name in ("short", "songs"):
-        with pytest.raises(StoreError, match="cut short, or not a Parquet file"):
-            from_parquet(tmp_path / f"{name}.parquet", tmp_path / "new.db")
-    assert not (tmp_path / "new.db").exists()
-
-
-def test_an_empty_store_survives_parquet(tmp_path: Path) -> None:
-    TransitionStore(tmp_path / "t.db", run="a").close()
-    to_parquet(TransitionStore(tmp_path / "t.db"), tmp_path / "t.parquet")
-    assert from_parquet(tmp_path / "t.parquet", tmp_path / "back.db").runs() == {"a": 0}
+from steerkit.learning.data.store import StoreError, TransitionStore, merge
+from tests.support.stores import drive, kept, same
 
 
 def test_merging_labels_runs_and_keeps_episodes_apart(tmp_path: Path) -> None:

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from steerkit.learning.learn import offline
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.nfq.iterate import FitSetting
-from steerkit.learning.offline import offline
 from steerkit.learning.settings import DEFAULT
 from tests.support.modelled_car import driven
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from steerkit.learning.recorder import Before, State, TransitionRecorder
+from steerkit.learning.learner_state import Before, State, TransitionRecorder
 
 Kept = list[tuple[State, float, State, int]]
 

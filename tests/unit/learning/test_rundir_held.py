@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from steerkit.learning import ownership, rundir
+from steerkit.learning import rundir
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.learn import learn
 from steerkit.learning.nfq.iterate import FitSetting
-from steerkit.learning.ownership import held, holder
+from steerkit.learning.rundir import held, holder
 from steerkit.learning.settings import MODEL_FREE, changed
 from steerkit.scenario import Scenario
 from tests.support.places import ROOT
@@ -24,7 +24,7 @@ SHORT = Experiment(scenario=Scenario(course="circle"), minutes=0.1)
 OWNER = """
 import sys, time
 from pathlib import Path
-from steerkit.learning.ownership import held
+from steerkit.learning.rundir import held
 
 with held(Path(sys.argv[1])):
     print("held", flush=True)
@@ -53,7 +53,7 @@ def test_one_process_cannot_hold_a_directory_twice(tmp_path: Path) -> None:
     with held(tmp_path), pytest.raises(ValueError, match=rf"by process {os.getpid()} "), held(tmp_path):
         pass
     with held(tmp_path):
-        assert not [file for file in tmp_path.iterdir() if file.name not in (ownership.LOCK, ownership.HOLDER)]
+        assert not [file for file in tmp_path.iterdir() if file.name not in (rundir.LOCK, rundir.HOLDER)]
 
 
 def test_reading_beside_a_learner_sees_whole_checkpoints_only(tmp_path: Path) -> None:
