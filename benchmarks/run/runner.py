@@ -17,7 +17,7 @@ from benchmarks.entries import controller
 from benchmarks.run.drives import Policy, drive, shape
 from benchmarks.run.provenance import digest, provenance
 from benchmarks.run.results import Case, Results, Store, packed
-from benchmarks.run.spread import Here, Where, computing
+from benchmarks.run.spread import Where, Workers, computing
 from benchmarks.run.trainings import TRAININGS, learn
 from benchmarks.suites import Job, Suite, jobs
 from steerkit.scenario import Scenario
@@ -82,8 +82,8 @@ def run(
         )
         display = stack.enter_context(_progress(len(planned), len(planned) - len(todo), quiet))
         for number, phase in enumerate(phases):
-            these = Here(1) if number == 2 else those
-            shared = place if isinstance(these, Here) else None
+            these = Workers(1) if number == 2 else those
+            shared = place if these.client is None else None
             work = [work_of(job, scenarios, timed, store, shared) for job in phase]
             batches = together(work, these.count)
             coming = (done for _, several in these.done(carry_out_all, batches, say=display.say) for done in several)

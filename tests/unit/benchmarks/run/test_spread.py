@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import socket
 import threading
 import time
 from collections.abc import Iterator
@@ -15,8 +16,8 @@ from typing import Any, ClassVar
 import pytest
 
 from benchmarks.run import spread
-from benchmarks.run.sources import identity
-from benchmarks.run.spread import Cluster, Here, Where, computing
+from benchmarks.run.sources import identity, source, versions
+from benchmarks.run.spread import _ASK, Where, Workers, _objection, computing, dask_client
 
 
 def twice(piece: int) -> int:
@@ -46,7 +47,7 @@ def test_no_more_processes_than_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(joblib, "Parallel", parallel)
     for pieces in ([5], [5, 7], [5, 7, 9]):
-        assert len(list(Here(2).done(twice, pieces))) == len(pieces)
+        assert len(list(Workers(2).done(twice, pieces))) == len(pieces)
     assert asked == [1, 2, 2]
 
 
@@ -67,15 +68,15 @@ def test_workers_that_die_now_and_then_cost_nothing_as_long_as_pieces_finish(mon
 
     monkeypatch.setattr(joblib, "Parallel", Dying)
     pieces, told = list(range(2 * spread._PATIENCE)), list[str]()
-    assert dict(Here(2).done(twice, pieces, say=told.append)) == {n: 2 * n for n in pieces}
+    assert dict(Workers(2).done(twice, pieces, say=told.append)) == {n: 2 * n for n in pieces}
     assert told == [f"a worker died; {n} of {len(pieces)} are begun again" for n in reversed(pieces[1:])]
 
 
 @pytest.mark.parametrize("processes", [1, 2])
 def test_after_its_time_nothing_is_handed_out(processes: int) -> None:
     end = time.monotonic() + 0.5
-    assert len(dict(Here(processes).done(slow, [0.2] * 40, until=end))) < 20
-    assert dict(Here(processes).done(slow, [0.2], until=end)) == {}
+    assert len(dict(Workers(processes).done(slow, [0.2] * 40, until=end))) < 20
+    assert dict(Workers(processes).done(slow, [0.2], until=end)) == {}
 
 
 @pytest.mark.parametrize(
@@ -129,33 +130,81 @@ def watched(piece: float) -> float:
     return piece
 
 
-def test_a_cluster_does_every_piece_once_and_is_not_given_all_of_them(
-    client: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(spread, "_LEAST", 0)
+def test_a_cluster_does_every_piece_once_a_thread_each(client: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Busy, "begun", 0)
     pieces = [0.01 * (n % 3) for n in range(12)]
-    done = Cluster(client).done(watched, pieces)
-    first = next(done)
-    time.sleep(0.3)
-    assert Busy.begun <= 5  # two threads, as many waiting, and one that took the place of the first
-    assert dict([first, *done]) == dict(enumerate(pieces))
+    assert dict(Workers(client=client).done(watched, pieces)) == dict(enumerate(pieces))
     assert (Busy.begun, Busy.most) == (12, 2)
 
 
 def test_a_cluster_begins_nothing_after_its_time(client: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Busy, "begun", 0)
-    done = dict(Cluster(client).done(watched, [0.3] * 20, until=time.monotonic() + 0.2))
+    done = dict(Workers(client=client).done(watched, [0.3] * 20, until=time.monotonic() + 0.2))
     assert done == {0: 0.3, 1: 0.3}
     assert Busy.begun == 2
 
 
 def test_an_error_of_a_piece_ends_it(client: Any) -> None:
     with pytest.raises(ValueError, match=r"math domain error|nonnegative"):
-        dict(Cluster(client).done(math.sqrt, [-1.0]))
+        dict(Workers(client=client).done(math.sqrt, [-1.0]))
 
 
 def test_a_worker_that_comes_later_with_other_sources_is_refused(client: Any) -> None:
-    assert spread._like_here(identity(), twice, 2) == 4
+    assert spread._like_here(identity(), twice, 7, 2) == (7, 4)
     with pytest.raises(ValueError, match=r"a worker that came later \(.*\) has other sources .*: install"):
-        spread._like_here("0" * 16, twice, 2)
+        spread._like_here("0" * 16, twice, 7, 2)
+
+
+def answer(**changes: str) -> dict[str, Any]:
+    """Of a machine like this one, with other versions of some packages."""
+    return {"source": source(everything=True), "versions": versions() | changes}
+
+
+def test_a_machine_like_this_one_answers_so() -> None:
+    answered = eval(_ASK, {})
+    assert answered == answer()
+    assert _objection("it", answered) == ""
+
+
+def test_other_sources_and_versions_cannot_work_for_this_machine() -> None:
+    other = _objection("the worker w", answer() | {"source": "0" * 16})
+    assert other.startswith("the worker w has another steerkit-control (")
+    assert "sources 0000000000000000) than this machine (" in other
+    assert f"sources {source(everything=True)}): install steerkit-control" in other
+    assert "has another steerkit-control (9.9, " in _objection("it", answer(**{"steerkit-control": "9.9"}))
+
+
+def test_other_packages_matter_where_numbers_are_made() -> None:
+    other = answer(numpy="0.1", torch="0.2")
+    assert "it has numpy 0.1 instead of " in _objection("it", other)
+    assert ", torch 0.2 instead of " in _objection("it", other)
+    assert _objection("it", other, packages=False) == ""  # of a scheduler
+
+
+def test_a_machine_without_the_package_is_told_what_to_install() -> None:
+    said = _objection("the scheduler", {"error": "ModuleNotFoundError: No module named 'benchmarks'"})
+    assert said.startswith(
+        "the scheduler cannot import this package (ModuleNotFoundError: No module named 'benchmarks')"
+    )
+    assert said.endswith("with the extra bench there as here, and start it again")
+
+
+@pytest.mark.parametrize("listening", [False, True])
+def test_where_no_scheduler_answers_it_ends(listening: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody is there, or somebody who says nothing."""
+    monkeypatch.setattr(spread, "CONTACT", 0.5)
+    with socket.socket() as server:
+        server.bind(("127.0.0.1", 0))
+        if listening:
+            server.listen()
+        address = "tcp://{}:{}".format(*server.getsockname())
+        with (
+            pytest.raises(ValueError, match=f"--address {address}: no Dask scheduler answers there"),
+            dask_client(address),
+        ):
+            pytest.fail("there is no client")
+
+
+def test_an_address_of_no_kind() -> None:
+    with pytest.raises(ValueError, match="unknown address scheme 'nowhere'"), dask_client("nowhere://x"):
+        pytest.fail("there is no client")
