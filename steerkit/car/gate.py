@@ -4,49 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
-from steerkit._support.errors import require
-from steerkit.diagram.units import radians_of
-from steerkit.task import A_Y_MAX, JERK_MAX, STOP
-
-
-@dataclass(frozen=True, kw_only=True)
-class GateLimits:
-    """What may be sent to the steering wheel; each limit is a bound that no request moves."""
-
-    delta_sw_max: float = STOP
-    """Largest |delta_sw| [rad]."""
-    rate_max: float = radians_of(550.0)
-    """Fastest change of delta_sw [rad/s]."""
-    a_y_max: float = A_Y_MAX
-    """|kappa| <= a_y_max/v^2 [m/s^2]."""
-    jerk_max: float = JERK_MAX
-    """|dkappa/dt| <= jerk_max/v^2 [m/s^2 per s]."""
-    v_floor: float = 1.0
-    """Slowest speed that the two bounds reckon with [m/s]."""
-    v_max: float = 12.0
-    """Speed assumed when one of the sources is no number [m/s]."""
-    steer_ratio: float = 15.6
-    """Steering-wheel angle over road-wheel angle [1]."""
-    wheelbase: float = 2.71
-    """L [m]; kappa = tan(delta_sw/steer_ratio)/L, which an understeering car does not reach: pessimistic."""
-    arm: float = 1.49
-    """Centre of gravity to rear axle [m]: while kappa grows the centre is swung aside, which adds to a_y."""
-    quantum: float = radians_of(0.1)
-    """Resolution of the angle on the bus [rad]."""
-    dt_min: float = 0.01
-    """Shortest time between two frames [s]: the cap on the message rate."""
-    dt_max: float = 0.06
-    """Longest time that a change may be spread over [s]: a pause earns no jump."""
-
-    def __post_init__(self) -> None:
-        for name in self.__dataclass_fields__:
-            value = getattr(self, name)
-            require(0.0 < value < math.inf, "GateLimits", f"{name} = {value}, expected a finite number > 0")
-        ok = self.delta_sw_max / self.steer_ratio < 1.4 and self.dt_min <= self.dt_max and self.v_floor <= self.v_max
-        require(ok, "GateLimits", "expected delta_sw_max/steer_ratio < 1.4 rad, dt_min <= dt_max, v_floor <= v_max")
+from steerkit.vehicles.rollout import GateLimits
 
 
 class Verdict(NamedTuple):

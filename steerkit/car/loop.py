@@ -314,22 +314,17 @@ def car_loop(
     )
 
 
-def gate_model(config: CarConfig, **settings: float) -> GateModel:
-    """What is known of the gate of `config` when one looks ahead; settings: other fields of `GateModel`."""
-    limits = config.gate
-    same = ("a_y_max", "jerk_max", "rate_max", "delta_sw_max", "v_floor", "steer_ratio", "wheelbase", "arm", "quantum")
-    return GateModel(**{name: getattr(limits, name) for name in same} | settings)
-
-
 def foresight(config: CarConfig) -> ExcursionPredictor:
     """How far the car will get behind the gate of `config`."""
-    return ExcursionPredictor(gate=gate_model(config, v_doubt=0.0))
+    return ExcursionPredictor(gate=GateModel(limits=config.gate, v_doubt=0.0))
 
 
 def safety(config: CarConfig, clock: Callable[[], float] | None = None) -> FailSafe:
     """The safety filter before the gate of `config`."""
     budget = None if clock is None else SAFETY_BUDGET
-    return FailSafe(block=make_safety(design_model_of(config), gate_model(config)), budget=budget, clock=clock)
+    return FailSafe(
+        block=make_safety(design_model_of(config), GateModel(limits=config.gate)), budget=budget, clock=clock
+    )
 
 
 def drive(

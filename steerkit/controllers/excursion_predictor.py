@@ -65,13 +65,14 @@ class ExcursionPredictor(Block):
 
     def _reach(self, u: Any, side: float) -> Scalar:
         """The furthest that the car gets to the left (side = 1) or right (-1) while it is steered the other way [m]."""
-        ratio, length, gain = self.gate.steer_ratio, self.gate.wheelbase, yaw_gain(u.v, self.gate.wheelbase, 0.0)
+        limits = self.gate.limits
+        ratio, length, gain = limits.steer_ratio, limits.wheelbase, yaw_gain(u.v, limits.wheelbase, 0.0)
         e, psi_e, kappa, wheel = side * u.e, side * u.psi_e, side * u.kappa, side * u.doe  # the right is mirrored
         furthest = e
         for n in range(round(self.horizon / _STEP)):
             before = wheel
             if n * _STEP >= self.hold:
-                wheel = self.gate.pushed(-self.gate.delta_sw_max, wheel, u.v, _STEP)
+                wheel = self.gate.pushed(-limits.delta_sw_max, wheel, u.v, _STEP)
             r = gain * m.tan(0.5 * (before + wheel) / ratio)
             e, psi_e = beside(e, psi_e, _STEP, u.v, r, length, kappa)
             furthest = m.maximum(e, furthest)

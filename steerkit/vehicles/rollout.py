@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
@@ -258,6 +258,43 @@ def slewed(
 
 
 @dataclass(frozen=True, kw_only=True)
+class GateLimits:
+    """What the gate before the bus lets through to the steering wheel; each limit is a bound that no request moves."""
+
+    delta_sw_max: float = STOP
+    """Largest |delta_sw| [rad]."""
+    rate_max: float = radians_of(550.0)
+    """Fastest change of delta_sw [rad/s]."""
+    a_y_max: float = A_Y_MAX
+    """|kappa| <= a_y_max/v^2 [m/s^2]."""
+    jerk_max: float = JERK_MAX
+    """|dkappa/dt| <= jerk_max/v^2 [m/s^2 per s]."""
+    v_floor: float = 1.0
+    """Slowest speed that the two bounds are computed for [m/s]."""
+    v_max: float = 12.0
+    """Speed assumed when one of the sources is no number [m/s]."""
+    steer_ratio: float = 15.6
+    """Steering-wheel angle over road-wheel angle [1]."""
+    wheelbase: float = 2.71
+    """L [m]; kappa = tan(delta_sw/steer_ratio)/L, which an understeering car does not reach: pessimistic."""
+    arm: float = 1.49
+    """Centre of gravity to rear axle [m]: while kappa grows the centre is swung aside, which adds to a_y."""
+    quantum: float = radians_of(0.1)
+    """Resolution of the angle on the bus [rad]."""
+    dt_min: float = 0.01
+    """Shortest time between two frames [s]: the cap on the message rate."""
+    dt_max: float = 0.06
+    """Longest time that a change may be spread over [s]: a pause earns no jump."""
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            value = getattr(self, name)
+            require(0.0 < value < math.inf, "GateLimits", f"{name} = {value}, expected a finite number > 0")
+        ok = self.delta_sw_max / self.steer_ratio < 1.4 and self.dt_min <= self.dt_max and self.v_floor <= self.v_max
+        require(ok, "GateLimits", "expected delta_sw_max/steer_ratio < 1.4 rad, dt_min <= dt_max, v_floor <= v_max")
+
+
+@dataclass(frozen=True, kw_only=True)
 class GateModel:
     """How far a gate before the bus lets the wheel turn in a sample, at the most and at the least; for roll-outs.
 
@@ -276,69 +313,41 @@ class GateModel:
     Raises ValueError for values out of range. Source: the bounds are those of the gate.
     """
 
-    a_y_max: float = A_Y_MAX
-    """Largest lateral acceleration that the gate allows [m/s^2]."""
-    jerk_max: float = JERK_MAX
-    """Its fastest change [m/s^3]."""
-    rate_max: float = radians_of(550.0)
-    """Fastest steering wheel [rad/s]."""
-    delta_sw_max: float = STOP
-    """Largest |delta_sw| [rad]."""
-    v_floor: float = 1.0
-    """Slowest speed that the bounds are computed for [m/s]."""
+    limits: GateLimits = field(default_factory=GateLimits)
+    """Those of the gate, and the car's geometry and ratio."""
     v_doubt: float = 0.2
     """By how much faster than believed the gate may take the car to be [m/s]: the faster of two sources counts."""
-    steer_ratio: float = 15.6
-    """Steering-wheel angle over road-wheel angle [1]."""
-    wheelbase: float = 2.71
-    """L [m]."""
-    arm: float = 1.49
-    """Centre of gravity to rear axle [m]."""
-    quantum: float = radians_of(0.1)
-    """Resolution of the angle on the bus [rad]."""
     frame_dt: float = 0.02
     """Time between two frames [s]."""
 
     def __post_init__(self) -> None:
-        for name, unit, low, high in (
-            ("a_y_max", "m/s^2", 0.1, 20.0),
-            ("jerk_max", "m/s^3", 0.1, 1e3),
-            ("rate_max", "rad/s", 0.1, 1e3),
-            ("delta_sw_max", "rad", 0.1, 100.0),
-            ("v_floor", "m/s", 0.1, 50.0),
-            ("v_doubt", "m/s", 0.0, 10.0),
-            ("steer_ratio", "1", 1.0, 100.0),
-            ("wheelbase", "m", 0.1, 20.0),
-            ("arm", "m", 0.01, 20.0),
-            ("quantum", "rad", 0.0, 1.0),
-            ("frame_dt", "s", 1e-3, 1.0),
-        ):
-            require_within("GateModel", name, getattr(self, name), unit, low, high)
+        require_within("GateModel", "v_doubt", self.v_doubt, "m/s", 0.0, 10.0)
+        require_within("GateModel", "frame_dt", self.frame_dt, "s", 1e-3, 1.0)
 
     @property
     def turning(self) -> float:
         """Time from the bound on a_y on one side to that on the other [s]."""
-        return 2.0 * self.a_y_max / self.jerk_max
+        return 2.0 * self.limits.a_y_max / self.limits.jerk_max
 
     def pushed(self, command: Scalar, before: Scalar, v: Scalar, dt: float, early: float = 0.0) -> Scalar:
         """The command [rad] that is sent in the end a sample after `before`, as far to the left as that may be.
 
         v [m/s]; early [s]: by how much sooner than the sample before the first frame may have been due.
         """
-        ratio, length = self.steer_ratio, self.wheelbase
-        fast, slow = m.maximum(v, self.v_floor), m.maximum(v + self.v_doubt, self.v_floor)
+        gate, ratio, length = self.limits, self.limits.steer_ratio, self.limits.wheelbase
+        fast, slow = m.maximum(v, gate.v_floor), m.maximum(v + self.v_doubt, gate.v_floor)
         bent = m.tan(before / ratio)
-        kappa, most, least = bent / length, self.a_y_max / (fast * fast), self.a_y_max / (slow * slow)
-        rounding = self.quantum * (1.0 + bent * bent) / (ratio * length)
+        kappa, most, least = bent / length, gate.a_y_max / (fast * fast), gate.a_y_max / (slow * slow)
+        rounding = gate.quantum * (1.0 + bent * bent) / (ratio * length)
         h, frames = dt + early, dt / self.frame_dt
-        growth = (1.0 - m.exp(-fast * h / self.arm)) * (most - kappa)
-        left = kappa + m.minimum(self.jerk_max / (fast * fast) * h, m.maximum(growth, (frames + 1.0) * rounding))
-        back = m.maximum(self.jerk_max / (slow * slow) * dt - frames * rounding, 0.0)
-        swing = (kappa + least) / (1.0 + self.arm / (slow * dt)) - frames * rounding
+        growth = (1.0 - m.exp(-fast * h / gate.arm)) * (most - kappa)
+        left = kappa + m.minimum(gate.jerk_max / (fast * fast) * h, m.maximum(growth, (frames + 1.0) * rounding))
+        back = m.maximum(gate.jerk_max / (slow * slow) * dt - frames * rounding, 0.0)
+        swing = (kappa + least) / (1.0 + gate.arm / (slow * dt)) - frames * rounding
         right = kappa - m.minimum(back, m.maximum(swing, 0.0))
-        low = m.maximum(before - self.rate_max * dt, ratio * m.atan(length * right))
-        high = m.minimum(before + self.rate_max * h, ratio * m.atan(length * left))
-        bound = m.minimum(ratio * m.atan(length * most), self.delta_sw_max)
-        tight = m.minimum(ratio * m.atan(length * least), self.delta_sw_max)
+        low = m.maximum(before - gate.rate_max * dt, ratio * m.atan(length * right))
+        high = m.minimum(before + gate.rate_max * h, ratio * m.atan(length * left))
+        bound = m.minimum(ratio * m.atan(length * most), gate.delta_sw_max)
+        tight = m.minimum(ratio * m.atan(length * least), gate.delta_sw_max)
         turned = m.clip(command, -tight, bound) - before + 0.0 * v  # a NaN in any of them stays
         return before + m.clip(turned, low - before, high - before)

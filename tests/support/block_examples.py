@@ -52,7 +52,7 @@ from steerkit.plants.speed_driver import (
 from steerkit.plants.steering_actuator import SteeringActuator, SteeringColumn, SteeringLink
 from steerkit.plants.torque_steering import TorqueSteering
 from steerkit.vehicles import vehicle
-from steerkit.vehicles.rollout import GateModel
+from steerkit.vehicles.rollout import GateLimits, GateModel
 
 PASSAT = vehicle("vw-passat")
 _round = np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False)
@@ -162,7 +162,9 @@ EXAMPLES = [
     Example(PurePursuit.of(PASSAT, OVAL)),
     Example(SafetyFilter.of(PASSAT, delay=0.05, horizon=0.35, hold=1, halvings=2)),
     Example(SafetyFilter.of(PASSAT, horizon=0.35, hold=1, halvings=1, bound=9.0)),
-    Example(SafetyFilter.of(PASSAT, horizon=0.35, hold=1, halvings=1, gate=GateModel(jerk_max=30.0))),
+    Example(
+        SafetyFilter.of(PASSAT, horizon=0.35, hold=1, halvings=1, gate=GateModel(limits=GateLimits(jerk_max=30.0)))
+    ),
     Example(
         FailSafe(block=Silent(block=SafetyFilter.of(PASSAT, horizon=0.35, hold=1, halvings=1))), blind=("command",)
     ),

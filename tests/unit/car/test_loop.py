@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -32,10 +32,7 @@ def test_controllers_are_told_the_kits_delay_and_lag_and_the_lower_of_two_stops(
 
 def test_foresight_reckons_with_every_limit_of_the_gate() -> None:
     gate = replace(CONFIG.gate, a_y_max=2.5, jerk_max=4.5, rate_max=8.0, delta_sw_max=8.5, v_floor=1.5, quantum=0.002)
-    seen = loops.foresight(replace(CONFIG, gate=gate)).gate
-    shared = {f.name for f in fields(seen)} & {f.name for f in fields(gate)}
-    assert len(shared) >= 9
-    assert {name: getattr(seen, name) for name in shared} == {name: getattr(gate, name) for name in shared}
+    assert loops.foresight(replace(CONFIG, gate=gate)).gate.limits == gate
 
 
 @pytest.mark.parametrize("name", ["mpc", "mpc-adaptive"])

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from steerkit._support.errors import WiringError
-from steerkit.car.gate import GateLimits, gate
+from steerkit.car.gate import gate
 from steerkit.controllers.excursion_predictor import ExcursionPredictor
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.units import radians_of
@@ -20,7 +20,7 @@ from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.scenario.assembly import steering_loop
 from steerkit.vehicles import vehicle
-from steerkit.vehicles.rollout import GateModel
+from steerkit.vehicles.rollout import GateLimits, GateModel
 
 RATIO, LENGTH = 15.6, 2.71
 
@@ -54,7 +54,9 @@ def test_the_slower_the_wheel_the_further() -> None:
     for a fast wheel; then it is psi_e^2 v / (2 w) off."""
     v, psi_e, jerk = 1.0, 0.1, 0.2
     turn = LENGTH * jerk / v**2  # rad/s of the road wheels
-    gates = [GateModel(v_doubt=0.0, quantum=0.0, jerk_max=j) for j in (2.0 * jerk, jerk, 0.5 * jerk)]
+    gates = [
+        GateModel(v_doubt=0.0, limits=GateLimits(quantum=1e-9, jerk_max=j)) for j in (2.0 * jerk, jerk, 0.5 * jerk)
+    ]
     fast, found, slow = (reach(0.0, psi_e, 0.0, v, 0.0, hold=0.0, gate=gate) for gate in gates)
     assert found == pytest.approx(v * psi_e**2 / (2.0 * turn), rel=0.05)  # psi_e turns a little meanwhile
     assert fast < found < slow

@@ -23,7 +23,7 @@ from steerkit.scenario import Scenario
 from steerkit.scenario.drive import assembled
 from steerkit.task import STOP
 from steerkit.vehicles import vehicle
-from steerkit.vehicles.rollout import GateModel
+from steerkit.vehicles.rollout import GateLimits, GateModel
 
 PASSAT = vehicle("vw-passat")
 SURE: dict[str, float] = dict(e_doubt=0.0, psi_doubt=0.0, yaw_doubt=0.0, ratio_doubt=0.0, delay_doubt=0.0)
@@ -220,7 +220,7 @@ def test_a_backup_that_sees_nothing_is_no_angle(blind: str) -> None:
 
 
 def behind_gate(**limits: float) -> SafetyFilter:
-    return SafetyFilter.of(PASSAT, delay=0.05, gate=GateModel(**limits), **dict(BEHIND_GATE))  # type: ignore[arg-type]
+    return SafetyFilter.of(PASSAT, delay=0.05, gate=GateModel(limits=GateLimits(**limits)), **BEHIND_GATE)
 
 
 def test_only_behind_a_gate_it_hears_what_was_applied() -> None:

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from steerkit.car.gate import GateLimits, gate
+from steerkit.car.gate import gate
 from steerkit.diagram.units import radians_of
-from steerkit.vehicles.rollout import GateModel, slewed
+from steerkit.vehicles.rollout import GateLimits, GateModel, slewed
 
 DT = 0.05
 
@@ -55,7 +55,7 @@ def test_the_two_are_not_far_apart() -> None:
 
 
 def test_from_side_to_side_it_takes_the_time_that_the_bounds_say() -> None:
-    model = GateModel(v_doubt=0.0, quantum=0.0, arm=0.01)
+    model = GateModel(limits=GateLimits(quantum=1e-9, arm=0.01), v_doubt=0.0)
     bound = 15.6 * math.atan(2.71 * 3.0 / 36.0)
     wheel, samples = -bound, 0
     while wheel < 0.99 * bound and samples < 100:
@@ -82,7 +82,7 @@ def test_a_nan_is_seen() -> None:
     assert all(math.isnan(GateModel().pushed(*u, DT)) for u in ((0.1, math.nan, 5.0), (0.1, 0.0, math.nan)))
 
 
-@pytest.mark.parametrize("name", ["a_y_max", "jerk_max", "rate_max", "arm", "frame_dt", "v_doubt"])
+@pytest.mark.parametrize("name", ["frame_dt", "v_doubt"])
 @pytest.mark.parametrize("value", [-1.0, math.nan, math.inf])
 def test_what_cannot_be_is_refused(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=name):
