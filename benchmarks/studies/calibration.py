@@ -42,7 +42,7 @@ from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.estimators.estimate import estimated as quantity
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.steering_delay import WheelDelay, YawDelay
-from steerkit.estimators.steering_wear import SteeringFriction, SteeringPlay
+from steerkit.estimators.steering_hysteresis import SteeringFriction, SteeringPlay
 from steerkit.identification import identify, read_drive, shipped_drives
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.scenario import Scenario, fleet_scenario

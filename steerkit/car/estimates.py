@@ -15,7 +15,7 @@ from steerkit.diagram.units import degrees_of
 from steerkit.estimators.estimate import NORMAL_95, Estimated, estimated
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.steering_delay import WheelDelay
-from steerkit.estimators.steering_wear import SteeringFriction, SteeringPlay
+from steerkit.estimators.steering_hysteresis import SteeringFriction, SteeringPlay
 from steerkit.task import DT
 from steerkit.vehicles.file import tables_of
 

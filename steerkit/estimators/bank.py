@@ -1,30 +1,37 @@
-"""A bank of candidates: recursive least squares for each of them, and the one between them that fits best."""
+"""A bank of candidates, one of which is the right one: recursive least squares for each, and the best between them."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
-import numpy as np
-
+from steerkit._support.errors import require, require_within, whole_samples
 from steerkit.diagram import maths as m
-from steerkit.diagram.block import State
+from steerkit.diagram.block import Block, In, State
 from steerkit.diagram.maths import Scalar
+from steerkit.diagram.units import radians_of
+from steerkit.estimators.steering_response import SLOWEST, at, steady_gain
+from steerkit.vehicles import Vehicle, require_vehicle
 
 _EXPLAINED = 0.5
 """Share of the response's variance that has to be explained."""
 _FEWEST = 10.0
-"""Samples of their own from which on what is left over tells of the noise."""
+"""Independent samples from which on the residual shows the noise."""
+REGRESSORS = 3
+MOMENTS = 2 * REGRESSORS + REGRESSORS * (REGRESSORS + 1) // 2
+"""What is kept of a candidate: means, covariances, covariances with the response."""
 
 
-class Weighed(NamedTuple):
-    """What is summed over all samples that taught, with forgetting."""
+class Sums(NamedTuple):
+    """What is summed over all samples that were used, with forgetting."""
 
     total: Scalar
     """Weights."""
     count: Scalar
-    """Samples that tell something of their own."""
+    """Independent samples."""
     mean: Scalar
     """Of the response."""
     power: Scalar
@@ -32,7 +39,7 @@ class Weighed(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """What one candidate's regression says."""
+    """The regression of one candidate."""
 
     coefficients: Sequence[Scalar]
     saved: Scalar
@@ -41,21 +48,19 @@ class Fit(NamedTuple):
     """Variance of its last coefficient."""
 
 
-class Best(NamedTuple):
-    """The lowest point of a parabola through the lowest candidate and its neighbours."""
+class Valley(NamedTuple):
+    """Where the candidates fit best, and how well: the lowest point of a parabola through the best and neighbours."""
 
     place: Scalar
     """Number of the candidate, with a fraction."""
     variance: Scalar
     """Of the place, in candidates squared: 2 over the curvature."""
-    cost: Scalar
     number: Scalar
-    """Number of the lowest candidate itself, not at either end of the bank."""
-
-
-def size(regressors: int) -> int:
-    """Moments that are kept of a candidate: means, covariances, covariances with the response."""
-    return 2 * regressors + regressors * (regressors + 1) // 2
+    """Number of the best candidate itself, not at either end of the bank."""
+    excess: Scalar
+    """How many times the noise the residual is, 1 at least."""
+    explained: Scalar
+    """Does the best one explain half of the response's variance? 0 or 1."""
 
 
 def rls_update(moments: State, x: Sequence[Scalar], dy: Scalar, keep: Scalar, gain: Scalar, weight: Scalar) -> State:
@@ -79,70 +84,11 @@ def rls_update(moments: State, x: Sequence[Scalar], dy: Scalar, keep: Scalar, ga
     return tuple(after)
 
 
-def learned(
-    sums: Weighed,
-    moments: State,
-    rows: Sequence[Sequence[Scalar]],
-    response: Scalar,
-    *,
-    weight: Scalar,
-    share: float,
-    keep: float,
-    teaches: Scalar,
-) -> tuple[Weighed, list[Scalar]]:
-    """Sums, and the moments of all candidates, after a sample; as they were where it teaches nothing.
-
-    rows: the regressors of each candidate. weight: one over the variance of the response's noise. share: how much of a
-    sample of its own this is. keep: what is left of what came before.
-    """
-    keeps = m.where(teaches, keep, 1.0)
-    weight = m.where(teaches, weight * share, 0.0)
-    total = keeps * sums.total + weight
-    gain = weight / m.maximum(total, 1e-12)
-    dy = m.where(teaches, response, 0.0) - sums.mean
-    after: list[Scalar] = []
-    if _plain(moments[0], rows[0][0], dy, weight):
-        regressors: Any = np.array(rows).T
-        table = rls_update(_columns(moments, size(len(rows[0]))), regressors, dy, keeps, gain, weight)
-        after = np.array(table).T.ravel().tolist()
-    else:
-        for candidate, row in zip(_split(moments, len(rows[0])), rows):
-            after += rls_update(candidate, row, dy, keeps, gain, weight)
-    count = keeps * sums.count + m.where(teaches, share, 0.0)
-    power = keeps * sums.power + weight * (1.0 - gain) * dy * dy
-    return Weighed(total, count, sums.mean + gain * dy, power), after
-
-
-def _split(moments: State, regressors: int) -> list[State]:
-    """The moments of each candidate."""
-    n = size(regressors)
-    return [moments[i : i + n] for i in range(0, len(moments), n)]
-
-
-def _plain(*values: Scalar) -> bool:
-    """Is this one car, in floats? Then its candidates are reckoned as a batch is: much sooner, with the same result."""
-    return all(isinstance(value, float) for value in values)
-
-
-def _columns(moments: State, n: int) -> Any:
-    """The moments of one car's candidates, each moment an array over them: (n, candidates)."""
-    return np.array(moments).reshape(-1, n).T
-
-
-def fits(moments: State, precision: Sequence[float], prior: Sequence[float]) -> list[Fit]:
-    """What the regression of each candidate says; see `fitted`."""
-    if _plain(moments[0], moments[-1]):
-        table = fitted(_columns(moments, size(len(precision))), precision, prior)
-        coefficients = np.array(table.coefficients).T.tolist()
-        return list(map(Fit, coefficients, table.saved.tolist(), table.last_variance.tolist()))
-    return [fitted(candidate, precision, prior) for candidate in _split(moments, len(precision))]
-
-
 def fitted(moments: State, precision: Sequence[float], prior: Sequence[float]) -> Fit:
     """The coefficients theta that lower (y - theta x)^2, summed, plus precision (theta - prior)^2, most.
 
-    By Cholesky's decomposition without roots. Precisions are one over the priors' variances; the weights of `taught`
-    are one over that of the response's noise.
+    By Cholesky's decomposition without roots. Precisions are one over the priors' variances; the weights of
+    `rls_update` are one over that of the response's noise.
     """
     p = len(precision)
     place, cross = p, p + p * (p + 1) // 2
@@ -174,8 +120,8 @@ def fitted(moments: State, precision: Sequence[float], prior: Sequence[float]) -
     return Fit(tuple(parts), saved, 1.0 / pivots[-1])
 
 
-def lowest(costs: Sequence[Scalar], least_curvature: float) -> Best:
-    """Where between the candidates the cost is lowest; it never leaves the bank.
+def lowest(costs: Sequence[Scalar], least_curvature: float) -> tuple[Scalar, Scalar, Scalar]:
+    """Place, variance and number as in `Valley`: where between the candidates the cost is lowest, within the bank.
 
     costs: three or more, -2 log likelihood. least_curvature: that of the prior, which a valley cannot be wider than.
     """
@@ -186,33 +132,115 @@ def lowest(costs: Sequence[Scalar], least_curvature: float) -> Best:
         cost, number = m.where(lower, costs[i], cost), m.where(lower, float(i), number)
     curvature = m.maximum(before - 2.0 * cost + after, least_curvature)
     aside = m.clip(0.5 * (before - after) / curvature, -1.0, 1.0)
-    bottom = cost - 0.5 * curvature * aside * aside
-    return Best(number + aside, 2.0 / curvature, bottom, number)
+    return number + aside, 2.0 / curvature, number
 
 
-class Valley(NamedTuple):
-    """Where the candidates fit best, and how well."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class OfWheel(Block):
+    """What makes a `Bank` one whose response is the measured steering wheel, delta_sw_meas [rad]; abstract."""
 
-    best: Best
-    excess: Scalar
-    """How many times more is left over than the noise explains, 1 at least."""
-    explained: Scalar
-    """Does the best one explain half of the response's variance? 0 or 1."""
+    delta_sw_meas = In("rad", direct=False)
+    v = In("m/s", direct=False)
+
+    noise: float = radians_of(0.1)
+    """Standard deviation of delta_sw_meas about what the model makes of the command [rad]."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()  # type: ignore[misc]
+        require_within(type(self).__name__, "noise", self.noise, "rad", 1e-6, 1.0, "radians: radians_of(0.1)")
+
+    def _response(self, u: Any, speed: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+        return u.delta_sw_meas, 1.0 / self.noise**2, m.is_finite(u.delta_sw_meas)
 
 
-def valley(sums: Weighed, saved: Sequence[Scalar], step: float, prior: float, deviation: float) -> Valley:
-    """Of candidates 0, step, 2 step, ... that lower the sum of squares by `saved`; theirs is prior +- deviation."""
-    costs = [sums.power - fit + ((i * step - prior) / deviation) ** 2 for i, fit in enumerate(saved)]
-    best = lowest(costs, 2.0 * (step / deviation) ** 2)
-    left = sums.power - at(best.number, saved)
-    return Valley(best, m.maximum(left / m.maximum(sums.count, _FEWEST), 1.0), left < (1.0 - _EXPLAINED) * sums.power)
+@dataclass(frozen=True, eq=False, kw_only=True)
+class OfYawRate(Block):
+    """What makes a `Bank` one whose response is r n (L + K v^2)/v, the yaw rate r [rad/s] as an angle; abstract."""
+
+    r = In("rad/s", direct=False)
+    v = In("m/s", direct=False)
+
+    vehicle: Vehicle
+    """The car by its data sheet."""
+    noise: float = radians_of(0.2)
+    """Standard deviation of the white noise on r [rad/s]."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()  # type: ignore[misc]
+        require_vehicle(self.vehicle, type(self).__name__)
+        require_within(type(self).__name__, "noise", self.noise, "rad/s", 1e-6, 1.0, "radians: radians_of(0.2)")
+
+    def _response(self, u: Any, speed: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+        gain = steady_gain(self.vehicle, m.where(m.is_finite(u.v), m.maximum(u.v, SLOWEST), speed))
+        return u.r / gain, gain * gain / self.noise**2, m.is_finite(u.r)
 
 
-def at(number: Scalar, values: Sequence[Scalar]) -> Scalar:
-    """The value of the candidate of that number."""
-    if _plain(number) and number == number:  # a NaN is looked up as the others do it
-        return values[math.ceil(m.clip(number, 0.0, len(values) - 1.0) + 0.5) - 1]
-    picked = values[0]
-    for i in range(1, len(values)):
-        picked = m.where(number > i - 0.5, values[i], picked)
-    return picked
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Bank(Block):
+    """Least squares of a measured response, `OfWheel` or `OfYawRate`, for a bank of candidates; abstract.
+
+    With candidates 0, step, 2 step, ..., each regression's cost is the weighted sum of squares left over and the
+    priors'.
+    """
+
+    memory: float
+    """Seconds of driving that were used, after which their weight has fallen to 1/e."""
+    correlated: float = 0.15
+    """For how long the errors of the response hang together [s], dt at least: what free play and roads add to noise."""
+    longest: float
+    """Longest delay [s], a multiple of dt."""
+
+    def __post_init__(self) -> None:
+        where = type(self).__name__
+        require_within(where, "dt", self.dt, "s", 1e-3, 0.2)
+        longest = whole_samples(where, "longest", self.longest, self.dt)
+        require(2 <= longest <= 100, where, f"longest = {self.longest} [s], expected 2 to 100 samples of {self.dt:g} s")
+        require_within(where, "memory", self.memory, "s", 1.0, 1e6)
+        require_within(where, "correlated", self.correlated, "s", self.dt, 10.0, "at least dt")
+
+    @cached_property
+    def _line(self) -> int:
+        """Samples of a delay line."""
+        return round(self.longest / self.dt) + 1
+
+    def _response(self, u: Any, speed: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+        """What is measured, as an angle [rad]; its weight [1/rad^2]; could it be read?"""
+        raise NotImplementedError
+
+    def _summed(
+        self, sums: Sums, moments: State, rows: Sequence[Sequence[Scalar]], measured: Sequence[Scalar], used: Scalar
+    ) -> tuple[Sums, list[Scalar]]:
+        """Sums, and the moments of all candidates, after a sample; as they were where it is not `used`.
+
+        rows: the regressors of each candidate. measured: response [rad] and weight [1/rad^2].
+        """
+        response, weight = measured
+        share = self.dt / self.correlated  # of an independent sample
+        keep = m.where(used, math.exp(-self.dt / self.memory), 1.0)
+        weight = m.where(used, weight * share, 0.0)
+        total = keep * sums.total + weight
+        gain = weight / m.maximum(total, 1e-12)
+        dy = m.where(used, response, 0.0) - sums.mean
+        after: list[Scalar] = []
+        for i, row in enumerate(rows):
+            after += rls_update(moments[MOMENTS * i : MOMENTS * (i + 1)], row, dy, keep, gain, weight)
+        count = keep * sums.count + m.where(used, share, 0.0)
+        power = keep * sums.power + weight * (1.0 - gain) * dy * dy
+        return Sums(total, count, sums.mean + gain * dy, power), after
+
+    def _best(
+        self,
+        sums: Sums,
+        moments: State,
+        precision: Sequence[float],
+        prior: Sequence[float],
+        place: tuple[float, float, float],
+    ) -> tuple[Valley, list[Fit]]:
+        """Where the candidates fit best, and all regressions; place: the candidates' step, prior and its deviation."""
+        step, expected, deviation = place
+        bank = [fitted(moments[i : i + MOMENTS], precision, prior) for i in range(0, len(moments), MOMENTS)]
+        costs = [sums.power - fit.saved + ((i * step - expected) / deviation) ** 2 for i, fit in enumerate(bank)]
+        where, variance, number = lowest(costs, 2.0 * (step / deviation) ** 2)
+        left = sums.power - at(number, [fit.saved for fit in bank])
+        excess = m.maximum(left / m.maximum(sums.count, _FEWEST), 1.0)
+        return Valley(where, variance, number, excess, left < (1.0 - _EXPLAINED) * sums.power), bank

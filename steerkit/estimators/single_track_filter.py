@@ -13,8 +13,7 @@ from steerkit.diagram.block import Block, In, Out, State
 from steerkit.diagram.maths import Scalar
 from steerkit.diagram.units import radians_of
 from steerkit.estimators import kalman
-from steerkit.estimators.way import arrived
-from steerkit.estimators.yaw_model import SLOWEST, steady_gain, yaw_step
+from steerkit.estimators.steering_response import SLOWEST, arrived, steady_gain, yaw_step
 from steerkit.vehicles import Vehicle, require_vehicle
 
 _STANDS, _STANDING = 0.1, 1.0

@@ -31,7 +31,7 @@ from steerkit.diagram.block import Block, take_ports
 from steerkit.doe import Corrected, Integrator, LowPass, PlainAngle
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.steering_delay import WheelDelay, YawDelay
-from steerkit.estimators.steering_wear import SteeringFriction, SteeringPlay
+from steerkit.estimators.steering_hysteresis import SteeringFriction, SteeringPlay
 from steerkit.estimators.vehicle_state import VehicleState
 from steerkit.gym.task import Agent
 from steerkit.learning.exploration import Exploring

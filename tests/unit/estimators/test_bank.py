@@ -5,14 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from steerkit.estimators.bank import Weighed, at, fits, fitted, learned, lowest, rls_update, size
+from steerkit.estimators.bank import MOMENTS, Sums, fitted, lowest, rls_update
+from steerkit.estimators.steering_delay import WheelDelay
 
 
 def test_recursive_moments_with_forgetting_are_the_weighted_ones() -> None:
     rng = np.random.default_rng(1)
     x, y, weight = rng.normal(size=(50, 3)) + 3.0, rng.normal(size=50) - 2.0, rng.uniform(0.5, 2.0, 50)
     precision, prior, keep = (0.3, 0.7, 2.0), (1.0, 0.0, -0.5), 0.95
-    moments: tuple[float, ...] = (0.0,) * size(3)
+    moments: tuple[float, ...] = (0.0,) * MOMENTS
     total, mean = 0.0, 0.0
     for row, value, w in zip(x.tolist(), y.tolist(), weight.tolist()):
         total = keep * total + w
@@ -33,39 +34,29 @@ def test_recursive_moments_with_forgetting_are_the_weighted_ones() -> None:
 
 @pytest.mark.parametrize("place", [0.0, 0.4, 2.5, 3.3, 4.7, 5.0])
 def test_the_lowest_point_of_a_parabola_is_found_exactly(place: float) -> None:
-    best = lowest([1.0 + 3.0 * (i - place) ** 2 for i in range(6)], 1e-9)
-    assert best.place == pytest.approx(place)
-    assert best.cost == pytest.approx(1.0)
-    assert best.variance == pytest.approx(1.0 / 3.0)  # exp(-cost/2) is normal with this variance
+    found, variance, _ = lowest([1.0 + 3.0 * (i - place) ** 2 for i in range(6)], 1e-9)
+    assert found == pytest.approx(place)
+    assert variance == pytest.approx(1.0 / 3.0)  # exp(-cost/2) is normal with this variance
 
 
 def test_the_lowest_of_several_valleys_is_taken_and_nothing_outside_the_bank() -> None:
-    assert lowest([5.0, 1.0, 5.0, 5.0, 0.5, 5.0], 0.1).number == 4.0
-    assert lowest([3.0, 2.0, 1.0, 0.0], 0.1).place == 3.0
-    assert lowest([0.0, 1.0, 2.0, 3.0], 0.1).place == 0.0
-    assert lowest([1.0, 1.0, 1.0], 0.5).variance == pytest.approx(4.0)
+    assert lowest([5.0, 1.0, 5.0, 5.0, 0.5, 5.0], 0.1)[2] == 4.0
+    assert lowest([3.0, 2.0, 1.0, 0.0], 0.1)[0] == 3.0
+    assert lowest([0.0, 1.0, 2.0, 3.0], 0.1)[0] == 0.0
+    assert lowest([1.0, 1.0, 1.0], 0.5)[1] == pytest.approx(4.0)
 
 
-def test_the_candidate_of_a_number() -> None:
-    assert [at(float(i), [10.0, 20.0, 30.0]) for i in range(3)] == [10.0, 20.0, 30.0]
-
-
-def test_one_cars_candidates_are_those_of_a_batch_of_one() -> None:
-    """Floats take a shorter way."""
-    for number in (-1.0, 0.5, 1.0, 1.5, 1.50001, 9.0, float("inf"), float("nan")):
-        assert at(number, [10.0, 20.0, 30.0]) == at(np.array([number]), [10.0, 20.0, 30.0])
+def test_sums_are_weighted_and_forget_and_samples_that_are_not_used_change_nothing() -> None:
+    block = WheelDelay(longest=0.1, prior_delay=0.1, memory=2.0, correlated=0.5)
     rng = np.random.default_rng(2)
-    one, many = [0.0] * (4 * size(3)), [np.zeros(1)] * (4 * size(3))
-    sums, all_sums = Weighed(0.0, 0.0, 0.0, 0.0), Weighed(*[np.zeros(1)] * 4)
-    for _ in range(20):
-        rows, y, teaches = rng.normal(size=(4, 3)), float(rng.normal()), bool(rng.random() < 0.7)
-        told = dict(weight=1.3, share=0.3, keep=0.9)
-        sums, one = learned(sums, one, rows.tolist(), y, teaches=teaches, **told)
-        given = [[np.array([value]) for value in row] for row in rows.tolist()]
-        all_sums, many = learned(all_sums, many, given, np.array([y]), teaches=np.array([teaches]), **told)
-    assert {*map(type, one)} == {float}
-    assert one == [float(value[0]) for value in many]
-    prior = (0.3, 0.7, 2.0), (1.0, 0.0, -0.5)
-    for fit, other in zip(fits(one, *prior), fits(many, *prior), strict=True):
-        assert list(fit.coefficients) == [float(value[0]) for value in other.coefficients]
-        assert (fit.saved, fit.last_variance) == (float(other.saved[0]), float(other.last_variance[0]))
+    sums, moments = Sums(0.0, 0.0, 0.0, 0.0), [0.0] * (3 * MOMENTS)
+    ys, keep, share = rng.normal(size=30), np.exp(-0.05 / 2.0), 0.05 / 0.5
+    for y in ys.tolist():
+        rows = rng.normal(size=(3, 3)).tolist()
+        sums, moments = block._summed(sums, moments, rows, (y, 1.3), True)
+        assert block._summed(sums, moments, rows, (float("nan"), 1.3), False) == (sums, moments)
+    weights = keep ** np.arange(29, -1, -1)
+    assert sums.total == pytest.approx(1.3 * share * weights.sum())
+    assert sums.count == pytest.approx(share * weights.sum())
+    assert sums.mean == pytest.approx(np.average(ys, weights=weights))
+    assert sums.power == pytest.approx(1.3 * share * np.sum(weights * (ys - sums.mean) ** 2))

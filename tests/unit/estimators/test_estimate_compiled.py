@@ -15,7 +15,7 @@ from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import simulate
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.steering_delay import WheelDelay, YawDelay
-from steerkit.estimators.steering_wear import SteeringFriction, SteeringPlay
+from steerkit.estimators.steering_hysteresis import SteeringFriction, SteeringPlay
 from tests.support.steered_car import PASSAT, answered, driven, steered
 
 ALL: dict[str, Any] = {

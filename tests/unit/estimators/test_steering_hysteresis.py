@@ -10,7 +10,7 @@ import pytest
 
 from steerkit.diagram.units import radians_of
 from steerkit.estimators.estimate import Estimated, estimated
-from steerkit.estimators.steering_wear import GapBank, SteeringFriction, SteeringPlay
+from steerkit.estimators.steering_hysteresis import HysteresisBank, SteeringFriction, SteeringPlay
 from tests.support.steered_car import PASSAT, Signals, answered, driven_fast, gaps, steered
 
 FRICTION, PLAY = SteeringFriction(), SteeringPlay(vehicle=PASSAT)
@@ -31,7 +31,7 @@ def behind_the_wheel(signals: Signals) -> Signals:
     return signals | {"angle": signals["delta_sw_meas"], "delay": 0.055 * ones, "lag": 0.0 * ones, "r": r}
 
 
-def said(block: GapBank, x: Any) -> Estimated:
+def said(block: HysteresisBank, x: Any) -> Estimated:
     return estimated(block.output(0.0, x, ()), block.outputs[0].name)
 
 
@@ -72,7 +72,7 @@ def test_play_is_found_at_changing_speeds_behind_other_tyres() -> None:
 
 
 @pytest.mark.parametrize("block", [FRICTION, PLAY], ids=["friction", "play"])
-def test_on_a_straight_the_prior_stays(block: GapBank) -> None:
+def test_on_a_straight_the_prior_stays(block: HysteresisBank) -> None:
     signals = answered(np.zeros(1200), delay=0.15, lag=0.2)
     found = said(block, driven_fast(block, behind_the_wheel(signals)))
     ends = 2.0 if block is PLAY else 1.0
@@ -103,7 +103,7 @@ def test_overrides_and_gaps_teach_nothing(what: str) -> None:
 
 
 @pytest.mark.parametrize("block", [FRICTION, PLAY], ids=["friction", "play"])
-def test_a_sample_that_cannot_be_read_is_told(block: GapBank) -> None:
+def test_a_sample_that_cannot_be_read_is_told(block: HysteresisBank) -> None:
     u = {port.name: 0.1 for port in block.inputs}
 
     def told(u: dict[str, float]) -> Any:
