@@ -24,7 +24,9 @@ from steerkit.car import processes
 from steerkit.car.client import CarClient, CarLost
 from steerkit.car.config import loaded
 from steerkit.car.estimates import Watched
+from steerkit.car.learner import CarLearner
 from steerkit.car.loop import adapted_in, filtered_in
+from steerkit.car.panel import Panel
 from steerkit.car.processes import OF
 from steerkit.car.protocol import Adapted, Filtered, digest
 from steerkit.car.state_machine import Order
@@ -104,8 +106,6 @@ class Session:
 
         more: a line of text of somebody else, called `about`.
         """
-        from steerkit.car.panel import Panel
-
         return Panel(self, title, live=self.live, more=more, about=about)
 
     @property
@@ -244,8 +244,6 @@ def drive(options: Options, name: str, *, minutes: float) -> dict[str, Any]:
 
 def learn(options: Options, how: Setting, place: FilePath, *, minutes: float, seed: int) -> dict[str, Any]:
     """`steerkit learn --car`: learn to steer on it for so long (0: until `q`); returns its figures."""
-    from steerkit.car.learner import CarLearner
-
     with session(options) as here:
         loops.check_allowed("element", how.doe, here.config)
         here.link.wait(timeout=10.0)

@@ -56,11 +56,11 @@ def resimulate(
     table = {} if columns is None else ColumnMap.load(columns).columns
     drive = read_drive(recording, ColumnMap({**table, **ColumnMap.parsed(column or ()).columns}))
     console = Console(stderr=as_json)
-    car, told = _car(vehicle, drive)
+    car, steering, told = _car(vehicle, drive)
     if not quiet:
         for note in (*drive.notes, told):
             console.print(note, markup=False, highlight=False, soft_wrap=True)
-    driven = [again.resimulate(drive, name, car=car, progress=not quiet) for name in names]
+    driven = [again.resimulate(drive, name, vehicle=car, steering=steering, progress=not quiet) for name in names]
     if as_json:
         print(json.dumps({"resimulated": [one.figures() for one in driven], "car": told}))
     else:
@@ -74,20 +74,18 @@ def resimulate(
         console.print(f"film: {again.film(driven[0], film, lasts=film_lasts, progress=not quiet)}", soft_wrap=True)
 
 
-def _car(file: str, drive: Any) -> tuple[Any, str]:
-    from steerkit.logs.resimulate import Steered
+def _car(file: str, drive: Any) -> tuple[Any, Any, str]:
+    from steerkit.identification import identify
+    from steerkit.plants.steering_actuator import SteeringActuator, sampled_steering, steering_of
     from steerkit.vehicles import vehicle
 
     if file:
-        from steerkit.plants.steering_actuator import steering_of
-
-        car = Steered.by(vehicle(file), steering_of(file) if file.endswith(".toml") else None)
-        return car, f"the car: {file}, delay {car.delay:.2f} s, lag {car.lag:.2f} s"
-    from steerkit.identification import identify
-
+        motor = steering_of(file) if file.endswith(".toml") else SteeringActuator()
+        return vehicle(file), motor, f"the car: {file}, delay {motor.delay:.2f} s, lag {motor.lag:.2f} s"
     found = identify(drive)
-    car = Steered.continuous(found.vehicle, delay=found.delay, lag=found.lag, offset=found.offset)
-    return car, f"the car, as the drive tells: ratio {found.vehicle.steer_ratio:.2f}, lag {car.lag + car.delay:.2f} s"
+    motor = sampled_steering(delay=found.delay, lag=found.lag, offset=found.offset)
+    known = f"ratio {found.vehicle.steer_ratio:.2f}, lag {motor.lag + motor.delay:.2f} s"
+    return found.vehicle, motor, f"the car, as identified from the drive: {known}"
 
 
 def _report(console: Any, driven: list[Any]) -> None:

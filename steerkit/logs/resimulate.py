@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 from pathlib import Path as FilePath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,61 +39,45 @@ _APART = 10.0
 _KEPT = ("path.e", "actuator.delta_sw", *(f"car.{name}" for name in ("x", "y", "psi", "v", "a_y", "delta_sw")))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Steered:
-    """A car and its steering, as `identify` finds them: the car that drives again."""
-
-    vehicle: Vehicle
-    delay: float = 0.0
-    """Pure delay from a command to the road wheels [s], a multiple of 0.01."""
-    lag: float = 0.1
-    """First-order lag after it [s]."""
-    offset: float = 0.0
-    """What must be added to a recorded angle [rad]."""
-
-    @classmethod
-    def by(cls, car: Vehicle, motor: SteeringActuator | None = None) -> Steered:
-        """A car with the steering of its vehicle file (`steering_of`), or with the defaults."""
-        if motor is None:
-            return cls(vehicle=car)
-        return cls(vehicle=car, delay=float(motor.delay), lag=float(motor.lag), offset=float(motor.offset))
-
-    @classmethod
-    def continuous(cls, car: Vehicle, *, delay: float, lag: float, offset: float) -> Steered:
-        """A car with delay and lag of continuous time, as identified: their sum is kept, less a sample's 0.01 s."""
-        rest = delay - SteeringActuator.dt
-        samples = max(0, math.floor(rest / SteeringActuator.dt + 1e-6))
-        whole = round(samples * SteeringActuator.dt, 6)
-        return cls(vehicle=car, delay=whole, lag=max(0.0, lag + rest - whole), offset=offset)
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Resimulated:
     """A recorded drive beside its simulation with another controller, at the same times (n,)."""
 
     name: str
     controller: str
-    car: Steered
-    t: Array
-    """From the beginning [s]."""
+    vehicle: Vehicle
     v: Array
     """Speed, as recorded [m/s]."""
     driven: Array
     """Steering-wheel angle as recorded, its zero corrected [rad]."""
-    again: Array
-    """Steering-wheel angle of the controller [rad]."""
-    e: Array
-    """How far the simulated car is beside the way that was driven [m]."""
-    a_y: Array
-    """Its lateral acceleration [m/s^2]."""
     a_y_driven: Array
-    """The recorded one: v times the yaw rate [m/s^2]."""
+    """The recorded lateral acceleration: v times the yaw rate [m/s^2]."""
     compared: NDArray[np.bool_]
     """Recorded, and 3 m/s or faster."""
     log: Log
     """The simulation's signals."""
     path: Path
     """The way that was driven."""
+
+    @property
+    def t(self) -> Array:
+        """From the beginning [s]."""
+        return self.log.t
+
+    @property
+    def again(self) -> Array:
+        """Steering-wheel angle of the controller [rad]."""
+        return self.log["actuator.delta_sw"]
+
+    @property
+    def e(self) -> Array:
+        """How far the simulated car is beside the way that was driven [m]."""
+        return self.log["path.e"]
+
+    @property
+    def a_y(self) -> Array:
+        """Its lateral acceleration [m/s^2]."""
+        return self.log["car.a_y"]
 
     @property
     def differs(self) -> Array:
@@ -137,7 +121,7 @@ class Resimulated:
             "places": self.places(),
         }
         for who, wheel, a_y in (("driven", self.driven, self.a_y_driven), ("again", self.again, self.a_y)):
-            answer[who] = _within(wheel, a_y, use, dt, float(self.car.vehicle.delta_sw_max))
+            answer[who] = _within(wheel, a_y, use, dt, float(self.vehicle.delta_sw_max))
         return answer
 
 
@@ -157,51 +141,54 @@ def _within(wheel: Array, a_y: Array, use: NDArray[np.bool_], dt: float, stop: f
     }
 
 
-def resimulate(drive: Drive, controller: str, *, car: Steered, progress: bool = False) -> Resimulated:
+def resimulate(
+    drive: Drive, controller: str, *, vehicle: Vehicle, steering: SteeringActuator | None = None, progress: bool = False
+) -> Resimulated:
     """Drive a recorded drive again: the same way at the same speed, steered by a controller of the catalogue.
 
     The way is that of the point of the car where the controller looks at e, by dead reckoning from speed and heading
     (or yaw rate, averaged over 0.5 s), so that e = 0 is what was driven. The car is `NonlinearSingleTrack` behind
     `SteeringActuator`; the controller is told both. The same drive, car and controller give the same bits.
 
-    controller: as for `steerkit.scenario.catalogue.make_controller`. progress: print it. Raises ValueError for a
+    controller: as for `steerkit.scenario.catalogue.make_controller`. vehicle, steering (default: that of
+    `SteeringActuator`): of the car that drives again; the offset is what must be added to a recorded angle, and
+    delays are multiples of 0.01 s. progress: print it. Raises ValueError for a
     drive without enough of a way in it and for an unknown controller.
     """
     metres = float(np.sum(drive.v) * drive.dt)
     require(metres >= 20.0, drive.name, f"goes {metres:.1f} m, expected 20 m or more to drive again")
     straight = Path.from_waypoints([(0.0, 0.0), (100.0, 0.0)], closed=False)
-    vehicle = car.vehicle
-    ahead = _reference(make_controller(controller, _belief(car, straight)), vehicle)
+    motor = steering or SteeringActuator()
+    delay, lag = float(motor.delay), float(motor.lag)
+
+    def designed(on: Path) -> Any:
+        model = DesignModel(vehicle=vehicle, path=on, delay=delay, lag=lag, hold=SteeringActuator.dt)
+        return make_controller(controller, model)
+
+    ahead = _reference(designed(straight), vehicle)
     path = way(drive, ahead=float(vehicle.l_r) + ahead)
-    steering = make_controller(controller, _belief(car, path))
     speeds = np.interp(np.arange(0.0, drive.t[-1] + DT, DT), drive.t, drive.v)
     plant = NonlinearSingleTrack(vehicle=vehicle, v0=max(float(speeds[0]), 0.1), x0=float(vehicle.l_r))
-    actuator = SteeringActuator(
-        delay=car.delay, lag=car.lag, rate_limit=DesignModel.rate_limit, limit=vehicle.delta_sw_max
-    )
+    actuator = SteeringActuator(delay=delay, lag=lag, rate_limit=DesignModel.rate_limit, limit=vehicle.delta_sw_max)
     loop = steering_loop(
         car=plant,
         path=path,
         driver=RecordedSpeed(speeds=tuple(speeds.tolist()), spacing=DT),
-        controller=steering,
+        controller=designed(path),
         actuator=actuator,
         reference=ahead,
     )
     log = _run(loop, float(drive.t[-1]), progress)
     t = log.t
-    driven = np.interp(t, drive.t, drive.delta_sw) + car.offset
+    driven = np.interp(t, drive.t, drive.delta_sw) + float(motor.offset)
     r, v = np.interp(t, drive.t, drive.r), np.interp(t, drive.t, drive.v)
     measured = np.interp(t, drive.t, drive.measured.astype(float)) > 0.99
     return Resimulated(
         name=drive.name,
         controller=controller,
-        car=car,
-        t=t,
+        vehicle=vehicle,
         v=v,
         driven=driven,
-        again=log["actuator.delta_sw"],
-        e=log["path.e"],
-        a_y=log["car.a_y"],
         a_y_driven=v * r,
         compared=measured & (v >= _SLOW) & (t >= 2.0),
         log=log,
@@ -232,10 +219,6 @@ def way(drive: Drive, *, ahead: float = 0.0) -> Path:
     return Path.from_waypoints(np.vstack((before, xy, more)), closed=False, spacing=_SPACING, name=drive.name)
 
 
-def _belief(car: Steered, path: Path) -> DesignModel:
-    return DesignModel(vehicle=car.vehicle, path=path, delay=car.delay, lag=car.lag, hold=SteeringActuator.dt)
-
-
 def _reference(controller: Any, vehicle: Vehicle) -> float:
     """Where a controller looks at e [m ahead of the centre of gravity]: its own point, else the front axle."""
     law = bare(controller)
@@ -251,10 +234,6 @@ def _run(loop: Loop, seconds: float, progress: bool) -> Log:
         return compile(loop, record=kept, every=ticks).run(seconds)
     except (TraceError, NoCompilerError):  # a block or a machine without C
         return simulate(loop, seconds, record=kept, every=ticks, progress=progress)
-
-
-if TYPE_CHECKING:
-    from steerkit.logs.resimulate import Resimulated
 
 
 def compared(again: Resimulated) -> Any:
@@ -285,6 +264,6 @@ def film(again: Resimulated, file: str | FilePath, *, lasts: float = 10.0, progr
 
     lasts [s]: the film, or less where the drive took less.
     """
-    car, speed = again.car.vehicle, max(1.0, float(again.t[-1]) / lasts)
+    car, speed = again.vehicle, max(1.0, float(again.t[-1]) / lasts)
     size = {"wheelbase": float(car.wheelbase), "l_f": float(car.l_f), "steer_ratio": float(car.steer_ratio)}
     return again.log.animate(again.path, file, **size, speed=speed, fps=8.0, progress=progress)

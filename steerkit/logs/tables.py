@@ -18,6 +18,10 @@ import numpy as np
 
 from steerkit._support.errors import require
 from steerkit._support.files import Bounded
+from steerkit._support.files import read_npz as arrays_of
+from steerkit.car import recording
+from steerkit.diagram.simulation import Log
+from steerkit.logs.can_frames import database
 from steerkit.logs.channels import Options, Table
 
 Columns = dict[str, np.ndarray]
@@ -173,9 +177,6 @@ def one_length(columns: Columns, path: Path, notes: list[str]) -> list[Table]:
 
 def read_npz(path: Path, options: Options, notes: list[str]) -> list[Table]:
     """A Log that was saved, or arrays of one length by name."""
-    from steerkit._support.files import read_npz as arrays_of
-    from steerkit.diagram.simulation import Log
-
     arrays = arrays_of(path, "read_drive")
     if {"t", "units"} <= arrays.keys():
         log = Log.load(path)
@@ -232,10 +233,9 @@ def is_own(head: bytes) -> bool:
 def read_own(path: Path, options: Options, notes: list[str]) -> list[Table]:
     """What the car's frames say of steering wheel, speed, yaw rate, heading and place, each on its own clock."""
     try:
-        from steerkit.car import recording
+        recorded = recording.read(path)
     except ImportError:
         raise ValueError(f"{path}: MCAP needs the car's packages: pip install 'steerkit-control[car]'") from None
-    recorded = recording.read(path)
     if not recorded.whole:
         notes.append(f"the recording is damaged or cut short, what is intact is used: {recorded.kept()}")
     config = recording.config_of(recorded)
@@ -351,8 +351,6 @@ def _channel(file: Any, group: int, index: int) -> tuple[np.ndarray, np.ndarray,
 
 def _buses(file: Any, options: Options, notes: list[str]) -> list[Table]:
     """What a DBC says of the frames of recorded buses."""
-    from steerkit.logs.can_frames import database
-
     databases = {"CAN": [(database(name), 0) for name in options.dbc]}
     with file.extract_bus_logging(database_files=databases) as signals:
         return _tables(signals, notes)

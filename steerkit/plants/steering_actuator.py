@@ -100,10 +100,14 @@ def steering_in(text: str, where: str, *, dt: float = 0.01, **others: Any) -> St
     for key in ("delay", "lag", "offset"):
         require(isinstance(table.get(key), (int, float)), where, f"[steering] {key}, expected a number")
         numbers[key] = float(table[key])
-    delay = numbers["delay"] - dt
-    samples = max(0, math.floor(delay / dt + 1e-6))
-    lag = max(0.0, numbers["lag"] + delay - samples * dt)
-    return SteeringActuator(delay=samples * dt, lag=lag, offset=numbers["offset"], dt=dt, **others)
+    return sampled_steering(**numbers, dt=dt, **others)
+
+
+def sampled_steering(*, delay: float, lag: float, offset: float, dt: float = 0.01, **others: Any) -> SteeringActuator:
+    """The actuator of sample time dt [s] for delay and lag [s] of continuous time: their sum is kept, less dt."""
+    rest = delay - dt
+    whole = round(max(0, math.floor(rest / dt + 1e-6)) * dt, 6)
+    return SteeringActuator(delay=whole, lag=max(0.0, lag + rest - whole), offset=offset, dt=dt, **others)
 
 
 _STREAM = 12  # of `seed_state`: the link's delays

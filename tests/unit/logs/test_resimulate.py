@@ -11,10 +11,11 @@ import pytest
 from steerkit import vehicle
 from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.logs import Drive
-from steerkit.logs.resimulate import Steered, resimulate, way
-from steerkit.plants.steering_actuator import SteeringActuator
+from steerkit.logs.resimulate import resimulate, way
+from steerkit.plants.steering_actuator import SteeringActuator, sampled_steering
 
 CAR = vehicle("vw-passat")
+QUICK = SteeringActuator(lag=0.05)
 
 
 def drive(*, seconds: float = 40.0, dt: float = 0.05, wrong: float = 0.0) -> Drive:
@@ -42,7 +43,7 @@ def test_the_way_is_the_integral_of_speed_and_yaw_rate() -> None:
 
 @pytest.mark.parametrize("name", ["stanley", "mpc"])
 def test_a_drive_as_the_controller_would_is_left_as_it_is(name: str) -> None:
-    again = resimulate(drive(seconds=30.0), name, car=Steered(vehicle=CAR, delay=0.0, lag=0.05))
+    again = resimulate(drive(seconds=30.0), name, vehicle=CAR, steering=QUICK)
     assert np.abs(again.e[again.compared]).max() < 0.06
     assert degrees_of(float(np.nanmax(np.abs(again.differs)))) < 6.0
     figures = again.figures()
@@ -51,7 +52,7 @@ def test_a_drive_as_the_controller_would_is_left_as_it_is(name: str) -> None:
 
 
 def test_what_was_steered_otherwise_is_found() -> None:
-    again = resimulate(drive(wrong=radians_of(30.0)), "stanley", car=Steered(vehicle=CAR, lag=0.05))
+    again = resimulate(drive(wrong=radians_of(30.0)), "stanley", vehicle=CAR, steering=QUICK)
     worst = again.places(1)[0]
     assert 20.0 <= worst["t"] <= 22.05
     assert worst["differs_deg"] == pytest.approx(-30.0, abs=6.0)
@@ -61,14 +62,15 @@ def test_what_was_steered_otherwise_is_found() -> None:
 
 
 def test_an_offset_of_the_record_is_no_difference() -> None:
-    plain, car = drive(seconds=25.0), Steered(vehicle=CAR, lag=0.05)
+    plain = drive(seconds=25.0)
     shifted = replace(plain, delta_sw=plain.delta_sw - 0.1)
-    one, other = resimulate(plain, "stanley", car=car), resimulate(shifted, "stanley", car=replace(car, offset=0.1))
+    one = resimulate(plain, "stanley", vehicle=CAR, steering=QUICK)
+    other = resimulate(shifted, "stanley", vehicle=CAR, steering=replace(QUICK, offset=0.1))
     assert np.allclose(one.driven, other.driven, atol=1e-12)
 
 
 def test_it_is_the_same_to_the_last_bit() -> None:
-    one, other = (resimulate(drive(seconds=22.0), "mpc", car=Steered(vehicle=CAR)) for _ in range(2))
+    one, other = (resimulate(drive(seconds=22.0), "mpc", vehicle=CAR) for _ in range(2))
     for name in ("again", "e", "a_y"):
         assert np.array_equal(getattr(one, name), getattr(other, name))
 
@@ -76,25 +78,23 @@ def test_it_is_the_same_to_the_last_bit() -> None:
 def test_limits_are_counted() -> None:
     fast = drive(seconds=40.0)
     fast = replace(fast, v=3.0 * fast.v, delta_sw=fast.delta_sw)
-    figures = resimulate(fast, "stanley", car=Steered(vehicle=CAR, lag=0.05)).figures()
+    figures = resimulate(fast, "stanley", vehicle=CAR, steering=QUICK).figures()
     exact = float(np.mean(np.abs(24.0 * 0.15 * np.sin(np.linspace(0.0, 4.0 * np.pi, 4000))) > 3.0))
     assert figures["driven"]["max_a_y"] == pytest.approx(3.6, abs=0.01)
     assert figures["driven"]["seconds_beyond_a_y"] == pytest.approx(exact * 40.0, rel=0.1)
 
 
-def test_a_vehicle_files_steering_and_that_of_continuous_time() -> None:
-    motor = SteeringActuator(delay=0.1, lag=0.05, offset=0.02)
-    assert Steered.by(CAR, motor) == Steered(vehicle=CAR, delay=0.1, lag=0.05, offset=0.02)
-    found = Steered.continuous(CAR, delay=0.155, lag=0.05, offset=0.0)
+def test_steering_of_continuous_time_is_sampled() -> None:
+    found = sampled_steering(delay=0.155, lag=0.05, offset=0.0)
     assert found.delay == pytest.approx(0.14)
     assert found.delay + found.lag == pytest.approx(0.155 + 0.05 - SteeringActuator.dt)
-    assert Steered.continuous(CAR, delay=-0.1, lag=0.05, offset=0.0).lag == 0.0
+    assert sampled_steering(delay=-0.1, lag=0.05, offset=0.0).lag == 0.0
 
 
 def test_a_drive_without_a_way_and_unknown_controllers_are_refused() -> None:
     short = drive(seconds=22.0)
     short = replace(short, v=0.0 * short.v)
     with pytest.raises(ValueError, match=r"goes 0.0 m, expected 20 m or more"):
-        resimulate(short, "stanley", car=Steered(vehicle=CAR))
+        resimulate(short, "stanley", vehicle=CAR)
     with pytest.raises(ValueError, match=r"controller 'stanlay' is not known \(did you mean 'stanley'"):
-        resimulate(drive(seconds=22.0), "stanlay", car=Steered(vehicle=CAR))
+        resimulate(drive(seconds=22.0), "stanlay", vehicle=CAR)
