@@ -30,7 +30,7 @@ from steerkit._support.clock import Clock
 from steerkit._support.files import write_text
 from steerkit.car import loop as loops
 from steerkit.car import processes
-from steerkit.car import recording as tapes
+from steerkit.car import recording as recordings
 from steerkit.car.client import CarClient, CarLost
 from steerkit.car.config import course_of, load
 from steerkit.car.core import Core
@@ -162,10 +162,10 @@ class Bench:
         copy = self.folder / "copy.mcap"
         shutil.copy(self.tape, copy)
         try:
-            recorded = tapes.read(copy)
-            config = tapes.config_of(recorded)
-            frames, same = tapes.replayed_exactly(recorded, Core(config, course_of(config)))
-            whole = tapes.read(tapes.repair(copy, overwrite=True)[1]).sound
+            recorded = recordings.read(copy)
+            config = recordings.config_of(recorded)
+            frames, same = recordings.replayed_exactly(recorded, Core(config, course_of(config)))
+            whole = recordings.read(recordings.repair(copy, overwrite=True)[1]).sound
         except ValueError as error:
             return {"ok_recording": False, "why": str(error)}
         heard = [json.loads(line) for line in self.log.read_text(encoding="utf-8").splitlines() if line.endswith("}")]

@@ -28,7 +28,7 @@ from typing import Any
 from steerkit._support.clock import Clock
 from steerkit.car import loop as loops
 from steerkit.car import processes
-from steerkit.car import recording as tapes
+from steerkit.car import recording as recordings
 from steerkit.car import replay as replays
 from steerkit.car.client import CarClient, CarLost
 from steerkit.car.config import course_of, load
@@ -104,8 +104,8 @@ def drive(
         server.terminate()
         server.wait(10.0)
         simulated.terminate()
-    recorded = tapes.read(tape)
-    frames, same = tapes.replayed_exactly(recorded, Core(config, path))
+    recorded = recordings.read(tape)
+    frames, same = recordings.replayed_exactly(recorded, Core(config, path))
     asked = same_asked = 0
     for drive in replays.drives(recorded):
         asked += len(drive.requests)

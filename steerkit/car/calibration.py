@@ -11,7 +11,7 @@ from typing import Any
 from steerkit._support.errors import known, require
 from steerkit._support.files import write_text
 from steerkit.car import loop as loops
-from steerkit.car import recording as tapes
+from steerkit.car import recording as recordings
 from steerkit.car import replay as replays
 from steerkit.car import session as sessions
 from steerkit.car.client import CarClient
@@ -207,8 +207,8 @@ def check_place(out: FilePath) -> None:
 
 def of_recording(recording: FilePath) -> Calibrated:
     """What is found in the longest drive of a recording; raises ValueError when there is none."""
-    recorded = tapes.read(recording)
-    config = tapes.config_of(recorded)
+    recorded = recordings.read(recording)
+    config = recordings.config_of(recorded)
     drives = list(replays.drives(recorded))
     require(bool(drives), f"{recording}", "nobody drove: there is no request in it")
     drive = max(drives, key=lambda drive: len(drive.requests))
@@ -273,7 +273,7 @@ def calibrate(options: sessions.Options, out: FilePath, *, base: str, minutes: f
                 watch=lambda live: guided.step(live) or here.watch(live),
                 on_miss=lambda live: loops.count_misses(live, here.link),
             )
-    figures = sessions.told(here, run)
+    figures = sessions.finished(here, run)
     if not here.recording:
         print(f"when the car server that was there has ended: steerkit car calibrate --from RECORDING --out {out}")
         return figures

@@ -40,8 +40,8 @@ class CarLink(Protocol):
         """Ask for an angle [rad], computed from the last snapshot."""
         ...
 
-    def tell(self, message: protocol.Adapted) -> None:
-        """Say, for the recording, what a controller believes of the car."""
+    def note(self, message: protocol.Adapted) -> None:
+        """Note, for the recording, what a controller believes of the car."""
         ...
 
 
@@ -51,7 +51,7 @@ class CarClient:
     socket_path: as given to the car server. controller: may it ask for angles? Others may look, and give orders.
     course: `protocol.digest` of the course that it drives.
     timeout [s]: longest wait for an answer; of a car server that ends, one hears at once, and one that stands still
-    lets go of the wheel by itself. Raises CarLost when there is nobody, now or later.
+    lets go of the wheel by itself. Raises CarLost when no car server answers, now or later.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class CarClient:
     ):
         self.path, self.last, self.misses = socket_path, None, 0
         self.refused: list[str] = []
-        """What the car server did not obey, and why; whoever shows it may clear it."""
+        """What the car server refused, and why; whoever shows it may clear it."""
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._socket.settimeout(timeout)
         try:
@@ -70,7 +70,7 @@ class CarClient:
                 "`steerkit car server`, or see its log"
             ) from error
         if not _ours(self._socket):
-            raise CarLost(f"{socket_path}: the process there is another user's; it is not obeyed")
+            raise CarLost(f"{socket_path}: the process there is another user's; it is not trusted")
         self._send(protocol.Hello(controller, course=course))
         self.query()
         if controller and self.refused:
@@ -104,8 +104,8 @@ class CarClient:
         """Say, for the recording, what steers from the next request on."""
         self._send(protocol.Remark(text))
 
-    def tell(self, message: protocol.Estimates | protocol.Adapted | protocol.Filtered) -> None:
-        """Say, for the recording, what was found of the car, what a controller is told, what the safety filter did."""
+    def note(self, message: protocol.Estimates | protocol.Adapted | protocol.Filtered) -> None:
+        """Note, for the recording, what was estimated, what a controller believes, or what the safety filter did."""
         self._send(message)
 
     def beat(self) -> None:
@@ -164,7 +164,7 @@ class ReplayLink:
         self.requests: list[tuple[float, float]] = []
         """(basis, delta_sw) asked for."""
         self.adapted: dict[int, protocol.Adapted] = {}
-        """What a controller was told of the car, by the number of requests before it."""
+        """What a controller believed of the car, by the number of requests before it."""
 
     def query(self) -> Snapshot:
         """The next recorded snapshot; raises CarLost at the recording's end."""
@@ -179,8 +179,8 @@ class ReplayLink:
         assert self.last is not None
         self.requests.append((self.last.t, delta_sw))
 
-    def tell(self, message: protocol.Adapted) -> None:
-        """Keep what a controller was told."""
+    def note(self, message: protocol.Adapted) -> None:
+        """Keep what a controller believes."""
         self.adapted[len(self.requests)] = message
 
 

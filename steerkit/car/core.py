@@ -57,7 +57,7 @@ class Tick(NamedTuple):
     t: float
 
 
-class Taping(NamedTuple):
+class RecordingFault(NamedTuple):
     """The recording has stopped, or goes on again."""
 
     t: float
@@ -66,13 +66,13 @@ class Taping(NamedTuple):
 
 
 class End(NamedTuple):
-    """The process ends; the kit is told to let go first."""
+    """The process ends; the kit gets neutral frames first."""
 
     t: float
     cause: str
 
 
-Event = Frame | Packet | Link | Tick | Taping | End
+Event = Frame | Packet | Link | Tick | RecordingFault | End
 
 
 class Send(NamedTuple):
@@ -157,7 +157,7 @@ class Core:
             case Link(up=False):
                 if self._links.pop(event.link, None):
                     self._request = None
-            case Taping():
+            case RecordingFault():
                 self._unrecorded = event.wrong
             case End():
                 return self._end(t, event.cause)

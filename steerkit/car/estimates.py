@@ -185,11 +185,11 @@ class Watched:
     """A line to a car whose every sample goes through the estimators, once the request that it led to is sent.
 
     link: the line. config: the car; `before`: what an earlier drive found of it, in the vehicle file that it names.
-    tell: takes what was found, once a second, and what a controller that adapts uses.
+    note: takes what was found, once a second, and what a controller that adapts uses.
     """
 
-    def __init__(self, link: CarLink, config: CarConfig, tell: Callable[[Estimates | Adapted], None]):
-        self.link, self.tell = link, tell
+    def __init__(self, link: CarLink, config: CarConfig, note: Callable[[Estimates | Adapted], None]):
+        self.link, self.note = link, note
         self.estimators, self.before = CarEstimators(config), earlier(config)
         self.found: dict[str, Estimated] = {}
         """What was sent last."""
@@ -212,7 +212,7 @@ class Watched:
         self._count += 1
         if self._count % EVERY == 0:
             self.found = self.estimators.found()
-            self.tell(message_of(self.found))
+            self.note(message_of(self.found))
 
     def report(self) -> list[str]:
         """What is known, and what has changed since an earlier drive, a line each."""

@@ -49,13 +49,13 @@ class CarLearner:
 
     setting: how. place: run directory; a run there is continued with all its transitions and its newest net.
     build: makes the loop of a policy and an output element (`steerkit.car.loop.car_loop`). seed: of the nets.
-    recovery: the name of the controller that catches it there, for the recording. vehicle: what controllers are told of
-    the car (`steerkit.car.loop.design_model_of`), at whose stops the output element ends; None: 520 degrees.
+    recovery: the name of the recovery controller, for the recording. vehicle: what controllers believe of the car
+    (`steerkit.car.loop.design_model_of`), at whose stops the output element ends; None: 520 degrees.
 
-    While the car is ENGAGED and the policy has the wheel, every sample is recorded. When the recovery controller has
+    While the car is ENGAGED and the policy steers, every sample is recorded. When the recovery controller has
     to take it (the car leaves the path; the policy answers NaN, or raises), or `retrain_every_m` are driven, a process
     of its own trains on what is committed; driving goes on, and the new nets are taken over between two samples; the
-    recording is told each time. Raises ValueError for a directory that holds something else, or a run with another
+    recording notes it each time. Raises ValueError for a directory that holds something else, or a run with another
     setting, while another process learns there, and for a setting that is for simulations only: actions drawn at
     random, a car put back by hand, a target that leaves the path.
     """
@@ -185,7 +185,7 @@ class CarLearner:
     def _filtered(self, live: Run, *, learning: bool, engaged: bool) -> bool:
         """Tell what the safety filter did; must the policy lose the wheel for it, or because the filter failed?"""
         message = filtered_in(live)
-        self.link.tell(message)
+        self.link.note(message)
         broken = FAULTS.get(message.reason, "") if engaged else ""
         if broken:
             self.filter_faults[broken] += 1

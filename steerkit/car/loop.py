@@ -52,15 +52,15 @@ class Follow:
     """The choice of a loop while a car is driven: ask `begin` and then `choose` after every sample.
 
     A pose that comes back after a pause makes the loop begin anew, so that it looks for its place on the path. While
-    the human has the wheel, controllers settle on the wheel as it is, again and again: whoever engages finds no memory
-    of commands that nobody obeyed. One that adapts keeps what it has found of the car, and learns nothing then; but
+    the human steers, controllers settle on the wheel as it is in every sample: none engages with a memory of commands
+    that were not sent. One that adapts keeps what it has found of the car, and learns nothing then; but
     after a FAULT, or a drive with more than 0.5 m beside the path, that may be what was wrong, and it begins anew.
     Depends on nothing but the snapshots, so that a recorded drive can be replayed.
     """
 
     link: CarLink
     resting: Loop
-    """The loop while not engaged, or while nobody trusts the policy: its recovery controller steers."""
+    """The loop while not engaged, or while the policy is not trusted: its recovery controller steers."""
     driving: Loop
     trusted: bool = True
     """May `driving` steer?"""
@@ -79,7 +79,7 @@ class Follow:
         return cls(link=link, resting=resting, driving=loop)
 
     def begin(self, run: Run) -> bool:
-        """Take note of who has the wheel; True when the loop began anew."""
+        """Take note of who steers; True when the loop began anew."""
         snapshot = self.link.last
         assert snapshot is not None
         mode = str(snapshot.mode)
@@ -107,14 +107,14 @@ class Follow:
             run.x[k] = SupervisorState(run.x[k][0], 0.0)
 
     def choose(self, run: Run) -> None:
-        """The loop of the next sample; once a second what its controller is told of the car goes to the recording."""
+        """The loop of the next sample; once a second what its controller believes of the car goes to the recording."""
         run.loop = self.driving if self.engaged and self.trusted else self.resting
         if run.k % EVERY == 0 and (adapted := adapted_in(run)):
-            self.link.tell(adapted)
+            self.link.note(adapted)
 
 
 def adapted_in(run: Run) -> Adapted | None:
-    """What the controller of a loop is told of its car, or else its recovery controller; None where neither adapts."""
+    """What the controller of a loop believes of its car, or else its recovery controller; None where neither adapts."""
     for name in ("controller", "recovery"):
         block = run.loop.blocks.get(name)
         if isinstance(block, Adaptive):
@@ -139,9 +139,9 @@ class Steers:
     doe: str = ""
     """The policy's dynamic output element: see `steerkit.learning.settings.ELEMENTS`."""
     recovery: str = "stanley"
-    """Who catches the policy."""
+    """The policy's recovery controller."""
     trusted: bool = True
-    """False: its recovery controller has the wheel until the next net."""
+    """False: its recovery controller steers until the next net."""
     safe: bool = False
     """Is there a safety filter before the gate?"""
 
@@ -170,7 +170,7 @@ SAFETY_BUDGET = 0.03
 RUN_FORMAT = "steerkit car run 1"
 """How `car.json`, the setting of a learning run on a car, names its format."""
 LEARNED = FilePath("runs/car")
-"""Where `steerkit learn --car` keeps its run unless told otherwise, and where `nfq` is looked for."""
+"""Where `steerkit learn --car` keeps its run by default, and where `nfq` is looked for."""
 VALID = (
     f"{', '.join(CONTROLLERS)}, one of these with a wave on top ({', '.join(f'stanley+{wave}' for wave in WAVES)}), "
     f"nfq (the newest net in {LEARNED}), a learning run's directory, a policy's .npz file, "
@@ -179,7 +179,7 @@ VALID = (
 
 
 def design_model_of(config: CarConfig) -> DesignModel:
-    """What controllers are told of a car: its vehicle, its course, the delay and lag of its kit, the gate's limits.
+    """What controllers believe of a car: its vehicle, its course, the delay and lag of its kit, the gate's limits.
 
     The delay is that from command to wheel, as it was measured: nothing is added to it.
     """
@@ -202,7 +202,7 @@ class Controller:
     block: Block
     """It steers by itself, or picks the actions of `element`."""
     steers: Steers
-    """What to tell the recording."""
+    """What the recording notes of it."""
     element: OutputElement | None = None
     """A learned policy's dynamic output element."""
 
@@ -250,14 +250,14 @@ def policy_in(file: FilePath, doe: str, config: CarConfig) -> Controller:
 
 
 def element_of(place: FilePath) -> str:
-    """The name of the output element that a run's policies were trained with; raises ValueError when nothing tells."""
+    """The output element that a run's policies were trained with; raises ValueError where it is not known."""
     if (place / "car.json").is_file():
         return setting_of(place).doe
     if (place / "run.json").is_file():
         return rundir.experiment_of(place).setting.doe
     raise ValueError(
-        f"{place} is no run directory (neither car.json nor run.json), so nothing tells the output "
-        "element of its policies"
+        f"{place} is no run directory (neither car.json nor run.json), so the output element "
+        "of its policies is not known"
     )
 
 
@@ -274,7 +274,7 @@ def setting_of(place: FilePath) -> Setting:
 
 
 def recovery_named(name: str, config: CarConfig) -> Block:
-    """The controller that catches a learned one; raises ValueError with the valid names."""
+    """The recovery controller of a learned one; raises ValueError with the valid names."""
     return make_recovery(name, design_model_of(config))
 
 

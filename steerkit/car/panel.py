@@ -45,10 +45,10 @@ LONGEST_RATE = 200.0
 
 
 class Panel:
-    """Shows who has the wheel and why, and turns keys into orders; without a terminal it prints transitions only.
+    """Shows who steers and why, and turns keys into orders; without a terminal it prints transitions only.
 
     session: with `socket`, `timing`, `asked`, `learner_steers`, `adapted`, `filtered`, `corrections`, `watched`, and
-    `ending`, which ends the drive: so does a panel that breaks, as nobody could let go by key any more. live: draw.
+    `ending`, which ends the drive: so does a panel that breaks, as no key could disengage any more. live: draw.
     more: a line of text of somebody else, and what it is about.
     """
 
@@ -106,7 +106,7 @@ class Panel:
                 elif key in KEYS:
                     said = ""
                     link.order(KEYS[key])
-                elif key and self._engaged:  # whoever hits another key wants something; the wheel is the safe answer
+                elif key and self._engaged:  # another key asks for something: disengaging is the safe answer
                     link.order(Order.DISENGAGE)
                 if self._attended:
                     link.beat()
@@ -160,7 +160,7 @@ class Panel:
         rows += [("warning" if s.mode is Mode.ENGAGED else "against", line) for line in against]
         rows += [("refused", said)] if said else []
         if self.session.adapted is not None:
-            rows.append(("told", adapted_line(self.session.adapted)))
+            rows.append(("believed", adapted_line(self.session.adapted)))
         if self.session.filtered is not None:
             rows.append(("filter", filter_line(self.session.filtered, self.session.corrections)))
         if self.more:
@@ -168,7 +168,7 @@ class Panel:
         rows += self.session.watched.rows()
         for name, value in rows:
             table.add_row(name, value)
-        keys = HELP if sys.stdin.isatty() else "no keyboard here: nobody could let go, a real car stays with the human"
+        keys = HELP if sys.stdin.isatty() else "no keyboard here: no key disengages, a real car stays with the human"
         return Box(table, title=f"steerkit car: {self.title}", subtitle=keys)
 
     def _asked(self) -> str:
@@ -197,7 +197,7 @@ def line_of(s: Snapshot) -> str:
 
 
 def adapted_line(told: Adapted) -> str:
-    """What a controller that adapts is told of the car."""
+    """What a controller that adapts believes of the car."""
     return f"dead time {told.delay:.3f} s, steering ratio {told.ratio:.3f} times the data sheet's"
 
 
@@ -268,6 +268,6 @@ def stream(link: CarClient, server: Any, *, rate: float = 20.0) -> None:
         began, now = clock.now(), link.query()
         if now.t > last:
             server.show(now.t, [float(getattr(now, name)) for name in SHOWN])
-            server.tell("/state", {"mode": str(now.mode), "text": now.text}, now.t)
+            server.note("/state", {"mode": str(now.mode), "text": now.text}, now.t)
             last = now.t
         clock.sleep_until(began + 1.0 / rate)

@@ -16,7 +16,7 @@ def python_can() -> ModuleType:
     """The module `can`, without its support of MF4 files.
 
     python-can imports asammdf where that is installed, and with it pandas and SymPy: more than a second, for files that
-    nobody on a car asks it for. Call it before cantools is imported too, which imports `can`. Raises ImportError where
+    a car does not need. Call it before cantools is imported too, which imports `can`. Raises ImportError where
     python-can is not installed.
     """
     modules: dict[str, Any] = sys.modules

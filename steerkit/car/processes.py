@@ -34,11 +34,11 @@ from steerkit.diagram.realtime import preferred
 from steerkit.paths.path import Path
 
 OF = "session: "
-"""How the first line of a car server's log begins, which says whose session it is."""
+"""How the first line of a car server's log begins, which names its session."""
 
 
 def default_socket() -> str:
-    """Where clients look for the car server unless told otherwise."""
+    """Where clients look for the car server by default."""
     folder = os.environ.get("XDG_RUNTIME_DIR")
     if not folder:  # a folder of our own: anybody may put a socket into the common one
         own = FilePath(tempfile.gettempdir()) / f"steerkit-{os.getuid()}"
@@ -49,9 +49,9 @@ def default_socket() -> str:
     return str(FilePath(folder) / f"steerkit-car-{os.getuid()}")
 
 
-def start(name: str, told: Mapping[str, Any], **popen: Any) -> subprocess.Popen[str]:
+def start(name: str, arguments: Mapping[str, Any], **popen: Any) -> subprocess.Popen[str]:
     """Start one of `steerkit.car.processes` as a process, out of the terminal's reach (Ctrl-C is not for it)."""
-    command = [sys.executable, "-m", "steerkit.car.processes", name, json.dumps(told)]
+    command = [sys.executable, "-m", "steerkit.car.processes", name, json.dumps(arguments)]
     return subprocess.Popen(command, encoding="utf-8", start_new_session=True, **popen)
 
 
@@ -67,8 +67,8 @@ def start_car_server(
     wait: float = 15.0,
 ) -> subprocess.Popen[str]:
     """Start the process that owns the bus, and wait until it answers; raises CarLost when it does not."""
-    told = {"config": config, "socket": socket_path, "recording": recording, "channel": channel}
-    process = start("server", {**told, "time_scale": time_scale, "realtime": realtime}, stdout=log, stderr=log)
+    options = {"config": config, "socket": socket_path, "recording": recording, "channel": channel}
+    process = start("server", {**options, "time_scale": time_scale, "realtime": realtime}, stdout=log, stderr=log)
     end = time.monotonic() + wait
     while time.monotonic() < end and process.poll() is None:
         try:
@@ -90,13 +90,13 @@ def last_line(log: str) -> str:
     return f"{said} (log: {log})"
 
 
-def start_simulated(config: str, **told: Any) -> tuple[subprocess.Popen[str], str]:
+def start_simulated(config: str, **options: Any) -> tuple[subprocess.Popen[str], str]:
     """Start a simulated car; returns its process, which takes faults on its standard input, and its channel.
 
-    told: what `simulate` takes. It ends with this program, however that ends.
+    options: what `simulate` takes. It ends with this program, however that ends.
     """
-    told |= {"config": config, "parent": os.getpid()}
-    process = start("simulate", told, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    options |= {"config": config, "parent": os.getpid()}
+    process = start("simulate", options, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     assert process.stdout is not None
     line = process.stdout.readline()
     if not line.startswith("channel "):
@@ -280,11 +280,11 @@ def simulate(
 
 
 def main(words: Sequence[str]) -> int:
-    """Run one of the two with what it is told in JSON; a mistake in that is one line and exit code 2."""
-    name, told = words
+    """Run one of the two with arguments in JSON; a mistake in them is one line and exit code 2."""
+    name, arguments = words
     runs: dict[str, Callable[..., int]] = {"server": server, "simulate": simulate}
     try:
-        return runs[name](**json.loads(told))
+        return runs[name](**json.loads(arguments))
     except (ValueError, KeyError, OSError) as error:
         print(f"steerkit car: {in_one_line(error)}", file=sys.stderr)
         return 2

@@ -31,7 +31,7 @@ class Query(NamedTuple):
 
 
 class Beat(NamedTuple):
-    """An operator's panel has just read its keys: sent ten times a second. Without any, nobody could let go by key."""
+    """An operator's panel has just read its keys: sent ten times a second. Without any, no key could disengage."""
 
 
 class Command(NamedTuple):
@@ -58,7 +58,7 @@ class Remark(NamedTuple):
 
 
 class Estimates(NamedTuple):
-    """What the controller's estimators have found, for the recording and whoever looks on; moves nothing."""
+    """What the controller's estimators have found, for the recording and onlookers; moves nothing."""
 
     numbers: tuple[float, ...]
     """Value, standard deviation and validity of each of `ESTIMATES` [SI]."""
@@ -70,7 +70,7 @@ class Estimates(NamedTuple):
 
 
 class Adapted(NamedTuple):
-    """What a controller that adapts is told of its car, for the recording; moves nothing."""
+    """What a controller that adapts believes of its car, for the recording; moves nothing."""
 
     delay: float
     """Dead time [s]."""
@@ -94,9 +94,9 @@ class Filtered(NamedTuple):
 
 
 class Snapshot(NamedTuple):
-    """All that the car server knows: the car's outputs, then who has the wheel and why.
+    """All that the car server knows: the car's outputs, then who steers and why.
 
-    Values hold the last good reading; the ages [s] tell how good they are. NaN: never read.
+    Values hold the last good reading; the ages [s] show how good they are. NaN: never read.
     """
 
     t: float
@@ -182,7 +182,7 @@ def decode(packet: bytes) -> Message:
     """The message in a packet; raises ValueError for anything that `encode` did not write."""
     try:
         match packet[:1]:
-            case b"H" if len(packet) >= 3:  # of any version, so that an old one is told that it is old
+            case b"H" if len(packet) >= 3:  # of any version, so that an old client is refused with a reason
                 return Hello(bool(packet[1]), packet[2], packet[3:11].ljust(8, b"\0"))
             case b"O" if len(packet) == 2:
                 return Command(_ORDERS[packet[1]])

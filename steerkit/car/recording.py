@@ -40,7 +40,7 @@ from steerkit._support.errors import require
 from steerkit._support.files import atomic_write
 from steerkit.car import protocol
 from steerkit.car.config import CarConfig, Reading
-from steerkit.car.core import Core, End, Event, Frame, Link, Note, Output, Packet, Send, Taping, Tick
+from steerkit.car.core import Core, End, Event, Frame, Link, Note, Output, Packet, RecordingFault, Send, Tick
 from steerkit.paths.path import Path
 
 _log = logging.getLogger("steerkit.car")
@@ -115,7 +115,7 @@ class Contents(NamedTuple):
     finished: bool
     """Is its end there?"""
     total: int | None
-    """How many messages its index tells of; None without an intact index."""
+    """How many messages its index counts; None without an intact index."""
 
 
 class RecordingFile:
@@ -131,7 +131,7 @@ class RecordingFile:
         try:
             fcntl.flock(self._stream, fcntl.LOCK_EX)  # a reader that looks whether it is in use is gone at once
         except OSError as error:
-            _log.warning("%s cannot be locked, so a repair could not tell that it is being written: %s", file, error)
+            _log.warning("%s cannot be locked, so a repair cannot know that it is being written: %s", file, error)
         self._writer = Writer(
             self._stream,
             chunk_size=CHUNK,
@@ -229,7 +229,7 @@ def contents(data: bytes) -> Contents:
             damaged.append((begin, at))
     if index:
         written, expected = data[limit : index.begin], _data_end(data, limit)
-        if written[:9] != _DATA_END_HEAD or (written != expected and not damaged):  # else its sum tells nothing new
+        if written[:9] != _DATA_END_HEAD or (written != expected and not damaged):  # else its sum shows nothing new
             damaged.append((limit, index.begin))
     elif sound:
         damaged.append((at + _DATA_END.size, len(data)))
@@ -365,7 +365,7 @@ class Gap(NamedTuple):
     before: float | None
     """t of the first message behind it [s]; None at the end."""
     missing: int | None
-    """Messages; None where nothing tells how many there were."""
+    """Messages; None where their number is not known."""
 
     def __str__(self) -> str:
         where = f"bytes {self.begin} to {self.end}" if self.end > self.begin else f"at byte {self.begin}"
@@ -404,7 +404,7 @@ FLUSH = 0.2
 SYNC = 0.5
 """Longest time that the operating system's part waits for the disk, if that takes no time [s]."""
 STALL = 5.0
-"""From when on a disk that does not answer is told of [s]."""
+"""From when on a disk that does not answer is reported [s]."""
 BACKLOG = 200_000
 """Events that wait for a disk that does not answer; then the recording ends there, before the memory does."""
 _PACKAGES = ("steerkit-control", "numpy", "scipy", "cantools", "python-can", "mcap")
@@ -455,7 +455,7 @@ class Recording:
                 put(("/client", {"t": event.t, "link": event.link, "up": event.up}))
             case Tick():
                 put(("/tick", {"t": event.t}))
-            case Taping():
+            case RecordingFault():
                 put(("/recording", {"t": event.t, "wrong": event.wrong}))
             case End():
                 put(("/end", {"t": event.t, "cause": event.cause}))
@@ -468,7 +468,7 @@ class Recording:
         self._queue.put(lines)
 
     def close(self, timeout: float = 10.0) -> None:
-        """Write what is left and the file's end; `failed` tells when that does not succeed within `timeout` [s]."""
+        """Write what is left and the file's end; `failed` says so when that does not succeed within `timeout` [s]."""
         self._queue.put(None)
         self._thread.join(timeout)
         if self._thread.is_alive():
@@ -616,7 +616,7 @@ class Recorded(NamedTuple):
                 case "/tick":
                     yield Tick(v["t"])
                 case "/recording":
-                    yield Taping(v["t"], v["wrong"])
+                    yield RecordingFault(v["t"], v["wrong"])
                 case "/end":
                     yield End(v["t"], v["cause"])
 

@@ -1,6 +1,6 @@
 """Recorded drives through their controllers again: are the requests the same, bit for bit?
 
-The car server records what it is told about who steers: a controller by name, or a learner's net by its file and
+The car server records which controller steers: a controller by name, or a learner's net by its file and
 SHA-256, from which request on, and whether it was trusted. So a drive whose nets changed on the way can be replayed
 too, as long as its run directory keeps them.
 """
@@ -44,7 +44,7 @@ class Drive:
     """What was said to be found of the car, each with the number of requests before it."""
 
     adapted: dict[int, Adapted] = field(default_factory=dict)
-    """What a controller was told of the car, by the number of requests before it."""
+    """What a controller believed of the car, by the number of requests before it."""
     filtered: list[Filtered] = field(default_factory=list)
     """What the safety filter was said to have done, request by request."""
 
@@ -75,8 +75,8 @@ def drives(recorded: Recorded) -> Iterator[Drive]:
                     drive.samples.append(last if last is not None and last.t == asked.basis else None)
                 case Estimates() as found if values["link"] == link:
                     drive.estimates.append((len(drive.requests), found))
-                case Adapted() as told if values["link"] == link:
-                    drive.adapted[len(drive.requests)] = told
+                case Adapted() as adapted if values["link"] == link:
+                    drive.adapted[len(drive.requests)] = adapted
                 case Filtered() as did if values["link"] == link:
                     drive.filtered.append(did)
                 case Remark(text=text) if values["link"] == link:
@@ -138,16 +138,16 @@ def replayed_requests(drive: Drive, config: CarConfig, path: Path, *, controller
 
     A solution that came too late in the drive comes in time here: its request, and a few after it, then differ. A
     safety filter that was late is late here too. What it is said to have done counts as part of its request, and so
-    does what a controller that adapts is said to have been told of the car.
+    does what a controller that adapts believed of the car.
     controller: name of another one to put in their place, throughout. run: see `Nets`. Raises ValueError when the
-    recording does not tell who steered, or that controller is gone.
+    recording does not name who steered, or that controller is gone.
     """
     begin = max(0, drive.first - 2)  # the last snapshot before that of the first request began the loop
     link = ReplayLink(drive.snapshots[begin:])
     nets = Nets(config, path, link, run)
     remarks = [(0, Steers(name=controller))] if controller else [(n - begin, s) for n, s in drive.remarks]
     if not remarks:
-        raise ValueError("the recording does not tell who steered; name it with --controller")
+        raise ValueError("the recording does not name who steered; say it with --controller")
     now = nets.follow(remarks.pop(0)[1])
     follow = Follow(link=link, resting=now.resting, driving=now.driving)
     live = realtime.Run(follow.resting, follow.resting.init(), realtime.Timing(period=now.driving.dt))
@@ -180,8 +180,8 @@ def _said(
     said = [[encode(Request(*asked, 0))] for asked in requests]
     for packets, did in zip(said, filtered):
         packets.append(encode(did))
-    for number, told in adapted.items():
-        said[number - 1].append(encode(told))
+    for number, believed in adapted.items():
+        said[number - 1].append(encode(believed))
     return said
 
 

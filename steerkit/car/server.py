@@ -20,7 +20,7 @@ from typing import Any
 from steerkit._support.clock import Clock
 from steerkit.car import protocol
 from steerkit.car.config import CarConfig
-from steerkit.car.core import Core, End, Event, Frame, Link, Note, Packet, Reply, Send, Taping, Tick
+from steerkit.car.core import Core, End, Event, Frame, Link, Note, Packet, RecordingFault, Reply, Send, Tick
 from steerkit.car.ports import open_bus, python_can
 from steerkit.car.recording import Recording
 from steerkit.paths.path import Path
@@ -37,7 +37,7 @@ MAX_GARBLED = 20
 
 
 class CarServer:
-    """The program that owns a car's bus, for as long as anybody is to drive: `run()` ends when it is told to stop.
+    """The program that owns a car's bus, while clients drive: `run()` ends when it is stopped.
 
     config: the car. path: its course. socket_path: where clients find it. recording: the file to write; None for none.
     clock: time. linger [s]: how long it stays without any client, once there was one.
@@ -73,7 +73,7 @@ class CarServer:
         threading.Thread(target=self._listen_to_bus, name="bus", daemon=True).start()
 
     def run(self) -> None:
-        """Serve until `stop`, a signal, `linger`, or an error of the bus; then the kit is told to let go."""
+        """Serve until `stop`, a signal, `linger`, or an error of the bus; then the kit gets neutral frames."""
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda n, _: self.stop(f"the car server got {signal.Signals(n).name}"))
         try:
@@ -162,7 +162,7 @@ class CarServer:
             raise lost
 
     def _look_at_recording(self) -> None:
-        """A recording that stops, or goes on, is told at once: in the log, and to the core."""
+        """A recording that stops, or goes on, is reported at once: in the log, and to the core."""
         wrong = self.recording.failed if self.recording else ""
         if wrong != self._unrecorded:
             self._unrecorded = wrong
@@ -170,7 +170,7 @@ class CarServer:
                 _log.error("THE RECORDING HAS STOPPED: %s", wrong)
             else:
                 _log.warning("the recording goes on")
-            self._handle(Taping(self.clock.now(), wrong))
+            self._handle(RecordingFault(self.clock.now(), wrong))
 
     def _transmit(self, frame: Send) -> None:
         can = python_can()

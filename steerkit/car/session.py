@@ -42,7 +42,7 @@ from steerkit.task import DT
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """What the command line says about a session."""
+    """The options of a session."""
 
     config: str
     simulated: bool = False
@@ -73,7 +73,7 @@ class Session:
         self.safe = False
         """Is there a safety filter before the gate?"""
         self.adapted: Adapted | None = None
-        """What a controller that adapts is told of the car."""
+        """What a controller that adapts believes of the car."""
         self.filtered: Filtered | None = None
         """What it did last."""
         self.corrections: deque[bool] = deque(maxlen=round(60.0 / DT))
@@ -102,7 +102,7 @@ class Session:
         return loops.car_loop(self.config, self.path, self.watched, policy, doe=doe, **how)
 
     def panel(self, title: str, more: Any = None, about: str = "learning") -> Any:
-        """The live panel; without a terminal, or when told to be quiet, one line for each transition.
+        """The live panel; without a terminal, or with --quiet, one line for each transition.
 
         more: a line of text of somebody else, called `about`.
         """
@@ -149,7 +149,7 @@ def session(options: Options) -> Iterator[Session]:
             else:
                 print(f"the car server at {socket} is used as it runs, with its own configuration and recording")
             here.link = stack.enter_context(CarClient(socket, course=digest(here.path)))
-            here.watched = Watched(here.link, here.config, here.link.tell)
+            here.watched = Watched(here.link, here.config, here.link.note)
             if options.realtime:
                 print(preferred())
             try:
@@ -169,7 +169,7 @@ def session(options: Options) -> Iterator[Session]:
 def _ended_in_order() -> Iterator[None]:
     """SIGTERM ends a drive as Ctrl-C does; and Ctrl-C does so too where the parent had SIGINT ignored.
 
-    That is what a shell does to what it runs in the background; whoever sits at the keyboard can still press it.
+    That is what a shell does to what it runs in the background; at the keyboard it can still be pressed.
     Without a keyboard an ignored SIGINT stays ignored, as `nohup` asks. Only the main thread hears signals.
     """
 
@@ -239,7 +239,7 @@ def drive(options: Options, name: str, *, minutes: float) -> dict[str, Any]:
             watch=here.watch,
             line=here.watched,
         )
-    return told(here, run)
+    return finished(here, run)
 
 
 def learn(options: Options, how: Setting, place: FilePath, *, minutes: float, seed: int) -> dict[str, Any]:
@@ -260,10 +260,10 @@ def learn(options: Options, how: Setting, place: FilePath, *, minutes: float, se
         f"policies and transitions in {place}; drive with them: steerkit drive --car {options.config} --controller "
         f"{'nfq' if place == loops.LEARNED else place}"
     )
-    return told(here, run) | merit
+    return finished(here, run) | merit
 
 
-def told(here: Session, run: Run) -> dict[str, Any]:
+def finished(here: Session, run: Run) -> dict[str, Any]:
     """The figures of a session that has ended, printed too; raises OSError if its car server ended badly."""
     figures = run.timing.summary()
     if not here.options.quiet:

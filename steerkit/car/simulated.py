@@ -39,7 +39,7 @@ FAULTS = {
     "speed": "the speed is `amount` [m/s] off",
     "override": "the human takes the wheel: the kit reports an override (report)",
     "torque": "the human's hand: a torque of `amount` [N m] (report)",
-    "brake": "the human's foot on the brake, of a kit that tells (report)",
+    "brake": "the human's foot on the brake, of a kit that reports it (report)",
     "accelerator": "the same on the accelerator (report)",
     "kit_fault": "the kit reports a power fault (report)",
     "timeout": "the kit reports that its watchdog ran out (report)",
@@ -76,9 +76,9 @@ class SimulatedCar:
     human drives. human: a controller block such as Stanley, the human at the wheel while the kit is off. v_min, v_max
     [m/s]: the human's speeds, less in bends (a_y_max [m/s^2]). s [m], e [m]: where it starts. t0 [s]: when.
 
-    What nobody is told of: vehicle, the car that it is (default: the configuration's); lag and delay [s] from a command
-    to the wheel, which the human's hands do not have; offset [rad], which the road wheels see and the wheel's sensor
-    does not; rate_zero [rad/s], of its gyro.
+    What controllers do not know: vehicle, the car that it is (default: the configuration's); lag and delay [s] from a
+    command to the wheel, which the human's hands do not have; offset [rad], which the road wheels see and the wheel's
+    sensor does not; rate_zero [rad/s], of its gyro.
     """
 
     def __init__(

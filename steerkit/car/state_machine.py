@@ -21,7 +21,7 @@ class Mode(StrEnum):
     STANDBY = "STANDBY"
     """Listening; something stands against engaging."""
     READY = "READY"
-    """Listening; the next engage order is obeyed."""
+    """Listening; the next engage order engages."""
     ENGAGED = "ENGAGED"
     """Gated commands go to the kit."""
     OVERRIDE = "OVERRIDE"
@@ -31,7 +31,7 @@ class Mode(StrEnum):
 
 
 class Order(StrEnum):
-    """What the operator may ask for; each is an edge, obeyed once."""
+    """What the operator may ask for; each is an edge and acts once."""
 
     ARM = "ARM"
     ENGAGE = "ENGAGE"

@@ -201,12 +201,12 @@ def replay(
     written is only looked into. Exit code: 0; 1 when messages are missing, 2 when a replay lacks something.
     """
     from steerkit.car import estimates
-    from steerkit.car import recording as tapes
+    from steerkit.car import recording as recordings
     from steerkit.car import replay as replays
     from steerkit.car.config import course_of
     from steerkit.car.core import Core
 
-    recorded = tapes.read(file)
+    recorded = recordings.read(file)
     print(recorded.kept())
     for line in [*recorded.lost, *(str(gap) for gap in recorded.gaps if gap.missing == 0)]:
         print(f"  {line}")
@@ -216,19 +216,19 @@ def replay(
         print("it is being written by a car server: this is what is there so far")
     elif not recorded.sound:
         try:
-            place = tapes.repair(file, out or None, overwrite=overwrite)[1]
+            place = recordings.repair(file, out or None, overwrite=overwrite)[1]
             print(f"all that is intact is in {place}; {file} is as it was")
         except FileExistsError as error:
             print(f"not repaired: {error}")
     for v in recorded.of("/state"):
         print(f"  {v['t']:.3f} s  {v['from']} -> {v['to']}: {v['cause']}")
-    config = tapes.config_of(recorded)
+    config = recordings.config_of(recorded)
     path = course_of(config)
-    for difference in tapes.differences(recorded, config, path):
+    for difference in recordings.differences(recorded, config, path):
         print(f"not as it was then: {difference}")
     if any(gap.missing for gap in recorded.gaps):
         print("what follows missing messages may replay differently")
-    frames, same = tapes.replayed_exactly(recorded, Core(config, path))
+    frames, same = recordings.replayed_exactly(recorded, Core(config, path))
     print(f"server: {same} of {frames} frames the same")
     lacking = False
     for drive in replays.drives(recorded):

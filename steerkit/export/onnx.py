@@ -1,4 +1,4 @@
-"""Learned policies as ONNX models, for runtimes in other languages, and the check that they say what the block says.
+"""Learned policies as ONNX models, for runtimes in other languages, and the check that they agree with the block.
 
 Needs onnx, and onnxruntime for the check (extra `export`).
 """

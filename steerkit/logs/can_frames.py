@@ -130,8 +130,7 @@ def collected(messages: Iterable[Any]) -> Log:
 
 
 def decoded(log: Log, path: Path, options: Options, notes: list[str]) -> list[Table]:
-    """The signals of the frames that the DBC knows, a table a message, taken out of `log`; what it does not know is
-    told."""
+    """The signals of the frames that the DBC knows, a table a message, taken out of `log`; a note names the others."""
     require(log, str(path), f"no CAN frames in it{'; ' + notes[-1] if notes else ''}")
     seen = ", ".join(f"0x{frame:X} ({len(frames.t)})" for (frame, _), frames in sorted(log.items())[:12])
     require(
@@ -214,7 +213,7 @@ def _decimal(values: np.ndarray, signal: Any) -> np.ndarray:
 
 
 def _with_sums(table: Table, message: Any) -> Table:
-    """With what a message tells in parts: a coarse angle and its fraction; four wheels."""
+    """With what a message holds in parts: a coarse angle and its fraction; four wheels."""
     columns, units, means = dict(table.columns), dict(table.units), dict(table.means)
     name, signals = message.name, {signal.name: signal for signal in message.signals}
     coarse, fine = (f"{name}.{part}" for part in ("STEER_ANGLE", "STEER_FRACTION"))

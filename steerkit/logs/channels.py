@@ -49,7 +49,7 @@ class Table:
     columns: Mapping[str, Array]
     """By name, all of one length."""
     units: Mapping[str, str] = field(default_factory=dict)
-    """Of those columns whose unit the file tells."""
+    """Of those columns whose unit the file names."""
     means: Mapping[str, str] = field(default_factory=dict)
     """Of those columns whose quantity the kind of message settles."""
     t: Array | None = None
@@ -58,7 +58,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Options:
-    """What a reader is told beside the file."""
+    """What a reader needs beside the file."""
 
     dbc: tuple[str, ...] = ()
     """Files, or names of the package opendbc, that say what is in a CAN frame."""
@@ -91,7 +91,7 @@ QUANTITIES = {
     "lon_deg": "deg",
 }
 """What a drive is made of: time, steering-wheel angle (or delta, the road wheels'), speed, yaw rate, heading (one of r
-and psi, or both), and where it was, if the log tells."""
+and psi, or both), and where it was, if the log knows."""
 
 UNITS: dict[str, dict[str, float]] = {**FACTORS, "deg": {"deg": 1.0, "rad": 1.0 / RAD_PER_DEG}}
 """SI unit (degrees for a place on Earth) to the units that a column may have, and what one of them is in it."""
@@ -147,7 +147,7 @@ _NAMES = {quantity: tuple(names.split()) for quantity, names in _KNOWN_AS.items(
 command before the angle. Capitals, blanks and dashes do not count, nor does a unit at the end."""
 
 _WISHES = ("cmd", "command", "desired", "target", "request", "setpoint", "control", "trajectory", "planning")
-"""Words in the name of a topic or message that tells what was wanted, not what was."""
+"""Words in the name of a topic or message that holds what was wanted, not what was."""
 
 
 def candidates(quantity: str, channels: Mapping[str, Channel]) -> list[str]:
@@ -169,7 +169,7 @@ def _rank(quantity: str, channel: Channel) -> int | None:
     place = _place(quantity, channel.name)
     if channel.means:
         place = -1 if channel.means == quantity else None
-    if place is None or (channel.unit and not told_unit(quantity, channel)):
+    if place is None or (channel.unit and not unit_of(quantity, channel)):
         return None
     own = words(channel.name) in _NAMES[quantity]
     wished = not own and any(word in re.split(r"[^a-z0-9]", words(channel.name)) for word in _WISHES)
@@ -194,7 +194,7 @@ def words(name: str) -> str:
     return re.sub(r"[^0-9a-z./]+", "_", parted.lower()).strip("_")
 
 
-def told_unit(quantity: str, channel: Channel) -> str:
+def unit_of(quantity: str, channel: Channel) -> str:
     """The channel's unit as the table of units has it; empty where the file says none, or one of something else."""
     unit = channel.unit.strip()
     unit = _SPELT.get(unit.lower(), unit if unit in UNITS[QUANTITIES[quantity]] else unit.lower())
@@ -272,7 +272,7 @@ class ColumnMap:
         return cls.of(table, where="--column")
 
     def with_guesses(self, channels: Mapping[str, Channel], *, where: str) -> ColumnMap:
-        """This map, completed with channels of well-known names or kinds, each with the unit that the file tells.
+        """This map, completed with channels of well-known names or kinds, each with the unit that the file names.
 
         Raises ValueError when something that a drive needs is missing.
         """
@@ -282,7 +282,7 @@ class ColumnMap:
             options = candidates(quantity, channels)
             other = {"delta": "delta_sw", "delta_sw": "delta"}.get(quantity)
             if quantity not in ("t", *columns) and other not in columns and options:
-                columns[quantity] = Column(options[0], told_unit(quantity, channels[options[0]]))
+                columns[quantity] = Column(options[0], unit_of(quantity, channels[options[0]]))
         for pair in (("x", "y"), ("lat_deg", "lon_deg")):
             if len(columns.keys() & set(pair)) == 1:
                 columns.pop(*(columns.keys() & set(pair)))
@@ -305,7 +305,7 @@ class ColumnMap:
             values[quantity] = number if (factor, column.offset) == (1.0, 0.0) else factor * number + column.offset
         return values
 
-    def told(self) -> str:
+    def text(self) -> str:
         """The map in words, for notes: which column was read as what."""
         return ", ".join(
             f"{quantity} = {f'{c.scale:g} * ' if c.scale != 1.0 else ''}{c.name} [{_unit(quantity, c)}]"
@@ -323,7 +323,7 @@ def _found(quantity: str, column: Column, channels: Mapping[str, Channel], where
         require(len(ends) == 1, where, f"no column '{name}' for {quantity}{_near(name, channels)}")
         name = ends[0]
     said = channels[name].unit
-    unit = column.unit or told_unit(quantity, channels[name])
+    unit = column.unit or unit_of(quantity, channels[name])
     if said and not unit:
         units = ", ".join(UNITS[QUANTITIES[quantity]])
         raise ValueError(f"{where}: {name} is in '{said}', and {quantity} may be in {units}; say unit in the map")

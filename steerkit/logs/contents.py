@@ -16,7 +16,7 @@ from steerkit.plots.style import COLOURS, new_figure, style
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """One channel, told."""
+    """One channel in numbers."""
 
     name: str
     unit: str
@@ -49,7 +49,7 @@ class Contents:
     trouble: str
     """Why it makes none."""
     notes: tuple[str, ...]
-    """What was read as what, what was repaired, and what else tells the same."""
+    """What was read as what, what was repaired, and what else holds the same."""
 
     def table(self) -> list[dict[str, Any]]:
         """The rows as a program would read them."""

@@ -96,7 +96,7 @@ def _on(clock: Array, t: Array, values: Array, quantity: str) -> Array:
 FASTEST = {"delta_sw": 35.0, "v": 30.0, "r": 30.0, "psi": 10.0}
 """What no car changes faster than: 2000 deg/s of wheel [rad/s], 3 g [m/s^2], yaw [rad/s^2], heading [rad/s]."""
 ODD = ("delta_sw", "delta", "v", "r")
-"""Quantities of which such values are told; a heading and a place jump by themselves."""
+"""Quantities of which such values are reported; a heading and a place jump by themselves."""
 _ODD, _AROUND = 10.0, 8
 """A value is odd that lies so many times further beside its neighbours' middle than any of so many on both sides."""
 
@@ -120,7 +120,7 @@ def without_lone(columns: dict[str, Array], remarks: list[str]) -> None:
             columns[key] = columns[key][~bad]
 
 
-def told_odd(values: Mapping[str, Array], times: Mapping[str, Array]) -> list[str]:
+def odd_values(values: Mapping[str, Array], times: Mapping[str, Array]) -> list[str]:
     """Which samples of each quantity stand off from all around them, in value or in time, in words, if any do.
 
     values, times: by quantity, (n,) each, in SI [s], as they were read, before they are brought to one clock.
@@ -175,7 +175,7 @@ def standing_off(values: Array, least: float) -> NDArray[np.intp]:
 
 
 V_DRIVING = 3.0
-"""From this speed on [m/s] a drive tells about the car; below, the models roll kinematically."""
+"""From this speed on [m/s] a drive shows the car; below, the models roll kinematically."""
 
 LEAST = 20.0
 """Least driving to identify from [s]."""
@@ -231,7 +231,7 @@ class Drive:
 
     @property
     def turns(self) -> bool:
-        """Does it turn enough to tell of the car? Else not even units and signs can be judged."""
+        """Does it turn enough to identify the car? Else not even units and signs can be judged."""
         use = self.driving
         return float(np.std(self.r[use] / self.v[use])) > TURNING
 

@@ -36,7 +36,7 @@ MOST = 2000
 def shown_as(names: Iterable[str]) -> dict[str, str]:
     """What the layouts call each of the signals of a loop or of a drive: name there to name here.
 
-    `/car/x`, `/wheel/delta_sw`, `/path/e`, ...: the first signal that tells it; all stand under `/signals/` too.
+    `/car/x`, `/wheel/delta_sw`, `/path/e`, ...: the first signal that holds it; all stand under `/signals/` too.
     """
     known = list(names)
     shown: dict[str, str] = {}
@@ -184,7 +184,7 @@ class Topics:
         if POSE in self._channels:
             self._show_scene(values, when)
 
-    def tell(self, topic: str, words: Mapping[str, str], t: float) -> None:
+    def note(self, topic: str, words: Mapping[str, str], t: float) -> None:
         """Words on a topic of their own, at t [s]."""
         if topic not in self._channels:
             properties = {name: {"type": "string"} for name in words}

@@ -24,16 +24,16 @@ from steerkit.logs.channels import (
     Table,
     candidates,
     is_time,
-    told_unit,
+    unit_of,
 )
-from steerkit.logs.drive import ODD, Drive, aligned, in_metres, told_odd
+from steerkit.logs.drive import ODD, Drive, aligned, in_metres, odd_values
 
 LONGEST = 0.5
 """Largest lag that is looked for [s]."""
 FINE = 0.01
 """Clock on which two channels are compared [s]."""
 AGREE = 0.7
-"""From this correlation on two channels tell the same."""
+"""From this correlation on two channels hold the same."""
 _MOST = 4
 """Other channels of a quantity that are compared."""
 _LEAST = 5.0
@@ -82,7 +82,7 @@ def yaw_axis(used: ColumnMap, channels: Mapping[str, Channel], notes: list[str])
     scale = 1.0 if found[best].correlation > 0.0 else -1.0
     told = ", ".join(f"{axis} {found[axis].correlation:.2f}" for axis in axes)
     notes.append(f"r is the axis of the gyro that goes with speed times steering angle, + = left; correlations: {told}")
-    column = replace(used.columns["r"], name=best, scale=scale, unit=told_unit("r", channels[best]))
+    column = replace(used.columns["r"], name=best, scale=scale, unit=unit_of("r", channels[best]))
     return ColumnMap({**used.columns, "r": column})
 
 
@@ -94,7 +94,7 @@ def _steered(used: ColumnMap, channels: Mapping[str, Channel]) -> tuple[Array, A
     return sign * wheel.values * np.interp(wheel.t, t, values), wheel.t
 
 
-def told_again(used: ColumnMap, channels: Mapping[str, Channel], where: str) -> list[str]:
+def other_channels(used: ColumnMap, channels: Mapping[str, Channel], where: str) -> list[str]:
     """What other channels say of the quantities of a drive, in words: the same, or how late and how large."""
     notes = []
     for quantity in ("delta_sw", "v", "r"):
@@ -105,7 +105,7 @@ def told_again(used: ColumnMap, channels: Mapping[str, Channel], where: str) -> 
         mine = channels[column.name]
         for name in others[:_MOST]:
             other = channels[name]
-            there = Column(name, told_unit(quantity, other))
+            there = Column(name, unit_of(quantity, other))
             pair = ColumnMap({quantity: column}), ColumnMap({quantity: there})
             si = [m.in_si({n: c.values for n, c in channels.items()}, where=where)[quantity] for m in pair]
             if np.array_equal(mine.t, other.t) and np.array_equal(*si):
@@ -182,7 +182,7 @@ def _slope(a: Array, b: Array) -> float:
 _SHIPPED = {"genesis": "genesis.csv.gz", "genesis-rfs": "genesis_rfs.csv.gz"}
 
 STEER_RATIO = 15.0
-"""Steering-wheel angle over the road wheels' where a log has only these, and nobody says the car's."""
+"""Steering-wheel angle over the road wheels' where a log has only these, and no ratio is given."""
 
 
 def shipped_drives() -> tuple[str, ...]:
@@ -275,13 +275,13 @@ def drive_of(
     notes = list[str]()
     if "r" in used.columns and "r" not in columns.columns:
         used = yaw_axis(used, log.channels, notes)
-    read = f"read {', '.join(([f't = {clock.name}'] if clock else []) + [used.told()])}"
-    notes = [read, *log.notes, *notes, *told_again(used, log.channels, where)]
+    read = f"read {', '.join(([f't = {clock.name}'] if clock else []) + [used.text()])}"
+    notes = [read, *log.notes, *notes, *other_channels(used, log.channels, where)]
     values = used.in_si({name: channel.values for name, channel in log.channels.items()}, where=where)
     times = {quantity: log.channels[column.name].t for quantity, column in used.columns.items()}
     name, digest = Path(log.sources[0].path).name if len(log.sources) == 1 else log.name, log.digest
     del log  # a long one may be larger than its drive
-    notes += told_odd({quantity: values[quantity] for quantity in ODD if quantity in values}, times)
+    notes += odd_values({quantity: values[quantity] for quantity in ODD if quantity in values}, times)
     if "delta" in values and "delta_sw" not in values:
         ratio = STEER_RATIO if steer_ratio is None else steer_ratio
         require(0.0 < ratio < 100.0, where, f"steer_ratio = {ratio:g}, expected more than 0, such as 15")

@@ -148,7 +148,7 @@ def resimulate(
 
     The way is that of the point of the car where the controller looks at e, by dead reckoning from speed and heading
     (or yaw rate, averaged over 0.5 s), so that e = 0 is what was driven. The car is `NonlinearSingleTrack` behind
-    `SteeringActuator`; the controller is told both. The same drive, car and controller give the same bits.
+    `SteeringActuator`; the controller knows both. The same drive, car and controller give the same bits.
 
     controller: as for `steerkit.scenario.catalogue.make_controller`. vehicle, steering (default: that of
     `SteeringActuator`): of the car that drives again; the offset is what must be added to a recorded angle, and

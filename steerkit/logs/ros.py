@@ -21,7 +21,7 @@ def intact(file: Path, heavy: tuple[str, ...], notes: list[str]) -> Iterator[tup
     """(topic, kind, when it was received [s], message) up to where the file breaks off; chunks whose check sum is wrong
     are left out. A note says so.
 
-    The index at the file's end is not needed; where it is there, it tells of topics whose description is lost. heavy:
+    The index at the file's end is not needed; where it is there, it names topics whose description is lost. heavy:
     kinds that are passed over. Needs mcap and rosbags.
     """
     from mcap.records import Channel, Message, Schema
@@ -115,7 +115,7 @@ KNOWN: dict[str, dict[str, tuple[str, str]]] = {
     "AckermannDriveStamped": {"drive.steering_angle": ("delta", "rad"), "drive.speed": ("", "m/s")},
 }
 """Kind of message (of autoware_*, sensor_msgs, nav_msgs, geometry_msgs, ackermann_msgs, whatever the package) to what
-its fields are, and their units; no quantity: taken where nothing better tells it."""
+its fields are, and their units; no quantity: taken where there is nothing better."""
 
 DEFINITIONS = {
     "autoware_vehicle_msgs/msg/SteeringReport": "builtin_interfaces/Time stamp\nfloat32 steering_tire_angle\n",

@@ -166,7 +166,7 @@ def read_mat(path: Path, options: Options, notes: list[str]) -> list[Table]:
 
 
 def one_length(columns: Columns, path: Path, notes: list[str]) -> list[Table]:
-    """A table of the columns of the commonest length; others are told of."""
+    """A table of the columns of the commonest length; a note names the others."""
     lengths = [len(values) for values in columns.values()]
     n = max(set(lengths), key=lambda length: (lengths.count(length), length))
     odd = [f"{name} ({len(values)})" for name, values in columns.items() if len(values) != n]

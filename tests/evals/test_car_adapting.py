@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from steerkit.car import loop as loops
-from steerkit.car import recording as tapes
+from steerkit.car import recording as recordings
 from steerkit.car import replay as replays
 from steerkit.car.loop import Steers, adapted_in
 from steerkit.car.protocol import Adapted
@@ -28,7 +28,7 @@ DELAY = 0.25
 def recorded_world(folder: Path, **how: Any) -> World:
     config, path = setup()
     controller = make_controller(NAME, loops.design_model_of(config))
-    tape = tapes.Recording(folder / "drive.mcap", tapes.described(config, path))
+    tape = recordings.Recording(folder / "drive.mcap", recordings.described(config, path))
     world = World(controller=controller, tape=tape, **how)
     world.remark(Steers(name=NAME).text())
     return world
@@ -71,7 +71,7 @@ def test_what_it_found_outlasts_an_override_and_a_lost_pose_and_the_drive_replay
     world.check_bus()
     assert world.tape is not None
     world.tape.close()
-    recording = tapes.read(tmp_path / "drive.mcap")
+    recording = recordings.read(tmp_path / "drive.mcap")
     (drive,) = replays.drives(recording)
     notes = recording.of("/adapted")
     assert [Adapted(n["delay"], n["ratio"]) for n in notes] == [*drive.adapted.values()]
@@ -92,7 +92,7 @@ def test_what_the_recovery_controller_of_a_learner_is_told_is_recorded_too_and_r
 
     monkeypatch.setattr(World, "build", build)
     learned(tmp_path, monkeypatch, 3.0, recovery="adaptive")
-    (drive,) = [d for d in replays.drives(tapes.read(tmp_path / "drive.mcap")) if d.remarks]
+    (drive,) = [d for d in replays.drives(recordings.read(tmp_path / "drive.mcap")) if d.remarks]
     assert {s.recovery for _, s in drive.remarks} == {"adaptive"}
     assert len(drive.adapted) >= 3
     config, path = setup()

@@ -14,7 +14,7 @@ import pytest
 from steerkit._support import files
 from steerkit.car import learner as on_car
 from steerkit.car import loop as loops
-from steerkit.car import recording as tapes
+from steerkit.car import recording as recordings
 from steerkit.car import replay as replays
 from steerkit.car.loop import Steers
 from steerkit.car.state_machine import Mode, Order
@@ -117,11 +117,11 @@ def learned(folder: Path, monkeypatch: pytest.MonkeyPatch, seconds: float, **opt
     """A learning run, recorded in `folder`/drive.mcap."""
     config, _ = setup()
     metadata = {f"file:{name}": text for name, text in config.texts.items()}
-    tape = tapes.Recording(folder / "drive.mcap", metadata)
+    tape = recordings.Recording(folder / "drive.mcap", metadata)
     world = World(s=20.0, tape=tape)
     monkeypatch.setattr(on_car, "Trainer", lambda nets: Beside(world, nets))
     with on_car.CarLearner(TINY, folder / "run", world.build, world, **options) as learner:
-        learner.tell()  # as `run` does
+        learner.remark()  # as `run` does
         world.run = realtime.Run(learner._idle, learner._idle.init(), realtime.Timing(period=0.05))
         monkeypatch.setattr(world, "stepped", learner.step)
         world.bring_to(Mode.ENGAGED)
@@ -141,7 +141,7 @@ def test_a_learning_run_replays_bit_for_bit_with_the_nets_taken_over_on_the_way(
     nets = sorted(f.name for f in (tmp_path / "run" / "nets").iterdir())
     assert learner.learner_state.counts.failures >= 1
     assert len(nets) >= 3  # the untrained one, and those taken over
-    recorded = tapes.read(tmp_path / "drive.mcap")
+    recorded = recordings.read(tmp_path / "drive.mcap")
     drives = [d for d in replays.drives(recorded) if d.remarks]
     drive = drives[-1]
     assert {Path(s.name).name for _, s in drive.remarks} == set(nets)

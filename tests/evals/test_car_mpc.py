@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from steerkit.car import loop as loops
-from steerkit.car import recording as tapes
+from steerkit.car import recording as recordings
 from steerkit.car import replay as replays
 from steerkit.car.loop import Steers
 from steerkit.car.state_machine import Mode, Order
@@ -20,7 +20,7 @@ from steerkit.scenario.catalogue import CONTROLLERS
 from tests.support.car_world import World, setup
 
 
-def engaged(block: Any, tape: tapes.Recording | None = None) -> World:
+def engaged(block: Any, tape: recordings.Recording | None = None) -> World:
     world = World(s=120.0, v=(5.0, 6.0), controller=block, tape=tape)
     world.remark(Steers(name="mpc").text())
     world.bring_to(Mode.ENGAGED)
@@ -44,7 +44,7 @@ def block_of(**changes: Any) -> Any:
 
 def test_it_drives_bends_through_the_gate_and_replays_bit_for_bit(tmp_path: Path) -> None:
     config, path = setup()
-    tape = tapes.Recording(tmp_path / "t.mcap", {f"file:{name}": text for name, text in config.texts.items()})
+    tape = recordings.Recording(tmp_path / "t.mcap", {f"file:{name}": text for name, text in config.texts.items()})
     world = engaged(block_of(clock=None, budget=None), tape)
     seen = watched(world, 10.0)
     tape.close()
@@ -53,7 +53,7 @@ def test_it_drives_bends_through_the_gate_and_replays_bit_for_bit(tmp_path: Path
     assert abs(seen["e"]).max() < 0.05
     assert max(abs(s.delta_sw) for s in world.sent) > 0.5
     world.check_bus()
-    (drive,) = [d for d in replays.drives(tapes.read(tmp_path / "t.mcap")) if d.requests]
+    (drive,) = [d for d in replays.drives(recordings.read(tmp_path / "t.mcap")) if d.requests]
     assert replays.replayed_requests(drive, config, path) == len(drive.requests) > 200
 
 

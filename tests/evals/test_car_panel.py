@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from steerkit.car import recording as tapes
+from steerkit.car import recording as recordings
 from steerkit.car.client import CarClient
 from steerkit.car.state_machine import Mode
 
@@ -96,7 +96,7 @@ def test_space_lets_go_and_the_panel_shows_what_counts(tmp_path: Path) -> None:
         assert there.end() == 0
         assert "recording drive.mcap" in there.text.replace("\r", "")
         assert "\x1b[?25h" in there.text  # the cursor is back
-    changes = [(v["from"], v["to"], v["cause"]) for v in tapes.read(tmp_path / "drive.mcap").of("/state")]
+    changes = [(v["from"], v["to"], v["cause"]) for v in recordings.read(tmp_path / "drive.mcap").of("/state")]
     assert ("READY", "ENGAGED", "operator: engage") in changes
     assert ("ENGAGED", "STANDBY", "operator: disengage") in changes
 
@@ -117,7 +117,7 @@ def test_any_other_key_lets_go_and_rings(tmp_path: Path) -> None:
         there.until("READY")
         there.press("q")
         assert there.end() == 0
-    changes = [(v["from"], v["cause"]) for v in tapes.read(tmp_path / "drive.mcap").of("/state")]
+    changes = [(v["from"], v["cause"]) for v in recordings.read(tmp_path / "drive.mcap").of("/state")]
     assert [cause for before, cause in changes if before == "ENGAGED"] == ["operator: disengage"] * 4
 
 
@@ -137,7 +137,7 @@ def test_a_terminal_that_reads_nothing_more_or_is_gone_lets_go(tmp_path: Path) -
         os.close(there.master)
         there.process.wait(WAIT)
         there.master = os.open(os.devnull, os.O_RDONLY)
-    recorded = tapes.read(tmp_path / "drive.mcap")
+    recorded = recordings.read(tmp_path / "drive.mcap")
     assert recorded.whole
     causes = [v["cause"].split(":")[0] for v in recorded.of("/state") if v["from"] == "ENGAGED"]
     assert causes == ["operator silent", "operator"]
@@ -164,7 +164,7 @@ def test_a_dumb_terminal_gets_lines_and_still_keys_and_ends_in_order(ending: sig
         there.process.send_signal(ending)
         assert there.end() == 130
         assert "Traceback" not in there.text
-    recorded = tapes.read(tmp_path / "drive.mcap")
+    recorded = recordings.read(tmp_path / "drive.mcap")
     (left,) = [v["cause"] for v in recorded.of("/state") if v["from"] == "ENGAGED"]
     assert left == "operator: disengage"
     assert recorded.of("/state")[-1]["to"] == "OFF"
@@ -195,6 +195,6 @@ def test_a_calibration_is_guided_on_the_screen_and_q_ends_it_with_a_file(tmp_pat
         assert there.end() == 0
     assert "quantities in dbw-kit-calibrated.toml" in there.text
     assert (tmp_path / "dbw-kit-calibrated.toml").is_file()
-    recorded = tapes.read(tmp_path / "drive.mcap")
+    recorded = recordings.read(tmp_path / "drive.mcap")
     assert recorded.of("/estimates")
     assert [v["cause"] for v in recorded.of("/state") if v["from"] == "ENGAGED"] == ["operator: disengage"]

@@ -18,9 +18,10 @@ from typing import Any
 import pytest
 
 from steerkit._support.clock import Clock
-from steerkit.car import configured, processes
+from steerkit.car import config as configured
 from steerkit.car import loop as loops
-from steerkit.car import recording as tapes
+from steerkit.car import processes
+from steerkit.car import recording as recordings
 from steerkit.car import replay as replays
 from steerkit.car import session as sessions
 from steerkit.car.client import CarClient, CarLost
@@ -85,11 +86,11 @@ def test_drive_record_replay_and_an_orderly_end(bench: dict[str, Any], name: str
     bench["server"].terminate()
     assert bench["server"].wait(20.0) == 0
     assert engaged > 0
-    recorded = tapes.read(bench["tape"])
+    recorded = recordings.read(bench["tape"])
     assert recorded.whole
-    config = tapes.config_of(recorded)
+    config = recordings.config_of(recorded)
     path = configured.course_of(config)
-    frames, same = tapes.replayed_exactly(recorded, Core(config, path))
+    frames, same = recordings.replayed_exactly(recorded, Core(config, path))
     assert frames == same > 0
     (driven,) = replays.drives(recorded)
     same_asked = replays.replayed_requests(driven, config, path)
@@ -113,10 +114,10 @@ def test_kill_the_car_server(bench: dict[str, Any]) -> None:
         with pytest.raises(CarLost, match="car server"):
             link.query()
     last = bench["log"].stat().st_size
-    recorded = tapes.read(bench["tape"])
+    recorded = recordings.read(bench["tape"])
     assert not recorded.whole
     assert recorded.of("/can/rx")
-    again = tapes.read(tapes.repair(bench["tape"])[1])
+    again = recordings.read(recordings.repair(bench["tape"])[1])
     assert again.sound
     assert [repr(m) for m in again.messages] == [repr(m) for m in recorded.messages]
     assert last > 0
@@ -145,7 +146,7 @@ def test_another_interface_of_python_can(tmp_path: Path) -> None:
     port, clock, socket = BusPort(bus), Clock(scale=0.2), str(tmp_path / "socket")
     car = processes.simulated_car(config, path, t0=clock.now())
     server = CarServer(
-        config, path, socket, recording=tapes.Recording(tmp_path / "drive.mcap", {"a": "b"}), clock=clock
+        config, path, socket, recording=recordings.Recording(tmp_path / "drive.mcap", {"a": "b"}), clock=clock
     )
     modes: list[Mode] = []
 
@@ -182,8 +183,8 @@ def test_another_interface_of_python_can(tmp_path: Path) -> None:
             signal.signal(number, handler)
     assert modes.count(Mode.ENGAGED) > 10
     assert car.commands > 10
-    recorded = tapes.read(tmp_path / "drive.mcap")
-    frames, same = tapes.replayed_exactly(recorded, Core(config, path))
+    recorded = recordings.read(tmp_path / "drive.mcap")
+    frames, same = recordings.replayed_exactly(recorded, Core(config, path))
     assert frames == same > 10
 
 
@@ -224,7 +225,7 @@ def test_a_full_disk_is_told_and_the_exit_code_says_so(tmp_path: Path, keep: boo
         server.terminate()
         assert server.wait(30.0) == 1
     assert "THE RECORDING IS NOT WHOLE" in log.read_text()
-    recorded = tapes.read(tape)
+    recorded = recordings.read(tape)
     assert recorded.lost
     assert len(recorded.messages) > 20
 
@@ -248,7 +249,7 @@ def test_a_drive_whose_recording_failed_ends_with_exit_code_2(tmp_path: Path, wo
     assert done.returncode == 2, done.stderr
     assert "the car server ended badly: " in done.stderr
     assert "drive.log" in done.stderr
-    assert tapes.read(tmp_path / "drive.mcap").lost
+    assert recordings.read(tmp_path / "drive.mcap").lost
 
 
 def test_a_recording_that_is_being_written_is_refused_and_its_process_named(

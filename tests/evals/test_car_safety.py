@@ -13,7 +13,7 @@ import pytest
 
 from steerkit.car import learner as on_car
 from steerkit.car import loop as loops
-from steerkit.car import recording as tapes
+from steerkit.car import recording as recordings
 from steerkit.car import replay as replays
 from steerkit.car.client import RealCar
 from steerkit.car.state_machine import Mode
@@ -166,7 +166,7 @@ def test_a_filtered_learner_stays_on_the_path_and_replays_bit_for_bit_correction
     assert "the filter was late" in caplog.text
     assert learner.filter_faults.keys() <= set(learner.figures()["filter_faults"])
     assert all(what in learner.status() for what in learner.filter_faults)
-    recorded = tapes.read(tmp_path / "drive.mcap")
+    recorded = recordings.read(tmp_path / "drive.mcap")
     told = recorded.of("/safety")
     (drive,) = [d for d in replays.drives(recorded) if d.remarks]
     assert len(told) == len(drive.filtered) == len(drive.requests) > 90

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from benchmarks.studies.car_calibration import lateness
-from steerkit.car import recording as tapes
+from steerkit.car import recording as recordings
 from steerkit.car.calibration import Guided
 from steerkit.car.config import CarConfig
 from steerkit.car.estimates import Watched
@@ -84,7 +84,7 @@ def made(folder: Path, **more: Any) -> Made:
     """A guided drive from its beginning to its end, recorded."""
     file = folder / "drive.mcap"
     config = more.get("config", CONFIG)
-    tape = tapes.Recording(file, tapes.described(config, PATH))
+    tape = recordings.Recording(file, recordings.described(config, PATH))
     world = CalibratedWorld(tape=tape, **more)
     world.drive()
     tape.close()

@@ -98,7 +98,7 @@ class World:
     def remark(self, text: str) -> None:
         self.packet(protocol.Remark(text))
 
-    def tell(self, message: protocol.Message) -> None:
+    def note(self, message: protocol.Message) -> None:
         self.packet(message)
 
     def stepped(self, run: realtime.Run) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.calibrated_car import Made, made
-from tests.support.tapes import small
+from tests.support.recordings import small
 
 
 @pytest.fixture(scope="session")

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from steerkit.car import recording as tapes
+from steerkit.car import recording as recordings
 from steerkit.car import replay as replays
 from steerkit.car.calibration import SHARES, SLOWEST
 from steerkit.car.simulated import Fault
@@ -26,8 +26,8 @@ def test_all_waves_are_driven_within_the_gates_limits_and_near_the_course(calibr
 
 
 def test_its_recording_says_which_wave_was_on_top_and_replays_bit_for_bit(calibration: Made) -> None:
-    recorded = tapes.read(calibration.tape)
-    config = tapes.config_of(recorded)
+    recorded = recordings.read(calibration.tape)
+    config = recordings.config_of(recorded)
     (drive,) = replays.drives(recorded)
     assert [steers.name for _, steers in drive.remarks] == [f"stanley+{wave}" for wave in SHARES]
     same = replays.replayed_requests(drive, config, PATH)
@@ -35,9 +35,9 @@ def test_its_recording_says_which_wave_was_on_top_and_replays_bit_for_bit(calibr
 
 
 def test_the_estimates_are_recorded_once_a_second_and_come_out_bit_for_bit_again(calibration: Made) -> None:
-    recorded = tapes.read(calibration.tape)
+    recorded = recordings.read(calibration.tape)
     (drive,) = replays.drives(recorded)
-    estimators, same = replays.replayed_estimates(drive, tapes.config_of(recorded))
+    estimators, same = replays.replayed_estimates(drive, recordings.config_of(recorded))
     told = recorded.of("/estimates")
     assert same == len(drive.estimates) == len(told) > 40
     assert estimators.found() == calibration.world.watched.estimators.found()
@@ -47,12 +47,12 @@ def test_the_estimates_are_recorded_once_a_second_and_come_out_bit_for_bit_again
 
 
 def test_a_changed_sample_is_noticed_by_the_replay(calibration: Made) -> None:
-    recorded = tapes.read(calibration.tape)
+    recorded = recordings.read(calibration.tape)
     (drive,) = replays.drives(recorded)
     one = drive.samples[400]
     assert one is not None
     drive.samples[400] = one._replace(r=one.r + 1e-9)
-    _, same = replays.replayed_estimates(drive, tapes.config_of(recorded))
+    _, same = replays.replayed_estimates(drive, recordings.config_of(recorded))
     assert 0 < same < len(drive.estimates)
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from steerkit.car import calibration as module
-from steerkit.car import recording as tapes
+from steerkit.car import recording as recordings
 from steerkit.car.calibration import Calibrated, NothingLearned
 from steerkit.car.estimates import CarEstimators, known_in
 from steerkit.car.protocol import ESTIMATES
@@ -20,7 +20,7 @@ from steerkit.plants.steering_actuator import steering_of
 from steerkit.vehicles import vehicle
 from tests.support.calibrated_car import CONFIG, DELAY, LAG, PATH, RATIO, Made
 from tests.support.command_lines import run
-from tests.support.tapes import small
+from tests.support.recordings import small
 
 PRIOR = CarEstimators(CONFIG).found()
 
@@ -88,7 +88,7 @@ def test_a_second_drive_keeps_what_it_does_not_find_and_reports_what_has_changed
 
 def test_a_drive_that_finds_nothing_writes_nothing(tmp_path: Path) -> None:
     out = tmp_path / "mine.toml"
-    tapes.Recording(tmp_path / "t.mcap", tapes.described(CONFIG, PATH)).close()
+    recordings.Recording(tmp_path / "t.mcap", recordings.described(CONFIG, PATH)).close()
     with pytest.raises(ValueError, match="nobody drove"):
         module.from_recording(tmp_path / "t.mcap", out)
     assert not out.exists()

@@ -27,7 +27,7 @@ class Shown:
     def show(self, t: float, values: list[float]) -> None:
         self.rows.append((t, values))
 
-    def tell(self, topic: str, words: Any, t: float) -> None:
+    def note(self, topic: str, words: Any, t: float) -> None:
         self.words.append((topic, words))
 
 

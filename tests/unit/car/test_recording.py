@@ -14,23 +14,23 @@ from mcap.writer import Writer
 
 from steerkit.car import protocol
 from steerkit.car import recording as recording_file
-from steerkit.car import recording as tapes
-from steerkit.car.core import Core, End, Frame, Link, Note, Packet, Send, Taping, Tick
+from steerkit.car import recording as recordings
+from steerkit.car.core import Core, End, Frame, Link, Note, Packet, RecordingFault, Send, Tick
 from steerkit.car.state_machine import Mode
 from tests.support.car_world import World, setup
-from tests.support.tapes import LINES, brief, chunked, flipped, full_disk, same, small
+from tests.support.recordings import LINES, brief, chunked, flipped, full_disk, same, small
 
 # ---- what is read ------------------------------------------------------------------------------------------
 
 
 def test_a_recording_of_a_drive_replays_bit_for_bit(drive: Path) -> None:
-    recorded = tapes.read(drive)
+    recorded = recordings.read(drive)
     assert recorded.whole
     assert recorded.sound
     assert not recorded.in_use
-    frames, equal = tapes.replayed_exactly(recorded, Core(tapes.config_of(recorded), setup()[1]))
+    frames, equal = recordings.replayed_exactly(recorded, Core(recordings.config_of(recorded), setup()[1]))
     assert frames == equal > 10
-    assert {type(event) for event in recorded.events()} == {Frame, Packet, Link, Tick, Taping}
+    assert {type(event) for event in recorded.events()} == {Frame, Packet, Link, Tick, RecordingFault}
     count, size = len(recorded.messages), len(small())
     assert recorded.kept() == f"{count} of {count} messages, {size} of {size} bytes, 0.65 of 0.65 seconds"
 
@@ -43,27 +43,27 @@ def test_every_kind_of_event_comes_back_as_it_was(tmp_path: Path) -> None:
         Packet(1.6, 3, b"Q"),
         Link(1.7, 3, True),
         Link(1.8, 3, False),
-        Taping(1.9, "full"),
+        RecordingFault(1.9, "full"),
         Tick(0.1 + 0.2),
         End(2.0, "stopped"),
     ]
-    tape = tapes.Recording(tmp_path / "t.mcap", {})
+    tape = recordings.Recording(tmp_path / "t.mcap", {})
     for event in events:
         tape.event(event, [Send(5, b"\x10"), Note("state", {"t": 1.0, "from": "A", "to": "B", "cause": "c"})])
     tape.close()
-    recorded = tapes.read(tmp_path / "t.mcap")
+    recorded = recordings.read(tmp_path / "t.mcap")
     assert list(recorded.events()) == events
     assert recorded.of("/can/tx")[0] == {"t": 1.5, "id": 5, "data": "10"}
     assert len(recorded.of("/state")) == len(events)
 
 
 def test_numbers_of_a_recording_come_back_bit_for_bit(tmp_path: Path) -> None:
-    tape = tapes.Recording(tmp_path / "t.mcap", {"a": "b"})
+    tape = recordings.Recording(tmp_path / "t.mcap", {"a": "b"})
     odd = [0.1, 1 / 3, 5e-324, -0.0, math.inf, -math.inf, 1.7976931348623157e308]
     for value in odd:
         tape.event(Tick(1.0), [Note("command", {"t": 1.0, "request": value, "sent": math.nan, "why": "inf"})])
     tape.close()
-    read = tapes.read(tmp_path / "t.mcap").of("/command")
+    read = recordings.read(tmp_path / "t.mcap").of("/command")
     assert [struct.pack("<d", v["request"]) for v in read] == [struct.pack("<d", value) for value in odd]
     assert all(math.isnan(v["sent"]) for v in read)
     found = recording_file.contents((tmp_path / "t.mcap").read_bytes())
@@ -72,53 +72,53 @@ def test_numbers_of_a_recording_come_back_bit_for_bit(tmp_path: Path) -> None:
 
 
 def test_a_replay_that_sends_more_or_fewer_frames_is_not_exact(drive: Path) -> None:
-    recorded, (config, path) = tapes.read(drive), setup()
+    recorded, (config, path) = recordings.read(drive), setup()
     (*_, last) = (k for k, message in enumerate(recorded.messages) if message.topic == "/can/tx")
     for messages in (
         recorded.messages[:last] + recorded.messages[last + 1 :],
         [*recorded.messages, recorded.messages[last]],
     ):
-        frames, equal = tapes.replayed_exactly(recorded._replace(messages=messages), Core(config, path))
+        frames, equal = recordings.replayed_exactly(recorded._replace(messages=messages), Core(config, path))
         assert equal == frames - 1
 
 
 @pytest.mark.parametrize(("keep", "mode"), [(False, Mode.ENGAGED), (True, Mode.FAULT)])
 def test_a_recording_that_stops_ends_the_drive_if_it_has_to_be_kept(keep: bool, mode: Mode, tmp_path: Path) -> None:
-    tape = tapes.Recording(tmp_path / "t.mcap", {})
+    tape = recordings.Recording(tmp_path / "t.mcap", {})
     world = World(tape=tape)
     world.config = replace(world.config, keep_recording=keep)
     world.core.config = world.config
     world.bring_to(Mode.ENGAGED)
-    world.handle(Taping(world.t, "no space"))
+    world.handle(RecordingFault(world.t, "no space"))
     world.until(world.t + 0.1)
     assert world.mode is mode
     text = world.query().text
     assert "no space" in text
     assert ("not recorded" in text) is not keep
-    world.handle(Taping(world.t, ""))
+    world.handle(RecordingFault(world.t, ""))
     world.until(world.t + 0.1)
     assert keep or "no space" not in world.query().text
     tape.close()
-    frames, equal = tapes.replayed_exactly(tapes.read(tmp_path / "t.mcap"), Core(world.config, world.path))
+    frames, equal = recordings.replayed_exactly(recordings.read(tmp_path / "t.mcap"), Core(world.config, world.path))
     assert frames == equal > 5
 
 
 def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:
     (tmp_path / "x.mcap").write_text("hello")
     with pytest.raises(ValueError, match=r"x\.mcap: no recording of steerkit, or cut off before it began"):
-        tapes.read(tmp_path / "x.mcap")
+        recordings.read(tmp_path / "x.mcap")
     with (tmp_path / "y.mcap").open("wb") as stream:
         writer = Writer(stream)
         writer.start(library="somebody")
         writer.finish()
     with pytest.raises(ValueError, match="an MCAP file of another program"):
-        tapes.read(tmp_path / "y.mcap")
+        recordings.read(tmp_path / "y.mcap")
 
 
 def test_a_recording_of_a_later_protocol_is_refused_with_its_number_and_version(tmp_path: Path) -> None:
     chunked(recording_file.contents(small()), tmp_path / "t.mcap", {"protocol": "9", "steerkit-control": "7.0"})
     with pytest.raises(ValueError, match=rf"of protocol 9, this is {protocol.VERSION}; .* that made it, 7\.0"):
-        tapes.read(tmp_path / "t.mcap")
+        recordings.read(tmp_path / "t.mcap")
 
 
 # ---- damage ------------------------------------------------------------------------------------------------
@@ -133,13 +133,13 @@ def places_to_cut() -> list[int]:
 
 
 def test_a_recording_cut_anywhere_opens_with_all_chunks_that_came_before(tmp_path: Path) -> None:
-    found, every = recording_file.contents(small()), list(map(repr, tapes._read_bytes(small())[0].messages))
+    found, every = recording_file.contents(small()), list(map(repr, recordings._read_bytes(small())[0].messages))
     first = found.chunks[0].begin
     ended = 0
     for length in places_to_cut():
         (tmp_path / "cut.mcap").write_bytes(small()[:length])
         try:
-            cut = tapes.read(tmp_path / "cut.mcap")
+            cut = recordings.read(tmp_path / "cut.mcap")
         except ValueError as error:
             assert "cut off before it began" in str(error)  # noqa: PT017
             assert length < first
@@ -158,11 +158,11 @@ def test_a_recording_cut_anywhere_opens_with_all_chunks_that_came_before(tmp_pat
 
 
 def test_a_thousand_flipped_bits_lose_no_more_than_their_chunk_and_are_told() -> None:
-    rng, every = random.Random(2), list(map(repr, tapes._read_bytes(brief())[0].messages))
-    whole = tapes._read_bytes(brief())[0]
+    rng, every = random.Random(2), list(map(repr, recordings._read_bytes(brief())[0].messages))
+    whole = recordings._read_bytes(brief())[0]
     for k in range(1000):
         bit = rng.randrange(8 * len(brief()))
-        damaged = tapes._read_bytes(flipped(brief(), bit))[0]
+        damaged = recordings._read_bytes(flipped(brief(), bit))[0]
         assert not damaged.sound
         (gap,) = damaged.gaps
         assert gap.begin <= bit // 8 < gap.end
@@ -181,7 +181,7 @@ def test_a_thousand_flipped_bits_lose_no_more_than_their_chunk_and_are_told() ->
 def test_what_is_missing_is_told_in_messages_bytes_and_seconds(drive: Path) -> None:
     chunks = recording_file.contents(small()).chunks
     drive.write_bytes(flipped(small(), 8 * (chunks[3].begin + 200)))
-    recorded = tapes.read(drive)
+    recorded = recordings.read(drive)
     count, size, gone = len(recorded.messages), len(small()), chunks[3].end - chunks[3].begin
     before, after = chunks[2].lines[-1].values["t"], chunks[4].lines[0].values["t"]
     assert recorded.kept() == (
@@ -192,7 +192,7 @@ def test_what_is_missing_is_told_in_messages_bytes_and_seconds(drive: Path) -> N
     told = f"{where}: {LINES} messages are missing between {before:.3f} s and {after:.3f} s"
     assert recorded.lost == [told]
     drive.write_bytes(small()[: chunks[4].end])
-    cut = tapes.read(drive)
+    cut = recordings.read(drive)
     assert " and an unknown number messages, " in cut.kept()
     assert "or more seconds" in cut.kept()
     assert cut.lost == [
@@ -200,19 +200,19 @@ def test_what_is_missing_is_told_in_messages_bytes_and_seconds(drive: Path) -> N
         f"between {chunks[4].lines[-1].values['t']:.3f} s and the end"
     ]
     drive.write_bytes(flipped(small(), 8 * 100))
-    assert tapes.read(drive).lost == []
-    assert str(tapes.read(drive).gaps[0]).endswith(": no message is missing")
+    assert recordings.read(drive).lost == []
+    assert str(recordings.read(drive).gaps[0]).endswith(": no message is missing")
 
 
 def test_a_repair_writes_a_new_file_and_keeps_all_behind_the_damage(drive: Path) -> None:
     chunks = recording_file.contents(small()).chunks
     hurt = flipped(flipped(small(), 8 * (chunks[3].begin + 200)), 8 * (chunks[6].begin + 1))[: chunks[-1].end]
     drive.write_bytes(hurt)
-    left, place = tapes.repair(drive)
+    left, place = recordings.repair(drive)
     assert drive.read_bytes() == hurt
     assert place == drive.with_name("drive.repaired.mcap")
     assert sorted(f.name for f in drive.parent.iterdir()) == ["drive.mcap", "drive.repaired.mcap"]
-    again = tapes.read(place)
+    again = recordings.read(place)
     assert again.sound
     assert not again.whole
     assert same(again.messages, left.messages)
@@ -227,16 +227,16 @@ def test_a_repair_writes_a_new_file_and_keeps_all_behind_the_damage(drive: Path)
 def test_a_repaired_recording_that_is_damaged_again_tells_of_both(drive: Path) -> None:
     chunks = recording_file.contents(small()).chunks
     drive.write_bytes(flipped(small(), 8 * (chunks[3].begin + 200)))
-    _, place = tapes.repair(drive)
+    _, place = recordings.repair(drive)
     chunks = recording_file.contents(place.read_bytes()).chunks
     place.write_bytes(flipped(place.read_bytes(), 8 * (chunks[-1].begin + 200)))
-    again = tapes.read(place)
+    again = recordings.read(place)
     assert not again.sound
     assert len(again.lost) == 2
     assert again.gaps[-1].missing == len(chunks[-1].lines)
-    _, third = tapes.repair(place)
+    _, third = recordings.repair(place)
     assert third.name == "drive.repaired.repaired.mcap"
-    assert tapes.read(third).lost == again.lost
+    assert recordings.read(third).lost == again.lost
 
 
 def test_a_repair_overwrites_nothing_unless_it_is_told_to_and_never_the_recording(drive: Path) -> None:
@@ -244,18 +244,18 @@ def test_a_repair_overwrites_nothing_unless_it_is_told_to_and_never_the_recordin
     other = drive.with_name("other.mcap")
     other.write_text("mine")
     with pytest.raises(FileExistsError, match=r"other\.mcap: exists already; it is overwritten only with --overwrite"):
-        tapes.repair(drive, other)
+        recordings.repair(drive, other)
     assert other.read_text() == "mine"
     with pytest.raises(ValueError, match="is the recording itself"):
-        tapes.repair(drive, drive, overwrite=True)
+        recordings.repair(drive, drive, overwrite=True)
     assert drive.read_bytes() == small()[:-100]
-    tapes.repair(drive, other, overwrite=True)
-    assert tapes.read(other).whole
+    recordings.repair(drive, other, overwrite=True)
+    assert recordings.read(other).whole
 
 
 def test_a_repair_that_cannot_be_written_leaves_nothing_behind(drive: Path) -> None:
     drive.write_bytes(small()[:-100])
     with full_disk(30_000), pytest.raises(OSError, match="too large"):
-        tapes.repair(drive)
+        recordings.repair(drive)
     assert [f.name for f in drive.parent.iterdir()] == ["drive.mcap"]
     assert drive.read_bytes() == small()[:-100]

@@ -21,7 +21,7 @@ from mcap.records import Message
 from mcap.stream_reader import StreamReader
 
 from steerkit.car import recording as files
-from tests.support.tapes import LINES, brief, flipped, small
+from tests.support.recordings import LINES, brief, flipped, small
 
 HEADER = 8 + 9 + 12 + 12
 """Bytes of the magic and of the header's record."""

@@ -10,12 +10,12 @@ import pytest
 
 from steerkit.car import protocol
 from steerkit.car import recording as recording_file
-from steerkit.car import recording as tapes
+from steerkit.car import recording as recordings
 from steerkit.car.config import course_of, load, shipped
 from steerkit.vehicles import vehicle
 from steerkit.vehicles.file import vehicle_text
 from tests.support.car_world import setup
-from tests.support.tapes import small
+from tests.support.recordings import small
 
 # ---- what a replay needs -----------------------------------------------------------------------------------
 
@@ -41,13 +41,13 @@ def own_files(folder: Path) -> Path:
 def test_a_replay_depends_on_no_file_but_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     config = load(own_files(tmp_path / "here"))
     path = course_of(config)
-    tapes.Recording(tmp_path / "t.mcap", tapes.described(config, path, 2.5)).close()
+    recordings.Recording(tmp_path / "t.mcap", recordings.described(config, path, 2.5)).close()
     for file in (tmp_path / "here").rglob("*.*"):
         file.write_text("gone")
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
-    recorded = tapes.read(tmp_path / "t.mcap")
-    again = tapes.config_of(recorded)
+    recorded = recordings.read(tmp_path / "t.mcap")
+    again = recordings.config_of(recorded)
     assert asdict(again.vehicle) == asdict(config.vehicle)
     assert sorted(text for name, text in again.texts.items() if name.endswith(".DBC")) == sorted(
         text for name, text in config.texts.items() if name.endswith(".DBC")
@@ -58,34 +58,34 @@ def test_a_replay_depends_on_no_file_but_the_recording(tmp_path: Path, monkeypat
     assert recorded.metadata["time_scale"] == "2.5"
     assert recorded.metadata["protocol"] == str(protocol.VERSION)
     assert {"python", "numpy", "steerkit-control", "cantools"} <= recorded.metadata.keys()
-    assert tapes.differences(recorded, again, course_of(again)) == []
+    assert recordings.differences(recorded, again, course_of(again)) == []
 
 
 @pytest.mark.parametrize("name", ["can/pose.DBC", "places/same.csv", "cars/own.toml"])
 def test_a_recording_that_lacks_a_file_says_which(tmp_path: Path, name: str) -> None:
     config = load(own_files(tmp_path / "here"))
-    description = tapes.described(config, course_of(config))
+    description = recordings.described(config, course_of(config))
     del description[f"file:{name}"]
-    tapes.Recording(tmp_path / "t.mcap", description).close()
+    recordings.Recording(tmp_path / "t.mcap", description).close()
     with pytest.raises(ValueError, match=f"it lacks {name}, named by its configuration"):
-        tapes.config_of(tapes.read(tmp_path / "t.mcap"))
+        recordings.config_of(recordings.read(tmp_path / "t.mcap"))
 
 
 def test_a_recording_without_description_says_that_there_is_no_replay(tmp_path: Path) -> None:
     first = recording_file.contents(small()).chunks[0].begin
     (tmp_path / "t.mcap").write_bytes(small()[:8] + bytes(first - 8) + small()[first:])
-    recorded = tapes.read(tmp_path / "t.mcap")
-    assert len(recorded.messages) == len(tapes._read_bytes(small())[0].messages)
+    recorded = recordings.read(tmp_path / "t.mcap")
+    assert len(recorded.messages) == len(recordings._read_bytes(small())[0].messages)
     with pytest.raises(ValueError, match="its description is damaged or has no configuration"):
-        tapes.config_of(recorded)
-    assert len(tapes.read(tapes.repair(tmp_path / "t.mcap")[1]).messages) == len(recorded.messages)
+        recordings.config_of(recorded)
+    assert len(recordings.read(recordings.repair(tmp_path / "t.mcap")[1]).messages) == len(recorded.messages)
 
 
 def test_what_is_different_from_then_is_told(drive: Path) -> None:
-    recorded = tapes.read(drive)
+    recorded = recordings.read(drive)
     config, path = setup()
-    assert tapes.differences(recorded, config, path) == []
+    assert recordings.differences(recorded, config, path) == []
     then = recorded._replace(metadata={**recorded.metadata, "numpy": "0.1", "course": "00", "vehicle": "{}"})
-    told = tapes.differences(then, config, path)
+    told = recordings.differences(then, config, path)
     assert any(text.startswith("numpy 0.1, now ") for text in told)
     assert {"the course of that name is another one", "the vehicle of that name is another one"} < set(told)

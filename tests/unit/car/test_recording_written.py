@@ -11,25 +11,25 @@ from pathlib import Path
 import pytest
 
 from steerkit.car import recording as recording_file
-from steerkit.car import recording as tapes
+from steerkit.car import recording as recordings
 from steerkit.car.core import Note, Tick
-from tests.support.tapes import LINES, flipped, full_disk, small, until
+from tests.support.recordings import LINES, flipped, full_disk, small, until
 
 
 def test_a_recording_in_use_is_looked_into_but_not_repaired(tmp_path: Path) -> None:
     file = tmp_path / "t.mcap"
-    tape = tapes.Recording(file, {"a": "b"})
+    tape = recordings.Recording(file, {"a": "b"})
     tape.event(Tick(1.0), [])
-    until(lambda: tapes.read(file).messages)
-    recorded = tapes.read(file)
+    until(lambda: recordings.read(file).messages)
+    recorded = recordings.read(file)
     assert recorded.in_use
     assert recorded.gaps == []
     assert not recorded.whole
     with pytest.raises(ValueError, match="is being written by a car server; repair it when that has ended"):
-        tapes.repair(file)
+        recordings.repair(file)
     assert [f.name for f in tmp_path.iterdir()] == ["t.mcap"]
     tape.close()
-    assert tapes.read(file).whole
+    assert recordings.read(file).whole
 
 
 def test_damage_in_a_recording_in_use_is_told_but_not_its_end_that_is_yet_to_come(drive: Path) -> None:
@@ -37,20 +37,20 @@ def test_damage_in_a_recording_in_use_is_told_but_not_its_end_that_is_yet_to_com
     drive.write_bytes(flipped(small(), 8 * (chunks[1].begin + 200))[: chunks[4].end])
     with drive.open("rb") as stream:
         fcntl.flock(stream, fcntl.LOCK_EX)
-        (gap,) = tapes.read(drive).gaps
+        (gap,) = recordings.read(drive).gaps
     assert gap.missing == LINES
-    assert len(tapes.read(drive).gaps) == 2
+    assert len(recordings.read(drive).gaps) == 2
     drive.write_bytes(flipped(small(), 8 * (chunks[-1].begin + 200)))  # with its end, and damage just before that
     with drive.open("rb") as stream:
         fcntl.flock(stream, fcntl.LOCK_EX)
-        assert len(tapes.read(drive).gaps) == 1
+        assert len(recordings.read(drive).gaps) == 1
 
 
 def test_the_operating_system_has_it_before_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tapes, "SYNC", 1e6)
-    tape = tapes.Recording(tmp_path / "t.mcap", {})
+    monkeypatch.setattr(recordings, "SYNC", 1e6)
+    tape = recordings.Recording(tmp_path / "t.mcap", {})
     tape.event(Tick(1.0), [])
-    until(lambda: tapes.read(tmp_path / "t.mcap").messages)
+    until(lambda: recordings.read(tmp_path / "t.mcap").messages)
     tape.close()
 
 
@@ -58,8 +58,8 @@ def test_an_event_and_what_came_of_it_reach_the_operating_system_together(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """So that a recording that ends with a kill replays exactly, to its last frame."""
-    monkeypatch.setattr(tapes, "FLUSH", 0.0)
-    tape = tapes.Recording(tmp_path / "t.mcap", {})
+    monkeypatch.setattr(recordings, "FLUSH", 0.0)
+    tape = recordings.Recording(tmp_path / "t.mcap", {})
     for k in range(50):
         tape.event(Tick(float(k)), [Note("state", {"t": float(k)}), Note("command", {"t": float(k)})])
     until(lambda: tape._queue.empty())
@@ -73,7 +73,7 @@ def test_what_was_recorded_reaches_the_disk_without_an_end(tmp_path: Path, monke
     synced: list[int] = []
     monkeypatch.setattr(os, "fsync", lambda number: synced.append(os.fstat(number).st_size))
     file = tmp_path / "t.mcap"
-    tape = tapes.Recording(file, {})
+    tape = recordings.Recording(file, {})
     begin = synced[-1]
     tape.event(Tick(1.0), [])
     until(lambda: synced[-1] > begin)
@@ -81,14 +81,14 @@ def test_what_was_recorded_reaches_the_disk_without_an_end(tmp_path: Path, monke
     tape.event(Tick(2.0), [])
     size = synced[-1]
     until(lambda: synced[-1] > size)
-    assert len(tapes.read(file).messages) == 2
+    assert len(recordings.read(file).messages) == 2
     tape.close()
     assert synced[-1] == file.stat().st_size
-    assert tapes.FLUSH < tapes.SYNC < 1.0
+    assert recordings.FLUSH < recordings.SYNC < 1.0
 
 
 def test_a_full_disk_is_told_and_what_was_there_stays_readable(tmp_path: Path) -> None:
-    tape = tapes.Recording(tmp_path / "t.mcap", {"x": "y" * 1000})
+    tape = recordings.Recording(tmp_path / "t.mcap", {"x": "y" * 1000})
     assert tape.failed == ""
     with full_disk(12_000):
         k = 0
@@ -100,33 +100,33 @@ def test_a_full_disk_is_told_and_what_was_there_stays_readable(tmp_path: Path) -
         tape.close()
     assert "t.mcap: [Errno 27] File too large" in tape.failed
     assert tape._queue.qsize() < k
-    recorded = tapes.read(tmp_path / "t.mcap")
+    recorded = recordings.read(tmp_path / "t.mcap")
     assert recorded.lost
     assert [m.values["t"] for m in recorded.messages] == [0.01 * n for n in range(1, len(recorded.messages) + 1)]
 
 
 def test_a_recording_that_cannot_even_begin_raises(tmp_path: Path) -> None:
     with full_disk(100), pytest.raises(OSError, match="too large"):
-        tapes.Recording(tmp_path / "t.mcap", {"x": "y"})
+        recordings.Recording(tmp_path / "t.mcap", {"x": "y"})
     with pytest.raises(FileExistsError):
-        tapes.Recording(tmp_path / "t.mcap", {})
+        recordings.Recording(tmp_path / "t.mcap", {})
 
 
 def test_a_thread_that_dies_of_anything_else_is_told_too(tmp_path: Path) -> None:
-    tape = tapes.Recording(tmp_path / "t.mcap", {})
+    tape = recordings.Recording(tmp_path / "t.mcap", {})
     tape.event(Tick(1.0), [Note("state", {"t": 1.0, "cause": object()})])
     until(lambda: tape.failed)
     assert "t.mcap: TypeError: Object of type object is not JSON serializable" in tape.failed
     tape.event(Tick(2.0), [])
     assert tape._queue.empty()
     tape.close()
-    assert [m.values["t"] for m in tapes.read(tmp_path / "t.mcap").messages] == [1.0]
+    assert [m.values["t"] for m in recordings.read(tmp_path / "t.mcap").messages] == [1.0]
 
 
 def test_a_disk_that_does_not_answer_holds_up_nobody_and_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    tape = tapes.Recording(tmp_path / "t.mcap", {})
+    tape = recordings.Recording(tmp_path / "t.mcap", {})
     answers, waiting = threading.Event(), threading.Event()
 
     def stuck(number: int) -> None:
@@ -137,22 +137,22 @@ def test_a_disk_that_does_not_answer_holds_up_nobody_and_is_told(
     tape.event(Tick(0.0), [])
     assert waiting.wait(60.0)
     assert tape.failed == ""
-    monkeypatch.setattr(tapes, "STALL", 0.0)
+    monkeypatch.setattr(recordings, "STALL", 0.0)
     assert "the disk has not answered for more than 0 s" in tape.failed
     for k in range(1000):
         tape.event(Tick(1.0 + k), [])
-    monkeypatch.setattr(tapes, "STALL", 60.0)
+    monkeypatch.setattr(recordings, "STALL", 60.0)
     assert tape.failed == ""
     tape.close(timeout=0.0)
     assert "its end could not be written within 0 s" in tape.failed
     answers.set()
     tape._thread.join(60.0)
-    assert len(tapes.read(tmp_path / "t.mcap").messages) == 1001
+    assert len(recordings.read(tmp_path / "t.mcap").messages) == 1001
 
 
 def test_a_recording_ends_before_the_memory_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    tape = tapes.Recording(tmp_path / "t.mcap", {})
-    monkeypatch.setattr(tapes, "BACKLOG", 50)
+    tape = recordings.Recording(tmp_path / "t.mcap", {})
+    monkeypatch.setattr(recordings, "BACKLOG", 50)
     answers = threading.Event()
     monkeypatch.setattr(os, "fsync", lambda number: answers.wait(60.0))
     until(lambda: tape.event(Tick(0.0), []) or tape.failed)

@@ -19,7 +19,7 @@ import pytest
 
 from steerkit.car import client as clients
 from steerkit.car import protocol, server
-from steerkit.car import recording as tapes
+from steerkit.car import recording as recordings
 from steerkit.car.client import CarClient, CarLost
 from steerkit.car.config import load
 from steerkit.car.recording import Recording
@@ -169,7 +169,7 @@ def driving(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bus: Bus) -> CarSer
 
 def ended(tmp_path: Path) -> tuple[str, list[bool]]:
     """What the recording says of the end: its cause, and of each frame sent whether it enables the kit."""
-    recorded = tapes.read(tmp_path / "drive.mcap")
+    recorded = recordings.read(tmp_path / "drive.mcap")
     assert recorded.whole
     (end,), last = recorded.of("/end"), recorded.of("/state")[-1]
     assert (last["to"], last["cause"]) == ("OFF", end["cause"])
@@ -227,7 +227,7 @@ def test_every_end_has_its_cause_on_the_recording_and_neutral_frames_before_it(
         running.run()
     said, enabled = ended(tmp_path)
     assert said == cause
-    assert next(v["from"] for v in tapes.read(tmp_path / "drive.mcap").of("/state")) == "ENGAGED"
+    assert next(v["from"] for v in recordings.read(tmp_path / "drive.mcap").of("/state")) == "ENGAGED"
     assert enabled[-5:] == [False] * 5
     assert not any(enabled)
     assert broken or [bool(message.data[2] & 1) for message in bus.sent] == enabled

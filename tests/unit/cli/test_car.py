@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from steerkit.car import recording as tapes
+from steerkit.car import recording as recordings
 from steerkit.car.config import shipped
 from steerkit.car.recording import contents
 from steerkit.car.server import CarServer
 from tests.support import command_lines
-from tests.support.tapes import LINES, flipped, small
+from tests.support.recordings import LINES, flipped, small
 
 
 def run(*words: str, monkeypatch: pytest.MonkeyPatch) -> int:
@@ -86,7 +86,7 @@ def test_a_recording_that_is_whole_replays_with_exit_code_0(
     file.write_bytes(small())
     assert run("replay", str(file), "--controller", "stanley", monkeypatch=monkeypatch) == 0
     printed = capsys.readouterr().out
-    count = len(tapes.read(file).messages)
+    count = len(recordings.read(file).messages)
     assert printed.startswith(f"{count} of {count} messages, ")
     assert "READY -> ENGAGED: operator: engage" in printed
     frames, same = re.search(r"server: (\d+) of (\d+) frames the same", printed).groups()  # type: ignore[union-attr]
@@ -94,7 +94,7 @@ def test_a_recording_that_is_whole_replays_with_exit_code_0(
     assert "stanley: " in printed
     assert [f.name for f in tmp_path.iterdir()] == ["drive.mcap"]
     assert run("replay", str(file), monkeypatch=monkeypatch) == 2
-    assert "cannot be replayed: the recording does not tell who steered" in capsys.readouterr().out
+    assert "cannot be replayed: the recording does not name who steered" in capsys.readouterr().out
 
 
 def test_a_damaged_recording_is_repaired_into_a_new_file_with_exit_code_1(
@@ -128,7 +128,7 @@ def test_a_recording_with_nothing_but_a_damaged_index_has_lost_nothing(
     out = tmp_path / "new.mcap"
     assert run("replay", str(file), "--controller", "stanley", "--out", str(out), monkeypatch=monkeypatch) == 0
     assert "no message is missing" in capsys.readouterr().out
-    assert tapes.read(out).whole
+    assert recordings.read(out).whole
 
 
 def test_a_recording_in_use_is_only_looked_into(

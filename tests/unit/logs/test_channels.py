@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from steerkit.logs import Channel
-from steerkit.logs.channels import candidates, ended_unit, is_time, told_unit, words
+from steerkit.logs.channels import candidates, ended_unit, is_time, unit_of, words
 
 
 def channel(name: str, unit: str = "", means: str = "", rate: float = 100.0) -> Channel:
@@ -66,7 +66,7 @@ def test_of_two_of_one_name_the_one_that_was_sampled_more_often_goes_first() -> 
     ],
 )
 def test_units_as_they_are_spelt(quantity: str, unit: str, same: str) -> None:
-    assert told_unit(quantity, channel("c", unit)) == same
+    assert unit_of(quantity, channel("c", unit)) == same
 
 
 def test_a_channel_in_a_unit_of_something_else_is_no_candidate() -> None:

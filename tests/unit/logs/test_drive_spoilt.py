@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from steerkit.logs.drive import lone, standing_off, told_odd
+from steerkit.logs.drive import lone, odd_values, standing_off
 
 T = np.arange(0.0, 20.0, 0.02)
 RNG = np.random.default_rng(1)
@@ -14,10 +14,10 @@ RNG = np.random.default_rng(1)
 def test_a_value_that_stands_off_is_found_where_it_is() -> None:
     for noise in (0.0, 1e-3):
         values = np.sin(T) + noise * RNG.normal(size=len(T))
-        assert told_odd({"v": values}, {"v": T}) == []
+        assert odd_values({"v": values}, {"v": T}) == []
         values[437] += 0.1
         assert standing_off(values, 0.0).tolist() == [437]
-        (told,) = told_odd({"v": values}, {"v": T})
+        (told,) = odd_values({"v": values}, {"v": T})
         assert told == f"v stands off from all around in 1 samples, the first {T[437]:.6g} s from its start: spoilt?"
 
 
@@ -27,16 +27,16 @@ def test_noise_steps_and_a_kink_are_nothing_odd() -> None:
     flickering = np.where(np.arange(len(T)) == 500, 0.01, 0.0)
     kink = np.maximum(T - 10.0, 0.0)
     jump = np.where(T < 10.0, 0.0, 5.0)
-    assert told_odd({"v": rough}, {"v": np.arange(5000.0)}) == []
+    assert odd_values({"v": rough}, {"v": np.arange(5000.0)}) == []
     for values in (steps, flickering, kink, jump):
-        assert told_odd({"v": values}, {"v": T}) == []
+        assert odd_values({"v": values}, {"v": T}) == []
 
 
 @pytest.mark.parametrize(("by", "told"), [(0.015, 1), (-0.015, 1), (0.004, 0)])
 def test_a_time_that_is_not_that_of_its_sample_is_told_and_a_late_one_is_not(by: float, told: int) -> None:
     t = T.copy()
     t[300] += by
-    found = told_odd({"r": np.sin(T)}, {"r": t})
+    found = odd_values({"r": np.sin(T)}, {"r": t})
     assert [one for one in found if one.startswith("the time of r stands off")] == found[:told]
     assert len([one for one in found if "time" in one]) == told
 
@@ -44,14 +44,14 @@ def test_a_time_that_is_not_that_of_its_sample_is_told_and_a_late_one_is_not(by:
 def test_a_lost_sample_and_a_pause_are_no_wrong_times() -> None:
     there = np.ones(len(T), dtype=bool)
     there[[100, *range(500, 560)]] = False
-    assert told_odd({"r": np.sin(T[there])}, {"r": T[there]}) == []
+    assert odd_values({"r": np.sin(T[there])}, {"r": T[there]}) == []
 
 
 def test_values_that_are_none_and_short_channels_are_passed_over() -> None:
     values = np.sin(T)
     values[::7] = np.nan
-    assert told_odd({"r": values}, {"r": T}) == []
-    assert told_odd({"r": T[:10]}, {"r": T[:10]}) == []
+    assert odd_values({"r": values}, {"r": T}) == []
+    assert odd_values({"r": T[:10]}, {"r": T[:10]}) == []
 
 
 def test_a_lone_value_is_found_where_it_is() -> None:

@@ -11,8 +11,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from steerkit.car import recording as tapes
-from steerkit.car.core import Taping
+from steerkit.car import recording as recordings
+from steerkit.car.core import RecordingFault
 from steerkit.car.protocol import VERSION
 from steerkit.car.recording import Contents, RecordingFile, contents
 from steerkit.car.state_machine import Mode
@@ -26,11 +26,11 @@ LINES = 24
 def small() -> bytes:
     """The file: READY, engaged, the recording "stops" for a moment, the human brakes, the process ends."""
     with TemporaryDirectory() as folder:
-        tape = tapes.Recording(Path(folder) / "raw.mcap", tapes.described(*setup()))
+        tape = recordings.Recording(Path(folder) / "raw.mcap", recordings.described(*setup()))
         world = World(tape=tape)
         world.bring_to(Mode.ENGAGED)
-        world.handle(Taping(world.t, "a slow disk"))
-        world.handle(Taping(world.t, ""))
+        world.handle(RecordingFault(world.t, "a slow disk"))
+        world.handle(RecordingFault(world.t, ""))
         world.until(world.t + 0.1)
         tape.close()
         assert not tape.failed
@@ -74,7 +74,7 @@ def until(true: Callable[[], Any]) -> None:
         time.sleep(0.01)
 
 
-def same(a: list[tapes.Message], b: list[tapes.Message]) -> bool:
+def same(a: list[recordings.Message], b: list[recordings.Message]) -> bool:
     """Are the messages equal, NaN to NaN?"""
     return list(map(repr, a)) == list(map(repr, b))
 
