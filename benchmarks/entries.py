@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.util import find_spec
 
 from steerkit._support.plugins import fingerprint, is_outside
@@ -57,9 +57,7 @@ class Controller:
     def in_its_eyes(self, scenario: Scenario) -> Scenario:
         """The scenario with what this controller is told of it."""
         return (
-            replace(scenario, told="truth", believed_delay=None, believed_lag=None)
-            if self.told == "truth"
-            else scenario
+            scenario.with_(knowledge={"oracle": True, "delay": None, "lag": None}) if self.told == "truth" else scenario
         )
 
 

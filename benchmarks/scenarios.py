@@ -14,6 +14,7 @@ from steerkit.scenario import END_MARGIN, Scenario
 from steerkit.scenario.catalogue import PLANTS
 from steerkit.scenario.drive import drive_loop
 from steerkit.scenario.fleet import fleet_scenario, straightest
+from steerkit.scenario.parts import PARTS
 
 MULTI_BODY = "benchmarks.peers.commonroad:CommonRoadMultiBody"
 """The plant that is CommonRoad's; it has `bmw-320i` and `ford-escort`."""
@@ -21,19 +22,19 @@ scene = partial(Scenario, reference="own")
 """A scenario of a suite: e is judged where the controller that drives has it measured."""
 
 OPEN = {
-    "tyres": ("vehicle.c_f", "vehicle.c_r"),
-    "friction": ("vehicle.mu",),
-    "ratio": ("vehicle.steer_ratio",),
-    "offset_deg": ("actuator.offset",),
-    "lag": ("actuator.lag",),
-    "wind": ("car.wind",),
-    "gust": ("car.gust",),
-    "bank_deg": ("car.bank",),
+    "vehicle.tyres": ("vehicle.c_f", "vehicle.c_r"),
+    "vehicle.friction": ("vehicle.mu",),
+    "vehicle.ratio": ("vehicle.steer_ratio",),
+    "steering.offset_deg": ("actuator.offset",),
+    "steering.lag": ("actuator.lag",),
+    "disturbances.wind": ("car.wind",),
+    "disturbances.gust": ("car.gust",),
+    "disturbances.bank_deg": ("car.bank",),
 }
 """Fields that a compiled drive leaves open, so that one program serves many scenarios, and what they are in a loop."""
 
 
-_SHEET: dict[str, Any] = dict(recovery="stanley-delay", told="data sheet", believed_delay=0.0, believed_lag=0.0)
+_SHEET: dict[str, Any] = dict(recovery="stanley-delay", knowledge={"delay": 0.0, "lag": 0.0})
 _ADAPT_COURSE = "random-2000"
 FLEET = (0, 10, 1, 9)
 """Cars of the fleet in `unlike_the_data_sheet`: the first with 0.1, 0.12, 0.15 and 0.2 s of steering delay."""
@@ -49,17 +50,19 @@ def unlike_the_data_sheet() -> tuple[Scenario, ...]:
     start = straightest(random_course(int(_ADAPT_COURSE.removeprefix("random-"))))
 
     def passat(name: str, **trouble: Any) -> Scenario:
-        return Scenario.under("hard", name=f"passat-{name}", course=_ADAPT_COURSE, start=start, **(_SHEET | trouble))
+        return Scenario.under(
+            "hard", name=f"passat-{name}", course={"name": _ADAPT_COURSE, "start": start}, **(_SHEET | trouble)
+        )
 
     return (
         *(fleet_scenario(number, **_SHEET) for number in FLEET),
-        passat("ratio-tyres", ratio=1.25, tyres=0.6),
-        passat("delay", delay=0.2),
-        passat("lag", lag=0.3),
-        passat("offset", offset_deg=4.0),
-        passat("play", play_deg=4.0),
-        passat("wind-bank", wind=0.4, gust=0.2, bank_deg=3.0),
-        passat("noise", noise=2.0, latency=0.1),
+        passat("ratio-tyres", vehicle={"ratio": 1.25, "tyres": 0.6}),
+        passat("delay", steering={"delay": 0.2}),
+        passat("lag", steering={"lag": 0.3}),
+        passat("offset", steering={"offset_deg": 4.0}),
+        passat("play", steering={"play_deg": 4.0}),
+        passat("wind-bank", disturbances={"wind": 0.4, "gust": 0.2, "bank_deg": 3.0}),
+        passat("noise", sensors={"noise": 2.0, "latency": 0.1}),
     )
 
 
@@ -69,46 +72,47 @@ def suite_loop(scenario: Scenario, controller: Block, *, doe: Block | None = Non
 
 
 def facts(scenario: Scenario) -> dict[str, Any]:
-    """The scenario's fields for the protocol; of its files only a hash."""
-    whole = "\0".join(text for pair in scenario.files for text in pair)
-    return asdict(scenario) | {"files": hashlib.sha256(whole.encode()).hexdigest()[:16] if whole else ""}
+    """The scenario's fields for the protocol, such as `steering.delay`; of the texts of its files only a hash."""
+    flat: dict[str, Any] = {}
+    for table, values in asdict(scenario).items():
+        for name, value in values.items() if table in PARTS else ():
+            flat[f"{table}.{name}"] = value
+        if table not in PARTS:
+            flat[table] = values
+    texts = {name: text for name, text in flat.items() if name.endswith(".text") and text is not None}
+    return flat | {name: hashlib.sha256(text.encode()).hexdigest()[:16] for name, text in texts.items()}
 
 
 def shape(scenario: Scenario) -> Scenario:
     """What a compiled drive depends on: the scenario with all that is left open put to one value."""
-    if scenario.plant not in PLANTS:
+    if scenario.vehicle.plant not in PLANTS:
         return replace(scenario, name="shape")
-    if scenario.told == "truth":  # then the controller itself depends on all of it
+    if scenario.knowledge.oracle:  # then the controller itself depends on all of it
         return replace(scenario, name="shape")
-    plain: dict[str, Any] = dict(
+    believed = scenario.design_model()
+    plain = scenario.with_(
         name="shape",
-        believed_delay=scenario.believed_dead_time,
-        believed_lag=scenario.lag if scenario.believed_lag is None else scenario.believed_lag,
-        tyres=1.0,
-        friction=1.0,
-        ratio=1.0,
-        offset_deg=0.0,
-        lag=0.1,
+        knowledge={"delay": believed.delay, "lag": believed.lag},
+        vehicle={"tyres": 1.0, "friction": 1.0, "ratio": 1.0},
+        steering={"offset_deg": 0.0, "lag": 0.1},
     )
-    if scenario.pushed:
-        plain |= dict(wind=0.1, gust=0.1, bank_deg=0.1)
-    if "v_min" in _open_speeds(scenario):
-        plain |= dict(v_min=4.0, v_max=8.0)
-    return replace(scenario, **plain)
+    if scenario.disturbances.present:
+        plain = plain.with_(disturbances={"wind": 0.1, "gust": 0.1, "bank_deg": 0.1})
+    return plain.with_(driver={"v_min": 4.0, "v_max": 8.0}) if _open_speeds(scenario) else plain
 
 
 def open_parameters(scenario: Scenario) -> tuple[str, ...]:
     """Names of the loop's parameters that are left open."""
-    if scenario.plant not in PLANTS:
+    if scenario.vehicle.plant not in PLANTS:
         return ()
-    car = "car.block." if scenario.pushed else "car."
+    car = "car.block." if scenario.disturbances.present else "car."
     names = [car + name if name.startswith("vehicle.") else name for fields in OPEN.values() for name in fields]
-    kept = [name for name in names if scenario.pushed or name not in ("car.wind", "car.gust", "car.bank")]
+    kept = [name for name in names if scenario.disturbances.present or name not in ("car.wind", "car.gust", "car.bank")]
     return (*kept, *_open_speeds(scenario).values())
 
 
 def _open_speeds(scenario: Scenario) -> dict[str, str]:
     """The human's speeds, unless the course's own length or a record hangs on them."""
-    if scenario.speed == "recorded" or scenario.course.startswith("iso3888-"):
+    if scenario.driver.speed == "recorded" or scenario.course.name.startswith("iso3888-"):
         return {}
     return {"v_min": "driver.driver.v_min", "v_max": "driver.driver.v_max"}

@@ -8,12 +8,14 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path as FilePath
+from typing import Any
 
 from benchmarks.entries import ORACLE, TELLABLE, controller
 from benchmarks.run.results import case_id
 from benchmarks.run.trainings import TRAININGS
 from benchmarks.scenarios import MULTI_BODY, scene, unlike_the_data_sheet
 from steerkit.scenario import Scenario
+from steerkit.scenario.scenario import tables
 
 TRAINING = "training"
 """The suite that trainings are filed under, so that suites in one directory share them."""
@@ -66,26 +68,26 @@ class Job:
 
 
 PAPER_ROUND = scene(name="paper-round")
-_MB = dict(plant=MULTI_BODY, vehicle="bmw-320i", v_min=7.0, v_max=7.0)
+_MB: Any = dict(vehicle={"name": "bmw-320i", "plant": MULTI_BODY}, driver={"v_min": 7.0, "v_max": 7.0})
 
 
 @cache
 def _tracking_scenarios() -> tuple[Scenario, ...]:
     return (
         PAPER_ROUND,
-        scene(name="paper-fast", v_max=9.0),
-        scene(name="paper-linear", plant="linear"),
-        scene(name="paper-hard", lag=0.15, noise=1.0, latency=0.05),
-        scene(name="genesis-recorded", course="genesis", speed="recorded", v_max=9.0),
-        scene(name="genesis-rfs-recorded", course="genesis-rfs", speed="recorded", v_max=9.0),
-        scene(name="iso3888-1-9", course="iso3888-1", v_min=9.0, v_max=9.0),
-        scene(name="iso3888-1-5", course="iso3888-1", v_min=5.0, v_max=5.0),
-        scene(name="iso3888-2-9", course="iso3888-2", v_min=9.0, v_max=9.0),
-        scene(name="circle-6", course="circle", v_min=6.0, v_max=6.0),
-        scene(name="slalom-9", course="slalom", v_min=9.0, v_max=9.0),
-        scene(name="curvature-step-7", course="curvature-step", v_min=7.0, v_max=7.0),
-        scene(name="iso3888-1-multi-body", course="iso3888-1", **_MB),  # type: ignore[arg-type]
-        scene(name="slalom-multi-body", course="slalom", **_MB),  # type: ignore[arg-type]
+        scene(name="paper-fast", driver={"v_max": 9.0}),
+        scene(name="paper-linear", vehicle={"plant": "linear"}),
+        scene(name="paper-hard", steering={"lag": 0.15}, sensors={"noise": 1.0, "latency": 0.05}),
+        scene(name="genesis-recorded", course="genesis", driver={"speed": "recorded", "v_max": 9.0}),
+        scene(name="genesis-rfs-recorded", course="genesis-rfs", driver={"speed": "recorded", "v_max": 9.0}),
+        scene(name="iso3888-1-9", course="iso3888-1", driver={"v_min": 9.0, "v_max": 9.0}),
+        scene(name="iso3888-1-5", course="iso3888-1", driver={"v_min": 5.0, "v_max": 5.0}),
+        scene(name="iso3888-2-9", course="iso3888-2", driver={"v_min": 9.0, "v_max": 9.0}),
+        scene(name="circle-6", course="circle", driver={"v_min": 6.0, "v_max": 6.0}),
+        scene(name="slalom-9", course="slalom", driver={"v_min": 9.0, "v_max": 9.0}),
+        scene(name="curvature-step-7", course="curvature-step", driver={"v_min": 7.0, "v_max": 7.0}),
+        scene(name="iso3888-1-multi-body", course="iso3888-1", **_MB),
+        scene(name="slalom-multi-body", course="slalom", **_MB),
     )
 
 
@@ -93,10 +95,10 @@ def _grid(kind: str, first: tuple[str, Sequence[float]], second: tuple[str, Sequ
     """One scenario for every pair of values; what is wrong, no controller is told."""
     for a, b in itertools.product(first[1], second[1]):
         values = {first[0]: a, second[0]: b}
-        if "v_max" in values:
-            values["v_min"] = values["v_max"]
-        label = "-".join(f"{key}{value:g}" for key, value in ((first[0], a), (second[0], b)))
-        yield scene(name=f"{kind}-{label}", believed_delay=0.0, believed_lag=0.12, **values)  # type: ignore[arg-type]
+        label = "-".join(f"{key.partition('.')[2]}{value:g}" for key, value in values.items())
+        if "driver.v_max" in values:
+            values["driver.v_min"] = values["driver.v_max"]
+        yield scene(name=f"{kind}-{label}", knowledge={"delay": 0.0, "lag": 0.12}, **tables(values))
 
 
 _ADAPT = ("stanley", *TELLABLE, *(name + ORACLE for name in TELLABLE), "nfq-same-car-1", "nfq-same-car-5")
@@ -128,12 +130,26 @@ def _robustness() -> Suite:
         name="robustness",
         about="grids of what no controller is told: delay, lag, tyres, friction, ratio, offset, noise, wind, bank",
         scenarios=(
-            *_grid("delay", ("delay", (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3)), ("v_max", (5.0, 6.0, 7.0, 8.0, 9.0))),
-            *_grid("lag", ("lag", (0.05, 0.12, 0.2, 0.3, 0.4)), ("v_max", (5.0, 7.0, 9.0))),
-            *_grid("tyres", ("tyres", (0.5, 0.7, 0.85, 1.0, 1.2, 1.5)), ("friction", (0.3, 0.45, 0.6, 0.8, 1.0))),
-            *_grid("steering", ("ratio", (0.8, 0.9, 1.0, 1.1, 1.2)), ("offset_deg", (-8.0, -4.0, 0.0, 4.0, 8.0))),
-            *_grid("pose", ("noise", (0.0, 1.0, 2.0, 4.0)), ("latency", (0.0, 0.05, 0.1, 0.15, 0.2))),
-            *_grid("wind", ("wind", (0.0, 0.2, 0.4, 0.8)), ("bank_deg", (0.0, 2.0, 4.0, 6.0))),
+            *_grid(
+                "delay",
+                ("steering.delay", (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3)),
+                ("driver.v_max", (5.0, 6.0, 7.0, 8.0, 9.0)),
+            ),
+            *_grid("lag", ("steering.lag", (0.05, 0.12, 0.2, 0.3, 0.4)), ("driver.v_max", (5.0, 7.0, 9.0))),
+            *_grid(
+                "tyres",
+                ("vehicle.tyres", (0.5, 0.7, 0.85, 1.0, 1.2, 1.5)),
+                ("vehicle.friction", (0.3, 0.45, 0.6, 0.8, 1.0)),
+            ),
+            *_grid(
+                "steering",
+                ("vehicle.ratio", (0.8, 0.9, 1.0, 1.1, 1.2)),
+                ("steering.offset_deg", (-8.0, -4.0, 0.0, 4.0, 8.0)),
+            ),
+            *_grid("pose", ("sensors.noise", (0.0, 1.0, 2.0, 4.0)), ("sensors.latency", (0.0, 0.05, 0.1, 0.15, 0.2))),
+            *_grid(
+                "wind", ("disturbances.wind", (0.0, 0.2, 0.4, 0.8)), ("disturbances.bank_deg", (0.0, 2.0, 4.0, 6.0))
+            ),
         ),
         controllers=("stanley", "stanley-textbook", "stanley-delay", "pure-pursuit", "lqr", "mpc", "nfq-idoe"),
         seeds=3,
@@ -148,13 +164,13 @@ def _generalise() -> Suite:
         scenarios=(
             PAPER_ROUND,
             *(scene(name=f"random-{n}", course=f"random-{n}") for n in range(1, 6)),
-            scene(name="genesis-recorded", course="genesis", speed="recorded", v_max=9.0),
-            scene(name="genesis-rfs-recorded", course="genesis-rfs", speed="recorded", v_max=9.0),
-            scene(name="paper-linear", plant="linear"),
-            scene(name="paper-hard", lag=0.15, noise=1.0, latency=0.05),
+            scene(name="genesis-recorded", course="genesis", driver={"speed": "recorded", "v_max": 9.0}),
+            scene(name="genesis-rfs-recorded", course="genesis-rfs", driver={"speed": "recorded", "v_max": 9.0}),
+            scene(name="paper-linear", vehicle={"plant": "linear"}),
+            scene(name="paper-hard", steering={"lag": 0.15}, sensors={"noise": 1.0, "latency": 0.05}),
             scene(name="paper-bmw", vehicle="bmw-320i"),
             scene(name="paper-ford", vehicle="ford-escort"),
-            scene(name="paper-multi-body", plant=MULTI_BODY, vehicle="bmw-320i"),
+            scene(name="paper-multi-body", vehicle={"plant": MULTI_BODY, "name": "bmw-320i"}),
         ),
         controllers=("stanley", "lqr", *LEARNED, "nfq-idoe-genesis", "nfq-idoe-linear", "nfq-idoe-hard"),
         seeds=5,
@@ -213,7 +229,7 @@ def _compute() -> Suite:
     return Suite(
         name="compute",
         about="computing time a step, one drive at a time",
-        scenarios=(scene(name="paper-steady", v_min=6.0, v_max=6.0),),
+        scenarios=(scene(name="paper-steady", driver={"v_min": 6.0, "v_max": 6.0}),),
         controllers=(*ANALYTIC, "do-mpc", "nfq-idoe-quick", "nfq-bang-bang-quick"),
         seeds=1,
         timed_steps=2000,
@@ -253,9 +269,14 @@ def _golden() -> Suite:
         about="a small one whose numbers the tests hold",
         scenarios=(
             scene(
-                name="slalom-hard", course="slalom", v_max=9.0, lag=0.15, noise=1.0, latency=0.05, wind=0.2, gust=0.1
+                name="slalom-hard",
+                course="slalom",
+                driver={"v_max": 9.0},
+                steering={"lag": 0.15},
+                sensors={"noise": 1.0, "latency": 0.05},
+                disturbances={"wind": 0.2, "gust": 0.1},
             ),
-            scene(name="curvature-step-7", course="curvature-step", v_min=7.0, v_max=7.0),
+            scene(name="curvature-step-7", course="curvature-step", driver={"v_min": 7.0, "v_max": 7.0}),
         ),
         controllers=("stanley", "stanley-textbook", "pure-pursuit"),
         seeds=2,
@@ -298,11 +319,11 @@ def elsewhere(one: Suite, *, course: str = "", vehicle: str = "", controllers: S
     moved = []
     for scenario in one.scenarios:
         changes: dict[str, str] = {}
-        if course and scenario.course == plain.course:
+        if course and scenario.course.name == plain.course.name:
             changes |= {"course": course, "name": f"{scenario.name}-on-{_stem(course)}"}
-        if vehicle and scenario.vehicle == plain.vehicle:
+        if vehicle and scenario.vehicle.name == plain.vehicle.name:
             changes |= {"vehicle": vehicle, "name": f"{changes.get('name', scenario.name)}-with-{_stem(vehicle)}"}
-        moved.append(replace(scenario, **changes))  # type: ignore[arg-type]
+        moved.append(scenario.with_(**changes))
     if (course or vehicle) and moved == [*one.scenarios]:
         raise ValueError(f"suite '{one.name}': every scenario has a course and a car of its own, which it keeps")
     names = tuple(dict.fromkeys((*one.controllers, *controllers)))

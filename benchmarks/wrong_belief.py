@@ -54,11 +54,13 @@ def wrong_belief(number: int) -> tuple[Scenario, Scenario]:
     time is believed 0.2 s too short has that much steering delay at least.
     """
     ratio, side, less = RATIOS[number & 1], 1.0 - (number & 2), number & 4
-    true = fleet_scenario(number, ratio=ratio, offset_deg=side * OFFSET_OFF_DEG, told="truth")
+    true = fleet_scenario(
+        number, vehicle={"ratio": ratio}, steering={"offset_deg": side * OFFSET_OFF_DEG}, knowledge={"oracle": True}
+    )
     if less:
-        true = replace(true, delay=max(true.delay, DELAY_OFF))
+        true = true.with_(steering={"delay": max(true.steering.delay, DELAY_OFF)})
     dead = true.believed_dead_time + (-DELAY_OFF if less else DELAY_OFF)
-    return replace(true, told="data sheet", believed_delay=round(dead, 3)), true
+    return true.with_(knowledge={"oracle": False, "delay": round(dead, 3)}), true
 
 
 def unlike(number: int, estimator: str) -> Scenario:
@@ -69,17 +71,14 @@ def unlike(number: int, estimator: str) -> Scenario:
     wrong, _ = wrong_belief(number)
     tyres, zero = np.random.default_rng((number, 7)).uniform(_LEAST, _MOST)
     side = 1.0 - 2.0 * (number >> 3 & 1)
-    assert wrong.believed_delay is not None
-    delay = wrong.believed_delay - (0.0 if estimator == "none" else wrong.latency)  # behind one, nothing is late
-    return replace(
-        wrong,
-        estimator=estimator,
-        believed_delay=round(max(delay, 0.0), 3),
-        sensing="no sideslip",
+    assert wrong.knowledge.delay is not None
+    age = 0.0 if estimator == "none" else wrong.sensors.latency  # behind an estimator nothing is late
+    return wrong.with_(
+        sensors={"estimator": estimator, "kind": "no sideslip", "gyro_zero_deg": float(zero)},
+        knowledge={"delay": round(max(wrong.knowledge.delay - age, 0.0), 3)},
         reference="own",
-        tyres=float(tyres),
-        wheel_zero_deg=side * OFFSET_OFF_DEG,
-        gyro_zero_deg=float(zero),
+        vehicle={"tyres": float(tyres)},
+        steering={"wheel_zero_deg": side * OFFSET_OFF_DEG},
     )
 
 

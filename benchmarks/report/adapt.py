@@ -15,12 +15,16 @@ from benchmarks.report.conditions import UNITS
 from benchmarks.report.learning import Band, learning
 from benchmarks.report.parts import controllers, number, of_metric
 from benchmarks.run.results import Case, Results
+from benchmarks.scenarios import facts
 from steerkit.metrics import metric
 from steerkit.scenario import Scenario
 
 LEARNED = "learned on this car"
 """What the learner is called in these pictures, whichever its training was."""
-_TROUBLE = ("delay", "lag", "offset_deg", "play_deg", "ratio", "tyres", "wind", "gust", "bank_deg", "noise", "latency")
+_TROUBLE = (
+    *("steering.delay", "steering.lag", "steering.offset_deg", "steering.play_deg", "vehicle.ratio", "vehicle.tyres"),
+    *("disturbances.wind", "disturbances.gust", "disturbances.bank_deg", "sensors.noise", "sensors.latency"),
+)
 _SECOND = 1.0 / 60.0  # min
 
 
@@ -129,13 +133,14 @@ def _levels(results: Results, drives: Sequence[Case]) -> tuple[Level, ...]:
 
 def _trouble(fields: Mapping[str, Any]) -> str:
     """What is wrong, beyond sensors and motor of `hard` conditions: 'ratio 1.25, tyres 0.6'."""
-    usual = Scenario.under("hard")
-    wrong = [name for name in _TROUBLE if fields.get(name, getattr(usual, name)) != getattr(usual, name)]
-    words = [
-        f"{name.removesuffix('_deg')} {fields[name]:g} {'°' if name.endswith('_deg') else UNITS.get(name, '')}".strip()
-        for name in wrong
-    ]
-    return ", ".join([str(fields.get("vehicle", "")), *words]).strip(", ")
+    usual = facts(Scenario.under("hard"))
+    words = [str(fields.get("vehicle.name", ""))]
+    for key in _TROUBLE:
+        if fields.get(key, usual[key]) != usual[key]:
+            name = key.partition(".")[2]
+            unit = "°" if name.endswith("_deg") else UNITS.get(name, "")
+            words.append(f"{name.removesuffix('_deg')} {fields[key]:g} {unit}".strip())
+    return ", ".join(words).strip(", ")
 
 
 def section(results: Results, cases: Sequence[Case]) -> dict[str, Any] | None:

@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks.report.parts import controllers
 from benchmarks.run.results import Case
 
-WORDS = ("name", "title", "what", "label", "description", "about", "files")
+WORDS = ("name", "title", "what", "label", "description", "about", "course.text", "vehicle.text", "driver.text")
 """Fields of a scenario that say nothing of how it is driven."""
 
 UNITS = {
@@ -22,8 +22,6 @@ UNITS = {
     "v_max": "m/s",
     "delay": "s",
     "lag": "s",
-    "believed_delay": "s",
-    "believed_lag": "s",
     "latency": "s",
     "wind": "m/s²",
     "gust": "m/s²",
@@ -32,8 +30,9 @@ UNITS = {
 
 
 def condition(field: str) -> str:
-    """A field of a scenario in words, with its unit."""
-    words = field.removesuffix("_deg").replace("_", " ")
+    """A field of a scenario, such as `steering.delay`, in words, with its unit."""
+    table, _, field = field.rpartition(".")
+    words = ("believed " if table == "knowledge" else "") + field.removesuffix("_deg").replace("_", " ")
     unit = "deg" if field.endswith("_deg") else UNITS.get(field, "")
     return f"{words} [{unit}]" if unit else words
 
@@ -118,9 +117,9 @@ def _held(cases: Iterable[Case], name: str, at: Mapping[str, tuple[float, float]
 def conditions(scenario: Mapping[str, Any]) -> dict[str, Any]:
     """What a scenario fixes, without its words; a steady speed is one number `v` instead of v_min and v_max."""
     fields = {key: value for key, value in scenario.items() if key not in WORDS}
-    if "v_min" in fields and fields["v_min"] == fields.get("v_max"):
-        fields = {"v": fields.pop("v_min"), **fields}
-        del fields["v_max"]
+    if "driver.v_min" in fields and fields["driver.v_min"] == fields.get("driver.v_max"):
+        fields = {"v": fields.pop("driver.v_min"), **fields}
+        del fields["driver.v_max"]
     return fields
 
 

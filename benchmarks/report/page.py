@@ -183,7 +183,7 @@ def maps(results: Results, cases: Sequence[Case], look: dict[str, figures.Look])
     entries, seen = [], set()
     cases = [case for case in cases if case.kind == "drive"]
     for scenario in dict.fromkeys(case.scenario for case in cases):
-        course = str(results.protocol.get(scenario, {}).get("course", scenario))
+        course = str(results.protocol.get(scenario, {}).get("course.name", scenario))
         if course in seen:
             continue
         seed = min(case.seed for case in cases if case.scenario == scenario)

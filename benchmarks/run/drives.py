@@ -117,7 +117,7 @@ def judged(log: Log, scenario: Scenario, path: Path, loop: Loop) -> tuple[dict[s
     t = log.t[:end]
     held = bool(over.any()) and _first(over) < _first(off) and bool((np.abs(driven["e"]) <= TRIP).all())
     share = float(np.clip(progress[max(0, end - 1)] / length, 0.0, 1.0)) if end else 0.0
-    metrics = {"held": float(held), "rounds": scenario.rounds * share, "duration": float(t[-1]) if end else 0.0}
+    metrics = {"held": float(held), "rounds": scenario.course.rounds * share, "duration": float(t[-1]) if end else 0.0}
     if end >= _LEAST:
         metrics |= measures(t=t, **{k: driven[k] for k in ("e", "psi_e", "delta_sw", "a_y")})
         front = _front_error(loop, log, path, end, float(scenario.nominal.l_f))

@@ -2,7 +2,7 @@
 
 Part of the study `learning`: `python -m benchmarks study learning --fleet 40 --seeds 1 [--json]`, and `--cars KIND` for
 the cars of `KINDS`. The learner is told nothing of its car, but of one steered by torque the slew. Analytic controllers
-drive the same test once told the truth (`Scenario.told`, delay and lag) and once the data sheet (mass, tyres, ratio;
+drive the same test once told the truth (`Knowledge.oracle`, delay and lag) and once the data sheet (mass, tyres, ratio;
 nothing of the steering's delay, lag and offset, but of torque steering all except its gain). Play and sensor noise
 nobody is told. A ratio is that of the learner's final net to the analytic controller of the least RMS e.
 """
@@ -10,7 +10,7 @@ nobody is told. A ratio is that of the learner's final net to the analytic contr
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import partial
 from types import MappingProxyType
 from typing import Any
@@ -38,30 +38,44 @@ FIRST_NETS = 12
 
 def of_kind(name: str, **changes: Any) -> tuple[Scenario, ...]:
     """The cars of a kind, one of `KINDS`; changes: fields that are to be others."""
-    return tuple(replace(scenario, **changes) for scenario in KINDS[name]())
+    return tuple(scenario.with_(**changes) for scenario in KINDS[name]())
 
 
 def of_fleet(count: int, rounds: float = 1.0) -> tuple[Scenario, ...]:
     """The first `count` cars of the fleet, on so many rounds."""
-    return tuple(fleet_scenario(number, rounds=rounds) for number in range(count))
+    return tuple(fleet_scenario(number, course={"rounds": rounds}) for number in range(count))
 
 
 def _delays(course: str, v_min: float, v_max: float) -> tuple[Scenario, ...]:
-    told: dict[str, Any] = dict(course=course, v_min=v_min, v_max=v_max, lag=0.2, start=_start(course))
-    return tuple(Scenario.under("hard", name=f"{delay:g} s", delay=delay, **told) for delay in DELAYS)
+    driven: Any = dict(course={"name": course, "start": _start(course)}, driver={"v_min": v_min, "v_max": v_max})
+    return tuple(
+        Scenario.under("hard", name=f"{delay:g} s", steering={"delay": delay, "lag": 0.2}, **driven) for delay in DELAYS
+    )
 
 
 def _torque(vehicle: str) -> tuple[Scenario, ...]:
     course = "sweeping-2000"
-    driven: dict[str, Any] = dict(course=course, start=_start(course), v_min=12.0, v_max=20.0, a_y_human=1.5)
-    steered: dict[str, Any] = dict(vehicle=vehicle, steering="torque", delay=0.35, lag=0.0, **driven)
-    return tuple(Scenario.under("hard", name=f"gain {gain:g}", gain=gain, **steered) for gain in (0.75, 1.25))
+    scenario = Scenario.under(
+        "hard",
+        vehicle=vehicle,
+        course={"name": course, "start": _start(course)},
+        driver={"v_min": 12.0, "v_max": 20.0, "a_y_max": 1.5},
+        steering={"command": "torque", "delay": 0.35, "lag": 0.0},
+    )
+    return tuple(scenario.with_(name=f"gain {gain:g}", steering={"gain": gain}) for gain in (0.75, 1.25))
 
 
 def _multi_body() -> tuple[Scenario, ...]:
     course = "random-2000"
-    car: dict[str, Any] = dict(plant=MULTI_BODY, vehicle="bmw-320i", delay=0.2, lag=0.2)
-    return (Scenario.under("hard", name="multi-body", course=course, start=_start(course), **car),)
+    return (
+        Scenario.under(
+            "hard",
+            name="multi-body",
+            course={"name": course, "start": _start(course)},
+            vehicle={"name": "bmw-320i", "plant": MULTI_BODY},
+            steering={"delay": 0.2, "lag": 0.2},
+        ),
+    )
 
 
 def _start(course: str) -> float:
@@ -132,20 +146,20 @@ def one_car(job: tuple[Scenario, int, Setting, float]) -> FleetOutcome:
     final = judged(nets[-1]) if nets else None
     summary = final.summary if final else None
     nan = float("nan")
-    best, truth = _best(replace(scenario, told="truth"), ORACLE, test)
-    by_torque = scenario.steering == "torque"  # whose dead time and slew its makers know
-    on_paper = scenario if by_torque else replace(scenario, believed_delay=0.0, believed_lag=0.0)
+    best, truth = _best(scenario.with_(knowledge={"oracle": True}), ORACLE, test)
+    by_torque = scenario.steering.command == "torque"  # whose dead time and slew its makers know
+    on_paper = scenario if by_torque else scenario.with_(knowledge={"delay": 0.0, "lag": 0.0})
     on_sheet, sheet = _best(on_paper, ORACLE if by_torque else TOLD_DATA_SHEET, test)
     forecast = nets[-1].policy.forecast if nets else None
     mine = (summary.rms_e, summary.rms_wheel_rate_deg, summary.rms_jerk) if summary else (nan,) * 3
     return FleetOutcome(
         name=scenario.name,
         seed=seed,
-        car=scenario.vehicle,
-        delay=scenario.delay,
-        lag=scenario.lag,
-        offset_deg=scenario.offset_deg,
-        play_deg=scenario.play_deg,
+        car=scenario.vehicle.name,
+        delay=scenario.steering.delay,
+        lag=scenario.steering.lag,
+        offset_deg=scenario.steering.offset_deg,
+        play_deg=scenario.steering.play_deg,
         dead_samples=forecast.samples if forecast else 0,
         good=good,
         failures=trained.run.counts.failures,

@@ -40,7 +40,7 @@ class Job:
     @property
     def key(self) -> tuple[str, int, float, bool]:
         """What tells it from others."""
-        return self.scenario.name or self.scenario.plant, self.seed, self.minutes, self.safe
+        return self.scenario.name or self.scenario.vehicle.plant, self.seed, self.minutes, self.safe
 
 
 @dataclass(frozen=True)

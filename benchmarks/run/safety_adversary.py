@@ -104,6 +104,11 @@ def by_speed(
     for kind in kinds:
         row = table.setdefault(kind, {})
         for v in speeds:
-            cars = [Scenario.under("hard", course="paper", v_min=v, v_max=v, ratio=r, **changes) for r in (0.9, 1.1)]
+            cars = [
+                Scenario.under("hard", course="paper", driver={"v_min": v, "v_max": v}, **changes).with_(
+                    vehicle={"ratio": r}
+                )
+                for r in (0.9, 1.1)
+            ]
             row[f"{v:g} m/s"] = max(furthest(kind, car) for car in cars)
     return max(value for row in table.values() for value in row.values()), table

@@ -55,15 +55,15 @@ class Training:
             return self.scenario
         require(driven is not None, f"training '{self.name}'", "it is one for each scenario, and none was given")
         assert driven is not None
-        return replace(driven, believed_delay=None, believed_lag=None)
+        return driven.with_(knowledge={"delay": None, "lag": None})
 
 
 _ALL = (
     Training(name="clean"),
     Training(name="published", minutes=16.0),  # as long as the paper's second round took
     Training(name="quick", minutes=3.0),
-    Training(name="genesis", scenario=Scenario(course="genesis", v_min=6.0, v_max=9.0)),
-    Training(name="linear", scenario=Scenario(plant="linear")),
+    Training(name="genesis", scenario=Scenario(course="genesis", driver={"v_min": 6.0, "v_max": 9.0})),
+    Training(name="linear", scenario=Scenario(vehicle={"plant": "linear"})),
     Training(name="hard", scenario=Scenario.under("hard")),
     Training(name="episodes-120", minutes=60.0, episode_metres=200.0),  # else a good episode never ends
     Training(name="offline", minutes=2.0, offline_iterations=20),

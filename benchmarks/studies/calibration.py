@@ -92,30 +92,35 @@ def drawn(number: int, seconds: float, backend: Backend = "auto") -> Drive:
     rng = np.random.default_rng(number)
     ratio, tyres, friction, zero = rng.uniform([0.8, 0.8, 0.3, -0.005], [1.25, 1.25, 1.0, 0.005])
     shown = float(np.random.default_rng((number, 1)).uniform(-_SHOWN, _SHOWN))
-    scenario = fleet_scenario(number, v_min=5.0, v_max=9.0, ratio=ratio, tyres=tyres, friction_deg=friction)
+    scenario = fleet_scenario(
+        number,
+        driver={"v_min": 5.0, "v_max": 9.0},
+        vehicle={"ratio": ratio, "tyres": tyres},
+        steering={"friction_deg": friction},
+    )
     loop = assembled(scenario, controller("stanley-delay", scenario), seed=number)
     log = compile(loop, backend=backend, record=list(_SIGNALS.values()), every=round(DT / loop.dt)).run(seconds)
     signals = {name: np.array(log[signal]) for name, signal in _SIGNALS.items()}
     signals["r"] = signals["r"] + zero
     signals["delta_sw_meas"] = radians_of(0.1) * np.round((signals["delta_sw_meas"] + shown) / radians_of(0.1))
     signals["active"] = active(len(log.t), rng)
-    sum_of_both, car = scenario.delay + scenario.lag, scenario.true_vehicle
+    sum_of_both, car = scenario.steering.delay + scenario.steering.lag, scenario.vehicle.true
     truth = {
         "wheel.delay_lag": sum_of_both,
-        "wheel.delay": scenario.delay,
-        "wheel.lag": scenario.lag,
-        "yaw.delay_lag": sum_of_both + scenario.latency + HELD,
-        "yaw.delay": scenario.delay + scenario.latency + HELD,
-        "yaw.lag": scenario.lag,
+        "wheel.delay": scenario.steering.delay,
+        "wheel.lag": scenario.steering.lag,
+        "yaw.delay_lag": sum_of_both + scenario.sensors.latency + HELD,
+        "yaw.delay": scenario.steering.delay + scenario.sensors.latency + HELD,
+        "yaw.lag": scenario.steering.lag,
         "filter.ratio": ratio,
-        "filter.offset": radians_of(scenario.offset_deg),
+        "filter.offset": radians_of(scenario.steering.offset_deg),
         "filter.rate_zero": zero,
         "filter.understeer": car.understeer_gradient,
         "measured.ratio": ratio,
         "measured.offset": -shown,
         "measured.rate_zero": zero,
         "friction.friction": radians_of(friction),
-        "play.play": radians_of(scenario.play_deg),
+        "play.play": radians_of(scenario.steering.play_deg),
     }
     return Drive(scenario=scenario, signals=signals, truth={name: float(value) for name, value in truth.items()})
 
@@ -336,7 +341,8 @@ def closed_loop(options: argparse.Namespace) -> dict[str, Any]:
         rows.append(row)
         late = wrong.believed_dead_time - true.believed_dead_time
         print(
-            f"{number:6}{late:+7.1f}{true.ratio:7.2f}{true.offset_deg:+8.1f}{truth.rms_e:10.4f}{truth.max_e:6.2f}"
+            f"{number:6}{late:+7.1f}{true.vehicle.ratio:7.2f}{true.steering.offset_deg:+8.1f}"
+            f"{truth.rms_e:10.4f}{truth.max_e:6.2f}"
             f"{adapts.rms_e:10.4f}{adapts.max_e:6.2f}{adapts.rms_wheel_deg:6.0f}{fixed.rms_e:12.4f}{fixed.max_e:6.2f}"
             f"{row['x']:7.2f}{row['wheel_x']:9.2f}",
             flush=True,

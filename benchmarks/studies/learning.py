@@ -164,14 +164,14 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         seeds = range(options.first_seed, options.first_seed + (1 if options.seeds is None else options.seeds))
         five = minutes if options.minutes is not None or options.quick else 5.0
         rounds = 0.05 if options.quick else 1.0
-        cars = of_kind(options.cars, rounds=rounds) if options.cars else of_fleet(options.fleet, rounds)
+        cars = of_kind(options.cars, course={"rounds": rounds}) if options.cars else of_fleet(options.fleet, rounds)
         return fleet(cars[:1] if options.quick else cars, seeds, how, five, where)
-    scenario = replace(
-        Scenario.under(options.conditions, course=options.course), plant=options.plant, reference=options.reference
+    scenario = Scenario.under(options.conditions, course=options.course).with_(
+        vehicle={"plant": options.plant}, reference=options.reference
     )
     if options.v_max is not None:
-        scenario = replace(scenario, v_max=options.v_max)
-    scenario = replace(scenario, speed=options.speed)
+        scenario = scenario.with_(driver={"v_max": options.v_max})
+    scenario = scenario.with_(driver={"speed": options.speed})
     chosen = changed(setting(options.setting), options.changes)
     base = Experiment(setting=chosen, scenario=scenario, minutes=minutes, episodes=options.episodes)
     jobs = [(replace(base, seed=options.first_seed + n), options.last) for n in range(count)]
@@ -194,7 +194,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         "conditions": options.conditions,
         "plant": options.plant,
         "reference": options.reference,
-        "v_max": scenario.v_max,
+        "v_max": scenario.driver.v_max,
         "minutes": minutes,
         **summarise(outcomes, 660.0),
     }

@@ -69,7 +69,7 @@ SPEEDS = (2.0, 4.0, 6.5, 8.0, 9.0)
 """Of the adversaries' drives [m/s]."""
 LATE = 0.1
 """Delay that nobody is told [s]."""
-OFF: dict[str, Any] = dict(tyres=0.7, delay=LATE, believed_delay=DT)
+OFF: dict[str, Any] = dict(vehicle={"tyres": 0.7}, steering={"delay": LATE}, knowledge={"delay": DT})
 """What nobody is told of the adversaries' cars, beside their ratio."""
 
 
@@ -139,7 +139,7 @@ def adversaries(seconds: float, kinds: tuple[str, ...], speeds: tuple[float, ...
 
     def driven(kind: str, scenario: Scenario) -> float:
         log = against(Adversary(kind=kind), scenario, seconds, LATE)
-        bends = scenario.v_max**2 * np.abs(log["path.kappa"])
+        bends = scenario.driver.v_max**2 * np.abs(log["path.kappa"])
         beyond.append(float((np.abs(log["car.a_y"]) - np.maximum(bends, 3.0)).max()))
         return largest(log["path.e"])
 
@@ -151,7 +151,9 @@ def trained(seconds: float, speeds: tuple[float, ...], population: int, generati
     """Largest |e| of a net that is trained to leave the path at a speed, begun before the course's first bend."""
     table = {}
     for v in speeds:
-        scenario = Scenario.under("hard", course="paper", v_min=v, v_max=v, ratio=1.1, start=40.0, **OFF)
+        scenario = Scenario.under(
+            "hard", course={"name": "paper", "start": 40.0}, driver={"v_min": v, "v_max": v}, **OFF
+        ).with_(vehicle={"ratio": 1.1})
         safety = replace(make_safety(scenario.design_model()), delay_doubt=LATE)
 
         def furthest(net: NetAdversary, scenario: Scenario = scenario, safety: SafetyFilter = safety) -> Any:
@@ -175,7 +177,7 @@ def chatter(seconds: float, speeds: tuple[float, ...]) -> dict[str, Any]:
     late = SafetyFilter.delay_doubt
     rows: dict[str, tuple[float, float]] = {}
     for v in speeds:
-        scenario = Scenario.under("hard", course="paper", v_min=v, v_max=v)
+        scenario = Scenario.under("hard", course="paper", driver={"v_min": v, "v_max": v})
         for name, driver in (("full lock", Adversary()), ("0.8 m beside", Beside(law=Stanley.of(scenario.nominal)))):
             logs = [against(driver, scenario, seconds, late, hold=hold) for hold in (1, SafetyFilter.hold)]
             one, many = (rms(np.diff(log["safety.correction"][40:])) for log in logs)
@@ -188,7 +190,7 @@ def narrowing(seconds: float, speeds: tuple[float, ...], begin: float = 10.0) ->
     as it is, and where it narrows; samples from `begin` on [s]."""
     rows: dict[str, dict[str, float]] = {}
     for v in speeds:
-        scenario = Scenario.under("hard", course="paper", v_min=v, v_max=v)
+        scenario = Scenario.under("hard", course="paper", driver={"v_min": v, "v_max": v})
         row = rows.setdefault(f"{v:g} m/s", {})
         for name, least in (("constant", None), ("narrows", 0.003)):
             driver = Beside(law=Stanley.of(scenario.nominal), by=0.42)

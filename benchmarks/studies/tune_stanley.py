@@ -54,7 +54,9 @@ def drive_loop(controller: Block, *, delay: float = 0.0, e: float = 0.0) -> Loop
 
     At 9 m/s the course's hairpin (5.9 m) would be 13.7 m/s^2, more than tyres can do: hence the careful human.
     """
-    scenario = Scenario(name="study", delay=delay, lag=LAG, v_min=4.0, v_max=9.0, reference="own")
+    scenario = Scenario(
+        name="study", steering={"delay": delay, "lag": LAG}, driver={"v_min": 4.0, "v_max": 9.0}, reference="own"
+    )
     loop = assembled(scenario, controller)
     return loop.with_block("car", placed(scenario.car(scenario.path()), scenario.path(), e=e))
 

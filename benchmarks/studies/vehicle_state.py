@@ -86,10 +86,10 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
 
 def scene(estimator: str, course: str, **others: Any) -> Scenario:
     """The scenario of a drive; estimator `truth`: perfect sensors."""
+    sensors: dict[str, Any] = {"kind": "no sideslip", "estimator": estimator}
     if estimator == "truth":
-        others = {"noise": 0.0, "latency": 0.0} | others
-        estimator = "none"
-    return Scenario.under("hard", course=course, sensing="no sideslip", estimator=estimator, reference="own", **others)
+        sensors |= {"estimator": "none", "noise": 0.0, "latency": 0.0}
+    return Scenario.under("hard", course=course, sensors=sensors, reference="own", **others)
 
 
 def judged(log: Log) -> tuple[float, float]:
@@ -107,7 +107,7 @@ def closed_loop(names: list[str], drives: tuple[tuple[str, int], ...], rounds: f
         for course, seed in drives:
             e, wheel = {}, {}
             for kind in ("none", "vehicle-state", "truth"):
-                scenario = scene(kind, course, rounds=rounds)
+                scenario = scene(kind, course).with_(course={"rounds": rounds})
                 e[kind], wheel[kind] = judged(drive(scenario, controller(name, scenario), seed=seed))
             row = _ratios(e, wheel)
             ratios.append(row)
@@ -235,7 +235,8 @@ def replayed(block: VehicleState, log: Log, lost: NDArray[np.bool_], jumped: NDA
 def outages(seconds: float, backend: Backend) -> dict[str, Any]:
     """What 2 s without sensors and jumps of a position do."""
     log = recorded("paper", seconds, 1, 500, backend)
-    block = scene("vehicle-state", "paper").estimator_block()
+    scenario = scene("vehicle-state", "paper")
+    block = scenario.sensors.state_estimator(scenario.nominal)
     assert isinstance(block, VehicleState)
     phase = log.t % EVERY
     lost, jumped = (log.t > EVERY) & (phase < OUTAGE), (log.t > EVERY) & (phase > 7.0) & (phase < 7.0 + JUMP_TIME)

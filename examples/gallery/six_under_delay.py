@@ -10,7 +10,7 @@ from steerkit.scenario import Scenario
 from steerkit.metrics import of_log
 from steerkit.plots.style import PALETTE, new_figure, style
 
-scenario = Scenario(course="paper", delay=0.15)
+scenario = Scenario(course="paper", steering={"delay": 0.15})
 run = learn(Experiment(scenario=scenario, minutes=1 / 3, seed=1))
 names = ("stanley", "stanley-textbook", "pure-pursuit", "lqr", "mpc")
 logs = {name: drive(scenario, make_controller(name, scenario.design_model()), rounds=0.43) for name in names}

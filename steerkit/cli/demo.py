@@ -38,7 +38,7 @@ EXPERIMENTS = {
     "I-DOE, 800 m course": Experiment(setting=DEFAULT, minutes=11.0),
     "bang-bang, 800 m course": Experiment(setting=BANG_BANG, minutes=11.0),
     "I-DOE, recorded lap": Experiment(
-        setting=DEFAULT, scenario=Scenario(course="genesis", v_min=6.0, v_max=9.0), minutes=20.0
+        setting=DEFAULT, scenario=Scenario(course="genesis", driver={"v_min": 6.0, "v_max": 9.0}), minutes=20.0
     ),
 }
 

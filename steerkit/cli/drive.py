@@ -158,12 +158,12 @@ def driven(
     for name, log in logs.items():
         log.save(files[name])
     if one:
-        picture = round_driven(logs[names[0]], title=f"{names[0]} on {scenario.course}")
+        picture = round_driven(logs[names[0]], title=f"{names[0]} on {scenario.course.name}")
     else:
-        picture = rounds_driven(logs, title=f"on {scenario.course}")
+        picture = rounds_driven(logs, title=f"on {scenario.course.name}")
     save(picture, place / "drive.png")
     write_text(place / NOTE, json.dumps(_described(names, scenario, rounds=rounds, seed=seed), indent=1))
-    console.print(comparison(f"{rounds or scenario.rounds:g} round(s) of {scenario.course}", logs))
+    console.print(comparison(f"{rounds or scenario.course.rounds:g} round(s) of {scenario.course.name}", logs))
     if not quiet:
         if one and scenario.path().origin_deg:
             console.print(f"course: {scenario.path()!r}", soft_wrap=True)

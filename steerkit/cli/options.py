@@ -6,7 +6,7 @@ import contextlib
 import functools
 import inspect
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from types import MappingProxyType
@@ -100,7 +100,7 @@ class DriveOptions:
     scenario_file: Annotated[
         Path | None, in_simulation("TOML file of a scenario; options given besides change it.", "--scenario")
     ] = None
-    recovery: Annotated[str, on_car("Who catches a learner: stanley, stanley-delay, adapting, or what is fitting.")] = (
+    recovery: Annotated[str, on_car("Recovery controller of a learner: stanley, stanley-delay, adaptive, or auto.")] = (
         "auto"
     )
     simulated: Annotated[bool, on_car("A simulated car on a bus, started for it.", "--simulated")] = False
@@ -166,40 +166,46 @@ def scenario_of(ctx: typer.Context, base: Scenario | None = None) -> Scenario:
     base: the scenario to change instead, such as that of a run.
     """
     from steerkit.scenario import CONDITIONS, Scenario
-    from steerkit.scenario.file import read_scenario
+    from steerkit.scenario.scenario import read_scenario
 
-    names = given(ctx)
-    changes: dict[str, Any] = {n: ctx.params[n] for n in ("course", "vehicle", "delay", "estimator") if n in names}
-    if ctx.params["scenario_file"] is not None:
-        base = read_scenario(ctx.params["scenario_file"])
+    names, options = given(ctx), ctx.params
+    changes: dict[str, Any] = {n: {"name": options[n]} for n in ("course", "vehicle") if n in names}
+    if "delay" in names:
+        changes["steering"] = {"delay": options["delay"]}
+    if "estimator" in names:
+        changes["sensors"] = {"estimator": options["estimator"]}
+    if options["scenario_file"] is not None:
+        base = read_scenario(options["scenario_file"])
     if names & {"speed", "v_max"}:
-        changes |= _speeds(ctx.params["speed"], ctx.params["v_max"] if "v_max" in names else None, base or Scenario())
+        changes["driver"] = _speeds(options["speed"], options["v_max"] if "v_max" in names else None, base)
     if base is None:
-        return Scenario.under(ctx.params["conditions"].value, **changes)
+        return Scenario.under(options["conditions"].value, **changes)
     if "conditions" in names:
-        changes |= _UNDISTURBED | CONDITIONS[ctx.params["conditions"].value]
+        base = base.with_(sensors=_UNDISTURBED).with_(**CONDITIONS[options["conditions"].value])
     if "vehicle" in names:  # its file's [steering] comes with it
-        changes = replace(base, **changes).steering_told() | changes
-    return replace(base, **changes)
+        base = base.with_(vehicle=changes["vehicle"])
+        base = base.with_(steering=base.vehicle.steering_in_file())
+    return base.with_(**changes)
 
 
-_UNDISTURBED = {"noise": 0.0, "latency": 0.0, "sensing": "hard"}
+_UNDISTURBED = {"noise": 0.0, "latency": 0.0, "kind": "hard"}
 
 
-def _speeds(speed: str, v_max: float | None, base: Scenario) -> dict[str, Any]:
-    """The fields of a scenario that --speed and --v-max mean."""
+def _speeds(speed: str, v_max: float | None, base: Scenario | None) -> dict[str, Any]:
+    """The fields of a scenario's driver that --speed and --v-max mean."""
     from steerkit._support.errors import require
-    from steerkit.scenario.parts import profile_of
+    from steerkit.scenario.parts import Driver, speed_file
 
+    driver = Driver() if base is None else base.driver
     try:
         steady = float(speed)
     except ValueError:
         fields: dict[str, Any] = {"speed": speed}
         if speed.endswith(".csv"):
-            _, v = profile_of(speed)
-            fields |= {"v_min": min(base.v_min, float(v.min())), "v_max": max(base.v_max, float(v.max()))}
+            _, v = speed_file(speed)
+            fields |= {"v_min": min(driver.v_min, float(v.min())), "v_max": max(driver.v_max, float(v.max()))}
         if v_max is not None:
-            fields |= {"v_max": v_max, "v_min": min(fields.get("v_min", base.v_min), v_max)}
+            fields |= {"v_max": v_max, "v_min": min(fields.get("v_min", driver.v_min), v_max)}
         return fields
     require(v_max is None, f"--speed {speed}", "a steady speed; leave --v-max out")
     return {"speed": "wander", "v_min": steady, "v_max": steady}
@@ -207,7 +213,7 @@ def _speeds(speed: str, v_max: float | None, base: Scenario) -> dict[str, Any]:
 
 def driven_on(scenario: Scenario, conditions: Conditions) -> str:
     """Course and conditions as a part of a directory's name."""
-    return f"{scenario.course.removesuffix('.csv')}-{conditions.value}"
+    return f"{scenario.course.name.removesuffix('.csv')}-{conditions.value}"
 
 
 @contextlib.contextmanager

@@ -37,8 +37,8 @@ def vehicles(
     if having.endswith(".toml"):
         from steerkit.scenario import Scenario
 
-        told = Scenario(vehicle=having)
-        cars[having], delay = (told.nominal, None), told.steering_told().get("delay")
+        named = Scenario(vehicle=having).vehicle
+        cars[having], delay = (named.nominal, None), named.steering_in_file().get("delay")
     else:
         known = {name: (car, None) for name, car in VEHICLES.items()}
         known |= {name: (member.vehicle, member) for name, member in fleet().items()}  # type: ignore[misc]

@@ -30,7 +30,7 @@ from steerkit.paths.path import Path
 from steerkit.scenario import END_MARGIN, Scenario
 from steerkit.scenario.catalogue import ELEMENTS, make_element, make_safety
 from steerkit.scenario.drive import assembled
-from steerkit.scenario.file import read_scenario
+from steerkit.scenario.scenario import read_scenario
 from steerkit.task import STOP, STOP_DEG, TRIP
 
 Array = NDArray[np.float64]

@@ -199,7 +199,7 @@ class LearningRun:
         elif learning and learner_state.due():
             learner_state.train(self.t, trusted=True)
         if not self.path.closed and self._value("path.s") > self.path.length - END_MARGIN:
-            self._put_back(self.experiment.scenario.start)  # the end of an open course
+            self._put_back(self.experiment.scenario.course.start)  # the end of an open course
         if counts.updates > trainings and self.keep is not None:
             self.keep(self)
         if int(self.t) > second:

@@ -184,7 +184,7 @@ def figures_of_merit(run: LearningRun) -> dict[str, Any]:
     counts = run.counts
     return {
         "setting": run.experiment.setting.name,
-        "course": run.experiment.scenario.course,
+        "course": run.experiment.scenario.course.name,
         "seed": run.experiment.seed,
         "driving_minutes": run.t / 60.0,
         "failures": counts.failures,
@@ -213,11 +213,11 @@ def show(place: FilePath, *, quiet: bool = False) -> dict[str, Any]:
     scenario = run.experiment.scenario
     logs = {"learned": _final_drive(place, run), "stanley": evaluate.drive(scenario, scenario.recovery_controller())}
     net = "the final net" if run.counts.updates else "a net that was never trained"
-    console.print(evaluate.comparison(f"one round of {scenario.course}, {net}", logs))
+    console.print(evaluate.comparison(f"one round of {scenario.course.name}, {net}", logs))
     drive = rundir.drive_log(place, until=run.t)
     name = run.experiment.setting.name
-    save(learning(drive, title=f"{name} on {scenario.course}: from the first second"), place / "learning.png")
-    title = f"{name} on {scenario.course}: final net"
+    save(learning(drive, title=f"{name} on {scenario.course.name}: from the first second"), place / "learning.png")
+    title = f"{name} on {scenario.course.name}: final net"
     save(round_driven(logs["learned"], logs["stanley"], title=title), place / "round.png")
     if not quiet:
         console.print(f"pictures: {place}/learning.png, {place}/round.png", soft_wrap=True)

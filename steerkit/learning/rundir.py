@@ -36,7 +36,7 @@ from steerkit.learning.settings import Setting
 from steerkit.learning.trainer import SimulatedTrainer
 from steerkit.scenario import Scenario
 from steerkit.scenario.catalogue import OLD_ELEMENTS
-from steerkit.scenario.file import of_table
+from steerkit.scenario.scenario import of_table
 
 LOCK, HOLDER = ".lock", ".learner"
 """The lock, which ends with its process, however that ends; and a line that says whose it is."""
@@ -109,6 +109,8 @@ def kind_of(cls: type) -> str:
 
 def plain(value: Any) -> Any:
     """Nested dataclasses as dictionaries that JSON and TOML can hold; the class is kept under `kind`."""
+    if isinstance(value, Scenario):
+        return {"kind": kind_of(type(value)), **asdict(value)}
     if is_dataclass(value) and not isinstance(value, type):
         return {"kind": kind_of(type(value))} | {f.name: plain(getattr(value, f.name)) for f in fields(value)}
     return list(value) if isinstance(value, tuple) else value
@@ -121,15 +123,13 @@ def from_plain(data: Any, where: str, default: type | None = None) -> Any:
     if not isinstance(data, dict):
         return data
     name = str(data.get("kind", default.__name__ if default else None))
-    if name in ("Scenario", "World"):  # the second in runs of before
+    if name == "Scenario":
         return of_table(data, where)
     kind: Any = _own_kind(name, where) if is_outside(name) else KINDS.get(name)
     if kind is None:
         raise ValueError(f"{where}: kind {name!r} is not known; valid: {', '.join(KINDS)}, package.module:Class")
     if issubclass(kind, Scenario):
         return of_table(data, where, kind)
-    if kind is Experiment and "world" in data and "scenario" not in data:  # in runs and files of before
-        data = {"scenario" if key == "world" else key: value for key, value in data.items()}
     inside = {"setting": Setting, "scenario": Scenario, "fit": FitSetting, "cost": costs.TanhCost}
     if issubclass(kind, Setting) and data.get("doe") in OLD_ELEMENTS:
         data = data | {"doe": OLD_ELEMENTS[data["doe"]]}

@@ -97,7 +97,7 @@ def _drive_one(scenario: Scenario, setting: Setting, policy: Any, seed: int, *, 
     if drives is None:
         log = evaluate.drive(scenario, policy, doe=doe, seed=seed, rounds=1.0, only_while_held=True)
     else:
-        one_round = dataclasses.replace(scenario, rounds=1.0)
+        one_round = scenario.with_(course={"rounds": 1.0})
         log = drives.run(evaluate.drive_loop(one_round, policy, doe=doe, seed=seed), one_round.seconds)
     return _judged(log, scenario.round_length)
 

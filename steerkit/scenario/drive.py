@@ -38,32 +38,8 @@ class Place(Protocol):
         """The course."""
         ...
 
-    def car(self, path: Path, s: float = 0.0, seed: int = 0) -> Block:
-        """The plant, on the path at arc length s [m]."""
-        ...
-
-    def driver(self, seed: int) -> Block:
-        """Who sets the speed."""
-        ...
-
-    def actuator(self) -> Block | None:
-        """The motor at the steering wheel."""
-        ...
-
-    def link(self, seed: int) -> Block | None:
-        """The way of a command to the motor; None if it is perfect."""
-        ...
-
-    def column(self) -> Block | None:
-        """What is between the motor and the road wheels; None if it is rigid."""
-        ...
-
-    def sensors(self, seed: int) -> Block | None:
-        """What is measured of the car; None for the truth."""
-        ...
-
-    def estimator_block(self) -> Block | None:
-        """What makes of that what the controllers see; None if they see it as it is."""
+    def blocks(self, path: Path, s: float = 0.0, seed: int = 0) -> Mapping[str, Block | None]:
+        """Car (at arc length s [m]), driver, link, actuator, column, sensors, estimator; None for what is left out."""
         ...
 
 
@@ -86,25 +62,20 @@ def assembled(
     """
     path = place.path()
     if s is None:
-        s = place.start if isinstance(place, Scenario) else 0.0
+        s = place.course.start if isinstance(place, Scenario) else 0.0
     stop = place.nominal.delta_sw_max if isinstance(place, Scenario) else None
     judge = Supervisor(limit=stop, dt=controller.dt) if recovery is not None and stop is not None else None
+    blocks: dict[str, Any] = dict(place.blocks(path, s, seed))
     return steering_loop(
-        car=place.car(path, s=s, seed=seed),
         path=path,
-        driver=place.driver(seed),
         controller=controller,
         doe=doe,
         recovery=recovery,
         supervisor=judge,
-        link=place.link(seed),
-        actuator=place.actuator(),
-        column=place.column(),
-        sensors=place.sensors(seed),
-        estimator=place.estimator_block(),
         reference=_reference(place, controller),
         shift=shift,
         safety=safety,
+        **blocks,
     )
 
 
@@ -153,7 +124,7 @@ def drive(
     driver would need; then the last `path.progress` is short of `rounds` times the course.
     """
     if rounds is not None:
-        scenario = replace(scenario, rounds=rounds)
+        scenario = scenario.with_(course={"rounds": rounds})
     loop = drive_loop(scenario, steering, doe=doe, seed=seed, s=s)
     length = scenario.length
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -39,23 +40,26 @@ def fleet_scenario(number: int, **changes: Any) -> Scenario:
     `random-1017` for number 17; drives begin where it is straightest, as a car put down in a tight bend leaves the path
     whoever steers it.
 
-    number: the seed, a whole number >= 0. changes: fields of the scenario that are to be others. Raises ValueError for
-    another number, and for changes that make no scenario.
+    number: the seed, a whole number >= 0. changes: as for `Scenario.with_`; a drive on another course begins where
+    they say. Raises ValueError for another number, and for changes that make no scenario.
     """
     car = drawn_car(number)
-    name = f"random-{COURSES_FROM + number}"
     share, state = uniform(seed_state(number, stream=_STREAM))
     side, state = uniform(state)
     worn, _ = uniform(state)
-    drawn: dict[str, Any] = {
-        "name": f"fleet-{number}",
-        "vehicle": car.vehicle.name,
-        "course": name,
-        "delay": round(car.steer_delay, 2),
-        "lag": round(LAG[0] + (LAG[1] - LAG[0]) * share, 3),
-        "offset_deg": round(OFFSET_DEG * (2.0 * side - 1.0), 2),
-        "play_deg": round(PLAY_DEG * worn, 2),
-    }
-    if "start" not in changes:  # a course takes longer to make than all the rest
-        drawn["start"] = straightest(random_course(COURSES_FROM + number))
-    return Scenario.under("hard", **(drawn | changes))
+    scenario = Scenario.under(
+        "hard",
+        name=f"fleet-{number}",
+        vehicle=car.vehicle.name,
+        course=f"random-{COURSES_FROM + number}",
+        steering={
+            "delay": round(car.steer_delay, 2),
+            "lag": round(LAG[0] + (LAG[1] - LAG[0]) * share, 3),
+            "offset_deg": round(OFFSET_DEG * (2.0 * side - 1.0), 2),
+            "play_deg": round(PLAY_DEG * worn, 2),
+        },
+    ).with_(**changes)
+    given = changes.get("course", {})
+    if not isinstance(given, Mapping) or given.keys() & {"name", "start"}:  # a course takes longer than all the rest
+        return scenario
+    return scenario.with_(course={"start": straightest(random_course(COURSES_FROM + number))})

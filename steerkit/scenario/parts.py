@@ -1,134 +1,457 @@
-"""What a scenario is made of: its course, and the blocks of its steering and its sensors."""
+"""The parts of a scenario: course, vehicle, driver, steering, sensors, disturbances, and what controllers believe."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from pathlib import Path as FilePath
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from steerkit._support.errors import require
+from steerkit._support.errors import known, require, require_within
 from steerkit._support.files import read_text
 from steerkit.diagram.block import Block
-from steerkit.diagram.units import radians_of
+from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.vehicle_state import VehicleState
-from steerkit.paths.courses import course, course_of, lane_change, random_course
+from steerkit.paths.courses import course, course_of, lane_change, names, random_course, recorded_speed
+from steerkit.paths.importers.reading import KINDS, Address, is_road, read_course
 from steerkit.paths.path import Array, Path
 from steerkit.paths.waypoints import read_columns
+from steerkit.plants.disturbed_plant import DisturbedPlant
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.sensors import DegradedSensors, Sensors
-from steerkit.plants.speed_driver import CurveSpeedDriver, ceiling
-from steerkit.plants.steering_actuator import SteeringActuator, SteeringColumn, SteeringLink
+from steerkit.plants.speed_driver import CurveSpeedDriver, SpeedDriver, SpeedProfile, ceiling
+from steerkit.plants.steering_actuator import SteeringActuator, SteeringColumn, SteeringLink, steering_in
 from steerkit.plants.torque_steering import TorqueSteering
-from steerkit.task import DT
-from steerkit.vehicles import Vehicle, vehicle_of
+from steerkit.scenario.catalogue import plant_kind
+from steerkit.task import A_Y_MAX, DT
+from steerkit.vehicles import G, Vehicle, vehicle, vehicle_of
+from steerkit.vehicles.file import tables_of
 
-if TYPE_CHECKING:
-    from steerkit.scenario.scenario import Scenario
-
-
-DRAWN = {"random": (500.0, 0.1), "sweeping": (2000.0, 0.01)}
+RANDOM_COURSES = {"random": (500.0, 0.1), "sweeping": (2000.0, 0.01)}
 """Length [m] and largest curvature [1/m] of random courses, by what their names begin with."""
+_TIGHTEST = 0.5  # m: no course from a map is tighter; what the scenario's car can do is judged besides
 
 
-def link_of(scenario: Scenario, seed: int) -> SteeringLink | None:
-    """The way of a command to the motor; None if nothing happens on it."""
-    if (scenario.quantum_deg, scenario.dead_band_deg, scenario.delay_jitter) == (0.0, 0.0, 0.0):
-        return None
-    return SteeringLink(
-        quantum=radians_of(scenario.quantum_deg),
-        dead_band=radians_of(scenario.dead_band_deg),
-        jitter=scenario.delay_jitter,
-        seed=seed,
-    )
+def _number(default: float | None, unit: str, least: float, largest: float) -> Any:
+    """A field that holds a number [unit] from `least` to `largest`; with a default of None, None as well."""
+    return field(default=default, metadata={"unit": unit, "range": (least, largest)})
 
 
-def actuator_of(scenario: Scenario) -> Block:
-    """The motor at the steering wheel, or what steers by torque in its place."""
-    if scenario.steering == "torque":
-        return TorqueSteering.of(
-            scenario.nominal,
-            delay=scenario.delay,
-            lag=scenario.lag,
-            slew=scenario.slew,
-            a_y_limit=scenario.a_y_limit,
-            gain=scenario.gain,
-            offset=radians_of(scenario.offset_deg),
-            rate_limit=radians_of(scenario.rate_limit_deg),
+def _word(*valid: str) -> Any:
+    """A field that holds one of these words; the first is the default."""
+    return field(default=valid[0], metadata={"valid": valid})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """A table of a scenario's file; its numbers and words are checked against what stands beside each field.
+
+    Raises ValueError naming the table, the field, its unit and what is valid.
+    """
+
+    table: ClassVar[str]
+    """Name of the table in a file, and of the part in a `Scenario`."""
+    file: ClassVar[str] = ""
+    """The field that may name a file, whose text is then kept in `text`."""
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if "valid" in f.metadata:
+                valid = f.metadata["valid"]
+                require(value in valid, self.table, f"{f.name} {value!r}; valid: {', '.join(valid)}")
+            elif "unit" in f.metadata and not (value is None and f.default is None):
+                unit, number = f.metadata["unit"], isinstance(value, int | float) and not isinstance(value, bool)
+                require(number, self.table, f"{f.name} = {value!r}, expected a number [{unit}]")
+                require_within(self.table, f.name, value, unit, *f.metadata["range"])
+                object.__setattr__(self, f.name, float(value))
+
+    @classmethod
+    def of(cls, given: Any, base: Self | None = None) -> Self:
+        """The part itself; or a table of its fields, the others as in `base`; or of a course or vehicle, its name."""
+        if isinstance(given, cls):
+            return given
+        if isinstance(given, str | FilePath) and cls.file == "name":
+            given = {"name": str(given)}
+        valid = [f.name for f in fields(cls)]
+        require(isinstance(given, Mapping), cls.table, f"{given!r:.60}, expected a table of {', '.join(valid)}")
+        for key in given:
+            require(key in valid, cls.table, f"no field '{key}'; valid: {', '.join(valid)}")
+        if base is None:
+            return cls(**given)
+        if cls.file in given:  # another file
+            given = {"text": None, **given}
+        return replace(base, **given)
+
+    def _keep_file(self, suffix: str) -> None:
+        """Read the file that is named, unless its text is known, and keep the text and the name without folders."""
+        given, text = str(getattr(self, self.file)), getattr(self, "text")  # noqa: B009
+        if text is None and given.endswith(suffix):
+            try:
+                object.__setattr__(self, "text", read_text(FilePath(given), self.table))
+            except OSError as error:
+                raise ValueError(f"{self.table} {given} cannot be read ({error.strerror})") from error
+            object.__setattr__(self, self.file, FilePath(given).name)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Course(Part):
+    """Where is driven, from where on and how far."""
+
+    table: ClassVar[str] = "course"
+    file: ClassVar[str] = "name"
+    name: str = "paper"
+    """A course of `steerkit.paths.courses`; `random-7` and the like, a random course by its seed (500 m, radii of 10 m
+    and more), `sweeping-7` one with wide bends (2 km, 100 m and more); or a file: CSV with the columns x, y [m] or lat,
+    lon [degrees], or any that `steerkit.paths.importers.read_course` reads, such as `town.xodr#road=1,lane=-1`, which
+    is kept as such a CSV. ISO lane changes are as long as the driver's v_max asks."""
+    closed: bool | None = None
+    """Is a course from a file closed? None: as the file says, or as it looks (`steerkit.paths.courses.course_of`)."""
+    start: float = _number(0.0, "m", 0.0, 1e6)
+    """Where on the course a drive begins [m]: at rest relative to it, so that a tight bend there is no fair start."""
+    rounds: float = _number(1.0, "1", 1e-3, 1e6)
+    """Rounds that a test drive takes; an open course is driven without END_MARGIN at either end."""
+    text: str | None = field(default=None, repr=False)
+    """The text of the file that `name` names; filled in when the part is made."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.text is None and is_road(self.name):
+            text = read_course(self.name, tightest=_TIGHTEST, closed=self.closed).text()
+            object.__setattr__(self, "text", text)
+            object.__setattr__(self, "name", f"{Address.parsed(self.name).name}.csv")
+        self._keep_file(".csv")
+        if self.text is None:
+            require(self.closed is None, self.table, f"closed = {self.closed} is only for a course from a file")
+            if drawn_course(self.name) is None:
+                known(self.name, [*names(), "random-7", "sweeping-7"], self.table, also=f"FILE{', '.join(KINDS)}")
+
+    def path(self, v_max: float) -> Path:
+        """The course's path; v_max: the driver's [m/s]."""
+        return _path(self.name, self.closed, self.text, v_max)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Car(Part):
+    """Which car is driven, by which model, and how it differs from its data sheet."""
+
+    table: ClassVar[str] = "vehicle"
+    file: ClassVar[str] = "name"
+    name: str = "vw-passat"
+    """A car of `steerkit.vehicles`; `fleet-17` and the like, a production car by its seed, of which the steering delay
+    is not taken (`fleet_scenario` does); or a vehicle file, `my-car.toml`. Its table [steering] is not read here:
+    `Scenario.under` does, and so do the command line and the environments."""
+    plant: str = "nonlinear"
+    """`nonlinear` or `linear` single track; or `package.module:Class`, see `steerkit.scenario.catalogue.plant_kind`."""
+    tyres: float = _number(1.0, "1", 0.1, 10.0)
+    """Cornering stiffness over that of the data sheet [1]."""
+    friction: float = _number(1.0, "1", 0.1, 10.0)
+    """Friction coefficient over that of the data sheet [1]."""
+    ratio: float = _number(1.0, "1", 0.1, 10.0)
+    """Steering ratio over that of the data sheet [1]."""
+    text: str | None = field(default=None, repr=False)
+    """The text of the file that `name` names; filled in when the part is made."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._keep_file(".toml")
+        _ = self.true, plant_kind(self.plant)
+
+    @property
+    def nominal(self) -> Vehicle:
+        """The car of the data sheet."""
+        return vehicle(self.name) if self.text is None else _vehicle(self.text, self.name)
+
+    @property
+    def true(self) -> Vehicle:
+        """The car as it is."""
+        p = self.nominal
+        if (self.tyres, self.friction, self.ratio) == (1.0, 1.0, 1.0):
+            return p
+        return replace(
+            p,
+            c_f=self.tyres * p.c_f,
+            c_r=self.tyres * p.c_r,
+            mu=self.friction * p.mu,
+            steer_ratio=self.ratio * p.steer_ratio,
         )
-    return SteeringActuator(
-        delay=scenario.delay,
-        lag=scenario.lag,
-        rate_limit=radians_of(scenario.rate_limit_deg),
-        offset=radians_of(scenario.offset_deg),
-        limit=scenario.nominal.delta_sw_max,
-    )
+
+    def steering_in_file(self) -> dict[str, float]:
+        """Delay, lag and offset_deg of the file's table [steering]; empty where there is none."""
+        if self.text is None or "steering" not in tables_of(self.text, self.name):
+            return {}
+        motor = steering_in(self.text, self.name)
+        return {"delay": motor.delay, "lag": motor.lag, "offset_deg": degrees_of(motor.offset)}
 
 
-def column_of(scenario: Scenario) -> SteeringColumn | None:
-    """Friction and free play between motor and road wheels; None if there are none."""
-    if (scenario.friction_deg, scenario.play_deg, scenario.wheel_zero_deg) == (0.0, 0.0, 0.0):
-        return None
-    return SteeringColumn(
-        friction=radians_of(scenario.friction_deg),
-        play=radians_of(scenario.play_deg),
-        zero=radians_of(scenario.wheel_zero_deg),
-    )
+@dataclass(frozen=True, kw_only=True)
+class Driver(Part):
+    """Who sets the speed."""
+
+    table: ClassVar[str] = "driver"
+    file: ClassVar[str] = "speed"
+    speed: str = "wander"
+    """`wander`: between v_min and v_max, slower in bends; `recorded`: as driven on a recorded course; `limit`: as fast
+    as a course from a map allows, slower in bends; or a CSV file with the columns s [m] along the course and v [m/s];
+    all within v_min and v_max."""
+    v_min: float = _number(4.0, "m/s", 0.2, 40.0)
+    """Slowest speed [m/s]; equal to v_max: a steady one."""
+    v_max: float = _number(7.5, "m/s", 0.2, 40.0)
+    """Fastest speed [m/s]."""
+    a_y_max: float = _number(A_Y_MAX, "m/s^2", 0.1, 20.0)
+    """Lateral acceleration in bends for which a driver who wanders slows down [m/s^2]."""
+    text: str | None = field(default=None, repr=False)
+    """The text of the file that `speed` names; filled in when the part is made."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require(self.v_min <= self.v_max, self.table, f"v_min = {self.v_min}, v_max = {self.v_max} [m/s]")
+        self._keep_file(".csv")
+        valid = ("wander", "recorded", "limit")
+        words = f"speed {self.speed!r}; valid: {', '.join(valid)}, FILE.csv; a steady one: v_min = v_max"
+        require(self.speed in valid or self.text is not None, self.table, words)
+        _ = SpeedDriver(v_min=self.v_min, v_max=self.v_max)
+
+    @property
+    def wanders(self) -> bool:
+        """Does the speed depend on a seed?"""
+        return self.speed == "wander" and self.v_min < self.v_max
+
+    def profile(self, course: Course, path: Path) -> tuple[Array, Array]:
+        """s [m] along the course and the speed there [m/s], as recorded, as a map allows or from a file."""
+        if self.text is not None:
+            s, v = profile_on(path, self.text, self.speed)
+            told = f"{v.min():g} to {v.max():g} m/s, expected v_min to v_max, {self.v_min:g} to {self.v_max:g}"
+            within = self.v_min - 1e-9 <= v.min() and v.max() <= self.v_max + 1e-9
+            require(within, f"speed {self.speed}", f"{told}; change v_min, v_max")
+            return s, v
+        if course.text is not None:
+            return self._course_speed(course, path)
+        require(self.speed == "recorded", f"speed {self.speed}", f"course '{course.name}' has none; a map's file has")
+        return recorded_speed(course.name)
+
+    def block(self, course: Course, path: Path, seed: int) -> Block:
+        """The driver on that path."""
+        if self.speed != "wander":
+            s, v = self.profile(course, path)
+            v = np.clip(v, self.v_min, self.v_max)
+            return SpeedProfile.from_samples(s, v, spacing=2.0, repeat=path.closed)
+        driver = SpeedDriver(v_min=self.v_min, v_max=self.v_max, seed=seed)
+        return CurveSpeedDriver(path=path, driver=driver, a_y_max=self.a_y_max)
+
+    def _course_speed(self, course: Course, path: Path) -> tuple[Array, Array]:
+        """The speed that a course's file holds: as it was driven, or as fast as is allowed.
+
+        `limit`: v_limit, v_max where nothing is said, and slower for bends, as a `CurveSpeedDriver` is.
+        """
+        columns = read_columns(course.text or "", course.name)
+        key = {"recorded": "v", "limit": "v_limit"}[self.speed]
+        told = f"no column {key} [m/s]; columns: {', '.join(columns)}"
+        require({"s", key} <= columns.keys(), f"speed {self.speed}: {course.name}", told)
+        s, v = columns["s"], columns[key]
+        if self.speed == "recorded":
+            fine = np.isfinite(v).all() and (np.diff(s) > 0.0).all()
+            require(fine, course.name, "s rising, v [m/s], expected numbers")
+            return _each_metre(path, s, v)
+        at = np.linspace(0.0, path.length, max(2, round(path.length)) + 1)
+        allowed = v[np.clip(np.searchsorted(s, at[:-1] + 1e-6, side="right") - 1, 0, len(s) - 1)]
+        allowed = np.clip(np.where(np.isfinite(allowed), allowed, self.v_max), self.v_min, self.v_max)
+        fastest = ceiling(path, self.a_y_max, CurveSpeedDriver.a_x_max, allowed)
+        return at, np.append(fastest, fastest[0] if path.closed else fastest[-1])
 
 
-def sensors_of(scenario: Scenario, seed: int) -> Block | None:
-    """What the controllers see; None for the truth."""
-    noise, latency, zero = scenario.noise, scenario.latency, radians_of(scenario.gyro_zero_deg)
-    if scenario.sensing == "real":
-        poor = DegradedSensors.real(scenario.nominal, seed).scaled(noise)
-        return replace(poor, block=replace(poor.block, r_bias=zero, latency=latency))
-    sideslip = scenario.sensing == "hard"
-    if (noise, latency, zero) == (0.0, 0.0, 0.0) and sideslip and scenario.estimator == "none":
-        return None
-    full = Sensors.hard(seed)
-    hard = replace(
-        full,
-        position_drift=noise * full.position_drift,
-        psi_drift=noise * full.psi_drift,
-        r_noise=noise * full.r_noise,
-        r_bias=zero,
-        latency=latency,
-    )
-    return hard if sideslip else DegradedSensors(block=hard, rear=scenario.nominal.l_r)
+@dataclass(frozen=True, kw_only=True)
+class Steering(Part):
+    """From a command to the road wheels: link, actuator and column."""
+
+    table: ClassVar[str] = "steering"
+    command: str = _word("angle", "torque")
+    """`angle`: a motor that turns the wheel; `torque`: as lane keeping steers most cars (`TorqueSteering`)."""
+    lag: float = _number(0.12, "s", 0.0, 10.0)
+    """First-order lag of the actuator [s]."""
+    delay: float = _number(0.0, "s", 0.0, 2.0)
+    """Dead time of the actuator [s], a multiple of 0.01."""
+    delay_jitter: float = _number(0.0, "s", 0.0, 0.5)
+    """Longest time that a command takes beyond `delay` [s], each its own, a multiple of 0.01."""
+    rate_limit_deg: float = _number(550.0, "deg/s", 1.0, 10_000.0)
+    """Fastest steering wheel [deg/s]."""
+    offset_deg: float = _number(0.0, "deg", -90.0, 90.0)
+    """Offset of the steering wheel [deg]."""
+    slew: float = _number(5.0, "m/s^3", 0.1, 1000.0)
+    """With `torque`: fastest change of the lateral acceleration [m/s^3]."""
+    a_y_limit: float = _number(3.0, "m/s^2", 0.1, 100.0)
+    """With `torque`: largest lateral acceleration [m/s^2]."""
+    gain: float = _number(1.0, "1", 0.1, 10.0)
+    """With `torque`: lateral acceleration reached over lateral acceleration commanded [1]; controllers believe 1."""
+    play_deg: float = _number(0.0, "deg", 0.0, 20.0)
+    """Free play between steering wheel and road wheels, from end to end, at the steering wheel [deg]."""
+    friction_deg: float = _number(0.0, "deg", 0.0, 20.0)
+    """Twist of the column that its friction holds, to either side [deg]; see `SteeringColumn`."""
+    dead_band_deg: float = _number(0.0, "deg", 0.0, 20.0)
+    """Change of a command that the motor ignores [deg]."""
+    quantum_deg: float = _number(0.0, "deg", 0.0, 20.0)
+    """Resolution of a command [deg]."""
+    wheel_zero_deg: float = _number(0.0, "deg", -20.0, 20.0)
+    """What the steering wheel's sensor reports while the wheel is straight [deg], to controllers and estimators."""
+
+    def link(self, seed: int) -> SteeringLink | None:
+        """What happens to a command before the actuator; None for a perfect link. `seed` is that of its delays."""
+        if (self.quantum_deg, self.dead_band_deg, self.delay_jitter) == (0.0, 0.0, 0.0):
+            return None
+        return SteeringLink(
+            quantum=radians_of(self.quantum_deg),
+            dead_band=radians_of(self.dead_band_deg),
+            jitter=self.delay_jitter,
+            seed=seed,
+        )
+
+    def actuator(self, nominal: Vehicle) -> Block:
+        """The motor at the steering wheel, or what steers by torque in its place."""
+        common: dict[str, Any] = dict(
+            delay=self.delay,
+            lag=self.lag,
+            rate_limit=radians_of(self.rate_limit_deg),
+            offset=radians_of(self.offset_deg),
+        )
+        if self.command == "torque":
+            return TorqueSteering.of(nominal, slew=self.slew, a_y_limit=self.a_y_limit, gain=self.gain, **common)
+        return SteeringActuator(limit=nominal.delta_sw_max, **common)
+
+    def column(self) -> SteeringColumn | None:
+        """Friction and free play between motor and road wheels; None for a rigid column."""
+        if (self.friction_deg, self.play_deg, self.wheel_zero_deg) == (0.0, 0.0, 0.0):
+            return None
+        return SteeringColumn(
+            friction=radians_of(self.friction_deg), play=radians_of(self.play_deg), zero=radians_of(self.wheel_zero_deg)
+        )
 
 
-def estimator_of(scenario: Scenario) -> VehicleState | None:
-    """What stands between sensors and controllers; it is given the sensors' data sheet and the nominal car."""
-    if scenario.estimator == "none":
-        return None
-    sensors: Any = sensors_of(scenario, 0)
-    poor = isinstance(sensors, DegradedSensors)
-    sheet: Sensors = sensors.block if poor else sensors
-    adapts = scenario.estimator == "adaptive-state"
-    return VehicleState.of(
-        NonlinearSingleTrack(vehicle=scenario.nominal),
-        horizon=scenario.latency + DT,
-        position_drift=math.hypot(sheet.position_drift, sensors.jump if poor else 0.0),
-        psi_drift=sheet.psi_drift,
-        drift_time=sheet.drift_time,
-        v_noise=sheet.v_noise,
-        r_noise=sheet.r_noise,
-        heading_drift=sensors.heading_drift if poor else 0.0,
-        steering=SingleTrackFilter(vehicle=scenario.nominal, held=False) if adapts else None,
-    )
+@dataclass(frozen=True, kw_only=True)
+class Sensing(Part):
+    """What is measured of the car, and the estimator behind it."""
+
+    table: ClassVar[str] = "sensors"
+    kind: str = _word("hard", "no sideslip", "real")
+    """Which errors `noise` scales: those of `hard` sensors, with or with `no sideslip`, or of `real` ones
+    (`DegradedSensors.real`), which have no sideslip and up to 20 ms of jitter even without noise."""
+    noise: float = _number(0.0, "1", 0.0, 1000.0)
+    """Pose and rate noise: 1 is 1 cm and 0.1 deg of drift and 0.2 deg/s of white noise (`Sensors.hard`)."""
+    latency: float = _number(0.0, "s", 0.0, 2.0)
+    """Age of what the controllers see [s], a multiple of 0.05."""
+    gyro_zero_deg: float = _number(0.0, "deg/s", -5.0, 5.0)
+    """What the gyro reports while the car does not turn [deg/s]."""
+    estimator: str = _word("none", "vehicle-state", "adaptive-state")
+    """What stands between sensors and controllers: `none`; `vehicle-state`, an estimator that is given the sensors'
+    noise and the car of the data sheet, needs no sideslip and predicts to now (`VehicleState`); or `adaptive-state`,
+    the same with ratio, understeer and zeros as they are found (its `steering`)."""
+
+    @property
+    def random(self) -> bool:
+        """Do they depend on a seed?"""
+        return self.kind == "real" or self.noise > 0.0
+
+    def sensors(self, nominal: Vehicle, seed: int) -> Block | None:
+        """What is measured; None for the truth."""
+        noise, latency, zero = self.noise, self.latency, radians_of(self.gyro_zero_deg)
+        if self.kind == "real":
+            degraded = DegradedSensors.real(nominal, seed).scaled(noise)
+            return replace(degraded, block=replace(degraded.block, r_bias=zero, latency=latency))
+        sideslip = self.kind == "hard"
+        if (noise, latency, zero) == (0.0, 0.0, 0.0) and sideslip and self.estimator == "none":
+            return None
+        full = Sensors.hard(seed)
+        hard = replace(
+            full,
+            position_drift=noise * full.position_drift,
+            psi_drift=noise * full.psi_drift,
+            r_noise=noise * full.r_noise,
+            r_bias=zero,
+            latency=latency,
+        )
+        return hard if sideslip else DegradedSensors(block=hard, rear=nominal.l_r)
+
+    def state_estimator(self, nominal: Vehicle) -> VehicleState | None:
+        """The estimator of the car's state; None if controllers see the sensors themselves."""
+        if self.estimator == "none":
+            return None
+        sensors: Any = self.sensors(nominal, 0)
+        degraded = isinstance(sensors, DegradedSensors)
+        noise: Sensors = sensors.block if degraded else sensors
+        adapts = self.estimator == "adaptive-state"
+        return VehicleState.of(
+            NonlinearSingleTrack(vehicle=nominal),
+            horizon=self.latency + DT,
+            position_drift=math.hypot(noise.position_drift, sensors.jump if degraded else 0.0),
+            psi_drift=noise.psi_drift,
+            drift_time=noise.drift_time,
+            v_noise=noise.v_noise,
+            r_noise=noise.r_noise,
+            heading_drift=sensors.heading_drift if degraded else 0.0,
+            steering=SingleTrackFilter(vehicle=nominal, held=False) if adapts else None,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Disturbances(Part):
+    """What pushes the car sideways."""
+
+    table: ClassVar[str] = "disturbances"
+    wind: float = _number(0.0, "m/s^2", -20.0, 20.0)
+    """Lateral acceleration by steady crosswind [m/s^2], acting 0.3 m ahead of the centre of gravity."""
+    gust: float = _number(0.0, "m/s^2", 0.0, 20.0)
+    """Standard deviation of the gusts' [m/s^2]."""
+    bank_deg: float = _number(0.0, "deg", -45.0, 45.0)
+    """Bank of the road, + = low on the left [deg]."""
+
+    @property
+    def present(self) -> bool:
+        """Is there wind or bank?"""
+        return (self.wind, self.gust, self.bank_deg) != (0.0, 0.0, 0.0)
+
+    def around(self, car: Any, seed: int) -> Block:
+        """The car under these disturbances; `seed` is that of the gusts."""
+        if not self.present:
+            return car
+        bank = G * math.sin(radians_of(self.bank_deg))
+        return DisturbedPlant(block=car, wind=self.wind, gust=self.gust, bank=bank, seed=seed)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Knowledge(Part):
+    """What controllers believe of car and steering: by default the data sheet and the true delay and lag."""
+
+    table: ClassVar[str] = "knowledge"
+    oracle: bool = False
+    """Do controllers know the true tyres, friction and ratio, and the steering's offset and gain?"""
+    delay: float | None = _number(None, "s", 0.0, 2.0)
+    """The delay that controllers believe, latency included [s]; None: the true one."""
+    lag: float | None = _number(None, "s", 0.0, 10.0)
+    """The lag that they believe [s]; None: the true one."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require(isinstance(self.oracle, bool), self.table, f"oracle = {self.oracle!r}, expected true or false")
+
+
+PARTS: Mapping[str, type[Part]] = {
+    part.table: part for part in (Course, Car, Driver, Steering, Sensing, Disturbances, Knowledge)
+}
+"""The parts of a scenario by the names of their tables."""
 
 
 def drawn_course(name: str) -> tuple[int, float, float] | None:
     """Seed, length [m] and largest curvature [1/m] of a random course; None for any other name."""
     kind, _, number = name.partition("-")
-    return (int(number), *DRAWN[kind]) if kind in DRAWN and number.isdigit() else None
+    return (int(number), *RANDOM_COURSES[kind]) if kind in RANDOM_COURSES and number.isdigit() else None
 
 
 @lru_cache(maxsize=32)
-def path_of(name: str, closed: bool | None, text: str | None, v_max: float) -> Path:
+def _path(name: str, closed: bool | None, text: str | None, v_max: float) -> Path:
     """The course of that name, or in the text of a file."""
     if text is not None:
         return course_of(text, name, closed=closed)
@@ -141,14 +464,11 @@ def path_of(name: str, closed: bool | None, text: str | None, v_max: float) -> P
     return random_course(seed, length=length, max_kappa=max_kappa, name=name)
 
 
-@lru_cache(maxsize=32)
-def car_of(text: str, name: str) -> Vehicle:
-    """The car in the text of a vehicle file."""
-    return vehicle_of(text, name)
+_vehicle = lru_cache(maxsize=32)(vehicle_of)
 
 
-def profile_of(file: str) -> tuple[Array, Array]:
-    """s [m] and v [m/s] of a speed profile's file; raises ValueError for one that cannot be read or is none."""
+def speed_file(file: str) -> tuple[Array, Array]:
+    """s [m] and v [m/s] in a CSV file; raises ValueError for one that cannot be read or is none."""
     try:
         return profile_in(read_text(file, "speed"), file)
     except OSError as error:
@@ -165,34 +485,14 @@ def profile_in(text: str, name: str) -> tuple[Array, Array]:
     return s, v
 
 
-def carried_speed(scenario: Scenario, text: str) -> tuple[Array, Array]:
-    """s [m] and v [m/s] of a course's file that carries speeds: as it was driven, or as fast as is allowed.
-
-    `limit`: v_limit, v_max where nothing is said, and slower for bends, as a `CurveSpeedDriver` is.
-    """
-    path, columns = scenario.path(), read_columns(text, scenario.course)
-    key = {"recorded": "v", "limit": "v_limit"}[scenario.speed]
-    told = f"no column {key} [m/s]; columns: {', '.join(columns)}"
-    require({"s", key} <= columns.keys(), f"speed {scenario.speed}: {scenario.course}", told)
-    s, v = columns["s"], columns[key]
-    if scenario.speed == "recorded":
-        require(
-            np.isfinite(v).all() and (np.diff(s) > 0.0).all(), scenario.course, "s rising, v [m/s], expected numbers"
-        )
-        at = np.linspace(0.0, path.length, max(2, round(path.length) + 1))
-        return at, np.interp(at, s, v, period=path.length if path.closed else None)
-    n = max(2, round(path.length))
-    at = np.linspace(0.0, path.length, n + 1)
-    allowed = v[np.clip(np.searchsorted(s, at[:-1] + 1e-6, side="right") - 1, 0, len(s) - 1)]
-    allowed = np.clip(np.where(np.isfinite(allowed), allowed, scenario.v_max), scenario.v_min, scenario.v_max)
-    fastest = ceiling(path, scenario.a_y_human, CurveSpeedDriver.a_x_max, allowed)
-    return at, np.append(fastest, fastest[0] if path.closed else fastest[-1])
-
-
 def profile_on(path: Path, text: str, name: str) -> tuple[Array, Array]:
     """A file's profile, every metre of a course; a closed one goes on from its end to its beginning."""
     s, v = profile_in(text, name)
     longest = f"s to {s[-1]:g} m, on a course of {path.length:.1f} m"
     require(s[0] >= 0.0 and s[-1] <= path.length + 1.0, name, f"{longest}; expected s from 0 to the course's length")
+    return _each_metre(path, s, v)
+
+
+def _each_metre(path: Path, s: Array, v: Array) -> tuple[Array, Array]:
     at = np.linspace(0.0, path.length, max(2, round(path.length) + 1))
     return at, np.interp(at, s, v, period=path.length if path.closed else None)

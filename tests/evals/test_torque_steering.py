@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,7 @@ from steerkit.scenario import Scenario
 from steerkit.scenario.assembly import placed
 from steerkit.scenario.drive import assembled, controller
 
-SCENARIO = Scenario(name="torque", steering="torque", delay=0.35, lag=0.0, a_y_human=1.5)
+SCENARIO = Scenario(name="torque", steering={"command": "torque", "delay": 0.35, "lag": 0.0}, driver={"a_y_max": 1.5})
 HELD = 0.3
 """|e| that it must not leave again [m]."""
 LATER = 15.0
@@ -24,7 +23,7 @@ LATER = 15.0
 
 def recovered(name: str, course: str, v: float, gain: float, seconds: float) -> Log:
     """The drive of a car that starts 1 m off, turned away by 5 degrees."""
-    scenario = replace(SCENARIO, course=course, gain=gain, v_min=v, v_max=v)
+    scenario = SCENARIO.with_(course=course, steering={"gain": gain}, driver={"v_min": v, "v_max": v})
     loop = assembled(scenario, controller(name, scenario))
     car: Any = placed(loop.blocks["car"], scenario.path(), s=50.0, e=1.0, psi_e=radians_of(5.0))
     return simulate(loop.with_block("car", car), seconds, every=5, allow_nonfinite=True)

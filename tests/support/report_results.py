@@ -18,25 +18,32 @@ SEEDS = (0, 1, 2, 3, 4, 5)
 
 
 def scenario(name: str, **changes: Any) -> dict[str, Any]:
-    return {"name": name, "course": "paper", "v_min": 4.0, "v_max": 7.5, "delay": 0.0, "plant": "nonlinear"} | changes
+    return {
+        "name": name,
+        "course.name": "paper",
+        "vehicle.plant": "nonlinear",
+        "driver.v_min": 4.0,
+        "driver.v_max": 7.5,
+        "steering.delay": 0.0,
+    } | changes
 
 
 def scenarios() -> dict[str, dict[str, Any]]:
-    found = {"paper": scenario("paper"), "genesis": scenario("genesis", course="genesis")}
+    found = {"paper": scenario("paper"), "genesis": scenario("genesis", **{"course.name": "genesis"})}
     for delay in (0.0, 0.1, 0.2, 0.3):
         for v in (4.0, 6.0, 9.0):
             name = f"delay {delay:g} v {v:g}"
-            found[name] = scenario(name, v_min=v, v_max=v, delay=delay)
+            found[name] = scenario(name, **{"driver.v_min": v, "driver.v_max": v, "steering.delay": delay})
     return found
 
 
 def drive(controller: str, fields: dict[str, Any], seed: int) -> dict[str, np.ndarray]:
     """The course, with a wave of known size about it."""
-    path, rng = course(fields["course"]), np.random.default_rng(seed)
-    v = 0.5 * (fields["v_min"] + fields["v_max"])
+    path, rng = course(fields["course.name"]), np.random.default_rng(seed)
+    v = 0.5 * (fields["driver.v_min"] + fields["driver.v_max"])
     t = np.arange(0.0, min(path.length / v, 120.0), 0.1)
     s = np.clip(v * t, 0.0, path.length)
-    swing = 0.02 * CONTROLLERS[controller] * (1.0 + 9.0 * fields["delay"]) * (v / 6.0) * rng.uniform(0.8, 1.2)
+    swing = 0.02 * CONTROLLERS[controller] * (1.0 + 9.0 * fields["steering.delay"]) * (v / 6.0) * rng.uniform(0.8, 1.2)
     e = swing * np.sin(0.8 * t + seed)
     frames = np.column_stack(np.broadcast_arrays(*path.frame(s)))
     psi_e = 0.02 * np.cos(0.8 * t + seed)

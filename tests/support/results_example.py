@@ -10,21 +10,21 @@ from benchmarks.run.results import CURVE, EPISODES, Case, Results, Store, case_i
 
 SCENARIOS = {
     f"paper-delay-{delay:g}": {
-        "course": "paper",
-        "plant": "nonlinear",
-        "v_min": 4.0,
-        "v_max": 7.5,
-        "delay": delay,
-        "lag": 0.12,
-        "tyres": 1.0,
-        "friction": 1.0,
-        "ratio": 1.0,
-        "offset_deg": 0.0,
-        "crosswind": 0.0,
-        "bank_deg": 0.0,
-        "noise": False,
+        "course.name": "paper",
+        "vehicle.plant": "nonlinear",
+        "driver.v_min": 4.0,
+        "driver.v_max": 7.5,
+        "steering.delay": delay,
+        "steering.lag": 0.12,
+        "vehicle.tyres": 1.0,
+        "vehicle.friction": 1.0,
+        "vehicle.ratio": 1.0,
+        "steering.offset_deg": 0.0,
+        "disturbances.wind": 0.0,
+        "disturbances.bank_deg": 0.0,
+        "sensors.noise": 0.0,
         "reference": "front",
-        "rounds": 1.0,
+        "course.rounds": 1.0,
     }
     for delay in (0.0, 0.2)
 }
@@ -95,7 +95,7 @@ def _driven(common: dict, drive: dict[str, np.ndarray]) -> Case:
     e = drive["e"]
     metrics = {
         "held": 1.0,
-        "rounds": 1.0,
+        "course.rounds": 1.0,
         "duration": 60.0,
         "rms_e": float(np.sqrt(np.mean(e**2))),
         "max_e": float(np.abs(e).max()),
@@ -124,7 +124,7 @@ def _curve(seed: int) -> dict[str, np.ndarray]:
         "transitions": 20.0 * t,
         "failures": np.minimum(np.arange(n), 6),
         "held": (t > 150.0) * 1.0,
-        "rounds": np.minimum(1.0, t / 150.0),
+        "course.rounds": np.minimum(1.0, t / 150.0),
         "rms_e": 0.3 * np.exp(-t / 80.0),
     }
     curve["rms_e"][0] = np.nan

@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from steerkit.diagram.block import Block
+from steerkit.paths.path import Path
 from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.scenario import Scenario
 
 
 @dataclass(frozen=True, kw_only=True)
 class SteadyWorld(Scenario):
-    """A human of 6 m/s."""
+    """Driven at 6 m/s."""
 
-    def driver(self, seed: int) -> Block:
-        return ConstantSpeed(speed=6.0)
+    def blocks(self, path: Path, s: float = 0.0, seed: int = 0) -> dict[str, Block | None]:
+        return super().blocks(path, s, seed) | {"driver": ConstantSpeed(speed=6.0)}

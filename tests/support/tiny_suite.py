@@ -10,7 +10,7 @@ from benchmarks.suites import Suite
 TINY = Suite(
     name="golden",  # a name that --help and the table know; fewer cases
     about="tests",
-    scenarios=(scene(name="slalom", course="slalom", v_max=9.0),),
+    scenarios=(scene(name="slalom", course="slalom", driver={"v_max": 9.0}),),
     controllers=("stanley", "stanley-textbook"),
     seeds=3,
 )

@@ -56,7 +56,7 @@ class Record:
         place = FilePath(place)
         data, experiment = rundir.document(place), rundir.experiment_of(place)
         return cls(
-            name=f"{place.resolve().name}: {experiment.setting.name} on {experiment.scenario.course}",
+            name=f"{place.resolve().name}: {experiment.setting.name} on {experiment.scenario.course.name}",
             experiment=experiment,
             episodes=tuple(Episode(**episode) for episode in data["counts"]["episodes"]),
             log=rundir.drive_log(place),

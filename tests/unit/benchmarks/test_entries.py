@@ -12,7 +12,7 @@ from benchmarks.entries import CONTROLLERS, controller
 from benchmarks.scenarios import scene
 from tests.support.own_controller import own_controller
 
-STEP = scene(name="step", course="curvature-step", v_min=7.0, v_max=7.0)
+STEP = scene(name="step", course="curvature-step", driver={"v_min": 7.0, "v_max": 7.0})
 
 
 def test_one_who_is_learned_is_taught_before_it_drives_and_no_other() -> None:
@@ -22,7 +22,11 @@ def test_one_who_is_learned_is_taught_before_it_drives_and_no_other() -> None:
 
 
 def test_one_that_is_told_the_truth_knows_what_the_scenario_hides() -> None:
-    hidden = replace(STEP, ratio=1.25, offset_deg=2.0, delay=0.2, lag=0.3, believed_delay=0.0, believed_lag=0.0)
+    hidden = STEP.with_(
+        vehicle={"ratio": 1.25},
+        steering={"offset_deg": 2.0, "delay": 0.2, "lag": 0.3},
+        knowledge={"delay": 0.0, "lag": 0.0},
+    )
     seen = controller("lqr-oracle").in_its_eyes(hidden).design_model()
     assert (seen.delay, seen.lag, seen.offset) == (0.2, 0.3, pytest.approx(np.deg2rad(2.0)))
     assert seen.vehicle.steer_ratio == pytest.approx(1.25 * STEP.nominal.steer_ratio)

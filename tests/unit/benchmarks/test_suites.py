@@ -61,9 +61,9 @@ def test_the_selection_of_make_bench_has_seeds_enough_for_its_verdict() -> None:
 def test_a_suite_goes_elsewhere_where_it_has_no_course_or_car_of_its_own(tmp_path: Path) -> None:
     tracking = elsewhere(suite("tracking"), course=str(yard(tmp_path)), vehicle="bmw-320i", controllers=("a.py:make",))
     by_name = {scenario.name: scenario for scenario in tracking.scenarios}
-    assert by_name["paper-round-on-yard-with-bmw-320i"].course == "yard.csv"
-    assert by_name["slalom-9-with-bmw-320i"].course == "slalom"
-    assert by_name["slalom-multi-body"].vehicle == "bmw-320i"
+    assert by_name["paper-round-on-yard-with-bmw-320i"].course.name == "yard.csv"
+    assert by_name["slalom-9-with-bmw-320i"].course.name == "slalom"
+    assert by_name["slalom-multi-body"].vehicle.name == "bmw-320i"
     assert tracking.controllers[-1] == "a.py:make"
     assert elsewhere(suite("golden")) == suite("golden")
     with pytest.raises(ValueError, match="suite 'golden': every scenario has a course and a car of its own"):
@@ -102,7 +102,7 @@ def test_on_cars_unlike_their_data_sheet_a_learner_is_trained_for_each_and_quick
     rms_e = {case.controller: case.metrics["rms_e"] for case in results.cases if case.kind == "drive"}
     assert rms_e["lqr-oracle"] < 0.5 * rms_e["lqr"], "it knows the ratio and the tyres"
     training = f"train-same-car-1-on-{car.name}"
-    assert results.protocol[training] | {"believed_delay": 0.0, "believed_lag": 0.0} == (
+    assert results.protocol[training] | {"knowledge.delay": 0.0, "knowledge.lag": 0.0} == (
         results.protocol[car.name] | {k: v for k, v in results.protocol[training].items() if k not in facts(car)}
     )
     times = [file.stat().st_mtime_ns for file in (tmp_path / "results" / "cases").glob("*.json")]
@@ -115,9 +115,9 @@ def test_on_cars_unlike_their_data_sheet_a_learner_is_trained_for_each_and_quick
 
 
 def test_a_drive_without_chance_is_planned_once_and_one_with_it_for_every_seed() -> None:
-    steady = scene(name="steady", course="circle", v_min=6.0, v_max=6.0)
-    chances = (replace(steady, name="wander", v_max=7.0), replace(steady, name="noise", noise=1.0))
-    chances += (replace(steady, name="gust", gust=0.1),)
+    steady = scene(name="steady", course="circle", driver={"v_min": 6.0, "v_max": 6.0})
+    chances = (steady.with_(name="wander", driver={"v_max": 7.0}), steady.with_(name="noise", sensors={"noise": 1.0}))
+    chances += (steady.with_(name="gust", disturbances={"gust": 0.1}),)
     one = Suite(name="x", about="", scenarios=(steady, *chances), controllers=("stanley",), seeds=4)
     for asked, seeds in ((None, 4), (7, 7)):
         planned = [job.scenario for job in jobs([one], asked)]

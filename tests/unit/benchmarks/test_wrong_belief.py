@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import pytest
 
@@ -15,18 +14,18 @@ def test_eight_cars_in_a_row_are_wrong_by_the_same_with_all_signs() -> None:
     for number in range(3000, 3008):
         wrong, true = wrong_belief(number)
         late = wrong.believed_dead_time - true.believed_dead_time
-        assert (abs(late), abs(true.offset_deg)) == pytest.approx((0.2, 3.0))
-        assert true.ratio in (0.8, 1.25)
+        assert (abs(late), abs(true.steering.offset_deg)) == pytest.approx((0.2, 3.0))
+        assert true.vehicle.ratio in (0.8, 1.25)
         assert wrong.design_model().delay >= 0.0
         assert (wrong.design_model().offset, true.design_model().offset) == (
             0.0,
-            pytest.approx(true.offset_deg * 0.0174532925),
+            pytest.approx(true.steering.offset_deg * 0.0174532925),
         )
-        assert wrong.design_model().vehicle.steer_ratio * true.ratio == pytest.approx(
+        assert wrong.design_model().vehicle.steer_ratio * true.vehicle.ratio == pytest.approx(
             true.design_model().vehicle.steer_ratio
         )
-        assert replace(wrong, told="truth", believed_delay=None) == true
-        signs.add((late > 0.0, true.offset_deg > 0.0, true.ratio > 1.0))
+        assert wrong.with_(knowledge={"oracle": True, "delay": None}) == true
+        signs.add((late > 0.0, true.steering.offset_deg > 0.0, true.vehicle.ratio > 1.0))
     assert len(signs) == 8
 
 
@@ -43,13 +42,13 @@ def test_cars_are_wrong_by_what_is_said_and_behind_an_estimator_nothing_is_late(
     for number in (3004, 3008):
         raw, behind = unlike(number, "none"), unlike(number, "adaptive-state")
         wrong, true = wrong_belief(number)
-        assert (raw.believed_delay, behind.estimator) == (wrong.believed_delay, "adaptive-state")
-        assert behind.believed_dead_time == pytest.approx(max(raw.believed_dead_time - raw.latency, 0.0))
-        assert (raw.ratio, raw.offset_deg) == (true.ratio, true.offset_deg)
-        assert 0.8 <= raw.tyres <= 1.25
-        assert abs(raw.gyro_zero_deg) <= 0.3
-        assert raw.sensing == "no sideslip"
-        zeros.add(raw.wheel_zero_deg)
+        assert (raw.knowledge.delay, behind.sensors.estimator) == (wrong.knowledge.delay, "adaptive-state")
+        assert behind.believed_dead_time == pytest.approx(max(raw.believed_dead_time - raw.sensors.latency, 0.0))
+        assert (raw.vehicle.ratio, raw.steering.offset_deg) == (true.vehicle.ratio, true.steering.offset_deg)
+        assert 0.8 <= raw.vehicle.tyres <= 1.25
+        assert abs(raw.sensors.gyro_zero_deg) <= 0.3
+        assert raw.sensors.kind == "no sideslip"
+        zeros.add(raw.steering.wheel_zero_deg)
     assert zeros == {3.0, -3.0}
 
 

@@ -48,7 +48,7 @@ CAR = ("--car", "dbw-kit.toml")
         (("drive", "stanley", "--car", "mine.toml"), "shipped: dbw-kit.toml"),
         (
             ("drive", "stanley", *CAR, "--recovery", "prayer"),
-            "--recovery 'prayer' is not known; valid: fitting, adapting, stanley",
+            "--recovery 'prayer' is not known; valid: auto, adaptive, stanley",
         ),
         (("drive", "stanley", *CAR, "--time-scale", "2"), "a real car has real time; use --simulated"),
         (("drive", "stanley", *CAR, "--simulated", "--channel", "/dev/x"), "leave --channel out"),
@@ -94,7 +94,9 @@ def test_the_demonstration_names_the_car_and_the_time_in_every_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     setting = replace(FAST, retrain_every_m=0.0)
-    short = Experiment(setting=setting, scenario=Scenario(course="circle", rounds=0.1), minutes=3.0, rounds=1)
+    short = Experiment(
+        setting=setting, scenario=Scenario(course={"name": "circle", "rounds": 0.1}), minutes=3.0, rounds=1
+    )
     cars = {"one, round": short, "two": replace(short, minutes=0.05), "three [b]": replace(short, minutes=0.05)}
     monkeypatch.setattr(demo, "EXPERIMENTS", cars)
     monkeypatch.setenv("COLUMNS", "110")

@@ -21,7 +21,7 @@ from steerkit.learning.learner_state import Counts
 from steerkit.scenario import Scenario
 from steerkit.scenario import drive as evaluate
 from steerkit.scenario.catalogue import CONTROLLERS
-from steerkit.scenario.file import write_scenario
+from steerkit.scenario.scenario import write_scenario
 from steerkit.vehicles import VEHICLES
 from steerkit.vehicles.file import vehicle_text
 from tests.support.command_lines import run
@@ -50,7 +50,7 @@ def test_ones_own_controller_course_car_and_scenario(
     (tmp_path / "car.toml").write_text(vehicle_text(VEHICLES["bmw-320i"], steering=steering))
     own_controller(tmp_path)
     monkeypatch.chdir(tmp_path)
-    write_scenario(Scenario.under("hard", course="yard.csv", vehicle="car.toml", rounds=0.3), "yard.toml")
+    write_scenario(Scenario.under("hard", course={"name": "yard.csv", "rounds": 0.3}, vehicle="car.toml"), "yard.toml")
     by_options = ("--course", "yard.csv", "--vehicle", "car.toml", "--conditions", "hard", "--rounds", "0.3")
     rows = []
     for words in (by_options, ("--scenario", "yard.toml"), ("--scenario", "yard.toml", "--delay", "0")):
@@ -65,7 +65,7 @@ def test_ones_own_controller_course_car_and_scenario(
 @pytest.mark.parametrize("name", sorted(CONTROLLERS))
 def test_every_analytic_controller_drives_with_delay(name: str) -> None:
     """The first 6 s of the course with 0.1 s delay; the textbook form already swings, but stays near."""
-    scenario = Scenario(delay=0.1)
+    scenario = Scenario(steering={"delay": 0.1})
     steering = evaluate.controller(name, scenario)
     log = simulate(evaluate.drive_loop(scenario, steering), 6.0, record=["path.e"])
     assert abs(log["path.e"]).max() < 0.3
@@ -86,13 +86,13 @@ def test_the_options_of_a_drive_are_heard(tmp_path: Path, monkeypatch: pytest.Mo
     assert (heard["names"], heard["rounds"], heard["seed"], heard["quiet"]) == (["lqr"], 2.5, 7, True)
     assert heard["place"] == tmp_path
     hard = Scenario.under("hard", course="circle")
-    assert (heard["scenario"].course, heard["scenario"].delay, heard["scenario"].lag) == ("circle", 0.07, hard.lag)
-    write_scenario(Scenario(course="circle", delay=0.03, lag=0.2), tmp_path / "mine.toml")
+    assert heard["scenario"] == hard.with_(steering={"delay": 0.07})
+    write_scenario(Scenario(course="circle", steering={"delay": 0.03, "lag": 0.2}), tmp_path / "mine.toml")
     for given, lag, noise in (((), 0.2, 0.0), (("--conditions", "hard"), 0.15, 1.0)):
         words = ("drive", "lqr", "--scenario", str(tmp_path / "mine.toml"), *given, "-q", "--out")
         assert run(*words, str(tmp_path), monkeypatch=monkeypatch) == 0
-        scenario = heard["scenario"]
-        assert (scenario.course, scenario.delay, scenario.lag, scenario.noise) == ("circle", 0.03, lag, noise)
+        steering, sensors = heard["scenario"].steering, heard["scenario"].sensors
+        assert (steering.delay, steering.lag, sensors.noise) == (0.03, lag, noise)
 
 
 def test_the_output_element_of_a_learned_drive_ends_at_the_cars_stops(
@@ -166,7 +166,11 @@ def test_no_drive_is_written_over_by_another(tmp_path: Path, monkeypatch: pytest
     first = "drive-stanley-circle-clean-seed0"
     assert places == [first, f"{first}-2", f"{first}-3"]
     kept = [json.loads((tmp_path / "runs" / place / "drive.json").read_text()) for place in places]
-    assert [(note["rounds"], note["scenario"]["delay"]) for note in kept] == [(0.05, 0.0), (0.05, 0.1), (0.1, 0.0)]
+    assert [(note["rounds"], note["scenario"]["steering"]["delay"]) for note in kept] == [
+        (0.05, 0.0),
+        (0.05, 0.1),
+        (0.1, 0.0),
+    ]
 
 
 @pytest.mark.parametrize(
@@ -204,12 +208,14 @@ def test_speeds(
         assert expected in capsys.readouterr().err
     else:
         assert code == 0
-        assert (heard[0].speed, heard[0].v_min, heard[0].v_max) == expected
+        assert (heard[0].driver.speed, heard[0].driver.v_min, heard[0].driver.v_max) == expected
 
 
 def test_a_speed_profile_is_driven_round_after_round(tmp_path: Path) -> None:
     (tmp_path / "v.csv").write_text("s,v\n0,5\n60,8\n120,5\n")
-    scenario = Scenario(course="circle", speed=str(tmp_path / "v.csv"), v_max=8.0, rounds=1.5)
+    scenario = Scenario(
+        course={"name": "circle", "rounds": 1.5}, driver={"speed": str(tmp_path / "v.csv"), "v_max": 8.0}
+    )
     (tmp_path / "v.csv").unlink()  # the scenario has kept it
     log = evaluate.drive(scenario, evaluate.controller("stanley", scenario))
     length = scenario.path().length
@@ -221,12 +227,15 @@ def test_a_speed_profile_is_driven_round_after_round(tmp_path: Path) -> None:
 def test_a_vehicle_beside_a_scenarios_file_brings_its_steering(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = vehicle_text(VEHICLES["bmw-320i"]) + "\n[steering]\ndelay = 0.05\nlag = 0.2\noffset = 0.01\n"
     (tmp_path / "car.toml").write_text(text)
-    write_scenario(Scenario(course="circle", wind=0.2), tmp_path / "mine.toml")
+    write_scenario(Scenario(course="circle", disturbances={"wind": 0.2}), tmp_path / "mine.toml")
     heard: list[Scenario] = []
     monkeypatch.setattr(command, "driven", lambda names, world, place, **options: heard.append(world) or [])
     words = ("drive", "stanley", "--scenario", str(tmp_path / "mine.toml"), "--vehicle", str(tmp_path / "car.toml"))
     told = Scenario.under("clean", vehicle=str(tmp_path / "car.toml"))
-    assert told.delay > 0.0
+    assert told.steering.delay > 0.0
     for more in ((), ("--delay", "0.07")):
         assert run(*words, *more, "-q", monkeypatch=monkeypatch) == 0
-    assert [(world.delay, world.lag, world.wind) for world in heard] == [(told.delay, 0.2, 0.2), (0.07, 0.2, 0.2)]
+    assert [(world.steering.delay, world.steering.lag, world.disturbances.wind) for world in heard] == [
+        (told.steering.delay, 0.2, 0.2),
+        (0.07, 0.2, 0.2),
+    ]

@@ -90,8 +90,8 @@ def test_options_change_the_experiment_of_a_file(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(report, "learn_with_progress", lambda experiment, place, **_: heard.append(experiment))
     monkeypatch.setattr(report, "show", lambda *_, **__: {})
     config = tmp_path / "my.toml"
-    text = "minutes = 0.2\nseed = 2\n[scenario]\ncourse = 'circle'\nnoise = 1.0\nlag = 0.3\n[setting]\ncalm = 0.6\n"
-    config.write_text(text)
+    scenario = "[scenario]\ncourse = 'circle'\nsensors.noise = 1.0\nsteering.lag = 0.3\n"
+    config.write_text(f"minutes = 0.2\nseed = 2\n{scenario}[setting]\ncalm = 0.6\n")
     for words in (
         (),
         ("--course", "slalom", "--seed", "7", "--minutes", "3"),
@@ -100,7 +100,21 @@ def test_options_change_the_experiment_of_a_file(tmp_path: Path, monkeypatch: py
     ):
         assert run("learn", "--config", str(config), *words, "-q", monkeypatch=monkeypatch) == 0
     as_it_is, changed, clean, rounds = heard
-    assert (as_it_is.scenario.course, as_it_is.seed, as_it_is.minutes, as_it_is.setting.calm) == ("circle", 2, 0.2, 0.6)
-    assert (changed.scenario.course, changed.seed, changed.minutes, changed.setting.calm) == ("slalom", 7, 3.0, 0.6)
-    assert (changed.scenario.noise, clean.scenario.noise, clean.scenario.lag) == (1.0, 0.0, 0.3)
+    assert (as_it_is.scenario.course.name, as_it_is.seed, as_it_is.minutes, as_it_is.setting.calm) == (
+        "circle",
+        2,
+        0.2,
+        0.6,
+    )
+    assert (changed.scenario.course.name, changed.seed, changed.minutes, changed.setting.calm) == (
+        "slalom",
+        7,
+        3.0,
+        0.6,
+    )
+    assert (changed.scenario.sensors.noise, clean.scenario.sensors.noise, clean.scenario.steering.lag) == (
+        1.0,
+        0.0,
+        0.3,
+    )
     assert (rounds.rounds, rounds.scenario) == (2, as_it_is.scenario)

@@ -164,7 +164,7 @@ def test_commands_faster_than_a_wheel_can_turn_teach_nothing_of_the_ratio() -> N
 
 def caught(recovery: str) -> float:
     """Largest |e| from 10 to 15 s on [m], where only the recovery steers, told nothing of 0.35 s of delay."""
-    place = Scenario.under("hard", delay=0.35, lag=0.28, believed_delay=0.0, recovery=recovery)
+    place = Scenario.under("hard", steering={"delay": 0.35, "lag": 0.28}, knowledge={"delay": 0.0}, recovery=recovery)
     setting = named("default")
     never = replace(untrained(setting, 0), ready_from=math.inf)
     loop = assembled(place, never, doe=setting.element(place.nominal), recovery=place.recovery_controller())
@@ -187,10 +187,17 @@ def rms(name: str, scenario: Scenario) -> tuple[float, float]:
     return float(np.sqrt(np.mean(e[600:] ** 2))), float(np.abs(e[20:]).max())
 
 
-@pytest.mark.parametrize("wrong", [{"ratio": 1.25}, {"offset_deg": 3.0}, {"delay": 0.2, "believed_delay": 0.0}])
-def test_it_drives_nearly_as_well_as_one_that_is_told_the_truth(wrong: dict[str, float]) -> None:
-    off: Any = Scenario(**wrong)  # type: ignore[arg-type]
-    truth = rms("stanley-delay", replace(off, told="truth", believed_delay=None))[0]
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"vehicle": {"ratio": 1.25}},
+        {"steering": {"offset_deg": 3.0}},
+        {"steering": {"delay": 0.2}, "knowledge": {"delay": 0.0}},
+    ],
+)
+def test_it_drives_nearly_as_well_as_one_that_is_told_the_truth(wrong: dict[str, Any]) -> None:
+    off = Scenario(**wrong)
+    truth = rms("stanley-delay", off.with_(knowledge={"oracle": True, "delay": None}))[0]
     plain, adapts = rms("stanley-delay", off), rms("stanley-adaptive", off)
     assert adapts[0] < plain[0]
     assert adapts[0] < max(1.3 * truth, 0.008)

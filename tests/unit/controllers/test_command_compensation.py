@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -18,7 +16,7 @@ from steerkit.scenario.drive import controller, drive
 from steerkit.vehicles import vehicle
 
 PASSAT = vehicle("vw-passat")
-STEADY = Scenario(course="slalom", v_min=6.0, v_max=6.0)
+STEADY = Scenario(course="slalom", driver={"v_min": 6.0, "v_max": 6.0})
 
 
 def test_offset_and_gain() -> None:
@@ -34,10 +32,10 @@ def test_offset_and_gain() -> None:
 
 @pytest.mark.parametrize("name", [name for name in CONTROLLERS if name not in ("mpc", "nonlinear-mpc")])
 def test_who_is_told_of_the_offset_drives_as_if_there_were_none(name: str) -> None:
-    off = replace(STEADY, offset_deg=5.0)
+    off = STEADY.with_(steering={"offset_deg": 5.0})
     without, untold, told = (
         drive(scenario, controller(name, scenario), rounds=0.5)["path.e"]
-        for scenario in (STEADY, off, replace(off, told="truth"))
+        for scenario in (STEADY, off, off.with_(knowledge={"oracle": True}))
     )
     settled = slice(100, None)  # it starts straight, which with an offset is not where it stands
     apart = [float(np.sqrt(np.mean((e - without)[settled] ** 2))) for e in (untold, told)]
@@ -51,4 +49,4 @@ def test_what_it_is_not_made_for() -> None:
         CommandCompensation(block=ConstantSpeed())
     assert CommandCompensation(block=Integrator()).delta_sw.spec.unit == "rad"
     assert CommandCompensation(block=Stanley.of(PASSAT)).dt == 0.05
-    assert radians_of(5.0) == Scenario(offset_deg=5.0, told="truth").design_model().offset
+    assert radians_of(5.0) == Scenario(steering={"offset_deg": 5.0}, knowledge={"oracle": True}).design_model().offset

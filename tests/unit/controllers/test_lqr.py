@@ -165,7 +165,7 @@ def test_its_gains_reach_as_fast_as_a_scenario_may_be() -> None:
     assert loop is not None
     law = loop.blocks["controller"]
     assert isinstance(law, Lqr)
-    assert law.v_min + law.v_step * (len(law.table) - 1) == Scenario(v_min=40.0, v_max=40.0).v_max
+    assert law.v_min + law.v_step * (len(law.table) - 1) == Scenario(driver={"v_min": 40.0, "v_max": 40.0}).driver.v_max
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.2, 0.3])

@@ -39,13 +39,7 @@ def test_a_policy_block_steers_as_its_policy_did_in_the_environment() -> None:
     block = PolicyBlock(policy=net, largest=task.scale)
     scenario = task.place
     loop = steering_loop(
-        car=scenario.car(task.path),
-        path=task.path,
-        driver=scenario.driver(0),
-        controller=block,
-        doe=Integrator(),
-        actuator=scenario.actuator(),
-        reference=scenario.ahead,
+        path=task.path, controller=block, doe=Integrator(), reference=scenario.ahead, **scenario.blocks(task.path)
     )
     first = task.starts.states([task.starts.draw(np.random.default_rng(4))])
     start = dict(zip(task.loop.names, first.x)) | {"controller": ()}

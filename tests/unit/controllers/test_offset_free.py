@@ -26,8 +26,8 @@ from steerkit.scenario.drive import controller, drive
 from steerkit.vehicles import vehicle
 
 PASSAT = vehicle("vw-passat")
-STRAIGHT = Scenario(course="straight", v_min=6.0, v_max=6.0)
-BEND = replace(STRAIGHT, course="circle", rounds=1.5)
+STRAIGHT = Scenario(course="straight", driver={"v_min": 6.0, "v_max": 6.0})
+BEND = STRAIGHT.with_(course={"name": "circle", "rounds": 1.5})
 D = radians_of(5.0)
 HERE = dict(e=0.01, psi_e=0.0, kappa=0.0, v=6.0, r=0.0, delta_sw_meas=0.0)
 
@@ -56,7 +56,7 @@ def lqr_beside() -> float:
     ("name", "beside"), [("stanley-delay", None), ("stanley", stanley_beside()), ("lqr", lqr_beside()), ("mpc", None)]
 )
 def test_an_offset_of_the_wheel_leaves_what_the_law_says_and_nothing_with_it(name: str, beside: float | None) -> None:
-    off = replace(STRAIGHT, offset_deg=5.0)
+    off = STRAIGHT.with_(steering={"offset_deg": 5.0})
     without = at_the_end(name, off)
     assert without > 0.008
     if beside is not None:
@@ -90,7 +90,7 @@ def test_the_disturbance_is_found_within_the_time_that_is_stated() -> None:
     """Behind the law's own transient e = v d/n exp(-t/tau)/(1/T - 1/tau), T = (k_soft + v)/(k v)."""
     law = replace(Stanley.of(PASSAT), k_d_yaw=0.0, k_d_steer=0.0)
     T, tau, n = (law.k_soft + 6.0) / (law.k * 6.0), 4.0, PASSAT.steer_ratio
-    off = replace(STRAIGHT, offset_deg=5.0, lag=0.0)
+    off = STRAIGHT.with_(steering={"offset_deg": 5.0, "lag": 0.0})
     e = drive(off, OffsetFree.around(law, PASSAT, approach=T, time=tau))["path.e"]
     assert e[180] / e[100] == pytest.approx(math.exp(-1.0), rel=0.03)
     assert e[100] == pytest.approx(6.0 * D / n * math.exp(-5.0 / tau) / (1.0 / T - 1.0 / tau), rel=0.05)
@@ -99,7 +99,9 @@ def test_the_disturbance_is_found_within_the_time_that_is_stated() -> None:
 @pytest.mark.parametrize("start", [0.45, 3.0])
 @pytest.mark.parametrize("name", ["stanley", "lqr", "mpc"])
 def test_a_car_that_starts_beside_its_path_is_turned_past_it_by_no_more_than_2_cm(name: str, start: float) -> None:
-    bare = make_controller("stanley-delay" if name == "stanley" else name, replace(STRAIGHT, lag=0.0).design_model())
+    bare = make_controller(
+        "stanley-delay" if name == "stanley" else name, STRAIGHT.with_(steering={"lag": 0.0}).design_model()
+    )
     e, before = driven(OffsetFree.around(bare, PASSAT), start), driven(bare, start)
     assert abs(e[-1]) < 0.01
     assert e.min() > min(before.min(), 0.0) - 0.02

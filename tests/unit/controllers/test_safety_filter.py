@@ -124,7 +124,7 @@ def test_what_is_rolled_out_is_what_the_car_does_and_the_drift_of_a_sample_more(
     """For a command acts between now and a sample later, as the actuator's and the path's samples fall."""
     law, held = Stanley.of(PASSAT), 0.2
     block = SafetyFilter.of(PASSAT, **SURE)
-    place = Scenario(course="straight", v_min=v, v_max=v)
+    place = Scenario(course="straight", driver={"v_min": v, "v_max": v})
     until = block.hold * block.dt
     log = simulate(assembled(place, HeldThenStanley(law=law, held=held, until=until)), 3.0)
     drift = float(np.gradient(log["path.e"], log.t).max()) * block.dt
@@ -271,12 +271,14 @@ def driven(kind: str, scenario: Scenario, *, seconds: float = 8.0, **settings: A
     return simulate(assembled(scenario, Adversary(kind=kind), safety=block), seconds, every=5)
 
 
-WORST = Scenario.under("hard", course="paper", tyres=0.7, delay=0.1, believed_delay=0.05)
+WORST = Scenario.under(
+    "hard", course="paper", vehicle={"tyres": 0.7}, steering={"delay": 0.1}, knowledge={"delay": 0.05}
+)
 
 
 @pytest.mark.parametrize(("kind", "v", "ratio"), [("left", 6.5, 0.9), ("right", 4.0, 1.1), ("bang-bang", 5.0, 1.1)])
 def test_no_adversary_leaves_the_path_of_a_car_that_is_not_as_told(kind: str, v: float, ratio: float) -> None:
-    log = driven(kind, replace(WORST, v_min=v, v_max=v, ratio=ratio), delay_doubt=0.1)
+    log = driven(kind, WORST.with_(driver={"v_min": v, "v_max": v}, vehicle={"ratio": ratio}), delay_doubt=0.1)
     assert np.abs(log["path.e"]).max() < 0.5
     assert np.abs(log["path.e"]).max() > 0.3
     assert (log["safety.share"] > 0.0).any()
@@ -284,7 +286,7 @@ def test_no_adversary_leaves_the_path_of_a_car_that_is_not_as_told(kind: str, v:
 
 def test_who_starts_in_a_bend_with_a_straight_wheel_leaves_the_bound_whoever_steers_and_is_brought_back() -> None:
     """Not promised: for a second the car goes where the wheel, which can turn no faster, lets it."""
-    begins_in_a_bend = replace(WORST, course="random-12", v_min=7.0, v_max=7.0, ratio=1.1)
+    begins_in_a_bend = WORST.with_(course="random-12", driver={"v_min": 7.0, "v_max": 7.0}, vehicle={"ratio": 1.1})
     both = [np.abs(driven(kind, begins_in_a_bend)["path.e"]) for kind in ("left", "right")]
     assert both[0][:20].tolist() == both[1][:20].tolist(), "nothing but the backup"
     for e in both:
@@ -298,7 +300,7 @@ def test_without_the_filter_he_leaves_it_at_once() -> None:
 
 
 def test_several_steps_correct_more_calmly_than_one() -> None:
-    place = Scenario.under("hard", course="straight", v_min=5.0, v_max=5.0)
+    place = Scenario.under("hard", course="straight", driver={"v_min": 5.0, "v_max": 5.0})
 
     def chatter(hold: int) -> float:
         log = driven("left", place, hold=hold)

@@ -334,8 +334,8 @@ def test_five_minutes_leave_the_deviations_as_they_are() -> None:
 
 
 def test_controllers_behind_it_hold_the_path_better_without_a_measured_sideslip() -> None:
-    plain = Scenario.under("hard", sensing="no sideslip", rounds=0.4, course="random-2110")
-    behind = replace(plain, estimator="vehicle-state")
+    plain = Scenario.under("hard", sensors={"kind": "no sideslip"}, course={"rounds": 0.4, "name": "random-2110"})
+    behind = plain.with_(sensors={"estimator": "vehicle-state"})
     e = []
     for scenario in (plain, behind):
         log = drive(scenario, controller("stanley", scenario), seed=9)
@@ -357,7 +357,7 @@ def test_what_is_judged_here_is_what_the_estimator_says_sample_by_sample() -> No
 
 
 def test_it_compiles_to_the_same_numbers() -> None:
-    scenario = Scenario.under("real", estimator="vehicle-state", rounds=0.05)
+    scenario = Scenario.under("real", sensors={"estimator": "vehicle-state"}, course={"rounds": 0.05})
     loop = drive_loop(scenario, controller("stanley", scenario), seed=2)
     log, plain = compile(loop, backend="python", every=5).run(4.0), simulate(loop, 4.0, every=5)
     for name in ("estimator.x", "estimator.psi", "estimator.side_deviation", "estimator.nis"):

@@ -27,12 +27,11 @@ from tests.support.stepped import run_fast
 PLAIN = VehicleState.of(NonlinearSingleTrack(vehicle=VW_PASSAT))
 STEERING = SingleTrackFilter(vehicle=VW_PASSAT, held=False)
 HERE = dict(x_in=1.0, y_in=2.0, psi_in=0.1, age_in=0.05, v_in=6.0, r_in=0.1, motion_age_in=0.05, delta_sw_meas=0.4)
-WRONG: dict[str, float] = {
-    "ratio": 1.25,
-    "wheel_zero_deg": 3.0,
-    "gyro_zero_deg": 0.2,
-    "delay": 0.2,
-    "believed_delay": 0.2,
+WRONG: dict[str, Any] = {
+    "vehicle": {"ratio": 1.25},
+    "steering": {"wheel_zero_deg": 3.0, "delay": 0.2},
+    "sensors": {"gyro_zero_deg": 0.2},
+    "knowledge": {"delay": 0.2},
 }
 
 
@@ -162,8 +161,8 @@ def test_ratio_and_zeros_are_found_however_old_the_motion_is(late: float) -> Non
 @lru_cache(maxsize=2)
 def behind(estimator: str) -> Log:
     """Stanley that adapts, behind an estimator with a wrong ratio, wheel and gyro, on a course of bends."""
-    scenario = Scenario.under(
-        "hard", sensing="no sideslip", estimator=estimator, course="random-2110", v_min=6.0, reference="own", **WRONG
+    scenario = Scenario.under("hard", **WRONG, course="random-2110", driver={"v_min": 6.0}, reference="own").with_(
+        sensors={"kind": "no sideslip", "estimator": estimator}
     )
     loop = drive_loop(scenario, controller("stanley-adaptive", scenario), seed=4)
     record = ["car.psi", "path.e", *[name for name in loop.units if name.startswith("estimator.")]]
@@ -190,14 +189,14 @@ def test_in_a_car_whose_data_sheet_is_wrong_it_knows_better_where_the_car_is_and
 def test_in_a_car_as_on_its_data_sheet_it_is_as_good_as_the_one_inside() -> None:
     sides = []
     for estimator in ("vehicle-state", "adaptive-state"):
-        scenario = Scenario.under("hard", sensing="no sideslip", estimator=estimator, course="random-2110")
+        scenario = Scenario.under("hard", sensors={"kind": "no sideslip", "estimator": estimator}, course="random-2110")
         log = simulate(drive_loop(scenario, controller("stanley", scenario), seed=4), 40.0, every=5)
         sides.append(rms(np.hypot(log["estimator.x"] - log["car.x"], log["estimator.y"] - log["car.y"])))
     assert sides[1] < 1.05 * sides[0]
 
 
 def test_it_compiles_to_the_same_numbers() -> None:
-    scenario = Scenario.under("real", estimator="adaptive-state", **WRONG)
+    scenario = Scenario.under("real", **WRONG).with_(sensors={"estimator": "adaptive-state"})
     loop = drive_loop(scenario, controller("stanley", scenario), seed=2)
     log, plain = compile(loop, backend="python", every=5).run(4.0), simulate(loop, 4.0, every=5)
     for name in ("estimator.x", "estimator.psi", "estimator.gyro_zero", "estimator.ratio"):

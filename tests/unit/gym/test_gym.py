@@ -19,7 +19,7 @@ ID = "steerkit/TrackSteering-v0"
     [
         {"render_mode": "rgb_array"},
         {"conditions": "hard", "cost": "paper"},
-        {"actions": "bang-bang", "cost": "paper", "scenario": {"plant": "linear", "vehicle": "bmw-320i"}},
+        {"actions": "bang-bang", "cost": "paper", "scenario": {"vehicle": {"name": "bmw-320i", "plant": "linear"}}},
         {"actions": "continuous", "course": "genesis"},
         {"actions": "continuous", "doe": "low-pass", "start": "beginning"},
         {"actions": (-0.1, 0.1), "course": "random-3"},

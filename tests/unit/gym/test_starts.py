@@ -21,7 +21,9 @@ HOLD = IDOE_ACTIONS.index(0.0)
 
 def test_a_car_starts_in_the_steady_state_of_its_bend() -> None:
     for plant in ("linear", "nonlinear"):
-        env = gymnasium.make(ID, scenario=SteadyWorld(course="circle", plant=plant), start_e=0.0, start_psi_e=0.0)
+        env = gymnasium.make(
+            ID, scenario=SteadyWorld(course="circle", vehicle={"plant": plant}), start_e=0.0, start_psi_e=0.0
+        )
         env.reset(seed=2)
         infos = [env.step(HOLD)[4] for _ in range(40)]
         assert max(abs(info["e"]) for info in infos) < 0.02  # 12 m of bend with the wheel held

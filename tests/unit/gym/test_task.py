@@ -56,7 +56,7 @@ def test_options_choose_the_start() -> None:
         ({"actions": (0.1,)}, "at least two angles"),
         ({"doe": "filter"}, "valid: integrator, low-pass, plain"),
         ({"cost": "quadratic"}, "valid: smooth, paper"),
-        ({"scenario": {"corse": "paper"}}, "scenario: no field 'corse'; valid: name, course"),
+        ({"scenario": {"corse": "paper"}}, "a scenario has no field 'corse'; valid: name, reference"),
         ({"scenario": Scenario(), "course": "genesis"}, "belong to the scenario"),
         ({"backend": "vm"}, "valid: python, c"),
         ({"course": "papr"}, "did you mean 'paper'"),

@@ -12,6 +12,7 @@ from gymnasium.vector import AutoresetMode
 from steerkit._support import native
 from steerkit.diagram.block import Block
 from steerkit.gym import TrackSteeringVector
+from steerkit.paths.path import Path
 from steerkit.plants.speed_driver import RecordedSpeed
 from steerkit.scenario import Scenario
 
@@ -93,8 +94,8 @@ def test_the_three_ways_to_go_on_after_an_end() -> None:
 @needs_compiler
 def test_a_loop_that_asks_for_the_time_is_not_compiled_for_many() -> None:
     class Recorded(Scenario):
-        def driver(self, seed: int) -> Block:
-            return RecordedSpeed(speeds=(4.0, 6.0, 5.0), spacing=1.0)
+        def blocks(self, path: Path, s: float = 0.0, seed: int = 0) -> dict[str, Block | None]:
+            return super().blocks(path, s, seed) | {"driver": RecordedSpeed(speeds=(4.0, 6.0, 5.0), spacing=1.0)}
 
     with pytest.raises(ValueError, match="depends on the time t"):
         TrackSteeringVector(2, scenario=Recorded())

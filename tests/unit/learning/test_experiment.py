@@ -112,7 +112,7 @@ def test_a_car_that_is_nowhere_is_an_error_and_no_silence() -> None:
 
 def test_the_jump_back_to_the_start_of_an_open_course_is_no_transition() -> None:
     """A wheel left alone on a straight: carried back again and again, never caught."""
-    scenario = Scenario(course="straight", v_min=4.0, v_max=7.5)
+    scenario = Scenario(course="straight", driver={"v_min": 4.0, "v_max": 7.5})
     run = LearningRun(Experiment(setting=replace(SHORT.setting, retrain_every_m=0.0), scenario=scenario, minutes=0.5))
     nets = tuple(tuple(np.zeros_like(part) for part in net) for net in run.learner_state.policy.nets)
     run.learner_state.policy = replace(

@@ -72,7 +72,7 @@ def test_configuration_errors_name_the_valid_choices() -> None:
     with pytest.raises(ValueError, match="valid: clean, hard"):
         Scenario.under("harder")
     with pytest.raises(ValueError, match="plant 'bicycle'"):
-        Scenario(plant="bicycle")
+        Scenario(vehicle={"plant": "bicycle"})
 
 
 def test_a_sparse_configuration_takes_the_defaults() -> None:
@@ -189,24 +189,6 @@ def test_a_run_from_when_the_plain_element_was_called_direct_is_read() -> None:
     assert rundir.from_plain(data, "run.json") == experiment
     with pytest.raises(ValueError, match="element 'direkt' is not known; valid: integrator, low-pass, plain"):
         rundir.from_plain(data["setting"] | {"doe": "direkt"}, "run.json")
-
-
-def test_a_run_from_before_there_were_scenarios_is_read() -> None:
-    data = json.loads(json.dumps(rundir.plain(Experiment(scenario=Scenario.under("hard", course="genesis")))))
-    new = data.pop("scenario")
-    names = ("course", "plant", "reference", "lag", "delay", "rate_limit_deg", "v_min", "v_max")
-    data["world"] = {"kind": "World", "vehicle_name": new["vehicle"], "noise": True} | {n: new[n] for n in names}
-    assert rundir.from_plain(data, "run.json").scenario == Scenario.under("hard", course="genesis")
-
-
-def test_an_experiment_that_calls_its_scenario_a_world_is_read() -> None:
-    """As run.json and experiment files did before; both names at once are a mistake."""
-    scenario = Scenario.under("hard", course="genesis")
-    old = {"world": json.loads(json.dumps(rundir.plain(scenario))), "seed": 4}
-    assert rundir.from_plain(old, "old.toml", Experiment) == Experiment(scenario=scenario, seed=4)
-    assert rundir.from_plain({"world": {"course": "genesis"}}, "old.toml", Experiment).scenario.course == "genesis"
-    with pytest.raises(ValueError, match="Experiment has no field 'world'; valid: setting, scenario, minutes"):
-        rundir.from_plain(old | {"scenario": old["world"]}, "old.toml", Experiment)
 
 
 def test_a_run_of_before_goes_on_with_the_actions_of_its_set(tmp_path: Path) -> None:

@@ -46,11 +46,13 @@ def test_a_filter_goes_with_the_recovery_controller_only() -> None:
 
 
 def test_where_torque_steers_no_action_asks_for_more_than_its_slew() -> None:
-    scenario = Scenario(course="sweeping-7", steering="torque", delay=0.35, v_min=12.0, v_max=20.0)
+    scenario = Scenario(
+        course="sweeping-7", steering={"command": "torque", "delay": 0.35}, driver={"v_min": 12.0, "v_max": 20.0}
+    )
     car, suited = scenario.nominal, DEFAULT.suited(scenario.design_model())
     for v in (12.0, 16.0, 20.0):
         step = max(suited.actions) / suited.description().excess(v) ** 2
-        slewed = car.steer_ratio * car.wheelbase * scenario.slew * 0.05 / v**2
+        slewed = car.steer_ratio * car.wheelbase * scenario.steering.slew * 0.05 / v**2
         assert step == pytest.approx(slewed, rel=1e-12)
     assert DEFAULT.suited(Scenario().design_model()) is DEFAULT
     assert SETTINGS["paper"].suited(scenario.design_model()) is SETTINGS["paper"]

@@ -96,7 +96,7 @@ def test_half_of_what_the_actuator_holds_is_delay_to_the_mpc_alone() -> None:
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_whoever_asks_gets_the_same_controller_but_for_hold_and_budget(name: str) -> None:
     config = replace(load("dbw-kit.toml"), delay=0.1, lag=0.12)
-    scenario = Scenario(name="x", delay=0.1, lag=0.12)
+    scenario = Scenario(name="x", steering={"delay": 0.1, "lag": 0.12})
     car, bench = controller_named(name, config).block, entry(name).make(scenario)  # type: ignore[misc]
     assert unhurried(parameters(car)) == unhurried(parameters(bench))
     design_model = design_model_of(config)
@@ -132,7 +132,7 @@ def test_a_gate_that_is_narrower_than_the_car_is_what_counts_on_it() -> None:
         (lambda: make_safety(replace(BELIEF, slew=5.0)), "slew = 5.0 .*expected none: the filter is for cars whose"),
         (
             lambda: make_recovery("lqr", BELIEF),
-            "recovery 'lqr' is not known.*; valid: fitting, adapting, stanley, stanley-delay",
+            "recovery 'lqr' is not known.*; valid: auto, adaptive, stanley, stanley-delay",
         ),
         (lambda: make_element("integral"), "did you mean 'integrator'"),
         (lambda: replace(BELIEF, lag=-1.0), r"lag = -1.0 \[s\], expected 0 to 10"),

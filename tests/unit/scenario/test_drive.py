@@ -81,7 +81,7 @@ FORECAST = DelayCompensator(samples=3, now=0.02, before=0.03, earlier=0.01, back
     ],
 )
 def test_compiled_drives_serve_every_policy_of_a_kind_to_the_last_bit(policy: NfqPolicy) -> None:
-    scenario, doe = Scenario.under("hard", course="circle", v_max=9.0), DEFAULT.element()
+    scenario, doe = Scenario.under("hard", course="circle", driver={"v_max": 9.0}), DEFAULT.element()
     recovery = scenario.recovery_controller()
     one, other = (assembled(scenario, p, doe=doe, recovery=recovery, seed=4) for p in (learned(), policy))
     log = PolicyDrives(one, ["path.e", "car.delta_sw", "supervisor.learning", "controller.q"]).run(other, 6.0)

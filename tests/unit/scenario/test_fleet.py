@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -19,16 +17,21 @@ def test_a_drawn_scenario_has_the_cars_own_delay_and_an_unseen_course() -> None:
     for number in (0, 1, 17, 39):
         scenario, car = fleet_scenario(number), drawn_car(number)
         assert scenario.nominal == car.vehicle
-        assert scenario.delay == pytest.approx(car.steer_delay)
-        assert (scenario.noise, scenario.latency) == (CONDITIONS["hard"]["noise"], CONDITIONS["hard"]["latency"])
-        assert scenario.course == f"random-{1000 + number}"
+        assert scenario.steering.delay == pytest.approx(car.steer_delay)
+        assert (scenario.sensors.noise, scenario.sensors.latency) == (
+            CONDITIONS["hard"]["sensors"]["noise"],
+            CONDITIONS["hard"]["sensors"]["latency"],
+        )
+        assert scenario.course.name == f"random-{1000 + number}"
         assert (scenario.path().samples.kappa == random_course(1000 + number).samples.kappa).all()
         assert scenario == fleet_scenario(number)
 
 
 def test_what_is_drawn_is_uniform_and_independent() -> None:
-    drawn = [fleet_scenario(number, start=0.0) for number in range(MANY)]  # courses take long to make
-    rows = np.array([[scenario.lag, scenario.offset_deg, scenario.play_deg] for scenario in drawn])
+    drawn = [fleet_scenario(number, course={"start": 0.0}) for number in range(MANY)]  # courses take long to make
+    rows = np.array(
+        [[scenario.steering.lag, scenario.steering.offset_deg, scenario.steering.play_deg] for scenario in drawn]
+    )
     for column, (least, largest) in zip(rows.T, (LAG, (-OFFSET_DEG, OFFSET_DEG), (0.0, PLAY_DEG))):
         span = largest - least
         assert (column >= least).all()
@@ -36,16 +39,18 @@ def test_what_is_drawn_is_uniform_and_independent() -> None:
         assert column.mean() == pytest.approx(0.5 * (least + largest), abs=4.0 * span / np.sqrt(12.0 * MANY))
         assert column.std() == pytest.approx(span / np.sqrt(12.0), rel=0.1)
     order = {name: k for k, name in enumerate(fleet())}
-    places = np.array([order[scenario.vehicle] for scenario in drawn])
+    places = np.array([order[scenario.vehicle.name] for scenario in drawn])
     assert (abs(np.corrcoef(np.column_stack((rows, places)).T)[np.triu_indices(4, 1)]) < 4.0 / np.sqrt(MANY)).all()
 
 
 def test_a_field_that_is_given_is_not_drawn() -> None:
-    assert fleet_scenario(3, start=12.0) == replace(fleet_scenario(3), start=12.0)
-    assert fleet_scenario(3, lag=0.2, course="paper") == fleet_scenario(3, course="paper", lag=0.2)
-    changed = fleet_scenario(3, lag=0.2)
-    assert (changed.lag, changed.offset_deg, changed.vehicle) == (
+    assert fleet_scenario(3, course={"start": 12.0}) == fleet_scenario(3).with_(course={"start": 12.0})
+    assert fleet_scenario(3, steering={"lag": 0.2}, course="paper") == fleet_scenario(
+        3, course="paper", steering={"lag": 0.2}
+    )
+    changed = fleet_scenario(3, steering={"lag": 0.2})
+    assert (changed.steering.lag, changed.steering.offset_deg, changed.vehicle.name) == (
         0.2,
-        fleet_scenario(3).offset_deg,
-        fleet_scenario(3).vehicle,
+        fleet_scenario(3).steering.offset_deg,
+        fleet_scenario(3).vehicle.name,
     )

@@ -5,22 +5,28 @@ from __future__ import annotations
 import math
 import os
 import pickle
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from steerkit.diagram.units import radians_of
 from steerkit.paths.courses import course
 from steerkit.plants.disturbed_plant import DisturbedPlant
 from steerkit.scenario import END_MARGIN, Scenario
+from steerkit.scenario.parts import Course, Driver, Sensing
+from steerkit.scenario.scenario import FORMAT, read_scenario, tables, write_scenario
 from steerkit.vehicles import G, vehicle
 from steerkit.vehicles.file import vehicle_text
 from tests.support.yard import yard
 
 PASSAT = vehicle("vw-passat")
+MULTI_BODY = "benchmarks.peers.commonroad:CommonRoadMultiBody"
+HEAD = f'format = "{FORMAT}"\n'
 
 
 @pytest.mark.parametrize(
@@ -28,40 +34,48 @@ PASSAT = vehicle("vw-passat")
     [
         ({"course": "papr"}, r"scenario 'x': course 'papr' is not known \(did you mean 'paper'\?\).*FILE.csv"),
         ({"course": "random-x"}, "course 'random-x' is not known"),
+        ({"course": "swooping-7"}, "random-7, sweeping-7, FILE"),
         ({"course": "no.csv"}, "course no.csv cannot be read"),
+        ({"course": {"closed": True}}, "course: closed = True is only for a course from a file"),
+        ({"course": {"rounds": 0.0}}, "course: rounds = 0.0"),
+        ({"course": {"start": 900.0}}, r"course: start = 900.0 \[m\].*the course's length"),
+        ({"course": {"nam": "paper"}}, "course: no field 'nam'; valid: name, closed, start, rounds"),
         ({"vehicle": "vw-pasat"}, "did you mean 'vw-passat'"),
         ({"vehicle": "no.toml"}, "vehicle no.toml cannot be read"),
-        ({"plant": "bicycle"}, "plant 'bicycle' is not known; valid: nonlinear, linear, package.module:Class"),
-        ({"plant": "steerkit.plants.single_track:Cat"}, "steerkit.plants.single_track has no 'Cat'"),
-        ({"plant": "steerkit.doe:Integrator"}, "expected a subclass of Car"),
-        ({"speed": "fast"}, "speed 'fast'; valid: wander, recorded"),
-        ({"speed": "recorded"}, "'paper' is not known.*genesis"),
+        ({"vehicle": {"plant": "bicycle"}}, "'bicycle' is not known; valid: nonlinear, linear, package.module:Class"),
+        ({"vehicle": {"plant": "steerkit.plants.single_track:Cat"}}, "steerkit.plants.single_track has no 'Cat'"),
+        ({"vehicle": {"plant": "steerkit.doe:Integrator"}}, "expected a subclass of Car"),
+        ({"vehicle": {"tyres": 0.0}}, "vehicle: tyres = 0.0"),
+        ({"vehicle": {"tyres": 10.0, "name": "bmw-320i"}}, "c_f"),
+        ({"vehicle": {"plant": MULTI_BODY}}, "valid: bmw-320i, ford-escort"),
+        ({"vehicle": {"plant": MULTI_BODY, "name": "bmw-320i", "ratio": 1.1}}, "no other tyres, friction or ratio"),
+        (
+            {"vehicle": {"plant": MULTI_BODY, "name": "bmw-320i"}, "disturbances": {"wind": 1.0}},
+            "disturbances: only single-track cars are pushed",
+        ),
+        ({"driver": {"speed": "fast"}}, "driver: speed 'fast'; valid: wander, recorded"),
+        ({"driver": {"speed": "recorded"}}, "'paper' is not known.*genesis"),
+        ({"driver": {"v_min": 9.0}}, "driver: v_min = 9.0, v_max = 7.5"),
+        ({"driver": {"v_min": 0.0}}, r"v_min = 0.0 \[m/s\], expected 0.2 to 40"),
+        ({"driver": "recorded"}, "driver: 'recorded', expected a table of speed, v_min, v_max"),
+        ({"steering": {"command": "hands"}}, "steering: command 'hands'; valid: angle, torque"),
+        ({"steering": {"lag": -1.0}}, r"steering: lag = -1.0 \[s\], expected 0 to 10"),
+        ({"steering": {"lag": math.nan}}, "lag = nan"),
+        ({"steering": {"lag": "much"}}, r"lag = 'much', expected a number \[s\]"),
+        ({"steering": {"lag": None}}, r"lag = None, expected a number \[s\]"),
+        ({"steering": {"delay": 0.123}}, "delay = 0.123.*valid: 0.12 or 0.13"),
+        ({"sensors": {"kind": "perfect"}}, "sensors: kind 'perfect'; valid: hard, no sideslip, real"),
+        ({"sensors": {"estimator": "kalman"}}, "estimator 'kalman'; valid: none, vehicle-state, adaptive-state"),
+        ({"sensors": {"latency": 0.02}}, "latency = 0.02"),
+        ({"sensors": {"noise": -1.0}}, "noise = -1.0"),
+        ({"sensors": {"noise": True}}, r"noise = True, expected a number \[1\]"),
+        ({"sensors": {"gyro_zero_deg": 6.0}}, r"gyro_zero_deg = 6.0 \[deg/s\]"),
+        ({"steering": {"delay": 1.5}, "sensors": {"latency": 1.0}}, "add up to 2.5"),
+        ({"knowledge": {"oracle": "truth"}}, "knowledge: oracle = 'truth', expected true or false"),
+        ({"knowledge": {"delay": 3.0}}, r"knowledge: delay = 3.0 \[s\], expected 0 to 2"),
         ({"reference": "rear"}, "reference 'rear'; valid: front, cg, own"),
-        ({"recovery": "lqr"}, "recovery 'lqr'; valid: fitting, adapting, stanley, stanley-delay"),
-        ({"v_min": 9.0}, "v_min = 9.0, v_max = 7.5"),
-        ({"v_min": 0.0}, r"v_min = 0.0 \[m/s\], expected 0.2 to 40"),
-        ({"lag": -1.0}, r"lag = -1.0 \[s\], expected 0 to 10"),
-        ({"lag": math.nan}, "lag = nan"),
-        ({"lag": "much"}, r"lag = 'much', expected a number \[s\]"),
-        ({"delay": 0.123}, "delay = 0.123.*valid: 0.12 or 0.13"),
-        ({"latency": 0.02}, "latency = 0.02"),
-        ({"delay": 1.5, "latency": 1.0}, "add up to 2.5"),
-        ({"tyres": 0.0}, "tyres = 0.0"),
-        ({"tyres": 10.0, "vehicle": "bmw-320i"}, "c_f"),
-        ({"noise": -1.0}, "noise = -1.0"),
-        ({"noise": True}, r"noise = True, expected a number \[1\]"),
-        ({"rounds": 0.0}, "rounds = 0.0"),
-        ({"closed": True}, "only a course from a file"),
+        ({"recovery": "lqr"}, "recovery 'lqr'; valid: auto, adaptive, stanley, stanley-delay"),
         ({"name": "a--b"}, "holds '--'"),
-        ({"plant": "benchmarks.peers.commonroad:CommonRoadMultiBody"}, "valid: bmw-320i, ford-escort"),
-        (
-            {"plant": "benchmarks.peers.commonroad:CommonRoadMultiBody", "vehicle": "bmw-320i", "ratio": 1.1},
-            "no other tyres, friction or ratio",
-        ),
-        (
-            {"plant": "benchmarks.peers.commonroad:CommonRoadMultiBody", "vehicle": "bmw-320i", "wind": 1.0},
-            "only single-track cars are pushed",
-        ),
     ],
 )
 def test_what_cannot_be_driven_is_refused_when_it_is_made(changes: dict[str, Any], message: str) -> None:
@@ -71,15 +85,17 @@ def test_what_cannot_be_driven_is_refused_when_it_is_made(changes: dict[str, Any
     assert str(refused.value).startswith("scenario '")
 
 
-def test_what_is_wrong_with_the_car_is_not_told() -> None:
-    scenario = Scenario(tyres=0.7, friction=0.5, ratio=1.1, delay=0.2, believed_delay=0.0)
-    true = scenario.true_vehicle
+def test_controllers_believe_the_data_sheet_and_the_true_delay_and_lag() -> None:
+    scenario = Scenario(
+        vehicle={"tyres": 0.7, "friction": 0.5, "ratio": 1.1}, steering={"delay": 0.2}, knowledge={"delay": 0.0}
+    )
+    true = scenario.vehicle.true
     assert (true.c_f, true.mu, true.steer_ratio) == (0.7 * PASSAT.c_f, 0.5 * PASSAT.mu, 1.1 * PASSAT.steer_ratio)
     assert scenario.nominal == PASSAT
     assert (scenario.design_model().vehicle, scenario.design_model().delay) == (PASSAT, 0.0)
-    late = Scenario(delay=0.2, latency=0.05, lag=0.3).design_model()
+    late = Scenario(steering={"delay": 0.2, "lag": 0.3}, sensors={"latency": 0.05}).design_model()
     assert (late.delay, late.lag, late.hold, late.rate_limit) == (0.25, 0.3, 0.01, radians_of(550.0))
-    assert Scenario(lag=0.3, believed_lag=0.1).design_model().lag == 0.1
+    assert Scenario(steering={"lag": 0.3}, knowledge={"lag": 0.1}).design_model().lag == 0.1
 
 
 def test_a_controller_without_a_point_of_its_own_is_judged_where_the_scenario_says() -> None:
@@ -92,23 +108,23 @@ def test_a_controller_without_a_point_of_its_own_is_judged_where_the_scenario_sa
 
 def test_an_open_course_is_driven_without_its_ends_and_no_farther() -> None:
     for name, ends in (("genesis-rfs", 2.0 * END_MARGIN), ("paper", 0.0)):
-        scenario = Scenario(course=name, rounds=1.5)
+        scenario = Scenario(course={"name": name, "rounds": 1.5})
         assert scenario.round_length == course(name).length - ends
         assert scenario.length == 1.5 * scenario.round_length
 
 
 def test_what_depends_on_the_seed_is_random() -> None:
-    steady = Scenario(v_min=5.0, v_max=5.0)
+    steady = Scenario(driver={"v_min": 5.0, "v_max": 5.0})
     assert not steady.random
-    assert not replace(steady, wind=1.0, latency=0.05).random
+    assert not steady.with_(disturbances={"wind": 1.0}, sensors={"latency": 0.05}).random
     assert Scenario().random
-    assert replace(steady, noise=0.5).random
-    assert replace(steady, gust=0.1).random
-    assert not Scenario(course="genesis", speed="recorded").random
+    assert steady.with_(sensors={"noise": 0.5}).random
+    assert steady.with_(disturbances={"gust": 0.1}).random
+    assert not Scenario(course="genesis", driver={"speed": "recorded"}).random
 
 
 def test_all_noises_grow_together() -> None:
-    one, two = (Scenario(noise=factor).sensors(3) for factor in (1.0, 2.5))
+    one, two = (Sensing(noise=factor).sensors(PASSAT, 3) for factor in (1.0, 2.5))
     assert one is not None
     assert two is not None
     for name in ("position_drift", "psi_drift", "r_noise"):
@@ -116,7 +132,7 @@ def test_all_noises_grow_together() -> None:
 
 
 def test_bank_and_wind_push_the_car() -> None:
-    banked = Scenario(bank_deg=2.0, wind=0.3, gust=0.1)
+    banked = Scenario(disturbances={"bank_deg": 2.0, "wind": 0.3, "gust": 0.1})
     car = banked.car(banked.path(), seed=4)
     assert isinstance(car, DisturbedPlant)
     assert car.bank == pytest.approx(G * math.sin(radians_of(2.0)))
@@ -126,19 +142,21 @@ def test_bank_and_wind_push_the_car() -> None:
 
 def test_hard_conditions_are_noise_latency_and_lag() -> None:
     hard = Scenario.under("hard", course="genesis")
-    assert hard == Scenario(course="genesis", noise=1.0, latency=0.05, lag=0.15)
-    assert hard.sensors(3).latency == 0.05  # type: ignore[union-attr]
-    assert Scenario().sensors(3) is None
+    assert hard == Scenario(course="genesis", sensors={"noise": 1.0, "latency": 0.05}, steering={"lag": 0.15})
+    assert Scenario.under("hard", sensors=Sensing(noise=2.0)).sensors == Sensing(noise=2.0)
+    assert Scenario.under("real").with_(sensors={"kind": "hard"}) == Scenario.under("hard")
     with pytest.raises(ValueError, match=r"conditions 'harder' is not known.*clean, hard"):
         Scenario.under("harder")
-    with pytest.raises(ValueError, match="no field 'lagg'; valid: name, course"):
+    with pytest.raises(ValueError, match="no field 'lagg'; valid: name, reference, recovery, course"):
         Scenario.under(lagg=0.1)
+    with pytest.raises(ValueError, match="no field 'delay'; it is a field of steering and knowledge"):
+        Scenario().with_(delay=0.1)
 
 
 def test_the_stops_of_the_car_are_those_of_its_motor_and_its_controllers(tmp_path: FilePath) -> None:
     (tmp_path / "narrow.toml").write_text(vehicle_text(replace(PASSAT, delta_sw_max=radians_of(300.0))))
     scenario = Scenario(vehicle=str(tmp_path / "narrow.toml"))
-    assert scenario.actuator().limit == radians_of(300.0)
+    assert scenario.blocks(scenario.path())["actuator"].limit == radians_of(300.0)  # type: ignore[union-attr]
     assert scenario.recovery_controller().limit == radians_of(300.0)  # type: ignore[attr-defined]
 
 
@@ -149,7 +167,7 @@ def test_a_course_and_a_car_from_files_stay_what_they_were(tmp_path: FilePath, m
     (tmp_path / "car.toml").write_text(vehicle_text(replace(PASSAT, m=1500.0, name="mine")))
     file = yard(tmp_path)
     scenario = Scenario(course=str(file), vehicle=str(tmp_path / "car.toml"))
-    assert (scenario.course, scenario.vehicle) == ("yard.csv", "car.toml")
+    assert (scenario.course.name, scenario.vehicle.name) == ("yard.csv", "car.toml")
     assert scenario.path().closed
     assert scenario.path().length == pytest.approx(2.0 * math.pi * 20.0, rel=1e-3)
     assert scenario.nominal.m == 1500.0
@@ -157,12 +175,12 @@ def test_a_course_and_a_car_from_files_stay_what_they_were(tmp_path: FilePath, m
     (tmp_path / "car.toml").unlink()
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
-    for same in (pickle.loads(pickle.dumps(scenario)), replace(scenario, v_max=7.5)):
+    for same in (pickle.loads(pickle.dumps(scenario)), scenario.with_(driver={"v_max": 7.5})):
         assert same == scenario
         assert hash(same) == hash(scenario)
         assert same.path().length == pytest.approx(2.0 * math.pi * 20.0, rel=1e-3)
         assert same.nominal.m == 1500.0
-    assert Scenario(course=str(file)) != replace(scenario, vehicle="vw-passat")
+    assert Scenario(course=str(file)) != scenario.with_(vehicle="vw-passat")
 
 
 @pytest.mark.parametrize("share", [1.0, 0.7])
@@ -173,7 +191,7 @@ def test_a_file_is_closed_if_its_ends_meet_or_if_it_says_so(share: float, tmp_pa
     path.to_csv(tmp_path / "again.csv")
     assert Scenario(course=str(tmp_path / "again.csv")).path().closed is path.closed
     if share == 1.0:
-        assert not Scenario(course=str(file), closed=False).path().closed
+        assert not Scenario(course={"name": str(file), "closed": False}).path().closed
 
 
 @pytest.mark.parametrize(("gap", "closed"), [(8.0, True), (12.0, False)])
@@ -193,16 +211,27 @@ def test_a_vehicle_files_steering_is_the_motor_under_conditions_and_not_in_the_c
     file = tmp_path / "car.toml"
     file.write_text(vehicle_text(PASSAT, steering={"delay": 0.21, "lag": 0.08, "offset": 0.05}))
     scenario = Scenario.under("hard", vehicle=str(file))
-    assert (scenario.delay, scenario.noise) == (0.2, 1.0)
-    assert scenario.lag == pytest.approx(0.08)
-    assert scenario.actuator().offset == pytest.approx(0.05)
-    assert Scenario.under(vehicle=str(file), delay=0.1).delay == 0.1
-    assert (Scenario(vehicle=str(file)).delay, Scenario(vehicle=str(file)).lag) == (0.0, 0.12)
+    assert (scenario.steering.delay, scenario.sensors.noise) == (0.2, 1.0)
+    assert scenario.steering.lag == pytest.approx(0.08)
+    assert scenario.blocks(scenario.path())["actuator"].offset == pytest.approx(0.05)
+    assert Scenario.under(vehicle=str(file), steering={"delay": 0.1}).steering.delay == 0.1
+    assert (Scenario(vehicle=str(file)).steering.delay, Scenario(vehicle=str(file)).steering.lag) == (0.0, 0.12)
 
 
 def test_whole_numbers_are_numbers() -> None:
-    assert Scenario(v_max=9, rounds=2) == Scenario(v_max=9.0, rounds=2.0)
-    assert all(isinstance(getattr(Scenario(v_max=9), f.name), float) for f in fields(Scenario) if f.type == "float")
+    made = Scenario(driver={"v_max": 9}, course={"rounds": 2}, knowledge={"delay": 1})
+    assert made == Scenario(driver=Driver(v_max=9.0), course={"rounds": 2.0}, knowledge={"delay": 1.0})
+    assert [type(x) for x in (made.driver.v_max, made.course.rounds, made.knowledge.delay)] == [float] * 3
+
+
+def test_a_change_leaves_the_other_fields_of_its_part_and_another_file_is_read(tmp_path: FilePath) -> None:
+    scenario = Scenario(course={"name": str(yard(tmp_path)), "start": 3.0}, steering={"lag": 0.3})
+    changed = scenario.with_(course="circle", steering={"delay": 0.1})
+    assert changed == Scenario(course={"name": "circle", "start": 3.0}, steering={"lag": 0.3, "delay": 0.1})
+    assert changed.with_(course=str(tmp_path / "yard.csv"), **tables({"steering.delay": 0.0, "name": "x"})) == (
+        replace(scenario, name="x")
+    )
+    assert scenario.with_(course=Course(name="circle")).course.start == 0.0
 
 
 def test_a_broken_file_is_named(tmp_path: FilePath) -> None:
@@ -213,3 +242,70 @@ def test_a_broken_file_is_named(tmp_path: FilePath) -> None:
     with pytest.raises(ValueError, match=r"bad.toml: not TOML"):
         Scenario(vehicle=str(tmp_path / "bad.toml"))
     assert os.listdir(tmp_path)
+
+
+def test_a_scenario_comes_back_with_its_files(tmp_path: FilePath, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "car.toml").write_text(vehicle_text(vehicle("bmw-320i")))
+    scenario = Scenario(
+        name="".join(map(chr, range(0x180))),
+        course={"name": str(yard(tmp_path)), "closed": False},
+        vehicle=str(tmp_path / "car.toml"),
+        knowledge={"lag": 0.2, "oracle": True},
+    )
+    write_scenario(scenario, tmp_path / "scenario.toml")
+    (tmp_path / "yard.csv").unlink()
+    monkeypatch.chdir("/")
+    assert read_scenario(tmp_path / "scenario.toml") == scenario
+
+
+@settings(max_examples=50)
+@given(
+    lag=st.floats(0.0, 10.0),
+    v_min=st.floats(0.2, 7.0),
+    offset_deg=st.floats(-90.0, 90.0),
+    gust=st.floats(0.0, 20.0),
+    believed=st.none() | st.floats(0.0, 2.0),
+)
+def test_every_number_comes_back_bit_for_bit(
+    tmp_path_factory: pytest.TempPathFactory, lag: float, v_min: float, offset_deg: float, gust: float, believed: Any
+) -> None:
+    scenario = Scenario(
+        steering={"lag": lag, "offset_deg": offset_deg},
+        driver={"v_min": v_min},
+        disturbances={"gust": gust},
+        knowledge={"delay": believed},
+    )
+    file = tmp_path_factory.getbasetemp() / "scenario.toml"
+    write_scenario(scenario, file)
+    assert repr(read_scenario(file)) == repr(scenario)
+
+
+@pytest.mark.parametrize("given", ['course = "yard.csv"\n', '[course]\nname = "yard.csv"\n'])
+def test_files_are_looked_for_beside_the_scenarios_own(given: str, tmp_path: FilePath) -> None:
+    yard(tmp_path)
+    (tmp_path / "v.csv").write_text("s,v\n0,5\n100,6\n")
+    (tmp_path / "s.toml").write_text(HEAD + given + '[driver]\nv_max = 9\nspeed = "v.csv"\n')
+    expected = Scenario(course=str(tmp_path / "yard.csv"), driver={"v_max": 9.0, "speed": str(tmp_path / "v.csv")})
+    assert read_scenario(tmp_path / "s.toml") == expected
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[steering]\nlag = 0.1\n", f"s.toml: format = None, expected '{FORMAT}'"),
+        (HEAD + "lag = 0.1\n", "s.toml: a scenario has no field 'lag'; it is a field of steering and knowledge"),
+        (HEAD + "lagg = 0.1\n", "s.toml: a scenario has no field 'lagg'; valid: name, reference"),
+        (HEAD + "[steering]\nlagg = 0.1\n", "s.toml: scenario 'scenario': steering: no field 'lagg'; valid: command"),
+        (HEAD + "[steering]\nlag = -0.1\n", r"s.toml: scenario 'scenario': steering: lag = -0.1 \[s\], expected 0 to"),
+        (HEAD + 'course = "no.csv"\n', "s.toml: scenario 'scenario': course .*no.csv cannot be read"),
+        (HEAD + "steering = 3\n", "steering: 3, expected a table of command"),
+        (HEAD + "lag = \n", "s.toml: not TOML"),
+        (None, "s.toml: cannot be read"),
+    ],
+)
+def test_mistakes_in_a_file_name_file_key_and_valid_keys(text: str | None, message: str, tmp_path: FilePath) -> None:
+    if text is not None:
+        (tmp_path / "s.toml").write_text(text)
+    with pytest.raises(ValueError, match=message) as refused:
+        read_scenario(tmp_path / "s.toml")
+    assert "\n" not in str(refused.value)

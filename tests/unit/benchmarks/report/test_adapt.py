@@ -26,7 +26,10 @@ def case(name: str, rms_e: float, **changes: Any) -> Case:
 
 
 def write(place: Path) -> Results:
-    store, fields = Store(place), {"name": CAR, "vehicle": "vw-passat", "ratio": 1.25, "lag": 0.15, "noise": 1.0}
+    store, fields = (
+        Store(place),
+        {"name": CAR, "vehicle.name": "vw-passat", "vehicle.ratio": 1.25, "steering.lag": 0.15, "sensors.noise": 1.0},
+    )
     drives = [case(name, value) for name, value in ANALYTIC.items()]
     drives += [case(f"nfq-same-car-{minutes}", LEARNED[60 * minutes]) for minutes in (1, 2)]
     trainings = [

@@ -18,7 +18,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
 def test_the_failure_map_is_the_grid_that_was_driven(results: Results) -> None:
     cases = [c for c in results.cases if c.suite == "robustness"]
     (grid,) = conditions.grids(cases, results.protocol)
-    assert {grid.x, grid.y} == {"v", "delay"}
+    assert {grid.x, grid.y} == {"v", "steering.delay"}
     assert (grid.xs, grid.ys) == ((4.0, 6.0, 9.0), (0.3, 0.2, 0.1, 0.0))
     for name, shares in grid.shares.items():
         for i, delay in enumerate(grid.ys):
@@ -45,5 +45,5 @@ def test_one_condition_alone_is_a_sweep_and_no_map(results: Results) -> None:
     cases = [c for c in results.cases if c.scenario.endswith(" v 6")]
     assert conditions.grids(cases, results.protocol) == []
     (sweep,) = conditions.sweeps(cases, results.protocol)
-    assert (sweep.x, sweep.xs) == ("delay", (0.0, 0.1, 0.2, 0.3))
+    assert (sweep.x, sweep.xs) == ("steering.delay", (0.0, 0.1, 0.2, 0.3))
     assert [len(group) for group in sweep.cases["stanley"]] == [2, 2, 2, 2]

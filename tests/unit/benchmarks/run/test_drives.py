@@ -28,7 +28,7 @@ LENGTH = SCENARIO.length
 LOOP = suite_loop(SCENARIO, Stanley.of(SCENARIO.nominal))
 V = 5.0
 
-STEP = scene(name="step", course="curvature-step", v_min=7.0, v_max=7.0)
+STEP = scene(name="step", course="curvature-step", driver={"v_min": 7.0, "v_max": 7.0})
 
 
 PASSAT = vehicle("vw-passat")
@@ -37,7 +37,12 @@ PASSAT = vehicle("vw-passat")
 def test_compiled_with_open_parameters_is_the_interpreted_drive() -> None:
     from steerkit.diagram.simulation import simulate
 
-    scenario = replace(STEP, tyres=0.8, offset_deg=1.0, wind=0.2, gust=0.1, noise=1.0, latency=0.05)
+    scenario = STEP.with_(
+        vehicle={"tyres": 0.8},
+        steering={"offset_deg": 1.0},
+        disturbances={"wind": 0.2, "gust": 0.1},
+        sensors={"noise": 1.0, "latency": 0.05},
+    )
     block = controller("stanley").make(scenario)  # type: ignore[misc]
     driven = drive(scenario, "stanley", seed=3)
     log = simulate(suite_loop(scenario, block, seed=3), 15.0, record=["path.e", "car.a_y"], every=5)
@@ -48,7 +53,7 @@ def test_compiled_with_open_parameters_is_the_interpreted_drive() -> None:
 
 
 def test_a_drive_that_leaves_the_road_says_how_far_it_came() -> None:
-    driven = drive(replace(STEP, friction=0.12), "pure-pursuit")
+    driven = drive(STEP.with_(vehicle={"friction": 0.12}), "pure-pursuit")
     assert driven.metrics["held"] == 0.0
     assert 0.1 < driven.metrics["rounds"] < 0.9
     assert np.abs(driven.trajectory["e"]).max() <= 3.0
@@ -160,7 +165,7 @@ def test_what_comes_after_the_end_does_not_count() -> None:
 
 
 def test_of_several_rounds_their_number_is_told() -> None:
-    twice = replace(SCENARIO, rounds=2.0)
+    twice = SCENARIO.with_(course={"rounds": 2.0})
     assert outcome(log_of(2.0 * LENGTH + 1.0), twice)["rounds"] == 2.0
     assert outcome(log_of(1.5 * LENGTH), twice)["rounds"] == pytest.approx(1.5, abs=0.002)
     assert outcome(log_of(1.5 * LENGTH), twice)["held"] == 0.0

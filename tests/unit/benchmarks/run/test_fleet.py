@@ -71,7 +71,7 @@ def test_a_car_that_hardly_learned_is_told_as_it_is(monkeypatch: pytest.MonkeyPa
     (*_, car) = of_fleet(4, rounds=0.1)
     outcome = one_car((car, 0, setting("model-free"), 0.05))
     assert (outcome.name, outcome.best, outcome.best_on_data_sheet) == ("fleet-3", "stanley-delay", "stanley")
-    assert outcome.delay == fleet.fleet_scenario(3).delay
+    assert outcome.delay == fleet.fleet_scenario(3).steering.delay
     assert outcome.good is None
     assert outcome.departure > 0.5  # it has failed, and nobody hides by how much
     assert not outcome.held
@@ -79,11 +79,11 @@ def test_a_car_that_hardly_learned_is_told_as_it_is(monkeypatch: pytest.MonkeyPa
 
 def test_every_kind_of_car_starts_where_it_is_straight_and_can_be_told_the_truth() -> None:
     for kind in KINDS:
-        cars = of_kind(kind, rounds=0.5)
+        cars = of_kind(kind, course={"rounds": 0.5})
         assert len({car.name for car in cars}) == len(cars)
         for car in cars:
-            assert car.rounds == 0.5
-            assert abs(car.path().kappa(car.start)) < 0.01
-            assert replace(car, told="truth").design_model().gain == car.gain
-    assert [car.delay for car in of_kind("delays")] == list(fleet.DELAYS)
-    assert {car.gain for car in of_kind("torque")} == {0.75, 1.25}
+            assert car.course.rounds == 0.5
+            assert abs(car.path().kappa(car.course.start)) < 0.01
+            assert car.with_(knowledge={"oracle": True}).design_model().gain == car.steering.gain
+    assert [car.steering.delay for car in of_kind("delays")] == list(fleet.DELAYS)
+    assert {car.steering.gain for car in of_kind("torque")} == {0.75, 1.25}

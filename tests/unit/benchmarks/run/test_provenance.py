@@ -12,7 +12,7 @@ from benchmarks.run import provenance
 from benchmarks.scenarios import Scenario
 from benchmarks.suites import Job
 
-SCENARIO = Scenario(name="slalom", course="slalom", v_max=9.0)
+SCENARIO = Scenario(name="slalom", course="slalom", driver={"v_max": 9.0})
 JOB = Job(suite="golden", scenario="slalom", controller="stanley", seed=1)
 
 
@@ -25,8 +25,8 @@ def digest(job: Job = JOB, scenario: Scenario | None = SCENARIO, timed_steps: in
     [
         lambda: digest(replace(JOB, seed=2)),
         lambda: digest(replace(JOB, controller="pure-pursuit")),
-        lambda: digest(scenario=replace(SCENARIO, delay=0.1)),
-        lambda: digest(scenario=replace(SCENARIO, believed_delay=0.1)),
+        lambda: digest(scenario=SCENARIO.with_(steering={"delay": 0.1})),
+        lambda: digest(scenario=SCENARIO.with_(knowledge={"delay": 0.1})),
         lambda: digest(scenario=None),
         lambda: digest(timed_steps=5),
     ],

@@ -32,7 +32,7 @@ def test_read_as_written(results: Results) -> None:
     assert len(again.curve(learner)["t"]) == 12
     assert len(again.trajectory(learner)["t"]) == 600
     assert again.trajectory(again.cases[0]) is None
-    assert set(again.table()["scenario.delay"]) == {0.0, 0.2}
+    assert set(again.table()["scenario.steering.delay"]) == {0.0, 0.2}
 
 
 def test_a_run_that_was_not_merged_is_read_case_by_case(results: Results) -> None:
@@ -119,7 +119,7 @@ def test_a_suite_that_joins_later_leaves_the_first_ones_cases(results: Results) 
     later = {
         **results.provenance,
         "suites": {"robustness": "later"},
-        "scenarios": {"windy": {"course": "paper", "wind": 1.0, "told": [1, 2]}},
+        "scenarios": {"windy": {"course.name": "paper", "disturbances.wind": 1.0, "told": [1, 2]}},
         "planned": ["robustness--windy--stanley--s9"],
         "seeds": [9],
     }
@@ -132,7 +132,7 @@ def test_a_suite_that_joins_later_leaves_the_first_ones_cases(results: Results) 
     assert joined.missing == ()
     assert joined.provenance["seeds"] == [0, 1, 2, 9]
     assert set(joined.provenance["suites"]) == {"tracking", "learning-curve", "robustness"}
-    assert joined.table()["scenario.wind"].iloc[-1] == 1.0
+    assert joined.table()["scenario.disturbances.wind"].iloc[-1] == 1.0
     assert "scenario.told" not in joined.table()  # a table's cells are single values
 
 

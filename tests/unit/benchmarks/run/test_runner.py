@@ -142,7 +142,7 @@ def test_a_learner_is_taught_once_and_its_net_drives(tmp_path: Path, monkeypatch
     short = replace(trainings.TRAININGS["clean"], minutes=0.4)
     monkeypatch.setitem(trainings.TRAININGS, "clean", short)
     one = replace(TINY, controllers=("stanley", "nfq-paper-idoe"), seeds=1)
-    two = replace(one, name="tracking", scenarios=(replace(TINY.scenarios[0], name="slow", v_max=5.0),))
+    two = replace(one, name="tracking", scenarios=(TINY.scenarios[0].with_(name="slow", driver={"v_max": 5.0}),))
     monkeypatch.setitem(trainings.TRAININGS, "published", short)
     results = run([one, two], tmp_path / "learn", workers=1, quiet=True)
     assert [case.kind for case in results.cases] == ["learn", "drive", "drive", "drive", "drive"]

@@ -9,7 +9,14 @@ import pytest
 from benchmarks.run.safety_agents import AGENTS, agents, furthest
 from steerkit.scenario import Scenario
 
-SLOW = Scenario.under("hard", course="paper", v_min=5.0, v_max=5.0, tyres=0.7, delay=0.1, believed_delay=0.05)
+SLOW = Scenario.under(
+    "hard",
+    course="paper",
+    driver={"v_min": 5.0, "v_max": 5.0},
+    vehicle={"tyres": 0.7},
+    steering={"delay": 0.1},
+    knowledge={"delay": 0.05},
+)
 
 
 def test_without_the_library_there_is_no_figure(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -139,12 +139,12 @@ def test_on_the_car_driven_only_the_recovery_is_told_and_test_drives_are_the_sui
     monkeypatch.setattr(trainings, "_trajectory", lambda run: None)
     same_car, car = (
         trainings.TRAININGS["same-car-1"],
-        Scenario(name="slow", delay=0.2, believed_delay=0.0, believed_lag=0.0),
+        Scenario(name="slow", steering={"delay": 0.2}, knowledge={"delay": 0.0, "lag": 0.0}),
     )
     trainings.learn(same_car, "default", seed=3, driven=car)
-    believed = car.design_model(), replace(car, believed_delay=None, believed_lag=None).design_model()
+    believed = car.design_model(), car.with_(knowledge={"delay": None, "lag": None}).design_model()
     assert [b.delay for b in believed] == [0.0, 0.2]
-    assert asked["judged"] == (replace(car, believed_delay=None, believed_lag=None), 3)
+    assert asked["judged"] == (car.with_(knowledge={"delay": None, "lag": None}), 3)
     assert asked["learned"] == (asked["judged"][0], 1003)
     trainings.learn(trainings.TRAININGS["clean"], "default", seed=3)
     assert (asked["learned"][1], asked["judged"]) == (3, (Scenario(), 1003))

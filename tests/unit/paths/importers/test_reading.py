@@ -24,7 +24,7 @@ def test_a_noisy_lap_becomes_a_course_that_stanley_drives(name: str, seed: int, 
     """One metre of noise, once a second, at 5 m/s; after 5 s, as a start in a bend is none of the course's fault."""
     truth = Scenario(course=name).path()
     file = road_files.gpx(road_files.driven(truth, seed=seed, further=30.0), tmp_path / "lap.gpx")
-    where = Scenario(course=str(file), v_min=5.0, v_max=5.0)
+    where = Scenario(course=str(file), driver={"v_min": 5.0, "v_max": 5.0})
     path = where.path()
     assert path.closed
     assert path.length == pytest.approx(truth.length, rel=0.02)
@@ -46,12 +46,12 @@ def test_a_lap_too_coarse_for_its_bends_is_refused(tmp_path: FilePath) -> None:
 
 def test_speeds_go_with_the_course(tmp_path: FilePath) -> None:
     lap = road_files.gpx(road_files.driven(course("genesis-rfs"), v=6.0, noise=0.3), tmp_path / "lap.gpx")
-    where = Scenario(course=f"{lap}#noise=0.3", speed="recorded", v_max=9.0)
+    where = Scenario(course=f"{lap}#noise=0.3", driver={"speed": "recorded", "v_max": 9.0})
     s, v = where._profile()
     assert np.median(v) == pytest.approx(6.0, abs=0.3)
     assert where.seconds == pytest.approx(where.path().length / 6.0, rel=0.3)
     town = road_files.junction(tmp_path / "town.xodr")
-    allowed = Scenario(course=f"{town}#road=1,lane=-1,to=2", speed="limit", v_max=15.0)
+    allowed = Scenario(course=f"{town}#road=1,lane=-1,to=2", driver={"speed": "limit", "v_max": 15.0})
     s, v = allowed._profile()
     assert v[s < 20.0].max() == pytest.approx(50.0 / 3.6), "as fast as is allowed"
     at = float(abs(allowed.path().kappa(s)).argmax())
@@ -59,7 +59,7 @@ def test_speeds_go_with_the_course(tmp_path: FilePath) -> None:
     with pytest.raises(
         ValueError, match=r"speed recorded: town-.*: no column v \[m/s\]; columns: s, x, y, psi, kappa, v_limit"
     ):
-        Scenario(course=f"{town}#road=1,lane=-1,to=2", speed="recorded")
+        Scenario(course=f"{town}#road=1,lane=-1,to=2", driver={"speed": "recorded"})
 
 
 def test_a_course_that_the_car_cannot_drive_is_refused(tmp_path: FilePath) -> None:
