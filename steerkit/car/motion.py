@@ -87,9 +87,8 @@ class Motion:
         self._t: float | None = None
         self._psi = 0.0
         self._rates = (0.0, 0.0, 0.0, 0.0)
-        self._added: tuple[float, ...] = (
-            0.0,
-        ) * 6  # what dead reckoning has added up: x, y, psi, psi by the wheel; |psi|' of both
+        # what dead reckoning has added up: x, y, psi, psi by the wheel; |psi|' of both
+        self._added: tuple[float, ...] = (0.0,) * 6
         self._last: tuple[float, float, float, float] | None = None
         self._kept: deque[Sample] = deque()
         self._least = self._most = Sample(*[math.nan] * 7)  # of each quantity, of those that are or were kept

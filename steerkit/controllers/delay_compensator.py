@@ -1,4 +1,4 @@
-"""What the car will be doing when a command arrives: a learned policy's answer to dead time."""
+"""The motion of the car when a command arrives: a learned policy's compensation of dead time."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def moved(car: Any, x: Motion, v: Any, doe: Sequence[Any], bend: Any = 0.0, dt: 
     in which p is how w turns. A slow car's w is the angle of its front axle's course to its own axis: nose = 1,
     tail = 0, loss = 0. Soft tyres take that angle away as speed grows (of a single track it is
     (L - m*l_f*v^2/(L*c_r))*r/v, nothing at 20 m/s for some), while the yaw rate stays. So a `fast` car's w is its yaw
-    rate's, LENGTH*r/v (`turning`), its psi_e is told as c - w, and nose and tail say what of w the course makes.
+    rate's, LENGTH*r/v (`turning`), its psi_e is c - w, and nose and tail say what of w the course makes.
 
     car: anything with the numbers of `ANSWER`. v [m/s], at least SLOWEST. bend [rad/s]: by how much v*kappa grows in
     the sample. It is the same in every steady bend: nothing changes when doe is turned by x and psi_e by -x*ratio, of
@@ -67,13 +67,12 @@ def moved(car: Any, x: Motion, v: Any, doe: Sequence[Any], bend: Any = 0.0, dt: 
 
 @dataclass(frozen=True, kw_only=True)
 class DelayCompensator:
-    """A car's dead time and its answer to the wheel, learned; carries what is seen to where the next command acts.
+    """A car's dead time and its answer to the wheel, learned; predicts the motion at which the next command acts.
 
-    The state s(k) that is seen is what the angles until `samples` samples before have made of the car. The angles on
+    The measured state s(k) is what the angles until `samples` samples before have made of the car. The angles on
     their way since then are known, the bends ahead too: `moved`, once for each, gives the car's motion at the moment
-    from which the next angle acts. A policy that is asked about that motion drives a car without dead time. What is
-    seen of w and of r_e is first filtered, as sensors are noisy: trust*seen + (1 - trust)*foreseen a
-    sample before.
+    from which the next angle acts. A policy that gets that motion drives a car without dead time. The measured w
+    and r_e are filtered first, as sensors are noisy: trust*measured + (1 - trust)*predicted a sample before.
 
     Every number may be a symbol. Raises ValueError unless 0 <= samples <= LONGEST and 0 < trust <= 1.
     Source: Walsh, Nouri, Li, Littman 2009 (learning with constant delay by simulating the model over it); Smith 1957.
@@ -88,9 +87,9 @@ class DelayCompensator:
     slip: Any = 0.0
     yaw: Any = 0.0
     straight: Any = 0.0
-    """Angle of the wheel at which the car goes straight on [rad]; the policy is told angles from there."""
+    """Angle of the wheel at which the car goes straight on [rad]; the policy gets angles from there."""
     trust: Any = 1.0
-    """Share of what is seen in the filtered values [1]."""
+    """Share of the measurement in the filtered values [1]."""
     loss: Any = 0.0
     nose: Any = 1.0
     tail: Any = 0.0
@@ -136,7 +135,7 @@ class DelayCompensator:
     def remember(self, x: State, u: Any) -> State:
         """The state of the next sample: angles of the last samples, oldest first, and what the filter needs.
 
-        u: e, e_dot, v, psi_e, r_e, doe as seen, and preview [1/m], PREVIEW curvatures at s + j*v*dt.
+        u: e, e_dot, v, psi_e, r_e, doe as measured, and preview [1/m], PREVIEW curvatures at s + j*v*dt.
         """
         v = m.maximum(u.v, SLOWEST)
         return (*x[1:_REMEMBERED], u.doe, *self._filtered(x, u, v), v, u.preview[0])
@@ -154,7 +153,7 @@ class DelayCompensator:
         foreseen = moved(self, Motion(0.0, w, 0.0, r_e), v_before, self._angles(x, u)[2::-1], bend, self.dt)
         seen = turning(self, u.e_dot / v, u.psi_e, v, u.r_e + v * u.preview[0])
         w_next = foreseen.c - foreseen.psi_e
-        known = m.is_finite(w_next + foreseen.r_e)  # else a NaN that was seen once would stay for good
+        known = m.is_finite(w_next + foreseen.r_e)  # else one NaN would stay for good
         filtered = w_next + self.trust * (seen - w_next), foreseen.r_e + self.trust * (u.r_e - foreseen.r_e)
         return m.where(known, filtered[0], seen), m.where(known, filtered[1], u.r_e)
 
@@ -171,5 +170,5 @@ class DelayCompensator:
 
 
 def nothing(batch: tuple[int, ...] = ()) -> State:
-    """A state in which nothing has been seen yet."""
+    """The state before the first sample."""
     return (m.filled(0.0, batch),) * (_REMEMBERED + 4)

@@ -52,55 +52,53 @@ class _Now(NamedTuple):
     preview: tuple[Scalar, ...]
 
     def mirrored(self) -> _Now:
-        """The same, seen in the mirror."""
+        """The mirror image."""
         sides = Motion._make([-value for value in self.motion]), -self.wheel_before, -self.wrong, -self.r_slow
         return _Now(*sides, self.doubt, tuple([-c for c in self.commands]), tuple([-kappa for kappa in self.preview]))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SafetyFilter(Block):
-    """Passes a command if the car can still be kept on its path after it, else the nearest one for which it can.
+    """Passes a command if a backup can still keep the car on its path after it, else the nearest one for which it can.
 
-    The backup is Stanley on the state that is predicted for when its command arrives. With it a sample asks
+    The backup is Stanley on the state that is predicted for the time at which its command arrives. In each sample
 
         reach(c) = max over t of |e(t)|,   c held for `hold` samples, then the backup, for `horizon` in all,
         w        = command within wheel stop, wheel speed and a_y (see `limits`)
         delta_sw = w                          if reach(w) <= bound
                  = w + share (backup - w)     otherwise: the least share with reach <= bound, by `halvings`
-                 = the last of these, held    where there is none, and as long as that was to be held
+                 = the last of these, held    where there is none, for the rest of its `hold`
                  = backup                     afterwards
 
-    A held command follows the bends: the path's own angle is added as it changes. Holding it for several samples is
-    what keeps the corrections calm: they begin earlier, and have so long to act (multi-step filter); hold = 1 is the
-    one-step filter, which chatters at the bound.
+    A held command follows the bends: the path's own angle is added as it changes. Holding it for several samples keeps
+    the corrections calm: they begin earlier (multi-step filter); hold = 1 is the one-step filter, which chatters at the
+    bound.
 
-    reach is not that of the model but the worst of what is told not to be known. Two cars are rolled out, one pushed to
-    the left, one to the right, by the same equations seen in the mirror. The left one begins e_doubt further left and
-    turned psi_doubt further left than is seen, its yaw rate is
+    reach is the worst case within the stated doubts. Two cars are rolled out (see `Rollout`), one pushed to the left,
+    and by the same equations on mirrored states one to the right. The left one begins e_doubt further left and turned
+    psi_doubt further left than measured, and its yaw rate is
 
-        r = r_model + wrong + yaw_doubt + ratio_doubt |r - r_slow|,
+        r = r_model + wrong + yaw_doubt + ratio_doubt |r - r_slow|;
 
-    its wheel is the one that is further left, of a wheel that gets commands after `delay` and one that gets them
-    delay_doubt and a sample later; and its backup sees it e_doubt and psi_doubt further right than it would be seen,
-    without what pushed it while its command was on the way. `wrong` and r_slow are averages over 0.5 s.
+    its wheel is the further left one of two, of which one gets commands after `delay` and the other delay_doubt and a
+    sample later; its backup is given e and psi_e by e_doubt and psi_doubt too far right, without the push during the
+    delay. `wrong` and r_slow are averages over 0.5 s. With a `gate` each command is what that lets through.
 
     With `yaw_doubt_least` the yaw rate's doubt is wide at first and narrow where the model proves right:
 
         yaw_doubt_now = 3 sqrt(<(wrong - <wrong>)^2>),   between yaw_doubt_least and yaw_doubt, where it begins,
 
-    <.> averages over 5 s, but a mean square grows within 0.5 s: a car that stops answering as it did is doubted again
-    after about a second. What was found safe with a narrow doubt holds only while that doubt bounds the errors.
+    <.> averages over 5 s, but a mean square grows within 0.5 s, so that a car that changes is doubted again after about
+    a second. What was found safe with a narrow doubt holds only while that doubt bounds the errors.
 
-    What holds by this: while the true car stays between the pushed ones, one that got a command with reach <= bound
-    has |e| <= bound for `horizon` from then on. For at each sample after it either another such command is sent, or
-    that one goes on being held and then the backup steers, and that this stays within the bound is what was found. It
-    stays between them if the doubts bound its errors and a wheel further left keeps it further left. Beyond the horizon
-    the roll-out's last drift is counted on for `approach`: that a car which is coming back there stays is measured, not
-    shown. Nothing here bounds a path that bends beyond its preview faster than the wheel may turn, nor a car that
-    slides.
+    Guarantee: while the true car stays between the pushed ones, one that got a command with reach <= bound has
+    |e| <= bound for `horizon` from then on, since after it either another such command is sent, or that one is held
+    and then the backup steers, which is what was rolled out. The car stays between them if the doubts bound its errors
+    and a wheel further left keeps it further left. Beyond the horizon the roll-out's last drift is extrapolated for
+    `approach`: that a car which is coming back there stays is measured, not shown. Not covered: a path that bends
+    beyond its preview faster than the wheel may turn, and a car that slides.
 
-    Why a roll-out, and no optimal plan: its cost is fixed (2 (1 + halvings) roll-outs), it has no branch and no solver
-    that may fail, the same lines serve floats, batches and C, and what it promises is what steers if it has to.
+    Cost: at most 2 (1 + halvings) roll-outs of fixed length, without solver or branches, for floats, batches and C.
 
     Inputs: command [rad]; e [m], psi_e [rad], preview [1/m] (kappa every preview_dt of driving) at `reference`;
     v [m/s]; r [rad/s]; delta_sw_meas [rad]; with a `gate` also applied [rad], what it let through last. Outputs:
@@ -108,8 +106,8 @@ class SafetyFilter(Block):
     of w; reason [1], the number of one of `REASONS`. State: r_model, `wrong`, r_slow, the wheel one sample before, the
     command that was found safe last, less the path's own angle, for how many samples it is to be held, <wrong> and the
     mean square of what is left of `wrong`; then commands on their way, oldest first. Where a command is not finite, or
-    nothing is seen, the last plan goes on, then the backup steers; a NaN in what that sees gives NaN, which the gate
-    before a bus refuses. A negative v counts as 0.
+    an input is NaN, the last plan goes on, then the backup steers; a NaN in an input of the backup gives NaN, which the
+    gate before a bus refuses. A negative v counts as 0.
     Raises ValueError for parameters out of range and for a backup that is not Stanley.
 
     Source: Wabersich, Zeilinger 2018 and 2021 (predictive safety filter); Gurriet et al. 2020 (a backup rolled out);
@@ -131,7 +129,7 @@ class SafetyFilter(Block):
     reason = Out("1")
 
     backup: DelayPredictor
-    """Stanley, and the model that is rolled out: geometry, ratio, dead time and lag as they are told."""
+    """Stanley, and the model that is rolled out: geometry, ratio, dead time and lag as they are believed."""
     bound: float = TRIP
     """|e| that is not to be exceeded [m]."""
     horizon: float = 1.3
@@ -141,9 +139,9 @@ class SafetyFilter(Block):
     halvings: int = 5
     """How often the share is halved between one that is safe and one that is not."""
     e_doubt: float = 0.03
-    """Largest error of e as seen [m]."""
+    """Largest error of the measured e [m]."""
     psi_doubt: float = 0.005
-    """Largest error of psi_e as seen [rad]."""
+    """Largest error of the measured psi_e [rad]."""
     yaw_doubt: float = 0.01
     """Largest error of the yaw rate that is neither constant nor in proportion to its changes [rad/s]."""
     yaw_doubt_least: float | None = None
@@ -151,9 +149,9 @@ class SafetyFilter(Block):
     ratio_doubt: float = 0.1
     """Largest error of the yaw rate as a share of its change [1]: steering ratio, tyres."""
     delay_doubt: float = 0.05
-    """How much later than told commands may arrive [s]."""
+    """How much later than believed commands may arrive [s]."""
     approach: float = 0.4
-    """Time for which the drift at the end of a roll-out is counted on [s]."""
+    """Time for which the drift at the end of a roll-out is extrapolated [s]."""
     preview_points: int = 20
     """Entries of the preview."""
     preview_dt: float = 0.1
@@ -248,7 +246,7 @@ class SafetyFilter(Block):
         within = self._within(u.command, x[-1], v, u.preview[0]) if self.gate is None else u.command
         reach = self._reach(now, v, within)
         safe = m.both(sound, reach <= self.bound)
-        if safe is True:  # one car whose command is kept, as nearly all are: nothing else to be asked
+        if safe is True:  # one car whose command is kept, as nearly all are: the rest need not be computed
             return self.Y(within, within - u.command, 0.0, reach, 0.0 if within == u.command else 1.0)
         own = self._own(now, v)
         low = m.where(sound, within, own)

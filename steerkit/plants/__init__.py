@@ -1,1 +1,1 @@
-"""Plants: cars, the motor at the steering wheel, the human at the pedals and the sensors."""
+"""Plants: cars, the motor at the steering wheel, the speed driver and the sensors."""

@@ -17,13 +17,13 @@ from steerkit._support.errors import require, require_within
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import State
 from steerkit.diagram.maths import Scalar
-from steerkit.plants.single_track import Car
+from steerkit.plants.single_track import IntegratedCar
 
 _NEEDED = ("delta_sw_cmd", "v_cmd", "x", "y", "psi", "beta", "r", "a_y")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class FmuPlant(Car):
+class FmuPlant(IntegratedCar):
     """A car whose equations x' = f(x, delta_sw, v) come out of an FMU; their state stays in the loop.
 
     The FMU's continuous states are this block's state; `substeps` Runge-Kutta steps (order 4) a sample integrate them
@@ -44,23 +44,11 @@ class FmuPlant(Car):
     """The FMU's names of delta_sw_cmd, v_cmd, x, y, psi, beta, r, a_y, where they differ; in the units above."""
     parameters: Mapping[str, float] = field(default_factory=dict)
     """Start values of the FMU's parameters, and of its states."""
-    x0: Scalar = 0.0
-    """Start position [m]."""
-    y0: Scalar = 0.0
-    """Start position [m]."""
-    psi0: Scalar = 0.0
-    """Start heading [rad]."""
-    v0: Scalar = 0.0
-    """Speed before the first sample [m/s]."""
-    substeps: int = 1
-    """Integration steps a sample."""
-    dt: float = 0.01
 
     def __post_init__(self) -> None:
         where = f"FmuPlant '{Path(self.file).name}'"
-        require(isinstance(self.substeps, int) and self.substeps >= 1, where, f"substeps = {self.substeps!r}, >= 1")
+        self._check_start(where)
         require_within(where, "dt", self.dt, "s", 1e-6, 1.0)
-        require_within(where, "v0", self.v0, "m/s", 0.0, 100.0)
         about = self._about
         require(about.fmiVersion.startswith("2."), where, f"of FMI {about.fmiVersion}, expected FMI 2.0")
         kind = "is for co-simulation only: its state stays inside, where no loop can save, restore or batch it"

@@ -36,7 +36,7 @@ class NonlinearSingleTrack(SingleTrack):
     x' = v_x cos(psi) - v_y sin(psi),  y' = v_x sin(psi) + v_y cos(psi),  psi' = r,
     v = sqrt(v_x^2 + v_y^2),  beta = atan2(v_y, v_x),  a_y = v_y' + v_x r.
 
-    v_cmd is v_x, the speed along the car's axis, as its rear wheels turn. The human keeps it: whatever drive force
+    v_cmd is v_x, the speed along the car's axis, as its rear wheels turn. The driver keeps it: the drive force
     that takes is there, and costs the tyres no grip. Axle loads are those at rest. a_y is what an accelerometer at
     the centre of gravity reads, v (r + beta') to first order in beta; at 3 m/s and above |a_y| <= mu g.
 

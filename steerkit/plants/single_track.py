@@ -43,6 +43,29 @@ class Car(Block):
     delta_sw = Out("rad", direct=())
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class IntegratedCar(Car):
+    """A car by its equations of motion: where it starts and how they are integrated; abstract."""
+
+    x0: Scalar = 0.0
+    """Start position [m]."""
+    y0: Scalar = 0.0
+    """Start position [m]."""
+    psi0: Scalar = 0.0
+    """Start heading [rad]."""
+    v0: Scalar = 0.0
+    """Speed before the first sample [m/s]."""
+    substeps: int = 1
+    """Integration steps a sample."""
+    dt: float = 0.01
+
+    def _check_start(self, where: str) -> None:
+        require(isinstance(self.substeps, int) and self.substeps >= 1, where, f"substeps = {self.substeps!r}, >= 1")
+        for name, unit, limit in (("x0", "m", 1e7), ("y0", "m", 1e7), ("psi0", "rad", 1e4)):
+            require_within(where, name, getattr(self, name), unit, -limit, limit)
+        require_within(where, "v0", self.v0, "m/s", 0.0, 100.0)
+
+
 class SingleTrackState(NamedTuple):
     """Pose and motion of the car, then the inputs last applied."""
 
@@ -57,7 +80,7 @@ class SingleTrackState(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class SingleTrack(Car):
+class SingleTrack(IntegratedCar):
     """A car as a single track, driven by steering-wheel angle and speed; abstract.
 
     The model's five equations x' = rhs(x, delta, v) are integrated by `substeps` Runge-Kutta steps (order 4) a
@@ -80,30 +103,16 @@ class SingleTrack(Car):
 
     vehicle: Vehicle
     """The car's parameters."""
-    x0: Scalar = 0.0
-    """Start position [m]."""
-    y0: Scalar = 0.0
-    """Start position [m]."""
-    psi0: Scalar = 0.0
-    """Start heading [rad]."""
-    v0: Scalar = 0.0
-    """Speed before the first sample [m/s]."""
-    substeps: int = 1
-    """Integration steps a sample."""
-    dt: float = 0.01
 
     def __post_init__(self) -> None:
         where = type(self).__name__
         require_vehicle(self.vehicle, where)
-        require(isinstance(self.substeps, int) and self.substeps >= 1, where, f"substeps = {self.substeps!r}, >= 1")
+        self._check_start(where)
         p = self.vehicle
         # the lateral dynamics' larger diagonal entry where w/v is largest; 2 of 2.78 leaves room for the coupling
         fastest = 2.0 + 0.35 * m.maximum((p.c_f + p.c_r) / p.m, (p.c_f * p.l_f**2 + p.c_r * p.l_r**2) / p.i_z)
         high = 2.0 * self.substeps / float(np.asarray(fastest, dtype=float).max())
         require_within(where, "dt", self.dt, "s", 1e-6, high, "a longer one is unstable at 3 m/s; raise substeps")
-        for name, unit, limit in (("x0", "m", 1e7), ("y0", "m", 1e7), ("psi0", "rad", 1e4)):
-            require_within(where, name, getattr(self, name), unit, -limit, limit)
-        require_within(where, "v0", self.v0, "m/s", 0.0, 100.0)
 
     def init(self, batch: tuple[int, ...] = ()) -> SingleTrackState:
         start = (self.x0, self.y0, self.psi0, 0.0, 0.0, self.v0, 0.0)

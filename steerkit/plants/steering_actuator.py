@@ -32,8 +32,8 @@ class SteeringActuator(Block):
     input: delta_sw_cmd [rad], acts from its sample to the next. outputs, of state only: delta_sw [rad], the angle
     at the wheel; rate [rad/s], its mean speed over the last sample. state: delta_sw, rate, then the delay/dt
     commands on their way, oldest first. It starts straight and at rest.
-    A NaN command gives NaN from when it arrives, for good: the wheel's angle is unknown, and whoever commands is
-    responsible. An infinite one goes to the stop. Parameters except delay and dt may be `(N,)` arrays in a batch.
+    A NaN command gives NaN from when it arrives, for good: the wheel's angle is unknown. An infinite one goes to the
+    stop. Parameters except delay and dt may be `(N,)` arrays in a batch.
     errors: ValueError for parameters out of range, or a delay that is no multiple of dt.
     """
 
@@ -124,7 +124,7 @@ class SteeringLink(Block):
     the bus carries whole quanta; each command takes a time of its own, and none overtakes another; the motor's
     controller leaves a change that is smaller than its dead band. By default all is off: delta_sw = delta_sw_cmd.
 
-    input: delta_sw_cmd [rad]. output: delta_sw [rad], what the motor is told, in the same sample. state: delta_sw one
+    input: delta_sw_cmd [rad]. output: delta_sw [rad], the motor's command, in the same sample. state: delta_sw one
     sample before; with jitter also a and d in samples, the samples since d was drawn, the generator's six numbers and
     the jitter/dt commands before this one, oldest first. A NaN arrives as NaN. In a batch, car i draws as a link of
     seed + i does; quantum and dead_band may be `(N,)` arrays. errors: ValueError for parameters out of range, or a
