@@ -1,23 +1,40 @@
-"""The TOML file: what is shipped is right, and every mistake is named with what would be valid."""
+"""The TOML file of a car: what is shipped is right, and every mistake is named with what would be valid."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from steerkit.car.config import ConfigError, load, shipped
-from steerkit.diagram.units import radians_of
+from steerkit.car.config import ANGLES, BOUNDS, DERIVED, ConfigError, bus_of, course_of, load, loaded, shipped
+from steerkit.car.core import Core, Frame
+from steerkit.car.gate import GateLimits
+from steerkit.car.motion import MotionLimits
+from steerkit.car.state_machine import StateLimits
+from steerkit.diagram.units import degrees_of, radians_of
+from steerkit.paths.courses import course
+from steerkit.vehicles import VW_PASSAT
+from steerkit.vehicles.file import vehicle_text
 
-TEXT = shipped("dbw-kit.toml").read_text()
+KIT = "dbw-kit.toml"
+FILES = {name: shipped(name).read_text(encoding="cp1252") for name in (KIT, "dbw_steering.dbc", "pose.dbc")}
+TEXT = FILES[KIT]
 
 
-def changed(tmp_path: Path, old: str, new: str, text: str = TEXT) -> Path:
-    assert old in text
-    file = tmp_path / "car.toml"
-    file.write_text(text.replace(old, new, 1))
-    return file
+def changed(folder: Path, *changes: str) -> Path:
+    """The shipped files with changes such as `old -> new`, each in the first of them that holds `old`."""
+    texts = dict(FILES)
+    for change in changes:
+        old, new = change.split(" -> ")
+        home = next(name for name in texts if old in texts[name])
+        texts[home] = texts[home].replace(old, new, 1)
+    texts["car.toml"] = texts.pop(KIT)
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="cp1252")
+    return folder / "car.toml"
 
 
 def test_the_shipped_one_is_right() -> None:
@@ -50,60 +67,130 @@ def test_the_summary_tells_all_that_is_read_and_written_and_every_limit() -> Non
         assert word in text
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "says"),
-    [
-        ('format = "steerkit car 1"', 'format = "2"', "expected 'steerkit car 1'"),
-        ('interface = "slcan"', 'interface = "slcam"', "did you mean 'slcan'"),
-        ('channel = "/dev/ttyACM0"', "channel = true", "[bus] channel = True"),
-        ("bitrate = 500000", 'bitrate = "fast"', "[bus] bitrate = 'fast', expected a whole number"),
-        ("[course]", "[curse]", "did you mean 'course'"),
-        ("[server]", "[driver]", "driver: not known; did you mean 'server'"),
-        ('"pose.dbc"]', '"poes.dbc"]', "poes.dbc: no such file"),
-        ('name = "vw-passat"', 'name = "vw-pasat"', "did you mean 'vw-passat'"),
-        ('signal = "ANGLE"', 'signal = "ANGEL"', "STEERING_REPORT has no signal 'ANGEL'; did you mean 'ANGLE'"),
-        ('frame = "POSE_MOTION", signal = "PSI"', 'frame = "POSE", signal = "PSI"', "[read.psi] frame = 'POSE'"),
-        ('signal = "VEH_VEL" }', 'signal = "VEH_VEL", unit = "deg" }', "'deg' for v_kit, expected one of 'm/s'"),
-        ('signal = "ANGLE" }', 'signal = "ANGLE", sign = 2 }', "sign = 2, expected 1 or -1"),
-        ('signal = "ANGLE" }', 'signal = "ANGLE", scale = -1 }', "expected scale > 0"),
-        ('signal = "ANGLE" }', 'signal = "ANGLE", skale = 2 }', "did you mean 'scale'"),
-        ("v_kit =", "v_kid =", "did you mean 'v_kit'"),
-        ('torque = { frame = "STEERING_REPORT", signal = "TORQUE" }', "", "[read] torque: missing"),
-        ("echo = {", "# echo = {", "[read] echo: missing"),
-        ("STEERING_REPORT = { period = 0.02 }", "", "[protect] STEERING_REPORT = None"),
-        ('POSE_MOTION = { counter = "COUNT"', 'POSE_MOTION = { counter = "COUNTER"', "did you mean 'COUNT'"),
-        ('crc = "CRC", period', 'crc = "COUNT", period', "does not fill one byte"),
-        ('counter = "COUNT", crc', 'counter = "COUN", crc', "did you mean 'COUNT'"),
-        ('enable = "EN"', "", "[write] enable: missing"),
-        ('clear = "CLEAR"', 'clear = "CLAER"', "did you mean 'CLEAR'"),
-        ("fixed = { SVEL = 0 }", "fixed = { SVEL = 300 }", "[write.fixed] SVEL = 300"),
-        ("listen_only = false", 'listen_only = "no"', "expected true or false"),
-        ("e_max = 2.0", "e_max = 20.0", "[limits] e_max = 20, expected 0.1 to 5"),
-        ("e_max = 2.0", "e_max = -1", "[limits] e_max = -1"),
-        ("e_max = 2.0", "e_max = nan", "[limits] e_max = nan"),
-        ("delta_sw_max_deg = 520", "delta_sw_max_deg = 521", "expected 5 to 520"),
-        ("delta_sw_max_deg = 520", "delta_sw_max = 9", "did you mean 'delta_sw_max_deg'"),
-        ("e_max = 2.0", "report_age = 0.5", "expected 0.02 to 0.15"),
-        ("e_max = 2.0", "request_age = 0.2", "expected 0.052 to 0.09"),
-        ("v_engage_max = 9.0", "v_engage_max = 11.0", "v_engage_min < v_engage_max <= v_max"),
-        ('signal = "CMD" }', 'signal = "CMD" }\nx = { frame = "STEERING_REPORT", signal = "RES" }', "TOML"),
-        ('name = "paper"', 'file = "nowhere.csv"\nclosed = true', "there is no"),
-        ('name = "paper"', "", "give either name, such as 'paper', or file"),
-        ("[read.faults]", "[read.fault]", "did you mean 'faults'"),
-    ],
-)
-def test_mistakes_are_named(tmp_path: Path, old: str, new: str, says: str) -> None:
+MISTAKES = [
+    ("expected 'steerkit car 1'", 'format = "steerkit car 1" -> format = "2"'),
+    ("did you mean 'slcan'", 'interface = "slcan" -> interface = "slcam"'),
+    ("[bus] channel = True", 'channel = "/dev/ttyACM0" -> channel = true'),
+    ("[bus] bitrate = 'fast', expected a whole number", 'bitrate = 500000 -> bitrate = "fast"'),
+    ("did you mean 'course'", "[course] -> [curse]"),
+    ("driver: not known; did you mean 'server'", "[server] -> [driver]"),
+    ("poes.dbc: no such file", '"pose.dbc"] -> "poes.dbc"]'),
+    ("did you mean 'vw-passat'", 'name = "vw-passat" -> name = "vw-pasat"'),
+    ("STEERING_REPORT has no signal 'ANGEL'; did you mean 'ANGLE'", 'signal = "ANGLE" -> signal = "ANGEL"'),
+    ("[read.psi] frame = 'POSE'", 'frame = "POSE_MOTION", signal = "PSI" -> frame = "POSE", signal = "PSI"'),
+    ("'deg' for v_kit, expected one of 'm/s'", 'signal = "VEH_VEL" } -> signal = "VEH_VEL", unit = "deg" }'),
+    ("sign = 2, expected 1 or -1", 'signal = "ANGLE" } -> signal = "ANGLE", sign = 2 }'),
+    ("expected scale > 0", 'signal = "ANGLE" } -> signal = "ANGLE", scale = -1 }'),
+    ("did you mean 'scale'", 'signal = "ANGLE" } -> signal = "ANGLE", skale = 2 }'),
+    ("did you mean 'v_kit'", "v_kit = -> v_kid ="),
+    ("[read] torque: missing", 'torque = { frame = "STEERING_REPORT", signal = "TORQUE" } -> '),
+    ("[read] echo: missing", "echo = { -> # echo = {"),
+    ("[protect] STEERING_REPORT = None", "STEERING_REPORT = { period = 0.02 } -> "),
+    ("did you mean 'COUNT'", 'POSE_MOTION = { counter = "COUNT" -> POSE_MOTION = { counter = "COUNTER"'),
+    ("does not fill one byte", 'crc = "CRC", period -> crc = "COUNT", period'),
+    ("did you mean 'COUNT'", 'counter = "COUNT", crc -> counter = "COUN", crc'),
+    ("[write] enable: missing", 'enable = "EN" -> '),
+    ("did you mean 'CLEAR'", 'clear = "CLEAR" -> clear = "CLAER"'),
+    ("[write.fixed] SVEL = 300", "fixed = { SVEL = 0 } -> fixed = { SVEL = 300 }"),
+    ("expected true or false", 'listen_only = false -> listen_only = "no"'),
+    ("[limits] e_max = 20, expected 0.1 to 5", "e_max = 2.0 -> e_max = 20.0"),
+    ("[limits] e_max = -1", "e_max = 2.0 -> e_max = -1"),
+    ("[limits] e_max = nan", "e_max = 2.0 -> e_max = nan"),
+    ("expected 5 to 520", "delta_sw_max_deg = 520 -> delta_sw_max_deg = 521"),
+    ("did you mean 'delta_sw_max_deg'", "delta_sw_max_deg = 520 -> delta_sw_max = 9"),
+    ("expected 0.02 to 0.15", "e_max = 2.0 -> report_age = 0.5"),
+    ("expected 0.052 to 0.09", "e_max = 2.0 -> request_age = 0.2"),
+    ("v_engage_min < v_engage_max <= v_max", "v_engage_max = 9.0 -> v_engage_max = 11.0"),
+    ("TOML", 'signal = "CMD" } -> signal = "CMD" }\nx = { frame = "STEERING_REPORT", signal = "RES" }'),
+    ("there is no", 'name = "paper" -> file = "nowhere.csv"\nclosed = true'),
+    ("give either name, such as 'paper', or file", 'name = "paper" -> '),
+    ("did you mean 'faults'", "[read.faults] -> [read.fault]"),
+    ("delta_sw_max_deg = 520 is more than SCMD", "(0.1,0) [-3276.7|3276.7] -> (0.1,0) [-400|400]"),
+    ("steps of 5 deg", "SG_ SCMD : 0|16@1- (0.1,0) -> SG_ SCMD : 0|16@1- (5,0)"),
+    ("IGNORE = 1, expected 0", "fixed = { SVEL = 0 } -> fixed = { SVEL = 0, IGNORE = 1 }"),
+    ("EN is written by [write] already", "fixed = { SVEL = 0 } -> fixed = { EN = 1 }"),
+    ("more than one bit", 'enable = "EN" -> enable = "SVEL"'),
+    ("EN has 2 roles", 'clear = "CLEAR" -> clear = "EN"'),
+    ("expected at least one flag", 'signals = ["FLTPWR", "FLTWDC", "FLTBUS1", "FLTBUS2", "FLTCAL"] -> signals = []'),
+    ("ANGLE is read as 2 quantities", 'signal = "CMD" } -> signal = "ANGLE"}'),
+    ("are the two swapped?", 'signal = "ANGLE" } -> signal = "CMD"}', 'signal = "CMD" } -> signal = "ANGLE"}'),
+    (
+        "are the two swapped?",
+        'signal = "ENABLED" } -> signal = "OVERRIDE"}',
+        'signal = "OVERRIDE" } -> signal = "ENABLED"}',
+    ),
+    ("are the two swapped?", 'signal = "X" } -> signal = "Y"}', 'signal = "Y" } -> signal = "X"}'),
+    ("expected one frame", '"POSE_POSITION", signal = "Y" } -> "POSE_DYNAMICS", signal = "A_Y", unit = "m" }'),
+    ("[read.timeout] signal = 'VEH_VEL' has 16 bits", 'signal = "TMOUT" } -> signal = "VEH_VEL", unit = "1" }'),
+    ("is multiplexed", "SG_ X : 0|24@1- -> SG_ X m0 : 0|24@1-", "SG_ QUALITY : 48 -> SG_ QUALITY M : 48"),
+    ("scale 0", "SG_ R : 32|16@1- (0.0001,0) -> SG_ R : 32|16@1- (0,0)"),
+    ("[read.torque] TORQUE reaches from", "e_max = 2.0 -> torque_max = 7.5"),
+    ("[read.v] V reaches from", '[-32.767|32.767] "m/s" -> [-5|5] "m/s"'),
+    ("only their number tells a second sender", "STEERING_REPORT = { period = 0.02 } -> STEERING_REPORT = { }"),
+    ("expected 0.002 to 0.1 s", "STEERING_REPORT = { period = 0.02 } -> STEERING_REPORT = { period = 60.0 }"),
+    ("dt_min = 1e-05, expected 0.004 to 0.02", "e_max = 2.0 -> dt_min = 1e-5"),
+    ("pose_jump = 100, expected 0.05 to", "e_max = 2.0 -> pose_jump = 100.0"),
+    (
+        "[write] enable = 'CLEAR' is named like clear; are the two swapped?",
+        'enable = "EN" -> enable = "CLEAR"',
+        'clear = "CLEAR"  -> clear = "EN" ',
+    ),
+    (
+        "[write] alert = 'EN' is named like enable",
+        'enable = "EN" -> enable = "ALERT"',
+        'alert = "ALERT"  -> alert = "EN" ',
+    ),
+    ("[write] enable = 'IGNORE' switches a protection of the kit off", 'enable = "EN" -> enable = "IGNORE"'),
+    ("[write] clear = 'IGNORE' switches a protection of the kit off", 'clear = "CLEAR" -> clear = "IGNORE"'),
+    (
+        "[write] alert = 'CAL' switches a protection of the kit off; expected the signal for alert",
+        'alert = "ALERT" -> alert = "CAL"',
+    ),
+    (
+        "counter = 'SVEL' counts in steps of 4 from 0, expected 1 from 0",
+        'counter = "COUNT"\nfixed = { SVEL = 0 } -> counter = "SVEL"',
+    ),
+    (
+        "[protect.POSE_POSITION] counter = 'COUNT' counts in steps of 1 from 3",
+        "SG_ COUNT : 52|4@1+ (1,0) -> SG_ COUNT : 52|4@1+ (1,3)",
+    ),
+    (
+        "[protect] POSE_MOTION: CRC has two parts",
+        'POSE_MOTION = { counter = "COUNT" -> POSE_MOTION = { counter = "CRC"',
+    ),
+    ("[protect] POSE_DYNAMICS: COUNT has two parts", 'signal = "STAMP" } -> signal = "COUNT", unit = "ms" }'),
+    (
+        "[protect] POSE_MOTION: period = 60 s, expected 0.002 to 0.1 s, or none",
+        'MOTION = { counter = "COUNT", crc = "CRC", period = 0.01 -> MOTION = { counter = "COUNT", period = 60',
+    ),
+    (
+        "[protect] POSE_MOTION: period = nan s",
+        'MOTION = { counter = "COUNT", crc = "CRC", period = 0.01 -> MOTION = { counter = "COUNT", period = nan',
+    ),
+    (
+        "[read.psi] reaches from -1.571 to 1.571 rad, expected a whole circle",
+        '[-3.2767|3.2767] "rad" -> [-1.5708|1.5708] "rad"',
+    ),
+    ("my-car.toml cannot be read", 'name = "vw-passat" -> name = "my-car.toml"'),
+]
+
+
+@pytest.mark.parametrize(("says", "changes"), [(says, changes) for says, *changes in MISTAKES])
+def test_mistakes_are_named(tmp_path: Path, says: str, changes: list[str]) -> None:
     with pytest.raises(ConfigError) as caught:
-        load(changed(tmp_path, old, new))
+        load(changed(tmp_path, *changes))
     assert says in str(caught.value)
     assert "car.toml" in str(caught.value)
 
 
+def test_the_shipped_one_passes_beside_its_own_copies(tmp_path: Path) -> None:
+    assert load(changed(tmp_path)).writer.frame_id == 0x64
+
+
 def test_what_the_file_says_arrives_in_its_place(tmp_path: Path) -> None:
-    text = TEXT.replace("lag = 0.1 ", "lag = 0.23 ").replace("delay = 0.0 ", "delay = 0.04 ")
-    text = text.replace("e_max = 2.0", "e_max = 1.5\nfollow_angle_deg = 45\nmisses = 5")
-    new = 'signal = "ANGLE", sign = -1, scale = 2, offset = 0.25, unit = "rad" }'
-    config = load(changed(tmp_path, 'signal = "ANGLE" }', new, text))
+    limits = "e_max = 2.0 -> e_max = 1.5\nfollow_angle_deg = 45\nmisses = 5"
+    angle = 'signal = "ANGLE" } -> signal = "ANGLE", sign = -1, scale = 2, offset = 0.25, unit = "rad" }'
+    config = load(changed(tmp_path, "lag = 0.1 -> lag = 0.23", "delay = 0.0 -> delay = 0.04", limits, angle))
     assert (config.lag, config.delay) == (0.23, 0.04)
     assert (config.states.e_max, config.states.misses) == (1.5, 5)
     assert config.states.follow_angle == pytest.approx(math.pi / 4.0)
@@ -116,16 +203,16 @@ def test_what_the_file_says_arrives_in_its_place(tmp_path: Path) -> None:
 
 
 def test_all_mistakes_come_at_once(tmp_path: Path) -> None:
-    text = TEXT.replace("e_max = 2.0", "e_max = 20.0").replace('signal = "ANGLE"', 'signal = "ANGEL"')
+    changes = ("e_max = 2.0 -> e_max = 20.0", 'signal = "ANGLE" -> signal = "ANGEL"', '"vw-passat" -> "vw"')
     with pytest.raises(ConfigError) as caught:
-        load(changed(tmp_path, '"vw-passat"', '"vw"', text))
+        load(changed(tmp_path, *changes))
     assert len(str(caught.value).splitlines()) >= 3
 
 
 def test_kit_and_pose_must_not_share_a_frame(tmp_path: Path) -> None:
-    old = 'v = { frame = "POSE_MOTION", signal = "V" }'
+    change = 'v = { frame = "POSE_MOTION", signal = "V" } -> v = { frame = "STEERING_REPORT", signal = "VEH_VEL" }'
     with pytest.raises(ConfigError, match="must come from different frames"):
-        load(changed(tmp_path, old, 'v = { frame = "STEERING_REPORT", signal = "VEH_VEL" }'))
+        load(changed(tmp_path, change))
 
 
 def test_no_such_file_names_the_shipped_ones() -> None:
@@ -134,10 +221,10 @@ def test_no_such_file_names_the_shipped_ones() -> None:
 
 
 def test_own_dbc_and_own_course_beside_the_file(tmp_path: Path) -> None:
-    (tmp_path / "pose.dbc").write_text(shipped("pose.dbc").read_text().replace("0.001,0) [-8388", "0.01,0) [-8388"))
     points = [(50 * math.cos(a / 10), 50 * math.sin(a / 10)) for a in range(63)]
     (tmp_path / "ring.csv").write_text("x,y\n" + "\n".join(f"{x},{y}" for x, y in points))
-    config = load(changed(tmp_path, 'name = "paper"', 'file = "ring.csv"\nclosed = true'))
+    own = ("0.001,0) [-8388 -> 0.01,0) [-8388", 'name = "paper" -> file = "ring.csv"\nclosed = true')
+    config = load(changed(tmp_path, *own))
     assert config.quantities["x"].gain == 1.0
     assert next(r for r in config.readers if r.name == "POSE_POSITION").message.get_signal_by_name("X").scale == 0.01
     assert config.course["path"].length == pytest.approx(2 * math.pi * 50, rel=0.01)
@@ -145,27 +232,85 @@ def test_own_dbc_and_own_course_beside_the_file(tmp_path: Path) -> None:
 
 
 def test_degrees_of_a_receiver_become_metres(tmp_path: Path) -> None:
-    from steerkit.car.core import Core, Frame
-    from steerkit.paths.courses import course
-
-    text = TEXT.replace("\nx = {", "\n# x = {").replace("\ny = {", "\n# y = {")
-    text = text.replace(
-        "[protect]",
-        """[read.gnss]
+    gnss = """[protect] -> [read.gnss]
 lat = { frame = "GNSS_POSITION", signal = "LAT" }
 lon = { frame = "GNSS_POSITION", signal = "LON" }
 origin_deg = [52.0, 10.0]
 
 [protect]
 GNSS_POSITION = { period = 0.01 }
-""",
-    )
-    file = tmp_path / "car.toml"
-    file.write_text(text)
-    config = load(file)
+"""
+    config = load(changed(tmp_path, "\nx = { -> \n# x = {", "\ny = { -> \n# y = {", gnss))
     core = Core(config, course("paper"))
     message = next(r.message for r in config.readers if r.name == "GNSS_POSITION")
     core.handle(Frame(0.0, 0.0, 0x130, message.encode({"LAT": 52.001, "LON": 10.001})))
     snapshot = core.snapshot(0.0)
     assert snapshot.y == pytest.approx(111.27, abs=0.05)  # a minute of latitude there is 1854.6 m
     assert snapshot.x == pytest.approx(68.68, abs=0.05)
+
+
+def test_a_vehicle_file_beside_the_configuration_is_read_and_recorded(tmp_path: Path) -> None:
+    (tmp_path / "my-car.toml").write_text(vehicle_text(VW_PASSAT))
+    config = load(changed(tmp_path, 'name = "vw-passat" -> name = "my-car.toml"'))
+    assert config.vehicle == VW_PASSAT
+    assert "my-car.toml" in config.texts
+
+
+DEFAULTS = {
+    f"{f.name}_deg" if f.name in ANGLES else f.name: degrees_of(f.default) if f.name in ANGLES else f.default
+    for kind in (GateLimits, StateLimits, MotionLimits)
+    for f in fields(kind)
+    if f.name not in DERIVED
+}
+
+
+def test_no_limit_is_without_bounds_and_no_bounds_without_a_limit() -> None:
+    assert BOUNDS.keys() == DEFAULTS.keys()
+
+
+@pytest.mark.parametrize("key", BOUNDS)
+def test_the_default_lies_between_them(key: str) -> None:
+    low, high = BOUNDS[key]
+    assert low <= DEFAULTS[key] * (1.0 + 1e-12)
+    assert DEFAULTS[key] <= high * (1.0 + 1e-12)
+    assert 0.0 < low < high
+
+
+@pytest.mark.parametrize("key", BOUNDS)
+@pytest.mark.parametrize("side", [0, 1])
+def test_beyond_them_a_file_is_refused(key: str, side: int, tmp_path: Path) -> None:
+    value = BOUNDS[key][side] * (0.9, 1.1)[side]
+    whole = isinstance(BOUNDS[key][0], int)
+    number = f"{[0, 99][side]}" if whole else f"{value!r}"
+    file = tmp_path / "car.toml"
+    file.write_text(f"{TEXT.split('[limits]')[0]}[limits]\n{key} = {number}\n")
+    with pytest.raises(ConfigError, match=rf"\[limits\] {key} = .*, expected "):
+        load(file)
+
+
+SLCAN = {"interface": "slcan", "bitrate": 500000, "sleep_after_open": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("channel", "bus"),
+    [
+        ("", None),
+        ("socketcan:vcan0", {"interface": "socketcan", "channel": "vcan0"}),
+        ("/dev/pts/7", {"channel": "/dev/pts/7", **SLCAN}),
+        ("socket://127.0.0.1:5000", {"channel": "socket://127.0.0.1:5000", **SLCAN}),
+    ],
+)
+def test_a_channel_is_a_bus(channel: str, bus: Any) -> None:
+    assert bus_of(channel) == bus
+
+
+def test_the_file_s_bus_is_taken_unless_a_channel_is_given() -> None:
+    (usual, path), (other, same) = loaded(KIT), loaded(KIT, "virtual:x")
+    assert usual.bus == load(KIT).bus
+    assert other.bus == {"interface": "virtual", "channel": "x"} != usual.bus
+    assert path is same is course_of(usual)
+
+
+def test_an_unknown_course_is_named_with_its_place(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"car.toml: \[course\] name: .*papre"):
+        loaded(str(changed(tmp_path, 'name = "paper" -> name = "papre"')))
