@@ -210,7 +210,7 @@ def test_a_policy_whose_filter_failed_loses_the_wheel(
     monkeypatch.setattr("steerkit.car.learner.filtered_in", lambda live: SimpleNamespace(reason=reason, share=0.0))
     told: list[Any] = []
     car = SimpleNamespace(
-        link=SimpleNamespace(tell=told.append),
+        link=SimpleNamespace(note=told.append),
         filter_faults=Counter(),
         learner_state=SimpleNamespace(corrected=lambda share: False),
     )

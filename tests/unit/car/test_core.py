@@ -276,41 +276,25 @@ def test_only_an_operator_s_heartbeat_counts_and_it_goes_with_the_operator() -> 
     assert core.facts(5.5).heartbeat_age == pytest.approx(0.3)
 
 
-def test_estimates_are_the_controllers_and_for_the_recording_only() -> None:
+@pytest.mark.parametrize(
+    ("topic", "message"),
+    [
+        ("estimates", Estimates(tuple(map(float, range(3 * len(ESTIMATES)))))),
+        ("adapted", Adapted(0.21, 1.08)),
+        ("safety", Filtered(0.3, 0.2, 0.5, 0.6, 2.0)),
+    ],
+)
+def test_what_a_controller_notes_is_the_controllers_and_for_the_recording_only(topic: str, message: Any) -> None:
     core = linked()
-    told = Packet(5.1, 1, encode(Estimates(tuple(map(float, range(3 * len(ESTIMATES)))))))
-    (note,) = [out for out in core.handle(told) if isinstance(out, Note) and out.topic == "estimates"]
-    assert [*note.values.values()] == [5.1, *range(3 * len(ESTIMATES))]
+    noted = Packet(5.1, 1, encode(message))
+    (note,) = [out for out in core.handle(noted) if isinstance(out, Note) and out.topic == topic]
+    values = message.named() if topic == "estimates" else message._asdict()
+    assert note.values == {"t": 5.1, **values}
     core.handle(Link(5.2, 2, True))
     core.handle(Packet(5.2, 2, encode(Hello(False))))
-    (reply,) = core.handle(told._replace(t=5.3, link=2))
+    (reply,) = core.handle(noted._replace(t=5.3, link=2))
     assert isinstance(reply, Reply)
-    assert decode(reply.data) == Refused("Estimates is not for the car server")
-
-
-def test_what_a_controller_that_adapts_is_told_is_the_controllers_and_for_the_recording_only() -> None:
-    core = linked()
-    told = Packet(5.1, 1, encode(Adapted(0.21, 1.08)))
-    (note,) = [out for out in core.handle(told) if isinstance(out, Note) and out.topic == "adapted"]
-    assert note.values == {"t": 5.1, "delay": 0.21, "ratio": 1.08}
-    core.handle(Link(5.2, 2, True))
-    core.handle(Packet(5.2, 2, encode(Hello(False))))
-    (reply,) = core.handle(told._replace(t=5.3, link=2))
-    assert isinstance(reply, Reply)
-    assert decode(reply.data) == Refused("Adapted is not for the car server")
-
-
-def test_what_the_filter_did_is_the_controllers_and_for_the_recording_only() -> None:
-    core = linked()
-    told = Packet(5.1, 1, encode(Filtered(0.3, 0.2, 0.5, 0.6, 2.0)))
-    (note,) = [out for out in core.handle(told) if isinstance(out, Note) and out.topic == "safety"]
-    did = {"command": 0.3, "delta_sw": 0.2, "share": 0.5, "reach": 0.6, "reason": 2.0}
-    assert note.values == {"t": 5.1, **did}
-    core.handle(Link(5.2, 2, True))
-    core.handle(Packet(5.2, 2, encode(Hello(False))))
-    (reply,) = core.handle(told._replace(t=5.3, link=2))
-    assert isinstance(reply, Reply)
-    assert decode(reply.data) == Refused("Filtered is not for the car server")
+    assert decode(reply.data) == Refused(f"{type(message).__name__} is not for the car server")
 
 
 def test_the_end_of_the_process_lets_go_first_and_says_why() -> None:

@@ -286,5 +286,5 @@ def test_a_car_server_of_another_user_is_not_obeyed(
 ) -> None:
     monkeypatch.setattr(clients.os, "getuid", lambda: 12345)
     monkeypatch.setattr(clients.struct, "unpack", lambda form, data: (1, 4711, 4711))
-    with pytest.raises(CarLost, match="the process there is another user's; it is not obeyed"):
+    with pytest.raises(CarLost, match="the process there is another user's; it is not trusted"):
         CarClient(str(tmp_path / "socket"))
