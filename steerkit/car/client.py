@@ -101,7 +101,7 @@ class CarClient:
         self._send(protocol.Request(basis, delta_sw, self.misses))
 
     def remark(self, text: str) -> None:
-        """Say, for the recording, what steers from the next request on."""
+        """Note, for the recording, what steers from the next request on."""
         self._send(protocol.Remark(text))
 
     def note(self, message: protocol.Estimates | protocol.Adapted | protocol.Filtered) -> None:

@@ -123,7 +123,7 @@ class CarLearner:
             self.step(live)
             return bool(watch and watch(live))
 
-        self.tell()
+        self.remark()
 
         def late(live: Run) -> None:
             self.link.misses = live.timing.misses
@@ -169,7 +169,7 @@ class CarLearner:
             self.follow.exchange(live, self._with(learner_state.policy))
         if taken or self.follow.trusted != learner_state.trusted:
             self.follow.trusted = learner_state.trusted
-            self.tell()
+            self.remark()
         self.follow.choose(live)
 
     def _action(self, live: Run) -> float:
@@ -183,7 +183,7 @@ class CarLearner:
         return self.learner_state.taught(action, self._element, correction=correction, sent=sent, state=state)
 
     def _filtered(self, live: Run, *, learning: bool, engaged: bool) -> bool:
-        """Tell what the safety filter did; must the policy lose the wheel for it, or because the filter failed?"""
+        """Note what the safety filter did; must the policy lose the wheel for it, or because the filter failed?"""
         message = filtered_in(live)
         self.link.note(message)
         broken = FAULTS.get(message.reason, "") if engaged else ""
@@ -222,8 +222,8 @@ class CarLearner:
         """The file of the newest net that has taken over."""
         return self.place / "nets" / f"net-{self.learner_state.net:04d}.npz"
 
-    def tell(self) -> None:
-        """Tell the recording who steers from here on."""
+    def remark(self) -> None:
+        """Note, for the recording, who steers from here on."""
         how: dict[str, Any] = {
             "recovery": self.recovery,
             "trusted": self.learner_state.trusted,
