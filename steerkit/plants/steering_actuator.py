@@ -20,21 +20,11 @@ from steerkit.vehicles.rollout import lag_share, lag_step
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class SteeringActuator(Block):
-    """A steering-wheel motor with pure delay, stops, first-order lag and rate limit, and a ratio error if wanted.
+class Steering(Block):
+    """What turns the steering wheel on a command, late and within bounds; abstract. It starts straight and at rest.
 
-    target(t) = sat(gain*delta_sw_cmd(t - delay) + offset),  sat to +-limit,
-    rate(t + dt) = sat((1 - exp(-dt/lag)) (target(t) - delta_sw(t))/dt),  sat to +-rate_limit,
-    delta_sw(t + dt) = delta_sw(t) + dt*rate(t + dt):
-
-    the exact answer of lag*delta_sw' = target - delta_sw to a command held for dt, unless the rate limit acts.
-
-    input: delta_sw_cmd [rad], acts from its sample to the next. outputs, of state only: delta_sw [rad], the angle
-    at the wheel; rate [rad/s], its mean speed over the last sample. state: delta_sw, rate, then the delay/dt
-    commands on their way, oldest first. It starts straight and at rest.
-    A NaN command gives NaN from when it arrives, for good: the wheel's angle is unknown. An infinite one goes to the
-    stop. Parameters except delay and dt may be `(N,)` arrays in a batch.
-    errors: ValueError for parameters out of range, or a delay that is no multiple of dt.
+    Parameters except delay and dt may be `(N,)` arrays in a batch. errors: ValueError for parameters out of range, or a
+    delay that is no multiple of dt.
     """
 
     delta_sw_cmd = In("rad", direct=False)
@@ -46,31 +36,56 @@ class SteeringActuator(Block):
     rate_limit: Scalar = radians_of(550.0)
     """Largest |rate| [rad/s]."""
     lag: Scalar = 0.1
-    """First-order time constant [s]; 0 for none."""
+    """First-order time constant of what the command sets [s]; 0 for none."""
     delay: float = 0.0
     """Pure delay [s], a multiple of dt."""
     gain: Scalar = 1.0
-    """Ratio error [1]: angle reached over angle commanded."""
+    """What is reached over what was commanded [1]."""
     offset: Scalar = 0.0
     """Offset [rad] of the angle reached."""
     dt: float = 0.01
 
     def __post_init__(self) -> None:
-        where = "SteeringActuator"
-        require_within(where, "dt", self.dt, "s", 1e-6, 1.0)
-        require_within(where, "limit", self.limit, "rad", 1e-3, 30.0, "radians: radians_of(520)")
-        require_within(where, "rate_limit", self.rate_limit, "rad/s", 1e-3, 200.0, "radians: radians_of(550)")
-        require_within(where, "lag", self.lag, "s", 0.0, 10.0)
-        require_within(where, "gain", self.gain, "1", 0.1, 10.0, "1 is no error")
-        require_within(where, "offset", self.offset, "rad", -3.0, 3.0, "radians: radians_of(5)")
-        whole_samples(where, "delay", self.delay, self.dt)
+        where = type(self).__name__
+        for name, unit, low, high, hint in (
+            ("dt", "s", 1e-6, 1.0, ""),
+            ("limit", "rad", 1e-3, 30.0, "radians: radians_of(520)"),
+            ("rate_limit", "rad/s", 1e-3, 200.0, "radians: radians_of(550)"),
+            ("lag", "s", 0.0, 10.0, ""),
+            ("gain", "1", 0.1, 10.0, "1 is no error"),
+            ("offset", "rad", -3.0, 3.0, "radians: radians_of(5)"),
+        ):
+            require_within(where, name, getattr(self, name), unit, low, high, hint)
+        _ = self.waiting
+
+    @cached_property
+    def waiting(self) -> int:
+        """Commands on their way."""
+        return whole_samples(type(self).__name__, "delay", self.delay, self.dt)
 
     @cached_property
     def _follow(self) -> Scalar:
         return lag_share(self.dt, self.lag)
 
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SteeringActuator(Steering):
+    """A steering-wheel motor with pure delay, stops, first-order lag and rate limit, and a ratio error if wanted.
+
+    target(t) = sat(gain*delta_sw_cmd(t - delay) + offset),  sat to +-limit,
+    rate(t + dt) = sat((1 - exp(-dt/lag)) (target(t) - delta_sw(t))/dt),  sat to +-rate_limit,
+    delta_sw(t + dt) = delta_sw(t) + dt*rate(t + dt):
+
+    the exact answer of lag*delta_sw' = target - delta_sw to a command held for dt, unless the rate limit acts.
+
+    input: delta_sw_cmd [rad], acts from its sample to the next. outputs, of state only: delta_sw [rad], the angle
+    at the wheel; rate [rad/s], its mean speed over the last sample. state: delta_sw, rate, then the delay/dt
+    commands on their way, oldest first. A NaN command gives NaN from when it arrives, for good: the wheel's angle is
+    unknown. An infinite one goes to the stop.
+    """
+
     def init(self, batch: tuple[int, ...] = ()) -> State:
-        return (m.filled(0.0, batch),) * (2 + whole_samples("SteeringActuator", "delay", self.delay, self.dt))
+        return (m.filled(0.0, batch),) * (2 + self.waiting)
 
     def output(self, t: Any, x: State, u: Any) -> Any:
         return self.Y(x[0], x[1])

@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
-from steerkit._support.errors import require_within, whole_samples
+from steerkit._support.errors import require_within
 from steerkit.diagram import maths as m
-from steerkit.diagram.block import Block, In, Out, State
+from steerkit.diagram.block import In, State
 from steerkit.diagram.maths import Scalar
-from steerkit.diagram.units import radians_of
-from steerkit.task import STOP
+from steerkit.plants.steering_actuator import Steering
 from steerkit.vehicles import Vehicle
-from steerkit.vehicles.rollout import lag_share, lag_step
+from steerkit.vehicles.rollout import lag_step
 
 _SLOWEST = 1.0  # m/s: below, the wheel turns as at this speed
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class TorqueSteering(Block):
+class TorqueSteering(Steering):
     """A car steered through the torque of its lane keeping, as most cars in series are, for the place of the motor.
 
     Its interface takes no angle, and what it does to the car is best said of the lateral acceleration: that follows
@@ -35,17 +33,13 @@ class TorqueSteering(Block):
 
     inputs: delta_sw_cmd [rad] and v [m/s], which act from their sample to the next. outputs, of state only: delta_sw
     [rad], the angle at the wheel; rate [rad/s], its mean speed over the last sample. state: delta_sw, rate, a, then the
-    delay/dt wanted accelerations on their way, oldest first. It starts straight and at rest. NaN in an input gives NaN
-    for good. Parameters but delay and dt may be `(N,)` arrays in a batch. errors: ValueError for parameters out of
-    range, or a delay that is no multiple of dt.
+    delay/dt wanted accelerations on their way, oldest first. NaN in an input gives NaN
+    for good.
     source: Rajamani 2012, section 3.3 (steady cornering). Dead time, slew and limit of one car as its simulator,
     learned from drives, has them: 0.35 s, 5 m/s^3, 3 m/s^2; the last two are also the bounds of ISO 11270.
     """
 
-    delta_sw_cmd = In("rad", direct=False)
     v = In("m/s", direct=False)
-    delta_sw = Out("rad", direct=())
-    rate = Out("rad/s", direct=())
 
     delay: float = 0.35
     """Dead time [s], a multiple of dt."""
@@ -55,21 +49,12 @@ class TorqueSteering(Block):
     """Fastest change of the acceleration [m/s^3]."""
     a_y_limit: Scalar = 3.0
     """Largest |acceleration| [m/s^2], before the gain."""
-    gain: Scalar = 1.0
-    """Acceleration reached over acceleration asked for [1]."""
-    offset: Scalar = 0.0
-    """Offset of the angle reached [rad]."""
     steer_ratio: Scalar = 15.6
     """Steering-wheel angle over road-wheel angle of the car that commands are meant for [1]."""
     wheelbase: Scalar = 2.71
     """L of that car [m]."""
     understeer: Scalar = 0.0
     """Understeer gradient of that car, K [rad s^2/m]."""
-    limit: Scalar = STOP
-    """Largest |delta_sw| [rad]."""
-    rate_limit: Scalar = radians_of(550.0)
-    """Largest |rate| [rad/s]."""
-    dt: float = 0.01
 
     @classmethod
     def of(cls, vehicle: Vehicle, **settings: Any) -> TorqueSteering:
@@ -83,35 +68,23 @@ class TorqueSteering(Block):
         return cls(**(known | settings))
 
     def __post_init__(self) -> None:
-        where = "TorqueSteering"
+        super().__post_init__()
         for name, unit, low, high in (
-            ("dt", "s", 1e-6, 1.0),
-            ("lag", "s", 0.0, 10.0),
             ("slew", "m/s^3", 1e-3, 1e4),
             ("a_y_limit", "m/s^2", 1e-3, 1e3),
-            ("gain", "1", 0.1, 10.0),
-            ("offset", "rad", -3.0, 3.0),
             ("steer_ratio", "1", 1.0, 50.0),
             ("wheelbase", "m", 0.04, 40.0),
             ("understeer", "rad s^2/m", -1e-3, 1.0),
-            ("limit", "rad", 1e-3, 30.0),
-            ("rate_limit", "rad/s", 1e-3, 200.0),
         ):
-            require_within(where, name, getattr(self, name), unit, low, high)
-        whole_samples(where, "delay", self.delay, self.dt)
-
-    @cached_property
-    def _follow(self) -> Scalar:
-        return lag_share(self.dt, self.lag)
+            require_within("TorqueSteering", name, getattr(self, name), unit, low, high)
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
-        return (m.filled(0.0, batch),) * (3 + whole_samples("TorqueSteering", "delay", self.delay, self.dt))
+        return (m.filled(0.0, batch),) * (3 + self.waiting)
 
     def holding(self, delta_sw: Scalar, v: Scalar) -> State:
         """The state of a car that has been turning with this angle [rad] at this speed [m/s] for long."""
         a = m.tan(delta_sw / self.steer_ratio) / self._per_a(v)
-        waiting = whole_samples("TorqueSteering", "delay", self.delay, self.dt)
-        return (delta_sw, 0.0 * delta_sw, a, *(a,) * waiting)
+        return (delta_sw, 0.0 * delta_sw, a, *(a,) * self.waiting)
 
     def output(self, t: Any, x: State, u: Any) -> Any:
         return self.Y(x[0], x[1])
