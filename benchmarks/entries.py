@@ -78,6 +78,16 @@ def _do_mpc(scenario: Scenario) -> Block:
     )
 
 
+def _learned(name: str, about: str, setting: str = "default", training: str = "clean") -> Controller:
+    return Controller(name=name, kind="learned", about=about, setting=setting, training=training)
+
+
+def _agent(name: str, about: str) -> Controller:
+    """An agent of Stable-Baselines3."""
+    needs = "stable_baselines3"
+    return Controller(name=name, kind="peer", about=about, setting=name, training="agent", needs=needs)
+
+
 _TABLE = (
     *(
         Controller(name=name, kind="analytic", about=recipe.about, make=_catalogued(name))
@@ -87,110 +97,38 @@ _TABLE = (
         Controller(
             name=f"{name}{ORACLE}",
             kind="analytic",
-            about=f"{name}, told the car and its steering as they are",
+            about=f"{name}, given the true parameters of car and steering",
             make=_catalogued(name),
             told="truth",
         )
         for name in TELLABLE
     ),
-    Controller(
-        name="nfq-idoe", kind="learned", about="NFQ, integrating output element, our best setting", setting="default"
-    ),
-    Controller(name="nfq-low-pass", kind="learned", about="NFQ, low-pass output element", setting="low-pass"),
-    Controller(name="nfq-bang-bang", kind="learned", about="NFQ, bang-bang, +-520 degrees", setting="bang-bang"),
-    Controller(
-        name="nfq-paper-idoe",
-        kind="learned",
-        about="NFQ as published, integrating output element",
-        setting="paper",
-        training="published",
-    ),
-    Controller(
-        name="nfq-paper-bang-bang",
-        kind="learned",
-        about="NFQ as published, bang-bang, +-360 degrees",
-        setting="paper-bang-bang",
-        training="published",
-    ),
-    Controller(
-        name="nfq-idoe-quick",
-        kind="learned",
-        about="nfq-idoe after 3 minutes of driving",
-        setting="default",
-        training="quick",
-    ),
-    Controller(
-        name="nfq-bang-bang-quick",
-        kind="learned",
-        about="nfq-bang-bang after 3 minutes of driving",
-        setting="bang-bang",
-        training="quick",
-    ),
-    Controller(
-        name="nfq-idoe-genesis",
-        kind="learned",
-        about="nfq-idoe, taught on the recorded lap",
-        setting="default",
-        training="genesis",
-    ),
-    Controller(
-        name="nfq-idoe-linear",
-        kind="learned",
-        about="nfq-idoe, taught on the linear car",
-        setting="default",
-        training="linear",
-    ),
-    Controller(
-        name="nfq-idoe-hard",
-        kind="learned",
-        about="nfq-idoe, taught with noise, latency and more lag",
-        setting="default",
-        training="hard",
-    ),
+    _learned("nfq-idoe", "NFQ, integrating output element, our best setting"),
+    _learned("nfq-low-pass", "NFQ, low-pass output element", "low-pass"),
+    _learned("nfq-bang-bang", "NFQ, bang-bang, +-520 degrees", "bang-bang"),
+    _learned("nfq-paper-idoe", "NFQ as published, integrating output element", "paper", "published"),
+    _learned("nfq-paper-bang-bang", "NFQ as published, bang-bang, +-360 degrees", "paper-bang-bang", "published"),
+    _learned("nfq-idoe-quick", "nfq-idoe after 3 minutes of driving", training="quick"),
+    _learned("nfq-bang-bang-quick", "nfq-bang-bang after 3 minutes of driving", "bang-bang", "quick"),
+    _learned("nfq-idoe-genesis", "nfq-idoe, trained on the recorded lap", training="genesis"),
+    _learned("nfq-idoe-linear", "nfq-idoe, trained on the linear car", training="linear"),
+    _learned("nfq-idoe-hard", "nfq-idoe, trained with noise, latency and more lag", training="hard"),
     *(
-        Controller(
-            name=f"nfq-same-car-{minutes}",
-            kind="learned",
-            about=f"nfq-idoe, taught {minutes} min on that very car and course, told nothing of it",
-            setting="default",
+        _learned(
+            f"nfq-same-car-{minutes}",
+            f"nfq-idoe, trained {minutes} min on that very car and course, without prior knowledge of it",
             training=f"same-car-{minutes}",
         )
         for minutes in (1, 5)
     ),
-    Controller(
-        name="nfq-paper-120",
-        kind="learned",
-        about="NFQ as published, integrating, episodes of 200 m at most",
-        setting="paper",
-        training="episodes-120",
-    ),
-    Controller(
-        name="nfq-idoe-offline",
-        kind="learned",
-        about="nfq-idoe: 2 minutes of driving, then trained offline",
-        setting="default",
-        training="offline",
-    ),
-    Controller(
-        name="sb3-dqn",
-        kind="peer",
-        about="DQN of Stable-Baselines3, 30 minutes of driving",
-        setting="sb3-dqn",
-        training="agent",
-        needs="stable_baselines3",
-    ),
-    Controller(
-        name="sb3-sac",
-        kind="peer",
-        about="SAC of Stable-Baselines3, 30 minutes of driving",
-        setting="sb3-sac",
-        training="agent",
-        needs="stable_baselines3",
-    ),
+    _learned("nfq-paper-120", "NFQ as published, integrating, episodes of 200 m at most", "paper", "episodes-120"),
+    _learned("nfq-idoe-offline", "nfq-idoe: 2 minutes of driving, then trained offline", training="offline"),
+    _agent("sb3-dqn", "DQN of Stable-Baselines3, 30 minutes of driving"),
+    _agent("sb3-sac", "SAC of Stable-Baselines3, 30 minutes of driving"),
     Controller(
         name="do-mpc",
         kind="peer",
-        about="nonlinear MPC of do-mpc (IPOPT), no dead time told",
+        about="nonlinear MPC of do-mpc (IPOPT), which knows no dead time",
         make=_do_mpc,
         needs="do_mpc",
     ),

@@ -50,16 +50,6 @@ class Grid:
     seeds: int
 
 
-@dataclass(frozen=True)
-class Sweep:
-    """One condition varied, all others fixed: cases by controller and value."""
-
-    x: str
-    xs: tuple[float, ...]
-    fixed: str
-    cases: dict[str, list[list[Case]]]
-
-
 def grids(cases: Sequence[Case], protocol: Mapping[str, Mapping[str, Any]]) -> list[Grid]:
     """Failure-boundary maps: every pair of a scenario's numbers that the cases vary over a grid, all else equal."""
     maps = []
@@ -79,34 +69,9 @@ def grids(cases: Sequence[Case], protocol: Mapping[str, Mapping[str, Any]]) -> l
     return maps
 
 
-def sweeps(cases: Sequence[Case], protocol: Mapping[str, Mapping[str, Any]]) -> list[Sweep]:
-    """Every number of the scenarios that takes three values or more, all else equal, and is not on a map already."""
-    lines = []
-    mapped = {name for x, y in combinations(_varying(cases, protocol), 2) for name in _on_a_map(cases, protocol, x, y)}
-    for x in _varying(cases, protocol):
-        for fixed, group in _groups(cases, protocol, (x,)).items():
-            at = {_value(protocol, name, x): name for name in group}
-            if len(at) < 3 or mapped.issuperset(group):
-                continue
-            xs = tuple(sorted(at))
-            names = controllers(c for c in cases if c.scenario in group)
-            by = {n: [[c for c in cases if (c.controller, c.scenario) == (n, at[v])] for v in xs] for n in names}
-            lines.append(Sweep(x, xs, fixed, by))
-    return lines
-
-
 def _covers(at: Mapping[str, tuple[float, float]], xs: Sequence[float], ys: Sequence[float]) -> bool:
     """Do the scenarios fill most of a grid, rather than a cross?"""
     return min(len(xs), len(ys)) >= 2 and len(set(at.values())) >= max(4, 0.7 * len(xs) * len(ys))
-
-
-def _on_a_map(cases: Sequence[Case], protocol: Mapping[str, Mapping[str, Any]], x: str, y: str) -> list[str]:
-    names: list[str] = []
-    for group in _groups(cases, protocol, (x, y)).values():
-        at = {name: (_value(protocol, name, x), _value(protocol, name, y)) for name in group}
-        if _covers(at, sorted({p[0] for p in at.values()}), sorted({p[1] for p in at.values()})):
-            names += group
-    return names
 
 
 def _held(cases: Iterable[Case], name: str, at: Mapping[str, tuple[float, float]], point: tuple[float, float]) -> float:

@@ -8,7 +8,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -214,33 +214,6 @@ def _frame(drive: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     return p - drive["e"][:, None] * normal, normal
 
 
-def first_seconds(drive: Mapping[str, np.ndarray], look: Look, *, seconds: float = 350.0) -> Figure:
-    """e [m] from the first second of a training on, shaded where the recovery controller steers (figure 5)."""
-    with style():
-        figure, axes = new(2.4, width=5.4)
-        keep = drive["t"] <= drive["t"][0] + seconds
-        t, e, learns = drive["t"][keep], drive["e"][keep], drive["learning"][keep] > 0.5
-        axes.fill_between(
-            t,
-            0.0,
-            1.0,
-            where=~learns,
-            transform=axes.get_xaxis_transform(),
-            color=COLOURS["muted"],
-            alpha=0.3,
-            lw=0,
-            step="post",
-        )
-        for level in (-TRIP, TRIP):
-            axes.axhline(level, color=COLOURS["limit"], lw=0.9, ls="--")
-        axes.plot(t, e, lw=0.8, color=look.colour)
-        axes.set_ylim(-1.0, 1.0)
-        axes.set_xlim(t[0], t[-1])
-        axes.set_xlabel("driving time [s]")
-        axes.set_ylabel("e [m]")
-        return figure
-
-
 def bands(
     x: np.ndarray,
     curves: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]],
@@ -249,10 +222,7 @@ def bands(
     x_label: str,
     y_label: str,
     log: bool = False,
-    limit: float | None = None,
-    points: bool = False,
     share: bool = False,
-    steps: bool = False,
 ) -> Figure:
     """One line a controller with its interval: curves are (middle, low, high), each (len(x),); infinite is a gap."""
     with style():
@@ -261,79 +231,20 @@ def bands(
         for name, (middle, low, high) in curves.items():
             top = np.where(np.isfinite(high), high, 10.0 * highest if highest else 1.0)
             seen = np.isfinite(middle)
-            step: Literal["post"] | None = "post" if steps else None
-            axes.fill_between(x, low, top, where=seen, color=look[name].colour, alpha=0.14, lw=0, step=step)
+            axes.fill_between(x, low, top, where=seen, color=look[name].colour, alpha=0.14, lw=0, step="post")
             drawn = np.where(seen, middle, np.nan)
-            axes.plot(
-                x,
-                drawn,
-                marker="o" if points else "",
-                ms=3.0,
-                lw=1.5,
-                label=name,
-                drawstyle="steps-post" if steps else "default",
-                **look[name].line,
-            )
-        if limit is not None:
-            axes.axhline(limit, color=COLOURS["limit"], lw=0.9, ls="--")
+            axes.plot(x, drawn, lw=1.5, label=name, drawstyle="steps-post", **look[name].line)
         if share:
             axes.set_ylim(-0.03, 1.03)
         elif log:
             axes.set_yscale("log")
             _plain_numbers(axes.yaxis)
             if highest:
-                axes.set_ylim(top=2.0 * max(highest, limit or 0.0))
+                axes.set_ylim(top=2.0 * highest)
         elif highest:
-            axes.set_ylim(0.0, 1.15 * max(highest, limit or 0.0))
+            axes.set_ylim(0.0, 1.15 * highest)
         if len(x) > 1:
             axes.set_xlim(x[0] - 0.02 * np.ptp(x), x[-1] + 0.02 * np.ptp(x))
         axes.set_xlabel(x_label)
         axes.set_ylabel(y_label)
-        return figure
-
-
-def falling(
-    x: np.ndarray,
-    learned: tuple[np.ndarray, np.ndarray, np.ndarray],
-    drives: Mapping[float, float],
-    levels: Sequence[tuple[str, bool, float]],
-    look: Mapping[str, Look],
-    learner: str,
-    *,
-    span: tuple[float, float],
-) -> Figure:
-    """A learner's RMS e over driving time x [min] among level lines: (controller, told the truth?, RMS e [m]).
-
-    learned: (middle, low, high) of the net in use. drives: RMS e by minutes learned, as dots. What is infinite was not
-    held, and is drawn in the strip at the top. Dashed: told the data sheet; solid: told the truth. span: range of RMS e
-    [m], the same in pictures to be compared. Both axes are logarithmic: most is learned in the first seconds.
-    """
-    bottom, top = span
-    lost = top * np.geomspace(1.12, 1.7, 2 + sum(not math.isfinite(level) for *_, level in levels))  # rows of the strip
-    with style():
-        figure, axes = new(2.9)
-        axes.axhspan(top, 1.9 * top, color=COLOURS["limit"], alpha=0.1, lw=0)
-        rows = iter(lost[1:])
-        for name, truth, level in levels:
-            at = level if math.isfinite(level) else next(rows)
-            axes.axhline(at, color=look[name].colour, lw=1.3, ls="-" if truth else (0, (4, 2.5)))
-        middle, low, high = (np.where(np.isfinite(values), values, lost[0]) for values in learned)
-        colour = look[learner].colour
-        axes.fill_between(x, low, high, color=colour, alpha=0.14, lw=0, step="post")
-        axes.plot(x, middle, color=colour, lw=2.4, drawstyle="steps-post")
-        values = [value if math.isfinite(value) else lost[0] for value in drives.values()]
-        axes.plot([*drives], values, "o", ms=6.0, color=colour, mec=COLOURS["paper"], mew=1.2, clip_on=False)
-        axes.set_xscale("log")
-        axes.set_yscale("log")
-        axes.set_ylim(bottom, 1.9 * top)
-        ticks = [f * 10.0**k for k in range(-5, 2) for f in (1.0, 2.0, 5.0)]
-        shown = {tick: f"{tick:g}" for tick in ticks if bottom <= tick <= top} | {1.38 * top: "not held"}
-        axes.set_yticks([*shown], [*shown.values()])
-        times = {2: "2 s", 5: "5 s", 10: "10 s", 30: "30 s", 60: "1 min", 120: "2 min", 300: "5 min"}
-        axes.set_xlim(2.0 / 60.0, 1.08 * float(x[-1]))
-        marked = {seconds / 60.0: text for seconds, text in times.items() if seconds / 60.0 <= x[-1]}
-        axes.set_xticks([*marked], [*marked.values()])
-        axes.minorticks_off()
-        axes.set_xlabel("driving time")
-        axes.set_ylabel("RMS e [m]")
         return figure

@@ -8,7 +8,6 @@ values beside ours, the protocol and where the numbers came from.
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import re
@@ -19,13 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.report import adapt, conditions, figures, learning, parts
+from benchmarks.report import conditions, figures, learning, parts
 from benchmarks.report.overall import PLAIN, glances
-from benchmarks.report.paper import paper_rows
 from benchmarks.report.verdict import verdict
-from benchmarks.run.results import Case, Results, load_results
+from benchmarks.run.results import Case, Results
 from steerkit.metrics import Metric, interval
-from steerkit.task import TRIP
 
 TEMPLATE = FilePath(__file__).with_name("report.html.j2")
 LINES_ON_A_MAP = 12
@@ -124,7 +121,6 @@ def suite(results: Results, name: str, look: dict[str, figures.Look]) -> dict[st
     columns, rows = parts.leaderboard(cases)
     reference = parts.reference_of(parts.controllers(done))
     learners, learned = learning.costs(done)
-    elsewhere = [case for case in done if not adapt.trained_on(results, case)]  # the others are in pictures of adapt
     return {
         "name": name,
         "cases": len(cases),
@@ -139,10 +135,7 @@ def suite(results: Results, name: str, look: dict[str, figures.Look]) -> dict[st
         "plots": metric_plots(done, look),
         "maps": maps(results, done, look),
         "grids": conditions.grids(done, results.protocol),
-        "sweeps": sweep_plots(done, results, look),
-        "adapt": adapt.section(results, done),
-        "curves": curve_plots(results, elsewhere, look),
-        "traces": trace_plots(results, elsewhere, look),
+        "curves": curve_plots(results, done, look),
         "learners": learners,
         "learned": learned,
     }
@@ -210,39 +203,6 @@ def maps(results: Results, cases: Sequence[Case], look: dict[str, figures.Look])
     return entries
 
 
-def sweep_plots(cases: Sequence[Case], results: Results, look: dict[str, figures.Look]) -> list[Picture]:
-    """Largest |e| over each condition that was varied alone."""
-    pictures = []
-    for sweep in conditions.sweeps(cases, results.protocol):
-        curves = {}
-        for name, by_value in sweep.cases.items():
-            bands = [_largest_e(group) for group in by_value]
-            curves[name] = tuple(np.array(column) for column in zip(*bands))
-        figure = figures.bands(
-            np.array(sweep.xs),
-            curves,  # type: ignore[arg-type]
-            look,
-            x_label=conditions.condition(sweep.x),
-            y_label="max |e| [m]",
-            limit=TRIP,
-            points=True,
-            log=True,
-        )
-        title = f"max |e| over {conditions.condition(sweep.x)}" + (f" ({sweep.fixed})" if sweep.fixed else "")
-        text = "Median over the seeds with its 95 % interval. A line ends where half the drives left the course."
-        pictures.append(Picture(title, text, figures.svg(figure, title)))
-    return pictures
-
-
-def _largest_e(cases: Sequence[Case]) -> tuple[float, float, float]:
-    held = [c.metrics.get("max_e", math.nan) if c.metrics.get("held", 0.0) > 0.5 else math.inf for c in cases]
-    values = [math.inf if math.isnan(v) else v for v in held]
-    if not values:
-        return (math.inf, math.inf, math.inf)
-    middle = interval(values, np.median)
-    return middle.value, middle.low, middle.high
-
-
 def curve_plots(results: Results, cases: Sequence[Case], look: dict[str, figures.Look]) -> list[Picture]:
     """Two pictures a scenario of learning: the share of seeds that drive well, and how well."""
     pictures = []
@@ -251,35 +211,20 @@ def curve_plots(results: Results, cases: Sequence[Case], look: dict[str, figures
         *((c, "trainings") for c in learning.offline(results, cases)),
     ):
         seeds = ", ".join(f"{name} {n}" for name, n in curves.seeds.items())
-        good = figures.bands(curves.x, curves.good, look, x_label=x, y_label="share of seeds", share=True, steps=True)
+        good = figures.bands(curves.x, curves.good, look, x_label=x, y_label="share of seeds", share=True)
         text = (
             "Seeds whose net of that moment drives a whole round with |e| < 0.25 m, RMS e < 0.10 m and jerk < 5 m/s³; "
             f"Wilson's 95 % interval. Seeds: {seeds}."
         )
         title = f"{curves.scenario}: good drivers over {x.partition(' [')[0]}"
         pictures.append(Picture(title, text, figures.svg(good, title)))
-        rms = figures.bands(curves.x, curves.rms_e, look, x_label=x, y_label="RMS e [m]", log=True, steps=True)
+        rms = figures.bands(curves.x, curves.rms_e, look, x_label=x, y_label="RMS e [m]", log=True)
         text = (
             "RMS e of one round by the net of that moment: median over the seeds, bootstrap 95 % interval. The line "
             "begins when half the seeds hold the round."
         )
         title = f"{curves.scenario}: RMS e over {x.partition(' [')[0]}"
         pictures.append(Picture(title, text, figures.svg(rms, title)))
-    return pictures
-
-
-def trace_plots(results: Results, cases: Sequence[Case], look: dict[str, figures.Look]) -> list[Picture]:
-    """The first training of each learner from its first second on, as the paper's figure 5."""
-    pictures, seen = [], set()
-    for case in sorted((c for c in cases if c.kind == "learn"), key=lambda c: c.seed):
-        drive = results.trajectory(case)
-        if drive is None or len(drive["t"]) < 2 or (case.controller, case.scenario) in seen:
-            continue
-        seen.add((case.controller, case.scenario))
-        title = f"{case.controller}, {case.scenario}, seed {case.seed}: from the first second"
-        text = "Shaded: the recovery controller steers. Dashed: |e| = 0.5 m, where an episode ends."
-        figure = figures.first_seconds(drive, look[case.controller])
-        pictures.append(Picture(title, text, figures.svg(figure, title)))
     return pictures
 
 
@@ -316,22 +261,72 @@ def provenance(results: Results) -> list[tuple[str, str]]:
     return [(key, v if isinstance(v, str) else json.dumps(v, ensure_ascii=False)) for key, v in shown.items()]
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Parse the command line, write the page, say where it is."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("results", help="directory that `python -m benchmarks run` wrote")
-    parser.add_argument("--out", default=None, help="the file to write (default: report.html in the directory)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object as the last line")
-    a = parser.parse_args(arguments)
-    try:
-        results = load_results(a.results)
-        file = write_report(results, a.out or results.place / "report.html")
-    except ValueError as error:
-        parser.error(str(error))
-    size, cases = file.stat().st_size, len(results.cases)
-    answer = json.dumps({"report": str(file), "bytes": size, "cases": cases})
-    print(answer if a.json else f"{file}: {size / 1e6:.1f} MB, {cases} cases")
+_LEARNING = (
+    ("episodes to the first whole round", "56, real car", "round_episodes"),
+    ("driving time to the first whole round [min]", "about 11, real car", "round_minutes"),
+    ("transitions at the end", "20,000 after 60 episodes and 16 min, real car", "transitions"),
+    ("max |e| of a round after 70 episodes [m]", "no number given", "max_e_after_70"),
+    (
+        "max |e| of a round after 120 episodes [m]",
+        "very good controllers, no number given, simulation",
+        "max_e_after_120",
+    ),
+)
+_DRIVING = (
+    ("bang-bang", "−0.25 to 0.1 over 2,000 steps, simulation", "up to 8, simulation"),
+    ("idoe", "about ±0.1 over 2,000 steps, simulation", "far smoother than bang-bang, simulation"),
+)
 
 
-if __name__ == "__main__":
-    main()
+@dataclass(frozen=True)
+class PaperRow:
+    """One value of the paper beside ours."""
+
+    what: str
+    paper: str
+    ours: str
+    """Median with its 95 % interval over the seeds; a dash where the run has no such case."""
+
+
+def paper_rows(results: Results) -> list[PaperRow]:
+    """The paper's values beside those of the suite `paper`; empty where that was not run."""
+    cases = [c for c in results.cases if c.suite == "paper" and c.status == "done"]
+    if not cases:
+        return []
+    steering = dict.fromkeys(c.controller for c in cases)
+    learners = [c for c in results.cases if c.kind == "learn" and c.status == "done" and c.controller in steering]
+    rows = [PaperRow(what, paper, _each(learners, name)) for what, paper, name in _LEARNING]
+    for kind, e, a_y in _DRIVING:
+        here = [c for c in cases if kind in c.controller]
+        rows.append(PaperRow(f"{kind}: range of e in a round [m]", e, _ranges(results, here)))
+        rows.append(PaperRow(f"{kind}: largest |a_y| [m/s²]", a_y, _each(here, "max_a_y")))
+    return rows
+
+
+def _of(cases: Sequence[Case], controller: str) -> list[Case]:
+    return [c for c in cases if c.controller == controller]
+
+
+def _each(cases: Sequence[Case], name: str) -> str:
+    """Each controller's median over its seeds with the interval, and of how many seeds, where not of all."""
+    texts = []
+    for controller in dict.fromkeys(c.controller for c in cases):
+        values = np.array([c.metrics.get(name, np.nan) for c in _of(cases, controller)])
+        known = values[~np.isnan(values)]
+        if len(known):
+            middle = interval(known, np.median)
+            of = "" if len(known) == len(values) else f" ({len(known)} of {len(values)} seeds)"
+            value, low, high = (parts.number(number, 2) for number in (middle.value, middle.low, middle.high))
+            texts.append(f"{controller}: {value} [{low}, {high}]{of}")
+    return "; ".join(texts) or "–"
+
+
+def _ranges(results: Results, cases: Sequence[Case]) -> str:
+    """Least and greatest e of the recorded drives, of all seeds together."""
+    texts = []
+    for name in dict.fromkeys(c.controller for c in cases):
+        drives = [d["e"] for c in _of(cases, name) if (d := results.trajectory(c)) is not None and len(d["e"])]
+        if drives:
+            e = np.concatenate(drives)
+            texts.append(f"{name}: {parts.number(float(np.nanmin(e)), 2)} to {parts.number(float(np.nanmax(e)), 2)}")
+    return "; ".join(texts) or "–"

@@ -12,8 +12,6 @@
   by chance; tyres 30 % off, ratio 10 % off either way, 0.1 s of delay that nobody is told; 2 to 9 m/s. The filter is
   told that commands may be 0.1 s late.
 * Trained: a small net that is trained to leave the path, of the car with the ratio 10 % too direct, by random search.
-* Agents: DQN and SAC of Stable-Baselines3 (extra `peers`) on their first 600 steps, in the environment with `safe`, on
-  the adversaries' cars.
 * Chatter: RMS of the correction's change from sample to sample, of the one-step filter over the multi-step one, against
   a driver who is smooth and wants to be 0.8 m beside the path, and against full lock.
 * Car: learners with the filter before the gate of the simulated car behind the bus, in three processes at true 20 Hz;
@@ -49,7 +47,6 @@ from benchmarks.run import spread
 from benchmarks.run.fleet import of_fleet, of_kind
 from benchmarks.run.safe_learning import Job, Learner, runs, summarise
 from benchmarks.run.safety_adversary import NetAdversary, by_speed, searched
-from benchmarks.run.safety_agents import agents
 from steerkit._support.native import compiler
 from steerkit.controllers.safety_filter import SafetyFilter
 from steerkit.controllers.stanley import Stanley
@@ -234,7 +231,7 @@ def _signal(field: str, names: list[str]) -> str:
     return next(name for name in names if name.replace(".", "_") == field)
 
 
-PARTS = ("adversaries", "trained", "agents", "chatter", "narrowing", "cost", "learners", "car")
+PARTS = ("adversaries", "trained", "chatter", "narrowing", "cost", "learners", "car")
 """What it measures; each can be left out, and the last has to be asked for: it takes real time, and the extra `car`."""
 
 
@@ -268,10 +265,6 @@ def _measured(options: argparse.Namespace, those: spread.Workers) -> dict[str, A
         report |= trained(0.5, (6.5,), 2, 1) if quick else trained(4.0, (5.0, 9.0), 48, 5)
         for speed, best in report["trained_adversaries"].items():
             console.print(f"net trained to leave, {speed}: max |e| by generation", ", ".join(f"{e:.3f}" for e in best))
-    if "agents" in options.parts:
-        report |= agents(20, SPEEDS[1:2], LATE, OFF) if quick else agents(600, SPEEDS, LATE, OFF)
-        for kind, row in report.get("agents", {}).items():
-            console.print(f"{kind:16s} max |e|", "  ".join(f"{v}: {e:.3f} m" for v, e in row.items()))
     if "chatter" in options.parts:
         report |= chatter(3.0 if quick else 20.0, (5.0,) if quick else (3.0, 5.0, 8.0))
     if "narrowing" in options.parts:

@@ -52,7 +52,6 @@ ELSEWHERE = {
     "steerkit.paths.waypoints": "unit/paths/test_path.py",
     "benchmarks.peers.python_control": "unit/benchmarks/studies/test_studies.py",
     "benchmarks.report.figures": "unit/benchmarks/report/test_page.py",
-    "benchmarks.report.paper": "unit/benchmarks/report/test_page.py",
     "benchmarks.run.provenance": "unit/benchmarks/run/test_results.py",
     "benchmarks.run.trainings": "unit/benchmarks/run/test_runner.py",
 }

@@ -26,7 +26,6 @@ def test_the_failure_map_is_the_grid_that_was_driven(results: Results) -> None:
                 here = [c for c in cases if c.controller == name and c.scenario == f"delay {delay:g} v {v:g}"]
                 assert shares[i, j] == np.mean([c.metrics["held"] for c in here])
     assert grid.shares["pure-pursuit"][0, 2] == 0.0
-    assert conditions.sweeps(cases, results.protocol) == [], "what is on a map is not drawn again"
     assert conditions.grids([c for c in results.cases if c.suite == "tracking"], results.protocol) == []
 
 
@@ -41,9 +40,6 @@ def test_a_place_that_nobody_drove_is_not_called_lost(results: Results) -> None:
     assert (grid.shares["stanley"] == whole.shares["stanley"]).all()
 
 
-def test_one_condition_alone_is_a_sweep_and_no_map(results: Results) -> None:
+def test_one_condition_alone_is_no_map(results: Results) -> None:
     cases = [c for c in results.cases if c.scenario.endswith(" v 6")]
     assert conditions.grids(cases, results.protocol) == []
-    (sweep,) = conditions.sweeps(cases, results.protocol)
-    assert (sweep.x, sweep.xs) == ("steering.delay", (0.0, 0.1, 0.2, 0.3))
-    assert [len(group) for group in sweep.cases["stanley"]] == [2, 2, 2, 2]

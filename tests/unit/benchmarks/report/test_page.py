@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from benchmarks.report.page import main, write_report
-from benchmarks.run.results import Results, load_results
+from benchmarks.report.page import write_report
+from benchmarks.run.results import Results
 from tests.support.browser import BROWSER, FRAME, FRAME_JS, shown
 from tests.support.report_results import CONTROLLERS, write
 
@@ -64,16 +64,10 @@ def test_the_verdict_is_on_the_page_as_html(page: str) -> None:
     assert not re.search(r"^#|\*\*|\|---", section[1], re.M), "no Markdown is left"
 
 
-def test_the_command_writes_the_page_and_refuses_no_results(
-    results: Results, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit):
-        main([str(tmp_path / "none")])
-    assert "there are no such results; make some with" in capsys.readouterr().err
+def test_no_results_are_refused(results: Results, tmp_path: Path) -> None:
     empty = Results(tmp_path, results.provenance, ())
     with pytest.raises(ValueError, match="no case has finished, so there is nothing to report"):
         write_report(empty, tmp_path / "page.html")
-    assert len(load_results(results.place).cases) == len(results.cases)
 
 
 PROBE = """<script>

@@ -52,7 +52,7 @@ KEYS = {
     },
     "safety": {
         *("departures", "runs", "good_median_s", "interventions_pct", "final_rms_x", "filter_p99_ms"),
-        *("adversary_max_e", "agent_max_e", "chatter_x"),
+        *("adversary_max_e", "chatter_x"),
     },
     "throughput": {
         *("interpreted_x", "simulate_x", "compiled_vm_x", "compiled_vm_uncollapsed_x", "compiled_c_x", "batch_x"),
