@@ -21,6 +21,7 @@ from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.units import radians_of
 from steerkit.task import DT, STOP, TRIP
+from steerkit.vehicles.rollout import on_their_way
 
 SOLVED, PLAN, FALLBACK, HELD = 0.0, 1.0, 2.0, 3.0
 """Where a command came from: this sample's solution, an earlier one's plan, the fallback law, the command before."""
@@ -213,10 +214,15 @@ class PredictiveSteering(Block):
 
     # ---- what is made once --------------------------------------------------------------------------------------
 
+    @cached_property
+    def spans(self) -> tuple[float, ...]:
+        """For how long each command on its way still acts when one is given [s], oldest first."""
+        return on_their_way(self.delay, self.dt)
+
     @property
     def pieces(self) -> int:
         """Commands on their way when one is given."""
-        return math.ceil(self.delay / self.dt - 1e-9)
+        return len(self.spans)
 
     @cached_property
     def model(self) -> PathModel:
@@ -249,8 +255,7 @@ class PredictiveSteering(Block):
     @cached_property
     def times(self) -> Array:
         """When a curvature is wanted [s]: half-way of each command on its way; at the stages; half-way between."""
-        first = self.delay - max(self.pieces - 1, 0) * self.dt
-        pieces = [0.5 * first, *[first + (i + 0.5) * self.dt for i in range(self.pieces - 1)]][: self.pieces]
+        pieces = np.cumsum(self.spans) - 0.5 * np.array(self.spans)
         stages = [self.delay + k * self.dt for k in range(self.horizon + 1)]
         return np.array([*pieces, *stages, *[t + 0.5 * self.dt for t in stages[:-1]]])
 
@@ -261,8 +266,7 @@ class PredictiveSteering(Block):
             model=self.model,
             qp=self.qp,
             motion=self._motion,
-            pieces=self.pieces,
-            first=self.delay - (self.pieces - 1) * self.dt,
+            spans=self.spans,
             times=self.times,
             preview_points=self.preview_points,
             a_y_limit=self.a_y_limit,

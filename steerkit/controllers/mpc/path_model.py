@@ -110,15 +110,15 @@ class PathModel:
             z, dz, wheel, dwheel = after, dafter, end, dend
         return casadi.vertcat(z, wheel), casadi.vertcat(dz, dwheel)
 
-    def predictor(self, pieces: int, first: float, substeps: int) -> casadi.Function:
-        """(e, psi_e, sway, r, wheel) when the last of the `pieces` commands on their way has acted.
+    def predictor(self, spans: Sequence[float], substeps: int) -> casadi.Function:
+        """(e, psi_e, sway, r, wheel) when the commands on their way have acted, each for its span [s].
 
-        The first acts for `first` [s], the others for dt; inputs: x (5,), commands, v, curvatures (pieces,).
+        inputs: x (5,), commands, v, curvatures; as many commands and curvatures as spans.
         """
+        pieces = len(spans)
         x, command, v, kappa, h = (casadi.SX.sym(name, n) for name, n in zip("xcvkh", (5, 1, 1, 1, 1)))
         after = casadi.cse(self.stepped(x, command, v, kappa, h, 1)[0])
         single = casadi.Function("single", [x, command, v, kappa, h], [after])
-        spans = [self.dt if i else first for i in range(pieces)]
         steps = [max(1, math.ceil(substeps * span / self.dt - 1e-9)) for span in spans]
         each = np.repeat(np.arange(pieces), steps).tolist()
         start, speed = casadi.MX.sym("x", 5), casadi.MX.sym("v")

@@ -48,16 +48,15 @@ class Programme:
     NOTHING gives zeros; PREDICTION leaves out the solution. The numbers: x (5,), the state now; `commands` on their
     way; `plan`, the rates of the plan before; `preview`; v; the cosine of beta; the largest rate.
 
-    motion: as `PredictiveSteering._motion`. pieces: how many commands are on their way; first: for how long the oldest
-    still acts [s]. times: when a curvature is wanted [s]: in the middle of each piece, at the stages, between them.
+    motion: as `PredictiveSteering._motion`. spans: for how long each command on its way still acts [s], oldest first.
+    times: when a curvature is wanted [s]: in the middle of each span, at the stages, between them.
     a_y_limit, a_y_room: as in `PredictiveSteering`.
     """
 
     model: PathModel
     qp: StageQp
     motion: Callable[..., Motion]
-    pieces: int
-    first: float
+    spans: tuple[float, ...]
     times: Array
     preview_points: int
     a_y_limit: float
@@ -66,7 +65,7 @@ class Programme:
     @cached_property
     def prepare(self) -> casadi.Function:
         """The numbers as one vector -> ahead (7,); then (7, n): steady cornering and curvature at `times`; `DATA`."""
-        n, horizon, soft = self.pieces, self.qp.horizon, list(self.qp.soft)
+        n, horizon, soft = len(self.spans), self.qp.horizon, list(self.qp.soft)
         sizes = (5, max(n, 1), horizon, self.preview_points, 1, 1, 1)
         given = casadi.MX.sym("given", sum(sizes))
         now, commands, plan, preview, v, cos_beta, fastest = casadi.vertsplit(given, np.cumsum([0, *sizes]).tolist())
@@ -75,7 +74,7 @@ class Programme:
         substeps = self.model.which_substeps(v)
         x = now
         if n:
-            each = [self.model.predictor(n, self.first, count) for count in self.model.all_substeps]
+            each = [self.model.predictor(self.spans, count) for count in self.model.all_substeps]
             x = chosen("predicted", each)(substeps, now, commands, v, then[6, :n].T)
         x = casadi.vertcat(x, commands[-1])
         table = self.model.schedule(v)
