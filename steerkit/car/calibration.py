@@ -210,7 +210,7 @@ def of_recording(recording: FilePath) -> Calibrated:
     recorded = recordings.read(recording)
     config = recordings.config_of(recorded)
     drives = list(replays.drives(recorded))
-    require(bool(drives), f"{recording}", "nobody drove: there is no request in it")
+    require(bool(drives), f"{recording}", "there is no drive in it: no request")
     drive = max(drives, key=lambda drive: len(drive.requests))
     estimators, _ = replays.replayed_estimates(drive, config)
     lost = () if recorded.whole else (f"the recording is damaged or cut short: {recorded.kept()}",)

@@ -22,7 +22,7 @@ from steerkit.vehicles.file import tables_of
 EVERY = 20
 """Samples from one message of estimates to the next."""
 _RAGGED = 0.4
-"""A sample that comes later or earlier by more than this share of the period begins anew [1]."""
+"""A sample that comes later or earlier by more than this share of the period is not used [1]."""
 _MOST = {"v": 150.0, "r": 10.0, "psi": 1e3, "delta_sw": 100.0, "command": 100.0, "report_age": 1.0}
 """What no car exceeds, in SI: such a reading is none."""
 _ARITHMETIC = (ArithmeticError, ValueError)
@@ -70,8 +70,8 @@ class CarEstimators:
 
     Dead time and lag are those from the sample that a command was computed from to the wheel: the age of the wheel's
     report is taken off, the time that controller and car server take is in them. They and friction are learned while
-    the car is ENGAGED, the others whoever steers. What is late or lost makes them wait, and nothing that a sample
-    holds raises: an error of arithmetic makes them begin anew, and `faults` counts it.
+    the car is ENGAGED, the others at all times. What is late or lost makes them wait, and nothing that a sample
+    holds raises: an error of arithmetic resets them, and `faults` counts it.
     """
 
     def __init__(self, config: CarConfig):

@@ -1,4 +1,4 @@
-"""A mean and its covariance, carried on and corrected: what a Kalman filter does, in plain arithmetic."""
+"""Prediction and correction of a mean and its covariance: a Kalman filter in plain arithmetic."""
 
 from __future__ import annotations
 

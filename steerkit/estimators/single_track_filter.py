@@ -27,37 +27,37 @@ _GAP = radians_of(1.0)
 _SOFT = 2e-4
 """Deviation of the understeer gradient for tyres that give way in tight bends [rad s^2/m]."""
 _N = 6
-_OFFSET, _DISTURBANCE, _WORN = 2, 4, 5
+_OFFSET, _DISTURBANCE, _PLAY = 2, 4, 5
 _FILTERS = 16
 _BOUNDS = ((0.4, 2.5), (-0.02, 0.05), (-0.5, 0.5), (-0.1, 0.1), (-0.2, 0.2), (-1.0, 4.0))
-"""Of gain, understeer gradient [rad s^2/m], offset [rad], gyro zero [rad/s], disturbance [rad], wear [1]."""
+"""Of gain, understeer gradient [rad s^2/m], offset [rad], gyro zero [rad/s], disturbance [rad], play [1]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SingleTrackFilter(Block):
-    """An extended Kalman filter of a car's numbers, for controllers that should not have to be told them.
+    """An extended Kalman filter of ratio, understeer, offset, gyro zero and disturbance, for cars nobody has measured.
 
     The car by its data sheet turns the angle delta_sw, behind `lag` and `delay`, into w: the angle that its yaw rate
     has got to (linear single track). What the gyro should then say, and what its numbers do in driving of dt, is
 
-        r = g v (w - worn h + offset + disturbance)/(n (L + K v^2)) + rate_zero + noise,  g = 1/ratio,
+        r = g v (w - play h + offset + disturbance)/(n (L + K v^2)) + rate_zero + noise,  g = 1/ratio,
         disturbance' = f disturbance + noise,  P' = F P F + (1 - F^2) P_0,  F = diag(exp(-dt/time), ..., f),
 
     n, L of the data sheet; h = w - w behind a free play of 2 degrees, for what friction and play keep from the road
     wheels looks like another ratio, and within a bend like an offset. The variance of r's error is that of its noise,
-    of what else wear does, and of a delay that is not known yet, each as often as it is new: with c = `correlated`,
+    of the angle's other errors and of a delay that is not known yet, each as often as it is new: with c = `correlated`,
 
-        noise^2 c/dt + (g v/(n (L + K v^2)))^2 (wear^2 + (w' delay_deviation)^2) (1 s)/dt.
+        noise^2 c/dt + (g v/(n (L + K v^2)))^2 (angle_error^2 + (w' delay_deviation)^2) (1 s)/dt.
 
     Forgetting widens P towards the prior's P_0 and moves no value, so nothing drifts. While the car stands, r is
     rate_zero itself. Over windows of `window`/8, /4, /2 and then `window` the heading gives it, too: the integral of r
     less the change of psi. A sample further than 3 deviations off counts for less, as if its noise were that large; one
     further than 6 is not integrated either.
 
-    What is told apart when: ratio in bends; offset wherever the car drives, but from rate_zero only with a heading, a
-    stop or changes of speed; K in bends at different speeds from about 15 m/s, below it is the prior's; a bank or a
-    wind is an offset that lasts as long as it does: by its time alone (`disturbance_time`) it is told from the offset,
-    and a bank that never ends is one. total_offset = offset + disturbance is what a controller has to steer against.
+    Observable are: the ratio in bends; the offset wherever the car drives, but apart from rate_zero only with a
+    heading, a stop or changes of speed; K in bends at different speeds from about 15 m/s, below it is the prior's. A
+    bank or a wind is separated from the offset by its time alone (`disturbance_time`), and a bank that never ends is
+    one. total_offset = offset + disturbance is what a controller has to steer against.
 
     Inputs: delta_sw [rad], the command, or the measured wheel, whose offset is then found; v [m/s]; r [rad/s]; psi
     [rad], NaN where there is none; delay, lag [s] from that angle to the measured r, without the car's own, and
@@ -67,7 +67,7 @@ class SingleTrackFilter(Block):
     rate_zero_deviation [rad/s]; ratio_valid, understeer_valid, offset_valid, disturbance_valid, total_offset_valid,
     rate_zero_valid [1]: the deviation is at most 3 %, a quarter of the prior's, 0.25 degrees, half of its own, 0.35
     degrees, 0.001 rad/s; r_model [rad/s], what it expects of this sample's gyro; missing [1], 1 if one but psi was.
-    A sample teaches where these are finite, v is 3 m/s or more, and the angle has steered for delay + 4 lag + 0.3 s.
+    A sample is used where these are finite, v is 3 m/s or more, and the angle has steered for delay + 4 lag + 0.3 s.
     State: filters, a delay line, the six numbers, P's upper triangle. Raises ValueError for parameters out of range.
 
     Source: Gelb 1974, section 6.1 (extended Kalman filter); Rajamani 2012, section 3.3; Kulhavy, Zarrop 1993
@@ -117,12 +117,12 @@ class SingleTrackFilter(Block):
     """That of the disturbance, at all times [rad]."""
     disturbance_time: float = 2.0
     """For how long a disturbance lasts [s]."""
-    worn: float = 0.5
+    play: float = 0.5
     """Share of a free play of 2 degrees that is expected between angle and road wheels, with friction's loop [1]."""
-    worn_prior: float = 0.5
+    play_prior: float = 0.5
     """Its standard deviation [1]."""
     memory: float = 50000.0
-    """Time of driving after which what was learned of ratio, understeer and wear counts for 1/e [s]."""
+    """Time of driving after which what was learned of ratio, understeer and play counts for 1/e [s]."""
     zero_memory: float = 500_000.0
     """The same of the offset and the gyro's zero [s]: in an hour they may move by an eighth of their priors, 0.36
     degrees and 0.034 deg/s."""
@@ -132,7 +132,7 @@ class SingleTrackFilter(Block):
     """Standard deviation of what is wrong with psi [rad], at both ends of a window."""
     correlated: float = 0.15
     """For how long the errors of r hang together [s], dt at least."""
-    wear: float = radians_of(0.3)
+    angle_error: float = radians_of(0.3)
     """Standard deviation of what free play and friction make of the angle beyond that [rad]."""
     window: float = 40.0
     """Longest time over which headings are compared [s]; the first is an eighth of it, the next two."""
@@ -154,14 +154,14 @@ class SingleTrackFilter(Block):
             ("rate_zero_prior", "rad/s", 1e-7, 0.1),
             ("disturbance_prior", "rad", 1e-7, 0.3),
             ("disturbance_time", "s", self.dt, 1e4),
-            ("worn", "1", 0.0, 2.0),
-            ("worn_prior", "1", 1e-4, 2.0),
+            ("play", "1", 0.0, 2.0),
+            ("play_prior", "1", 1e-4, 2.0),
             ("memory", "s", 1.0, 1e6),
             ("zero_memory", "s", 1.0, 1e6),
             ("noise", "rad/s", 1e-6, 1.0),
             ("psi_noise", "rad", 1e-6, 1.0),
             ("correlated", "s", self.dt, 10.0),
-            ("wear", "rad", 0.0, 0.3),
+            ("angle_error", "rad", 0.0, 0.3),
             ("window", "s", self.dt, 1e3),
         ):
             require_within(where, name, getattr(self, name), unit, low, high)
@@ -174,11 +174,11 @@ class SingleTrackFilter(Block):
     @property
     def _variances(self) -> tuple[float, ...]:
         deviations = (self.ratio_prior, self.understeer_prior, self.offset_prior, self.rate_zero_prior)
-        return tuple(deviation**2 for deviation in (*deviations, self.disturbance_prior, self.worn_prior))
+        return tuple(deviation**2 for deviation in (*deviations, self.disturbance_prior, self.play_prior))
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         zero, variances = m.filled(0.0, batch), self._variances
-        start = (1.0, self.vehicle.understeer_gradient, 0.0, 0.0, 0.0, self.worn)
+        start = (1.0, self.vehicle.understeer_gradient, 0.0, 0.0, 0.0, self.play)
         covariance = [[m.filled(variance, batch), *(zero,) * (_N - 1 - i)] for i, variance in enumerate(variances)]
         line = (zero,) * (self._first - _FILTERS)
         first_window = m.filled(self.window / 8.0, batch)
@@ -213,14 +213,14 @@ class SingleTrackFilter(Block):
         line, numbers = x[_FILTERS : self._first], x[self._first : self._first + _N]
         covariance = kalman.unpacked(x[self._first + _N :], _N)
         known, moves, turns, sure, steers = map(m.is_finite, (u.delta_sw, u.v, u.r, u.delay_deviation, u.active))
-        told = m.both(m.is_finite(u.delay), m.is_finite(u.lag))
-        read = m.every(known, moves, turns, told, sure, steers)
+        given = m.both(m.is_finite(u.delay), m.is_finite(u.lag))
+        read = m.every(known, moves, turns, given, sure, steers)
         v = m.where(moves, m.maximum(u.v, SLOWEST), v_before)
         drives = m.both(moves, u.v >= SLOWEST)
-        acts = m.every(known, drives, told, u.active > 0.5)
-        delay = m.where(told, m.clip(u.delay, 0.0, self.longest), 0.0)
-        lag = m.where(told, m.clip(u.lag, 0.0, 2.0), 0.0)
-        teaches = m.every(read, acts, since * dt > delay + 4.0 * lag + 0.3)
+        acts = m.every(known, drives, given, u.active > 0.5)
+        delay = m.where(given, m.clip(u.delay, 0.0, self.longest), 0.0)
+        lag = m.where(given, m.clip(u.lag, 0.0, 2.0), 0.0)
+        used = m.every(read, acts, since * dt > delay + 4.0 * lag + 0.3)
         r = m.where(turns, u.r, 0.0)
         # the six numbers
         times = (self.memory, self.memory, self.zero_memory, self.zero_memory, self.disturbance_time, self.memory)
@@ -231,9 +231,9 @@ class SingleTrackFilter(Block):
         expected, slopes = self._expected(numbers, w, behind, v)
         variance = self.noise**2 * self.correlated / dt
         late = turning * m.where(sure, u.delay_deviation, 0.0)
-        uneven = slopes[2] * slopes[2] * (self.wear**2 + late * late) * (_TOGETHER / dt)
-        error = m.where(teaches, r - expected, 0.0)
-        numbers, covariance, off = _corrected(numbers, covariance, slopes, error, variance + uneven, teaches)
+        uneven = slopes[2] * slopes[2] * (self.angle_error**2 + late * late) * (_TOGETHER / dt)
+        error = m.where(used, r - expected, 0.0)
+        numbers, covariance, off = _corrected(numbers, covariance, slopes, error, variance + uneven, used)
         r = m.where(off > 4.0, expected, r)
         stands = m.where(m.both(moves, u.v < _STANDS), stands + dt, 0.0)
         stopped = m.both(turns, stands > _STANDING)
@@ -289,10 +289,10 @@ class SingleTrackFilter(Block):
         behind: w behind the free play.
         """
         p = self.vehicle
-        g, understeer, offset, zero, disturbance, worn = numbers
+        g, understeer, offset, zero, disturbance, play = numbers
         length = p.wheelbase + understeer * v * v
         per_angle = v / (p.steer_ratio * length)
-        angle = w - worn * (w - behind) + offset + disturbance
+        angle = w - play * (w - behind) + offset + disturbance
         turn = per_angle * angle
         slope = g * per_angle
         return g * turn + zero, (

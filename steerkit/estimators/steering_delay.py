@@ -190,7 +190,7 @@ class DelayBank(Bank):
         lag = m.sqrt(prior * prior + 2.0 * prior * moved - moved * moved)
         stretch = (prior - moved) / m.maximum(lag, 0.1 * prior)  # of the lag over b/a
         odd = _NO_SINGLE_LAG * m.maximum(stretch, 1.0)
-        trust = 1.0 / (1.0 + odd * odd / self.prior_lag_deviation**2)  # in a lag that second moments hardly tell
+        trust = 1.0 / (1.0 + odd * odd / self.prior_lag_deviation**2)  # in a lag that second moments hardly show
         lag = prior + trust * (lag - prior)
         stretch = trust * stretch
         cubic = _CUBIC * (lag - prior)

@@ -32,7 +32,7 @@ class Prior:
 
 
 def priors(base: Vehicle) -> dict[str, Prior]:
-    """Weak beliefs around a base car; they only matter for what a log does not tell.
+    """Weak beliefs around a base car; they only matter for what a log does not show.
 
     steer_ratio +- 5; offset 0 +- 0.1 rad (6 degrees at the wheel); delay and lag 0.05 +- 0.05 s; the cornering
     compliances +- 50 %; the zero of a yaw rate that has no heading beside it +- 0.005 rad/s.
@@ -69,14 +69,14 @@ def identify(
     samples, found by repetition. The covariance is the sandwich H^-1 S H^-1, H = J'J/sigma^2 + P, S from sums of the
     scores over blocks longer than that correlation; intervals are 95 % of Student's t with (blocks - 1) degrees.
 
-    base: the car whose mass, inertia and geometry are taken as given (default: vw-passat): yaw rate tells ratio times
-    wheelbase and stiffness over mass, never the two apart. fixed: parameters to hold. known: (mean, standard
+    base: the car whose mass, inertia and geometry are taken as given (default: vw-passat): the yaw rate determines
+    ratio times wheelbase and stiffness over mass, never the two apart. fixed: parameters to hold. known: (mean,
     deviation) to replace a prior. Raises ValueError for an unknown name or a number out of bounds.
 
     Source: Ljung 1999, sections 7.2 (output error) and 9.4; White 1982 (sandwich).
     """
     base = base or vehicle("vw-passat")
-    require(drive.turns, drive.name, "it hardly turns: a drive straight on tells nothing of the car; add bends")
+    require(drive.turns, drive.name, "it hardly turns: a drive straight on determines nothing of the car; add bends")
     table = _believed(base, known or {}, fixed or {}, drive)
     held = {n: p.mean for n, p in table.items() if p.deviation == 0.0}
     free = tuple(n for n in table if n not in held)
@@ -192,7 +192,7 @@ class _Problem:
         """(sandwich covariance (p, p), number of blocks)."""
         error, slopes = self.linearised(theta)
         for i in np.flatnonzero((theta <= self.low) | (theta >= self.high)):
-            # at a bound the tangent may be flat (a lag of 0): the secant to half a prior deviation inside tells more
+            # at a bound the tangent may be flat (a lag of 0): the secant to half a prior deviation inside shows more
             inside = np.where(
                 np.arange(len(theta)) == i, theta + 0.5 * self.deviation * np.sign(self.mean - theta), theta
             )
@@ -226,7 +226,7 @@ def _estimates(
     length = base.wheelbase
     rows: list[tuple[str, float, str, dict[str, float], str]] = [
         ("steer_ratio", values["steer_ratio"], "1", {"steer_ratio": 1.0}, f"given L = {length:g} m"),
-        ("ratio_wheelbase", values["steer_ratio"] * length, "m", {"steer_ratio": length}, "what the log tells"),
+        ("ratio_wheelbase", values["steer_ratio"] * length, "m", {"steer_ratio": length}, "what the log determines"),
         ("offset", values["offset"], "rad", {"offset": 1.0}, "at the wheel, of this log"),
         ("delay", values["delay"], "s", {"delay": 1.0}, ""),
         ("lag", values["lag"], "s", {"lag": 1.0}, ""),
@@ -277,9 +277,9 @@ def _notes(
     covariance: Array,
     estimates: tuple[Estimate, ...],
 ) -> tuple[str, ...]:
-    """What this log cannot tell, in words."""
+    """What this log cannot determine, in words."""
     notes = [
-        f"yaw rate tells the ratio times the wheelbase and stiffness over mass; wheelbase {base.wheelbase:g} m, mass "
+        f"the yaw rate determines ratio times wheelbase and stiffness over mass; wheelbase {base.wheelbase:g} m, mass "
         f"{base.m:g} kg and the rest of {base.name} are given"
     ]
     unseen = [e for e in estimates if e.source == "prior"]
@@ -287,15 +287,15 @@ def _notes(
         use = drive.driving
         a_y = float(np.abs(drive.v * drive.r)[use].max())
         notes.append(
-            f"{', '.join(e.name for e in unseen)}: this log hardly tells (speed up to {drive.v[use].max():.1f} m/s, "
-            f"lateral acceleration up to {a_y:.1f} m/s^2); the interval is the prior's"
+            f"{', '.join(e.name for e in unseen)}: hardly determined by this log (speed up to "
+            f"{drive.v[use].max():.1f} m/s, lateral acceleration up to {a_y:.1f} m/s^2); the interval is the prior's"
         )
     deviations = np.sqrt(np.diag(covariance))
     related = covariance / np.outer(deviations, deviations)
     for i, name in enumerate(free):
         for j in range(i):
             if abs(related[i, j]) > 0.9:
-                notes.append(f"{free[j]} and {name} cannot be told apart well (correlation {related[i, j]:+.2f})")
+                notes.append(f"{free[j]} and {name} cannot be separated well (correlation {related[i, j]:+.2f})")
     if values["delay"] < -0.02:
         notes.append("the delay is negative: the yaw rate's clock runs ahead of the steering's, or it was smoothed")
     if max(values["delay"], values["lag"]) > 0.5:

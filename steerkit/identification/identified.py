@@ -23,7 +23,7 @@ from steerkit.vehicles import Vehicle
 from steerkit.vehicles.file import vehicle_text
 
 REZERO = 15.0
-"""Driving from which the wheel's zero is found anew, in the second figure of a prediction [s]."""
+"""Driving from which the wheel's zero is found again, in the second figure of a prediction [s]."""
 OPEN = {
     "steer_ratio": "car.vehicle.steer_ratio",
     "delay": "drive.delay",
@@ -113,7 +113,7 @@ class Prediction:
     mean_driving: float
     """Mean of measured minus predicted at 3 m/s and above [rad/s]."""
     rms_rezeroed: float
-    """With the wheel's zero found anew on the first 15 s of driving, and judged on the rest [rad/s]."""
+    """With the wheel's zero found again on the first 15 s of driving, and judged on the rest [rad/s]."""
     zero_shift: float
     """By how much that zero differs, at the steering wheel [rad]."""
 
@@ -242,7 +242,7 @@ def residuals(identified: Identified, held_out: Prediction | None = None) -> Any
             ends.append(t[-1])
             start = t[-1] + _PAUSE * sum(p.drive.t[-1] for p, _, _ in parts)
         if held_out is not None:
-            moved = f"zero of the wheel found anew: {1e3 * held_out.rms_rezeroed:.2f}"
+            moved = f"zero of the wheel found again: {1e3 * held_out.rms_rezeroed:.2f}"
             left.plot([], [], " ", label=f"{moved} mrad/s")
         reach = 1.05 * max(float(np.abs(part.drive.r).max()) for part, _, _ in parts)
         cloud.plot([-reach, reach], [-reach, reach], color=COLOURS["ink"], lw=0.6)

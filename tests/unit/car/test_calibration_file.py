@@ -89,7 +89,7 @@ def test_a_second_drive_keeps_what_it_does_not_find_and_reports_what_has_changed
 def test_a_drive_that_finds_nothing_writes_nothing(tmp_path: Path) -> None:
     out = tmp_path / "mine.toml"
     recordings.Recording(tmp_path / "t.mcap", recordings.described(CONFIG, PATH)).close()
-    with pytest.raises(ValueError, match="nobody drove"):
+    with pytest.raises(ValueError, match="there is no drive in it"):
         module.from_recording(tmp_path / "t.mcap", out)
     assert not out.exists()
     (tmp_path / "t.mcap").write_bytes(small())

@@ -83,13 +83,6 @@ def test_without_excitation_the_prior_stays_and_is_not_valid(block: DelayBank) -
         assert y.lag_deviation == pytest.approx(block.prior_lag_deviation, rel=0.1)
 
 
-def test_at_a_standstill_nothing_is_forgotten() -> None:
-    x = driven(WHEEL, answered(steered(30.0), delay=0.12, lag=0.2))
-    before = WHEEL.output(0.0, x, ())
-    stands = {name: np.zeros(4000) for name in ("delta_sw_cmd", "delta_sw_meas", "v")} | {"active": np.ones(4000)}
-    assert WHEEL.output(0.0, driven(WHEEL, stands, x), ()) == before
-
-
 @pytest.mark.parametrize("what", ["override", "nan"])
 def test_what_others_do_to_the_wheel_and_lost_samples_teach_nothing(what: str) -> None:
     """Whoever overrides turns the wheel as he likes, here exactly against the command."""
@@ -105,16 +98,6 @@ def test_what_others_do_to_the_wheel_and_lost_samples_teach_nothing(what: str) -
     found = said(WHEEL, x)
     assert found.valid == 1.0
     assert found.value == pytest.approx(0.4, abs=0.006)
-
-
-@pytest.mark.parametrize("name", ["delta_sw_cmd", "delta_sw_meas", "v", "active"])
-def test_a_sample_that_cannot_be_read_is_told(name: str) -> None:
-    u = dict(delta_sw_cmd=0.1, active=1.0, delta_sw_meas=0.1, v=8.0)
-
-    def told(u: dict[str, float]) -> Any:
-        return WHEEL.output(0.0, WHEEL.update(0.0, WHEEL.init(), WHEEL.U(**u), None), ()).missing
-
-    assert [told(u), told(u | {name: float("nan")}), told(u | {name: float("inf")})] == [0.0, 1.0, 1.0]
 
 
 @pytest.mark.parametrize("bound", ["limit", "rate_limit"])
@@ -141,17 +124,3 @@ def test_an_answer_that_the_commands_do_not_explain_is_not_valid() -> None:
     signals = answered(steered(40.0), delay=0.1, lag=0.2)
     found = said(WHEEL, driven(WHEEL, signals | {"delta_sw_meas": steered(40.0, seed=7)}))
     assert found.valid == 0.0
-
-
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        (dict(longest=0.52), r"WheelDelay: longest = 0.52 \[s\], expected a multiple of dt"),
-        (dict(prior_delay=0.9), r"prior_delay = 0.9 \[s\], expected 0 to 0.75"),
-        (dict(correlated=0.01), r"correlated = 0.01 \[s\], expected 0.05 to 10; at least dt"),
-        (dict(noise=-0.1), r"noise = -0.1 \[rad\]"),
-    ],
-)
-def test_parameters_out_of_range(wrong: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        WheelDelay(**wrong)

@@ -81,12 +81,6 @@ def test_on_a_straight_the_prior_stays(block: HysteresisBank) -> None:
     assert found.deviation == pytest.approx(ends * block.prior_deviation, rel=0.05)
 
 
-def test_at_a_standstill_nothing_changes() -> None:
-    x = driven_fast(FRICTION, worn(friction_deg=0.5))
-    stands = {port.name: np.zeros(4000) for port in FRICTION.inputs} | {"active": np.ones(4000)}
-    assert said(FRICTION, driven_fast(FRICTION, stands, x)) == said(FRICTION, x)
-
-
 @pytest.mark.parametrize("what", ["override", "nan"])
 def test_overrides_and_gaps_teach_nothing(what: str) -> None:
     signals = worn(120.0, friction_deg=0.5)
@@ -100,30 +94,6 @@ def test_overrides_and_gaps_teach_nothing(what: str) -> None:
     found = said(FRICTION, driven_fast(FRICTION, signals))
     assert found.valid == 1.0
     assert found.value == pytest.approx(radians_of(0.5), rel=0.1)
-
-
-@pytest.mark.parametrize("block", [FRICTION, PLAY], ids=["friction", "play"])
-def test_a_sample_that_cannot_be_read_is_told(block: HysteresisBank) -> None:
-    u = {port.name: 0.1 for port in block.inputs}
-
-    def told(u: dict[str, float]) -> Any:
-        return block.output(0.0, block.update(0.0, block.init(), block.U(**u), None), ())[-1]
-
-    assert told(u) == 0.0
-    assert [told(u | {port.name: float("nan")}) for port in block.inputs] == [1.0] * len(block.inputs)
-
-
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        (dict(prior=0.1), r"SteeringFriction: prior = 0.1 \[rad\], expected 0 to 0.0279253; 0 to widest"),
-        (dict(longest=0.52), r"longest = 0.52 \[s\], expected a multiple of dt"),
-        (dict(noise=0.0), r"noise = 0.0 \[rad\]"),
-    ],
-)
-def test_parameters_out_of_range(wrong: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        SteeringFriction(**wrong)
 
 
 def test_a_lag_that_is_hardly_known_is_in_the_interval_until_another_is_found() -> None:

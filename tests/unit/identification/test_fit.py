@@ -55,7 +55,7 @@ def test_slow_driving_tells_the_ratio_but_not_the_tyres() -> None:
     answer = identify(Drive.of(**by_rate(noisy(slow, 1))), BASE)
     assert answer["ratio_wheelbase"].source == "log"
     assert {answer[n].source for n in ("c_f", "c_r")} == {"prior"}
-    assert any("c_f" in note and "hardly tells" in note for note in answer.notes)
+    assert any("c_f" in note and "hardly determined" in note for note in answer.notes)
     for name in ("c_f", "c_r"):
         assert answer[name].low < TRUTH[name] < answer[name].high
 
