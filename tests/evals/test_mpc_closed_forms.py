@@ -129,7 +129,7 @@ def test_the_car_in_path_coordinates_is_the_car_in_the_plane(reference: float) -
     block = controller(NonlinearMPC, NONLINEAR, reference=reference)
     kappa, v, wheel = 0.05, 5.0, 2.0
     at = np.array([0.4, 0.1, 0.05, 0.2, wheel])
-    predict = block.model.predictor(4, block.dt, 2)
+    predict = block.model.predictor([block.dt] * 4, 2)
     after = np.array(predict(at, [wheel] * 4, v, [kappa] * 4)).ravel()
     # the centre is the origin, the path's radius 20 m; the point starts below it, the car's centre of gravity behind
     psi, ahead = float(at[1]), np.array((np.cos(at[1]), np.sin(at[1])))
