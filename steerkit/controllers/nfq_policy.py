@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
 import os
@@ -141,12 +142,10 @@ class NfqPolicy(Policy):
 
     def output(self, t: Any, x: State, u: Any) -> Any:
         """The greedy action, its value, and whether to be trusted with the wheel."""
-        s: tuple[Any, ...] = tuple(u[:_INPUTS])
+        s = self._seen(x, u)
         if not self.nets:
             nothing = np.zeros(np.broadcast(*s).shape) if any(isinstance(value, np.ndarray) for value in s) else 0.0
             return self.Y(action=nothing, q=nothing, ready=nothing)
-        if self.forecast is not None:
-            s = self._forecast.ahead(x, u)
         share: Any = 1.0
         if self.description.scaled_from < math.inf:
             excess, s = self.description.excess(u.v), self.description.scaled(s)
@@ -170,6 +169,10 @@ class NfqPolicy(Policy):
                 action = self._between(list(values), action)
             ready = ready + np.zeros(states.shape[1:])
         return self.Y(action=m.where(sound, share * action, nan), q=q, ready=ready)
+
+    def _seen(self, x: State, u: Any) -> tuple[Any, ...]:
+        """The state to act on: the one that is measured, or the one in which the command will act."""
+        return tuple(u[:_INPUTS]) if self.forecast is None else self._forecast.ahead(x, u)
 
     @property
     def _forecast(self) -> DelayCompensator:
@@ -235,33 +238,27 @@ class NfqPolicy(Policy):
         durable: wait for the disk; False for a thread that may not (`steerkit._support.files.whole`).
         """
         d = self.description
-        write_arrays(
-            path,
-            "policy",
-            {
-                "actions": self.actions,
-                "combine": self.combine,
-                "ready_from": self.ready_from,
-                "dt": self.dt,
-                "names": d.names,
-                "low": d.low,
-                "high": d.high,
-                "mirror_signs": d.mirror_signs,
-                "goal": d.goal,
-                "action_scale": d.action_scale or 0.0,
-                **({"scaled_from": d.scaled_from} if d.scaled_from < math.inf else {}),
-                "nets": len(self.nets or ()),
-                **({"continuous": True} if self.continuous else {}),
-                **(
-                    {"preview_points": self.preview_points, "preview_dt": self.preview_dt}
-                    if self.preview_points
-                    else {}
-                ),
-                **({"dead_samples": kept.samples, "forecast": kept.numbers} if (kept := self.forecast) else {}),
-                **{f"net{k}_{i}": p for k, net in enumerate(self.nets or ()) for i, p in enumerate(net)},
-            },
-            durable=durable,
-        )
+        arrays = {
+            "actions": self.actions,
+            "combine": self.combine,
+            "ready_from": self.ready_from,
+            "continuous": self.continuous,
+            "dt": self.dt,
+            "preview_points": self.preview_points,
+            "preview_dt": self.preview_dt,
+            "names": d.names,
+            "low": d.low,
+            "high": d.high,
+            "mirror_signs": d.mirror_signs,
+            "goal": d.goal,
+            "action_scale": d.action_scale or 0.0,
+            "scaled_from": d.scaled_from,
+            "nets": len(self.nets or ()),
+            **{f"net{k}_{i}": p for k, net in enumerate(self.nets or ()) for i, p in enumerate(net)},
+        }
+        if self.forecast is not None:
+            arrays |= {"dead_samples": self.forecast.samples, "forecast": self.forecast.numbers}
+        write_arrays(path, "policy", arrays, durable=durable)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> NfqPolicy:
@@ -274,16 +271,14 @@ class NfqPolicy(Policy):
                 nets=tuple(tuple(f[f"net{k}_{i}"] for i in range(n)) for k, n in enumerate(layout)),
                 actions=tuple(f["actions"].tolist()),
                 description=StateDescription(
-                    **numbers,
-                    action_scale=float(f["action_scale"]) or None,
-                    scaled_from=float(f.get("scaled_from", math.inf)),
+                    **numbers, action_scale=float(f["action_scale"]) or None, scaled_from=float(f["scaled_from"])
                 ),
                 combine=str(f["combine"]),  # type: ignore[arg-type]
                 ready_from=float(f["ready_from"]),
                 dt=float(f["dt"]),
-                continuous=bool(f.get("continuous", False)),
-                preview_points=int(f.get("preview_points", 0)),
-                preview_dt=float(f.get("preview_dt", DT)),
+                continuous=bool(f["continuous"]),
+                preview_points=int(f["preview_points"]),
+                preview_dt=float(f["preview_dt"]),
                 forecast=_forecast_in(f),
             )
         except (ValueError, TypeError, KeyError) as why:
@@ -291,72 +286,46 @@ class NfqPolicy(Policy):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class OpenPolicy(Policy):
-    """Stands for all `NfqPolicy`s of a kind in a loop that is compiled once: its nets are called, its numbers are open.
+class OpenPolicy(NfqPolicy):
+    """Stands for all `NfqPolicy`s of a `Kind` in a loop that is compiled once: their nets, of any layout, are called,
+    and their forecasts are open.
 
-    Equations, ports and state are those of `NfqPolicy`. Policies of a kind are equal by `Kind`; nets may be of any
-    layout. Source: see there.
+    Equations, ports and state are those of `NfqPolicy`; the other fields are those of one of the kind. Source: see
+    there.
     """
 
-    preview = In("1/m", size="preview_points")
-
-    policy: NfqPolicy
-    """One of the kind."""
-    nets: m.Routine
+    called: m.Routine
     """The state as the nets see it to the value of each action, the gentlest first."""
     numbers: tuple[Any, ...] = ()
-    """What differs between policies of a kind besides their nets: `numbers_of`."""
+    """Those of the forecast: `numbers_of`."""
 
-    def __post_init__(self) -> None:
-        if not self.preview_points:
-            without_preview(self)
+    @classmethod
+    def of(cls, policy: NfqPolicy, called: m.Routine) -> OpenPolicy:
+        """For policies like this one."""
+        same = {field.name: getattr(policy, field.name) for field in dataclasses.fields(policy)}
+        return cls(**same, called=called, numbers=numbers_of(policy))
+
+    def _seen(self, x: State, u: Any) -> tuple[Any, ...]:
+        if not m.is_symbol(self.numbers[0]):
+            return super()._seen(x, u)
+        here = tuple(u[:_INPUTS])
+        return m.chosen(self.numbers[0] > 0.5, self._forecast.ahead(x, u), here) if self.preview_points else here
+
+    def _symbolic(self, s: Any) -> tuple[Any, Any]:
+        return self.least(self.called(*s))
 
     @property
-    def preview_points(self) -> int:
-        """As the policy's."""
-        return self.policy.preview_points
-
-    @property
-    def preview_dt(self) -> float:
-        """As the policy's [s]."""
-        return self.policy.preview_dt
-
-    def init(self, batch: tuple[int, ...] = ()) -> State:
-        return self.policy.init(batch)
-
-    def settle(self, t: float, x: State, u: Any) -> State:
-        return self.policy.settle(t, x, u)
-
-    def update(self, t: Any, x: State, u: Any, y: Any) -> State:
-        return self._forecast.remember(x, u) if self.preview_points else ()
-
-    def output(self, t: Any, x: State, u: Any) -> Any:
-        """As that of `NfqPolicy`, on symbols."""
-        if not m.is_symbol(t):  # a loop asks for its outputs once before it is traced
-            return self.policy.output(t, x, u)
-        ready_from, foresees, *_ = self.numbers
-        s: tuple[Any, ...] = tuple(u[:_INPUTS])
-        if self.preview_points:
-            s = m.chosen(foresees > 0.5, self._forecast.ahead(x, u), s)
-        nan, share, about = float("nan"), 1.0, self.policy.description
-        if about.scaled_from < math.inf:
-            excess, s = about.excess(u.v), about.scaled(s)
-            share = 1.0 / (excess * excess)
-        sound = m.is_finite(s[0] + s[1] + s[2] + s[3] + s[4] + s[5])
-        action, q = self.policy.least(self.nets(*[m.where(sound, value, nan) for value in s]))
-        return self.Y(m.where(sound, share * action, nan), q, m.where(t >= ready_from, 1.0, 0.0))
-
-    @functools.cached_property
     def _forecast(self) -> DelayCompensator:
-        _, _, samples, *numbers = self.numbers
+        foresees, samples, *numbers = self.numbers
+        if not m.is_symbol(foresees):  # a loop asks for its outputs once before it is traced
+            return super()._forecast
         return DelayCompensator(samples=samples).with_numbers(numbers)
 
 
 def numbers_of(policy: NfqPolicy) -> tuple[float, ...]:
-    """The `numbers` of an `OpenPolicy` for this one: `ready_from`, and all of the forecast; that of a car that stands
-    where it has none."""
+    """The `numbers` of an `OpenPolicy` for this one: has it a forecast, and all of that, or of a car that stands."""
     about = policy._forecast
-    return (policy.ready_from, float(policy.forecast is not None), float(about.samples), *map(float, about.numbers))
+    return (float(policy.forecast is not None), float(about.samples), *map(float, about.numbers))
 
 
 class Kind:
@@ -365,7 +334,7 @@ class Kind:
     def __init__(self, policy: NfqPolicy):
         self.policy = policy
         """One of them."""
-        reading = policy.preview_points, policy.preview_dt, policy.dt
+        reading = policy.preview_points, policy.preview_dt, policy.dt, policy.ready_from
         self._key = policy.actions, repr(policy.description), policy.continuous, *reading
 
     def __hash__(self) -> int:
@@ -383,9 +352,6 @@ def _forecast_in(f: Any) -> DelayCompensator | None:
     if "dead_samples" not in f:
         return None
     numbers = f["forecast"].tolist()
-    told = "numbers of a fast car as an earlier version told them, which this one cannot drive: learn it again"
-    require(len(numbers) != 9 or numbers[-1] == 0.0, "forecast", told)
-    numbers += DelayCompensator().numbers[len(numbers) :]  # of before there were fast cars
     found = DelayCompensator(samples=int(f["dead_samples"]), dt=float(f["dt"])).with_numbers(numbers)
     for name in (*ahead.ANSWER, "straight"):  # some 0.01, 0.2 and 0.4; others would steer straight on in silence
         require(

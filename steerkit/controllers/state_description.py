@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from steerkit._support.errors import require
 from steerkit.controllers.policy import COLUMNS
@@ -92,7 +92,3 @@ class StateDescription:
     def scale_of(self, actions: tuple[float, ...]) -> float:
         """The action [rad] that a net sees as 1."""
         return self.action_scale or max(map(abs, actions)) or 1.0
-
-    def mirror(self, s: ArrayLike, a: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """States (..., n) and actions (...) as seen in the mirror."""
-        return np.asarray(s, dtype=float) * np.array(self.mirror_signs), -np.asarray(a, dtype=float)

@@ -35,7 +35,6 @@ from steerkit.learning.nfq.iterate import FitSetting, Learned
 from steerkit.learning.settings import Setting
 from steerkit.learning.trainer import SimulatedTrainer
 from steerkit.scenario import Scenario
-from steerkit.scenario.catalogue import OLD_ELEMENTS
 from steerkit.scenario.scenario import of_table
 
 LOCK, HOLDER = ".lock", ".learner"
@@ -131,8 +130,6 @@ def from_plain(data: Any, where: str, default: type | None = None) -> Any:
     if issubclass(kind, Scenario):
         return of_table(data, where, kind)
     inside = {"setting": Setting, "scenario": Scenario, "fit": FitSetting, "cost": costs.TanhCost}
-    if issubclass(kind, Setting) and data.get("doe") in OLD_ELEMENTS:
-        data = data | {"doe": OLD_ELEMENTS[data["doe"]]}
     valid = [f.name for f in fields(kind)]
     for key in data:
         if key != "kind" and key not in valid:
@@ -198,10 +195,6 @@ def document(place: FilePath) -> dict[str, Any]:
         raise ValueError(f"{file} is truncated or no JSON ({error}); the run cannot be read") from error
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         raise ValueError(f"{file}: format {data.get('format') if isinstance(data, dict) else None!r}, not {FORMAT!r}")
-    setting = data.get("experiment", {}).get("setting", {})
-    if "fit" in setting:  # of before there were actions between those of the set
-        setting.setdefault("continuous", False)
-        setting.setdefault("scaled_from", math.inf)
     return data
 
 
@@ -231,7 +224,7 @@ def _load(place: FilePath, data: dict[str, Any]) -> LearningRun:
     number = data["checkpoint"]
     run = LearningRun(from_plain(data["experiment"], "run.json"))
     learner_state, counts = run.learner_state, data["counts"]
-    lasting = counts.get("recovery")
+    lasting = counts["recovery"]
     again = {
         "episodes": [Episode(**e) for e in counts["episodes"]],
         "recovery": Recovery(**lasting) if lasting else None,

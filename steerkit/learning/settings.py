@@ -171,30 +171,11 @@ PAPER = Setting(
 BANG_BANG = replace(  # the 800 m course needs up to 430 degrees in motion: 360 cannot drive it, whatever is learned
     MODEL_FREE, name="bang-bang", actions_deg=(-STOP_DEG, STOP_DEG), doe="plain", cost=TanhCost(action_cost=0.0)
 )
+_ANGLES = (10.0, 25.0, 50.0, 80.0, 120.0, 180.0, 260.0, 390.0, STOP_DEG)
 LOW_PASS = replace(
     DEFAULT,
     name="low-pass",
-    actions_deg=(
-        -STOP_DEG,
-        -390.0,
-        -260.0,
-        -180.0,
-        -120.0,
-        -80.0,
-        -50.0,
-        -25.0,
-        -10.0,
-        0.0,
-        10.0,
-        25.0,
-        50.0,
-        80.0,
-        120.0,
-        180.0,
-        260.0,
-        390.0,
-        STOP_DEG,
-    ),
+    actions_deg=(*(-a for a in reversed(_ANGLES)), 0.0, *_ANGLES),
     doe="low-pass",
     cost=TanhCost(goal=0.15, action_cost=0.0),  # its actions are angles: a price on them would pull the wheel straight
 )

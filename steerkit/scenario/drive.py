@@ -191,7 +191,7 @@ class PolicyDrives:
         self._policy = _policy_of(loop)
         self._open = tuple(parameters)
         nets = m.Routine(name="nets", size=len(self._policy.actions), call=lambda *s: self._policy.values(*s))
-        stands = OpenPolicy(policy=self._policy, nets=nets, numbers=numbers_of(self._policy), dt=self._policy.dt)
+        stands = OpenPolicy.of(self._policy, nets)
         guarded = isinstance(loop.blocks["controller"], ExceptionGuard)
         self._numbers = "controller.block.numbers" if guarded else "controller.numbers"
         self._compiled = compile(

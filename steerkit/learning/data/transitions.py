@@ -95,16 +95,6 @@ class Transitions:
                 new[: self._n] = old[: self._n]
                 setattr(self, name, new)
 
-    def mirrored(self, description: StateDescription) -> Transitions:
-        """These transitions as seen in the mirror, under the same episode numbers."""
-        fault = f"columns {self.names}, but the description has {description.names}"
-        require(description.names == self.names, "Transitions.mirrored", fault)
-        s, a = description.mirror(self.s, self.a)
-        s_next, _ = description.mirror(self.s_next, self.a)
-        other = Transitions(self.names)
-        other.extend(s, a, s_next, self.episode)
-        return other
-
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write everything to one .npz file (no pickle)."""
         write_arrays(

@@ -11,7 +11,6 @@ import casadi
 import numpy as np
 import pytest
 
-from steerkit._support.files import read_arrays, write_arrays
 from steerkit.controllers.delay_compensator import LENGTH, LONGEST, PREVIEW, DelayCompensator, Motion, moved, nothing
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.learning.nfq.iterate import STANDARD, mirror_image
@@ -150,22 +149,6 @@ def test_numbers_out_of_range_are_refused() -> None:
     with pytest.raises(ValueError, match="preview_points"):
         NfqPolicy(forecast=DelayCompensator())
     assert DelayCompensator().dt == DT
-
-
-def test_a_policy_of_before_there_were_fast_cars_drives_as_it_did_and_one_of_another_fast_car_is_refused(
-    tmp_path: Path,
-) -> None:
-    policy = NfqPolicy(nets=(new_net(seed=1),), preview_points=PREVIEW, forecast=replace(CAR, trust=0.25))
-    policy.save(tmp_path / "p.npz")
-    arrays = {name: value for name, value in read_arrays(tmp_path / "p.npz", "policy").items() if name != "format"}
-    numbers = arrays["forecast"]
-    for loss in ((), (0.0,), (1.2e-3,)):
-        write_arrays(tmp_path / "old.npz", "policy", {**arrays, "forecast": np.append(numbers[:8], loss)})
-        if loss == (1.2e-3,):
-            with pytest.raises(ValueError, match="learn it again"):
-                NfqPolicy.load(tmp_path / "old.npz")
-        else:
-            assert NfqPolicy.load(tmp_path / "old.npz").forecast == policy.forecast
 
 
 @pytest.mark.parametrize(

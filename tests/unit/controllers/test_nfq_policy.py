@@ -148,8 +148,7 @@ def test_mirrored_nets_steer_to_the_other_side() -> None:
     signs = np.array([*STANDARD.mirror_signs, -1.0])
     turned = replace(POLICIES[0], nets=tuple((net[0] * signs, *net[1:]) for net in NETS))
     s = cars(50)
-    image, _ = STANDARD.mirror(s.T, np.zeros(50))
-    here, there = ask(POLICIES[0], s), ask(turned, image.T)
+    here, there = ask(POLICIES[0], s), ask(turned, np.array(STANDARD.mirror_signs)[:, None] * s)
     np.testing.assert_array_equal(there.action, -here.action)
     np.testing.assert_allclose(there.q, here.q, atol=1e-14)
 

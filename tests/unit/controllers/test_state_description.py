@@ -21,16 +21,6 @@ def test_the_scale_of_actions_is_the_largest_unless_it_is_given() -> None:
     assert StateDescription(action_scale=2.0).scale_of((0.1, -0.5)) == 2.0
 
 
-def test_the_mirror_turns_all_but_the_speed_and_undoes_itself() -> None:
-    s, a = np.array([[0.1, 0.2, 5.0, 0.3, 0.4, 6.0]]), np.array([0.5])
-    there, action = STANDARD.mirror(s, a)
-    assert there.tolist() == [[-0.1, -0.2, 5.0, -0.3, -0.4, -6.0]]
-    assert action.tolist() == [-0.5]
-    again = STANDARD.mirror(there, action)
-    np.testing.assert_array_equal(again[0], s)
-    np.testing.assert_array_equal(again[1], a)
-
-
 def test_a_fast_car_and_a_slow_one_give_the_net_the_same_numbers() -> None:
     """The same e_dot, and the same lateral acceleration of wheel and yaw rate, at 4, 8 and 16 m/s."""
     fast = StateDescription(scaled_from=4.0)

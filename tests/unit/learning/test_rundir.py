@@ -180,22 +180,3 @@ def test_a_run_on_files_is_carried_elsewhere(tmp_path: Path, monkeypatch: pytest
     other = Experiment(scenario=Scenario(course=str(file)), minutes=0.05, seed=1)
     with pytest.raises(ValueError, match="a run of another experiment"):
         learn(other, tmp_path / "there" / "run")
-
-
-def test_a_run_from_when_the_plain_element_was_called_direct_is_read() -> None:
-    experiment = Experiment(setting=setting("bang-bang"))
-    data = json.loads(json.dumps(rundir.plain(experiment)).replace('"doe": "plain"', '"doe": "direct"'))
-    assert data["setting"]["doe"] == "direct"
-    assert rundir.from_plain(data, "run.json") == experiment
-    with pytest.raises(ValueError, match="element 'direkt' is not known; valid: integrator, low-pass, plain"):
-        rundir.from_plain(data["setting"] | {"doe": "direkt"}, "run.json")
-
-
-def test_a_run_of_before_goes_on_with_the_actions_of_its_set(tmp_path: Path) -> None:
-    rundir.keep_in(LearningRun(SHORT), tmp_path)
-    assert rundir.load(tmp_path).policy.continuous
-    file = tmp_path / "run.json"
-    data = json.loads(file.read_text(encoding="utf-8"))
-    del data["experiment"]["setting"]["continuous"]
-    file.write_text(json.dumps(data), encoding="utf-8")
-    assert not rundir.experiment_of(tmp_path).setting.continuous

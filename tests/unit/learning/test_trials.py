@@ -56,7 +56,7 @@ def test_compiled_and_interpreted_they_are_the_same_whatever_the_layout() -> Non
     """To the last bit, by one program, for nets of another number and another size too."""
     more = [
         replace(policy(9), nets=nfq.fresh_nets(FitSetting(nets=3, hidden=(6,)), SETTING.description(), seed=9)),
-        replace(policy(8), nets=policy(8).nets + policy(7).nets, ready_from=99.0),
+        replace(policy(8), nets=policy(8).nets + policy(7).nets),
     ]
     policies = [policy(1), *more, policy(2)]
     trials._drives.cache_clear()

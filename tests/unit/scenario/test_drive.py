@@ -74,7 +74,6 @@ FORECAST = DelayCompensator(samples=3, now=0.02, before=0.03, earlier=0.01, back
     [
         learned(),
         learned(nets=untrained(DEFAULT, 7).nets[:1]),  # type: ignore[index]
-        learned(ready_from=math.inf),
         learned(combine="max"),
         learned(combine="disagreement"),
         *(learned(forecast=replace(FORECAST, samples=n, loss=0.002, straight=0.05)) for n in (0, 1, 2, LONGEST)),
@@ -99,6 +98,7 @@ def test_compiled_drives_serve_every_policy_of_a_kind_to_the_last_bit(policy: Nf
         {"continuous": False},
         {"preview_points": 0},
         {"dt": 0.1},
+        {"ready_from": math.inf},
         {"description": replace(DEFAULT.description(), scaled_from=5.0)},
     ],
 )

@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from steerkit.controllers.state_description import StateDescription
 from steerkit.learning.data.transitions import Transitions
 
 
@@ -72,17 +71,6 @@ def test_non_finite_rows_are_refused_by_name_and_leave_nothing(value: float) -> 
 def test_wrong_shapes_are_refused_with_the_columns() -> None:
     with pytest.raises(ValueError, match=r"expected \(1, 6\): e, e_dot, v, psi_e, r_e, doe"):
         Transitions().append(np.zeros(5), 0.0, np.zeros(6), 0)
-
-
-def test_the_mirror_image_is_the_other_side_and_its_own_inverse() -> None:
-    record, description = filled(20), StateDescription()
-    image = record.mirrored(description)
-    np.testing.assert_array_equal(image.s, record.s * [-1, -1, 1, -1, -1, -1])
-    np.testing.assert_array_equal(image.s_next, record.s_next * [-1, -1, 1, -1, -1, -1])
-    np.testing.assert_array_equal(image.a, -record.a)
-    np.testing.assert_array_equal(image.mirrored(description).s, record.s)
-    with pytest.raises(ValueError, match="but the description has"):
-        Transitions(("x",)).mirrored(description)
 
 
 def test_saved_and_loaded_bit_for_bit(tmp_path: Path) -> None:

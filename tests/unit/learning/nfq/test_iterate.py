@@ -267,8 +267,7 @@ def test_ranges_become_minus_one_and_one() -> None:
 
 def test_mirroring_patterns_is_mirroring_states() -> None:
     record = recorded(50)
-    image = record.mirrored(STANDARD)
-    there = patterns(STANDARD, image.s, image.a, 0.5)
+    there = patterns(STANDARD, record.s * STANDARD.mirror_signs, -record.a, 0.5)
     np.testing.assert_array_equal(there, mirror_patterns(STANDARD, patterns(STANDARD, record.s, record.a, 0.5)))
 
 
