@@ -180,7 +180,7 @@ class CarLearner:
         correction, sent, state = (
             self._value(live, f"{s}") for s in ("safety.correction", "safety.delta_sw", "doe.state")
         )
-        return self.learner_state.taught(action, self._element, correction=correction, sent=sent, state=state)
+        return self.learner_state.recorded_action(action, self._element, correction=correction, sent=sent, state=state)
 
     def _filtered(self, live: Run, *, learning: bool, engaged: bool) -> bool:
         """Note what the safety filter did; must the policy lose the wheel for it, or because the filter failed?"""
@@ -210,8 +210,8 @@ class CarLearner:
         training = "training" if self.trainer.busy else "idle"
         fault = f", {learner_state.faults[-1]}" if learner_state.faults else ""
         fault += "".join([f", {count} x {what}" for what, count in self.filter_faults.items()])
-        if counts.recovery and counts.recovery.said:
-            fault += f", {counts.recovery.said}"
+        if counts.recovery and counts.recovery.report:
+            fault += f", {counts.recovery.report}"
         return (
             f"net {counts.updates}, {len(learner_state.transitions)} transitions, "
             f"{counts.driven:.0f} m by the learner, {counts.failures} failures, trainer {training}{fault}"

@@ -76,7 +76,7 @@ class StateDescription:
         return m.maximum(v / self.scaled_from, 1.0)
 
     def scaled(self, s: Sequence[Any]) -> tuple[Any, ...]:
-        """The columns e, e_dot, v, psi_e, r_e, doe as a net is told them; for floats, arrays and symbols.
+        """The columns e, e_dot, v, psi_e, r_e, doe as a net sees them; for floats, arrays and symbols.
 
             x = max(1, v/scaled_from):   e, e_dot, v/sqrt(x), c x - w x^2, r_e x, doe x^2;   an action a turns by a/x^2
             c = e_dot/v,   w = c - psi_e

@@ -121,7 +121,7 @@ class SmoothCost:
     """
 
     cost: BandCost | IdoeCost | TanhCost = field(default_factory=TanhCost)
-    """The cost that tells the task."""
+    """The cost of the task itself."""
     jerk_cost: float = 0.005
     """Price of a step with a jerk of `jerk_unit` or more."""
     jerk_unit: float = 5.0

@@ -1,4 +1,4 @@
-"""The experiment: a car drives, fails, is caught, trains, re-enters, and every second of it is counted."""
+"""The learning experiment: a car drives, fails, recovers and trains, and every second of it is counted."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Experiment:
     rounds: int = 0
     """Complete rounds driven by the learner after which it ends; 0: never."""
     seed: int = 0
-    """Seed of the nets, the human and the sensors."""
+    """Seed of the nets, the driver and the sensors."""
 
     def __post_init__(self) -> None:
         asked = (
@@ -82,7 +82,7 @@ class Experiment:
 
 
 class LearningRun:
-    """A learning run in progress in simulation: the loop, its state, and the learner's story.
+    """A learning run in progress in simulation: the loop, its state, and the learner's.
 
     `learning.learn` drives it to its end; it can be stepped by hand too: `drive()` one control sample at a time.
     `keep`, if set, is called after every sample with a training in it, to write a checkpoint; `each` with every sample
@@ -211,7 +211,7 @@ class LearningRun:
         if not self.safe:
             return action
         correction, sent, state = map(self._value, ("safety.correction", "safety.delta_sw", "doe.state"))
-        return self.learner_state.taught(action, self._element, correction=correction, sent=sent, state=state)
+        return self.learner_state.recorded_action(action, self._element, correction=correction, sent=sent, state=state)
 
     def _had_enough(self) -> bool:
         """Has the policy been corrected for as long as it may be?"""
@@ -240,11 +240,13 @@ class LearningRun:
             self.steer()
             self._begin_anew()
             supervisor = self.loop.names.index("supervisor")
-            self.x[supervisor] = SupervisorState(self.x[supervisor][0], 0.0)  # a fault was that of the policy before
+            self.x[supervisor] = SupervisorState(
+                self.x[supervisor][0], 0.0
+            )  # a fault of the policy before is forgotten
         self._tell("trained" if taken else "lost")
 
     def steer(self) -> None:
-        """Put the story's policy into the loop, between two samples; the loop's state goes on."""
+        """Put the learner's policy into the loop, between two samples; the loop's state goes on."""
         self.recorder.loop = self.loop = with_controller(self.loop, self._controller())
 
     def _controller(self) -> Block:
@@ -262,12 +264,12 @@ class LearningRun:
             self.x[controller] = self.loop.settled("controller", y)
 
     def _put_back(self, s: float) -> None:
-        """The car stands on the path at s [m] again, with the human's mood unchanged."""
+        """Put the car on the path at s [m]; the speed driver's state goes on."""
         loop, driver = self.loop, self.x[self.loop.names.index("driver")]
         start = loop.with_block("car", self.experiment.scenario.car(self.path, s=s, seed=self.experiment.seed)).init()
         start = loop.with_block_state(start, "driver", driver)
         self.x, self.y = list(start.x), list(start.y)
-        self.learner_state.carried(self.t)
+        self.learner_state.relocated(self.t)
 
     def _state(self) -> tuple[float, ...]:
         s = tuple([self._value(signal) for signal in self._inputs.values()])

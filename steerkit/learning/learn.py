@@ -30,7 +30,7 @@ def learn(
     A directory that holds an unfinished run of the same experiment is resumed from its last training, with the
     same numbers as if it had never stopped. One that has come to its end learns on where `minutes`, `episodes` or
     `rounds` are more now, with the same numbers as if it had been so many from the start. watch: called with
-    what has happened and the run: "failed", "trained", "lost" (a training that came to nothing), "round", "stuck", and
+    what has happened and the run: "failed", "trained", "lost" (a training without a result), "round", "stuck", and
     "second" after each second of driving. each: called with every sample that is recorded, such as a live stream's.
     Raises ValueError when the directory holds something else, when another process learns in it, and for parts of
     your own that could not be found again when the run is read.
@@ -81,9 +81,9 @@ def _check_same(kept: Experiment, asked: Experiment, place: FilePath) -> None:
     what = f"{place} holds a run of another experiment: its {' and '.join(differing)} {verb}"
     require(not differing, "learn", f"{what}; choose another directory")
     less = [name for name in ENDS if _later(getattr(kept, name)) > _later(getattr(asked, name))]
-    told = ", ".join(f"{name} {getattr(kept, name):g}, now {getattr(asked, name):g}" for name in less)
+    more = ", ".join(f"{name} {getattr(kept, name):g}, now {getattr(asked, name):g}" for name in less)
     require(
-        not less, "learn", f"{place} holds a run of more: {told}; give as much or more, or choose another directory"
+        not less, "learn", f"{place} holds a run of more: {more}; give as much or more, or choose another directory"
     )
 
 

@@ -16,12 +16,12 @@ from steerkit.learning.trainer import Job, Result, Training
 from steerkit.task import RELEASE
 
 PATIENCE = 20.0
-"""For how long the recovery controller may steer before the run says that it does not get to hand over [s]."""
+"""Time for which the recovery controller may steer before the run reports that it cannot hand over [s]."""
 
 
 @dataclass(kw_only=True)
 class Episode:
-    """One time at the wheel of the learner, from take-over to failure (or to the end of the run)."""
+    """One stretch in which the learner steers, from its take-over to a failure (or to the end of the run)."""
 
     began: float
     """Driving time at the take-over [s]."""
@@ -32,7 +32,7 @@ class Episode:
     ended: float | None = None
     """Driving time at its end [s]; None while it lasts."""
     failed: bool = False
-    """Did it end because the recovery controller had to take the wheel?"""
+    """Did it end because the recovery controller had to take over?"""
     distance: float = 0.0
     """Path distance covered [m]."""
     sum_e2: float = 0.0
@@ -48,15 +48,15 @@ class Episode:
 
 @dataclass(kw_only=True)
 class Recovery:
-    """The time for which the recovery controller has been steering without a break."""
+    """The time for which the recovery controller has steered without a break."""
 
     began: float
-    """Driving time at its begin, or when it was last said that it lasts [s]."""
+    """Driving time at its begin, or at the last report that it lasts [s]."""
     nearest: float = math.inf
     """Least |e| since then [m]."""
     slowest: float = math.inf
     """Least |e_dot| since then with |e| < RELEASE [m/s]."""
-    said: str = ""
+    report: str = ""
     """The newest line of `Counts.stuck` about it."""
 
 
@@ -81,7 +81,7 @@ class Counts:
     failures_to_round: int | None = None
     """Failures before the first complete round."""
     corrected: int = 0
-    """Samples in which the policy at the wheel had to be corrected by the safety filter, since it got it."""
+    """Samples in which the safety filter corrected the policy, since that took over."""
     episodes: list[Episode] = field(default_factory=list)
     recovery: Recovery | None = None
     """That of the recovery controller now; None: it does not steer."""
@@ -90,7 +90,7 @@ class Counts:
 
     @property
     def failures(self) -> int:
-        """How often the recovery controller had to take the wheel."""
+        """How often the recovery controller had to take over."""
         return sum(episode.failed for episode in self.episodes)
 
     @property
@@ -104,7 +104,7 @@ class Counts:
         return self.episodes[-1] if self.episodes and self.episodes[-1].ended is None else None
 
     def steered(self, t: float, *, progress: float, e: float, round_length: float = math.inf) -> bool:
-        """One sample with the learner at the wheel, at driving time t [s]; was a round of that length complete in it?
+        """One sample in which the learner steers, at driving time t [s]; was a round of that length complete in it?
 
         progress: along the path [m]; e: cross-track error [m]. An episode begins with its first sample.
         """
@@ -152,7 +152,7 @@ class Counts:
             why = "the training of the next policy is not done" if busy else "no policy is ready to take over"
         line = f"at {t:.0f} s: recovery has steered for {PATIENCE:g} s and cannot hand over: {why}"
         self.stuck.append(line)
-        self.recovery = Recovery(began=t, said=line)
+        self.recovery = Recovery(began=t, report=line)
         return line
 
 
@@ -175,10 +175,10 @@ class Before(NamedTuple):
 class TransitionRecorder:
     """Makes transitions (s, a, s_next) of the samples of a drive, and hands each to `keep`.
 
-    A transition is two samples that follow each other without a gap, in the first of which the learner steered. So the
-    sample in which the learner loses the wheel is the end of a transition and never the beginning of one; nothing is
-    recorded while another steers, across a sample that was left out, or from a car that was carried elsewhere
-    (`forget`). Samples that are not finite are left out.
+    A transition is two samples that follow each other without a gap, in the first of which the learner steered. The
+    sample in which the recovery controller takes over ends a transition and never begins one. Nothing is recorded while
+    another controller steers, across a missing sample, or across a relocation of the car (`forget`). Samples that are
+    not finite are left out.
     """
 
     def __init__(self, keep: Keep):
@@ -194,7 +194,7 @@ class TransitionRecorder:
         self.before = Before(number, s, action) if learning and sound and math.isfinite(action) else None
 
     def forget(self) -> None:
-        """The next sample does not follow from the last one: the car was carried elsewhere, or time has passed."""
+        """The next sample does not follow from the last one: the car was relocated, or time has passed."""
         self.before = None
 
 
@@ -231,7 +231,7 @@ class Events(NamedTuple):
 
 
 class LearnerState:
-    """What a learner has seen and done, when it trains, and who may steer; whoever drives it asks after each sample.
+    """What a learner has recorded and counted, when it trains, and whether it may steer; updated after each sample.
 
     setting: how it learns. seed: of the nets. policy: to begin with, and `net` its number. trainer: makes new policies
     of what was recorded. transitions: recorded before (default: none). first: number of the first episode. also: a
@@ -267,7 +267,7 @@ class LearnerState:
 
     @property
     def steering(self) -> Any:
-        """The policy for the loop: one that is not trusted never says that it is ready."""
+        """The policy for the loop: one that is not trusted never reports ready."""
         return self.policy if self.trusted else replace(self.policy, ready_from=math.inf)
 
     def sample(
@@ -285,7 +285,7 @@ class LearnerState:
         """Record and count sample `number`, at driving time t [s].
 
         s: the learner's state (SI), of the columns `names`. action: its wish [rad]. learning: does it steer?
-        failed: if not, was the wheel taken from it? progress: along the path [m]. e: cross-track error [m], which
+        failed: if not, did recovery take over? progress: along the path [m]. e: cross-track error [m], which
         its state may hold with noise.
         """
         episode = self._first + len(self.counts.episodes) - 1
@@ -294,20 +294,22 @@ class LearnerState:
             return Events(None, self.counts.steered(t, progress=progress, e=e, round_length=self._round_length))
         return Events(self.counts.ended(t, failed=failed), False)
 
-    def carried(self, t: float) -> None:
-        """Somebody carried the car elsewhere: that ends the episode and the recovery, and is no transition."""
+    def relocated(self, t: float) -> None:
+        """The car was put elsewhere: that ends the episode and the recovery, and is no transition."""
         self.recorder.forget()
         self.counts.ended(t, failed=False)
         self.counts.recovery = None
 
     def corrected(self, share: float) -> bool:
-        """The safety filter put so much of its backup [1] into the policy's command: was that once too often?"""
+        """The safety filter put that share of its backup [1] into the command: was that for too long?"""
         counts, setting = self.counts, self.setting
         counts.corrected += share > 0.0
         return counts.corrected * self.policy.dt >= setting.corrected_seconds
 
-    def taught(self, action: float, element: OutputElement, *, correction: float, sent: float, state: float) -> float:
-        """The action [rad] that a sample teaches: where the filter changed the angle, the one that makes what was sent.
+    def recorded_action(
+        self, action: float, element: OutputElement, *, correction: float, sent: float, state: float
+    ) -> float:
+        """The action [rad] to record: where the filter changed the angle, the one that makes what was sent.
 
         action: the policy's. correction, sent [rad]: of the filter. state [rad]: of the output element.
         """
@@ -346,8 +348,8 @@ class LearnerState:
     def take_over(self, t: float, *, e: float, e_dot: float) -> Result | None:
         """Let a policy that is ready take over, if now is the time; returns what came of its training, if anything.
 
-        e [m], e_dot [m/s]: as the learner sees them. A training that came to nothing is repeated at once where nobody
-        but the recovery controller would drive; else the next one comes when it is due.
+        e [m], e_dot [m/s]: as measured. A training without a result is repeated at once while recovery steers; else the
+        next one comes when it is due.
         """
         if not (self.trusted or self.calm(e, e_dot)):
             return None
@@ -357,14 +359,12 @@ class LearnerState:
         self.counts.train_seconds += result.seconds
         if result.fault:
             self.faults.append(result.fault)
-        if result.nets is None and result.policy is None:
+        if result.nets is None:
             if not self.trusted:
                 self.train(t, trusted=False)
             return result
-        policy = (
-            replace(self.policy, nets=result.nets, forecast=result.forecast) if result.policy is None else result.policy
-        )
-        self.policy, self.net, self.trusted = replace(policy, ready_from=0.0), result.number, True
+        policy = replace(self.policy, nets=result.nets, forecast=result.forecast, ready_from=0.0)
+        self.policy, self.net, self.trusted = policy, result.number, True
         return result
 
     def recovering(self, t: float, *, e: float, e_dot: float) -> str | None:

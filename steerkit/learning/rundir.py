@@ -38,7 +38,7 @@ from steerkit.scenario import Scenario
 from steerkit.scenario.scenario import of_table
 
 LOCK, HOLDER = ".lock", ".learner"
-"""The lock, which ends with its process, however that ends; and a line that says whose it is."""
+"""The lock, which ends with its process, however that ends; and a line that names its holder."""
 
 
 @contextmanager
@@ -65,7 +65,7 @@ def held(place: FilePath) -> Iterator[None]:
 
 
 def this_process() -> str:
-    """The line that says whose something is: "process 4711 (steerkit learn) since 2026-11-22 09:00:00"."""
+    """The line that names this process: "process 4711 (steerkit learn) since 2026-11-22 09:00:00"."""
     command = shlex.join([FilePath(sys.argv[0]).name, *sys.argv[1:]])
     return f"process {os.getpid()} ({command}) since {time.strftime('%Y-%m-%d %H:%M:%S')}"
 
@@ -138,7 +138,7 @@ def from_plain(data: Any, where: str, default: type | None = None) -> Any:
 
 
 def _own_kind(name: str, where: str) -> type:
-    """A class of somebody's own: a part of an experiment, and nothing else that could be imported."""
+    """A user's class: a part of an experiment, and nothing else that could be imported."""
     kind = imported(name, where)
     fits = isinstance(kind, type) and is_dataclass(kind)
     known = (Scenario, Setting, FitSetting)
@@ -180,7 +180,7 @@ def save(run: LearningRun, place: FilePath) -> None:
     }
     write_text(place / "run.json", json.dumps(document, indent=1))
     for stale in (*place.glob("state-*.npz"), *place.glob("transitions-*.npz"), *place.glob("nets/steering-*.npz")):
-        if int(stale.stem.split("-")[1]) not in (number, number - 1):  # somebody may be reading the one before
+        if int(stale.stem.split("-")[1]) not in (number, number - 1):  # a reader may be at the one before
             stale.unlink()
 
 

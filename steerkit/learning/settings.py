@@ -59,7 +59,7 @@ class Setting:
     """Speed above which the same action turns the wheel the less, the faster the car is [m/s]: see
     `StateDescription.scaled`. Without it (infinity) nets hardly learn above 12 m/s."""
     hint_doe: float = 0.02
-    """Half-width of the hints' steering angles, as a share of the largest. 1 would say that any angle may be held at
+    """Half-width of the hints' steering angles, as a share of the largest. 1 would mean that any angle may be held at
     psi_e = 0, which is wrong where e is measured at the front axle. `paper`, 6 seeds, 11 minutes: 0.02: a round in
     all, done after 373 s in the median; 1: in half of them; no hints: in two thirds."""
     retrain_every_m: float = 50.0
@@ -74,8 +74,8 @@ class Setting:
     exploration: float = 0.0
     """Share of samples in which the learner takes an action drawn at random, while it learns (never in test drives)."""
     after_failure: str = "recovery"
-    """`recovery`: the analytic controller steers until the new net takes over. `reset`: the car stops, and a human puts
-    it back on the path where it failed, in `reset_seconds`; then the recovery controller steers until the net is
+    """`recovery`: the analytic controller steers until the new net takes over. `reset`: the car stops, and is put back on
+    the path where it failed, in `reset_seconds`; then the recovery controller steers until the net is
     ready. `shift`: the target path moves sideways to the car, the old net drives on at once and is trained meanwhile,
     and the target moves slowly back (`steerkit.controllers.supervisor.TargetShift`)."""
     reset_seconds: float = 20.0
@@ -98,12 +98,12 @@ class Setting:
             self.corrected_seconds > 0.0, "Setting", f"corrected_seconds = {self.corrected_seconds} s, expected > 0"
         )
         require(self.teaches in TEACHES, "Setting", f"teaches = {self.teaches!r}; valid: {', '.join(TEACHES)}")
-        caught = f"after_failure = {self.after_failure!r} with safe, expected recovery"
-        require(not self.safe or self.after_failure == "recovery", "Setting", caught)
-        tells = element_kind(self.doe).action_for is not OutputElement.action_for
+        no_filter = f"after_failure = {self.after_failure!r} with safe, expected recovery"
+        require(not self.safe or self.after_failure == "recovery", "Setting", no_filter)
+        invertible = element_kind(self.doe).action_for is not OutputElement.action_for
         expected = "expected an element with a method action_for (see steerkit.doe.OutputElement)"
-        silent = f"doe = {self.doe!r} with safe, {expected}"
-        require(tells or not self.safe or self.teaches == "chosen", "Setting", silent)
+        not_invertible = f"doe = {self.doe!r} with safe, {expected}"
+        require(invertible or not self.safe or self.teaches == "chosen", "Setting", not_invertible)
         require(self.reset_seconds >= 0.0, "Setting", f"reset_seconds = {self.reset_seconds} s, expected >= 0")
         require(self.calm > 0.0, "Setting", f"calm = {self.calm} m/s, expected > 0")
         require(len(self.actions_deg) >= 2, "Setting", f"actions_deg = {self.actions_deg}, expected at least two")

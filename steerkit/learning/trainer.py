@@ -83,8 +83,6 @@ class Result(NamedTuple):
     """Computing time of it and of the jobs before it that were never handed out [s]."""
     fault: str = ""
     """What went wrong; with nets: what went wrong before they were made all the same."""
-    policy: Any = None
-    """The new policy, of a trainer that makes another one than nets."""
     forecast: DelayCompensator | None = None
     """What goes with the nets: see `Learned`."""
 
@@ -261,10 +259,10 @@ class _Worker(threading.Thread):
         self.process.join()
 
     def _result(self, job: Job) -> Result:
-        began, told = time.monotonic(), list[str]()
+        began, faults = time.monotonic(), list[str]()
         for _ in range(ATTEMPTS):
             if not self.process.is_alive():
-                told.append(self._restart("while idle"))
+                faults.append(self._restart("while idle"))
             try:
                 _send(self._link, (job, self.learned))
                 if not self._link.poll(self.patience):
@@ -273,18 +271,18 @@ class _Worker(threading.Thread):
             except (EOFError, OSError):  # the process is dead
                 if self._ending:
                     return Result(job.number, None, 0.0, "closed")
-                told.append(self._restart(f"while training net {job.number}"))
+                faults.append(self._restart(f"while training net {job.number}"))
                 continue
             except (pickle.PicklingError, TypeError, AttributeError) as why:
                 learned, error, seconds = None, f"net {job.number}: the job cannot be sent to a process: {why}", 0.0
             self._deaths = 0
             self.learned = learned or self.learned
-            fault = "; ".join([*told, *([self._fault(error)] if error else [])])
+            fault = "; ".join([*faults, *([self._fault(error)] if error else [])])
             if learned is None:
                 return Result(job.number, None, seconds, fault)
             return Result(job.number, learned.nets, seconds, fault, forecast=learned.forecast)
-        told.append(self._fault(f"net {job.number} is given up: the process died {ATTEMPTS} times over it"))
-        return Result(job.number, None, time.monotonic() - began, "; ".join(told))
+        faults.append(self._fault(f"net {job.number} is given up: the process died {ATTEMPTS} times over it"))
+        return Result(job.number, None, time.monotonic() - began, "; ".join(faults))
 
     def _restart(self, when: str) -> str:
         """A new process; returns what became of the old one."""

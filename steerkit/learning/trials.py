@@ -83,7 +83,7 @@ class TrialDrive:
 
 
 def drive_each(scenario: Scenario, setting: Setting, policies: Sequence[Any], *, seed: int = 0) -> list[TrialDrive]:
-    """Let each policy drive one round, all with the same human and sensors (`seed`).
+    """Let each policy drive one round, all with the same driver and sensors (`seed`).
 
     Nets of a kind share one compiled loop, to the numbers of the interpreted drive; policies that are no nets, or that
     drive in a loop that cannot be compiled, are interpreted, which takes a second or two each.

@@ -1,4 +1,4 @@
-"""Pictures of a drive, as matplotlib figures: a round on the map, cross-track error over time, who steered."""
+"""Pictures of a drive, as matplotlib figures: a round on the map, and cross-track error over time."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def trace(log: Log, *, title: str, seconds: float = 100.0) -> Any:
 def learning(log: Log, *, title: str, seconds: float | None = None) -> Any:
     """Cross-track error from the first second on, shaded where the recovery controller steers (figure 5).
 
-    seconds: how much of the drive is shown; all of it where nothing is said.
+    seconds: how much of the drive is shown; default: all of it.
     """
     figure, (axis,) = new_figure(rows=1, title=title)
     if seconds is None:

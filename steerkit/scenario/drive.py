@@ -57,7 +57,7 @@ def assembled(
     """The loop of a drive in simulation, whoever drives: learner, test drive, suite or environment.
 
     place: course, car and disturbances. controller, doe, recovery, shift, safety: as for `steering_loop`. seed: of
-    human, sensors, gusts and the link's delays. s: where the car starts [m]; None: where the place says.
+    driver, sensors, gusts and the link's delays. s: where the car starts [m]; None: where the place says.
     Raises what `steering_loop` raises.
     """
     path = place.path()
@@ -97,7 +97,7 @@ def controller(name: str, scenario: Scenario) -> Block:
 def drive_loop(
     scenario: Scenario, steering: Block, *, doe: Block | None = None, seed: int = 0, s: float | None = None
 ) -> Loop:
-    """The loop of a test drive: a policy (with its doe) is caught by the scenario's recovery."""
+    """The loop of a test drive: a policy (with its doe) has the scenario's recovery controller behind it."""
     if "ready" not in [port.name for port in steering.outputs]:
         return assembled(scenario, steering, doe=doe, seed=seed, s=s)
     if "ready_from" in {field.name for field in fields(steering)}:
@@ -148,7 +148,7 @@ def held_all_along(log: Log, *, limit: float = TRIP) -> bool:
 
 
 def row_of(name: str, log: Log) -> dict[str, Any]:
-    """A drive's figures, for a program: who drove, was it held, and `steerkit.metrics.Summary`."""
+    """A drive's figures, for a program: its controller, was it held, and `steerkit.metrics.Summary`."""
     return {"controller": name, "held": held_all_along(log), **asdict(of_log(log))}
 
 

@@ -1,4 +1,4 @@
-"""The film of a learning run, for a page's first screen: who drives, for how long, how far off, how often it failed::
+"""The film of a learning run, for a page's first screen: which controller steers, |e|, failures::
 
     film = film_of("runs/mine", "learning.gif")
 

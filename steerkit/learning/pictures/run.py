@@ -39,7 +39,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Record:
-    """What a run directory tells about a run."""
+    """What a run directory holds of a run."""
 
     name: str
     experiment: Experiment
@@ -94,7 +94,7 @@ class Record:
 
 @styled
 def learning_curve(record: Record) -> Figure:
-    """Time at the wheel, RMS e over the last seconds, and failures, over driving time; shaded: recovery steers."""
+    """How long the learner steered, RMS e over the last seconds, and failures; shaded: recovery steers."""
     figure, (held, error, count) = new_figure(3, title=f"{record.name}: learning curve", width=10.5)
     for axis in (held, error, count):
         axis.fill_between(
@@ -140,7 +140,7 @@ def _draw_held(axis: Axes, record: Record, colour: str, mark: str) -> None:
         axis.plot(episode.began + t, t, color=colour, lw=1.2)
         if episode.failed:
             axis.plot(episode.began + t[-1], t[-1], "x", color=mark, ms=5, mew=1.1)
-    axis.set(yscale="log", ylabel="at the wheel for [s]")
+    axis.set(yscale="log", ylabel="learner steers for [s]")
     axis.set_yticks((0.1, 1.0, 10.0, 100.0), ("0.1", "1", "10", "100"))
 
 

@@ -1,4 +1,4 @@
-"""The learner's story: when it is trained, on what, and who may steer; told to a trainer that a test holds in hand."""
+"""The learner's story: when it is trained, on what, and who may steer; fed to a trainer that a test holds in hand."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class InHand:
     def close(self) -> None: ...
 
 
-class Told:
+class Fed:
     """A story, and a car that goes a metre in each sample."""
 
     def __init__(self, **options: Any):
@@ -71,12 +71,12 @@ class Told:
 
 def test_what_is_recorded_goes_to_both_places_under_the_episode_s_number() -> None:
     also: list[Any] = []
-    told = Told(first=4, also=lambda *row: also.append(row))
-    told.drive(3)
-    assert told.drive(1, learning=False, failed=True).ended.failed
-    told.drive(2, learning=False)
-    told.drive(2)
-    record = told.learner_state.transitions
+    fed = Fed(first=4, also=lambda *row: also.append(row))
+    fed.drive(3)
+    assert fed.drive(1, learning=False, failed=True).ended.failed
+    fed.drive(2, learning=False)
+    fed.drive(2)
+    record = fed.learner_state.transitions
     assert record.episode.tolist() == [4, 4, 4, 5] == [row[3] for row in also]
     assert record.s.tolist() == [list(row[0]) for row in also]
     assert record.s_next[:, 0].tolist() == [0.02, 0.03, 0.04, 0.08]
@@ -85,64 +85,64 @@ def test_what_is_recorded_goes_to_both_places_under_the_episode_s_number() -> No
 def test_it_goes_on_with_what_was_recorded_before() -> None:
     before = Transitions()
     before.append((0.0,) * 6, 0.0, (0.0,) * 6, 0)
-    told = Told(transitions=before, net=7)
-    told.drive(2)
-    told.learner_state.train(0.0, trusted=True)
-    assert len(told.trainer.jobs[0].transitions) == 2  # type: ignore[arg-type]
-    assert told.trainer.jobs[0].number == 8
-    assert told.learner_state.counts.episodes[0].net == 7
+    fed = Fed(transitions=before, net=7)
+    fed.drive(2)
+    fed.learner_state.train(0.0, trusted=True)
+    assert len(fed.trainer.jobs[0].transitions) == 2  # type: ignore[arg-type]
+    assert fed.trainer.jobs[0].number == 8
+    assert fed.learner_state.counts.episodes[0].net == 7
 
 
 def test_a_job_is_the_setting_s_and_its_seed_its_own() -> None:
-    told = Told()
-    told.drive(2)
+    fed = Fed()
+    fed.drive(2)
     for _ in range(2):
-        told.learner_state.train(0.0, trusted=True)
-    job, after = told.trainer.jobs
+        fed.learner_state.train(0.0, trusted=True)
+    job, after = fed.trainer.jobs
     assert (job.actions, job.cost, job.fit, job.description) == (HOW.actions, HOW.cost, HOW.fit, HOW.description())
-    assert job.transitions is told.learner_state.transitions
+    assert job.transitions is fed.learner_state.transitions
     assert [(j.number, j.seed) for j in (job, after)] == [(1, 200_007), (2, 200_008)]
 
 
 def test_while_it_drives_it_is_trained_every_so_many_metres_and_one_training_at_a_time() -> None:
-    told = Told()
-    told.drive(5)
-    assert not told.learner_state.due()  # four metres
-    told.drive(1)
-    assert told.learner_state.due()
-    told.learner_state.train(0.0, trusted=True)
-    told.drive(6)
-    assert not told.learner_state.due()  # busy
-    told.trainer.done()
-    told.take_over()
-    assert told.learner_state.due()
-    told.learner_state.train(0.0, trusted=True)
-    told.trainer.busy = False
-    assert not told.learner_state.due()  # no metre since
-    told.learner_state.setting = replace(HOW, retrain_every_m=0.0)
-    told.drive(100)
-    assert not told.learner_state.due()  # at failures only
+    fed = Fed()
+    fed.drive(5)
+    assert not fed.learner_state.due()  # four metres
+    fed.drive(1)
+    assert fed.learner_state.due()
+    fed.learner_state.train(0.0, trusted=True)
+    fed.drive(6)
+    assert not fed.learner_state.due()  # busy
+    fed.trainer.done()
+    fed.take_over()
+    assert fed.learner_state.due()
+    fed.learner_state.train(0.0, trusted=True)
+    fed.trainer.busy = False
+    assert not fed.learner_state.due()  # no metre since
+    fed.learner_state.setting = replace(HOW, retrain_every_m=0.0)
+    fed.drive(100)
+    assert not fed.learner_state.due()  # at failures only
 
 
 def test_a_policy_that_failed_keeps_its_hands_off_until_a_newer_one_takes_over() -> None:
-    told = Told()
-    first = told.learner_state.policy
-    assert told.learner_state.steering is first
-    told.drive(2)
-    told.learner_state.train(0.0, trusted=False)
-    assert not told.learner_state.trusted
-    assert told.learner_state.steering.ready_from == math.inf
-    told.learner_state.train(0.0, trusted=True)  # a training asked for by another reason does not bring it back
-    assert not told.learner_state.trusted
-    assert told.take_over() is None
-    assert not told.learner_state.trusted
-    told.trainer.done()
-    assert told.take_over() is not None
-    assert told.learner_state.trusted
-    assert told.learner_state.net == 2
-    assert told.learner_state.steering.ready_from == 0.0
-    np.testing.assert_array_equal(told.learner_state.steering.nets[0][0], BETTER[0][0])  # type: ignore[index]
-    assert told.learner_state.counts.train_seconds == 1.5
+    fed = Fed()
+    first = fed.learner_state.policy
+    assert fed.learner_state.steering is first
+    fed.drive(2)
+    fed.learner_state.train(0.0, trusted=False)
+    assert not fed.learner_state.trusted
+    assert fed.learner_state.steering.ready_from == math.inf
+    fed.learner_state.train(0.0, trusted=True)  # a training asked for by another reason does not bring it back
+    assert not fed.learner_state.trusted
+    assert fed.take_over() is None
+    assert not fed.learner_state.trusted
+    fed.trainer.done()
+    assert fed.take_over() is not None
+    assert fed.learner_state.trusted
+    assert fed.learner_state.net == 2
+    assert fed.learner_state.steering.ready_from == 0.0
+    np.testing.assert_array_equal(fed.learner_state.steering.nets[0][0], BETTER[0][0])  # type: ignore[index]
+    assert fed.learner_state.counts.train_seconds == 1.5
 
 
 @pytest.mark.parametrize(
@@ -162,103 +162,91 @@ def test_a_policy_that_failed_keeps_its_hands_off_until_a_newer_one_takes_over()
 def test_after_a_failure_a_new_policy_waits_until_the_car_is_calm(
     calm: float, e: float, e_dot: float, taken: bool
 ) -> None:
-    told = Told(setting=replace(HOW, calm=calm))
-    told.drive(2)
-    told.learner_state.train(0.0, trusted=False)
-    told.trainer.done()
-    told.take_over(e, e_dot)
-    assert told.learner_state.trusted is taken
+    fed = Fed(setting=replace(HOW, calm=calm))
+    fed.drive(2)
+    fed.learner_state.train(0.0, trusted=False)
+    fed.trainer.done()
+    fed.take_over(e, e_dot)
+    assert fed.learner_state.trusted is taken
     if not taken:  # it is not lost
-        told.take_over()
-        assert told.learner_state.trusted
+        fed.take_over()
+        assert fed.learner_state.trusted
 
 
 def test_while_the_policy_drives_well_the_next_one_need_not_wait() -> None:
-    told = Told()
-    told.drive(2)
-    told.learner_state.train(0.0, trusted=True)
-    told.trainer.done()
-    told.take_over(e=0.4, e_dot=1.0)
-    assert told.learner_state.net == 1
+    fed = Fed()
+    fed.drive(2)
+    fed.learner_state.train(0.0, trusted=True)
+    fed.trainer.done()
+    fed.take_over(e=0.4, e_dot=1.0)
+    assert fed.learner_state.net == 1
 
 
-def test_a_training_that_came_to_nothing_is_repeated_where_nobody_else_would_drive() -> None:
-    told = Told()
-    told.drive(2)
-    told.learner_state.train(0.0, trusted=False)
-    told.trainer.done(nets=None, fault="killed")
-    assert told.take_over() == (1, None, 1.5, "killed", None, None)
-    assert [job.number for job in told.trainer.jobs] == [1, 2]
-    assert not told.learner_state.trusted
-    assert told.learner_state.faults == ["killed"]
-    told.trainer.done(fault="restarted")
-    told.take_over()
-    assert told.learner_state.trusted
-    assert told.learner_state.faults == ["killed", "restarted"]
+def test_a_training_without_a_result_is_repeated_where_nobody_else_would_drive() -> None:
+    fed = Fed()
+    fed.drive(2)
+    fed.learner_state.train(0.0, trusted=False)
+    fed.trainer.done(nets=None, fault="killed")
+    assert fed.take_over() == (1, None, 1.5, "killed", None)
+    assert [job.number for job in fed.trainer.jobs] == [1, 2]
+    assert not fed.learner_state.trusted
+    assert fed.learner_state.faults == ["killed"]
+    fed.trainer.done(fault="restarted")
+    fed.take_over()
+    assert fed.learner_state.trusted
+    assert fed.learner_state.faults == ["killed", "restarted"]
 
 
 def test_else_the_next_training_comes_when_it_is_due() -> None:
-    told = Told()
-    told.drive(2)
-    told.learner_state.train(0.0, trusted=True)
-    told.trainer.done(nets=None, fault="killed")
-    told.take_over()
-    assert len(told.trainer.jobs) == 1
-    assert told.learner_state.trusted
-    assert told.learner_state.net == 0
-    told.drive(5)
-    assert told.learner_state.due()
+    fed = Fed()
+    fed.drive(2)
+    fed.learner_state.train(0.0, trusted=True)
+    fed.trainer.done(nets=None, fault="killed")
+    fed.take_over()
+    assert len(fed.trainer.jobs) == 1
+    assert fed.learner_state.trusted
+    assert fed.learner_state.net == 0
+    fed.drive(5)
+    assert fed.learner_state.due()
 
 
 def test_without_a_transition_there_is_nothing_to_train_on() -> None:
-    told = Told()
-    told.learner_state.train(0.0, trusted=False)
-    assert told.trainer.jobs == []
-    assert told.learner_state.counts.updates == 0
-    assert not told.learner_state.trusted
+    fed = Fed()
+    fed.learner_state.train(0.0, trusted=False)
+    assert fed.trainer.jobs == []
+    assert fed.learner_state.counts.updates == 0
+    assert not fed.learner_state.trusted
 
 
-def test_a_car_that_was_carried_elsewhere_ends_the_episode_and_makes_no_transition() -> None:
-    told = Told()
-    told.drive(3)
-    told.learner_state.carried(1.0)
-    told.drive(2)
-    first, second = told.learner_state.counts.episodes
+def test_a_car_that_was_put_elsewhere_ends_the_episode_and_makes_no_transition() -> None:
+    fed = Fed()
+    fed.drive(3)
+    fed.learner_state.relocated(1.0)
+    fed.drive(2)
+    first, second = fed.learner_state.counts.episodes
     assert (first.ended, first.failed, second.ended) == (1.0, False, None)
-    assert told.learner_state.transitions.episode.tolist() == [1, 1, 2]
-    assert told.learner_state.counts.driven == 3.0
+    assert fed.learner_state.transitions.episode.tolist() == [1, 1, 2]
+    assert fed.learner_state.counts.driven == 3.0
 
 
-def test_a_recovery_ends_where_the_car_is_carried_elsewhere() -> None:
-    """A reset costs as much driving time as recovery may take before it says why it does not hand over."""
-    learner_state = Told().learner_state
+def test_a_recovery_ends_where_the_car_is_put_elsewhere() -> None:
+    """A reset costs as much driving time as recovery may take before it reports why it does not hand over."""
+    learner_state = Fed().learner_state
     assert learner_state.recovering(1.0, e=1.0, e_dot=0.0) is None
-    learner_state.carried(1.0)
+    learner_state.relocated(1.0)
     assert learner_state.recovering(21.5, e=1.0, e_dot=0.0) is None
     line = learner_state.recovering(41.5, e=1.0, e_dot=0.0)
     assert line is not None
     assert learner_state.counts.recovery is not None
-    assert learner_state.counts.recovery.said == line
+    assert learner_state.counts.recovery.report == line
     assert learner_state.counts.stuck == [line]
 
 
-def test_rounds_are_told_of() -> None:
-    told = Told(round_length=10.0)
-    assert not told.drive(10).round
-    assert told.drive(1).round
-    assert not told.drive(1).round
-
-
-def test_a_trainer_may_make_a_policy_of_another_kind() -> None:
-    told = Told()
-    told.drive(2)
-    told.learner_state.train(0.0, trusted=False)
-    other = replace(untrained(HOW, 5), ready_from=3.0)
-    told.trainer.done(nets=None, policy=other)
-    told.take_over()
-    assert told.learner_state.trusted
-    np.testing.assert_array_equal(told.learner_state.policy.nets[0][0], other.nets[0][0])  # type: ignore[index]
-    assert told.learner_state.policy.ready_from == 0.0
+def test_rounds_are_reported() -> None:
+    fed = Fed(round_length=10.0)
+    assert not fed.drive(10).round
+    assert fed.drive(1).round
+    assert not fed.drive(1).round
 
 
 def test_the_untrained_policy_is_the_seed_s() -> None:
