@@ -74,10 +74,10 @@ class Setting:
     exploration: float = 0.0
     """Share of samples in which the learner takes an action drawn at random, while it learns (never in test drives)."""
     after_failure: str = "recovery"
-    """`recovery`: the analytic controller steers until the new net takes over. `reset`: the car stops, and is put back on
-    the path where it failed, in `reset_seconds`; then the recovery controller steers until the net is
-    ready. `shift`: the target path moves sideways to the car, the old net drives on at once and is trained meanwhile,
-    and the target moves slowly back (`steerkit.controllers.supervisor.TargetShift`)."""
+    """`recovery`: the analytic controller steers until the new net takes over. `reset`: the car stops and is put back
+    on the path where it failed, in `reset_seconds`; then the recovery controller steers until the net is ready.
+    `shift`: the target path moves sideways to the car, the old net drives on at once and is trained meanwhile, and the
+    target moves slowly back (`steerkit.controllers.supervisor.TargetShift`)."""
     reset_seconds: float = 20.0
     """Driving time charged for a reset [s]."""
     safe: bool = False
