@@ -61,15 +61,6 @@ def test_noise_and_drift_have_the_stated_statistics():
     assert np.abs(across).max() < 0.08
 
 
-def test_sensors_of_a_batch_are_the_single_ones():
-    batch = Sensors.hard(3)
-    ys, _ = run(batch, [tuple(np.full(2, value) for value in TRUTH)] * 20, batch.init((2,)))
-    for i in range(2):
-        alone = run(Sensors.hard(3 + i), [TRUTH] * 20)[0][-1]
-        assert [y[i] for y in ys[-1][:6]] == pytest.approx(alone[:6], rel=1e-12)
-        assert all(value.__class__ is float for value in alone)
-
-
 def test_sensors_and_driver_of_one_seed_are_unrelated():
     assert Sensors.hard(1).init()[9:15] != SpeedDriver(seed=1).init()[2:]
 

@@ -3,7 +3,6 @@
 import math
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -40,22 +39,6 @@ def test_where_and_whereto_do_not_matter(cls, inputs, x0, y0, psi0):
     c, s = math.cos(psi0), math.sin(psi0)
     moved = here._replace(x=x0 + c * here.x - s * here.y, y=y0 + s * here.x + c * here.y, psi=psi0 + here.psi)
     assert there == pytest.approx(moved, rel=1e-9, abs=1e-9)
-
-
-@CARS
-def test_batch_is_the_single_cars(cls):
-    rng = np.random.default_rng(0)
-    n, steps = 5, 60
-    delta, v = np.cumsum(rng.normal(0, 0.5, (steps, n)), axis=0), rng.uniform(0.0, 12.0, (steps, n))
-    mass = np.array([1400.0, 1639.0, 1700.0, 1800.0, 1500.0])
-    start = dict(x0=rng.normal(size=n), y0=rng.normal(size=n), psi0=rng.normal(size=n), v0=v[0])
-    batch = cls(vehicle=replace(VW_PASSAT, m=mass), **start)
-    ys, _ = run(batch, list(zip(delta, v)), batch.init((n,)))
-    for i in range(n):
-        single = cls(vehicle=replace(VW_PASSAT, m=mass[i].item()), **{k: a[i].item() for k, a in start.items()})
-        alone, x = run(single, list(zip(delta[:, i].tolist(), v[:, i].tolist())))
-        assert all(value.__class__ is float for value in (*x, *alone[-1]))
-        assert [y[i] for y in ys[-1]] == pytest.approx(alone[-1], rel=1e-12, abs=1e-12)
 
 
 @CARS

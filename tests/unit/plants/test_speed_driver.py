@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import casadi
 import numpy as np
 import pytest
 
-from steerkit.diagram.maths import Table
 from steerkit.paths.courses import circle, course
 from steerkit.paths.path import Path
 from steerkit.plants.speed_driver import (
@@ -56,13 +54,6 @@ def test_it_is_stationary_from_the_start():
     assert moments[0][0, 0] == pytest.approx(1.0, abs=0.03)
 
 
-def test_drivers_of_a_batch_are_the_single_ones():
-    batch = speeds(SpeedDriver(seed=5), 100, (3,))
-    for i in range(3):
-        assert batch[:, i] == pytest.approx(speeds(SpeedDriver(seed=5 + i), 100), rel=1e-12)
-    assert not np.allclose(batch[:, 0], batch[:, 1])
-
-
 def test_constant_speed():
     assert speeds(ConstantSpeed(speed=6.5), 3).tolist() == [6.5] * 3
     assert speeds(ConstantSpeed(speed=np.array([4.0, 5.0])), 2, (2,)).tolist() == [[4.0, 5.0]] * 2
@@ -84,19 +75,6 @@ def test_speed_profile_over_progress():
     assert found == pytest.approx([4.0, 4.0, 4.75, 8.0, 8.0, math.nan], nan_ok=True)
     rounds = SpeedProfile(speeds=(4.0, 6.0, 4.0), spacing=10.0, repeat=True)
     assert rounds.output(0.0, (), rounds.D(np.array([45.0, -5.0]))).v == pytest.approx([5.0, 5.0])
-
-
-def test_speed_profile_is_traced_through_a_table(monkeypatch):
-    profile = SpeedProfile(speeds=(4.0, 6.0, 5.0), spacing=10.0)
-    monkeypatch.setattr(
-        Table,
-        "tracer",
-        lambda table, i: casadi.vertsplit(casadi.SX(table.rows[0]) * (i < 1) + table.rows[1] * (i >= 1)),
-    )
-    p = casadi.SX.sym("p")
-    traced = casadi.Function("v", [p], [profile.output(0.0, (), profile.D(p)).v])
-    for at in (-3.0, 2.0, 10.0, 19.0, 30.0):
-        assert float(traced(at)) == pytest.approx(profile.output(0.0, (), profile.D(at)).v, rel=1e-14)
 
 
 @pytest.mark.parametrize(

@@ -60,14 +60,6 @@ def test_nan_command_arrives_and_stays():
     assert [math.isnan(y.delta_sw) for y in ys] == [False] * 4 + [True] * 2
 
 
-def test_batch_of_different_actuators():
-    batch = SteeringActuator(lag=np.array([0.0, 0.1]), offset=np.array([0.0, 0.05]), delay=0.01)
-    y = run(batch, [(np.array([1.0, 1.0]),)] * 20, batch.init((2,)))[0][-1]
-    alone = [SteeringActuator(lag=lag, offset=offset, delay=0.01) for lag, offset in ((0.0, 0.0), (0.1, 0.05))]
-    expected = [run(a, [(1.0,)] * 20)[0][-1].delta_sw for a in alone]
-    assert y.delta_sw == pytest.approx(expected, rel=1e-12)
-
-
 NEITHER = r"delay = 0.025 \[s\], expected a multiple of dt = 0.01 s; valid: 0.02 or 0.03, or a finer"
 
 
