@@ -1,4 +1,4 @@
-"""Now and then another action than the greedy one: a wrapper around a policy that learns."""
+"""A policy that explores while it learns: a wrapper that takes another action than the greedy one now and then."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ class Exploring(Policy):
     preview = In("1/m", size="preview_points")
 
     policy: NfqPolicy
-    """Who acts otherwise."""
+    """What acts otherwise."""
     share: float = 0.05
-    """How much of the samples explores."""
+    """Share of the samples that explore."""
     seed: int = 0
-    """Which random numbers."""
+    """Of the random numbers."""
 
     def __post_init__(self) -> None:
         require(0.0 <= self.share <= 1.0, "Exploring", f"share = {self.share}, expected 0 <= share <= 1")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
@@ -59,10 +59,6 @@ def goal_patterns(
 
 
 Nets = tuple[Net, ...]
-Progress = Callable[[int, Sequence[float]], None]
-"""Called after each NFQ iteration with its number (from 0) and the nets' mean squared errors."""
-
-
 STAY = 20
 """Samples for which a state has to stay in the goal band to be a dynamic hint."""
 GUARD_STATES = 500
@@ -305,7 +301,6 @@ def iterate(
     description: StateDescription = STANDARD,
     nets_before: Sequence[Net] | None = (),
     seed: int = 0,
-    progress: Progress | None = None,
     model: CarModel | None = None,
 ) -> tuple[Net, ...]:
     """One update of the Q-function: `setting.iterations` rounds of new targets and a new fit of every net.
@@ -351,12 +346,9 @@ def iterate(
         starts = [new_net(sizes, [seed, iteration, 1 + k]) for k in range(setting.nets)]
         if setting.init == "warm":
             starts[: len(nets)] = nets[-setting.nets :]
-        fitted = _fit_all(starts, x, y, setting)
-        nets = tuple(result.net for result in fitted)
+        nets = tuple(result.net for result in _fit_all(starts, x, y, setting))
         if setting.symmetric:
             nets = (*nets, *(mirror_image(net, description) for net in nets))
-        if progress is not None:
-            progress(iteration, [float(result.errors[-1]) for result in fitted])
     together = (*(nets_before or ()), *nets)[-setting.keep * len(nets) :]
     if model is not None and setting.guard and nets_before:
         near = imagine(model, transitions, description, GUARD_STATES, np.random.default_rng([seed, 1_000_033]))
