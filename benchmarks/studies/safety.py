@@ -51,8 +51,9 @@ from steerkit._support.native import compiler
 from steerkit.controllers.safety_filter import SafetyFilter
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram import maths as m
-from steerkit.diagram.block import Block, In, Out, take_ports
+from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.simulation import Log, simulate
+from steerkit.diagram.wrapper import Wrapper
 from steerkit.export.c import export_c
 from steerkit.metrics.signals import largest, rms
 from steerkit.scenario import Scenario
@@ -103,30 +104,16 @@ class Adversary(Block):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Beside(Block):
+class Beside(Wrapper):
     """A smooth driver whose path is another: Stanley, so far to the left."""
 
-    law: Stanley
-    """The driver's law."""
     by: float = 0.8
     """How far [m]."""
 
-    def __post_init__(self) -> None:
-        take_ports(self, self.law)
-
-    def init(self, batch: tuple[int, ...] = ()) -> Any:
-        return self.law.init(batch)
-
-    def settle(self, t: float, x: Any, u: Any) -> Any:
-        return self.law.settle(t, x, self._seen(u))
-
     def output(self, t: Any, x: Any, u: Any) -> Any:
-        return self.Y(self.law.output(t, x, self._seen(u)).delta_sw)
+        return self.inner_output(t, x, u)
 
-    def update(self, t: Any, x: Any, u: Any, y: Any) -> Any:
-        return self.law.update(t, x, self._seen(u), y)
-
-    def _seen(self, u: Any) -> Any:
+    def seen(self, u: Any) -> Any:
         return u._replace(e=u.e - self.by)
 
 
@@ -175,7 +162,7 @@ def chatter(seconds: float, speeds: tuple[float, ...]) -> dict[str, Any]:
     rows: dict[str, tuple[float, float]] = {}
     for v in speeds:
         scenario = Scenario.under("hard", course="paper", driver={"v_min": v, "v_max": v})
-        for name, driver in (("full lock", Adversary()), ("0.8 m beside", Beside(law=Stanley.of(scenario.nominal)))):
+        for name, driver in (("full lock", Adversary()), ("0.8 m beside", Beside(block=Stanley.of(scenario.nominal)))):
             logs = [against(driver, scenario, seconds, late, hold=hold) for hold in (1, SafetyFilter.hold)]
             one, many = (rms(np.diff(log["safety.correction"][40:])) for log in logs)
             rows[f"{name}, {v:g} m/s"] = (one, many)
@@ -190,7 +177,7 @@ def narrowing(seconds: float, speeds: tuple[float, ...], begin: float = 10.0) ->
         scenario = Scenario.under("hard", course="paper", driver={"v_min": v, "v_max": v})
         row = rows.setdefault(f"{v:g} m/s", {})
         for name, least in (("constant", None), ("narrows", 0.003)):
-            driver = Beside(law=Stanley.of(scenario.nominal), by=0.42)
+            driver = Beside(block=Stanley.of(scenario.nominal), by=0.42)
             log = against(driver, scenario, seconds, SafetyFilter.delay_doubt, yaw_doubt_least=least)
             row[f"{name}_pct"] = 100.0 * float(np.mean(log["safety.share"][log.t > begin] > 0.0))
             row[f"{name}_max_e"] = largest(log["path.e"])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import namedtuple
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,8 +10,9 @@ from typing import Any, NamedTuple
 
 from steerkit._support.errors import require, require_within
 from steerkit.diagram import maths as m
-from steerkit.diagram.block import Block, In, Out, Port, State, entries_of, take_ports
+from steerkit.diagram.block import Block, In, Out, State, entries_of, take_ports, without_port
 from steerkit.diagram.maths import Scalar
+from steerkit.diagram.wrapper import require_ports
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.steering_delay import YawDelay
 from steerkit.task import STOP
@@ -54,6 +54,8 @@ class Adaptive(Block):
     the truth).
     """
 
+    doe = In("rad", direct=False)
+
     blocks: tuple[Block, ...]
     """The same controller, made for each of `delays`."""
     delays: tuple[float, ...]
@@ -89,8 +91,7 @@ class Adaptive(Block):
         require(step > 0.0 and even, where, f"delays = {self.delays} [s], expected growing by the same step")
         ports = [_units(block.inputs) | _units(block.outputs) for block in self.blocks]
         require(all(one == ports[0] for one in ports), where, "blocks have different ports, expected the same")
-        names = set(ports[0])
-        require({"v", "r", "delta_sw"} <= names, where, f"ports {sorted(names)}, expected v, r and delta_sw among them")
+        require_ports(where, self.block, inputs=("v", "r"), outputs=("delta_sw",))
         for name, unit, low, high in (
             ("prior_delay", "s", self.delays[0], self.delays[-1]),
             ("lag", "s", 0.0, 10.0),
@@ -102,12 +103,8 @@ class Adaptive(Block):
         ):
             require_within(where, name, getattr(self, name), unit, low, high)
         take_ports(self, self.block)
-        if self.hears:
-            heard = In("rad", direct=False)
-            heard.__set_name__(type(self), "doe")
-            object.__setattr__(self, "inputs", (*self.inputs, heard))
-            object.__setattr__(self, "U", namedtuple("U", (*self.U._fields, "doe")))
-            object.__setattr__(self, "doe", Port(self, heard))
+        if not self.hears:
+            without_port(self, "doe")
 
     @property
     def block(self) -> Block:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-from collections import namedtuple
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -12,7 +11,8 @@ from typing import Any
 from steerkit._support.errors import require
 from steerkit.controllers.safety_filter import REASONS
 from steerkit.diagram import maths as m
-from steerkit.diagram.block import Block, In, Port, State, take_ports
+from steerkit.diagram.block import In, State
+from steerkit.diagram.wrapper import Wrapper
 
 RAISED, LATE, NOTHING = (float(len(REASONS) + n) for n in range(3))
 """What `reason` is when the recovery controller steers in the filter's place."""
@@ -31,7 +31,7 @@ def said(reason: float) -> str:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class FailSafe(Block):
+class FailSafe(Wrapper):
     """Wraps a `SafetyFilter` so that what goes wrong in it leaves the wheel to the recovery controller.
 
         delta_sw = recovery    if the filter raises, takes longer than `budget`, or answers with what is no number
@@ -49,39 +49,28 @@ class FailSafe(Block):
 
     recovery = In("rad")
 
-    block: Block
-    """The filter."""
     budget: float | None = None
     """An answer that took longer is not used [s]; None: any may."""
     clock: Callable[[], float] | None = None
     """Seconds, for the budget."""
 
     def __post_init__(self) -> None:
-        where, gives = "FailSafe", {port.name for port in self.block.outputs}
+        where, outputs = "FailSafe", {port.name for port in self.block.outputs}
         wanted = {"delta_sw", "correction", "share", "reach", "reason"}
-        require(gives == wanted, where, f"block with outputs {', '.join(sorted(gives))}, expected a SafetyFilter")
+        require(outputs == wanted, where, f"block with outputs {', '.join(sorted(outputs))}, expected a SafetyFilter")
         if self.budget is not None:
             require(self.budget > 0.0, where, f"budget = {self.budget} [s], expected > 0, or None for no limit")
             require(self.clock is not None, where, f"budget = {self.budget} [s] needs a clock")
-        own = type(self).recovery
-        take_ports(self, self.block)
-        inputs = (*self.block.inputs, own)
-        object.__setattr__(self, "inputs", inputs)
-        object.__setattr__(self, "U", namedtuple("U", [p.name for p in inputs]))
-        object.__setattr__(self, "D", namedtuple("D", [p.name for p in inputs if p.direct]))
-        object.__setattr__(self, "recovery", Port(self, own))
+        super().__post_init__()
 
-    def init(self, batch: tuple[int, ...] = ()) -> State:
-        return self.block.init(batch)
-
-    def settle(self, t: float, x: State, u: Any) -> State:
-        return self.block.settle(t, x, self.block.D(*u[:-1]))
+    def seen(self, u: Any) -> Any:
+        return self.block.U(*u[:-1])
 
     def output(self, t: Any, x: Any, u: Any) -> Any:
         timed = self.budget is not None and self.clock is not None
         began = self.clock() if timed and self.clock else 0.0
         try:
-            y = self.block.output(t, x, self.block.D(*u[:-1]))
+            y = self.inner_output(t, x, u)
         except Exception:
             if m.is_symbol(t):
                 raise
@@ -105,7 +94,7 @@ class FailSafe(Block):
 
     def update(self, t: Any, x: Any, u: Any, y: Any) -> State:
         try:
-            return self.block.update(t, x, self.block.U(*u[:-1]), y)
+            return super().update(t, x, u, y)
         except Exception:
             if m.is_symbol(t):
                 raise

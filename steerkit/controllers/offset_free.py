@@ -1,16 +1,16 @@
-"""Integral action for any steering controller: no constant disturbance leaves the car beside its path."""
+"""Offsets of the steering: one that is known is compensated, any other is found by integral action."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 from steerkit._support.errors import require, require_within
 from steerkit.diagram import maths as m
-from steerkit.diagram.block import Block, State, entries_of, take_ports
+from steerkit.diagram.block import Block, State
 from steerkit.diagram.maths import Scalar
 from steerkit.diagram.units import radians_of
+from steerkit.diagram.wrapper import Wrapper
 from steerkit.task import STOP, TRIP
 from steerkit.vehicles import Vehicle, require_vehicle
 
@@ -19,7 +19,7 @@ _SHARE = 0.5
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class OffsetFree(Block):
+class OffsetFree(Wrapper):
     """Wraps a steering controller so that no constant offset, bank, wind or wrong ratio leaves an error e behind.
 
         delta_sw = sat(delta_sw of `block` + z),   z' = -n/(v T tau) (e + T e'),   sat to +-limit,   |z| <= most
@@ -44,8 +44,9 @@ class OffsetFree(Block):
     2003 and Maeder, Borrelli, Morari 2009 (what a model of the disturbance gives an MPC).
     """
 
-    block: Block
-    """The controller; e of the front axle."""
+    needs = ("e", "v")
+    changes = ("delta_sw",)
+
     steer_ratio: Scalar = 15.6
     """n, steering-wheel angle over road-wheel angle [1]."""
     approach: Scalar = 0.5
@@ -71,11 +72,6 @@ class OffsetFree(Block):
 
     def __post_init__(self) -> None:
         where = "OffsetFree"
-        gives = {port.name for port in self.block.outputs}
-        asks = {port.name for port in self.block.inputs}
-        kind = type(self.block).__name__
-        require("delta_sw" in gives, where, f"{kind} with outputs {sorted(gives)}, expected delta_sw among them")
-        require({"e", "v"} <= asks, where, f"{kind} with inputs {sorted(asks)}, expected e and v among them")
         for name, unit, low, high in (
             ("steer_ratio", "1", 1.0, 100.0),
             ("approach", "s", 0.05, 60.0),
@@ -89,7 +85,7 @@ class OffsetFree(Block):
             ("rate_limit", "rad/s", 1e-3, 200.0),
         ):
             require_within(where, name, getattr(self, name), unit, low, high)
-        take_ports(self, self.block)
+        super().__post_init__()
 
     @classmethod
     def around(cls, block: Block, vehicle: Vehicle, *, delay: float = 0.0, **settings: float) -> OffsetFree:
@@ -102,25 +98,21 @@ class OffsetFree(Block):
         told["rate_limit"] = getattr(block, "rate_limit", cls.rate_limit)
         return cls(block=block, **(told | settings))
 
-    @cached_property
-    def _inner(self) -> Any:
-        return entries_of(self.block)[0]
-
     def init(self, batch: tuple[int, ...] = ()) -> State:
         return (*self.block.init(batch), *[m.filled(0.0, batch)] * 5)
 
     def settle(self, t: float, x: State, u: Any) -> State:
-        inner = self.block.settle(t, self._inner(x[:-5]), u)
+        inner = self.block.settle(t, self.inner(x), u)
         angle = u.delta_sw_meas if "delta_sw_meas" in u._fields else 0.0 * u.e
         return (*inner, *x[-5:-2], u.e + 0.0, angle + 0.0)
 
     def output(self, t: Any, x: State, u: Any) -> Any:
-        y = self.block.output(t, self._inner(x[:-5]), u)
+        y = self.inner_output(t, x, u)
         return y._replace(delta_sw=m.clip(y.delta_sw + x[-5], -self.limit, self.limit))
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
         z, clock, usual, e_before, before = x[-5:]
-        inner = self.block.update(t, self._inner(x[:-5]), u, y._replace(delta_sw=y.delta_sw - z))
+        inner = self.block.update(t, self.inner(x), u, y._replace(delta_sw=y.delta_sw - z))
         v = m.maximum(u.v, self.v_least)
         beyond = self.dt * u.e + self.approach * (u.e - e_before)  # (e + T e') dt
         time = m.maximum(self.time, m.minimum(_SHARE * clock, self.time_late))
@@ -134,3 +126,35 @@ class OffsetFree(Block):
         usual = usual + m.where(moves, self.dt / self.time * (counted - usual), 0.0)
         clock = m.where(m.absolute(usual) > self.surprise, 0.0, clock + m.where(moves, self.dt, 0.0))
         return (*inner, z, clock, usual, u.e + 0.0, y.delta_sw + 0.0)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CommandCompensation(Wrapper):
+    """Wraps a controller of a steering with a known offset and gain, and compensates its commands for both.
+
+        delta_sw = (delta_sw of `block` - offset)/gain
+
+    makes a steering that turns the wheel to gain*command + offset reach the angle that `block` asks for. Ports, units,
+    state and sample time are those of `block`, which goes on from its own angle. It sees the measured angle as it is,
+    with offset and gain in it.
+
+    Raises ValueError for a gain that is not positive and for a block without an output delta_sw.
+    """
+
+    changes = ("delta_sw",)
+
+    offset: float = 0.0
+    """Offset of the angle reached [rad]."""
+    gain: float = 1.0
+    """Angle reached over angle commanded [1]."""
+
+    def __post_init__(self) -> None:
+        require(self.gain > 0.0, "CommandCompensation", f"gain = {self.gain} [1], expected > 0")
+        super().__post_init__()
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        y = self.inner_output(t, x, u)
+        return y._replace(delta_sw=(y.delta_sw - self.offset) / self.gain)
+
+    def update(self, t: Any, x: Any, u: Any, y: Any) -> State:
+        return super().update(t, x, u, y._replace(delta_sw=self.gain * y.delta_sw + self.offset))

@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 
 from steerkit._support.errors import require
 from steerkit.diagram import maths as m
-from steerkit.diagram.block import Block, In, Out, Port, State, take_ports
+from steerkit.diagram.block import Block, In, Out, Port, State
+from steerkit.diagram.wrapper import Wrapper
 from steerkit.task import RELEASE, STOP, TRIP
 
 
@@ -83,7 +84,7 @@ class Supervisor(Block):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class ExceptionGuard(Block):
+class ExceptionGuard(Wrapper):
     """Wraps a block so that an exception in it becomes NaN on all its outputs, which a `Supervisor` answers.
 
     Ports, units, state and sample time are those of `block`. The exception is logged, with its traceback, on the
@@ -91,20 +92,9 @@ class ExceptionGuard(Block):
     raised while a loop is traced, goes through.
     """
 
-    block: Block
-
-    def __post_init__(self) -> None:
-        take_ports(self, self.block)
-
-    def init(self, batch: tuple[int, ...] = ()) -> State:
-        return self.block.init(batch)
-
-    def settle(self, t: float, x: State, u: Any) -> State:
-        return self.block.settle(t, x, u)
-
     def output(self, t: Any, x: Any, u: Any) -> Any:
         try:
-            return self.block.output(t, x, u)
+            return self.inner_output(t, x, u)
         except Exception:
             if m.is_symbol(t):  # a block that cannot be traced is no fault of a drive
                 raise
@@ -114,7 +104,7 @@ class ExceptionGuard(Block):
 
     def update(self, t: Any, x: Any, u: Any, y: Any) -> State:
         try:
-            return self.block.update(t, x, u, y)
+            return super().update(t, x, u, y)
         except Exception:
             if m.is_symbol(t):
                 raise

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
 from math import pi
 from types import MappingProxyType
 from typing import Any
 
-from steerkit._support.errors import known, require, require_within
+from steerkit._support.errors import known, require_within
 from steerkit.controllers.adaptive import Adaptive
 from steerkit.diagram import maths as m
-from steerkit.diagram.block import Block, State, entries_of, take_ports
+from steerkit.diagram.block import Block, State
 from steerkit.diagram.maths import Scalar
+from steerkit.diagram.wrapper import Wrapper
 from steerkit.vehicles import Vehicle, require_vehicle
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class WithExcitation(Block):
+class WithExcitation(Wrapper):
     """Wraps a steering controller and swings its angle about what it asks for, so that estimators see what they need.
 
         delta_sw = delta_sw of `block` + w,   w = n (L + K v^2)/v^2 a,   sat to -+most,
@@ -36,8 +36,9 @@ class WithExcitation(Block):
     of sines, and steps; within the limits of the system).
     """
 
-    block: Block
-    """The controller."""
+    needs = ("v", "r")
+    changes = ("delta_sw",)
+
     vehicle: Vehicle
     """The car by its data sheet, for g(v)."""
     amplitude: Scalar = 0.5
@@ -57,10 +58,6 @@ class WithExcitation(Block):
 
     def __post_init__(self) -> None:
         where = "WithExcitation"
-        asks, gives = ({port.name for port in ports} for ports in (self.block.inputs, self.block.outputs))
-        kind = type(self.block).__name__
-        require({"v", "r"} <= asks, where, f"{kind} with inputs {sorted(asks)}, expected v and r among them")
-        require("delta_sw" in gives, where, f"{kind} with outputs {sorted(gives)}, expected delta_sw among them")
         require_vehicle(self.vehicle, where)
         for name, unit, low, high in (
             ("amplitude", "m/s^2", 0.0, 3.0),
@@ -72,25 +69,18 @@ class WithExcitation(Block):
             ("number", "1", 0.0, 1e6),
         ):
             require_within(where, name, getattr(self, name), unit, low, high)
-        take_ports(self, self.block)
-
-    @cached_property
-    def _inner(self) -> Any:
-        return entries_of(self.block)[0]
+        super().__post_init__()
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         return (*self.block.init(batch), m.filled(0.0, batch), m.filled(self.number, batch))
 
-    def settle(self, t: float, x: State, u: Any) -> State:
-        return (*self.block.settle(t, self._inner(x[:-2]), u), *x[-2:])
-
     def output(self, t: Any, x: State, u: Any) -> Any:
-        y = self.block.output(t, self._inner(x[:-2]), u)
+        y = self.inner_output(t, x, u)
         return y._replace(delta_sw=y.delta_sw + self._wave(x, u))
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
         own = y._replace(delta_sw=y.delta_sw - self._wave(x, u))
-        inner = self.block.update(t, self._inner(x[:-2]), u, own)
+        inner = self.block.update(t, self.inner(x), u, own)
         return (*inner, self._since(x) + self.dt, 0.0 * x[-1] + self.number)
 
     def _wave(self, x: State, u: Any) -> Scalar:

@@ -243,9 +243,13 @@ def _check_direct(cls: type[Block], port: Out) -> None:
 
 
 def take_ports(wrapper: Block, block: Block) -> None:
-    """Give one wrapper object the ports of the block inside it, its sample time, and whether it is pure."""
-    for name in ("inputs", "outputs", "U", "D", "Y", "dt", "pure"):
+    """Give one wrapper object the ports of the block inside it, its sample time, and whether it is pure.
+
+    Inputs that the wrapper's class declares come after those of the block.
+    """
+    for name in ("outputs", "Y", "dt", "pure"):
         object.__setattr__(wrapper, name, getattr(block, name))
+    _set_inputs(wrapper, (*block.inputs, *type(wrapper).inputs))
     ports: tuple[In | Out, ...] = (*block.inputs, *block.outputs)
     for spec in ports:
         object.__setattr__(wrapper, spec.name, Port(wrapper, spec))
@@ -255,7 +259,10 @@ def take_ports(wrapper: Block, block: Block) -> None:
 
 def without_port(block: Block, name: str) -> None:
     """Take an input from one block object, whose parameters leave nothing for it to do."""
-    inputs = tuple(port for port in block.inputs if port.name != name)
+    _set_inputs(block, tuple(port for port in block.inputs if port.name != name))
+
+
+def _set_inputs(block: Block, inputs: tuple[In, ...]) -> None:
     object.__setattr__(block, "inputs", inputs)
     object.__setattr__(block, "U", namedtuple("U", [p.name for p in inputs]))
     object.__setattr__(block, "D", namedtuple("D", [p.name for p in inputs if p.direct]))

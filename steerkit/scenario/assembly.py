@@ -8,16 +8,14 @@ from typing import Any, TypeVar
 
 from steerkit._support.errors import WiringError
 from steerkit.controllers.adaptive import Adaptive
-from steerkit.controllers.command_compensation import CommandCompensation
 from steerkit.controllers.fail_safe import FailSafe
-from steerkit.controllers.offset_free import OffsetFree
 from steerkit.controllers.supervisor import ExceptionGuard, Supervisor
 from steerkit.controllers.target_shift import TargetShift
-from steerkit.controllers.with_excitation import WithExcitation
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.diagnostics import require_block
 from steerkit.diagram.loop import Loop, Wire
+from steerkit.diagram.wrapper import Wrapper
 from steerkit.doe import Corrected, OutputElement
 from steerkit.paths.path import Path
 from steerkit.paths.tracker import PathTracker
@@ -213,8 +211,7 @@ def controller_of(loop: Loop) -> Block:
 
 def bare(controller: Block) -> Block:
     """The law itself, without a guard or a trim around it: it says where it wants e measured, and how far it looks."""
-    wrappers = Adaptive | WithExcitation | FailSafe | ExceptionGuard | OffsetFree | CommandCompensation
-    return bare(controller.block) if isinstance(controller, wrappers) else controller
+    return bare(controller.block) if isinstance(controller, Wrapper | Adaptive) else controller
 
 
 def with_controller(loop: Loop, controller: Block) -> Loop:

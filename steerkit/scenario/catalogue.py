@@ -10,10 +10,9 @@ from typing import Any
 from steerkit._support.errors import known, require
 from steerkit._support.plugins import imported, is_outside
 from steerkit.controllers.adaptive import Adaptive
-from steerkit.controllers.command_compensation import CommandCompensation
 from steerkit.controllers.delay import delayed_stanley
 from steerkit.controllers.lqr import Lqr
-from steerkit.controllers.offset_free import OffsetFree
+from steerkit.controllers.offset_free import CommandCompensation, OffsetFree
 from steerkit.controllers.pure_pursuit import PurePursuit
 from steerkit.controllers.safety_filter import BEHIND_GATE, SafetyFilter
 from steerkit.controllers.stanley import Stanley

@@ -21,11 +21,10 @@ from hypothesis import strategies as st
 from steerkit._support import native
 from steerkit.compiled import compile
 from steerkit.controllers.adaptive import Adaptive
-from steerkit.controllers.command_compensation import CommandCompensation
 from steerkit.controllers.delay import delayed_stanley
 from steerkit.controllers.delay_compensator import PREVIEW, DelayCompensator
 from steerkit.controllers.nfq_policy import NfqPolicy
-from steerkit.controllers.offset_free import OffsetFree
+from steerkit.controllers.offset_free import CommandCompensation, OffsetFree
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.block import Block
 from steerkit.diagram.loop import Loop

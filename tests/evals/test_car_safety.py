@@ -21,8 +21,9 @@ from steerkit.controllers import fail_safe
 from steerkit.controllers.fail_safe import LATE, RAISED
 from steerkit.controllers.safety_filter import SafetyFilter
 from steerkit.controllers.stanley import Stanley
-from steerkit.diagram.block import Block, In, Out, take_ports
+from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.loop import Loop
+from steerkit.diagram.wrapper import Wrapper
 from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.scenario.assembly import steering_loop
 from steerkit.task import STOP
@@ -76,25 +77,14 @@ def test_an_adversary_is_kept_on_the_path_behind_the_gate() -> None:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class LeftThenStanley(Block):
+class LeftThenStanley(Wrapper):
     """What a roll-out takes for granted: Stanley, full lock to the left for 0.4 s, Stanley."""
 
-    law: Stanley
-
-    def __post_init__(self) -> None:
-        take_ports(self, self.law)
-
-    def init(self, batch: tuple[int, ...] = ()) -> Any:
-        return self.law.init(batch)
-
-    def settle(self, t: float, x: Any, u: Any) -> Any:
-        return self.law.settle(t, x, u)
-
     def output(self, t: Any, x: Any, u: Any) -> Any:
-        return self.Y(STOP) if self.left(t) else self.law.output(t, x, u)
+        return self.Y(STOP) if self.left(t) else self.inner_output(t, x, u)
 
     def update(self, t: Any, x: Any, u: Any, y: Any) -> Any:
-        return self.law.settle(t, x, u) if self.left(t) else self.law.update(t, x, u, y)
+        return self.settle(t, x, u) if self.left(t) else super().update(t, x, u, y)
 
     def left(self, t: float) -> bool:
         return 0.6 <= t + 1e-9 < 1.0
@@ -103,7 +93,7 @@ class LeftThenStanley(Block):
 @pytest.mark.parametrize("v", [7.0, 9.0])
 def test_what_is_rolled_out_is_no_less_than_what_comes_behind_the_gate(v: float) -> None:
     """Half way through the lock four samples of it are left. One that does not know the gate promises half of it."""
-    world = World(s=20.0, v=(v, v), controller=LeftThenStanley(law=Stanley.of(setup()[0].vehicle)))
+    world = World(s=20.0, v=(v, v), controller=LeftThenStanley(block=Stanley.of(setup()[0].vehicle)))
     world.bring_to(Mode.ENGAGED)
     knows: Any = loops.safety(world.config).block
     sure: dict[str, Any] = dict(e_doubt=0.0, psi_doubt=0.0, yaw_doubt=0.0, ratio_doubt=0.0, delay_doubt=0.0)

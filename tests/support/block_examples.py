@@ -13,21 +13,21 @@ import numpy as np
 
 from steerkit.analysis import FromControl, Tap
 from steerkit.controllers.adaptive import Adaptive
-from steerkit.controllers.command_compensation import CommandCompensation
 from steerkit.controllers.delay import DelayPredictor, delayed_stanley
 from steerkit.controllers.excursion_predictor import ExcursionPredictor
 from steerkit.controllers.fail_safe import FailSafe
 from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.network_policy import Network, PolicyBlock
 from steerkit.controllers.nfq_policy import NfqPolicy
-from steerkit.controllers.offset_free import OffsetFree
+from steerkit.controllers.offset_free import CommandCompensation, OffsetFree
 from steerkit.controllers.pure_pursuit import PurePursuit
 from steerkit.controllers.safety_filter import SafetyFilter
 from steerkit.controllers.stanley import Stanley
 from steerkit.controllers.supervisor import ExceptionGuard, Supervisor, SupervisorState
 from steerkit.controllers.target_shift import TargetShift
 from steerkit.controllers.with_excitation import WithExcitation
-from steerkit.diagram.block import Block, take_ports
+from steerkit.diagram.block import Block
+from steerkit.diagram.wrapper import Wrapper
 from steerkit.doe import Corrected, Integrator, LowPass, PlainAngle
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.steering_delay import WheelDelay, YawDelay
@@ -91,23 +91,12 @@ def _sensed(block: Any, i: int) -> Block:
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Silent(Block):
+class Silent(Wrapper):
     """A filter that has no answer."""
 
-    block: Block
-
-    def __post_init__(self) -> None:
-        take_ports(self, self.block)
-
-    def init(self, batch: tuple[int, ...] = ()) -> Any:
-        return self.block.init(batch)
-
     def output(self, t: Any, x: Any, u: Any) -> Any:
-        y = self.block.output(t, x, u)
+        y = self.inner_output(t, x, u)
         return y._replace(delta_sw=y.delta_sw * math.nan)
-
-    def update(self, t: Any, x: Any, u: Any, y: Any) -> Any:
-        return self.block.update(t, x, u, y)
 
 
 def _pendulum(t: float, x: Any, u: Any, params: Any) -> Any:

@@ -16,7 +16,8 @@ from steerkit.controllers.fail_safe import FAULTS, LATE, NOTHING, RAISED, FailSa
 from steerkit.controllers.safety_filter import REASONS, SafetyFilter
 from steerkit.controllers.stanley import Stanley
 from steerkit.controllers.supervisor import ExceptionGuard
-from steerkit.diagram.block import Block, take_ports
+from steerkit.diagram.block import Block
+from steerkit.diagram.wrapper import Wrapper
 from steerkit.scenario.assembly import bare
 from steerkit.vehicles import vehicle
 
@@ -28,25 +29,18 @@ HERE: dict[str, Any] = dict(
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Broken(Block):
+class Broken(Wrapper):
     """A filter in which something goes wrong."""
 
-    block: Block
     answer: Callable[[Any], Any]
     remember: Callable[[], None] = lambda: None
 
-    def __post_init__(self) -> None:
-        take_ports(self, self.block)
-
-    def init(self, batch: tuple[int, ...] = ()) -> Any:
-        return self.block.init(batch)
-
     def output(self, t: Any, x: Any, u: Any) -> Any:
-        return self.answer(self.block.output(t, x, u))
+        return self.answer(self.inner_output(t, x, u))
 
     def update(self, t: Any, x: Any, u: Any, y: Any) -> Any:
         self.remember()
-        return self.block.update(t, x, u, y)
+        return super().update(t, x, u, y)
 
 
 def raising(*_: Any) -> Any:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from steerkit.controllers.offset_free import OffsetFree
+from steerkit.controllers.offset_free import CommandCompensation, OffsetFree
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.simulation import simulate
 from steerkit.diagram.units import radians_of
@@ -21,12 +21,13 @@ from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.scenario import Scenario
 from steerkit.scenario.assembly import placed, steering_loop
-from steerkit.scenario.catalogue import make_controller
+from steerkit.scenario.catalogue import CONTROLLERS, make_controller
 from steerkit.scenario.drive import controller, drive
 from steerkit.vehicles import vehicle
 
 PASSAT = vehicle("vw-passat")
 STRAIGHT = Scenario(course="straight", driver={"v_min": 6.0, "v_max": 6.0})
+SLALOM = STRAIGHT.with_(course={"name": "slalom"})
 BEND = STRAIGHT.with_(course={"name": "circle", "rounds": 1.5})
 D = radians_of(5.0)
 HERE = dict(e=0.01, psi_e=0.0, kappa=0.0, v=6.0, r=0.0, delta_sw_meas=0.0)
@@ -185,10 +186,46 @@ def test_the_wrapped_law_goes_on_from_its_own_angle() -> None:
 
 
 def test_what_it_is_not_made_for() -> None:
-    with pytest.raises(ValueError, match="expected delta_sw among them"):
+    with pytest.raises(ValueError, match="expected among them delta_sw"):
         OffsetFree(block=ConstantSpeed())
-    with pytest.raises(ValueError, match="expected e and v among them"):
+    with pytest.raises(ValueError, match="expected among them e, v"):
         OffsetFree(block=Integrator())
     for name, value in (("approach", 0.0), ("time", 0.0), ("most", -1.0), ("reach", 0.0), ("v_least", 0.0)):
         with pytest.raises(ValueError, match=f"OffsetFree: {name} = {value}"):
             OffsetFree(block=Stanley.of(PASSAT), **{name: value})
+
+
+# ---- a known offset -----------------------------------------------------------------------------------------------
+
+
+def test_a_known_offset_and_gain_are_compensated() -> None:
+    block = CommandCompensation(block=Stanley.of(PASSAT), offset=0.1, gain=1.25)
+    u = dict(e=0.2, psi_e=0.01, kappa=0.0, v=6.0, r=0.0, delta_sw_meas=0.0)
+    inner = block.block.output(0.0, block.init(), block.D(**u)).delta_sw
+    y = block.output(0.0, block.init(), block.D(**u))
+    assert 1.25 * y.delta_sw + 0.1 == pytest.approx(inner)
+    assert block.update(0.0, block.init(), block.U(**u), y) == pytest.approx(
+        block.block.update(0.0, block.init(), block.U(**u), block.Y(inner))
+    )
+
+
+@pytest.mark.parametrize("name", [name for name in CONTROLLERS if name not in ("mpc", "nonlinear-mpc")])
+def test_one_that_knows_the_offset_drives_as_if_there_were_none(name: str) -> None:
+    off = SLALOM.with_(steering={"offset_deg": 5.0})
+    without, unknown, known = (
+        drive(scenario, controller(name, scenario), rounds=0.5)["path.e"]
+        for scenario in (SLALOM, off, off.with_(knowledge={"oracle": True}))
+    )
+    settled = slice(100, None)  # it starts straight, which with an offset is not where it stands
+    apart = [float(np.sqrt(np.mean((e - without)[settled] ** 2))) for e in (unknown, known)]
+    assert apart[1] < 0.1 * apart[0]
+
+
+def test_a_compensation_without_a_sense_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"gain = 0.0 \[1\], expected > 0"):
+        CommandCompensation(block=Stanley.of(PASSAT), gain=0.0)
+    with pytest.raises(ValueError, match="expected among them delta_sw"):
+        CommandCompensation(block=ConstantSpeed())
+    assert CommandCompensation(block=Integrator()).delta_sw.spec.unit == "rad"
+    assert CommandCompensation(block=Stanley.of(PASSAT)).dt == 0.05
+    assert radians_of(5.0) == Scenario(steering={"offset_deg": 5.0}, knowledge={"oracle": True}).design_model().offset

@@ -11,14 +11,15 @@ import numpy as np
 import pytest
 
 from steerkit.compiled import compile
-from steerkit.controllers.command_compensation import CommandCompensation
 from steerkit.controllers.delay import DelayPredictor, delayed_stanley
+from steerkit.controllers.offset_free import CommandCompensation
 from steerkit.controllers.safety_filter import _KEPT, BEHIND_GATE, REASONS, SafetyFilter
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram import maths as m
-from steerkit.diagram.block import Block, In, Out, take_ports
+from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import Log, simulate
+from steerkit.diagram.wrapper import Wrapper
 from steerkit.scenario import Scenario
 from steerkit.scenario.drive import assembled
 from steerkit.task import STOP
@@ -99,24 +100,14 @@ def test_the_yaw_rate_is_doubted_less_while_the_model_proves_right_and_at_once_w
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class HeldThenStanley(Block):
+class HeldThenStanley(Wrapper):
     """What a roll-out takes for granted: a command for some time, then the backup."""
 
-    law: Stanley
     held: float
     until: float
 
-    def __post_init__(self) -> None:
-        take_ports(self, self.law)
-
-    def init(self, batch: tuple[int, ...] = ()) -> Any:
-        return self.law.init(batch)
-
     def output(self, t: Any, x: Any, u: Any) -> Any:
-        return self.Y(m.where(t < self.until - 1e-9, self.held, self.law.output(t, x, u).delta_sw))
-
-    def update(self, t: Any, x: Any, u: Any, y: Any) -> Any:
-        return self.law.update(t, x, u, y)
+        return self.Y(m.where(t < self.until - 1e-9, self.held, self.inner_output(t, x, u).delta_sw))
 
 
 @pytest.mark.parametrize("v", [3.0, 6.0, 9.0])
@@ -126,7 +117,7 @@ def test_what_is_rolled_out_is_what_the_car_does_and_the_drift_of_a_sample_more(
     block = SafetyFilter.of(PASSAT, **SURE)
     place = Scenario(course="straight", driver={"v_min": v, "v_max": v})
     until = block.hold * block.dt
-    log = simulate(assembled(place, HeldThenStanley(law=law, held=held, until=until)), 3.0)
+    log = simulate(assembled(place, HeldThenStanley(block=law, held=held, until=until)), 3.0)
     drift = float(np.gradient(log["path.e"], log.t).max()) * block.dt
     found = asked(block, command=held, v=v).reach
     assert 0.3 * drift < found - float(np.abs(log["path.e"]).max()) < drift
