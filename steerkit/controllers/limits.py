@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from steerkit.diagram import maths as m
 from steerkit.diagram.maths import Scalar
-from steerkit.vehicles.rollout import SLOWEST
+from steerkit.vehicles.rollout import SLOWEST, slewed
 
 
 def approach_angle(e: Scalar, v: Scalar, a_y: Scalar) -> Scalar:
@@ -16,31 +18,31 @@ def approach_angle(e: Scalar, v: Scalar, a_y: Scalar) -> Scalar:
     return m.sqrt(2.0 * a_y * (m.absolute(e) + 0.01)) / m.maximum(v, SLOWEST)
 
 
-def limited(
-    command: Scalar,
-    before: Scalar,
-    v: Scalar,
-    a_y: Scalar,
-    *,
-    wheelbase: Scalar,
-    l_r: Scalar,
-    understeer: Scalar,
-    steer_ratio: Scalar,
-    rate_limit: Scalar,
-    limit: Scalar,
-    dt: float,
-) -> Scalar:
-    """`command` [rad at the wheel], given a sample after `before`, within stop, wheel speed and a_y [m/s^2].
+def limited(law: Any, command: Scalar, before: Scalar, v: Scalar, needed: Scalar) -> Scalar:
+    """`command` [rad at the wheel], given a sample after `before`, within stop, wheel speed and lateral acceleration.
 
     The centre of gravity of a rolling car feels a_y = (v^2 tan(delta) + v l_r delta')/L. So the angle stays within
     atan(L a_y/v^2) + K a_y, the steady curve of a_y (Rajamani 2012, section 3.3; |kappa| <= a_y/v^2 of ISO 11270), and
-    a sample takes at most the share 1 - exp(-v dt/l_r) of what is left to L a_y/v^2 + K a_y.
+    a sample takes at most the share 1 - exp(-v dt/l_r) of what is left to L a_y/v^2 + K a_y, with
+
+        a_y = max(a_y_max, needed + a_y_reserve), at most a_y_limit,   needed [m/s^2]: |a_y| of the path.
+
+    law: a controller with the fields a_y_max, a_y_reserve, a_y_limit [m/s^2], wheelbase, l_r [m],
+    understeer [rad s^2/m], steer_ratio [1], rate_limit [rad/s], slew [m/s^3], limit [rad], dt [s].
     A NaN command stays NaN; one in `before` limits nothing, so that a broken sample does not break the next.
     """
+    a_y = possible(law, m.maximum(law.a_y_max, needed + law.a_y_reserve))
+    car = dict(wheelbase=law.wheelbase, understeer=law.understeer, steer_ratio=law.steer_ratio)
+    step = slewed(law.rate_limit, law.slew, v, **car) * law.dt
     v = m.maximum(v, SLOWEST)
-    curve, slip = wheelbase * a_y / (v * v), understeer * a_y
-    share, room = 1.0 - m.exp(-v * dt / l_r), steer_ratio * (curve + slip)
-    up = m.minimum(rate_limit * dt, share * (room - before))
-    down = m.minimum(rate_limit * dt, share * (room + before))
-    bound = m.minimum(steer_ratio * (m.atan(curve) + slip), limit)
+    curve, slip = law.wheelbase * a_y / (v * v), law.understeer * a_y
+    share, room = 1.0 - m.exp(-v * law.dt / law.l_r), law.steer_ratio * (curve + slip)
+    up = m.minimum(step, share * (room - before))
+    down = m.minimum(step, share * (room + before))
+    bound = m.minimum(law.steer_ratio * (m.atan(curve) + slip), law.limit)
     return m.clip(m.clip(command, before - down, before + up), -bound, bound)
+
+
+def possible(law: Any, a_y: Scalar) -> Scalar:
+    """A lateral acceleration within that of a car steered by torque, `law.a_y_limit`, if there is one [m/s^2]."""
+    return a_y if law.a_y_limit is None else m.minimum(a_y, law.a_y_limit)

@@ -19,7 +19,6 @@ from steerkit.diagram.maths import Scalar, Table
 from steerkit.diagram.units import radians_of
 from steerkit.task import DT, STOP
 from steerkit.vehicles import Vehicle, require_vehicle
-from steerkit.vehicles.rollout import slewed
 
 Array = NDArray[np.float64]
 Matrices = Callable[[float], tuple[Any, Any]]
@@ -272,23 +271,7 @@ class Lqr(Block):
         e = u.e if self.e_reach is None else m.clip(u.e, -self.e_reach, self.e_reach)
         step = -sum([g * z for g, z in zip(gains, (e, theta, u.beta, u.r, *wheel, *ahead), strict=True)])
         command = self.steer_ratio * m.atan(wheel[-1] + step)
-        allowed = m.maximum(self.a_y_max, m.absolute(ahead[0]) * slow * slow + self.a_y_reserve)
-        if self.a_y_limit is not None:
-            allowed = m.minimum(allowed, self.a_y_limit)
-        car = dict(wheelbase=self.wheelbase, understeer=self.understeer, steer_ratio=self.steer_ratio)
-        return self.Y(
-            limited(
-                command,
-                x[-1],
-                slow,
-                allowed,
-                **car,
-                l_r=self.l_r,
-                rate_limit=slewed(self.rate_limit, self.slew, slow, **car),
-                limit=self.limit,
-                dt=self.dt,
-            )
-        )
+        return self.Y(limited(self, command, x[-1], slow, m.absolute(ahead[0]) * slow * slow))
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
         return (*x[1:], m.where(m.is_finite(y.delta_sw), y.delta_sw, u.delta_sw_meas))

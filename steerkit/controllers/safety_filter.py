@@ -243,7 +243,9 @@ class SafetyFilter(Block):
         v, sound = m.maximum(u.v, 0.0), m.is_finite(u.command)
         motion = Motion(u.e, u.psi_e, u.r, u.delta_sw_meas)
         now = _Now(motion, x[3], x[1], x[2], self._yaw_doubt(x[7]), self._sent(x, u), tuple(u.preview))
-        within = self._within(u.command, x[-1], v, u.preview[0]) if self.gate is None else u.command
+        within = u.command
+        if self.gate is None:
+            within = limited(self._law, u.command, x[-1], v, v * v * m.absolute(u.preview[0]))
         reach = self._reach(now, v, within)
         safe = m.both(sound, reach <= self.bound)
         if safe is True:  # one car whose command is kept, as nearly all are: the rest need not be computed
@@ -296,23 +298,6 @@ class SafetyFilter(Block):
     def _sent(self, x: State, u: Any) -> State:
         """The commands on their way; of the last one a gate says what it made of it."""
         return x[_KEPT:] if self.gate is None else (*x[_KEPT:-1], u.applied)
-
-    def _within(self, command: Scalar, before: Scalar, v: Scalar, kappa: Scalar) -> Scalar:
-        """The command within stop, wheel speed and lateral acceleration, as the backup's."""
-        law = self._law
-        return limited(
-            command,
-            before,
-            v,
-            m.maximum(law.a_y_max, v * v * m.absolute(kappa) + law.a_y_reserve),
-            wheelbase=law.wheelbase,
-            l_r=law.l_r_share * law.wheelbase,
-            understeer=law.understeer,
-            steer_ratio=law.steer_ratio,
-            rate_limit=law.rate_limit,
-            limit=law.limit,
-            dt=self.dt,
-        )
 
     def _answer(self, seen: Motion, v: Scalar, kappa: Scalar, wheel_before: Scalar, command: Scalar) -> Scalar:
         """The backup's command [rad] after another, for what it sees."""

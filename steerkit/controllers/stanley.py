@@ -6,14 +6,13 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from steerkit._support.errors import require
-from steerkit.controllers.limits import approach_angle, limited
+from steerkit.controllers.limits import approach_angle, limited, possible
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.maths import Scalar
 from steerkit.diagram.units import radians_of
 from steerkit.task import DT, STOP
 from steerkit.vehicles import Vehicle, require_vehicle
-from steerkit.vehicles.rollout import slewed
 
 _NO_LIMIT = 1e3
 """m/s^2 or rad/s: more than any car can do."""
@@ -140,31 +139,19 @@ class Stanley(Block):
         bent = self.wheelbase * u.kappa
         r_path = v * u.kappa / m.sqrt(m.maximum(1.0 - bent * bent, 0.1))
         psi_ss = self.mass * v * r_path * self.l_r_share / self.c_f
-        spare = self._possible(m.maximum(self.a_y_max - v * m.absolute(r_path), self.a_y_reserve))
+        spare = possible(self, m.maximum(self.a_y_max - v * m.absolute(r_path), self.a_y_reserve))
         steepest = m.minimum(approach_angle(u.e, v, 0.5 * spare), self.approach_limit)
         approach = m.clip(m.atan(self.k * u.e / (self.k_soft + v)), -steepest, steepest)
         damping = self.k_d_yaw * (u.r - r_path) + self.k_d_steer * (u.delta_sw_meas / self.steer_ratio - x.delta_before)
         delta = -(u.psi_e - psi_ss) - approach - damping
         steady = (self.wheelbase + self.understeer * v * v) * u.kappa
         delta = delta - (1.0 - self.share) * (delta - steady)
-        allowed = self._possible(m.maximum(self.a_y_max, v * m.absolute(r_path) + self.a_y_reserve))
-        car = dict(wheelbase=self.wheelbase, understeer=self.understeer, steer_ratio=self.steer_ratio)
-        return self.Y(
-            limited(
-                self.steer_ratio * delta,
-                x.command,
-                v,
-                allowed,
-                **car,
-                l_r=self.l_r_share * self.wheelbase,
-                rate_limit=slewed(self.rate_limit, self.slew, v, **car),
-                limit=self.limit,
-                dt=self.dt,
-            )
-        )
+        return self.Y(limited(self, self.steer_ratio * delta, x.command, v, v * m.absolute(r_path)))
 
-    def _possible(self, a_y: Scalar) -> Scalar:
-        return a_y if self.a_y_limit is None else m.minimum(a_y, self.a_y_limit)
+    @property
+    def l_r(self) -> Scalar:
+        """Centre of gravity to rear axle [m]."""
+        return self.l_r_share * self.wheelbase
 
     def update(self, t: Any, x: StanleyState, u: Any, y: Any) -> StanleyState:
         return StanleyState(u.delta_sw_meas / self.steer_ratio, y.delta_sw)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -10,10 +11,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from steerkit.controllers.limits import approach_angle, limited
+from steerkit.vehicles.rollout import slewed
 
 CAR: dict[str, Any] = dict(
-    wheelbase=2.71, l_r=1.49, understeer=0.002, steer_ratio=15.6, rate_limit=9.6, limit=9.07, dt=0.05
+    wheelbase=2.71, l_r=1.49, understeer=0.002, steer_ratio=15.6, rate_limit=9.6, slew=None, limit=9.07, dt=0.05
 )
+
+
+def within(command: float, before: float, v: float, a_y: float, needed: float = 0.0, **changes: float) -> float:
+    law = SimpleNamespace(**CAR | dict(a_y_max=a_y, a_y_reserve=0.5, a_y_limit=None) | changes)
+    return limited(law, command, before, v, needed)
 
 
 @given(e=st.floats(-3.0, 3.0), v=st.floats(3.0, 12.0), a_y=st.floats(0.5, 3.0))
@@ -30,12 +37,12 @@ angles, speeds = st.floats(-9.0, 9.0), st.floats(0.0, 15.0)
 
 @given(command=st.floats(-1e3, 1e3), before=angles, v=speeds, a_y=st.floats(0.5, 5.0))
 def test_left_and_right_have_the_same_limits(command: float, before: float, v: float, a_y: float) -> None:
-    assert limited(-command, -before, v, a_y, **CAR) == pytest.approx(-limited(command, before, v, a_y, **CAR))
+    assert within(-command, -before, v, a_y) == pytest.approx(-within(command, before, v, a_y))
 
 
 @given(command=st.floats(-1e3, 1e3), before=angles, v=speeds, a_y=st.floats(0.5, 5.0))
 def test_stop_and_wheel_speed_are_kept(command: float, before: float, v: float, a_y: float) -> None:
-    out = limited(command, before, v, a_y, **CAR)
+    out = within(command, before, v, a_y)
     assert abs(out) <= CAR["limit"]
     # back from beyond the bound at once, for a car that has become faster; else no faster than the motor
     assert abs(out - before) <= CAR["rate_limit"] * CAR["dt"] + 1e-9 or abs(out) < abs(before)
@@ -48,7 +55,7 @@ def test_a_command_held_ends_in_the_steady_curve_and_never_feels_more(v: float, 
     """delta = atan(L a_y/v^2) + K a_y; on the way the rolling car feels (v^2 tan(delta) + v l_r delta')/L."""
     wheel, felt = 0.0, []
     for _ in range(400):
-        before, wheel = wheel, limited(99.0 * side, wheel, v, a_y, **CAR)
+        before, wheel = wheel, within(99.0 * side, wheel, v, a_y)
         delta, rate = wheel / CAR["steer_ratio"], (wheel - before) / CAR["steer_ratio"] / CAR["dt"]
         rolling = delta - CAR["understeer"] * a_y * side
         felt.append(abs(v * v * math.tan(rolling) + v * CAR["l_r"] * rate) / CAR["wheelbase"])
@@ -58,5 +65,21 @@ def test_a_command_held_ends_in_the_steady_curve_and_never_feels_more(v: float, 
 
 
 def test_a_nan_stays_and_one_before_limits_nothing() -> None:
-    assert math.isnan(limited(math.nan, 0.0, 5.0, 2.0, **CAR))
-    assert limited(0.1, math.nan, 5.0, 2.0, **CAR) == 0.1
+    assert math.isnan(within(math.nan, 0.0, 5.0, 2.0))
+    assert within(0.1, math.nan, 5.0, 2.0) == 0.1
+
+
+@pytest.mark.parametrize(
+    ("needed", "most", "a_y"), [(0.0, None, 2.0), (1.4, None, 2.0), (2.5, None, 3.0), (2.5, 2.2, 2.2), (0.0, 1.5, 1.5)]
+)
+def test_a_path_that_needs_more_is_followed_with_a_reserve_up_to_what_the_car_can(needed, most, a_y) -> None:
+    wheel, v = 0.0, 9.0
+    for _ in range(400):
+        wheel = within(99.0, wheel, v, 2.0, needed, a_y_limit=most)
+    steady = CAR["steer_ratio"] * (math.atan(CAR["wheelbase"] * a_y / v**2) + CAR["understeer"] * a_y)
+    assert wheel == pytest.approx(steady, rel=1e-6)
+
+
+def test_a_car_steered_by_torque_turns_its_wheel_no_faster_than_its_slew() -> None:
+    car = {name: CAR[name] for name in ("wheelbase", "understeer", "steer_ratio")}
+    assert within(9.0, 0.0, 12.0, 3.0, slew=5.0) == pytest.approx(0.05 * slewed(9.6, 5.0, 12.0, **car))
