@@ -19,7 +19,7 @@ from pathlib import Path as File
 from typing import Any
 
 from steerkit._support.plugins import is_outside
-from steerkit.car.frames import MAX_JUMP, CommandWriter, FrameReader, Mapping, Protection, signal_range
+from steerkit.car.frames import MAX_JUMP, CommandWriter, FrameReader, Mapping, signal_range
 from steerkit.car.gate import GateLimits
 from steerkit.car.motion import MotionLimits
 from steerkit.car.ports import python_can
@@ -125,9 +125,8 @@ class CarConfig:
         lines.append(f"vehicle  {self.vehicle.name}, ratio {self.gate.steer_ratio:g}, L = {self.gate.wheelbase:g} m")
         lines.append(f"course   {self.course.get('name') or self.course['file']}")
         for reader in self.readers:
-            p = reader.protection
             period = f"{reader.period:g} s" if reader.period else ""
-            parts = (("counter", p.counter), ("CRC-8 0x2F", p.crc), ("period", period))
+            parts = (("counter", reader.counter), ("CRC-8 0x2F", reader.crc), ("period", period))
             guard = ", ".join(f"{k} {v}" for k, v in parts if v)
             lines.append(f"read     {reader.name} (0x{reader.frame_id:X}), protection: {guard}")
             for name, mapping in reader.mappings.items():
@@ -261,7 +260,7 @@ def _signals(config: CarConfig) -> Iterator[str]:
         if number > 1:
             yield f"[read] {frame}.{signal} is read as {number} quantities, expected one each"
     for reader in config.readers:
-        guards = [name for name in (reader.protection.counter, reader.protection.crc) if name]
+        guards = [name for name in (reader.counter, reader.crc) if name]
         for name in sorted(set(guards)):
             if guards.count(name) > 1 or (reader.name, name) in homes:
                 each = "expected a signal each for counter, CRC and what is read"
@@ -290,7 +289,7 @@ def _frames(config: CarConfig) -> Iterator[str]:
         many = [s.name for s in reader.message.signals if s.is_multiplexer or s.multiplexer_ids]
         if many:
             yield f"[read] {reader.name} is multiplexed ({', '.join(many)}), expected a frame with one layout"
-        guarded = reader.protection.counter or reader.protection.crc
+        guarded = reader.counter or reader.crc
         if guarded and reader.period != 0.0 and not 0.002 <= reader.period <= 0.1:
             yield f"[protect] {reader.name}: period = {reader.period:g} s, expected 0.002 to 0.1 s, or none"
         if not guarded and not 0.002 <= reader.period <= 0.1:
@@ -353,7 +352,7 @@ def _command(config: CarConfig) -> Iterator[str]:
             yield f"[write] {role} = {name!r} switches a protection of the kit off; expected the signal for {role}"
     for where, message, name in [
         ("write", writer.message, writer.counter),
-        *((f"protect.{r.name}", r.message, r.protection.counter) for r in config.readers),
+        *((f"protect.{r.name}", r.message, r.counter) for r in config.readers),
     ]:
         counter = message.get_signal_by_name(name) if name else None
         if counter and (counter.scale, counter.offset) != (1, 0):
@@ -670,7 +669,7 @@ class Reading:
         if guard["counter"] and message.get_signal_by_name(guard["counter"]).length < 3:
             self.wrong(f"[{where}] counter = {guard['counter']!r} counts to less than {2 * MAX_JUMP}, too few")
             guard["counter"] = ""
-        return FrameReader(message, mappings, Protection(**guard), period)
+        return FrameReader(message, mappings, **guard, period=period)
 
     def guarded(self, frame: str) -> bool:
         table = self.table("protect").get(frame)

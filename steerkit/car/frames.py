@@ -53,14 +53,6 @@ class Mapping:
         return self.sign * self.scale * UNIT_FACTORS[self.unit]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Protection:
-    """How a frame is protected: names of its counter and its CRC signal, empty for none."""
-
-    counter: str = ""
-    crc: str = ""
-
-
 MAX_JUMP = 3
 """Counter steps a frame may skip and still count as the next; more is an error (AUTOSAR E2E: MaxDeltaCounter)."""
 
@@ -79,22 +71,24 @@ class Checked(NamedTuple):
 class FrameReader:
     """Reads one kind of frame, and writes it for a simulated car.
 
-    message: of a cantools database. mappings: quantity by name. protection: counter and CRC. period: time between two
-    such frames [s], 0: not known; more frequent ones have a second sender, those that come later than their counter
-    says queue up on the way. The CRC lies in a byte of its own; it covers the other bytes in their order, then the id's
-    low and high byte.
+    message: of a cantools database. mappings: quantity by name. counter, crc: names of their signals, empty for none.
+    period: time between two such frames [s], 0: not known; more frequent ones have a second sender, those that come
+    later than their counter says queue up on the way. The CRC lies in a byte of its own; it covers the other bytes in
+    their order, then the id's low and high byte.
     """
 
-    def __init__(self, message: Any, mappings: dict[str, Mapping], protection: Protection, period: float = 0.0):
-        self.message, self.mappings, self.protection = message, mappings, protection
+    def __init__(
+        self, message: Any, mappings: dict[str, Mapping], *, counter: str = "", crc: str = "", period: float = 0.0
+    ):
+        self.message, self.mappings, self.counter, self.crc = message, mappings, counter, crc
         self.name: str = message.name
         self.frame_id: int = message.frame_id
         self.kind = "x" if message.is_extended_frame else ""
         self.period = period
         self._ranges = {s.name: signal_range(s) for s in message.signals}
-        self._needed = {m.signal for m in mappings.values()} | ({protection.counter} if protection.counter else set())
-        self._crc_byte = message.get_signal_by_name(protection.crc).start // 8 if protection.crc else None
-        self.modulus = 1 << message.get_signal_by_name(protection.counter).length if protection.counter else 0
+        self._needed = {m.signal for m in mappings.values()} | ({counter} if counter else set())
+        self._crc_byte = message.get_signal_by_name(crc).start // 8 if crc else None
+        self.modulus = 1 << message.get_signal_by_name(counter).length if counter else 0
         """The counter's; 0 without one."""
 
     def read(self, data: bytes, counter: int | None) -> Checked:
@@ -110,11 +104,11 @@ class FrameReader:
         except Exception as error:  # a multiplexer code of no signal, for one; what cantools raises is not ours to list
             return Checked({}, counter, f"{self.name}: cannot be decoded ({type(error).__name__}: {error})")
         if not self._needed <= raw.keys():
-            named = (*(m.signal for m in self.mappings.values()), self.protection.counter)
+            named = (*(m.signal for m in self.mappings.values()), self.counter)
             absent = [s for s in named if s and s not in raw]
             return Checked({}, counter, f"{self.name}: without {', '.join(absent)}")
-        if self.protection.counter:
-            new = int(raw[self.protection.counter])
+        if self.counter:
+            new = int(raw[self.counter])
             jump = 1 if counter is None else (new - counter) % self.modulus
             if not 1 <= jump <= MAX_JUMP:
                 return Checked({}, new, f"{self.name}: counter {new} after {counter}")
@@ -135,8 +129,8 @@ class FrameReader:
         for quantity, mapping in self.mappings.items():
             if quantity in values:
                 codes[mapping.signal] = self._code(values[quantity], mapping)
-        if self.protection.counter:
-            codes[self.protection.counter] = count % self.modulus
+        if self.counter:
+            codes[self.counter] = count % self.modulus
         data = self.message.encode(codes, scaling=False, strict=False)
         return data if self._crc_byte is None else with_crc(data, self._crc_byte, self.frame_id)
 

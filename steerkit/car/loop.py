@@ -273,11 +273,6 @@ def setting_of(place: FilePath) -> Setting:
     return rundir.from_plain(data["setting"], str(file), Setting)
 
 
-def recovery_named(name: str, config: CarConfig) -> Block:
-    """The recovery controller of a learned one; raises ValueError with the valid names."""
-    return make_recovery(name, design_model_of(config))
-
-
 def car_loop(
     config: CarConfig,
     path: Path,
@@ -307,7 +302,7 @@ def car_loop(
         driver=ConstantSpeed(speed=0.0),  # the human in the car keeps the speed; nobody reads this
         controller=controller,
         doe=element if learned else None,
-        recovery=recovery_named(recovery, config) if learned else None,
+        recovery=make_recovery(recovery, design_model_of(config)) if learned else None,
         foresight=foresight(config) if learned else None,
         safety=safety(config, clock) if safe else None,
         reference=config.vehicle.l_f,

@@ -9,7 +9,7 @@ import socket
 import sys
 import tty
 from types import ModuleType
-from typing import Any, Protocol
+from typing import Any
 
 
 def python_can() -> ModuleType:
@@ -41,24 +41,6 @@ def open_bus(arguments: dict[str, Any]) -> Any:
         raise OSError(
             f"bus {where}: cannot be opened ({error}); is the adapter there and free, its interface installed?"
         ) from error
-
-
-class Port(Protocol):
-    """What a simulated car asks of its end of a bus."""
-
-    channel: str
-
-    def wait(self, timeout: float) -> list[tuple[int, bytes]]:
-        """The frames (id, data) that came in, after at most `timeout` [s] without any."""
-        ...
-
-    def send(self, frame_id: int, data: bytes) -> None:
-        """A frame to whoever listens."""
-        ...
-
-    def close(self) -> None:
-        """Free the port."""
-        ...
 
 
 class BusPort:

@@ -24,7 +24,7 @@ from steerkit._support.clock import Clock
 from steerkit._support.errors import in_one_line
 from steerkit.car.client import CarClient, CarLost
 from steerkit.car.config import CarConfig, bus_of, loaded
-from steerkit.car.ports import BusPort, Port, SlcanPort
+from steerkit.car.ports import BusPort, SlcanPort
 from steerkit.car.recording import Recording, described
 from steerkit.car.server import CarServer
 from steerkit.car.simulated import Fault, SimulatedCar
@@ -112,7 +112,7 @@ def simulated_car(config: CarConfig, path: Path, **options: Any) -> SimulatedCar
 
 def serve_simulated(
     car: SimulatedCar,
-    port: Port,
+    port: BusPort | SlcanPort,
     clock: Clock,
     *,
     log: TextIO | None = None,

@@ -81,7 +81,7 @@ class Senses:
         self._punctual = {
             r.frame_id: Punctuality(r.period, r.modulus, config.states.pose_age)
             for r in config.readers
-            if r.period and r.protection.counter
+            if r.period and r.counter
         }
         self._times: dict[int, deque[float]] = {i: deque(maxlen=1000) for i in self._readers}
         self.foreign: tuple[float, str] = (-math.inf, "")

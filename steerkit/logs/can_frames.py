@@ -18,7 +18,7 @@ import numpy as np
 from steerkit._support.errors import known, require
 from steerkit._support.files import Bounded
 from steerkit.car.ports import python_can
-from steerkit.logs.channels import Options, Table
+from steerkit.logs.channels import Table
 
 _NEEDS = "CAN logs need python-can and cantools: pip install 'steerkit-control[logs]'"
 _CANDUMP = re.compile(r"\(\d+\.\d+\) +\S+ +[0-9A-Fa-f]+#(#?[0-9A-Fa-f]*|R\d*)( [RT])?\s*")
@@ -52,7 +52,7 @@ Log = dict[tuple[int, bool], Frames]
 """(identifier, is it extended) to its frames."""
 
 
-def read_candump(path: Path, options: Options, notes: list[str]) -> list[Table]:
+def read_candump(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
     """`candump -L`, compressed or not: lines that are none are left out."""
     from_lines = _python_can(path).io.canutils.CanutilsLogReader
     with _opened(path) as stream:
@@ -60,18 +60,18 @@ def read_candump(path: Path, options: Options, notes: list[str]) -> list[Table]:
         log = collected(_messages(from_lines(lines), notes))
     if lines.odd:
         notes.append(f"left out {lines.odd} lines that are no frames")
-    return decoded(log, path, options, notes)
+    return decoded(log, path, dbc, notes)
 
 
-def read_asc(path: Path, options: Options, notes: list[str]) -> list[Table]:
+def read_asc(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
     """Vector's text form, compressed or not."""
     reader = _python_can(path).ASCReader
     with _opened(path) as stream:
         log = collected(_messages(reader(stream, relative_timestamp=True), notes))
-    return decoded(log, path, options, notes)
+    return decoded(log, path, dbc, notes)
 
 
-def read_blf(path: Path, options: Options, notes: list[str]) -> list[Table]:
+def read_blf(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
     """Vector's binary form."""
     reader = _python_can(path).BLFReader
     with Bounded(path) as stream:
@@ -80,7 +80,7 @@ def read_blf(path: Path, options: Options, notes: list[str]) -> list[Table]:
         except Exception as error:  # struct's, and whatever a date may be
             raise ValueError(f"{path}: no BLF file ({type(error).__name__}: {error})") from error
         log = collected(_messages(messages, notes))
-    return decoded(log, path, options, notes)
+    return decoded(log, path, dbc, notes)
 
 
 def _python_can(path: Path) -> Any:
@@ -129,21 +129,21 @@ def collected(messages: Iterable[Any]) -> Log:
     return log
 
 
-def decoded(log: Log, path: Path, options: Options, notes: list[str]) -> list[Table]:
+def decoded(log: Log, path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
     """The signals of the frames that the DBC knows, a table a message, taken out of `log`; a note names the others."""
     require(log, str(path), f"no CAN frames in it{'; ' + notes[-1] if notes else ''}")
     seen = ", ".join(f"0x{frame:X} ({len(frames.t)})" for (frame, _), frames in sorted(log.items())[:12])
     require(
-        options.dbc,
+        dbc,
         str(path),
         f"CAN frames of {len(log)} identifiers ({seen}{', ...' if len(log) > 12 else ''}); say what is in them with "
         "--dbc FILE.dbc, or --dbc NAME of the package opendbc, such as toyota_nodsu_pt_generated",
     )
-    messages = [m for one in options.dbc for m in database(one).messages]
+    messages = [m for one in dbc for m in database(one).messages]
     by_id = {(m.frame_id, m.is_extended_frame): m for m in messages}
     unknown = [f"0x{frame:X}" for frame, extended in sorted(log) if (frame, extended) not in by_id]
     tables = [_table(by_id[key], log.pop(key), notes) for key in sorted(log) if key in by_id]
-    require(tables, str(path), f"none of its identifiers ({seen}) is in {', '.join(options.dbc)}: of another car?")
+    require(tables, str(path), f"none of its identifiers ({seen}) is in {', '.join(dbc)}: of another car?")
     if unknown:
         some = ", ".join(unknown[:8]) + (", ..." if len(unknown) > 8 else "")
         notes.append(f"{len(unknown)} identifiers are not in the DBC: {some}")

@@ -56,14 +56,6 @@ class Table:
     """Their times (n,) [s]; None where one of the columns is the time."""
 
 
-@dataclass(frozen=True)
-class Options:
-    """What a reader needs beside the file."""
-
-    dbc: tuple[str, ...] = ()
-    """Files, or names of the package opendbc, that say what is in a CAN frame."""
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Source:
     """One file as it was read."""

@@ -14,18 +14,7 @@ import numpy as np
 
 from steerkit._support.errors import require
 from steerkit.logs import can_frames, ros, tables
-from steerkit.logs.channels import (
-    Array,
-    Channel,
-    Column,
-    ColumnMap,
-    Options,
-    Source,
-    Table,
-    candidates,
-    is_time,
-    unit_of,
-)
+from steerkit.logs.channels import Array, Channel, Column, ColumnMap, Source, Table, candidates, is_time, unit_of
 from steerkit.logs.drive import ODD, Drive, aligned, in_metres, odd_values
 
 LONGEST = 0.5
@@ -223,10 +212,10 @@ def read_log(files: Files, *, dbc: str | Path | Iterable[str | Path] = (), time:
     column of a table is the time (default: one of a well-known name). Raises ValueError, saying what to do, for a
     file that is not there, broken, or of another kind.
     """
-    options = Options(dbc=tuple(str(one) for one in _many(dbc)))
+    databases = tuple(str(one) for one in _many(dbc))
     paths = [Path(file) for file in _many(files)]
     require(paths, "read_log", "no files, expected one or more")
-    sources = [_source(path, options) for path in paths]
+    sources = [_source(path, databases) for path in paths]
     found = [(source, channel) for source in sources for channel in _channels(source, time)]
     names = [channel.name for _, channel in found]
     channels: dict[str, Channel] = {}
@@ -298,7 +287,7 @@ def _many(files: Any) -> list[Any]:
     return [files] if isinstance(files, str | Path) else list(files)
 
 
-def _source(path: Path, options: Options) -> Source:
+def _source(path: Path, dbc: tuple[str, ...]) -> Source:
     kind = "".join(path.suffixes[-2:]).lower() if path.suffix.lower() == ".gz" else path.suffix.lower()
     if not (kind in _READERS or path.is_dir()):
         known = ", ".join((*_READERS, *_SHIPPED))
@@ -310,7 +299,7 @@ def _source(path: Path, options: Options) -> Source:
     require(size, str(path), "the file is empty")
     notes: list[str] = []
     try:
-        found = (ros.read_ros if path.is_dir() else _READERS[kind])(path, options, notes)
+        found = (ros.read_ros if path.is_dir() else _READERS[kind])(path, dbc, notes)
     except ValueError:
         raise
     except Exception as error:  # of a library that did not expect these bytes
@@ -358,13 +347,13 @@ def _clock(table: Table, time: Column | None, where: str) -> str:
     return known[0]
 
 
-def _mcap(path: Path, options: Options, notes: list[str]) -> list[Table]:
+def _mcap(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
     with path.open("rb") as stream:
         head = stream.read(64)
-    return (tables.read_own if tables.is_own(head) else ros.read_ros)(path, options, notes)
+    return (tables.read_own if tables.is_own(head) else ros.read_ros)(path, dbc, notes)
 
 
-_READERS: dict[str, Callable[[Path, Options, list[str]], list[Table]]] = {
+_READERS: dict[str, Callable[[Path, tuple[str, ...], list[str]], list[Table]]] = {
     ".mcap": _mcap,
     ".npz": tables.read_npz,
     ".parquet": tables.read_parquet,

@@ -14,7 +14,7 @@ import numpy as np
 from steerkit._support.errors import require
 from steerkit._support.files import Bounded
 from steerkit.logs.can_frames import Frames, Log, decoded
-from steerkit.logs.channels import Options, Table
+from steerkit.logs.channels import Table
 
 
 def intact(file: Path, heavy: tuple[str, ...], notes: list[str]) -> Iterator[tuple[str, str, float, Any]]:
@@ -154,7 +154,7 @@ class _Topic:
     numbers: dict[str, array[float]] = field(default_factory=dict)
 
 
-def read_ros(path: Path, options: Options, notes: list[str]) -> list[Table]:
+def read_ros(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
     """The numbers in a bag's messages: a folder with metadata.yaml, or one file of it (.mcap, .db3, .bag).
 
     A topic is a table, on the clock of its stamps if it has such, else of when its messages were received.
@@ -183,8 +183,8 @@ def read_ros(path: Path, options: Options, notes: list[str]) -> list[Table]:
             notes.append(f"cut off or broken: what comes before is used ({type(error).__name__}: {str(error)[:80]})")
         require(topics or frames, str(path), f"no ROS bag, or a broken one ({type(error).__name__}: {error})")
     tables = [_table(name, topic, notes) for name, topic in sorted(topics.items()) if topic.numbers]
-    if frames and (options.dbc or not tables):
-        tables += decoded(frames, path, options, notes)
+    if frames and (dbc or not tables):
+        tables += decoded(frames, path, dbc, notes)
     elif frames:
         notes.append(f"{sum(len(f.t) for f in frames.values())} CAN frames are not read: say what is in them, --dbc")
     require(tables, str(path), f"no messages with numbers in it{'; ' + notes[-1] if notes else ''}")

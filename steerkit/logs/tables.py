@@ -22,7 +22,7 @@ from steerkit._support.files import read_npz as arrays_of
 from steerkit.car import recording
 from steerkit.diagram.simulation import Log
 from steerkit.logs.can_frames import database
-from steerkit.logs.channels import Options, Table
+from steerkit.logs.channels import Table
 
 Columns = dict[str, np.ndarray]
 
@@ -31,13 +31,13 @@ ROWS = 4096
 _UNIT = re.compile(r"^(?P<name>.*\S)\s*[\[(](?P<unit>[^\[\]()]*)[\])]$")
 
 
-def read_csv(path: Path, options: Options, notes: list[str]) -> list[Table]:
+def read_csv(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
     """Rows of numbers under a row of names such as `v` or `v [m/s]`; `,`, `;` or tab between, `#` before comments."""
     with path.open("rb") as stream:
         return [_table(path, _lines(stream), notes)]
 
 
-def read_csv_gz(path: Path, options: Options, notes: list[str]) -> list[Table]:
+def read_csv_gz(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
     """The same, compressed; of a file that is cut off, what comes before."""
     with gzip.open(path) as stream:
         return [_table(path, _lines(stream, path, notes), notes)]
@@ -145,7 +145,7 @@ def with_units(columns: Columns) -> Table:
     return Table(columns={bare[name]: values for name, values in columns.items()}, units=units)
 
 
-def read_mat(path: Path, options: Options, notes: list[str]) -> list[Table]:
+def read_mat(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
     """Arrays of a MATLAB file by name; those of the commonest length."""
     from scipy.io import loadmat
 
@@ -175,7 +175,7 @@ def one_length(columns: Columns, path: Path, notes: list[str]) -> list[Table]:
     return [with_units({name: values for name, values in columns.items() if len(values) == n})]
 
 
-def read_npz(path: Path, options: Options, notes: list[str]) -> list[Table]:
+def read_npz(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
     """A Log that was saved, or arrays of one length by name."""
     arrays = arrays_of(path, "read_drive")
     if {"t", "units"} <= arrays.keys():
@@ -188,7 +188,7 @@ def read_npz(path: Path, options: Options, notes: list[str]) -> list[Table]:
     return one_length(numeric, path, notes)
 
 
-def read_parquet(path: Path, options: Options, notes: list[str]) -> list[Table]:
+def read_parquet(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
     """Columns of numbers; units from the fields' metadata."""
     try:
         import pyarrow.parquet as parquet
@@ -230,7 +230,7 @@ def is_own(head: bytes) -> bool:
     return b"steerkit" in head or not head.startswith(b"\x89MCAP0\r\n")
 
 
-def read_own(path: Path, options: Options, notes: list[str]) -> list[Table]:
+def read_own(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
     """What the car's frames say of steering wheel, speed, yaw rate, heading and place, each on its own clock."""
     try:
         recorded = recording.read(path)
@@ -272,7 +272,7 @@ _PIECE = 1 << 13
 """Values that are read at a time."""
 
 
-def read_mf4(path: Path, options: Options, notes: list[str]) -> list[Table]:
+def read_mf4(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
     """The channels that are numbers, a table a channel group, with the file's units; needs asammdf."""
     try:
         from asammdf import MDF
@@ -283,12 +283,12 @@ def read_mf4(path: Path, options: Options, notes: list[str]) -> list[Table]:
         try:
             with Bounded(path) as stream, MDF(stream) as file:
                 tables = _tables(file, notes)
-                if options.dbc:
-                    tables += _buses(file, options, notes)
+                if dbc:
+                    tables += _buses(file, dbc, notes)
         except Exception as error:  # asammdf lets anything out when the bytes are not what it expects
             trouble = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
     require(not trouble, str(path), f"no MDF 4 file, cut off, or spoilt ({trouble})")
-    held = "; its CAN frames need --dbc" if not options.dbc else ""
+    held = "; its CAN frames need --dbc" if not dbc else ""
     require(tables, str(path), f"no channels of numbers in it{held}")
     return tables
 
@@ -349,8 +349,8 @@ def _channel(file: Any, group: int, index: int) -> tuple[np.ndarray, np.ndarray,
             return np.concatenate(times), np.concatenate(parts), unit
 
 
-def _buses(file: Any, options: Options, notes: list[str]) -> list[Table]:
+def _buses(file: Any, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
     """What a DBC says of the frames of recorded buses."""
-    databases = {"CAN": [(database(name), 0) for name in options.dbc]}
+    databases = {"CAN": [(database(name), 0) for name in dbc]}
     with file.extract_bus_logging(database_files=databases) as signals:
         return _tables(signals, notes)

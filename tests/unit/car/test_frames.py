@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from steerkit.car.config import load, shipped
-from steerkit.car.frames import CommandWriter, FrameReader, Mapping, Protection, crc8_2f, frame_crc, signal_range
+from steerkit.car.frames import CommandWriter, FrameReader, Mapping, crc8_2f, frame_crc, signal_range
 from steerkit.diagram.units import degrees_of, radians_of
 
 CONFIG = load("dbw-kit.toml")
@@ -147,7 +147,7 @@ def test_units_and_signs() -> None:
         "delta_sw": Mapping(frame="STEERING_REPORT", signal="ANGLE", unit="deg", sign=-1.0, offset=0.5),
     }
     data = message.encode({s.name: 0 for s in message.signals} | {"VEH_VEL": 36.0, "ANGLE": 90.0})
-    values = FrameReader(message, mappings, Protection()).read(data, None).values
+    values = FrameReader(message, mappings).read(data, None).values
     assert values["v_kit"] == pytest.approx(10.0)
     assert values["delta_sw"] == pytest.approx(0.5 - math.pi / 2)
 
@@ -180,7 +180,7 @@ def test_offsets_of_the_file_and_of_the_dbc(sign: float, zero: float) -> None:
     writer = CommandWriter(message, mapping, "EN")
     data = writer.write(radians_of(20.0), enable=True)
     assert message.decode(data)["SCMD"] == pytest.approx(sign * (20.0 - 7.5))
-    reader = FrameReader(message, {"delta_sw": mapping}, Protection())
+    reader = FrameReader(message, {"delta_sw": mapping})
     assert reader.read(data, None).values["delta_sw"] == pytest.approx(radians_of(20.0))
     assert reader.write({"delta_sw": radians_of(20.0)}) == writer.write(radians_of(20.0), enable=False)
     if zero == 0.0:

@@ -55,7 +55,7 @@ def taped(file: Path, columns: dict[str, Any], *, spoilt: int = 0) -> None:
         for writer in writers:
             full = {name: values.get(name, 0.0) for name in writer.mappings}
             data = writer.write(full, count=k)
-            if spoilt and k % spoilt == spoilt - 1 and writer.protection.crc:
+            if spoilt and k % spoilt == spoilt - 1 and writer.crc:
                 data = bytes([data[0], data[1] ^ 0x10, *data[2:]])
             tape.event(Frame(t, t, writer.frame_id, data), [])
     tape.close()
