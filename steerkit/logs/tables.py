@@ -20,6 +20,7 @@ from steerkit._support.errors import require
 from steerkit._support.files import Bounded
 from steerkit._support.files import read_npz as arrays_of
 from steerkit.car import recording
+from steerkit.car.config import DIMENSION
 from steerkit.diagram.simulation import Log
 from steerkit.logs.can_frames import database
 from steerkit.logs.channels import Table
@@ -156,17 +157,12 @@ def read_mat(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
     except Exception as error:  # scipy's reader lets anything out when the bytes are not what it expects
         raise ValueError(f"{path}: no MATLAB file, or cut off ({type(error).__name__}: {error})") from error
     arrays = {name: np.asarray(value) for name, value in data.items() if not name.startswith("__")}
-    numeric = {
-        name: np.ravel(a).astype(float, copy=False)
-        for name, a in arrays.items()
-        if a.dtype.kind in "fiub" and a.size > 1
-    }
-    require(numeric, str(path), f"no arrays of numbers in it; it holds {', '.join(arrays) or 'nothing'}")
-    return one_length(numeric, path, notes)
+    return one_length(arrays, path, notes)
 
 
-def one_length(columns: Columns, path: Path, notes: list[str]) -> list[Table]:
-    """A table of the columns of the commonest length; a note names the others."""
+def one_length(arrays: Columns, path: Path, notes: list[str]) -> list[Table]:
+    """A table of the arrays of numbers that have the commonest length; a note names those of another."""
+    columns = {name: np.ravel(a).astype(float, copy=False) for name, a in _numeric(arrays, path).items()}
     lengths = [len(values) for values in columns.values()]
     n = max(set(lengths), key=lambda length: (lengths.count(length), length))
     odd = [f"{name} ({len(values)})" for name, values in columns.items() if len(values) != n]
@@ -175,17 +171,19 @@ def one_length(columns: Columns, path: Path, notes: list[str]) -> list[Table]:
     return [with_units({name: values for name, values in columns.items() if len(values) == n})]
 
 
+def _numeric(arrays: Columns, path: Path) -> Columns:
+    found = {name: a for name, a in arrays.items() if a.dtype.kind in "fiub" and a.size > 1}
+    require(found, str(path), f"no arrays of numbers in it; it holds {', '.join(arrays) or 'nothing'}")
+    return found
+
+
 def read_npz(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
     """A Log that was saved, or arrays of one length by name."""
     arrays = arrays_of(path, "read_drive")
     if {"t", "units"} <= arrays.keys():
         log = Log.load(path)
         return [_one_car(path, log.columns(), {"t": "s", **log.units})]
-    numeric = {
-        k: np.ravel(a).astype(float, copy=False) for k, a in arrays.items() if a.dtype.kind in "fiub" and a.size > 1
-    }
-    require(numeric, str(path), f"no arrays of numbers in it; it holds {', '.join(arrays) or 'nothing'}")
-    return one_length(numeric, path, notes)
+    return one_length(arrays, path, notes)
 
 
 def read_parquet(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
@@ -200,9 +198,8 @@ def read_parquet(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Tab
         raise ValueError(f"{path}: no Parquet file, or cut off ({error}); its index is at the end") from error
     units = {f.name: (f.metadata or {}).get(b"unit", b"").decode("utf-8", "replace") for f in table.schema}
     columns = {name: table[name].to_numpy() for name in table.column_names}
-    numeric = {name: a.astype(float, copy=False) for name, a in columns.items() if a.dtype.kind in "fiub"}
-    require(numeric, str(path), f"no columns of numbers in it; it holds {', '.join(columns) or 'nothing'}")
-    return [_one_car(path, numeric, units)]
+    numbers = {name: a.astype(float, copy=False) for name, a in _numeric(columns, path).items()}
+    return [_one_car(path, numbers, units)]
 
 
 def _one_car(path: Path, columns: Columns, units: dict[str, str]) -> Table:
@@ -212,17 +209,8 @@ def _one_car(path: Path, columns: Columns, units: dict[str, str]) -> Table:
     return Table(columns=table.columns, units={**table.units, **{k: u for k, u in units.items() if u}})
 
 
-_KNOWN = {
-    "delta_sw": ("delta_sw", "rad"),
-    "v": ("v", "m/s"),
-    "r": ("r", "rad/s"),
-    "psi": ("psi", "rad"),
-    "x": ("x", "m"),
-    "y": ("y", "m"),
-    "lat": ("lat_deg", "rad"),
-    "lon": ("lon_deg", "rad"),
-}
-"""Name in the configuration to the quantity of a drive and the unit that it has there."""
+_MEANS = {**{name: name for name in ("delta_sw", "v", "r", "psi", "x", "y")}, "lat": "lat_deg", "lon": "lon_deg"}
+"""Name in the configuration to the quantity of a drive; the units there are those of `DIMENSION`."""
 
 
 def is_own(head: bytes) -> bool:
@@ -262,8 +250,8 @@ def read_own(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
     tables = []
     for name, points in series.items():
         t, values = np.array(points).T
-        quantity, unit = _KNOWN.get(name, ("", ""))
-        means, units = ({name: quantity}, {name: unit}) if quantity else ({}, {})
+        means = {name: _MEANS[name]} if name in _MEANS else {}
+        units = {name: DIMENSION[name]} if name in _MEANS else {}
         tables.append(Table(columns={name: values}, units=units, means=means, t=t))
     return tables
 
