@@ -1,7 +1,8 @@
-"""The loop on a car: what controllers are told, which net drives, and who hears of a missed deadline."""
+"""The loop on a car: what controllers believe, which net drives, and which loop steers in each sample."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,11 +12,15 @@ import pytest
 
 from steerkit.car import loop as loops
 from steerkit.car.client import ReplayLink
+from steerkit.car.loop import Follow
+from steerkit.car.state_machine import Mode, Order
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.stanley import Stanley
+from steerkit.diagram.block import Block
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.settings import setting
-from tests.support.car_world import setup
+from steerkit.scenario.catalogue import make_controller
+from tests.support.car_world import World, setup
 
 CONFIG, COURSE = setup()
 
@@ -81,3 +86,123 @@ def test_missed_deadlines_go_out_with_the_next_request() -> None:
     run: Any = SimpleNamespace(timing=SimpleNamespace(misses=3))
     loops.count_misses(run, link)
     assert link.misses == 3
+
+
+def policy() -> NfqPolicy:
+    """A net that has learned nothing, and is ready from the start."""
+    how = setting("default")
+    nets = nfq.fresh_nets(how.fit, how.description(), seed=0)
+    return NfqPolicy(nets=nets, actions=how.actions, description=how.description())
+
+
+def world_of(controller: Block | None = None) -> World:
+    return World(s=20.0, v=(5.0, 5.0), controller=controller)
+
+
+def steered_by(world: World, seconds: float) -> set[str]:
+    """Whose angle went out in each sample."""
+    who, end = set(), world.t + seconds
+    while world.t < end:
+        world.until(world.t + 0.05)
+        sample = world.run.sample
+        who.add("net" if sample["supervisor.learning"] > 0.5 else "recovery")
+        chosen = sample["doe.delta_sw"] if sample["supervisor.learning"] > 0.5 else sample["recovery.delta_sw"]
+        assert sample["supervisor.delta_sw"] == chosen
+    return who
+
+
+def test_a_net_steers_while_engaged_and_trusted_and_never_else() -> None:
+    world = world_of(policy())
+    world.bring_to(Mode.READY)
+    assert steered_by(world, 0.3) == {"recovery"}, "the human has the wheel"
+    world.order(Order.ENGAGE)
+    world.until(world.t + 0.05)
+    assert "net" in steered_by(world, 0.15)
+    world.follow.trusted = False
+    world.until(world.t + 0.05)
+    assert steered_by(world, 2.0) == {"recovery"}, "nobody trusts it"
+    assert world.mode is Mode.ENGAGED
+    world.follow.trusted = True
+    world.until(world.t + 0.05)
+    assert "net" in steered_by(world, 0.5)
+    world.order(Order.DISENGAGE)
+    world.until(world.t + 0.1)
+    assert steered_by(world, 0.5) == {"recovery"}
+
+
+def test_while_a_human_steers_the_controller_settles_on_the_wheel_as_it_is() -> None:
+    world = world_of()
+    world.bring_to(Mode.READY)
+    number = world.run.loop.names.index("controller")
+    for _ in range(10):
+        world.until(world.t + 0.05)
+        assert world.run.x[number] == world.run.loop.settled("controller", world.run.y)
+        assert world.run.x[number].command == world.run.sample["car.delta_sw"]
+    world.order(Order.ENGAGE)
+    world.until(world.t + 0.3)
+    assert world.run.x[number].command == world.run.sample["controller.delta_sw"]
+
+
+class Line:
+    """A line to a car, with what it said last."""
+
+    def __init__(self, world: World):
+        assert world.last is not None
+        self.last = world.last
+
+
+@pytest.mark.parametrize(("mode", "anew"), [(Mode.READY, True), (Mode.STANDBY, True), (Mode.ENGAGED, False)])
+def test_a_pose_that_comes_back_makes_the_loop_begin_anew_once_but_never_while_engaged(mode: Mode, anew: bool) -> None:
+    world = world_of()
+    world.until(1.0)
+    line = Line(world)
+    line.last = line.last._replace(places=1.0, mode=mode)
+    follow = Follow.of(world.run.loop, line)
+    assert not follow.begin(world.run), "the first one is no return"
+    assert world.run.k > 5
+    line.last = line.last._replace(places=2.0, mode=mode)
+    assert follow.begin(world.run) is anew
+    assert (world.run.k == 0) is anew
+    assert not follow.begin(world.run), "once"
+
+
+@pytest.mark.parametrize(
+    ("e", "then", "kept"),
+    [
+        (0.5, Mode.OVERRIDE, True),
+        (-0.5, Mode.STANDBY, True),
+        (0.51, Mode.OVERRIDE, False),
+        (-0.51, Mode.OVERRIDE, False),
+        (math.nan, Mode.OVERRIDE, False),
+        (0.0, Mode.FAULT, False),
+    ],
+)
+def test_what_was_found_of_a_car_that_got_off_its_path_or_into_a_fault_is_not_believed(
+    e: float, then: Mode, kept: bool
+) -> None:
+    adaptive: Any = make_controller("stanley-adaptive", loops.design_model_of(setup()[0]))
+    world = world_of(adaptive)
+    world.until(0.3)
+    line, number = Line(world), world.run.loop.names.index("controller")
+    follow = Follow.of(world.run.loop, line)
+    world.run.x[number] = (*world.run.x[number][:-2], 0.31, 1.2)
+    for mode, now in ((Mode.ENGAGED, e), (Mode.ENGAGED, 0.0), (then, 0.0), (Mode.READY, 0.0)):
+        line.last = line.last._replace(mode=mode, e=now)
+        follow.begin(world.run)
+    anew = adaptive.told(adaptive.init())
+    assert adaptive.told(world.run.x[number]) == ((0.31, 1.2) if kept else anew)
+    world.run.x[number] = (*world.run.x[number][:-2], 0.31, 1.2)
+    for mode in (Mode.ENGAGED, Mode.READY):
+        line.last = line.last._replace(mode=mode)
+        follow.begin(world.run)
+    assert adaptive.told(world.run.x[number]) == (0.31, 1.2), "the next drive is another one"
+
+
+def test_what_rests_is_the_same_loop_but_for_the_net() -> None:
+    world = world_of(policy())
+    driving, resting = world.follow.driving, world.follow.resting
+    assert driving.names == resting.names
+    inner, rest = (getattr(loop.blocks["controller"], "block", None) for loop in (driving, resting))
+    assert isinstance(inner, NfqPolicy)
+    assert isinstance(rest, NfqPolicy)
+    assert rest.nets == inner.nets

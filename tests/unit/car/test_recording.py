@@ -1,24 +1,30 @@
-"""Recordings of a drive, read: cut, damaged, repaired; bit for bit, and each kind of event."""
+"""Recordings of a drive: written, read, cut, damaged, repaired, replayed bit for bit."""
 
 from __future__ import annotations
 
+import fcntl
 import json
 import math
+import os
 import random
 import struct
-from dataclasses import replace
+import threading
+import time
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
 from mcap.writer import Writer
 
 from steerkit.car import protocol
-from steerkit.car import recording as recording_file
 from steerkit.car import recording as recordings
+from steerkit.car.config import course_of, load, shipped
 from steerkit.car.core import Core, End, Frame, Link, Note, Packet, RecordingFault, Send, Tick
 from steerkit.car.state_machine import Mode
+from steerkit.vehicles import vehicle
+from steerkit.vehicles.file import vehicle_text
 from tests.support.car_world import World, setup
-from tests.support.recordings import LINES, brief, chunked, flipped, full_disk, same, small
+from tests.support.recordings import LINES, brief, chunked, flipped, full_disk, same, small, until
 
 # ---- what is read ------------------------------------------------------------------------------------------
 
@@ -66,7 +72,7 @@ def test_numbers_of_a_recording_come_back_bit_for_bit(tmp_path: Path) -> None:
     read = recordings.read(tmp_path / "t.mcap").of("/command")
     assert [struct.pack("<d", v["request"]) for v in read] == [struct.pack("<d", value) for value in odd]
     assert all(math.isnan(v["sent"]) for v in read)
-    found = recording_file.contents((tmp_path / "t.mcap").read_bytes())
+    found = recordings.contents((tmp_path / "t.mcap").read_bytes())
     for line in (line for chunk in found.chunks for line in chunk.lines):  # JSON as other tools read it, too
         json.loads(line.data, parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
 
@@ -116,7 +122,7 @@ def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_recording_of_a_later_protocol_is_refused_with_its_number_and_version(tmp_path: Path) -> None:
-    chunked(recording_file.contents(small()), tmp_path / "t.mcap", {"protocol": "9", "steerkit-control": "7.0"})
+    chunked(recordings.contents(small()), tmp_path / "t.mcap", {"protocol": "9", "steerkit-control": "7.0"})
     with pytest.raises(ValueError, match=rf"of protocol 9, this is {protocol.VERSION}; .* that made it, 7\.0"):
         recordings.read(tmp_path / "t.mcap")
 
@@ -125,7 +131,7 @@ def test_a_recording_of_a_later_protocol_is_refused_with_its_number_and_version(
 
 
 def places_to_cut() -> list[int]:
-    found, rng = recording_file.contents(small()), random.Random(1)
+    found, rng = recordings.contents(small()), random.Random(1)
     ends = [chunk.end for chunk in found.chunks]
     borders = [end + k for end in (*ends, ends[-1] + 13) for k in (-1, 0, 1)]  # 13 bytes end the data
     some = (rng.randrange(len(small())) for _ in range(100))
@@ -133,7 +139,7 @@ def places_to_cut() -> list[int]:
 
 
 def test_a_recording_cut_anywhere_opens_with_all_chunks_that_came_before(tmp_path: Path) -> None:
-    found, every = recording_file.contents(small()), list(map(repr, recordings._read_bytes(small())[0].messages))
+    found, every = recordings.contents(small()), list(map(repr, recordings._read_bytes(small())[0].messages))
     first = found.chunks[0].begin
     ended = 0
     for length in places_to_cut():
@@ -179,7 +185,7 @@ def test_a_thousand_flipped_bits_lose_no_more_than_their_chunk_and_are_told() ->
 
 
 def test_what_is_missing_is_told_in_messages_bytes_and_seconds(drive: Path) -> None:
-    chunks = recording_file.contents(small()).chunks
+    chunks = recordings.contents(small()).chunks
     drive.write_bytes(flipped(small(), 8 * (chunks[3].begin + 200)))
     recorded = recordings.read(drive)
     count, size, gone = len(recorded.messages), len(small()), chunks[3].end - chunks[3].begin
@@ -205,7 +211,7 @@ def test_what_is_missing_is_told_in_messages_bytes_and_seconds(drive: Path) -> N
 
 
 def test_a_repair_writes_a_new_file_and_keeps_all_behind_the_damage(drive: Path) -> None:
-    chunks = recording_file.contents(small()).chunks
+    chunks = recordings.contents(small()).chunks
     hurt = flipped(flipped(small(), 8 * (chunks[3].begin + 200)), 8 * (chunks[6].begin + 1))[: chunks[-1].end]
     drive.write_bytes(hurt)
     left, place = recordings.repair(drive)
@@ -219,16 +225,16 @@ def test_a_repair_writes_a_new_file_and_keeps_all_behind_the_damage(drive: Path)
     assert again.lost == left.lost
     assert len(again.lost) == 3
     assert {k: v for k, v in again.metadata.items() if k != "repaired"} == left.metadata
-    lines = [line for chunk in recording_file.contents(place.read_bytes()).chunks for line in chunk.lines]
+    lines = [line for chunk in recordings.contents(place.read_bytes()).chunks for line in chunk.lines]
     assert {line[:4] for line in lines} <= {line[:4] for chunk in chunks for line in chunk.lines}
-    assert len(recording_file.contents(place.read_bytes()).chunks) == len(chunks) - 2
+    assert len(recordings.contents(place.read_bytes()).chunks) == len(chunks) - 2
 
 
 def test_a_repaired_recording_that_is_damaged_again_tells_of_both(drive: Path) -> None:
-    chunks = recording_file.contents(small()).chunks
+    chunks = recordings.contents(small()).chunks
     drive.write_bytes(flipped(small(), 8 * (chunks[3].begin + 200)))
     _, place = recordings.repair(drive)
-    chunks = recording_file.contents(place.read_bytes()).chunks
+    chunks = recordings.contents(place.read_bytes()).chunks
     place.write_bytes(flipped(place.read_bytes(), 8 * (chunks[-1].begin + 200)))
     again = recordings.read(place)
     assert not again.sound
@@ -259,3 +265,225 @@ def test_a_repair_that_cannot_be_written_leaves_nothing_behind(drive: Path) -> N
         recordings.repair(drive)
     assert [f.name for f in drive.parent.iterdir()] == ["drive.mcap"]
     assert drive.read_bytes() == small()[:-100]
+
+
+# ---- what a replay needs -----------------------------------------------------------------------------------
+
+
+def own_files(folder: Path) -> Path:
+    """A configuration whose DBCs, course and vehicle are files of its own, in folders of their own."""
+    for name in ("can", "places", "cars"):
+        (folder / name).mkdir(parents=True)
+    text = shipped("dbw-kit.toml").read_text()
+    for name in ("dbw_steering.dbc", "pose.dbc"):
+        raw = shipped(name).read_bytes() + 'CM_ "f\xfcr Stra\xdfen";\n'.encode("cp1252")
+        (folder / "can" / name).with_suffix(".DBC").write_bytes(raw)
+        text = text.replace(f'"{name}"', f'"can/{Path(name).stem}.DBC"', 1)
+    text = text.replace('name = "paper"', 'file = "places/same.csv"\nclosed = true')
+    text = text.replace('name = "vw-passat"', 'name = "cars/own.toml"')
+    points = [(60 * math.cos(k / 20 * math.pi), 50 * math.sin(k / 20 * math.pi)) for k in range(40)]
+    (folder / "places/same.csv").write_text("x,y\n" + "".join(f"{x},{y}\n" for x, y in points))
+    (folder / "cars/own.toml").write_text(vehicle_text(replace(vehicle("vw-passat"), m=1234.5)))
+    (folder / "car.toml").write_text(text)
+    return folder / "car.toml"
+
+
+def test_a_replay_depends_on_no_file_but_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = load(own_files(tmp_path / "here"))
+    path = course_of(config)
+    recordings.Recording(tmp_path / "t.mcap", recordings.described(config, path, 2.5)).close()
+    for file in (tmp_path / "here").rglob("*.*"):
+        file.write_text("gone")
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    recorded = recordings.read(tmp_path / "t.mcap")
+    again = recordings.config_of(recorded)
+    assert asdict(again.vehicle) == asdict(config.vehicle)
+    assert sorted(text for name, text in again.texts.items() if name.endswith(".DBC")) == sorted(
+        text for name, text in config.texts.items() if name.endswith(".DBC")
+    )
+    assert protocol.digest(course_of(again)) == protocol.digest(path)
+    assert [reader.frame_id for reader in again.readers] == [reader.frame_id for reader in config.readers]
+    assert again.gate == config.gate
+    assert recorded.metadata["time_scale"] == "2.5"
+    assert recorded.metadata["protocol"] == str(protocol.VERSION)
+    assert {"python", "numpy", "steerkit-control", "cantools"} <= recorded.metadata.keys()
+    assert recordings.differences(recorded, again, course_of(again)) == []
+
+
+@pytest.mark.parametrize("name", ["can/pose.DBC", "places/same.csv", "cars/own.toml"])
+def test_a_recording_that_lacks_a_file_says_which(tmp_path: Path, name: str) -> None:
+    config = load(own_files(tmp_path / "here"))
+    description = recordings.described(config, course_of(config))
+    del description[f"file:{name}"]
+    recordings.Recording(tmp_path / "t.mcap", description).close()
+    with pytest.raises(ValueError, match=f"it lacks {name}, named by its configuration"):
+        recordings.config_of(recordings.read(tmp_path / "t.mcap"))
+
+
+def test_a_recording_without_description_says_that_there_is_no_replay(tmp_path: Path) -> None:
+    first = recordings.contents(small()).chunks[0].begin
+    (tmp_path / "t.mcap").write_bytes(small()[:8] + bytes(first - 8) + small()[first:])
+    recorded = recordings.read(tmp_path / "t.mcap")
+    assert len(recorded.messages) == len(recordings._read_bytes(small())[0].messages)
+    with pytest.raises(ValueError, match="its description is damaged or has no configuration"):
+        recordings.config_of(recorded)
+    assert len(recordings.read(recordings.repair(tmp_path / "t.mcap")[1]).messages) == len(recorded.messages)
+
+
+def test_what_is_different_from_then_is_told(drive: Path) -> None:
+    recorded = recordings.read(drive)
+    config, path = setup()
+    assert recordings.differences(recorded, config, path) == []
+    then = recorded._replace(metadata={**recorded.metadata, "numpy": "0.1", "course": "00", "vehicle": "{}"})
+    told = recordings.differences(then, config, path)
+    assert any(text.startswith("numpy 0.1, now ") for text in told)
+    assert {"the course of that name is another one", "the vehicle of that name is another one"} < set(told)
+
+
+def test_a_recording_in_use_is_looked_into_but_not_repaired(tmp_path: Path) -> None:
+    file = tmp_path / "t.mcap"
+    tape = recordings.Recording(file, {"a": "b"})
+    tape.event(Tick(1.0), [])
+    until(lambda: recordings.read(file).messages)
+    recorded = recordings.read(file)
+    assert recorded.in_use
+    assert recorded.gaps == []
+    assert not recorded.whole
+    with pytest.raises(ValueError, match="is being written by a car server; repair it when that has ended"):
+        recordings.repair(file)
+    assert [f.name for f in tmp_path.iterdir()] == ["t.mcap"]
+    tape.close()
+    assert recordings.read(file).whole
+
+
+def test_damage_in_a_recording_in_use_is_told_but_not_its_end_that_is_yet_to_come(drive: Path) -> None:
+    chunks = recordings.contents(small()).chunks
+    drive.write_bytes(flipped(small(), 8 * (chunks[1].begin + 200))[: chunks[4].end])
+    with drive.open("rb") as stream:
+        fcntl.flock(stream, fcntl.LOCK_EX)
+        (gap,) = recordings.read(drive).gaps
+    assert gap.missing == LINES
+    assert len(recordings.read(drive).gaps) == 2
+    drive.write_bytes(flipped(small(), 8 * (chunks[-1].begin + 200)))  # with its end, and damage just before that
+    with drive.open("rb") as stream:
+        fcntl.flock(stream, fcntl.LOCK_EX)
+        assert len(recordings.read(drive).gaps) == 1
+
+
+def test_the_operating_system_has_it_before_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recordings, "SYNC", 1e6)
+    tape = recordings.Recording(tmp_path / "t.mcap", {})
+    tape.event(Tick(1.0), [])
+    until(lambda: recordings.read(tmp_path / "t.mcap").messages)
+    tape.close()
+
+
+def test_an_event_and_what_came_of_it_reach_the_operating_system_together(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So that a recording that ends with a kill replays exactly, to its last frame."""
+    monkeypatch.setattr(recordings, "FLUSH", 0.0)
+    tape = recordings.Recording(tmp_path / "t.mcap", {})
+    for k in range(50):
+        tape.event(Tick(float(k)), [Note("state", {"t": float(k)}), Note("command", {"t": float(k)})])
+    until(lambda: tape._queue.empty())
+    tape.close()
+    chunks = recordings.contents((tmp_path / "t.mcap").read_bytes()).chunks
+    assert len(chunks) > 10
+    assert {len(chunk.lines) % 3 for chunk in chunks} == {0}
+
+
+def test_what_was_recorded_reaches_the_disk_without_an_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    synced: list[int] = []
+    monkeypatch.setattr(os, "fsync", lambda number: synced.append(os.fstat(number).st_size))
+    file = tmp_path / "t.mcap"
+    tape = recordings.Recording(file, {})
+    begin = synced[-1]
+    tape.event(Tick(1.0), [])
+    until(lambda: synced[-1] > begin)
+    assert file.read_bytes().endswith(b'{"t":1.0}')
+    size = synced[-1]
+    tape.event(Tick(2.0), [])
+    until(lambda: synced[-1] > size)
+    assert len(recordings.read(file).messages) == 2
+    tape.close()
+    assert synced[-1] == file.stat().st_size
+    assert recordings.FLUSH < recordings.SYNC < 1.0
+
+
+def test_a_full_disk_is_told_and_what_was_there_stays_readable(tmp_path: Path) -> None:
+    tape = recordings.Recording(tmp_path / "t.mcap", {"x": "y" * 1000})
+    assert tape.failed == ""
+    with full_disk(12_000):
+        k = 0
+        while not tape.failed:
+            k += 1
+            tape.event(Tick(0.01 * k), [])
+            time.sleep(0.001)
+        tape.event(Tick(0.01 * k), [])
+        tape.close()
+    assert "t.mcap: [Errno 27] File too large" in tape.failed
+    assert tape._queue.qsize() < k
+    recorded = recordings.read(tmp_path / "t.mcap")
+    assert recorded.lost
+    assert [m.values["t"] for m in recorded.messages] == [0.01 * n for n in range(1, len(recorded.messages) + 1)]
+
+
+def test_a_recording_that_cannot_even_begin_raises(tmp_path: Path) -> None:
+    with full_disk(100), pytest.raises(OSError, match="too large"):
+        recordings.Recording(tmp_path / "t.mcap", {"x": "y"})
+    with pytest.raises(FileExistsError):
+        recordings.Recording(tmp_path / "t.mcap", {})
+
+
+def test_a_thread_that_dies_of_anything_else_is_told_too(tmp_path: Path) -> None:
+    tape = recordings.Recording(tmp_path / "t.mcap", {})
+    tape.event(Tick(1.0), [Note("state", {"t": 1.0, "cause": object()})])
+    until(lambda: tape.failed)
+    assert "t.mcap: TypeError: Object of type object is not JSON serializable" in tape.failed
+    tape.event(Tick(2.0), [])
+    assert tape._queue.empty()
+    tape.close()
+    assert [m.values["t"] for m in recordings.read(tmp_path / "t.mcap").messages] == [1.0]
+
+
+def test_a_disk_that_does_not_answer_holds_up_nobody_and_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tape = recordings.Recording(tmp_path / "t.mcap", {})
+    answers, waiting = threading.Event(), threading.Event()
+
+    def stuck(number: int) -> None:
+        waiting.set()
+        answers.wait(60.0)
+
+    monkeypatch.setattr(os, "fsync", stuck)
+    tape.event(Tick(0.0), [])
+    assert waiting.wait(60.0)
+    assert tape.failed == ""
+    monkeypatch.setattr(recordings, "STALL", 0.0)
+    assert "the disk has not answered for more than 0 s" in tape.failed
+    for k in range(1000):
+        tape.event(Tick(1.0 + k), [])
+    monkeypatch.setattr(recordings, "STALL", 60.0)
+    assert tape.failed == ""
+    tape.close(timeout=0.0)
+    assert "its end could not be written within 0 s" in tape.failed
+    answers.set()
+    tape._thread.join(60.0)
+    assert len(recordings.read(tmp_path / "t.mcap").messages) == 1001
+
+
+def test_a_recording_ends_before_the_memory_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tape = recordings.Recording(tmp_path / "t.mcap", {})
+    monkeypatch.setattr(recordings, "BACKLOG", 50)
+    answers = threading.Event()
+    monkeypatch.setattr(os, "fsync", lambda number: answers.wait(60.0))
+    until(lambda: tape.event(Tick(0.0), []) or tape.failed)
+    assert "the disk does not keep up; 50 events wait for it" in tape.failed
+    waiting = tape._queue.qsize()
+    tape.event(Tick(0.0), [])
+    assert tape._queue.qsize() == waiting
+    answers.set()
+    tape.close()

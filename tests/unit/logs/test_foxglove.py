@@ -1,22 +1,27 @@
-"""Logs out: MCAP that others' readers open, numbers bit for bit, and layouts that name what is in it."""
+"""Foxglove: the MCAP of a log, the live view, and layouts that name what is in them."""
 
 from __future__ import annotations
 
 import json
 import math
 import re
+import socket
+import time
 import xml.etree.ElementTree as xml
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from steerkit import LinearSingleTrack, Stanley, course, placed, simulate, steering_loop, vehicle
+from steerkit import LinearSingleTrack, Loop, Stanley, course, placed, simulate, steering_loop, vehicle
+from steerkit.diagram.loop import Sample
 from steerkit.diagram.simulation import Log
 from steerkit.logs import foxglove
 from steerkit.logs.foxglove import BEGIN, layout, shown_as, to_mcap
 from steerkit.plants.speed_driver import ConstantSpeed
+from tests.support.command_lines import run
 
 pytest.importorskip("mcap")
 pytest.importorskip("foxglove")
@@ -33,15 +38,19 @@ def messages(file: Path) -> dict[str, list[tuple[int, Any]]]:
 
 
 @pytest.fixture(scope="module")
-def run() -> Log:
+def loop() -> Loop:
     path, passat = course("circle"), vehicle("vw-passat")
     car = placed(LinearSingleTrack(vehicle=passat, v0=5.0), path)
-    driver, stanley = ConstantSpeed(speed=5.0), Stanley.of(passat)
-    return simulate(steering_loop(car=car, path=path, driver=driver, controller=stanley), 3.0)
+    return steering_loop(car=car, path=path, driver=ConstantSpeed(speed=5.0), controller=Stanley.of(passat))
 
 
-def test_a_simulated_run_is_read_back_bit_for_bit(run: Log, tmp_path: Path) -> None:
-    counts = to_mcap(run, tmp_path / "run.mcap")
+@pytest.fixture(scope="module")
+def lap(loop: Loop) -> Log:
+    return simulate(loop, 3.0)
+
+
+def test_a_simulated_run_is_read_back_bit_for_bit(lap: Log, tmp_path: Path) -> None:
+    counts = to_mcap(lap, tmp_path / "run.mcap")
     found = messages(tmp_path / "run.mcap")
     assert set(counts) == set(found) - {"/scene/driven"}
     for topic, field, signal in (
@@ -49,16 +58,16 @@ def test_a_simulated_run_is_read_back_bit_for_bit(run: Log, tmp_path: Path) -> N
         ("/car", "v", "car.v"),
         ("/wheel", "delta_sw", "car.delta_sw"),
     ):
-        assert [values[field] for _, values in found[topic]] == run[signal].tolist()
-    assert [when for when, _ in found["/path"]] == [BEGIN + round(t * 1e9) for t in run.t.tolist()]
+        assert [values[field] for _, values in found[topic]] == lap[signal].tolist()
+    assert [when for when, _ in found["/path"]] == [BEGIN + round(t * 1e9) for t in lap.t.tolist()]
     pose = found["/scene/pose"][-1][1]["pose"]
-    assert (pose["position"]["x"], pose["position"]["y"]) == (run["car.x"][-1], run["car.y"][-1])
+    assert (pose["position"]["x"], pose["position"]["y"]) == (lap["car.x"][-1], lap["car.y"][-1])
     half = np.arctan2(pose["orientation"]["z"], pose["orientation"]["w"])
-    assert np.sin(2.0 * half) == pytest.approx(np.sin(run["car.psi"][-1]))
+    assert np.sin(2.0 * half) == pytest.approx(np.sin(lap["car.psi"][-1]))
 
 
-def test_the_layouts_show_what_is_there(run: Log, tmp_path: Path) -> None:
-    shown = shown_as(run.columns())
+def test_the_layouts_show_what_is_there(lap: Log, tmp_path: Path) -> None:
+    shown = shown_as(lap.columns())
     text = layout("foxglove", tmp_path / "l.json").read_text()
     paths = set(re.findall(r'"value": "(/[^"]+)"', text))
     assert paths
@@ -96,3 +105,132 @@ def test_a_long_way_is_shown_with_fewer_points_and_a_heading_is_a_quaternion() -
     assert placed["timestamp"] == {"sec": 3, "nsec": 1}
     assert math.isclose(placed["pose"]["orientation"]["z"], math.sqrt(0.5))
     assert foxglove.packed({"v": foxglove.number(math.nan)}) == b'{"v":null}'
+
+
+pytest.importorskip("foxglove")
+pytest.importorskip("websockets")
+
+
+def seen_by(each: Callable[[Sample], None]) -> Callable[[Sample], bool]:
+    return lambda sample: each(sample) is not None
+
+
+def first_of(loop: Loop, t: float = 0.0) -> Sample:
+    samples: list[Sample] = []
+    simulate(loop, 0.05, until=seen_by(lambda sample: samples.append(Sample(loop, t, list(sample.y)))))
+    return samples[0]
+
+
+def test_a_client_sees_the_drive_as_the_export_has_it_and_cannot_publish(loop: Loop, tmp_path: Path) -> None:
+    from mcap.reader import make_reader
+
+    from tests.support.foxglove_client import Client
+
+    log = simulate(loop, 3.0)
+    topics = to_mcap(log, tmp_path / "run.mcap").keys() | {"/scene/driven"}
+    with (tmp_path / "run.mcap").open("rb") as file:
+        exported = make_reader(file).get_summary()
+    assert exported is not None
+    schemas = {c.topic: exported.schemas[c.schema_id] for c in exported.channels.values()}
+    server = foxglove.Server("0")
+    assert server.address.startswith("ws://127.0.0.1:")
+    server.sample(early := first_of(loop, t=-100.0))
+    with Client(server.address) as client:
+        client.subscribe(len(topics))
+        assert client.info["capabilities"] == []
+        assert {c["topic"] for c in client.channels.values()} == topics
+        for channel in client.channels.values():
+            schema = schemas[channel["topic"]]
+            assert (channel["schemaName"], json.loads(channel["schema"])) == (schema.name, json.loads(schema.data))
+        while (known := client.next(within=0.2)) is None:  # until the server knows who asks
+            server.sample(early)
+        begin = known[1] + 100 * 10**9
+        simulate(loop, 3.0, until=seen_by(server.sample))
+        rows: dict[str, list[tuple[int, dict[str, Any]]]] = {}
+        while len(rows.get("/scene/pose", [])) < len(log.t):
+            message = client.next()
+            assert message is not None
+            topic, when, values = message
+            if when >= begin or topic == "/scene/driven":
+                rows.setdefault(topic, []).append((when - begin, values))
+        for topic, field, name in (("/path", "e", "path.e"), ("/car", "v", "car.v"), ("/car", "x", "car.x")):
+            assert [values[field] for _, values in rows[topic]] == log[name].tolist()
+            assert [when for when, _ in rows[topic]] == [round(t * 1e9) for t in log.t.tolist()]
+        assert rows["/scene/driven"]
+
+        mine = {"id": 9, "topic": "/path", "encoding": "json", "schemaName": ""}
+        client.ask({"op": "advertise", "channels": [mine]})
+        client.ask(b"\x01\x09\0\0\0" + b'{"e": 0.0}')
+        assert "does not support clientPublish" in client.words()["message"]
+        began = time.monotonic()
+        server.end()  # with a client that reads nothing any more
+        assert time.monotonic() - began < 5.0
+
+
+def test_nobody_waits_for_a_client_that_reads_nothing(loop: Loop) -> None:
+    from tests.support.foxglove_client import Client
+
+    first, server = first_of(loop), foxglove.Server("0")
+    server.sample(first)
+    with Client(server.address) as client:
+        client.subscribe(4)
+        began = time.monotonic()
+        for _ in range(5_000):  # more than sockets and the server's queue hold
+            server.sample(first)
+        assert time.monotonic() - began < 30.0
+    server.end()
+
+
+def test_a_number_that_is_none_is_null_and_vectors_are_shown_number_by_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Row(dict[str, Any]):
+        t = 0.5
+
+    server, told = foxglove.Server("0"), list[Any]()
+    monkeypatch.setattr(foxglove.time, "time_ns", lambda: 1_800_000_000 * 10**9)
+    monkeypatch.setattr(server, "_log", lambda topic, values, when: told.append((topic, values, when)))
+    server.sample(Row({"car.x": 1.0, "car.y": np.nan, "car.two": np.array([[2.0, np.inf]])}))  # type: ignore[arg-type]
+    assert told == []  # nobody has asked, and a car that is nowhere has no pose
+    assert {"/signals/car/two[0]", "/signals/car/two[1]"} <= {
+        f"{topic}/{field}" for topic, fields in server._topics.items() for field in fields
+    }
+    server.show(0.6, [1.0, 2.0, 3.0, 4.0])
+    ((topic, values, when),) = told  # the first sample is stamped with the time of day
+    assert (topic, when) == ("/scene/pose", 1_800_000_000_100_000_000)
+    assert values["pose"]["position"] == {"x": 1.0, "y": 2.0, "z": 0.0}
+    server.end()
+
+
+@pytest.mark.parametrize("where", ["", "x", "70000", ":", "localhost:", "::1:80", "8765 ", "-1", "1.5"])
+def test_a_place_that_is_none_teaches(where: str) -> None:
+    with pytest.raises(ValueError, match=r"expected \[HOST:\]PORT, such as 8765"):
+        foxglove.place_of(where)
+
+
+def test_places() -> None:
+    assert foxglove.place_of("8765") == ("127.0.0.1", 8765)
+    assert foxglove.place_of("0.0.0.0:1") == ("0.0.0.0", 1)
+    assert foxglove.place_of("[::1]:0") == ("::1", 0)
+
+
+def test_a_taken_port_a_missing_package_and_a_lonely_pace_teach(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    words = ("drive", "stanley", "--course", "circle", "--rounds", "0.03", "--out", str(tmp_path / "run"), "-q")
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = str(other.getsockname()[1])
+        assert run(*words, "--stream", port, monkeypatch=monkeypatch) == 2
+    assert f"stream at {port}: Failed to bind port: Address already in use" in capsys.readouterr().err
+    assert run(*words, "--pace", "2", monkeypatch=monkeypatch) == 2
+    assert "--pace: is for --stream PORT" in capsys.readouterr().err
+    assert run(*words, "--stream", "0", "--pace", "nan", monkeypatch=monkeypatch) == 2
+    assert "pace: nan, expected a number > 0" in capsys.readouterr().err
+    assert run("drive", "stanley", "--car", "dbw-kit.toml", "--stream", "0", monkeypatch=monkeypatch) == 2
+    assert "`steerkit car stream` in a second terminal" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+    assert run(*words, "--json", "--stream", "0", "--pace", "100", monkeypatch=monkeypatch) == 0
+    heard = capsys.readouterr()
+    assert json.loads(heard.out)["controller"] == "stanley"
+    assert "open a connection to ws://127.0.0.1:" in heard.err
+    monkeypatch.setattr(foxglove, "find_spec", lambda name: None)
+    assert run(*words, "--stream", "0", monkeypatch=monkeypatch) == 2
+    assert "pip install 'steerkit-control[logs]'" in capsys.readouterr().err
