@@ -29,6 +29,8 @@ PASSAT = vehicle("vw-passat")
 STRAIGHT = Scenario(course="straight", driver={"v_min": 6.0, "v_max": 6.0})
 SLALOM = STRAIGHT.with_(course={"name": "slalom"})
 BEND = STRAIGHT.with_(course={"name": "circle", "rounds": 1.5})
+OFF = {"steering": {"offset_deg": 5.0}}
+OTHER_CAR = {"vehicle": {"ratio": 1.25, "tyres": 0.6}}
 D = radians_of(5.0)
 HERE = dict(e=0.01, psi_e=0.0, kappa=0.0, v=6.0, r=0.0, delta_sw_meas=0.0)
 
@@ -57,7 +59,7 @@ def lqr_beside() -> float:
     ("name", "beside"), [("stanley-delay", None), ("stanley", stanley_beside()), ("lqr", lqr_beside()), ("mpc", None)]
 )
 def test_an_offset_of_the_wheel_leaves_what_the_law_says_and_nothing_with_it(name: str, beside: float | None) -> None:
-    off = STRAIGHT.with_(steering={"offset_deg": 5.0})
+    off = STRAIGHT.with_(**OFF)
     without = at_the_end(name, off)
     assert without > 0.008
     if beside is not None:
@@ -68,13 +70,10 @@ def test_an_offset_of_the_wheel_leaves_what_the_law_says_and_nothing_with_it(nam
 
 @pytest.mark.parametrize(
     ("name", "wrong"),
-    [
-        *itertools.product(("stanley", "lqr"), ({"offset_deg": 5.0}, {"bank_deg": 3.0}, {"ratio": 1.25, "tyres": 0.6})),
-        ("mpc", {"ratio": 1.25, "tyres": 0.6}),
-    ],
+    [*itertools.product(("stanley", "lqr"), (OFF, {"disturbances": {"bank_deg": 3.0}}, OTHER_CAR)), ("mpc", OTHER_CAR)],
 )
-def test_in_a_steady_bend_neither_offset_nor_bank_nor_ratio_leaves_an_error(name: str, wrong: dict[str, float]) -> None:
-    bent: Any = replace(BEND, **wrong)  # type: ignore[arg-type]
+def test_in_a_steady_bend_neither_offset_nor_bank_nor_ratio_leaves_an_error(name: str, wrong: dict[str, Any]) -> None:
+    bent = BEND.with_(**wrong)
     assert abs(at_the_end("stanley-delay" if name == "stanley" else name, bent)) > 5e-3
     assert abs(at_the_end(f"{name}-offset-free", bent)) < 1e-3
 
@@ -211,7 +210,7 @@ def test_a_known_offset_and_gain_are_compensated() -> None:
 
 @pytest.mark.parametrize("name", [name for name in CONTROLLERS if name not in ("mpc", "nonlinear-mpc")])
 def test_one_that_knows_the_offset_drives_as_if_there_were_none(name: str) -> None:
-    off = SLALOM.with_(steering={"offset_deg": 5.0})
+    off = SLALOM.with_(**OFF)
     without, unknown, known = (
         drive(scenario, controller(name, scenario), rounds=0.5)["path.e"]
         for scenario in (SLALOM, off, off.with_(knowledge={"oracle": True}))
