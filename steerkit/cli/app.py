@@ -1,30 +1,34 @@
-"""The command line: one small file a command, put together here."""
+"""The command line: which commands there are; a command's module is loaded when it is called."""
 
 from __future__ import annotations
 
 import errno
 import functools
 import sys
-from pathlib import Path
+from importlib import import_module
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand, TyperGroup
 
 import steerkit
-from steerkit.cli.bench import app as bench_app
-from steerkit.cli.car import app as car_app
-from steerkit.cli.courses import courses
-from steerkit.cli.drive import drive
-from steerkit.cli.export import export
-from steerkit.cli.identify import identify
-from steerkit.cli.learn import learn
-from steerkit.cli.log import log
-from steerkit.cli.options import Quiet, Seed
-from steerkit.cli.plot import plot
-from steerkit.cli.resimulate import resimulate
-from steerkit.cli.show import show
-from steerkit.cli.vehicles import vehicles
 
+COMMANDS = {
+    "courses": ("steerkit.cli.lists", "List the courses; or what a map's FILE holds, and make a course of it."),
+    "vehicles": ("steerkit.cli.lists", "List the cars: those by name, and the fleet of production cars."),
+    "drive": ("steerkit.cli.drive", "Drive with any controller: a course in simulation, or with --car FILE a car."),
+    "learn": ("steerkit.cli.learn", "Let a car learn to steer a course from nothing."),
+    "show": ("steerkit.cli.learn", "Show a learning run: counts, episodes, learned against Stanley, and its pictures."),
+    "demo": ("steerkit.cli.demo", "Learn on the 800 m course and on a real recorded lap; compare with Stanley."),
+    "log": ("steerkit.cli.log", "Show what is in a log: its channels, what each is read as, and the drive they make."),
+    "plot": ("steerkit.cli.log", "Plot signals of a log over time; --table writes it for other programs."),
+    "identify": ("steerkit.cli.identify", "Estimate a car's steering and cornering stiffness from a recorded drive."),
+    "resimulate": ("steerkit.cli.resimulate", "Drive a recorded drive again in simulation, with another controller."),
+    "export": ("steerkit.cli.export", "Export a learning run, a log or a car for other programs."),
+    "car": ("steerkit.cli.car", "A car on a CAN bus: check its configuration, simulate one, look into recordings."),
+    "bench": ("benchmarks.app", "Learned against analytic steering controllers, in numbers."),
+}
+"""Module and one line of help of every command: the function of its name there, or the group `app`."""
 EPILOG = """
 Examples
 
@@ -39,24 +43,39 @@ Examples
 Exit codes: 0 done; 1 refused or failed on the way; 2 a mistake in what was asked, said in one line on stderr;
 130 interrupted. NO_COLOR=1 leaves out colours. Completion for your shell: steerkit --install-completion.
 """
+
+
+class LazyGroup(TyperGroup):
+    """Commands of `COMMANDS`, each imported when it is called; a list of them needs none."""
+
+    def __init__(self, **options: Any):
+        super().__init__(**options)
+        self.commands = {name: TyperCommand(name, help=about) for name, (_, about) in COMMANDS.items()}
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        if args[0] not in COMMANDS:
+            return super().resolve_command(ctx, args)
+        return args[0], loaded(args[0]), args[1:]
+
+
+@functools.cache
+def loaded(name: str) -> Any:
+    """The command of that name."""
+    module = import_module(COMMANDS[name][0])
+    if hasattr(module, "app"):
+        return typer.main.get_command(module.app)
+    alone = typer.Typer(add_completion=False)
+    alone.command(name)(getattr(module, name))
+    return typer.main.get_command(alone)
+
+
 app = typer.Typer(
+    cls=LazyGroup,
     help="Steer a car along a path: learn it, drive it, look at it. No car was ever driven with this software.",
     epilog=EPILOG,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
-app.add_typer(car_app, name="car")
-app.add_typer(bench_app, name="bench")
-app.command()(log)
-app.command()(identify)
-app.command()(export)
-app.command()(learn)
-app.command()(drive)
-app.command()(resimulate)
-app.command()(show)
-app.command()(plot)
-app.command()(courses)
-app.command()(vehicles)
 
 
 def _print_version(wanted: bool) -> None:
@@ -74,21 +93,9 @@ def options(
     """What goes before the command."""
 
 
-@app.command()
-def demo(
-    seed: Seed = 0,
-    out: Annotated[Path, typer.Option(help="Where runs and pictures go.")] = Path("runs/demo"),
-    quiet: Quiet = False,
-) -> None:
-    """Learn on the 800 m course and on a real recorded lap; compare with Stanley; redraw the paper's figures."""
-    from steerkit.cli import demo as learner_state
-
-    learner_state.run(out, seed=seed, quiet=quiet)
-
-
 @functools.cache
 def command() -> Any:
-    """The commands as click has them; to put them together takes longer than many a command."""
+    """The command line as click has it."""
     return typer.main.get_command(app)
 
 
@@ -97,7 +104,7 @@ def main() -> None:
     try:
         command()()
     except (ValueError, KeyError, OSError) as error:
-        from steerkit._support.errors import in_one_line
+        from steerkit._support.errors import in_one_line  # here, as it loads NumPy
 
         print(f"steerkit: {in_one_line(error)}", file=sys.stderr)
         full = isinstance(error, OSError) and error.errno in _NO_ROOM

@@ -10,7 +10,18 @@ from typing import Annotated, Any
 
 import typer
 
+from steerkit.car import calibration, estimates, processes
+from steerkit.car import recording as recordings
+from steerkit.car import replay as replays
+from steerkit.car.client import CarClient, CarLost
+from steerkit.car.config import course_of, loaded
+from steerkit.car.core import Core
+from steerkit.car.panel import stream as show
+from steerkit.car.session import Options
+from steerkit.car.state_machine import Order
 from steerkit.cli.options import CHANNEL, SOCKET, TIME_SCALE, Machine, Quiet
+from steerkit.diagram.units import radians_of
+from steerkit.logs.foxglove import Server
 
 app = typer.Typer(
     help="A car on a CAN bus. No car has been driven with this software: see docs/real-car.md.",
@@ -31,8 +42,6 @@ def check(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead, in SI units.")] = False,
 ) -> None:
     """Check a configuration and print what would be read and written, and every limit."""
-    from steerkit.car.config import loaded
-
     car, path = loaded(config)
     if as_json:
         print(json.dumps({**car.facts(), "course": path.name, "length": path.length, "closed": path.closed}))
@@ -64,9 +73,6 @@ def simulate(
     A line is KIND, `pose` or `report`, and if wanted LENGTH and AMOUNT, such as `drop pose 0.5`; an unknown one prints
     the kinds.
     """
-    from steerkit.car import processes
-    from steerkit.diagram.units import radians_of
-
     bus: dict[str, Any] = {"listen": listen, "channel": channel, "time_scale": time_scale, "log": log}
     car: dict[str, Any] = {"ratio": ratio, "delay": delay, "lag": lag, "offset": radians_of(offset_deg)}
     raise typer.Exit(processes.simulate(config, **bus, **car, seed=seed, v_min=v_min, v_max=v_max))
@@ -83,8 +89,6 @@ def server(
     realtime: Annotated[bool, typer.Option(help="Run under SCHED_FIFO; needs the right to.")] = False,
 ) -> None:
     """The process that owns the bus. `steerkit drive --car` and `learn --car` start one where there is none."""
-    from steerkit.car import processes
-
     told: dict[str, Any] = {"socket": socket, "recording": recording, "channel": channel, "time_scale": time_scale}
     raise typer.Exit(processes.server(config, **told, linger=linger, realtime=realtime))
 
@@ -112,9 +116,6 @@ def calibrate(
     The car follows its course while the wheel swings slowly, then steps to and fro, then is left to the bends. Engage
     by `e`, let go by space, as in any drive. Exit code: 0; 1 when nothing was found.
     """
-    from steerkit.car import calibration
-    from steerkit.car.session import Options
-
     place = out or FilePath(f"{FilePath(config).stem}-calibrated.toml")
     with contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext():
         try:
@@ -145,10 +146,6 @@ def order(
     word: Annotated[str, typer.Argument(help="ARM, ENGAGE, DISENGAGE, ACKNOWLEDGE or OFF.")], socket: Socket = ""
 ) -> None:
     """Give the car server an order from a second terminal, whatever the controller is doing."""
-    from steerkit.car import processes
-    from steerkit.car.client import CarClient
-    from steerkit.car.state_machine import Order
-
     if word.upper() not in list(Order):
         raise ValueError(f"order {word!r} is not known; valid: {', '.join(Order)}")
     with CarClient(socket or processes.default_socket(), controller=False) as link:
@@ -170,11 +167,6 @@ def stream(
 
     It asks the car server as the panel does, and gives no orders; nothing on the car waits for it.
     """
-    from steerkit.car import processes
-    from steerkit.car.client import CarClient, CarLost
-    from steerkit.car.panel import stream as show
-    from steerkit.logs.foxglove import Server
-
     with CarClient(socket or processes.default_socket(), controller=False) as link:
         server = Server(where)
         print(f"live in Foxglove: open a connection to {server.address}; Ctrl-C ends it", flush=True)
@@ -200,12 +192,6 @@ def replay(
     One that is damaged or cut short is repaired into a new file and stays as it is itself. One that is still being
     written is only looked into. Exit code: 0; 1 when messages are missing, 2 when a replay lacks something.
     """
-    from steerkit.car import estimates
-    from steerkit.car import recording as recordings
-    from steerkit.car import replay as replays
-    from steerkit.car.config import course_of
-    from steerkit.car.core import Core
-
     recorded = recordings.read(file)
     print(recorded.kept())
     for line in [*recorded.lost, *(str(gap) for gap in recorded.gaps if gap.missing == 0)]:

@@ -7,11 +7,14 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path as FilePath
+from typing import Annotated
 
+import typer
 from rich.markup import escape
 from rich.table import Table
 
 from steerkit._support.console import console
+from steerkit.cli.options import Quiet, Seed
 from steerkit.diagram.simulation import Log
 from steerkit.learning import rundir
 from steerkit.learning.experiment import Experiment
@@ -43,8 +46,15 @@ EXPERIMENTS = {
 }
 
 
-def run(out: FilePath, *, seed: int = 0, quiet: bool = False) -> None:
-    """Run all parts (an interrupted demonstration goes on where it was), print the tables, draw the figures."""
+def demo(
+    seed: Seed = 0,
+    out: Annotated[FilePath, typer.Option(help="Where runs and pictures go.")] = FilePath("runs/demo"),
+    quiet: Quiet = False,
+) -> None:
+    """Learn on the 800 m course and on a real recorded lap; compare with Stanley; redraw the paper's figures.
+
+    An interrupted demonstration goes on where it was.
+    """
     if not quiet:
         console.print(
             f"Three cars learn to steer from nothing: {'; '.join(map(escape, EXPERIMENTS))}. Each drives for "

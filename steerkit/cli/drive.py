@@ -6,10 +6,16 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
+from steerkit._support.console import console
+from steerkit._support.errors import require
+from steerkit._support.files import write_text
+from steerkit._support.plugins import fingerprint, is_outside
+from steerkit.car import loop as loops
+from steerkit.car import session as car_session
 from steerkit.cli.options import (
     DriveOptions,
     Stream,
@@ -23,11 +29,16 @@ from steerkit.cli.options import (
     scenario_of,
     streamed,
 )
-
-if TYPE_CHECKING:
-    from steerkit.diagram.loop import Sample
-    from steerkit.diagram.simulation import Log
-    from steerkit.scenario import Scenario
+from steerkit.diagram.diagnostics import in_one_line
+from steerkit.diagram.loop import Sample
+from steerkit.diagram.simulation import Log
+from steerkit.learning import rundir
+from steerkit.plots.animation import film_writer
+from steerkit.plots.drive import round_driven, rounds_driven
+from steerkit.plots.style import save
+from steerkit.scenario import Scenario
+from steerkit.scenario import drive as evaluate
+from steerkit.scenario.catalogue import CONTROLLERS
 
 _CONTROLLERS = (
     "stanley, stanley-textbook, stanley-delay, lqr, pure-pursuit, mpc, nonlinear-mpc, "
@@ -77,27 +88,17 @@ def drive(
     if options.car:
         if len(asked) > 1:
             raise ValueError(f"drive: {len(asked)} controllers ({', '.join(asked)}), expected one on a car")
-        from steerkit.car import loop as loops
-        from steerkit.car import session as car_session
-
         if not name:
             raise ValueError(f"drive: with which controller? valid: {loops.VALID}")
         figures = car_session.drive(car_options(ctx), name, minutes=minutes)
         if options.as_json:
             print(json.dumps(figures))
         return
-    from steerkit._support.console import console
-    from steerkit._support.errors import require
-    from steerkit.diagram.simulation import Log
-    from steerkit.scenario.catalogue import CONTROLLERS
-
     if not name:
         valid = ", ".join(CONTROLLERS)
         own = "the directory of a learning run, my_file.py:make"
         raise ValueError(f"drive: with which controller? valid: {valid}, nfq, {own}")
     if animate is not None:
-        from steerkit.plots.animation import film_writer
-
         require(animate.suffix in (".gif", ".mp4"), f"--animate {animate}", "expected a name that ends in .gif or .mp4")
         film_writer(animate)
     folder = out is None or out.is_dir() or not out.exists()
@@ -143,13 +144,6 @@ def driven(
 
     Returns a row for each, as `--json` prints it.
     """
-    from steerkit._support.console import console
-    from steerkit._support.errors import require
-    from steerkit._support.files import write_text
-    from steerkit.plots.drive import round_driven, rounds_driven
-    from steerkit.plots.style import save
-    from steerkit.scenario.drive import comparison, row_of
-
     one = len(names) == 1
     files = {name: place / ("drive.npz" if one else f"{_file_name(name)}.npz") for name in names}
     require(len(set(files.values())) == len(files), "drive", f"two of {', '.join(names)} would have one log's name")
@@ -163,23 +157,17 @@ def driven(
         picture = rounds_driven(logs, title=f"on {scenario.course.name}")
     save(picture, place / "drive.png")
     write_text(place / NOTE, json.dumps(_described(names, scenario, rounds=rounds, seed=seed), indent=1))
-    console.print(comparison(f"{rounds or scenario.course.rounds:g} round(s) of {scenario.course.name}", logs))
+    console.print(evaluate.comparison(f"{rounds or scenario.course.rounds:g} round(s) of {scenario.course.name}", logs))
     if not quiet:
         if one and scenario.path().origin_deg:
             console.print(f"course: {scenario.path()!r}", soft_wrap=True)
         kept = ", ".join(map(str, files.values()))
         console.print(f"{'log' if one else 'logs'}: {kept}; picture: {place}/drive.png", soft_wrap=True)
-    return [row_of(name, log) for name, log in logs.items()]
+    return [evaluate.row_of(name, log) for name, log in logs.items()]
 
 
 def _drive(name: str, scenario: Scenario, **how: Any) -> Log:
-    from steerkit._support.plugins import is_outside
-    from steerkit.diagram.diagnostics import in_one_line
-    from steerkit.scenario import drive as evaluate
-
     if _is_run(name):
-        from steerkit.learning import rundir
-
         doe = rundir.experiment_of(Path(name)).setting.element(scenario.nominal)
         return evaluate.drive(scenario, rundir.final_policy(Path(name)), doe=doe, **how)
     steering = evaluate.controller(name, scenario)
@@ -196,8 +184,6 @@ NOTE = "drive.json"
 
 
 def _is_run(name: str) -> bool:
-    from steerkit.scenario.catalogue import CONTROLLERS
-
     return name not in CONTROLLERS and Path(name).is_dir()
 
 
@@ -208,15 +194,12 @@ def _file_name(name: str) -> str:
 
 def _described(names: Sequence[str], scenario: Scenario, *, rounds: float | None, seed: int) -> dict[str, Any]:
     """What tells one test drive from another: who drives, where and how; as JSON has it."""
-    from steerkit._support.plugins import fingerprint, is_outside
 
     def version(name: str) -> Any:
         if is_outside(name):
             return fingerprint(name, "controller")
         if not _is_run(name):
             return None
-        from steerkit.learning import rundir
-
         return rundir.document(Path(name))["counts"]["updates"]
 
     what = {"controllers": {name: version(name) for name in names}, "scenario": asdict(scenario)}

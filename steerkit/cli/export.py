@@ -8,6 +8,18 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.console import Console
+
+from steerkit._support.files import write_text
+from steerkit.diagram.simulation import Log
+from steerkit.export import car as cars
+from steerkit.export.onnx import check_onnx, export_onnx
+from steerkit.learning import rundir
+from steerkit.logs import read_drive
+from steerkit.logs.foxglove import layout as write_layout
+from steerkit.logs.foxglove import to_mcap
+from steerkit.vehicles import vehicle
+from steerkit.vehicles.file import tables_of, text_of
 
 
 def export(
@@ -31,8 +43,6 @@ def export(
 ) -> None:
     """Export a learning run (policy to ONNX, transitions to Minari), a log (MCAP, CSV), or a car (CommonRoad,
     opendbc)."""
-    from rich.console import Console
-
     wanted = (onnx, minari, mcap, csv, layout, commonroad, opendbc)
     if all(one is None for one in wanted):
         raise ValueError(
@@ -47,8 +57,6 @@ def export(
         done |= _log(run, mcap, csv)
         console.print(f"log: {', '.join(str(file) for file in (mcap, csv) if file is not None)}")
     if layout is not None:
-        from steerkit.logs.foxglove import layout as write_layout
-
         kinds = {".json": "foxglove", ".xml": "plotjuggler"}
         if layout.suffix not in kinds:
             raise ValueError(f"--layout {layout}: expected .json for Foxglove or .xml for PlotJuggler")
@@ -65,11 +73,6 @@ def export(
 
 
 def _log(source: Path, mcap: Path | None, csv: Path | None) -> dict[str, Any]:
-    from steerkit.diagram.simulation import Log
-    from steerkit.learning import rundir
-    from steerkit.logs import read_drive
-    from steerkit.logs.foxglove import to_mcap
-
     if (source / "run.json").exists():
         record = rundir.drive_log(source)
     elif source.suffix == ".npz":
@@ -86,11 +89,6 @@ def _log(source: Path, mcap: Path | None, csv: Path | None) -> dict[str, Any]:
 
 
 def _car(file: Path, yaml: Path | None, row: Path | None) -> None:
-    from steerkit._support.files import write_text
-    from steerkit.export import car as cars
-    from steerkit.vehicles import vehicle
-    from steerkit.vehicles.file import tables_of, text_of
-
     car = vehicle(str(file))
     if yaml is not None:
         write_text(yaml, cars.commonroad(car))
@@ -101,9 +99,6 @@ def _car(file: Path, yaml: Path | None, row: Path | None) -> None:
 
 
 def _to_onnx(run: Path, file: Path, single: bool) -> dict[str, Any]:
-    from steerkit.export.onnx import check_onnx, export_onnx
-    from steerkit.learning import rundir
-
     policy = rundir.final_policy(run)
     export_onnx(policy, file, single=single)
     states = 10_000
@@ -116,9 +111,8 @@ def _to_onnx(run: Path, file: Path, single: bool) -> dict[str, Any]:
 
 
 def _to_minari(run: Path, name: str) -> dict[str, Any]:
-    from steerkit.export.minari import to_minari
+    from steerkit.export.minari import to_minari  # here, as the extra `gym` may not be there
     from steerkit.gym.task import Task
-    from steerkit.learning import rundir
 
     experiment = rundir.experiment_of(run)
     setting = experiment.setting

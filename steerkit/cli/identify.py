@@ -9,8 +9,14 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
 
+from steerkit import identification as ident
 from steerkit.cli.log import Columns, Dbc, Map, SteerRatio, column_map
+from steerkit.plots.style import save
+from steerkit.vehicles import scaled, vehicle
 
 
 def identify(
@@ -46,11 +52,6 @@ def identify(
 
     The vehicle file serves wherever a car's name does: `vehicle("my-car.toml")`, `--base`, a scenario.
     """
-    from rich.console import Console
-
-    from steerkit import identification as ident
-    from steerkit.vehicles import scaled, vehicle
-
     if out is not None and out.suffix != ".toml":
         raise ValueError(f"--out {out}: a vehicle file ends in .toml")
     to_pipe = not as_json and out is None  # then the vehicle file alone goes to standard output
@@ -62,7 +63,7 @@ def identify(
     if wheelbase is not None or mass is not None:
         length, weight = wheelbase or float(car.wheelbase), mass or float(car.m)
         car = scaled(f"{car.name}-scaled", m=weight, wheelbase=length, steer_ratio=float(car.steer_ratio))
-    with console.status("reading", spinner="line") if not quiet else _nothing() as status:
+    with console.status("reading", spinner="line") if not quiet else contextlib.nullcontext() as status:
         drive = ident.read_drive(log, given, **how)
         other = ident.read_drive(held_out, given, **how) if held_out else None
         if status:
@@ -80,8 +81,6 @@ def identify(
     elif not as_json:
         print(identified.text(command=command, held_out=prediction), end="")
     if plot is not None:
-        from steerkit.plots.style import save
-
         save(identified.plot(prediction), plot)
         console.print(f"picture: {plot}", soft_wrap=True)
     if as_json:
@@ -113,9 +112,6 @@ def figures(identified: Any, prediction: Any) -> dict[str, Any]:
 
 
 def _report(console: Any, identified: Any, prediction: Any, *, quiet: bool) -> None:
-    from rich.markup import escape
-    from rich.table import Table
-
     if not quiet:
         for part in (identified.fit, *([prediction] if prediction else ())):
             for note in part.drive.notes:
@@ -145,7 +141,3 @@ def _fixed(words: list[str] | tuple[str, ...]) -> dict[str, float]:
         if not sign:
             raise ValueError(f"--fix {word}: expected NAME=VALUE, such as lag=0")
     return held
-
-
-def _nothing() -> Any:
-    return contextlib.nullcontext()

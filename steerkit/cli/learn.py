@@ -1,4 +1,4 @@
-"""The command `steerkit learn`: a car learns to steer, in simulation or on a car."""
+"""The commands `steerkit learn` and `steerkit show`: a car learns to steer, in simulation or on a car."""
 
 from __future__ import annotations
 
@@ -6,12 +6,19 @@ import json
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
+from steerkit._support.console import console
+from steerkit._support.errors import require
+from steerkit._support.files import read_toml
+from steerkit.car import loop as loops
+from steerkit.car import session as car_session
 from steerkit.cli.options import (
     DriveOptions,
+    Machine,
+    Quiet,
     Stream,
     car_options,
     check_options,
@@ -22,9 +29,12 @@ from steerkit.cli.options import (
     scenario_of,
     streamed,
 )
-
-if TYPE_CHECKING:
-    from steerkit.learning.experiment import Experiment, LearningRun
+from steerkit.learning import report, rundir
+from steerkit.learning.experiment import SAFETY_SIGNALS, SIGNALS, Experiment, LearningRun
+from steerkit.learning.pictures.film import film_of
+from steerkit.learning.pictures.run import draw_all
+from steerkit.learning.settings import changed
+from steerkit.learning.settings import setting as named
 
 
 @drive_options
@@ -62,11 +72,6 @@ def learn(
     """Let a car learn to steer a course from nothing, the recovery controller catching it."""
     check_options(ctx)
     if options.car:
-        from steerkit.car import loop as loops
-        from steerkit.car import session as car_session
-        from steerkit.learning.settings import changed
-        from steerkit.learning.settings import setting as named
-
         place = out or loops.LEARNED
         chosen = changed(named(setting), changes or ())
         figures = car_session.learn(
@@ -75,10 +80,6 @@ def learn(
         if options.as_json:
             print(json.dumps(figures))
         return
-    from steerkit._support.console import console
-    from steerkit.learning import report
-    from steerkit.learning.experiment import SAFETY_SIGNALS, SIGNALS
-
     experiment = _experiment(ctx, config, out)
     name = "-".join((experiment.setting.name, *(changes or ())))
     place = out or Path("runs") / f"{name}-{driven_on(experiment.scenario, options.conditions)}-seed{experiment.seed}"
@@ -94,8 +95,6 @@ def learn(
 
 
 def _learned(experiment: Experiment, place: Path, *, quiet: bool, live: bool, each: Any) -> LearningRun:
-    from steerkit.learning import report
-
     try:
         return report.learn_with_progress(experiment, place, quiet=quiet, live=live, each=each)
     except KeyboardInterrupt:
@@ -108,12 +107,6 @@ def _learned(experiment: Experiment, place: Path, *, quiet: bool, live: bool, ea
 
 def _experiment(ctx: typer.Context, config: Path | None, out: Path | None) -> Experiment:
     """The experiment of the run in `out`, of the file, or of the defaults, changed by the options that are given."""
-    from steerkit._support.files import read_toml
-    from steerkit.learning import rundir
-    from steerkit.learning.experiment import Experiment
-    from steerkit.learning.settings import changed
-    from steerkit.learning.settings import setting as named
-
     base: Experiment | None = None
     if out is not None and (out / "run.json").is_file():
         base = rundir.experiment_of(out)
@@ -143,3 +136,36 @@ def _minutes(text: str, base: Experiment | None) -> float | None:
         raise ValueError(f"--minutes {text}: expected a number, or +5 for five more") from None
     more = text.startswith("+") and base is not None
     return minutes + base.minutes if more and base is not None else minutes
+
+
+def show(
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Directories of learning runs.")],
+    diagnostics: Annotated[
+        bool, typer.Option(help="Draw what the net believes, and where and when it failed.")
+    ] = False,
+    against: Annotated[list[Path] | None, typer.Option(help="Other runs to compare with (with --diagnostics).")] = None,
+    film: Annotated[
+        Path | None, typer.Option(help="Film of the run to write, from its first second on (.gif).")
+    ] = None,
+    film_lasts: Annotated[float, typer.Option(help="Length of the film in s, 2 to 120.")] = 20.0,
+    quiet: Quiet = False,
+    as_json: Machine = False,
+) -> None:
+    """Show a learning run: counts, episodes, learned against Stanley, and its pictures; several as one table."""
+    console.stderr = as_json
+    if len(runs) > 1:
+        require(not diagnostics, "show --diagnostics", "takes one run; the others go with --against")
+        require(film is None, "show --film", "takes one run")
+        rows = report.show_several(runs)
+        if as_json:
+            print(json.dumps({"runs": rows}))
+        return
+    (run,) = runs
+    if film is not None:  # before what takes longer, as its name may be refused
+        console.print(f"film: {film_of(run, film, lasts=film_lasts)}", soft_wrap=True)
+    figures = report.show(run, quiet=quiet)
+    if diagnostics:
+        drawn = draw_all(run, against=against or ())
+        console.print(f"diagnostics: {', '.join(map(str, drawn))}", soft_wrap=True)
+    if as_json:
+        print(json.dumps(figures))

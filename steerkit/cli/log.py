@@ -1,4 +1,4 @@
-"""`steerkit log`: what is in a log of any program."""
+"""The commands `steerkit log` and `steerkit plot`: what is in a log of any program, and its signals over time."""
 
 from __future__ import annotations
 
@@ -7,8 +7,19 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
 
+from steerkit._support.errors import require
 from steerkit.cli.options import Machine, Quiet
+from steerkit.diagram.simulation import Log
+from steerkit.learning import rundir
+from steerkit.logs import ColumnMap
+from steerkit.logs.contents import contents, picture
+from steerkit.logs.reading import read_log
+from steerkit.plots.notebook import telling
+from steerkit.plots.style import save
 
 Dbc = Annotated[
     list[str] | None,
@@ -38,12 +49,6 @@ def log(
     Reads CSV, MATLAB, npz, Parquet, MCAP (a car server's, or ROS 2), ROS bags (.db3, .bag, a folder), MF4, and CAN logs
     (candump .log, .asc, .blf) with --dbc.
     """
-    from rich.console import Console
-
-    from steerkit._support.errors import require
-    from steerkit.logs.contents import contents
-    from steerkit.logs.reading import read_log
-
     require(plot is None or plot.suffix in _PICTURES, f"--plot {plot}", "a picture ends in .png, .pdf or .svg")
     require(csv is None or csv.suffix == ".csv", f"--csv {csv}", "a table ends in .csv")
     given = column_map(columns, column)
@@ -53,9 +58,6 @@ def log(
     more = [f"--dbc {one}" for one in dbc or ()] + ([f"--steer-ratio {steer_ratio:g}"] if steer_ratio else [])
     _report(console, found, [*files, *more])
     if plot is not None:
-        from steerkit.logs.contents import picture
-        from steerkit.plots.style import save
-
         save(picture(found), plot)
         console.print(f"picture: {plot}", soft_wrap=True)
     if csv is not None:
@@ -68,18 +70,13 @@ def log(
         print(json.dumps(answer | {"seconds": float(found.drive.t[-1]) if found.drive else None}))
 
 
-def column_map(file: Path | None, words: list[str] | None) -> Any:
+def column_map(file: Path | None, words: list[str] | None) -> ColumnMap:
     """What --map and --column say together."""
-    from steerkit.logs import ColumnMap
-
     table = {} if file is None else ColumnMap.load(file).columns
     return ColumnMap({**table, **ColumnMap.parsed(words or ()).columns})
 
 
 def _report(console: Any, found: Any, said: list[str]) -> None:
-    from rich.markup import escape
-    from rich.table import Table
-
     table = Table("channel", "unit", "samples", "rate", "from", "to", "gaps", "range", "read as", title=found.log.name)
     for row in found.rows:
         gaps = f"{row.gaps}, {row.longest:.3g} s" if row.gaps else "none"
@@ -107,3 +104,25 @@ def _report(console: Any, found: Any, said: list[str]) -> None:
         console.print(
             f"next: steerkit identify {escape(' '.join(said))} --out my-car.toml", soft_wrap=True, highlight=False
         )
+
+
+def plot(
+    log: Annotated[Path, typer.Argument(help="A log, such as drive.npz, or the directory of a learning run.")],
+    signals: Annotated[
+        list[str] | None, typer.Argument(help="Signals, such as path.e car.v; default: those that tell most.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Picture: .png, .svg or .pdf; default: beside the log.")] = None,
+    table: Annotated[Path | None, typer.Option(help="Write all signals as a table too: .csv or .parquet.")] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Plot signals of a log over time; --table writes it for other programs."""
+    drawn = out or (log / "signals.png" if log.is_dir() else log.with_name(f"{log.stem}-signals.png"))
+    require(drawn.suffix in _PICTURES, f"--out {drawn}", f"expected a name that ends in {', '.join(_PICTURES)}")
+    tables = table is None or table.suffix in (".csv", ".parquet")
+    require(tables, f"--table {table}", "expected a name that ends in .csv or .parquet")
+    record = rundir.drive_log(log) if log.is_dir() else Log.load(log)
+    save(record.plot(*(signals or telling(record))), drawn)
+    if table is not None:
+        record.save(table)
+    if not quiet:
+        print(f"{record!r}\npicture: {drawn}{f', table: {table}' if table else ''}")

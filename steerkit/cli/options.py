@@ -10,12 +10,16 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-if TYPE_CHECKING:
-    from steerkit.scenario import Scenario
+from steerkit._support.console import console
+from steerkit._support.errors import require
+from steerkit.car.session import Options
+from steerkit.scenario import CONDITIONS, Scenario
+from steerkit.scenario.parts import Driver, speed_file
+from steerkit.scenario.scenario import read_scenario
 
 
 class Conditions(StrEnum):
@@ -165,9 +169,6 @@ def scenario_of(ctx: typer.Context, base: Scenario | None = None) -> Scenario:
 
     base: the scenario to change instead, such as that of a run.
     """
-    from steerkit.scenario import CONDITIONS, Scenario
-    from steerkit.scenario.scenario import read_scenario
-
     names, options = given(ctx), ctx.params
     changes: dict[str, Any] = {n: {"name": options[n]} for n in ("course", "vehicle") if n in names}
     if "delay" in names:
@@ -193,9 +194,6 @@ _UNDISTURBED = {"noise": 0.0, "latency": 0.0, "kind": "hard"}
 
 def _speeds(speed: str, v_max: float | None, base: Scenario | None) -> dict[str, Any]:
     """The fields of a scenario's driver that --speed and --v-max mean."""
-    from steerkit._support.errors import require
-    from steerkit.scenario.parts import Driver, speed_file
-
     driver = Driver() if base is None else base.driver
     try:
         steady = float(speed)
@@ -222,8 +220,7 @@ def streamed(where: str, *, pace: float = 0.0, signals: Sequence[str] | None = N
     if not where:
         yield None
         return
-    from steerkit._support.console import console
-    from steerkit.logs.foxglove import Server, paced
+    from steerkit.logs.foxglove import Server, paced  # here, as it loads SciPy
 
     server = Server(where)
     console.print(f"live in Foxglove: open a connection to {server.address}", soft_wrap=True)
@@ -253,7 +250,5 @@ def check_options(
 
 def car_options(ctx: typer.Context) -> Any:
     """The options of a session on a car, `steerkit.car.session.Options`."""
-    from steerkit.car.session import Options
-
     p = ctx.params
     return Options(config=p["car"], **{n: p[n] for n in (*_ON_A_CAR_ONLY, "quiet")})

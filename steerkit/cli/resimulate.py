@@ -7,8 +7,19 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.console import Console
+from rich.table import Table
 
+from steerkit._support.errors import require
+from steerkit.cli.log import Columns, Map, column_map
 from steerkit.cli.options import Machine, Quiet
+from steerkit.identification import identify
+from steerkit.logs import read_drive
+from steerkit.logs import resimulate as again
+from steerkit.plants.steering_actuator import SteeringActuator, sampled_steering, steering_of
+from steerkit.plots.animation import film_writer
+from steerkit.plots.style import save
+from steerkit.vehicles import vehicle as vehicle_named
 
 _BOTH = {
     "rms_wheel_speed_deg_s": "RMS wheel speed (deg/s)",
@@ -25,8 +36,8 @@ def resimulate(
     recording: Annotated[str, typer.Argument(help="As for `steerkit identify`; or `genesis`, `genesis-rfs`.")],
     controller: Annotated[list[str] | None, typer.Option(help="Who drives it again; repeatable. Default: mpc.")] = None,
     vehicle: Annotated[str, typer.Option(help="Vehicle file of the car; default: identified from the drive.")] = "",
-    columns: Annotated[Path | None, typer.Option("--map", help="TOML file: which column is what, its unit.")] = None,
-    column: Annotated[list[str] | None, typer.Option(help="QUANTITY=COLUMN[:UNIT[:SCALE]]; repeatable.")] = None,
+    columns: Map = None,
+    column: Columns = None,
     plot: Annotated[Path | None, typer.Option(help="Picture to write (.png, .pdf, .svg), of one controller.")] = None,
     film: Annotated[Path | None, typer.Option(help="Film to write: .gif, or .mp4 with ffmpeg; the same.")] = None,
     film_lasts: Annotated[float, typer.Option(help="Length of the film in s, 1 to 120.")] = 10.0,
@@ -38,23 +49,14 @@ def resimulate(
     The same way (by dead reckoning from speed and yaw rate) at the same speed, on the car of --vehicle, or the one that
     the drive itself tells. Compared where it was recorded at 3 m/s or faster, over 20 samples a second.
     """
-    from rich.console import Console
-
-    from steerkit._support.errors import require
-    from steerkit.logs import ColumnMap, read_drive
-    from steerkit.logs import resimulate as again
-
     names = controller or ["mpc"]
     for option, file in (("--plot", plot), ("--film", film)):
         if file is not None and len(names) > 1:
             raise ValueError(f"{option} {file}: shows one controller, not {', '.join(names)}")
     if film is not None:  # before a long drive
         require(1.0 <= film_lasts <= 120.0, "--film-lasts", f"{film_lasts:g} [s], expected 1 to 120")
-        from steerkit.plots.animation import film_writer
-
         film_writer(film)
-    table = {} if columns is None else ColumnMap.load(columns).columns
-    drive = read_drive(recording, ColumnMap({**table, **ColumnMap.parsed(column or ()).columns}))
+    drive = read_drive(recording, column_map(columns, column))
     console = Console(stderr=as_json)
     car, steering, told = _car(vehicle, drive)
     if not quiet:
@@ -66,8 +68,6 @@ def resimulate(
     else:
         _report(console, driven)
     if plot is not None:
-        from steerkit.plots.style import save
-
         save(again.compared(driven[0]), plot)
         console.print(f"picture: {plot}", soft_wrap=True)
     if film is not None:
@@ -75,13 +75,9 @@ def resimulate(
 
 
 def _car(file: str, drive: Any) -> tuple[Any, Any, str]:
-    from steerkit.identification import identify
-    from steerkit.plants.steering_actuator import SteeringActuator, sampled_steering, steering_of
-    from steerkit.vehicles import vehicle
-
     if file:
         motor = steering_of(file) if file.endswith(".toml") else SteeringActuator()
-        return vehicle(file), motor, f"the car: {file}, delay {motor.delay:.2f} s, lag {motor.lag:.2f} s"
+        return vehicle_named(file), motor, f"the car: {file}, delay {motor.delay:.2f} s, lag {motor.lag:.2f} s"
     found = identify(drive)
     motor = sampled_steering(delay=found.delay, lag=found.lag, offset=found.offset)
     known = f"ratio {found.vehicle.steer_ratio:.2f}, lag {motor.lag + motor.delay:.2f} s"
@@ -89,8 +85,6 @@ def _car(file: str, drive: Any) -> tuple[Any, Any, str]:
 
 
 def _report(console: Any, driven: list[Any]) -> None:
-    from rich.table import Table
-
     rows = [one.figures() for one in driven]
     table = Table("", "as driven", *(row["controller"] for row in rows), title=f"{rows[0]['drive']}")
     for key, text in _BOTH.items():

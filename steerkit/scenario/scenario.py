@@ -47,8 +47,7 @@ class Scenario:
     """What a drive is made in: course, car, driver, disturbances; for learning, tests and suites.
 
     Each part is given as such, as a table of its fields, as a file has it, or, for course and vehicle, by its name:
-
-        Scenario(course="genesis", steering={"delay": 0.2}, driver=Driver(v_min=5.0, v_max=5.0))
+    `Scenario(course="genesis", steering={"delay": 0.2}, driver=Driver(v_min=5.0, v_max=5.0))`.
 
     Controllers know the car of the data sheet, and the steering's delay and lag unless `knowledge` says otherwise.
     A course or a car from a file is read when the scenario is made and its text is kept, so that a scenario that was

@@ -20,13 +20,10 @@ UNIT = ROOT / "tests" / "unit"
 ELSEWHERE = {
     "steerkit": "contract/test_imports.py",
     "steerkit._support.console": "unit/cli/test_drive.py",
-    "steerkit.__main__": "unit/cli/test_app_habits.py",
+    "steerkit.__main__": "unit/cli/test_app.py",
     "steerkit.analysis.period": "evals/test_analysis_closed_forms.py",
-    "steerkit.cli.courses": "unit/cli/test_app_habits.py",
     "steerkit.cli.demo": "unit/cli/test_app.py",
     "steerkit.cli.options": "unit/cli/test_app.py",
-    "steerkit.cli.show": "unit/cli/test_learn.py",
-    "steerkit.cli.vehicles": "unit/cli/test_app_habits.py",
     # one program, run in every way that it can be
     "steerkit.compiled.c_code": "unit/compiled/test_compiled.py",
     "steerkit.compiled.fleet": "unit/gym/test_vector_env.py",

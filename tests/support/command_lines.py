@@ -13,13 +13,9 @@ from steerkit.cli import app as cli
 
 def parsed(words: Sequence[str]) -> None:
     """Parse `steerkit WORDS` as the command line does; raises its usage error. `--help` asks for no arguments."""
-    command = cli.command()
-    rest = list(words)
-    while hasattr(command, "commands") and rest != ["--help"]:
-        name, *rest = rest
-        if name not in command.commands:
-            raise ValueError(f"no command {name!r}; valid: {', '.join(command.commands)}")
-        command = command.commands[name]
+    command, rest = cli.command(), list(words)
+    while hasattr(command, "resolve_command") and rest != ["--help"]:
+        _, command, rest = command.resolve_command(typer.Context(command), rest)
     with contextlib.suppress(typer.Exit), command.make_context(command.name, rest):
         pass
 

@@ -1,19 +1,25 @@
-"""The command line: results where they are expected, and mistakes answered in one line with exit code 2."""
+"""The command line: complete help, --version, exit codes, NO_COLOR, completion; mistakes are one line."""
 
 from __future__ import annotations
 
 import errno
+import os
 import re
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+from rich import markup
 
+import steerkit
+from steerkit.cli import app as cli
 from steerkit.cli import demo
 from steerkit.learning.experiment import Experiment
 from steerkit.scenario import Scenario
-from tests.support.command_lines import run
+from tests.support.command_lines import parsed, run
 from tests.support.short_run import FAST
 
 CAR = ("--car", "dbw-kit.toml")
@@ -111,3 +117,83 @@ def test_the_demonstration_names_the_car_and_the_time_in_every_line(
     for name in cars:
         assert [what for who, what in said if who == name][:1] == ["begins to learn"]
         assert (name, "has learned") in said
+
+
+def finished(*words: str, **extra: str) -> subprocess.CompletedProcess[str]:
+    """`python -m steerkit` in a process of its own."""
+    environment = {**os.environ, "COLUMNS": "100", **extra}
+    return subprocess.run([sys.executable, "-m", "steerkit", *words], capture_output=True, text=True, env=environment)
+
+
+def test_python_m_steerkit_version_and_exit_codes() -> None:
+    done = finished("--version")
+    assert (done.returncode, done.stdout) == (0, f"steerkit {steerkit.__version__}\n")
+    asked = finished("learn", "--bogus")
+    assert asked.returncode == 2
+    assert "No such option: --bogus" in asked.stderr
+    assert asked.stdout == ""
+
+
+def test_help_is_complete(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """Every command and every option says what it is for, nothing of it is taken for a colour's name in brackets and
+    left out, and the first page has examples and exit codes."""
+    assert run("--help", monkeypatch=monkeypatch) == 0
+    page = capsys.readouterr().out
+    assert all(word in page for word in ("Examples", "Exit codes", "NO_COLOR", "--install-completion", "--version"))
+
+    def all_of(command: Any, name: str) -> None:
+        assert command.help, f"{name}: no help"
+        assert markup.render(command.help).plain == command.help
+        for parameter in command.params:
+            assert parameter.help, f"{name}: no help for {parameter.name}"
+            assert markup.render(parameter.help).plain == parameter.help
+        for below, inner in getattr(command, "commands", {}).items():
+            all_of(inner, f"{name} {below}")
+
+    all_of(cli.command(), "steerkit")
+    for name, (_, about) in cli.COMMANDS.items():
+        all_of(cli.loaded(name), name)
+        assert about in page.replace("│", " ") or about[:40] in page, f"{name}: not on the first page"
+
+
+def test_the_examples_of_the_help_page_are_valid_commands() -> None:
+    lines = [re.split("  +", line.strip())[0].split()[1:] for line in cli.EPILOG.splitlines() if "  steerkit" in line]
+    assert len(lines) == 7
+    for words in lines:
+        parsed(words)
+
+
+def test_no_color_leaves_out_colours() -> None:
+    """FORCE_COLOR asks rich for a terminal's output; colour codes are ESC[3x, ESC[9x and ESC[38;..., bold is ESC[1."""
+    colour = re.compile(r"\x1b\[(?:[0-9;]*;)?(?:3[0-8]|9[0-7])")
+    assert colour.search(finished("--help", FORCE_COLOR="1").stdout)
+    assert not colour.search(finished("--help", FORCE_COLOR="1", NO_COLOR="1").stdout)
+
+
+def test_completion_for_bash() -> None:
+    words = {"_STEERKIT_COMPLETE": "complete_bash", "COMP_WORDS": "steerkit dr", "COMP_CWORD": "1"}
+    code = "import sys; sys.argv = ['steerkit']; from steerkit.cli.app import main; main()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env={**os.environ, **words})
+    assert done.stdout.split() == ["drive"]
+
+
+def test_an_interrupt_inside_code_made_from_text_ends_with_130_too(tmp_path: Path) -> None:
+    text = (
+        "import os, signal as s; s.signal(2, s.default_int_handler); os.kill(os.getpid(), 2)\nfor _ in range(9): pass"
+    )
+    (tmp_path / "mine.py").write_text(f"def make(belief):\n    exec({text!r})\n")
+    words = [sys.executable, "-m", "steerkit", "drive", "mine.py:make", "--course", "circle", "-q"]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=120.0)
+    assert done.returncode == 130, done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_an_interrupted_run_says_how_to_go_on_and_ends_with_130(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("steerkit.learning.report.learn_with_progress", interrupted)
+    assert run("learn", "--out", str(tmp_path), monkeypatch=monkeypatch) == 130
+    assert f"the same with --out {tmp_path} goes on" in capsys.readouterr().err

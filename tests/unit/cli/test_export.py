@@ -52,7 +52,7 @@ def test_mistakes_are_named(run: Path, monkeypatch: pytest.MonkeyPatch, capsys: 
 def test_a_model_that_says_something_else_is_no_success(
     gap: float, run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("steerkit.export.onnx.check_onnx", lambda *_, **__: {"action": 0.0, "q": gap})
+    monkeypatch.setattr("steerkit.cli.export.check_onnx", lambda *_, **__: {"action": 0.0, "q": gap})
     assert command(str(run), "--onnx", str(tmp_path / "p.onnx"), monkeypatch=monkeypatch) == 2
     assert "its q differs from the policy's by" in capsys.readouterr().err
     assert not (tmp_path / "p.onnx").exists()

@@ -1,4 +1,4 @@
-"""`steerkit log`."""
+"""`steerkit log` and `steerkit plot`."""
 
 from __future__ import annotations
 
@@ -8,8 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from steerkit.diagram.loop import Loop
+from steerkit.diagram.simulation import Log, simulate
 from steerkit.logs import read_drive
 from tests.support import command_lines
+from tests.support.parts import Count
 from tests.support.written_logs import driven, written
 
 
@@ -55,3 +58,43 @@ def test_mistakes_are_one_line(
     Path("a.csv").write_text("t,v\n" + "".join(f"{k},1\n" for k in range(50)))
     assert run(monkeypatch, *words) == 2
     assert re.search(says, capsys.readouterr().err)
+
+
+@pytest.fixture
+def drive(tmp_path: Path) -> Path:
+    simulate(Loop(blocks={"car": Count()}, wires=[]), 1.0).save(tmp_path / "drive.npz")
+    return tmp_path / "drive.npz"
+
+
+def test_plot_draws_signals_and_writes_a_table(
+    drive: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert (
+        command_lines.run(
+            "plot", str(drive), "car.n", "--table", str(drive.with_suffix(".csv")), monkeypatch=monkeypatch
+        )
+        == 0
+    )
+    assert (drive.parent / "drive-signals.png").read_bytes()[:4] == b"\x89PNG"
+    head, *rows = drive.with_suffix(".csv").read_text().splitlines()
+    assert head == "t [s],car.n [m]"
+    assert len(rows) == len(Log.load(drive).t) == 20
+    assert "drive-signals.png, table: " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("path.e",), "no signal 'path.e' in the log; recorded: car.n"),
+        (("--out", "a.gif"), "--out a.gif: expected a name that ends in .png, .pdf, .svg"),
+        (("--table", "a.xlsx"), "--table a.xlsx: expected a name that ends in .csv or .parquet"),
+    ],
+)
+def test_mistakes_in_plot_are_one_line(
+    words: tuple[str, ...], says: str, drive: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert command_lines.run("plot", str(drive), *words, monkeypatch=monkeypatch) == 2
+    error = capsys.readouterr().err.strip()
+    assert says in error
+    assert len(error.splitlines()) == 1
+    assert [file.name for file in drive.parent.iterdir()] == ["drive.npz"]

@@ -1,17 +1,26 @@
-"""The command `steerkit courses`: what can be driven, what a map holds, and a course made of it."""
+"""The commands `steerkit courses` and `steerkit vehicles`: what can be driven, and with what."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
+import numpy as np
 import typer
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
 
 from steerkit.cli.options import Machine
-
-if TYPE_CHECKING:
-    from steerkit.paths.importers import Course, Map
+from steerkit.paths import importers
+from steerkit.paths.courses import course, names
+from steerkit.plots.course import plot_course
+from steerkit.plots.style import save
+from steerkit.scenario.parts import Car
+from steerkit.vehicles import VEHICLES, Vehicle, fleet
+from steerkit.vehicles import vehicle as vehicle_named
+from steerkit.vehicles.fleet import FleetCar
 
 ALSO = {
     "random-7": "a random course by its seed: 500 m, radii of 10 m and more",
@@ -48,11 +57,6 @@ def courses(
         raise ValueError(
             "--to and --plot make something of a map's file; name it: steerkit courses lap.gpx --to lap.csv"
         )
-    from rich.console import Console
-    from rich.table import Table
-
-    from steerkit.paths.courses import course, names
-
     rows: list[dict[str, Any]] = []
     for name in names():
         path = course(name)
@@ -71,24 +75,18 @@ def courses(
 
 
 def _of_file(file: str, to: Path | None, plot: Path | None, vehicle: str, as_json: bool) -> None:
-    from steerkit import vehicle as car
-    from steerkit.paths import importers as roads
-
-    found = roads.contents(file)
-    address = roads.Address.parsed(file)
+    found = importers.contents(file)
+    address = importers.Address.parsed(file)
     single = len(found.pieces) == 1
     if not (address.choice or single) and to is None and plot is None:
         _list(found, address.file, as_json)
         return
-    made = roads.read_course(file, tightest=float(car(vehicle).tightest))
+    made = importers.read_course(file, tightest=float(vehicle_named(vehicle).tightest))
     if to is not None:
         if to.suffix != ".csv":
             raise ValueError(f"--to {to}: a course's file ends in .csv")
         made.to_csv(str(to))
     if plot is not None:
-        from steerkit.plots.course import plot_course
-        from steerkit.plots.style import save
-
         save(plot_course(made.path), plot)
     row = _row(made)
     if as_json:
@@ -108,9 +106,7 @@ def _of_file(file: str, to: Path | None, plot: Path | None, vehicle: str, as_jso
 _SPEEDS = {"v": "as driven", "v_limit": "allowed"}
 
 
-def _row(made: Course) -> dict[str, Any]:
-    import numpy as np
-
+def _row(made: importers.Course) -> dict[str, Any]:
     path = made.path
     sharpest = float(abs(path.samples.kappa).max())
     row: dict[str, Any] = {"course": path.name, "length_m": path.length, "closed": path.closed}
@@ -120,7 +116,7 @@ def _row(made: Course) -> dict[str, Any]:
     return row
 
 
-def _list(found: Map, file: str, as_json: bool) -> None:
+def _list(found: importers.Map, file: str, as_json: bool) -> None:
     """What there is to choose from."""
     rows = []
     for group, pieces in found.groups().items():
@@ -135,9 +131,6 @@ def _list(found: Map, file: str, as_json: bool) -> None:
     if as_json:
         print(json.dumps({"file": file, "kind": found.kind, f"{found.kind}s": rows, "notes": found.notes}))
         return
-    from rich.console import Console
-    from rich.table import Table
-
     table = Table(found.kind, "length (m)", "lanes", "leads to", "")
     for row in rows:
         leads = ", ".join(row["leads_to"][:8]) + (" ..." if len(row["leads_to"]) > 8 else "")
@@ -148,3 +141,55 @@ def _list(found: Map, file: str, as_json: bool) -> None:
     first = rows[0]
     lane = f",lane={first['lanes'][0]}" if len(first["lanes"]) > 1 else ""
     print(f"choose: steerkit courses '{file}#{found.kind}={first[found.kind]}{lane}' --to course.csv")
+
+
+def vehicles(
+    having: Annotated[
+        str, typer.Argument(help="Only cars whose name has this in it, such as toyota; or a vehicle file, FILE.toml.")
+    ] = "",
+    as_json: Machine = False,
+) -> None:
+    """List the cars: those by name, and the fleet of production cars with the steering delay of each.
+
+    delay: of the steering, as production software assumes it; from: the slowest speed that the maker's interface takes
+    commands at. One of the fleet can also be drawn: `--vehicle fleet-17` is the car of seed 17.
+    """
+    rows: list[dict[str, Any]] = []
+    cars: dict[str, tuple[Vehicle, FleetCar | None]] = {}
+    delay: float | None = None
+    if having.endswith(".toml"):
+        named = Car(name=having)
+        cars[having], delay = (named.nominal, None), named.steering_in_file().get("delay")
+    else:
+        known = {name: (car, None) for name, car in VEHICLES.items()}
+        known |= {name: (member.vehicle, member) for name, member in fleet().items()}  # type: ignore[misc]
+        cars = {name: car for name, car in known.items() if having.lower() in name}
+    for name, (car, member) in cars.items():
+        rows.append(
+            {
+                "vehicle": name,
+                "mass_kg": car.m,
+                "wheelbase_m": car.wheelbase,
+                "steer_ratio": car.steer_ratio,
+                "steer_delay_s": member.steer_delay if member else delay,
+                "interface": member and member.interface,
+                "slowest_mps": member and member.slowest,
+            }
+        )
+    if not rows:
+        raise ValueError(f"vehicles: no name has '{having}' in it; without it all are listed")
+    if as_json:
+        print(json.dumps({"vehicles": rows}))
+        return
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, collapse_padding=True, show_edge=False)
+    table.add_column("vehicle", no_wrap=True)
+    for heading in ("mass\n(kg)", "wheel-\nbase\n(m)", "ratio", "delay\n(s)", "steer\nby", "from\n(m/s)"):
+        table.add_column(heading, no_wrap=True, justify="left" if heading.endswith("by") else "right")
+    for name, mass, wheelbase, ratio, waits, interface, slowest in (row.values() for row in rows):
+        steering = (
+            "-" if waits is None else f"{waits:.2f}",
+            interface or "-",
+            "-" if slowest is None else f"{slowest:.1f}",
+        )
+        table.add_row(name, f"{mass:.0f}", f"{wheelbase:.2f}", f"{ratio:.1f}", *steering)
+    Console(width=max(80, Console().width)).print(table)  # a narrower terminal would cut off words
