@@ -1,4 +1,4 @@
-"""All attacks at all speeds, as the Markdown of docs/real-car-attacks.md: `python -m tests.attack.table [--jobs 2]`.
+"""All attacks at all speeds, as a table in Markdown: `python -m tests.attack.table [--jobs 2]`; `make attacks` keeps it.
 
 With `--controllers mpc lqr ...` those of the product steer, and each has a column instead of each speed.
 """
