@@ -128,9 +128,9 @@ def learned(programs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 WRITTEN_BY = {
-    "yard-smooth.csv": ("howto/course.md", "yard"),
+    "yard-smooth.csv": ("courses.md", "yard"),
     "my_file.py": ("howto/controller.md", "my_file.py"),
-    "yard.xodr": ("roads.md", "write_text"),
+    "yard.xodr": ("courses.md", "write_text"),
 }
 """Files that Python blocks of a page write: the page under docs, and a word that only those blocks have."""
 
