@@ -8,7 +8,7 @@ PEERS := $(VENV)/peers
 BIN := $(VENV)/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo bench reports test test-all mutants lint docs dist clean
+.PHONY: help setup demo bench reports attacks test test-all mutants lint docs dist clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -28,6 +28,10 @@ reports: $(PEERS)  ## every suite in full, some three hours of computing; pages 
 		$(BIN)/python -m benchmarks report runs/reports/$${suites%% *} || exit 1; done
 	$(BIN)/python -m benchmarks run compute --jobs 1 --out runs/reports/compute
 	$(BIN)/python -m benchmarks report runs/reports/compute
+
+attacks: $(READY)  ## what an attacker on sensors, bus and client achieves against the car's checks; runs/attacks.md
+	mkdir -p runs
+	$(BIN)/python -m tests.attack.table > runs/attacks.md
 
 test test-all: export OMP_NUM_THREADS = 1
 # Tests start some hundred programs; without their bytecode each compiles the library anew, most of a second.
