@@ -142,7 +142,7 @@ def make(name: str, folder: Path, learned: Path, python: tuple[str, ...]) -> Non
     elif name == "my-car.toml":  # "copy the shipped dbw-kit.toml"
         from steerkit import car as real_car
 
-        shutil.copy(Path(real_car.__path__[0]) / "config" / "dbw-kit.toml", folder / name)
+        shutil.copy(Path(real_car.__path__[0]) / "kits" / "dbw-kit.toml", folder / name)
     elif name == "my_controller.py":  # "save this as my_controller.py"
         codes = [text for language, text in blocks(ROOT / "docs" / "tutorial.md") if language == "python"]
         (folder / name).write_text(next(code for code in codes if "A controller of my own" in code), encoding="utf-8")
