@@ -1,4 +1,4 @@
-"""All attacks at all speeds, as a table in Markdown: `python -m tests.attack.table [--jobs 2]`; `make attacks` keeps it.
+"""All attacks at all speeds, as a table in Markdown: `python -m tests.attack.table [--jobs 2]`, or `make attacks`.
 
 With `--controllers mpc lqr ...` those of the product steer, and each has a column instead of each speed.
 """
