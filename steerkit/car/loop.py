@@ -118,7 +118,7 @@ def adapted_in(run: Run) -> Adapted | None:
     for name in ("controller", "recovery"):
         block = run.loop.blocks.get(name)
         if isinstance(block, Adaptive):
-            return Adapted(*block.told(run.x[run.loop.names.index(name)]))
+            return Adapted(*block.believed(run.x[run.loop.names.index(name)]))
     return None
 
 

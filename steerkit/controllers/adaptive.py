@@ -1,4 +1,4 @@
-"""A controller that is told what estimators find while it drives: dead time and steering ratio."""
+"""A controller that follows the dead time and the steering ratio which estimators find while it drives."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from steerkit.estimators.steering_delay import YawDelay
 from steerkit.task import STOP
 
 
-class Told(NamedTuple):
-    """What the controllers that adapt are told of their car."""
+class Believed(NamedTuple):
+    """What an adaptive controller believes of its car."""
 
     delay: Scalar
     """Dead time [s]."""
@@ -29,29 +29,29 @@ class Told(NamedTuple):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Adaptive(Block):
-    """Wraps a controller of any kind so that it follows what its car turns out to be; for cars nobody has measured.
+    """Wraps a controller of any kind so that it adapts to its car while it drives; for cars that nobody has measured.
 
-    Two estimators watch its commands and the gyro: `YawDelay` and `SingleTrackFilter`. With the dead time d and the
-    ratio as a multiple g of the data sheet's that are told,
+    Two estimators watch its commands and the gyro: `YawDelay` and `SingleTrackFilter`. With the believed dead time d
+    and the believed ratio, as a multiple g of the data sheet's,
 
         delta_sw = sat(g w),   w = (1 - a) w_i(wheel/g) + a w_j(wheel/g),   d = (1 - a) d_i + a d_j,   j = i + 1,
 
-    where w_i is what the controller made for the dead time d_i asks for: tables are not solved anew, but those of two
-    dead times are mixed. What is told starts with the prior (d = prior_delay, g = 1) and moves towards an estimate, no
-    faster than so much a second, only while that is valid and within its bounds; else it stays. The filter is given the
-    dead time as it is found, with its deviation, not as it is told: what is told too late or not yet would be taken for
-    another ratio, and firmly. It looks away, as `delay` does, where the angle jumps faster than wheels turn. It sees
-    g n tan(delta) cos(beta) for g n delta, n the data sheet's ratio, tan(beta) = tan(delta) l_r/L: tight bends. An
-    offset is not told: without a heading it cannot be told from the gyro's zero, and `OffsetFree` steers against it,
-    inside, for the estimators have to see what is really commanded.
+    where w_i is what the controller designed for the dead time d_i commands: tables are not solved anew, but those of
+    two dead times are mixed. Both begin with the prior (d = prior_delay, g = 1) and move towards their estimates, at a
+    limited rate, only while these are valid, and within bounds; else they stay. The filter gets the estimated dead
+    time, with its deviation, not the believed one: a dead time that is wrong or late would be taken for another ratio.
+    It pauses, as `delay` does, where the commanded angle jumps faster than wheels turn. It gets g n tan(delta)
+    cos(beta) instead of g n delta, n the data sheet's ratio, tan(beta) = tan(delta) l_r/L: tight bends. An offset is
+    not estimated: without a heading it cannot be separated from the gyro's zero. `OffsetFree` steers against it, inside
+    this block, since the estimators need the command as it is sent.
 
-    Ports and sample time are those of `blocks`, the inputs v and r among them; the preview is the longest. One that
-    `hears` has an input more, doe [rad]: the angle that was asked for a sample before, whoever did. State: those
-    of `blocks`, of `delay` and `steering`, then whether it rests [1], d [s] and g [1]. Only the two controllers that
-    are mixed are asked in a drive of one car. NaN in v, r or doe teaches nothing, nor does a sample in which it rests:
-    see `rested`. Raises ValueError for parameters out of range, and for controllers with other ports. Source: Astrom,
-    Wittenmark 1995, sections 1.4 (gain scheduling) and 3.1 (certainty equivalence: estimates are used as if they were
-    the truth).
+    Ports and sample time are those of `blocks`, the inputs v and r among them; the preview is the longest. With
+    `takes_turns` there is one input more, doe [rad]: the angle commanded a sample before, by whichever controller
+    steered. State: those of `blocks`, of `delay` and `steering`, then whether it was on standby [1], d [s] and g [1].
+    In a drive of one car only the two controllers that are mixed are evaluated. Samples with NaN in v, r or doe update
+    no estimate, nor do samples on standby: see `on_standby`. Raises ValueError for parameters out of range, and for
+    controllers with other ports. Source: Astrom, Wittenmark 1995, sections 1.4 (gain scheduling) and 3.1 (certainty
+    equivalence: estimates are used as if they were true).
     """
 
     doe = In("rad", direct=False)
@@ -59,27 +59,27 @@ class Adaptive(Block):
     blocks: tuple[Block, ...]
     """The same controller, made for each of `delays`."""
     delays: tuple[float, ...]
-    """Dead times [s], evenly spaced, from the shortest to the longest that is told."""
+    """Dead times [s], evenly spaced, from the shortest to the longest that can be believed."""
     delay: YawDelay
-    """Finds the dead time, told the lag."""
+    """Estimates the dead time, for a given lag."""
     steering: SingleTrackFilter
-    """Finds the ratio."""
+    """Estimates the ratio."""
     prior_delay: float = 0.0
-    """Dead time that is told until another is found [s]; better too long than too short, with which loops swing."""
+    """Dead time believed until there is an estimate [s]; too long a one does less harm than too short a one."""
     lag: float = 0.1
-    """Lag of the steering that `blocks` are told of [s]; what it is longer counts as dead time."""
+    """Lag of the steering for which `blocks` are designed [s]; what it is longer counts as dead time."""
     ratio_least: float = 0.6
-    """Smallest ratio that is told, as a multiple of the data sheet's [1]."""
+    """Smallest believed ratio, as a multiple of the data sheet's [1]."""
     ratio_most: float = 1.6
     """Largest [1]."""
     delay_rate: float = 0.5
-    """Fastest change of the dead time that is told [s/s]."""
+    """Fastest change of the believed dead time [s/s]."""
     ratio_rate: float = 0.1
     """That of the ratio [1/s]."""
     limit: float = STOP
     """Largest |delta_sw| [rad]."""
-    hears: bool = False
-    """Does somebody else steer now and then, as in a recovery controller's loop? Then doe is what was asked for."""
+    takes_turns: bool = False
+    """Does another controller steer now and then, as beside a recovery controller? Then doe is what was commanded."""
 
     def __post_init__(self) -> None:
         where, n = "Adaptive", len(self.delays)
@@ -103,7 +103,7 @@ class Adaptive(Block):
         ):
             require_within(where, name, getattr(self, name), unit, low, high)
         take_ports(self, self.block)
-        if not self.hears:
+        if not self.takes_turns:
             without_port(self, "doe")
 
     @property
@@ -128,15 +128,15 @@ class Adaptive(Block):
         inner = [value for block in (*self.blocks, self.delay, self.steering) for value in block.init(batch)]
         return (*inner, *[m.filled(value, batch) for value in (0.0, self.prior_delay, 1.0)])
 
-    def told(self, x: State) -> Told:
-        """What is told in state `x`."""
-        return Told(*x[-2:])
+    def believed(self, x: State) -> Believed:
+        """Dead time and ratio in state `x`."""
+        return Believed(*x[-2:])
 
     def on_standby(self, x: State, settled: State) -> State:
-        """The state `settled` with what `x` has found and tells, for one whose commands nobody followed since.
+        """The state `settled` with the estimates and beliefs of `x`, for a sample in which another controller steered.
 
-        Somebody else steered: the next sample teaches nothing, nor do those after it until its commands have acted.
-        What is no number is not kept: then it begins anew. For one car.
+        The next sample updates no estimate, nor do those after it until its own commands have acted. Estimates that
+        are not finite are not kept. For one car.
         """
         first = self._parts[len(self.blocks)][1]
         kept = x[first:] if all(map(math.isfinite, x[first:])) else settled[first:]
@@ -152,7 +152,7 @@ class Adaptive(Block):
         return (*settled, *x[len(settled) :])
 
     def output(self, t: Any, x: State, u: Any) -> Any:
-        delay, ratio = self.told(x)
+        delay, ratio = self.believed(x)
         place = (delay - self.delays[0]) / (self.delays[1] - self.delays[0])
         states, asked, nearest = self._states(x), 0.0, None
         for i, block in enumerate(self.blocks):
@@ -166,7 +166,7 @@ class Adaptive(Block):
         return nearest._replace(delta_sw=command)  # type: ignore[union-attr]
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
-        rests, delay, ratio = x[-3:]
+        standby, delay, ratio = x[-3:]
         states = self._states(x)
         own = y._replace(delta_sw=y.delta_sw / ratio)
         after = [
@@ -174,27 +174,29 @@ class Adaptive(Block):
             for block, state in zip(self.blocks, states)
         ]
         found, known = self.delay.output(t, states[-2], ()), self.steering.output(t, states[-1], ())
-        sent = u.doe if self.hears else y.delta_sw
-        after.append(self.delay.update(t, states[-2], self.delay.U(sent, 1.0 - rests, u.r, u.v), found))
+        sent = u.doe if self.takes_turns else y.delta_sw
+        after.append(self.delay.update(t, states[-2], self.delay.U(sent, 1.0 - standby, u.r, u.v), found))
         car = self.steering.vehicle
         n = ratio * car.steer_ratio
         steep = m.tan(sent / n)
         lever = car.l_r / car.wheelbase * steep  # tan(beta): v is that of the centre of gravity
         bent = n * steep / m.sqrt(1.0 + lever * lever)
-        dead, late = found.delay_lag - self.lag, self.dt if self.hears else 0.0
+        dead, late = found.delay_lag - self.lag, self.dt if self.takes_turns else 0.0
         step = m.absolute(bent - states[-1][0])  # the filter's state begins with the angle of a sample before
-        followed = m.where(m.both(step <= self.delay.rate_limit * self.dt, rests < 0.5), 1.0, 0.0)
+        followed = m.where(m.both(step <= self.delay.rate_limit * self.dt, standby < 0.5), 1.0, 0.0)
         watched = self.steering.U(bent, u.v, u.r, math.nan, dead, self.lag, found.delay_lag_deviation, followed)
         after.append(self.steering.update(t, states[-1], watched, known))
         bounds = self.delays[0], self.delays[-1]
-        told = (
-            self._told(delay, dead + late, found.delay_lag_valid, self.delay_rate, bounds),
-            self._told(ratio, known.ratio, known.ratio_valid, self.ratio_rate, (self.ratio_least, self.ratio_most)),
+        believed = (
+            self._followed(delay, dead + late, found.delay_lag_valid, self.delay_rate, bounds),
+            self._followed(ratio, known.ratio, known.ratio_valid, self.ratio_rate, (self.ratio_least, self.ratio_most)),
         )
-        return (*[value for state in after for value in state], 0.0 * rests, *told)
+        return (*[value for state in after for value in state], 0.0 * standby, *believed)
 
-    def _told(self, before: Scalar, value: Scalar, valid: Scalar, rate: float, bounds: tuple[float, float]) -> Scalar:
-        """What is told a sample later."""
+    def _followed(
+        self, before: Scalar, value: Scalar, valid: Scalar, rate: float, bounds: tuple[float, float]
+    ) -> Scalar:
+        """What is believed a sample later."""
         step = m.clip(m.clip(value, *bounds) - before, -rate * self.dt, rate * self.dt)
         return before + m.where(m.both(valid > 0.5, m.is_finite(value)), step, 0.0)
 
@@ -210,7 +212,7 @@ class Adaptive(Block):
         )
 
     def _seen(self, block: Block, ports: Any, u: Any, ratio: Scalar) -> Any:
-        """What one controller sees: its own preview, and the wheel as the data sheet's ratio would have it."""
+        """The inputs of one controller: its own preview, and the measured wheel in terms of the data sheet's ratio."""
         values = {name: getattr(u, name) for name in ports._fields}
         points: int = getattr(block, "preview_points", 0)
         if "preview" in values:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from steerkit._support.errors import require
 from steerkit.controllers.limits import limited
-from steerkit.controllers.riccati import cost_to_go
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State
 from steerkit.diagram.maths import Scalar, Table
@@ -28,6 +27,29 @@ _STEP_OF_SLEW = 1.2  # step that costs 1, over what a slew allows in a sample
 _REACH = 0.5  # m: what a car with a slew is taken to be off at most
 _MOTION = 5  # e, theta, beta, r, delta
 _SLOWEST = 1.0  # m/s: below it, the gains stay and theta is formed with this speed
+
+
+def cost_to_go(a: Array, b: Array, q: Array, r: float) -> Array:
+    """P (n, n) of x' P x, the sum of x' Q x + r u^2 from now on with the best feedback and without limits.
+
+    x+ = A x + B u,  P = Q + A' P A - A' P B (r + B' P B)^-1 B' P A
+
+    a (n, n), b (n,), q (n, n), r > 0: the matrices A, B, Q and r. Raises LinAlgError or ValueError for a system that no
+    feedback makes stable. Solutions are kept within the process: controllers are made again and again for the same car,
+    for every drive of a table, for every delay of an adaptive one. Source: Anderson, Moore 1990, ch. 2.
+    """
+    parts = [np.ascontiguousarray(part, dtype=float) for part in (a, b, q)]
+    return np.frombuffer(_solution(*[part.tobytes() for part in parts], float(r))).reshape(parts[0].shape).copy()
+
+
+@lru_cache(maxsize=2048)
+def _solution(a: bytes, b: bytes, q: bytes, r: float) -> bytes:
+    from scipy.linalg import solve_discrete_are
+
+    column: Any = np.frombuffer(b)[:, None]
+    n = len(column)
+    p = solve_discrete_are(np.frombuffer(a).reshape(n, n), column, np.frombuffer(q).reshape(n, n), np.array([[r]]))
+    return np.ascontiguousarray(p, dtype=float).tobytes()
 
 
 @dataclass(frozen=True, kw_only=True)

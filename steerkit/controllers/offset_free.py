@@ -89,14 +89,14 @@ class OffsetFree(Wrapper):
 
     @classmethod
     def around(cls, block: Block, vehicle: Vehicle, *, delay: float = 0.0, **settings: float) -> OffsetFree:
-        """`block` in a `Vehicle` of whose ratio and stops it is told, and whose steering has that delay [s].
+        """`block` with ratio and stops of a `Vehicle`, for a steering with that delay [s].
 
         settings: any other fields.
         """
         require_vehicle(vehicle, "OffsetFree.around")
-        told = dict(steer_ratio=vehicle.steer_ratio, limit=vehicle.delta_sw_max, approach=cls.approach + delay)
-        told["rate_limit"] = getattr(block, "rate_limit", cls.rate_limit)
-        return cls(block=block, **(told | settings))
+        known = dict(steer_ratio=vehicle.steer_ratio, limit=vehicle.delta_sw_max, approach=cls.approach + delay)
+        known["rate_limit"] = getattr(block, "rate_limit", cls.rate_limit)
+        return cls(block=block, **(known | settings))
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         return (*self.block.init(batch), *[m.filled(0.0, batch)] * 5)

@@ -169,7 +169,7 @@ _UNDERSTEER = 1e-4
 the ratio that goes with it."""
 
 
-def _adaptive(make: Callable[[DesignModel], Block], *, hears: bool = False) -> Callable[[DesignModel], Block]:
+def _adaptive(make: Callable[[DesignModel], Block], *, takes_turns: bool = False) -> Callable[[DesignModel], Block]:
     """What makes a controller that adapts, of those that `make` makes."""
 
     def made(design_model: DesignModel) -> Block:
@@ -182,7 +182,7 @@ def _adaptive(make: Callable[[DesignModel], Block], *, hears: bool = False) -> C
             prior_delay=min(prior + _CAUTION, _DEAD_TIMES[-1]),
             lag=design_model.lag,
             limit=car.delta_sw_max,
-            hears=hears,
+            takes_turns=takes_turns,
         )
 
     return made
@@ -294,7 +294,7 @@ def plant_kind(name: str) -> type[Block]:
 def make_recovery(name: str, design_model: DesignModel) -> Block:
     """The controller that catches a learned one: any of `RECOVERIES`. Raises ValueError with the valid names."""
     if known(name, RECOVERIES, "recovery") == ADAPTIVE:
-        return _trimmed(_adaptive(_delayed, hears=True)(design_model), design_model)
+        return _trimmed(_adaptive(_delayed, takes_turns=True)(design_model), design_model)
     if name == AUTO:
         name = "stanley" if design_model.delay == 0.0 and design_model.slew is None else "stanley-delay"
     return make_controller(name, design_model)

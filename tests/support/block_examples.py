@@ -143,7 +143,7 @@ EXAMPLES = [
             delays=(0.0, 0.1),
             delay=YawDelay(vehicle=PASSAT, prior_delay=0.05, longest=0.1),
             steering=SingleTrackFilter(vehicle=PASSAT, longest=0.2),
-            hears=True,
+            takes_turns=True,
         ),
         blind=("doe",),
     ),

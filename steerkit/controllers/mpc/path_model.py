@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from steerkit.controllers.riccati import cost_to_go
+from steerkit.controllers.lqr import cost_to_go
 from steerkit.diagram import maths as m
 
 Array = NDArray[np.float64]

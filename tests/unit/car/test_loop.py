@@ -189,13 +189,13 @@ def test_what_was_found_of_a_car_that_got_off_its_path_or_into_a_fault_is_not_be
     for mode, now in ((Mode.ENGAGED, e), (Mode.ENGAGED, 0.0), (then, 0.0), (Mode.READY, 0.0)):
         line.last = line.last._replace(mode=mode, e=now)
         follow.begin(world.run)
-    anew = adaptive.told(adaptive.init())
-    assert adaptive.told(world.run.x[number]) == ((0.31, 1.2) if kept else anew)
+    anew = adaptive.believed(adaptive.init())
+    assert adaptive.believed(world.run.x[number]) == ((0.31, 1.2) if kept else anew)
     world.run.x[number] = (*world.run.x[number][:-2], 0.31, 1.2)
     for mode in (Mode.ENGAGED, Mode.READY):
         line.last = line.last._replace(mode=mode)
         follow.begin(world.run)
-    assert adaptive.told(world.run.x[number]) == (0.31, 1.2), "the next drive is another one"
+    assert adaptive.believed(world.run.x[number]) == (0.31, 1.2), "the next drive is another one"
 
 
 def test_what_rests_is_the_same_loop_but_for_the_net() -> None:

@@ -1,4 +1,4 @@
-"""What estimators find is told while it is valid, slowly and within bounds; and then it drives as if told the truth."""
+"""An adaptive controller follows valid estimates, slowly and within bounds, and drives as if it knew its car."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from steerkit.compiled import compile
-from steerkit.controllers.adaptive import Adaptive, Told
+from steerkit.controllers.adaptive import Adaptive, Believed
 from steerkit.controllers.pure_pursuit import PurePursuit
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.simulation import simulate
@@ -68,16 +68,16 @@ def test_the_ratio_is_in_the_command_and_taken_off_the_measured_wheel() -> None:
     assert abs(asked(replace(block, limit=0.01), x)) == 0.01
 
 
-def test_what_is_told_moves_while_it_is_valid_no_faster_than_stated_and_within_bounds() -> None:
+def test_a_belief_follows_a_valid_estimate_no_faster_than_stated_and_within_bounds() -> None:
     block = adaptive()
-    assert block._told(0.0, 0.3, 1.0, 0.1, (0.0, 0.1)) == pytest.approx(0.005)
-    assert block._told(0.098, 0.3, 1.0, 0.1, (0.0, 0.1)) == pytest.approx(0.1)
-    assert block._told(0.05, 0.0499, 1.0, 0.1, (0.0, 0.1)) == pytest.approx(0.0499)
-    assert block._told(0.05, 0.3, 0.0, 0.1, (0.0, 0.1)) == 0.05
-    assert block._told(0.05, math.nan, 1.0, 0.1, (0.0, 0.1)) == 0.05
+    assert block._followed(0.0, 0.3, 1.0, 0.1, (0.0, 0.1)) == pytest.approx(0.005)
+    assert block._followed(0.098, 0.3, 1.0, 0.1, (0.0, 0.1)) == pytest.approx(0.1)
+    assert block._followed(0.05, 0.0499, 1.0, 0.1, (0.0, 0.1)) == pytest.approx(0.0499)
+    assert block._followed(0.05, 0.3, 0.0, 0.1, (0.0, 0.1)) == 0.05
+    assert block._followed(0.05, math.nan, 1.0, 0.1, (0.0, 0.1)) == 0.05
 
 
-def test_nothing_is_told_at_a_standstill_nor_of_what_is_no_number() -> None:
+def test_beliefs_stay_at_a_standstill_and_with_inputs_that_are_no_numbers() -> None:
     block = adaptive(prior_delay=0.04)
     for wrong in ({"v": 0.0}, {"v": math.nan}, {"r": math.nan}):
         u = block.U(**HERE | wrong)
@@ -87,73 +87,73 @@ def test_nothing_is_told_at_a_standstill_nor_of_what_is_no_number() -> None:
         assert x[-2:] == (0.04, 1.0)
 
 
-def test_the_ratio_is_looked_for_behind_the_dead_time_as_it_is_found_not_as_it_is_told() -> None:
+def test_the_ratio_is_estimated_behind_the_estimated_dead_time_not_the_believed_one() -> None:
     states = []
-    for told in (0.0, 0.1):
-        block = adaptive(prior_delay=told, delay_rate=0.0)
+    for prior in (0.0, 0.1):
+        block = adaptive(prior_delay=prior, delay_rate=0.0)
         x = block.settle(0.0, block.init(), block.U(**HERE))
         for k in range(80):
             u = block.U(**HERE | {"r": 0.1 * math.sin(0.2 * k)})
             x = block.update(0.05 * k, x, u, block.Y(math.sin(0.2 * k + 1.0)))
-        assert x[-2] == told
+        assert x[-2] == prior
         states.append(block._states(x)[-1])
     assert states[0] == states[1]
     assert block.steering.output(0.0, states[0], ()).ratio != 1.0  # it has learned
 
 
-def test_one_that_hears_learns_of_what_others_steered_and_counts_the_sample_that_it_heard_late() -> None:
+def test_one_that_takes_turns_learns_from_the_commands_of_others_which_it_sees_a_sample_late() -> None:
     signals = answered(steered(30.0), delay=0.15, lag=0.1, v=7.0 + np.zeros(600))
-    told = []
-    for block in (adaptive(delays=(0.0, 0.5)), adaptive(delays=(0.0, 0.5), hears=True)):
-        x = block.settle(0.0, block.init(), block.U(**HERE | {"doe": 0.0} if block.hears else HERE))
+    found = []
+    for block in (adaptive(delays=(0.0, 0.5)), adaptive(delays=(0.0, 0.5), takes_turns=True)):
+        x = block.settle(0.0, block.init(), block.U(**HERE | {"doe": 0.0} if block.takes_turns else HERE))
         for k in range(600):
             u, sent = HERE | {"r": float(signals["r"][k]), "v": 7.0}, float(signals["delta_sw"][k])
-            heard = {"doe": sent} if block.hears else {}
-            x = block.update(0.05 * k, x, block.U(**u | heard), block.Y(0.0 if block.hears else sent))
-        told.append(x[-2])
-    assert told[0] == pytest.approx(0.15, abs=0.04)
-    assert told[1] == pytest.approx(told[0] + 0.05, abs=1e-9)
+            seen = {"doe": sent} if block.takes_turns else {}
+            x = block.update(0.05 * k, x, block.U(**u | seen), block.Y(0.0 if block.takes_turns else sent))
+        found.append(x[-2])
+    assert found[0] == pytest.approx(0.15, abs=0.04)
+    assert found[1] == pytest.approx(found[0] + 0.05, abs=1e-9)
 
 
-def test_while_it_rests_it_keeps_what_it_found_and_learns_nothing_of_commands_that_nobody_followed() -> None:
+def test_on_standby_it_keeps_its_estimates_and_learns_nothing_from_its_own_commands() -> None:
     block = adaptive(delay_rate=0.0, ratio_rate=0.0)
     first = block._parts[len(block.blocks)][1]
 
-    def driven(x: Any, samples: range, *, rests: bool) -> Any:
+    def driven(x: Any, samples: range, *, standby: bool) -> Any:
         for k in samples:
             u = block.U(**HERE | {"r": 0.1 * math.sin(0.2 * k)})
-            x = block.update(0.05 * k, x, u, block.Y(math.sin(0.2 * k + (3.0 if rests else 1.0))))
-            if rests:
+            x = block.update(0.05 * k, x, u, block.Y(math.sin(0.2 * k + (3.0 if standby else 1.0))))
+            if standby:
                 fresh = block.settle(0.0, block.init(), block.U(**HERE))
                 x = block.on_standby(x, fresh)
                 assert x[:first] == fresh[:first], "the controllers begin anew"
         return x
 
-    x = driven(block.settle(0.0, block.init(), block.U(**HERE)), range(80), rests=False)
+    x = driven(block.settle(0.0, block.init(), block.U(**HERE)), range(80), standby=False)
     x = (*x[:-2], 0.07, 1.1)
-    assert block.told(x) == Told(delay=0.07, ratio=1.1)
-    after = driven(driven(x, range(80, 81), rests=True), range(81, 300), rests=True)
+    assert block.believed(x) == Believed(delay=0.07, ratio=1.1)
+    after = driven(driven(x, range(80, 81), standby=True), range(81, 300), standby=True)
 
-    def said(x: Any) -> list[float]:
+    def estimates(x: Any) -> list[float]:
         states = block._states(x)
         ratio = block.steering.output(0.0, states[-1], ()).ratio
-        return [*block.told(x), block.delay.output(0.0, states[-2], ()).delay_lag, ratio]
+        return [*block.believed(x), block.delay.output(0.0, states[-2], ()).delay_lag, ratio]
 
-    assert said(after)[2:] != said(block.init())[2:], "it had learned"
+    assert estimates(after)[2:] != estimates(block.init())[2:], "it had learned"
     once = block.on_standby(x, block.settle(0.0, block.init(), block.U(**HERE)))
-    assert said(after) == pytest.approx(said(once), abs=1e-12)
-    again = driven(after, range(300, 303), rests=False)
+    assert estimates(after) == pytest.approx(estimates(once), abs=1e-12)
+    again = driven(after, range(300, 303), standby=False)
     assert again[-3] == 0.0
-    assert said(again)[2:] == pytest.approx(said(once)[2:], abs=1e-12), "its commands have not acted yet"
+    assert estimates(again)[2:] == pytest.approx(estimates(once)[2:], abs=1e-12), "its commands have not acted yet"
     spoilt = list(x)
     spoilt[first + 20] = math.nan
     fresh = block.settle(0.0, block.init(), block.U(**HERE))
     assert block.on_standby(tuple(spoilt), fresh) == (*fresh[:-3], 1.0, *fresh[-2:]), "an end to what would never end"
-    long = driven(after, range(300, 400), rests=False)
-    assert said(long)[2:] != pytest.approx(said(once)[2:], abs=1e-6), "now they have"
+    long = driven(after, range(300, 400), standby=False)
+    assert estimates(long)[2:] != pytest.approx(estimates(once)[2:], abs=1e-6), "now they have"
 
 
-def test_commands_faster_than_a_wheel_can_turn_teach_nothing_of_the_ratio() -> None:
+def test_commands_faster_than_a_wheel_can_turn_do_not_change_the_ratio() -> None:
     block = adaptive()
     x = block.settle(0.0, block.init(), block.U(**HERE))
     before = block.steering.output(0.0, block._states(x)[-1], ()).ratio
@@ -162,8 +162,8 @@ def test_commands_faster_than_a_wheel_can_turn_teach_nothing_of_the_ratio() -> N
     assert block.steering.output(0.0, block._states(x)[-1], ()).ratio == pytest.approx(before, abs=1e-9)
 
 
-def caught(recovery: str) -> float:
-    """Largest |e| from 10 to 15 s on [m], where only the recovery steers, told nothing of 0.35 s of delay."""
+def largest_e_under(recovery: str) -> float:
+    """Largest |e| from 10 to 15 s on [m], where only the recovery steers, and does not know of 0.35 s of delay."""
     place = Scenario.under("hard", steering={"delay": 0.35, "lag": 0.28}, knowledge={"delay": 0.0}, recovery=recovery)
     setting = named("default")
     never = replace(untrained(setting, 0), ready_from=math.inf)
@@ -172,9 +172,9 @@ def caught(recovery: str) -> float:
     return float(np.abs(e[200:]).max())
 
 
-def test_as_a_recovery_it_catches_a_car_whose_delay_nobody_knows() -> None:
-    assert caught("adaptive") < 0.15
-    assert caught("auto") > 1.0
+def test_as_a_recovery_it_can_recover_a_car_of_unknown_delay() -> None:
+    assert largest_e_under("adaptive") < 0.15
+    assert largest_e_under("auto") > 1.0
 
 
 def rms(name: str, scenario: Scenario) -> tuple[float, float]:
@@ -195,7 +195,7 @@ def rms(name: str, scenario: Scenario) -> tuple[float, float]:
         {"steering": {"delay": 0.2}, "knowledge": {"delay": 0.0}},
     ],
 )
-def test_it_drives_nearly_as_well_as_one_that_is_told_the_truth(wrong: dict[str, Any]) -> None:
+def test_it_drives_nearly_as_well_as_one_that_knows_the_true_parameters(wrong: dict[str, Any]) -> None:
     off = Scenario(**wrong)
     truth = rms("stanley-delay", off.with_(knowledge={"oracle": True, "delay": None}))[0]
     plain, adapts = rms("stanley-delay", off), rms("stanley-adaptive", off)

@@ -152,7 +152,7 @@ def test_only_controllers_that_catch_from_anywhere_are_recoveries() -> None:
 def test_the_adapting_recovery_hears_what_others_steer_and_winds_up_nothing_meanwhile() -> None:
     block = make_recovery("adaptive", replace(BELIEF, delay=0.15))
     assert isinstance(block, Adaptive)
-    assert block.hears
+    assert block.takes_turns
     assert all(isinstance(one, DelayPredictor) for one in block.blocks)
 
 
