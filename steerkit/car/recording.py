@@ -4,9 +4,9 @@ Topics: /can/rx /client /tick /recording /end (what the core was given), /can/tx
 /car /refused (why).
 
 The file is MCAP (https://mcap.dev), because it is append-only: what has been written can be read, with or without its
-end. Field tools (Foxglove, PlotJuggler, `mcap`) open it; messages are JSON. Every byte is covered by a check sum: the
-description stands at the beginning, twice, each with its own sum; messages come in chunks with a CRC-32 and are
-numbered through the file, so that it is known how many are missing; the data section and the index have CRC-32s too.
+end. Field tools (Foxglove, PlotJuggler, `mcap`) open it; messages are JSON. Every byte is covered by a check sum:
+messages come in chunks with a CRC-32, the first two of which hold the description, twice; the others are numbered
+through the file, so that it is known how many are missing; the data section and the index have CRC-32s too.
 A place that does not fit its sum is left out up to the next that does.
 """
 
@@ -31,7 +31,6 @@ from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
-from io import BytesIO
 from pathlib import Path as File
 from typing import Any, NamedTuple
 
@@ -65,12 +64,13 @@ TOPICS = {
     "/estimates": {"t": "number"},
     "/safety": dict.fromkeys(("t", *protocol.Filtered._fields), "number"),
     "/adapted": dict.fromkeys(("t", *protocol.Adapted._fields), "number"),
+    "/description": {"t": "number"},
 }
 """Topics with the kinds of their messages' fields. A topic's place is its number in the file: only add at the end."""
 NAME = "steerkit"
-"""Profile and library in the file's header, and the name of its description."""
-SUM = "crc32"
-"""Key of the description's check sum in the description."""
+"""Profile and library in the file's header."""
+DESCRIPTION, COPIES = "/description", 2
+"""The topic of the description, and how often it is written: each copy in a chunk of its own, before all messages."""
 CHUNK = 65536
 """Bytes from which a chunk is closed at once."""
 _MAGIC = b"\x89MCAP0\r\n"
@@ -81,7 +81,7 @@ _MESSAGE = struct.Struct("<9xHIQQ")
 _DATA_END = struct.Struct("<BQI")
 _DATA_END_HEAD = b"\x0f\x04" + bytes(7)
 _FOOTER = 37  # bytes, with the magic behind it
-_STARTS = re.compile(rb"(?=\x06.{4}\0{4}|\x0c.{4}\0{4}\x08\0\0\0steerkit)", re.DOTALL)
+_STARTS = re.compile(rb"(?=\x06.{4}\0{4})", re.DOTALL)
 
 
 class Line(NamedTuple):
@@ -136,15 +136,17 @@ class RecordingFile:
             self._stream,
             chunk_size=CHUNK,
             compression=CompressionType.NONE,
-            index_types=IndexType.CHUNK | IndexType.METADATA,
+            index_types=IndexType.CHUNK,
             enable_data_crcs=True,
         )
         self._count = 0
         try:
             self._writer.start(profile=NAME, library=NAME)
-            for _ in range(2):
-                self._writer.add_metadata(NAME, {**description, SUM: _sum(description)})
             self._channels = {topic: self._channel(topic, fields) for topic, fields in TOPICS.items()}
+            data = json.dumps({"t": 0.0, "texts": description}).encode()
+            for _ in range(COPIES):
+                self._writer.add_message(self._channels[DESCRIPTION], 0, data, 0, 0)
+                self.flush()
             self.sync()
         except BaseException:
             self.abandon()
@@ -215,13 +217,15 @@ def contents(data: bytes) -> Contents:
     sound = False
     while at < limit and not sound:
         if chunk := _chunk(data, at):
-            chunks.append(chunk)
+            first = chunk.lines[0]
+            if first.topic == DESCRIPTION:
+                description = first.values.get("texts")
+            else:
+                chunks.append(chunk)
             times = [line.when for line in chunk.lines]
             if _HEAD.unpack_from(data, at)[2:4] != (min(times), max(times)):
                 damaged.append((at + 9, at + 25))
             at = chunk.end
-        elif copy := _description(data, at):
-            description, at = copy
         elif data[at : at + 9] == _DATA_END_HEAD and data[at : at + _DATA_END.size] == _data_end(data, at):
             sound = True
         else:
@@ -233,17 +237,14 @@ def contents(data: bytes) -> Contents:
             damaged.append((limit, index.begin))
     elif sound:
         damaged.append((at + _DATA_END.size, len(data)))
-    total = index.total if index else None
+    total = index.total - COPIES if index and index.total is not None else None
     damaged = [(a, b) for a, b in damaged if a < b or a == len(data)]  # the end may be missing and nothing else
     return Contents(description, chunks, damaged, index is not None or sound, total)
 
 
 def _next(data: bytes, at: int) -> int:
-    """Where the next intact chunk or description begins, from `at` on."""
-    for match in _STARTS.finditer(data, at):
-        if _chunk(data, match.start()) or _description(data, match.start()):
-            return match.start()
-    return len(data)
+    """Where the next intact chunk begins, from `at` on."""
+    return next((m.start() for m in _STARTS.finditer(data, at) if _chunk(data, m.start())), len(data))
 
 
 def _chunk(data: bytes, at: int) -> Chunk | None:
@@ -288,29 +289,6 @@ def _value(value: Any) -> Any:
     return float(value) if value in ("nan", "inf", "-inf") else value
 
 
-def _description(data: bytes, at: int) -> tuple[dict[str, str], int] | None:
-    """The description that begins at `at`, and where it ends; None when there is none, or it does not fit its sum."""
-    from mcap.data_stream import ReadDataStream, RecordBuilder
-    from mcap.exceptions import McapError
-    from mcap.records import Metadata
-
-    if data[at : at + 1] != b"\x0c" or len(data) < at + 9:
-        return None
-    end = at + 9 + int.from_bytes(data[at + 1 : at + 9], "little")
-    if end > len(data):
-        return None
-    try:
-        record = Metadata.read(ReadDataStream(BytesIO(data[at + 9 : end])))
-    except (McapError, struct.error, ValueError):
-        return None
-    builder = RecordBuilder()
-    record.write(builder)
-    texts = {key: text for key, text in record.metadata.items() if key != SUM}
-    if builder.end() != data[at:end] or record.name != NAME or record.metadata.get(SUM) != _sum(texts):
-        return None
-    return texts, end
-
-
 class _Index(NamedTuple):
     """The index at a file's end."""
 
@@ -348,10 +326,6 @@ def _header() -> bytes:
     builder = RecordBuilder()
     Header(NAME, NAME).write(builder)
     return bytes(builder.end())
-
-
-def _sum(texts: dict[str, str]) -> str:
-    return f"{zlib.crc32(json.dumps(texts, sort_keys=True).encode()):08x}"
 
 
 class Gap(NamedTuple):

@@ -241,6 +241,57 @@ def test_each_side_of_a_check(check: Any, name: str, facts: dict[str, Any]) -> N
     assert name in names(GOOD._replace(**facts), check)
 
 
+@pytest.mark.parametrize(
+    "facts",
+    [
+        {"v": -LIMITS.v_reverse},
+        {"v_kit": -LIMITS.v_reverse, "v": 0.0},
+        {"v": LIMITS.v_max, "v_kit": LIMITS.v_max},
+        {"v": 5.0, "v_kit": 5.0 - LIMITS.v_mismatch},
+        {"e": LIMITS.e_max},
+        {"psi_e": LIMITS.psi_e_max},
+        {"e_growth": LIMITS.e_growth},
+        {"quality": LIMITS.quality},
+        {"request": LIMITS.delta_sw_max},
+    ],
+)
+def test_exactly_at_its_limit_a_check_holds_while_driving(facts: dict[str, Any]) -> None:
+    usual = GOOD._replace(v=0.0, v_kit=0.0) if "v" in facts or "v_kit" in facts else GOOD
+    assert names(usual._replace(**facts), always, driving) == set()
+
+
+@pytest.mark.parametrize(
+    "facts",
+    [
+        {"e": LIMITS.e_engage},
+        {"psi_e": LIMITS.psi_e_engage},
+        {"request": 0.0, "delta_sw": LIMITS.delta_engage},
+        {"v": LIMITS.v_engage_min},
+        {"v": LIMITS.v_engage_max},
+    ],
+)
+def test_exactly_at_its_limit_a_check_holds_for_engaging(facts: dict[str, Any]) -> None:
+    assert names(GOOD._replace(**facts), engaging) == set()
+
+
+@pytest.mark.parametrize(
+    ("check", "name", "facts"),
+    [
+        (always, "report stale", {"report_age": LIMITS.report_age}),
+        (always, "server late", {"lateness": LIMITS.lateness}),
+        (always, "operator silent", {"heartbeat_age": LIMITS.heartbeat}),
+        (driving, "controller silent", {"request_age": LIMITS.request_lost}),
+        (driving, "command echo", {"echo_age": LIMITS.echo_age}),
+        (driving, "kit not enabled", {"enabled": False, "engaged_for": LIMITS.enable_time}),
+        (ending, "end of the course", {"remaining": LIMITS.end_margin}),
+        (engaging, "request stale", {"request_age": LIMITS.request_age}),
+        (engaging, "end of the course", {"remaining": LIMITS.end_margin + 5.0 * LIMITS.end_warning}),
+    ],
+)
+def test_an_age_that_reaches_its_limit_is_too_old(check: Any, name: str, facts: dict[str, Any]) -> None:
+    assert name in names(GOOD._replace(**facts), check)
+
+
 def test_the_operator_is_warned_of_the_end_of_the_course_and_only_then() -> None:
     assert warnings(LIMITS, GOOD._replace(remaining=31.0)) == []
     assert warnings(LIMITS, GOOD._replace(remaining=29.0)) == ["the course ends in 24 m"]
