@@ -1,4 +1,4 @@
-"""A guard around a safety filter: where its answer is none, or comes late, the recovery controller steers."""
+"""A guard around a safety filter: where that raises, is late or not finite, the recovery controller steers."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ def said(reason: float) -> str:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FailSafe(Wrapper):
-    """Wraps a `SafetyFilter` so that what goes wrong in it leaves the wheel to the recovery controller.
+    """Wraps a `SafetyFilter` so that the recovery controller steers where the filter fails.
 
-        delta_sw = recovery    if the filter raises, takes longer than `budget`, or answers with what is no number
-                 = its answer  otherwise
+        delta_sw = recovery     if the filter raises, takes longer than `budget`, or its command is not finite
+                 = its command  otherwise
 
     `reason` then says which it was (see `FAULTS`), share is 1, correction recovery - command, and reach NaN where it is
-    not known. Each time goes to the logger `steerkit`, an exception with its traceback, but not while a loop is traced,
-    compiled or batched, where nothing can be late. The filter is asked anew in the next sample: it remembers what was
-    really sent, and stays as it was where remembering raises.
+    not known. Each failure is logged on the logger `steerkit`, an exception with its traceback, but not while a loop is
+    traced, compiled or batched, where nothing can be late. The filter runs again in the next sample: its state is
+    updated with the command that was sent, and stays as it was where its update raises.
 
     Inputs: those of `block`, and recovery [rad]. Outputs, state and sample time: those of `block`. A NaN in `recovery`
-    goes through, as there is no one left to ask; the gate before a bus refuses it. An exception while a loop is traced
-    goes through too. Raises ValueError for a block without the outputs of a filter, or a budget without a clock.
+    goes through; the gate before a bus refuses it. An exception while a loop is traced goes through too.
+    Raises ValueError for a block without the outputs of a filter, or a budget without a clock.
     """
 
     recovery = In("rad")

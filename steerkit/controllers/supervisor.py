@@ -1,4 +1,4 @@
-"""Who steers, the learned controller or the analytic one; a target that comes to a lost car; a guard around a block."""
+"""The supervisor that switches between the learned and the recovery controller, and a guard against exceptions."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from steerkit.task import RELEASE, STOP, TRIP
 
 
 class SupervisorState(NamedTuple):
-    """Who steered in the sample before, and whether the learner's fault is still latched (0.0 or 1.0)."""
+    """Whether the learner steered in the sample before, and whether its fault is latched (0.0 or 1.0)."""
 
     learning: Any
     fault: Any
@@ -23,21 +23,21 @@ class SupervisorState(NamedTuple):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Supervisor(Block):
-    """Gives the wheel to the learned controller while it can be trusted, else to the recovery controller.
+    """Switches to the recovery controller when the learned one leaves the path or fails, and back when both are fine.
 
         fault    = not (|learner| <= limit and ready = 1),   latched until `ready` is 0 once
         learning = ready and not fault and |e| <= trip      if the learner steered in the sample before
         learning = ready and not fault and |e| <  release   otherwise
         delta_sw = learner if learning, else recovery
 
-    So a fault is a command that is NaN or out of range, and a `ready` that is NaN, as that of a `ExceptionGuard` block
-    is after an exception.
+    A fault is a command that is NaN or out of range, or a `ready` that is NaN, as after an exception in an
+    `ExceptionGuard`.
 
-    Inputs: e [m] as measured; learner, recovery [rad], both commands; ready [1], is there a policy to trust.
-    Outputs: delta_sw [rad]; learning [1]; tripped [1], 1 in the one sample in which the learner lost the wheel by
-    |e| > trip; fault [1]. State: learning and fault of the sample before; the run starts under recovery.
-    A NaN in e takes the wheel from the learner. A NaN in `recovery` goes through while recovery steers: there is no
-    one left to ask, and the gate before the bus refuses it.
+    Inputs: e [m] as measured; learner, recovery [rad], both commands; ready [1], whether there is a valid policy.
+    Outputs: delta_sw [rad]; learning [1]; tripped [1], 1 in the one sample in which the learner was switched off for
+    |e| > trip; fault [1]. State: learning and fault of the sample before; the run starts with the recovery controller.
+    A NaN in e switches to the recovery controller. A NaN in `recovery` goes through while that steers; the gate before
+    the bus refuses it.
     Raises ValueError unless 0 < release <= trip. Source: Riedmiller, Montemerlo, Dahlkamp 2007 (0.5 m and 0.1 m).
     """
 
@@ -51,11 +51,11 @@ class Supervisor(Block):
     fault = Out("1")
 
     trip: float = TRIP
-    """|e| above which the learner loses the wheel [m]."""
+    """|e| above which the recovery controller takes over [m]."""
     release: float = RELEASE
-    """|e| below which it gets the wheel [m]."""
+    """|e| below which the learner takes over [m]."""
     limit: float = STOP
-    """Largest |delta_sw| a learner may ask for [rad]; more is a fault."""
+    """Largest |delta_sw| a learner may command [rad]; more is a fault."""
 
     def __post_init__(self) -> None:
         require(

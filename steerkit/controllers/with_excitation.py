@@ -1,4 +1,4 @@
-"""A controller whose car is to tell of itself: a wave on top of its angle."""
+"""Excitation for identification: a wave on top of a controller's command."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from steerkit.vehicles import Vehicle, require_vehicle
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class WithExcitation(Wrapper):
-    """Wraps a steering controller and swings its angle about what it asks for, so that estimators see what they need.
+    """Wraps a steering controller and adds a wave to its command, which excites what estimators have to identify.
 
         delta_sw = delta_sw of `block` + w,   w = n (L + K v^2)/v^2 a,   sat to -+most,
         a = amplitude sat(steepness sin(2 pi frequency tau)),   sat to -+1,   |v r + a| <= a_y_most
 
-    a is the lateral acceleration of a car that follows at once: so the way to the side is the same at any speed,
+    a is the lateral acceleration of a car without lag: so the lateral displacement is the same at any speed,
     amplitude/(2 pi frequency)^2 for a sine. steepness 1 is a sine, 4 and more are steps. In bends a is cut, and never
     adds to what is beyond a_y_most already. Below v_least, or where v or r is not finite, w = 0. tau counts from the
     first sample, and anew from the first one with another `number`: waves are exchanged while the state goes on.
 
-    The controller steers against w as against any disturbance, and goes on from its own angle. One that watches its own
-    commands (`Adaptive`) has to be put around this block, not inside. Ports and sample time are those of `block`; it
+    The controller rejects w as any disturbance, and goes on from its own angle. One that watches its own commands
+    (`Adaptive`) has to be put around this block, not inside. Ports and sample time are those of `block`; it
     needs the inputs v and r and the output delta_sw. State: that of `block`, then tau [s] and the number.
     Raises ValueError for parameters out of range. Source: Ljung 1999, section 13.3 (inputs for identification: sums
     of sines, and steps; within the limits of the system).
@@ -52,7 +52,7 @@ class WithExcitation(Wrapper):
     a_y_most: Scalar = 2.0
     """Lateral acceleration that w does not lead beyond [m/s^2]."""
     v_least: Scalar = 2.0
-    """Slowest speed at which the wheel is swung [m/s]."""
+    """Slowest speed with a wave [m/s]."""
     number: float = 0.0
     """Of this wave, among those of a drive."""
 

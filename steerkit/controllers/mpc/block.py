@@ -28,7 +28,7 @@ SOLVED, PLAN, FALLBACK, HELD = 0.0, 1.0, 2.0, 3.0
 NO_FAULT, NOT_FINITE, FAILED, LATE, STANDING = 0.0, 1.0, 2.0, 3.0, 4.0
 """Why there is no solution: an input is NaN or infinite, the solver or its check failed, too late, too slow a car."""
 _NOTHING = 1e9  # residual of a solution that is not finite
-_BETA, _R = 0.8, 5.0  # rad and rad/s: no sensor that works has more to say
+_BETA, _R = 0.8, 5.0  # rad and rad/s: no sensor that works reports more
 _PACE = 1.15  # in tight bends the front axle is that much faster than the centre of gravity
 _FALLBACK_INPUTS = {"e", "psi_e", "kappa", "v", "r", "delta_sw_meas"}
 
@@ -46,12 +46,12 @@ class PredictiveSteering(Block):
     P(v) is the Riccati solution without limits: while none is near, this is LQR with curve feed-forward, and the
     delay costs it nothing but the prediction. The motion is `rhs`, a plant's own, in path coordinates (`PathModel`).
 
-    A solution leaves the block only if the solver reports success, all is finite, and the optimality conditions hold
-    to `tolerance`. Else, or when it comes later than `budget`, the plan of the last good solution is followed for
-    `patience` samples, then `fallback`, here Stanley, is asked with e, psi_e, r and the wheel as they will be after
-    the delay, as if its drive began in this sample. When that cannot be formed either (e, psi_e, v, r or the preview
-    is not finite), the command stays. Below `v_stop`, in reverse too, it stays as well: turning the wheel does not
-    move the car sideways there. All commands keep `limit` and `rate_limit`.
+    A solution is used only if the solver reports success, all is finite, and the optimality conditions hold to
+    `tolerance`. Else, or when it comes later than `budget`, the plan of the last good solution is followed for
+    `patience` samples; then `fallback`, by default Stanley, steers, with e, psi_e, r and the wheel as predicted for
+    after the delay, as if its drive began in this sample. Where these cannot be predicted either (e, psi_e, v, r or the
+    preview is not finite), the command is held. Below `v_stop`, in reverse too, it is held as well: there the wheel
+    does not move the car sideways. All commands keep `limit` and `rate_limit`.
 
     Inputs: e [m], psi_e [rad] and preview [1/m] (curvatures at s + j*v*dt) at `reference`; v [m/s], beta [rad] and
     r [rad/s] of the centre of gravity; delta_sw_meas [rad], where the wheel is. Outputs: delta_sw [rad]; status [1]:
