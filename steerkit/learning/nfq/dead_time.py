@@ -24,7 +24,7 @@ from steerkit.learning.nfq.model import (
     earlier_doe,
     follow,
     speed,
-    told_by_yaw_rate,
+    with_heading_of_yaw_rate,
 )
 from steerkit.task import DT
 
@@ -65,11 +65,11 @@ def process_of(record: Transitions, description: StateDescription, longest: floa
     """The process without dead time behind recorded transitions, and the dead time, up to `longest` [s].
 
     The dead time is the one whose model leaves the least of the car's turning unexplained, all judged on the same
-    samples. record: with the column kappa. A record too short to tell is taken to have none. One with speeds above the
+    samples. record: with the column kappa. A record that is too short is taken to have none. One with speeds above the
     description's `scaled_from` is of a fast car (see `moved`).
     """
     fast = bool(record.s[:, V].max(initial=0.0) > description.scaled_from)
-    record = told_by_yaw_rate(record) if fast else record
+    record = with_heading_of_yaw_rate(record) if fast else record
     known = [aligned(record, n) for n in range(min(LONGEST, round(longest / dt)) + 1)]
     while len(known) > 1 and len(known[-1]) < FEWEST:
         known.pop()

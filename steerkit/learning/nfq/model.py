@@ -22,7 +22,7 @@ CENTRED = 300.0
 """How firmly a wheel is taken to be mounted straight: some hundred samples' worth of evidence. White noise alone would
 ask for 4; but what the model leaves unexplained goes on for seconds, such as a bend's."""
 SAME = 10.0
-"""How firmly `slip` is taken to be nothing, so that it stays so while all speeds are alike."""
+"""How firmly `slip` is taken to be 0, so that it stays 0 while all speeds are alike."""
 SAME_AT_SPEED = 2500.0
 """The same of `loss`, over the mean of now + before + earlier."""
 FINE = 1.0 / 30.0
@@ -44,13 +44,13 @@ class CarModel:
 
         doe' = sat(held*doe + pushed*a),   v' = v
 
-    for the dynamic output element and the human; e', c', psi_e' and r_e' by
-    `steerkit.controllers.delay_compensator.moved`,
-    in which nothing changes when doe is turned by x and psi_e by -x*ratio, where `ratio` is the learned steering
-    ratio's inverse. Bends ahead, humans and noise are in `residuals`. Seven numbers, found by least squares from about
-    20 transitions on; two more where the path's curvature was recorded: `straight`, and how the tyres' slip grows with
-    speed. At low speed that is told by how fast w comes back (`slip`); a `fast` car's states are
-    `told_by_yaw_rate`, and its slip by how far w goes (`loss`).
+    for the dynamic output element and the speed driver; e', c', psi_e' and r_e' by
+    `steerkit.controllers.delay_compensator.moved`, in which nothing changes when doe is turned by x and psi_e by
+    -x*ratio, where `ratio` is the learned steering ratio's inverse. Bends ahead, changes of speed and noise are in
+    `residuals`. Seven numbers, found by least squares from about 20 transitions on; two more where the path's curvature
+    was recorded: `straight`, and how the tyres' slip grows with speed. At low speed that shows in how fast w comes back
+    (`slip`); the states of a `fast` car are those of `with_heading_of_yaw_rate`, and it shows in how far w goes
+    (`loss`).
     """
 
     held: float
@@ -73,7 +73,7 @@ class CarModel:
     fast: float = 0.0
     """1 of a fast car, else 0."""
     straight: float = 0.0
-    """Angle of the wheel at which the car goes straight on [rad]; states are told with doe counted from there."""
+    """Angle of the wheel at which the car goes straight on [rad]; states count doe from there."""
     dt: float = DT
     """Sample time [s]."""
 
@@ -81,13 +81,13 @@ class CarModel:
     def fit(cls, record: Transitions, description: StateDescription, dt: float = DT, *, fast: bool = False) -> CarModel:
         """The model of recorded transitions; raises ValueError for none, or for states of other columns.
 
-        Where they tell the curvature (a column kappa after the others), the yaw rate's answer is found without the
+        Where they hold the curvature (a column kappa after the others), the yaw rate's answer is found without the
         bends' part in it, which is of the same size and the other sign, and `straight` is found. fast: of a
-        record `told_by_yaw_rate`, with kappa.
+        record of `with_heading_of_yaw_rate`, with kappa.
         """
-        told = record.names == (*COLUMNS, "kappa")
+        has_kappa = record.names == (*COLUMNS, "kappa")
         valid = f"columns {record.names}, the model needs {COLUMNS}, and kappa or not"
-        require(told or record.names == COLUMNS, "CarModel.fit", valid)
+        require(has_kappa or record.names == COLUMNS, "CarModel.fit", valid)
         require(len(record) > 0, "CarModel.fit", "no transitions, expected at least one")
         s, s_next, limit = record.s, record.s_next, description.high[DOE]
         doe, doe_next, v = s[:, DOE], s_next[:, DOE], speed(s)
@@ -102,7 +102,7 @@ class CarModel:
         answer = dict.fromkeys(ANSWER, 0.0) | {"nose": 1.0, "fast": float(fast)}
         if fast:
             course, turn = turn, s_next[:, E_DOT] / speed(s_next) - s_next[:, PSI_E] - w
-        if told:
+        if has_kappa:
             grown, same = (-v * v * doe_next, SAME_AT_SPEED) if fast else (-v * v * w, SAME)
             x = np.column_stack((x, grown, np.ones(len(x))))
             fine = FINE if fast else 1.0
@@ -120,7 +120,7 @@ class CarModel:
         else:
             answer["slip"] = slip
             rise = s_next[:, R_E] - s[:, R_E]
-            if told:
+            if has_kappa:
                 rise = rise + s_next[:, V] * s_next[:, KAPPA] - s[:, V] * s[:, KAPPA]
             change = v * change
             answer["yaw"] = float(change @ rise / (change @ change + 1e-9))
@@ -153,18 +153,18 @@ def believed_loss(loss: float, v: Array) -> float:
 
 
 def course_share(turned: Array, course: Array, v: Array) -> tuple[float, float]:
-    """`nose` and `tail` of changes of w (n,) and the course's part of them (n,); all of it where little is told."""
+    """`nose` and `tail` of changes of w (n,) and the course's part of them (n,); all of it where little shows."""
     fastest = float(v.max()) ** 2
     x = np.column_stack((turned, -turned * v * v / fastest))
     nose, tail = _least_squares(x, course - turned, trace=1e-4)
     return 1.0 + nose, tail / fastest
 
 
-def told_by_yaw_rate(record: Transitions) -> Transitions:
+def with_heading_of_yaw_rate(record: Transitions) -> Transitions:
     """The same transitions, with psi_e such that e_dot/v - psi_e is LENGTH*r/v (see `moved`); with the column kappa."""
-    told = Transitions(record.names)
-    told.extend(_by_yaw_rate(record.s), record.a, _by_yaw_rate(record.s_next), record.episode)
-    return told
+    same = Transitions(record.names)
+    same.extend(_by_yaw_rate(record.s), record.a, _by_yaw_rate(record.s_next), record.episode)
+    return same
 
 
 def _by_yaw_rate(s: Array) -> Array:

@@ -12,7 +12,7 @@ from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, V
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq.dead_time import aligned, process_of
 from steerkit.learning.nfq.iterate import FitSetting, Learned, update
-from steerkit.learning.nfq.model import CarModel, told_by_yaw_rate
+from steerkit.learning.nfq.model import CarModel, with_heading_of_yaw_rate
 from steerkit.learning.settings import DEFAULT
 from tests.support.modelled_car import ACTIONS
 
@@ -88,7 +88,7 @@ def test_a_fast_car_is_told_by_its_yaw_rate_and_not_by_its_axis(samples: int) ->
 def test_bends_are_not_taken_for_the_wheels_doing_before_the_model_is_refined() -> None:
     for car, speeds in ((CAR, (4.0, 7.0)), (FAST, (12.0, 24.0))):
         record = late(0, car=car, speeds=speeds)
-        record = told_by_yaw_rate(record) if car.fast else record
+        record = with_heading_of_yaw_rate(record) if car.fast else record
         found = CarModel.fit(record, DESCRIPTION, fast=bool(car.fast))
         for name in ("now", "back", "yaw"):
             assert getattr(found, name) == pytest.approx(getattr(car, name), rel=0.15), name
