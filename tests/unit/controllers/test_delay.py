@@ -1,4 +1,4 @@
-"""The prediction over a steering delay, and reading delay and lag from a log."""
+"""The prediction over a steering delay."""
 
 from __future__ import annotations
 
@@ -16,11 +16,14 @@ from steerkit.controllers.delay import DelayPredictor, delayed_stanley
 from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.block import Block, In, Out, State
+from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import simulate
 from steerkit.doe import PlainAngle
 from steerkit.paths.courses import circle, course, straight
+from steerkit.paths.path import Path
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.single_track import SingleTrack
 from steerkit.plants.speed_driver import ConstantSpeed, CurveSpeedDriver, SpeedDriver
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario.assembly import placed, steering_loop
@@ -40,6 +43,20 @@ def around(delay: float, lag: float, **changes: Any) -> DelayPredictor:
     made = DelayPredictor.around(Stanley.of(PASSAT), PASSAT, delay=delay, lag=lag)
     own = {name: changes.pop(name) for name in ("block", "preview_points") if name in changes}
     return replace(made, model=replace(made.model, **changes), **own)
+
+
+def looped(
+    controller: Block, path: Path, v: float, delay: float, *, car: SingleTrack | None = None, **start: Any
+) -> Loop:
+    """A car at that speed, behind a motor with that delay and 0.1 s of lag."""
+    return steering_loop(
+        car=placed(car or LinearSingleTrack(vehicle=PASSAT, v0=v), path, **start),
+        path=path,
+        driver=ConstantSpeed(speed=v),
+        controller=controller,
+        actuator=SteeringActuator(delay=delay, lag=0.1),
+        reference=PASSAT.l_f,
+    )
 
 
 def without_slew(block: DelayPredictor) -> DelayPredictor:
@@ -120,16 +137,7 @@ def test_a_steady_bend_stays_one(v: float) -> None:
     """Front axle on the circle, wheel, yaw rate and heading as in steady driving: nothing changes on the way."""
     path = circle(20.0)
     block = delayed_stanley(PASSAT, delay=0.2, lag=0.1)
-    car = placed(LinearSingleTrack(vehicle=PASSAT, v0=v), path)
-    loop = steering_loop(
-        car=car,
-        path=path,
-        controller=block,
-        driver=ConstantSpeed(speed=v),
-        actuator=SteeringActuator(delay=0.2),
-        reference=PASSAT.l_f,
-    )
-    log = simulate(loop, 15.0)
+    log = simulate(looped(block, path, v, 0.2), 15.0)
     now = {name: float(log[f"path.{name}"][-1]) for name in ("e", "psi_e")}
     r, wheel = float(log["car.r"][-1]), float(log["actuator.delta_sw"][-1])
     found = ahead(block, (wheel,) * 4, **now, v=v, r=r, delta_sw_meas=wheel, preview=(0.05,) * block.preview_points)
@@ -143,15 +151,7 @@ def test_the_prediction_comes_true(delay: float) -> None:
     """On the course, with a car it knows: what it says of e and psi_e is what happens, to a few millimetres."""
     path, lag = course("paper"), 0.1
     block = delayed_stanley(PASSAT, delay=delay, lag=lag)
-    car = placed(NonlinearSingleTrack(vehicle=PASSAT, v0=5.0), path, s=60.0, e=0.2)
-    loop = steering_loop(
-        car=car,
-        path=path,
-        driver=ConstantSpeed(speed=5.0),
-        controller=block,
-        actuator=SteeringActuator(delay=delay, lag=lag),
-        reference=PASSAT.l_f,
-    )
+    loop = looped(block, path, 5.0, delay, car=NonlinearSingleTrack(vehicle=PASSAT, v0=5.0), s=60.0, e=0.2)
     state, errors, naive = loop.init(), [], []
     n = len(Stanley.of(PASSAT).init())
     said: dict[int, tuple[float, float]] = {}
@@ -160,14 +160,8 @@ def test_the_prediction_comes_true(delay: float) -> None:
         state, sample = loop.step(state)
         e = sample["controller_path.e"]
         if k % 5 == 0:
-            u = block.D(
-                e,
-                sample["controller_path.psi_e"],
-                sample["controller_path.preview"],
-                sample["car.v"],
-                sample["car.r"],
-                sample["actuator.delta_sw"],
-            )
+            seen = ("controller_path.psi_e", "controller_path.preview", "car.v", "car.r", "actuator.delta_sw")
+            u = block.D(e, *[sample[name] for name in seen])
             found = block.predict(before[n], before[n + 1 :], u)
             said[k + round((delay + lag) / 0.01)] = found["e"], e
         if k in said and k > 100:
@@ -181,16 +175,7 @@ def test_a_delayed_car_is_steered_as_if_it_were_not() -> None:
     """Kicked by 0.5 m, Stanley with 0.3 s delay swings through the path; predicted, it comes back without."""
     path, low = straight(300.0), []
     for controller in (Stanley.of(PASSAT), delayed_stanley(PASSAT, delay=0.3, lag=0.1)):
-        car = placed(LinearSingleTrack(vehicle=PASSAT, v0=9.0), path, s=10.0, e=0.5)
-        loop = steering_loop(
-            car=car,
-            path=path,
-            driver=ConstantSpeed(speed=9.0),
-            controller=controller,
-            actuator=SteeringActuator(delay=0.3, lag=0.1),
-            reference=PASSAT.l_f,
-        )
-        e = simulate(loop, 10.0)["path.e"]
+        e = simulate(looped(controller, path, 9.0, 0.3, s=10.0, e=0.5), 10.0)["path.e"]
         low.append((float(e.min()), float(np.abs(e[-200:]).max())))
     assert low[0][1] > 0.3
     assert low[1][0] > -0.1
@@ -305,7 +290,7 @@ def test_it_wraps_only_what_it_can_serve() -> None:
 
 @pytest.mark.parametrize("delay", [0.0, 0.2])
 def test_a_round_of_the_course_stays_within_a_tenth_of_a_metre(delay: float) -> None:
-    """Nonlinear car, 0.1 s lag; the careful human would drive 9 m/s. Tyres and ratio off: still within 0.3 m."""
+    """Nonlinear car, 0.1 s lag; the driver would drive 9 m/s. Tyres and ratio off: still within 0.3 m."""
     path = course("paper")
     driver = CurveSpeedDriver(path=path, driver=SpeedDriver(v_min=9.0, v_max=9.0))
     loop = steering_loop(
@@ -331,15 +316,8 @@ def test_from_three_metres_and_45_degrees_it_comes_back_within_its_limits() -> N
     grid = np.meshgrid([2.0, 4.0, 6.0, 9.0], [-3.0, 0.0, 3.0], np.radians([-45.0, 20.0, 45.0]))
     v, e, psi = (axis.ravel() for axis in grid)
     path = straight(400.0)
-    car = placed(NonlinearSingleTrack(vehicle=PASSAT, v0=5.0), path, s=20.0)
-    loop = steering_loop(
-        car=car,
-        path=path,
-        driver=ConstantSpeed(speed=5.0),
-        reference=PASSAT.l_f,
-        controller=delayed_stanley(PASSAT, delay=0.2, lag=0.1),
-        actuator=SteeringActuator(delay=0.2, lag=0.1),
-    )
+    block, car = delayed_stanley(PASSAT, delay=0.2, lag=0.1), NonlinearSingleTrack(vehicle=PASSAT, v0=5.0)
+    loop = looped(block, path, 5.0, 0.2, car=car, s=20.0)
     start = {"car.y0": e - PASSAT.l_f * np.sin(psi), "car.psi0": psi, "car.v0": v, "driver.speed": v}
     record = ["path.e", "car.a_y", "controller.delta_sw"]
     log = compile(loop, backend="vm", record=record, every=5, parameters=list(start)).run(15.0, parameters=start)
