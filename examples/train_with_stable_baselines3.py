@@ -3,8 +3,8 @@
     python examples/train_with_stable_baselines3.py [--quick] [--steps 40000] [--course paper] [--seed 0] [--out DIR]
 
 Each agent learns in the Gymnasium environment, is turned into a block of plain arrays (no torch any more), written to
-a file, loaded again and driven one round in the usual steering loop, where Stanley catches it when |e| > 0.5 m.
-`--quick` trains for half a minute of driving and only shows the way; docs/gymnasium.md says what the default brings.
+a file, loaded again and driven one round in the usual steering loop, with Stanley as the recovery controller when |e| > 0.5 m.
+`--quick` trains for half a minute of driving, to show that it runs; docs/measured.md has the results of the default.
 No car was driven.
 Needs stable-baselines3 (extra `peers`).
 """
@@ -121,7 +121,7 @@ def main(arguments: list[str] | None = None) -> None:
         )
     log = drive(scenario, Stanley.of(scenario.nominal), seed=options.seed)
     rows.append(judged("Stanley", log, float(log["path.progress"][-1]) / length))
-    print(f"\none round of {options.course}, {options.conditions}; caught by Stanley while |e| > 0.5 m\n")
+    print(f"\none round of {options.course}, {options.conditions}; recovery by Stanley when |e| > 0.5 m\n")
     print("          at the wheel  whole round  RMS e [m]  max e [m]  wheel [deg/s]  a_y [m/s²]  jerk [m/s³]")
     print("\n".join(rows))
 

@@ -15,13 +15,13 @@ PAGE = ROOT / "docs" / "gallery.md"
 ORDER = (
     "five_lines",
     "what_is_wired",
-    "tyres_let_go",
+    "tyre_saturation",
     "course_from_gps",
     "smooth_from_coarse",
     "hundred_gains",
-    "caught",
+    "recovery",
     "learns_in_a_minute",
-    "what_the_net_believes",
+    "policy_map",
     "six_under_delay",
 )
 HEAD = """\

@@ -1,6 +1,6 @@
-"""Six controllers under delay: the steering answers 0.15 s late, with 0.12 s of lag; 340 m of the 800 m course.
+"""Six controllers under delay: 0.15 s of steering delay and 0.12 s of lag, on 340 m of the 800 m course.
 
-LQR, MPC and pure pursuit are told the delay, Stanley is not; the learner has found its own way with it in 20 s.
+LQR, MPC and pure pursuit know the delay, Stanley does not; the learner has driven for 20 s.
 """
 
 from steerkit import Experiment, learn

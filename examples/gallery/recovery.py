@@ -1,6 +1,6 @@
-"""A learner that means badly is caught: after 8 s it keeps turning the wheel to the left, later it answers NaN.
+"""Recovery: a learner that turns the wheel to the left from 8 s on, and answers NaN from 60 s on.
 
-The supervisor gives the wheel to Stanley beyond 0.5 m or at a fault, and hands it back within 0.1 m.
+The supervisor gives the wheel to Stanley when |e| > 0.5 m or at a fault, and hands it back when |e| < 0.1 m.
 """
 
 import math
@@ -15,8 +15,8 @@ from steerkit.diagram.units import radians_of
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Drunk(Block):
-    """Turns the wheel a little further left each sample, and breaks at 60 s. Outputs: action [rad], ready [1]."""
+class FaultyLearner(Block):
+    """Turns the wheel further left each sample, and answers NaN from 60 s on. Outputs: action [rad], ready [1]."""
 
     action = Out("rad", direct=())
     ready = Out("1", direct=())
@@ -30,7 +30,7 @@ loop = steering_loop(
     car=placed(NonlinearSingleTrack(vehicle=passat, v0=5.0), path),
     path=path,
     driver=ConstantSpeed(speed=5.0),
-    controller=Drunk(),
+    controller=FaultyLearner(),
     doe=Integrator(),
     recovery=Stanley.of(passat),
     actuator=SteeringActuator(lag=0.12),
@@ -39,4 +39,4 @@ loop = steering_loop(
 log = simulate(loop, 90.0, every=5, allow_nonfinite=True)
 takeovers = int((log["supervisor.tripped"] > 0.5).sum())
 print(f"taken over {takeovers} times by |e| and once by NaN; max |e| {abs(log['path.e']).max():.2f} m")
-learning(log, title="A bad learner, caught", seconds=90.0).savefig("caught.png")
+learning(log, title="A faulty learner and its recovery controller", seconds=90.0).savefig("recovery.png")

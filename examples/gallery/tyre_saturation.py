@@ -1,4 +1,4 @@
-"""Tyres let go: the linear and the nonlinear car, while the steering wheel turns slowly further at 12 m/s.
+"""Tyre saturation: the linear and the nonlinear car, while the steering wheel turns slowly further at 12 m/s.
 
 The linear tyre's force grows without end; the Fiala tyre slides at mu times its load.
 """
@@ -42,4 +42,4 @@ for (name, car), colour in zip(cars.items(), ("muted", "learned", "analytic"), s
     print(f"{name}: {log['car.a_y'].max():.1f} m/s^2 at most")
 axes.set(xlabel="steering wheel [deg]", ylabel="a_y [m/s²]", ylim=(0.0, 14.0), xlim=(0.0, 230.0))
 axes.legend(loc="upper left", frameon=False, fontsize=8)
-figure.savefig("tyres_let_go.png")
+figure.savefig("tyre_saturation.png")
