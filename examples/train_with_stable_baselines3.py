@@ -3,7 +3,7 @@
     python examples/train_with_stable_baselines3.py [--quick] [--steps 40000] [--course paper] [--seed 0] [--out DIR]
 
 Each agent learns in the Gymnasium environment, is turned into a block of plain arrays (no torch any more), written to
-a file, loaded again and driven one round in the usual steering loop, with Stanley as the recovery controller when |e| > 0.5 m.
+a file, loaded again and driven one round in the usual steering loop; Stanley recovers when |e| > 0.5 m.
 `--quick` trains for half a minute of driving, to show that it runs; docs/measured.md has the results of the default.
 No car was driven.
 Needs stable-baselines3 (extra `peers`).

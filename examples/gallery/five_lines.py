@@ -3,11 +3,13 @@
 The course is a recorded drive of 3.7 km, the car a nonlinear single track at 6 m/s; the first two minutes.
 """
 
-from steerkit import ConstantSpeed, NonlinearSingleTrack, Stanley, course, placed, simulate, steering_loop, vehicle
+from steerkit import ConstantSpeed, NonlinearSingleTrack, Stanley, SteeringActuator
+from steerkit import course, placed, simulate, steering_loop, vehicle
 
 path, passat = course("genesis"), vehicle("vw-passat")
-car, driver = placed(NonlinearSingleTrack(vehicle=passat, v0=6.0), path), ConstantSpeed(speed=6.0)
-loop = steering_loop(car=car, path=path, driver=driver, controller=Stanley.of(passat), reference=passat.l_f)
+car = placed(NonlinearSingleTrack(vehicle=passat, v0=6.0), path)
+speed, motor, stanley = ConstantSpeed(speed=6.0), SteeringActuator(lag=0.12), Stanley.of(passat)
+loop = steering_loop(car=car, path=path, driver=speed, actuator=motor, controller=stanley, reference=passat.l_f)
 log = simulate(loop, 120.0)
 log.plot("path.e", "car.delta_sw", "car.a_y").savefig("five_lines.png")
 
