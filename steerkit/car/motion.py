@@ -73,8 +73,8 @@ class Sample(NamedTuple):
     """The same of the wheel."""
 
 
-class Motion:
-    """Compares each pose with all those of the last seconds; the windows overlap, and none of them starts anew.
+class MotionCheck:
+    """Compares each pose with those of the last seconds by dead reckoning, in overlapping windows.
 
     wheelbase [m], steer_ratio [1], understeer [rad s^2/m]: of the car; r = v tan(delta)/(L + K v^2) at a steady wheel.
     Source: as Autoware's pose instability detector compares a pose with odometry; the split along and across the

@@ -10,7 +10,7 @@ from typing import Any
 
 from steerkit.car.config import CarConfig
 from steerkit.car.frames import FrameReader
-from steerkit.car.motion import Motion
+from steerkit.car.motion import MotionCheck
 from steerkit.diagram.units import degrees_of
 from steerkit.paths.path import Path
 from steerkit.paths.tracker import PathTracker
@@ -91,7 +91,7 @@ class Senses:
         self.enabled_since: float | None = None
         self._tracker = PathTracker(path=path, reference=config.vehicle.l_f)
         car = config.vehicle
-        self._motion = Motion(
+        self._motion = MotionCheck(
             config.motion,
             wheelbase=float(car.wheelbase),
             steer_ratio=float(car.steer_ratio),

@@ -24,7 +24,7 @@ LENGTH = 2.7
 _REMEMBERED = LONGEST + 2
 
 
-class Motion(NamedTuple):
+class CourseMotion(NamedTuple):
     """Where a car is against its path: e [m], course c = e_dot/v [rad], psi_e [rad], r_e [rad/s]; each of any shape."""
 
     e: Any
@@ -38,7 +38,7 @@ def turning(car: Any, c: Any, psi_e: Any, v: Any, r: Any) -> Any:
     return m.where(car.fast > 0.5, LENGTH * r / v, c - psi_e)
 
 
-def moved(car: Any, x: Motion, v: Any, doe: Sequence[Any], bend: Any = 0.0, dt: float = DT) -> Motion:
+def moved(car: Any, x: CourseMotion, v: Any, doe: Sequence[Any], bend: Any = 0.0, dt: float = DT) -> CourseMotion:
     """The motion one sample later, as far as it is the wheel's doing; for floats, arrays and symbols.
 
     With w = c - psi_e, and the wheel's angles doe = (doe', doe, doe(t-dt)):
@@ -62,7 +62,7 @@ def moved(car: Any, x: Motion, v: Any, doe: Sequence[Any], bend: Any = 0.0, dt: 
     turn = 0.5 * dt * (x.r_e + r_e)
     course = (car.nose - car.tail * v * v) * p
     c = x.c + course + turn
-    return Motion(x.e + 0.5 * dt * v * (x.c + c), c, x.psi_e + turn + (course - p), r_e)
+    return CourseMotion(x.e + 0.5 * dt * v * (x.c + c), c, x.psi_e + turn + (course - p), r_e)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,12 +123,12 @@ class DelayCompensator:
         v = m.maximum(u.v, SLOWEST)
         w, r_e = self._filtered(x, u, v)
         c = m.where(self.fast > 0.5, u.e_dot / v, w + u.psi_e)
-        motion, angles = Motion(u.e, c, c - w, r_e), self._angles(x, u)
+        motion, angles = CourseMotion(u.e, c, c - w, r_e), self._angles(x, u)
         is_open = m.is_symbol(self.samples)
         for i in range(LONGEST if is_open else self.samples):
             bend = v * (u.preview[i + 1] - u.preview[i])
             after = moved(self, motion, v, angles[i + 3 : i : -1], bend, self.dt)
-            motion = Motion(*m.chosen(i < self.samples, after, motion)) if is_open else after
+            motion = CourseMotion(*m.chosen(i < self.samples, after, motion)) if is_open else after
         e, c, psi_e, r_e = motion
         return e, v * c, u.v, psi_e, r_e, u.doe - self.straight
 
@@ -150,7 +150,7 @@ class DelayCompensator:
         """w and r_e, filtered."""
         *_, w, r_e, v_before, kappa = x
         bend = v * u.preview[0] - v_before * kappa
-        foreseen = moved(self, Motion(0.0, w, 0.0, r_e), v_before, self._angles(x, u)[2::-1], bend, self.dt)
+        foreseen = moved(self, CourseMotion(0.0, w, 0.0, r_e), v_before, self._angles(x, u)[2::-1], bend, self.dt)
         seen = turning(self, u.e_dot / v, u.psi_e, v, u.r_e + v * u.preview[0])
         w_next = foreseen.c - foreseen.psi_e
         known = m.is_finite(w_next + foreseen.r_e)  # else one NaN would stay for good

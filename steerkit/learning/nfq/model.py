@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerkit._support.errors import require
-from steerkit.controllers.delay_compensator import ANSWER, LENGTH, SLOWEST, Motion, moved
+from steerkit.controllers.delay_compensator import ANSWER, LENGTH, SLOWEST, CourseMotion, moved
 from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, R_E, E, V
 from steerkit.controllers.state_description import StateDescription
 from steerkit.learning.data.transitions import Transitions
@@ -133,7 +133,9 @@ class CarModel:
         e, e_dot, v, psi_e, r_e, doe = s.T
         course = e_dot / speed(s)
         doe_next = np.clip(self.held * doe + self.pushed * a, -self.limit, self.limit)
-        e, course, psi_e, r_e = moved(self, Motion(e, course, psi_e, r_e), v, (doe_next, doe, earlier), dt=self.dt)
+        e, course, psi_e, r_e = moved(
+            self, CourseMotion(e, course, psi_e, r_e), v, (doe_next, doe, earlier), dt=self.dt
+        )
         return np.column_stack((e, v * course, v, psi_e, r_e, doe_next))
 
     def ratio(self, v: Array) -> Array:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from steerkit.car.motion import HORIZON, READ_LATE, Motion, MotionLimits, Sample
+from steerkit.car.motion import HORIZON, READ_LATE, MotionCheck, MotionLimits, Sample
 from steerkit.diagram.units import radians_of
 
 LENGTH, RATIO, DT = 2.71, 15.6, 0.01
@@ -30,7 +30,7 @@ def drive(
     since: float = 0.0,
 ) -> tuple[float, str]:
     """(when it was noticed [s], what was said) of a car on a circle; its pose drifts (along, across) after `since`."""
-    motion, psi, x, y = Motion(LIMITS, wheelbase=LENGTH, steer_ratio=RATIO), 0.3, 1.0, 2.0
+    motion, psi, x, y = MotionCheck(LIMITS, wheelbase=LENGTH, steer_ratio=RATIO), 0.3, 1.0, 2.0
     for k in range(round(seconds / DT)):
         t = k * DT + (late if k % 37 == 36 else 0.0)
         r = v * kappa
@@ -106,7 +106,7 @@ def test_a_wheel_that_the_car_does_not_obey_is_noticed() -> None:
 
 
 def test_after_a_pause_it_begins_anew() -> None:
-    motion = Motion(LIMITS, wheelbase=LENGTH, steer_ratio=RATIO)
+    motion = MotionCheck(LIMITS, wheelbase=LENGTH, steer_ratio=RATIO)
     motion.moves(0.0, psi=0.0, v=5.0, r=0.0, beta=0.0, delta_sw=0.0)
     assert motion.pose(0.0, 0.0, 0.0) == ""
     motion.forget()
@@ -134,14 +134,14 @@ def test_a_drift_is_noticed_as_soon_whenever_it_begins() -> None:
 
 
 def test_a_position_may_come_a_tenth_of_a_second_before_the_speed_of_its_moment() -> None:
-    motion, v = Motion(LIMITS, wheelbase=LENGTH, steer_ratio=RATIO), 12.0
+    motion, v = MotionCheck(LIMITS, wheelbase=LENGTH, steer_ratio=RATIO), 12.0
     for k in range(100):
         motion.moves(k * DT, psi=0.0, v=v, r=0.0, beta=0.0, delta_sw=0.0)
         assert motion.pose(k * DT, v * k * DT, 0.0) == ""
     assert motion.pose(1.09, v * 1.09, 0.0) == ""
 
 
-class Thorough(Motion):
+class Thorough(MotionCheck):
     """Looks at each kept pose, however well the new one agrees."""
 
     def _agrees(self, here: Sample, v: float) -> bool:
@@ -151,7 +151,7 @@ class Thorough(Motion):
 @given(seed=st.integers(0, 10**6), size=st.floats(0.0, 3.0))
 def test_what_agrees_at_a_glance_agrees_with_each_kept_pose(seed: int, size: float) -> None:
     dice = random.Random(seed)
-    motions = [kind(LIMITS, wheelbase=LENGTH, steer_ratio=RATIO) for kind in (Motion, Thorough)]
+    motions = [kind(LIMITS, wheelbase=LENGTH, steer_ratio=RATIO) for kind in (MotionCheck, Thorough)]
     off = [0.0, 0.0, 0.0, 0.0]
     for k in range(600):
         t = k * DT - (0.08 if dice.random() < 0.05 else 0.0)  # a time stamp goes back now and then

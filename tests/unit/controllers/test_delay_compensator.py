@@ -11,7 +11,15 @@ import casadi
 import numpy as np
 import pytest
 
-from steerkit.controllers.delay_compensator import LENGTH, LONGEST, PREVIEW, DelayCompensator, Motion, moved, nothing
+from steerkit.controllers.delay_compensator import (
+    LENGTH,
+    LONGEST,
+    PREVIEW,
+    CourseMotion,
+    DelayCompensator,
+    moved,
+    nothing,
+)
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.learning.nfq.iterate import STANDARD, mirror_image
 from steerkit.learning.nfq.rprop import new_net
@@ -22,12 +30,12 @@ FAST = replace(CAR, slip=0.0, loss=1.2e-3, yaw=1.0 / LENGTH, nose=0.9, tail=2e-3
 STATE = ("e", "e_dot", "v", "psi_e", "r_e", "doe")
 
 
-def driven(car: DelayCompensator, n: int = 80, seed: int = 0) -> tuple[list[Any], list[Motion]]:
+def driven(car: DelayCompensator, n: int = 80, seed: int = 0) -> tuple[list[Any], list[CourseMotion]]:
     """What is seen of a car of these numbers at n samples, and its motion; steered at random through its dead time."""
     rng, speed = np.random.default_rng(seed), 5.0
     doe = np.concatenate((np.zeros(20), 0.2 * np.cumsum(rng.normal(size=n + 20))))  # doe[k + 20]: known at sample k
     kappa = 0.02 * np.sin(0.1 * np.arange(n + 40))
-    x, motions = Motion(0.1, 0.02, -0.03, 0.01), []
+    x, motions = CourseMotion(0.1, 0.02, -0.03, 0.01), []
     if car.fast:
         x = x._replace(psi_e=x.c - LENGTH * (x.r_e + speed * kappa[0]) / speed)
     for k in range(n + LONGEST):
@@ -61,13 +69,13 @@ def test_the_forecast_is_where_the_car_will_be(kind: DelayCompensator, samples: 
 
 @pytest.mark.parametrize("v", [6.0, 20.0, 40.0])
 def test_in_a_steady_bend_a_fast_car_turns_as_its_wheel_says_and_soft_tyres_take_of_the_course(v: float) -> None:
-    x = Motion(0.0, 0.0, 0.0, 0.0)
+    x = CourseMotion(0.0, 0.0, 0.0, 0.0)
     for _ in range(200):
         x = moved(FAST, x, v, (0.1, 0.1, 0.1))
     w = 0.1 * 0.012 / 0.2 / (1.0 + 1.2e-3 * v * v)
     assert x.c - x.psi_e == pytest.approx(w, rel=1e-9)
     assert x.r_e == pytest.approx(v * w / LENGTH, rel=1e-9)
-    first = moved(FAST, Motion(0.0, 0.0, 0.0, 0.0), v, (0.1, 0.1, 0.1))
+    first = moved(FAST, CourseMotion(0.0, 0.0, 0.0, 0.0), v, (0.1, 0.1, 0.1))
     p = first.c - first.psi_e
     assert first.c == pytest.approx((0.9 - 2e-3 * v * v) * p + 0.5 * DT * first.r_e, rel=1e-9)
 
