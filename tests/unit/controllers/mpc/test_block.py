@@ -202,19 +202,6 @@ def test_without_beta_the_fallback_is_asked_where_the_car_will_be(monkeypatch: p
     assert 0.05 < -broken.delta_sw < 0.4
 
 
-def test_the_fallback_is_asked_at_its_own_point(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A controller at the centre of gravity, on a circle as its own front axle is beside it."""
-    unsolved(monkeypatch, success=0.0, residual=1.0)
-    l_f, kappa = CAR.vehicle.l_f, 0.02
-    at_front = inputs(controller(delay=0.0), e=0.1, psi_e=0.03, kappa=kappa)
-    e = at_front.e - l_f * at_front.psi_e - 0.5 * kappa * l_f**2  # of second order in l_f
-    at_cg = inputs(controller(delay=0.0, reference=0.0), e=e, psi_e=at_front.psi_e + kappa * l_f, kappa=kappa)
-    places = ((l_f, at_front), (0.0, at_cg))
-    commands = [driven(controller(delay=0.0, reference=at), [u])[0].delta_sw for at, u in places]
-    assert commands[1] == pytest.approx(commands[0], abs=0.02)
-    assert abs(commands[0]) > 0.2
-
-
 def test_the_fallback_drives_home(monkeypatch: pytest.MonkeyPatch) -> None:
     unsolved(monkeypatch, success=0.0, residual=1.0)
     log = simulate(loop_of(MPC.of(CAR, MOTOR), ConstantSpeed(speed=5.0), course("paper"), s=20.0, e=0.8), 12.0)
