@@ -252,7 +252,7 @@ class LearningRun:
     def _controller(self) -> Block:
         share, policy = self.experiment.setting.exploration, self.policy
         if share and isinstance(policy, NfqPolicy):
-            return Exploring(policy=policy, share=share, seed=self.experiment.seed)
+            return Exploring(block=policy, share=share, seed=self.experiment.seed)
         return policy
 
     def _begin_anew(self) -> None:

@@ -168,7 +168,7 @@ EXAMPLES = [
     Example(NfqPolicy(nets=NETS)),
     Example(NfqPolicy(nets=NETS, combine="max", ready_from=0.1)),
     Example(NfqPolicy(nets=NETS, combine="disagreement")),
-    Example(Exploring(policy=NfqPolicy(nets=NETS), share=0.5, seed=3), single=_seeded),
+    Example(Exploring(block=NfqPolicy(nets=NETS), share=0.5, seed=3), single=_seeded),
     Example(TargetShift()),
     Example(PolicyBlock(policy=Network(layers=LAYERS), actions=(-0.1, 0.0, 0.1))),
     Example(PolicyBlock(policy=Network(layers=(LAYERS[0], (LAYERS[1][0][:1], LAYERS[1][1][:1])), head="tanh"))),

@@ -44,7 +44,7 @@ def decisions(block: Exploring, samples: int, **values: Any) -> np.ndarray:
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
 def test_the_share_is_that_asked_for_and_all_actions_are_equally_likely(share: float) -> None:
-    actions = decisions(Exploring(policy=POLICY, share=share, seed=4), 200)
+    actions = decisions(Exploring(block=POLICY, share=share, seed=4), 200)
     greedy = float(POLICY.output(0.0, (), POLICY.D(*[0.1] * 6)).action)
     for action in POLICY.actions:
         expected = share / 8 + (1.0 - share) * (action == greedy)
@@ -52,7 +52,7 @@ def test_the_share_is_that_asked_for_and_all_actions_are_equally_likely(share: f
 
 
 def test_what_is_taken_does_not_tell_whether_the_next_sample_explores() -> None:
-    actions = decisions(Exploring(policy=POLICY, share=0.5, seed=4), 200)
+    actions = decisions(Exploring(block=POLICY, share=0.5, seed=4), 200)
     greedy = float(POLICY.output(0.0, (), POLICY.D(*[0.1] * 6)).action)
     now, then = actions[:-1], actions[1:] != greedy
     rates = [then[now == action].mean() for action in POLICY.actions if action != greedy]
@@ -60,18 +60,17 @@ def test_what_is_taken_does_not_tell_whether_the_next_sample_explores() -> None:
 
 
 def test_it_is_repeatable_and_another_seed_explores_elsewhere() -> None:
-    one, same, other = (decisions(Exploring(policy=POLICY, share=0.3, seed=seed), 20) for seed in (1, 1, 2))
+    one, same, other = (decisions(Exploring(block=POLICY, share=0.3, seed=seed), 20) for seed in (1, 1, 2))
     np.testing.assert_array_equal(one, same)
     assert (one != other).any()
 
 
 def test_a_fault_stays_a_fault() -> None:
-    actions = decisions(Exploring(policy=POLICY, share=1.0), 3, v=np.full(500, np.nan))
+    actions = decisions(Exploring(block=POLICY, share=1.0), 3, v=np.full(500, np.nan))
     assert np.isnan(actions).all()
 
 
 def test_mistakes_are_named() -> None:
     with pytest.raises(ValueError, match=r"share = 1.5, expected 0 <= share <= 1"):
-        Exploring(policy=POLICY, share=1.5)
-    with pytest.raises(ValueError, match=r"dt = 0.1 s, the policy's is 0.05 s"):
-        Exploring(policy=POLICY, dt=0.1)
+        Exploring(block=POLICY, share=1.5)
+    assert Exploring(block=replace(POLICY, dt=0.1)).dt == 0.1
