@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import ast
 import codeop
+import functools
+import importlib
 import importlib.util
 import os
 import re
@@ -137,6 +139,29 @@ def test_every_extra_that_is_named_is_there_and_stands_under_install() -> None:
 def test_links_lead_somewhere(page: Path) -> None:
     for target in re.findall(r"\]\((?!https?:|#)([^)#]+)", BLOCK.sub("", page.read_text(encoding="utf-8"))):
         assert (page.parent / target).exists(), target
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_files_and_names_of_the_package_that_are_named_are_there(page: Path) -> None:
+    for code in re.findall(r"`([^`\n]+)`", page.read_text(encoding="utf-8")):
+        if re.fullmatch(r"(steerkit|benchmarks|tests|docs|examples)/[\w./-]+", code) and not re.search(
+            "NAME|/X/", code
+        ):
+            assert (ROOT / code.partition("::")[0]).exists(), code
+        if name := re.match(r"(steerkit(?:\.\w+)+)(?:\(|$)", code):
+            assert found_in_the_package(name[1]), code
+
+
+def found_in_the_package(dotted: str) -> bool:
+    """Is it a module, or a name in one?"""
+    parts = dotted.split(".")
+    for n in range(len(parts), 0, -1):
+        try:
+            owner: Any = importlib.import_module(".".join(parts[:n]))
+        except ModuleNotFoundError:
+            continue
+        return functools.reduce(lambda thing, name: getattr(thing, name, None), parts[n:], owner) is not None
+    return False
 
 
 def tool(name: str) -> Any:
