@@ -60,7 +60,7 @@ class DelayPredictor(Block):
     model: Rollout = field(default_factory=Rollout)
     """The car and its steering as they are believed: delay, lag, geometry, tyres."""
     preview_points: int = 1
-    """Entries of the preview; model.seen/preview_dt + 2 or more see the whole way."""
+    """Entries of the preview; model.lookahead/preview_dt + 2 or more see the whole way."""
 
     def __post_init__(self) -> None:
         where, have = "DelayPredictor", {p.name for p in self.inputs} - {"preview"} | {"kappa"}
@@ -83,7 +83,7 @@ class DelayPredictor(Block):
         steering = {name: value for name, value in steering.items() if value is not None}
         where, dt = getattr(block, "reference", 0.0), block.dt
         model = Rollout.of(vehicle, delay=delay, lag=lag, reference=where, dt=dt, preview_dt=dt, **steering)
-        return cls(block=block, model=model, preview_points=int(model.seen / dt + 1e-9) + 2, dt=dt)
+        return cls(block=block, model=model, preview_points=int(model.lookahead / dt + 1e-9) + 2, dt=dt)
 
     @property
     def reference(self) -> Scalar:

@@ -110,7 +110,7 @@ class Rollout:
         )
 
     @property
-    def seen(self) -> float:
+    def lookahead(self) -> float:
         """How far ahead `arrived` looks at the most [s]: delay, lag and the time in which a slow wheel turns back."""
         return self.delay + self.lag + (0.0 if self.slew is None else 2.0 * self.a_y_limit / self.slew)
 

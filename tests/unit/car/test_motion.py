@@ -1,4 +1,4 @@
-"""Dead reckoning against the pose: closed forms of what is noticed and when, and that a sound car is never accused."""
+"""Dead reckoning against the pose: closed forms of what is noticed and when; a sound car passes."""
 
 from __future__ import annotations
 

@@ -183,7 +183,7 @@ def test_a_delayed_car_is_steered_as_if_it_were_not() -> None:
 
 
 @pytest.mark.parametrize("a_y", [0.7, -2.9])
-def test_a_slow_wheel_is_carried_on_until_it_is_straight(a_y: float) -> None:
+def test_a_slow_wheel_is_rolled_out_until_it_is_straight(a_y: float) -> None:
     """On a straight the wanted yaw rate falls to 0 by s = slew/v a second, and the car's follows with the lag tau."""
     v, slew, tau = 15.0, 5.0, 0.15
     bare = dict(wheelbase=2.7, understeer=0.0, reference=-1.5, l_r=1.5, rear_slip=0.0, yaw_time=tau / v)

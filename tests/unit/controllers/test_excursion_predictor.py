@@ -137,7 +137,7 @@ def test_bad_limits(name: str, value: float) -> None:
         ExcursionPredictor(**{name: value})
 
 
-def test_foresight_needs_somebody_to_call() -> None:
+def test_foresight_needs_a_recovery_controller() -> None:
     passat = vehicle("vw-passat")
     with pytest.raises(WiringError, match="foresight without a recovery controller"):
         steering_loop(

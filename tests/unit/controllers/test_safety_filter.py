@@ -1,4 +1,4 @@
-"""What is safe passes to the bit, what is not is turned back, and nobody leaves the path, whatever he commands."""
+"""Safe commands pass unchanged, others are corrected, and no adversary leaves the path."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_a_car_that_runs_away_goes_on_for_dead_time_and_hold(delay: float) -> No
 
 
 def doubts(block: SafetyFilter, wrong: Any) -> list[float]:
-    """What is doubted of the yaw rate, told by `reach` of a car on its path, where the yaw rate is off by so much."""
+    """The doubt of the yaw rate, read off `reach` of a car on its path, where the yaw rate is off by so much."""
     u = {**HERE, "preview": (0.0,) * block.preview_points}
     x, found = block.settle(0.0, block.init(), block.D(**{n: u[n] for n in block.D._fields})), []
     for k in range(400):
@@ -164,7 +164,7 @@ def test_left_and_right_are_mirror_images() -> None:
     assert {0.0, 2.0, 3.0} <= reasons
 
 
-def test_the_wheels_limits_hold_for_whoever_commands() -> None:
+def test_the_wheels_limits_hold_for_every_command() -> None:
     block = SafetyFilter.of(PASSAT)
     y = asked(block, command=STOP)
     assert REASONS[int(y.reason)] in ("wheel limits", "corrected")
@@ -214,7 +214,7 @@ def behind_gate(**limits: float) -> SafetyFilter:
     return SafetyFilter.of(PASSAT, delay=0.05, gate=GateModel(limits=GateLimits(**limits)), **BEHIND_GATE)
 
 
-def test_only_behind_a_gate_it_hears_what_was_applied() -> None:
+def test_only_behind_a_gate_it_has_the_input_applied() -> None:
     assert "applied" not in {port.name for port in SafetyFilter.of(PASSAT).inputs}
     assert [port.name for port in behind_gate().inputs][-1] == "applied"
 
@@ -235,8 +235,8 @@ def test_what_the_gate_made_of_a_command_is_what_is_on_its_way() -> None:
     after = block.update(0.0, x, u, y)
     assert after[-2:] == (0.25, y.delta_sw)
     heard = block.output(0.05, after, u)._asdict()
-    told = block.output(0.05, (*after[:-1], 9.0), u)._asdict()
-    assert heard == told, "the wish is replaced by what the gate says"
+    other = block.output(0.05, (*after[:-1], 9.0), u)._asdict()
+    assert heard == other, "the request is replaced by what the gate let through"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -268,14 +268,14 @@ WORST = Scenario.under(
 
 
 @pytest.mark.parametrize(("kind", "v", "ratio"), [("left", 6.5, 0.9), ("right", 4.0, 1.1), ("bang-bang", 5.0, 1.1)])
-def test_no_adversary_leaves_the_path_of_a_car_that_is_not_as_told(kind: str, v: float, ratio: float) -> None:
+def test_no_adversary_leaves_the_path_with_a_car_that_is_not_as_believed(kind: str, v: float, ratio: float) -> None:
     log = driven(kind, WORST.with_(driver={"v_min": v, "v_max": v}, vehicle={"ratio": ratio}), delay_doubt=0.1)
     assert np.abs(log["path.e"]).max() < 0.5
     assert np.abs(log["path.e"]).max() > 0.3
     assert (log["safety.share"] > 0.0).any()
 
 
-def test_who_starts_in_a_bend_with_a_straight_wheel_leaves_the_bound_whoever_steers_and_is_brought_back() -> None:
+def test_a_start_in_a_bend_with_a_straight_wheel_leaves_the_bound_and_is_brought_back() -> None:
     """Not promised: for a second the car goes where the wheel, which can turn no faster, lets it."""
     begins_in_a_bend = WORST.with_(course="random-12", driver={"v_min": 7.0, "v_max": 7.0}, vehicle={"ratio": 1.1})
     both = [np.abs(driven(kind, begins_in_a_bend)["path.e"]) for kind in ("left", "right")]
@@ -285,7 +285,7 @@ def test_who_starts_in_a_bend_with_a_straight_wheel_leaves_the_bound_whoever_ste
         assert e[50:].max() < 0.5
 
 
-def test_without_the_filter_he_leaves_it_at_once() -> None:
+def test_without_the_filter_an_adversary_leaves_it_at_once() -> None:
     free = simulate(assembled(WORST, Adversary()), 3.0, every=5)
     assert np.abs(free["path.e"]).max() > 2.0
 
@@ -320,7 +320,7 @@ def test_compiled_it_is_the_same(backend: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "told"),
+    ("settings", "message"),
     [
         ({"bound": 0.0}, "bound"),
         ({"horizon": 0.5}, "horizon"),
@@ -339,8 +339,8 @@ def test_compiled_it_is_the_same(backend: Any) -> None:
         ({"backup": delayed_stanley(PASSAT, delay=0.1, lag=0.1, dt=0.02)}, "dt = 0.05 s, but the backup has 0.02 s"),
     ],
 )
-def test_what_cannot_be_is_refused(settings: dict[str, Any], told: str) -> None:
-    with pytest.raises(ValueError, match=told):
+def test_what_cannot_be_is_refused(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         replace(SafetyFilter.of(PASSAT), **settings)
 
 

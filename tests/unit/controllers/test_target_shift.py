@@ -24,6 +24,6 @@ def test_the_target_comes_to_a_lost_car_and_goes_back_slowly() -> None:
     assert log["shift.e_dot"] == pytest.approx([0.1, 0.1, *[0.5] * 6])
 
 
-def test_a_shift_of_nowhere_is_told() -> None:
+def test_parameters_out_of_range() -> None:
     with pytest.raises(ValueError, match="expected > 0"):
         TargetShift(rate=0.0)

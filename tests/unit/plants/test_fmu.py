@@ -116,7 +116,7 @@ def test_its_state_can_be_kept_and_two_cars_of_one_file_do_not_meet(fmu: str, tm
     np.testing.assert_array_equal(rest["car.x"], whole["car.x"][100:])
 
 
-def test_it_is_told_the_time(fmu: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_is_given_the_time(fmu: str, monkeypatch: pytest.MonkeyPatch) -> None:
     car, times = plant(fmu), list[float]()
     monkeypatch.setattr(car._fmu._model, "setTime", times.append)
     x = car.init()

@@ -44,7 +44,7 @@ def test_rate_limit_and_stops_are_exact():
 
 
 @given(commands=st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=60), lag=st.floats(0.0, 1.0))
-def test_limits_hold_whatever_is_commanded(commands, lag):
+def test_limits_hold_for_every_command(commands, lag):
     ys, _ = run(SteeringActuator(lag=lag, delay=0.02, gain=1.2, offset=-0.3), [(c,) for c in commands])
     assert all(abs(y.delta_sw) <= radians_of(520.0) * (1.0 + 1e-12) for y in ys)
     assert all(abs(y.rate) <= radians_of(550.0) * (1.0 + 1e-12) for y in ys)
@@ -95,7 +95,7 @@ def test_a_seed_is_a_whole_number() -> None:
 
 @pytest.mark.parametrize("offset", [-0.3, 0.0, 0.3])
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_the_stop_is_where_it_is_whatever_the_motor_thinks(side: float, offset: float) -> None:
+def test_the_stop_holds_with_any_gain_and_offset(side: float, offset: float) -> None:
     motor = SteeringActuator(offset=offset, gain=1.2)
     x = motor.init()
     for k in range(300):

@@ -77,7 +77,7 @@ def test_offset_and_wheel_limits() -> None:
 
 
 @given(commands=st.lists(st.floats(-9.0, 9.0), min_size=1, max_size=40), v=st.floats(-2.0, 40.0))
-def test_slew_and_limit_hold_whatever_is_commanded(commands: list[float], v: float) -> None:
+def test_slew_and_limit_hold_for_every_command(commands: list[float], v: float) -> None:
     block = TorqueSteering.of(VW_PASSAT, delay=0.02, slew=4.0, a_y_limit=2.0)
     x = block.init()
     for command in commands:
