@@ -74,6 +74,7 @@ DESCRIPTION, COPIES = "/description", 2
 CHUNK = 65536
 """Bytes from which a chunk is closed at once."""
 _MAGIC = b"\x89MCAP0\r\n"
+_HEADER = struct.pack("<BQI8sI8s", 0x01, 24, 8, NAME.encode(), 8, NAME.encode())  # profile and library
 _HEAD = struct.Struct("<BQQQQIIQ")  # of a chunk that is not compressed: up to where its records begin
 _RECORD = struct.Struct("<BQ")
 _CHANNEL = struct.Struct("<9xHHI")
@@ -208,10 +209,10 @@ def contents(data: bytes) -> Contents:
     description, chunks, damaged = None, list[Chunk](), list[tuple[int, int]]()
     index = _index(data)
     limit = index.begin - _DATA_END.size if index else len(data)
-    header, at = _header(), 8 + len(_header())
+    at = 8 + len(_HEADER)
     if data[:8] != _MAGIC:
         damaged.append((0, min(8, len(data))))
-    if data[8:at] != header:
+    if data[8:at] != _HEADER:
         at = _next(data, 8)
         damaged.append((8, at))
     sound = False
@@ -317,15 +318,6 @@ def _index(data: bytes) -> _Index | None:
 def _data_end(data: bytes, at: int) -> bytes:
     """The record that ends a data section of `at` bytes."""
     return _DATA_END.pack(0x0F, 4, zlib.crc32(memoryview(data)[:at]))
-
-
-def _header() -> bytes:
-    from mcap.data_stream import RecordBuilder
-    from mcap.records import Header
-
-    builder = RecordBuilder()
-    Header(NAME, NAME).write(builder)
-    return bytes(builder.end())
 
 
 class Gap(NamedTuple):
@@ -614,7 +606,7 @@ def _read(file: str | os.PathLike[str]) -> tuple[Recorded, Contents]:
 def _read_bytes(data: bytes, used: bool = False) -> tuple[Recorded, Contents]:
     parts = contents(data)
     if parts.description is None and not parts.chunks:
-        if data[:8] == _MAGIC and not (_MAGIC + _header()).startswith(data[: 8 + len(_header())]):
+        if data[:8] == _MAGIC and not (_MAGIC + _HEADER).startswith(data[: 8 + len(_HEADER)]):
             raise ValueError("an MCAP file of another program, not a recording of steerkit")
         raise ValueError("no recording of steerkit, or cut off before it began")
     metadata, wanted = parts.description or {}, str(protocol.VERSION)
