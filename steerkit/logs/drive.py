@@ -32,7 +32,7 @@ def aligned(values: dict[str, Array], times: dict[str, Array], where: str, notes
     if all(t is first for t in times.values()):
         times.clear()
         return {"t": first} | {quantity: values.pop(quantity) for quantity in list(values)}
-    series = {quantity: _sorted(times.pop(quantity), values.pop(quantity)) for quantity in list(values)}
+    series = {quantity: in_order(times.pop(quantity), values.pop(quantity)) for quantity in list(values)}
     for quantity, (t, _) in series.items():
         require(len(t) >= 2, where, f"{quantity} has {len(t)} samples that are numbers, expected more")
     spans = ", ".join(f"{quantity} {t[0]:.6g} to {t[-1]:.6g}" for quantity, (t, _) in series.items())
@@ -66,7 +66,8 @@ def in_metres(
     return values, times | {"x": at, "y": at}
 
 
-def _sorted(t: Array, values: Array) -> tuple[Array, Array]:
+def in_order(t: Array, values: Array) -> tuple[Array, Array]:
+    """The samples that are numbers, rising in time; of repeated times the first."""
     good = np.isfinite(t) & np.isfinite(values)
     if good.all() and (np.diff(t) > 0.0).all():
         return t, values  # as nearly always: no copies
@@ -285,7 +286,7 @@ class Drive:
         """`of` columns by name that are not needed any more: they are taken out of the dictionary one by one, so that
         a long drive is not in memory twice."""
         remarks = list(notes)
-        without_lone(_in_order(columns, name, remarks), remarks)
+        without_lone(_whole_rows(columns, name, remarks), remarks)
         step, gaps = _steps(t := columns["t"], name, remarks)
         if not trusted:
             _check_ranges(columns, name)
@@ -322,7 +323,7 @@ def _keep(columns: dict[str, Array], rows: Any) -> None:
         columns[key] = columns[key][rows]
 
 
-def _in_order(columns: dict[str, Array], name: str, remarks: list[str]) -> dict[str, Array]:
+def _whole_rows(columns: dict[str, Array], name: str, remarks: list[str]) -> dict[str, Array]:
     """Finite rows, rising in t; the same dictionary."""
     lengths = {key: len(value) for key, value in columns.items()}
     if len(set(lengths.values())) > 1:

@@ -15,7 +15,7 @@ import numpy as np
 from steerkit._support.errors import require
 from steerkit.logs import can_frames, ros, tables
 from steerkit.logs.channels import Array, Channel, Column, ColumnMap, Source, Table, candidates, is_time, unit_of
-from steerkit.logs.drive import ODD, Drive, aligned, in_metres, odd_values
+from steerkit.logs.drive import ODD, Drive, aligned, in_metres, in_order, odd_values
 
 LONGEST = 0.5
 """Largest lag that is looked for [s]."""
@@ -78,7 +78,7 @@ def yaw_axis(used: ColumnMap, channels: Mapping[str, Channel], notes: list[str])
 def _steered(used: ColumnMap, channels: Mapping[str, Channel]) -> tuple[Array, Array]:
     angle, speed = (used.columns.get("delta_sw") or used.columns["delta"], used.columns["v"])
     wheel, v = channels[angle.name], channels[speed.name]
-    t, values = _known(v.t, v.values)
+    t, values = in_order(v.t, v.values)
     sign = 1.0 if angle.scale > 0.0 else -1.0
     return sign * wheel.values * np.interp(wheel.t, t, values), wheel.t
 
@@ -118,7 +118,7 @@ def agreement(t: Array, reference: Array, t_other: Array, other: Array) -> Agree
     largest. The scale is the ratio of the spreads (reduced major axis), so that noise on the reference does not make
     the other look smaller. Raises ValueError for less than 5 s in common.
     """
-    (t, reference), (t_other, other) = (_known(*pair) for pair in ((t, reference), (t_other, other)))
+    (t, reference), (t_other, other) = (in_order(*pair) for pair in ((t, reference), (t_other, other)))
     begin = max(t[0], t_other[0]) + LONGEST if len(t) and len(t_other) else 0.0
     end = min(t[-1], t_other[-1]) - LONGEST if len(t) and len(t_other) else 0.0
     require(end - begin >= _LEAST, "agreement", f"{max(end - begin, 0.0):.1f} s in common, expected {_LEAST:g} or more")
@@ -132,12 +132,6 @@ def agreement(t: Array, reference: Array, t_other: Array, other: Array) -> Agree
     scale = _slope(base, late)
     offset = float(np.mean(late) - scale * np.mean(base))
     return Agreement(lag=lag, scale=scale, offset=offset, correlation=_correlation(base, late))
-
-
-def _known(t: Array, values: Array) -> tuple[Array, Array]:
-    good = np.isfinite(t) & np.isfinite(values)
-    order = np.argsort(t[good], kind="stable")
-    return t[good][order], values[good][order]
 
 
 def _smooth(values: Array) -> Array:

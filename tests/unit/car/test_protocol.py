@@ -11,12 +11,16 @@ from hypothesis import strategies as st
 
 from steerkit.car.protocol import (
     ESTIMATES,
+    MAX_PACKET,
+    Adapted,
     Beat,
     Command,
     Estimates,
     Filtered,
     Hello,
     Query,
+    Refused,
+    Remark,
     Request,
     Snapshot,
     decode,
@@ -29,6 +33,17 @@ from tests.support.car_messages import messages
 @given(message=messages)
 def test_packets_there_and_back(message: Any) -> None:
     assert repr(decode(encode(message))) == repr(message)
+
+
+@pytest.mark.parametrize("message", [Remark("net.npz: ä"), Refused("no"), Adapted(0.1 + 0.2, 1 / 3)])
+def test_words_and_what_is_believed_come_back(message: Any) -> None:
+    assert decode(encode(message)) == message
+
+
+def test_a_remark_that_fills_a_packet_is_refused() -> None:
+    assert decode(encode(Remark("x" * (MAX_PACKET - 1)))) == Remark("x" * (MAX_PACKET - 1))
+    with pytest.raises(ValueError, match=f"remark of {MAX_PACKET} bytes, expected less"):
+        encode(Remark("x" * MAX_PACKET))
 
 
 @given(numbers=st.lists(st.floats(), min_size=19, max_size=19), mode=st.sampled_from(Mode), text=st.text(max_size=200))
