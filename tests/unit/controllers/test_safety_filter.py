@@ -170,6 +170,8 @@ def test_the_wheels_limits_hold_for_every_command() -> None:
     assert REASONS[int(y.reason)] in ("wheel limits", "corrected")
     assert abs(y.delta_sw) <= block.backup.model.rate_limit * block.dt + 1e-12
     assert REASONS[int(asked(block, command=0.6, v=2.0).reason)] == "wheel limits"
+    back = asked(replace(block, bound=5.0), command=-STOP, delta_sw_meas=1.0, v=3.0)
+    assert 1.0 - back.delta_sw == pytest.approx(block.backup.rate_limit * block.dt)  # from the command before
     turned = asked(replace(block, bound=5.0), command=STOP, delta_sw_meas=2.0, v=9.0)
     steady = 9.0**2 * math.tan(turned.delta_sw / PASSAT.steer_ratio) / PASSAT.wheelbase
     assert steady < 3.0 * (1.0 + PASSAT.understeer_gradient * 9.0**2 / PASSAT.wheelbase)
