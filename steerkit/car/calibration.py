@@ -16,7 +16,7 @@ from steerkit.car import replay as replays
 from steerkit.car import session as sessions
 from steerkit.car.client import CarClient
 from steerkit.car.config import CarConfig
-from steerkit.car.estimates import DROVE, EARLIER, QUANTITIES, Watched, changes, earlier, known_in, lines
+from steerkit.car.estimates import DROVE, EARLIER, QUANTITIES, Watched, changes, earlier, known_in, report
 from steerkit.car.loop import Follow
 from steerkit.car.protocol import ESTIMATES
 from steerkit.car.state_machine import Mode
@@ -229,7 +229,7 @@ def from_recording(recording: FilePath, out: FilePath, *, say: bool = True) -> d
     if out.exists():
         made = replace(made, before=known_in(text_of(out), f"{out}"))
     if say:
-        print("\n".join([*lines(made.found), *made.changes]))
+        print("\n".join(report(made.found, made.before)))
     if not made.learned:
         needed = "the wheel has to move to and fro while the car is ENGAGED and drives 3 m/s or faster"
         raise NothingLearned(f"{recording}: nothing was learned, no vehicle file is written; {needed}")

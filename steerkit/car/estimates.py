@@ -233,13 +233,9 @@ def message_of(found: Mapping[str, Estimated]) -> Estimates:
 
 
 def report(found: Mapping[str, Estimated], before: Mapping[str, Estimated]) -> list[str]:
-    """What is known, and what is another than an earlier drive found, a line each."""
-    return [*lines(found), *changes(before, found)]
-
-
-def lines(found: Mapping[str, Estimated]) -> list[str]:
-    """What is known, and what not yet, a line each."""
-    return [f"{in_words(name, *q[:2])}{'' if q.valid > 0.5 else ', not known yet'}" for name, q in found.items()]
+    """What is known, what is not yet, and what is another than an earlier drive found, a line each."""
+    lines = [f"{in_words(name, *q[:2])}{'' if q.valid > 0.5 else ', not known yet'}" for name, q in found.items()]
+    return [*lines, *changes(before, found)]
 
 
 def in_words(name: str, value: float, deviation: float) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from steerkit._support.errors import known
-from steerkit.diagram.block import Block
 from steerkit.diagram.maths import Scalar
 
 NORMAL_95 = 1.96
@@ -35,12 +34,6 @@ class Estimated(NamedTuple):
     def high(self) -> Scalar:
         """Upper end of the 95 % interval."""
         return self.value + NORMAL_95 * self.deviation
-
-
-def quantities(block: Block) -> tuple[str, ...]:
-    """What a block estimates: the names of its outputs that come with `NAME_deviation` and `NAME_valid`."""
-    outputs = {port.name for port in block.outputs}
-    return tuple(port.name for port in block.outputs if {f"{port.name}_deviation", f"{port.name}_valid"} <= outputs)
 
 
 def estimated(y: Any, name: str) -> Estimated:

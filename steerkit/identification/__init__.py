@@ -7,7 +7,7 @@ found.save("my-car.toml")            # vehicle("my-car.toml") is the car
 
 from __future__ import annotations
 
-from steerkit.identification.delay import SteeringResponse, fit_delay_lag
+from steerkit.estimators.delay_fit import SteeringResponse, fit_delay_lag
 from steerkit.identification.fit import identify
 from steerkit.identification.identified import Estimate, Identified, Prediction
 from steerkit.logs import Column, ColumnMap, Drive, read_drive, shipped_drives

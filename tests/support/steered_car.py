@@ -84,3 +84,9 @@ def gaps(n: int) -> np.ndarray:
         start, length = rng.integers(0, n), rng.integers(20, 80)
         mask[start : start + length] = True
     return mask
+
+
+def quantities(block: Block) -> tuple[str, ...]:
+    """What a block estimates: the names of its outputs that come with `NAME_deviation` and `NAME_valid`."""
+    names = {port.name for port in block.outputs}
+    return tuple(port.name for port in block.outputs if {f"{port.name}_deviation", f"{port.name}_valid"} <= names)

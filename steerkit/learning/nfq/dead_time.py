@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from steerkit.controllers.delay_compensator import ANSWER, LONGEST, DelayCompensator
 from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, R_E, V
 from steerkit.controllers.state_description import StateDescription
+from steerkit.estimators.delay_fit import fits_by_delay
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq.model import (
     CENTRED,
@@ -21,18 +22,19 @@ from steerkit.learning.nfq.model import (
     OFF_CENTRE,
     CarModel,
     course_share,
-    earlier_doe,
     follow,
     speed,
     with_heading_of_yaw_rate,
 )
 from steerkit.task import DT
 
-FEWEST = 15
-"""Transitions from which a dead time is looked for."""
+FEWEST = 12
+"""Samples from which a dead time is looked for."""
+REFINED = 30
+"""Samples from which a model is refined."""
 AS_GOOD = 1.02
-"""A longer dead time is preferred to a shorter one that explains the car better by less than this factor: the model's
-three angles can stand for a sample of it, and the process that is learned is the simpler, the less of it is left."""
+"""A longer dead time is preferred to a shorter one that explains w better by less than this factor: the model's three
+angles can stand for a sample of it, and the process that is learned is the simpler, the less of it is left."""
 NOTHING = 1e-5
 """Turn in a sample that is as good as none [rad], for records without noise."""
 AHEAD = 10
@@ -64,23 +66,13 @@ class Process(NamedTuple):
 def process_of(record: Transitions, description: StateDescription, longest: float, dt: float = DT) -> Process:
     """The process without dead time behind recorded transitions, and the dead time, up to `longest` [s].
 
-    The dead time is the one whose model leaves the least of the car's turning unexplained, all judged on the same
-    samples. record: with the column kappa. A record that is too short is taken to have none. One with speeds above the
-    description's `scaled_from` is of a fast car (see `moved`).
+    record: with the column kappa. One with speeds above the description's `scaled_from` is of a fast car (see `moved`).
     """
     fast = bool(record.s[:, V].max(initial=0.0) > description.scaled_from)
     record = with_heading_of_yaw_rate(record) if fast else record
-    known = [aligned(record, n) for n in range(min(LONGEST, round(longest / dt)) + 1)]
-    while len(known) > 1 and len(known[-1]) < FEWEST:
-        known.pop()
-    models = [CarModel.fit(part, description, dt, fast=fast) for part in known]
-    last = len(known) - 1
-    errors = [_unexplained(model, part, last - n) for n, (model, part) in enumerate(zip(models, known, strict=True))]
-    best = int(np.argmin(errors))
-    while best < last and errors[best + 1] <= AS_GOOD * min(errors) + NOTHING:
-        best += 1
-    part = known[best]
-    model = refined(models[best], part)
+    best = dead_time_of(record, min(LONGEST, round(longest / dt)))
+    part = aligned(record, best)
+    model = refined(CarModel.fit(part, description, dt, fast=fast), part)
     numbers = {name: getattr(model, name) for name in (*ANSWER, "straight")}
     forecast = DelayCompensator(samples=best, trust=TRUST, dt=dt, **numbers)
     s, s_next = part.s[:, : len(COLUMNS)].copy(), part.s_next[:, : len(COLUMNS)].copy()
@@ -89,6 +81,27 @@ def process_of(record: Transitions, description: StateDescription, longest: floa
     straightened = Transitions(COLUMNS)
     straightened.extend(s, part.a, s_next, part.episode)
     return Process(straightened, model, forecast)
+
+
+def dead_time_of(record: Transitions, longest: int) -> int:
+    """The dead time [samples], 0 to `longest`, that explains w, the course's angle to the car, best.
+
+    See `fits_by_delay`: the wheel's angle and those of two samples before, as in `CarModel`; the rows are those with
+    enough samples of their episode before them. In a record too short for that only shorter ones are tried.
+    """
+    w, episode = record.s[:, E_DOT] / speed(record.s) - record.s[:, PSI_E], np.cumsum(~follow(record))
+    for most in range(longest, -1, -1):
+        row = np.arange(most + 2, len(record) - 1)
+        row = row[episode[row - most - 2] == episode[row + 1]]
+        if len(row) >= FEWEST:
+            break
+    else:
+        return 0
+    errors = [fit.rms for fit in fits_by_delay(w, record.s_next[:, DOE], row, range(most + 1), taps=3)]
+    best = int(np.argmin(errors))
+    while best < most and errors[best + 1] <= AS_GOOD * min(errors) + NOTHING:
+        best += 1
+    return best
 
 
 def aligned(record: Transitions, samples: int) -> Transitions:
@@ -121,7 +134,7 @@ def refined(model: CarModel, part: Transitions) -> CarModel:
     episode = np.cumsum(~follow(part))
     row = np.arange(1, max(1, len(part) - AHEAD))
     row = row[episode[row - 1] == episode[row + AHEAD]][-ROWS:]
-    if len(row) < 2 * FEWEST:
+    if len(row) < REFINED:
         return model
     from scipy.optimize import least_squares
 
@@ -179,33 +192,3 @@ def _foreseen(part: Transitions, row: NDArray[np.intp], weights: Sequence[float]
         w = w + turn / (1.0 + loss * v[at] ** 2) - (back + slip * v[at] ** 2) * w
         ahead.append(w)
     return ahead
-
-
-def _unexplained(model: CarModel, part: Transitions, skipped: int) -> float:
-    """RMS of what the model leaves of the car's turning [rad], without each episode's first samples.
-
-    That of the course in a sample; of a fast car, where noise is much of that, of w over AHEAD. A model in which the
-    wheel turns the car the wrong way explains nothing.
-    """
-    if (model.ratio(np.array([part.s[:, V].min(), part.s[:, V].max()])) <= 0.0).any():
-        return np.inf
-    columns = slice(len(COLUMNS))
-    s, s_next = part.s[:, columns].copy(), part.s_next[:, columns]
-    follows = follow(part)
-    starts = np.flatnonzero(~follows)
-    place = np.arange(len(part)) - np.repeat(starts, np.diff([*starts, len(part)]))
-    judged = place >= skipped
-    if model.fast:
-        row = np.flatnonzero(judged & (place > 0))
-        row = row[row < len(part) - AHEAD]
-        row = row[place[row + AHEAD] == place[row] + AHEAD]
-        if len(row) >= FEWEST:
-            w = s[:, E_DOT] / speed(s) - s[:, PSI_E]
-            ahead = _foreseen(part, row, _weights(model), True)
-            return float(np.sqrt(np.mean([(x - w[row + j + 1]) ** 2 for j, x in enumerate(ahead)])))
-    s[:, DOE] -= model.straight
-    foreseen = model.step(s, part.a, earlier_doe(part) - model.straight)
-    error: Array = (s_next[:, E_DOT] - foreseen[:, E_DOT]) / speed(s)
-    if model.fast:
-        error = error - (s_next[:, PSI_E] - foreseen[:, PSI_E])
-    return float(np.sqrt(np.mean(error[judged] ** 2))) if judged.any() else np.inf

@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import norm
 
 from steerkit.diagram.block import Block, Out
-from steerkit.estimators.estimate import Estimated, estimated, quantities
+from steerkit.estimators.estimate import Estimated, estimated
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -28,7 +28,6 @@ class Known(Block):
 
 def test_a_quantity_is_what_comes_with_deviation_and_validity() -> None:
     block = Known()
-    assert quantities(block) == ("ratio",)
     assert estimated(block.output(0.0, (), ()), "ratio") == Estimated(15.0, 0.5, 1.0)
 
 

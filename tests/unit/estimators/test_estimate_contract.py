@@ -14,11 +14,11 @@ from steerkit.compiled import compile
 from steerkit.diagram.block import Block
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import simulate
-from steerkit.estimators.estimate import estimated, quantities
+from steerkit.estimators.estimate import estimated
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.steering_delay import WheelDelay, YawDelay
 from steerkit.estimators.steering_hysteresis import SteeringFriction, SteeringPlay
-from tests.support.steered_car import PASSAT, answered, driven, driven_fast, steered
+from tests.support.steered_car import PASSAT, answered, driven, driven_fast, quantities, steered
 
 ALL: dict[str, Any] = {
     "wheel": WheelDelay(longest=0.3),

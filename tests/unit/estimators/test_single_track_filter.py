@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from steerkit.diagram.units import radians_of
-from steerkit.estimators.estimate import Estimated, estimated, quantities
+from steerkit.estimators.estimate import Estimated, estimated
 from steerkit.estimators.single_track_filter import SingleTrackFilter
-from tests.support.steered_car import PASSAT, Signals, answered, driven_fast, gaps, steered
+from tests.support.steered_car import PASSAT, Signals, answered, driven_fast, gaps, quantities, steered
 
 BLOCK = SingleTrackFilter(vehicle=PASSAT)
 OTHER = replace(PASSAT, steer_ratio=1.2 * PASSAT.steer_ratio)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from steerkit.diagram.units import radians_of
-from steerkit.estimators.estimate import Estimated, estimated, quantities
+from steerkit.estimators.estimate import Estimated, estimated
 from steerkit.estimators.steering_delay import DelayBank, WheelDelay, YawDelay
-from tests.support.steered_car import HELD, PASSAT, answered, driven, gaps, steered
+from tests.support.steered_car import HELD, PASSAT, answered, driven, gaps, quantities, steered
 
 WHEEL, YAW = WheelDelay(), YawDelay(vehicle=PASSAT)
 

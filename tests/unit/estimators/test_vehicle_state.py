@@ -14,7 +14,6 @@ import pytest
 from steerkit.compiled import compile
 from steerkit.diagram.simulation import simulate
 from steerkit.diagram.units import radians_of
-from steerkit.estimators.estimate import quantities
 from steerkit.estimators.vehicle_state import VehicleState
 from steerkit.metrics.signals import rms
 from steerkit.plants.linear_single_track import LinearSingleTrack
@@ -23,6 +22,7 @@ from steerkit.plants.sensors import Sensors
 from steerkit.scenario import Scenario
 from steerkit.scenario.drive import controller, drive, drive_loop
 from steerkit.vehicles import VW_PASSAT
+from tests.support.steered_car import quantities
 from tests.support.stepped import run, run_fast
 
 DT = 0.05

@@ -10,7 +10,7 @@ import pytest
 from steerkit.controllers.delay_compensator import LENGTH
 from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, V
 from steerkit.learning.data.transitions import Transitions
-from steerkit.learning.nfq.dead_time import aligned, process_of
+from steerkit.learning.nfq.dead_time import aligned, dead_time_of, process_of
 from steerkit.learning.nfq.iterate import FitSetting, Learned, update
 from steerkit.learning.nfq.model import CarModel, with_heading_of_yaw_rate
 from steerkit.learning.settings import DEFAULT
@@ -71,6 +71,27 @@ def test_the_dead_time_is_found_and_the_car_behind_it(samples: int, straight: fl
     assert process.model.straight == pytest.approx(straight, abs=0.02)
     assert process.forecast.back == process.model.back
     assert process.record.names == COLUMNS
+
+
+@pytest.mark.parametrize(("car", "speeds"), [(CAR, (4.0, 7.0)), (FAST, (12.0, 24.0))])
+def test_noise_and_little_data_move_the_dead_time_by_a_sample_at_most(
+    car: CarModel, speeds: tuple[float, float]
+) -> None:
+    for samples in (0, 4, 8):
+        record = late(samples, car=car, speeds=speeds, n=240, noise=0.01, straight=0.05)
+        record = with_heading_of_yaw_rate(record) if car.fast else record
+        assert dead_time_of(record, 12) == pytest.approx(samples, abs=1)
+
+
+def test_a_record_too_short_for_a_dead_time_is_taken_to_have_none_or_one_that_it_can_show() -> None:
+    def begun(rows: int) -> int:
+        part, record = Transitions((*COLUMNS, "kappa")), late(6)
+        part.extend(record.s[:rows], record.a[:rows], record.s_next[:rows], 0)
+        return dead_time_of(part, 12)
+
+    assert [begun(rows) for rows in (5, 14, 15)] == [0, 0, 0]
+    assert begun(17) <= 2  # the angles of longer ones are not in it
+    assert begun(60) == 6
 
 
 @pytest.mark.parametrize("samples", [0, 6])

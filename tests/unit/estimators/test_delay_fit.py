@@ -1,4 +1,4 @@
-"""Dead time and lag of a motor, read from a log of commands and wheel angles."""
+"""Dead time from records: the least squares of each, and dead time and lag of a motor from a log of its wheel."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from steerkit.identification import fit_delay_lag
+from steerkit.estimators.delay_fit import fit_delay_lag, fits_by_delay
 from steerkit.plants.steering_actuator import SteeringActuator
 
 
@@ -31,6 +31,18 @@ def test_delay_and_lag_are_read_from_a_log(delay: int, lag: float, gain: float, 
     )
     assert noisy.delay == pytest.approx(0.01 * delay, abs=0.02)
     assert noisy.lag == pytest.approx(lag, abs=0.05)
+
+
+def test_each_delay_is_fitted_on_the_same_rows_and_the_right_one_explains_all() -> None:
+    rng, response = np.random.default_rng(1), np.zeros(200)
+    command = rng.normal(size=200)
+    for k in range(6, 199):
+        response[k + 1] = 0.8 * response[k] + 0.3 * command[k - 4] + 0.1 * command[k - 5] - 0.02 * command[k - 6] + 0.05
+    fits = fits_by_delay(response, command, np.arange(12, 199), range(9), taps=3)
+    assert int(np.argmin([fit.rms for fit in fits])) == 4
+    assert fits[4].rms < 1e-12
+    assert (fits[4].keep, *fits[4].gains) == pytest.approx((0.8, 0.3, 0.1, -0.02))
+    assert min(fit.rms for fit in fits if fit is not fits[4]) > 0.01
 
 
 T = 0.05 * np.arange(200)
