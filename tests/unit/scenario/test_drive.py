@@ -19,11 +19,13 @@ from steerkit.scenario import Scenario
 from steerkit.scenario.drive import (
     PolicyDrives,
     assembled,
+    comparison,
     controller,
     drive,
     drive_loop,
     held_all_along,
     policy_drives,
+    row_of,
 )
 
 
@@ -120,3 +122,18 @@ class Untraceable(Integrator):
 
     def output(self, t: Any, x: Any, u: Any) -> Any:
         return super().output(t, x, u) if u.action > 0.0 else self.Y(state=x[0], delta_sw=x[0])
+
+
+def test_the_table_says_of_each_drive_what_its_figures_are() -> None:
+    scenario = Scenario(course="circle")
+    logs = {"stanley": drive(scenario, controller("stanley", scenario), rounds=0.2)}
+    row = row_of("stanley", logs["stanley"])
+    (name,), (held,), *figures = (list(column.cells) for column in comparison("one", logs).columns)
+    assert (name, held, row["controller"], row["held"]) == ("stanley", "yes", "stanley", True)
+    expected = [row[key] for key in ("rms_e", "max_e", "rms_wheel_rate_deg", "max_a_y")]
+    expected += [100.0 * row["share_within_5cm"], row["max_jerk"]]
+    digits = (3, 3, 0, 2, 1, 1)
+    assert [cell for (cell,) in figures] == [f"{value:.{n}f}" for value, n in zip(expected, digits, strict=True)]
+    log = logs["stanley"]
+    lost = Log(log.t, {**log.signals, "path.e": np.full(len(log.t), 0.6)}, log.units)
+    assert [next(iter(column.cells)) for column in comparison("lost", {"a": lost}).columns][1] == "no"
