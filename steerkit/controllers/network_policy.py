@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from steerkit._support.errors import require
 from steerkit._support.files import read_arrays, write_arrays
-from steerkit.controllers.policy import COLUMNS, LARGEST_POLICY
+from steerkit.controllers.policy import COLUMNS, LARGEST_POLICY, Policy
 from steerkit.controllers.state_description import StateDescription
 from steerkit.diagram import maths as m
-from steerkit.diagram.block import Block, In, Out, State
+from steerkit.diagram.block import State
 from steerkit.diagram.units import radians_of
 
 Array = NDArray[np.float64]
@@ -86,7 +86,7 @@ class Network:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class PolicyBlock(Block):
+class PolicyBlock(Policy):
     """Steers by any policy of the scaled state, such as an agent that was trained in `steerkit.gym`.
 
         x = clip((s - mid)/half, -10, 10),   s the columns of `description`
@@ -98,15 +98,6 @@ class PolicyBlock(Block):
     action NaN, so that a supervisor sees the fault. Raises ValueError for a description with other columns, bad
     actions, or (when it runs) a policy that answers something else.
     """
-
-    e = In("m")
-    e_dot = In("m/s")
-    v = In("m/s")
-    psi_e = In("rad")
-    r_e = In("rad/s")
-    doe = In("rad")
-    action = Out("rad")
-    ready = Out("1", direct=())
 
     policy: Callable[[Any], Any]
     """Of scaled states, float32 (n, columns): answers n numbers of actions, or n numbers in [-1, 1]. A `Network` can be

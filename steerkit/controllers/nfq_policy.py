@@ -20,7 +20,7 @@ from steerkit.controllers.delay_compensator import DelayCompensator
 from steerkit.controllers.policy import ACTION, COLUMNS, LARGEST_POLICY, Policy
 from steerkit.controllers.state_description import StateDescription
 from steerkit.diagram import maths as m
-from steerkit.diagram.block import In, State
+from steerkit.diagram.block import In, Out, State
 from steerkit.diagram.units import radians_of
 from steerkit.task import DT, STOP
 
@@ -62,6 +62,7 @@ class NfqPolicy(Policy):
     non-finite weights. Source: Riedmiller 2005 (Neural Fitted Q Iteration), eq. for the greedy policy.
     """
 
+    q = Out("1")
     preview = In("1/m", size="preview_points")
 
     nets: tuple[Net, ...] | None = ()

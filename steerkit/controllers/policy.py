@@ -12,7 +12,7 @@ class Policy(Block):
     """Picks an action from the learner's state; abstract.
 
     Inputs, all direct: e [m], e_dot [m/s], v [m/s], psi_e [rad], r_e [rad/s], doe [rad] (the dynamic output element's
-    angle). Outputs: action [rad]; q [1], the expected cost to go; ready [1], whether to be trusted with the wheel.
+    angle). Outputs: action [rad]; ready [1], whether the policy may steer.
     """
 
     e = In("m")
@@ -22,7 +22,6 @@ class Policy(Block):
     r_e = In("rad/s")
     doe = In("rad")
     action = Out("rad")
-    q = Out("1")
     ready = Out("1", direct=())
 
 

@@ -50,7 +50,7 @@ class Exploring(Wrapper):
         for k in reversed(range(len(actions) - 1)):
             action = m.where(which * len(actions) < k + 1.0, actions[k], action)
         chosen = m.where(explores < self.share, action, greedy.action)
-        return self.Y(m.where(m.is_finite(greedy.action), chosen, greedy.action), greedy.q, greedy.ready)
+        return greedy._replace(action=m.where(m.is_finite(greedy.action), chosen, greedy.action))
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
         random = uniform(uniform(tuple(self.own(x)))[1])[1]

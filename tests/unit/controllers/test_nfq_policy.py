@@ -75,7 +75,7 @@ def test_floats_batch_and_symbols_agree(policy: NfqPolicy) -> None:
     assert batch.action.shape == batch.q.shape == batch.ready.shape == (60,)
     for i in range(60):
         one = ask(policy, s[:, i].tolist())
-        action, q, ready = (float(value) for value in function(0.0, s[:, i]))
+        action, ready, q = (float(value) for value in function(0.0, s[:, i]))
         assert all(type(value) is float for value in one)
         assert one.action == action == batch.action[i]
         assert one.q == pytest.approx(q, abs=1e-12, rel=0)
@@ -115,7 +115,7 @@ def test_a_broken_input_shows_in_symbols(fault: float) -> None:
     for port in range(6):
         s = cars(1)[:, 0]
         s[port] = fault
-        action, q, _ = function(0.0, s)
+        action, _, q = function(0.0, s)
         assert np.isnan([float(action), float(q)]).all()
 
 
@@ -130,7 +130,7 @@ def test_without_a_net_it_is_not_ready(nets: Any) -> None:
 def test_ready_from_its_time_on() -> None:
     policy = replace(POLICIES[0], ready_from=2.0)
     assert [ask(policy, [0.0] * 6, t).ready for t in (1.9, 2.0, 3.0)] == [0.0, 1.0, 1.0]
-    assert float(traced(policy)(1.9, [0.0] * 6)[2]) == 0.0
+    assert float(traced(policy)(1.9, [0.0] * 6)[1]) == 0.0
     assert ask(policy, cars(2), 1.0).ready.tolist() == [0.0, 0.0]
     assert ask(replace(policy, ready_from=np.inf), [0.0] * 6, 1e9).ready == 0.0
 
