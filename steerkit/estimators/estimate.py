@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from steerkit._support.errors import known
+from steerkit.diagram.block import Out
 from steerkit.diagram.maths import Scalar
 
 NORMAL_95 = 1.96
@@ -34,6 +35,11 @@ class Estimated(NamedTuple):
     def high(self) -> Scalar:
         """Upper end of the 95 % interval."""
         return self.value + NORMAL_95 * self.deviation
+
+
+def estimate_ports(unit: str) -> tuple[Out, Out, Out]:
+    """The outputs of an estimate, of state only: its value and its deviation [unit], and whether it is valid [1]."""
+    return Out(unit, direct=()), Out(unit, direct=()), Out("1", direct=())
 
 
 def estimated(y: Any, name: str) -> Estimated:

@@ -13,6 +13,7 @@ from steerkit.diagram.block import Block, In, Out, State
 from steerkit.diagram.maths import Scalar
 from steerkit.diagram.units import radians_of
 from steerkit.estimators import kalman
+from steerkit.estimators.estimate import estimate_ports
 from steerkit.estimators.steering_response import SLOWEST, arrived, steady_gain, yaw_step
 from steerkit.vehicles import Vehicle, require_vehicle
 
@@ -82,24 +83,12 @@ class SingleTrackFilter(Block):
     lag = In("s", direct=False)
     delay_deviation = In("s", direct=False)
     active = In("1", direct=False)
-    ratio = Out("1", direct=())
-    ratio_deviation = Out("1", direct=())
-    ratio_valid = Out("1", direct=())
-    understeer = Out("rad s^2/m", direct=())
-    understeer_deviation = Out("rad s^2/m", direct=())
-    understeer_valid = Out("1", direct=())
-    offset = Out("rad", direct=())
-    offset_deviation = Out("rad", direct=())
-    offset_valid = Out("1", direct=())
-    rate_zero = Out("rad/s", direct=())
-    rate_zero_deviation = Out("rad/s", direct=())
-    rate_zero_valid = Out("1", direct=())
-    disturbance = Out("rad", direct=())
-    disturbance_deviation = Out("rad", direct=())
-    disturbance_valid = Out("1", direct=())
-    total_offset = Out("rad", direct=())
-    total_offset_deviation = Out("rad", direct=())
-    total_offset_valid = Out("1", direct=())
+    ratio, ratio_deviation, ratio_valid = estimate_ports("1")
+    understeer, understeer_deviation, understeer_valid = estimate_ports("rad s^2/m")
+    offset, offset_deviation, offset_valid = estimate_ports("rad")
+    rate_zero, rate_zero_deviation, rate_zero_valid = estimate_ports("rad/s")
+    disturbance, disturbance_deviation, disturbance_valid = estimate_ports("rad")
+    total_offset, total_offset_deviation, total_offset_valid = estimate_ports("rad")
     r_model = Out("rad/s", direct=())
     missing = Out("1", direct=())
 
@@ -263,25 +252,10 @@ class SingleTrackFilter(Block):
         turning = (rate / steady_gain(p, v) - w) / dt
         w = rate / steady_gain(p, v)
         since = m.where(acts, m.minimum(since + 1.0, 1e6), 0.0)
-        filters = (
-            command,
-            v,
-            m.where(read, 0.0, 1.0),
-            since,
-            w,
-            beta,
-            rate,
-            stands,
-            turned,
-            clock,
-            start,
-            going,
-            arrives,
-            window,
-            turning,
-            w - m.clip(w - behind, -_GAP, _GAP),
-        )
-        return (*filters, *line, *numbers, *kalman.packed(covariance))
+        missing, behind = m.where(read, 0.0, 1.0), w - m.clip(w - behind, -_GAP, _GAP)
+        motion = (command, v, missing, since, w, beta, rate, stands)
+        heading = (turned, clock, start, going, arrives, window, turning, behind)
+        return (*motion, *heading, *line, *numbers, *kalman.packed(covariance))
 
     def _expected(self, numbers: State, w: Scalar, behind: Scalar, v: Scalar) -> tuple[Scalar, tuple[Scalar, ...]]:
         """What the gyro should say [rad/s], and its derivatives with respect to the six numbers.

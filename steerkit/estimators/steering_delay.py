@@ -12,6 +12,7 @@ from steerkit.diagram.block import In, Out, State
 from steerkit.diagram.maths import Scalar
 from steerkit.diagram.units import radians_of
 from steerkit.estimators.bank import MOMENTS, Bank, OfWheel, OfYawRate, Sums
+from steerkit.estimators.estimate import estimate_ports
 from steerkit.estimators.steering_response import SLOWEST, at, steady_gain, yaw_delay, yaw_step
 from steerkit.task import STOP
 
@@ -88,15 +89,9 @@ class DelayBank(Bank):
 
     delta_sw_cmd = In("rad", direct=False)
     active = In("1", direct=False)
-    delay = Out("s", direct=())
-    delay_deviation = Out("s", direct=())
-    delay_valid = Out("1", direct=())
-    lag = Out("s", direct=())
-    lag_deviation = Out("s", direct=())
-    lag_valid = Out("1", direct=())
-    delay_lag = Out("s", direct=())
-    delay_lag_deviation = Out("s", direct=())
-    delay_lag_valid = Out("1", direct=())
+    delay, delay_deviation, delay_valid = estimate_ports("s")
+    lag, lag_deviation, lag_valid = estimate_ports("s")
+    delay_lag, delay_lag_deviation, delay_lag_valid = estimate_ports("s")
     missing = Out("1", direct=())
 
     prior_delay: float = 0.15

@@ -13,7 +13,7 @@ from steerkit.diagram.block import In, Out, State
 from steerkit.diagram.maths import Scalar
 from steerkit.diagram.units import radians_of
 from steerkit.estimators.bank import MOMENTS, Bank, Fit, OfWheel, OfYawRate, Sums, Valley
-from steerkit.estimators.estimate import NORMAL_95
+from steerkit.estimators.estimate import NORMAL_95, estimate_ports
 from steerkit.estimators.steering_response import SLOWEST, arrived, at, steady_gain, yaw_step
 
 _GAIN = 1.0 / 0.3**2
@@ -245,9 +245,7 @@ class SteeringFriction(OfWheel, HysteresisBank):
     friction, friction_deviation [rad]; friction_valid, missing [1], the last 1 where the sample before held a NaN.
     """
 
-    friction = Out("rad", direct=())
-    friction_deviation = Out("rad", direct=())
-    friction_valid = Out("1", direct=())
+    friction, friction_deviation, friction_valid = estimate_ports("rad")
     missing = Out("1", direct=())
 
     beyond: ClassVar[float] = 0.05
@@ -286,9 +284,7 @@ class SteeringPlay(OfYawRate, HysteresisBank):
     play_deviation [rad]; play_valid, missing [1], the last 1 where the sample before held a NaN.
     """
 
-    play = Out("rad", direct=())
-    play_deviation = Out("rad", direct=())
-    play_valid = Out("1", direct=())
+    play, play_deviation, play_valid = estimate_ports("rad")
     missing = Out("1", direct=())
 
     held: bool = False

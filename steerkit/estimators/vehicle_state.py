@@ -14,6 +14,7 @@ from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State, entries_of
 from steerkit.diagram.maths import Scalar
 from steerkit.diagram.units import radians_of
+from steerkit.estimators.estimate import estimate_ports
 from steerkit.estimators.kalman import (
     Covariance,
     Row,
@@ -353,15 +354,9 @@ class VehicleState(Block):
     rejected = Out("1", direct=())
     missing = Out("1", direct=())
     doubt = Out("1", direct=())
-    gyro_zero = Out("rad/s", direct=())
-    gyro_zero_deviation = Out("rad/s", direct=())
-    gyro_zero_valid = Out("1", direct=())
-    heading_bias = Out("rad", direct=())
-    heading_bias_deviation = Out("rad", direct=())
-    heading_bias_valid = Out("1", direct=())
-    wheel_offset = Out("rad", direct=())
-    wheel_offset_deviation = Out("rad", direct=())
-    wheel_offset_valid = Out("1", direct=())
+    gyro_zero, gyro_zero_deviation, gyro_zero_valid = estimate_ports("rad/s")
+    heading_bias, heading_bias_deviation, heading_bias_valid = estimate_ports("rad")
+    wheel_offset, wheel_offset_deviation, wheel_offset_valid = estimate_ports("rad")
     nis = Out("1", direct=())
     nis_count = Out("1", direct=())
     ratio = Out("1", direct=())

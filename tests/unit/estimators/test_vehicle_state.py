@@ -356,11 +356,14 @@ def test_what_is_judged_here_is_what_the_estimator_says_sample_by_sample() -> No
     assert last == pytest.approx(np.array(x), rel=1e-6, abs=1e-9, nan_ok=True)
 
 
-def test_it_compiles_to_the_same_numbers() -> None:
-    scenario = Scenario.under("real", sensors={"estimator": "vehicle-state"}, course={"rounds": 0.05})
+@pytest.mark.parametrize("estimator", ["vehicle-state", "adaptive-state"])
+def test_it_compiles_to_the_same_numbers(estimator: str) -> None:
+    scenario = Scenario.under(
+        "real", sensors={"estimator": estimator}, course={"rounds": 0.05}, vehicle={"ratio": 1.25}
+    )
     loop = drive_loop(scenario, controller("stanley", scenario), seed=2)
     log, plain = compile(loop, backend="python", every=5).run(4.0), simulate(loop, 4.0, every=5)
-    for name in ("estimator.x", "estimator.psi", "estimator.side_deviation", "estimator.nis"):
+    for name in ("estimator.x", "estimator.psi", "estimator.gyro_zero", "estimator.ratio", "estimator.nis"):
         assert log[name] == pytest.approx(plain[name], rel=1e-9, abs=1e-9), name
 
 

@@ -14,7 +14,6 @@ from steerkit.estimators.vehicle_state import (
     D_X,
     GYRO,
     HEADING,
-    NEVER,
     PSI,
     SIZE,
     Measured,
@@ -60,15 +59,6 @@ def test_each_in_its_sample(age: float, slot: int, lead: float) -> None:
 @pytest.mark.parametrize("age", [0.13, 3.0, -0.03, NAN, math.inf])
 def test_too_late_from_the_future_or_of_no_age(age: float) -> None:
     assert not any(math.isfinite(one.x) for one in put(EMPTY, 1.0, age))
-
-
-def test_order_does_not_matter() -> None:
-    first = put(kept(put(EMPTY, 1.0, 0.0)), 2.0, 0.0)
-    late = put(kept(put(EMPTY, NAN, NAN)), 2.0, 0.0)
-    late = put(kept(late), 1.0, 0.1)
-    assert put(kept(first), NAN, NAN)[1:] == [first[0], first[1]]
-    assert late[2].x == 1.0
-    assert late[1].x == 2.0
 
 
 def test_pose_and_motion_have_their_own_ages() -> None:
@@ -245,22 +235,6 @@ def test_one_that_comes_back_in_time_is_forgotten() -> None:
         _, _, memory = after(due, memory)
     assert memory.position == pytest.approx(0.15)
     assert memory.rejected == 1.0
-
-
-def test_the_first_position_is_believed_wherever_it_is() -> None:
-    never = Memory(*[0.0] * 14)._replace(unseen=NEVER)
-    mean, _, memory = after(NOTHING._replace(x=5e4, y=-3e3, lead=0.0), never)
-    assert mean[X] == pytest.approx(5e4, rel=1e-6)
-    assert abs(mean[D_X]) < 0.1
-    assert (memory.unseen, memory.rejected) == (0.0, 0.0)
-
-
-@pytest.mark.parametrize("value", [NAN, math.inf, -math.inf])
-def test_nonsense_is_nothing(value: float) -> None:
-    mean, p, memory = after(Measured(value, value, value, 0.0, value, value))
-    assert mean == MEAN
-    assert p == known()
-    assert memory.rejected == 0.0
 
 
 def test_innovations_of_one_sign_add_up() -> None:

@@ -195,14 +195,6 @@ def test_in_a_car_as_on_its_data_sheet_it_is_as_good_as_the_one_inside() -> None
     assert sides[1] < 1.05 * sides[0]
 
 
-def test_it_compiles_to_the_same_numbers() -> None:
-    scenario = Scenario.under("real", **WRONG).with_(sensors={"estimator": "adaptive-state"})
-    loop = drive_loop(scenario, controller("stanley", scenario), seed=2)
-    log, plain = compile(loop, backend="python", every=5).run(4.0), simulate(loop, 4.0, every=5)
-    for name in ("estimator.x", "estimator.psi", "estimator.gyro_zero", "estimator.ratio"):
-        assert log[name] == pytest.approx(plain[name], rel=1e-9, abs=1e-9), name
-
-
 @pytest.mark.parametrize(
     ("settings", "says"),
     [
