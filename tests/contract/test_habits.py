@@ -27,11 +27,6 @@ def test_no_property_has_a_deadline_and_one_profile_says_so() -> None:
     assert [file.name for file in TESTS if gives(file, "deadline")] == ["conftest.py"]
 
 
-def test_files_of_tests_stay_short() -> None:
-    lengths = {file.name: len(file.read_text(encoding="utf-8").splitlines()) for file in TESTS}
-    assert not {name: lines for name, lines in lengths.items() if lines > 460}
-
-
 CODE = [file for folder in ("steerkit", "benchmarks") for file in sorted((ROOT / folder).rglob("*.py"))]
 
 
