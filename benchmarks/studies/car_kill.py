@@ -79,7 +79,7 @@ class Bench:
         self.socket = str(folder / "socket")
         self.log = folder / "car.jsonl"
         self.simulated, self.channel = processes.start_simulated(CONFIG, log=str(self.log))
-        self.tapes = 0
+        self.recordings = 0
         self.server: subprocess.Popen[str] | None = None
         self.controller: subprocess.Popen[str] | None = None
         self.text = (folder / "text.log").open("w", encoding="utf-8")
@@ -89,9 +89,9 @@ class Bench:
     def up(self) -> dict[str, Any]:
         """Start what is not running, and engage; returns the controller's state."""
         if self.server is None or self.server.poll() is not None:
-            self.tapes += 1
+            self.recordings += 1
             self.server = processes.start_car_server(
-                CONFIG, self.socket, recording=str(self.tape), channel=self.channel, log=self.text
+                CONFIG, self.socket, recording=str(self.recording), channel=self.channel, log=self.text
             )
         if self.controller is None or self.controller.poll() is not None:
             (self.folder / "state.json").unlink(missing_ok=True)
@@ -111,8 +111,8 @@ class Bench:
         processes.engage(self.socket, timeout=60.0)
 
     @property
-    def tape(self) -> Path:
-        return self.folder / f"drive-{self.tapes:03d}.mcap"
+    def recording(self) -> Path:
+        return self.folder / f"drive-{self.recordings:03d}.mcap"
 
     def state(self) -> dict[str, Any]:
         """What the controller last wrote."""
@@ -160,7 +160,7 @@ class Bench:
 
     def _recording(self, *, cut: bool) -> dict[str, Any]:
         copy = self.folder / "copy.mcap"
-        shutil.copy(self.tape, copy)
+        shutil.copy(self.recording, copy)
         try:
             recorded = recordings.read(copy)
             config = recordings.config_of(recorded)

@@ -53,13 +53,13 @@ def drive(
     """One drive; its figures. safe: a learner's safety filter. seed: of the learner's nets and the human's speed."""
     config = load("dbw-kit.toml")
     path = course_of(config)
-    socket, tape, log = str(folder / "socket"), folder / "drive.mcap", folder / "car.jsonl"
+    socket, place, log = str(folder / "socket"), folder / "drive.mcap", folder / "car.jsonl"
     simulated, channel = processes.start_simulated(
         "dbw-kit.toml", time_scale=scale, log=str(log), listen=listen, seed=seed
     )
     with (folder / "server.log").open("w", encoding="utf-8") as text:
         server = processes.start_car_server(
-            "dbw-kit.toml", socket, recording=str(tape), channel=channel, time_scale=scale, realtime=fifo, log=text
+            "dbw-kit.toml", socket, recording=str(place), channel=channel, time_scale=scale, realtime=fifo, log=text
         )
     beside = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(busy)]
     granted = ""
@@ -104,7 +104,7 @@ def drive(
         server.terminate()
         server.wait(10.0)
         simulated.terminate()
-    recorded = recordings.read(tape)
+    recorded = recordings.read(place)
     frames, same = recordings.replayed_exactly(recorded, Core(config, path))
     asked = same_asked = 0
     for drive in replays.drives(recorded):
@@ -137,7 +137,7 @@ def drive(
         "frames_replayed_exactly": same,
         "requests": asked,
         "requests_replayed_exactly": same_asked,
-        "recording_mb": tape.stat().st_size / 1e6,
+        "recording_mb": place.stat().st_size / 1e6,
         "cores": os.cpu_count(),
         "load_average": os.getloadavg()[1],
     }

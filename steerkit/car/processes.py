@@ -234,13 +234,13 @@ def server(
     car, path = loaded(config, channel)
     if car.keep_recording and not recording:
         raise ValueError(f"{config}: keep_recording = true, but nothing is recorded; give --recording FILE.mcap")
-    tape = Recording(recording, described(car, path, time_scale)) if recording else None
-    with contextlib.closing(tape) if tape else contextlib.nullcontext():
+    recorder = Recording(recording, described(car, path, time_scale)) if recording else None
+    with contextlib.closing(recorder) if recorder else contextlib.nullcontext():
         if realtime:
             logging.info(preferred(threads=True))  # the bus's thread too, but not the recording's
         clock = Clock(scale=time_scale)
-        CarServer(car, path, socket or default_socket(), recording=tape, clock=clock, linger=linger).run()
-    return 1 if tape and tape.failed else 0
+        CarServer(car, path, socket or default_socket(), recording=recorder, clock=clock, linger=linger).run()
+    return 1 if recorder and recorder.failed else 0
 
 
 def simulate(

@@ -386,7 +386,7 @@ class Recording:
     def __init__(self, file: str | os.PathLike[str], description: dict[str, str]):
         self.file = File(file)
         self._broken = ""
-        self._tape = RecordingFile(self.file, {**description, "protocol": str(protocol.VERSION), **_versions()})
+        self._written = RecordingFile(self.file, {**description, "protocol": str(protocol.VERSION), **_versions()})
         self._alive = time.monotonic()
         self._epoch = time.time_ns()
         self._begun: float | None = None
@@ -445,11 +445,11 @@ class Recording:
             self._write()
         except OSError as error:
             self._broken = f"{self.file}: {error}"
-            self._tape.abandon()
+            self._written.abandon()
         except BaseException as error:  # whatever ends it, the car server has to know, and to go on without it
             self._broken = f"{self.file}: {type(error).__name__}: {error}"
             with suppress(OSError):
-                self._tape.close()
+                self._written.close()
 
     def _write(self) -> None:
         flushed = synced = time.monotonic()
@@ -465,18 +465,18 @@ class Recording:
                     self._add(*line)
             self._alive = now = time.monotonic()
             if now - synced > SYNC:
-                self._tape.sync()
+                self._written.sync()
                 flushed = synced = time.monotonic()
             elif now - flushed > FLUSH:
-                self._tape.flush()
+                self._written.flush()
                 flushed = now
-        self._tape.close()
+        self._written.close()
 
     def _add(self, topic: str, values: dict[str, Any]) -> None:
         data = json.dumps({k: _plain(v) for k, v in values.items()}, separators=(",", ":")).encode()
         if self._begun is None:
             self._begun = values["t"]
-        self._tape.add(topic, self._epoch + round((values["t"] - self._begun) * 1e9), data)
+        self._written.add(topic, self._epoch + round((values["t"] - self._begun) * 1e9), data)
 
 
 def _plain(value: Any) -> Any:
@@ -665,13 +665,13 @@ def repair(
     if place.exists() and not overwrite:
         raise FileExistsError(f"{place}: exists already; it is overwritten only with --overwrite")
     with atomic_write(place) as draft, ExitStack() as stack:
-        tape = RecordingFile(draft, {**recorded.metadata, "repaired": json.dumps(recorded.lost)})
-        stack.callback(tape.abandon)
+        new = RecordingFile(draft, {**recorded.metadata, "repaired": json.dumps(recorded.lost)})
+        stack.callback(new.abandon)
         for chunk in parts.chunks:
             for line in chunk.lines:
-                tape.add(line.topic, line.when, line.data, line.number)
-            tape.flush()
-        tape.close()
+                new.add(line.topic, line.when, line.data, line.number)
+            new.flush()
+        new.close()
     return recorded, place
 
 

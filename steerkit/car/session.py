@@ -134,8 +134,8 @@ def session(options: Options) -> Iterator[Session]:
                 started.append(process)
             here = Session(options, socket, channel)
             if options.simulated or not os.path.exists(socket) or not _answers(socket):
-                text = stack.enter_context(_claimed(tape := _tape(options.recording)))
-                here.recording, log = str(tape), text.name
+                text = stack.enter_context(_claimed(place := _new_recording(options.recording)))
+                here.recording, log = str(place), text.name
                 server = processes.start_car_server(
                     options.config,
                     socket,
@@ -196,29 +196,29 @@ def _answers(socket: str) -> bool:
     return True
 
 
-def _tape(recording: str) -> FilePath:
+def _new_recording(recording: str) -> FilePath:
     """A new file to record to; its folder is made."""
-    tape = FilePath(recording or f"runs/car-{time.strftime('%Y%m%d-%H%M%S')}.mcap")
-    if tape.exists():
-        raise ValueError(f"--recording {tape} exists already, and recordings are not overwritten; choose another name")
-    tape.parent.mkdir(parents=True, exist_ok=True)
-    return tape
+    place = FilePath(recording or f"runs/car-{time.strftime('%Y%m%d-%H%M%S')}.mcap")
+    if place.exists():
+        raise ValueError(f"--recording {place} exists already, and recordings are not overwritten; choose another name")
+    place.parent.mkdir(parents=True, exist_ok=True)
+    return place
 
 
 @contextlib.contextmanager
-def _claimed(tape: FilePath) -> Iterator[TextIO]:
+def _claimed(place: FilePath) -> Iterator[TextIO]:
     """The car server's log beside a new recording, open to write to; its first line says whose both are.
 
     Raises ValueError while another session has that name, naming its process. The lock on the log is shared with the
     car server that writes to it, and ends with the last of them, however they end.
     """
-    with tape.with_suffix(".log").open("a+", encoding="utf-8") as log:
+    with place.with_suffix(".log").open("a+", encoding="utf-8") as log:
         try:
             fcntl.flock(log, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as why:
             log.seek(0)
             whose = log.readline().strip().removeprefix(OF) or "another process"
-            raise ValueError(f"--recording {tape} is being written by {whose}; choose another name") from why
+            raise ValueError(f"--recording {place} is being written by {whose}; choose another name") from why
         log.truncate(0)
         print(f"{OF}{this_process()}", file=log, flush=True)
         yield log

@@ -28,8 +28,8 @@ DELAY = 0.25
 def recorded_world(folder: Path, **how: Any) -> World:
     config, path = setup()
     controller = make_controller(NAME, loops.design_model_of(config))
-    tape = recordings.Recording(folder / "drive.mcap", recordings.described(config, path))
-    world = World(controller=controller, tape=tape, **how)
+    recorder = recordings.Recording(folder / "drive.mcap", recordings.described(config, path))
+    world = World(controller=controller, recorder=recorder, **how)
     world.remark(Steers(name=NAME).text())
     return world
 
@@ -69,8 +69,8 @@ def test_what_it_found_outlasts_an_override_and_a_lost_pose_and_the_drive_replay
     world.until(world.t + 3.0)
     assert world.mode is Mode.ENGAGED, world.modes[-1]
     world.check_bus()
-    assert world.tape is not None
-    world.tape.close()
+    assert world.recorder is not None
+    world.recorder.close()
     recording = recordings.read(tmp_path / "drive.mcap")
     (drive,) = replays.drives(recording)
     notes = recording.of("/adapted")

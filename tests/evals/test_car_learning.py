@@ -117,8 +117,8 @@ def learned(folder: Path, monkeypatch: pytest.MonkeyPatch, seconds: float, **opt
     """A learning run, recorded in `folder`/drive.mcap."""
     config, _ = setup()
     metadata = {f"file:{name}": text for name, text in config.texts.items()}
-    tape = recordings.Recording(folder / "drive.mcap", metadata)
-    world = World(s=20.0, tape=tape)
+    recorder = recordings.Recording(folder / "drive.mcap", metadata)
+    world = World(s=20.0, recorder=recorder)
     monkeypatch.setattr(on_car, "Trainer", lambda nets: Beside(world, nets))
     with on_car.CarLearner(TINY, folder / "run", world.build, world, **options) as learner:
         learner.remark()  # as `run` does
@@ -130,7 +130,7 @@ def learned(folder: Path, monkeypatch: pytest.MonkeyPatch, seconds: float, **opt
         world.until(world.t + 0.3)
         world.order(Order.ENGAGE)
         world.until(world.t + 1.0)
-    tape.close()
+    recorder.close()
     return learner
 
 

@@ -20,8 +20,8 @@ from steerkit.scenario.catalogue import CONTROLLERS
 from tests.support.car_world import World, setup
 
 
-def engaged(block: Any, tape: recordings.Recording | None = None) -> World:
-    world = World(s=120.0, v=(5.0, 6.0), controller=block, tape=tape)
+def engaged(block: Any, recorder: recordings.Recording | None = None) -> World:
+    world = World(s=120.0, v=(5.0, 6.0), controller=block, recorder=recorder)
     world.remark(Steers(name="mpc").text())
     world.bring_to(Mode.ENGAGED)
     return world
@@ -44,10 +44,10 @@ def block_of(**changes: Any) -> Any:
 
 def test_it_drives_bends_through_the_gate_and_replays_bit_for_bit(tmp_path: Path) -> None:
     config, path = setup()
-    tape = recordings.Recording(tmp_path / "t.mcap", {f"file:{name}": text for name, text in config.texts.items()})
-    world = engaged(block_of(clock=None, budget=None), tape)
+    recorder = recordings.Recording(tmp_path / "t.mcap", {f"file:{name}": text for name, text in config.texts.items()})
+    world = engaged(block_of(clock=None, budget=None), recorder)
     seen = watched(world, 10.0)
-    tape.close()
+    recorder.close()
     assert world.mode is Mode.ENGAGED
     assert (seen["status"] == SOLVED).all()
     assert abs(seen["e"]).max() < 0.05

@@ -39,9 +39,9 @@ CONFIG = "dbw-kit.toml"
 def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[dict[str, Any]]:
     simulated, channel = processes.start_simulated(CONFIG, log=str(tmp_path / "car.jsonl"), listen=request.param)
     text = (tmp_path / "server.log").open("w")
-    socket, tape = str(tmp_path / "socket"), tmp_path / "drive.mcap"
-    server = processes.start_car_server(CONFIG, socket, recording=str(tape), channel=channel, log=text)
-    yield {"socket": socket, "tape": tape, "server": server, "simulated": simulated, "log": tmp_path / "car.jsonl"}
+    socket, record = str(tmp_path / "socket"), tmp_path / "drive.mcap"
+    server = processes.start_car_server(CONFIG, socket, recording=str(record), channel=channel, log=text)
+    yield {"socket": socket, "record": record, "server": server, "simulated": simulated, "log": tmp_path / "car.jsonl"}
     for process in (server, simulated):
         process.terminate()
         process.wait(20.0)
@@ -86,7 +86,7 @@ def test_drive_record_replay_and_an_orderly_end(bench: dict[str, Any], name: str
     bench["server"].terminate()
     assert bench["server"].wait(20.0) == 0
     assert engaged > 0
-    recorded = recordings.read(bench["tape"])
+    recorded = recordings.read(bench["record"])
     assert recorded.whole
     config = recordings.config_of(recorded)
     path = configured.course_of(config)
@@ -114,10 +114,10 @@ def test_kill_the_car_server(bench: dict[str, Any]) -> None:
         with pytest.raises(CarLost, match="car server"):
             link.query()
     last = bench["log"].stat().st_size
-    recorded = recordings.read(bench["tape"])
+    recorded = recordings.read(bench["record"])
     assert not recorded.whole
     assert recorded.of("/can/rx")
-    again = recordings.read(recordings.repair(bench["tape"])[1])
+    again = recordings.read(recordings.repair(bench["record"])[1])
     assert again.sound
     assert [repr(m) for m in again.messages] == [repr(m) for m in recorded.messages]
     assert last > 0
@@ -200,11 +200,11 @@ def test_a_full_disk_is_told_and_the_exit_code_says_so(tmp_path: Path, keep: boo
     """No file of the car server may grow beyond 40 kB; without frames it records a hundred ticks a second."""
     text = shipped(CONFIG).read_text()
     (tmp_path / "car.toml").write_text(text.replace("keep_recording = false", f"keep_recording = {str(keep).lower()}"))
-    socket, tape, log = str(tmp_path / "socket"), tmp_path / "drive.mcap", tmp_path / "server.log"
+    socket, record, log = str(tmp_path / "socket"), tmp_path / "drive.mcap", tmp_path / "server.log"
     with log.open("w") as stream:
         server = processes.start(
             "server",
-            {"config": str(tmp_path / "car.toml"), "channel": "virtual:x", "recording": str(tape), "socket": socket},
+            {"config": str(tmp_path / "car.toml"), "channel": "virtual:x", "recording": str(record), "socket": socket},
             stdout=stream,
             stderr=stream,
             preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, resource.RLIM_INFINITY)),
@@ -225,7 +225,7 @@ def test_a_full_disk_is_told_and_the_exit_code_says_so(tmp_path: Path, keep: boo
         server.terminate()
         assert server.wait(30.0) == 1
     assert "THE RECORDING IS NOT WHOLE" in log.read_text()
-    recorded = recordings.read(tape)
+    recorded = recordings.read(record)
     assert recorded.lost
     assert len(recorded.messages) > 20
 

@@ -77,15 +77,15 @@ class Made(NamedTuple):
     """A drive that has ended."""
 
     world: CalibratedWorld
-    tape: Path
+    record: Path
 
 
 def made(folder: Path, **more: Any) -> Made:
     """A guided drive from its beginning to its end, recorded."""
     file = folder / "drive.mcap"
     config = more.get("config", CONFIG)
-    tape = recordings.Recording(file, recordings.described(config, PATH))
-    world = CalibratedWorld(tape=tape, **more)
+    record = recordings.Recording(file, recordings.described(config, PATH))
+    world = CalibratedWorld(recorder=record, **more)
     world.drive()
-    tape.close()
+    record.close()
     return Made(world, file)

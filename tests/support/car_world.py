@@ -50,7 +50,7 @@ class World:
         seed: int = 0,
         controller: Block | None = None,
         doe: OutputElement | None = None,
-        tape: Recording | None = None,
+        recorder: Recording | None = None,
         config: CarConfig | None = None,
         path: Path | None = None,
         **untold: Any,
@@ -58,7 +58,7 @@ class World:
         self.config, self.path = setup()
         self.config, self.path = config or self.config, path or self.path
         self.car = processes.simulated_car(self.config, self.path, s=s, v_min=v[0], v_max=v[1], seed=seed, **untold)
-        self.tape = tape
+        self.recorder = recorder
         self.core = Core(self.config, self.path)
         self.t = 0.0
         self.sent: list[Sent] = []
@@ -139,8 +139,8 @@ class World:
             return
         outputs = self.core.handle(event)
         self.events.append((event, outputs))
-        if self.tape:
-            self.tape.event(event, outputs)
+        if self.recorder:
+            self.recorder.event(event, outputs)
         for out in outputs:
             match out:
                 case Send():

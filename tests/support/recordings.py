@@ -26,14 +26,14 @@ LINES = 24
 def small() -> bytes:
     """The file: READY, engaged, the recording "stops" for a moment, the human brakes, the process ends."""
     with TemporaryDirectory() as folder:
-        tape = recordings.Recording(Path(folder) / "raw.mcap", recordings.described(*setup()))
-        world = World(tape=tape)
+        recorder = recordings.Recording(Path(folder) / "raw.mcap", recordings.described(*setup()))
+        world = World(recorder=recorder)
         world.bring_to(Mode.ENGAGED)
         world.handle(RecordingFault(world.t, "a slow disk"))
         world.handle(RecordingFault(world.t, ""))
         world.until(world.t + 0.1)
-        tape.close()
-        assert not tape.failed
+        recorder.close()
+        assert not recorder.failed
         return chunked(contents((Path(folder) / "raw.mcap").read_bytes()), Path(folder) / "small.mcap").read_bytes()
 
 
@@ -49,13 +49,13 @@ def brief() -> bytes:
 
 def chunked(found: Contents, file: Path, description: dict[str, str] | None = None, count: int | None = None) -> Path:
     """The same messages in a new file, LINES to a chunk."""
-    tape = RecordingFile(file, found.description or {} if description is None else description)
+    recorder = RecordingFile(file, found.description or {} if description is None else description)
     lines = [line for chunk in found.chunks for line in chunk.lines][:count]
     for k, line in enumerate(lines, 1):
-        tape.add(line.topic, line.when, line.data)
+        recorder.add(line.topic, line.when, line.data)
         if k % LINES == 0:
-            tape.flush()
-    tape.close()
+            recorder.flush()
+    recorder.close()
     return file
 
 

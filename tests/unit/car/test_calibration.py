@@ -26,7 +26,7 @@ def test_all_waves_are_driven_within_the_gates_limits_and_near_the_course(calibr
 
 
 def test_its_recording_says_which_wave_was_on_top_and_replays_bit_for_bit(calibration: Made) -> None:
-    recorded = recordings.read(calibration.tape)
+    recorded = recordings.read(calibration.record)
     config = recordings.config_of(recorded)
     (drive,) = replays.drives(recorded)
     assert [steers.name for _, steers in drive.remarks] == [f"stanley+{wave}" for wave in SHARES]
@@ -35,7 +35,7 @@ def test_its_recording_says_which_wave_was_on_top_and_replays_bit_for_bit(calibr
 
 
 def test_the_estimates_are_recorded_once_a_second_and_come_out_bit_for_bit_again(calibration: Made) -> None:
-    recorded = recordings.read(calibration.tape)
+    recorded = recordings.read(calibration.record)
     (drive,) = replays.drives(recorded)
     estimators, same = replays.replayed_estimates(drive, recordings.config_of(recorded))
     told = recorded.of("/estimates")
@@ -47,7 +47,7 @@ def test_the_estimates_are_recorded_once_a_second_and_come_out_bit_for_bit_again
 
 
 def test_a_changed_sample_is_noticed_by_the_replay(calibration: Made) -> None:
-    recorded = recordings.read(calibration.tape)
+    recorded = recordings.read(calibration.record)
     (drive,) = replays.drives(recorded)
     one = drive.samples[400]
     assert one is not None

@@ -33,19 +33,19 @@ def after(before: dict[str, Estimated] | None = None, **found: tuple[float, floa
 @pytest.fixture(scope="session")
 def made(calibration: Made) -> Calibrated:
     """What is found in the recording of that drive, which takes seconds to work out."""
-    return module.of_recording(calibration.tape)
+    return module.of_recording(calibration.record)
 
 
 @pytest.fixture
-def tape(calibration: Made, made: Calibrated, monkeypatch: pytest.MonkeyPatch) -> Path:
+def record(calibration: Made, made: Calibrated, monkeypatch: pytest.MonkeyPatch) -> Path:
     """That recording, of which is known already what is found in it."""
-    monkeypatch.setattr(module, "of_recording", {calibration.tape: made}.__getitem__)
-    return calibration.tape
+    monkeypatch.setattr(module, "of_recording", {calibration.record: made}.__getitem__)
+    return calibration.record
 
 
-def test_the_file_is_a_car_and_its_steering(calibration: Made, tape: Path, tmp_path: Path) -> None:
+def test_the_file_is_a_car_and_its_steering(calibration: Made, record: Path, tmp_path: Path) -> None:
     out = tmp_path / "mine.toml"
-    figures = module.from_recording(tape, out)
+    figures = module.from_recording(record, out)
     car = vehicle(str(out))
     assert car.steer_ratio == pytest.approx(RATIO * CONFIG.vehicle.steer_ratio, rel=0.03)
     assert car == replace(CONFIG.vehicle, name="vw-passat-calibrated", steer_ratio=car.steer_ratio)
@@ -66,14 +66,14 @@ def test_the_file_is_a_car_and_its_steering(calibration: Made, tape: Path, tmp_p
 
 
 def test_a_second_drive_keeps_what_it_does_not_find_and_reports_what_has_changed(
-    tape: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    record: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "mine.toml"
     row = {"unit": "1", "source": "drive"}
     earlier = {"understeer": {"value": 0.002, "low": 0.0015, "high": 0.0025, **row}}
     earlier["steer_ratio"] = {"value": 15.0, "low": 14.9, "high": 15.1, **row}
     out.write_text(module.vehicle_text(CONFIG.vehicle, estimates=earlier), encoding="utf-8")
-    figures = module.from_recording(tape, out)
+    figures = module.from_recording(record, out)
     (said,) = figures["changes"]
     assert said.startswith("changed since the last calibration: steering ratio 15.00 [14.90, 15.10] then, 17.")
     assert said in capsys.readouterr().out
@@ -81,7 +81,7 @@ def test_a_second_drive_keeps_what_it_does_not_find_and_reports_what_has_changed
     assert data["estimates"]["understeer"]["value"] == 0.002
     assert data["estimates"]["understeer"]["source"] == "an earlier drive"
     assert data["provenance"]["changes"] == [said]
-    again = module.from_recording(tape, out)
+    again = module.from_recording(record, out)
     assert again["changes"] == []
     assert tomllib.loads(out.read_text(encoding="utf-8"))["estimates"]["understeer"]["source"] == "an earlier drive"
 
@@ -115,15 +115,15 @@ def test_dead_time_and_lag_are_given_as_a_pair() -> None:
 
 
 def test_a_disk_that_is_full_leaves_the_old_file_and_names_the_recording(
-    tape: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    record: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(module, "write_text", full)
     with pytest.raises(OSError, match="No space") as error:
-        module.from_recording(tape, tmp_path / "mine.toml", say=False)
-    assert f"--from {tape}" in error.value.__notes__[0]
+        module.from_recording(record, tmp_path / "mine.toml", say=False)
+    assert f"--from {record}" in error.value.__notes__[0]
 
 
 @pytest.mark.parametrize(
@@ -152,13 +152,13 @@ def test_from_the_command_line_as_json(
 ) -> None:
     out = tmp_path / "mine.toml"
     assert (
-        run("car", "calibrate", "--from", str(calibration.tape), "--out", str(out), "--json", monkeypatch=monkeypatch)
+        run("car", "calibrate", "--from", str(calibration.record), "--out", str(out), "--json", monkeypatch=monkeypatch)
         == 0
     )
     told = json.loads(capsys.readouterr().out)
     assert (told["vehicle_file"], out.is_file()) == (str(out), True)
     assert told["estimates"]["steer_ratio"]["valid"] is True
-    assert run("car", "replay", str(calibration.tape), monkeypatch=monkeypatch) == 0
+    assert run("car", "replay", str(calibration.record), monkeypatch=monkeypatch) == 0
     printed = capsys.readouterr().out
     estimates, same = re.search(r"estimates: (\d+) of (\d+) the same", printed).groups()  # type: ignore[union-attr]
     assert estimates == same != "0"

@@ -53,10 +53,10 @@ def test_every_kind_of_event_comes_back_as_it_was(tmp_path: Path) -> None:
         Tick(0.1 + 0.2),
         End(2.0, "stopped"),
     ]
-    tape = recordings.Recording(tmp_path / "t.mcap", {})
+    recorder = recordings.Recording(tmp_path / "t.mcap", {})
     for event in events:
-        tape.event(event, [Send(5, b"\x10"), Note("state", {"t": 1.0, "from": "A", "to": "B", "cause": "c"})])
-    tape.close()
+        recorder.event(event, [Send(5, b"\x10"), Note("state", {"t": 1.0, "from": "A", "to": "B", "cause": "c"})])
+    recorder.close()
     recorded = recordings.read(tmp_path / "t.mcap")
     assert list(recorded.events()) == events
     assert recorded.of("/can/tx")[0] == {"t": 1.5, "id": 5, "data": "10"}
@@ -64,11 +64,11 @@ def test_every_kind_of_event_comes_back_as_it_was(tmp_path: Path) -> None:
 
 
 def test_numbers_of_a_recording_come_back_bit_for_bit(tmp_path: Path) -> None:
-    tape = recordings.Recording(tmp_path / "t.mcap", {"a": "b"})
+    recorder = recordings.Recording(tmp_path / "t.mcap", {"a": "b"})
     odd = [0.1, 1 / 3, 5e-324, -0.0, math.inf, -math.inf, 1.7976931348623157e308]
     for value in odd:
-        tape.event(Tick(1.0), [Note("command", {"t": 1.0, "request": value, "sent": math.nan, "why": "inf"})])
-    tape.close()
+        recorder.event(Tick(1.0), [Note("command", {"t": 1.0, "request": value, "sent": math.nan, "why": "inf"})])
+    recorder.close()
     read = recordings.read(tmp_path / "t.mcap").of("/command")
     assert [struct.pack("<d", v["request"]) for v in read] == [struct.pack("<d", value) for value in odd]
     assert all(math.isnan(v["sent"]) for v in read)
@@ -90,8 +90,8 @@ def test_a_replay_that_sends_more_or_fewer_frames_is_not_exact(drive: Path) -> N
 
 @pytest.mark.parametrize(("keep", "mode"), [(False, Mode.ENGAGED), (True, Mode.FAULT)])
 def test_a_recording_that_stops_ends_the_drive_if_it_has_to_be_kept(keep: bool, mode: Mode, tmp_path: Path) -> None:
-    tape = recordings.Recording(tmp_path / "t.mcap", {})
-    world = World(tape=tape)
+    recorder = recordings.Recording(tmp_path / "t.mcap", {})
+    world = World(recorder=recorder)
     world.config = replace(world.config, keep_recording=keep)
     world.core.config = world.config
     world.bring_to(Mode.ENGAGED)
@@ -104,7 +104,7 @@ def test_a_recording_that_stops_ends_the_drive_if_it_has_to_be_kept(keep: bool, 
     world.handle(RecordingFault(world.t, ""))
     world.until(world.t + 0.1)
     assert keep or "no space" not in world.query().text
-    tape.close()
+    recorder.close()
     frames, equal = recordings.replayed_exactly(recordings.read(tmp_path / "t.mcap"), Core(world.config, world.path))
     assert frames == equal > 5
 
@@ -343,8 +343,8 @@ def test_what_is_different_from_then_is_told(drive: Path) -> None:
 
 def test_a_recording_in_use_is_looked_into_but_not_repaired(tmp_path: Path) -> None:
     file = tmp_path / "t.mcap"
-    tape = recordings.Recording(file, {"a": "b"})
-    tape.event(Tick(1.0), [])
+    recorder = recordings.Recording(file, {"a": "b"})
+    recorder.event(Tick(1.0), [])
     until(lambda: recordings.read(file).messages)
     recorded = recordings.read(file)
     assert recorded.in_use
@@ -353,7 +353,7 @@ def test_a_recording_in_use_is_looked_into_but_not_repaired(tmp_path: Path) -> N
     with pytest.raises(ValueError, match="is being written by a car server; repair it when that has ended"):
         recordings.repair(file)
     assert [f.name for f in tmp_path.iterdir()] == ["t.mcap"]
-    tape.close()
+    recorder.close()
     assert recordings.read(file).whole
 
 
@@ -373,10 +373,10 @@ def test_damage_in_a_recording_in_use_is_told_but_not_its_end_that_is_yet_to_com
 
 def test_the_operating_system_has_it_before_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recordings, "SYNC", 1e6)
-    tape = recordings.Recording(tmp_path / "t.mcap", {})
-    tape.event(Tick(1.0), [])
+    recorder = recordings.Recording(tmp_path / "t.mcap", {})
+    recorder.event(Tick(1.0), [])
     until(lambda: recordings.read(tmp_path / "t.mcap").messages)
-    tape.close()
+    recorder.close()
 
 
 def test_an_event_and_what_came_of_it_reach_the_operating_system_together(
@@ -384,11 +384,11 @@ def test_an_event_and_what_came_of_it_reach_the_operating_system_together(
 ) -> None:
     """So that a recording that ends with a kill replays exactly, to its last frame."""
     monkeypatch.setattr(recordings, "FLUSH", 0.0)
-    tape = recordings.Recording(tmp_path / "t.mcap", {})
+    recorder = recordings.Recording(tmp_path / "t.mcap", {})
     for k in range(50):
-        tape.event(Tick(float(k)), [Note("state", {"t": float(k)}), Note("command", {"t": float(k)})])
-    until(lambda: tape._queue.empty())
-    tape.close()
+        recorder.event(Tick(float(k)), [Note("state", {"t": float(k)}), Note("command", {"t": float(k)})])
+    until(lambda: recorder._queue.empty())
+    recorder.close()
     chunks = recordings.contents((tmp_path / "t.mcap").read_bytes()).chunks
     assert len(chunks) > 10
     assert {len(chunk.lines) % 3 for chunk in chunks} == {0}
@@ -398,33 +398,33 @@ def test_what_was_recorded_reaches_the_disk_without_an_end(tmp_path: Path, monke
     synced: list[int] = []
     monkeypatch.setattr(os, "fsync", lambda number: synced.append(os.fstat(number).st_size))
     file = tmp_path / "t.mcap"
-    tape = recordings.Recording(file, {})
+    recorder = recordings.Recording(file, {})
     begin = synced[-1]
-    tape.event(Tick(1.0), [])
+    recorder.event(Tick(1.0), [])
     until(lambda: synced[-1] > begin)
     assert file.read_bytes().endswith(b'{"t":1.0}')
     size = synced[-1]
-    tape.event(Tick(2.0), [])
+    recorder.event(Tick(2.0), [])
     until(lambda: synced[-1] > size)
     assert len(recordings.read(file).messages) == 2
-    tape.close()
+    recorder.close()
     assert synced[-1] == file.stat().st_size
     assert recordings.FLUSH < recordings.SYNC < 1.0
 
 
 def test_a_full_disk_is_told_and_what_was_there_stays_readable(tmp_path: Path) -> None:
-    tape = recordings.Recording(tmp_path / "t.mcap", {"x": "y" * 1000})
-    assert tape.failed == ""
+    recorder = recordings.Recording(tmp_path / "t.mcap", {"x": "y" * 1000})
+    assert recorder.failed == ""
     with full_disk(12_000):
         k = 0
-        while not tape.failed:
+        while not recorder.failed:
             k += 1
-            tape.event(Tick(0.01 * k), [])
+            recorder.event(Tick(0.01 * k), [])
             time.sleep(0.001)
-        tape.event(Tick(0.01 * k), [])
-        tape.close()
-    assert "t.mcap: [Errno 27] File too large" in tape.failed
-    assert tape._queue.qsize() < k
+        recorder.event(Tick(0.01 * k), [])
+        recorder.close()
+    assert "t.mcap: [Errno 27] File too large" in recorder.failed
+    assert recorder._queue.qsize() < k
     recorded = recordings.read(tmp_path / "t.mcap")
     assert recorded.lost
     assert [m.values["t"] for m in recorded.messages] == [0.01 * n for n in range(1, len(recorded.messages) + 1)]
@@ -438,20 +438,20 @@ def test_a_recording_that_cannot_even_begin_raises(tmp_path: Path) -> None:
 
 
 def test_a_thread_that_dies_of_anything_else_is_told_too(tmp_path: Path) -> None:
-    tape = recordings.Recording(tmp_path / "t.mcap", {})
-    tape.event(Tick(1.0), [Note("state", {"t": 1.0, "cause": object()})])
-    until(lambda: tape.failed)
-    assert "t.mcap: TypeError: Object of type object is not JSON serializable" in tape.failed
-    tape.event(Tick(2.0), [])
-    assert tape._queue.empty()
-    tape.close()
+    recorder = recordings.Recording(tmp_path / "t.mcap", {})
+    recorder.event(Tick(1.0), [Note("state", {"t": 1.0, "cause": object()})])
+    until(lambda: recorder.failed)
+    assert "t.mcap: TypeError: Object of type object is not JSON serializable" in recorder.failed
+    recorder.event(Tick(2.0), [])
+    assert recorder._queue.empty()
+    recorder.close()
     assert [m.values["t"] for m in recordings.read(tmp_path / "t.mcap").messages] == [1.0]
 
 
 def test_a_disk_that_does_not_answer_holds_up_nobody_and_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    tape = recordings.Recording(tmp_path / "t.mcap", {})
+    recorder = recordings.Recording(tmp_path / "t.mcap", {})
     answers, waiting = threading.Event(), threading.Event()
 
     def stuck(number: int) -> None:
@@ -459,31 +459,31 @@ def test_a_disk_that_does_not_answer_holds_up_nobody_and_is_told(
         answers.wait(60.0)
 
     monkeypatch.setattr(os, "fsync", stuck)
-    tape.event(Tick(0.0), [])
+    recorder.event(Tick(0.0), [])
     assert waiting.wait(60.0)
-    assert tape.failed == ""
+    assert recorder.failed == ""
     monkeypatch.setattr(recordings, "STALL", 0.0)
-    assert "the disk has not answered for more than 0 s" in tape.failed
+    assert "the disk has not answered for more than 0 s" in recorder.failed
     for k in range(1000):
-        tape.event(Tick(1.0 + k), [])
+        recorder.event(Tick(1.0 + k), [])
     monkeypatch.setattr(recordings, "STALL", 60.0)
-    assert tape.failed == ""
-    tape.close(timeout=0.0)
-    assert "its end could not be written within 0 s" in tape.failed
+    assert recorder.failed == ""
+    recorder.close(timeout=0.0)
+    assert "its end could not be written within 0 s" in recorder.failed
     answers.set()
-    tape._thread.join(60.0)
+    recorder._thread.join(60.0)
     assert len(recordings.read(tmp_path / "t.mcap").messages) == 1001
 
 
 def test_a_recording_ends_before_the_memory_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    tape = recordings.Recording(tmp_path / "t.mcap", {})
+    recorder = recordings.Recording(tmp_path / "t.mcap", {})
     monkeypatch.setattr(recordings, "BACKLOG", 50)
     answers = threading.Event()
     monkeypatch.setattr(os, "fsync", lambda number: answers.wait(60.0))
-    until(lambda: tape.event(Tick(0.0), []) or tape.failed)
-    assert "the disk does not keep up; 50 events wait for it" in tape.failed
-    waiting = tape._queue.qsize()
-    tape.event(Tick(0.0), [])
-    assert tape._queue.qsize() == waiting
+    until(lambda: recorder.event(Tick(0.0), []) or recorder.failed)
+    assert "the disk does not keep up; 50 events wait for it" in recorder.failed
+    waiting = recorder._queue.qsize()
+    recorder.event(Tick(0.0), [])
+    assert recorder._queue.qsize() == waiting
     answers.set()
-    tape.close()
+    recorder.close()

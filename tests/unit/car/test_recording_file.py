@@ -54,10 +54,10 @@ def test_other_programs_read_it_and_agree_with_its_sums() -> None:
 
 
 def test_what_was_flushed_is_read_by_other_programs_from_a_file_without_end(tmp_path: Path) -> None:
-    tape = recordings.RecordingFile(tmp_path / "t.mcap", {"a": "b"})
-    tape.add("/tick", 5, b'{"t":1.0}')
-    tape.flush()
-    tape.add("/tick", 6, b'{"t":2.0}')
+    recorder = recordings.RecordingFile(tmp_path / "t.mcap", {"a": "b"})
+    recorder.add("/tick", 5, b'{"t":1.0}')
+    recorder.flush()
+    recorder.add("/tick", 6, b'{"t":2.0}')
     records, stream = (
         list[Any](),
         StreamReader(io.BytesIO((tmp_path / "t.mcap").read_bytes()), validate_crcs=True).records,
@@ -68,7 +68,7 @@ def test_what_was_flushed_is_read_by_other_programs_from_a_file_without_end(tmp_
         *[b'{"t": 0.0, "texts": {"a": "b"}}'] * 2,
         b'{"t":1.0}',
     ]
-    tape.abandon()
+    recorder.abandon()
 
 
 def read(chunk: recordings.Chunk, *, place: bool = True) -> tuple[object, ...]:
@@ -221,17 +221,17 @@ def test_lengths_that_lie_cost_neither_memory_nor_a_second_look_at_everything(mo
 
 
 def test_a_long_message_closes_its_chunk(tmp_path: Path) -> None:
-    tape = recordings.RecordingFile(tmp_path / "t.mcap", {})
+    recorder = recordings.RecordingFile(tmp_path / "t.mcap", {})
     for k in range(3):
-        tape.add("/tick", k, json.dumps({"t": k, "x": "x" * recordings.CHUNK}).encode())
-    tape.close()
+        recorder.add("/tick", k, json.dumps({"t": k, "x": "x" * recordings.CHUNK}).encode())
+    recorder.close()
     assert [len(chunk.lines) for chunk in recordings.contents((tmp_path / "t.mcap").read_bytes()).chunks] == [1, 1, 1]
 
 
 def test_a_topic_of_another_version_is_kept(tmp_path: Path) -> None:
-    tape = recordings.RecordingFile(tmp_path / "t.mcap", {})
-    tape.add("/new", 1, b'{"t":1.0}')
-    tape.close()
+    recorder = recordings.RecordingFile(tmp_path / "t.mcap", {})
+    recorder.add("/new", 1, b'{"t":1.0}')
+    recorder.close()
     (chunk,) = recordings.contents((tmp_path / "t.mcap").read_bytes()).chunks
     assert chunk.lines[0].topic == "/new"
 

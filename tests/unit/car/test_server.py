@@ -161,8 +161,8 @@ def driving(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bus: Bus) -> CarSer
     """A car server on that bus, with a recording, ENGAGED by force."""
     monkeypatch.setattr(server, "_open", lambda *words: bus)
     config = replace(load("dbw-kit.toml"), bus={"interface": "virtual", "channel": "x"})
-    tape = Recording(tmp_path / "drive.mcap", {})
-    running = CarServer(config, course("paper"), str(tmp_path / "socket"), recording=tape)
+    recorder = Recording(tmp_path / "drive.mcap", {})
+    running = CarServer(config, course("paper"), str(tmp_path / "socket"), recording=recorder)
     running.core.machine = Machine(Mode.ENGAGED, "by force", running.clock.now())
     return running
 

@@ -39,7 +39,7 @@ def test_every_kind_of_file_gives_the_same_drive(clean: dict[str, Any], tmp_path
         assert len(read.digest) == 64
 
 
-def taped(file: Path, columns: dict[str, Any], *, spoilt: int = 0) -> None:
+def recorded_frames(file: Path, columns: dict[str, Any], *, spoilt: int = 0) -> None:
     """Frames of the shipped configuration, written as the car server writes them; every `spoilt`-th has a bit
     that turned over on the way."""
     from steerkit.car import recording
@@ -47,7 +47,7 @@ def taped(file: Path, columns: dict[str, Any], *, spoilt: int = 0) -> None:
     from steerkit.car.core import Frame
 
     car = load("dbw-kit.toml")
-    tape = recording.Recording(file, {f"file:{name}": text for name, text in car.texts.items()})
+    recorder = recording.Recording(file, {f"file:{name}": text for name, text in car.texts.items()})
     writers = car.readers
     for k in range(len(columns["t"])):
         t = 100.0 + columns["t"][k]
@@ -58,15 +58,15 @@ def taped(file: Path, columns: dict[str, Any], *, spoilt: int = 0) -> None:
             data = writer.write(full, count=k)
             if spoilt and k % spoilt == spoilt - 1 and writer.crc:
                 data = bytes([data[0], data[1] ^ 0x10, *data[2:]])
-            tape.event(Frame(t, t, writer.frame_id, data), [])
-    tape.close()
+            recorder.event(Frame(t, t, writer.frame_id, data), [])
+    recorder.close()
 
 
 def test_a_recording_of_the_real_cars_server(tmp_path: Path) -> None:
     """As it was written, and cut off at the end."""
     pytest.importorskip("mcap")
     columns = driven(seconds=40.0)
-    taped(tmp_path / "a.mcap", columns)
+    recorded_frames(tmp_path / "a.mcap", columns)
     whole = (tmp_path / "a.mcap").read_bytes()
     (tmp_path / "cut.mcap").write_bytes(whole[: int(0.9 * len(whole))])
     drive, cut = (read_drive(tmp_path / name) for name in ("a.mcap", "cut.mcap"))
@@ -83,7 +83,7 @@ def test_frames_that_were_spoilt_on_the_way_are_left_out(tmp_path: Path) -> None
     """One bit in every 40th frame: the checksum tells, and what is read is what was driven."""
     pytest.importorskip("mcap")
     columns = driven(seconds=40.0)
-    taped(tmp_path / "a.mcap", columns, spoilt=40)
+    recorded_frames(tmp_path / "a.mcap", columns, spoilt=40)
     drive, same = read_drive(tmp_path / "a.mcap"), Drive.of(**columns)
     assert any("left out" in note and "broken" in note for note in drive.notes)
     n = min(len(drive.v), len(same.v)) - 1
