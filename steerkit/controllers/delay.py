@@ -129,7 +129,7 @@ class DelayPredictor(Block):
         sent = m.where(m.is_finite(y.delta_sw), y.delta_sw, u.delta_sw_meas)
         commands, v = (*x[n + self._kept :], sent), m.maximum(u.v, 0.0)
         if self.model.slew is None:
-            model: State = (self.model.yaw_rate_after(x[n], u.delta_sw_meas, v),)
+            model: State = (self.model.yaw_rate_after(x[n], u.delta_sw_meas, v, self.dt),)
         else:  # how far a slow wheel got within the sample is known at its end
             off = x[n + 3] + _TRUST * (u.delta_sw_meas - x[n + 2] - x[n + 3])
             own = self.model.wheel_after(x[n + 2], commands, v)
@@ -141,7 +141,7 @@ class DelayPredictor(Block):
         _, n = self._inner
         if self.model.slew is None:
             return x[n]
-        return self.model.yaw_rate_after(x[n], 0.5 * (x[n + 1] + u.delta_sw_meas), m.maximum(u.v, 0.0))
+        return self.model.yaw_rate_after(x[n], 0.5 * (x[n + 1] + u.delta_sw_meas), m.maximum(u.v, 0.0), self.dt)
 
     def _ahead(self, ports: Any, x: State, u: Any) -> Any:
         """The wrapped block's inputs when the next command has arrived."""

@@ -271,7 +271,7 @@ class SafetyFilter(Block):
         part, slowly, planned = self.dt / _ADAPT, self.dt / _WANDERS, y.share < 1.0
         left = (x[1] - x[6]) ** 2
         after = (
-            self._model.yaw_rate_after(x[0], u.delta_sw_meas, m.maximum(u.v, 0.0)),
+            self._model.yaw_rate_after(x[0], u.delta_sw_meas, m.maximum(u.v, 0.0), self.dt),
             x[1] + part * (u.r - x[0] - x[1]),
             x[2] + part * (u.r - x[2]),
             u.delta_sw_meas,

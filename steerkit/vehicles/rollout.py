@@ -148,16 +148,14 @@ class Rollout:
             wheel = wheel + self.turned(wheel, command, h, self.fastest(v))
         return wheel
 
-    def yaw_rate_after(self, r: Scalar, wheel: Scalar, v: Scalar) -> Scalar:
-        """The yaw rate [rad/s] of this model dt after it was r, with this wheel [rad]."""
-        steady = yaw_gain(v, self.wheelbase, self.understeer) * m.tan(wheel / self.steer_ratio)
-        return steady + (r - steady) * self._fade(v, self.dt)
+    def yaw_rate_after(self, r: Scalar, wheel: Scalar, v: Scalar, h: Scalar, wrong: Scalar = 0.0) -> Scalar:
+        """The yaw rate [rad/s] h [s] after it was r, with this wheel [rad]."""
+        steady = yaw_gain(v, self.wheelbase, self.understeer) * m.tan(wheel / self.steer_ratio) + wrong
+        return steady + (r - steady) * m.exp(-1.0 / (self.yaw_time * m.maximum(v, SLOWEST)) * h)
 
     def moved(self, now: Motion, h: Scalar, turned: Scalar, kappa: Scalar, v: Scalar, wrong: Scalar) -> Motion:
         """The motion h [s] later, in which the wheel turns so far [rad], on a path of kappa [1/m]."""
-        delta = (now.wheel + 0.5 * turned) / self.steer_ratio
-        steady = yaw_gain(v, self.wheelbase, self.understeer) * m.tan(delta) + wrong
-        r = steady + (now.r - steady) * self._fade(v, h)
+        r = self.yaw_rate_after(now.r, now.wheel + 0.5 * turned, v, h, wrong)
         lever = self.reference + self.l_r - self.rear_slip * v * v
         return Motion(*beside(now.e, now.psi_e, h, v, 0.5 * (now.r + r), lever, kappa), r, now.wheel + turned)
 
@@ -194,10 +192,6 @@ class Rollout:
             kappa = m.where(going > 0.5, ahead, kappa)
             going = m.where(m.absolute(gap) > step, going, 0.0)
         return now, kappa
-
-    def _fade(self, v: Scalar, h: Scalar) -> Scalar:
-        """What is left after h [s] of a yaw rate that is not the steady one [1]."""
-        return m.exp(-1.0 / (self.yaw_time * m.maximum(v, SLOWEST)) * h)
 
 
 def beside(

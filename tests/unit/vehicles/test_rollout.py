@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from steerkit.car.gate import gate
 from steerkit.diagram.units import radians_of
-from steerkit.vehicles.rollout import GateLimits, GateModel, slewed
+from steerkit.vehicles.rollout import GateLimits, GateModel, Rollout, beside, lag_share, on_their_way, slewed
 
 DT = 0.05
 
@@ -97,3 +97,42 @@ def test_a_slew_is_how_fast_the_angle_of_a_steady_bend_may_change() -> None:
     assert slewed(0.1, 5.0, 20.0, **car) == 0.1
     assert slewed(9.6, None, 20.0, **car) == 9.6
     assert slewed(9.6, 5.0, 0.0, **car) == 9.6
+
+
+@pytest.mark.parametrize(
+    ("delay", "spans"), [(0.0, ()), (0.05, (0.05,)), (0.12, (0.02, 0.05, 0.05)), (0.15, (0.05, 0.05, 0.05))]
+)
+def test_the_commands_on_their_way_act_for_the_delay_in_all(delay: float, spans: tuple[float, ...]) -> None:
+    assert on_their_way(delay, DT) == pytest.approx(spans)
+    pieces = Rollout(delay=delay, lag=0.08).pieces
+    assert [piece.h for piece in pieces] == pytest.approx([*spans, 0.04, 0.04])
+    assert pieces[-1].middle == pytest.approx(delay + 0.06)
+    assert [piece.command for piece in pieces] == [*range(len(spans)), *[max(len(spans), 1) - 1] * 2]
+
+
+def test_a_lag_goes_its_share_and_none_goes_all_the_way() -> None:
+    assert lag_share(0.05, 0.1) == pytest.approx(1.0 - math.exp(-0.5))
+    assert (lag_share(0.05, 0.0), lag_share(0.0, 0.0)) == (1.0, 0.0)
+
+
+@pytest.mark.parametrize("e", [0.0, 2.0, -3.0])
+def test_a_car_on_a_circle_beside_a_circle_stays_there(e: float) -> None:
+    """About the same centre, e to the left of the path: r = v/(R - e)."""
+    v, radius = 5.0, 20.0
+    found = beside(e, 0.0, 0.3, v, v / (radius - e), 0.0, 1.0 / radius)
+    assert found == pytest.approx((e, 0.0), abs=1e-12)
+    assert beside(-e, 0.0, 0.3, v, -v / (radius - e), 0.0, -1.0 / radius) == (-found[0], -found[1])
+
+
+@pytest.mark.parametrize("points", [1, 3])
+def test_the_preview_is_linear_between_its_entries_and_holds_its_last(points: int) -> None:
+    preview, model = (0.01, 0.03, 0.02)[:points], Rollout(preview_dt=0.1)
+    times = [0.0, 0.05, 0.1, 0.15, 0.2, 0.9]
+    assert [model.kappa(preview, t) for t in times] == pytest.approx(np.interp(times, 0.1 * np.arange(points), preview))
+
+
+@pytest.mark.parametrize("field", ["delay", "lag", "wheelbase", "yaw_time", "rate_limit", "dt", "preview_dt", "slew"])
+@pytest.mark.parametrize("value", [-0.1, math.nan])
+def test_a_model_that_no_car_has_is_refused(field: str, value: float) -> None:
+    with pytest.raises(ValueError, match=f"Rollout: {field} = {value}"):
+        Rollout(**{field: value})  # type: ignore[arg-type]
