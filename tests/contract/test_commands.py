@@ -14,15 +14,15 @@ import subprocess
 import sys
 import tempfile
 import time
-import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from tests.support import programs
 from tests.support.compilers import optimising
 from tests.support.places import ROOT
-from tests.support.shell_lines import EXAMPLE, EXAMPLES, FITTED, PAGES, Step, blocks, learner_state, lines_of, table
+from tests.support.shell_lines import EXAMPLE, EXAMPLES, FITTED, PAGES, Step, blocks, lines_of, steps_of, table
 
 OTHER_PACKAGES = {"train_with_stable_baselines3.py": "stable_baselines3"}
 """What an example needs beyond the extra `dev`."""
@@ -31,22 +31,14 @@ PATIENCE = 300.0
 
 
 @pytest.fixture(scope="session")
-def programs(python: tuple[str, ...], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with `python` and `steerkit`, which run this interpreter: what a virtual environment has.
-
-    `cold-steerkit` is a child of the shell that starts it, for what asks which shell that is.
-    """
+def bin_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with `python` and `steerkit`, which run this interpreter: what a virtual environment has."""
     folder = tmp_path_factory.mktemp("bin")
-    entry = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["scripts"]["steerkit"]
-    module, function = entry.split(":")
-    guarded = f'if __name__ == "__main__":\n    {function}()\n'  # as pip writes it: a training process imports it again
-    (folder / "entry").mkdir()
-    entry_point = folder / "entry" / "steerkit"
-    entry_point.write_text(f"from {module} import {function}\n{guarded}")
-    all_words = {"python": python, "steerkit": (*python, str(entry_point))}
-    all_words["cold-steerkit"] = (sys.executable, str(entry_point))
-    for name, words in all_words.items():
-        (folder / name).write_text(f'#!/bin/sh\nexec {shlex.join(words)} "$@"\n')
+    (folder / "python").write_text(f'#!/bin/sh\nexec {sys.executable} "$@"\n')
+    # guarded as pip writes it: a training process imports it again
+    guarded = 'from steerkit.cli.app import main\nif __name__ == "__main__":\n    main()\n'
+    (folder / "steerkit").write_text(f"#!{sys.executable}\n{guarded}")
+    for name in ("python", "steerkit"):
         (folder / name).chmod(0o755)
     return folder
 
@@ -55,13 +47,13 @@ class Shell:
     """A bash in a folder of its own, and the programs that it has left running."""
 
     def __init__(self, folder: Path, programs: Path):
-        self.folder = folder
+        self.folder, self.programs = folder, programs
         self.values: dict[str, str] = {}
         """What lines have printed and later lines need, by name."""
         self.running: list[subprocess.Popen[str]] = []
         self.environment = {
             **os.environ,
-            "PATH": f"{programs}{os.pathsep}{os.environ['PATH']}",
+            "PATH": f"{self.programs}{os.pathsep}{os.environ['PATH']}",
             "PYTHONPATH": os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH")))),
             "CHECKOUT": str(ROOT),
             "XDG_RUNTIME_DIR": str(folder),
@@ -85,7 +77,12 @@ class Shell:
             )
 
     def run(self, line: str) -> subprocess.CompletedProcess[str]:
-        """Run a line to its end."""
+        """Run a line to its end: a command alone in a fork of this process, any other in bash."""
+        command = re.match("steerkit |python ", line)
+        if command and not re.search(r"[|;&<>$*`]", line):
+            name, *words = shlex.split(line)
+            words = [str(self.programs / "steerkit"), *words] if name == "steerkit" else words
+            return programs.python(*words, folder=self.folder, environment=self.environment, seconds=PATIENCE)
         return subprocess.run(
             ["bash", "-c", f"set -o pipefail; {line}\nexit $?"],  # bash stays: a program may ask which shell it is in
             cwd=self.folder,
@@ -106,11 +103,11 @@ class Shell:
 
 
 @pytest.fixture
-def shell(programs: Path) -> Iterator[Shell]:
+def shell(bin_folder: Path) -> Iterator[Shell]:
     """A shell in an empty folder whose path is short enough for a socket."""
     with (
         tempfile.TemporaryDirectory(prefix="steerkit-") as folder,
-        contextlib.closing(Shell(Path(folder), programs)) as it,
+        contextlib.closing(Shell(Path(folder), bin_folder)) as it,
     ):
         yield it
 
@@ -119,10 +116,10 @@ def shell(programs: Path) -> Iterator[Shell]:
 
 
 @pytest.fixture(scope="session")
-def learned(programs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def learned(bin_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A short learning run's directory."""
     folder = tmp_path_factory.mktemp("learned")
-    done = Shell(folder, programs).run("steerkit learn --course circle --seed 3 --minutes 0.2 --quiet --out run")
+    done = Shell(folder, bin_folder).run("steerkit learn --course circle --seed 3 --minutes 0.2 --quiet --out run")
     assert done.returncode == 0, done.stderr
     return folder / "run"
 
@@ -135,7 +132,7 @@ WRITTEN_BY = {
 """Files that Python blocks of a page write: the page under docs, and a word that only those blocks have."""
 
 
-def make(name: str, folder: Path, learned: Path, python: tuple[str, ...]) -> None:
+def make(name: str, folder: Path, learned: Path) -> None:
     """Make a file that a line needs."""
     if name in ("runs/default-paper-clean-seed3", "runs/mine", "runs/car", "my-run"):
         shutil.copytree(learned, folder / name)
@@ -154,7 +151,7 @@ def make(name: str, folder: Path, learned: Path, python: tuple[str, ...]) -> Non
         page, word = WRITTEN_BY[name]
         codes = [code for language, code in blocks(ROOT / "docs" / page) if language == "python" and word in code]
         environment = {**os.environ, "MPLBACKEND": "agg"}
-        subprocess.run([*python, "-c", "\n".join(codes)], cwd=folder, env=environment, timeout=PATIENCE, check=True)
+        programs.python("-c", "\n".join(codes), folder=folder, environment=environment).check_returncode()
     elif name in ("tests", "examples"):
         (folder / name).symlink_to(ROOT / name)
     else:
@@ -207,16 +204,16 @@ def started(step: Step, line: str, shell: Shell) -> str:
 
 
 @pytest.mark.parametrize(
-    "page", [page for page in PAGES if any(learner_state(page))], ids=lambda page: str(page.relative_to(ROOT))
+    "page", [page for page in PAGES if any(steps_of(page))], ids=lambda page: str(page.relative_to(ROOT))
 )
 def test_the_shell_lines_of_a_page_run_in_their_order(page: Path, shell: Shell, request: pytest.FixtureRequest) -> None:
     if page.stem in FITTED:
         shell.environment["CC"] = optimising()
     faults = []
-    for step in learner_state(page):
+    for step in steps_of(page):
         for name in step.needs:
             if not (shell.folder / name).exists():
-                make(name, shell.folder, request.getfixturevalue("learned"), request.getfixturevalue("python"))
+                make(name, shell.folder, request.getfixturevalue("learned"))
         faults.append(carried_out(step, shell))
     assert not any(faults), "\n\n".join(filter(None, faults))
 
@@ -230,7 +227,7 @@ def test_the_table_names_only_lines_that_a_page_shows() -> None:
 def test_a_study_is_run_in_its_quick_form() -> None:
     """As it stands, a study measures for minutes or hours."""
     for page in PAGES:
-        for step in learner_state(page):
+        for step in steps_of(page):
             if "benchmarks study" in step.run:
                 assert "--quick" in step.run or step.run.endswith("--list"), (
                     f"{step.run}: tests/support/shell_lines.toml"
@@ -240,7 +237,7 @@ def test_a_study_is_run_in_its_quick_form() -> None:
 def test_a_suite_is_run_in_a_part() -> None:
     """As it stands, a suite drives for minutes or hours; the golden one is made to take seconds."""
     for page in PAGES:
-        for step in learner_state(page):
+        for step in steps_of(page):
             if "benchmarks run" in step.run and "--backend dask" not in step.run:
                 part = " run golden" in step.run or ("--only" in step.run and "--seeds 1" in step.run)
                 assert part, f"{page.name}: {step.run}: tests/support/shell_lines.toml"
@@ -249,7 +246,7 @@ def test_a_suite_is_run_in_a_part() -> None:
 def test_a_learning_run_is_a_short_one() -> None:
     """As it stands, `steerkit learn` drives for eleven minutes, a minute's computing."""
     for page in PAGES:
-        for step in learner_state(page):
+        for step in steps_of(page):
             if "steerkit learn" in step.run and "--help" not in step.run:
                 minutes = re.search(r"--minutes \+?([0-9.]+)", step.run)
                 assert minutes, f"{page.name}: {step.run}: tests/support/shell_lines.toml"
@@ -279,7 +276,7 @@ def test_a_line_that_fails_would_be_found(shell: Shell) -> None:
 def test_an_example_has_a_quick_form(script: str, shell: Shell) -> None:
     if script in OTHER_PACKAGES:
         pytest.importorskip(OTHER_PACKAGES[script])
-    make("examples", shell.folder, Path(), ())
+    make("examples", shell.folder, Path())
     assert carried_out(Step(shown="", run=EXAMPLE.format(script), prints="."), shell) == ""
 
 

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support import programs
 from tests.support.browser import BROWSER
 from tests.support.compilers import optimising
 from tests.support.house import modules
@@ -48,13 +49,16 @@ CODE = [page for page in PAGES if page != GALLERY and any(language == "python" f
 
 @pytest.mark.parametrize("page", CODE, ids=name_of)
 def test_python_blocks_run_in_their_order_and_print_what_is_shown(
-    page: Path, python: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A `text` block right after a `python` block is its output."""
     if page.stem in FITTED:
         monkeypatch.setenv("CC", optimising())
     fenced = blocks(page)
-    done = run_in(tmp_path, *python, "-c", "\n".join(text for language, text in fenced if language == "python"))
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    monkeypatch.setenv("COLUMNS", "120")
+    code = "\n".join(text for language, text in fenced if language == "python")
+    done = programs.python("-c", code, folder=tmp_path)
     assert done.returncode == 0, done.stderr
     written = page.read_text(encoding="utf-8")
     between = BLOCK.split(written)[::3]

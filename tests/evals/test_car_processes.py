@@ -30,6 +30,7 @@ from steerkit.car.core import Core
 from steerkit.car.ports import BusPort, open_bus
 from steerkit.car.server import CarServer
 from steerkit.car.state_machine import Mode, Order
+from tests.support import programs
 from tests.support.programs import alive
 
 CONFIG = "dbw-kit.toml"
@@ -252,9 +253,7 @@ def test_a_drive_whose_recording_failed_ends_with_exit_code_2(tmp_path: Path, wo
     assert recordings.read(tmp_path / "drive.mcap").lost
 
 
-def test_a_recording_that_is_being_written_is_refused_and_its_process_named(
-    tmp_path: Path, python: tuple[str, ...]
-) -> None:
+def test_a_recording_that_is_being_written_is_refused_and_its_process_named(tmp_path: Path) -> None:
     words = ["-m", "steerkit", "drive", "stanley", "--car", CONFIG, "--simulated", "--quiet"]
     words += ["--recording", "drive.mcap"]
     log = tmp_path / "drive.log"
@@ -264,7 +263,7 @@ def test_a_recording_that_is_being_written_is_refused_and_its_process_named(
                 while not (tmp_path / "drive.mcap" if tape_there else log).exists() or not log.read_text():
                     assert first.poll() is None
                     time.sleep(0.01)
-                second = subprocess.run([*python, *words], cwd=tmp_path, capture_output=True, text=True, timeout=180.0)
+                second = programs.python(*words, folder=tmp_path)
                 assert second.returncode == 2
                 assert "drive.mcap" in second.stderr
             assert log.read_text().startswith(f"session: process {first.pid} (__main__.py drive stanley --car ")

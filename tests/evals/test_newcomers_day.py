@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 
 from tests.support.newcomers_day import DAY, bring_files, do
 
 
-def test_a_newcomers_day_from_the_first_command_to_the_last(python: tuple[str, ...], tmp_path: Path) -> None:
+def test_a_newcomers_day_from_the_first_command_to_the_last(tmp_path: Path) -> None:
     """Course, car, controller and output element of one's own; learn, stop, go on; compare, film, export, report."""
     bring_files(tmp_path)
     held: dict[Path, bytes] = {}
     for command in DAY:
-        do(command, [*python, "-m", "steerkit"], tmp_path, os.environ)
+        do(command, [sys.executable, "-m", "steerkit"], tmp_path, os.environ)
         changed = [file.name for file, content in held.items() if file.read_bytes() != content]
         assert not changed, f"steerkit {command.line} changed what was there: {changed}"
         # nets and results that exist are gone on with, never made anew

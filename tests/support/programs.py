@@ -1,7 +1,22 @@
-"""Programs that tests start."""
+"""Programs that tests start: as a fork of this process, which has imported what they need already, or as any other."""
 
 from __future__ import annotations
 
+import atexit
+import contextlib
+import os
+import runpy
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import types
+import warnings
+import weakref
+from collections.abc import Mapping, Sequence
+from multiprocessing import util
 from pathlib import Path
 
 
@@ -11,3 +26,86 @@ def alive(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rsplit(")")[1].split()[0] != "Z"
     except OSError:
         return False
+
+
+def python(
+    *words: str, folder: Path, environment: Mapping[str, str] = os.environ, seconds: float = 300.0
+) -> subprocess.CompletedProcess[str]:
+    """What `python WORDS` does and prints, in a fork of this process: its imports are there, all else is its own.
+
+    words: `-m MODULE ...`, `-c CODE ...` or `FILE ...`. What depends on a start from nothing (the time that it takes, a
+    terminal, signals, a program that stays) starts `sys.executable` instead. Raises subprocess.TimeoutExpired.
+    """
+    with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
+        child = os.fork()
+        if child == 0:
+            _become(words, folder, dict(environment), (out.fileno(), err.fileno()))
+        end = time.monotonic() + seconds
+        while (ended := os.waitpid(child, os.WNOHANG))[0] == 0:
+            if time.monotonic() > end:
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(child, signal.SIGKILL)
+                os.waitpid(child, 0)
+                raise subprocess.TimeoutExpired(words, seconds)
+            time.sleep(0.005)
+        out.seek(0)
+        err.seek(0)
+        return subprocess.CompletedProcess(words, os.waitstatus_to_exitcode(ended[1]), out.read(), err.read())
+
+
+def _become(words: Sequence[str], folder: Path, environment: dict[str, str], streams: tuple[int, int]) -> None:
+    """In the fork: the program, from its first line to its end; never returns."""
+    code = 1
+    try:
+        # whatever this process would do at its end (remove temporary folders, say) is not for the fork to do
+        atexit._clear()
+        weakref.finalize._registry.clear()  # type: ignore[attr-defined]
+        util._finalizer_registry.clear()  # type: ignore[attr-defined]
+        os.setsid()
+        os.chdir(folder)
+        with open(os.devnull, "rb") as nothing:
+            os.dup2(nothing.fileno(), 0)
+        for number, stream in enumerate(streams, start=1):
+            os.dup2(stream, number)
+        sys.stdin = os.fdopen(0, closefd=False, encoding="utf-8")
+        sys.stdout, sys.stderr = (os.fdopen(number, "w", closefd=False, encoding="utf-8") for number in (1, 2))
+        os.environ.clear()
+        os.environ.update(environment)
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        warnings.resetwarnings()
+        warnings.filterwarnings("ignore", category=DeprecationWarning)
+        warnings.showwarning = warnings._showwarning_orig  # type: ignore[attr-defined]
+        sys.path[:0] = [str(folder), *filter(None, environment.get("PYTHONPATH", "").split(os.pathsep))]
+        code = _ended(words)
+        threading._shutdown()  # type: ignore[attr-defined]  # waits for threads, as the interpreter does
+        atexit._run_exitfuncs()
+    except BaseException:
+        sys.excepthook(*sys.exc_info())
+    finally:
+        with contextlib.suppress(OSError, ValueError):
+            sys.stdout.flush()
+            sys.stderr.flush()
+        os._exit(code & 0xFF)
+
+
+def _ended(words: Sequence[str]) -> int:
+    """Run the program; its exit code."""
+    kind, *rest = words
+    try:
+        if kind == "-m":
+            sys.argv = rest
+            sys.modules.pop(rest[0] + ".__main__", None)
+            runpy.run_module(rest[0], run_name="__main__", alter_sys=True)
+        elif kind == "-c":
+            sys.argv = ["-c", *rest[1:]]
+            main = sys.modules["__main__"] = types.ModuleType("__main__")
+            exec(compile(rest[0], "<string>", "exec"), vars(main))
+        else:
+            sys.argv = list(words)
+            runpy.run_path(kind, run_name="__main__")
+    except SystemExit as stop:
+        if stop.code is None or isinstance(stop.code, int):
+            return stop.code or 0
+        print(stop.code, file=sys.stderr)
+        return 1
+    return 0

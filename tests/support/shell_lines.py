@@ -81,7 +81,7 @@ def table() -> tuple[dict[str, Step], dict[str, str]]:
     return {s.shown: s for s in steps}, reasons
 
 
-def learner_state(page: Path) -> Iterator[Step]:
+def steps_of(page: Path) -> Iterator[Step]:
     """What is run of a page, in its order: each line in its short form or, if the table does not know it, as it stands.
 
     What has been run in the same form for an earlier page, or as a study or an example, is not run again.

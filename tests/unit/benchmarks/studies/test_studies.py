@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 
 from benchmarks import studies
+from tests.support import programs
 from tests.support.compilers import optimising
 from tests.support.places import ROOT
 
@@ -77,9 +78,8 @@ DRIVEN_FOR_LONG = ("throughput", "vehicle_state")
 """Studies whose loops drive for longer, in their quick forms, than it takes to optimise them."""
 
 
-def called(python: tuple[str, ...], *words: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    command = [*python, "-m", "benchmarks", "study", *words]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300.0)
+def called(*words: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    return programs.python("-m", "benchmarks", "study", *words, folder=folder)
 
 
 def test_the_list_says_what_each_measures_and_imports_none() -> None:
@@ -94,13 +94,13 @@ def test_the_list_says_what_each_measures_and_imports_none() -> None:
 
 @pytest.mark.parametrize("name", sorted(KEYS))
 def test_the_quick_form_runs_as_a_process_and_prints_its_figures_last(
-    name: str, python: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if name in DRIVEN_FOR_LONG:
         monkeypatch.setenv("CC", optimising())
     if name == "gym_steps":
         pytest.importorskip("gymnasium")
-    done = called(python, name, "--quick", "--json", folder=tmp_path)
+    done = called(name, "--quick", "--json", folder=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
     figures = json.loads(done.stdout.splitlines()[-1], parse_constant=lambda word: pytest.fail(f"{word} is no JSON"))
     assert figures.keys() >= KEYS[name]
@@ -235,8 +235,8 @@ def test_work_that_is_not_equal_does_not_count() -> None:
         (["learning", "--setting", "defaul"], 2, "invalid choice: 'defaul'"),
     ],
 )
-def test_mistakes(words: list[str], code: int, message: str, python: tuple[str, ...], tmp_path: Path) -> None:
-    done = called(python, *words, folder=tmp_path)
+def test_mistakes(words: list[str], code: int, message: str, tmp_path: Path) -> None:
+    done = called(*words, folder=tmp_path)
     assert done.returncode == code
     assert message in done.stderr
     assert "Traceback" not in done.stderr
