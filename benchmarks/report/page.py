@@ -119,7 +119,6 @@ def suite(results: Results, name: str, look: dict[str, figures.Look]) -> dict[st
     cases = [case for case in results.cases if case.suite == name]
     done = [case for case in cases if case.status == "done"]
     columns, rows = parts.leaderboard(cases)
-    reference = parts.reference_of(parts.controllers(done))
     learners, learned = learning.costs(done)
     return {
         "name": name,
@@ -130,8 +129,6 @@ def suite(results: Results, name: str, look: dict[str, figures.Look]) -> dict[st
         "held": parts.has(cases, "held"),
         "columns": columns,
         "rows": rows,
-        "reference": reference,
-        "versus": parts.against(done, reference) if reference else [],
         "plots": metric_plots(done, look),
         "maps": maps(results, done, look),
         "grids": conditions.grids(done, results.protocol),

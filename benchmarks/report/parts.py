@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.run.results import Case, Results
-from steerkit.metrics import TABLE, Interval, Metric, paired
+from steerkit.metrics import TABLE, Metric
 
 _FRONT = (
     Metric(
@@ -46,8 +46,6 @@ BOARD = (
     "step_p50_us",
 )
 """Columns of a leaderboard."""
-VERSUS = ("rms_e_front", "max_e_front", "rms_e", "max_e", "rms_wheel_rate_deg", "max_jerk", "max_a_y")
-"""Metrics that are compared seed for seed."""
 
 Drives = dict[str, dict[str, dict[int, Case]]]
 """Cases by controller, scenario and seed."""
@@ -186,51 +184,6 @@ def _best(value: float, others: Sequence[float], m: Metric) -> bool:
     return value == (min(others) if m.lower_is_better else max(others))
 
 
-@dataclass(frozen=True)
-class Versus:
-    """One controller against the reference, seed for seed."""
-
-    controller: str
-    metric: Metric
-    seeds: int
-    scenarios: int
-    reference: float
-    difference: Interval
-    p: float
-
-    @property
-    def verdict(self) -> str:
-        """better, worse, or no difference shown, at 5 %."""
-        if self.p >= 0.05:
-            return "open"
-        return "better" if (self.difference.value < 0.0) == self.metric.lower_is_better else "worse"
-
-
-def against(cases: Sequence[Case], reference: str) -> list[Versus]:
-    """Every other controller against the reference: the mean over common scenarios, paired by seed.
-
-    Only scenarios that both held on all common seeds count; a seed is one pair, as its scenarios share a human.
-    """
-    rows = []
-    table: Drives = {}
-    for case in (c for c in cases if c.status == "done"):
-        table.setdefault(case.controller, {}).setdefault(case.scenario, {})[case.seed] = case
-    compared = [_BY_NAME[n] for n in VERSUS if has(cases, n)]
-    if any(m.name == "rms_e_front" for m in compared):  # one point on the car for all
-        compared = [m for m in compared if m.name not in ("rms_e", "max_e")]
-    for name in table:
-        if name == reference or reference not in table:
-            continue
-        for m in compared:
-            pairs = paired_means(table, name, reference, m)
-            if pairs is None:
-                continue
-            ours, theirs, scenarios = pairs
-            test = paired(ours, theirs)
-            rows.append(Versus(name, m, len(ours), scenarios, float(theirs.mean()), test.difference, test.p))
-    return rows
-
-
 def paired_means(
     table: Drives,
     name: str,
@@ -262,8 +215,3 @@ def paired_means(
 
 def _seeds(drives: Mapping[str, Mapping[int, Case]]) -> set[int]:
     return {seed for cases in drives.values() for seed in cases}
-
-
-def reference_of(names: Sequence[str]) -> str | None:
-    """The controller that others are compared with: complete Stanley where it drove, else the first."""
-    return "stanley" if "stanley" in names else next(iter(names), None)

@@ -1,11 +1,9 @@
 """How soon, how well and how honestly a car's delay, ratio, offset and wear are found while it drives.
 
-Parts: `lagd`, a sine that comes back 3 to 9 samples of 50 ms late, without noise; `drives`, production cars drawn by
-seed on courses of their own at 5 to 9 m/s under `hard` sensors, with a data sheet that is wrong (ratio and tyres by 20
-to 25 %, offset, wheel's and gyro's zero, friction, play), and commands that do not act in 40 % of the time as far as
-the delay is concerned; `laps`, both recorded laps, the yaw rate said before it is measured, with the parameters
-identified from the other lap; `closed_loop`, `mpc-adaptive` for a minute in 40 production cars, told a dead time that
-is 0.2 s off, a wheel that is 3 degrees off and a ratio that is 25 % off; `cost`, all estimators together, a sample.
+Parts: `drives`, production cars drawn by seed on courses of their own at 5 to 9 m/s under `hard` sensors, with a data
+sheet that is wrong (ratio and tyres by 20 to 25 %, offset, wheel's and gyro's zero, friction, play), and commands that
+do not act in 40 % of the time as far as the delay is concerned; `closed_loop`, `mpc-adaptive` for a minute in 40
+production cars whose dead time is believed 0.2 s, wheel offset 3 degrees and ratio 25 % off.
 
 Every estimator is fed what the others estimate, not the truth. Errors are 90 % quantiles over the drives, after 30 s
 (delay + lag), 20 s (offset), 60 s (ratio), 120 s (friction, play); medians stand in the table. `delay_error_ms`,
@@ -17,14 +15,13 @@ the cars; `adaptive_wheel_x`, `adaptive_wheel_worst_x`: of the wheel's RMS speed
 over the better one of `mpc` and `mpc-offset-free`, told the same; `adaptive_max_e_m`: largest |e| from the first second
 on in any car.
 
-    python -m benchmarks study calibration [--drives 200] [--cars 40] [--parts lagd drives ...] [--quick] [--json]
+    python -m benchmarks study calibration [--drives 200] [--cars 40] [--parts drives ...] [--quick] [--json]
 """
 
 from __future__ import annotations
 
 import argparse
 import statistics
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
@@ -34,21 +31,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.wrong_belief import driven, wrong_belief
-from steerkit.compiled import Backend, Compiled, compile
-from steerkit.diagram.block import Block, Out
-from steerkit.diagram.loop import Loop
-from steerkit.diagram.maths import sin
+from steerkit.compiled import Backend, compile
+from steerkit.diagram.block import Block
 from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.estimators.estimate import estimated as quantity
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.steering_delay import WheelDelay, YawDelay
 from steerkit.estimators.steering_hysteresis import SteeringFriction, SteeringPlay
-from steerkit.identification import identify, read_drive, shipped_drives
-from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.scenario import Scenario, fleet_scenario
 from steerkit.scenario.drive import assembled, controller
 from steerkit.task import DT
-from steerkit.vehicles import Vehicle, vehicle
+from steerkit.vehicles import Vehicle
 
 Array = NDArray[np.float64]
 
@@ -196,20 +189,6 @@ def estimated(drives: list[Drive], at: list[float], say: Callable[[str], None]) 
     return found
 
 
-def lagd(options: argparse.Namespace) -> dict[str, Any]:
-    """The worst error of a sine that comes back late."""
-    samples, frequency = (grid.ravel() for grid in np.meshgrid(np.arange(3, 10), (0.1, 0.2, 0.5)))
-    block = WheelDelay(prior_lag=0.03, prior_lag_deviation=0.02)  # told that there is next to no lag
-    x = block.init(samples.shape)
-    for k in range(600):
-        now, late = (radians_of(30.0) * np.sin(2.0 * np.pi * frequency * DT * i) for i in (k, k - samples))
-        x = block.update(k * DT, x, block.U(delta_sw_cmd=now, delta_sw_meas=late, v=20.0, active=1.0), None)
-    # the sine is not held for a sample, as a command is: it comes half of one early
-    worst = 1e3 * float(np.abs(block.output(0.0, x, ()).delay_lag - (samples - 0.5) * DT).max())
-    print(f"\nA sine, 3 to 9 samples late: delay + lag within {worst:.1f} ms")
-    return {"lagd_error_ms": worst}
-
-
 def drives(options: argparse.Namespace) -> dict[str, Any]:
     """Errors and coverage over drawn drives."""
     count, times = (4, [20.0]) if options.quick else (options.drives, list(TIMES))
@@ -292,29 +271,6 @@ def drives(options: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def laps(options: argparse.Namespace) -> dict[str, Any]:
-    """RMS of the yaw rate said before it is measured, on both recorded laps; no disturbance is estimated."""
-    recorded = {name: read_drive(name) for name in shipped_drives()}
-    report = {}
-    print("\nRecorded laps, parameters from the other: yaw rate ahead of the gyro")
-    for name, drive in recorded.items():
-        (other,) = (identify(lap) for key, lap in recorded.items() if key != name)
-        slow = dict(ratio_prior=0.02, understeer_prior=2e-4, offset_prior=0.02, disturbance_prior=1e-7)
-        block = SingleTrackFilter(vehicle=other.vehicle, dt=drive.dt, held=False, **slow)
-        x, errors = block.init(), []
-        for k in range(len(drive.v)):
-            errors.append(block.output(0.0, x, ()).r_model - drive.r[k])
-            r = float(drive.r[k]) if drive.measured[k] else float("nan")
-            wheel, delay = float(drive.delta_sw[k]), max(0.0, other.delay)
-            x = block.update(
-                0.0, x, block.U(wheel, float(drive.v[k]), r, float("nan"), delay, other.lag, 0.0, 1.0), None
-            )
-        rms = float(np.sqrt(np.mean(np.square(errors)[drive.driving])))
-        report[name] = rms
-        print(f"  {name:14}{rms:8.4f} rad/s", flush=True)
-    return {"lap_rms_rad_s": report, "lap_rms_worst_rad_s": max(report.values())}
-
-
 def closed_loop(options: argparse.Namespace) -> dict[str, Any]:
     """An MPC that adapts, told much that is wrong, against those that do not, told the same or the truth."""
     cars, seconds = (1, 16.0) if options.quick else (options.cars, 60.0)
@@ -360,75 +316,7 @@ def closed_loop(options: argparse.Namespace) -> dict[str, Any]:
     return {**report, "adaptive_cars": rows}
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Made(Block):
-    """Signals that excite all estimators, made up: what measuring their cost needs."""
-
-    delta_sw_cmd = Out("rad", direct=())
-    delta_sw_meas = Out("rad", direct=())
-    v = Out("m/s", direct=())
-    r = Out("rad/s", direct=())
-    psi = Out("rad", direct=())
-    active = Out("1", direct=())
-
-    def output(self, t: Any, x: Any, u: Any) -> Any:
-        angle = sin(t) + 0.3 * sin(3.1 * t)
-        return self.Y(angle, 0.9 * angle, 8.0 + sin(0.1 * t), 0.2 * angle, 0.2 * sin(t), 1.0 + 0.0 * angle)
-
-
-def cost(options: argparse.Namespace) -> dict[str, Any]:
-    """Microseconds a sample in C and in straight Python, and how many steps of a car's model that is."""
-    car = vehicle("vw-passat")
-    blocks, made = estimators(car), Made()
-    wires: list[Any] = []
-    delays: dict[str, Any] = {"filter": blocks["yaw"], "friction": blocks["wheel"]}
-    delays |= {"measured": blocks["yaw"], "play": blocks["yaw"]}
-    for name, block in blocks.items():
-        for port in block.inputs:
-            source: Any = delays[name] if port.name in ("delay", "lag", "delay_deviation", "lag_deviation") else made
-            given = {"angle": "delta_sw_cmd", "delta_sw": "delta_sw_cmd", "delay_deviation": "delay_lag_deviation"}.get(
-                port.name, port.name
-            )
-            wires.append((getattr(source, given), getattr(block, port.name)))
-    samples = 400 if options.quick else 20_000
-
-    def a_sample(program: Compiled, n: int) -> float:
-        program.run(1.0)
-        begun = time.perf_counter()
-        program.run(n * DT)
-        return 1e6 * (time.perf_counter() - begun) / n
-
-    alone = Loop(blocks={"made": made}, wires=[])
-    with_all = Loop(blocks={"made": made, **blocks}, wires=wires)
-    stepped = NonlinearSingleTrack(vehicle=car, v0=8.0)
-    plant = Loop(
-        blocks={"made": made, "car": stepped},
-        wires=[(made.delta_sw_cmd, stepped.delta_sw_cmd), (made.v, stepped.v_cmd)],
-    )
-    report: dict[str, Any] = {}
-    print()
-    rounds: tuple[tuple[Backend, int], ...] = (("c", samples), ("python", samples // 10))
-    for backend, n in rounds:
-        # all is recorded: what nobody asks for is not computed
-        without, whole, stepping = (compile(loop, backend=backend) for loop in (alone, with_all, plant))
-        turns = []
-        for _ in range(3):
-            base = a_sample(without, n)
-            all_of_them = a_sample(whole, n) - base
-            turns.append((all_of_them, all_of_them / (a_sample(stepping, n) - base)))
-        us, x = (statistics.median(turn[i] for turn in turns) for i in range(2))
-        report |= {f"cost_{backend}_us": us, f"cost_{backend}_in_car_steps": x}
-        print(f"All estimators, {backend}: {us:.1f} us a sample, as much as {x:.1f} steps of the nonlinear car")
-    return report
-
-
-PARTS: dict[str, Callable[[argparse.Namespace], dict[str, Any]]] = {
-    "lagd": lagd,
-    "drives": drives,
-    "laps": laps,
-    "closed_loop": closed_loop,
-    "cost": cost,
-}
+PARTS: dict[str, Callable[[argparse.Namespace], dict[str, Any]]] = {"drives": drives, "closed_loop": closed_loop}
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

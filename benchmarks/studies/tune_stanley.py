@@ -8,7 +8,7 @@ steering ratio off in the four ways that +-30 % and +-10 % allow together.
 The choice: of all gains whose worst RMS e is within 20 % of the best, those with the least worst wheel speed (RMS).
 Beside it: the same for Stanley without prediction at delays 0, 0.1 and 0.2 s, beyond which it swings.
 
-    python -m benchmarks study tune_stanley [--quick] [--out tuning.png] [--json]
+    python -m benchmarks study tune_stanley [--quick] [--json]
 """
 
 from __future__ import annotations
@@ -132,29 +132,9 @@ def tuned(quick: bool) -> tuple[Any, dict[str, Result]]:
     return grid, {"predicted": predicted, "plain": plain}
 
 
-def picture(grid: Any, results: dict[str, Result], file: str) -> None:
-    """Worst wheel speed over worst RMS e: a dot a choice of gains, the band near the best, a star the choice."""
-    from steerkit.plots.style import COLOURS, PALETTE, new_figure, save, style
-
-    delays = {"predicted": (TOLD[0], TOLD[-1] + OFF[-1]), "plain": (PLAIN[0], PLAIN[-1])}
-    with style():
-        figure, (panel,) = new_figure(1, height=4.0, title="Stanley's gains: worst case over delays and cars")
-        for colour, (name, result) in zip(PALETTE, results.items()):
-            e, rate, best, i = result.e, degrees_of(result.rate), float(result.e.min()), result.chosen
-            low, high = delays[name]
-            panel.plot(e, rate, "o", ms=3.5, alpha=0.5, color=colour, label=f"{name}, {low:g} to {high:g} s delay")
-            panel.axvspan(best, NEAR_BEST * best, color=colour, alpha=0.12, lw=0)
-            gains = ", ".join(f"{gain} {value:g}" for gain, value in zip(GAINS, grid[i]))
-            panel.plot(e[i], rate[i], "*", ms=13, mec=COLOURS["ink"], color=colour, label=f"chosen: {gains}")
-        panel.set(xlim=(0.04, 0.2), ylim=(0.0, 200.0), xlabel="worst RMS e [m]", ylabel="worst RMS wheel speed [deg/s]")
-        panel.legend(loc="upper right")
-    save(figure, file, dpi=120)
-
-
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Its own command line options; --quick takes every other gain, the right car and the outermost delays only; with
     prediction, the true one is 0.05 s less than that."""
-    parser.add_argument("--out", default=None, help="file for a picture of all gains")
 
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
@@ -173,7 +153,4 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
                 f"{which:9}{row['k']:6.2f}{row['k_d_yaw']:9.2f}{row['k_d_steer']:11.2f}{row['rms_e_m']:7.3f} m"
                 f"{row['rms_rate_deg_s']:12.1f} deg/s"
             )
-    if options.out:
-        picture(grid, results, options.out)
-        print(f"\npicture: {options.out}")
     return report

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 import pytest
 
-from benchmarks.studies.calibration import Made
 from steerkit.compiled import compile
-from steerkit.diagram.block import Block
+from steerkit.diagram.block import Block, Out
 from steerkit.diagram.loop import Loop
+from steerkit.diagram.maths import sin
 from steerkit.diagram.simulation import simulate
 from steerkit.estimators.estimate import estimated
 from steerkit.estimators.single_track_filter import SingleTrackFilter
@@ -27,6 +28,22 @@ ALL: dict[str, Any] = {
     "friction": SteeringFriction(longest=0.2),
     "play": SteeringPlay(vehicle=PASSAT, longest=0.2),
 }
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Made(Block):
+    """Signals that excite all estimators, made up."""
+
+    delta_sw_cmd = Out("rad", direct=())
+    delta_sw_meas = Out("rad", direct=())
+    v = Out("m/s", direct=())
+    r = Out("rad/s", direct=())
+    psi = Out("rad", direct=())
+    active = Out("1", direct=())
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        angle = sin(t) + 0.3 * sin(3.1 * t)
+        return self.Y(angle, 0.9 * angle, 8.0 + sin(0.1 * t), 0.2 * angle, 0.2 * sin(t), 1.0 + 0.0 * angle)
 
 
 def together() -> Loop:

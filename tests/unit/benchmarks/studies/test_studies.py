@@ -23,15 +23,8 @@ from tests.support.places import ROOT
 
 KEYS = {
     "calibration": {
-        *(
-            "lagd_error_ms",
-            "delay_error_ms",
-            "delay_yaw_error_ms",
-            "delay_seconds",
-            "offset_error_deg",
-            "ratio_error_pct",
-        ),
-        *("friction_error_pct", "play_error_pct", "coverage_pct", "lap_rms_rad_s", "cost_c_us", "cost_python_us"),
+        *("delay_error_ms", "delay_yaw_error_ms", "delay_seconds", "offset_error_deg", "ratio_error_pct"),
+        *("friction_error_pct", "play_error_pct", "coverage_pct"),
         *("adaptive_x_oracle", "adaptive_worst_x", "adaptive_x_unadapted_worst", "adaptive_max_e_m"),
     },
     "car_calibration": {"rows", "faults", "worst_e_m", "coverage_pct", "steer_ratio_error", "delay_lag_valid_pct"},
@@ -112,10 +105,8 @@ def test_the_quick_form_runs_as_a_process_and_prints_its_figures_last(
 def sensible_calibration(figures: Any) -> None:
     """Four drives of 20 s say little of how well it works, all of whether."""
     assert figures["drives"] == 4
-    assert figures["lagd_error_ms"] < 10.0
     assert figures["table"]["delay + lag, wheel"]["median"] < 10.0
     assert figures["table"]["delay + lag, yaw rate"]["median"] < 30.0
-    assert figures["lap_rms_worst_rad_s"] < 0.0040  # exact: a recording
     assert figures["coverage_pct"] > 70.0
     assert figures["adaptive_worst_x"] < 2.0  # one car, and not settled yet
     assert figures["adaptive_x_unadapted_worst"] < 1.0
