@@ -11,11 +11,18 @@ import math
 import os
 import select
 import sys
+import termios
 import threading
 import time
+import tty
 from collections.abc import Callable, Collection
 from types import TracebackType
 from typing import Any, Self
+
+from rich.live import Live
+from rich.panel import Panel as Box
+from rich.table import Table
+from rich.text import Text
 
 from steerkit._support.clock import Clock
 from steerkit._support.errors import require
@@ -131,16 +138,10 @@ class Panel:
         if not self.live:
             yield lambda snapshot, said: None
             return
-        from rich.live import Live
-
         with Live(auto_refresh=False, transient=True) as live:
             yield lambda snapshot, said: live.update(self._picture(snapshot, said), refresh=True)
 
     def _picture(self, s: Snapshot, said: str) -> Any:
-        from rich.panel import Panel as Box
-        from rich.table import Table
-        from rich.text import Text
-
         cause, *against = s.text.split("\n")
         table = Table.grid(padding=(0, 2))
         timing = self.session.timing
@@ -227,9 +228,6 @@ def _keys() -> Any:
 
         yield wait
         return
-    import termios
-    import tty
-
     fd = sys.stdin.fileno()
     before = termios.tcgetattr(fd)
     tty.setcbreak(fd)
