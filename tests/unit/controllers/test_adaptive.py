@@ -213,6 +213,10 @@ def test_what_it_is_not_made_for() -> None:
         adaptive(blocks=(SOFT, PurePursuit.of(PASSAT, circle())))
     with pytest.raises(ValueError, match="expected among them v, r"):
         adaptive(blocks=(PurePursuit.of(PASSAT, circle()),) * 2)
-    for name, value in (("prior_delay", 0.3), ("ratio_least", 1.2), ("ratio_most", 0.9), ("limit", 0.0)):
+    for name, value in (
+        *(("prior_delay", 0.3), ("prior_delay", -0.1), ("lag", 10.1), ("lag", -0.1), ("limit", 0.0), ("limit", 30.1)),
+        *(("ratio_least", 1.01), ("ratio_least", 0.09), ("ratio_most", 0.99), ("ratio_most", 10.1)),
+        *(("delay_rate", 10.1), ("delay_rate", -0.1), ("ratio_rate", 10.1), ("ratio_rate", -0.1)),
+    ):
         with pytest.raises(ValueError, match=f"Adaptive: {name} = {value}"):
             adaptive(**{name: value})
