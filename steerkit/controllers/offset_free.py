@@ -24,18 +24,18 @@ class OffsetFree(Wrapper):
 
         delta_sw = sat(delta_sw of `block` + z),   z' = -n/(v T tau) (e + T e'),   sat to +-limit,   |z| <= most
 
-    T is the time in which `block` brings e to 0, tau that in which z finds what disturbs it. For a law that drives
-    e' = -e/T, a wheel that stands d beside what is asked for adds v d/n to e' at the front axle, so that
+    T is the time constant with which `block` brings e to 0, tau that of the estimate z. For a law that drives
+    e' = -e/T, a wheel that stands d beside its command adds v d/n to e' at the front axle, so that
 
         e' = -e/T + v (z + d)/n,   z' = -(z + d)/tau:
 
-    z is an observer of the disturbance d, and forgets where the car began. A car that comes back to its path as it
-    should has e + T e' = 0, which winds up nothing; and where e stays constant, z stays only if e = 0. So it needs no
-    model of what disturbs, and does not ask how `block` came by its command: the same lines serve Stanley, LQR and MPC,
-    where a disturbance in the model would be another one in each, and none in Stanley.
+    z is an observer of the disturbance d, independent of the first error. A car that returns to its path as designed
+    has e + T e' = 0, so nothing winds up; and where e stays constant, z stays only if e = 0. No model of the
+    disturbance or of `block` is needed: the same lines serve Stanley, LQR and MPC, where a disturbance model would be
+    another one in each, and none in Stanley.
 
-    z stands still while |e| > reach, below v_least, while the command is at its limit or as fast as may be, and where e
-    or v is not finite. Ports, units and sample time are those of `block`, which goes on from its own angle. State: that
+    z is held while |e| > reach, below v_least, while the command is at its limit or at its fastest, and where e or v is
+    not finite. Ports, units and sample time are those of `block`, which goes on from its own angle. State: that
     of `block`, then z [rad], the time for which it has moved [s], the mean of e + T e' [m], the last e [m] and the last
     command [rad]. Valid where `block` by itself is stable. Raises ValueError for parameters out of range and for a
     block without the inputs e and v and the output delta_sw.
@@ -62,13 +62,13 @@ class OffsetFree(Wrapper):
     most: Scalar = radians_of(60.0)
     """Largest |z| [rad]."""
     reach: Scalar = TRIP
-    """|e| beyond which the car is on its way back, and z stands still [m]."""
+    """|e| beyond which the car is on its way back, and z is held [m]."""
     v_least: Scalar = 1.0
-    """Speed below which it does, too [m/s]."""
+    """Speed below which z is held [m/s]."""
     limit: Scalar = STOP
     """Largest |delta_sw| [rad]."""
     rate_limit: Scalar = radians_of(550.0)
-    """Fastest command of `block` [rad/s]; z stands still from 99 % of it on."""
+    """Fastest command of `block` [rad/s]; z is held from 99 % of it on."""
 
     def __post_init__(self) -> None:
         where = "OffsetFree"

@@ -60,10 +60,10 @@ class PredictiveSteering(Block):
     came; residual [1] of the optimality conditions, NaN for an input that is not finite, 1e9 for a solution that is
     not; plan [rad/s], the rates from this sample on. State: the commands on their way, the plan, the samples since
     its solution.
-    valid: v from 0.5 to 20 m/s (beyond, the model of the nearest is used), curvature up to 0.25/m. From e_reach on the
-    path is taken to be that far away, whatever e is. A batch is solved car by car. Equal arguments give equal
-    results, except for milliseconds (0 with clock=None) and for what a `budget` makes of them. A command replaced on
-    its way to the wheel (by another controller in charge) is not known here. Of compiled loops those in C and
+    valid: v from 0.5 to 20 m/s (beyond, the model of the nearest is used), curvature up to 0.25/m. Beyond e_reach, e counts as
+    e_reach. A batch is solved car by car. Equal arguments give equal
+    results, except for milliseconds (0 with clock=None) and for what a `budget` makes of them. A command that is
+    replaced on its way to the wheel (while another controller steers) is not known here. Of compiled loops those in C and
     in generated Python run it, to the same commands, and milliseconds is 0 there; it has no symbolic form.
     errors: ValueError for bad parameters, and for a fallback with other ports than Stanley's; TypeError when it is
     compiled with a `budget`, since a compiled loop has no clock.
@@ -114,34 +114,34 @@ class PredictiveSteering(Block):
     slew: float | None = None
     """Fastest change of the lateral acceleration of a car steered by torque [m/s^3]: bounds the rate; None: none."""
     e_limit: float = TRIP
-    """|e| [m] that costs extra beyond."""
+    """|e| [m] beyond which it costs extra."""
     a_y_limit: float = 2.8
-    """|a_y| [m/s^2] that costs extra beyond; soft, so a little below the 3 that are meant."""
+    """|a_y| [m/s^2] beyond which it costs extra; soft, so a little below the 3 m/s^2 of ISO 11270."""
     a_y_room: float = 1.5
-    """How much more |a_y| [m/s^2] than the path needs is free where it needs more than a_y_limit. Too little, and a car
-    that answers less than the model thinks (ratio, offset) is not steered enough: 0.5 lost one at 9 m/s."""
+    """How much more |a_y| [m/s^2] than the path needs is free where it needs more than a_y_limit. With too little, a car
+    that responds less than its model (ratio, offset) is not steered enough: 0.5 lost one at 9 m/s."""
     q_e_limit: float = 10.0
     """Weight of (|e| - e_limit)^2 [1/m^2]."""
     q_a_y_limit: float = 100.0
     """Weight of (|a_y| - a_y_limit)^2 [s^4/m^2]."""
     e_reach: float = 1.0
-    """The car is taken to be at most so far off [m]: from further away it comes at no steeper an angle."""
+    """Largest |e| that the programme sees [m]: it bounds the approach angle from further away."""
     soft_first: int = 4
-    """The soft limits are asked for at the first so many samples, ..."""
+    """The soft limits hold at the first so many samples, ..."""
     soft_every: int = 4
     """... and from there on at every so many: what is far is planned anew before it comes."""
     tolerance: float = 1e-5
-    """Largest residual of the optimality conditions that is let through."""
+    """Largest residual of the optimality conditions of a solution that is used."""
     budget: float | None = None
     """A solution later than this [s] is not used; None: any is, so that a simulation can be repeated."""
     patience: int = 4
     """Samples for which an old plan is followed."""
     v_stop: float = 0.1
-    """Below this speed [m/s] the command stays."""
+    """Speed below which the command is held [m/s]."""
     clock: Callable[[], float] | None = time.perf_counter
     """Seconds, for milliseconds and the budget; None: no time is taken."""
     preview_points: int = field(init=False, default=0)
-    """Curvatures wanted ahead: over the delay and the horizon."""
+    """Entries of the preview: over the delay and the horizon."""
     preview_dt: float = field(init=False, default=DT)
     """Time between them [s]: dt."""
 
