@@ -60,11 +60,11 @@ class PredictiveSteering(Block):
     came; residual [1] of the optimality conditions, NaN for an input that is not finite, 1e9 for a solution that is
     not; plan [rad/s], the rates from this sample on. State: the commands on their way, the plan, the samples since
     its solution.
-    valid: v from 0.5 to 20 m/s (beyond, the model of the nearest is used), curvature up to 0.25/m. Beyond e_reach, e counts as
-    e_reach. A batch is solved car by car. Equal arguments give equal
-    results, except for milliseconds (0 with clock=None) and for what a `budget` makes of them. A command that is
-    replaced on its way to the wheel (while another controller steers) is not known here. Of compiled loops those in C and
-    in generated Python run it, to the same commands, and milliseconds is 0 there; it has no symbolic form.
+    valid: v from 0.5 to 20 m/s (beyond, the model of the nearest is used), curvature up to 0.25/m. Beyond e_reach, e
+    counts as e_reach. A batch is solved car by car. Equal arguments give equal results, except for milliseconds (0 with
+    clock=None) and for what a `budget` makes of them. A command that is replaced on its way to the wheel (while another
+    controller steers) is not known here. Of compiled loops those in C and in generated Python run it, to the same
+    commands, and milliseconds is 0 there; it has no symbolic form.
     errors: ValueError for bad parameters, and for a fallback with other ports than Stanley's; TypeError when it is
     compiled with a `budget`, since a compiled loop has no clock.
     source: Rawlings, Mayne, Diehl 2017, sections 1.3 and 2.5; Frison, Diehl 2020 (HPIPM); Hoffmann et al. 2007.
@@ -118,8 +118,8 @@ class PredictiveSteering(Block):
     a_y_limit: float = 2.8
     """|a_y| [m/s^2] beyond which it costs extra; soft, so a little below the 3 m/s^2 of ISO 11270."""
     a_y_room: float = 1.5
-    """How much more |a_y| [m/s^2] than the path needs is free where it needs more than a_y_limit. With too little, a car
-    that responds less than its model (ratio, offset) is not steered enough: 0.5 lost one at 9 m/s."""
+    """How much more |a_y| [m/s^2] than the path needs is free where it needs more than a_y_limit. With too little, a
+    car that responds less than its model (ratio, offset) is not steered enough: 0.5 lost one at 9 m/s."""
     q_e_limit: float = 10.0
     """Weight of (|e| - e_limit)^2 [1/m^2]."""
     q_a_y_limit: float = 100.0
