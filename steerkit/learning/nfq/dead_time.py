@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from steerkit.controllers.delay_compensator import ANSWER, LONGEST, DelayCompensator
 from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, R_E, V
@@ -136,8 +137,6 @@ def refined(model: CarModel, part: Transitions) -> CarModel:
     row = row[episode[row - 1] == episode[row + AHEAD]][-ROWS:]
     if len(row) < REFINED:
         return model
-    from scipy.optimize import least_squares
-
     s, v = part.s, speed(part.s)
     course = s[:, E_DOT] / v
     w = course - s[:, PSI_E]

@@ -8,7 +8,7 @@ import pytest
 
 from steerkit.car import recording as recordings
 from steerkit.car import replay as replays
-from steerkit.car.calibration import SHARES, SLOWEST
+from steerkit.car.calibration import SHARES, SLOWEST, check
 from steerkit.car.simulated import Fault
 from steerkit.car.state_machine import Mode, Order
 from tests.support.calibrated_car import PATH, CalibratedWorld, Made
@@ -120,7 +120,5 @@ def test_the_operator_is_warned_before_the_end(calibration: Made) -> None:
     ],
 )
 def test_what_cannot_be_driven_is_refused(more: dict[str, Any], says: str) -> None:
-    from steerkit.car.calibration import check
-
     with pytest.raises(ValueError, match=says):
         check(**({"base": "stanley", "minutes": 4.0} | more))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from steerkit.identification import Drive, identify
+from steerkit.identification.fit import _Problem, priors
 from steerkit.identification.identified import Simulator
 from tests.support.recorded_cars import BASE, DT, TRUTH, by_rate, driven, noisy
 
@@ -39,8 +41,6 @@ def test_intervals_cover_the_truth(clean: dict[str, Any]) -> None:
 
 def test_white_intervals_are_those_of_the_textbook(clean: dict[str, Any]) -> None:
     """With white noise the sandwich is sigma^2 (J'J)^-1: both from the same Jacobian, 25 % apart at most."""
-    from steerkit.identification.fit import _Problem, priors
-
     drive = Drive.of(**by_rate(noisy(clean, 3, slow=0.0)))
     answer = identify(drive, BASE)
     problem = _Problem(Simulator(drive, BASE), answer.free, {}, priors(BASE))
@@ -83,10 +83,6 @@ def test_fixed_and_known(clean: dict[str, Any]) -> None:
 
 def test_the_covariance_allows_for_errors_that_are_larger_where_they_matter() -> None:
     """White 1982: r = x theta with error sizes s x has the variance s^2 sum x^4/(sum x^2)^2, found by repetition."""
-    from types import SimpleNamespace
-
-    from steerkit.identification.fit import _Problem, priors
-
     n, rng = 4000, np.random.default_rng(0)
     x = np.where(np.arange(n) % 10 == 0, 3.0, 0.3)  # a tenth of the samples tells nearly everything
     table = {"steer_ratio": replace(priors(BASE)["steer_ratio"], mean=10.0, deviation=1e3, low=-1e4, high=1e4)}

@@ -13,6 +13,7 @@ from steerkit.identification.identified import Identified, Simulator, predict, s
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.steering_actuator import steering_of
+from steerkit.scenario import Scenario
 from steerkit.vehicles import vehicle
 from tests.support.recorded_cars import BASE, driven
 
@@ -53,8 +54,6 @@ def test_the_vehicle_file_comes_back_and_drives(found: Identified, tmp_path: Pat
 
 
 def test_a_vehicle_file_serves_a_scenario(found: Identified, tmp_path: Path) -> None:
-    from steerkit.scenario import Scenario
-
     found.save(tmp_path / "car.toml")
     assert Scenario(vehicle=str(tmp_path / "car.toml")).nominal == found.vehicle
 
