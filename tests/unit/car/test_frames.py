@@ -171,10 +171,10 @@ def test_units_are_those_of_the_tables(unit: str, si: float) -> None:
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-@pytest.mark.parametrize("zero", [0.0, -100.0])
-def test_offsets_of_the_file_and_of_the_dbc(sign: float, zero: float) -> None:
+@pytest.mark.parametrize(("zero", "reach"), [(0.0, "0|0"), (-100.0, "0|0"), (-100.0, "-120|120")])
+def test_offsets_of_the_file_and_of_the_dbc(sign: float, zero: float, reach: str) -> None:
     """delta_sw = sign*SCMD + offset, and SCMD [deg] = 0.1 code + zero: both ends agree with cantools."""
-    text = shipped("dbw_steering.dbc").read_text().replace("(0.1,0) [-3276.7|3276.7]", f"(0.1,{zero:g}) [0|0]")
+    text = shipped("dbw_steering.dbc").read_text().replace("(0.1,0) [-3276.7|3276.7]", f"(0.1,{zero:g}) [{reach}]")
     message = cantools.database.load_string(text, "dbc").get_message_by_name("STEERING_CMD")
     mapping = Mapping(frame="STEERING_CMD", signal="SCMD", unit="deg", sign=sign, offset=radians_of(7.5))
     writer = CommandWriter(message, mapping, "EN")
@@ -201,3 +201,8 @@ def test_range_of_a_signal_without_one_in_the_dbc() -> None:
     assert low == pytest.approx(1 - 32767 / 2, abs=1e-5)
     assert high == pytest.approx(1 + 32767 / 2, abs=1e-5)
     assert signal_range(message.get_signal_by_name("U"))[1] == pytest.approx(255.0, abs=1e-5)
+    reader = FrameReader(message, {"s": Mapping(frame="M", signal="S"), "u": Mapping(frame="M", signal="U")})
+    for code in (-32767, 32767):  # the ends are values; the code below them is that of `not available`
+        assert reader.read(message.encode({"S": code, "U": 255}, scaling=False), None).values["s"] == 1.0 + code / 2
+    assert math.isnan(reader.read(message.encode({"S": -32768, "U": 0}, scaling=False), None).values["s"])
+    assert reader.read(message.encode({"S": 0, "U": 255}, scaling=False), None).values["u"] == 255.0
