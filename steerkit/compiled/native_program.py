@@ -32,7 +32,7 @@ class NativeProgram:
         self.trace, self.recorded, self.every = trace, tuple(recorded), every
         calls = [node for tick, _ in trace.kinds for node in tick.graph.nodes if node[0] == "call"]
         inputs = {number: len(arguments) for _, number, _, *arguments in calls}
-        self._errors: list[Exception] = []
+        self._errors: list[BaseException] = []
         self._callbacks = [self._callback(routine, inputs[i]) for i, routine in enumerate(trace.routines)]
         addresses = [
             address for each in self._callbacks for address in (ctypes.cast(each, ctypes.c_void_p).value, None)
@@ -40,15 +40,19 @@ class NativeProgram:
         self._routines = (ctypes.c_void_p * max(1, len(addresses)))(*addresses)
 
     def _callback(self, routine: Routine, inputs: int) -> Any:
-        """The routine as a C function `void (void *unused, const double *given, double *result)`."""
+        """The routine as a C function `void (void *unused, const double *given, double *result)`.
+
+        An error in it cannot pass through C: the run ends with NaN, and `_held` raises it then.
+        """
         size = routine.size
 
         def call(_: Any, given: Any, result: int) -> None:
+            values: list[Any] = [math.nan] * size
             try:
-                values: list[Any] = list(routine.call(*given[:inputs]))
-            except Exception as error:  # it cannot pass through C: `_held` raises it after the run
+                if not self._errors:
+                    values = list(routine.call(*given[:inputs]))
+            except BaseException as error:
                 self._errors.append(error)
-                values = [math.nan] * size
             (ctypes.c_double * size).from_address(result)[:] = values
 
         return _CALLBACK(call)

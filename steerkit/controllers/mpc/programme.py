@@ -97,9 +97,8 @@ class Programme:
         to at the pace of steady cornering.
         """
         preview = casadi.fmin(casadi.fmax(preview, -KAPPA_HIGH), KAPPA_HIGH)
-        half = (
-            0.5 * self.model.dt / (cos_beta * self.model.cornering(v, preview)[6, :].T)
-        )  # of the time to the next entry
+        pace = cos_beta * self.model.cornering(v, preview)[6, :].T
+        half = 0.5 * self.model.dt / pace  # of the time from an entry to the next
         knots = 2.0 * casadi.cumsum(half) - half - half[0]
         times = casadi.MX(casadi.DM(self.times))
         j = casadi.low(knots, times)

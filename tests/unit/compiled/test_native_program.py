@@ -127,13 +127,21 @@ def test_what_has_no_place_for_a_routine_says_so(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("backend", ["c", "python"])
-def test_an_error_of_a_routine_is_raised_and_the_next_run_is_not_harmed(backend: Any) -> None:
+@pytest.mark.parametrize("error", [ZeroDivisionError, KeyboardInterrupt])
+def test_an_error_of_a_routine_is_raised_and_the_next_run_is_not_harmed(backend: Any, error: Any) -> None:
     loop = loop_of()
     program, rooted, start = compile(loop, backend=backend), vars(loop.blocks["rooted"]), loop.init()
     expected = program.run(1.0, state=start)["rooted.x"]
-    call, rooted["routine"].call = rooted["routine"].call, lambda a, b: 1.0 / 0.0
-    with pytest.raises(ZeroDivisionError):
+    call, failed = rooted["routine"].call, []
+
+    def fail(a: float, b: float) -> Any:
+        failed.append(a)
+        raise error
+
+    rooted["routine"].call = fail
+    with pytest.raises(error):
         program.run(1.0, state=start)
+    assert len(failed) == 1
     rooted["routine"].call = call
     np.testing.assert_array_equal(program.run(1.0, state=start)["rooted.x"], expected)
 
