@@ -18,7 +18,7 @@ from steerkit.diagram.block import Block, In, Out, State, without_port
 from steerkit.diagram.maths import Scalar
 from steerkit.task import TRIP
 from steerkit.vehicles import Vehicle, require_vehicle
-from steerkit.vehicles.rollout import GateModel, Motion, Rollout
+from steerkit.vehicles.rollout import GateModel, Motion, Rollout, lag_share, lag_step
 
 REASONS = (
     "passed",
@@ -229,6 +229,11 @@ class SafetyFilter(Block):
         """The backup's model, with the preview that this block is given."""
         return replace(self.backup.model, preview_dt=self.preview_dt)
 
+    @cached_property
+    def _follow(self) -> float:
+        """Share of the way to its command that the wheel goes in a sample."""
+        return lag_share(self.dt, self._model.lag)
+
     def init(self, batch: tuple[int, ...] = ()) -> State:
         zero = m.filled(0.0, batch)
         return (*[zero] * (_KEPT - 1), zero + (self.yaw_doubt / 3.0) ** 2, *[zero] * self._latest)
@@ -307,15 +312,12 @@ class SafetyFilter(Block):
 
     def _own(self, now: _Now, v: Scalar) -> Scalar:
         """The backup's command now: that of the state in which it will arrive, as believed."""
-        model, motion, before, fastest = self._model, now.motion, now.wheel_before, self._model.fastest(v)
+        model, motion, before, most = self._model, now.motion, now.wheel_before, self._model.fastest(v) * self.dt
         for k in range(self._soonest):
-            turned, before = self._turned(motion.wheel, now.commands[k - self._soonest], fastest), motion.wheel
+            turned = lag_step(now.commands[k - self._soonest] - motion.wheel, self._follow, most)
+            before = motion.wheel
             motion = model.moved(motion, self.dt, turned, model.kappa(now.preview, (k + 0.5) * self.dt), v, now.wrong)
         return self._answer(motion, v, model.kappa(now.preview, self._soonest * self.dt), before, now.commands[-1])
-
-    def _turned(self, wheel: Scalar, command: Scalar, fastest: Scalar) -> Scalar:
-        """By how much the wheel turns in a sample [rad]."""
-        return self._model.turned(wheel, command, self.dt, fastest)
 
     def _reach(self, now: _Now, v: Scalar, command: Scalar) -> Scalar:
         """The furthest that the car may get to either side after a command [m]."""
@@ -324,7 +326,7 @@ class SafetyFilter(Block):
     def _left(self, now: _Now, v: Scalar, command: Scalar) -> Scalar:
         """The furthest to the left, of a car that is pushed there."""
         model, dt, soonest, latest = self._model, self.dt, self._soonest, self._latest
-        dead, fastest = soonest * dt, self._model.fastest(v)
+        dead, follow, most = soonest * dt, self._follow, model.fastest(v) * dt
         commands = list(now.commands)
         soon, late = now.motion.wheel, m.maximum(now.motion.wheel, now.wheel_before)
         car = Motion(now.motion.e + self.e_doubt, now.motion.psi_e + self.psi_doubt, now.motion.r, late)
@@ -343,8 +345,8 @@ class SafetyFilter(Block):
                     early = self.gate.frame_dt if k == soonest else 0.0
                     given = self.gate.pushed(given, commands[-1], v, dt, early)
                 commands.append(given)
-            soon = soon + self._turned(soon, commands[k + latest - soonest], fastest)
-            late = late + self._turned(late, commands[k], fastest)
+            soon = soon + lag_step(commands[k + latest - soonest] - soon, follow, most)
+            late = late + lag_step(commands[k] - late, follow, most)
             push = now.doubt + self.ratio_doubt * m.absolute(car.r - now.r_slow)
             before, e_before = car.wheel, car.e
             turned = m.maximum(soon, late) - before

@@ -137,15 +137,11 @@ class Rollout:
         """The wheel [rad] with which the car goes round a bend of kappa [1/m]."""
         return self.steer_ratio * m.atan((self.wheelbase + self.understeer * v * v) * kappa)
 
-    def turned(self, wheel: Scalar, command: Scalar, h: float, fastest: Scalar) -> Scalar:
-        """By how much the wheel turns in h [s] under a command that has arrived [rad]."""
-        return lag_step(command - wheel, lag_share(h, self.lag), fastest * h)
-
     def wheel_after(self, wheel: Scalar, commands: Sequence[Scalar], v: Scalar) -> Scalar:
         """The wheel [rad] dt later, of which the oldest command acts at first and the one after it then."""
         first = self.pieces[0].h if self.delay > 0.0 else 0.0
         for h, command in zip((first, self.dt - first), commands):
-            wheel = wheel + self.turned(wheel, command, h, self.fastest(v))
+            wheel = wheel + lag_step(command - wheel, lag_share(h, self.lag), self.fastest(v) * h)
         return wheel
 
     def yaw_rate_after(self, r: Scalar, wheel: Scalar, v: Scalar, h: Scalar, wrong: Scalar = 0.0) -> Scalar:
@@ -162,9 +158,10 @@ class Rollout:
     def kappa(self, preview: Sequence[Scalar], time: float) -> Scalar:
         """The path's curvature [1/m] where the car is in that time [s]; beyond the preview, its last."""
         place = time / self.preview_dt
-        entry = min(int(place + 1e-9), len(preview) - 2)
-        share = min(place - entry, 1.0) if entry >= 0 else 0.0
-        here = preview[max(entry, 0)]
+        entry = int(place + 1e-9)
+        if entry >= len(preview) - 1:
+            return preview[-1]
+        share, here = place - entry, preview[entry]
         return here + share * (preview[entry + 1] - here) if share > 0.0 else here
 
     def arrived(
