@@ -6,7 +6,7 @@ A step is a decision (20 a second of driving): 5 ticks of the loop and one look,
 With random actions an episode lasts a second or two; "driven well" holds the wheel on a straight in the place of a good
 driver, so that episodes last 5 s. The table is of CPU time of this process. The figures below it are of the clock on
 the wall, with a thread a core and 1,024 cars driven well: Gymnasium's vector as `make_vec` gives it, the same without
-copies, PufferLib's buffers, and Gymnasium's own SyncVectorEnv of as many.
+copies, the batch in place, and Gymnasium's own SyncVectorEnv of as many.
 """
 
 from __future__ import annotations
@@ -19,10 +19,12 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium.vector import AutoresetMode
 
 import steerkit.gym  # noqa: F401
 from steerkit._support import native
-from steerkit.gym import PufferSteering
+from steerkit.gym.episodes import Episodes
+from steerkit.gym.task import Task
 from steerkit.scenario import CONDITIONS
 
 ID = "steerkit/TrackSteering-v0"
@@ -62,14 +64,17 @@ def many(cars: int, task: dict[str, Any], *, random: bool) -> Callable[[int], in
 
 
 def in_buffers(cars: int, task: dict[str, Any]) -> Callable[[int], int]:
-    """Runs about so many steps of the cars with PufferLib's face; returns how many."""
-    env = PufferSteering(cars, **task)
-    env.reset()
+    """Runs about so many steps of the batch itself, in its arrays; returns how many."""
+    options = Task.of(task)
+    batch = Episodes(options, cars, AutoresetMode.SAME_STEP)
+    generators = [np.random.default_rng(i) for i in range(cars)]
+    batch.draw_from(generators)
+    batch.start(np.arange(cars), [options.starts.draw(generator) for generator in generators])
 
     def run(steps: int) -> int:
         rows = max(20, steps // cars)
         for _ in range(rows):
-            env.step(np.full(cars, HOLD))
+            batch.step(options.angle(np.full(cars, HOLD), (cars,)))
         return rows * cars
 
     return run
@@ -90,7 +95,7 @@ def on_the_wall(cars: int, task: dict[str, Any], *, quick: bool) -> dict[str, fl
     ways = {
         "vector": many(cars, task | {"backend": "c"}, random=False),
         "vector, copy=False": many(cars, task | {"backend": "c", "copy": False}, random=False),
-        "PufferLib's buffers": in_buffers(cars, task),
+        "batch in place": in_buffers(cars, task),
         "SyncVectorEnv": many(cars, task | {"vectorization_mode": "sync"}, random=False),
     }
     best = dict.fromkeys(ways, 0.0)
@@ -152,6 +157,6 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         for name, value in wall.items():
             print(f"{name:28}{value:20,.0f}")
         result |= {"vector_cars": wide, "cores": cores, "vector_steps_per_second": wall["vector"]}
-        result |= {"in_place_steps_per_second": wall["PufferLib's buffers"]}
+        result |= {"in_place_steps_per_second": wall["batch in place"]}
         result |= {"x_sync_vector_env": wall["vector"] / wall["SyncVectorEnv"]}
     return result

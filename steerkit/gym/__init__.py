@@ -4,7 +4,7 @@
 * `steerkit/TrackSteeringContinuous-v0`: the same with the wheel's speed in [-1, 1].
 
 Both have a vector environment of their own, so that `gymnasium.make_vec(id, num_envs=N)` drives N cars in one loop, in
-C with all that is judged and drawn; `PufferSteering` is the same in PufferLib's buffers.
+C with all that is judged and drawn. `steerkit.gym.episodes.Episodes` is what it is made of: a batch in given arrays.
 """
 
 from __future__ import annotations

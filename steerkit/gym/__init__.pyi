@@ -1,7 +1,6 @@
 """The public names of steerkit.gym."""
 
 from .env import TrackSteering as TrackSteering
-from .puffer import PufferSteering as PufferSteering
 from .stable_baselines import Network as Network
 from .stable_baselines import PolicyBlock as PolicyBlock
 from .stable_baselines import from_stable_baselines as from_stable_baselines

@@ -1,159 +1,154 @@
-"""N cars of a task driven sample by sample: what the single and the vector environment share."""
+"""N cars of a task in Python, episode after episode: on floats for one car, on arrays for more."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Literal
 
+import gymnasium
 import numpy as np
+from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from steerkit._support.errors import require
 from steerkit.diagram.loop import LoopState
 from steerkit.gym.starts import Draw
-from steerkit.gym.task import Array, Task
+from steerkit.gym.task import Array, Task, not_finite
+
+if TYPE_CHECKING:
+    from steerkit.gym.episodes import Episodes
 
 Backend = Literal["python", "c"]
 
 
-class _Cars(Protocol):
-    """The loop states of N cars, wherever they are kept."""
+def cars_of(
+    task: Task, cars: int, backend: Backend, mode: AutoresetMode, threads: int | None = None
+) -> Drives | Episodes:
+    """The cars of a task, in Python or in C; with a warning in Python where a part of it cannot be compiled."""
+    require(backend in ("python", "c"), "TrackSteering", f"backend {backend!r}; valid: python, c")
+    if backend == "python":
+        return Drives(task, cars, mode)
+    from steerkit.compiled.trace import TraceError  # here, as it loads CasADi
+    from steerkit.gym.episodes import Episodes
 
-    def put(self, cars: NDArray[np.intp], start: LoopState) -> None: ...
-
-    def advance(self, actions: Array) -> None: ...
-
-    def look(self) -> Array: ...
-
-
-class Outcome(NamedTuple):
-    """What a step brought, (N,) each."""
-
-    reward: Array
-    terminated: NDArray[np.bool_]
-    truncated: NDArray[np.bool_]
+    try:
+        return Episodes(task, cars, mode, threads)
+    except TraceError as error:
+        gymnasium.logger.warn(f"TrackSteering: {error}; all is computed in Python")
+        return Drives(task, cars, mode)
 
 
 class Drives:
-    """N cars, each with its own start, noise and clock; `s` (N, columns) is what their agents see now (SI).
+    """N cars, each with its own start, noise and clock; `Episodes` is the same in C, and documents the fields."""
 
-    backend: "python" runs the loop's own Python, on floats for one car, on arrays for more; "c" compiles it.
-    """
-
-    def __init__(self, task: Task, cars: int, backend: Backend):
-        require(backend in ("python", "c"), "TrackSteering", f"backend {backend!r}; valid: python, c")
+    def __init__(self, task: Task, cars: int, mode: AutoresetMode):
         task.require_period()
-        self.task, self.n = task, cars
-        self._names = [name.split(".")[1] for name in task.info]
-        signals = [*task.columns, *task.info]
-        self._cars: _Cars = _Compiled(task, cars, signals) if backend == "c" else _Interpreted(task, cars, signals)
-        self._signals = signals
-        self._values = np.full((len(signals), cars), np.nan)
-        self.steps = np.zeros(cars, dtype=int)
-        self._cost = np.zeros(cars)
+        self.task, self.n, self._mode, self._loop = task, cars, mode, task.loop
+        self._signals = [*task.columns, *task.info]
+        self._at = [self._loop.locate(name) for name in self._signals]
+        self._agent = self._loop.names.index("controller")
+        self._k = np.zeros(cars)
+        self._x: list[Any] = []
+        self._y: list[Any] = []
+        self._values = np.full((len(self._signals), cars), np.nan)
+        self._steps, self._cost = np.zeros(cars, dtype=int), np.zeros(cars)
+        self._generators: Sequence[np.random.Generator] = ()
+        self._last: tuple[NDArray[np.float32], dict[str, Array]] | None = None
+        self.reward, self.over = np.zeros(cars), np.ones(cars, dtype=bool)
+        self.terminated, self.truncated = np.zeros(cars, dtype=bool), np.zeros(cars, dtype=bool)
 
     @property
-    def s(self) -> Array:
-        """The states that the agents see, (N, columns)."""
+    def observation(self) -> NDArray[np.float32]:
+        """What the agents see, (N, columns)."""
+        return self.task.observation(self._s)
+
+    @property
+    def _s(self) -> Array:
         return self._values[: len(self.task.columns)].T
+
+    def draw_from(self, generators: Sequence[np.random.Generator]) -> None:
+        """Draw the starts of car i from generator i."""
+        self._generators = generators
 
     def start(self, cars: NDArray[np.intp], draws: Sequence[Draw]) -> None:
         """Put the cars of these numbers where they were drawn."""
         start = self.task.starts.states(draws)
-        self._cars.put(cars, start)
-        first = self.task.loop.sample(start)
+        self._put(cars, start)
+        first = self._loop.sample(start)
         for row, name in enumerate(self._signals):
             self._values[row, cars] = first[name]
-        self.steps[cars], self._cost[cars] = 0, 0.0
+        self._steps[cars], self._cost[cars], self.over[cars] = 0, 0.0, False
 
-    def step(self, actions: Array) -> Outcome:
-        """Drive all cars one sample with these actions [rad].
+    def step(self, actions: Array) -> None:
+        """Drive all cars one sample with these actions [rad], and go on with the next episode where one has ended.
 
-        Raises FloatingPointError when a signal is no finite number any more.
+        Raises FloatingPointError when a signal is no finite number any more, ResetNeeded before the first start.
         """
-        before = self.s.copy()
-        self._cars.advance(actions)
-        self._values = self._cars.look()
+        if not self._x:
+            raise gymnasium.error.ResetNeeded("step: no episode has begun; call reset()")
+        before = self._s.copy()
+        self._advance(actions)
+        self._values = self._look()
         if not np.isfinite(self._values).all():
             row, car = np.argwhere(~np.isfinite(self._values))[0]
-            raise FloatingPointError(
-                f"TrackSteering: {self._signals[row]} of car {car} is {self._values[row, car]} after "
-                f"{self.steps[car] + 1} steps; a block of the scenario, or an action, is out of its range"
-            )
-        self.steps += 1
-        self._cost, terminated = self.task.price(before, actions, self.s)
-        truncated = (self.steps >= self.task.longest) | (self.info("path.s") >= self.task.end)
-        reward = np.where(terminated, -self.task.failure, -self._cost)
-        return Outcome(reward, terminated, truncated & ~terminated)
-
-    def info(self, name: str) -> Array:
-        """A true signal (N,)."""
-        return self._values[len(self.task.columns) + self.task.info.index(name)]
+            raise not_finite(self._signals[row], car, self._values[row, car], self._steps[car] + 1)
+        self._steps += 1
+        self._cost, failed = self.task.price(before, actions, self._s)
+        late = (self._steps >= self.task.longest) | (self._info("path.s") >= self.task.end)
+        self.reward = np.where(failed, -self.task.failure, -self._cost)
+        self.terminated, self.truncated = failed, late & ~failed
+        anew = self.over
+        if self._mode is AutoresetMode.NEXT_STEP and anew.any():  # they were driven on for nothing
+            self.reward[anew], self.terminated[anew], self.truncated[anew] = 0.0, False, False
+        self.over = self.terminated | self.truncated
+        if self._mode is AutoresetMode.SAME_STEP:
+            anew = self.over.copy()
+            self._last = self.observation, self.infos()
+        if self._mode is not AutoresetMode.DISABLED and anew.any():
+            cars = np.flatnonzero(anew)
+            self.start(cars, [self.task.starts.draw(self._generators[car]) for car in cars.tolist()])
 
     def infos(self) -> dict[str, Array]:
-        """What an agent need not know but people want to, (N,) each: SI."""
+        """What an agent need not know but people want to, (N,) each: SI; copies."""
         rows = self._values[len(self.task.columns) :].copy()
-        return dict(zip(self._names, rows)) | {"t": self.steps * self.task.dt, "cost": self._cost.copy()}
+        named = dict(zip([name.split(".")[1] for name in self.task.info], rows))
+        return named | {"t": self._steps * self.task.dt, "cost": self._cost.copy()}
 
+    def last(self) -> tuple[NDArray[np.float32], dict[str, Array]]:
+        """Observations and infos at the end of the episodes that ended in the last step."""
+        assert self._last is not None
+        return self._last
 
-class _Interpreted:
-    """The loop's own Python; a car has a clock of its own as long as it starts together with the others."""
+    # ---- the loop --------------------------------------------------------------------------------------------
 
-    def __init__(self, task: Task, cars: int, signals: Sequence[str]):
-        self.loop, self.n = task.loop, cars
-        self._at = [self.loop.locate(name) for name in signals]
-        self._agent = self.loop.names.index("controller")
-        self._k = np.zeros(cars)
-        self._x: list[Any] = []
-        self._y: list[Any] = []
+    def _info(self, name: str) -> Array:
+        return self._values[len(self.task.columns) + self.task.info.index(name)]
 
-    def put(self, cars: NDArray[np.intp], start: LoopState) -> None:
+    def _put(self, cars: NDArray[np.intp], start: LoopState) -> None:
         self._k[cars] = 0.0
         if self.n == 1:
             self._x, self._y = [_first(x) for x in start.x], [_first(y) for y in start.y]
-            return
-        if not self._x:  # the first time all cars start
+        elif not self._x:  # the first time all cars start
             self._x, self._y = [_wide(x, self.n) for x in start.x], [_wide(y, self.n) for y in start.y]
-            return
-        for mine, new in ((self._x, start.x), (self._y, start.y)):
-            for b, (old, values) in enumerate(zip(mine, new)):
-                mine[b] = _with(old, values, cars, self.n)
+        else:
+            for mine, new in ((self._x, start.x), (self._y, start.y)):
+                for b, (old, values) in enumerate(zip(mine, new)):
+                    mine[b] = _with(old, values, cars, self.n)
 
-    def advance(self, actions: Array) -> None:
+    def _advance(self, actions: Array) -> None:
         self._x[self._agent] = (float(actions[0]) if self.n == 1 else actions,)
-        for phase in range(self.loop.period):
-            self.loop.run_phase(phase, self._t(phase), self._x, self._y)
-        self._k += self.loop.period
+        for phase in range(self._loop.period):
+            self._loop.run_phase(phase, self._t(phase), self._x, self._y)
+        self._k += self._loop.period
 
-    def look(self) -> Array:
+    def _look(self) -> Array:
         x, y = list(self._x), list(self._y)
-        self.loop.run_phase(0, self._t(0), x, y)
+        self._loop.run_phase(0, self._t(0), x, y)
         return np.array([np.broadcast_to(y[i][j], self.n) for i, j in self._at], dtype=float)
 
     def _t(self, phase: int) -> Any:
         k = self._k + phase
-        return float(k[0]) * self.loop.dt if self.n == 1 else k * self.loop.dt
-
-
-class _Compiled:
-    """The loop in C."""
-
-    def __init__(self, task: Task, cars: int, signals: Sequence[str]):
-        from steerkit.compiled.fleet import Fleet  # loads casadi
-
-        self._fleet = Fleet(task.loop, cars)
-        self._rows = [self._fleet.signal_slot(name) for name in signals]
-        self._action = self._fleet.state_slot("controller")
-
-    def put(self, cars: NDArray[np.intp], start: LoopState) -> None:
-        self._fleet.put(cars, start.x, start.y)
-
-    def advance(self, actions: Array) -> None:
-        self._fleet.set(self._action, actions)
-        self._fleet.advance()
-
-    def look(self) -> Array:
-        return self._fleet.look()[self._rows]
+        return float(k[0]) * self._loop.dt if self.n == 1 else k * self._loop.dt
 
 
 def _like(state: Any, values: list[Any]) -> Any:

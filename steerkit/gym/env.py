@@ -6,10 +6,11 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from steerkit._support.errors import require
-from steerkit.gym.drives import Backend, Drives
+from steerkit.gym.drives import Backend, cars_of
 from steerkit.gym.frames import Painter
 from steerkit.gym.task import Task
 
@@ -37,17 +38,16 @@ class TrackSteering(gymnasium.Env[NDArray[np.float32], Any]):
         self.render_mode = render_mode
         self.action_space = self.task.action_space
         self.observation_space = self.task.observation_space  # type: ignore[assignment]
-        self._drives = Drives(self.task, 1, backend)
+        self._cars = cars_of(self.task, 1, backend, AutoresetMode.DISABLED)
         self._painter = Painter(self.task) if render_mode else None
-        self._over = True
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Start an episode; options s [m], e [m], psi_e [rad] say where."""
         super().reset(seed=seed)
-        self._drives.start(_CAR, [self.task.starts.draw(self.np_random, options)])
-        self._over = False
+        self._cars.draw_from([self.np_random])
+        self._cars.start(_CAR, [self.task.starts.draw(self.np_random, options)])
         info = self._info()
         if self._painter:
             self._painter.begin(info)
@@ -55,16 +55,16 @@ class TrackSteering(gymnasium.Env[NDArray[np.float32], Any]):
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Drive one sample; raises ResetNeeded after the end of an episode."""
-        if self._over:
+        if self._cars.over[0]:
             raise gymnasium.error.ResetNeeded(
                 "TrackSteering.step: the episode is over, or none has begun; call reset()"
             )
-        reward, terminated, truncated = self._drives.step(self.task.angle(action, self.action_space.shape or ()))
-        self._over = bool(terminated[0] or truncated[0])
+        cars = self._cars
+        cars.step(self.task.angle(action, self.action_space.shape or ()))
         info = self._info()
         if self._painter:
             self._painter.add(info)
-        return self._observed(), float(reward[0]), bool(terminated[0]), bool(truncated[0]), info
+        return self._observed(), float(cars.reward[0]), bool(cars.terminated[0]), bool(cars.truncated[0]), info
 
     def render(self) -> Any:
         """The frame of this moment, (height, width, 3) uint8; None without a render_mode."""
@@ -74,7 +74,7 @@ class TrackSteering(gymnasium.Env[NDArray[np.float32], Any]):
         return self._painter.frame()
 
     def _observed(self) -> NDArray[np.float32]:
-        return self.task.observation(self._drives.s)[0]
+        return self._cars.observation[0].copy()
 
     def _info(self) -> dict[str, Any]:
-        return {name: float(values[0]) for name, values in self._drives.infos().items()}
+        return {name: float(values[0]) for name, values in self._cars.infos().items()}

@@ -311,6 +311,14 @@ class Task:
         )
 
 
+def not_finite(signal: str, car: int, value: float, steps: int) -> FloatingPointError:
+    """The error for a signal that is no finite number any more."""
+    return FloatingPointError(
+        f"TrackSteering: {signal} of car {car} is {value} after {steps} steps; a block of the scenario, or an action, "
+        "is out of its range"
+    )
+
+
 def _is_cost(cost: Any) -> bool:
     if isinstance(cost, str):
         return cost in ("smooth", "paper")

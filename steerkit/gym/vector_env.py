@@ -13,8 +13,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from steerkit._support.errors import require
-from steerkit.gym.drives import Backend, Drives
-from steerkit.gym.episodes import Episodes
+from steerkit.gym.drives import Backend, cars_of
 from steerkit.gym.frames import Painter
 from steerkit.gym.task import Task
 
@@ -34,7 +33,7 @@ class TrackSteeringVector(VectorEnv[NDArray[np.float32], Any, NDArray[Any]]):
     the first time, `python` runs them on arrays. threads: of `c`; by default one for 256 cars, up to the number of
     cores. copy: False gives the arrays that the next step writes over, which saves their copies.
 
-    A cost or a scenario of your own that cannot be run on symbols is computed in Python, with a warning that says so.
+    A task with a cost or a scenario of your own that cannot be run on symbols is computed in Python, with a warning.
     """
 
     def __init__(
@@ -62,10 +61,9 @@ class TrackSteeringVector(VectorEnv[NDArray[np.float32], Any, NDArray[Any]]):
         self.single_observation_space = self.task.observation_space
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self._drives = self._in_c(threads) if backend == "c" else Drives(self.task, num_envs, backend)
+        self._cars = cars_of(self.task, num_envs, backend, self._mode, threads)
         self._painters = [Painter(self.task) for _ in range(num_envs)] if render_mode else []
         self._seeded: list[tuple[np.random.Generator, int]] = []
-        self._over = np.ones(num_envs, dtype=bool)
         self._all = np.ones(num_envs, dtype=bool)
 
     @property  # type: ignore[misc]
@@ -98,57 +96,30 @@ class TrackSteeringVector(VectorEnv[NDArray[np.float32], Any, NDArray[Any]]):
         for i in np.flatnonzero(mask).tolist():
             if seeds[i] is not None:
                 generators[i] = seeding.np_random(seeds[i])
-        if isinstance(self._drives, Episodes):
-            self._drives.draw_from([rng for rng, _ in generators])
-        self._start(mask, given)
-        return self._observed(), self._infos(mask)
+        self._cars.draw_from([rng for rng, _ in generators])
+        cars = np.flatnonzero(mask)
+        self._cars.start(cars, [self.task.starts.draw(generators[i][0], given) for i in cars.tolist()])
+        infos = self._infos(mask)
+        for i in cars.tolist() if self._painters else ():
+            self._painters[i].begin({name: values[i] for name, values in infos.items()})
+        return self._observed(), infos
 
     def step(self, actions: Any) -> tuple[NDArray[np.float32], NDArray[Any], Flags, Flags, dict[str, Any]]:
         """Drive all cars one sample, and start those anew whose episode is over."""
-        stopped = self._over.copy()
+        cars, stopped = self._cars, self._cars.over.copy()
         if stopped.any() and (self._mode is not AutoresetMode.NEXT_STEP or not self._seeded):
             raise gymnasium.error.ResetNeeded(f"step: the episodes of cars {np.flatnonzero(stopped)} are over; reset()")
-        angles = self.task.angle(actions, self.action_space.shape or ())
-        if isinstance(self._drives, Episodes):
-            return self._stepped(self._drives, angles)
-        reward, terminated, truncated = self._drives.step(angles)
-        if stopped.any():  # they were driven on for nothing
-            self._start(stopped, {})
-            reward[stopped], terminated[stopped], truncated[stopped] = 0.0, False, False
-        self._over = terminated | truncated
-        last: dict[str, Any] = {}
-        if self._mode is AutoresetMode.SAME_STEP and self._over.any():
-            last = _final(self._over, self._observed(), self._drives.infos())
-            self._start(self._over, {})
-        return self._observed(), reward, terminated, truncated, self._shown() | last
-
-    def _in_c(self, threads: int | None) -> Drives | Episodes:
-        """All of it in C, or, where that cannot be, the loop alone."""
-        from steerkit.compiled.trace import TraceError  # loads casadi
-
-        try:
-            return Episodes(self.task, self.num_envs, self._mode, threads)
-        except TraceError as error:
-            gymnasium.logger.warn(f"TrackSteeringVector: {error}; rewards, ends and starts are computed in Python")
-            return Drives(self.task, self.num_envs, "c")
-
-    def _stepped(self, cars: Episodes, angles: NDArray[np.float64]) -> tuple[Any, ...]:
-        """One step of all that is in C."""
-        cars.step(angles)
-        self._over = cars.over
-        ended = cars.terminated | cars.truncated
-        last: dict[str, Any] = {}
-        if self._mode is AutoresetMode.SAME_STEP and ended.any():
-            last = _final(ended, *cars.last())
-        judged = cars.reward, cars.terminated, cars.truncated
-        return self._observed(), *([a.copy() for a in judged] if self._copy else judged), self._shown() | last
-
-    def _shown(self) -> dict[str, Any]:
-        """The infos of all cars, which the frames are painted from too."""
+        cars.step(self.task.angle(actions, self.action_space.shape or ()))
         infos = self._infos(self._all)
+        ended, same_step = cars.terminated | cars.truncated, self._mode is AutoresetMode.SAME_STEP
+        begun = ended if same_step else stopped
         for i, painter in enumerate(self._painters):
-            painter.add({name: values[i] for name, values in infos.items()})
-        return infos
+            show = painter.begin if begun[i] else painter.add
+            show({name: values[i] for name, values in infos.items()})
+        if same_step and ended.any():
+            infos |= _final(ended, *cars.last())
+        judged = cars.reward, cars.terminated, cars.truncated
+        return self._observed(), *([a.copy() for a in judged] if self._copy else judged), infos
 
     def render(self) -> Any:
         """A tuple of frames, one a car; None without a render_mode."""
@@ -159,24 +130,13 @@ class TrackSteeringVector(VectorEnv[NDArray[np.float32], Any, NDArray[Any]]):
             self._seeded = [seeding.np_random(None) for _ in range(self.num_envs)]
         return self._seeded
 
-    def _start(self, mask: Flags, options: dict[str, Any]) -> None:
-        cars, generators = np.flatnonzero(mask), self._generators()
-        self._drives.start(cars, [self.task.starts.draw(generators[i][0], options) for i in cars])
-        self._over = self._over & ~mask
-        if self._painters:
-            infos = self._infos(mask)
-            for i in cars:
-                self._painters[i].begin({name: values[i] for name, values in infos.items()})
-
     def _observed(self) -> NDArray[np.float32]:
-        if isinstance(self._drives, Episodes):
-            return self._drives.observation.copy() if self._copy else self._drives.observation
-        return self.task.observation(self._drives.s)
+        return self._cars.observation.copy() if self._copy else self._cars.observation
 
     def _infos(self, mask: Flags) -> dict[str, Any]:
         infos: dict[str, Any] = {}
         every = bool(mask.all())
-        for name, values in self._drives.infos().items():
+        for name, values in self._cars.infos().items():
             infos[name], infos[f"_{name}"] = values if every else np.where(mask, values, 0.0), mask.copy()
         return infos
 

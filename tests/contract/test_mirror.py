@@ -26,7 +26,6 @@ ELSEWHERE = {
     "steerkit.cli.options": "unit/cli/test_app.py",
     # one program, run in every way that it can be
     "steerkit.compiled.c_code": "unit/compiled/test_compiled.py",
-    "steerkit.compiled.fleet": "unit/gym/test_vector_env.py",
     "steerkit.compiled.python_code": "unit/compiled/test_compiled.py",
     "steerkit.compiled.vm": "unit/compiled/test_compiled.py",
     # both MPCs are one table of cases

@@ -14,7 +14,6 @@ import pytest
 
 from steerkit._support import native
 from steerkit.compiled import Compiled, TraceError, compile, native_program
-from steerkit.compiled.fleet import Fleet
 from steerkit.compiled.trace import trace
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State
@@ -120,7 +119,6 @@ def test_what_has_no_place_for_a_routine_says_so(tmp_path: Path) -> None:
         lambda: compile(loop, backend="vm"),
         lambda: trace(loop),
         lambda: export_c(loop, tmp_path, blocks=("rooted",)),
-        lambda: Fleet(loop, 4),
     ):
         with pytest.raises(TraceError, match=r"\(Rooted\).*Rooted runs code of its own.*backend 'c' or 'python'"):
             attempt()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import gymnasium
@@ -10,13 +11,23 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from steerkit._support import native
+from steerkit.compiled.trace import TraceError
 from steerkit.gym import TrackSteeringVector
-from steerkit.gym.episodes import Episodes
+from steerkit.gym.episodes import Episodes, episode_code
 from steerkit.gym.task import Task
-from tests.unit.gym.test_episode_code import Sorting
 
 pytestmark = pytest.mark.skipif(native.compiler() is None, reason="C needs a compiler")
 CARS = 19  # more than two groups of lanes, and not a whole number of them
+
+
+@dataclass(frozen=True)
+class Sorting:
+    """A cost that no symbol can be asked for."""
+
+    goal: float = 0.05
+
+    def __call__(self, s: Any, a: Any, s_next: Any) -> Any:
+        return np.sort(np.abs(s_next[:, 0])), s_next[:, 0] > 0.5
 
 
 def rolled(backend: str, mode: AutoresetMode, **options: Any) -> tuple[list[Any], Any]:
@@ -24,7 +35,7 @@ def rolled(backend: str, mode: AutoresetMode, **options: Any) -> tuple[list[Any]
     env = TrackSteeringVector(CARS, backend=backend, autoreset_mode=mode, duration=0.8, **options)  # type: ignore[arg-type]
     rows: list[Any] = [*env.reset(seed=5)]
     for actions in np.random.default_rng(1).integers(0, 5, (40, CARS)):
-        over = env._over.copy()
+        over = env._cars.over.copy()
         if mode is AutoresetMode.DISABLED and over.any():
             rows += [*env.reset(options={"reset_mask": over})]
         rows += [*env.step(actions)]
@@ -48,7 +59,7 @@ def same(a: Any, b: Any) -> None:
 @pytest.mark.parametrize("mode", AutoresetMode)
 def test_in_each_way_to_go_on_they_are_those_of_python(mode: AutoresetMode) -> None:
     (python, by_python), (compiled, in_c) = (rolled(backend, mode) for backend in ("python", "c"))
-    assert isinstance(in_c._drives, Episodes)
+    assert isinstance(in_c._cars, Episodes)
     for a, b in zip(python, compiled, strict=True):
         same(a, b)
     ends = [int(flags.sum()) for flags in python if isinstance(flags, np.ndarray) and flags.dtype.kind == "b"]
@@ -102,3 +113,21 @@ def test_arguments_are_checked() -> None:
     env = TrackSteeringVector(2, backend="c")
     with pytest.raises(gymnasium.error.ResetNeeded):
         env.step([2, 2])
+
+
+def code_of(task: Task) -> str:
+    return episode_code(task, [*task.columns, *task.info], "path.s").source
+
+
+def test_a_cost_that_cannot_be_traced_is_named() -> None:
+    with pytest.raises(TraceError, match="the cost cannot be run on symbols"):
+        code_of(Task(cost=Sorting()))
+
+
+def test_the_streams_of_random_numbers_are_those_of_the_blocks() -> None:
+    """Of a clean car the human's alone; under hard conditions the sensors' too."""
+    one, two = (code_of(Task(conditions=conditions)) for conditions in ("clean", "hard"))
+    streams = [
+        line for text in (one, two) for line in text.splitlines() if line.startswith("static const uint64_t streams")
+    ]
+    assert [line.count(",") for line in streams] == [0, 1]
