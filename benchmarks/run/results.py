@@ -8,7 +8,7 @@
     cases.parquet            all cases in one table, one row each; merged when the run ends
 
 CASE is `suite--scenario--controller--sN`. A table's columns: those of `Case`, one a metric (`metric.rms_e`), and one a
-field of the scenario (`scenario.delay`).
+field of the scenario (`scenario.steering.delay`).
 """
 
 from __future__ import annotations
