@@ -14,7 +14,7 @@ import numpy as np
 
 from steerkit._support.errors import require
 from steerkit.controllers.mpc.path_model import NX, V_HIGH, V_LOW, Array, PathModel, Rhs
-from steerkit.controllers.mpc.programme import NOTHING, PREDICTION, SOLUTION, Answer, Motion, Programme, chosen
+from steerkit.controllers.mpc.programme import NOTHING, PREDICTION, SOLUTION, Answer, Stages, Programme, chosen
 from steerkit.controllers.mpc.qp import StageQp
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram import maths as m
@@ -410,7 +410,7 @@ class PredictiveSteering(Block):
         fastest = self.slew * self.model.per_a_y(m.where(m.is_finite(v), v, 0.0))
         return m.where(m.is_finite(v), m.minimum(fastest, self.rate_limit), self.rate_limit)
 
-    def _motion(self, plan: Any, x0: Any, v: Any, substeps: Any, kappa: Any, bends: Any, table: Any) -> Motion:
+    def _motion(self, plan: Any, x0: Any, v: Any, substeps: Any, kappa: Any, bends: Any, table: Any) -> Stages:
         """The motion from x0 (6,) over stages of curvatures kappa (N,), as x_k+1 = A_k x_k + B_k rate_k - gap_k.
 
         All are CasADi's symbols. plan (N,): the rates of the plan before; bends (6, N): steady cornering at these
@@ -434,7 +434,7 @@ class MPC(PredictiveSteering):
     def output(self, t: Any, x: tuple[Any, ...], u: Any) -> Any:
         return self._steer(x, u)
 
-    def _motion(self, plan: Any, x0: Any, v: Any, substeps: Any, kappa: Any, bends: Any, table: Any) -> Motion:
+    def _motion(self, plan: Any, x0: Any, v: Any, substeps: Any, kappa: Any, bends: Any, table: Any) -> Stages:
         n, soft = self.horizon, list(self.qp.soft)
         a, b, row, _ = table
         gap = a @ bends - bends
@@ -460,7 +460,7 @@ class NonlinearMPC(PredictiveSteering):
     def output(self, t: Any, x: tuple[Any, ...], u: Any) -> Any:
         return self._steer(x, u)
 
-    def _motion(self, plan: Any, x0: Any, v: Any, substeps: Any, kappa: Any, bends: Any, table: Any) -> Motion:
+    def _motion(self, plan: Any, x0: Any, v: Any, substeps: Any, kappa: Any, bends: Any, table: Any) -> Stages:
         n, soft = self.horizon, list(self.qp.soft)
         each = [self.model.affine_step(count).mapaccum(f"driven{count}", n) for count in self.model.all_substeps]
         driven = chosen("driven", each)(substeps, x0, plan.T, casadi.repmat(v, 1, n), kappa.T)

@@ -18,7 +18,7 @@ from steerkit.controllers.mpc.qp import DATA, StageQp
 NOTHING, PREDICTION, SOLUTION = 0.0, 1.0, 2.0
 """What is asked of a programme."""
 _AHEAD = 7
-Motion = tuple[Any, Any, Any, Any, Any]
+Stages = tuple[Any, Any, Any, Any, Any]
 """A, B, gaps, rows and offsets of a_y: CasADi's symbols."""
 
 
@@ -55,7 +55,7 @@ class Programme:
 
     model: PathModel
     qp: StageQp
-    motion: Callable[..., Motion]
+    motion: Callable[..., Stages]
     spans: tuple[float, ...]
     times: Array
     preview_points: int
