@@ -14,7 +14,7 @@ import numpy as np
 
 from steerkit._support.errors import require
 from steerkit.controllers.mpc.path_model import NX, V_HIGH, V_LOW, Array, PathModel, Rhs
-from steerkit.controllers.mpc.programme import NOTHING, PREDICTION, SOLUTION, Answer, Stages, Programme, chosen
+from steerkit.controllers.mpc.programme import NOTHING, PREDICTION, SOLUTION, Answer, Programme, Stages, chosen
 from steerkit.controllers.mpc.qp import StageQp
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram import maths as m
