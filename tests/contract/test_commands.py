@@ -77,9 +77,9 @@ class Shell:
             )
 
     def run(self, line: str) -> subprocess.CompletedProcess[str]:
-        """Run a line to its end: a command alone in a fork of this process, any other in bash."""
+        """Run a line to its end: a command alone in a fork of this process, any other (or for completion) in bash."""
         command = re.match("steerkit |python ", line)
-        if command and not re.search(r"[|;&<>$*`]", line):
+        if command and not re.search(r"[|;&<>$*`]|-completion", line):
             name, *words = shlex.split(line)
             words = [str(self.programs / "steerkit"), *words] if name == "steerkit" else words
             return programs.python(*words, folder=self.folder, environment=self.environment, seconds=PATIENCE)
