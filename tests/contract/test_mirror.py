@@ -53,7 +53,10 @@ def missing(root: Path, unit: Path) -> list[str]:
     found = [
         f"{name} has no {test.relative_to(root)}, and no test imports it"
         for name, test in mirrors.items()
-        if holds_something(files[name]) and not test.is_file() and name not in tested and not name.startswith(PROGRAMS)
+        if holds_something(files[name])
+        and not test.is_file()
+        and name not in tested
+        and not name.startswith(PROGRAMS)
         and not (root / "tests" / BEHIND.get(name, "-")).is_file()
     ]
     found += [f"BEHIND: there is no {name}" for name in BEHIND if root == ROOT and name not in files]
