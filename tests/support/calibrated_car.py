@@ -1,4 +1,4 @@
-"""A calibration in one process: a car of which nobody is told the truth, its car server's core, its guided drive."""
+"""A calibration in one process: a car whose true numbers are unknown to it, its server's core, its guided drive."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ class CalibratedWorld(World):
         self.watched = Watched(self, config, self.packet)
         self.due = math.inf  # the human drives alone
         self.until(10.0)
-        told: Any = self
-        self.guided = Guided(config=config, path=PATH, link=told, line=self.watched, minutes=minutes)
+        link: Any = self
+        self.guided = Guided(config=config, path=PATH, link=link, line=self.watched, minutes=minutes)
         resting = self.guided.follow.resting
         self.run = realtime.Run(resting, resting.init(), realtime.Timing(period=resting.dt))
         self.over = False

@@ -1,4 +1,4 @@
-"""The guided drive: what it does to the car, who may end it, and what its recording tells again."""
+"""The guided drive: what it does to the car, who may end it, and what its recording gives again."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ def test_the_estimates_are_recorded_once_a_second_and_come_out_bit_for_bit_again
     recorded = recordings.read(calibration.record)
     (drive,) = replays.drives(recorded)
     estimators, same = replays.replayed_estimates(drive, recordings.config_of(recorded))
-    told = recorded.of("/estimates")
-    assert same == len(drive.estimates) == len(told) > 40
+    recorded_estimates = recorded.of("/estimates")
+    assert same == len(drive.estimates) == len(recorded_estimates) > 40
     assert estimators.found() == calibration.world.watched.estimators.found()
     last = calibration.world.watched.found
-    assert {name: told[-1][name] for name in last} == {name: q.value for name, q in last.items()}
-    assert {told[-1][f"{name}_valid"] for name in last} == {0.0, 1.0}
+    assert {name: recorded_estimates[-1][name] for name in last} == {name: q.value for name, q in last.items()}
+    assert {recorded_estimates[-1][f"{name}_valid"] for name in last} == {0.0, 1.0}
 
 
 def test_a_changed_sample_is_noticed_by_the_replay(calibration: Made) -> None:

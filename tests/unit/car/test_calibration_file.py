@@ -155,9 +155,9 @@ def test_from_the_command_line_as_json(
         run("car", "calibrate", "--from", str(calibration.record), "--out", str(out), "--json", monkeypatch=monkeypatch)
         == 0
     )
-    told = json.loads(capsys.readouterr().out)
-    assert (told["vehicle_file"], out.is_file()) == (str(out), True)
-    assert told["estimates"]["steer_ratio"]["valid"] is True
+    printed_json = json.loads(capsys.readouterr().out)
+    assert (printed_json["vehicle_file"], out.is_file()) == (str(out), True)
+    assert printed_json["estimates"]["steer_ratio"]["valid"] is True
     assert run("car", "replay", str(calibration.record), monkeypatch=monkeypatch) == 0
     printed = capsys.readouterr().out
     estimates, same = re.search(r"estimates: (\d+) of (\d+) the same", printed).groups()  # type: ignore[union-attr]

@@ -1,4 +1,4 @@
-"""The numbers are found where driving tells them, within their intervals; else the priors stay."""
+"""The numbers are found where driving shows them, within their intervals; else the priors stay."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_ratio_offset_and_zero_are_found_within_a_minute() -> None:
         assert got[name].low <= value <= got[name].high
     assert got["ratio"].value == pytest.approx(1.2, rel=0.02)
     assert got["offset"].value == pytest.approx(radians_of(3.0), abs=radians_of(0.3))
-    assert got["understeer"].valid == got["disturbance"].valid == 0.0  # too slow, no bank: nobody can know
+    assert got["understeer"].valid == got["disturbance"].valid == 0.0  # too slow, no bank: neither is observable
 
 
 def test_the_understeer_gradient_is_found_at_speed() -> None:
@@ -71,7 +71,7 @@ def test_on_a_straight_the_ratio_stays_and_the_offset_is_found() -> None:
     assert got["offset"].low < radians_of(3.0) < got["offset"].high
     assert got["offset"].value == pytest.approx(radians_of(3.0), abs=radians_of(0.7))  # play may hold the wheels aside
     assert got["offset"].deviation > radians_of(0.3)
-    tight = found(driven_fast(replace(BLOCK, play=0.0, play_prior=1e-4), signals))  # told that there is none
+    tight = found(driven_fast(replace(BLOCK, play=0.0, play_prior=1e-4), signals))  # given that there is none
     assert tight["offset"].value == pytest.approx(radians_of(3.0), abs=radians_of(0.3))
     assert tight["offset"].deviation < radians_of(0.25)
 
@@ -97,7 +97,7 @@ def test_while_the_car_stands_the_gyro_tells_its_zero_and_all_else_stays() -> No
 
 
 def test_bends_leave_nothing_in_the_gyros_zero() -> None:
-    """Which the heading tells: by the trapezoidal rule, as a car in a bend turns by a degree from sample to sample."""
+    """Which the heading shows: by the trapezoidal rule, as a car in a bend turns by a degree from sample to sample."""
     t = 0.05 * np.arange(1200)
     r, psi = 0.4 * np.sin(0.11 * t) + 0.004, 0.4 / 0.11 * (1.0 - np.cos(0.11 * t))
     block, nan = replace(BLOCK, psi_noise=1e-4, noise=1e-4), float("nan")
@@ -156,7 +156,7 @@ def test_the_angle_of_a_driver_who_overrides_is_not_taken_for_the_cars() -> None
 
 
 def test_while_the_delay_is_hardly_known_fast_turns_count_for_less() -> None:
-    """Told 0.15 s too little, and how sure that is: the interval still holds the ratio."""
+    """Given 0.15 s too little, and how sure that is: the interval still holds the ratio."""
     signals = sensed(drive(20.0, delay=0.3)) | {"delay": np.full(400, 0.15)}
     sure, unsure = (
         found(driven_fast(BLOCK, signals | {"delay_deviation": np.full(400, d)}))["ratio"] for d in (0.0, 0.1)
@@ -165,7 +165,7 @@ def test_while_the_delay_is_hardly_known_fast_turns_count_for_less() -> None:
     assert unsure.low <= 1.2 <= unsure.high
 
 
-def test_without_heading_at_one_speed_offset_and_gyro_zero_are_not_told_apart() -> None:
+def test_without_heading_at_one_speed_offset_and_gyro_zero_are_not_separated() -> None:
     signals = sensed(drive(v=8.0), zero=0.004) | {"psi": np.full(1200, np.nan)}
     got = found(driven_fast(BLOCK, signals))
     assert got["offset"].valid == got["rate_zero"].valid == 0.0

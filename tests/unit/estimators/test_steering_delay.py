@@ -40,17 +40,17 @@ def test_a_sine_some_samples_late_without_noise(samples: int, frequency: float) 
 
 
 @pytest.mark.parametrize(("delay", "lag"), [(0.0, 0.2), (0.07, 0.1), (0.22, 0.28), (0.5, 0.15)])
-def test_the_wheel_tells_delay_and_lag(delay: float, lag: float) -> None:
+def test_the_wheel_shows_delay_and_lag(delay: float, lag: float) -> None:
     x = driven(WHEEL, answered(steered(40.0), delay=delay, lag=lag))
     for name, truth, most in (("delay_lag", delay + lag, 0.012), ("delay", delay, 0.04), ("lag", lag, 0.04)):
         found = said(WHEEL, x, name)
-        assert found.valid == 1.0 or (name != "delay_lag" and lag == 0.1)  # half the prior's lag is told apart badly
+        assert found.valid == 1.0 or (name != "delay_lag" and lag == 0.1)  # half the prior's lag is separated badly
         assert found.low <= truth <= found.high
         assert found.value == pytest.approx(truth, abs=most)
 
 
 @pytest.mark.parametrize("v", [5.0, 20.0])
-def test_the_yaw_rate_tells_them_with_its_own_age(v: float) -> None:
+def test_the_yaw_rate_shows_them_with_its_own_age(v: float) -> None:
     signals = answered(steered(40.0), delay=0.12, lag=0.25, v=v)
     noise = np.random.default_rng(3).normal(0.0, YAW.noise, len(signals["r"]))
     late = np.concatenate((np.zeros(2), signals["r"][:-2])) + noise + 0.01  # 0.1 s old, and its zero is wrong
@@ -84,7 +84,7 @@ def test_without_excitation_the_prior_stays_and_is_not_valid(block: DelayBank) -
 
 
 @pytest.mark.parametrize("what", ["override", "nan"])
-def test_what_others_do_to_the_wheel_and_lost_samples_teach_nothing(what: str) -> None:
+def test_what_others_do_to_the_wheel_and_lost_samples_are_not_used(what: str) -> None:
     """Whoever overrides turns the wheel as he likes, here exactly against the command."""
     signals = answered(steered(60.0), delay=0.2, lag=0.2)
     mask = gaps(len(signals["v"]))
@@ -107,10 +107,12 @@ def test_commands_that_the_motor_cannot_follow_are_left_out(bound: str) -> None:
     signals, k = answered(calm, delay=0.1, lag=0.2), np.arange(len(calm))
     wild = 10.0 * np.abs(calm) + radians_of(80.0) if bound == "limit" else calm + radians_of(50.0) * (-1.0) ** k
     signals["delta_sw_cmd"] = np.where(k % 400 < 40, wild, calm)
-    told = WheelDelay(limit=radians_of(75.0)) if bound == "limit" else WheelDelay(rate_limit=radians_of(300.0))
-    found, untold = (said(block, driven(block, signals)) for block in (told, WheelDelay(limit=20.0, rate_limit=100.0)))
+    limited = WheelDelay(limit=radians_of(75.0)) if bound == "limit" else WheelDelay(rate_limit=radians_of(300.0))
+    found, unlimited = (
+        said(block, driven(block, signals)) for block in (limited, WheelDelay(limit=20.0, rate_limit=100.0))
+    )
     assert found.value == pytest.approx(0.3, abs=0.006)
-    assert untold.deviation > 1.5 * found.deviation
+    assert unlimited.deviation > 1.5 * found.deviation
 
 
 def test_what_is_old_is_forgotten_within_the_memory() -> None:

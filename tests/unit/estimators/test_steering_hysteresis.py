@@ -44,7 +44,7 @@ def test_friction_is_found_within_a_tenth(degrees: float) -> None:
 
 
 @pytest.mark.parametrize("late", [-0.03, 0.03])
-def test_a_delay_that_is_told_wrong_is_not_taken_for_friction(late: float) -> None:
+def test_a_delay_that_is_given_wrong_is_not_taken_for_friction(late: float) -> None:
     signals = worn(friction_deg=0.5)
     found = said(FRICTION, driven_fast(FRICTION, signals | {"delay": signals["delay"] + late}))
     assert found.value == pytest.approx(radians_of(0.5), abs=radians_of(0.1))
@@ -82,7 +82,7 @@ def test_on_a_straight_the_prior_stays(block: HysteresisBank) -> None:
 
 
 @pytest.mark.parametrize("what", ["override", "nan"])
-def test_overrides_and_gaps_teach_nothing(what: str) -> None:
+def test_overrides_and_gaps_are_not_used(what: str) -> None:
     signals = worn(120.0, friction_deg=0.5)
     mask = gaps(len(signals["v"]))
     if what == "override":
@@ -99,32 +99,32 @@ def test_overrides_and_gaps_teach_nothing(what: str) -> None:
 def test_a_lag_that_is_hardly_known_is_in_the_interval_until_another_is_found() -> None:
     signals = worn(30.0, friction_deg=0.5)
 
-    def told(deviation: float, samples: int) -> Estimated:
+    def given(deviation: float, samples: int) -> Estimated:
         given = signals | {"lag_deviation": np.full(len(signals["v"]), deviation)}
         return said(FRICTION, driven_fast(FRICTION, {name: values[:samples] for name, values in given.items()}))
 
-    sure, unsure = told(0.0, 200), told(0.04, 200)
+    sure, unsure = given(0.0, 200), given(0.04, 200)
     assert unsure.value == sure.value
     assert unsure.deviation == pytest.approx(np.hypot(sure.deviation, 0.04 * FRICTION.per_lag))
     assert unsure.valid == 0.0
-    assert told(0.04, 600).valid == 1.0
+    assert given(0.04, 600).valid == 1.0
 
 
 @pytest.mark.parametrize("longer", [-0.03, 0.05])
-def test_a_lag_that_is_told_wrong_is_not_taken_for_friction(longer: float) -> None:
+def test_a_lag_that_is_given_wrong_is_not_taken_for_friction(longer: float) -> None:
     signals = worn(120.0, friction_deg=0.7)
-    told = {"delay": signals["delay"] - longer, "lag": signals["lag"] + longer, "lag_deviation": 0.05 + signals["lag"]}
-    found = said(FRICTION, driven_fast(FRICTION, signals | told))
+    given = {"delay": signals["delay"] - longer, "lag": signals["lag"] + longer, "lag_deviation": 0.05 + signals["lag"]}
+    found = said(FRICTION, driven_fast(FRICTION, signals | given))
     assert found.low <= radians_of(0.7) <= found.high
     assert found.value == pytest.approx(radians_of(0.7), rel=0.1)
 
 
-def test_another_delay_begins_anew_what_was_summed_with_the_one_before() -> None:
+def test_another_delay_resets_what_was_summed_with_the_one_before() -> None:
     signals = worn(30.0, friction_deg=0.3)
     x = driven_fast(FRICTION, signals)
-    told = {name: values[-1:] for name, values in signals.items()}
+    given = {name: values[-1:] for name, values in signals.items()}
     slightly, much = (
-        said(FRICTION, driven_fast(FRICTION, told | {"delay": told["delay"] + more}, x)) for more in (0.002, 0.1)
+        said(FRICTION, driven_fast(FRICTION, given | {"delay": given["delay"] + more}, x)) for more in (0.002, 0.1)
     )
     assert slightly.value == pytest.approx(radians_of(0.3), rel=0.1)
     assert much.value == pytest.approx(FRICTION.prior)

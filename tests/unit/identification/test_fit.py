@@ -50,7 +50,7 @@ def test_white_intervals_are_those_of_the_textbook(clean: dict[str, Any]) -> Non
     assert answer.correlation_time == pytest.approx(DT, rel=0.3)
 
 
-def test_slow_driving_tells_the_ratio_but_not_the_tyres() -> None:
+def test_slow_driving_determines_the_ratio_but_not_the_tyres() -> None:
     slow = driven(seconds=60.0, v_low=3.5, v_high=5.0)
     answer = identify(Drive.of(**by_rate(noisy(slow, 1))), BASE)
     assert answer["ratio_wheelbase"].source == "log"
@@ -61,7 +61,7 @@ def test_slow_driving_tells_the_ratio_but_not_the_tyres() -> None:
 
 
 def test_the_wheelbase_only_scales_the_ratio(clean: dict[str, Any]) -> None:
-    """What the log tells, ratio times wheelbase, hardly depends on the wheelbase that is given."""
+    """What the log determines, ratio times wheelbase, hardly depends on the wheelbase that is given."""
     longer = replace(BASE, l_f=1.1 * BASE.l_f, l_r=1.1 * BASE.l_r, i_z=1.21 * BASE.i_z)
     drive = Drive.of(**noisy(clean, 0))
     one, two = identify(drive, BASE), identify(drive, longer)
@@ -84,7 +84,7 @@ def test_fixed_and_known(clean: dict[str, Any]) -> None:
 def test_the_covariance_allows_for_errors_that_are_larger_where_they_matter() -> None:
     """White 1982: r = x theta with error sizes s x has the variance s^2 sum x^4/(sum x^2)^2, found by repetition."""
     n, rng = 4000, np.random.default_rng(0)
-    x = np.where(np.arange(n) % 10 == 0, 3.0, 0.3)  # a tenth of the samples tells nearly everything
+    x = np.where(np.arange(n) % 10 == 0, 3.0, 0.3)  # a tenth of the samples holds nearly everything
     table = {"steer_ratio": replace(priors(BASE)["steer_ratio"], mean=10.0, deviation=1e3, low=-1e4, high=1e4)}
     claimed, estimates = [], []
     for _ in range(60):

@@ -31,7 +31,7 @@ def test_held_out_drive(found: Identified) -> None:
 def test_the_zero_of_a_gyroscope_is_predicted_too_unless_it_is_calibrated(found: Identified) -> None:
     theta = found.theta | {"rate_zero": 0.01}
     calibrated, raw = (
-        predict(Simulator(replace(found.drive, calibrated=told), found.base), theta).r for told in (True, False)
+        predict(Simulator(replace(found.drive, calibrated=zeroed), found.base), theta).r for zeroed in (True, False)
     )
     assert raw - calibrated == pytest.approx(0.01)
 
