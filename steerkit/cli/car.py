@@ -63,7 +63,7 @@ def simulate(
     delay: Annotated[float, typer.Option(help="Dead time from a command to the motor (s).")] = 0.0,
     lag: Annotated[float, typer.Option(help="Lag of the motor (s).")] = 0.1,
     offset_deg: Annotated[float, typer.Option(help="Offset of the steering that its sensor does not see (deg).")] = 0.0,
-    seed: Annotated[int, typer.Option(help="Seed of the human at the wheel.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the driver's speed.")] = 0,
     v_min: Annotated[float, typer.Option(help="Slowest speed (m/s).")] = 4.0,
     v_max: Annotated[float, typer.Option(help="Fastest speed (m/s).")] = 6.0,
     log: Annotated[str, typer.Option(help="File for every command heard, as JSON lines.")] = "",
@@ -89,8 +89,8 @@ def server(
     realtime: Annotated[bool, typer.Option(help="Run under SCHED_FIFO; needs the right to.")] = False,
 ) -> None:
     """The process that owns the bus. `steerkit drive --car` and `learn --car` start one where there is none."""
-    told: dict[str, Any] = {"socket": socket, "recording": recording, "channel": channel, "time_scale": time_scale}
-    raise typer.Exit(processes.server(config, **told, linger=linger, realtime=realtime))
+    bus: dict[str, Any] = {"socket": socket, "recording": recording, "channel": channel, "time_scale": time_scale}
+    raise typer.Exit(processes.server(config, **bus, linger=linger, realtime=realtime))
 
 
 @app.command()

@@ -193,7 +193,7 @@ def _file_name(name: str) -> str:
 
 
 def _described(names: Sequence[str], scenario: Scenario, *, rounds: float | None, seed: int) -> dict[str, Any]:
-    """What tells one test drive from another: who drives, where and how; as JSON has it."""
+    """What distinguishes one test drive from another: controllers, scenario, rounds and seed; as JSON has it."""
 
     def version(name: str) -> Any:
         if is_outside(name):

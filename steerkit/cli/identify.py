@@ -43,7 +43,7 @@ def identify(
     """Estimate a car's steering ratio, offset, delay, lag and cornering stiffness from a recorded drive.
 
     LOG is anything that `steerkit log` shows: CSV, MATLAB, npz, Parquet, MCAP, a ROS bag, MF4, a CAN log with --dbc;
-    several files, if they are of one clock. Columns of other names or units are told by --map, a TOML file whose table
+    several files, if they are of one clock. Columns of other names or units are given by --map, a TOML file whose table
     `columns` has lines such as::
 
         delta_sw = { column = "angle", unit = "deg", scale = -1 }
@@ -116,7 +116,7 @@ def _report(console: Any, identified: Any, prediction: Any, *, quiet: bool) -> N
         for part in (identified.fit, *([prediction] if prediction else ())):
             for note in part.drive.notes:
                 console.print(f"{part.drive.name}: {escape(note)}", soft_wrap=True, highlight=False)
-    table = Table("parameter", "value", "95 % interval", "unit", "told by", "", title=f"{identified.vehicle.name}")
+    table = Table("parameter", "value", "95 % interval", "unit", "source", "", title=f"{identified.vehicle.name}")
     for e in identified.estimates:
         table.add_row(e.name, f"{e.value:.4g}", escape(f"[{e.low:.4g}, {e.high:.4g}]"), e.unit, e.source, e.note)
     console.print(table)

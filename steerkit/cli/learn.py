@@ -69,7 +69,7 @@ def learn(
     ] = False,
     stream: Stream = "",
 ) -> None:
-    """Let a car learn to steer a course from nothing, the recovery controller catching it."""
+    """Let a car learn to steer a course from nothing; the recovery controller takes over where it fails."""
     check_options(ctx)
     if options.car:
         place = out or loops.LEARNED

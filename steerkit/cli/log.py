@@ -109,7 +109,7 @@ def _report(console: Any, found: Any, said: list[str]) -> None:
 def plot(
     log: Annotated[Path, typer.Argument(help="A log, such as drive.npz, or the directory of a learning run.")],
     signals: Annotated[
-        list[str] | None, typer.Argument(help="Signals, such as path.e car.v; default: those that tell most.")
+        list[str] | None, typer.Argument(help="Signals, such as path.e car.v; default: the most informative.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Picture: .png, .svg or .pdf; default: beside the log.")] = None,
     table: Annotated[Path | None, typer.Option(help="Write all signals as a table too: .csv or .parquet.")] = None,

@@ -33,7 +33,7 @@ class Conditions(StrEnum):
 SIMULATED, ON_CAR = "In simulation (without --car)", "On a car (with --car)"
 SOCKET, TIME_SCALE = "Unix socket of the car server.", "How many times faster than real time; simulated cars only."
 CHANNEL = "slcan device or socket://, or INTERFACE:CHANNEL of python-can, instead of the file's bus."
-Seed = Annotated[int, typer.Option(help="Seed of human and sensors, and of a learner's nets.")]
+Seed = Annotated[int, typer.Option(help="Seed of driver and sensors, and of a learner's nets.")]
 Machine = Annotated[bool, typer.Option("--json", help="Print one JSON object, and all that is for people on stderr.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print results only, no progress.")]
 
@@ -100,7 +100,7 @@ class DriveOptions:
             "A steady speed (m/s), `wander`, `recorded`, `limit`, or a CSV file with the columns s (m), v (m/s)."
         ),
     ] = "wander"
-    v_max: Annotated[float, in_simulation("Fastest speed of the human (m/s).")] = 7.5
+    v_max: Annotated[float, in_simulation("The driver's fastest speed (m/s).")] = 7.5
     scenario_file: Annotated[
         Path | None, in_simulation("TOML file of a scenario; options given besides change it.", "--scenario")
     ] = None
@@ -146,7 +146,7 @@ _NOT_ON_A_CAR = {
     "scenario_file": "the car's file says where and with what",
     "estimator": "controllers see what the car's own unit says",
     "conditions": "a car brings its own noise and delays",
-    "delay": "the car's file tells it, under [kit]",
+    "delay": "the car's file holds it, under [kit]",
     "speed": "who drives sets it",
     "v_max": "who drives keeps to it",
     "rounds": "say --minutes, or end with `q`",

@@ -46,8 +46,8 @@ def resimulate(
 ) -> None:
     """Drive a recorded drive again in simulation: where would a controller have steered otherwise, and by how much?
 
-    The same way (by dead reckoning from speed and yaw rate) at the same speed, on the car of --vehicle, or the one that
-    the drive itself tells. Compared where it was recorded at 3 m/s or faster, over 20 samples a second.
+    The same way (by dead reckoning from speed and yaw rate) at the same speed, on the car of --vehicle, or the one
+    identified from the drive. Compared where it was recorded at 3 m/s or faster, over 20 samples a second.
     """
     names = controller or ["mpc"]
     for option, file in (("--plot", plot), ("--film", film)):
@@ -58,13 +58,13 @@ def resimulate(
         film_writer(film)
     drive = read_drive(recording, column_map(columns, column))
     console = Console(stderr=as_json)
-    car, steering, told = _car(vehicle, drive)
+    car, steering, car_text = _car(vehicle, drive)
     if not quiet:
-        for note in (*drive.notes, told):
+        for note in (*drive.notes, car_text):
             console.print(note, markup=False, highlight=False, soft_wrap=True)
     driven = [again.resimulate(drive, name, vehicle=car, steering=steering, progress=not quiet) for name in names]
     if as_json:
-        print(json.dumps({"resimulated": [one.figures() for one in driven], "car": told}))
+        print(json.dumps({"resimulated": [one.figures() for one in driven], "car": car_text}))
     else:
         _report(console, driven)
     if plot is not None:

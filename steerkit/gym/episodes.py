@@ -138,16 +138,16 @@ class Episodes:
 
     def infos(self) -> dict[str, Array]:
         """What an agent need not know but people want to, (N,) each: SI; copies."""
-        return self._told(self._arrays["info"].copy(), self._arrays["steps"], self._arrays["cost"])
+        return self._named(self._arrays["info"].copy(), self._arrays["steps"], self._arrays["cost"])
 
     def last(self) -> tuple[NDArray[np.float32], dict[str, Array]]:
         """Observations and infos at the end of the episodes that ended in the last step; of other cars, older ones."""
         rows = self._arrays["last_info"].copy()
-        return self._arrays["last_observation"].copy(), self._told(rows[:-2], rows[-2], rows[-1])
+        return self._arrays["last_observation"].copy(), self._named(rows[:-2], rows[-2], rows[-1])
 
-    def _told(self, rows: Array, steps: NDArray[Any], cost: Array) -> dict[str, Array]:
-        told = {name: row[: self.n] for name, row in zip(self._names, rows)}
-        return told | {"t": steps[: self.n] * self.task.dt, "cost": cost[: self.n].copy()}
+    def _named(self, rows: Array, steps: NDArray[Any], cost: Array) -> dict[str, Array]:
+        named = {name: row[: self.n] for name, row in zip(self._names, rows)}
+        return named | {"t": steps[: self.n] * self.task.dt, "cost": cost[: self.n].copy()}
 
     def _explain(self) -> None:
         signals = self._arrays["signals"].transpose(1, 0, 2).reshape(len(self._signals), -1)[:, : self.n]
@@ -187,7 +187,7 @@ typedef struct {{
   double *reward, *cost;          /* [padded] */
   long long *steps;
   unsigned char *terminated, *truncated, *over;
-  uint64_t *seed;                 /* of the starts that are told, with s, e, psi_e in `start` [padded][3] */
+  uint64_t *seed;                 /* of the starts that are given, with s, e, psi_e in `start` [padded][3] */
   double *start;
   void *const *generator;         /* [cars]: NumPy's bit generators */
   uint32_t (*next_uint32)(void *);
@@ -237,13 +237,13 @@ static void observed(float *to, const fleet *f, const real *v, int lane)
 /* puts the lanes of `which` where `start` says */
 static void begun(const fleet *f, long long group, mask which, real *s, real *v)
 {{
-  real told[3 + {random}], new_s[{carried}], new_v[{rows}];
+  real given[3 + {random}], new_s[{carried}], new_v[{rows}];
   for (int l = 0; l < LANES; l++) {{
     const long long car = group * LANES + l;
-    for (int i = 0; i < 3; i++) told[i][l] = f->start[3 * car + i];
-    for (int i = 0; i < {random} / 6; i++) seeded(f->seed[car], streams[i], told + 3 + 6 * i, l);
+    for (int i = 0; i < 3; i++) given[i][l] = f->start[3 * car + i];
+    for (int i = 0; i < {random} / 6; i++) seeded(f->seed[car], streams[i], given + 3 + 6 * i, l);
   }}
-  begin(told, new_s, new_v);
+  begin(given, new_s, new_v);
   for (int i = 0; i < {carried}; i++) s[i] = SELECT(which, new_s[i], s[i]);
   for (int i = 0; i < {rows}; i++) v[i] = SELECT(which, new_v[i], v[i]);
   for (int l = 0; l < LANES; l++)
@@ -313,7 +313,7 @@ void step(const fleet *f, int how, int threads)
   }}
   for (int i = 1; i < threads; i++) if (running[i]) pthread_join(ids[i], 0);
 }}
-/* begins the episodes of the cars of `which`, where they are told */
+/* begins the episodes of the cars of `which`, where `start` says */
 void place(const fleet *f, const unsigned char *which)
 {{
   for (long long group = 0; group < f->groups; group++) {{
@@ -373,7 +373,7 @@ def episode_code(task: Task, signals: Sequence[str], place: str) -> EpisodeCode:
 
     ticks = [Tick(tick.graph, tuple([tick.roots[i] for i in carried])) for tick in graphs.ticks]
     look = Tick(graphs.ticks[0].graph, tuple([graphs.ticks[0].roots[row] for row in rows]))
-    told = [*(f"b[{i}]" for i in range(columns)), "a", *seen[:columns]]
+    arguments = [*(f"b[{i}]" for i in range(columns)), "a", *seen[:columns]]
     agent = sum(len(x) for x in graphs.layout.template.x[: task.loop.names.index("controller")])
     parts = [
         lanes_source(known),
@@ -384,7 +384,7 @@ def episode_code(task: Task, signals: Sequence[str], place: str) -> EpisodeCode:
             "judge(const real *b, real a, const real *v, real *cost, real *failed)",
             judge,
             ["*cost", "*failed"],
-            told.__getitem__,
+            arguments.__getitem__,
         ),
         _CODE.format(
             columns=columns,

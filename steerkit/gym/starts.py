@@ -32,7 +32,7 @@ LEAST_ROOM = 30.0
 
 
 class Draw(NamedTuple):
-    """Where an episode starts, and with which human and noise."""
+    """Where an episode starts, and with which driver and noise."""
 
     seed: int
     s: float

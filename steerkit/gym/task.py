@@ -112,7 +112,7 @@ class Task:
     """Largest turn at the start [rad], away from the heading that keeps e as it is."""
     safe: bool | Mapping[str, Any] = False
     """Is there a `SafetyFilter` between the agent and the wheel? It keeps |e| of the front axle within 0.5 m, whatever
-    the agent does. `info` holds `correction` [rad] and `share` [1] then: an agent that is corrected should be told.
+    the agent does. `info` holds `correction` [rad] and `share` [1] then: an agent that is corrected should observe it.
     A mapping has fields of the filter that are not to be its own: `{"delay_doubt": 0.1}`."""
     description: StateDescription = STANDARD
     """The observation's columns and ranges: names of the tracker's or the sensors' outputs, or `doe`; column 0 is e."""
@@ -152,8 +152,8 @@ class Task:
         words = "course, vehicle and conditions belong to the scenario; give them inside `scenario`, or no scenario"
         require(self.scenario is None or plain, where, words)
         _ = self.place
-        told = isinstance(self.place, Scenario)
-        require(told or self.safe is False, where, "safe needs a Scenario, which says what is told of the car")
+        known_car = isinstance(self.place, Scenario)
+        require(known_car or self.safe is False, where, "safe needs a Scenario, which says what is believed of the car")
         for name in self.safe if isinstance(self.safe, Mapping) else ():
             known(name, [field.name for field in dataclasses.fields(SafetyFilter)], "field of safe")
 

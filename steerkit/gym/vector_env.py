@@ -21,7 +21,7 @@ Flags = NDArray[np.bool_]
 
 
 class TrackSteeringVector(VectorEnv[NDArray[np.float32], Any, NDArray[Any]]):
-    """Steer N cars, each along a course of its own start, human and noise; `gymnasium.make_vec(id, num_envs=N)`.
+    """Steer N cars, each along a course of its own start, driver and noise; `gymnasium.make_vec(id, num_envs=N)`.
 
     Car i of `reset(seed=k)` is the car of `TrackSteering.reset(seed=k + i)`, with the same numbers to rounding (the
     backends compute sines in other orders). Options as for `TrackSteering`. In `info` every value is an (N,) array,
@@ -141,12 +141,12 @@ class TrackSteeringVector(VectorEnv[NDArray[np.float32], Any, NDArray[Any]]):
         return infos
 
 
-def _final(over: Flags, seen: NDArray[np.float32], told: dict[str, NDArray[np.float64]]) -> dict[str, Any]:
+def _final(over: Flags, seen: NDArray[np.float32], infos_then: dict[str, NDArray[np.float64]]) -> dict[str, Any]:
     """The last observations and infos of the episodes that are over, in Gymnasium's form."""
     final = np.full(len(over), None, dtype=object)
     for i in np.flatnonzero(over):
         final[i] = seen[i]
     infos: dict[str, Any] = {}
-    for name, values in told.items():
+    for name, values in infos_then.items():
         infos[name], infos[f"_{name}"] = np.where(over, values, 0.0), over.copy()
     return {"final_obs": final, "final_info": infos, "_final_obs": over.copy(), "_final_info": over.copy()}

@@ -1,4 +1,4 @@
-"""What is driven: course, car, disturbances, what the controllers are told; one drive or many."""
+"""What is driven: course, car, disturbances, what controllers believe; one drive or many."""
 
 from steerkit.scenario.fleet import fleet_scenario
 from steerkit.scenario.scenario import CONDITIONS, END_MARGIN, Scenario

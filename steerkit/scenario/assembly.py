@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any, TypeVar
 
 from steerkit._support.errors import WiringError
@@ -50,7 +50,7 @@ def steering_loop(
     reference: float = 0.0,
     shift: TargetShift | None = None,
 ) -> Loop:
-    """The standard wires between a car on a path, its human and its steering controllers.
+    """The standard wires between a car on a path, its driver and its steering controllers.
 
     controller: steers by itself (an output `delta_sw`), or picks actions (an output `action`) that `doe` turns into
     an angle. recovery: an analytic controller that steers while the learner is off, through `supervisor` (default:
@@ -64,11 +64,11 @@ def steering_loop(
     measured, m ahead of the centre of gravity (the front axle is l_f). shift: what the learner and the supervisor take
     for e (none: the path's).
 
-    The blocks are named human, car, link, actuator, column, sensors, path, shift, controller, doe, recovery,
+    The blocks are named driver, car, link, actuator, column, sensors, path, shift, controller, doe, recovery,
     foresight, supervisor, safety.
     `path` tracks the **true** reference point, for logs and metrics; with sensors, `seen` tracks the measured one; a
     controller that wants e elsewhere (its field `reference`) or a preview gets a tracker of its own. A car with an
-    output `applied` (a real one) says which angle it was told in the end; the doe is then `Corrected` by it.
+    output `applied` (a real one) reports the angle that it was commanded in the end; the doe is then `Corrected` by it.
     A controller's inputs are joined by name: e, e_dot, psi_e, kappa, r_e, s, progress, preview (its tracker), x, y,
     psi, v, beta, r, a_y (sensors or car), delta_sw_meas (column, actuator or car), doe (the DOE's state).
 
@@ -275,9 +275,9 @@ class _Bench:
         self.join(block, seen)
         if "motion_age_in" in _names(block.inputs) and "motion_age" not in _names(seen.outputs):
             self.wire(seen, "age", block, "motion_age_in")
-        self.hear(block, "delta_sw_meas", steered)
+        self.measure(block, "delta_sw_meas", steered)
 
-    def hear(self, block: Block, name: str, steered: Block) -> None:
+    def measure(self, block: Block, name: str, steered: Block) -> None:
         """Wires the measured angle of the steering wheel."""
         self.wire(steered, name if name in _names(steered.outputs) else "delta_sw", block, name)
 
@@ -307,7 +307,7 @@ class _Bench:
             if name in wired:
                 continue
             if name == "delta_sw_meas":
-                self.hear(block, name, steered)
+                self.measure(block, name, steered)
             elif name == "doe":
                 if doe is None:
                     raise WiringError(f"{type(block).__name__}.doe: there is no doe in this loop")
@@ -328,7 +328,3 @@ class _Bench:
 
 def _names(ports: Iterable[In | Out]) -> list[str]:
     return [port.name for port in ports]
-
-
-def _fields(block: Block) -> set[str]:
-    return {field.name for field in fields(block)}

@@ -32,7 +32,7 @@ from steerkit.vehicles.rollout import GateModel
 
 @dataclass(frozen=True, kw_only=True)
 class DesignModel:
-    """What a controller is told of the car, the course and the steering when it is made; the truth may be another.
+    """What a controller is designed for: car, course and steering as they are believed; the truth may be another.
 
     `Scenario.design_model` and `CarConfig` give one; by hand:
     `DesignModel(vehicle=vehicle("vw-passat"), path=course("paper"))`.
@@ -106,10 +106,10 @@ def _delayed(design_model: DesignModel) -> Block:
 
 def _lqr(design_model: DesignModel) -> Block:
     car = design_model.vehicle
-    told: dict[str, Any] = dict(
+    steering: dict[str, Any] = dict(
         delay=design_model.delay, lag=design_model.lag, slew=design_model.slew, a_y_limit=design_model.a_y_limit
     )
-    block = Lqr.of(car, LinearSingleTrack(vehicle=car).matrices, **told)
+    block = Lqr.of(car, LinearSingleTrack(vehicle=car).matrices, **steering)
     return replace(block, rate_limit=design_model.rate_limit)
 
 
@@ -159,13 +159,13 @@ def _offset_free(make: Callable[[DesignModel], Block], **settings: float) -> Cal
 _DEAD_TIMES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
 """Dead times for which an adaptive controller is made [s]."""
 _CAUTION = 0.1
-"""By how much it begins with more than it is told [s]: too much costs little for a while, with too little it swings."""
+"""By how much it begins with more than is believed [s]: too much costs little for a while, too little: it swings."""
 
 
 _OFFSET_TIMES = 5.0, 30.0
 """Within which an adaptive controller finds an offset, first and later [s]: it has no ratio to follow."""
 _UNDERSTEER = 1e-4
-"""Deviation of the understeer gradient for an adaptive controller [rad s^2/m]: it knows the data sheet's, and is told
+"""Deviation of the understeer gradient for an adaptive controller [rad s^2/m]: it knows the data sheet's, and finds
 the ratio that goes with it."""
 
 
@@ -219,17 +219,15 @@ CONTROLLERS: Mapping[str, ControllerSpec] = MappingProxyType(
 OWN = "my_file.py:make, package.module:make"
 """What may stand for a controller's name besides: see `make_controller`."""
 AUTO = "auto"
-"""The recovery controller that fits the car: `stanley-delay` where a dead time or a slew is told, else `stanley`."""
+"""The recovery controller that fits the car: `stanley-delay` where dead time or slew is believed, else `stanley`."""
 ADAPTIVE = "adaptive"
-"""The recovery controller that need not be told dead time and ratio: it finds them while it or the learner steers."""
+"""The recovery controller that needs neither dead time nor ratio: it finds them while it or the learner steers."""
 RECOVERIES = (AUTO, ADAPTIVE, *(name for name, recipe in CONTROLLERS.items() if recipe.can_recover))
-"""Names of those that may catch a learned controller."""
+"""Names of the recovery controllers."""
 ELEMENTS: Mapping[str, type[OutputElement]] = MappingProxyType(
     {"integrator": Integrator, "low-pass": LowPass, "plain": PlainAngle}
 )
 """The dynamic output elements."""
-OLD_ELEMENTS: Mapping[str, str] = MappingProxyType({"direct": "plain"})
-"""Names of elements in files written before they were renamed, and what they are called now."""
 PLANTS: Mapping[str, type[SingleTrack]] = MappingProxyType(
     {"nonlinear": NonlinearSingleTrack, "linear": LinearSingleTrack}
 )
@@ -292,7 +290,7 @@ def plant_kind(name: str) -> type[Block]:
 
 
 def make_recovery(name: str, design_model: DesignModel) -> Block:
-    """The controller that catches a learned one: any of `RECOVERIES`. Raises ValueError with the valid names."""
+    """The recovery controller of a learned one: any of `RECOVERIES`. Raises ValueError with the valid names."""
     if known(name, RECOVERIES, "recovery") == ADAPTIVE:
         return _trimmed(_adaptive(_delayed, takes_turns=True)(design_model), design_model)
     if name == AUTO:

@@ -226,9 +226,9 @@ class Driver(Part):
         """s [m] along the course and the speed there [m/s], as recorded, as a map allows or from a file."""
         if self.text is not None:
             s, v = profile_on(path, self.text, self.speed)
-            told = f"{v.min():g} to {v.max():g} m/s, expected v_min to v_max, {self.v_min:g} to {self.v_max:g}"
+            span = f"{v.min():g} to {v.max():g} m/s, expected v_min to v_max, {self.v_min:g} to {self.v_max:g}"
             within = self.v_min - 1e-9 <= v.min() and v.max() <= self.v_max + 1e-9
-            require(within, f"speed {self.speed}", f"{told}; change v_min, v_max")
+            require(within, f"speed {self.speed}", f"{span}; change v_min, v_max")
             return s, v
         if course.text is not None:
             return self._course_speed(course, path)
@@ -247,12 +247,12 @@ class Driver(Part):
     def _course_speed(self, course: Course, path: Path) -> tuple[Array, Array]:
         """The speed that a course's file holds: as it was driven, or as fast as is allowed.
 
-        `limit`: v_limit, v_max where nothing is said, and slower for bends, as a `CurveSpeedDriver` is.
+        `limit`: v_limit, v_max where it is empty, and slower for bends, as a `CurveSpeedDriver` is.
         """
         columns = read_columns(course.text or "", course.name)
         key = {"recorded": "v", "limit": "v_limit"}[self.speed]
-        told = f"no column {key} [m/s]; columns: {', '.join(columns)}"
-        require({"s", key} <= columns.keys(), f"speed {self.speed}: {course.name}", told)
+        lacks = f"no column {key} [m/s]; columns: {', '.join(columns)}"
+        require({"s", key} <= columns.keys(), f"speed {self.speed}: {course.name}", lacks)
         s, v = columns["s"], columns[key]
         if self.speed == "recorded":
             fine = np.isfinite(v).all() and (np.diff(s) > 0.0).all()
