@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.report.overall import ENOUGH, JUDGED, OPPONENT, SIGNIFICANT, headline
 from benchmarks.report.parts import counted
 from benchmarks.run.results import Case, Results
-from steerkit.metrics import Paired, metric, paired, share
+from steerkit.metrics import Paired, paired, share
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,59 +125,28 @@ def _holding(results: Results, names: Sequence[str], suite: str | None) -> list[
 
 
 def _of_one(results: Results, learned: str, analytic: Sequence[str], suite: str | None) -> list[str]:
-    """The paragraph of one learned controller."""
-    against = {name: duels(results, learned, name, suite) for name in analytic}
-    lines = [f"### {learned}", ""]
-    if OPPONENT in against:
-        for name, word in JUDGED.items():
-            lines.append("* " + _sentence(word, [d for d in against[OPPONENT] if d.metric == name]))
+    """The table of one learned controller: a row a metric and opponent, with numbers of scenarios."""
+    against = [duel for name in analytic for duel in duels(results, learned, name, suite)]
+    heads = ("metric", "against", "ratio", "better", "worse", "no certain difference", "never both held")
+    lines = [f"### {learned}", "", f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
     for name, word in JUDGED.items():
-        best = _best([d for duel in against.values() for d in duel if d.metric == name])
-        won = [d for d in best if d.decided < 0]
-        lost = [d for d in best if d.decided > 0]
-        if best:
-            even = len(best) - len(won) - len(lost)
-            lines.append(
-                f"* {word.capitalize()}, against the best analytic controller of each scenario: {_ratio(best)}; "
-                f"better in {len(won)}, worse in {len(lost)}, no certain difference in {even} of {len(best)}"
-                + (f"; better in {_names(d.scenario for d in won)}." if won else ".")
-            )
+        rows = [duel for duel in against if duel.metric == name]
+        usual = [duel for duel in rows if duel.analytic == OPPONENT]
+        for who, chosen in ((OPPONENT, usual), ("the best of each scenario", _best(rows))):
+            compared = [duel for duel in chosen if duel.seeds]
+            counts = [sum(duel.decided == sign for duel in compared) for sign in (-1, 1, 0)]
+            cells = [word, who, _ratio(compared), *map(str, counts), str(len(chosen) - len(compared))]
+            if chosen:
+                lines.append(f"| {' | '.join(cells)} |")
     return lines
-
-
-def _sentence(word: str, rows: Sequence[Duel]) -> str:
-    """One metric against the usual opponent, scenario by scenario in words."""
-    compared = [d for d in rows if d.seeds]
-    never = [d for d in rows if not d.seeds]
-    if not compared:
-        return f"{word.capitalize()} ({OPPONENT}): no seed on which both held their drive and it was measured."
-    unit = metric(compared[0].metric).unit
-    parts = []
-    for what, sign in (("better", -1), ("worse", 1)):
-        of_kind = [d for d in compared if d.decided == sign]
-        if of_kind:
-            clearest = max(
-                of_kind, key=lambda d: abs(math.log(max(d.mean_learned, 1e-12) / max(d.mean_analytic, 1e-12)))
-            )
-            assert clearest.result is not None
-            gap = clearest.result.difference
-            parts.append(
-                f"{what} in {len(of_kind)} of {len(compared)} scenarios, most in {clearest.scenario}: "
-                f"{clearest.mean_learned:.3g} against {clearest.mean_analytic:.3g} {unit}, "
-                f"difference {gap.value:+.3g} [{gap.low:+.3g}, {gap.high:+.3g}], p = {clearest.result.p:.2g}"
-            )
-    even = sum(d.decided == 0 for d in compared)
-    if even:
-        parts.append(f"no certain difference in {even}")
-    if never:
-        parts.append(f"never both held in {_names(d.scenario for d in never)}")
-    return f"{word.capitalize()}, against {OPPONENT}: {_ratio(compared)}; {'; '.join(parts)}."
 
 
 def _ratio(rows: Sequence[Duel]) -> str:
     """How large the learned controller's figure is beside the other's: geometric mean over the scenarios."""
+    if not rows:
+        return "–"
     gaps = [math.log(max(d.mean_learned, 1e-12) / max(d.mean_analytic, 1e-12)) for d in rows]
-    return f"{math.exp(sum(gaps) / len(gaps)):.2f} times as large over {len(rows)} scenarios"
+    return f"{math.exp(sum(gaps) / len(gaps)):.2f}"
 
 
 def _best(rows: Iterable[Duel]) -> list[Duel]:
@@ -200,8 +169,3 @@ def _by_seed(results: Results, scenario: str, name: str, suite: str | None) -> d
 def _at(cases: dict[int, Case], seed: int) -> Case | None:
     """The case of that seed; the only one there is, if there is one."""
     return next(iter(cases.values())) if len(cases) == 1 else cases.get(seed)
-
-
-def _names(words: Iterable[str], limit: int = 6) -> str:
-    names = [*dict.fromkeys(words)]
-    return ", ".join(names[:limit]) + (f" and {len(names) - limit} more" if len(names) > limit else "")

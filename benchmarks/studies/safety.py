@@ -11,7 +11,6 @@
 * Adversaries: full lock to either side, bang-bang at 20 Hz and slower, away from the path, an untrained net, commands
   by chance; tyres 30 % off, ratio 10 % off either way, 0.1 s of delay that nobody is told; 2 to 9 m/s. The filter is
   told that commands may be 0.1 s late.
-* Trained: a small net that is trained to leave the path, of the car with the ratio 10 % too direct, by random search.
 * Chatter: RMS of the correction's change from sample to sample, of the one-step filter over the multi-step one, against
   a driver who is smooth and wants to be 0.8 m beside the path, and against full lock.
 * Car: learners with the filter before the gate of the simulated car behind the bus, in three processes at true 20 Hz;
@@ -35,6 +34,7 @@ import re
 import subprocess
 import tempfile
 import time
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -46,7 +46,6 @@ from rich.table import Table
 from benchmarks.run import spread
 from benchmarks.run.fleet import of_fleet, of_kind
 from benchmarks.run.safe_learning import Job, Learner, runs, summarise
-from benchmarks.run.safety_adversary import NetAdversary, by_speed, searched
 from steerkit._support.native import compiler
 from steerkit.controllers.safety_filter import SafetyFilter
 from steerkit.controllers.stanley import Stanley
@@ -131,23 +130,28 @@ def adversaries(seconds: float, kinds: tuple[str, ...], speeds: tuple[float, ...
     return {"adversary_max_e": worst, "adversary_a_y_beyond": max(beyond), "adversaries": table}
 
 
-def trained(seconds: float, speeds: tuple[float, ...], population: int, generations: int) -> dict[str, Any]:
-    """Largest |e| of a net that is trained to leave the path at a speed, begun before the course's first bend."""
-    table = {}
-    for v in speeds:
-        scenario = Scenario.under(
-            "hard", course={"name": "paper", "start": 40.0}, driver={"v_min": v, "v_max": v}, **OFF
-        ).with_(vehicle={"ratio": 1.1})
-        safety = replace(make_safety(scenario.design_model()), delay_doubt=LATE)
+def by_speed(
+    kinds: Iterable[str],
+    speeds: Iterable[float],
+    changes: Mapping[str, Any],
+    furthest: Callable[[str, Scenario], float],
+) -> tuple[float, dict[str, dict[str, float]]]:
+    """The largest |e| of all, and that of each kind at each speed, the worse of ratios 10 % off either way [m].
 
-        def furthest(net: NetAdversary, scenario: Scenario = scenario, safety: SafetyFilter = safety) -> Any:
-            loop = assembled(scenario, net, safety=safety)
-            log = simulate(loop, seconds, batch=population, every=5, record=["path.e"])
-            return np.abs(log["path.e"]).max(axis=0)
-
-        _, best = searched(furthest, population=population, generations=generations)
-        table[f"{v:g} m/s"] = best
-    return {"trained_adversary_max_e": max(max(best) for best in table.values()), "trained_adversaries": table}
+    changes: other fields of the scenario, which is `hard` on the paper's course. furthest: the largest |e| of a drive.
+    """
+    table: dict[str, dict[str, float]] = {}
+    for kind in kinds:
+        row = table.setdefault(kind, {})
+        for v in speeds:
+            cars = [
+                Scenario.under("hard", course="paper", driver={"v_min": v, "v_max": v}, **changes).with_(
+                    vehicle={"ratio": r}
+                )
+                for r in (0.9, 1.1)
+            ]
+            row[f"{v:g} m/s"] = max(furthest(kind, car) for car in cars)
+    return max(value for row in table.values() for value in row.values()), table
 
 
 def against(driver: Block, scenario: Scenario, seconds: float, late: float, **settings: Any) -> Log:
@@ -218,7 +222,7 @@ def _signal(field: str, names: list[str]) -> str:
     return next(name for name in names if name.replace(".", "_") == field)
 
 
-PARTS = ("adversaries", "trained", "chatter", "narrowing", "cost", "learners", "car")
+PARTS = ("adversaries", "chatter", "narrowing", "cost", "learners", "car")
 """What it measures; each can be left out, and the last has to be asked for: it takes real time, and the extra `car`."""
 
 
@@ -248,10 +252,6 @@ def _measured(options: argparse.Namespace, those: spread.Workers) -> dict[str, A
         report |= adversaries(3.0 if quick else 15.0, KINDS[:1] if quick else KINDS, SPEEDS[1:2] if quick else SPEEDS)
         for kind, row in report["adversaries"].items():
             console.print(f"{kind:16s} max |e|", "  ".join(f"{v}: {e:.3f} m" for v, e in row.items()))
-    if "trained" in options.parts:
-        report |= trained(0.5, (6.5,), 2, 1) if quick else trained(4.0, (5.0, 9.0), 48, 5)
-        for speed, best in report["trained_adversaries"].items():
-            console.print(f"net trained to leave, {speed}: max |e| by generation", ", ".join(f"{e:.3f}" for e in best))
     if "chatter" in options.parts:
         report |= chatter(3.0 if quick else 20.0, (5.0,) if quick else (3.0, 5.0, 8.0))
     if "narrowing" in options.parts:

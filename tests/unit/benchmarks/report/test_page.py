@@ -60,7 +60,7 @@ def test_the_verdict_is_on_the_page_as_html(page: str) -> None:
     assert section
     assert "<h3>nfq-idoe</h3>" in section[1]
     assert "<table>" in section[1]
-    assert "against the best analytic controller" in section[1]
+    assert "the best of each scenario" in section[1]
     assert not re.search(r"^#|\*\*|\|---", section[1], re.M), "no Markdown is left"
 
 
