@@ -120,3 +120,11 @@ def test_an_episode_that_ended_otherwise_is_no_failure(record: Record) -> None:
     assert len(carried.failed_at) == len(record.failed_at) - 1
     np.testing.assert_array_equal(carried.failed_at, record.failed_at[1:])
     assert f"{len(record.failed_at) - 1} failures" in failure_map(carried).get_suptitle()
+
+
+def test_each_episode_is_a_curve_from_its_take_over_to_its_end(record: Record) -> None:
+    held = learning_curve(record).axes[0]
+    curves = [line.get_data() for line in held.lines if len(line.get_xdata()) == 60]
+    for episode, (x, y) in zip(record.episodes, curves, strict=True):
+        np.testing.assert_allclose(np.asarray(x) - np.asarray(y), episode.began, atol=1e-9)
+        assert max(y) == pytest.approx(max(0.1, record.ended(episode) - episode.began))
