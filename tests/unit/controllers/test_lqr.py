@@ -210,6 +210,10 @@ def test_it_refuses_designs_that_cannot_be() -> None:
         design(delay=3.0)
     with pytest.raises(ValueError, match="preview_points = 0"):
         Lqr.of(PASSAT, MATRICES, preview_points=0)
+    assert Lqr.of(PASSAT, MATRICES, preview_points=1, v_min=4.0, v_max=5.0).preview_points == 1
+    for speeds in ({"v_min": 0.0}, {"v_min": 5.0, "v_max": 5.0}, {"v_step": 0.0}):
+        with pytest.raises(ValueError, match=r"Lqr: speeds .* m/s"):
+            Lqr.of(PASSAT, MATRICES, **speeds)
 
 
 # ---- the cost to go: its equation, a case solved by hand, and that what is kept cannot be written into ---------------
