@@ -31,6 +31,7 @@ from steerkit.vehicles import vehicle
 from steerkit.vehicles.rollout import yaw_gain
 
 PASSAT = vehicle("vw-passat")
+SLOW: dict[str, Any] = {"slew": 5.0, "a_y_limit": 3.0}
 AT_REST: dict[str, Any] = {"e": 0.0, "psi_e": 0.0, "v": 6.0, "r": 0.0, "delta_sw_meas": 0.0}
 
 
@@ -199,6 +200,14 @@ def test_a_slow_wheel_is_rolled_out_until_it_is_straight(a_y: float) -> None:
     assert found["r"] == pytest.approx(s * tau * faded, rel=0.02)
     assert found["psi_e"] - still["psi_e"] == pytest.approx(psi, rel=0.02)
     assert found["e"] - still["e"] == pytest.approx(v * (side + still["psi_e"] * lasts), rel=0.02)
+
+
+def test_the_preview_sees_delay_lag_and_the_turning_back_of_a_slow_wheel() -> None:
+    settings: dict[str, Any] = dict(delay=0.2, lag=0.1)
+    points = [
+        DelayPredictor.around(Stanley.of(PASSAT), PASSAT, **settings | more).preview_points for more in ({}, SLOW)
+    ]
+    assert points == [6 + 2, 6 + 24 + 2]  # 0.3 s; and 2*3/5 s
 
 
 def test_a_slow_wheel_at_the_paths_angle_costs_no_time() -> None:

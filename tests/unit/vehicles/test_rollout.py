@@ -124,6 +124,19 @@ def test_a_car_on_a_circle_beside_a_circle_stays_there(e: float) -> None:
     assert beside(-e, 0.0, 0.3, v, -v / (radius - e), 0.0, -1.0 / radius) == (-found[0], -found[1])
 
 
+def test_a_step_beside_a_bent_path_is_of_second_order() -> None:
+    """Half the step, a quarter of the error: in e and in psi_e."""
+
+    def after(steps: int) -> np.ndarray:
+        e, psi_e = 1.5, 0.3
+        for _ in range(steps):
+            e, psi_e = beside(e, psi_e, 1.0 / steps, 6.0, 0.5, 1.2, 0.12)
+        return np.array([e, psi_e])
+
+    exact = after(16384)
+    assert (after(128) - exact) / (after(256) - exact) == pytest.approx([4.0, 4.0], rel=0.1)
+
+
 @pytest.mark.parametrize("points", [1, 3])
 def test_the_preview_is_linear_between_its_entries_and_holds_its_last(points: int) -> None:
     preview, model = (0.01, 0.03, 0.02)[:points], Rollout(preview_dt=0.1)
