@@ -14,8 +14,6 @@ from steerkit._support.console import console
 from steerkit._support.errors import require
 from steerkit._support.files import write_text
 from steerkit._support.plugins import fingerprint, is_outside
-from steerkit.car import loop as loops
-from steerkit.car import session as car_session
 from steerkit.cli.options import (
     DriveOptions,
     Stream,
@@ -86,6 +84,9 @@ def drive(
     asked = asked or [controller] * bool(controller)
     name = asked[0] if asked else ""
     if options.car:
+        from steerkit.car import loop as loops  # here, as a simulation needs none of it
+        from steerkit.car import session as car_session
+
         if len(asked) > 1:
             raise ValueError(f"drive: {len(asked)} controllers ({', '.join(asked)}), expected one on a car")
         if not name:

@@ -13,8 +13,6 @@ import typer
 from steerkit._support.console import console
 from steerkit._support.errors import require
 from steerkit._support.files import read_toml
-from steerkit.car import loop as loops
-from steerkit.car import session as car_session
 from steerkit.cli.options import (
     DriveOptions,
     Machine,
@@ -72,6 +70,9 @@ def learn(
     """Let a car learn to steer a course from nothing; the recovery controller takes over where it fails."""
     check_options(ctx)
     if options.car:
+        from steerkit.car import loop as loops  # here, as a simulation needs none of it
+        from steerkit.car import session as car_session
+
         place = out or loops.LEARNED
         chosen = changed(named(setting), changes or ())
         figures = car_session.learn(

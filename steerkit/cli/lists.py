@@ -15,11 +15,12 @@ from rich.table import Table
 from steerkit.cli.options import Machine
 from steerkit.paths import importers
 from steerkit.paths.courses import course, names
+from steerkit.plants.steering_actuator import steering_in
 from steerkit.plots.course import plot_course
 from steerkit.plots.style import save
-from steerkit.scenario.parts import Car
 from steerkit.vehicles import VEHICLES, Vehicle, fleet
 from steerkit.vehicles import vehicle as vehicle_named
+from steerkit.vehicles.file import tables_of, text_of
 from steerkit.vehicles.fleet import FleetCar
 
 ALSO = {
@@ -158,8 +159,9 @@ def vehicles(
     cars: dict[str, tuple[Vehicle, FleetCar | None]] = {}
     delay: float | None = None
     if having.endswith(".toml"):
-        named = Car(name=having)
-        cars[having], delay = (named.nominal, None), named.steering_in_file().get("delay")
+        cars[having] = vehicle_named(having), None
+        text = text_of(Path(having))
+        delay = steering_in(text, having).delay if "steering" in tables_of(text, having) else None
     else:
         known = {name: (car, None) for name, car in VEHICLES.items()}
         known |= {name: (member.vehicle, member) for name, member in fleet().items()}  # type: ignore[misc]

@@ -16,7 +16,6 @@ import typer
 
 from steerkit._support.console import console
 from steerkit._support.errors import require
-from steerkit.car.session import Options
 from steerkit.scenario import CONDITIONS, Scenario
 from steerkit.scenario.parts import Driver, speed_file
 from steerkit.scenario.scenario import read_scenario
@@ -250,5 +249,7 @@ def check_options(
 
 def car_options(ctx: typer.Context) -> Any:
     """The options of a session on a car, `steerkit.car.session.Options`."""
+    from steerkit.car.session import Options  # here, as it loads the learner
+
     p = ctx.params
     return Options(config=p["car"], **{n: p[n] for n in (*_ON_A_CAR_ONLY, "quiet")})
