@@ -262,15 +262,8 @@ def _leaderboard(results: Results) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    heads = (
-        "controller",
-        "held",
-        "RMS e [m]",
-        "max e [m]",
-        "RMS wheel rate [deg/s]",
-        "max a_y [m/s²]",
-        "max jerk [m/s³]",
-    )
+    units = ("RMS e [m]", "max e [m]", "RMS wheel rate [deg/s]", "max a_y [m/s²]", "max jerk [m/s³]")
+    heads = ("controller", "held", *units)
     for name in dict.fromkeys(case.suite for case in results.cases if case.kind == "drive"):
         table = Table(*map(escape, heads), title=f"{name}: means over the drives held")
         drives = [c for c in results.cases if c.suite == name and c.status == "done"]

@@ -84,8 +84,7 @@ def _learned(name: str, about: str, setting: str = "default", training: str = "c
 
 def _agent(name: str, about: str) -> Controller:
     """An agent of Stable-Baselines3."""
-    needs = "stable_baselines3"
-    return Controller(name=name, kind="peer", about=about, setting=name, training="agent", needs=needs)
+    return Controller(name=name, kind="peer", about=about, setting=name, training="agent", needs="stable_baselines3")
 
 
 _TABLE = (

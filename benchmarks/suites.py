@@ -91,6 +91,10 @@ def _tracking_scenarios() -> tuple[Scenario, ...]:
     )
 
 
+def _of_tracking(*names: str) -> tuple[Scenario, ...]:
+    return tuple(scenario for scenario in _tracking_scenarios() if scenario.name in names)
+
+
 def _grid(kind: str, first: tuple[str, Sequence[float]], second: tuple[str, Sequence[float]]) -> Iterable[Scenario]:
     """One scenario for every pair of values; what is wrong, no controller is told."""
     for a, b in itertools.product(first[1], second[1]):
@@ -192,11 +196,7 @@ def _peers() -> Suite:
     return Suite(
         name="peers",
         about="controllers that nobody here wrote: agents of Stable-Baselines3, do-mpc, CommonRoad's car",
-        scenarios=tuple(
-            s
-            for s in _tracking_scenarios()
-            if s.name in ("paper-round", "iso3888-1-9", "slalom-9", "curvature-step-7", "slalom-multi-body")
-        ),
+        scenarios=_of_tracking("paper-round", "iso3888-1-9", "slalom-9", "curvature-step-7", "slalom-multi-body"),
         controllers=("stanley", "mpc", "nfq-idoe", "sb3-dqn", "sb3-sac", "do-mpc"),
         seeds=3,
     )
@@ -242,19 +242,9 @@ def _quick() -> Suite:
     return Suite(
         name="quick",
         about="a selection of some minutes of paper and tracking, nets after 3 minutes of driving (make bench)",
-        scenarios=tuple(
-            s
-            for s in _tracking_scenarios()
-            if s.name
-            in (
-                "paper-round",
-                "paper-hard",
-                "genesis-rfs-recorded",
-                "iso3888-1-9",
-                "slalom-9",
-                "curvature-step-7",
-                "slalom-multi-body",
-            )
+        scenarios=_of_tracking(
+            *("paper-round", "paper-hard", "genesis-rfs-recorded", "iso3888-1-9", "slalom-9", "curvature-step-7"),
+            "slalom-multi-body",
         ),
         controllers=(*ANALYTIC, "nfq-idoe-quick", "nfq-bang-bang-quick"),
         seeds=6,  # with fewer nothing can be told apart

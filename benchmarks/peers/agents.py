@@ -27,13 +27,8 @@ SETTINGS = {"sb3-dqn": "DQN", "sb3-sac": "SAC"}
 AGENTS: dict[str, tuple[str, dict[str, Any]]] = {
     "DQN": (
         "steerkit/TrackSteering-v0",
-        {
-            "train_freq": 4,
-            "gradient_steps": 2,
-            "target_update_interval": 500,
-            "exploration_fraction": 0.3,
-            "exploration_final_eps": 0.02,
-        },
+        dict(train_freq=4, gradient_steps=2, target_update_interval=500)
+        | dict(exploration_fraction=0.3, exploration_final_eps=0.02),
     ),
     "SAC": ("steerkit/TrackSteeringContinuous-v0", {"train_freq": 4, "gradient_steps": 2}),
 }

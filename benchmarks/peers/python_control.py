@@ -64,67 +64,6 @@ def diagram(loop: Loop, start: LoopState) -> Made:
     return whole, [v for x in start.x for v in x]
 
 
-def two_systems(loop: Loop, start: LoopState) -> Made:
-    """A plant (car, actuator, human) and a controller (tracker, Stanley), each written as one plain function."""
-    import control
-
-    car, motor, seen, stanley = (loop.blocks[n] for n in ("car", "actuator", "path", "controller"))
-    x_car, x_motor, x_seen, x_stanley = (loop.block_state(start, n) for n in ("car", "actuator", "path", "controller"))
-    n_car, n_seen = len(x_car), len(x_seen)
-    speed = loop.blocks["driver"].speed  # type: ignore[attr-defined]
-    signals = ["x", "y", "psi", "v", "beta", "r", "meas"]
-
-    def move(t: float, x: Any, u: Any, params: Any) -> Any:
-        numbers = x.tolist()
-        wheel = motor.U(float(u[0]))
-        moved = car.update(t, _state(numbers[:n_car], x_car), car.U(numbers[n_car], speed), None)
-        return moved + motor.update(t, tuple(numbers[n_car:]), wheel, None)
-
-    def show(t: float, x: Any, u: Any, params: Any) -> Any:
-        numbers = x.tolist()
-        return (*car.output(t, _state(numbers[:n_car], x_car), ())[:6], numbers[n_car])
-
-    def looked(t: float, x: Any, u: Any) -> tuple[Any, ...]:
-        numbers, given = x.tolist(), u.tolist()
-        pose = seen.U(*given[:6])
-        where, before = _state(numbers[:n_seen], x_seen), _state(numbers[n_seen:], x_stanley)
-        y = seen.output(t, where, pose)
-        errors = stanley.D(y.e, y.psi_e, y.kappa, given[3], given[5], given[6])
-        return where, pose, y, before, errors, stanley.output(t, before, errors)
-
-    def steer(t: float, x: Any, u: Any, params: Any) -> Any:
-        _, _, y, _, _, command = looked(t, x, u)
-        return command.delta_sw, y.e
-
-    def remember(t: float, x: Any, u: Any, params: Any) -> Any:
-        where, pose, y, before, errors, command = looked(t, x, u)
-        return (*seen.update(t, where, pose, y), *stanley.update(t, before, errors, command))
-
-    plant = control.nlsys(
-        move, show, name="plant", inputs=["cmd"], outputs=signals, states=n_car + len(x_motor), dt=loop.dt
-    )
-    controller = control.nlsys(
-        remember,
-        steer,
-        name="controller",
-        inputs=signals,
-        outputs=["cmd", "e"],
-        states=n_seen + len(x_stanley),
-        dt=loop.dt,
-    )
-    wires = [[f"controller.{n}", f"plant.{n}"] for n in signals] + [["plant.cmd", "controller.cmd"]]
-    whole = control.interconnect(
-        [plant, controller],
-        connections=wires,
-        inplist=[],
-        inputs=None,
-        outlist=["controller.e"],
-        outputs=["e"],
-        dt=loop.dt,
-    )
-    return whole, [*x_car, *x_motor, *x_seen, *x_stanley]
-
-
 def one_function(loop: Loop, start: LoopState) -> Made:
     """The whole loop as one update function, steerkit's own interpreted tick: no diagram is left to python-control."""
     import control

@@ -11,8 +11,6 @@
 * Adversaries: full lock to either side, bang-bang at 20 Hz and slower, away from the path, an untrained net, commands
   by chance; tyres 30 % off, ratio 10 % off either way, 0.1 s of delay that nobody is told; 2 to 9 m/s. The filter is
   told that commands may be 0.1 s late.
-* Chatter: RMS of the correction's change from sample to sample, of the one-step filter over the multi-step one, against
-  a driver who is smooth and wants to be 0.8 m beside the path, and against full lock.
 * Car: learners with the filter before the gate of the simulated car behind the bus, in three processes at true 20 Hz;
   only with --parts car.
 * Narrowing: a driver who wants to be 0.42 m beside the path, with a doubt of the yaw rate that stays and one that
@@ -54,7 +52,7 @@ from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.simulation import Log, simulate
 from steerkit.diagram.wrapper import Wrapper
 from steerkit.export.c import export_c
-from steerkit.metrics.signals import largest, rms
+from steerkit.metrics.signals import largest
 from steerkit.scenario import Scenario
 from steerkit.scenario.catalogue import make_safety
 from steerkit.scenario.drive import assembled
@@ -106,7 +104,7 @@ class Adversary(Block):
 class Beside(Wrapper):
     """A smooth driver whose path is another: Stanley, so far to the left."""
 
-    by: float = 0.8
+    by: float = 0.42
     """How far [m]."""
 
     def output(self, t: Any, x: Any, u: Any) -> Any:
@@ -160,19 +158,6 @@ def against(driver: Block, scenario: Scenario, seconds: float, late: float, **se
     return simulate(assembled(scenario, driver, safety=safety), seconds, every=5)
 
 
-def chatter(seconds: float, speeds: tuple[float, ...]) -> dict[str, Any]:
-    """RMS of the correction's change of both filters [rad a sample], and the least ratio."""
-    late = SafetyFilter.delay_doubt
-    rows: dict[str, tuple[float, float]] = {}
-    for v in speeds:
-        scenario = Scenario.under("hard", course="paper", driver={"v_min": v, "v_max": v})
-        for name, driver in (("full lock", Adversary()), ("0.8 m beside", Beside(block=Stanley.of(scenario.nominal)))):
-            logs = [against(driver, scenario, seconds, late, hold=hold) for hold in (1, SafetyFilter.hold)]
-            one, many = (rms(np.diff(log["safety.correction"][40:])) for log in logs)
-            rows[f"{name}, {v:g} m/s"] = (one, many)
-    return {"chatter": rows, "chatter_x": min(one / many for one, many in rows.values())}
-
-
 def narrowing(seconds: float, speeds: tuple[float, ...], begin: float = 10.0) -> dict[str, Any]:
     """Samples corrected of a driver who wants to be 0.42 m beside the path [%], and largest |e|: the yaw rate's doubt
     as it is, and where it narrows; samples from `begin` on [s]."""
@@ -222,7 +207,7 @@ def _signal(field: str, names: list[str]) -> str:
     return next(name for name in names if name.replace(".", "_") == field)
 
 
-PARTS = ("adversaries", "chatter", "narrowing", "cost", "learners", "car")
+PARTS = ("adversaries", "narrowing", "cost", "learners", "car")
 """What it measures; each can be left out, and the last has to be asked for: it takes real time, and the extra `car`."""
 
 
@@ -252,8 +237,6 @@ def _measured(options: argparse.Namespace, those: spread.Workers) -> dict[str, A
         report |= adversaries(3.0 if quick else 15.0, KINDS[:1] if quick else KINDS, SPEEDS[1:2] if quick else SPEEDS)
         for kind, row in report["adversaries"].items():
             console.print(f"{kind:16s} max |e|", "  ".join(f"{v}: {e:.3f} m" for v, e in row.items()))
-    if "chatter" in options.parts:
-        report |= chatter(3.0 if quick else 20.0, (5.0,) if quick else (3.0, 5.0, 8.0))
     if "narrowing" in options.parts:
         report |= narrowing(4.5, (5.0,), 3.0) if quick else narrowing(40.0, (3.0, 5.0, 8.0))
         for speed, row in report["narrowing"].items():

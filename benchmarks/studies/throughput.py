@@ -2,14 +2,13 @@
 
 The loop: a linear single-track car (Runge-Kutta, 5 x 10 ms), a steering actuator, a path tracker and Stanley at 20 Hz
 on the 795 m course, at a constant speed. python-control gets the same equations (the blocks' own functions on
-floats), wired three ways; all runs start alike and their cross-track errors are compared before anything is timed.
+floats), wired in two ways; all runs start alike and their cross-track errors are compared before anything is timed.
 
     python -m benchmarks study throughput [--quick] [--json]
 
 Contestants take turns, and a ratio is the median of the ratios within one turn, so that a busy machine hurts all
 alike. The ratios of the JSON are to python-control with the same diagram: a system for each block, a connection for
-each wire. The table and `against` have them also to python-control wired as two systems (plant and controller), and as
-one function that leaves no wiring to it at all.
+each wire. The table and `against` have them also to python-control with one function that leaves it no wiring.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ from steerkit.vehicles import vehicle
 BACKENDS: tuple[Backend, ...] = ("python", "vm", "c")
 SPEED, CARS = 6.0, 1000
 CAR = vehicle("vw-passat")
-DIAGRAM, TWO, ONE = (f"python-control, {how}" for how in ("same diagram", "two systems", "one function"))
+DIAGRAM, ONE = (f"python-control, {how}" for how in ("same diagram", "one function"))
 MANY = f"C, {CARS} cars"
 NEEDED = {
     "interpreted_x": 5,
@@ -94,11 +93,7 @@ def contestants(loop: Loop, quick: bool) -> list[Contestant]:
     start, many = loop.init(), loop.init(batch=CARS)
     scale = 1 if quick else 4
     ways = []
-    for name, make in (
-        (DIAGRAM, python_control.diagram),
-        (TWO, python_control.two_systems),
-        (ONE, python_control.one_function),
-    ):
+    for name, make in ((DIAGRAM, python_control.diagram), (ONE, python_control.one_function)):
         made, n = make(loop, start), 100 * scale
         ways.append(Contestant(name, n, lambda made=made, n=n: python_control.run(made, n)))  # type: ignore[misc]
     n = 500 * scale
@@ -128,7 +123,7 @@ def require_equal_runs(loop: Loop) -> float:
     """The largest difference in e between others' and steerkit's ways, over 100 samples [m]."""
     start = loop.init()
     reference = simulate(loop, 100 * DT, state=start)["path.e"]
-    runs = [python_control.run(make(loop, start), 100) for make in (python_control.two_systems, python_control.diagram)]
+    runs = [python_control.run(python_control.diagram(loop, start), 100)]
     runs += [
         compile(loop, backend=b, record=["path.e"], collapse=c).run(100 * DT, state=start)["path.e"]
         for b in BACKENDS
@@ -166,10 +161,10 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     loop = closed_loop()
     agreement = require_equal_runs(loop)
     rates = measured(contestants(loop, options.quick), 1 if options.quick else 15)
-    against = {base: ratios_to(rates, base) for base in (DIAGRAM, TWO, ONE)}
+    against = {base: ratios_to(rates, base) for base in (DIAGRAM, ONE)}
     ratios = against[DIAGRAM]
     print(f"\n20 Hz control steps a second, {os.cpu_count()} cores; all ways agree to {agreement:.0e} m\n")
-    print(f"{'':49}ratio to python-control as\n{'way':34}{'car-steps/s':>14}{'diagram':>10}{'two':>10}{'one':>10}")
+    print(f"{'':49}ratio to python-control as\n{'way':34}{'car-steps/s':>14}{'diagram':>10}{'one':>10}")
     for name, values in rates.items():
         columns = "".join(f"{against[base][name]:10,.1f}" for base in against)
         print(f"{name:34}{statistics.median(values):14,.0f}{columns}")

@@ -1,4 +1,4 @@
-"""What the vehicle-state estimator is worth: closed loop, its deviations, outages and jumps, cost.
+"""What the vehicle-state estimator is worth: closed loop, its deviations, outages and jumps.
 
 `hard` sensors without measured sideslip, seeds and courses that nothing was tuned on, judged by the simulated truth.
 
@@ -21,7 +21,6 @@
 from __future__ import annotations
 
 import argparse
-import time
 from dataclasses import asdict
 from typing import Any
 
@@ -38,13 +37,12 @@ from steerkit.estimators.vehicle_state import VehicleState
 from steerkit.metrics.signals import rates, rms
 from steerkit.scenario import Scenario
 from steerkit.scenario.drive import controller, drive, drive_loop
-from steerkit.task import DT
 
 Array = NDArray[np.float64]
 CONTROLLERS = ("mpc", "stanley", "lqr")
 DRIVES = (("paper", 101), ("random-2101", 102), ("random-2102", 103), ("genesis-rfs", 104), ("sweeping-2103", 105))
 """Course and seed of each drive."""
-PARTS = ("closed_loop", "wrong_belief", "innovations", "outages", "cost")
+PARTS = ("closed_loop", "wrong_belief", "innovations", "outages")
 KINDS = ("none", "vehicle-state", "adaptive-state")
 """What stands between sensors and controllers."""
 ADAPTIVE = ("stanley-adaptive", "mpc-adaptive")
@@ -79,8 +77,6 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         report |= innovations(2 if quick else 20, 8.0 if quick else 100.0, backend)
     if "outages" in parts:
         report |= outages(20.0 if quick else 120.0, backend)
-    if "cost" in parts:
-        report |= cost(1.0 if quick else 50.0, ("python",) if quick else ("python", "c"))
     return report
 
 
@@ -258,24 +254,3 @@ def outages(seconds: float, backend: Backend) -> dict[str, Any]:
     }
     print(f"outages of {OUTAGE:g} s, jumps of {JUMP:g} m for {JUMP_TIME:g} s: {report}")
     return report
-
-
-def cost(seconds: float, backends: tuple[Backend, ...]) -> dict[str, Any]:
-    """What a sample costs [us], generated: less the same loop without the estimator; in C, 20 times the seconds."""
-    found: dict[str, Any] = {}
-    for backend in backends:
-        times, much = [], seconds * (20.0 if backend == "c" else 1.0)
-        for kind in ("none", "vehicle-state"):
-            scenario = scene(kind, "paper")
-            loop = drive_loop(scenario, controller("stanley", scenario))
-            program = compile(loop, backend=backend, record=["path.e"])
-            program.run(1.0)
-            spent = []
-            for _ in range(5):
-                begin = time.process_time()
-                program.run(much)
-                spent.append(time.process_time() - begin)
-            times.append(min(spent) / (much / DT) * 1e6)
-        found[f"cost_{backend}_us"] = times[1] - times[0]
-    print(f"cost of a sample: {found}")
-    return found

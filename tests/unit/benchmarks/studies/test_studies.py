@@ -46,7 +46,7 @@ KEYS = {
     },
     "safety": {
         *("departures", "runs", "good_median_s", "interventions_pct", "final_rms_x", "filter_p99_ms"),
-        *("adversary_max_e", "chatter_x"),
+        "adversary_max_e",
     },
     "throughput": {
         *("interpreted_x", "simulate_x", "compiled_vm_x", "compiled_vm_uncollapsed_x", "compiled_c_x", "batch_x"),
@@ -63,7 +63,7 @@ KEYS = {
             "wrong_belief_nis_mean",
             "wrong_belief_max_e_m",
         ),
-        *("outage_coverage_pct", "outage_said_pct", "jump_said_pct", "cost_python_us"),
+        *("outage_coverage_pct", "outage_said_pct", "jump_said_pct"),
     },
 }
 """What each prints, at least."""
@@ -116,7 +116,7 @@ def sensible_calibration(figures: Any) -> None:
 def sensible_throughput(figures: Any) -> None:
     assert figures["largest_difference_m"] < 1e-11
     assert min(figures["steps_per_second"].values()) > 0.0
-    assert set(figures["against"]) == {f"python-control, {n}" for n in ("same diagram", "two systems", "one function")}
+    assert set(figures["against"]) == {f"python-control, {n}" for n in ("same diagram", "one function")}
 
 
 def sensible_cars(figures: Any) -> None:
@@ -149,7 +149,6 @@ def sensible_rates(figures: Any) -> None:
 def sensible_safety(figures: Any) -> None:
     assert (figures["runs"], figures["departures"], figures["departures_without"]) == (1, 0, 1)
     assert 0.3 < figures["adversary_max_e"] < 0.5
-    assert figures["chatter_x"] > 4.0
     assert figures["filter_p99_ms"] is None or figures["filter_p99_ms"] > 0.0
 
 
