@@ -198,7 +198,7 @@ def test_what_was_sent_is_what_is_on_its_way() -> None:
     after = block.update(0.0, x, u, y)
     assert after[-1] == y.delta_sw != 0.0
     assert after[_KEPT:-1] == x[_KEPT + 1 :]
-    assert block.update(0.0, x, u, y._replace(delta_sw=math.nan))[-1] == x[-1]
+    assert block.update(0.0, after, u, y._replace(delta_sw=math.nan))[-1] == after[-1] != after[-2]
 
 
 @pytest.mark.parametrize("blind", ["e", "psi_e", "v", "r", "delta_sw_meas"])
