@@ -7,7 +7,8 @@ a copy of the tree, the test that mirrors the module, the tests that import it, 
 and the contracts; it stops at the first failure. A failure counts if the same test passes on the unchanged code.
 
     caught     a test failed, crashed or hung
-    survived   all tests passed, or none had failed after --seconds
+    survived   all tests passed
+    unfinished none had failed after --seconds, and some had not run
     not run    --minutes were over
 
 Survivors are printed with place and diff. The exit code is 0, or 1 if fewer than --bound percent were caught.
@@ -242,7 +243,7 @@ class Copies:
             code, test = self.pytest(tree, words, self.seconds - (time.monotonic() - start))
             file.write_bytes(original)
             if code in (0, None):
-                outcome, test = "survived", ""
+                outcome, test = "survived" if code == 0 else "unfinished", ""
             elif test in ("", *ignored) or self.passes(tree, test):
                 outcome = "caught"
             ignored.append(test)
@@ -322,7 +323,7 @@ def main(words: Sequence[str] | None = None) -> int:
         def judged(mutant: Mutant) -> Mutant:
             if time.monotonic() < end:
                 mutant = copies.judged(mutant, tests[mutant.file])
-                print(f"{mutant.outcome:9s}{mutant.file}:{mutant.line} {mutant.test}", file=sys.stderr, flush=True)
+                print(f"{mutant.outcome:11s}{mutant.file}:{mutant.line} {mutant.test}", file=sys.stderr, flush=True)
             return mutant
 
         chosen = list(pool.map(judged, chosen))
@@ -334,9 +335,9 @@ def main(words: Sequence[str] | None = None) -> int:
         print(json.dumps({"numbers": numbers, "caught_percent": share, "mutants": results}, indent=1))
     else:
         for mutant in chosen:
-            if mutant.outcome == "survived":
-                print(f"survived {mutant.file}:{mutant.line}\n{mutant.diff()}")
-        print(f"{len(chosen)} mutants, {numbers['caught']} of {ran} caught ({share:.0f} %)")
+            if mutant.outcome in ("survived", "unfinished"):
+                print(f"{mutant.outcome} {mutant.file}:{mutant.line}\n{mutant.diff()}")
+        print(f"{len(chosen)} mutants, {numbers['caught']} of {ran} caught ({share:.0f} %), {dict(numbers)}")
     return 1 if share < args.bound else 0
 
 
