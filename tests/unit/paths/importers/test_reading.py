@@ -47,12 +47,12 @@ def test_a_lap_too_coarse_for_its_bends_is_refused(tmp_path: FilePath) -> None:
 def test_speeds_go_with_the_course(tmp_path: FilePath) -> None:
     lap = road_files.gpx(road_files.driven(course("genesis-rfs"), v=6.0, noise=0.3), tmp_path / "lap.gpx")
     where = Scenario(course=f"{lap}#noise=0.3", driver={"speed": "recorded", "v_max": 9.0})
-    s, v = where._profile()
+    s, v = where.driver.profile(where.course, where.path())
     assert np.median(v) == pytest.approx(6.0, abs=0.3)
     assert where.seconds == pytest.approx(where.path().length / 6.0, rel=0.3)
     town = road_files.junction(tmp_path / "town.xodr")
     allowed = Scenario(course=f"{town}#road=1,lane=-1,to=2", driver={"speed": "limit", "v_max": 15.0})
-    s, v = allowed._profile()
+    s, v = allowed.driver.profile(allowed.course, allowed.path())
     assert v[s < 20.0].max() == pytest.approx(50.0 / 3.6), "as fast as is allowed"
     at = float(abs(allowed.path().kappa(s)).argmax())
     assert v[int(at)] ** 2 * abs(allowed.path().samples.kappa).max() < 3.1, "slower in the bend"
