@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy import stats
 from scipy.optimize import least_squares
+from scipy.special import stdtrit
 
 from steerkit._support.errors import require
 from steerkit.identification.identified import Estimate, Identified, Simulator, car_of, predict, stiffnesses
@@ -220,7 +220,7 @@ def _estimates(
     blocks: int,
 ) -> tuple[Estimate, ...]:
     """Each parameter and what follows from them, linearised."""
-    factor = float(stats.t.ppf(0.975, blocks - 1))
+    factor = float(stdtrit(blocks - 1, 0.975))
     before = np.diag([table[n].deviation ** 2 for n in free])
     c_f, c_r = stiffnesses(base, values["d_f"], values["d_r"])
     length = base.wheelbase

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
-from scipy.signal import savgol_filter
 
 from steerkit._support.errors import require
 from steerkit.diagram.simulation import Log
@@ -447,6 +446,8 @@ def _yaw_rate(
     even: dict[str, Array], measured: NDArray[np.bool_], dt: float, name: str, remarks: list[str], trusted: bool
 ) -> tuple[Array, bool]:
     """The yaw rate, with the heading's zero if there is a heading; and whether there is."""
+    from scipy.signal import savgol_filter
+
     if "psi" not in even:
         return even["r"], False
     window = max(3, 2 * round(0.5 * HEADING_WINDOW / dt) + 1)

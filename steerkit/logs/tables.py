@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
-from scipy.io import loadmat
 
 from steerkit._support.errors import require
 from steerkit._support.files import Bounded
@@ -149,6 +148,8 @@ def with_units(columns: Columns) -> Table:
 
 def read_mat(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
     """Arrays of a MATLAB file by name; those of the commonest length."""
+    from scipy.io import loadmat
+
     try:
         data = loadmat(str(path), appendmat=False)
     except NotImplementedError as error:

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from steerkit.controllers.delay_compensator import ANSWER, LONGEST, DelayCompensator
 from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, R_E, V
@@ -132,6 +131,8 @@ def refined(model: CarModel, part: Transitions) -> CarModel:
     Returns the model as it was where the record is too short, or where the other would turn the car the wrong way.
     Source: Ljung 1999, section 4.2 (output error).
     """
+    from scipy.optimize import least_squares  # loads as slowly as all else that a drive needs
+
     episode = np.cumsum(~follow(part))
     row = np.arange(1, max(1, len(part) - AHEAD))
     row = row[episode[row - 1] == episode[row + AHEAD]][-ROWS:]
