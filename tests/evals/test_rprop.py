@@ -10,6 +10,7 @@ import pytest
 from steerkit._support.native import NoCompilerError
 from steerkit.learning.nfq import rprop
 from steerkit.learning.nfq.rprop import Rprop, fit, flat, forward, new_net, predict, shaped, sizes_of
+from tests.support.ranges import keeps_range
 
 LAYOUTS = [(7, 10, 10, 1), (3, 1), (2, 4, 1), (5, 11, 3, 7, 1), (1, 6, 8, 1)]
 
@@ -171,8 +172,20 @@ def test_wrong_shapes_are_refused() -> None:
         fit(new_net(), x[:, :5], y, epochs=1)
     with pytest.raises(ValueError, match="valid: 'auto', 'c', 'torch'"):
         fit(new_net(), x, y, engine="gpu")  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="eta_minus"):
-        Rprop(eta_minus=1.5)
+    with pytest.raises(ValueError, match="epochs = -1, expected >= 0"):
+        fit(new_net(), x, y, epochs=-1)
+    with pytest.raises(ValueError, match="n >= 1"):
+        fit(new_net(), x[:0], y[:0])
+    for sizes in ((7,), (7, 0, 1)):
+        with pytest.raises(ValueError, match="expected two or more, each >= 1"):
+            new_net(sizes)
+
+
+def test_parameters_are_within_their_ranges() -> None:
+    for name, interval in (("eta_minus", "(0.0, 1.0)"), ("eta_plus", "(1.0, inf)"), ("delta_min", "(0.0, 0.1]")):
+        keeps_range(Rprop, name, interval)
+    keeps_range(lambda _0: Rprop(delta_0=_0), "_0", "[1e-6, 50.0]")
+    keeps_range(lambda _max: Rprop(delta_max=_max), "_max", "[0.1, inf)")
 
 
 def test_without_a_compiler_torch_takes_over_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -21,6 +21,7 @@ from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.scenario.assembly import steering_loop
 from steerkit.vehicles import vehicle
 from steerkit.vehicles.rollout import GateLimits, GateModel
+from tests.support.ranges import keeps_range
 
 RATIO, LENGTH = 15.6, 2.71
 
@@ -131,10 +132,11 @@ def test_a_nan_is_not_hidden(broken: int) -> None:
     assert math.isnan(y.distance)
 
 
-@pytest.mark.parametrize(("name", "value"), [("horizon", -1.0), ("hold", -0.1), ("weight", math.nan)])
-def test_bad_limits(name: str, value: float) -> None:
-    with pytest.raises(ValueError, match=f"ExcursionPredictor: {name} = "):
-        ExcursionPredictor(**{name: value})
+def test_parameters_are_within_their_ranges() -> None:
+    for name, interval in (("horizon", "(0.0, inf)"), ("hold", "[0.0, 100.0]"), ("weight", "(0.0, inf)")):
+        keeps_range(ExcursionPredictor, name, interval)
+        with pytest.raises(ValueError, match=f"ExcursionPredictor: {name} = nan"):
+            ExcursionPredictor(**{name: math.nan})
 
 
 def test_foresight_needs_a_recovery_controller() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import pytest
 from hypothesis import given, settings
@@ -16,6 +17,7 @@ from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import vehicle
+from tests.support.ranges import keeps_range
 
 PASSAT = vehicle("vw-passat")
 ROAD = straight(50.0)
@@ -86,13 +88,11 @@ def test_told_of_a_delay_it_looks_farther_and_does_not_swing() -> None:
     assert swing[1] < 0.02
 
 
-def test_it_refuses_distances_that_cannot_be() -> None:
-    with pytest.raises(ValueError, match=r"look_max = 1.0 m, expected >= look_min"):
-        PurePursuit(path=ROAD, look_max=1.0)
-    with pytest.raises(ValueError, match=r"delay = -0.1 \[s\], expected 0 to 2"):
-        PurePursuit.of(PASSAT, ROAD, delay=-0.1)
-    with pytest.raises(ValueError, match=r"wheelbase = 0.0, expected > 0"):
-        PurePursuit(path=ROAD, wheelbase=0.0)
+def test_parameters_are_within_their_ranges() -> None:
+    for name in ("look_time", "look_min", "wheelbase", "l_r", "steer_ratio", "limit"):
+        keeps_range(partial(PurePursuit, path=ROAD), name, "(0.0, inf)")
+    keeps_range(partial(PurePursuit, path=ROAD), "look_max", "[2.5, inf)")
+    keeps_range(partial(PurePursuit.of, PASSAT, ROAD), "delay", "[0.0, 2.0]")
 
 
 @pytest.mark.parametrize(("v", "look"), [(-3.0, 2.5), (0.0, 2.5), (8.0, 4.0), (30.0, 15.0), (100.0, 20.0)])

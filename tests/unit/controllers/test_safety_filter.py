@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,7 @@ from steerkit.scenario.drive import assembled
 from steerkit.task import STOP
 from steerkit.vehicles import vehicle
 from steerkit.vehicles.rollout import GateLimits, GateModel
+from tests.support.ranges import keeps_range
 
 PASSAT = vehicle("vw-passat")
 SURE: dict[str, float] = dict(e_doubt=0.0, psi_doubt=0.0, yaw_doubt=0.0, ratio_doubt=0.0, delay_doubt=0.0)
@@ -324,13 +325,7 @@ def test_compiled_it_is_the_same(backend: Any) -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"bound": 0.0}, "bound"),
-        ({"horizon": 0.5}, "horizon"),
-        ({"hold": 0}, "hold = 0"),
-        ({"halvings": 0}, "halvings = 0"),
         ({"halvings": 2.5}, "halvings = 2.5"),
-        ({"preview_points": 1}, "preview_points = 1"),
-        ({"e_doubt": -0.1}, "e_doubt"),
         ({"delay_doubt": math.nan}, "delay_doubt"),
         ({"gate": GateModel(), "horizon": 1.59}, "horizon"),  # the hold, and 1.2 s from side to side
         ({"backup": Stanley.of(PASSAT)}, "backup of Stanley, expected DelayPredictor around Stanley"),
@@ -344,6 +339,25 @@ def test_compiled_it_is_the_same(backend: Any) -> None:
 def test_what_cannot_be_is_refused(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         replace(SafetyFilter.of(PASSAT), **settings)
+
+
+@pytest.mark.parametrize(
+    ("name", "interval"),
+    [
+        ("bound", "[0.05, 100.0]"),
+        ("horizon", "[0.7, 10.0]"),  # the hold, and 0.3 s
+        *((name, "[0.0, 1.0]") for name in ("psi_doubt", "yaw_doubt", "ratio_doubt")),
+        *((name, "[0.0, 10.0]") for name in ("e_doubt", "approach")),
+        ("yaw_doubt_least", "[0.0, 0.01]"),
+        ("delay_doubt", "[0.0, 2.0]"),
+        ("preview_dt", "[1e-3, 10.0]"),
+        ("halvings", "[1, inf)"),
+        ("hold", "[1, inf)"),
+        ("preview_points", "[2, inf)"),
+    ],
+)
+def test_parameters_are_within_their_ranges(name: str, interval: str) -> None:
+    keeps_range(partial(replace, SafetyFilter.of(PASSAT)), name, interval)
 
 
 def test_where_nothing_new_is_safe_the_plan_goes_on_and_then_the_backup_steers() -> None:

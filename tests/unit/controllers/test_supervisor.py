@@ -19,6 +19,7 @@ from steerkit.diagram.simulation import Log, simulate
 from steerkit.diagram.units import radians_of
 from steerkit.doe import Integrator, LowPass
 from tests.support.parts import Script
+from tests.support.ranges import keeps_range
 
 ON = [1.0]
 
@@ -123,6 +124,11 @@ def test_what_is_steered_is_always_sane(
 def test_bad_thresholds(release: float, trip: float) -> None:
     with pytest.raises(ValueError, match=r"Supervisor: release = .* m, trip = .* m, expected 0 < release <= trip"):
         Supervisor(release=release, trip=trip)
+
+
+def test_thresholds_are_within_their_ranges() -> None:
+    for name, interval in (("release", "(0.0, 0.5]"), ("trip", "[0.1, inf)"), ("limit", "(0.0, inf)")):
+        keeps_range(Supervisor, name, interval)
 
 
 def handed_over(doe: Any, e: list[float], actions: list[float], recovery: list[float]) -> tuple[Log, np.ndarray]:

@@ -8,6 +8,7 @@ from steerkit.controllers.target_shift import TargetShift
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import simulate
 from tests.support.parts import Script
+from tests.support.ranges import keeps_range
 
 
 def test_the_target_comes_to_a_lost_car_and_goes_back_slowly() -> None:
@@ -24,6 +25,6 @@ def test_the_target_comes_to_a_lost_car_and_goes_back_slowly() -> None:
     assert log["shift.e_dot"] == pytest.approx([0.1, 0.1, *[0.5] * 6])
 
 
-def test_parameters_out_of_range() -> None:
-    with pytest.raises(ValueError, match="expected > 0"):
-        TargetShift(rate=0.0)
+def test_parameters_are_within_their_ranges() -> None:
+    for name in ("trip", "limit", "rate"):
+        keeps_range(TargetShift, name, "(0.0, inf)")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from steerkit.controllers.delay_compensator import LONGEST
 from steerkit.controllers.state_description import StateDescription
 from steerkit.learning.costs import BandCost, TanhCost
 from steerkit.learning.data.transitions import Transitions
@@ -28,6 +30,8 @@ from steerkit.learning.nfq.iterate import (
 )
 from steerkit.learning.nfq.model import CarModel
 from steerkit.learning.nfq.rprop import Fit, Net, fit, flat, forward
+from steerkit.task import DT
+from tests.support.ranges import keeps_range
 from tests.support.records import ACTIONS, chain, recorded
 
 
@@ -184,7 +188,16 @@ def test_updates_say_what_is_wrong() -> None:
         iterate(record, (0.0, 0.5), BandCost(), FitSetting(mirror=True))
     with pytest.raises(ValueError, match="expected \\(7, 10, 10, 1\\)"):
         iterate(record, ACTIONS, BandCost(), nets_before=[level(0.5)])
-    for wrong in ({"discount": 1.0}, {"init": "cold"}, {"combine": "min"}, {"n_step": 0}, {"clip": (1.0, 0.0)}):
+    keeps_range(FitSetting, "discount", "[0.0, 1.0)")
+    keeps_range(partial(FitSetting, imagined=1), "dead_time", f"[0.0, {LONGEST * DT}]")
+    for least in (0, 1):
+        for name in ("epochs hints imagined window", "n_step nets iterations horizon keep")[least].split():
+            keeps_range(FitSetting, name, f"[{least}, inf)")
+    assert FitSetting(guard=1.0, imagined=1, hidden=(1,)).guard == 1.0
+    for wrong in (
+        *({"init": "cold"}, {"combine": "min"}, {"hint_from": "net"}, {"engine": "gpu"}, {"hidden": (10, 0)}),
+        *({"clip": (0.5, 0.5)}, {"guard": 0.9, "imagined": 1}, {"guard": 1.0}, {"dead_time": 0.1}),
+    ):
         with pytest.raises(ValueError, match=next(iter(wrong))):
             FitSetting(**wrong)  # type: ignore[arg-type]
 
