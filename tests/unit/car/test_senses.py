@@ -64,7 +64,7 @@ def test_a_value_that_is_not_available_is_an_error_and_changes_nothing() -> None
 def test_strong_reports_make_a_hand_on_the_wheel_and_each_weak_one_takes_a_third_off() -> None:
     """So that the weak reports of another sender between them do not hide a hand."""
     bench, seen = Bench(), []
-    for k, torque in enumerate((5.0, -5.0, 0.5, 5.0, 2.4, 2.6)):  # the limit is 2.5 N m, to either side
+    for k, torque in enumerate((5.0, -5.0, 0.5, 5.0, 2.5, 2.6)):  # the limit is 2.5 N m, to either side
         bench.send("STEERING_REPORT", 1.0 + 0.02 * k, torque=torque)
         seen.append(bench.senses.torque_reports)
     assert seen == pytest.approx([1.0, 2.0, 5 / 3, 8 / 3, 7 / 3, 10 / 3])
@@ -73,13 +73,14 @@ def test_strong_reports_make_a_hand_on_the_wheel_and_each_weak_one_takes_a_third
     assert bench.senses.torque_reports == 0.0
 
 
-@pytest.mark.parametrize("turned", [1.5, -1.5])
-def test_one_jump_of_the_wheel_is_enough_to_end_driving(turned: float) -> None:
-    bench = Bench()
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("gap", [0.02, 0.1])
+def test_one_jump_of_the_wheel_is_enough_to_end_driving(gap: float, side: float) -> None:
+    bench, most = Bench(), 25.0 * gap + 0.2  # a quick hand turns it by less
     bench.send("STEERING_REPORT", 1.0)
-    bench.send("STEERING_REPORT", 1.02, delta_sw=0.4 * math.copysign(1.0, turned))  # 20 rad/s: a quick hand
+    bench.send("STEERING_REPORT", 1.0 + gap, delta_sw=side * (most - 0.01))
     assert not bench.senses.errors
-    bench.send("STEERING_REPORT", 1.04, delta_sw=turned)
+    bench.send("STEERING_REPORT", 1.0 + 2.0 * gap, delta_sw=side * 2.0 * most)
     assert len(bench.senses.errors) >= config().states.integrity_errors
     assert "the wheel jumped by" in bench.senses.errors[-1][1]
     assert bench.senses.error_count == 1
@@ -138,7 +139,8 @@ def test_the_delay_of_the_pose_is_told_from_the_quickest_so_far() -> None:
 def test_a_command_is_echoed_until_a_newer_one_should_be() -> None:
     """An echo of the command of 1.00 s is good until 1.02 s, when the next was sent."""
     sent = ((1.0, 0.1), (1.02, 0.2), (1.04, 0.3))
-    for echo, good_until in ((0.3, 1.06), (0.2, 1.04), (0.1, 1.02), (0.5, 0.0)):
+    step = config().writer.quantum  # rounding may cost one
+    for echo, good_until in ((0.3, 1.06), (0.3 - step, 1.06), (0.2, 1.04), (0.1 + step, 1.02), (0.1 + 2 * step, 0.0)):
         bench = Bench()
         bench.send("STEERING_REPORT", 1.06, sent=sent, echo=echo)
         assert bench.senses.echo_ok == pytest.approx(good_until)
@@ -153,6 +155,9 @@ def test_the_wheel_is_where_the_commands_of_the_last_third_of_a_second_sent_it(s
         (1.1, ((0.9, 0.0), (1.08, far)), 1.1),  # it was told to leave just now
         (1.5, ((0.9, 0.0), (1.2, far), (1.48, far)), 1.1),  # it was told so 0.3 s ago, and before that long ago
         (1.6, ((1.3, far), (1.58, -far)), 1.6),  # on the way from one side to the other
+        (2.0, ((1.66, 0.0), (1.7, far)), 2.0),  # there until 0.34 s ago
+        (2.1, ((1.74, 0.0), (1.8, far)), 2.0),  # until 0.36 s ago
+        (2.2, ((1.0, far / 1.2),), 2.2),  # exactly as far off as it may be
     ):
         bench.send("STEERING_REPORT", t, sent=sent)
         assert bench.senses.follow_ok == good_until
@@ -192,12 +197,13 @@ def test_a_frame_of_another_kind_with_the_number_of_a_report_is_none() -> None:
     assert bench.senses.age(1.05, config().report_frames) == pytest.approx(0.05)
 
 
-@pytest.mark.parametrize(("period", "foreign"), [(0.02, False), (0.01, True)])
-def test_too_many_reports_have_a_second_sender(period: float, foreign: bool) -> None:
+@pytest.mark.parametrize(("rate", "foreign"), [(50.0, ""), (75.5, ""), (77.0, "78 times a second, expected 50")])
+def test_too_many_reports_have_a_second_sender(rate: float, foreign: str) -> None:
+    """Within 0.5 s, 1.4 times as many as expected and three more are still one sender's."""
     bench = Bench()
-    for k in range(round(1.0 / period)):
-        bench.send("STEERING_REPORT", 1.0 + period * k)
-    assert ("STEERING_REPORT comes" in bench.senses.foreign[1]) is foreign
+    for k in range(round(rate)):
+        bench.send("STEERING_REPORT", 1.0 + k / rate)
+    assert bench.senses.foreign[1] == (foreign and f"STEERING_REPORT comes {foreign}")
 
 
 def test_what_the_adapter_could_not_read_is_counted_not_obeyed() -> None:
@@ -206,19 +212,37 @@ def test_what_the_adapter_could_not_read_is_counted_not_obeyed() -> None:
     assert "no frame" in bench.senses.errors[-1][1]
 
 
-def stamped(clock: float, seconds: float = 8.0, jump: float = 0.0) -> Senses:
-    """Poses every 10 ms whose clock runs `clock` times as fast, and jumps after half of the time."""
+def stamped(clock: float, seconds: float = 8.0, jump: float = 0.0, at: float = 4.0, gap: float = 0.0) -> Senses:
+    """Poses every 10 ms whose clock runs `clock` times as fast; after `at` [s] it jumps, and nothing came for `gap`."""
     bench = Bench()
     for k in range(round(seconds / 0.01)):
-        t = 1.0 + 0.01 * k
-        bench.send("POSE_DYNAMICS", t, stamp=(clock * t + (jump if 2.0 * t > seconds else 0.0)) % 65.536)
+        t, after = 0.01 * k, 0.01 * k > at
+        bench.send("POSE_DYNAMICS", 1.0 + t + gap * after, stamp=(clock * t + (jump + gap) * after) % 65.536)
     return bench.senses
 
 
-def test_time_stamps_that_run_fast_or_jump_ahead_are_noticed() -> None:
+@pytest.mark.parametrize(
+    ("clock", "jump", "at", "gap", "what"),
+    [
+        (1.012, 0.0, 4.0, 0.0, ""),  # by 36 ms in 3 s
+        (1.015, 0.0, 4.0, 0.0, "run ahead by 4"),
+        (1.0, 0.28, 0.0, 0.0, ""),  # the first pose came late
+        (1.0, 0.28, 2.9, 0.0, "run ahead by 28"),
+        (1.0, 0.32, 2.9, 0.0, "0.32 s ahead"),
+        (1.0, 5.0, 4.0, 0.9, "5.00 s ahead"),
+        (1.0, 5.0, 4.0, 1.1, ""),  # a pause: nobody knows
+    ],
+)
+def test_time_stamps_that_run_fast_or_jump_ahead_are_noticed(
+    clock: float, jump: float, at: float, gap: float, what: str
+) -> None:
+    texts = [text for _, text in stamped(clock, 8.0, jump, at, gap).errors if "stamp" in text]
+    assert what in texts[0] if what else not texts
+
+
+def test_a_clock_that_drifts_is_allowed_for() -> None:
     assert not stamped(1.0001).errors
-    assert "run ahead" in stamped(1.02).errors[-1][1]
-    assert "5.00 s ahead" in stamped(1.0, jump=5.0).errors[-1][1]
+    assert stamped(0.9996, 40.0).delay == pytest.approx(8e-3, abs=1.5e-3)  # half of it
     assert stamped(1.0, jump=5.0).delay == pytest.approx(0.0, abs=2e-3)  # and is forgotten when it is back
     assert stamped(1.0, jump=-1.0).delay == pytest.approx(1.0, abs=1e-2)
 
@@ -246,7 +270,7 @@ def test_frames_that_come_later_and_later_are_noticed_whatever_their_stamps_say(
     assert 1.0 + BEHIND / 0.02 + BEHIND_TIME < when < 1.0 + BEHIND / 0.018 + BEHIND_TIME
     assert "POSE_DYNAMICS comes 129 ms later than its counter says" in what
     assert len(errors) > config().states.integrity_errors
-    assert queued(0.005, seconds=40.0)
+    assert queued(0.0043, seconds=40.0)
     for share in (0.0, 1e-3, -1e-3, -0.02):  # the sender's quartz is no better; too quick is none of this
         assert queued(share, seconds=40.0) == []
 
@@ -293,6 +317,29 @@ def test_a_delay_that_stays_is_forgotten_with_an_order_only() -> None:
     for k in range(400, 600):
         bench.send("POSE_MOTION", 1.13 + 0.01 * k)
     assert len(bench.senses.errors) == errors
+
+
+@pytest.mark.parametrize(("v", "moves"), [(0.2, True), (-0.2, True), (0.199, False), (-0.199, False)])
+def test_below_a_speed_the_car_stands(v: float, moves: bool) -> None:
+    bench = Bench()
+    bench.send("POSE_MOTION", 1.0, v=v)
+    assert bench.senses.moving == (1.0 if moves else -math.inf)
+
+
+def test_the_kit_is_enabled_since_its_first_report_of_it() -> None:
+    bench, since = Bench(), []
+    for k, enabled in enumerate((0.0, 1.0, 1.0, 0.0, 1.0)):
+        bench.send("STEERING_REPORT", 1.0 + k, enabled=enabled)
+        since.append(bench.senses.enabled_since)
+    assert since == [None, 2.0, 2.0, None, 5.0]
+
+
+@pytest.mark.parametrize(("gap", "places"), [(0.14, 1), (0.16, 2)])
+def test_the_place_is_kept_for_as_long_as_a_pose(gap: float, places: int) -> None:
+    bench = Bench()
+    bench.pose(1.0)
+    bench.pose(1.0 + gap, x=10.0 + 5.0 * gap)
+    assert bench.senses.places >= places
 
 
 def test_how_much_e_has_grown_within_a_second() -> None:
