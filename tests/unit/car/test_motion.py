@@ -28,9 +28,11 @@ def drive(
     late: float = 0.0,
     beta: float = 0.0,
     since: float = 0.0,
+    understeer: float = 0.0,
 ) -> tuple[float, str]:
     """(when it was noticed [s], what was said) of a car on a circle; its pose drifts (along, across) after `since`."""
-    motion, psi, x, y = MotionCheck(LIMITS, wheelbase=LENGTH, steer_ratio=RATIO), 0.3, 1.0, 2.0
+    motion = MotionCheck(LIMITS, wheelbase=LENGTH, steer_ratio=RATIO, understeer=understeer)
+    psi, x, y = 0.3, 1.0, 2.0
     for k in range(round(seconds / DT)):
         t = k * DT + (late if k % 37 == 36 else 0.0)
         r = v * kappa
@@ -95,12 +97,18 @@ def test_a_heading_that_leaves_the_yaw_rate_is_noticed(rate_deg: float) -> None:
 
 @pytest.mark.parametrize("gain", [-1.0, 0.0, 0.5, 1.6])
 def test_a_wrong_yaw_rate_is_noticed_in_a_bend(gain: float) -> None:
-    assert drive(6.0, kappa=0.05, r_gain=gain)[0] < 1.0
+    expected = LIMITS.heading_slack / (0.25 * (abs(1.0 - gain) - 0.05 * abs(gain)) - LIMITS.heading_rate)
+    when, what = drive(6.0, kappa=0.05, r_gain=gain)
+    assert expected <= when <= expected + 0.1
+    assert "the heading is" in what
 
 
-def test_a_wheel_that_the_car_does_not_obey_is_noticed() -> None:
-    when, what = drive(6.0, wheel_off=radians_of(100.0))
-    assert when < 1.0
+@pytest.mark.parametrize(("off", "understeer"), [(100.0, 0.0), (-60.0, 0.0), (60.0, 0.02)])
+def test_a_wheel_that_the_car_does_not_obey_is_noticed(off: float, understeer: float) -> None:
+    rate = 5.0 * math.tan(radians_of(abs(off)) / RATIO) / (LENGTH + understeer * 25.0)
+    expected = LIMITS.wheel_slack / ((1.0 - LIMITS.wheel_share) * rate - LIMITS.wheel_rate)
+    when, what = drive(6.0, wheel_off=radians_of(off), understeer=understeer)
+    assert expected <= when <= expected + 0.1
     assert "than its wheel says" in what
     assert drive(6.0, v=2.0, wheel_off=radians_of(20.0))[0] == math.inf  # an offset that a kit may have
 

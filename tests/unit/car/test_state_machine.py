@@ -146,6 +146,16 @@ def test_the_good_case_holds_every_check() -> None:
     assert not names(GOOD, *ALL)
 
 
+def test_of_what_never_came_nothing_holds() -> None:
+    unknown = "controller gone, report stale, pose stale, pose quality, speed mismatch, too fast, off the path"
+    assert names(Facts(), always) == {*unknown.split(", "), "operator silent", "reversing"}
+    assert names(Facts(), driving) == {"controller silent", "across the path"}
+    unknown = "request stale, command differs, e, psi_e, speed, end of the course"
+    assert names(Facts(), engaging) == {*unknown.split(", ")}
+    assert "report stale: report never came" in [*always(LIMITS, Facts())]
+    assert "report stale: report 250 ms" in [*always(LIMITS, GOOD._replace(report_age=0.25))]
+
+
 def test_the_kit_has_some_time_to_say_that_it_is_enabled() -> None:
     facts = GOOD._replace(enabled=False)
     for since in (1.0, 100.0):
@@ -210,8 +220,10 @@ def test_limits_are_checked(field: str) -> None:
     for value in (0.0, -1.0, math.nan, math.inf):
         with pytest.raises(ValueError, match=field):
             StateLimits(**{field: value})
-    with pytest.raises(ValueError, match="request_age < request_lost"):
-        StateLimits(request_age=0.2)
+    assert StateLimits(v_engage_max=10.0).v_max == 10.0
+    for values in ({"request_age": 0.15}, {"v_engage_min": 9.0}, {"v_engage_max": 10.01}):
+        with pytest.raises(ValueError, match="request_age < request_lost and v_engage_min < v_engage_max <= v_max"):
+            StateLimits(**values)
 
 
 @pytest.mark.parametrize(
@@ -226,6 +238,7 @@ def test_limits_are_checked(field: str) -> None:
         (always, "too fast", {"v": 10.1, "v_kit": 9.9}),
         (always, "off the path", {"e": 2.01}),
         (always, "request invalid", {"request": -1e3}),
+        (always, "request invalid", {"request": LIMITS.delta_sw_max * (1.0 + 3e-9)}),
         (always, "pose quality", {"quality": math.nan}),
         (driving, "across the path", {"psi_e": -0.8}),
         (engaging, "e", {"e": -0.51}),
@@ -253,11 +266,19 @@ def test_each_side_of_a_check(check: Any, name: str, facts: dict[str, Any]) -> N
         {"e_growth": LIMITS.e_growth},
         {"quality": LIMITS.quality},
         {"request": LIMITS.delta_sw_max * (1.0 + 1e-9)},  # as rounding on the bus may have it
+        {"request_age": math.inf, "request": math.nan},  # of what is not there the value is not judged
+        *({name: getattr(LIMITS, name) - 1e-9} for name in ("report_age", "pose_age", "lateness", "echo_age")),
+        {"request_age": LIMITS.request_lost - 1e-9},
+        {"follow_age": LIMITS.follow_time - 1e-9},
+        {"heartbeat_age": LIMITS.heartbeat - 1e-9},
+        {"enabled": False, "engaged_for": LIMITS.enable_time - 1e-9},
+        *({name: getattr(LIMITS, name) - 1} for name in ("torque_reports", "integrity_errors", "misses")),
     ],
 )
 def test_exactly_at_its_limit_a_check_holds_while_driving(facts: dict[str, Any]) -> None:
     usual = GOOD._replace(v=0.0, v_kit=0.0) if "v" in facts or "v_kit" in facts else GOOD
-    assert names(usual._replace(**facts), always, driving) == set()
+    expected = {"controller silent"} if facts.get("request_age") == math.inf else set()
+    assert names(usual._replace(**facts), human, always, driving) == expected
 
 
 @pytest.mark.parametrize(
@@ -268,6 +289,9 @@ def test_exactly_at_its_limit_a_check_holds_while_driving(facts: dict[str, Any])
         {"request": 0.0, "delta_sw": LIMITS.delta_engage},
         {"v": LIMITS.v_engage_min},
         {"v": LIMITS.v_engage_max},
+        {"v": 0.5, "remaining": LIMITS.end_margin + 0.5 * LIMITS.end_warning + 1e-9},
+        {"request_age": LIMITS.request_age - 1e-9},
+        {"foreign_enable": LIMITS.foreign_enable - 1e-9},
     ],
 )
 def test_exactly_at_its_limit_a_check_holds_for_engaging(facts: dict[str, Any]) -> None:
@@ -293,5 +317,6 @@ def test_an_age_that_reaches_its_limit_is_too_old(check: Any, name: str, facts: 
 
 
 def test_the_operator_is_warned_of_the_end_of_the_course_and_only_then() -> None:
-    assert warnings(LIMITS, GOOD._replace(remaining=31.0)) == []
+    for v, remaining in ((5.0, 31.0), (5.0, 30.0), (0.5, 7.5), (-1.0, 5.0)):
+        assert warnings(LIMITS, GOOD._replace(v=v, remaining=remaining)) == []
     assert warnings(LIMITS, GOOD._replace(remaining=29.0)) == ["the course ends in 24 m"]
