@@ -77,10 +77,10 @@ def test_strong_reports_make_a_hand_on_the_wheel_and_each_weak_one_takes_a_third
 @pytest.mark.parametrize("gap", [0.02, 0.1])
 def test_one_jump_of_the_wheel_is_enough_to_end_driving(gap: float, side: float) -> None:
     bench, most = Bench(), 25.0 * gap + 0.2  # a quick hand turns it by less
-    bench.send("STEERING_REPORT", 1.0)
-    bench.send("STEERING_REPORT", 1.0 + gap, delta_sw=side * (most - 0.01))
+    bench.send("STEERING_REPORT", 1.0, delta_sw=-side * 0.5 * most)
+    bench.send("STEERING_REPORT", 1.0 + gap, delta_sw=side * (0.5 * most - 0.01))
     assert not bench.senses.errors
-    bench.send("STEERING_REPORT", 1.0 + 2.0 * gap, delta_sw=side * 2.0 * most)
+    bench.send("STEERING_REPORT", 1.0 + 2.0 * gap, delta_sw=-side * (0.5 * most + 0.02))
     assert len(bench.senses.errors) >= config().states.integrity_errors
     assert "the wheel jumped by" in bench.senses.errors[-1][1]
     assert bench.senses.error_count == 1
@@ -317,6 +317,12 @@ def test_a_delay_that_stays_is_forgotten_with_an_order_only() -> None:
     for k in range(400, 600):
         bench.send("POSE_MOTION", 1.13 + 0.01 * k)
     assert len(bench.senses.errors) == errors
+
+
+def test_before_the_first_frame_nothing_has_come_and_nothing_is_wrong() -> None:
+    senses = Bench().senses
+    assert (senses.delay, senses.places, senses.e_growth(0.0), senses.torque_reports, senses.error_count) == (0,) * 5
+    assert (senses.foreign[0], senses.moving, senses.remaining) == (-math.inf, -math.inf, math.inf)
 
 
 @pytest.mark.parametrize(("v", "moves"), [(0.2, True), (-0.2, True), (0.199, False), (-0.199, False)])
