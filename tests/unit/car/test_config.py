@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from steerkit.car.config import ANGLES, BOUNDS, DERIVED, ConfigError, bus_of, course_of, load, loaded, shipped
-from steerkit.car.core import Core, Frame
 from steerkit.car.gate import GateLimits
 from steerkit.car.motion import MotionLimits
+from steerkit.car.senses import Senses
 from steerkit.car.state_machine import StateLimits
 from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.paths.courses import course
@@ -241,12 +241,11 @@ origin_deg = [52.0, 10.0]
 GNSS_POSITION = { period = 0.01 }
 """
     config = load(changed(tmp_path, "\nx = { -> \n# x = {", "\ny = { -> \n# y = {", gnss))
-    core = Core(config, course("paper"))
+    senses = Senses(config, course("paper"))
     message = next(r.message for r in config.readers if r.name == "GNSS_POSITION")
-    core.handle(Frame(0.0, 0.0, 0x130, message.encode({"LAT": 52.001, "LON": 10.001})))
-    snapshot = core.snapshot(0.0)
-    assert snapshot.y == pytest.approx(111.27, abs=0.05)  # a minute of latitude there is 1854.6 m
-    assert snapshot.x == pytest.approx(68.68, abs=0.05)
+    senses.frame(0.0, 0.0, 0x130, message.encode({"LAT": 52.001, "LON": 10.001}), ())
+    assert senses.values["y"] == pytest.approx(111.27, abs=0.05)  # a minute of latitude there is 1854.6 m
+    assert senses.values["x"] == pytest.approx(68.68, abs=0.05)
 
 
 def test_a_vehicle_file_beside_the_configuration_is_read_and_recorded(tmp_path: Path) -> None:
