@@ -6,6 +6,7 @@ import ast
 import dataclasses
 import importlib
 import inspect
+import json
 import math
 import pkgutil
 import re
@@ -31,6 +32,7 @@ from steerkit.plants.sensors import DegradedSensors, Sensors
 from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.plants.steering_actuator import SteeringActuator, SteeringColumn, SteeringLink
 from tests.support.block_examples import EXAMPLES, OVAL, PASSAT, Example
+from tests.support.places import ROOT
 
 blocks = pytest.mark.parametrize("example", EXAMPLES, ids=str)
 kinds = pytest.mark.parametrize("kind", sorted({type(e.block) for e in EXAMPLES}, key=lambda c: c.__name__))
@@ -213,6 +215,32 @@ def test_outputs_are_the_named_tuple_of_the_ports(example: Example) -> None:
     for out, value in zip(block.outputs, y):
         size = getattr(block, out.name).size
         assert (np.ndim(value) == 0) if size is None else len(value) == size
+
+
+@blocks
+def test_it_gives_the_numbers_written_down(example: Example) -> None:
+    """The mean of each output, and a sum over the state, for large inputs and for small ones, which no limit cuts.
+
+    They are of the day on which they were written down: whoever changes an equation or a default on purpose replaces
+    the line in tests/golden/blocks.json by the one that the failure shows.
+    """
+    found: list[float] = []
+    for share in (1.0, 0.02):
+        samples = run(example, feed=lambda k, share=share: _smaller(example.block, inputs(example.block, k), share))
+        state = numbers(samples[-1][3])
+        rows = [*np.mean([numbers(y) for _, _, y, _ in samples], axis=0), state @ np.sqrt(1.0 + np.arange(len(state)))]
+        found += [float(f"{value:.9g}") for value in np.nan_to_num(rows)]
+    number = EXAMPLES.index(example)
+    name, *expected = json.loads((ROOT / "tests/golden/blocks.json").read_text(encoding="utf-8"))[number]
+    assert (name, found) == (str(example), pytest.approx(expected, rel=1e-6, abs=1e-9)), json.dumps([name, *found])
+
+
+def _smaller(block: Block, values: dict[str, Any], share: float) -> dict[str, Any]:
+    units = {port.name: share if port.unit in ("m", "rad", "rad/s", "1/m", "m/s^2") else 1.0 for port in block.inputs}
+    return {
+        name: tuple(units[name] * v for v in value) if isinstance(value, tuple) else units[name] * value
+        for name, value in values.items()
+    }
 
 
 @blocks

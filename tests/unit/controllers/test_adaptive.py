@@ -78,6 +78,29 @@ def test_a_belief_follows_a_valid_estimate_no_faster_than_stated_and_within_boun
     assert block._followed(0.05, math.nan, 1.0, 0.1, (0.0, 0.1)) == 0.05
 
 
+@pytest.mark.parametrize("valid", [1.0, 0.0])
+def test_beliefs_move_by_half_a_second_a_second_and_a_tenth_towards_valid_estimates(
+    valid: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a delay and lag, the lag of 0.1 s is not dead time; a ratio is believed from 0.6 to 1.6."""
+    for takes_turns in (False, True):
+        block = adaptive(delays=(0.0, 0.5), takes_turns=takes_turns)
+        x = block.settle(0.0, block.init(), block.U(**HERE | ({"doe": 0.0} if takes_turns else {})))
+        for found, ratio, before, after in (
+            (0.5, 5.0, (0.1, 1.0), (0.125, 1.005)),
+            (0.11, 0.1, (0.0, 0.603), (0.025 if takes_turns else 0.01, 0.6)),
+            (0.0, 1.9, (0.3, 1.597), (0.275, 1.6)),
+        ):
+            for kind, values in ((YawDelay, dict(delay_lag=found)), (SingleTrackFilter, dict(ratio=ratio))):
+                names = dict.fromkeys(kind.Y._fields, 0.0) | values
+                names |= {name: valid for name in ("delay_lag_valid", "ratio_valid") if name in names}
+                y = kind.Y(**names)
+                monkeypatch.setattr(kind, "output", lambda *_, y=y: y)
+            u = block.U(**HERE | ({"doe": 0.0} if takes_turns else {}))
+            believed = block.update(0.0, (*x[:-2], *before), u, block.Y(0.0))[-2:]
+            assert believed == pytest.approx(after if valid else before)
+
+
 def test_beliefs_stay_at_a_standstill_and_with_inputs_that_are_no_numbers() -> None:
     block = adaptive(prior_delay=0.04)
     for wrong in ({"v": 0.0}, {"v": math.nan}, {"r": math.nan}):

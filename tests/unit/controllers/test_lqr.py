@@ -191,6 +191,41 @@ def test_standstill_reverse_and_nan_give_a_defined_command() -> None:
     assert all(map(math.isfinite, after))
 
 
+def test_for_a_wheel_steered_by_torque_steps_cost_more_and_an_error_counts_up_to_half_a_metre() -> None:
+    """A step that costs 1 is 1.2 of what the slew allows in a sample, slew dt (L/v^2 + K), and 0.02 rad at most."""
+    lqr = Lqr.of(PASSAT, MATRICES, preview_points=2, v_min=4.0, v_max=20.0, v_step=8.0, slew=2.0)
+    for row, v in zip(lqr.table.rows, (4.0, 12.0, 20.0), strict=True):
+        allowed = 1.2 * 2.0 * 0.05 * (PASSAT.wheelbase / v**2 + PASSAT.understeer_gradient)
+        expected = design(step_size=min(0.02, allowed)).gains(v, 2)
+        np.testing.assert_allclose(row, np.concatenate(expected), rtol=1e-12)
+    u = dict(e_dot=0.0, preview=(0.0,) * 2, v=4.0, beta=0.0, r=0.0, delta_sw_meas=0.0)
+    lqr = replace(lqr, slew=None, rate_limit=1e3, a_y_max=1e3)
+    a, b, c = (lqr.output(0.0, lqr.init(), lqr.D(e=e, **u)).delta_sw for e in (-0.45, -0.5, -3.0))
+    assert a < b == c
+
+
+def test_standstill_counts_as_walking_pace_and_a_bend_within_the_wheelbase_is_regular() -> None:
+    lqr = replace(Lqr.of(PASSAT, MATRICES, preview_points=1, v_max=3.0), rate_limit=1e3, a_y_max=1e3)
+    u = dict(e=0.0, e_dot=0.0, preview=(0.0,), v=0.0, beta=0.0, r=0.0, delta_sw_meas=0.0)
+
+    def asked(**changes: Any) -> float:
+        wheel = lqr.output(0.0, lqr.init(), lqr.D(**u | changes)).delta_sw
+        return math.tan(float(wheel) / PASSAT.steer_ratio)
+
+    k = lqr.table.rows[0]
+    assert asked(e_dot=0.01) == pytest.approx(-k[1] * 0.01)  # theta = e_dot/1 m/s
+    assert asked(preview=(1.0,)) == pytest.approx(-k[-1] / math.sqrt(0.1))
+
+
+def test_gains_are_linear_between_the_speeds_of_the_table_and_those_of_its_ends_beyond() -> None:
+    lqr = Lqr.of(PASSAT, MATRICES, preview_points=1, v_min=2.0, v_max=8.0, v_step=2.0)
+    rows = lqr.table.rows
+    for v, expected in ((0.0, rows[0]), (2.0, rows[0]), (4.5, 0.75 * rows[1] + 0.25 * rows[2]), (6.0, rows[2])):
+        assert lqr._gains(v) == pytest.approx(expected)
+    for v, expected in ((7.0, 0.5 * (rows[2] + rows[3])), (8.0, rows[3]), (9.0, rows[3])):
+        assert lqr._gains(v) == pytest.approx(expected)
+
+
 def test_it_compiles() -> None:
     path = circle(30.0)
     loop = steering_loop(

@@ -158,6 +158,13 @@ def test_where_it_stands_still() -> None:
     stood = (*x[:-5], 0.2, 0.0, 0.0, 0.01, 0.1)
     for wrong in ({"e": 0.6}, {"e": -0.6}, {"v": 0.5}, {"v": -3.0}, {"e": math.nan}, {"v": math.nan}):
         assert z_after(block, stood, **wrong) == 0.2
+    for right in ({"e": 0.5}, {"e": -0.5}, {"v": 1.0}):
+        assert z_after(replace(block, rate_limit=200.0), stood, **right) != 0.2
+    y = block.output(0.0, stood, block.D(**HERE)).delta_sw
+    for share, moves in ((0.985, True), (0.995, False)):  # of the fastest command
+        before = y - share * radians_of(550.0) * 0.05
+        assert (z_after(block, (*stood[:-1], before)) != 0.2) is moves
+    assert z_after(block, (*stood[:-5], -1.2, 0.0, 0.0, 0.01, y - 1.4)) == -radians_of(60.0)
     assert z_after(replace(block, limit=1e-3), stood) == 0.2
     assert z_after(replace(block, rate_limit=1e-3), stood) == 0.2
     assert abs(z_after(replace(block, most=0.2), (*x[:-5], -0.2, 0.0, 0.0, 0.01, -0.3))) == 0.2

@@ -102,3 +102,15 @@ def test_beside_a_straight_it_is_the_circle_through_the_goal(v: float, look: flo
     u = block.D(s=50.0, x=50.0 + PASSAT.l_r, y=e, psi=0.0, v=v)
     delta = block.output(0.0, (), u).delta_sw / PASSAT.steer_ratio
     assert math.tan(delta) / PASSAT.wheelbase == pytest.approx(-2.0 * e / (look**2 + e**2), rel=1e-6)
+
+
+def test_a_goal_under_the_rear_axle_is_regular_and_a_delay_moves_the_goal_away() -> None:
+    block = PurePursuit.of(PASSAT, straight(200.0))
+    goal = dict(s=50.0, x=52.5 + PASSAT.l_r, y=-0.001, psi=0.0, v=0.0)
+    assert steered(block, **goal) == pytest.approx(
+        PASSAT.steer_ratio * math.atan2(2.0 * PASSAT.wheelbase * 0.001, 0.01)
+    )
+    late = PurePursuit.of(PASSAT, ROAD, delay=0.1)
+    assert (late.look_time, late.look_min) == pytest.approx((0.7, 3.3))
+    plain = PurePursuit(path=ROAD)
+    assert (plain.look_time, plain.look_min, plain.reference) == (block.look_time, block.look_min, -plain.l_r)

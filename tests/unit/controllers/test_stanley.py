@@ -110,6 +110,18 @@ def test_its_mirror_image_is_its_negative_within_the_stops(signals: dict[str, fl
     assert abs(there) <= radians_of(520.0)
 
 
+def test_all_terms_together_with_the_gains_of_the_paper_and_of_the_study() -> None:
+    e, psi_e, v, kappa, r, wheel, before = 0.1, 0.02, 8.0, 0.03, 0.3, 0.5, 0.02
+    r_path = v * kappa / math.sqrt(1.0 - (PASSAT.wheelbase * kappa) ** 2)
+    psi_ss = PASSAT.m * v * r_path * PASSAT.l_r / (PASSAT.c_f * PASSAT.wheelbase)
+    damping = 0.15 * (r - r_path) + 0.3 * (wheel / PASSAT.steer_ratio - before)
+    delta = -(psi_e - psi_ss) - math.atan(2.5 * e / (1.0 + v)) - damping
+    found = steered(OF_PASSAT, before, e=e, psi_e=psi_e, v=v, kappa=kappa, r=r, delta_sw_meas=wheel)
+    assert found == pytest.approx(PASSAT.steer_ratio * delta)
+    tight = replace(BARE, k_d_yaw=0.15)  # a circle within the wheelbase: the root stays regular
+    assert steered(tight, kappa=1.0, r=5.0 / math.sqrt(0.1)) == pytest.approx(0.0)
+
+
 def test_standstill_is_regular() -> None:
     assert steered(BARE, e=0.2, v=0.0) == pytest.approx(-math.atan(0.5))
     assert math.isfinite(steered(Stanley.of(PASSAT), e=1.0, psi_e=1.0, v=0.0))
@@ -117,7 +129,7 @@ def test_standstill_is_regular() -> None:
 
 def test_the_textbook_form_is_heading_and_cross_track_only() -> None:
     textbook = Stanley.textbook(PASSAT)
-    expected = -PASSAT.steer_ratio * (0.1 + math.atan(2.5 * 0.2 / (5.0 + textbook.k_soft)))
+    expected = -PASSAT.steer_ratio * (0.1 + math.atan(2.5 * 0.2 / (5.0 + 1e-3)))
     assert steered(textbook, before=0.3, e=0.2, psi_e=0.1, kappa=0.05, r=0.7) == pytest.approx(expected)
 
 

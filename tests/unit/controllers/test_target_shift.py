@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
-from steerkit.controllers.target_shift import TargetShift
+from steerkit.controllers.target_shift import ShiftState, TargetShift
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import simulate
 from tests.support.parts import Script
@@ -23,6 +25,26 @@ def test_the_target_comes_to_a_lost_car_and_goes_back_slowly() -> None:
     assert log["shift.shift"] == pytest.approx([0.0, 0.0, 0.605, 0.585, 0.565, 0.545, 1.0, 1.0])
     assert log["shift.e"] == pytest.approx([0.2, 0.6, -0.005, 0.015, 0.035, 2.455, 2.0, 2.0])
     assert log["shift.e_dot"] == pytest.approx([0.1, 0.1, *[0.5] * 6])
+
+
+@pytest.mark.parametrize(
+    ("before", "e_path", "e_dot_path", "after"),
+    [
+        (0.0, 0.5, 0.2, 0.0),  # at the trip itself
+        (0.0, 0.501, 0.2, 0.511),
+        (0.0, 3.0, 0.0, 1.5),
+        (0.0, -3.0, 0.0, -1.5),
+        (1.0, 1.0, 0.0, 1.0 - 0.0125),
+        (-1.0, -1.0, 0.0, -1.0 + 0.0125),
+        (0.01, 0.0, 0.0, 0.0),
+        (1.0, math.nan, 0.0, 1.0 - 0.0125),
+        (1.0, 5.0, math.nan, 1.0 - 0.0125),
+    ],
+)
+def test_a_sample_by_hand(before: float, e_path: float, e_dot_path: float, after: float) -> None:
+    shift, x = TargetShift(), ShiftState(before)
+    y = shift.output(0.0, x, shift.D(e_path, e_dot_path))
+    assert shift.update(0.0, x, shift.U(e_path, e_dot_path), y).shift == pytest.approx(after, abs=1e-12)
 
 
 def test_parameters_are_within_their_ranges() -> None:

@@ -113,6 +113,8 @@ def test_bends_are_not_taken_for_the_wheels_doing_before_the_model_is_refined() 
         found = CarModel.fit(record, DESCRIPTION, fast=bool(car.fast))
         for name in ("now", "back", "yaw"):
             assert getattr(found, name) == pytest.approx(getattr(car, name), rel=0.15), name
+        aside = CarModel.fit(late(0, car=CAR, straight=0.3), DESCRIPTION)
+        assert aside.straight == pytest.approx(0.3, rel=0.5)
 
 
 def test_what_is_aligned_is_the_process_without_dead_time() -> None:

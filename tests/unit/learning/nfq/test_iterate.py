@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import astuple
 from functools import partial
 from itertools import pairwise
 from typing import Any
@@ -188,6 +189,8 @@ def test_updates_say_what_is_wrong() -> None:
         iterate(record, (0.0, 0.5), BandCost(), FitSetting(mirror=True))
     with pytest.raises(ValueError, match="expected \\(7, 10, 10, 1\\)"):
         iterate(record, ACTIONS, BandCost(), nets_before=[level(0.5)])
+    papers = (0.95, 300, "fresh", 100, "region", 1, 0, 1, 1, "mean", False, 1, 0, 4, (10, 10), False, 0.0, 0.0)
+    assert astuple(FitSetting()) == (*papers, (0.0, 1.0), "auto")
     keeps_range(FitSetting, "discount", "[0.0, 1.0)")
     keeps_range(partial(FitSetting, imagined=1), "dead_time", f"[0.0, {LONGEST * DT}]")
     for least in (0, 1):

@@ -68,6 +68,23 @@ def test_the_mirrored_car_is_the_same_car(e: float, e_dot: float, psi_e: float, 
     np.testing.assert_allclose(CAR.step(s * signs, -action, -earlier), CAR.step(s, action, earlier) * signs, atol=1e-15)
 
 
+@pytest.mark.parametrize("v", [2.0, 6.0, 20.0])
+@pytest.mark.parametrize("changes", [{}, {"slip": 4e-4}, {"loss": 1.2e-3, "nose": 0.9, "tail": 2e-3, "earlier": 0.002}])
+def test_a_wheel_held_turns_the_car_by_the_ratio(changes: dict[str, float], v: float) -> None:
+    """w = c - psi_e goes to ratio*doe, and stays there."""
+    model = replace(CAR, held=1.0, **changes)
+    s = np.array([[0.0, 0.0, v, 0.0, 0.0, 0.5]])
+    for _ in range(150):
+        s = model.step(s, np.zeros(1), s[:, 5])
+    assert s[0, 1] / v - s[0, 3] == pytest.approx(0.5 * float(model.ratio(np.array(v))), rel=1e-6)
+    assert s[0, 5] == 0.5
+    unknown = replace(model, slip=0.0, back=1e-3)
+    assert (float(unknown.ratio(np.array(v))), float(replace(unknown, back=1.01e-3).ratio(np.array(v))) > 1.0) == (
+        0.0,
+        True,
+    )
+
+
 def test_the_real_model_is_learned_from_the_first_seconds_of_driving() -> None:
     setting = replace(DEFAULT, fit=FitSetting(epochs=5, nets=1))
     run = LearningRun(Experiment(setting=setting, minutes=0.4))
