@@ -10,7 +10,7 @@ import pytest
 from steerkit.controllers.delay_compensator import LENGTH
 from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, V
 from steerkit.learning.data.transitions import Transitions
-from steerkit.learning.nfq.dead_time import aligned, dead_time_of, process_of
+from steerkit.learning.nfq.dead_time import aligned, dead_time_of, process_of, refined
 from steerkit.learning.nfq.iterate import FitSetting, Learned, update
 from steerkit.learning.nfq.model import CarModel, with_heading_of_yaw_rate
 from steerkit.learning.settings import DEFAULT
@@ -20,6 +20,19 @@ CAR = CarModel(held=1.0, pushed=1.0, now=0.006, before=0.005, earlier=0.0, back=
 FAST = replace(CAR, slip=0.0, loss=1.2e-3, yaw=1.0 / LENGTH, nose=0.9, tail=2.25e-3, fast=1.0)
 """A car at speed, with soft tyres: at 20 m/s nothing is left of its front axle's course to its own axis."""
 DESCRIPTION = DEFAULT.description()
+WRITTEN_DOWN = {
+    "now": (0.00621543, 0.00636917, 0.00485277, 0.00310321),
+    "before": (0.00444912, 0.00453003, 0.00324351, 0.00436094),
+    "earlier": (-0.00104446, -0.000535342, -0.00121415, -0.00212571),
+    "back": (0.159873, 0.186213, 0.13768, 0.156492),
+    "slip": (0.000500345, 0.000352448, 0.0, 0.0),
+    "yaw": (0.382821, 0.379098, 0.37037, 0.37037),
+    "loss": (0.0, 0.0, 0.000510341, -0.000430729),
+    "nose": (1.0, 1.0, 0.609425, 0.898052),
+    "tail": (0.0, 0.0, 0.00125651, 0.00219511),
+    "straight": (0.12818, 0.188629, 0.00967766, 0.153834),
+}
+"""Of the slow car by least squares, and refined; of the fast one."""
 
 
 def late(
@@ -144,6 +157,53 @@ def test_a_record_that_is_too_short_is_taken_as_it_is_and_noise_does_not_lead_fa
     few.extend(short.s[:8], short.a[:8], short.s_next[:8], short.episode[:8])
     assert process_of(few, DESCRIPTION, 0.6).forecast.samples == 0
     assert abs(process_of(late(6, noise=2e-3), DESCRIPTION, 0.6).forecast.samples - 6) <= 1
+
+
+def changed(record: Transitions, **factors: float) -> Transitions:
+    """The record with some columns of its states multiplied."""
+    part, scale = Transitions(record.names), np.array([factors.get(name, 1.0) for name in record.names])
+    part.extend(record.s * scale, record.a, record.s_next * scale, record.episode)
+    return part
+
+
+@pytest.mark.parametrize(
+    ("factors", "refuses"),
+    [
+        ({"doe": -1.0}, True),  # it would turn the car the wrong way
+        ({"r_e": -1.0, "kappa": -1.0}, True),
+        ({"r_e": 5.0, "kappa": 5.0}, True),
+        ({"r_e": 3.0, "kappa": 3.0}, False),
+        ({}, False),
+    ],
+)
+def test_a_refined_model_that_no_car_has_is_refused(factors: dict[str, float], refuses: bool) -> None:
+    assert (refined(CAR, changed(late(0), **factors)) is CAR) is refuses
+
+
+@pytest.mark.parametrize(("rows", "few"), [(40, True), (41, False)])
+def test_a_model_is_refined_from_thirty_samples_with_ten_ahead_on(rows: int, few: bool) -> None:
+    record, part = late(0), Transitions((*COLUMNS, "kappa"))
+    part.extend(record.s[:rows], record.a[:rows], record.s_next[:rows], 0)
+    assert (refined(CAR, part) is CAR) is few
+
+
+@pytest.mark.parametrize(("car", "speeds"), [(CAR, (4.0, 7.0)), (FAST, (12.0, 24.0))])
+def test_of_noisy_records_the_model_is_the_one_written_down(car: CarModel, speeds: tuple[float, float]) -> None:
+    record = late(4, car=car, speeds=speeds, noise=0.01, straight=0.2)
+    seen = with_heading_of_yaw_rate(record) if car.fast else record
+    first = CarModel.fit(aligned(seen, 4), DESCRIPTION, fast=bool(car.fast))
+    process = process_of(record, DESCRIPTION, 0.6)
+    place = 2 if car.fast else 0
+    for name, numbers in WRITTEN_DOWN.items():
+        found = getattr(first, name), getattr(process.model, name)
+        assert found == pytest.approx(numbers[place : place + 2], rel=1e-3, abs=1e-7), name
+    assert (process.forecast.samples, process.forecast.trust) == (4, 0.25)
+
+
+def test_an_offset_of_the_wheel_is_believed_up_to_half_a_radian() -> None:
+    record = late(0, straight=6.0)
+    first = CarModel.fit(record, DESCRIPTION)
+    assert (first.straight, refined(first, record).straight) == (0.5, 0.5)
 
 
 def test_an_update_gives_nets_and_forecast_and_needs_the_imagined() -> None:

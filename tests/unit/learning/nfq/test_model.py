@@ -17,7 +17,7 @@ from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.nfq.iterate import STANDARD, FitSetting, imagined_cost, imagined_targets, staying
-from steerkit.learning.nfq.model import CarModel, earlier_doe, follow, imagine
+from steerkit.learning.nfq.model import CarModel, believed_loss, earlier_doe, follow, imagine
 from steerkit.learning.settings import DEFAULT
 from tests.support.modelled_car import ACTIONS, CAR, driven
 
@@ -217,26 +217,26 @@ def test_imagined_cars_at_speed_turn_the_wheel_less_and_lie_nearer_to_the_record
         assert np.abs(a).max() > 0.0
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("seed", "model"), [(0, CAR), (1, CAR), (2, replace(CAR, slip=4e-3))])
 def test_an_imagined_state_is_the_recorded_one_in_another_bend_at_another_speed(
-    seed: int, monkeypatch: pytest.MonkeyPatch
+    seed: int, model: CarModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of one recorded row: courses, the wheel's last turn and the residual stay, up to the mirror."""
     monkeypatch.setattr("steerkit.learning.nfq.model.SPREAD", 0.0)
     s = np.array([[0.1, 0.3, 5.0, 0.02, -0.05, 1.0], [0.12, 0.35, 6.0, 0.03, -0.04, 1.5]])
     record = Transitions()
     record.extend(s, [0.5, 0.3], s[[1, 1]] + 0.01, 0)
-    late = imagine(CAR, record, STANDARD, 400, np.random.default_rng(seed))
+    late = imagine(model, record, STANDARD, 400, np.random.default_rng(seed))
     signs = np.where(late.s[:, 0] < 0.0, -1.0, 1.0)
     row = np.where(np.isclose(np.abs(late.s[:, 0]), 0.1), 0, 1)
     assert 100 < row.sum() < 300
     assert abs(signs.mean()) < 0.3
     np.testing.assert_allclose(late.s[:, 1] / late.s[:, 2], signs * (s[:, 1] / s[:, 2])[row], atol=1e-12)
     np.testing.assert_allclose(late.s[:, 4], signs * s[row, 4], atol=1e-12)
-    bent = late.s[:, 5] - signs * s[row, 5]
-    np.testing.assert_allclose(late.s[:, 3], signs * s[row, 3] - RATIO * bent, atol=1e-12)
+    now, before = model.ratio(late.s[:, 2]) * late.s[:, 5], (model.ratio(s[:, 2]) * s[:, 5])[row]
+    np.testing.assert_allclose(late.s[:, 3], signs * (s[row, 3] + before) - now, atol=1e-12)
     np.testing.assert_allclose(late.s[:, 5] - late.earlier, signs * np.array([0.0, 0.5])[row], atol=1e-12)
-    missed = record.s_next - CAR.step(record.s, record.a, np.array([1.0, 1.0]))
+    missed = record.s_next - model.step(record.s, record.a, np.array([1.0, 1.0]))
     expected = missed[row] * np.where(np.array(STANDARD.mirror_signs) < 0.0, signs[:, None], 1.0)
     np.testing.assert_allclose(late.residual, expected, atol=1e-12)
 
@@ -252,6 +252,31 @@ def test_a_heading_is_imagined_with_its_sideways_speed() -> None:
     slip = near.s[:, 1] / near.s[:, 2] - near.s[:, 3] - RATIO * (near.s[:, 5] - signs * 1.0)
     np.testing.assert_allclose(slip, signs * (0.3 / 5.0 - 0.02), atol=1e-9)
     assert np.std(near.s[:, 3] + RATIO * near.s[:, 5]) > 0.01  # it was moved
+
+
+def test_imagined_states_lie_within_an_eighth_of_the_half_ranges_mostly() -> None:
+    """0.13 of the half range by 2 u^2, u even in [0, 1]: a deviation of 0.13*2/sqrt(5)."""
+    record = Transitions()
+    record.extend(np.array([[0.0, 0.0, 5.0, 0.0, 0.0, 0.0]]), [0.0], np.array([[0.0, 0.0, 5.0, 0.0, 0.0, 0.0]]), 0)
+    near = imagine(CAR, record, STANDARD, 20_000, np.random.default_rng(0))
+    for column in (0, 4):
+        assert near.s[:, column].std() == pytest.approx(0.13 * 2.0 / 5.0**0.5 * STANDARD.half[column], rel=0.03)
+
+
+def test_a_loss_is_believed_up_to_four_at_the_highest_speed() -> None:
+    v = np.array([10.0, 20.0, 15.0])
+    assert [believed_loss(x, v) for x in (1.0, 0.005, -1.0)] == [4.0 / 400.0, 0.005, -0.5 / 400.0]
+
+
+def test_an_imagined_cost_is_that_of_a_second() -> None:
+    """Of nets with one value everywhere the gentlest action follows, and the costs are all but the last value."""
+    near = imagine(CAR, driven(), STANDARD, 50, np.random.default_rng(0))
+    setting, cost = FitSetting(horizon=20, discount=0.9, clip=(-99.0, 99.0)), TanhCost(trip=50.0)
+    a = np.zeros(50)
+    y = imagined_targets(CAR, near, a, ACTIONS, cost, setting, STANDARD, (level(0.2),))
+    gentlest_first = sorted(ACTIONS, key=abs)
+    found = imagined_cost(CAR, near, gentlest_first, cost, setting, STANDARD, (level(0.2),))
+    assert found == pytest.approx(float(y.mean()) - 0.9**20 * 0.2, abs=1e-6)
 
 
 def test_the_angle_before_is_the_row_aboves_and_an_episode_begins_with_its_own() -> None:
