@@ -269,13 +269,12 @@ def test_a_loss_is_believed_up_to_four_at_the_highest_speed() -> None:
 
 
 def test_an_imagined_cost_is_that_of_a_second() -> None:
-    """Of nets with one value everywhere the gentlest action follows, and the costs are all but the last value."""
-    near = imagine(CAR, driven(), STANDARD, 50, np.random.default_rng(0))
-    setting, cost = FitSetting(horizon=20, discount=0.9, clip=(-99.0, 99.0)), TanhCost(trip=50.0)
-    a = np.zeros(50)
-    y = imagined_targets(CAR, near, a, ACTIONS, cost, setting, STANDARD, (level(0.2),))
-    gentlest_first = sorted(ACTIONS, key=abs)
-    found = imagined_cost(CAR, near, gentlest_first, cost, setting, STANDARD, (level(0.2),))
+    """Of nets with one value everywhere the first action is taken, at speed the less of it, and then the gentlest."""
+    near, fast = imagine(CAR, driven(), STANDARD, 50, np.random.default_rng(0)), replace(STANDARD, scaled_from=2.0)
+    setting, cost, nets = FitSetting(horizon=20, discount=0.9, clip=(-99.0, 99.0)), TanhCost(trip=50.0), (level(0.2),)
+    a = 0.3 / fast.excess(near.s[:, 2]) ** 2
+    y = imagined_targets(CAR, near, a, ACTIONS, cost, setting, fast, nets)
+    found = imagined_cost(CAR, near, (0.3, 0.0, -0.3), cost, setting, fast, nets)
     assert found == pytest.approx(float(y.mean()) - 0.9**20 * 0.2, abs=1e-6)
 
 
