@@ -267,6 +267,12 @@ def test_no_limit_is_without_bounds_and_no_bounds_without_a_limit() -> None:
     assert BOUNDS.keys() == DEFAULTS.keys()
 
 
+def test_no_bound_and_no_limit_moves_by_accident() -> None:
+    """Golden sums: whoever changes a safety limit on purpose changes them too."""
+    sums = [math.fsum(values) for values in (*zip(*BOUNDS.values()), DEFAULTS.values())]
+    assert sums == pytest.approx([37.616, 2275.36, 1258.162549354157], rel=1e-9)
+
+
 @pytest.mark.parametrize("key", BOUNDS)
 def test_the_default_lies_between_them(key: str) -> None:
     low, high = BOUNDS[key]

@@ -280,6 +280,8 @@ def test_without_a_sensor_beta_is_that_of_a_car_that_rolls(v: float, r: float) -
     rear = max(v, 1.0) * math.tan(core.snapshot(5.0).beta) - r * config().vehicle.l_r
     assert rear == pytest.approx(0.0, abs=1e-9)
     assert core.snapshot(5.0).a_y == v * r
+    core.senses.values |= {"beta": 0.01, "a_y": 0.3}
+    assert (core.snapshot(5.0).beta, core.snapshot(5.0).a_y) == (0.01, 0.3)
 
 
 def test_only_an_operator_s_heartbeat_counts_and_it_goes_with_the_operator() -> None:
