@@ -93,6 +93,8 @@ MISTAKES = [
     ("did you mean 'CLEAR'", 'clear = "CLEAR" -> clear = "CLAER"'),
     ("[write.fixed] SVEL = 300", "fixed = { SVEL = 0 } -> fixed = { SVEL = 300 }"),
     ("expected true or false", 'listen_only = false -> listen_only = "no"'),
+    ("[kit] lag = 1.01 s, expected 0 to 1 s", "lag = 0.1 -> lag = 1.01"),
+    ("[kit] delay = -0.01 s, expected 0 to 1 s", "delay = 0.0 -> delay = -0.01"),
     ("[limits] e_max = 20, expected 0.1 to 5", "e_max = 2.0 -> e_max = 20.0"),
     ("[limits] e_max = -1", "e_max = 2.0 -> e_max = -1"),
     ("[limits] e_max = nan", "e_max = 2.0 -> e_max = nan"),
@@ -188,11 +190,16 @@ def test_the_shipped_one_passes_beside_its_own_copies(tmp_path: Path) -> None:
 
 
 def test_what_the_file_says_arrives_in_its_place(tmp_path: Path) -> None:
-    limits = "e_max = 2.0 -> e_max = 1.5\nfollow_angle_deg = 45\nmisses = 5"
+    limits = "e_max = 2.0 -> e_max = 1.5\nfollow_angle_deg = 45\nmisses = 1"
     angle = 'signal = "ANGLE" } -> signal = "ANGLE", sign = -1, scale = 2, offset = 0.25, unit = "rad" }'
-    config = load(changed(tmp_path, "lag = 0.1 -> lag = 0.23", "delay = 0.0 -> delay = 0.04", limits, angle))
-    assert (config.lag, config.delay) == (0.23, 0.04)
-    assert (config.states.e_max, config.states.misses) == (1.5, 5)
+    report = "STEERING_REPORT = { period = 0.02 } -> STEERING_REPORT = { period = 0.002 }"
+    motion = 'MOTION = { counter = "COUNT", crc = "CRC", period = 0.01 -> MOTION = { counter = "COUNT", period = 0.1'
+    config = load(
+        changed(tmp_path, "lag = 0.1 -> lag = 1.0", "delay = 0.0 -> delay = 0.04", limits, angle, report, motion)
+    )
+    assert (config.lag, config.delay) == (1.0, 0.04)
+    assert (config.states.e_max, config.states.misses) == (1.5, 1)
+    assert [r.period for r in config.readers if r.name in ("STEERING_REPORT", "POSE_MOTION")] == [0.002, 0.1]
     assert config.states.follow_angle == pytest.approx(math.pi / 4.0)
     mapping = config.quantities["delta_sw"]
     assert (mapping.sign, mapping.scale, mapping.offset, mapping.gain) == (-1.0, 2.0, 0.25, -2.0)

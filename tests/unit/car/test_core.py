@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -198,8 +199,8 @@ def test_the_kit_is_told_to_clear_its_faults_once() -> None:
     assert clears == [True] + [False] * (len(clears) - 1)
 
 
-def linked() -> Core:
-    core = Core(config(), course("paper"))
+def linked(**changes: Any) -> Core:
+    core = Core(replace(config(), **changes), course("paper"))
     core.handle(Link(5.0, 1, True))
     core.handle(Packet(5.0, 1, encode(Hello(True))))
     return core
@@ -253,6 +254,16 @@ def test_an_order_that_can_do_nothing_is_refused_and_why(mode: Mode) -> None:
     refused = {order for order, why in against.items() if why}
     possible = {Mode.OFF: {Order.ARM}, Mode.READY: {Order.ENGAGE}, Mode.ENGAGED: set[Order]()}
     assert refused == {Order.ENGAGE, Order.ARM, Order.ACKNOWLEDGE} - possible.get(mode, {Order.ACKNOWLEDGE})
+
+
+@pytest.mark.parametrize("listen_only", [False, True])
+def test_a_server_that_only_listens_has_nothing_to_clear(listen_only: bool) -> None:
+    core = linked(listen_only=listen_only)
+    core.machine = Machine(Mode.FAULT, "put there", 5.0)
+    out = core.handle(Packet(5.1, 1, encode(Command(Order.ACKNOWLEDGE))))
+    assert core.machine.mode is Mode.STANDBY
+    assert core.quiet
+    assert any(isinstance(one, Send) for one in out) is not listen_only
 
 
 def test_errors_count_for_a_second() -> None:
