@@ -185,6 +185,10 @@ def test_updates_say_what_is_wrong() -> None:
         iterate(Transitions(), ACTIONS, BandCost())
     with pytest.raises(ValueError, match="but the description has"):
         iterate(_narrow(), ACTIONS, BandCost())
+    with pytest.raises(ValueError, match="actions is empty"):
+        iterate(record, (), BandCost())
+    with pytest.raises(ValueError, match="no transitions"):
+        nfq.update(Transitions(), ACTIONS, BandCost(), FitSetting(imagined=1, dead_time=0.1), STANDARD)
     with pytest.raises(ValueError, match="mirror=True needs -a"):
         iterate(record, (0.0, 0.5), BandCost(), FitSetting(mirror=True))
     with pytest.raises(ValueError, match="expected \\(7, 10, 10, 1\\)"):

@@ -140,6 +140,16 @@ def test_dynamic_hints_are_rows_that_stay() -> None:
     record = Transitions()
     record.extend(s, np.zeros(40), s, 0)
     assert staying(record, 0.05).tolist() == list(range(5, 16))
+    s[:, 5] = np.arange(40)  # so that rows differ; the wheel counts for nothing
+    record, rng = Transitions(), np.random.default_rng(0)
+    record.extend(s, np.zeros(40), s, 0)
+    rows = [row.tobytes() for row in nfq.patterns(STANDARD, s[5:16], np.zeros(11), 0.3)]
+    for hints, found in ((5, 5), (11, 11), (100, 11)):
+        setting = FitSetting(hint_from="record", hints=hints)
+        x = [row.tobytes() for row in nfq._hints(record, ACTIONS, TanhCost(goal=0.05), setting, STANDARD, rng)]
+        assert len({*x}) == len(x) == found
+        assert {*x} <= {*rows}
+    assert len(nfq._hints(record, ACTIONS, TanhCost(goal=0.001), setting, STANDARD, rng)) == 0
 
 
 def test_a_guard_refuses_nets_that_the_model_finds_worse() -> None:
