@@ -64,8 +64,6 @@ def _draw_box(axes: Axes, box: Box, colour: str, hollow: set[str]) -> None:
     from matplotlib.colors import to_rgb
     from matplotlib.patches import FancyBboxPatch, Polygon, Rectangle
 
-    from steerkit.plots.diagram import HEAD
-
     tint = tuple(1.0 - 0.16 * (1.0 - channel) for channel in to_rgb(colour))
     shape = FancyBboxPatch(
         (box.x, box.y),

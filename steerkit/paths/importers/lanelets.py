@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from array import array
+from collections import Counter
 from collections.abc import Mapping
 from functools import partial
 from itertools import pairwise
@@ -16,7 +17,7 @@ from steerkit._support.errors import require
 from steerkit.paths.importers.course import Line
 from steerkit.paths.importers.network import Map, Piece
 from steerkit.paths.importers.xml_stream import Node, records
-from steerkit.paths.waypoints import distances, travelled
+from steerkit.paths.waypoints import check_gps, distances, travelled
 
 Array = NDArray[np.float64]
 
@@ -177,8 +178,6 @@ class _Osm:
         else:
             import pymap3d
 
-            from steerkit.paths.waypoints import check_gps
-
             lat, lon = np.array(self.lat), np.array(self.lon)
             if np.abs(lat).max() > 0.2:  # maps of nowhere lie at latitude and longitude 0
                 check_gps(lat, lon, file)
@@ -283,8 +282,6 @@ def _aligned(left: list[int], right: list[int], find: Any) -> list[list[int]]:
 
 def _ways(data: _Osm, find: Any) -> dict[str, Piece]:
     """Ways cut where they meet, forwards and, but for one-way streets, backwards."""
-    from collections import Counter
-
     cars = {name: (nodes, tags) for name, (nodes, tags) in data.ways.items() if tags.get("highway") in _WAYS}
     uses = Counter(node for nodes, _ in cars.values() for node in nodes)
     begins: dict[int, list[str]] = {}

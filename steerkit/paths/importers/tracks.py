@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerkit._support.errors import require
+from steerkit._support.files import read_text
 from steerkit.paths.importers.course import Line, distinct
 from steerkit.paths.importers.xml_stream import Node, records
-from steerkit.paths.waypoints import distances, travelled
+from steerkit.paths.waypoints import distances, read_columns, travelled
 
 Array = NDArray[np.float64]
 
@@ -190,9 +191,6 @@ class _GeoJson:
 
 def csv(file: str) -> list[Track]:
     """The points of a CSV file with columns x, y [m] or lat, lon [degrees], and t [s], v [m/s] where there are any."""
-    from steerkit._support.files import read_text
-    from steerkit.paths.waypoints import read_columns
-
     try:
         text = read_text(file, "course")
         columns = read_columns(text, file)

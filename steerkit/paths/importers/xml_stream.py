@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from pathlib import Path as FilePath
 from typing import Any
+from xml.sax import SAXException
+from xml.sax.handler import ContentHandler
 
 from steerkit._support.errors import require
 
@@ -71,8 +74,6 @@ def records(file: str | FilePath, wanted: set[str], marks: set[str] = frozenset(
         from defusedxml.expatreader import create_parser
     except ImportError:
         raise ValueError(f"{file}: maps and tracks need a package: pip install 'steerkit-control[roads]'") from None
-    from xml.sax import SAXException
-    from xml.sax.handler import ContentHandler
 
     class Handler(ContentHandler):
         def __init__(self) -> None:
@@ -129,8 +130,6 @@ def records(file: str | FilePath, wanted: set[str], marks: set[str] = frozenset(
 
 def root_of(file: str | FilePath) -> str:
     """The first tag of an XML file, to know what kind of map it is; raises ValueError for what is no XML."""
-    import re
-
     try:
         with FilePath(file).open("rb") as stream:
             head = stream.read(16 * _CHUNK)
