@@ -14,10 +14,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from benchmarks.run.results import Results
 
 app = typer.Typer(
@@ -39,8 +40,6 @@ Place = Annotated[Path, typer.Argument(help="Directory of results, as `run` wrot
 
 
 def _console() -> Any:
-    from rich.console import Console
-
     return Console() if Console().is_terminal else Console(width=120)
 
 
@@ -55,8 +54,6 @@ def _require_extra(*modules: str) -> None:
 @app.command("list")
 def list_(scenarios: Annotated[bool, typer.Option(help="Also every scenario and controller.")] = False) -> None:
     """List the suites, with how many cases each is."""
-    from rich.table import Table
-
     from benchmarks.entries import CONTROLLERS
     from benchmarks.suites import SUITES, jobs, suite
 
@@ -259,9 +256,6 @@ def study(
 
 def _leaderboard(results: Results) -> None:
     """Means over the drives that each controller held, suite by suite."""
-    from rich.markup import escape
-    from rich.table import Table
-
     units = ("RMS e [m]", "max e [m]", "RMS wheel rate [deg/s]", "max a_y [m/s²]", "max jerk [m/s³]")
     heads = ("controller", "held", *units)
     for name in dict.fromkeys(case.suite for case in results.cases if case.kind == "drive"):
@@ -281,8 +275,6 @@ def _mean(values: list[float]) -> str:
 
 
 def _changes(changes: Any, title: str) -> Table:
-    from rich.table import Table
-
     table = Table("case", "metric", "before", "after", "change", title=title)
     for change in changes:
         part = f"{change.relative:.1e}" if math.isfinite(change.relative) else "-"
