@@ -15,7 +15,7 @@ from steerkit.scenario.catalogue import OWN, make_controller
 
 Make = Callable[[Scenario], Block]
 ORACLE = "-oracle"
-"""What the name of a controller ends with that is told the truth, whatever the scenario tells."""
+"""Suffix of a controller that knows the true parameters, whatever the scenario lets controllers believe."""
 TELLABLE = ("stanley-delay", "lqr", "mpc")
 """Analytic controllers that make use of all that the truth tells."""
 
@@ -36,8 +36,8 @@ class Controller:
     """How it learns: a name of `steerkit.learning.settings` or `peers.SETTINGS`; empty for one that does not."""
     training: str = "clean"
     """Where it learns: a name of `trainings.TRAININGS`."""
-    told: str = ""
-    """`truth`: it is told everything of the car and its steering, whatever the scenario tells; empty: as that says."""
+    oracle: bool = False
+    """It knows the true parameters of car and steering; else what the scenario lets controllers believe."""
     needs: str = ""
     """Package that it cannot do without."""
 
@@ -54,11 +54,9 @@ class Controller:
         name = self.needs.replace("_", "-")
         return f"{name} is not installed: pip install 'steerkit-control[peers]'"
 
-    def in_its_eyes(self, scenario: Scenario) -> Scenario:
-        """The scenario with what this controller is told of it."""
-        return (
-            scenario.with_(knowledge={"oracle": True, "delay": None, "lag": None}) if self.told == "truth" else scenario
-        )
+    def as_believed(self, scenario: Scenario) -> Scenario:
+        """The scenario with what this controller believes of it."""
+        return scenario.with_(knowledge={"oracle": True, "delay": None, "lag": None}) if self.oracle else scenario
 
 
 def _catalogued(name: str) -> Make:
@@ -98,7 +96,7 @@ _TABLE = (
             kind="analytic",
             about=f"{name}, given the true parameters of car and steering",
             make=_catalogued(name),
-            told="truth",
+            oracle=True,
         )
         for name in TELLABLE
     ),

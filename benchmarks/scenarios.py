@@ -42,7 +42,7 @@ FLEET = (0, 10, 1, 9)
 
 @lru_cache(maxsize=1)
 def unlike_the_data_sheet() -> tuple[Scenario, ...]:
-    """Cars that differ from their data sheet, which is all that controllers are told: no delay, no lag, nothing wrong.
+    """Cars that differ from their data sheet, which is all that controllers know: no delay, no lag, nothing wrong.
 
     Cars of the fleet, each with the delay, lag, offset and play that its number draws, and the Passat with one kind of
     trouble at a time; all with `hard` sensors, on random courses that nothing was tuned on.

@@ -96,7 +96,7 @@ def _of_tracking(*names: str) -> tuple[Scenario, ...]:
 
 
 def _grid(kind: str, first: tuple[str, Sequence[float]], second: tuple[str, Sequence[float]]) -> Iterable[Scenario]:
-    """One scenario for every pair of values; what is wrong, no controller is told."""
+    """One scenario for every pair of values; controllers do not know what is wrong."""
     for a, b in itertools.product(first[1], second[1]):
         values = {first[0]: a, second[0]: b}
         label = "-".join(f"{key.partition('.')[2]}{value:g}" for key, value in values.items())
@@ -132,7 +132,7 @@ def _tracking() -> Suite:
 def _robustness() -> Suite:
     return Suite(
         name="robustness",
-        about="grids of what no controller is told: delay, lag, tyres, friction, ratio, offset, noise, wind, bank",
+        about="grids of what no controller knows: delay, lag, tyres, friction, ratio, offset, noise, wind, bank",
         scenarios=(
             *_grid(
                 "delay",
@@ -206,7 +206,7 @@ def _peers() -> Suite:
 def _adapt() -> Suite:
     return Suite(
         name="adapt",
-        about="cars unlike their data sheet: learned on that very car; analytic ones told the data sheet, or the truth",
+        about="cars unlike their data sheet: learned on that car; analytic with the data sheet or true parameters",
         scenarios=unlike_the_data_sheet(),
         controllers=_ADAPT,
         seeds=3,

@@ -85,7 +85,7 @@ def drive(
 
     timed_steps: over how many of its samples the controller's computing time is measured; 0: not.
     """
-    form = shape(controller(name).in_its_eyes(scenario) if policy is None else scenario)
+    form = shape(controller(name).as_believed(scenario) if policy is None else scenario)
     path = scenario.path()
     if policy is None:
         steers, doe = _steers(name, form), None

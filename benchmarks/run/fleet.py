@@ -1,10 +1,11 @@
 """Does it learn any car there is? Cars of the fleet, or of another kind, each on a course that nothing was tuned on.
 
 Part of the study `learning`: `python -m benchmarks study learning --fleet 40 --seeds 1 [--json]`, and `--cars KIND` for
-the cars of `KINDS`. The learner is told nothing of its car, but of one steered by torque the slew. Analytic controllers
-drive the same test once told the truth (`Knowledge.oracle`, delay and lag) and once the data sheet (mass, tyres, ratio;
-nothing of the steering's delay, lag and offset, but of torque steering all except its gain). Play and sensor noise
-nobody is told. A ratio is that of the learner's final net to the analytic controller of the least RMS e.
+the cars of `KINDS`. The learner knows nothing of its car, but of one steered by torque the slew. Analytic controllers
+drive the same test once with the true parameters (`Knowledge.oracle`, delay and lag) and once with the data sheet
+(mass, tyres, ratio; nothing of the steering's delay, lag and offset, but of torque steering all except its gain). Play
+and sensor noise are unknown to all. A ratio is that of the learner's final net to the analytic controller of the least
+RMS e.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from steerkit.scenario import Scenario, drive
 from steerkit.scenario.fleet import fleet_scenario, straightest
 
 ORACLE = ("stanley-delay", "lqr", "mpc")
-"""Analytic controllers that can be told of a delay."""
+"""Analytic controllers that take a believed delay."""
 TOLD_DATA_SHEET = ("stanley", "lqr", "mpc")
 """Those that a data sheet is enough for."""
 FIRST_NETS = 12
@@ -235,7 +236,7 @@ def fleet(
             good = "never" if outcome.good is None else f"{outcome.good:.0f} s"
             say(
                 f"{len(by_number)}/{len(jobs)} {outcome.name}, {outcome.car}: GOOD after {good}, {outcome.failures} "
-                f"failures, RMS e {outcome.rms_x_oracle:.2f} x {outcome.best} told the truth"
+                f"failures, RMS e {outcome.rms_x_oracle:.2f} times that of {outcome.best} with true parameters"
             )
     outcomes = [by_number[number] for number in range(len(jobs))]
     shown = [name for name in asdict(outcomes[0]) if name not in ("best_on_data_sheet", "computing")]

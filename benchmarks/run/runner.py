@@ -149,7 +149,7 @@ def together(work: Sequence[Work], workers: int) -> list[list[Work]]:
     for piece in work:
         key = None
         if piece.job.kind == "drive" and piece.policy is None and piece.scenario is not None:
-            key = (piece.job.controller, shape(controller(piece.job.controller).in_its_eyes(piece.scenario)))
+            key = (piece.job.controller, shape(controller(piece.job.controller).as_believed(piece.scenario)))
         batch = open_ones.get(key)
         if key is None or batch is None or len(batch) >= most:
             batch = open_ones[key] = []

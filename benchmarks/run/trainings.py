@@ -48,7 +48,7 @@ class Training:
     def at(self, driven: Scenario | None) -> Scenario:
         """Where it learns: its own scenario, or the one `driven` afterwards.
 
-        There the recovery controller is told the steering's delay and lag, which the learner finds out by itself.
+        There the recovery controller is given the steering's delay and lag, which the learner identifies by itself.
         Raises ValueError where neither is given.
         """
         if self.scenario is not None:

@@ -10,10 +10,10 @@ Every estimator is fed what the others estimate, not the truth. Errors are 90 % 
 `offset_error_deg` and `ratio_error_pct` are with a measured wheel, `delay_yaw_error_ms`, `offset_command_error_deg` and
 `ratio_command_error_pct` by the commands and the yaw rate alone. `delay_seconds`: from when on 90 % of the drives are
 within 10 ms. `coverage_pct`: how often a 95 % interval holds the truth, over all drives and quantities, after 60 s.
-`adaptive_x_oracle`, `adaptive_worst_x`: RMS e from 30 s on over that of `mpc` told the truth, median and worst of
+`adaptive_x_oracle`, `adaptive_worst_x`: RMS e from 30 s on over that of `mpc` with true parameters, median and worst of
 the cars; `adaptive_wheel_x`, `adaptive_wheel_worst_x`: of the wheel's RMS speed; `adaptive_x_unadapted_worst`: of RMS e
-over the better one of `mpc` and `mpc-offset-free`, told the same; `adaptive_max_e_m`: largest |e| from the first second
-on in any car.
+over the better one of `mpc` and `mpc-offset-free`, with the same beliefs; `adaptive_max_e_m`: largest |e| in any
+car, from the first second on.
 
     python -m benchmarks study calibration [--drives 200] [--cars 40] [--parts drives ...] [--quick] [--json]
 """
@@ -54,7 +54,7 @@ HELD = 0.0075
 """Actuator and car of 10 ms hold their inputs: what follows is that much later than their parameters say [s]."""
 _SHOWN = radians_of(3.0)
 _AGE, _AGE_DEVIATION = 0.05, 0.01
-"""What is told of how old v and r are, and how sure that is [s]."""
+"""The believed age of v and r, and how sure that is [s]."""
 _SIGNALS = {
     "delta_sw_cmd": "controller.delta_sw",
     "delta_sw_meas": "column.delta_sw_meas",
@@ -66,7 +66,7 @@ _SIGNALS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Drive:
-    """A drive by somebody who was told all, of a car of whose data sheet little is true."""
+    """A drive by a controller with true parameters, of a car whose data sheet is mostly wrong."""
 
     scenario: Scenario
     signals: dict[str, Array]
@@ -152,7 +152,7 @@ def fed(name: str, u: Mapping[str, Any], y: Mapping[str, Any]) -> dict[str, Any]
     """The inputs of one estimator: from what is measured (u), and from the outputs of those before it (y).
 
     Offsets and wear are looked for at all times; only who looks for the delay has to look away when overridden. By the
-    measured wheel "measured" finds its offset and the ratio, and "play" the play; both are told the age of v and r.
+    measured wheel "measured" finds its offset and the ratio, and "play" the play; both are given the age of v and r.
     """
     if name in ("wheel", "yaw"):
         return dict(u)
@@ -272,12 +272,12 @@ def drives(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def closed_loop(options: argparse.Namespace) -> dict[str, Any]:
-    """An MPC that adapts, told much that is wrong, against those that do not, told the same or the truth."""
+    """An adaptive MPC with wrong beliefs against ones that do not adapt, with those or true parameters."""
     cars, seconds = (1, 16.0) if options.quick else (options.cars, 60.0)
     rows: list[dict[str, Any]] = []
-    print("\nMPC, told wrong; RMS e from half of the time on [m], largest |e|, RMS wheel speed [deg/s]")
+    print("\nMPC with wrong beliefs; RMS e from half of the time on [m], largest |e|, RMS wheel speed [deg/s]")
     print(
-        f"{'car':>6}{'delay':>7}{'ratio':>7}{'offset':>8}{'told truth':>16}{'adapts':>22}"
+        f"{'car':>6}{'delay':>7}{'ratio':>7}{'offset':>8}{'oracle':>16}{'adapts':>22}"
         f"{'does not':>18}{'x':>7}{'wheel x':>9}"
     )
     for number in range(options.first, options.first + cars):
@@ -290,7 +290,7 @@ def closed_loop(options: argparse.Namespace) -> dict[str, Any]:
             "x": adapts.rms_e / truth.rms_e,
             "wheel_x": adapts.rms_wheel_deg / truth.rms_wheel_deg,
             "unadapted_x": adapts.rms_e / fixed.rms_e,
-            "told": asdict(truth),
+            "oracle": asdict(truth),
             "adapts": asdict(adapts),
             "unadapted": asdict(fixed),
         }

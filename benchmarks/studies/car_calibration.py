@@ -1,4 +1,4 @@
-"""Calibrate simulated cars behind their bus, told the data sheet, and say how near the truth the vehicle file is.
+"""Calibrate simulated cars behind their bus, from the data sheet, and say how near the truth the vehicle file is.
 
     python -m benchmarks study car_calibration [--cars 8] [--first 0] [--minutes 2] [--quick] [--json]
 
@@ -186,12 +186,12 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
             row[name] = {"truth": true, "value": q.value, "low": q.low, "high": q.high, "valid": q.valid > 0.5}
             row[name] |= {"error": factor * (q.value - true), "holds": bool(q.low <= true <= q.high)}
         rows.append(row)
-        told = [
+        texts = [
             f"{row[n]['error']:+.2f} {u} {'' if row[n]['holds'] else 'OUTSIDE '}{'' if row[n]['valid'] else '?'}"
             for n, (_, _, u) in SHOWN.items()
         ]
         print(
-            f"{seed:4d}{len(yard.faults):8d}{yard.worst:9.2f}   " + "".join(f"{text:>30}" for text in told), flush=True
+            f"{seed:4d}{len(yard.faults):8d}{yard.worst:9.2f}   " + "".join(f"{text:>30}" for text in texts), flush=True
         )
     figures: dict[str, Any] = {"cars": cars, "minutes": minutes, "rows": rows}
     figures["faults"] = sum(len(row["faults"]) for row in rows)

@@ -3,10 +3,10 @@
     python -m benchmarks study car_kill [--kills N] [--victims NAME,...] [--seed N] [--quick] [--json]
 
 A simulated car on an slcan port hears what goes over the bus and writes it down, with times of the one monotonic clock
-that all processes share. Each round: a learning run drives, one of its processes is killed (kill -9), then it is told
-apart how long the kit still heard commands with enable = 1. After a kill of the controller or the car server both
-are started again, the recording is opened and replayed, the transition store is compared with what had been committed
-before the kill, and the run goes on from it.
+that all processes share. Each round: a learning run drives, one of its processes is killed (kill -9), and the time
+is measured for which the kit still received commands with enable = 1. After a kill of the controller or the car server
+both are started again, the recording is opened and replayed, the transition store is compared with what had been
+committed before the kill, and the run goes on from it.
 """
 
 from __future__ import annotations

@@ -9,8 +9,8 @@
   the worst run (interventions_mean_pct: over all). final_rms_x: RMS e of the final net's test drive over that of the
   one that learned without it, in the median.
 * Adversaries: full lock to either side, bang-bang at 20 Hz and slower, away from the path, an untrained net, commands
-  by chance; tyres 30 % off, ratio 10 % off either way, 0.1 s of delay that nobody is told; 2 to 9 m/s. The filter is
-  told that commands may be 0.1 s late.
+  by chance; tyres 30 % off, ratio 10 % off either way, 0.1 s of unknown delay; 2 to 9 m/s. The filter is
+  given that commands may be 0.1 s late.
 * Car: learners with the filter before the gate of the simulated car behind the bus, in three processes at true 20 Hz;
   only with --parts car.
 * Narrowing: a driver who wants to be 0.42 m beside the path, with a doubt of the yaw rate that stays and one that
@@ -63,9 +63,9 @@ KINDS = ("left", "right", "bang-bang", "slow bang-bang", "away", "untrained net"
 SPEEDS = (2.0, 4.0, 6.5, 8.0, 9.0)
 """Of the adversaries' drives [m/s]."""
 LATE = 0.1
-"""Delay that nobody is told [s]."""
+"""Unknown delay [s]."""
 OFF: dict[str, Any] = dict(vehicle={"tyres": 0.7}, steering={"delay": LATE}, knowledge={"delay": DT})
-"""What nobody is told of the adversaries' cars, beside their ratio."""
+"""Unknown errors of the adversaries' cars, beside their ratio."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -153,7 +153,7 @@ def by_speed(
 
 
 def against(driver: Block, scenario: Scenario, seconds: float, late: float, **settings: Any) -> Log:
-    """A drive of somebody with the filter, which is told that commands may be so late [s]."""
+    """A drive with the filter, which assumes that commands may be so late [s]."""
     safety = replace(make_safety(scenario.design_model()), delay_doubt=late, **settings)
     return simulate(assembled(scenario, driver, safety=safety), seconds, every=5)
 

@@ -1,9 +1,9 @@
 """Stanley's gains, by a procedure that anyone can repeat: a grid, many cars, the worst case counts.
 
-Every car drives one round of the 795 m course (nonlinear single track, 0.1 s steering lag, a human at 4 to 9 m/s who
-slows to 3 m/s^2 in bends), starting 0.5 m off. The controller is `DelayPredictor` around `Stanley`, told a delay of 0,
-0.1, 0.2 or 0.3 s; the true delay is that, or 0.05 s less or more. Each is driven with the right car and with tyres and
-steering ratio off in the four ways that +-30 % and +-10 % allow together.
+Every car drives one round of the 795 m course (nonlinear single track, 0.1 s steering lag, a driver at 4 to 9 m/s who
+slows to 3 m/s^2 in bends), starting 0.5 m off. The controller is `DelayPredictor` around `Stanley`, with a believed
+delay of 0, 0.1, 0.2 or 0.3 s; the true delay is that, or 0.05 s less or more. Each is driven with the right car and
+with tyres and steering ratio off in the four ways that +-30 % and +-10 % allow together.
 
 The choice: of all gains whose worst RMS e is within 20 % of the best, those with the least worst wheel speed (RMS).
 Beside it: the same for Stanley without prediction at delays 0, 0.1 and 0.2 s, beyond which it swings.
@@ -41,7 +41,7 @@ LAG = 0.1
 GAINS = {"k": (1.5, 2.0, 2.5, 3.0, 4.0), "k_d_yaw": (0.0, 0.05, 0.1, 0.15), "k_d_steer": (0.0, 0.1, 0.2, 0.3, 0.5)}
 CARS = [(1.0, 1.0), *itertools.product((0.7, 1.3), (0.9, 1.1))]
 """Tyre stiffness and steering ratio, times the nominal."""
-TOLD = (0.0, 0.1, 0.2, 0.3)
+BELIEVED = (0.0, 0.1, 0.2, 0.3)
 OFF = (-0.05, 0.0, 0.05)
 PLAIN = (0.0, 0.1, 0.2)
 """Delays of Stanley without prediction [s]."""
@@ -113,8 +113,8 @@ def tuned(quick: bool) -> tuple[Any, dict[str, Result]]:
     present = np.array([[getattr(Stanley.of(CAR), name) for name in GAINS]])
     grid, cars = np.vstack((grid, present)), np.array(CARS[:1] if quick else CARS)
     stanley = Stanley.of(CAR)
-    told, plainly, offs = (TOLD[::3], PLAIN[::2], OFF[:1]) if quick else (TOLD, PLAIN, OFF)
-    around = {believed: sorted({max(0.0, round(believed + off, 3)) for off in offs}) for believed in told}
+    believed_delays, plainly, offs = (BELIEVED[::3], PLAIN[::2], OFF[:1]) if quick else (BELIEVED, PLAIN, OFF)
+    around = {believed: sorted({max(0.0, round(believed + off, 3)) for off in offs}) for believed in believed_delays}
     with Progress() as progress:
         task = progress.add_task(
             f"{len(grid)} gains, {len(cars)} cars", total=sum(map(len, around.values())) + len(plainly)

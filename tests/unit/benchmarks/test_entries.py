@@ -27,10 +27,10 @@ def test_one_that_is_told_the_truth_knows_what_the_scenario_hides() -> None:
         steering={"offset_deg": 2.0, "delay": 0.2, "lag": 0.3},
         knowledge={"delay": 0.0, "lag": 0.0},
     )
-    seen = controller("lqr-oracle").in_its_eyes(hidden).design_model()
+    seen = controller("lqr-oracle").as_believed(hidden).design_model()
     assert (seen.delay, seen.lag, seen.offset) == (0.2, 0.3, pytest.approx(np.deg2rad(2.0)))
     assert seen.vehicle.steer_ratio == pytest.approx(1.25 * STEP.nominal.steer_ratio)
-    assert controller("lqr").in_its_eyes(hidden) == hidden
+    assert controller("lqr").as_believed(hidden) == hidden
 
 
 def test_results_say_which_text_of_ones_own_controller_drove(tmp_path: Path) -> None:

@@ -213,7 +213,7 @@ def test_drives_that_are_compiled_alike_are_handed_out_together(tmp_path: Path) 
     work = [runner.work_of(job, scenes, {}, runner.Store(tmp_path), None) for job in planned]
     batches = runner.together(work, 1)
     assert sorted(piece.job.id for batch in batches for piece in batch) == sorted(job.id for job in planned)
-    seen = [{shape(controller("lqr").in_its_eyes(piece.scenario)) for piece in batch} for batch in batches]  # type: ignore[arg-type]
+    seen = [{shape(controller("lqr").as_believed(piece.scenario)) for piece in batch} for batch in batches]  # type: ignore[arg-type]
     assert {len(forms) for forms in seen} == {1}
     assert max(map(len, batches)) == 8
     forms = set.union(*seen)
