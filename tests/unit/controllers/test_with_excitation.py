@@ -37,50 +37,23 @@ def angles(block: WithExcitation, samples: int, **changes: float) -> list[float]
     return out
 
 
-def test_a_sine_whose_acceleration_is_the_amplitude_at_any_speed() -> None:
-    block = WithExcitation(block=STANLEY, vehicle=PASSAT, amplitude=0.5, frequency=0.25, most=3.0)
-    for v in (4.0, 8.0):
-        per_a_y = PASSAT.steer_ratio * (PASSAT.wheelbase + PASSAT.understeer_gradient * v * v) / v**2
-        expected = [0.5 * per_a_y * math.sin(0.5 * math.pi * 0.05 * k) for k in range(100)]
-        assert angles(block, 100, v=v) == pytest.approx(expected, abs=1e-12)
-
-
 @pytest.mark.parametrize(
     ("wave", "amplitude", "frequency", "steepness"),
     [("", 0.5, 0.3, 1.0), ("sine", 0.6, 0.3, 1.0), ("steps", 0.5, 0.2, 6.0)],
 )
-@pytest.mark.parametrize(("v", "r"), [(2.0, 0.0), (5.0, 0.0), (8.0, 1.7 / 8.0), (8.0, -1.7 / 8.0)])
+@pytest.mark.parametrize(
+    ("v", "r"), [(2.0, 0.0), (5.0, 0.0), (8.0, 1.7 / 8.0), (8.0, -1.7 / 8.0), (5.0, 0.5), (5.0, -0.5)]
+)
 def test_the_waves_of_a_calibration(
     wave: str, amplitude: float, frequency: float, steepness: float, v: float, r: float
 ) -> None:
-    """At most 1 rad; in a bend no further than 2 m/s^2."""
+    """The same acceleration at any speed; at most 1 rad; in a bend no further than 2 m/s^2, nor what is beyond it."""
     block: Any = with_excitation(STANLEY, wave, PASSAT) if wave else WithExcitation(block=STANLEY, vehicle=PASSAT)
     swing = np.clip(steepness * np.sin(2.0 * math.pi * frequency * 0.05 * np.arange(80)), -1.0, 1.0)
-    a = np.clip(amplitude * swing, -2.0 - v * r, 2.0 - v * r)
+    a = np.clip(amplitude * swing, min(-2.0 - v * r, 0.0), max(2.0 - v * r, 0.0))
     per_a_y = PASSAT.steer_ratio * (PASSAT.wheelbase + PASSAT.understeer_gradient * v * v) / v**2
     bare = angles(WithExcitation(block=STANLEY, vehicle=PASSAT, amplitude=0.0), 80, v=v, r=r)
     assert np.array(angles(block, 80, v=v, r=r)) - bare == pytest.approx(np.clip(per_a_y * a, -1.0, 1.0), abs=1e-9)
-
-
-def test_steps_are_flat_and_the_angle_is_bounded() -> None:
-    steps = angles(WithExcitation(block=STANLEY, vehicle=PASSAT, frequency=0.25, steepness=50.0, most=0.3), 80)
-    assert steps[5:35] == pytest.approx([0.3] * 30)
-    assert steps[45:75] == pytest.approx([-0.3] * 30)
-
-
-def test_in_a_bend_it_never_leads_beyond_what_is_allowed() -> None:
-    block = WithExcitation(block=STANLEY, vehicle=PASSAT, amplitude=0.5, a_y_most=2.0, frequency=0.25, most=3.0)
-    free = np.array(angles(block, 80))
-    left = np.array(angles(block, 80, r=1.8 / 5.0)) - angles(
-        WithExcitation(block=STANLEY, vehicle=PASSAT, amplitude=0.0), 80, r=1.8 / 5.0
-    )
-    beyond = np.array(angles(block, 80, r=2.5 / 5.0)) - angles(
-        WithExcitation(block=STANLEY, vehicle=PASSAT, amplitude=0.0), 80, r=2.5 / 5.0
-    )
-    assert left.max() == pytest.approx(0.4 * free.max())
-    assert left.min() == pytest.approx(free.min())
-    assert beyond.max() == 0.0
-    assert beyond.min() == pytest.approx(free.min())
 
 
 @pytest.mark.parametrize("changes", [{"v": 1.9}, {"v": 0.0}, {"v": -3.0}])
