@@ -266,6 +266,26 @@ def test_a_server_that_only_listens_has_nothing_to_clear(listen_only: bool) -> N
     assert any(isinstance(one, Send) for one in out) is not listen_only
 
 
+@pytest.mark.parametrize(("since", "seen"), [(5.0, 5.5), (5.5, 5.0)])
+def test_ages_count_from_the_last_change_of_state_at_the_earliest(since: float, seen: float) -> None:
+    core = linked()
+    core.senses.echo_ok = core.senses.follow_ok = core.senses.moving = core.senses.enabled_since = seen
+    for mode, ages in ((Mode.ENGAGED, (0.5, 0.5, 0.5, 0.0)), (Mode.READY, (0.0, 0.0, 0.0, 0.5))):
+        core.machine = Machine(mode, "put there", since)
+        facts = core.facts(6.0)
+        assert (facts.echo_age, facts.follow_age, facts.still_for, facts.foreign_enable) == pytest.approx(ages)
+
+
+@pytest.mark.parametrize("name", ["override", "enabled", "timeout", "brake", "accelerator", *config().fault_flags])
+def test_a_flag_is_up_only_when_a_frame_says_so(name: str) -> None:
+    core, seen = linked(), []
+    for values in ({}, {name: 0.0}, {name: 1.0}):
+        core.senses.values |= values
+        facts = core.facts(5.1)
+        seen.append(f"fault:{''.join(facts.kit_faults)}" == name or getattr(facts, name, False))
+    assert seen == [False, False, True]
+
+
 def test_errors_count_for_a_second() -> None:
     core = linked()
     core.senses.error(6.0, "one")
