@@ -138,6 +138,9 @@ def test_dynamic_hints_are_rows_that_stay() -> None:
     record.extend(s, np.zeros(40), s, np.repeat([0, 1], [20, 20]))
     assert staying(record, 0.05).tolist() == []
     record = Transitions()
+    record.extend(s[5:30].repeat(2, axis=0), np.zeros(50), s[5:30].repeat(2, axis=0), np.repeat([0, 1], 25))
+    assert staying(record, 0.05).tolist() == [*range(6), *range(25, 31)]
+    record = Transitions()
     record.extend(s, np.zeros(40), s, 0)
     assert staying(record, 0.05).tolist() == list(range(5, 16))
     s[:, 5] = np.arange(40)  # so that rows differ; the wheel counts for nothing
