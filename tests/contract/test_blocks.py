@@ -230,9 +230,10 @@ def test_it_gives_the_numbers_written_down(example: Example) -> None:
         state = numbers(samples[-1][3])
         rows = [*np.mean([numbers(y) for _, _, y, _ in samples], axis=0), state @ np.sqrt(1.0 + np.arange(len(state)))]
         found += [float(f"{value:.9g}") for value in np.nan_to_num(rows)]
-    number = EXAMPLES.index(example)
-    name, *expected = json.loads((ROOT / "tests/golden/blocks.json").read_text(encoding="utf-8"))[number]
-    assert (name, found) == (str(example), pytest.approx(expected, rel=1e-6, abs=1e-9)), json.dumps([name, *found])
+    before = [str(other) for other in EXAMPLES[: EXAMPLES.index(example)]]
+    key = f"{example} {before.count(str(example)) + 1}"
+    expected = json.loads((ROOT / "tests/golden/blocks.json").read_text(encoding="utf-8")).get(key, [])
+    assert found == pytest.approx(expected, rel=1e-6, abs=1e-9), f'"{key}": {json.dumps(found)}'
 
 
 def _smaller(block: Block, values: dict[str, Any], share: float) -> dict[str, Any]:
