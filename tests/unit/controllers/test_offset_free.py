@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import Any
 
@@ -13,6 +13,7 @@ import pytest
 
 from steerkit.controllers.offset_free import CommandCompensation, OffsetFree
 from steerkit.controllers.stanley import Stanley
+from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.simulation import simulate
 from steerkit.diagram.units import radians_of
 from steerkit.doe import Integrator
@@ -190,6 +191,23 @@ def test_the_wrapped_law_goes_on_from_its_own_angle() -> None:
     assert y.delta_sw == pytest.approx(inner + 0.1)
     assert block.update(0.0, x, block.U(**HERE), y)[1] == pytest.approx(inner)
     assert abs(replace(block, limit=0.03).output(0.0, x, block.D(**HERE)).delta_sw) == 0.03
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Blind(Block):
+    """A law that does not look at the wheel."""
+
+    e = In("m")
+    v = In("m/s")
+    delta_sw = Out("rad")
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        return self.Y(0.0 * u.e)
+
+
+def test_a_law_that_does_not_see_the_wheel_begins_with_a_straight_one() -> None:
+    block = OffsetFree(block=Blind())
+    assert block.settle(0.0, block.init(), block.U(e=0.3, v=5.0)) == (0.0, 0.0, 0.0, 0.3, 0.0)
 
 
 def test_what_it_is_not_made_for() -> None:
