@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import itertools
 import os
 import signal
 import subprocess
@@ -197,8 +198,10 @@ def _answers(socket: str) -> bool:
 
 
 def _new_recording(recording: str) -> FilePath:
-    """A new file to record to; its folder is made."""
-    place = FilePath(recording or f"runs/car-{time.strftime('%Y%m%d-%H%M%S')}.mcap")
+    """A new file to record to, in a folder that is made; without a name, called by the time, numbered in a second."""
+    now = f"runs/car-{time.strftime('%Y%m%d-%H%M%S')}"
+    free = (place for n in itertools.count(1) if not (place := FilePath(f"{now}{f'-{n}' * (n > 1)}.mcap")).exists())
+    place = FilePath(recording) if recording else next(free)
     if place.exists():
         raise ValueError(f"--recording {place} exists already, and recordings are not overwritten; choose another name")
     place.parent.mkdir(parents=True, exist_ok=True)

@@ -310,3 +310,18 @@ def test_a_simulated_car_ends_with_the_program_that_started_it_however_that_ends
     if alive(number):
         os.kill(number, signal.SIGKILL)
         pytest.fail("the simulated car stayed behind")
+
+
+def test_drives_that_begin_in_one_second_have_recordings_of_their_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sessions.time, "strftime", lambda form: "20261125-000748")
+    for name in ("car-20261125-000748", "car-20261125-000748-2", "car-20261125-000748-3"):
+        place = sessions._new_recording("")
+        assert place == Path("runs", f"{name}.mcap")
+        place.touch()
+    with pytest.raises(
+        ValueError, match=r"car-20261125-000748\.mcap exists already, and recordings are not overwritten"
+    ):
+        sessions._new_recording("runs/car-20261125-000748.mcap")
