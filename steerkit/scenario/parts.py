@@ -47,6 +47,15 @@ def _word(*valid: str) -> Any:
     return field(default=valid[0], metadata={"valid": valid})
 
 
+_KINDS: Mapping[str, tuple[tuple[type, ...], str]] = {
+    "str": ((str,), "text"),
+    "str | None": ((str, type(None)), "text, or nothing"),
+    "bool": ((bool,), "true or false"),
+    "bool | None": ((bool, type(None)), "true or false, or nothing"),
+}
+"""What a field of that annotation holds, and how it is called in an error."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Part:
     """A table of a scenario's file; its numbers and words are checked against what stands beside each field.
@@ -70,6 +79,10 @@ class Part:
                 require(number, self.table, f"{f.name} = {value!r}, expected a number [{unit}]")
                 require_within(self.table, f.name, value, unit, *f.metadata["range"])
                 object.__setattr__(self, f.name, float(value))
+            elif str(f.type) in _KINDS:
+                kinds, what = _KINDS[str(f.type)]
+                fits = isinstance(value, (FilePath, *kinds) if f.name == self.file else kinds)
+                require(fits, self.table, f"{f.name} = {value!r:.60}, expected {what}")
 
     @classmethod
     def of(cls, given: Any, base: Self | None = None) -> Self:

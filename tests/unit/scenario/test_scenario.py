@@ -309,3 +309,17 @@ def test_mistakes_in_a_file_name_file_key_and_valid_keys(text: str | None, messa
     with pytest.raises(ValueError, match=message) as refused:
         read_scenario(tmp_path / "s.toml")
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"course": {"name": 7}}, "course: name = 7, expected text"),
+        ({"course": {"closed": "yes"}}, "course: closed = 'yes', expected true or false, or nothing"),
+        ({"vehicle": {"name": ["vw-passat"]}}, r"vehicle: name = \['vw-passat'\], expected text"),
+        ({"knowledge": {"oracle": 1}}, "knowledge: oracle = 1, expected true or false"),
+    ],
+)
+def test_a_field_of_another_kind_is_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Scenario(**changes)
