@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
+import functools
+import math
 from collections.abc import Iterable
 from typing import Any
 
@@ -34,19 +37,60 @@ def known(name: str, names: Iterable[str], where: str, *, also: str = "") -> str
     raise ValueError(f"{where} '{name}' is not known{hint}; valid: {', '.join(valid)}{', ' if also else ''}{also}")
 
 
-def require_within(where: str, name: str, value: Any, unit: str, low: Any, high: Any, hint: str = "") -> None:
-    """Raise a teaching ValueError unless low <= value <= high, for a number or for every entry of an array."""
+def require_within(
+    where: str, name: str, value: Any, unit: str, low: Any, high: Any, hint: str = "", *, above: bool = False
+) -> None:
+    """Raise a teaching ValueError unless low <= value <= high, for a number or for every entry of an array.
+
+    above: `low` itself is not valid.
+    """
     if type(value) in _PLAIN and type(low) in _PLAIN and type(high) in _PLAIN:
-        if low <= value <= high:
+        if low <= value <= high and not (above and value == low):
             return
     else:
         numbers = np.asarray(value)
         if numbers.dtype.kind not in "iuf":
             raise ValueError(f"{where}: {name} = {value!r}, expected a number [{unit}]")
-        if ((low <= numbers) & (numbers <= high)).all():
+        if ((low <= numbers) & (numbers <= high)).all() and not (above and (numbers == low).any()):
             return
-    expected = f"{np.min(low):.6g} to {np.max(high):.6g}"
+    least, most = f"{np.min(low):.6g}", f"{np.max(high):.6g}"
+    expected = f"{least} to {most}"
+    if above or "inf" in expected:
+        bounds = [f"{'>' if above else '>='} {least}"] * (least != "-inf") + [f"<= {most}"] * (most != "inf")
+        expected = " and ".join(bounds) or "a number"
     raise ValueError(f"{where}: {name} = {value} [{unit}], expected {expected}{'; ' if hint else ''}{hint}")
+
+
+def number(
+    default: Any = dataclasses.MISSING,
+    unit: str = "1",
+    *,
+    low: float = -math.inf,
+    high: float = math.inf,
+    above: float | None = None,
+    repr: bool = True,
+) -> Any:
+    """A dataclass field for a number [unit] from `low` (or above `above`) to `high`, or for one number per car.
+
+    `check_numbers` checks it; every block does so when it is made. NaN is never valid; with a default of None, None is.
+    """
+    bounds = (unit, low if above is None else above, high, above is not None)
+    return dataclasses.field(default=default, repr=repr, metadata={"number": bounds})
+
+
+@functools.cache
+def _numbers(kind: Any) -> list[tuple[str, bool, tuple[str, float, float, bool]]]:
+    """The fields of a dataclass made by `number`: name, whether None is valid, unit and bounds."""
+    fields = [f for f in dataclasses.fields(kind) if "number" in f.metadata]
+    return [(f.name, f.default is None, f.metadata["number"]) for f in fields]
+
+
+def check_numbers(of: Any, where: str) -> None:
+    """Raise ValueError for a field of the dataclass object `of`, made by `number`, that is not in its range."""
+    for name, optional, (unit, low, high, above) in _numbers(type(of)):
+        value = getattr(of, name)
+        if not (optional and value is None):
+            require_within(where, name, value, unit, low, high, above=above)
 
 
 def whole_samples(where: str, name: str, value: Any, dt: float) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-from steerkit._support.errors import require
+from steerkit._support.errors import number
 from steerkit.controllers.limits import approach_angle, limited, possible
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out
@@ -60,51 +60,44 @@ class Stanley(Block):
     delta_sw_meas = In("rad")
     delta_sw = Out("rad")
 
-    k: Scalar = 2.5
+    k: Scalar = number(2.5, "1/s", low=0.0)
     """Cross-track gain [1/s]."""
-    k_soft: Scalar = 1.0
+    k_soft: Scalar = number(1.0, "m/s", above=0.0)
     """Softening speed [m/s]."""
-    k_d_yaw: Scalar = 0.15
+    k_d_yaw: Scalar = number(0.15, "s", low=0.0)
     """Yaw-rate damping [s]."""
-    k_d_steer: Scalar = 0.3
+    k_d_steer: Scalar = number(0.3, "1", low=0.0)
     """Steering damping [1]."""
-    approach_limit: Scalar = radians_of(30.0)
+    approach_limit: Scalar = number(radians_of(30.0), "rad", above=0.0)
     """Largest approach angle that the cross-track term may ask for [rad]."""
-    a_y_max: Scalar = 2.9
+    a_y_max: Scalar = number(2.9, "m/s^2", above=0.0)
     """Lateral acceleration to stay within, unless the path asks for more [m/s^2]; the tyres' lag adds up to 0.1."""
-    a_y_reserve: Scalar = 1.5
+    a_y_reserve: Scalar = number(1.5, "m/s^2", low=0.0)
     """Lateral acceleration beyond that of the path which corrections may always use [m/s^2]."""
-    rate_limit: Scalar = radians_of(550.0)
+    rate_limit: Scalar = number(radians_of(550.0), "rad/s", above=0.0)
     """Fastest command [rad/s]."""
     slew: Scalar | None = None
     """Fastest change of the lateral acceleration of a car that is steered by torque [m/s^3]; None: no bound."""
     a_y_limit: Scalar | None = None
     """Its largest lateral acceleration, which not even a path that asks for more exceeds [m/s^2]; None: no bound."""
-    share: Scalar = 1.0
+    share: Scalar = number(1.0, "1", above=0.0, high=1.0)
     """Share of what the law asks for beyond the path's own angle, (L + K v^2) kappa: < 1 where the wheel is slow."""
-    mass: Scalar = 0.0
+    mass: Scalar = number(0.0, "kg", low=0.0)
     """Car mass [kg]; 0 leaves out the curve offset psi_ss."""
-    c_f: Scalar = 1.0
+    c_f: Scalar = number(1.0, "N/rad", above=0.0)
     """Cornering stiffness of the front axle [N/rad]."""
     l_r_share: Scalar = 0.5
     """l_r / L: share of the mass on the front axle [1]."""
-    wheelbase: Scalar = 2.7
+    wheelbase: Scalar = number(2.7, "m", above=0.0)
     """L [m]."""
     understeer: Scalar = 0.0
     """Understeer gradient [rad s^2/m]."""
-    steer_ratio: Scalar = 15.6
+    steer_ratio: Scalar = number(15.6, "1", above=0.0)
     """Steering-wheel angle over road-wheel angle [1]."""
-    limit: Scalar = STOP
+    limit: Scalar = number(STOP, "rad", above=0.0)
     """Largest |delta_sw| [rad]."""
     reference: Scalar = 1.2
     """Where e, psi_e and kappa have to be measured: metres ahead of the centre of gravity (the front axle, l_f)."""
-
-    def __post_init__(self) -> None:
-        for name in ("k", "k_d_yaw", "k_d_steer", "mass", "a_y_reserve"):
-            require(getattr(self, name) >= 0.0, "Stanley", f"{name} = {getattr(self, name)}, expected >= 0")
-        for name in ("k_soft", "c_f", "steer_ratio", "limit", "approach_limit", "a_y_max", "rate_limit", "wheelbase"):
-            require(getattr(self, name) > 0.0, "Stanley", f"{name} = {getattr(self, name)}, expected > 0")
-        require((self.share > 0.0) & (self.share <= 1.0), "Stanley", f"share = {self.share}, expected 0 < share <= 1")
 
     @classmethod
     def of(cls, vehicle: Vehicle, *, dt: float = DT) -> Stanley:

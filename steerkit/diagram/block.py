@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, overload
 
 import numpy as np
 
+from steerkit._support.errors import check_numbers, number
 from steerkit.diagram.units import UNITS
 from steerkit.task import DT
 
@@ -97,15 +98,16 @@ class Block:
       a real car; returns the state to continue from, `settled` with what of `x` is to be kept (estimates of the car).
 
     `u` and `y` are named tuples: `u.rate`, `self.Y(delta_sw=...)`. All of them are pure: equal arguments give equal
-    results, the object keeps nothing. Equations use `steerkit.diagram.maths`, so that they serve floats, batches and
-    CasADi symbols. A block whose `pure` is False (a real car) can be simulated step by step but not traced or
-    batched.
+    results, the object keeps nothing. A parameter declared as `gain: float = number(2.0, "1/s", low=0.0)` has its range
+    checked when the block is made (ValueError). Equations use `steerkit.diagram.maths`, so that they serve floats,
+    batches and CasADi symbols. A block whose `pure` is False (a real car) can be simulated step by step but not
+    traced or batched.
 
     Raises TypeError for a class that could remember: with an `__init__` of its own or a list, dictionary, set or array
     as a class attribute, when the class is made; without `@dataclass(frozen=True, ...)`, when its first object is.
     """
 
-    dt: float = DT
+    dt: float = number(DT, "s", above=0.0, high=3600.0)
 
     inputs: ClassVar[tuple[In, ...]] = ()
     outputs: ClassVar[tuple[Out, ...]] = ()
@@ -131,6 +133,9 @@ class Block:
                 hint = f"; did you mean '{near[0]}'?" if near else ""
                 raise TypeError(f"{cls.__name__} has no parameter '{name}'{hint} (parameters: {', '.join(valid)})")
         return super().__new__(cls)
+
+    def __post_init__(self) -> None:
+        check_numbers(self, type(self).__name__)
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)

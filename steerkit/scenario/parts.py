@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from steerkit._support.errors import known, require, require_within
+from steerkit._support.errors import check_numbers, known, number, require
 from steerkit._support.files import read_text
 from steerkit.diagram.block import Block
 from steerkit.diagram.units import degrees_of, radians_of
@@ -35,11 +35,6 @@ from steerkit.vehicles.file import tables_of
 RANDOM_COURSES = {"random": (500.0, 0.1), "sweeping": (2000.0, 0.01)}
 """Length [m] and largest curvature [1/m] of random courses, by what their names begin with."""
 _TIGHTEST = 0.5  # m: no course from a map is tighter; what the scenario's car can do is judged besides
-
-
-def _number(default: float | None, unit: str, least: float, largest: float) -> Any:
-    """A field that holds a number [unit] from `least` to `largest`; with a default of None, None as well."""
-    return field(default=default, metadata={"unit": unit, "range": (least, largest)})
 
 
 def _word(*valid: str) -> Any:
@@ -69,15 +64,15 @@ class Part:
     """The field that may name a file, whose text is then kept in `text`."""
 
     def __post_init__(self) -> None:
+        check_numbers(self, self.table)
         for f in fields(self):
             value = getattr(self, f.name)
             if "valid" in f.metadata:
                 valid = f.metadata["valid"]
                 require(value in valid, self.table, f"{f.name} {value!r}; valid: {', '.join(valid)}")
-            elif "unit" in f.metadata and not (value is None and f.default is None):
-                unit, number = f.metadata["unit"], isinstance(value, int | float) and not isinstance(value, bool)
-                require(number, self.table, f"{f.name} = {value!r}, expected a number [{unit}]")
-                require_within(self.table, f.name, value, unit, *f.metadata["range"])
+            elif "number" in f.metadata and value is not None:
+                plain = isinstance(value, int | float) and not isinstance(value, bool)
+                require(plain, self.table, f"{f.name} = {value!r}, expected a number [{f.metadata['number'][0]}]")
                 object.__setattr__(self, f.name, float(value))
             elif str(f.type) in _KINDS:
                 kinds, what = _KINDS[str(f.type)]
@@ -125,9 +120,9 @@ class Course(Part):
     is kept as such a CSV. ISO lane changes are as long as the driver's v_max asks."""
     closed: bool | None = None
     """Is a course from a file closed? None: as the file says, or as it looks (`steerkit.paths.courses.course_of`)."""
-    start: float = _number(0.0, "m", 0.0, 1e6)
+    start: float = number(0.0, "m", low=0.0, high=1e6)
     """Where on the course a drive begins [m]: at rest relative to it, so that a tight bend there is no fair start."""
-    rounds: float = _number(1.0, "1", 1e-3, 1e6)
+    rounds: float = number(1.0, "1", low=1e-3, high=1e6)
     """Rounds that a test drive takes; an open course is driven without END_MARGIN at either end."""
     text: str | None = field(default=None, repr=False)
     """The text of the file that `name` names; filled in when the part is made."""
@@ -161,11 +156,11 @@ class Car(Part):
     `Scenario.under` does, and so do the command line and the environments."""
     plant: str = "nonlinear"
     """`nonlinear` or `linear` single track; or `package.module:Class`, see `steerkit.scenario.catalogue.plant_kind`."""
-    tyres: float = _number(1.0, "1", 0.1, 10.0)
+    tyres: float = number(1.0, "1", low=0.1, high=10.0)
     """Cornering stiffness over that of the data sheet [1]."""
-    friction: float = _number(1.0, "1", 0.1, 10.0)
+    friction: float = number(1.0, "1", low=0.1, high=10.0)
     """Friction coefficient over that of the data sheet [1]."""
-    ratio: float = _number(1.0, "1", 0.1, 10.0)
+    ratio: float = number(1.0, "1", low=0.1, high=10.0)
     """Steering ratio over that of the data sheet [1]."""
     text: str | None = field(default=None, repr=False)
     """The text of the file that `name` names; filled in when the part is made."""
@@ -212,11 +207,11 @@ class Driver(Part):
     """`wander`: between v_min and v_max, slower in bends; `recorded`: as driven on a recorded course; `limit`: as fast
     as a course from a map allows, slower in bends; or a CSV file with the columns s [m] along the course and v [m/s];
     all within v_min and v_max."""
-    v_min: float = _number(4.0, "m/s", 0.2, 40.0)
+    v_min: float = number(4.0, "m/s", low=0.2, high=40.0)
     """Slowest speed [m/s]; equal to v_max: a steady one."""
-    v_max: float = _number(7.5, "m/s", 0.2, 40.0)
+    v_max: float = number(7.5, "m/s", low=0.2, high=40.0)
     """Fastest speed [m/s]."""
-    a_y_max: float = _number(A_Y_MAX, "m/s^2", 0.1, 20.0)
+    a_y_max: float = number(A_Y_MAX, "m/s^2", low=0.1, high=20.0)
     """Lateral acceleration in bends for which a driver who wanders slows down [m/s^2]."""
     text: str | None = field(default=None, repr=False)
     """The text of the file that `speed` names; filled in when the part is made."""
@@ -285,31 +280,31 @@ class Steering(Part):
     table: ClassVar[str] = "steering"
     command: str = _word("angle", "torque")
     """`angle`: a motor that turns the wheel; `torque`: as lane keeping steers most cars (`TorqueSteering`)."""
-    lag: float = _number(0.12, "s", 0.0, 10.0)
+    lag: float = number(0.12, "s", low=0.0, high=10.0)
     """First-order lag of the actuator [s]."""
-    delay: float = _number(0.0, "s", 0.0, 2.0)
+    delay: float = number(0.0, "s", low=0.0, high=2.0)
     """Dead time of the actuator [s], a multiple of 0.01."""
-    delay_jitter: float = _number(0.0, "s", 0.0, 0.5)
+    delay_jitter: float = number(0.0, "s", low=0.0, high=0.5)
     """Longest time that a command takes beyond `delay` [s], each its own, a multiple of 0.01."""
-    rate_limit_deg: float = _number(550.0, "deg/s", 1.0, 10_000.0)
+    rate_limit_deg: float = number(550.0, "deg/s", low=1.0, high=10_000.0)
     """Fastest steering wheel [deg/s]."""
-    offset_deg: float = _number(0.0, "deg", -90.0, 90.0)
+    offset_deg: float = number(0.0, "deg", low=-90.0, high=90.0)
     """Offset of the steering wheel [deg]."""
-    slew: float = _number(5.0, "m/s^3", 0.1, 1000.0)
+    slew: float = number(5.0, "m/s^3", low=0.1, high=1000.0)
     """With `torque`: fastest change of the lateral acceleration [m/s^3]."""
-    a_y_limit: float = _number(3.0, "m/s^2", 0.1, 100.0)
+    a_y_limit: float = number(3.0, "m/s^2", low=0.1, high=100.0)
     """With `torque`: largest lateral acceleration [m/s^2]."""
-    gain: float = _number(1.0, "1", 0.1, 10.0)
+    gain: float = number(1.0, "1", low=0.1, high=10.0)
     """With `torque`: lateral acceleration reached over lateral acceleration commanded [1]; controllers believe 1."""
-    play_deg: float = _number(0.0, "deg", 0.0, 20.0)
+    play_deg: float = number(0.0, "deg", low=0.0, high=20.0)
     """Free play between steering wheel and road wheels, from end to end, at the steering wheel [deg]."""
-    friction_deg: float = _number(0.0, "deg", 0.0, 20.0)
+    friction_deg: float = number(0.0, "deg", low=0.0, high=20.0)
     """Twist of the column that its friction holds, to either side [deg]; see `SteeringColumn`."""
-    dead_band_deg: float = _number(0.0, "deg", 0.0, 20.0)
+    dead_band_deg: float = number(0.0, "deg", low=0.0, high=20.0)
     """Change of a command that the motor ignores [deg]."""
-    quantum_deg: float = _number(0.0, "deg", 0.0, 20.0)
+    quantum_deg: float = number(0.0, "deg", low=0.0, high=20.0)
     """Resolution of a command [deg]."""
-    wheel_zero_deg: float = _number(0.0, "deg", -20.0, 20.0)
+    wheel_zero_deg: float = number(0.0, "deg", low=-20.0, high=20.0)
     """What the steering wheel's sensor reports while the wheel is straight [deg], to controllers and estimators."""
 
     def link(self, seed: int) -> SteeringLink | None:
@@ -352,11 +347,11 @@ class Sensing(Part):
     kind: str = _word("hard", "no sideslip", "real")
     """Which errors `noise` scales: those of `hard` sensors, with or with `no sideslip`, or of `real` ones
     (`DegradedSensors.real`), which have no sideslip and up to 20 ms of jitter even without noise."""
-    noise: float = _number(0.0, "1", 0.0, 1000.0)
+    noise: float = number(0.0, "1", low=0.0, high=1000.0)
     """Pose and rate noise: 1 is 1 cm and 0.1 deg of drift and 0.2 deg/s of white noise (`Sensors.hard`)."""
-    latency: float = _number(0.0, "s", 0.0, 2.0)
+    latency: float = number(0.0, "s", low=0.0, high=2.0)
     """Age of what the controllers see [s], a multiple of 0.05."""
-    gyro_zero_deg: float = _number(0.0, "deg/s", -5.0, 5.0)
+    gyro_zero_deg: float = number(0.0, "deg/s", low=-5.0, high=5.0)
     """What the gyro reports while the car does not turn [deg/s]."""
     estimator: str = _word("none", "vehicle-state", "adaptive-state")
     """What stands between sensors and controllers: `none`; `vehicle-state`, an estimator that is given the sensors'
@@ -414,11 +409,11 @@ class Disturbances(Part):
     """What pushes the car sideways."""
 
     table: ClassVar[str] = "disturbances"
-    wind: float = _number(0.0, "m/s^2", -20.0, 20.0)
+    wind: float = number(0.0, "m/s^2", low=-20.0, high=20.0)
     """Lateral acceleration by steady crosswind [m/s^2], acting 0.3 m ahead of the centre of gravity."""
-    gust: float = _number(0.0, "m/s^2", 0.0, 20.0)
+    gust: float = number(0.0, "m/s^2", low=0.0, high=20.0)
     """Standard deviation of the gusts' [m/s^2]."""
-    bank_deg: float = _number(0.0, "deg", -45.0, 45.0)
+    bank_deg: float = number(0.0, "deg", low=-45.0, high=45.0)
     """Bank of the road, + = low on the left [deg]."""
 
     @property
@@ -441,9 +436,9 @@ class Knowledge(Part):
     table: ClassVar[str] = "knowledge"
     oracle: bool = False
     """Do controllers know the true tyres, friction and ratio, and the steering's offset and gain?"""
-    delay: float | None = _number(None, "s", 0.0, 2.0)
+    delay: float | None = number(None, "s", low=0.0, high=2.0)
     """The delay that controllers believe, latency included [s]; None: the true one."""
-    lag: float | None = _number(None, "s", 0.0, 10.0)
+    lag: float | None = number(None, "s", low=0.0, high=10.0)
     """The lag that they believe [s]; None: the true one."""
 
     def __post_init__(self) -> None:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pytest
 
-from steerkit._support.errors import known, require, require_within, whole_samples
+from steerkit._support.errors import check_numbers, known, number, require, require_within, whole_samples
 
 NAMES = ("stanley", "pure-pursuit", "lqr")
 
@@ -55,6 +56,40 @@ def test_bounds_are_inside(value: Any) -> None:
 def test_what_is_out_of_bounds_or_no_number_is_an_error(value: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         require_within("Block", "k", value, "m", 1.0, 2.0, hint="a hint")
+
+
+@dataclass
+class Numbers:
+    """A field of each kind of range."""
+
+    share: Any = number(1.0, "1", above=0.0, high=1.0)
+    mass: Any = number(1.0, "kg", low=0.0)
+    offset: Any = number(0.0, "rad", high=2.0)
+    free: Any = number(0.0, "m")
+    lag: Any = number(None, "s", low=0.1, high=2.0)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"share": 0.0}, r"^Table: share = 0\.0 \[1\], expected > 0 and <= 1$"),
+        ({"share": np.array([0.5, 0.0])}, "expected > 0 and <= 1"),
+        ({"share": 1.01}, "expected > 0 and <= 1"),
+        ({"mass": -0.1}, r"^Table: mass = -0\.1 \[kg\], expected >= 0$"),
+        ({"offset": 2.1}, r"^Table: offset = 2\.1 \[rad\], expected <= 2$"),
+        ({"free": math.nan}, r"^Table: free = nan \[m\], expected a number$"),
+        ({"free": None}, r"^Table: free = None, expected a number \[m\]$"),
+        ({"lag": 0.0}, "expected 0.1 to 2$"),
+    ],
+)
+def test_a_field_has_its_range_beside_it(given: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        check_numbers(Numbers(**given), "Table")
+
+
+def test_bounds_beside_a_field_are_inside_unless_above() -> None:
+    check_numbers(Numbers(share=1.0, mass=0.0, offset=-math.inf, lag=None), "Table")
+    check_numbers(Numbers(share=np.array([0.5, 1e-9]), lag=0.1, offset=2.0), "Table")
 
 
 @pytest.mark.parametrize(
