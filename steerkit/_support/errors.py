@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-import functools
 import math
 from collections.abc import Iterable
 from typing import Any
@@ -78,19 +77,13 @@ def number(
     return dataclasses.field(default=default, repr=repr, metadata={"number": bounds})
 
 
-@functools.cache
-def _numbers(kind: Any) -> list[tuple[str, bool, tuple[str, float, float, bool]]]:
-    """The fields of a dataclass made by `number`: name, whether None is valid, unit and bounds."""
-    fields = [f for f in dataclasses.fields(kind) if "number" in f.metadata]
-    return [(f.name, f.default is None, f.metadata["number"]) for f in fields]
-
-
 def check_numbers(of: Any, where: str) -> None:
     """Raise ValueError for a field of the dataclass object `of`, made by `number`, that is not in its range."""
-    for name, optional, (unit, low, high, above) in _numbers(type(of)):
-        value = getattr(of, name)
-        if not (optional and value is None):
-            require_within(where, name, value, unit, low, high, above=above)
+    for f in dataclasses.fields(of):
+        value = getattr(of, f.name)
+        if "number" in f.metadata and not (value is None and f.default is None):
+            unit, low, high, above = f.metadata["number"]
+            require_within(where, f.name, value, unit, low, high, above=above)
 
 
 def whole_samples(where: str, name: str, value: Any, dt: float) -> int:

@@ -146,7 +146,7 @@ class OfWheel(Block):
     """Standard deviation of delta_sw_meas about what the model makes of the command [rad]."""
 
     def __post_init__(self) -> None:
-        super().__post_init__()  # type: ignore[misc]
+        super().__post_init__()
         require_within(type(self).__name__, "noise", self.noise, "rad", 1e-6, 1.0, "radians: radians_of(0.1)")
 
     def _response(self, u: Any, speed: Scalar) -> tuple[Scalar, Scalar, Scalar]:
@@ -166,7 +166,7 @@ class OfYawRate(Block):
     """Standard deviation of the white noise on r [rad/s]."""
 
     def __post_init__(self) -> None:
-        super().__post_init__()  # type: ignore[misc]
+        super().__post_init__()
         require_vehicle(self.vehicle, type(self).__name__)
         require_within(type(self).__name__, "noise", self.noise, "rad/s", 1e-6, 1.0, "radians: radians_of(0.2)")
 
