@@ -79,7 +79,7 @@ class TrialDrive:
     @property
     def good(self) -> bool:
         """Did it hold its one round, and meet the bounds of a good driver (`steerkit.metrics.GOOD`)?"""
-        return self.held and self.summary is not None and GOOD.met(self.summary, rounds=1.0)
+        return self.held and self.summary is not None and GOOD.met(self.summary)
 
 
 def drive_each(scenario: Scenario, setting: Setting, policies: Sequence[Any], *, seed: int = 0) -> list[TrialDrive]:

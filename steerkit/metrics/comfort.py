@@ -1,4 +1,4 @@
-"""What passengers feel: lateral jerk as ISO 11270 and UN R79 measure it, weighted acceleration of ISO 2631-1."""
+"""What passengers feel: lateral acceleration and jerk as UN R79 filters them, and as ISO 2631-1 weights them."""
 
 from __future__ import annotations
 
@@ -6,32 +6,14 @@ import math
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.signal import bilinear, butter, resample_poly, sosfilt, sosfilt_zi, tf2sos
 
-from steerkit.metrics.signals import Array, rms, samples, step
+from steerkit.metrics.signals import Array, lateral_jerk, rms, samples, step
 
-JERK_WINDOW = 0.5
-"""Length of the moving average of lateral jerk [s]; source: ISO 11270:2014, UN R79."""
 R79_CUTOFF = 0.5
 """Cut-off of the filter of lateral acceleration [Hz]; source: UN R79, 03 series, annex 8."""
 WEIGHTING_RATE = 1000.0
 """Least rate at which ISO 2631-1's filter runs [Hz]; slower records are interpolated first."""
-
-
-def lateral_jerk(t: ArrayLike, a_y: ArrayLike) -> Array:
-    """Lateral jerk as a moving average over 0.5 s [m/s^3]: (a_y(t) - a_y(t - 0.5 s)) / 0.5 s, which that average is.
-
-    t (T,) [s], even; a_y (T,) [m/s^2]. Returns one value for each sample that has 0.5 s before it.
-    Raises ValueError for uneven t, dt above 0.25 s or a record of no more than 0.5 s.
-    Source: ISO 11270:2014 (limit 5 m/s^3; a_y at most 3 m/s^2).
-    """
-    values, dt = samples("lateral_jerk", a_y), step(t, "lateral_jerk")
-    n = round(JERK_WINDOW / dt)
-    if n < 2 or len(values) <= n:
-        raise ValueError(
-            f"lateral_jerk: {len(values)} samples at dt = {dt:g} s, expected dt <= 0.25 s and more than "
-            f"{JERK_WINDOW} s of record"
-        )
-    return (values[n:] - values[:-n]) / (n * dt)
 
 
 def r79_acceleration(t: ArrayLike, a_y: ArrayLike) -> Array:
@@ -41,8 +23,6 @@ def r79_acceleration(t: ArrayLike, a_y: ArrayLike) -> Array:
     t (T,) [s], even; a_y (T,) [m/s^2] at the centre of gravity. Raises ValueError for uneven t or dt above 0.25 s.
     Source: UN R79, 03 series, annex 8; it asks for at least 100 samples a second, which is not enforced.
     """
-    from scipy.signal import butter, sosfilt, sosfilt_zi
-
     values, dt = samples("r79_acceleration", a_y), step(t, "r79_acceleration", a_y)
     if dt > 0.25:
         raise ValueError(f"r79_acceleration: dt = {dt:g} s, expected <= 0.25 s for a cut-off of {R79_CUTOFF:g} Hz")
@@ -70,8 +50,6 @@ def wd_filter(rate: float) -> Array:
     by the bilinear transform; below rate/20 its gain is H's within 1 %. Raises ValueError for a rate below 1000 Hz.
     Source: ISO 2631-1:1997, annex A, table A.1.
     """
-    from scipy.signal import bilinear, tf2sos
-
     if not rate > 0.999 * WEIGHTING_RATE:
         raise ValueError(f"wd_filter: rate {rate:g} Hz, expected >= {WEIGHTING_RATE:g} Hz")
     w1, w2, w3, q4 = 2.0 * math.pi * 0.4, 2.0 * math.pi * 100.0, 2.0 * math.pi * 2.0, 0.63
@@ -92,8 +70,6 @@ def weighted_acceleration(t: ArrayLike, a_y: ArrayLike) -> float:
     Comfort reactions (annex C): below 0.315 not uncomfortable, 0.5 to 1 fairly uncomfortable, above 2 extremely.
     Raises ValueError for uneven t. Source: ISO 2631-1:1997, equation 1, k_d = 1.
     """
-    from scipy.signal import resample_poly, sosfilt
-
     values, dt = samples("weighted_acceleration", a_y), step(t, "weighted_acceleration", a_y)
     times = max(1, math.ceil(WEIGHTING_RATE * dt - 1e-6))
     # both ends held for 2 s: the interpolator sees no edge there, and the weighting starts at rest

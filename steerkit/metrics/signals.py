@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+JERK_WINDOW = 0.5
+"""Length of the moving average of lateral jerk [s]; source: ISO 11270:2014, UN R79."""
 
 
 def rms(signal: ArrayLike) -> float:
@@ -54,6 +56,31 @@ def rates(t: ArrayLike, signal: ArrayLike) -> Array:
     """Mean rate of change between neighbouring samples [unit/s], (T - 1,)."""
     values, dt = samples("rates", signal), step(t, "rates", signal)
     return np.diff(values) / dt
+
+
+def accelerations(t: ArrayLike, signal: ArrayLike) -> Array:
+    """Second difference of a signal over dt^2 [unit/s^2], (T - 2,). Raises ValueError for fewer than three samples."""
+    values, dt = samples("accelerations", signal), step(t, "accelerations", signal)
+    if len(values) < 3:
+        raise ValueError(f"accelerations: {len(values)} samples, expected at least 3")
+    return np.diff(values, 2) / dt**2
+
+
+def lateral_jerk(t: ArrayLike, a_y: ArrayLike) -> Array:
+    """Lateral jerk as a moving average over 0.5 s [m/s^3]: (a_y(t) - a_y(t - 0.5 s)) / 0.5 s, which that average is.
+
+    t (T,) [s], even; a_y (T,) [m/s^2]. Returns one value for each sample that has 0.5 s before it.
+    Raises ValueError for uneven t, dt above 0.25 s or a record of no more than 0.5 s.
+    Source: ISO 11270:2014 (limit 5 m/s^3; a_y at most 3 m/s^2).
+    """
+    values, dt = samples("lateral_jerk", a_y), step(t, "lateral_jerk")
+    n = round(JERK_WINDOW / dt)
+    if n < 2 or len(values) <= n:
+        raise ValueError(
+            f"lateral_jerk: {len(values)} samples at dt = {dt:g} s, expected dt <= 0.25 s and more than "
+            f"{JERK_WINDOW} s of record"
+        )
+    return (values[n:] - values[:-n]) / (n * dt)
 
 
 def samples(where: str, signal: ArrayLike) -> Any:

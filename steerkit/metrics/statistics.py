@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.stats import binomtest, bootstrap, permutation_test, wilcoxon
 
 from steerkit.metrics.signals import Array
 
@@ -36,8 +37,6 @@ def interval(values: ArrayLike, statistic: Callable[..., Any] = np.mean, *, seed
     Raises ValueError for no values or a NaN.
     Source: Efron 1979; for few seeds and means it is somewhat too narrow (Efron, Tibshirani 1993, chapter 13).
     """
-    from scipy.stats import bootstrap
-
     sample = _finite_or_never("interval", values)
     with np.errstate(invalid="ignore"):
         value = float(statistic(sample))
@@ -63,8 +62,6 @@ def share(successes: ArrayLike) -> Interval:
     successes (n,) of booleans; `interval` gives the bootstrap interval of the same share, which has no width if all
     seeds agree. Raises ValueError for no seeds. Source: Wilson 1927.
     """
-    from scipy.stats import binomtest
-
     won = np.asarray(successes, dtype=bool)
     if won.ndim != 1 or not len(won):
         raise ValueError(f"share: successes of shape {won.shape}, expected (n,) with n >= 1")
@@ -94,8 +91,6 @@ def paired(a: ArrayLike, b: ArrayLike, *, seed: int = 0) -> Paired:
     Raises ValueError for other lengths, fewer than two seeds, or a value that is not finite.
     Source: Fisher 1935 (permutation), Wilcoxon 1945.
     """
-    from scipy.stats import permutation_test, wilcoxon
-
     first, second = _finite_or_never("paired", a), _finite_or_never("paired", b)
     if first.shape != second.shape or len(first) < 2 or not np.isfinite([first, second]).all():
         raise ValueError(

@@ -1,20 +1,13 @@
-"""What the steering wheel does: acceleration and reversals."""
+"""How often the steering wheel turns back."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.signal import butter, filtfilt
 
 from steerkit.diagram.units import degrees_of
 from steerkit.metrics.signals import Array, samples, step
-
-
-def accelerations(t: ArrayLike, signal: ArrayLike) -> Array:
-    """Second difference of a signal over dt^2 [unit/s^2], (T - 2,). Raises ValueError for fewer than three samples."""
-    values, dt = samples("accelerations", signal), step(t, "accelerations", signal)
-    if len(values) < 3:
-        raise ValueError(f"accelerations: {len(values)} samples, expected at least 3")
-    return np.diff(values, 2) / dt**2
 
 
 def reversal_rate(t: ArrayLike, delta_sw: ArrayLike, *, gap_deg: float = 3.0, cutoff: float = 0.6) -> float:
@@ -27,8 +20,6 @@ def reversal_rate(t: ArrayLike, delta_sw: ArrayLike, *, gap_deg: float = 3.0, cu
     samples or fewer, or a cutoff that is not below half the sample rate.
     Source: Markkula, Engstrom 2006, adopted by SAE J2944:2015.
     """
-    from scipy.signal import butter, filtfilt
-
     angle, dt = degrees_of(samples("reversal_rate", delta_sw)), step(t, "reversal_rate", delta_sw)
     if len(angle) <= 10 or not 0.0 < cutoff < 0.5 / dt or not gap_deg > 0.0:
         raise ValueError(

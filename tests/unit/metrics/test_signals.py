@@ -34,11 +34,43 @@ def test_the_acceleration_of_a_parabola() -> None:
         metrics.accelerations([0.0, 0.1], [1.0, 2.0])
 
 
-def test_step_times_are_quantiles_and_no_missing_measurement() -> None:
-    assert metrics.step_times(np.arange(101) * 1e-6) == {
-        "step_p50_us": pytest.approx(50.0),
-        "step_p99_us": pytest.approx(99.0),
-    }
-    for bad in ([], [1e-6, math.nan], [-1e-6]):
-        with pytest.raises(ValueError, match="of finite seconds >= 0"):
-            metrics.step_times(bad)
+def test_rms_and_largest_of_a_sine() -> None:
+    assert metrics.rms(0.3 * sine(0.2)[:-1]) == pytest.approx(0.3 / math.sqrt(2.0))
+    assert metrics.largest(-0.3 * sine(0.2)) == pytest.approx(0.3)
+    assert metrics.rms([3.0, -4.0]) == pytest.approx(math.sqrt(12.5))
+
+
+def test_share_within_counts_samples_inside_and_not_on_the_bound() -> None:
+    assert metrics.share_within([0.0, 0.049, -0.049, 0.05, -0.2, math.nan, 1.0, 0.01], 0.05) == 0.5
+    # a sine is within half its amplitude for a third of the time
+    assert metrics.share_within(0.1 * sine(0.2)[:-1], 0.05) == pytest.approx(1.0 / 3.0, abs=0.01)
+
+
+def test_rates_of_a_ramp() -> None:
+    np.testing.assert_allclose(metrics.rates(T, 3.0 * T - 1.0), 3.0)
+
+
+def test_jerk_of_a_ramp_is_its_slope_and_of_a_step_is_spread_over_the_window() -> None:
+    np.testing.assert_allclose(metrics.lateral_jerk(T, 2.5 * T), 2.5)
+    step = np.where(T < 50.0, 0.0, 2.0)
+    jerk = metrics.lateral_jerk(T, step)
+    assert jerk.max() == pytest.approx(4.0)  # 2 m/s^2 in 0.5 s
+    assert np.count_nonzero(jerk) == 10
+    assert jerk.sum() * 0.05 == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("dt", [0.05, 0.01, 0.1])
+def test_jerk_is_the_moving_average_of_the_derivative(dt: float) -> None:
+    t = np.arange(round(20.0 / dt)) * dt
+    a_y = np.sin(1.3 * t) + 0.3 * np.cos(4.0 * t)
+    n = round(0.5 / dt)
+    expected = np.convolve(np.diff(a_y) / dt, np.full(n, 1.0 / n), mode="valid")
+    np.testing.assert_allclose(metrics.lateral_jerk(t, a_y), expected, atol=1e-12)
+
+
+def test_the_jerk_of_a_sine_is_damped_by_the_window() -> None:
+    """The average over 0.5 s of w cos(w t) has the amplitude w |sinc(w 0.25 s)|."""
+    w = 2.0 * np.pi * 0.2
+    assert metrics.largest(metrics.lateral_jerk(T, sine(0.2))) == pytest.approx(
+        w * math.sin(w / 4.0) / (w / 4.0), rel=1e-3
+    )

@@ -9,8 +9,10 @@ import pytest
 
 from benchmarks.report import parts
 from benchmarks.run.results import Case, Results
-from steerkit.metrics import metric
+from steerkit.metrics import TABLE
 from tests.support.report_results import CONTROLLERS, SEEDS, write
+
+METRIC = {metric.name: metric for metric in TABLE}
 
 
 @pytest.fixture(scope="module")
@@ -38,8 +40,8 @@ def test_the_leaderboard_has_the_medians_of_the_cases(results: Results) -> None:
 
 def test_a_case_without_a_value_counts_as_worst(results: Results) -> None:
     cases = [c for c in results.cases if c.suite == "tracking"]
-    assert parts.of_metric(cases, metric("rms_e"))[-2] == np.inf
-    assert parts.of_metric(cases, metric("share_within_5cm"))[-2] == -np.inf
+    assert parts.of_metric(cases, METRIC["rms_e"])[-2] == np.inf
+    assert parts.of_metric(cases, METRIC["share_within_5cm"])[-2] == -np.inf
 
 
 def by_controller(cases: list[Case]) -> parts.Drives:
@@ -55,7 +57,7 @@ def test_the_comparison_is_paired_by_seed(results: Results) -> None:
     def seeds(name: str) -> list[float]:
         return [np.mean([c.metrics["rms_e"] for c in cases if (c.controller, c.seed) == (name, s)]) for s in SEEDS]
 
-    found = parts.paired_means(by_controller(cases), "pure-pursuit", "stanley", metric("rms_e"))
+    found = parts.paired_means(by_controller(cases), "pure-pursuit", "stanley", METRIC["rms_e"])
     assert found is not None
     assert found[0] == pytest.approx(seeds("pure-pursuit"))
     assert found[1] == pytest.approx(seeds("stanley"))
@@ -65,16 +67,16 @@ def test_the_comparison_is_paired_by_seed(results: Results) -> None:
 def test_a_drive_that_was_not_held_counts_as_worst_and_one_without_chance_for_every_seed(results: Results) -> None:
     case = next(c for c in results.cases if c.suite == "tracking")
     lost = replace(case, metrics={**case.metrics, "held": 0.0})
-    assert parts.of_metric([case, lost], metric("rms_e")).tolist() == [case.metrics["rms_e"], np.inf]
-    assert parts.of_metric([lost], metric("step_p50_us"))[0] == case.metrics["step_p50_us"]
+    assert parts.of_metric([case, lost], METRIC["rms_e"]).tolist() == [case.metrics["rms_e"], np.inf]
+    assert parts.of_metric([lost], METRIC["step_p50_us"])[0] == case.metrics["step_p50_us"]
 
     def made(scenario: str, seed: int, rms_e: float) -> Case:
         return Case(suite="s", scenario=scenario, controller="c", seed=seed, metrics={"rms_e": rms_e})
 
     cases = [made("chance", 0, 1.0), made("chance", 1, 2.0), made("none", 0, 5.0)]
-    np.testing.assert_allclose(parts.by_seed(cases, metric("rms_e")), [3.0, 3.5])
+    np.testing.assert_allclose(parts.by_seed(cases, METRIC["rms_e"]), [3.0, 3.5])
     others = [replace(c, controller="d", metrics={"rms_e": c.metrics["rms_e"] + 1.0}) for c in cases]
-    found = parts.paired_means(by_controller([*cases, *others]), "d", "c", metric("rms_e"))
+    found = parts.paired_means(by_controller([*cases, *others]), "d", "c", METRIC["rms_e"])
     assert found is not None
     assert (found[0] - found[1]).tolist() == [1.0, 1.0]
     assert found[2] == 2

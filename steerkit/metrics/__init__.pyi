@@ -1,0 +1,32 @@
+"""The public names of steerkit.metrics."""
+
+from .comfort import r79_acceleration as r79_acceleration
+from .comfort import r79_jerk as r79_jerk
+from .comfort import wd_filter as wd_filter
+from .comfort import weighted_acceleration as weighted_acceleration
+from .drive import GOOD as GOOD
+from .drive import Criterion as Criterion
+from .drive import Summary as Summary
+from .drive import of_log as of_log
+from .drive import step_times as step_times
+from .drive import summary as summary
+from .learners import Learned as Learned
+from .learners import learned as learned
+from .signals import accelerations as accelerations
+from .signals import largest as largest
+from .signals import lateral_jerk as lateral_jerk
+from .signals import magnitude_at as magnitude_at
+from .signals import rates as rates
+from .signals import rms as rms
+from .signals import share_within as share_within
+from .signals import time_over as time_over
+from .statistics import Interval as Interval
+from .statistics import Paired as Paired
+from .statistics import interval as interval
+from .statistics import paired as paired
+from .statistics import share as share
+from .steering import reversal_rate as reversal_rate
+from .table import TABLE as TABLE
+from .table import Metric as Metric
+from .table import measures as measures
+from .table import measures_of_log as measures_of_log
