@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from steerkit._support.errors import require
 from steerkit.diagram.loop import LoopState
-from steerkit.gym.starts import Draw
+from steerkit.gym.starts import Draw, each
 from steerkit.gym.task import Array, Task, not_finite
 
 if TYPE_CHECKING:
@@ -126,14 +126,20 @@ class Drives:
 
     def _put(self, cars: NDArray[np.intp], start: LoopState) -> None:
         self._k[cars] = 0.0
-        if self.n == 1:
-            self._x, self._y = [_first(x) for x in start.x], [_first(y) for y in start.y]
-        elif not self._x:  # the first time all cars start
-            self._x, self._y = [_wide(x, self.n) for x in start.x], [_wide(y, self.n) for y in start.y]
+
+        def number(value: Any) -> Any:
+            return float(np.ravel(value)[0]) if self.n == 1 else np.array(np.broadcast_to(value, self.n), float)
+
+        def exchanged(old: Any, value: Any) -> Any:
+            new = number(old)
+            new[cars] = value
+            return new
+
+        if self.n == 1 or not self._x:  # the first time all cars start
+            self._x, self._y = ([each(number, part) for part in parts] for parts in (start.x, start.y))
         else:
-            for mine, new in ((self._x, start.x), (self._y, start.y)):
-                for b, (old, values) in enumerate(zip(mine, new)):
-                    mine[b] = _with(old, values, cars, self.n)
+            self._x = [each(exchanged, *states) for states in zip(self._x, start.x)]
+            self._y = [each(exchanged, *outputs) for outputs in zip(self._y, start.y)]
 
     def _advance(self, actions: Array) -> None:
         self._x[self._agent] = (float(actions[0]) if self.n == 1 else actions,)
@@ -149,31 +155,3 @@ class Drives:
     def _t(self, phase: int) -> Any:
         k = self._k + phase
         return float(k[0]) * self._loop.dt if self.n == 1 else k * self._loop.dt
-
-
-def _like(state: Any, values: list[Any]) -> Any:
-    return type(state)(*values) if hasattr(state, "_fields") else tuple(values)
-
-
-def _first(state: Any) -> Any:
-    """The state or outputs of one car, in floats."""
-    return _like(state, [_first(v) if isinstance(v, tuple) else float(np.ravel(v)[0]) for v in state])
-
-
-def _wide(state: Any, n: int) -> Any:
-    """The same with an (N,) array for every number."""
-    return _like(
-        state, [_wide(v, n) if isinstance(v, tuple) else np.array(np.broadcast_to(v, n), float) for v in state]
-    )
-
-
-def _with(state: Any, values: Any, cars: NDArray[np.intp], n: int) -> Any:
-    """`state` with `values` for some cars."""
-    new = []
-    for old, value in zip(state, values):
-        if isinstance(old, tuple):
-            new.append(_with(old, value, cars, n))
-        else:
-            new.append(np.array(np.broadcast_to(old, n), dtype=float))
-            new[-1][cars] = value
-    return _like(state, new)

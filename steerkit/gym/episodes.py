@@ -5,7 +5,8 @@ from __future__ import annotations
 import ctypes
 import os
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -60,8 +61,8 @@ class Episodes:
         self.task, self.n, self._how = task, cars, ctypes.c_int(_HOW[mode])
         self._names = [name.split(".")[1] for name in task.info]
         self._signals = [*task.columns, *task.info]
-        code = episode_code(task, self._signals, "path.s")
-        self._library = native.load(code.source, vector_maths=True)
+        source, carried = episode_code(task)
+        self._library = native.load(source, vector_maths=True)
         lanes = self._library.lanes()
         groups = -(-cars // lanes)
         padded = groups * lanes
@@ -73,7 +74,7 @@ class Episodes:
             "mid": np.array(task.description.mid, dtype=float),
             "half": np.array(task.description.half, dtype=float),
             "action": np.zeros(padded),
-            "state": np.zeros((groups, code.carried, lanes)),
+            "state": np.zeros((groups, carried, lanes)),
             "signals": np.zeros((groups, len(self._signals), lanes)),
             "observation": np.zeros((cars, columns), np.float32) if observation is None else observation,
             "last_observation": np.zeros((cars, columns), np.float32),
@@ -164,7 +165,7 @@ _NUMBER = ctypes.c_double
 
 
 class Fleet(ctypes.Structure):
-    """The struct `fleet` of the C below: where the arrays are, and the task's numbers."""
+    """The struct `fleet` of `episodes.c`: where the arrays are, and the task's numbers."""
 
     _fields_ = [
         *((name, _AT) for name in ("mid", "half", "action", "state", "signals", "observation", "last_observation")),
@@ -175,168 +176,7 @@ class Fleet(ctypes.Structure):
     ]
 
 
-_CODE = """\
-#include <pthread.h>
-#include <stdint.h>
-typedef struct {{
-  const double *mid, *half;       /* [{columns}] */
-  const double *action;           /* [cars]; rad */
-  double *state, *signals;        /* [groups][{carried}][LANES], [groups][{rows}][LANES] */
-  float *observation, *last_observation;  /* [cars][{columns}] */
-  double *info, *last_info;       /* [{infos}][padded] */
-  double *reward, *cost;          /* [padded] */
-  long long *steps;
-  unsigned char *terminated, *truncated, *over;
-  uint64_t *seed;                 /* of the starts that are given, with s, e, psi_e in `start` [padded][3] */
-  double *start;
-  void *const *generator;         /* [cars]: NumPy's bit generators */
-  uint32_t (*next_uint32)(void *);
-  double (*next_double)(void *);
-  double failure, longest, end;   /* a failure's cost; the longest episode [steps]; where the course ends [m] */
-  double far, start_e, start_psi_e;  /* largest s [m], |e| [m] and |psi_e| [rad] of a start */
-  long long cars, padded, groups;
-}} fleet;
-typedef struct {{ const fleet *f; long long first, last; int how; }} part;
-enum {{ NEXT_STEP, SAME_STEP, DISABLED }};
-static real load(const double *a) {{ real r; __builtin_memcpy(&r, a, sizeof r); return r; }}
-static void store(double *a, real r) {{ __builtin_memcpy(a, &r, sizeof r); }}
-static uint64_t mixed(uint64_t z)
-{{
-  z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9u;
-  z = (z ^ (z >> 27)) * 0x94D049BB133111EBu;
-  return z ^ (z >> 31);
-}}
-/* one of `streams` of a seed, as steerkit._support.random.seed_state */
-static void seeded(uint64_t seed, uint64_t stream, real *states, int lane)
-{{
-  uint64_t z = mixed(seed) ^ mixed(stream + 0x5EED);
-  for (int i = 0; i < 6; i++) {{
-    z += 0x9E3779B97F4A7C15u;
-    states[i][lane] = (double)(1 + mixed(z) % (i < 3 ? 4294967086u : 4294944442u));
-  }}
-}}
-static const uint64_t streams[] = {{ {streams} }};
-/* draws a start as Task.draw does: the seed, the place, its e, its turn */
-static void draw(const fleet *f, long long car)
-{{
-  void *g = f->generator[car];
-  f->seed[car] = f->next_uint32(g) >> 1;
-  double *to = f->start + 3 * car;
-  const double s = f->next_double(g) * f->far;
-  to[0] = {beginning} ? 0.0 : s;
-  to[1] = -f->start_e + 2.0 * f->start_e * f->next_double(g);
-  to[2] = f->start_psi_e * (-1.0 + 2.0 * f->next_double(g));
-}}
-static void observed(float *to, const fleet *f, const real *v, int lane)
-{{
-  for (int c = 0; c < {columns}; c++) {{
-    const double scaled = (v[c][lane] - f->mid[c]) / f->half[c];
-    to[c] = (float)(scaled < -{bound} ? -{bound} : scaled > {bound} ? {bound} : scaled);
-  }}
-}}
-/* puts the lanes of `which` where `start` says */
-static void begun(const fleet *f, long long group, mask which, real *s, real *v)
-{{
-  real given[3 + {random}], new_s[{carried}], new_v[{rows}];
-  for (int l = 0; l < LANES; l++) {{
-    const long long car = group * LANES + l;
-    for (int i = 0; i < 3; i++) given[i][l] = f->start[3 * car + i];
-    for (int i = 0; i < {random} / 6; i++) seeded(f->seed[car], streams[i], given + 3 + 6 * i, l);
-  }}
-  begin(given, new_s, new_v);
-  for (int i = 0; i < {carried}; i++) s[i] = SELECT(which, new_s[i], s[i]);
-  for (int i = 0; i < {rows}; i++) v[i] = SELECT(which, new_v[i], v[i]);
-  for (int l = 0; l < LANES; l++)
-    if (which[l]) f->steps[group * LANES + l] = 0, f->cost[group * LANES + l] = 0.0;
-}}
-static void kept(const fleet *f, long long group, const real *s, const real *v)
-{{
-  for (int i = 0; i < {carried}; i++) store(f->state + (group * {carried} + i) * LANES, s[i]);
-  for (int i = 0; i < {rows}; i++) store(f->signals + (group * {rows} + i) * LANES, v[i]);
-  for (int i = 0; i < {infos}; i++) store(f->info + i * f->padded + group * LANES, v[{columns} + i]);
-  for (int l = 0; l < LANES; l++)
-    if (group * LANES + l < f->cars) observed(f->observation + (group * LANES + l) * {columns}, f, v, l);
-}}
-static void stepped(const fleet *f, long long group, int how)
-{{
-  real s[{carried}], v[{rows}], before[{rows}], cost, failed;
-  mask anew;
-  const long long car0 = group * LANES;
-  for (int i = 0; i < {carried}; i++) s[i] = load(f->state + (group * {carried} + i) * LANES);
-  for (int i = 0; i < {rows}; i++) before[i] = load(f->signals + (group * {rows} + i) * LANES);
-  const real action = load(f->action + car0);
-  s[{agent}] = action;
-  {ticks}
-  look(s, v);
-  judge(before, action, v, &cost, &failed);
-  store(f->cost + car0, cost);
-  for (int l = 0; l < LANES; l++) {{
-    const long long car = car0 + l;
-    const unsigned char out = failed[l] != 0, was = f->over[car];
-    const unsigned char late = ++f->steps[car] >= f->longest || v[{place}][l] >= f->end;
-    const unsigned char end = (out || late) && !(how == NEXT_STEP && was);
-    anew[l] = (how == NEXT_STEP ? was : how == SAME_STEP && end) ? -1 : 0;
-    f->reward[car] = how == NEXT_STEP && was ? 0.0 : out ? -f->failure : -cost[l];
-    f->terminated[car] = out && end;
-    f->truncated[car] = !out && end;
-    f->over[car] = end && how != SAME_STEP;
-    if (anew[l] && car < f->cars) {{
-      if (how == SAME_STEP) {{
-        observed(f->last_observation + car * {columns}, f, v, l);
-        for (int i = 0; i < {infos}; i++) f->last_info[i * f->padded + car] = v[{columns} + i][l];
-        f->last_info[{infos} * f->padded + car] = (double)f->steps[car];
-        f->last_info[({infos} + 1) * f->padded + car] = cost[l];
-      }}
-      draw(f, car);
-    }}
-  }}
-  int any = 0;
-  for (int l = 0; l < LANES; l++) any |= anew[l] != 0;
-  if (any) begun(f, group, anew, s, v);
-  kept(f, group, s, v);
-}}
-static void *work(void *given)
-{{
-  const part *p = given;
-  for (long long group = p->first; group < p->last; group++) stepped(p->f, group, p->how);
-  return 0;
-}}
-void step(const fleet *f, int how, int threads)
-{{
-  part parts[64];
-  pthread_t ids[64];
-  int running[64];
-  for (int i = threads - 1; i >= 0; i--) {{
-    parts[i] = (part){{ f, f->groups * i / threads, f->groups * (i + 1) / threads, how }};
-    running[i] = i > 0 && pthread_create(ids + i, 0, work, parts + i) == 0;
-    if (!running[i]) work(parts + i);
-  }}
-  for (int i = 1; i < threads; i++) if (running[i]) pthread_join(ids[i], 0);
-}}
-/* begins the episodes of the cars of `which`, where `start` says */
-void place(const fleet *f, const unsigned char *which)
-{{
-  for (long long group = 0; group < f->groups; group++) {{
-    real s[{carried}], v[{rows}];
-    mask anew;
-    for (int i = 0; i < {carried}; i++) s[i] = load(f->state + (group * {carried} + i) * LANES);
-    for (int i = 0; i < {rows}; i++) v[i] = load(f->signals + (group * {rows} + i) * LANES);
-    for (int l = 0; l < LANES; l++) anew[l] = which[group * LANES + l] ? -1 : 0;
-    begun(f, group, anew, s, v);
-    kept(f, group, s, v);
-    for (int l = 0; l < LANES; l++) if (anew[l]) f->over[group * LANES + l] = 0;
-  }}
-}}
-int lanes(void) {{ return LANES; }}
-"""
-
-
-class EpisodeCode(NamedTuple):
-    """The C of a task's episodes."""
-
-    source: str
-    carried: int
-    """How many numbers of state a car has."""
+_SOURCE = Path(__file__).with_suffix(".c")
 
 
 class _Columns:
@@ -349,8 +189,8 @@ class _Columns:
         return self.symbols[place[1]]
 
 
-def episode_code(task: Task, signals: Sequence[str], place: str) -> EpisodeCode:
-    """The C of the task's episodes. signals: the observation's columns, then those of `info`; place: the true s.
+def episode_code(task: Task) -> tuple[str, int]:
+    """The C of the task's episodes, and how many numbers of state a car has.
 
     Raises TraceError for a loop, a cost or a start that cannot be run on symbols, naming which, and ValueError for a
     block that depends on t.
@@ -359,7 +199,7 @@ def episode_code(task: Task, signals: Sequence[str], place: str) -> EpisodeCode:
     graphs.require_timeless("TrackSteering")
     tables = {id(table): (i, table) for i, table in enumerate(graphs.tables)}
     carried, columns = graphs.persistent, len(task.columns)
-    rows = [graphs.layout.slots_of(name)[0] for name in signals]
+    rows = [graphs.layout.slots_of(name)[0] for name in (*task.columns, *task.info)]
     begin, streams = _begin(task, graphs, [*carried, *rows], tables)
     judge = traced("the cost", lambda symbol: _judged(task, symbol, columns), tables)
     known = [table for _, table in tables.values()]
@@ -375,6 +215,19 @@ def episode_code(task: Task, signals: Sequence[str], place: str) -> EpisodeCode:
     look = Tick(graphs.ticks[0].graph, tuple([graphs.ticks[0].roots[row] for row in rows]))
     arguments = [*(f"b[{i}]" for i in range(columns)), "a", *seen[:columns]]
     agent = sum(len(x) for x in graphs.layout.template.x[: task.loop.names.index("controller")])
+    numbers = {
+        "COLUMNS": columns,
+        "ROWS": len(rows),
+        "INFOS": len(rows) - columns,
+        "CARRIED": len(carried),
+        "AGENT": carried.index(agent),
+        "PLACE": columns + task.info.index("path.s"),
+        "RANDOM": 6 * len(streams),
+        "STREAMS": ", ".join(map(str, streams or [0])),
+        "BOUND": BOUND,
+        "BEGINNING": int(task.start == "beginning"),
+        "TICKS(s)": " ".join(f"tick{phase}(s);" for phase in range(len(ticks))),
+    }
     parts = [
         lanes_source(known),
         *(function(f"tick{phase}(real *s)", tick, state, slot) for phase, tick in enumerate(ticks)),
@@ -386,21 +239,10 @@ def episode_code(task: Task, signals: Sequence[str], place: str) -> EpisodeCode:
             ["*cost", "*failed"],
             arguments.__getitem__,
         ),
-        _CODE.format(
-            columns=columns,
-            carried=len(carried),
-            rows=len(rows),
-            infos=len(rows) - columns,
-            agent=carried.index(agent),
-            random=6 * len(streams),
-            streams=", ".join(map(str, streams or [0])),
-            bound=BOUND,
-            place=list(signals).index(place, columns),
-            beginning=int(task.start == "beginning"),
-            ticks=" ".join(f"tick{phase}(s);" for phase in range(len(ticks))),
-        ),
+        *(f"#define {name} {value}" for name, value in numbers.items()),
+        _SOURCE.read_text(encoding="utf-8"),
     ]
-    return EpisodeCode("\n".join(parts), len(carried))
+    return "\n".join(parts), len(carried)
 
 
 def _begin(

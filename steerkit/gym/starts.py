@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -145,9 +145,13 @@ class Starts:
         """The block's state at the start of these cars, with their seeds if it draws random numbers."""
         if reseeded(block, 0) is block:
             return block.init((len(draws),))
-        states = [reseeded(block, draw.seed).init() for draw in draws]
-        columns = [np.array(column) for column in zip(*states)]
-        return type(states[0])(*columns) if hasattr(states[0], "_fields") else tuple(columns)
+        return each(lambda *values: np.array(values), *(reseeded(block, draw.seed).init() for draw in draws))
+
+
+def each(call: Callable[..., Any], *states: Any) -> Any:
+    """A state whose numbers are what `call` makes of those of one or more states of the same shape."""
+    values = [each(call, *of) if isinstance(of[0], tuple) else call(*of) for of in zip(*states)]
+    return type(states[0])(*values) if hasattr(states[0], "_fields") else tuple(values)
 
 
 def reseeded(block: Any, seed: int | OpenSeed) -> Any:
