@@ -21,10 +21,10 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.run.spread import Where, computing
+from benchmarks.run.trials import Taken, TrialDrive, drive_each, train
 from benchmarks.scenarios import MULTI_BODY
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.settings import Setting
-from steerkit.learning.trials import Taken, TrialDrive, drive_each, train
 from steerkit.metrics import Summary, of_log
 from steerkit.scenario import Scenario, drive
 from steerkit.scenario.fleet import fleet_scenario, straightest

@@ -18,11 +18,11 @@ import numpy as np
 from benchmarks.run.fleet import first_good
 from benchmarks.run.sources import source
 from benchmarks.run.spread import Workers
+from benchmarks.run.trials import Taken, TrialDrive, drive_each, train
 from steerkit._support.errors import require
 from steerkit._support.files import append_line
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.settings import DEFAULT
-from steerkit.learning.trials import Taken, TrialDrive, drive_each, train
 from steerkit.metrics.signals import largest
 from steerkit.scenario import Scenario
 from steerkit.task import TRIP

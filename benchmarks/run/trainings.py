@@ -12,13 +12,13 @@ import numpy as np
 from benchmarks.peers.agents import SETTINGS, stable_baselines
 from benchmarks.run.drives import Policy, drive
 from benchmarks.run.results import CURVE, TRAJECTORY
+from benchmarks.run.trials import Taken, TrialDrive, drive_each, train
 from steerkit._support.errors import require
 from steerkit.controllers.network_policy import PolicyBlock
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.learn import offline
 from steerkit.learning.settings import Setting, setting
-from steerkit.learning.trials import Taken, TrialDrive, drive_each, train
 from steerkit.metrics import GOOD, Learned
 from steerkit.scenario import Scenario
 from steerkit.task import DT

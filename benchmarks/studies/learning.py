@@ -26,9 +26,9 @@ from rich.table import Table
 
 from benchmarks.run import spread
 from benchmarks.run.fleet import KINDS, fleet, of_fleet, of_kind
+from benchmarks.run.trials import drive_each, train
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.settings import SETTINGS, changed, setting
-from steerkit.learning.trials import drive_each, train
 from steerkit.scenario import Scenario
 
 
@@ -134,7 +134,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME=VALUE",
-        help="change the setting, such as fit.guard=1.2 or after_failure=shift; may be repeated",
+        help="change the setting, such as fit.nets=3 or after_failure=shift; may be repeated",
     )
     parser.add_argument("--fleet", type=int, default=0, metavar="N", help="N cars of the fleet, 5 minutes each")
     parser.add_argument("--cars", choices=list(KINDS), default=None, help="cars of that kind, 5 minutes each")

@@ -26,7 +26,7 @@ from steerkit.controllers.policy import COLUMNS, DOE
 from steerkit.learning.costs import TanhCost
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq import rprop
-from steerkit.learning.nfq.iterate import STANDARD, FitSetting, fresh_nets, iterate, patterns, targets
+from steerkit.learning.nfq.iterate import STANDARD, FitSetting, Problem, fresh_nets, iterate, patterns, targets
 from steerkit.learning.nfq.rprop import new_net
 from steerkit.task import DT, TRIP
 
@@ -133,11 +133,11 @@ def figures(quick: bool) -> dict[str, Any]:
     n, sizes, repeats = (1_000, (250, 1_000), 1) if quick else (20_000, (2_000, 20_000, 200_000, 1_000_000), 7)
     record, nets, start = drives(n), fresh_nets(seed=1), new_net(seed=0)
     x = patterns(STANDARD, record.s, record.a, STANDARD.scale_of(IDOE_ACTIONS))
-    y = targets(record, IDOE_ACTIONS, TanhCost(), nets=nets)
+    problem = Problem(actions=IDOE_ACTIONS, cost=TanhCost(), fit=FitSetting(hints=0))
+    y = targets(problem, record, nets)
 
     def whole(data: Transitions) -> Callable[[], Any]:
-        setting = FitSetting(engine="c", hints=0)
-        return lambda: iterate(data, IDOE_ACTIONS, TanhCost(), setting, nets_before=nets)
+        return lambda: iterate(data, problem, nets)
 
     works: dict[str, Callable[[], Any]] = {
         "ours": whole(record),

@@ -99,10 +99,7 @@ def offline(record: Transitions, setting: Setting, updates: int, *, seed: int = 
     """
     require(updates >= 1, "offline", f"updates = {updates}, expected >= 1")
     policy = untrained(setting, seed)
-    description = setting.description()
-    learned = Learned()
+    problem, learned = setting.problem, Learned()
     for number in range(updates):
-        learned = update(
-            record, setting.actions, setting.cost, setting.fit, description, learned, seed=seed * 100_003 + number
-        )
+        learned = update(record, problem, learned, seed=seed * 100_003 + number)
         yield replace(policy, nets=learned.nets, forecast=learned.forecast)

@@ -327,22 +327,14 @@ class LearnerState:
 
         trusted: may the policy go on meanwhile? It does not, once it has failed.
         """
-        counts, setting = self.counts, self.setting
+        counts = self.counts
         self.trusted = self.trusted and trusted
         counts.trained_at = counts.driven
         if not len(self.transitions):
             return
         counts.updates += 1
-        job = Job(
-            number=counts.updates,
-            transitions=self.transitions,
-            actions=setting.actions,
-            cost=setting.cost,
-            fit=setting.fit,
-            description=setting.description(),
-            names=self.names,
-            seed=self.seed * 100_003 + counts.updates,
-        )
+        seed = self.seed * 100_003 + counts.updates
+        job = Job(number=counts.updates, transitions=self.transitions, problem=self.setting.problem, seed=seed)
         self.trainer.submit(job, t)
 
     def take_over(self, t: float, *, e: float, e_dot: float) -> Result | None:

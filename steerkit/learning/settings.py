@@ -13,7 +13,7 @@ from steerkit.controllers.state_description import StateDescription
 from steerkit.diagram.units import radians_of
 from steerkit.doe import OutputElement
 from steerkit.learning.costs import BandCost, Cost, IdoeCost, SmoothCost, TanhCost
-from steerkit.learning.nfq.iterate import FitSetting
+from steerkit.learning.nfq.iterate import FitSetting, Problem
 from steerkit.scenario.catalogue import DesignModel, element_kind, make_element
 from steerkit.task import DT, STOP_DEG
 from steerkit.vehicles import Vehicle
@@ -115,6 +115,11 @@ class Setting:
     def actions(self) -> tuple[float, ...]:
         """The actions [rad]."""
         return tuple(radians_of(a) for a in self.actions_deg)
+
+    @property
+    def problem(self) -> Problem:
+        """What is learned, and how."""
+        return Problem(actions=self.actions, cost=self.cost, fit=self.fit, description=self.description())
 
     def element(self, vehicle: Vehicle | None = None) -> OutputElement:
         """The dynamic output element, within the stops of `vehicle`'s steering wheel (None: 520 degrees)."""

@@ -18,21 +18,15 @@ import signal
 import threading
 import time
 import weakref
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
-from pathlib import Path as FilePath
 from types import TracebackType
 from typing import Any, NamedTuple, Protocol, Self
 
 from steerkit._support.errors import require
 from steerkit.controllers.delay_compensator import DelayCompensator
-from steerkit.controllers.policy import COLUMNS
-from steerkit.controllers.state_description import StateDescription
-from steerkit.learning.costs import Cost
-from steerkit.learning.data.store import TransitionStore
 from steerkit.learning.data.transitions import Transitions
-from steerkit.learning.nfq.iterate import STANDARD, FitSetting, Learned, Nets, update
+from steerkit.learning.nfq.iterate import Learned, Nets, Problem, update
 
 Pending = tuple[float, int, Learned]
 """Driving time at which an unfinished job is done [s], its number, what it gives the policy."""
@@ -49,27 +43,14 @@ class Job:
 
     number: int
     """Of the update; each job's is larger than those before it."""
-    transitions: Transitions | str | FilePath
-    """What to learn from, as it is at `submit`; or the path of a transition store: what is committed there."""
-    actions: Sequence[float]
-    """Action set [rad]."""
-    cost: Cost
-    fit: FitSetting
-    description: StateDescription = STANDARD
-    names: tuple[str, ...] = COLUMNS
-    """The columns of the recorded states."""
+    transitions: Transitions
+    """What to learn from, as it is at `submit`."""
+    problem: Problem
     seed: int = 0
-
-    def record(self) -> Transitions:
-        """The transitions, read from their store if it is one."""
-        record = self.transitions
-        if isinstance(record, Transitions):
-            return record
-        return TransitionStore(record, names=self.names).transitions()
 
     def train(self, before: Learned) -> Learned:
         """Do it, here and now."""
-        return update(self.record(), self.actions, self.cost, self.fit, self.description, before, self.seed)
+        return update(self.transitions, self.problem, before, self.seed)
 
 
 class Result(NamedTuple):
@@ -334,7 +315,7 @@ def _require_newer(job: Job, newest: int) -> None:
 
 def _frozen(job: Job) -> Job:
     """The job with the transitions as they are now; costs nothing, as recorded rows never change."""
-    return replace(job, transitions=_Snapshot(job.transitions)) if isinstance(job.transitions, Transitions) else job
+    return replace(job, transitions=_Snapshot(job.transitions))
 
 
 class _Snapshot(Transitions):

@@ -218,17 +218,6 @@ static double error(Work *k, const float *w, int learn) {
     return sum / k->n;
 }
 
-/* grad[weights] and error[1] of E = mean (q - t)^2 at w. */
-int steerkit_gradient(int layers, const int *size, const float *w, long n, const float *x, const float *t,
-                      double *grad, double *e) {
-    Work k;
-    if (prepare(&k, layers, size, n, x, t)) return 1;
-    *e = error(&k, w, 1);
-    memcpy(grad, k.grad, sizeof(double) * k.weights);
-    release(&k);
-    return 0;
-}
-
 /* q[n]: the net's outputs. */
 int steerkit_predict(int layers, const int *size, const float *w, long n, const float *x, float *q) {
     Work k;

@@ -6,7 +6,6 @@ import ctypes
 import functools
 import warnings
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -70,48 +69,13 @@ def library() -> ctypes.CDLL:
     return native.load(SOURCE.read_text(encoding="utf-8"), fused=True, optimise=True)
 
 
-def c_fit(
-    weights: NDArray[np.float32],
-    sizes: tuple[int, ...],
-    x: NDArray[np.float32],
-    target: NDArray[np.float32],
-    epochs: int,
-    rule: tuple[float, ...],
-) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-    """Flat weights after `epochs` of Rprop, and the mean squared errors (epochs + 1,). The GIL is released."""
-    w, errors = np.array(weights, dtype=np.float32), np.zeros(epochs + 1)
-    rates = np.array(rule, dtype=np.float32)
-    data = (_f32(x), _f32(target))
-    _call("steerkit_rprop", sizes, w, len(x), *data, ctypes.c_int(epochs), rates, errors)
-    return w, errors
-
-
-def c_predict(weights: NDArray[np.float32], sizes: tuple[int, ...], x: NDArray[np.float32]) -> NDArray[np.float32]:
-    """`predict` in C: outputs (n,) for the inputs x (n, n_in)."""
-    q = np.empty(len(x), dtype=np.float32)
-    _call("steerkit_predict", sizes, _f32(weights), len(x), _f32(x), q)
-    return q
-
-
-def c_gradient(
-    weights: NDArray[np.float32], sizes: tuple[int, ...], x: NDArray[np.float32], target: NDArray[np.float32]
-) -> tuple[NDArray[np.float64], float]:
-    """dE/dw (flat) and E = mean (q - target)^2."""
-    grad, error = np.zeros(len(weights)), np.zeros(1)
-    _call("steerkit_gradient", sizes, _f32(weights), len(x), _f32(x), _f32(target), grad, error)
-    return grad, float(error[0])
-
-
-def _call(name: str, sizes: tuple[int, ...], weights: NDArray[np.float32], n: int, *rest: object) -> None:
-    layout = np.array(sizes, dtype=np.int32)
-    head = (ctypes.c_int(len(sizes) - 1), _pointer(layout), _pointer(weights), ctypes.c_long(n))
-    tail = [_pointer(arg) if isinstance(arg, np.ndarray) else arg for arg in rest]
-    if getattr(library(), name)(*head, *tail):
-        raise MemoryError(f"{name}: no room for {n} patterns")
-
-
-def _pointer(array: NDArray[Any]) -> ctypes.c_void_p:
-    return ctypes.c_void_p(array.ctypes.data)
+def _call(name: str, net: Net, weights: NDArray[np.float32], x: NDArray[Any], *rest: Any) -> None:
+    """A function of `kernel.c`: layers, sizes, weights, number of patterns, patterns, and the rest."""
+    sizes = np.array(sizes_of(net), dtype=np.int32)
+    head = (ctypes.c_int(len(sizes) - 1), sizes, weights, ctypes.c_long(len(x)), _f32(x))
+    arguments = [ctypes.c_void_p(a.ctypes.data) if isinstance(a, np.ndarray) else a for a in (*head, *rest)]
+    if getattr(library(), name)(*arguments):
+        raise MemoryError(f"{name}: no room for {len(x)} patterns")
 
 
 def _f32(array: NDArray[Any]) -> NDArray[np.float32]:
@@ -122,35 +86,15 @@ Engine = Literal["auto", "c", "torch"]
 """auto: C where a compiler is found, else PyTorch (with a warning, once)."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Rprop:
-    """Rprop's parameters; the defaults are the standard ones.
+RULE = (0.1, 0.5, 1.2, 1e-6, 50.0)
+"""Rprop's standard parameters: delta_0, eta_minus, eta_plus, delta_min, delta_max.
 
-    Each weight has its own step: times eta_plus while its gradient keeps its sign, times eta_minus when it turns; the
-    weight moves by the step against the gradient's sign, and not at all in the epoch in which the sign has turned (the
-    gradient is then taken as 0). This is iRprop- without weight backtracking, and what torch.optim.Rprop does.
-    Source: Riedmiller and Braun 1993 (the RPROP algorithm); Igel and Huesken 2000 (iRprop-).
-    Raises ValueError unless 0 < eta_minus < 1 < eta_plus and 0 < delta_min <= delta_0 <= delta_max.
-    """
-
-    delta_0: float = 0.1
-    """First step."""
-    eta_minus: float = 0.5
-    """Factor on a turn."""
-    eta_plus: float = 1.2
-    """Factor otherwise."""
-    delta_min: float = 1e-6
-    """Smallest step."""
-    delta_max: float = 50.0
-    """Largest step."""
-
-    def __post_init__(self) -> None:
-        etas = f"eta_minus = {self.eta_minus}, eta_plus = {self.eta_plus}, expected 0 < eta_minus < 1 < eta_plus"
-        require(0.0 < self.eta_minus < 1.0 < self.eta_plus, "Rprop", etas)
-        steps = (
-            f"delta_min, _0, _max = {self.delta_min}, {self.delta_0}, {self.delta_max}, expected 0 < min <= _0 <= max"
-        )
-        require(0.0 < self.delta_min <= self.delta_0 <= self.delta_max, "Rprop", steps)
+Each weight has its own step, delta_0 at first: times eta_plus while its gradient keeps its sign, times eta_minus when
+it turns, within delta_min and delta_max. The weight moves by the step against the gradient's sign, and not at all in
+the epoch in which the sign has turned (the gradient is then taken as 0). This is iRprop- without weight
+backtracking, and what torch.optim.Rprop does. Source: Riedmiller and Braun 1993 (the RPROP algorithm); Igel and Huesken
+2000 (iRprop-).
+"""
 
 
 class Fit(NamedTuple):
@@ -177,18 +121,12 @@ def _auto() -> Literal["c", "torch"]:
 
 
 def fit(
-    net: Net,
-    x: NDArray[np.float32],
-    target: NDArray[np.float32],
-    *,
-    epochs: int = 300,
-    rule: Rprop = Rprop(),
-    engine: Engine = "auto",
+    net: Net, x: NDArray[np.float32], target: NDArray[np.float32], *, epochs: int = 300, engine: Engine = "auto"
 ) -> Fit:
     """Train `net` on inputs x (n, n_in) and targets (n,): `epochs` full-batch steps of Rprop on mean (q - target)^2.
 
-    One thread; deterministic for a given engine and machine. The engines agree to rounding, which Rprop's signs
-    magnify over many epochs. Raises ValueError for unlike shapes, an empty batch or a non-finite number.
+    One thread, without the GIL in C; deterministic for a given engine and machine. The engines agree to rounding, which
+    Rprop's signs magnify over many epochs. Raises ValueError for unlike shapes, an empty batch or a non-finite number.
     """
     check_net(net, x.shape[1] if x.ndim == 2 else -1, "rprop.fit")
     require(
@@ -199,12 +137,13 @@ def fit(
     require(epochs >= 0, "rprop.fit", f"epochs = {epochs}, expected >= 0")
     for name, data in (("x", x), ("target", target)):
         require(bool(np.isfinite(data).all()), "rprop.fit", f"{name} holds a NaN or infinity, expected finite numbers")
-    sizes = sizes_of(net)
-    if engine_of(engine) == "c":
-        weights, errors = c_fit(flat(net), sizes, x, target, epochs, astuple(rule))
-        trained = shaped(weights, sizes)
+    if engine_of(engine) == "torch":
+        trained, errors = _torch_fit(net, x, target, epochs)
     else:
-        trained, errors = _torch_fit(net, x, target, epochs, rule)
+        weights, errors = flat(net), np.zeros(epochs + 1)
+        rates = np.array(RULE, dtype=np.float32)
+        _call("steerkit_rprop", net, weights, x, _f32(target), ctypes.c_int(epochs), rates, errors)
+        trained = shaped(weights, sizes_of(net))
     require(bool(np.isfinite(errors).all()), "rprop.fit", "the error became NaN; please report this with the data")
     return Fit(trained, errors)
 
@@ -212,13 +151,15 @@ def fit(
 def predict(net: Net, x: NDArray[np.float32], *, engine: Engine = "auto") -> NDArray[np.float32]:
     """The net's outputs (n,) for x (n, n_in); NumPy stands in where there is no C."""
     check_net(net, x.shape[1] if x.ndim == 2 else -1, "rprop.predict")
-    if engine_of(engine) == "c":
-        return c_predict(flat(net), sizes_of(net), x)
-    return forward(net, np.asarray(x, dtype=np.float32)).astype(np.float32, copy=False)
+    if engine_of(engine) == "torch":
+        return forward(net, np.asarray(x, dtype=np.float32)).astype(np.float32, copy=False)
+    q = np.empty(len(x), dtype=np.float32)
+    _call("steerkit_predict", net, flat(net), x, q)
+    return q
 
 
 def _torch_fit(
-    net: Net, x: NDArray[np.floating], target: NDArray[np.floating], epochs: int, rule: Rprop
+    net: Net, x: NDArray[np.floating], target: NDArray[np.floating], epochs: int
 ) -> tuple[Net, NDArray[np.float64]]:
     """The reference: torch.optim.Rprop, in the precision of the net's arrays."""
     import torch
@@ -226,9 +167,7 @@ def _torch_fit(
     kind = net[0].dtype
     parameters = [torch.tensor(p, requires_grad=True) for p in net]
     inputs, goal = torch.from_numpy(x.astype(kind)), torch.from_numpy(target.astype(kind))[:, None]
-    optimiser = torch.optim.Rprop(
-        parameters, lr=rule.delta_0, etas=(rule.eta_minus, rule.eta_plus), step_sizes=(rule.delta_min, rule.delta_max)
-    )
+    optimiser = torch.optim.Rprop(parameters, lr=RULE[0], etas=RULE[1:3], step_sizes=RULE[3:])
 
     def error() -> torch.Tensor:
         y = inputs

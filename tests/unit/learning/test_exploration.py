@@ -25,9 +25,8 @@ def test_exploration_takes_the_share_of_other_actions_that_was_asked_for() -> No
     for run, least, most in ((none, 0.0, 0.0), (some, 0.25, 0.75)):
         before_training = run.transitions.episode == run.transitions.episode[0]
         s, a = run.transitions.s[before_training], run.transitions.a[before_training]
-        actions = sorted(SHORT.setting.actions, key=abs)
-        q = nfq.action_values(policy, s[:, :6], actions, SHORT.setting.description())
-        others = np.mean(np.array(actions)[q.argmin(axis=0)] != a)
+        q = nfq.action_values(SHORT.setting.problem, policy, s[:, :6])
+        others = np.mean(np.array(SHORT.setting.actions)[q.argmin(axis=0)] != a)
         assert least <= others <= most  # six of seven random actions are other ones
 
 

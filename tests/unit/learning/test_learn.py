@@ -26,7 +26,5 @@ def test_offline_updates_are_chained_and_repeatable() -> None:
 def test_offline_updates_start_from_the_nets_before() -> None:
     setting = replace(DEFAULT, fit=FitSetting(epochs=30, nets=1, hints=0, discount=0.95))
     first, second = (policy.nets for policy in offline(driven(), setting, 2, seed=4))
-    alone = nfq.iterate(
-        driven(), setting.actions, setting.cost, setting.fit, setting.description(), first, seed=4 * 100_003 + 1
-    )
+    alone = nfq.iterate(driven(), setting.problem, first or (), seed=4 * 100_003 + 1)
     assert np.array_equal(second[0][0], alone[0][0])

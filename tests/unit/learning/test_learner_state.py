@@ -99,7 +99,7 @@ def test_a_job_is_the_setting_s_and_its_seed_its_own() -> None:
     for _ in range(2):
         fed.learner_state.train(0.0, trusted=True)
     job, after = fed.trainer.jobs
-    assert (job.actions, job.cost, job.fit, job.description) == (HOW.actions, HOW.cost, HOW.fit, HOW.description())
+    assert job.problem == HOW.problem
     assert job.transitions is fed.learner_state.transitions
     assert [(j.number, j.seed) for j in (job, after)] == [(1, 200_007), (2, 200_008)]
 

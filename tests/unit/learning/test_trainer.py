@@ -10,7 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,15 +18,14 @@ import numpy as np
 import pytest
 
 from steerkit.learning.costs import BandCost, Costs, TanhCost
-from steerkit.learning.data.store import TransitionStore
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq import iterate as nfq
-from steerkit.learning.nfq.iterate import FitSetting
+from steerkit.learning.nfq.iterate import FitSetting, Problem
 from steerkit.learning.trainer import Job, Nets, Result, SimulatedTrainer, Trainer
 from tests.support.programs import alive
 
 ACTIONS = (-0.1, 0.0, 0.1)
-FIT = FitSetting(epochs=10, nets=2)
+PROBLEM = Problem(actions=ACTIONS, cost=TanhCost(), fit=FitSetting(epochs=10, nets=2))
 SECONDS_TO_WAIT = 120.0
 """Only reached when something is broken."""
 
@@ -40,12 +39,12 @@ def record(n: int = 200, seed: int = 0) -> Transitions:
 
 
 def job(number: int, **changes: Any) -> Job:
-    kwargs: dict[str, Any] = {"transitions": record(), "actions": ACTIONS, "cost": TanhCost(), "fit": FIT}
-    return Job(number=number, seed=number, **(kwargs | changes))
+    transitions, cost = changes.get("transitions", record()), changes.get("cost", TanhCost())
+    return Job(number=number, seed=number, transitions=transitions, problem=replace(PROBLEM, cost=cost))
 
 
 def expected(number: int, nets: Nets = (), rows: Transitions | None = None) -> Nets:
-    return nfq.iterate(rows or record(), ACTIONS, TanhCost(), FIT, nets_before=nets, seed=number)
+    return nfq.iterate(rows or record(), PROBLEM, nets, seed=number)
 
 
 def same(nets: Nets | None, others: Nets) -> bool:
@@ -184,19 +183,10 @@ def test_simulated_errors_are_raised_where_they_are_made() -> None:
 # ---- in a process -----------------------------------------------------------------------------------------------
 
 
-def test_it_learns_from_a_store(shared: Trainer, tmp_path: Path) -> None:
-    with TransitionStore(tmp_path / "t.db", run="a") as store:
-        store.extend(record())
-    shared.submit(job(100, transitions=tmp_path / "t.db"))
-    result = until(shared.poll)
-    assert same(result.nets, expected(100))
-
-
 def test_an_error_in_training_is_told_and_the_next_job_works(shared: Trainer) -> None:
     pid = shared.pid
     for number, change, why in (
         (200, {"transitions": Transitions()}, "net 200 could not be trained: ValueError: nfq.iterate: no transitions"),
-        (201, {"transitions": "/nowhere/t.db"}, "net 201 could not be trained: StoreError: .*there is no store"),
         (202, {"cost": lambda s, a, s_next: None}, "net 202: the job cannot be sent to a process"),
     ):
         shared.submit(job(number, **change))
@@ -242,7 +232,7 @@ def test_kill_9_while_training_is_told_and_made_good(own: Trainer, tmp_path: Pat
     result = until(own.poll)
     assert result.fault == own.faults[0]
     assert result.fault == f"training process {old} ended while training net 2 (killed by signal 9); restarted"
-    assert same(result.nets, nfq.iterate(record(), ACTIONS, BandCost(), FIT, nets_before=first.nets, seed=2))
+    assert same(result.nets, nfq.iterate(record(), replace(PROBLEM, cost=BandCost()), first.nets, seed=2))
     own.submit(job(3))
     assert same(until(own.poll).nets, expected(3, result.nets))
 

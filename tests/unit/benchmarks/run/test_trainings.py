@@ -12,8 +12,8 @@ import pytest
 
 from benchmarks.run import trainings
 from benchmarks.run.results import CURVE, EPISODES, TRAJECTORY
+from benchmarks.run.trials import TrialDrive
 from steerkit.learning.learner_state import Counts, Episode
-from steerkit.learning.trials import TrialDrive
 from steerkit.metrics import GOOD, Summary
 from steerkit.scenario import Scenario
 

@@ -11,7 +11,7 @@ from steerkit.controllers.delay_compensator import LENGTH
 from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, V
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq.dead_time import aligned, dead_time_of, process_of, refined
-from steerkit.learning.nfq.iterate import FitSetting, Learned, update
+from steerkit.learning.nfq.iterate import FitSetting, Learned, Problem, update
 from steerkit.learning.nfq.model import CarModel, with_heading_of_yaw_rate
 from steerkit.learning.settings import DEFAULT
 from tests.support.modelled_car import ACTIONS
@@ -208,15 +208,16 @@ def test_an_offset_of_the_wheel_is_believed_up_to_half_a_radian() -> None:
 
 def test_an_update_gives_nets_and_forecast_and_needs_the_imagined() -> None:
     fit = FitSetting(mirror=True, symmetric=True, hints=0, nets=2, imagined=200, epochs=5, dead_time=0.6)
-    learned = update(late(3), ACTIONS, DEFAULT.cost, fit, DESCRIPTION)
+    asked = Problem(actions=ACTIONS, cost=DEFAULT.cost, fit=fit, description=DESCRIPTION)
+    learned = update(late(3), asked, Learned())
     assert (len(learned.nets), learned.forecast and learned.forecast.samples) == (4, 3)
-    later = update(late(3), ACTIONS, DEFAULT.cost, fit, DESCRIPTION, learned, 1)
+    later = update(late(3), asked, learned, 1)
     assert not np.array_equal(later.nets[0][0], learned.nets[0][0])
-    plain = replace(fit, dead_time=0.0, symmetric=False)
+    plain = replace(asked, fit=replace(fit, dead_time=0.0, symmetric=False))
     record = late(0)
     six = Transitions(COLUMNS)
     six.extend(record.s[:, :6], record.a, record.s_next[:, :6], record.episode)
-    nothing_found = update(six, ACTIONS, DEFAULT.cost, plain, DESCRIPTION)
+    nothing_found = update(six, plain, Learned())
     assert isinstance(nothing_found, Learned)
     assert nothing_found.forecast is None
     for wrong in (0.7, -0.1):

@@ -15,13 +15,15 @@ from hypothesis import strategies as st
 
 from steerkit.controllers.delay_compensator import LONGEST
 from steerkit.controllers.state_description import StateDescription
-from steerkit.learning.costs import BandCost, TanhCost
+from steerkit.learning.costs import BandCost, Cost, TanhCost
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.nfq.iterate import (
     STANDARD,
     FitSetting,
-    cost_to_go,
+    Learned,
+    Problem,
+    action_values,
     fresh_nets,
     goal_patterns,
     iterate,
@@ -35,20 +37,39 @@ from steerkit.task import DT
 from tests.support.ranges import keeps_range
 from tests.support.records import ACTIONS, chain, recorded
 
+PAPERS, BAND = FitSetting(), BandCost()
+
 
 def level(q: float) -> Net:
     """A net whose value is q everywhere."""
     return np.zeros((1, 7), np.float32), np.array([math.log(q / (1.0 - q))], np.float32)
 
 
+def problem(cost: Cost = BAND, **fit: Any) -> Problem:
+    return Problem(actions=ACTIONS, cost=cost, fit=FitSetting(**fit))
+
+
+@pytest.fixture
+def fitted(monkeypatch: pytest.MonkeyPatch) -> list[tuple[np.ndarray, np.ndarray]]:
+    """The patterns and targets of every fit."""
+    seen: list[tuple[np.ndarray, np.ndarray]] = []
+
+    def watched(net: Net, x: np.ndarray, y: np.ndarray, **how: Any) -> Fit:
+        seen.append((x, y))
+        return fit(net, x, y, **how)
+
+    monkeypatch.setattr(nfq, "fit", watched)
+    return seen
+
+
 def test_without_nets_the_target_is_the_cost() -> None:
     record = chain([0.0, 0.1, 0.2, 0.7], [0, 0, 0])
-    assert targets(record, ACTIONS, BandCost()) == pytest.approx([0.01, 0.01, 1.0])
+    assert targets(problem(), record) == pytest.approx([0.01, 0.01, 1.0])
 
 
 def test_one_step_targets_by_hand() -> None:
     record = chain([0.0, 0.1, 0.02, 0.7], [0, 0, 0])
-    y = targets(record, ACTIONS, BandCost(), FitSetting(discount=0.9), nets=[level(0.4)])
+    y = targets(problem(discount=0.9), record, [level(0.4)])
     assert y == pytest.approx([0.01 + 0.9 * 0.4, 0.9 * 0.4, 1.0], abs=1e-6)
 
 
@@ -56,7 +77,7 @@ def test_three_step_targets_by_hand() -> None:
     """Two episodes of 4 and 2 rows, the second one failing."""
     record = chain([0.0, 0.1, 0.1, 0.1, 0.1, 0.2, 0.7], [0, 0, 0, 0, 1, 1])
     g, q, c = 0.9, 0.4, 0.01
-    y = targets(record, ACTIONS, BandCost(), FitSetting(discount=g, n_step=3), nets=[level(q)])
+    y = targets(problem(discount=g, n_step=3), record, [level(q)])
     three = c + g * c + g**2 * c + g**3 * q
     expected = [three, three, c + g * c + g**2 * q, c + g * q, c + g * 1.0, 1.0]
     assert y == pytest.approx(expected, abs=1e-6)
@@ -64,24 +85,17 @@ def test_three_step_targets_by_hand() -> None:
 
 def test_nothing_is_carried_over_a_terminal_row_even_within_an_episode_number() -> None:
     record = chain([0.0, 0.7, 0.1, 0.1], [0, 0, 0])
-    y = targets(record, ACTIONS, BandCost(), FitSetting(n_step=5), nets=[level(0.4)])
-    assert y[0] == 1.0
-
-
-def test_targets_are_clipped() -> None:
-    record = chain([0.1, 0.2, 0.3], [0, 0])
-    y = targets(record, ACTIONS, BandCost(), FitSetting(clip=(0.0, 0.05)), nets=[level(0.9)])
-    assert y == pytest.approx([0.05, 0.05])
+    assert targets(problem(n_step=5), record, [level(0.4)])[0] == 1.0
 
 
 @given(n=st.integers(1, 6), discount=st.floats(0.0, 0.99))
-def test_n_step_targets_equal_the_sum_written_out(n: int, discount: float) -> None:
-    record = recorded(60, seed=1)
-    setting = FitSetting(n_step=n, discount=discount, clip=(-10.0, 10.0))
-    nets = fresh_nets(setting, seed=1)
-    y = targets(record, ACTIONS, BandCost(trip=0.35), setting, nets=nets)
-    c, terminal = BandCost(trip=0.35)(record.s, record.a, record.s_next)
-    ahead = cost_to_go(nets, record.s_next, ACTIONS, STANDARD)
+def test_n_step_targets_equal_the_sum_written_out_within_zero_and_one(n: int, discount: float) -> None:
+    record, cost = recorded(60, seed=1), BandCost(trip=0.35, step=0.2)
+    nets = fresh_nets(PAPERS, seed=1)
+    asked = problem(cost, n_step=n, discount=discount)
+    y = targets(asked, record, nets)
+    c, terminal = cost(record.s, record.a, record.s_next)
+    ahead = action_values(asked, nets, record.s_next).min(axis=0)
     for k in range(60):
         total, weight = 0.0, 1.0
         for row in range(k, min(k + n, 60)):
@@ -92,139 +106,94 @@ def test_n_step_targets_equal_the_sum_written_out(n: int, discount: float) -> No
             if last:
                 total += weight * ahead[row]
                 break
-        assert y[k] == pytest.approx(total, abs=1e-6)
+        assert y[k] == pytest.approx(min(total, 1.0), abs=1e-6)
 
 
-def test_cost_to_go_is_the_least_over_the_actions_of_the_combined_value() -> None:
-    record = recorded(200)
+def test_the_value_of_an_action_is_the_nets_combined() -> None:
+    record, nets = recorded(200), fresh_nets(FitSetting(nets=3), seed=4)
     for combine, join in (("mean", np.mean), ("max", np.max)):
-        setting = FitSetting(nets=3, combine=combine)  # type: ignore[arg-type]
-        nets = fresh_nets(setting, seed=4)
         each = [
             join([forward(net, patterns(STANDARD, record.s, np.full(200, a), 0.5)) for net in nets], axis=0)
             for a in ACTIONS
         ]
-        found = cost_to_go(nets, record.s, ACTIONS, STANDARD, setting)
-        np.testing.assert_allclose(found, np.min(each, axis=0), atol=5e-7)
+        np.testing.assert_allclose(action_values(problem(combine=combine), nets, record.s), each, atol=5e-7)
 
 
-@pytest.mark.parametrize("engine", ["auto", "torch"])
-def test_equal_seeds_give_equal_nets_and_others_do_not(engine: str) -> None:
-    record, setting = recorded(), FitSetting(nets=2, epochs=20, engine=engine)  # type: ignore[arg-type]
-    one, same, other = (iterate(record, ACTIONS, BandCost(), setting, seed=seed) for seed in (1, 1, 2))
+def test_equal_seeds_give_equal_nets_and_others_do_not() -> None:
+    record, asked = recorded(), problem(nets=2, epochs=20)
+    one, same, other = (iterate(record, asked, seed=seed) for seed in (1, 1, 2))
     assert [flat(net).tobytes() for net in one] == [flat(net).tobytes() for net in same]
     assert not np.array_equal(flat(one[0]), flat(one[1]))
     assert not np.array_equal(flat(one[0]), flat(other[0]))
 
 
-def test_a_first_update_learns_the_cost_and_the_next_one_looks_further() -> None:
-    record = recorded(400)
-    setting = FitSetting(epochs=300, hints=0, clip=(0.0, 1.0))
-    cost = BandCost(trip=0.3, step=0.3)
-    first = iterate(record, ACTIONS, cost, setting)
-    y, x = targets(record, ACTIONS, cost, setting), patterns(STANDARD, record.s, record.a, 0.5)
-    assert np.mean((forward(first[0], x) - y) ** 2) < 0.5 * np.var(y)
-    second = iterate(record, ACTIONS, cost, setting, nets_before=first, seed=1)
-    assert forward(second[0], x).mean() > forward(first[0], x).mean() + 0.05
-
-
-def test_several_iterations_are_several_updates_with_their_own_targets() -> None:
+def test_a_first_update_learns_the_cost_and_later_ones_look_further() -> None:
     record, cost = recorded(400), BandCost(trip=0.3, step=0.3)
-    x = patterns(STANDARD, record.s, record.a, 0.5)
-    means = [forward(iterate(record, ACTIONS, cost, FitSetting(hints=0, iterations=n))[0], x).mean() for n in (1, 2, 3)]
+    asked, x = problem(cost, hints=0), patterns(STANDARD, record.s, record.a, 0.5)
+    first = iterate(record, asked)
+    y = targets(asked, record)
+    assert np.mean((forward(first[0], x) - y) ** 2) < 0.5 * np.var(y)
+    second = iterate(record, asked, first, seed=1)
+    assert forward(second[0], x).mean() > forward(first[0], x).mean() + 0.05
+    means = [forward(iterate(record, problem(cost, hints=0, iterations=n))[0], x).mean() for n in (1, 2, 3)]
     assert means[0] + 0.05 < means[1] < means[2] - 0.02
 
 
 def test_hints_pull_the_goal_region_down() -> None:
-    record = recorded(200)
-    before = (level(0.8),)
-    goal = goal_patterns(STANDARD, ACTIONS, 200, np.random.default_rng(9))
-    setting = FitSetting(hidden=(), epochs=100)
+    record, before = recorded(200), (level(0.8),)
+    goal = goal_patterns(problem(hints=200), np.random.default_rng(9))
     values = [
-        forward(
-            iterate(record, ACTIONS, BandCost(), FitSetting(hidden=(), epochs=100, hints=h), nets_before=before)[0],
-            goal,
-        ).mean()
-        for h in (0, 400)
+        forward(iterate(record, problem(hidden=(), epochs=100, hints=h), before)[0], goal).mean() for h in (0, 400)
     ]
-    assert setting.hints == 100
     assert values[1] < values[0] - 0.1
 
 
-def test_mirror_doubles_the_data_with_the_same_targets(monkeypatch: pytest.MonkeyPatch) -> None:
-    seen: list[tuple[np.ndarray, np.ndarray]] = []
-
-    def watched(net: Net, x: np.ndarray, y: np.ndarray, **how: Any) -> Fit:
-        seen.append((x, y))
-        return fit(net, x, y, **how)
-
-    monkeypatch.setattr(nfq, "fit", watched)
+def test_mirror_doubles_the_data_with_the_same_targets(fitted: list[tuple[np.ndarray, np.ndarray]]) -> None:
     record, before = recorded(200), fresh_nets(seed=3)
-    iterate(record, ACTIONS, TanhCost(), FitSetting(epochs=1), nets_before=before)
-    iterate(record, ACTIONS, TanhCost(), FitSetting(epochs=1, mirror=True), nets_before=before)
-    (x, y), (twice_x, twice_y) = seen
+    for mirror in (False, True):
+        iterate(record, problem(TanhCost(), epochs=1, mirror=mirror), before)
+    (x, y), (twice_x, twice_y) = fitted
     assert (len(x), len(twice_x)) == (300, 600)
     np.testing.assert_array_equal(twice_x, np.concatenate([x, mirror_patterns(STANDARD, x)]))
     np.testing.assert_array_equal(twice_y, np.concatenate([y, y]))
     np.testing.assert_array_equal(y[200:], 0.0)
 
 
-def test_warm_starts_from_the_nets_before() -> None:
-    record = recorded()
-    setting = FitSetting(init="warm", epochs=0, nets=2)
-    before = fresh_nets(setting, seed=8)
-    after = iterate(record, ACTIONS, BandCost(), setting, nets_before=before)
-    assert all(np.array_equal(flat(a), flat(b)) for a, b in zip(before, after, strict=True))
-    fresh = iterate(record, ACTIONS, BandCost(), FitSetting(epochs=0, nets=2), nets_before=before)
-    assert not np.array_equal(flat(fresh[0]), flat(before[0]))
-
-
 def test_updates_say_what_is_wrong() -> None:
-    record = recorded(10)
+    record, narrow = recorded(10), Transitions(("e", "v"))
+    narrow.append((0.0, 1.0), 0.0, (0.0, 1.0), 0)
     with pytest.raises(ValueError, match="no transitions"):
-        iterate(Transitions(), ACTIONS, BandCost())
+        iterate(Transitions(), problem())
     with pytest.raises(ValueError, match="but the description has"):
-        iterate(_narrow(), ACTIONS, BandCost())
-    with pytest.raises(ValueError, match="actions is empty"):
-        iterate(record, (), BandCost())
+        iterate(narrow, problem())
     with pytest.raises(ValueError, match="no transitions"):
-        nfq.update(Transitions(), ACTIONS, BandCost(), FitSetting(imagined=1, dead_time=0.1), STANDARD)
-    with pytest.raises(ValueError, match="mirror=True needs -a"):
-        iterate(record, (0.0, 0.5), BandCost(), FitSetting(mirror=True))
+        nfq.update(Transitions(), problem(imagined=1, dead_time=0.1), Learned())
     with pytest.raises(ValueError, match="expected \\(7, 10, 10, 1\\)"):
-        iterate(record, ACTIONS, BandCost(), nets_before=[level(0.5)])
-    papers = (0.95, 300, "fresh", 100, "region", 1, 0, 1, 1, "mean", False, 1, 0, 4, (10, 10), False, 0.0, 0.0)
-    assert astuple(FitSetting()) == (*papers, (0.0, 1.0), "auto")
+        iterate(record, problem(), [level(0.5)])
+    with pytest.raises(ValueError, match="actions is empty"):
+        Problem(actions=(), cost=BandCost())
+    with pytest.raises(ValueError, match="mirror=True needs -a"):
+        Problem(actions=(0.0, 0.5), cost=BandCost(), fit=FitSetting(mirror=True))
+
+
+def test_a_fit_is_the_papers_and_keeps_its_ranges() -> None:
+    assert astuple(PAPERS) == (0.95, 300, "fresh", 100, 1, 0, 1, 1, "mean", False, 1, 0, 4, (10, 10), False, 0.0)
     keeps_range(FitSetting, "discount", "[0.0, 1.0)")
     keeps_range(partial(FitSetting, imagined=1), "dead_time", f"[0.0, {LONGEST * DT}]")
     for least in (0, 1):
         for name in ("epochs hints imagined window", "n_step nets iterations horizon keep")[least].split():
             keeps_range(FitSetting, name, f"[{least}, inf)")
-    assert FitSetting(guard=1.0, imagined=1, hidden=(1,)).guard == 1.0
-    for wrong in (
-        *({"init": "cold"}, {"combine": "min"}, {"hint_from": "net"}, {"engine": "gpu"}, {"hidden": (10, 0)}),
-        *({"clip": (0.5, 0.5)}, {"guard": 0.9, "imagined": 1}, {"guard": 1.0}, {"dead_time": 0.1}),
-    ):
+    assert FitSetting(hidden=(1,)).hidden == (1,)
+    for wrong in ({"init": "cold"}, {"combine": "min"}, {"hidden": (10, 0)}, {"dead_time": 0.1}):
         with pytest.raises(ValueError, match=next(iter(wrong))):
             FitSetting(**wrong)  # type: ignore[arg-type]
 
 
-def _narrow() -> Transitions:
-    record = Transitions(("e", "v"))
-    record.append((0.0, 1.0), 0.0, (0.0, 1.0), 0)
-    return record
-
-
 @pytest.mark.parametrize("imagined", [0, 20])
 def test_a_window_fits_the_newest_transitions_and_the_model_learns_from_all(
-    imagined: int, monkeypatch: pytest.MonkeyPatch
+    imagined: int, fitted: list[tuple[np.ndarray, np.ndarray]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    fitted: list[tuple[np.ndarray, np.ndarray]] = []
     modelled: list[int] = []
-
-    def watched(net: Net, x: np.ndarray, y: np.ndarray, **how: Any) -> Fit:
-        fitted.append((x, y))
-        return fit(net, x, y, **how)
 
     class Watched(CarModel):
         @classmethod
@@ -232,10 +201,9 @@ def test_a_window_fits_the_newest_transitions_and_the_model_learns_from_all(
             modelled.append(len(record))
             return CarModel.fit(record, description, dt)
 
-    monkeypatch.setattr(nfq, "fit", watched)
     monkeypatch.setattr(nfq, "CarModel", Watched)
     record = recorded(200)
-    iterate(record, ACTIONS, BandCost(), FitSetting(epochs=1, hints=0, window=60, imagined=imagined))
+    iterate(record, problem(epochs=1, hints=0, window=60, imagined=imagined))
     ((x, y),) = fitted
     assert len(x) == 60 + imagined
     np.testing.assert_array_equal(x[:60], patterns(STANDARD, record.s[-60:], record.a[-60:], 0.5))
@@ -251,18 +219,17 @@ def test_a_window_that_holds_everything_changes_nothing(window: int) -> None:
 
 
 def test_the_newest_updates_work_together_and_warm_starts_begin_with_the_newest() -> None:
-    record = recorded(40)
-    setting, nets, history = FitSetting(keep=2, nets=2, epochs=1), (), []
+    record, nets, history = recorded(40), (), []
     for seed in range(4):
-        nets = iterate(record, ACTIONS, BandCost(), setting, nets_before=nets, seed=seed)
+        nets = iterate(record, problem(keep=2, nets=2, epochs=1), nets, seed=seed)
         history.append(nets)
     assert [len(nets) for nets in history] == [2, 4, 4, 4]
     for before, after in pairwise(history):
         assert all(a is b for a, b in zip(before[-2:], after[:2], strict=True))
         assert not any(a is b for a in before for b in after[2:])
-    warm = FitSetting(keep=2, nets=2, epochs=0, init="warm")
-    after = iterate(record, ACTIONS, BandCost(), warm, nets_before=nets)
-    assert all(np.array_equal(flat(a), flat(b)) for a, b in zip(nets[2:], after[2:], strict=True))
+    warm, fresh = (iterate(record, problem(keep=2, nets=2, epochs=0, init=init), nets) for init in ("warm", "fresh"))
+    assert all(np.array_equal(flat(a), flat(b)) for a, b in zip(nets[2:], warm[2:], strict=True))
+    assert not np.array_equal(flat(fresh[2]), flat(nets[2]))
 
 
 @pytest.mark.parametrize(
@@ -291,9 +258,10 @@ def test_mirroring_patterns_is_mirroring_states() -> None:
 
 
 def test_hints_lie_in_the_goal_region_and_leave_the_wheel_alone() -> None:
-    x = goal_patterns(STANDARD, ACTIONS, 500, np.random.default_rng(0))
+    x = goal_patterns(problem(hints=500), np.random.default_rng(0))
     assert x.shape == (500, 7)
     assert np.all(np.abs(x[:, :-1]) <= STANDARD.goal)
     assert np.all(np.abs(x[:, 2]).max() > 0.9)
     assert np.all(x[:, -1] == 0.0)
-    assert set(goal_patterns(STANDARD, (-6.0, 6.0), 100, np.random.default_rng(0))[:, -1]) == {-1.0, 1.0}
+    two = Problem(actions=(-6.0, 6.0), cost=BandCost())
+    assert set(goal_patterns(two, np.random.default_rng(0))[:, -1]) == {-1.0, 1.0}

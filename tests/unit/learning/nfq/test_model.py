@@ -16,7 +16,7 @@ from steerkit.learning.costs import TanhCost
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.nfq import iterate as nfq
-from steerkit.learning.nfq.iterate import STANDARD, FitSetting, imagined_cost, imagined_targets, staying
+from steerkit.learning.nfq.iterate import STANDARD, FitSetting, Problem, imagined_targets
 from steerkit.learning.nfq.model import CarModel, believed_loss, earlier_doe, follow, imagine
 from steerkit.learning.settings import DEFAULT
 from tests.support.modelled_car import ACTIONS, CAR, driven
@@ -117,90 +117,54 @@ def test_imagined_states_cover_all_bends_and_carry_what_the_model_missed() -> No
 
 
 def test_imagined_targets_by_hand() -> None:
-    cost, setting = TanhCost(goal=0.1, step=0.04, action_cost=0.01), FitSetting(discount=0.9, horizon=3)
+    cost = TanhCost(goal=0.1, step=0.04, action_cost=0.01)
+    asked = Problem(actions=ACTIONS, cost=cost, fit=FitSetting(discount=0.9, horizon=3))
     near = imagine(CAR, driven(), STANDARD, 3, np.random.default_rng(0))
     near.s[:] = [[0.0, 0, 5.0, 0, 0, 0], [0.0, 0, 5.0, 0, 0, 0], [0.49, 4.0, 5.0, 0.8, 0, 0]]
     near.residual[:], near.earlier[:] = 0.0, 0.0
     a = np.array([0.0, 0.3, 0.0])
     first, _ = cost(near.s[:2], a[:2], CAR.step(near.s, a, near.earlier)[:2])
-    y = imagined_targets(CAR, near, a, ACTIONS, cost, setting, STANDARD, ())
+    y = imagined_targets(asked, CAR, near, a)
     np.testing.assert_allclose(y, [*first, 1.0], atol=1e-7)
-    y = imagined_targets(CAR, near, a, ACTIONS, cost, setting, STANDARD, (level(0.2),))
+    y = imagined_targets(asked, CAR, near, a, [level(0.2)])
     assert y[0] == pytest.approx(0.9**3 * 0.2, abs=1e-6)  # of equal values, the gentlest
     assert y[2] == pytest.approx(1.0)
 
 
-def test_dynamic_hints_are_rows_that_stay() -> None:
-    record = Transitions()
-    e = np.array([0.3] * 5 + [0.01] * 30 + [0.3] * 5)
-    s = np.zeros((40, 6))
-    s[:, 0] = e
-    record.extend(s, np.zeros(40), s, np.repeat([0, 1], [20, 20]))
-    assert staying(record, 0.05).tolist() == []
-    record = Transitions()
-    record.extend(s[5:30].repeat(2, axis=0), np.zeros(50), s[5:30].repeat(2, axis=0), np.repeat([0, 1], 25))
-    assert staying(record, 0.05).tolist() == [*range(6), *range(25, 31)]
-    record = Transitions()
-    record.extend(s, np.zeros(40), s, 0)
-    assert staying(record, 0.05).tolist() == list(range(5, 16))
-    s[:, 5] = np.arange(40)  # so that rows differ; the wheel counts for nothing
-    record, rng = Transitions(), np.random.default_rng(0)
-    record.extend(s, np.zeros(40), s, 0)
-    rows = [row.tobytes() for row in nfq.patterns(STANDARD, s[5:16], np.zeros(11), 0.3)]
-    for hints, found in ((5, 5), (11, 11), (100, 11)):
-        setting = FitSetting(hint_from="record", hints=hints)
-        x = [row.tobytes() for row in nfq._hints(record, ACTIONS, TanhCost(goal=0.05), setting, STANDARD, rng)]
-        assert len({*x}) == len(x) == found
-        assert {*x} <= {*rows}
-    assert len(nfq._hints(record, ACTIONS, TanhCost(goal=0.001), setting, STANDARD, rng)) == 0
-
-
-def test_a_guard_refuses_nets_that_the_model_finds_worse() -> None:
-    record = driven(n=400)
-    good = FitSetting(epochs=100, imagined=500, hints=0, iterations=3)
-    nets = nfq.iterate(record, ACTIONS, TanhCost(), good)
-    for guard, kept in ((1.0, True), (0.0, False)):
-        bad = FitSetting(epochs=0, imagined=500, hints=0, guard=guard)
-        after = nfq.iterate(record, ACTIONS, TanhCost(), bad, nets_before=nets, seed=2)
-        assert all(a is b for a, b in zip(after, nets, strict=True)) is kept
-    near = imagine(CAR, record, STANDARD, 200, np.random.default_rng(3))
-    costs = [imagined_cost(CAR, near, ACTIONS, TanhCost(), good, STANDARD, n) for n in (nets, after)]
-    assert costs[0] < costs[1]
-
-
 def followed(
-    model: CarModel, s: np.ndarray, before: float, residual: np.ndarray, a: float, setting: FitSetting, nets: Any
+    asked: Problem, model: CarModel, s: np.ndarray, before: float, residual: np.ndarray, a: float, nets: Any
 ) -> tuple[float, bool]:
     """One imagined car, followed by the definition: its target, and whether it failed on the way."""
-    cost, gentlest = TanhCost(trip=0.3), sorted(ACTIONS, key=abs)
+    setting = asked.fit
     angles, total = [before, s[5]], 0.0  # the angle of the sample before comes first
     for step in range(setting.horizon):
         s_next = model.step(s[None], np.array([a]), np.array([angles[step]]))[0]
         s_next = s_next + residual if step == 0 else s_next
-        c, failed = cost(s[None], np.array([a]), s_next[None])
+        c, failed = asked.cost(s[None], np.array([a]), s_next[None])
         total += setting.discount**step * float(c[0])
         if failed[0]:
-            return total, True
+            return min(1.0, total), True
         s = s_next
         angles.append(s[5])
-        values = [float(nfq.action_values(nets, s[None], [b], STANDARD, setting)[0, 0]) for b in gentlest]
-        a = gentlest[int(np.argmin(values))]
-    return total + setting.discount**setting.horizon * min(values), False
+        values = nfq.action_values(asked, nets, s[None])[:, 0].tolist()
+        a = min(zip(values, map(abs, ACTIONS), ACTIONS))[2]
+    return min(1.0, total + setting.discount**setting.horizon * min(values)), False
 
 
 @pytest.mark.parametrize("horizon", [1, 2, 5])
 def test_imagined_cars_drive_greedily_until_they_fail(horizon: int) -> None:
     """The model remembers the angle before; residuals act once; after a failure nothing counts."""
     model = replace(CAR, earlier=0.02)
-    setting = FitSetting(horizon=horizon, discount=0.9, clip=(-10.0, 10.0), nets=2)
+    setting = FitSetting(horizon=horizon, discount=0.9, nets=2)
+    asked = Problem(actions=ACTIONS, cost=TanhCost(trip=0.3), fit=setting)
     nets = tuple(tuple(4.0 * p for p in net) for net in nfq.fresh_nets(setting, seed=3))
     near = imagine(model, driven(model), STANDARD, 150, np.random.default_rng(5))
     rng = np.random.default_rng(6)
     near.residual[:] = rng.normal(0.0, 0.02, near.residual.shape)
     near.s[:, 0] *= 2.0
     a = rng.choice(ACTIONS, 150)
-    y = imagined_targets(model, near, a, ACTIONS, TanhCost(trip=0.3), setting, STANDARD, nets)
-    each = [followed(model, *one, setting, nets) for one in zip(near.s, near.earlier, near.residual, a)]
+    y = imagined_targets(asked, model, near, a, nets)
+    each = [followed(asked, model, *one, nets) for one in zip(near.s, near.earlier, near.residual, a)]
     np.testing.assert_allclose(y, [target for target, _ in each], atol=2e-6)
     assert 10 < sum(failed for _, failed in each) < 140
 
@@ -223,7 +187,8 @@ def test_imagined_cars_at_speed_turn_the_wheel_less_and_lie_nearer_to_the_record
             taken.append((fast.excess(s[:, 2]), a))
             return super().__call__(s, a, s_next)
 
-    imagined_targets(CAR, near, np.zeros(150), ACTIONS, Listening(trip=50.0), setting, fast, nets)
+    listening = Problem(actions=ACTIONS, cost=Listening(trip=50.0), fit=setting, description=fast)
+    imagined_targets(listening, CAR, near, np.zeros(150), nets)
     for x, a in taken[1:]:
         nearest = np.abs((a * x**2)[:, None] - np.array(ACTIONS)).min(axis=1)
         np.testing.assert_allclose(nearest, 0.0, atol=1e-12)
@@ -281,32 +246,9 @@ def test_a_loss_is_believed_up_to_four_at_the_highest_speed() -> None:
     assert [believed_loss(x, v) for x in (1.0, 0.005, -1.0)] == [4.0 / 400.0, 0.005, -0.5 / 400.0]
 
 
-def test_an_imagined_cost_is_that_of_a_second() -> None:
-    """Of nets with one value everywhere the first action is taken, at speed the less of it, and then the gentlest."""
-    near, fast = imagine(CAR, driven(), STANDARD, 50, np.random.default_rng(0)), replace(STANDARD, scaled_from=2.0)
-    setting, cost, nets = FitSetting(horizon=20, discount=0.9, clip=(-99.0, 99.0)), TanhCost(trip=50.0), (level(0.2),)
-    a = 0.3 / fast.excess(near.s[:, 2]) ** 2
-    y = imagined_targets(CAR, near, a, ACTIONS, cost, setting, fast, nets)
-    found = imagined_cost(CAR, near, (0.3, 0.0, -0.3), cost, setting, fast, nets)
-    assert found == pytest.approx(float(y.mean()) - 0.9**20 * 0.2, abs=1e-6)
-
-
 def test_the_angle_before_is_the_row_aboves_and_an_episode_begins_with_its_own() -> None:
     record, s = Transitions(), np.zeros((6, 6))
     s[:, 5] = [1.0, 2.0, 4.0, 8.0, 16.0, 32.0]
     record.extend(s, np.zeros(6), s, [1, 1, 1, 2, 2, 3])
     assert follow(record).tolist() == [False, True, True, False, True, False]
     assert earlier_doe(record).tolist() == [1.0, 1.0, 2.0, 8.0, 8.0, 32.0]
-
-
-def test_a_guard_lets_pass_what_is_within_its_factor() -> None:
-    record, fitted = driven(n=400), FitSetting(epochs=100, imagined=500, hints=0, iterations=3)
-    nets = nfq.iterate(record, ACTIONS, TanhCost(), fitted)
-
-    def refused(guard: float) -> bool:
-        worse = FitSetting(epochs=0, imagined=500, hints=0, guard=guard)
-        after = nfq.iterate(record, ACTIONS, TanhCost(), worse, nets_before=nets, seed=2)
-        return all(a is b for a, b in zip(after, nets, strict=True))
-
-    assert refused(1.0)
-    assert not refused(1e6)

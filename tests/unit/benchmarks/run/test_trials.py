@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.run import trials
+from benchmarks.run.trials import TrialDrive, drive_each, train
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.stanley import Stanley
-from steerkit.learning import trials
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.nfq.iterate import FitSetting
 from steerkit.learning.settings import BANG_BANG, DEFAULT
-from steerkit.learning.trials import TrialDrive, drive_each, train
 from steerkit.metrics import of_log
 from steerkit.scenario import Scenario
 from steerkit.scenario import drive as evaluate
