@@ -7,21 +7,7 @@ found.save("my-car.toml")            # vehicle("my-car.toml") is the car
 
 from __future__ import annotations
 
-from steerkit.estimators.delay_fit import SteeringResponse, fit_delay_lag
 from steerkit.identification.fit import identify
-from steerkit.identification.identified import Estimate, Identified, Prediction
-from steerkit.logs import Column, ColumnMap, Drive, read_drive, shipped_drives
+from steerkit.logs import Drive, read_drive, shipped_drives
 
-__all__ = [
-    "Column",
-    "ColumnMap",
-    "Drive",
-    "Estimate",
-    "Identified",
-    "Prediction",
-    "SteeringResponse",
-    "fit_delay_lag",
-    "identify",
-    "read_drive",
-    "shipped_drives",
-]
+__all__ = ["Drive", "identify", "read_drive", "shipped_drives"]

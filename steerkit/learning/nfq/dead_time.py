@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from steerkit.controllers.delay_compensator import ANSWER, LONGEST, DelayCompensator
 from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, R_E, V
 from steerkit.controllers.state_description import StateDescription
-from steerkit.estimators.delay_fit import fits_by_delay
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq.model import (
     CENTRED,
@@ -86,8 +85,12 @@ def process_of(record: Transitions, description: StateDescription, longest: floa
 def dead_time_of(record: Transitions, longest: int) -> int:
     """The dead time [samples], 0 to `longest`, that explains w, the course's angle to the car, best.
 
-    See `fits_by_delay`: the wheel's angle and those of two samples before, as in `CarModel`; the rows are those with
-    enough samples of their episode before them. In a record too short for that only shorter ones are tried.
+    Least squares of each dead time n, all on the same rows k, so that what they leave unexplained is compared:
+
+        w(k + 1) = keep w(k) + sum_i gains_i doe(k - n - i) + constant,   i = 0, 1, 2, as in `CarModel`.
+
+    The rows are those with enough samples of their episode before them. In a record too short for that only shorter
+    ones are tried. Source: Ljung 1999, section 4.2 (ARX).
     """
     w, episode = record.s[:, E_DOT] / speed(record.s) - record.s[:, PSI_E], np.cumsum(~follow(record))
     for most in range(longest, -1, -1):
@@ -97,7 +100,11 @@ def dead_time_of(record: Transitions, longest: int) -> int:
             break
     else:
         return 0
-    errors = [fit.rms for fit in fits_by_delay(w, record.s_next[:, DOE], row, range(most + 1), taps=3)]
+    errors, doe = [], record.s_next[:, DOE]
+    for n in range(most + 1):
+        columns = np.column_stack((w[row], doe[row - n], doe[row - n - 1], doe[row - n - 2], np.ones(len(row))))
+        coefficients, *_ = np.linalg.lstsq(columns, w[row + 1], rcond=None)
+        errors.append(float(np.sqrt(np.mean((columns @ coefficients - w[row + 1]) ** 2))))
     best = int(np.argmin(errors))
     while best < most and errors[best + 1] <= AS_GOOD * min(errors) + NOTHING:
         best += 1

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from steerkit.identification import ColumnMap
-from steerkit.logs import Channel
+from steerkit.logs import Channel, ColumnMap
 from steerkit.logs.channels import candidates, ended_unit, is_time, unit_of, words
 
 
