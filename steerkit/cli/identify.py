@@ -18,6 +18,9 @@ from steerkit.cli.log import Columns, Dbc, Map, SteerRatio, column_map
 from steerkit.plots.style import save
 from steerkit.vehicles import scaled, vehicle
 
+_FITS = ("rms", "rms_driving", "mean_driving", "rms_rezeroed", "zero_shift")
+"""Numbers of a prediction."""
+
 
 def identify(
     log: Annotated[list[str], typer.Argument(help="A recording, or its files; or `genesis`, `genesis-rfs`.")],
@@ -89,26 +92,17 @@ def identify(
 
 def figures(identified: Any, prediction: Any) -> dict[str, Any]:
     """What a program would read."""
-    answer: dict[str, Any] = {
+    fits = {}
+    for name, part in (("fit", identified.fit), ("held_out", prediction)):
+        if part is not None:
+            fits[name] = {"drive": part.drive.name} | {key: getattr(part, key) for key in _FITS}
+    return {
         "vehicle": identified.vehicle.name,
-        "estimates": {
-            e.name: {"value": e.value, "low": e.low, "high": e.high, "unit": e.unit, "source": e.source}
-            for e in identified.estimates
-        },
+        "estimates": identified.intervals,
         "correlation_time": identified.correlation_time,
         "notes": [*identified.drive.notes, *identified.notes],
+        **fits,
     }
-    for key, part in (("fit", identified.fit), ("held_out", prediction)):
-        if part is not None:
-            answer[key] = {
-                "drive": part.drive.name,
-                "rms": part.rms,
-                "rms_driving": part.rms_driving,
-                "mean_driving": part.mean_driving,
-                "rms_rezeroed": part.rms_rezeroed,
-                "zero_shift": part.zero_shift,
-            }
-    return answer
 
 
 def _report(console: Any, identified: Any, prediction: Any, *, quiet: bool) -> None:
@@ -122,8 +116,7 @@ def _report(console: Any, identified: Any, prediction: Any, *, quiet: bool) -> N
     console.print(table)
     fits = Table("yaw rate of", "RMS \\[rad/s]", "from 3 m/s on", "mean", "wheel's zero found anew")
     for part in (identified.fit, *([prediction] if prediction else ())):
-        numbers = (part.rms, part.rms_driving, part.mean_driving, part.rms_rezeroed)
-        fits.add_row(part.drive.name, *(f"{x:.5f}" for x in numbers))
+        fits.add_row(part.drive.name, *(f"{getattr(part, key):.5f}" for key in _FITS[:4]))
     console.print(fits)
     if not quiet:
         for note in identified.notes:
@@ -133,11 +126,9 @@ def _report(console: Any, identified: Any, prediction: Any, *, quiet: bool) -> N
 def _fixed(words: list[str] | tuple[str, ...]) -> dict[str, float]:
     held = {}
     for word in words:
-        key, sign, value = word.partition("=")
+        key, _, value = word.partition("=")
         try:
             held[key] = float(value)
         except ValueError:
             raise ValueError(f"--fix {word}: expected NAME=VALUE, such as lag=0") from None
-        if not sign:
-            raise ValueError(f"--fix {word}: expected NAME=VALUE, such as lag=0")
     return held

@@ -79,7 +79,7 @@ def _car(file: str, drive: Any) -> tuple[Any, Any, str]:
         motor = steering_of(file) if file.endswith(".toml") else SteeringActuator()
         return vehicle_named(file), motor, f"the car: {file}, delay {motor.delay:.2f} s, lag {motor.lag:.2f} s"
     found = identify(drive)
-    motor = sampled_steering(delay=found.delay, lag=found.lag, offset=found.offset)
+    motor = sampled_steering(**found.steering)
     known = f"ratio {found.vehicle.steer_ratio:.2f}, lag {motor.lag + motor.delay:.2f} s"
     return found.vehicle, motor, f"the car, as identified from the drive: {known}"
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from itertools import combinations
 
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.special import stdtrit
 
-from steerkit._support.errors import require
+from steerkit._support.errors import require, require_within
 from steerkit.identification.identified import Estimate, Identified, Simulator, car_of, predict, stiffnesses
 from steerkit.logs.drive import Array, Drive, moments
 from steerkit.vehicles import Vehicle, vehicle
@@ -57,7 +57,6 @@ def identify(
     fixed: Mapping[str, float] | None = None,
     known: Mapping[str, tuple[float, float]] | None = None,
     name: str = "",
-    backend: Any = "auto",
 ) -> Identified:
     """The linear single track's parameters from a drive.
 
@@ -81,29 +80,23 @@ def identify(
     held = {n: p.mean for n, p in table.items() if p.deviation == 0.0}
     free = tuple(n for n in table if n not in held)
     require(free, "identify", "nothing is left to identify: all parameters are fixed")
-    simulator = Simulator(drive, base, backend=backend)
+    simulator = Simulator(drive, base)
     problem = _Problem(simulator, free, held, table)
     theta, sigma, correlation = problem.solve()
     covariance, blocks = problem.covariance(theta, sigma)
     values = held | dict(zip(free, theta.tolist()))
-    fit = predict(simulator, values)
     estimates = _estimates(base, table, free, values, covariance, blocks)
-    notes = _notes(drive, base, table, free, values, covariance, estimates)
     return Identified(
         vehicle=car_of(base, values, name or f"{base.name}-identified"),
-        delay=values["delay"],
-        lag=values["lag"],
-        offset=values["offset"],
-        rate_zero=values["rate_zero"],
         estimates=estimates,
         drive=drive,
         base=base,
         theta=values,
         covariance=covariance,
         free=free,
-        fit=fit,
+        fit=predict(simulator, values),
         correlation_time=correlation,
-        notes=notes,
+        notes=_notes(drive, base, free, values, covariance, estimates),
     )
 
 
@@ -116,7 +109,7 @@ def _believed(
     for key, (mean, deviation) in {**known, **{n: (v, 0.0) for n, v in fixed.items()}}.items():
         require(key in table, "identify", f"'{key}' is no parameter; valid: {', '.join(table)}")
         p = table[key]
-        require(p.low <= mean <= p.high, "identify", f"{key} = {mean} [{p.unit}], expected {p.low:g} to {p.high:g}")
+        require_within("identify", key, mean, p.unit, p.low, p.high)
         require(deviation >= 0.0, "identify", f"{key}: standard deviation {deviation}, expected >= 0; 0 holds it")
         table[key] = replace(p, mean=mean, deviation=deviation)
     return table
@@ -224,20 +217,15 @@ def _estimates(
     before = np.diag([table[n].deviation ** 2 for n in free])
     c_f, c_r = stiffnesses(base, values["d_f"], values["d_r"])
     length = base.wheelbase
+    understeer, given = values["d_f"] - values["d_r"], f"given L = {length:g} m"
     rows: list[tuple[str, float, str, dict[str, float], str]] = [
-        ("steer_ratio", values["steer_ratio"], "1", {"steer_ratio": 1.0}, f"given L = {length:g} m"),
+        ("steer_ratio", values["steer_ratio"], "1", {"steer_ratio": 1.0}, given),
         ("ratio_wheelbase", values["steer_ratio"] * length, "m", {"steer_ratio": length}, "what the log determines"),
         ("offset", values["offset"], "rad", {"offset": 1.0}, "at the wheel, of this log"),
         ("delay", values["delay"], "s", {"delay": 1.0}, ""),
         ("lag", values["lag"], "s", {"lag": 1.0}, ""),
         ("delay_lag", values["delay"] + values["lag"], "s", {"delay": 1.0, "lag": 1.0}, "delay + lag"),
-        (
-            "understeer_gradient",
-            values["d_f"] - values["d_r"],
-            "rad s^2/m",
-            {"d_f": 1.0, "d_r": -1.0},
-            f"given L = {length:g} m",
-        ),
+        ("understeer_gradient", understeer, "rad s^2/m", {"d_f": 1.0, "d_r": -1.0}, given),
         ("c_f", c_f, "N/rad", {"d_f": -c_f / values["d_f"]}, f"given mass {base.m:g} kg"),
         ("c_r", c_r, "N/rad", {"d_r": -c_r / values["d_r"]}, f"given mass {base.m:g} kg"),
         ("rate_zero", values["rate_zero"], "rad/s", {"rate_zero": 1.0}, "zero of the recorded yaw rate"),
@@ -260,18 +248,13 @@ def _estimates(
         for key in slopes.keys() & set(free):
             if not table[key].low < values[key] < table[key].high:
                 note = f"{note}; {key} is at its bound".lstrip("; ")
-        estimates.append(
-            Estimate(
-                name=name, value=float(value), low=float(low), high=float(high), unit=unit, learned=learned, note=note
-            )
-        )
+        estimates.append(Estimate(name, float(value), float(low), float(high), unit, learned, note))
     return tuple(estimates)
 
 
 def _notes(
     drive: Drive,
     base: Vehicle,
-    table: dict[str, Prior],
     free: tuple[str, ...],
     values: dict[str, float],
     covariance: Array,
@@ -292,10 +275,9 @@ def _notes(
         )
     deviations = np.sqrt(np.diag(covariance))
     related = covariance / np.outer(deviations, deviations)
-    for i, name in enumerate(free):
-        for j in range(i):
-            if abs(related[i, j]) > 0.9:
-                notes.append(f"{free[j]} and {name} cannot be separated well (correlation {related[i, j]:+.2f})")
+    for j, i in combinations(range(len(free)), 2):
+        if abs(related[i, j]) > 0.9:
+            notes.append(f"{free[j]} and {free[i]} cannot be separated well (correlation {related[i, j]:+.2f})")
     if values["delay"] < -0.02:
         notes.append("the delay is negative: the yaw rate's clock runs ahead of the steering's, or it was smoothed")
     if max(values["delay"], values["lag"]) > 0.5:

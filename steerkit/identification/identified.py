@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from steerkit._support.errors import require
+from steerkit._support.errors import known, require
 from steerkit._support.files import write_text
-from steerkit.compiled import Compiled, compile
+from steerkit.compiled import compile
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.maths import Scalar
 from steerkit.logs.drive import Array, Drive, moments
@@ -49,10 +49,10 @@ class Simulator:
     """Yaw rates of the model for a drive's steering and speed; compiled once, then run for any parameters.
 
     The delay is that of continuous time: what the sampled loop adds by holding its signals is taken off.
-    steering and speed: recorded; model: `Playback`, `SteeringActuator`, `LinearSingleTrack`. backend: see `compile`.
+    steering and speed: recorded; model: `Playback`, `SteeringActuator`, `LinearSingleTrack`.
     """
 
-    def __init__(self, drive: Drive, base: Vehicle, *, backend: Any = "auto"):
+    def __init__(self, drive: Drive, base: Vehicle):
         self.drive, self.base = drive, base
         play = Playback(angles=tuple(drive.delta_sw.tolist()), speeds=tuple(drive.v.tolist()), dt=drive.dt)
         # the wheel may turn as fast as it was recorded to turn: no rate limit acts
@@ -64,8 +64,7 @@ class Simulator:
             wires=[(play.delta_sw, actuator.delta_sw_cmd), (actuator.delta_sw, car.delta_sw_cmd), (play.v, car.v_cmd)],
         )
         names = (*OPEN.values(), "car.vehicle.c_f", "car.vehicle.c_r")
-        self.loop = loop
-        self._compiled: Compiled = compile(loop, backend=backend, record=["car.r"], parameters=names)
+        self._compiled = compile(loop, record=["car.r"], parameters=names)
 
     def yaw_rates(self, sets: list[dict[str, float]]) -> Array:
         """Yaw rate (n, len(sets)) [rad/s] for each set of steer_ratio, delay, lag, offset, d_f, d_r."""
@@ -78,7 +77,7 @@ class Simulator:
         return log["car.r"]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Estimate:
     """A parameter with its 95 % interval and its source: the log, the prior, or both."""
 
@@ -124,18 +123,12 @@ class Identified:
 
     vehicle: Vehicle
     """The car: the base's mass, inertia and geometry, with steering ratio and cornering stiffnesses as found."""
-    delay: float
-    """Pure delay from steering wheel to road wheels [s]."""
-    lag: float
-    """First-order lag after it [s]."""
-    offset: float
-    """What must be added to the recorded angle, at the steering wheel [rad]."""
-    rate_zero: float
-    """Zero of the recorded yaw rate [rad/s]."""
     estimates: tuple[Estimate, ...]
     drive: Drive
     base: Vehicle
     theta: dict[str, float]
+    """Of the model: among them the pure delay from steering wheel to road wheels and the first-order lag after it [s],
+    the offset, which must be added to the recorded angle [rad], and rate_zero, that of the yaw rate [rad/s]."""
     covariance: Array
     """Of the free parameters, in the order of `free`."""
     free: tuple[str, ...]
@@ -146,9 +139,7 @@ class Identified:
 
     def __getitem__(self, name: str) -> Estimate:
         by_name = {estimate.name: estimate for estimate in self.estimates}
-        if name not in by_name:
-            raise KeyError(f"no estimate '{name}'; there are {', '.join(by_name)}")
-        return by_name[name]
+        return by_name[known(name, by_name, "estimate")]
 
     def predict(self, drive: Drive) -> Prediction:
         """Another drive of the same car, from its steering and speed alone."""
@@ -172,12 +163,18 @@ class Identified:
                 "held_out_rms": round(held_out.rms, 6),
             }
         provenance |= {"command": command} if command else {}
-        steering = {"delay": self.delay, "lag": self.lag, "offset": self.offset}
-        tables = {
-            e.name: {"value": e.value, "low": e.low, "high": e.high, "unit": e.unit, "source": e.source}
-            for e in self.estimates
-        }
-        return vehicle_text(self.vehicle, steering=steering, estimates=tables, provenance=provenance)
+        return vehicle_text(self.vehicle, steering=self.steering, estimates=self.intervals, provenance=provenance)
+
+    @property
+    def steering(self) -> dict[str, float]:
+        """Delay and lag [s] and offset [rad] of the steering."""
+        return {name: self.theta[name] for name in ("delay", "lag", "offset")}
+
+    @property
+    def intervals(self) -> dict[str, dict[str, Any]]:
+        """Value, 95 % interval, unit and source of each estimate."""
+        keys = ("value", "low", "high", "unit", "source")
+        return {e.name: {key: getattr(e, key) for key in keys} for e in self.estimates}
 
     def save(self, file: str | Path, *, command: str = "", held_out: Prediction | None = None) -> None:
         """Write the vehicle file; `vehicle(file)` and `steering_of(file)` read it."""

@@ -41,8 +41,8 @@ def test_the_vehicle_file_comes_back_and_drives(found: Identified, tmp_path: Pat
     found.save(file, command="steerkit identify lap", held_out=found.fit)
     assert vehicle(str(file)) == found.vehicle
     motor = steering_of(file)
-    assert motor.delay + motor.lag == pytest.approx(found.delay + found.lag - 0.01, abs=1e-12)
-    assert motor.offset == found.offset
+    assert motor.delay + motor.lag == pytest.approx(found.theta["delay"] + found.theta["lag"] - 0.01, abs=1e-12)
+    assert motor.offset == found.theta["offset"]
     for block in (LinearSingleTrack(vehicle=vehicle(str(file))), NonlinearSingleTrack(vehicle=vehicle(str(file)))):
         assert block.vehicle.c_f == found.vehicle.c_f
     assert Stanley.of(vehicle(str(file)))
