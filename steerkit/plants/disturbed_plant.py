@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from steerkit._support.errors import require
+from steerkit._support.errors import number, require
 from steerkit._support.random import normals, seed_state
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import State
@@ -36,24 +36,23 @@ class DisturbedPlant(Car):
 
     block: SingleTrack
     """The car."""
-    wind: Scalar = 0.0
+    wind: Scalar = number(0.0, "m/s^2")
     """Lateral acceleration by steady wind [m/s^2], + = to the left."""
-    gust: Scalar = 0.0
+    gust: Scalar = number(0.0, "m/s^2", low=0.0)
     """Standard deviation of that by gusts [m/s^2]."""
-    bank: Scalar = 0.0
+    bank: Scalar = number(0.0, "m/s^2")
     """Lateral acceleration by the bank of the road [m/s^2]."""
-    gust_time: float = 1.0
+    gust_time: float = number(1.0, "s", above=0.0)
     """Correlation time of the gusts [s]."""
-    arm: Scalar = 0.3
+    arm: Scalar = number(0.3, "m")
     """How far ahead of the centre of gravity the wind acts [m]."""
     seed: int = 0
     """Seed of the gusts."""
     dt: float = 0.01
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require(self.dt == self.block.dt, "DisturbedPlant", f"dt = {self.dt} s, but its car has {self.block.dt} s")
-        require(self.gust >= 0.0, "DisturbedPlant", f"gust = {self.gust} [m/s^2], expected >= 0")
-        require(self.gust_time >= self.dt, "DisturbedPlant", f"gust_time = {self.gust_time} [s], expected >= dt")
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         g, _, random = normals(seed_state(self.seed, batch, stream=_STREAM))

@@ -13,11 +13,17 @@ from typing import Any
 
 import numpy as np
 
-from steerkit._support.errors import require, require_within
+from steerkit._support.errors import require
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import State
 from steerkit.diagram.maths import Scalar
 from steerkit.plants.single_track import IntegratedCar
+
+try:
+    import fmpy
+    from fmpy.simulation import instantiate_fmu
+except ImportError as why:
+    raise ImportError("FmuPlant needs FMPy: pip install 'steerkit-control[export]'") from why
 
 _NEEDED = ("delta_sw_cmd", "v_cmd", "x", "y", "psi", "beta", "r", "a_y")
 
@@ -46,9 +52,8 @@ class FmuPlant(IntegratedCar):
     """Start values of the FMU's parameters, and of its states."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         where = f"FmuPlant '{Path(self.file).name}'"
-        self._check_start(where)
-        require_within(where, "dt", self.dt, "s", 1e-6, 1.0)
         about = self._about
         require(about.fmiVersion.startswith("2."), where, f"of FMI {about.fmiVersion}, expected FMI 2.0")
         kind = "is for co-simulation only: its state stays inside, where no loop can save, restore or batch it"
@@ -65,12 +70,7 @@ class FmuPlant(IntegratedCar):
     @cached_property
     def _about(self) -> Any:
         """The FMU's model description."""
-        try:
-            import fmpy
-        except ImportError as why:
-            raise ImportError("FmuPlant needs FMPy: pip install 'steerkit-control[export]'") from why
-        if not Path(self.file).exists():
-            raise ValueError(f"FmuPlant: {self.file}: there is no such file, expected an FMU")
+        require(Path(self.file).exists(), "FmuPlant", f"{self.file}: there is no such file, expected an FMU")
         try:
             return fmpy.read_model_description(str(self.file))
         except Exception as why:
@@ -79,11 +79,9 @@ class FmuPlant(IntegratedCar):
     @cached_property
     def _fmu(self) -> _Equations:
         numbers = {variable.name: variable.valueReference for variable in self._about.modelVariables}
-        at = {port: numbers[self.variables.get(port, port)] for port in _NEEDED}
+        at = [numbers[self.variables.get(port, port)] for port in _NEEDED]
         start = {numbers[name]: float(value) for name, value in self.parameters.items()}
-        return _Equations(
-            self._about, str(self.file), [at[p] for p in _NEEDED[:2]], [at[p] for p in _NEEDED[2:]], start
-        )
+        return _Equations(self._about, str(self.file), at[:2], at[2:], start)
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         return (*[m.filled(value, batch) for value in self._fmu.start], m.filled(self.v0, batch), m.filled(0.0, batch))
@@ -115,20 +113,11 @@ class FmuPlant(IntegratedCar):
 
 
 class _Equations:
-    """One instance of the FMU, used as a calculator: every question brings state, inputs and time along."""
+    """One instance of the FMU, used as a calculator: each call brings state, inputs and time along."""
 
     def __init__(self, about: Any, file: str, inputs: list[int], outputs: list[int], start: Mapping[int, float]):
-        import fmpy
-        from fmpy.fmi2 import FMU2Model
-
         folder = fmpy.extract(file)
-        model = FMU2Model(
-            guid=about.guid,
-            unzipDirectory=folder,
-            modelIdentifier=about.modelExchange.modelIdentifier,
-            instanceName="steerkit",
-        )
-        model.instantiate()
+        model = instantiate_fmu(folder, about, "ModelExchange")
         weakref.finalize(self, _released, model, folder)
         self._model, self._inputs, self._outputs = model, inputs, outputs
         n = about.numberOfContinuousStates
@@ -138,25 +127,24 @@ class _Equations:
             model.setReal(list(start), list(start.values()))
         model.enterInitializationMode()
         model.exitInitializationMode()
-        needed = True
-        while needed:
-            needed = model.newDiscreteStates()[0]
+        while model.newDiscreteStates()[0]:
+            pass
         model.enterContinuousTimeMode()
         model.getContinuousStates(self._x, n)
         self.start = tuple(self._x)
 
     def outputs(self, t: float, *values: float) -> tuple[float, ...]:
         """x, y, psi, beta, r, a_y for the states, delta_sw and v."""
-        self._ask(t, values)
+        self._set(t, values)
         return tuple(self._model.getReal(self._outputs))
 
     def derivatives(self, t: float, *values: float) -> tuple[float, ...]:
         """The states' derivatives."""
-        self._ask(t, values)
+        self._set(t, values)
         self._model.getDerivatives(self._dx, self._n)
         return tuple(self._dx)
 
-    def _ask(self, t: float, values: Sequence[float]) -> None:
+    def _set(self, t: float, values: Sequence[float]) -> None:
         self._model.setTime(t)
         self._x[:] = values[:-2]
         self._model.setContinuousStates(self._x, self._n)

@@ -9,7 +9,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from steerkit._support.errors import require, require_within, whole_samples
+from steerkit._support.errors import number, require, require_within, whole_samples
 from steerkit._support.random import RandomState, normals, seed_state, uniform
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State
@@ -20,7 +20,6 @@ from steerkit.vehicles import Vehicle
 
 _STREAM, _STREAM_DEGRADED = 2, 13  # of `seed_state`: the sensors', and what goes wrong
 _SLOWEST = 1.0  # m/s, for the estimate of sideslip
-_CHANNELS = (("x", "m"), ("y", "m"), ("psi", "rad"), ("v", "m/s"), ("beta", "rad"), ("r", "rad/s"))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -54,52 +53,44 @@ class Sensors(Block):
     r = Out("rad/s", direct=(r_in,))
     age = Out("s", direct=())
 
-    position_noise: Scalar = 0.0
+    position_noise: Scalar = number(0.0, "m", low=0.0, high=10.0)
     """Standard deviation of the white noise on x and on y [m]."""
-    psi_noise: Scalar = 0.0
-    """Standard deviation of the white noise on psi [rad]."""
-    v_noise: Scalar = 0.0
-    """Standard deviation of the white noise on v [m/s]."""
-    beta_noise: Scalar = 0.0
-    """Standard deviation of the white noise on beta [rad]."""
-    r_noise: Scalar = 0.0
-    """Standard deviation of the white noise on r [rad/s]."""
-    position_drift: Scalar = 0.0
+    psi_noise: Scalar = number(0.0, "rad", low=0.0, high=1.0)
+    """That on psi [rad]."""
+    v_noise: Scalar = number(0.0, "m/s", low=0.0, high=1.0)
+    """That on v [m/s]."""
+    beta_noise: Scalar = number(0.0, "rad", low=0.0, high=1.0)
+    """That on beta [rad]."""
+    r_noise: Scalar = number(0.0, "rad/s", low=0.0, high=1.0)
+    """That on r [rad/s]."""
+    position_drift: Scalar = number(0.0, "m", low=0.0, high=10.0)
     """Standard deviation of the drift of x and of y [m]."""
-    psi_drift: Scalar = 0.0
+    psi_drift: Scalar = number(0.0, "rad", low=0.0, high=1.0)
     """Standard deviation of the drift of psi [rad]."""
-    drift_time: float = 10.0
+    drift_time: float = number(10.0, "s", above=0.0, high=1e5)
     """Correlation time of the drift [s]."""
-    x_bias: Scalar = 0.0
+    x_bias: Scalar = number(0.0, "m", low=-10.0, high=10.0)
     """Constant error of x [m]."""
-    y_bias: Scalar = 0.0
+    y_bias: Scalar = number(0.0, "m", low=-10.0, high=10.0)
     """Constant error of y [m]."""
-    psi_bias: Scalar = 0.0
+    psi_bias: Scalar = number(0.0, "rad", low=-10.0, high=10.0)
     """Constant error of psi [rad]."""
-    v_bias: Scalar = 0.0
+    v_bias: Scalar = number(0.0, "m/s", low=-10.0, high=10.0)
     """Constant error of v [m/s]."""
-    beta_bias: Scalar = 0.0
+    beta_bias: Scalar = number(0.0, "rad", low=-10.0, high=10.0)
     """Constant error of beta [rad]."""
-    r_bias: Scalar = 0.0
+    r_bias: Scalar = number(0.0, "rad/s", low=-10.0, high=10.0)
     """Constant error of r [rad/s]."""
     latency: float = 0.0
     """Age of what is seen [s], a multiple of dt."""
     seed: int = 0
     """Seed of the random numbers."""
-    dt: float = DT
 
     @classmethod
     def hard(cls, seed: int = 0, *, dt: float = DT) -> Self:
         """A demanding but ordinary set: RTK position drifting by 1 cm, heading by 0.1 deg, gyro noise, 50 ms late."""
-        return cls(
-            position_drift=0.01,
-            psi_drift=radians_of(0.1),
-            drift_time=2.0,
-            r_noise=radians_of(0.2),
-            latency=0.05,
-            seed=seed,
-            dt=dt,
-        )
+        drifts: Any = dict(position_drift=0.01, psi_drift=radians_of(0.1), drift_time=2.0)
+        return cls(**drifts, r_noise=radians_of(0.2), latency=0.05, seed=seed, dt=dt)
 
     @classmethod
     def real(cls, seed: int = 0, *, dt: float = DT) -> Self:
@@ -108,16 +99,8 @@ class Sensors(Block):
         return replace(cls.hard(seed, dt=dt), v_noise=0.05)
 
     def __post_init__(self) -> None:
-        where = "Sensors"
-        require_within(where, "dt", self.dt, "s", 1e-6, 1.0)
-        limits = {"position_noise": ("m", 10.0), "position_drift": ("m", 10.0), "psi_drift": ("rad", 1.0)}
-        limits |= {f"{name}_noise": (unit, 1.0) for name, unit in _CHANNELS[2:]}
-        for name, (unit, high) in limits.items():
-            require_within(where, name, getattr(self, name), unit, 0.0, high, "a standard deviation")
-        for name, unit in _CHANNELS:
-            require_within(where, f"{name}_bias", getattr(self, f"{name}_bias"), unit, -10.0, 10.0)
-        require_within(where, "drift_time", self.drift_time, "s", self.dt, 1e5, "at least dt")
-        whole_samples(where, "latency", self.latency, self.dt)
+        super().__post_init__()
+        whole_samples("Sensors", "latency", self.latency, self.dt)
         seed_state(self.seed)
 
     @cached_property
@@ -131,7 +114,7 @@ class Sensors(Block):
 
     @cached_property
     def _bias(self) -> tuple[Scalar, ...]:
-        return tuple(getattr(self, f"{name}_bias") for name, _ in _CHANNELS)
+        return self.x_bias, self.y_bias, self.psi_bias, self.v_bias, self.beta_bias, self.r_bias
 
     @cached_property
     def _exact(self) -> bool:
@@ -141,7 +124,7 @@ class Sensors(Block):
     def init(self, batch: tuple[int, ...] = ()) -> State:
         zero = m.filled(0.0, batch)
         random = seed_state(self.seed, batch, stream=_STREAM)
-        waiting = (zero,) * (6 * whole_samples("Sensors", "latency", self.latency, self.dt))
+        waiting = (zero,) * (6 * round(self.latency / self.dt))
         return (*self._drawn((zero,) * 3, random, kept=0.0), *waiting)
 
     def settle(self, t: float, x: State, u: Any) -> State:
@@ -213,49 +196,32 @@ class DegradedSensors(Block):
     """The sensors; their seed is this block's."""
     age_jitter: float = 0.0
     """Longest age beyond the sensors' latency [s], at most dt."""
-    lost: float = 0.0
+    lost: float = number(0.0, "1", low=0.0, high=0.9)
     """Share of samples that do not arrive [1]: the one before is held."""
-    jump: Scalar = 0.0
+    jump: Scalar = number(0.0, "m", low=0.0, high=10.0)
     """Standard deviation of the offset that x and y have from jump to jump [m]."""
-    jump_time: float = 20.0
+    jump_time: float = number(20.0, "s", above=0.0, high=1e5)
     """Mean time between jumps [s]."""
-    heading_drift: Scalar = 0.0
+    heading_drift: Scalar = number(0.0, "rad", low=0.0, high=1.0)
     """Standard deviation of the slow error of psi [rad]."""
-    heading_time: float = 60.0
+    heading_time: float = number(60.0, "s", above=0.0, high=1e5)
     """Its correlation time [s]."""
-    rear: Scalar | None = None
+    rear: Scalar | None = number(None, "m", low=0.02, high=20.0)
     """Centre of gravity to rear axle [m], for the estimate of beta; None: beta is measured."""
-    dt: float = DT
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         where = "DegradedSensors"
         require(self.dt == self.block.dt, where, f"dt = {self.dt} s, but its sensors have {self.block.dt} s")
-        for name, unit, low, high, hint in (
-            ("age_jitter", "s", 0.0, self.dt, "at most dt"),
-            ("lost", "1", 0.0, 0.9, "a share"),
-            ("jump", "m", 0.0, 10.0, ""),
-            ("jump_time", "s", self.dt, 1e5, "at least dt"),
-            ("heading_drift", "rad", 0.0, 1.0, "radians: radians_of(0.2)"),
-            ("heading_time", "s", self.dt, 1e5, "at least dt"),
-        ):
-            require_within(where, name, getattr(self, name), unit, low, high, hint)
-        if self.rear is not None:
-            require_within(where, "rear", self.rear, "m", 0.02, 20.0)
+        require_within(where, "age_jitter", self.age_jitter, "s", 0.0, self.dt, "at most dt")
 
     @classmethod
     def real(cls, vehicle: Vehicle, seed: int = 0, *, dt: float = DT) -> Self:
         """A production car with a good satellite receiver: `Sensors.real`, up to 20 ms of jitter, one sample in a
         hundred lost, jumps of 2 cm every 20 s, a heading that wanders by 0.2 degrees
         within minutes, sideslip unknown."""
-        return cls(
-            block=Sensors.real(seed, dt=dt),
-            age_jitter=0.02,
-            lost=0.01,
-            jump=0.02,
-            heading_drift=radians_of(0.2),
-            rear=vehicle.l_r,
-            dt=dt,
-        )
+        faults: Any = dict(age_jitter=0.02, lost=0.01, jump=0.02, heading_drift=radians_of(0.2))
+        return cls(block=Sensors.real(seed, dt=dt), rear=vehicle.l_r, dt=dt, **faults)
 
     def scaled(self, size: float) -> Self:
         """The same with all errors but the age `size` times as large; `lost` too, up to a half."""
@@ -309,7 +275,7 @@ class DegradedSensors(Block):
     @cached_property
     def _waiting(self) -> int:
         """Samples on their way, whose shares have to be remembered for their stamps."""
-        return whole_samples("DegradedSensors", "latency", self.block.latency, self.dt)
+        return round(self.block.latency / self.dt)
 
     def _faulty(self, measured: State, x: State) -> State:
         """What is seen of a sample that arrives, and its age, in this state."""

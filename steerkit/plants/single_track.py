@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from steerkit._support.errors import require, require_within
+from steerkit._support.errors import number, require, require_within
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.maths import Scalar
@@ -47,23 +47,22 @@ class Car(Block):
 class IntegratedCar(Car):
     """A car by its equations of motion: where it starts and how they are integrated; abstract."""
 
-    x0: Scalar = 0.0
+    x0: Scalar = number(0.0, "m", low=-1e7, high=1e7)
     """Start position [m]."""
-    y0: Scalar = 0.0
+    y0: Scalar = number(0.0, "m", low=-1e7, high=1e7)
     """Start position [m]."""
-    psi0: Scalar = 0.0
+    psi0: Scalar = number(0.0, "rad", low=-1e4, high=1e4)
     """Start heading [rad]."""
-    v0: Scalar = 0.0
+    v0: Scalar = number(0.0, "m/s", low=0.0, high=100.0)
     """Speed before the first sample [m/s]."""
     substeps: int = 1
     """Integration steps a sample."""
-    dt: float = 0.01
+    dt: float = number(0.01, "s", above=0.0, high=1.0)
 
-    def _check_start(self, where: str) -> None:
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        where = type(self).__name__
         require(isinstance(self.substeps, int) and self.substeps >= 1, where, f"substeps = {self.substeps!r}, >= 1")
-        for name, unit, limit in (("x0", "m", 1e7), ("y0", "m", 1e7), ("psi0", "rad", 1e4)):
-            require_within(where, name, getattr(self, name), unit, -limit, limit)
-        require_within(where, "v0", self.v0, "m/s", 0.0, 100.0)
 
 
 class SingleTrackState(NamedTuple):
@@ -105,9 +104,9 @@ class SingleTrack(IntegratedCar):
     """The car's parameters."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         where = type(self).__name__
         require_vehicle(self.vehicle, where)
-        self._check_start(where)
         p = self.vehicle
         # the lateral dynamics' larger diagonal entry where w/v is largest; 2 of 2.78 leaves room for the coupling
         fastest = 2.0 + 0.35 * m.maximum((p.c_f + p.c_r) / p.m, (p.c_f * p.l_f**2 + p.c_r * p.l_r**2) / p.i_z)

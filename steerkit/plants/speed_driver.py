@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from steerkit._support.errors import require, require_within
+from steerkit._support.errors import number, require, require_within
 from steerkit._support.random import normals, seed_state
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State
 from steerkit.diagram.maths import Scalar, Table
 from steerkit.paths.path import Array, Path
-from steerkit.task import A_Y_MAX, DT
+from steerkit.task import A_Y_MAX
 
 _STREAM = 1  # of `seed_state`: the drivers'
 _FASTEST = 60.0  # m/s
@@ -41,25 +41,20 @@ class SpeedDriver(Block):
 
     v = Out("m/s", direct=())
 
-    v_min: Scalar = 4.0
+    v_min: Scalar = number(4.0, "m/s", low=0.0, high=_FASTEST)
     """Slowest speed [m/s]."""
-    v_max: Scalar = 7.5
+    v_max: Scalar = number(7.5, "m/s", low=0.0, high=_FASTEST)
     """Fastest speed [m/s]."""
-    wander_time: float = 10.0
+    wander_time: float = number(10.0, "s", above=0.0, high=1e4)
     """Correlation time of the intended speed [s]."""
-    foot_time: float = 2.0
+    foot_time: float = number(2.0, "s", above=0.0, high=1e4)
     """Time constant of the pedal [s]."""
     seed: int = 0
     """Seed of the random numbers."""
-    dt: float = DT
 
     def __post_init__(self) -> None:
-        where = "SpeedDriver"
-        require_within(where, "v_min", self.v_min, "m/s", 0.0, _FASTEST)
-        require_within(where, "v_max", self.v_max, "m/s", self.v_min, _FASTEST, "at least v_min")
-        require_within(where, "dt", self.dt, "s", 1e-6, 1.0)
-        for name in ("wander_time", "foot_time"):
-            require_within(where, name, getattr(self, name), "s", 2.0 * self.dt, 1e4, "at least 2 dt")
+        super().__post_init__()
+        require_within("SpeedDriver", "v_max", self.v_max, "m/s", self.v_min, _FASTEST, "at least v_min")
         seed_state(self.seed)
 
     @cached_property
@@ -95,13 +90,8 @@ class ConstantSpeed(Block):
 
     v = Out("m/s", direct=())
 
-    speed: Scalar = 5.0
+    speed: Scalar = number(5.0, "m/s", low=0.0, high=_FASTEST)
     """The speed [m/s]; an `(N,)` array for a batch of different drivers."""
-    dt: float = DT
-
-    def __post_init__(self) -> None:
-        require_within("ConstantSpeed", "speed", self.speed, "m/s", 0.0, _FASTEST)
-        require_within("ConstantSpeed", "dt", self.dt, "s", 1e-6, 1.0)
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         return (m.filled(self.speed, batch),)
@@ -129,18 +119,16 @@ class _Profile(Block):
 
     speeds: tuple[float, ...]
     """Speeds [m/s] at p = 0, spacing, 2 spacing, ...; two at least."""
-    spacing: float
+    spacing: float = number(unit="s or m", low=1e-6, high=1e6)
     """Distance between them, in the unit of what they are recorded over."""
     repeat: bool = False
     """After the last sample, go on with the first (which it should equal)? Otherwise hold the last."""
-    dt: float = DT
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         where = type(self).__name__
         require(np.ndim(self.speeds) == 1 and len(self.speeds) >= 2, where, "speeds, expected two numbers or more")
         require_within(where, "speeds", np.asarray(self.speeds), "m/s", 0.0, _FASTEST)
-        require_within(where, "spacing", self.spacing, "s or m", 1e-6, 1e6)
-        require_within(where, "dt", self.dt, "s", 1e-6, 1.0)
 
     @classmethod
     def from_samples(cls, at: ArrayLike, speeds: ArrayLike, *, spacing: float = 0.1, repeat: bool = False) -> Self:
@@ -175,12 +163,8 @@ class RecordedSpeed(_Profile):
 
     v = Out("m/s", direct=())
 
-    start: Scalar = 0.0
+    start: Scalar = number(0.0, "s", low=-1e6, high=1e6)
     """Where in the record to begin [s]; an `(N,)` array for a batch of cars at different places of it."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_within("RecordedSpeed", "start", self.start, "s", -1e6, 1e6)
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         return (m.filled(self.start, batch),)
@@ -225,15 +209,15 @@ class CurveSpeedDriver(Block):
     """The course."""
     driver: SpeedDriver
     """The driver who sets the speed where there is no bend."""
-    a_y_max: float = A_Y_MAX
+    a_y_max: float = number(A_Y_MAX, "m/s^2", above=0.0)
     """Largest lateral acceleration in a bend [m/s^2]."""
-    a_x_max: float = 1.5
+    a_x_max: float = number(1.5, "m/s^2", above=0.0)
     """Largest acceleration and braking for it [m/s^2]."""
 
     def __post_init__(self) -> None:
-        where, dt = "CurveSpeedDriver", self.driver.dt
-        require(self.a_y_max > 0.0 and self.a_x_max > 0.0, where, "a_y_max and a_x_max, expected > 0 m/s^2")
-        require(self.dt == dt, where, f"dt = {self.dt} s, but its driver has {dt} s")
+        super().__post_init__()
+        dt = self.driver.dt
+        require(self.dt == dt, "CurveSpeedDriver", f"dt = {self.dt} s, but its driver has {dt} s")
 
     @cached_property
     def _ceiling(self) -> Table:
@@ -294,18 +278,20 @@ class Playback(Block):
     """Steering-wheel angles [rad] at t = 0, dt, 2 dt, ..."""
     speeds: tuple[float, ...]
     """Speeds [m/s] at the same times."""
-    delay: Scalar = 0.0
+    delay: Scalar = number(0.0, "s", low=-10.0, high=10.0)
     """How much later the angle acts [s]; below 0: earlier."""
-    dt: float = 0.01
+    dt: float = number(0.01, "s", above=0.0, high=1.0)
 
     def __post_init__(self) -> None:
-        _ = self._table
-        require_within("Playback", "delay", self.delay, "s", -10.0, 10.0)
-        require_within("Playback", "dt", self.dt, "s", 1e-6, 1.0)
+        super().__post_init__()
+        where, n = "Playback", len(self.angles)
+        require(n == len(self.speeds) >= 2, where, f"{n} angles, {len(self.speeds)} speeds, expected as many, >= 2")
+        require_within(where, "angles", np.array(self.angles), "rad", -100.0, 100.0)
+        require_within(where, "speeds", np.array(self.speeds), "m/s", 0.0, 100.0)
 
     @cached_property
     def _table(self) -> Table:
-        return _recorded(tuple(self.angles), tuple(self.speeds))
+        return _rising(self.angles, self.speeds)
 
     def output(self, t: Any, x: Any, u: Any) -> Any:
         return self.Y(self._at(t - self.delay, 0), self._at(t, 1))
@@ -313,13 +299,3 @@ class Playback(Block):
     def _at(self, t: Scalar, column: int) -> Scalar:
         """A column of the record at time t [s]."""
         return _between(self._table, m.clip(t / self.dt + 1e-9, 0.0, float(len(self._table))), column)
-
-
-@lru_cache(maxsize=4)
-def _recorded(angles: tuple[float, ...], speeds: tuple[float, ...]) -> Table:
-    """The table of a recording, checked; one for all delays that it is played back with."""
-    where, n = "Playback", len(angles)
-    require(n == len(speeds) >= 2, where, f"{n} angles, {len(speeds)} speeds, expected equally many, >= 2")
-    require_within(where, "angles", np.array(angles), "rad", -100.0, 100.0)
-    require_within(where, "speeds", np.array(speeds), "m/s", 0.0, 100.0)
-    return _rising(angles, speeds)

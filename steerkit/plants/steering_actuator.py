@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path as FilePath
 from typing import Any
 
-from steerkit._support.errors import require, require_within, whole_samples
+from steerkit._support.errors import number, require, whole_samples
 from steerkit._support.random import seed_state, uniform
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State
@@ -31,31 +31,22 @@ class Steering(Block):
     delta_sw = Out("rad", direct=())
     rate = Out("rad/s", direct=())
 
-    limit: Scalar = STOP
+    limit: Scalar = number(STOP, "rad", low=1e-3, high=30.0)
     """Largest |delta_sw| [rad]."""
-    rate_limit: Scalar = radians_of(550.0)
+    rate_limit: Scalar = number(radians_of(550.0), "rad/s", low=1e-3, high=200.0)
     """Largest |rate| [rad/s]."""
-    lag: Scalar = 0.1
+    lag: Scalar = number(0.1, "s", low=0.0, high=10.0)
     """First-order time constant of what the command sets [s]; 0 for none."""
     delay: float = 0.0
     """Pure delay [s], a multiple of dt."""
-    gain: Scalar = 1.0
+    gain: Scalar = number(1.0, "1", low=0.1, high=10.0)
     """What is reached over what was commanded [1]."""
-    offset: Scalar = 0.0
+    offset: Scalar = number(0.0, "rad", low=-3.0, high=3.0)
     """Offset [rad] of the angle reached."""
-    dt: float = 0.01
+    dt: float = number(0.01, "s", above=0.0, high=1.0)
 
     def __post_init__(self) -> None:
-        where = type(self).__name__
-        for name, unit, low, high, hint in (
-            ("dt", "s", 1e-6, 1.0, ""),
-            ("limit", "rad", 1e-3, 30.0, "radians: radians_of(520)"),
-            ("rate_limit", "rad/s", 1e-3, 200.0, "radians: radians_of(550)"),
-            ("lag", "s", 0.0, 10.0, ""),
-            ("gain", "1", 0.1, 10.0, "1 is no error"),
-            ("offset", "rad", -3.0, 3.0, "radians: radians_of(5)"),
-        ):
-            require_within(where, name, getattr(self, name), unit, low, high, hint)
+        super().__post_init__()
         _ = self.waiting
 
     @cached_property
@@ -111,11 +102,10 @@ def steering_of(file: str | FilePath, *, dt: float = 0.01, **others: Any) -> Ste
 def steering_in(text: str, where: str, *, dt: float = 0.01, **others: Any) -> SteeringActuator:
     """The same from the text of a vehicle file; `where` is what errors call it."""
     table = table_of(text, "steering", where)
-    numbers = {}
-    for key in ("delay", "lag", "offset"):
-        require(isinstance(table.get(key), (int, float)), where, f"[steering] {key}, expected a number")
-        numbers[key] = float(table[key])
-    return sampled_steering(**numbers, dt=dt, **others)
+    numbers = {key: table.get(key) for key in ("delay", "lag", "offset")}
+    for key, value in numbers.items():
+        require(isinstance(value, (int, float)), where, f"[steering] {key}, expected a number")
+    return sampled_steering(**numbers, dt=dt, **others)  # type: ignore[arg-type]
 
 
 def sampled_steering(*, delay: float, lag: float, offset: float, dt: float = 0.01, **others: Any) -> SteeringActuator:
@@ -133,7 +123,7 @@ class SteeringLink(Block):
     """The way of a steering command to the motor, for a loop in which this way is not perfect.
 
     sent(t) = quantum floor(delta_sw_cmd(t)/quantum + 1/2),
-    arrived(t) = sent(t - a(t)),  a(t + dt) = min(a(t) + dt, d),  d new every `every` seconds, uniform in 0 ... jitter,
+    arrived(t) = sent(t - a(t)),  a(t + dt) = min(a(t) + dt, d),  d new every 50 ms, uniform in 0 ... jitter,
     delta_sw(t) = arrived(t)  where it is more than dead_band from delta_sw(t - dt), else delta_sw(t - dt):
 
     the bus carries whole quanta; each command takes a time of its own, and none overtakes another; the motor's
@@ -143,7 +133,7 @@ class SteeringLink(Block):
     sample before; with jitter also a and d in samples, the samples since d was drawn, the generator's six numbers and
     the jitter/dt commands before this one, oldest first. A NaN arrives as NaN. In a batch, car i draws as a link of
     seed + i does; quantum and dead_band may be `(N,)` arrays. errors: ValueError for parameters out of range, or a
-    jitter or an `every` that is no multiple of dt.
+    jitter that is no multiple of dt.
     source: Widrow, Kollar 2008 (quantiser); Nilsson 1998, ch. 3 (random delays in control loops, new each sample);
     Miskowicz 2006 (send on delta).
     """
@@ -151,27 +141,19 @@ class SteeringLink(Block):
     delta_sw_cmd = In("rad")
     delta_sw = Out("rad")
 
-    quantum: Scalar = 0.0
+    quantum: Scalar = number(0.0, "rad", low=0.0, high=1.0)
     """Resolution of a command [rad]; 0: exact."""
-    dead_band: Scalar = 0.0
+    dead_band: Scalar = number(0.0, "rad", low=0.0, high=1.0)
     """Change of a command that the motor's controller leaves [rad]."""
     jitter: float = 0.0
     """Longest time that a command takes beyond the shortest [s], a multiple of dt."""
-    every: float = DT
-    """Time between two commands, each of which takes a time of its own [s], a multiple of dt."""
     seed: int = 0
     """Seed of the random delays."""
-    dt: float = 0.01
+    dt: float = number(0.01, "s", above=0.0, high=1.0)
 
     def __post_init__(self) -> None:
-        where = "SteeringLink"
-        require_within(where, "dt", self.dt, "s", 1e-6, 1.0)
-        require_within(where, "quantum", self.quantum, "rad", 0.0, 1.0, "radians: radians_of(0.1)")
-        require_within(where, "dead_band", self.dead_band, "rad", 0.0, 1.0, "radians: radians_of(0.5)")
-        whole_samples(where, "jitter", self.jitter, self.dt)
-        require(
-            whole_samples(where, "every", self.every, self.dt) >= 1, where, f"every = {self.every} [s], expected > 0"
-        )
+        super().__post_init__()
+        whole_samples("SteeringLink", "jitter", self.jitter, self.dt)
         seed_state(self.seed)
 
     @property
@@ -201,7 +183,7 @@ class SteeringLink(Block):
             return (y.delta_sw,)
         _, age, drawn, since, *random = x[:10]
         fresh, random = self._drawn(tuple(random))
-        due = since + 1.5 > self.every / self.dt
+        due = since + 1.5 > DT / self.dt
         drawn = m.where(due, fresh, drawn)
         since = m.where(due, 0.0, since + 1.0)
         return (y.delta_sw, m.minimum(age + 1.0, drawn), drawn, since, *random, *x[11:], self._sent(u.delta_sw_cmd))
@@ -242,20 +224,13 @@ class SteeringColumn(Block):
     delta_sw = Out("rad")
     delta_sw_meas = Out("rad")
 
-    friction: Scalar = 0.0
+    friction: Scalar = number(0.0, "rad", low=0.0, high=1.0)
     """Twist of the shaft that the friction holds, to either side [rad]."""
-    play: Scalar = 0.0
+    play: Scalar = number(0.0, "rad", low=0.0, high=1.0)
     """Free play, from end to end [rad]."""
-    zero: Scalar = 0.0
+    zero: Scalar = number(0.0, "rad", low=-1.0, high=1.0)
     """What the sensor at the steering wheel shows while that is straight [rad]."""
-    dt: float = 0.01
-
-    def __post_init__(self) -> None:
-        where = "SteeringColumn"
-        require_within(where, "dt", self.dt, "s", 1e-6, 1.0)
-        require_within(where, "friction", self.friction, "rad", 0.0, 1.0, "radians: radians_of(1)")
-        require_within(where, "play", self.play, "rad", 0.0, 1.0, "radians: radians_of(2)")
-        require_within(where, "zero", self.zero, "rad", -1.0, 1.0, "radians: radians_of(3)")
+    dt: float = number(0.01, "s", above=0.0, high=1.0)
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         return (m.filled(0.0, batch),) * 2

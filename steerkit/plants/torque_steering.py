@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from steerkit._support.errors import require_within
+from steerkit._support.errors import number
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import In, State
 from steerkit.diagram.maths import Scalar
@@ -43,17 +43,17 @@ class TorqueSteering(Steering):
 
     delay: float = 0.35
     """Dead time [s], a multiple of dt."""
-    lag: Scalar = 0.0
+    lag: Scalar = number(0.0, "s", low=0.0, high=10.0)
     """First-order time constant of the acceleration [s]; 0 for none."""
-    slew: Scalar = 5.0
+    slew: Scalar = number(5.0, "m/s^3", low=1e-3, high=1e4)
     """Fastest change of the acceleration [m/s^3]."""
-    a_y_limit: Scalar = 3.0
+    a_y_limit: Scalar = number(3.0, "m/s^2", low=1e-3, high=1e3)
     """Largest |acceleration| [m/s^2], before the gain."""
-    steer_ratio: Scalar = 15.6
+    steer_ratio: Scalar = number(15.6, "1", low=1.0, high=50.0)
     """Steering-wheel angle over road-wheel angle of the car that commands are meant for [1]."""
-    wheelbase: Scalar = 2.71
+    wheelbase: Scalar = number(2.71, "m", low=0.04, high=40.0)
     """L of that car [m]."""
-    understeer: Scalar = 0.0
+    understeer: Scalar = number(0.0, "rad s^2/m", low=-1e-3, high=1.0)
     """Understeer gradient of that car, K [rad s^2/m]."""
 
     @classmethod
@@ -66,17 +66,6 @@ class TorqueSteering(Steering):
             limit=vehicle.delta_sw_max,
         )
         return cls(**(known | settings))
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name, unit, low, high in (
-            ("slew", "m/s^3", 1e-3, 1e4),
-            ("a_y_limit", "m/s^2", 1e-3, 1e3),
-            ("steer_ratio", "1", 1.0, 50.0),
-            ("wheelbase", "m", 0.04, 40.0),
-            ("understeer", "rad s^2/m", -1e-3, 1.0),
-        ):
-            require_within("TorqueSteering", name, getattr(self, name), unit, low, high)
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         return (m.filled(0.0, batch),) * (3 + self.waiting)

@@ -188,7 +188,7 @@ EXAMPLES = [
     Example(SteeringColumn()),
     Example(SteeringColumn(friction=0.03, play=0.05)),
     Example(SteeringLink()),
-    Example(SteeringLink(quantum=0.01, dead_band=0.02, jitter=0.03, every=0.02, seed=3), single=_seeded),
+    Example(SteeringLink(quantum=0.01, dead_band=0.02, jitter=0.03, seed=3), single=_seeded),
     Example(Sensors(), single=_seeded),
     Example(DegradedSensors(block=Sensors(seed=3)), single=_sensed),
     Example(

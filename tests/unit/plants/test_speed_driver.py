@@ -80,13 +80,12 @@ def test_speed_profile_over_progress():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (
-            lambda: SpeedDriver(v_min=8.0, v_max=7.0),
-            r"SpeedDriver: v_max = 7.0 \[m/s\], expected 8 to 60; at least v_min",
-        ),
-        (lambda: SpeedDriver(foot_time=0.01), r"foot_time = 0.01 \[s\]"),
+        (lambda: SpeedDriver(v_min=8.0, v_max=7.0), r"v_max = 7.0 \[m/s\], expected 8 to 60; at least v_min"),
+        (lambda: SpeedDriver(foot_time=0.0), r"foot_time = 0.0 \[s\], expected > 0"),
         (lambda: SpeedDriver(seed=-1), "seed = -1, expected a whole number"),
         (lambda: ConstantSpeed(speed=-5.0), r"speed = -5.0 \[m/s\]"),
+        (lambda: CurveSpeedDriver(path=circle(20.0), driver=SpeedDriver(dt=0.01)), "its driver has 0.01 s"),
+        (lambda: Playback(angles=ANGLES, speeds=SPEEDS[:-1]), "5 angles, 4 speeds"),
         (lambda: RecordedSpeed(speeds=(4.0,), spacing=1.0), "two numbers or more"),
         (lambda: RecordedSpeed(speeds=(4.0, math.nan), spacing=1.0), r"speeds = .* \[m/s\]"),
         (lambda: SpeedProfile(speeds=(4.0, 5.0), spacing=0.0), "SpeedProfile: spacing = 0.0"),
@@ -116,8 +115,6 @@ def test_a_careful_driver_on_an_open_course_does_not_brake_for_its_own_start() -
     fast, slow = (driver.output(0.0, driver.init(), driver.D(s)).v for s in (path.length, bend))
     assert fast > 7.0 > 6.95
     assert slow < 7.5
-    with pytest.raises(ValueError, match="a_y_max"):
-        CurveSpeedDriver(path=path, driver=SpeedDriver(), a_y_max=0.0)
 
 
 def careful(path: Path, s: np.ndarray, fastest: float = 30.0) -> np.ndarray:
@@ -157,14 +154,3 @@ def test_it_is_the_record_between_its_samples_and_holds_its_ends(delay: float) -
         y = drive.output(float(t), (), ())
         assert y.delta_sw == pytest.approx(np.interp(t - delay, at, ANGLES), abs=1e-6)
         assert y.v == pytest.approx(np.interp(t, at, SPEEDS), abs=1e-6)
-
-
-def test_a_record_has_as_many_angles_as_speeds() -> None:
-    with pytest.raises(ValueError, match="5 angles, 4 speeds"):
-        Playback(angles=ANGLES, speeds=SPEEDS[:-1])
-
-
-def test_a_record_given_as_lists_or_arrays_is_the_same() -> None:
-    plain, (angles, speeds) = Playback(angles=ANGLES, speeds=SPEEDS), (list(ANGLES), np.array(SPEEDS))
-    other = Playback(angles=angles, speeds=speeds)  # type: ignore[arg-type]
-    assert other.output(0.012, (), ()) == plain.output(0.012, (), ())
