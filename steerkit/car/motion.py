@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass
-from typing import NamedTuple
+
+import numpy as np
 
 from steerkit._support.errors import require
 from steerkit.diagram.units import degrees_of, radians_of
@@ -55,30 +55,17 @@ class MotionLimits:
             require(0.0 < value < math.inf, "MotionLimits", f"{name} = {value}, expected a finite number > 0")
 
 
-class Sample(NamedTuple):
-    """A pose, less what dead reckoning explains of it: what is left must stand still."""
-
-    t: float
-    along: float
-    """What is left of each step, along the heading of that step, added up [m]."""
-    across: float
-    """The same across it, + = left: a wrong speed does not turn into it in a bend [m]."""
-    psi: float
-    """Measured heading, unwrapped, less the yaw rate's [rad]."""
-    wheel: float
-    """The yaw rate's heading less the wheel's [rad]."""
-    turned: float
-    """|psi|' added up [rad]."""
-    turned_wheel: float
-    """The same of the wheel."""
-
-
 class MotionCheck:
     """Compares each pose with those of the last seconds by dead reckoning, in overlapping windows.
 
     wheelbase [m], steer_ratio [1], understeer [rad s^2/m]: of the car; r = v tan(delta)/(L + K v^2) at a steady wheel.
     Source: as Autoware's pose instability detector compares a pose with odometry; the split along and across the
     heading is ours.
+
+    A sample is what is left of a pose when dead reckoning is taken off, which must stand still: (t [s]; along, across
+    [m], added up along and across the heading of each step, so that a wrong speed does not turn into `across` in a
+    bend; measured heading less the yaw rate's, the yaw rate's less the wheel's [rad]; |psi|' added up, by the yaw rate
+    and by the wheel [rad]).
     """
 
     def __init__(self, limits: MotionLimits, *, wheelbase: float, steer_ratio: float, understeer: float = 0.0):
@@ -90,13 +77,12 @@ class MotionCheck:
         # what dead reckoning has added up: x, y, psi, psi by the wheel; |psi|' of both
         self._added: tuple[float, ...] = (0.0,) * 6
         self._last: tuple[float, float, float, float] | None = None
-        self._kept: deque[Sample] = deque()
-        self._least = self._most = Sample(*[math.nan] * 7)  # of each quantity, of those that are or were kept
+        self._kept = np.empty((0, 7))
 
     def forget(self) -> None:
         """Begin anew, after a pause without poses."""
         self._t = self._last = None
-        self._kept.clear()
+        self._kept = self._kept[:0]
 
     def moves(self, t: float, *, psi: float, v: float, r: float, beta: float, delta_sw: float) -> None:
         """Speed, heading, yaw rate and wheel at time t [SI]: added up from the last time on (trapezoids)."""
@@ -125,38 +111,33 @@ class MotionCheck:
         along += (left_x - last_x) * cos + (left_y - last_y) * sin
         across += (left_y - last_y) * cos - (left_x - last_x) * sin
         self._last = (left_x, left_y, along, across)
-        here = Sample(t, along, across, self._psi - by_r, by_r - by_wheel, turned, turned_wheel)
-        while self._kept and self._kept[0].t < t - HORIZON:
-            self._kept.popleft()
-        v = math.hypot(self._rates[0], self._rates[1])
-        what = "" if self._agrees(here, v) else self._against(here, v)
-        if not self._kept or t - self._kept[-1].t >= SPACING:
-            self._kept.append(here)
-            columns = [*zip(*self._kept)]
-            self._least, self._most = Sample(*map(min, columns)), Sample(*map(max, columns))
+        here = np.array([t, along, across, self._psi - by_r, by_r - by_wheel, turned, turned_wheel])
+        self._kept = self._kept[self._kept[:, 0] >= t - HORIZON]
+        what = self._against(here, math.hypot(self._rates[0], self._rates[1]))
+        if not len(self._kept) or t - self._kept[-1, 0] >= SPACING:
+            self._kept = np.vstack([self._kept, here])
         return what
 
-    def _agrees(self, here: Sample, v: float) -> bool:
-        """Is it within the limits at T = 0 of all that is kept? Then none contradicts it, as limits only grow with T:
-        known without a look at each, and true of most."""
-        limits = self.limits
-        most = (limits.pose_jump + READ_LATE * v, limits.pose_jump, limits.heading_slack, limits.wheel_slack)
-        four = zip(here[1:5], self._least[1:5], self._most[1:5], most)
-        return here.t >= self._most.t and all(now - low <= far and high - now <= far for now, low, high, far in four)
-
-    def _against(self, here: Sample, v: float) -> str:
+    def _against(self, here: np.ndarray, v: float) -> str:
         """What the oldest of the kept samples that contradicts this one says, or ""."""
         limits = self.limits
-        for then in self._kept:
-            span, along, across, psi, wheel, turned, turned_wheel = [a - b for a, b in zip(here, then)]
-            way = v * span
-            if not abs(along) <= limits.pose_jump + READ_LATE * v + limits.motion_along * way:
-                return f"the position is {along:+.2f} m along from where {span:.2f} s at {v:.1f} m/s lead"
-            if not abs(across) <= limits.pose_jump + limits.motion_across * way:
-                return f"the position drifted by {across:+.2f} m across the heading in {span:.2f} s"
-            if not abs(psi) <= limits.heading_slack + limits.heading_rate * span + 0.05 * turned:
-                return f"the heading is {degrees_of(psi):+.1f} deg from where the yaw rate of {span:.2f} s leads"
-            most = limits.wheel_slack + limits.wheel_rate * span + limits.wheel_share * max(turned, turned_wheel)
-            if not abs(wheel) <= most:
-                return f"the car turned by {degrees_of(wheel):+.1f} deg more than its wheel says in {span:.2f} s"
-        return ""
+        span, *left, turned, turned_wheel = (here - self._kept).T
+        most = (
+            limits.pose_jump + READ_LATE * v + limits.motion_along * v * span,
+            limits.pose_jump + limits.motion_across * v * span,
+            limits.heading_slack + limits.heading_rate * span + 0.05 * turned,
+            limits.wheel_slack + limits.wheel_rate * span + limits.wheel_share * np.maximum(turned, turned_wheel),
+        )
+        beyond = ~(np.abs(left) <= most)  # of a NaN too
+        if not beyond.any():
+            return ""
+        then = int(beyond.any(axis=0).argmax())
+        along, across, psi, wheel = (float(one[then]) for one in left)
+        during = f"{span[then]:.2f} s"
+        texts = (
+            f"the position is {along:+.2f} m along from where {during} at {v:.1f} m/s lead",
+            f"the position drifted by {across:+.2f} m across the heading in {during}",
+            f"the heading is {degrees_of(psi):+.1f} deg from where the yaw rate of {during} leads",
+            f"the car turned by {degrees_of(wheel):+.1f} deg more than its wheel says in {during}",
+        )
+        return texts[int(beyond[:, then].argmax())]

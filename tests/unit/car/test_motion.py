@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-import random
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from steerkit.car.motion import HORIZON, READ_LATE, MotionCheck, MotionLimits, Sample
+from steerkit.car.motion import HORIZON, READ_LATE, MotionCheck, MotionLimits
 from steerkit.diagram.units import radians_of
 
 LENGTH, RATIO, DT = 2.71, 15.6, 0.01
@@ -147,25 +146,3 @@ def test_a_position_may_come_a_tenth_of_a_second_before_the_speed_of_its_moment(
         motion.moves(k * DT, psi=0.0, v=v, r=0.0, beta=0.0, delta_sw=0.0)
         assert motion.pose(k * DT, v * k * DT, 0.0) == ""
     assert motion.pose(1.09, v * 1.09, 0.0) == ""
-
-
-class Thorough(MotionCheck):
-    """Looks at each kept pose, however well the new one agrees."""
-
-    def _agrees(self, here: Sample, v: float) -> bool:
-        return False
-
-
-@given(seed=st.integers(0, 10**6), size=st.floats(0.0, 3.0))
-def test_what_agrees_at_a_glance_agrees_with_each_kept_pose(seed: int, size: float) -> None:
-    dice = random.Random(seed)
-    motions = [kind(LIMITS, wheelbase=LENGTH, steer_ratio=RATIO) for kind in (MotionCheck, Thorough)]
-    off = [0.0, 0.0, 0.0, 0.0]
-    for k in range(600):
-        t = k * DT - (0.08 if dice.random() < 0.05 else 0.0)  # a time stamp goes back now and then
-        off = [a + size * dice.gauss(0.0, s) for a, s in zip(off, (0.03, 0.01, 0.002, 0.02))]
-        said = set()
-        for motion in motions:
-            motion.moves(t, psi=off[2], v=5.0, r=0.2 * math.sin(t), beta=0.0, delta_sw=off[3])
-            said.add(motion.pose(t, 5.0 * t + off[0], off[1]))
-        assert len(said) == 1
