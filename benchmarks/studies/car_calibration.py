@@ -67,8 +67,8 @@ class Yard:
         while self.t < 8.0:
             self._step()
         line: Any = self
-        watched = Watched(line, self.config, self._say)
-        self.guided = Guided(config=self.config, path=path, link=line, line=watched, minutes=minutes)
+        self.watched = Watched(self.config, self._say)
+        self.guided = Guided(config=self.config, path=path, link=line, minutes=minutes)
         resting = self.guided.follow.resting
         self.run = realtime.Run(resting, resting.init(), realtime.Timing(period=resting.dt))
 
@@ -83,13 +83,14 @@ class Yard:
                 self.run.loop.advance(self.run.k, self.run.x, self.run.y)
                 self.run.k += 1
                 over = self.guided.step(self.run)
+                self.watched.sample(self.last)
                 self._note()
             if tick % 10 == 0:
                 self._operate()
         late = self._late()
         self.truth["delay"] += late
         self.truth["delay_lag"] = self.truth["delay"] + self.truth["lag"]
-        return self.guided.line.estimators.found()
+        return self.watched.estimators.found()
 
     def query(self) -> protocol.Snapshot:
         """As a line to the car server has it; so are the next two."""

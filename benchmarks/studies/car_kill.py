@@ -28,7 +28,6 @@ from typing import Any
 
 from steerkit._support.clock import Clock
 from steerkit._support.files import write_text
-from steerkit.car import loop as loops
 from steerkit.car import processes
 from steerkit.car import recording as recordings
 from steerkit.car.client import CarClient, CarLost
@@ -49,9 +48,7 @@ def controller(folder: Path) -> None:
     path = course_of(config)
     with CarClient(str(folder / "socket")) as link:
         link.wait(timeout=10.0)
-        built = lambda policy, doe: loops.car_loop(config, path, link, policy, doe=doe)  # noqa: E731
-        vehicle = loops.design_model_of(config).vehicle
-        with CarLearner(setting("default"), folder / "run", built, link, vehicle=vehicle) as learner:
+        with CarLearner(setting("default"), folder / "run", config, path, link) as learner:
             began = len(learner.learner_state.transitions)
 
             def watch(run: Any) -> bool:

@@ -222,13 +222,8 @@ def learn(
     best = since = 0.0
     failures = 0
     corrected: deque[bool] = deque(maxlen=round(60.0 / DT))
-
-    def build(policy: Any, doe: Any) -> Any:
-        return loops.car_loop(config, path, link, policy, doe=doe, safe=safe)
-
-    vehicle = loops.design_model_of(config).vehicle
     how = replace(DEFAULT, safe=safe)
-    with CarLearner(how, place, build, link, vehicle=vehicle, seed=seed) as learner:
+    with CarLearner(how, place, config, path, link, seed=seed) as learner:
 
         def count(run: realtime.Run) -> bool:
             nonlocal best, since, failures

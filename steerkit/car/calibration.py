@@ -16,7 +16,7 @@ from steerkit.car import replay as replays
 from steerkit.car import session as sessions
 from steerkit.car.client import CarClient
 from steerkit.car.config import CarConfig
-from steerkit.car.estimates import DROVE, EARLIER, QUANTITIES, Watched, changes, earlier, known_in, report
+from steerkit.car.estimates import DROVE, EARLIER, QUANTITIES, changes, earlier, known_in, report
 from steerkit.car.loop import Follow
 from steerkit.car.protocol import ESTIMATES
 from steerkit.car.state_machine import Mode
@@ -52,7 +52,6 @@ class Guided:
     config: CarConfig
     path: Path
     link: CarClient
-    line: Watched
     base: str = "stanley"
     """The controller that keeps the car on its course."""
     minutes: float = 4.0
@@ -68,7 +67,7 @@ class Guided:
     def __post_init__(self) -> None:
         check(self.base, self.minutes)
         first = loops.controller_named(f"{self.base}+{self.wave}", self.config)
-        self.follow = Follow.of(self._loop(first), self.line)
+        self.follow = Follow.of(self._loop(first), self.link)
         self._announce(first)
 
     @property
@@ -97,7 +96,7 @@ class Guided:
         return False
 
     def _loop(self, controller: loops.Controller) -> Any:
-        return loops.car_loop(self.config, self.path, self.line, controller.block)
+        return loops.car_loop(self.config, self.path, self.link, controller.block)
 
     def _announce(self, controller: loops.Controller) -> None:
         self.link.remark(controller.steers.text())
@@ -110,7 +109,7 @@ class Guided:
             return "all is driven: take the wheel"
         after = [*SHARES, "the end"][self.place + 1]
         text = f"{self.wave}, {_ABOUT[self.wave]}: {self.left:.0f} s of driving left, then {after}"
-        last = self.line.last
+        last = self.link.last
         if last is None or last.mode is not Mode.ENGAGED:
             return f"{text}; the clock stands until you engage"
         if not last.v >= SLOWEST:
@@ -258,13 +257,7 @@ def calibrate(options: sessions.Options, out: FilePath, *, base: str, minutes: f
     with sessions.session(options) as here:
         here.link.wait(timeout=10.0)
         guided = Guided(
-            config=here.config,
-            path=here.path,
-            link=here.link,
-            line=here.watched,
-            base=base,
-            minutes=minutes,
-            say=not here.live,
+            config=here.config, path=here.path, link=here.link, base=base, minutes=minutes, say=not here.live
         )
         with here.panel(f"calibration, {base}", guided.status, "guide"):
             run = realtime.run(

@@ -98,6 +98,10 @@ class Note(NamedTuple):
 
 Output = Send | Reply | Note
 
+_FLAGS = ("override", "enabled", "timeout", "brake", "accelerator")
+_NOTED = {protocol.Estimates: "estimates", protocol.Adapted: "adapted", protocol.Filtered: "safety"}
+"""What a controller says for the recording only, and its topic."""
+
 
 class Core:
     """All decisions of the car server. `handle` one event after the other; call it with a `Tick` at `wake` [s].
@@ -160,20 +164,23 @@ class Core:
             case RecordingFault():
                 self._unrecorded = event.wrong
             case End():
-                return self._end(t, event.cause)
-        self._decide(t, order, out)
+                self.ended = True
+                self._enter(Machine(Mode.OFF, event.cause, t), out)
+        if not self.ended:
+            self._decide(t, order, out)
         self._write(t, out)
         self.wake = self._next(t)
         return out
 
     def _packet(self, t: float, event: Packet, out: list[Output]) -> Order | None:
+        message, refused, order = None, "", None
         try:
             message = protocol.decode(event.data)
         except ValueError as error:
-            out.append(Reply(event.link, protocol.encode(protocol.Refused(str(error)))))
-            return None
-        refused, order = "", None
+            refused = str(error)
         match message:
+            case None:
+                pass
             case protocol.Hello(version=version) if version != protocol.VERSION:
                 refused = f"the car server speaks version {protocol.VERSION}, not {version}"
             case protocol.Hello(controller=True) if True in self._links.values():
@@ -200,12 +207,9 @@ class Core:
                 refused = self._take_request(t, event.link, message)
             case protocol.Remark() if self._links.get(event.link):
                 out.append(Note("steers", {"t": t, "what": message.text}))
-            case protocol.Estimates() if self._links.get(event.link):
-                out.append(Note("estimates", {"t": t, **message.named()}))
-            case protocol.Adapted() if self._links.get(event.link):
-                out.append(Note("adapted", {"t": t, **message._asdict()}))
-            case protocol.Filtered() if self._links.get(event.link):
-                out.append(Note("safety", {"t": t, **message._asdict()}))
+            case protocol.Estimates() | protocol.Adapted() | protocol.Filtered() if self._links.get(event.link):
+                values = message.named() if isinstance(message, protocol.Estimates) else message._asdict()
+                out.append(Note(_NOTED[type(message)], {"t": t, **values}))
             case _:
                 refused = f"{type(message).__name__} is not for the car server"
         if refused:
@@ -240,12 +244,12 @@ class Core:
     def facts(self, t: float) -> Facts:
         """All that is known at time t [s]."""
         v, senses, request, config = self.senses.values, self.senses, self._request, self.config
-        while senses.errors and senses.errors[0][0] <= t - 1.0:
-            senses.errors.popleft()
-        while self._misses and self._misses[0][0] <= t - 1.0:
-            self._misses.popleft()
-        while self._late and self._late[0][0] <= t - 1.0:
-            self._late.popleft()
+        of_last_second: tuple[deque[Any], ...] = (senses.errors, self._misses, self._late)
+        for queue in of_last_second:
+            while queue and queue[0][0] <= t - 1.0:
+                queue.popleft()
+        known: dict[str, Any] = {name: v.get(name, math.nan) for name in ("delta_sw", "v", "v_kit")}
+        known |= {flag: v.get(flag, 0.0) != 0.0 for flag in _FLAGS}
         engaged, since, enabled_since = self.machine.mode is Mode.ENGAGED, self.machine.since, senses.enabled_since
         return Facts(
             connected=True in self._links.values(),
@@ -254,17 +258,12 @@ class Core:
             pose_age=senses.age(t, config.pose_frames) + senses.delay,
             request_age=t - request.basis + EPS if request else math.inf,
             request=request.delta_sw if request else math.nan,
-            delta_sw=v.get("delta_sw", math.nan),
-            v=v.get("v", math.nan),
-            v_kit=v.get("v_kit", math.nan),
+            **known,
             e=senses.e,
             psi_e=senses.psi_e,
             quality=v.get("quality", math.inf),
             torque_reports=senses.torque_reports,
-            override=v.get("override", 0.0) != 0.0,
-            enabled=v.get("enabled", 0.0) != 0.0,
             kit_faults=tuple([f.removeprefix("fault:") for f in config.fault_flags if v.get(f, 0.0) != 0.0]),
-            timeout=v.get("timeout", 0.0) != 0.0,
             integrity_errors=len(senses.errors),
             integrity=senses.errors[-1][1] if senses.errors else "",
             misses=sum([n for _, n in self._misses]),
@@ -275,23 +274,10 @@ class Core:
             still_for=t - max(senses.moving, since) if engaged else 0.0,
             remaining=senses.remaining,
             heartbeat_age=t - max(self._beats.values(), default=-math.inf) + EPS,
-            brake=v.get("brake", 0.0) != 0.0,
-            accelerator=v.get("accelerator", 0.0) != 0.0,
             foreign=senses.foreign[1] if t - senses.foreign[0] < FOREIGN else "",
             foreign_enable=0.0 if engaged or enabled_since is None else t - max(enabled_since, since),
             recording=self._unrecorded if config.keep_recording else "",
         )
-
-    def _end(self, t: float, cause: str) -> list[Output]:
-        """OFF, whatever the reason, and the neutral frames that go with it."""
-        before, out = self.machine, list[Output]()
-        self.machine, self.ended = Machine(Mode.OFF, cause, t), True
-        out.append(Note("state", {"t": t, "from": before.mode, "to": Mode.OFF, "cause": cause}))
-        if before.mode is Mode.ENGAGED:
-            self._neutral, self._urgent = NEUTRAL_FRAMES, True
-        self._write(t, out)
-        self.wake = self._next(t)
-        return out
 
     def obstacles(self) -> list[str]:
         """What stands against engaging now."""
@@ -299,21 +285,26 @@ class Core:
 
     def _decide(self, t: float, order: Order | None, out: list[Output]) -> None:
         before = self.machine
-        self.machine = after = states.step(self.config.states, before, self.facts(t), t, order)
+        after = states.step(self.config.states, before, self.facts(t), t, order)
         may_clear = bool(self.config.writer.clear) and not self.config.listen_only
         if order is Order.ACKNOWLEDGE and after.mode is Mode.STANDBY and may_clear:
             self._clear, self._urgent, self._neutral = True, True, max(self._neutral, 1)  # kits latch too
         if after is before:
             return
-        out.append(Note("state", {"t": t, "from": before.mode, "to": after.mode, "cause": after.cause}))
-        if before.mode is Mode.ENGAGED:
-            self._neutral, self._urgent = NEUTRAL_FRAMES, True
+        self._enter(after, out)
         if after.mode is Mode.ENGAGED:
             self._sent.clear()
             self._command, self._neutral = self.senses.values["delta_sw"], 0
             self.senses.echo_ok = self.senses.follow_ok = t
         if order is Order.ARM:
             self.senses.forget_delay()
+
+    def _enter(self, after: Machine, out: list[Output]) -> None:
+        """Another state; the kit is told to let go where that ends driving."""
+        before, self.machine = self.machine, after
+        out.append(Note("state", {"t": after.since, "from": before.mode, "to": after.mode, "cause": after.cause}))
+        if before.mode is Mode.ENGAGED:
+            self._neutral, self._urgent = NEUTRAL_FRAMES, True
 
     def _write(self, t: float, out: list[Output]) -> None:
         if self.config.listen_only:

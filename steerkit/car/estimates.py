@@ -6,9 +6,8 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-from steerkit.car.client import CarLink
 from steerkit.car.config import CarConfig
-from steerkit.car.protocol import ESTIMATES, Adapted, Estimates, Snapshot
+from steerkit.car.protocol import ESTIMATES, Estimates, Snapshot
 from steerkit.car.state_machine import Mode
 from steerkit.diagram.block import Block
 from steerkit.diagram.units import degrees_of
@@ -182,33 +181,22 @@ def _read(value: float, most: float) -> float:
 
 
 class Watched:
-    """A line to a car whose every sample goes through the estimators, once the request that it led to is sent.
+    """The estimators of a drive, given each of its samples once the request that it led to is sent.
 
-    link: the line. config: the car; `before`: what an earlier drive found of it, in the vehicle file that it names.
-    note: takes what was found, once a second, and what a controller that adapts uses.
+    config: the car; `before`: what an earlier drive found of it, in the vehicle file that it names. note: takes what
+    was found, once a second.
     """
 
-    def __init__(self, link: CarLink, config: CarConfig, note: Callable[[Estimates | Adapted], None]):
-        self.link, self.note = link, note
-        self.estimators, self.before = CarEstimators(config), earlier(config)
+    def __init__(self, config: CarConfig, note: Callable[[Estimates], None]):
+        self.note, self.estimators, self.before = note, CarEstimators(config), earlier(config)
         self.found: dict[str, Estimated] = {}
         """What was sent last."""
         self._count = 0
 
-    @property
-    def last(self) -> Snapshot | None:
-        """The last snapshot of the line."""
-        return self.link.last
-
-    def query(self) -> Snapshot:
-        """The car server's snapshot of now."""
-        return self.link.query()
-
-    def request(self, delta_sw: float) -> None:
-        """Ask for an angle [rad], then take note of the sample."""
-        self.link.request(delta_sw)
-        assert self.link.last is not None
-        self.estimators.sample(self.link.last)
+    def sample(self, now: Snapshot | None) -> None:
+        """Take note of the next sample."""
+        assert now is not None
+        self.estimators.sample(now)
         self._count += 1
         if self._count % EVERY == 0:
             self.found = self.estimators.found()

@@ -13,6 +13,7 @@ from __future__ import annotations
 import contextlib
 import json
 import math
+import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
@@ -24,22 +25,21 @@ from steerkit._support.clock import Clock
 from steerkit._support.errors import require
 from steerkit._support.files import write_text
 from steerkit.car.client import CarClient
-from steerkit.car.loop import RUN_FORMAT, Follow, Steers, filtered_in, setting_of
+from steerkit.car.config import CarConfig
+from steerkit.car.loop import RUN_FORMAT, Follow, Steers, car_loop, design_model_of, filtered_in, setting_of
 from steerkit.controllers.fail_safe import FAULTS
 from steerkit.controllers.nfq_policy import NfqPolicy
-from steerkit.diagram.block import Block
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.realtime import Run, run
-from steerkit.doe import OutputElement
 from steerkit.learning import rundir
 from steerkit.learning.data.store import TransitionStore
 from steerkit.learning.learner_state import LearnerState, state_signals, untrained
 from steerkit.learning.rundir import held, is_free
 from steerkit.learning.settings import Setting
 from steerkit.learning.trainer import Trainer
+from steerkit.paths.path import Path
 from steerkit.scenario.assembly import with_controller
 from steerkit.scenario.catalogue import AUTO
-from steerkit.vehicles import Vehicle
 
 RUN = "car"
 
@@ -47,10 +47,9 @@ RUN = "car"
 class CarLearner:
     """A learning run on a real car, behind `link`: `run` it, in a `with`.
 
-    setting: how. place: run directory; a run there is continued with all its transitions and its newest net.
-    build: makes the loop of a policy and an output element (`steerkit.car.loop.car_loop`). seed: of the nets.
-    recovery: the name of the recovery controller, for the recording. vehicle: what controllers believe of the car
-    (`steerkit.car.loop.design_model_of`), at whose stops the output element ends; None: 520 degrees.
+    setting: how. place: run directory; a run there is continued with all its transitions and its newest net. config,
+    path: the car and its course. seed: of the nets. recovery: the name of the recovery controller. clock: see
+    `steerkit.car.loop.car_loop`.
 
     While the car is ENGAGED and the policy steers, every sample is recorded. When the recovery controller has
     to take it (the car leaves the path; the policy answers NaN, or raises), or `retrain_every_m` are driven, a process
@@ -64,12 +63,13 @@ class CarLearner:
         self,
         setting: Setting,
         place: FilePath,
-        build: Callable[[Block, OutputElement], Loop],
+        config: CarConfig,
+        path: Path,
         link: CarClient,
         *,
         seed: int = 0,
         recovery: str = AUTO,
-        vehicle: Vehicle | None = None,
+        clock: Callable[[], float] | None = time.perf_counter,
     ):
         where = f"setting '{setting.name}' on a car"
         chance = f"exploration = {setting.exploration}, expected 0: no action at random on a real steering wheel"
@@ -82,10 +82,10 @@ class CarLearner:
         place.mkdir(parents=True, exist_ok=True)
         with contextlib.ExitStack() as until_closed:
             until_closed.enter_context(held(place))
-            self._begin(build, seed, vehicle)
+            self._begin(config, path, seed, clock)
             self._open = until_closed.pop_all()
 
-    def _begin(self, build: Callable[[Block, OutputElement], Loop], seed: int, vehicle: Vehicle | None) -> None:
+    def _begin(self, config: CarConfig, path: Path, seed: int, clock: Callable[[], float] | None) -> None:
         setting, place = self.setting, self.place
         _claim(place, setting)
         names = setting.recorded()
@@ -106,13 +106,12 @@ class CarLearner:
             first=self.store.next_episode(),
             also=self.store.append,
         )
-        self._element = setting.element(vehicle)
-        self._idle = build(replace(policy, ready_from=math.inf), self._element)
+        self._element = setting.element(design_model_of(config).vehicle)
+        how: dict[str, Any] = {"recovery": self.recovery, "safe": setting.safe, "clock": clock}
+        resting = replace(policy, ready_from=math.inf)
+        self._idle = car_loop(config, path, self.link, resting, doe=self._element, **how)
         self.filter_faults: Counter[str] = Counter()
         """What went wrong in the safety filter, and how often."""
-        filtered = "safety" in self._idle.blocks
-        asked = f"safe = {setting.safe}, but build makes a loop with{'' if filtered else 'out'} a safety filter"
-        require(filtered == setting.safe, f"setting '{setting.name}' on a car", asked)
         self.follow = Follow(link=self.link, resting=self._idle, driving=self._with(policy))
         self._inputs = state_signals(setting, self._idle.inputs_of("controller"))
 

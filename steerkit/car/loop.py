@@ -163,10 +163,9 @@ class Steers:
             raise ValueError(f"remark {text!r}: not who steers ({error})") from error
 
 
-MPC_BUDGET = 0.03
-"""A solution that took longer is not used [s]: the plan before is followed, then the fallback law."""
-SAFETY_BUDGET = 0.03
-"""An answer of the safety filter that took longer is not used [s]: the recovery controller's is."""
+BUDGET = 0.03
+"""A solution of MPC that took longer is not used [s]: the plan before is followed, then the fallback law; nor is an
+answer of the safety filter: the recovery controller's is."""
 RUN_FORMAT = "steerkit car run 1"
 """How `car.json`, the setting of a learning run on a car, names its format."""
 LEARNED = FilePath("runs/car")
@@ -190,7 +189,7 @@ def design_model_of(config: CarConfig) -> DesignModel:
         delay=config.delay,
         lag=config.lag,
         rate_limit=min(DesignModel.rate_limit, config.gate.rate_max),
-        budget=MPC_BUDGET,
+        budget=BUDGET,
         clock=time.perf_counter,
     )
 
@@ -288,7 +287,7 @@ def car_loop(
 
     controller: a block that steers, or a policy, which gets `doe` (default: an Integrator), corrected by what the gate
     let through, and the recovery controller of that name, called in time for the gate to let it turn the wheel.
-    safe: put a `SafetyFilter` that knows the gate before it; where it fails, or takes longer than `SAFETY_BUDGET` by
+    safe: put a `SafetyFilter` that knows the gate before it; where it fails, or takes longer than `BUDGET` by
     `clock` (None: no time is taken), the recovery controller steers. Raises ValueError for safe with a controller that
     is no policy.
     """
@@ -316,7 +315,7 @@ def foresight(config: CarConfig) -> ExcursionPredictor:
 
 def safety(config: CarConfig, clock: Callable[[], float] | None = None) -> FailSafe:
     """The safety filter before the gate of `config`."""
-    budget = None if clock is None else SAFETY_BUDGET
+    budget = None if clock is None else BUDGET
     return FailSafe(
         block=make_safety(design_model_of(config), GateModel(limits=config.gate)), budget=budget, clock=clock
     )
@@ -332,16 +331,14 @@ def drive(
     duration: float = float("inf"),
     clock: Clock | None = None,
     watch: Callable[[realtime.Run], bool | None] | None = None,
-    line: CarLink | None = None,
 ) -> realtime.Run:
     """Run a controller at 20 Hz on the car behind `link`, engaged or not, for `duration` [s].
 
-    line: what the loop's car asks, such as `steerkit.car.estimates.Watched` around the link (default: the link).
     Missed deadlines go to the car server with the next request; it disengages when they repeat. Raises CarLost
     when the car server ends.
     """
     link.wait(timeout=10.0)
-    loop = car_loop(config, path, line or link, controller.block, doe=controller.element, recovery=recovery)
+    loop = car_loop(config, path, link, controller.block, doe=controller.element, recovery=recovery)
     follow = Follow.of(loop, link)
 
     def step(run: realtime.Run) -> bool:

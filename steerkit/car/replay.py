@@ -108,7 +108,7 @@ class Nets:
 
     def clock(self) -> float:
         """The filter's clock, asked before and after its answer: no time passes between, or too much."""
-        self._seconds += 2.0 * loops.SAFETY_BUDGET if self.late else 0.0
+        self._seconds += 2.0 * loops.BUDGET if self.late else 0.0
         return self._seconds
 
     def follow(self, steers: Steers) -> Follow:

@@ -31,10 +31,7 @@ from steerkit.car.panel import Panel
 from steerkit.car.processes import OF
 from steerkit.car.protocol import Adapted, Filtered, digest
 from steerkit.car.state_machine import Order
-from steerkit.diagram.block import Block
-from steerkit.diagram.loop import Loop
 from steerkit.diagram.realtime import Run, Timing, histogram_text, preferred
-from steerkit.doe import OutputElement
 from steerkit.learning.rundir import this_process
 from steerkit.learning.settings import Setting
 from steerkit.scenario.catalogue import AUTO, RECOVERIES
@@ -67,7 +64,7 @@ class Session:
         self.ending = False
         self.link: Any = None
         self.watched: Any = None
-        """The link with the estimators behind it, `steerkit.car.estimates.Watched`."""
+        """Its estimators, `steerkit.car.estimates.Watched`."""
         self.timing: Timing | None = None
         self.asked: float | None = None
         """The angle that the controller asked for last [rad]."""
@@ -86,6 +83,7 @@ class Session:
 
     def watch(self, run: Run) -> bool:
         """Called after every step."""
+        self.watched.sample(self.link.last)
         self.timing = run.timing
         self.asked = run.sample[run.loop.inputs_of("car")["delta_sw_cmd"]]
         self.adapted = adapted_in(run)
@@ -96,11 +94,6 @@ class Session:
             if run.sample["car.engaged"] > 0.5:
                 self.corrections.append(self.filtered.share > 0.0)
         return self.ending
-
-    def build(self, policy: Block, doe: OutputElement) -> Loop:
-        """The loop of a learner."""
-        how: dict[str, Any] = {"recovery": self.options.recovery, "safe": self.safe}
-        return loops.car_loop(self.config, self.path, self.watched, policy, doe=doe, **how)
 
     def panel(self, title: str, more: Any = None, about: str = "learning") -> Any:
         """The live panel; without a terminal, or with --quiet, one line for each transition.
@@ -150,7 +143,7 @@ def session(options: Options) -> Iterator[Session]:
             else:
                 print(f"the car server at {socket} is used as it runs, with its own configuration and recording")
             here.link = stack.enter_context(CarClient(socket, course=digest(here.path)))
-            here.watched = Watched(here.link, here.config, here.link.note)
+            here.watched = Watched(here.config, here.link.note)
             if options.realtime:
                 print(preferred())
             try:
@@ -240,7 +233,6 @@ def drive(options: Options, name: str, *, minutes: float) -> dict[str, Any]:
             duration=60.0 * minutes or float("inf"),
             clock=here.clock,
             watch=here.watch,
-            line=here.watched,
         )
     return finished(here, run)
 
@@ -250,11 +242,8 @@ def learn(options: Options, how: Setting, place: FilePath, *, minutes: float, se
     with session(options) as here:
         loops.check_allowed("element", how.doe, here.config)
         here.link.wait(timeout=10.0)
-        vehicle = loops.design_model_of(here.config).vehicle
         here.safe = how.safe
-        with CarLearner(
-            how, place, here.build, here.link, seed=seed, recovery=options.recovery, vehicle=vehicle
-        ) as learner:
+        with CarLearner(how, place, here.config, here.path, here.link, seed=seed, recovery=options.recovery) as learner:
             with here.panel(f"learning, {how.name}", learner.status):
                 run = learner.run(60.0 * minutes or float("inf"), clock=here.clock, watch=here.watch)
             print(learner.status())

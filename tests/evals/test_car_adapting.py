@@ -14,8 +14,6 @@ from steerkit.car.loop import Steers, adapted_in
 from steerkit.car.protocol import Adapted
 from steerkit.car.simulated import Fault
 from steerkit.car.state_machine import Mode, Order
-from steerkit.diagram.block import Block
-from steerkit.diagram.loop import Loop
 from steerkit.scenario.catalogue import make_controller
 from tests.evals.test_car_learning import learned
 from tests.support.car_world import World, setup
@@ -87,10 +85,6 @@ def test_what_it_found_outlasts_an_override_and_a_lost_pose_and_the_drive_replay
 def test_what_the_recovery_controller_of_a_learner_is_told_is_recorded_too_and_replays(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def build(self: World, controller: Block, doe: Any) -> Loop:
-        return loops.car_loop(self.config, self.path, self, controller, doe=doe, recovery="adaptive")
-
-    monkeypatch.setattr(World, "build", build)
     learned(tmp_path, monkeypatch, 3.0, recovery="adaptive")
     (drive,) = [d for d in replays.drives(recordings.read(tmp_path / "drive.mcap")) if d.remarks]
     assert {s.recovery for _, s in drive.remarks} == {"adaptive"}

@@ -25,7 +25,6 @@ from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.nfq.iterate import FitSetting
 from steerkit.learning.settings import Setting, changed, setting
 from steerkit.learning.trainer import Job, Result, SimulatedTrainer
-from steerkit.task import STOP
 from tests.support.car_world import World, setup
 
 TINY = replace(
@@ -113,14 +112,21 @@ class Beside:
         self.inner.close()
 
 
-def learned(folder: Path, monkeypatch: pytest.MonkeyPatch, seconds: float, **options: Any) -> on_car.CarLearner:
+def learner_of(world: World, place: Path, how: Setting = TINY, **options: Any) -> on_car.CarLearner:
+    link: Any = world
+    return on_car.CarLearner(how, place, world.config, world.path, link, **options)
+
+
+def learned(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, seconds: float, how: Setting = TINY, **options: Any
+) -> on_car.CarLearner:
     """A learning run, recorded in `folder`/drive.mcap."""
     config, _ = setup()
     metadata = {f"file:{name}": text for name, text in config.texts.items()}
     recorder = recordings.Recording(folder / "drive.mcap", metadata)
     world = World(s=20.0, recorder=recorder)
     monkeypatch.setattr(on_car, "Trainer", lambda nets: Beside(world, nets))
-    with on_car.CarLearner(TINY, folder / "run", world.build, world, **options) as learner:
+    with learner_of(world, folder / "run", how, **options) as learner:
         learner.remark()  # as `run` does
         world.run = realtime.Run(learner._idle, learner._idle.init(), realtime.Timing(period=0.05))
         monkeypatch.setattr(world, "stepped", learner.step)
@@ -178,9 +184,9 @@ def test_a_run_is_continued_with_its_own_setting_only(tmp_path: Path, monkeypatc
     assert loops.element_of(tmp_path / "run") == "integrator"
     world = World()
     with pytest.raises(ValueError, match=r"learned with the setting 'tiny', which differs from 'default'; continue it"):
-        on_car.CarLearner(setting("default"), tmp_path / "run", world.build, world)
+        learner_of(world, tmp_path / "run", setting("default"))
     with pytest.raises(ValueError, match="holds no run of a car"):
-        on_car.CarLearner(TINY, tmp_path, world.build, world)
+        learner_of(world, tmp_path)
     assert not (tmp_path / ".lock").exists()  # nothing is left in a folder of something else
     named = loops.controller_named(str(tmp_path / "run"), setup()[0])
     assert named.steers.doe == "integrator"
@@ -189,40 +195,32 @@ def test_a_run_is_continued_with_its_own_setting_only(tmp_path: Path, monkeypatc
 
 def test_one_process_at_a_time_learns_on_a_car_in_a_directory(tmp_path: Path) -> None:
     world = World(s=20.0)
-    with on_car.CarLearner(TINY, tmp_path / "run", world.build, world) as learner:
+    with learner_of(world, tmp_path / "run") as learner:
         before = {file: file.read_bytes() for file in (tmp_path / "run").rglob("*") if file.is_file()}
         with pytest.raises(
             ValueError, match=rf"run is being learned by process {os.getpid()} \(.*\) since .*; wait for"
         ):
-            on_car.CarLearner(TINY, tmp_path / "run", world.build, world)
+            learner_of(world, tmp_path / "run")
         assert {file: file.read_bytes() for file in before} == before
         learner.store.append([0.0] * len(learner.learner_state.names), 0.0, [0.0] * len(learner.learner_state.names), 1)
     with pytest.raises(ValueError, match="differs from 'default'"):
-        on_car.CarLearner(setting("default"), tmp_path / "run", world.build, world)
-    with on_car.CarLearner(TINY, tmp_path / "run", world.build, world) as again:  # a refused one holds nothing
+        learner_of(world, tmp_path / "run", setting("default"))
+    with learner_of(world, tmp_path / "run") as again:  # a refused one holds nothing
         assert len(again.learner_state.transitions) == 1
 
 
 def test_the_output_element_ends_at_the_stops_of_the_cars_wheel(tmp_path: Path) -> None:
-    elements: list[Any] = []
     world = World(s=20.0)
-
-    def build(policy: Any, doe: Any) -> Any:
-        elements.append(doe)
-        return world.build(policy, doe)
-
-    wide = replace(world.config.vehicle, delta_sw_max=9.9)
-    for vehicle in (wide, None):
-        with on_car.CarLearner(TINY, tmp_path / str(len(elements)), build, world, vehicle=vehicle):
-            pass
-    assert [doe.limit for doe in elements] == [9.9, STOP]
+    world.config = replace(world.config, vehicle=replace(world.config.vehicle, delta_sw_max=5.0))
+    with learner_of(world, tmp_path / "run") as learner:
+        assert learner._element.limit == learner._idle.blocks["doe"].element.limit == 5.0  # type: ignore[attr-defined]
 
 
 def test_what_is_for_simulations_stays_there(tmp_path: Path) -> None:
     world = World()
     for change in ("exploration=0.1", "after_failure=shift", "after_failure=reset"):
         with pytest.raises(ValueError, match=r"on a car: .*expected"):
-            on_car.CarLearner(changed(TINY, [change]), tmp_path / "run", world.build, world)
+            learner_of(world, tmp_path / "run", changed(TINY, [change]))
     assert not (tmp_path / "run").exists()
 
 
@@ -306,7 +304,7 @@ def test_the_human_s_taking_the_wheel_ends_a_recovery(tmp_path: Path, monkeypatc
 
 def test_a_late_step_is_no_transition(tmp_path: Path) -> None:
     world = World()
-    with on_car.CarLearner(TINY, tmp_path / "run", world.build, world) as learner:
+    with learner_of(world, tmp_path / "run") as learner:
         learner.learner_state.recorder.sample(0, (0.0,) * 6, 0.0, learning=True, episode=0)
         seen: list[Any] = []
 

@@ -72,7 +72,7 @@ def test_a_late_solution_falls_back_to_the_plan_then_to_stanley_and_comes_back()
     clock = Stopwatch()
     world = engaged(block_of(clock=clock))
     assert (watched(world, 1.0)["status"] == SOLVED).all()
-    clock.taken = 2.0 * loops.MPC_BUDGET
+    clock.taken = 2.0 * loops.BUDGET
     late = watched(world, 3.0)
     assert (late["fault"] == LATE).all()
     assert late["status"].tolist()[:5] == [PLAN] * 4 + [FALLBACK]

@@ -126,20 +126,9 @@ class Clock:
         return self.seconds
 
 
-def safe_world(monkeypatch: pytest.MonkeyPatch, clock: Clock) -> None:
-    """Learners get the filter, on that clock; what they tell goes to the server."""
-
-    def build(self: World, controller: Block, doe: Any) -> Loop:
-        return loops.car_loop(self.config, self.path, self, controller, doe=doe, safe=doe is not None, clock=clock)
-
-    monkeypatch.setattr(World, "build", build)
-    monkeypatch.setattr("tests.evals.test_car_learning.TINY", SAFE)
-
-
 def test_a_filtered_learner_stays_on_the_path_and_replays_bit_for_bit_corrections_and_faults_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    safe_world(monkeypatch, Clock())
     answer = SafetyFilter.output
 
     def fails_once(self: SafetyFilter, t: Any, x: Any, u: Any) -> Any:
@@ -149,7 +138,7 @@ def test_a_filtered_learner_stays_on_the_path_and_replays_bit_for_bit_correction
 
     monkeypatch.setattr(SafetyFilter, "output", fails_once)
     with caplog.at_level(logging.ERROR, logger="steerkit"):
-        learner = learned(tmp_path, monkeypatch, 3.7)
+        learner = learned(tmp_path, monkeypatch, 3.7, SAFE, clock=Clock())
     assert learner.filter_faults[fail_safe.FAULTS[RAISED]] == 1
     assert learner.filter_faults[fail_safe.FAULTS[LATE]] >= 1
     assert "something unforeseen" in caplog.text
@@ -171,17 +160,6 @@ def test_a_filtered_learner_stays_on_the_path_and_replays_bit_for_bit_correction
     assert replays.replayed_requests(drive, config, path) == len(drive.requests)
     drive.filtered[20] = drive.filtered[20]._replace(reach=drive.filtered[20].reach + 1e-15)
     assert replays.replayed_requests(drive, config, path) == len(drive.requests) - 1
-
-
-@pytest.mark.parametrize("safe", [True, False])
-def test_setting_and_loop_have_to_agree(safe: bool, tmp_path: Path) -> None:
-    world = World(s=20.0)
-
-    def build(policy: Block, doe: Any) -> Loop:
-        return loops.car_loop(world.config, world.path, world, policy, doe=doe, safe=not safe)
-
-    with pytest.raises(ValueError, match=f"safe = {safe}, but build makes a loop with"):
-        on_car.CarLearner(replace(SAFE, safe=safe), tmp_path / "run", build, world)  # type: ignore[arg-type]
 
 
 def test_only_policies_get_it() -> None:

@@ -40,11 +40,11 @@ class CalibratedWorld(World):
         self.guided: Guided | None = None
         self.seen: list[Snapshot] = []
         super().__init__(s=0.0, v=v, config=config, path=PATH, **(UNTOLD | more))
-        self.watched = Watched(self, config, self.packet)
+        self.watched = Watched(config, self.packet)
         self.due = math.inf  # the human drives alone
         self.until(10.0)
         link: Any = self
-        self.guided = Guided(config=config, path=PATH, link=link, line=self.watched, minutes=minutes)
+        self.guided = Guided(config=config, path=PATH, link=link, minutes=minutes)
         resting = self.guided.follow.resting
         self.run = realtime.Run(resting, resting.init(), realtime.Timing(period=resting.dt))
         self.over = False
@@ -56,6 +56,7 @@ class CalibratedWorld(World):
         assert self.last is not None
         self.seen.append(self.last)
         self.over = self.over or self.guided.step(run)
+        self.watched.sample(self.last)
         return None
 
     def drive(self, longest: float = 300.0) -> None:

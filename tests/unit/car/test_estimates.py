@@ -169,8 +169,8 @@ def test_an_error_of_arithmetic_resets_the_estimators_and_is_counted(
     assert estimators.faults == 2
 
 
-def test_a_screen_has_few_rows(calibration: Made) -> None:
-    watched = Watched(calibration.world, CONFIG, print)
+def test_a_screen_has_few_rows() -> None:
+    watched = Watched(CONFIG, print)
     assert watched.rows() == []
     watched.found = {name: Estimated(0.1, 0.01, float(name == "lag")) for name in ESTIMATES}
     watched.before, watched.estimators.faults = {"lag": Estimated(0.3, 0.01, 1.0)}, 2
@@ -185,26 +185,12 @@ def test_a_screen_has_few_rows(calibration: Made) -> None:
     assert len(watched.report()) == len(ESTIMATES) + 2
 
 
-def test_the_request_goes_out_before_anything_is_computed() -> None:
-    order: list[Any] = []
-
-    class Line:
-        last = Snapshot(t=0.0)
-
-        def query(self) -> Snapshot:
-            return self.last
-
-        def request(self, delta_sw: float) -> None:
-            order.append(delta_sw)
-
-    watched = Watched(Line(), CONFIG, order.append)
-    watched.estimators.sample = lambda now: order.append("estimated")  # type: ignore[method-assign]
-    for k in range(estimates.EVERY):
-        watched.request(0.1 * k)
-    assert order[:2] == [0.0, "estimated"]
-    assert isinstance(order[-1], protocol.Estimates)
-    assert sum(isinstance(one, protocol.Estimates) for one in order) == 1
-    assert watched.query() is Line.last
+def test_once_a_second_what_was_found_is_noted() -> None:
+    noted: list[protocol.Estimates] = []
+    watched = Watched(CONFIG, noted.append)
+    for k in range(2 * estimates.EVERY + 1):
+        watched.sample(Snapshot(t=0.05 * k))
+    assert noted == [estimates.message_of(watched.found)] * 2
 
 
 # ---- since the last drive ----------------------------------------------------------------------------------------

@@ -47,7 +47,7 @@ def test_a_solver_has_its_budget_on_the_road_and_all_the_time_it_needs_in_a_repl
             return [block]
         return [solver for inner in getattr(block, "blocks", None) or (block.block,) for solver in solvers(inner)]
 
-    for in_time, budget in ((False, loops.MPC_BUDGET), (True, None)):
+    for in_time, budget in ((False, loops.BUDGET), (True, None)):
         found = solvers(loops.controller_named(name, CONFIG, in_time=in_time).block)
         assert {solver.budget for solver in found} == {budget}
         assert all((solver.clock is None) is in_time for solver in found)
