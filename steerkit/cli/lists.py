@@ -120,7 +120,8 @@ def _row(made: importers.Course) -> dict[str, Any]:
 def _list(found: importers.Map, file: str, as_json: bool) -> None:
     """What there is to choose from."""
     rows = []
-    for group, pieces in found.groups().items():
+    for group, parts in found.groups.items():
+        pieces = [found.pieces[name] for name in parts]
         lanes = list(dict.fromkeys(piece.lane for piece in pieces))
         after = {found.pieces[name].group for piece in pieces for name in piece.next if name in found.pieces} - {group}
         row: dict[str, Any] = {

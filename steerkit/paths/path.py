@@ -15,7 +15,16 @@ from numpy.typing import ArrayLike, NDArray
 from steerkit._support.files import read_text, write_text
 from steerkit.diagram import maths as m
 from steerkit.diagram.maths import Scalar, Table
-from steerkit.paths.waypoints import check_gps, check_metres, checked, place_deg, read_columns, ring, travelled
+from steerkit.paths.waypoints import (
+    check_gps,
+    check_metres,
+    checked,
+    east_north,
+    place_deg,
+    read_columns,
+    ring,
+    travelled,
+)
 
 Array = NDArray[np.float64]
 
@@ -106,12 +115,10 @@ class Path:
         """
         lat, lon = np.asarray(lat_deg, dtype=float), np.asarray(lon_deg, dtype=float)
         check_gps(lat, lon, f"Path '{name}'")
-        import pymap3d
-
-        east, north, _ = pymap3d.geodetic2enu(lat, lon, 0.0, lat[0], lon[0], 0.0)
-        xy = np.column_stack((east, north))
+        origin = float(lat[0]), float(lon[0])
+        xy = east_north(lat, lon, origin)
         path = cls.from_waypoints(xy, closed=closed, smoothing=smoothing, spacing=spacing, name=name)
-        return dataclasses.replace(path, origin_deg=(float(lat[0]), float(lon[0])))
+        return dataclasses.replace(path, origin_deg=origin)
 
     @classmethod
     def from_csv(

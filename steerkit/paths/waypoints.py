@@ -6,7 +6,6 @@ import csv
 import math
 import re
 from array import array
-from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,42 +25,31 @@ def read_columns(text: str, where: str) -> dict[str, Array]:
             f"{where}: is XML (GPX?), expected CSV; write its positions under a header 'lat,lon', one a line, as "
             "lat and lon of every <trkpt> stand in a GPX file"
         )
-    numbered = _Lines(text)
-    lines = iter(numbered)
-    first, head = (numbered.number, line) if (line := next(lines, "")) else (0, "")
+    numbered = enumerate((found[0].strip() for found in re.finditer(r"[^\r\n]*(?:\r\n?|\n|\Z)", text)), 1)
+    lines = ((k, line) for k, line in numbered if line and line[0] != "#")
+    first, head = next(lines, (0, ""))
     for sign, called in ((";", "semicolons"), ("\t", "tabs"), ("|", "bars")):
         if sign in head and "," not in head:
             raise ValueError(
                 f"{where}: line {first} is {head!r}: columns parted by {called}, expected commas, and points in "
                 "numbers (52.28, not 52,28)"
             )
-    names = [cell.strip().lower() for cell in next(csv.reader([head]), [])]
+    names = [cell.strip().lower() for cell in _cells(head)]
     if names and _numbers(names) is not None:
         raise ValueError(f"{where}: line {first} holds numbers, expected a header such as 'x,y' or 'lat,lon'")
     values = array("d")  # of a row of text at a time: all of it as text would take twenty times the file
-    for row in csv.reader(lines):
-        numbers = _numbers(row)
+    for k, line in lines:
+        numbers = _numbers(_cells(line))
         if numbers is None or len(numbers) != len(names):
-            what = f"line {numbered.number} is {numbered.line!r}, expected {len(names)} numbers ({','.join(names)})"
-            raise ValueError(f"{where}: {what}")
+            raise ValueError(f"{where}: line {k} is {line!r}, expected {len(names)} numbers ({','.join(names)})")
         values.extend(numbers)
     if not values:
         raise ValueError(f"{where}: no rows, expected a header such as 'x,y' or 'lat,lon' and one point a line")
     return dict(zip(names, np.frombuffer(values).reshape(-1, len(names)).T))
 
 
-class _Lines:
-    """The lines of a text that hold something and are no comment, one at a time; and which one it is."""
-
-    def __init__(self, text: str):
-        self.text, self.number, self.line = text, 0, ""
-
-    def __iter__(self) -> Iterator[str]:
-        for found in re.finditer(r"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+\Z", self.text):
-            self.number += 1
-            self.line = found[0].rstrip("\r\n")
-            if self.line.strip() and self.line.lstrip()[0] != "#":
-                yield self.line
+def _cells(line: str) -> list[str]:
+    return next(csv.reader([line]), [])
 
 
 def _numbers(cells: list[str]) -> list[float] | None:
@@ -69,6 +57,19 @@ def _numbers(cells: list[str]) -> list[float] | None:
         return [float(cell) for cell in cells]
     except ValueError:
         return None
+
+
+def stated(text: str) -> tuple[bool, float] | None:
+    """Whether a course is closed, and its length [m], as the first line of a file says that this package wrote."""
+    said = re.search(r"^#.*: (closed|open) path, ([\d.]+) m", text, re.MULTILINE)
+    return (said[1] == "closed", float(said[2])) if said else None
+
+
+def check_stated(said: float, length: float, apart: float, where: str) -> None:
+    """ValueError where a file's points make another length than its first line says, by more than `apart` [m]."""
+    if abs(length - said) > apart:
+        what = f"its first line says {said:g} m, its points make {length:.1f} m: cut short, or changed by hand"
+        raise ValueError(f"{where}: {what}; write it again, or delete that line")
 
 
 def distances(points: Array) -> Array:
@@ -149,6 +150,13 @@ def check_gps(lat: Array, lon: Array, where: str) -> None:
         )
     if np.abs(lat).max() <= math.pi / 2.0 and np.abs(lon).max() <= math.pi:  # open sea, if they were degrees
         raise ValueError(f"{where}: lat {lat[0]:g}, lon {lon[0]:g} look like radians, expected degrees")
+
+
+def east_north(lat_deg: Array, lon_deg: Array, origin_deg: tuple[float, float]) -> Array:
+    """WGS84 positions (n,) [degrees] in metres east and north of an origin (n, 2), in its tangent plane (ENU)."""
+    import pymap3d
+
+    return np.column_stack(pymap3d.geodetic2enu(lat_deg, lon_deg, 0.0, *origin_deg, 0.0)[:2])
 
 
 def place_deg(lat_deg: float, lon_deg: float) -> str:

@@ -23,7 +23,6 @@ import numpy as np
 from steerkit._support import native
 from steerkit._support.files import read_npz, write_npz
 from steerkit.diagram.maths import Table
-from steerkit.diagram.units import radians_of
 from steerkit.paths.courses.shapes import (
     bends,
     circle,
@@ -36,7 +35,7 @@ from steerkit.paths.courses.shapes import (
     straight,
 )
 from steerkit.paths.path import Array, Path
-from steerkit.paths.waypoints import distances, read_columns
+from steerkit.paths.waypoints import check_stated, distances, east_north, read_columns, stated
 
 _T = TypeVar("_T")
 
@@ -83,13 +82,12 @@ def course_of(text: str, name: str, *, closed: bool | None = None) -> Path:
     closed: None means as the file says, if `Path.to_csv` wrote it; else closed if its ends are no farther apart than
     5 m or three of its steps. Raises ValueError for a broken file, naming it, and for one that is cut short.
     """
-    said = re.search(r"^#.*: (closed|open) path, ([\d.]+) m", text, re.MULTILINE)
+    said = stated(text)
     if closed is None:
-        closed = said[1] == "closed" if said else _meets_itself(text, name)
+        closed = said[0] if said else _meets_itself(text, name)
     path = Path.from_text(text, closed=closed, name=name.removesuffix(".csv"), where=name)
-    if said and closed == (said[1] == "closed") and abs(path.length - float(said[2])) > 0.05 + 1e-4 * path.length:
-        what = f"its first line says {said[2]} m, its points make {path.length:.1f} m: cut short, or changed by hand"
-        raise ValueError(f"{name}: {what}; write it again, or delete that line")
+    if said and closed == said[0]:
+        check_stated(said[1], path.length, 0.05 + 1e-4 * path.length, name)
     place = re.search(r"^# origin (-?[\d.]+), (-?[\d.]+) deg$", text, re.MULTILINE)
     return replace(path, origin_deg=(float(place[1]), float(place[2]))) if place else path
 
@@ -99,8 +97,7 @@ def _meets_itself(text: str, name: str) -> bool:
     if {"x", "y"} <= columns.keys():
         points = np.column_stack((columns["x"], columns["y"]))
     elif {"lat", "lon"} <= columns.keys():
-        metres = 111_320.0 * np.array([np.cos(radians_of(columns["lat"][0])), 1.0])  # a degree of lon and lat [m]
-        points = np.column_stack((columns["lon"], columns["lat"])) * metres
+        points = east_north(columns["lat"], columns["lon"], (columns["lat"][0], columns["lon"][0]))
     else:
         return False  # from_text says what is wrong
     steps = distances(points)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -98,7 +99,7 @@ def laid(
     closed: bool,
     drawn: bool,
     tightest: float = TIGHTEST,
-    notes: tuple[str, ...] = (),
+    notes: Sequence[str] = (),
     origin_deg: tuple[float, float] | None = None,
     hint: str = "",
 ) -> Course:
@@ -182,12 +183,11 @@ def check_spikes(xy: Array, noise: float, name: str) -> None:
     chord = b - a
     cross = chord[:, 0] * (p - a)[:, 1] - chord[:, 1] * (p - a)[:, 0]
     beside = np.abs(cross) / np.maximum(np.hypot(*chord.T), 1e-9)
-    bad = np.flatnonzero((less > _SPIKE) & (beside > max(6.0 * noise, SAME)))
-    if bad.size:
-        k = int(bad[0]) + 2
-        what = (
-            f"point {k}, ({xy[k, 0]:.1f}, {xy[k, 1]:.1f}) [m], lies {beside[k - 2]:.1f} m beside its neighbours' line"
-        )
+    beside[less <= _SPIKE] = 0.0
+    k = int(beside.argmax())
+    if beside[k] > max(6.0 * noise, SAME):
+        x, y = p[k]
+        what = f"point {k + 2}, ({x:.1f}, {y:.1f}) [m], lies {beside[k]:.1f} m beside its neighbours' line"
         raise ValueError(f"{name}: {what}: a wrong position? leave it out, or say how good positions are: noise=")
 
 

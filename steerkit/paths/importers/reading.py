@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path as FilePath
+from typing import Any
 
 import numpy as np
 
@@ -15,15 +15,41 @@ from steerkit.paths.importers import lanelets, tracks
 from steerkit.paths.importers.course import TIGHTEST, Course, Line, laid
 from steerkit.paths.importers.network import Map, Piece
 from steerkit.paths.importers.opendrive import opendrive
-from steerkit.paths.importers.tracks import cleaned, rounds
+from steerkit.paths.importers.tracks import rounds
 from steerkit.paths.importers.xml_stream import root_of
 from steerkit.paths.path import Array
-from steerkit.paths.waypoints import check_gps, check_metres
+from steerkit.paths.waypoints import distances
 
-_RECORDED = 1.0
-"""Noise of what a receiver recorded unless stated otherwise: a phone's, outdoors [m]."""
-_DRAWN = 0.1
-"""The same of a drawn line [m]."""
+KINDS: Mapping[str, str] = {
+    ".csv": "CSV",
+    ".gpx": "GPX",
+    ".geojson": "GeoJSON",
+    ".json": "GeoJSON",
+    ".xodr": "OpenDRIVE",
+    ".xml": "CommonRoad or OSM",
+    ".osm": "OSM or Lanelet2",
+}
+"""How the name of a file with a road in it ends, and what it then is."""
+CHOICES: Mapping[str, tuple[str, ...]] = {
+    "CSV": ("lap",),
+    "GPX": ("track", "lap"),
+    "GeoJSON": ("feature", "lap"),
+    "OpenDRIVE": ("road", "lane", "to"),
+    "CommonRoad or OSM": ("lanelet", "way", "to"),
+    "OSM or Lanelet2": ("lanelet", "way", "to"),
+}
+"""What can be chosen by name in it."""
+_SETTINGS = ("noise", "closed", "reverse")
+_READERS: Mapping[str, Callable[[str], Any]] = {
+    ".csv": tracks.csv,
+    ".geojson": tracks.geojson,
+    ".json": tracks.geojson,
+    "gpx": tracks.gpx,
+    "commonRoad": lanelets.commonroad,
+    "osm": lanelets.osm,
+    "OpenDRIVE": opendrive,
+}
+"""Readers of tracks or of a map, by the ending or by the first element of an XML file."""
 
 
 def contents(file: str) -> Map:
@@ -31,26 +57,34 @@ def contents(file: str) -> Map:
 
     Raises ValueError for a file that cannot be read, is damaged, or of no known kind.
     """
-    address = Address.parsed(file.partition("#")[0])
-    ending = FilePath(address.file).suffix.lower()
+    file = Address.parsed(file.partition("#")[0]).file
     try:
-        if ending == ".xodr":
-            return opendrive(address.file)
-        if ending in (".osm", ".xml"):
-            root = root_of(address.file)
-            readers = {"commonRoad": lanelets.commonroad, "osm": lanelets.osm, "OpenDRIVE": opendrive}
-            what = f"its first element is <{root}>, expected one of {', '.join(f'<{name}>' for name in readers)}"
-            require(root in readers, address.file, what)
-            return readers[root](address.file)
-        readers_of_tracks = {".gpx": tracks.gpx, ".csv": tracks.csv}
-        found = readers_of_tracks.get(ending, tracks.geojson)(address.file)
+        return _contents(file, FilePath(file).suffix.lower())
     except MemoryError:
-        raise ValueError(f"{address.file}: asks for more memory than there is: damaged?") from None
-    kind = "feature" if ending in (".geojson", ".json") else "track"
-    require(found, address.file, f"holds no {kind} of two points or more")
-    drawn = found[0].drawn and all(track.drawn for track in found)
-    pieces = {track.name: _piece(track) for track in found}
-    return Map(kind=kind, pieces=pieces, noise=_DRAWN if drawn else _RECORDED, drawn=drawn)
+        raise ValueError(f"{file}: asks for more memory than there is: damaged?") from None
+    except ValueError as error:
+        raise ValueError(f"{file}: {str(error).removeprefix(f'{file}: ')}") from error
+
+
+def _contents(file: str, ending: str) -> Map:
+    kind = ending
+    if ending not in _READERS:
+        kind, valid = root_of(file), ("gpx",) if ending == ".gpx" else ("commonRoad", "osm", "OpenDRIVE")
+        what = f"its first element is <{kind}>, expected one of {', '.join(f'<{name}>' for name in valid)}"
+        require(kind in valid, file, what)
+    made = _READERS[kind](file)
+    if isinstance(made, Map):
+        return made
+    kind = "feature" if "json" in ending else "track"
+    found = {track.name: track for track in made}
+    require(found, file, f"holds no {kind} of two points or more")
+    pieces = {
+        name: Piece(
+            group=name, length=float(distances(track.line().xy).sum()), line=track.line, about="drawn" * track.drawn
+        )
+        for name, track in found.items()
+    }
+    return Map(kind=kind, pieces=pieces, tracks=found)
 
 
 def read_course(address: str, *, tightest: float = TIGHTEST, closed: bool | None = None) -> Course:
@@ -67,20 +101,24 @@ def read_course(address: str, *, tightest: float = TIGHTEST, closed: bool | None
     where = Address.parsed(address)
     found = contents(where.file)
     line, closed_route, remarks = chosen(found, where, closed)
-    kind = KINDS[FilePath(where.file).suffix.lower()]
-    first = f"read {FilePath(where.file).name} ({kind}), sha256 {_digest(where.file)}: {remarks[0]}"
-    noise = _noise(found, where)
-    assumed = f"noise = {noise:g} m is assumed; FILE#noise=... says otherwise"
-    recorded = found.kind in ("track", "feature") and not _track(found, where).drawn
+    source = found.source(where.choice)
+    with FilePath(where.file).open("rb") as stream:
+        digest = hashlib.file_digest(stream, "sha256").hexdigest()[:16]
+    file = FilePath(where.file)
+    notes = [f"read {file.name} ({KINDS[file.suffix.lower()]}), sha256 {digest}: {remarks[0]}", *remarks[1:]]
+    notes += found.notes
+    if where.noise is None:
+        notes.append(f"noise = {source.noise:g} m is assumed; FILE#noise=... says otherwise")
+    recorded = source is not found and not source.drawn
     return laid(
         line.backwards() if where.reverse else line,
         name=where.name,
-        noise=noise,
+        noise=source.noise if where.noise is None else where.noise,
         closed=closed_route,
-        drawn=not recorded and found.drawn,
+        drawn=source.drawn,
         tightest=tightest,
-        notes=(first, *remarks[1:], *found.notes, *([assumed] if where.noise is None else [])),
-        origin_deg=_origin(found, where),
+        notes=notes,
+        origin_deg=source.origin_deg,
         hint="; recorded too coarsely for its bends? record more often, or drive them slower" if recorded else "",
     )
 
@@ -88,74 +126,19 @@ def read_course(address: str, *, tightest: float = TIGHTEST, closed: bool | None
 def chosen(found: Map, where: Address, closed: bool | None = None) -> tuple[Line, bool, list[str]]:
     """The line that an address means, before it is smoothed; is it closed; and what to say of it."""
     choice = dict(where.choice)
-    lap = _lap(choice.pop("lap", None), where.file)
-    line, round_, remarks = found.route(choice, where.file)
-    notes = [*remarks]
+    lap = choice.pop("lap", None)
+    require(lap is None or lap.isdigit(), f"'{where.file}'", f"lap = {lap}, expected 1, 2 ...")
+    line, round_, notes = found.route(choice, where.file)
     wanted = closed if where.closed is None else where.closed
-    if found.kind in ("track", "feature"):
-        line, more = _recorded(_track(found, where), _noise(found, where), where.file)
+    source = found.source(choice)
+    if isinstance(source, tracks.Track):
+        noise = source.noise if where.noise is None else where.noise
+        line, more = source.driven(noise, where.file)
         notes += more
         if wanted is not False:
-            line, round_, cut = rounds(line, _noise(found, where), lap, where.file)
+            line, round_, cut = rounds(line, noise, None if lap is None else int(lap), where.file)
             notes += cut
     return line, (round_ or _meets(line.xy)) if wanted is None else wanted, notes
-
-
-def _track(found: Map, where: Address) -> tracks.Track:
-    name = where.choice.get(found.kind) or next(iter(found.pieces))
-    track: tracks.Track = found.pieces[name].line.args[0]  # type: ignore[attr-defined]
-    return track
-
-
-def _noise(found: Map, where: Address) -> float:
-    if where.noise is not None:
-        return where.noise
-    if found.kind in ("track", "feature"):
-        return _DRAWN if _track(found, where).drawn else _RECORDED
-    return found.noise
-
-
-def _origin(found: Map, where: Address) -> tuple[float, float] | None:
-    if found.kind not in ("track", "feature"):
-        return found.origin_deg
-    track = _track(found, where)
-    return None if track.flat else (track.a[0], track.b[0])
-
-
-def _piece(track: tracks.Track) -> Piece:
-    return Piece(
-        group=track.name, length=_rough_length(track), line=partial(_places, track), about="drawn" * track.drawn
-    )
-
-
-def _places(track: tracks.Track) -> Line:
-    return Line(xy=np.column_stack((track.a, track.b)))
-
-
-def _rough_length(track: tracks.Track) -> float:
-    a, b, _, _ = tracks.numbers(track)
-    if track.flat:
-        return float(np.hypot(np.diff(a), np.diff(b)).sum())
-    east = np.cos(np.deg2rad(np.clip(a[1:], -90.0, 90.0))) * np.diff(b)
-    return float(111_320.0 * np.hypot(np.diff(a), east).sum())
-
-
-def _recorded(track: tracks.Track, noise: float, where: str) -> tuple[Line, list[str]]:
-    """A track in metres, without what was recorded at rest; and what was done."""
-    a, b, t, v = tracks.numbers(track)
-    if track.flat:
-        xy: Array = np.column_stack((a, b))
-        check_metres(xy, where)
-    else:
-        import pymap3d
-
-        check_gps(a, b, where)
-        east, north, _ = pymap3d.geodetic2enu(a, b, 0.0, a[0], b[0], 0.0)
-        xy = np.column_stack((east, north))
-    if track.drawn:
-        return Line(xy=xy), []
-    line, remarks = cleaned(xy, t if np.isfinite(t).all() else None, v, noise, where)
-    return line, [*remarks]
 
 
 def _meets(xy: Array) -> bool:
@@ -163,29 +146,6 @@ def _meets(xy: Array) -> bool:
     ends = np.array([xy[1] - xy[0], xy[-1] - xy[-2]])
     meets = float(np.hypot(*(xy[-1] - xy[0]))) < 1.0 and len(xy) > 6
     return meets and float(ends[0] @ ends[1]) > 0.0
-
-
-def _lap(text: str | None, where: str) -> int | None:
-    require(text is None or text.isdigit(), f"'{where}'", f"lap = {text}, expected 1, 2 ...")
-    return None if text is None else int(text)
-
-
-def _digest(file: str) -> str:
-    with FilePath(file).open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()[:16]
-
-
-KINDS: Mapping[str, str] = {
-    ".csv": "CSV",
-    ".gpx": "GPX",
-    ".geojson": "GeoJSON",
-    ".json": "GeoJSON",
-    ".xodr": "OpenDRIVE",
-    ".xml": "CommonRoad or OSM",
-    ".osm": "OSM or Lanelet2",
-}
-"""How the name of a file with a road in it ends, and what it then is."""
-_SETTINGS = ("noise", "closed", "reverse")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -214,10 +174,9 @@ class Address:
             values[key] = value
         kind = FilePath(file).suffix.lower()
         known(kind or "none", KINDS, "a course's file: ending")
+        for key in values:
+            known(key, (*CHOICES[KINDS[kind]], *_SETTINGS), f"'{text}': {KINDS[kind]} key")
         choice = {key: value for key, value in values.items() if key not in _SETTINGS}
-        for key in choice:
-            valid = CHOICES[kind]
-            known(key, (*valid, *_SETTINGS), f"'{text}': {KINDS[kind]} key")
         return cls(
             file=file,
             choice=choice,
@@ -233,18 +192,6 @@ class Address:
         parts += ["reversed"] * self.reverse
         clean = "".join(c if c.isalnum() or c in "-_." else "_" for c in "-".join(parts))
         return clean.replace("--", "-_")  # two hyphens part the names of scenarios
-
-
-CHOICES: Mapping[str, tuple[str, ...]] = {
-    ".csv": ("lap",),
-    ".gpx": ("track", "lap"),
-    ".geojson": ("feature", "lap"),
-    ".json": ("feature", "lap"),
-    ".xodr": ("road", "lane", "to"),
-    ".xml": ("lanelet", "way", "to"),
-    ".osm": ("lanelet", "way", "to"),
-}
-"""What can be chosen by name, by the file's ending."""
 
 
 def is_road(name: str) -> bool:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import re
 from array import array
-from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path as FilePath
 from typing import Any
@@ -16,8 +14,17 @@ from numpy.typing import NDArray
 from steerkit._support.errors import require
 from steerkit._support.files import read_text
 from steerkit.paths.importers.course import Line, distinct
-from steerkit.paths.importers.xml_stream import Node, records
-from steerkit.paths.waypoints import distances, read_columns, travelled
+from steerkit.paths.importers.xml_stream import number, records, value
+from steerkit.paths.waypoints import (
+    check_gps,
+    check_metres,
+    check_stated,
+    distances,
+    east_north,
+    read_columns,
+    stated,
+    travelled,
+)
 
 Array = NDArray[np.float64]
 
@@ -30,7 +37,33 @@ class Track:
         self.a, self.b = array("d"), array("d")
         """Latitude and longitude, or x and y where `flat`."""
         self.t, self.v = array("d"), array("d")
-        """NaN where the file has none."""
+        """NaN, or nothing at all, where the file has none."""
+
+    @property
+    def noise(self) -> float:
+        """How far its points lie beside the way unless said otherwise [m]: a phone's outdoors, or a drawn line's."""
+        return 0.1 if self.drawn else 1.0
+
+    @property
+    def origin_deg(self) -> tuple[float, float] | None:
+        """Where x = y = 0 is [degrees], if it is known."""
+        return None if self.flat else (self.a[0], self.b[0])
+
+    def line(self) -> Line:
+        """All of it in metres: as it is, or east and north of the first; raises ValueError for no place on Earth."""
+        a, b = np.frombuffer(self.a), np.frombuffer(self.b)
+        if self.origin_deg is None:
+            return Line(xy=np.column_stack((a, b)))
+        check_gps(a, b, self.name)
+        return Line(xy=east_north(a, b, self.origin_deg))
+
+    def driven(self, noise: float, where: str) -> tuple[Line, list[str]]:
+        """Its line without what was recorded at rest, and what was done."""
+        line = self.line()
+        if self.flat:
+            check_metres(line.xy, where)
+        t, v = (np.array(column) if column else np.full(len(line.xy), np.nan) for column in (self.t, self.v))
+        return (line, []) if self.drawn else cleaned(line.xy, t, v, noise, where)
 
     def add(self, a: float, b: float, t: float = math.nan, v: float = math.nan) -> None:
         """One more position."""
@@ -47,35 +80,27 @@ def gpx(file: str) -> list[Track]:
     extensions is read where it stands.
     """
     tracks: list[Track] = []
-    root = ""
-    for record in records(file, {"trkpt", "rtept", "name"}, {"gpx", "trk", "rte", "wpt"}):
-        if isinstance(record, str):
-            root = root or record
-            if record in ("trk", "rte"):
-                tracks.append(Track(str(len(tracks)), drawn=record == "rte"))
-        elif record.tag == "name":
-            used = {track.name for track in tracks}
-            if tracks and not tracks[-1].a and record.text.strip() and record.text.strip() not in used:
-                tracks[-1].name = record.text.strip().replace(",", " ")
-        elif tracks:
-            t, v = record.find("time"), _deep(record, "speed")
-            time = _seconds(t) if t is not None else math.nan
-            tracks[-1].add(record.number("lat"), record.number("lon"), time, v.value() if v is not None else math.nan)
-    require(root == "gpx", file, "is no GPX file: its first element is no <gpx>")
+    for node in records(file, ("trkpt", "rtept", "name"), ("trk", "rte", "wpt")):
+        if node.tag in ("trk", "rte"):
+            tracks.append(Track(str(len(tracks)), drawn=node.tag == "rte"))
+        elif not tracks or node.tag == "wpt":
+            continue
+        elif node.tag == "name":
+            called = (node.text or "").strip()
+            if called and not tracks[-1].a and called not in {track.name for track in tracks}:
+                tracks[-1].name = called.replace(",", " ")
+        else:
+            times, speeds = node.findall("time"), [*node.iter("speed")]
+            t = _seconds(times[0].text or "") if times else math.nan
+            tracks[-1].add(number(node, "lat"), number(node, "lon"), t, value(speeds[0]) if speeds else math.nan)
     return [track for track in tracks if len(track.a) > 1]
 
 
-def _deep(node: Node, tag: str) -> Node | None:
-    if node.tag == tag:
-        return node
-    return next((found for child in node.children if (found := _deep(child, tag)) is not None), None)
-
-
-def _seconds(node: Node) -> float:
+def _seconds(text: str) -> float:
     try:
-        when = datetime.fromisoformat(node.text.strip())
+        when = datetime.fromisoformat(text.strip())
     except ValueError:
-        raise ValueError(f"{node.where}: <time> is {node.text.strip()[:40]!r}, expected 2026-11-22T15:00:00Z") from None
+        raise ValueError(f"time is {text.strip()[:40]!r}, expected 2026-11-22T15:00:00Z") from None
     return (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp()
 
 
@@ -90,136 +115,79 @@ def geojson(file: str) -> list[Track]:
         import ijson
     except ImportError:
         raise ValueError(f"{file}: maps and tracks need a package: pip install 'steerkit-control[roads]'") from None
-    tracks: list[Track] = []
-    reader = _GeoJson(file, tracks)
+    kind, crs, tracks = "", "CRS84", list[Track]()
     try:
         with FilePath(file).open("rb") as stream:
-            for prefix, event, value in ijson.parse(stream, use_float=True, buf_size=_CHUNK):
-                reader.take(prefix, event, value)
+            for prefix, _, found in ijson.parse(stream, buf_size=_CHUNK):
+                kind = found if prefix == "type" else kind
+                crs = found if prefix == "crs.properties.name" else crs
+            require(kind in _GEO, file, f"type {kind!r}, expected GeoJSON: {', '.join(_GEO)}")
+            stream.seek(0)
+            where = "features.item" if kind == "FeatureCollection" else ""
+            flat = not any(word in crs for word in ("CRS84", "4326"))
+            for feature in ijson.items(stream, where, use_float=True, buf_size=_CHUNK):
+                tracks += _lines(feature, tracks, flat)
     except OSError as error:
         raise ValueError(f"{file}: cannot be read ({error.strerror})") from error
     except (ijson.JSONError, UnicodeError, RecursionError) as error:
         raise ValueError(f"{file}: no JSON, damaged or cut off ({' '.join(str(error).split())[:80]})") from error
-    kind = reader.kind
-    require(kind in _GEO, file, f"type {kind!r}, expected GeoJSON: {', '.join(_GEO)}")
+    except (AttributeError, KeyError, TypeError) as error:
+        raise ValueError(f"{file}: no GeoJSON, or damaged ({type(error).__name__}: {error})") from error
     return [track for track in tracks if len(track.a) > 1]
 
 
 _GEO = ("FeatureCollection", "Feature", "GeometryCollection", "LineString", "MultiLineString")
-_DEEPEST, _CHUNK = 40, 1 << 12
+_CHUNK = 1 << 12
 
 
-class _GeoJson:
-    """Takes the events of a JSON parser one by one, and keeps only numbers."""
-
-    def __init__(self, file: str, tracks: list[Track]):
-        self.file, self.tracks = file, tracks
-        self.kind, self.flat = "", False
-        self.depth = 0
-        self.begun = -1
-        """How deep the coordinates at hand began; -1: none."""
-        self.point: list[float] = []
-        self.fresh = Track("")
-        self.waiting: list[Track] = []
-        """Lines of the feature at hand."""
-        self.geometry, self.name, self.times = "", "", array("d")
-
-    def take(self, prefix: str, event: str, value: Any) -> None:
-        """One event."""
-        last = prefix.rpartition(".")[2]
-        if event in ("start_map", "start_array"):
-            self.depth += 1
-            require(self.depth <= _DEEPEST, self.file, f"more than {_DEEPEST} brackets within each other: no GeoJSON")
-        if event in ("end_map", "end_array"):
-            self.depth -= 1
-        if event == "start_array" and last == "coordinates" and (prefix == last or "geometr" in prefix):
-            self.begun = self.depth
-        if self.begun >= 0:
-            self._coordinate(event, value)
-        elif prefix == "type":
-            self.kind = str(value)
-        elif prefix == "crs.properties.name":
-            self.flat = not any(word in str(value) for word in ("CRS84", "4326"))
-        elif event == "string" and last == "type" and "geometr" in prefix.rpartition(".")[0]:
-            self.geometry = value
-        elif last in ("name", "id", "@id") and event in ("string", "number") and "." in prefix and "crs" not in prefix:
-            self.name = self.name or str(value).replace(",", " ")
-        elif event == "string" and ("coordTimes" in prefix or ".times" in prefix):
-            node = Node("time", {}, self.file)
-            node.text = value
-            self.times.append(_seconds(node))
-        if event == "end_map" and ((last == "item" and prefix.count("item") == 1) or not prefix):
-            self._finish()
-
-    def _coordinate(self, event: str, value: Any) -> None:
-        if event == "number":
-            require(math.isfinite(value), self.file, f"a coordinate {value}, expected numbers")
-            self.point.append(float(value))
-        elif event == "end_array":
-            if self.point:
-                require(len(self.point) >= 2, self.file, f"a position {self.point}, expected longitude and latitude")
-                self.fresh.add(self.point[1], self.point[0])
-                self.point.clear()
-            elif len(self.fresh.a):
-                self.waiting.append(self.fresh)
-                self.fresh = Track("")
-            if self.depth < self.begun:
-                if len(self.fresh.a):
-                    self.waiting.append(self.fresh)
-                    self.fresh = Track("")
-                self.begun = -1
-        elif event != "start_array":
-            raise ValueError(f"{self.file}: {str(value)[:40]!r} among the coordinates, expected numbers")
-
-    def _finish(self) -> None:
-        """The end of a feature: its lines get its name and times."""
-        lines = self.waiting if self.geometry in ("LineString", "MultiLineString") or not self.geometry else []
-        used = {track.name for track in self.tracks}
-        base = self.name or str(len(self.tracks))
-        for k, track in enumerate(lines):
-            name = base + (f".{k}" if len(lines) > 1 else "")
-            track.name = name if name not in used else f"{name}#{len(self.tracks)}".replace("#", "-")
-            if len(lines) == 1 and len(self.times) == len(track.a):
-                track.t = self.times
-            track.drawn = not math.isfinite(track.t[0])
-            track.flat = self.flat
-            if self.flat:
-                track.a, track.b = track.b, track.a
-            self.tracks.append(track)
-        self.waiting, self.geometry, self.name, self.times = [], "", "", array("d")
+def _lines(feature: dict[str, Any], before: list[Track], flat: bool) -> list[Track]:
+    """The lines of a feature, or of a geometry alone, with its name and times."""
+    geometry = feature.get("geometry", feature) or {}
+    parts = geometry.get("geometries", [geometry])
+    lines = [part["coordinates"] for part in parts if part["type"] == "LineString"]
+    lines += [line for part in parts if part["type"] == "MultiLineString" for line in part["coordinates"]]
+    about = feature.get("properties") or {}
+    base = str(about.get("name") or feature.get("id") or about.get("id") or len(before)).replace(",", " ")
+    times = about.get("coordTimes") or about.get("times") or about.get("coordinateProperties", {}).get("times") or []
+    used, made = {track.name for track in before}, list[Track]()
+    for k, points in enumerate(lines):
+        name = base + f".{k}" * (len(lines) > 1)
+        timed = len(lines) == 1 and len(times) == len(points)
+        track = Track(f"{name}-{len(before) + k}" if name in used else name, flat=flat, drawn=not timed)
+        stamps = [_seconds(text) for text in times] if timed else [math.nan] * len(points)
+        stamps.reverse()
+        points.reverse()
+        while points:
+            point = points.pop()  # not held twice
+            good = len(point) >= 2 and all(isinstance(x, int | float) and math.isfinite(x) for x in point)
+            require(good, "coordinates", f"a position {point}, expected longitude and latitude, as numbers")
+            a, b = point[:2] if flat else point[1::-1]
+            track.add(a, b, stamps.pop())
+        made.append(track)
+    return made
 
 
 def csv(file: str) -> list[Track]:
     """The points of a CSV file with columns x, y [m] or lat, lon [degrees], and t [s], v [m/s] where there are any."""
     try:
         text = read_text(file, "course")
-        columns = read_columns(text, file)
     except OSError as error:
         raise ValueError(f"{file}: cannot be read ({error.strerror})") from error
+    columns = read_columns(text, file)
     flat = {"x", "y"} <= columns.keys()
     require(flat or {"lat", "lon"} <= columns.keys(), file, f"columns {', '.join(columns)}; valid: x, y or lat, lon")
-    said = re.search(r"^#.*: (closed|open) path, ([\d.]+) m", text, re.MULTILINE)
+    said = stated(text)
     del text
     track = Track("0", flat=flat)
-    track.a, track.b = (array("d", columns[key].tobytes()) for key in (("x", "y") if flat else ("lat", "lon")))
+    names = ("x" if flat else "lat", "y" if flat else "lon", "t", "v")
+    for column, name in zip((track.a, track.b, track.t, track.v), names):
+        column.frombytes(columns.pop(name, np.empty(0)).tobytes())
     if said and flat:
-        steps = np.hypot(np.diff(columns["x"]), np.diff(columns["y"]))
-        gap = math.dist((track.a[0], track.b[0]), (track.a[-1], track.b[-1]))
-        length = float(steps.sum()) + (min(gap, 1.5 * float(np.median(steps))) if said[1] == "closed" else 0.0)
-        found_text = f"its first line says {said[2]} m, its points make {length:.1f} m: cut short, or changed by hand"
-        require(
-            abs(length - float(said[2])) < 0.5 + 2e-3 * length,
-            file,
-            f"{found_text}; write it again, or delete that line",
-        )
-    for key, column in (("t", track.t), ("v", track.v)):
-        column.frombytes(columns[key].tobytes() if key in columns else np.full(len(track.a), np.nan).tobytes())
+        xy = track.line().xy
+        steps, gap = distances(xy), math.dist(xy[0], xy[-1])
+        length = float(steps.sum()) + (min(gap, 1.5 * float(np.median(steps))) if said[0] else 0.0)
+        check_stated(said[1], length, 0.5 + 2e-3 * length, file)
     return [track]
-
-
-def numbers(track: Track) -> Iterator[Array]:
-    """Its four columns as arrays, in the same memory."""
-    return (np.frombuffer(column) for column in (track.a, track.b, track.t, track.v))
 
 
 _STOOD = 5.0
@@ -235,22 +203,19 @@ _FASTEST = 100.0
 """[m/s]; what seems faster is a wrong position."""
 
 
-def cleaned(xy: Array, t: Array | None, v: Array | None, noise: float, where: str) -> tuple[Line, tuple[str, ...]]:
+def cleaned(xy: Array, t: Array, v: Array, noise: float, where: str) -> tuple[Line, list[str]]:
     """The points of a track that tell where the way is, with the speed at each, and what was left out.
 
-    xy (n, 2) [m]; t (n,) [s] or None; v (n,) [m/s], NaN where the receiver does not say, or None. Where the car stood,
-    one point of many is left. Raises ValueError for gaps, for times that do not rise and for jumps that no car makes.
+    xy (n, 2) [m]; t (n,) [s] and v (n,) [m/s], NaN where the receiver does not say. Where the car stood, one point of
+    many is left. Raises ValueError for gaps, for times that do not rise and for jumps that no car makes.
     """
-    notes: list[str] = []
-    if t is None or not np.isfinite(t).all():
-        _check_jumps(xy, where)
-        return distinct(Line(xy=xy), where), ()
+    if not np.isfinite(t).all():
+        return distinct(Line(xy=xy), where), []
     steps = np.diff(t)
     back = np.flatnonzero(steps < 0.0)
     require(not back.size, where, f"time runs back after point {back[0] if back.size else 0}: two drives in one track?")
     new = np.concatenate(([True], steps > 0.0))
-    xy, t = xy[new], t[new]
-    v = None if v is None else v[new]
+    xy, t, v = xy[new], t[new], v[new]
     moved, steps = distances(xy), np.diff(t)
     require(len(t) >= 4, where, f"{len(t)} points with times of their own, expected 4 or more")
     speed = (moved - min(6.0 * noise, 30.0)) / steps
@@ -267,28 +232,10 @@ def cleaned(xy: Array, t: Array | None, v: Array | None, noise: float, where: st
             f"a gap of {steps[k]:.0f} s and {moved[k]:.0f} m after point {k} ({t[k] - t[0]:.0f} s from the beginning)"
         )
         raise ValueError(f"{where}: {what}: the receiver had lost the way; record that stretch again, at 1 Hz or more")
-    _check_jumps(xy, where)
     kept = _moving(xy, t, noise)
-    if not kept.all():
-        notes.append(f"left out {int((~kept).sum())} of {len(kept)} points, recorded while the car stood")
-    driven = _speeds(xy, t, v, kept)
-    line = Line(xy=xy[kept], v=driven[kept])
-    return distinct(line, where), tuple(notes)
-
-
-def _check_jumps(xy: Array, where: str) -> None:
-    """ValueError for a single point far from the way between its neighbours."""
-    if len(xy) < 8:
-        return
-    step = distances(xy)
-    usual = float(np.median(step))
-    off = np.hypot(*(xy[1:-1] - 0.5 * (xy[:-2] + xy[2:])).T)
-    direct = np.hypot(*(xy[2:] - xy[:-2]).T)
-    bad = np.flatnonzero((off > 12.0 * max(usual, 1.0)) & (off > 3.0 * direct)) + 1
-    if bad.size:
-        x, y = xy[bad[0]]
-        what = f"point {bad[0]}, ({x:.0f}, {y:.0f}) [m], is {off[bad[0] - 1]:.0f} m beside its neighbours"
-        raise ValueError(f"{where}: {what}: a wrong position; leave it out")
+    left_out = int((~kept).sum())
+    notes = [f"left out {left_out} of {len(kept)} points, recorded while the car stood"] if left_out else []
+    return distinct(Line(xy=xy[kept], v=_speeds(xy, t, v)[kept]), where), notes
 
 
 def _moving(xy: Array, t: Array, noise: float) -> NDArray[np.bool_]:
@@ -308,21 +255,21 @@ def _moving(xy: Array, t: Array, noise: float) -> NDArray[np.bool_]:
     return kept
 
 
-def _speeds(xy: Array, t: Array, v: Array | None, kept: NDArray[np.bool_]) -> Array:
+def _speeds(xy: Array, t: Array, v: Array) -> Array:
     """Speed at each point: as the receiver says; else the slope of the distance over some seconds."""
-    if v is not None and np.isfinite(v).all():
-        return np.asarray(v)
+    if np.isfinite(v).all():
+        return v
     out = np.empty(len(t))
+    reach = max(0.5 * _FIT, 1.5 * float(np.median(np.diff(t))))
     for k in range(len(t)):
-        near = np.flatnonzero(np.abs(t - t[k]) <= max(0.5 * _FIT, 1.5 * float(np.median(np.diff(t)))))
+        near = np.abs(t - t[k]) <= reach
         # the chord's length grows with noise at every step, a straight fit through the positions does not
         dt = t[near] - t[near].mean()
-        slope = (dt @ xy[near]) / (dt @ dt)
-        out[k] = math.hypot(*slope)
+        out[k] = math.hypot(*(dt @ xy[near]) / (dt @ dt))
     return out
 
 
-def rounds(line: Line, noise: float, which: int | None, where: str) -> tuple[Line, bool, tuple[str, ...]]:
+def rounds(line: Line, noise: float, which: int | None, where: str) -> tuple[Line, bool, list[str]]:
     """The line cut to one round, if it comes back to its beginning in the direction in which it left.
 
     which: the first round, the second ...; None: the first, if there is one. Returns whether it is a round.
@@ -331,13 +278,13 @@ def rounds(line: Line, noise: float, which: int | None, where: str) -> tuple[Lin
     begins = [0, *_returns(line.xy, noise)]
     found = len(begins) - 1
     if which is None and not found:
-        return line, False, ()
+        return line, False, []
     number = which or 1
     require(1 <= number <= found, where, f"lap {number}, but it has {found or 'no'} whole rounds")
     part = line.part(slice(begins[number - 1], begins[number]))
     left = len(line.xy) - len(part.xy)
     remark = f"round {number} of {found}: points {begins[number - 1]} to {begins[number] - 1}, {left} others left out"
-    return part, True, (remark,) if left else ()
+    return part, True, [remark] if left else []
 
 
 def _returns(xy: Array, noise: float) -> list[int]:

@@ -51,7 +51,7 @@ def test_commonroads_lanelets_and_routes(tmp_path: FilePath) -> None:
     ("text", "message"),
     [
         (lanelet(1, 0, 40) + lanelet(1, 0, 40), "two lanelets of the name 1"),
-        ('<lanelet id="1"/>', "no leftBound"),
+        ('<lanelet id="1"/>', "leftBound of 0 points, expected 2 or more"),
         (
             f'<lanelet id="1">{bound("left", 30, 0, 9)}{bound("right", 0, 0, 9)}</lanelet>',
             "30 m apart, expected at most 20",
@@ -116,7 +116,7 @@ def test_ways_meet_at_nodes_and_run_both_ways_unless_told(tmp_path: FilePath) ->
     ways = main, way(12, 2, 5, highway="service"), way(13, 3, 7, highway="residential", oneway="yes"), way(14, 1, 4)
     file = osm_file(tmp_path / "a.osm", *ways)
     found = osm(str(file))
-    assert sorted(found.groups()) == ["11", "12", "13"]
+    assert sorted(found.groups) == ["11", "12", "13"]
     assert found.length_of("11") == pytest.approx(60.0, abs=1e-3)
     assert set(found.pieces) == {"11/0", "11/1", "11/0-", "11/1-", "12/0", "12/0-", "13/0"}
     assert set(found.pieces["11/0"].next) == {"11/1", "12/0"}, "no turning round"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from itertools import pairwise
 from pathlib import Path as FilePath
 from typing import Any
@@ -12,9 +13,8 @@ import numpy as np
 import pytest
 from scipy.special import fresnel
 
-from steerkit.paths.importers import Line as Centre
-from steerkit.paths.importers import contents, read_course
-from steerkit.paths.importers.opendrive import Line, ParamPoly3, Poly3, Shape, Spiral, read
+from steerkit.paths.importers import Line, contents, read_course
+from steerkit.paths.importers.opendrive import Shape, param_poly3, poly3, read, spiral
 from tests.support import road_files
 
 STRAIGHT = '<geometry s="0" x="0" y="0" hdg="0" length="100"><line/></geometry>'
@@ -31,7 +31,7 @@ def section(s: float, *, left: str = "", right: str = "") -> str:
     return f'<laneSection s="{s}"><left>{left}</left>{centre}<right>{right}</right></laneSection>'
 
 
-def centre(file: FilePath, road: str, number: int) -> Centre:
+def centre(file: FilePath, road: str, number: int) -> Line:
     pieces = [p for p in contents(str(file)).pieces.values() if (p.group, p.lane) == (road, str(number))]
     (piece,) = pieces
     return piece.line()
@@ -41,7 +41,7 @@ def centre(file: FilePath, road: str, number: int) -> Centre:
 def test_roads_of_the_formats_writer_join_up(name: str, tmp_path: FilePath) -> None:
     """The writer has reckoned where each piece begins: ours end there."""
     file = road_files.opendrive(road_files.ROADS[name](), tmp_path / "road.xodr")
-    roads, _, _, _ = read(str(file))
+    roads, _, _ = read(str(file))
     shapes = roads["1"].shapes
     assert len(shapes) == len(road_files.ROADS[name]())
     for before, after in pairwise(shapes):
@@ -54,7 +54,7 @@ def test_roads_of_the_formats_writer_join_up(name: str, tmp_path: FilePath) -> N
 def test_reference_lines_are_a_peers(name: str, tmp_path: FilePath) -> None:
     network = pytest.importorskip("pyxodr.road_objects.network", reason="the extra `peers` is not installed")
     file = road_files.opendrive(road_files.ROADS[name](), tmp_path / "road.xodr")
-    roads, _, _, _ = read(str(file))
+    roads, _, _ = read(str(file))
     (theirs,) = network.RoadNetwork(str(file), resolution=0.1).get_roads()
     s = np.linspace(0.0, roads["1"].length, 20_001)
     x, y, _ = roads["1"].reference(s)
@@ -75,9 +75,8 @@ def test_lanes_lie_beside_the_line_and_run_as_traffic_does(tmp_path: FilePath) -
 def test_in_left_hand_traffic_it_is_the_other_way_round(tmp_path: FilePath) -> None:
     file = road_files.by_hand(tmp_path / "a.xodr", STRAIGHT, length=100.0, rule="LHT")
     left, right = centre(file, "1", 1), centre(file, "1", -1)
-    assert left.xy[0].tolist() == [0.0, 1.75]
-    assert left.xy[-1].tolist() == [100.0, 1.75]
-    assert right.xy[0].tolist() == [100.0, -1.75]
+    assert left.xy[[0, -1]] == pytest.approx(np.array([[0.0, 1.75], [100.0, 1.75]]), abs=1e-9)
+    assert right.xy[0] == pytest.approx([100.0, -1.75], abs=1e-9)
 
 
 def test_offset_and_widths_that_change(tmp_path: FilePath) -> None:
@@ -166,6 +165,8 @@ def test_routes_through_a_junction(tmp_path: FilePath) -> None:
         ),
         (STRAIGHT.replace("<line/>", "<curve/>"), 100.0, "holds curve; known: line, arc, spiral"),
         (STRAIGHT.replace('length="100"', 'length="1e"'), 100.0, "length: is '1e', expected a number"),
+        (STRAIGHT.replace('length="100"', 'length="-1"'), 100.0, "is -1.0 m long"),
+        (ARC.replace("0.02", "9.9"), 60.0, "turns by 594 rad, which no road does"),
     ],
 )
 def test_what_contradicts_itself_is_refused(geometry: str, length: float, message: str, tmp_path: FilePath) -> None:
@@ -181,12 +182,11 @@ def test_lanes_that_cannot_be_driven_are_no_choice(tmp_path: FilePath) -> None:
     assert read_course(str(file)).path.length == pytest.approx(100.0, abs=1e-3)
 
 
-PLACE: dict[str, Any] = dict(s=0.0, x0=0.0, y0=0.0, psi0=0.0)
 EXACT = 1e-9
 
 
 def test_a_straight_in_the_maps_frame() -> None:
-    line = Line(s=7.0, x0=3.0, y0=-2.0, psi0=0.5, length=40.0)
+    line = Shape(s=7.0, x0=3.0, y0=-2.0, psi0=0.5, length=40.0, local=partial(spiral, 40.0, 0.0, 0.0))
     x, y, psi = line.at(np.array([0.0, 40.0]))
     assert np.allclose(x, [3.0, 3.0 + 40.0 * math.cos(0.5)], atol=EXACT, rtol=0.0)
     assert np.allclose(y, [-2.0, -2.0 + 40.0 * math.sin(0.5)], atol=EXACT, rtol=0.0)
@@ -196,7 +196,7 @@ def test_a_straight_in_the_maps_frame() -> None:
 @pytest.mark.parametrize("k", [0.1, -0.02, 1e-7, 0.0])
 def test_an_arc_is_a_part_of_a_circle(k: float) -> None:
     d = np.linspace(0.0, 90.0, 37)
-    u, v, heading = Spiral(**PLACE, length=90.0, k0=k, k1=k).local(d)
+    u, v, heading = spiral(90.0, k, k, d)
     assert np.allclose(heading, k * d, atol=1e-12)
     exact_u = np.sin(k * d) / k if k else d
     exact_v = 2.0 * np.sin(0.5 * k * d) ** 2 / k if k else 0.0 * d
@@ -207,7 +207,7 @@ def test_an_arc_is_a_part_of_a_circle(k: float) -> None:
 @pytest.mark.parametrize(("k1", "length"), [(0.2, 100.0), (-0.05, 300.0), (1.0, 20.0)])
 def test_a_spiral_from_a_straight_is_fresnels_integral(k1: float, length: float) -> None:
     d = np.linspace(0.0, length, 41)
-    u, v, _ = Spiral(**PLACE, length=length, k0=0.0, k1=k1).local(d)
+    u, v, _ = spiral(length, 0.0, k1, d)
     scale = math.sqrt(math.pi * length / abs(k1))
     s, c = fresnel(d / scale)
     assert np.abs(u - scale * c).max() < EXACT
@@ -218,7 +218,7 @@ def test_a_spiral_from_a_straight_is_fresnels_integral(k1: float, length: float)
 def test_a_spiral_between_any_curvatures(k0: float, k1: float) -> None:
     """Also where curvature hardly changes, and Fresnel integrals would lose all digits."""
     length = 80.0
-    u, v, _ = Spiral(**PLACE, length=length, k0=k0, k1=k1).local(np.array([length]))
+    u, v, _ = spiral(length, k0, k1, np.array([length]))
     with mpmath.workdps(25):
         integral = mpmath.quad(lambda t: mpmath.expj(k0 * t + (k1 - k0) * t * t / (2 * length)), [0, 20, 40, 60, 80])
     assert abs(u[0] - float(integral.real)) < EXACT
@@ -230,60 +230,49 @@ def test_a_parabola_at_its_arc_length(c: float) -> None:
     end = 30.0
     z = 2.0 * c * end
     length = (z * math.hypot(1.0, z) + math.asinh(z)) / (4.0 * c)
-    u, v, heading = Poly3(**PLACE, length=length, v=(0.0, 0.0, c, 0.0)).local(np.array([0.0, length]))
+    u, v, heading = poly3(length, np.array([0.0, 0.0, c, 0.0]), np.array([0.0, length]))
     assert np.allclose(u, [0.0, end], atol=EXACT, rtol=0.0)
     assert np.allclose(v, [0.0, c * end**2], atol=EXACT, rtol=0.0)
     assert heading[1] == pytest.approx(math.atan(z), abs=1e-12)
 
 
 def test_a_cubics_distance_is_its_arc_length() -> None:
-    cubic = Poly3(**PLACE, length=50.0, v=(0.0, 0.1, -0.02, 4e-4))
     for d in (5.0, 31.7, 50.0):
-        (u,), _, _ = cubic.local(np.array([d]))
+        (u,), _, _ = poly3(50.0, np.array([0.0, 0.1, -0.02, 4e-4]), np.array([d]))
         with mpmath.workdps(20):
             along = mpmath.quad(lambda p: mpmath.sqrt(1 + (0.1 - 0.04 * p + 1.2e-3 * p * p) ** 2), [0, u / 2, u])
         assert float(along) == pytest.approx(d, abs=EXACT)
 
 
-def test_two_cubics_of_a_parameter_in_both_ranges() -> None:
+def test_two_cubics_of_a_parameter_in_both_ranges(tmp_path: FilePath) -> None:
     length, d = 40.0, np.linspace(0.0, 40.0, 11)
-    u, v = (0.0, 1.0, 0.0, -1e-5), (0.0, 0.0, 5e-3, -1e-4)
-    by_length = ParamPoly3(**PLACE, length=length, u=u, v=v, normalised=False).local(d)
-    scaled = [tuple(a * length**k for k, a in enumerate(c)) for c in (u, v)]
-    by_share = ParamPoly3(**PLACE, length=length, u=scaled[0], v=scaled[1], normalised=True).local(d)  # type: ignore[arg-type]
-    assert np.abs(by_length[0] - (d - 1e-5 * d**3)).max() < EXACT
-    assert np.abs(by_length[1] - (5e-3 * d**2 - 1e-4 * d**3)).max() < EXACT
-    slopes = np.arctan2(1e-2 * d - 3e-4 * d**2, 1.0 - 3e-5 * d**2)
-    assert np.abs(by_length[2] - slopes).max() < EXACT
-    for one, other in zip(by_length, by_share):
+    cubics = {"U": (0.0, 1.0, 0.0, -1e-5), "V": (0.0, 0.0, 5e-3, -1e-4)}
+    by_range = []
+    for name, scale in (("arcLength", 1.0), ("normalized", length)):
+        numbers = {
+            f"{c}{axis}": a * scale**k for axis, row in cubics.items() for k, (c, a) in enumerate(zip("abcd", row))
+        }
+        written = " ".join(f'{key}="{number!r}"' for key, number in numbers.items())
+        piece = STRAIGHT.replace("<line/>", f'<paramPoly3 {written} pRange="{name}"/>').replace('"100"', '"40"')
+        roads, _, _ = read(str(road_files.by_hand(tmp_path / "a.xodr", piece, length=length)))
+        by_range.append(roads["1"].reference(d))
+    for one, other in zip(*by_range):
         assert np.abs(one - other).max() < EXACT
+    x, y, heading = by_range[0]
+    assert np.abs(x - (d - 1e-5 * d**3)).max() < EXACT
+    assert np.abs(y - (5e-3 * d**2 - 1e-4 * d**3)).max() < EXACT
+    assert np.abs(heading - np.arctan2(1e-2 * d - 3e-4 * d**2, 1.0 - 3e-5 * d**2)).max() < EXACT
 
 
 @pytest.mark.parametrize(
-    "shape",
+    "local",
     [
-        Spiral(**PLACE, length=60.0, k0=-0.03, k1=0.08),
-        Poly3(**PLACE, length=60.0, v=(0.0, 0.0, 0.01, -1e-4)),
-        ParamPoly3(**PLACE, length=60.0, u=(0.0, 1.0, 0.0, 0.0), v=(0.0, 0.0, 1e-3, 1e-5), normalised=False),
+        partial(spiral, 60.0, -0.03, 0.08),
+        partial(poly3, 60.0, np.array([0.0, 0.0, 0.01, -1e-4])),
+        partial(param_poly3, 1.0, np.array([0.0, 1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1e-3, 1e-5])),
     ],
 )
-def test_the_heading_is_that_of_the_line(shape: Shape) -> None:
+def test_the_heading_is_that_of_the_line(local: Any) -> None:
     d = np.linspace(1.0, 59.0, 59)
-    (u0, v0, _), (u1, v1, _) = shape.local(d - 1e-4), shape.local(d + 1e-4)
-    _, _, heading = shape.local(d)
-    assert np.abs(np.arctan2(v1 - v0, u1 - u0) - heading).max() < 1e-7
-
-
-@pytest.mark.parametrize(
-    ("kind", "values", "message"),
-    [
-        (Line, dict(length=-1.0), "is -1.0 m long"),
-        (Line, dict(length=math.nan), "is nan m long"),
-        (Spiral, dict(length=10.0, k0=math.inf, k1=0.0), "expected numbers"),
-        (Spiral, dict(length=1e5, k0=0.0, k1=1e6), "which no road does"),
-        (Poly3, dict(length=10.0, v=(0.0, math.nan, 0.0, 0.0)), "expected numbers"),
-    ],
-)
-def test_what_is_no_shape_is_refused(kind: type[Shape], values: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        kind(**PLACE, **values)
+    (u0, v0, _), (u1, v1, _) = local(d - 1e-4), local(d + 1e-4)
+    assert np.abs(np.arctan2(v1 - v0, u1 - u0) - local(d)[2]).max() < 1e-7
