@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from steerkit._support.errors import require, require_within, whole_samples
+from steerkit._support.errors import number, require, whole_samples
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State
 from steerkit.diagram.maths import Scalar
@@ -27,6 +27,12 @@ _GAP = radians_of(1.0)
 """Half of the free play whose loop is a number of the filter [rad]."""
 _SOFT = 2e-4
 """Deviation of the understeer gradient for tyres that give way in tight bends [rad s^2/m]."""
+_CORRELATED = 0.15
+"""For how long the errors of r hang together [s]."""
+_ANGLE_ERROR = radians_of(0.3)
+"""Standard deviation of what free play and friction make of the angle beyond the loop of the filter's own [rad]."""
+_WINDOW = 40.0
+"""Longest time over which headings are compared [s]."""
 _N = 6
 _OFFSET, _DISTURBANCE, _PLAY = 2, 4, 5
 _FILTERS = 16
@@ -46,13 +52,13 @@ class SingleTrackFilter(Block):
 
     n, L of the data sheet; h = w - w behind a free play of 2 degrees, for what friction and play keep from the road
     wheels looks like another ratio, and within a bend like an offset. The variance of r's error is that of its noise,
-    of the angle's other errors and of a delay that is not known yet, each as often as it is new: with c = `correlated`,
+    of the angle's other errors and of a delay that is not known yet, each as often as it is new:
 
-        noise^2 c/dt + (g v/(n (L + K v^2)))^2 (angle_error^2 + (w' delay_deviation)^2) (1 s)/dt.
+        noise^2 (0.15 s)/dt + (g v/(n (L + K v^2)))^2 ((0.3 deg)^2 + (w' delay_deviation)^2) (1 s)/dt.
 
     Forgetting widens P towards the prior's P_0 and moves no value, so nothing drifts. While the car stands, r is
-    rate_zero itself. Over windows of `window`/8, /4, /2 and then `window` the heading gives it, too: the integral of r
-    less the change of psi. A sample further than 3 deviations off counts for less, as if its noise were that large; one
+    rate_zero itself. Over windows of 5, 10, 20 and then 40 s the heading gives it, too: the integral of r less the
+    change of psi. A sample further than 3 deviations off counts for less, as if its noise were that large; one
     further than 6 is not integrated either.
 
     Observable are: the ratio in bends; the offset wherever the car drives, but apart from rate_zero only with a
@@ -94,66 +100,42 @@ class SingleTrackFilter(Block):
 
     vehicle: Vehicle
     """The car by its data sheet."""
-    ratio_prior: float = 0.25
+    ratio_prior: float = number(0.25, "1", low=1e-4, high=0.5)
     """Standard deviation of the ratio, as a share of the data sheet's, to begin with [1]."""
-    understeer_prior: float = 0.001
+    understeer_prior: float = number(0.001, "rad s^2/m", low=1e-7, high=0.02)
     """That of the understeer gradient [rad s^2/m]."""
-    offset_prior: float = radians_of(3.0)
+    offset_prior: float = number(radians_of(3.0), "rad", low=1e-5, high=0.3)
     """That of the offset [rad]."""
-    rate_zero_prior: float = 0.005
+    rate_zero_prior: float = number(0.005, "rad/s", low=1e-7, high=0.1)
     """That of the gyro's zero [rad/s]."""
-    disturbance_prior: float = radians_of(0.2)
+    disturbance_prior: float = number(radians_of(0.2), "rad", low=1e-7, high=0.3)
     """That of the disturbance, at all times [rad]."""
-    disturbance_time: float = 2.0
+    disturbance_time: float = number(2.0, "s", above=0.0, high=1e4)
     """For how long a disturbance lasts [s]."""
-    play: float = 0.5
+    play: float = number(0.5, "1", low=0.0, high=2.0)
     """Share of a free play of 2 degrees that is expected between angle and road wheels, with friction's loop [1]."""
-    play_prior: float = 0.5
+    play_prior: float = number(0.5, "1", low=1e-4, high=2.0)
     """Its standard deviation [1]."""
-    memory: float = 50000.0
+    memory: float = number(50_000.0, "s", low=1.0, high=1e6)
     """Time of driving after which what was learned of ratio, understeer and play counts for 1/e [s]."""
-    zero_memory: float = 500_000.0
+    zero_memory: float = number(500_000.0, "s", low=1.0, high=1e6)
     """The same of the offset and the gyro's zero [s]: in an hour they may move by an eighth of their priors, 0.36
     degrees and 0.034 deg/s."""
-    noise: float = radians_of(0.2)
+    noise: float = number(radians_of(0.2), "rad/s", low=1e-6, high=1.0)
     """Standard deviation of the white noise on r [rad/s]."""
-    psi_noise: float = radians_of(0.1)
+    psi_noise: float = number(radians_of(0.1), "rad", low=1e-6, high=1.0)
     """Standard deviation of what is wrong with psi [rad], at both ends of a window."""
-    correlated: float = 0.15
-    """For how long the errors of r hang together [s], dt at least."""
-    angle_error: float = radians_of(0.3)
-    """Standard deviation of what free play and friction make of the angle beyond that [rad]."""
-    window: float = 40.0
-    """Longest time over which headings are compared [s]; the first is an eighth of it, the next two."""
     longest: float = 1.0
     """Longest delay [s], a multiple of dt; a longer one is taken for this."""
     held: bool = True
     """Is the angle a command, held for dt? Else it is measured, and at least dt late."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         where = "SingleTrackFilter"
         require_vehicle(self.vehicle, where)
-        require_within(where, "dt", self.dt, "s", 1e-3, 0.2)
         longest = whole_samples(where, "longest", self.longest, self.dt)
         require(1 <= longest <= 100, where, f"longest = {self.longest} [s], expected 1 to 100 samples of {self.dt:g} s")
-        for name, unit, low, high in (
-            ("ratio_prior", "1", 1e-4, 0.5),
-            ("understeer_prior", "rad s^2/m", 1e-7, 0.02),
-            ("offset_prior", "rad", 1e-5, 0.3),
-            ("rate_zero_prior", "rad/s", 1e-7, 0.1),
-            ("disturbance_prior", "rad", 1e-7, 0.3),
-            ("disturbance_time", "s", self.dt, 1e4),
-            ("play", "1", 0.0, 2.0),
-            ("play_prior", "1", 1e-4, 2.0),
-            ("memory", "s", 1.0, 1e6),
-            ("zero_memory", "s", 1.0, 1e6),
-            ("noise", "rad/s", 1e-6, 1.0),
-            ("psi_noise", "rad", 1e-6, 1.0),
-            ("correlated", "s", self.dt, 10.0),
-            ("angle_error", "rad", 0.0, 0.3),
-            ("window", "s", self.dt, 1e3),
-        ):
-            require_within(where, name, getattr(self, name), unit, low, high)
 
     @property
     def _first(self) -> int:
@@ -170,7 +152,7 @@ class SingleTrackFilter(Block):
         start = (1.0, self.vehicle.understeer_gradient, 0.0, 0.0, 0.0, self.play)
         covariance = [[m.filled(variance, batch), *(zero,) * (_N - 1 - i)] for i, variance in enumerate(variances)]
         line = (zero,) * (self._first - _FILTERS)
-        first_window = m.filled(self.window / 8.0, batch)
+        first_window = m.filled(_WINDOW / 8.0, batch)
         held = (zero, m.filled(SLOWEST, batch), *(zero,) * (_FILTERS - 5), first_window, zero, zero)
         return (*held, *line, *[m.filled(value, batch) for value in start], *kalman.packed(covariance))
 
@@ -218,9 +200,9 @@ class SingleTrackFilter(Block):
         fresh = {i: (1.0 - keep * keep) * variance for i, (keep, variance) in enumerate(zip(keeps, self._variances))}
         covariance = kalman.predict_covariance(covariance, (), keeps, fresh)
         expected, slopes = self._expected(numbers, w, behind, v)
-        variance = self.noise**2 * self.correlated / dt
+        variance = self.noise**2 * _CORRELATED / dt
         late = turning * m.where(sure, u.delay_deviation, 0.0)
-        uneven = slopes[2] * slopes[2] * (self.angle_error**2 + late * late) * (_TOGETHER / dt)
+        uneven = slopes[2] * slopes[2] * (_ANGLE_ERROR**2 + late * late) * (_TOGETHER / dt)
         error = m.where(used, r - expected, 0.0)
         numbers, covariance, off = _corrected(numbers, covariance, slopes, error, variance + uneven, used)
         r = m.where(off > 4.0, expected, r)
@@ -238,7 +220,7 @@ class SingleTrackFilter(Block):
         numbers, covariance, _ = _corrected(numbers, covariance, only_zero, measured - numbers[3], variance, ends)
         begins = m.either(ends, m.both(whole, going < 0.5))
         start = m.where(begins, psi - half, start)
-        window = m.where(ends, m.minimum(2.0 * window, self.window), window)
+        window = m.where(ends, m.minimum(2.0 * window, _WINDOW), window)
         turned = m.where(begins, 0.0, turned) + r * dt
         clock = m.where(begins, 0.0, clock) + dt
         going = m.where(whole, 1.0, 0.0)

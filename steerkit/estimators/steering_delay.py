@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
-from steerkit._support.errors import require_within
+from steerkit._support.errors import number, require_within
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import In, Out, State
 from steerkit.diagram.maths import Scalar
@@ -96,19 +96,19 @@ class DelayBank(Bank):
 
     prior_delay: float = 0.15
     """Dead time to begin with [s], 0 to longest."""
-    prior_delay_deviation: float = 0.2
+    prior_delay_deviation: float = number(0.2, "s", low=1e-4, high=5.0)
     """Its standard deviation [s]."""
-    prior_lag: float = 0.2
+    prior_lag: float = number(0.2, "s", low=0.01, high=1.0)
     """Lag to begin with [s]."""
-    prior_lag_deviation: float = 0.06
+    prior_lag_deviation: float = number(0.06, "s", low=1e-4, high=1.0)
     """Its standard deviation [s]."""
     longest: float = 0.75
-    memory: float = 120.0
-    enough: float = 0.02
+    memory: float = number(120.0, "s", low=1.0, high=1e6)
+    enough: float = number(0.02, "s", low=1e-4, high=1.0)
     """Deviation from which on the sum is valid [s]."""
-    limit: float = STOP
+    limit: float = number(STOP, "rad", low=1e-3, high=30.0)
     """Largest command that is followed [rad]."""
-    rate_limit: float = radians_of(550.0)
+    rate_limit: float = number(radians_of(550.0), "rad/s", low=1e-3, high=200.0)
     """Fastest command that is followed [rad/s]."""
 
     play_share: ClassVar[float] = 0.0
@@ -116,13 +116,7 @@ class DelayBank(Bank):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        where = type(self).__name__
-        require_within(where, "prior_delay", self.prior_delay, "s", 0.0, self.longest, "0 to longest")
-        require_within(where, "prior_lag", self.prior_lag, "s", 0.01, 1.0)
-        for name, high in (("prior_delay_deviation", 5.0), ("prior_lag_deviation", 1.0), ("enough", 1.0)):
-            require_within(where, name, getattr(self, name), "s", 1e-4, high)
-        require_within(where, "limit", self.limit, "rad", 1e-3, 30.0, "radians: radians_of(520)")
-        require_within(where, "rate_limit", self.rate_limit, "rad/s", 1e-3, 200.0, "radians: radians_of(550)")
+        require_within(type(self).__name__, "prior_delay", self.prior_delay, "s", 0.0, self.longest, "0 to longest")
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         start = [m.filled(0.0, batch)] * (_FIRST + self._line * (3 + MOMENTS))
@@ -229,13 +223,9 @@ class YawDelay(OfYawRate, DelayBank):
     them; missing [1].
     """
 
-    yaw_unknown: float = 0.15
+    yaw_unknown: float = number(0.15, "1", low=0.0, high=1.0)
     """Standard deviation of the car's own delay, as a share of the data sheet's: mostly of the tyres' stiffness [1]."""
     play_share: ClassVar[float] = 0.5
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_within("YawDelay", "yaw_unknown", self.yaw_unknown, "1", 0.0, 1.0)
 
     def output(self, t: Any, x: State, u: Any) -> Any:
         return self.Y(*self._found(x))

@@ -7,7 +7,7 @@ from functools import cached_property
 from itertools import accumulate, pairwise
 from typing import Any, ClassVar, NamedTuple
 
-from steerkit._support.errors import require_within
+from steerkit._support.errors import number
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import In, Out, State
 from steerkit.diagram.maths import Scalar
@@ -20,15 +20,20 @@ _GAIN = 1.0 / 0.3**2
 """Precision of the response's gain, 1 +- 0.3."""
 _LATE = 1.0 / 0.1**2
 """Precision of the delay that is still wrong, 0 +- 0.1 s [1/s^2]."""
+WIDEST = radians_of(1.6)
+"""Largest half width that is tried [rad]."""
 _CANDIDATES = 9
+_STEP = WIDEST / (_CANDIDATES - 1)
 _SETTLED = 3.0
 """How long the commands have to have acted before a sample is used [s]: operators reach an end of their gaps."""
 _SHARE, _SMALL = 0.1, radians_of(0.25)
 """Valid: the interval reaches at most this share of the half width to either side, or ends below this [rad]."""
 _TRIED = 15.0
 """Driving that was used, after which a lag is judged by what it leaves over [s]."""
-_OFF, _STEP, _LEFT = 0.003, 0.05, 0.3
+_OFF, _LONGER, _LEFT = 0.003, 0.05, 0.3
 """A lag is another one where it is off by so much at least [s]; the largest step [s]; what of it may still be wrong."""
+PER_LAG = radians_of(9.0)
+"""By how much the half width is off, for each second of a lag that is taken for delay [rad/s]."""
 _LATE_LEFT = radians_of(1.5)
 """By how much a half width is off, for each second by which a delay is given wrong [rad/s]: b p_0' is not all of it."""
 _CLOSE = 0.0015
@@ -69,7 +74,7 @@ _FILTERS = _SUMS + len(Known._fields)
 class HysteresisBank(Bank):
     """The half width of the loop that a play operator leaves, by least squares for a bank of widths; abstract.
 
-    x is `angle` behind `lag` and `delay`, held for dt. For each candidate half width g = 0, widest/8, ... widest, with
+    x is `angle` behind `lag` and `delay`, held for dt. For each candidate half width g = 0, 0.2, ... 1.6 degrees, with
     P_g x = x - clip(x - P_g x(t - dt), -g, g) the play operator, and p_g what the car makes of P_g x,
 
         response(t) = a p_g(t) + b p_0'(t) + c z(t) + constant
@@ -78,7 +83,7 @@ class HysteresisBank(Bank):
     prior_deviation; z is what else may be wrong. The loop of a delay that is given wrong grows with the wheel's speed,
     that of a gap does not, which separates them. A parabola through the lowest cost and its neighbours gives g and
     its variance; where more is left over than the noise explains, the deviation grows by that; 1.5 degrees/s of b are
-    in it, and `per_lag` times the lag's deviation, as a lag that is taken for delay leaves a loop that hardly differs
+    in it, and 9 degrees/s times the lag's deviation, as a lag that is taken for delay leaves a loop that hardly differs
     from a gap's. Without steering to and fro the prior stays. Where the given sum of delay and lag moves by
     `reset_at`, all sums are reset.
 
@@ -97,15 +102,11 @@ class HysteresisBank(Bank):
     v = In("m/s", direct=False)
     active = In("1", direct=False)
 
-    prior: float = radians_of(0.5)
-    """Half width to begin with [rad], 0 to widest."""
-    prior_deviation: float = radians_of(0.5)
+    prior: float = number(radians_of(0.5), "rad", low=0.0, high=WIDEST)
+    """Half width to begin with [rad]."""
+    prior_deviation: float = number(radians_of(0.5), "rad", low=1e-6, high=1.0)
     """Its standard deviation [rad]."""
-    widest: float = radians_of(1.6)
-    """Largest half width that is tried [rad]."""
-    memory: float = 600.0
-    per_lag: float = radians_of(9.0)
-    """By how much the half width is off, for each second of a lag that is taken for delay [rad/s]."""
+    memory: float = number(600.0, "s", low=1.0, high=1e6)
     longest: float = 1.0
     held: bool = True
     """Is the angle a command, held for dt? Else it is measured, and at least dt late."""
@@ -120,18 +121,6 @@ class HysteresisBank(Bank):
     """How far the given sum of delay and lag may move [s]."""
     coarse: ClassVar[float]
     """Deviation of the half width for what lies between samples and is no play operator [rad]."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        where = type(self).__name__
-        require_within(where, "widest", self.widest, "rad", 1e-4, 1.0, "radians: radians_of(1.6)")
-        require_within(where, "prior", self.prior, "rad", 0.0, self.widest, "0 to widest")
-        require_within(where, "prior_deviation", self.prior_deviation, "rad", 1e-6, 1.0)
-        require_within(where, "per_lag", self.per_lag, "rad/s", 0.0, 10.0, "radians: radians_of(9)")
-
-    @property
-    def _step(self) -> float:
-        return self.widest / (_CANDIDATES - 1)
 
     @cached_property
     def _places(self) -> list[tuple[int, int]]:
@@ -165,7 +154,7 @@ class HysteresisBank(Bank):
     # ---- what they share ---------------------------------------------------------------------------------------
 
     def _fitted(self, sums: Sums, moments: State) -> tuple[Valley, list[Fit]]:
-        precision, places = (_GAIN, _LATE, 1.0 / self.beyond**2), (self._step, self.prior, self.prior_deviation)
+        precision, places = (_GAIN, _LATE, 1.0 / self.beyond**2), (_STEP, self.prior, self.prior_deviation)
         return self._best(sums, moments, precision, (1.0, 0.0, 0.0), places)
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
@@ -195,7 +184,7 @@ class HysteresisBank(Bank):
         speed = m.where(m.is_finite(u.v), m.maximum(u.v, SLOWEST), known.speed)
         delay = both - lag - (0.0 if self.held else dt)
         line, (corner, part, tap) = arrived(line, angle, delay, lag, dt, held=self.held)
-        gaps = [i * self._step for i in range(_CANDIDATES)]
+        gaps = [i * _STEP for i in range(_CANDIDATES)]
         turns = [corner - m.clip(corner - before, -gap, gap) for before, gap in zip(operators, gaps)]
         ends = [tap - m.clip(tap - turn, -gap, gap) for turn, gap in zip(turns, gaps)]
         means = [0.5 * (turn + part * before + (1.0 - part) * end) for before, turn, end in zip(operators, turns, ends)]
@@ -221,9 +210,9 @@ class HysteresisBank(Bank):
         """All outputs."""
         known, (begin, end) = Known._make(x[_SUMS:_FILTERS]), self._places[-1]
         best, bank = self._fitted(Sums._make(x[:_SUMS]), x[begin:end])
-        width, aside = best.place * self._step, self.per_lag * known.doubt
+        width, aside = best.place * _STEP, PER_LAG * known.doubt
         late = _LATE_LEFT * at(best.number, [fit.coefficients[1] for fit in bank])
-        deviation = m.sqrt(best.excess * best.variance * self._step**2 + self.coarse**2 + aside * aside + late * late)
+        deviation = m.sqrt(best.excess * best.variance * _STEP**2 + self.coarse**2 + aside * aside + late * late)
         reach = NORMAL_95 * deviation
         precise = m.either(reach <= _SHARE * width, width + reach <= _SMALL)
         valid = m.where(m.both(precise, best.explained), 1.0, 0.0)
@@ -265,7 +254,7 @@ class SteeringFriction(OfWheel, HysteresisBank):
         unsure = m.sqrt(best.excess * at(best.number, [fit.last_variance for fit in bank])) / gain
         due = known.clock >= _TRIED
         other = m.both(due, m.absolute(longer) > m.maximum(_OFF, 2.0 * unsure))
-        step = m.where(other, m.clip(longer, -_STEP, _STEP), 0.0)
+        step = m.where(other, m.clip(longer, -_LONGER, _LONGER), 0.0)
         doubt = m.where(due, m.maximum(_LEFT * m.absolute(step), _CLOSE), known.doubt)
         return known._replace(own=m.where(due, m.clip(lag + step, 0.02, 2.0), known.own), doubt=doubt), other
 
@@ -288,8 +277,8 @@ class SteeringPlay(OfYawRate, HysteresisBank):
     missing = Out("1", direct=())
 
     held: bool = False
-    correlated: float = 0.07
 
+    correlated: ClassVar[float] = 0.07
     behind: ClassVar[int] = 2
     sides: ClassVar[float] = 2.0
     beyond: ClassVar[float] = 0.001

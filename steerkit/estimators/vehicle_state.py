@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate
 from typing import Any, NamedTuple
 
-from steerkit._support.errors import require, require_within, whole_samples
+from steerkit._support.errors import number, require, require_within, whole_samples
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State, entries_of
 from steerkit.diagram.maths import Scalar
@@ -26,7 +26,6 @@ from steerkit.estimators.kalman import (
     widened,
 )
 from steerkit.estimators.single_track_filter import SingleTrackFilter
-from steerkit.task import DT
 
 X, Y, PSI, SWAY, R, V, A, D_X, D_Y, D_PSI, HEADING, GYRO, WHEEL = range(13)
 """The estimated numbers, in the order of the state: the motion with the acceleration, then errors of sensors."""
@@ -42,6 +41,18 @@ _N = 13
 _ENTRIES = _N * (_N + 1) // 2
 _UNKNOWN = (10.0, 10.0, 0.5, 0.5, 0.5, 5.0)
 """Standard deviations of x, y, psi, sway, r, v before anything was measured."""
+_ACCELERATION, _ACCELERATION_TIME = 1.0, 1.0
+"""Standard deviation of the car's acceleration [m/s^2], and its correlation time [s]."""
+_ZERO_TIME = 1000.0
+"""Correlation time of the zeros of gyro and wheel [s]."""
+DOUBT_FROM = 7.0
+"""Mean innovation, squared, over its variance, from which on the model is doubted [1]."""
+_DOUBT_TIME = 0.5
+"""Over which time that mean is taken [s]."""
+_DOUBT_WHEEL, _DOUBT_BETA = radians_of(0.6), radians_of(0.3)
+"""Doubt's noise of the steering wheel's zero and of the sideslip, a sample [rad]."""
+_OUTAGE = 0.3
+"""From which time without a position on it is an outage [s]."""
 _UNHEARD = 2.0
 """How fast it may turn while its angle is not heard [rad/s]."""
 
@@ -86,20 +97,9 @@ def sorted_in(buffer: State, pose: State, age: Scalar, motion: State, motion_age
     return filled
 
 
-class Wheel(NamedTuple):
-    """The steering wheel in a sample: its angle before and after [rad], its zero, and what is known of it."""
-
-    before: Scalar
-    after: Scalar
-    zero: Scalar
-    held: Scalar
-    """Was the angle after it not heard? 0 or 1."""
-    unsure: Scalar
-    """Was either not? 0 or 1."""
-
-
-def turned_on(before: Scalar, held: Scalar, zero: Scalar, heard: Scalar) -> Wheel:
-    """The wheel in a sample after which its angle is heard, or NaN.
+def turned_on(before: Scalar, held: Scalar, zero: Scalar, heard: Scalar) -> tuple[Scalar, ...]:
+    """The steering wheel in a sample after which its angle is heard, or NaN: its angle before and after [rad], its zero
+    [rad], whether the angle after it was not heard, and whether either was not [1].
 
     While it is not, its angle is held, and what it turns goes into the zero. Once it is heard again, angle and zero add
     up to what they did, so that the zero is what it was.
@@ -109,7 +109,7 @@ def turned_on(before: Scalar, held: Scalar, zero: Scalar, heard: Scalar) -> Whee
     back = m.both(there, held > 0.5)
     missing = m.where(there, 0.0, 1.0)
     start, zero = m.where(back, after, before), m.where(back, zero + before - after, zero)
-    return Wheel(start, after, zero, missing, m.where(back, 1.0, missing))
+    return start, after, zero, missing, m.where(back, 1.0, missing)
 
 
 # ---- the motion of a sample
@@ -123,27 +123,11 @@ _APART = 1e-4
 """By how much a state is moved to see what the rates owe to it [m/s, rad, rad/s]."""
 
 
-class Answer(NamedTuple):
-    """What one sample of length h makes of rates, and of differences, about one state of the car."""
+def reach_of(rhs: Rhs, x: Sequence[Scalar], delta: Scalar, v: Scalar, h: float) -> tuple[Scalar, ...]:
+    """h phi(h J), rows of (sway, r): how far (sway', r') carry the car about x = (x, y, psi, sway, r) in h [s].
 
-    rate: Sequence[Scalar]
-    """(x', y', psi', sway', r') there."""
-    reach: tuple[Scalar, ...]
-    """h phi(h J), rows of (sway, r): how far (sway', r') carries them."""
-    keeps: tuple[Scalar, ...]
-    """exp(h J), rows of (sway, r): what is left of a difference in them."""
-    aside: tuple[Scalar, Scalar]
-    """What sway does to (x', y')."""
-    turned: tuple[Scalar, Scalar]
-    """What the road wheels' angle does to (sway, r) within the sample [per rad]."""
-    driven: tuple[Scalar, ...]
-    """What the speed does within the sample to x, y, sway, r [per m/s]."""
-
-
-def answer(rhs: Rhs, x: Sequence[Scalar], delta: Scalar, v: Scalar, h: float) -> Answer:
-    """The car's answer about x = (x, y, psi, sway, r), road-wheel angle delta [rad] and speed v [m/s].
-
-    J = d(sway', r')/d(sway, r) and its like are differences of `rhs`. With g = 1 - sqrt(1/2) and M = (I - g k J)^-1,
+    delta: road-wheel angle [rad]; v: speed [m/s]. J = d(sway', r')/d(sway, r) is of differences of `rhs`. With
+    g = 1 - sqrt(1/2) and M = (I - g k J)^-1,
 
         reach(k) = k M^2 (I - g^2 k J) ~ k phi(k J),  keeps(k) = I + reach(k) J ~ exp(k J),
         reach(2 k) = (I + keeps(k)) reach(k),  keeps(2 k) = keeps(k)^2,
@@ -152,13 +136,9 @@ def answer(rhs: Rhs, x: Sequence[Scalar], delta: Scalar, v: Scalar, h: float) ->
     explicit steps blow up. source: Hairer, Wanner 1996, section IV.7 (Rosenbrock methods); Hochbruck, Ostermann 2010
     (phi); Moler, Van Loan 2003 (doubling).
     """
-    px, py, psi, sway, r = x
-    rate = rhs(x, delta, v)
-    by_sway, by_r = rhs((px, py, psi, sway + _APART, r), delta, v), rhs((px, py, psi, sway, r + _APART), delta, v)
-    by_delta, by_v = rhs(x, delta + _APART, v), rhs(x, delta, v + _APART)
-    j11, j12 = (by_sway[3] - rate[3]) / _APART, (by_r[3] - rate[3]) / _APART
-    j21, j22 = (by_sway[4] - rate[4]) / _APART, (by_r[4] - rate[4]) / _APART
-    jacobian = (j11, j12, j21, j22)
+    *pose, sway, r = x
+    rate, by_sway, by_r = (rhs((*pose, *at), delta, v) for at in ((sway, r), (sway + _APART, r), (sway, r + _APART)))
+    j11, j12, j21, j22 = jacobian = [(by[i] - rate[i]) / _APART for i in (3, 4) for by in (by_sway, by_r)]
     k = h / 2**_DOUBLED
     m11, m12, m21, m22 = 1.0 - _GAMMA * k * j11, -_GAMMA * k * j12, -_GAMMA * k * j21, 1.0 - _GAMMA * k * j22
     det = m11 * m22 - m12 * m21
@@ -168,17 +148,7 @@ def answer(rhs: Rhs, x: Sequence[Scalar], delta: Scalar, v: Scalar, h: float) ->
     keeps = _with_one(_product(reach, jacobian))
     for _ in range(_DOUBLED):
         reach, keeps = _product(_with_one(keeps), reach), _product(keeps, keeps)
-    a, b, c, d = reach
-    b1, b2 = (by_delta[3] - rate[3]) / _APART, (by_delta[4] - rate[4]) / _APART
-    v1, v2, v3, v4 = ((by_v[i] - rate[i]) / _APART for i in (0, 1, 3, 4))
-    return Answer(
-        rate,
-        reach,
-        keeps,
-        ((by_sway[0] - rate[0]) / _APART, (by_sway[1] - rate[1]) / _APART),
-        (a * b1 + b * b2, c * b1 + d * b2),
-        (h * v1, h * v2, a * v3 + b * v4, c * v3 + d * v4),
-    )
+    return reach
 
 
 def _product(one: Sequence[Scalar], other: Sequence[Scalar]) -> tuple[Scalar, ...]:
@@ -195,18 +165,41 @@ def _with_one(matrix: Sequence[Scalar]) -> tuple[Scalar, ...]:
 
 
 def moved(
-    rhs: Rhs, x: Sequence[Scalar], delta: Scalar, v: Scalar, h: float, rate: Sequence[Scalar], reach: Sequence[Scalar]
+    rhs: Rhs, x: Sequence[Scalar], delta: Scalar, v: Scalar, h: float, reach: Sequence[Scalar]
 ) -> tuple[Scalar, ...]:
-    """x = (x, y, psi, sway, r) a sample later: (sway, r) by their rate and reach, the pose by the midpoint between.
+    """x = (x, y, psi, sway, r) h [s] later: (sway, r) by their rate and reach, the pose by the midpoint between.
 
-    rate: `rhs` at x. reach: of an `Answer` there, or at a state a few samples before.
+    reach: `reach_of` there, or at a state a few samples before.
     """
     px, py, psi, sway, r = x
-    sway_after = sway + reach[0] * rate[3] + reach[1] * rate[4]
-    r_after = r + reach[2] * rate[3] + reach[3] * rate[4]
+    *_, sway_dot, r_dot = rhs(x, delta, v)
+    sway_after = sway + reach[0] * sway_dot + reach[1] * r_dot
+    r_after = r + reach[2] * sway_dot + reach[3] * r_dot
     turn = 0.5 * h * (r + r_after)
     middle = rhs((px, py, psi + 0.5 * turn, 0.5 * (sway + sway_after), 0.5 * (r + r_after)), delta, v)
     return px + h * middle[0], py + h * middle[1], psi + turn, sway_after, r_after
+
+
+def motion_rows(
+    rhs: Rhs, x: Sequence[Scalar], delta: Scalar, v: Scalar, h: float, steer_ratio: Scalar
+) -> tuple[tuple[Scalar, ...], list[Row]]:
+    """x after h [s], and how x, y, psi, sway, r, v then depend on all before, sparse: by differences of `moved`."""
+    reach = reach_of(rhs, x, delta, v, h)
+    after = moved(rhs, x, delta, v, h, reach)
+    *pose, sway, r = x
+    others = {
+        SWAY: ((*pose, sway + _APART, r), delta, v),
+        R: ((*pose, sway, r + _APART), delta, v),
+        V: (x, delta, v + _APART),
+        WHEEL: (x, delta + _APART / steer_ratio, v),
+    }
+    by = {j: [(b - a) / _APART for a, b in zip(after, moved(rhs, *at, h, reach))] for j, at in others.items()}
+    by[A] = [h * slope for slope in by[V]]
+    rows = [{j: slopes[i] for j, slopes in by.items()} for i in range(5)]
+    rows[X] |= {X: 1.0, PSI: x[Y] - after[Y]}
+    rows[Y] |= {Y: 1.0, PSI: after[X] - x[X]}
+    rows[PSI] |= {PSI: 1.0}
+    return after, [*rows, {V: 1.0, A: h}]
 
 
 def course(rhs: Rhs, sway: Scalar, r: Scalar, delta: Scalar, v: Scalar) -> tuple[Scalar, Scalar]:
@@ -229,7 +222,7 @@ class Memory(NamedTuple):
     gyro: Scalar
     heading: Scalar
     turning: Scalar
-    """The gyro's innovation over its deviation, averaged over `doubt_time` [1]; then the heading's, and to the side."""
+    """The gyro's innovation over its deviation, averaged over 0.5 s [1]; then the heading's, and to the side."""
     turned: Scalar
     aside: Scalar
     wheel: Scalar
@@ -297,9 +290,9 @@ class VehicleState(Block):
     *Jumps.* A measurement further off than `gate` deviations is rejected. If it stays so for `patience`, it is
     accepted: motion and sensor are then each as uncertain as the jump is large. *Outages* are bridged by the model and
     whatever still arrives, under deviations that grow. *Doubt.* If innovations to the side, of the heading or of the
-    gyro keep one sign (their mean over `doubt_time` beyond sqrt(doubt_from) deviations of it), the car is not as
-    modelled: a ratio, tyres, wind. Noise of wheel and sideslip is then raised by doubt_wheel and doubt_beta, squared,
-    times the excess, so that the sensors are trusted more.
+    gyro keep one sign (their mean over 0.5 s beyond sqrt(7) deviations of it), the car is not as modelled: a
+    ratio, tyres, wind. Noise of wheel and sideslip is then raised by the excess times 0.6 and 0.3 degrees a sample,
+    squared, so that the sensors are trusted more.
 
     *A car that is not as on its data sheet.* With `steering`, a filter of the measured wheel and the gyro, the ratio
     (as a multiple g of the data sheet's), the understeer gradient K', the offset and the gyro's zero are used as they
@@ -315,7 +308,7 @@ class VehicleState(Block):
     [rad/s], and their motion_age_in [s]; NaN where nothing came. delta_sw_meas [rad], now; NaN: as before.
     outputs, at this time: x, y, psi, v, beta, r (NaN before the first position); side_deviation [m] (across the car),
     psi_deviation, beta_deviation [rad], r_deviation [rad/s], standard deviations; outage [1], 1 if no position was used
-    for `outage_after`; rejected [1], 1 if a measurement of the last sample was, missing [1], 1 if one of them was not
+    for 0.3 s; rejected [1], 1 if a measurement of the last sample was, missing [1], 1 if one of them was not
     there; doubt [1], the excess, 0 if none; gyro_zero [rad/s], heading_bias, wheel_offset [rad] with
     gyro_zero_deviation, heading_bias_deviation, wheel_offset_deviation, and gyro_zero_valid, heading_bias_valid,
     wheel_offset_valid [1]: is the deviation at most half of what it was before anything was measured; nis, nis_count
@@ -364,61 +357,44 @@ class VehicleState(Block):
 
     rhs: Rhs
     """The car's motion: a plant's `rhs`."""
-    steer_ratio: Scalar = 15.6
+    steer_ratio: Scalar = number(15.6, "1", low=1.0, high=100.0)
     """Steering-wheel angle over road-wheel angle [1]."""
     horizon: float = 0.1
     """How old a measurement may be to be used [s], a multiple of dt; up to half a sample more counts as this."""
-    position_noise: Scalar = 0.0
+    position_noise: Scalar = number(0.0, "m", low=0.0, high=10.0)
     """White noise on x and on y: standard deviation [m]. This and the next: the sensors' data sheet."""
-    position_drift: Scalar = 0.01
+    position_drift: Scalar = number(0.01, "m", low=0.0, high=10.0)
     """Slow error of x and of y: standard deviation [m]."""
-    psi_noise: Scalar = 0.0
+    psi_noise: Scalar = number(0.0, "rad", low=0.0, high=10.0)
     """White noise on psi [rad]."""
-    psi_drift: Scalar = radians_of(0.1)
+    psi_drift: Scalar = number(radians_of(0.1), "rad", low=0.0, high=10.0)
     """Slow error of psi [rad]."""
-    drift_time: float = 2.0
+    drift_time: float = number(2.0, "s", above=0.0, high=1e5)
     """Correlation time of the slow errors [s]."""
-    v_noise: Scalar = 0.0
+    v_noise: Scalar = number(0.0, "m/s", low=0.0, high=10.0)
     """White noise on v [m/s]."""
-    r_noise: Scalar = radians_of(0.2)
+    r_noise: Scalar = number(radians_of(0.2), "rad/s", low=0.0, high=10.0)
     """White noise on r [rad/s]."""
-    heading_drift: Scalar = radians_of(0.05)
+    heading_drift: Scalar = number(radians_of(0.05), "rad", low=0.0, high=10.0)
     """Very slow error of psi, mounting included [rad]."""
-    heading_time: float = 60.0
+    heading_time: float = number(60.0, "s", above=0.0, high=1e5)
     """Its correlation time [s]."""
-    gyro_drift: Scalar = radians_of(0.05)
+    gyro_drift: Scalar = number(radians_of(0.05), "rad/s", low=0.0, high=10.0)
     """What may be wrong with the gyro's zero [rad/s]."""
-    wheel_drift: Scalar = radians_of(0.3)
+    wheel_drift: Scalar = number(radians_of(0.3), "rad", low=0.0, high=10.0)
     """What may be wrong with the steering wheel's zero [rad]."""
-    zero_time: float = 1000.0
-    """Correlation time of both zeros [s]."""
-    acceleration: Scalar = 1.0
-    """Standard deviation of the car's acceleration [m/s^2]."""
-    acceleration_time: float = 1.0
-    """Its correlation time [s]."""
-    kappa_error: Scalar = 2e-4
+    kappa_error: Scalar = number(2e-4, "1/m", low=0.0, high=10.0)
     """White error of the model's yaw rate over v [1/m]."""
-    beta_error: Scalar = radians_of(0.05)
+    beta_error: Scalar = number(radians_of(0.05), "rad", low=0.0, high=10.0)
     """White error of the model's sideslip [rad]."""
-    wheel_error: Scalar = 0.01
+    wheel_error: Scalar = number(0.01, "1", low=0.0, high=10.0)
     """Share by which a turn of the wheel may do more or less than the model says [1]."""
-    doubt_from: float = 7.0
-    """Mean innovation, squared, over its variance, from which on the model is doubted [1]."""
-    doubt_time: float = 0.5
-    """Over which time that mean is taken [s]."""
-    doubt_wheel: Scalar = radians_of(0.6)
-    """Doubt's noise of the steering wheel's zero, a sample [rad]."""
-    doubt_beta: Scalar = radians_of(0.3)
-    """Doubt's noise of the sideslip, a sample [rad]."""
-    gate: float = 4.5
+    gate: float = number(4.5, "1", above=0.0, high=1e5)
     """Deviations by which a measurement may be off to be used [1]."""
-    patience: float = 0.5
+    patience: float = number(0.5, "s", above=0.0, high=1e5)
     """For how long measurements are rejected before they are believed [s]."""
-    outage_after: float = 0.3
-    """From which time without a position on it is an outage [s]."""
     steering: SingleTrackFilter | None = None
     """Finds ratio, understeer gradient and zeros from the measured wheel (held=False); None: the car is as modelled."""
-    dt: float = DT
 
     @classmethod
     def of(cls, car: Any, **numbers: Any) -> VehicleState:
@@ -428,18 +404,11 @@ class VehicleState(Block):
         return cls(**({"rhs": car.rhs, "steer_ratio": car.vehicle.steer_ratio} | numbers))
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         where = "VehicleState"
         require(callable(self.rhs), where, f"rhs = {self.rhs!r}, expected a function, such as a plant's rhs")
-        require_within(where, "dt", self.dt, "s", 1e-3, 0.2)
         whole_samples(where, "horizon", self.horizon, self.dt)
         require_within(where, "horizon", self.horizon, "s", 0.0, 1.0)
-        require_within(where, "steer_ratio", self.steer_ratio, "1", 1.0, 100.0)
-        for name in (field.name for field in fields(self)):
-            value = getattr(self, name)
-            if name.endswith("_time") or name in ("gate", "patience", "outage_after", "doubt_from"):
-                require_within(where, name, value, "1" if name in ("gate", "doubt_from") else "s", self.dt, 1e5)
-            elif name.endswith(("_noise", "_drift", "_error")) or name in ("acceleration", "doubt_wheel", "doubt_beta"):
-                require_within(where, name, value, "SI", 0.0, 10.0, "a standard deviation")
         if self.steering is not None:
             dts = self.dt, self.steering.dt
             require(dts[0] == dts[1], where, f"dt = {dts[0]}, steering.dt = {dts[1]} [s], expected the same")
@@ -451,7 +420,7 @@ class VehicleState(Block):
     @cached_property
     def _behind(self) -> int:
         """Samples from the filter's time to now."""
-        return 1 + whole_samples("VehicleState", "horizon", self.horizon, self.dt)
+        return 1 + round(self.horizon / self.dt)
 
     @cached_property
     def _ends(self) -> tuple[int, ...]:
@@ -465,13 +434,13 @@ class VehicleState(Block):
         """f and deviation of a and of the six errors of sensors."""
         slow = (self.drift_time, self.position_drift)
         processes = (
-            (self.acceleration_time, self.acceleration),
+            (_ACCELERATION_TIME, _ACCELERATION),
             slow,
             slow,
             (self.drift_time, self.psi_drift),
             (self.heading_time, self.heading_drift),
-            (self.zero_time, self.gyro_drift),
-            (self.zero_time, self.wheel_drift),
+            (_ZERO_TIME, self.gyro_drift),
+            (_ZERO_TIME, self.wheel_drift),
         )
         return tuple([(math.exp(-self.dt / time), deviation) for time, deviation in processes])
 
@@ -523,14 +492,13 @@ class VehicleState(Block):
         mean, entries, wheels, _, memory = self._parts(x)
         motion, reach = mean[:V], ()
         v = delta = 0.0
-        wheel = Wheel(memory.wheel, memory.wheel, mean[WHEEL], memory.held, memory.held)
+        wheel, zero, held = memory.wheel, mean[WHEEL], memory.held
         for i, heard in enumerate((*wheels, u.delta_sw_meas), 1):
             v = m.maximum(mean[V] + i * self.dt * mean[A], 0.0)
-            wheel = turned_on(wheel.after, wheel.held, wheel.zero, heard)
-            delta = (0.5 * (wheel.before + wheel.after) + wheel.zero) / self.steer_ratio
-            rate = self.rhs(motion, delta, v)
-            reach = reach or answer(self.rhs, motion, delta, v, self.dt).reach
-            motion = moved(self.rhs, motion, delta, v, self.dt, rate, reach)
+            before, wheel, zero, held, _ = turned_on(wheel, held, zero, heard)
+            delta = (0.5 * (before + wheel) + zero) / self.steer_ratio
+            reach = reach or reach_of(self.rhs, motion, delta, v, self.dt)
+            motion = moved(self.rhs, motion, delta, v, self.dt, reach)
         px, py, psi, sway, r = motion
         speed, beta = course(self.rhs, sway, r, delta, v)
         never = memory.unseen >= NEVER
@@ -559,7 +527,7 @@ class VehicleState(Block):
             psi_d,
             sway_d / m.maximum(mean[V], 1.0) if self._sideways else sway_d,
             r_d,
-            m.where(memory.unseen > self.outage_after, 1.0, 0.0),
+            m.where(memory.unseen > _OUTAGE, 1.0, 0.0),
             memory.rejected,
             memory.missing,
             self._excess(memory),
@@ -576,23 +544,17 @@ class VehicleState(Block):
         *waiting, due = sorted_in(buffer, pose, u.age_in, motion, u.motion_age_in, self.dt)
         v = m.maximum(mean[V] + self.dt * mean[A], 0.0)
         wheels = (*wheels, u.delta_sw_meas)
-        wheel = turned_on(memory.wheel, memory.held, mean[WHEEL], wheels[0])
-        delta = (0.5 * (wheel.before + wheel.after) + wheel.zero) / self.steer_ratio
-        before = mean[:V]
-        linear = answer(self.rhs, before, delta, v, self.dt)
-        after = moved(self.rhs, before, delta, v, self.dt, linear.rate, linear.reach)
-        rows = self._rows(before, after, linear)
-        noise = self._noise(v, linear, wheel, memory)
+        start, wheel, zero, held, unsure = turned_on(memory.wheel, memory.held, mean[WHEEL], wheels[0])
+        delta = (0.5 * (start + wheel) + zero) / self.steer_ratio
+        after, rows = motion_rows(self.rhs, mean[:V], delta, v, self.dt, self.steer_ratio)
+        noise = self._noise(v, rows, wheel - start, unsure, memory)
         kept = [f for f, _ in self._processes]
         p = predict_covariance(unpacked(entries, _N), rows, kept, noise)
-        mean = (
-            *after,
-            mean[V] + self.dt * mean[A],
-            *[f * value for f, value in zip(kept, (*mean[A:WHEEL], wheel.zero))],
-        )
+        drifted = [f * value for f, value in zip(kept, (*mean[A:WHEEL], zero))]
+        mean = (*after, mean[V] + self.dt * mean[A], *drifted)
         corrected_mean, p, memory = self._corrected(mean, p, due, memory, delta)
         whole = m.both(m.absolute(u.delta_sw_meas) < ANY_ANGLE, m.is_finite(due.x + due.y + due.psi + due.v + due.r))
-        memory = memory._replace(wheel=wheel.after, held=wheel.held, missing=m.where(whole, 0.0, 1.0))
+        memory = memory._replace(wheel=wheel, held=held, missing=m.where(whole, 0.0, 1.0))
         slots = [value for one in waiting for value in one]
         own = (*corrected_mean, *packed(p), *wheels[1:], *slots, *memory)
         return own if self.steering is None else (*own, *self._follow(self.steering, t, x, given))
@@ -632,46 +594,34 @@ class VehicleState(Block):
 
     # ---- prediction -------------------------------------------------------------------------------------------
 
-    def _rows(self, before: Sequence[Scalar], after: Sequence[Scalar], linear: Answer) -> list[Row]:
-        """How x, y, psi, sway, r, v after a sample depend on all before it, sparse."""
-        h, half = self.dt, 0.5 * self.dt
-        f11, f12, f21, f22 = linear.keeps
-        b1, b2 = (turned / self.steer_ratio for turned in linear.turned)
-        v_x, v_y, v_sway, v_r = linear.driven
-        way_x, way_y = after[X] - before[X], after[Y] - before[Y]
-        return [
-            {X: 1.0, PSI: -way_y, SWAY: h * linear.aside[0], R: -half * way_y, V: v_x, A: h * v_x},
-            {Y: 1.0, PSI: way_x, SWAY: h * linear.aside[1], R: half * way_x, V: v_y, A: h * v_y},
-            {PSI: 1.0, SWAY: half * f21, R: half * (1.0 + f22), V: half * v_r, A: half * h * v_r, WHEEL: half * b2},
-            {SWAY: f11, R: f12, V: v_sway, A: h * v_sway, WHEEL: b1},
-            {SWAY: f21, R: f22, V: v_r, A: h * v_r, WHEEL: b2},
-            {V: 1.0, A: h},
-        ]
+    def _noise(
+        self, v: Scalar, rows: Sequence[Row], turned: Scalar, unsure: Scalar, memory: Memory
+    ) -> dict[int, Scalar]:
+        """Variance that a sample adds to each number; sway and r forget theirs as fast as they settle.
 
-    def _noise(self, v: Scalar, linear: Answer, wheel: Wheel, memory: Memory) -> dict[int, Scalar]:
-        """Variance that a sample adds to each number; sway and r forget theirs as fast as they settle."""
+        turned: by how much the wheel did [rad]; unsure: was its angle not heard?
+        """
         excess, moving = self._excess(memory), m.minimum(v * v, 1.0)
         sideways = v * v if self._sideways else moving
-        fresh_sway, fresh_r = (m.maximum(1.0 - keeps * keeps, 0.0) for keeps in (linear.keeps[0], linear.keeps[3]))
+        fresh_sway, fresh_r = (m.maximum(1.0 - rows[i][i] * rows[i][i], 0.0) for i in (SWAY, R))
         noise = {
-            SWAY: sideways * (self.beta_error**2 * fresh_sway + excess * self.doubt_beta**2),
+            SWAY: sideways * (self.beta_error**2 * fresh_sway + excess * _DOUBT_BETA**2),
             R: (1.0 + excess) * fresh_r * self.kappa_error**2 * v * v,
         }
         for i, (kept, deviation) in enumerate(self._processes, A):
             noise[i] = (1.0 - kept * kept) * deviation * deviation
-        turned = wheel.after - wheel.before
-        unheard = wheel.unsure * (_UNHEARD * self.dt) ** 2
-        known = self.wheel_error**2 * turned * turned + excess * moving * self.doubt_wheel**2
+        unheard = unsure * (_UNHEARD * self.dt) ** 2
+        known = self.wheel_error**2 * turned * turned + excess * moving * _DOUBT_WHEEL**2
         noise[WHEEL] = noise[WHEEL] + known + unheard
         return noise
 
     def _excess(self, memory: Memory) -> Scalar:
         """By how much innovations keep one sign beyond what chance makes of them [1]."""
-        share = self.dt / self.doubt_time
+        share = self.dt / _DOUBT_TIME
         usual = share / (2.0 - share)
         squares = [mean * mean for mean in (memory.aside, memory.turned, memory.turning)]
         largest = m.maximum(squares[0], m.maximum(squares[1], squares[2]))
-        return m.clip(largest / (self.doubt_from * usual) - 1.0, 0.0, 100.0)
+        return m.clip(largest / (DOUBT_FROM * usual) - 1.0, 0.0, 100.0)
 
     # ---- correction -------------------------------------------------------------------------------------------
 
@@ -740,5 +690,5 @@ class VehicleState(Block):
 
     def _mean_of(self, slow: Scalar, missed: Scalar, here: Scalar) -> Scalar:
         """The running mean of innovations over their deviation, each within the gate."""
-        step = self.dt / self.doubt_time * (m.clip(missed, -self.gate, self.gate) - slow)
+        step = self.dt / _DOUBT_TIME * (m.clip(missed, -self.gate, self.gate) - slow)
         return m.where(here, slow + step, slow)

@@ -47,10 +47,10 @@ def test_the_lowest_of_several_valleys_is_taken_and_nothing_outside_the_bank() -
 
 
 def test_sums_are_weighted_and_forget_and_samples_that_are_not_used_change_nothing() -> None:
-    block = WheelDelay(longest=0.1, prior_delay=0.1, memory=2.0, correlated=0.5)
+    block = WheelDelay(longest=0.1, prior_delay=0.1, memory=2.0)
     rng = np.random.default_rng(2)
     sums, moments = Sums(0.0, 0.0, 0.0, 0.0), [0.0] * (3 * MOMENTS)
-    ys, keep, share = rng.normal(size=30), np.exp(-0.05 / 2.0), 0.05 / 0.5
+    ys, keep, share = rng.normal(size=30), np.exp(-0.05 / 2.0), 0.05 / 0.15
     for y in ys.tolist():
         rows = rng.normal(size=(3, 3)).tolist()
         sums, moments = block._summed(sums, moments, rows, (y, 1.3), True)

@@ -10,7 +10,7 @@ import pytest
 
 from steerkit.diagram.units import radians_of
 from steerkit.estimators.estimate import Estimated, estimated
-from steerkit.estimators.steering_hysteresis import HysteresisBank, SteeringFriction, SteeringPlay
+from steerkit.estimators.steering_hysteresis import PER_LAG, HysteresisBank, SteeringFriction, SteeringPlay
 from tests.support.steered_car import PASSAT, Signals, answered, driven_fast, gaps, steered
 
 FRICTION, PLAY = SteeringFriction(), SteeringPlay(vehicle=PASSAT)
@@ -105,7 +105,7 @@ def test_a_lag_that_is_hardly_known_is_in_the_interval_until_another_is_found() 
 
     sure, unsure = given(0.0, 200), given(0.04, 200)
     assert unsure.value == sure.value
-    assert unsure.deviation == pytest.approx(np.hypot(sure.deviation, 0.04 * FRICTION.per_lag))
+    assert unsure.deviation == pytest.approx(np.hypot(sure.deviation, 0.04 * PER_LAG))
     assert unsure.valid == 0.0
     assert given(0.04, 600).valid == 1.0
 

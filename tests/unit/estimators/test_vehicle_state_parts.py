@@ -16,15 +16,19 @@ from steerkit.estimators.vehicle_state import (
     HEADING,
     PSI,
     SIZE,
+    SWAY,
+    WHEEL,
+    A,
     Measured,
     Memory,
     R,
     V,
     VehicleState,
     X,
-    answer,
     course,
+    motion_rows,
     moved,
+    reach_of,
     sorted_in,
     turned_on,
 )
@@ -75,14 +79,11 @@ def test_what_is_nan_replaces_nothing() -> None:
 
 
 def test_what_a_wheel_turns_unheard_is_not_left_in_its_zero() -> None:
-    heard = turned_on(1.0, 0.0, 0.1, 1.2)
-    assert (heard.before, heard.after, heard.zero, heard.held, heard.unsure) == (1.0, 1.2, 0.1, 0.0, 0.0)
+    assert turned_on(1.0, 0.0, 0.1, 1.2) == (1.0, 1.2, 0.1, 0.0, 0.0)
     for nonsense in (NAN, math.inf, 1e9):
-        lost = turned_on(1.0, 0.0, 0.1, nonsense)
-        assert (lost.before, lost.after, lost.zero, lost.held, lost.unsure) == (1.0, 1.0, 0.1, 1.0, 1.0)
-    back = turned_on(1.0, 1.0, 0.7, 1.6)  # the filter has found that it turned by 0.6 in the meantime
-    assert (back.before, back.after, back.held, back.unsure) == (1.6, 1.6, 0.0, 1.0)
-    assert back.zero == pytest.approx(0.1)
+        assert turned_on(1.0, 0.0, 0.1, nonsense) == (1.0, 1.0, 0.1, 1.0, 1.0)
+    # the filter has found that it turned by 0.6 in the meantime
+    assert turned_on(1.0, 1.0, 0.7, 1.6) == pytest.approx((1.6, 1.6, 0.1, 0.0, 1.0))
 
 
 # ---- the motion of a sample
@@ -100,8 +101,7 @@ def finely(plant: SingleTrack, x: tuple[float, ...], delta: float, v: float, h: 
 
 
 def step(plant: SingleTrack, x: tuple[float, ...], delta: float, v: float) -> np.ndarray:
-    linear = answer(plant.rhs, x, delta, v, H)
-    return np.array(moved(plant.rhs, x, delta, v, H, linear.rate, linear.reach))
+    return np.array(moved(plant.rhs, x, delta, v, H, reach_of(plant.rhs, x, delta, v, H)))
 
 
 @plants
@@ -129,21 +129,20 @@ def test_at_walking_pace_it_settles_and_does_not_blow_up(plant: SingleTrack, v: 
 
 @plants
 def test_what_it_depends_on(plant: SingleTrack) -> None:
-    x, delta, v = (0.0, 0.0, 0.4, *finely(plant, (0.0, 0.0, 0.4, 0.0, 0.0), 0.1, 6.0, 2.0)[3:]), 0.1, 6.0
-    linear = answer(plant.rhs, x, delta, v, H)
-    small = 1e-3
-
-    def by(i: int) -> np.ndarray:
-        other = tuple(value + small * (i == j) for j, value in enumerate(x))
-        return (np.array(finely(plant, other, delta, v)) - np.array(finely(plant, x, delta, v))) / small
-
-    assert [linear.keeps[0], linear.keeps[2]] == pytest.approx(by(3)[3:], abs=0.01)
-    assert [linear.keeps[1], linear.keeps[3]] == pytest.approx(by(4)[3:], abs=0.01)
-    turned = (np.array(finely(plant, x, delta + small, v)) - np.array(finely(plant, x, delta, v))) / small
-    assert linear.turned == pytest.approx(turned[3:], rel=0.02)
-    driven = (np.array(finely(plant, x, delta, v + small)) - np.array(finely(plant, x, delta, v))) / small
-    assert linear.driven[:2] == pytest.approx(driven[:2], abs=2e-3)
-    assert linear.driven[2:] == pytest.approx(driven[3:], abs=5e-3)
+    x, delta, v, small = (1.0, 2.0, 0.4, *finely(plant, (0.0, 0.0, 0.4, 0.0, 0.0), 0.1, 6.0, 2.0)[3:]), 0.1, 6.0, 1e-3
+    after, rows = motion_rows(plant.rhs, x, delta, v, H, 16.0)
+    assert after == pytest.approx(step(plant, x, delta, v))
+    for i in (*range(6), WHEEL):
+        moved = tuple(value + small * (i == j) for j, value in enumerate(x))
+        here, there = (
+            np.array(finely(plant, *at))
+            for at in ((x, delta, v), (moved, delta + small / 16.0 * (i == WHEEL), v + small * (i == V)))
+        )
+        found = np.array([row.get(i, 0.0) for row in rows[:5]])
+        near = [0.05, 0.05, 0.01, 0.01, 0.01] if i in (SWAY, R) else [5e-3] * 5  # the pose is by the midpoint
+        assert (abs(found - (there - here) / small) < near).all(), i
+        assert i != V or found * H == pytest.approx([row[A] for row in rows[:5]])
+    assert rows[V] == {V: 1.0, A: H}
 
 
 @plants
@@ -160,7 +159,7 @@ def test_speed_and_sideslip(plant: SingleTrack) -> None:
 
 RHS = NonlinearSingleTrack(vehicle=VW_PASSAT).rhs
 FILTER = VehicleState(
-    rhs=RHS, position_noise=0.01, psi_noise=0.001, v_noise=0.05, r_noise=0.003, gate=4.0, patience=0.2, doubt_time=0.5
+    rhs=RHS, position_noise=0.01, psi_noise=0.001, v_noise=0.05, r_noise=0.003, gate=4.0, patience=0.2
 )
 MEAN = tuple(5.0 if i == V else 0.0 for i in range(13))
 NOTHING = Measured(NAN, NAN, NAN, NAN, NAN, NAN)
