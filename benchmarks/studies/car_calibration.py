@@ -19,11 +19,12 @@ from typing import Any
 import numpy as np
 from scipy.signal import lfilter
 
-from steerkit.car import processes, protocol
+from steerkit.car import protocol
 from steerkit.car.calibration import Guided
 from steerkit.car.config import load
 from steerkit.car.core import Core, Frame, Link, Packet, Reply, Send, Tick
 from steerkit.car.estimates import Watched
+from steerkit.car.simulated import SimulatedCar
 from steerkit.car.state_machine import Mode, Order
 from steerkit.diagram import realtime
 from steerkit.diagram.units import degrees_of, radians_of
@@ -54,7 +55,7 @@ class Yard:
         self.config, path = replace(load("dbw-kit.toml"), course={"name": "calibration"}), course("calibration")
         true = replace(self.config.vehicle, steer_ratio=ratio * self.config.vehicle.steer_ratio)
         untold: dict[str, Any] = dict(vehicle=true, delay=delay, lag=lag, offset=offset, rate_zero=zero)
-        self.car = processes.simulated_car(self.config, path, seed=seed, v_min=4.0, v_max=5.0, **untold)
+        self.car = SimulatedCar(self.config, path, seed=seed, v_min=4.0, v_max=5.0, **untold)
         self.truth = dict(steer_ratio=true.steer_ratio, delay=delay, lag=lag, offset=offset, rate_zero=zero)
         self.core, self.t = Core(self.config, path), 0.0
         self.last: protocol.Snapshot | None = None

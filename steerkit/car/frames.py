@@ -120,10 +120,13 @@ class FrameReader:
             values[quantity] = physical * mapping.gain + mapping.offset if low <= physical <= high else math.nan
         return Checked(values, counter, "")
 
-    def write(self, values: dict[str, float], *, count: int = 0, raw: dict[str, int] | None = None) -> bytes:
+    def write(
+        self, values: dict[str, float], *, count: int = 0, raw: dict[str, float] | None = None, strict: bool = False
+    ) -> bytes:
         """The frame with these quantities [SI], saturated to the DBC's range, as the simulated car sends it.
 
-        A NaN becomes the code 0x80.. . count: its counter. raw: codes of signals that no quantity maps to.
+        A NaN becomes the code 0x80.. . count: its counter. raw: codes of signals that no quantity maps to; strict: they
+        have to be within the DBC's ranges.
         """
         codes: dict[str, float] = {signal.name: (raw or {}).get(signal.name, 0) for signal in self.message.signals}
         for quantity, mapping in self.mappings.items():
@@ -131,7 +134,7 @@ class FrameReader:
                 codes[mapping.signal] = self._code(values[quantity], mapping)
         if self.counter:
             codes[self.counter] = count % self.modulus
-        data = self.message.encode(codes, scaling=False, strict=False)
+        data = bytes(self.message.encode(codes, scaling=False, strict=strict))
         return data if self._crc_byte is None else with_crc(data, self._crc_byte, self.frame_id)
 
     def _code(self, value: float, mapping: Mapping) -> int:
@@ -182,6 +185,10 @@ class CommandWriter:
     fixed: tuple[tuple[str, float], ...] = ()
 
     @cached_property
+    def _frame(self) -> FrameReader:
+        return FrameReader(self.message, {"delta_sw": self.angle}, counter=self.counter, crc=self.crc)
+
+    @cached_property
     def frame_id(self) -> int:
         """The id of the command."""
         return int(self.message.frame_id)
@@ -206,18 +213,11 @@ class CommandWriter:
         flags = {self.enable: enable, self.clear: clear, self.alert: alert}
         signal = self.message.get_signal_by_name(self.angle.signal)
         code = round(((delta_sw - self.angle.offset) / self.angle.gain - signal.offset) / signal.scale)
-        raw: dict[str, float] = {s.name: 0 for s in self.message.signals}
-        raw |= dict(self.fixed) | {self.angle.signal: code}
-        raw |= {name: int(up) for name, up in flags.items() if name}
-        if self.counter:
-            raw[self.counter] = count % (1 << self.message.get_signal_by_name(self.counter).length)
         low, high = signal_range(signal)
         if not low <= code * signal.scale + signal.offset <= high:
             raise ValueError(f"{self.message.name}.{signal.name}: code {code} is beyond the DBC's range")
-        data = bytes(self.message.encode(raw, scaling=False, strict=True))
-        if not self.crc:
-            return data
-        return with_crc(data, self.message.get_signal_by_name(self.crc).start // 8, self.frame_id)
+        raw = dict(self.fixed) | {name: int(up) for name, up in flags.items() if name}
+        return self._frame.write({"delta_sw": delta_sw}, count=count, raw=raw, strict=True)
 
     def read(self, data: bytes) -> tuple[float, bool, bool]:
         """delta_sw [rad], enable and clear of a command frame: what the kit makes of it."""

@@ -64,16 +64,12 @@ def gate(limits: GateLimits, request: float, last: float, speeds: Sequence[float
 
     z = (out - last) / q
     n = max(-n_max, min(n_max, n_last + math.trunc(z + math.copysign(1e-6, z))))
-    changed = [
-        text
-        for text, hit in (
-            ("delta_sw limit", abs(request) > limits.delta_sw_max),
-            ("a_y limit", bound < abs(request) <= limits.delta_sw_max),
-            ("rate limit", out != target),
-        )
-        if hit
-    ]
-    return Verdict(True, n * q, ", ".join(changed))
+    limited = {
+        "delta_sw limit": abs(request) > limits.delta_sw_max,
+        "a_y limit": bound < abs(request) <= limits.delta_sw_max,
+        "rate limit": out != target,
+    }
+    return Verdict(True, n * q, ", ".join([name for name, acts in limited.items() if acts]))
 
 
 def pessimistic(limits: GateLimits, speeds: Sequence[float]) -> float:

@@ -81,79 +81,67 @@ class SlcanPort:
     """
 
     def __init__(self, listen: str = ""):
-        self._text = b""
+        self._text, self._open = b"", contextlib.ExitStack()
         self._server: socket.socket | None = None
-        self._client: socket.socket | None = None
-        self._pty: tuple[int, int] | None = None
+        self._line: int | None = None
+        """Of the client, if there is one."""
         if listen:
             host, port = listen.rsplit(":", 1)
             if host not in ("127.0.0.1", "localhost"):
                 raise ValueError(f"slcan port {listen!r}: only 127.0.0.1; a simulated car has no business on a network")
-            self._server = socket.create_server((host, int(port)))
+            self._server = self._open.enter_context(socket.create_server((host, int(port))))
             self._server.setblocking(False)
             self.channel = f"socket://127.0.0.1:{self._server.getsockname()[1]}"
         else:
-            master, slave = os.openpty()  # the slave stays open here, so that clients may come and go
+            self._line, slave = os.openpty()  # the slave stays open here, so that clients may come and go
+            self._open.callback(os.close, slave)
             tty.setraw(slave)
-            os.set_blocking(master, False)
-            self._pty = master, slave
+            os.set_blocking(self._line, False)
             self.channel = os.ttyname(slave)
-
-    def bus(self) -> dict[str, Any]:
-        """The arguments of `can.Bus` for a client."""
-        return {"interface": "slcan", "channel": self.channel, "bitrate": 500000, "sleep_after_open": 0.0}
 
     def wait(self, timeout: float) -> list[tuple[int, bytes]]:
         """The frames (id, data) that clients sent, after at most `timeout` [s] without any."""
-        watched: list[Any] = [self._pty[0]] if self._pty else [self._server]
-        if self._client:
-            watched.append(self._client)
-        ready, _, _ = select.select(watched, [], [], max(0.0, timeout))
-        for source in ready:
-            if source is self._server:
-                self._accept()
-            else:
-                self._text += self._read()
+        ends: list[Any] = [end for end in (self._server, self._line) if end is not None]
+        ready, _, _ = select.select(ends, [], [], max(0.0, timeout))
+        if self._line in ready:
+            self._text += self._read()
+        if self._server in ready:
+            self._accept()
         *lines, self._text = self._text.split(b"\r")
         return [frame for line in lines if (frame := _frame(line))]
 
     def send(self, frame_id: int, data: bytes) -> None:
         """A frame to the client, if there is one and it has room."""
-        line = b"t%03X%d%s\r" % (frame_id, len(data), data.hex().upper().encode())
-        with contextlib.suppress(BlockingIOError, BrokenPipeError, ConnectionResetError, OSError):
-            if self._pty:
-                os.write(self._pty[0], line)
-            elif self._client:
-                self._client.send(line)
+        if self._line is not None:
+            with contextlib.suppress(OSError):
+                os.write(self._line, b"t%03X%d%s\r" % (frame_id, len(data), data.hex().upper().encode()))
 
     def close(self) -> None:
         """Free the port."""
-        for end in (self._server, self._client):
-            if end:
-                end.close()
-        for fd in self._pty or ():
-            os.close(fd)
+        self._hang_up()
+        self._open.close()
+
+    def _hang_up(self) -> None:
+        if self._line is not None:
+            os.close(self._line)
+        self._line, self._text = None, b""
 
     def _accept(self) -> None:
         assert self._server is not None
-        if self._client:
-            self._client.close()
-        self._client, _ = self._server.accept()
-        self._client.setblocking(False)
-        self._client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._text = b""
+        self._hang_up()
+        client, _ = self._server.accept()
+        client.setblocking(False)
+        client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._line = client.detach()
 
     def _read(self) -> bytes:
+        assert self._line is not None
         try:
-            if self._pty:
-                return os.read(self._pty[0], 65536)
-            assert self._client is not None
-            text = self._client.recv(65536)
+            text = os.read(self._line, 65536)
         except (BlockingIOError, ConnectionResetError):
             text = b""
-        if not text and self._client:
-            self._client.close()
-            self._client, self._text = None, b""
+        if not text and self._server:
+            self._hang_up()
         return text
 
 

@@ -23,15 +23,13 @@ from typing import Any, TextIO
 from steerkit._support.clock import Clock
 from steerkit._support.errors import in_one_line
 from steerkit.car.client import CarClient, CarLost
-from steerkit.car.config import CarConfig, bus_of, loaded
+from steerkit.car.config import bus_of, loaded
 from steerkit.car.ports import BusPort, SlcanPort
 from steerkit.car.recording import Recording, described
 from steerkit.car.server import CarServer
 from steerkit.car.simulated import Fault, SimulatedCar
 from steerkit.car.state_machine import Mode, Order
-from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.realtime import preferred
-from steerkit.paths.path import Path
 
 OF = "session: "
 """How the first line of a car server's log begins, which names its session."""
@@ -103,11 +101,6 @@ def start_simulated(config: str, **options: Any) -> tuple[subprocess.Popen[str],
         process.terminate()
         raise CarLost(f"the simulated car did not come up: {line!r}")
     return process, line.split()[1]
-
-
-def simulated_car(config: CarConfig, path: Path, **options: Any) -> SimulatedCar:
-    """The simulated car of a configuration, with Stanley as the human at its wheel."""
-    return SimulatedCar(config, path, Stanley.of(config.vehicle), **options)
 
 
 def serve_simulated(
@@ -269,7 +262,7 @@ def simulate(
     clock = Clock(scale=time_scale)
     port = BusPort(arguments) if arguments else SlcanPort(listen)
     true = replace(as_told.vehicle, steer_ratio=ratio * as_told.vehicle.steer_ratio)
-    simulated = simulated_car(as_told, path, vehicle=true, t0=clock.now(), **car)
+    simulated = SimulatedCar(as_told, path, vehicle=true, t0=clock.now(), **car)
     print(f"channel {port.channel}", flush=True)
     with contextlib.ExitStack() as stack:
         stream = stack.enter_context(open(log, "w", encoding="utf-8")) if log else None

@@ -86,11 +86,10 @@ class Senses:
         self._times: dict[int, deque[float]] = {i: deque(maxlen=1000) for i in self._readers}
         self.foreign: tuple[float, str] = (-math.inf, "")
         self._errors_of_path: deque[tuple[float, float]] = deque()  # (t, |e|), each the least from then on
-        self._growth = (-math.inf, math.inf, 0.0)
         self.moving = -math.inf
         self.enabled_since: float | None = None
-        self._tracker = PathTracker(path=path, reference=config.vehicle.l_f)
         car = config.vehicle
+        self._tracker = PathTracker(path=path, reference=car.l_f)
         self._motion = MotionCheck(
             config.motion,
             wheelbase=float(car.wheelbase),
@@ -127,20 +126,15 @@ class Senses:
         self._check_rate(t, reader)
         checked = reader.read(data, self._counter[frame_id])
         self._counter[frame_id] = checked.counter
-        missing = not all(map(math.isfinite, checked.values.values()))
-        if checked.error or missing:
-            absent = ", ".join([name for name, value in checked.values.items() if not math.isfinite(value)])
+        absent = ", ".join([name for name, value in checked.values.items() if not math.isfinite(value)])
+        if checked.error or absent:
             self.error(t, checked.error or f"{reader.name}: {absent} not available")
             return
         arrived = min(arrived, t)
-        if frame_id in self._punctual and checked.counter is not None:
-            late = self._punctual[frame_id].behind(arrived, checked.counter)
-            if late:
-                what = (
-                    f"{reader.name} comes {1e3 * late:.0f} ms later than its counter says: frames queue up on the way, "
-                    f"or come less often than every {1e3 * reader.period:g} ms"
-                )
-                self.error(t, what, self.config.states.integrity_errors)
+        punctual, counter = self._punctual.get(frame_id), checked.counter
+        if punctual and counter is not None and (late := punctual.behind(arrived, counter)):
+            after = f"{1e3 * late:.0f} ms later than its counter says: frames queue up on the way"
+            self._grave(t, f"{reader.name} comes {after}, or come less often than every {1e3 * reader.period:g} ms")
         gap = arrived - self.arrived[frame_id]
         self.arrived[frame_id] = arrived
         values = checked.values
@@ -151,7 +145,7 @@ class Senses:
         if "delta_sw" in values and "delta_sw" in self.values and gap < 1.0:
             turned = abs(values["delta_sw"] - self.values["delta_sw"])
             if turned > WHEEL_RATE * gap + 0.2:
-                self.error(t, f"the wheel jumped by {degrees_of(turned):.0f} deg", self.config.states.integrity_errors)
+                self._grave(t, f"the wheel jumped by {degrees_of(turned):.0f} deg")
         self.values |= values
         if "r" in values:
             self._reckon(arrived)
@@ -165,7 +159,7 @@ class Senses:
         if "enabled" in values:
             since = arrived if self.enabled_since is None else self.enabled_since
             self.enabled_since = since if values["enabled"] else None
-        if "delta_sw" in values:
+        if "delta_sw" in values and sent:
             self._check_wheel(arrived, sent)
         if "x" in values or "psi" in values:
             self._locate(gap)
@@ -174,6 +168,10 @@ class Senses:
         """Count an error, `weight` times."""
         self.error_count += 1
         self.errors.extend([(t, text)] * weight)
+
+    def _grave(self, t: float, text: str) -> None:
+        """An error that is enough to end driving."""
+        self.error(t, text, self.config.states.integrity_errors)
 
     def _check_rate(self, t: float, reader: FrameReader) -> None:
         """Frames that come oftener than they should have a second sender."""
@@ -199,14 +197,13 @@ class Senses:
         """A position that does not move as speed, heading, yaw rate and wheel say is wrong, whatever its CRC says."""
         if gap > self.config.states.pose_age:
             self._motion.forget()
-        what = self._motion.pose(arrived, values["x"], values["y"])
-        if what:
-            self.error(t, what, self.config.states.integrity_errors)
+        if what := self._motion.pose(arrived, values["x"], values["y"]):
+            self._grave(t, what)
 
     def _reckon(self, arrived: float) -> None:
         """Add the way since the last speed, heading and yaw rate to what dead reckoning has."""
         known = self.values
-        if not ("psi" in known and "v" in known and "r" in known):
+        if not {"psi", "v", "r"} <= known.keys():
             return
         wheel = known.get("delta_sw", math.nan)  # without one, the yaw rate is not compared with it
         self._motion.moves(arrived, psi=known["psi"], v=known["v"], r=known["r"], beta=self.beta, delta_sw=wheel)
@@ -238,7 +235,7 @@ class Senses:
         first, least, when = self._stamp
         now = math.remainder(offset - first, self._stamp_wrap)
         if now < least - AHEAD:  # not believed, so that it is forgotten when it comes back
-            self.error(t, f"the time stamp is {least - now:.2f} s ahead", self.config.states.integrity_errors)
+            self._grave(t, f"the time stamp is {least - now:.2f} s ahead")
             return
         least = min(least + _STAMP_DRIFT * (arrived - when), now)
         self._quickest.append((arrived, least))
@@ -246,15 +243,12 @@ class Senses:
             self._quickest.popleft()
         begun, then = self._quickest[0]
         if arrived - self._stamped > FAST_TIME and least < then - FAST:
-            what = f"the time stamps run ahead by {1e3 * (then - least):.0f} ms in {arrived - begun:.1f} s"
-            self.error(t, what, self.config.states.integrity_errors)
+            self._grave(t, f"the time stamps run ahead by {1e3 * (then - least):.0f} ms in {arrived - begun:.1f} s")
         self._stamp = (first, least, arrived)
         self.delay = now - least
 
     def _check_wheel(self, arrived: float, sent: Sequence[tuple[float, float]]) -> None:
         """Does the kit report one of the commands sent lately, and does the wheel follow them?"""
-        if not sent:
-            return
         close, echo = 1.5 * self.config.writer.quantum, self.values.get("echo")
         superseded = arrived
         for t, delta_sw in reversed(sent):
@@ -269,7 +263,7 @@ class Senses:
 
     def _locate(self, gap: float) -> None:
         v = self.values
-        if not ("x" in v and "y" in v and "psi" in v and "v" in v and "r" in v):
+        if not {"x", "y", "psi", "v", "r"} <= v.keys():
             return
         if gap > self.config.states.pose_age:
             self._place = None
@@ -291,10 +285,8 @@ class Senses:
     def e_growth(self, since: float) -> float:
         """By how much |e| has grown within the last second, counted from `since` [s] at the earliest [m]."""
         errors = self._errors_of_path
-        if errors and self._growth[:2] != (errors[-1][0], since):  # asked at every event, new with every pose
-            least = next((e for t, e in errors if t >= since), errors[-1][1])
-            self._growth = (errors[-1][0], since, errors[-1][1] - least)
-        return self._growth[2]
+        least = next((e for t, e in errors if t >= since), errors[-1][1] if errors else 0.0)
+        return errors[-1][1] - least if errors else 0.0
 
     def age(self, t: float, frames: frozenset[int]) -> float:
         """Age of the oldest of some frames [s]."""

@@ -11,7 +11,7 @@ from typing import Any
 
 from steerkit.car.config import CarConfig
 from steerkit.car.frames import FrameReader
-from steerkit.diagram.block import Block
+from steerkit.controllers.stanley import Stanley
 from steerkit.paths.path import Path
 from steerkit.paths.tracker import PathTracker
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
@@ -24,6 +24,8 @@ STEP = 0.01
 WATCHDOG = 0.1
 """Silence after which the kit lets go of the wheel [s]."""
 HUMAN_EVERY = 5
+BENDS = 2.3
+"""Largest a_y that the human drives at [m/s^2]."""
 HANDS = 0.1
 """Lag of the human's hands at the wheel [s]."""
 FAULTS = {
@@ -48,6 +50,14 @@ FAULTS = {
     "loose": "the motor no longer turns the wheel (report)",
 }
 """What can go wrong on demand, with the frames of `target` ("pose" or "report")."""
+_SAID = {
+    "brake": ("brake", 1.0),
+    "accelerator": ("accelerator", 1.0),
+    "timeout": ("timeout", 1.0),
+    "disabled": ("enabled", 0.0),
+    "quality": ("quality", 0.0),
+}
+"""Of a fault: the quantity that says what it then says."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,8 +83,8 @@ class SimulatedCar:
     """Car, kit, sensors and human; `advance` it in time, `receive` what the bus brings.
 
     config: the same as the car server's: the frames it reads are sent, the one it writes is understood. path: where the
-    human drives. human: a controller block such as Stanley, the human at the wheel while the kit is off. v_min, v_max
-    [m/s]: the human's speeds, less in bends (a_y_max [m/s^2]). s [m], e [m]: where it starts. t0 [s]: when.
+    human drives, by Stanley's law while the kit is off, at v_min to v_max [m/s], less in bends (`BENDS`). s [m], e [m]:
+    where it starts. t0 [s]: when.
 
     What controllers do not know: vehicle, the car that it is (default: the configuration's); lag and delay [s] from a
     command to the wheel, which the human's hands do not have; offset [rad], which the road wheels see and the wheel's
@@ -85,11 +95,9 @@ class SimulatedCar:
         self,
         config: CarConfig,
         path: Path,
-        driver: Block,
         *,
         v_min: float = 4.0,
         v_max: float = 6.0,
-        a_y_max: float = 2.3,
         seed: int = 0,
         s: float = 0.0,
         e: float = 0.0,
@@ -100,25 +108,22 @@ class SimulatedCar:
         offset: float = 0.0,
         rate_zero: float = 0.0,
     ):
-        self.config, self.driver, self.faults = config, driver, list[Fault]()
+        self.config, self.faults = config, list[Fault]()
+        self.driver = Stanley.of(config.vehicle)
         self.t, self.k = t0, 0
         self.tracker = PathTracker(path=path, reference=config.vehicle.l_f, dt=STEP)
         speed = SpeedDriver(v_min=v_min, v_max=v_max, seed=seed, dt=STEP)
-        self.pedals = CurveSpeedDriver(path=path, driver=speed, a_y_max=a_y_max, dt=STEP)
+        self.pedals = CurveSpeedDriver(path=path, driver=speed, a_y_max=BENDS, dt=STEP)
         self.hands, self.motor = SteeringActuator(lag=HANDS, dt=STEP), SteeringActuator(lag=lag, dt=STEP)
         self.delay, self.offset, self.rate_zero, self.turned = delay, offset, rate_zero, 0.0
-        (x, y), psi = path.point(s), path.psi(s)
-        pose: dict[str, Any] = {
-            "x0": float(x) - e * math.sin(psi),
-            "y0": float(y) + e * math.cos(psi),
-            "psi0": float(psi),
-        }
+        (x, y), psi = path.point(s), float(path.psi(s))
+        pose: dict[str, Any] = {"x0": float(x) - e * math.sin(psi), "y0": float(y) + e * math.cos(psi), "psi0": psi}
         self.plant = NonlinearSingleTrack(vehicle=vehicle or config.vehicle, v0=v_min, dt=STEP, **pose)
         self.x: dict[str, Any] = {"plant": self.plant.init(), "motor": self.motor.init(), "pedals": self.pedals.init()}
         self.now = self.plant.output(0.0, self.x["plant"], ())
         seen = self._seen()
         place = self.tracker.settle(0.0, self.tracker.init(), seen)
-        self.x |= {"tracker": place, "driver": driver.init()}
+        self.x |= {"tracker": place, "driver": self.driver.init()}
         self.on_path = self.tracker.output(0.0, place, seen)
         self.steered = self._reached = 0.0
         # the kit
@@ -214,7 +219,6 @@ class SimulatedCar:
 
     def _values(self) -> dict[str, float]:
         y, t = self.now, self.t
-        wrapped = math.remainder(y.psi, 2.0 * math.pi)
         values = {
             "delta_sw": self.turned,
             "v_kit": y.v,
@@ -223,42 +227,30 @@ class SimulatedCar:
             "enabled": float(self.enabled),
             "override": float(self.overridden),
             "timeout": float(self.timeout),
-            "brake": float(self._fault("brake", t) is not None),
-            "accelerator": float(self._fault("accelerator", t) is not None),
             "x": y.x,
             "y": y.y,
-            "psi": wrapped,
+            "psi": math.remainder(y.psi, 2.0 * math.pi),
             "v": y.v,
             "r": y.r + self.rate_zero,
             "beta": y.beta,
             "a_y": y.a_y,
             "quality": 4.0,
+            "stamp": round(t * 1e3) % 65536 * 1e-3,
+            **dict.fromkeys(("brake", "accelerator"), 0.0),
         }
-        if "stamp" in self.config.quantities:
-            values["stamp"] = round(t * 1e3) % 65536 * 1e-3
+        values |= {quantity: value for kind, (quantity, value) in _SAID.items() if self._fault(kind, t)}
         if self._fault("kit_fault", t):
             values[self.config.fault_flags[0]] = 1.0
-        for kind, quantity, value in (("timeout", "timeout", 1.0), ("disabled", "enabled", 0.0)):
-            if self._fault(kind, t):
-                values[quantity] = value
-        torque, jump, quality = self._fault("torque", t), self._fault("jump", t), self._fault("quality", t)
-        if torque:
+        if torque := self._fault("torque", t):
             values["torque"] = torque.amount or 5.0
-        if jump:
-            values["x"] += jump.amount or 3.0
-        if quality:
-            values["quality"] = 0.0
-        for target, quantity in (("pose", "v"), ("report", "v_kit")):
-            speed = self._fault("speed", t, target)
-            if speed:
-                values[quantity] += speed.amount or 3.0
+        for kind, target, quantity in (("jump", "", "x"), ("speed", "pose", "v"), ("speed", "report", "v_kit")):
+            if off := self._fault(kind, t, target):
+                values[quantity] += off.amount or 3.0
         return values
 
     def _fault(self, kind: str, t: float, target: str = "") -> Fault | None:
-        for fault in self.faults:
-            if fault.kind == kind and fault.target in (target or fault.target) and fault.active(t):
-                return fault
-        return None
+        acting = (f for f in self.faults if f.kind == kind and f.target in (target or f.target) and f.active(t))
+        return next(acting, None)
 
     def _send(self) -> None:
         values, t = self._values(), self.t

@@ -296,12 +296,6 @@ def readying(li: StateLimits, f: Facts) -> Iterator[str]:
     yield from engaging(li, f)
 
 
-def faults(li: StateLimits, f: Facts) -> Iterator[str]:
-    """What ends driving as a fault."""
-    yield from always(li, f)
-    yield from driving(li, f)
-
-
 def warnings(limits: StateLimits, facts: Facts) -> list[str]:
     """What the operator should know while engaged, before it ends driving."""
     ahead = facts.remaining - limits.end_margin
@@ -321,34 +315,25 @@ def step(limits: StateLimits, state: Machine, facts: Facts, t: float, order: Ord
     Pure: equal arguments give equal results. Raises nothing.
     """
 
-    def to(mode: Mode, cause: str) -> Machine:
-        return Machine(mode, cause, t)
-
     if order is Order.OFF:
-        return state if state.mode is Mode.OFF else to(Mode.OFF, "operator: off")
+        return state if state.mode is Mode.OFF else Machine(Mode.OFF, "operator: off", t)
     match state.mode:
         case Mode.OFF:
-            return to(Mode.STANDBY, "operator: arm") if order is Order.ARM else state
-        case Mode.STANDBY:
+            return Machine(Mode.STANDBY, "operator: arm", t) if order is Order.ARM else state
+        case Mode.STANDBY | Mode.READY as mode:
             against = next(readying(limits, facts), "")
-            return to(Mode.READY, "all checks hold") if not against else state
-        case Mode.READY:
-            against = next(readying(limits, facts), "")
+            if mode is Mode.STANDBY:
+                return state if against else Machine(Mode.READY, "all checks hold", t)
             if against:
-                return to(Mode.STANDBY, against)
-            return to(Mode.ENGAGED, "operator: engage") if order is Order.ENGAGE else state
+                return Machine(Mode.STANDBY, against, t)
+            return Machine(Mode.ENGAGED, "operator: engage", t) if order is Order.ENGAGE else state
         case Mode.ENGAGED:
             if order is Order.DISENGAGE:
-                return to(Mode.STANDBY, "operator: disengage")
+                return Machine(Mode.STANDBY, "operator: disengage", t)
             if not facts.enabled:  # only then it matters for how long
                 facts = facts._replace(engaged_for=t - state.since)
-            taken = next(human(limits, facts), "")
-            if taken:
-                return to(Mode.OVERRIDE, taken)
-            fault = next(faults(limits, facts), "")
-            if fault:
-                return to(Mode.FAULT, fault)
-            over = next(ending(limits, facts), "")
-            return to(Mode.STANDBY, over) if over else state
+            ends = ((Mode.OVERRIDE, human), (Mode.FAULT, always), (Mode.FAULT, driving), (Mode.STANDBY, ending))
+            found = (Machine(mode, cause, t) for mode, check in ends for cause in check(limits, facts))
+            return next(found, state)
         case _:
-            return to(Mode.STANDBY, "operator: acknowledge") if order is Order.ACKNOWLEDGE else state
+            return Machine(Mode.STANDBY, "operator: acknowledge", t) if order is Order.ACKNOWLEDGE else state

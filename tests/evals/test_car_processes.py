@@ -29,6 +29,7 @@ from steerkit.car.config import load, shipped
 from steerkit.car.core import Core
 from steerkit.car.ports import BusPort, open_bus
 from steerkit.car.server import CarServer
+from steerkit.car.simulated import SimulatedCar
 from steerkit.car.state_machine import Mode, Order
 from tests.support import programs
 from tests.support.programs import alive
@@ -145,7 +146,7 @@ def test_another_interface_of_python_can(tmp_path: Path) -> None:
     assert bus is not None
     config, (_, path) = load(CONFIG, bus=bus), configured.loaded(CONFIG)
     port, clock, socket = BusPort(bus), Clock(scale=0.2), str(tmp_path / "socket")
-    car = processes.simulated_car(config, path, t0=clock.now())
+    car = SimulatedCar(config, path, t0=clock.now())
     server = CarServer(
         config, path, socket, recording=recordings.Recording(tmp_path / "drive.mcap", {"a": "b"}), clock=clock
     )

@@ -8,12 +8,12 @@ from functools import cache
 from typing import Any, NamedTuple
 
 from steerkit.car import loop as loops
-from steerkit.car import processes, protocol
+from steerkit.car import protocol
 from steerkit.car.config import CarConfig, load
 from steerkit.car.core import Core, Event, Frame, Link, Note, Packet, Reply, Send, Tick
 from steerkit.car.loop import Follow
 from steerkit.car.recording import Recording
-from steerkit.car.simulated import Fault
+from steerkit.car.simulated import Fault, SimulatedCar
 from steerkit.car.state_machine import Mode, Order
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram import realtime
@@ -57,7 +57,7 @@ class World:
     ):
         self.config, self.path = setup()
         self.config, self.path = config or self.config, path or self.path
-        self.car = processes.simulated_car(self.config, self.path, s=s, v_min=v[0], v_max=v[1], seed=seed, **untold)
+        self.car = SimulatedCar(self.config, self.path, s=s, v_min=v[0], v_max=v[1], seed=seed, **untold)
         self.recorder = recorder
         self.core = Core(self.config, self.path)
         self.t = 0.0

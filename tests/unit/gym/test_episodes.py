@@ -127,7 +127,5 @@ def test_a_cost_that_cannot_be_traced_is_named() -> None:
 def test_the_streams_of_random_numbers_are_those_of_the_blocks() -> None:
     """Of a clean car the human's alone; under hard conditions the sensors' too."""
     one, two = (code_of(Task(conditions=conditions)) for conditions in ("clean", "hard"))
-    streams = [
-        line for text in (one, two) for line in text.splitlines() if line.startswith("#define STREAMS")
-    ]
+    streams = [line for text in (one, two) for line in text.splitlines() if line.startswith("#define STREAMS")]
     assert [line.count(",") for line in streams] == [0, 1]
