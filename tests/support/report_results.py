@@ -1,8 +1,9 @@
-"""A small results directory of known numbers, for tests of the report: drives, a grid, a learner, failures."""
+"""A small results directory of known numbers, for tests of what reads results: drives, a grid, a learner, failures."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,16 @@ from steerkit.paths.courses import course
 CONTROLLERS = {"stanley": 1.0, "pure-pursuit": 3.0, "nfq-idoe": 1.6}
 """Name and how wide it swings."""
 SEEDS = (0, 1, 2, 3, 4, 5)
+PROVENANCE: dict[str, Any] = {
+    "suites": dict.fromkeys(("tracking", "robustness", "paper"), "made up"),
+    "controllers": {n: {"kind": "learned" if "nfq" in n else "analytic", "about": f"about {n}"} for n in CONTROLLERS},
+    "scenarios": {},
+    "seeds": [],
+    "planned": [],
+    "source": "0" * 40,
+    "commit": "0" * 40,
+    "versions": {"python": "3.11.0", "numpy": "2.0.0"},
+}
 
 
 def scenario(name: str, **changes: Any) -> dict[str, Any]:
@@ -112,38 +123,31 @@ def learnt(seed: int) -> tuple[Case, dict[str, np.ndarray]]:
     ), curve
 
 
-def write(place: Path) -> Results:
+def write(place: Path, *, seeds: tuple[int, ...] = SEEDS, grid: bool = True) -> Results:
     """The directory, whole: a suite of drives, one of a grid, one of learning, an error and an absent peer."""
     store, fields = Store(place), scenarios()
     cases: list[tuple[Case, dict[str, np.ndarray], dict[str, np.ndarray] | None]] = []
     for controller in CONTROLLERS:
-        for seed in SEEDS:
+        for seed in seeds:
             cases += [(*driven("tracking", name, controller, seed), None) for name in ("paper", "genesis")]
-        for seed in SEEDS[:2]:
-            grid = [n for n in fields if n.startswith("delay")]
-            cases += [(*driven("robustness", name, controller, seed), None) for name in grid]
-    for seed in SEEDS:
+        for seed in seeds[:2] if grid else ():
+            conditions = [n for n in fields if n.startswith("delay")]
+            cases += [(*driven("robustness", name, controller, seed), None) for name in conditions]
+    for seed in seeds:
         case, curve = learnt(seed)
         cases.append((case, driven("training", "paper", "nfq-idoe", seed)[1], curve))
         cases.append((*driven("paper", "paper", "nfq-idoe", seed), None))
     broken = Case(suite="tracking", scenario="paper", controller="mpc", seed=0, status="error", error="solver <failed>")
     absent = Case(suite="tracking", scenario="paper", controller="sac", seed=0, status="not installed", error="no sb3")
-    about = {n: {"kind": "learned" if "nfq" in n else "analytic", "about": f"about {n}"} for n in CONTROLLERS}
     planned = [c.id for c, *_ in cases] + [broken.id, absent.id, "tracking--paper--mpc--s1"]
-    store.open(
-        {
-            "suites": ["tracking", "robustness", "paper"],
-            "seeds": list(SEEDS),
-            "scenarios": fields,
-            "controllers": about,
-            "source": "0" * 40,
-            "commit": "0" * 40,
-            "versions": {"numpy": "2"},
-            "planned": planned,
-        }
-    )
+    store.open(PROVENANCE | {"seeds": [*seeds], "scenarios": fields, "planned": planned})
     for case, trajectory, curve in cases:
         store.keep(case, trajectory=trajectory, curve=curve)
     store.keep(broken)
     store.keep(absent)
     return store.merge()
+
+
+def changed(case: Case, **metrics: float) -> Case:
+    """The case with other numbers, if it has any."""
+    return replace(case, metrics={**case.metrics, **metrics}) if case.status == "done" else case

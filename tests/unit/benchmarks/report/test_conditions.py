@@ -3,21 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from benchmarks.report import conditions
 from benchmarks.run.results import Results
-from tests.support.report_results import write
 
 
-@pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
-    return write(tmp_path_factory.mktemp("bench") / "results")
-
-
-def test_the_failure_map_is_the_grid_that_was_driven(results: Results) -> None:
-    cases = [c for c in results.cases if c.suite == "robustness"]
-    (grid,) = conditions.grids(cases, results.protocol)
+def test_the_failure_map_is_the_grid_that_was_driven(known: Results) -> None:
+    cases = [c for c in known.cases if c.suite == "robustness"]
+    (grid,) = conditions.grids(cases, known.protocol)
     assert {grid.x, grid.y} == {"v", "steering.delay"}
     assert (grid.xs, grid.ys) == ((4.0, 6.0, 9.0), (0.3, 0.2, 0.1, 0.0))
     for name, shares in grid.shares.items():
@@ -26,20 +19,20 @@ def test_the_failure_map_is_the_grid_that_was_driven(results: Results) -> None:
                 here = [c for c in cases if c.controller == name and c.scenario == f"delay {delay:g} v {v:g}"]
                 assert shares[i, j] == np.mean([c.metrics["held"] for c in here])
     assert grid.shares["pure-pursuit"][0, 2] == 0.0
-    assert conditions.grids([c for c in results.cases if c.suite == "tracking"], results.protocol) == []
+    assert conditions.grids([c for c in known.cases if c.suite == "tracking"], known.protocol) == []
 
 
-def test_a_place_that_nobody_drove_is_not_called_lost(results: Results) -> None:
-    cases = [c for c in results.cases if c.suite == "robustness"]
-    (whole,) = conditions.grids(cases, results.protocol)
+def test_a_place_that_nobody_drove_is_not_called_lost(known: Results) -> None:
+    cases = [c for c in known.cases if c.suite == "robustness"]
+    (whole,) = conditions.grids(cases, known.protocol)
     gone = ("pure-pursuit", "delay 0.3 v 9")
-    (grid,) = conditions.grids([c for c in cases if (c.controller, c.scenario) != gone], results.protocol)
+    (grid,) = conditions.grids([c for c in cases if (c.controller, c.scenario) != gone], known.protocol)
     unknown = np.isnan(grid.shares["pure-pursuit"])
     assert unknown[0, 2]
     assert unknown.sum() == 1
     assert (grid.shares["stanley"] == whole.shares["stanley"]).all()
 
 
-def test_one_condition_alone_is_no_map(results: Results) -> None:
-    cases = [c for c in results.cases if c.scenario.endswith(" v 6")]
-    assert conditions.grids(cases, results.protocol) == []
+def test_one_condition_alone_is_no_map(known: Results) -> None:
+    cases = [c for c in known.cases if c.scenario.endswith(" v 6")]
+    assert conditions.grids(cases, known.protocol) == []

@@ -9,17 +9,11 @@ import pytest
 
 from benchmarks.report import learning
 from benchmarks.run.results import Results
-from tests.support.report_results import write
 
 
-@pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
-    return write(tmp_path_factory.mktemp("bench") / "results")
-
-
-def test_the_learning_curve_is_the_share_of_seeds_that_are_good_by_then(results: Results) -> None:
+def test_the_learning_curve_is_the_share_of_seeds_that_are_good_by_then(known: Results) -> None:
     """Seed k is good from minute 1 + k/2 on, the last one never."""
-    (curves,) = learning.learning(results, results.cases, points=59)
+    (curves,) = learning.learning(known, known.cases, points=59)
     good, low, high = curves.good["nfq-idoe"]
     for minute, share in ((0.5, 0.0), (1.3, 1.0 / 6.0), (2.3, 0.5), (4.8, 5.0 / 6.0)):
         at = int(np.searchsorted(curves.x, minute))

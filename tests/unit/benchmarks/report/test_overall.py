@@ -11,14 +11,13 @@ from benchmarks.report.overall import JUDGED, PLAIN, glances, headline, times
 from benchmarks.report.page import html
 from benchmarks.report.verdict import verdict
 from benchmarks.run.results import Case, Results
-from tests.support.results_example import example_results
+from tests.support.report_results import PROVENANCE
 
 KINDS = {"net": "learned", "poor-net": "learned", "stanley": "analytic", "mpc": "analytic", "lqr": "analytic"}
 
 
 def made(place: Path, seeds: int, lost: tuple[tuple[str, str, int], ...] = (), **sizes: float) -> Results:
     """Drives of two scenarios: each controller's RMS e about its size, all else the same."""
-    known = example_results(place)
     rng = np.random.default_rng(0)
     cases = tuple(
         Case(
@@ -37,7 +36,7 @@ def made(place: Path, seeds: int, lost: tuple[tuple[str, str, int], ...] = (), *
         for seed in range(seeds)
     )
     kinds = {name.replace("_", "-"): {"kind": KINDS[name.replace("_", "-")]} for name in sizes}
-    return Results(known.place, known.provenance | {"controllers": kinds, "planned": []}, cases)
+    return Results(place, PROVENANCE | {"controllers": kinds}, cases)
 
 
 def test_a_ratio_is_the_geometric_mean_and_certain_differences_are_told(tmp_path: Path) -> None:

@@ -11,19 +11,14 @@ import pytest
 from benchmarks.report.page import write_report
 from benchmarks.run.results import Results
 from tests.support.browser import BROWSER, FRAME, FRAME_JS, shown
-from tests.support.report_results import CONTROLLERS, write
+from tests.support.report_results import CONTROLLERS
 
 PHONE, DESK = (390, 844), (1360, 900)
 
 
 @pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
-    return write(tmp_path_factory.mktemp("bench") / "results")
-
-
-@pytest.fixture(scope="module")
-def page(results: Results) -> str:
-    return write_report(results, results.place / "sub" / "page.html").read_text(encoding="utf-8")
+def page(known: Results) -> str:
+    return write_report(known, known.place / "sub" / "page.html").read_text(encoding="utf-8")
 
 
 def test_the_page_holds_everything(page: str) -> None:
@@ -64,8 +59,8 @@ def test_the_verdict_is_on_the_page_as_html(page: str) -> None:
     assert not re.search(r"^#|\*\*|\|---", section[1], re.M), "no Markdown is left"
 
 
-def test_no_results_are_refused(results: Results, tmp_path: Path) -> None:
-    empty = Results(tmp_path, results.provenance, ())
+def test_no_results_are_refused(known: Results, tmp_path: Path) -> None:
+    empty = Results(tmp_path, known.provenance, ())
     with pytest.raises(ValueError, match="no case has finished, so there is nothing to report"):
         write_report(empty, tmp_path / "page.html")
 

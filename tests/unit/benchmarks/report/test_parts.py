@@ -10,18 +10,13 @@ import pytest
 from benchmarks.report import parts
 from benchmarks.run.results import Case, Results
 from steerkit.metrics import TABLE
-from tests.support.report_results import CONTROLLERS, SEEDS, write
+from tests.support.report_results import CONTROLLERS, SEEDS
 
 METRIC = {metric.name: metric for metric in TABLE}
 
 
-@pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
-    return write(tmp_path_factory.mktemp("bench") / "results")
-
-
-def test_the_leaderboard_has_the_medians_of_the_cases(results: Results) -> None:
-    cases = [c for c in results.cases if c.suite == "tracking"]
+def test_the_leaderboard_has_the_medians_of_the_cases(known: Results) -> None:
+    cases = [c for c in known.cases if c.suite == "tracking"]
     columns, rows = parts.leaderboard(cases)
     assert [row.controller for row in rows] == [*CONTROLLERS, "mpc", "sac"]
     place = 2 + [m.name for m in columns].index("rms_e")
@@ -38,8 +33,8 @@ def test_the_leaderboard_has_the_medians_of_the_cases(results: Results) -> None:
     assert rows[4].note == "not installed"
 
 
-def test_a_case_without_a_value_counts_as_worst(results: Results) -> None:
-    cases = [c for c in results.cases if c.suite == "tracking"]
+def test_a_case_without_a_value_counts_as_worst(known: Results) -> None:
+    cases = [c for c in known.cases if c.suite == "tracking"]
     assert parts.of_metric(cases, METRIC["rms_e"])[-2] == np.inf
     assert parts.of_metric(cases, METRIC["share_within_5cm"])[-2] == -np.inf
 
@@ -51,8 +46,8 @@ def by_controller(cases: list[Case]) -> parts.Drives:
     return table
 
 
-def test_the_comparison_is_paired_by_seed(results: Results) -> None:
-    cases = [c for c in results.cases if c.suite == "tracking"]
+def test_the_comparison_is_paired_by_seed(known: Results) -> None:
+    cases = [c for c in known.cases if c.suite == "tracking"]
 
     def seeds(name: str) -> list[float]:
         return [np.mean([c.metrics["rms_e"] for c in cases if (c.controller, c.seed) == (name, s)]) for s in SEEDS]
@@ -64,8 +59,8 @@ def test_the_comparison_is_paired_by_seed(results: Results) -> None:
     assert found[2] == 2
 
 
-def test_a_drive_that_was_not_held_counts_as_worst_and_one_without_chance_for_every_seed(results: Results) -> None:
-    case = next(c for c in results.cases if c.suite == "tracking")
+def test_a_drive_that_was_not_held_counts_as_worst_and_one_without_chance_for_every_seed(known: Results) -> None:
+    case = next(c for c in known.cases if c.suite == "tracking")
     lost = replace(case, metrics={**case.metrics, "held": 0.0})
     assert parts.of_metric([case, lost], METRIC["rms_e"]).tolist() == [case.metrics["rms_e"], np.inf]
     assert parts.of_metric([lost], METRIC["step_p50_us"])[0] == case.metrics["step_p50_us"]
