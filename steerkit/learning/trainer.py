@@ -7,21 +7,19 @@ submitted before an earlier one was fetched, the earlier one's nets are what the
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import math
 import multiprocessing
 import os
-import pickle
-import queue
 import signal
 import threading
 import time
-import weakref
+from collections import deque
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
-from multiprocessing.connection import Connection
 from types import TracebackType
-from typing import Any, NamedTuple, Protocol, Self
+from typing import NamedTuple, Protocol, Self
 
 from steerkit._support.errors import require
 from steerkit.controllers.delay_compensator import DelayCompensator
@@ -32,6 +30,8 @@ Pending = tuple[float, int, Learned]
 """Driving time at which an unfinished job is done [s], its number, what it gives the policy."""
 NICE = 10
 """How far the training process steps back behind the loop's (os.nice)."""
+PATIENCE = 600.0
+"""Time without a sign of the training process after which it is taken for dead [s]."""
 ATTEMPTS = 3
 """Deaths of the training process over one job after which the job, not the process, is blamed."""
 _log = logging.getLogger(__name__)
@@ -144,21 +144,31 @@ class SimulatedTrainer:
 class Trainer:
     """Trains in a process of its own, behind the loop in priority; nothing here waits for it.
 
-    A thread of the trainer's own talks to the process. When the process dies (out of memory, kill -9) or is silent
-    for `patience` [s], it is started again with the same job; the result's `fault`, `faults` and the log
-    `steerkit.learning.trainer` tell. After ATTEMPTS deaths over one job, or an error in training, the result has no
-    nets; the next job is taken up as usual. nets: what the first job starts from.
+    When the process dies (out of memory, kill -9) or is silent for PATIENCE, it is started again with the same job; the
+    result's `fault`, `faults` and the log `steerkit.learning.trainer` tell. After ATTEMPTS deaths over one job, or an
+    error in training, the result has no nets; the next job is taken up as usual. nets: what the first job starts from.
 
     The process imports the main module, as multiprocessing's spawn does: a script needs `if __name__ == "__main__":`.
-    Close it, or use it in a `with`; it also ends with the program, and the process ends with its parent.
+    Close it, or use it in a `with`; the process ends with its parent too.
     """
 
-    def __init__(self, *, nets: Nets = (), nice: int = NICE, patience: float = 600.0):
-        require(patience > 0.0, "Trainer", f"patience = {patience} s, expected > 0")
-        self._worker = _Worker(Learned(nets), nice, patience)
-        self._newest = self._fetched = 0
-        self._spent = 0.0
-        self._end = weakref.finalize(self, _Worker.end, self._worker)
+    def __init__(self, *, nets: Nets = ()):
+        self.faults: list[str] = []
+        """All that went wrong so far."""
+        self._learned, self._jobs = Learned(nets), deque[Job]()
+        self._newest, self._spent = 0, 0.0
+        self._told: list[str] = []  # the faults over the job that is due
+        self._closed = False
+        self._start()
+
+    def _start(self) -> None:
+        """A new process, with all that is to be done."""
+        context = multiprocessing.get_context("spawn")
+        self._pool = ProcessPoolExecutor(1, context, initializer=_begin, initargs=(self._learned,))
+        self._pool.submit(os.getpid)  # starts the process
+        (self._process,) = self._pool._processes.values()
+        self._futures = deque(self._pool.submit(_train, job) for job in self._jobs)
+        self._heard = time.monotonic()
 
     def submit(self, job: Job, t: float = 0.0) -> None:
         """Train as soon as the jobs before are done; what is recorded after this call is not learned from.
@@ -166,27 +176,62 @@ class Trainer:
         Raises ValueError for a number that is not larger than the one before, RuntimeError after `close`.
         """
         _require_newer(job, self._newest)
-        if not self._end.alive:
+        if self._closed:
             raise RuntimeError("Trainer: closed; make a new one")
         self._newest = job.number
-        self._worker.jobs.put(_frozen(job))
+        if not self._jobs:
+            self._heard = time.monotonic()
+        self._jobs.append(replace(job, transitions=job.transitions.frozen()))
+        try:
+            self._futures.append(self._pool.submit(_train, self._jobs[-1]))
+        except BrokenProcessPool:
+            self._fault(f"training process {self.pid} died while idle")
+            self._start()
 
     def poll(self, t: float = 0.0) -> Result | None:
         """The newest job's result, once, if it is there."""
-        with contextlib.suppress(queue.Empty):
-            while True:
-                result = self._worker.results.get_nowait()
-                self._spent += result.seconds
-                if result.number == self._newest:
-                    self._fetched = result.number
-                    seconds, self._spent = self._spent, 0.0
-                    return result._replace(seconds=seconds)
+        if self._jobs and time.monotonic() - self._heard > PATIENCE:
+            self._process.kill()
+        while self._jobs and self._futures[0].done() and not self._closed:
+            result = self._result()
+            if result and result.number == self._newest:
+                seconds, self._spent = self._spent, 0.0
+                return result._replace(seconds=seconds)
         return None
+
+    def _result(self) -> Result | None:
+        """What became of the first job that is due; None: it is done again."""
+        job, error, learned = self._jobs[0], self._futures[0].exception(), None
+        died = isinstance(error, BrokenProcessPool)
+        if error is None:
+            self._learned, seconds = learned, _ = self._futures[0].result()
+            self._spent += seconds
+        elif died:
+            self._told.append(self._fault(f"training process {self.pid} died over net {job.number}"))
+        else:
+            self._told.append(self._fault(f"net {job.number} could not be trained: {type(error).__name__}: {error}"))
+        again = died and len(self._told) < ATTEMPTS
+        if not again:
+            self._jobs.popleft()
+            self._futures.popleft()
+        self._heard = time.monotonic()
+        if died:
+            self._start()
+        if again:
+            return None
+        told, self._told = "; ".join(self._told), []
+        nets, forecast = learned or (None, None)
+        return Result(job.number, nets, 0.0, told, forecast=forecast)
+
+    def _fault(self, fault: str) -> str:
+        self.faults.append(fault)
+        _log.warning(fault)
+        return fault
 
     @property
     def busy(self) -> bool:
         """Is there a job whose result is still to come?"""
-        return self._fetched < self._newest
+        return bool(self._jobs)
 
     @property
     def pending(self) -> Pending | None:
@@ -194,18 +239,16 @@ class Trainer:
         return None
 
     @property
-    def faults(self) -> tuple[str, ...]:
-        """All that went wrong so far."""
-        return tuple(self._worker.faults)
-
-    @property
     def pid(self) -> int | None:
         """The training process's id."""
-        return self._worker.process.pid
+        return self._process.pid
 
     def close(self) -> None:
         """End the process, whatever it is doing."""
-        self._end()
+        if not self._closed:
+            self._closed = True
+            self._process.kill()
+            self._pool.shutdown(cancel_futures=True)
 
     def __enter__(self) -> Self:
         return self
@@ -214,140 +257,33 @@ class Trainer:
         self.close()
 
 
-class _Worker(threading.Thread):
-    """The thread that keeps a training process alive and busy."""
-
-    def __init__(self, learned: Learned, nice: int, patience: float):
-        super().__init__(name="steerkit trainer", daemon=True)
-        self.learned, self.nice, self.patience = learned, nice, patience
-        self.jobs: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
-        self.results: queue.SimpleQueue[Result] = queue.SimpleQueue()
-        self.faults: list[str] = []
-        self._deaths = 0  # since the last success
-        self._ending = False
-        self._start_process()  # here, so that a main module without its guard fails loudly
-        self.start()
-
-    def run(self) -> None:
-        while not self._ending:
-            if not self.process.is_alive() and self._deaths < ATTEMPTS:
-                self._restart("while idle")
-            with contextlib.suppress(queue.Empty):
-                job = self.jobs.get(timeout=0.2)
-                if job is not None:
-                    self.results.put(self._result(job))
-        self.process.kill()
-        self.process.join()
-
-    def _result(self, job: Job) -> Result:
-        began, faults = time.monotonic(), list[str]()
-        for _ in range(ATTEMPTS):
-            if not self.process.is_alive():
-                faults.append(self._restart("while idle"))
-            try:
-                _send(self._link, (job, self.learned))
-                if not self._link.poll(self.patience):
-                    self.process.kill()
-                learned, error, seconds = _receive(self._link)
-            except (EOFError, OSError):  # the process is dead
-                if self._ending:
-                    return Result(job.number, None, 0.0, "closed")
-                faults.append(self._restart(f"while training net {job.number}"))
-                continue
-            except (pickle.PicklingError, TypeError, AttributeError) as why:
-                learned, error, seconds = None, f"net {job.number}: the job cannot be sent to a process: {why}", 0.0
-            self._deaths = 0
-            self.learned = learned or self.learned
-            fault = "; ".join([*faults, *([self._fault(error)] if error else [])])
-            if learned is None:
-                return Result(job.number, None, seconds, fault)
-            return Result(job.number, learned.nets, seconds, fault, forecast=learned.forecast)
-        faults.append(self._fault(f"net {job.number} is given up: the process died {ATTEMPTS} times over it"))
-        return Result(job.number, None, time.monotonic() - began, "; ".join(faults))
-
-    def _restart(self, when: str) -> str:
-        """A new process; returns what became of the old one."""
-        self.process.join()
-        self._deaths += 1
-        old = self.process
-        self._start_process()
-        return self._fault(f"training process {old.pid} ended {when} ({_ending_of(old.exitcode)}); restarted")
-
-    def _start_process(self) -> None:
-        context = multiprocessing.get_context("spawn")
-        self._link, far = context.Pipe()
-        self.process = context.Process(target=_serve, args=(far, self.nice), name="steerkit trainer", daemon=True)
-        self.process.start()
-        far.close()  # so that the end of the process is the end of the pipe
-
-    def _fault(self, fault: str) -> str:
-        self.faults.append(fault)
-        _log.warning(fault)
-        return fault
-
-    def end(self) -> None:
-        self._ending = True
-        self.jobs.put(None)
-        while self.is_alive():  # it may just be starting a process
-            self.process.kill()
-            self.join(0.05)
+_learned = Learned()
+"""Of the training process: what its last job gave."""
 
 
-def _serve(link: Connection, nice: int) -> None:
-    """The training process: jobs in, nets out, until the other end closes."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the loop's
-    os.nice(nice)
-    with contextlib.suppress(EOFError, BrokenPipeError):
-        while True:
-            job, learned = _receive(link)
-            began = time.perf_counter()
-            error = ""
-            try:
-                learned = job.train(learned)
-            except Exception as why:
-                learned, error = None, f"net {job.number} could not be trained: {type(why).__name__}: {why}"
-            _send(link, (learned, error, time.perf_counter() - began))
+def _begin(learned: Learned) -> None:
+    """Make this process one that trains: behind the loop's, deaf to Ctrl-C (the loop's), and gone with its parent."""
+    global _learned
+    _learned = learned
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.nice(NICE)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def _train(job: Job) -> tuple[Learned, float]:
+    """What a job gives, and the computing time that it took [s]."""
+    global _learned
+    began = time.perf_counter()
+    _learned = job.train(_learned)
+    return _learned, time.perf_counter() - began
 
 
 def _require_newer(job: Job, newest: int) -> None:
     require(job.number > newest, "submit", f"job number {job.number}, expected > {newest}, the one before")
-
-
-def _frozen(job: Job) -> Job:
-    """The job with the transitions as they are now; costs nothing, as recorded rows never change."""
-    return replace(job, transitions=_Snapshot(job.transitions))
-
-
-class _Snapshot(Transitions):
-    """A record's rows of this moment, without a copy; turns into plain `Transitions` on the way to a process."""
-
-    def __init__(self, record: Transitions):
-        self.names, self._n = record.names, len(record)
-        self._s, self._a, self._s_next, self._episode = record.s, record.a, record.s_next, record.episode
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _rebuilt, (self.names, self.s, self.a, self.s_next, self.episode)
-
-
-def _rebuilt(names: tuple[str, ...], s: Any, a: Any, s_next: Any, episode: Any) -> Transitions:
-    record = Transitions(names)
-    record.extend(s, a, s_next, episode)
-    return record
-
-
-def _send(link: Connection, message: Any) -> None:
-    """Pickle with the arrays beside it, uncopied: no long stretch in which the loop's thread would have to wait."""
-    arrays: list[pickle.PickleBuffer] = []
-    head = pickle.dumps(message, protocol=5, buffer_callback=arrays.append)
-    link.send((head, len(arrays)))
-    for array in arrays:
-        link.send_bytes(array.raw())
-
-
-def _receive(link: Connection) -> Any:
-    head, count = link.recv()
-    return pickle.loads(head, buffers=[link.recv_bytes() for _ in range(count)])
-
-
-def _ending_of(code: int | None) -> str:
-    return f"killed by signal {-code}" if code is not None and code < 0 else f"exit code {code}"

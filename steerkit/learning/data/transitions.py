@@ -95,6 +95,12 @@ class Transitions:
                 new[: self._n] = old[: self._n]
                 setattr(self, name, new)
 
+    def frozen(self) -> Transitions:
+        """The rows of this moment, without a copy: recorded rows never change."""
+        same = Transitions(self.names)
+        same._n, same._s, same._a, same._s_next, same._episode = self._n, self.s, self.a, self.s_next, self.episode
+        return same
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write everything to one .npz file (no pickle)."""
         write_arrays(
