@@ -69,7 +69,7 @@ def animate(
     film = film_writer(film_file)
     require(5.0 <= window <= 1e4, "animate", f"window = {window} m, expected 5 to 10000")
     require(1.0 <= fps <= 60.0, "animate", f"fps = {fps}, expected 1 to 60")
-    run = _Run(log, car)
+    run = Moments.of_log(log, car)
     if speed is None:
         speed = max(1.0, (log.t[-1] - log.t[0]) / _LASTS)
     require(speed > 0.0, "animate", f"speed = {speed}, expected a number > 0")
@@ -80,7 +80,7 @@ def animate(
         wheelbase, l_f, steer_ratio = float(known.wheelbase), float(known.l_f), float(known.steer_ratio)
     film_file.parent.mkdir(parents=True, exist_ok=True)
     with style():
-        scene = _Scene(run, path, wheelbase, 0.45 * wheelbase if l_f is None else l_f, steer_ratio, window)
+        scene = Scene(run, path, wheelbase, 0.45 * wheelbase if l_f is None else l_f, steer_ratio, window)
         writer = film(fps=fps)
         with writer.saving(scene.figure, str(film_file), dpi=80):
             for t in _shown(moments, progress):
@@ -89,35 +89,41 @@ def animate(
     return film_file
 
 
-class _Run:
-    """The signals of one car over time, to be had at any moment."""
+class Moments:
+    """The signals of one car over time t (T,) [s], to be had at any moment: x, y, psi; e, v and delta_sw if known."""
 
-    def __init__(self, log: Log, car: int):
+    def __init__(self, t: np.ndarray, signals: dict[str, np.ndarray]):
+        self.t, self.signals = t, {**signals, "psi": np.unwrap(signals["psi"])}
+
+    @classmethod
+    def of_log(cls, log: Log, car: int) -> Moments:
+        """Those of a log of one car, or of one of a batch."""
         names = {key: f"car.{key}" for key in ("x", "y", "psi", "v", "delta_sw")}
         errors = [name for name in ("path.e", *log) if name.rpartition(".")[2] == "e" and name in log]
         names |= {"e": errors[0]} if errors else {}
         missing = [names[key] for key in ("x", "y", "psi") if names[key] not in log]
         require(not missing, "animate", f"the log lacks {', '.join(missing)}; recorded: {', '.join(log)}")
         require(len(log.t) >= 2, "animate", f"{len(log.t)} samples, expected two at least")
-        self.t = log.t
-        self.signals: dict[str, np.ndarray] = {}
+        signals: dict[str, np.ndarray] = {}
         for key, name in names.items():
             if name in log:
                 values = log[name]
                 cars = 1 if values.ndim == 1 else values.shape[-1]
                 require(car < cars or values.ndim == 1, "animate", f"car = {car}, the log has {cars}: 0 to {cars - 1}")
-                self.signals[key] = values if values.ndim == 1 else values[..., car]
-        self.signals["psi"] = np.unwrap(self.signals["psi"])
+                signals[key] = values if values.ndim == 1 else values[..., car]
+        return cls(log.t, signals)
 
     def at(self, t: float) -> dict[str, float]:
         """All signals at t [s], linear between samples."""
         return {key: float(np.interp(t, self.t, values)) for key, values in self.signals.items()}
 
 
-class _Scene:
+class Scene:
     """The picture, and what moves in it."""
 
-    def __init__(self, run: _Run, path: Path | None, wheelbase: float, l_f: float, steer_ratio: float, window: float):
+    def __init__(
+        self, run: Moments, path: Path | None, wheelbase: float, l_f: float, steer_ratio: float, window: float
+    ):
         from matplotlib.figure import Figure
 
         self.run, self.window, self.ratio = run, window, steer_ratio
@@ -170,6 +176,14 @@ class _Scene:
         if "e" in run.signals:
             self.line.set_data(run.t[past], run.signals["e"][past])
         self.now.set_xdata([t, t])
+
+    def pixels(self) -> np.ndarray:
+        """The picture as it is now, (height, width, 3) uint8."""
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+        canvas = FigureCanvasAgg(self.figure)
+        canvas.draw()
+        return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
 def draw_path(axis: Axes, path: Path) -> None:

@@ -69,7 +69,7 @@ AT_HOME = {
     "gymnasium": {"gym", "export.minari"},
     "defusedxml": {"paths.importers.xml_stream"},
     "ijson": {"paths.importers.tracks"},
-    "PIL": {"gym.frames", "learning.pictures.film"},
+    "PIL": {"learning.pictures.film"},
 }
 """Where a package may be imported: a module or package of steerkit."""
 

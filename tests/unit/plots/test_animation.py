@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from steerkit.diagram.simulation import Log
-from steerkit.plots.animation import LENGTH, _moved, _Run, _Scene, animate
+from steerkit.plots.animation import LENGTH, Moments, Scene, _moved, animate
 from tests.support.circle_drive import PASSAT, PATH
 from tests.support.command_lines import run
 
@@ -28,7 +28,7 @@ def test_a_film_has_its_frames_and_the_car_moves(log: Log, tmp_path: Path) -> No
 
 
 def test_the_car_is_to_scale_and_in_its_place(log: Log) -> None:
-    scene = _Scene(_Run(log, 0), PATH, 2.71, PASSAT.l_f, 15.6, 18.0)
+    scene = Scene(Moments.of_log(log, 0), PATH, 2.71, PASSAT.l_f, 15.6, 18.0)
     scene.show(2.0, 1.0)
     body = scene.car.shapes[-1].get_xy()
     x, y, psi = (np.interp(2.0, log.t, log[f"car.{key}"]) for key in ("x", "y", "psi"))
@@ -103,7 +103,7 @@ def test_the_car_points_where_it_heads_and_its_front_wheels_where_they_are_turne
     log = Log(
         t, {f"car.{n}": np.array(v) for n, v in signals.items()}, dict.fromkeys((f"car.{n}" for n in signals), "1")
     )
-    scene = _Scene(_Run(log, 0), None, 2.71, 1.2, 15.6, 18.0)
+    scene = Scene(Moments.of_log(log, 0), None, 2.71, 1.2, 15.6, 18.0)
     scene.show(0.5, 1.0)
 
     def heading(corners: np.ndarray) -> float:
@@ -124,4 +124,4 @@ def test_a_heading_that_passes_180_degrees_is_no_spin() -> None:
         {f"car.{n}": np.array(v) for n, v in signals.items()},
         dict.fromkeys((f"car.{n}" for n in signals), "1"),
     )
-    assert _Run(log, 0).at(0.5)["psi"] == pytest.approx(3.15)
+    assert Moments.of_log(log, 0).at(0.5)["psi"] == pytest.approx(3.15)
