@@ -32,8 +32,7 @@ def limited(law: Any, command: Scalar, before: Scalar, v: Scalar, needed: Scalar
     A NaN command stays NaN; one in `before` limits nothing, so that a broken sample does not break the next.
     """
     a_y = possible(law, m.maximum(law.a_y_max, needed + law.a_y_reserve))
-    car = dict(wheelbase=law.wheelbase, understeer=law.understeer, steer_ratio=law.steer_ratio)
-    step = slewed(law.rate_limit, law.slew, v, **car) * law.dt
+    step = slewed(law, v) * law.dt
     v = m.maximum(v, SLOWEST)
     curve, slip = law.wheelbase * a_y / (v * v), law.understeer * a_y
     share, room = 1.0 - m.exp(-v * law.dt / law.l_r), law.steer_ratio * (curve + slip)

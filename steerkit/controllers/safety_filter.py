@@ -18,7 +18,7 @@ from steerkit.diagram.block import Block, In, Out, State, without_port
 from steerkit.diagram.maths import Scalar
 from steerkit.task import TRIP
 from steerkit.vehicles import Vehicle, require_vehicle
-from steerkit.vehicles.rollout import GateModel, Motion, Rollout, lag_share, lag_step
+from steerkit.vehicles.rollout import GateModel, Motion, Rollout, lag_share, lag_step, slewed
 
 REASONS = (
     "passed",
@@ -312,7 +312,7 @@ class SafetyFilter(Block):
 
     def _own(self, now: _Now, v: Scalar) -> Scalar:
         """The backup's command now: that of the state in which it will arrive, as believed."""
-        model, motion, before, most = self._model, now.motion, now.wheel_before, self._model.fastest(v) * self.dt
+        model, motion, before, most = self._model, now.motion, now.wheel_before, slewed(self._model, v) * self.dt
         for k in range(self._soonest):
             turned = lag_step(now.commands[k - self._soonest] - motion.wheel, self._follow, most)
             before = motion.wheel
@@ -326,7 +326,7 @@ class SafetyFilter(Block):
     def _left(self, now: _Now, v: Scalar, command: Scalar) -> Scalar:
         """The furthest to the left, of a car that is pushed there."""
         model, dt, soonest, latest = self._model, self.dt, self._soonest, self._latest
-        dead, follow, most = soonest * dt, self._follow, model.fastest(v) * dt
+        dead, follow, most = soonest * dt, self._follow, slewed(model, v) * dt
         commands = list(now.commands)
         soon, late = now.motion.wheel, m.maximum(now.motion.wheel, now.wheel_before)
         car = Motion(now.motion.e + self.e_doubt, now.motion.psi_e + self.psi_doubt, now.motion.r, late)

@@ -140,7 +140,6 @@ def _predictive(kind: Any, design_model: DesignModel) -> Block:
         delay=design_model.delay + 0.5 * design_model.hold,
         lag=design_model.lag,
         rate_limit=min(design_model.rate_limit, kind.rate_limit),  # its own leaves the motor room to follow
-        slew=design_model.slew,
         **({} if design_model.slew is None else {"q_rate": _Q_RATE_OF_TORQUE}),
         **({} if design_model.a_y_limit is None else {"a_y_limit": min(design_model.a_y_limit, kind.a_y_limit)}),
         fallback=_stanley(design_model),

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from steerkit._support.errors import require, require_within
 from steerkit.diagram import maths as m
@@ -128,11 +128,6 @@ class Rollout:
         share = [lag_share(h, self.lag) for _, h in spans]
         return tuple([Piece(h, i, end - 0.5 * h, part) for (i, h), end, part in zip(spans, ends, share)])
 
-    def fastest(self, v: Scalar) -> Scalar:
-        """How fast the wheel turns at the most [rad/s]."""
-        car = dict(wheelbase=self.wheelbase, understeer=self.understeer, steer_ratio=self.steer_ratio)
-        return slewed(self.rate_limit, self.slew, v, **car)
-
     def steady_wheel(self, kappa: Scalar, v: Scalar) -> Scalar:
         """The wheel [rad] with which the car goes round a bend of kappa [1/m]."""
         return self.steer_ratio * m.atan((self.wheelbase + self.understeer * v * v) * kappa)
@@ -141,7 +136,7 @@ class Rollout:
         """The wheel [rad] dt later, of which the oldest command acts at first and the one after it then."""
         first = self.pieces[0].h if self.delay > 0.0 else 0.0
         for h, command in zip((first, self.dt - first), commands):
-            wheel = wheel + lag_step(command - wheel, lag_share(h, self.lag), self.fastest(v) * h)
+            wheel = wheel + lag_step(command - wheel, lag_share(h, self.lag), slewed(self, v) * h)
         return wheel
 
     def yaw_rate_after(self, r: Scalar, wheel: Scalar, v: Scalar, h: Scalar, wrong: Scalar = 0.0) -> Scalar:
@@ -173,7 +168,7 @@ class Rollout:
         passes until what was begun can be ended: with a `slew` it is rolled on until the wheel is back at the path's
         own angle, turned there as fast as the slew allows, for 2 a_y_limit/slew at most.
         """
-        fastest = self.fastest(v)
+        fastest = slewed(self, v)
         for h, command, middle, share in self.pieces:
             turned = lag_step(commands[command] - now.wheel, share, fastest * h)
             now = self.moved(now, h, turned, self.kappa(preview, middle), v, wrong)
@@ -234,18 +229,16 @@ def on_their_way(delay: float, dt: float) -> tuple[float, ...]:
     return tuple([delay - (n - 1) * dt if i == 0 else dt for i in range(n)])
 
 
-def slewed(
-    rate_limit: Scalar, slew: Scalar | None, v: Scalar, *, wheelbase: Scalar, understeer: Scalar, steer_ratio: Scalar
-) -> Scalar:
-    """Fastest wheel [rad/s] within rate_limit that a car steered by torque follows; None: its slew is not known.
+def slewed(car: Any, v: Scalar) -> Scalar:
+    """Fastest wheel [rad/s] within rate_limit that a car steered by torque follows; slew None: it is steered by angle.
 
     Steady cornering needs delta = (L/v^2 + K) a_y, so a_y that changes by slew [m/s^3] turns the wheel by
-    steer_ratio (L/v^2 + K) slew.
+    steer_ratio (L/v^2 + K) slew. car: anything with rate_limit, slew, wheelbase, understeer and steer_ratio.
     """
-    if slew is None:
-        return rate_limit
+    if car.slew is None:
+        return car.rate_limit
     v = m.maximum(v, SLOWEST)
-    return m.minimum(rate_limit, slew * steer_ratio * (wheelbase / (v * v) + understeer))
+    return m.minimum(car.rate_limit, car.slew * car.steer_ratio * (car.wheelbase / (v * v) + car.understeer))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,8 +10,9 @@ import control
 import numpy as np
 import pytest
 
+from steerkit.controllers.lqr import cost_to_go
 from steerkit.controllers.mpc.block import MPC, NonlinearMPC, PredictiveSteering
-from steerkit.controllers.mpc.path_model import NX, PathModel
+from steerkit.controllers.mpc.path_model import NX
 from steerkit.diagram import maths as m
 from steerkit.diagram.simulation import simulate
 from steerkit.metrics import largest, rms
@@ -22,6 +23,7 @@ from steerkit.plants.speed_driver import CurveSpeedDriver, SpeedDriver
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import vehicle
+from tests.support.predictive import ahead, steady, table
 
 PASSAT = vehicle("vw-passat")
 LINEAR, NONLINEAR = LinearSingleTrack(vehicle=PASSAT, v0=5.0), NonlinearSingleTrack(vehicle=PASSAT, v0=5.0)
@@ -41,16 +43,15 @@ def asked(block: PredictiveSteering, *, kappa: float = 0.0, commands: Any = (), 
     return block.output(0.0, (*commands, *x[len(commands) :]), u)
 
 
-def gain(model: PathModel, v: float) -> np.ndarray:
-    a, b, _ = model.linear(v)
-    q, r = model.stage_cost
-    return np.asarray(control.dlqr(a, b[:, None], q, np.array([[r]]))[0])[0]
+def gain(block: PredictiveSteering, v: float) -> np.ndarray:
+    a, b, _ = block.model.linear(v)
+    return np.asarray(control.dlqr(a, b[:, None], block.qp.q.full(), np.array([[block.q_rate]]))[0])[0]
 
 
 @pytest.mark.parametrize(("v", "horizon"), [(3.5, 20), (5.0, 5), (5.1, 20), (8.93, 12)])
 def test_without_an_active_limit_it_is_lqr(v: float, horizon: int) -> None:
     block = controller(MPC, LINEAR, horizon=horizon, delay=0.0)
-    k = gain(block.model, v)
+    k = gain(block, v)
     for x in (np.array([0.02, 0.0, 0.0, 0.0, 0.0, 0.0]), np.array([0.01, -0.004, 0.002, 0.01, 0.05, 0.04])):
         values = dict(zip(("e", "psi_e", "beta", "r", "delta_sw_meas"), x.tolist()))
         y = asked(block, v=v, commands=(float(x[5]),), **values)
@@ -63,7 +64,7 @@ def test_the_nonlinear_one_tends_to_lqr_for_small_deviations() -> None:
     block = controller(NonlinearMPC, NONLINEAR, delay=0.0)
     x = 1e-3 * np.array([1.0, -0.4, 0.5, 1.0, 5.0, 4.0])
     y = asked(block, e=x[0], psi_e=x[1], beta=x[2] / 5.0, r=x[3], delta_sw_meas=x[4], commands=(float(x[5]),))
-    assert y.plan[0] == pytest.approx(-gain(block.model, 5.0) @ x, rel=2e-3)
+    assert y.plan[0] == pytest.approx(-gain(block, 5.0) @ x, rel=2e-3)
 
 
 def test_the_delay_is_answered_as_by_lqr_with_the_commands_on_their_way_as_states() -> None:
@@ -76,7 +77,7 @@ def test_the_delay_is_answered_as_by_lqr_with_the_commands_on_their_way_as_state
     big[5 : n - 1, 6:], big[n - 1, n - 1] = np.eye(late - 1), 1.0
     b[n - 1] = block.dt
     q, r = np.zeros((n, n)), np.array([[block.q_rate]])
-    q[:5, :5] = block.model.stage_cost[0][:5, :5]
+    q[:5, :5] = block.qp.q.full()[:5, :5]
     k = np.asarray(control.dlqr(big, b, q, r)[0])[0]
     x = np.array([0.01, -0.004, 0.002, 0.01, 0.05, 0.06, 0.03, 0.02, 0.01])
     y = asked(
@@ -95,7 +96,7 @@ def test_the_delay_is_answered_as_by_lqr_with_the_commands_on_their_way_as_state
 def test_a_steady_bend_is_held(kind: type[PredictiveSteering], car: Any, v: float, kappa: float) -> None:
     block = controller(kind, car, delay=0.125)
     speed = block.model.sway_is_speed
-    _, psi_e, sway, r, wheel, _, pace = block.model.steady(v, np.array([kappa]))[0].tolist()
+    _, psi_e, sway, r, wheel, _, pace = steady(block, v, [kappa])[0].tolist()
     x_dot, y_dot, psi_dot, *rest = car.rhs((0.0, 0.0, psi_e, sway, r), wheel / PASSAT.steer_ratio, v)
     along, drift = x_dot - PASSAT.l_f * r * np.sin(psi_e), y_dot + PASSAT.l_f * r * np.cos(psi_e)
     np.testing.assert_allclose([drift, psi_dot - kappa * along, along - v * pace, *rest], 0.0, atol=2e-3)
@@ -108,7 +109,7 @@ def test_a_steady_bend_is_held(kind: type[PredictiveSteering], car: Any, v: floa
         beta=beta,
         r=r,
         delta_sw_meas=wheel,
-        commands=(wheel,) * block.pieces,
+        commands=(wheel,) * block.waiting,
     )
     assert y.status == 0.0
     assert abs(y.plan[0]) < 5e-3  # of rad/s; turning in takes about 1
@@ -157,40 +158,40 @@ def test_a_tight_bend_is_met_where_it_is(reference: float) -> None:
         delta_sw_meas=0.0,
         preview=tuple([0.0 if j < first else kappa for j in range(block.preview_points)]),
     )
-    _, _, then = block._ahead(block.X((0.0,) * 4, (0.0,) * 20, 0.0), u)
+    _, then = ahead(block, u)
     assert np.all(np.diff(then[4:25, 6]) >= 0.0)  # the stages
     assert (then[4:25, 6] < 1e-9).sum() == first - 4  # on the straight, both run at v
-    steady = u._replace(preview=(kappa,) * block.preview_points)
-    assert np.ptp(block._ahead(block.X((0.0,) * 4, (0.0,) * 20, 0.0), steady)[2], axis=0).max() < 1e-12
+    bent = u._replace(preview=(kappa,) * block.preview_points)
+    assert np.ptp(ahead(block, bent)[1], axis=0).max() < 1e-12
 
 
 def test_the_pace_of_the_front_axle_is_that_of_rigid_rolling_at_low_grip_use() -> None:
     """|v_front| = v_x/cos(delta) for a car that rolls without slip; v_x is the speed that `rhs` takes."""
     block = controller(MPC, NONLINEAR)
     for kappa in (0.02, 0.1, 0.16):
-        pace = block.model.steady(1.0, np.array([kappa]))[0, 6]
+        pace = steady(block, 1.0, [kappa])[0, 6]
         assert pace == pytest.approx(1.0 / np.sqrt(1.0 - (PASSAT.wheelbase * kappa) ** 2), rel=5e-3)
 
 
 @pytest.mark.parametrize("car", [LINEAR, NONLINEAR])
 def test_the_slopes_of_a_step_are_those_that_casadi_finds(car: Any) -> None:
-    step = controller(NonlinearMPC, car).model.linearised_step(2)
+    step = controller(NonlinearMPC, car).model.affine_step(2)
     x, u, v, kappa = casadi.SX.sym("x", NX), casadi.SX.sym("u"), casadi.SX.sym("v"), casadi.SX.sym("k")
     after = step(x, u, v, kappa)[0]
     slopes = casadi.Function("slopes", [x, u, v, kappa], [casadi.jacobian(after, x), casadi.jacobian(after, u)])
     at = (np.array([0.3, 0.4, -0.2, 0.5, 3.0, 3.5]), -4.0, 5.0, 0.08)
     found, expected = step(*at), slopes(*at)
-    np.testing.assert_allclose(found[1].full().T, expected[0].full(), atol=1e-12)
+    np.testing.assert_allclose(found[1].full(), expected[0].full(), atol=1e-12)
     np.testing.assert_allclose(found[2].full(), expected[1].full(), atol=1e-12)
 
 
 def test_the_tables_over_speed_are_the_exact_matrices() -> None:
-    model = controller(MPC, NONLINEAR).model
+    block = controller(MPC, NONLINEAR)
     for v in (4.1, 5.0, 7.77, 15.1):
-        a, b, _ = model.linear(v)
-        for table, exact in zip(model.at(v), (a, b, model.linear(v)[2], model.riccati(a, b))):
-            np.testing.assert_allclose(table, exact, rtol=1e-4, atol=1e-7 * np.abs(exact).max())
-    assert model.at(5.0)[0].shape == (NX, NX)
+        a, b, row = block.model.linear(v)
+        cost = cost_to_go(a, b, block.qp.q.full(), block.q_rate)
+        for found, exact in zip(table(block, v), (a, b, row, cost), strict=True):
+            np.testing.assert_allclose(found, exact, rtol=1e-4, atol=1e-7 * np.abs(exact).max())
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -7,10 +7,12 @@ from dataclasses import replace
 from functools import cache
 from typing import Any
 
+import casadi
+import numpy as np
 import pytest
 
 from steerkit.controllers.mpc.block import MPC, NonlinearMPC, PredictiveSteering
-from steerkit.controllers.mpc.programme import Answer, Programme
+from steerkit.controllers.mpc.programme import PREDICTION, Answer, Programme
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.vehicles import vehicle
@@ -46,6 +48,23 @@ def driven(block: PredictiveSteering, samples: list[Any]) -> list[Any]:
         found.append(block.output(0.0, x, u))
         x = block.update(0.0, x, u, found[-1])
     return found
+
+
+def ahead(block: PredictiveSteering, u: Any, state: Any = None) -> tuple[np.ndarray, np.ndarray]:
+    """x (6,) when the commands on their way have acted; steady bends and curvature at the programme's times (n, 7)."""
+    state = state or block.X((0.0,) * block.waiting, (0.0,) * block.horizon, 0.0)
+    block.programme(*block._asked(state, u, PREDICTION))
+    return block.programme.found["ahead"][:6].copy(), block.programme.found["then"].reshape(-1, 7).copy()
+
+
+def table(block: PredictiveSteering, v: float) -> list[np.ndarray]:
+    """A (6, 6), B (6,), row of a_y (6,) and P (6, 6) at a speed."""
+    return [np.squeeze(matrix.full()) for matrix in block.model.schedule(casadi.DM(v))]
+
+
+def steady(block: PredictiveSteering, v: float, kappa: Any) -> np.ndarray:
+    """Steady cornering (n, 7) at these curvatures."""
+    return np.array(block.model.cornering(casadi.DM(v), casadi.DM(kappa))).T
 
 
 def unsolved(monkeypatch: pytest.MonkeyPatch, **wrong: float) -> None:

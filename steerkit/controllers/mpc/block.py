@@ -13,7 +13,7 @@ import casadi
 import numpy as np
 
 from steerkit._support.errors import require
-from steerkit.controllers.mpc.path_model import NX, V_HIGH, V_LOW, Array, PathModel, Rhs
+from steerkit.controllers.mpc.path_model import NX, V_HIGH, V_LOW, PathModel, Rhs
 from steerkit.controllers.mpc.programme import NOTHING, PREDICTION, SOLUTION, Answer, Programme, Stages, chosen
 from steerkit.controllers.mpc.qp import StageQp
 from steerkit.controllers.stanley import Stanley
@@ -21,7 +21,7 @@ from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.units import radians_of
 from steerkit.task import DT, STOP, TRIP
-from steerkit.vehicles.rollout import on_their_way
+from steerkit.vehicles.rollout import on_their_way, slewed
 
 SOLVED, PLAN, FALLBACK, HELD = 0.0, 1.0, 2.0, 3.0
 """Where a command came from: this sample's solution, an earlier one's plan, the fallback law, the command before."""
@@ -30,7 +30,6 @@ NO_FAULT, NOT_FINITE, FAILED, LATE, STANDING = 0.0, 1.0, 2.0, 3.0, 4.0
 _NOTHING = 1e9  # residual of a solution that is not finite
 _BETA, _R = 0.8, 5.0  # rad and rad/s: no sensor that works reports more
 _PACE = 1.15  # in tight bends the front axle is that much faster than the centre of gravity
-_FALLBACK_INPUTS = {"e", "psi_e", "kappa", "v", "r", "delta_sw_meas"}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -65,8 +64,8 @@ class PredictiveSteering(Block):
     clock=None) and for what a `budget` makes of them. A command that is replaced on its way to the wheel (while another
     controller steers) is not known here. Of compiled loops those in C and in generated Python run it, to the same
     commands, and milliseconds is 0 there; it has no symbolic form.
-    errors: ValueError for bad parameters, and for a fallback with other ports than Stanley's; TypeError when it is
-    compiled with a `budget`, since a compiled loop has no clock.
+    errors: ValueError for bad parameters; TypeError when it is compiled with a `budget`, since a compiled loop has no
+    clock.
     source: Rawlings, Mayne, Diehl 2017, sections 1.3 and 2.5; Frison, Diehl 2020 (HPIPM); Hoffmann et al. 2007.
     """
 
@@ -89,8 +88,8 @@ class PredictiveSteering(Block):
     """The car's right-hand side: (x', y', psi', sway', r') of ((x, y, psi, sway, r), delta, v)."""
     steer_ratio: float
     """Steering-wheel angle over road-wheel angle [1]."""
-    fallback: Block
-    """The law that steers when there is no plan: inputs among e, psi_e, kappa, v, r, delta_sw_meas, output delta_sw."""
+    fallback: Stanley
+    """The law that steers when there is no plan; with a `slew`, that of a car steered by torque, it bounds the rate."""
     reference: float = 0.0
     """Where e, psi_e and the preview are measured: metres ahead of the centre of gravity."""
     delay: float = 0.0
@@ -111,8 +110,6 @@ class PredictiveSteering(Block):
     """Largest |command| [rad]."""
     rate_limit: float = radians_of(500.0)
     """Largest rate of the command [rad/s]."""
-    slew: float | None = None
-    """Fastest change of the lateral acceleration of a car steered by torque [m/s^3]: bounds the rate; None: none."""
     e_limit: float = TRIP
     """|e| [m] beyond which it costs extra."""
     a_y_limit: float = 2.8
@@ -126,10 +123,6 @@ class PredictiveSteering(Block):
     """Weight of (|a_y| - a_y_limit)^2 [s^4/m^2]."""
     e_reach: float = 1.0
     """Largest |e| that the programme sees [m]: it bounds the approach angle from further away."""
-    soft_first: int = 4
-    """The soft limits hold at the first so many samples, ..."""
-    soft_every: int = 4
-    """... and from there on at every so many: what is far is planned anew before it comes."""
     tolerance: float = 1e-5
     """Largest residual of the optimality conditions of a solution that is used."""
     budget: float | None = None
@@ -154,14 +147,13 @@ class PredictiveSteering(Block):
 
     def __post_init__(self) -> None:
         self._check()
-        object.__setattr__(self, "preview_points", math.ceil(_PACE * (self.pieces + self.horizon)) + 1)
+        object.__setattr__(self, "preview_points", math.ceil(_PACE * (len(self.spans) + self.horizon)) + 1)
         object.__setattr__(self, "preview_dt", self.dt)
 
     def _check(self) -> None:
         """Raise ValueError for the first setting that is out of its range."""
         where = type(self).__name__
-        require(callable(self.rhs), where, f"rhs = {self.rhs!r}, expected a function, such as a plant's rhs")
-        for name in ("horizon", "soft_first", "soft_every", "patience"):
+        for name in ("horizon", "patience"):
             value = getattr(self, name)
             require(isinstance(value, int) and value >= 1, where, f"{name} = {value!r}, expected a whole number >= 1")
         require(self.horizon >= 2, where, f"horizon = {self.horizon}, expected at least 2 samples")
@@ -174,14 +166,9 @@ class PredictiveSteering(Block):
             require(0.0 <= value < 1e6, where, f"{name} = {value}, expected >= 0 and finite")
         require(self.delay <= 2.0, where, f"delay = {self.delay} [s], expected at most 2 s")
         require(-5.0 <= self.reference <= 5.0, where, f"reference = {self.reference} [m], expected -5 to 5")
-        require(self.slew is None or self.slew > 0.0, where, f"slew = {self.slew} [m/s^3], expected > 0, or None")
         if self.budget is not None:
             require(self.budget > 0.0, where, f"budget = {self.budget} [s], expected > 0, or None for no limit")
             require(self.clock is not None, where, f"budget = {self.budget} [s] needs a clock")
-        inputs, outputs = {p.name for p in self.fallback.inputs}, [p.name for p in self.fallback.outputs]
-        more = f"{', '.join(sorted(inputs - _FALLBACK_INPUTS))}; valid: {', '.join(sorted(_FALLBACK_INPUTS))}"
-        require(inputs <= _FALLBACK_INPUTS, where, f"fallback {type(self.fallback).__name__} needs {more}")
-        require(outputs == ["delta_sw"], where, f"fallback with outputs {outputs}, expected delta_sw only")
 
     @classmethod
     def of(cls, car: Any, actuator: Any = None, **settings: Any) -> Self:
@@ -193,24 +180,21 @@ class PredictiveSteering(Block):
         """
         expected = "no right-hand side to predict with, expected a plant such as NonlinearSingleTrack(vehicle=...)"
         require(hasattr(car, "rhs"), cls.__name__, f"{type(car).__name__} has {expected}")
-        known = (
-            {}
-            if actuator is None
-            else dict(
-                delay=actuator.delay + 0.5 * actuator.dt,
-                lag=float(actuator.lag),
-                limit=min(float(actuator.limit), float(car.vehicle.delta_sw_max)),
-                rate_limit=min(float(actuator.rate_limit), cls.rate_limit),
-            )
-        )
-        base = dict(
+        given: dict[str, Any] = dict(
             rhs=car.rhs,
             steer_ratio=float(car.vehicle.steer_ratio),
             reference=float(car.vehicle.l_f),
             limit=float(car.vehicle.delta_sw_max),
             fallback=Stanley.of(car.vehicle, dt=settings.get("dt", cls.dt)),
         )
-        return cls(**(base | known | settings))
+        if actuator is not None:
+            given |= dict(
+                delay=actuator.delay + 0.5 * actuator.dt,
+                lag=float(actuator.lag),
+                limit=min(float(actuator.limit), given["limit"]),
+                rate_limit=min(float(actuator.rate_limit), cls.rate_limit),
+            )
+        return cls(**(given | settings))
 
     # ---- what is made once --------------------------------------------------------------------------------------
 
@@ -220,58 +204,24 @@ class PredictiveSteering(Block):
         return on_their_way(self.delay, self.dt)
 
     @property
-    def pieces(self) -> int:
-        """Commands on their way when one is given."""
-        return len(self.spans)
+    def waiting(self) -> int:
+        """Commands to remember: those on their way when one is given, one at least."""
+        return max(len(self.spans), 1)
 
     @cached_property
     def model(self) -> PathModel:
         """The car in path coordinates; its tables take a moment when first used."""
-        weights = (self.q_e, self.q_psi, self.q_r, self.q_rate)
-        return PathModel(
-            rhs=self.rhs,
-            steer_ratio=self.steer_ratio,
-            reference=self.reference,
-            dt=self.dt,
-            lag=self.lag,
-            weights=weights,
-        )
+        return PathModel(self)
 
     @cached_property
     def qp(self) -> StageQp:
         """The quadratic programme of a sample."""
-        near = self.soft_first
-        stages = [*range(1, near + 1), *range(near + self.soft_every, self.horizon, self.soft_every)]
-        return StageQp(
-            horizon=self.horizon,
-            soft=tuple(k for k in stages if k < self.horizon),
-            q=(self.q_e, self.q_psi, 0.0, self.q_r, 0.0, 0.0),
-            q_rate=self.q_rate,
-            q_slack=(self.q_e_limit, self.q_a_y_limit),
-            limit=self.limit,
-            e_limit=self.e_limit,
-        )
-
-    @cached_property
-    def times(self) -> Array:
-        """When a curvature is wanted [s]: half-way of each command on its way; at the stages; half-way between."""
-        pieces = np.cumsum(self.spans) - 0.5 * np.array(self.spans)
-        stages = [self.delay + k * self.dt for k in range(self.horizon + 1)]
-        return np.array([*pieces, *stages, *[t + 0.5 * self.dt for t in stages[:-1]]])
+        return StageQp(self)
 
     @cached_property
     def programme(self) -> Programme:
         """From the state now to the rates that solve this sample's programme."""
-        return Programme(
-            model=self.model,
-            qp=self.qp,
-            motion=self._motion,
-            spans=self.spans,
-            times=self.times,
-            preview_points=self.preview_points,
-            a_y_limit=self.a_y_limit,
-            a_y_room=self.a_y_room,
-        )
+        return Programme(self)
 
     @cached_property
     def _routine(self) -> m.Routine:
@@ -284,24 +234,24 @@ class PredictiveSteering(Block):
 
     def _warm_up(self) -> None:
         """Drives a sample straight on, so that tables and solver are made before they are needed."""
-        state = self.X((0.0,) * max(self.pieces, 1), (0.0,) * self.horizon, 0.0)
+        state = self.X((0.0,) * self.waiting, (0.0,) * self.horizon, 0.0)
         u = self.D(0.0, 0.0, 5.0, 0.0, 0.0, 0.0, (0.0,) * self.preview_points)
         self._routine(*self._asked(state, u, SOLUTION))
 
     # ---- a sample -------------------------------------------------------------------------------------------
 
     def init(self, batch: tuple[int, ...] = ()) -> tuple[Any, ...]:
-        zeros = (0.0,) * (max(self.pieces, 1) + self.horizon)
+        zeros = (0.0,) * (self.waiting + self.horizon)
         return tuple([m.filled(value, batch) for value in (*zeros, float(self.patience))])
 
     def settle(self, t: float, x: tuple[Any, ...], u: Any) -> tuple[Any, ...]:
         self._warm_up()
-        n = max(self.pieces, 1)
+        n = self.waiting
         now = m.where(m.is_finite(u.delta_sw_meas), m.clip(u.delta_sw_meas, -self.limit, self.limit), 0.0)
         return (*((now,) * n), *x[n:])
 
     def update(self, t: Any, x: tuple[Any, ...], u: Any, y: Any) -> tuple[Any, ...]:
-        n = max(self.pieces, 1)
+        n = self.waiting
         age = m.where(y.status == SOLVED, 0.0, x[-1] + 1.0)
         return (*x[1:n], y.delta_sw, *y.plan[1:], 0.0 * y.plan[0], age)
 
@@ -314,12 +264,8 @@ class PredictiveSteering(Block):
             if self.budget is not None:
                 raise TypeError(f"budget = {self.budget} [s] needs a clock, which a compiled loop has not; valid: None")
             return self._one(x, u)
-        cars = np.broadcast_shapes((1,), *[np.shape(value) for value in values])[0]
-        states, scalars, previews = (
-            np.array([np.broadcast_to(value, cars) for value in values], dtype=float).T.tolist()
-            for values in (x, u[:6], u.preview)
-        )
-        each = [self._one(tuple(a), self.D(*b, tuple(c))) for a, b, c in zip(states, scalars, previews)]
+        cars, n = np.array(np.broadcast_arrays(*map(np.atleast_1d, values)), dtype=float).T.tolist(), len(x)
+        each = [self._one(tuple(row[:n]), self.D(*row[n : n + 6], tuple(row[n + 6 :]))) for row in cars]
         if not any(map(np.ndim, values)):  # one car's, but not all Python floats
             return each[0]
         *columns, plans = zip(*each)
@@ -329,8 +275,7 @@ class PredictiveSteering(Block):
         """The outputs for one car: of floats, or of symbols (then without a clock)."""
         clock = self.clock if x[0].__class__ is float else None
         start = clock() if clock is not None else 0.0
-        n = max(self.pieces, 1)
-        state = self.X(x[:n], x[n:-1], x[-1])
+        state = self.X(x[: self.waiting], x[self.waiting : -1], x[-1])
         known = m.all_finite((u.e, u.psi_e, u.v, u.r, *u.preview))
         finite = m.both(known, m.all_finite((u.beta, u.delta_sw_meas)))
         moving = u.v >= self.v_stop
@@ -383,34 +328,19 @@ class PredictiveSteering(Block):
         """
         known = m.all_finite((u.e, u.psi_e, u.v, u.r, *u.preview))
         e, psi_e, _, r, wheel, _, kappa = ahead
-        lead = getattr(self.fallback, "reference", self.reference) - self.reference
-        seen = dict(
-            e=e + lead * (psi_e - 0.5 * kappa * lead),
-            psi_e=psi_e - kappa * lead,
-            kappa=kappa,
-            v=m.where(known, u.v, 0.0),
-            r=r,
-            delta_sw_meas=wheel,
-        )
-        inputs = self.fallback.D(**{name: seen[name] for name in self.fallback.D._fields})
-        fresh = self.fallback.settle(0.0, self.fallback.init(), inputs)
-        return m.where(known, self.fallback.output(0.0, fresh, inputs).delta_sw, math.nan)
-
-    def _ahead(self, state: X, u: Any) -> tuple[float, Array, Array]:
-        """v [m/s]; x (6,) when the commands on their way have acted; steady bends and curvature at `times` (n, 7)."""
-        values = self._asked(state, u, PREDICTION)
-        self.programme(*values)
-        found = self.programme.found
-        return values[-3], found["ahead"][:NX].copy(), found["then"].reshape(-1, 7).copy()
+        lead, v = self.fallback.reference - self.reference, m.where(known, u.v, 0.0)
+        e, psi_e = e + lead * (psi_e - 0.5 * kappa * lead), psi_e - kappa * lead
+        seen = self.fallback.D(e=e, psi_e=psi_e, kappa=kappa, v=v, r=r, delta_sw_meas=wheel)
+        fresh = self.fallback.settle(0.0, self.fallback.init(), seen)
+        return m.where(known, self.fallback.output(0.0, fresh, seen).delta_sw, math.nan)
 
     def _fastest(self, v: Any) -> Any:
         """How fast a command may change [rad/s]; a car steered by torque is slow where little wheel does much."""
-        if self.slew is None:
+        if self.fallback.slew is None:
             return self.rate_limit
-        fastest = self.slew * self.model.per_a_y(m.where(m.is_finite(v), v, 0.0))
-        return m.where(m.is_finite(v), m.minimum(fastest, self.rate_limit), self.rate_limit)
+        return m.where(m.is_finite(v), m.minimum(slewed(self.fallback, v), self.rate_limit), self.rate_limit)
 
-    def _motion(self, plan: Any, x0: Any, v: Any, substeps: Any, kappa: Any, bends: Any, table: Any) -> Stages:
+    def motion(self, plan: Any, x0: Any, v: Any, substeps: Any, kappa: Any, bends: Any, table: Any) -> Stages:
         """The motion from x0 (6,) over stages of curvatures kappa (N,), as x_k+1 = A_k x_k + B_k rate_k - gap_k.
 
         All are CasADi's symbols. plan (N,): the rates of the plan before; bends (6, N): steady cornering at these
@@ -434,8 +364,8 @@ class MPC(PredictiveSteering):
     def output(self, t: Any, x: tuple[Any, ...], u: Any) -> Any:
         return self._steer(x, u)
 
-    def _motion(self, plan: Any, x0: Any, v: Any, substeps: Any, kappa: Any, bends: Any, table: Any) -> Stages:
-        n, soft = self.horizon, list(self.qp.soft)
+    def motion(self, plan: Any, x0: Any, v: Any, substeps: Any, kappa: Any, bends: Any, table: Any) -> Stages:
+        n, soft = self.horizon, self.qp.soft
         a, b, row, _ = table
         gap = a @ bends - bends
         gap[:, 0] -= a @ x0
@@ -460,8 +390,8 @@ class NonlinearMPC(PredictiveSteering):
     def output(self, t: Any, x: tuple[Any, ...], u: Any) -> Any:
         return self._steer(x, u)
 
-    def _motion(self, plan: Any, x0: Any, v: Any, substeps: Any, kappa: Any, bends: Any, table: Any) -> Stages:
-        n, soft = self.horizon, list(self.qp.soft)
+    def motion(self, plan: Any, x0: Any, v: Any, substeps: Any, kappa: Any, bends: Any, table: Any) -> Stages:
+        n, soft = self.horizon, self.qp.soft
         each = [self.model.affine_step(count).mapaccum(f"driven{count}", n) for count in self.model.all_substeps]
         driven = chosen("driven", each)(substeps, x0, plan.T, casadi.repmat(v, 1, n), kappa.T)
         _, a, b, gap, row, offset = driven

@@ -22,8 +22,6 @@ Rhs = Callable[[Sequence[Any], Any, Any], Sequence[Any]]
 
 A plant's own, on floats and on symbols.
 """
-Table = tuple[Array, Array, Array, Array]
-"""A, B, row of a_y and P at one speed."""
 
 NX = 6
 """States of a stage: e, psi_e, sway, r, wheel angle, command."""
@@ -39,7 +37,7 @@ _STEEPEST = 1.2  # rad: no wheel turns further, so steady cornering has no large
 _LEAST_LAG = 1e-3  # s: a motor without lag follows this fast
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class PathModel:
     """A point of the car on a path of curvature kappa, at constant speed, the wheel following a command with a lag.
 
@@ -49,28 +47,22 @@ class PathModel:
         along = x' - reference psi' sin(psi_e),  e' = y' + reference psi' cos(psi_e),
         psi_e' = psi' - kappa along/(1 - kappa e),  lag delta_sw' = command - delta_sw.
 
-    rhs: see `Rhs`. reference [m]: how far ahead of the centre of gravity the point is. dt [s]: control period.
-    lag [s]: the motor's. weights: of e, psi_e, r and the command's rate.
+    law: the `PredictiveSteering` with `rhs` (see `Rhs`), steer_ratio, reference, dt, lag and weights.
     """
 
-    rhs: Rhs
-    steer_ratio: float
-    reference: float
-    dt: float
-    lag: float
-    weights: tuple[float, float, float, float]
+    law: Any
 
     @cached_property
     def sway_is_speed(self) -> bool:
         """Is the fourth state v_y [m/s], and v the speed along the car's axis? Else it is beta [rad]; asked of rhs."""
-        return bool(self.rhs((0.0, 0.0, 0.0, 0.01, 0.0), 0.0, 5.0)[1] < 0.03)
+        return bool(self.law.rhs((0.0, 0.0, 0.0, 0.01, 0.0), 0.0, 5.0)[1] < 0.03)
 
     def motion(self, z: Sequence[Any], delta_sw: Any, v: Any, kappa: Any) -> tuple[Any, ...]:
         """(e, psi_e, sway, r)', and the speed along the path's tangent [m/s]."""
         e, psi_e, sway, r = z
-        x, y, psi, sway_dot, r_dot = self.rhs((0.0 * e, e, psi_e, sway, r), delta_sw / self.steer_ratio, v)
-        along = x - self.reference * psi * m.sin(psi_e)
-        drift = y + self.reference * psi * m.cos(psi_e)
+        x, y, psi, sway_dot, r_dot = self.law.rhs((0.0 * e, e, psi_e, sway, r), delta_sw / self.law.steer_ratio, v)
+        along = x - self.law.reference * psi * m.sin(psi_e)
+        drift = y + self.law.reference * psi * m.cos(psi_e)
         return drift, psi - kappa * along / (1.0 - kappa * e), sway_dot, r_dot, along
 
     def a_y(self, z: Sequence[Any], delta_sw: Any, v: Any) -> Any:
@@ -93,7 +85,7 @@ class PathModel:
         """
         z, wheel = x[:4], x[4]
         dz, dwheel, dcommand = casadi.SX.eye(6)[:4, :], casadi.SX.eye(6)[4, :], casadi.SX.eye(6)[5, :]
-        decay = m.exp(-0.5 * h / max(self.lag, _LEAST_LAG))
+        decay = m.exp(-0.5 * h / max(self.law.lag, _LEAST_LAG))
         for _ in range(steps):
             middle, dmiddle = command + (wheel - command) * decay, dcommand + (dwheel - dcommand) * decay
             end, dend = command + (middle - command) * decay, dcommand + (dmiddle - dcommand) * decay
@@ -119,7 +111,7 @@ class PathModel:
         x, command, v, kappa, h = (casadi.SX.sym(name, n) for name, n in zip("xcvkh", (5, 1, 1, 1, 1)))
         after = casadi.cse(self.stepped(x, command, v, kappa, h, 1)[0])
         single = casadi.Function("single", [x, command, v, kappa, h], [after])
-        steps = [max(1, math.ceil(substeps * span / self.dt - 1e-9)) for span in spans]
+        steps = [max(1, math.ceil(substeps * span / self.law.dt - 1e-9)) for span in spans]
         each = np.repeat(np.arange(pieces), steps).tolist()
         start, speed = casadi.MX.sym("x", 5), casadi.MX.sym("v")
         commands, curves = casadi.MX.sym("c", pieces), casadi.MX.sym("k", pieces)
@@ -128,38 +120,19 @@ class PathModel:
         states = run(start, commands[each].T, casadi.repmat(speed, 1, len(each)), curves[each].T, each_h)
         return casadi.Function(f"predict{substeps}", [start, commands, speed, curves], [states[:, -1]])
 
-    def linearised_step(self, substeps: int) -> casadi.Function:
-        """The stage map x+ = F(x, rate) of the six states and its slopes, and a_y at x with its slope.
-
-        inputs: x (6,), rate, v, kappa; outputs: F (6,), dF/dx (6, 6), dF/drate (6,), a_y, da_y/dx (1, 6).
-        """
-        x, u = casadi.SX.sym("x", NX), casadi.SX.sym("u")
-        v, kappa = casadi.SX.sym("v"), casadi.SX.sym("k")
-        command = x[5] + self.dt * u
-        after, slope = self.stepped(x[:5], command, v, kappa, self.dt / substeps, substeps)
-        slope = casadi.vertcat(slope, casadi.SX.eye(6)[5, :])
-        a_y = self.a_y([x[i] for i in range(4)], x[4], v)
-        # transposed, so that a dense column-major result is read as rows
-        results = [
-            casadi.vertcat(after, command),
-            casadi.densify(slope.T),
-            casadi.densify(self.dt * slope[:, 5]),
-            a_y,
-            casadi.densify(casadi.jacobian(a_y, x)),
-        ]
-        return casadi.Function("step", [x, u, v, kappa], casadi.cse(results))
-
     def affine_step(self, substeps: int) -> casadi.Function:
-        """`linearised_step` as x+ = A x + B rate - gap and a_y = row x + offset.
+        """The stage map F(x, rate) of the six states, linearised: x+ = A x + B rate - gap and a_y = row x + offset.
 
         inputs: x (6,), rate, v, kappa; outputs: F (6,), A (6, 6), B (6,), gap (6,), row (6,), offset.
         """
-        x, u = casadi.SX.sym("x", NX), casadi.SX.sym("u")
-        v, kappa = casadi.SX.sym("v"), casadi.SX.sym("k")
-        after, slope, b, a_y, row = self.linearised_step(substeps)(x, u, v, kappa)
-        gap = casadi.mtimes(slope.T, x) + b * u - after
-        results = [after, casadi.densify(slope.T), b, gap, row.T, a_y - casadi.mtimes(row, x)]
-        return casadi.Function("affine", [x, u, v, kappa], results)
+        x, u, v, kappa = casadi.SX.sym("x", NX), *(casadi.SX.sym(name) for name in "uvk")
+        command = x[5] + self.law.dt * u
+        after, slope = self.stepped(x[:5], command, v, kappa, self.law.dt / substeps, substeps)
+        after, slope = casadi.vertcat(after, command), casadi.vertcat(slope, casadi.SX.eye(6)[5, :])
+        b, a_y = self.law.dt * slope[:, 5], self.a_y([x[i] for i in range(4)], x[4], v)
+        row = casadi.jacobian(a_y, x)
+        results = [after, slope, b, slope @ x + b * u - after, row.T, a_y - row @ x]
+        return casadi.Function("affine", [x, u, v, kappa], casadi.cse([casadi.densify(one) for one in results]))
 
     # ---- tables over speed ----------------------------------------------------------------------------------
 
@@ -176,7 +149,7 @@ class PathModel:
     def _substeps(self) -> list[int]:
         """Runge-Kutta steps a period between the tabled speeds; h times the fastest rate: 2.3 (unstable from 2.785)."""
         rates = np.array([np.abs(np.linalg.eigvals(self._slopes(v)[0].full()[:, :4])).max() for v in SPEEDS])
-        needed = np.maximum(np.ceil(self.dt * rates / 2.3), 2.0).astype(int)
+        needed = np.maximum(np.ceil(self.law.dt * rates / 2.3), 2.0).astype(int)
         return np.maximum(needed[1:], needed[:-1]).tolist()
 
     @property
@@ -195,31 +168,20 @@ class PathModel:
         x(t + dt) = A x + B rate, where the command that acts from t on is already command(t) + dt*rate.
         """
         slope, row = (value.full() for value in self._slopes(v))
-        lag = max(self.lag, _LEAST_LAG)
+        lag = max(self.law.lag, _LEAST_LAG)
         flow = np.zeros((NX, NX))
         flow[:4, :5] = slope
         flow[4, 4], flow[4, 5] = -1.0 / lag, 1.0 / lag
-        a = expm(flow * self.dt)
-        return a, self.dt * a[:, 5], np.append(row, 0.0)
-
-    @cached_property
-    def stage_cost(self) -> tuple[Array, float]:
-        """Q (6, 6) and R of a stage."""
-        q_e, q_psi, q_r, q_rate = self.weights
-        return np.diag([q_e, q_psi, 0.0, q_r, 0.0, 0.0]), q_rate
-
-    def riccati(self, a: Array, b: Array) -> Array:
-        """P of x' P x, the cost from here to infinity without limits."""
-        q, r = self.stage_cost
-        return cost_to_go(a, b, q, r)
+        a = expm(flow * self.law.dt)
+        return a, self.law.dt * a[:, 5], np.append(row, 0.0)
 
     @cached_property
     def _schedule(self) -> casadi.Function:
-        """A, B, the row of a_y, and P, by rows (84,), of v: a cubic spline between the tabled speeds."""
-        values = []
+        """A, B, the row of a_y, and P of the cost to go, by rows (84,), of v: a cubic spline between the speeds."""
+        values, q = [], self.law.qp.q.full()
         for v in SPEEDS:
             a, b, row = self.linear(float(v))
-            values.append(np.concatenate([a.ravel(), b, row, self.riccati(a, b).ravel()]))
+            values.append(np.concatenate([a.ravel(), b, row, cost_to_go(a, b, q, self.law.q_rate).ravel()]))
         return casadi.interpolant("schedule", "bspline", [SPEEDS.tolist()], np.ravel(values).tolist())
 
     def schedule(self, v: Any) -> tuple[Any, Any, Any, Any]:
@@ -227,14 +189,9 @@ class PathModel:
         a, b, row, p = casadi.vertsplit(self._schedule(_within(v)), np.cumsum([0, NX * NX, NX, NX, NX * NX]).tolist())
         return casadi.reshape(a, NX, NX).T, b, row, casadi.reshape(p, NX, NX).T
 
-    def at(self, v: float) -> Table:
-        """`schedule` as arrays."""
-        a, b, row, p = (matrix.full() for matrix in self.schedule(casadi.DM(v)))
-        return a, b[:, 0], row[:, 0], p
-
     @cached_property
     def _steady(self) -> Array:
-        """(speeds, curvatures from -0.25/m up, 7): steady cornering; see `steady`."""
+        """(speeds, curvatures from -0.25/m up, 7): steady cornering; see `cornering`."""
         w = casadi.SX.sym("w", 4)
         v, kappa = casadi.SX.sym("v"), casadi.SX.sym("k")
         *motion, along = self.motion([casadi.SX(0.0), w[0], w[1], w[2]], w[3], v, kappa)
@@ -242,20 +199,6 @@ class PathModel:
         after = w - casadi.solve(casadi.jacobian(residual, w), residual)
         newton = casadi.Function("newton", [w, v, kappa], [after, casadi.mmax(casadi.fabs(residual)), along / v])
         return _steady_cornering(newton.serialize())
-
-    @cached_property
-    def _wide(self) -> m.Table:
-        """The wheel in the widest tabled bend at two neighbouring speeds."""
-        wheel = self._steady[:, CURVES // 2 + 1, 4]
-        return m.Table(np.column_stack((wheel[:-1], wheel[1:])))
-
-    def per_a_y(self, v: Any) -> Any:
-        """Steering-wheel angle a unit of lateral acceleration in steady wide bends at speed v [rad s^2/m]."""
-        v = m.clip(v, V_LOW, V_HIGH)
-        at = (v - V_LOW) / V_STEP
-        i = m.minimum(m.floor(at), len(SPEEDS) - 2.0)
-        low, high = self._wide(i)
-        return (low + (at - i) * (high - low)) / (KAPPA_STEP * v * v)
 
     @cached_property
     def _corners(self) -> casadi.Function:
@@ -269,10 +212,6 @@ class PathModel:
         n = kappa.shape[0]
         at = casadi.vertcat(casadi.repmat(_within(v), 1, n), casadi.fmin(casadi.fmax(kappa, -KAPPA_HIGH), KAPPA_HIGH).T)
         return self._corners.map(n)(at)
-
-    def steady(self, v: float, kappa: Array) -> Array:
-        """`cornering` as an array (n, 7)."""
-        return np.array(self.cornering(casadi.DM(v), casadi.DM(kappa))).T
 
 
 @lru_cache(maxsize=64)

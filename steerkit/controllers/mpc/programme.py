@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,8 +11,8 @@ from typing import Any, NamedTuple
 import casadi
 import numpy as np
 
-from steerkit.controllers.mpc.path_model import KAPPA_HIGH, Array, PathModel
-from steerkit.controllers.mpc.qp import DATA, StageQp
+from steerkit.controllers.mpc.path_model import KAPPA_HIGH, Array
+from steerkit.controllers.mpc.qp import DATA
 
 NOTHING, PREDICTION, SOLUTION = 0.0, 1.0, 2.0
 """What is asked of a programme."""
@@ -41,54 +40,51 @@ class Answer(NamedTuple):
         return cls(success, iterations, residual, tuple(rest[:_AHEAD]), tuple(rest[_AHEAD:]))
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class Programme:
     """What is asked and the measured numbers in, those of an `Answer` out; it works on arrays in place.
 
     NOTHING gives zeros; PREDICTION leaves out the solution. The numbers: x (5,), the state now; `commands` on their
     way; `plan`, the rates of the plan before; `preview`; v; the cosine of beta; the largest rate.
 
-    motion: as `PredictiveSteering._motion`. spans: for how long each command on its way still acts [s], oldest first.
-    times: when a curvature is wanted [s]: in the middle of each span, at the stages, between them.
-    a_y_limit, a_y_room: as in `PredictiveSteering`.
+    law: the `PredictiveSteering` that asks.
     """
 
-    model: PathModel
-    qp: StageQp
-    motion: Callable[..., Stages]
-    spans: tuple[float, ...]
-    times: Array
-    preview_points: int
-    a_y_limit: float
-    a_y_room: float
+    law: Any
+
+    @cached_property
+    def times(self) -> Array:
+        """When a curvature is wanted [s]: half-way of each command on its way; at the stages; half-way between."""
+        spans, dt = self.law.spans, self.law.dt
+        stages = [self.law.delay + k * dt for k in range(self.law.horizon + 1)]
+        return np.array([*np.cumsum(spans) - 0.5 * np.array(spans), *stages, *[t + 0.5 * dt for t in stages[:-1]]])
 
     @cached_property
     def prepare(self) -> casadi.Function:
         """The numbers as one vector -> ahead (7,); then (7, n): steady cornering and curvature at `times`; `DATA`."""
-        n, horizon, soft = len(self.spans), self.qp.horizon, list(self.qp.soft)
-        sizes = (5, max(n, 1), horizon, self.preview_points, 1, 1, 1)
+        n, horizon, soft = len(self.law.spans), self.law.horizon, self.law.qp.soft
+        sizes = (5, max(n, 1), horizon, self.law.preview_points, 1, 1, 1)
         given = casadi.MX.sym("given", sum(sizes))
         now, commands, plan, preview, v, cos_beta, fastest = casadi.vertsplit(given, np.cumsum([0, *sizes]).tolist())
         then = self._then(preview, v, cos_beta)
         goal, between = then[:6, n : n + horizon + 1], then[:, n + horizon + 1 :]
-        substeps = self.model.which_substeps(v)
+        substeps = self.law.model.which_substeps(v)
         x = now
         if n:
-            each = [self.model.predictor(self.spans, count) for count in self.model.all_substeps]
+            each = [self.law.model.predictor(self.law.spans, count) for count in self.law.model.all_substeps]
             x = chosen("predicted", each)(substeps, now, commands, v, then[6, :n].T)
         x = casadi.vertcat(x, commands[-1])
-        table = self.model.schedule(v)
-        a, b, gap, row, offset = self.motion(plan, x, v, substeps, between[6, :].T, between[:6, :], table)
+        table = self.law.model.schedule(v)
+        a, b, gap, row, offset = self.law.motion(plan, x, v, substeps, between[6, :].T, between[:6, :], table)
         path = v * goal[3, soft].T  # the a_y that the path needs
-        low = casadi.fmin(-self.a_y_limit, path - self.a_y_room) - offset
-        high = casadi.fmax(self.a_y_limit, path + self.a_y_room) - offset
-        q, p = casadi.diag(casadi.DM(list(self.qp.q))), table[3]
-        slope = casadi.horzcat(-q @ goal[:, 1:-1], -p @ goal[:, -1])
-        data = self.qp.statement.data(a, b, gap, slope, row, low, high, p, fastest)
+        low = casadi.fmin(-self.law.a_y_limit, path - self.law.a_y_room) - offset
+        high = casadi.fmax(self.law.a_y_limit, path + self.law.a_y_room) - offset
+        p = table[3]
+        slope = casadi.horzcat(-self.law.qp.q @ goal[:, 1:-1], -p @ goal[:, -1])
+        data = self.law.qp.statement.data(a, b, gap, slope, row, low, high, p, fastest)
         ahead = casadi.vertcat(x, then[6, n])
-        return casadi.Function(
-            "prepare", [given], [ahead, casadi.densify(then), *data], ["given"], ["ahead", "then", *DATA]
-        )
+        found = [ahead, casadi.densify(then), *data]
+        return casadi.Function("prepare", [given], found, ["given"], ["ahead", "then", *DATA])
 
     def _then(self, preview: Any, v: Any, cos_beta: Any) -> Any:
         """Steady cornering and curvature at `times` (7, n).
@@ -97,14 +93,14 @@ class Programme:
         to at the pace of steady cornering.
         """
         preview = casadi.fmin(casadi.fmax(preview, -KAPPA_HIGH), KAPPA_HIGH)
-        pace = cos_beta * self.model.cornering(v, preview)[6, :].T
-        half = 0.5 * self.model.dt / pace  # of the time from an entry to the next
+        pace = cos_beta * self.law.model.cornering(v, preview)[6, :].T
+        half = 0.5 * self.law.dt / pace  # of the time from an entry to the next
         knots = 2.0 * casadi.cumsum(half) - half - half[0]
         times = casadi.MX(casadi.DM(self.times))
         j = casadi.low(knots, times)
         part = casadi.fmin(casadi.fmax((times - knots[j]) / (knots[j + 1] - knots[j]), 0.0), 1.0)
         kappa = preview[j] + part * (preview[j + 1] - preview[j])
-        return casadi.vertcat(self.model.cornering(v, kappa)[:6, :], kappa.T)
+        return casadi.vertcat(self.law.model.cornering(v, kappa)[:6, :], kappa.T)
 
     # ---- on arrays --------------------------------------------------------------------------------------------------
 
@@ -116,7 +112,7 @@ class Programme:
     @cached_property
     def found(self) -> dict[str, Array]:
         """What `prepare` and the solver found, by name."""
-        functions = (self.prepare, self.qp.solve)
+        functions = (self.prepare, self.law.qp.solve)
         return {name: np.zeros(f.nnz_out(name)) for f in functions for name in f.name_out()}
 
     @cached_property
@@ -125,33 +121,29 @@ class Programme:
 
     @cached_property
     def _solve(self) -> Callable[[], None]:
-        return in_place(self.qp.solve, self.found)
-
-    @cached_property
-    def _write(self) -> Callable[..., None]:
-        return struct.Struct(f"{len(self.given)}d").pack_into
+        return in_place(self.law.qp.solve, self.found)
 
     @property
     def size(self) -> int:
         """How many numbers it answers."""
-        return 3 + _AHEAD + self.qp.horizon
+        return 3 + _AHEAD + self.law.horizon
 
     def __call__(self, asked: float, *values: float) -> Sequence[float]:
         """A programme that is not finite (whatever broke in the motion shows in a gap) is not solved."""
         if not asked > 0.0:
             return (0.0,) * self.size
-        self._write(self.given, 0, *values)
+        self.given[:] = values
         self._prepare()
-        ahead, rates = self.found["ahead"].tolist(), [0.0] * self.qp.horizon
+        ahead, rates = self.found["ahead"].tolist(), [0.0] * self.law.horizon
         if asked < SOLUTION:
             return (0.0, 0.0, 0.0, *ahead, *rates)
         if not math.isfinite(float(self.found["lba"].sum())):  # CasADi would raise an error
             return (0.0, 0.0, math.inf, *ahead, *rates)
         self._solve()
         residual = float(self.found["residual"][0])
-        report = self.qp.solver.stats(self._memory)
+        report = self.law.qp.solver.stats(self._memory)
         if math.isfinite(residual):
-            rates = self.found["z"][self.qp.statement.rates].tolist()
+            rates = self.found["z"][self.law.qp.statement.rates].tolist()
         return (float(report["success"]), float(report["iter_count"]), residual, *ahead, *rates)
 
     @cached_property
@@ -159,7 +151,7 @@ class Programme:
         """Number of the solver's memory that the wrapping function uses; asked after its first call."""
         for number in range(8):
             try:
-                self.qp.solver.stats(number)
+                self.law.qp.solver.stats(number)
             except RuntimeError:
                 continue
             return number

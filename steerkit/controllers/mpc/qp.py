@@ -14,6 +14,8 @@ FAR = 1e4
 """Stands for no bound: HPIPM needs 20 times longer with its own 1e8."""
 DATA = ("h", "g", "a", "lba", "uba", "lbx", "ubx")
 """The numbers of a programme by CasADi's names: min 1/2 z'Hz + g'z,  lba <= A z <= uba,  lbx <= z <= ubx."""
+_SOFT_FIRST, _SOFT_EVERY = 4, 4
+"""The soft limits hold at the first so many samples, and from there on at every so many."""
 _HPIPM = {"mode": "speed", "iter_max": 40, "mu0": 1e-4} | dict.fromkeys(
     ("res_g_max", "res_b_max", "res_d_max", "res_m_max"), 1e-7
 )
@@ -32,7 +34,7 @@ class Statement(NamedTuple):
     """Where in z the states x_1, ..., x_N are, one after the other."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class StageQp:
     """The quadratic programme over z = (u_0, x_1, u_1, ..., u_N-1, x_N), with `NX` states in x_k:
 
@@ -41,30 +43,30 @@ class StageQp:
         |x_k[0] - slack_k[0]| <= e_limit,  low_k <= row_k' x_k - slack_k[1] <= high_k   at the stages `soft`.
 
     u_k is the rate and, at the stages `soft`, two slacks: a slack of either sign, which costs its square, takes up what
-    a limit cannot hold. x_0 is known; A_0 x_0 stands in gap_0. q: the diagonal of Q; q_slack: that of S.
+    a limit cannot hold. x_0 is known; A_0 x_0 stands in gap_0. law: the `PredictiveSteering` with weights and limits.
     """
 
-    horizon: int
-    soft: tuple[int, ...]
-    q: tuple[float, ...]
-    q_rate: float
-    q_slack: tuple[float, float]
-    limit: float
-    e_limit: float
+    law: Any
+
+    @cached_property
+    def soft(self) -> list[int]:
+        """The stages with soft limits: near ones all, then some, since what is far is planned anew before it comes."""
+        far = range(_SOFT_FIRST + _SOFT_EVERY, self.law.horizon, _SOFT_EVERY)
+        return [k for k in (*range(1, _SOFT_FIRST + 1), *far) if k < self.law.horizon]
+
+    @property
+    def q(self) -> casadi.DM:
+        """Q (6, 6)."""
+        return casadi.diag(casadi.DM([self.law.q_e, self.law.q_psi, 0.0, self.law.q_r, 0.0, 0.0]))
 
     @cached_property
     def statement(self) -> Statement:
         """Its function is of a (6, 6(N-1)), b, gap, slope (6, N), row (6, n), low, high (n,), p (6, 6), fastest."""
-        n, soft, sx = self.horizon, len(self.soft), casadi.SX
-        a, b, gap, slope = (
-            sx.sym("a", NX, NX * (n - 1)),
-            sx.sym("b", NX, n),
-            sx.sym("gap", NX, n),
-            sx.sym("slope", NX, n),
-        )
+        n, soft, sx = self.law.horizon, len(self.soft), casadi.SX
+        a, (b, gap, slope) = sx.sym("a", NX, NX * (n - 1)), (sx.sym(name, NX, n) for name in ("b", "gap", "slope"))
         row, low, high = sx.sym("row", NX, soft), sx.sym("low", soft), sx.sym("high", soft)
         p, fastest = sx.sym("p", NX, NX), sx.sym("fastest")
-        q, q_slack = casadi.diag(sx(list(self.q))), casadi.diag(sx(list(self.q_slack)))
+        q, q_slack = self.q, casadi.diag(casadi.DM([self.law.q_e_limit, self.law.q_a_y_limit]))
         z, bound, held, lower, upper = sx(0, 1), sx(0, 1), sx(0, 1), sx(0, 1), sx(0, 1)
         inputs, rates, states = list[int](), list[int](), list[int]()
         cost, x = sx(0), sx(NX, 1)
@@ -74,21 +76,18 @@ class StageQp:
             rates.append(z.shape[0])
             states += range(z.shape[0] + inputs[k], z.shape[0] + inputs[k] + NX)
             moved = b[:, k] * rate - after + (a[:, NX * (k - 1) : NX * k] @ x if k else 0)
-            cost += 0.5 * self.q_rate * rate**2 + casadi.dot(slope[:, k], after)
+            cost += 0.5 * self.law.q_rate * rate**2 + casadi.dot(slope[:, k], after)
             cost += 0.5 * casadi.bilin(p if k == n - 1 else q, after, after)
-            held, lower, upper = (
-                casadi.vertcat(held, moved),
-                casadi.vertcat(lower, gap[:, k]),
-                casadi.vertcat(upper, gap[:, k]),
-            )
+            held = casadi.vertcat(held, moved)
+            lower, upper = casadi.vertcat(lower, gap[:, k]), casadi.vertcat(upper, gap[:, k])
             if k in self.soft:
                 i = self.soft.index(k)
                 cost += 0.5 * casadi.bilin(q_slack, slack, slack)
                 held = casadi.vertcat(held, x[0] - slack[0], casadi.dot(row[:, i], x) - slack[1])
-                lower = casadi.vertcat(lower, -self.e_limit, low[i])
-                upper = casadi.vertcat(upper, self.e_limit, high[i])
+                lower = casadi.vertcat(lower, -self.law.e_limit, low[i])
+                upper = casadi.vertcat(upper, self.law.e_limit, high[i])
             z = casadi.vertcat(z, rate, slack, after)
-            bound = casadi.vertcat(bound, fastest, FAR * sx.ones(slack.shape[0] + NX - 1), self.limit)
+            bound = casadi.vertcat(bound, fastest, FAR * sx.ones(slack.shape[0] + NX - 1), self.law.limit)
             x = after
         hessian, gradient = casadi.hessian(cost, z)
         gradient = casadi.densify(casadi.substitute(gradient, z, sx.zeros(z.shape[0])))
@@ -102,8 +101,8 @@ class StageQp:
         data, inputs, _, _ = self.statement
         options: dict[str, Any] = {
             "error_on_fail": False,
-            "N": self.horizon,
-            "nx": [0] + [NX] * self.horizon,
+            "N": self.law.horizon,
+            "nx": [0] + [NX] * self.law.horizon,
             "nu": [*inputs, 0],
             "ng": [*[i - 1 for i in inputs], 0],
             "inf": FAR,

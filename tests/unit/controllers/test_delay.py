@@ -28,7 +28,7 @@ from steerkit.plants.speed_driver import ConstantSpeed, CurveSpeedDriver, SpeedD
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import vehicle
-from steerkit.vehicles.rollout import yaw_gain
+from steerkit.vehicles.rollout import slewed, yaw_gain
 
 PASSAT = vehicle("vw-passat")
 SLOW: dict[str, Any] = {"slew": 5.0, "a_y_limit": 3.0}
@@ -251,7 +251,7 @@ def test_a_slow_wheel_has_been_on_its_way_all_the_sample() -> None:
     v, dt, last, fine = 12.0, 0.05, 19, 200
     block = around(dt, 0.0, block=YawRateSeen(), slew=5.0, preview_points=40)
     model = block.model
-    rate = model.fastest(v)
+    rate = slewed(model, v)
     per_kappa, fade = model.wheelbase + model.understeer * v * v, 1.0 / (model.yaw_time * v)
     x: Any = None
     r = 0.0

@@ -81,5 +81,6 @@ def test_a_path_that_needs_more_is_followed_with_a_reserve_up_to_what_the_car_ca
 
 
 def test_a_car_steered_by_torque_turns_its_wheel_no_faster_than_its_slew() -> None:
-    car = {name: CAR[name] for name in ("wheelbase", "understeer", "steer_ratio")}
-    assert within(9.0, 0.0, 12.0, 3.0, slew=5.0) == pytest.approx(0.05 * slewed(9.6, 5.0, 12.0, **car))
+    assert within(9.0, 0.0, 12.0, 3.0, slew=5.0) == pytest.approx(
+        0.05 * slewed(SimpleNamespace(**CAR | {"slew": 5.0}), 12.0)
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -93,10 +94,13 @@ def test_a_slew_is_how_fast_the_angle_of_a_steady_bend_may_change() -> None:
     """delta = L a_y/v^2 + K a_y: at 20 m/s, where the tyres' share is a quarter of all."""
     car = dict(wheelbase=2.71, understeer=0.002, steer_ratio=15.6)
     steady = [15.6 * (2.71 * a_y / 20.0**2 + 0.002 * a_y) for a_y in (1.0, 1.0 + 5.0 * 0.05)]
-    assert slewed(9.6, 5.0, 20.0, **car) == pytest.approx((steady[1] - steady[0]) / 0.05)
-    assert slewed(0.1, 5.0, 20.0, **car) == 0.1
-    assert slewed(9.6, None, 20.0, **car) == 9.6
-    assert slewed(9.6, 5.0, 0.0, **car) == 9.6
+    for rate_limit, slew, v, expected in (
+        (9.6, 5.0, 20.0, (steady[1] - steady[0]) / 0.05),
+        (0.1, 5.0, 20.0, 0.1),
+        (9.6, None, 20.0, 9.6),
+        (9.6, 5.0, 0.0, 9.6),
+    ):
+        assert slewed(SimpleNamespace(rate_limit=rate_limit, slew=slew, **car), v) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,6 @@ from steerkit.compiled import compile
 from steerkit.compiled.trace import TraceError
 from steerkit.controllers.mpc.block import FAILED, FALLBACK, MPC, NonlinearMPC, PredictiveSteering
 from steerkit.controllers.stanley import Stanley
-from steerkit.controllers.supervisor import Supervisor
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.loop import Loop
@@ -31,7 +30,19 @@ from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.speed_driver import ConstantSpeed, RecordedSpeed
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario.assembly import placed, steering_loop
-from tests.support.predictive import CAR, KINDS, MOTOR, ZEROS, checked, controller, driven, inputs, kinds, unsolved
+from tests.support.predictive import (
+    CAR,
+    KINDS,
+    MOTOR,
+    ZEROS,
+    ahead,
+    checked,
+    controller,
+    driven,
+    inputs,
+    kinds,
+    unsolved,
+)
 from tests.support.ranges import keeps_range
 
 STEADY = ConstantSpeed(speed=6.0)
@@ -192,11 +203,29 @@ def test_the_fallback_is_stanley(monkeypatch: pytest.MonkeyPatch) -> None:
     unsolved(monkeypatch, success=0.0, residual=1.0)
     u = inputs(block, e=0.05, psi_e=-0.02, r=0.05, kappa=0.02, delta_sw_meas=0.4)
     y = driven(block, [u])[0]
-    stanley = Stanley.of(CAR.vehicle)
-    asked = stanley.D(e=u.e, psi_e=u.psi_e, kappa=0.02, v=u.v, r=u.r, delta_sw_meas=u.delta_sw_meas)
-    expected = stanley.output(0.0, stanley.settle(0.0, stanley.init(), asked), asked).delta_sw
+    asked = block.fallback.D(e=u.e, psi_e=u.psi_e, kappa=0.02, v=u.v, r=u.r, delta_sw_meas=u.delta_sw_meas)
+    expected = block.fallback.output(0.0, block.fallback.settle(0.0, (), asked), asked).delta_sw
     assert (y.status, y.fault) == (2.0, 2.0)
     assert y.delta_sw == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("reference", [1.2, -1.4, 0.0])
+def test_the_fallbacks_errors_are_those_of_its_own_point(reference: float, side: float) -> None:
+    """Compared with what a tracker measures there, on a circle to the left, and its mirror image; the rest is of third
+    order."""
+    path = circle(20.0)
+    car = placed(LinearSingleTrack(vehicle=CAR.vehicle), path, s=2.0, e=0.04, psi_e=0.03)
+    tracker = PathTracker(path=path, reference=reference)
+    at = tracker.U(x=car.x0, y=car.y0, psi=car.psi0, v=5.0, beta=0.0, r=0.0)
+    there = tracker.output(0.0, tracker.settle(0.0, tracker.init(), at), at)
+    law = replace(Stanley.of(CAR.vehicle), reference=reference, a_y_max=1e3, rate_limit=1e3)
+    signals = dict(kappa=side * 0.05, v=5.0, r=side * 0.3, delta_sw_meas=side * 0.5)
+    asked = law.D(e=side * there.e, psi_e=side * there.psi_e, **signals)
+    expected = law.output(0.0, law.settle(0.0, law.init(), asked), asked).delta_sw
+    block = replace(controller(reference=0.0), fallback=law)
+    found = block._fallback(inputs(block), (side * 0.04, side * 0.03, 0.0, side * 0.3, side * 0.5, 0.0, side * 0.05))
+    assert found == pytest.approx(expected, abs=0.045)  # 2 mm and 2 mrad
 
 
 def test_without_beta_the_fallback_is_asked_where_the_car_will_be(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -250,15 +279,14 @@ def test_a_car_starts_from_standstill_and_stops_again(kind: Any) -> None:
 def test_the_fallback_turns_the_wheel_no_faster_than_the_motor(kind: Any, side: float) -> None:
     """Commanded to one side for long, found at the other (a stuck motor): the fallback goes on from the command."""
     block = controller(kind)
-    n = max(block.pieces, 1)
-    state = block.X((-6.0 * side,) * n, (0.0,) * block.horizon, float(block.patience))
+    state = block.X((-6.0 * side,) * block.waiting, (0.0,) * block.horizon, float(block.patience))
     u = inputs(block, e=-1.5 * side, psi_e=-0.4 * side, delta_sw_meas=6.0 * side)
-    _, there, then = block._ahead(state, u)
-    ahead = (*there.tolist(), float(then[block.pieces, 6]))
-    command, status = block._command(state, u, FAILED, state.plan, ahead)
+    found, then = ahead(block, u, state)
+    there = (*found.tolist(), float(then[block.waiting, 6]))
+    command, status = block._command(state, u, FAILED, state.plan, there)
     assert status == FALLBACK
     assert abs(command + 6.0 * side) <= block.rate_limit * block.dt + 1e-12
-    assert block._fallback(u, ahead) * side > -5.0, "it would jump"
+    assert block._fallback(u, there) * side > -5.0, "it would jump"
 
 
 def test_an_actuators_times_are_its_delay_its_lag_and_half_of_its_sample() -> None:
@@ -325,11 +353,8 @@ def test_time_is_taken_unless_there_is_no_clock() -> None:
     ("wrong", "message"),
     [
         (dict(horizon=2.5), r"horizon = 2.5, expected a whole number"),
-        (dict(rhs=3), r"rhs = 3, expected a function"),
         (dict(budget=math.nan), r"budget = nan \[s\], expected > 0, or None"),
         (dict(budget=0.01, clock=None), r"budget = 0.01 \[s\] needs a clock"),
-        (dict(fallback=ConstantSpeed()), r"fallback with outputs \['v'\], expected delta_sw only"),
-        (dict(fallback=Supervisor()), r"fallback Supervisor needs learner, ready, recovery; valid: delta_sw_meas, e,"),
     ],
 )
 def test_a_wrong_parameter_is_refused(wrong: dict[str, Any], message: str) -> None:
@@ -341,11 +366,8 @@ def test_a_wrong_parameter_is_refused(wrong: dict[str, Any], message: str) -> No
     ("names", "interval"),
     [
         ("horizon", "[2, inf)"),
-        ("soft_first soft_every patience", "[1, inf)"),
-        (
-            "steer_ratio q_e q_rate limit rate_limit e_limit e_reach a_y_limit tolerance v_stop slew budget",
-            "(0.0, inf)",
-        ),
+        ("patience", "[1, inf)"),
+        ("steer_ratio q_e q_rate limit rate_limit e_limit e_reach a_y_limit tolerance v_stop budget", "(0.0, inf)"),
         ("lag q_psi q_r q_e_limit q_a_y_limit a_y_room", "[0.0, 1e6)"),
         ("delay", "[0.0, 2.0]"),
         ("reference", "[-5.0, 5.0]"),
@@ -361,76 +383,6 @@ def test_a_car_without_equations_is_refused() -> None:
         MPC.of(CAR.vehicle, delay=0.2)
 
 
-# ---- the fallback's point -------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Seen(Block):
-    """Shows, as its command, what it was asked with, or the wheel at which it settled."""
-
-    e = In("m")
-    psi_e = In("rad")
-    kappa = In("1/m")
-    v = In("m/s")
-    r = In("rad/s")
-    delta_sw_meas = In("rad")
-    delta_sw = Out("rad")
-
-    shown: str = "e"
-
-    def init(self, batch: tuple[int, ...] = ()) -> Any:
-        return (0.0,)
-
-    def settle(self, t: Any, x: Any, u: Any) -> Any:
-        return (u.delta_sw_meas,)
-
-    def output(self, t: Any, x: Any, u: Any) -> Any:
-        return self.Y(x[0] if self.shown == "settled" else getattr(u, self.shown))
-
-    def update(self, t: Any, x: Any, u: Any, y: Any) -> Any:
-        return x
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class SeenAt(Seen):
-    """One with a point of its own."""
-
-    reference: float = 1.2
-
-
-@pytest.mark.parametrize("side", [1.0, -1.0])
-@pytest.mark.parametrize("ahead", [1.2, -1.4, 0.0])
-def test_the_fallbacks_errors_are_those_of_its_own_point(ahead: float, side: float) -> None:
-    """Compared with what a tracker measures there, on a circle to the left, and its mirror image; the rest is of third
-    order."""
-    path, kappa = circle(20.0), 0.05
-    car = placed(LinearSingleTrack(vehicle=CAR.vehicle), path, s=2.0, e=0.04, psi_e=0.03)
-
-    def measured(reference: float) -> Any:
-        tracker = PathTracker(path=path, reference=reference)
-        u = tracker.U(x=car.x0, y=car.y0, psi=car.psi0, v=5.0, beta=0.0, r=0.0)
-        return tracker.output(0.0, tracker.settle(0.0, tracker.init(), u), u)
-
-    at_cg, there = measured(0.0), measured(ahead)
-    assert (at_cg.e, at_cg.psi_e) == pytest.approx((0.04, 0.03), abs=1e-3)
-    state = (side * 0.04, side * 0.03, 0.0, side * 0.3, side * 0.5, 0.0, side * kappa)
-    at_cg_block = controller(reference=0.0)
-
-    def asked(name: str) -> float:
-        block = replace(at_cg_block, fallback=SeenAt(shown=name, reference=ahead))
-        return float(block._fallback(inputs(block), state))
-
-    assert asked("e") == pytest.approx(side * there.e, abs=0.002)
-    assert asked("psi_e") == pytest.approx(side * there.psi_e, abs=0.002)
-    expected = {"kappa": side * kappa, "r": side * 0.3, "delta_sw_meas": side * 0.5, "settled": side * 0.5, "v": 5.0}
-    assert {name: asked(name) for name in expected} == expected
-
-
-def test_a_fallback_without_a_point_of_its_own_is_asked_at_the_plans() -> None:
-    block = replace(controller(), fallback=Seen())
-    assert block._fallback(inputs(block), (0.1, 0.2, 0.0, 0.0, 0.7, 0.0, 0.05)) == 0.1
-
-
 # ---- compiled -------------------------------------------------------------------------------------------------------
 
 
@@ -440,7 +392,7 @@ def test_a_fallback_without_a_point_of_its_own_is_asked_at_the_plans() -> None:
         (MPC, "c", STOPS, {}, {0.0, 3.0}),
         (NonlinearMPC, "c", STEADY, {}, {0.0}),
         (MPC, "c", STEADY, {"tolerance": 1e-300}, {2.0}),
-        (MPC, "c", STEADY, {"slew": 8.0, "delay": 0.0}, {0.0}),
+        (MPC, "c", STEADY, {"fallback": replace(Stanley.of(CAR.vehicle), slew=8.0), "delay": 0.0}, {0.0}),
         (MPC, "python", STOPS, {}, {0.0, 3.0}),
     ],
 )

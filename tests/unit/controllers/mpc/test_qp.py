@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import casadi
@@ -15,15 +16,17 @@ from steerkit.controllers.mpc import qp as module
 from steerkit.controllers.mpc.block import FAILED, FALLBACK, NO_FAULT, SOLVED
 from steerkit.controllers.mpc.programme import Answer
 from steerkit.controllers.mpc.qp import DATA, FAR, StageQp, violation
-from tests.support.predictive import controller, driven, inputs, kinds, own
+from tests.support.predictive import controller, driven, inputs, kinds, own, table
 
 # ---- what it states -------------------------------------------------------------------------------------------------
 
 
-def test_the_numbers_are_those_of_the_stated_cost_and_rows() -> None:
+def test_the_numbers_are_those_of_the_stated_cost_and_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     """At a random z of three stages, the second with soft limits, against the formulas of the docstring."""
     q, q_slack = (1.0, 0.5, 0.0, 0.2, 0.0, 0.0), (10.0, 100.0)
-    qp = StageQp(horizon=3, soft=(1,), q=q, q_rate=0.3, q_slack=q_slack, limit=8.0, e_limit=0.5)
+    weights = dict(q_e=1.0, q_psi=0.5, q_r=0.2, q_rate=0.3, q_e_limit=10.0, q_a_y_limit=100.0)
+    monkeypatch.setattr(module, "_SOFT_FIRST", 1)
+    qp = StageQp(SimpleNamespace(horizon=3, limit=8.0, e_limit=0.5, **weights))
     random = np.random.default_rng(1)
     a, b, gap, slope = (random.normal(size=(6, n)) for n in (12, 3, 3, 3))
     row, half = random.normal(size=(6, 1)), random.normal(size=(6, 6))
@@ -104,8 +107,10 @@ def test_a_solution_owes_nothing_to_those_before_it(kind: Any) -> None:
         assert driven(used, [u])[0].plan == driven(fresh, [u])[0].plan
 
 
-def test_limits_are_soft_in_e_and_a_y_and_hard_in_rate_and_angle() -> None:
-    block = controller(horizon=20, soft_every=1)
+def test_limits_are_soft_in_e_and_a_y_and_hard_in_rate_and_angle(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert controller(horizon=20).qp.soft == [1, 2, 3, 4, 8, 12, 16]
+    monkeypatch.setattr(module, "_SOFT_EVERY", 1)
+    block = own(horizon=20)
     driven(block, [inputs(block, e=1.2, v=9.0)])
     z, at, soft = block.programme.found["z"], block.qp.statement, block.qp.soft
     stages = z[at.states].reshape(-1, 6)
@@ -117,7 +122,7 @@ def test_limits_are_soft_in_e_and_a_y_and_hard_in_rate_and_angle() -> None:
     most = []
     for one in (block, replace(block, q_a_y_limit=0.0)):
         driven(one, [inputs(one, e=0.8, psi_e=0.2, v=9.0)])
-        a_y = one.programme.found["z"][at.states].reshape(-1, 6) @ one.model.at(9.0)[2]
+        a_y = one.programme.found["z"][at.states].reshape(-1, 6) @ table(one, 9.0)[2]
         most.append(float(np.abs(a_y[:-1]).max()))  # the last stage has no soft limits
     assert most[0] < 3.1 < 5.0 < most[1]
 
@@ -134,7 +139,7 @@ def test_one_that_runs_out_of_iterations_is_no_success(monkeypatch: pytest.Monke
 def test_one_without_a_solution_is_no_success() -> None:
     """The last command is so far beyond its limit that no rate brings the next one within it."""
     block = own()
-    state = block.X((0.0,) * block.pieces, (0.0,) * block.horizon, 0.0)
+    state = block.X((0.0,) * block.waiting, (0.0,) * block.horizon, 0.0)
     for beyond, success in ((40.0, 0.0), (0.0, 1.0)):
         before = state._replace(commands=(*state.commands[1:], beyond))
         answer = Answer.of(block.programme(*block._asked(before, inputs(block, e=0.1), 2.0)))
