@@ -6,9 +6,7 @@ import contextlib
 import json
 import os
 import re
-import resource
 import shlex
-import shutil
 import signal
 import socket
 import subprocess
@@ -49,10 +47,9 @@ def words(line: str, port: int) -> list[str]:
     return [sys.executable, *(["-m", "dask"] if first == "dask" else []), *rest]
 
 
-def environment(*folders: Path) -> dict[str, str]:
-    """Packages are looked for in these folders first."""
-    path = os.pathsep.join(map(str, folders))
-    return {**os.environ, "PYTHONPATH": path, "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "5"}
+def environment() -> dict[str, str]:
+    """Both packages are found from any directory."""
+    return {**os.environ, "PYTHONPATH": str(HOME), "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "5"}
 
 
 @pytest.fixture
@@ -89,25 +86,19 @@ def until(holds: Callable[[], bool], what: str, *, seconds: float = 240.0) -> No
         time.sleep(0.05)
 
 
-def begin(start: Start, port: int, folder: Path, packages: list[Path]) -> None:
-    """Start a scheduler with its packages, and wait for it."""
+def begin(start: Start, port: int, folder: Path) -> None:
+    """Start a scheduler, and wait for it."""
     options = ["--host", "127.0.0.1", "--port", str(port), "--no-dashboard"]
-    start("scheduler", words(lines()["scheduler"], port) + options, environment(*packages))
+    start("scheduler", words(lines()["scheduler"], port) + options, environment())
     log = folder / "scheduler.log"
     until(lambda: "Scheduler at" in log.read_text(), "a scheduler")
 
 
-def worker(start: Start, port: int, number: int, packages: list[Path], *, nanny: bool) -> int:
-    """Start a worker with its packages; returns its id."""
+def worker(start: Start, port: int, number: int, *, nanny: bool) -> int:
+    """Start a worker; returns its id."""
     options = ["--nworkers", "1", "--nthreads", "1", "--no-dashboard", *([] if nanny else ["--no-nanny"])]
     line = words(lines()["worker"], port) + options
-    return start(f"worker{number}", line, environment(*packages)).pid
-
-
-def until_registered(folder: Path, count: int) -> None:
-    """Wait until so many workers in all have told the scheduler of themselves."""
-    log = folder / "scheduler.log"
-    until(lambda: log.read_text().count("Register worker") >= count, f"{count} workers")
+    return start(f"worker{number}", line, environment()).pid
 
 
 def command(port: int, *more: str) -> list[str]:
@@ -135,10 +126,11 @@ def figures_of(printed: str) -> Any:
 
 def test_a_cluster_as_documented_and_killed_workers(start: Start, port: int, tmp_path: Path) -> None:
     """All is done, with the numbers of this machine, though first one and then another of three workers is killed."""
-    begin(start, port, tmp_path, [HOME])
+    begin(start, port, tmp_path)
     # those that are killed are without a nanny, another process that would be killed with them
-    ids = [worker(start, port, n, [HOME], nanny=n == 2) for n in range(3)]
-    until_registered(tmp_path, 3)
+    ids = [worker(start, port, n, nanny=n == 2) for n in range(3)]
+    log = tmp_path / "scheduler.log"
+    until(lambda: log.read_text().count("Register worker") >= 3, "three workers")
     a_suite(start, port, tmp_path, ids[0])
     a_study(start, port, tmp_path, ids[1])
 
@@ -148,7 +140,7 @@ def a_study(start: Start, port: int, tmp_path: Path, victim: int) -> None:
     log = tmp_path / "scheduler.log"
     connected = lambda: log.read_text().count("Receive client connection")  # noqa: E731
     before = connected()
-    run = start("study", study_of(lines()["study"], port), environment(HOME))
+    run = start("study", study_of(lines()["study"], port), environment())
     until(lambda: connected() >= before + 2 or run.poll() is not None, "the one who asks, then the one who gives work")
     time.sleep(0.5)
     os.killpg(victim, signal.SIGKILL)
@@ -161,7 +153,7 @@ def a_study(start: Start, port: int, tmp_path: Path, victim: int) -> None:
 
 def a_suite(start: Start, port: int, tmp_path: Path, victim: int) -> None:
     """All cases are done, with the numbers of this machine, though a worker is killed on the way."""
-    run = start("run", command(port, "--seeds", "8", "--json"), environment(HOME))
+    run = start("run", command(port, "--seeds", "8", "--json"), environment())
     finished = lambda: len(list(tmp_path.glob("results/cases/*.json")))  # noqa: E731
     until(lambda: finished() >= 2 or run.poll() is not None, "two cases")
     before = finished()
@@ -177,61 +169,3 @@ def a_suite(start: Start, port: int, tmp_path: Path, victim: int) -> None:
     compared = compare(here, results, rel=0.0, absolute=0.0)
     assert compared.compared >= 4 * 20
     assert compared.changes == ()
-
-
-@pytest.fixture
-def nothing(tmp_path: Path) -> Path:
-    """A folder that hides the packages: importing them fails as where they are not installed."""
-    folder = tmp_path / "nothing"
-    folder.mkdir()
-    for name in ("benchmarks", "steerkit"):
-        text = f"raise ModuleNotFoundError(\"No module named '{name}'\", name='{name}')\n"
-        (folder / f"{name}.py").write_text(text, encoding="utf-8")
-    return folder
-
-
-@pytest.fixture
-def another(tmp_path: Path) -> Path:
-    """A folder with other sources of the packages."""
-    for name in ("benchmarks", "steerkit"):
-        ignored = shutil.ignore_patterns("__pycache__")
-        shutil.copytree(HOME / name, tmp_path / "another" / name, ignore=ignored)
-    file = tmp_path / "another" / "steerkit" / "controllers" / "stanley.py"
-    file.write_text(file.read_text(encoding="utf-8") + "\n# changed\n", encoding="utf-8")
-    return tmp_path / "another"
-
-
-def refused(port: int, folder: Path, message: str) -> None:
-    """A run ends within seconds, with nothing but this message."""
-    before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
-    done = subprocess.run(
-        command(port), cwd=folder, env=environment(HOME), capture_output=True, text=True, timeout=240.0
-    )
-    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before < 10.0  # computing: a busy machine is slower
-    assert done.returncode == 2, done.stderr
-    assert re.search(message, done.stderr), done.stderr
-    assert done.stderr.count("\n") == 1, done.stderr
-    assert f"--address tcp://127.0.0.1:{port}" in done.stderr
-    assert not (folder / "results").exists()
-
-
-def test_a_scheduler_that_cannot_work_for_this_machine_is_told_in_seconds(
-    start: Start, port: int, tmp_path: Path, nothing: Path
-) -> None:
-    begin(start, port, tmp_path, [nothing, HOME])
-    refused(port, tmp_path, r"the scheduler cannot import this package \(ModuleNotFoundError: .*\): install")
-
-
-def test_a_worker_that_cannot_work_for_this_machine_is_told_in_seconds(
-    start: Start, port: int, tmp_path: Path, nothing: Path, another: Path
-) -> None:
-    """One that lacks the packages and then, at the same scheduler, one that has others."""
-    begin(start, port, tmp_path, [HOME])
-    without = worker(start, port, 0, [nothing, HOME], nanny=False)
-    until_registered(tmp_path, 1)
-    refused(port, tmp_path, r"the worker tcp://.* cannot import this package \(ModuleNotFoundError: .*\): install")
-    os.killpg(without, signal.SIGKILL)
-    until(lambda: "Remove worker" in (tmp_path / "scheduler.log").read_text(), "the scheduler misses it")
-    worker(start, port, 1, [another, HOME], nanny=False)
-    until_registered(tmp_path, 2)
-    refused(port, tmp_path, r"the worker tcp://.* has another steerkit-control \(.*\) than this .* \(.*\): install")

@@ -111,20 +111,6 @@ def test_workers_that_always_die_end_the_run(tmp_path: Path, monkeypatch: pytest
         run([TINY], tmp_path / "dead", workers=2, quiet=True)
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"backend": "slurm"}, "valid: loky, dask"),
-        ({"backend": "dask"}, "needs --address"),
-        ({"address": "tcp://127.0.0.1:1"}, "needs --address"),
-        ({"workers": 0}, "--jobs 0"),
-    ],
-)
-def test_bad_options(tmp_path: Path, options: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        run([TINY], tmp_path / "x", **options)
-
-
 def test_what_goes_wrong_in_a_case_is_its_result(tmp_path: Path) -> None:
     job = jobs([TINY])[0]
     work = runner.work_of(job, {}, {}, runner.Store(tmp_path), None)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import re
 import socket
 import threading
 import time
@@ -17,7 +18,7 @@ import pytest
 
 from benchmarks.run import spread
 from benchmarks.run.sources import identity, source, versions
-from benchmarks.run.spread import _ASK, Where, Workers, _objection, computing, dask_client
+from benchmarks.run.spread import Where, Workers, _objection, computing, dask_client
 
 
 def twice(piece: int) -> int:
@@ -104,9 +105,7 @@ def client() -> Iterator[Any]:
     """Of a cluster of two workers in this process."""
     distributed = pytest.importorskip("distributed", reason="comes with the extra bench")
     with (
-        distributed.LocalCluster(
-            n_workers=2, processes=False, threads_per_worker=1, dashboard_address=":0", protocol="inproc://"
-        ) as local,
+        distributed.LocalCluster(n_workers=2, processes=False, threads_per_worker=1, dashboard_address=":0") as local,
         distributed.Client(local, set_as_default=False) as one,
     ):
         yield one
@@ -155,38 +154,54 @@ def test_a_worker_that_comes_later_with_other_sources_is_refused(client: Any) ->
         spread._like_here("0" * 16, twice, 7, 2)
 
 
-def answer(**changes: str) -> dict[str, Any]:
-    """Of a machine like this one, with other versions of some packages."""
-    return {"source": source(everything=True), "versions": versions() | changes}
+LACKING = "{'error': \"ModuleNotFoundError: No module named 'benchmarks'\"}"
+"""What a machine without the package answers."""
 
 
-def test_a_machine_like_this_one_answers_so() -> None:
-    answered = eval(_ASK, {})
-    assert answered == answer()
-    assert _objection("it", answered) == ""
+@pytest.mark.parametrize("who", ["scheduler", "worker"])
+@pytest.mark.parametrize(
+    ("answer", "message"),
+    [
+        (
+            LACKING,
+            r" cannot import this package \(ModuleNotFoundError: .*'benchmarks'\): .* with the extra bench there",
+        ),
+        (
+            f"{spread._ASK} | {{'source': '0' * 16}}",
+            r" has another .*, sources 0{16}\) than this .*\): install steerkit",
+        ),
+    ],
+)
+def test_a_cluster_that_cannot_work_for_this_machine_is_told_in_seconds(
+    client: Any, who: str, answer: str, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    accept, address = spread._accept, client.scheduler.address
+
+    def accepted(asked: str, answered: Any, **how: Any) -> None:
+        if f"the {who}" in asked:
+            accept(asked, answered, **how)
+
+    with dask_client(address) as like_here:
+        assert len(like_here.nthreads()) == 2
+    monkeypatch.setattr(spread, "_ASK", answer)
+    monkeypatch.setattr(spread, "_accept", accepted)
+    with pytest.raises(ValueError, match=f"^--address {address}: the {who}.*{message}"), dask_client(address):
+        pytest.fail("there is no client")
 
 
-def test_other_sources_and_versions_cannot_work_for_this_machine() -> None:
-    other = _objection("the worker w", answer() | {"source": "0" * 16})
-    assert other.startswith("the worker w has another steerkit-control (")
-    assert "sources 0000000000000000) than this machine (" in other
-    assert f"sources {source(everything=True)}): install steerkit-control" in other
-    assert "has another steerkit-control (9.9, " in _objection("it", answer(**{"steerkit-control": "9.9"}))
-
-
-def test_other_packages_matter_where_numbers_are_made() -> None:
-    other = answer(numpy="0.1", torch="0.2")
-    assert "it has numpy 0.1 instead of " in _objection("it", other)
-    assert ", torch 0.2 instead of " in _objection("it", other)
-    assert _objection("it", other, packages=False) == ""  # of a scheduler
-
-
-def test_a_machine_without_the_package_is_told_what_to_install() -> None:
-    said = _objection("the scheduler", {"error": "ModuleNotFoundError: No module named 'benchmarks'"})
-    assert said.startswith(
-        "the scheduler cannot import this package (ModuleNotFoundError: No module named 'benchmarks')"
-    )
-    assert said.endswith("with the extra bench there as here, and start it again")
+@pytest.mark.parametrize(
+    ("other", "message"),
+    [
+        ({"steerkit-control": "9.9"}, r"it has another steerkit-control \(9\.9, "),
+        ({"numpy": "0.1", "torch": "0.2"}, r"it has numpy 0\.1 instead of .*, torch 0\.2 instead of "),
+    ],
+)
+def test_other_versions_matter_where_numbers_are_made(other: dict[str, str], message: str) -> None:
+    answered = eval(spread._ASK, {})
+    assert answered == {"source": source(everything=True), "versions": versions()}
+    answered = answered | {"versions": versions() | other}
+    assert re.match(message, _objection("it", answered))
+    assert bool(_objection("it", answered, packages=False)) == ("numpy" not in other)  # as of a scheduler
 
 
 @pytest.mark.parametrize("listening", [False, True])
