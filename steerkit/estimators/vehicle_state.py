@@ -212,42 +212,40 @@ def course(rhs: Rhs, sway: Scalar, r: Scalar, delta: Scalar, v: Scalar) -> tuple
 
 
 class Memory(NamedTuple):
-    """What the filter has to know of earlier measurements."""
+    """What the filter has to know of earlier measurements.
+
+    unseen: time since the last position that was used [s]. position, speed, gyro, heading: for how long these have been
+    rejected [s]. turning, turned, aside: innovations of gyro, heading and to the side over their deviation, averaged
+    over 0.5 s [1]. wheel: the steering wheel's angle at the filter's time [rad]; held: is it, as none was heard?
+    rejected, missing: was a measurement of the last sample rejected, or not there? nis, nis_count: sum of its squared
+    normalised innovations, and how many there were [1].
+    """
 
     unseen: Scalar
-    """Time since the last position that was used [s]."""
     position: Scalar
-    """For how long positions have been rejected [s]; then speeds, yaw rates, headings."""
     speed: Scalar
     gyro: Scalar
     heading: Scalar
     turning: Scalar
-    """The gyro's innovation over its deviation, averaged over 0.5 s [1]; then the heading's, and to the side."""
     turned: Scalar
     aside: Scalar
     wheel: Scalar
-    """The steering wheel's angle at the filter's time [rad]; held where none was heard."""
     held: Scalar
-    """Is it?"""
     rejected: Scalar
-    """Was a measurement of the last sample rejected?"""
     missing: Scalar
-    """Was one of them, or the wheel's angle, not there?"""
     nis: Scalar
-    """Sum of its squared normalised innovations [1]."""
     nis_count: Scalar
-    """How many there were [1]."""
 
 
 class Followed(NamedTuple):
-    """With `steering`: the motion that was measured a sample before, and the car's numbers in use."""
+    """With `steering`: the motion that was measured a sample before, the last v that was a number (speed [m/s]), which
+    counts for the sample after it, and the car's numbers in use."""
 
     v: Scalar
     r: Scalar
     psi: Scalar
     age: Scalar
     speed: Scalar
-    """The last v that was a number [m/s], which counts for the sample after it."""
     ratio: Scalar
     understeer: Scalar
     offset: Scalar
@@ -410,10 +408,9 @@ class VehicleState(Block):
         whole_samples(where, "horizon", self.horizon, self.dt)
         require_within(where, "horizon", self.horizon, "s", 0.0, 1.0)
         if self.steering is not None:
-            dts = self.dt, self.steering.dt
-            require(dts[0] == dts[1], where, f"dt = {dts[0]}, steering.dt = {dts[1]} [s], expected the same")
-            held = "steering.held = True, expected False: the wheel's angle is measured"
-            require(not self.steering.held, where, held)
+            same = f"dt = {self.dt}, steering.dt = {self.steering.dt} [s], expected the same"
+            require(self.dt == self.steering.dt, where, same)
+            require(not self.steering.held, where, "steering.held = True, expected False: the wheel is measured")
 
     # ---- what follows from the parameters ---------------------------------------------------------------------
 
@@ -432,11 +429,9 @@ class VehicleState(Block):
     @cached_property
     def _processes(self) -> tuple[tuple[float, Scalar], ...]:
         """f and deviation of a and of the six errors of sensors."""
-        slow = (self.drift_time, self.position_drift)
         processes = (
             (_ACCELERATION_TIME, _ACCELERATION),
-            slow,
-            slow,
+            *[(self.drift_time, self.position_drift)] * 2,
             (self.drift_time, self.psi_drift),
             (self.heading_time, self.heading_drift),
             (_ZERO_TIME, self.gyro_drift),
@@ -511,14 +506,13 @@ class VehicleState(Block):
         side = s * s * xx - 2.0 * s * c * xy + c * c * yy + turned
         deviation = [m.sqrt(m.maximum(variance, 0.0)) for variance in (side, *[row[0] for row in p])]
         psi_d, sway_d, r_d = deviation[1 + PSI], deviation[1 + SWAY], deviation[1 + R]
-        values: list[Scalar] = [mean[i] for i in (GYRO, HEADING, WHEEL)]
-        numbers: tuple[Scalar, Scalar] = (1.0, 0.0)
+        gyro, heading, offset, ratio, change = mean[GYRO], mean[HEADING], mean[WHEEL], 1.0, 0.0
         if self.steering is not None:
             used = self._followed(x)
-            values = [values[0] + used.rate_zero, values[1], used.ratio * values[2] + used.offset]
-            numbers = used.ratio, used.understeer - self.steering.vehicle.understeer_gradient
+            gyro, offset, ratio = gyro + used.rate_zero, used.ratio * offset + used.offset, used.ratio
+            change = used.understeer - self.steering.vehicle.understeer_gradient
         zeros: list[Scalar] = []
-        for i, value in zip((GYRO, HEADING, WHEEL), values):
+        for i, value in ((GYRO, gyro), (HEADING, heading), (WHEEL, offset)):
             valid = m.where(deviation[1 + i] <= 0.5 * self._processes[i - A][1], 1.0, 0.0)
             zeros += [value, deviation[1 + i], valid]
         return self.Y(
@@ -534,7 +528,8 @@ class VehicleState(Block):
             *zeros,
             memory.nis,
             memory.nis_count,
-            *numbers,
+            ratio,
+            change,
         )
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:

@@ -155,22 +155,16 @@ class _Profile(Block):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RecordedSpeed(_Profile):
-    """A driver who repeats a record of speed over time: v(t + start), linear between samples every `spacing` [s].
+    """A driver who repeats a record of speed over time: v(t), linear between samples every `spacing` [s].
 
-    no inputs. output: v [m/s]. state: start [s]. Before the first and after the last sample their speeds hold, or
-    with `repeat` the record begins again. errors: ValueError for speeds, spacing, start or dt out of range.
+    no inputs. output: v [m/s]. no state. Before the first and after the last sample their speeds hold, or with
+    `repeat` the record begins again. errors: ValueError for speeds, spacing or dt out of range.
     """
 
     v = Out("m/s", direct=())
 
-    start: Scalar = number(0.0, "s", low=-1e6, high=1e6)
-    """Where in the record to begin [s]; an `(N,)` array for a batch of cars at different places of it."""
-
-    def init(self, batch: tuple[int, ...] = ()) -> State:
-        return (m.filled(self.start, batch),)
-
-    def output(self, t: Any, x: State, u: Any) -> Any:
-        return self.Y(self._speed(t + x[0]))
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        return self.Y(self._speed(t))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
