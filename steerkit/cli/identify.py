@@ -66,16 +66,11 @@ def identify(
     if wheelbase is not None or mass is not None:
         length, weight = wheelbase or float(car.wheelbase), mass or float(car.m)
         car = scaled(f"{car.name}-scaled", m=weight, wheelbase=length, steer_ratio=float(car.steer_ratio))
-    with console.status("reading", spinner="line") if not quiet else contextlib.nullcontext() as status:
+    called = name or f"{Path(log[0]).name.split('.')[0]}-car"
+    with console.status("reading and fitting", spinner="line") if not quiet else contextlib.nullcontext():
         drive = ident.read_drive(log, given, **how)
-        other = ident.read_drive(held_out, given, **how) if held_out else None
-        if status:
-            status.update(f"fitting {len(drive.v)} samples")
-        called = name or f"{Path(log[0]).name.split('.')[0]}-car"
         identified = ident.identify(drive, car, fixed=_fixed(fix or ()), name=called)
-        if status and other:
-            status.update("predicting the held-out drive")
-        prediction = identified.predict(other) if other else None
+        prediction = identified.predict(ident.read_drive(held_out, given, **how)) if held_out else None
     command = " ".join(["steerkit", *sys.argv[1:]])
     _report(console, identified, prediction, quiet=quiet)
     if out is not None:

@@ -26,41 +26,37 @@ MOMENTS = 2 * REGRESSORS + REGRESSORS * (REGRESSORS + 1) // 2
 
 
 class Sums(NamedTuple):
-    """What is summed over all samples that were used, with forgetting."""
+    """What is summed over all used samples, with forgetting: weights (total), independent samples (count), the response's
+    mean, and the weighted squares about it (power)."""
 
     total: Scalar
-    """Weights."""
     count: Scalar
-    """Independent samples."""
     mean: Scalar
-    """Of the response."""
     power: Scalar
-    """Weighted squares of the response about its mean."""
 
 
 class Fit(NamedTuple):
-    """The regression of one candidate."""
+    """The regression of one candidate: its coefficients, by how much (saved) it lowers the weighted sum of squares, and
+    the variance of its last coefficient."""
 
     coefficients: Sequence[Scalar]
     saved: Scalar
-    """By how much it lowers the weighted sum of squares."""
     last_variance: Scalar
-    """Variance of its last coefficient."""
 
 
 class Valley(NamedTuple):
-    """Where the candidates fit best, and how well: the lowest point of a parabola through the best and neighbours."""
+    """Where the candidates fit best, and how well: the lowest point of a parabola through the best and neighbours.
+
+    place: number of the candidate, with a fraction, and its variance, 2 over the curvature. number: the best candidate
+    itself, not at either end of the bank. excess: how many times the noise the residual is, 1 at least. explained: does
+    the best one explain half of the response's variance? 0 or 1.
+    """
 
     place: Scalar
-    """Number of the candidate, with a fraction."""
     variance: Scalar
-    """Of the place, in candidates squared: 2 over the curvature."""
     number: Scalar
-    """Number of the best candidate itself, not at either end of the bank."""
     excess: Scalar
-    """How many times the noise the residual is, 1 at least."""
     explained: Scalar
-    """Does the best one explain half of the response's variance? 0 or 1."""
 
 
 def rls_update(moments: State, x: Sequence[Scalar], dy: Scalar, keep: Scalar, gain: Scalar, weight: Scalar) -> State:
@@ -87,37 +83,26 @@ def rls_update(moments: State, x: Sequence[Scalar], dy: Scalar, keep: Scalar, ga
 def fitted(moments: State, precision: Sequence[float], prior: Sequence[float]) -> Fit:
     """The coefficients theta that lower (y - theta x)^2, summed, plus precision (theta - prior)^2, most.
 
-    By Cholesky's decomposition without roots. Precisions are one over the priors' variances; the weights of
+    By elimination: the matrix is positive definite. Precisions are one over the priors' variances; the weights of
     `rls_update` are one over that of the response's noise.
     """
     p = len(precision)
-    place, cross = p, p + p * (p + 1) // 2
-    lower: list[list[Scalar]] = []
-    pivots: list[Scalar] = []
-    halves: list[Scalar] = []
-    parts: list[Scalar] = []
-    saved: Scalar = 0.0
+    cross = p + p * (p + 1) // 2
+    rows = []
     for i, (q, mean) in enumerate(zip(precision, prior)):
-        row: list[Scalar] = []
-        pivot, half = moments[place + i] + q, moments[cross + i] + q * mean
-        for j in range(i):
-            entry = moments[place + j]
-            for k in range(j):
-                entry = entry - row[k] * pivots[k] * lower[j][k]
-            share = entry / pivots[j]
-            pivot, half = pivot - share * entry, half - share * halves[j]
-            row.append(share)
-        part = half / pivot
-        saved = saved + half * part - q * mean * mean
-        lower.append(row)
-        pivots.append(pivot)
-        halves.append(half)
-        parts.append(part)
-        place += i + 1
-    for i in range(p - 1, 0, -1):
-        for j in range(i):
-            parts[j] = parts[j] - lower[i][j] * parts[i]
-    return Fit(tuple(parts), saved, 1.0 / pivots[-1])
+        row = [moments[p + max(i, j) * (max(i, j) + 1) // 2 + min(i, j)] + (q if i == j else 0.0) for j in range(p)]
+        rows.append([*row, moments[cross + i] + q * mean])
+    saved: Scalar = -sum([q * mean * mean for q, mean in zip(precision, prior)])
+    for i, row in enumerate(rows):
+        saved = saved + row[p] * row[p] / row[i]
+        for k in range(i + 1, p):
+            share = rows[k][i] / row[i]
+            rows[k] = [entry - share * above for entry, above in zip(rows[k], row)]
+    parts: list[Scalar] = []
+    for i in reversed(range(p)):
+        known = sum([entry * part for entry, part in zip(rows[i][i + 1 :], parts)])
+        parts.insert(0, (rows[i][p] - known) / rows[i][i])
+    return Fit(tuple(parts), saved, 1.0 / rows[-1][-2])
 
 
 def lowest(costs: Sequence[Scalar], least_curvature: float) -> tuple[Scalar, Scalar, Scalar]:

@@ -30,27 +30,25 @@ _LEAST_GAIN = 0.3
 
 
 class _Before(NamedTuple):
-    """What is kept of the samples before."""
+    """What is kept of the samples before.
+
+    command; since: samples for which the commands have acted; missing; speed: SLOWEST at least [m/s]; wheel: the
+    commands behind the lag, and behind the free play [rad]; beta, r and play_beta, play_r: the car's model under the
+    one and the other; w: what the response should be, and again, behind the lag once more [rad].
+    """
 
     command: Scalar
     since: Scalar
-    """Samples for which the commands have acted."""
     missing: Scalar
     speed: Scalar
-    """SLOWEST at least [m/s]."""
     wheel: Scalar
-    """The commands behind the lag [rad]."""
     behind: Scalar
-    """That, behind the free play [rad]."""
     beta: Scalar
-    """The car's model under the one and the other."""
     r: Scalar
     play_beta: Scalar
     play_r: Scalar
     w: Scalar
-    """What the response should be [rad]."""
     again: Scalar
-    """That, behind the lag once more [rad]."""
 
 
 _FIRST = len(Sums._fields) + len(_Before._fields)

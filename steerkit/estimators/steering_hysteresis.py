@@ -41,29 +41,25 @@ _CLOSE = 0.0015
 
 
 class Known(NamedTuple):
-    """What is kept of the samples before, besides sums, angles, operators and moments."""
+    """What is kept of the samples before, besides sums, angles, operators and moments.
+
+    held: the last angle that could be read [rad]; since: samples for which it has acted; missing; speed: SLOWEST at
+    least [m/s]; tight: the answer of the candidate without a gap [rad]; rate: its derivative, and slow, behind the lag
+    once more [rad/s]; doubt: deviation of the lag [s]; both: delay and lag together that were given when the sums began
+    [s]; own: the lag that was found, 0: none yet [s]; clock: driving that was used since the sums began [s].
+    """
 
     held: Scalar
-    """The last angle that could be read [rad]."""
     since: Scalar
-    """Samples for which the angle has acted."""
     missing: Scalar
     speed: Scalar
-    """SLOWEST at least [m/s]."""
     tight: Scalar
-    """The answer of the candidate without a gap [rad]."""
     rate: Scalar
-    """Its derivative [rad/s]."""
     slow: Scalar
-    """That, behind the lag once more [rad/s]."""
     doubt: Scalar
-    """Deviation of the lag [s]."""
     both: Scalar
-    """Delay and lag that were given when the sums began, together [s]."""
     own: Scalar
-    """The lag that was found [s]; 0: none yet."""
     clock: Scalar
-    """Driving that was used since the sums began [s]."""
 
 
 _SUMS = len(Sums._fields)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import State
@@ -22,21 +21,13 @@ def at(number: Scalar, values: Sequence[Scalar]) -> Scalar:
     return picked
 
 
-class Arrived(NamedTuple):
-    """How the angle that arrives goes on within a sample: one way to the corner, then another to the end."""
-
-    corner: Scalar
-    """It, where the angle on its way was a whole number of samples old [rad]; a held command changes only there."""
-    first: Scalar
-    """Share of the sample until then [1]."""
-    end: Scalar
-    """It, at the end of the sample [rad]."""
-
-
 def arrived(
     line: State, command: Scalar, delay: Scalar, lag: Scalar, dt: float, *, held: bool
-) -> tuple[State, Arrived]:
-    """The line a sample later, and the angle that arrives in it.
+) -> tuple[State, tuple[Scalar, Scalar, Scalar]]:
+    """The line a sample later, and how the angle that arrives goes on in it: one way to a corner, then another.
+
+    The corner [rad] is where the angle on its way was a whole number of samples old, as a held command changes only
+    there; then the share of the sample until it [1], and the angle at the sample's end [rad].
 
     line: the angle behind the lag, now and at the samples before, newest first; command: the angle of now. The lag [s]
     is exact where that is `held` for dt [s]; between samples then goes what arrives, too:
@@ -54,7 +45,7 @@ def arrived(
     first = place - entry
     newer, older = at(entry, line), at(m.minimum(entry + 1.0, len(line) - 1.0), line)
     share = (1.0 - m.exp(-(1.0 - first) * dt / m.maximum(lag, 1e-3))) / (1.0 - keep) if held else 1.0 - first
-    return line, Arrived(older, first, older + share * (newer - older))
+    return line, (older, first, older + share * (newer - older))
 
 
 def steady_gain(p: Vehicle, v: Scalar) -> Scalar:

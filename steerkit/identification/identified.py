@@ -18,7 +18,7 @@ from steerkit.logs.drive import Array, Drive, moments
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.speed_driver import Playback
 from steerkit.plants.steering_actuator import SteeringActuator
-from steerkit.plots.style import COLOURS, PALETTE, new_figure, style
+from steerkit.plots.style import COLOURS, new_figure, style
 from steerkit.vehicles import Vehicle
 from steerkit.vehicles.file import vehicle_text
 
@@ -260,30 +260,4 @@ def residuals(identified: Identified, held_out: Prediction | None = None) -> Any
             low, high = axis.get_ylim()
             axis.set_ylim(low - 0.22 * (high - low), high)
         rate.margins(x=0.01)
-        _intervals(figure, identified)
         return figure
-
-
-def _intervals(figure: Any, identified: Identified) -> None:
-    """The estimates in words under the cloud."""
-    lines = []
-    for name, label, factor, unit in (
-        ("steer_ratio", "steering ratio", 1.0, ""),
-        ("understeer_gradient", "understeer gradient", 1e3, "mrad s²/m"),
-        ("delay_lag", "delay + lag", 1e3, "ms"),
-        ("offset", "offset at the wheel", 180.0 / np.pi, "deg"),
-    ):
-        e = identified[name]
-        numbers = f"{factor * e.value:.3g}  [{factor * e.low:.3g}, {factor * e.high:.3g}] {unit}"
-        lines.append(f"{label}: {numbers}" + ("" if e.source == "log" else f"  ({e.source})"))
-    figure.axes[-1].text(
-        0.02,
-        0.98,
-        "\n".join(lines),
-        transform=figure.axes[-1].transAxes,
-        va="top",
-        fontsize=7.5,
-        color=COLOURS["ink"],
-        bbox={"fc": COLOURS["paper"], "ec": PALETTE[5], "lw": 0.5, "boxstyle": "round,pad=0.4"},
-        zorder=9,
-    )

@@ -37,8 +37,7 @@ class FmuPlant(IntegratedCar):
     is pure: it can be saved, restored and batched (car by car), but not traced or compiled. The car is put at (x0, y0,
     psi0) by turning its plane: what it does must not depend on where it stands.
 
-    inputs: delta_sw_cmd [rad], v_cmd [m/s]. outputs, of state only: x, y [m], psi [rad], v [m/s] (the speed last
-    applied), beta [rad], r [rad/s], a_y [m/s^2], delta_sw [rad]. state: the FMU's, then v and delta_sw last applied.
+    v is the speed last applied. state: the FMU's, then v and delta_sw last applied.
     errors: ValueError for a file that is no FMU, an FMU for co-simulation only (its state stays inside), one with
     events or of another FMI version, and for variables that it does not have; ImportError without FMPy.
     source: FMI 2.0.4, chapter 3 (model exchange).

@@ -89,11 +89,8 @@ class SingleTrack(IntegratedCar):
         (sway, r)' = w (sway, r)'_dynamic + (1 - w) ((sway, r)_kinematic - (sway, r))/0.05 s
         w = smoothstep((v - 1)/(3 - 1)),   0 below 1 m/s, and 1, the model exactly, from 3 m/s on
 
-    inputs: delta_sw_cmd [rad], the angle at the steering wheel, after the actuator; it stops at the vehicle's
-    delta_sw_max; v_cmd [m/s], the speed that the driver keeps. Both act from their sample to the next.
-    outputs, of state only: x, y [m] of the centre of gravity; psi [rad], any turn; v [m/s], its speed; beta [rad];
-    r [rad/s]; a_y [m/s^2]; delta_sw [rad]. v, a_y and delta_sw belong to the inputs last applied: where these jump,
-    they are limits from the left.
+    delta_sw_cmd stops at the vehicle's delta_sw_max. v, a_y and delta_sw belong to the inputs last applied: where these
+    jump, they are limits from the left.
     state: x, y, psi, sway (beta or v_y), r and the last inputs. Parameters and start may be `(N,)` arrays in a batch.
     valid: v in [0, 40] m/s. The fastest rate, near 2.7 m/s, times dt/substeps is 0.8 to 1.25 for the named cars; 2.78
     is the limit of stability, and a dt that comes near it is refused. A NaN input gives a NaN state.

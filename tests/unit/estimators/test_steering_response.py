@@ -23,10 +23,10 @@ def test_the_value_of_a_number_is_the_nearest_and_never_outside() -> None:
 def test_a_step_that_is_held_arrives_behind_lag_and_delay_exactly(delay: float, lag: float) -> None:
     line: tuple[float, ...] = (0.0,) * 9
     for k in range(1, 60):
-        line, way = arrived(line, 1.0, delay, lag, 0.05, held=True)
+        line, (_, _, end) = arrived(line, 1.0, delay, lag, 0.05, held=True)
         since = 0.05 * k - min(delay, 0.4)  # no longer than the line
         exact = 1.0 - math.exp(-since / max(lag, 1e-3)) if since > 1e-9 else 0.0
-        assert way.end == pytest.approx(exact, abs=1e-9)
+        assert end == pytest.approx(exact, abs=1e-9)
 
 
 @pytest.mark.parametrize(("delay", "first"), [(0.13, 0.6), (0.05, 0.0)])
@@ -37,19 +37,16 @@ def test_the_corner_is_where_the_command_changed(delay: float, first: float) -> 
         line, way = arrived(line, 1.0 if k < 3 else 0.0, delay, 0.2, 0.05, held=True)
         ways.append(way)
     peak = 1.0 - math.exp(-0.15 / 0.2)
-    turned = ways[3 + int(delay / 0.05)]
-    assert turned.corner == pytest.approx(peak)
-    assert turned.first == pytest.approx(first)
-    assert turned.end == pytest.approx(peak * math.exp(-(1.0 - first) * 0.05 / 0.2))
-    assert max(way.end for way in ways) <= peak + 1e-12
+    end = peak * math.exp(-(1.0 - first) * 0.05 / 0.2)
+    assert ways[3 + int(delay / 0.05)] == pytest.approx((peak, first, end))
+    assert max(way[2] for way in ways) <= peak + 1e-12
 
 
 def test_what_is_measured_is_interpolated() -> None:
     line: tuple[float, ...] = (0.0,) * 9
     for k in range(40):
-        line, way = arrived(line, float(k), 0.13, 0.0, 0.05, held=False)
-    assert way.end == pytest.approx(39.0 - 0.13 / 0.05)
-    assert way.corner == pytest.approx(36.0)
+        line, (corner, _, end) = arrived(line, float(k), 0.13, 0.0, 0.05, held=False)
+    assert (corner, end) == pytest.approx((36.0, 39.0 - 0.13 / 0.05))
 
 
 @pytest.mark.parametrize("v", [3.0, 8.0, 30.0])

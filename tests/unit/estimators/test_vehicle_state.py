@@ -11,8 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from steerkit.compiled import compile
-from steerkit.diagram.simulation import simulate
 from steerkit.diagram.units import radians_of
 from steerkit.estimators import vehicle_state
 from steerkit.estimators.vehicle_state import VehicleState
@@ -21,10 +19,10 @@ from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.sensors import Sensors
 from steerkit.scenario import Scenario
-from steerkit.scenario.drive import controller, drive, drive_loop
+from steerkit.scenario.drive import controller, drive
 from steerkit.vehicles import VW_PASSAT
 from tests.support.steered_car import quantities
-from tests.support.stepped import run, run_fast
+from tests.support.stepped import run_fast
 
 DT = 0.05
 NAN = math.nan
@@ -344,30 +342,6 @@ def test_controllers_behind_it_hold_the_path_better_without_a_measured_sideslip(
         log = drive(scenario, controller("stanley", scenario), seed=9)
         e.append(rms(log["path.e"][100:]))
     assert e[1] < 0.95 * e[0]
-
-
-def test_what_is_judged_here_is_what_the_estimator_says_sample_by_sample() -> None:
-    """Of a tape with jumps, and with a wheel, a pose and all the rest missing for a while."""
-    rows = driven(5).rows()[:400]
-    for k in (*range(60, 65), *range(350, 400)):
-        rows[k][0] += 0.3
-    for start, end, lost in ((100, 130, slice(7, 8)), (180, 220, slice(0, 4)), (220, 260, slice(0, 7))):
-        for row in rows[start:end]:
-            row[lost] = [NAN] * len(row[lost])
-    (ys, x), (fast, last) = run(FILTER, rows), run_fast(FILTER, rows)
-    assert fast == pytest.approx(np.array(ys), rel=1e-6, abs=1e-9)
-    assert last == pytest.approx(np.array(x), rel=1e-6, abs=1e-9, nan_ok=True)
-
-
-@pytest.mark.parametrize("estimator", ["vehicle-state", "adaptive-state"])
-def test_it_compiles_to_the_same_numbers(estimator: str) -> None:
-    scenario = Scenario.under(
-        "real", sensors={"estimator": estimator}, course={"rounds": 0.05}, vehicle={"ratio": 1.25}
-    )
-    loop = drive_loop(scenario, controller("stanley", scenario), seed=2)
-    log, plain = compile(loop, backend="python", every=5).run(4.0), simulate(loop, 4.0, every=5)
-    for name in ("estimator.x", "estimator.psi", "estimator.gyro_zero", "estimator.ratio", "estimator.nis"):
-        assert log[name] == pytest.approx(plain[name], rel=1e-9, abs=1e-9), name
 
 
 @pytest.mark.parametrize(

@@ -112,12 +112,6 @@ def test_off_it_is_the_sensors() -> None:
     assert (stamped(DegradedSensors(block=inner), truth) == plain).all()
 
 
-def test_many_samples_at_once_are_the_same() -> None:
-    sensors = DegradedSensors.real(VW_PASSAT, seed=7).scaled(3.0)
-    truth = moving(1001, sensors)
-    assert stamped(sensors, truth)[:1000] == pytest.approx(stamped(sensors, truth[:1000]), rel=1e-12, abs=1e-12)
-
-
 def test_age_is_uniform_up_to_the_jitter() -> None:
     sensors = DegradedSensors(block=Sensors(seed=4), age_jitter=0.03)
     truth = moving(MANY, sensors)
