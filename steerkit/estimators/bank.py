@@ -26,8 +26,8 @@ MOMENTS = 2 * REGRESSORS + REGRESSORS * (REGRESSORS + 1) // 2
 
 
 class Sums(NamedTuple):
-    """What is summed over all used samples, with forgetting: weights (total), independent samples (count), the response's
-    mean, and the weighted squares about it (power)."""
+    """What is summed over all used samples, with forgetting: weights (total), independent samples (count), the mean of
+    the response, and the weighted squares about it (power)."""
 
     total: Scalar
     count: Scalar

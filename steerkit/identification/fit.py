@@ -77,15 +77,11 @@ def identify(
     base = base or vehicle("vw-passat")
     require(drive.turns, drive.name, "it hardly turns: a drive straight on determines nothing of the car; add bends")
     table = _believed(base, known or {}, fixed or {}, drive)
-    held = {n: p.mean for n, p in table.items() if p.deviation == 0.0}
-    free = tuple(n for n in table if n not in held)
-    require(free, "identify", "nothing is left to identify: all parameters are fixed")
-    simulator = Simulator(drive, base)
-    problem = _Problem(simulator, free, held, table)
+    problem = _Problem(Simulator(drive, base), table)
     theta, sigma, correlation = problem.solve()
     covariance, blocks = problem.covariance(theta, sigma)
-    values = held | dict(zip(free, theta.tolist()))
-    estimates = _estimates(base, table, free, values, covariance, blocks)
+    values = problem.held | dict(zip(problem.free, theta.tolist()))
+    estimates = problem.estimates(values, covariance, blocks)
     return Identified(
         vehicle=car_of(base, values, name or f"{base.name}-identified"),
         estimates=estimates,
@@ -93,10 +89,10 @@ def identify(
         base=base,
         theta=values,
         covariance=covariance,
-        free=free,
-        fit=predict(simulator, values),
+        free=problem.free,
+        fit=predict(problem.simulator, values),
         correlation_time=correlation,
-        notes=_notes(drive, base, free, values, covariance, estimates),
+        notes=problem.notes(values, covariance, estimates),
     )
 
 
@@ -116,10 +112,13 @@ def _believed(
 
 
 class _Problem:
-    """Residuals, their Jacobian, the solution and its covariance."""
+    """Residuals, their Jacobian, the solution, its covariance, what they say; a deviation of 0 holds a parameter."""
 
-    def __init__(self, simulator: Simulator, free: tuple[str, ...], held: dict[str, float], table: dict[str, Prior]):
-        self.simulator, self.free, self.held = simulator, free, held
+    def __init__(self, simulator: Simulator, table: dict[str, Prior]):
+        self.simulator, self.table = simulator, table
+        self.held = {n: p.mean for n, p in table.items() if p.deviation == 0.0}
+        self.free = free = tuple(n for n in table if n not in self.held)
+        require(free, "identify", "nothing is left to identify: all parameters are fixed")
         chosen = [table[n] for n in free]
         self.mean, self.deviation = (np.array([getattr(p, k) for p in chosen]) for k in ("mean", "deviation"))
         self.low, self.high = (np.array([getattr(p, k) for p in chosen]) for k in ("low", "high"))
@@ -203,83 +202,73 @@ class _Problem:
         meat = scores.T @ scores * (blocks / (blocks - 1)) + prior
         return bread @ meat @ bread, blocks
 
+    def estimates(self, values: dict[str, float], covariance: Array, blocks: int) -> tuple[Estimate, ...]:
+        """Each parameter and what follows from them, linearised."""
+        base, table, free = self.simulator.base, self.table, self.free
+        factor = float(stdtrit(blocks - 1, 0.975))
+        before = np.diag([table[n].deviation ** 2 for n in free])
+        c_f, c_r = stiffnesses(base, values["d_f"], values["d_r"])
+        length = base.wheelbase
+        understeer, given = values["d_f"] - values["d_r"], f"given L = {length:g} m"
+        rows: list[tuple[str, float, str, dict[str, float], str]] = [
+            ("steer_ratio", values["steer_ratio"], "1", {"steer_ratio": 1.0}, given),
+            (
+                "ratio_wheelbase",
+                values["steer_ratio"] * length,
+                "m",
+                {"steer_ratio": length},
+                "what the log determines",
+            ),
+            ("offset", values["offset"], "rad", {"offset": 1.0}, "at the wheel, of this log"),
+            ("delay", values["delay"], "s", {"delay": 1.0}, ""),
+            ("lag", values["lag"], "s", {"lag": 1.0}, ""),
+            ("delay_lag", values["delay"] + values["lag"], "s", {"delay": 1.0, "lag": 1.0}, "delay + lag"),
+            ("understeer_gradient", understeer, "rad s^2/m", {"d_f": 1.0, "d_r": -1.0}, given),
+            ("c_f", c_f, "N/rad", {"d_f": -c_f / values["d_f"]}, f"given mass {base.m:g} kg"),
+            ("c_r", c_r, "N/rad", {"d_r": -c_r / values["d_r"]}, f"given mass {base.m:g} kg"),
+            ("rate_zero", values["rate_zero"], "rad/s", {"rate_zero": 1.0}, "zero of the recorded yaw rate"),
+        ]
+        estimates = []
+        for name, value, unit, slopes, note in rows:
+            g = np.array([slopes.get(n, 0.0) for n in free])
+            deviation, prior = (math.sqrt(g @ m @ g) for m in (covariance, before))
+            learned = max(0.0, 1.0 - (deviation / prior) ** 2) if prior > 0.0 else math.nan
+            if name == "rate_zero" and math.isnan(learned):
+                continue
+            low, high = value - factor * deviation, value + factor * deviation
+            if name in ("c_f", "c_r"):  # the interval of the compliance, turned over: it stays positive
+                key = "d_f" if name == "c_f" else "d_r"
+                half = factor * deviation * values[key] / value
+                ends = np.clip([values[key] + half, values[key] - half], table[key].low, table[key].high)
+                low, high = value * values[key] / ends
+            elif name == "lag":
+                low = max(low, 0.0)
+            for key in slopes.keys() & set(free):
+                if not table[key].low < values[key] < table[key].high:
+                    note = f"{note}; {key} is at its bound".lstrip("; ")
+            estimates.append(Estimate(name, float(value), float(low), float(high), unit, learned, note))
+        return tuple(estimates)
 
-def _estimates(
-    base: Vehicle,
-    table: dict[str, Prior],
-    free: tuple[str, ...],
-    values: dict[str, float],
-    covariance: Array,
-    blocks: int,
-) -> tuple[Estimate, ...]:
-    """Each parameter and what follows from them, linearised."""
-    factor = float(stdtrit(blocks - 1, 0.975))
-    before = np.diag([table[n].deviation ** 2 for n in free])
-    c_f, c_r = stiffnesses(base, values["d_f"], values["d_r"])
-    length = base.wheelbase
-    understeer, given = values["d_f"] - values["d_r"], f"given L = {length:g} m"
-    rows: list[tuple[str, float, str, dict[str, float], str]] = [
-        ("steer_ratio", values["steer_ratio"], "1", {"steer_ratio": 1.0}, given),
-        ("ratio_wheelbase", values["steer_ratio"] * length, "m", {"steer_ratio": length}, "what the log determines"),
-        ("offset", values["offset"], "rad", {"offset": 1.0}, "at the wheel, of this log"),
-        ("delay", values["delay"], "s", {"delay": 1.0}, ""),
-        ("lag", values["lag"], "s", {"lag": 1.0}, ""),
-        ("delay_lag", values["delay"] + values["lag"], "s", {"delay": 1.0, "lag": 1.0}, "delay + lag"),
-        ("understeer_gradient", understeer, "rad s^2/m", {"d_f": 1.0, "d_r": -1.0}, given),
-        ("c_f", c_f, "N/rad", {"d_f": -c_f / values["d_f"]}, f"given mass {base.m:g} kg"),
-        ("c_r", c_r, "N/rad", {"d_r": -c_r / values["d_r"]}, f"given mass {base.m:g} kg"),
-        ("rate_zero", values["rate_zero"], "rad/s", {"rate_zero": 1.0}, "zero of the recorded yaw rate"),
-    ]
-    estimates = []
-    for name, value, unit, slopes, note in rows:
-        g = np.array([slopes.get(n, 0.0) for n in free])
-        deviation, prior = (math.sqrt(g @ m @ g) for m in (covariance, before))
-        learned = max(0.0, 1.0 - (deviation / prior) ** 2) if prior > 0.0 else math.nan
-        if name == "rate_zero" and math.isnan(learned):
-            continue
-        low, high = value - factor * deviation, value + factor * deviation
-        if name in ("c_f", "c_r"):  # the interval of the compliance, turned over: it stays positive
-            key = "d_f" if name == "c_f" else "d_r"
-            half = factor * deviation * values[key] / value
-            ends = np.clip([values[key] + half, values[key] - half], table[key].low, table[key].high)
-            low, high = value * values[key] / ends
-        elif name == "lag":
-            low = max(low, 0.0)
-        for key in slopes.keys() & set(free):
-            if not table[key].low < values[key] < table[key].high:
-                note = f"{note}; {key} is at its bound".lstrip("; ")
-        estimates.append(Estimate(name, float(value), float(low), float(high), unit, learned, note))
-    return tuple(estimates)
-
-
-def _notes(
-    drive: Drive,
-    base: Vehicle,
-    free: tuple[str, ...],
-    values: dict[str, float],
-    covariance: Array,
-    estimates: tuple[Estimate, ...],
-) -> tuple[str, ...]:
-    """What this log cannot determine, in words."""
-    notes = [
-        f"the yaw rate determines ratio times wheelbase and stiffness over mass; wheelbase {base.wheelbase:g} m, mass "
-        f"{base.m:g} kg and the rest of {base.name} are given"
-    ]
-    unseen = [e for e in estimates if e.source == "prior"]
-    if unseen:
-        use = drive.driving
-        a_y = float(np.abs(drive.v * drive.r)[use].max())
-        notes.append(
-            f"{', '.join(e.name for e in unseen)}: hardly determined by this log (speed up to "
-            f"{drive.v[use].max():.1f} m/s, lateral acceleration up to {a_y:.1f} m/s^2); the interval is the prior's"
-        )
-    deviations = np.sqrt(np.diag(covariance))
-    related = covariance / np.outer(deviations, deviations)
-    for j, i in combinations(range(len(free)), 2):
-        if abs(related[i, j]) > 0.9:
-            notes.append(f"{free[j]} and {free[i]} cannot be separated well (correlation {related[i, j]:+.2f})")
-    if values["delay"] < -0.02:
-        notes.append("the delay is negative: the yaw rate's clock runs ahead of the steering's, or it was smoothed")
-    if max(values["delay"], values["lag"]) > 0.5:
-        notes.append("a delay or lag above 0.5 s: do the columns share one clock?")
-    return tuple(notes)
+    def notes(self, values: dict[str, float], covariance: Array, estimates: tuple[Estimate, ...]) -> tuple[str, ...]:
+        """What this log cannot determine, in words."""
+        drive, base, free = self.simulator.drive, self.simulator.base, self.free
+        notes = [
+            f"the yaw rate determines ratio times wheelbase and stiffness over mass; wheelbase {base.wheelbase:g} m, "
+            f"mass {base.m:g} kg and the rest of {base.name} are given"
+        ]
+        unseen = ", ".join(e.name for e in estimates if e.source == "prior")
+        if unseen:
+            use = drive.driving
+            fastest = f"speed up to {drive.v[use].max():.1f} m/s"
+            a_y = f"lateral acceleration up to {np.abs(drive.v * drive.r)[use].max():.1f} m/s^2"
+            notes.append(f"{unseen}: hardly determined by this log ({fastest}, {a_y}); the interval is the prior's")
+        deviations = np.sqrt(np.diag(covariance))
+        related = covariance / np.outer(deviations, deviations)
+        for j, i in combinations(range(len(free)), 2):
+            if abs(related[i, j]) > 0.9:
+                notes.append(f"{free[j]} and {free[i]} cannot be separated well (correlation {related[i, j]:+.2f})")
+        if values["delay"] < -0.02:
+            notes.append("the delay is negative: the yaw rate's clock runs ahead of the steering's, or it was smoothed")
+        if max(values["delay"], values["lag"]) > 0.5:
+            notes.append("a delay or lag above 0.5 s: do the columns share one clock?")
+        return tuple(notes)

@@ -43,7 +43,7 @@ def test_white_intervals_are_those_of_the_textbook(clean: dict[str, Any]) -> Non
     """With white noise the sandwich is sigma^2 (J'J)^-1: both from the same Jacobian, 25 % apart at most."""
     drive = Drive.of(**by_rate(noisy(clean, 3, slow=0.0)))
     answer = identify(drive, BASE)
-    problem = _Problem(Simulator(drive, BASE), answer.free, {}, priors(BASE))
+    problem = _Problem(Simulator(drive, BASE), priors(BASE))
     error, slopes = problem.linearised(np.array([answer.theta[n] for n in answer.free]))
     textbook = np.sqrt(np.diag(np.linalg.inv(slopes.T @ slopes)) * np.mean(error**2))
     np.testing.assert_allclose(np.sqrt(np.diag(answer.covariance)), textbook, rtol=0.4)
@@ -86,6 +86,7 @@ def test_the_covariance_allows_for_errors_that_are_larger_where_they_matter() ->
     n, rng = 4000, np.random.default_rng(0)
     x = np.where(np.arange(n) % 10 == 0, 3.0, 0.3)  # a tenth of the samples holds nearly everything
     table = {"steer_ratio": replace(priors(BASE)["steer_ratio"], mean=10.0, deviation=1e3, low=-1e4, high=1e4)}
+    table |= {"rate_zero": replace(priors(BASE)["rate_zero"], deviation=0.0)}
     claimed, estimates = [], []
     for _ in range(60):
         drive = SimpleNamespace(
@@ -94,7 +95,7 @@ def test_the_covariance_allows_for_errors_that_are_larger_where_they_matter() ->
         simulator = SimpleNamespace(
             drive=drive, yaw_rates=lambda sets: np.outer(x, [one["steer_ratio"] for one in sets])
         )
-        problem = _Problem(simulator, ("steer_ratio",), {"rate_zero": 0.0}, table)  # type: ignore[arg-type]
+        problem = _Problem(simulator, table)  # type: ignore[arg-type]
         theta, sigma, _ = problem.solve()
         estimates.append(theta[0])
         claimed.append(np.sqrt(problem.covariance(theta, sigma)[0][0, 0]))
