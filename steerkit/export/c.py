@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from steerkit._support.errors import known, require
 from steerkit.compiled.c_code import SCALAR_TYPES, c_number, phase_labels, statements, table_source
 from steerkit.compiled.trace import Trace, TraceError, trace
 from steerkit.diagram.block import Block, Out, State
@@ -50,15 +51,13 @@ def export_c(
     from (default: `loop.init()`). Returns the files. Raises TraceError naming a block that cannot be exported;
     ValueError for a bad name or no blocks.
     """
-    if isinstance(what, Loop):
-        if not blocks:
-            raise ValueError(f"export_c: which blocks of the loop? blocks=(...) of: {', '.join(what.names)}")
-        part = _Part.of_loop(what, blocks, what.init() if state is None else state)
-    else:
-        part = _Part.of_block(what)
-    title = name or (_snake(type(what).__name__) if isinstance(what, Block) else "controller")
-    if not re.fullmatch(r"[a-z][a-z0-9_]*", title):
-        raise ValueError(f"export_c: name {title!r}, expected a C identifier in lower case, such as 'recovery'")
+    alone = isinstance(what, Block)
+    loop, chosen = (_fed(what), ("block",)) if isinstance(what, Block) else (what, blocks)
+    require(bool(chosen), "export_c", f"which blocks of the loop? blocks=(...) of: {', '.join(loop.names)}")
+    part = _Part.of_loop(loop, chosen, loop.init() if state is None else state, alone)
+    title = name or (re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", type(what).__name__).lower() if alone else "controller")
+    fits = re.fullmatch(r"[a-z][a-z0-9_]*", title)
+    require(bool(fits), "export_c", f"name {title!r}, expected a C identifier in lower case, such as 'recovery'")
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
     texts = {
@@ -72,18 +71,40 @@ def export_c(
     return [folder / file for file in texts]
 
 
-def _external(units: Mapping[str, str], dt: float) -> Block:
-    """A block that stands for the outside: its state is what comes in, and its outputs show it."""
+def _external(units: Mapping[str, str], dt: float, rows: Sequence[Sequence[float]] | None = None) -> Block:
+    """A block that stands for the outside: its state is what comes in, row after row, and its outputs show it."""
 
     def init(self: Block, batch: tuple[int, ...] = ()) -> State:
-        return tuple(filled(0.0, batch) for _ in units)
+        return tuple(rows[0]) if rows else tuple(filled(0.0, batch) for _ in units)
 
     def output(self: Block, t: Any, x: State, u: Any) -> Any:
         return self.Y(*x)
 
+    def update(self: Block, t: Any, x: State, u: Any, y: Any) -> State:
+        return tuple(rows[min(round(t / dt) + 1, len(rows) - 1)]) if rows else x
+
     ports = {signal: Out(unit, direct=()) for signal, unit in units.items()}
-    kind: Any = type("External", (Block,), {**ports, "init": init, "output": output})
+    kind: Any = type("External", (Block,), {**ports, "init": init, "output": output, "update": update})
     return dataclasses.dataclass(frozen=True, eq=False, kw_only=True)(kind)(dt=dt)
+
+
+def _fed(block: Block) -> Loop:
+    """A loop of the block and of made-up inputs."""
+    kind, units = type(block).__name__, {p.name: p.unit for p in block.inputs}
+    if not block.pure:
+        raise TraceError(f"export_c: {kind} is not pure, so it cannot be exported")
+    if any(getattr(block, name).size is not None for name in units):
+        raise TraceError(f"export_c: {kind} has a vector input; export it as a part of its loop")
+    if not units:
+        return Loop(blocks={"block": block}, wires=[])
+    rows = np.random.default_rng(0).normal(size=(_ROWS, len(units)))
+    rows *= [_TYPICAL.get(unit, 1.0) for unit in units.values()]
+    speeds = [unit == "m/s" for unit in units.values()]
+    rows[:, speeds] = np.abs(rows[:, speeds])
+    made_up = _external(units, block.dt, rows.tolist())
+    return Loop(
+        blocks={"made_up": made_up, "block": block}, wires=[(getattr(made_up, n), getattr(block, n)) for n in units]
+    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -95,16 +116,15 @@ class _Part:
     """Number of the first sample."""
     start: list[float]
     inputs: dict[str, str]
-    outputs: dict[str, tuple[str, int]]
+    outputs: dict[str, str]
     rows: np.ndarray
     expected: np.ndarray
 
     @classmethod
-    def of_loop(cls, loop: Loop, names: Sequence[str], start: LoopState) -> _Part:
-        """The named blocks of a loop, with a piece of its simulation."""
-        unknown = [n for n in names if n not in loop.blocks]
-        if unknown:
-            raise ValueError(f"export_c: no block '{unknown[0]}'; blocks: {', '.join(loop.names)}")
+    def of_loop(cls, loop: Loop, names: Sequence[str], start: LoopState, alone: bool) -> _Part:
+        """The named blocks of a loop, with a piece of its simulation. alone: ports are named without their block."""
+        for name in names:
+            known(name, loop.names, "block of the loop")
         chosen = {n: loop.blocks[n] for n in loop.names if n in names}
         sources = {
             loop.port_name(a): a for a, b in loop.wires if b.block in chosen.values() and a.block not in chosen.values()
@@ -113,12 +133,17 @@ class _Part:
             if port.size is not None:
                 raise TraceError(f"export_c: {signal} is a vector; export {signal.split('.')[0]} along with the others")
         dt = min(block.dt for block in chosen.values())
-        outside = _external({s.replace(".", "_"): p.spec.unit for s, p in sources.items()}, dt)
+
+        def c_name(signal: str) -> str:
+            return signal.split(".")[1] if alone else signal.replace(".", "_")
+
+        units = {c_name(signal): port.spec.unit for signal, port in sources.items()}
+        outside = _external(units, dt)
         wires: list[Wire] = []
         for a, b in loop.wires:
             if b.block in chosen.values():
                 inner = a.block in chosen.values()
-                wires.append((a if inner else getattr(outside, loop.port_name(a).replace(".", "_")), b))
+                wires.append((a if inner else getattr(outside, c_name(loop.port_name(a))), b))
         inside = {"inputs": outside, **chosen} if sources else chosen
         every = round(dt / loop.dt)
         if start.k % (loop.period if every > 1 else 1):
@@ -133,56 +158,25 @@ class _Part:
             made,
             start.k // every,
             made.layout.pack(x, y),
-            {s.replace(".", "_"): p.spec.unit for s, p in sources.items()},
-            {s.replace(".", "_"): (s, n) for s in signals for n in [made.layout.signals[s][0]]},
+            units,
+            {c_name(signal): signal for signal in signals},
             np.column_stack([log[s] for s in sources] or [np.empty((len(log.t), 0))]),
             np.column_stack(columns),
         )
 
-    @classmethod
-    def of_block(cls, block: Block) -> _Part:
-        """One block, with outputs for made-up inputs."""
-        if not block.pure:
-            raise TraceError(f"export_c: {type(block).__name__} is not pure, so it cannot be exported")
-        units = {p.name: p.unit for p in block.inputs}
-        if any(getattr(block, p.name).size is not None for p in block.inputs):
-            raise TraceError(f"export_c: {type(block).__name__} has a vector input; export it as a part of its loop")
-        outside = _external(units, block.dt)
-        wires = [(getattr(outside, n), getattr(block, n)) for n in units]
-        made = trace(Loop(blocks={"inputs": outside, "block": block} if units else {"block": block}, wires=wires))
-        rng = np.random.default_rng(0)
-        scale = np.array([_TYPICAL.get(unit, 1.0) for unit in units.values()])
-        rows = rng.normal(size=(_ROWS, len(units))) * scale
-        rows[:, [unit == "m/s" for unit in units.values()]] = np.abs(rows[:, [u == "m/s" for u in units.values()]])
-        x = block.init()
-        expected = []
-        direct = block.D._fields
-        for k, row in enumerate(rows.tolist()):
-            u = block.U(*row)
-            y = block.output(k * block.dt, x, block.D(*[getattr(u, n) for n in direct]))
-            x = block.update(k * block.dt, x, u, y)
-            expected.append(np.concatenate([np.atleast_1d(np.asarray(v, dtype=float)) for v in y]))
-        layout = made.layout
-        held = [0.0] * (len(layout) - len(units) * bool(units) - len(block.init()))
-        start = [0.0] * len(units) + [float(v) for v in block.init()] + held
-        signals = {s.split(".")[1]: (s, i) for s, (i, _) in layout.signals.items() if s.startswith("block.")}
-        return cls(made, 0, start, units, signals, rows, np.array(expected))
-
     @property
     def state(self) -> dict[int, str]:
         """Slots that go from sample to sample, with their C names."""
-        layout, n = self.trace.layout, len(self.inputs)
+        layout, own = self.trace.layout, [slot for slot in self.trace.persistent if slot >= len(self.inputs)]
         first = min(slot for slot, _ in layout.signals.values())
-        kind = {slot: "held" if slot >= first else "x" for slot in self.trace.persistent}
-        return {
-            slot: f"{kind[slot]}_{_c_name(layout.names[slot])}_{slot}" for slot in self.trace.persistent if slot >= n
-        }
+        names = {slot: re.sub(r"\W", "_", layout.names[slot]) for slot in own}
+        return {slot: f"{'held' if slot >= first else 'x'}_{name}_{slot}" for slot, name in names.items()}
 
     @property
     def results(self) -> list[tuple[str, int, str]]:
         """(C name, slot, unit) of every output."""
         rows = []
-        for c_name, (signal, _) in self.outputs.items():
+        for c_name, signal in self.outputs.items():
             slots = self.trace.layout.slots_of(signal)
             _, size = self.trace.layout.signals[signal]
             unit = self.trace.loop.units[signal]
@@ -243,10 +237,9 @@ class _Part:
         labels = phase_labels(self.trace, "u")
         cases = "\n".join(f"    {label} tick{i}(s, u, y); break;" for i, label in enumerate(labels))
         values = [f"  s->{field} = {c_number(float(self.start[slot]))};" for slot, field in state.items()]
-        macros = "\n".join(line for line in SCALAR_TYPES.splitlines())
         return "\n".join(
             [
-                f'#include <math.h>\n#include "{name}.h"\n\n{macros}\n',
+                f'#include <math.h>\n#include "{name}.h"\n\n{SCALAR_TYPES}\n',
                 table_source(self.trace.tables),
                 *ticks,
                 f"void {name}_init({name}_state *s)\n{{\n  s->phase = {self.tick % period}u;\n  s->k = {self.tick}.0;",
@@ -290,14 +283,6 @@ def _numbers(block: Block) -> list[tuple[str, float]]:
     values = [(f.name, getattr(block, f.name)) for f in dataclasses.fields(block)]
     numbers = [(n, v) for n, v in values if isinstance(v, int | float) and not isinstance(v, bool)]
     return [(n, float(v)) for n, v in numbers if math.isfinite(v)]
-
-
-def _snake(name: str) -> str:
-    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
-
-
-def _c_name(name: str) -> str:
-    return re.sub(r"\W", "_", name)
 
 
 _TEST = """\
