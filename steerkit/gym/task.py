@@ -14,7 +14,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from steerkit._support.errors import known, require
+from steerkit._support.errors import check_numbers, known, number, require
 from steerkit.controllers.network_policy import BOUND
 from steerkit.controllers.nfq_policy import IDOE_ACTIONS
 from steerkit.controllers.safety_filter import SafetyFilter
@@ -91,24 +91,24 @@ class Task:
     """`i-doe` (the paper's steps), `bang-bang` (+-520 degrees at once), `continuous`, or angles [rad] of your own."""
     doe: str | Block | None = None
     """Output element: `integrator`, `low-pass`, `plain` or a block; by default the action set's own."""
-    largest: float | None = None
+    largest: float | None = number(None, "rad", above=0.0, high=20.0)
     """The angle [rad] that a continuous action of 1 means. By default 25 degrees a sample (500 degrees/s) with the
     integrator, else 520 degrees."""
     cost: Any = "smooth"
     """`smooth` (`SmoothCost` of the wheel's steps), `paper` (`IdoeCost`; `BandCost` where no action is 0), any `Cost`,
     or the fields of one with its class under `kind`."""
-    limit: float = TRIP
+    limit: float = number(TRIP, "m", above=0.05, high=10.0)
     """|e| [m] beyond which the episode has failed, for a cost given by name (others bring their own `trip`)."""
-    failure: float = 1.0
+    failure: float = number(1.0, "1", low=0.0, high=1e9)
     """What a failure costs. The costs are made for NFQ, where 1 is the worst there is; a learner with discount g may
     find that worth its while unless it is above cost/(1 - g) of staying."""
-    duration: float = 60.0
+    duration: float = number(60.0, "s", low=0.05, high=1e9)
     """Longest episode [s]."""
     start: str = "anywhere"
     """Where episodes start: `anywhere` along the course, or at its `beginning`."""
-    start_e: float = 0.1
+    start_e: float = number(0.1, "m", low=0.0)
     """Largest |e| at the start [m], at the scenario's reference point."""
-    start_psi_e: float = 0.02
+    start_psi_e: float = number(0.02, "rad", low=0.0, high=1.0)
     """Largest turn at the start [rad], away from the heading that keeps e as it is."""
     safe: bool | Mapping[str, Any] = False
     """Is there a `SafetyFilter` between the agent and the wheel? It keeps |e| of the front axle within 0.5 m, whatever
@@ -140,13 +140,8 @@ class Task:
         choices = f"smooth, paper, a Cost, or its fields with a kind: {', '.join(COST_KINDS)}"
         require(_is_cost(self.cost), where, f"cost {self.cost!r}; valid: {choices}")
         require(self.start in ("anywhere", "beginning"), where, f"start {self.start!r}; valid: anywhere, beginning")
-        require(0.05 < self.limit < 10.0, where, f"limit = {self.limit} m, expected 0.05 to 10 m")
-        require(0.05 <= self.duration < math.inf, where, f"duration = {self.duration} s, expected at least 0.05 s")
-        require(0.0 <= self.failure < math.inf, where, f"failure = {self.failure}, expected a cost >= 0")
-        fits = self.largest is None or 0.0 < self.largest < 20.0
-        require(fits, where, f"largest = {self.largest} rad, expected 0 to 20 rad, or None")
-        require(0.0 <= self.start_e < self.limit, where, f"start_e = {self.start_e} m, expected 0 to limit")
-        require(0.0 <= self.start_psi_e < 1.0, where, f"start_psi_e = {self.start_psi_e} rad, expected 0 to 1 rad")
+        check_numbers(self, where)
+        require(self.start_e < self.limit, where, f"start_e = {self.start_e} [m], expected below limit, {self.limit:g}")
         require(self.description.names[0] == "e", where, f"column 0 is '{self.description.names[0]}', expected 'e'")
         plain = (self.course, self.vehicle, self.conditions) == ("paper", "vw-passat", "clean")
         words = "course, vehicle and conditions belong to the scenario; give them inside `scenario`, or no scenario"

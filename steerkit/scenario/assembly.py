@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable
 from dataclasses import replace
 from typing import Any, TypeVar
 
@@ -74,22 +74,10 @@ def steering_loop(
 
     Raises WiringError when a part is missing or an input has a name not listed here.
     """
-    _check_parts(
-        {"car": car, "driver": driver, "controller": controller},
-        {
-            "doe": doe,
-            "recovery": recovery,
-            "supervisor": supervisor,
-            "foresight": foresight,
-            "safety": safety,
-            "link": link,
-            "actuator": actuator,
-            "column": column,
-            "sensors": sensors,
-            "estimator": estimator,
-            "shift": shift,
-        },
-    )
+    given = locals()
+    for role, example in _EXAMPLES.items():
+        if given[role] is not None or role in ("car", "driver", "controller"):
+            require_block(given[role], "steering_loop", role, example)
     learns = "action" in _names(controller.outputs)
     if learns == (doe is None):
         kind = type(controller).__name__
@@ -98,18 +86,18 @@ def steering_loop(
             if learns
             else f"{kind} steers by itself (it has no output 'action'); leave doe out"
         )
-    if supervisor is not None and recovery is None:
-        raise WiringError("a supervisor without a recovery controller; give recovery, such as Stanley.of(vehicle)")
     if foresight is not None and shift is not None:
         raise WiringError("foresight judges e of the path, shift another; give one of them")
-    if foresight is not None and recovery is None:
-        raise WiringError("foresight without a recovery controller; give recovery, such as Stanley.of(vehicle)")
+    for role in ("supervisor", "foresight", "shift"):
+        if given[role] is not None and recovery is None:
+            raise WiringError(f"{role} without a recovery controller; give recovery, such as Stanley.of(vehicle)")
     if recovery is not None and "ready" not in _names(controller.outputs):
         raise WiringError(f"{type(controller).__name__} has no output 'ready', which the supervisor needs to know")
     reports = "applied" in _names(car.outputs)
     if recovery is not None:
         controller = _guarded(controller)
-        safety = _fail_safe(safety) if safety is not None else None
+        if safety is not None and not isinstance(safety, FailSafe):
+            safety = FailSafe(block=safety)
     if doe is not None and reports:
         doe = _corrected(doe)
     bench = _Bench(path)
@@ -133,8 +121,6 @@ def steering_loop(
         tracker = bench.add("seen", PathTracker(path=path, reference=reference, dt=controller.dt))
         bench.join(tracker, seen)
     if shift is not None:
-        if recovery is None:
-            raise WiringError("a shift without a recovery controller; give recovery, such as Stanley.of(vehicle)")
         bench.add("shift", shift)
         bench.wire(tracker, "e", shift, "e_path")
         bench.wire(tracker, "e_dot", shift, "e_dot_path")
@@ -197,12 +183,6 @@ _EXAMPLES = {
 """What would do for a part of the loop."""
 
 
-def _check_parts(needed: Mapping[str, Any], possible: Mapping[str, Any]) -> None:
-    given = {role: part for role, part in possible.items() if part is not None}
-    for role, part in {**needed, **given}.items():
-        require_block(part, "steering_loop", role, _EXAMPLES[role])
-
-
 def controller_of(loop: Loop) -> Block:
     """The controller that `steering_loop` was given, without the guard around it."""
     block = loop.blocks["controller"]
@@ -230,10 +210,6 @@ def _supervisor(controller: Block, doe: Block | None) -> Supervisor:
 
 def _guarded(controller: Block) -> ExceptionGuard:
     return controller if isinstance(controller, ExceptionGuard) else ExceptionGuard(block=controller)
-
-
-def _fail_safe(safety: Block) -> FailSafe:
-    return safety if isinstance(safety, FailSafe) else FailSafe(block=safety)
 
 
 def _corrected(doe: Block) -> Block:

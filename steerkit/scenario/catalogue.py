@@ -7,7 +7,7 @@ from dataclasses import MISSING, dataclass, fields, replace
 from types import MappingProxyType
 from typing import Any
 
-from steerkit._support.errors import known, require
+from steerkit._support.errors import check_numbers, known, number, require
 from steerkit._support.plugins import imported, is_outside
 from steerkit.controllers.adaptive import Adaptive
 from steerkit.controllers.delay import delayed_stanley
@@ -43,23 +43,23 @@ class DesignModel:
     """The car; its `delta_sw_max` is the largest angle that a controller asks for."""
     path: Path
     """The course."""
-    delay: float = 0.0
+    delay: float = number(0.0, "s", low=0.0, high=2.0)
     """Pure delay from a command to what is seen of it [s]: the steering's, and the age of what the controller sees."""
-    lag: float = 0.1
+    lag: float = number(0.1, "s", low=0.0, high=10.0)
     """First-order time constant of the steering [s]."""
-    hold: float = 0.0
+    hold: float = number(0.0, "s", low=0.0, high=1.0)
     """For how long a sampled actuator holds its angle [s], if `delay` does not count that yet. A simulated one: its dt;
     a car: 0, as its delay is measured from command to wheel, everything in between included. Half of it acts as more
     delay, which only the predictive controllers make use of: the others are tuned to samples of 50 ms without it."""
-    rate_limit: float = radians_of(550.0)
+    rate_limit: float = number(radians_of(550.0), "rad/s", above=0.0)
     """Fastest steering wheel [rad/s]."""
-    slew: float | None = None
+    slew: float | None = number(None, "m/s^3", above=0.0)
     """Fastest change of the lateral acceleration of a car that is steered by torque [m/s^3]; None: by angle."""
-    a_y_limit: float | None = None
+    a_y_limit: float | None = number(None, "m/s^2", above=0.0)
     """Its largest lateral acceleration [m/s^2]; None: by angle."""
-    offset: float = 0.0
+    offset: float = number(0.0, "rad", low=-3.0, high=3.0)
     """Known offset of the angle that the steering reaches [rad]: commands are given less by it."""
-    gain: float = 1.0
+    gain: float = number(1.0, "1", low=0.1, high=10.0)
     """Known gain of the steering, angle reached over angle commanded [1]: commands are divided by it."""
     budget: float | None = None
     """Time within which a predictive controller has to answer [s]; None: any, so that a drive can be repeated."""
@@ -67,15 +67,7 @@ class DesignModel:
     """Seconds, for the budget; None: no time is taken."""
 
     def __post_init__(self) -> None:
-        for name, unit, largest in (("delay", "s", 2.0), ("lag", "s", 10.0), ("hold", "s", 1.0)):
-            value = getattr(self, name)
-            require(0.0 <= value <= largest, "DesignModel", f"{name} = {value} [{unit}], expected 0 to {largest:g}")
-        for name, unit in (("slew", "m/s^3"), ("a_y_limit", "m/s^2")):
-            value = getattr(self, name)
-            require(value is None or value > 0.0, "DesignModel", f"{name} = {value} [{unit}], expected > 0, or None")
-        require(abs(self.offset) <= 3.0, "DesignModel", f"offset = {self.offset} [rad], expected -3 to 3")
-        require(0.1 <= self.gain <= 10.0, "DesignModel", f"gain = {self.gain} [1], expected 0.1 to 10")
-        require(self.rate_limit > 0.0, "DesignModel", f"rate_limit = {self.rate_limit} [rad/s], expected > 0")
+        check_numbers(self, "DesignModel")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -233,11 +233,13 @@ class Driver(Part):
     def profile(self, course: Course, path: Path) -> tuple[Array, Array]:
         """s [m] along the course and the speed there [m/s], as recorded, as a map allows or from a file."""
         if self.text is not None:
-            s, v = profile_on(path, self.text, self.speed)
+            s, v = profile_in(self.text, self.speed)
+            longest = f"s to {s[-1]:g} m, on a course of {path.length:.1f} m; expected s from 0 to the course's length"
+            require(s[0] >= 0.0 and s[-1] <= path.length + 1.0, self.speed, longest)
             span = f"{v.min():g} to {v.max():g} m/s, expected v_min to v_max, {self.v_min:g} to {self.v_max:g}"
             within = self.v_min - 1e-9 <= v.min() and v.max() <= self.v_max + 1e-9
             require(within, f"speed {self.speed}", f"{span}; change v_min, v_max")
-            return s, v
+            return _each_metre(path, s, v)
         if course.text is not None:
             return self._course_speed(course, path)
         require(self.speed == "recorded", f"speed {self.speed}", f"course '{course.name}' has none; a map's file has")
@@ -441,10 +443,6 @@ class Knowledge(Part):
     lag: float | None = number(None, "s", low=0.0, high=10.0)
     """The lag that they believe [s]; None: the true one."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require(isinstance(self.oracle, bool), self.table, f"oracle = {self.oracle!r}, expected true or false")
-
 
 PARTS: Mapping[str, type[Part]] = {
     part.table: part for part in (Course, Car, Driver, Steering, Sensing, Disturbances, Knowledge)
@@ -491,14 +489,6 @@ def profile_in(text: str, name: str) -> tuple[Array, Array]:
     fine = bool(np.isfinite(s).all() and np.isfinite(v).all() and (np.diff(s) > 0.0).all() and len(s) >= 2)
     require(fine, name, "expected two rows or more of numbers, s [m] rising from row to row")
     return s, v
-
-
-def profile_on(path: Path, text: str, name: str) -> tuple[Array, Array]:
-    """A file's profile, every metre of a course; a closed one goes on from its end to its beginning."""
-    s, v = profile_in(text, name)
-    longest = f"s to {s[-1]:g} m, on a course of {path.length:.1f} m"
-    require(s[0] >= 0.0 and s[-1] <= path.length + 1.0, name, f"{longest}; expected s from 0 to the course's length")
-    return _each_metre(path, s, v)
 
 
 def _each_metre(path: Path, s: Array, v: Array) -> tuple[Array, Array]:

@@ -165,7 +165,7 @@ def test_the_code_needs_nothing_but_math_h(tmp_path: Path) -> None:
 def test_bad_requests_name_the_choices(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"which blocks .*driver, car"):
         export_c(learner_loop(), tmp_path)
-    with pytest.raises(ValueError, match="block of the loop .controler.*valid: driver"):
+    with pytest.raises(ValueError, match=r"block of the loop .controler.*valid: driver"):
         export_c(learner_loop(), tmp_path, blocks=("controler",))
     with pytest.raises(ValueError, match="C identifier"):
         export_c(Supervisor(), tmp_path, name="2 fast")
