@@ -3,82 +3,218 @@
 from __future__ import annotations
 
 import math
+import struct
+from collections.abc import Callable, Iterator
+from typing import Any
 
 from tests.attack import wire
-from tests.attack.bench import Attack
-from tests.attack.hooks import (
-    FOREIGN,
-    JUNK,
-    PLACES,
-    POSE,
-    WEAK,
-    asked_at,
-    beside,
-    changed,
-    client_gone,
-    client_silent,
-    flag,
-    frames,
-    gone,
-    halting,
-    held,
-    misses,
-    moved,
-    one_more,
-    order,
-    repeated,
-    repeats,
-    replaced,
-    rogue_enable,
-    sign,
-    silent,
-    turned,
-)
+from tests.attack.bench import Attack, Drive, Sensed
+
+Sense = Callable[[Drive, Sensed, float], None]
+
+
+def held(*names: str) -> Sense:
+    """These values stand still."""
+
+    def sense(drive: Drive, values: Sensed, since: float) -> None:
+        kept = drive.frozen.setdefault(names, tuple(getattr(values, name) for name in names))
+        for name, value in zip(names, kept):
+            setattr(values, name, value)
+
+    return sense
+
+
+def changed(**changes: Callable[[float, float], float]) -> Sense:
+    """value -> change(value, time since the onset)."""
+
+    def sense(drive: Drive, values: Sensed, since: float) -> None:
+        for name, change in changes.items():
+            setattr(values, name, change(getattr(values, name), since))
+
+    return sense
+
+
+def steady(size: float) -> Callable[[float], float]:
+    """Of that size from the onset on."""
+    return lambda t: size
+
+
+def growing(rate: float) -> Callable[[float], float]:
+    """From nothing, by so much a second."""
+    return lambda t: rate * t
+
+
+def plus(name: str, error: Callable[[float], float]) -> Sense:
+    """A value with an error."""
+    return changed(**{name: lambda value, t: value + error(t)})
+
+
+NOTHING = steady(0.0)
+
+
+def moved(along: Callable[[float], float] = NOTHING, across: Callable[[float], float] = NOTHING) -> Sense:
+    """The position is off, along or across the heading [m]."""
+
+    def sense(drive: Drive, values: Sensed, since: float) -> None:
+        a, c, psi = along(since), across(since), drive.car.psi
+        values.x += a * math.cos(psi) - c * math.sin(psi)
+        values.y += a * math.sin(psi) + c * math.cos(psi)
+
+    return sense
+
+
+def flag(*names: str, up: bool = True) -> Sense:
+    """Flags of the kit's report."""
+
+    def sense(drive: Drive, values: Sensed, since: float) -> None:
+        values.flags = values.flags | set(names) if up else values.flags - set(names)
+
+    return sense
+
+
+Frames = list[tuple[int, bytes, str]]
+
+
+def frames(*ids: int, change: Callable[[bytes], bytes] = bytes, kind: str = "", drop: bool = False) -> Any:
+    """Frames of these ids come changed, as another kind, or not at all."""
+
+    def edit(drive: Drive, sent: Frames, since: float) -> Frames:
+        return [(i, change(d), kind or k) if i in ids else (i, d, k) for i, d, k in sent if not (drop and i in ids)]
+
+    return edit
+
+
+def beside(*more: tuple[int, bytes, str], times: int = 1) -> Any:
+    """Frames of another sender, after ours."""
+
+    def edit(drive: Drive, sent: Frames, since: float) -> Frames:
+        return [*sent, *(list(more) * times)]
+
+    return edit
+
+
+def replaced(frame_id: int, kind: str) -> Any:
+    """The true frame stays away; the last one before the onset comes again and again, as one of that kind."""
+
+    def edit(drive: Drive, sent: Frames, since: float) -> Frames:
+        return [(i, drive.frozen.setdefault(i, d), kind) if i == frame_id else (i, d, k) for i, d, k in sent]
+
+    return edit
+
+
+def order(name: str) -> Any:
+    """The operator presses a key once."""
+
+    def act(drive: Drive, since: float) -> None:
+        if drive.frozen.setdefault("pressed", False) is False:
+            drive.frozen["pressed"] = True
+            drive.order(name)
+
+    return act
+
+
+def silent(drive: Drive, since: float) -> None:
+    drive.beating = False
+
+
+def gone(drive: Drive, since: float) -> None:
+    if drive.beating:
+        drive.beating = False
+        drive.hang_up(2)
+
+
+def client_gone(drive: Drive, since: float) -> None:
+    if drive.controlling:
+        drive.controlling = False
+        drive.hang_up(1)
+
+
+def client_silent(drive: Drive, since: float) -> None:
+    drive.controlling = False
+
+
+def misses(drive: Drive, since: float) -> None:
+    drive.misses = int(since / 0.06)
+
+
+def one_more(drive: Drive, since: float) -> None:
+    """One frame of each kind more every half second: a hundred a second although they come later and later."""
+    if drive.k % 100 == 0:
+        drive.transmit()
+
+
+def asked_at(when: Callable[[Drive], float]) -> Any:
+    """The request says that it was computed from another moment's data."""
+
+    def request(drive: Drive, angle: float, since: float) -> float:
+        drive.snapshot["t"] = when(drive)
+        return angle
+
+    return request
+
+
+def rogue_enable(drive: Drive, since: float) -> None:
+    """After our end, somebody else keeps the kit enabled."""
+    if drive.mode != "ENGAGED":
+        drive.kit_enabled, drive.heard = True, drive.t
+
+
+def halting(drive: Drive, sent: Frames, since: float) -> Frames:
+    """Every other 50 ms without frames."""
+    return sent if since % 0.1 < 0.05 else []
+
+
+WEAK = wire.report(0.0, 0.0, 5.0, 0.0, {"ENABLED"})
+FOREIGN = struct.pack("<hBB4x", 300, 1, 0)
+JUNK = (0x333, bytes(8), "")
+SLIGHT = "at 2 m/s a steady 0.25 m off, within e_max"
+UNASKED = "the motor turns the wheel as nobody asked; only the yaw rate, later, tells"
+
+
+def turned(rate: float) -> Sense:
+    def sense(drive: Drive, values: Sensed, since: float) -> None:
+        cos, sin = math.cos(rate * since), math.sin(rate * since)
+        values.x, values.y = cos * values.x - sin * values.y, sin * values.x + cos * values.y
+        values.psi += rate * since
+
+    return sense
+
+
+def repeats(drive: Drive, values: Sensed, since: float) -> None:
+    if drive.kit_enabled:
+        values.angle = drive.command
+
 
 rad = math.radians
 
 
-def _pose() -> list[Attack]:
-    found = []
-    everything = ("x", "y", "psi", "v", "r", "beta", "a_y")
+def _pose() -> Iterator[Attack]:
     for where in ("bend", "straight"):
-        found += [
-            Attack(f"x and y stand still, {where}", sense=held("x", "y"), where=where),
-            Attack(
-                f"all of the pose stands still but stamp and counter, {where}", sense=held(*everything), where=where
-            ),
-            Attack(
-                f"position, heading and yaw rate stand still, {where}", sense=held("x", "y", "psi", "r"), where=where
-            ),
-            Attack(f"speed and position stand still, {where}", sense=held("x", "y", "v"), where=where),
-        ]
+        for what, names in (
+            ("x and y stand still", "x y"),
+            ("all of the pose stands still but stamp and counter", "x y psi v r beta a_y"),
+            ("position, heading and yaw rate stand still", "x y psi r"),
+            ("speed and position stand still", "x y v"),
+        ):
+            yield Attack(f"{what}, {where}", sense=held(*names.split()), where=where)
         for size in (0.2, 0.5, 1.0, 2.0):
-            for side, s in sign:
-                found.append(
-                    Attack(
-                        f"position drifts {side} at {size} m/s, {where}",
-                        sense=moved(across=lambda t, r=s * size: r * t),
-                        where=where,
-                    )
-                )
-    for where in PLACES:
-        found.append(
-            Attack(f"heading stands still, {where}", sense=held("psi"), where=where, harmless=where == "straight")
-        )
+            for side, rate in (("left", size), ("right", -size)):
+                name = f"position drifts {side} at {size} m/s, {where}"
+                yield Attack(name, sense=moved(across=growing(rate)), where=where)
+    for where in ("bend", "straight", "entry"):
+        yield Attack(f"heading stands still, {where}", sense=held("psi"), where=where, harmless=where == "straight")
     for name in ("x", "y"):
-        found.append(Attack(f"{name} stands still", sense=held(name)))
+        yield Attack(f"{name} stands still", sense=held(name))
     for size in (20.0, -20.0, 30.0, 90.0, 180.0):
-        found.append(Attack(f"heading jumps by {size:g} deg", sense=changed(psi=lambda p, t, a=size: p + rad(a))))
+        yield Attack(f"heading jumps by {size:g} deg", sense=plus("psi", steady(rad(size))))
     for rate in (3.0, 10.0, -10.0, 30.0):
-        found.append(
-            Attack(f"heading drifts at {rate:g} deg/s", sense=changed(psi=lambda p, t, a=rate: p + rad(a) * t))
-        )
+        yield Attack(f"heading drifts at {rate:g} deg/s", sense=plus("psi", growing(rad(rate))))
     for size in (0.6, -0.6, 1.0, 3.0):
-        found.append(Attack(f"position jumps {size:g} m across", sense=moved(across=lambda t, a=size: a)))
-        found.append(Attack(f"position jumps {size:g} m along", sense=moved(along=lambda t, a=size: a)))
+        yield Attack(f"position jumps {size:g} m across", sense=moved(across=steady(size)))
+        yield Attack(f"position jumps {size:g} m along", sense=moved(along=steady(size)))
     for rate in (1.0, -1.0, 2.0):
-        found.append(Attack(f"position runs {rate:g} m/s along", sense=moved(along=lambda t, a=rate: a * t)))
-    found += [
+        yield Attack(f"position runs {rate:g} m/s along", sense=moved(along=growing(rate)))
+    yield from [
         Attack("position swings across by 1 m in 2 s", sense=moved(across=lambda t: math.sin(math.pi * t))),
         Attack("heading swings by 10 deg", sense=changed(psi=lambda p, t: p + rad(10.0) * math.sin(math.pi * t))),
         Attack("position and heading turn together about the origin at 3 deg/s", sense=turned(rad(3.0))),
@@ -99,43 +235,26 @@ def _pose() -> list[Attack]:
         Attack("quality 0", sense=changed(quality=lambda q, t: 0.0)),
     ]
     for name in ("x", "y", "psi", "v", "r"):
-        found.append(Attack(f"{name} not available", sense=changed(**{name: lambda value, t: math.nan})))
-    return found
+        yield Attack(f"{name} not available", sense=changed(**{name: lambda value, t: math.nan}))
 
 
-def _kit() -> list[Attack]:
-    found = [
+def _kit() -> Iterator[Attack]:
+    yield from [
         Attack("steering sensor stands still", sense=held("angle"), where="entry"),
-        Attack("steering sensor + 35 deg", harmless=True, sense=changed(angle=lambda a, t: a + rad(35.0))),
-        Attack("steering sensor - 35 deg", harmless=True, sense=changed(angle=lambda a, t: a - rad(35.0))),
+        Attack("steering sensor + 35 deg", harmless=True, sense=plus("angle", steady(rad(35.0)))),
+        Attack("steering sensor - 35 deg", harmless=True, sense=plus("angle", steady(rad(-35.0)))),
         Attack("steering sensor times 0.8", harmless=True, sense=changed(angle=lambda a, t: 0.8 * a)),
         Attack("steering sensor reversed", sense=changed(angle=lambda a, t: -a)),
-        Attack(
-            "motor 100 deg off, its sensor repeats the command",
-            motor=lambda d, a, t: a + rad(100.0),
-            sense=repeats,
-            physics="the motor turns the wheel as nobody asked; only the yaw rate, later, tells",
-            a_y_max=5.0,
-        ),
-        Attack(
-            "motor 40 deg off, its sensor repeats the command",
-            harmless=True,
-            motor=lambda d, a, t: a - rad(40.0),
-            sense=repeats,
-        ),
-        Attack(
-            "motor turns the wrong way, its sensor repeats the command",
-            motor=lambda d, a, t: -a,
-            sense=repeats,
-            physics="the motor turns the wheel as nobody asked; only the yaw rate, later, tells",
-            a_y_max=3.6,
-        ),
-        Attack(
-            "motor stands still, its sensor repeats the command",
-            motor=lambda d, a, t: d.car.wheel,
-            where="entry",
-            sense=repeats,
-        ),
+    ]
+    motors: tuple[tuple[str, Any, dict[str, Any]], ...] = (
+        ("100 deg off", lambda d, a, t: a + rad(100.0), {"physics": UNASKED, "a_y_max": 5.0}),
+        ("40 deg off", lambda d, a, t: a - rad(40.0), {"harmless": True}),
+        ("turns the wrong way", lambda d, a, t: -a, {"physics": UNASKED, "a_y_max": 3.6}),
+        ("stands still", lambda d, a, t: d.car.wheel, {"where": "entry"}),
+    )
+    for what, motor, more in motors:
+        yield Attack(f"motor {what}, its sensor repeats the command", motor=motor, sense=repeats, **more)
+    yield from [
         Attack("motor torn off", motor=lambda d, a, t: d.car.wheel, where="entry"),
         Attack(
             "motor runs to the left",
@@ -159,7 +278,7 @@ def _kit() -> list[Attack]:
         Attack("a foreign sender of the command", frames=beside((wire.COMMAND, FOREIGN, ""))),
         Attack("report speed + 3 m/s", sense=changed(v_kit=lambda v, t: v + 3.0)),
         Attack("report dropped", frames=frames(wire.REPORT, drop=True)),
-        Attack("report repeated", frames=repeated(wire.REPORT)),
+        Attack("report repeated", frames=replaced(wire.REPORT, "")),
         Attack("report with 7 bytes", frames=frames(wire.REPORT, change=lambda d: d[:7])),
         Attack("report as a 29-bit id in its place", frames=replaced(wire.REPORT, "x")),
         Attack("report as CAN FD in its place", frames=replaced(wire.REPORT, "fd")),
@@ -167,56 +286,46 @@ def _kit() -> list[Attack]:
         Attack("report all zeros", frames=frames(wire.REPORT, change=lambda d: bytes(8))),
         Attack("somebody else enables the kit after us", act=rogue_enable, sense=flag("OVERRIDE"), seconds=2.0),
     ]
-    for frame_id, name in zip(POSE, ("position", "motion", "dynamics")):
-        found += [
-            Attack(f"{name} frames dropped", frames=frames(frame_id, drop=True)),
-            Attack(f"{name} frames repeated", frames=repeated(frame_id)),
-            Attack(
-                f"{name} frames with a wrong CRC", frames=frames(frame_id, change=lambda d: d[:7] + bytes([d[7] ^ 1]))
-            ),
-            Attack(
-                f"{name} frames with a turned bit", frames=frames(frame_id, change=lambda d: bytes([d[0] ^ 4]) + d[1:])
-            ),
-            Attack(f"{name} frames as a 29-bit id in their place", frames=replaced(frame_id, "x")),
-            Attack(f"{name} frames as CAN FD in their place", frames=replaced(frame_id, "fd")),
-            Attack(f"{name} frames of 3 bytes", frames=frames(frame_id, change=lambda d: d[:3])),
-        ]
-    return found
+    for frame_id, name in ((wire.POSITION, "position"), (wire.MOTION, "motion"), (wire.DYNAMICS, "dynamics")):
+        for what, edit in (
+            ("dropped", frames(frame_id, drop=True)),
+            ("repeated", replaced(frame_id, "")),
+            ("with a wrong CRC", frames(frame_id, change=lambda d: d[:7] + bytes([d[7] ^ 1]))),
+            ("with a turned bit", frames(frame_id, change=lambda d: bytes([d[0] ^ 4]) + d[1:])),
+            ("as a 29-bit id in their place", replaced(frame_id, "x")),
+            ("as CAN FD in their place", replaced(frame_id, "fd")),
+            ("of 3 bytes", frames(frame_id, change=lambda d: d[:3])),
+        ):
+            yield Attack(f"{name} frames {what}", frames=edit)
 
 
-def _time() -> list[Attack]:
-    found = []
+def _time() -> Iterator[Attack]:
     for late in (0.1, 0.16, 0.2, 0.5):
-        found.append(Attack(f"pose {late:g} s late", latency=lambda t, a=late: a, harmless=late < 0.15))
-    found += [
-        Attack("stamps 2 % fast", sense=changed(stamp=lambda s, t: s + 0.02 * t)),
-        Attack(
-            "stamps 2 % fast, delay growing by 20 ms a second",
-            sense=changed(stamp=lambda s, t: s + 0.02 * t),
-            latency=lambda t: 0.02 * t,
-            seconds=15.0,
-        ),
+        yield Attack(f"pose {late:g} s late", latency=steady(late), harmless=late < 0.15)
+    fast = plus("stamp", growing(0.02))
+    yield from [
+        Attack("stamps 2 % fast", sense=fast),
+        Attack("stamps 2 % fast, delay growing by 20 ms a second", sense=fast, latency=growing(0.02), seconds=15.0),
         Attack(
             "a clock 2 % slow: stamps, counters and the delay agree",
-            sense=changed(stamp=lambda s, t: s + 0.02 * t),
-            latency=lambda t: 0.02 * t,
+            sense=fast,
+            latency=growing(0.02),
             act=one_more,
             seconds=15.0,
             physics="all that has a time agrees with a clock that runs slow",
         ),
-        Attack("delay growing by 20 ms a second", latency=lambda t: 0.02 * t, seconds=10.0),
-        Attack("delay growing by 100 ms a second", latency=lambda t: 0.1 * t),
-        Attack("stamp 5 s ahead", sense=changed(stamp=lambda s, t: s + 5.0)),
+        Attack("delay growing by 20 ms a second", latency=growing(0.02), seconds=10.0),
+        Attack("delay growing by 100 ms a second", latency=growing(0.1)),
+        Attack("stamp 5 s ahead", sense=plus("stamp", steady(5.0))),
         Attack("stamp 5 s ahead and back", sense=changed(stamp=lambda s, t: s + 5.0 * (t < 0.5))),
         Attack("stamp stands still", sense=held("stamp")),
         Attack("stamps at random", sense=changed(stamp=lambda s, t: s + 0.5 * math.sin(1e4 * t))),
     ]
-    return found
 
 
-def _client() -> list[Attack]:
+def _client() -> Iterator[Attack]:
     lock, careful = rad(520.0), {"course": "careful"}
-    return [
+    yield from [
         Attack("request NaN", request=lambda d, a, t: math.nan),
         Attack("request infinite", request=lambda d, a, t: math.inf),
         Attack("request 1e9 rad", request=lambda d, a, t: 1e9),
@@ -234,19 +343,14 @@ def _client() -> list[Attack]:
         Attack("bang-bang at 1 Hz", request=lambda d, a, t: lock if round(t / 0.5) % 2 else -lock, **careful),
         Attack("steers the wrong way", request=lambda d, a, t: -a, **careful),
         Attack("steers twice as much", harmless=True, request=lambda d, a, t: 2.0 * a, **careful),
-        Attack(
-            "100 deg to the left",
-            physics="at 2 m/s a steady 0.25 m off, within e_max",
-            request=lambda d, a, t: a + rad(100.0),
-            **careful,
-        ),
+        Attack("100 deg to the left", request=lambda d, a, t: a + rad(100.0), physics=SLIGHT, **careful),
         Attack("always straight ahead", request=lambda d, a, t: 0.0, **careful),
         Attack("holds the wheel", request=lambda d, a, t: d.frozen.setdefault("a", a), where="entry", **careful),
     ]
 
 
-def _people_and_bus() -> list[Attack]:
-    return [
+def _people_and_bus() -> Iterator[Attack]:
+    yield from [
         Attack("heartbeat stops", act=silent),
         Attack("the operator's terminal is gone", act=gone),
         Attack("space bar", act=order("DISENGAGE")),

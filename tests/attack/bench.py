@@ -17,7 +17,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, Protocol
 
 from steerkit.car.config import CarConfig, load
-from steerkit.car.core import Core, Event, Frame, Link, Note, Packet, Reply, Send, Tick
+from steerkit.car.core import Core, Event, Frame, Link, Note, Output, Packet, Reply, Send, Tick
 from tests.attack import wire
 from tests.attack.car import FRONT, Car, Course, road, stadium, stanley
 
@@ -125,9 +125,55 @@ class Attack:
     a_y_max: float = 3.0
 
 
+class Bench:
+    """The product's core with a controller on line 1 and an operator on line 2, and what it said."""
+
+    core: Core
+    dice: random.Random
+    noise: float
+    t: float
+    mode: str
+    modes: list[tuple[float, str, str]]
+    drift: list[float]
+
+    def handle(self, event: Event) -> None:
+        """Give the core an event, and take note of what it answers."""
+        for out in self.core.handle(event):
+            self.said(out)
+
+    def said(self, out: Output) -> None:
+        """Take note of an answer."""
+        if isinstance(out, Note) and out.topic == "state":
+            self.mode = str(out.values["to"])
+            self.modes.append((self.t, self.mode, out.values["cause"]))
+
+    def packet(self, link: int, data: bytes) -> None:
+        """A client's packet."""
+        self.handle(Packet(self.t, link, data))
+
+    def order(self, name: str) -> None:
+        """An order of the operator, as a key gives it."""
+        self.packet(2, wire.ORDERS[name])
+
+    def arm(self) -> None:
+        """Both come, and the operator arms."""
+        for link, controls in ((1, True), (2, False)):
+            self.handle(Link(0.0, link, True))
+            self.packet(link, wire.HELLO[controls])
+        self.order("ARM")
+
+    def noisy(self, x: float, y: float, psi: float, v: float, r: float) -> tuple[float, ...]:
+        """Noise as under `hard` conditions: drifts of 1 cm and 0.1 degrees, 0.2 deg/s on the yaw rate."""
+        gauss, noise = self.dice.gauss, self.noise
+        for i, size in enumerate((0.01, 0.01, math.radians(0.1))):
+            self.drift[i] += noise * (-self.drift[i] / 100.0 + gauss(0.0, size * math.sqrt(2.0 / 100.0)))
+        near = [value + off for value, off in zip((x, y, psi), self.drift)]
+        return (*near, v + noise * gauss(0.0, 0.02), r + noise * gauss(0.0, math.radians(0.2)))
+
+
 @dataclass
-class Drive:
-    """One drive; `run` it, then look at `outcome`."""
+class Drive(Bench):
+    """One drive; `run` it, then look at how it ended."""
 
     attack: Attack
     speed: float = 5.0
@@ -144,7 +190,6 @@ class Drive:
     modes: list[tuple[float, str, str]] = field(default_factory=list)
     truth: list[tuple[float, float, float, bool]] = field(default_factory=list)
     """(t, true e, true a_y, does the kit steer?)"""
-    events: list[tuple[Event, list[Any]]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.config, path = configuration(self.attack.course)
@@ -171,7 +216,6 @@ class Drive:
         self.command, self.heard = 0.0, -math.inf
         self.snapshot: dict[str, float] = {}
         self.answer = b""
-        self.refusals: list[str] = []
         self.count = self.k = 0
         self.drift = [0.0, 0.0, 0.0]
         self.waiting: list[tuple[float, int, bytes, str]] = []
@@ -181,32 +225,17 @@ class Drive:
 
     # ---- around the core --------------------------------------------------------------------------------------
 
-    def handle(self, event: Event) -> None:
-        """Give the core an event, and do what it answers."""
-        outputs = self.core.handle(event)
-        self.events.append((event, outputs))
-        for out in outputs:
-            match out:
-                case Send():
-                    angle, enable, clear = wire.command(out.data)
-                    self.sent.append((self.t, angle, enable))
-                    self.hear(angle, enable, clear)
-                case Note(topic="state", values=v):
-                    self.mode = str(v["to"])
-                    self.modes.append((self.t, self.mode, v["cause"]))
-                case Reply(data=data) if data[:1] == b"S":
-                    numbers = struct.unpack_from(f"<{len(wire.SNAPSHOT)}d", data, 1)
-                    self.snapshot, self.answer = dict(zip(wire.SNAPSHOT, numbers)), data
-                case Reply(data=data):
-                    self.refusals.append(data[1:].decode())
-
-    def packet(self, link: int, data: bytes) -> None:
-        """A client's packet."""
-        self.handle(Packet(self.t, link, data))
-
-    def order(self, name: str) -> None:
-        """An order of the operator, as a key gives it."""
-        self.packet(2, wire.ORDERS[name])
+    def said(self, out: Output) -> None:
+        """Do what it says."""
+        super().said(out)
+        match out:
+            case Send():
+                angle, enable, clear = wire.command(out.data)
+                self.sent.append((self.t, angle, enable))
+                self.hear(angle, enable, clear)
+            case Reply(data=data) if data[:1] == b"S":
+                numbers = struct.unpack_from(f"<{len(wire.SNAPSHOT)}d", data, 1)
+                self.snapshot, self.answer = dict(zip(wire.SNAPSHOT, numbers)), data
 
     def hang_up(self, link: int) -> None:
         """A client's line is cut."""
@@ -228,16 +257,15 @@ class Drive:
     # ---- one step ---------------------------------------------------------------------------------------------
 
     def sensed(self) -> Sensed:
-        """Noise as under `hard` conditions: drifts of 1 cm and 0.1 degrees, 0.2 deg/s on the yaw rate."""
-        car, gauss = self.car, self.dice.gauss
-        for i, size in enumerate((0.01, 0.01, math.radians(0.1))):
-            self.drift[i] += self.noise * (-self.drift[i] / 100.0 + gauss(0.0, size * math.sqrt(2.0 / 100.0)))
+        """What they say without an attack."""
+        car, flags = self.car, {"ENABLED": self.kit_enabled, "OVERRIDE": self.overridden, "TMOUT": self.kit_timeout}
+        x, y, psi, v, r = self.noisy(car.x, car.y, car.psi, car.v, car.r)
         return Sensed(
-            x=car.x + self.drift[0],
-            y=car.y + self.drift[1],
-            psi=car.psi + self.drift[2],
-            v=car.v + self.noise * gauss(0.0, 0.02),
-            r=car.r + self.noise * gauss(0.0, math.radians(0.2)),
+            x=x,
+            y=y,
+            psi=psi,
+            v=v,
+            r=r,
             beta=math.atan2(car.slide, max(abs(car.v), 0.5)),
             a_y=car.a_y,
             stamp=self.t,
@@ -245,16 +273,8 @@ class Drive:
             angle=car.wheel,
             echo=self.command if self.kit_enabled else car.wheel,
             v_kit=car.v,
-            torque=0.2 + self.noise * gauss(0.0, 0.1),
-            flags={
-                name
-                for name, up in (
-                    ("ENABLED", self.kit_enabled),
-                    ("OVERRIDE", self.overridden),
-                    ("TMOUT", self.kit_timeout),
-                )
-                if up
-            },
+            torque=0.2 + self.noise * self.dice.gauss(0.0, 0.1),
+            flags={name for name, up in flags.items() if up},
         )
 
     def transmit(self) -> None:
@@ -270,18 +290,10 @@ class Drive:
             (wire.MOTION, wire.motion(values.psi, values.v, values.r, count=n), ""),
             (wire.DYNAMICS, wire.dynamics(values.beta, values.a_y, values.stamp, count=n), ""),
         ]
-        degrees = math.degrees
-        kit = (
-            []
-            if n % 2
-            else [
-                (
-                    wire.REPORT,
-                    wire.report(degrees(values.angle), degrees(values.echo), values.v_kit, values.torque, values.flags),
-                    "",
-                )
-            ]
-        )
+        kit = []
+        if n % 2 == 0:
+            angle, echo = math.degrees(values.angle), math.degrees(values.echo)
+            kit = [(wire.REPORT, wire.report(angle, echo, values.v_kit, values.torque, values.flags), "")]
         late = attack.latency(since) if since is not None and attack.latency else 0.0
         frames = pose + kit
         if since is not None and attack.frames:
@@ -331,11 +343,7 @@ class Drive:
 
     def run(self) -> Drive:
         """Engage, let the attack have its way, and go on for a while after the product has let go."""
-        self.handle(Link(0.0, 1, True))
-        self.packet(1, bytes([ord("H"), 1, 3]))
-        self.handle(Link(0.0, 2, True))
-        self.packet(2, bytes([ord("H"), 0, 3]))
-        self.order("ARM")
+        self.arm()
         end = self.onset + self.attack.seconds
         while self.t < end or self.t - 0.6 < self.ended() < math.inf:  # what it lets go with is seen whole
             self.step()
@@ -392,3 +400,22 @@ class Drive:
     def after(self, t: float) -> list[str]:
         """Modes entered after t."""
         return [mode for when, mode, _ in self.modes if when > t]
+
+    def complaints(self, harmless: float = 0.25) -> list[str]:
+        """What was not as it should be; nothing, if all was.
+
+        harmless: how much further off the path an attack may bring the car that needs no answer [m].
+        """
+        attack, found = self.attack, self.bus_faults()
+        if not self.engaged_at_onset():
+            found.append(f"not engaged at the onset: {self.core.obstacles()}")
+        if not self.excess() <= attack.excess_max:
+            found.append(f"{self.excess():.2f} m further off the path ({self.cause()})")
+        if not self.a_y() <= attack.a_y_max:
+            found.append(f"a_y {self.a_y():.2f} m/s^2")
+        unnoticed = math.isinf(self.ended())
+        if unnoticed and not (attack.harmless or attack.physics):
+            found.append("went unnoticed")
+        if unnoticed and attack.harmless and not self.excess() < harmless:
+            found.append(f"not as harmless as it was thought to be: {self.excess():.2f} m")
+        return found

@@ -21,12 +21,12 @@ from typing import Any
 import numpy as np
 
 from steerkit.car.config import CarConfig, load
-from steerkit.car.core import Core, Event, Frame, Link, Note, Packet, Reply, Send, Tick
+from steerkit.car.core import Core, Event, Frame, Output, Send, Tick
 from steerkit.paths.courses import course
 from steerkit.vehicles import VW_PASSAT
 from steerkit.vehicles.file import vehicle_text
 from tests.attack import wire
-from tests.attack.bench import Attack, Drive
+from tests.attack.bench import Attack, Bench, Drive
 
 LAPS = {"genesis": 1.1, "genesis-rfs": 2.4}
 """Drives of a person in a Hyundai Genesis, 361 and 67 s, shipped with the product; and how far the centre of gravity is
@@ -109,7 +109,7 @@ def configured(name: str) -> CarConfig:
         return load(Path(folder, "car.toml"))
 
 
-class Playback:
+class Playback(Bench):
     """A recorded lap as the car server would have seen it, with a controller that asks for what the person steered."""
 
     def __init__(self, name: str, seed: int, noise: float = 1.0):
@@ -122,26 +122,16 @@ class Playback:
         self.engaged = 0.0
         """For how long it was [s]."""
 
-    def handle(self, event: Event) -> None:
-        """Give the core an event."""
-        for out in self.core.handle(event):
-            match out:
-                case Send():
-                    self.command, enable, _ = wire.command(out.data)
-                    self.command = self.command if enable else math.nan
-                case Note(topic="state", values=v):
-                    self.mode = str(v["to"])
-                    self.modes.append((self.t, self.mode, v["cause"]))
-                case Reply():
-                    pass
+    def said(self, out: Output) -> None:
+        """The kit does as it is told."""
+        super().said(out)
+        if isinstance(out, Send):
+            angle, enable, _ = wire.command(out.data)
+            self.command = angle if enable else math.nan
 
     def frames(self, now: dict[str, float], count: int) -> None:
         """Pose at 100 Hz, report at 50 Hz, with the noise of hard sensors."""
-        gauss, size = self.dice.gauss, self.noise
-        for i, s in enumerate((0.01, 0.01, math.radians(0.1))):
-            self.drift[i] += size * (-self.drift[i] / 100.0 + gauss(0.0, s * math.sqrt(0.02)))
-        x, y, psi = (now[name] + d for name, d in zip(("x", "y", "psi"), self.drift))
-        v, r = now["v"] + size * gauss(0.0, 0.02), now["r"] + size * gauss(0.0, math.radians(0.2))
+        x, y, psi, v, r = self.noisy(now["x"], now["y"], now["psi"], now["v"], now["r"])
         frames = [
             (wire.POSITION, wire.position(x, y, quality=4, count=count)),
             (wire.MOTION, wire.motion(psi, v, r, count=count)),
@@ -156,17 +146,9 @@ class Playback:
         for frame_id, data in frames:
             self.handle(Frame(self.t, self.t, frame_id, data))
 
-    def packet(self, link: int, data: bytes) -> None:
-        """A client's packet."""
-        self.handle(Packet(self.t, link, data))
-
     def run(self, until: float = math.inf) -> Playback:
         """The lap from its beginning; engaged whenever that is possible."""
-        self.handle(Link(0.0, 1, True))
-        self.packet(1, bytes([ord("H"), 1, 3]))
-        self.handle(Link(0.0, 2, True))
-        self.packet(2, bytes([ord("H"), 0, 3]))
-        self.packet(2, wire.ORDERS["ARM"])
+        self.arm()
         end = min(until, float(self.rows["t"][-1]))
         count = range(1, round(end / 0.01))
         times = 0.01 * np.array(count)
@@ -180,9 +162,9 @@ class Playback:
             if k % 10 == 3:
                 self.packet(2, wire.BEAT)
             if self.mode == "READY":
-                self.packet(2, wire.ORDERS["ENGAGE"])
+                self.order("ENGAGE")
             if self.mode == "FAULT":
-                self.packet(2, wire.ORDERS["ACKNOWLEDGE"])
+                self.order("ACKNOWLEDGE")
             if self.core.wake <= self.t:
                 self.handle(Tick(self.t))
             self.engaged += 0.01 * (self.mode == "ENGAGED")

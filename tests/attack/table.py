@@ -12,7 +12,6 @@ from functools import partial
 
 from tests.attack.attacks import ATTACKS
 from tests.attack.bench import Drive
-from tests.attack.judge import complaints
 from tests.attack.product import CONTROLLERS, HARMLESS, driven_by
 from tests.attack.test_attacks import SPEEDS
 
@@ -25,7 +24,7 @@ def row(name: str) -> str:
     cause = next((d.cause() for d in drives if d.cause()), "")
     worst, a_y = max(d.excess() for d in drives), max(d.a_y() for d in drives)
     said = cause.split(", last: ")[-1].split(": ")[0] or attack.physics or "-"
-    missed = any(complaints(d) for d in drives)
+    missed = any(d.complaints() for d in drives)
     return f"| {name} | {' | '.join(ends)} | {worst:.2f} | {a_y:.2f} | {said} |{' **MISSED** |' if missed else ''}"
 
 
@@ -38,7 +37,7 @@ def compared(name: str, controllers: list[str]) -> str:
         on = "on" if len(ends) < len(SPEEDS) else ""
         end = ", ".join([max(ends, key=int), on] if ends and on else [max(ends, key=int)] if ends else [on])
         cells.append(f"{end} / {max(d.excess() for d in drives):.2f} / {max(d.a_y() for d in drives):.2f}")
-        wrong += [f"{controller} at {d.speed:g} m/s: {what}" for d in drives for what in complaints(d, HARMLESS)]
+        wrong += [f"{controller} at {d.speed:g} m/s: {what}" for d in drives for what in d.complaints(HARMLESS)]
     return f"| {' | '.join(cells)} |{f' **MISSED** {wrong} |' if wrong else ''}"
 
 

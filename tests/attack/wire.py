@@ -74,31 +74,13 @@ def command(data: bytes) -> tuple[float, bool, bool]:
     return math.radians(tenths / 10.0), bool(data[2] & 1), bool(data[2] & 2)
 
 
+HELLO = {True: b"H\1\3", False: b"H\0\3"}
+"""By whether it is the controller's."""
 ORDERS = {name: bytes([ord("O"), i]) for i, name in enumerate(("ARM", "ENGAGE", "DISENGAGE", "ACKNOWLEDGE", "OFF"))}
 QUERY, BEAT = b"Q", b"B"
 MODES = ("OFF", "STANDBY", "READY", "ENGAGED", "OVERRIDE", "FAULT")
-SNAPSHOT = (
-    "t",
-    "x",
-    "y",
-    "psi",
-    "v",
-    "beta",
-    "r",
-    "a_y",
-    "delta_sw",
-    "v_kit",
-    "torque",
-    "e",
-    "psi_e",
-    "command",
-    "report_age",
-    "pose_age",
-    "request_age",
-    "errors",
-    "frames_sent",
-    "places",
-)
+_KNOWN = "t x y psi v beta r a_y delta_sw v_kit torque e psi_e command report_age pose_age request_age errors"
+SNAPSHOT = (*_KNOWN.split(), "frames_sent", "places")
 
 
 def asked(basis: float, angle: float, misses: int) -> bytes:
